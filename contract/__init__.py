@@ -1,0 +1,1 @@
+"""What aircraft and ground agree on: geometry, feature set, wire format. Python and NumPy, no I/O, no clock."""

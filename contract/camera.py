@@ -1,0 +1,181 @@
+"""Pinhole intrinsics with OpenCV's five-coefficient distortion: pixel <-> unit-depth ray, with validity.
+
+Pixel (0, 0) is the centre of the top-left pixel; the camera looks along +z with x to the right and y down. Equations
+(2.1) to (2.4) of docs/mathematics.md. A fitted distortion polynomial need not be invertible over the whole picture
+(it may fold back before the corner): such pixels have no ray, and `unproject` says so instead of inventing one.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from contract.errors import InputError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Where the radial polynomial's slope has fallen this low a pixel of noise is three in ray space: the calibration is
+# extrapolating towards its fold and is not believed.
+MIN_RADIAL_SLOPE = 0.3
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics in pixels; `distortion` is OpenCV's k1, k2, p1, p2, k3."""
+
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    distortion: tuple[float, float, float, float, float] = field(default=(0.0, 0.0, 0.0, 0.0, 0.0))
+
+    @classmethod
+    def from_field_of_view(cls, width_px: int, height_px: int, hfov_deg: float) -> Camera:
+        """An ideal camera with square pixels and its principal point at the picture's middle."""
+        focal = 0.5 * width_px / np.tan(np.radians(hfov_deg) / 2.0)
+        return cls(width_px, height_px, focal, focal, (width_px - 1) / 2.0, (height_px - 1) / 2.0)
+
+    @classmethod
+    def from_json(cls, path: Path | str) -> Camera:
+        """Read a camera file; raises InputError naming the file and the key that is wrong."""
+        try:
+            raw: dict[str, Any] = json.loads(Path(path).read_text())
+        except OSError as error:
+            raise InputError(f"camera file {path}: {error.strerror}") from error
+        except ValueError as error:
+            raise InputError(f"camera file {path}: not JSON ({error})") from error
+        try:
+            if raw.get("model", "pinhole") != "pinhole":
+                raise InputError(f"camera file {path}: model {raw['model']!r} is not known; use 'pinhole'")
+            width, height = (int(n) for n in raw["size_px"])
+            coefficients = [float(c) for c in raw.get("distortion_opencv_k1_k2_p1_p2_k3", [0.0] * 5)]
+            numbers = [float(raw[key]) for key in ("fx_px", "fy_px", "cx_px", "cy_px")]
+        except KeyError as error:
+            raise InputError(f"camera file {path}: key {error.args[0]!r} is missing") from error
+        except (TypeError, ValueError, AttributeError) as error:
+            raise InputError(f"camera file {path}: {error}") from error
+        if len(coefficients) != 5:
+            raise InputError(f"camera file {path}: distortion needs 5 coefficients, not {len(coefficients)}")
+        if not np.all(np.isfinite(numbers + coefficients)) or min(width, height) < 16 or min(numbers[:2]) <= 0:
+            raise InputError(f"camera file {path}: size and focal lengths must be positive and every number finite")
+        k1, k2, p1, p2, k3 = coefficients
+        fx, fy, cx, cy = numbers
+        return cls(width, height, fx, fy, cx, cy, distortion=(k1, k2, p1, p2, k3))
+
+    def to_json(self) -> str:
+        """The camera file's text; `from_json` reads it back exactly."""
+        return json.dumps(
+            {
+                "model": "pinhole",
+                "size_px": [self.width_px, self.height_px],
+                "fx_px": self.fx_px,
+                "fy_px": self.fy_px,
+                "cx_px": self.cx_px,
+                "cy_px": self.cy_px,
+                "distortion_opencv_k1_k2_p1_p2_k3": list(self.distortion),
+            },
+            indent=1,
+        )
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width, height."""
+        return self.width_px, self.height_px
+
+    @property
+    def focal_px(self) -> float:
+        """Geometric mean of both focal lengths."""
+        return float(np.sqrt(self.fx_px * self.fy_px))
+
+    @cached_property
+    def max_radius(self) -> float:
+        """The largest undistorted radius (unit depth) up to which the radial polynomial's slope stays usable. (2.3)"""
+        k1, k2, _, _, k3 = self.distortion
+        if (k1, k2, k3) == (0.0, 0.0, 0.0):
+            return float("inf")
+        r2 = np.linspace(0.0, 9.0, 9001)
+        slope = 1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * 7.0 * k3))
+        bad = np.flatnonzero(slope < MIN_RADIAL_SLOPE)
+        return float(np.sqrt(r2[max(bad[0] - 1, 0)])) if bad.size else 3.0
+
+    def distort(self, xy: ArrayLike) -> Array:
+        """Undistorted unit-depth coordinates (..., 2) -> distorted ones, (2.1)."""
+        xy = np.asarray(xy, float)
+        x, y = xy[..., 0], xy[..., 1]
+        k1, k2, p1, p2, k3 = self.distortion
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        return np.stack(
+            [
+                x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+                y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+            ],
+            axis=-1,
+        )
+
+    def distortion_jacobian(self, xy: ArrayLike) -> Array:
+        """d distort / d xy, (..., 2, 2), (2.2)."""
+        xy = np.asarray(xy, float)
+        x, y = xy[..., 0], xy[..., 1]
+        k1, k2, p1, p2, k3 = self.distortion
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
+        cross = x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+        xx = radial + x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+        yy = radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+        return np.stack([np.stack([xx, cross], axis=-1), np.stack([cross, yy], axis=-1)], axis=-2)
+
+    def project(self, points_cam_m: ArrayLike) -> tuple[Array, Mask]:
+        """Points in camera axes (..., 3) -> pixels (..., 2) and whether each is ahead and inside the picture."""
+        points = np.asarray(points_cam_m, float)
+        z = points[..., 2]
+        ahead = z > 1e-9
+        xy = points[..., :2] / np.where(ahead, z, 1.0)[..., None]
+        usable = ahead & (np.hypot(xy[..., 0], xy[..., 1]) <= self.max_radius)
+        uv = self.distort(xy) * (self.fx_px, self.fy_px) + (self.cx_px, self.cy_px)
+        return uv, usable & self.contains(uv)
+
+    def contains(self, uv_px: ArrayLike) -> Mask:
+        """Whether pixels (..., 2) lie on the picture, its half-pixel border included."""
+        uv = np.asarray(uv_px, float)
+        u, v = uv[..., 0], uv[..., 1]
+        inside: Mask = (u >= -0.5) & (v >= -0.5) & (u <= self.width_px - 0.5) & (v <= self.height_px - 0.5)
+        return inside
+
+    def unproject(self, uv_px: ArrayLike) -> tuple[Array, Mask]:
+        """Pixels (..., 2) -> rays at unit depth (..., 3) and validity. Newton on (2.1) with (2.2); see (2.4).
+
+        An invalid pixel (off the picture, or where the calibration folds) has a ray of no meaning, but finite.
+        """
+        uv = np.asarray(uv_px, float)
+        target = (uv - (self.cx_px, self.cy_px)) / (self.fx_px, self.fy_px)
+        xy = target.copy()
+        valid = self.contains(uv) & np.all(np.isfinite(uv), axis=-1)
+        if any(self.distortion):
+            limit = min(self.max_radius, 3.0)
+            for _ in range(12):
+                error = self.distort(xy) - target
+                J = self.distortion_jacobian(xy)
+                det = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
+                det = np.where(np.abs(det) < 0.05, 0.05, det)
+                step_x = (J[..., 1, 1] * error[..., 0] - J[..., 0, 1] * error[..., 1]) / det
+                step_y = (J[..., 0, 0] * error[..., 1] - J[..., 1, 0] * error[..., 0]) / det
+                xy = xy - np.stack([step_x, step_y], axis=-1)
+                radius = np.hypot(xy[..., 0], xy[..., 1])[..., None]
+                xy = np.where(radius > limit, xy * (limit / np.maximum(radius, 1e-12)), xy)
+                if np.max(np.abs(step_x), initial=0.0) + np.max(np.abs(step_y), initial=0.0) < 1e-12:
+                    break
+            error = self.distort(xy) - target
+            valid &= np.hypot(error[..., 0], error[..., 1]) * self.focal_px < 1e-3
+        xy = np.where(np.isfinite(xy), xy, 0.0)
+        return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1), valid

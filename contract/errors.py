@@ -1,0 +1,47 @@
+"""The exception tree. Messages carry the offending value and say what to do instead.
+
+PointclickError
+├── ConfigError            a configuration key or value is wrong
+├── InputError             a file, a picture, a log or a recording cannot be used
+├── LinkError              the link cannot be opened, or nobody answers on it
+└── WireError              a payload is not a feature set this version can read
+    ├── CorruptPayload     checksum or content is inconsistent
+    ├── TruncatedPayload   shorter than its own header says
+    └── NewerPayload       written by a newer, incompatible version
+
+Expected geometric failure (too little parallax, a click at the sky) is a value, a `Status`, never an exception.
+"""
+
+from __future__ import annotations
+
+
+class PointclickError(Exception):
+    """Base of every error this project raises on purpose."""
+
+
+class ConfigError(PointclickError):
+    """A configuration key or value is wrong."""
+
+
+class InputError(PointclickError):
+    """A file, a picture, a log or a recording cannot be used."""
+
+
+class LinkError(PointclickError):
+    """The link cannot be opened, or nobody answers on it."""
+
+
+class WireError(PointclickError):
+    """A payload is not a feature set this version can read."""
+
+
+class CorruptPayload(WireError):
+    """Checksum or content is inconsistent."""
+
+
+class TruncatedPayload(WireError):
+    """Shorter than its own header says."""
+
+
+class NewerPayload(WireError):
+    """Written by a newer, incompatible version."""

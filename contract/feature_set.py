@@ -1,0 +1,119 @@
+"""FeatureSet: what the aircraft publishes about one picture, and all the ground needs to answer a click.
+
+The interpolated quantity is inverse depth over unit-depth ray coordinates (x, y): on a planar facet it is exactly
+affine (3.1). A click's position is C + R_enu_cam @ (x, y, 1) / w.
+
+Errors travel in three parts, docs/mathematics.md section 9:
+- `common_cov`: what every point of the set shares, 9 states: camera position (east, north, up; m), rotation (rad, a
+  left perturbation R <- exp([dtheta]x) R in east-north-up axes) and three dimensionless modes m0, m1, m2 of relative
+  inverse depth, dw/w = m0 + m1 x + m2 y;
+- `sigma_inverse_depth`: what is each feature's own;
+- `slow_position`: which part of the position's variance wanders slowly and so is shared with the session's other sets.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+
+Array = NDArray[np.float64]
+
+COMMON_STATES = 9
+
+
+class Status(Enum):
+    """Why a set or a click has no answer, or that it has one. Values are the words users see; order, the wire code."""
+
+    OK = "ok"
+    STARTING = "starting"
+    LOW_PARALLAX = "low_parallax"
+    OUTSIDE = "outside"
+    ABOVE_HORIZON = "above_horizon"
+    STALE = "stale"
+    UNSYNCHRONISED = "unsynchronised"
+    TURNING = "turning"
+    NO_GPS = "no_gps"
+    FEATURELESS = "featureless"
+    POOR_FIT = "poor_fit"
+    UNCERTAIN = "uncertain"
+    CAMERA_LOST = "camera_lost"
+    UNKNOWN_FRAME = "unknown_frame"
+    BAD_PICTURE = "bad_picture"
+    OUTSIDE_CALIBRATION = "outside_calibration"
+
+    @property
+    def code(self) -> int:
+        """The number on the wire: the position in this list, which only ever grows at its end."""
+        return _CODES[self]
+
+
+_CODES: dict[Status, int] = {status: code for code, status in enumerate(Status)}
+
+
+class HeightDatum(Enum):
+    """What `camera_height_m` is measured from."""
+
+    AMSL = "amsl"
+    ELLIPSOID = "ellipsoid"
+
+
+class DepthSource(Enum):
+    """Where the inverse depths come from."""
+
+    PARALLAX = "interpolated"
+    TERRAIN = "terrain"
+    PLANE = "plane"
+
+
+@dataclass(frozen=True, eq=False)
+class SlowPosition:
+    """The wandering part of the position's error: sigmas (m) and correlation time (s)."""
+
+    sigma_horizontal_m: float = 0.0
+    sigma_vertical_m: float = 0.0
+    time_constant_s: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class FeatureSet:
+    """One picture's pose, features and covariances. With `status` other than OK, everything after it may be empty."""
+
+    vehicle: str
+    session: int
+    frame: int
+    capture_unix_ns: int
+    status: Status
+    camera: Camera
+    revision: int = 0
+    is_keyframe: bool = False
+
+    camera_lat_deg: float = 0.0
+    camera_lon_deg: float = 0.0
+    camera_height_m: float = 0.0
+    height_datum: HeightDatum = HeightDatum.AMSL
+    undulation_m: float = float("nan")  # ellipsoidal minus AMSL height; nan: unknown
+    R_enu_cam: Array = field(default_factory=lambda: np.eye(3))  # ENU axes at the camera's own latitude and longitude
+    common_cov: Array = field(default_factory=lambda: np.zeros((COMMON_STATES, COMMON_STATES)))
+    slow_position: SlowPosition = field(default_factory=SlowPosition)
+
+    depth_source: DepthSource = DepthSource.PARALLAX
+    plane_per_m: Array = field(default_factory=lambda: np.zeros(3))  # ground plane: w = a + b x + c y, 1/m
+    plane_sigma_relative: float = 0.0  # one sigma of w / w_plane - 1 of the ground about that plane
+    # Linear variogram slope of r = w / w_plane - 1: E[(r1 - r2)^2] / 2 per unit of (x, y) distance.
+    roughness: float = 0.0
+    uv_px: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    inverse_depth_per_m: Array = field(default_factory=lambda: np.zeros(0))
+    sigma_inverse_depth_per_m: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __len__(self) -> int:
+        return len(self.inverse_depth_per_m)
+
+    @property
+    def is_ok(self) -> bool:
+        """Whether this set can answer clicks."""
+        return self.status is Status.OK

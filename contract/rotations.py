@@ -1,0 +1,136 @@
+"""SO(3) tools and the frames of this house: ENU world, FRD body, OpenCV camera. See docs/mathematics.md, section 1.
+
+Rotations are `R_dst_src`, arrays (..., 3, 3) that take components in `src` to components in `dst`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+R_ENU_NED: Array = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+# MAVLink's gimbal frame has x along the optical axis, y to the picture's right, z to its bottom.
+R_GIMBAL_CAM: Array = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+def skew(v: ArrayLike) -> Array:
+    """(..., 3) -> (..., 3, 3) with skew(v) @ w = v x w."""
+    v = np.asarray(v, float)
+    out = np.zeros((*v.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -v[..., 1], v[..., 0]
+    return out
+
+
+def exp_so3(v: ArrayLike) -> Array:
+    """Rotation vectors (..., 3), rad -> rotation matrices (..., 3, 3). Rodrigues, equation (1.4)."""
+    v = np.asarray(v, float)
+    angle2 = np.sum(v * v, axis=-1)[..., None, None]
+    angle = np.sqrt(angle2)
+    small = angle2 < 1e-8
+    safe = np.where(small, 1.0, angle)
+    a = np.where(small, 1.0 - angle2 / 6.0, np.sin(safe) / safe)
+    b = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    k = skew(v)
+    out: Array = np.eye(3) + a * k + b * (k @ k)
+    return out
+
+
+def log_so3(R: ArrayLike) -> Array:
+    """Rotation matrices (..., 3, 3) -> rotation vectors (..., 3), rad, length at most pi. Inverse of (1.4)."""
+    q = quaternion_from_matrix(R)
+    q = np.where(q[..., :1] < 0.0, -q, q)
+    norm = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    small = norm < 1e-9
+    scale = np.where(small, 2.0, 2.0 * np.arctan2(norm, q[..., :1]) / np.where(small, 1.0, norm))
+    out: Array = scale * q[..., 1:]
+    return out
+
+
+def right_jacobian_inverse(v: ArrayLike) -> Array:
+    """Jr^-1 (..., 3, 3): log(exp(v) exp(d)) ~ v + Jr^-1(v) d. Equation (1.5)."""
+    v = np.asarray(v, float)
+    angle2 = np.sum(v * v, axis=-1)[..., None, None]
+    small = angle2 < 1e-6
+    angle = np.sqrt(np.where(small, 1.0, angle2))
+    exact = 1.0 / angle**2 - (1.0 + np.cos(angle)) / (2.0 * angle * np.sin(angle))
+    c = np.where(small, 1.0 / 12.0 + angle2 / 720.0, exact)
+    k = skew(v)
+    out: Array = np.eye(3) + 0.5 * k + c * (k @ k)
+    return out
+
+
+def quaternion_from_matrix(R: ArrayLike) -> Array:
+    """Rotation matrices (..., 3, 3) -> unit quaternions (..., 4) as w, x, y, z. Shepperd's choice of the largest."""
+    R = np.asarray(R, float)
+    d0, d1, d2 = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
+    squares = np.stack([1 + d0 + d1 + d2, 1 + d0 - d1 - d2, 1 - d0 + d1 - d2, 1 - d0 - d1 + d2], axis=-1)
+    best = np.argmax(squares, axis=-1)
+    a, b, c = R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]
+    p, q, r = R[..., 0, 1] + R[..., 1, 0], R[..., 0, 2] + R[..., 2, 0], R[..., 1, 2] + R[..., 2, 1]
+    rows = np.stack(
+        [
+            np.stack([squares[..., 0], a, b, c], axis=-1),
+            np.stack([a, squares[..., 1], p, q], axis=-1),
+            np.stack([b, p, squares[..., 2], r], axis=-1),
+            np.stack([c, q, r, squares[..., 3]], axis=-1),
+        ],
+        axis=-2,
+    )
+    out: Array = np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :]
+    out = out / np.linalg.norm(out, axis=-1, keepdims=True)
+    return out
+
+
+def matrix_from_quaternion(q_wxyz: ArrayLike) -> Array:
+    """Quaternions (..., 4) ordered w, x, y, z, any length but zero -> rotation matrices (..., 3, 3)."""
+    q = np.asarray(q_wxyz, float)
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    return np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=-1),
+            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=-1),
+            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1),
+        ],
+        axis=-2,
+    )
+
+
+def matrix_from_euler(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Array:
+    """Aerospace angles -> Rz(yaw) Ry(pitch) Rx(roll), (..., 3, 3). Equation (1.2).
+
+    R_ned_body of a vehicle, R_body_gimbal of a mount.
+    """
+    roll, pitch, yaw = np.broadcast_arrays(*(np.asarray(a, float) for a in (roll_rad, pitch_rad, yaw_rad)))
+    cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
+    return np.stack(
+        [
+            np.stack([cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr], axis=-1),
+            np.stack([sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr], axis=-1),
+            np.stack([-sp, cp * sr, cp * cr], axis=-1),
+        ],
+        axis=-2,
+    )
+
+
+def euler_from_matrix(R: ArrayLike) -> Array:
+    """Inverse of `matrix_from_euler`: (..., 3) roll, pitch, yaw in rad, pitch within +-pi/2. Roll is 0 at the pole."""
+    R = np.asarray(R, float)
+    pitch = np.arcsin(np.clip(-R[..., 2, 0], -1.0, 1.0))
+    polar = np.abs(R[..., 2, 0]) > 1.0 - 1e-12
+    roll = np.where(polar, 0.0, np.arctan2(R[..., 2, 1], R[..., 2, 2]))
+    yaw = np.where(polar, np.arctan2(-R[..., 0, 1], R[..., 1, 1]), np.arctan2(R[..., 1, 0], R[..., 0, 0]))
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def mount_rotation(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:
+    """R_body_cam (3, 3) of a mount given as MAVLink gives a gimbal's attitude in the vehicle's frame. Equation (1.3).
+
+    Pitch -90, yaw 0 looks straight down with the picture's top towards the nose; yaw -90 then turns the camera's x
+    axis towards the nose, which is the seed's camera.
+    """
+    return matrix_from_euler(*np.radians([roll_deg, pitch_deg, yaw_deg])) @ R_GIMBAL_CAM

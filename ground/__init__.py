@@ -1,0 +1,1 @@
+"""The light ground client: feature sets in, clicked coordinates out. NumPy and zenoh, nothing heavier at import."""

@@ -1,0 +1,1 @@
+"""The daemon on the aircraft: camera and position in, georeferenced feature sets out."""

@@ -1,0 +1,57 @@
+"""What enters the pipeline: immutable, each with its own `stamp_ns` on one clock (Unix nanoseconds of the host or log).
+
+`stamp_ns` is when the thing was true (mid-exposure, the autopilot's own stamp mapped by `clock`), not when it arrived.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One picture, grey (H, W) uint8. `index` counts pictures in capture order from 0; `image` None: undecodable."""
+
+    stamp_ns: int
+    index: int
+    image: NDArray[np.uint8] | None
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class PositionFix:
+    """The navigation filter's position: degrees, metres above mean sea level, velocity north-east-down if known."""
+
+    stamp_ns: int
+    lat_deg: float
+    lon_deg: float
+    height_amsl_m: float
+    velocity_ned_m_s: tuple[float, float, float] | None = None
+    height_above_home_m: float | None = None
+
+
+@dataclass(frozen=True)
+class GpsQuality:
+    """What the receiver says of itself; None where it does not. `undulation_m` = ellipsoidal minus AMSL height."""
+
+    stamp_ns: int
+    fix_type: int  # MAVLink GPS_FIX_TYPE: 0-1 none, 2 two-dimensional, 3 and up usable
+    satellites: int | None = None
+    sigma_horizontal_m: float | None = None
+    sigma_vertical_m: float | None = None
+    sigma_velocity_m_s: float | None = None
+    undulation_m: float | None = None
+
+
+@dataclass(frozen=True)
+class Attitude:
+    """The vehicle's attitude: quaternion w, x, y, z of R_ned_body (body FRD)."""
+
+    stamp_ns: int
+    q_ned_body: tuple[float, float, float, float]
+
+
+Event = Frame | PositionFix | GpsQuality | Attitude

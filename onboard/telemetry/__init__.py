@@ -1,0 +1,1 @@
+"""Sources of position, velocity and attitude events."""

@@ -1,0 +1,1 @@
+"""A synthetic world with truth: flights, renderer and error study, for the demo, the tests and development."""
