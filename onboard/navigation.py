@@ -1,0 +1,337 @@
+"""Fixes and attitudes -> position, velocity and attitude at an exposure, or the reason why there is none.
+
+Positions are joined by cubic Hermite pieces (their slopes are the filter's own velocities), attitudes by rotation at
+constant rate. GPS is believed until its own messages say otherwise: a lost or silent fix, or a jump that the velocity
+does not explain, refuses every exposure from then until it has settled again.
+"""
+
+from __future__ import annotations
+
+import bisect
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.feature_set import Status
+from contract.geodesy import LocalFrame, rotation_enu_ecef
+from contract.rotations import R_ENU_NED, exp_so3, log_so3, matrix_from_quaternion
+from onboard.config import Config
+from onboard.events import Attitude, GpsQuality, PositionFix
+
+Array = NDArray[np.float64]
+
+MEMORY_NS = 120_000_000_000
+MAX_EXTRAPOLATION_NS = 300_000_000
+# Data this much older than the newest means that the clock was set back: nothing held can be compared any more.
+CLOCK_STEP_NS = 5_000_000_000
+CLIMB_WINDOW_NS = 1_000_000_000
+RATE_WINDOW_NS = 60_000_000
+UNUSABLE_FIX = 2  # GPS_FIX_TYPE up to this one
+GLITCH_SIGMAS = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class NavState:
+    """The vehicle at one exposure. Position and velocity in `Navigation.frame`, attitude in ENU axes at the vehicle.
+
+    `velocity_enu_m_s` and `R_enu_body` are None where the log has none; `R_enu_body` also where `solve.attitude` is
+    "none". The sigmas are the receiver's claim for the wandering part, bounded below by the configuration.
+    """
+
+    stamp_ns: int
+    position_enu_m: Array
+    velocity_enu_m_s: Array | None
+    R_enu_body: Array | None
+    sigma_horizontal_m: float
+    sigma_vertical_m: float
+    undulation_m: float
+    height_above_home_m: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Position:
+    enu_m: Array
+    velocity_enu_m_s: Array | None
+    height_above_home_m: float | None
+
+
+T = TypeVar("T")
+
+
+@dataclass
+class _Series(Generic[T]):
+    """Values by time, sorted, of the last two minutes."""
+
+    stamps_ns: list[int] = field(default_factory=list)
+    values: list[T] = field(default_factory=list)
+
+    def insert(self, stamp_ns: int, value: T) -> int | None:
+        """Insert and return its index; None for a stamp that is here already or too old to keep."""
+        if self.stamps_ns and stamp_ns < self.stamps_ns[-1] - MEMORY_NS:
+            return None
+        index = bisect.bisect_left(self.stamps_ns, stamp_ns)
+        if index < len(self.stamps_ns) and self.stamps_ns[index] == stamp_ns:
+            return None
+        self.stamps_ns.insert(index, stamp_ns)
+        self.values.insert(index, value)
+        if self.stamps_ns[-1] - self.stamps_ns[0] > 2 * MEMORY_NS:
+            old = bisect.bisect_left(self.stamps_ns, self.stamps_ns[-1] - MEMORY_NS)
+            del self.stamps_ns[:old], self.values[:old]
+            index -= old
+        return index
+
+    def bracket(self, stamp_ns: int) -> tuple[int, int] | None:
+        """Indices of the neighbours of a stamp; both the same at an end that is near enough to extrapolate from."""
+        if not self.stamps_ns:
+            return None
+        right = bisect.bisect_left(self.stamps_ns, stamp_ns)
+        if right == 0:
+            return (0, 0) if self.stamps_ns[0] - stamp_ns <= MAX_EXTRAPOLATION_NS else None
+        if right == len(self.stamps_ns):
+            return (right - 1, right - 1) if stamp_ns - self.stamps_ns[-1] <= MAX_EXTRAPOLATION_NS else None
+        return right - 1, right
+
+    def last_until(self, stamp_ns: int) -> int | None:
+        """Index of the newest value not after a stamp."""
+        index = bisect.bisect_right(self.stamps_ns, stamp_ns) - 1
+        return None if index < 0 else index
+
+
+class Navigation:
+    """Fed with events in order of arrival; answers for any moment of the last two minutes."""
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        self.frame: LocalFrame | None = None
+        self._positions: _Series[_Position] = _Series()
+        self._attitudes: _Series[Array] = _Series()  # R_ned_body
+        self._quality: _Series[GpsQuality] = _Series()
+        self._glitches_ns: list[tuple[int, int]] = []  # stretches around jumps
+        self._undulation_m = float("nan") if config.gps.undulation_m is None else config.gps.undulation_m
+        self._latency_ns = round(config.gps.latency_s * 1e9)
+
+    def add(self, event: PositionFix | GpsQuality | Attitude) -> None:
+        """Take one event; events with a stamp already held are ignored."""
+        series: _Series[_Position] | _Series[Array] | _Series[GpsQuality]
+        if isinstance(event, PositionFix):
+            series = self._positions
+        elif isinstance(event, GpsQuality):
+            series = self._quality
+        else:
+            series = self._attitudes
+        if series.stamps_ns and event.stamp_ns < series.stamps_ns[-1] - CLOCK_STEP_NS:
+            self._forget()
+        if isinstance(event, PositionFix):
+            self._add_position(event)
+        elif isinstance(event, GpsQuality):
+            self._quality.insert(event.stamp_ns, event)
+            if event.undulation_m is not None:
+                self._undulation_m = event.undulation_m
+        else:
+            self._attitudes.insert(event.stamp_ns, matrix_from_quaternion(event.q_ned_body))
+
+    def _forget(self) -> None:
+        self._positions, self._attitudes, self._quality = _Series(), _Series(), _Series()
+        self._glitches_ns.clear()
+
+    def _add_position(self, fix: PositionFix) -> None:
+        if self.frame is None:
+            index = self._quality.last_until(fix.stamp_ns)
+            if index is not None and self._quality.values[index].fix_type <= UNUSABLE_FIX:
+                return  # a filter without a fix reports a place it remembers or has been told
+            self.frame = LocalFrame(fix.lat_deg, fix.lon_deg, fix.height_amsl_m)
+        velocity = None
+        if fix.velocity_ned_m_s is not None:
+            R_frame_here = self.frame.R_enu_ecef @ rotation_enu_ecef(fix.lat_deg, fix.lon_deg).T
+            velocity = R_frame_here @ (R_ENU_NED @ np.nan_to_num(fix.velocity_ned_m_s, nan=0.0))
+            if not np.isfinite(fix.velocity_ned_m_s[2]):
+                velocity[2] = np.nan
+        enu = self.frame.to_enu(fix.lat_deg, fix.lon_deg, fix.height_amsl_m)
+        index = self._positions.insert(
+            fix.stamp_ns - self._latency_ns, _Position(enu, velocity, fix.height_above_home_m)
+        )
+        if index is not None and index > 0:
+            self._note_glitch(index)
+
+    def _note_glitch(self, index: int) -> None:
+        """Remember a jump that velocity does not explain, from the last fix before it until it has settled."""
+        gps = self.config.gps
+        before, after = self._positions.values[index - 1], self._positions.values[index]
+        start_ns, end_ns = self._positions.stamps_ns[index - 1], self._positions.stamps_ns[index]
+        seconds = (end_ns - start_ns) / 1e9
+        if seconds > gps.max_gap_s:
+            return
+        velocities = [np.nan_to_num(v) for v in (before.velocity_enu_m_s, after.velocity_enu_m_s) if v is not None]
+        if velocities:
+            predicted = np.mean(velocities, axis=0) * seconds
+        elif index > 1:
+            earlier_s = (start_ns - self._positions.stamps_ns[index - 2]) / 1e9
+            predicted = (before.enu_m - self._positions.values[index - 2].enu_m) * (seconds / earlier_s)
+        else:
+            return
+        sigma_horizontal_m, sigma_vertical_m = self._sigmas(end_ns)
+        miss = after.enu_m - before.enu_m - predicted
+        horizontal = np.hypot(miss[0], miss[1]) > max(gps.glitch_m, GLITCH_SIGMAS * sigma_horizontal_m)
+        if horizontal or abs(miss[2]) > max(gps.glitch_m, GLITCH_SIGMAS * sigma_vertical_m):
+            self._glitches_ns.append((start_ns, end_ns + round(gps.settle_s * 1e9)))
+            newest = self._positions.stamps_ns[-1]
+            self._glitches_ns = [g for g in self._glitches_ns if g[1] > newest - 2 * MEMORY_NS]
+
+    def covers(self, stamp_ns: int) -> bool:
+        """Whether `state_at` can do no better by waiting: data after this moment has arrived.
+
+        Attitude counts if the configuration uses it and any has been seen.
+        """
+        needed: list[list[int]] = [self._positions.stamps_ns]
+        if self._wants_attitude:
+            needed.append(self._attitudes.stamps_ns)
+        return all(stamps and stamps[0] <= stamp_ns <= stamps[-1] for stamps in needed)
+
+    @property
+    def _wants_attitude(self) -> bool:
+        return self.config.solve.attitude == "autopilot" and bool(self._attitudes.stamps_ns)
+
+    def state_at(self, stamp_ns: int, offset_s: float = 0.0) -> NavState | Status:
+        """The vehicle at `stamp_ns` + `offset_s` (camera-to-autopilot time offset), or why not.
+
+        STARTING before the first data, UNSYNCHRONISED in a gap or past the end, NO_GPS where GPS is not believed.
+        """
+        moment_ns = stamp_ns + round(offset_s * 1e9)
+        if self.frame is None or not self._positions.stamps_ns:
+            lost = bool(self._quality.values) and self._quality.values[-1].fix_type <= UNUSABLE_FIX
+            return Status.NO_GPS if lost else Status.STARTING
+        position = self._position_at(moment_ns)
+        if isinstance(position, Status):
+            return position
+        if not self._gps_is_good(moment_ns):
+            return Status.NO_GPS
+        R_enu_body = None
+        if self._wants_attitude:
+            R_ned_body = self._attitude_at(moment_ns)
+            if isinstance(R_ned_body, Status):
+                return R_ned_body
+            lat, lon, _ = self.frame.to_geodetic(position.enu_m)
+            R_frame_here = self.frame.R_enu_ecef @ rotation_enu_ecef(float(lat), float(lon)).T
+            R_enu_body = R_frame_here @ R_ENU_NED @ R_ned_body
+        sigma_horizontal_m, sigma_vertical_m = self._sigmas(moment_ns)
+        return NavState(
+            stamp_ns,
+            position.enu_m,
+            position.velocity_enu_m_s,
+            R_enu_body,
+            sigma_horizontal_m,
+            sigma_vertical_m,
+            self._undulation_m,
+            position.height_above_home_m,
+        )
+
+    def body_rate_at(self, stamp_ns: int) -> Array | None:
+        """Angular rate in body axes (3,), rad/s, from attitude differences over at least 60 ms; None if unknown."""
+        series = self._attitudes
+        bracket = series.bracket(stamp_ns)
+        if bracket is None:
+            return None
+        left, right = bracket
+        while series.stamps_ns[right] - series.stamps_ns[left] < RATE_WINDOW_NS:
+            grown = max(left - 1, 0), min(right + 1, len(series.stamps_ns) - 1)
+            if grown == (left, right):
+                return None
+            left, right = grown
+        seconds = (series.stamps_ns[right] - series.stamps_ns[left]) / 1e9
+        if seconds > self.config.telemetry.max_attitude_gap_s:
+            return None
+        rate: Array = log_so3(series.values[left].T @ series.values[right]) / seconds
+        return rate
+
+    def _position_at(self, moment_ns: int) -> _Position | Status:
+        series = self._positions
+        bracket = series.bracket(moment_ns)
+        if bracket is None:
+            return Status.STARTING if moment_ns < series.stamps_ns[0] else Status.UNSYNCHRONISED
+        left, right = bracket
+        a, b = series.values[left], series.values[right]
+        seconds = (series.stamps_ns[right] - series.stamps_ns[left]) / 1e9
+        if seconds > self.config.gps.max_gap_s:
+            return Status.UNSYNCHRONISED
+        velocity_a, velocity_b = self._velocity(left), self._velocity(right)
+        measured = a.velocity_enu_m_s is not None and b.velocity_enu_m_s is not None
+        if left == right:
+            since = (moment_ns - series.stamps_ns[left]) / 1e9
+            return _Position(a.enu_m + velocity_a * since, velocity_a if measured else None, a.height_above_home_m)
+        s = (moment_ns - series.stamps_ns[left]) / 1e9 / seconds
+        enu = (
+            (1 + 2 * s) * (1 - s) ** 2 * a.enu_m
+            + s * s * (3 - 2 * s) * b.enu_m
+            + seconds * (s * (1 - s) ** 2 * velocity_a - s * s * (1 - s) * velocity_b)
+        )
+        velocity = (1 - s) * velocity_a + s * velocity_b if measured else None
+        above_home = None
+        if a.height_above_home_m is not None:
+            # Its difference from the height itself is a constant, home's own height.
+            above_home = a.height_above_home_m + float(enu[2] - a.enu_m[2])
+        return _Position(enu, velocity, above_home)
+
+    def _velocity(self, index: int) -> Array:
+        """A fix's velocity (3,); the components it lacks from its neighbours' positions."""
+        known = self._positions.values[index].velocity_enu_m_s
+        if known is not None and np.all(np.isfinite(known)):
+            return known
+        # With no velocity at all the slope is that of the fix's neighbours (Catmull-Rom); a climb rate from heights
+        # alone needs a longer base, their noise being metres.
+        reach_ns = 0 if known is None else CLIMB_WINDOW_NS
+        stamps, values = self._positions.stamps_ns, self._positions.values
+        first = min(bisect.bisect_left(stamps, stamps[index] - reach_ns), max(index - 1, 0))
+        last = max(bisect.bisect_right(stamps, stamps[index] + reach_ns) - 1, min(index + 1, len(stamps) - 1))
+        if first == last:
+            return np.zeros(3) if known is None else np.nan_to_num(known)
+        slope: Array = (values[last].enu_m - values[first].enu_m) / ((stamps[last] - stamps[first]) / 1e9)
+        return slope if known is None else np.where(np.isfinite(known), known, slope)
+
+    def _attitude_at(self, moment_ns: int) -> Array | Status:
+        series = self._attitudes
+        bracket = series.bracket(moment_ns)
+        if bracket is None:
+            return Status.STARTING if moment_ns < series.stamps_ns[0] else Status.UNSYNCHRONISED
+        left, right = bracket
+        start_ns, end_ns = series.stamps_ns[left], series.stamps_ns[right]
+        if end_ns - start_ns > self.config.telemetry.max_attitude_gap_s * 1e9:
+            return Status.UNSYNCHRONISED
+        if left == right:
+            rate = self.body_rate_at(start_ns)
+            turned = np.zeros(3) if rate is None else rate * ((moment_ns - start_ns) / 1e9)
+            out: Array = series.values[left] @ exp_so3(turned)
+            return out
+        share = (moment_ns - start_ns) / (end_ns - start_ns)
+        out = series.values[left] @ exp_so3(share * log_so3(series.values[left].T @ series.values[right]))
+        return out
+
+    def _sigmas(self, moment_ns: int) -> tuple[float, float]:
+        gps = self.config.gps
+        index = self._quality.last_until(moment_ns)
+        quality = self._quality.values[index] if index is not None else None
+        return (
+            max(gps.sigma_wander_horizontal_m, (quality and quality.sigma_horizontal_m) or 0.0),
+            max(gps.sigma_wander_vertical_m, (quality and quality.sigma_vertical_m) or 0.0),
+        )
+
+    def _gps_is_good(self, moment_ns: int) -> bool:
+        """No glitch, and the receiver, if it ever spoke, spoke lately and has had a fix since `recovery_s` ago."""
+        if any(start <= moment_ns < end for start, end in self._glitches_ns):
+            return False
+        if not self._quality.stamps_ns:
+            return True
+        gps, stamps = self.config.gps, self._quality.stamps_ns
+        last = self._quality.last_until(moment_ns)
+        if last is None:  # it had not spoken yet
+            return self._quality.values[0].fix_type > UNUSABLE_FIX
+        if moment_ns - stamps[last] > gps.quality_timeout_s * 1e9:
+            return False
+        # The message after an exposure tells of the moment before it too.
+        after = min(last + 1, len(stamps) - 1)
+        if stamps[after] - moment_ns > gps.quality_timeout_s * 1e9:
+            after = last
+        since = bisect.bisect_right(stamps, moment_ns - round(gps.recovery_s * 1e9))
+        first = min(since, last)
+        return all(quality.fix_type > UNUSABLE_FIX for quality in self._quality.values[first : after + 1])
