@@ -1,0 +1,138 @@
+"""Pictures of the synthetic ground: one ray a pixel, then the sensor's faults (blur, vignetting, exposure, noise)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from contract.errors import InputError
+from simulation.terrain import Terrain
+from simulation.texture import Texture
+from simulation.trajectory import Pose
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+Grey = NDArray[np.uint8]
+
+LATTICE_PX = 4
+MAX_DEPTH_M = 2e4
+HAZE_M = 9000.0
+SKY = 0.78
+SUN_ENU = np.array([-0.45, 0.35, 0.82]) / np.linalg.norm([-0.45, 0.35, 0.82])
+MAX_SUB_EXPOSURES = 16
+
+
+@dataclass(frozen=True)
+class SensorSpec:
+    """The camera's faults. `noise` is one sigma in grey levels at mid-grey; `vignetting` the corner's loss of light.
+
+    `exposure_swing` is the ratio between the brightest and darkest rendering of one scene as the automatic exposure
+    wanders (1: constant); `exposure_s` the time the shutter is open.
+    """
+
+    noise: float = 1.5
+    vignetting: float = 0.15
+    exposure_swing: float = 1.15
+    exposure_s: float = 0.002
+
+    def __post_init__(self) -> None:
+        if self.noise < 0 or not 0 <= self.vignetting < 1 or self.exposure_swing < 1 or not 0 <= self.exposure_s <= 1:
+            raise InputError(
+                "sensor: noise must not be negative, vignetting lie in 0..1, exposure swing be at least 1 "
+                "and exposure time lie in 0..1 s"
+            )
+
+
+class Renderer:
+    """Draws what a camera sees. Keeps the camera's rays; every picture is a function of its pose, time and seed."""
+
+    def __init__(self, camera: Camera, terrain: Terrain, texture: Texture, sensor: SensorSpec, seed: int = 0) -> None:
+        self.camera, self.terrain, self.texture, self.sensor = camera, terrain, texture, sensor
+        self._seed = seed
+        width, height = camera.size_px
+        grid = np.stack(np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float)), axis=-1)
+        rays, valid = camera.unproject(grid)
+        # Where the calibration folds back there is no ray: the lens hood, black.
+        self._dark = None if valid.all() else ~valid
+        self._rays_cam = rays[..., :2].astype(np.float32)
+        stride = 1 if terrain.has_obstacles else LATTICE_PX
+        self._stride = stride
+        columns = np.arange(0, width - 1 + stride, stride, dtype=float)
+        rows = np.arange(0, height - 1 + stride, stride, dtype=float)
+        lattice = np.stack(np.meshgrid(columns, rows), axis=-1)
+        inside = np.minimum(lattice, np.array([width - 1.0, height - 1.0]))
+        edge, _ = camera.unproject(inside)
+        # Rays of the lattice's last column and row, past the picture, by the slope at its edge.
+        edge[..., :2] += (lattice - inside) / np.array([camera.fx_px, camera.fy_px])
+        self._lattice_cam = edge
+        self._lattice_map = (grid / stride).astype(np.float32)
+        r2 = np.sum((grid - [(width - 1) / 2, (height - 1) / 2]) ** 2, axis=-1) / (width**2 + height**2) * 4.0
+        self._falloff = (1.0 - sensor.vignetting * r2).astype(np.float32)
+
+    def picture(self, poses: list[Pose], gain: float, frame: int, time_s: float = 0.0) -> Grey:
+        """One picture (H, W) uint8: the mean over `poses` within the exposure, lit by `gain`, with its own noise."""
+        light = self.radiance(poses[0], time_s)
+        for pose in poses[1:]:
+            light = light + self.radiance(pose, time_s)
+        light = light * (self._falloff * np.float32(gain / len(poses)))
+        # A camera's tone curve: steep in the dark, gentle in the light.
+        grey = np.float32(255.0) * np.sqrt(np.clip(light, 0.0, 1.0))
+        rng = np.random.default_rng([self._seed, 303, frame])
+        if self.sensor.noise > 0.0:
+            grey += np.float32(self.sensor.noise) * rng.standard_normal(grey.shape, dtype=np.float32)
+        out: Grey = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+        if self._dark is not None:
+            out[self._dark] = 0
+        return out
+
+    def radiance(self, pose: Pose, time_s: float = 0.0) -> Image:
+        """Light (H, W), float32, 0 to about 1, reaching an ideal sensor at one instant."""
+        ground_m, shade = self._surface(pose)
+        R = pose.R_enu_cam.astype(np.float32)
+        x, y = self._rays_cam[..., 0], self._rays_cam[..., 1]
+        down = R[2, 0] * x + R[2, 1] * y + R[2, 2]
+        rise = ground_m - np.float32(pose.centre_m[2])
+        seen = (down < -1e-6) & (rise < 0.0)
+        depth = np.where(seen, rise / np.where(seen, down, np.float32(-1.0)), np.float32(MAX_DEPTH_M))
+        seen &= depth < MAX_DEPTH_M
+        np.minimum(depth, np.float32(MAX_DEPTH_M), out=depth)
+        east = (R[0, 0] * x + R[0, 1] * y + R[0, 2]) * depth
+        north = (R[1, 0] * x + R[1, 1] * y + R[1, 2]) * depth
+        length = np.sqrt(x * x + y * y + np.float32(1.0))
+        slant = length / np.maximum(-down, np.float32(0.02))
+        footprint = depth * np.float32(1.0 / self.camera.focal_px) * slant ** np.float32(0.75)
+        light = self.texture.albedo(pose.centre_m[:2], east, north, footprint, time_s) * shade
+        if not seen.all() or float(depth.max()) > 0.15 * HAZE_M:
+            clear = np.exp(-depth * length * np.float32(1.0 / HAZE_M)) * seen
+            light = light * clear + np.float32(SKY) * (np.float32(1.0) - clear)
+        return light
+
+    def _surface(self, pose: Pose) -> tuple[Image, Image]:
+        """Height of the ground each pixel sees (H, W), m, and how sunlit it is.
+
+        The height is cast on a lattice and interpolated: unlike depth it is smooth, and on level ground constant.
+        """
+        rays = (self._lattice_cam @ pose.R_enu_cam.T).reshape(-1, 3)
+        depth, hit = self.terrain.cast(pose.centre_m, rays, MAX_DEPTH_M)
+        points = pose.centre_m + rays * np.where(hit, depth, 0.0)[:, None]
+        height = np.where(hit, points[:, 2], 0.0)
+        if hit.any():
+            height[~hit] = height[hit].min()
+        slope = self.terrain.slope(points[:, 0], points[:, 1])
+        normal = np.concatenate([-slope, np.ones((len(slope), 1))], axis=1)
+        shade = (normal @ SUN_ENU) / np.linalg.norm(normal, axis=1) / SUN_ENU[2]
+        # Roofs and crowns differ from the ground beside them, each a little from the next.
+        lift = self.terrain.obstacle_m(points[:, 0], points[:, 1])
+        shade = shade * np.where(lift > 0.0, 0.55 + 0.25 * np.modf(lift * 3.7)[0] + 0.05 * lift, 1.0)
+        shape = self._lattice_cam.shape[:2]
+        height32, shade32 = height.reshape(shape).astype(np.float32), shade.reshape(shape).astype(np.float32)
+        if self._stride == 1:
+            size = self.camera.height_px, self.camera.width_px
+            return height32[: size[0], : size[1]], shade32[: size[0], : size[1]]
+        u, v = self._lattice_map[..., 0], self._lattice_map[..., 1]
+        both = cv2.remap(np.dstack([height32, shade32]), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(both[..., 0], np.float32), np.asarray(both[..., 1], np.float32)

@@ -1,0 +1,115 @@
+"""What the ground looks like: a brightness at every ground point, drawn from a seed, that does not repeat.
+
+Periodic pictures of incommensurate periods and bearings are added: grain at two sizes (grass and stones), land (fields,
+hedges, tracks, shrubs) and country (broad patches of hundreds of metres). Each is kept as an image pyramid and
+sampled at the level that fits the pixel's footprint on the ground, so that a feature looks the same from frame to frame
+instead of twinkling.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.errors import InputError
+from simulation.patterns import draw_country, draw_grain, draw_land, draw_stripes, draw_waves
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+MEAN_ALBEDO = 0.30
+MIN_WEIGHT = 0.02
+STYLES = ("land", "water", "stripes", "plain")
+
+
+@dataclass(frozen=True)
+class TextureSpec:
+    """`style`: "land"; "water" (moves between frames); "stripes" (repeats exactly); "plain" (nothing to track).
+
+    `contrast` scales every brightness difference: 1 is pasture in sunlight, 0.1 is snow under cloud.
+    """
+
+    style: str = "land"
+    contrast: float = 1.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.style not in STYLES:
+            raise InputError(f"texture {self.style!r} is not known; use one of {', '.join(STYLES)}")
+        if not 0.0 <= self.contrast <= 3.0:
+            raise InputError(f"texture contrast {self.contrast} must lie between 0 and 3")
+
+
+class Tile:
+    """One periodic picture laid over the ground at a bearing, with its pyramid."""
+
+    def __init__(self, picture: Image, texel_m: float, bearing_rad: float) -> None:
+        self.texel_m = texel_m
+        self.period_m = texel_m * picture.shape[0]
+        self._cos, self._sin = float(np.cos(bearing_rad)), float(np.sin(bearing_rad))
+        self._levels = [picture]
+        while self._levels[-1].shape[0] > 16:
+            last = cv2.copyMakeBorder(self._levels[-1], 4, 4, 4, 4, cv2.BORDER_WRAP)
+            # Texel 2i of one level is texel i of the next: pyrDown keeps the centres of even texels.
+            self._levels.append(np.ascontiguousarray(cv2.pyrDown(last)[2:-2, 2:-2], dtype=np.float32))
+
+    def add_to(self, total: Image, origin_m: Array, x_m: Image, y_m: Image, footprint_m: Image) -> None:
+        """Add the picture's values at ground points `origin_m` (2,) + (x_m, y_m) (H, W) seen at that footprint."""
+        # A whole number of periods is taken off in double precision: single precision is then good to micrometres.
+        u0 = (self._cos * origin_m[0] + self._sin * origin_m[1]) % self.period_m
+        v0 = (-self._sin * origin_m[0] + self._cos * origin_m[1]) % self.period_m
+        u = (x_m * np.float32(self._cos) + y_m * np.float32(self._sin) + np.float32(u0)) * np.float32(1 / self.texel_m)
+        v = (y_m * np.float32(self._cos) - x_m * np.float32(self._sin) + np.float32(v0)) * np.float32(1 / self.texel_m)
+        level_of = np.log2(np.maximum(footprint_m * np.float32(0.75 / self.texel_m), np.float32(1.0)))
+        top = len(self._levels) - 1
+        np.minimum(level_of, np.float32(top), out=level_of)
+        first, last = int(np.floor(level_of.min())), int(np.ceil(level_of.max()))
+        for level in range(first, last + 1):
+            weight = np.maximum(np.float32(1.0) - np.abs(level_of - np.float32(level)), np.float32(0.0))
+            if float(weight.max()) < MIN_WEIGHT:
+                continue
+            scale = np.float32(0.5**level)
+            limit = np.float32(30000.0)  # cv2.remap keeps whole texels in 16 bits; only haze lies further out
+            columns = np.clip(u * scale, -limit, limit)
+            rows = np.clip(v * scale, -limit, limit)
+            total += weight * cv2.remap(
+                self._levels[level], columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP
+            )
+
+
+class Texture:
+    """The brightness of the ground."""
+
+    def __init__(self, spec: TextureSpec) -> None:
+        self.spec = spec
+        rng = np.random.default_rng([spec.seed, 202])
+        bearings = rng.uniform(0.0, 2.0 * np.pi, 4)
+        self._tiles: list[tuple[Tile, Array]] = []  # with the velocity, m/s, at which each moves over the ground
+        still = np.zeros(2)
+        if spec.style == "land":
+            self._tiles = [
+                (Tile(draw_grain(rng), 0.061, bearings[3]), still),
+                (Tile(draw_grain(rng), 0.17, bearings[0]), still),
+                (Tile(draw_land(rng), 0.31, bearings[1]), still),
+                (Tile(draw_country(rng), 2.3, bearings[2]), still),
+            ]
+        elif spec.style == "water":
+            wave = draw_waves(rng)
+            self._tiles = [
+                (Tile(wave, 0.23, bearings[0]), np.array([2.1, 0.9])),
+                (Tile(wave, 0.37, bearings[1]), np.array([-1.7, 1.3])),
+            ]
+        elif spec.style == "stripes":
+            self._tiles = [(Tile(draw_stripes(), 0.125, bearings[0]), still)]
+
+    def albedo(self, origin_m: Array, x_m: Image, y_m: Image, footprint_m: Image, time_s: float = 0.0) -> Image:
+        """Reflectance (H, W), 0.02 to 0.98, of the ground at `origin_m` (2,) + (`x_m`, `y_m`) in ENU metres."""
+        total: Image = np.zeros(x_m.shape, np.float32)
+        for tile, velocity in self._tiles:
+            tile.add_to(total, origin_m - velocity * time_s, x_m, y_m, footprint_m)
+        total *= np.float32(self.spec.contrast)
+        total += np.float32(MEAN_ALBEDO)
+        return np.clip(total, np.float32(0.02), np.float32(0.98), out=total)
