@@ -1,0 +1,108 @@
+"""Feature sets for the codec's tests: hypothesis strategies and one plain builder."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from contract.feature_set import DepthSource, FeatureSet, HeightDatum, SlowPosition, Status
+from contract.rotations import exp_so3
+
+DISTORTION = (-0.21, 0.052, 0.0007, -0.0004, 0.011)
+
+
+def random_covariance(rng: np.random.Generator, rank: int, sigmas: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A 9 x 9 covariance of the given rank and sigmas."""
+    factor = rng.normal(size=(9, rank))
+    factor *= (sigmas / np.linalg.norm(factor, axis=1))[:, None]
+    return factor @ factor.T
+
+
+def plain_set(count: int = 100, seed: int = 0, relief: float = 0.03, camera: Camera | None = None) -> FeatureSet:
+    """A typical picture from 250 m, obliquely down."""
+    rng = np.random.default_rng(seed)
+    camera = camera or Camera(640, 480, 879.2, 879.2, 319.5, 239.5, DISTORTION)
+    uv = rng.uniform([0.0, 0.0], [camera.width_px - 1, camera.height_px - 1], (count, 2))
+    plane = np.array([0.0040, 0.0005, -0.0012])
+    flat = plane[0] + camera.unproject(uv)[0][:, :2] @ plane[1:]
+    sigma = flat * 0.004 * np.exp(rng.normal(0.0, 0.3, count))
+    sigmas = np.array([1.5, 1.6, 2.2, 0.01, 0.012, 0.02, 0.004, 0.003, 0.003])
+    return FeatureSet(
+        vehicle="uav-1",
+        session=3_000_000_001,
+        frame=77,
+        capture_unix_ns=1_700_000_000_123_456_789,
+        status=Status.OK,
+        camera=camera,
+        revision=2,
+        is_keyframe=True,
+        camera_lat_deg=-35.123456789,
+        camera_lon_deg=149.165432109,
+        camera_height_m=812.345,
+        height_datum=HeightDatum.AMSL,
+        undulation_m=19.25,
+        R_enu_cam=exp_so3(rng.normal(size=3)),
+        common_cov=random_covariance(rng, 12, sigmas),
+        slow_position=SlowPosition(1.1, 2.0, 120.0),
+        depth_source=DepthSource.PARALLAX,
+        plane_per_m=plane,
+        plane_sigma_relative=0.03,
+        roughness=0.012,
+        uv_px=uv,
+        inverse_depth_per_m=flat * (1.0 + relief * rng.normal(size=count)) + sigma * rng.normal(size=count),
+        sigma_inverse_depth_per_m=sigma,
+    )
+
+
+@st.composite
+def feature_sets(draw: st.DrawFn) -> FeatureSet:
+    """Anything `encode` should accept, hard cases included: singular covariances, half turns, poles, corner pixels."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    width, height = draw(st.sampled_from([(640, 480), (1920, 1080), (17, 31), (4000, 3000)]))
+    distortion = draw(
+        st.sampled_from([(0.0,) * 5, DISTORTION, (1e-50, 0.0, 0.0, 0.0, 0.0), (0.9, -2.0, 0.1, 0.1, 5.0)])
+    )
+    k1, k2, p1, p2, k3 = distortion
+    camera = Camera(width, height, 1.1 * width, 1.2 * width, 0.49 * width, 0.52 * height, (k1, k2, p1, p2, k3))
+    status = draw(st.sampled_from([Status.OK, Status.OK, Status.OK, Status.TURNING, Status.OUTSIDE_CALIBRATION]))
+    identity = {
+        "vehicle": draw(st.text(min_size=1, max_size=8)),
+        "session": draw(st.integers(0, 2**32 - 1)),
+        "frame": draw(st.integers(0, 2**32 - 1)),
+        "capture_unix_ns": draw(st.integers(0, 2**63)),
+        "revision": draw(st.integers(0, 65535)),
+        "is_keyframe": draw(st.booleans()),
+    }
+    if status is not Status.OK:
+        return FeatureSet(status=status, camera=camera, **identity)
+    n = draw(st.sampled_from([0, 1, 2, 7, 100, 255]))
+    axis = rng.normal(size=3) if draw(st.booleans()) else np.eye(3)[rng.integers(3)]
+    angle = draw(st.sampled_from([0.0, 1e-7, 1.0, 3.0, math.pi - 1e-7, math.pi, math.pi + 1e-7]))
+    sigmas = 10.0 ** rng.uniform(-6.0, 4.0, 9) * (rng.uniform(size=9) > draw(st.sampled_from([0.0, 0.3, 1.0])))
+    plane = rng.normal(size=3) * draw(st.sampled_from([0.0, 0.004, 1.0]))
+    w = 10.0 ** rng.uniform(-5.0, 0.0, n)
+    relative = 10.0 ** rng.uniform(-5.0, 0.0) * np.exp(rng.normal(0.0, 0.3, n))
+    return FeatureSet(
+        status=status,
+        camera=camera,
+        camera_lat_deg=draw(st.floats(-90.0, 90.0)),
+        camera_lon_deg=draw(st.floats(-180.0, 180.0)),
+        camera_height_m=draw(st.floats(-1000.0, 30000.0)),
+        height_datum=draw(st.sampled_from(HeightDatum)),
+        undulation_m=draw(st.sampled_from([math.nan, 0.0, -105.123456, 85.0])),
+        R_enu_cam=exp_so3(axis / np.linalg.norm(axis) * angle),
+        common_cov=random_covariance(rng, draw(st.sampled_from([1, 2, 5, 9, 20])), sigmas),
+        slow_position=SlowPosition(*(10.0 ** rng.uniform(-3.0, 3.0, 3) * rng.integers(0, 2, 3))),
+        depth_source=draw(st.sampled_from(DepthSource)),
+        plane_per_m=plane,
+        plane_sigma_relative=float(10.0 ** rng.uniform(-4.0, 0.0)),
+        roughness=float(10.0 ** rng.uniform(-4.0, 0.0)) * draw(st.sampled_from([0.0, 1.0])),
+        uv_px=rng.choice([rng.uniform(size=(n, 2)), rng.integers(0, 2, (n, 2))]) * [width, height] - 0.5,
+        inverse_depth_per_m=w,
+        sigma_inverse_depth_per_m=np.maximum(w * relative, 1e-9),
+        **identity,
+    )

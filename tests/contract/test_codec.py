@@ -1,0 +1,244 @@
+import dataclasses
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from contract import codec
+from contract.camera import Camera
+from contract.codec import decode, encode, peek
+from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload, WireError
+from contract.feature_set import FeatureSet, Status
+from contract.rotations import log_so3
+from tests.contract.sets import feature_sets, plain_set
+
+PAYLOAD = encode(plain_set())
+
+
+def with_checksum(content: bytes) -> bytes:
+    """Length and checksum made right again after the content was changed."""
+    content = content[:3] + struct.pack("<H", len(content) + 4) + content[5:]
+    return content + struct.pack("<I", zlib.crc32(content))
+
+
+def assert_same(a: FeatureSet, b: FeatureSet) -> None:
+    for field in dataclasses.fields(FeatureSet):
+        x, y = getattr(a, field.name), getattr(b, field.name)
+        if field.name == "slow_position":
+            assert dataclasses.astuple(x) == dataclasses.astuple(y)
+        else:
+            np.testing.assert_array_equal(x, y, err_msg=field.name)
+
+
+@pytest.mark.parametrize("relief", [0.0, 0.01, 0.03, 0.06])
+def test_a_hundred_features_take_at_most_600_bytes_and_two_hundred_fit_a_packet(relief: float) -> None:
+    hundred = [len(encode(plain_set(100, seed, relief))) for seed in range(10)]
+    two_hundred = [len(encode(plain_set(200, seed, relief))) for seed in range(10)]
+    assert min(hundred) > 400 and max(hundred) <= 600
+    assert min(two_hundred) > 700 and max(two_hundred) <= 1250
+
+
+def test_two_hundred_features_of_a_large_picture_over_hills_fit_a_packet() -> None:
+    camera = Camera(4000, 3000, 5500.0, 5500.0, 1999.5, 1499.5, (-0.2, 0.05, 0.0, 0.0, 0.01))
+    assert len(encode(plain_set(200, relief=0.1, camera=camera))) <= 1250
+
+
+@settings(deadline=None, max_examples=150)
+@given(feature_sets())
+def test_what_was_decoded_encodes_to_the_same_bytes(feature_set: FeatureSet) -> None:
+    payload = encode(feature_set)
+    decoded = decode(payload)
+    assert encode(decoded) == payload
+    assert_same(decode(encode(decoded)), decoded)
+
+
+@settings(deadline=None, max_examples=150)
+@given(feature_sets())
+def test_a_round_trip_stays_within_the_stated_rounding(feature_set: FeatureSet) -> None:
+    got, want = decode(encode(feature_set)), feature_set
+    for name in ("vehicle", "session", "frame", "capture_unix_ns", "status", "revision", "is_keyframe"):
+        assert getattr(got, name) == getattr(want, name)
+    assert got.camera.size_px == want.camera.size_px
+    assert got.camera.distortion == pytest.approx(want.camera.distortion, rel=1e-7, abs=1e-44)
+    assert got.camera.fx_px == pytest.approx(want.camera.fx_px, rel=1e-7)
+    if not want.is_ok:
+        assert len(got) == 0
+        return
+    assert got.camera_lat_deg == pytest.approx(want.camera_lat_deg, abs=0.51e-9)
+    assert got.camera_lon_deg == pytest.approx(want.camera_lon_deg, abs=0.51e-9)
+    assert got.camera_height_m == pytest.approx(want.camera_height_m, abs=0.51e-3)
+    assert got.undulation_m == pytest.approx(want.undulation_m, abs=0.51e-3, nan_ok=True)
+    assert (got.height_datum, got.depth_source) == (want.height_datum, want.depth_source)
+    assert np.linalg.norm(log_so3(got.R_enu_cam @ want.R_enu_cam.T)) < 1e-6
+    for name in ("plane_sigma_relative", "roughness"):
+        assert getattr(got, name) == pytest.approx(getattr(want, name), rel=3.1e-4)
+    assert dataclasses.astuple(got.slow_position) == pytest.approx(dataclasses.astuple(want.slow_position), rel=3.1e-4)
+    np.testing.assert_allclose(got.plane_per_m, want.plane_per_m, rtol=1e-7)
+
+    order = np.argsort(np.rint((want.uv_px[:, 1] + 0.5) * 4), kind="stable")
+    sigma = want.sigma_inverse_depth_per_m[order]
+    assert np.all(np.abs(got.uv_px - want.uv_px[order]) <= 0.125 + 1e-9)
+    np.testing.assert_allclose(got.sigma_inverse_depth_per_m, sigma, rtol=0.026)
+    rounding = np.abs(got.inverse_depth_per_m - want.inverse_depth_per_m[order])
+    assert np.all(rounding <= sigma.min(initial=np.inf) / 6.0 * 1.001)
+
+
+@settings(deadline=None, max_examples=100)
+@given(feature_sets())
+def test_the_decoded_covariance_keeps_its_variances_and_is_positive_semi_definite(feature_set: FeatureSet) -> None:
+    got, want = decode(encode(feature_set)).common_cov, feature_set.common_cov
+    np.testing.assert_allclose(np.diag(got), np.diag(want), rtol=1e-3)
+    sigma = np.sqrt(np.diag(want)) + 1e-30
+    assert np.linalg.eigvalsh(got / np.outer(sigma, sigma)).min() > -1e-9
+
+
+def test_correlations_near_one_keep_what_is_left_after_cancelling() -> None:
+    """A position error that the attitude error cancels on the ground: the difference is what a click depends on."""
+    base = plain_set()
+    for left in (0.3, 0.03, 0.01):
+        cov = np.diag(np.array([2.0, 2.0, 2.0, 0.008, 0.008, 0.01, 0.01, 0.01, 0.01]) ** 2)
+        cov[0, 4] = cov[4, 0] = -2.0 * 0.008 * np.sqrt(1.0 - left**2)
+        got = decode(encode(dataclasses.replace(base, common_cov=cov))).common_cov
+        combination = np.zeros(9)
+        combination[[0, 4]] = 0.5, 1.0 / 0.008
+        assert combination @ got @ combination == pytest.approx(combination @ cov @ combination, rel=0.05)
+
+
+def test_features_arrive_sorted_by_row_and_ties_keep_their_order() -> None:
+    base = plain_set(100)
+    uv = base.uv_px.copy()
+    uv[:10] = [300.0, 200.0]
+    got = decode(encode(dataclasses.replace(base, uv_px=uv)))
+    assert np.all(np.diff(got.uv_px[:, 1]) >= 0.0)
+    tied = got.sigma_inverse_depth_per_m[np.all(got.uv_px == [300.0, 200.0], axis=1)]
+    np.testing.assert_allclose(tied, base.sigma_inverse_depth_per_m[:10], rtol=0.026)
+
+
+def test_a_refused_set_is_small_and_carries_its_reason() -> None:
+    base = plain_set(0)
+    refused = FeatureSet("uav-1", 1, 2, 3, Status.LOW_PARALLAX, base.camera)
+    payload = encode(refused)
+    assert len(payload) < 90
+    assert decode(payload).status is Status.LOW_PARALLAX
+
+
+def test_the_identity_is_read_without_decoding() -> None:
+    identity = peek(PAYLOAD)
+    assert (identity.session, identity.frame, identity.revision) == (3_000_000_001, 77, 2)
+    assert identity.capture_unix_ns == 1_700_000_000_123_456_789
+    assert identity.status is Status.OK
+
+
+@settings(deadline=None, max_examples=400)
+@given(st.binary(max_size=900))
+def test_any_bytes_are_a_set_or_a_named_error(payload: bytes) -> None:
+    for candidate in (payload, b"PC\x10" + payload):
+        with pytest.raises(WireError):
+            decode(candidate)
+
+
+@settings(deadline=None, max_examples=500)
+@given(st.data())
+def test_hostile_content_under_a_right_checksum_is_a_set_or_a_named_error(data: st.DataObject) -> None:
+    content = bytearray(PAYLOAD[:-4])
+    for _ in range(data.draw(st.integers(1, 12))):
+        content[data.draw(st.integers(5, len(content) - 1))] = data.draw(st.integers(0, 255))
+    end = data.draw(st.integers(30, len(content)))
+    try:
+        got = decode(with_checksum(bytes(content[: end if data.draw(st.booleans()) else None])))
+    except WireError:
+        return
+    for name in ("uv_px", "inverse_depth_per_m", "sigma_inverse_depth_per_m", "common_cov", "R_enu_cam"):
+        assert np.all(np.isfinite(getattr(got, name)))
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.integers(0, len(PAYLOAD) * 8 - 1))
+def test_a_flipped_bit_is_a_named_error(position: int) -> None:
+    damaged = bytearray(PAYLOAD)
+    damaged[position // 8] ^= 1 << position % 8
+    with pytest.raises(WireError):
+        decode(bytes(damaged))
+
+
+def test_every_truncation_says_so() -> None:
+    for length in range(len(PAYLOAD)):
+        with pytest.raises(TruncatedPayload):
+            decode(PAYLOAD[:length])
+
+
+def test_a_longer_payload_than_its_header_says_is_corrupt() -> None:
+    with pytest.raises(CorruptPayload, match="header says"):
+        decode(PAYLOAD + b"\0")
+
+
+def test_a_newer_minor_version_is_read_and_what_it_appends_is_skipped() -> None:
+    content = PAYLOAD[:2] + bytes([PAYLOAD[2] + 1]) + PAYLOAD[3:-4] + b"news from the future"
+    assert_same(decode(with_checksum(content)), decode(PAYLOAD))
+
+
+def test_the_same_bytes_appended_by_this_version_are_corrupt() -> None:
+    with pytest.raises(CorruptPayload, match="left over"):
+        decode(with_checksum(PAYLOAD[:-4] + b"news from the past"))
+
+
+def test_a_newer_major_version_and_an_unknown_status_are_refused_as_newer() -> None:
+    newer = PAYLOAD[:2] + b"\x20" + PAYLOAD[3:]
+    with pytest.raises(NewerPayload, match=r"2\.0"):
+        decode(newer)
+    unknown = bytearray(PAYLOAD[:-4])
+    unknown[6] = 200
+    with pytest.raises(NewerPayload, match="status 200"):
+        decode(with_checksum(bytes(unknown)))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"vehicle": "a name that is longer than thirty-two"}, "vehicle name"),
+        ({"vehicle": ""}, "vehicle name"),
+        ({"session": -1}, "session"),
+        ({"frame": 2**32}, "frame"),
+        ({"revision": 65536}, "revision"),
+        ({"capture_unix_ns": -5}, "capture_unix_ns"),
+        ({"camera_lat_deg": 91.0}, "latitude"),
+        ({"camera_lon_deg": float("nan")}, "latitude"),
+        ({"camera_height_m": float("inf")}, "camera_height_m"),
+        ({"undulation_m": 1e6}, "undulation_m"),
+        ({"R_enu_cam": np.diag([1.0, 1.0, -1.0])}, "not a rotation"),
+        ({"R_enu_cam": np.eye(3) * 1.1}, "not a rotation"),
+        ({"common_cov": -np.eye(9)}, "negative variance"),
+        ({"common_cov": np.ones((9, 9)) + np.eye(9) * -0.5}, "not a covariance"),
+        ({"common_cov": np.full((9, 9), np.nan)}, "finite"),
+        ({"common_cov": np.eye(6)}, "9 x 9"),
+        ({"plane_per_m": np.array([1.0, np.nan, 0.0])}, "plane_per_m"),
+        ({"plane_sigma_relative": -0.1}, "plane_sigma_relative"),
+        ({"roughness": float("nan")}, "roughness"),
+        ({"camera": Camera(640, 480, 0.0, 500.0, 320.0, 240.0)}, "focal"),
+        ({"camera": Camera(0, 480, 500.0, 500.0, 320.0, 240.0)}, "picture size"),
+        ({"inverse_depth_per_m": np.array([0.1, np.nan])}, "feature 1 is not finite"),
+        ({"sigma_inverse_depth_per_m": np.array([0.1, 0.0])}, "sigma_inverse_depth_per_m"),
+        ({"inverse_depth_per_m": np.ones(2), "sigma_inverse_depth_per_m": np.full(2, 2e-12)}, "too small"),
+        ({"sigma_inverse_depth_per_m": np.array([0.1])}, "disagree"),
+        ({"uv_px": np.array([[1.0, 1.0], [640.0, 1.0]])}, "feature 1 is off"),
+        ({"uv_px": np.array([[1.0, 1.0], [np.nan, 1.0]])}, "feature 1 is off"),
+        ({"status": Status.TURNING}, "carries no features"),
+    ],
+)
+def test_what_cannot_be_written_is_refused_by_name(change: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        encode(dataclasses.replace(plain_set(2), **change))
+
+
+def test_more_features_than_a_byte_counts_are_refused() -> None:
+    assert len(decode(encode(plain_set(255)))) == 255
+    with pytest.raises(ValueError, match="at most 255"):
+        encode(plain_set(256))
+
+
+def test_the_version_on_the_wire_is_the_documented_one() -> None:
+    assert (codec.MAJOR, codec.MINOR) == (1, 0)
+    assert PAYLOAD[:3] == b"PC\x10"
