@@ -1,0 +1,151 @@
+"""What a click gets: a position with its error, or a refusal with its reason; and how both are written."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.feature_set import Status
+
+Array = NDArray[np.float64]
+
+CONFIDENCE = 0.9
+CHI2_2 = -2.0 * math.log(1.0 - CONFIDENCE)  # quantile of chi-square with two degrees of freedom: 4.605
+
+# Refusals in a sentence: what is wrong, and what may help.
+EXPLANATIONS: dict[Status, str] = {
+    Status.OK: "answered",
+    Status.STARTING: "the aircraft has no solved picture yet",
+    Status.LOW_PARALLAX: "the aircraft has hardly moved sideways, so depth cannot be seen",
+    Status.OUTSIDE: "the pixel is off the picture or too far from every measured feature",
+    Status.ABOVE_HORIZON: "the pixel shows no ground that can be measured: at or above the horizon",
+    Status.STALE: "the newest picture is too old",
+    Status.UNSYNCHRONISED: "picture and autopilot time do not agree",
+    Status.TURNING: "the aircraft was turning too fast",
+    Status.NO_GPS: "there was no usable GPS position",
+    Status.FEATURELESS: "the ground showed too little texture to track",
+    Status.POOR_FIT: "the measurements of this picture contradict each other",
+    Status.UNCERTAIN: "the position would be too uncertain to be of use",
+    Status.CAMERA_LOST: "the camera has stopped",
+    Status.UNKNOWN_FRAME: "there is no such picture",
+    Status.BAD_PICTURE: "the picture could not be read",
+    Status.OUTSIDE_CALIBRATION: "the lens calibration does not hold at this pixel",
+}
+
+
+@dataclass(frozen=True)
+class Ellipse:
+    """Horizontal error ellipse at `CONFIDENCE`; azimuth of the major axis clockwise from north, in [0, 180)."""
+
+    semi_major_m: float
+    semi_minor_m: float
+    azimuth_deg: float
+
+    @classmethod
+    def from_covariance(cls, covariance_en_m2: Array) -> Ellipse:
+        """From a 2 x 2 covariance in east, north."""
+        values, vectors = np.linalg.eigh(covariance_en_m2)
+        minor, major = np.sqrt(CHI2_2 * np.maximum(values, 0.0))
+        azimuth = math.degrees(math.atan2(vectors[0, 1], vectors[1, 1])) % 180.0
+        return cls(float(major), float(minor), azimuth if azimuth < 180.0 else 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Fix:
+    """An answered click. Heights are None where the datum's undulation is unknown."""
+
+    lat_deg: float
+    lon_deg: float
+    height_ellipsoid_m: float | None
+    height_amsl_m: float | None
+    ellipse: Ellipse
+    sigma_height_m: float
+    method: str
+    frame: int
+    capture_unix_ns: int
+    vehicle: str
+    offset_enu_m: Array  # from the camera, in its east-north-up axes
+    covariance_enu_m2: Array  # (3, 3)
+
+    @property
+    def status(self) -> Status:
+        """Always OK."""
+        return Status.OK
+
+    def to_json(self) -> str:
+        """One line; latitude and longitude with nine decimals (0.1 mm)."""
+        heights = (f"{h:.3f}" if h is not None else "null" for h in (self.height_ellipsoid_m, self.height_amsl_m))
+        ellipsoid, amsl = heights
+        e = self.ellipse
+        return (
+            f'{{"status": "ok", "lat_deg": {self.lat_deg:.9f}, "lon_deg": {self.lon_deg:.9f}, '
+            f'"height_ellipsoid_m": {ellipsoid}, "height_amsl_m": {amsl}, '
+            f'"ellipse": {{"confidence": {CONFIDENCE}, "semi_major_m": {e.semi_major_m:.3f}, '
+            f'"semi_minor_m": {e.semi_minor_m:.3f}, "azimuth_deg": {e.azimuth_deg:.2f}}}, '
+            f'"sigma_height_m": {self.sigma_height_m:.3f}, "method": {json.dumps(self.method)}, '
+            f'"frame": {self.frame}, "time_utc": "{time_utc(self.capture_unix_ns)}", '
+            f'"vehicle": {json.dumps(self.vehicle)}}}'
+        )
+
+    def to_text(self) -> str:
+        """One line for people."""
+        amsl, ellipsoid = self.height_amsl_m, self.height_ellipsoid_m
+        height = f"{amsl:.1f} m AMSL" if amsl is not None else f"{ellipsoid:.1f} m above the ellipsoid"
+        e = self.ellipse
+        return (
+            f"{self.lat_deg:.9f} {self.lon_deg:.9f}  {height} +-{self.sigma_height_m:.1f} m  "
+            f"{CONFIDENCE:.0%} ellipse {e.semi_major_m:.1f} x {e.semi_minor_m:.1f} m at {e.azimuth_deg:.0f} deg  "
+            f"{self.method}  frame {self.frame} of {self.vehicle} at {time_utc(self.capture_unix_ns)}"
+        )
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A click without an answer, and why. Frame, time and vehicle are None where no set was found."""
+
+    status: Status
+    frame: int | None = None
+    capture_unix_ns: int | None = None
+    vehicle: str | None = None
+    detail: str = ""
+
+    def to_json(self) -> str:
+        """One line."""
+        when = None if self.capture_unix_ns is None else time_utc(self.capture_unix_ns)
+        return json.dumps(
+            {
+                "status": self.status.value,
+                "reason": self.reason,
+                "frame": self.frame,
+                "time_utc": when,
+                "vehicle": self.vehicle,
+            }
+        )
+
+    @property
+    def reason(self) -> str:
+        """The sentence that goes with the status."""
+        return self.detail or EXPLANATIONS[self.status]
+
+    def to_text(self) -> str:
+        """One line for people."""
+        where = "" if self.frame is None else f" (frame {self.frame})"
+        return f"{self.status.value}: {self.reason}{where}"
+
+
+Answer = Fix | Refusal
+
+
+def time_utc(unix_ns: int) -> str:
+    """ISO 8601 with microseconds, as in 2018-05-02T01:23:45.678901Z."""
+    seconds, rest = divmod(unix_ns, 1_000_000_000)
+    try:
+        moment = datetime.fromtimestamp(seconds, UTC)
+    except (OverflowError, ValueError, OSError):
+        return f"unix {unix_ns / 1e9:.6f}"
+    return f"{moment:%Y-%m-%dT%H:%M:%S}.{rest // 1000:06d}Z"

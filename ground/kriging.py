@@ -1,0 +1,111 @@
+"""Inverse depth between the features: universal kriging of its ratio to the ground plane.
+
+What is interpolated is r = w / w_plane - 1 over unit-depth coordinates (x, y): zero on flat ground but for a linear
+trend, which is what noise left in the plane's fit (docs/mathematics.md section 9; Cressie 1993, section 3.4). Each
+feature's own variance is its nugget, so neighbours average their noise away instead of handing it on, as the three
+corners of a Delaunay triangle do; and kriging knows the variance of what it says, from the distance to the features and
+the ground's roughness. Delaunay interpolation was the first design: tests/ground/test_kriging.py compares both.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# With fewer features than this the trend is not estimated: the plane is taken as it was sent.
+MIN_TREND_FEATURES = 6
+# One sigma of the trend's prior. Loose (the ground's inverse depth is known to a factor of two), so that it only
+# matters where the features leave a direction of the trend undetermined.
+TREND_SIGMA = 1.0
+
+
+class Kriging:
+    """Prediction of r at any (x, y) from features at `xy` (N, 2) with values `r` (N,) and variances `nugget` (N,).
+
+    `roughness` is the slope of the ground's variogram at distance zero, `sill_sigma` the one sigma it levels off at:
+    gamma(d) = s^2 (1 - exp(-roughness d / s^2)). Everything that does not depend on the click is solved here, once.
+    """
+
+    def __init__(self, xy: Array, r: Array, nugget: Array, roughness: float, sill_sigma: float) -> None:
+        self._xy = xy
+        self._sill = sill_sigma**2
+        self._slope = roughness
+        n = len(r)
+        F = _trend(xy)
+        prior = TREND_SIGMA**2 if n >= MIN_TREND_FEATURES else 0.0
+        # Rounding of the wire and of this solve: 1e-8 of relative depth, 3 micrometres at 300 m.
+        K = self._covariance(_distances(xy, xy)) + np.diag(nugget + 1e-16)
+        self._inverse = np.asarray(np.linalg.inv(K), np.float64)
+        self._weighted_trend = self._inverse @ F  # (N, 3)
+        if prior:
+            self._trend_cov = np.asarray(np.linalg.inv(F.T @ self._weighted_trend + np.eye(3) / prior), np.float64)
+        else:
+            self._trend_cov = np.zeros((3, 3))
+        self._beta = self._trend_cov @ (self._weighted_trend.T @ r)
+        self._alpha = self._inverse @ (r - F @ self._beta)  # (N,)
+
+    def predict(self, xy: Array) -> tuple[Array, Array]:
+        """r (M,) at points (M, 2) and the covariance (M, M) of its errors."""
+        k = self._covariance(_distances(xy, self._xy))  # (M, N)
+        f = _trend(xy)
+        left = f - k @ self._weighted_trend
+        covariance = self._covariance(_distances(xy, xy)) - k @ self._inverse @ k.T + left @ self._trend_cov @ left.T
+        return f @ self._beta + k @ self._alpha, covariance
+
+    def _covariance(self, distance: Array) -> Array:
+        if self._sill == 0.0 or self._slope == 0.0:
+            # A ground without roughness may still lie off the plane as a whole: that is common to all of it.
+            return np.full_like(distance, self._sill)
+        return self._sill * np.exp(-(self._slope / self._sill) * distance)
+
+
+def _trend(xy: Array) -> Array:
+    return np.concatenate([np.ones((len(xy), 1)), xy], axis=1)
+
+
+def _distances(a: Array, b: Array) -> Array:
+    out: Array = np.sqrt(((a[:, None, :] - b[None, :, :]) ** 2).sum(axis=-1))
+    return out
+
+
+def convex_hull(points: Array) -> Array:
+    """Corners (K, 2) of the convex hull, counter-clockwise; fewer than three if the points do not span an area.
+
+    Andrew's monotone chain (1979).
+    """
+    ordered: list[tuple[float, float]] = sorted({(float(x), float(y)) for x, y in points})
+
+    def half(path: list[tuple[float, float]]) -> list[tuple[float, float]]:
+        chain: list[tuple[float, float]] = []
+        for x, y in path:
+            while len(chain) > 1:
+                (ax, ay), (bx, by) = chain[-2:]
+                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0.0:
+                    break
+                chain.pop()
+            chain.append((x, y))
+        return chain[:-1]
+
+    return np.array(half(ordered) + half(ordered[::-1])).reshape(-1, 2)
+
+
+def hull_area(hull: Array) -> float:
+    """Area of a polygon, 0 with fewer than three corners."""
+    if len(hull) < 3:
+        return 0.0
+    x, y = hull.T
+    return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+
+def distance_outside(hull: Array, xy: Array) -> float:
+    """Distance from a point (2,) to a convex polygon, 0 inside; infinite for a hull without area."""
+    if len(hull) < 3:
+        return float("inf")
+    edges = np.roll(hull, -1, axis=0) - hull
+    to_point = xy - hull
+    if np.all(edges[:, 0] * to_point[:, 1] - edges[:, 1] * to_point[:, 0] >= -1e-12):
+        return 0.0
+    along = np.clip((edges * to_point).sum(axis=1) / (edges**2).sum(axis=1), 0.0, 1.0)
+    return float(np.min(np.linalg.norm(to_point - along[:, None] * edges, axis=1)))

@@ -1,0 +1,190 @@
+"""A click and a feature set -> a position with its error, or a refusal with its reason. No I/O.
+
+A pixel's ray at unit depth is (x, y, 1); with r = R_enu_cam (x, y, 1) and inverse depth w its point is X = C + r / w.
+To first order, with the nine common states of contract/feature_set.py and the click's own relative error e of w,
+
+    dX = dC + dtheta x (r / w) - (r / w) (m0 + m1 x + m2 y + e)  =  J(x, y) s - (r / w) e,
+    J = [ I,  -[r / w]x,  -(r / w) (1, x, y) ]                                              (3 x 9)
+
+so that cov X = J S J' + (r / w)(r / w)' var e. Between two clicks the common states cancel through J1 - J2, and kriging
+gives the covariance of e1 with e2. Between two sets of a session only the slowly wandering part of the position is
+shared: it cancels by exp(-dt / tau). Section 9 of docs/mathematics.md.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from contract.feature_set import DepthSource, FeatureSet, HeightDatum, Status
+from contract.geodesy import LocalFrame
+from contract.rotations import skew
+from ground.answer import Answer, Ellipse, Fix, Refusal
+from ground.kriging import Kriging, convex_hull, distance_outside, hull_area
+
+Array = NDArray[np.float64]
+
+# How far beyond the features' hull the plane is followed, as a share of the hull's size (the root of its area).
+MAX_OUTSIDE = 0.35
+# A plane's inverse depth below this share of its largest over the features is too near the horizon to be divided by.
+MIN_PLANE_SHARE = 0.02
+MIN_FEATURES = 3
+# A click whose inverse depth is less than this many sigmas from zero may as well be infinitely far.
+MIN_INVERSE_DEPTH_SIGMAS = 3.0
+# The longest semi-major axis (90 %) that is still an answer, as a share of the range.
+MAX_ELLIPSE_SHARE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class _Sight:
+    """A click that met the ground: its unit-depth coordinates (2,), offset from the camera (m) and how it was found."""
+
+    xy: Array
+    offset_enu_m: Array
+    relative: float  # d ln w / d r of kriging's prediction
+    method: str
+
+
+class Locator:
+    """Answers clicks on one feature set. What does not depend on the click is solved once."""
+
+    def __init__(self, feature_set: FeatureSet) -> None:
+        self.feature_set = s = feature_set
+        rays, valid = s.camera.unproject(s.uv_px)
+        xy = rays[:, :2]
+        plane = s.plane_per_m[0] + xy @ s.plane_per_m[1:]
+        reach = max(float(np.max(plane, initial=0.0)), float(s.plane_per_m[0]))
+        self._plane_floor = MIN_PLANE_SHARE * reach
+        usable = valid & (plane > self._plane_floor) & (s.sigma_inverse_depth_per_m > 0.0)
+        xy, plane = xy[usable], plane[usable]
+        self._has_ground = reach > 0.0 and (
+            s.depth_source is DepthSource.PLANE or int(np.count_nonzero(usable)) >= MIN_FEATURES
+        )
+        self._kriging = Kriging(
+            xy,
+            s.inverse_depth_per_m[usable] / plane - 1.0,
+            (s.sigma_inverse_depth_per_m[usable] / plane) ** 2,
+            s.roughness,
+            s.plane_sigma_relative,
+        )
+        self._hull = convex_hull(xy)
+        self._max_outside = MAX_OUTSIDE * math.sqrt(hull_area(self._hull))
+        known = not math.isnan(s.undulation_m)
+        self._is_ellipsoidal = s.height_datum is HeightDatum.ELLIPSOID
+        self._undulation_m = s.undulation_m if known else None
+        shift = s.undulation_m if known and not self._is_ellipsoidal else 0.0
+        self._frame = LocalFrame(s.camera_lat_deg, s.camera_lon_deg, s.camera_height_m + shift)
+        self._datum_shift_m = shift
+
+    def locate(self, uv_px: ArrayLike) -> Answer:
+        """A pixel (2,) -> Fix or Refusal."""
+        sight = self._sight(np.asarray(uv_px, float))
+        if isinstance(sight, Status):
+            return self._refusal(sight)
+        covariance = self._covariance([sight])
+        ellipse = Ellipse.from_covariance(covariance[:2, :2])
+        if not ellipse.semi_major_m <= MAX_ELLIPSE_SHARE * float(np.linalg.norm(sight.offset_enu_m)):
+            return self._refusal(Status.UNCERTAIN)
+        s = self.feature_set
+        lat, lon, height = (float(c) for c in self._frame.to_geodetic(sight.offset_enu_m))
+        height -= self._datum_shift_m
+        n = self._undulation_m
+        other = None if n is None else height - n if self._is_ellipsoidal else height + n
+        return Fix(
+            lat_deg=lat,
+            lon_deg=lon,
+            height_ellipsoid_m=height if self._is_ellipsoidal else other,
+            height_amsl_m=other if self._is_ellipsoidal else height,
+            ellipse=ellipse,
+            sigma_height_m=math.sqrt(max(float(covariance[2, 2]), 0.0)),
+            method=sight.method,
+            frame=s.frame,
+            capture_unix_ns=s.capture_unix_ns,
+            vehicle=s.vehicle,
+            offset_enu_m=sight.offset_enu_m,
+            covariance_enu_m2=covariance,
+        )
+
+    def difference_covariance(self, uv1_px: ArrayLike, uv2_px: ArrayLike) -> Array | None:
+        """Covariance (3, 3), m^2, of the vector between two clicks of this set; None if one has no answer."""
+        one, two = self._sight(np.asarray(uv1_px, float)), self._sight(np.asarray(uv2_px, float))
+        if isinstance(one, Status) or isinstance(two, Status):
+            return None
+        joint = self._covariance([one, two])
+        out: Array = joint[:3, :3] + joint[3:, 3:] - joint[:3, 3:] - joint[3:, :3]
+        return out
+
+    def _refusal(self, status: Status) -> Refusal:
+        s = self.feature_set
+        return Refusal(status, s.frame, s.capture_unix_ns, s.vehicle)
+
+    def _sight(self, uv_px: Array) -> _Sight | Status:
+        s = self.feature_set
+        if not s.is_ok:
+            return s.status
+        if not s.camera.contains(uv_px):
+            return Status.OUTSIDE
+        ray, valid = s.camera.unproject(uv_px)
+        if not valid:
+            return Status.OUTSIDE_CALIBRATION
+        if not self._has_ground:
+            return Status.POOR_FIT
+        xy = ray[:2]
+        plane = float(s.plane_per_m[0] + xy @ s.plane_per_m[1:])
+        outside = distance_outside(self._hull, xy)
+        method = s.depth_source.value
+        if outside > 0.0:
+            if s.depth_source is not DepthSource.PLANE and outside > self._max_outside:
+                return Status.ABOVE_HORIZON if plane <= self._plane_floor else Status.OUTSIDE
+            method = DepthSource.PLANE.value
+        if plane <= self._plane_floor:
+            return Status.ABOVE_HORIZON
+        r, variance = self._kriging.predict(xy[None])
+        relative = 1.0 + float(r[0])
+        if not relative > MIN_INVERSE_DEPTH_SIGMAS * math.sqrt(max(float(variance[0, 0]), 0.0)):
+            return Status.ABOVE_HORIZON
+        return _Sight(xy, s.R_enu_cam @ ray / (plane * relative), 1.0 / relative, method)
+
+    def _covariance(self, sights: list[_Sight]) -> Array:
+        """Joint covariance (3 M, 3 M) of the clicks' positions."""
+        J = np.concatenate([_jacobian(sight) for sight in sights])
+        _, own = self._kriging.predict(np.array([sight.xy for sight in sights]))
+        spread = np.zeros((3 * len(sights), len(sights)))
+        for i, sight in enumerate(sights):
+            spread[3 * i : 3 * i + 3, i] = -sight.offset_enu_m * sight.relative
+        out: Array = J @ self.feature_set.common_cov @ J.T + spread @ own @ spread.T
+        return out
+
+
+def _jacobian(sight: _Sight) -> Array:
+    """d X / d common states, (3, 9)."""
+    X = sight.offset_enu_m
+    return np.concatenate([np.eye(3), -skew(X), -np.outer(X, [1.0, *sight.xy])], axis=1)
+
+
+def locate(feature_set: FeatureSet, uv_px: ArrayLike) -> Answer:
+    """One click on one set. For several clicks keep a `Locator`."""
+    return Locator(feature_set).locate(uv_px)
+
+
+def difference_covariance(one: FeatureSet, fix_one: Fix, two: FeatureSet, fix_two: Fix) -> Array:
+    """Covariance (3, 3), m^2, of the vector between clicks of two different sets, in the first's ENU axes.
+
+    The wandering part of the position is shared as far as its correlation time reaches, if both sets are of one
+    session of one vehicle; everything else is taken as independent.
+    """
+    total: Array = fix_one.covariance_enu_m2 + fix_two.covariance_enu_m2
+    a, b = one.slow_position, two.slow_position
+    tau = min(a.time_constant_s, b.time_constant_s)
+    if (one.vehicle, one.session) != (two.vehicle, two.session) or tau <= 0.0:
+        return total
+    shared = math.exp(-abs(one.capture_unix_ns - two.capture_unix_ns) / 1e9 / tau)
+    horizontal = a.sigma_horizontal_m * b.sigma_horizontal_m
+    slow = np.array([horizontal, horizontal, a.sigma_vertical_m * b.sigma_vertical_m])
+    # The sets round and smooth on their own; what they share can be no more than what either has.
+    values, vectors = np.linalg.eigh(total - 2.0 * shared * np.diag(slow))
+    out: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return out

@@ -1,0 +1,107 @@
+"""Kriging against Delaunay, and its stated variance against what happens."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
+from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import ConvexHull
+
+from ground.kriging import Kriging, convex_hull, distance_outside, hull_area
+
+Array = NDArray[np.float64]
+
+
+def rolling_ground(xy: Array, phase: float) -> Array:
+    """Relative inverse depth of hills 60 m across seen from 250 m: smooth, and no sample of kriging's own model."""
+    return 0.02 * np.sin(24.0 * xy[:, 0] + phase) * np.cos(20.0 * xy[:, 1] - 2.0 * phase)
+
+
+def trial(rng: np.random.Generator, noise: float) -> tuple[Array, Array, Array, Array]:
+    """Truth, Delaunay's and kriging's answer and kriging's sigma at 40 points inside the features."""
+    xy = rng.uniform(-0.36, 0.36, (100, 2)) * [1.0, 0.75]
+    phase = rng.uniform(0.0, 6.28)
+    sigma = noise * np.exp(rng.normal(0.0, 0.3, 100))
+    r = rolling_ground(xy, phase) + sigma * rng.normal(size=100)
+    at = rng.uniform(-0.28, 0.28, (40, 2)) * [1.0, 0.75]
+    kriging = Kriging(xy, r, sigma**2, roughness=0.0014, sill_sigma=0.011)
+    predicted, covariance = kriging.predict(at)
+    return rolling_ground(at, phase), LinearNDInterpolator(xy, r)(at), predicted, np.sqrt(np.diag(covariance))
+
+
+@pytest.mark.parametrize(("noise", "at_most"), [(0.002, 1.0), (0.01, 0.9), (0.03, 0.8)])
+def test_kriging_beats_delaunay_on_rolling_ground(noise: float, at_most: float) -> None:
+    rng = np.random.default_rng(1)
+    delaunay, kriging = [], []
+    for _ in range(60):
+        truth, barycentric, predicted, _ = trial(rng, noise)
+        inside = np.isfinite(barycentric)
+        delaunay.append(np.mean((barycentric - truth)[inside] ** 2))
+        kriging.append(np.mean((predicted - truth)[inside] ** 2))
+    ratio = float(np.sqrt(np.mean(kriging) / np.mean(delaunay)))
+    assert 0.2 < ratio <= at_most
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.01, 0.03])
+def test_the_stated_sigma_covers_rolling_ground(noise: float) -> None:
+    rng = np.random.default_rng(2)
+    z = np.concatenate([(p - t) / s for t, _, p, s in (trial(rng, noise) for _ in range(60))])
+    assert 0.85 < np.mean(np.abs(z) < 1.645) < 0.97
+
+
+def test_without_relief_it_is_the_weighted_fit_of_a_plane() -> None:
+    rng = np.random.default_rng(3)
+    xy = rng.uniform(-0.4, 0.4, (50, 2))
+    sigma = rng.uniform(0.002, 0.01, 50)
+    F = np.concatenate([np.ones((50, 1)), xy], axis=1)
+    r = F @ [0.01, -0.02, 0.03] + sigma * rng.normal(size=50)
+    normal = F.T @ (F / sigma[:, None] ** 2)
+    beta = np.linalg.solve(normal, F.T @ (r / sigma**2))
+    predicted, covariance = Kriging(xy, r, sigma**2, 0.0, 0.0).predict(xy[:5])
+    np.testing.assert_allclose(predicted, F[:5] @ beta, rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(covariance, F[:5] @ np.linalg.inv(normal) @ F[:5].T, rtol=1e-3, atol=1e-10)
+
+
+def test_a_feature_without_noise_is_met_exactly_and_known() -> None:
+    rng = np.random.default_rng(4)
+    xy = rng.uniform(-0.4, 0.4, (30, 2))
+    r = rng.normal(0.0, 0.02, 30)
+    predicted, covariance = Kriging(xy, r, np.zeros(30), 0.004, 0.02).predict(xy)
+    np.testing.assert_allclose(predicted, r, atol=1e-9)
+    assert np.abs(covariance).max() < 1e-9
+
+
+def test_variance_grows_with_the_distance_to_the_features() -> None:
+    rng = np.random.default_rng(5)
+    xy = rng.uniform(-0.2, 0.2, (40, 2))
+    kriging = Kriging(xy, np.zeros(40), np.full(40, 1e-5), 0.004, 0.02)
+    _, covariance = kriging.predict(np.array([[0.0, 0.0], [0.25, 0.0], [0.4, 0.0], [0.8, 0.0]]))
+    variances = np.diag(covariance)
+    assert np.all(np.diff(variances) > 0.0)
+
+
+def test_features_on_a_line_leave_the_other_direction_to_the_prior() -> None:
+    xy = np.stack([np.linspace(-0.3, 0.3, 20), np.zeros(20)], axis=1)
+    _, covariance = Kriging(xy, np.zeros(20), np.full(20, 1e-5), 0.0, 0.0).predict(np.array([[0.0, 0.0], [0.0, 0.3]]))
+    assert covariance[0, 0] < 1e-5
+    assert covariance[1, 1] == pytest.approx(0.3**2, rel=0.01)
+
+
+@given(arrays(float, st.tuples(st.integers(3, 40), st.just(2)), elements=st.floats(-1, 1).map(lambda x: round(x, 3))))
+def test_the_hull_is_scipys(points: Array) -> None:
+    hull = convex_hull(points)
+    if hull_area(hull) < 1e-4:
+        return
+    assert hull_area(hull) == pytest.approx(ConvexHull(points).volume, rel=1e-9)
+    assert all(distance_outside(hull, p) < 1e-9 for p in points)
+
+
+def test_distance_to_a_square() -> None:
+    square = convex_hull(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.5, 0.5]]))
+    assert len(square) == 4
+    assert distance_outside(square, np.array([0.5, 0.9])) == 0.0
+    assert distance_outside(square, np.array([1.5, 0.5])) == pytest.approx(0.5)
+    assert distance_outside(square, np.array([2.0, 2.0])) == pytest.approx(np.sqrt(2.0))
+    assert distance_outside(convex_hull(np.zeros((2, 2))), np.zeros(2)) == np.inf

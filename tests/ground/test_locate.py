@@ -1,0 +1,251 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from contract.camera import Camera
+from contract.codec import decode, encode
+from contract.feature_set import DepthSource, FeatureSet, HeightDatum, SlowPosition, Status
+from ground.answer import CHI2_2, Ellipse, Fix, Refusal
+from ground.locate import Locator, difference_covariance, locate
+from tests.contract.sets import feature_sets
+from tests.ground.worlds import CAMERA, ORIGIN, Errors, build
+
+EXACT = Errors(feature_relative=1e-7, relief_relative=0.0, roughness=0.0, common=False)
+
+
+def answered(feature_set: FeatureSet, uv: object) -> Fix:
+    answer = locate(feature_set, uv)  # type: ignore[arg-type]
+    assert isinstance(answer, Fix), answer
+    return answer
+
+
+def refused(feature_set: FeatureSet, uv: object) -> Status:
+    answer = locate(feature_set, uv)  # type: ignore[arg-type]
+    assert isinstance(answer, Refusal), answer
+    return answer.status
+
+
+@pytest.mark.parametrize("pitch_deg", [-90.0, -65.0, -40.0])
+def test_a_click_on_exact_flat_ground_is_exact(pitch_deg: float) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        world = build(rng, EXACT, pitch_deg=pitch_deg)
+        for index, uv in enumerate(world.clicks_px):
+            assert np.linalg.norm(world.error(index, answered(world.feature_set, uv))) < 1e-3
+
+
+def test_a_click_through_the_wire_is_where_it_was_before() -> None:
+    """Rounding moves an answer by far less than its own error."""
+    world = build(np.random.default_rng(4))
+    received = decode(encode(world.feature_set))
+    for uv in world.clicks_px:
+        here, there = answered(world.feature_set, uv), answered(received, uv)
+        assert np.linalg.norm(here.offset_enu_m - there.offset_enu_m) < 0.05 * here.ellipse.semi_major_m
+        assert there.ellipse.semi_major_m == pytest.approx(here.ellipse.semi_major_m, rel=0.03)
+
+
+def test_the_stated_ellipse_holds_ninety_percent_of_true_errors_absolute_and_relative() -> None:
+    rng = np.random.default_rng(5)
+    absolute, relative, heights = [], [], []
+    for _ in range(500):
+        world = build(rng, features=60)
+        locator = Locator(world.feature_set)
+        one, two = (locator.locate(uv) for uv in world.clicks_px)
+        assert isinstance(one, Fix) and isinstance(two, Fix)
+        for index, fix in enumerate((one, two)):
+            e = world.error(index, fix)
+            absolute.append(e[:2] @ np.linalg.solve(fix.covariance_enu_m2[:2, :2], e[:2]))
+            heights.append(e[2] / fix.sigma_height_m)
+        difference = world.error(1, two) - world.error(0, one)
+        covariance = locator.difference_covariance(*world.clicks_px)
+        assert covariance is not None
+        relative.append(difference[:2] @ np.linalg.solve(covariance[:2, :2], difference[:2]))
+    assert 0.87 < np.mean(np.array(absolute) < CHI2_2) < 0.93
+    assert 0.87 < np.mean(np.array(relative) < CHI2_2) < 0.93
+    assert 0.93 < np.std(heights) < 1.07
+
+
+def test_two_clicks_of_one_set_differ_by_less_than_their_absolute_errors_suggest() -> None:
+    world = build(np.random.default_rng(6), clicks_px=np.array([[300.0, 240.0], [330.0, 250.0]]))
+    locator = Locator(world.feature_set)
+    difference = locator.difference_covariance(*world.clicks_px)
+    fix = answered(world.feature_set, world.clicks_px[0])
+    assert difference is not None
+    assert np.trace(difference) < 0.5 * 2.0 * np.trace(fix.covariance_enu_m2)
+
+
+def test_a_click_differs_from_itself_by_nothing() -> None:
+    world = build(np.random.default_rng(7))
+    difference = Locator(world.feature_set).difference_covariance(world.clicks_px[0], world.clicks_px[0])
+    assert difference is not None
+    assert np.abs(difference).max() < 1e-6
+
+
+@pytest.mark.parametrize("gap_s", [2.0, 300.0])
+def test_the_ellipse_of_a_difference_between_two_sets_holds_ninety_percent(gap_s: float) -> None:
+    rng = np.random.default_rng(8)
+    slow = SlowPosition(3.0, 4.0, 100.0)
+    errors = Errors(slow=slow)
+    shared = math.exp(-gap_s / slow.time_constant_s)
+    sigmas = np.array([3.0, 3.0, 4.0])
+    inside, naive = [], []
+    for _ in range(400):
+        first_error = sigmas * rng.normal(size=3)
+        second_error = shared * first_error + math.sqrt(1.0 - shared**2) * sigmas * rng.normal(size=3)
+        a = build(rng, errors, features=50, slow_error_enu_m=first_error)
+        b = build(
+            rng,
+            errors,
+            features=50,
+            slow_error_enu_m=second_error,
+            position_enu_m=(60.0, 0.0, 250.0),
+            capture_unix_ns=a.feature_set.capture_unix_ns + round(gap_s * 1e9),
+        )
+        one, two = answered(a.feature_set, a.clicks_px[0]), answered(b.feature_set, b.clicks_px[0])
+        d = (b.error(0, two) - a.error(0, one))[:2]
+        covariance = difference_covariance(a.feature_set, one, b.feature_set, two)
+        inside.append(d @ np.linalg.solve(covariance[:2, :2], d) < CHI2_2)
+        total = one.covariance_enu_m2 + two.covariance_enu_m2
+        naive.append(np.trace(covariance) / np.trace(total))
+    assert 0.86 < np.mean(inside) < 0.94
+    assert (np.mean(naive) < 0.6) if gap_s < 10.0 else (np.mean(naive) > 0.9)
+
+
+def test_sets_of_other_sessions_share_nothing() -> None:
+    slow = SlowPosition(3.0, 4.0, 100.0)
+    world = build(np.random.default_rng(9), Errors(slow=slow))
+    other = dataclasses.replace(world.feature_set, session=8)
+    fix = answered(world.feature_set, world.clicks_px[0])
+    total = difference_covariance(world.feature_set, fix, other, fix)
+    np.testing.assert_allclose(total, 2.0 * fix.covariance_enu_m2)
+
+
+def test_beyond_the_features_the_plane_answers_with_a_growing_radius_then_refuses() -> None:
+    rng = np.random.default_rng(10)
+    world = build(rng, Errors(common=False))
+    s = world.feature_set
+    kept = (s.uv_px[:, 0] < 320.0) & (s.uv_px[:, 1] < 300.0)
+    left = dataclasses.replace(
+        s,
+        uv_px=s.uv_px[kept],
+        inverse_depth_per_m=s.inverse_depth_per_m[kept],
+        sigma_inverse_depth_per_m=s.sigma_inverse_depth_per_m[kept],
+    )
+    radii, methods = [], []
+    for u in (250.0, 340.0, 370.0, 400.0):
+        fix = answered(left, (u, 150.0))
+        radii.append(fix.ellipse.semi_major_m)
+        methods.append(fix.method)
+    assert methods == ["interpolated", "plane", "plane", "plane"]
+    assert radii == sorted(radii) and radii[-1] > 1.1 * radii[0]
+    assert refused(left, (600.0, 150.0)) is Status.OUTSIDE
+
+
+def test_clicks_off_the_picture_are_outside() -> None:
+    world = build(np.random.default_rng(11))
+    for uv in [(-0.6, 100.0), (639.6, 100.0), (100.0, 1e9), (float("nan"), 5.0), (-3.5, -3.5), (float("inf"), 0.0)]:
+        assert refused(world.feature_set, uv) is Status.OUTSIDE
+
+
+def test_a_pixel_where_the_calibration_folds_is_refused_as_such() -> None:
+    camera = Camera(640, 480, 400.0, 400.0, 319.5, 239.5, (-0.6, 0.0, 0.0, 0.0, 0.0))
+    s = dataclasses.replace(build(np.random.default_rng(12)).feature_set, camera=camera)
+    assert refused(s, (1.0, 1.0)) is Status.OUTSIDE_CALIBRATION
+
+
+def test_the_sky_is_above_the_horizon() -> None:
+    """Camera pitched to the horizon: features below, the click above."""
+    world = build(np.random.default_rng(13), Errors(common=False))
+    s = world.feature_set
+    tilted = np.array([0.002, 0.0, 0.0125])  # zero at y = -0.16, in the picture's upper part
+    rays = CAMERA.unproject(s.uv_px)[0]
+    plane = tilted[0] + rays[:, :2] @ tilted[1:]
+    kept = plane > 5e-4
+    s = dataclasses.replace(
+        s,
+        plane_per_m=tilted,
+        uv_px=s.uv_px[kept],
+        inverse_depth_per_m=plane[kept],
+        sigma_inverse_depth_per_m=plane[kept] * 0.005,
+    )
+    assert isinstance(locate(s, (320.0, 300.0)), Fix)
+    for v in (2.0, 40.0, 90.0):
+        assert refused(s, (320.0, v)) is Status.ABOVE_HORIZON
+
+
+def test_a_radius_of_half_the_range_is_refused_as_uncertain() -> None:
+    world = build(np.random.default_rng(14))
+    wide = dataclasses.replace(world.feature_set, common_cov=world.feature_set.common_cov + np.eye(9) * 80.0**2)
+    assert refused(wide, world.clicks_px[0]) is Status.UNCERTAIN
+
+
+@pytest.mark.parametrize("status", [s for s in Status if s is not Status.OK])
+def test_a_refused_set_hands_its_reason_on(status: Status) -> None:
+    assert refused(FeatureSet("v", 1, 2, 3, status, CAMERA), (320.0, 240.0)) is status
+
+
+def test_a_set_of_the_plane_alone_answers_with_the_planes_error() -> None:
+    world = build(np.random.default_rng(15), Errors(common=False, relief_relative=0.05), features=0)
+    s = dataclasses.replace(world.feature_set, depth_source=DepthSource.PLANE)
+    fix = answered(s, world.clicks_px[0])
+    assert fix.method == "plane"
+    expected = 0.05 * np.linalg.norm(fix.offset_enu_m)
+    assert math.sqrt(np.trace(fix.covariance_enu_m2)) == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_set_without_plane_or_features_refuses() -> None:
+    world = build(np.random.default_rng(16), features=0)
+    assert refused(world.feature_set, (320.0, 240.0)) is Status.POOR_FIT
+    assert refused(dataclasses.replace(world.feature_set, plane_per_m=np.zeros(3)), (9.0, 9.0)) is Status.POOR_FIT
+
+
+def test_heights_keep_their_datum_and_the_unknown_stays_unknown() -> None:
+    world = build(np.random.default_rng(17))
+    uv, s = world.clicks_px[0], world.feature_set
+    both = answered(s, uv)
+    assert both.height_ellipsoid_m is not None and both.height_amsl_m is not None
+    assert both.height_ellipsoid_m - both.height_amsl_m == pytest.approx(20.0)
+    amsl = answered(dataclasses.replace(s, undulation_m=float("nan")), uv)
+    assert amsl.height_ellipsoid_m is None
+    assert amsl.height_amsl_m == pytest.approx(both.height_amsl_m, abs=2e-3)
+    ellipsoidal = dataclasses.replace(
+        s, height_datum=HeightDatum.ELLIPSOID, camera_height_m=s.camera_height_m + 20.0, undulation_m=float("nan")
+    )
+    other = answered(ellipsoidal, uv)
+    assert other.height_amsl_m is None
+    assert other.height_ellipsoid_m == pytest.approx(both.height_ellipsoid_m, abs=1e-6)
+    known = answered(dataclasses.replace(ellipsoidal, undulation_m=20.0), uv)
+    assert known.height_amsl_m == pytest.approx(both.height_amsl_m, abs=1e-6)
+
+
+@given(st.floats(0.1, 50.0), st.floats(0.1, 50.0), st.floats(0.0, 179.99))
+def test_an_ellipse_states_its_axes_and_azimuth_clockwise_from_north(a: float, b: float, azimuth_deg: float) -> None:
+    major, minor = max(a, b) + 0.1, min(a, b)
+    t = math.radians(azimuth_deg)
+    along = np.array([math.sin(t), math.cos(t)])
+    across = np.array([along[1], -along[0]])
+    ellipse = Ellipse.from_covariance(major**2 * np.outer(along, along) + minor**2 * np.outer(across, across))
+    assert ellipse.semi_major_m == pytest.approx(2.1460 * major, rel=1e-3)
+    assert ellipse.semi_minor_m == pytest.approx(2.1460 * minor, rel=1e-3)
+    turn = (ellipse.azimuth_deg - azimuth_deg + 90.0) % 180.0 - 90.0
+    assert abs(turn) < 1e-3 * major / (major - minor) + 1e-6
+    assert 0.0 <= ellipse.azimuth_deg < 180.0
+
+
+@settings(deadline=None, max_examples=150)
+@given(feature_sets(), st.floats(-10.0, 4100.0), st.floats(-10.0, 3100.0))
+def test_any_set_and_any_click_end_in_a_finite_answer_or_a_reason(s: FeatureSet, u: float, v: float) -> None:
+    answer = Locator(decode(encode(s))).locate((u, v))
+    if isinstance(answer, Fix):
+        assert np.all(np.isfinite(answer.offset_enu_m)) and np.all(np.isfinite(answer.covariance_enu_m2))
+        assert answer.to_json()
+    else:
+        assert answer.status is not Status.OK
+
+
+def test_the_origin_is_where_the_worlds_say() -> None:
+    np.testing.assert_allclose(ORIGIN.to_enu(-35.36, 149.16, 600.0), 0.0, atol=1e-6)

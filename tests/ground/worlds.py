@@ -1,0 +1,142 @@
+"""Synthetic feature sets with truth, drawn from exactly the errors they declare."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from contract.feature_set import FeatureSet, HeightDatum, SlowPosition, Status
+from contract.geodesy import LocalFrame
+from contract.rotations import R_ENU_NED, exp_so3, matrix_from_euler, mount_rotation
+from ground.answer import Fix
+
+Array = NDArray[np.float64]
+
+CAMERA = Camera.from_field_of_view(640, 480, 40.0)
+ORIGIN = LocalFrame(-35.36, 149.16, 600.0)
+COMMON_SIGMAS = np.array([1.2, 1.4, 2.0, 0.006, 0.006, 0.012, 0.008, 0.01, 0.01])
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """What a world is drawn from."""
+
+    feature_relative: float = 0.006
+    relief_relative: float = 0.02
+    roughness: float = 0.004
+    common: bool = True
+    slow: SlowPosition = dataclasses.field(default_factory=SlowPosition)
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A published set, the clicks made on it and where they truly are, in ORIGIN's ENU axes."""
+
+    feature_set: FeatureSet
+    clicks_px: Array
+    truth_enu_m: Array
+
+    def error(self, index: int, fix: Fix) -> Array:
+        """Answer minus truth, ENU metres."""
+        assert fix.height_ellipsoid_m is not None
+        at: Array = ORIGIN.to_enu(fix.lat_deg, fix.lon_deg, fix.height_ellipsoid_m)
+        return at - self.truth_enu_m[index]
+
+
+def common_covariance(rng: np.random.Generator) -> Array:
+    """Nine states, correlated at random."""
+    factor = rng.normal(size=(9, 12))
+    return factor @ factor.T / 12.0 * np.outer(COMMON_SIGMAS, COMMON_SIGMAS)
+
+
+def relief_at(rng: np.random.Generator, xy: Array, errors: Errors) -> Array:
+    """A sample (N,) of the relative inverse depth's deviation: Gaussian, with the variogram the set declares."""
+    s2 = errors.relief_relative**2
+    if s2 == 0.0:
+        return np.zeros(len(xy))
+    d = np.linalg.norm(xy[:, None] - xy[None], axis=-1)
+    root = np.linalg.cholesky(s2 * np.exp(-errors.roughness / s2 * d) + 1e-12 * np.eye(len(xy)))
+    sample: Array = root @ rng.normal(size=len(xy))
+    return sample
+
+
+def build(
+    rng: np.random.Generator,
+    errors: Errors | None = None,
+    *,
+    features: int = 100,
+    clicks_px: Array | None = None,
+    position_enu_m: tuple[float, float, float] = (0.0, 0.0, 250.0),
+    slow_error_enu_m: Array | None = None,
+    frame: int = 0,
+    capture_unix_ns: int = 1_700_000_000_000_000_000,
+    pitch_deg: float = -65.0,
+) -> World:
+    """One picture over ground around height 0; everything it publishes carries the declared errors."""
+    errors = errors or Errors()
+    clicks = rng.uniform([100.0, 80.0], [540.0, 400.0], (2, 2)) if clicks_px is None else clicks_px
+    uv = np.concatenate([_spread(rng, features), clicks])
+    rays = CAMERA.unproject(uv)[0]
+    R_true = R_ENU_NED @ matrix_from_euler(0.03, -0.02, rng.uniform(0, 6.28)) @ mount_rotation(0.0, pitch_deg, 0.0)
+    flat = -(rays @ R_true.T)[:, 2] / position_enu_m[2]  # 1 / depth of the plane at height 0
+    true_w = flat * (1.0 + relief_at(rng, rays[:, :2], errors))
+    position = np.array(position_enu_m)
+    truth = position + (rays @ R_true.T) / true_w[:, None]
+
+    cov = common_covariance(rng) if errors.common else np.zeros((9, 9))
+    slow = errors.slow
+    slow_var = np.array([slow.sigma_horizontal_m] * 2 + [slow.sigma_vertical_m]) ** 2
+    error = rng.multivariate_normal(np.zeros(9), cov)
+    published_cov = cov + np.diag([*slow_var, *[0.0] * 6])
+    if slow_error_enu_m is None:
+        slow_error_enu_m = rng.normal(size=3) * np.sqrt(slow_var)
+
+    modes = 1.0 + np.concatenate([np.ones((len(uv), 1)), rays[:, :2]], axis=1) @ error[6:]
+    sigma = errors.feature_relative * flat[:features] * np.exp(rng.normal(0.0, 0.3, features))
+    w = true_w[:features] * modes[:features] + sigma * rng.normal(size=features)
+    design = np.concatenate([np.ones((features, 1)), rays[:features, :2]], axis=1)
+    plane = (
+        np.linalg.lstsq(design, w, rcond=None)[0]
+        if features >= 3
+        else np.linalg.lstsq(np.concatenate([np.ones((len(uv), 1)), rays[:, :2]], axis=1), flat * modes, rcond=None)[0]
+    )
+    lat, lon, height = ORIGIN.to_geodetic(position + error[:3] + slow_error_enu_m)
+    feature_set = FeatureSet(
+        vehicle="uav-1",
+        session=7,
+        frame=frame,
+        capture_unix_ns=capture_unix_ns,
+        status=Status.OK,
+        camera=CAMERA,
+        camera_lat_deg=float(lat),
+        camera_lon_deg=float(lon),
+        camera_height_m=float(height) - 20.0,
+        height_datum=HeightDatum.AMSL,
+        undulation_m=20.0,
+        R_enu_cam=exp_so3(error[3:6]) @ R_true,
+        common_cov=published_cov,
+        slow_position=slow,
+        plane_per_m=plane,
+        plane_sigma_relative=errors.relief_relative,
+        roughness=errors.roughness,
+        uv_px=uv[:features],
+        inverse_depth_per_m=w,
+        sigma_inverse_depth_per_m=sigma,
+    )
+    return World(feature_set, clicks, truth[features:])
+
+
+def _spread(rng: np.random.Generator, count: int) -> Array:
+    """Features spread over the picture as a tracker keeps them: one at random in each cell."""
+    if not count:
+        return np.zeros((0, 2))
+    columns = int(np.ceil(np.sqrt(count * 640 / 480)))
+    rows = -(-count // columns)
+    cells = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
+    chosen = cells[rng.permutation(len(cells))[:count]]
+    out: Array = 10.0 + (chosen + rng.uniform(0.1, 0.9, (count, 2))) * [620.0 / columns, 460.0 / rows]
+    return out
