@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from pathlib import Path
 
@@ -203,6 +204,10 @@ def _flight(options: argparse.Namespace) -> RecordedSpec | DescribedSpec:
 def session_spec(arguments: list[str]) -> tuple[SessionSpec, argparse.Namespace]:
     """The session that command-line arguments describe. Raises InputError; argparse itself exits 2 on bad usage."""
     options = _parser().parse_args(arguments)
+    for name, value in vars(options).items():
+        numbers = value if isinstance(value, (list, tuple)) else [value]
+        if any(isinstance(number, float) and not math.isfinite(number) for number in numbers):
+            raise InputError(f"--{name.replace('_', '-')} must be finite")
     spec = SessionSpec(
         _flight(options),
         seconds=options.seconds,

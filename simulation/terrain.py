@@ -140,13 +140,18 @@ class Terrain:
         """
         centre = np.asarray(centre_m, float)
         rays = np.asarray(rays, float)
-        depth, hit = self._cross_level(centre, rays, self.lowest_m)
+        if self.is_flat:
+            depth, hit = self._cross_level(centre, rays, 0.0)
+            return depth, hit & (depth < max_depth)
+        # A little below the lowest ground, so that rounding leaves the far end under it.
+        depth, hit = self._cross_level(centre, rays, self.lowest_m - 0.01)
         hit &= depth < max_depth
-        if self.is_flat or not hit.any():
+        if not hit.any():
             return depth, hit
         hit &= centre[2] > self.height_m(centre[0], centre[1])
-        near, _ = self._cross_level(centre, rays, self.highest_m)
-        near = np.where(centre[2] > self.highest_m, near, 0.0)
+        ceiling_m = self.highest_m + 0.01
+        near, _ = self._cross_level(centre, rays, ceiling_m)
+        near = np.where(centre[2] > ceiling_m, near, 0.0)
         index = np.flatnonzero(hit)
         depth[index], found = self._first_crossing(centre, rays[index], near[index], depth[index])
         hit[index] &= found

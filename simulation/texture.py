@@ -9,6 +9,7 @@ instead of twinkling.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -49,6 +50,7 @@ class Tile:
     def __init__(self, picture: Image, texel_m: float, bearing_rad: float) -> None:
         self.texel_m = texel_m
         self.period_m = texel_m * picture.shape[0]
+        self.bearing_rad = bearing_rad
         self._cos, self._sin = float(np.cos(bearing_rad)), float(np.sin(bearing_rad))
         self._levels = [picture]
         while self._levels[-1].shape[0] > 16:
@@ -80,36 +82,50 @@ class Tile:
             )
 
 
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """A tile and the velocity (2,), m/s, at which it moves over the ground: zero but for water."""
+
+    tile: Tile
+    velocity_m_s: Array
+
+
+@lru_cache(maxsize=2)
+def _layers(style: str, seed: int) -> tuple[Layer, ...]:
+    """Drawing takes a second and a half; the last two grounds are kept."""
+    rng = np.random.default_rng([seed, 202])
+    bearing = rng.uniform(0.0, 2.0 * np.pi, 4)
+    still = np.zeros(2)
+    if style == "land":
+        return (
+            Layer(Tile(draw_grain(rng), 0.061, bearing[3]), still),
+            Layer(Tile(draw_grain(rng), 0.17, bearing[0]), still),
+            Layer(Tile(draw_land(rng), 0.31, bearing[1]), still),
+            Layer(Tile(draw_country(rng), 2.3, bearing[2]), still),
+        )
+    if style == "water":
+        wave = draw_waves(rng)
+        return (
+            Layer(Tile(wave, 0.23, bearing[0]), np.array([2.1, 0.9])),
+            Layer(Tile(wave, 0.37, bearing[1]), np.array([-1.7, 1.3])),
+        )
+    if style == "stripes":
+        return (Layer(Tile(draw_stripes(), 0.125, bearing[0]), still),)
+    return ()
+
+
 class Texture:
     """The brightness of the ground."""
 
     def __init__(self, spec: TextureSpec) -> None:
         self.spec = spec
-        rng = np.random.default_rng([spec.seed, 202])
-        bearings = rng.uniform(0.0, 2.0 * np.pi, 4)
-        self._tiles: list[tuple[Tile, Array]] = []  # with the velocity, m/s, at which each moves over the ground
-        still = np.zeros(2)
-        if spec.style == "land":
-            self._tiles = [
-                (Tile(draw_grain(rng), 0.061, bearings[3]), still),
-                (Tile(draw_grain(rng), 0.17, bearings[0]), still),
-                (Tile(draw_land(rng), 0.31, bearings[1]), still),
-                (Tile(draw_country(rng), 2.3, bearings[2]), still),
-            ]
-        elif spec.style == "water":
-            wave = draw_waves(rng)
-            self._tiles = [
-                (Tile(wave, 0.23, bearings[0]), np.array([2.1, 0.9])),
-                (Tile(wave, 0.37, bearings[1]), np.array([-1.7, 1.3])),
-            ]
-        elif spec.style == "stripes":
-            self._tiles = [(Tile(draw_stripes(), 0.125, bearings[0]), still)]
+        self.layers = _layers(spec.style, spec.seed)
 
     def albedo(self, origin_m: Array, x_m: Image, y_m: Image, footprint_m: Image, time_s: float = 0.0) -> Image:
         """Reflectance (H, W), 0.02 to 0.98, of the ground at `origin_m` (2,) + (`x_m`, `y_m`) in ENU metres."""
         total: Image = np.zeros(x_m.shape, np.float32)
-        for tile, velocity in self._tiles:
-            tile.add_to(total, origin_m - velocity * time_s, x_m, y_m, footprint_m)
+        for layer in self.layers:
+            layer.tile.add_to(total, origin_m - layer.velocity_m_s * time_s, x_m, y_m, footprint_m)
         total *= np.float32(self.spec.contrast)
         total += np.float32(MEAN_ALBEDO)
         return np.clip(total, np.float32(0.02), np.float32(0.98), out=total)

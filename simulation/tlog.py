@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 from contract.errors import InputError
 
-# Message numbers, as MAVLink's common.xml gives them.
-HEARTBEAT, SYSTEM_TIME, GPS_RAW_INT, ATTITUDE, GLOBAL_POSITION_INT, HOME_POSITION = 0, 2, 24, 30, 33, 242
+# Message numbers, as common.xml and ardupilotmega.xml give them.
+HEARTBEAT, SYSTEM_TIME, GPS_RAW_INT, ATTITUDE, GLOBAL_POSITION_INT = 0, 2, 24, 30, 33
+EKF_STATUS_REPORT, HOME_POSITION = 193, 242
 
 
 class Packet(NamedTuple):
