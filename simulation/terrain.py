@@ -179,7 +179,8 @@ class Terrain:
             out: Array = p[:, 2] - self.height_m(p[:, 0], p[:, 1])
             return out
 
-        step_m = 0.3 * EDGE_M * 8.0 if self.has_obstacles else self.spec.wavelength_m / 12.0
+        # A third of the narrowest obstacle, a twelfth of a hill: what a step passes over is a corner just grazed.
+        step_m = 0.07 * self.spec.obstacle_cell_m if self.has_obstacles else self.spec.wavelength_m / 12.0
         travel_m = (far - near) * np.hypot(rays[:, 0], rays[:, 1])
         steps = int(np.clip(np.ceil(np.max(travel_m, initial=0.0) / step_m), 1, MAX_MARCH_STEPS))
         low, high = near.copy(), far.copy()
