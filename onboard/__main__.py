@@ -1,0 +1,142 @@
+"""`pc-onboard`: the aircraft's commands. Only arguments, exit codes and wiring.
+
+Exit codes: 0 done, 2 wrong usage or unusable input (one line on stderr), 130 interrupted (what was done is kept).
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NoReturn
+
+from contract.errors import PointclickError
+
+PROGRAM = "pc-onboard"
+
+
+class Parser(argparse.ArgumentParser):
+    """Wrong usage is one line, as every other error."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the line and exit with 2."""
+        self.exit(2, f"{PROGRAM}: error: {message} (see {self.prog} --help)\n")
+
+
+def _speed(text: str) -> float | None:
+    """'max' -> None; a positive number, how many times as fast as it was flown."""
+    if text == "max":
+        return None
+    speed = float(text)
+    if not 0.0 < speed <= 1000.0:
+        raise ValueError(text)
+    return speed
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not 0.0 <= seconds <= 86400.0:
+        raise ValueError(text)
+    return seconds
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    top = Parser(prog=PROGRAM, description="Pictures and position in, georeferenced feature sets out.")
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    replay = commands.add_parser("replay", help="run a recorded flight through the pipeline")
+    replay.add_argument("--config", type=Path, metavar="FILE", help="configuration (TOML); all defaults without it")
+    replay.add_argument(
+        "--frames", type=Path, required=True, metavar="DIR_OR_VIDEO", help="folder of pictures, or a video"
+    )
+    replay.add_argument("--telemetry", type=Path, required=True, metavar="FLIGHT.tlog", help="the autopilot's log")
+    replay.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json", help="intrinsics and distortion")
+    replay.add_argument(
+        "--stamps",
+        type=Path,
+        metavar="STAMPS.csv",
+        help="capture times: file,unix_time_s (a video: index,unix_time_s); else EXIF, else the file names",
+    )
+    replay.add_argument("--record", type=Path, metavar="SESSION.mcap", help="write events and feature sets")
+    replay.add_argument("--publish", action="store_true", help="put feature sets on the link")
+    replay.add_argument(
+        "--speed", type=_speed, default=None, metavar="1|max", help="real time, or as fast as it goes (max)"
+    )
+    replay.add_argument(
+        "--linger", type=_seconds, default=0.0, metavar="S", help="seconds to go on answering on the link afterwards"
+    )
+    replay.set_defaults(run=run_replay)
+
+    check = commands.add_parser("check-config", help="check a configuration file")
+    check.add_argument("file", type=Path, metavar="FILE")
+    check.set_defaults(run=run_check_config)
+    return top
+
+
+def run_check_config(arguments: argparse.Namespace) -> int:
+    """Load a configuration; prints that it is good."""
+    from onboard.config import load_config  # noqa: PLC0415
+
+    load_config(arguments.file)
+    print(f"{arguments.file}: good")
+    return 0
+
+
+def run_replay(arguments: argparse.Namespace) -> int:
+    """Replay and print the summary."""
+    from onboard.replay_command import run  # noqa: PLC0415  NumPy and OpenCV must find their environment set
+
+    with _interrupt_sets(threading.Event()) as stop:
+        print(run(arguments, stop))
+        return 130 if stop.is_set() else 0
+
+
+def _set_environment() -> None:
+    """Before NumPy and OpenCV are first imported.
+
+    One thread each: the same inputs then give the same bytes on any number of cores, and a small computer keeps its
+    other cores for the rest of the aircraft. No message of OpenCV's own: what cannot be opened is our line to write.
+    """
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
+
+@contextlib.contextmanager
+def _interrupt_sets(stop: threading.Event) -> Iterator[threading.Event]:
+    """Ctrl-C and SIGTERM set an event instead of raising in the middle of something; a second Ctrl-C raises."""
+
+    def ask_to_stop(number: int, _: object) -> None:
+        stop.set()
+        signal.signal(number, previous[number])
+
+    previous = {number: signal.signal(number, ask_to_stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run a command; returns the exit code."""
+    _set_environment()
+    arguments = parser().parse_args(argv)
+    try:
+        return int(arguments.run(arguments))
+    except PointclickError as error:
+        print(f"{PROGRAM}: error: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())
