@@ -1,0 +1,51 @@
+"""One table of everything that crosses the link: key expression, payload, rate, quality of service.
+
+`{vehicle}` is one chunk of a zenoh key. The quality of service is that of the publication; a queryable on the same key
+answers reliably (docs/wire-format.md, section 8).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+ANY_VEHICLE = "*"
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+_FORBIDDEN = frozenset("/*$?#")
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One key and what travels on it. `max_rate_hz` is a promise to the link, not a measured rate."""
+
+    template: str
+    payload: str
+    max_rate_hz: float
+    reliable: bool
+    drop_when_congested: bool
+    express: bool
+
+    def key(self, vehicle: str) -> str:
+        """The key of one vehicle, or of all with ANY_VEHICLE. Raises ValueError for a name no key can hold."""
+        if vehicle != ANY_VEHICLE and (not vehicle or _FORBIDDEN & set(vehicle)):
+            raise ValueError(f"vehicle {vehicle!r} must be a name without any of {' '.join(sorted(_FORBIDDEN))}")
+        return self.template.format(vehicle=vehicle)
+
+    def vehicle(self, key: str) -> str:
+        """The vehicle of one of this topic's keys. Raises ValueError if it is none."""
+        before, after = self.template.split("{vehicle}")
+        name = key[len(before) : len(key) - len(after)]
+        if not name or self.template.format(vehicle=name) != key:
+            raise ValueError(f"{key!r} is not a key of {self.template!r}")
+        return name
+
+
+# A set is small, stands alone and is soon followed by a newer one: never wait for an old one to get through.
+FEATURES = Topic("pc/{vehicle}/features", "pointclick set, docs/wire-format.md", 30.0, False, True, True)
+
+TOPICS: tuple[Topic, ...] = (FEATURES,)
+
+# Parameters of a query on FEATURES. None: the newest answerable set.
+FRAME_PARAMETER = "frame"
+TIME_PARAMETER = "time"
+# How far a picture's capture may lie from the `time` asked for.
+TIME_TOLERANCE_S = 0.5

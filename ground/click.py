@@ -1,0 +1,179 @@
+"""`pc-ground click`: one click or a table of them, from a live aircraft or a recording.
+
+Exit status: 0 answered, 3 refused with the reason, 2 wrong usage (a file, an endpoint, an argument). A batch ends
+with 0 once every click was processed: its refusals are answers, each with its status.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import sys
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+from contract.errors import InputError, PointclickError
+from contract.feature_set import FeatureSet, Status
+from contract.topics import ANY_VEHICLE, DEFAULT_ENDPOINT
+from ground.answer import Answer, Refusal
+from ground.locate import Locator
+from ground.recording import Recording
+
+ANSWERED, WRONG_USAGE, REFUSED = 0, 2, 3
+_COLUMNS = ("frame", "u", "v")
+
+
+class UsageError(PointclickError):
+    """Arguments that do not go together."""
+
+
+class Click(NamedTuple):
+    """One row of a batch."""
+
+    frame: int
+    u_px: float
+    v_px: float
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `click`."""
+    parser.add_argument(
+        "u", metavar="U", nargs="?", type=_finite, help="pixel column; 0 is the leftmost pixel's centre"
+    )
+    parser.add_argument("v", metavar="V", nargs="?", type=_finite, help="pixel row; 0 is the topmost pixel's centre")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--frame", metavar="N", type=_frame_number, help="picture N in capture order, from 0")
+    which.add_argument("--file", metavar="NAME", help="the picture with this file name (from a recording)")
+    which.add_argument("--time", metavar="UNIX_S", type=_finite, help="the picture captured nearest, within 0.5 s")
+    which.add_argument("--batch", metavar="CLICKS.csv", type=Path, help="columns frame,u,v: one JSON line a click")
+    parser.add_argument("--vehicle", metavar="ID", help="needed where several answer")
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument("--connect", metavar="ENDPOINT", help=f"zenoh endpoint (default {DEFAULT_ENDPOINT})")
+    source.add_argument("--from", dest="recording", metavar="SESSION.mcap", type=Path, help="a recorded session")
+    parser.add_argument("--format", choices=("text", "json"), help="default: text, a batch always json")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do it; returns the exit status. Raises PointclickError for wrong usage."""
+    if args.batch is not None:
+        return _run_batch(args)
+    if args.u is None or args.v is None:
+        raise UsageError("click needs U and V, or --batch CLICKS.csv")
+    found = _from_recording(args) if args.recording else _from_link(args)
+    answer: Answer = found if isinstance(found, Refusal) else Locator(found).locate((args.u, args.v))
+    is_refused = isinstance(answer, Refusal)
+    if args.format == "json":
+        print(answer.to_json())
+    else:
+        print(answer.to_text(), file=sys.stderr if is_refused else sys.stdout)
+    return REFUSED if is_refused else ANSWERED
+
+
+def _run_batch(args: argparse.Namespace) -> int:
+    if args.u is not None or not args.recording or args.format == "text":
+        raise UsageError("--batch goes with --from SESSION.mcap, without U and V, and writes JSON")
+    clicks = read_clicks(args.batch)
+    recording = Recording(args.recording)
+    vehicle = _vehicle(args, recording.vehicles)
+
+    @lru_cache(maxsize=64)
+    def locator(frame: int) -> Locator | None:
+        feature_set = recording.by_frame(vehicle, frame)
+        return None if feature_set is None else Locator(feature_set)
+
+    for click in clicks:
+        known = locator(click.frame)
+        answer = known.locate((click.u_px, click.v_px)) if known else _unknown_frame(recording, vehicle, click.frame)
+        sys.stdout.write(answer.to_json() + "\n")
+    return ANSWERED
+
+
+def read_clicks(path: Path) -> list[Click]:
+    """All rows of a batch, checked before the first is answered. Raises InputError with the line's number."""
+    clicks: list[Click] = []
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            rows = csv.DictReader(stream, skipinitialspace=True, strict=True)
+            missing = [name for name in _COLUMNS if name not in (rows.fieldnames or ())]
+            if missing:
+                raise InputError(f"{path}, line 1: no column {', '.join(missing)}; a batch needs {','.join(_COLUMNS)}")
+            for row in rows:
+                texts = [row[name] or "" for name in _COLUMNS]
+                try:
+                    clicks.append(Click(_frame_number(texts[0]), _finite(texts[1]), _finite(texts[2])))
+                except (ValueError, argparse.ArgumentTypeError) as error:
+                    raise InputError(f"{path}, line {rows.line_num}: {error}") from error
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not a CSV file ({error})") from error
+    return clicks
+
+
+def _from_recording(args: argparse.Namespace) -> FeatureSet | Refusal:
+    recording = Recording(args.recording)
+    vehicle = _vehicle(args, recording.vehicles)
+    frame = args.frame
+    if args.file is not None:
+        frame = recording.frame_of_file(vehicle, args.file)
+        if frame is None and Path(args.file).name != args.file:
+            frame = recording.frame_of_file(vehicle, Path(args.file).name)
+        if frame is None:
+            return Refusal(Status.UNKNOWN_FRAME, vehicle=vehicle, detail=f"no picture is named {args.file!r}")
+    if frame is not None:
+        return recording.by_frame(vehicle, frame) or _unknown_frame(recording, vehicle, frame)
+    if args.time is not None:
+        return recording.by_time(vehicle, args.time) or Refusal(
+            Status.UNKNOWN_FRAME, vehicle=vehicle, detail=f"no picture was taken within 0.5 s of {args.time!r}"
+        )
+    return recording.newest(vehicle) or Refusal(Status.STARTING, vehicle=vehicle)
+
+
+def _unknown_frame(recording: Recording, vehicle: str, frame: int) -> Refusal:
+    frames = recording.frames(vehicle)
+    detail = f"no set of frame {frame}; the recording holds {len(frames)} sets of frames {frames[0]} to {frames[-1]}"
+    return Refusal(Status.UNKNOWN_FRAME, frame, vehicle=vehicle, detail=detail)
+
+
+def _from_link(args: argparse.Namespace) -> FeatureSet | Refusal:
+    if args.file is not None:
+        raise UsageError("--file needs --from SESSION.mcap: picture names do not cross the link; use --frame or --time")
+    from ground.client import ask  # noqa: PLC0415  zenoh is loaded only where there is a link
+
+    try:
+        answers = ask(args.connect or DEFAULT_ENDPOINT, args.vehicle or ANY_VEHICLE, frame=args.frame, unix_s=args.time)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    answer = answers[_vehicle(args, sorted(answers))]
+    return replace(answer, frame=args.frame) if isinstance(answer, Refusal) else answer
+
+
+def _vehicle(args: argparse.Namespace, vehicles: list[str]) -> str:
+    """The one that is meant."""
+    if args.vehicle is not None:
+        if args.vehicle not in vehicles:
+            raise UsageError(f"no vehicle {args.vehicle!r}; there is {', '.join(vehicles)}")
+        return str(args.vehicle)
+    if len(vehicles) > 1:
+        raise UsageError(f"several vehicles answer: {', '.join(vehicles)}; choose one with --vehicle")
+    return vehicles[0]
+
+
+def _finite(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text.strip()!r} is not a finite number")
+    return value
+
+
+def _frame_number(text: str) -> int:
+    stripped = text.strip()
+    if not (stripped.isascii() and stripped.isdecimal() and len(stripped) <= 10):
+        raise argparse.ArgumentTypeError(f"{stripped!r} is not a frame number (0, 1, 2, ...)")
+    return int(stripped)

@@ -1,0 +1,212 @@
+"""The sets of a recorded session, read with the standard library: a walk over MCAP records by opcode and length.
+
+Source: the MCAP specification, version 0 (mcap.dev/spec). A file cut off anywhere (a killed process, a lost disk) is
+read up to the cut. A file with chunks, which pc-onboard does not write but other tools may, is read through the `mcap`
+package if that is installed.
+"""
+
+from __future__ import annotations
+
+import json
+import mmap
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from contract import recording_format as names
+from contract.codec import decode, peek
+from contract.errors import InputError, WireError
+from contract.feature_set import FeatureSet, Status
+from contract.topics import FEATURES, TIME_TOLERANCE_S
+
+_MAGIC = b"\x89MCAP0\r\n"
+_RECORD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_CHANNEL_HEAD = struct.Struct("<HH")
+_STRING = struct.Struct("<I")
+_DATA_END, _CHANNEL, _MESSAGE_OPCODE, _CHUNK = 0x0F, 0x04, 0x05, 0x06
+_FRAMES_BEFORE, _FRAMES_AFTER = names.FRAMES.split("{vehicle}")
+
+
+@dataclass(frozen=True)
+class _Held:
+    """Where the latest revision of one frame's set lies in the file."""
+
+    frame: int
+    revision: int
+    capture_unix_ns: int
+    is_ok: bool
+    start: int
+    length: int
+
+
+@dataclass(eq=False)
+class _Index:
+    sets: dict[str, dict[int, _Held]] = field(default_factory=dict)  # by vehicle and frame
+    frames: dict[str, list[tuple[int, int]]] = field(default_factory=dict)  # by vehicle: start, length of frame events
+
+
+class Recording:
+    """The sets of a session's file, indexed once. Raises InputError for what is no recording of this project."""
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self._data = self._read()
+        self._index = _Index()
+        for topic, encoding, start, length in self._messages():
+            self._note(topic, encoding, start, length)
+        if not self._index.sets:
+            raise InputError(f"recording {self.path}: holds no feature sets")
+
+    @property
+    def vehicles(self) -> list[str]:
+        """Names of the vehicles that published, sorted."""
+        return sorted(self._index.sets)
+
+    def frames(self, vehicle: str) -> list[int]:
+        """The frames of a vehicle that have a set, ascending."""
+        return sorted(self._index.sets[vehicle])
+
+    def by_frame(self, vehicle: str, frame: int) -> FeatureSet | None:
+        """The set of a frame at its latest revision."""
+        return self._decoded(self._index.sets[vehicle].get(frame))
+
+    def newest(self, vehicle: str) -> FeatureSet | None:
+        """The newest set that answers clicks, or the newest refusal if none does."""
+        held = self._index.sets[vehicle].values()
+        return self._decoded(max(held, key=lambda h: (h.is_ok, h.capture_unix_ns, h.frame), default=None))
+
+    def by_time(self, vehicle: str, unix_s: float) -> FeatureSet | None:
+        """The set captured nearest to a time, within half a second."""
+        asked = round(unix_s * 1e9)
+        held = min(self._index.sets[vehicle].values(), key=lambda h: abs(h.capture_unix_ns - asked), default=None)
+        if held is None or abs(held.capture_unix_ns - asked) > TIME_TOLERANCE_S * 1e9:
+            return None
+        return self._decoded(held)
+
+    def frame_of_file(self, vehicle: str, name: str) -> int | None:
+        """The frame a picture file of this name was. Raises InputError if the recording holds no names."""
+        events = self._index.frames.get(vehicle, [])
+        if not events:
+            raise InputError(f"recording {self.path}: holds no picture names, use --frame")
+        quoted = json.dumps(name).encode()
+        for start, length in events:
+            text = self._data[start : start + length]
+            if quoted in text:
+                event = self._json(text)
+                if event.get("name") == name and isinstance(event.get("frame"), int):
+                    return int(event["frame"])
+        return None
+
+    def _json(self, text: bytes) -> dict[str, Any]:
+        try:
+            event = json.loads(text)
+        except ValueError as error:
+            raise InputError(f"recording {self.path}: a frame event is not JSON ({error})") from error
+        if not isinstance(event, dict):
+            raise InputError(f"recording {self.path}: a frame event is not an object: {event!r}")
+        return event
+
+    def _decoded(self, held: _Held | None) -> FeatureSet | None:
+        if held is None:
+            return None
+        try:
+            return decode(bytes(self._data[held.start : held.start + held.length]))
+        except WireError as error:
+            raise InputError(f"recording {self.path}: the set of frame {held.frame}: {error}") from error
+
+    def _read(self) -> bytes | mmap.mmap:
+        try:
+            with self.path.open("rb") as stream:
+                start = stream.read(len(_MAGIC))
+                if start != _MAGIC:
+                    raise InputError(f"recording {self.path}: not an MCAP file")
+                return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+        except OSError as error:
+            raise InputError(f"recording {self.path}: {error.strerror}") from error
+
+    def _messages(self) -> Iterator[tuple[str, str, int, int]]:
+        """Topic, encoding, start and length of every message that matters here."""
+        data, end = self._data, len(self._data)
+        channels: dict[int, tuple[str, str]] = {}
+        position = len(_MAGIC)
+        unpack, head = _RECORD.unpack_from, _RECORD.size
+        while position + head <= end:
+            opcode, length = unpack(data, position)
+            start = position + head
+            position = start + length
+            if position > end or opcode == _DATA_END:
+                return
+            if opcode == _MESSAGE_OPCODE and length >= _MESSAGE.size:
+                known = channels.get(data[start] | data[start + 1] << 8)
+                if known:
+                    yield *known, start + _MESSAGE.size, length - _MESSAGE.size
+            elif opcode == _CHANNEL:
+                channel, topic, encoding = _channel(bytes(data[start:position]))
+                if encoding == names.SET_ENCODING or _frames_vehicle(topic):
+                    channels[channel] = topic, encoding
+            elif opcode == _CHUNK:
+                yield from self._chunked_messages()
+                return
+
+    def _chunked_messages(self) -> Iterator[tuple[str, str, int, int]]:
+        """The same through the mcap package; the messages' bytes take the place of the file's."""
+        try:
+            from mcap.exceptions import McapError  # noqa: PLC0415
+            from mcap.reader import NonSeekingReader  # noqa: PLC0415
+        except ImportError as error:
+            raise InputError(f"recording {self.path}: has chunks, which needs the package mcap") from error
+        kept = bytearray()
+        found: list[tuple[str, str, int, int]] = []
+        with self.path.open("rb") as stream:
+            try:
+                for _, channel, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
+                    found.append((channel.topic, channel.message_encoding, len(kept), len(message.data)))
+                    kept += message.data
+            except (McapError, struct.error, ValueError, EOFError) as error:
+                if not found:
+                    raise InputError(f"recording {self.path}: {error}") from error
+        self._data = bytes(kept)
+        self._index = _Index()
+        yield from found
+
+    def _note(self, topic: str, encoding: str, start: int, length: int) -> None:
+        if encoding == names.SET_ENCODING:
+            try:
+                vehicle = FEATURES.vehicle(topic)
+                identity = peek(self._data[start : start + length])
+            except (WireError, ValueError):
+                return  # not one of our sets; a damaged one is found by its checksum when it is asked for
+            sets = self._index.sets.setdefault(vehicle, {})
+            held = sets.get(identity.frame)
+            if held is None or held.revision <= identity.revision:
+                is_ok = identity.status is Status.OK
+                sets[identity.frame] = _Held(
+                    identity.frame, identity.revision, identity.capture_unix_ns, is_ok, start, length
+                )
+        elif vehicle_name := _frames_vehicle(topic):
+            self._index.frames.setdefault(vehicle_name, []).append((start, length))
+
+
+def _frames_vehicle(topic: str) -> str:
+    """The vehicle of a frames channel, or nothing."""
+    if topic.startswith(_FRAMES_BEFORE) and topic.endswith(_FRAMES_AFTER):
+        return topic[len(_FRAMES_BEFORE) : -len(_FRAMES_AFTER)]
+    return ""
+
+
+def _channel(record: bytes) -> tuple[int, str, str]:
+    """Id, topic and message encoding of a channel record; empty strings if it is damaged."""
+    try:
+        channel, _ = _CHANNEL_HEAD.unpack_from(record)
+        position, texts = _CHANNEL_HEAD.size, []
+        for _ in range(2):
+            (length,) = _STRING.unpack_from(record, position)
+            position += _STRING.size
+            texts.append(record[position : position + length].decode())
+            position += length
+    except (struct.error, UnicodeDecodeError):
+        return -1, "", ""
+    return channel, texts[0], texts[1]
