@@ -1,0 +1,245 @@
+"""Whitened residuals with analytic Jacobians, one plain function each. Equations: docs/mathematics.md, section 5.
+
+The unknowns are laid out by `Layout`: six columns a keyframe (rotation `d`, R_cam_enu <- exp([d]x) R_cam_enu, rad; then
+centre, ENU metres), then the boresight (camera axes, rad), the camera's time offset (s) and the ground plane (height m
+at the reference point, slope east, slope north). Points are eliminated and have no column here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.rotations import exp_so3, log_so3, right_jacobian_inverse
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Columns of the reduced system for K keyframes."""
+
+    keyframes: int
+
+    @property
+    def boresight(self) -> slice:
+        """Three columns, rad, camera axes."""
+        return slice(6 * self.keyframes, 6 * self.keyframes + 3)
+
+    @property
+    def offset(self) -> int:
+        """One column, s: the camera's stamps are early by this much."""
+        return 6 * self.keyframes + 3
+
+    @property
+    def plane(self) -> slice:
+        """Three columns: height (m), slope east, slope north."""
+        return slice(6 * self.keyframes + 4, 6 * self.keyframes + 7)
+
+    @property
+    def size(self) -> int:
+        """All columns."""
+        return 6 * self.keyframes + 7
+
+    def rotation(self, keyframe: int) -> slice:
+        """Three columns, rad."""
+        return slice(6 * keyframe, 6 * keyframe + 3)
+
+    def centre(self, keyframe: int) -> slice:
+        """Three columns, m."""
+        return slice(6 * keyframe + 3, 6 * keyframe + 6)
+
+    def rotations(self) -> NDArray[np.intp]:
+        """Column numbers (K, 3) of all rotations."""
+        return 6 * np.arange(self.keyframes)[:, None] + np.arange(3)
+
+    def centres(self) -> NDArray[np.intp]:
+        """Column numbers (K, 3) of all centres."""
+        return 6 * np.arange(self.keyframes)[:, None] + np.arange(3, 6)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """The unknowns of one window: K keyframes, P points, and what all of them share."""
+
+    R_cam_enu: Array  # (K, 3, 3)
+    centres_enu_m: Array  # (K, 3)
+    points_enu_m: Array  # (P, 3)
+    boresight_rad: Array  # (3,)
+    offset_s: float
+    plane: Array  # (3,) height m, slope east, slope north, about the reference point
+
+    def retract(self, dc: Array, dp: Array) -> State:
+        """Apply a step: dc (Layout.size,), dp (P, 3)."""
+        K = len(self.R_cam_enu)
+        pose = dc[: 6 * K].reshape(K, 6)
+        shared = dc[6 * K :]
+        return State(
+            exp_so3(pose[:, :3]) @ self.R_cam_enu,
+            self.centres_enu_m + pose[:, 3:],
+            self.points_enu_m + dp,
+            self.boresight_rad + shared[:3],
+            self.offset_s + float(shared[3]),
+            self.plane + shared[4:7],
+        )
+
+
+def reprojection(R_cam_enu: Array, centres_enu_m: Array, points_enu_m: Array, xy: Array) -> tuple[Array, Array, Array]:
+    """Unit-depth image residuals of every point in every view, (5.1).
+
+    `R_cam_enu` (K, 3, 3), `centres_enu_m` (K, 3), `points_enu_m` (P, 3), measured `xy` (K, P, 2). Returns residuals
+    (K, P, 2) predicted minus measured, predicted xy (K, P, 2), and depth (K, P); depth at or below zero marks a point
+    behind the camera, whose residual is of no meaning (but finite).
+    """
+    p = points_enu_m @ R_cam_enu.transpose(0, 2, 1)
+    p -= np.matmul(R_cam_enu, centres_enu_m[:, :, None])[:, None, :, 0]
+    depth = p[..., 2]
+    predicted = p[..., :2] / np.where(depth > 1e-6, depth, 1e-6)[..., None]
+    return predicted - xy, predicted, depth
+
+
+def reprojection_jacobians(R_cam_enu: Array, predicted: Array, depth: Array) -> tuple[Array, Array]:
+    """Of (5.1): by the view's six unknowns (K, P, 2, 6), and by the point (K, P, 2, 3). Equations (5.2), (5.3)."""
+    x, y = predicted[..., 0], predicted[..., 1]
+    inv = 1.0 / np.where(depth > 1e-6, depth, 1e-6)
+    rows = R_cam_enu[:, None, :2, :] - predicted[..., None] * R_cam_enu[:, None, 2:, :]
+    by_point = rows * inv[..., None, None]
+    by_view = np.empty((*x.shape, 2, 6))
+    xy = x * y
+    by_view[..., 0, 0] = -xy
+    by_view[..., 0, 1] = 1.0 + x * x
+    by_view[..., 0, 2] = -y
+    by_view[..., 1, 0] = -1.0 - y * y
+    by_view[..., 1, 1] = xy
+    by_view[..., 1, 2] = x
+    by_view[..., 3:] = -by_point
+    return by_view, by_point
+
+
+def wandering_sqrt_information(stamps_s: Array, sigma_white: float, sigma_wander: float, time_constant_s: float) -> Array:
+    """Lower-triangular whitener (K, K) of an error with a white part and an Ornstein-Uhlenbeck part, (5.5).
+
+    One axis of K measurements at `stamps_s` (s): covariance sigma_wander^2 exp(-|dt| / time_constant) + sigma_white^2 I.
+    """
+    lag = np.abs(stamps_s[:, None] - stamps_s[None, :])
+    covariance = sigma_wander**2 * np.exp(-lag / time_constant_s) + sigma_white**2 * np.eye(len(stamps_s))
+    inverse: Array = np.linalg.inv(np.linalg.cholesky(covariance))
+    return inverse
+
+
+@dataclass(frozen=True, eq=False)
+class PositionPrior:
+    """GPS positions with wandering and white error, moved along the velocity by the time offset. Equation (5.4)."""
+
+    layout: Layout
+    measured_enu_m: Array  # (K, 3)
+    velocity_enu_m_s: Array  # (K, 3)
+    whitener: Array  # (3, K, K): east, north, up
+
+    def evaluate(self, state: State) -> tuple[Array, Array]:
+        """Residual (3K,), Jacobian (3K, D)."""
+        K = self.layout.keyframes
+        error = state.centres_enu_m - self.measured_enu_m - self.velocity_enu_m_s * state.offset_s
+        residual = np.einsum("aij,ja->ai", self.whitener, error)
+        J = np.zeros((3, K, self.layout.size))
+        columns = self.layout.centres()
+        for axis in range(3):
+            J[axis][:, columns[:, axis]] = self.whitener[axis]
+            J[axis][:, self.layout.offset] = -self.whitener[axis] @ self.velocity_enu_m_s[:, axis]
+        return residual.reshape(-1), J.reshape(3 * K, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class VelocityPrior:
+    """Displacements between consecutive keyframes from integrated velocity, white between intervals. Equation (5.6)."""
+
+    layout: Layout
+    displacement_enu_m: Array  # (K - 1, 3)
+    sigma_m: Array  # (K - 1,) sigma_v * dt, floored
+
+    def evaluate(self, state: State) -> tuple[Array, Array]:
+        """Residual (3 (K - 1),), Jacobian (3 (K - 1), D)."""
+        n = self.layout.keyframes - 1
+        weight = 1.0 / self.sigma_m
+        residual = (np.diff(state.centres_enu_m, axis=0) - self.displacement_enu_m) * weight[:, None]
+        J = np.zeros((n, 3, self.layout.size))
+        columns = self.layout.centres()
+        row = np.arange(n)
+        for axis in range(3):
+            J[row, axis, columns[1:, axis]] = weight
+            J[row, axis, columns[:-1, axis]] = -weight
+        return residual.reshape(-1), J.reshape(3 * n, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class AttitudePrior:
+    """The autopilot's attitude through mount and boresight, wandering and white error in ENU axes. Equation (5.7)."""
+
+    layout: Layout
+    R_enu_cam_measured: Array  # (K, 3, 3) vehicle attitude times nominal mount
+    body_rate_cam_rad_s: Array  # (K, 3) vehicle rate in camera axes, for the time offset
+    whitener: Array  # (3, K, K): about east, north, up
+
+    def evaluate(self, state: State) -> tuple[Array, Array]:
+        """Residual (3K,), Jacobian (3K, D)."""
+        K = self.layout.keyframes
+        turn = exp_so3(self.body_rate_cam_rad_s * state.offset_s)
+        tilt = exp_so3(state.boresight_rad)
+        R_enu_cam = self.R_enu_cam_measured @ turn @ tilt
+        # In camera axes: log(R_cam_enu R_enu_cam); its derivatives are Jl^-1 = Jr^-1(-e) on the left, Jr^-1 on the right.
+        error_cam = log_so3(state.R_cam_enu @ R_enu_cam)
+        left = right_jacobian_inverse(-error_cam)
+        right = right_jacobian_inverse(error_cam)
+        R_out = self.R_enu_cam_measured
+        by_rotation = R_out @ left
+        by_boresight = R_out @ right @ _right_jacobian(state.boresight_rad)
+        # exp(w t) on the inner side of exp(b): d exp(w t) = exp(w t) [w dt]x, carried through exp(b).
+        by_offset = np.einsum("kij,kj->ki", R_out @ right @ tilt.T, self.body_rate_cam_rad_s)
+        error = np.einsum("kij,kj->ki", R_out, error_cam)
+        residual = np.einsum("aij,ja->ai", self.whitener, error)
+        J = np.zeros((3, K, self.layout.size))
+        columns = self.layout.rotations()
+        for axis in range(3):
+            for c in range(3):
+                J[axis][:, columns[:, c]] = self.whitener[axis] * by_rotation[:, axis, c][None, :]
+            J[axis][:, self.layout.boresight] = self.whitener[axis] @ by_boresight[:, axis, :]
+            J[axis][:, self.layout.offset] = self.whitener[axis] @ by_offset[:, axis]
+        return residual.reshape(-1), J.reshape(3 * K, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class SharedPrior:
+    """What is believed of boresight, time offset and plane before this window, (5.8): mean (7,), whitener (7, 7)."""
+
+    layout: Layout
+    mean: Array
+    whitener: Array
+
+    def evaluate(self, state: State) -> tuple[Array, Array]:
+        """Residual (7,), Jacobian (7, D)."""
+        value = np.concatenate([state.boresight_rad, [state.offset_s], state.plane])
+        J = np.zeros((7, self.layout.size))
+        J[:, 6 * self.layout.keyframes :] = self.whitener
+        return self.whitener @ (value - self.mean), J
+
+
+Prior = PositionPrior | VelocityPrior | AttitudePrior | SharedPrior
+
+
+def ground_plane(points_enu_m: Array, reference_enu_m: Array, plane: Array) -> tuple[Array, Array, Array]:
+    """Height of points (P, 3) over the plane about a reference point, (5.9).
+
+    Returns residual (P,) in metres, Jacobian by the point (3,), the same for all, and by the plane (P, 3).
+    """
+    offset = points_enu_m[:, :2] - reference_enu_m[:2]
+    residual = points_enu_m[:, 2] - reference_enu_m[2] - plane[0] - offset @ plane[1:]
+    by_point = np.array([-plane[1], -plane[2], 1.0])
+    by_plane = np.concatenate([-np.ones((len(offset), 1)), -offset], axis=1)
+    return residual, by_point, by_plane
+
+
+def _right_jacobian(v: Array) -> Array:
+    inverse: Array = np.linalg.inv(right_jacobian_inverse(v))
+    return inverse
