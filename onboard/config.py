@@ -135,7 +135,8 @@ class Link(Section):
     listen: tuple[str, ...] = choice(("tcp/127.0.0.1:7447",), "zenoh endpoints to listen on; loopback unless opened")
     connect: tuple[str, ...] = choice((), "zenoh endpoints to connect to")
     scouting: bool = choice(False, "announce and look for peers on the local network by multicast")
-    history_sets: int = quantity(1000, 1, 100000, "", "newest feature sets kept to answer queries")
+    history_s: float = quantity(600.0, 1.0, 86400.0, "s", "feature sets this young are kept to answer queries")
+    history_sets: int = quantity(5000, 1, 100000, "", "at most this many of them")
 
 
 class Config(Section):

@@ -258,8 +258,11 @@ def test_the_same_inputs_give_the_same_recording_and_a_summary(
 def test_an_interrupt_keeps_a_whole_recording(session: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "onboard", *arguments(session), "--speed", "0.05"],
-        stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-    )  # fmt: skip
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
     deadline = time.monotonic() + 20.0
     while not list(session.glob(".out.mcap*")) and time.monotonic() < deadline:
         time.sleep(0.05)
