@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from contract.errors import InputError, PointclickError
 from contract.feature_set import FeatureSet, Status
-from contract.topics import ANY_VEHICLE, DEFAULT_ENDPOINT
+from contract.topics import ANY_VEHICLE, DEFAULT_ENDPOINT, TIME_TOLERANCE_S
 from ground.answer import Answer, Refusal
 from ground.locate import Locator
 from ground.recording import Recording
@@ -123,13 +123,16 @@ def _from_recording(args: argparse.Namespace) -> FeatureSet | Refusal:
             frame = recording.frame_of_file(vehicle, Path(args.file).name)
         if frame is None:
             return Refusal(Status.UNKNOWN_FRAME, vehicle=vehicle, detail=f"no picture is named {args.file!r}")
+    # A refused set has no features and so is false: compare with None.
     if frame is not None:
-        return recording.by_frame(vehicle, frame) or _unknown_frame(recording, vehicle, frame)
+        found = recording.by_frame(vehicle, frame)
+        return _unknown_frame(recording, vehicle, frame) if found is None else found
     if args.time is not None:
-        return recording.by_time(vehicle, args.time) or Refusal(
-            Status.UNKNOWN_FRAME, vehicle=vehicle, detail=f"no picture was taken within 0.5 s of {args.time!r}"
-        )
-    return recording.newest(vehicle) or Refusal(Status.STARTING, vehicle=vehicle)
+        found = recording.by_time(vehicle, args.time)
+        detail = f"no picture was taken within {TIME_TOLERANCE_S} s of {args.time!r}"
+        return Refusal(Status.UNKNOWN_FRAME, vehicle=vehicle, detail=detail) if found is None else found
+    found = recording.newest(vehicle)
+    return Refusal(Status.STARTING, vehicle=vehicle) if found is None else found
 
 
 def _unknown_frame(recording: Recording, vehicle: str, frame: int) -> Refusal:

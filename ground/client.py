@@ -13,11 +13,11 @@ from contract.codec import decode
 from contract.errors import LinkError, WireError
 from contract.feature_set import FeatureSet, Status
 from contract.history import History
+from contract.link_config import link_config
 from contract.topics import ANY_VEHICLE, FEATURES, FRAME_PARAMETER, TIME_PARAMETER
 from ground.answer import Refusal
 from ground.locate import Locator
 
-CONNECT_TIMEOUT_S = 3.0
 ANSWER_TIMEOUT_S = 3.0
 
 
@@ -129,16 +129,8 @@ class SetCache:
 
 
 def _open(mode: str, endpoint: str) -> Any:
-    config = {
-        "mode": mode,
-        "listen": {"endpoints": []},
-        "connect": {"endpoints": [endpoint], "timeout_ms": round(CONNECT_TIMEOUT_S * 1e3) if mode == "client" else 0},
-        "scouting": {"multicast": {"enabled": False}},
-    }
-    if mode == "peer":
-        config["connect"]["exit_on_failure"] = False  # type: ignore[index]
     try:
-        return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+        return zenoh.open(zenoh.Config.from_json5(link_config(mode, connect=[endpoint])))
     except zenoh.ZError as error:
         reason = str(error).split(" at ", maxsplit=1)[0]
         if "Unable to connect" in reason:

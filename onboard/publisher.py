@@ -14,6 +14,7 @@ from contract.codec import encode
 from contract.errors import LinkError
 from contract.feature_set import FeatureSet, Status
 from contract.history import History
+from contract.link_config import link_config
 from contract.topics import DEFAULT_ENDPOINT, FEATURES, FRAME_PARAMETER, TIME_PARAMETER
 
 
@@ -37,8 +38,9 @@ class Publisher:
         self._vehicle = vehicle
         self._history: History[bytes] = History(history_s, history_sets)
         self._lock = threading.Lock()
+        config = link_config("peer", listen=listen, connect=connect, scouting=scouting)
         try:
-            self._session = zenoh.open(_config(listen, connect, scouting))
+            self._session = zenoh.open(zenoh.Config.from_json5(config))
         except zenoh.ZError as error:
             raise LinkError(_open_failure(listen, connect, error)) from error
         self._publisher = self._session.declare_publisher(
@@ -94,20 +96,6 @@ class Publisher:
             else:
                 return self._history.newest() or Status.STARTING
         return payload or Status.UNKNOWN_FRAME
-
-
-def _config(listen: Sequence[str], connect: Sequence[str], scouting: bool) -> zenoh.Config:
-    return zenoh.Config.from_json5(
-        json.dumps(
-            {
-                "mode": "peer",
-                "listen": {"endpoints": list(listen)},
-                # An absent ground station is no reason not to fly: keep trying.
-                "connect": {"endpoints": list(connect), "exit_on_failure": False, "timeout_ms": 0},
-                "scouting": {"multicast": {"enabled": scouting}},
-            }
-        )
-    )
 
 
 def _open_failure(listen: Sequence[str], connect: Sequence[str], error: zenoh.ZError) -> str:

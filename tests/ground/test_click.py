@@ -1,0 +1,255 @@
+"""`pc-ground click` as its user sees it: arguments in; text, JSON and exit status out."""
+
+import dataclasses
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from contract.codec import decode, encode
+from contract.feature_set import FeatureSet, Status
+from contract.geodesy import LocalFrame
+from ground.__main__ import main
+from ground.answer import Fix, time_utc
+from ground.locate import locate
+from onboard.events import Frame
+from onboard.recording import SessionRecorder
+from tests.ground.worlds import CAMERA, build
+
+START_NS = 1_700_000_000_250_000_000
+FIELDS = [
+    "status",
+    "lat_deg",
+    "lon_deg",
+    "height_ellipsoid_m",
+    "height_amsl_m",
+    "ellipse",
+    "sigma_height_m",
+    "method",
+    "frame",
+    "time_utc",
+    "vehicle",
+]
+
+
+def sets() -> list[FeatureSet]:
+    rng = np.random.default_rng(0)
+    out = [build(rng, frame=i, capture_unix_ns=START_NS + i * 10**9).feature_set for i in range(3)]
+    return [*out, FeatureSet("uav-1", 7, 3, START_NS + 3 * 10**9, Status.TURNING, CAMERA)]
+
+
+SETS = sets()
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("session") / "s.mcap"
+    with SessionRecorder(path, "uav-1") as out:
+        for s in SETS:
+            out.write_event(Frame(s.capture_unix_ns, s.frame, None, f"picture_{s.frame}.png"))
+            out.write_set(s)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("which", "frame"),
+    [
+        ([], 2),
+        (["--frame", "0"], 0),
+        (["--file", "picture_1.png"], 1),
+        (["--file", "/some/where/picture_1.png"], 1),
+        (["--time", str(START_NS / 1e9 + 0.4)], 0),
+        (["--vehicle", "uav-1", "--frame", "1"], 1),
+    ],
+)
+def test_a_click_answers_in_json(
+    session: str, capsys: pytest.CaptureFixture[str], which: list[str], frame: int
+) -> None:
+    assert main(["click", "300.25", "240", *which, "--from", session, "--format", "json"]) == 0
+    out, err = capsys.readouterr()
+    answer = json.loads(out)
+    expected = locate(decode(encode(SETS[frame])), (300.25, 240.0))
+    assert isinstance(expected, Fix) and err == ""
+    assert list(answer) == FIELDS
+    assert answer["status"] == "ok" and answer["frame"] == frame and answer["vehicle"] == "uav-1"
+    assert answer["lat_deg"] == pytest.approx(expected.lat_deg, abs=1e-9)
+    assert answer["lon_deg"] == pytest.approx(expected.lon_deg, abs=1e-9)
+    assert answer["height_amsl_m"] == pytest.approx(expected.height_amsl_m, abs=1e-3)
+    assert answer["height_ellipsoid_m"] - answer["height_amsl_m"] == pytest.approx(20.0, abs=2e-3)
+    assert list(answer["ellipse"]) == ["confidence", "semi_major_m", "semi_minor_m", "azimuth_deg"]
+    assert answer["ellipse"]["confidence"] == 0.9
+    assert answer["ellipse"]["semi_major_m"] == pytest.approx(expected.ellipse.semi_major_m, abs=1e-3)
+    assert answer["method"] == "interpolated"
+    assert answer["time_utc"] == f"2023-11-14T22:13:{20 + frame}.250000Z"
+    assert re.search(r'"lat_deg": -\d+\.\d{9},', out) and re.search(r'"lon_deg": \d+\.\d{9},', out)
+
+
+def test_a_click_answers_in_one_line_of_text(session: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["click", "300", "240", "--from", session]) == 0
+    out, _ = capsys.readouterr()
+    assert out.count("\n") == 1
+    lat, lon = map(float, out.split()[:2])
+    s = SETS[2]
+    assert np.linalg.norm(LocalFrame(s.camera_lat_deg, s.camera_lon_deg, 0.0).to_enu(lat, lon, 0.0)) < 600.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status"),
+    [
+        (["-3.5", "10"], "outside"),
+        (["-3.", "-1e3"], "outside"),
+        (["300", "240", "--frame", "3"], "turning"),
+        (["300", "240", "--frame", "77"], "unknown_frame"),
+        (["300", "240", "--time", "12.5"], "unknown_frame"),
+        (["300", "240", "--file", "other.png"], "unknown_frame"),
+    ],
+)
+def test_a_refusal_exits_with_three_and_its_reason(
+    session: str, capsys: pytest.CaptureFixture[str], arguments: list[str], status: str
+) -> None:
+    assert main(["click", *arguments, "--from", session, "--format", "json"]) == 3
+    out, err = capsys.readouterr()
+    assert json.loads(out)["status"] == status and err == ""
+    assert main(["click", *arguments, "--from", session]) == 3
+    out, err = capsys.readouterr()
+    assert out == "" and err.startswith(f"{status}: ") and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["click", "1"], "U and V"),
+        (["click", "1", "x"], "not a finite number"),
+        (["click", "nan", "1"], "not a finite number"),
+        (["click", "-inf", "1"], "not a finite number"),
+        (["click", "1", "2", "--frame", "-1"], "not a frame number"),
+        (["click", "1", "2", "--frame", "1", "--time", "3"], "not allowed with"),
+        (["click", "1", "2", "--from", "/nowhere/s.mcap"], "/nowhere/s.mcap: No such file"),
+        (["click", "1", "2", "--file", "x.png"], "needs --from"),
+        (["click", "1", "2", "--connect", "tcp/127.0.0.1:9"], "nobody listens at tcp/127.0.0.1:9"),
+        (["click", "1", "2", "--connect", "carrier pigeon"], "carrier pigeon"),
+        (["click", "1", "2", "--vehicle", "a/b"], "without any of"),
+        (["click", "--batch", "x.csv"], "--from"),
+        (["clack"], "clack"),
+        ([], "required"),
+    ],
+)
+def test_wrong_usage_exits_with_two_and_one_line(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
+) -> None:
+    try:
+        status = main(arguments)
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else -1
+    out, err = capsys.readouterr()
+    assert status == 2 and out == ""
+    assert message in err.splitlines()[-1]
+
+
+def test_the_wrong_vehicle_is_refused_with_the_right_ones(session: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["click", "1", "2", "--from", session, "--vehicle", "uav-9"]) == 2
+    assert "there is uav-1" in capsys.readouterr().err
+
+
+def test_several_vehicles_in_a_recording_must_be_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from mcap.writer import Writer  # noqa: PLC0415
+
+    path = tmp_path / "two.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, use_chunking=False)
+        writer.start()
+        for name in ("b", "a"):
+            channel = writer.register_channel(f"pc/{name}/features", "pointclick", 0)
+            writer.add_message(channel, 1, encode(dataclasses.replace(SETS[0], vehicle=name)), 1)
+        writer.finish()
+    assert main(["click", "300", "240", "--from", str(path)]) == 2
+    assert "several vehicles answer: a, b" in capsys.readouterr().err
+    assert main(["click", "300", "240", "--from", str(path), "--vehicle", "b"]) == 0
+
+
+def test_a_batch_answers_every_click_in_order_refusals_included(
+    session: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clicks = tmp_path / "clicks.csv"
+    clicks.write_text("\ufeffv,frame,u,note\n240,2,300,tower\n5000,0,5,\n240,3,300,\n200.5,1,310.25,\n1,50,1,\n")
+    assert main(["click", "--batch", str(clicks), "--from", session]) == 0
+    answers = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [a["status"] for a in answers] == ["ok", "outside", "turning", "ok", "unknown_frame"]
+    assert [a["frame"] for a in answers] == [2, 0, 3, 1, 50]
+    expected = locate(decode(encode(SETS[1])), (310.25, 200.5))
+    assert isinstance(expected, Fix)
+    assert answers[3]["lat_deg"] == pytest.approx(expected.lat_deg, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("frame,u\n1,2\n", "line 1: no column v"),
+        ("", "line 1: no column frame, u, v"),
+        ("frame,u,v\n1,2,3\n1,two,3\n", "line 3: 'two' is not a finite number"),
+        ("frame,u,v\n1,2\n", "line 2: '' is not a finite number"),
+        ("frame,u,v\n-1,2,3\n", "line 2: '-1' is not a frame number"),
+        ("frame,u,v\n1,2,inf\n", "line 2: 'inf' is not a finite number"),
+    ],
+)
+def test_a_bad_batch_names_its_line_and_writes_nothing(
+    session: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str, message: str
+) -> None:
+    clicks = tmp_path / "clicks.csv"
+    clicks.write_text(content)
+    assert main(["click", "--batch", str(clicks), "--from", session]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and message in err and str(clicks) in err
+
+
+def test_a_batch_that_is_no_text_or_is_not_there_is_named(
+    session: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clicks = tmp_path / "clicks.csv"
+    assert main(["click", "--batch", str(clicks), "--from", session]) == 2
+    assert "No such file" in capsys.readouterr().err
+    clicks.write_bytes(b"\xff\xfe\x00\x01")
+    assert main(["click", "--batch", str(clicks), "--from", session]) == 2
+    assert "not a CSV file" in capsys.readouterr().err
+
+
+def test_the_ground_needs_nothing_but_numpy_and_zenoh(session: str) -> None:
+    """Every other package is blocked; a click from a recording and the link's client still load and answer."""
+    script = """
+import sys
+allowed = {"numpy", "zenoh", "contract", "ground"}
+class Blocker:
+    def find_spec(self, name, path=None, target=None):
+        top = name.split(".")[0]
+        if top in allowed or top in sys.stdlib_module_names or top.startswith("_"):
+            return None
+        raise ImportError(f"{name} is not part of the ground's installation")
+sys.meta_path.insert(0, Blocker())
+import ground.client
+from ground.__main__ import main
+code = main(sys.argv[1:])
+heavy = {"cv2", "scipy", "mavsdk", "pymavlink", "mcap", "onboard"} & set(sys.modules)
+assert not heavy, heavy
+sys.exit(code)
+"""
+    command = [sys.executable, "-c", script, "click", "300", "240", "--from", session]
+    done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "interpolated" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("unix_ns", "text"),
+    [
+        (0, "1970-01-01T00:00:00.000000Z"),
+        (1_525_226_625_999_999_999, "2018-05-02T02:03:45.999999Z"),
+        (2**63, "2262-04-11T23:47:16.854775Z"),
+        (2**64 - 1, "2554-07-21T23:34:33.709551Z"),
+    ],
+)
+def test_times_are_written_in_utc(unix_ns: int, text: str) -> None:
+    assert time_utc(unix_ns) == text

@@ -1,0 +1,212 @@
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from contract import recording_format as names
+from contract.codec import encode
+from contract.errors import InputError
+from contract.feature_set import FeatureSet, Status
+from ground.recording import Recording
+from onboard.events import Attitude, Frame, GpsQuality, PositionFix
+from onboard.recording import SessionRecorder
+from tests.contract.sets import plain_set
+
+START_NS = 1_700_000_000_000_000_000
+BASE = plain_set(20)
+CAMERA = BASE.camera
+
+
+def a_set(frame: int, revision: int = 0, status: Status = Status.OK) -> FeatureSet:
+    stamp_ns = START_NS + frame * 10**9
+    if status is Status.OK:
+        return dataclasses.replace(BASE, frame=frame, revision=revision, capture_unix_ns=stamp_ns)
+    return FeatureSet("uav-1", BASE.session, frame, stamp_ns, status, CAMERA, revision)
+
+
+def write_session(path: Path) -> None:
+    with SessionRecorder(path, "uav-1", config_text="x = 1", camera_json=CAMERA.to_json(), software_version="1") as out:
+        for frame in range(6):
+            stamp_ns = START_NS + frame * 10**9
+            out.write_event(PositionFix(stamp_ns, -35.0, 149.0, 600.0, (1.0, 2.0, 3.0)))
+            out.write_event(GpsQuality(stamp_ns, 3, 12, undulation_m=20.5))
+            out.write_event(Attitude(stamp_ns, (1.0, 0.0, 0.0, 0.0)))
+            out.write_event(Frame(stamp_ns, frame, None, f'image "{frame}" ü.png'))
+            out.write_set(a_set(frame, status=Status.OK if frame < 5 else Status.TURNING))
+        out.write_set(a_set(2, revision=3))
+        out.write_set(a_set(2, revision=1))
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Path:
+    path = tmp_path / "session.mcap"
+    write_session(path)
+    return path
+
+
+def test_sets_are_found_by_frame_time_name_and_as_the_newest_that_answers(session: Path) -> None:
+    recording = Recording(session)
+    assert recording.vehicles == ["uav-1"]
+    assert recording.frames("uav-1") == [0, 1, 2, 3, 4, 5]
+    three = recording.by_frame("uav-1", 3)
+    assert three is not None and three.capture_unix_ns == START_NS + 3 * 10**9
+    assert recording.by_frame("uav-1", 6) is None
+    near = recording.by_time("uav-1", START_NS / 1e9 + 2.4)
+    assert near is not None and near.frame == 2
+    assert recording.by_time("uav-1", START_NS / 1e9 - 0.6) is None
+    newest = recording.newest("uav-1")
+    assert newest is not None and newest.frame == 4
+    refused = recording.by_frame("uav-1", 5)
+    assert refused is not None and refused.status is Status.TURNING
+    assert recording.frame_of_file("uav-1", 'image "1" ü.png') == 1
+    assert recording.frame_of_file("uav-1", "image") is None
+
+
+def test_the_highest_revision_of_a_frame_counts(session: Path) -> None:
+    two = Recording(session).by_frame("uav-1", 2)
+    assert two is not None and two.revision == 3
+
+
+def test_the_same_session_gives_the_same_bytes(session: Path, tmp_path: Path) -> None:
+    write_session(tmp_path / "again.mcap")
+    assert (tmp_path / "again.mcap").read_bytes() == session.read_bytes()
+
+
+def test_any_mcap_reader_reads_events_sets_and_metadata(session: Path) -> None:
+    with session.open("rb") as stream:
+        reader = make_reader(stream)
+        messages = list(reader.iter_messages(log_time_order=False))
+        metadata = list(reader.iter_metadata())
+    topics = {channel.topic: channel for _, channel, _ in messages}
+    assert set(topics) == {f"pc/uav-1/{name}" for name in ("features", "frames", "position", "gps_quality", "attitude")}
+    assert topics["pc/uav-1/features"].message_encoding == names.SET_ENCODING
+    assert {channel.message_encoding for topic, channel in topics.items() if "features" not in topic} == {"json"}
+    assert all(
+        schema is not None and schema.encoding == "jsonschema"
+        for schema, c, _ in messages
+        if c.message_encoding == "json"
+    )
+    sets = [m for _, c, m in messages if c.topic.endswith("features")]
+    assert sets[3].data == encode(a_set(3)) and sets[3].log_time == sets[3].publish_time == START_NS + 3 * 10**9
+    assert [m.sequence for m in sets] == list(range(8))
+    assert metadata[0].metadata["config"] == "x = 1" and metadata[0].metadata["camera"] == CAMERA.to_json()
+
+
+def test_a_recorder_that_wrote_nothing_leaves_no_file(tmp_path: Path) -> None:
+    with SessionRecorder(tmp_path / "none.mcap", "uav-1"):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    recorder = SessionRecorder(tmp_path / "missing" / "s.mcap", "uav-1")
+    with pytest.raises(InputError, match="missing"):
+        recorder.write_set(a_set(0))
+
+
+def test_a_killed_recorder_loses_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "killed.mcap"
+    script = (
+        "import sys, time\nfrom tests.ground.test_recording import *\n"
+        "out = SessionRecorder(sys.argv[1], 'uav-1')\n"
+        "for frame in range(400):\n    out.write_set(a_set(frame))\n"
+        "print('written', flush=True)\ntime.sleep(60)\n"
+    )
+    command = [sys.executable, "-c", script, str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=Path(__file__).parents[2]) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"written\n"
+        os.kill(process.pid, signal.SIGKILL)
+    assert Recording(path).frames("uav-1") == list(range(400))
+
+
+@settings(deadline=None, max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_a_file_cut_anywhere_is_read_up_to_the_cut(session: Path, data: st.DataObject) -> None:
+    content = session.read_bytes()
+    cut = session.with_name("cut.mcap")
+    cut.unlink(missing_ok=True)
+    length = data.draw(st.integers(0, len(content)))
+    cut.write_bytes(content[:length])
+    try:
+        recording = Recording(cut)
+    except InputError:
+        assert length < content.index(b"PC\x10") + len(encode(a_set(0)))
+        return
+    frames = recording.frames("uav-1")
+    assert frames == list(range(len(frames)))
+    assert all(recording.by_frame("uav-1", frame) is not None for frame in frames)
+
+
+@settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_a_damaged_file_is_read_or_refused_by_name(session: Path, data: st.DataObject) -> None:
+    content = bytearray(session.read_bytes())
+    for _ in range(data.draw(st.integers(1, 5))):
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    damaged = session.with_name("damaged.mcap")
+    damaged.unlink(missing_ok=True)
+    damaged.write_bytes(content)
+    try:
+        recording = Recording(damaged)
+        for vehicle in recording.vehicles:
+            recording.newest(vehicle)
+            recording.frame_of_file(vehicle, "image")
+            for frame in recording.frames(vehicle):
+                recording.by_frame(vehicle, frame)
+    except InputError as error:
+        assert str(damaged) in str(error)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"not a recording at all"])
+def test_what_is_no_recording_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"x\.mcap"):
+        Recording(path)
+
+
+def test_a_missing_file_and_a_folder_are_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="No such file"):
+        Recording(tmp_path / "none.mcap")
+    with pytest.raises(InputError, match="directory"):
+        Recording(tmp_path)
+
+
+def write_chunked(path: Path) -> None:
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.NONE)
+        writer.start()
+        channel = writer.register_channel("pc/uav-1/features", names.SET_ENCODING, 0)
+        for frame in range(3):
+            stamp_ns = START_NS + frame * 10**9
+            writer.add_message(channel, stamp_ns, encode(a_set(frame)), stamp_ns)
+        writer.finish()
+
+
+def test_a_chunked_file_is_read_through_the_mcap_package(tmp_path: Path) -> None:
+    path = tmp_path / "chunked.mcap"
+    write_chunked(path)
+    recording = Recording(path)
+    two = recording.by_frame("uav-1", 2)
+    assert recording.frames("uav-1") == [0, 1, 2] and two is not None
+    np.testing.assert_allclose(two.plane_per_m, BASE.plane_per_m, rtol=1e-6)
+
+
+def test_without_that_package_a_chunked_file_says_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "chunked.mcap"
+    write_chunked(path)
+    monkeypatch.setitem(sys.modules, "mcap.reader", None)
+    with pytest.raises(InputError, match="needs the package mcap"):
+        Recording(path)
