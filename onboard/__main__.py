@@ -115,7 +115,7 @@ def _interrupt_sets(stop: threading.Event) -> Iterator[threading.Event]:
 
     def ask_to_stop(number: int, _: object) -> None:
         stop.set()
-        signal.signal(number, previous[number])
+        signal.signal(number, previous[signal.Signals(number)])
 
     previous = {number: signal.signal(number, ask_to_stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

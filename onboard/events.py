@@ -48,10 +48,11 @@ class GpsQuality:
 
 @dataclass(frozen=True)
 class Attitude:
-    """The vehicle's attitude: quaternion w, x, y, z of R_ned_body (body FRD)."""
+    """The vehicle's attitude: quaternion w, x, y, z of R_ned_body (body FRD), and its rate in body axes if known."""
 
     stamp_ns: int
     q_ned_body: tuple[float, float, float, float]
+    rate_body_rad_s: tuple[float, float, float] | None = None
 
 
 Event = Frame | PositionFix | GpsQuality | Attitude

@@ -1,11 +1,13 @@
 """Fixes and attitudes -> position, velocity and attitude at an exposure, or the reason why there is none.
 
-Positions are joined by cubic Hermite pieces (their slopes are the filter's own velocities), attitudes by rotation at
-constant rate. GPS is believed until the messages say otherwise: a lost or silent fix, a jump that the velocity does not
-explain, or a filter that slips (moves its position against its own velocity, as it does while it corrects an error)
-refuses every exposure from then until it has settled again. Slip is measured over two seconds: at most 0.3 m/s in
-recorded clean flights, 0.65 m/s in the real one; 1 to 4 m/s while jammed and for the ten seconds of recovery in which
-the receiver's own figures are already perfect and the position is still 28 to 4 m off.
+Positions are joined by cubic Hermite pieces whose slopes are the filter's own velocities; attitudes likewise with the
+gyros' rates (a recorded flight thinned to 3.3 Hz is then 0.06 deg off at the 95th percentile, where rotation at
+constant rate is 0.50 deg off), else by rotation at constant rate. GPS is believed until the messages say otherwise: a
+lost or silent fix, a jump that the velocity does not explain, or a filter that slips (moves its position against its
+own velocity, as it does while it corrects an error) refuses every exposure from then until it has settled again. Slip
+is measured over two seconds: at most 0.3 m/s in recorded clean flights, 0.65 m/s in the real one; 1 to 4 m/s while
+jammed and for the ten seconds of recovery in which the receiver's own figures are already perfect and the position is
+still 28 to 4 m off.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from numpy.typing import NDArray
 
 from contract.feature_set import Status
 from contract.geodesy import LocalFrame, rotation_enu_ecef
-from contract.rotations import R_ENU_NED, exp_so3, log_so3, matrix_from_quaternion
+from contract.rotations import R_ENU_NED, exp_so3, log_so3, matrix_from_quaternion, right_jacobian_inverse
 from onboard.config import Config
 from onboard.events import Attitude, GpsQuality, PositionFix
 
@@ -53,6 +55,12 @@ class NavState:
     sigma_vertical_m: float
     undulation_m: float
     height_above_home_m: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Attitude:
+    R_ned_body: Array
+    rate_body_rad_s: Array | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +119,7 @@ class Navigation:
         self.config = config
         self.frame: LocalFrame | None = None
         self._positions: _Series[_Position] = _Series()
-        self._attitudes: _Series[Array] = _Series()  # R_ned_body
+        self._attitudes: _Series[_Attitude] = _Series()
         self._quality: _Series[GpsQuality] = _Series()
         self._glitches_ns: list[tuple[int, int]] = []  # stretches around jumps
         self._undulation_m = float("nan") if config.gps.undulation_m is None else config.gps.undulation_m
@@ -119,7 +127,7 @@ class Navigation:
 
     def add(self, event: PositionFix | GpsQuality | Attitude) -> None:
         """Take one event; events with a stamp already held are ignored."""
-        series: _Series[_Position] | _Series[Array] | _Series[GpsQuality]
+        series: _Series[_Position] | _Series[_Attitude] | _Series[GpsQuality]
         if isinstance(event, PositionFix):
             series = self._positions
         elif isinstance(event, GpsQuality):
@@ -135,7 +143,8 @@ class Navigation:
             if event.undulation_m is not None:
                 self._undulation_m = event.undulation_m
         else:
-            self._attitudes.insert(event.stamp_ns, matrix_from_quaternion(event.q_ned_body))
+            rate = None if event.rate_body_rad_s is None else np.array(event.rate_body_rad_s)
+            self._attitudes.insert(event.stamp_ns, _Attitude(matrix_from_quaternion(event.q_ned_body), rate))
 
     def _forget(self) -> None:
         self._positions, self._attitudes, self._quality = _Series(), _Series(), _Series()
@@ -233,13 +242,15 @@ class Navigation:
         )
 
     def body_rate_at(self, stamp_ns: int) -> Array | None:
-        """Angular rate in body axes (3,), rad/s, from attitude differences over at least 60 ms; None if unknown."""
+        """Angular rate in body axes (3,), rad/s: the gyros', else from attitudes 60 ms apart; None if unknown."""
         series = self._attitudes
         bracket = series.bracket(stamp_ns)
         if bracket is None:
             return None
         left, right = bracket
-        while series.stamps_ns[right] - series.stamps_ns[left] < RATE_WINDOW_NS:
+        a, b = series.values[left].rate_body_rad_s, series.values[right].rate_body_rad_s
+        measured = a is not None and b is not None
+        while not measured and series.stamps_ns[right] - series.stamps_ns[left] < RATE_WINDOW_NS:
             grown = max(left - 1, 0), min(right + 1, len(series.stamps_ns) - 1)
             if grown == (left, right):
                 return None
@@ -247,7 +258,10 @@ class Navigation:
         seconds = (series.stamps_ns[right] - series.stamps_ns[left]) / 1e9
         if seconds > self.config.telemetry.max_attitude_gap_s:
             return None
-        rate: Array = log_so3(series.values[left].T @ series.values[right]) / seconds
+        if a is not None and b is not None:
+            share = (stamp_ns - series.stamps_ns[left]) / 1e9 / seconds if seconds else 0.0
+            return a + share * (b - a)
+        rate: Array = log_so3(series.values[left].R_ned_body.T @ series.values[right].R_ned_body) / seconds
         return rate
 
     def _position_at(self, moment_ns: int) -> _Position | Status:
@@ -303,13 +317,23 @@ class Navigation:
         start_ns, end_ns = series.stamps_ns[left], series.stamps_ns[right]
         if end_ns - start_ns > self.config.telemetry.max_attitude_gap_s * 1e9:
             return Status.UNSYNCHRONISED
+        before, after = series.values[left], series.values[right]
         if left == right:
             rate = self.body_rate_at(start_ns)
             turned = np.zeros(3) if rate is None else rate * ((moment_ns - start_ns) / 1e9)
-            out: Array = series.values[left] @ exp_so3(turned)
+            out: Array = before.R_ned_body @ exp_so3(turned)
             return out
-        share = (moment_ns - start_ns) / (end_ns - start_ns)
-        out = series.values[left] @ exp_so3(share * log_so3(series.values[left].T @ series.values[right]))
+        seconds = (end_ns - start_ns) / 1e9
+        s = (moment_ns - start_ns) / 1e9 / seconds
+        whole = log_so3(before.R_ned_body.T @ after.R_ned_body)
+        if before.rate_body_rad_s is None or after.rate_body_rad_s is None:
+            turned = s * whole
+        else:
+            # d exp(v)/dt = exp(v) [rate]x gives dv/dt = Jr^-1(v) rate: (1.5).
+            rate_end = right_jacobian_inverse(whole) @ after.rate_body_rad_s
+            turned = s * s * (3 - 2 * s) * whole
+            turned += seconds * s * (1 - s) * ((1 - s) * before.rate_body_rad_s - s * rate_end)
+        out = before.R_ned_body @ exp_so3(turned)
         return out
 
     def _slip_m_s(self, moment_ns: int) -> float:

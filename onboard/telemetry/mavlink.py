@@ -159,7 +159,9 @@ def _attitude(message: Any, stamp_ns: int) -> Attitude | None:
     if not 0.5 < norm < 2.0:  # also false for nan
         return None
     w, x, y, z = (part / norm for part in q)
-    return Attitude(stamp_ns, (w, x, y, z))
+    rate = message.rollspeed, message.pitchspeed, message.yawspeed
+    known = any(rate) and math.isfinite(sum(rate))  # a gyro is never still to the last bit: three zeros are unset
+    return Attitude(stamp_ns, (w, x, y, z), rate if known else None)
 
 
 def _quaternion_from_euler(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:

@@ -115,6 +115,31 @@ def test_the_body_rate_is_that_of_the_turn() -> None:
     np.testing.assert_allclose(rate, R_ned_body.T @ [0, 0, -0.2], atol=1e-4)
 
 
+def test_gyro_rates_bend_the_path_between_slow_attitudes() -> None:
+    def roll(t: float) -> float:
+        return 0.3 * np.sin(2.0 * t)
+
+    errors = {}
+    for has_rates in (False, True):
+        navigation = Navigation(PLAIN)
+        for t in np.arange(0.0, 10.0, 0.3):
+            q = quaternion_from_matrix(matrix_from_euler(roll(t), 0.0, 1.0))
+            rate = (0.6 * float(np.cos(2.0 * t)), 0.0, 0.0) if has_rates else None
+            navigation.add(Attitude(ns(t), tuple(q.tolist()), rate))
+            navigation.add(fix(t))
+        worst = 0.0
+        for t in np.arange(1.0, 9.0, 0.07):
+            R = state(navigation, t).R_enu_body
+            assert R is not None
+            worst = max(worst, float(np.linalg.norm(log_so3(R.T @ R_ENU_NED @ matrix_from_euler(roll(t), 0.0, 1.0)))))
+        errors[has_rates] = np.degrees(worst)
+        rate_at = navigation.body_rate_at(ns(5.05))
+        assert rate_at is not None
+        assert rate_at[0] == pytest.approx(0.6 * np.cos(10.1), abs=0.02 if has_rates else 0.08)
+    assert 0.3 < errors[False] < 1.5
+    assert 1e-4 < errors[True] < 0.03
+
+
 def test_the_time_offset_moves_the_moment() -> None:
     navigation = flown()
     late = navigation.state_at(ns(10.0), offset_s=0.25)
