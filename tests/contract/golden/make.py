@@ -1,0 +1,69 @@
+"""Writes the golden payloads and what they must decode to: `python -m tests.contract.golden.make`.
+
+Run only when the wire format itself changes, with its version.
+"""
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from contract.codec import decode, encode
+from contract.feature_set import DepthSource, FeatureSet, HeightDatum, Status
+from tests.contract.sets import DISTORTION, plain_set
+
+HERE = Path(__file__).parent
+
+
+def cases() -> dict[str, FeatureSet]:
+    """The sets behind the files."""
+    plain = plain_set(12, seed=1)
+    ideal = dataclasses.replace(plain.camera, distortion=(0.0,) * 5)
+    return {
+        "twelve_features": plain,
+        "a_hundred_features": plain_set(100, seed=2),
+        "plane_only": dataclasses.replace(
+            plain_set(0, seed=3, camera=ideal),
+            vehicle="Ærø 7",
+            depth_source=DepthSource.PLANE,
+            height_datum=HeightDatum.ELLIPSOID,
+            undulation_m=math.nan,
+            is_keyframe=False,
+            revision=0,
+        ),
+        "refused": FeatureSet("uav-1", 5, 6, 1_525_226_625_500_000_000, Status.LOW_PARALLAX, plain.camera, revision=1),
+    }
+
+
+def plain_json(feature_set: FeatureSet) -> dict[str, Any]:
+    """Every field as JSON holds it; numbers of arrays in full."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            return value.tolist()
+        if dataclasses.is_dataclass(value):
+            return {f.name: plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        if isinstance(value, Status | HeightDatum | DepthSource):
+            return value.value
+        if isinstance(value, float) and math.isnan(value):
+            return None
+        return list(value) if isinstance(value, tuple) else value
+
+    out = plain(feature_set)
+    assert isinstance(out, dict)
+    return out
+
+
+def main() -> None:
+    assert plain_set(0).camera.distortion == DISTORTION
+    for name, feature_set in cases().items():
+        payload = encode(feature_set)
+        (HERE / f"{name}.bin").write_bytes(payload)
+        (HERE / f"{name}.json").write_text(json.dumps(plain_json(decode(payload)), indent=1, ensure_ascii=False) + "\n")
+
+
+if __name__ == "__main__":
+    main()

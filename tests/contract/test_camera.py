@@ -1,0 +1,103 @@
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from contract.camera import Camera
+from contract.errors import InputError
+
+MILD = Camera(640, 480, 700.0, 710.0, 322.0, 236.0, (-0.21, 0.052, 0.0007, -0.0004, 0.011))
+FOLDING = Camera(640, 480, 400.0, 400.0, 319.5, 239.5, (-0.6, 0.0, 0.0, 0.0, 0.0))
+us, vs = st.floats(-0.5, 639.5), st.floats(-0.5, 479.5)
+
+
+@given(us, vs)
+def test_a_pixels_ray_projects_back_to_it(u: float, v: float) -> None:
+    for camera in (MILD, Camera.from_field_of_view(640, 480, 40.0)):
+        ray, valid = camera.unproject((u, v))
+        assert valid and ray[2] == 1.0
+        uv, _ = camera.project(7.0 * ray)
+        np.testing.assert_allclose(uv, (u, v), atol=1e-6)
+
+
+@given(st.lists(st.tuples(st.floats(-0.5, 0.5), st.floats(-0.4, 0.4)), min_size=1, max_size=20))
+def test_projection_is_opencvs(xy: list[tuple[float, float]]) -> None:
+    points = np.array([[x * 5.0, y * 5.0, 5.0] for x, y in xy])
+    K = np.array([[700.0, 0.0, 322.0], [0.0, 710.0, 236.0], [0.0, 0.0, 1.0]])
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, np.array(MILD.distortion))
+    np.testing.assert_allclose(MILD.project(points)[0], expected[:, 0], atol=1e-6)
+
+
+@given(us, vs)
+def test_where_the_calibration_folds_a_pixel_has_no_ray_but_a_finite_one(u: float, v: float) -> None:
+    ray, valid = FOLDING.unproject((u, v))
+    assert np.all(np.isfinite(ray))
+    if valid:
+        assert np.hypot(*ray[:2]) <= FOLDING.max_radius + 1e-9
+        np.testing.assert_allclose(FOLDING.project(ray)[0], (u, v), atol=2e-3)
+
+
+def test_the_corner_of_a_folding_calibration_is_invalid_and_its_middle_valid() -> None:
+    assert not FOLDING.unproject((0.0, 0.0))[1]
+    assert FOLDING.unproject((320.0, 240.0))[1]
+
+
+@given(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4))
+def test_the_distortion_jacobian_is_the_derivative(x: float, y: float) -> None:
+    J = MILD.distortion_jacobian((x, y))
+    for axis in range(2):
+        step = np.eye(2)[axis] * 1e-6
+        numeric = (MILD.distort(np.array([x, y]) + step) - MILD.distort(np.array([x, y]) - step)) / 2e-6
+        np.testing.assert_allclose(J[:, axis], numeric, atol=1e-7)
+
+
+@pytest.mark.filterwarnings("ignore:invalid value")  # of the infinite one
+@pytest.mark.parametrize("uv", [(-0.6, 10.0), (639.6, 10.0), (10.0, -1.0), (10.0, 480.0), (np.nan, 1.0), (np.inf, 1.0)])
+def test_pixels_off_the_picture_have_no_ray(uv: tuple[float, float]) -> None:
+    ray, valid = MILD.unproject(uv)
+    assert not valid and np.all(np.isfinite(ray))
+
+
+def test_points_behind_the_camera_are_invalid() -> None:
+    assert not MILD.project((0.0, 0.0, -5.0))[1]
+    assert MILD.project((0.0, 0.0, 5.0))[1]
+
+
+def test_a_camera_file_survives(tmp_path: Path) -> None:
+    path = tmp_path / "camera.json"
+    path.write_text(MILD.to_json())
+    assert Camera.from_json(path) == MILD
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"fx_px": None}, "camera.json"),
+        ({"size_px": [640]}, "camera.json"),
+        ({"distortion_opencv_k1_k2_p1_p2_k3": [0.0] * 4}, "5 coefficients, not 4"),
+        ({"model": "fisheye"}, "'fisheye'"),
+        ({"fy_px": -1.0}, "positive"),
+        ({"cx_px": float("nan")}, "finite"),
+    ],
+)
+def test_a_wrong_camera_file_is_named(tmp_path: Path, change: dict[str, object], message: str) -> None:
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps({**json.loads(MILD.to_json()), **change}))
+    with pytest.raises(InputError, match=message):
+        Camera.from_json(path)
+
+
+def test_a_missing_key_file_and_syntax_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "camera.json"
+    with pytest.raises(InputError, match="No such file"):
+        Camera.from_json(path)
+    path.write_text("{")
+    with pytest.raises(InputError, match="not JSON"):
+        Camera.from_json(path)
+    path.write_text('{"size_px": [640, 480]}')
+    with pytest.raises(InputError, match="'fx_px' is missing"):
+        Camera.from_json(path)

@@ -1,0 +1,76 @@
+"""The wire format of version 1.0, frozen: golden bytes beside what they mean."""
+
+import json
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from contract.codec import decode, encode
+from tests.contract.golden.make import plain_json
+
+GOLDEN = Path(__file__).parent / "golden"
+NAMES = sorted(path.stem for path in GOLDEN.glob("*.bin"))
+
+
+def assert_close(got: Any, want: Any, where: str) -> None:
+    """Equal, floating point numbers to a few units in the last place (other machines' exp and log)."""
+    if isinstance(want, dict):
+        assert list(got) == list(want), where
+        for key in want:
+            assert_close(got[key], want[key], f"{where}.{key}")
+    elif isinstance(want, list):
+        np.testing.assert_allclose(np.array(got, float), np.array(want, float), rtol=1e-12, atol=1e-15, err_msg=where)
+    elif isinstance(want, float):
+        assert got == pytest.approx(want, rel=1e-12), where
+    else:
+        assert got == want, where
+
+
+def test_there_are_golden_payloads_of_every_kind() -> None:
+    assert NAMES == ["a_hundred_features", "plane_only", "refused", "twelve_features"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_golden_bytes_decode_to_what_they_meant(name: str) -> None:
+    want = json.loads((GOLDEN / f"{name}.json").read_text())
+    assert_close(plain_json(decode((GOLDEN / f"{name}.bin").read_bytes())), want, name)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_golden_sets_encode_to_their_bytes(name: str) -> None:
+    payload = (GOLDEN / f"{name}.bin").read_bytes()
+    assert encode(decode(payload)) == payload
+
+
+def test_the_offsets_in_the_document_are_those_of_the_bytes() -> None:
+    """Reads a payload with nothing but docs/wire-format.md, sections 2 to 4, in hand."""
+    b = (GOLDEN / "twelve_features.bin").read_bytes()
+    want = json.loads((GOLDEN / "twelve_features.json").read_text())
+    assert (b[0:2], b[2]) == (b"PC", 0x10)
+    assert struct.unpack_from("<H", b, 3)[0] == len(b)
+    assert b[5] == 0b0100_1101  # geometry, parallax, distortion, undulation, AMSL, keyframe
+    assert b[6] == 0
+    assert struct.unpack_from("<IIHQ", b, 7) == (want["session"], want["frame"], 2, want["capture_unix_ns"])
+    assert b[25] == 5 and b[26:31] == b"uav-1"
+    assert struct.unpack_from("<HH", b, 31) == (640, 480)
+    assert struct.unpack_from("<4f", b, 35)[0] == want["camera"]["fx_px"]
+    assert struct.unpack_from("<5f", b, 51)[0] == want["camera"]["distortion"][0]
+    g = 71
+    assert int.from_bytes(b[g : g + 5], "little", signed=True) == -35123456789
+    assert int.from_bytes(b[g + 5 : g + 10], "little", signed=True) == 149165432109
+    assert struct.unpack_from("<i", b, g + 10)[0] == 812345
+    assert int.from_bytes(b[g + 14 : g + 17], "little", signed=True) == 19250
+    sigma_codes = struct.unpack_from("<9H", b, g + 26)
+    np.testing.assert_allclose(
+        1e-12 * np.exp(0.0006 * (np.array(sigma_codes) - 1.0)), np.sqrt(np.diag(want["common_cov"])), rtol=1e-12
+    )
+    assert list(struct.unpack_from("<3f", b, g + 50)) == want["plane_per_m"]
+    p = np.tanh(0.05 * (b[g + 66] - 127))
+    cov = np.array(want["common_cov"])
+    assert p == pytest.approx(cov[1, 0] / np.sqrt(cov[0, 0] * cov[1, 1]), rel=1e-9)
+    assert b[g + 102] == 12
+    assert struct.unpack_from("<I", b, len(b) - 4)[0] == zlib.crc32(b[:-4])
