@@ -233,6 +233,4 @@ def solve(
     covariance = _solve_positive(S, np.eye(len(S)))
     if covariance is None:
         covariance = np.linalg.pinv(S, hermitian=True)
-    return Solution(
-        state, system.cost, iterations, converged, system.robust, system.sigmas, covariance, Y, V_inverse
-    )
+    return Solution(state, system.cost, iterations, converged, system.robust, system.sigmas, covariance, Y, V_inverse)

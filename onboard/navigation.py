@@ -264,6 +264,28 @@ class Navigation:
         rate: Array = log_so3(series.values[left].R_ned_body.T @ series.values[right].R_ned_body) / seconds
         return rate
 
+    def displacement(self, start_ns: int, end_ns: int) -> Array | None:
+        """Distance flown (3,), ENU m, from the velocities alone (trapezium rule); None where any is missing."""
+        series = self._positions
+        ends = [self._velocity_at(start_ns), self._velocity_at(end_ns)]
+        if ends[0] is None or ends[1] is None or end_ns <= start_ns:
+            return None
+        first, last = bisect.bisect_right(series.stamps_ns, start_ns), bisect.bisect_left(series.stamps_ns, end_ns)
+        between = [p.velocity_enu_m_s for p in series.values[first:last]]
+        stamps = np.array([start_ns, *series.stamps_ns[first:last], end_ns], np.int64)
+        seconds = np.diff(stamps) / 1e9
+        if seconds.max() > self.config.gps.max_gap_s or any(b is None or not np.all(np.isfinite(b)) for b in between):
+            return None
+        v = np.array([ends[0], *between, ends[1]])
+        out: Array = 0.5 * (v[1:] + v[:-1]).T @ seconds
+        return out
+
+    def _velocity_at(self, moment_ns: int) -> Array | None:
+        position = self._position_at(moment_ns)
+        if isinstance(position, Status) or position.velocity_enu_m_s is None:
+            return None
+        return position.velocity_enu_m_s if np.all(np.isfinite(position.velocity_enu_m_s)) else None
+
     def _position_at(self, moment_ns: int) -> _Position | Status:
         series = self._positions
         bracket = series.bracket(moment_ns)

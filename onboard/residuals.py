@@ -118,7 +118,9 @@ def reprojection_jacobians(R_cam_enu: Array, predicted: Array, depth: Array) -> 
     return by_view, by_point
 
 
-def wandering_sqrt_information(stamps_s: Array, sigma_white: float, sigma_wander: float, time_constant_s: float) -> Array:
+def wandering_sqrt_information(
+    stamps_s: Array, sigma_white: float, sigma_wander: float, time_constant_s: float
+) -> Array:
     """Lower-triangular whitener (K, K) of an error with a white part and an Ornstein-Uhlenbeck part, (5.5).
 
     One axis of K measurements at `stamps_s` (s): covariance sigma_wander^2 exp(-|dt| / time_constant) + sigma_white^2 I.

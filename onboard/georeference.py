@@ -1,0 +1,215 @@
+"""A solved window and one picture's pose -> the feature set that is published, errors and all. Section 9.
+
+The camera side of the window has covariance S; each point follows it and adds its own error (6.6). A picture's pose is
+either a keyframe's, or a resection that follows the points (7.2). Everything is therefore linear in the window's camera
+side plus independent noise, and the nine common states (9.3) are linear in that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from contract.feature_set import DepthSource, FeatureSet, SlowPosition, Status
+from contract.geodesy import LocalFrame, rotation_enu_ecef
+from onboard.resection import Resection, resect
+from onboard.window import Sighting, Solved, Window
+
+Array = NDArray[np.float64]
+
+MIN_FEATURES = 8
+MAX_RELATIVE_SIGMA = 0.3  # a feature's own depth error beyond which it says nothing the ground plane does not
+MIN_PLANE_SIGMA = 2e-4
+MIN_ROUGHNESS = 1e-8
+ROTATION_PRIOR_RAD = 0.1
+POSITION_PRIOR_M = 1.0
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What identifies the picture: everything in the set that is not geometry."""
+
+    vehicle: str
+    session: int
+    frame: int
+    capture_unix_ns: int
+    revision: int
+    is_keyframe: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """A picture's pose as the window's camera side sees it: d pose = gain @ d camera side + noise."""
+
+    R_cam_enu: Array
+    centre_enu_m: Array
+    gain: Array  # (6, D)
+    noise: Array  # (6, 6)
+    rows: NDArray[np.intp]  # points of the window that this picture uses
+
+
+def georeference(
+    window: Window,
+    solved: Solved,
+    seen: Sighting,
+    origin: Origin,
+    frame: LocalFrame,
+    nav_undulation_m: float,
+    centre_guess_m: Array,
+    R_guess: Array,
+) -> FeatureSet | Status:
+    """The feature set of one picture, or why it has none.
+
+    `centre_guess_m` (3,) and `R_guess` (3, 3) start the resection of a picture that is no keyframe of the window.
+    """
+    rows, known = solved.rows(seen.ids)
+    if np.count_nonzero(known) < MIN_FEATURES:
+        return Status.FEATURELESS
+    view = _keyframe_view(solved, origin.frame, rows[known])
+    if view is None:
+        view = _resected_view(window, solved, seen, rows, known, centre_guess_m, R_guess)
+        if view is None:
+            return Status.POOR_FIT
+    return _assemble(window, solved, view, origin, frame, nav_undulation_m)
+
+
+def _keyframe_view(solved: Solved, frame: int, rows: NDArray[np.intp]) -> _View | None:
+    if frame not in solved.frames:
+        return None
+    k = solved.frames.index(frame)
+    gain = np.zeros((6, solved.layout.size))
+    gain[:, 6 * k : 6 * k + 6] = np.eye(6)
+    state = solved.solution.state
+    return _View(state.R_cam_enu[k], state.centres_enu_m[k], gain, np.zeros((6, 6)), rows)
+
+
+def _resected_view(
+    window: Window,
+    solved: Solved,
+    seen: Sighting,
+    rows: NDArray[np.intp],
+    known: NDArray[np.bool_],
+    centre_guess_m: Array,
+    R_guess: Array,
+) -> _View | None:
+    s = solved.solution
+    points = s.state.points_enu_m[rows[known]]
+    weight = 1.0 / (window.pixel_sigma_px * seen.gain[known])
+    prior = np.array([ROTATION_PRIOR_RAD] * 3 + [POSITION_PRIOR_M] * 3)
+    pose: Resection = resect(points, seen.xy[known], weight, R_guess, centre_guess_m, prior)
+    if np.count_nonzero(pose.inliers) < max(MIN_FEATURES, 0.5 * len(points)):
+        return None
+    covariance = np.linalg.inv(pose.information)
+    used = rows[known][pose.inliers]
+    pull = np.einsum("ij,pjk->pik", covariance, pose.by_point[pose.inliers])  # d pose = -pull d point
+    gain = np.einsum("pij,pjd->id", pull, s.point_gain[used])
+    noise = covariance + np.einsum("pij,pjk,plk->il", pull, s.point_covariance[used], pull)
+    return _View(pose.R_cam_enu, pose.centre_enu_m, gain, noise, used)
+
+
+def _assemble(
+    window: Window, solved: Solved, view: _View, origin: Origin, frame: LocalFrame, undulation_m: float
+) -> FeatureSet | Status:
+    s, camera = solved.solution, window.camera
+    R = view.R_cam_enu
+    p = (s.state.points_enu_m[view.rows] - view.centre_enu_m) @ R.T
+    ahead = p[:, 2] > 1.0
+    uv, inside = camera.project(p)
+    keep = ahead & inside
+    z = np.where(keep, p[:, 2], 1.0)
+    xy = p[:, :2] / z[:, None]
+    # d ln w of each feature: (9.2)
+    by_point = -R[2] / z[:, None]
+    by_pose = np.concatenate([np.stack([-xy[:, 1], xy[:, 0], np.zeros(len(z))], axis=1), -by_point], axis=1)
+    own = np.einsum("pi,pij,pj->p", by_point, s.point_covariance[view.rows], by_point)
+    keep &= np.sqrt(own) < MAX_RELATIVE_SIGMA
+    if np.count_nonzero(keep) < MIN_FEATURES:
+        return Status.LOW_PARALLAX if np.count_nonzero(ahead & inside) >= MIN_FEATURES else Status.FEATURELESS
+    xy, z, uv, own, by_point, by_pose = xy[keep], z[keep], uv[keep], own[keep], by_point[keep], by_pose[keep]
+    rows = view.rows[keep]
+    M = -np.einsum("pi,pid->pd", by_point, s.point_gain[rows]) + by_pose @ view.gain  # (N, D)
+
+    H = np.concatenate([np.ones((len(z), 1)), xy], axis=1)
+    own = np.maximum(own, 1e-12)
+    N = (H / own[:, None]).T @ H
+    fit = np.linalg.solve(N + 1e-9 * np.trace(N) / 3.0 * np.eye(3), (H / own[:, None]).T)  # (3, N): modes of d ln w
+    R_enu_cam = R.T
+    to_common = np.zeros((9, 6))
+    to_common[:3, 3:] = np.eye(3)
+    to_common[3:6, :3] = -R_enu_cam
+    T = to_common @ view.gain
+    T[6:] += fit @ M
+    T_noise = to_common.copy()
+    T_noise[6:] += fit @ by_pose
+    common = T @ s.covariance @ T.T + T_noise @ view.noise @ T_noise.T
+    rest = M - H @ (fit @ M)
+    variance = own + np.maximum(np.einsum("pd,de,pe->p", rest, s.covariance, rest), 0.0)
+
+    w = 1.0 / z
+    plane, relative = _plane(H, w, variance)
+    sigma = float(max(1.4826 * np.median(np.abs(relative)), MIN_PLANE_SIGMA))
+    spread = float(np.sqrt(np.mean(np.minimum(relative**2, (4.0 * sigma) ** 2))))
+    lat, lon, height = (float(c) for c in frame.to_geodetic(view.centre_enu_m))
+    R_local_session = rotation_enu_ecef(lat, lon) @ frame.R_enu_ecef.T
+    lift = np.eye(9)
+    lift[:3, :3] = R_local_session
+    lift[3:6, 3:6] = R_local_session
+    common = lift @ (0.5 * (common + common.T)) @ lift.T
+    newest = solved.keyframes[-1].nav
+    order = np.argsort(variance / w**2, kind="stable")[: window.config.tracking.features]
+    order = np.sort(order)
+    return FeatureSet(
+        vehicle=origin.vehicle,
+        session=origin.session,
+        frame=origin.frame,
+        capture_unix_ns=origin.capture_unix_ns,
+        status=Status.OK,
+        camera=camera,
+        revision=origin.revision,
+        is_keyframe=origin.is_keyframe,
+        camera_lat_deg=lat,
+        camera_lon_deg=lon,
+        camera_height_m=height,
+        undulation_m=undulation_m,
+        R_enu_cam=R_local_session @ R_enu_cam,
+        common_cov=common,
+        slow_position=SlowPosition(newest.sigma_horizontal_m, newest.sigma_vertical_m, window.config.gps.wander_time_s),
+        depth_source=DepthSource.PARALLAX,
+        plane_per_m=plane,
+        plane_sigma_relative=max(spread, MIN_PLANE_SIGMA),
+        roughness=_roughness(xy, relative, variance),
+        uv_px=uv[order],
+        inverse_depth_per_m=w[order],
+        sigma_inverse_depth_per_m=(np.sqrt(variance) * w)[order],
+    )
+
+
+def _plane(H: Array, w: Array, variance: Array) -> tuple[Array, Array]:
+    """Robust affine fit of inverse depth (3.1) and each feature's relative deviation from it."""
+    scale = float(np.median(w))
+    weight = 1.0 / (variance + 1e-4)
+    plane = np.zeros(3)
+    for _ in range(5):
+        N = H.T @ (H * weight[:, None])
+        plane = np.linalg.solve(N + 1e-9 * np.trace(N) * np.eye(3), H.T @ (weight * w / scale)) * scale
+        miss = w / scale - H @ plane / scale
+        spread = max(1.4826 * float(np.median(np.abs(miss))), 1e-6)
+        weight = 1.0 / (variance + 1e-4) / (1.0 + (miss / (3.0 * spread)) ** 2)
+    fitted = H @ plane
+    relative = np.where(fitted > 1e-3 * scale, w / np.where(fitted > 1e-3 * scale, fitted, 1.0) - 1.0, 0.0)
+    return plane, relative
+
+
+def _roughness(xy: Array, relative: Array, variance: Array) -> float:
+    """Slope of the linear variogram of relative inverse depth, noise taken off, from near pairs. Equation (9.6)."""
+    i, j = np.triu_indices(len(xy), 1)
+    distance = np.linalg.norm(xy[i] - xy[j], axis=1)
+    reach = np.quantile(distance, 0.15)
+    near = (distance <= reach) & (distance > 0.0)
+    half = 0.5 * (relative[i] - relative[j]) ** 2
+    half = np.minimum(half, 9.0 * float(np.median(half[near])) + 1e-16)
+    gamma = float(np.sum((half - 0.5 * (variance[i] + variance[j]))[near]))
+    return max(gamma / max(float(np.sum(distance[near])), 1e-12), MIN_ROUGHNESS)

@@ -1,0 +1,50 @@
+"""The ground plane under the points, and the roll that makes it level across the line of flight. The seed's section 2.3."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.rotations import exp_so3
+
+Array = NDArray[np.float64]
+
+
+def fit_plane(points_enu_m: Array, weight: Array | None = None) -> tuple[Array, float]:
+    """Plane z = h + se x + sn y through points (P, 3): (h, se, sn) and the robust spread (m) about it. Equation (8.1).
+
+    Least squares with four rounds of reweighting, so that a mast or a wrong point does not tilt it. With fewer than
+    three points or all of them in a line the plane is level at their mean height.
+    """
+    base = np.ones(len(points_enu_m)) if weight is None else weight
+    A = np.concatenate([np.ones((len(points_enu_m), 1)), points_enu_m[:, :2]], axis=1)
+    centre = points_enu_m[:, :2].mean(axis=0)
+    A[:, 1:] -= centre
+    scale = max(float(np.abs(A[:, 1:]).max(initial=0.0)), 1e-9)
+    A[:, 1:] /= scale
+    w = base.copy()
+    plane, spread = np.zeros(3), 0.0
+    for _ in range(5):
+        N = A.T @ (A * w[:, None])
+        plane = np.linalg.solve(N + 1e-6 * max(float(N[0, 0]), 1e-12) * np.eye(3), A.T @ (w * points_enu_m[:, 2]))
+        miss = np.abs(points_enu_m[:, 2] - A @ plane)
+        spread = 1.4826 * float(np.median(miss))
+        w = base / (1.0 + (miss / max(2.0 * spread, 1e-9)) ** 2)
+    slope = plane[1:] / scale
+    return np.array([plane[0] - slope @ centre, *slope]), spread
+
+
+def roll_from_plane(plane: Array, travel_enu: Array) -> float:
+    """The ground's slope across the line of flight, as an angle about it (rad). Equation (8.2)."""
+    along = travel_enu[:2] / max(float(np.linalg.norm(travel_enu[:2])), 1e-12)
+    return float(np.arctan(plane[1:] @ np.array([-along[1], along[0]])))
+
+
+def level(R_cam_enu: Array, pivot_enu_m: Array, travel_enu: Array, roll_rad: float) -> tuple[Array, Array]:
+    """Turn the scene about the line of flight so that a slope of `roll_rad` across it vanishes. Equation (8.3).
+
+    Returns the turned R_cam_enu (K, 3, 3) and the rotation (3, 3) that takes a point X to pivot + R (X - pivot).
+    """
+    axis = travel_enu / max(float(np.linalg.norm(travel_enu)), 1e-12)
+    R = exp_so3(-roll_rad * axis)
+    return R_cam_enu @ R.T, R

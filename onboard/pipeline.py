@@ -1,0 +1,312 @@
+"""Events in, feature sets out. No socket, no thread, no clock of its own: live and replay run this same code.
+
+A picture waits until telemetry on both sides of its exposure has arrived, is tracked against the last keyframe, becomes a
+keyframe itself when enough has moved, and gets a feature set: at once if the window has structure for it, otherwise with
+the first solve that has; and once more, as a later revision, when the window has seen past it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from contract.feature_set import FeatureSet, Status
+from onboard.config import Config
+from onboard.events import Event, Frame
+from onboard.georeference import Origin, georeference
+from onboard.navigation import Navigation, NavState
+from onboard.prediction import Pose, move, predict_homography
+from onboard.tracking import MIN_TRACKS, Tracker, Tracks
+from onboard.window import Sighting, Window, sighting
+
+Array = NDArray[np.float64]
+
+MAX_WAIT_NS = 1_500_000_000  # for telemetry to catch up with a picture
+MAX_MISSES = 3  # pictures in a row that found too little before a new start
+KEYFRAME_SHIFT = 0.10  # median motion, as a share of the picture's width, that makes a keyframe
+KEYFRAME_TRACKS = 0.65  # share of features still followed below which a keyframe is made
+KEYFRAME_TURN_RAD = 0.30
+MAX_PREDICTION_MISS = 0.15  # rad: tracked motion this far from what telemetry says is a wrong lock
+TURNING_RAD_S = 0.35
+MAX_OUTAGE_NS = 3_000_000_000  # without navigation, after which old keyframes are of no use
+
+
+@dataclass
+class Summary:
+    """What became of the pictures. `refused` counts reasons; `stage_seconds` is processor work by room."""
+
+    frames: int = 0
+    keyframes: int = 0
+    solved: int = 0
+    refused: dict[str, int] = field(default_factory=dict)
+    median_tracks: float = 0.0
+    reprojection_px: float = 0.0
+    stage_seconds: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(eq=False)
+class _Record:
+    """A picture that the window can still place, or place better."""
+
+    frame: Frame
+    seen: Sighting
+    nav: NavState
+    is_keyframe: bool
+    status: Status = Status.STARTING
+    revision: int = -1
+    is_settled: bool = False
+
+
+class Pipeline:
+    """The whole of the aircraft's work on one flight."""
+
+    def __init__(self, config: Config, camera: Camera) -> None:
+        self.config = config
+        self.camera = camera
+        self.navigation = Navigation(config)
+        self.tracker = Tracker(camera.size_px, config.tracking.features, config.tracking.min_distance_px)
+        self.window = Window(config, camera)
+        self.tracks: Tracks | None = None  # of the newest picture, for whoever draws them
+        self._waiting: deque[Frame] = deque()
+        self._records: list[_Record] = []
+        self._session: int | None = None
+        self._misses = 0
+        self._last_nav_ns: int | None = None
+        self._status: dict[int, Status] = {}
+        self._track_counts: list[int] = []
+        self._reprojections: list[float] = []
+        self._keyframes = 0
+        self._stages: dict[str, float] = {}
+
+    def handle(self, event: Event) -> list[FeatureSet]:
+        """Take one event; returns the feature sets that follow from it, maybe of earlier pictures, maybe none."""
+        if isinstance(event, Frame):
+            self._waiting.append(event)
+            newest_ns = event.stamp_ns
+        else:
+            with self._timed("navigation"):
+                self.navigation.add(event)
+            newest_ns = event.stamp_ns
+        out: list[FeatureSet] = []
+        while self._waiting:
+            frame = self._waiting[0]
+            if not self.navigation.covers(frame.stamp_ns) and newest_ns - frame.stamp_ns < MAX_WAIT_NS:
+                break
+            out.extend(self._process(self._waiting.popleft()))
+        return out
+
+    def finish(self) -> list[FeatureSet]:
+        """The end of the data: place what still waits, and settle what the window holds."""
+        out: list[FeatureSet] = []
+        while self._waiting:
+            out.extend(self._process(self._waiting.popleft()))
+        out.extend(self._settle(self._records))
+        self._records.clear()
+        return out
+
+    @property
+    def summary(self) -> Summary:
+        """Counts so far; a picture counts by its latest revision."""
+        refused = Counter(s.value for s in self._status.values() if s is not Status.OK)
+        return Summary(
+            frames=len(self._status),
+            keyframes=self._keyframes,
+            solved=sum(s is Status.OK for s in self._status.values()),
+            refused=dict(refused.most_common()),
+            median_tracks=float(np.median(self._track_counts)) if self._track_counts else 0.0,
+            reprojection_px=float(np.median(self._reprojections)) if self._reprojections else 0.0,
+            stage_seconds=dict(self._stages),
+        )
+
+    @contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
+        began = time.perf_counter()
+        yield
+        self._stages[stage] = self._stages.get(stage, 0.0) + time.perf_counter() - began
+
+    def _process(self, frame: Frame) -> list[FeatureSet]:
+        if self._session is None:
+            self._session = (frame.stamp_ns // 1_000_000_000) & 0xFFFFFFFF
+        if frame.image is None:
+            return [self._refuse(frame, Status.BAD_PICTURE)]
+        with self._timed("navigation"):
+            nav = self.navigation.state_at(frame.stamp_ns)
+        if isinstance(nav, Status):
+            return [self._refuse(frame, nav)]
+        out: list[FeatureSet] = []
+        if self._last_nav_ns is not None and frame.stamp_ns - self._last_nav_ns > MAX_OUTAGE_NS:
+            out.extend(self._restart())
+        self._last_nav_ns = frame.stamp_ns
+        with self._timed("tracking"):
+            tracks = self._track(frame, nav)
+        self.tracks = tracks
+        if tracks is None:
+            # The first picture of a stretch: nothing to track against yet.
+            return [*out, *self._make_keyframe(frame, nav, self.tracker.nothing())]
+        self._track_counts.append(len(tracks))
+        if len(tracks) < MIN_TRACKS:
+            self._misses += 1
+            reason = Status.TURNING if self._is_turning(frame) else Status.FEATURELESS
+            if self._misses >= MAX_MISSES:
+                out.extend(self._restart())
+                return [*out, *self._make_keyframe(frame, nav, self.tracker.nothing(), reason)]
+            return [*out, self._refuse(frame, reason)]
+        self._misses = 0
+        if self._wants_keyframe(tracks):
+            return [*out, *self._make_keyframe(frame, nav, tracks)]
+        record = _Record(frame, sighting(self.camera, tracks.ids, tracks.uv_px), nav, False)
+        self._records.append(record)
+        return [*out, *self._place([record])]
+
+    def _track(self, frame: Frame, nav: NavState) -> Tracks | None:
+        assert frame.image is not None
+        predicted = self._predict(nav)
+        tracks = self.tracker.track(frame.image, predicted)
+        if not self.tracker.has_keyframe:
+            return None
+        if predicted is not None and len(tracks) >= MIN_TRACKS:
+            miss = np.median(np.linalg.norm(move(predicted, tracks.keyframe_uv_px) - tracks.uv_px, axis=1))
+            if miss > MAX_PREDICTION_MISS * self.camera.focal_px:
+                return self.tracker.nothing()
+        return tracks
+
+    def _predict(self, nav: NavState) -> Array | None:
+        """Keyframe -> picture by telemetry's pose change over the ground plane; None without attitude or ground."""
+        if not self.window.keyframes or nav.R_enu_body is None:
+            return None
+        last = self.window.keyframes[-1]
+        if last.nav.R_enu_body is None:
+            return None
+        solved = self.window.solved
+        if solved is not None:
+            plane = solved.plane
+        elif nav.height_above_home_m is not None and nav.height_above_home_m > 2.0:
+            plane = np.array([nav.position_enu_m[2] - nav.height_above_home_m, 0.0, 0.0])
+        else:
+            return None
+        was, now = self.window.attitude_guess(last.nav), self.window.attitude_guess(nav)
+        assert was is not None and now is not None
+        moved = nav.position_enu_m - last.nav.position_enu_m
+        return predict_homography(
+            self.camera,
+            Pose(last.R_cam_enu, last.centre_enu_m),
+            Pose(now @ was.T @ last.R_cam_enu, last.centre_enu_m + moved),
+            plane,
+        )
+
+    def _is_turning(self, frame: Frame) -> bool:
+        rate = self.navigation.body_rate_at(frame.stamp_ns)
+        return rate is not None and float(np.linalg.norm(rate)) > TURNING_RAD_S
+
+    def _wants_keyframe(self, tracks: Tracks) -> bool:
+        shift = float(np.median(np.linalg.norm(tracks.uv_px - tracks.keyframe_uv_px, axis=1)))
+        linear = tracks.motion[:2, :2]
+        turn = abs(float(np.arctan2(linear[1, 0] - linear[0, 1], linear[0, 0] + linear[1, 1])))
+        return (
+            shift > KEYFRAME_SHIFT * self.camera.width_px
+            or len(tracks) < KEYFRAME_TRACKS * tracks.offered
+            or turn > KEYFRAME_TURN_RAD
+        )
+
+    def _make_keyframe(
+        self, frame: Frame, nav: NavState, tracks: Tracks, reason: Status | None = None
+    ) -> list[FeatureSet]:
+        with self._timed("tracking"):
+            ids, uv = self.tracker.promote(tracks)
+        seen = sighting(self.camera, ids, uv)
+        flown = None
+        if self.window.keyframes:
+            flown = self.navigation.displacement(self.window.keyframes[-1].nav.stamp_ns, frame.stamp_ns)
+        self.window.add(frame.index, seen, nav, self.navigation.body_rate_at(frame.stamp_ns), flown)
+        self._keyframes += 1
+        record = _Record(frame, seen, nav, True)
+        self._records.append(record)
+        had = self.window.solved is not None
+        with self._timed("solve"):
+            status = self.window.solve()
+        if status is not Status.OK or self.window.solved is None:
+            if reason is not None or not had:
+                return [self._refuse_record(record, reason or status)]
+            return self._place([record])
+        self._reprojections.append(self.window.solved.reprojection_px)
+        out = self._place([r for r in self._records if r.status is not Status.OK])
+        middle = len(self.window.keyframes) - 1 - self.config.solve.keyframes // 2
+        if middle >= 0:
+            limit = self.window.keyframes[middle].frame
+            out.extend(self._settle([r for r in self._records if r.frame.index <= limit]))
+        oldest = self.window.keyframes[0].frame
+        self._records = [r for r in self._records if r.frame.index > oldest or not r.is_settled]
+        return out
+
+    def _restart(self) -> list[FeatureSet]:
+        """Begin anew: what the window could place is settled first."""
+        out = self._settle(self._records)
+        self._records.clear()
+        self.window.reset()
+        self.tracker.forget()
+        self._misses = 0
+        return out
+
+    def _settle(self, records: list[_Record]) -> list[FeatureSet]:
+        """The last revision of pictures that the window has seen past."""
+        if self.window.solved is None:
+            return []
+        out = []
+        for record in records:
+            if not record.is_settled:
+                record.is_settled = True
+                result = self._place([record], only_ok=True)
+                out.extend(result)
+        return out
+
+    def _place(self, records: list[_Record], only_ok: bool = False) -> list[FeatureSet]:
+        """Feature sets of pictures by the newest solution; refusals too, unless `only_ok` or refused before."""
+        out = []
+        with self._timed("georeference"):
+            for record in records:
+                result = self._feature_set(record)
+                if isinstance(result, FeatureSet):
+                    out.append(result)
+                elif not only_ok and record.revision < 0:
+                    out.append(self._refuse_record(record, result))
+        return out
+
+    def _feature_set(self, record: _Record) -> FeatureSet | Status:
+        solved, frame = self.window.solved, self.navigation.frame
+        if solved is None or frame is None or self._session is None:
+            return Status.STARTING
+        guess = self.window.pose_guess(record.seen, record.nav)
+        if guess is None:
+            return Status.STARTING
+        origin = Origin(
+            self.config.vehicle.id,
+            self._session,
+            record.frame.index,
+            record.frame.stamp_ns,
+            min(record.revision + 1, 255),
+            record.is_keyframe,
+        )
+        result = georeference(
+            self.window, solved, record.seen, origin, frame, record.nav.undulation_m, guess[1], guess[0]
+        )
+        if isinstance(result, FeatureSet):
+            record.status, record.revision = Status.OK, result.revision
+            self._status[record.frame.index] = Status.OK
+        return result
+
+    def _refuse_record(self, record: _Record, status: Status) -> FeatureSet:
+        record.status = status
+        record.revision += 1
+        return replace(self._refuse(record.frame, status), revision=record.revision, is_keyframe=record.is_keyframe)
+
+    def _refuse(self, frame: Frame, status: Status) -> FeatureSet:
+        self._status[frame.index] = status
+        assert self._session is not None
+        return FeatureSet(self.config.vehicle.id, self._session, frame.index, frame.stamp_ns, status, self.camera)

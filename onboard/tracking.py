@@ -1,0 +1,282 @@
+"""KLT: Shi-Tomasi features followed by pyramidal Lucas-Kanade, every track verified. The seed's section 2.1.
+
+Shi and Tomasi 1994; Bouguet's pyramidal LK. Two things differ from following picture by picture:
+
+- Each feature is matched against the last *keyframe*, not the last picture. Its error does not grow with the number of
+  pictures in between, and a picture that fails (dark, blurred) is simply passed over.
+- Before LK starts, the whole picture's motion is known to a few pixels: from telemetry, from the last picture's motion, or
+  by phase correlation of thumbnails. Where that motion turns or scales, the picture is warped back first, because LK
+  compares patches by translation alone.
+
+A track is believed if LK converged, its patch looks alike (LK's own error on the normalised picture) and its motion agrees
+with its neighbours'.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.picture import SPREAD, Picture, prepare, thumbnail
+from onboard.prediction import move
+
+Array = NDArray[np.float64]
+
+WINDOW_PX = 21
+LEVELS = 3
+BORDER_PX = 8.0
+# Mean absolute difference of two unlike patches is about 1.1 SPREAD; of two alike at correlation 0.75 half that.
+MAX_DIFFERENCE = 0.56 * SPREAD
+MIN_QUALITY = 0.01
+MIN_EIGENVALUE = 1e-3
+MAX_TURN = 0.06  # rotation (rad) or scale change of a motion above which the picture is warped back before LK
+MIN_PEAK = 0.04  # response of phase correlation below which its shift is not believed
+MIN_TRACKS = 12
+GATE_PX = 4.0  # least deviation from the neighbours' motion that condemns a track, at 640 px width
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Features found again in one picture: identifiers (N,), pixels here and in the keyframe (N, 2)."""
+
+    ids: NDArray[np.int64]
+    uv_px: Array
+    keyframe_uv_px: Array
+    offered: int  # features that were looked for
+    motion: Array  # H (3, 3): keyframe pixel -> this picture
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+class Tracker:
+    """Holds the keyframe's picture and features; `track` looks for them, `promote` makes a picture the keyframe."""
+
+    def __init__(self, size_px: tuple[int, int], features: int, min_distance_px: float = 0.0) -> None:
+        self.width_px, self.height_px = size_px
+        self.features = features
+        spacing = np.sqrt(self.width_px * self.height_px / features)
+        self.min_distance_px = min_distance_px or float(max(4.0, 0.45 * spacing))
+        self._picture: Picture | None = None
+        self._thumbnail: NDArray[np.float32] | None = None
+        self._ids = np.zeros(0, np.int64)
+        self._uv = np.zeros((0, 2))
+        self._next_id = 0
+        self._current: Picture | None = None
+        self._motion = np.eye(3)
+        self._hann: NDArray[np.float32] | None = None
+
+    @property
+    def has_keyframe(self) -> bool:
+        """Whether there is a picture to track against."""
+        return self._picture is not None
+
+    @property
+    def keyframe_features(self) -> tuple[NDArray[np.int64], Array]:
+        """Identifiers (N,) and pixels (N, 2) of the keyframe's features, tracked ones and new ones."""
+        return self._ids, self._uv
+
+    def track(self, image: Picture, predicted: Array | None) -> Tracks:
+        """Look for the keyframe's features in a grey picture (H, W). `predicted`: H (3, 3) keyframe -> picture, or None."""
+        self._current = prepare(image)
+        if self._picture is None or not len(self._ids):
+            return self.nothing()
+        candidates = [self._motion] if predicted is None else [predicted, self._motion]
+        best = self.nothing()
+        for start in candidates:
+            found = self._follow(self._align(start))
+            if len(found) > len(best):
+                best = found
+            if len(best) >= max(MIN_TRACKS, 0.5 * len(self._ids)):
+                break
+        if len(best) >= MIN_TRACKS:
+            self._motion = best.motion
+        return best
+
+    def promote(self, tracks: Tracks) -> tuple[NDArray[np.int64], Array]:
+        """Make the last picture the keyframe: keep `tracks`, fill up with new features; returns all ids and pixels."""
+        if self._current is None:
+            raise RuntimeError("promote() before track(): there is no picture yet")
+        self._picture, self._thumbnail = self._current, None
+        self._motion = np.eye(3)
+        fresh = self._detect(tracks.uv_px, self.features - len(tracks))
+        ids = self._next_id + np.arange(len(fresh))
+        self._next_id += len(fresh)
+        self._ids = np.concatenate([tracks.ids, ids]).astype(np.int64)
+        self._uv = np.concatenate([tracks.uv_px, fresh])
+        return self._ids, self._uv
+
+    def forget(self) -> None:
+        """Drop the keyframe: the next picture starts anew."""
+        self._picture = self._thumbnail = None
+        self._ids, self._uv = np.zeros(0, np.int64), np.zeros((0, 2))
+        self._motion = np.eye(3)
+
+    def nothing(self) -> Tracks:
+        """No track at all: what a picture that cannot be followed gives, and what a new start is promoted with."""
+        return Tracks(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), len(self._ids), np.eye(3))
+
+    def _align(self, start: Array) -> Array:
+        """Refine a whole-picture motion by phase correlation of thumbnails, the current one warped back by it."""
+        assert self._picture is not None and self._current is not None
+        if self._thumbnail is None:
+            self._thumbnail = thumbnail(self._picture)
+        small = self._thumbnail
+        current = thumbnail(self._current)
+        rows, columns = small.shape
+        shrink = np.diag([columns / self.width_px, rows / self.height_px, 1.0])
+        H_small = shrink @ start @ np.linalg.inv(shrink)
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        warped = cv2.warpPerspective(
+            current, H_small, (columns, rows), flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=(128.0,)
+        )
+        if self._hann is None or self._hann.shape != small.shape:
+            self._hann = np.asarray(cv2.createHanningWindow((columns, rows), cv2.CV_32F), np.float32)
+        (dx, dy), response = cv2.phaseCorrelate(small - 128.0, warped - 128.0, self._hann)
+        if response < MIN_PEAK:
+            return start
+        shift = np.eye(3)
+        shift[:2, 2] = dx * self.width_px / columns, dy * self.height_px / rows
+        out: Array = start @ shift
+        return out
+
+    def _follow(self, motion: Array) -> Tracks:
+        """LK from the keyframe into the current picture around a known whole-picture motion, then verification."""
+        assert self._picture is not None and self._current is not None
+        turns = _turn(motion, self.width_px, self.height_px) > MAX_TURN
+        target, back = self._current, np.eye(3)
+        if turns:
+            flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+            target = np.asarray(
+                cv2.warpPerspective(
+                    self._current, motion, (self.width_px, self.height_px), flags=flags, borderMode=cv2.BORDER_REPLICATE
+                ),
+                np.uint8,
+            )
+            back = motion
+        guess = self._uv if turns else move(motion, self._uv)
+        expected = move(motion, self._uv)
+        inside = self._inside(expected)
+        if np.count_nonzero(inside) < MIN_TRACKS:
+            return self.nothing()
+        start = self._uv[inside].astype(np.float32)
+        end, status, difference = cv2.calcOpticalFlowPyrLK(
+            self._picture,
+            target,
+            start,
+            guess[inside].astype(np.float32).copy(),
+            winSize=(WINDOW_PX, WINDOW_PX),
+            maxLevel=LEVELS,
+            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01),
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+            minEigThreshold=MIN_EIGENVALUE,
+        )
+        uv = move(back, np.asarray(end, float)) if turns else np.asarray(end, float)
+        believed = (status[:, 0] == 1) & (difference[:, 0] < MAX_DIFFERENCE) & self._inside(uv)
+        keep = np.flatnonzero(believed)
+        if len(keep) < MIN_TRACKS:
+            return self.nothing()
+        at = self._uv[inside]
+        H, agree = self._agreement(at[keep], uv[keep])
+        keep = keep[agree]
+        if len(keep) < MIN_TRACKS:
+            return self.nothing()
+        return Tracks(self._ids[inside][keep], uv[keep], at[keep], len(self._ids), H)
+
+    def _agreement(self, at: Array, to: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """A homography through the tracks by reweighted least squares, and which tracks follow it.
+
+        Relief moves tracks off it smoothly; the gate is therefore relative to what the others do, never under GATE_PX.
+        """
+        floor = GATE_PX * self.width_px / 640.0
+        weight = np.ones(len(at))
+        H = np.eye(3)
+        agree = np.ones(len(at), bool)
+        for _ in range(5):
+            H = fit_homography(at, to, weight)
+            miss = np.linalg.norm(move(H, at) - to, axis=1)
+            spread = 1.4826 * float(np.median(miss))
+            agree = miss < max(floor, 4.0 * spread)
+            weight = 1.0 / (1.0 + (miss / max(spread, 0.2)) ** 2)
+        return H, agree
+
+    def _inside(self, uv: Array) -> NDArray[np.bool_]:
+        u, v = uv[:, 0], uv[:, 1]
+        out: NDArray[np.bool_] = (
+            (u > BORDER_PX) & (v > BORDER_PX) & (u < self.width_px - BORDER_PX) & (v < self.height_px - BORDER_PX)
+        )
+        return out
+
+    def _detect(self, taken: Array, wanted: int) -> Array:
+        """Up to `wanted` new Shi-Tomasi corners (N, 2), apart from `taken` and from each other, spread over the picture."""
+        if wanted <= 0 or self._picture is None:
+            return np.zeros((0, 2))
+        mask = np.full((self.height_px, self.width_px), 0, np.uint8)
+        b = int(BORDER_PX) + 2
+        mask[b:-b, b:-b] = 255
+        radius = int(self.min_distance_px)
+        for u, v in taken:
+            cv2.circle(mask, (round(float(u)), round(float(v))), radius, 0, -1)
+        smooth = cv2.GaussianBlur(self._picture, (3, 3), 0.8)
+        corners = cv2.goodFeaturesToTrack(
+            smooth,
+            maxCorners=4 * wanted,
+            qualityLevel=MIN_QUALITY,
+            minDistance=self.min_distance_px,
+            mask=mask,
+            blockSize=7,
+        )
+        if corners is None:
+            return np.zeros((0, 2))
+        found = np.asarray(corners, float).reshape(-1, 2)
+        return found[_spread_out(found, taken, wanted, (self.width_px, self.height_px))]
+
+
+def _spread_out(found: Array, taken: Array, wanted: int, size_px: tuple[int, int]) -> NDArray[np.intp]:
+    """Which of `found` (best first) to take so that every part of the picture gets its share: fewest-filled cell first."""
+    if len(found) <= wanted:
+        return np.arange(len(found))
+    cells = np.array([8, 6])
+    cell = np.minimum((found / size_px * cells).astype(int), cells - 1) @ [1, 8]
+    filled = np.zeros(48, int)
+    if len(taken):
+        at = np.clip((taken / size_px * cells).astype(int), 0, cells - 1) @ [1, 8]
+        filled += np.bincount(at, minlength=48)
+    # A corner's rank is how full its cell is when its turn comes; ties go to the stronger corner.
+    rank = np.empty(len(found), int)
+    seen = filled.copy()
+    for i, c in enumerate(cell):
+        rank[i] = seen[c]
+        seen[c] += 1
+    return np.sort(np.argsort(rank, kind="stable")[:wanted])
+
+
+def fit_homography(at: Array, to: Array, weight: Array) -> Array:
+    """Weighted least squares homography (3, 3), pixels `at` (N, 2) -> `to` (N, 2), N >= 4. One linear step, scaled."""
+    centre, scale = at.mean(axis=0), max(float(np.ptp(at)), 1.0)
+    p = (at - centre) / scale
+    q = (to - centre) / scale
+    w = np.sqrt(weight)[:, None]
+    one, zero = np.ones((len(p), 1)), np.zeros((len(p), 3))
+    a = np.concatenate([p, one], axis=1)
+    rows_u = np.concatenate([a, zero, -q[:, :1] * p], axis=1) * w
+    rows_v = np.concatenate([zero, a, -q[:, 1:] * p], axis=1) * w
+    A = np.concatenate([rows_u, rows_v])
+    b = np.concatenate([q[:, 0] * w[:, 0], q[:, 1] * w[:, 0]])
+    h = np.linalg.solve(A.T @ A + 1e-9 * np.eye(8), A.T @ b)
+    H = np.append(h, 1.0).reshape(3, 3)
+    to_unit = np.array([[1 / scale, 0, -centre[0] / scale], [0, 1 / scale, -centre[1] / scale], [0, 0, 1.0]])
+    out: Array = np.linalg.inv(to_unit) @ H @ to_unit
+    return out / out[2, 2]
+
+
+def _turn(H: Array, width_px: int, height_px: int) -> float:
+    """How far a homography's linear part at the picture's middle is from no turn and no scale."""
+    middle = np.array([width_px / 2.0, height_px / 2.0])
+    steps = np.array([middle, middle + [1.0, 0.0], middle + [0.0, 1.0]])
+    moved = move(H, steps)
+    linear = (moved[1:] - moved[0]).T
+    return float(np.abs(linear - np.eye(2)).max())
