@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from contract.camera import Camera
 from contract.feature_set import DepthSource, FeatureSet, SlowPosition, Status
 from contract.geodesy import LocalFrame, rotation_enu_ecef
 from onboard.resection import Resection, resect

@@ -1,4 +1,4 @@
-"""The ground plane under the points, and the roll that makes it level across the line of flight. The seed's section 2.3."""
+"""The ground plane under the points, and the roll that makes it level across the line of flight. Seed, section 2.3."""
 
 from __future__ import annotations
 

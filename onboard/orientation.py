@@ -1,7 +1,7 @@
 """Starting orientation: absolute from the GPS path, relative by the small-angle method. The seed's section 2.2.
 
-Section 3 of docs/mathematics.md. Nothing here has to be accurate: the bundle adjustment follows. It has to be near
-enough, and to notice when it is not: `start_pair` tries the direction of travel first, turns about the vertical next and
+Section 3 of docs/mathematics.md. Nothing here has to be accurate: the bundle adjustment follows. It has to be
+near enough, and to notice when it is not: `start_pair` tries the direction of travel first, turns about the vertical next and
 a five-point start last, and keeps what the measured rays support best.
 """
 
@@ -206,7 +206,7 @@ def _ahead(rays1: Array, rays2: Array, Q: Array, t_cam1: Array) -> Mask:
 
 
 def _ground_normal(rays1: Array, rays2: Array, Q: Array, t_cam1: Array, nominal_down_cam: Array) -> Array:
-    """Downward normal, in camera 1 axes, of the plane through the pair's points: levelling in the camera's own frame."""
+    """Downward normal, in camera 1 axes, of the plane through the pair's points: levelling in that frame."""
     centres = np.stack([np.zeros(3), t_cam1])
     xy = np.stack([rays1[:, :2], rays2[:, :2]])
     points = triangulate(np.stack([np.eye(3), Q]), centres, xy, np.ones(xy.shape[:2], bool)).points_enu_m

@@ -29,6 +29,7 @@ from onboard.window import Sighting, Window, sighting
 Array = NDArray[np.float64]
 
 MAX_WAIT_NS = 1_500_000_000  # for telemetry to catch up with a picture
+MAX_FAILURES = 4  # window solves in a row without a result before a new start
 MAX_MISSES = 3  # pictures in a row that found too little before a new start
 KEYFRAME_SHIFT = 0.10  # median motion, as a share of the picture's width, that makes a keyframe
 KEYFRAME_TRACKS = 0.65  # share of features still followed below which a keyframe is made
@@ -78,6 +79,7 @@ class Pipeline:
         self._records: list[_Record] = []
         self._session: int | None = None
         self._misses = 0
+        self._failures = 0
         self._last_nav_ns: int | None = None
         self._status: dict[int, Status] = {}
         self._track_counts: list[int] = []
@@ -231,7 +233,17 @@ class Pipeline:
         had = self.window.solved is not None
         with self._timed("solve"):
             status = self.window.solve()
+        self._failures = self._failures + 1 if status is Status.POOR_FIT else 0
         if status is not Status.OK or self.window.solved is None:
+            if self._failures >= MAX_FAILURES:
+                # What the window holds does not fit together: begin again with this keyframe alone.
+                self._records.remove(record)
+                out = self._settle(self._records)
+                self.window.reset()
+                self.window.add(frame.index, seen, nav, self.navigation.body_rate_at(frame.stamp_ns), None)
+                self._failures = 0
+                self._records = [record]
+                return [*out, self._refuse_record(record, status)]
             if reason is not None or not had:
                 return [self._refuse_record(record, reason or status)]
             return self._place([record])

@@ -1,4 +1,4 @@
-"""Where the features of one picture will be in another, before looking: pose change over the ground plane. (4.1), (4.2)"""
+"""Where one picture's features will be in another, before looking: pose change over the ground plane. (4.1), (4.2)"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A window's first orientations from rays and GPS positions alone, when no sensor gives attitude. The seed's section 2.2.
+"""A window's first orientations from rays and GPS positions alone, when no sensor gives attitude. Seed, section 2.2.
 
 One pair with a long baseline and many common features is oriented by `orientation.start_pair`; the other views follow
 from its points, nearest first, each by the rotation that best turns the known points' directions into its rays.

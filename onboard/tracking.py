@@ -2,8 +2,8 @@
 
 Shi and Tomasi 1994; Bouguet's pyramidal LK. Two things differ from following picture by picture:
 
-- Each feature is matched against the last *keyframe*, not the last picture. Its error does not grow with the number of
-  pictures in between, and a picture that fails (dark, blurred) is simply passed over.
+- Each feature is matched against the last *keyframe*, not the last picture. Its error does not grow with the number
+  of pictures in between, and a picture that fails (dark, blurred) is simply passed over.
 - Before LK starts, the whole picture's motion is known to a few pixels: from telemetry, from the last picture's motion, or
   by phase correlation of thumbnails. Where that motion turns or scales, the picture is warped back first, because LK
   compares patches by translation alone.

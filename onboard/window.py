@@ -43,7 +43,12 @@ OUTLIER_SIGMAS = 4.0
 MIN_INLIERS = 0.5
 MAX_FIT_SIGMAS = 4.0  # median residual, in configured pixel sigmas, above which the fit explains nothing
 MAX_DEPTH_SIGMA = 0.15  # relative; a scene less known than this has no parallax to speak of
-MAX_PRIOR_SIGMAS = 6.0  # root mean square of a sensor's whitened residuals that a true solution may show
+MAX_PRIOR_SIGMAS = 3.5  # root mean square of a sensor's whitened residuals that a true solution may show
+MAX_GROUND_SLOPE = 1.0
+# How far an aircraft without attitude sensor may be from flying level along its path in a coordinated turn.
+PATH_SIGMA_RAD = 0.25
+PATH_WHITE_SIGMA_RAD = 0.15
+GRAVITY_M_S2 = 9.81
 SHARED = 4  # of the seven shared states, those that outlive the window: boresight and time offset
 
 
@@ -208,6 +213,11 @@ class Window:
         spread = _depth_sigma(s, good, layout) / median_depth
         if float(np.median(spread)) * np.sqrt(scale) > MAX_DEPTH_SIGMA:
             return Status.LOW_PARALLAX
+        below = np.einsum("j,kpj->kp", [0.0, 0.0, 1.0], s.state.points_enu_m - s.state.centres_enu_m[:, None]) < 0.0
+        if np.count_nonzero(below & (kept > 0)) < 0.9 * used or np.abs(s.state.plane[1:]).max() > MAX_GROUND_SLOPE:
+            return Status.POOR_FIT  # the ground above the aircraft, or a wall: a turned-over solution
+        if np.linalg.eigvalsh(s.covariance)[0] <= 0.0:
+            return Status.POOR_FIT
         for prior in priors:
             r = prior.evaluate(s.state)[0]
             if float(np.sqrt(np.mean(r * r))) > MAX_PRIOR_SIGMAS:
@@ -335,8 +345,32 @@ class Window:
                 ]
             )
             priors.append(AttitudePrior(layout, R_enu_cam, rates, attitude))
+        else:
+            coordinated = self._coordinated(stamps, velocities)
+            if coordinated is not None:
+                loose = wandering_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, PATH_SIGMA_RAD, gps.wander_time_s)
+                heading = wandering_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, 2 * PATH_SIGMA_RAD, gps.wander_time_s)
+                still = np.zeros((layout.keyframes, 3))
+                priors.append(AttitudePrior(layout, coordinated, still, np.stack([loose, loose, heading])))
         priors.append(self._shared_prior(layout))
         return priors
+
+    def _coordinated(self, stamps_s: Array, velocities: Array) -> Array | None:
+        """R_enu_cam (K, 3, 3) of a vehicle that heads where it flies and banks into its turns; None while it is slow.
+
+        What keeps any aircraft in the air pushes along its own up axis, so that axis lies near acceleration plus
+        gravity. A weak belief, (5.10), but one that a turned-over solution contradicts.
+        """
+        if len(stamps_s) < 2 or np.linalg.norm(velocities[:, :2], axis=1).min() < 3.0:
+            return None
+        acceleration = np.gradient(velocities, stamps_s, axis=0)
+        up = acceleration + [0.0, 0.0, GRAVITY_M_S2]
+        down = -up / np.linalg.norm(up, axis=1, keepdims=True)
+        ahead = velocities - np.sum(velocities * down, axis=1, keepdims=True) * down
+        ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+        R_enu_body = np.stack([ahead, np.cross(down, ahead), down], axis=-1)
+        out: Array = R_enu_body @ self.R_body_cam
+        return out
 
     def _shared_prior(self, layout: Layout) -> SharedPrior:
         covariance = np.zeros((7, 7))
