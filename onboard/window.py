@@ -39,6 +39,7 @@ Ids = NDArray[np.int64]
 MIN_KEYFRAMES = 3
 MIN_POINTS = 12
 MIN_PARALLAX_RAD = 0.008  # below this a point starts on the ground plane and not where its rays meet
+START_SIGMAS = 5.0  # of an inlier at the start, at 640 px width: larger pictures carry larger calibration errors
 OUTLIER_SIGMAS = 4.0
 MIN_INLIERS = 0.5
 MAX_FIT_SIGMAS = 4.0  # median residual, in configured pixel sigmas, above which the fit explains nothing
@@ -270,7 +271,7 @@ class Window:
         if self.solved is not None or all(k.nav.R_enu_body is not None for k in self.keyframes):
             return True
         centres = np.stack([k.nav.position_enu_m for k in self.keyframes])
-        tolerance = 4.0 * self.pixel_sigma_px / self.camera.focal_px
+        tolerance = START_SIGMAS * self.pixel_sigma_px * max(1.0, self.camera.width_px / 640.0) / self.camera.focal_px
         rotations = starting.orient(xy, seen, centres, self.R_body_cam, tolerance)
         if rotations is None:
             return False
