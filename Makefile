@@ -1,0 +1,68 @@
+# Two commands: `make demo` and `make test`. Each sets up what it needs; a second run is quick.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+LOCKED := $(VENV)/.locked
+INSTALLED := $(VENV)/.installed
+PYTEST_ARGS ?= -n 2
+
+.DEFAULT_GOAL := help
+.PHONY: help venv demo test lint types pytest bench clean
+
+help:
+	@echo "make demo    a short simulated flight, from pictures to clicked coordinates; pictures in out/demo"
+	@echo "make test    lint, types and all tests"
+	@echo "make lint    ruff: rules and format"
+	@echo "make types   mypy --strict"
+	@echo "make pytest  the tests alone (PYTEST_ARGS='-k click' to choose)"
+	@echo "make bench   figures on the real flight (needs ../shared/data/cmac_2018)"
+	@echo "make venv    only set up $(VENV)"
+	@echo "make clean   remove what was made: out, build, caches, $(VENV)"
+
+venv: $(INSTALLED)
+
+# Exact versions from the lock; then this checkout itself, editable, with nothing fetched for it.
+$(LOCKED): requirements.lock
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+		|| { echo "pointclick needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) --version 2>&1). Name one: make PYTHON=python3.11"; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || $(MAKE) --no-print-directory system-venv
+	@test -x $(BIN)/pip || $(PYTHON) -m venv --clear $(VENV)
+	@echo "installing the versions in requirements.lock into $(VENV) (a minute or two)"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements.lock
+	@touch $@
+
+$(INSTALLED): $(LOCKED) pyproject.toml
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $@
+
+# Debian keeps venv and ensurepip in a package of their own.
+.PHONY: system-venv
+system-venv:
+	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+		apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq python3-venv; \
+	else \
+		echo "$(PYTHON) has no venv module. Once: sudo apt-get install python3-venv   then again: make"; exit 1; \
+	fi
+
+demo: $(INSTALLED)
+	@$(BIN)/python -m demo
+
+test: lint types pytest
+
+lint: $(INSTALLED)
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check --quiet . || { echo "not formatted; run $(BIN)/ruff format ."; exit 1; }
+
+types: $(INSTALLED)
+	@$(BIN)/mypy
+
+pytest: $(INSTALLED)
+	@$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+bench: $(INSTALLED)
+	@$(BIN)/python -m benchmarks.real_flight
+
+clean:
+	rm -rf out build $(VENV) *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

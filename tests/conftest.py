@@ -1,0 +1,43 @@
+"""What every test may ask for: one thread each, the shared recordings, and a loud word about tests left out."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+# Before anything imports NumPy or OpenCV: several tests run side by side, and one thread each gives the same bytes
+# everywhere.
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
+    os.environ[variable] = "1"
+os.environ["OPENCV_OPENCL_RUNTIME"] = "disabled"
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+LEFT_OUT = "left out: no recordings at"
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The real flight and the long recordings, too large or not ours to commit.
+
+    `../shared/data` beside the checkout, or where POINTCLICK_SHARED says. Without them the test is left out, and the
+    run's end says so.
+    """
+    folder = Path(os.environ.get("POINTCLICK_SHARED") or CHECKOUT.parent / "shared" / "data")
+    if not (folder / "cmac_2018" / "frames").is_dir() or not (folder / "sitl").is_dir():
+        pytest.skip(f"{LEFT_OUT} {folder}")
+    return folder
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Name every test that was left out for want of the shared recordings."""
+    missing = [r for r in terminalreporter.stats.get("skipped", []) if LEFT_OUT in str(r.longrepr)]
+    if not missing:
+        return
+    folder = str(missing[0].longrepr[-1]).split(LEFT_OUT)[1].strip(" '\")")
+    terminalreporter.section(f"{len(missing)} TESTS LEFT OUT", sep="!", red=True, bold=True)
+    terminalreporter.line(f"No recordings at {folder}: what follows was NOT tested.")
+    terminalreporter.line("Put the folder there or name it in POINTCLICK_SHARED to run these too:")
+    for name in sorted(r.nodeid for r in missing):
+        terminalreporter.line(f"  {name}")
