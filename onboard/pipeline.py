@@ -139,7 +139,7 @@ class Pipeline:
         if frame.image is None:
             return [self._refuse(frame, Status.BAD_PICTURE)]
         with self._timed("navigation"):
-            nav = self.navigation.state_at(frame.stamp_ns)
+            nav = self.navigation.state_at(frame.stamp_ns, self.window.alignment.belief.mean[3])
         if isinstance(nav, Status):
             return [self._refuse(frame, nav)]
         out: list[FeatureSet] = []
@@ -223,10 +223,14 @@ class Pipeline:
         with self._timed("tracking"):
             ids, uv = self.tracker.promote(tracks)
         seen = sighting(self.camera, ids, uv)
+        offset_s = self.window.alignment.belief.mean[3]
+        offset_ns = round(offset_s * 1e9)
         flown = None
         if self.window.keyframes:
-            flown = self.navigation.displacement(self.window.keyframes[-1].nav.stamp_ns, frame.stamp_ns)
-        self.window.add(frame.index, seen, nav, self.navigation.body_rate_at(frame.stamp_ns), flown)
+            since_ns = self.window.keyframes[-1].nav.stamp_ns
+            flown = self.navigation.displacement(since_ns + offset_ns, frame.stamp_ns + offset_ns)
+        rate = self.navigation.body_rate_at(frame.stamp_ns + offset_ns)
+        self.window.add(frame.index, seen, nav, offset_s, rate, flown)
         self._keyframes += 1
         record = _Record(frame, seen, nav, True)
         self._records.append(record)
@@ -240,7 +244,7 @@ class Pipeline:
                 self._records.remove(record)
                 out = self._settle(self._records)
                 self.window.reset()
-                self.window.add(frame.index, seen, nav, self.navigation.body_rate_at(frame.stamp_ns), None)
+                self.window.add(frame.index, seen, nav, offset_s, rate, None)
                 self._failures = 0
                 self._records = [record]
                 return [*out, self._refuse_record(record, status)]

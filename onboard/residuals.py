@@ -139,11 +139,16 @@ class PositionPrior:
     measured_enu_m: Array  # (K, 3)
     velocity_enu_m_s: Array  # (K, 3)
     whitener: Array  # (3, K, K): east, north, up
+    offset_s: Array  # (K,) time offset at which each was taken
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3K,), Jacobian (3K, D)."""
         K = self.layout.keyframes
-        error = state.centres_enu_m - self.measured_enu_m - self.velocity_enu_m_s * state.offset_s
+        error = (
+            state.centres_enu_m
+            - self.measured_enu_m
+            - self.velocity_enu_m_s * (state.offset_s - self.offset_s)[:, None]
+        )
         residual = np.einsum("aij,ja->ai", self.whitener, error)
         J = np.zeros((3, K, self.layout.size))
         columns = self.layout.centres()
@@ -183,11 +188,12 @@ class AttitudePrior:
     R_enu_cam_measured: Array  # (K, 3, 3) vehicle attitude times nominal mount
     body_rate_cam_rad_s: Array  # (K, 3) vehicle rate in camera axes, for the time offset
     whitener: Array  # (3, K, K): about east, north, up
+    offset_s: Array  # (K,) time offset at which each was taken
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3K,), Jacobian (3K, D)."""
         K = self.layout.keyframes
-        turn = exp_so3(self.body_rate_cam_rad_s * state.offset_s)
+        turn = exp_so3(self.body_rate_cam_rad_s * (state.offset_s - self.offset_s)[:, None])
         tilt = exp_so3(state.boresight_rad)
         R_enu_cam = self.R_enu_cam_measured @ turn @ tilt
         # In camera axes: log(R_cam_enu R_enu_cam); its derivatives are Jl^-1 = Jr^-1(-e) on the left, Jr^-1 on the right.

@@ -16,6 +16,8 @@ from contract.camera import Camera
 from contract.feature_set import Status
 from contract.rotations import exp_so3, mount_rotation
 from onboard import starting
+from onboard.alignment import STATES as SHARED
+from onboard.alignment import Alignment, Belief
 from onboard.bundle import Problem, Solution, solve
 from onboard.config import Config
 from onboard.levelling import fit_plane
@@ -50,7 +52,6 @@ MAX_GROUND_SLOPE = 1.0
 PATH_SIGMA_RAD = 0.25
 PATH_WHITE_SIGMA_RAD = 0.15
 GRAVITY_M_S2 = 9.81
-SHARED = 4  # of the seven shared states, those that outlive the window: boresight and time offset
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +72,7 @@ class Keyframe:
     sighting: Sighting
     nav: NavState
     body_rate_rad_s: Array
+    nav_offset_s: float  # camera-to-autopilot offset at which `nav` was taken
     flown_enu_m: Array | None  # since the keyframe before, by integrated velocity
     R_cam_enu: Array
     centre_enu_m: Array
@@ -119,9 +121,8 @@ class Window:
         self.keyframes: list[Keyframe] = []
         self.solved: Solved | None = None
         self.pixel_sigma_px = config.solve.pixel_sigma_px
-        self.shared_mean = np.zeros(SHARED)
-        self.shared_cov = np.diag(
-            [np.radians(mount.sigma_deg) ** 2 + 1e-12] * 3 + [config.camera.sigma_latency_s**2 + 1e-12]
+        self.alignment = Alignment(
+            np.radians(mount.sigma_deg), config.camera.sigma_latency_s, config.solve.attitude_wander_time_s
         )
 
     def reset(self) -> None:
@@ -133,7 +134,7 @@ class Window:
         """R_cam_enu from the autopilot through mount and boresight, or None without attitude."""
         if nav.R_enu_body is None:
             return None
-        out: Array = (nav.R_enu_body @ self.R_body_cam @ exp_so3(self.shared_mean[:3])).T
+        out: Array = (nav.R_enu_body @ self.R_body_cam @ exp_so3(self.alignment.belief.mean[:3])).T
         return out
 
     def position_guess(self, nav: NavState) -> Array:
@@ -157,14 +158,20 @@ class Window:
         return None if attitude is None else (attitude, centre)
 
     def add(
-        self, frame: int, seen: Sighting, nav: NavState, body_rate_rad_s: Array | None, flown_enu_m: Array | None
+        self,
+        frame: int,
+        seen: Sighting,
+        nav: NavState,
+        nav_offset_s: float,
+        body_rate_rad_s: Array | None,
+        flown_enu_m: Array | None,
     ) -> None:
         """Take a keyframe; the oldest leaves a full window."""
         guess = self.pose_guess(seen, nav)
         # Without any attitude the start waits for the window's first solve; the mount alone is a placeholder.
         R, centre = guess if guess is not None else (self.R_body_cam.T, nav.position_enu_m)
         rate = np.zeros(3) if body_rate_rad_s is None else body_rate_rad_s
-        self.keyframes.append(Keyframe(frame, seen, nav, rate, flown_enu_m, R, centre))
+        self.keyframes.append(Keyframe(frame, seen, nav, rate, nav_offset_s, flown_enu_m, R, centre))
         del self.keyframes[: -self.config.solve.keyframes]
 
     def solve(self) -> Status:
@@ -182,8 +189,9 @@ class Window:
         R = np.stack([k.R_cam_enu for k in self.keyframes])
         C = np.stack([k.centre_enu_m for k in self.keyframes])
         points, reference, plane = self._points(ids, R, C, xy, weight > 0)
-        state = State(R, C, points, self.shared_mean[:3], float(self.shared_mean[3]), plane)
-        priors = self._priors(layout)
+        belief = self.alignment.prior_for(self.keyframes[0].nav.stamp_ns)
+        state = State(R, C, points, belief.mean[:3], float(belief.mean[3]), plane)
+        priors = self._priors(layout, belief)
         relief = np.full(len(ids), 1.0 / max(self.config.solve.relief_sigma_m, 1e-3))
         problem = Problem(layout, xy, weight, priors, reference, relief)
         first = solve(problem, state, scale=3.0, tolerance=1e-4)
@@ -229,6 +237,7 @@ class Window:
         ]
         slopes = s.state.plane[1:]
         plane = np.array([reference[2] + s.state.plane[0] - slopes @ reference[:2], *slopes])
+        self._learn(s, layout)
         # The noise of tracking is learned slowly, so that one odd window changes little.
         self.pixel_sigma_px = float(np.clip(self.pixel_sigma_px * fit**0.3, 0.08, 5.0))
         self.solved = Solved(
@@ -243,6 +252,15 @@ class Window:
             tuple(self.keyframes),
         )
         return Status.OK
+
+    def _learn(self, s: Solution, layout: Layout) -> None:
+        """Offer a full window's boresight and time offset as a lesson."""
+        if len(self.keyframes) < self.config.solve.keyframes or self.keyframes[0].nav.R_enu_body is None:
+            return
+        shared = slice(layout.boresight.start, layout.boresight.start + SHARED)
+        mean = np.append(s.state.boresight_rad, s.state.offset_s)
+        start, end = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
+        self.alignment.offer(start, end, mean, s.covariance[shared, shared])
 
     @staticmethod
     def _fit(sigmas: Array) -> float:
@@ -308,10 +326,11 @@ class Window:
         reference[2] = plane[0] + plane[1:] @ reference[:2]
         return points, reference, np.array([0.0, plane[1], plane[2]])
 
-    def _priors(self, layout: Layout) -> list[Prior]:
+    def _priors(self, layout: Layout, belief: Belief) -> list[Prior]:
         solve_, gps = self.config.solve, self.config.gps
         stamps_ns = np.array([k.nav.stamp_ns for k in self.keyframes], np.int64)
         stamps = (stamps_ns - stamps_ns[0]) / 1e9
+        offsets = np.array([k.nav_offset_s for k in self.keyframes])
         positions = np.stack([k.nav.position_enu_m for k in self.keyframes])
         velocities = np.stack(
             [np.zeros(3) if k.nav.velocity_enu_m_s is None else k.nav.velocity_enu_m_s for k in self.keyframes]
@@ -324,7 +343,7 @@ class Window:
                 for wander, grow in ((horizontal, 1.0), (horizontal, 1.0), (vertical, 1.5))
             ]
         )
-        priors: list[Prior] = [PositionPrior(layout, positions, velocities, whitener)]
+        priors: list[Prior] = [PositionPrior(layout, positions, velocities, whitener, offsets)]
         flown = [k.flown_enu_m for k in self.keyframes[1:]]
         if solve_.velocity and all(f is not None for f in flown):
             sigma = gps.sigma_velocity_m_s * np.maximum(np.diff(stamps), 0.05)
@@ -339,21 +358,23 @@ class Window:
                     wandering_sqrt_information(
                         stamps,
                         np.radians(solve_.attitude_white_sigma_deg),
-                        np.radians(solve_.attitude_sigma_deg) * grow,
-                        gps.wander_time_s,
+                        np.radians(sigma_deg),
+                        solve_.attitude_wander_time_s,
                     )
-                    for grow in (1.0, 1.0, 2.0)  # heading comes from the compass and is the weakest
+                    for sigma_deg in (solve_.attitude_sigma_deg, solve_.attitude_sigma_deg, solve_.heading_sigma_deg)
                 ]
             )
-            priors.append(AttitudePrior(layout, R_enu_cam, rates, attitude))
+            priors.append(AttitudePrior(layout, R_enu_cam, rates, attitude, offsets))
         else:
             coordinated = self._coordinated(stamps, velocities)
             if coordinated is not None:
                 loose = wandering_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, PATH_SIGMA_RAD, gps.wander_time_s)
-                heading = wandering_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, 2 * PATH_SIGMA_RAD, gps.wander_time_s)
+                heading = wandering_sqrt_information(
+                    stamps, PATH_WHITE_SIGMA_RAD, 2 * PATH_SIGMA_RAD, gps.wander_time_s
+                )
                 still = np.zeros((layout.keyframes, 3))
-                priors.append(AttitudePrior(layout, coordinated, still, np.stack([loose, loose, heading])))
-        priors.append(self._shared_prior(layout))
+                priors.append(AttitudePrior(layout, coordinated, still, np.stack([loose, loose, heading]), offsets))
+        priors.append(self._shared_prior(layout, belief))
         return priors
 
     def _coordinated(self, stamps_s: Array, velocities: Array) -> Array | None:
@@ -373,13 +394,13 @@ class Window:
         out: Array = R_enu_body @ self.R_body_cam
         return out
 
-    def _shared_prior(self, layout: Layout) -> SharedPrior:
+    def _shared_prior(self, layout: Layout, belief: Belief) -> SharedPrior:
         covariance = np.zeros((7, 7))
-        covariance[:SHARED, :SHARED] = self.shared_cov
+        covariance[:SHARED, :SHARED] = belief.covariance
         slope = np.tan(np.radians(self.config.solve.level_ground_sigma_deg)) if self.config.solve.level_ground else 3.0
         covariance[4:, 4:] = np.diag([1e8, slope**2, slope**2])
         mean = np.zeros(7)
-        mean[:SHARED] = self.shared_mean
+        mean[:SHARED] = belief.mean
         return SharedPrior(layout, mean, np.linalg.inv(np.linalg.cholesky(covariance)))
 
 
