@@ -1,8 +1,8 @@
 """Starting orientation: absolute from the GPS path, relative by the small-angle method. The seed's section 2.2.
 
 Section 3 of docs/mathematics.md. Nothing here has to be accurate: the bundle adjustment follows. It has to be
-near enough, and to notice when it is not: `start_pair` tries the direction of travel first, turns about the vertical next and
-a five-point start last, and keeps what the measured rays support best.
+near enough, and to notice when it is not: `start_pair` tries the direction of travel first, turns about the vertical
+next and a five-point start last, and keeps what the measured rays support best.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Events in, feature sets out. No socket, no thread, no clock of its own: live and replay run this same code.
 
-A picture waits until telemetry on both sides of its exposure has arrived, is tracked against the last keyframe, becomes a
-keyframe itself when enough has moved, and gets a feature set: at once if the window has structure for it, otherwise with
-the first solve that has; and once more, as a later revision, when the window has seen past it.
+A picture waits until telemetry on both sides of its exposure has arrived, is tracked against the last keyframe,
+becomes a keyframe itself when enough has moved, and gets a feature set: at once if the window has structure for it,
+otherwise with the first solve that has; and once more, as a later revision, when the window has seen past it.
 """
 
 from __future__ import annotations

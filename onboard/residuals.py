@@ -123,7 +123,7 @@ def wandering_sqrt_information(
 ) -> Array:
     """Lower-triangular whitener (K, K) of an error with a white part and an Ornstein-Uhlenbeck part, (5.5).
 
-    One axis of K measurements at `stamps_s` (s): covariance sigma_wander^2 exp(-|dt| / time_constant) + sigma_white^2 I.
+    One axis of K measurements at `stamps_s` (s): covariance sigma_wander^2 exp(-|dt| / tau) + sigma_white^2 I.
     """
     lag = np.abs(stamps_s[:, None] - stamps_s[None, :])
     covariance = sigma_wander**2 * np.exp(-lag / time_constant_s) + sigma_white**2 * np.eye(len(stamps_s))
@@ -196,7 +196,7 @@ class AttitudePrior:
         turn = exp_so3(self.body_rate_cam_rad_s * (state.offset_s - self.offset_s)[:, None])
         tilt = exp_so3(state.boresight_rad)
         R_enu_cam = self.R_enu_cam_measured @ turn @ tilt
-        # In camera axes: log(R_cam_enu R_enu_cam); its derivatives are Jl^-1 = Jr^-1(-e) on the left, Jr^-1 on the right.
+        # In camera axes: log(R_cam_enu R_enu_cam). Its derivatives: Jl^-1 = Jr^-1(-e) on the left, Jr^-1 on the right.
         error_cam = log_so3(state.R_cam_enu @ R_enu_cam)
         left = right_jacobian_inverse(-error_cam)
         right = right_jacobian_inverse(error_cam)

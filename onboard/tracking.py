@@ -4,12 +4,12 @@ Shi and Tomasi 1994; Bouguet's pyramidal LK. Two things differ from following pi
 
 - Each feature is matched against the last *keyframe*, not the last picture. Its error does not grow with the number
   of pictures in between, and a picture that fails (dark, blurred) is simply passed over.
-- Before LK starts, the whole picture's motion is known to a few pixels: from telemetry, from the last picture's motion, or
-  by phase correlation of thumbnails. Where that motion turns or scales, the picture is warped back first, because LK
-  compares patches by translation alone.
+- Before LK starts, the whole picture's motion is known to a few pixels: from telemetry, from the last picture's
+  motion, or by phase correlation of thumbnails. Where that motion turns or scales, the picture is warped back first,
+  because LK compares patches by translation alone.
 
-A track is believed if LK converged, its patch looks alike (LK's own error on the normalised picture) and its motion agrees
-with its neighbours'.
+A track is believed if LK converged, its patch looks alike (LK's own error on the normalised picture) and its motion
+agrees with its neighbours'.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Tracker:
         return self._ids, self._uv
 
     def track(self, image: Picture, predicted: Array | None) -> Tracks:
-        """Look for the keyframe's features in a grey picture (H, W). `predicted`: H (3, 3) keyframe -> picture, or None."""
+        """Look for the keyframe's features in a grey picture (H, W). `predicted`: H (3, 3) from keyframe, or None."""
         self._current = prepare(image)
         if self._picture is None or not len(self._ids):
             return self.nothing()
@@ -211,7 +211,7 @@ class Tracker:
         return out
 
     def _detect(self, taken: Array, wanted: int) -> Array:
-        """Up to `wanted` new Shi-Tomasi corners (N, 2), apart from `taken` and from each other, spread over the picture."""
+        """Up to `wanted` new Shi-Tomasi corners (N, 2), apart from `taken` and each other, spread over the picture."""
         if wanted <= 0 or self._picture is None:
             return np.zeros((0, 2))
         mask = np.full((self.height_px, self.width_px), 0, np.uint8)
@@ -236,7 +236,7 @@ class Tracker:
 
 
 def _spread_out(found: Array, taken: Array, wanted: int, size_px: tuple[int, int]) -> NDArray[np.intp]:
-    """Which of `found` (best first) to take so that every part of the picture gets its share: fewest-filled cell first."""
+    """Which of `found` (best first) to take so that every part of the picture gets its share: emptiest cell first."""
     if len(found) <= wanted:
         return np.arange(len(found))
     cells = np.array([8, 6])
@@ -276,7 +276,7 @@ def fit_homography(at: Array, to: Array, weight: Array) -> Array:
 def _turn(H: Array, width_px: int, height_px: int) -> float:
     """How far a homography's linear part at the picture's middle is from no turn and no scale."""
     middle = np.array([width_px / 2.0, height_px / 2.0])
-    steps = np.array([middle, middle + [1.0, 0.0], middle + [0.0, 1.0]])
+    steps = middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     moved = move(H, steps)
     linear = (moved[1:] - moved[0]).T
     return float(np.abs(linear - np.eye(2)).max())

@@ -386,7 +386,7 @@ class Window:
         if len(stamps_s) < 2 or np.linalg.norm(velocities[:, :2], axis=1).min() < 3.0:
             return None
         acceleration = np.gradient(velocities, stamps_s, axis=0)
-        up = acceleration + [0.0, 0.0, GRAVITY_M_S2]
+        up = acceleration + np.array([0.0, 0.0, GRAVITY_M_S2])
         down = -up / np.linalg.norm(up, axis=1, keepdims=True)
         ahead = velocities - np.sum(velocities * down, axis=1, keepdims=True) * down
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
@@ -416,7 +416,7 @@ def _depth_sigma(s: Solution, good: NDArray[np.bool_], layout: Layout) -> Array:
 
 
 def _on_plane(R: Array, C: Array, xy: Array, seen: NDArray[np.bool_], plane: Array) -> Array:
-    """Each point where its newest ray meets the plane (height at origin, slopes); far rays are cut at ten clearances."""
+    """Each point where its newest ray meets the plane (height at origin, slopes); far rays at ten clearances."""
     newest = len(seen) - 1 - np.argmax(seen[::-1], axis=0)
     P = np.arange(seen.shape[1])
     rays = np.concatenate([xy[newest, P], np.ones((len(P), 1))], axis=1)
