@@ -230,7 +230,6 @@ def solve(
             if damping > 1e9:
                 break
     S, _, Y, V_inverse = _reduce(system, 0.0)
-    covariance = _solve_positive(S, np.eye(len(S)))
-    if covariance is None:
-        covariance = np.linalg.pinv(S, hermitian=True)
+    inverse = _solve_positive(S, np.eye(len(S)))
+    covariance: Array = np.asarray(np.linalg.pinv(S, hermitian=True), float) if inverse is None else inverse
     return Solution(state, system.cost, iterations, converged, system.robust, system.sigmas, covariance, Y, V_inverse)

@@ -23,7 +23,8 @@ def fit_plane(points_enu_m: Array, weight: Array | None = None) -> tuple[Array, 
     scale = max(float(np.abs(A[:, 1:]).max(initial=0.0)), 1e-9)
     A[:, 1:] /= scale
     w = base.copy()
-    plane, spread = np.zeros(3), 0.0
+    plane: Array = np.zeros(3)
+    spread = 0.0
     for _ in range(5):
         N = A.T @ (A * w[:, None])
         plane = np.linalg.solve(N + 1e-6 * max(float(N[0, 0]), 1e-12) * np.eye(3), A.T @ (w * points_enu_m[:, 2]))

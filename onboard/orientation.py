@@ -241,7 +241,7 @@ def _five_point(rays1: Array, rays2: Array, length: float, tolerance_rad: float)
     _, R, t, _ = cv2.recoverPose(E, np.ascontiguousarray(rays1[:, :2]), np.ascontiguousarray(rays2[:, :2]), np.eye(3))
     # OpenCV: x2 = R x1 + t, so the second centre in camera 1 is -R' t.
     direction = -(np.asarray(R).T @ np.asarray(t).ravel())
-    return [refine_direction(rays1, rays2, np.asarray(R, float), direction * length, tolerance_rad)]
+    return [refine_direction(rays1, rays2, np.asarray(R, float), np.asarray(direction, float) * length, tolerance_rad)]
 
 
 def rotation_only(rays1: Array, rays2: Array, steps: int = 5) -> Array:

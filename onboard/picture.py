@@ -26,14 +26,14 @@ def prepare(image: Picture) -> Picture:
     ).astype(np.float32)
     mean = cv2.blur(small, (reach, reach))
     # The spread is that of the full picture's detail against the smooth mean, gathered by area.
-    spread = cv2.sqrt(cv2.max(cv2.blur(small * small, (reach, reach)) - mean * mean, 0.0))
+    spread = np.sqrt(np.maximum(cv2.blur(small * small, (reach, reach)) - mean * mean, 0.0))
     gain = SPREAD / (1.5 * spread + NOISE_FLOOR)
     offset = 128.0 - mean * gain
     full_gain = cv2.resize(gain, (width, height), interpolation=cv2.INTER_LINEAR)
     full_offset = cv2.resize(offset, (width, height), interpolation=cv2.INTER_LINEAR)
     out = cv2.multiply(image, full_gain, dtype=cv2.CV_32F)
     out = cv2.add(out, full_offset, dst=out)
-    prepared: Picture = cv2.convertScaleAbs(cv2.max(out, 0.0, dst=out))
+    prepared: Picture = np.asarray(cv2.convertScaleAbs(np.maximum(out, 0.0, out=np.asarray(out))), np.uint8)
     return prepared
 
 

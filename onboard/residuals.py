@@ -249,5 +249,4 @@ def ground_plane(points_enu_m: Array, reference_enu_m: Array, plane: Array) -> t
 
 
 def _right_jacobian(v: Array) -> Array:
-    inverse: Array = np.linalg.inv(right_jacobian_inverse(v))
-    return inverse
+    return np.asarray(np.linalg.inv(right_jacobian_inverse(v)), float)

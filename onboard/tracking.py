@@ -270,7 +270,8 @@ def fit_homography(at: Array, to: Array, weight: Array) -> Array:
     H = np.append(h, 1.0).reshape(3, 3)
     to_unit = np.array([[1 / scale, 0, -centre[0] / scale], [0, 1 / scale, -centre[1] / scale], [0, 0, 1.0]])
     out: Array = np.linalg.inv(to_unit) @ H @ to_unit
-    return out / out[2, 2]
+    out /= out[2, 2]
+    return out
 
 
 def _turn(H: Array, width_px: int, height_px: int) -> float:
