@@ -1,0 +1,116 @@
+"""`python -m demo`: fly, follow, click, and draw what came of it. Takes a minute; needs no network."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from contract.errors import PointclickError
+from contract.geodesy import LocalFrame
+from demo.clicks import Clicked, Spot, choose_spots
+from demo.map import draw_overview
+from demo.processes import Aircraft, click
+from demo.tracks import draw_tracks, follow
+from ground.recording import Recording
+from simulation.flight import RecordedSpec
+from simulation.session import SessionSpec, fly
+from simulation.terrain import TerrainSpec
+from simulation.truth import Truth
+
+MOUNT_DEG = (0.0, -90.0, -90.0)  # down, the camera's x axis along the nose: the seed's mount
+RATE_HZ = 4.0
+START_S = 3.0  # into tests/data/plane_turn: straight and level, 20 m/s, 250 m above the ground
+SPEED = 3.0  # times real time
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the demo; 0 if every click was answered, 1 if one was refused, 2 if something did not work."""
+    parser = argparse.ArgumentParser(prog="python -m demo", description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="default out/demo")
+    parser.add_argument("--seconds", type=float, default=14.0, metavar="S", help="length of the flight (default 14)")
+    options = parser.parse_args(arguments)
+    try:
+        return _run(options.out, options.seconds)
+    except PointclickError as error:
+        print(f"demo: error: {error}", file=sys.stderr)
+        return 2
+
+
+def _run(out: Path, seconds: float) -> int:
+    began = time.monotonic()
+    shutil.rmtree(out, ignore_errors=True)
+    flight, recording = out / "flight", out / "session.mcap"
+    spec = SessionSpec(
+        RecordedSpec("plane_turn", START_S, whole_log=False),
+        seconds=seconds,
+        rate_hz=RATE_HZ,
+        mount_deg=MOUNT_DEG,
+        terrain=TerrainSpec(relief_m=20.0, wavelength_m=250.0),
+        level_ground=True,
+    )
+    _say(
+        f"Flying {seconds:g} s of a recorded flight over drawn ground: 250 m up, 20 m/s, {RATE_HZ:g} pictures a second"
+    )
+    truth = fly(spec, flight, _progress)
+
+    with Aircraft(flight, recording, SPEED) as aircraft:
+        _say(f"On board: {aircraft.command}")
+        _say(f"On the ground, while it flies ({SPEED:g} times real time):")
+        spots = choose_spots(truth)
+        clicked = _click_all(truth, spots, aircraft.endpoint)
+        summary = aircraft.land(len(truth) - 1)
+    _say("On board, in the end:\n" + "\n".join(f"  {line}" for line in summary.splitlines()))
+
+    tracked = follow(flight)
+    pictures = [
+        *draw_tracks(tracked, out),
+        *draw_overview(truth, spec.texture, Recording(recording), tracked, spots, clicked, out),
+    ]
+    _say("Pictures to look at:\n" + "\n".join(f"  {picture}" for picture in pictures))
+    answered = sum(c.error_m is not None for c in clicked)
+    print(f"\n{answered} of {len(clicked)} clicks answered, {time.monotonic() - began:.0f} s in all")
+    return 0 if answered == len(clicked) else 1
+
+
+def _click_all(truth: Truth, spots: list[Spot], endpoint: str) -> list[Clicked]:
+    """Each spot's pixels through `pc-ground click`, a table as the answers come."""
+    rows = sorted(((spot, view) for spot in spots for view in spot.views), key=lambda row: row[1].frame)
+    first = rows[0][1]
+    print(f"  pc-ground click {first.u_px} {first.v_px} --frame {first.frame} --connect {endpoint}\n")
+    print("  spot  frame      pixel   latitude deg  longitude deg  height  radius 90%  true error")
+    clicked: list[Clicked] = []
+    for spot, view in rows:
+        answer = click(view.u_px, view.v_px, view.frame, endpoint)
+        head = f"  {spot.name:<4}  {view.frame:5d}  {view.u_px:4d},{view.v_px:4d}"
+        if answer["status"] != "ok":
+            print(f"{head}   refused: {answer['status']}", flush=True)
+            clicked.append(Clicked(spot, view, answer, None, None))
+            continue
+        there = LocalFrame(truth.origin.lat_deg, truth.origin.lon_deg, truth.origin.height_m - truth.undulation_m)
+        enu_m = there.to_enu(answer["lat_deg"], answer["lon_deg"], answer["height_amsl_m"])
+        error_m = float(np.hypot(*(enu_m - spot.enu_m)[:2]))
+        clicked.append(Clicked(spot, view, answer, enu_m, error_m))
+        print(
+            f"{head}  {answer['lat_deg']:13.7f}  {answer['lon_deg']:13.7f}  {answer['height_amsl_m']:4.0f} m  "
+            f"{answer['ellipse']['semi_major_m']:8.1f} m  {error_m:8.1f} m",
+            flush=True,
+        )
+    return clicked
+
+
+def _say(text: str) -> None:
+    print(f"\n{text}", flush=True)
+
+
+def _progress(done: int, of: int) -> None:
+    if sys.stderr.isatty():
+        print(f"\r  picture {done} of {of}", end="\n" if done == of else "", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
