@@ -134,7 +134,7 @@ def refine_direction(
             np.stack([np.sum(rays2 @ Q * np.cross(np.cross(a, t), rays1), axis=1) for a in across], axis=1)
             / np.maximum(scale, 1e-12)[:, None]
         )
-        J = np.concatenate([rows, -by_direction], axis=1)
+        J = np.concatenate([rows, by_direction], axis=1)
         w = 1.0 / (1.0 + (right / (2.0 * tolerance_rad)) ** 2)
         N = J.T @ (J * w[:, None])
         step = np.linalg.solve(N + 1e-9 * np.trace(N) * np.eye(5), J.T @ (w * right))
