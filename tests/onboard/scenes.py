@@ -263,7 +263,8 @@ def bundle_problem(
 ) -> Drawn:
     """A strip seen straight down from 250 m; `noise` scales every error, the priors believing in 1.
 
-    Of `points`, those that two views or more see are kept. Errors in the position and attitude wander and are white, point heights scatter about a sloping plane.
+    Of `points`, those that two views or more see are kept. Errors in the position and attitude wander and are white,
+    point heights scatter about a sloping plane.
     """
     K, P, layout = keyframes, points, Layout(keyframes)
     stamps = np.arange(K) * 1.5

@@ -63,7 +63,7 @@ class Study:
 
 
 def study(config: Config, spec: SceneSpec, worlds: int, between: bool, first_seed: int = 0) -> Study:
-    """Fly, solve, publish, click: worlds drawn from what `config` believes. `between`: a picture that is no keyframe."""
+    """Fly, solve, publish and click in worlds as `config` believes them; `between`: a picture that is no keyframe."""
     out = Study()
     for seed in range(first_seed, first_seed + worlds):
         rng = np.random.default_rng(seed)

@@ -81,10 +81,10 @@ def shared_prior(rng: np.random.Generator) -> Prior:
 def test_a_priors_jacobian_is_its_residuals_derivative(make: Callable[[np.random.Generator], Prior], seed: int) -> None:
     rng = np.random.default_rng(seed)
     prior, state = make(rng), drawn_state(rng)
-    residual, J = prior.evaluate(state)
-    assert J.shape == (len(residual), Layout(K).size)
+    residual, jacobian = prior.evaluate(state)
+    assert jacobian.shape == (len(residual), Layout(K).size)
     expected = numeric(lambda s: prior.evaluate(s)[0], state, Layout(K).size)
-    assert J == pytest.approx(expected, rel=1e-6, abs=1e-6 * np.abs(J).max())
+    assert jacobian == pytest.approx(expected, rel=1e-6, abs=1e-6 * np.abs(jacobian).max())
 
 
 def test_the_attitude_jacobian_is_tested_where_its_terms_differ() -> None:
