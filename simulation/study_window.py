@@ -1,0 +1,238 @@
+"""Windows of many views with truth: every error is drawn from exactly the model that the solver's priors state.
+
+The scene is the seed's flight made longer: 250 m over ground that is a plane with relief, 640x480 over 40 degrees, a
+view every 20 m, features that enter and leave the picture. Serves the study's own figures and
+`benchmarks/accuracy.py`. Uses onboard's maths rooms: they are what is being measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.rotations import exp_so3
+from onboard.bundle import Problem, Solution, solve
+from onboard.levelling import fit_plane
+from onboard.residuals import (
+    AttitudePrior,
+    Layout,
+    PositionPrior,
+    Prior,
+    SharedPrior,
+    State,
+    VelocityPrior,
+    wandering_sqrt_information,
+)
+from onboard.starting import orient
+from onboard.triangulation import triangulate
+from simulation.study_world import CAMERA, HEIGHT_M, R_BODY_CAM, TRAVEL_ENU, nominal, project, turned, unit_depth
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+START_TOLERANCE_SIGMAS = 5.0  # of an inlier at the start, as onboard.window
+OUTLIER_SIGMAS = 4.0  # as onboard.window
+MIN_PARALLAX_RAD = 0.008  # as onboard.window
+OUTLIER_KINDS = ("jump", "drift", "moving")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One kind of flight and what its sensors are worth. Sigmas are one sigma; None leaves the sensor out."""
+
+    views: int = 10
+    spacing_m: float = 20.0
+    speed_m_s: float = 20.0
+    features_per_view: int = 95
+    pixel_sigma_px: float = 0.3
+    gps_white_m: tuple[float, float] = (0.3, 0.45)  # horizontal, vertical
+    gps_wander_m: tuple[float, float] = (1.5, 2.5)
+    gps_wander_time_s: float = 60.0
+    attitude_wander_deg: tuple[float, float] | None = None  # roll and pitch, heading
+    attitude_white_deg: float = 0.1
+    attitude_wander_time_s: float = 20.0
+    boresight_sigma_deg: float = 1.0
+    velocity_sigma_m_s: float | None = None
+    slope_sigma_deg: float = 2.0
+    relief_sigma_m: float = 10.0
+    offset_sigma_s: float = 0.01
+    outlier_share: float = 0.0
+    misaligned: tuple[str, float] | None = None  # axis, rad: the camera turned from the mount that is believed
+    alternating: tuple[str, float] | None = None  # axis, rad: every second view turned
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """A drawn flight: the problem as the solver gets it, the truth, and which tracks (P,) are wrong."""
+
+    setting: Setting
+    problem: Problem
+    truth: State
+    gps_enu_m: Array
+    R_enu_cam_measured: Array | None
+    is_outlier: Mask
+
+    @property
+    def seen(self) -> Mask:
+        """(K, P)."""
+        return self.problem.weight > 0
+
+
+def draw(setting: Setting, rng: np.random.Generator) -> Flight:
+    """Draw truth and measurements."""
+    K = setting.views
+    stamps = np.arange(K, dtype=np.float64) * float(setting.spacing_m / setting.speed_m_s)
+    truth, seen, xy = _scene(setting, stamps, rng)
+    P = len(truth.points_enu_m)
+    sigma = setting.pixel_sigma_px / CAMERA.focal_px
+    is_outlier = rng.random(P) < setting.outlier_share
+    xy = xy + sigma * rng.standard_normal(xy.shape)
+    xy[:, is_outlier] += _slips(setting, truth, stamps, int(is_outlier.sum()), rng)
+    layout = Layout(K)
+    priors, gps, measured = _sensors(setting, layout, truth, stamps, rng)
+    reference = np.array([*(TRAVEL_ENU[:2] * setting.spacing_m * (K - 1) / 2.0), 0.0])
+    weight = np.where(seen, 1.0 / sigma, 0.0)
+    relief = np.full(P, 1.0 / setting.relief_sigma_m)
+    problem = Problem(layout, xy, weight, priors, reference, relief)
+    return Flight(setting, problem, truth, gps, measured, is_outlier)
+
+
+def _wander(
+    stamps: Array, white: float, wander: float, time_constant_s: float, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """One axis of an error (K,) with an Ornstein-Uhlenbeck and a white part, and the whitener that states it."""
+    lag = np.abs(stamps[:, None] - stamps[None, :])
+    root = np.linalg.cholesky(wander**2 * np.exp(-lag / time_constant_s) + 1e-12 * np.eye(len(stamps)))
+    error = root @ rng.standard_normal(len(stamps)) + white * rng.standard_normal(len(stamps))
+    return error, wandering_sqrt_information(stamps, white, wander, time_constant_s)
+
+
+def _scene(setting: Setting, stamps: Array, rng: np.random.Generator) -> tuple[State, Mask, Array]:
+    """True state, what is seen (K, P), and noise-free unit-depth measurements (K, P, 2)."""
+    K = setting.views
+    along = np.arange(K) * setting.spacing_m
+    centres = np.array([0.0, 0.0, HEIGHT_M]) + along[:, None] * TRAVEL_ENU
+    centres = centres + np.stack([_wander(stamps, 0.0, 1.0, 5.0, rng)[0] for _ in range(3)], axis=1)
+    sway = np.stack([_wander(stamps, np.radians(0.3), np.radians(2.0), 5.0, rng)[0] for _ in range(3)], axis=1)
+    camera = nominal() if setting.misaligned is None else turned(nominal(), *setting.misaligned)
+    R = exp_so3(sway) @ camera
+    if setting.alternating is not None:
+        R[1::2] = turned(R[1::2], *setting.alternating)
+    slopes = np.tan(np.radians(setting.slope_sigma_deg)) * rng.standard_normal(2)
+    boresight = np.radians(setting.boresight_sigma_deg) * rng.standard_normal(3)
+    offset = setting.offset_sigma_s * rng.standard_normal()
+    across = np.array([-TRAVEL_ENU[1], TRAVEL_ENU[0], 0.0])
+    reach = HEIGHT_M * 0.6  # half a picture and some sway
+    footprint = (CAMERA.width_px / CAMERA.fx_px) * (CAMERA.height_px / CAMERA.fy_px) * HEIGHT_M**2
+    span = along[-1] + 2 * reach
+    count = rng.poisson(setting.features_per_view * span * 2 * reach / footprint)
+    s = rng.uniform(-reach, along[-1] + reach, count)
+    q = rng.uniform(-reach, reach, count)
+    points = s[:, None] * TRAVEL_ENU + q[:, None] * across
+    middle = TRAVEL_ENU * along[-1] / 2.0
+    points[:, 2] = (points[:, :2] - middle[:2]) @ slopes + setting.relief_sigma_m * rng.standard_normal(count)
+    uv, inside = project(R, centres, points)
+    keep = np.count_nonzero(inside, axis=0) >= 2
+    plane = np.array([0.0, *slopes])
+    return State(R, centres, points[keep], boresight, offset, plane), inside[:, keep], unit_depth(uv[:, keep])
+
+
+def _slips(setting: Setting, truth: State, stamps: Array, count: int, rng: np.random.Generator) -> Array:
+    """What wrong tracks add (K, count, 2): a jump to a neighbour, a steady drift, a vehicle's motion; a third each."""
+    K = len(stamps)
+    out = np.zeros((K, count, 2))
+    heading = rng.uniform(0.0, 2.0 * np.pi, count)
+    direction = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    since = rng.uniform(0.0, stamps[-1] * 0.8, count)
+    elapsed = np.maximum(stamps[:, None] - since, 0.0)
+    for n, kind in enumerate(rng.choice(OUTLIER_KINDS, count)):
+        if kind == "jump":
+            size = (elapsed[:, n] > 0.0) * rng.uniform(5.0, 40.0) / CAMERA.focal_px
+        elif kind == "drift":
+            size = elapsed[:, n] * rng.uniform(1.0, 6.0) / CAMERA.focal_px
+        else:
+            size = (stamps - stamps.mean()) * rng.uniform(1.0, 15.0) / HEIGHT_M
+        out[:, n] = size[:, None] * direction[n]
+    return out
+
+
+def _sensors(
+    setting: Setting, layout: Layout, truth: State, stamps: Array, rng: np.random.Generator
+) -> tuple[list[Prior], Array, Array | None]:
+    """Priors with drawn measurements; the GPS positions (K, 3); the measured R_enu_cam (K, 3, 3) or None."""
+    K = layout.keyframes
+    velocity = np.tile(TRAVEL_ENU * setting.speed_m_s, (K, 1))
+    drawn = [
+        _wander(stamps, setting.gps_white_m[v], setting.gps_wander_m[v], setting.gps_wander_time_s, rng)
+        for v in (0, 0, 1)
+    ]
+    gps = truth.centres_enu_m - velocity * truth.offset_s + np.stack([e for e, _ in drawn], axis=1)
+    priors: list[Prior] = [PositionPrior(layout, gps, velocity, np.stack([w for _, w in drawn]), np.zeros(K))]
+    if setting.velocity_sigma_m_s is not None:
+        sigma = setting.velocity_sigma_m_s * np.diff(stamps)
+        flown = np.diff(truth.centres_enu_m, axis=0) + sigma[:, None] * rng.standard_normal((K - 1, 3))
+        priors.append(VelocityPrior(layout, flown, sigma))
+    measured = None
+    if setting.attitude_wander_deg is not None:
+        tilt, heading = np.radians(setting.attitude_wander_deg)
+        white = np.radians(setting.attitude_white_deg)
+        turn = [_wander(stamps, white, w, setting.attitude_wander_time_s, rng) for w in (tilt, tilt, heading)]
+        error_cam = np.einsum("kij,kj->ki", truth.R_cam_enu, np.stack([e for e, _ in turn], axis=1))
+        measured = truth.R_cam_enu.transpose(0, 2, 1) @ exp_so3(error_cam) @ exp_so3(-truth.boresight_rad)
+        priors.append(AttitudePrior(layout, measured, np.zeros((K, 3)), np.stack([w for _, w in turn]), np.zeros(K)))
+    slope = np.tan(np.radians(setting.slope_sigma_deg))
+    boresight = max(np.radians(setting.boresight_sigma_deg), 1e-6)
+    sigmas = [boresight] * 3 + [max(setting.offset_sigma_s, 1e-6), 1e4, slope, slope]
+    priors.append(SharedPrior(layout, np.zeros(7), np.diag(1.0 / np.array(sigmas))))
+    return priors, gps, measured
+
+
+def begin(flight: Flight) -> State | None:
+    """Where the solver starts, from measurements alone, as in `onboard.window`; None if no orientation is found."""
+    xy, seen = flight.problem.xy, flight.seen
+    if flight.R_enu_cam_measured is not None:
+        R = flight.R_enu_cam_measured.transpose(0, 2, 1)
+    else:
+        tolerance = START_TOLERANCE_SIGMAS * flight.setting.pixel_sigma_px / CAMERA.focal_px
+        found = orient(xy, seen, flight.gps_enu_m, R_BODY_CAM, tolerance)
+        if found is None:
+            return None
+        R = found
+    rays = triangulate(R, flight.gps_enu_m, xy, seen)
+    sound = rays.is_ahead & (rays.parallax_rad > MIN_PARALLAX_RAD)
+    points = rays.points_enu_m.copy()
+    plane, _ = fit_plane(points[sound])
+    reference = flight.problem.reference_enu_m
+    height = float(plane[0] + plane[1:] @ reference[:2])
+    loose = np.flatnonzero(~sound)
+    view = np.argmax(seen[:, loose], axis=0)
+    direction = np.einsum("pi,pij->pj", np.concatenate([xy[view, loose], np.ones((len(loose), 1))], axis=1), R[view])
+    centre = flight.gps_enu_m[view]
+    points[loose] = centre + direction * ((height - centre[:, 2]) / np.minimum(direction[:, 2], -0.1))[:, None]
+    return State(R, flight.gps_enu_m, points, np.zeros(3), 0.0, np.array([height - reference[2], *plane[1:]]))
+
+
+def estimate(flight: Flight, state: State) -> tuple[Solution, Array]:
+    """The two solves of `onboard.window`: robust, cut what lies beyond 4 sigma, again. And the weights (K, P) kept."""
+    problem = flight.problem
+    first = solve(problem, state, scale=3.0, tolerance=1e-4)
+    sigmas = first.residual_sigmas
+    fit = float(np.nanmedian(sigmas)) / 1.1774
+    kept = np.where(sigmas > OUTLIER_SIGMAS * max(fit, 1.0), 0.0, problem.weight)
+    kept[:, np.count_nonzero(kept > 0, axis=0) < 2] = 0.0
+    return solve(replace(problem, weight=kept), first.state, scale=6.0, tolerance=1e-6), kept
+
+
+def bound(flight: Flight) -> Solution:
+    """Covariances (the Cramer-Rao bound) at the truth, by one who knows which tracks are wrong."""
+    weight = np.where(flight.is_outlier, 0.0, flight.problem.weight)
+    return solve(replace(flight.problem, weight=weight), flight.truth, scale=None, max_iterations=0)
+
+
+def point_covariance(solution: Solution) -> Array:
+    """Marginal covariances (P, 3, 3) of the points, m^2."""
+    Y = solution.point_gain
+    out: Array = solution.point_covariance + Y @ solution.covariance @ Y.transpose(0, 2, 1)
+    return out
