@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from onboard.residuals import Layout, Prior, State, ground_plane, reprojection, reprojection_jacobians
+from onboard.residuals import HeightModel, Layout, Prior, State, ground_plane, reprojection, reprojection_jacobians
 
 Array = NDArray[np.float64]
 
@@ -31,6 +31,7 @@ class Problem:
     priors: list[Prior]
     reference_enu_m: Array = field(default_factory=lambda: np.zeros(3))  # the plane's reference point
     relief_weight: Array | None = None  # (P,) 1 / sigma_relief (1/m), or None for no plane under the points
+    terrain: HeightModel | None = None  # what the plane's heights are counted from, if the ground is known
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +79,10 @@ def evaluate(problem: Problem, state: State, scale: float | None) -> float:
         r = prior.evaluate(state)[0]
         total += float(r @ r)
     if problem.relief_weight is not None:
-        r = ground_plane(state.points_enu_m, problem.reference_enu_m, state.plane)[0] * problem.relief_weight
+        r = (
+            ground_plane(state.points_enu_m, problem.reference_enu_m, state.plane, problem.terrain)[0]
+            * problem.relief_weight
+        )
         total += float(robust_cost(r * r, scale)[0].sum())
     return 0.5 * total
 
@@ -119,7 +123,9 @@ def _linearise(problem: Problem, state: State, scale: float | None) -> _Linear:
 
     cost = float(loss.sum())
     if problem.relief_weight is not None:
-        r, plane_by_point, by_plane = ground_plane(state.points_enu_m, problem.reference_enu_m, state.plane)
+        r, plane_by_point, by_plane = ground_plane(
+            state.points_enu_m, problem.reference_enu_m, state.plane, problem.terrain
+        )
         r = r * problem.relief_weight
         plane_loss, plane_robust = robust_cost(r * r, scale)
         w = problem.relief_weight * np.sqrt(plane_robust)

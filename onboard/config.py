@@ -93,6 +93,17 @@ class Solve(Section):
     attitude_wander_time_s: float = quantity(20.0, 0.1, 10000.0, "s", "correlation time of attitude's wandering part")
     level_ground_sigma_deg: float = quantity(2.0, 0.01, 45.0, "deg", "one sigma of the mean ground's slope")
     relief_sigma_m: float = quantity(10.0, 0.0, 1000.0, "m", "one sigma of the ground about its mean plane")
+    home_level: bool = choice(False, "without parallax and terrain, answer over level ground at home's height")
+    home_level_sigma_m: float = quantity(10.0, 0.1, 1000.0, "m", "one sigma of that ground's height")
+
+
+class TerrainModel(Section):
+    """An elevation model of the area, if there is one (needs the extra `terrain`)."""
+
+    path: str | None = choice(None, "GeoTIFF, SRTM .hgt, or a folder of them")
+    datum: Literal["amsl", "ellipsoid"] = choice("amsl", "what its heights count from: 'amsl' or 'ellipsoid'")
+    sigma_m: float = quantity(3.0, 0.1, 100.0, "m", "one sigma of its heights, from place to place")
+    sigma_datum_m: float = quantity(2.0, 0.0, 100.0, "m", "one sigma of its heights as a whole against the GPS's")
 
 
 class Gps(Section):
@@ -151,6 +162,7 @@ class Config(Section):
     camera: CameraConfig = CameraConfig()
     tracking: Tracking = Tracking()
     solve: Solve = Solve()
+    terrain: TerrainModel = TerrainModel()
     gps: Gps = Gps()
     telemetry: Telemetry = Telemetry()
     link: Link = Link()

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from contract.feature_set import DepthSource, FeatureSet, SlowPosition, Status
 from contract.geodesy import LocalFrame, rotation_enu_ecef
+from onboard.keyframe import Sighting
 from onboard.resection import Resection, resect
-from onboard.window import Sighting, Solved, Window
+from onboard.window import Solved, Window
 
 Array = NDArray[np.float64]
 
@@ -133,32 +134,18 @@ def _assemble(
 
     H = np.concatenate([np.ones((len(z), 1)), xy], axis=1)
     own = np.maximum(own, 1e-12)
-    N = (H / own[:, None]).T @ H
-    fit = np.linalg.solve(N + 1e-9 * np.trace(N) / 3.0 * np.eye(3), (H / own[:, None]).T)  # (3, N): modes of d ln w
     R_enu_cam = R.T
-    to_common = np.zeros((9, 6))
-    to_common[:3, 3:] = np.eye(3)
-    to_common[3:6, :3] = -R_enu_cam
-    T = to_common @ view.gain
-    T[6:] += fit @ M
-    T_noise = to_common.copy()
-    T_noise[6:] += fit @ by_pose
-    common = T @ s.covariance @ T.T + T_noise @ view.noise @ T_noise.T
-    rest = M - H @ (fit @ M)
-    variance = own + np.maximum(np.einsum("pd,de,pe->p", rest, s.covariance, rest), 0.0)
-
+    common, variance = common_states(H, own, M, by_pose, view.gain, R_enu_cam, s.covariance, view.noise)
     w = 1.0 / z
-    plane, relative = _plane(H, w, variance)
-    sigma = float(max(1.4826 * np.median(np.abs(relative)), MIN_PLANE_SIGMA))
-    spread = float(np.sqrt(np.mean(np.minimum(relative**2, (4.0 * sigma) ** 2))))
+    plane, spread, roughness = plane_and_roughness(H, w, variance)
     lat, lon, height = (float(c) for c in frame.to_geodetic(view.centre_enu_m))
     R_local_session = rotation_enu_ecef(lat, lon) @ frame.R_enu_ecef.T
     lift = np.eye(9)
     lift[:3, :3] = R_local_session
     lift[3:6, 3:6] = R_local_session
-    common = lift @ (0.5 * (common + common.T)) @ lift.T
+    common = lift @ common @ lift.T
     newest = solved.keyframes[-1].nav
-    order = np.argsort(variance / w**2, kind="stable")[: window.config.tracking.features]
+    order = np.argsort(variance, kind="stable")[: window.config.tracking.features]
     order = np.sort(order)
     return FeatureSet(
         vehicle=origin.vehicle,
@@ -178,12 +165,44 @@ def _assemble(
         slow_position=SlowPosition(newest.sigma_horizontal_m, newest.sigma_vertical_m, window.config.gps.wander_time_s),
         depth_source=DepthSource.PARALLAX,
         plane_per_m=plane,
-        plane_sigma_relative=max(spread, MIN_PLANE_SIGMA),
-        roughness=_roughness(xy, relative, variance),
+        plane_sigma_relative=spread,
+        roughness=roughness,
         uv_px=uv[order],
         inverse_depth_per_m=w[order],
         sigma_inverse_depth_per_m=(np.sqrt(variance) * w)[order],
     )
+
+
+def common_states(
+    H: Array, own: Array, M: Array, by_pose: Array, gain: Array, R_enu_cam: Array, covariance: Array, noise: Array
+) -> tuple[Array, Array]:
+    """The nine common states' covariance and each feature's own variance of d ln w. Equations (9.3) to (9.5).
+
+    With D states of covariance `covariance` (D, D): d pose = `gain` (6, D) d state + noise (6, 6), d ln w = `M` (N, D)
+    d state + `by_pose` (N, 6) noise + own (N,). `H` (N, 3) holds (1, x, y) of each feature.
+    """
+    weighted = (H / own[:, None]).T
+    N = weighted @ H
+    fit = np.linalg.solve(N + 1e-9 * np.trace(N) / 3.0 * np.eye(3), weighted)  # (3, N): modes of d ln w
+    to_common = np.zeros((9, 6))
+    to_common[:3, 3:] = np.eye(3)
+    to_common[3:6, :3] = -R_enu_cam
+    T = to_common @ gain
+    T[6:] += fit @ M
+    T_noise = to_common
+    T_noise[6:] += fit @ by_pose
+    common = T @ covariance @ T.T + T_noise @ noise @ T_noise.T
+    rest = M - H @ (fit @ M)
+    variance = own + np.maximum(np.einsum("pd,de,pe->p", rest, covariance, rest), 0.0)
+    return 0.5 * (common + common.T), variance
+
+
+def plane_and_roughness(H: Array, w: Array, variance: Array) -> tuple[Array, float, float]:
+    """The ground plane (3,) in inverse depth, the relative spread about it, and the variogram's slope."""
+    plane, relative = _plane(H, w, variance)
+    sigma = float(max(1.4826 * np.median(np.abs(relative)), MIN_PLANE_SIGMA))
+    spread = float(np.sqrt(np.mean(np.minimum(relative**2, (4.0 * sigma) ** 2))))
+    return plane, max(spread, MIN_PLANE_SIGMA), _roughness(H[:, 1:], relative, variance)
 
 
 def _plane(H: Array, w: Array, variance: Array) -> tuple[Array, Array]:

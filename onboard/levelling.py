@@ -27,7 +27,8 @@ def fit_plane(points_enu_m: Array, weight: Array | None = None) -> tuple[Array, 
     spread = 0.0
     for _ in range(5):
         N = A.T @ (A * w[:, None])
-        plane = np.linalg.solve(N + 1e-6 * max(float(N[0, 0]), 1e-12) * np.eye(3), A.T @ (w * points_enu_m[:, 2]))
+        damped = N + 1e-6 * max(float(N[0, 0]), 1e-12) * np.eye(3)
+        plane = np.asarray(np.linalg.solve(damped, A.T @ (w * points_enu_m[:, 2])), float)
         miss = np.abs(points_enu_m[:, 2] - A @ plane)
         spread = 1.4826 * float(np.median(miss))
         w = base / (1.0 + (miss / max(2.0 * spread, 1e-9)) ** 2)

@@ -12,19 +12,24 @@ from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from contract.feature_set import FeatureSet, Status
+from contract.feature_set import DepthSource, FeatureSet, Status
+from contract.geodesy import LocalFrame
 from onboard.config import Config
 from onboard.events import Event, Frame
 from onboard.georeference import Origin, georeference
+from onboard.keyframe import Sighting, sighting
 from onboard.navigation import Navigation, NavState
 from onboard.prediction import Pose, move, predict_homography
+from onboard.surface import Cast, level_cast, over_surface
+from onboard.terrain import Terrain
 from onboard.tracking import MIN_TRACKS, Tracker, Tracks
-from onboard.window import Sighting, Window, sighting
+from onboard.window import Window
 
 Array = NDArray[np.float64]
 
@@ -36,7 +41,21 @@ KEYFRAME_TRACKS = 0.65  # share of features still followed below which a keyfram
 KEYFRAME_TURN_RAD = 0.30
 MAX_PREDICTION_MISS = 0.15  # rad: tracked motion this far from what telemetry says is a wrong lock
 TURNING_RAD_S = 0.35
+MIN_TRAVEL = 0.03  # of the height above ground: less than this is no parallax
+MIN_TRAVEL_HEIGHT_M = 20.0
+PATIENCE_NS = 3_000_000_000  # before standing still is called that
+TERRAIN_RADIUS_M = 3000.0
+TERRAIN_SPACING_M = 20.0
 MAX_OUTAGE_NS = 3_000_000_000  # without navigation, after which old keyframes are of no use
+
+
+class TerrainSource(Protocol):
+    """Where elevation comes from."""
+
+    def around(
+        self, frame: LocalFrame, centre_enu_m: Array, radius_m: float, spacing_m: float, undulation_m: float
+    ) -> Terrain | None:
+        """Terrain within a square about a place of a local frame; None where there is none."""
 
 
 @dataclass
@@ -68,7 +87,8 @@ class _Record:
 class Pipeline:
     """The whole of the aircraft's work on one flight."""
 
-    def __init__(self, config: Config, camera: Camera) -> None:
+    def __init__(self, config: Config, camera: Camera, terrain: TerrainSource | None = None) -> None:
+        self.terrain = terrain
         self.config = config
         self.camera = camera
         self.navigation = Navigation(config)
@@ -146,6 +166,7 @@ class Pipeline:
         if self._last_nav_ns is not None and frame.stamp_ns - self._last_nav_ns > MAX_OUTAGE_NS:
             out.extend(self._restart())
         self._last_nav_ns = frame.stamp_ns
+        self._know_terrain(nav)
         with self._timed("tracking"):
             tracks = self._track(frame, nav)
         self.tracks = tracks
@@ -166,6 +187,17 @@ class Pipeline:
         record = _Record(frame, sighting(self.camera, tracks.ids, tracks.uv_px), nav, False)
         self._records.append(record)
         return [*out, *self._place([record])]
+
+    def _know_terrain(self, nav: NavState) -> None:
+        """Keep the terrain around the aircraft at hand, cut anew when it nears the edge of what is held."""
+        frame, held = self.navigation.frame, self.window.terrain
+        if self.terrain is None or frame is None:
+            return
+        if held is None or not held.covers(nav.position_enu_m[:2], TERRAIN_RADIUS_M / 3.0):
+            with self._timed("terrain"):
+                self.window.terrain = self.terrain.around(
+                    frame, nav.position_enu_m, TERRAIN_RADIUS_M, TERRAIN_SPACING_M, nav.undulation_m
+                )
 
     def _track(self, frame: Frame, nav: NavState) -> Tracks | None:
         assert frame.image is not None
@@ -295,11 +327,8 @@ class Pipeline:
         return out
 
     def _feature_set(self, record: _Record) -> FeatureSet | Status:
-        solved, frame = self.window.solved, self.navigation.frame
-        if solved is None or frame is None or self._session is None:
-            return Status.STARTING
-        guess = self.window.pose_guess(record.seen, record.nav)
-        if guess is None:
+        frame = self.navigation.frame
+        if frame is None or self._session is None:
             return Status.STARTING
         origin = Origin(
             self.config.vehicle.id,
@@ -309,13 +338,63 @@ class Pipeline:
             min(record.revision + 1, 255),
             record.is_keyframe,
         )
-        result = georeference(
-            self.window, solved, record.seen, origin, frame, record.nav.undulation_m, guess[1], guess[0]
-        )
+        result = self._by_structure(record, origin, frame)
+        if isinstance(result, Status):
+            over = self._over_known_ground(record, origin, frame)
+            result = result if over is None else over
         if isinstance(result, FeatureSet):
             record.status, record.revision = Status.OK, result.revision
             self._status[record.frame.index] = Status.OK
         return result
+
+    def _by_structure(self, record: _Record, origin: Origin, frame: LocalFrame) -> FeatureSet | Status:
+        """From the window's own points; the reason why not otherwise."""
+        solved = self.window.solved
+        if solved is None:
+            return self._why_unsolved(record.nav)
+        guess = self.window.pose_guess(record.seen, record.nav)
+        if guess is None:
+            return Status.STARTING
+        return georeference(
+            self.window, solved, record.seen, origin, frame, record.nav.undulation_m, guess[1], guess[0]
+        )
+
+    def _why_unsolved(self, nav: NavState) -> Status:
+        """Starting, or standing still: no parallax will ever come of that."""
+        first = self.window.keyframes[0].nav if self.window.keyframes else nav
+        height_m = max(nav.height_above_home_m or 0.0, MIN_TRAVEL_HEIGHT_M)
+        travelled_m = float(np.linalg.norm(nav.position_enu_m - first.position_enu_m))
+        still = nav.stamp_ns - first.stamp_ns > PATIENCE_NS and travelled_m < MIN_TRAVEL * height_m
+        return Status.LOW_PARALLAX if still else Status.STARTING
+
+    def _over_known_ground(self, record: _Record, origin: Origin, frame: LocalFrame) -> FeatureSet | None:
+        """Over terrain or level ground at home's height, where configured and attitude is known; None otherwise."""
+        nav = record.nav
+        believed = self.window.believed(nav)
+        if believed is None:
+            return None
+        cast: Cast
+        if self.window.terrain is not None:
+            cast, sigma_m, source = self.window.terrain.cast, self.config.terrain.sigma_m, DepthSource.TERRAIN
+            ground_sigma_m = self.config.terrain.sigma_datum_m
+        elif self.config.solve.home_level and nav.height_above_home_m is not None:
+            cast = level_cast(float(nav.position_enu_m[2]) - nav.height_above_home_m)
+            sigma_m, source, ground_sigma_m = 0.0, DepthSource.PLANE, self.config.solve.home_level_sigma_m
+        else:
+            return None
+        covariance = believed.covariance.copy()
+        covariance[6, 6] = ground_sigma_m**2
+        result = over_surface(
+            self.camera,
+            replace(believed, covariance=covariance),
+            cast,
+            sigma_m,
+            source,
+            origin,
+            frame,
+            nav.undulation_m,
+        )
+        return result if isinstance(result, FeatureSet) else None
 
     def _refuse_record(self, record: _Record, status: Status) -> FeatureSet:
         record.status = status

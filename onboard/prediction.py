@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
+from contract.feature_set import SlowPosition
 
 Array = NDArray[np.float64]
 
@@ -19,6 +20,16 @@ class Pose:
 
     R_cam_enu: Array
     centre_enu_m: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Believed:
+    """A pose from sensors alone: covariance (7, 7) of centre (ENU m), rotation (ENU axes, rad), ground height (m)."""
+
+    R_cam_enu: Array
+    centre_enu_m: Array
+    covariance: Array
+    slow: SlowPosition
 
 
 def predict_pixels(camera: Camera, uv_px: Array, first: Pose, second: Pose, plane: Array) -> tuple[Array, Array]:

@@ -22,6 +22,7 @@ from onboard.pipeline import Pipeline
 from onboard.publisher import Publisher
 from onboard.recording import SessionRecorder
 from onboard.replay import Flight, Sink, replay, summary_text
+from onboard.terrain_files import TerrainFiles
 
 
 def run(arguments: argparse.Namespace, stop: threading.Event) -> str:
@@ -41,7 +42,9 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> str:
         sinks.append(Published(config))
     terminal = sys.stderr if sys.stderr.isatty() else None
     linger_s = arguments.linger if arguments.publish else 0.0
-    return summary_text(replay(flight, Pipeline(config, camera), sinks, arguments.speed, linger_s, terminal, stop))
+    terrain = None if config.terrain.path is None else TerrainFiles(config.terrain.path, config.terrain.datum)
+    pipeline = Pipeline(config, camera, terrain)
+    return summary_text(replay(flight, pipeline, sinks, arguments.speed, linger_s, terminal, stop))
 
 
 class Published:

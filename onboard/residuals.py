@@ -8,6 +8,7 @@ at the reference point, slope east, slope north). Points are eliminated and have
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -236,14 +237,27 @@ class SharedPrior:
 Prior = PositionPrior | VelocityPrior | AttitudePrior | SharedPrior
 
 
-def ground_plane(points_enu_m: Array, reference_enu_m: Array, plane: Array) -> tuple[Array, Array, Array]:
-    """Height of points (P, 3) over the plane about a reference point, (5.9).
+class HeightModel(Protocol):
+    """A ground known beforehand, in the window's frame."""
 
-    Returns residual (P,) in metres, Jacobian by the point (3,), the same for all, and by the plane (P, 3).
+    def height_and_slope(self, xy_enu_m: Array) -> tuple[Array, Array]:
+        """Heights (P,) m and slopes east, north (P, 2) at places (P, 2)."""
+
+
+def ground_plane(
+    points_enu_m: Array, reference_enu_m: Array, plane: Array, terrain: HeightModel | None = None
+) -> tuple[Array, Array, Array]:
+    """Height of points (P, 3) over the plane about a reference point, (5.9); over terrain plus plane if there is one.
+
+    Returns residual (P,) in metres, Jacobian by the point (P, 3) and by the plane (P, 3).
     """
     offset = points_enu_m[:, :2] - reference_enu_m[:2]
     residual = points_enu_m[:, 2] - reference_enu_m[2] - plane[0] - offset @ plane[1:]
-    by_point = np.array([-plane[1], -plane[2], 1.0])
+    by_point = np.tile([-plane[1], -plane[2], 1.0], (len(offset), 1))
+    if terrain is not None:
+        height, slope = terrain.height_and_slope(points_enu_m[:, :2])
+        residual = residual - height
+        by_point[:, :2] -= slope
     by_plane = np.concatenate([-np.ones((len(offset), 1)), -offset], axis=1)
     return residual, by_point, by_plane
 

@@ -13,30 +13,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from contract.feature_set import Status
+from contract.feature_set import SlowPosition, Status
 from contract.rotations import exp_so3, mount_rotation
 from onboard import starting
 from onboard.alignment import STATES as SHARED
-from onboard.alignment import Alignment, Belief
+from onboard.alignment import Alignment
 from onboard.bundle import Problem, Solution, solve
 from onboard.config import Config
+from onboard.keyframe import Ids, Keyframe, Sighting
 from onboard.levelling import fit_plane
 from onboard.navigation import NavState
 from onboard.orientation import rotation_only
+from onboard.prediction import Believed
 from onboard.residuals import (
-    AttitudePrior,
     Layout,
-    PositionPrior,
     Prior,
-    SharedPrior,
     State,
-    VelocityPrior,
-    wandering_sqrt_information,
 )
+from onboard.sensors import sensor_priors
+from onboard.terrain import Terrain
 from onboard.triangulation import triangulate
 
 Array = NDArray[np.float64]
-Ids = NDArray[np.int64]
 
 MIN_KEYFRAMES = 3
 MIN_POINTS = 12
@@ -48,34 +46,6 @@ MAX_FIT_SIGMAS = 4.0  # median residual, in configured pixel sigmas, above which
 MAX_DEPTH_SIGMA = 0.15  # relative; a scene less known than this has no parallax to speak of
 MAX_PRIOR_SIGMAS = 3.5  # root mean square of a sensor's whitened residuals that a true solution may show
 MAX_GROUND_SLOPE = 1.0
-# How far an aircraft without attitude sensor may be from flying level along its path in a coordinated turn.
-PATH_SIGMA_RAD = 0.25
-PATH_WHITE_SIGMA_RAD = 0.15
-GRAVITY_M_S2 = 9.81
-
-
-@dataclass(frozen=True, eq=False)
-class Sighting:
-    """What one picture saw: feature ids (N,), pixels, unit-depth coordinates (N, 2), and unit-depth per pixel (N,)."""
-
-    ids: Ids
-    uv_px: Array
-    xy: Array
-    gain: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Keyframe:
-    """A sighting with the vehicle's state and the current estimate of the camera's pose."""
-
-    frame: int
-    sighting: Sighting
-    nav: NavState
-    body_rate_rad_s: Array
-    nav_offset_s: float  # camera-to-autopilot offset at which `nav` was taken
-    flown_enu_m: Array | None  # since the keyframe before, by integrated velocity
-    R_cam_enu: Array
-    centre_enu_m: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,16 +70,6 @@ class Solved:
         return at, (self.point_ids[at] == ids) & self.good[at]
 
 
-def sighting(camera: Camera, ids: Ids, uv_px: Array) -> Sighting:
-    """Undistort pixels once; those without a ray are left out."""
-    rays, valid = camera.unproject(uv_px)
-    xy = rays[valid, :2]
-    J = camera.distortion_jacobian(xy)
-    det = np.abs(J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0])
-    gain = 1.0 / (camera.focal_px * np.sqrt(np.maximum(det, 0.05)))
-    return Sighting(ids[valid], uv_px[valid], xy, gain)
-
-
 class Window:
     """Keyframes in, solutions out."""
 
@@ -121,6 +81,7 @@ class Window:
         self.keyframes: list[Keyframe] = []
         self.solved: Solved | None = None
         self.pixel_sigma_px = config.solve.pixel_sigma_px
+        self.terrain: Terrain | None = None  # of the area flown over, if known
         self.alignment = Alignment(
             np.radians(mount.sigma_deg), config.camera.sigma_latency_s, config.solve.attitude_wander_time_s
         )
@@ -136,6 +97,24 @@ class Window:
             return None
         out: Array = (nav.R_enu_body @ self.R_body_cam @ exp_so3(self.alignment.belief.mean[:3])).T
         return out
+
+    def believed(self, nav: NavState) -> Believed | None:
+        """The camera's pose by sensors alone with its covariance; None without attitude."""
+        R_cam_enu = self.attitude_guess(nav)
+        if R_cam_enu is None:
+            return None
+        solve_, belief = self.config.solve, self.alignment.belief
+        speed = np.zeros(3) if nav.velocity_enu_m_s is None else nav.velocity_enu_m_s
+        covariance = np.zeros((7, 7))
+        white = self.config.gps.sigma_white_m
+        position = np.array([nav.sigma_horizontal_m] * 2 + [nav.sigma_vertical_m]) ** 2 + white**2
+        covariance[:3, :3] = np.diag(position) + belief.covariance[3, 3] * np.outer(speed, speed)
+        tilt, heading = np.radians(solve_.attitude_sigma_deg), np.radians(solve_.heading_sigma_deg)
+        boresight = R_cam_enu.T @ belief.covariance[:3, :3] @ R_cam_enu
+        covariance[3:6, 3:6] = np.diag([tilt**2, tilt**2, heading**2]) + boresight
+        gps = self.config.gps
+        slow = SlowPosition(nav.sigma_horizontal_m, nav.sigma_vertical_m, gps.wander_time_s)
+        return Believed(R_cam_enu, nav.position_enu_m, covariance, slow)
 
     def position_guess(self, nav: NavState) -> Array:
         """The camera's centre by GPS, shifted as the newest solved keyframe was shifted by its solution."""
@@ -191,9 +170,12 @@ class Window:
         points, reference, plane = self._points(ids, R, C, xy, weight > 0)
         belief = self.alignment.prior_for(self.keyframes[0].nav.stamp_ns)
         state = State(R, C, points, belief.mean[:3], float(belief.mean[3]), plane)
-        priors = self._priors(layout, belief)
-        relief = np.full(len(ids), 1.0 / max(self.config.solve.relief_sigma_m, 1e-3))
-        problem = Problem(layout, xy, weight, priors, reference, relief)
+        relief, terrain = self._ground(points)
+        priors = sensor_priors(self.config, self.R_body_cam, self.keyframes, layout, belief, terrain is not None)
+        if terrain is not None:
+            reference[2] = 0.0
+            state = replace(state, plane=np.zeros(3))
+        problem = Problem(layout, xy, weight, priors, reference, relief, terrain)
         first = solve(problem, state, scale=3.0, tolerance=1e-4)
         outlier = first.residual_sigmas > OUTLIER_SIGMAS * max(self._fit(first.residual_sigmas), 1.0)
         kept = np.where(outlier, 0.0, weight)
@@ -235,8 +217,7 @@ class Window:
             replace(k, R_cam_enu=R, centre_enu_m=C)
             for k, R, C in zip(self.keyframes, s.state.R_cam_enu, s.state.centres_enu_m, strict=True)
         ]
-        slopes = s.state.plane[1:]
-        plane = np.array([reference[2] + s.state.plane[0] - slopes @ reference[:2], *slopes])
+        plane, _ = fit_plane(s.state.points_enu_m[good])
         self._learn(s, layout)
         # The noise of tracking is learned slowly, so that one odd window changes little.
         self.pixel_sigma_px = float(np.clip(self.pixel_sigma_px * fit**0.3, 0.08, 5.0))
@@ -271,6 +252,14 @@ class Window:
     def _travel_m(self) -> float:
         positions = np.stack([k.nav.position_enu_m for k in self.keyframes])
         return float(np.linalg.norm(np.ptp(positions, axis=0)))
+
+    def _ground(self, points: Array) -> tuple[Array, Terrain | None]:
+        """1 / sigma of the ground under each point (P,), and the terrain if it is known under all of them."""
+        if self.terrain is not None:
+            height, _ = self.terrain.height_and_slope(points[:, :2])
+            if np.all(np.isfinite(height)):
+                return np.full(len(points), 1.0 / self.config.terrain.sigma_m), self.terrain
+        return np.full(len(points), 1.0 / max(self.config.solve.relief_sigma_m, 1e-3)), None
 
     def _grid(self, ids: Ids) -> tuple[Array, Array]:
         """Measurements and weights on the (keyframe, point) grid."""
@@ -325,83 +314,6 @@ class Window:
         reference = np.array([*np.median(points[:, :2], axis=0), 0.0])
         reference[2] = plane[0] + plane[1:] @ reference[:2]
         return points, reference, np.array([0.0, plane[1], plane[2]])
-
-    def _priors(self, layout: Layout, belief: Belief) -> list[Prior]:
-        solve_, gps = self.config.solve, self.config.gps
-        stamps_ns = np.array([k.nav.stamp_ns for k in self.keyframes], np.int64)
-        stamps = (stamps_ns - stamps_ns[0]) / 1e9
-        offsets = np.array([k.nav_offset_s for k in self.keyframes])
-        positions = np.stack([k.nav.position_enu_m for k in self.keyframes])
-        velocities = np.stack(
-            [np.zeros(3) if k.nav.velocity_enu_m_s is None else k.nav.velocity_enu_m_s for k in self.keyframes]
-        )
-        horizontal = max(k.nav.sigma_horizontal_m for k in self.keyframes)
-        vertical = max(k.nav.sigma_vertical_m for k in self.keyframes)
-        whitener = np.stack(
-            [
-                wandering_sqrt_information(stamps, gps.sigma_white_m * grow, wander, gps.wander_time_s)
-                for wander, grow in ((horizontal, 1.0), (horizontal, 1.0), (vertical, 1.5))
-            ]
-        )
-        priors: list[Prior] = [PositionPrior(layout, positions, velocities, whitener, offsets)]
-        flown = [k.flown_enu_m for k in self.keyframes[1:]]
-        if solve_.velocity and all(f is not None for f in flown):
-            sigma = gps.sigma_velocity_m_s * np.maximum(np.diff(stamps), 0.05)
-            priors.append(VelocityPrior(layout, np.array(flown), sigma))
-        if all(k.nav.R_enu_body is not None for k in self.keyframes):
-            R_enu_cam = np.stack(
-                [k.nav.R_enu_body @ self.R_body_cam for k in self.keyframes if k.nav.R_enu_body is not None]
-            )
-            rates = np.stack([k.body_rate_rad_s for k in self.keyframes]) @ self.R_body_cam
-            attitude = np.stack(
-                [
-                    wandering_sqrt_information(
-                        stamps,
-                        np.radians(solve_.attitude_white_sigma_deg),
-                        np.radians(sigma_deg),
-                        solve_.attitude_wander_time_s,
-                    )
-                    for sigma_deg in (solve_.attitude_sigma_deg, solve_.attitude_sigma_deg, solve_.heading_sigma_deg)
-                ]
-            )
-            priors.append(AttitudePrior(layout, R_enu_cam, rates, attitude, offsets))
-        else:
-            coordinated = self._coordinated(stamps, velocities)
-            if coordinated is not None:
-                loose = wandering_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, PATH_SIGMA_RAD, gps.wander_time_s)
-                heading = wandering_sqrt_information(
-                    stamps, PATH_WHITE_SIGMA_RAD, 2 * PATH_SIGMA_RAD, gps.wander_time_s
-                )
-                still = np.zeros((layout.keyframes, 3))
-                priors.append(AttitudePrior(layout, coordinated, still, np.stack([loose, loose, heading]), offsets))
-        priors.append(self._shared_prior(layout, belief))
-        return priors
-
-    def _coordinated(self, stamps_s: Array, velocities: Array) -> Array | None:
-        """R_enu_cam (K, 3, 3) of a vehicle that heads where it flies and banks into its turns; None while it is slow.
-
-        What keeps any aircraft in the air pushes along its own up axis, so that axis lies near acceleration plus
-        gravity. A weak belief, (5.10), but one that a turned-over solution contradicts.
-        """
-        if len(stamps_s) < 2 or np.linalg.norm(velocities[:, :2], axis=1).min() < 3.0:
-            return None
-        acceleration = np.gradient(velocities, stamps_s, axis=0)
-        up = acceleration + np.array([0.0, 0.0, GRAVITY_M_S2])
-        down = -up / np.linalg.norm(up, axis=1, keepdims=True)
-        ahead = velocities - np.sum(velocities * down, axis=1, keepdims=True) * down
-        ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-        R_enu_body = np.stack([ahead, np.cross(down, ahead), down], axis=-1)
-        out: Array = R_enu_body @ self.R_body_cam
-        return out
-
-    def _shared_prior(self, layout: Layout, belief: Belief) -> SharedPrior:
-        covariance = np.zeros((7, 7))
-        covariance[:SHARED, :SHARED] = belief.covariance
-        slope = np.tan(np.radians(self.config.solve.level_ground_sigma_deg)) if self.config.solve.level_ground else 3.0
-        covariance[4:, 4:] = np.diag([1e8, slope**2, slope**2])
-        mean = np.zeros(7)
-        mean[:SHARED] = belief.mean
-        return SharedPrior(layout, mean, np.linalg.inv(np.linalg.cholesky(covariance)))
 
 
 def _depth_sigma(s: Solution, good: NDArray[np.bool_], layout: Layout) -> Array:

@@ -28,7 +28,8 @@ from onboard.residuals import (
     wandering_sqrt_information,
 )
 from onboard.triangulation import triangulate
-from onboard.window import Sighting, Window, sighting
+from onboard.keyframe import Sighting, sighting
+from onboard.window import Window
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]

@@ -1,0 +1,114 @@
+"""Configuration and navigation -> the window's residuals: which sensors take part, and how far each is believed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.alignment import STATES as SHARED
+from onboard.alignment import Belief
+from onboard.config import Config
+from onboard.keyframe import Keyframe
+from onboard.residuals import (
+    AttitudePrior,
+    Layout,
+    PositionPrior,
+    Prior,
+    SharedPrior,
+    VelocityPrior,
+    wandering_sqrt_information,
+)
+
+Array = NDArray[np.float64]
+
+# How far an aircraft without attitude sensor may be from flying level along its path in a coordinated turn.
+PATH_SIGMA_RAD = 0.25
+PATH_WHITE_SIGMA_RAD = 0.15
+GRAVITY_M_S2 = 9.81
+
+
+def sensor_priors(
+    config: Config, R_body_cam: Array, keyframes: list[Keyframe], layout: Layout, belief: Belief, has_terrain: bool
+) -> list[Prior]:
+    """Every residual over the camera side that the configuration asks for and the keyframes have data for.
+
+    `has_terrain`: the plane among the shared states is then the terrain model's own error, not the ground itself.
+    """
+    solve_, gps = config.solve, config.gps
+    stamps_ns = np.array([k.nav.stamp_ns for k in keyframes], np.int64)
+    stamps = (stamps_ns - stamps_ns[0]) / 1e9
+    offsets = np.array([k.nav_offset_s for k in keyframes])
+    positions = np.stack([k.nav.position_enu_m for k in keyframes])
+    velocities = np.stack(
+        [np.zeros(3) if k.nav.velocity_enu_m_s is None else k.nav.velocity_enu_m_s for k in keyframes]
+    )
+    horizontal = max(k.nav.sigma_horizontal_m for k in keyframes)
+    vertical = max(k.nav.sigma_vertical_m for k in keyframes)
+    whitener = np.stack(
+        [
+            wandering_sqrt_information(stamps, gps.sigma_white_m * grow, wander, gps.wander_time_s)
+            for wander, grow in ((horizontal, 1.0), (horizontal, 1.0), (vertical, 1.5))
+        ]
+    )
+    priors: list[Prior] = [PositionPrior(layout, positions, velocities, whitener, offsets)]
+    flown = [k.flown_enu_m for k in keyframes[1:]]
+    if solve_.velocity and all(f is not None for f in flown):
+        sigma = gps.sigma_velocity_m_s * np.maximum(np.diff(stamps), 0.05)
+        priors.append(VelocityPrior(layout, np.array(flown), sigma))
+    if all(k.nav.R_enu_body is not None for k in keyframes):
+        R_enu_cam = np.stack([k.nav.R_enu_body @ R_body_cam for k in keyframes if k.nav.R_enu_body is not None])
+        rates = np.stack([k.body_rate_rad_s for k in keyframes]) @ R_body_cam
+        attitude = np.stack(
+            [
+                wandering_sqrt_information(
+                    stamps,
+                    np.radians(solve_.attitude_white_sigma_deg),
+                    np.radians(sigma_deg),
+                    solve_.attitude_wander_time_s,
+                )
+                for sigma_deg in (solve_.attitude_sigma_deg, solve_.attitude_sigma_deg, solve_.heading_sigma_deg)
+            ]
+        )
+        priors.append(AttitudePrior(layout, R_enu_cam, rates, attitude, offsets))
+    else:
+        coordinated = _coordinated(R_body_cam, stamps, velocities)
+        if coordinated is not None:
+            loose = wandering_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, PATH_SIGMA_RAD, gps.wander_time_s)
+            heading = wandering_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, 2 * PATH_SIGMA_RAD, gps.wander_time_s)
+            still = np.zeros((layout.keyframes, 3))
+            priors.append(AttitudePrior(layout, coordinated, still, np.stack([loose, loose, heading]), offsets))
+    priors.append(_shared_prior(config, layout, belief, has_terrain))
+    return priors
+
+
+def _coordinated(R_body_cam: Array, stamps_s: Array, velocities: Array) -> Array | None:
+    """R_enu_cam (K, 3, 3) of a vehicle that heads where it flies and banks into its turns; None while it is slow.
+
+    What keeps any aircraft in the air pushes along its own up axis, so that axis lies near acceleration plus
+    gravity. A weak belief, (5.10), but one that a turned-over solution contradicts.
+    """
+    if len(stamps_s) < 2 or np.linalg.norm(velocities[:, :2], axis=1).min() < 3.0:
+        return None
+    acceleration = np.gradient(velocities, stamps_s, axis=0)
+    up = acceleration + np.array([0.0, 0.0, GRAVITY_M_S2])
+    down = -up / np.linalg.norm(up, axis=1, keepdims=True)
+    ahead = velocities - np.sum(velocities * down, axis=1, keepdims=True) * down
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    R_enu_body = np.stack([ahead, np.cross(down, ahead), down], axis=-1)
+    out: Array = R_enu_body @ R_body_cam
+    return out
+
+
+def _shared_prior(config: Config, layout: Layout, belief: Belief, has_terrain: bool) -> SharedPrior:
+    """Boresight and time offset as learned so far, and the ground plane's slope and height."""
+    covariance = np.zeros((7, 7))
+    covariance[:SHARED, :SHARED] = belief.covariance
+    solve_ = config.solve
+    slope = np.tan(np.radians(solve_.level_ground_sigma_deg)) if solve_.level_ground else 3.0
+    height_m = 1e4
+    if has_terrain:  # the plane is then what the terrain model is off by, as a whole
+        slope, height_m = 1e-4, config.terrain.sigma_datum_m + 1e-3
+    covariance[4:, 4:] = np.diag([height_m**2, slope**2, slope**2])
+    mean = np.zeros(7)
+    mean[:SHARED] = belief.mean
+    return SharedPrior(layout, mean, np.linalg.inv(np.linalg.cholesky(covariance)))
