@@ -17,7 +17,7 @@ ROOMS = {"contract", "ground", "onboard", "simulation", "demo", "benchmarks"}
 MAX_LINES = 450
 
 # Rooms of the aircraft that meet the world: files, links, clocks. Only the plumbing may know them.
-IO_ROOMS = {"onboard.camera", "onboard.telemetry", "onboard.publisher", "onboard.recording"}
+IO_ROOMS = {"onboard.camera", "onboard.telemetry", "onboard.publisher", "onboard.recording", "onboard.terrain_files"}
 PLUMBING = {"onboard.__main__", "onboard.daemon", "onboard.replay", "onboard.replay_command"}
 # What the outside world is reached through. None of it belongs in a room of mathematics.
 IO_PACKAGES = {
