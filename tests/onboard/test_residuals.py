@@ -154,7 +154,7 @@ def test_the_ground_planes_jacobians_are_its_derivatives() -> None:
         step = np.zeros(3)
         step[axis] = 1e-5
         ahead, behind = (ground_plane(points + s, reference, plane)[0] for s in (step, -step))
-        assert np.full(P, by_point[axis]) == pytest.approx((ahead - behind) / 2e-5, abs=1e-6)
+        assert by_point[:, axis] == pytest.approx((ahead - behind) / 2e-5, abs=1e-6)
         ahead, behind = (ground_plane(points, reference, plane + s)[0] for s in (step, -step))
         assert by_plane[:, axis] == pytest.approx((ahead - behind) / 2e-5, abs=1e-5)
 
