@@ -64,6 +64,12 @@ def parser() -> argparse.ArgumentParser:
         help="capture times: file,unix_time_s (a video: index,unix_time_s); else EXIF, else the file names",
     )
     replay.add_argument("--record", type=Path, metavar="SESSION.mcap", help="write events and feature sets")
+    replay.add_argument(
+        "--state",
+        type=Path,
+        metavar="FILE",
+        help="boresight and time offset: begin with what this file knows, leave there what was learned",
+    )
     replay.add_argument("--publish", action="store_true", help="put feature sets on the link")
     replay.add_argument(
         "--speed", type=_speed, default=None, metavar="1|max", help="real time, or as fast as it goes (max)"

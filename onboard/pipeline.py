@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.feature_set import DepthSource, FeatureSet, Status
 from contract.geodesy import LocalFrame
+from onboard.alignment import Belief
 from onboard.config import Config
 from onboard.events import Event, Frame
 from onboard.georeference import Origin, georeference
@@ -68,6 +69,7 @@ class Summary:
     refused: dict[str, int] = field(default_factory=dict)
     median_tracks: float = 0.0
     reprojection_px: float = 0.0
+    alignment: Belief | None = None  # boresight and time offset as learned; None before the first lesson
     stage_seconds: dict[str, float] = field(default_factory=dict)
 
 
@@ -144,6 +146,7 @@ class Pipeline:
             refused=dict(refused.most_common()),
             median_tracks=float(np.median(self._track_counts)) if self._track_counts else 0.0,
             reprojection_px=float(np.median(self._reprojections)) if self._reprojections else 0.0,
+            alignment=self.window.alignment.belief if self.window.alignment.lessons else None,
             stage_seconds=dict(self._stages),
         )
 

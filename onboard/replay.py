@@ -6,6 +6,7 @@ pipeline one by one, and what comes out goes to the sinks. Nothing here changes 
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -161,6 +162,11 @@ def summary_text(summary: Summary) -> str:
         ("median tracks", f"{summary.median_tracks:.0f}"),
         ("reprojection", f"{summary.reprojection_px:.2f} px"),
     ]
+    if summary.alignment is not None:
+        mean, sigma = summary.alignment.mean, summary.alignment.sigma
+        turns = [f"{math.degrees(m):+.2f} +-{math.degrees(s):.2f}" for m, s in zip(mean[:3], sigma[:3], strict=True)]
+        rows.append(("boresight", f"x {turns[0]}, y {turns[1]}, z {turns[2]} deg, camera axes"))
+        rows.append(("time offset", f"{mean[3]:+.3f} +-{sigma[3]:.3f} s, camera to autopilot"))
     frames = max(summary.frames, 1)
     rows += [
         (f"time, {stage}", f"{seconds:.2f} s ({1000.0 * seconds / frames:.1f} ms a frame)")

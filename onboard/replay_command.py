@@ -44,7 +44,13 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> str:
     linger_s = arguments.linger if arguments.publish else 0.0
     terrain = None if config.terrain.path is None else TerrainFiles(config.terrain.path, config.terrain.datum)
     pipeline = Pipeline(config, camera, terrain)
-    return summary_text(replay(flight, pipeline, sinks, arguments.speed, linger_s, terminal, stop))
+    alignment = pipeline.window.alignment
+    if arguments.state is not None and arguments.state.exists():
+        alignment.restore(arguments.state.read_text(encoding="utf-8"))
+    summary = replay(flight, pipeline, sinks, arguments.speed, linger_s, terminal, stop)
+    if arguments.state is not None and alignment.lessons:
+        arguments.state.write_text(alignment.to_json(), encoding="utf-8")
+    return summary_text(summary)
 
 
 class Published:
