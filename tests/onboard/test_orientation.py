@@ -125,6 +125,22 @@ def test_true_matches_lie_on_their_epipolar_planes_and_a_pixel_off_is_a_pixel_of
     assert error == pytest.approx(PIXEL / np.sqrt(2.0), rel=0.05)
 
 
+def test_the_seeds_printed_constraint_mixes_axes_and_ours_does_not() -> None:
+    """(3.3) and the three readings of the seed's line: world rays with t, camera rays with R t; never R^-1 t."""
+    v = views(np.random.default_rng(6), turn_deg=3.0, noise=0.0)
+    R, t = v.first, v.baseline_enu_m / np.linalg.norm(v.baseline_enu_m)
+
+    def worst(u1: Array, u2: Array, Q: Array, base: Array) -> float:
+        return float(np.abs(np.sum((u2 @ Q) * np.cross(base, u1), axis=1)).max())
+
+    Q_world = R.T @ v.second  # the seed's Q: X2 = K R Q (X - t)
+    world1, world2 = v.rays1 @ R, v.rays2 @ R
+    assert worst(world1, world2, Q_world, t) < 1e-12
+    assert worst(v.rays1, v.rays2, R @ Q_world @ R.T, R @ t) < 1e-12
+    assert worst(world1, world2, Q_world, R.T @ t) > 0.1
+    assert worst(v.rays1, v.rays2, Q_world, R.T @ t) > 0.1
+
+
 def test_sampson_distance_has_the_measurements_own_sigma() -> None:
     v = views(np.random.default_rng(1), turn_deg=3.0, count=800)
     error = epipolar_error(v.rays1, v.rays2, v.Q, v.t_cam1)
