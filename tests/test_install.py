@@ -1,4 +1,4 @@
-"""`pip install .` alone: the ground's client in an environment with none of the aircraft's packages."""
+"""What is installed: the lock, and `pip install .` alone with none of the aircraft's packages beside it."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ import os
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from contract.camera import Camera
 from contract.feature_set import FeatureSet, Status
@@ -73,6 +76,19 @@ def run(environment: Path, program: str, *arguments: object) -> subprocess.Compl
         [environment / program, *map(str, arguments)],
         cwd=environment, env=clean, capture_output=True, text=True, check=False, timeout=60,
     )  # fmt: skip
+
+
+def test_the_lock_holds_every_dependency_at_a_version_that_will_do() -> None:
+    project = tomllib.loads((HOUSE / "pyproject.toml").read_text())["project"]
+    wanted = [
+        *project["dependencies"],
+        *(line for extra in project["optional-dependencies"].values() for line in extra),
+    ]
+    pins = (HOUSE / "requirements.lock").read_text().splitlines()
+    locked = dict(line.split("==") for line in pins if line and not line.startswith("#"))
+    versions = {canonicalize_name(name): version for name, version in locked.items()}
+    for requirement in map(Requirement, wanted):
+        assert requirement.specifier.contains(versions[canonicalize_name(requirement.name)]), requirement
 
 
 def test_none_of_the_aircrafts_packages_is_there(environment: Path) -> None:
