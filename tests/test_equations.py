@@ -11,8 +11,8 @@ ROOMS = ("contract", "onboard", "ground", "simulation", "benchmarks")
 # A formula's own number ends an indented line; between parentheses nothing but the number.
 DEFINED = re.compile(r"^    .*\s{2,}\(([0-9]+\.[0-9]+)\)$", re.MULTILINE)
 NUMBER = r"\(([1-9][0-9]?\.[0-9]{1,2})\)"
-# Prose cites: in a docstring or comment the number stands after a blank or an opening parenthesis; a call such as f(5.0)
-# has its name before it.
+# Prose cites: in a docstring or comment the number stands after a blank or an opening parenthesis; a call has its
+# name before it.
 CITED = re.compile(rf"(?<![\w)\]]){NUMBER}")
 RANGE = re.compile(rf"{NUMBER} to {NUMBER}")
 
