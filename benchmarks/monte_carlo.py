@@ -107,7 +107,7 @@ def _judge(flight: Flight, solution: Solution, kept: Array) -> _Trial:
 def _best(flight: Flight, ideal: Solution) -> Array:
     """Points (P, 3) of plain least squares from the truth by one who knows which tracks are wrong, run to its end."""
     problem = replace(flight.problem, weight=np.where(flight.is_outlier, 0.0, flight.problem.weight))
-    return solve(problem, ideal.state, scale=None, max_iterations=200, tolerance=1e-12).state.points_enu_m
+    return solve(problem, ideal.state, scale=None, max_iterations=60, tolerance=1e-9).state.points_enu_m
 
 
 def _shape_bound(ideal: Solution, counted: Mask) -> float:

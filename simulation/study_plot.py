@@ -41,7 +41,7 @@ def plot(path: Path, name: str, rows: list[Row]) -> None:
             points = [(r.value, max(r.mean_error_m, FLOOR_M)) for r in rows if (r.panel, r.curve) == (panel, curve)]
             axis.plot(*zip(*points, strict=True), marker="o", markersize=3, linewidth=1.2, label=curve)
         axis.set_xlabel(LABELS[panel])
-        axis.set_yscale("log")
+        axis.set_yscale("linear" if name == "fig6" else "log")
         axis.grid(True, which="major", alpha=0.4)
     axes[0].set_ylabel("mean error of features (m)")
     axes[-1].legend(fontsize=7)
