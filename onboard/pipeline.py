@@ -133,6 +133,7 @@ class Pipeline:
             out.extend(self._process(self._waiting.popleft()))
         out.extend(self._settle(self._records))
         self._records.clear()
+        self.window.conclude()
         return out
 
     @property

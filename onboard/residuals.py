@@ -120,14 +120,15 @@ def reprojection_jacobians(R_cam_enu: Array, predicted: Array, depth: Array) -> 
 
 
 def wandering_sqrt_information(
-    stamps_s: Array, sigma_white: float, sigma_wander: float, time_constant_s: float
+    stamps_s: Array, sigma_white: float | Array, sigma_wander: float, time_constant_s: float
 ) -> Array:
     """Lower-triangular whitener (K, K) of an error with a white part and an Ornstein-Uhlenbeck part, (5.5).
 
-    One axis of K measurements at `stamps_s` (s): covariance sigma_wander^2 exp(-|dt| / tau) + sigma_white^2 I.
+    One axis of K measurements at `stamps_s` (s): covariance sigma_wander^2 exp(-|dt| / tau) + sigma_white^2 I;
+    `sigma_white` may differ from measurement to measurement, (K,).
     """
     lag = np.abs(stamps_s[:, None] - stamps_s[None, :])
-    covariance = sigma_wander**2 * np.exp(-lag / time_constant_s) + sigma_white**2 * np.eye(len(stamps_s))
+    covariance = sigma_wander**2 * np.exp(-lag / time_constant_s) + np.square(sigma_white) * np.eye(len(stamps_s))
     inverse: Array = np.linalg.inv(np.linalg.cholesky(covariance))
     return inverse
 

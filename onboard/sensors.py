@@ -28,11 +28,18 @@ GRAVITY_M_S2 = 9.81
 
 
 def sensor_priors(
-    config: Config, R_body_cam: Array, keyframes: list[Keyframe], layout: Layout, belief: Belief, has_terrain: bool
+    config: Config,
+    R_body_cam: Array,
+    keyframes: list[Keyframe],
+    layout: Layout,
+    belief: Belief,
+    has_terrain: bool,
+    jitter_s: float,
 ) -> list[Prior]:
     """Every residual over the camera side that the configuration asks for and the keyframes have data for.
 
     `has_terrain`: the plane among the shared states is then the terrain model's own error, not the ground itself.
+    `jitter_s`: one sigma of each picture's own stamp: white error wherever the vehicle moves or turns. (5.11)
     """
     solve_, gps = config.solve, config.gps
     stamps_ns = np.array([k.nav.stamp_ns for k in keyframes], np.int64)
@@ -46,27 +53,36 @@ def sensor_priors(
     vertical = max(k.nav.sigma_vertical_m for k in keyframes)
     whitener = np.stack(
         [
-            wandering_sqrt_information(stamps, gps.sigma_white_m * grow, wander, gps.wander_time_s)
-            for wander, grow in ((horizontal, 1.0), (horizontal, 1.0), (vertical, 1.5))
+            wandering_sqrt_information(
+                stamps, np.hypot(gps.sigma_white_m * grow, jitter_s * velocities[:, axis]), wander, gps.wander_time_s
+            )
+            for axis, (wander, grow) in enumerate(((horizontal, 1.0), (horizontal, 1.0), (vertical, 1.5)))
         ]
     )
     priors: list[Prior] = [PositionPrior(layout, positions, velocities, whitener, offsets)]
     flown = [k.flown_enu_m for k in keyframes[1:]]
     if solve_.velocity and all(f is not None for f in flown):
-        sigma = gps.sigma_velocity_m_s * np.maximum(np.diff(stamps), 0.05)
+        speed = np.linalg.norm(velocities, axis=1)
+        slip_m = jitter_s * np.hypot(speed[1:], speed[:-1])
+        sigma = np.hypot(gps.sigma_velocity_m_s * np.maximum(np.diff(stamps), 0.05), slip_m)
         priors.append(VelocityPrior(layout, np.array(flown), sigma))
     if all(k.nav.R_enu_body is not None for k in keyframes):
         R_enu_cam = np.stack([k.nav.R_enu_body @ R_body_cam for k in keyframes if k.nav.R_enu_body is not None])
         rates = np.stack([k.body_rate_rad_s for k in keyframes]) @ R_body_cam
+        turning = np.einsum("kij,kj->ki", R_enu_cam, rates)
+        white = np.radians(
+            [solve_.attitude_white_sigma_deg, solve_.attitude_white_sigma_deg, solve_.heading_white_sigma_deg]
+        )
+        wander_deg = (solve_.attitude_sigma_deg, solve_.attitude_sigma_deg, solve_.heading_sigma_deg)
         attitude = np.stack(
             [
                 wandering_sqrt_information(
                     stamps,
-                    np.radians(solve_.attitude_white_sigma_deg),
+                    np.hypot(white[axis], jitter_s * turning[:, axis]),
                     np.radians(sigma_deg),
                     solve_.attitude_wander_time_s,
                 )
-                for sigma_deg in (solve_.attitude_sigma_deg, solve_.attitude_sigma_deg, solve_.heading_sigma_deg)
+                for axis, sigma_deg in enumerate(wander_deg)
             ]
         )
         priors.append(AttitudePrior(layout, R_enu_cam, rates, attitude, offsets))

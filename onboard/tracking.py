@@ -10,6 +10,10 @@ Shi and Tomasi 1994; Bouguet's pyramidal LK. Two things differ from following pi
 
 A track is believed if LK converged, its patch looks alike (LK's own error on the normalised picture) and its motion
 agrees with its neighbours'.
+
+Pictures that come fast are followed cheaply: while the last picture was where its predecessor's motion, carried on, had
+put it, the next one starts from there, without phase correlation and with as few pyramid levels as that surprise asks
+for. Where this finds too little, everything is done again from the beginning.
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.picture import SPREAD, Picture, prepare, thumbnail
+from onboard.picture import SPREAD, Normaliser, Picture, thumbnail
 from onboard.prediction import move
 
 Array = NDArray[np.float64]
@@ -28,13 +32,19 @@ Array = NDArray[np.float64]
 WINDOW_PX = 21
 LEVELS = 3
 BORDER_PX = 8.0
-# Mean absolute difference of two unlike patches is about 1.1 SPREAD; of two alike at correlation 0.75 half that.
-MAX_DIFFERENCE = 0.56 * SPREAD
+# Mean absolute difference of two unlike patches is about 1.1 times their standard deviation; of two alike at
+# correlation 0.75 half that. It is taken of the patch itself: mere noise is less than the texture aimed at.
+MAX_DIFFERENCE = 0.56
 MIN_QUALITY = 0.01
 MIN_EIGENVALUE = 1e-3
 MAX_TURN = 0.06  # rotation (rad) or scale change of a motion above which the picture is warped back before LK
 MIN_PEAK = 0.04  # response of phase correlation below which its shift is not believed
 MIN_TRACKS = 12
+# How far the motion carried on may have been off for nine features of ten, and the pyramid levels that then do; LK on
+# one level finds patches several pixels away, these are the distances at which it does so for practically all.
+CALM_LEVELS = ((1.5, 0), (4.0, 1), (8.0, 2))
+CALM_SHARE = 0.8  # of the features that should be on the picture; with fewer found again nothing is taken for granted
+ROUNDS = 5  # of reweighting, at most
 GATE_PX = 4.0  # least deviation from the neighbours' motion that condemns a track, at 640 px width
 
 
@@ -64,10 +74,15 @@ class Tracker:
         self._thumbnail: NDArray[np.float32] | None = None
         self._ids = np.zeros(0, np.int64)
         self._uv = np.zeros((0, 2))
+        self._contrast = np.zeros(0)  # grey levels, one sigma of each feature's patch in the keyframe
         self._next_id = 0
         self._current: Picture | None = None
-        self._motion = np.eye(3)
+        self._motion = np.eye(3)  # keyframe -> the last picture that was followed
+        self._predicted: Array | None = None  # the same as it was predicted
+        self._step = np.eye(3)  # the last picture's motion since the one before
+        self._levels: int | None = None  # pyramid levels that the motion carried on needs; None: not to be trusted
         self._hann: NDArray[np.float32] | None = None
+        self._normalise = Normaliser(size_px)
 
     @property
     def has_keyframe(self) -> bool:
@@ -81,20 +96,46 @@ class Tracker:
 
     def track(self, image: Picture, predicted: Array | None) -> Tracks:
         """Look for the keyframe's features in a grey picture (H, W). `predicted`: H (3, 3) from keyframe, or None."""
-        self._current = prepare(image)
+        self._current = self._normalise(image)
         if self._picture is None or not len(self._ids):
             return self.nothing()
-        candidates = [self._motion] if predicted is None else [predicted, self._motion]
+        carried_on = self._carry_on(predicted)
         best = self.nothing()
-        for start in candidates:
-            found = self._follow(self._align(start))
-            if len(found) > len(best):
-                best = found
-            if len(best) >= max(MIN_TRACKS, 0.5 * len(self._ids)):
-                break
+        if self._levels is not None:
+            best = self._follow(carried_on, self._levels)
+        if not self._is_plenty(best):
+            for start in [self._motion] if predicted is None else [predicted, self._motion]:
+                found = self._follow(self._align(start), LEVELS)
+                if len(found) > len(best):
+                    best = found
+                if len(found) >= max(MIN_TRACKS, 0.5 * len(self._ids)):
+                    break
+        self._levels = None
         if len(best) >= MIN_TRACKS:
-            self._motion = best.motion
+            if self._is_plenty(best):
+                surprise = np.linalg.norm(move(carried_on, best.keyframe_uv_px) - best.uv_px, axis=1)
+                ninth = 9 * len(best) // 10
+                off_px = float(np.partition(surprise, ninth)[ninth])
+                self._levels = next((levels for limit_px, levels in CALM_LEVELS if off_px < limit_px), None)
+            self._step = best.motion @ np.linalg.inv(self._motion)
+            self._motion, self._predicted = best.motion, predicted
         return best
+
+    def _carry_on(self, predicted: Array | None) -> Array:
+        """Where the last picture's motion leads: on by what telemetry says has changed since, else by the same step."""
+        if predicted is None or self._predicted is None:
+            step = self._step
+        else:
+            step = predicted @ np.linalg.inv(self._predicted)
+        out: Array = step @ self._motion
+        out /= out[2, 2]
+        return out
+
+    def _is_plenty(self, tracks: Tracks) -> bool:
+        """Whether nearly all features were found again that should be on the picture."""
+        return len(tracks) >= max(
+            MIN_TRACKS, CALM_SHARE * np.count_nonzero(self._inside(move(tracks.motion, self._uv)))
+        )
 
     def promote(self, tracks: Tracks) -> tuple[NDArray[np.int64], Array]:
         """Make the last picture the keyframe: keep `tracks`, fill up with new features; returns all ids and pixels."""
@@ -102,18 +143,21 @@ class Tracker:
             raise RuntimeError("promote() before track(): there is no picture yet")
         self._picture, self._thumbnail = self._current, None
         self._motion = np.eye(3)
+        self._predicted = None if self._predicted is None else np.eye(3)
         fresh = self._detect(tracks.uv_px, self.features - len(tracks))
         ids = self._next_id + np.arange(len(fresh))
         self._next_id += len(fresh)
         self._ids = np.concatenate([tracks.ids, ids]).astype(np.int64)
         self._uv = np.concatenate([tracks.uv_px, fresh])
+        self._contrast = np.minimum(_contrast(self._picture, self._uv), SPREAD)
         return self._ids, self._uv
 
     def forget(self) -> None:
         """Drop the keyframe: the next picture starts anew."""
         self._picture = self._thumbnail = None
         self._ids, self._uv = np.zeros(0, np.int64), np.zeros((0, 2))
-        self._motion = np.eye(3)
+        self._motion, self._step = np.eye(3), np.eye(3)
+        self._predicted = self._levels = None
 
     def nothing(self) -> Tracks:
         """No track at all: what a picture that cannot be followed gives, and what a new start is promoted with."""
@@ -143,7 +187,7 @@ class Tracker:
         out: Array = start @ shift
         return out
 
-    def _follow(self, motion: Array) -> Tracks:
+    def _follow(self, motion: Array, levels: int) -> Tracks:
         """LK from the keyframe into the current picture around a known whole-picture motion, then verification."""
         assert self._picture is not None and self._current is not None
         turns = _turn(motion, self.width_px, self.height_px) > MAX_TURN
@@ -169,13 +213,14 @@ class Tracker:
             start,
             guess[inside].astype(np.float32).copy(),
             winSize=(WINDOW_PX, WINDOW_PX),
-            maxLevel=LEVELS,
+            maxLevel=levels,
             criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01),
             flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
             minEigThreshold=MIN_EIGENVALUE,
         )
         uv = move(back, np.asarray(end, float)) if turns else np.asarray(end, float)
-        believed = (status[:, 0] == 1) & (difference[:, 0] < MAX_DIFFERENCE) & self._inside(uv)
+        is_alike = difference[:, 0] < MAX_DIFFERENCE * self._contrast[inside]
+        believed = (status[:, 0] == 1) & is_alike & self._inside(uv)
         keep = np.flatnonzero(believed)
         if len(keep) < MIN_TRACKS:
             return self.nothing()
@@ -192,16 +237,17 @@ class Tracker:
         Relief moves tracks off it smoothly; the gate is therefore relative to what the others do, never under GATE_PX.
         """
         floor = GATE_PX * self.width_px / 640.0
+        fit = _HomographyFit(at, to)
         weight = np.ones(len(at))
-        H = np.eye(3)
-        agree = np.ones(len(at), bool)
-        for _ in range(5):
-            H = fit_homography(at, to, weight)
-            miss = np.linalg.norm(move(H, at) - to, axis=1)
-            spread = 1.4826 * float(np.median(miss))
-            agree = miss < max(floor, 4.0 * spread)
+        spread = np.inf
+        for _ in range(ROUNDS):
+            miss = fit.solve(weight)
+            before, spread = spread, 1.4826 * float(np.median(miss))
+            # Settled: neither outliers nor the spread they are judged by will change any more.
+            if spread > 0.9 * before:
+                break
             weight = 1.0 / (1.0 + (miss / max(spread, 0.2)) ** 2)
-        return H, agree
+        return fit.H, miss < max(floor, 4.0 * spread)
 
     def _inside(self, uv: Array) -> NDArray[np.bool_]:
         u, v = uv[:, 0], uv[:, 1]
@@ -254,24 +300,59 @@ def _spread_out(found: Array, taken: Array, wanted: int, size_px: tuple[int, int
     return np.sort(np.argsort(rank, kind="stable")[:wanted])
 
 
+def _contrast(picture: Picture, uv: Array) -> Array:
+    """Standard deviation of the picture in LK's window around pixels (N, 2), grey levels."""
+    reach = np.arange(WINDOW_PX) - WINDOW_PX // 2
+    height, width = picture.shape
+    at = np.rint(uv).astype(np.intp)
+    rows = np.clip(at[:, 1, None] + reach, 0, height - 1)
+    columns = np.clip(at[:, 0, None] + reach, 0, width - 1)
+    out: Array = picture[rows[:, :, None], columns[:, None, :]].std(axis=(1, 2))
+    return out
+
+
+class _HomographyFit:
+    """Weighted least squares homographies through the same pairs of pixels, `at` (N, 2) -> `to` (N, 2), N >= 4."""
+
+    def __init__(self, at: Array, to: Array) -> None:
+        self._centre, self._scale = at.mean(axis=0), max(float(np.ptp(at)), 1.0)
+        n = len(at)
+        p = (at - self._centre) / self._scale
+        self._q = (to - self._centre) / self._scale
+        self._p1 = np.ones((n, 3))
+        self._p1[:, :2] = p
+        self._A = np.zeros((2, n, 8))
+        self._A[0, :, :3] = self._A[1, :, 3:6] = self._p1
+        np.multiply(-self._q.T[:, :, None], p, out=self._A[:, :, 6:])
+        self._h = np.eye(3)
+
+    def solve(self, weight: Array) -> Array:
+        """One linear step, scaled; returns the distance (N,), px, that each pair misses by."""
+        A = self._A.reshape(-1, 8)
+        AW = (self._A * weight[:, None]).reshape(-1, 8)
+        h = np.linalg.solve(AW.T @ A + 1e-9 * np.eye(8), AW.T @ self._q.T.ravel())
+        self._h = np.append(h, 1.0).reshape(3, 3)
+        moved = self._p1 @ self._h.T
+        miss = moved[:, :2] / moved[:, 2:] - self._q
+        out: Array = np.hypot(miss[:, 0], miss[:, 1]) * self._scale
+        return out
+
+    @property
+    def H(self) -> Array:
+        """The last solution (3, 3), in pixels."""
+        (u, v), s = self._centre, self._scale
+        to_unit = np.array([[1 / s, 0, -u / s], [0, 1 / s, -v / s], [0, 0, 1.0]])
+        from_unit = np.array([[s, 0, u], [0, s, v], [0, 0, 1.0]])
+        out: Array = from_unit @ self._h @ to_unit
+        out /= out[2, 2]
+        return out
+
+
 def fit_homography(at: Array, to: Array, weight: Array) -> Array:
     """Weighted least squares homography (3, 3), pixels `at` (N, 2) -> `to` (N, 2), N >= 4. One linear step, scaled."""
-    centre, scale = at.mean(axis=0), max(float(np.ptp(at)), 1.0)
-    p = (at - centre) / scale
-    q = (to - centre) / scale
-    w = np.sqrt(weight)[:, None]
-    one, zero = np.ones((len(p), 1)), np.zeros((len(p), 3))
-    a = np.concatenate([p, one], axis=1)
-    rows_u = np.concatenate([a, zero, -q[:, :1] * p], axis=1) * w
-    rows_v = np.concatenate([zero, a, -q[:, 1:] * p], axis=1) * w
-    A = np.concatenate([rows_u, rows_v])
-    b = np.concatenate([q[:, 0] * w[:, 0], q[:, 1] * w[:, 0]])
-    h = np.linalg.solve(A.T @ A + 1e-9 * np.eye(8), A.T @ b)
-    H = np.append(h, 1.0).reshape(3, 3)
-    to_unit = np.array([[1 / scale, 0, -centre[0] / scale], [0, 1 / scale, -centre[1] / scale], [0, 0, 1.0]])
-    out: Array = np.linalg.inv(to_unit) @ H @ to_unit
-    out /= out[2, 2]
-    return out
+    fit = _HomographyFit(at, to)
+    fit.solve(weight)
+    return fit.H
 
 
 def _turn(H: Array, width_px: int, height_px: int) -> float:

@@ -26,9 +26,11 @@ from onboard.navigation import NavState
 from onboard.orientation import rotation_only
 from onboard.prediction import Believed
 from onboard.residuals import (
+    AttitudePrior,
     Layout,
     Prior,
     State,
+    VelocityPrior,
 )
 from onboard.sensors import sensor_priors
 from onboard.terrain import Terrain
@@ -38,6 +40,7 @@ Array = NDArray[np.float64]
 
 MIN_KEYFRAMES = 3
 MIN_POINTS = 12
+MIN_LESSON = 5  # keyframes of a last, short window that may still teach
 MIN_PARALLAX_RAD = 0.008  # below this a point starts on the ground plane and not where its rays meet
 START_SIGMAS = 5.0  # of an inlier at the start, at 640 px width: larger pictures carry larger calibration errors
 OUTLIER_SIGMAS = 4.0
@@ -46,6 +49,10 @@ MAX_FIT_SIGMAS = 4.0  # median residual, in configured pixel sigmas, above which
 MAX_DEPTH_SIGMA = 0.15  # relative; a scene less known than this has no parallax to speak of
 MAX_PRIOR_SIGMAS = 3.5  # root mean square of a sensor's whitened residuals that a true solution may show
 MAX_GROUND_SLOPE = 1.0
+WEIGHING_ROUNDS = 5
+TOLERATED_RMS = 1.3  # of velocity's and attitude's whitened residuals
+MAX_JITTER_S = 0.02
+MAX_DISCORD = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +88,8 @@ class Window:
         self.keyframes: list[Keyframe] = []
         self.solved: Solved | None = None
         self.pixel_sigma_px = config.solve.pixel_sigma_px
+        self.jitter_s = config.camera.sigma_jitter_s
+        self.discord = 1.0  # how much less than by their own scatter pixels are trusted
         self.terrain: Terrain | None = None  # of the area flown over, if known
         self.alignment = Alignment(
             np.radians(mount.sigma_deg), config.camera.sigma_latency_s, config.solve.attitude_wander_time_s
@@ -171,17 +180,49 @@ class Window:
         belief = self.alignment.prior_for(self.keyframes[0].nav.stamp_ns)
         state = State(R, C, points, belief.mean[:3], float(belief.mean[3]), plane)
         relief, terrain = self._ground(points)
-        priors = sensor_priors(self.config, self.R_body_cam, self.keyframes, layout, belief, terrain is not None)
         if terrain is not None:
             reference[2] = 0.0
             state = replace(state, plane=np.zeros(3))
-        problem = Problem(layout, xy, weight, priors, reference, relief, terrain)
-        first = solve(problem, state, scale=3.0, tolerance=1e-4)
+        for _ in range(WEIGHING_ROUNDS):
+            priors = sensor_priors(
+                self.config, self.R_body_cam, self.keyframes, layout, belief, terrain is not None, self.jitter_s
+            )
+            problem = Problem(layout, xy, weight / self.discord, priors, reference, relief, terrain)
+            first = solve(problem, state, scale=3.0, tolerance=1e-4)
+            if not self._reweigh(priors, first.state):
+                break
+            state = first.state
+        weight = problem.weight
         outlier = first.residual_sigmas > OUTLIER_SIGMAS * max(self._fit(first.residual_sigmas), 1.0)
         kept = np.where(outlier, 0.0, weight)
         kept[:, np.count_nonzero(kept > 0, axis=0) < 2] = 0.0
         second = solve(replace(problem, weight=kept), first.state, scale=6.0, tolerance=1e-6)
         return self._judge(ids, layout, priors, second, weight, kept, reference)
+
+    def _reweigh(self, priors: list[Prior], state: State) -> bool:
+        """Learn from velocity and attitude residuals how pictures and autopilot disagree; True if weights changed.
+
+        Stamps that stray by some milliseconds (photographs, USB) show in both at once, and are allowed for first. What
+        disagreement remains is the picture's: a calibration's error moves many features together, bends the poses and
+        hardly shows in the features' own residuals. All pixels are then trusted less, until both sides agree. (6.7)
+        """
+        measured = [p for p in priors if isinstance(p, VelocityPrior | AttitudePrior)]
+        if self.keyframes[0].nav.R_enu_body is None:
+            measured = [p for p in measured if isinstance(p, VelocityPrior)]
+        if not measured:
+            return False
+        rms = max(float(np.sqrt(np.mean(p.evaluate(state)[0] ** 2))) for p in measured)
+        if rms > TOLERATED_RMS:
+            if self.jitter_s < MAX_JITTER_S:
+                self.jitter_s = min(max(self.jitter_s, 0.003) * min(rms, 3.0), MAX_JITTER_S)
+                return True
+            if self.discord < MAX_DISCORD:
+                self.discord = min(self.discord * min(rms, 2.0), MAX_DISCORD)
+                return True
+        elif rms < 1.0 / TOLERATED_RMS:
+            self.jitter_s = max(0.95 * self.jitter_s, self.config.camera.sigma_jitter_s)
+            self.discord = max(0.95 * self.discord, 1.0)
+        return False
 
     def _judge(
         self, ids: Ids, layout: Layout, priors: list[Prior], s: Solution, weight: Array, kept: Array, reference: Array
@@ -189,7 +230,7 @@ class Window:
         """Decide by evidence whether a solution may be published, and keep it if so."""
         seen, used = np.count_nonzero(weight > 0), np.count_nonzero(kept > 0)
         fit = self._fit(s.residual_sigmas)
-        sigma_px = self.pixel_sigma_px * fit
+        sigma_px = self.pixel_sigma_px * self.discord * fit
         depth = np.abs(
             np.einsum("kj,kpj->kp", s.state.R_cam_enu[:, 2], s.state.points_enu_m - s.state.centres_enu_m[:, None])
         )
@@ -218,9 +259,10 @@ class Window:
             for k, R, C in zip(self.keyframes, s.state.R_cam_enu, s.state.centres_enu_m, strict=True)
         ]
         plane, _ = fit_plane(s.state.points_enu_m[good])
-        self._learn(s, layout)
+        if len(self.keyframes) == self.config.solve.keyframes:
+            self.learn(s, layout)
         # The noise of tracking is learned slowly, so that one odd window changes little.
-        self.pixel_sigma_px = float(np.clip(self.pixel_sigma_px * fit**0.3, 0.08, 5.0))
+        self.pixel_sigma_px = float(np.clip(self.pixel_sigma_px * (fit * self.discord) ** 0.3, 0.08, 5.0))
         self.solved = Solved(
             tuple(k.frame for k in self.keyframes),
             layout,
@@ -234,14 +276,19 @@ class Window:
         )
         return Status.OK
 
-    def _learn(self, s: Solution, layout: Layout) -> None:
-        """Offer a full window's boresight and time offset as a lesson."""
-        if len(self.keyframes) < self.config.solve.keyframes or self.keyframes[0].nav.R_enu_body is None:
+    def learn(self, s: Solution, layout: Layout) -> None:
+        """Offer a solved window's boresight and time offset as a lesson."""
+        if self.keyframes[0].nav.R_enu_body is None:
             return
         shared = slice(layout.boresight.start, layout.boresight.start + SHARED)
         mean = np.append(s.state.boresight_rad, s.state.offset_s)
         start, end = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
         self.alignment.offer(start, end, mean, s.covariance[shared, shared])
+
+    def conclude(self) -> None:
+        """The end of a stretch: learn from its last window even if it never filled."""
+        if self.solved is not None and len(self.keyframes) == len(self.solved.keyframes) >= MIN_LESSON:
+            self.learn(self.solved.solution, self.solved.layout)
 
     @staticmethod
     def _fit(sigmas: Array) -> float:
