@@ -292,9 +292,17 @@ class Window:
 
     @staticmethod
     def _fit(sigmas: Array) -> float:
-        """Robust one sigma per axis of whitened residual lengths: their median over that of a Rayleigh distribution."""
-        known = sigmas[np.isfinite(sigmas)]
-        return float(np.median(known)) / 1.1774 if len(known) else float("inf")
+        """Robust one sigma per axis of whitened residual lengths (K, P): their median over a Rayleigh distribution's.
+
+        Residuals of a fit are smaller than the noise by what the fit has swallowed: three unknowns a point, six a view.
+        """
+        known = np.isfinite(sigmas)
+        n = 2 * np.count_nonzero(known)
+        if n == 0:
+            return float("inf")
+        unknowns = 3 * np.count_nonzero(known.any(axis=0)) + 6 * len(sigmas)
+        swallowed = np.sqrt(n / max(n - unknowns, 0.2 * n))
+        return float(np.median(sigmas[known]) / 1.1774 * swallowed)
 
     def _travel_m(self) -> float:
         positions = np.stack([k.nav.position_enu_m for k in self.keyframes])

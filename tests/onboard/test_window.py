@@ -136,7 +136,7 @@ def test_the_noise_of_tracking_is_learned(true_px: float) -> None:
         add(window, scene, int(k))
         window.solve()
     # What is learned is the residuals' size; a fit's residuals are smaller than the noise by its degrees of freedom.
-    assert 0.7 * true_px < window.pixel_sigma_px < 1.2 * true_px
+    assert 0.85 * true_px < window.pixel_sigma_px < 1.15 * true_px
 
 
 def test_a_reset_window_knows_nothing() -> None:
