@@ -140,6 +140,15 @@ def main(argv: list[str] | None = None) -> int:
     except PointclickError as error:
         print(f"{PROGRAM}: error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] in {"onboard", "contract"}:
+            raise
+        # The ground's installation has this command too, but not what it runs on.
+        print(
+            f"{PROGRAM}: error: {error.name} is not installed: on the aircraft, pip install 'pointclick[onboard]'",
+            file=sys.stderr,
+        )
+        return 2
     except KeyboardInterrupt:
         return 130
 

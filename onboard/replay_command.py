@@ -16,6 +16,7 @@ import cv2
 from contract.camera import Camera
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
+from onboard.alignment import Alignment
 from onboard.config import Config, load_config
 from onboard.events import Event
 from onboard.pipeline import Pipeline
@@ -44,13 +45,44 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> str:
     linger_s = arguments.linger if arguments.publish else 0.0
     terrain = None if config.terrain.path is None else TerrainFiles(config.terrain.path, config.terrain.datum)
     pipeline = Pipeline(config, camera, terrain)
-    alignment = pipeline.window.alignment
-    if arguments.state is not None and arguments.state.exists():
-        alignment.restore(arguments.state.read_text(encoding="utf-8"))
+    state = StateFile(arguments.state) if arguments.state is not None else None
+    if state is not None:
+        state.restore(pipeline.window.alignment)
     summary = replay(flight, pipeline, sinks, arguments.speed, linger_s, terminal, stop)
-    if arguments.state is not None and alignment.lessons:
-        arguments.state.write_text(alignment.to_json(), encoding="utf-8")
+    if state is not None:
+        state.keep(pipeline.window.alignment)
     return summary_text(summary)
+
+
+class StateFile:
+    """What was learned of boresight and time offset, kept between sessions. Raises InputError, one line."""
+
+    def __init__(self, path: Path) -> None:
+        if not path.parent.is_dir():
+            raise InputError(f"state file {path}: no such folder as {path.parent}")
+        if path.is_dir():
+            raise InputError(f"state file {path}: is a folder; name a file")
+        self._path = path
+
+    def restore(self, alignment: Alignment) -> None:
+        """Begin from the file; a missing one is a first flight."""
+        if not self._path.exists():
+            return
+        try:
+            alignment.restore(self._path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, InputError) as error:
+            raise InputError(f"state file {self._path}: {error}") from error
+
+    def keep(self, alignment: Alignment) -> None:
+        """Write what this flight taught, whole or not at all."""
+        if not alignment.lessons:
+            return
+        part = self._path.with_name(f".{self._path.name}.part")
+        try:
+            part.write_text(alignment.to_json(), encoding="utf-8")
+            part.replace(self._path)
+        except OSError as error:
+            raise InputError(f"state file {self._path}: {error.strerror}") from error
 
 
 class Published:

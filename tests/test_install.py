@@ -128,3 +128,10 @@ def test_wrong_usage_is_told(environment: Path, arguments: list[str], said: str)
     assert (done.returncode, done.stdout) == (2, "")
     assert said in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_the_aircrafts_command_says_what_it_needs(environment: Path) -> None:
+    done = run(environment, "pc-onboard", "replay", "--frames", ".", "--telemetry", "x.tlog", "--camera", "c.json")
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert "pointclick[onboard]" in done.stderr

@@ -16,6 +16,7 @@ from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, log_so3, matrix_from_euler, mount_rotation
 from onboard.bundle import Problem
 from onboard.config import Config, parse_config
+from onboard.keyframe import Sighting, sighting
 from onboard.navigation import NavState
 from onboard.residuals import (
     AttitudePrior,
@@ -28,7 +29,6 @@ from onboard.residuals import (
     wandering_sqrt_information,
 )
 from onboard.triangulation import triangulate
-from onboard.keyframe import Sighting, sighting
 from onboard.window import Window
 
 Array = NDArray[np.float64]
