@@ -13,34 +13,49 @@ Array = NDArray[np.float64]
 R_ENU_NED: Array = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 # MAVLink's gimbal frame has x along the optical axis, y to the picture's right, z to its bottom.
 R_GIMBAL_CAM: Array = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+_IDENTITY: Array = np.eye(3)
+# Row i holds the matrix of the cross product by unit vector i, row by row; the second takes half the difference back.
+_SKEW: Array = np.array(
+    [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], dtype=np.float64
+)
+_UNSKEW: Array = 0.5 * _SKEW.T
 
 
 def skew(v: ArrayLike) -> Array:
     """(..., 3) -> (..., 3, 3) with skew(v) @ w = v x w."""
     v = np.asarray(v, float)
-    out = np.zeros((*v.shape[:-1], 3, 3))
-    out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
-    out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
-    out[..., 2, 0], out[..., 2, 1] = -v[..., 1], v[..., 0]
+    out: Array = (v @ _SKEW).reshape(*v.shape[:-1], 3, 3)
     return out
 
 
 def exp_so3(v: ArrayLike) -> Array:
     """Rotation vectors (..., 3), rad -> rotation matrices (..., 3, 3). Rodrigues, equation (1.4)."""
     v = np.asarray(v, float)
-    angle2 = np.sum(v * v, axis=-1)[..., None, None]
-    angle = np.sqrt(angle2)
+    angle2 = (v * v).sum(axis=-1)[..., None, None]
     small = angle2 < 1e-8
-    safe = np.where(small, 1.0, angle)
+    safe = np.sqrt(np.where(small, 1.0, angle2))
     a = np.where(small, 1.0 - angle2 / 6.0, np.sin(safe) / safe)
-    b = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    b = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(safe)) / (safe * safe))
     k = skew(v)
-    out: Array = np.eye(3) + a * k + b * (k @ k)
+    out: Array = _IDENTITY + a * k + b * (k @ k)
     return out
 
 
 def log_so3(R: ArrayLike) -> Array:
     """Rotation matrices (..., 3, 3) -> rotation vectors (..., 3), rad, length at most pi. Inverse of (1.4)."""
+    R = np.asarray(R, float)
+    flat = R.reshape(*R.shape[:-2], 9)
+    cosine = 0.5 * (flat[..., 0] + flat[..., 4] + flat[..., 8] - 1.0)
+    if np.any(cosine < -0.5):  # near half a turn the sine says too little: by quaternions
+        return _log_by_quaternion(R)
+    out = flat @ _UNSKEW
+    sine = np.sqrt((out * out).sum(axis=-1))
+    small = sine < 1e-9
+    out *= np.where(small, 1.0, np.arctan2(sine, cosine) / np.where(small, 1.0, sine))[..., None]
+    return out
+
+
+def _log_by_quaternion(R: Array) -> Array:
     q = quaternion_from_matrix(R)
     q = np.where(q[..., :1] < 0.0, -q, q)
     norm = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
@@ -53,13 +68,13 @@ def log_so3(R: ArrayLike) -> Array:
 def right_jacobian_inverse(v: ArrayLike) -> Array:
     """Jr^-1 (..., 3, 3): log(exp(v) exp(d)) ~ v + Jr^-1(v) d. Equation (1.5)."""
     v = np.asarray(v, float)
-    angle2 = np.sum(v * v, axis=-1)[..., None, None]
+    angle2 = (v * v).sum(axis=-1)[..., None, None]
     small = angle2 < 1e-6
     angle = np.sqrt(np.where(small, 1.0, angle2))
     exact = 1.0 / angle**2 - (1.0 + np.cos(angle)) / (2.0 * angle * np.sin(angle))
     c = np.where(small, 1.0 / 12.0 + angle2 / 720.0, exact)
     k = skew(v)
-    out: Array = np.eye(3) + 0.5 * k + c * (k @ k)
+    out: Array = _IDENTITY + 0.5 * k + c * (k @ k)
     return out
 
 

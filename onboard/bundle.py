@@ -32,6 +32,9 @@ class Problem:
     reference_enu_m: Array = field(default_factory=lambda: np.zeros(3))  # the plane's reference point
     relief_weight: Array | None = None  # (P,) 1 / sigma_relief (1/m), or None for no plane under the points
     terrain: HeightModel | None = None  # what the plane's heights are counted from, if the ground is known
+    # Relief counts relative to the height flown at, this being where sigma_relief holds; None: in metres. In metres the
+    # least squares shrink the whole scene, because a smaller one has less relief: see (5.9).
+    clearance_m: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,15 +53,30 @@ class Solution:
 
 
 @dataclass(frozen=True, eq=False)
-class _Linear:
-    U: Array
-    V: Array
-    W: Array
-    bc: Array
-    bp: Array
+class _Residuals:
+    """Everything at one state that the cost needs; the normal equations start from it."""
+
+    state: State
+    image: Array  # (K, 2, P)
+    predicted: Array  # (K, 2, P)
+    depth: Array  # (K, P)
+    behind: NDArray[np.bool_]  # (K, P)
+    squared: Array  # (K, P) sigmas
+    robust: Array  # (K, P)
+    ground: tuple[Array, Array, Array, Array] | None  # residual (P,), by point, by plane, weight of the loss
+    priors: list[tuple[Array, Array]]
     cost: float
-    robust: Array
-    sigmas: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """Normal equations (6.2). Points run along the last axis, so that every operation is one long loop."""
+
+    U: Array  # (D, D)
+    V: Array  # (3, 3, P)
+    W: Array  # (D, 3, P)
+    bc: Array  # (D,)
+    bp: Array  # (3, P)
 
 
 def robust_cost(squared: Array, scale: float | None) -> tuple[Array, Array]:
@@ -71,116 +89,153 @@ def robust_cost(squared: Array, scale: float | None) -> tuple[Array, Array]:
 
 def evaluate(problem: Problem, state: State, scale: float | None) -> float:
     """The cost (6.1) at a state: half the sum of squares after the loss."""
-    residual, _, depth = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, problem.xy)
-    squared = (residual[..., 0] ** 2 + residual[..., 1] ** 2) * problem.weight**2
-    squared = np.where((depth <= 1e-6) & (problem.weight > 0), _BEHIND**2, squared)
-    total = float(robust_cost(squared, scale)[0].sum())
-    for prior in problem.priors:
-        r = prior.evaluate(state)[0]
-        total += float(r @ r)
-    if problem.relief_weight is not None:
-        r = (
-            ground_plane(state.points_enu_m, problem.reference_enu_m, state.plane, problem.terrain)[0]
-            * problem.relief_weight
-        )
-        total += float(robust_cost(r * r, scale)[0].sum())
-    return 0.5 * total
+    return _residuals(problem, np.ascontiguousarray(problem.xy.transpose(0, 2, 1)), state, scale).cost
 
 
-def _linearise(problem: Problem, state: State, scale: float | None) -> _Linear:
-    """Normal equations (6.2) in blocks: camera side U, points V, coupling W (P, 3, D)."""
-    layout, weight = problem.layout, problem.weight
-    K, P = weight.shape
-    D = layout.size
-    residual, predicted, depth = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, problem.xy)
-    by_view, by_point = reprojection_jacobians(state.R_cam_enu, predicted, depth)
-    squared = (residual[..., 0] ** 2 + residual[..., 1] ** 2) * weight**2
+def _residuals(problem: Problem, xy: Array, state: State, scale: float | None) -> _Residuals:
+    weight = problem.weight
+    image, predicted, depth = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, xy)
+    squared = image[:, 0] ** 2
+    squared += image[:, 1] ** 2
+    squared *= weight
+    squared *= weight
     behind = (depth <= 1e-6) & (weight > 0)
-    squared = np.where(behind, _BEHIND**2, squared)
+    squared[behind] = _BEHIND**2
     loss, robust = robust_cost(squared, scale)
-    s = weight * np.sqrt(robust) * ~behind
-    by_view *= s[..., None, None]
-    by_point *= s[..., None, None]
-    residual *= s[..., None]
+    cost = float(loss.sum())
+    ground = None
+    if problem.relief_weight is not None:
+        r, by_point, by_plane = ground_plane(state.points_enu_m, problem.reference_enu_m, state.plane, problem.terrain)
+        r = r * (problem.relief_weight * _shrink(problem, state))
+        ground_loss, ground_robust = robust_cost(r * r, scale)
+        cost += float(ground_loss.sum())
+        ground = (r, by_point, by_plane, ground_robust)
+    priors = [prior.evaluate(state) for prior in problem.priors]
+    for r, _ in priors:
+        cost += float(r @ r)
+    return _Residuals(state, image, predicted, depth, behind, squared, robust, ground, priors, 0.5 * cost)
+
+
+def _clearance(problem: Problem, state: State) -> float:
+    """Mean height (m) of the views over the plane at its reference point."""
+    return float(state.centres_enu_m[:, 2].mean() - problem.reference_enu_m[2] - state.plane[0])
+
+
+def _shrink(problem: Problem, state: State) -> float:
+    """What relief counts, relative to problem.clearance_m."""
+    return 1.0 if problem.clearance_m is None else problem.clearance_m / max(_clearance(problem, state), 1.0)
+
+
+def _linearise(problem: Problem, at: _Residuals) -> _Linear:
+    """Normal equations (6.2) in blocks: camera side U, points V, coupling W."""
+    layout = problem.layout
+    K, P = problem.weight.shape
+    D = layout.size
+    s = problem.weight * np.sqrt(at.robust)
+    s[at.behind] = 0.0
+    B, A = reprojection_jacobians(at.state.R_cam_enu, at.predicted, at.depth, s)
+    r = at.image * s[:, None]
+
+    W = np.zeros((D, 3, P))
+    views = W[: 6 * K].reshape(K, 6, 3, P)
+    turn, shift = views[:, :3], views[:, 3:]
+    np.multiply(B[:, :, None, 0], A[:, None, :, 0], out=turn)
+    turn += B[:, :, None, 1] * A[:, None, :, 1]
+    np.multiply(A[:, :, None, 0], A[:, None, :, 0], out=shift)
+    shift += A[:, :, None, 1] * A[:, None, :, 1]
+    V = shift.sum(axis=0)
+    np.negative(shift, out=shift)
+    pulled = A[:, :, 0] * r[:, None, 0]
+    pulled += A[:, :, 1] * r[:, None, 1]
+    bp = pulled.sum(axis=0)
 
     U = np.zeros((D, D))
     bc = np.zeros(D)
-    flat_view = by_view.reshape(K, 2 * P, 6)
-    flat_t = flat_view.transpose(0, 2, 1)
-    blocks = flat_t @ flat_view
-    for k in range(K):
-        U[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = blocks[k]
-    bc[: 6 * K] = (flat_t @ residual.reshape(K, 2 * P, 1)).reshape(-1)
+    flat = B.reshape(K, 3, 2 * P)
+    blocks = np.empty((K, 6, 6))
+    blocks[:, :3, :3] = flat @ flat.transpose(0, 2, 1)
+    sums = views.sum(axis=-1)
+    blocks[:, :, 3:] = -sums
+    blocks[:, 3:, :3] = blocks[:, :3, 3:].transpose(0, 2, 1)
+    each = np.arange(K)
+    U[: 6 * K, : 6 * K].reshape(K, 6, K, 6)[each, :, each] = blocks
+    by_view = bc[: 6 * K].reshape(K, 6)
+    by_view[:, :3] = (flat @ r.reshape(K, 2 * P, 1))[..., 0]
+    by_view[:, 3:] = -pulled.sum(axis=-1)
 
-    W = np.zeros((P, 3, D))
-    cross = by_point[..., 0, :, None] * by_view[..., 0, None, :]
-    cross += by_point[..., 1, :, None] * by_view[..., 1, None, :]
-    W[:, :, : 6 * K] = cross.transpose(1, 2, 0, 3).reshape(P, 3, 6 * K)
-    point_rows = by_point.transpose(1, 0, 2, 3).reshape(P, 2 * K, 3)
-    point_t = point_rows.transpose(0, 2, 1)
-    V = point_t @ point_rows
-    bp = (point_t @ residual.transpose(1, 0, 2).reshape(P, 2 * K, 1))[..., 0]
-
-    cost = float(loss.sum())
-    if problem.relief_weight is not None:
-        r, plane_by_point, by_plane = ground_plane(
-            state.points_enu_m, problem.reference_enu_m, state.plane, problem.terrain
-        )
-        r = r * problem.relief_weight
-        plane_loss, plane_robust = robust_cost(r * r, scale)
-        w = problem.relief_weight * np.sqrt(plane_robust)
-        r = r * np.sqrt(plane_robust)
-        gp = w[:, None] * plane_by_point
-        gs = w[:, None] * by_plane
-        V += gp[:, :, None] * gp[:, None, :]
-        bp += gp * r[:, None]
-        W[:, :, layout.plane] += gp[:, :, None] * gs[:, None, :]
-        U[layout.plane, layout.plane] += gs.T @ gs
-        bc[layout.plane] += gs.T @ r
-        cost += float(plane_loss.sum())
-    for prior in problem.priors:
-        r, J = prior.evaluate(state)
-        U += J.T @ J
-        bc += J.T @ r
-        cost += float(r @ r)
-    sigmas = np.where(weight > 0, np.sqrt(squared), np.nan)
-    return _Linear(U, V, W, bc, bp, 0.5 * cost, robust, sigmas)
+    if at.ground is not None:
+        assert problem.relief_weight is not None
+        rg, by_point, by_plane, robust = at.ground
+        root = np.sqrt(robust)
+        w = problem.relief_weight * root * _shrink(problem, at.state)
+        gp, gs, rg = by_point.T * w, by_plane.T * w, rg * root
+        columns = np.arange(layout.size)[layout.plane]
+        if problem.clearance_m is not None:
+            grown = rg / _clearance(problem, at.state)  # a scene twice as far away may have twice the relief
+            gs[0] += grown
+            gs = np.concatenate([gs, np.tile(-grown / K, (K, 1))])
+            columns = np.concatenate([columns, layout.centres()[:, 2]])
+        V += gp[:, None] * gp[None]
+        bp += gp * rg
+        W[columns] += gs[:, None] * gp[None]
+        U[np.ix_(columns, columns)] += gs @ gs.T
+        bc[columns] += gs @ rg
+    J = np.concatenate([J for _, J in at.priors])
+    U += J.T @ J
+    bc += J.T @ np.concatenate([r for r, _ in at.priors])
+    return _Linear(U, V, W, bc, bp)
 
 
-def _invert_points(V: Array) -> Array:
-    """Inverses of symmetric (P, 3, 3) blocks by cofactors; a tiny ridge keeps a point seen once finite."""
-    trace = V[:, 0, 0] + V[:, 1, 1] + V[:, 2, 2]
-    ridge = 1e-10 * trace + 1e-12
-    a, b, c = V[:, 0, 0] + ridge, V[:, 0, 1], V[:, 0, 2]
-    e, f, i = V[:, 1, 1] + ridge, V[:, 1, 2], V[:, 2, 2] + ridge
-    m00, m01, m02 = e * i - f * f, c * f - b * i, b * f - c * e
-    inverse_det = 1.0 / (a * m00 + b * m01 + c * m02)
-    out = np.empty_like(V)
-    out[:, 0, 0] = m00
-    out[:, 0, 1] = out[:, 1, 0] = m01
-    out[:, 0, 2] = out[:, 2, 0] = m02
-    out[:, 1, 1] = a * i - c * c
-    out[:, 1, 2] = out[:, 2, 1] = b * c - a * f
-    out[:, 2, 2] = a * e - b * b
-    out *= inverse_det[:, None, None]
-    return out
+def _point_factor(V: Array, damping: float) -> tuple[Array, ...]:
+    """Cholesky factors of all (3, 3, P) point blocks; a tiny ridge keeps a point seen once finite.
+
+    Returns reciprocals of the diagonal and the three below it, (P,) each: d0, d1, d2, l10, l20, l21.
+    """
+    ridge = 1e-10 * (V[0, 0] + V[1, 1] + V[2, 2]) + 1e-12
+    grow = 1.0 + damping
+    d0 = 1.0 / np.sqrt(V[0, 0] * grow + ridge)
+    l10, l20 = V[1, 0] * d0, V[2, 0] * d0
+    d1 = 1.0 / np.sqrt(np.maximum(V[1, 1] * grow + ridge - l10 * l10, 1e-300))
+    l21 = (V[2, 1] - l20 * l10) * d1
+    d2 = 1.0 / np.sqrt(np.maximum(V[2, 2] * grow + ridge - l20 * l20 - l21 * l21, 1e-300))
+    return d0, d1, d2, l10, l20, l21
 
 
-def _reduce(system: _Linear, damping: float) -> tuple[Array, Array, Array, Array]:
-    """Schur complement (6.3): S, its right side, point gain Y = V^-1 W (P, 3, D), and V^-1."""
-    V, U = system.V, system.U
-    D = len(U)
-    if damping > 0.0:
-        V = V.copy()
-        diagonal = np.einsum("pii->pi", V)
-        diagonal *= 1.0 + damping
-        U = U.copy()
-        U[np.diag_indices(D)] *= 1.0 + damping
-    V_inverse = _invert_points(V)
-    Y = V_inverse @ system.W
-    S = U - system.W.reshape(-1, D).T @ Y.reshape(-1, D)
-    right = system.bc - Y.reshape(-1, D).T @ system.bp.reshape(-1)
-    return S, right, Y, V_inverse
+def _forward(factor: tuple[Array, ...], b: Array) -> Array:
+    """L^-1 b for b (..., 3, P)."""
+    d0, d1, d2, l10, l20, l21 = factor
+    z = np.empty_like(b)
+    z0, z1, z2 = z[..., 0, :], z[..., 1, :], z[..., 2, :]
+    np.multiply(b[..., 0, :], d0, out=z0)
+    np.subtract(b[..., 1, :], z0 * l10, out=z1)
+    z1 *= d1
+    np.subtract(b[..., 2, :], z0 * l20, out=z2)
+    z2 -= z1 * l21
+    z2 *= d2
+    return z
+
+
+def _backward(factor: tuple[Array, ...], z: Array) -> Array:
+    """L^-T z for z (..., 3, P)."""
+    d0, d1, d2, l10, l20, l21 = factor
+    x = np.empty_like(z)
+    x2 = z[..., 2, :] * d2
+    x1 = (z[..., 1, :] - l21 * x2) * d1
+    x[..., 0, :] = (z[..., 0, :] - l10 * x1 - l20 * x2) * d0
+    x[..., 1, :], x[..., 2, :] = x1, x2
+    return x
+
+
+def _reduce(system: _Linear, damping: float) -> tuple[Array, Array, Array, tuple[Array, ...]]:
+    """Schur complement (6.3): S, its right side, Z = L^-1 W (D, 3, P) with V = L L', and L."""
+    D = len(system.U)
+    factor = _point_factor(system.V, damping)
+    Z = _forward(factor, system.W)
+    flat = Z.reshape(D, -1)
+    S = system.U - flat @ flat.T
+    S[np.diag_indices(D)] += damping * np.diag(system.U)
+    right = system.bc - flat @ _forward(factor, system.bp).reshape(-1)
+    return S, right, Z, factor
 
 
 def _solve_positive(S: Array, right: Array) -> Array | None:
@@ -209,21 +264,23 @@ def solve(
 
     Stops when a step gains less than `tolerance` of the cost, or after `max_iterations` accepted or refused steps.
     """
-    system = _linearise(problem, state, scale)
+    xy = np.ascontiguousarray(problem.xy.transpose(0, 2, 1))
+    at = _residuals(problem, xy, state, scale)
+    system = _linearise(problem, at)
     converged, iterations, growth = False, 0, 2.0
     while iterations < max_iterations:
         iterations += 1
-        S, right, Y, V_inverse = _reduce(system, damping)
+        S, right, _, factor = _reduce(system, damping)
         dc = _solve_positive(S, -right)
         if dc is None:
             damping = max(damping * 10.0, 1e-6)
             continue
-        dp = -(np.einsum("pij,pj->pi", V_inverse, system.bp) + Y @ dc)
-        candidate = state.retract(dc, dp)
-        trial = _linearise(problem, candidate, scale)
-        if np.isfinite(trial.cost) and trial.cost <= system.cost:
-            gain = system.cost - trial.cost
-            state, system = candidate, trial
+        pull = system.bp + (dc @ system.W.reshape(len(dc), -1)).reshape(3, -1)
+        dp = -_backward(factor, _forward(factor, pull)).T
+        trial = _residuals(problem, xy, at.state.retract(dc, dp), scale)
+        if np.isfinite(trial.cost) and trial.cost <= at.cost:
+            gain = at.cost - trial.cost
+            at, system = trial, _linearise(problem, trial)
             damping, growth = max(damping * 0.2, 1e-9), 2.0
             if gain <= tolerance * (trial.cost + 1e-12):
                 converged = True
@@ -235,7 +292,13 @@ def solve(
             damping, growth = max(damping, 1e-9) * growth * 2.0, growth * 2.0
             if damping > 1e9:
                 break
-    S, _, Y, V_inverse = _reduce(system, 0.0)
-    inverse = _solve_positive(S, np.eye(len(S)))
-    covariance: Array = np.asarray(np.linalg.pinv(S, hermitian=True), float) if inverse is None else inverse
-    return Solution(state, system.cost, iterations, converged, system.robust, system.sigmas, covariance, Y, V_inverse)
+    S, _, Z, factor = _reduce(system, 0.0)
+    covariance = _solve_positive(S, np.eye(len(S)))
+    if covariance is None:
+        covariance = np.asarray(np.linalg.pinv(S, hermitian=True), np.float64)
+    gain_of_points = np.ascontiguousarray(_backward(factor, Z).transpose(2, 1, 0))
+    own = np.ascontiguousarray(
+        _backward(factor, _forward(factor, np.repeat(np.eye(3)[..., None], Z.shape[-1], axis=2))).transpose(2, 0, 1)
+    )
+    sigmas = np.where(problem.weight > 0, np.sqrt(at.squared), np.nan)
+    return Solution(at.state, at.cost, iterations, converged, at.robust, sigmas, covariance, gain_of_points, own)

@@ -97,7 +97,7 @@ def _resected_view(
 ) -> _View | None:
     s = solved.solution
     points = s.state.points_enu_m[rows[known]]
-    weight = 1.0 / (window.pixel_sigma_px * window.discord * seen.gain[known])
+    weight = 1.0 / (solved.pixel_sigma_px * seen.gain[known])
     prior = np.array([ROTATION_PRIOR_RAD] * 3 + [POSITION_PRIOR_M] * 3)
     pose: Resection = resect(points, seen.xy[known], weight, R_guess, centre_guess_m, prior)
     if np.count_nonzero(pose.inliers) < max(MIN_FEATURES, 0.5 * len(points)):

@@ -61,13 +61,13 @@ def resect(
 def _whitened(
     points: Array, xy: Array, weight: Array, R: Array, C: Array, scale: float
 ) -> tuple[Array, Array, Array, Array, Mask]:
-    residual, predicted, depth = reprojection(R[None], C[None], points, xy[None])
-    by_view, by_point = reprojection_jacobians(R[None], predicted, depth)
+    residual, predicted, depth = reprojection(R[None], C[None], points, xy.T[None])
     ahead = depth[0] > 1e-6
-    squared = np.where(ahead, np.sum(residual[0] ** 2, axis=1) * weight**2, 1e6)
+    squared = np.where(ahead, np.sum(residual[0] ** 2, axis=0) * weight**2, 1e6)
     _, robust = robust_cost(squared, scale)
     s = weight * np.sqrt(robust) * ahead
-    A = (by_view[0] * s[:, None, None]).reshape(-1, 6)
-    B = (by_point[0] * s[:, None, None]).reshape(-1, 3)
-    r = (residual[0] * s[:, None]).reshape(-1)
+    by_rotation, by_point = reprojection_jacobians(R[None], predicted, depth, s[None])
+    A = np.concatenate([by_rotation[0], -by_point[0]]).transpose(2, 1, 0).reshape(-1, 6)
+    B = by_point[0].transpose(2, 1, 0).reshape(-1, 3)
+    r = (residual[0] * s).T.reshape(-1)
     return A, B, r, np.sqrt(squared), ahead

@@ -8,6 +8,7 @@ at the reference point, slope east, slope north). Points are eliminated and have
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -88,35 +89,37 @@ class State:
 
 
 def reprojection(R_cam_enu: Array, centres_enu_m: Array, points_enu_m: Array, xy: Array) -> tuple[Array, Array, Array]:
-    """Unit-depth image residuals of every point in every view, (5.1).
+    """Unit-depth image residuals of every point in every view, (5.1). Points run along the last axis, for speed.
 
-    `R_cam_enu` (K, 3, 3), `centres_enu_m` (K, 3), `points_enu_m` (P, 3), measured `xy` (K, P, 2). Returns residuals
-    (K, P, 2) predicted minus measured, predicted xy (K, P, 2), and depth (K, P); depth at or below zero marks a point
+    `R_cam_enu` (K, 3, 3), `centres_enu_m` (K, 3), `points_enu_m` (P, 3), measured `xy` (K, 2, P). Returns residuals
+    (K, 2, P) predicted minus measured, predicted xy (K, 2, P), and depth (K, P); depth at or below zero marks a point
     behind the camera, whose residual is of no meaning (but finite).
     """
-    p = points_enu_m @ R_cam_enu.transpose(0, 2, 1)
-    p -= np.matmul(R_cam_enu, centres_enu_m[:, :, None])[:, None, :, 0]
-    depth = p[..., 2]
-    predicted = p[..., :2] / np.where(depth > 1e-6, depth, 1e-6)[..., None]
+    p = R_cam_enu @ points_enu_m.T
+    p -= R_cam_enu @ centres_enu_m[:, :, None]
+    depth = p[:, 2]
+    predicted = p[:, :2] / np.maximum(depth, 1e-6)[:, None]
     return predicted - xy, predicted, depth
 
 
-def reprojection_jacobians(R_cam_enu: Array, predicted: Array, depth: Array) -> tuple[Array, Array]:
-    """Of (5.1): by the view's six unknowns (K, P, 2, 6), and by the point (K, P, 2, 3). Equations (5.2), (5.3)."""
-    x, y = predicted[..., 0], predicted[..., 1]
-    inv = 1.0 / np.where(depth > 1e-6, depth, 1e-6)
-    rows = R_cam_enu[:, None, :2, :] - predicted[..., None] * R_cam_enu[:, None, 2:, :]
-    by_point = rows * inv[..., None, None]
-    by_view = np.empty((*x.shape, 2, 6))
-    xy = x * y
-    by_view[..., 0, 0] = -xy
-    by_view[..., 0, 1] = 1.0 + x * x
-    by_view[..., 0, 2] = -y
-    by_view[..., 1, 0] = -1.0 - y * y
-    by_view[..., 1, 1] = xy
-    by_view[..., 1, 2] = x
-    by_view[..., 3:] = -by_point
-    return by_view, by_point
+def reprojection_jacobians(R_cam_enu: Array, predicted: Array, depth: Array, scale: Array) -> tuple[Array, Array]:
+    """Of (5.1), times `scale` (K, P): by the view's rotation and by the point, both (K, 3, 2, P). (5.2), (5.3).
+
+    By the view's centre it is minus that by the point.
+    """
+    x, y = predicted[:, 0], predicted[:, 1]
+    by_point = R_cam_enu[:, 2, :, None, None] * predicted[:, None]
+    np.subtract(R_cam_enu[:, :2, :].transpose(0, 2, 1)[..., None], by_point, out=by_point)
+    by_point *= (scale / np.maximum(depth, 1e-6))[:, None, None]
+    by_rotation = np.empty_like(by_point)
+    sx, sy = scale * x, scale * y
+    np.multiply(sx, y, out=by_rotation[:, 1, 1])
+    np.negative(by_rotation[:, 1, 1], out=by_rotation[:, 0, 0])
+    np.add(scale, sx * x, out=by_rotation[:, 1, 0])
+    np.subtract(-scale, sy * y, out=by_rotation[:, 0, 1])
+    np.negative(sy, out=by_rotation[:, 2, 0])
+    by_rotation[:, 2, 1] = sx
+    return by_rotation, by_point
 
 
 def wandering_sqrt_information(
@@ -145,19 +148,22 @@ class PositionPrior:
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3K,), Jacobian (3K, D)."""
-        K = self.layout.keyframes
         error = (
             state.centres_enu_m
             - self.measured_enu_m
             - self.velocity_enu_m_s * (state.offset_s - self.offset_s)[:, None]
         )
-        residual = np.einsum("aij,ja->ai", self.whitener, error)
+        return np.matmul(self.whitener, error.T[:, :, None]).reshape(-1), self._jacobian
+
+    @cached_property
+    def _jacobian(self) -> Array:
+        K = self.layout.keyframes
         J = np.zeros((3, K, self.layout.size))
         columns = self.layout.centres()
         for axis in range(3):
             J[axis][:, columns[:, axis]] = self.whitener[axis]
             J[axis][:, self.layout.offset] = -self.whitener[axis] @ self.velocity_enu_m_s[:, axis]
-        return residual.reshape(-1), J.reshape(3 * K, -1)
+        return J.reshape(3 * K, -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,16 +176,20 @@ class VelocityPrior:
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3 (K - 1),), Jacobian (3 (K - 1), D)."""
+        flown = state.centres_enu_m[1:] - state.centres_enu_m[:-1]
+        return ((flown - self.displacement_enu_m) / self.sigma_m[:, None]).reshape(-1), self._jacobian
+
+    @cached_property
+    def _jacobian(self) -> Array:
         n = self.layout.keyframes - 1
         weight = 1.0 / self.sigma_m
-        residual = (np.diff(state.centres_enu_m, axis=0) - self.displacement_enu_m) * weight[:, None]
         J = np.zeros((n, 3, self.layout.size))
         columns = self.layout.centres()
         row = np.arange(n)
         for axis in range(3):
             J[row, axis, columns[1:, axis]] = weight
             J[row, axis, columns[:-1, axis]] = -weight
-        return residual.reshape(-1), J.reshape(3 * n, -1)
+        return J.reshape(3 * n, -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,27 +205,27 @@ class AttitudePrior:
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3K,), Jacobian (3K, D)."""
         K = self.layout.keyframes
-        turn = exp_so3(self.body_rate_cam_rad_s * (state.offset_s - self.offset_s)[:, None])
-        tilt = exp_so3(state.boresight_rad)
+        turned = self.body_rate_cam_rad_s * (state.offset_s - self.offset_s)[:, None]
+        both = exp_so3(np.concatenate([turned, state.boresight_rad[None]]))  # one call: this is the inner loop
+        turn, tilt = both[:-1], both[-1]
         R_enu_cam = self.R_enu_cam_measured @ turn @ tilt
         # In camera axes: log(R_cam_enu R_enu_cam). Its derivatives: Jl^-1 = Jr^-1(-e) on the left, Jr^-1 on the right.
         error_cam = log_so3(state.R_cam_enu @ R_enu_cam)
-        left = right_jacobian_inverse(-error_cam)
-        right = right_jacobian_inverse(error_cam)
+        inverses = right_jacobian_inverse(np.concatenate([error_cam, state.boresight_rad[None]]))
+        right = inverses[:-1]
         R_out = self.R_enu_cam_measured
-        by_rotation = R_out @ left
-        by_boresight = R_out @ right @ _right_jacobian(state.boresight_rad)
+        inner = R_out @ right
+        by_rotation = R_out @ right.transpose(0, 2, 1)
+        by_boresight = inner @ np.linalg.inv(inverses[-1])
         # exp(w t) on the inner side of exp(b): d exp(w t) = exp(w t) [w dt]x, carried through exp(b).
-        by_offset = np.einsum("kij,kj->ki", R_out @ right @ tilt.T, self.body_rate_cam_rad_s)
-        error = np.einsum("kij,kj->ki", R_out, error_cam)
-        residual = np.einsum("aij,ja->ai", self.whitener, error)
+        by_offset = inner @ (self.body_rate_cam_rad_s @ tilt)[:, :, None]
+        error = R_out @ error_cam[:, :, None]
+        residual = np.matmul(self.whitener, error.transpose(1, 0, 2))
         J = np.zeros((3, K, self.layout.size))
-        columns = self.layout.rotations()
-        for axis in range(3):
-            for c in range(3):
-                J[axis][:, columns[:, c]] = self.whitener[axis] * by_rotation[:, axis, c][None, :]
-            J[axis][:, self.layout.boresight] = self.whitener[axis] @ by_boresight[:, axis, :]
-            J[axis][:, self.layout.offset] = self.whitener[axis] @ by_offset[:, axis]
+        by_view = J[:, :, : 6 * K].reshape(3, K, K, 6)
+        by_view[..., :3] = self.whitener[..., None] * by_rotation.transpose(1, 0, 2)[:, None]
+        J[:, :, self.layout.boresight] = self.whitener @ by_boresight.transpose(1, 0, 2)
+        J[:, :, self.layout.offset] = (self.whitener @ by_offset.transpose(1, 0, 2))[..., 0]
         return residual.reshape(-1), J.reshape(3 * K, -1)
 
 
@@ -230,9 +240,13 @@ class SharedPrior:
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (7,), Jacobian (7, D)."""
         value = np.concatenate([state.boresight_rad, [state.offset_s], state.plane])
+        return self.whitener @ (value - self.mean), self._jacobian
+
+    @cached_property
+    def _jacobian(self) -> Array:
         J = np.zeros((7, self.layout.size))
         J[:, 6 * self.layout.keyframes :] = self.whitener
-        return self.whitener @ (value - self.mean), J
+        return J
 
 
 Prior = PositionPrior | VelocityPrior | AttitudePrior | SharedPrior
@@ -261,7 +275,3 @@ def ground_plane(
         by_point[:, :2] -= slope
     by_plane = np.concatenate([-np.ones((len(offset), 1)), -offset], axis=1)
     return residual, by_point, by_plane
-
-
-def _right_jacobian(v: Array) -> Array:
-    return np.asarray(np.linalg.inv(right_jacobian_inverse(v)), float)

@@ -45,6 +45,7 @@ MIN_PARALLAX_RAD = 0.008  # below this a point starts on the ground plane and no
 START_SIGMAS = 5.0  # of an inlier at the start, at 640 px width: larger pictures carry larger calibration errors
 OUTLIER_SIGMAS = 4.0
 MIN_INLIERS = 0.5
+MIN_PIXEL_SIGMA_PX = 0.08  # tracks err together by more than their residuals show
 MAX_FIT_SIGMAS = 4.0  # median residual, in configured pixel sigmas, above which the fit explains nothing
 MAX_DEPTH_SIGMA = 0.15  # relative; a scene less known than this has no parallax to speak of
 MAX_PRIOR_SIGMAS = 3.5  # root mean square of a sensor's whitened residuals that a true solution may show
@@ -183,11 +184,12 @@ class Window:
         if terrain is not None:
             reference[2] = 0.0
             state = replace(state, plane=np.zeros(3))
+        clearance_m = None if terrain is not None else float(C[:, 2].mean() - reference[2])
         for _ in range(WEIGHING_ROUNDS):
             priors = sensor_priors(
                 self.config, self.R_body_cam, self.keyframes, layout, belief, terrain is not None, self.jitter_s
             )
-            problem = Problem(layout, xy, weight / self.discord, priors, reference, relief, terrain)
+            problem = Problem(layout, xy, weight / self.discord, priors, reference, relief, terrain, clearance_m)
             first = solve(problem, state, scale=3.0, tolerance=1e-4)
             if not self._reweigh(priors, first.state):
                 break
@@ -196,8 +198,13 @@ class Window:
         outlier = first.residual_sigmas > OUTLIER_SIGMAS * max(self._fit(first.residual_sigmas), 1.0)
         kept = np.where(outlier, 0.0, weight)
         kept[:, np.count_nonzero(kept > 0, axis=0) < 2] = 0.0
-        second = solve(replace(problem, weight=kept), first.state, scale=6.0, tolerance=1e-6)
-        return self._judge(ids, layout, priors, second, weight, kept, reference)
+        # The window's own noise, not the flight's so far, is what its covariances must be built on.
+        own = self._fit(np.where(kept > 0, first.residual_sigmas, np.nan))
+        if not np.isfinite(own):
+            return Status.POOR_FIT
+        own = max(own, MIN_PIXEL_SIGMA_PX / (self.pixel_sigma_px * self.discord))
+        second = solve(replace(problem, weight=kept / own), first.state, scale=6.0, tolerance=1e-6)
+        return self._judge(ids, layout, priors, second, weight, kept, own)
 
     def _reweigh(self, priors: list[Prior], state: State) -> bool:
         """Learn from velocity and attitude residuals how pictures and autopilot disagree; True if weights changed.
@@ -225,12 +232,12 @@ class Window:
         return False
 
     def _judge(
-        self, ids: Ids, layout: Layout, priors: list[Prior], s: Solution, weight: Array, kept: Array, reference: Array
+        self, ids: Ids, layout: Layout, priors: list[Prior], s: Solution, weight: Array, kept: Array, own: float
     ) -> Status:
         """Decide by evidence whether a solution may be published, and keep it if so."""
         seen, used = np.count_nonzero(weight > 0), np.count_nonzero(kept > 0)
         fit = self._fit(s.residual_sigmas)
-        sigma_px = self.pixel_sigma_px * self.discord * fit
+        sigma_px = self.pixel_sigma_px * self.discord * own * fit
         depth = np.abs(
             np.einsum("kj,kpj->kp", s.state.R_cam_enu[:, 2], s.state.points_enu_m - s.state.centres_enu_m[:, None])
         )
@@ -262,7 +269,7 @@ class Window:
         if len(self.keyframes) == self.config.solve.keyframes:
             self.learn(s, layout)
         # The noise of tracking is learned slowly, so that one odd window changes little.
-        self.pixel_sigma_px = float(np.clip(self.pixel_sigma_px * (fit * self.discord) ** 0.3, 0.08, 5.0))
+        self.pixel_sigma_px = float(np.clip(self.pixel_sigma_px * (own * fit * self.discord) ** 0.3, MIN_PIXEL_SIGMA_PX, 5.0))
         self.solved = Solved(
             tuple(k.frame for k in self.keyframes),
             layout,

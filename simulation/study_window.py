@@ -95,7 +95,7 @@ def draw(setting: Setting, rng: np.random.Generator) -> Flight:
     reference = np.array([*(TRAVEL_ENU[:2] * setting.spacing_m * (K - 1) / 2.0), 0.0])
     weight = np.where(seen, 1.0 / sigma, 0.0)
     relief = np.full(P, 1.0 / setting.relief_sigma_m)
-    problem = Problem(layout, xy, weight, priors, reference, relief)
+    problem = Problem(layout, xy, weight, priors, reference, relief, clearance_m=HEIGHT_M)
     return Flight(setting, problem, truth, gps, measured, is_outlier)
 
 

@@ -19,10 +19,8 @@ Array = NDArray[np.float64]
 
 def residuals(problem: Problem, state: State) -> Array:
     """Everything the cost squares, one after another, no loss."""
-    r = (
-        reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, problem.xy)[0]
-        * problem.weight[..., None]
-    )
+    xy = problem.xy.transpose(0, 2, 1)
+    r = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, xy)[0] * problem.weight[:, None]
     assert problem.relief_weight is not None
     relief = ground_plane(state.points_enu_m, problem.reference_enu_m, state.plane)[0] * problem.relief_weight
     return np.concatenate([r.ravel(), relief, *(prior.evaluate(state)[0] for prior in problem.priors)])

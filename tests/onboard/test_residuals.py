@@ -103,13 +103,14 @@ def test_the_attitude_jacobian_is_tested_where_its_terms_differ() -> None:
 def test_reprojection_by_rotation_and_centre_is_its_derivative(seed: int) -> None:
     rng = np.random.default_rng(seed)
     state = drawn_state(rng)
-    xy = 0.3 * rng.standard_normal((K, P, 2))
+    xy = 0.3 * rng.standard_normal((K, 2, P))
 
     def residual(s: State) -> Array:
         return reprojection(s.R_cam_enu, s.centres_enu_m, s.points_enu_m, xy)[0]
 
     _, predicted, depth = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, xy)
-    by_view, _ = reprojection_jacobians(state.R_cam_enu, predicted, depth)
+    by_rotation, by_point = reprojection_jacobians(state.R_cam_enu, predicted, depth, np.ones_like(depth))
+    by_view = np.concatenate([by_rotation, -by_point], axis=1).transpose(0, 2, 3, 1)
     expected = numeric(residual, state, Layout(K).size)
     for k in range(K):
         own = expected[k, :, :, 6 * k : 6 * k + 6]
@@ -122,25 +123,26 @@ def test_reprojection_by_rotation_and_centre_is_its_derivative(seed: int) -> Non
 def test_reprojection_by_point_is_its_derivative(seed: int) -> None:
     rng = np.random.default_rng(seed)
     state = drawn_state(rng)
-    xy = 0.3 * rng.standard_normal((K, P, 2))
+    xy = 0.3 * rng.standard_normal((K, 2, P))
     _, predicted, depth = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, xy)
-    _, by_point = reprojection_jacobians(state.R_cam_enu, predicted, depth)
+    _, by_point = reprojection_jacobians(state.R_cam_enu, predicted, depth, np.ones_like(depth))
     for axis in range(3):
         step = np.zeros(3)
         step[axis] = 1e-4
         sides = [
             reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m + s, xy)[0] for s in (step, -step)
         ]
-        assert by_point[..., axis] == pytest.approx((sides[0] - sides[1]) / 2e-4, rel=1e-6, abs=1e-9)
+        assert by_point[:, axis] == pytest.approx((sides[0] - sides[1]) / 2e-4, rel=1e-6, abs=1e-9)
 
 
 def test_a_point_behind_the_camera_is_finite_and_says_so() -> None:
     state = drawn_state(np.random.default_rng(0))
     above = state.centres_enu_m[:1] + [0.0, 0.0, 100.0]
-    residual, predicted, depth = reprojection(state.R_cam_enu, state.centres_enu_m, above, np.zeros((K, 1, 2)))
+    residual, predicted, depth = reprojection(state.R_cam_enu, state.centres_enu_m, above, np.zeros((K, 2, 1)))
     assert depth[0, 0] < 0.0
     assert np.all(np.isfinite(residual))
-    assert all(np.all(np.isfinite(J)) for J in reprojection_jacobians(state.R_cam_enu, predicted, depth))
+    jacobians = reprojection_jacobians(state.R_cam_enu, predicted, depth, np.ones_like(depth))
+    assert all(np.all(np.isfinite(J)) for J in jacobians)
 
 
 def test_the_ground_planes_jacobians_are_its_derivatives() -> None:
