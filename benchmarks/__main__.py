@@ -1,0 +1,120 @@
+"""`python -m benchmarks`: every benchmark, one after the other, into benchmarks/results.md.
+
+    python -m benchmarks [--only NAME ...] [--quick] [--out benchmarks/results.md]
+
+Each runs as a process of its own, so that none meets another's memory or threads. With `--only`, sections of other
+benchmarks stay in the file as they are. Exit code 1 if one could not be measured; the file then says which and why.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from benchmarks.machine import describe
+
+HERE = Path(__file__).resolve().parent
+RESULTS = HERE / "results.md"
+TIMEOUT_S = 3600.0
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """One of our programs: what it answers, and its arguments in full and in a hurry."""
+
+    module: str
+    title: str
+    full: tuple[str, ...] = ()
+    quick: tuple[str, ...] = ()
+
+
+BENCHMARKS = (
+    Benchmark("accuracy", "Errors over the Cramer-Rao bound", (), ("--flights", "10")),
+    Benchmark("coverage", "Honesty of the stated radius"),
+    Benchmark("bundle", "The window solve against GTSAM", (), ("--repeat", "5")),
+    Benchmark("tracking", "A tracking step against raw Lucas-Kanade", (), ("--seconds", "3", "--passes", "1")),
+    Benchmark("pipeline", "The pipeline at thirty pictures a second", ("--hour", "--profile"), ("--minutes", "1")),
+    Benchmark("wire", "A set on the wire", (), ("--repeat", "20")),
+    Benchmark("click", "A click", (), ("--sets", "500", "--clicks", "500", "--runs", "3")),
+    Benchmark("real_flight", "The real flight"),
+)
+
+
+def measured(benchmark: Benchmark, quick: bool) -> tuple[str, bool]:
+    """The section of one benchmark, and whether it could be measured."""
+    arguments = benchmark.quick if quick else benchmark.full
+    command = [sys.executable, "-m", f"benchmarks.{benchmark.module}", *arguments]
+    began = time.monotonic()
+    done = subprocess.run(
+        command, cwd=HERE.parent, capture_output=True, text=True, check=False, timeout=TIMEOUT_S, env=one_thread()
+    )
+    took_s = time.monotonic() - began
+    is_good = done.returncode == 0
+    said = done.stdout.strip() if is_good else f"NOT measured: {(done.stderr.strip().splitlines() or ['?'])[-1]}"
+    ran = f"`python -m {' '.join(command[2:])}`, {datetime.now(UTC):%Y-%m-%d %H:%M} UTC, {took_s:.0f} s"
+    return section(benchmark, ran, said), is_good
+
+
+def one_thread() -> dict[str, str]:
+    """The environment of a benchmark that does not see to its threads itself."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+    return {**os.environ, **dict.fromkeys(names, "1")}
+
+
+def section(benchmark: Benchmark, ran: str, said: str) -> str:
+    """Markdown: what a program printed, tables of its own kept as tables."""
+    parts = []
+    for block in re.split(r"\n{2,}", said):
+        is_table = block.lstrip().startswith("|")
+        parts.append(block if is_table else f"```\n{block}\n```")
+    return f"## {benchmark.title}\n\n{ran}\n\n" + "\n\n".join(parts) + "\n"
+
+
+def merge(old: str, new: dict[str, str]) -> str:
+    """The file: sections by title in the order of BENCHMARKS, the new ones in place of the old."""
+    held = {part.split("\n", 1)[0]: f"## {part}" for part in re.split(r"(?m)^## ", old)[1:]}
+    sections = {**held, **new}
+    head = (
+        "# Measured\n\nWritten by `make bench`; each section names its machine. Processor time unless it says\n"
+        "otherwise; what is compared is run in turn in one process, and medians are shown.\n"
+    )
+    known = [sections[b.title].rstrip() + "\n" for b in BENCHMARKS if b.title in sections]
+    return "\n".join([head, *known])
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Exit code: 0 everything measured, 1 something not."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__.splitlines()[0])
+    names = [b.module for b in BENCHMARKS]
+    parser.add_argument("--only", nargs="+", choices=names, metavar="NAME", help=", ".join(names))
+    parser.add_argument("--quick", action="store_true", help="small inputs: everything runs, little is measured")
+    parser.add_argument("--out", type=Path, default=RESULTS)
+    args = parser.parse_args(argv)
+    print(describe())
+    failed = []
+    for benchmark in BENCHMARKS:
+        if args.only and benchmark.module not in args.only:
+            continue
+        print(f"\n{benchmark.title} ...", flush=True)
+        text, is_good = measured(benchmark, args.quick)
+        print(text.split("\n\n", 1)[1])
+        if not is_good:
+            failed.append(benchmark.module)
+        # After each, so that a long run broken off leaves what it had.
+        old = args.out.read_text(encoding="utf-8") if args.out.exists() else ""
+        args.out.write_text(merge(old, {benchmark.title: text}), encoding="utf-8")
+    if failed:
+        print(f"not measured: {', '.join(failed)}", file=sys.stderr)
+    return int(bool(failed))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

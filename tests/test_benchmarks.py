@@ -1,0 +1,148 @@
+"""Every benchmark runs and reports, on inputs too small to mean anything. No time is asserted."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import click, machine, pipeline, tracking, wire
+from benchmarks.__main__ import BENCHMARKS, merge, section
+from benchmarks.flown import Leg, leg, out_and_back, sets_of
+from contract.feature_set import FeatureSet
+from onboard.events import Frame, PositionFix
+
+FRAMES_A_PASS = 24
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Leg:
+    """Three seconds of flight at eight pictures a second."""
+    return leg(FRAMES_A_PASS / 8.0, 8.0, tmp_path_factory.mktemp("bench"))
+
+
+@pytest.fixture(scope="module")
+def sets(flown: Leg) -> list[FeatureSet]:
+    return sets_of(flown, 40)
+
+
+def test_a_leg_flown_out_and_back_is_one_consistent_flight(flown: Leg) -> None:
+    """Stamps never go back, and positions move as their own velocities say, on every pass."""
+    events = list(out_and_back(flown, 3 * FRAMES_A_PASS))
+    frames = [e for e in events if isinstance(e, Frame)]
+    assert [f.index for f in frames] == list(range(3 * FRAMES_A_PASS))
+    assert np.all(np.diff([f.stamp_ns for f in frames]) > 0)
+    assert frames[FRAMES_A_PASS].image is frames[FRAMES_A_PASS - 1].image
+    fixes = [e for e in events if isinstance(e, PositionFix)]
+    assert np.all(np.diff([f.stamp_ns for f in fixes]) > 0)
+    moved = np.diff([f.lat_deg for f in fixes])
+    said = np.array([0.0 if f.velocity_ned_m_s is None else f.velocity_ned_m_s[0] for f in fixes])
+    same_way = np.sign(said[1:]) == np.sign(said[:-1])
+    assert np.all(np.sign(moved)[same_way] == np.sign(said[1:])[same_way])
+    assert np.count_nonzero(~same_way) == 2
+
+
+def test_the_same_leg_is_drawn_once(flown: Leg, tmp_path: Path) -> None:
+    first = leg(1.0, 4.0, tmp_path)
+    made = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png")}
+    again = leg(1.0, 4.0, tmp_path)
+    assert made == {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png")}
+    assert all(np.array_equal(a, b) for a, b in zip(first.images, again.images, strict=True))
+
+
+def test_tracking_is_compared_with_three_ways_of_raw_flow(flown: Leg) -> None:
+    said = tracking.report(flown.images, [("8 Hz", 1), ("4 Hz", 2)])
+    assert said.count("raw LK, picture to picture") == 2
+    assert len(re.findall(r"goal 1\.6\): (NOT )?reached; \d+ tracks", said)) == 2
+
+
+def test_the_pipeline_counts_pictures_sets_and_memory(flown: Leg) -> None:
+    run = pipeline.fly(flown, 3 * FRAMES_A_PASS)
+    assert run.frames == 3 * FRAMES_A_PASS
+    assert run.solved > FRAMES_A_PASS
+    assert len(run.call_ms) == len(run.lag_ms)
+    assert all(lag >= call for lag, call in zip(run.lag_ms, run.call_ms, strict=True))
+    said = pipeline.report(flown, FRAMES_A_PASS)
+    assert "of one core" in said
+    assert "too short a run" in said
+    assert "onboard/tracking.py" in pipeline.hot_spots(flown, FRAMES_A_PASS, 1000)
+
+
+def test_memory_growth_is_counted_after_warm_up() -> None:
+    run = pipeline.Run(memory_bytes=[(1200, 50), (3600, 100), (6000, 103), (7200, 104)])
+    assert run.growth == pytest.approx(0.04)
+
+
+def test_every_format_carries_the_same_set(sets: list[FeatureSet]) -> None:
+    formats, missing = wire.formats()
+    assert {"ours", "JSON"} <= set(formats)
+    assert len(formats) + len(missing) == 7
+    for name, kind in formats.items():
+        for s in sets[:3]:
+            got = kind.decode(kind.encode(s))
+            assert (got.vehicle, got.frame, got.status, got.camera.size_px) == (
+                s.vehicle,
+                s.frame,
+                s.status,
+                (640, 480),
+            )
+            order, back = np.argsort(s.uv_px[:, 0]), np.argsort(got.uv_px[:, 0])
+            assert np.allclose(got.uv_px[back], s.uv_px[order], atol=0.3), name
+            assert np.allclose(np.sort(got.inverse_depth_per_m), np.sort(s.inverse_depth_per_m), rtol=0.02), name
+            assert np.allclose(got.R_enu_cam, s.R_enu_cam, atol=1e-5), name
+    exact = formats["JSON"].decode(formats["JSON"].encode(sets[0]))
+    assert np.array_equal(exact.sigma_inverse_depth_per_m, sets[0].sigma_inverse_depth_per_m)
+
+
+def test_the_wire_names_each_format(sets: list[FeatureSet]) -> None:
+    said = wire.report(sets[:3], 2)
+    assert "3 sets of 40 features" in said
+    # Forty are not the hundred that the goal speaks of, however few bytes they take.
+    assert "goal 600 for 100): NOT reached" in said
+
+
+def test_clicks_are_taken_from_memory_a_recording_and_a_peer(sets: list[FeatureSet]) -> None:
+    said = click.report(sets[:4], recorded=12, clicks=20, runs=1)
+    for case in ("seen before", "recording of 12 sets", "live peer, that picture", "live peer, newest"):
+        assert case in said
+
+
+def test_sets_for_a_long_recording_count_on(sets: list[FeatureSet]) -> None:
+    made = list(click.many([replace(s, session=9) for s in sets[:2]], 5))
+    assert [s.frame for s in made] == [0, 1, 2, 3, 4]
+    assert {s.session for s in made} == {9}
+    assert np.all(np.diff([s.capture_unix_ns for s in made]) == click.PERIOD_NS)
+
+
+def test_the_machine_is_named() -> None:
+    assert re.search(r"\d+ cores, .*Python 3\.\d+.*numpy", machine.describe())
+
+
+def test_repeats_are_taken_in_turn() -> None:
+    order: list[str] = []
+    clock = iter(range(0, 10**6, 1000))
+    got = machine.interleaved_us(
+        {"a": lambda: order.append("a"), "b": lambda: order.append("b")}, 3, lambda: next(clock)
+    )
+    assert order == ["a", "b"] * 4
+    assert got == {"a": 1.0, "b": 1.0}
+
+
+def test_results_keep_what_was_not_measured_again() -> None:
+    one, two = BENCHMARKS[0], BENCHMARKS[1]
+    first = merge("", {two.title: section(two, "ran", "two"), one.title: section(one, "ran", "old\n\n| a |\n| - |")})
+    again = merge(first, {one.title: section(one, "ran", "new")})
+    assert again.index(one.title) < again.index(two.title)
+    assert "new" in again
+    assert "old" not in again
+    assert "two" in again
+    assert merge(again, {}) == again
+
+
+@pytest.mark.parametrize("name", [b.module for b in BENCHMARKS])
+def test_every_benchmark_in_the_list_is_a_program(name: str) -> None:
+    text = (Path(machine.__file__).parent / f"{name}.py").read_text(encoding="utf-8")
+    assert '__name__ == "__main__"' in text
