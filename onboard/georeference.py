@@ -201,7 +201,8 @@ def plane_and_roughness(H: Array, w: Array, variance: Array) -> tuple[Array, flo
     """The ground plane (3,) in inverse depth, the relative spread about it, and the variogram's slope."""
     plane, relative = _plane(H, w, variance)
     sigma = float(max(1.4826 * np.median(np.abs(relative)), MIN_PLANE_SIGMA))
-    spread = float(np.sqrt(np.mean(np.minimum(relative**2, (4.0 * sigma) ** 2))))
+    # What the features' own noise adds to their scatter is not the ground's.
+    spread = float(np.sqrt(max(np.mean(np.minimum(relative**2, (4.0 * sigma) ** 2)) - np.mean(variance), 0.0)))
     return plane, max(spread, MIN_PLANE_SIGMA), _roughness(H[:, 1:], relative, variance)
 
 

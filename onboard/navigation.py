@@ -37,6 +37,8 @@ CLAIM_WINDOW_NS = 2_000_000_000
 RATE_WINDOW_NS = 60_000_000
 UNUSABLE_FIX = 2  # GPS_FIX_TYPE up to this one
 GLITCH_SIGMAS = 5.0
+MIN_SCATTER_FREEDOM = 4
+MAX_SCATTER_M = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +46,8 @@ class NavState:
     """The vehicle at one exposure. Position and velocity in `Navigation.frame`, attitude in ENU axes at the vehicle.
 
     `velocity_enu_m_s` and `R_enu_body` are None where the log has none; `R_enu_body` also where `solve.attitude` is
-    "none". The sigmas are the receiver's claim for the wandering part, bounded below by the configuration.
+    "none". The sigmas are the receiver's claim for the wandering part, bounded below by the configuration;
+    `sigma_white_m` is how positions scatter about their own velocity, likewise.
     """
 
     stamp_ns: int
@@ -53,6 +56,7 @@ class NavState:
     R_enu_body: Array | None
     sigma_horizontal_m: float
     sigma_vertical_m: float
+    sigma_white_m: float
     undulation_m: float
     height_above_home_m: float | None
 
@@ -219,7 +223,8 @@ class Navigation:
         position = self._position_at(moment_ns)
         if isinstance(position, Status):
             return position
-        if not self._gps_is_good(moment_ns) or self._slip_m_s(moment_ns) > self.config.gps.max_slip_m_s:
+        slip_m_s, scatter_m = self._slip(moment_ns)
+        if not self._gps_is_good(moment_ns) or slip_m_s > self.config.gps.max_slip_m_s:
             return Status.NO_GPS
         R_enu_body = None
         if self._wants_attitude:
@@ -237,6 +242,7 @@ class Navigation:
             R_enu_body,
             sigma_horizontal_m,
             sigma_vertical_m,
+            max(self.config.gps.sigma_white_m, min(scatter_m, MAX_SCATTER_M)),
             self._undulation_m,
             position.height_above_home_m,
         )
@@ -358,24 +364,36 @@ class Navigation:
         out = before.R_ned_body @ exp_so3(turned)
         return out
 
-    def _slip_m_s(self, moment_ns: int) -> float:
-        """How fast the filter moves its position sideways of its own velocity, over two seconds; 0 if unknown."""
+    def _slip(self, moment_ns: int) -> tuple[float, float]:
+        """How fast the filter surely moves its position sideways of its own velocity (m/s), and how it scatters (m).
+
+        A line through positions minus integrated velocities over two seconds: its slope less three of its sigmas, and
+        the scatter about it per axis. Both 0 where too little is known.
+        """
         stamps = self._positions.stamps_ns
         first = bisect.bisect_left(stamps, moment_ns - SLIP_WINDOW_NS // 2)
         last = bisect.bisect_right(stamps, moment_ns + SLIP_WINDOW_NS // 2) - 1
         if last - first < 2 or stamps[last] - stamps[first] < SLIP_WINDOW_NS // 4:
-            return 0.0
+            return 0.0, 0.0
         velocities = [p.velocity_enu_m_s for p in self._positions.values[first : last + 1]]
         known = [v[:2] for v in velocities if v is not None]
         if len(known) < len(velocities):
-            return 0.0
-        seconds = np.diff(np.array(stamps[first : last + 1]) - stamps[first]) / 1e9
-        if seconds.max() > self.config.gps.max_gap_s:
-            return 0.0
+            return 0.0, 0.0
+        seconds = (np.array(stamps[first : last + 1]) - stamps[first]) / 1e9
+        if np.diff(seconds).max() > self.config.gps.max_gap_s:
+            return 0.0, 0.0
         v = np.array(known)
-        flown = 0.5 * (v[1:] + v[:-1]).T @ seconds
-        moved = self._positions.values[last].enu_m[:2] - self._positions.values[first].enu_m[:2]
-        return float(np.linalg.norm(moved - flown) / seconds.sum())
+        flown = np.zeros_like(v)
+        np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(seconds)[:, None], axis=0, out=flown[1:])
+        strayed = np.array([p.enu_m[:2] for p in self._positions.values[first : last + 1]]) - flown
+        t = seconds - seconds.mean()
+        span = float(t @ t)
+        slope = t @ (strayed - strayed.mean(axis=0)) / span
+        miss = strayed - strayed.mean(axis=0) - t[:, None] * slope
+        freedom = len(t) - 2
+        scatter_m = float(np.sqrt(np.sum(miss**2) / (2 * freedom))) if freedom >= MIN_SCATTER_FREEDOM else 0.0
+        surely = float(np.linalg.norm(slope)) - 3.0 * scatter_m / np.sqrt(span)
+        return max(surely, 0.0), scatter_m
 
     def _sigmas(self, moment_ns: int) -> tuple[float, float]:
         """The receiver's worst claim of the last two seconds (when jammed it alternates), bounded below."""

@@ -51,10 +51,11 @@ def sensor_priors(
     )
     horizontal = max(k.nav.sigma_horizontal_m for k in keyframes)
     vertical = max(k.nav.sigma_vertical_m for k in keyframes)
+    white_m = np.array([k.nav.sigma_white_m for k in keyframes])
     whitener = np.stack(
         [
             wandering_sqrt_information(
-                stamps, np.hypot(gps.sigma_white_m * grow, jitter_s * velocities[:, axis]), wander, gps.wander_time_s
+                stamps, np.hypot(white_m * grow, jitter_s * velocities[:, axis]), wander, gps.wander_time_s
             )
             for axis, (wander, grow) in enumerate(((horizontal, 1.0), (horizontal, 1.0), (vertical, 1.5)))
         ]
@@ -64,7 +65,9 @@ def sensor_priors(
     if solve_.velocity and all(f is not None for f in flown):
         speed = np.linalg.norm(velocities, axis=1)
         slip_m = jitter_s * np.hypot(speed[1:], speed[:-1])
-        sigma = np.hypot(gps.sigma_velocity_m_s * np.maximum(np.diff(stamps), 0.05), slip_m)
+        # Velocity errors last about a second: over longer intervals they average.
+        dt = np.maximum(np.diff(stamps), 0.05)
+        sigma = np.hypot(gps.sigma_velocity_m_s * np.sqrt(dt * np.minimum(dt, 1.0)), slip_m)
         priors.append(VelocityPrior(layout, np.array(flown), sigma))
     if all(k.nav.R_enu_body is not None for k in keyframes):
         R_enu_cam = np.stack([k.nav.R_enu_body @ R_body_cam for k in keyframes if k.nav.R_enu_body is not None])

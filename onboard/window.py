@@ -116,7 +116,7 @@ class Window:
         solve_, belief = self.config.solve, self.alignment.belief
         speed = np.zeros(3) if nav.velocity_enu_m_s is None else nav.velocity_enu_m_s
         covariance = np.zeros((7, 7))
-        white = self.config.gps.sigma_white_m
+        white = nav.sigma_white_m
         position = np.array([nav.sigma_horizontal_m] * 2 + [nav.sigma_vertical_m]) ** 2 + white**2
         covariance[:3, :3] = np.diag(position) + belief.covariance[3, 3] * np.outer(speed, speed)
         tilt, heading = np.radians(solve_.attitude_sigma_deg), np.radians(solve_.heading_sigma_deg)
@@ -269,7 +269,9 @@ class Window:
         if len(self.keyframes) == self.config.solve.keyframes:
             self.learn(s, layout)
         # The noise of tracking is learned slowly, so that one odd window changes little.
-        self.pixel_sigma_px = float(np.clip(self.pixel_sigma_px * (own * fit * self.discord) ** 0.3, MIN_PIXEL_SIGMA_PX, 5.0))
+        self.pixel_sigma_px = float(
+            np.clip(self.pixel_sigma_px * (own * fit * self.discord) ** 0.3, MIN_PIXEL_SIGMA_PX, 5.0)
+        )
         self.solved = Solved(
             tuple(k.frame for k in self.keyframes),
             layout,

@@ -233,6 +233,7 @@ def draw(
                 exp_so3(tilt[f]) @ path.R_enu_body(stamp) if has_attitude else None,
                 gps.sigma_wander_horizontal_m,
                 gps.sigma_wander_vertical_m,
+                gps.sigma_white_m,
                 11.0,
                 None,
             )
