@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from contract.errors import InputError
 from contract.geodesy import LocalFrame
-from contract.rotations import R_ENU_NED, euler_from_matrix, exp_so3, quaternion_from_matrix
+from contract.rotations import R_ENU_NED, euler_from_matrix, exp_so3, log_so3, quaternion_from_matrix
 from simulation.trajectory import Trajectory, axes_from_local
 
 Array = NDArray[np.float64]
@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 BOOT_UNIX_S = 1_790_000_000.0
 FIRST_BOOT_S = 60.0  # the autopilot has been up for this long when the log begins
 SLOW_STEP_S = 0.05
+RATE_STEP_S = 0.01
 
 
 @dataclass(frozen=True)
@@ -128,11 +129,14 @@ def write_tlog(
         place = origin.to_geodetic(trajectory.position_enu_m(time))
         R_local = axes_from_local(origin, place[:, 0], place[:, 1]).swapaxes(1, 2)
         R_ned_body = R_ENU_NED.T @ R_local @ trajectory.R_enu_body(time) @ exp_so3(np.radians(wrong))
-        for t, angles, q in zip(time, euler_from_matrix(R_ned_body), quaternion_from_matrix(R_ned_body), strict=True):
+        before, after = (trajectory.R_enu_body(np.clip(time + h, start, end)) for h in (-RATE_STEP_S, RATE_STEP_S))
+        rates = log_so3(before.swapaxes(1, 2) @ after) / (2.0 * RATE_STEP_S)  # a gyro's are right where attitude drifts
+        angles_of, q_of = euler_from_matrix(R_ned_body), quaternion_from_matrix(R_ned_body)
+        for t, angles, q, rate in zip(time, angles_of, q_of, rates.tolist(), strict=True):
             if spec.attitude_message in ("euler", "both"):
-                send(t, mavlink.MAVLink_attitude_message(boot_ms(t), *(float(a) for a in angles), 0.0, 0.0, 0.0))
+                send(t, mavlink.MAVLink_attitude_message(boot_ms(t), *(float(a) for a in angles), *rate))
             if spec.attitude_message in ("quaternion", "both"):
-                send(t, mavlink.MAVLink_attitude_quaternion_message(boot_ms(t), *(float(c) for c in q), 0.0, 0.0, 0.0))
+                send(t, mavlink.MAVLink_attitude_quaternion_message(boot_ms(t), *(float(c) for c in q), *rate))
 
     home = round(origin.lat_deg * 1e7), round(origin.lon_deg * 1e7), round(ground_amsl_m * 1e3)
     for t in instants(2.0):

@@ -16,19 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.errors import InputError
-from simulation.patterns import draw_country, draw_grain, draw_land, draw_stripes, draw_waves
+from simulation.patterns import draw_country, draw_grain, draw_land, draw_stripes, draw_vehicles, draw_waves
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 MEAN_ALBEDO = 0.30
 MIN_WEIGHT = 0.02
-STYLES = ("land", "water", "stripes", "plain")
+VEHICLE_M_S = np.array([11.0, 4.0])
+STYLES = ("land", "water", "stripes", "plain", "traffic")
 
 
 @dataclass(frozen=True)
 class TextureSpec:
-    """`style`: "land"; "water" (moves between frames); "stripes" (repeats exactly); "plain" (nothing to track).
+    """`style`: "land"; "water" (moves between frames); "stripes" (repeats exactly); "plain" (nothing to track);
+    "traffic" (land, with vehicles under way on a twentieth of it).
 
     `contrast` scales every brightness difference: 1 is pasture in sunlight, 0.1 is snow under cloud.
     """
@@ -96,7 +98,7 @@ def _layers(style: str, seed: int) -> tuple[Layer, ...]:
     rng = np.random.default_rng([seed, 202])
     bearing = rng.uniform(0.0, 2.0 * np.pi, 4)
     still = np.zeros(2)
-    if style == "land":
+    if style in ("land", "traffic"):
         return (
             Layer(Tile(draw_grain(rng), 0.061, bearing[3]), still),
             Layer(Tile(draw_grain(rng), 0.17, bearing[0]), still),
@@ -114,12 +116,21 @@ def _layers(style: str, seed: int) -> tuple[Layer, ...]:
     return ()
 
 
+@lru_cache(maxsize=1)
+def _traffic(seed: int) -> tuple[Tile, Tile]:
+    """Where vehicles are and how bright, in lanes along their motion."""
+    bearing = float(np.arctan2(VEHICLE_M_S[1], VEHICLE_M_S[0]))
+    where, paint = draw_vehicles(np.random.default_rng([seed, 203]))
+    return Tile(where, 0.25, bearing), Tile(paint, 0.25, bearing)
+
+
 class Texture:
     """The brightness of the ground."""
 
     def __init__(self, spec: TextureSpec) -> None:
         self.spec = spec
         self.layers = _layers(spec.style, spec.seed)
+        self.traffic = _traffic(spec.seed) if spec.style == "traffic" else None
 
     def albedo(self, origin_m: Array, x_m: Image, y_m: Image, footprint_m: Image, time_s: float = 0.0) -> Image:
         """Reflectance (H, W), 0.02 to 0.98, of the ground at `origin_m` (2,) + (`x_m`, `y_m`) in ENU metres."""
@@ -128,4 +139,10 @@ class Texture:
             layer.tile.add_to(total, origin_m - layer.velocity_m_s * time_s, x_m, y_m, footprint_m)
         total *= np.float32(self.spec.contrast)
         total += np.float32(MEAN_ALBEDO)
+        if self.traffic is not None:
+            at = origin_m - VEHICLE_M_S * time_s
+            where, paint = np.zeros_like(total), np.zeros_like(total)
+            self.traffic[0].add_to(where, at, x_m, y_m, footprint_m)
+            self.traffic[1].add_to(paint, at, x_m, y_m, footprint_m)
+            total = total * (np.float32(1.0) - where) + paint
         return np.clip(total, np.float32(0.02), np.float32(0.98), out=total)

@@ -1,0 +1,126 @@
+"""What a flight teaches of boresight and time offset: independent lessons, ageing, and what survives a restart."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from contract.errors import InputError
+from onboard.alignment import BORESIGHT_WALK_RAD, MEMORY_LESSONS, OFFSET_WALK_S, STATES, Alignment
+
+T0_NS = 1_795_217_000_000_000_000
+SPACING_S = 20.0
+MEAN = np.array([0.02, -0.01, 0.005, -0.3])
+COVARIANCE = np.diag([1e-6, 2e-6, 3e-6, 1e-4])
+
+
+def alignment() -> Alignment:
+    return Alignment(np.radians(3.0), 0.1, SPACING_S)
+
+
+def at(seconds: float) -> int:
+    return T0_NS + round(seconds * 1e9)
+
+
+def test_before_any_lesson_the_prior_is_the_configured_one() -> None:
+    prior = alignment().prior_for(at(0.0))
+    assert np.all(prior.mean == 0.0)
+    assert prior.sigma == pytest.approx([*[np.radians(3.0)] * 3, 0.1], rel=1e-4)
+
+
+def test_a_lesson_serves_windows_that_begin_after_it_and_no_other() -> None:
+    a = alignment()
+    assert a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)
+    assert np.all(a.prior_for(at(9.9)).mean == 0.0)
+    assert np.all(a.prior_for(at(10.0)).mean == MEAN)
+    assert np.all(a.belief.mean == MEAN)
+    assert a.lessons == 1
+
+
+def test_windows_that_overlap_a_lesson_or_follow_it_at_once_teach_nothing() -> None:
+    a = alignment()
+    a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)
+    assert not a.offer(at(9.0), at(50.0), 2 * MEAN, COVARIANCE)
+    assert not a.offer(at(10.0), at(29.9), 2 * MEAN, COVARIANCE)
+    assert a.lessons == 1
+    assert a.offer(at(20.0), at(30.0), 2 * MEAN, COVARIANCE)
+    assert a.lessons == 2
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 2000.0), st.floats(0.5, 60.0)), max_size=60))
+def test_lessons_never_share_data(windows: list[tuple[float, float]]) -> None:
+    a = alignment()
+    learned: list[tuple[float, float]] = []
+    for start, length in sorted(windows):
+        if a.offer(at(start), at(start + length), MEAN, COVARIANCE):
+            learned.append((start, start + length))
+    for (_, end), (start, later) in pairwise(learned):
+        assert start >= end - 1e-6
+        assert later - end >= SPACING_S - 1e-6
+    assert a.lessons <= MEMORY_LESSONS
+
+
+def test_old_lessons_are_forgotten_but_the_first_prior_stays() -> None:
+    a = alignment()
+    for k in range(3 * MEMORY_LESSONS):
+        assert a.offer(at(100.0 * k), at(100.0 * k + 10.0), k * MEAN, COVARIANCE)
+    assert a.lessons == MEMORY_LESSONS
+    assert np.all(a.prior_for(at(0.0)).mean == 0.0)
+
+
+def test_a_lesson_ages_as_a_random_walk() -> None:
+    a = alignment()
+    a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)
+    fresh, old = a.prior_for(at(10.0)), a.prior_for(at(10.0 + 4 * 60.0))
+    assert np.allclose(fresh.covariance, COVARIANCE)
+    grown = np.diag(old.covariance - COVARIANCE)
+    assert np.sqrt(grown[:3]) == pytest.approx(2.0 * BORESIGHT_WALK_RAD)
+    assert np.sqrt(grown[3]) == pytest.approx(2.0 * OFFSET_WALK_S)
+
+
+def test_a_belief_survives_the_state_directory_wider_than_before() -> None:
+    a, b = alignment(), alignment()
+    a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)
+    b.restore(a.to_json())
+    prior = b.prior_for(at(-1e5))
+    assert np.allclose(prior.mean, MEAN)
+    assert np.all(prior.sigma > a.belief.sigma)
+    assert np.all(prior.sigma < alignment().belief.sigma)
+    assert b.lessons == 0
+    assert b.offer(at(0.0), at(5.0), MEAN, COVARIANCE)
+
+
+def _state(**changes: object) -> str:
+    a = alignment()
+    a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)
+    return json.dumps(json.loads(a.to_json()) | changes)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "{}",
+        "not json",
+        _state(boresight_rad=[0.0, 0.0]),
+        _state(boresight_rad=None),
+        _state(offset_s="soon"),
+        _state(covariance=np.eye(3).tolist()),
+        _state(covariance=(-np.eye(STATES)).tolist()),
+        _state(covariance=(np.eye(STATES) + np.triu(np.ones((STATES, STATES)), 1)).tolist()),
+        _state(covariance=np.full((STATES, STATES), np.nan).tolist()),
+        _state(offset_s=float("nan")),
+        _state(boresight_rad=[float("inf"), 0.0, 0.0]),
+    ],
+)
+def test_what_is_no_belief_is_refused_by_name_and_changes_nothing(text: str) -> None:
+    a = alignment()
+    with pytest.raises(InputError, match="alignment state"):
+        a.restore(text)
+    assert np.all(a.belief.mean == 0.0)

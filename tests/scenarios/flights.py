@@ -1,0 +1,158 @@
+"""A scenario: one small simulated flight through the whole onboard pipeline, every true click asked of the ground.
+
+Pictures are small and few, so that all scenarios together take a minute or two; each flight is flown once a test run.
+"""
+
+from __future__ import annotations
+
+import csv
+import tomllib
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from contract.feature_set import FeatureSet, Status
+from contract.geodesy import LocalFrame
+from ground.answer import Fix
+from ground.locate import Locator
+from onboard.config import Config
+from onboard.events import Event
+from onboard.pipeline import Pipeline, TerrainSource
+from onboard.replay import Flight, replay
+from simulation.session import SessionSpec, fly
+
+Array = NDArray[np.float64]
+
+CAMERA = Camera.from_field_of_view(320, 240, 40.0)
+CHI2_99 = 9.2103  # two degrees of freedom
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What came of a flight: the last set of each picture, and every true click."""
+
+    sets: dict[int, FeatureSet]
+    refusals: Counter[Status]  # of clicks
+    methods: Counter[str]
+    errors_m: Array
+    chi2: Array  # squared normalised horizontal errors of answered clicks
+    semi_m: Array
+    pipeline: Pipeline
+
+    @property
+    def statuses(self) -> Counter[Status]:
+        """Of the pictures, by their last set."""
+        return Counter(s.status for s in self.sets.values())
+
+    @property
+    def solved(self) -> float:
+        """Share of pictures that answer."""
+        return self.statuses[Status.OK] / max(len(self.sets), 1)
+
+    @property
+    def inside_99(self) -> float:
+        """Share of answered clicks whose truth lies inside the 99 % ellipse; 1 if none was answered."""
+        return float(np.mean(self.chi2 < CHI2_99)) if len(self.chi2) else 1.0
+
+    @property
+    def told(self) -> str:
+        """One line for a failed assertion."""
+        answered = f"answered {len(self.errors_m)}"
+        if len(self.errors_m):
+            answered += (
+                f", error median {np.median(self.errors_m):.2f} max {self.errors_m.max():.2f} m, "
+                f"semi-major {np.median(self.semi_m):.2f} m, inside 99 %: {self.inside_99:.3f}"
+            )
+        return f"pictures {_words(self.statuses)}; refused clicks {_words(self.refusals)}; {answered}"
+
+
+class _Sets:
+    """Keeps the last set of each picture."""
+
+    def __init__(self) -> None:
+        self.by_frame: dict[int, FeatureSet] = {}
+
+    def __enter__(self) -> _Sets:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+    def event(self, arrival_ns: int, event: object) -> None:
+        return None
+
+    def feature_set(self, output: FeatureSet) -> None:
+        self.by_frame[output.frame] = output
+
+
+_FOLDER = TemporaryDirectory(prefix="scenarios-")
+
+
+@cache
+def flown(spec: SessionSpec) -> Path:
+    """The session's folder; the same spec is flown once."""
+    folder = Path(_FOLDER.name) / f"{flown.cache_info().misses:03d}"
+    fly(spec, folder)
+    return folder
+
+
+def play(
+    folder: Path,
+    *overrides: tuple[str, object],
+    terrain: TerrainSource | None = None,
+    spoil: Callable[[Event, float], Event] | None = None,
+) -> Outcome:
+    """Replay a session under its configuration with `overrides` ("section.key", value), and click.
+
+    `spoil` may change each telemetry event, given its time (s) since the first picture.
+    """
+    table = tomllib.loads((folder / "config.toml").read_text())
+    for name, value in overrides:
+        section, key = name.split(".")
+        table.setdefault(section, {})[key] = value
+    config = Config.model_validate(table)
+    camera = Camera.from_json(folder / "camera.json")
+    flight = Flight.open(config, camera, folder / "frames", folder / "telemetry.tlog", folder / "stamps.csv")
+    if spoil is not None:
+        first_ns, log = flight.frames.stamps_ns[0], flight.telemetry
+        events = [spoil(event, (event.stamp_ns - first_ns) / 1e9) for event in log.events]
+        flight = replace(flight, telemetry=replace(log, events=events))
+    pipeline, sink = Pipeline(config, camera, terrain), _Sets()
+    replay(flight, pipeline, [sink])
+    return _click(folder, sink.by_frame, pipeline)
+
+
+def _click(folder: Path, sets: dict[int, FeatureSet], pipeline: Pipeline) -> Outcome:
+    refusals: Counter[Status] = Counter()
+    methods: Counter[str] = Counter()
+    errors, chi2, semi = [], [], []
+    locators: dict[int, Locator] = {}
+    with (folder / "truth_clicks.csv").open(newline="") as file:
+        for row in csv.DictReader(file):
+            frame = int(row["frame"])
+            if frame not in sets:
+                continue
+            locator = locators.setdefault(frame, Locator(sets[frame]))
+            answer = locator.locate((float(row["u"]), float(row["v"])))
+            if not isinstance(answer, Fix):
+                refusals[answer.status] += 1
+                continue
+            place = LocalFrame(float(row["lat_deg"]), float(row["lon_deg"]), float(row["height_amsl_m"]))
+            assert answer.height_amsl_m is not None
+            error = place.to_enu(answer.lat_deg, answer.lon_deg, answer.height_amsl_m)[:2]
+            methods[answer.method] += 1
+            errors.append(float(np.hypot(*error)))
+            chi2.append(float(error @ np.linalg.solve(answer.covariance_enu_m2[:2, :2], error)))
+            semi.append(answer.ellipse.semi_major_m)
+    return Outcome(sets, refusals, methods, np.array(errors), np.array(chi2), np.array(semi), pipeline)
+
+
+def _words(counted: Counter[Status]) -> dict[str, int]:
+    return {status.value: count for status, count in counted.most_common()}
