@@ -202,7 +202,8 @@ def plane_and_roughness(H: Array, w: Array, variance: Array) -> tuple[Array, flo
     plane, relative = _plane(H, w, variance)
     sigma = float(max(1.4826 * np.median(np.abs(relative)), MIN_PLANE_SIGMA))
     # What the features' own noise adds to their scatter is not the ground's.
-    spread = float(np.sqrt(max(np.mean(np.minimum(relative**2, (4.0 * sigma) ** 2)) - np.mean(variance), 0.0)))
+    scatter = float(np.mean(np.minimum(relative**2, (4.0 * sigma) ** 2)) - np.mean(variance))
+    spread = float(np.sqrt(max(scatter, 0.0)))
     return plane, max(spread, MIN_PLANE_SIGMA), _roughness(H[:, 1:], relative, variance)
 
 

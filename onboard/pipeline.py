@@ -47,6 +47,8 @@ MIN_TRAVEL_HEIGHT_M = 20.0
 PATIENCE_NS = 3_000_000_000  # before standing still is called that
 TERRAIN_RADIUS_M = 3000.0
 TERRAIN_SPACING_M = 20.0
+REMEMBERED_PICTURES = 5000  # whose status may still change: many times what a window spans
+SETTLED_A_PICTURE = 2  # a keyframe releases as many pictures as lie between two: at once they would hold up tracking
 MAX_OUTAGE_NS = 3_000_000_000  # without navigation, after which old keyframes are of no use
 
 
@@ -99,12 +101,14 @@ class Pipeline:
         self.tracks: Tracks | None = None  # of the newest picture, for whoever draws them
         self._waiting: deque[Frame] = deque()
         self._records: list[_Record] = []
+        self._settling: deque[_Record] = deque()
         self._session: int | None = None
         self._misses = 0
         self._failures = 0
         self._last_nav_ns: int | None = None
-        self._status: dict[int, Status] = {}
-        self._track_counts: list[int] = []
+        self._status: dict[int, Status] = {}  # of the newest pictures, by index; all are counted in `_outcomes`
+        self._outcomes: Counter[Status] = Counter()
+        self._track_counts: Counter[int] = Counter()
         self._reprojections: list[float] = []
         self._keyframes = 0
         self._stages: dict[str, float] = {}
@@ -124,6 +128,8 @@ class Pipeline:
             if not self.navigation.covers(frame.stamp_ns) and newest_ns - frame.stamp_ns < MAX_WAIT_NS:
                 break
             out.extend(self._process(self._waiting.popleft()))
+            due = [self._settling.popleft() for _ in range(min(SETTLED_A_PICTURE, len(self._settling)))]
+            out.extend(self._settle(due))
         return out
 
     def finish(self) -> list[FeatureSet]:
@@ -133,19 +139,20 @@ class Pipeline:
             out.extend(self._process(self._waiting.popleft()))
         out.extend(self._settle(self._records))
         self._records.clear()
+        self._settling.clear()
         self.window.conclude()
         return out
 
     @property
     def summary(self) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
-        refused = Counter(s.value for s in self._status.values() if s is not Status.OK)
+        refused = Counter({s.value: n for s, n in self._outcomes.items() if s is not Status.OK and n})
         return Summary(
-            frames=len(self._status),
+            frames=self._outcomes.total(),
             keyframes=self._keyframes,
-            solved=sum(s is Status.OK for s in self._status.values()),
+            solved=self._outcomes[Status.OK],
             refused=dict(refused.most_common()),
-            median_tracks=float(np.median(self._track_counts)) if self._track_counts else 0.0,
+            median_tracks=_median(self._track_counts),
             reprojection_px=float(np.median(self._reprojections)) if self._reprojections else 0.0,
             alignment=self.window.alignment.belief if self.window.alignment.lessons else None,
             stage_seconds=dict(self._stages),
@@ -177,7 +184,7 @@ class Pipeline:
         if tracks is None:
             # The first picture of a stretch: nothing to track against yet.
             return [*out, *self._make_keyframe(frame, nav, self.tracker.nothing())]
-        self._track_counts.append(len(tracks))
+        self._track_counts[len(tracks)] += 1
         if len(tracks) < MIN_TRACKS:
             self._misses += 1
             reason = Status.TURNING if self._is_turning(frame) else Status.FEATURELESS
@@ -279,6 +286,7 @@ class Pipeline:
                 # What the window holds does not fit together: begin again with this keyframe alone.
                 self._records.remove(record)
                 out = self._settle(self._records)
+                self._settling.clear()
                 self.window.reset()
                 self.window.add(frame.index, seen, nav, offset_s, rate, None)
                 self._failures = 0
@@ -292,7 +300,9 @@ class Pipeline:
         middle = len(self.window.keyframes) - 1 - self.config.solve.keyframes // 2
         if middle >= 0:
             limit = self.window.keyframes[middle].frame
-            out.extend(self._settle([r for r in self._records if r.frame.index <= limit]))
+            queued = set(map(id, self._settling))
+            passed = [r for r in self._records if r.frame.index <= limit and not r.is_settled]
+            self._settling.extend(r for r in passed if id(r) not in queued)
         oldest = self.window.keyframes[0].frame
         self._records = [r for r in self._records if r.frame.index > oldest or not r.is_settled]
         return out
@@ -301,6 +311,7 @@ class Pipeline:
         """Begin anew: what the window could place is settled first."""
         out = self._settle(self._records)
         self._records.clear()
+        self._settling.clear()
         self.window.reset()
         self.tracker.forget()
         self._misses = 0
@@ -348,7 +359,7 @@ class Pipeline:
             result = result if over is None else over
         if isinstance(result, FeatureSet):
             record.status, record.revision = Status.OK, result.revision
-            self._status[record.frame.index] = Status.OK
+            self._note(record.frame.index, Status.OK)
         return result
 
     def _by_structure(self, record: _Record, origin: Origin, frame: LocalFrame) -> FeatureSet | Status:
@@ -405,7 +416,28 @@ class Pipeline:
         record.revision += 1
         return replace(self._refuse(record.frame, status), revision=record.revision, is_keyframe=record.is_keyframe)
 
+    def _note(self, index: int, status: Status) -> None:
+        """Count a picture by its latest status; an hour of pictures must not be remembered one by one."""
+        before = self._status.get(index)
+        if before is not None:
+            self._outcomes[before] -= 1
+        self._outcomes[status] += 1
+        self._status[index] = status
+        while len(self._status) > REMEMBERED_PICTURES:
+            del self._status[next(iter(self._status))]
+
     def _refuse(self, frame: Frame, status: Status) -> FeatureSet:
-        self._status[frame.index] = status
+        self._note(frame.index, status)
         assert self._session is not None
         return FeatureSet(self.config.vehicle.id, self._session, frame.index, frame.stamp_ns, status, self.camera)
+
+
+def _median(counts: Counter[int]) -> float:
+    """Of numbers given by how often each occurs; 0 of none."""
+    values = np.array(sorted(counts), float)
+    if not len(values):
+        return 0.0
+    below = np.cumsum([counts[int(v)] for v in values])
+    middle = (below[-1] - 1) / 2.0
+    ends = np.searchsorted(below, [np.floor(middle), np.ceil(middle)], side="right")
+    return float(values[ends].mean())

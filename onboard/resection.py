@@ -50,7 +50,8 @@ def resect(
         H = A.T @ A + np.diag(prior)
         step = -np.linalg.solve(H, A.T @ r + prior * off)
         R, C = exp_so3(step[:3]) @ R, C + step[3:]
-        if float(np.abs(step[:3]).max()) < 1e-7 and float(np.abs(step[3:]).max()) < 1e-4:
+        # A thousandth of a pixel, a millimetre: far below what the pose is known to.
+        if float(np.abs(step[:3]).max()) < 1e-6 and float(np.abs(step[3:]).max()) < 1e-3:
             break
     A, B, _, sigmas, used = _whitened(points_enu_m, xy, weight, R, C, scale)
     information = A.T @ A + np.diag(prior)
