@@ -109,8 +109,10 @@ class Alignment:
             covariance = np.array(raw["covariance"], float)
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"alignment state: not readable ({error})") from error
-        if mean.shape != (STATES,) or covariance.shape != (STATES, STATES) or not np.all(np.isfinite(covariance)):
-            raise InputError("alignment state: wrong shape or not finite")
+        if mean.shape != (STATES,) or covariance.shape != (STATES, STATES):
+            raise InputError("alignment state: wrong shape")
+        if not (np.all(np.isfinite(mean)) and np.all(np.isfinite(covariance))):
+            raise InputError("alignment state: not finite")
         if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance)[0] <= 0.0:
             raise InputError("alignment state: covariance is not positive definite")
         first = self._lessons[0].covariance

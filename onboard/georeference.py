@@ -8,6 +8,7 @@ side plus independent noise, and the nine common states (9.3) are linear in that
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from contract.feature_set import DepthSource, FeatureSet, SlowPosition, Status
 from contract.geodesy import LocalFrame, rotation_enu_ecef
 from onboard.keyframe import Sighting
+from onboard.orientation import middle
 from onboard.resection import Resection, resect
 from onboard.window import Solved, Window
 
@@ -209,15 +211,19 @@ def plane_and_roughness(H: Array, w: Array, variance: Array) -> tuple[Array, flo
 
 def _plane(H: Array, w: Array, variance: Array) -> tuple[Array, Array]:
     """Robust affine fit of inverse depth (3.1) and each feature's relative deviation from it."""
-    scale = float(np.median(w))
-    weight = 1.0 / (variance + 1e-4)
-    plane = np.zeros(3)
+    scale = middle(w)
+    relative_w, known = w / scale, 1.0 / (variance + 1e-4)
+    weight: Array = known
+    plane: Array = np.zeros(3)
     for _ in range(5):
-        N = H.T @ (H * weight[:, None])
-        plane = np.linalg.solve(N + 1e-9 * np.trace(N) * np.eye(3), H.T @ (weight * w / scale)) * scale
-        miss = w / scale - H @ plane / scale
-        spread = max(1.4826 * float(np.median(np.abs(miss))), 1e-6)
-        weight = 1.0 / (variance + 1e-4) / (1.0 + (miss / (3.0 * spread)) ** 2)
+        weighted = (H * weight[:, None]).T
+        N = weighted @ H
+        N.flat[::4] += 1e-9 * N.trace()
+        plane = np.asarray(np.linalg.solve(N, weighted @ relative_w), float)
+        miss = relative_w - H @ plane
+        spread = max(1.4826 * middle(np.abs(miss)), 1e-6)
+        weight = known / (1.0 + (miss / (3.0 * spread)) ** 2)
+    plane *= scale
     fitted = H @ plane
     relative = np.where(fitted > 1e-3 * scale, w / np.where(fitted > 1e-3 * scale, fitted, 1.0) - 1.0, 0.0)
     return plane, relative
@@ -225,11 +231,21 @@ def _plane(H: Array, w: Array, variance: Array) -> tuple[Array, Array]:
 
 def _roughness(xy: Array, relative: Array, variance: Array) -> float:
     """Slope of the linear variogram of relative inverse depth, noise taken off, from near pairs. Equation (9.6)."""
-    i, j = np.triu_indices(len(xy), 1)
-    distance = np.linalg.norm(xy[i] - xy[j], axis=1)
-    reach = np.quantile(distance, 0.15)
-    near = (distance <= reach) & (distance > 0.0)
+    i, j = _pairs(len(xy))
+    apart = xy[i] - xy[j]
+    distance = np.hypot(apart[:, 0], apart[:, 1])
+    nearest = int(0.15 * (len(distance) - 1))
+    reach = np.partition(distance, nearest)[nearest]
+    near = np.flatnonzero((distance <= reach) & (distance > 0.0))
+    i, j, distance = i[near], j[near], distance[near]
     half = 0.5 * (relative[i] - relative[j]) ** 2
-    half = np.minimum(half, 9.0 * float(np.median(half[near])) + 1e-16)
-    gamma = float(np.sum((half - 0.5 * (variance[i] + variance[j]))[near]))
-    return max(gamma / max(float(np.sum(distance[near])), 1e-12), MIN_ROUGHNESS)
+    half = np.minimum(half, 9.0 * (middle(half) if len(half) else 0.0) + 1e-16)
+    gamma = float(np.sum(half - 0.5 * (variance[i] + variance[j])))
+    return max(gamma / max(float(np.sum(distance)), 1e-12), MIN_ROUGHNESS)
+
+
+@lru_cache(maxsize=256)
+def _pairs(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Every pair of `count` things, once."""
+    first, second = np.triu_indices(count, 1)
+    return first, second
