@@ -82,8 +82,10 @@ class TerrainFiles:
     def _sample(self, tile: Any, geodetic: Array) -> Array:
         """Bilinear heights (N,) of a tile at latitudes and longitudes (N, 3); nan outside of it."""
         xs, ys = self._transform("EPSG:4326", tile.crs, geodetic[:, 1].tolist(), geodetic[:, 0].tolist())
-        columns, rows = ~tile.transform * (np.asarray(xs), np.asarray(ys))
-        columns, rows = columns - 0.5, rows - 0.5  # centres of pixels
+        to_pixel = ~tile.transform
+        x, y = np.asarray(xs), np.asarray(ys)
+        columns = to_pixel.a * x + to_pixel.b * y + to_pixel.c - 0.5  # counted from the centre of the first pixel
+        rows = to_pixel.d * x + to_pixel.e * y + to_pixel.f - 0.5
         inside = (columns >= -0.5) & (rows >= -0.5) & (columns <= tile.width - 0.5) & (rows <= tile.height - 0.5)
         out = np.full(len(geodetic), np.nan)
         if not inside.any():
