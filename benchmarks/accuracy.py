@@ -30,6 +30,7 @@ def settings() -> dict[str, Setting]:
     level = replace(seed, slope_sigma_deg=0.05)
     attitude = replace(seed, attitude_wander_deg=(0.5, 2.0), boresight_sigma_deg=1.0)
     velocity = replace(attitude, velocity_sigma_m_s=0.1)
+    terrain = replace(velocity, terrain_sigma_m=(2.0, 2.0))
     white = replace(level, gps_white_m=(1.0, 1.0), gps_wander_m=(0.0, 0.0), offset_sigma_s=0.0)
     white_attitude = replace(white, attitude_wander_deg=(0.0, 0.0), attitude_white_deg=1.0, slope_sigma_deg=1.0)
     rows = {
@@ -37,6 +38,7 @@ def settings() -> dict[str, Setting]:
         "seed, ground level": level,
         "+ attitude": attitude,
         "+ attitude + velocity": velocity,
+        "+ attitude + velocity + terrain": terrain,
     }
     out = dict(rows)
     out |= {f"{name}, 20 % outliers": replace(setting, outlier_share=0.2) for name, setting in rows.items()}
@@ -45,6 +47,9 @@ def settings() -> dict[str, Setting]:
         "white: seed, sloped 1 deg": replace(white, slope_sigma_deg=1.0),
         "white: + attitude 1 deg": white_attitude,
         "white: + attitude + velocity": replace(white_attitude, velocity_sigma_m_s=0.1),
+        "white: + attitude + velocity + terrain": replace(
+            white_attitude, velocity_sigma_m_s=0.1, terrain_sigma_m=(2.0, 0.01)
+        ),
     }
     return out
 

@@ -8,6 +8,7 @@ view every 20 m, features that enter and leave the picture. Serves the study's o
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from onboard.residuals import (
     wandering_sqrt_information,
 )
 from onboard.starting import orient
+from onboard.terrain import Terrain
 from onboard.triangulation import triangulate
 from simulation.study_world import CAMERA, HEIGHT_M, R_BODY_CAM, TRAVEL_ENU, nominal, project, turned, unit_depth
 
@@ -57,6 +59,7 @@ class Setting:
     velocity_sigma_m_s: float | None = None
     slope_sigma_deg: float = 2.0
     relief_sigma_m: float = 10.0
+    terrain_sigma_m: tuple[float, float] | None = None  # of a known ground: from place to place, and as a whole
     offset_sigma_s: float = 0.01
     outlier_share: float = 0.0
     misaligned: tuple[str, float] | None = None  # axis, rad: the camera turned from the mount that is believed
@@ -94,9 +97,23 @@ def draw(setting: Setting, rng: np.random.Generator) -> Flight:
     priors, gps, measured = _sensors(setting, layout, truth, stamps, rng)
     reference = np.array([*(TRAVEL_ENU[:2] * setting.spacing_m * (K - 1) / 2.0), 0.0])
     weight = np.where(seen, 1.0 / sigma, 0.0)
-    relief = np.full(P, 1.0 / setting.relief_sigma_m)
-    problem = Problem(layout, xy, weight, priors, reference, relief, clearance_m=HEIGHT_M)
+    if setting.terrain_sigma_m is None:
+        relief = np.full(P, 1.0 / setting.relief_sigma_m)
+        problem = Problem(layout, xy, weight, priors, reference, relief, clearance_m=HEIGHT_M)
+    else:
+        relief = np.full(P, 1.0 / setting.terrain_sigma_m[0])
+        problem = Problem(layout, xy, weight, priors, reference, relief, terrain=hills())
     return Flight(setting, problem, truth, gps, measured, is_outlier)
+
+
+@cache
+def hills() -> Terrain:
+    """The known ground of the terrain rows: hills of +-15 m, 300 to 500 m long, on a grid of 5 m."""
+    spacing_m, reach_m = 5.0, 800.0
+    axis = np.arange(-reach_m, reach_m + spacing_m, spacing_m)
+    east, north = np.meshgrid(axis, axis)
+    heights = 10.0 * np.sin(east / 60.0 + 0.4) * np.cos(north / 80.0) + 5.0 * np.sin((east + north) / 50.0)
+    return Terrain(-reach_m, -reach_m, spacing_m, heights)
 
 
 def _wander(
@@ -132,10 +149,17 @@ def _scene(setting: Setting, stamps: Array, rng: np.random.Generator) -> tuple[S
     q = rng.uniform(-reach, reach, count)
     points = s[:, None] * TRAVEL_ENU + q[:, None] * across
     middle = TRAVEL_ENU * along[-1] / 2.0
-    points[:, 2] = (points[:, :2] - middle[:2]) @ slopes + setting.relief_sigma_m * rng.standard_normal(count)
+    level_m = 0.0
+    if setting.terrain_sigma_m is None:
+        points[:, 2] = (points[:, :2] - middle[:2]) @ slopes + setting.relief_sigma_m * rng.standard_normal(count)
+    else:
+        place_m, whole_m = setting.terrain_sigma_m
+        level_m, slopes = whole_m * rng.standard_normal(), np.zeros(2)
+        height, _ = hills().height_and_slope(points[:, :2])
+        points[:, 2] = height + level_m + place_m * rng.standard_normal(count)
     uv, inside = project(R, centres, points)
     keep = np.count_nonzero(inside, axis=0) >= 2
-    plane = np.array([0.0, *slopes])
+    plane = np.array([level_m, *slopes])
     return State(R, centres, points[keep], boresight, offset, plane), inside[:, keep], unit_depth(uv[:, keep])
 
 
@@ -184,7 +208,10 @@ def _sensors(
         priors.append(AttitudePrior(layout, measured, np.zeros((K, 3)), np.stack([w for _, w in turn]), np.zeros(K)))
     slope = np.tan(np.radians(setting.slope_sigma_deg))
     boresight = max(np.radians(setting.boresight_sigma_deg), 1e-6)
-    sigmas = [boresight] * 3 + [max(setting.offset_sigma_s, 1e-6), 1e4, slope, slope]
+    level = 1e4
+    if setting.terrain_sigma_m is not None:  # the plane is then what the known ground is off by, as onboard.sensors
+        slope, level = 1e-4, setting.terrain_sigma_m[1]
+    sigmas = [boresight] * 3 + [max(setting.offset_sigma_s, 1e-6), level, slope, slope]
     priors.append(SharedPrior(layout, np.zeros(7), np.diag(1.0 / np.array(sigmas))))
     return priors, gps, measured
 
@@ -211,7 +238,10 @@ def begin(flight: Flight) -> State | None:
     direction = np.einsum("pi,pij->pj", np.concatenate([xy[view, loose], np.ones((len(loose), 1))], axis=1), R[view])
     centre = flight.gps_enu_m[view]
     points[loose] = centre + direction * ((height - centre[:, 2]) / np.minimum(direction[:, 2], -0.1))[:, None]
-    return State(R, flight.gps_enu_m, points, np.zeros(3), 0.0, np.array([height - reference[2], *plane[1:]]))
+    start = np.array([height - reference[2], *plane[1:]])
+    if flight.problem.terrain is not None:
+        start = np.zeros(3)
+    return State(R, flight.gps_enu_m, points, np.zeros(3), 0.0, start)
 
 
 def estimate(flight: Flight, state: State) -> tuple[Solution, Array]:
