@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 PATH_SIGMA_RAD = 0.25
 PATH_WHITE_SIGMA_RAD = 0.15
 GRAVITY_M_S2 = 9.81
+TERRAIN_SLOPE_SIGMA = 0.005  # of an elevation model over a window's few hundred metres: neighbours err alike
 
 
 def sensor_priors(
@@ -126,7 +127,7 @@ def _shared_prior(config: Config, layout: Layout, belief: Belief, has_terrain: b
     slope = np.tan(np.radians(solve_.level_ground_sigma_deg)) if solve_.level_ground else 3.0
     height_m = 1e4
     if has_terrain:  # the plane is then what the terrain model is off by, as a whole
-        slope, height_m = 1e-4, config.terrain.sigma_datum_m + 1e-3
+        slope, height_m = TERRAIN_SLOPE_SIGMA, config.terrain.sigma_datum_m + 1e-3
     covariance[4:, 4:] = np.diag([height_m**2, slope**2, slope**2])
     mean = np.zeros(7)
     mean[:SHARED] = belief.mean

@@ -29,6 +29,7 @@ from onboard.residuals import (
     AttitudePrior,
     Layout,
     Prior,
+    SharedPrior,
     State,
     VelocityPrior,
 )
@@ -49,6 +50,7 @@ MIN_PIXEL_SIGMA_PX = 0.08  # tracks err together by more than their residuals sh
 MAX_FIT_SIGMAS = 4.0  # median residual, in configured pixel sigmas, above which the fit explains nothing
 MAX_DEPTH_SIGMA = 0.15  # relative; a scene less known than this has no parallax to speak of
 MAX_PRIOR_SIGMAS = 3.5  # root mean square of a sensor's whitened residuals that a true solution may show
+SHARED_SIGMAS = 5.0
 MAX_GROUND_SLOPE = 1.0
 WEIGHING_ROUNDS = 5
 TOLERATED_RMS = 1.3  # of velocity's and attitude's whitened residuals
@@ -259,7 +261,9 @@ class Window:
             return Status.POOR_FIT
         for prior in priors:
             r = prior.evaluate(s.state)[0]
-            if float(np.sqrt(np.mean(r * r))) > MAX_PRIOR_SIGMAS:
+            # What is shared (mount, delay) must not be bent far in any one direction to explain a scene that moves.
+            worst = np.abs(r).max() / SHARED_SIGMAS if isinstance(prior, SharedPrior) else 0.0
+            if max(float(np.sqrt(np.mean(r * r))) / MAX_PRIOR_SIGMAS, worst) > 1.0:
                 return Status.POOR_FIT
         self.keyframes = [
             replace(k, R_cam_enu=R, centre_enu_m=C)
