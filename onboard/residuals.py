@@ -270,8 +270,8 @@ def ground_plane(
     residual = points_enu_m[:, 2] - reference_enu_m[2] - plane[0] - offset @ plane[1:]
     by_point = np.tile([-plane[1], -plane[2], 1.0], (len(offset), 1))
     if terrain is not None:
-        # Heights only. The slopes of an elevation model are mostly its own noise, and as derivatives they would tie points
-        # sideways to bumps that are not there: 40 % of clicks were then inside their 90 % ellipse.
+        # Heights only. The slopes of an elevation model are mostly its own noise, and as derivatives they would tie
+        # points sideways to bumps that are not there: 40 % of clicks were then inside their 90 % ellipse.
         height, _ = terrain.height_and_slope(points_enu_m[:, :2])
         residual = residual - height
     by_plane = np.concatenate([-np.ones((len(offset), 1)), -offset], axis=1)
