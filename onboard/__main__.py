@@ -99,7 +99,11 @@ def run_replay(arguments: argparse.Namespace) -> int:
     from onboard.replay_command import run  # noqa: PLC0415  NumPy and OpenCV must find their environment set
 
     with _interrupt_sets(threading.Event()) as stop:
-        print(run(arguments, stop))
+        summary = run(arguments, stop)
+        try:
+            print(summary, flush=True)
+        except BrokenPipeError:  # the reader, `head` say, has seen enough
+            sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123  for the interpreter's last flush
         return 130 if stop.is_set() else 0
 
 
