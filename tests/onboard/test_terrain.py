@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 from hypothesis import given
 from hypothesis import strategies as st
+from rasterio import warp
 
 from contract.errors import InputError
 from contract.geodesy import LocalFrame
@@ -84,7 +86,6 @@ def slope_amsl(lat: np.ndarray, lon: np.ndarray) -> np.ndarray:
 
 
 def write_tif(path: Path, crs: str, west: float, north: float, step: float, n: int, values: np.ndarray) -> Path:
-    rasterio = pytest.importorskip("rasterio")
     with rasterio.open(
         path, "w", driver="GTiff", width=n, height=n, count=1, dtype="float32", crs=crs, nodata=-9999.0,
         transform=rasterio.Affine(step, 0.0, west, 0.0, -step, north),
@@ -105,7 +106,6 @@ def geographic(tmp_path: Path) -> Path:
 @pytest.fixture
 def utm(tmp_path: Path) -> Path:
     """The same country in UTM 59 S, 30 m."""
-    warp = pytest.importorskip("rasterio.warp")
     n, step = 240, 30.0
     (east,), (north,) = warp.transform("EPSG:4326", "EPSG:32759", [172.5], [-43.5])
     west, top = east - 0.5 * n * step, north + 0.5 * n * step
@@ -118,7 +118,6 @@ def utm(tmp_path: Path) -> Path:
 @pytest.fixture
 def srtm(tmp_path: Path) -> Path:
     """A whole three-second tile, S44E172.hgt, in whole metres, with a void."""
-    pytest.importorskip("rasterio")
     lat, lon = -43.0 - np.arange(1201) / 1200.0, 172.0 + np.arange(1201) / 1200.0
     heights = np.rint(slope_amsl(lat[:, None], lon)).astype(">i2")
     heights[600:605, 620:625] = -32768
@@ -171,7 +170,6 @@ def test_a_folder_of_tiles_is_one_terrain(geographic: Path, utm: Path) -> None:
 
 
 def test_files_that_are_no_terrain_are_refused_by_name(tmp_path: Path) -> None:
-    pytest.importorskip("rasterio")
     text = tmp_path / "notes.tif"
     text.write_text("not a picture")
     for path in (tmp_path / "absent.tif", text):
