@@ -11,13 +11,10 @@ drift or follow a vehicle; errors count over the right tracks, and the bound is 
 from __future__ import annotations
 
 import argparse
-import platform
 import time
 from dataclasses import replace
-from pathlib import Path
 
-import numpy as np
-
+from benchmarks.machine import describe
 from benchmarks.monte_carlo import run
 from simulation.study_window import Setting
 
@@ -54,21 +51,13 @@ def settings() -> dict[str, Setting]:
     return out
 
 
-def machine() -> str:
-    """Processor, Python and NumPy in one line."""
-    info = Path("/proc/cpuinfo")
-    names = [ln.split(":", 1)[1].strip() for ln in info.read_text().splitlines() if ln.startswith("model name")]
-    processor = names[0] if names else platform.processor()
-    return f"{processor}, {platform.machine()}, Python {platform.python_version()}, NumPy {np.__version__}"
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--flights", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--rows", default="", help="only rows whose name holds this text")
     args = parser.parse_args()
-    print(f"{machine()}; {args.flights} flights a row, seed {args.seed}\n")
+    print(f"{describe()}; {args.flights} flights a row, seed {args.seed}\n")
     print(
         f"{'sensors':<42} {'rmse m':>7} {'bound m':>8} {'ratio':>12} {'of best':>8} {'goal':>5}"
         f" {'shape m':>8} {'ratio':>6} {'NEES pose/6':>12} {'point/3':>8} {'in 90 %':>8}"

@@ -26,7 +26,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.accuracy import machine
+from benchmarks.machine import describe
 from onboard.bundle import Problem, evaluate, solve
 from onboard.residuals import AttitudePrior, Layout, PositionPrior, SharedPrior, State
 from simulation.study_window import Setting, begin, draw
@@ -212,7 +212,7 @@ def main() -> None:
     args = parser.parse_args()
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    print(machine() + "; one core\n")
+    print(describe() + "; one core\n")
     compare(args.repeat)
     print()
     growth(args.out, max(args.repeat // 3, 3))

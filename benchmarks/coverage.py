@@ -19,8 +19,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.accuracy import machine
 from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, fly, replace_section
+from benchmarks.machine import describe
 from contract.feature_set import FeatureSet
 from contract.geodesy import rotation_enu_ecef
 from contract.rotations import log_so3
@@ -170,7 +170,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--rows", default="", help="only rows whose name holds this text")
     args = parser.parse_args()
-    print(f"{machine()}; {args.flights} flights a row, seed {args.seed}\n")
+    print(f"{describe()}; {args.flights} flights a row, seed {args.seed}\n")
     print(
         f"{'sensors':<38} {'one click':>10} {'pair':>6} {'2 sets <2 s':>12} {'>6 s':>6}   {'NEES pose':>9} {'click':>6}"
         f" {'height':>7} {'answered':>9} {'error m':>8} {'semi m':>7} {'unsolved':>9} {'s':>5}  +-"

@@ -13,10 +13,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.camera import Camera
 from contract.feature_set import DepthSource, FeatureSet, SlowPosition, Status
 from contract.geodesy import LocalFrame, rotation_enu_ecef
 from onboard.keyframe import Sighting
 from onboard.orientation import middle
+from onboard.prediction import Pose
 from onboard.resection import Resection, resect
 from onboard.window import Solved, Window
 
@@ -138,17 +140,40 @@ def _assemble(
     own = np.maximum(own, 1e-12)
     R_enu_cam = R.T
     common, variance = common_states(H, own, M, by_pose, view.gain, R_enu_cam, s.covariance, view.noise)
-    w = 1.0 / z
+    newest = solved.keyframes[-1].nav
+    slow = SlowPosition(newest.sigma_horizontal_m, newest.sigma_vertical_m, window.config.gps.wander_time_s)
+    best = np.sort(np.argsort(variance, kind="stable")[: window.config.tracking.features])
+    pose = Pose(R, view.centre_enu_m)
+    return assemble(
+        camera, origin, frame, undulation_m, pose, common, slow, DepthSource.PARALLAX, H, uv, 1.0 / z, variance, best
+    )
+
+
+def assemble(
+    camera: Camera,
+    origin: Origin,
+    frame: LocalFrame,
+    undulation_m: float,
+    pose: Pose,
+    common: Array,
+    slow: SlowPosition,
+    source: DepthSource,
+    H: Array,
+    uv_px: Array,
+    w: Array,
+    variance: Array,
+    published: NDArray[np.intp],
+) -> FeatureSet:
+    """The set of a picture whose errors are known: moved from the session's axes into those at the camera's own place.
+
+    `common` (9, 9) in session axes; `H` (N, 3) rows (1, x, y), pixels (N, 2), inverse depths `w` (N,) and relative
+    `variance` (N,) of every feature, which the ground plane is fitted to; `published`: the rows that travel.
+    """
     plane, spread, roughness = plane_and_roughness(H, w, variance)
-    lat, lon, height = (float(c) for c in frame.to_geodetic(view.centre_enu_m))
+    lat, lon, height = (float(c) for c in frame.to_geodetic(pose.centre_enu_m))
     R_local_session = rotation_enu_ecef(lat, lon) @ frame.R_enu_ecef.T
     lift = np.eye(9)
-    lift[:3, :3] = R_local_session
-    lift[3:6, 3:6] = R_local_session
-    common = lift @ common @ lift.T
-    newest = solved.keyframes[-1].nav
-    order = np.argsort(variance, kind="stable")[: window.config.tracking.features]
-    order = np.sort(order)
+    lift[:3, :3] = lift[3:6, 3:6] = R_local_session
     return FeatureSet(
         vehicle=origin.vehicle,
         session=origin.session,
@@ -162,16 +187,16 @@ def _assemble(
         camera_lon_deg=lon,
         camera_height_m=height,
         undulation_m=undulation_m,
-        R_enu_cam=R_local_session @ R_enu_cam,
-        common_cov=common,
-        slow_position=SlowPosition(newest.sigma_horizontal_m, newest.sigma_vertical_m, window.config.gps.wander_time_s),
-        depth_source=DepthSource.PARALLAX,
+        R_enu_cam=R_local_session @ pose.R_cam_enu.T,
+        common_cov=lift @ common @ lift.T,
+        slow_position=slow,
+        depth_source=source,
         plane_per_m=plane,
         plane_sigma_relative=spread,
         roughness=roughness,
-        uv_px=uv[order],
-        inverse_depth_per_m=w[order],
-        sigma_inverse_depth_per_m=(np.sqrt(variance) * w)[order],
+        uv_px=uv_px[published],
+        inverse_depth_per_m=w[published],
+        sigma_inverse_depth_per_m=(np.sqrt(variance) * w)[published],
     )
 
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from contract.feature_set import DepthSource, FeatureSet, Status
-from contract.geodesy import LocalFrame, rotation_enu_ecef
+from contract.geodesy import LocalFrame
 from contract.rotations import exp_so3
-from onboard.georeference import Origin, common_states, plane_and_roughness
-from onboard.prediction import Believed
+from onboard.georeference import Origin, assemble, common_states
+from onboard.prediction import Believed, Pose
 
 Array = NDArray[np.float64]
 
@@ -78,35 +78,10 @@ def over_surface(
     H = np.concatenate([np.ones((len(z), 1)), rays[:, :2]], axis=1)
     none = np.zeros((6, 6))
     common, variance = common_states(H, own, M, np.zeros((len(z), 6)), P, R_enu_cam, believed.covariance, none)
-    w = 1.0 / z
-    plane, spread, roughness = plane_and_roughness(H, w, variance)
-    lat, lon, height = (float(c) for c in frame.to_geodetic(believed.centre_enu_m))
-    R_local = rotation_enu_ecef(lat, lon) @ frame.R_enu_ecef.T
-    lift = np.eye(9)
-    lift[:3, :3] = lift[3:6, 3:6] = R_local
-    return FeatureSet(
-        vehicle=origin.vehicle,
-        session=origin.session,
-        frame=origin.frame,
-        capture_unix_ns=origin.capture_unix_ns,
-        status=Status.OK,
-        camera=camera,
-        revision=origin.revision,
-        is_keyframe=origin.is_keyframe,
-        camera_lat_deg=lat,
-        camera_lon_deg=lon,
-        camera_height_m=height,
-        undulation_m=undulation_m,
-        R_enu_cam=R_local @ R_enu_cam,
-        common_cov=lift @ common @ lift.T,
-        slow_position=believed.slow,
-        depth_source=source,
-        plane_per_m=plane,
-        plane_sigma_relative=spread,
-        roughness=roughness,
-        uv_px=uv,
-        inverse_depth_per_m=w,
-        sigma_inverse_depth_per_m=np.sqrt(variance) * w,
+    pose = Pose(believed.R_cam_enu, believed.centre_enu_m)
+    every = np.arange(len(z))
+    return assemble(
+        camera, origin, frame, undulation_m, pose, common, believed.slow, source, H, uv, 1.0 / z, variance, every
     )
 
 
