@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
 from onboard.config import Config, load_config
-from onboard.events import Attitude, Event, Frame, GpsQuality, PositionFix
+from onboard.events import Attitude, Event, Frame, NavEvent, PositionFix
 from onboard.pipeline import Pipeline
 from onboard.replay import Flight
 from simulation.flight import RecordedSpec
@@ -35,7 +35,7 @@ class Leg:
     config: Config
     camera: Camera
     frames: Sequence[Frame]
-    telemetry: Sequence[PositionFix | GpsQuality | Attitude]
+    telemetry: Sequence[NavEvent]
 
     @property
     def images(self) -> list[NDArray[np.uint8]]:
@@ -67,7 +67,7 @@ def out_and_back(flown: Leg, frames: int) -> Iterator[Event]:
     period_ns = (last - first) // (len(flown.frames) - 1)
     length_ns = last - first + period_ns
     made, turn = 0, 0
-    held: list[PositionFix | GpsQuality | Attitude] = []
+    held: list[NavEvent] = []
     while made < frames:
         is_back = turn % 2 == 1
         start_ns = first + turn * length_ns
@@ -90,9 +90,7 @@ def out_and_back(flown: Leg, frames: int) -> Iterator[Event]:
     yield from held
 
 
-def _at(
-    event: PositionFix | GpsQuality | Attitude, stamp_ns: int, is_back: bool
-) -> PositionFix | GpsQuality | Attitude:
+def _at(event: NavEvent, stamp_ns: int, is_back: bool) -> NavEvent:
     """The same at another moment, flown the other way if `is_back`."""
     if is_back and isinstance(event, PositionFix) and event.velocity_ned_m_s is not None:
         north, east, down = event.velocity_ned_m_s

@@ -42,7 +42,10 @@ class Topic:
 # A set is small, stands alone and is soon followed by a newer one: never wait for an old one to get through.
 FEATURES = Topic("pc/{vehicle}/features", "pointclick set, docs/wire-format.md", 30.0, False, True, True)
 
-TOPICS: tuple[Topic, ...] = (FEATURES,)
+# How the aircraft is, for people and for dashboards: small, once a second.
+STATUS = Topic("pc/{vehicle}/status", "JSON, docs/wire-format.md section 10", 1.0, False, True, True)
+
+TOPICS: tuple[Topic, ...] = (FEATURES, STATUS)
 
 # Parameters of a query on FEATURES. None: the newest answerable set.
 FRAME_PARAMETER = "frame"

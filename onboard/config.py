@@ -56,11 +56,26 @@ class Mount(Section):
     roll_deg: float = quantity(0.0, -180.0, 180.0, "deg", "roll about the optical axis's forward direction")
     pitch_deg: float = quantity(-90.0, -180.0, 180.0, "deg", "pitch of the optical axis; -90 is straight down")
     yaw_deg: float = quantity(0.0, -360.0, 360.0, "deg", "yaw from the nose, clockwise seen from above")
+    gimbal: bool = choice(True, "a gimbal's attitude, when it comes, replaces the angles above")
     sigma_deg: float = quantity(1.0, 0.0, 45.0, "deg", "one sigma of the mount angles above")
 
 
 class CameraConfig(Section):
-    """The camera's clock. Its optics are in the camera file."""
+    """The camera: where it is, how it is set, its clock. Its optics are in the camera file."""
+
+    device: str = choice("/dev/video0", "V4L2 device, better a name under /dev/v4l/by-id or by-path")
+    file: str | None = choice(None, "camera file (optics), as `pc-onboard calibrate` writes it")
+    format: Literal["auto", "GREY", "YUYV", "NV12", "MJPG", "Y16"] = choice(
+        "auto", "pixel format; 'auto' takes the first of these that the device has"
+    )
+    rate_hz: float = quantity(30.0, 0.1, 240.0, "Hz", "pictures asked of the device")
+    exposure_us: float | None = quantity(None, 1.0, 1e6, "us", "fixed exposure; left to the camera if not set")
+    gain: float | None = quantity(
+        None, 0.0, 1e6, "", "fixed gain, in the driver's units; left to the camera if not set"
+    )
+    focus: float | None = quantity(None, 0.0, 1e6, "", "fixed focus, in the driver's units; untouched if not set")
+    white_balance_k: float | None = quantity(None, 1000.0, 20000.0, "K", "fixed white balance; untouched if not set")
+    lost_after_s: float = quantity(1.5, 0.1, 60.0, "s", "time without a picture that counts as camera lost")
 
     latency_s: float = quantity(0.0, -5.0, 5.0, "s", "capture stamp minus true mid-exposure")
     sigma_latency_s: float = quantity(0.1, 0.0, 2.0, "s", "one sigma of the camera-to-autopilot time offset")
@@ -136,10 +151,31 @@ class Gps(Section):
     )
 
 
+class RangeFinderConfig(Section):
+    """A distance sensor (DISTANCE_SENSOR), if there is one."""
+
+    use: bool = choice(False, "take its distance to the ground as a measurement in the window solve")
+    sigma_m: float = quantity(
+        0.5, 0.01, 100.0, "m", "least one sigma of a distance, its place against the camera included"
+    )
+    sigma_share: float = quantity(0.02, 0.0, 0.5, "", "one sigma as a share of the distance, added to the above")
+
+
 class Telemetry(Section):
     """Where the autopilot is, and its clock."""
 
-    url: str = choice("udpin:127.0.0.1:14550", "live link to the autopilot; `replay` takes a file instead")
+    url: str = choice(
+        "udpin:127.0.0.1:14550",
+        "live link: serial:/dev/ttyAMA0:921600, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, "
+        "nmea:/dev/ttyUSB0:9600 or tlog:FILE; `replay` takes a file instead",
+    )
+    backend: Literal["pymavlink", "mavsdk"] = choice("pymavlink", "library that speaks MAVLink")
+    attitude_rate_hz: float = quantity(50.0, 1.0, 400.0, "Hz", "attitude asked of the autopilot, which may give less")
+    position_rate_hz: float = quantity(10.0, 1.0, 50.0, "Hz", "position asked of the autopilot, which may give less")
+    component: int = quantity(191, 1, 255, "", "our MAVLink component number in the vehicle's system")
+    signing_key: str | None = choice(None, "file with a MAVLink 2 signing key (32 bytes, raw or 64 hex digits)")
+    fov_status: bool = choice(False, "send CAMERA_FOV_STATUS: where on the ground the camera looks")
+    lost_after_s: float = quantity(2.0, 0.2, 60.0, "s", "silence that counts as telemetry lost")
     clock: Literal["auto", "constant", "drift"] = choice(
         "auto",
         "boot clock against ours: 'constant' offset, steady 'drift', or 'auto' (constant unless the log shows a drift)",
@@ -153,8 +189,38 @@ class Link(Section):
     listen: tuple[str, ...] = choice(("tcp/127.0.0.1:7447",), "zenoh endpoints to listen on; loopback unless opened")
     connect: tuple[str, ...] = choice((), "zenoh endpoints to connect to")
     scouting: bool = choice(False, "announce and look for peers on the local network by multicast")
+    max_bit_rate: float = quantity(
+        32000.0, 1000.0, 1e9, "bit/s", "all that is sent keeps below this, link overhead included"
+    )
+    min_rate_hz: float = quantity(0.2, 0.01, 30.0, "Hz", "feature sets sent at least, while there are any")
+    max_rate_hz: float = quantity(5.0, 0.01, 30.0, "Hz", "feature sets sent at most")
+    ca: str | None = choice(None, "TLS: certificate of the authority that both ends trust")
+    certificate: str | None = choice(None, "TLS: this aircraft's certificate")
+    key: str | None = choice(None, "TLS: this aircraft's private key")
     history_s: float = quantity(600.0, 1.0, 86400.0, "s", "feature sets this young are kept to answer queries")
     history_sets: int = quantity(5000, 1, 100000, "", "at most this many of them")
+
+
+class Recording(Section):
+    """What is kept on board: one MCAP file after the other a session."""
+
+    enabled: bool = choice(True, "record events, sets and status")
+    folder: str | None = choice(None, "where; if not set, `recordings` in the state directory")
+    pictures: Literal["none", "jpeg", "lossless"] = choice(
+        "none", "pictures too: 'jpeg' to look at, 'lossless' for a replay that gives the same bytes"
+    )
+    rotate_mb: float = quantity(512.0, 1.0, 1e6, "MB", "size at which a new file is begun")
+    keep_free_mb: float = quantity(1024.0, 1.0, 1e7, "MB", "recording stops when the disk has less free than this")
+
+
+class Service(Section):
+    """The daemon itself."""
+
+    state_dir: str | None = choice(
+        None, "where what is learned is kept; if not set, $STATE_DIRECTORY, else ~/.local/state/pointclick"
+    )
+    max_delay_s: float = quantity(1.0, 0.1, 30.0, "s", "pictures that wait longer than this are dropped, oldest first")
+    prometheus: str | None = choice(None, "HOST:PORT to serve Prometheus text on, such as 127.0.0.1:9464")
 
 
 class Config(Section):
@@ -167,8 +233,11 @@ class Config(Section):
     solve: Solve = Solve()
     terrain: TerrainModel = TerrainModel()
     gps: Gps = Gps()
+    range_finder: RangeFinderConfig = RangeFinderConfig()
     telemetry: Telemetry = Telemetry()
     link: Link = Link()
+    recording: Recording = Recording()
+    service: Service = Service()
 
 
 def load_config(path: Path | str) -> Config:

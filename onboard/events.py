@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,4 +56,37 @@ class Attitude:
     rate_body_rad_s: tuple[float, float, float] | None = None
 
 
-Event = Frame | PositionFix | GpsQuality | Attitude
+@dataclass(frozen=True)
+class FilterStatus:
+    """What the autopilot's navigation filter says of itself (EKF_STATUS_REPORT, ESTIMATOR_STATUS)."""
+
+    stamp_ns: int
+    has_position: bool  # horizontal position is believed absolute
+    is_glitching: bool  # the filter calls the GPS a glitch
+
+
+@dataclass(frozen=True)
+class GimbalAttitude:
+    """A stabilised camera's attitude: quaternion w, x, y, z of R_ref_gimbal, gimbal axes forward-right-down.
+
+    `reference` "vehicle": roll and pitch against the horizon, yaw against the nose; "earth": all three against
+    north-east-down. It replaces the fixed mount while it comes.
+    """
+
+    stamp_ns: int
+    q_ref_gimbal: tuple[float, float, float, float]
+    reference: Literal["vehicle", "earth"]
+
+
+@dataclass(frozen=True)
+class RangeFinder:
+    """A distance measured along a unit direction in body axes (FRD), metres; its one sigma if the sensor gives it."""
+
+    stamp_ns: int
+    distance_m: float
+    direction_body: tuple[float, float, float]
+    sigma_m: float | None = None
+
+
+NavEvent = PositionFix | GpsQuality | Attitude | FilterStatus | GimbalAttitude | RangeFinder
+Event = Frame | NavEvent

@@ -23,7 +23,7 @@ from contract.feature_set import Status
 from contract.geodesy import LocalFrame, rotation_enu_ecef
 from contract.rotations import R_ENU_NED, exp_so3, log_so3, matrix_from_quaternion, right_jacobian_inverse
 from onboard.config import Config
-from onboard.events import Attitude, GpsQuality, PositionFix
+from onboard.events import Attitude, GpsQuality, NavEvent, PositionFix
 
 Array = NDArray[np.float64]
 
@@ -129,8 +129,10 @@ class Navigation:
         self._undulation_m = float("nan") if config.gps.undulation_m is None else config.gps.undulation_m
         self._latency_ns = round(config.gps.latency_s * 1e9)
 
-    def add(self, event: PositionFix | GpsQuality | Attitude) -> None:
+    def add(self, event: NavEvent) -> None:
         """Take one event; events with a stamp already held are ignored."""
+        if not isinstance(event, PositionFix | GpsQuality | Attitude):
+            return
         series: _Series[_Position] | _Series[_Attitude] | _Series[GpsQuality]
         if isinstance(event, PositionFix):
             series = self._positions

@@ -21,9 +21,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from contract.errors import InputError
 from onboard.clock import BootClock, Mode
-from onboard.events import Attitude, GpsQuality, PositionFix
-
-NavEvent = PositionFix | GpsQuality | Attitude
+from onboard.events import Attitude, GpsQuality, NavEvent, PositionFix
 
 WANTED = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT,
