@@ -13,28 +13,27 @@ still 28 to 4 m off.
 from __future__ import annotations
 
 import bisect
-from dataclasses import dataclass, field
-from typing import Generic, TypeVar
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contract.feature_set import Status
 from contract.geodesy import LocalFrame, rotation_enu_ecef
-from contract.rotations import R_ENU_NED, exp_so3, log_so3, matrix_from_quaternion, right_jacobian_inverse
+from contract.rotations import R_ENU_NED, matrix_from_quaternion
+from onboard.attitudes import Attitudes
 from onboard.config import Config
-from onboard.events import Attitude, GpsQuality, NavEvent, PositionFix
+from onboard.events import Attitude, GimbalAttitude, GpsQuality, NavEvent, PositionFix
+from onboard.gimbal import Gimbal
+from onboard.series import MEMORY_NS, Series
 
 Array = NDArray[np.float64]
 
-MEMORY_NS = 120_000_000_000
-MAX_EXTRAPOLATION_NS = 300_000_000
 # Data this much older than the newest means that the clock was set back: nothing held can be compared any more.
 CLOCK_STEP_NS = 5_000_000_000
 CLIMB_WINDOW_NS = 1_000_000_000
 SLIP_WINDOW_NS = 2_000_000_000
 CLAIM_WINDOW_NS = 2_000_000_000
-RATE_WINDOW_NS = 60_000_000
 UNUSABLE_FIX = 2  # GPS_FIX_TYPE up to this one
 GLITCH_SIGMAS = 5.0
 MIN_SCATTER_FREEDOM = 4
@@ -62,58 +61,10 @@ class NavState:
 
 
 @dataclass(frozen=True, eq=False)
-class _Attitude:
-    R_ned_body: Array
-    rate_body_rad_s: Array | None
-
-
-@dataclass(frozen=True, eq=False)
 class _Position:
     enu_m: Array
     velocity_enu_m_s: Array | None
     height_above_home_m: float | None
-
-
-T = TypeVar("T")
-
-
-@dataclass
-class _Series(Generic[T]):
-    """Values by time, sorted, of the last two minutes."""
-
-    stamps_ns: list[int] = field(default_factory=list)
-    values: list[T] = field(default_factory=list)
-
-    def insert(self, stamp_ns: int, value: T) -> int | None:
-        """Insert and return its index; None for a stamp that is here already or too old to keep."""
-        if self.stamps_ns and stamp_ns < self.stamps_ns[-1] - MEMORY_NS:
-            return None
-        index = bisect.bisect_left(self.stamps_ns, stamp_ns)
-        if index < len(self.stamps_ns) and self.stamps_ns[index] == stamp_ns:
-            return None
-        self.stamps_ns.insert(index, stamp_ns)
-        self.values.insert(index, value)
-        if self.stamps_ns[-1] - self.stamps_ns[0] > 2 * MEMORY_NS:
-            old = bisect.bisect_left(self.stamps_ns, self.stamps_ns[-1] - MEMORY_NS)
-            del self.stamps_ns[:old], self.values[:old]
-            index -= old
-        return index
-
-    def bracket(self, stamp_ns: int) -> tuple[int, int] | None:
-        """Indices of the neighbours of a stamp; both the same at an end that is near enough to extrapolate from."""
-        if not self.stamps_ns:
-            return None
-        right = bisect.bisect_left(self.stamps_ns, stamp_ns)
-        if right == 0:
-            return (0, 0) if self.stamps_ns[0] - stamp_ns <= MAX_EXTRAPOLATION_NS else None
-        if right == len(self.stamps_ns):
-            return (right - 1, right - 1) if stamp_ns - self.stamps_ns[-1] <= MAX_EXTRAPOLATION_NS else None
-        return right - 1, right
-
-    def last_until(self, stamp_ns: int) -> int | None:
-        """Index of the newest value not after a stamp."""
-        index = bisect.bisect_right(self.stamps_ns, stamp_ns) - 1
-        return None if index < 0 else index
 
 
 class Navigation:
@@ -122,25 +73,28 @@ class Navigation:
     def __init__(self, config: Config) -> None:
         self.config = config
         self.frame: LocalFrame | None = None
-        self._positions: _Series[_Position] = _Series()
-        self._attitudes: _Series[_Attitude] = _Series()
-        self._quality: _Series[GpsQuality] = _Series()
+        self._positions: Series[_Position] = Series()
+        self._attitudes = Attitudes(config.telemetry.max_attitude_gap_s)
+        self._gimbal = Gimbal(config)
+        self._quality: Series[GpsQuality] = Series()
         self._glitches_ns: list[tuple[int, int]] = []  # stretches around jumps
         self._undulation_m = float("nan") if config.gps.undulation_m is None else config.gps.undulation_m
         self._latency_ns = round(config.gps.latency_s * 1e9)
 
     def add(self, event: NavEvent) -> None:
         """Take one event; events with a stamp already held are ignored."""
-        if not isinstance(event, PositionFix | GpsQuality | Attitude):
-            return
-        series: _Series[_Position] | _Series[_Attitude] | _Series[GpsQuality]
+        held: Series[_Position] | Attitudes | Gimbal | Series[GpsQuality]
         if isinstance(event, PositionFix):
-            series = self._positions
+            held = self._positions
         elif isinstance(event, GpsQuality):
-            series = self._quality
+            held = self._quality
+        elif isinstance(event, Attitude):
+            held = self._attitudes
+        elif isinstance(event, GimbalAttitude):
+            held = self._gimbal
         else:
-            series = self._attitudes
-        if series.stamps_ns and event.stamp_ns < series.stamps_ns[-1] - CLOCK_STEP_NS:
+            return
+        if held.stamps_ns and event.stamp_ns < held.stamps_ns[-1] - CLOCK_STEP_NS:
             self._forget()
         if isinstance(event, PositionFix):
             self._add_position(event)
@@ -148,12 +102,16 @@ class Navigation:
             self._quality.insert(event.stamp_ns, event)
             if event.undulation_m is not None:
                 self._undulation_m = event.undulation_m
-        else:
+        elif isinstance(event, Attitude):
             rate = None if event.rate_body_rad_s is None else np.array(event.rate_body_rad_s)
-            self._attitudes.insert(event.stamp_ns, _Attitude(matrix_from_quaternion(event.q_ned_body), rate))
+            self._attitudes.insert(event.stamp_ns, matrix_from_quaternion(event.q_ned_body), rate)
+        else:
+            self._gimbal.insert(event)
 
     def _forget(self) -> None:
-        self._positions, self._attitudes, self._quality = _Series(), _Series(), _Series()
+        self._positions, self._quality = Series(), Series()
+        self._attitudes.forget()
+        self._gimbal.forget()
         self._glitches_ns.clear()
 
     def _add_position(self, fix: PositionFix) -> None:
@@ -206,12 +164,21 @@ class Navigation:
         """
         needed: list[list[int]] = [self._positions.stamps_ns]
         if self._wants_attitude:
-            needed.append(self._attitudes.stamps_ns)
+            needed += self._gimbal.needed(self._attitudes) if self._has_gimbal else [self._attitudes.stamps_ns]
         return all(stamps and stamps[0] <= stamp_ns <= stamps[-1] for stamps in needed)
 
     @property
     def _wants_attitude(self) -> bool:
-        return self.config.solve.attitude == "autopilot" and bool(self._attitudes.stamps_ns)
+        known = bool(self._attitudes.stamps_ns) or self._has_gimbal
+        return self.config.solve.attitude == "autopilot" and known
+
+    @property
+    def _has_gimbal(self) -> bool:
+        return self.config.mount.gimbal and bool(self._gimbal.stamps_ns)
+
+    def _attitude_at(self, moment_ns: int) -> Array | Status:
+        """R_ned_body as the mount sees it: with a gimbal, of the body that would carry a fixed camera the same way."""
+        return self._gimbal.at(moment_ns, self._attitudes) if self._has_gimbal else self._attitudes.at(moment_ns)
 
     def state_at(self, stamp_ns: int, offset_s: float = 0.0) -> NavState | Status:
         """The vehicle at `stamp_ns` + `offset_s` (camera-to-autopilot time offset), or why not.
@@ -250,27 +217,10 @@ class Navigation:
         )
 
     def body_rate_at(self, stamp_ns: int) -> Array | None:
-        """Angular rate in body axes (3,), rad/s: the gyros', else from attitudes 60 ms apart; None if unknown."""
-        series = self._attitudes
-        bracket = series.bracket(stamp_ns)
-        if bracket is None:
-            return None
-        left, right = bracket
-        a, b = series.values[left].rate_body_rad_s, series.values[right].rate_body_rad_s
-        measured = a is not None and b is not None
-        while not measured and series.stamps_ns[right] - series.stamps_ns[left] < RATE_WINDOW_NS:
-            grown = max(left - 1, 0), min(right + 1, len(series.stamps_ns) - 1)
-            if grown == (left, right):
-                return None
-            left, right = grown
-        seconds = (series.stamps_ns[right] - series.stamps_ns[left]) / 1e9
-        if seconds > self.config.telemetry.max_attitude_gap_s:
-            return None
-        if a is not None and b is not None:
-            share = (stamp_ns - series.stamps_ns[left]) / 1e9 / seconds if seconds else 0.0
-            return a + share * (b - a)
-        rate: Array = log_so3(series.values[left].R_ned_body.T @ series.values[right].R_ned_body) / seconds
-        return rate
+        """Angular rate (3,), rad/s, axes of `NavState.R_enu_body`: measured, or from attitudes; None if unknown."""
+        return (
+            self._gimbal.rate_at(stamp_ns, self._attitudes) if self._has_gimbal else self._attitudes.rate_at(stamp_ns)
+        )
 
     def displacement(self, start_ns: int, end_ns: int) -> Array | None:
         """Distance flown (3,), ENU m, from the velocities alone (trapezium rule); None where any is missing."""
@@ -337,34 +287,6 @@ class Navigation:
             return np.zeros(3) if known is None else np.nan_to_num(known)
         slope: Array = (values[last].enu_m - values[first].enu_m) / ((stamps[last] - stamps[first]) / 1e9)
         return slope if known is None else np.where(np.isfinite(known), known, slope)
-
-    def _attitude_at(self, moment_ns: int) -> Array | Status:
-        series = self._attitudes
-        bracket = series.bracket(moment_ns)
-        if bracket is None:
-            return Status.STARTING if moment_ns < series.stamps_ns[0] else Status.UNSYNCHRONISED
-        left, right = bracket
-        start_ns, end_ns = series.stamps_ns[left], series.stamps_ns[right]
-        if end_ns - start_ns > self.config.telemetry.max_attitude_gap_s * 1e9:
-            return Status.UNSYNCHRONISED
-        before, after = series.values[left], series.values[right]
-        if left == right:
-            rate = self.body_rate_at(start_ns)
-            turned = np.zeros(3) if rate is None else rate * ((moment_ns - start_ns) / 1e9)
-            out: Array = before.R_ned_body @ exp_so3(turned)
-            return out
-        seconds = (end_ns - start_ns) / 1e9
-        s = (moment_ns - start_ns) / 1e9 / seconds
-        whole = log_so3(before.R_ned_body.T @ after.R_ned_body)
-        if before.rate_body_rad_s is None or after.rate_body_rad_s is None:
-            turned = s * whole
-        else:
-            # d exp(v)/dt = exp(v) [rate]x gives dv/dt = Jr^-1(v) rate: (1.5).
-            rate_end = right_jacobian_inverse(whole) @ after.rate_body_rad_s
-            turned = s * s * (3 - 2 * s) * whole
-            turned += seconds * s * (1 - s) * ((1 - s) * before.rate_body_rad_s - s * rate_end)
-        out = before.R_ned_body @ exp_so3(turned)
-        return out
 
     def _slip(self, moment_ns: int) -> tuple[float, float]:
         """How fast the filter surely moves its position sideways of its own velocity (m/s), and how it scatters (m).

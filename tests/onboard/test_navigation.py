@@ -13,7 +13,8 @@ from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, log_so3, matrix_from_euler, quaternion_from_matrix
 from onboard.config import Config, parse_config
 from onboard.events import Attitude, GpsQuality, PositionFix
-from onboard.navigation import MEMORY_NS, Navigation, NavState
+from onboard.navigation import Navigation, NavState
+from onboard.series import MEMORY_NS
 from onboard.telemetry.mavlink import read_tlog
 
 Array = NDArray[np.float64]
