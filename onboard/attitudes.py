@@ -1,6 +1,6 @@
 """Attitudes by time -> attitude and angular rate at any moment, or the reason why there is none.
 
-Attitudes are joined by cubic pieces of rotation with the measured rates at both ends, else by rotation at constant rate.
+They are joined by cubic pieces of rotation with the measured rates at both ends, else by rotation at constant rate.
 """
 
 from __future__ import annotations
@@ -46,6 +46,7 @@ class Attitudes:
         self._series = Series()
 
     def at(self, moment_ns: int) -> Array | Status:
+        """R_ned_body (3, 3); STARTING before the first attitude, UNSYNCHRONISED in a gap or past the end."""
         series = self._series
         bracket = series.bracket(moment_ns)
         if bracket is None:
