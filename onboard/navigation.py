@@ -23,7 +23,7 @@ from contract.geodesy import LocalFrame, rotation_enu_ecef
 from contract.rotations import R_ENU_NED, matrix_from_quaternion
 from onboard.attitudes import Attitudes
 from onboard.config import Config
-from onboard.events import Attitude, GimbalAttitude, GpsQuality, NavEvent, PositionFix
+from onboard.events import Attitude, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
 from onboard.gimbal import Gimbal
 from onboard.series import MEMORY_NS, Series
 
@@ -38,6 +38,15 @@ UNUSABLE_FIX = 2  # GPS_FIX_TYPE up to this one
 GLITCH_SIGMAS = 5.0
 MIN_SCATTER_FREEDOM = 4
 MAX_SCATTER_M = 5.0
+MAX_RANGE_GAP_NS = 500_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class GroundRange:
+    """What the range finder says: the vector (3,), ENU m, from vehicle to ground, and one sigma along it."""
+
+    vector_enu_m: Array
+    sigma_m: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +67,7 @@ class NavState:
     sigma_white_m: float
     undulation_m: float
     height_above_home_m: float | None
+    ground_range: GroundRange | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +86,7 @@ class Navigation:
         self._positions: Series[_Position] = Series()
         self._attitudes = Attitudes(config.telemetry.max_attitude_gap_s)
         self._gimbal = Gimbal(config)
+        self._ranges: Series[RangeFinder] = Series()
         self._quality: Series[GpsQuality] = Series()
         self._glitches_ns: list[tuple[int, int]] = []  # stretches around jumps
         self._undulation_m = float("nan") if config.gps.undulation_m is None else config.gps.undulation_m
@@ -83,7 +94,7 @@ class Navigation:
 
     def add(self, event: NavEvent) -> None:
         """Take one event; events with a stamp already held are ignored."""
-        held: Series[_Position] | Attitudes | Gimbal | Series[GpsQuality]
+        held: Series[_Position] | Attitudes | Gimbal | Series[GpsQuality] | Series[RangeFinder]
         if isinstance(event, PositionFix):
             held = self._positions
         elif isinstance(event, GpsQuality):
@@ -92,6 +103,8 @@ class Navigation:
             held = self._attitudes
         elif isinstance(event, GimbalAttitude):
             held = self._gimbal
+        elif isinstance(event, RangeFinder):
+            held = self._ranges
         else:
             return
         if held.stamps_ns and event.stamp_ns < held.stamps_ns[-1] - CLOCK_STEP_NS:
@@ -105,11 +118,13 @@ class Navigation:
         elif isinstance(event, Attitude):
             rate = None if event.rate_body_rad_s is None else np.array(event.rate_body_rad_s)
             self._attitudes.insert(event.stamp_ns, matrix_from_quaternion(event.q_ned_body), rate)
-        else:
+        elif isinstance(event, GimbalAttitude):
             self._gimbal.insert(event)
+        else:
+            self._ranges.insert(event.stamp_ns, event)
 
     def _forget(self) -> None:
-        self._positions, self._quality = Series(), Series()
+        self._positions, self._quality, self._ranges = Series(), Series(), Series()
         self._attitudes.forget()
         self._gimbal.forget()
         self._glitches_ns.clear()
@@ -200,9 +215,7 @@ class Navigation:
             R_ned_body = self._attitude_at(moment_ns)
             if isinstance(R_ned_body, Status):
                 return R_ned_body
-            lat, lon, _ = self.frame.to_geodetic(position.enu_m)
-            R_frame_here = self.frame.R_enu_ecef @ rotation_enu_ecef(float(lat), float(lon)).T
-            R_enu_body = R_frame_here @ R_ENU_NED @ R_ned_body
+            R_enu_body = self._R_frame_ned(position.enu_m) @ R_ned_body
         sigma_horizontal_m, sigma_vertical_m = self._sigmas(moment_ns)
         return NavState(
             stamp_ns,
@@ -214,7 +227,33 @@ class Navigation:
             max(self.config.gps.sigma_white_m, min(scatter_m, MAX_SCATTER_M)),
             self._undulation_m,
             position.height_above_home_m,
+            self._range_at(moment_ns, position.enu_m),
         )
+
+    def _range_at(self, moment_ns: int, position_enu_m: Array) -> GroundRange | None:
+        """The range finder between its messages about a moment; None without it, the vehicle's attitude or an echo."""
+        settings = self.config.range_finder
+        bracket = self._ranges.bracket(moment_ns) if settings.use and self._attitudes.stamps_ns else None
+        R_ned_body = self._attitudes.at(moment_ns) if bracket is not None else None
+        if bracket is None or R_ned_body is None or isinstance(R_ned_body, Status):
+            return None
+        (start_ns, a), (end_ns, b) = ((self._ranges.stamps_ns[i], self._ranges.values[i]) for i in bracket)
+        if max(end_ns - start_ns, abs(moment_ns - start_ns)) > MAX_RANGE_GAP_NS or a.direction_body != b.direction_body:
+            return None
+        share = (moment_ns - start_ns) / (end_ns - start_ns) if end_ns > start_ns else 0.0
+        distance_m = a.distance_m + share * (b.distance_m - a.distance_m)
+        # Between two echoes the ground may do anything that the echoes differ by.
+        sigma_m = max(settings.sigma_m, a.sigma_m or 0.0, b.sigma_m or 0.0) + settings.sigma_share * distance_m
+        sigma_m = float(np.hypot(sigma_m, 0.5 * (b.distance_m - a.distance_m)))
+        vector: Array = self._R_frame_ned(position_enu_m) @ R_ned_body @ np.array(a.direction_body) * distance_m
+        return GroundRange(vector, sigma_m) if vector[2] < 0.0 else None
+
+    def _R_frame_ned(self, position_enu_m: Array) -> Array:
+        """North-east-down at a place -> the frame's east-north-up."""
+        assert self.frame is not None
+        lat, lon, _ = self.frame.to_geodetic(position_enu_m)
+        out: Array = self.frame.R_enu_ecef @ rotation_enu_ecef(float(lat), float(lon)).T @ R_ENU_NED
+        return out
 
     def body_rate_at(self, stamp_ns: int) -> Array | None:
         """Angular rate (3,), rad/s, axes of `NavState.R_enu_body`: measured, or from attitudes; None if unknown."""

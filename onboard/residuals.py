@@ -249,9 +249,6 @@ class SharedPrior:
         return J
 
 
-Prior = PositionPrior | VelocityPrior | AttitudePrior | SharedPrior
-
-
 class HeightModel(Protocol):
     """A ground known beforehand, in the window's frame."""
 
@@ -276,3 +273,27 @@ def ground_plane(
         residual = residual - height
     by_plane = np.concatenate([-np.ones((len(offset), 1)), -offset], axis=1)
     return residual, by_point, by_plane
+
+
+@dataclass(frozen=True, eq=False)
+class RangePrior:
+    """Where a range finder's beam ends, the ground plane (over the terrain, if it is known) lies. Equation (5.12)."""
+
+    layout: Layout
+    keyframe: NDArray[np.intp]  # (N,) whose view each belongs to
+    vector_enu_m: Array  # (N, 3) from the camera to the ground
+    sigma_m: Array  # (N,) of the height there, relief included
+    reference_enu_m: Array  # (3,) the plane's reference point
+    terrain: HeightModel | None = None
+
+    def evaluate(self, state: State) -> tuple[Array, Array]:
+        """Residual (N,), Jacobian (N, D)."""
+        ends = state.centres_enu_m[self.keyframe] + self.vector_enu_m
+        residual, by_end, by_plane = ground_plane(ends, self.reference_enu_m, state.plane, self.terrain)
+        J = np.zeros((len(ends), self.layout.size))
+        J[np.arange(len(ends))[:, None], self.layout.centres()[self.keyframe]] = by_end / self.sigma_m[:, None]
+        J[:, self.layout.plane] = by_plane / self.sigma_m[:, None]
+        return residual / self.sigma_m, J
+
+
+Prior = PositionPrior | VelocityPrior | AttitudePrior | SharedPrior | RangePrior

@@ -11,9 +11,11 @@ from onboard.config import Config
 from onboard.keyframe import Keyframe
 from onboard.residuals import (
     AttitudePrior,
+    HeightModel,
     Layout,
     PositionPrior,
     Prior,
+    RangePrior,
     SharedPrior,
     VelocityPrior,
     wandering_sqrt_information,
@@ -99,6 +101,31 @@ def sensor_priors(
             priors.append(AttitudePrior(layout, coordinated, still, np.stack([loose, loose, heading]), offsets))
     priors.append(_shared_prior(config, layout, belief, has_terrain))
     return priors
+
+
+def range_prior(
+    keyframes: list[Keyframe],
+    layout: Layout,
+    reference_enu_m: Array,
+    ground_sigma_m: float,
+    terrain: HeightModel | None,
+) -> RangePrior | None:
+    """The range finder's distances, where keyframes have any. Equation (5.12).
+
+    `reference_enu_m` (3,): the ground plane's; `ground_sigma_m`: how the ground strays from plane or terrain.
+    """
+    having = [(i, k.nav.ground_range) for i, k in enumerate(keyframes) if k.nav.ground_range is not None]
+    if not having:
+        return None
+    vectors = np.stack([r.vector_enu_m for _, r in having])
+    own = np.array([r.sigma_m for _, r in having]) * np.abs(vectors[:, 2]) / np.linalg.norm(vectors, axis=1)
+    if terrain is not None:
+        centres = np.stack([keyframes[i].centre_enu_m for i, _ in having])
+        height, _ = terrain.height_and_slope((centres + vectors)[:, :2])
+        if not np.all(np.isfinite(height)):
+            return None
+    index = np.array([i for i, _ in having], np.intp)
+    return RangePrior(layout, index, vectors, np.hypot(own, ground_sigma_m), reference_enu_m, terrain)
 
 
 def _coordinated(R_body_cam: Array, stamps_s: Array, velocities: Array) -> Array | None:

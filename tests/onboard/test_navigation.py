@@ -12,7 +12,7 @@ from contract.feature_set import Status
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, log_so3, matrix_from_euler, quaternion_from_matrix
 from onboard.config import Config, parse_config
-from onboard.events import Attitude, GpsQuality, PositionFix
+from onboard.events import Attitude, GpsQuality, PositionFix, RangeFinder
 from onboard.navigation import Navigation, NavState
 from onboard.series import MEMORY_NS
 from onboard.telemetry.mavlink import read_tlog
@@ -371,3 +371,38 @@ def test_a_spinning_attitude_is_not_smeared() -> None:
     got = state(navigation, 2.013).R_enu_body
     assert got is not None
     assert np.linalg.norm(log_so3(got.T @ R_ENU_NED @ exp_so3(np.array([2.0 * 2.013, 0.0, 0.0])))) < 1e-4
+
+
+RANGED = parse_config("[gps]\nlatency_s = 0.0\n[range_finder]\nuse = true\nsigma_m = 0.5\nsigma_share = 0.01")
+
+
+def ranged(config: Config = RANGED, distances_m: tuple[float, ...] = (100.0, 102.0, 104.0)) -> Navigation:
+    navigation = flown(5.0, config=config)
+    for k, distance_m in enumerate(distances_m):
+        navigation.add(RangeFinder(ns(1.0 + 0.2 * k), distance_m, (0.0, 0.0, 1.0)))
+    return navigation
+
+
+def test_a_range_becomes_a_vector_to_the_ground_along_the_vehicles_own_down() -> None:
+    state = ranged().state_at(ns(1.1))
+    assert isinstance(state, NavState)
+    assert state.R_enu_body is not None
+    assert state.ground_range is not None
+    np.testing.assert_allclose(state.ground_range.vector_enu_m, 101.0 * state.R_enu_body[:, 2], atol=1e-6)
+    assert state.ground_range.sigma_m == pytest.approx(np.hypot(0.5 + 1.01, 1.0))
+
+
+def test_a_range_is_used_only_where_asked_for_fresh_and_downward() -> None:
+    for navigation, moment in (
+        (ranged(PLAIN), 1.1),
+        (ranged(), 2.5),  # a second after its last echo
+        (ranged(distances_m=()), 1.1),
+    ):
+        state = navigation.state_at(ns(moment))
+        assert isinstance(state, NavState)
+        assert state.ground_range is None
+    upward = flown(5.0, config=RANGED)
+    upward.add(RangeFinder(ns(1.0), 30.0, (0.0, 0.0, -1.0)))
+    state = upward.state_at(ns(1.05))
+    assert isinstance(state, NavState)
+    assert state.ground_range is None

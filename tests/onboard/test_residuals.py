@@ -15,6 +15,7 @@ from onboard.residuals import (
     Layout,
     PositionPrior,
     Prior,
+    RangePrior,
     SharedPrior,
     State,
     VelocityPrior,
@@ -76,8 +77,13 @@ def shared_prior(rng: np.random.Generator) -> Prior:
     return SharedPrior(Layout(K), rng.standard_normal(7), rng.standard_normal((7, 7)))
 
 
+def range_prior(rng: np.random.Generator) -> Prior:
+    ends = 100.0 * rng.standard_normal((2, 3))
+    return RangePrior(Layout(K), np.array([0, 2]), ends, rng.uniform(0.5, 3.0, 2), 20.0 * rng.standard_normal(3))
+
+
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("make", [position_prior, velocity_prior, attitude_prior, shared_prior])
+@pytest.mark.parametrize("make", [position_prior, velocity_prior, attitude_prior, shared_prior, range_prior])
 def test_a_priors_jacobian_is_its_residuals_derivative(make: Callable[[np.random.Generator], Prior], seed: int) -> None:
     rng = np.random.default_rng(seed)
     prior, state = make(rng), drawn_state(rng)
@@ -213,3 +219,13 @@ def test_retraction_composes_as_the_error_says() -> None:
     assert moved.boresight_rad - state.boresight_rad == pytest.approx(step[Layout(K).boresight])
     assert moved.offset_s - state.offset_s == pytest.approx(step[Layout(K).offset])
     assert moved.plane - state.plane == pytest.approx(step[Layout(K).plane])
+
+
+def test_a_range_measures_the_height_over_the_plane_where_its_beam_ends() -> None:
+    """A camera 100 m over a slope of 10 %, beam forward-down: the plane is 4 m higher where the beam ends."""
+    prior = RangePrior(Layout(1), np.array([0]), np.array([[40.0, 0.0, -96.0]]), np.array([2.0]), np.zeros(3))
+    centres = np.array([[0.0, 0.0, 100.0]])
+    state = State(np.eye(3)[None], centres, np.zeros((0, 3)), np.zeros(3), 0.0, np.array([0.0, 0.1, 0.0]))
+    assert prior.evaluate(state)[0] == pytest.approx([0.0], abs=1e-12)
+    higher = replace(state, centres_enu_m=centres + [0.0, 0.0, 3.0])
+    assert prior.evaluate(higher)[0] == pytest.approx([1.5], abs=1e-12)
