@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.feature_set import DepthSource, FeatureSet, SlowPosition, Status
 from contract.geodesy import LocalFrame, rotation_enu_ecef
+from onboard.adjustment import Solved
 from onboard.keyframe import Sighting
 from onboard.orientation import middle
 from onboard.prediction import Pose
 from onboard.resection import Resection, resect
-from onboard.window import Solved, Window
+from onboard.window import Window
 
 Array = NDArray[np.float64]
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.rotations import exp_so3
+from onboard.adjustment import MIN_PARALLAX_RAD, MIN_PIXEL_SIGMA_PX, START_SIGMAS, approximate, refine
 from onboard.bundle import Problem, Solution, solve
 from onboard.levelling import fit_plane
 from onboard.residuals import (
@@ -34,9 +35,6 @@ from simulation.study_world import CAMERA, HEIGHT_M, R_BODY_CAM, TRAVEL_ENU, nom
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-START_TOLERANCE_SIGMAS = 5.0  # of an inlier at the start, as onboard.window
-OUTLIER_SIGMAS = 4.0  # as onboard.window
-MIN_PARALLAX_RAD = 0.008  # as onboard.window
 OUTLIER_KINDS = ("jump", "drift", "moving")
 
 
@@ -217,12 +215,12 @@ def _sensors(
 
 
 def begin(flight: Flight) -> State | None:
-    """Where the solver starts, from measurements alone, as in `onboard.window`; None if no orientation is found."""
+    """Where the solver starts, from measurements alone, as in `onboard.adjustment`; None if no orientation is found."""
     xy, seen = flight.problem.xy, flight.seen
     if flight.R_enu_cam_measured is not None:
         R = flight.R_enu_cam_measured.transpose(0, 2, 1)
     else:
-        tolerance = START_TOLERANCE_SIGMAS * flight.setting.pixel_sigma_px / CAMERA.focal_px
+        tolerance = START_SIGMAS * flight.setting.pixel_sigma_px / CAMERA.focal_px
         found = orient(xy, seen, flight.gps_enu_m, R_BODY_CAM, tolerance)
         if found is None:
             return None
@@ -245,14 +243,13 @@ def begin(flight: Flight) -> State | None:
 
 
 def estimate(flight: Flight, state: State) -> tuple[Solution, Array]:
-    """The two solves of `onboard.window`: robust, cut what lies beyond 4 sigma, again. And the weights (K, P) kept."""
+    """The two solves of `onboard.adjustment`, and the weights (K, P) kept; ValueError if all was cut as outliers."""
     problem = flight.problem
-    first = solve(problem, state, scale=3.0, tolerance=1e-4)
-    sigmas = first.residual_sigmas
-    fit = float(np.nanmedian(sigmas)) / 1.1774
-    kept = np.where(sigmas > OUTLIER_SIGMAS * max(fit, 1.0), 0.0, problem.weight)
-    kept[:, np.count_nonzero(kept > 0, axis=0) < 2] = 0.0
-    return solve(replace(problem, weight=kept), first.state, scale=6.0, tolerance=1e-6), kept
+    least = MIN_PIXEL_SIGMA_PX / max(flight.setting.pixel_sigma_px, MIN_PIXEL_SIGMA_PX)
+    adjusted = refine(problem, approximate(problem, state), least)
+    if adjusted is None:
+        raise ValueError("nothing of the flight is left to solve")
+    return adjusted.solution, adjusted.kept
 
 
 def bound(flight: Flight) -> Solution:

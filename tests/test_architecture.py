@@ -86,7 +86,7 @@ def test_the_reader_of_imports_sees_them_all() -> None:
     assert Import("argparse", False) in seen
     assert Import("onboard.replay_command", True) in seen
     assert Import("onboard.pipeline", False) in set(imports("onboard.replay"))
-    assert Import("onboard.starting", False) in set(imports("onboard.window"))
+    assert Import("onboard.starting", False) in set(imports("onboard.adjustment"))
 
 
 @pytest.mark.parametrize("module", modules("contract"))

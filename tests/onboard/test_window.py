@@ -9,9 +9,10 @@ import pytest
 
 from contract.feature_set import Status
 from contract.rotations import log_so3
+from onboard.adjustment import MIN_KEYFRAMES
 from onboard.config import Config, parse_config
 from onboard.keyframe import sighting
-from onboard.window import MIN_KEYFRAMES, Window
+from onboard.window import Window
 from tests.onboard.scenes import CAMERA, FULL, SEED_SENSORS, Scene, SceneSpec, draw
 
 CALM = SceneSpec(error_scale=0.3)
@@ -136,7 +137,7 @@ def test_the_noise_of_tracking_is_learned(true_px: float) -> None:
         add(window, scene, int(k))
         window.solve()
     # What is learned is the residuals' size; a fit's residuals are smaller than the noise by its degrees of freedom.
-    assert 0.85 * true_px < window.pixel_sigma_px < 1.15 * true_px
+    assert 0.85 * true_px < window.noise.pixel_sigma_px < 1.15 * true_px
 
 
 def test_a_reset_window_knows_nothing() -> None:

@@ -1,0 +1,354 @@
+"""One window adjusted: a request that nothing changes any more goes in, an outcome comes out. Pure computation.
+
+Whoever does it, now or beside the tracking of further pictures, gets the same outcome from the same request. Whether
+the result may be believed is decided here, by evidence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from contract.feature_set import Status
+from onboard import starting
+from onboard.alignment import Belief
+from onboard.bundle import Problem, Solution, solve
+from onboard.config import Config
+from onboard.keyframe import Ids, Keyframe
+from onboard.levelling import fit_plane
+from onboard.residuals import AttitudePrior, Layout, Prior, SharedPrior, State, VelocityPrior
+from onboard.sensors import sensor_priors
+from onboard.terrain import Terrain
+from onboard.triangulation import triangulate
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MIN_KEYFRAMES = 3
+MIN_POINTS = 12
+MIN_PARALLAX_RAD = 0.008  # below this a point starts on the ground plane and not where its rays meet
+START_SIGMAS = 5.0  # of an inlier at the start, at 640 px width: larger pictures carry larger calibration errors
+OUTLIER_SIGMAS = 4.0
+MIN_INLIERS = 0.5
+MIN_PIXEL_SIGMA_PX = 0.08  # tracks err together by more than their residuals show
+MAX_FIT_SIGMAS = 4.0  # median residual, in configured pixel sigmas, above which the fit explains nothing
+MAX_DEPTH_SIGMA = 0.15  # relative; a scene less known than this has no parallax to speak of
+MAX_PRIOR_SIGMAS = 3.5  # root mean square of a sensor's whitened residuals that a true solution may show
+SHARED_SIGMAS = 5.0  # as far as one shared state may be from what was believed of it
+MAX_GROUND_SLOPE = 1.0
+WEIGHING_ROUNDS = 5
+TOLERATED_RMS = 1.3  # of velocity's and attitude's whitened residuals
+MAX_JITTER_S = 0.02
+MAX_DISCORD = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A solved window: poses of its keyframes, its points by id, and everything the covariances need."""
+
+    frames: tuple[int, ...]
+    layout: Layout
+    solution: Solution
+    point_ids: Ids  # sorted
+    good: Mask  # (P,) points whose measurements agree and which have parallax or plane to stand on
+    plane: Array  # height at the ENU origin (m), slope east, slope north
+    pixel_sigma_px: float
+    reprojection_px: float
+    keyframes: tuple[Keyframe, ...]
+
+    def rows(self, ids: Ids) -> tuple[NDArray[np.intp], Mask]:
+        """Row of each id among the points, and whether it is there and good."""
+        if not len(self.point_ids):
+            return np.zeros(len(ids), np.intp), np.zeros(len(ids), bool)
+        at = np.minimum(np.searchsorted(self.point_ids, ids), len(self.point_ids) - 1)
+        return at, (self.point_ids[at] == ids) & self.good[at]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What is known of the flight's own noise so far; every window is weighted by it and teaches a little of it."""
+
+    pixel_sigma_px: float
+    jitter_s: float
+    discord: float = 1.0  # how much less than by their own scatter pixels are trusted
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """A window as it stands, with what is believed of the sensors and of the tracking so far."""
+
+    config: Config
+    camera: Camera
+    R_body_cam: Array
+    keyframes: tuple[Keyframe, ...]
+    previous: Solved | None
+    terrain: Terrain | None
+    belief: Belief  # of boresight and time offset, for a window that begins where this one does
+    noise: Noise
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What came of a request: OK and `solved`, or the reason why there is none; and what was learned of the noise."""
+
+    status: Status
+    keyframes: tuple[Keyframe, ...]
+    noise: Noise
+    solved: Solved | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """The second solve, the weights (K, P) that it kept, and the noise it found, relative to those weights."""
+
+    solution: Solution
+    kept: Array
+    own: float
+
+
+def approximate(problem: Problem, state: State) -> Solution:
+    """The first of the two solves: robust, as far as telling outliers needs."""
+    return solve(problem, state, scale=3.0, tolerance=1e-4)
+
+
+def refine(problem: Problem, first: Solution, least_own: float) -> Adjusted | None:
+    """The second: without what lay beyond 4 sigma, weighted by the noise found, at least `least_own` of the stated.
+
+    None where too little is left to tell the noise from.
+    """
+    sigmas = first.residual_sigmas
+    kept = np.where(sigmas > OUTLIER_SIGMAS * max(fit_of(sigmas), 1.0), 0.0, problem.weight)
+    kept[:, np.count_nonzero(kept > 0, axis=0) < 2] = 0.0
+    # The window's own noise, not the flight's so far, is what its covariances must be built on.
+    own = fit_of(np.where(kept > 0, sigmas, np.nan))
+    if not np.isfinite(own):
+        return None
+    own = max(own, least_own)
+    return Adjusted(solve(replace(problem, weight=kept / own), first.state, scale=6.0, tolerance=1e-6), kept, own)
+
+
+def adjust(request: Request) -> Outcome:
+    """Solve a window; the status of the outcome is OK, or the reason why it has no result."""
+    keyframes, noise = request.keyframes, request.noise
+    if len(keyframes) < MIN_KEYFRAMES:
+        return Outcome(Status.STARTING, keyframes, noise)
+    ids, counts = np.unique(np.concatenate([k.sighting.ids for k in keyframes]), return_counts=True)
+    ids = ids[counts >= 2]
+    if len(ids) < MIN_POINTS:
+        return Outcome(Status.FEATURELESS, keyframes, noise)
+    xy, weight = _grid(request, ids)
+    oriented = _oriented(request, xy, weight > 0)
+    if oriented is None:
+        return Outcome(Status.LOW_PARALLAX if _travel_m(keyframes) < 1.0 else Status.POOR_FIT, keyframes, noise)
+    keyframes = oriented
+    layout = Layout(len(keyframes))
+    R = np.stack([k.R_cam_enu for k in keyframes])
+    C = np.stack([k.centre_enu_m for k in keyframes])
+    points, reference, plane = _points(request, ids, R, C, xy, weight > 0)
+    belief = request.belief
+    state = State(R, C, points, belief.mean[:3], float(belief.mean[3]), plane)
+    relief, terrain = _ground(request, points)
+    if terrain is not None:
+        reference[2] = 0.0
+        state = replace(state, plane=np.zeros(3))
+    clearance_m = None if terrain is not None else float(C[:, 2].mean() - reference[2])
+    for _ in range(WEIGHING_ROUNDS):
+        priors = sensor_priors(
+            request.config, request.R_body_cam, list(keyframes), layout, belief, terrain is not None, noise.jitter_s
+        )
+        problem = Problem(layout, xy, weight / noise.discord, priors, reference, relief, terrain, clearance_m)
+        first = approximate(problem, state)
+        noise, again = _reweighed(request, noise, priors, first.state)
+        if not again:
+            break
+        state = first.state
+    adjusted = refine(problem, first, MIN_PIXEL_SIGMA_PX / (noise.pixel_sigma_px * noise.discord))
+    if adjusted is None:
+        return Outcome(Status.POOR_FIT, keyframes, noise)
+    return _judged(replace(request, keyframes=keyframes, noise=noise), ids, layout, priors, problem.weight, adjusted)
+
+
+def _reweighed(request: Request, noise: Noise, priors: list[Prior], state: State) -> tuple[Noise, bool]:
+    """Learn from velocity and attitude residuals how pictures and autopilot disagree; True if weights changed.
+
+    Stamps that stray by some milliseconds (photographs, USB) show in both at once, and are allowed for first. What
+    disagreement remains is the picture's: a calibration's error moves many features together, bends the poses and
+    hardly shows in the features' own residuals. All pixels are then trusted less, until both sides agree. (6.7)
+    """
+    measured = [p for p in priors if isinstance(p, VelocityPrior | AttitudePrior)]
+    if request.keyframes[0].nav.R_enu_body is None:
+        measured = [p for p in measured if isinstance(p, VelocityPrior)]
+    if not measured:
+        return noise, False
+    rms = max(float(np.sqrt(np.mean(p.evaluate(state)[0] ** 2))) for p in measured)
+    if rms > TOLERATED_RMS:
+        if noise.jitter_s < MAX_JITTER_S:
+            return replace(noise, jitter_s=min(max(noise.jitter_s, 0.003) * min(rms, 3.0), MAX_JITTER_S)), True
+        if noise.discord < MAX_DISCORD:
+            return replace(noise, discord=min(noise.discord * min(rms, 2.0), MAX_DISCORD)), True
+    elif rms < 1.0 / TOLERATED_RMS:
+        least_s = request.config.camera.sigma_jitter_s
+        return Noise(noise.pixel_sigma_px, max(0.95 * noise.jitter_s, least_s), max(0.95 * noise.discord, 1.0)), False
+    return noise, False
+
+
+def _judged(
+    request: Request, ids: Ids, layout: Layout, priors: list[Prior], weight: Array, adjusted: Adjusted
+) -> Outcome:
+    """Decide by evidence whether a solution may be published. `weight` (K, P) is what the first solve used."""
+    s, kept, own = adjusted.solution, adjusted.kept, adjusted.own
+    noise, camera, config = request.noise, request.camera, request.config
+
+    def refused(status: Status) -> Outcome:
+        return Outcome(status, request.keyframes, noise)
+
+    seen, used = np.count_nonzero(weight > 0), np.count_nonzero(kept > 0)
+    fit = fit_of(s.residual_sigmas)
+    sigma_px = noise.pixel_sigma_px * noise.discord * own * fit
+    depth = np.abs(
+        np.einsum("kj,kpj->kp", s.state.R_cam_enu[:, 2], s.state.points_enu_m - s.state.centres_enu_m[:, None])
+    )
+    depth_m = np.where(kept > 0, depth, np.nan)
+    median_depth = float(np.nanmedian(depth_m)) if used else np.nan
+    good = np.count_nonzero(kept > 0, axis=0) >= 2
+    if used < MIN_INLIERS * seen or np.count_nonzero(good) < MIN_POINTS or not np.isfinite(median_depth):
+        return refused(Status.POOR_FIT)
+    if sigma_px > MAX_FIT_SIGMAS * config.solve.pixel_sigma_px * max(1.0, camera.width_px / 640.0):
+        return refused(Status.POOR_FIT)
+    scale = max(fit, 1.0) ** 2
+    spread = _depth_sigma(s, good, layout) / median_depth
+    if float(np.median(spread)) * np.sqrt(scale) > MAX_DEPTH_SIGMA:
+        return refused(Status.LOW_PARALLAX)
+    below = np.einsum("j,kpj->kp", [0.0, 0.0, 1.0], s.state.points_enu_m - s.state.centres_enu_m[:, None]) < 0.0
+    if np.count_nonzero(below & (kept > 0)) < 0.9 * used or np.abs(s.state.plane[1:]).max() > MAX_GROUND_SLOPE:
+        return refused(Status.POOR_FIT)  # the ground above the aircraft, or a wall: a turned-over solution
+    if np.linalg.eigvalsh(s.covariance)[0] <= 0.0:
+        return refused(Status.POOR_FIT)
+    for prior in priors:
+        r = prior.evaluate(s.state)[0]
+        # What is shared (mount, delay) must not be bent far in any one direction to explain a scene that moves.
+        worst = np.abs(r).max() / SHARED_SIGMAS if isinstance(prior, SharedPrior) else 0.0
+        if max(float(np.sqrt(np.mean(r * r))) / MAX_PRIOR_SIGMAS, worst) > 1.0:
+            return refused(Status.POOR_FIT)
+    keyframes = tuple(
+        replace(k, R_cam_enu=R, centre_enu_m=C)
+        for k, R, C in zip(request.keyframes, s.state.R_cam_enu, s.state.centres_enu_m, strict=True)
+    )
+    plane, _ = fit_plane(s.state.points_enu_m[good])
+    # The noise of tracking is learned slowly, so that one odd window changes little.
+    learned = noise.pixel_sigma_px * (own * fit * noise.discord) ** 0.3
+    noise = replace(noise, pixel_sigma_px=float(np.clip(learned, MIN_PIXEL_SIGMA_PX, 5.0)))
+    frames = tuple(k.frame for k in keyframes)
+    solved = Solved(frames, layout, s, ids, good, plane, sigma_px, sigma_px * 1.177, keyframes)
+    return Outcome(Status.OK, keyframes, noise, solved)
+
+
+def fit_of(sigmas: Array) -> float:
+    """Robust one sigma per axis of whitened residual lengths (K, P): their median over a Rayleigh distribution's.
+
+    Residuals of a fit are smaller than the noise by what the fit has swallowed: three unknowns a point, six a view.
+    """
+    known = np.isfinite(sigmas)
+    n = 2 * np.count_nonzero(known)
+    if n == 0:
+        return float("inf")
+    unknowns = 3 * np.count_nonzero(known.any(axis=0)) + 6 * len(sigmas)
+    swallowed = np.sqrt(n / max(n - unknowns, 0.2 * n))
+    return float(np.median(sigmas[known]) / 1.1774 * swallowed)
+
+
+def _travel_m(keyframes: tuple[Keyframe, ...]) -> float:
+    positions = np.stack([k.nav.position_enu_m for k in keyframes])
+    return float(np.linalg.norm(np.ptp(positions, axis=0)))
+
+
+def _ground(request: Request, points: Array) -> tuple[Array, Terrain | None]:
+    """1 / sigma of the ground under each point (P,), and the terrain if it is known under all of them."""
+    if request.terrain is not None:
+        height, _ = request.terrain.height_and_slope(points[:, :2])
+        if np.all(np.isfinite(height)):
+            return np.full(len(points), 1.0 / request.config.terrain.sigma_m), request.terrain
+    return np.full(len(points), 1.0 / max(request.config.solve.relief_sigma_m, 1e-3)), None
+
+
+def _grid(request: Request, ids: Ids) -> tuple[Array, Array]:
+    """Measurements and weights on the (keyframe, point) grid."""
+    xy = np.zeros((len(request.keyframes), len(ids), 2))
+    weight = np.zeros((len(request.keyframes), len(ids)))
+    for k, keyframe in enumerate(request.keyframes):
+        seen = keyframe.sighting
+        at = np.minimum(np.searchsorted(ids, seen.ids), len(ids) - 1)
+        known = ids[at] == seen.ids
+        xy[k, at[known]] = seen.xy[known]
+        weight[k, at[known]] = 1.0 / (request.noise.pixel_sigma_px * seen.gain[known])
+    return xy, weight
+
+
+def _oriented(request: Request, xy: Array, seen: Mask) -> tuple[Keyframe, ...] | None:
+    """The keyframes, each with a starting orientation; None if the rays support none."""
+    keyframes, camera = request.keyframes, request.camera
+    if request.previous is not None or all(k.nav.R_enu_body is not None for k in keyframes):
+        return keyframes
+    centres = np.stack([k.nav.position_enu_m for k in keyframes])
+    sigma_px = request.noise.pixel_sigma_px * max(1.0, camera.width_px / 640.0)
+    rotations = starting.orient(xy, seen, centres, request.R_body_cam, START_SIGMAS * sigma_px / camera.focal_px)
+    if rotations is None:
+        return None
+    return tuple(
+        replace(k, R_cam_enu=R, centre_enu_m=k.nav.position_enu_m) for k, R in zip(keyframes, rotations, strict=True)
+    )
+
+
+def _points(request: Request, ids: Ids, R: Array, C: Array, xy: Array, seen: Mask) -> tuple[Array, Array, Array]:
+    """Starting points (P, 3), the plane's reference point, and the plane about it."""
+    rays = triangulate(R, C, xy, seen)
+    points = rays.points_enu_m.copy()
+    sound = rays.is_ahead & (rays.parallax_rad > MIN_PARALLAX_RAD)
+    previous = request.previous
+    if previous is not None:
+        rows, known = previous.rows(ids)
+        points[known] = previous.solution.state.points_enu_m[rows[known]]
+        sound |= known
+    if np.count_nonzero(sound) >= MIN_POINTS:
+        plane, _ = fit_plane(points[sound])
+    elif previous is not None:
+        plane = previous.plane
+    else:
+        newest = request.keyframes[-1].nav
+        height = newest.height_above_home_m or 100.0
+        plane = np.array([newest.position_enu_m[2] - height, 0.0, 0.0])
+    if np.any(np.abs(plane[1:]) > 0.6):  # steeper than any ground an orientation was right about
+        plane = np.array([float(np.median(points[sound, 2])), 0.0, 0.0])
+    loose = ~sound
+    if np.any(loose):
+        points[loose] = _on_plane(R, C, xy, seen, plane)[loose]
+    reference = np.array([*np.median(points[:, :2], axis=0), 0.0])
+    reference[2] = plane[0] + plane[1:] @ reference[:2]
+    return points, reference, np.array([0.0, plane[1], plane[2]])
+
+
+def _depth_sigma(s: Solution, good: Mask, layout: Layout) -> Array:
+    """One sigma (m) of each good point along the newest keyframe's axis, relative to that keyframe."""
+    axis = s.state.R_cam_enu[-1, 2]
+    gain = s.point_gain[good] * -1.0
+    M = np.einsum("i,pid->pd", axis, gain)
+    M[:, layout.centre(layout.keyframes - 1)] -= axis
+    own = np.einsum("i,pij,j->p", axis, s.point_covariance[good], axis)
+    out: Array = np.sqrt(np.maximum(np.sum((M @ s.covariance) * M, axis=1) + own, 0.0))
+    return out
+
+
+def _on_plane(R: Array, C: Array, xy: Array, seen: Mask, plane: Array) -> Array:
+    """Each point where its newest ray meets the plane (height at origin, slopes); far rays at ten clearances."""
+    newest = len(seen) - 1 - np.argmax(seen[::-1], axis=0)
+    P = np.arange(seen.shape[1])
+    rays = np.concatenate([xy[newest, P], np.ones((len(P), 1))], axis=1)
+    d = np.einsum("pi,pij->pj", rays, R[newest])
+    normal = np.array([-plane[1], -plane[2], 1.0])
+    clearance = np.maximum(C[newest] @ normal - plane[0], 1.0)
+    down = np.maximum(-(d @ normal), 0.1)
+    out: Array = C[newest] + d * (clearance / down)[:, None]
+    return out
