@@ -50,5 +50,7 @@ TOPICS: tuple[Topic, ...] = (FEATURES, STATUS)
 # Parameters of a query on FEATURES. None: the newest answerable set.
 FRAME_PARAMETER = "frame"
 TIME_PARAMETER = "time"
+# Parameter of a query on STATUS: whatever else the daemon knows of itself, for `pc-onboard doctor`.
+DETAIL_PARAMETER = "detail"
 # How far a picture's capture may lie from the `time` asked for.
 TIME_TOLERANCE_S = 0.5

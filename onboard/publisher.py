@@ -15,7 +15,7 @@ from contract.errors import LinkError
 from contract.feature_set import FeatureSet, Status
 from contract.history import History
 from contract.link_config import link_config
-from contract.topics import DEFAULT_ENDPOINT, FEATURES, FRAME_PARAMETER, TIME_PARAMETER
+from contract.topics import DEFAULT_ENDPOINT, DETAIL_PARAMETER, FEATURES, FRAME_PARAMETER, STATUS, TIME_PARAMETER
 
 
 class Publisher:
@@ -51,6 +51,15 @@ class Publisher:
         )
         # The variable keeps the queryable declared.
         self._queryable = self._session.declare_queryable(self._key, self._answer)
+        self._status_key = STATUS.key(vehicle)
+        self._status, self._status_detail = b"", b""
+        self._status_publisher = self._session.declare_publisher(
+            self._status_key,
+            congestion_control=zenoh.CongestionControl.DROP,
+            express=STATUS.express,
+            reliability=zenoh.Reliability.BEST_EFFORT,
+        )
+        self._status_queryable = self._session.declare_queryable(self._status_key, self._answer_status)
 
     def publish(self, feature_set: FeatureSet, payload: bytes | None = None) -> bytes:
         """Send a set and keep it for queries; returns its payload, encoded here unless given. Raises ValueError."""
@@ -62,6 +71,12 @@ class Publisher:
             self._history.add(feature_set, payload)
         self._publisher.put(payload)
         return payload
+
+    def publish_status(self, payload: bytes, detail: bytes) -> None:
+        """Send an encoded status; it answers queries until the next, `detail` those that ask for more."""
+        with self._lock:
+            self._status, self._status_detail = payload, detail
+        self._status_publisher.put(payload)
 
     def close(self) -> None:
         """Leave the link."""
@@ -81,6 +96,14 @@ class Publisher:
                 query.reply_err(json.dumps({"status": found.value, "vehicle": self._vehicle}))
             else:
                 query.reply(self._key, found)
+
+    def _answer_status(self, query: zenoh.Query) -> None:
+        with query, self._lock:
+            answer = self._status_detail if DETAIL_PARAMETER in query.parameters else self._status
+            if answer:
+                query.reply(self._status_key, answer)
+            else:
+                query.reply_err(json.dumps({"status": Status.STARTING.value, "vehicle": self._vehicle}))
 
     def _find(self, frame: str | None, time: str | None) -> bytes | Status:
         with self._lock:

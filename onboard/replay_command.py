@@ -16,13 +16,13 @@ import cv2
 from contract.camera import Camera
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
-from onboard.alignment import Alignment
 from onboard.config import Config, load_config
 from onboard.events import Event
 from onboard.pipeline import Pipeline
 from onboard.publisher import Publisher
 from onboard.recording import SessionRecorder
 from onboard.replay import Flight, Sink, replay, summary_text
+from onboard.state_file import StateFile
 from onboard.terrain_files import TerrainFiles
 
 
@@ -52,37 +52,6 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> str:
     if state is not None:
         state.keep(pipeline.window.alignment)
     return summary_text(summary)
-
-
-class StateFile:
-    """What was learned of boresight and time offset, kept between sessions. Raises InputError, one line."""
-
-    def __init__(self, path: Path) -> None:
-        if not path.parent.is_dir():
-            raise InputError(f"state file {path}: no such folder as {path.parent}")
-        if path.is_dir():
-            raise InputError(f"state file {path}: is a folder; name a file")
-        self._path = path
-
-    def restore(self, alignment: Alignment) -> None:
-        """Begin from the file; a missing one is a first flight."""
-        if not self._path.exists():
-            return
-        try:
-            alignment.restore(self._path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, InputError) as error:
-            raise InputError(f"state file {self._path}: {error}") from error
-
-    def keep(self, alignment: Alignment) -> None:
-        """Write what this flight taught, whole or not at all."""
-        if not alignment.lessons:
-            return
-        part = self._path.with_name(f".{self._path.name}.part")
-        try:
-            part.write_text(alignment.to_json(), encoding="utf-8")
-            part.replace(self._path)
-        except OSError as error:
-            raise InputError(f"state file {self._path}: {error.strerror}") from error
 
 
 class Published:

@@ -17,8 +17,14 @@ ROOMS = {"contract", "ground", "onboard", "simulation", "demo", "benchmarks"}
 MAX_LINES = 450
 
 # Rooms of the aircraft that meet the world: files, links, clocks. Only the plumbing may know them.
-IO_ROOMS = {"onboard.camera", "onboard.telemetry", "onboard.publisher", "onboard.recording", "onboard.terrain_files"}
-PLUMBING = {"onboard.__main__", "onboard.daemon", "onboard.replay", "onboard.replay_command"}
+IO_ROOMS = {
+    "onboard.camera", "onboard.telemetry", "onboard.publisher", "onboard.recording", "onboard.terrain_files",
+    "onboard.state_file", "onboard.notify", "onboard.intake", "onboard.prometheus", "onboard.service_log",
+}  # fmt: skip
+PLUMBING = {
+    "onboard.__main__", "onboard.daemon", "onboard.session", "onboard.replay", "onboard.replay_command",
+    "onboard.run_command", "onboard.status_command", "onboard.doctor", "onboard.doctor_command", "onboard.recorded",
+}  # fmt: skip
 # What the outside world is reached through. None of it belongs in a room of mathematics.
 IO_PACKAGES = {
     "argparse", "asyncio", "http", "mavsdk", "mcap", "pymavlink", "queue", "select", "serial", "signal", "socket",

@@ -9,7 +9,7 @@ import pytest
 
 from contract.errors import InputError
 from onboard.alignment import Alignment
-from onboard.replay_command import StateFile
+from onboard.state_file import StateFile
 
 
 def taught() -> Alignment:

@@ -1,0 +1,113 @@
+"""How the aircraft's side is, once a second: a small JSON object. docs/wire-format.md, section 10.
+
+Written for people and dashboards, so text; a reader passes over keys it does not know, and keys may be added.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
+
+from contract.errors import CorruptPayload, NewerPayload
+
+VERSION = 1
+MAX_BYTES = 300
+MAX_WORD = 24
+MAX_REASON = 50
+
+
+@dataclass(frozen=True)
+class VehicleStatus:
+    """One moment of one vehicle. Rates are over the last seconds, counts since the session began."""
+
+    unix_s: float  # on the session's clock
+    session: int  # as in its feature sets; 0 before the first
+    state: str  # a word of docs/faults.md, "ok" when answers flow
+    reason: str = ""
+    up_s: float = 0.0
+    camera_hz: float = 0.0
+    ok_hz: float = 0.0  # pictures that can be clicked
+    frame: int = -1  # newest picture that has a set; -1 before the first
+    delay_s: float = 0.0  # from its capture to its set
+    tracks: int = 0
+    dropped: int = 0  # pictures, for want of time
+    lost: int = 0  # pictures, by the camera
+    recording: bool = False
+    cpu_c: float | None = None  # its temperature
+
+
+def encode_status(status: VehicleStatus) -> bytes:
+    """At most MAX_BYTES of ASCII. Raises ValueError for a number that is not finite."""
+    content: dict[str, Any] = {"v": VERSION, **asdict(status)}
+    for key, digits in (("unix_s", 3), ("up_s", 0), ("camera_hz", 1), ("ok_hz", 1), ("delay_s", 3)):
+        content[key] = _number(content[key], digits)
+    content["state"], content["reason"] = status.state[:MAX_WORD], _plain(status.reason)[:MAX_REASON]
+    if status.cpu_c is None:
+        del content["cpu_c"]
+    else:
+        content["cpu_c"] = _number(status.cpu_c, 0)
+    payload = json.dumps(content, separators=(",", ":"), allow_nan=False).encode("ascii")
+    if len(payload) > MAX_BYTES and content["reason"]:  # only after months of counting
+        shorter = content["reason"][: max(len(content["reason"]) - (len(payload) - MAX_BYTES), 0)]
+        return encode_status(replace(status, reason=shorter))
+    return payload
+
+
+def _number(value: float, digits: int) -> float | int:
+    rounded = round(value, digits)
+    return int(rounded) if rounded == int(rounded) else rounded
+
+
+def _plain(text: str) -> str:
+    """What JSON writes as it is, one byte a character: the bound on the size counts on it."""
+    return "".join(c if " " <= c <= "~" and c not in '"\\' else "'" if c == '"' else "?" for c in text)
+
+
+def decode_status(payload: bytes) -> VehicleStatus:
+    """Raises NewerPayload for a later major version and CorruptPayload for whatever else is not a status."""
+    if len(payload) > 4 * MAX_BYTES:
+        raise CorruptPayload(f"a status of {len(payload)} bytes; at most {4 * MAX_BYTES} are read")
+    try:
+        content = json.loads(payload.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise CorruptPayload(f"a status must be JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise CorruptPayload("a status must be a JSON object")
+    version = content.get("v")
+    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+        raise CorruptPayload(f"status version {version!r} must be a whole number from 1")
+    if version > VERSION:
+        raise NewerPayload(f"status version {version}; this program reads up to {VERSION}")
+    known = {field.name: str(field.type) for field in fields(VehicleStatus)}
+    for name in ("unix_s", "session", "state"):
+        if name not in content:
+            raise CorruptPayload(f"status without {name!r}")
+    values = {name: content[name] for name in known if name in content}
+    for name, value in values.items():
+        if not _fits(value, known[name]):
+            raise CorruptPayload(f"status with {name} = {str(value)[:40]!r}, which is not {known[name]}")
+    if len(values["state"]) > MAX_WORD or len(values.get("reason", "")) > MAX_REASON:
+        raise CorruptPayload("status with a state or reason too long")
+    if not all(text.isprintable() for text in (values["state"], values.get("reason", ""))):
+        raise CorruptPayload("status with a state or reason that cannot be printed")
+    return VehicleStatus(**values)
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _fits(value: object, kind: str) -> bool:
+    if kind == "str":
+        return isinstance(value, str)
+    if kind == "bool":
+        return isinstance(value, bool)
+    if kind == "int":
+        return _is_whole(value) and abs(int(value)) < 2**63  # type: ignore[call-overload]
+    if value is None:
+        return "None" in kind
+    return (_is_whole(value) and abs(int(value)) < 2**63) or (  # type: ignore[call-overload]
+        isinstance(value, float) and math.isfinite(value)
+    )

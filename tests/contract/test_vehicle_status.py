@@ -1,0 +1,117 @@
+"""The status payload: small, plain, and nothing of it is believed unread."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields, replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from contract.errors import CorruptPayload, NewerPayload, WireError
+from contract.vehicle_status import MAX_BYTES, MAX_REASON, VehicleStatus, decode_status, encode_status
+
+FLYING = VehicleStatus(
+    1_700_000_000.125, 1_700_000_000, "ok", "", 912.0, 29.9, 28.5, 27_312, 0.085, 97, 12, 3, True, 61.0
+)
+COUNTS = st.integers(0, 10**7)
+STATUSES = st.builds(
+    VehicleStatus,
+    unix_s=st.floats(0, 4e9),
+    session=st.integers(0, 2**32 - 1),
+    state=st.sampled_from(["ok", "unsynchronised", "camera frozen"]),
+    reason=st.text(max_size=200),
+    up_s=st.floats(0, 1e7),
+    camera_hz=st.floats(0, 240),
+    ok_hz=st.floats(0, 240),
+    frame=st.integers(-1, 2**32 - 1),
+    delay_s=st.floats(0, 100),
+    tracks=st.integers(0, 255),
+    dropped=COUNTS,
+    lost=COUNTS,
+    recording=st.booleans(),
+    cpu_c=st.none() | st.floats(-60, 150),
+)
+
+
+def changed(**values: object) -> bytes:
+    content = json.loads(encode_status(FLYING)) | values
+    return json.dumps({key: value for key, value in content.items() if value is not ...}).encode()
+
+
+def test_a_status_comes_back_as_it_was() -> None:
+    assert decode_status(encode_status(FLYING)) == FLYING
+
+
+def test_a_usual_status_is_well_under_its_bound() -> None:
+    assert 100 < len(encode_status(FLYING)) < 230
+
+
+@given(STATUSES)
+def test_any_status_fits_and_is_rounded_only_once(status: VehicleStatus) -> None:
+    payload = encode_status(status)
+    assert len(payload) <= MAX_BYTES
+    back = decode_status(payload)
+    assert back.frame == status.frame and back.dropped == status.dropped
+    assert abs(back.delay_s - status.delay_s) <= 0.0005001
+    assert encode_status(back) == payload
+
+
+def test_a_reason_is_cut_and_made_plain() -> None:
+    back = decode_status(encode_status(replace(FLYING, reason='say "no"\n' + "y" * 100)))
+    assert back.reason == "say 'no'?" + "y" * (MAX_REASON - 9)
+
+
+def test_a_number_that_is_not_finite_cannot_be_sent() -> None:
+    with pytest.raises((ValueError, OverflowError)):
+        encode_status(replace(FLYING, delay_s=float("nan")))
+
+
+def test_unknown_keys_are_passed_over_and_known_ones_may_be_absent() -> None:
+    assert decode_status(changed(mood="fine")) == FLYING
+    assert decode_status(b'{"v":1,"unix_s":5,"session":0,"state":"starting"}') == VehicleStatus(5, 0, "starting")
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(VehicleStatus)])
+@pytest.mark.parametrize("value", [[], {}, float("inf"), 2**80])
+def test_a_wrong_type_is_refused_by_name(name: str, value: object) -> None:
+    with pytest.raises(CorruptPayload, match=name):
+        decode_status(changed(**{name: value}))
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"v": 0}, {"v": True}, {"v": "1"}, {"v": ...}, {"state": ...}, {"unix_s": ...}, {"tracks": 1.5},
+        {"recording": 1}, {"frame": True}, {"state": "x" * 25}, {"reason": "x" * 51}, {"state": "\x1b[2J"},
+    ],
+)  # fmt: skip
+def test_what_is_no_status_is_refused(values: dict[str, object]) -> None:
+    with pytest.raises(CorruptPayload):
+        decode_status(changed(**values))
+
+
+def test_a_newer_version_is_called_that() -> None:
+    with pytest.raises(NewerPayload, match="version 2"):
+        decode_status(changed(v=2))
+
+
+@given(st.binary(max_size=400) | st.text(max_size=300).map(str.encode))
+def test_any_bytes_are_a_status_or_a_wire_error(payload: bytes) -> None:
+    try:
+        assert isinstance(decode_status(payload), VehicleStatus)
+    except WireError as error:
+        assert str(error)
+
+
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.floats() | st.text(), lambda c: st.lists(c) | st.dictionaries(st.text(), c)
+    )
+)
+def test_any_json_is_a_status_or_a_wire_error(content: object) -> None:
+    try:
+        decode_status(json.dumps(content).encode())
+    except WireError as error:
+        assert str(error)
