@@ -16,6 +16,10 @@ from tests.link.ports import free_endpoint
 NOW = VehicleStatus(1_700_000_000.5, 7, "ok")
 
 
+def zenoh_client(endpoint: str) -> zenoh.Session:
+    return zenoh.open(zenoh.Config.from_json5(link_config("client", connect=[endpoint])))
+
+
 def query(session: zenoh.Session, selector: str) -> list[bytes]:
     replies = session.get(selector, timeout=2.0)
     return [(reply.ok or reply.err).payload.to_bytes() for reply in replies]  # type: ignore[union-attr]
@@ -24,15 +28,14 @@ def query(session: zenoh.Session, selector: str) -> list[bytes]:
 def test_a_status_is_heard_and_can_be_asked_for() -> None:
     endpoint = free_endpoint()
     heard: list[bytes] = []
-    with Publisher("kiwi", (endpoint,)) as publisher:
-        with zenoh.open(zenoh.Config.from_json5(link_config("client", connect=[endpoint]))) as ground:
-            ground.declare_subscriber(STATUS.key("kiwi"), lambda sample: heard.append(sample.payload.to_bytes()))
-            (refused,) = query(ground, STATUS.key("kiwi"))
-            assert json.loads(refused) == {"status": "starting", "vehicle": "kiwi"}
-            deadline = time.monotonic() + 5.0
-            while not heard and time.monotonic() < deadline:
-                publisher.publish_status(encode_status(NOW), b'{"more": 1}')
-                time.sleep(0.05)
-            assert decode_status(heard[0]) == NOW
-            assert decode_status(query(ground, STATUS.key("kiwi"))[0]) == NOW
-            assert query(ground, STATUS.key("kiwi") + "?detail=1") == [b'{"more": 1}']
+    with Publisher("kiwi", (endpoint,)) as publisher, zenoh_client(endpoint) as ground:
+        ground.declare_subscriber(STATUS.key("kiwi"), lambda sample: heard.append(sample.payload.to_bytes()))
+        (refused,) = query(ground, STATUS.key("kiwi"))
+        assert json.loads(refused) == {"status": "starting", "vehicle": "kiwi"}
+        deadline = time.monotonic() + 5.0
+        while not heard and time.monotonic() < deadline:
+            publisher.publish_status(encode_status(NOW), b'{"more": 1}')
+            time.sleep(0.05)
+        assert decode_status(heard[0]) == NOW
+        assert decode_status(query(ground, STATUS.key("kiwi"))[0]) == NOW
+        assert query(ground, STATUS.key("kiwi") + "?detail=1") == [b'{"more": 1}']
