@@ -1,4 +1,4 @@
-# Two commands: `make demo` and `make test`. Each sets up what it needs; a second run is quick.
+# Two commands: `make demo` and `make test`; with root also `make test-bench`. Each sets up what it needs; a second run is quick.
 
 PYTHON ?= python3
 VENV := .venv
@@ -8,11 +8,12 @@ INSTALLED := $(VENV)/.installed
 PYTEST_ARGS ?= -n 2
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test lint types pytest bench clean
+.PHONY: help venv demo test test-bench lint types pytest bench clean
 
 help:
 	@echo "make demo    a short simulated flight, from pictures to clicked coordinates; pictures in out/demo"
 	@echo "make test    lint, types and all tests"
+	@echo "make test-bench  the tests with a real V4L2 camera and a real systemd (docs/test-bench.md; root; 6 minutes to build once)"
 	@echo "make lint    ruff: rules and format"
 	@echo "make types   mypy --strict"
 	@echo "make pytest  the tests alone (PYTEST_ARGS='-k click' to choose)"
@@ -49,6 +50,12 @@ demo: $(INSTALLED)
 	@$(BIN)/python -m demo
 
 test: lint types pytest
+	@echo "LEFT OUT: tests/bench, with a real V4L2 camera and a real systemd. To run it: make test-bench"
+
+# Kernel and images are built once and kept in $POINTCLICK_BENCH_CACHE (~/.cache/pointclick-bench).
+test-bench: $(INSTALLED)
+	@$(BIN)/python -m tests.bench build
+	@POINTCLICK_BENCH=1 $(BIN)/python -m pytest tests/bench --durations=0 --durations-min=1 $(BENCH_ARGS)
 
 lint: $(INSTALLED)
 	@$(BIN)/ruff check .

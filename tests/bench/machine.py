@@ -1,0 +1,265 @@
+"""One guest: boots User Mode Linux, runs jobs in it over a serial line, and always ends it."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import itertools
+import json
+import os
+import queue
+import shutil
+import signal
+import socket
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tests.bench.image.host import BenchError, require
+from tests.bench.image.kernel import kernel
+from tests.bench.image.root import CHECKOUT, INSTALL, packages, root
+
+MEMORY = "1536M"
+BOOT_S = 60.0
+"""Bound on the boot; it takes 3 to 7 s on an idle machine."""
+LIFE_S = 900.0
+"""Bound on a guest's whole life: then it is killed, whoever still waits for it."""
+
+PYTHON = f"{INSTALL}/bin/python"
+SHARE = "/mnt/share"
+GUEST_CHECKOUT = "/mnt/checkout"
+INSIDE = {"PYTHONPATH": GUEST_CHECKOUT, "POINTCLICK_IN_GUEST": "1", "PYTEST_ADDOPTS": "-p no:cacheprovider"}
+"""The environment of a checkout's own Python in the guest."""
+
+
+@dataclass(frozen=True)
+class Images:
+    """What a guest boots from."""
+
+    kernel: Path
+    root: Path
+    packages: Path
+
+
+def images() -> Images:
+    """All images, built where the cache has none (about six minutes from nothing on two cores)."""
+    require()
+    built = kernel()
+    return Images(built / "linux", root(built), packages())
+
+
+@dataclass(frozen=True)
+class Done:
+    """A finished job: its exit code (negative: the signal) and everything it said."""
+
+    code: int
+    text: str
+
+    def ok(self) -> str:
+        """What it said, if it succeeded; BenchError otherwise."""
+        if self.code != 0:
+            raise BenchError(f"exit {self.code}:\n{self.text}")
+        return self.text
+
+
+class Job:
+    """A command that runs in the guest."""
+
+    def __init__(self, argv: Sequence[str], on_text: Callable[[str], None] | None) -> None:
+        self.argv = list(argv)
+        self.text = ""
+        self._on_text = on_text
+        self._ended: queue.Queue[int | None] = queue.Queue()
+
+    def heard(self, answer: Mapping[str, Any]) -> None:
+        """Take one line of the agent's."""
+        if "text" in answer:
+            self.text += answer["text"]
+            if self._on_text is not None:
+                self._on_text(answer["text"])
+        if "exit" in answer:
+            self._ended.put(answer["exit"])
+
+    def wait(self, timeout_s: float) -> Done:
+        """Its end. BenchError when it does not come, or when the guest had to kill it for its time."""
+        try:
+            code = self._ended.get(timeout=timeout_s)
+        except queue.Empty:
+            raise BenchError(f"no answer from the guest within {timeout_s:.0f} s: {self.argv}\n{self.text}") from None
+        if code is None:
+            raise BenchError(f"killed for its time: {self.argv}\n{self.text}")
+        return Done(code, self.text)
+
+
+class Machine:
+    """A booted guest. Use `boot`, which ends it."""
+
+    def __init__(self, process: subprocess.Popen[bytes], line: socket.socket, folder: Path) -> None:
+        self.share = folder / "share"
+        self.console = folder / "console.log"
+        self._process = process
+        self._line = line
+        self._jobs: dict[int, Job] = {}
+        self._numbers = itertools.count()
+        self._ready = threading.Event()
+        self._clock: queue.Queue[int] = queue.Queue()
+        self._sending = threading.Lock()
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def wait_ready(self) -> None:
+        """Return when the guest's agent has spoken. BenchError with the console's end otherwise."""
+        for _ in range(int(BOOT_S / 0.1)):
+            if self._ready.wait(0.1):
+                return
+            if self._process.poll() is not None:
+                break
+        raise BenchError(f"the guest did not boot:\n{self.console_tail()}")
+
+    def start(
+        self,
+        argv: Sequence[str],
+        *,
+        timeout_s: float = 60.0,
+        cwd: str = "/",
+        env: Mapping[str, str] | None = None,
+        on_text: Callable[[str], None] | None = None,
+    ) -> Job:
+        """Start a command; the guest kills it after `timeout_s`."""
+        number = next(self._numbers)
+        job = self._jobs[number] = Job(argv, on_text)
+        request = {"job": number, "argv": job.argv, "cwd": cwd, "env": dict(env or {}), "timeout_s": timeout_s}
+        self._send(request)
+        return job
+
+    def run(self, *argv: str, timeout_s: float = 30.0, **how: Any) -> Done:
+        """Run a command to its end."""
+        return self.start(argv, timeout_s=timeout_s, **how).wait(timeout_s + 10.0)
+
+    def shell(self, script: str, timeout_s: float = 30.0) -> str:
+        """What a shell script says; BenchError if it fails."""
+        return self.run("/bin/sh", "-euc", script, timeout_s=timeout_s).ok()
+
+    def clock_offset_ns(self) -> int:
+        """Guest's CLOCK_MONOTONIC minus the host's, from the quickest of several round trips."""
+        best = (10**12, 0)
+        for _ in range(15):
+            sent_ns = time.monotonic_ns()
+            self._send({"job": -1, "clock": True})
+            guest_ns = self._clock.get(timeout=10.0)
+            trip_ns = time.monotonic_ns() - sent_ns
+            best = min(best, (trip_ns, guest_ns - sent_ns - trip_ns // 2))
+        return best[1]
+
+    def put(self, path: str, content: str | bytes) -> None:
+        """Write a file in the guest (small ones: through the serial line)."""
+        raw = content.encode() if isinstance(content, str) else content
+        coded = base64.b64encode(raw).decode()
+        self.shell(f"mkdir -p $(dirname {path}) && echo {coded} | base64 -d >{path}")
+
+    def journal(self, lines: int = 200) -> str:
+        """The end of the guest's journal, or why there is none."""
+        try:
+            return self.run("journalctl", "--boot", "--no-pager", "--output=short-monotonic", f"-n{lines}").text
+        except BenchError as error:
+            return f"no journal: {error}\n{self.console_tail()}"
+
+    def console_tail(self) -> str:
+        """The last lines of the guest's console."""
+        return "\n".join(self.console.read_text(errors="replace").splitlines()[-40:])
+
+    def _send(self, request: Mapping[str, Any]) -> None:
+        with self._sending:
+            self._line.sendall(json.dumps(request).encode() + b"\n")
+
+    def _listen(self) -> None:
+        pending = b""
+        while chunk := self._received():
+            pending += chunk
+            *whole, pending = pending.split(b"\n")
+            for raw in whole:
+                self._heard(json.loads(raw))
+
+    def _received(self) -> bytes:
+        try:
+            return self._line.recv(65536)
+        except OSError:  # closed: the guest has ended
+            return b""
+
+    def _heard(self, answer: Mapping[str, Any]) -> None:
+        if "ready" in answer:
+            self._ready.set()
+        elif "monotonic_ns" in answer:
+            self._clock.put(answer["monotonic_ns"])
+        else:
+            self._jobs[answer["job"]].heard(answer)
+
+
+@contextlib.contextmanager
+def boot(
+    *,
+    checkout: Path = CHECKOUT,
+    serial: Path | None = None,
+    interface: str | None = None,
+    kernel_words: Sequence[str] = (),
+) -> Iterator[Machine]:
+    """A booted guest for as long as the block lasts.
+
+    `checkout` is at /mnt/checkout in the guest (read-only), an empty folder of the host's at /mnt/share. `serial` is a
+    pty that becomes /dev/ttyS0, `interface` the end of a veth pair that becomes vec0.
+    """
+    built = images()
+    folder = Path(tempfile.mkdtemp(prefix="pointclick-bench-", dir="/dev/shm"))
+    (folder / "share").mkdir()
+    ours, theirs = socket.socketpair()
+    words = [
+        *("setpriv", "--pdeathsig", "KILL", str(built.kernel)),
+        *("umid=uav", f"uml_dir={folder}/", f"mem={MEMORY}", "seccomp=auto", "quiet"),
+        *(f"ubd0={folder}/disk,{built.root}", f"ubd1r={built.packages}", "root=/dev/ubda", "rw"),
+        *("con=null", "con0=null,fd:1", "con1=null", "ssl=null", f"ssl1=fd:{theirs.fileno()}"),
+        *("systemd.show_status=0", "net.ifnames=0", f"bench.checkout={checkout}", f"bench.share={folder}/share"),
+        *([f"ssl0=tty:{serial}"] if serial else []),
+        *([f"vec0:transport=raw,ifname={interface},mac=02:00:00:99:00:02"] if interface else []),
+        *kernel_words,
+    ]
+    with (folder / "console.log").open("wb") as console:
+        process = subprocess.Popen(
+            words,
+            stdin=subprocess.DEVNULL,
+            stdout=console,
+            stderr=console,
+            pass_fds=[theirs.fileno()],
+            env={**os.environ, "TMPDIR": str(folder)},
+            start_new_session=True,
+        )
+    theirs.close()
+    bound = threading.Timer(LIFE_S, _end, args=(process,))
+    bound.daemon = True
+    bound.start()
+    try:
+        machine = Machine(process, ours, folder)
+        machine.wait_ready()
+        yield machine
+    finally:
+        bound.cancel()
+        _end(process)
+        ours.close()
+        shutil.rmtree(folder)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """Kill the guest: its kernel, and the host processes in which its programs ran (its session, nobody else's)."""
+    session = process.pid
+    process.kill()
+    process.wait()
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        with contextlib.suppress(OSError):
+            # After the last ")": state, parent, group, session.
+            if int((entry / "stat").read_text().rsplit(")", 1)[1].split()[3]) == session:
+                os.kill(int(entry.name), signal.SIGKILL)
