@@ -35,7 +35,7 @@ class Faults:
 
 @dataclass(frozen=True)
 class _Boot:
-    """One run of the boot clock: at `monotonic_ns` it read `boot_ns`; `shift_ns` is that less the recording's reading."""
+    """One run of the boot clock: at `monotonic_ns` it read `boot_ns`; `shift_ns` is that less the recording's."""
 
     monotonic_ns: int
     boot_ns: int
