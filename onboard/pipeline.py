@@ -3,15 +3,15 @@
 A picture waits until telemetry on both sides of its exposure has arrived, is tracked against the last keyframe,
 becomes a keyframe itself when enough has moved, and gets a feature set: at once if the window has structure for it,
 otherwise with the first solve that has; and once more, as a later revision, when the window has seen past it.
+
+A window solve never holds up tracking: a worker does it, and its outcome is adopted at a moment that the data define,
+so that the same events give the same sets however fast the worker is.
 """
 
 from __future__ import annotations
 
-import time
-from collections import Counter, deque
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections import deque
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.feature_set import DepthSource, FeatureSet, Status
 from contract.geodesy import LocalFrame
-from onboard.alignment import Belief
 from onboard.config import Config
 from onboard.events import Event, Frame
 from onboard.georeference import Origin, georeference
@@ -28,9 +27,11 @@ from onboard.keyframe import Sighting, sighting
 from onboard.navigation import Navigation, NavState
 from onboard.prediction import Pose, move, predict_homography
 from onboard.surface import Cast, level_cast, over_surface
+from onboard.tally import Summary, Tally
 from onboard.terrain import Terrain
 from onboard.tracking import MIN_TRACKS, Tracker, Tracks
 from onboard.window import Window
+from onboard.worker import Inline, Promise, Worker, timed_adjust
 
 Array = NDArray[np.float64]
 
@@ -47,8 +48,8 @@ MIN_TRAVEL_HEIGHT_M = 20.0
 PATIENCE_NS = 3_000_000_000  # before standing still is called that
 TERRAIN_RADIUS_M = 3000.0
 TERRAIN_SPACING_M = 20.0
-REMEMBERED_PICTURES = 5000  # whose status may still change: many times what a window spans
-SETTLED_A_PICTURE = 2  # a keyframe releases as many pictures as lie between two: at once they would hold up tracking
+PLACED_AN_EVENT = 2  # a solve releases as many pictures as lie between two keyframes: all at once would hold up
+ADOPTION_NS = 250_000_000  # of data after a keyframe is taken up, until which its solve need not be done
 MAX_OUTAGE_NS = 3_000_000_000  # without navigation, after which old keyframes are of no use
 
 
@@ -59,20 +60,6 @@ class TerrainSource(Protocol):
         self, frame: LocalFrame, centre_enu_m: Array, radius_m: float, spacing_m: float, undulation_m: float
     ) -> Terrain | None:
         """Terrain within a square about a place of a local frame; None where there is none."""
-
-
-@dataclass
-class Summary:
-    """What became of the pictures. `refused` counts reasons; `stage_seconds` is processor work by room."""
-
-    frames: int = 0
-    keyframes: int = 0
-    solved: int = 0
-    refused: dict[str, int] = field(default_factory=dict)
-    median_tracks: float = 0.0
-    reprojection_px: float = 0.0
-    alignment: Belief | None = None  # boresight and time offset as learned; None before the first lesson
-    stage_seconds: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(eq=False)
@@ -88,11 +75,29 @@ class _Record:
     is_settled: bool = False
 
 
+@dataclass(frozen=True, eq=False)
+class _Pending:
+    """A window solve under way for a new keyframe; `reason`: why the pictures before it were given up, if they were."""
+
+    promise: Promise
+    record: _Record
+    reason: Status | None
+    due_ns: int
+
+
 class Pipeline:
     """The whole of the aircraft's work on one flight."""
 
-    def __init__(self, config: Config, camera: Camera, terrain: TerrainSource | None = None) -> None:
+    def __init__(
+        self,
+        config: Config,
+        camera: Camera,
+        terrain: TerrainSource | None = None,
+        worker: Worker | None = None,
+    ) -> None:
+        """`worker` solves the windows; by default this thread does, at once."""
         self.terrain = terrain
+        self.worker: Worker = Inline() if worker is None else worker
         self.config = config
         self.camera = camera
         self.navigation = Navigation(config)
@@ -102,34 +107,32 @@ class Pipeline:
         self._waiting: deque[Frame] = deque()
         self._records: list[_Record] = []
         self._settling: deque[_Record] = deque()
+        self._unplaced: deque[_Record] = deque()
+        self._pending: _Pending | None = None
+        self._now_ns = 0  # stamp of the newest event
         self._session: int | None = None
         self._misses = 0
         self._failures = 0
         self._last_nav_ns: int | None = None
-        self._status: dict[int, Status] = {}  # of the newest pictures, by index; all are counted in `_outcomes`
-        self._outcomes: Counter[Status] = Counter()
-        self._track_counts: Counter[int] = Counter()
-        self._reprojections: list[float] = []
-        self._keyframes = 0
-        self._stages: dict[str, float] = {}
+        self._tally = Tally()
 
     def handle(self, event: Event) -> list[FeatureSet]:
         """Take one event; returns the feature sets that follow from it, maybe of earlier pictures, maybe none."""
+        self._now_ns = event.stamp_ns
         if isinstance(event, Frame):
             self._waiting.append(event)
-            newest_ns = event.stamp_ns
         else:
-            with self._timed("navigation"):
+            with self._tally.timed("navigation"):
                 self.navigation.add(event)
-            newest_ns = event.stamp_ns
         out: list[FeatureSet] = []
+        if self._pending is not None and self._now_ns >= self._pending.due_ns:
+            out.extend(self._adopt())
         while self._waiting:
             frame = self._waiting[0]
-            if not self.navigation.covers(frame.stamp_ns) and newest_ns - frame.stamp_ns < MAX_WAIT_NS:
+            if not self.navigation.covers(frame.stamp_ns) and self._now_ns - frame.stamp_ns < MAX_WAIT_NS:
                 break
             out.extend(self._process(self._waiting.popleft()))
-            due = [self._settling.popleft() for _ in range(min(SETTLED_A_PICTURE, len(self._settling)))]
-            out.extend(self._settle(due))
+        out.extend(self._catch_up())
         return out
 
     def finish(self) -> list[FeatureSet]:
@@ -137,39 +140,23 @@ class Pipeline:
         out: list[FeatureSet] = []
         while self._waiting:
             out.extend(self._process(self._waiting.popleft()))
-        out.extend(self._settle(self._records))
-        self._records.clear()
-        self._settling.clear()
+        out.extend(self._adopt())
+        out.extend(self._settle_all())
         self.window.conclude()
         return out
 
     @property
     def summary(self) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
-        refused = Counter({s.value: n for s, n in self._outcomes.items() if s is not Status.OK and n})
-        return Summary(
-            frames=self._outcomes.total(),
-            keyframes=self._keyframes,
-            solved=self._outcomes[Status.OK],
-            refused=dict(refused.most_common()),
-            median_tracks=_median(self._track_counts),
-            reprojection_px=float(np.median(self._reprojections)) if self._reprojections else 0.0,
-            alignment=self.window.alignment.belief if self.window.alignment.lessons else None,
-            stage_seconds=dict(self._stages),
-        )
-
-    @contextmanager
-    def _timed(self, stage: str) -> Iterator[None]:
-        began = time.perf_counter()
-        yield
-        self._stages[stage] = self._stages.get(stage, 0.0) + time.perf_counter() - began
+        alignment = self.window.alignment
+        return self._tally.summary(alignment.belief if alignment.lessons else None)
 
     def _process(self, frame: Frame) -> list[FeatureSet]:
         if self._session is None:
             self._session = (frame.stamp_ns // 1_000_000_000) & 0xFFFFFFFF
         if frame.image is None:
             return [self._refuse(frame, Status.BAD_PICTURE)]
-        with self._timed("navigation"):
+        with self._tally.timed("navigation"):
             nav = self.navigation.state_at(frame.stamp_ns, self.window.alignment.belief.mean[3])
         if isinstance(nav, Status):
             return [self._refuse(frame, nav)]
@@ -178,13 +165,13 @@ class Pipeline:
             out.extend(self._restart())
         self._last_nav_ns = frame.stamp_ns
         self._know_terrain(nav)
-        with self._timed("tracking"):
+        with self._tally.timed("tracking"):
             tracks = self._track(frame, nav)
         self.tracks = tracks
         if tracks is None:
             # The first picture of a stretch: nothing to track against yet.
             return [*out, *self._make_keyframe(frame, nav, self.tracker.nothing())]
-        self._track_counts[len(tracks)] += 1
+        self._tally.track_counts[len(tracks)] += 1
         if len(tracks) < MIN_TRACKS:
             self._misses += 1
             reason = Status.TURNING if self._is_turning(frame) else Status.FEATURELESS
@@ -205,7 +192,7 @@ class Pipeline:
         if self.terrain is None or frame is None:
             return
         if held is None or not held.covers(nav.position_enu_m[:2], TERRAIN_RADIUS_M / 3.0):
-            with self._timed("terrain"):
+            with self._tally.timed("terrain"):
                 self.window.terrain = self.terrain.around(
                     frame, nav.position_enu_m, TERRAIN_RADIUS_M, TERRAIN_SPACING_M, nav.undulation_m
                 )
@@ -263,7 +250,8 @@ class Pipeline:
     def _make_keyframe(
         self, frame: Frame, nav: NavState, tracks: Tracks, reason: Status | None = None
     ) -> list[FeatureSet]:
-        with self._timed("tracking"):
+        out = self._adopt()
+        with self._tally.timed("tracking"):
             ids, uv = self.tracker.promote(tracks)
         seen = sighting(self.camera, ids, uv)
         offset_s = self.window.alignment.belief.mean[3]
@@ -274,47 +262,76 @@ class Pipeline:
             flown = self.navigation.displacement(since_ns + offset_ns, frame.stamp_ns + offset_ns)
         rate = self.navigation.body_rate_at(frame.stamp_ns + offset_ns)
         self.window.add(frame.index, seen, nav, offset_s, rate, flown)
-        self._keyframes += 1
+        self._tally.keyframes += 1
         record = _Record(frame, seen, nav, True)
         self._records.append(record)
-        had = self.window.solved is not None
-        with self._timed("solve"):
-            status = self.window.solve()
+        promise = self.worker.submit(timed_adjust, self.window.prepare())
+        self._pending = _Pending(promise, record, reason, self._now_ns + ADOPTION_NS)
+        if reason is None:
+            out.extend(self._place([record], only_ok=True))
+        return out
+
+    def _adopt(self) -> list[FeatureSet]:
+        """Take the outcome of the solve under way, if there is one: wait for it, should it not be done."""
+        pending, self._pending = self._pending, None
+        if pending is None:
+            return []
+        done, record = pending.promise.result(), pending.record
+        self._tally.spend("solve", done.processor_s)
+        status = self.window.adopt(done.outcome)
         self._failures = self._failures + 1 if status is Status.POOR_FIT else 0
-        if status is not Status.OK or self.window.solved is None:
+        solved = self.window.solved
+        if status is not Status.OK or solved is None:
+            out: list[FeatureSet] = []
             if self._failures >= MAX_FAILURES:
                 # What the window holds does not fit together: begin again with this keyframe alone.
-                self._records.remove(record)
-                out = self._settle(self._records)
-                self._settling.clear()
-                self.window.reset()
-                self.window.add(frame.index, seen, nav, offset_s, rate, None)
+                later = [r for r in self._records if r.frame.index > record.frame.index]
+                self._records = [r for r in self._records if r.frame.index < record.frame.index]
+                out = self._settle_all()
+                self.window.begin_again()
                 self._failures = 0
-                self._records = [record]
-                return [*out, self._refuse_record(record, status)]
-            if reason is not None or not had:
-                return [self._refuse_record(record, reason or status)]
-            return self._place([record])
-        self._reprojections.append(self.window.solved.reprojection_px)
-        out = self._place([r for r in self._records if r.status is not Status.OK])
-        middle = len(self.window.keyframes) - 1 - self.config.solve.keyframes // 2
+                self._records = [record, *later]
+            if record.status is Status.OK:
+                return out
+            return [*out, self._refuse_record(record, pending.reason or status)]
+        self._tally.reprojections_px.append(solved.reprojection_px)
+        out = self._place([record])
+        self._unplaced = deque(r for r in self._records if r.status is not Status.OK)
+        middle = len(solved.frames) - 1 - self.config.solve.keyframes // 2
         if middle >= 0:
-            limit = self.window.keyframes[middle].frame
+            limit = solved.frames[middle]
             queued = set(map(id, self._settling))
             passed = [r for r in self._records if r.frame.index <= limit and not r.is_settled]
             self._settling.extend(r for r in passed if id(r) not in queued)
-        oldest = self.window.keyframes[0].frame
-        self._records = [r for r in self._records if r.frame.index > oldest or not r.is_settled]
+        self._records = [r for r in self._records if r.frame.index > solved.frames[0] or not r.is_settled]
         return out
 
     def _restart(self) -> list[FeatureSet]:
         """Begin anew: what the window could place is settled first."""
-        out = self._settle(self._records)
-        self._records.clear()
-        self._settling.clear()
+        out = [*self._adopt(), *self._settle_all()]
         self.window.reset()
         self.tracker.forget()
         self._misses = 0
+        return out
+
+    def _catch_up(self) -> list[FeatureSet]:
+        """A few of the pictures that a solve allows to be placed, or placed for good: the newest that have no set."""
+        out: list[FeatureSet] = []
+        for _ in range(PLACED_AN_EVENT):
+            if self._unplaced:
+                record = self._unplaced.pop()
+                if record.status is not Status.OK:
+                    out.extend(self._place([record]))
+            elif self._settling:
+                out.extend(self._settle([self._settling.popleft()]))
+        return out
+
+    def _settle_all(self) -> list[FeatureSet]:
+        """The last revision of all that the window holds, which is then forgotten."""
+        out = self._settle(self._records)
+        self._records = []
+        self._settling.clear()
+        self._unplaced.clear()
         return out
 
     def _settle(self, records: list[_Record]) -> list[FeatureSet]:
@@ -332,7 +349,7 @@ class Pipeline:
     def _place(self, records: list[_Record], only_ok: bool = False) -> list[FeatureSet]:
         """Feature sets of pictures by the newest solution; refusals too, unless `only_ok` or refused before."""
         out = []
-        with self._timed("georeference"):
+        with self._tally.timed("georeference"):
             for record in records:
                 result = self._feature_set(record)
                 if isinstance(result, FeatureSet):
@@ -359,7 +376,7 @@ class Pipeline:
             result = result if over is None else over
         if isinstance(result, FeatureSet):
             record.status, record.revision = Status.OK, result.revision
-            self._note(record.frame.index, Status.OK)
+            self._tally.note(record.frame.index, Status.OK)
         return result
 
     def _by_structure(self, record: _Record, origin: Origin, frame: LocalFrame) -> FeatureSet | Status:
@@ -416,28 +433,7 @@ class Pipeline:
         record.revision += 1
         return replace(self._refuse(record.frame, status), revision=record.revision, is_keyframe=record.is_keyframe)
 
-    def _note(self, index: int, status: Status) -> None:
-        """Count a picture by its latest status; an hour of pictures must not be remembered one by one."""
-        before = self._status.get(index)
-        if before is not None:
-            self._outcomes[before] -= 1
-        self._outcomes[status] += 1
-        self._status[index] = status
-        while len(self._status) > REMEMBERED_PICTURES:
-            del self._status[next(iter(self._status))]
-
     def _refuse(self, frame: Frame, status: Status) -> FeatureSet:
-        self._note(frame.index, status)
+        self._tally.note(frame.index, status)
         assert self._session is not None
         return FeatureSet(self.config.vehicle.id, self._session, frame.index, frame.stamp_ns, status, self.camera)
-
-
-def _median(counts: Counter[int]) -> float:
-    """Of numbers given by how often each occurs; 0 of none."""
-    values = np.array(sorted(counts), float)
-    if not len(values):
-        return 0.0
-    below = np.cumsum([counts[int(v)] for v in values])
-    middle = (below[-1] - 1) / 2.0
-    ends = np.searchsorted(below, [np.floor(middle), np.ceil(middle)], side="right")
-    return float(values[ends].mean())

@@ -28,7 +28,8 @@ from onboard.events import Event, Frame
 from onboard.telemetry.mavlink import TelemetryLog, read_tlog
 
 if TYPE_CHECKING:
-    from onboard.pipeline import Pipeline, Summary
+    from onboard.pipeline import Pipeline
+    from onboard.tally import Summary
 
 # Telemetry this long before the first and after the last picture takes part: enough for a receiver's state to be known
 # and for the last exposure to be bracketed, whatever the length of the log.

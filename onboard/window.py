@@ -49,6 +49,12 @@ class Window:
         self.keyframes.clear()
         self.solved = None
 
+    def begin_again(self) -> None:
+        """Forget all but the newest keyframe, and what was thought of its pose."""
+        newest = self.keyframes[-1]
+        self.reset()
+        self.add(newest.frame, newest.sighting, newest.nav, newest.nav_offset_s, newest.body_rate_rad_s, None)
+
     def attitude_guess(self, nav: NavState) -> Array | None:
         """R_cam_enu from the autopilot through mount and boresight, or None without attitude."""
         if nav.R_enu_body is None:

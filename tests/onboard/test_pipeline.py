@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,10 +17,12 @@ from contract.codec import encode
 from contract.feature_set import FeatureSet, Status
 from ground.answer import Fix
 from ground.locate import Locator
+from onboard.adjustment import Request
 from onboard.config import parse_config
 from onboard.events import Attitude, Event, Frame, GpsQuality, PositionFix
-from onboard.pipeline import Pipeline
+from onboard.pipeline import ADOPTION_NS, Pipeline
 from onboard.telemetry.mavlink import read_tlog
+from onboard.worker import Done, Promise, Worker
 from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec, fly
@@ -46,9 +49,33 @@ class Session:
     config: str
     events: list[Event]
 
-    def run(self, events: list[Event] | None = None, extra: str = "") -> list[FeatureSet]:
-        pipeline = Pipeline(parse_config(self.config + extra), CAMERA)
-        return list(outputs(pipeline, self.events if events is None else events))
+    def pipeline(self, worker: Worker | None = None) -> Pipeline:
+        return Pipeline(parse_config(self.config), CAMERA, worker=worker)
+
+    def run(self, events: list[Event] | None = None, worker: Worker | None = None) -> list[FeatureSet]:
+        return list(outputs(self.pipeline(worker), self.events if events is None else events))
+
+
+class Held:
+    """A worker that works only when somebody insists on the result, and keeps count."""
+
+    def __init__(self) -> None:
+        self.submitted = self.waited = 0
+
+    def submit(self, fn: Callable[[Request], Done], request: Request, /) -> Promise:
+        self.submitted += 1
+        return HeldPromise(self, fn, request)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldPromise:
+    worker: Held
+    fn: Callable[[Request], Done]
+    request: Request
+
+    def result(self) -> Done:
+        self.worker.waited += 1
+        return self.fn(self.request)
 
 
 def outputs(pipeline: Pipeline, events: list[Event]) -> Iterator[FeatureSet]:
@@ -59,8 +86,17 @@ def outputs(pipeline: Pipeline, events: list[Event]) -> Iterator[FeatureSet]:
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
-    folder: Path = tmp_path_factory.mktemp("flight") / "session"
-    truth = fly(SPEC, folder)
+    return flown(SPEC, tmp_path_factory.mktemp("flight") / "session")
+
+
+@pytest.fixture(scope="module")
+def brisk(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    """Several pictures between two keyframes."""
+    return flown(replace(SPEC, seconds=5.0, rate_hz=12.0), tmp_path_factory.mktemp("flight") / "brisk")
+
+
+def flown(spec: SessionSpec, folder: Path) -> Session:
+    truth = fly(spec, folder)
     config = (folder / "config.toml").read_text()
     frames: list[Event] = [
         Frame(
@@ -135,6 +171,59 @@ def test_revisions_of_a_frame_count_up_and_do_not_take_an_answer_back(sets: list
 
 def test_two_runs_give_the_same_bytes(session: Session, sets: list[FeatureSet]) -> None:
     assert [encode(s) for s in session.run()] == [encode(s) for s in sets]
+
+
+def test_a_thread_beside_gives_the_same_bytes_as_solving_at_once(brisk: Session) -> None:
+    with ThreadPoolExecutor(1) as worker:
+        threaded = brisk.run(worker=worker)
+    assert [encode(s) for s in threaded] == [encode(s) for s in brisk.run()]
+
+
+def test_tracking_goes_on_while_a_window_is_solved(brisk: Session) -> None:
+    """What is not done is not waited for until a quarter of a second of data has passed, or the next keyframe."""
+    held = Held()
+    pipeline = brisk.pipeline(held)
+    out: list[FeatureSet] = []
+    begun_ns, answered_meanwhile = 0, 0
+    for event in brisk.events:
+        before, sets_before = (held.submitted, held.waited), len(out)
+        was_open = held.submitted > held.waited
+        out.extend(pipeline.handle(event))
+        if held.waited > before[1] and held.submitted == before[0]:
+            assert event.stamp_ns >= begun_ns + ADOPTION_NS
+        elif was_open and held.waited == before[1]:
+            assert event.stamp_ns < begun_ns + ADOPTION_NS
+            answered_meanwhile += len(out) - sets_before
+        if held.submitted > before[0]:
+            begun_ns = event.stamp_ns
+    out.extend(pipeline.finish())
+    assert held.submitted == held.waited == pipeline.summary.keyframes
+    assert answered_meanwhile >= 5
+    assert [encode(s) for s in out] == [encode(s) for s in brisk.run()]
+
+
+def test_a_keyframe_is_answered_at_once_and_again_by_the_solve_it_belongs_to(session: Session) -> None:
+    held = Held()
+    pipeline = session.pipeline(held)
+    answered: dict[int, list[bool]] = defaultdict(list)
+    for event in session.events:
+        waited = held.waited
+        for s in pipeline.handle(event):
+            if s.is_keyframe and s.is_ok:
+                answered[s.frame].append(held.waited > waited)
+    assert sum(waits[:2] == [False, True] for waits in answered.values()) >= 3
+
+
+def test_what_goes_wrong_beside_is_not_swallowed(session: Session) -> None:
+    class Broken(Held):
+        def submit(self, fn: Callable[[Request], Done], request: Request, /) -> Promise:
+            def fail(request: Request) -> Done:
+                raise ArithmeticError("broken")
+
+            return super().submit(fail, request)
+
+    with pytest.raises(ArithmeticError, match="broken"):
+        session.run(worker=Broken())
 
 
 def test_a_picture_that_cannot_be_decoded_is_passed_over(session: Session) -> None:
