@@ -27,8 +27,8 @@ PLUMBING = {
 }  # fmt: skip
 # What the outside world is reached through. None of it belongs in a room of mathematics.
 IO_PACKAGES = {
-    "argparse", "asyncio", "concurrent", "http", "mavsdk", "mcap", "pymavlink", "queue", "select", "serial", "signal", "socket",
-    "subprocess", "threading", "tqdm", "zenoh",
+    "argparse", "asyncio", "concurrent", "http", "mavsdk", "mcap", "pymavlink", "queue", "select", "serial", "signal",
+    "socket", "subprocess", "threading", "tqdm", "zenoh",
 }  # fmt: skip
 
 
