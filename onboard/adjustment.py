@@ -20,7 +20,7 @@ from onboard.config import Config
 from onboard.keyframe import Ids, Keyframe
 from onboard.levelling import fit_plane
 from onboard.residuals import AttitudePrior, Layout, Prior, SharedPrior, State, VelocityPrior
-from onboard.sensors import sensor_priors
+from onboard.sensors import range_prior, sensor_priors
 from onboard.terrain import Terrain
 from onboard.triangulation import triangulate
 
@@ -39,6 +39,7 @@ MAX_DEPTH_SIGMA = 0.15  # relative; a scene less known than this has no parallax
 MAX_PRIOR_SIGMAS = 3.5  # root mean square of a sensor's whitened residuals that a true solution may show
 SHARED_SIGMAS = 5.0  # as far as one shared state may be from what was believed of it
 MAX_GROUND_SLOPE = 1.0
+MIN_STRAY_M = 0.3
 WEIGHING_ROUNDS = 5
 TOLERATED_RMS = 1.3  # of velocity's and attitude's whitened residuals
 MAX_JITTER_S = 0.02
@@ -155,10 +156,15 @@ def adjust(request: Request) -> Outcome:
         reference[2] = 0.0
         state = replace(state, plane=np.zeros(3))
     clearance_m = None if terrain is not None else float(C[:, 2].mean() - reference[2])
+    strays_m = _strays_m(request, points - reference, state.plane, terrain)
+    ranged = range_prior(list(keyframes), layout, reference, state.plane, strays_m, terrain)
+    if ranged is not None:  # what it measures is the plane: the points must be held to that as closely as they lie
+        relief = np.full(len(points), 1.0 / strays_m)
     for _ in range(WEIGHING_ROUNDS):
         priors = sensor_priors(
             request.config, request.R_body_cam, list(keyframes), layout, belief, terrain is not None, noise.jitter_s
         )
+        priors += [] if ranged is None else [ranged]
         problem = Problem(layout, xy, weight / noise.discord, priors, reference, relief, terrain, clearance_m)
         first = approximate(problem, state)
         noise, again = _reweighed(request, noise, priors, first.state)
@@ -272,6 +278,15 @@ def _ground(request: Request, points: Array) -> tuple[Array, Terrain | None]:
         if np.all(np.isfinite(height)):
             return np.full(len(points), 1.0 / request.config.terrain.sigma_m), request.terrain
     return np.full(len(points), 1.0 / max(request.config.solve.relief_sigma_m, 1e-3)), None
+
+
+def _strays_m(request: Request, offset: Array, plane: Array, terrain: Terrain | None) -> float:
+    """One sigma (m) of the ground about the plane, by the points themselves, or as declared of the terrain."""
+    if terrain is not None:
+        return request.config.terrain.sigma_m
+    above = offset[:, 2] - plane[0] - offset[:, :2] @ plane[1:]
+    measured = 1.4826 * float(np.median(np.abs(above - np.median(above))))
+    return min(max(measured, MIN_STRAY_M), max(request.config.solve.relief_sigma_m, MIN_STRAY_M))
 
 
 def _grid(request: Request, ids: Ids) -> tuple[Array, Array]:

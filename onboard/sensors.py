@@ -18,6 +18,7 @@ from onboard.residuals import (
     RangePrior,
     SharedPrior,
     VelocityPrior,
+    ground_plane,
     wandering_sqrt_information,
 )
 
@@ -27,6 +28,7 @@ Array = NDArray[np.float64]
 PATH_SIGMA_RAD = 0.25
 PATH_WHITE_SIGMA_RAD = 0.15
 GRAVITY_M_S2 = 9.81
+ECHO_SIGMAS = 4.0
 TERRAIN_SLOPE_SIGMA = 0.005  # of an elevation model over a window's few hundred metres: neighbours err alike
 
 
@@ -107,25 +109,28 @@ def range_prior(
     keyframes: list[Keyframe],
     layout: Layout,
     reference_enu_m: Array,
+    plane: Array,
     ground_sigma_m: float,
     terrain: HeightModel | None,
 ) -> RangePrior | None:
-    """The range finder's distances, where keyframes have any. Equation (5.12).
+    """The range finder's distances, where keyframes have any; an echo unlike the others (a roof) is left out. (5.12)
 
-    `reference_enu_m` (3,): the ground plane's; `ground_sigma_m`: how the ground strays from plane or terrain.
+    `reference_enu_m` (3,) and `plane` (3,): the ground plane as it is known so far; `ground_sigma_m`: how the ground
+    strays from it, or from the terrain.
     """
     having = [(i, k.nav.ground_range) for i, k in enumerate(keyframes) if k.nav.ground_range is not None]
     if not having:
         return None
     vectors = np.stack([r.vector_enu_m for _, r in having])
     own = np.array([r.sigma_m for _, r in having]) * np.abs(vectors[:, 2]) / np.linalg.norm(vectors, axis=1)
-    if terrain is not None:
-        centres = np.stack([keyframes[i].centre_enu_m for i, _ in having])
-        height, _ = terrain.height_and_slope((centres + vectors)[:, :2])
-        if not np.all(np.isfinite(height)):
-            return None
+    sigma_m = np.hypot(own, ground_sigma_m)
     index = np.array([i for i, _ in having], np.intp)
-    return RangePrior(layout, index, vectors, np.hypot(own, ground_sigma_m), reference_enu_m, terrain)
+    ends = np.stack([keyframes[i].centre_enu_m for i in index]) + vectors
+    above, _, _ = ground_plane(ends, reference_enu_m, plane, terrain)
+    if not np.all(np.isfinite(above)):  # beyond the terrain's edge
+        return None
+    keep = np.abs(above - np.median(above)) < ECHO_SIGMAS * sigma_m
+    return RangePrior(layout, index[keep], vectors[keep], sigma_m[keep], reference_enu_m, terrain)
 
 
 def _coordinated(R_body_cam: Array, stamps_s: Array, velocities: Array) -> Array | None:
