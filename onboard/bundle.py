@@ -9,6 +9,7 @@ points are seen by most views, so the grid wastes little, and it makes every ste
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from onboard.residuals import HeightModel, Layout, Prior, State, ground_plane, r
 Array = NDArray[np.float64]
 
 _BEHIND = 100.0  # sigmas charged for a point behind a camera that saw it
+_MAX_LEAP = 0.5  # of its least depth: as far as one step may take a point
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +41,7 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The optimum and what it is worth."""
+    """The optimum and what it is worth. What only the covariances need is computed when they are first asked for."""
 
     state: State
     cost: float
@@ -47,9 +49,26 @@ class Solution:
     converged: bool
     robust_weight: Array  # (K, P) final weights of the loss, 0..1
     residual_sigmas: Array  # (K, P) length of the whitened image residual; nan where not seen
-    covariance: Array  # (D, D) of the camera side, points marginalised
-    point_gain: Array  # (P, 3, D): E[d point | d camera side] = -point_gain @ d
-    point_covariance: Array  # (P, 3, 3) of the points given the camera side
+    reduced: Reduced  # at the optimum, undamped
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(D, D) of the camera side, points marginalised."""
+        S = self.reduced.S
+        covariance = _solve_positive(S, np.eye(len(S)))
+        return covariance if covariance is not None else np.asarray(np.linalg.pinv(S, hermitian=True), np.float64)
+
+    @cached_property
+    def point_gain(self) -> Array:
+        """(P, 3, D): E[d point | d camera side] = -point_gain @ d."""
+        return np.ascontiguousarray(_backward(self.reduced.factor, self.reduced.Z).transpose(2, 1, 0))
+
+    @cached_property
+    def point_covariance(self) -> Array:
+        """(P, 3, 3) of the points given the camera side."""
+        factor = self.reduced.factor
+        each = np.repeat(np.eye(3)[..., None], len(factor[0]), axis=2)
+        return np.ascontiguousarray(_backward(factor, _forward(factor, each)).transpose(2, 0, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,19 +83,38 @@ class _Residuals:
     squared: Array  # (K, P) sigmas
     robust: Array  # (K, P)
     ground: tuple[Array, Array, Array, Array] | None  # residual (P,), by point, by plane, weight of the loss
-    priors: list[tuple[Array, Array]]
+    stiffness: Array
+    pull: Array
     cost: float
 
 
 @dataclass(frozen=True, eq=False)
 class _Linear:
-    """Normal equations (6.2). Points run along the last axis, so that every operation is one long loop."""
+    """Normal equations (6.2), the coupling W of cameras and points still as its factors: W = by_view' by_point.
+
+    Points run along the last axis, so that every operation is one long loop.
+    """
 
     U: Array  # (D, D)
     V: Array  # (3, 3, P)
-    W: Array  # (D, 3, P)
     bc: Array  # (D,)
     bp: Array  # (3, P)
+    by_view: Array  # (K, 6, 2, P)
+    by_point: Array  # (K, 3, 2, P)
+    columns: NDArray[np.intp]  # of the camera side that the ground depends on
+    ground_by_side: Array  # (G, P)
+    ground_by_point: Array  # (3, P)
+
+
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """Schur complement (6.3): S, its right side, and Z = W L^-T with V = L L', points along the last axis."""
+
+    S: Array  # (D, D)
+    right: Array  # (D,)
+    Z: Array  # (D, 3, P)
+    zb: Array  # (3, P) L^-1 bp
+    factor: tuple[Array, ...]
 
 
 def robust_cost(squared: Array, scale: float | None) -> tuple[Array, Array]:
@@ -113,7 +151,9 @@ def _residuals(problem: Problem, xy: Array, state: State, scale: float | None) -
     priors = [prior.evaluate(state) for prior in problem.priors]
     for r, _ in priors:
         cost += float(r @ r)
-    return _Residuals(state, image, predicted, depth, behind, squared, robust, ground, priors, 0.5 * cost)
+    J = np.concatenate([J for _, J in priors])
+    stiffness, pull = J.T @ J, J.T @ np.concatenate([r for r, _ in priors])
+    return _Residuals(state, image, predicted, depth, behind, squared, robust, ground, stiffness, pull, 0.5 * cost)
 
 
 def _clearance(problem: Problem, state: State) -> float:
@@ -130,39 +170,28 @@ def _linearise(problem: Problem, at: _Residuals) -> _Linear:
     """Normal equations (6.2) in blocks: camera side U, points V, coupling W."""
     layout = problem.layout
     K, P = problem.weight.shape
-    D = layout.size
     s = problem.weight * np.sqrt(at.robust)
     s[at.behind] = 0.0
     B, A = reprojection_jacobians(at.state.R_cam_enu, at.predicted, at.depth, s)
+    J = np.empty((K, 6, 2, P))
+    J[:, :3] = B
+    np.negative(A, out=J[:, 3:])
     r = at.image * s[:, None]
-
-    W = np.zeros((D, 3, P))
-    views = W[: 6 * K].reshape(K, 6, 3, P)
-    turn, shift = views[:, :3], views[:, 3:]
-    np.multiply(B[:, :, None, 0], A[:, None, :, 0], out=turn)
-    turn += B[:, :, None, 1] * A[:, None, :, 1]
-    np.multiply(A[:, :, None, 0], A[:, None, :, 0], out=shift)
-    shift += A[:, :, None, 1] * A[:, None, :, 1]
-    V = shift.sum(axis=0)
-    np.negative(shift, out=shift)
-    pulled = A[:, :, 0] * r[:, None, 0]
-    pulled += A[:, :, 1] * r[:, None, 1]
-    bp = pulled.sum(axis=0)
-
-    U = np.zeros((D, D))
-    bc = np.zeros(D)
-    flat = B.reshape(K, 3, 2 * P)
-    blocks = np.empty((K, 6, 6))
-    blocks[:, :3, :3] = flat @ flat.transpose(0, 2, 1)
-    sums = views.sum(axis=-1)
-    blocks[:, :, 3:] = -sums
-    blocks[:, 3:, :3] = blocks[:, :3, 3:].transpose(0, 2, 1)
+    flat = J.reshape(K, 6, 2 * P)
+    blocks = flat @ flat.transpose(0, 2, 1)
+    U = at.stiffness.copy()
     each = np.arange(K)
-    U[: 6 * K, : 6 * K].reshape(K, 6, K, 6)[each, :, each] = blocks
-    by_view = bc[: 6 * K].reshape(K, 6)
-    by_view[:, :3] = (flat @ r.reshape(K, 2 * P, 1))[..., 0]
-    by_view[:, 3:] = -pulled.sum(axis=-1)
-
+    U[: 6 * K, : 6 * K].reshape(K, 6, K, 6)[each, :, each] += blocks
+    bc = at.pull.copy()
+    bc[: 6 * K] += (flat @ r.reshape(K, 2 * P, 1)).reshape(-1)
+    rows = A.transpose(1, 0, 2, 3).reshape(3, 2 * K, P)
+    V = np.empty((3, 3, P))
+    for i in range(3):
+        for j in range(i + 1):
+            np.einsum("kp,kp->p", rows[i], rows[j], out=V[i, j])
+            V[j, i] = V[i, j]
+    bp = np.einsum("ikp,kp->ip", rows, r.reshape(2 * K, P))
+    columns, gs, gp = np.zeros(0, np.intp), np.zeros((0, P)), np.zeros((3, P))
     if at.ground is not None:
         assert problem.relief_weight is not None
         rg, by_point, by_plane, robust = at.ground
@@ -177,13 +206,9 @@ def _linearise(problem: Problem, at: _Residuals) -> _Linear:
             columns = np.concatenate([columns, layout.centres()[:, 2]])
         V += gp[:, None] * gp[None]
         bp += gp * rg
-        W[columns] += gs[:, None] * gp[None]
         U[np.ix_(columns, columns)] += gs @ gs.T
         bc[columns] += gs @ rg
-    J = np.concatenate([J for _, J in at.priors])
-    U += J.T @ J
-    bc += J.T @ np.concatenate([r for r, _ in at.priors])
-    return _Linear(U, V, W, bc, bp)
+    return _Linear(U, V, bc, bp, J, A, columns, gs, gp)
 
 
 def _point_factor(V: Array, damping: float) -> tuple[Array, ...]:
@@ -226,16 +251,24 @@ def _backward(factor: tuple[Array, ...], z: Array) -> Array:
     return x
 
 
-def _reduce(system: _Linear, damping: float) -> tuple[Array, Array, Array, tuple[Array, ...]]:
-    """Schur complement (6.3): S, its right side, Z = L^-1 W (D, 3, P) with V = L L', and L."""
-    D = len(system.U)
+def _reduce(system: _Linear, damping: float) -> Reduced:
+    """Eliminate the points, (6.3)."""
+    D, P = len(system.U), system.bp.shape[-1]
+    K = len(system.by_view)
     factor = _point_factor(system.V, damping)
-    Z = _forward(factor, system.W)
+    J = system.by_view
+    A = _forward(factor, system.by_point.transpose(0, 2, 1, 3))
+    Z = np.zeros((D, 3, P))
+    views = Z[: 6 * K].reshape(K, 6, 3, P)
+    np.multiply(J[:, :, None, 0], A[:, None, 0], out=views)
+    views += J[:, :, None, 1] * A[:, None, 1]
+    if len(system.columns):
+        Z[system.columns] += system.ground_by_side[:, None] * _forward(factor, system.ground_by_point)
+    zb = _forward(factor, system.bp)
     flat = Z.reshape(D, -1)
     S = system.U - flat @ flat.T
-    S[np.diag_indices(D)] += damping * np.diag(system.U)
-    right = system.bc - flat @ _forward(factor, system.bp).reshape(-1)
-    return S, right, Z, factor
+    S.flat[:: D + 1] += damping * system.U.diagonal()
+    return Reduced(S, system.bc - flat @ zb.reshape(-1), Z, zb, factor)
 
 
 def _solve_positive(S: Array, right: Array) -> Array | None:
@@ -258,47 +291,48 @@ def solve(
     scale: float | None = 3.0,
     max_iterations: int = 25,
     tolerance: float = 1e-6,
-    damping: float = 1e-4,
+    damping: float = 1e-5,
 ) -> Solution:
     """Minimise (6.1) from `state`. `scale` is the Cauchy loss's, in sigmas; None for plain least squares.
 
-    Stops when a step gains less than `tolerance` of the cost, or after `max_iterations` accepted or refused steps.
+    Stops when a step promises to gain less than `tolerance` of the cost, or after `max_iterations` accepted or refused
+    steps.
     """
     xy = np.ascontiguousarray(problem.xy.transpose(0, 2, 1))
     at = _residuals(problem, xy, state, scale)
     system = _linearise(problem, at)
+    seen = problem.weight > 0
     converged, iterations, growth = False, 0, 2.0
+    reduced: Reduced | None = None
     while iterations < max_iterations:
         iterations += 1
-        S, right, _, factor = _reduce(system, damping)
-        dc = _solve_positive(S, -right)
+        reduced = _reduce(system, damping)
+        dc = _solve_positive(reduced.S, -reduced.right)
         if dc is None:
             damping = max(damping * 10.0, 1e-6)
             continue
-        pull = system.bp + (dc @ system.W.reshape(len(dc), -1)).reshape(3, -1)
-        dp = -_backward(factor, _forward(factor, pull)).T
-        trial = _residuals(problem, xy, at.state.retract(dc, dp), scale)
+        dp = -_backward(reduced.factor, reduced.zb + (dc @ reduced.Z.reshape(len(dc), -1)).reshape(3, -1))
+        # A point with little parallax may be sent behind the cameras, from where no derivative brings it back.
+        nearest = np.where(seen, at.depth, np.inf).min(axis=0)
+        dp *= np.minimum(1.0, _MAX_LEAP * np.maximum(nearest, 1.0) / np.maximum(np.sqrt((dp * dp).sum(axis=0)), 1e-12))
+        expected = -0.5 * float(dc @ system.bc + np.sum(dp * system.bp))
+        trial = _residuals(problem, xy, at.state.retract(dc, dp.T), scale)
         if np.isfinite(trial.cost) and trial.cost <= at.cost:
-            gain = at.cost - trial.cost
-            at, system = trial, _linearise(problem, trial)
-            damping, growth = max(damping * 0.2, 1e-9), 2.0
-            if gain <= tolerance * (trial.cost + 1e-12):
+            at = trial
+            if expected <= tolerance * (at.cost + 1e-12):
+                # So small a step changes no derivative: what was reduced before it serves the covariances.
                 converged = True
                 break
+            system = _linearise(problem, at)
+            damping, growth = (0.2 * damping if damping > 1e-8 else 0.0), 2.0
         else:
-            if np.abs(dc).max(initial=0.0) < 1e-9:
+            if expected <= tolerance * (at.cost + 1e-12) or np.abs(dc).max(initial=0.0) < 1e-9:
                 converged = True
                 break
-            damping, growth = max(damping, 1e-9) * growth * 2.0, growth * 2.0
+            damping, growth = max(damping, 1e-8) * growth * 2.0, growth * 2.0
             if damping > 1e9:
                 break
-    S, _, Z, factor = _reduce(system, 0.0)
-    covariance = _solve_positive(S, np.eye(len(S)))
-    if covariance is None:
-        covariance = np.asarray(np.linalg.pinv(S, hermitian=True), np.float64)
-    gain_of_points = np.ascontiguousarray(_backward(factor, Z).transpose(2, 1, 0))
-    own = np.ascontiguousarray(
-        _backward(factor, _forward(factor, np.repeat(np.eye(3)[..., None], Z.shape[-1], axis=2))).transpose(2, 0, 1)
-    )
-    sigmas = np.where(problem.weight > 0, np.sqrt(at.squared), np.nan)
-    return Solution(at.state, at.cost, iterations, converged, at.robust, sigmas, covariance, gain_of_points, own)
+    if reduced is None or damping > 0.0 or not converged:
+        reduced = _reduce(system, 0.0)
+    sigmas = np.where(seen, np.sqrt(at.squared), np.nan)
+    return Solution(at.state, at.cost, iterations, converged, at.robust, sigmas, reduced)
