@@ -33,6 +33,7 @@ LIFE_S = 900.0
 PYTHON = f"{INSTALL}/bin/python"
 SHARE = "/mnt/share"
 GUEST_CHECKOUT = "/mnt/checkout"
+GUEST_MAC = "02:00:00:99:00:02"
 INSIDE = {"PYTHONPATH": GUEST_CHECKOUT, "POINTCLICK_IN_GUEST": "1", "PYTEST_ADDOPTS": "-p no:cacheprovider"}
 """The environment of a checkout's own Python in the guest."""
 
@@ -223,7 +224,7 @@ def boot(
         *("con=null", "con0=null,fd:1", "con1=null", "ssl=null", f"ssl1=fd:{theirs.fileno()}"),
         *("systemd.show_status=0", "net.ifnames=0", f"bench.checkout={checkout}", f"bench.share={folder}/share"),
         *([f"ssl0=tty:{serial}"] if serial else []),
-        *([f"vec0:transport=raw,ifname={interface},mac=02:00:00:99:00:02"] if interface else []),
+        *([f"vec0:transport=raw,ifname={interface},mac={GUEST_MAC}"] if interface else []),
         *kernel_words,
     ]
     with (folder / "console.log").open("wb") as console:

@@ -16,6 +16,7 @@ PACKAGE_OF = {
     "bison": "bison",
     "debootstrap": "debootstrap",
     "depmod": "kmod",
+    "ethtool": "ethtool",
     "flex": "flex",
     "gcc": "gcc",
     "ip": "iproute2",
@@ -23,7 +24,6 @@ PACKAGE_OF = {
     "mke2fs": "e2fsprogs",
     "mksquashfs": "squashfs-tools",
     "setpriv": "util-linux",
-    "socat": "socat",
     "strip": "binutils",
     "xz": "xz-utils",
 }

@@ -1,0 +1,41 @@
+"""The aircraft's computer: the guest with our package, its configuration and its unit installed as on a real one."""
+
+from __future__ import annotations
+
+import functools
+import shutil
+import sys
+import tempfile
+from importlib.metadata import version
+from pathlib import Path
+
+from tests.bench.image.host import run
+from tests.bench.image.root import CHECKOUT
+from tests.bench.machine import PYTHON, SHARE, Machine
+
+UNIT = "pointclick-onboard.service"
+OLD_SETUPTOOLS = 70
+PROGRAM = "/opt/pointclick/bin/pc-onboard"
+
+
+@functools.cache
+def wheel() -> Path:
+    """This checkout's wheel, built once a run from a copy: a build leaves nothing in the checkout."""
+    folder = Path(tempfile.mkdtemp(prefix="pointclick-wheel-"))
+    source = folder / "source"
+    left_out = shutil.ignore_patterns(".*", "out", "build", "*.egg-info", "__pycache__", "tests", "benchmarks")
+    shutil.copytree(CHECKOUT, source, ignore=left_out)
+    pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--disable-pip-version-check"]
+    # An old setuptools makes no wheels by itself; that of requirements.lock does, with nothing fetched.
+    alone = int(version("setuptools").split(".")[0]) > OLD_SETUPTOOLS
+    run([*pip, *(["--no-build-isolation"] if alone else []), "--wheel-dir", folder, source])
+    shutil.rmtree(source)
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+def install(machine: Machine) -> None:
+    """Our package into /opt/pointclick, by pip and from its wheel alone."""
+    shutil.copy(wheel(), machine.share)
+    pip = f"{PYTHON} -m pip install --quiet --no-deps --no-index --disable-pip-version-check --root-user-action=ignore"
+    machine.shell(f"{pip} {SHARE}/{wheel().name}", timeout_s=60.0)
