@@ -103,6 +103,7 @@ class Machine:
     def __init__(self, process: subprocess.Popen[bytes], line: socket.socket, folder: Path) -> None:
         self.share = folder / "share"
         self.console = folder / "console.log"
+        self.session = process.pid
         self._process = process
         self._line = line
         self._jobs: dict[int, Job] = {}
