@@ -25,7 +25,7 @@ from contract.feature_set import FeatureSet
 from onboard.camera.files import FrameSource, open_frames
 from onboard.config import Config
 from onboard.events import Event, Frame
-from onboard.telemetry.mavlink import TelemetryLog, read_tlog
+from onboard.telemetry.tlog import TelemetryLog, read_tlog
 
 if TYPE_CHECKING:
     from onboard.pipeline import Pipeline

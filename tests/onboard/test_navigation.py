@@ -15,7 +15,7 @@ from onboard.config import Config, parse_config
 from onboard.events import Attitude, GpsQuality, PositionFix, RangeFinder
 from onboard.navigation import Navigation, NavState
 from onboard.series import MEMORY_NS
-from onboard.telemetry.mavlink import read_tlog
+from onboard.telemetry.tlog import read_tlog
 
 Array = NDArray[np.float64]
 HOME = LocalFrame(-43.38, 172.4, 350.0)

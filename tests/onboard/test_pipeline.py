@@ -21,7 +21,7 @@ from onboard.adjustment import Request
 from onboard.config import parse_config
 from onboard.events import Attitude, Event, Frame, GpsQuality, PositionFix
 from onboard.pipeline import ADOPTION_NS, Pipeline
-from onboard.telemetry.mavlink import read_tlog
+from onboard.telemetry.tlog import read_tlog
 from onboard.worker import Done, Promise, Worker
 from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
 from contract.errors import InputError
-from onboard.events import Attitude, GpsQuality, PositionFix
-from onboard.telemetry.mavlink import NavEvent, TelemetryLog, read_tlog
+from onboard.events import Attitude, GpsQuality, NavEvent, PositionFix
+from onboard.telemetry.tlog import TelemetryLog, read_tlog
 
 T0_US = 1_795_217_000_000_000
 BOOT_MS = 60_000
