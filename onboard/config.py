@@ -142,7 +142,9 @@ class Gps(Section):
     quality_timeout_s: float = quantity(2.0, 0.5, 60.0, "s", "silence of the receiver that counts as no GPS")
     recovery_s: float = quantity(1.0, 0.0, 60.0, "s", "time without answers after the fix is back")
     glitch_m: float = quantity(10.0, 1.0, 1000.0, "m", "least jump against velocity that counts as a glitch")
-    settle_s: float = quantity(5.0, 0.0, 120.0, "s", "time without answers after a glitch")
+    settle_s: float = quantity(
+        5.0, 0.0, 120.0, "s", "time without answers after a glitch, or after a fix that came and went"
+    )
     max_slip_m_s: float = quantity(
         1.0, 0.1, 100.0, "m/s", "position moving against velocity faster than this counts as no GPS"
     )

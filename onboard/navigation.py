@@ -13,6 +13,7 @@ still 28 to 4 m off.
 from __future__ import annotations
 
 import bisect
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,7 @@ from contract.geodesy import LocalFrame, rotation_enu_ecef
 from contract.rotations import R_ENU_NED, matrix_from_quaternion
 from onboard.attitudes import Attitudes
 from onboard.config import Config
-from onboard.events import Attitude, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
+from onboard.events import Attitude, FilterStatus, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
 from onboard.gimbal import Gimbal
 from onboard.series import MEMORY_NS, Series
 
@@ -34,6 +35,7 @@ CLOCK_STEP_NS = 5_000_000_000
 CLIMB_WINDOW_NS = 1_000_000_000
 SLIP_WINDOW_NS = 2_000_000_000
 CLAIM_WINDOW_NS = 2_000_000_000
+FLAPPING_NS = 10_000_000_000
 UNUSABLE_FIX = 2  # GPS_FIX_TYPE up to this one
 GLITCH_SIGMAS = 5.0
 MIN_SCATTER_FREEDOM = 4
@@ -88,13 +90,14 @@ class Navigation:
         self._gimbal = Gimbal(config)
         self._ranges: Series[RangeFinder] = Series()
         self._quality: Series[GpsQuality] = Series()
+        self._filter: Series[FilterStatus] = Series()
         self._glitches_ns: list[tuple[int, int]] = []  # stretches around jumps
         self._undulation_m = float("nan") if config.gps.undulation_m is None else config.gps.undulation_m
         self._latency_ns = round(config.gps.latency_s * 1e9)
 
     def add(self, event: NavEvent) -> None:
         """Take one event; events with a stamp already held are ignored."""
-        held: Series[_Position] | Attitudes | Gimbal | Series[GpsQuality] | Series[RangeFinder]
+        held: Series[_Position] | Attitudes | Gimbal | Series[GpsQuality] | Series[RangeFinder] | Series[FilterStatus]
         if isinstance(event, PositionFix):
             held = self._positions
         elif isinstance(event, GpsQuality):
@@ -106,7 +109,7 @@ class Navigation:
         elif isinstance(event, RangeFinder):
             held = self._ranges
         else:
-            return
+            held = self._filter
         if held.stamps_ns and event.stamp_ns < held.stamps_ns[-1] - CLOCK_STEP_NS:
             self._forget()
         if isinstance(event, PositionFix):
@@ -120,11 +123,13 @@ class Navigation:
             self._attitudes.insert(event.stamp_ns, matrix_from_quaternion(event.q_ned_body), rate)
         elif isinstance(event, GimbalAttitude):
             self._gimbal.insert(event)
-        else:
+        elif isinstance(event, RangeFinder):
             self._ranges.insert(event.stamp_ns, event)
+        else:
+            self._filter.insert(event.stamp_ns, event)
 
     def _forget(self) -> None:
-        self._positions, self._quality, self._ranges = Series(), Series(), Series()
+        self._positions, self._quality, self._ranges, self._filter = Series(), Series(), Series(), Series()
         self._attitudes.forget()
         self._gimbal.forget()
         self._glitches_ns.clear()
@@ -370,8 +375,8 @@ class Navigation:
         )
 
     def _gps_is_good(self, moment_ns: int) -> bool:
-        """No glitch, and the receiver, if it ever spoke, spoke lately and has had a fix since `recovery_s` ago."""
-        if any(start <= moment_ns < end for start, end in self._glitches_ns):
+        """No glitch, the filter content, and the receiver, if it ever spoke, spoke lately; all since `recovery_s`."""
+        if any(start <= moment_ns < end for start, end in self._glitches_ns) or not self._filter_is_good(moment_ns):
             return False
         if not self._quality.stamps_ns:
             return True
@@ -385,6 +390,25 @@ class Navigation:
         after = min(last + 1, len(stamps) - 1)
         if stamps[after] - moment_ns > gps.quality_timeout_s * 1e9:
             after = last
-        since = bisect.bisect_right(stamps, moment_ns - round(gps.recovery_s * 1e9))
-        first = min(since, last)
-        return all(quality.fix_type > UNUSABLE_FIX for quality in self._quality.values[first : after + 1])
+        recent = min(bisect.bisect_right(stamps, moment_ns - FLAPPING_NS), last)
+        has_fix = [quality.fix_type > UNUSABLE_FIX for quality in self._quality.values[recent : after + 1]]
+        losses = sum(was and not now for was, now in itertools.pairwise(has_fix))
+        # A fix that comes and goes is a jammed receiver's: back it is no better than after a glitch.
+        wait_s = gps.recovery_s if losses < 2 else max(gps.recovery_s, gps.settle_s)
+        since = bisect.bisect_right(stamps, moment_ns - round(wait_s * 1e9))
+        return all(has_fix[max(min(since, last) - recent, 0) :])
+
+    def _filter_is_good(self, moment_ns: int) -> bool:
+        """The autopilot's filter believes its position and its GPS, and has since `recovery_s` ago; or never spoke.
+
+        Between two reports the later one counts as well; a bad one stands until a good one comes.
+        """
+        stamps = self._filter.stamps_ns
+        last = self._filter.last_until(moment_ns)
+        if last is None:
+            return True
+        first = min(bisect.bisect_right(stamps, moment_ns - round(self.config.gps.recovery_s * 1e9)), last)
+        after = min(last + 1, len(stamps) - 1)
+        if stamps[after] - moment_ns > self.config.gps.quality_timeout_s * 1e9:
+            after = last
+        return all(said.has_position and not said.is_glitching for said in self._filter.values[first : after + 1])

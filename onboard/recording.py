@@ -22,7 +22,7 @@ from contract.codec import encode
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
 from contract.topics import FEATURES
-from onboard.events import Attitude, Event, Frame, GpsQuality, PositionFix
+from onboard.events import Attitude, Event, FilterStatus, Frame, GimbalAttitude, GpsQuality, PositionFix, RangeFinder
 
 _NUMBER = {"type": "number"}
 _INTEGER = {"type": "integer"}
@@ -61,6 +61,26 @@ _EVENTS: dict[type[Event], tuple[str, str, dict[str, Any]]] = {
         names.ATTITUDES,
         "pointclick.Attitude",
         {**_STAMP, "q_ned_body": {"type": "array", "items": _NUMBER}},
+    ),
+    FilterStatus: (
+        names.FILTER_STATUS,
+        "pointclick.FilterStatus",
+        {**_STAMP, "has_position": {"type": "boolean"}, "is_glitching": {"type": "boolean"}},
+    ),
+    GimbalAttitude: (
+        names.GIMBAL_ATTITUDES,
+        "pointclick.GimbalAttitude",
+        {**_STAMP, "q_ref_gimbal": {"type": "array", "items": _NUMBER}, "reference": {"type": "string"}},
+    ),
+    RangeFinder: (
+        names.RANGES,
+        "pointclick.RangeFinder",
+        {
+            **_STAMP,
+            "distance_m": _NUMBER,
+            "direction_body": {"type": "array", "items": _NUMBER},
+            "sigma_m": _NUMBER_OR_NULL,
+        },
     ),
 }
 
