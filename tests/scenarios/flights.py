@@ -44,7 +44,7 @@ class Outcome:
     errors_m: Array
     chi2: Array  # squared normalised horizontal errors of answered clicks
     semi_m: Array
-    pipeline: Pipeline
+    pipeline: Pipeline | None
 
     @property
     def statuses(self) -> Counter[Status]:
@@ -126,10 +126,11 @@ def play(
         flight = replace(flight, telemetry=replace(log, events=events))
     pipeline, sink = Pipeline(config, camera, terrain), _Sets()
     replay(flight, pipeline, [sink])
-    return _click(folder, sink.by_frame, pipeline)
+    return click(folder, sink.by_frame, pipeline)
 
 
-def _click(folder: Path, sets: dict[int, FeatureSet], pipeline: Pipeline) -> Outcome:
+def click(folder: Path, sets: dict[int, FeatureSet], pipeline: Pipeline | None) -> Outcome:
+    """Ask every true click on these pictures' sets."""
     refusals: Counter[Status] = Counter()
     methods: Counter[str] = Counter()
     errors, chi2, semi = [], [], []

@@ -130,6 +130,7 @@ def test_boresight_and_time_offset_are_learned_in_turns() -> None:
         camera_delay_s=0.3, clicks_per_frame=3,
     )  # fmt: skip
     outcome = play(flown(spec), ("mount.sigma_deg", 3.0), ("camera.sigma_latency_s", 0.3))
+    assert outcome.pipeline is not None
     belief = outcome.pipeline.window.alignment.belief
     boresight = np.degrees(belief.mean[:3]) - [3.0, -1.0, 1.5]
     assert np.abs(boresight).max() < 0.3 + 3.0 * np.degrees(belief.sigma[2]), (boresight, np.degrees(belief.sigma))

@@ -1,0 +1,55 @@
+"""A camera that is a folder of pictures or a video, played in real time: `camera.device = "replay:FOLDER"`.
+
+For tests and benches without a camera. Where the first stamp lies ahead on the session's clock, pictures come at their
+own stamps (so that an autopilot played beside it can keep step); otherwise the first comes at once and the others as
+long after it as they were taken.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from contract.camera import Camera
+from contract.errors import InputError
+from onboard.camera.files import open_frames
+from onboard.events import Frame
+from onboard.session_clock import SessionClock
+from onboard.sources import Emit, Health, State, Stop
+
+PREFIX = "replay:"
+STAMPS = "stamps.csv"
+
+
+class PlayedCamera:
+    """`path` is a folder or a video, with `stamps.csv` in or beside it if need be. Raises InputError if unusable."""
+
+    def __init__(self, path: Path | str, camera: Camera, clock: SessionClock, latency_s: float = 0.0) -> None:
+        self._path, self._clock = Path(path), clock
+        beside = [p for p in (self._path / STAMPS, self._path.parent / STAMPS) if p.is_file()]
+        self._source = open_frames(self._path, camera, beside[0] if beside else None, latency_s)
+        self._health = Health(State.STARTING, "not playing yet")
+
+    def run(self, emit: Emit, stop: Stop) -> None:
+        """Play once, then be a lost camera until told to stop."""
+        first_ns, now_ns = self._source.stamps_ns[0], self._clock.now_ns()
+        shift_ns = 0 if first_ns >= now_ns else now_ns - first_ns
+        shown, began = 0, time.monotonic()
+        try:
+            for frame in self._source.frames():
+                stamp_ns = frame.stamp_ns + shift_ns
+                if stop.wait(max(stamp_ns - self._clock.now_ns(), 0) / 1e9):
+                    return
+                shown += 1
+                figures = {"rate_hz": shown / max(time.monotonic() - began, 1e-3), "lost": 0.0}
+                self._health = Health(State.OK, "", figures)
+                emit(self._clock.now_ns(), Frame(stamp_ns, frame.index, frame.image, frame.name))
+        except InputError as error:
+            self._health = Health(State.LOST, str(error))
+        else:
+            self._health = Health(State.LOST, f"{self._path} has been played to its end")
+        stop.wait()
+
+    def health(self) -> Health:
+        """STARTING, OK while pictures come, LOST after the last."""
+        return self._health
