@@ -19,12 +19,13 @@ from onboard.config import Config
 from onboard.events import Event, Frame, GpsQuality
 from onboard.health import Inputs, overall
 from onboard.intake import Intake
-from onboard.pipeline import Pipeline, Summary
+from onboard.pipeline import Pipeline
+from onboard.recent import Recent
 from onboard.replay import Sink
 from onboard.session_clock import SessionClock
 from onboard.sources import Health, Source, TelemetrySource
 from onboard.state_file import StateFile
-from onboard.recent import Recent
+from onboard.tally import Summary
 
 IDLE_S = 0.2  # the pipeline's thread looks up this often when nothing comes
 SNAPSHOT_NS = 1_000_000_000

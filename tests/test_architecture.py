@@ -20,6 +20,7 @@ MAX_LINES = 450
 IO_ROOMS = {
     "onboard.camera", "onboard.telemetry", "onboard.publisher", "onboard.recording", "onboard.terrain_files",
     "onboard.state_file", "onboard.notify", "onboard.intake", "onboard.prometheus", "onboard.service_log",
+    "onboard.recent",
 }  # fmt: skip
 PLUMBING = {
     "onboard.__main__", "onboard.daemon", "onboard.session", "onboard.replay", "onboard.replay_command",

@@ -11,6 +11,7 @@ import threading
 import time
 import tomllib
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -208,7 +209,8 @@ def take_off(
         air.telemetry = PlayedSource(clock, due(log, telemetry))
         air.heard = Heard(clock)
         recording = Recorded(where / "recordings", config, optics, clock, "")
-        pipeline = Pipeline(config, optics)
+        executor = ThreadPoolExecutor(1)
+        pipeline = Pipeline(config, optics, worker=executor)
 
         def report(status: VehicleStatus, detail: Detail) -> None:
             air.statuses.append(((clock.now_ns() - air.first_ns) / 1e9, decode_status(encode_status(status))))
