@@ -17,6 +17,7 @@ from contract.camera import Camera
 from contract.feature_set import DepthSource, FeatureSet, SlowPosition, Status
 from contract.geodesy import LocalFrame, rotation_enu_ecef
 from onboard.adjustment import Solved
+from onboard.bundle import solve_small
 from onboard.keyframe import Sighting
 from onboard.orientation import middle
 from onboard.prediction import Pose
@@ -109,9 +110,10 @@ def _resected_view(
         return None
     covariance = np.linalg.inv(pose.information)
     used = rows[known][pose.inliers]
-    pull = np.einsum("ij,pjk->pik", covariance, pose.by_point[pose.inliers])  # d pose = -pull d point
-    gain = np.einsum("pij,pjd->id", pull, s.point_gain[used])
-    noise = covariance + np.einsum("pij,pjk,plk->il", pull, s.point_covariance[used], pull)
+    pull = covariance @ pose.by_point[pose.inliers]  # (N, 6, 3): d pose = -pull d point
+    flat = pull.transpose(1, 0, 2).reshape(6, -1)
+    gain = flat @ s.point_gain[used].reshape(flat.shape[1], -1)
+    noise = covariance + (pull @ s.point_covariance[used]).transpose(1, 0, 2).reshape(6, -1) @ flat.T
     return _View(pose.R_cam_enu, pose.centre_enu_m, gain, noise, used)
 
 
@@ -129,13 +131,13 @@ def _assemble(
     # d ln w of each feature: (9.2)
     by_point = -R[2] / z[:, None]
     by_pose = np.concatenate([np.stack([-xy[:, 1], xy[:, 0], np.zeros(len(z))], axis=1), -by_point], axis=1)
-    own = np.einsum("pi,pij,pj->p", by_point, s.point_covariance[view.rows], by_point)
+    own = (by_point * (s.point_covariance[view.rows] @ by_point[:, :, None])[:, :, 0]).sum(axis=1)
     keep &= np.sqrt(own) < MAX_RELATIVE_SIGMA
     if np.count_nonzero(keep) < MIN_FEATURES:
         return Status.LOW_PARALLAX if np.count_nonzero(ahead & inside) >= MIN_FEATURES else Status.FEATURELESS
     xy, z, uv, own, by_point, by_pose = xy[keep], z[keep], uv[keep], own[keep], by_point[keep], by_pose[keep]
     rows = view.rows[keep]
-    M = -np.einsum("pi,pid->pd", by_point, s.point_gain[rows]) + by_pose @ view.gain  # (N, D)
+    M = by_pose @ view.gain - (by_point[:, None] @ s.point_gain[rows])[:, 0]  # (N, D)
 
     H = np.concatenate([np.ones((len(z), 1)), xy], axis=1)
     own = np.maximum(own, 1e-12)
@@ -221,14 +223,14 @@ def common_states(
     T_noise[6:] += fit @ by_pose
     common = T @ covariance @ T.T + T_noise @ noise @ T_noise.T
     rest = M - H @ (fit @ M)
-    variance = own + np.maximum(np.einsum("pd,de,pe->p", rest, covariance, rest), 0.0)
+    variance = own + np.maximum(((rest @ covariance) * rest).sum(axis=1), 0.0)
     return 0.5 * (common + common.T), variance
 
 
 def plane_and_roughness(H: Array, w: Array, variance: Array) -> tuple[Array, float, float]:
     """The ground plane (3,) in inverse depth, the relative spread about it, and the variogram's slope."""
     plane, relative = _plane(H, w, variance)
-    sigma = float(max(1.4826 * np.median(np.abs(relative)), MIN_PLANE_SIGMA))
+    sigma = float(max(1.4826 * middle(np.abs(relative)), MIN_PLANE_SIGMA))
     # What the features' own noise adds to their scatter is not the ground's.
     scatter = float(np.mean(np.minimum(relative**2, (4.0 * sigma) ** 2)) - np.mean(variance))
     spread = float(np.sqrt(max(scatter, 0.0)))
@@ -245,7 +247,7 @@ def _plane(H: Array, w: Array, variance: Array) -> tuple[Array, Array]:
         weighted = (H * weight[:, None]).T
         N = weighted @ H
         N.flat[::4] += 1e-9 * N.trace()
-        plane = np.asarray(np.linalg.solve(N, weighted @ relative_w), float)
+        plane = solve_small(N, weighted @ relative_w)
         miss = relative_w - H @ plane
         spread = max(1.4826 * middle(np.abs(miss)), 1e-6)
         weight = known / (1.0 + (miss / (3.0 * spread)) ** 2)

@@ -73,6 +73,7 @@ class _Record:
     status: Status = Status.STARTING
     revision: int = -1
     is_settled: bool = False
+    R_cam_enu: Array | None = None  # of its last set: where the next revision starts
 
 
 @dataclass(frozen=True, eq=False)
@@ -384,12 +385,17 @@ class Pipeline:
         solved = self.window.solved
         if solved is None:
             return self._why_unsolved(record.nav)
-        guess = self.window.pose_guess(record.seen, record.nav)
-        if guess is None:
-            return Status.STARTING
-        return georeference(
-            self.window, solved, record.seen, origin, frame, record.nav.undulation_m, guess[1], guess[0]
-        )
+        if record.R_cam_enu is not None:
+            R, centre = record.R_cam_enu, self.window.position_guess(record.nav)
+        else:
+            guess = self.window.pose_guess(record.seen, record.nav)
+            if guess is None:
+                return Status.STARTING
+            R, centre = guess
+        result = georeference(self.window, solved, record.seen, origin, frame, record.nav.undulation_m, centre, R)
+        if isinstance(result, FeatureSet):
+            record.R_cam_enu = result.R_enu_cam.T
+        return result
 
     def _why_unsolved(self, nav: NavState) -> Status:
         """Starting, or standing still: no parallax will ever come of that."""

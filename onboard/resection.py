@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.rotations import exp_so3, log_so3
-from onboard.bundle import robust_cost
+from onboard.bundle import robust_cost, solve_small
 from onboard.residuals import reprojection, reprojection_jacobians
 
 Array = NDArray[np.float64]
@@ -44,31 +44,31 @@ def resect(
     R0, C0 = R_cam_enu, centre_enu_m
     R, C = R0, C0
     prior = 1.0 / prior_sigma**2
+    stiff = np.diag(prior)
     for _ in range(steps):
         A, _, r, _, _ = _whitened(points_enu_m, xy, weight, R, C, scale)
         off = np.concatenate([log_so3(R @ R0.T), C - C0])
-        H = A.T @ A + np.diag(prior)
-        step = -np.linalg.solve(H, A.T @ r + prior * off)
+        step = -solve_small(A @ A.T + stiff, A @ r + prior * off)
         R, C = exp_so3(step[:3]) @ R, C + step[3:]
-        # A thousandth of a pixel, a millimetre: far below what the pose is known to.
-        if float(np.abs(step[:3]).max()) < 1e-6 and float(np.abs(step[3:]).max()) < 1e-3:
+        # A hundredth of a pixel, a centimetre: far below what the pose is known to.
+        if float(np.abs(step[:3]).max()) < 1e-5 and float(np.abs(step[3:]).max()) < 1e-2:
             break
     A, B, _, sigmas, used = _whitened(points_enu_m, xy, weight, R, C, scale)
-    information = A.T @ A + np.diag(prior)
-    by_point = np.einsum("nai,naj->nij", A.reshape(-1, 2, 6), B.reshape(-1, 2, 3))
+    information = A @ A.T + stiff
+    rows, N = A.reshape(6, 2, -1), len(points_enu_m)
+    by_point = (rows[:, None, 0] * B[:, 0] + rows[:, None, 1] * B[:, 1]).reshape(18, N).T.reshape(N, 6, 3)
     return Resection(R, C, information, by_point, sigmas, used & (sigmas < 2.0 * scale))
 
 
 def _whitened(
     points: Array, xy: Array, weight: Array, R: Array, C: Array, scale: float
 ) -> tuple[Array, Array, Array, Array, Mask]:
+    """Rows by the view (6, 2N), by the point (3, 2, N), residual (2N,), sigmas (N,), and which lie ahead (N,)."""
     residual, predicted, depth = reprojection(R[None], C[None], points, xy.T[None])
-    ahead = depth[0] > 1e-6
-    squared = np.where(ahead, np.sum(residual[0] ** 2, axis=0) * weight**2, 1e6)
+    ahead: Mask = depth[0] > 1e-6
+    squared = np.where(ahead, (residual[0] ** 2).sum(axis=0) * weight**2, 1e6)
     _, robust = robust_cost(squared, scale)
     s = weight * np.sqrt(robust) * ahead
     by_rotation, by_point = reprojection_jacobians(R[None], predicted, depth, s[None])
-    A = np.concatenate([by_rotation[0], -by_point[0]]).transpose(2, 1, 0).reshape(-1, 6)
-    B = by_point[0].transpose(2, 1, 0).reshape(-1, 3)
-    r = (residual[0] * s).T.reshape(-1)
-    return A, B, r, np.sqrt(squared), ahead
+    A = np.concatenate([by_rotation[0], -by_point[0]]).reshape(6, -1)
+    return A, by_point[0], (residual[0] * s).reshape(-1), np.sqrt(squared), ahead

@@ -25,6 +25,7 @@ from onboard.terrain import Terrain
 
 Array = NDArray[np.float64]
 
+GUESS_STEPS = 2  # of a rotation that is only where a resection or a solve starts
 MIN_LESSON = 5  # keyframes of a last, short window that may still teach
 
 
@@ -96,7 +97,7 @@ class Window:
             if np.count_nonzero(known) >= MIN_POINTS:
                 directions = self.solved.solution.state.points_enu_m[rows[known]] - centre
                 rays = np.concatenate([seen.xy[known], np.ones((np.count_nonzero(known), 1))], axis=1)
-                return rotation_only(directions, rays), centre
+                return rotation_only(directions, rays, GUESS_STEPS), centre
         attitude = self.attitude_guess(nav)
         return None if attitude is None else (attitude, centre)
 
