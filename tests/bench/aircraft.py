@@ -39,3 +39,9 @@ def install(machine: Machine) -> None:
     shutil.copy(wheel(), machine.share)
     pip = f"{PYTHON} -m pip install --quiet --no-deps --no-index --disable-pip-version-check --root-user-action=ignore"
     machine.shell(f"{pip} {SHARE}/{wheel().name}", timeout_s=60.0)
+
+
+def configure(machine: Machine, config: str, camera_file: str) -> None:
+    """What an operator writes: configuration and camera file."""
+    machine.put("/etc/pointclick/config.toml", config)
+    machine.put("/etc/pointclick/camera.json", camera_file)

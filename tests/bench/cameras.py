@@ -6,20 +6,37 @@ from tests.bench.machine import Machine
 
 VIVID = "/dev/video0"
 LOOPBACK = "/dev/video10"
-
-# One capture device with one webcam input; `timestamp_source=1` stamps at the start of exposure, as a camera does
-# (its default lies a frame in the future).
-_LOAD_VIVID = f"""
-modprobe vivid n_devs=1 node_types=0x1 num_inputs=1 input_types=0x00
-udevadm settle --timeout=10
-v4l2-ctl -d {VIVID} -c timestamp_source=1
-"""
-_LOAD_LOOPBACK = """
-modprobe v4l2loopback devices=1 video_nr=10 card_label=uavcam exclusive_caps=1 max_buffers=8
-udevadm settle --timeout=10
-"""
+SETTLE = "udevadm settle --timeout=10"
 
 
 def load(guest: Machine) -> None:
     """Both cameras."""
-    guest.shell(_LOAD_VIVID + _LOAD_LOOPBACK)
+    load_vivid(guest, 0)
+    load_loopback(guest, 10)
+
+
+def load_vivid(guest: Machine, number: int) -> None:
+    """One capture device with one webcam input, /dev/video<number>.
+
+    `timestamp_source=1` stamps at the start of exposure, as a camera does; vivid's default lies a frame in the future.
+    """
+    guest.shell(
+        f"modprobe vivid n_devs=1 node_types=0x1 num_inputs=1 input_types=0x00 vid_cap_nr={number}; {SETTLE}"
+        f"; v4l2-ctl -d /dev/video{number} -c timestamp_source=1"
+    )
+
+
+def load_loopback(guest: Machine, number: int) -> None:
+    """A camera that is what is played into it, /dev/video<number>."""
+    words = "devices=1 card_label=uavcam exclusive_caps=1 max_buffers=8"
+    guest.shell(f"modprobe v4l2loopback {words} video_nr={number}; {SETTLE}")
+
+
+def unload(guest: Machine, module: str) -> None:
+    """Take a driver away with its devices, as soon as nobody holds them open (5 s at most)."""
+    guest.shell(f"for _ in $(seq 100); do rmmod {module} 2>/dev/null && exit 0; sleep 0.05; done; rmmod {module}")
+
+
+def set_control(guest: Machine, device: str, name: str, value: int) -> None:
+    """Set one of the driver's controls, its faults among them."""
+    guest.shell(f"v4l2-ctl -d {device} -c {name}={value}")

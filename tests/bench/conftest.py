@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Generator
+
+import pytest
 
 ON_THE_HOST = os.environ.get("POINTCLICK_BENCH") == "1"
 IN_THE_GUEST = os.environ.get("POINTCLICK_IN_GUEST") == "1"
@@ -10,3 +13,18 @@ IN_THE_GUEST = os.environ.get("POINTCLICK_IN_GUEST") == "1"
 collect_ignore_glob = ["inside/*"] if not IN_THE_GUEST else []
 if not ON_THE_HOST:
     collect_ignore_glob.append("test_*.py")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """A failure shows the journal of the guest it happened on: of a fixture that is one, or has one as `machine`."""
+    report = yield
+    if not report.failed:
+        return report
+    from tests.bench.machine import Machine  # noqa: PLC0415  (in the guest there is none)
+
+    for value in getattr(item, "funcargs", {}).values():
+        machine = getattr(value, "machine", value)
+        if isinstance(machine, Machine):
+            report.sections.append(("journal of the guest", machine.journal()))
+    return report

@@ -25,6 +25,8 @@ from tests.bench.image.kernel import kernel
 from tests.bench.image.root import CHECKOUT, INSTALL, packages, root
 
 MEMORY = "1536M"
+ROOM_BYTES = 3_000_000_000
+"""Of the memory, the disk's changes and the shared folder."""
 BOOT_S = 60.0
 """Bound on the boot; it takes 3 to 7 s on an idle machine."""
 LIFE_S = 900.0
@@ -86,8 +88,13 @@ class Job:
         if "exit" in answer:
             self._ended.put(answer["exit"])
 
+    @property
+    def is_over(self) -> bool:
+        """Whether its end has been heard of."""
+        return not self._ended.empty()
+
     def wait(self, timeout_s: float) -> Done:
-        """Its end. BenchError when it does not come, or when the guest had to kill it for its time."""
+        """Its end; to be asked once. BenchError when it does not come, or the guest had to kill it for its time."""
         try:
             code = self._ended.get(timeout=timeout_s)
         except queue.Empty:
@@ -157,6 +164,10 @@ class Machine:
             best = min(best, (trip_ns, guest_ns - sent_ns - trip_ns // 2))
         return best[1]
 
+    def unix_offset_ns(self) -> int:
+        """The guest's Unix clock minus its CLOCK_MONOTONIC."""
+        return int(self.run(PYTHON, "-c", "import time; print(time.time_ns() - time.monotonic_ns())").ok())
+
     def put(self, path: str, content: str | bytes) -> None:
         """Write a file in the guest (small ones: through the serial line)."""
         raw = content.encode() if isinstance(content, str) else content
@@ -215,7 +226,7 @@ def boot(
     pty that becomes /dev/ttyS0, `interface` the end of a veth pair that becomes vec0.
     """
     built = images()
-    folder = Path(tempfile.mkdtemp(prefix="pointclick-bench-", dir="/dev/shm"))
+    folder = Path(tempfile.mkdtemp(prefix="pointclick-bench-", dir=_roomy_folder()))
     (folder / "share").mkdir()
     ours, theirs = socket.socketpair()
     words = [
@@ -251,6 +262,13 @@ def boot(
         _end(process)
         ours.close()
         shutil.rmtree(folder)
+
+
+def _roomy_folder() -> str | None:
+    """Where the guest's memory and disk go: RAM, if there is enough that may hold programs (in containers not)."""
+    there = os.statvfs("/dev/shm") if Path("/dev/shm").is_dir() else None
+    fits = there is not None and there.f_bavail * there.f_frsize > ROOM_BYTES and not there.f_flag & os.ST_NOEXEC
+    return "/dev/shm" if fits else None
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
