@@ -79,10 +79,21 @@ def parser() -> argparse.ArgumentParser:
     )
     replay.set_defaults(run=run_replay)
 
+    cameras = commands.add_parser("cameras", help="list cameras, their formats and controls")
+    cameras.add_argument("--json", action="store_true", help="for programs")
+    cameras.set_defaults(run=run_cameras)
+
     check = commands.add_parser("check-config", help="check a configuration file")
     check.add_argument("file", type=Path, metavar="FILE")
     check.set_defaults(run=run_check_config)
     return top
+
+
+def run_cameras(arguments: argparse.Namespace) -> int:
+    """List the cameras; 1 if there is none."""
+    from onboard.cameras_command import run  # noqa: PLC0415
+
+    return run(arguments)
 
 
 def run_check_config(arguments: argparse.Namespace) -> int:

@@ -66,7 +66,7 @@ class CameraConfig(Section):
     device: str = choice("/dev/video0", "V4L2 device, better a name under /dev/v4l/by-id or by-path")
     file: str | None = choice(None, "camera file (optics), as `pc-onboard calibrate` writes it")
     format: Literal["auto", "GREY", "YUYV", "NV12", "MJPG", "Y16"] = choice(
-        "auto", "pixel format; 'auto' takes the first of these that the device has"
+        "auto", "pixel format; 'auto' takes the first of these that has size and rate"
     )
     rate_hz: float = quantity(30.0, 0.1, 240.0, "Hz", "pictures asked of the device")
     exposure_us: float | None = quantity(None, 1.0, 1e6, "us", "fixed exposure; left to the camera if not set")
@@ -76,6 +76,7 @@ class CameraConfig(Section):
     focus: float | None = quantity(None, 0.0, 1e6, "", "fixed focus, in the driver's units; untouched if not set")
     white_balance_k: float | None = quantity(None, 1000.0, 20000.0, "K", "fixed white balance; untouched if not set")
     lost_after_s: float = quantity(1.5, 0.1, 60.0, "s", "time without a picture that counts as camera lost")
+    frozen_after_s: float = quantity(1.0, 0.1, 60.0, "s", "time with the same picture that counts as camera frozen")
 
     latency_s: float = quantity(0.0, -5.0, 5.0, "s", "capture stamp minus true mid-exposure")
     sigma_latency_s: float = quantity(0.1, 0.0, 2.0, "s", "one sigma of the camera-to-autopilot time offset")

@@ -25,11 +25,12 @@ IO_ROOMS = {
 PLUMBING = {
     "onboard.__main__", "onboard.daemon", "onboard.session", "onboard.replay", "onboard.replay_command",
     "onboard.run_command", "onboard.status_command", "onboard.doctor", "onboard.doctor_command", "onboard.recorded",
+    "onboard.cameras_command", "onboard.calibrate_command",
 }  # fmt: skip
 # What the outside world is reached through. None of it belongs in a room of mathematics.
 IO_PACKAGES = {
-    "argparse", "asyncio", "concurrent", "http", "mavsdk", "mcap", "pymavlink", "queue", "select", "serial", "signal",
-    "socket", "subprocess", "threading", "tqdm", "zenoh",
+    "argparse", "asyncio", "concurrent", "fcntl", "http", "linuxpy", "mavsdk", "mcap", "pymavlink", "queue", "select",
+    "serial", "signal", "socket", "subprocess", "threading", "tqdm", "zenoh",
 }  # fmt: skip
 
 

@@ -1,0 +1,396 @@
+"""A V4L2 device: the ioctls the camera needs, each as one method in plain numbers. The only file that knows linuxpy.
+
+Of linuxpy only the kernel's structures and request numbers (`linuxpy.video.raw`) are used: its friendlier layer maps
+what a driver says to enumerations and fails on controls, formats and flags newer than itself. Every method raises
+OSError with the driver's errno; what that means is decided by `v4l2`.
+
+Single-plane and multi-plane drivers (the latter with one plane, as camera pipelines of many small computers have) look
+the same from outside.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import fcntl
+import mmap
+import os
+import select
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol, Self
+
+from linuxpy.video import raw
+
+BUFFERS = 4
+_ENDS_A_LIST = {errno.EINVAL, errno.ENOTTY, errno.ENODATA, errno.EPIPE}
+_CAPTURE = int(raw.Capability.VIDEO_CAPTURE)
+_CAPTURE_MPLANE = int(raw.Capability.VIDEO_CAPTURE_MPLANE)
+_STREAMING = int(raw.Capability.STREAMING)
+_HAS_DEVICE_CAPS = int(raw.Capability.DEVICE_CAPS)
+_NEXT_CONTROL = int(raw.ControlFlag.NEXT_CTRL)
+_MAX_LISTED = 1024  # entries of any list: a driver that never ends one must not hold us
+_BITS_64 = int(raw.CtrlType.INTEGER64)
+
+
+@dataclass(frozen=True)
+class Card:
+    """Who a device says it is."""
+
+    driver: str
+    card: str
+    bus_info: str
+    can_capture: bool
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Picture sizes of one format, width and height: some, or all from `least_px` to `most_px` in steps."""
+
+    discrete_px: tuple[tuple[int, int], ...] = ()
+    least_px: tuple[int, int] = (0, 0)
+    most_px: tuple[int, int] = (0, 0)
+    step_px: tuple[int, int] = (1, 1)
+
+    @property
+    def is_known(self) -> bool:
+        """Some drivers do not say."""
+        return bool(self.discrete_px) or self.most_px != (0, 0)
+
+    def has(self, size_px: tuple[int, int]) -> bool:
+        """Whether a size is among them."""
+        return size_px in self.discrete_px or all(
+            low <= n <= high and (n - low) % max(step, 1) == 0
+            for n, low, high, step in zip(size_px, self.least_px, self.most_px, self.step_px, strict=True)
+        )
+
+
+@dataclass(frozen=True)
+class Granted:
+    """What a driver made of a request for a format."""
+
+    fourcc: str
+    width_px: int
+    height_px: int
+    bytes_per_line: int
+    is_progressive: bool
+
+
+@dataclass(frozen=True)
+class Control:
+    """A control of a driver: V4L2's own number, type, range and flags."""
+
+    id: int
+    name: str
+    kind: int
+    minimum: int
+    maximum: int
+    step: int
+    default: int
+    flags: int
+    menu: tuple[tuple[int, str], ...] = ()  # entries of a menu, or the numbers of an integer menu as text
+
+
+@dataclass(frozen=True)
+class Buffer:
+    """A filled buffer, copied out of the driver's memory."""
+
+    data: bytearray
+    stamp_ns: int  # on the clock that `flags` says
+    sequence: int
+    flags: int
+    has_waited: bool  # it was there before we came for it
+
+
+class Device(Protocol):
+    """What the camera asks of a device; the real one is `V4l2Device`."""
+
+    def card(self) -> Card: ...  # noqa: D102
+
+    def formats(self) -> list[str]: ...  # noqa: D102
+
+    def sizes(self, fourcc: str) -> Sizes: ...  # noqa: D102
+
+    def rates_hz(self, fourcc: str, size_px: tuple[int, int]) -> list[float]: ...  # noqa: D102
+
+    def set_format(self, fourcc: str, size_px: tuple[int, int]) -> Granted: ...  # noqa: D102
+
+    def set_rate_hz(self, rate_hz: float) -> float | None: ...  # noqa: D102
+
+    def controls(self) -> list[Control]: ...  # noqa: D102
+
+    def get_control(self, control: Control) -> int: ...  # noqa: D102
+
+    def set_control(self, control: Control, value: int) -> None: ...  # noqa: D102
+
+    def start(self) -> None: ...  # noqa: D102
+
+    def take(self, timeout_s: float) -> Buffer | None: ...  # noqa: D102
+
+    def close(self) -> None: ...  # noqa: D102
+
+
+class V4l2Device:
+    """An open device node."""
+
+    def __init__(self, path: str) -> None:
+        self._fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+        self._maps: list[mmap.mmap] = []
+        self._is_streaming = False
+        try:
+            caps = raw.v4l2_capability()
+            self._ioctl("QUERYCAP", caps)
+        except OSError:
+            os.close(self._fd)
+            raise
+        own = caps.device_caps if caps.capabilities & _HAS_DEVICE_CAPS else caps.capabilities
+        self._card = Card(
+            _text(caps.driver),
+            _text(caps.card),
+            _text(caps.bus_info),
+            bool(own & (_CAPTURE | _CAPTURE_MPLANE) and own & _STREAMING),
+        )
+        self._is_multiplanar = not own & _CAPTURE and bool(own & _CAPTURE_MPLANE)
+        self._type = int(raw.BufType.VIDEO_CAPTURE_MPLANE if self._is_multiplanar else raw.BufType.VIDEO_CAPTURE)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _ioctl(self, name: str, argument: Any) -> None:
+        fcntl.ioctl(self._fd, raw.IOC[name].value, argument)
+
+    def _listed(self, name: str, argument: Any) -> Iterator[None]:
+        """Fill `argument` with one entry of a list after the other."""
+        for index in range(_MAX_LISTED):
+            argument.index = index
+            try:
+                self._ioctl(name, argument)
+            except OSError as error:
+                if error.errno in _ENDS_A_LIST:
+                    return
+                raise
+            yield
+
+    def card(self) -> Card:
+        """Who the device is."""
+        return self._card
+
+    def formats(self) -> list[str]:
+        """Pixel formats, four letters each, in the driver's order."""
+        entry = raw.v4l2_fmtdesc()
+        entry.type = self._type
+        return [_fourcc(entry.pixelformat) for _ in self._listed("ENUM_FMT", entry)]
+
+    def sizes(self, fourcc: str) -> Sizes:
+        """Picture sizes of a format; unknown ones where the driver does not list them."""
+        entry = raw.v4l2_frmsizeenum()
+        entry.pixel_format = _code(fourcc)
+        discrete = []
+        for _ in self._listed("ENUM_FRAMESIZES", entry):
+            if entry.type != int(raw.Frmsizetypes.DISCRETE):
+                s = entry.m1.stepwise
+                return Sizes(
+                    (), (s.min_width, s.min_height), (s.max_width, s.max_height), (s.step_width, s.step_height)
+                )
+            discrete.append((int(entry.m1.discrete.width), int(entry.m1.discrete.height)))
+        return Sizes(tuple(discrete))
+
+    def rates_hz(self, fourcc: str, size_px: tuple[int, int]) -> list[float]:
+        """Picture rates of a format and size (the ends of a range, where it is one), highest first."""
+        entry = raw.v4l2_frmivalenum()
+        entry.pixel_format = _code(fourcc)
+        entry.width, entry.height = size_px
+        rates = []
+        for _ in self._listed("ENUM_FRAMEINTERVALS", entry):
+            if entry.type != int(raw.Frmivaltypes.DISCRETE):
+                rates = [_rate_hz(entry.m1.stepwise.min), _rate_hz(entry.m1.stepwise.max)]
+                break
+            rates.append(_rate_hz(entry.m1.discrete))
+        return sorted({rate for rate in rates if rate > 0.0}, reverse=True)
+
+    def set_format(self, fourcc: str, size_px: tuple[int, int]) -> Granted:
+        """Ask for a format; returns what the driver chose, which may be another."""
+        wanted = raw.v4l2_format()
+        wanted.type = self._type
+        pix = wanted.fmt.pix_mp if self._is_multiplanar else wanted.fmt.pix
+        pix.width, pix.height = size_px
+        pix.pixelformat = _code(fourcc)
+        pix.field = int(raw.Field.NONE)
+        if self._is_multiplanar:
+            pix.num_planes = 1
+        self._ioctl("S_FMT", wanted)
+        line = pix.plane_fmt[0].bytesperline if self._is_multiplanar else pix.bytesperline
+        progressive = pix.field in {int(raw.Field.NONE), int(raw.Field.ANY)}
+        return Granted(_fourcc(pix.pixelformat), int(pix.width), int(pix.height), int(line), progressive)
+
+    def set_rate_hz(self, rate_hz: float) -> float | None:
+        """Ask for a picture rate; returns the driver's choice, None where it has no such setting."""
+        wanted = raw.v4l2_streamparm()
+        wanted.type = self._type
+        interval = wanted.parm.capture.timeperframe
+        interval.numerator, interval.denominator = 1000, round(rate_hz * 1000)
+        try:
+            self._ioctl("S_PARM", wanted)
+        except OSError as error:
+            if error.errno in {errno.ENOTTY, errno.EINVAL}:
+                return None
+            raise
+        return _rate_hz(interval) or None
+
+    def controls(self) -> list[Control]:
+        """Every simple control, in the driver's order."""
+        found = []
+        entry = raw.v4l2_query_ext_ctrl()
+        for _ in range(_MAX_LISTED):
+            entry.id |= _NEXT_CONTROL
+            try:
+                self._ioctl("QUERY_EXT_CTRL", entry)
+            except OSError as error:
+                if error.errno in _ENDS_A_LIST:
+                    break
+                raise
+            found.append(
+                Control(
+                    int(entry.id),
+                    _text(entry.name),
+                    int(entry.type),
+                    int(entry.minimum),
+                    int(entry.maximum),
+                    int(entry.step),
+                    int(entry.default_value),
+                    int(entry.flags),
+                    self._menu(entry),
+                )
+            )
+        return found
+
+    def _menu(self, entry: Any) -> tuple[tuple[int, str], ...]:
+        if entry.type not in {int(raw.CtrlType.MENU), int(raw.CtrlType.INTEGER_MENU)}:
+            return ()
+        listed = []
+        item = raw.v4l2_querymenu()
+        item.id = entry.id
+        for index in range(max(entry.minimum, 0), min(entry.maximum, _MAX_LISTED) + 1):
+            item.index = index
+            with contextlib.suppress(OSError):  # menus have holes
+                self._ioctl("QUERYMENU", item)
+                is_number = entry.type == int(raw.CtrlType.INTEGER_MENU)
+                listed.append((index, str(item.m1.value) if is_number else _text(item.m1.name)))
+        return tuple(listed)
+
+    def get_control(self, control: Control) -> int:
+        """A control's value."""
+        if control.kind == _BITS_64:
+            one = raw.v4l2_ext_control()
+            one.id = control.id
+            self._extended("G_EXT_CTRLS", one)
+            return int(one.m1.value64)
+        plain = raw.v4l2_control()
+        plain.id = control.id
+        self._ioctl("G_CTRL", plain)
+        return int(plain.value)
+
+    def set_control(self, control: Control, value: int) -> None:
+        """Set a control; the driver may clamp it: read it back."""
+        if control.kind == _BITS_64:
+            one = raw.v4l2_ext_control()
+            one.id, one.m1.value64 = control.id, value
+            self._extended("S_EXT_CTRLS", one)
+            return
+        plain = raw.v4l2_control()
+        plain.id, plain.value = control.id, value
+        self._ioctl("S_CTRL", plain)
+
+    def _extended(self, name: str, one: Any) -> None:
+        several = raw.v4l2_ext_controls()
+        several.count = 1
+        several.controls = ctypes.pointer(one)
+        self._ioctl(name, several)
+
+    def _blank(self, index: int) -> tuple[Any, Any]:
+        """A buffer to ask with, and its one plane, which must be kept alive (None for single-plane drivers)."""
+        buffer = raw.v4l2_buffer()
+        buffer.type, buffer.memory, buffer.index = self._type, int(raw.Memory.MMAP), index
+        plane = None
+        if self._is_multiplanar:
+            plane = (raw.v4l2_plane * 8)()
+            buffer.m.planes = ctypes.cast(plane, ctypes.POINTER(raw.v4l2_plane))
+            buffer.length = 8
+        return buffer, plane
+
+    def start(self) -> None:
+        """Map buffers, queue them all and begin."""
+        request = raw.v4l2_requestbuffers()
+        request.count, request.type, request.memory = BUFFERS, self._type, int(raw.Memory.MMAP)
+        self._ioctl("REQBUFS", request)
+        for index in range(request.count):
+            buffer, planes = self._blank(index)
+            self._ioctl("QUERYBUF", buffer)
+            if planes is not None:
+                length, offset = planes[0].length, planes[0].m.mem_offset
+            else:
+                length, offset = buffer.length, buffer.m.offset
+            self._maps.append(mmap.mmap(self._fd, length, offset=offset))
+            self._queue(index)
+        self._ioctl("STREAMON", ctypes.c_int(self._type))
+        self._is_streaming = True
+
+    def _queue(self, index: int) -> None:
+        buffer, _planes = self._blank(index)
+        self._ioctl("QBUF", buffer)
+
+    def take(self, timeout_s: float) -> Buffer | None:
+        """The oldest filled buffer, copied and given back to the driver; None if none came in time."""
+        poll = select.poll()
+        poll.register(self._fd, select.POLLIN)
+        has_waited = bool(poll.poll(0))
+        if not has_waited and not poll.poll(timeout_s * 1000.0):
+            return None
+        buffer, planes = self._blank(0)
+        try:
+            self._ioctl("DQBUF", buffer)  # after POLLERR this says what is wrong
+        except BlockingIOError:
+            return None
+        start, used = 0, int(buffer.bytesused)
+        if planes is not None:
+            start, used = int(planes[0].data_offset), int(planes[0].bytesused)
+        mapped = self._maps[buffer.index]
+        data = bytearray(memoryview(mapped)[start:used]) if used > start else bytearray()
+        self._queue(buffer.index)
+        stamp_ns = int(buffer.timestamp.secs) * 1_000_000_000 + int(buffer.timestamp.usecs) * 1000
+        return Buffer(data, stamp_ns, int(buffer.sequence), int(buffer.flags), has_waited)
+
+    def close(self) -> None:
+        """End the stream and let go; never fails, the device may be gone."""
+        if self._fd < 0:
+            return
+        if self._is_streaming:
+            with contextlib.suppress(OSError):
+                self._ioctl("STREAMOFF", ctypes.c_int(self._type))
+        for mapped in self._maps:
+            mapped.close()
+        self._maps.clear()
+        with contextlib.suppress(OSError):
+            os.close(self._fd)
+        self._fd = -1
+
+
+def _text(raw_text: bytes) -> str:
+    return raw_text.decode("utf-8", "replace").strip()
+
+
+def _code(fourcc: str) -> int:
+    return int.from_bytes(fourcc.ljust(4).encode("ascii"), "little")
+
+
+def _fourcc(code: int) -> str:
+    # The highest bit says big-endian; it is no letter.
+    return (code & 0x7FFFFFFF).to_bytes(4, "little").decode("latin-1").rstrip() + ("-BE" if code >> 31 else "")
+
+
+def _rate_hz(interval: Any) -> float:
+    return interval.denominator / interval.numerator if interval.numerator else 0.0

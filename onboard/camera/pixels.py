@@ -1,0 +1,95 @@
+"""Pixel formats of cameras -> grey (H, W) uint8. What cannot be decoded is None: a bad picture is no failure."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from onboard.camera.files import UNDECODABLE
+
+Grey = NDArray[np.uint8]
+
+# Sixteen-bit pictures: the darkest and brightest hundredth may saturate, and so many counts at least fill the grey
+# scale. A thermal camera of 14 bits uses a few hundred of its 16384 counts for a landscape; below 256 counts of span
+# nothing is gained by spreading them further, only noise.
+SATURATED_PERCENT = 1.0
+LEAST_SPAN_COUNTS = 255.0
+_SAMPLE_STEP = 4
+
+
+def reduce_16_bit(deep: NDArray[np.uint16]) -> Grey:
+    """Counts (H, W) -> grey, the picture's own range spread over the grey scale.
+
+    By itself and without memory: the same picture always gives the same grey. What brightness it lands on does not
+    matter, the tracker normalises contrast locally.
+    """
+    sample = deep[::_SAMPLE_STEP, ::_SAMPLE_STEP]
+    low, high = np.percentile(sample, [SATURATED_PERCENT, 100.0 - SATURATED_PERCENT])
+    missing = max(0.0, LEAST_SPAN_COUNTS - (high - low))
+    low, high = low - missing / 2.0, high + missing / 2.0
+    scaled = (deep.astype(np.float32) - np.float32(low)) * np.float32(255.0 / (high - low))
+    grey: Grey = np.rint(scaled).clip(0.0, 255.0).astype(np.uint8)
+    return grey
+
+
+def _lines(data: bytearray, size_px: tuple[int, int], line_bytes: int, used_bytes: int) -> Grey | None:
+    """The first `used_bytes` of every line, (H, used_bytes); None if the buffer is too short for that."""
+    _, height = size_px
+    stride = max(line_bytes, used_bytes)
+    if len(data) < stride * (height - 1) + used_bytes:
+        return None
+    flat = np.frombuffer(data, np.uint8)
+    return np.lib.stride_tricks.as_strided(flat, (height, used_bytes), (stride, 1))
+
+
+def _grey8(data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | None:
+    """GREY, and NV12, whose first plane is luma."""
+    return _lines(data, size_px, line_bytes, size_px[0])
+
+
+def _yuyv(data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | None:
+    lines = _lines(data, size_px, line_bytes, 2 * size_px[0])
+    return None if lines is None else lines[:, ::2]
+
+
+def _nv12(data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | None:
+    width, height = size_px
+    if len(data) < max(line_bytes, width) * height * 3 // 2 - max(line_bytes - width, 0):
+        return None  # cut off within the colour: what came before it may be of two pictures
+    return _grey8(data, size_px, line_bytes)
+
+
+def _y16(data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | None:
+    lines = _lines(data, size_px, line_bytes, 2 * size_px[0])
+    return None if lines is None else reduce_16_bit(np.ascontiguousarray(lines).view("<u2"))
+
+
+def _mjpg(data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | None:
+    try:
+        with Image.open(io.BytesIO(data), formats=["JPEG"]) as image:
+            if image.size != size_px:
+                return None
+            image.draft("L", image.size)
+            return np.array(image.convert("L"), np.uint8)
+    except UNDECODABLE:
+        return None
+
+
+DECODERS: dict[str, Callable[[bytearray, tuple[int, int], int], Grey | None]] = {
+    "GREY": _grey8,
+    "YUYV": _yuyv,
+    "NV12": _nv12,
+    "MJPG": _mjpg,
+    "Y16": _y16,
+}
+"""Formats we can read, the cheapest and truest first."""
+
+
+def to_grey(fourcc: str, data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | None:
+    """Decode a buffer (lines of `line_bytes`, 0: no padding) -> a new contiguous (H, W); None if it is incomplete."""
+    grey = DECODERS[fourcc](data, size_px, line_bytes)
+    return None if grey is None else np.ascontiguousarray(grey)
