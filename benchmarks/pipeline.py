@@ -178,8 +178,8 @@ def report(flown: Leg, frames: int) -> str:
             "",
             table(["ms", "p50", "p90", "p99", "longest"], rows),
             "",
-            f"{run.frames / max(len(run.call_ms), 1):.1f} pictures a call: they wait for the position after them. The longest "
-            "call is the first: the pictures taken before any position came.",
+            f"{run.frames / max(len(run.call_ms), 1):.1f} pictures a call: they wait for the position after them. "
+            "The longest call is the first: the pictures taken before any position came.",
             "by room: " + ", ".join(f"{room} {100 * s / busy:.0f} %" for room, s in run.stages.items()),
         ]
     )
