@@ -1,6 +1,7 @@
 """`pc-onboard`: the aircraft's commands. Only arguments, exit codes and wiring.
 
-Exit codes: 0 done, 2 wrong usage or unusable input (one line on stderr), 130 interrupted (what was done is kept).
+Exit codes: 0 done, 2 wrong usage or unusable input (one line on stderr), 3 the daemon that was asked is not running,
+130 interrupted (what was done is kept).
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import NoReturn
 from contract.errors import PointclickError
 
 PROGRAM = "pc-onboard"
+CONFIG = Path("/etc/pointclick/config.toml")
 
 
 class Parser(argparse.ArgumentParser):
@@ -83,8 +85,14 @@ def parser() -> argparse.ArgumentParser:
     cameras.add_argument("--json", action="store_true", help="for programs")
     cameras.set_defaults(run=run_cameras)
 
-    check = commands.add_parser("check-config", help="check a configuration file")
-    check.add_argument("file", type=Path, metavar="FILE")
+    status = commands.add_parser("status", help="how the running daemon is")
+    status.add_argument("--config", type=Path, default=CONFIG, metavar="FILE", help=f"its configuration ({CONFIG})")
+    status.add_argument("--vehicle", metavar="NAME", help="another vehicle than the configured one")
+    status.add_argument("--json", action="store_true", help="everything it knows of itself")
+    status.set_defaults(run=run_status)
+
+    check = commands.add_parser("check-config", help="check a configuration file and the config.d beside it")
+    check.add_argument("file", type=Path, metavar="FILE", nargs="?", default=CONFIG)
     check.set_defaults(run=run_check_config)
     return top
 
@@ -97,12 +105,20 @@ def run_cameras(arguments: argparse.Namespace) -> int:
 
 
 def run_check_config(arguments: argparse.Namespace) -> int:
-    """Load a configuration; prints that it is good."""
-    from onboard.config import load_config  # noqa: PLC0415
+    """Load a configuration; prints which files are good."""
+    from onboard.config_files import config_files, load_config_files  # noqa: PLC0415
 
-    load_config(arguments.file)
-    print(f"{arguments.file}: good")
+    load_config_files(arguments.file)
+    for file in config_files(arguments.file):
+        print(f"{file}: good")
     return 0
+
+
+def run_status(arguments: argparse.Namespace) -> int:
+    """Ask the running daemon."""
+    from onboard import status_command  # noqa: PLC0415
+
+    return status_command.run(arguments)
 
 
 def run_replay(arguments: argparse.Namespace) -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import inspect
+import json
 import textwrap
 import tomllib
 from collections.abc import Iterator
@@ -344,7 +345,20 @@ def _literal(value: object) -> str:
         return str(value).lower()
     if isinstance(value, tuple):
         return "[" + ", ".join(_literal(item) for item in value) + "]"
-    return f'"{value}"' if isinstance(value, str) else repr(value)
+    if isinstance(value, str):  # JSON's text is TOML's, but for DEL
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return repr(value)
+
+
+def to_toml(config: Config) -> str:
+    """The keys that differ from their defaults, as a file that `load_config` reads back to the same."""
+    lines = []
+    for name, model in _sections():
+        section, default = getattr(config, name), model()
+        keys = [key for key in model.model_fields if getattr(section, key) != getattr(default, key)]
+        if keys:
+            lines += [f"[{name}]", *(f"{key} = {_literal(getattr(section, key))}" for key in keys), ""]
+    return "\n".join(lines)
 
 
 def default_toml() -> str:

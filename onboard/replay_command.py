@@ -16,7 +16,8 @@ import cv2
 from contract.camera import Camera
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
-from onboard.config import Config, load_config
+from onboard.config import Config, to_toml
+from onboard.config_files import load_config_files
 from onboard.events import Event
 from onboard.pipeline import Pipeline
 from onboard.publisher import Publisher
@@ -32,8 +33,8 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> str:
     config_text = ""
     config = Config()
     if arguments.config is not None:
-        config = load_config(arguments.config)
-        config_text = arguments.config.read_text(encoding="utf-8")
+        config = load_config_files(arguments.config)
+        config_text = to_toml(config)
     camera = Camera.from_json(arguments.camera)
     sinks: list[Sink] = []
     if arguments.record is not None:

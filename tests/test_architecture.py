@@ -20,12 +20,13 @@ MAX_LINES = 450
 IO_ROOMS = {
     "onboard.camera", "onboard.telemetry", "onboard.publisher", "onboard.recording", "onboard.terrain_files",
     "onboard.state_file", "onboard.notify", "onboard.intake", "onboard.prometheus", "onboard.service_log",
-    "onboard.recent",
+    "onboard.recent", "onboard.host", "onboard.ask_daemon", "onboard.config_files",
 }  # fmt: skip
 PLUMBING = {
     "onboard.__main__", "onboard.daemon", "onboard.session", "onboard.replay", "onboard.replay_command",
     "onboard.run_command", "onboard.status_command", "onboard.doctor", "onboard.doctor_command", "onboard.recorded",
     "onboard.cameras_command", "onboard.calibrate_command",
+    "onboard.link_sink",
 }  # fmt: skip
 # What the outside world is reached through. None of it belongs in a room of mathematics.
 IO_PACKAGES = {
