@@ -64,7 +64,14 @@ lint: $(INSTALLED)
 types: $(INSTALLED)
 	@$(BIN)/mypy
 
-pytest: $(INSTALLED)
+# A test reads our unit with the eyes of systemd.
+.PHONY: systemd-analyze
+systemd-analyze:
+	@command -v systemd-analyze >/dev/null || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
+		&& apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends systemd >/dev/null; } \
+		|| echo "no systemd-analyze: the test of the unit will be left out"
+
+pytest: $(INSTALLED) systemd-analyze
 	@$(BIN)/python -m pytest $(PYTEST_ARGS)
 
 bench: $(INSTALLED)

@@ -7,7 +7,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import TracebackType
 from typing import Any, Self
 
-from contract.errors import ConfigError
+from contract.errors import ConfigError, LinkError
 from contract.vehicle_status import VehicleStatus
 from onboard.health import Word
 
@@ -62,7 +62,7 @@ def _escaped(text: str) -> str:
 
 
 class PrometheusServer:
-    """Serves the newest text on every path. Raises ConfigError for an address that cannot be listened on."""
+    """Serves the newest text on every path. Raises ConfigError for what is no address, LinkError for one in use."""
 
     def __init__(self, address: str) -> None:
         host, _, port = address.rpartition(":")
@@ -71,7 +71,7 @@ class PrometheusServer:
         try:
             self._server = ThreadingHTTPServer((host.strip("[]"), int(port)), _Handler)
         except OSError as error:
-            raise ConfigError(f"service.prometheus = {address!r}: {error.strerror or error}") from error
+            raise LinkError(f"service.prometheus = {address!r}: {error.strerror or error}") from error
         self._server.daemon_threads = True
         self._server.text = b""  # type: ignore[attr-defined]
         self._thread = threading.Thread(target=self._server.serve_forever, name="prometheus", daemon=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ os.environ["OPENCV_OPENCL_RUNTIME"] = "disabled"
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 LEFT_OUT = "left out: no recordings at"
+NO_PROGRAM = "left out: no program"
 
 
 @pytest.fixture(scope="session")
@@ -30,8 +32,21 @@ def shared_data() -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def systemd_analyze() -> str:
+    """Reads units. `make test` installs it where it may; else the run's end says what was not tested."""
+    program = shutil.which("systemd-analyze")
+    if program is None:
+        pytest.skip(f"{NO_PROGRAM} systemd-analyze; sudo apt-get install systemd")
+    return program
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Name every test that was left out for want of the shared recordings."""
+    """Name every test that was left out for want of the shared recordings, or of a program."""
+    for report in terminalreporter.stats.get("skipped", []):
+        if NO_PROGRAM in str(report.longrepr):
+            terminalreporter.section("A TEST LEFT OUT", sep="!", red=True, bold=True)
+            terminalreporter.line(f"{report.nodeid}: {report.longrepr[-1]}")
     missing = [r for r in terminalreporter.stats.get("skipped", []) if LEFT_OUT in str(r.longrepr)]
     if not missing:
         return
