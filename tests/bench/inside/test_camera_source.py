@@ -1,0 +1,222 @@
+"""The aircraft's camera source on the kernel's own devices: formats, stamps, gaps, controls, faults, unplugging."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from onboard.camera.v4l2 import V4l2Camera
+from onboard.config import CameraConfig
+from onboard.events import Event, Frame
+from onboard.session_clock import SessionClock
+from onboard.sources import State
+from tests.bench.flight import as_format
+from tests.bench.v4l2 import Output
+
+VIVID, LOOPBACK = "/dev/video0", "/dev/video10"
+WIDTH_PX, HEIGHT_PX, RATE_HZ = 320, 240, 30
+STEP_NS = 10**9 // RATE_HZ
+LATENCY_S = 0.004
+LOST_WITHIN_S = 2.0
+LOAD_VIVID = "modprobe vivid n_devs=1 node_types=0x1 num_inputs=1 input_types=0x00"
+LOAD_LOOPBACK = "modprobe v4l2loopback devices=1 card_label=uavcam exclusive_caps=1 max_buffers=8"
+
+
+@dataclass
+class Watched:
+    """A running source and what it has said."""
+
+    source: V4l2Camera
+    clock: SessionClock
+    frames: list[Frame] = field(default_factory=list)
+
+    def wait(self, what: Callable[[], bool], within_s: float) -> float:
+        """Seconds until something is so; fails if it does not come to be."""
+        began_s = time.monotonic()
+        while not what():
+            assert time.monotonic() - began_s < within_s, self.source.health()
+            time.sleep(0.02)
+        return time.monotonic() - began_s
+
+    def wait_pictures(self, count: int, within_s: float = 10.0) -> float:
+        """Until so many more have come."""
+        wanted = len(self.frames) + count
+        return self.wait(lambda: len(self.frames) >= wanted, within_s)
+
+
+@contextlib.contextmanager
+def watched(**config: Any) -> Iterator[Watched]:
+    clock, stop = SessionClock.start(), threading.Event()
+    camera = Camera.from_field_of_view(WIDTH_PX, HEIGHT_PX, 40.0)
+    whole = CameraConfig(**({"rate_hz": RATE_HZ, "latency_s": LATENCY_S} | config))
+    seen = Watched(V4l2Camera(whole, camera, clock), clock)
+
+    def emit(_: int, event: Event) -> None:
+        assert isinstance(event, Frame)
+        seen.frames.append(event)
+
+    thread = threading.Thread(target=seen.source.run, args=(emit, stop))
+    thread.start()
+    try:
+        yield seen
+    finally:
+        stop.set()
+        thread.join(5.0)
+        assert not thread.is_alive()
+
+
+def picture(number: int) -> NDArray[np.uint8]:
+    """Blocks that a JPEG keeps, moving with the number."""
+    coarse = np.random.default_rng(7).integers(20, 236, (HEIGHT_PX // 8, WIDTH_PX // 8), dtype=np.uint8)
+    return np.kron(np.roll(coarse, number, axis=1), np.ones((8, 8), np.uint8))
+
+
+@dataclass
+class Player:
+    """Pictures put into the loopback: what was sent under which stamp."""
+
+    sent: dict[int, int] = field(default_factory=dict)
+
+
+@contextlib.contextmanager
+def player(device: str, fourcc: str) -> Iterator[Player]:
+    """Plays in a thread of its own for as long as the block lasts; every stamp lies 12 ms before the hand-over."""
+    played, ended = Player(), threading.Event()
+
+    def play(camera: Output) -> None:
+        began_ns = time.monotonic_ns()
+        for number in itertools.count():
+            due_ns = began_ns + number * STEP_NS
+            if ended.wait(max(due_ns - time.monotonic_ns(), 0) / 1e9):
+                return
+            stamp_ns = (due_ns - 12_000_000) // 1000 * 1000
+            played.sent[stamp_ns] = number
+            camera.put(as_format(picture(number), fourcc), stamp_ns)
+
+    with Output(device, fourcc, WIDTH_PX, HEIGHT_PX, RATE_HZ) as camera:
+        thread = threading.Thread(target=play, args=(camera,))
+        thread.start()
+        try:
+            yield played
+        finally:
+            ended.set()
+            thread.join()
+
+
+def sh(command: str) -> str:
+    done = subprocess.run(["/bin/sh", "-c", command], capture_output=True, text=True, timeout=20, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def unload(module: str) -> None:
+    """Take a driver away as soon as nobody holds its device open."""
+    sh(f"for _ in $(seq 100); do rmmod {module} 2>/dev/null && exit 0; sleep 0.05; done; rmmod {module}")
+
+
+@pytest.fixture(autouse=True)
+def fresh_devices() -> Iterator[None]:
+    """Whatever a test did to the drivers is undone."""
+    yield
+    for module in ("vivid", "v4l2loopback"):
+        unload(module)
+    sh(f"{LOAD_VIVID}; {LOAD_LOOPBACK} video_nr=10; udevadm settle; v4l2-ctl -d {VIVID} -c timestamp_source=1")
+
+
+@pytest.mark.parametrize("fourcc", ["GREY", "YUYV", "NV12", "MJPG", "Y16 "])
+def test_every_format_gives_the_picture_that_was_taken_with_the_stamp_it_was_given(fourcc: str) -> None:
+    with player(LOOPBACK, fourcc) as played, watched(device=LOOPBACK, format=fourcc.strip()) as seen:
+        seen.wait_pictures(40)
+    assert seen.source.health().figures["damaged"] == 0
+    for frame in seen.frames[2:40]:  # after buffers of the last player's
+        stamp_ns = frame.stamp_ns - seen.clock.offset_ns + round(LATENCY_S * 1e9)
+        assert stamp_ns in played.sent
+        sent = picture(played.sent[stamp_ns]).astype(float)
+        assert frame.image is not None and frame.image.shape == (HEIGHT_PX, WIDTH_PX)
+        got = frame.image.astype(float)
+        if fourcc in ("MJPG", "Y16 "):  # coded with loss; spread over the grey scale
+            assert np.corrcoef(sent.ravel(), got.ravel())[0, 1] > 0.995
+        else:
+            assert np.array_equal(sent, got)
+    assert len({frame.index for frame in seen.frames}) == len(seen.frames)
+
+
+@pytest.mark.parametrize("fourcc", ["GREY", "YUYV", "NV12"])
+def test_a_camera_of_the_kernels_gives_pictures_at_its_rate_without_loss(fourcc: str) -> None:
+    with watched(device=VIVID, format=fourcc) as seen:
+        seen.wait_pictures(75)
+        assert seen.source.health().state is State.OK, seen.source.health()
+        before_ns = seen.clock.now_ns()
+        assert seen.frames[-1].stamp_ns < before_ns
+    steps_ns = np.diff([frame.stamp_ns for frame in seen.frames[15:]])
+    assert np.mean(steps_ns) == pytest.approx(STEP_NS, rel=0.03)  # vivid's own beat is of 10 ms
+
+
+def test_pictures_that_the_driver_dropped_are_counted() -> None:
+    sh(f"v4l2-ctl -d {VIVID} -c percentage_of_dropped_buffers=30")
+    with watched(device=VIVID, format="GREY") as seen:
+        seen.wait_pictures(90)
+        counted = seen.source.health().figures["lost"]
+        stamps_ns = np.array([frame.stamp_ns for frame in seen.frames])
+    missing = np.rint(np.diff(stamps_ns) / STEP_NS) - 1
+    assert counted == pytest.approx(float(np.sum(missing)), abs=2)
+    assert 0.2 < counted / (counted + len(stamps_ns)) < 0.42
+
+
+def test_gain_is_held_where_it_was_wanted_and_what_the_driver_lacks_is_said() -> None:
+    sh(f"v4l2-ctl -d {VIVID} -c gain_automatic=1")
+    with watched(device=VIVID, format="GREY", gain=77, exposure_us=2000.0) as seen:
+        seen.wait_pictures(10)
+        assert sh(f"v4l2-ctl -d {VIVID} -C gain_automatic,gain").split() == ["gain_automatic:", "0", "gain:", "77"]
+        health = seen.source.health()
+    assert health.state is State.DEGRADED
+    assert "exposure 2000 us: the driver has no such control" in health.detail
+
+
+def test_an_input_output_error_costs_a_moment() -> None:
+    with watched(device=VIVID, format="GREY") as seen:
+        seen.wait_pictures(20)
+        sh(f"v4l2-ctl -d {VIVID} -c inject_fatal_streaming_error=1")
+        seen.wait(lambda: seen.source.health().figures["reopened"] == 1, 3.0)
+        assert seen.wait_pictures(20) < 4.0
+        assert seen.source.health().state is State.OK
+
+
+def test_an_unplugged_camera_is_lost_within_two_seconds_and_found_under_another_name() -> None:
+    with watched(device=VIVID, format="GREY") as seen:
+        seen.wait_pictures(20)
+        sh(f"v4l2-ctl -d {VIVID} -c disconnect=1")
+        assert seen.wait(lambda: seen.source.health().state is State.LOST, 5.0) < LOST_WITHIN_S
+        unload("vivid")
+        assert seen.source.health().state is State.LOST
+        sh(f"{LOAD_VIVID} vid_cap_nr=5; udevadm settle; v4l2-ctl -d /dev/video5 -c timestamp_source=1")
+        assert seen.wait_pictures(20) < 5.0
+        health = seen.source.health()
+        assert health.state is State.OK and "/dev/video5" in health.detail
+        stamps_ns = [frame.stamp_ns for frame in seen.frames]
+        assert stamps_ns == sorted(stamps_ns)
+
+
+def test_a_camera_that_falls_silent_is_lost_and_is_taken_up_again_under_another_number() -> None:
+    with watched(device=LOOPBACK, format="GREY") as seen:
+        with player(LOOPBACK, "GREY"):
+            seen.wait_pictures(20)
+        assert seen.wait(lambda: seen.source.health().state is State.LOST, 5.0) < LOST_WITHIN_S
+        unload("v4l2loopback")
+        sh(f"{LOAD_LOOPBACK} video_nr=12; udevadm settle")
+        with player("/dev/video12", "GREY") as played:
+            assert seen.wait_pictures(20) < 5.0
+            assert "/dev/video12" in seen.source.health().detail
+        newest = seen.frames[-1].stamp_ns - seen.clock.offset_ns + round(LATENCY_S * 1e9)
+        assert newest in played.sent
