@@ -5,8 +5,8 @@ Shi and Tomasi 1994; Bouguet's pyramidal LK. Two things differ from following pi
 - Each feature is matched against the last *keyframe*, not the last picture. Its error does not grow with the number
   of pictures in between, and a picture that fails (dark, blurred) is simply passed over.
 - Before LK starts, the whole picture's motion is known to a few pixels: from telemetry, from the last picture's
-  motion, or by phase correlation of thumbnails. Where that motion turns or scales, the picture is warped back first,
-  because LK compares patches by translation alone.
+  motion, by phase correlation of thumbnails, or by matched descriptors if all that fails. Where that motion turns or
+  scales, the picture is warped back first, because LK compares patches by translation alone.
 
 A track is believed if LK converged, its patch looks alike (LK's own error on the normalised picture) and its motion
 agrees with its neighbours'.
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from onboard.picture import SPREAD, Normaliser, Picture, thumbnail
 from onboard.prediction import move
+from onboard.relocation import Described, describe, motion_between
 
 Array = NDArray[np.float64]
 
@@ -72,6 +73,7 @@ class Tracker:
         self.min_distance_px = min_distance_px or float(max(4.0, 0.45 * spacing))
         self._picture: Picture | None = None
         self._thumbnail: NDArray[np.float32] | None = None
+        self._described: Described | None = None  # the keyframe's, once it was asked for
         self._ids = np.zeros(0, np.int64)
         self._uv = np.zeros((0, 2))
         self._contrast = np.zeros(0)  # grey levels, one sigma of each feature's patch in the keyframe
@@ -110,6 +112,8 @@ class Tracker:
                     best = found
                 if len(found) >= max(MIN_TRACKS, 0.5 * len(self._ids)):
                     break
+        if len(best) < MIN_TRACKS:
+            best = self._relocate()
         self._levels = None
         if len(best) >= MIN_TRACKS:
             if self._is_plenty(best):
@@ -120,6 +124,14 @@ class Tracker:
             self._step = best.motion @ np.linalg.inv(self._motion)
             self._motion, self._predicted = best.motion, predicted
         return best
+
+    def _relocate(self) -> Tracks:
+        """The last resort: follow from where matched descriptors say the picture went."""
+        assert self._picture is not None and self._current is not None
+        if self._described is None:
+            self._described = describe(self._picture)
+        motion = motion_between(self._described, describe(self._current), self.width_px)
+        return self.nothing() if motion is None else self._follow(motion, LEVELS)
 
     def _carry_on(self, predicted: Array | None) -> Array:
         """Where the last picture's motion leads: on by what telemetry says has changed since, else by the same step."""
@@ -141,7 +153,7 @@ class Tracker:
         """Make the last picture the keyframe: keep `tracks`, fill up with new features; returns all ids and pixels."""
         if self._current is None:
             raise RuntimeError("promote() before track(): there is no picture yet")
-        self._picture, self._thumbnail = self._current, None
+        self._picture, self._thumbnail, self._described = self._current, None, None
         self._motion = np.eye(3)
         self._predicted = None if self._predicted is None else np.eye(3)
         fresh = self._detect(tracks.uv_px, self.features - len(tracks))
@@ -154,7 +166,7 @@ class Tracker:
 
     def forget(self) -> None:
         """Drop the keyframe: the next picture starts anew."""
-        self._picture = self._thumbnail = None
+        self._picture = self._thumbnail = self._described = None
         self._ids, self._uv = np.zeros(0, np.int64), np.zeros((0, 2))
         self._motion, self._step = np.eye(3), np.eye(3)
         self._predicted = self._levels = None

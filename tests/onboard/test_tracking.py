@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -113,6 +114,29 @@ def test_without_a_prediction_the_whole_pictures_shift_is_found(world: World) ->
     tracks = started(world.picture(START, 0)).track(world.picture(there, 1), None)
     assert len(tracks) > 50
     assert 0.0 < np.median(error_px(tracks, between(START, there))) < 0.1
+
+
+@pytest.mark.parametrize("yaw_deg", [75.0, 150.0, -110.0])
+def test_a_picture_turned_by_any_angle_is_found_without_a_prediction(world: World, yaw_deg: float) -> None:
+    """Where correlation of thumbnails sees nothing, descriptors do."""
+    there = pose(8.0, 6.0, yaw=30.0 + yaw_deg)
+    tracks = started(world.picture(START, 0)).track(world.picture(there, 1), None)
+    assert len(tracks) > 30
+    assert 0.0 < np.median(error_px(tracks, between(START, there))) < 0.25
+
+
+def test_a_dark_photograph_of_the_real_flight_is_found_against_a_bright_one(shared_data: Path) -> None:
+    """The third against the first, 144 px and three and a half times less light away, with no telemetry to tell."""
+    files = sorted((shared_data / "cmac_2018" / "frames").glob("*.jpg"))
+    pictures = [np.asarray(cv2.imread(str(files[k]), cv2.IMREAD_GRAYSCALE), np.uint8) for k in (0, 2)]
+    assert pictures[0].mean() > 3.0 * pictures[1].mean()
+    tracker = Tracker((pictures[0].shape[1], pictures[0].shape[0]), FEATURES)
+    tracker.track(pictures[0], None)
+    tracker.promote(tracker.nothing())
+    tracks = tracker.track(pictures[1], None)
+    assert len(tracks) > 20
+    shift = np.median(tracks.uv_px - tracks.keyframe_uv_px, axis=0)
+    assert np.abs(shift - [-40.0, 138.0]).max() < 40.0  # as SIFT says of the picture's middle; it turns a little too
 
 
 def test_a_prediction_that_is_wrong_gives_right_tracks_or_none(world: World) -> None:
