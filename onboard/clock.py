@@ -41,6 +41,7 @@ class _Segment:
     newest_boot_ns: int
     newest_offset_ns: int
     bin_ns: int = BIN_NS
+    memory_ns: int | None = None
     least: dict[int, tuple[int, int]] = field(default_factory=dict)  # bin -> (boot, offset), relative to the origins
     line_ns: tuple[float, float] | None = None  # offset at the origin, slope; None: to be fitted again
 
@@ -48,6 +49,9 @@ class _Segment:
         boot, offset = boot_ns - self.boot_origin_ns, offset_ns - self.offset_origin_ns
         self.newest_boot_ns, self.newest_offset_ns = max(self.newest_boot_ns, boot_ns), offset_ns
         key = boot // self.bin_ns
+        if self.memory_ns is not None and key not in self.least:
+            oldest = (boot - self.memory_ns) // self.bin_ns
+            self.least = {k: value for k, value in self.least.items() if k >= oldest}
         if key not in self.least or offset < self.least[key][1]:
             self.least[key] = (boot, offset)
             self.line_ns = None
@@ -68,18 +72,20 @@ class BootClock:
     """Maps boot time to our clock. Fed in order of arrival; answers from all it has been fed so far.
 
     Feed a whole log first to map it by the least delay of the whole log, or feed and ask in turn when live.
-    A reboot, or a step of either clock, starts a new segment; `add` returns its number.
+    A reboot, or a step of either clock, starts a new segment; `add` returns its number. With `memory_ns` older
+    arrivals are forgotten, so that a constant offset follows a slow drift: for a link that runs for hours.
     """
 
-    def __init__(self, mode: Mode = "auto") -> None:
+    def __init__(self, mode: Mode = "auto", memory_ns: int | None = None) -> None:
         self.mode = mode
+        self._memory_ns = memory_ns
         self._segments: list[_Segment] = []
 
     def add(self, boot_ns: int, arrival_ns: int) -> int:
         """Take one message's boot stamp and arrival; returns the segment it belongs to, counted from 0."""
         offset_ns = arrival_ns - boot_ns
         if not self._segments or self._is_new(boot_ns, offset_ns):
-            self._segments.append(_Segment(boot_ns, offset_ns, boot_ns, offset_ns))
+            self._segments.append(_Segment(boot_ns, offset_ns, boot_ns, offset_ns, memory_ns=self._memory_ns))
         self._segments[-1].add(boot_ns, offset_ns)
         return len(self._segments) - 1
 

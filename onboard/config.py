@@ -176,8 +176,10 @@ class Telemetry(Section):
     backend: Literal["pymavlink", "mavsdk"] = choice("pymavlink", "library that speaks MAVLink")
     attitude_rate_hz: float = quantity(50.0, 1.0, 400.0, "Hz", "attitude asked of the autopilot, which may give less")
     position_rate_hz: float = quantity(10.0, 1.0, 50.0, "Hz", "position asked of the autopilot, which may give less")
+    system: int = quantity(0, 0, 255, "", "the vehicle's MAVLink system number; 0: the first autopilot heard")
     component: int = quantity(191, 1, 255, "", "our MAVLink component number in the vehicle's system")
     signing_key: str | None = choice(None, "file with a MAVLink 2 signing key (32 bytes, raw or 64 hex digits)")
+    log: str | None = choice(None, "folder to write what the link says into, as .tlog files; none if not set")
     fov_status: bool = choice(False, "send CAMERA_FOV_STATUS: where on the ground the camera looks")
     lost_after_s: float = quantity(2.0, 0.2, 60.0, "s", "silence that counts as telemetry lost")
     clock: Literal["auto", "constant", "drift"] = choice(

@@ -48,19 +48,7 @@ def read_tlog(path: Path | str, clock: Mode = "auto") -> TelemetryLog:
     Only the autopilot's component of the system with most of its heartbeats is read. Damaged stretches and a cut end
     are passed over. Raises InputError, one line, for a file that is missing, empty, not a log, or without positions.
     """
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(f"telemetry {path}: {error.strerror}") from error
-    if not data:
-        raise InputError(f"telemetry {path}: the file is empty")
-    messages = _without_stray_stamps(list(_decoded(data)))
-    if not messages:
-        raise InputError(
-            f"telemetry {path}: not a MAVLink telemetry log (.tlog): no packet of an autopilot found in it"
-        )
-    system = _autopilot_system(messages)
-    own = [(t, m) for t, m in messages if m.get_srcSystem() == system and m.get_srcComponent() == AUTOPILOT_COMPONENT]
+    own, system = log_messages(path)
     sources = Sources.by_counts(Counter(message.get_type() for _, message in own))
     boot_clock = BootClock(clock)
     segments: list[int] = []
@@ -81,6 +69,28 @@ def read_tlog(path: Path | str, clock: Mode = "auto") -> TelemetryLog:
             f"telemetry {path}: system {system} sends no position (GLOBAL_POSITION_INT, or GPS_RAW_INT with a 3D fix)"
         )
     return TelemetryLog(events, arrivals, system, boot_clock.segments)
+
+
+def log_messages(path: Path | str) -> tuple[list[tuple[int, Any]], int]:
+    """(arrival ns, message) of a log's autopilot, in order, and its system number.
+
+    The system with most autopilot heartbeats is read. Raises InputError, one line, for a file that is missing, empty or
+    not a log.
+    """
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(f"telemetry {path}: {error.strerror}") from error
+    if not data:
+        raise InputError(f"telemetry {path}: the file is empty")
+    messages = _without_stray_stamps(list(_decoded(data)))
+    if not messages:
+        raise InputError(
+            f"telemetry {path}: not a MAVLink telemetry log (.tlog): no packet of an autopilot found in it"
+        )
+    system = _autopilot_system(messages)
+    own = [(t, m) for t, m in messages if m.get_srcSystem() == system and m.get_srcComponent() == AUTOPILOT_COMPONENT]
+    return own, system
 
 
 def _without_stray_stamps(messages: list[tuple[int, Any]]) -> list[tuple[int, Any]]:

@@ -20,6 +20,7 @@ from simulation.autopilot.wire import open_wire
 
 IDLE_S = 0.02
 FRESH_BOOT_NS = 1_500_000_000  # how long after its boot a rebooted autopilot is first heard
+FIRST_QUESTION_NS = 2_000_000_000  # after a boot: its own first TIMESYNC
 KEEP = 50_000  # messages remembered for whoever asks
 
 
@@ -111,6 +112,7 @@ class FakeAutopilot:
     def __enter__(self) -> Self:
         start_ns = time.monotonic_ns() if self._at_ns is None else self._at_ns
         self._boots.append(_Boot(start_ns, self._begin_ns, 0))
+        self._next_question_ns = start_ns + FIRST_QUESTION_NS
         self._pass_until(self._begin_ns)
         self._thread.start()
         return self
@@ -215,7 +217,7 @@ class FakeAutopilot:
                 shift = FRESH_BOOT_NS - (self._boot_ns(back) - was.shift_ns)
                 self._boots.append(_Boot(back, FRESH_BOOT_NS, shift))
                 self._rates = self._fresh_rates()
-                self._next_beat_ns = self._next_question_ns = back
+                self._next_beat_ns, self._next_question_ns = back, back + FIRST_QUESTION_NS
                 self._pass_until(FRESH_BOOT_NS - shift)
 
     def _skip(self, now: int) -> None:

@@ -1,0 +1,88 @@
+"""Bytes of a line -> MAVLink messages, whatever else is on it. pymavlink checks and decodes; the framing is ours.
+
+pymavlink's own parser drops a whole supposed packet where a checksum fails, and real packets with it that follow a
+stray start byte; here only that byte is given up.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+V1, V2 = mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2
+START = re.compile(bytes([ord("["), V1, V2, ord("]")]))
+SIGNATURE = mavlink.MAVLINK_SIGNATURE_BLOCK_LEN
+SIGNED = mavlink.MAVLINK_IFLAG_SIGNED
+HEADER_V1, HEADER_V2 = 6, 10
+
+
+class Framer:
+    """Fed with chunks as they come; `decoder` holds the keys if packets must be signed."""
+
+    def __init__(self, decoder: Any) -> None:
+        self._decoder = decoder
+        self._buffer = bytearray()
+        self.garbage = 0  # bytes that belonged to no packet
+
+    def feed(self, data: bytes) -> list[Any]:
+        """Take what has come in; returns the messages that are complete and sound."""
+        self._buffer += data
+        out, at = [], 0
+        while True:
+            start = START.search(self._buffer, at)
+            if start is None:
+                self.garbage += len(self._buffer) - at
+                at = len(self._buffer)
+                break
+            self.garbage += start.start() - at
+            at = start.start()
+            length = self._length(at)
+            if length is None:
+                break
+            message = self._decoded(at, length) if length else None
+            if message is None:
+                if length and at + length > len(self._buffer):
+                    break
+                self.garbage += 1
+                at += 1
+                continue
+            out.append(message)
+            at += length
+        del self._buffer[:at]
+        return [message for message in out if not message.get_type().startswith("UNKNOWN")]
+
+    def _length(self, at: int) -> int | None:
+        """Whole length of the packet that seems to start here; 0: none does; None: too little of it has come."""
+        buffer, left = self._buffer, len(self._buffer) - at
+        if buffer[at] == V1:
+            if left < HEADER_V1:
+                return None
+            payload, number, length = buffer[at + 1], buffer[at + 5], HEADER_V1 + 2
+        else:
+            if left < HEADER_V2:
+                return None
+            flags = buffer[at + 2]
+            if flags & ~SIGNED:
+                return 0
+            payload, number = buffer[at + 1], int.from_bytes(buffer[at + 7 : at + 10], "little")
+            length = HEADER_V2 + 2 + (SIGNATURE if flags & SIGNED else 0)
+        known = mavlink.mavlink_map.get(number)
+        # Newer dialects may append fields to a message, but not make it several times as long.
+        if known is not None and payload > 2 * known.unpacker.size + 8:
+            return 0
+        return length + payload
+
+    def _decoded(self, at: int, length: int) -> Any | None:
+        end = at + length
+        if end > len(self._buffer):
+            return None
+        packet = self._buffer[at:end]
+        try:
+            message = self._decoder.decode(packet)
+        except mavlink.MAVError:
+            return None
+        if message.get_type().startswith("UNKNOWN") and end < len(self._buffer) and self._buffer[end] not in (V1, V2):
+            return None  # nothing checks its bytes: believed only where another packet follows
+        return message
