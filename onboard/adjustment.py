@@ -161,20 +161,22 @@ def adjust(request: Request) -> Outcome:
     if ranged is not None:  # what it measures is the plane: the points must be held to that as closely as they lie
         relief = np.full(len(points), 1.0 / strays_m)
     for _ in range(WEIGHING_ROUNDS):
+        used = noise  # what this problem is weighted by; `noise` becomes what the next is
         priors = sensor_priors(
             request.config, request.R_body_cam, list(keyframes), layout, belief, terrain is not None, noise.jitter_s
         )
         priors += [] if ranged is None else [ranged]
         problem = Problem(layout, xy, weight / noise.discord, priors, reference, relief, terrain, clearance_m)
         first = approximate(problem, state)
-        noise, again = _reweighed(request, noise, priors, first.state)
+        noise, again = _reweighed(request, used, priors, first.state)
         if not again:
             break
         state = first.state
-    adjusted = refine(problem, first, MIN_PIXEL_SIGMA_PX / (noise.pixel_sigma_px * noise.discord))
+    adjusted = refine(problem, first, MIN_PIXEL_SIGMA_PX / (used.pixel_sigma_px * used.discord))
     if adjusted is None:
         return Outcome(Status.POOR_FIT, keyframes, noise)
-    return _judged(replace(request, keyframes=keyframes, noise=noise), ids, layout, priors, problem.weight, adjusted)
+    judged = _judged(replace(request, keyframes=keyframes, noise=used), ids, layout, priors, problem.weight, adjusted)
+    return replace(judged, noise=replace(noise, pixel_sigma_px=judged.noise.pixel_sigma_px))
 
 
 def _reweighed(request: Request, noise: Noise, priors: list[Prior], state: State) -> tuple[Noise, bool]:
