@@ -85,6 +85,8 @@ def parser() -> argparse.ArgumentParser:
     cameras.add_argument("--json", action="store_true", help="for programs")
     cameras.set_defaults(run=run_cameras)
 
+    _add_calibrate(commands.add_parser("calibrate", help="make a camera file from pictures of a board"))
+
     status = commands.add_parser("status", help="how the running daemon is")
     status.add_argument("--config", type=Path, default=CONFIG, metavar="FILE", help=f"its configuration ({CONFIG})")
     status.add_argument("--vehicle", metavar="NAME", help="another vehicle than the configured one")
@@ -95,6 +97,45 @@ def parser() -> argparse.ArgumentParser:
     check.add_argument("file", type=Path, metavar="FILE", nargs="?", default=CONFIG)
     check.set_defaults(run=run_check_config)
     return top
+
+
+def _pair(text: str) -> tuple[int, int]:
+    """'640x480' -> (640, 480)."""
+    first, second = text.lower().split("x")
+    if min(int(first), int(second)) < 1:
+        raise ValueError(text)
+    return int(first), int(second)
+
+
+def _add_calibrate(calibrate: argparse.ArgumentParser) -> None:
+    calibrate.add_argument("--out", type=Path, metavar="CAMERA.json", help="the camera file to write")
+    calibrate.add_argument("--pictures", type=Path, metavar="DIR", help="pictures of the board")
+    calibrate.add_argument("--device", metavar="/dev/videoN", help="or: watch this camera")
+    calibrate.add_argument("--size", type=_pair, metavar="WxH", help="with --device: picture size, as it will be flown")
+    calibrate.add_argument(
+        "--format", default="auto", choices=["auto", "GREY", "YUYV", "NV12", "MJPG", "Y16"], help="with --device"
+    )
+    calibrate.add_argument("--views", type=int, default=25, metavar="N", help="with --device: views to collect (25)")
+    calibrate.add_argument("--seconds", type=_seconds, default=300.0, metavar="S", help="with --device: at most (300)")
+    calibrate.add_argument("--save", type=Path, metavar="DIR", help="with --device: keep the pictures")
+    calibrate.add_argument("--board", default="charuco", choices=["charuco", "checkerboard"], help="kind of board")
+    calibrate.add_argument("--squares", type=_pair, default=(7, 10), metavar="CxR", help="squares of the board (7x10)")
+    calibrate.add_argument("--square-mm", type=float, default=25.0, metavar="MM", help="a square, as measured (25)")
+    calibrate.add_argument("--marker-mm", type=float, metavar="MM", help="a ChArUco marker (0.74 of a square)")
+    calibrate.add_argument("--dictionary", default="5X5_100", metavar="NAME", help="of the markers (5X5_100)")
+    calibrate.add_argument("--coverage", type=Path, metavar="FILE.png", help="coverage picture (beside --out)")
+    calibrate.add_argument("--accept", action="store_true", help="write the camera file against the verdict")
+    calibrate.add_argument(
+        "--print-board", type=Path, metavar="FILE.pdf", help="write the board for the printer (or .png)"
+    )
+    calibrate.set_defaults(run=run_calibrate)
+
+
+def run_calibrate(arguments: argparse.Namespace) -> int:
+    """Calibrate; 1 if the calibration is not good."""
+    from onboard.calibrate_command import run  # noqa: PLC0415
+
+    return run(arguments)
 
 
 def run_cameras(arguments: argparse.Namespace) -> int:

@@ -20,12 +20,11 @@ from PIL import Image
 
 from contract.camera import Camera
 from contract.errors import InputError
+from onboard.camera.pixels import UNDECODABLE, reduce_16_bit
 from onboard.camera.stamps import read_stamps, stamp_from_exif, stamp_from_name
 from onboard.events import Frame
 
 PICTURE_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".pnm", ".webp", ".jp2"}
-# What Pillow raises for a file that is not, or is no longer, a picture (SyntaxError: a PNG with a broken chunk).
-UNDECODABLE = (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError)
 SIXTEEN_BIT_MODES = {"I;16", "I;16B", "I;16L", "I"}
 
 
@@ -157,17 +156,17 @@ class PictureFolder:
         """Decode and yield each picture; raises InputError at one that cannot be decoded."""
         for index, item in enumerate(self._stamped):
             try:
-                image = _read_grey(self.folder / item.name)
+                image = read_grey(self.folder / item.name)
             except UNDECODABLE as error:
                 raise self._undecodable(item.name, error) from error
             yield Frame(item.stamp_ns, index, image, item.name)
 
 
-def _read_grey(path: Path) -> NDArray[np.uint8]:
+def read_grey(path: Path) -> NDArray[np.uint8]:
+    """A picture file as grey (H, W); raises one of `UNDECODABLE`."""
     with Image.open(path) as image:
         if image.mode in SIXTEEN_BIT_MODES:
-            deep = np.asarray(image).astype(np.int64)
-            return np.ascontiguousarray((deep >> 8).clip(0, 255).astype(np.uint8))
+            return reduce_16_bit(np.asarray(image).clip(0, 65535).astype(np.uint16))
         image.draft("L", image.size)  # a JPEG's own luma, without the way through colour
         return np.array(image.convert("L"), np.uint8)
 

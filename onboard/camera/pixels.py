@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from onboard.camera.files import UNDECODABLE
-
 Grey = NDArray[np.uint8]
+
+# What Pillow raises for what is not, or is no longer, a picture (SyntaxError: a PNG with a broken chunk).
+UNDECODABLE = (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError)
 
 # Sixteen-bit pictures: the darkest and brightest hundredth may saturate, and so many counts at least fill the grey
 # scale. A thermal camera of 14 bits uses a few hundred of its 16384 counts for a landscape; below 256 counts of span

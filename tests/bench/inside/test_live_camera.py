@@ -1,4 +1,4 @@
-"""The live camera on real drivers: vivid at /dev/video0, v4l2loopback at /dev/video10 and elsewhere."""
+"""The live camera where it must refuse, wait or doubt, on the kernel's own devices; `cameras` and `calibrate` too."""
 
 from __future__ import annotations
 
@@ -19,12 +19,14 @@ from PIL import Image
 from contract.camera import Camera
 from contract.errors import ConfigError
 from onboard.__main__ import main
+from onboard.calibration_board import Board
 from onboard.camera.v4l2 import V4l2Camera
 from onboard.config import CameraConfig
 from onboard.events import Frame
 from onboard.session_clock import SessionClock
 from onboard.sources import Health, State
 from tests.bench.v4l2 import Output
+from tests.onboard.board_pictures import Photographer, poses_all_over
 
 VIVID, LOOPBACK = "/dev/video0", "/dev/video10"
 CLOCK = SessionClock.start()
@@ -92,12 +94,6 @@ def load_vivid() -> None:
     control(timestamp_source=1)
 
 
-def load_loopback(number: int) -> None:
-    words = f"modprobe v4l2loopback devices=1 video_nr={number} card_label=uavcam exclusive_caps=1 max_buffers=8"
-    subprocess.run(words.split(), check=True, timeout=10)
-    subprocess.run(["udevadm", "settle", "--timeout=10"], check=True, timeout=15)
-
-
 def unload(module: str) -> None:
     for _ in range(50):
         if subprocess.run(["rmmod", module], check=False, timeout=10, capture_output=True).returncode == 0:
@@ -134,45 +130,11 @@ def numbered(number: int) -> bytes:
     return np.random.default_rng(number).integers(0, 255, (240, 320), np.uint8).tobytes()
 
 
-@pytest.mark.parametrize("fourcc", ["GREY", "YUYV", "NV12", "Y16"])
-def test_every_format_gives_grey_pictures_stamped_by_the_driver(fourcc: str) -> None:
-    begun_ns = CLOCK.now_ns()
-    with running(format=fourcc) as live:
-        frames = live.more(20)
-        health = live.camera.health()
-    assert health.state is State.OK, health
-    assert health.detail == f"{VIVID}: 640x480 {fourcc}, stamped at its start"
-    for frame in frames:
-        assert frame.image is not None
-        assert (frame.image.shape, frame.image.dtype) == ((480, 640), np.uint8)
-        assert frame.image.std() > 30.0  # vivid's colour bars
-    # The mean: vivid's clock ticks in tens of milliseconds.
-    step_ms = (frames[-1].stamp_ns - frames[0].stamp_ns) / 1e6 / (19 + health.figures["lost"])
-    assert 31.0 < step_ms < 36.0
-    assert begun_ns < frames[0].stamp_ns < live.arrivals_ns[0] < CLOCK.now_ns()
-    assert [frame.index for frame in frames] == list(range(frames[0].index, frames[0].index + 20))
-
-
 def test_latency_is_taken_off_the_stamps() -> None:
     with running(latency_s=0.25) as live:
         live.more(10)
         delay_ms = np.median(np.subtract(live.arrivals_ns, [frame.stamp_ns for frame in live.frames])) / 1e6
     assert 250.0 <= delay_ms < 330.0
-
-
-def test_dropped_buffers_are_counted_from_the_drivers_numbers() -> None:
-    control(percentage_of_dropped_buffers=20)
-    try:
-        with running() as live:
-            live.more(100, within_s=15.0)
-            figures = live.camera.health().figures
-            span_s = (live.frames[-1].stamp_ns - live.frames[0].stamp_ns) / 1e9
-    finally:
-        control(percentage_of_dropped_buffers=0)
-    # vivid makes 29.97 pictures a second, those it drops included.
-    made = span_s * 29.97 + 1
-    assert figures["pictures"] + figures["lost"] == pytest.approx(made, abs=3.0)
-    assert 8 <= figures["lost"] <= 60
 
 
 def test_a_damaged_buffer_is_a_picture_without_an_image() -> None:
@@ -185,60 +147,6 @@ def test_a_damaged_buffer_is_a_picture_without_an_image() -> None:
         damaged = [frame for frame in live.frames if frame.image is None]
         assert live.camera.health().figures["damaged"] > before == 0
     assert damaged and len(damaged) < 10
-
-
-def test_a_streaming_error_is_survived_within_two_seconds() -> None:
-    with running() as live:
-        live.more(5)
-        control(inject_fatal_streaming_error=1)
-        live.until(State.LOST, 2.0)
-        waited_s, health = live.until(State.OK, 4.0)
-        live.more(5)
-    assert waited_s < 2.0
-    assert health.figures["reopened"] == 1
-    stamps_ns = [frame.stamp_ns for frame in live.frames]
-    assert stamps_ns == sorted(set(stamps_ns))
-
-
-def test_an_unplugged_camera_is_lost_within_two_seconds_and_reopened_when_it_returns() -> None:
-    with running() as live:
-        live.more(5)
-        control(disconnect=1)
-        waited_s, health = live.until(State.LOST, 2.0)
-        assert health.detail
-        unload("vivid")
-        time.sleep(0.5)
-        assert live.camera.health().state is State.LOST
-        assert VIVID in live.camera.health().detail
-        load_vivid()
-        live.until(State.OK, 5.0)
-        live.more(10)
-    assert waited_s < 2.0
-
-
-def test_a_camera_comes_back_under_another_number() -> None:
-    with running(LOOPBACK, (320, 240)) as live:
-        with playing(LOOPBACK, numbered):
-            live.until(State.OK, 5.0)
-            live.more(5)
-        live.until(State.LOST, 2.0)  # its player has ended: silence
-        unload("v4l2loopback")
-        load_loopback(12)
-        try:
-            with playing("/dev/video12", numbered):
-                waited_s, health = live.until(State.OK, 5.0)
-                live.more(5)
-                # The loopback hands a new reader what was last played: it must not count as news.
-                assert all(f.image is not None for f in live.frames[-3:])
-            assert health.detail.startswith("/dev/video12:")
-            assert waited_s < 4.0
-            live.stop.set()
-            live.thread.join(3.0)
-        finally:
-            live.stop.set()
-            live.thread.join(3.0)
-            unload("v4l2loopback")
-            load_loopback(10)
 
 
 def test_a_camera_that_is_not_there_yet_is_waited_for() -> None:
@@ -279,19 +187,6 @@ def test_a_size_the_device_does_not_have_is_one_line_with_what_it_has() -> None:
     assert "\n" not in str(error)
 
 
-def test_gain_is_held_against_the_automatic_one_and_what_is_missing_is_said() -> None:
-    control(gain_automatic=1)
-    with running(gain=42.0, exposure_us=2000.0) as live:
-        live.more(5)
-        health = live.camera.health()
-        said = subprocess.run(
-            ["v4l2-ctl", "-d", VIVID, "-C", "gain,gain_automatic"], capture_output=True, text=True, check=True
-        )
-    assert said.stdout.split() == ["gain:", "42", "gain_automatic:", "0"]
-    assert health.state is State.DEGRADED
-    assert health.detail == "exposure 2000 us: the driver has no such control"
-
-
 def test_stamps_of_a_players_own_clock_are_replaced_by_the_arrival_and_said() -> None:
     def stamp_ns(number: int) -> int:
         return 5_000_000_000 + number * 20_000_000
@@ -302,22 +197,6 @@ def test_stamps_of_a_players_own_clock_are_replaced_by_the_arrival_and_said() ->
         assert "not of CLOCK_MONOTONIC" in live.camera.health().detail
     delays_ms = np.subtract(live.arrivals_ns, [frame.stamp_ns for frame in live.frames]) / 1e6
     assert np.all((delays_ms >= 0.0) & (delays_ms < 100.0))
-
-
-def test_stamps_are_the_players_to_the_microsecond_when_they_are_of_our_clock() -> None:
-    given: dict[int, int] = {}
-
-    def stamp_ns(number: int) -> int:
-        given[number] = time.monotonic_ns() - 30_000_000
-        return given[number]
-
-    with running(LOOPBACK, (320, 240)) as live, playing(LOOPBACK, numbered, stamp_ns=stamp_ns):
-        live.until(State.OK, 5.0)
-        frames = live.more(20)
-    known = {CLOCK.from_monotonic_ns(stamp // 1000 * 1000): number for number, stamp in given.items()}
-    for frame in frames:
-        assert frame.image is not None
-        assert frame.image.tobytes() == numbered(known[frame.stamp_ns])
 
 
 def test_motion_jpeg_is_decoded_and_a_cut_off_one_is_a_picture_without_an_image() -> None:
@@ -376,3 +255,34 @@ def test_the_cameras_command_lists_what_the_driver_tells(capsys: pytest.CaptureF
     assert 30.0 in sizes[640, 480]
     gain = next(entry for entry in vivid["controls"] if entry["name"] == "Gain")
     assert gain["minimum"] == 0 and gain["maximum"] == 255 and 0 <= gain["value"] <= 255
+
+
+def test_a_camera_is_calibrated_live(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A board held still before the camera for half a second at a time; the camera's own noise goes on."""
+    truth = Camera(320, 240, 280.0, 279.0, 161.0, 118.0, (-0.2, 0.05, 0.0, 0.0, 0.0))
+    photographer = Photographer(truth, Board("charuco", 5, 7, 0.035, 0.026))
+    still = [photographer.photograph(pose, noise=0.0) for pose in poses_all_over(16, 1)]
+    noise = np.random.default_rng(2)
+
+    def shown(number: int) -> bytes:
+        picture = still[number // 25 % len(still)]
+        return (picture + noise.normal(0.0, 1.0, picture.shape)).clip(0, 255).astype(np.uint8).tobytes()
+
+    out = tmp_path / "camera.json"
+    words = ["--size", "320x240", "--squares", "5x7", "--square-mm", "35", "--views", "14", "--seconds", "60"]
+    with playing(LOOPBACK, shown):
+        code = main(["calibrate", "--device", LOOPBACK, "--out", str(out), "--save", str(tmp_path / "kept"), *words])
+    text = capsys.readouterr().out
+    assert code == 0, text
+    assert "14/14" in text
+    assert len(list((tmp_path / "kept").glob("*.png"))) == 14
+    camera = Camera.from_json(out)
+    assert camera.fx_px == pytest.approx(280.0, rel=0.005)
+    assert camera.distortion[0] == pytest.approx(-0.2, abs=0.02)
+
+
+def test_calibrating_a_camera_of_another_size_is_refused_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    begun = time.monotonic()
+    assert main(["calibrate", "--device", VIVID, "--size", "1000x700", "--out", "/tmp/c.json", "--seconds", "60"]) == 2
+    assert time.monotonic() - begun < 5.0
+    assert "no 1000x700" in capsys.readouterr().err
