@@ -35,7 +35,7 @@ MARGIN_M = 0.008
 STILL_SHARE = 1.0 / 800.0
 """Of the picture's width: corners that move less from one picture to the next are of a board held still."""
 STILL_WITHIN_S = 0.5
-NEW_SHARE = 0.06
+NEW_SHARE = 0.03
 """Of the picture's width: corners must be this far from those of every view kept."""
 
 

@@ -20,6 +20,7 @@ UNDECODABLE = (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBo
 SATURATED_PERCENT = 1.0
 LEAST_SPAN_COUNTS = 255.0
 _SAMPLE_STEP = 4
+_COUNTS = np.arange(65536, dtype=np.float32)
 
 
 def reduce_16_bit(deep: NDArray[np.uint16]) -> Grey:
@@ -32,8 +33,8 @@ def reduce_16_bit(deep: NDArray[np.uint16]) -> Grey:
     low, high = np.percentile(sample, [SATURATED_PERCENT, 100.0 - SATURATED_PERCENT])
     missing = max(0.0, LEAST_SPAN_COUNTS - (high - low))
     low, high = low - missing / 2.0, high + missing / 2.0
-    scaled = (deep.astype(np.float32) - np.float32(low)) * np.float32(255.0 / (high - low))
-    grey: Grey = np.rint(scaled).clip(0.0, 255.0).astype(np.uint8)
+    table = np.rint((_COUNTS - np.float32(low)) * np.float32(255.0 / (high - low))).clip(0.0, 255.0).astype(np.uint8)
+    grey: Grey = table[deep]
     return grey
 
 
