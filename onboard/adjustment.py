@@ -17,6 +17,7 @@ from onboard import starting
 from onboard.alignment import Belief
 from onboard.bundle import Problem, Solution, solve
 from onboard.config import Config
+from onboard.creep import Creep, creep, ground_sigma_m_s
 from onboard.keyframe import Ids, Keyframe
 from onboard.levelling import fit_plane
 from onboard.residuals import AttitudePrior, Layout, Prior, SharedPrior, State, VelocityPrior
@@ -59,6 +60,12 @@ class Solved:
     pixel_sigma_px: float
     reprojection_px: float
     keyframes: tuple[Keyframe, ...]
+    creep: Creep  # what the ground's own motion may have done to it
+
+    def covariance_at(self, stamp_ns: int) -> Array:
+        """Of the camera side (D, D), for a picture of that time. (6.10)"""
+        out: Array = self.solution.covariance + self.creep.covariance(stamp_ns)
+        return out
 
     def rows(self, ids: Ids) -> tuple[NDArray[np.intp], Mask]:
         """Row of each id among the points, and whether it is there and good."""
@@ -227,9 +234,13 @@ def _judged(
     if sigma_px > MAX_FIT_SIGMAS * config.solve.pixel_sigma_px * max(1.0, camera.width_px / 640.0):
         return refused(Status.POOR_FIT)
     scale = max(fit, 1.0) ** 2
-    spread = _depth_sigma(s, good, layout) / median_depth
-    if float(np.median(spread)) * np.sqrt(scale) > MAX_DEPTH_SIGMA:
+    still = float(np.median(_depth_sigma(s, s.covariance, good, layout))) / median_depth
+    if still * np.sqrt(scale) > MAX_DEPTH_SIGMA:
         return refused(Status.LOW_PARALLAX)
+    moving = creep(request.keyframes, priors, s.state, s.covariance, ground_sigma_m_s(request.keyframes, median_depth))
+    covariance = s.covariance + moving.covariance(moving.epoch_ns)
+    if float(np.median(_depth_sigma(s, covariance, good, layout))) / median_depth > MAX_DEPTH_SIGMA:
+        return refused(Status.POOR_FIT)  # ground that slips past itself, too fast to say how large it is: water
     below = np.einsum("j,kpj->kp", [0.0, 0.0, 1.0], s.state.points_enu_m - s.state.centres_enu_m[:, None]) < 0.0
     if np.count_nonzero(below & (kept > 0)) < 0.9 * used or np.abs(s.state.plane[1:]).max() > MAX_GROUND_SLOPE:
         return refused(Status.POOR_FIT)  # the ground above the aircraft, or a wall: a turned-over solution
@@ -250,7 +261,7 @@ def _judged(
     learned = noise.pixel_sigma_px * (own * fit * noise.discord) ** 0.3
     noise = replace(noise, pixel_sigma_px=float(np.clip(learned, MIN_PIXEL_SIGMA_PX, 5.0)))
     frames = tuple(k.frame for k in keyframes)
-    solved = Solved(frames, layout, s, ids, good, plane, sigma_px, sigma_px * 1.177, keyframes)
+    solved = Solved(frames, layout, s, ids, good, plane, sigma_px, sigma_px * 1.177, keyframes, moving)
     return Outcome(Status.OK, keyframes, noise, solved)
 
 
@@ -347,14 +358,14 @@ def _points(request: Request, ids: Ids, R: Array, C: Array, xy: Array, seen: Mas
     return points, reference, np.array([0.0, plane[1], plane[2]])
 
 
-def _depth_sigma(s: Solution, good: Mask, layout: Layout) -> Array:
+def _depth_sigma(s: Solution, covariance: Array, good: Mask, layout: Layout) -> Array:
     """One sigma (m) of each good point along the newest keyframe's axis, relative to that keyframe."""
     axis = s.state.R_cam_enu[-1, 2]
     gain = s.point_gain[good] * -1.0
     M = np.einsum("i,pid->pd", axis, gain)
     M[:, layout.centre(layout.keyframes - 1)] -= axis
     own = np.einsum("i,pij,j->p", axis, s.point_covariance[good], axis)
-    out: Array = np.sqrt(np.maximum(np.sum((M @ s.covariance) * M, axis=1) + own, 0.0))
+    out: Array = np.sqrt(np.maximum(np.sum((M @ covariance) * M, axis=1) + own, 0.0))
     return out
 
 

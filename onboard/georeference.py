@@ -142,7 +142,8 @@ def _assemble(
     H = np.concatenate([np.ones((len(z), 1)), xy], axis=1)
     own = np.maximum(own, 1e-12)
     R_enu_cam = R.T
-    common, variance = common_states(H, own, M, by_pose, view.gain, R_enu_cam, s.covariance, view.noise)
+    covariance = solved.covariance_at(origin.capture_unix_ns)
+    common, variance = common_states(H, own, M, by_pose, view.gain, R_enu_cam, covariance, view.noise)
     newest = solved.keyframes[-1].nav
     slow = SlowPosition(newest.sigma_horizontal_m, newest.sigma_vertical_m, window.config.gps.wander_time_s)
     best = np.sort(np.argsort(variance, kind="stable")[: window.config.tracking.features])

@@ -36,6 +36,7 @@ class Keyframe:
     flown_enu_m: Array | None  # since the keyframe before, by integrated velocity
     R_cam_enu: Array
     centre_enu_m: Array
+    slip_xy: Array | None = None  # (2,) unit-depth: `creep.slip` since the keyframe before
 
 
 def sighting(camera: Camera, ids: Ids, uv_px: Array) -> Sighting:

@@ -262,7 +262,7 @@ class Pipeline:
             since_ns = self.window.keyframes[-1].nav.stamp_ns
             flown = self.navigation.displacement(since_ns + offset_ns, frame.stamp_ns + offset_ns)
         rate = self.navigation.body_rate_at(frame.stamp_ns + offset_ns)
-        self.window.add(frame.index, seen, nav, offset_s, rate, flown)
+        self.window.add(frame.index, seen, nav, offset_s, rate, flown, self.tracker.slip_px)
         self._tally.keyframes += 1
         record = _Record(frame, seen, nav, True)
         self._records.append(record)

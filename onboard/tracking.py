@@ -24,6 +24,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.creep import slip
 from onboard.picture import SPREAD, Normaliser, Picture, thumbnail
 from onboard.prediction import move
 from onboard.relocation import Described, describe, motion_between
@@ -85,6 +86,7 @@ class Tracker:
         self._levels: int | None = None  # pyramid levels that the motion carried on needs; None: not to be trusted
         self._hann: NDArray[np.float32] | None = None
         self._normalise = Normaliser(size_px)
+        self.slip_px: Array | None = None  # (2,) `creep.slip` since the keyframe before the present one
 
     @property
     def has_keyframe(self) -> bool:
@@ -153,6 +155,9 @@ class Tracker:
         """Make the last picture the keyframe: keep `tracks`, fill up with new features; returns all ids and pixels."""
         if self._current is None:
             raise RuntimeError("promote() before track(): there is no picture yet")
+        self.slip_px = None
+        if self._picture is not None and len(tracks):
+            self.slip_px = slip(self._picture, self._current, tracks.motion, tracks.keyframe_uv_px, tracks.uv_px)
         self._picture, self._thumbnail, self._described = self._current, None, None
         self._motion = np.eye(3)
         self._predicted = None if self._predicted is None else np.eye(3)

@@ -109,13 +109,15 @@ class Window:
         nav_offset_s: float,
         body_rate_rad_s: Array | None,
         flown_enu_m: Array | None,
+        slip_px: Array | None = None,
     ) -> None:
-        """Take a keyframe; the oldest leaves a full window."""
+        """Take a keyframe; the oldest leaves a full window. `slip_px`: `creep.slip` since the keyframe before."""
         guess = self.pose_guess(seen, nav)
         # Without any attitude the start waits for the window's first solve; the mount alone is a placeholder.
         R, centre = guess if guess is not None else (self.R_body_cam.T, nav.position_enu_m)
         rate = np.zeros(3) if body_rate_rad_s is None else body_rate_rad_s
-        self.keyframes.append(Keyframe(frame, seen, nav, rate, nav_offset_s, flown_enu_m, R, centre))
+        slip_xy = None if slip_px is None else slip_px / self.camera.focal_px
+        self.keyframes.append(Keyframe(frame, seen, nav, rate, nav_offset_s, flown_enu_m, R, centre, slip_xy))
         del self.keyframes[: -self.config.solve.keyframes]
 
     def prepare(self) -> Request:
@@ -157,7 +159,8 @@ class Window:
         shared = slice(layout.boresight.start, layout.boresight.start + SHARED)
         mean = np.append(s.state.boresight_rad, s.state.offset_s)
         start, end = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
-        self.alignment.offer(start, end, mean, s.covariance[shared, shared])
+        covariance = solved.covariance_at((start + end) // 2)
+        self.alignment.offer(start, end, mean, covariance[shared, shared])
 
     def conclude(self) -> None:
         """The end of a stretch: learn from its last window even if it never filled."""

@@ -143,6 +143,18 @@ def draw_waves(rng: np.random.Generator) -> Image:
     return np.asarray(np.float32(0.03) * noise + np.float32(0.06) * crests, np.float32)
 
 
+def draw_wave_train(rng: np.random.Generator, wavelength: float) -> Image:
+    """Waves of one length (texels, within a third of an octave) that run along the picture's x axis, crests ragged."""
+    spectrum = scipy.fft.rfft2(rng.standard_normal((COUNTRY_SIZE, COUNTRY_SIZE), dtype=np.float32))
+    fy = np.fft.fftfreq(COUNTRY_SIZE).astype(np.float32)[:, None]
+    fx = np.fft.rfftfreq(COUNTRY_SIZE).astype(np.float32)[None, :]
+    frequency = np.maximum(np.hypot(fx, fy), np.float32(1e-6))
+    octaves, across = np.log2(frequency * np.float32(wavelength)), np.arctan2(fy, fx)
+    gain = np.exp(-0.5 * (octaves / np.float32(0.15)) ** 2 - 0.5 * (across / np.float32(0.3)) ** 2)
+    train: Image = scipy.fft.irfft2(spectrum * gain, s=(COUNTRY_SIZE, COUNTRY_SIZE)).astype(np.float32)
+    return np.asarray(train / np.float32(train.std()), np.float32)
+
+
 def draw_stripes() -> Image:
     """Crop rows crossed by wider rows, the same everywhere: every corner has an exact twin 8 m away."""
     s = np.arange(512, dtype=np.float32) * np.float32(2.0 * np.pi / 64.0)
@@ -152,19 +164,20 @@ def draw_stripes() -> Image:
     return np.asarray(wrapped[16:-16, 16:-16], np.float32)
 
 
-def draw_vehicles(rng: np.random.Generator) -> tuple[Image, Image]:
+def draw_vehicles(rng: np.random.Generator, spacing: int) -> tuple[Image, Image]:
     """Vehicles in lanes along the picture's x axis: where they are (1, else 0) and their brightness there, square.
 
-    Each stands alone in a cell of a grid; at 0.25 m a texel they are 10 to 16 m long, a twentieth of the ground.
+    Each stands alone in a cell of a grid, `spacing` texels long; at 0.25 m a texel they are 10 to 16 m long, and with
+    one in 64 m cover a twentieth of the ground.
     """
     where, paint = (
         np.zeros((COUNTRY_SIZE, COUNTRY_SIZE), np.float32),
         np.zeros((COUNTRY_SIZE, COUNTRY_SIZE), np.float32),
     )
     for top in range(0, COUNTRY_SIZE, 64):
-        for left in range(0, COUNTRY_SIZE, 256):
+        for left in range(0, COUNTRY_SIZE, spacing):
             length, width = int(rng.integers(40, 64)), int(rng.integers(14, 20))
-            y, x = top + int(rng.integers(0, 64 - width)), left + int(rng.integers(0, 256 - length))
+            y, x = top + int(rng.integers(0, 64 - width)), left + int(rng.integers(0, spacing - length))
             body = (slice(y, y + width), slice(x, x + length))
             where[body] = 1.0
             paint[body] = rng.choice([0.08, 0.75, 0.9])

@@ -16,7 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.errors import InputError
-from simulation.patterns import draw_country, draw_grain, draw_land, draw_stripes, draw_vehicles, draw_waves
+from simulation.patterns import (
+    draw_country,
+    draw_grain,
+    draw_land,
+    draw_stripes,
+    draw_vehicles,
+    draw_wave_train,
+    draw_waves,
+)
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -24,13 +32,16 @@ Image = NDArray[np.float32]
 MEAN_ALBEDO = 0.30
 MIN_WEIGHT = 0.02
 VEHICLE_M_S = np.array([11.0, 4.0])
-STYLES = ("land", "water", "stripes", "plain", "traffic")
+STYLES = ("land", "water", "sea", "stripes", "plain", "traffic")
+SEA_WAVELENGTHS_M = (1.4, 2.2, 3.5, 5.5, 9.0, 14.0)
+GRAVITY_M_S2 = 9.81
 
 
 @dataclass(frozen=True)
 class TextureSpec:
-    """`style`: "land"; "water" (moves between frames); "stripes" (repeats exactly); "plain" (nothing to track);
-    "traffic" (land, with vehicles under way on a twentieth of it).
+    """`style`: "land"; "water" (two patterns of waves that move through each other); "sea" (waves of many lengths
+    before one wind, each at its own speed); "stripes" (repeats exactly); "plain" (nothing to track); "traffic" (land,
+    with vehicles under way, one in `vehicle_spacing_m` of each lane: on a twentieth of it).
 
     `contrast` scales every brightness difference: 1 is pasture in sunlight, 0.1 is snow under cloud.
     """
@@ -38,12 +49,15 @@ class TextureSpec:
     style: str = "land"
     contrast: float = 1.0
     seed: int = 0
+    vehicle_spacing_m: int = 64
 
     def __post_init__(self) -> None:
         if self.style not in STYLES:
             raise InputError(f"texture {self.style!r} is not known; use one of {', '.join(STYLES)}")
         if not 0.0 <= self.contrast <= 3.0:
             raise InputError(f"texture contrast {self.contrast} must lie between 0 and 3")
+        if self.vehicle_spacing_m not in (16, 32, 64, 128):
+            raise InputError(f"vehicle spacing {self.vehicle_spacing_m} m must be 16, 32, 64 or 128")
 
 
 class Tile:
@@ -111,16 +125,28 @@ def _layers(style: str, seed: int) -> tuple[Layer, ...]:
             Layer(Tile(wave, 0.23, bearing[0]), np.array([2.1, 0.9])),
             Layer(Tile(wave, 0.37, bearing[1]), np.array([-1.7, 1.3])),
         )
+    if style == "sea":
+        # Steepness is the same at all lengths; what is seen of a wave is its slope. Deep water: speed by length alone.
+        downwind = bearing[0] + rng.normal(0.0, 0.35, len(SEA_WAVELENGTHS_M))
+        speed = np.sqrt(GRAVITY_M_S2 * np.array(SEA_WAVELENGTHS_M) / (2.0 * np.pi))
+        heading = np.stack([np.cos(downwind), np.sin(downwind)], axis=1)
+        trains = (np.float32(0.025) * draw_wave_train(rng, 10.0) for _ in SEA_WAVELENGTHS_M)
+        return tuple(
+            Layer(Tile(train, length_m / 10.0, float(course)), velocity)
+            for train, length_m, course, velocity in zip(
+                trains, SEA_WAVELENGTHS_M, downwind, speed[:, None] * heading, strict=True
+            )
+        )
     if style == "stripes":
         return (Layer(Tile(draw_stripes(), 0.125, bearing[0]), still),)
     return ()
 
 
 @lru_cache(maxsize=1)
-def _traffic(seed: int) -> tuple[Tile, Tile]:
-    """Where vehicles are and how bright, in lanes along their motion."""
+def _traffic(seed: int, spacing: int) -> tuple[Tile, Tile]:
+    """Where vehicles are and how bright, in lanes along their motion, one in `spacing` texels."""
     bearing = float(np.arctan2(VEHICLE_M_S[1], VEHICLE_M_S[0]))
-    where, paint = draw_vehicles(np.random.default_rng([seed, 203]))
+    where, paint = draw_vehicles(np.random.default_rng([seed, 203]), spacing)
     return Tile(where, 0.25, bearing), Tile(paint, 0.25, bearing)
 
 
@@ -130,7 +156,7 @@ class Texture:
     def __init__(self, spec: TextureSpec) -> None:
         self.spec = spec
         self.layers = _layers(spec.style, spec.seed)
-        self.traffic = _traffic(spec.seed) if spec.style == "traffic" else None
+        self.traffic = _traffic(spec.seed, 4 * spec.vehicle_spacing_m) if spec.style == "traffic" else None
 
     def albedo(self, origin_m: Array, x_m: Image, y_m: Image, footprint_m: Image, time_s: float = 0.0) -> Image:
         """Reflectance (H, W), 0.02 to 0.98, of the ground at `origin_m` (2,) + (`x_m`, `y_m`) in ENU metres."""
