@@ -28,6 +28,7 @@ from onboard.creep import slip
 from onboard.picture import SPREAD, Normaliser, Picture, thumbnail
 from onboard.prediction import move
 from onboard.relocation import Described, describe, motion_between
+from onboard.repetition import repetition_px
 
 Array = NDArray[np.float64]
 
@@ -47,6 +48,10 @@ MIN_TRACKS = 12
 CALM_LEVELS = ((1.5, 0), (4.0, 1), (8.0, 2))
 CALM_SHARE = 0.8  # of the features that should be on the picture; with fewer found again nothing is taken for granted
 ROUNDS = 5  # of reweighting, at most
+# How well telemetry foretells the motion between two pictures: a share of it (the ground's height is known no better at
+# first) and what attitude strays by, at 640 px width.
+FORETOLD_SHARE = 0.15
+FORETOLD_PX = 3.0
 GATE_PX = 4.0  # least deviation from the neighbours' motion that condemns a track, at 640 px width
 
 
@@ -86,6 +91,7 @@ class Tracker:
         self._levels: int | None = None  # pyramid levels that the motion carried on needs; None: not to be trusted
         self._hann: NDArray[np.float32] | None = None
         self._normalise = Normaliser(size_px)
+        self._repetition_px: float | None = None  # at which the keyframe repeats itself, if it does
         self.slip_px: Array | None = None  # (2,) `creep.slip` since the keyframe before the present one
 
     @property
@@ -117,6 +123,8 @@ class Tracker:
         if len(best) < MIN_TRACKS:
             best = self._relocate()
         self._levels = None
+        if self._repetition_px is not None and not self._is_sure(best, predicted, carried_on):
+            return self.nothing()
         if len(best) >= MIN_TRACKS:
             if self._is_plenty(best):
                 surprise = np.linalg.norm(move(carried_on, best.keyframe_uv_px) - best.uv_px, axis=1)
@@ -145,6 +153,17 @@ class Tracker:
         out /= out[2, 2]
         return out
 
+    def _is_sure(self, tracks: Tracks, predicted: Array | None, carried_on: Array) -> bool:
+        """Whether telemetry tells tracks on ground that repeats itself from their twins a row away."""
+        if predicted is None or not len(tracks):
+            return False
+        foretold = move(predicted if self._predicted is None else carried_on, tracks.keyframe_uv_px)
+        last = move(self._motion, tracks.keyframe_uv_px)
+        step_px = float(np.median(np.linalg.norm(foretold - last, axis=1)))
+        miss_px = float(np.median(np.linalg.norm(foretold - tracks.uv_px, axis=1)))
+        unsure_px = FORETOLD_SHARE * step_px + FORETOLD_PX * self.width_px / 640.0
+        return max(unsure_px, miss_px) < 0.5 * (self._repetition_px or np.inf)
+
     def _is_plenty(self, tracks: Tracks) -> bool:
         """Whether nearly all features were found again that should be on the picture."""
         return len(tracks) >= max(
@@ -167,6 +186,7 @@ class Tracker:
         self._ids = np.concatenate([tracks.ids, ids]).astype(np.int64)
         self._uv = np.concatenate([tracks.uv_px, fresh])
         self._contrast = np.minimum(_contrast(self._picture, self._uv), SPREAD)
+        self._repetition_px = repetition_px(self._picture, self._uv)
         return self._ids, self._uv
 
     def forget(self) -> None:
