@@ -114,6 +114,7 @@ class Pipeline:
         self._session: int | None = None
         self._misses = 0
         self._failures = 0
+        self._unsolved = Status.STARTING  # why there is no solution yet: POOR_FIT once windows were refused for it
         self._last_nav_ns: int | None = None
         self._tally = Tally()
 
@@ -281,6 +282,8 @@ class Pipeline:
         self._tally.spend("solve", done.processor_s)
         status = self.window.adopt(done.outcome)
         self._failures = self._failures + 1 if status is Status.POOR_FIT else 0
+        if status in (Status.OK, Status.POOR_FIT):
+            self._unsolved = Status.POOR_FIT if self._failures else Status.STARTING
         solved = self.window.solved
         if status is not Status.OK or solved is None:
             out: list[FeatureSet] = []
@@ -294,7 +297,8 @@ class Pipeline:
                 self._records = [record, *later]
             if record.status is Status.OK:
                 return out
-            return [*out, self._refuse_record(record, pending.reason or status)]
+            told = self._unsolved if status is Status.STARTING else status
+            return [*out, self._refuse_record(record, pending.reason or told)]
         self._tally.reprojections_px.append(solved.reprojection_px)
         out = self._place([record])
         self._unplaced = deque(r for r in self._records if r.status is not Status.OK)
@@ -403,7 +407,7 @@ class Pipeline:
         height_m = max(nav.height_above_home_m or 0.0, MIN_TRAVEL_HEIGHT_M)
         travelled_m = float(np.linalg.norm(nav.position_enu_m - first.position_enu_m))
         still = nav.stamp_ns - first.stamp_ns > PATIENCE_NS and travelled_m < MIN_TRAVEL * height_m
-        return Status.LOW_PARALLAX if still else Status.STARTING
+        return Status.LOW_PARALLAX if still else self._unsolved
 
     def _over_known_ground(self, record: _Record, origin: Origin, frame: LocalFrame) -> FeatureSet | None:
         """Over terrain or level ground at home's height, where configured and attitude is known; None otherwise."""
