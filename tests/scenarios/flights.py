@@ -6,14 +6,16 @@ Pictures are small and few, so that all scenarios together take a minute or two;
 from __future__ import annotations
 
 import csv
+import shutil
 import tomllib
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, mkdtemp
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,6 +26,7 @@ from ground.answer import Fix
 from ground.locate import Locator
 from onboard.config import Config
 from onboard.events import Event
+from onboard.picture import Picture
 from onboard.pipeline import Pipeline, TerrainSource
 from onboard.replay import Flight, replay
 from simulation.session import SessionSpec, fly
@@ -31,7 +34,7 @@ from simulation.session import SessionSpec, fly
 Array = NDArray[np.float64]
 
 CAMERA = Camera.from_field_of_view(320, 240, 40.0)
-CHI2_99 = 9.2103  # two degrees of freedom
+CHI2_90, CHI2_99 = 4.6052, 9.2103  # two degrees of freedom
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +104,17 @@ def flown(spec: SessionSpec) -> Path:
     folder = Path(_FOLDER.name) / f"{flown.cache_info().misses:03d}"
     fly(spec, folder)
     return folder
+
+
+def retouched(folder: Path, change: Callable[[Picture], Picture], frames: range | None = None) -> Path:
+    """A copy of a session with some pictures changed, all if `frames` is None."""
+    copy = Path(mkdtemp(dir=_FOLDER.name))
+    shutil.copytree(folder, copy, dirs_exist_ok=True)
+    files = sorted((copy / "frames").iterdir())
+    for index in range(len(files)) if frames is None else frames:
+        image = np.asarray(cv2.imread(str(files[index]), cv2.IMREAD_GRAYSCALE), np.uint8)
+        assert cv2.imwrite(str(files[index]), change(image))
+    return copy
 
 
 def play(
