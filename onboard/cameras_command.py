@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from typing import Any
 
@@ -29,10 +30,11 @@ def run(arguments: argparse.Namespace) -> int:
                     cameras.append(describe(path, device))
         except OSError as error:
             refused.append(f"{path}: {error.strerror}")
-    if arguments.json:
-        print(json.dumps(cameras, indent=1))
-    else:
-        print("\n\n".join(text(camera) for camera in cameras), end="\n" if cameras else "")
+    listed = json.dumps(cameras, indent=1) if arguments.json else "\n\n".join(text(camera) for camera in cameras)
+    try:
+        print(listed, end="\n" if listed else "", flush=True)
+    except BrokenPipeError:  # the reader, `head` say, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     for line in refused:
         print(line, file=sys.stderr)
     if not cameras:

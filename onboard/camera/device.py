@@ -236,9 +236,9 @@ class V4l2Device:
         try:
             self._ioctl("S_PARM", wanted)
         except OSError as error:
-            if error.errno in {errno.ENOTTY, errno.EINVAL}:
-                return None
-            raise
+            if error.errno == errno.ENODEV:
+                raise
+            return None
         return _rate_hz(interval) or None
 
     def controls(self) -> list[Control]:
@@ -347,13 +347,17 @@ class V4l2Device:
         """The oldest filled buffer, copied and given back to the driver; None if none came in time."""
         poll = select.poll()
         poll.register(self._fd, select.POLLIN)
-        has_waited = bool(poll.poll(0))
-        if not has_waited and not poll.poll(timeout_s * 1000.0):
+        events = poll.poll(0)
+        has_waited = bool(events)
+        events = events or poll.poll(timeout_s * 1000.0)
+        if not events:
             return None
         buffer, planes = self._blank(0)
         try:
             self._ioctl("DQBUF", buffer)  # after POLLERR this says what is wrong
-        except BlockingIOError:
+        except BlockingIOError as error:
+            if events[0][1] & (select.POLLERR | select.POLLHUP):
+                raise OSError(errno.EIO, "the stream has ended") from error  # or we should ask for ever
             return None
         start, used = 0, int(buffer.bytesused)
         if planes is not None:

@@ -7,6 +7,7 @@ import io
 import itertools
 import json
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,12 +15,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 
 from contract.camera import Camera
 from contract.errors import ConfigError
 from onboard.__main__ import main
 from onboard.calibration_board import Board
+from onboard.camera.device import V4l2Device
 from onboard.camera.v4l2 import V4l2Camera
 from onboard.config import CameraConfig
 from onboard.events import Frame
@@ -87,9 +90,9 @@ def control(**values: int) -> None:
     subprocess.run(["v4l2-ctl", "-d", VIVID, "-c", settings], check=True, timeout=10)
 
 
-def load_vivid() -> None:
+def load_vivid(*words: str) -> None:
     modprobe = ["modprobe", "vivid", "n_devs=1", "node_types=0x1", "num_inputs=1", "input_types=0x00"]
-    subprocess.run(modprobe, check=True, timeout=10)
+    subprocess.run([*modprobe, *words], check=True, timeout=10)
     subprocess.run(["udevadm", "settle", "--timeout=10"], check=True, timeout=15)
     control(timestamp_source=1)
 
@@ -135,6 +138,33 @@ def test_latency_is_taken_off_the_stamps() -> None:
         live.more(10)
         delay_ms = np.median(np.subtract(live.arrivals_ns, [frame.stamp_ns for frame in live.frames])) / 1e6
     assert 250.0 <= delay_ms < 330.0
+
+
+def test_a_multi_plane_driver_gives_the_same_pictures() -> None:
+    """As the camera pipelines of many small computers are: one plane, by the other set of ioctls."""
+
+    def shown() -> dict[str, NDArray[np.uint8]]:
+        control(osd_text_mode=2)
+        images = {}
+        for fourcc in ("GREY", "YUYV", "NV12", "Y16"):
+            with running(format=fourcc) as live:
+                images[fourcc] = next(f.image for f in live.more(5)[::-1] + live.frames if f.image is not None)
+        control(osd_text_mode=0)
+        return images
+
+    single = shown()
+    unload("vivid")
+    load_vivid("multiplanar=2")
+    try:
+        with V4l2Device(VIVID) as device:
+            assert device.card().can_capture
+        multi = shown()
+    finally:
+        unload("vivid")
+        load_vivid()
+    for fourcc, image in single.items():
+        assert image.std() > 30.0
+        np.testing.assert_array_equal(image, multi[fourcc])
 
 
 def test_a_damaged_buffer_is_a_picture_without_an_image() -> None:
@@ -250,6 +280,15 @@ def test_the_cameras_command_lists_what_the_driver_tells(capsys: pytest.CaptureF
     listed = json.loads(capsys.readouterr().out)
     (vivid,) = [entry for entry in listed if entry["device"] == VIVID]
     assert vivid["card"] == "vivid"
+    early = subprocess.run(
+        f"{sys.executable} -m onboard cameras | head -1",
+        shell=True,
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=True,
+    )
+    assert (early.stdout.count("\n"), early.stderr) == (1, "")
     grey = next(entry for entry in vivid["formats"] if entry["format"] == "GREY")
     sizes = {tuple(size["size_px"]): size["rates_hz"] for size in grey["sizes"]}
     assert 30.0 in sizes[640, 480]
