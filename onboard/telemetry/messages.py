@@ -132,8 +132,13 @@ def _claim(message: Any, key: str) -> float | None:
     return getattr(message, key, 0) / 1000.0 or None
 
 
+def _is_place(message: Any) -> bool:
+    """0, 0 is what is sent for nowhere."""
+    return (message.lat, message.lon) != (0, 0) and abs(message.lat) <= 90e7 and abs(message.lon) <= 180e7
+
+
 def _receiver_position(message: Any, now_ns: int, to_host_ns: Callable[[int], int]) -> PositionFix | None:
-    if message.fix_type < 3 or (message.lat == 0 and message.lon == 0):
+    if message.fix_type < 3 or not _is_place(message):
         return None
     boot_like = 0 < message.time_usec < MAX_BOOT_US
     velocity = None
@@ -150,7 +155,7 @@ def _receiver_position(message: Any, now_ns: int, to_host_ns: Callable[[int], in
 
 
 def _filter_position(message: Any, stamp_ns: int) -> PositionFix | None:
-    if message.lat == 0 and message.lon == 0:  # sent before the filter has an origin
+    if not _is_place(message):  # sent before the filter has an origin
         return None
     return PositionFix(
         stamp_ns,

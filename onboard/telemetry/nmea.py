@@ -92,7 +92,8 @@ class NmeaReceiver:
 
     def _line(self, line: bytes, began_ns: int) -> list[NavEvent]:
         start = line.rfind(b"$")
-        if start < 0:
+        # The parser lets a line without a checksum pass: half a sentence would be one.
+        if start < 0 or line[-3:-2] != b"*":
             self.errors += bool(line)
             return []
         try:
@@ -188,7 +189,7 @@ def _events(sentences: dict[str, Any], stamp_ns: int, receiver: NmeaReceiver) ->
     )
     out: list[NavEvent] = [quality]
     lat, lon = (_number(gga, name) if gga is not None else None for name in ("lat", "lon"))
-    if has_fix and lat is not None and lon is not None and height is not None:
+    if has_fix and lat is not None and lon is not None and height is not None and abs(lat) <= 90 and abs(lon) <= 180:
         receiver.has_heights = True
         out.append(PositionFix(stamp_ns, lat, lon, height, _velocity(sentences)))
     return out

@@ -23,6 +23,7 @@ WINDOW_NS = 60 * NS_PER_S
 MAX_ROUND_TRIP_NS = 2 * NS_PER_S
 FLOOR_NS = 100_000.0  # of an exchange's error: scheduling, reading the clocks
 PRIOR_DRIFT = 1e-3  # one sigma; a stronger one would hold back simulators, whose clocks are a per cent off
+MAX_DRIFT = 0.1  # more is no clock; with SLEW it keeps stamps rising
 TOLERANCE_NS = 2_000_000.0  # beyond half its round trip, before an exchange contradicts the line
 MAX_STRIKES = 3
 DISAGREEMENT_NS = 1.5 * NS_PER_S  # between TIMESYNC and arrivals: it is of another clock
@@ -114,6 +115,7 @@ class TimeSync:
         mean_y = sum(w * b for w, b in zip(weights, y, strict=True)) / total
         spread = sum(w * (a - mean_x) ** 2 for w, a in zip(weights, x, strict=True)) + 1.0 / PRIOR_DRIFT**2
         drift = sum(w * (a - mean_x) * (b - mean_y) for w, a, b in zip(weights, x, y, strict=True)) / spread
+        drift = min(max(drift, -MAX_DRIFT), MAX_DRIFT)
         residual = [b - mean_y - drift * (a - mean_x) for a, b in zip(x, y, strict=True)]
         scatter = sum(w * r * r for w, r in zip(weights, residual, strict=True)) / max(len(samples) - 2, 1)
         variance = (1.0 / total + mean_x**2 / spread) * max(scatter, 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -15,15 +16,20 @@ from onboard.config import Config
 from onboard.events import FilterStatus, Frame, GpsQuality, NavEvent, PositionFix
 from onboard.navigation import Navigation, NavState
 from onboard.pipeline import Pipeline
-from onboard.telemetry.tlog import read_tlog
+from onboard.telemetry.tlog import TelemetryLog, read_tlog
 
 SECOND = 1_000_000_000
 PERIOD = SECOND // 2
 
 
+@functools.cache
+def recorded(folder: Path) -> TelemetryLog:
+    return read_tlog(folder / "sitl" / "plane_gps_outage.tlog")
+
+
 def statuses(folder: Path, keep: Callable[[NavEvent], bool]) -> list[tuple[float, Status]]:
     """Seconds since the GPS was switched off, and what became of an empty picture then: FEATURELESS if all was well."""
-    log = read_tlog(folder / "sitl" / "plane_gps_outage.tlog")
+    log = recorded(folder)
     off_ns = events_ns(folder)[0]
     pipeline = Pipeline(Config(), Camera.from_field_of_view(64, 48, 40.0))
     blank = np.full((48, 64), 128, np.uint8)
