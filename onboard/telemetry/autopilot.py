@@ -88,10 +88,12 @@ class Autopilot:
         self._heard_ns = arrival_ns
         self._first_ns = self._first_ns or arrival_ns
         sequence = message.get_seq()
-        if self._sequence is not None:
-            gap = (sequence - self._sequence - 1) % 256
-            self.lost += gap if gap < 128 else 0
-        self._sequence = sequence
+        gap = (sequence - self._sequence - 1) % 256 if self._sequence is not None else 0
+        if gap < 128:
+            self.lost += gap
+            self._sequence = sequence
+        elif self.lost:  # overtaken by others, it had been counted as lost
+            self.lost -= 1
         self._seen[message.get_type()] += 1
         self.rates.seen(message.get_type())
 

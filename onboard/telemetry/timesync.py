@@ -28,7 +28,8 @@ TOLERANCE_NS = 2_000_000.0  # beyond half its round trip, before an exchange con
 MAX_STRIKES = 3
 DISAGREEMENT_NS = 1.5 * NS_PER_S  # between TIMESYNC and arrivals: it is of another clock
 ARRIVALS_NS = 120 * NS_PER_S
-HOLD_NS = 1 * NS_PER_S  # until the first arrivals are trusted without an exchange
+FIRST_EXCHANGES = 3
+HOLD_NS = 1 * NS_PER_S  # until what has come is trusted without them
 SLEW = 0.25
 PIECE_NS = NS_PER_S // 5
 PIECES = 32
@@ -62,6 +63,7 @@ class TimeSync:
     kept: dict[int, _Exchange] = field(default_factory=dict)
     strays: list[_Exchange] = field(default_factory=list)
     line: Line | None = None
+    exchanges: int = 0  # counted in
     round_trip_ns: int = 0  # the least of the window; 0 before the first exchange
 
     def add(self, sent_ns: int, boot_ns: int, received_ns: int) -> bool:
@@ -94,6 +96,7 @@ class TimeSync:
         return (max(self.kept) - min(self.kept)) * BIN_NS >= SETTLED_NS and not self.strays if self.kept else False
 
     def _keep(self, new: _Exchange) -> None:
+        self.exchanges += 1
         key = new.boot_ns // BIN_NS
         held = self.kept.get(key)
         if held is None or new.round_trip_ns < held.round_trip_ns:
@@ -173,8 +176,8 @@ class LinkClock:
             self._follow(at_once=True)
 
     def is_known(self, now_ns: int) -> bool:
-        """Whether stamps may be handed out: after an exchange, or after a while of arrivals."""
-        return self._segments > 0 and (self.sync.line is not None or now_ns - self._began_ns >= HOLD_NS)
+        """Whether stamps may be handed out: after a few exchanges, or after a while of whatever came."""
+        return self._segments > 0 and (self.sync.exchanges >= FIRST_EXCHANGES or now_ns - self._began_ns >= HOLD_NS)
 
     def to_host_ns(self, boot_ns: int) -> int:
         """Boot time on the session's clock; raises LookupError before the first arrival."""
