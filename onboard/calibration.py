@@ -129,19 +129,19 @@ def calibrate(views: list[View], size_px: tuple[int, int]) -> tuple[Fit, list[Vi
         dropped.append(kept.pop(worst))
     fits = [fitted for model in MODELS[:-1] if (fitted := fit(kept, size_px, model)) is not None] + [fullest]
     best = min(fits, key=lambda fitted: fitted.bic)
-    if not covers_picture(best.camera):
+    if rayless_share(best.camera) > 0.0:
         # A polynomial may fold where no board was seen; one that does not, and fits as well, is the better guess.
-        unfolded = [f for f in fits if covers_picture(f.camera) and f.rms_px <= UNFOLDED_SHARE * best.rms_px]
+        unfolded = [f for f in fits if rayless_share(f.camera) == 0.0 and f.rms_px <= UNFOLDED_SHARE * best.rms_px]
         best = min(unfolded, key=lambda fitted: fitted.bic, default=best)
     return best, dropped
 
 
-def covers_picture(camera: Camera) -> bool:
-    """Whether every pixel has a ray: a polynomial that folds within the picture is no calibration."""
+def rayless_share(camera: Camera) -> float:
+    """How much of the picture has no ray, because the polynomial folds there."""
     width, height = camera.size_px
-    edge = np.array([(u, v) for u in np.linspace(0, width - 1, 9) for v in np.linspace(0, height - 1, 9)])
-    _, is_valid = camera.unproject(edge)
-    return bool(np.all(is_valid))
+    u, v = np.meshgrid(np.linspace(0, width - 1, 41), np.linspace(0, height - 1, 31))
+    _, is_valid = camera.unproject(np.stack([u, v], axis=-1))
+    return float(np.mean(~is_valid))
 
 
 def fit(views: list[View], size_px: tuple[int, int], model: Model) -> Fit | None:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.calibration import PARAMETERS, Fit, View, covers_picture
+from onboard.calibration import PARAMETERS, Fit, View, rayless_share
 
 CELLS = (6, 4)
 LEAST_VIEWS = 8
@@ -20,7 +20,9 @@ LEAST_TILTED = 3
 """Boards that lean, about each axis of the picture."""
 HIGH_ERROR = 1.0 / 800.0
 """Reprojection error as a share of the picture's width: 0.8 px at 640."""
-RAY_SIGMA_SHARE = 0.5 / 640.0
+RAY_SIGMA_SHARE = 1.0 / 640.0
+MOST_RAYLESS = 0.05
+"""Of the picture: corners beyond the fold are left out in flight, they are not wrong."""
 _THIRDS = (("upper left", "top", "upper right"), ("left", "middle", "right"), ("lower left", "bottom", "lower right"))
 
 
@@ -90,10 +92,10 @@ def judge(fit: Fit | None, dropped: list[View], size_px: tuple[int, int], found:
             f"focal length known to {focal_share:.2%} only (one sigma, {FOCAL_SIGMA:.1%} wanted): "
             "take more views, closer, the board leaning 20 to 40 degrees in all directions"
         )
-    if not covers_picture(fit.camera):
+    if (rayless := rayless_share(fit.camera)) > MOST_RAYLESS:
         complaints.append(
-            "the distortion folds within the picture: some pixels have no direction; show the board at the picture's "
-            "edges, and if that does not help the lens is too wide for this model"
+            f"the distortion folds within the picture: {rayless:.0%} of it has no direction; show the board at the "
+            "picture's edges, and if that does not help the lens is too wide for this model"
         )
     covered = float(np.mean(covered_cells(fit.views, size_px) > 0))
     if covered < LEAST_COVERED:
@@ -135,6 +137,8 @@ def report(fit: Fit, dropped: list[View]) -> str:
         f"covered: {np.mean(covered_cells(fit.views, camera.size_px) > 0):.0%} of the picture; "
         f"directions known to {fit.ray_sigma_px.max():.2f} px at worst",
     ]
+    if rayless := rayless_share(camera):
+        lines.append(f"beyond the distortion's fold, without direction: {rayless:.1%} of the picture")
     return "\n".join(lines)
 
 
