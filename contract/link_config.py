@@ -1,21 +1,94 @@
-"""The zenoh configuration of both ends, as JSON text. Values measured on cut, lossy and thin links (COMPONENTS.md)."""
+"""The zenoh configuration of both ends, as JSON text. Values measured on cut, lossy and thin links (docs/link.md)."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+from contract.errors import LinkError
+
 OPEN_TIMEOUT_MS = 2000
+SECURE = ("tls/", "quic/")
+CA_FILE, CERTIFICATE_FILE, KEY_FILE = "ca.pem", "certificate.pem", "key.pem"
 
 
-def link_config(mode: str, *, listen: Sequence[str] = (), connect: Sequence[str] = (), scouting: bool = False) -> str:
+@dataclass(frozen=True)
+class Tls:
+    """Files (PEM) of one end: the authority both trust, its own certificate and its private key."""
+
+    ca: str
+    certificate: str
+    key: str
+
+    @classmethod
+    def of(cls, ca: Path | str | None, certificate: Path | str | None, key: Path | str | None) -> Tls | None:
+        """The three, or None if none is given. Raises LinkError if some are missing or cannot be read."""
+        given = {"ca": ca, "certificate": certificate, "key": key}
+        missing = [name for name, path in given.items() if path is None]
+        if len(missing) == len(given):
+            return None
+        if missing:
+            raise LinkError(f"TLS needs ca, certificate and key together; {' and '.join(missing)} is missing")
+        for name, path in given.items():
+            try:
+                Path(str(path)).read_bytes()
+            except OSError as error:
+                raise LinkError(f"TLS {name} {path}: {error.strerror}") from error
+        return cls(str(ca), str(certificate), str(key))
+
+    @classmethod
+    def in_folder(cls, folder: Path | str) -> Tls:
+        """The three files of a folder as `pc-onboard make-credentials` leaves it. Raises LinkError."""
+        place = Path(folder)
+        found = cls.of(place / CA_FILE, place / CERTIFICATE_FILE, place / KEY_FILE)
+        assert found is not None
+        return found
+
+
+def link_config(
+    mode: str,
+    *,
+    listen: Sequence[str] = (),
+    connect: Sequence[str] = (),
+    scouting: bool = False,
+    tls: Tls | None = None,
+    is_aircraft: bool = False,
+    allowed: Sequence[str] = (),
+) -> str:
     """Text for `zenoh.Config.from_json5`.
 
     A "peer" goes on without those it connects to and tries them again every 0.5 to 1 s, for good; a "client" tries
-    once and fails at once.
+    once and fails at once. With `tls` both ends must show a certificate of its authority, and no other kind of endpoint
+    is taken: LinkError. An aircraft takes subscriptions and queries and nothing else from others; with `tls`, of those
+    whose certificate's common name is in `allowed`, if any are named.
     """
     is_client = mode == "client"
+    # What the system would buffer for a link that is cut is delay when it is back: little, and small batches.
+    streams: dict[str, Any] = {"so_sndbuf": 8192} if is_aircraft else {}
+    link: dict[str, Any] = {
+        # Ten keep-alives in a lease of ten seconds: reconnects within 2.5 s of a cut, and holds at 20 % loss.
+        "tx": {"lease": 10000, "keep_alive": 10, "batch_size": 4096},
+    }
+    if streams:
+        link["tcp"] = streams
+    if tls is not None:
+        plain = [e for e in (*listen, *connect) if not e.startswith(SECURE)]
+        if plain:
+            raise LinkError(f"{plain[0]} is not encrypted, and certificates are set: write tls/... or quic/...")
+        link["protocols"] = ["tls", "quic"]
+        link["tls"] = streams | {
+            "root_ca_certificate": tls.ca,
+            "enable_mtls": True,
+            "listen_certificate": tls.certificate,
+            "listen_private_key": tls.key,
+            "connect_certificate": tls.certificate,
+            "connect_private_key": tls.key,
+            "verify_name_on_connect": True,
+            "close_link_on_expiration": True,
+        }
     config: dict[str, Any] = {
         "mode": mode,
         "listen": {"endpoints": list(listen)},
@@ -26,10 +99,39 @@ def link_config(mode: str, *, listen: Sequence[str] = (), connect: Sequence[str]
             "retry": {"period_init_ms": 500, "period_max_ms": 1000, "period_increase_factor": 1},
         },
         "scouting": {"multicast": {"enabled": scouting}},
-        # Ten keep-alives in a lease of ten seconds: reconnects within 2.5 s of a cut, and holds at 20 % loss.
-        "transport": {
-            "unicast": {"open_timeout": OPEN_TIMEOUT_MS},
-            "link": {"tx": {"lease": 10000, "keep_alive": 10}},
-        },
+        "transport": {"unicast": {"open_timeout": OPEN_TIMEOUT_MS}, "link": link},
     }
+    if is_aircraft:
+        config["access_control"] = _access(allowed if tls is not None else ())
     return json.dumps(config)
+
+
+def _access(allowed: Sequence[str]) -> dict[str, Any]:
+    """Others may listen and ask, and nothing else: no sample, no reply and no queryable of theirs is let through."""
+    keys = ["pc/**"]
+    rules = [
+        {
+            "id": "listen and ask",
+            "permission": "allow",
+            "flows": ["ingress"],
+            "messages": ["declare_subscriber", "query"],
+            "key_exprs": keys,
+        },
+        {
+            "id": "be told",
+            "permission": "allow",
+            "flows": ["egress"],
+            "messages": ["put", "reply", "declare_queryable"],
+            "key_exprs": keys,
+        },
+    ]
+    grounds: dict[str, Any] = {"id": "grounds"}
+    if allowed:
+        grounds["cert_common_names"] = list(allowed)
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [grounds],
+        "policies": [{"rules": [rule["id"] for rule in rules], "subjects": ["grounds"]}],
+    }

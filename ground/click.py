@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from contract.errors import InputError, PointclickError
 from contract.feature_set import FeatureSet, Status
+from contract.link_config import CA_FILE, CERTIFICATE_FILE, KEY_FILE, Tls
 from contract.topics import ANY_VEHICLE, DEFAULT_ENDPOINT, TIME_TOLERANCE_S
 from ground.answer import Answer, Refusal
 from ground.locate import Locator
@@ -53,7 +54,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--connect", metavar="ENDPOINT", help=f"zenoh endpoint (default {DEFAULT_ENDPOINT})")
     source.add_argument("--from", dest="recording", metavar="SESSION.mcap", type=Path, help="a recorded session")
+    add_tls_arguments(parser)
     parser.add_argument("--format", choices=("text", "json"), help="default: text, a batch always json")
+
+
+def add_tls_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of an encrypted link, alike for every command that has one."""
+    parser.add_argument(
+        "--credentials",
+        metavar="DIR",
+        type=Path,
+        help=f"folder with {CA_FILE}, {CERTIFICATE_FILE} and {KEY_FILE}, from pc-onboard make-credentials",
+    )
+    for name, meaning in (("ca", "the authority's certificate"), ("certificate", "ours"), ("key", "its private key")):
+        parser.add_argument(f"--{name}", metavar="FILE.pem", type=Path, help=f"{meaning}, in place of --credentials")
+
+
+def tls_of(args: argparse.Namespace) -> Tls | None:
+    """The certificates that are to be shown; None for a plain link. Raises PointclickError."""
+    if args.credentials is None:
+        return Tls.of(args.ca, args.certificate, args.key)
+    if args.ca or args.certificate or args.key:
+        raise UsageError("--credentials names the folder of all three files: leave --ca, --certificate and --key out")
+    return Tls.in_folder(args.credentials)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -146,8 +169,10 @@ def _from_link(args: argparse.Namespace) -> FeatureSet | Refusal:
         raise UsageError("--file needs --from SESSION.mcap: picture names do not cross the link; use --frame or --time")
     from ground.client import ask  # noqa: PLC0415  zenoh is loaded only where there is a link
 
+    tls = tls_of(args)
+    endpoint = args.connect or (DEFAULT_ENDPOINT if tls is None else DEFAULT_ENDPOINT.replace("tcp/", "tls/", 1))
     try:
-        answers = ask(args.connect or DEFAULT_ENDPOINT, args.vehicle or ANY_VEHICLE, frame=args.frame, unix_s=args.time)
+        answers = ask(endpoint, args.vehicle or ANY_VEHICLE, frame=args.frame, unix_s=args.time, tls=tls)
     except ValueError as error:
         raise UsageError(str(error)) from error
     answer = answers[_vehicle(args, sorted(answers))]

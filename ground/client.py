@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from types import TracebackType
 from typing import Any
 
@@ -13,7 +14,7 @@ from contract.codec import decode
 from contract.errors import LinkError, WireError
 from contract.feature_set import FeatureSet, Status
 from contract.history import History
-from contract.link_config import link_config
+from contract.link_config import Tls, link_config
 from contract.topics import ANY_VEHICLE, FEATURES, FRAME_PARAMETER, TIME_PARAMETER
 from ground.answer import Refusal
 from ground.locate import Locator
@@ -22,7 +23,12 @@ ANSWER_TIMEOUT_S = 3.0
 
 
 def ask(
-    endpoint: str, vehicle: str = ANY_VEHICLE, *, frame: int | None = None, unix_s: float | None = None
+    endpoint: str,
+    vehicle: str = ANY_VEHICLE,
+    *,
+    frame: int | None = None,
+    unix_s: float | None = None,
+    tls: Tls | None = None,
 ) -> dict[str, FeatureSet | Refusal]:
     """What each vehicle at an endpoint answers: its set of a frame or a time, or its newest one, or a refusal.
 
@@ -36,7 +42,7 @@ def ask(
         parameters = f"?{TIME_PARAMETER}={unix_s!r}"
     key = FEATURES.key(vehicle)
     answers: dict[str, FeatureSet | Refusal] = {}
-    session = _open("client", endpoint)
+    session = _open("client", endpoint, tls)
     try:
         replies = session.get(
             key + parameters,
@@ -64,15 +70,22 @@ class SetCache:
     """
 
     def __init__(
-        self, endpoint: str, vehicle: str = ANY_VEHICLE, max_age_s: float = 600.0, max_sets: int = 5000
+        self,
+        endpoint: str,
+        vehicle: str = ANY_VEHICLE,
+        max_age_s: float = 600.0,
+        max_sets: int = 5000,
+        *,
+        tls: Tls | None = None,
     ) -> None:
         self.unreadable = 0
         self.last_error: WireError | None = None
         self._bounds = max_age_s, max_sets
         self._histories: dict[str, History[FeatureSet]] = {}
+        self._newest: dict[str, tuple[int, int, float]] = {}  # session, newest capture, and when it was heard
         self._locators: dict[str, Locator] = {}
         self._lock = threading.Lock()
-        self._session = _open("peer", endpoint)
+        self._session = _open("peer", endpoint, tls)
         self._subscriber = self._session.declare_subscriber(FEATURES.key(vehicle), self._receive)
 
     @property
@@ -95,6 +108,15 @@ class SetCache:
         """The set captured nearest to a time, within half a second."""
         with self._lock:
             return self._histories[vehicle].nearest(unix_s) if vehicle in self._histories else None
+
+    def age_s(self, vehicle: str) -> float | None:
+        """Seconds since a picture newer than all before was heard of; None before the first.
+
+        This and not the link's own idea of being up says whether what is shown is old: a session outlives a cut by its
+        lease, and a set may be said again. It needs no clock in common with the aircraft; the delay of the link adds.
+        """
+        with self._lock:
+            return time.monotonic() - self._newest[vehicle][2] if vehicle in self._newest else None
 
     def locator(self, feature_set: FeatureSet) -> Locator:
         """A Locator of a set, the last one of each vehicle kept: repeated clicks on one picture are solved once."""
@@ -126,11 +148,14 @@ class SetCache:
             if received.vehicle not in self._histories:
                 self._histories[received.vehicle] = History(*self._bounds)
             self._histories[received.vehicle].add(received, received)
+            session, capture_ns, _ = self._newest.get(received.vehicle, (-1, 0, 0.0))
+            if received.session != session or received.capture_unix_ns > capture_ns:
+                self._newest[received.vehicle] = received.session, received.capture_unix_ns, time.monotonic()
 
 
-def _open(mode: str, endpoint: str) -> Any:
+def _open(mode: str, endpoint: str, tls: Tls | None) -> Any:
     try:
-        return zenoh.open(zenoh.Config.from_json5(link_config(mode, connect=[endpoint])))
+        return zenoh.open(zenoh.Config.from_json5(link_config(mode, connect=[endpoint], tls=tls)))
     except zenoh.ZError as error:
         reason = str(error).split(" at ", maxsplit=1)[0]
         if "Unable to connect" in reason:

@@ -196,13 +196,16 @@ class Link(Section):
     connect: tuple[str, ...] = choice((), "zenoh endpoints to connect to")
     scouting: bool = choice(False, "announce and look for peers on the local network by multicast")
     max_bit_rate: float = quantity(
-        32000.0, 1000.0, 1e9, "bit/s", "all that is sent keeps below this, link overhead included"
+        32000.0, 4000.0, 1e9, "bit/s", "all that is sent keeps below this, link overhead included"
     )
     min_rate_hz: float = quantity(0.2, 0.01, 30.0, "Hz", "feature sets sent at least, while there are any")
     max_rate_hz: float = quantity(5.0, 0.01, 30.0, "Hz", "feature sets sent at most")
     ca: str | None = choice(None, "TLS: certificate of the authority that both ends trust")
     certificate: str | None = choice(None, "TLS: this aircraft's certificate")
     key: str | None = choice(None, "TLS: this aircraft's private key")
+    allowed: tuple[str, ...] = choice(
+        (), "TLS: common names of the certificates that may listen and ask; empty: every one of the authority's"
+    )
     history_s: float = quantity(600.0, 1.0, 86400.0, "s", "feature sets this young are kept to answer queries")
     history_sets: int = quantity(5000, 1, 100000, "", "at most this many of them")
 

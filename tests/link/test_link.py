@@ -15,15 +15,17 @@ import zenoh
 from contract.codec import decode, encode
 from contract.errors import LinkError
 from contract.feature_set import FeatureSet, Status
+from contract.link_config import link_config
 from ground.__main__ import main
 from ground.answer import Fix, Refusal
 from ground.client import SetCache, ask
-from onboard.publisher import Publisher
+from onboard.publisher import Publisher, Rate
 from tests.contract.sets import plain_set
 from tests.link.ports import free_endpoint
 
 START_NS = 1_700_000_000_000_000_000
 BASE = plain_set(100)
+WIDE = Rate(max_bit_rate=1e8, max_rate_hz=30.0)  # tests of what is said, not of how much
 
 
 def a_set(frame: int, revision: int = 0, status: Status = Status.OK, vehicle: str = "uav-1") -> FeatureSet:
@@ -49,7 +51,7 @@ def endpoint() -> str:
 
 @pytest.fixture
 def publisher(endpoint: str) -> Iterator[Publisher]:
-    with Publisher("uav-1", [endpoint]) as opened:
+    with Publisher("uav-1", [endpoint], rate=WIDE) as opened:
         yield opened
 
 
@@ -120,9 +122,8 @@ def test_a_subscriber_caches_sets_by_vehicle_frame_and_time(publisher: Publisher
         assert eventually(heard)
 
         def complete() -> bool:  # a set may be dropped where the machine is busy: the link never holds up the aircraft
-            for frame in range(1, 4):
-                publisher.publish(a_set(frame))
-            publisher.publish(a_set(2, revision=4))
+            for frame, revision in ((1, 1), (2, 4), (3, 0)):  # older pictures only go out again when revised
+                publisher.publish(a_set(frame, revision))
             return all(cache.by_frame("uav-1", frame) is not None for frame in range(1, 4))
 
         assert eventually(complete)
@@ -139,18 +140,21 @@ def test_a_subscriber_caches_sets_by_vehicle_frame_and_time(publisher: Publisher
         assert cache.by_frame("nobody", 1) is None and cache.unreadable == 0
 
 
-def test_garbage_on_the_key_is_counted_and_does_no_harm(publisher: Publisher, endpoint: str) -> None:
-    with SetCache(endpoint) as cache:
-        config = {"mode": "client", "connect": {"endpoints": [endpoint]}}
+def test_garbage_on_the_key_is_counted_and_does_no_harm(endpoint: str) -> None:
+    """From a faulty aircraft: a Publisher lets nobody else publish through it (test_access.py)."""
+    with SetCache(endpoint) as cache, zenoh_peer(endpoint) as session:
 
         def spoilt() -> bool:
-            with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
-                session.put("pc/uav-1/features", b"PC\x10 nonsense")
-            publisher.publish(a_set(0))
+            session.put("pc/uav-1/features", b"PC\x10 nonsense")
+            session.put("pc/uav-1/features", encode(a_set(0)))
             return cache.unreadable > 0 and cache.newest("uav-1") is not None
 
         assert eventually(spoilt)
         assert "bytes" in str(cache.last_error)
+
+
+def zenoh_peer(endpoint: str, mode: str = "peer") -> zenoh.Session:
+    return zenoh.open(zenoh.Config.from_json5(link_config(mode, listen=[endpoint])))
 
 
 def test_a_subscriber_may_come_first_and_the_aircraft_later(endpoint: str) -> None:
@@ -201,22 +205,42 @@ def test_another_vehicles_set_is_not_published(publisher: Publisher) -> None:
         publisher.publish(a_set(0, vehicle="uav-2"))
 
 
-def test_two_vehicles_at_one_endpoint_must_be_told_apart(
-    publisher: Publisher, endpoint: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    publisher.publish(a_set(0))
-    config = {"mode": "client", "connect": {"endpoints": [endpoint]}}
-    with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
-        payload = encode(a_set(4, vehicle="uav-2"))
-        queryable = session.declare_queryable(
-            "pc/uav-2/features", lambda query: query.reply("pc/uav-2/features", payload)
-        )
-        assert eventually(lambda: len(ask(endpoint)) == 2)
+def test_two_vehicles_at_one_endpoint_must_be_told_apart(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Both connect to a router on the ground."""
+    with (
+        zenoh_peer(endpoint, "router"),
+        Publisher("uav-1", (), [endpoint]) as one,
+        Publisher("uav-2", (), [endpoint]) as two,
+    ):
+        one.publish(a_set(0))
+        two.publish(a_set(4, vehicle="uav-2"))
+
+        def both() -> bool:
+            try:
+                return len(ask(endpoint)) == 2
+            except LinkError:
+                return False
+
+        assert eventually(both)
         assert main(["click", "320", "240", "--connect", endpoint]) == 2
         assert "several vehicles answer: uav-1, uav-2" in capsys.readouterr().err
         assert main(["click", "320", "240", "--connect", endpoint, "--vehicle", "uav-2", "--format", "json"]) == 0
         assert json.loads(capsys.readouterr().out)["frame"] == 4
-        queryable.undeclare()
+
+
+def test_the_age_of_the_newest_picture_grows_while_only_old_ones_come(publisher: Publisher, endpoint: str) -> None:
+    with SetCache(endpoint) as cache:
+        assert cache.age_s("uav-1") is None
+        publisher.publish(a_set(5))
+        assert eventually(lambda: cache.newest("uav-1") is not None)  # said again until it is heard
+        heard_at = time.monotonic()
+        time.sleep(0.5)
+        publisher.publish(a_set(4, revision=1))
+        assert eventually(lambda: cache.by_frame("uav-1", 4) is not None)
+        age_s = cache.age_s("uav-1")
+        assert age_s is not None and 0.4 <= age_s <= time.monotonic() - heard_at + 0.5
+        publisher.publish(a_set(6))
+        assert eventually(lambda: (age := cache.age_s("uav-1")) is not None and age < 0.3)
 
 
 def test_a_live_click_in_its_own_process_answers_and_refuses(publisher: Publisher, endpoint: str) -> None:

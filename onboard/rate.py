@@ -1,0 +1,301 @@
+"""What may go out on the link, and when: a budget of bytes and a choice among sets. Pure logic, time is passed in.
+
+A radio's queue cannot be seen from here, and a queue that fills is delay that stays; so what is sent keeps below
+`link.max_bit_rate` at its source (COMPONENTS: 80 kbit/s offered to 64 kbit/s are 7 to 17 s of delay, whatever zenoh is
+told to drop). Everything counts: sets, status, replies, and what zenoh, TLS, TCP and IP add.
+
+Overhead on the wire, IP headers and up, measured with zenoh 1.10 (benchmarks/link.py): 64 B a message over tcp, 33 over
+udp, 76 over tls, 80 over quic; beside that 55 to 140 B/s a ground for keep-alives and acknowledgements, 170 B a reply,
+and 0.3 (udp), 0.6 (tcp), 1.7 (tls) or 8 kB (quic) for a ground that connects.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Generic, TypeVar
+
+T = TypeVar("T", bound=Hashable)
+
+MESSAGE_OVERHEAD = 90  # bytes
+REPLY_OVERHEAD = 180
+GROUND_BYTES_PER_S = 140.0
+CONNECT_BYTES = 1700
+PACKET_BYTES = 1500
+BURST_S = 0.5
+# What status and replies may take at most: at least 0.35 stays for sets.
+STATUS_SHARE, REPLY_SHARE = 0.25, 0.4
+PATIENCE_S = 0.8  # of status and replies, before sets are held back for them
+# With nothing newer, the newest set is said again after this: it may have been sent into a link that was cut.
+REPEAT_S = 2.0
+# Better revisions of older pictures wait until the newest picture is not older than this on the ground.
+FRESH_S = 1.0
+# Refusals give way to a set that answers and is at most this much older.
+ANSWER_LEAD_NS = 1_000_000_000
+# Pictures older than this are only answered when asked for.
+MEMORY_NS = 15_000_000_000
+MAX_REVISED = 512
+
+
+class Kind(Enum):
+    """What a message is, which decides how much of the budget it may take."""
+
+    SET = "set"
+    STATUS = "status"
+    REPLY = "reply"
+
+
+class Bucket:
+    """A token bucket: in any window of t seconds, at most rate t + depth bytes (or one message larger than it)."""
+
+    def __init__(self, bytes_per_s: float, depth: float, now_s: float) -> None:
+        self.bytes_per_s, self.depth = bytes_per_s, depth
+        self._level, self._at_s = depth, now_s
+
+    def level(self, now_s: float) -> float:
+        """Bytes that may go now; negative after a charge that could not be refused."""
+        if now_s > self._at_s:
+            self._level = min(self._level + (now_s - self._at_s) * self.bytes_per_s, self.depth)
+            self._at_s = now_s
+        return self._level
+
+    def wait_s(self, cost: float, now_s: float) -> float:
+        """Seconds until `cost` bytes may go; 0 if they may now."""
+        return max(min(cost, self.depth) - self.level(now_s), 0.0) / self.bytes_per_s
+
+    def take(self, cost: float, now_s: float) -> None:
+        """Take them, whether they are there or not."""
+        self._level = self.level(now_s) - cost
+
+
+class Budget:
+    """All that may be sent, by kind. `grounds` is how many sessions each message goes to, at least 1.
+
+    The cap is never exceeded for long: over any t seconds, rate t + one burst. Within it, status and replies have their
+    shares, and none while sets are behind `min_rate_hz`; sets go out `max_rate_hz` times a second at most.
+    """
+
+    def __init__(self, max_bit_rate: float, min_rate_hz: float, max_rate_hz: float, now_s: float) -> None:
+        self.bytes_per_s = max_bit_rate / 8.0
+        self.min_rate_hz, self.max_rate_hz = min(min_rate_hz, max_rate_hz), max_rate_hz
+        self.grounds = 1
+        self._all = Bucket(self.bytes_per_s, max(PACKET_BYTES, BURST_S * self.bytes_per_s), now_s)
+        self._shares = {
+            kind: Bucket(share * self.bytes_per_s, max(PACKET_BYTES, BURST_S * share * self.bytes_per_s), now_s)
+            for kind, share in ((Kind.STATUS, STATUS_SHARE), (Kind.REPLY, REPLY_SHARE))
+        }
+        self._set_at_s: float | None = None
+        self._waiting: dict[Kind, tuple[float, int]] = {}  # since when, and how many bytes
+        self._background_at_s = now_s
+
+    def cost(self, kind: Kind, payload_bytes: int) -> float:
+        """Bytes on the wire, to every ground; a reply goes to one."""
+        if kind is Kind.REPLY:
+            return payload_bytes + REPLY_OVERHEAD
+        return (payload_bytes + MESSAGE_OVERHEAD) * max(self.grounds, 1)
+
+    def waits(self, kind: Kind, payload_bytes: int | None, now_s: float) -> None:
+        """Say what waits to be sent, None for nothing: who has waited long goes before who has not."""
+        if payload_bytes is None:
+            self._waiting.pop(kind, None)
+        else:
+            since_s, _ = self._waiting.get(kind, (now_s, 0))
+            self._waiting[kind] = since_s, payload_bytes
+
+    def is_behind(self, now_s: float) -> bool:
+        """Whether sets wait and come more rarely than they must: then nothing else may go."""
+        if Kind.SET not in self._waiting:
+            return False
+        since_s, _ = self._waiting[Kind.SET]
+        if self._set_at_s is not None:
+            since_s = max(since_s, self._set_at_s)
+        return now_s - since_s >= 1.0 / self.min_rate_hz
+
+    def wait_s(self, kind: Kind, payload_bytes: int, now_s: float) -> float:
+        """Seconds until a message may go, if nothing else goes before; 0 if it may now; inf while others go first."""
+        self._note_background(now_s)
+        cost = self.cost(kind, payload_bytes)
+        wait = self._all.wait_s(cost, now_s)
+        if kind is Kind.SET:
+            if not self.is_behind(now_s) and self._others_turn(now_s):
+                return math.inf
+            if self._set_at_s is not None:
+                wait = max(wait, self._set_at_s + 1.0 / self.max_rate_hz - now_s)
+            return max(wait, 0.0)
+        if self.is_behind(now_s):
+            return math.inf
+        return max(wait, self._shares[kind].wait_s(cost, now_s))
+
+    def _others_turn(self, now_s: float) -> bool:
+        """Whether status or a reply has waited long and only want of bytes keeps it: sets would take them for good."""
+        return any(
+            now_s - since_s >= PATIENCE_S and share.wait_s(self.cost(kind, payload_bytes), now_s) <= 0.0
+            for kind, share in self._shares.items()
+            for since_s, payload_bytes in [self._waiting.get(kind, (math.inf, 0))]
+        )
+
+    def send(self, kind: Kind, payload_bytes: int, now_s: float) -> bool:
+        """Whether a message may go now; if so, it is paid for."""
+        if self.wait_s(kind, payload_bytes, now_s) > 0.0:
+            return False
+        cost = self.cost(kind, payload_bytes)
+        self._all.take(cost, now_s)
+        self._waiting.pop(kind, None)
+        if kind is Kind.SET:
+            self._set_at_s = now_s
+        else:
+            self._shares[kind].take(cost, now_s)
+        return True
+
+    def connected(self, grounds: int, now_s: float) -> None:
+        """How many sessions there are now; each new one has cost its handshake."""
+        self._note_background(now_s)
+        if grounds > self.grounds:
+            self._all.take(CONNECT_BYTES * (grounds - self.grounds), now_s)
+        self.grounds = max(grounds, 0)
+
+    def _note_background(self, now_s: float) -> None:
+        """Keep-alives and acknowledgements; they never take more than half, or a slow link would fall silent."""
+        rate = min(GROUND_BYTES_PER_S * max(self.grounds, 1), 0.5 * self.bytes_per_s)
+        self._all.take(rate * max(now_s - self._background_at_s, 0.0), now_s)
+        self._background_at_s = max(now_s, self._background_at_s)
+
+
+@dataclass(frozen=True)
+class Offer(Generic[T]):
+    """A set that could be sent, by what makes it worth sending. `item` is whatever the sender needs."""
+
+    session: int
+    frame: int
+    revision: int
+    capture_unix_ns: int
+    is_ok: bool
+    is_keyframe: bool
+    item: T
+
+
+class Selection(Generic[T]):
+    """Which set goes next. The newest that answers first; between two of those, the best revision of an older picture.
+
+    Revisions go keyframes first, then where on the time line least has been sent, so that what the ground holds is
+    spread evenly. What is not chosen is not lost: it answers queries from the history.
+    """
+
+    def __init__(self, repeat_s: float = REPEAT_S) -> None:
+        self._repeat_s = repeat_s
+        self._session: int | None = None
+        self._begin()
+
+    def _begin(self) -> None:
+        self._answer: Offer[T] | None = None  # the newest that answers, unsent
+        self._refusal: Offer[T] | None = None  # the newest that does not, unsent
+        self._revised: dict[int, Offer[T]] = {}  # of older pictures, by frame, unsent
+        self._revised_ns: list[int] = []  # captures of the revisions that were sent
+        self._repeated: Offer[T] | None = None  # the newest of all
+        self._newest_ns = 0
+        self._sent_ns = self._sent_answer_ns = 0  # newest capture sent, and of those that answer
+        self._fresh_at_s: float | None = None
+        self._turn_of_revised = False
+
+    @property
+    def waiting(self) -> bool:
+        """Whether there is a set that was never sent."""
+        return self._answer is not None or self._refusal is not None or bool(self._revised)
+
+    def offer(self, offered: Offer[T]) -> None:
+        """Take a set; one of a new session puts all others away."""
+        o = offered
+        if o.session != self._session:
+            self._session = o.session
+            self._begin()
+        self._newest_ns = max(self._newest_ns, o.capture_unix_ns)
+        if self._repeated is None or _precedes(self._repeated, o):
+            self._repeated = o
+        if not o.is_ok:
+            newest_ns = self._sent_ns if self._refusal is None else max(self._sent_ns, self._refusal.capture_unix_ns)
+            if o.capture_unix_ns >= newest_ns and not (o.revision and o.capture_unix_ns == self._sent_ns):
+                self._refusal = o
+        elif self._is_fresh(o):
+            displaced, self._answer = self._answer, o
+            if displaced is not None and displaced.frame != o.frame and displaced.revision:
+                self._revised[displaced.frame] = displaced
+        elif o.revision:
+            known = self._revised.get(o.frame)
+            if known is None or known.revision <= o.revision:
+                self._revised[o.frame] = o
+        self._forget()
+
+    def next(self, now_s: float) -> Offer[T] | None:
+        """What should go out now; the same again until `sent`. None: nothing is worth sending yet."""
+        fresh = self._fresh()
+        is_fresh_enough = self._fresh_at_s is not None and now_s - self._fresh_at_s < FRESH_S
+        if self._revised and (fresh is None or (self._turn_of_revised and is_fresh_enough)):
+            return self._best_revised()
+        if fresh is not None:
+            return fresh
+        wait_s = self.wait_s(now_s)
+        return self._repeated if wait_s is not None and wait_s <= 0.0 else None
+
+    def wait_s(self, now_s: float) -> float | None:
+        """Seconds until the newest is due to be said again; None: there is none, or others are waiting."""
+        if self.waiting or self._repeated is None or self._fresh_at_s is None:
+            return None
+        return max(self._fresh_at_s + self._repeat_s - now_s, 0.0)
+
+    def sent(self, offered: Offer[T], now_s: float) -> None:
+        """It went out."""
+        o = offered
+        self._turn_of_revised = o.capture_unix_ns >= self._sent_ns
+        if self._turn_of_revised or o is self._repeated:
+            self._fresh_at_s = now_s
+        self._sent_ns = max(self._sent_ns, o.capture_unix_ns)
+        if o.is_ok:
+            self._sent_answer_ns = max(self._sent_answer_ns, o.capture_unix_ns)
+            if o.revision:
+                self._revised_ns.append(o.capture_unix_ns)
+            held = self._revised.get(o.frame)
+            if held is not None and held.revision <= o.revision:
+                del self._revised[o.frame]
+        if self._answer is o:
+            self._answer = None
+        if self._refusal is not None and self._refusal.capture_unix_ns <= self._sent_ns:
+            self._refusal = None
+
+    def _is_fresh(self, o: Offer[T]) -> bool:
+        if o.capture_unix_ns < self._sent_answer_ns:
+            return False
+        held = self._answer
+        return held is None or (held.capture_unix_ns, held.revision) <= (o.capture_unix_ns, o.revision)
+
+    def _fresh(self) -> Offer[T] | None:
+        answer, refusal = self._answer, self._refusal
+        if answer is None or refusal is None:
+            return answer or refusal
+        return refusal if refusal.capture_unix_ns - answer.capture_unix_ns > ANSWER_LEAD_NS else answer
+
+    def _best_revised(self) -> Offer[T]:
+        def worth(o: Offer[T]) -> tuple[bool, int, int]:
+            gap = min((abs(o.capture_unix_ns - at) for at in self._revised_ns), default=MEMORY_NS)
+            return o.is_keyframe, gap, o.capture_unix_ns
+
+        return max(self._revised.values(), key=worth)
+
+    def _forget(self) -> None:
+        oldest = self._newest_ns - MEMORY_NS
+        old = [frame for frame, o in self._revised.items() if o.capture_unix_ns < oldest]
+        surplus = len(self._revised) - len(old) - MAX_REVISED
+        for frame in old:
+            del self._revised[frame]
+        for frame in sorted(self._revised)[: max(surplus, 0)]:
+            del self._revised[frame]
+        self._revised_ns = [at for at in self._revised_ns if at >= oldest]
+
+
+def _precedes(held: Offer[T], new: Offer[T]) -> bool:
+    """Whether `new` is what a ground that heard nothing should hear first: answers before refusals, then the newest."""
+    if held.is_ok != new.is_ok:
+        lead = new.capture_unix_ns - held.capture_unix_ns
+        return lead > -ANSWER_LEAD_NS if new.is_ok else lead > ANSWER_LEAD_NS
+    return (held.capture_unix_ns, held.revision) <= (new.capture_unix_ns, new.revision)
