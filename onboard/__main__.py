@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NoReturn
 
-from contract.errors import PointclickError
+from contract.errors import InputError, PointclickError
 
 PROGRAM = "pc-onboard"
 CONFIG = Path("/etc/pointclick/config.toml")
@@ -45,6 +45,13 @@ def _seconds(text: str) -> float:
     if not 0.0 <= seconds <= 86400.0:
         raise ValueError(text)
     return seconds
+
+
+def _days(text: str) -> float:
+    days = float(text)
+    if not 0.0 < days <= 36500.0:
+        raise ValueError(text)
+    return days
 
 
 def parser() -> argparse.ArgumentParser:
@@ -93,6 +100,10 @@ def parser() -> argparse.ArgumentParser:
     status.add_argument("--json", action="store_true", help="everything it knows of itself")
     status.set_defaults(run=run_status)
 
+    _add_make_credentials(
+        commands.add_parser("make-credentials", help="certificates for an encrypted link (docs/link.md)")
+    )
+
     check = commands.add_parser("check-config", help="check a configuration file and the config.d beside it")
     check.add_argument("file", type=Path, metavar="FILE", nargs="?", default=CONFIG)
     check.set_defaults(run=run_check_config)
@@ -136,6 +147,37 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
     from onboard.calibrate_command import run  # noqa: PLC0415
 
     return run(arguments)
+
+
+def _add_make_credentials(credentials: argparse.ArgumentParser) -> None:
+    credentials.add_argument("folder", type=Path, metavar="DIR", help="one folder each in it, and the authority's own")
+    credentials.add_argument(
+        "--vehicle", action="append", default=[], metavar="NAME", help="an aircraft: its vehicle.id"
+    )
+    credentials.add_argument("--operator", action="append", default=[], metavar="NAME", help="someone who flies it")
+    credentials.add_argument("--viewer", action="append", default=[], metavar="NAME", help="someone who looks on")
+    credentials.add_argument(
+        "--address",
+        action="append",
+        default=[],
+        metavar="HOST",
+        help="where the aircraft is reached; its name and this machine are always among them",
+    )
+    credentials.add_argument("--days", type=_days, default=365.0, metavar="N", help="valid for so long (365)")
+    credentials.set_defaults(run=run_make_credentials)
+
+
+def run_make_credentials(arguments: argparse.Namespace) -> int:
+    """Issue certificates and say where they are."""
+    from onboard.credentials import AUTHORITY, make_credentials  # noqa: PLC0415
+
+    vehicles, people = arguments.vehicle, [*arguments.operator, *arguments.viewer]
+    if not vehicles and not people:
+        raise InputError("whom for? name at least one --vehicle, --operator or --viewer")
+    for folder in make_credentials(arguments.folder, vehicles, people, arguments.address, arguments.days):
+        print(folder)
+    print(f"{arguments.folder / AUTHORITY} (signs new ones: keep it off the aircraft and away from others)")
+    return 0
 
 
 def run_cameras(arguments: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ from typing import Any
 import zenoh
 
 from contract.errors import LinkError
-from contract.link_config import link_config
+from contract.link_config import Tls, link_config
 from contract.topics import DETAIL_PARAMETER, STATUS
 
 TIMEOUT_S = 2.0
@@ -22,11 +22,14 @@ def local_endpoints(listen: Sequence[str]) -> list[str]:
     return [_EVERYWHERE.sub("/127.0.0.1:", endpoint) for endpoint in listen]
 
 
-def ask(vehicle: str, listen: Sequence[str]) -> dict[str, Any] | None:
-    """The daemon's detailed report; None if nobody answers. Raises LinkError for an answer that is none."""
+def ask(vehicle: str, listen: Sequence[str], tls: Tls | None = None) -> dict[str, Any] | None:
+    """The daemon's detailed report; None if nobody answers. Raises LinkError for an answer that is none.
+
+    With `tls`, its own: the daemon lets whoever shows its certificate ask it.
+    """
     for endpoint in local_endpoints(listen):
         try:
-            session = zenoh.open(zenoh.Config.from_json5(link_config("client", connect=[endpoint])))
+            session = zenoh.open(zenoh.Config.from_json5(link_config("client", connect=[endpoint], tls=tls)))
         except zenoh.ZError:
             continue
         try:

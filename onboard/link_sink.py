@@ -18,10 +18,7 @@ class LinkSink:
     """Opens the link at once. Raises LinkError where that cannot be done."""
 
     def __init__(self, config: Config) -> None:
-        link = config.link
-        self._publisher = Publisher(
-            config.vehicle.id, link.listen, link.connect, link.scouting, link.history_s, link.history_sets
-        )
+        self._publisher = Publisher.open(config)
 
     def __enter__(self) -> Self:
         return self

@@ -24,6 +24,7 @@ from contract.feature_set import FeatureSet, Status
 from contract.history import History
 from contract.link_config import Tls, link_config
 from contract.topics import DEFAULT_ENDPOINT, DETAIL_PARAMETER, FEATURES, FRAME_PARAMETER, STATUS, TIME_PARAMETER
+from onboard.backlog import Backlog
 from onboard.config import Config
 from onboard.events import Event
 from onboard.packet import one_packet
@@ -32,6 +33,10 @@ from onboard.rate import REPEAT_S, Budget, Kind, Offer, Selection
 MAX_WAITING_QUERIES = 16
 QUERY_PATIENCE_S = 2.8  # the ground waits 3 s; an answer after that is a waste
 IDLE_S = 0.25
+HELD_S = 0.05
+# Unacknowledged bytes, in seconds of the bit rate and at least so many, above which nothing more is sent: more than a
+# slow radio has under way, and less than a second of its time.
+BACKLOG_S, BACKLOG_BYTES = 1.0, 3000
 
 log = logging.getLogger("pointclick")
 
@@ -85,6 +90,7 @@ class Publisher:
         self._history: History[bytes] = History(history_s, history_sets)
         rate = rate or Rate()
         self._budget = Budget(rate.max_bit_rate, rate.min_rate_hz, rate.max_rate_hz, time.monotonic())
+        self._backlog, self._most_backlog = Backlog(), max(BACKLOG_S * rate.max_bit_rate / 8.0, BACKLOG_BYTES)
         self._selection: Selection[bytes] = Selection(min(REPEAT_S, 1.0 / rate.min_rate_hz))
         self._queries: deque[_Waiting] = deque()
         self._status, self._status_detail = b"", b""
@@ -196,12 +202,15 @@ class Publisher:
                 self._has_news = False
             wait_s = self._send_one()
             with self._changed:
-                if not self._has_news:
+                if not self._has_news or wait_s == HELD_S:
                     self._changed.wait(wait_s)
 
     def _send_one(self) -> float:
         """Send at most one message; seconds until the next may go."""
-        grounds = len(self._session.info.transports())
+        info = self._session.info
+        grounds = len(info.transports())
+        if self._backlog.unacknowledged(link.dst for link in info.links()) > self._most_backlog:
+            return HELD_S
         now_s = time.monotonic()
         with self._changed:
             budget = self._budget
@@ -235,14 +244,12 @@ class Publisher:
             log.warning("link: %s", str(error).split(" at ", maxsplit=1)[0])
         return 0.0
 
-    def _wait_s(
-        self, now_s: float, status: bytes | None, query: _Waiting | None, offer: Offer[bytes] | None
-    ) -> float:
+    def _wait_s(self, now_s: float, status: bytes | None, query: _Waiting | None, offer: Offer[bytes] | None) -> float:
         waits = [self._selection.wait_s(now_s) or IDLE_S, IDLE_S]
         for kind, size in (
-            (Kind.STATUS, status and len(status)),
-            (Kind.REPLY, query and len(query.answer)),
-            (Kind.SET, offer and len(offer.item)),
+            (Kind.STATUS, None if status is None else len(status)),
+            (Kind.REPLY, None if query is None else len(query.answer)),
+            (Kind.SET, None if offer is None else len(offer.item)),
         ):
             if size is not None:
                 waits.append(self._budget.wait_s(kind, size, now_s))
@@ -250,7 +257,7 @@ class Publisher:
 
     def _forget_old_queries(self, now_s: float) -> None:
         while self._queries and now_s - self._queries[0].since_s > QUERY_PATIENCE_S:
-            self._queries.popleft().query.drop()
+            self._queries.popleft().query.drop()  # type: ignore[no-untyped-call]
 
     def _asked(self, query: zenoh.Query) -> None:
         """A set, or a Status and whose it is. A queryable that raised would look like an absent one."""
@@ -277,7 +284,7 @@ class Publisher:
                 self._queries.append(_Waiting(query, key, answer, is_error, time.monotonic()))
                 self._wake()
                 return
-        query.drop()
+        query.drop()  # type: ignore[no-untyped-call]
 
     def _find(self, frame: str | None, time_: str | None) -> bytes | Status:
         with self._changed:

@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> str:
         sinks.append(WholeRecording(arguments.record, config.vehicle.id, config_text, camera))
     flight = Flight.open(config, camera, arguments.frames, arguments.telemetry, arguments.stamps)
     if arguments.publish:
-        sinks.append(Published(config))
+        sinks.append(Publisher.open(config))
     terminal = sys.stderr if sys.stderr.isatty() else None
     linger_s = arguments.linger if arguments.publish else 0.0
     terrain = None if config.terrain.path is None else TerrainFiles(config.terrain.path, config.terrain.datum)
@@ -53,31 +53,6 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> str:
     if state is not None:
         state.keep(pipeline.window.alignment)
     return summary_text(summary)
-
-
-class Published:
-    """The link as a sink: sets only."""
-
-    def __init__(self, config: Config) -> None:
-        link = config.link
-        self._publisher = Publisher(
-            config.vehicle.id, link.listen, link.connect, link.scouting, link.history_s, link.history_sets
-        )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._publisher.close()
-
-    def event(self, arrival_ns: int, event: Event) -> None:
-        """Events stay on board."""
-
-    def feature_set(self, output: FeatureSet) -> None:
-        """Publish and keep for queries."""
-        self._publisher.publish(output)
 
 
 class WholeRecording:

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from contract.link_config import Tls
 from onboard.ask_daemon import ask
 from onboard.config import Config
 from onboard.config_files import load_config_files
@@ -18,7 +19,9 @@ NOT_RUNNING = 3
 def run(arguments: argparse.Namespace) -> int:
     """Ask and print: a few lines, or the whole report as JSON."""
     config = configuration(arguments.config)
-    report = ask(arguments.vehicle or config.vehicle.id, config.link.listen)
+    link = config.link
+    tls = Tls.of(link.ca, link.certificate, link.key)
+    report = ask(arguments.vehicle or config.vehicle.id, link.listen, tls)
     if report is None:
         print("not running", file=sys.stderr)
         return NOT_RUNNING

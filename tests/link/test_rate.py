@@ -1,4 +1,4 @@
-"""What may go out on the link and which set goes: claims about the cap, the shares, and freshness. No clock, no link."""
+"""What may go out on the link and which set goes: the cap, the shares, freshness. No clock, no link."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_no_window_of_time_carries_more_than_the_cap_and_one_burst(
     assert sent or grounds > 1  # the handshakes of two more may take ten seconds of the slowest link
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=10)
 @given(
     max_bit_rate=st.floats(8000.0, 200_000.0),
     set_bytes=st.integers(60, 1250),
@@ -116,8 +116,8 @@ def test_sets_come_at_least_at_the_least_rate_where_the_budget_allows_it(
     max_bit_rate: float, set_bytes: int, min_rate_hz: float, replies_hz: float
 ) -> None:
     budget = Budget(max_bit_rate, min_rate_hz, 5.0, 0.0)
-    took = [at for at, _ in sets(run(budget, flight(30.0), 30.0, set_bytes, 300, replies_hz))]
-    gaps = [later - earlier for earlier, later in itertools.pairwise([0.0, *took, 30.0])]
+    took = [at for at, _ in sets(run(budget, flight(20.0, 10.0), 20.0, set_bytes, 300, replies_hz))]
+    gaps = [later - earlier for earlier, later in itertools.pairwise([0.0, *took, 20.0])]
     # At half the budget (the rest is background at worst), or one packet late because others went just before.
     affordable_s = budget.cost(Kind.SET, set_bytes) / (0.5 * budget.bytes_per_s)
     late_s = 2.0 * PACKET_BYTES / (0.5 * budget.bytes_per_s)
