@@ -28,7 +28,7 @@ from onboard.backlog import Backlog
 from onboard.config import Config
 from onboard.events import Event
 from onboard.packet import one_packet
-from onboard.rate import REPEAT_S, Budget, Kind, Offer, Selection
+from onboard.rate import CONNECT_BYTES, REPEAT_S, SECURE_CONNECT_BYTES, Budget, Kind, Offer, Selection
 
 MAX_WAITING_QUERIES = 16
 QUERY_PATIENCE_S = 2.8  # the ground waits 3 s; an answer after that is a waste
@@ -89,7 +89,8 @@ class Publisher:
         self._vehicle = vehicle
         self._history: History[bytes] = History(history_s, history_sets)
         rate = rate or Rate()
-        self._budget = Budget(rate.max_bit_rate, rate.min_rate_hz, rate.max_rate_hz, time.monotonic())
+        connect_bytes = CONNECT_BYTES if tls is None else SECURE_CONNECT_BYTES
+        self._budget = Budget(rate.max_bit_rate, rate.min_rate_hz, rate.max_rate_hz, time.monotonic(), connect_bytes)
         self._backlog, self._most_backlog = Backlog(), max(BACKLOG_S * rate.max_bit_rate / 8.0, BACKLOG_BYTES)
         self._selection: Selection[bytes] = Selection(min(REPEAT_S, 1.0 / rate.min_rate_hz))
         self._queries: deque[_Waiting] = deque()

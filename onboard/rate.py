@@ -22,7 +22,8 @@ T = TypeVar("T", bound=Hashable)
 MESSAGE_OVERHEAD = 90  # bytes
 REPLY_OVERHEAD = 180
 GROUND_BYTES_PER_S = 140.0
-CONNECT_BYTES = 1700
+CONNECT_BYTES = 600
+SECURE_CONNECT_BYTES = 1700
 PACKET_BYTES = 1500
 BURST_S = 0.5
 # What status and replies may take at most: at least 0.35 stays for sets.
@@ -69,6 +70,10 @@ class Bucket:
         """Take them, whether they are there or not."""
         self._level = self.level(now_s) - cost
 
+    def owe(self, cost: float, now_s: float) -> None:
+        """Take what went without asking; what cannot be made good within one depth is forgiven."""
+        self._level = max(self.level(now_s) - cost, min(-self.depth, self._level))
+
 
 class Budget:
     """All that may be sent, by kind. `grounds` is how many sessions each message goes to, at least 1.
@@ -77,7 +82,15 @@ class Budget:
     shares, and none while sets are behind `min_rate_hz`; sets go out `max_rate_hz` times a second at most.
     """
 
-    def __init__(self, max_bit_rate: float, min_rate_hz: float, max_rate_hz: float, now_s: float) -> None:
+    def __init__(
+        self,
+        max_bit_rate: float,
+        min_rate_hz: float,
+        max_rate_hz: float,
+        now_s: float,
+        connect_bytes: float = CONNECT_BYTES,
+    ) -> None:
+        self._connect_bytes = connect_bytes
         self.bytes_per_s = max_bit_rate / 8.0
         self.min_rate_hz, self.max_rate_hz = min(min_rate_hz, max_rate_hz), max_rate_hz
         self.grounds = 1
@@ -153,13 +166,13 @@ class Budget:
         """How many sessions there are now; each new one has cost its handshake."""
         self._note_background(now_s)
         if grounds > self.grounds:
-            self._all.take(CONNECT_BYTES * (grounds - self.grounds), now_s)
+            self._all.owe(self._connect_bytes * (grounds - self.grounds), now_s)
         self.grounds = max(grounds, 0)
 
     def _note_background(self, now_s: float) -> None:
         """Keep-alives and acknowledgements; they never take more than half, or a slow link would fall silent."""
         rate = min(GROUND_BYTES_PER_S * max(self.grounds, 1), 0.5 * self.bytes_per_s)
-        self._all.take(rate * max(now_s - self._background_at_s, 0.0), now_s)
+        self._all.owe(rate * max(now_s - self._background_at_s, 0.0), now_s)
         self._background_at_s = max(now_s, self._background_at_s)
 
 
