@@ -13,11 +13,12 @@ from contract.errors import ConfigError
 from onboard.camera.device import Sizes
 from onboard.camera.discovery import Identity
 from onboard.camera.negotiation import choose_format
+from onboard.camera.pictures import CLOCK_UNKNOWN
 from onboard.camera.v4l2 import V4l2Camera
 from onboard.config import CameraConfig
 from onboard.session_clock import SessionClock
 from onboard.sources import Health, State
-from tests.onboard.fake_camera import PERIOD_NS, SIZE_PX, Plugged, World
+from tests.onboard.fake_camera import PERIOD_NS, SIZE_PX, Plugged, World, picture
 
 OURS = Identity("uvcvideo", "Cam", "usb-1", frozenset({"/dev/v4l/by-id/usb-Cam_123-video-index0"}), "0")
 CLOCK = SessionClock(1_700_000_000_000_000_000)
@@ -254,6 +255,23 @@ def test_pictures_that_waited_while_we_were_starved_are_not_shown_as_news() -> N
     run(camera, world)
     assert camera.health().figures["skipped"] > 5
     assert all(arrival_ns - frame.stamp_ns <= 500_000_000 for arrival_ns, frame in world.emitted)
+
+
+def test_a_time_of_arrival_is_never_given_to_a_picture_that_waited() -> None:
+    world = World(video0=Plugged(OURS, flags=CLOCK_UNKNOWN, age_ns=-(10**17)))
+    camera = live(world)
+    # Kept from running for a second, within the wait for a picture: the queue is full of old ones then.
+    world.events = [(1.01, lambda: setattr(world, "now_ns", world.now_ns + 1_000_000_000))]
+    seen = run(camera, world)
+    assert at(seen, 0.9).state is State.DEGRADED
+    numbers = {bytes(picture(number)): number for number in range(200)}
+    late_ms = []
+    for frame in world.frames:
+        assert frame.image is not None
+        taken_ns = world.begun_ns + numbers[frame.image.tobytes()] * PERIOD_NS
+        late_ms.append((frame.stamp_ns - CLOCK.from_monotonic_ns(taken_ns)) / 1e6)
+    assert len(late_ms) > 80
+    assert max(late_ms) < 40.0
 
 
 def test_before_it_runs_it_is_starting() -> None:
