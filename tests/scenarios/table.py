@@ -17,6 +17,7 @@ from tests.scenarios.test_degenerate_ground import FAST, LARGE, LOW
 from tests.scenarios.test_degenerate_motion import HOVER, ROTATION, LevelTerrain
 
 SEEDS = (0, 3, 7)
+HOVER_PATH = DescribedSpec(PathSpec("hover", height_m=100.0))
 SEED_SENSORS = (("solve.attitude", "none"), ("solve.level_ground", True))
 Overrides = tuple[tuple[str, object], ...]
 
@@ -37,6 +38,8 @@ ROWS: dict[str, tuple[SessionSpec, Overrides, bool]] = {
     "hover over known terrain": (HOVER, (), True),
     "yaw on the spot": (ROTATION, (), False),
     "yaw on the spot over known terrain": (ROTATION, (), True),
+    "hover over water": (ground("water", HOVER_PATH), (), False),
+    "hover over the sea": (ground("sea", HOVER_PATH), (), False),
     "no texture": (ground("plain"), (), False),
     "water, 250 m, 20 m/s": (ground("water"), (), False),
     "water, 100 m, 12 m/s": (ground("water", LOW), (), False),

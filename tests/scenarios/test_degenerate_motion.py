@@ -15,8 +15,9 @@ from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from simulation.telemetry import TelemetrySpec
+from simulation.texture import TextureSpec
 from tests.scenarios.flights import CAMERA, flown, play
-from tests.scenarios.test_degenerate_ground import LEG, holds, refuses
+from tests.scenarios.test_degenerate_ground import LARGE, LEG, holds, refuses
 
 HOVER = replace(LEG, flight=DescribedSpec(PathSpec("hover", height_m=100.0)), rate_hz=2.0, seconds=9.0)
 # Yaw at 0.2 rad/s within a circle of one metre.
@@ -41,6 +42,13 @@ class LevelTerrain:
 def test_standing_still_has_no_parallax(spec: SessionSpec) -> None:
     """Hover, and yaw on the spot: low parallax."""
     refuses(play(flown(spec)), Status.LOW_PARALLAX)
+
+
+@pytest.mark.parametrize("style", ["water", "sea"])
+def test_waves_under_a_hover_are_no_parallax(style: str) -> None:
+    """What moves in the pictures is the ground, not the aircraft: low parallax or poor fit, never a depth."""
+    spec = replace(LARGE, flight=HOVER.flight, texture=TextureSpec(style))
+    refuses(play(flown(spec)), Status.LOW_PARALLAX, Status.POOR_FIT)
 
 
 @pytest.mark.parametrize("spec", [HOVER, ROTATION], ids=["hover", "rotation"])
