@@ -21,11 +21,13 @@ from numpy.typing import NDArray
 
 from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, fly, replace_section
 from benchmarks.machine import describe
+from contract.codec import decode, encode
 from contract.feature_set import FeatureSet
 from contract.geodesy import rotation_enu_ecef
 from contract.rotations import log_so3
 from ground.answer import CHI2_2, Fix
-from ground.locate import Locator, difference_covariance
+from ground.locate import Locator
+from ground.two_sets import difference_covariance
 from onboard.config import Config, parse_config
 from simulation.paths import PathSpec
 
@@ -52,9 +54,8 @@ class Counts:
 
 
 def base() -> Config:
-    """The defaults; drawn GPS noise is rougher than a filter's, so the slip alarm is off."""
-    config = parse_config("")
-    return replace_section(config, "gps", max_slip_m_s=100.0)
+    """The defaults, every alarm armed."""
+    return parse_config("")
 
 
 def rows() -> dict[str, DrawnSpec]:
@@ -100,7 +101,8 @@ def judge(spec: DrawnSpec, seed: int) -> Counts | None:
     # Two neighbours and two at the far ends.
     first = int(rng.integers(0, len(solved) - 3))
     for k in sorted({solved[0], solved[first + 1], solved[min(first + 3, len(solved) - 1)], solved[-1]}):
-        s, locator = sets[k], Locator(sets[k])
+        s = decode(encode(sets[k]))  # as the ground receives it
+        locator = Locator(s)
         counts.pose.append(_pose_nees(flight, k, s))
         clicks = rng.uniform(0.08, 0.92, (CLICKS, 2)) * (np.array(spec.camera.size_px) - 1)
         inside: list[tuple[Array, Fix, Array]] = []

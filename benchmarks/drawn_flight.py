@@ -20,6 +20,7 @@ from contract.rotations import R_ENU_NED, exp_so3, mount_rotation, quaternion_fr
 from onboard.config import Config
 from onboard.events import Attitude, Event, Frame, GpsQuality, PositionFix
 from onboard.pipeline import Pipeline
+from onboard.sensors import TERRAIN_SLOPE_SIGMA
 from onboard.terrain import Terrain
 from onboard.tracking import Tracker, Tracks, fit_homography
 from simulation.paths import PathSpec, fly_path
@@ -103,6 +104,7 @@ class DrawnFlight:
         self.R_enu_cam = np.stack([p.R_enu_cam for p in poses])
         self.centres_enu_m = np.stack([p.centre_m for p in poses])
         self.terrain_error_m = e * config.terrain.sigma_datum_m * float(rng.standard_normal())
+        self.terrain_tilt = e * TERRAIN_SLOPE_SIGMA * rng.standard_normal(2)
 
     def ground_points(self, frame: int, uv_px: Array) -> Array:
         """The ground (N, 3) that pixels (N, 2) of a picture show."""
@@ -175,11 +177,14 @@ class DrawnFlight:
         ]
 
     def terrain(self) -> Terrain:
-        """The elevation model of this ground: off as a whole, and from node to node."""
+        """The elevation model of this ground: off and tilted as a whole, and off from node to node."""
         axis = np.arange(-3000.0, 3000.1, TERRAIN_NODE_M)
         east, north = np.meshgrid(axis, axis)
-        height = self.ground.height_m(np.stack([east, north], axis=-1)) + self.terrain_error_m
-        rough = self.spec.errors * self.spec.config.terrain.sigma_m * self.rng.standard_normal(height.shape)
+        places = np.stack([east, north], axis=-1)
+        height = self.ground.height_m(places) + self.terrain_error_m + places @ self.terrain_tilt
+        # Between nodes the mean of four errs less than each: on average over places the variance is as configured.
+        node_sigma_m = 1.5 * self.spec.config.terrain.sigma_m
+        rough = self.spec.errors * node_sigma_m * self.rng.standard_normal(height.shape)
         return Terrain(float(axis[0]), float(axis[0]), TERRAIN_NODE_M, height + rough)
 
 

@@ -28,7 +28,7 @@ import numpy as np
 from benchmarks.flown import leg, sets_of
 from contract.camera import Camera
 from contract.codec import decode, encode
-from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, HeightDatum, SlowPosition, Status
+from contract.feature_set import COMMON_STATES, DRAWS, DepthSource, FeatureSet, HeightDatum, SharedErrors, Status
 
 GOAL_BYTES, GOAL_FEATURES, GOAL_US = 600, 100, 500.0
 _UPPER = np.triu_indices(COMMON_STATES)
@@ -37,14 +37,15 @@ _UPPER = np.triu_indices(COMMON_STATES)
 FIELDS: dict[str, str] = {
     "vehicle": "text", "session": "whole", "frame": "whole", "capture_unix_ns": "whole", "status": "whole",
     "revision": "whole", "is_keyframe": "flag", "size_px": "wholes", "intrinsics": "small", "position": "numbers",
-    "is_ellipsoid": "flag", "undulation_m": "number", "rotation": "numbers", "common_cov": "small", "slow": "small",
+    "is_ellipsoid": "flag", "undulation_m": "number", "rotation": "numbers", "common_cov": "small", "draws": "wholes",
+    "shared": "small", "times": "small",
     "source": "whole", "plane": "small", "u_px": "small", "v_px": "small", "inverse_depth": "small", "sigma": "small",
 }  # fmt: skip
 
 
 def to_plain(s: FeatureSet) -> dict[str, Any]:
     """A set as FIELDS of plain Python numbers."""
-    c, slow = s.camera, s.slow_position
+    c, shared = s.camera, s.shared
     return {
         "vehicle": s.vehicle,
         "session": s.session,
@@ -60,7 +61,9 @@ def to_plain(s: FeatureSet) -> dict[str, Any]:
         "undulation_m": s.undulation_m,
         "rotation": s.R_enu_cam.ravel().tolist(),
         "common_cov": s.common_cov[_UPPER].tolist(),
-        "slow": [slow.sigma_horizontal_m, slow.sigma_vertical_m, slow.time_constant_s],
+        "draws": np.flatnonzero(shared.by_draw.any(axis=0)).tolist(),
+        "shared": shared.by_draw[:, shared.by_draw.any(axis=0)].ravel().tolist(),
+        "times": [shared.position_time_s, shared.attitude_time_s, *shared.alignment_sigma.tolist(), *shared.span_s],
         "source": list(DepthSource).index(s.depth_source),
         "plane": [*s.plane_per_m.tolist(), s.plane_sigma_relative, s.roughness],
         "u_px": s.uv_px[:, 0].tolist(),
@@ -75,6 +78,8 @@ def from_plain(d: Mapping[str, Any]) -> FeatureSet:
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = d["intrinsics"]
     covariance = np.zeros((COMMON_STATES, COMMON_STATES))
     covariance[_UPPER] = d["common_cov"]
+    by_draw = np.zeros((COMMON_STATES, DRAWS))
+    by_draw[:, d["draws"]] = np.reshape(d["shared"], (COMMON_STATES, -1))
     (width, height), (lat, lon, camera_height) = d["size_px"], d["position"]
     plane = list(d["plane"])
     return FeatureSet(
@@ -93,7 +98,7 @@ def from_plain(d: Mapping[str, Any]) -> FeatureSet:
         d["undulation_m"],
         np.array(d["rotation"]).reshape(3, 3),
         covariance + np.triu(covariance, 1).T,
-        SlowPosition(*d["slow"]),
+        SharedErrors(by_draw, d["times"][0], d["times"][1], np.array(d["times"][2:6]), tuple(d["times"][6:])),
         list(DepthSource)[d["source"]],
         np.array(plane[:3]),
         plane[3],

@@ -14,26 +14,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from contract import bits
 from contract.camera import Camera
-from contract.covariance_code import (
-    CORRELATION_BITS,
-    MAX_CORRELATION_CODE,
-    covariance_codes,
-    covariance_from_codes,
-    sigma_code,
-    sigma_from_code,
-)
+from contract.common_code import decode_common, encode_common
+from contract.covariance_code import sigma_code, sigma_from_code
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 from contract.feature_code import decode_features, encode_features
-from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, HeightDatum, SlowPosition, Status
+from contract.feature_set import DepthSource, FeatureSet, HeightDatum, Status
 from contract.reader import Reader
 from contract.rotations import exp_so3, log_so3
 
 Array = NDArray[np.float64]
 
 MAGIC = b"PC"
-MAJOR, MINOR = 1, 0
+MAJOR, MINOR = 2, 0
 MAX_VEHICLE_BYTES = 32
 
 # Section 2: magic, version, length, flags, status, session, frame, revision, capture time, vehicle's length.
@@ -41,10 +34,8 @@ _HEAD = struct.Struct("<2sBHBBIIHQB")
 _CAMERA = struct.Struct("<HH4f")
 _DISTORTION = struct.Struct("<5f")
 _CRC = struct.Struct("<I")
-# Section 4: integers of 5, 4 and 3 bytes are written apart; then sigmas of the common states, slow position, plane.
-_SIGMAS = struct.Struct(f"<{COMMON_STATES}H3H3fHH")
-_CORRELATIONS = COMMON_STATES * (COMMON_STATES - 1) // 2
-_CORRELATION_BYTES = _CORRELATIONS * CORRELATION_BITS // 8
+# Section 4: integers of 5, 4 and 3 bytes are written apart; then the plane, its spread and roughness.
+_PLANE = struct.Struct("<3fHH")
 
 _KEYFRAME, _ELLIPSOID, _UNDULATION, _DISTORTED, _GEOMETRY = 1, 2, 4, 8, 64
 _SOURCE_SHIFT, _SOURCE_MASK = 4, 3
@@ -166,7 +157,7 @@ def _read_head(payload: bytes) -> tuple[Any, ...]:
             raise NewerPayload(
                 f"payload has version {major}.{payload[2] & 15}, this program reads {MAJOR}.x: update it"
             )
-        raise CorruptPayload(f"payload has version {major}, which never existed")
+        raise CorruptPayload(f"payload has version {major}.{payload[2] & 15}, this program reads {MAJOR}.x")
     if len(payload) < _HEAD.size:
         raise TruncatedPayload(f"payload has {len(payload)} bytes, its head alone takes {_HEAD.size}")
     head = _HEAD.unpack_from(payload)
@@ -241,27 +232,12 @@ def _encode_geometry(s: FeatureSet) -> bytes:
     if not math.isnan(s.undulation_m):
         parts.append(_signed("undulation_m", s.undulation_m, METRE_STEPS, 3))
     parts += [n.to_bytes(3, "little", signed=True) for n in _rotation_steps(np.asarray(s.R_enu_cam, float))]
-    sigmas, correlations = covariance_codes(np.asarray(s.common_cov, float))
-    if len(sigmas) != COMMON_STATES:
-        raise ValueError(f"common_cov must be {COMMON_STATES} x {COMMON_STATES}, not {np.shape(s.common_cov)}")
     plane = np.asarray(s.plane_per_m, float)
     if plane.shape != (3,) or not np.all(np.isfinite(plane)) or np.any(np.abs(plane) > 3e38):
         raise ValueError(f"plane_per_m must be three finite numbers, not {plane.tolist()}")
-    slow = s.slow_position
-    parts.append(
-        _SIGMAS.pack(
-            *sigmas,
-            sigma_code(slow.sigma_horizontal_m, "slow sigma_horizontal_m"),
-            sigma_code(slow.sigma_vertical_m, "slow sigma_vertical_m"),
-            sigma_code(slow.time_constant_s, "slow time_constant_s"),
-            *plane,
-            sigma_code(s.plane_sigma_relative, "plane_sigma_relative"),
-            sigma_code(s.roughness, "roughness"),
-        )
-    )
-    offset = np.array(correlations, np.int64) + MAX_CORRELATION_CODE
-    parts.append(np.packbits(bits.fixed_to_bits([(offset, CORRELATION_BITS)])).tobytes())
-    return b"".join(parts)
+    spread = sigma_code(s.plane_sigma_relative, "plane_sigma_relative")
+    parts.append(_PLANE.pack(*plane, spread, sigma_code(s.roughness, "roughness")))
+    return b"".join(parts) + encode_common(s.common_cov, s.shared)
 
 
 def _decode_geometry(reader: Reader, flags: int) -> dict[str, Any]:
@@ -273,17 +249,13 @@ def _decode_geometry(reader: Reader, flags: int) -> dict[str, Any]:
     steps = np.array([reader.signed(3) for _ in range(3)], float)
     if np.linalg.norm(steps) * ROTATION_STEP > math.pi:
         raise CorruptPayload(f"rotation vector {steps.tolist()} is longer than half a turn")
-    numbers = reader.unpack(_SIGMAS)
-    sigmas, slow = list(numbers[:COMMON_STATES]), numbers[COMMON_STATES : COMMON_STATES + 3]
-    plane, spread = np.array(numbers[COMMON_STATES + 3 : COMMON_STATES + 6]), numbers[COMMON_STATES + 6 :]
+    *numbers, spread, roughness = reader.unpack(_PLANE)
+    plane = np.array(numbers)
     if not np.all(np.isfinite(plane)):
         raise CorruptPayload("the ground plane is not finite")
-    packed = np.frombuffer(reader.take(_CORRELATION_BYTES), np.uint8)
-    (offset,) = bits.bits_to_fixed(np.unpackbits(packed), [CORRELATION_BITS])
-    covariance = covariance_from_codes(sigmas, (offset - MAX_CORRELATION_CODE).tolist())
     source = flags >> _SOURCE_SHIFT & _SOURCE_MASK
-    if covariance is None or source >= len(_SOURCES):
-        raise CorruptPayload(f"correlations {offset.tolist()} or depth source {source} mean nothing")
+    if source >= len(_SOURCES):
+        raise CorruptPayload(f"depth source {source} means nothing")
     return {
         "camera_lat_deg": lat,
         "camera_lon_deg": lon,
@@ -291,10 +263,8 @@ def _decode_geometry(reader: Reader, flags: int) -> dict[str, Any]:
         "height_datum": HeightDatum.ELLIPSOID if flags & _ELLIPSOID else HeightDatum.AMSL,
         "undulation_m": undulation,
         "R_enu_cam": exp_so3(steps * ROTATION_STEP),
-        "common_cov": covariance,
-        "slow_position": SlowPosition(*map(sigma_from_code, slow)),
         "depth_source": _SOURCES[source],
         "plane_per_m": plane,
-        "plane_sigma_relative": sigma_from_code(spread[0]),
-        "roughness": sigma_from_code(spread[1]),
-    }
+        "plane_sigma_relative": sigma_from_code(spread),
+        "roughness": sigma_from_code(roughness),
+    } | decode_common(reader)

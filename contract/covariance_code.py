@@ -23,8 +23,7 @@ MAX_SIGMA_CODE = 65535
 MAX_SIGMA = SIGMA_FLOOR * math.exp(SIGMA_UNIT * (MAX_SIGMA_CODE - 1))
 
 CORRELATION_STEP = 0.05  # of atanh(p): 2.5 % of rounding in what is left of a sigma given the states before it
-CORRELATION_BITS = 8
-MAX_CORRELATION_CODE = 2 ** (CORRELATION_BITS - 1) - 1
+MAX_CORRELATION_CODE = 127
 # The smallest share of its variance a state may keep given the states before it. Below it the Cholesky factor of a
 # decoded matrix could not be recovered exactly, and encoding twice would not give the same bytes.
 MIN_CONDITIONAL = 1e-6
@@ -58,17 +57,17 @@ def covariance_codes(covariance: Array) -> tuple[list[int], list[int]]:
     """
     n = len(covariance)
     if covariance.shape != (n, n) or not np.all(np.isfinite(covariance)):
-        raise ValueError("common_cov must be a square matrix of finite numbers")
+        raise ValueError("the covariance must be a square matrix of finite numbers")
     variances = np.diag(covariance)
     if np.any(variances < 0.0):
-        raise ValueError(f"common_cov has a negative variance: {variances.min()!r}")
+        raise ValueError(f"the covariance has a negative variance: {variances.min()!r}")
     sigmas = np.sqrt(variances)
-    sigma_codes = [sigma_code(float(s), "a sigma of common_cov") for s in sigmas]
+    sigma_codes = [sigma_code(float(s), "a sigma of the covariance") for s in sigmas]
     scale = np.where([code > 0 for code in sigma_codes], 1.0 / np.where(sigmas > 0.0, sigmas, 1.0), 0.0)
     correlation = 0.5 * (covariance + covariance.T) * np.outer(scale, scale)
     np.fill_diagonal(correlation, 1.0)
     if (smallest := float(np.linalg.eigvalsh(correlation)[0])) < -1e-6:
-        raise ValueError(f"common_cov is not a covariance: its correlations have the eigenvalue {smallest:.3g}")
+        raise ValueError(f"this is not a covariance: its correlations have the eigenvalue {smallest:.3g}")
 
     target = correlation.tolist()
     L = [[0.0] * n for _ in range(n)]
@@ -94,8 +93,11 @@ def covariance_codes(covariance: Array) -> tuple[list[int], list[int]]:
     return sigma_codes, codes
 
 
-def covariance_from_codes(sigma_codes: list[int], correlation_codes: list[int]) -> Array | None:
-    """Inverse of `covariance_codes`; None if the codes break `MIN_CONDITIONAL` and so were not written by it."""
+def factor_from_codes(sigma_codes: list[int], correlation_codes: list[int]) -> Array | None:
+    """L (n, n), lower triangular, of the covariance L L' that `covariance_codes` wrote.
+
+    None if the codes break `MIN_CONDITIONAL` and so were not written by it.
+    """
     n = len(sigma_codes)
     L = np.zeros((n, n))
     position = 0
@@ -110,5 +112,4 @@ def covariance_from_codes(sigma_codes: list[int], correlation_codes: list[int]) 
             return None
         L[i, i] = math.sqrt(kept)
     L *= np.array([sigma_from_code(code) for code in sigma_codes])[:, None]
-    covariance: Array = L @ L.T
-    return covariance
+    return L

@@ -8,7 +8,7 @@ Errors travel in three parts, docs/mathematics.md section 9:
   left perturbation R <- exp([dtheta]x) R in east-north-up axes) and three dimensionless modes m0, m1, m2 of relative
   inverse depth, dw/w = m0 + m1 x + m2 y;
 - `sigma_inverse_depth`: what is each feature's own;
-- `slow_position`: which part of the position's variance wanders slowly and so is shared with the session's other sets.
+- `shared`: which part of `common_cov` comes from slow things that the session's other sets suffer from too.
 """
 
 from __future__ import annotations
@@ -70,13 +70,22 @@ class DepthSource(Enum):
     PLANE = "plane"
 
 
-@dataclass(frozen=True, eq=False)
-class SlowPosition:
-    """The wandering part of the position's error: sigmas (m) and correlation time (s)."""
+DRAWS = 13
+POSITION, ATTITUDE = slice(0, 3), slice(3, 6)  # wander of positions (m) and attitudes (rad) about east, north, up
+ALIGNMENT = slice(6, 10)  # boresight about camera x, y, z (rad), time offset (s)
+GROUND = slice(10, 13)  # the ground believed beforehand: height (m), slope east, slope north
 
-    sigma_horizontal_m: float = 0.0
-    sigma_vertical_m: float = 0.0
-    time_constant_s: float = 0.0
+
+@dataclass(frozen=True, eq=False)
+class SharedErrors:
+    """How slow errors act on a set: one unit draw each, which other sets of the session have as well. Section 9."""
+
+    # (9, DRAWS): how far one sigma of each draw moves the common states; by_draw by_draw' is part of common_cov.
+    by_draw: Array = field(default_factory=lambda: np.zeros((COMMON_STATES, DRAWS)))
+    position_time_s: float = 0.0  # correlation times of the wander; 0: not shared
+    attitude_time_s: float = 0.0
+    alignment_sigma: Array = field(default_factory=lambda: np.zeros(4))  # one sigma of those draws, rad and s
+    span_s: tuple[float, float] = (0.0, 0.0)  # from capture to the first and to the last picture the set is built on
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +108,7 @@ class FeatureSet:
     undulation_m: float = float("nan")  # ellipsoidal minus AMSL height; nan: unknown
     R_enu_cam: Array = field(default_factory=lambda: np.eye(3))  # ENU axes at the camera's own latitude and longitude
     common_cov: Array = field(default_factory=lambda: np.zeros((COMMON_STATES, COMMON_STATES)))
-    slow_position: SlowPosition = field(default_factory=SlowPosition)
+    shared: SharedErrors = field(default_factory=SharedErrors)
 
     depth_source: DepthSource = DepthSource.PARALLAX
     plane_per_m: Array = field(default_factory=lambda: np.zeros(3))  # ground plane: w = a + b x + c y, 1/m

@@ -19,6 +19,7 @@ MIN_TREND_FEATURES = 6
 # One sigma of the trend's prior. Loose (the ground's inverse depth is known to a factor of two), so that it only
 # matters where the features leave a direction of the trend undetermined.
 TREND_SIGMA = 1.0
+SURFACE_NUGGET = 1e-8  # of a feature that lies on a surface known beforehand
 
 
 class Kriging:
@@ -26,9 +27,15 @@ class Kriging:
 
     `roughness` is the slope of the ground's variogram at distance zero, `sill_sigma` the one sigma it levels off at:
     gamma(d) = s^2 (1 - exp(-roughness d / s^2)). Everything that does not depend on the click is solved here, once.
+
+    `is_surface`: the features are not measured but lie on a surface known beforehand. They say exactly where that is;
+    the ground strays from it by at least `nugget`, at a click as at the feature next to it, and no average makes that
+    less.
     """
 
-    def __init__(self, xy: Array, r: Array, nugget: Array, roughness: float, sill_sigma: float) -> None:
+    def __init__(
+        self, xy: Array, r: Array, nugget: Array, roughness: float, sill_sigma: float, *, is_surface: bool = False
+    ) -> None:
         self._xy = xy
         self._sill = sill_sigma**2
         self._slope = roughness
@@ -36,7 +43,11 @@ class Kriging:
         F = _trend(xy)
         prior = TREND_SIGMA**2 if n >= MIN_TREND_FEATURES else 0.0
         # Rounding of the wire and of this solve: 1e-8 of relative depth, 3 micrometres at 300 m.
-        K = self._covariance(_distances(xy, xy)) + np.diag(nugget + 1e-16)
+        apart = _distances(xy, xy)
+        measured = np.full(n, SURFACE_NUGGET) if is_surface else nugget
+        self._astray = nugget if is_surface and n > 1 else None
+        self._spacing = float(np.median(np.sort(apart, axis=1)[:, 1])) if n > 1 else 1.0
+        K = self._covariance(apart) + np.diag(measured + 1e-16)
         self._inverse = np.asarray(np.linalg.inv(K), np.float64)
         self._weighted_trend = self._inverse @ F  # (N, 3)
         if prior:
@@ -52,6 +63,12 @@ class Kriging:
         f = _trend(xy)
         left = f - k @ self._weighted_trend
         covariance = self._covariance(_distances(xy, xy)) - k @ self._inverse @ k.T + left @ self._trend_cov @ left.T
+        if self._astray is not None:
+            # A rough surface is rough by its own errors too: what interpolation allows for already is not added again.
+            astray = self._astray[np.argmin(_distances(xy, self._xy), axis=1)]
+            sigma = np.sqrt(np.maximum(astray - np.diag(covariance), 0.0))
+            alike = np.exp(-_distances(xy, xy) / max(self._spacing, 1e-9))
+            covariance = covariance + np.outer(sigma, sigma) * alike
         return f @ self._beta + k @ self._alpha, covariance
 
     def _covariance(self, distance: Array) -> Array:

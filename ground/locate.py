@@ -7,8 +7,8 @@ To first order, with the nine common states of contract/feature_set.py and the c
     J = [ I,  -[r / w]x,  -(r / w) (1, x, y) ]                                              (3 x 9)
 
 so that cov X = J S J' + (r / w)(r / w)' var e. Between two clicks the common states cancel through J1 - J2, and kriging
-gives the covariance of e1 with e2. Between two sets of a session only the slowly wandering part of the position is
-shared: it cancels by exp(-dt / tau). Section 9 of docs/mathematics.md.
+gives the covariance of e1 with e2. Between two sets:
+ground/two_sets.py. Section 9 of docs/mathematics.md.
 """
 
 from __future__ import annotations
@@ -69,6 +69,7 @@ class Locator:
             (s.sigma_inverse_depth_per_m[usable] / plane) ** 2,
             s.roughness,
             s.plane_sigma_relative,
+            is_surface=s.depth_source is not DepthSource.PARALLAX,
         )
         self._hull = convex_hull(xy)
         self._max_outside = MAX_OUTSIDE * math.sqrt(hull_area(self._hull))
@@ -168,23 +169,3 @@ def _jacobian(sight: _Sight) -> Array:
 def locate(feature_set: FeatureSet, uv_px: ArrayLike) -> Answer:
     """One click on one set. For several clicks keep a `Locator`."""
     return Locator(feature_set).locate(uv_px)
-
-
-def difference_covariance(one: FeatureSet, fix_one: Fix, two: FeatureSet, fix_two: Fix) -> Array:
-    """Covariance (3, 3), m^2, of the vector between clicks of two different sets, in the first's ENU axes.
-
-    The wandering part of the position is shared as far as its correlation time reaches, if both sets are of one
-    session of one vehicle; everything else is taken as independent.
-    """
-    total: Array = fix_one.covariance_enu_m2 + fix_two.covariance_enu_m2
-    a, b = one.slow_position, two.slow_position
-    tau = min(a.time_constant_s, b.time_constant_s)
-    if (one.vehicle, one.session) != (two.vehicle, two.session) or tau <= 0.0:
-        return total
-    shared = math.exp(-abs(one.capture_unix_ns - two.capture_unix_ns) / 1e9 / tau)
-    horizontal = a.sigma_horizontal_m * b.sigma_horizontal_m
-    slow = np.array([horizontal, horizontal, a.sigma_vertical_m * b.sigma_vertical_m])
-    # The sets round and smooth on their own; what they share can be no more than what either has.
-    values, vectors = np.linalg.eigh(total - 2.0 * shared * np.diag(slow))
-    out: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return out

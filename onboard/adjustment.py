@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from contract.feature_set import Status
+from contract.feature_set import SharedErrors, Status
 from onboard import starting
 from onboard.alignment import Belief
 from onboard.bundle import Problem, Solution, solve
@@ -22,6 +22,7 @@ from onboard.keyframe import Ids, Keyframe
 from onboard.levelling import fit_plane
 from onboard.residuals import AttitudePrior, Layout, Prior, SharedPrior, State, VelocityPrior
 from onboard.sensors import range_prior, sensor_priors
+from onboard.shared_draws import shared_errors
 from onboard.terrain import Terrain
 from onboard.triangulation import triangulate
 
@@ -33,6 +34,9 @@ MIN_POINTS = 12
 MIN_PARALLAX_RAD = 0.008  # below this a point starts on the ground plane and not where its rays meet
 START_SIGMAS = 5.0  # of an inlier at the start, at 640 px width: larger pictures carry larger calibration errors
 OUTLIER_SIGMAS = 4.0
+# Median length of a residual (of noise of one sigma an axis) of a point seen in so many views, from 2 on: along the
+# travel the point's place and depth have been fitted, across it its place. First: without any fit (Rayleigh).
+MEDIAN_LENGTH = np.array([1.1774, np.inf, 0.4769, 0.7833, 0.9085, 0.9732, 1.0112, 1.0373, 1.0560, 1.0713, 1.0816])
 MIN_INLIERS = 0.5
 MIN_PIXEL_SIGMA_PX = 0.08  # tracks err together by more than their residuals show
 MAX_FIT_SIGMAS = 4.0  # median residual, in configured pixel sigmas, above which the fit explains nothing
@@ -60,6 +64,7 @@ class Solved:
     pixel_sigma_px: float
     reprojection_px: float
     keyframes: tuple[Keyframe, ...]
+    shared: SharedErrors  # `by_draw` (D, DRAWS) of the camera side, no span
     creep: Creep  # what the ground's own motion may have done to it
 
     def covariance_at(self, stamp_ns: int) -> Array:
@@ -261,22 +266,27 @@ def _judged(
     learned = noise.pixel_sigma_px * (own * fit * noise.discord) ** 0.3
     noise = replace(noise, pixel_sigma_px=float(np.clip(learned, MIN_PIXEL_SIGMA_PX, 5.0)))
     frames = tuple(k.frame for k in keyframes)
-    solved = Solved(frames, layout, s, ids, good, plane, sigma_px, sigma_px * 1.177, keyframes, moving)
+    shared = shared_errors(config, priors, s.state, s.covariance)
+    solved = Solved(frames, layout, s, ids, good, plane, sigma_px, sigma_px * 1.177, keyframes, shared, moving)
     return Outcome(Status.OK, keyframes, noise, solved)
 
 
 def fit_of(sigmas: Array) -> float:
-    """Robust one sigma per axis of whitened residual lengths (K, P): their median over a Rayleigh distribution's.
+    """Robust one sigma per axis of whitened residual lengths (K, P): their median over what it should be. (6.11)
 
-    Residuals of a fit are smaller than the noise by what the fit has swallowed: three unknowns a point, six a view.
+    Residuals are smaller than the noise by what the fit has swallowed: of a point seen twice, three out of four.
     """
     known = np.isfinite(sigmas)
-    n = 2 * np.count_nonzero(known)
-    if n == 0:
+    seen = np.count_nonzero(known, axis=0)
+    several = seen >= 2
+    if not np.any(several):
         return float("inf")
-    unknowns = 3 * np.count_nonzero(known.any(axis=0)) + 6 * len(sigmas)
-    swallowed = np.sqrt(n / max(n - unknowns, 0.2 * n))
-    return float(np.median(sigmas[known]) / 1.1774 * swallowed)
+    many = MEDIAN_LENGTH[0] * np.sqrt(1.0 - 1.5 / np.maximum(seen, 2))
+    last = len(MEDIAN_LENGTH) - 1
+    expected = np.where(seen <= last, MEDIAN_LENGTH[np.minimum(seen, last)], many)
+    ratio = (sigmas / expected)[known & several]
+    left = float(np.sum(2 * seen[several] - 3))
+    return float(np.median(ratio) * np.sqrt(left / max(left - 6 * len(sigmas), 0.2 * left)))
 
 
 def _travel_m(keyframes: tuple[Keyframe, ...]) -> float:

@@ -7,14 +7,14 @@ side plus independent noise, and the nine common states (9.3) are linear in that
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from contract.camera import Camera
-from contract.feature_set import DepthSource, FeatureSet, SlowPosition, Status
+from contract.feature_set import DepthSource, FeatureSet, SharedErrors, Status
 from contract.geodesy import LocalFrame, rotation_enu_ecef
 from onboard.adjustment import Solved
 from onboard.bundle import solve_small
@@ -30,8 +30,11 @@ MIN_FEATURES = 8
 MAX_RELATIVE_SIGMA = 0.3  # a feature's own depth error beyond which it says nothing the ground plane does not
 MIN_PLANE_SIGMA = 2e-4
 MIN_ROUGHNESS = 1e-8
+ROUGHNESS_RANGES = 3.0 ** np.arange(-3.0, 5.0)  # 1 / unit-depth: the reach over which the ground levels off, inverted
 ROTATION_PRIOR_RAD = 0.1
 POSITION_PRIOR_M = 1.0
+# Of a variance, at most: on the wire what is shared is counted in sigmas of what is not.
+MAX_SHARED = 0.999
 
 
 @dataclass(frozen=True)
@@ -143,13 +146,13 @@ def _assemble(
     own = np.maximum(own, 1e-12)
     R_enu_cam = R.T
     covariance = solved.covariance_at(origin.capture_unix_ns)
-    common, variance = common_states(H, own, M, by_pose, view.gain, R_enu_cam, covariance, view.noise)
-    newest = solved.keyframes[-1].nav
-    slow = SlowPosition(newest.sigma_horizontal_m, newest.sigma_vertical_m, window.config.gps.wander_time_s)
+    common, variance, T = common_states(H, own, M, by_pose, view.gain, R_enu_cam, covariance, view.noise)
+    span_s = tuple((solved.keyframes[k].nav.stamp_ns - origin.capture_unix_ns) / 1e9 for k in (0, -1))
+    shared = replace(solved.shared, by_draw=T @ solved.shared.by_draw, span_s=(span_s[0], span_s[1]))
     best = np.sort(np.argsort(variance, kind="stable")[: window.config.tracking.features])
     pose = Pose(R, view.centre_enu_m)
     return assemble(
-        camera, origin, frame, undulation_m, pose, common, slow, DepthSource.PARALLAX, H, uv, 1.0 / z, variance, best
+        camera, origin, frame, undulation_m, pose, common, shared, DepthSource.PARALLAX, H, uv, 1.0 / z, variance, best
     )
 
 
@@ -160,20 +163,22 @@ def assemble(
     undulation_m: float,
     pose: Pose,
     common: Array,
-    slow: SlowPosition,
+    shared: SharedErrors,
     source: DepthSource,
     H: Array,
     uv_px: Array,
     w: Array,
     variance: Array,
     published: NDArray[np.intp],
+    noise: Array | None = None,
 ) -> FeatureSet:
     """The set of a picture whose errors are known: moved from the session's axes into those at the camera's own place.
 
-    `common` (9, 9) in session axes; `H` (N, 3) rows (1, x, y), pixels (N, 2), inverse depths `w` (N,) and relative
-    `variance` (N,) of every feature, which the ground plane is fitted to; `published`: the rows that travel.
+    `common` (9, 9) and `shared` in session axes; `H` (N, 3) rows (1, x, y), pixels (N, 2), inverse depths `w` (N,) and
+    relative `variance` (N,) of every feature, which the ground plane is fitted to; `published`: the rows that travel.
+    `noise` (N,): what of `variance` is the features' own and not the ground's; all of it unless given.
     """
-    plane, spread, roughness = plane_and_roughness(H, w, variance)
+    plane, spread, roughness = plane_and_roughness(H, w, variance if noise is None else noise)
     lat, lon, height = (float(c) for c in frame.to_geodetic(pose.centre_enu_m))
     R_local_session = rotation_enu_ecef(lat, lon) @ frame.R_enu_ecef.T
     lift = np.eye(9)
@@ -193,7 +198,7 @@ def assemble(
         undulation_m=undulation_m,
         R_enu_cam=R_local_session @ pose.R_cam_enu.T,
         common_cov=lift @ common @ lift.T,
-        slow_position=slow,
+        shared=replace(shared, by_draw=np.sqrt(MAX_SHARED) * (lift @ shared.by_draw)),
         depth_source=source,
         plane_per_m=plane,
         plane_sigma_relative=spread,
@@ -206,8 +211,10 @@ def assemble(
 
 def common_states(
     H: Array, own: Array, M: Array, by_pose: Array, gain: Array, R_enu_cam: Array, covariance: Array, noise: Array
-) -> tuple[Array, Array]:
-    """The nine common states' covariance and each feature's own variance of d ln w. Equations (9.3) to (9.5).
+) -> tuple[Array, Array, Array]:
+    """The nine common states' covariance, each feature's own variance of d ln w, and d common / d state (9, D).
+
+    Equations (9.3) to (9.5).
 
     With D states of covariance `covariance` (D, D): d pose = `gain` (6, D) d state + noise (6, 6), d ln w = `M` (N, D)
     d state + `by_pose` (N, 6) noise + own (N,). `H` (N, 3) holds (1, x, y) of each feature.
@@ -225,17 +232,24 @@ def common_states(
     common = T @ covariance @ T.T + T_noise @ noise @ T_noise.T
     rest = M - H @ (fit @ M)
     variance = own + np.maximum(((rest @ covariance) * rest).sum(axis=1), 0.0)
-    return 0.5 * (common + common.T), variance
+    return 0.5 * (common + common.T), variance, T
 
 
 def plane_and_roughness(H: Array, w: Array, variance: Array) -> tuple[Array, float, float]:
     """The ground plane (3,) in inverse depth, the relative spread about it, and the variogram's slope."""
     plane, relative = _plane(H, w, variance)
-    sigma = float(max(1.4826 * middle(np.abs(relative)), MIN_PLANE_SIGMA))
-    # What the features' own noise adds to their scatter is not the ground's.
-    scatter = float(np.mean(np.minimum(relative**2, (4.0 * sigma) ** 2)) - np.mean(variance))
-    spread = float(np.sqrt(max(scatter, 0.0)))
-    return plane, max(spread, MIN_PLANE_SIGMA), _roughness(H[:, 1:], relative, variance)
+    spread = _spread(relative, variance)
+    return plane, spread, _roughness(H, relative, variance, spread)
+
+
+def _spread(relative: Array, variance: Array) -> float:
+    """One sigma of the ground about the plane: what scatters beyond the features' noise, noisy ones counting less."""
+    s2 = 2.2 * middle(relative**2)  # of a normal distribution, the square's median is 0.455 of its mean
+    squared = np.minimum(relative**2, 16.0 * (s2 + variance))
+    for _ in range(3):
+        weight = 1.0 / (variance + s2 + MIN_PLANE_SIGMA**2) ** 2
+        s2 = max(float(weight @ (squared - variance)) / float(weight.sum()), 0.0)
+    return max(float(np.sqrt(s2)), MIN_PLANE_SIGMA)
 
 
 def _plane(H: Array, w: Array, variance: Array) -> tuple[Array, Array]:
@@ -258,23 +272,40 @@ def _plane(H: Array, w: Array, variance: Array) -> tuple[Array, Array]:
     return plane, relative
 
 
-def _roughness(xy: Array, relative: Array, variance: Array) -> float:
-    """Slope of the linear variogram of relative inverse depth, noise taken off, from near pairs. Equation (9.6)."""
-    i, j = _pairs(len(xy))
-    apart = xy[i] - xy[j]
-    distance = np.hypot(apart[:, 0], apart[:, 1])
-    nearest = int(0.15 * (len(distance) - 1))
-    reach = np.partition(distance, nearest)[nearest]
-    near = np.flatnonzero((distance <= reach) & (distance > 0.0))
-    i, j, distance = i[near], j[near], distance[near]
-    half = 0.5 * (relative[i] - relative[j]) ** 2
-    half = np.minimum(half, 9.0 * (middle(half) if len(half) else 0.0) + 1e-16)
-    gamma = float(np.sum(half - 0.5 * (variance[i] + variance[j])))
-    return max(gamma / max(float(np.sum(distance)), 1e-12), MIN_ROUGHNESS)
+def _roughness(H: Array, relative: Array, variance: Array, spread: float) -> float:
+    """Slope of the variogram of relative inverse depth at distance zero: the likeliest for these features. (9.6)
+
+    The field is the one that kriging interpolates, (9.8), with its trend and nuggets; a likelihood is a product of
+    predictions from what is already known, so what fits it best also predicts as well as it says.
+    """
+    s2 = spread * spread
+    distance = distances(H[:, 1:])
+    known = H @ H.T + np.diag(variance + 1e-12)
+    value = np.clip(relative, -5.0 * np.sqrt(s2 + variance), 5.0 * np.sqrt(s2 + variance))
+
+    def unlikely(log_slope: float) -> float:
+        K = known + s2 * np.exp(distance * (-np.exp(log_slope) / s2))
+        factor, info = lapack.dpotrf(K, lower=1)
+        if info != 0:
+            return np.inf
+        whitened, _ = lapack.dtrtrs(factor, value, lower=1)
+        return float(np.log(np.diag(factor)).sum() + 0.5 * (whitened @ whitened))
+
+    # From a field that levels off over twenty times the picture to one that does within its smallest part.
+    ladder = np.log(s2) + np.log(ROUGHNESS_RANGES)
+    costs = [unlikely(float(step)) for step in ladder]
+    k = int(np.argmin(costs))
+    best = float(ladder[k])
+    if 0 < k < len(ladder) - 1 and np.all(np.isfinite(costs[k - 1 : k + 2])):
+        left, here, right = costs[k - 1 : k + 2]
+        bend = left - 2.0 * here + right
+        if bend > 0.0:
+            best += 0.5 * (left - right) / bend * float(ladder[1] - ladder[0])
+    return max(float(np.exp(best)), MIN_ROUGHNESS)
 
 
-@lru_cache(maxsize=256)
-def _pairs(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Every pair of `count` things, once."""
-    first, second = np.triu_indices(count, 1)
-    return first, second
+def distances(xy: Array) -> Array:
+    """Between every two of (N, 2): (N, N)."""
+    apart = xy[:, None] - xy[None]
+    out: Array = np.sqrt(apart[..., 0] ** 2 + apart[..., 1] ** 2)
+    return out

@@ -424,11 +424,9 @@ class Pipeline:
             sigma_m, source, ground_sigma_m = 0.0, DepthSource.PLANE, self.config.solve.home_level_sigma_m
         else:
             return None
-        covariance = believed.covariance.copy()
-        covariance[6, 6] = ground_sigma_m**2
         result = over_surface(
             self.camera,
-            replace(believed, covariance=covariance),
+            believed.over_ground(ground_sigma_m),
             cast,
             sigma_m,
             source,

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from contract.feature_set import SlowPosition
+from contract.feature_set import GROUND, SharedErrors
 
 Array = NDArray[np.float64]
 
@@ -24,12 +24,24 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class Believed:
-    """A pose from sensors alone: covariance (7, 7) of centre (ENU m), rotation (ENU axes, rad), ground height (m)."""
+    """A pose from sensors alone; seven states err: centre (ENU m), rotation (ENU axes, rad), ground height (m)."""
 
     R_cam_enu: Array
     centre_enu_m: Array
-    covariance: Array
-    slow: SlowPosition
+    white: Array  # (7, 7) covariance of what is this picture's own
+    shared: SharedErrors  # `by_draw` (7, DRAWS)
+
+    @property
+    def covariance(self) -> Array:
+        """(7, 7) of everything."""
+        out: Array = self.white + self.shared.by_draw @ self.shared.by_draw.T
+        return out
+
+    def over_ground(self, sigma_m: float) -> Believed:
+        """The same over a ground whose height as a whole is known to one sigma."""
+        by_draw = self.shared.by_draw.copy()
+        by_draw[6, GROUND.start] = sigma_m
+        return replace(self, shared=replace(self.shared, by_draw=by_draw))
 
 
 def predict_pixels(camera: Camera, uv_px: Array, first: Pose, second: Pose, plane: Array) -> tuple[Array, Array]:

@@ -7,7 +7,7 @@ at the reference point, slope east, slope north). Points are eliminated and have
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
@@ -136,6 +136,12 @@ def wandering_sqrt_information(
     return inverse
 
 
+def lasting_sigma(stamps_s: Array, sigma_wander: float, time_constant_s: float) -> float:
+    """One sigma of the largest constant that a wandering error at `stamps_s` (K,), in order, contains, (9.11)."""
+    parts = np.tanh(np.diff(stamps_s) / (2.0 * time_constant_s))
+    return float(sigma_wander / np.sqrt(1.0 + parts.sum()))
+
+
 @dataclass(frozen=True, eq=False)
 class PositionPrior:
     """GPS positions with wandering and white error, moved along the velocity by the time offset. Equation (5.4)."""
@@ -145,6 +151,7 @@ class PositionPrior:
     velocity_enu_m_s: Array  # (K, 3)
     whitener: Array  # (3, K, K): east, north, up
     offset_s: Array  # (K,) time offset at which each was taken
+    lasting: Array = field(default_factory=lambda: np.zeros(3))  # one sigma (m) of what all K share, (9.11)
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3K,), Jacobian (3K, D)."""
@@ -168,16 +175,22 @@ class PositionPrior:
 
 @dataclass(frozen=True, eq=False)
 class VelocityPrior:
-    """Displacements between consecutive keyframes from integrated velocity, white between intervals. Equation (5.6)."""
+    """Displacements between consecutive keyframes from integrated velocity, white between intervals. Equation (5.6).
+
+    In a turn the interval that was really flown, later by the time offset, is another one.
+    """
 
     layout: Layout
     displacement_enu_m: Array  # (K - 1, 3)
     sigma_m: Array  # (K - 1,) sigma_v * dt, floored
+    gained_m_s: Array  # (K - 1, 3) velocity at the interval's end less that at its beginning
+    offset_s: Array  # (K - 1,) time offset at which each was taken
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3 (K - 1),), Jacobian (3 (K - 1), D)."""
         flown = state.centres_enu_m[1:] - state.centres_enu_m[:-1]
-        return ((flown - self.displacement_enu_m) / self.sigma_m[:, None]).reshape(-1), self._jacobian
+        later = self.gained_m_s * (state.offset_s - self.offset_s)[:, None]
+        return ((flown - self.displacement_enu_m - later) / self.sigma_m[:, None]).reshape(-1), self._jacobian
 
     @cached_property
     def _jacobian(self) -> Array:
@@ -189,6 +202,7 @@ class VelocityPrior:
         for axis in range(3):
             J[row, axis, columns[1:, axis]] = weight
             J[row, axis, columns[:-1, axis]] = -weight
+            J[row, axis, self.layout.offset] = -weight * self.gained_m_s[:, axis]
         return J.reshape(3 * n, -1)
 
 
@@ -201,6 +215,7 @@ class AttitudePrior:
     body_rate_cam_rad_s: Array  # (K, 3) vehicle rate in camera axes, for the time offset
     whitener: Array  # (3, K, K): about east, north, up
     offset_s: Array  # (K,) time offset at which each was taken
+    lasting: Array = field(default_factory=lambda: np.zeros(3))  # one sigma (rad) of what all K share, (9.11)
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3K,), Jacobian (3K, D)."""

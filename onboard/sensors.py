@@ -19,6 +19,7 @@ from onboard.residuals import (
     SharedPrior,
     VelocityPrior,
     ground_plane,
+    lasting_sigma,
     wandering_sqrt_information,
 )
 
@@ -65,7 +66,8 @@ def sensor_priors(
             for axis, (wander, grow) in enumerate(((horizontal, 1.0), (horizontal, 1.0), (vertical, 1.5)))
         ]
     )
-    priors: list[Prior] = [PositionPrior(layout, positions, velocities, whitener, offsets)]
+    lasting = np.array([lasting_sigma(stamps, s, gps.wander_time_s) for s in (horizontal, horizontal, vertical)])
+    priors: list[Prior] = [PositionPrior(layout, positions, velocities, whitener, offsets, lasting)]
     flown = [k.flown_enu_m for k in keyframes[1:]]
     if solve_.velocity and all(f is not None for f in flown):
         speed = np.linalg.norm(velocities, axis=1)
@@ -73,7 +75,7 @@ def sensor_priors(
         # Velocity errors last about a second: over longer intervals they average.
         dt = np.maximum(np.diff(stamps), 0.05)
         sigma = np.hypot(gps.sigma_velocity_m_s * np.sqrt(dt * np.minimum(dt, 1.0)), slip_m)
-        priors.append(VelocityPrior(layout, np.array(flown), sigma))
+        priors.append(VelocityPrior(layout, np.array(flown), sigma, np.diff(velocities, axis=0), offsets[1:]))
     if all(k.nav.R_enu_body is not None for k in keyframes):
         R_enu_cam = np.stack([k.nav.R_enu_body @ R_body_cam for k in keyframes if k.nav.R_enu_body is not None])
         rates = np.stack([k.body_rate_rad_s for k in keyframes]) @ R_body_cam
@@ -93,14 +95,18 @@ def sensor_priors(
                 for axis, sigma_deg in enumerate(wander_deg)
             ]
         )
-        priors.append(AttitudePrior(layout, R_enu_cam, rates, attitude, offsets))
+        lasting = np.array([lasting_sigma(stamps, s, solve_.attitude_wander_time_s) for s in np.radians(wander_deg)])
+        priors.append(AttitudePrior(layout, R_enu_cam, rates, attitude, offsets, lasting))
     else:
         coordinated = _coordinated(R_body_cam, stamps, velocities)
         if coordinated is not None:
             loose = wandering_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, PATH_SIGMA_RAD, gps.wander_time_s)
             heading = wandering_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, 2 * PATH_SIGMA_RAD, gps.wander_time_s)
             still = np.zeros((layout.keyframes, 3))
-            priors.append(AttitudePrior(layout, coordinated, still, np.stack([loose, loose, heading]), offsets))
+            path = PATH_SIGMA_RAD * np.array([1.0, 1.0, 2.0])
+            lasting = np.array([lasting_sigma(stamps, s, gps.wander_time_s) for s in path])
+            whitener = np.stack([loose, loose, heading])
+            priors.append(AttitudePrior(layout, coordinated, still, whitener, offsets, lasting))
     priors.append(_shared_prior(config, layout, belief, has_terrain))
     return priors
 

@@ -8,6 +8,7 @@ field moves, because the ground stays where it is.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 
 GRID = (9, 7)
 MIN_RAYS = 8
+SURFACE_NOISE = 1e-8  # of d ln w, squared: the surface itself is known where its rays meet it
 MAX_GRAZE = 0.12  # sine of a ray's angle with the level ground below which it is left out
 Cast = Callable[[Array, Array], Array]  # centre (3,), rays (N, 3) ENU -> depth (N,), inf where the ground is missed
 
@@ -51,7 +53,7 @@ def over_surface(
     """The feature set of one picture over a known ground; ABOVE_HORIZON where too few rays meet it.
 
     `ground_sigma_m` is the ground's own roughness about the surface, independent from place to place; what is wrong
-    with the surface as a whole belongs in `believed.covariance`.
+    with the surface as a whole belongs in `believed`.
     """
     u, v = np.meshgrid(
         np.linspace(0.01, 0.99, GRID[0]) * (camera.width_px - 1),
@@ -71,17 +73,31 @@ def over_surface(
     uv, rays, z, M = uv[usable], rays[usable], z[usable], M[usable]
     R_enu_cam = believed.R_cam_enu.T
     # The same linear path as a solved window: d pose = gain d state, d ln w = M d state.
-    own = (ground_sigma_m * M[:, 6]) ** 2 + 1e-8
+    own = (ground_sigma_m * M[:, 6]) ** 2 + SURFACE_NOISE
     P = np.zeros((6, 7))
     P[:3, 3:6] = -believed.R_cam_enu
     P[3:, :3] = np.eye(3)
     H = np.concatenate([np.ones((len(z), 1)), rays[:, :2]], axis=1)
     none = np.zeros((6, 6))
-    common, variance = common_states(H, own, M, np.zeros((len(z), 6)), P, R_enu_cam, believed.covariance, none)
+    common, variance, T = common_states(H, own, M, np.zeros((len(z), 6)), P, R_enu_cam, believed.covariance, none)
+    shared = replace(believed.shared, by_draw=T @ believed.shared.by_draw)
     pose = Pose(believed.R_cam_enu, believed.centre_enu_m)
     every = np.arange(len(z))
     return assemble(
-        camera, origin, frame, undulation_m, pose, common, believed.slow, source, H, uv, 1.0 / z, variance, every
+        camera,
+        origin,
+        frame,
+        undulation_m,
+        pose,
+        common,
+        shared,
+        source,
+        H,
+        uv,
+        1.0 / z,
+        variance,
+        every,
+        noise=np.full(len(z), SURFACE_NOISE),
     )
 
 

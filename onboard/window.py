@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from contract.feature_set import SlowPosition, Status
+from contract.feature_set import Status
 from contract.rotations import exp_so3, mount_rotation
 from onboard.adjustment import MIN_POINTS, Noise, Outcome, Request, Solved, adjust
 from onboard.alignment import STATES as SHARED
@@ -21,6 +21,7 @@ from onboard.keyframe import Keyframe, Sighting
 from onboard.navigation import NavState
 from onboard.orientation import rotation_only
 from onboard.prediction import Believed
+from onboard.shared_draws import believed_pose
 from onboard.terrain import Terrain
 
 Array = NDArray[np.float64]
@@ -68,18 +69,7 @@ class Window:
         R_cam_enu = self.attitude_guess(nav)
         if R_cam_enu is None:
             return None
-        solve_, belief = self.config.solve, self.alignment.belief
-        speed = np.zeros(3) if nav.velocity_enu_m_s is None else nav.velocity_enu_m_s
-        covariance = np.zeros((7, 7))
-        white = nav.sigma_white_m
-        position = np.array([nav.sigma_horizontal_m] * 2 + [nav.sigma_vertical_m]) ** 2 + white**2
-        covariance[:3, :3] = np.diag(position) + belief.covariance[3, 3] * np.outer(speed, speed)
-        tilt, heading = np.radians(solve_.attitude_sigma_deg), np.radians(solve_.heading_sigma_deg)
-        boresight = R_cam_enu.T @ belief.covariance[:3, :3] @ R_cam_enu
-        covariance[3:6, 3:6] = np.diag([tilt**2, tilt**2, heading**2]) + boresight
-        gps = self.config.gps
-        slow = SlowPosition(nav.sigma_horizontal_m, nav.sigma_vertical_m, gps.wander_time_s)
-        return Believed(R_cam_enu, nav.position_enu_m, covariance, slow)
+        return believed_pose(self.config, nav, self.alignment.belief, R_cam_enu)
 
     def position_guess(self, nav: NavState) -> Array:
         """The camera's centre by GPS, shifted as the newest solved keyframe was shifted by its solution."""

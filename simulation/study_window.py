@@ -195,7 +195,7 @@ def _sensors(
     if setting.velocity_sigma_m_s is not None:
         sigma = setting.velocity_sigma_m_s * np.diff(stamps)
         flown = np.diff(truth.centres_enu_m, axis=0) + sigma[:, None] * rng.standard_normal((K - 1, 3))
-        priors.append(VelocityPrior(layout, flown, sigma))
+        priors.append(VelocityPrior(layout, flown, sigma, np.diff(velocity, axis=0), np.zeros(K - 1)))
     measured = None
     if setting.attitude_wander_deg is not None:
         tilt, heading = np.radians(setting.attitude_wander_deg)

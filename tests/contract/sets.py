@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from contract.feature_set import DepthSource, FeatureSet, HeightDatum, SlowPosition, Status
+from contract.feature_set import COMMON_STATES, DRAWS, DepthSource, FeatureSet, HeightDatum, SharedErrors, Status
 from contract.rotations import exp_so3
 
 DISTORTION = (-0.21, 0.052, 0.0007, -0.0004, 0.011)
@@ -22,6 +22,19 @@ def random_covariance(rng: np.random.Generator, rank: int, sigmas: NDArray[np.fl
     return factor @ factor.T
 
 
+# Of each common state's sigma, what is a set's own.
+FRESH = np.array([0.3, 0.3, 0.2, 0.4, 0.4, 0.9, 1.0, 1.0, 1.0])
+
+
+def typical_shared(rng: np.random.Generator, sigmas: NDArray[np.float64]) -> SharedErrors:
+    """As a window shares: position nearly all of its own, rotation by attitude, mount and ground, modes hardly."""
+    by_draw = np.zeros((COMMON_STATES, DRAWS))
+    by_draw[:3, :3] = np.diag(sigmas[:3])
+    by_draw[3:6, 3:] = 0.4 * sigmas[3:6, None] * rng.normal(size=(3, 10)) * (rng.uniform(size=(3, 10)) < 0.5)
+    by_draw[6:, 3:] = 0.02 * sigmas[6:, None] * rng.normal(size=(3, 10)) * (rng.uniform(size=(3, 10)) < 0.5)
+    return SharedErrors(by_draw, 60.0, 20.0, np.array([0.017, 0.017, 0.017, 0.1]), (-4.25, 4.75))
+
+
 def plain_set(count: int = 100, seed: int = 0, relief: float = 0.03, camera: Camera | None = None) -> FeatureSet:
     """A typical picture from 250 m, obliquely down."""
     rng = np.random.default_rng(seed)
@@ -31,6 +44,7 @@ def plain_set(count: int = 100, seed: int = 0, relief: float = 0.03, camera: Cam
     flat = plane[0] + camera.unproject(uv)[0][:, :2] @ plane[1:]
     sigma = flat * 0.004 * np.exp(rng.normal(0.0, 0.3, count))
     sigmas = np.array([1.5, 1.6, 2.2, 0.01, 0.012, 0.02, 0.004, 0.003, 0.003])
+    shared = typical_shared(rng, sigmas)
     return FeatureSet(
         vehicle="uav-1",
         session=3_000_000_001,
@@ -46,8 +60,8 @@ def plain_set(count: int = 100, seed: int = 0, relief: float = 0.03, camera: Cam
         height_datum=HeightDatum.AMSL,
         undulation_m=19.25,
         R_enu_cam=exp_so3(rng.normal(size=3)),
-        common_cov=random_covariance(rng, 12, sigmas),
-        slow_position=SlowPosition(1.1, 2.0, 120.0),
+        common_cov=random_covariance(rng, 100, sigmas * FRESH) + shared.by_draw @ shared.by_draw.T,
+        shared=shared,
         depth_source=DepthSource.PARALLAX,
         plane_per_m=plane,
         plane_sigma_relative=0.03,
@@ -83,6 +97,15 @@ def feature_sets(draw: st.DrawFn) -> FeatureSet:
     axis = rng.normal(size=3) if draw(st.booleans()) else np.eye(3)[rng.integers(3)]
     angle = draw(st.sampled_from([0.0, 1e-7, 1.0, 3.0, math.pi - 1e-7, math.pi, math.pi + 1e-7]))
     sigmas = 10.0 ** rng.uniform(-6.0, 4.0, 9) * (rng.uniform(size=9) > draw(st.sampled_from([0.0, 0.3, 1.0])))
+    fresh = random_covariance(rng, draw(st.sampled_from([1, 2, 5, 9, 20])), sigmas)
+    in_sigmas = rng.normal(size=(COMMON_STATES, DRAWS)) * draw(st.sampled_from([0.0, 0.1, 3.0, 30.0]))
+    in_sigmas *= rng.uniform(size=DRAWS) > draw(st.sampled_from([0.0, 0.5]))
+    shared = SharedErrors(
+        sigmas[:, None] * in_sigmas,
+        *(10.0 ** rng.uniform(-3.0, 3.0, 2) * rng.integers(0, 2, 2)).tolist(),
+        10.0 ** rng.uniform(-6.0, 1.0, 4) * rng.integers(0, 2, 4),
+        (draw(st.floats(-400.0, 400.0)), draw(st.floats(-400.0, 400.0))),
+    )
     plane = rng.normal(size=3) * draw(st.sampled_from([0.0, 0.004, 1.0]))
     w = 10.0 ** rng.uniform(-5.0, 0.0, n)
     relative = 10.0 ** rng.uniform(-5.0, 0.0) * np.exp(rng.normal(0.0, 0.3, n))
@@ -95,8 +118,8 @@ def feature_sets(draw: st.DrawFn) -> FeatureSet:
         height_datum=draw(st.sampled_from(HeightDatum)),
         undulation_m=draw(st.sampled_from([math.nan, 0.0, -105.123456, 85.0])),
         R_enu_cam=exp_so3(axis / np.linalg.norm(axis) * angle),
-        common_cov=random_covariance(rng, draw(st.sampled_from([1, 2, 5, 9, 20])), sigmas),
-        slow_position=SlowPosition(*(10.0 ** rng.uniform(-3.0, 3.0, 3) * rng.integers(0, 2, 3))),
+        common_cov=fresh + shared.by_draw @ shared.by_draw.T,
+        shared=shared,
         depth_source=draw(st.sampled_from(DepthSource)),
         plane_per_m=plane,
         plane_sigma_relative=float(10.0 ** rng.uniform(-4.0, 0.0)),

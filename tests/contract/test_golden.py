@@ -1,4 +1,4 @@
-"""The wire format of version 1.0, frozen: golden bytes beside what they mean."""
+"""The wire format of version 2.0, frozen: golden bytes beside what they mean."""
 
 import json
 import struct
@@ -50,7 +50,7 @@ def test_the_offsets_in_the_document_are_those_of_the_bytes() -> None:
     """Reads a payload with nothing but docs/wire-format.md, sections 2 to 4, in hand."""
     b = (GOLDEN / "twelve_features.bin").read_bytes()
     want = json.loads((GOLDEN / "twelve_features.json").read_text())
-    assert (b[0:2], b[2]) == (b"PC", 0x10)
+    assert (b[0:2], b[2]) == (b"PC", 0x20)
     assert struct.unpack_from("<H", b, 3)[0] == len(b)
     assert b[5] == 0b0100_1101  # geometry, parallax, distortion, undulation, AMSL, keyframe
     assert b[6] == 0
@@ -64,13 +64,25 @@ def test_the_offsets_in_the_document_are_those_of_the_bytes() -> None:
     assert int.from_bytes(b[g + 5 : g + 10], "little", signed=True) == 149165432109
     assert struct.unpack_from("<i", b, g + 10)[0] == 812345
     assert int.from_bytes(b[g + 14 : g + 17], "little", signed=True) == 19250
-    sigma_codes = struct.unpack_from("<9H", b, g + 26)
-    np.testing.assert_allclose(
-        1e-12 * np.exp(0.0006 * (np.array(sigma_codes) - 1.0)), np.sqrt(np.diag(want["common_cov"])), rtol=1e-12
-    )
-    assert list(struct.unpack_from("<3f", b, g + 50)) == want["plane_per_m"]
-    p = np.tanh(0.05 * (b[g + 66] - 127))
-    cov = np.array(want["common_cov"])
-    assert p == pytest.approx(cov[1, 0] / np.sqrt(cov[0, 0] * cov[1, 1]), rel=1e-9)
-    assert b[g + 102] == 12
+    assert list(struct.unpack_from("<3f", b, g + 26)) == want["plane_per_m"]
+    by_draw, cov = np.array(want["shared"]["by_draw"]), np.array(want["common_cov"])
+    fresh = cov - by_draw @ by_draw.T
+    sigmas = 1e-12 * np.exp(0.0006 * (np.array(struct.unpack_from("<9H", b, g + 42)) - 1.0))
+    np.testing.assert_allclose(sigmas, np.sqrt(np.diag(fresh)), rtol=1e-9)
+    assert 1e-12 * np.exp(0.0006 * (struct.unpack_from("<H", b, g + 60)[0] - 1.0)) == pytest.approx(60.0, rel=1e-3)
+    assert struct.unpack_from("<2h", b, g + 72) == (-425, 475)
+    # Rice parameters, then the fixed parts of all groups, then the unary ones; the first column is that of the east.
+    bits = np.unpackbits(np.frombuffer(b, np.uint8, offset=g + 76))
+    ks = [int(k) for k in bits[:56].reshape(14, 4) @ [8, 4, 2, 1]]
+    widths = [k for k, n in zip(ks, [36] + [9] * 13, strict=True) if k < 15 for _ in range(n)]
+    ends = np.flatnonzero(bits[56 + sum(widths) :])
+    first = (int(ends[0]) << ks[0]) + int("".join(map(str, bits[56 : 56 + ks[0]])), 2)
+    p = np.tanh(0.05 * (-(first + 1) // 2 if first % 2 else first // 2))
+    assert p == pytest.approx(fresh[1, 0] / np.sqrt(fresh[0, 0] * fresh[1, 1]), rel=1e-6)
+    at = 36 * ks[0]
+    number = (int(ends[36] - ends[35] - 1) << ks[1]) + int("".join(map(str, bits[56 + at : 56 + at + ks[1]])), 2)
+    step = -(number + 1) // 2 if number % 2 else number // 2
+    assert by_draw[0, 0] == pytest.approx(sigmas[0] * 0.25 * step, rel=1e-9)
+    g += 76 + -(-(56 + sum(widths) + int(ends[len(widths) - 1]) + 1) // 8)
+    assert b[g] == 12
     assert struct.unpack_from("<I", b, len(b) - 4)[0] == zlib.crc32(b[:-4])

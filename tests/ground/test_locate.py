@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from contract.camera import Camera
 from contract.codec import decode, encode
-from contract.feature_set import DepthSource, FeatureSet, HeightDatum, SlowPosition, Status
+from contract.feature_set import DepthSource, FeatureSet, HeightDatum, Status
 from ground.answer import CHI2_2, Ellipse, Fix, Refusal
-from ground.locate import Locator, difference_covariance, locate
+from ground.locate import Locator, locate
 from tests.contract.sets import feature_sets
 from tests.ground.worlds import CAMERA, ORIGIN, Errors, build
 
@@ -83,45 +83,6 @@ def test_a_click_differs_from_itself_by_nothing() -> None:
     difference = Locator(world.feature_set).difference_covariance(world.clicks_px[0], world.clicks_px[0])
     assert difference is not None
     assert np.abs(difference).max() < 1e-6
-
-
-@pytest.mark.parametrize("gap_s", [2.0, 300.0])
-def test_the_ellipse_of_a_difference_between_two_sets_holds_ninety_percent(gap_s: float) -> None:
-    rng = np.random.default_rng(8)
-    slow = SlowPosition(3.0, 4.0, 100.0)
-    errors = Errors(slow=slow)
-    shared = math.exp(-gap_s / slow.time_constant_s)
-    sigmas = np.array([3.0, 3.0, 4.0])
-    inside, naive = [], []
-    for _ in range(400):
-        first_error = sigmas * rng.normal(size=3)
-        second_error = shared * first_error + math.sqrt(1.0 - shared**2) * sigmas * rng.normal(size=3)
-        a = build(rng, errors, features=50, slow_error_enu_m=first_error)
-        b = build(
-            rng,
-            errors,
-            features=50,
-            slow_error_enu_m=second_error,
-            position_enu_m=(60.0, 0.0, 250.0),
-            capture_unix_ns=a.feature_set.capture_unix_ns + round(gap_s * 1e9),
-        )
-        one, two = answered(a.feature_set, a.clicks_px[0]), answered(b.feature_set, b.clicks_px[0])
-        d = (b.error(0, two) - a.error(0, one))[:2]
-        covariance = difference_covariance(a.feature_set, one, b.feature_set, two)
-        inside.append(d @ np.linalg.solve(covariance[:2, :2], d) < CHI2_2)
-        total = one.covariance_enu_m2 + two.covariance_enu_m2
-        naive.append(np.trace(covariance) / np.trace(total))
-    assert 0.86 < np.mean(inside) < 0.94
-    assert (np.mean(naive) < 0.6) if gap_s < 10.0 else (np.mean(naive) > 0.9)
-
-
-def test_sets_of_other_sessions_share_nothing() -> None:
-    slow = SlowPosition(3.0, 4.0, 100.0)
-    world = build(np.random.default_rng(9), Errors(slow=slow))
-    other = dataclasses.replace(world.feature_set, session=8)
-    fix = answered(world.feature_set, world.clicks_px[0])
-    total = difference_covariance(world.feature_set, fix, other, fix)
-    np.testing.assert_allclose(total, 2.0 * fix.covariance_enu_m2)
 
 
 def test_beyond_the_features_the_plane_answers_with_a_growing_radius_then_refuses() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from contract.feature_set import FeatureSet, HeightDatum, SlowPosition, Status
+from contract.feature_set import DRAWS, FeatureSet, HeightDatum, SharedErrors, Status
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, matrix_from_euler, mount_rotation
 from ground.answer import Fix
@@ -29,7 +29,7 @@ class Errors:
     relief_relative: float = 0.02
     roughness: float = 0.004
     common: bool = True
-    slow: SlowPosition = dataclasses.field(default_factory=SlowPosition)
+    shared: SharedErrors = dataclasses.field(default_factory=SharedErrors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +53,13 @@ def common_covariance(rng: np.random.Generator) -> Array:
     return factor @ factor.T / 12.0 * np.outer(COMMON_SIGMAS, COMMON_SIGMAS)
 
 
+def root(covariance: Array) -> Array:
+    """L with L L' = covariance, which may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    out: Array = vectors * np.sqrt(np.maximum(values, 0.0))
+    return out
+
+
 def relief_at(rng: np.random.Generator, xy: Array, errors: Errors) -> Array:
     """A sample (N,) of the relative inverse depth's deviation: Gaussian, with the variogram the set declares."""
     s2 = errors.relief_relative**2
@@ -71,29 +78,36 @@ def build(
     features: int = 100,
     clicks_px: Array | None = None,
     position_enu_m: tuple[float, float, float] = (0.0, 0.0, 250.0),
-    slow_error_enu_m: Array | None = None,
+    draws: Array | None = None,
+    fresh: Array | None = None,
+    yaw_rad: float | None = None,
     frame: int = 0,
     capture_unix_ns: int = 1_700_000_000_000_000_000,
     pitch_deg: float = -65.0,
 ) -> World:
-    """One picture over ground around height 0; everything it publishes carries the declared errors."""
+    """One picture over ground around height 0; everything it publishes carries the declared errors.
+
+    `draws` (DRAWS,) and `fresh` (9,) are unit draws of what is shared and what is not; drawn here unless given.
+    """
     errors = errors or Errors()
     clicks = rng.uniform([100.0, 80.0], [540.0, 400.0], (2, 2)) if clicks_px is None else clicks_px
     uv = np.concatenate([_spread(rng, features), clicks])
     rays = CAMERA.unproject(uv)[0]
-    R_true = R_ENU_NED @ matrix_from_euler(0.03, -0.02, rng.uniform(0, 6.28)) @ mount_rotation(0.0, pitch_deg, 0.0)
+    R_true = (
+        R_ENU_NED
+        @ matrix_from_euler(0.03, -0.02, rng.uniform(0, 6.28) if yaw_rad is None else yaw_rad)
+        @ mount_rotation(0.0, pitch_deg, 0.0)
+    )
     flat = -(rays @ R_true.T)[:, 2] / position_enu_m[2]  # 1 / depth of the plane at height 0
     true_w = flat * (1.0 + relief_at(rng, rays[:, :2], errors))
     position = np.array(position_enu_m)
     truth = position + (rays @ R_true.T) / true_w[:, None]
 
     cov = common_covariance(rng) if errors.common else np.zeros((9, 9))
-    slow = errors.slow
-    slow_var = np.array([slow.sigma_horizontal_m] * 2 + [slow.sigma_vertical_m]) ** 2
-    error = rng.multivariate_normal(np.zeros(9), cov)
-    published_cov = cov + np.diag([*slow_var, *[0.0] * 6])
-    if slow_error_enu_m is None:
-        slow_error_enu_m = rng.normal(size=3) * np.sqrt(slow_var)
+    by_draw = errors.shared.by_draw
+    draws = rng.normal(size=DRAWS) if draws is None else draws
+    error = rng.multivariate_normal(np.zeros(9), cov) if fresh is None else root(cov) @ fresh
+    error = error + by_draw @ draws
 
     modes = 1.0 + np.concatenate([np.ones((len(uv), 1)), rays[:, :2]], axis=1) @ error[6:]
     sigma = errors.feature_relative * flat[:features] * np.exp(rng.normal(0.0, 0.3, features))
@@ -104,7 +118,7 @@ def build(
         if features >= 3
         else np.linalg.lstsq(np.concatenate([np.ones((len(uv), 1)), rays[:, :2]], axis=1), flat * modes, rcond=None)[0]
     )
-    lat, lon, height = ORIGIN.to_geodetic(position + error[:3] + slow_error_enu_m)
+    lat, lon, height = ORIGIN.to_geodetic(position + error[:3])
     feature_set = FeatureSet(
         vehicle="uav-1",
         session=7,
@@ -118,8 +132,8 @@ def build(
         height_datum=HeightDatum.AMSL,
         undulation_m=20.0,
         R_enu_cam=exp_so3(error[3:6]) @ R_true,
-        common_cov=published_cov,
-        slow_position=slow,
+        common_cov=cov + by_draw @ by_draw.T,
+        shared=errors.shared,
         plane_per_m=plane,
         plane_sigma_relative=errors.relief_relative,
         roughness=errors.roughness,

@@ -306,6 +306,8 @@ def bundle_problem(
             layout,
             np.diff(centres, axis=0) + noise * 0.15 * rng.standard_normal((K - 1, 3)),
             np.full(K - 1, 0.15),
+            np.diff(velocities, axis=0),
+            np.full(K - 1, truth.offset_s),
         ),
         SharedPrior(layout, np.zeros(7), np.diag(1.0 / sigma_shared)),
     ]

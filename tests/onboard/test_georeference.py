@@ -188,7 +188,16 @@ def test_a_set_says_what_picture_it_is() -> None:
     assert (s.vehicle, s.session, s.frame, s.capture_unix_ns) == ("uav-1", 7, frame, T0_NS + frame)
     assert s.is_keyframe
     assert s.undulation_m == UNDULATION_M
-    assert s.slow_position.time_constant_s == FULL.gps.wander_time_s
+    assert (s.shared.position_time_s, s.shared.attitude_time_s) == (
+        FULL.gps.wander_time_s,
+        FULL.solve.attitude_wander_time_s,
+    )
+    fresh = s.common_cov - s.shared.by_draw @ s.shared.by_draw.T
+    sigma = np.sqrt(np.diag(s.common_cov))
+    assert 1e-5 < np.linalg.eigvalsh(fresh / np.outer(sigma, sigma))[0] < 1.0
+    # Most of where the window is, and hardly anything of its shape, is what its neighbours err by too.
+    shares = 1.0 - np.diag(fresh) / np.diag(s.common_cov)
+    assert np.all(shares[:3] > 0.7) and np.all(shares[6:] < 0.3)
     assert np.all(np.linalg.eigvalsh(s.common_cov) > 0.0)
     assert np.all(s.sigma_inverse_depth_per_m > 0.0)
     assert s.inverse_depth_per_m == pytest.approx(1.0 / 250.0, rel=0.15)

@@ -63,7 +63,8 @@ def position_prior(rng: np.random.Generator) -> Prior:
 
 
 def velocity_prior(rng: np.random.Generator) -> Prior:
-    return VelocityPrior(Layout(K), 20.0 * rng.standard_normal((K - 1, 3)), rng.uniform(0.1, 0.4, K - 1))
+    sigma, gained = rng.uniform(0.1, 0.4, K - 1), 5.0 * rng.standard_normal((K - 1, 3))
+    return VelocityPrior(Layout(K), 20.0 * rng.standard_normal((K - 1, 3)), sigma, gained, rng.normal(0.0, 0.1, K - 1))
 
 
 def attitude_prior(rng: np.random.Generator) -> Prior:

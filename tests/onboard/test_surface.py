@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from contract.camera import Camera
-from contract.feature_set import DepthSource, FeatureSet, SlowPosition, Status
+from contract.feature_set import ATTITUDE, DRAWS, POSITION, DepthSource, FeatureSet, SharedErrors, Status
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, matrix_from_euler, mount_rotation
 from ground.answer import CHI2_2, Fix
@@ -29,7 +29,10 @@ def pose(pitch_deg: float = -90.0, **angles: float) -> Believed:
     body = R_ENU_NED @ matrix_from_euler(angles.get("roll", 0.0), 0.0, 0.5)
     R_enu_cam = body @ mount_rotation(0.0, pitch_deg, 0.0)
     centre = np.array([3.0, -4.0, HEIGHT_M])
-    return Believed(R_enu_cam.T, centre, np.diag(SIGMAS**2), SlowPosition(1.5, 2.5, 60.0))
+    by_draw = np.zeros((7, DRAWS))
+    by_draw[:3, POSITION], by_draw[3:6, ATTITUDE] = np.diag(SIGMAS[:3]), np.diag(SIGMAS[3:6])
+    believed = Believed(R_enu_cam.T, centre, np.zeros((7, 7)), SharedErrors(by_draw, 60.0, 20.0))
+    return believed.over_ground(SIGMAS[6])
 
 
 def level_set(believed: Believed, height_m: float = 0.0) -> FeatureSet | Status:
@@ -109,8 +112,7 @@ def test_nine_clicks_of_ten_lie_inside_the_ellipse(pitch_deg: float, terrain: Te
 def test_a_less_certain_ground_widens_the_ellipse_of_an_oblique_view() -> None:
     semi = []
     for ground_sigma_m in (1.0, 10.0):
-        covariance = np.diag(np.append(SIGMAS[:6], ground_sigma_m) ** 2)
-        s = level_set(replace(pose(-45.0), covariance=covariance))
+        s = level_set(pose(-45.0).over_ground(ground_sigma_m))
         assert isinstance(s, FeatureSet)
         answer = Locator(s).locate((320.0, 240.0))
         assert isinstance(answer, Fix)

@@ -1,0 +1,142 @@
+"""The errors that all points of a set have in common <-> bytes: section 4.4 of docs/wire-format.md.
+
+What is fresh is written as sigmas and partial correlations. What is shared with other sets is written in sigmas of what
+is fresh, decorrelated: a quarter of one is a step, so two sets' columns cancel to within a small part of what is left
+anyway. Any numbers give a covariance.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract import bits
+from contract.covariance_code import (
+    MAX_CORRELATION_CODE,
+    covariance_codes,
+    factor_from_codes,
+    sigma_code,
+    sigma_from_code,
+)
+from contract.errors import CorruptPayload
+from contract.feature_set import COMMON_STATES, DRAWS, SharedErrors
+from contract.reader import Reader
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+STEP = 0.25
+MAX_STEPS = 2**14 - 1
+SPAN_STEPS = 100  # a second
+MAX_SPAN_STEPS = 2**15 - 1
+_CORRELATIONS = COMMON_STATES * (COMMON_STATES - 1) // 2
+_EMPTY = 15  # the Rice parameter of a column of zeros
+_HEAD = struct.Struct(f"<{COMMON_STATES}H6H2h")
+_PARAMETERS = 4 * (1 + DRAWS)  # bits
+_SIZES = np.array([_CORRELATIONS] + [COMMON_STATES] * DRAWS)
+_WIDTHS = np.arange(_EMPTY)
+_POWERS = np.arange(_EMPTY - 1, -1, -1)  # of a number's bits, most significant first
+
+
+def encode_common(common_cov: Array, shared: SharedErrors) -> bytes:
+    """Their bytes. Raises ValueError."""
+    common, by_draw = np.asarray(common_cov, float), np.asarray(shared.by_draw, float)
+    if common.shape != (COMMON_STATES, COMMON_STATES) or not np.all(np.isfinite(common)):
+        raise ValueError(f"common_cov must be {COMMON_STATES} x {COMMON_STATES} finite numbers, not {np.shape(common)}")
+    if by_draw.shape != (COMMON_STATES, DRAWS) or not np.all(np.isfinite(by_draw)):
+        raise ValueError(f"by_draw must be {COMMON_STATES} x {DRAWS} finite numbers, not {np.shape(by_draw)}")
+    try:
+        sigmas, correlations = covariance_codes(common - by_draw @ by_draw.T)
+    except ValueError as error:
+        raise ValueError(f"common_cov less what is shared: {error}") from error
+    factor = factor_from_codes(sigmas, correlations)
+    assert factor is not None
+    columns = bits.zigzag(_steps(by_draw, factor).T)
+    return _encode_head(sigmas, shared) + _encode_groups(bits.zigzag(np.array(correlations, np.int64)), columns)
+
+
+def decode_common(reader: Reader) -> dict[str, Any]:
+    """common_cov and shared. Raises CorruptPayload."""
+    numbers = reader.unpack(_HEAD)
+    sigmas, codes, span = list(numbers[:COMMON_STATES]), numbers[COMMON_STATES:-2], numbers[-2:]
+    correlations, steps = (bits.unzigzag(numbers) for numbers in _decode_groups(reader))
+    if np.any(np.abs(correlations) > MAX_CORRELATION_CODE) or np.any(np.abs(steps) > MAX_STEPS):
+        raise CorruptPayload("a correlation or a shared error is larger than can be written")
+    factor = factor_from_codes(sigmas, correlations.tolist())
+    if factor is None:
+        raise CorruptPayload(f"correlations {correlations.tolist()} mean nothing")
+    by_draw = factor @ (steps.T * STEP)
+    position_s, attitude_s, *alignment = (sigma_from_code(code) for code in codes)
+    span_s = (span[0] / SPAN_STEPS, span[1] / SPAN_STEPS)
+    return {
+        "common_cov": factor @ factor.T + by_draw @ by_draw.T,
+        "shared": SharedErrors(by_draw, position_s, attitude_s, np.array(alignment), span_s),
+    }
+
+
+def _steps(by_draw: Array, factor: Array) -> Ints:
+    """Columns (9, DRAWS) in steps. `factor` (9, 9) is the lower Cholesky factor of the fresh covariance as decoded."""
+    # A state that is known exactly errs by no draw either.
+    known = np.diag(factor) == 0.0
+    in_sigmas = np.linalg.solve(factor + np.diag(known.astype(float)), np.where(known[:, None], 0.0, by_draw))
+    out: Ints = np.clip(np.rint(in_sigmas / STEP), -MAX_STEPS, MAX_STEPS).astype(np.int64)
+    return out
+
+
+def _encode_head(sigmas: list[int], shared: SharedErrors) -> bytes:
+    alignment = np.asarray(shared.alignment_sigma, float)
+    if alignment.shape != (4,):
+        raise ValueError(f"alignment_sigma must be four numbers, not {alignment.tolist()}")
+    codes = [
+        sigma_code(shared.position_time_s, "position_time_s"),
+        sigma_code(shared.attitude_time_s, "attitude_time_s"),
+        *(sigma_code(float(value), "alignment_sigma") for value in alignment),
+    ]
+    if not np.all(np.isfinite(shared.span_s)):
+        raise ValueError(f"span_s must be finite, not {shared.span_s}")
+    span = np.clip(np.rint(np.array(shared.span_s) * SPAN_STEPS), -MAX_SPAN_STEPS, MAX_SPAN_STEPS)
+    return _HEAD.pack(*sigmas, *codes, *(int(n) for n in span))
+
+
+def _encode_groups(correlations: Ints, columns: Ints) -> bytes:
+    """Rice codes, a parameter a group: parameters, then all fixed parts, then all unary parts."""
+    ks = np.concatenate([_parameters(correlations[None]), _parameters(columns)])
+    k = np.repeat(ks, _SIZES)
+    written = k != _EMPTY
+    values, k = np.concatenate([correlations, columns.ravel()])[written], k[written]
+    low = ((values[:, None] >> _POWERS) & 1)[k[:, None] > _POWERS].astype(np.uint8)
+    return np.packbits(np.concatenate([bits.fixed_to_bits([(ks, 4)]), low, bits.unary_to_bits(values >> k)])).tobytes()
+
+
+def _parameters(rows: Ints) -> Ints:
+    """The parameter (N,) that codes each row of (N, M) in the fewest bits, the smallest if several do."""
+    cost = (rows[:, :, None] >> _WIDTHS).sum(axis=1) + rows.shape[1] * _WIDTHS
+    out: Ints = np.where(rows.any(axis=1), np.argmin(cost, axis=1), _EMPTY)
+    return out
+
+
+def _decode_groups(reader: Reader) -> tuple[Ints, Ints]:
+    """Inverse of `_encode_groups`."""
+    stream = np.unpackbits(np.frombuffer(reader.payload, np.uint8, reader.end - reader.position, reader.position))
+    if len(stream) < _PARAMETERS:
+        raise CorruptPayload("content ends within the common errors")
+    (ks,) = bits.bits_to_fixed(stream[:_PARAMETERS], [4])
+    written = np.repeat(ks != _EMPTY, _SIZES)
+    k = np.repeat(ks, _SIZES)[written]
+    fixed_end = _PARAMETERS + int(k.sum())
+    unary = bits.bits_to_unary(stream[fixed_end:], len(k))
+    if unary is None:
+        raise CorruptPayload("content ends within the common errors")
+    quotients, unary_bits = unary
+    used = fixed_end + unary_bits
+    if np.any(stream[used : -(-used // 8) * 8]):
+        raise CorruptPayload("padding bits behind the common errors are not zero")
+    reader.take(-(-used // 8))
+    low = np.zeros((len(k), len(_POWERS)), np.int64)
+    low[k[:, None] > _POWERS] = stream[_PARAMETERS:fixed_end]
+    values = np.zeros(len(written), np.int64)
+    values[written] = (quotients << k) + low @ (np.int64(1) << _POWERS)
+    return values[:_CORRELATIONS], values[_CORRELATIONS:].reshape(DRAWS, COMMON_STATES)

@@ -1,0 +1,130 @@
+"""The vector between clicks of two sets of one session: how much of their errors is one and the same.
+
+Each set says how the slow errors act on its nine common states, one column of F a draw. Two sets have the same draws as
+far as they last, so with their correlations P the common states' covariance between sets a and b is
+
+    X = F_a P F_b' + fresh
+
+What is left of each set's covariance is fresh, and shared as far as the pictures behind both sets are the same.
+Equations (9.13) to (9.15) of docs/mathematics.md.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.feature_set import ALIGNMENT, ATTITUDE, COMMON_STATES, DRAWS, POSITION, FeatureSet
+from contract.geodesy import LocalFrame
+from contract.rotations import skew
+from ground.answer import Fix
+
+Array = NDArray[np.float64]
+Span = tuple[float, float]
+
+LEAST_SPAN_S = 0.05
+
+
+def difference_covariance(one: FeatureSet, fix_one: Fix, two: FeatureSet, fix_two: Fix) -> Array:
+    """Covariance (3, 3), m^2, of the vector between clicks of two different sets, in the first's ENU axes.
+
+    Sets of other vehicles or sessions share nothing.
+    """
+    total: Array = fix_one.covariance_enu_m2 + fix_two.covariance_enu_m2
+    if (one.vehicle, one.session) != (two.vehicle, two.session):
+        return total
+    J1, J2 = _jacobian(one, fix_one), _jacobian(two, fix_two)
+    cross = J1 @ common_cross_covariance(one, two) @ J2.T
+    # Rounding, and a fix made on another revision of its set, may leave too little.
+    values, vectors = np.linalg.eigh(total - cross - cross.T)
+    out: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return out
+
+
+def common_cross_covariance(one: FeatureSet, two: FeatureSet) -> Array:
+    """Covariance (9, 9) between the common states of two sets of a session."""
+    if two.capture_unix_ns < one.capture_unix_ns:
+        return common_cross_covariance(two, one).T
+    F1, F2 = one.shared.by_draw, two.shared.by_draw
+    slow = (F1 * draw_correlations(one, two)) @ F2.T
+    a, b = _span(one), _span(two)
+    share = max(min(a[1], b[1]) - max(a[0], b[0]), 0.0) / math.sqrt((a[1] - a[0]) * (b[1] - b[0]))
+    if share == 0.0:
+        return slow
+    R1, R2 = one.common_cov - F1 @ F1.T, two.common_cov - F2 @ F2.T
+    M = _transport(one, two)
+    moved = M @ R1 @ M.T
+    # Symmetric roots, in units of both sets' own sigmas: what errs alike is taken to err together.
+    scale = np.sqrt(np.maximum(np.diag(moved) * np.diag(R2), 0.0) ** 0.5)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    both = _root(moved / np.outer(scale, scale)) @ _root(R2 / np.outer(scale, scale)) * np.outer(scale, scale)
+    return slow + share * np.linalg.solve(M, both)
+
+
+def draw_correlations(one: FeatureSet, two: FeatureSet) -> Array:
+    """(DRAWS,) between the two sets' draws: wander by its age, the mount and clock by what was learned. (9.13)"""
+    out = np.ones(DRAWS)
+    s1, s2 = one.shared, two.shared
+    for part, tau1, tau2 in (
+        (POSITION, s1.position_time_s, s2.position_time_s),
+        (ATTITUDE, s1.attitude_time_s, s2.attitude_time_s),
+    ):
+        out[part] = _averages_correlation(_span(one), _span(two), min(tau1, tau2))
+    less, more = np.minimum(s1.alignment_sigma, s2.alignment_sigma), np.maximum(s1.alignment_sigma, s2.alignment_sigma)
+    out[ALIGNMENT] = np.where(more > 0.0, less / np.where(more > 0.0, more, 1.0), 0.0)
+    return out
+
+
+def _span(s: FeatureSet) -> Span:
+    """First and last moment behind a set, s after its session began; at least a little apart."""
+    at = (s.capture_unix_ns - s.session * 1_000_000_000) / 1e9
+    first, last = at + s.shared.span_s[0], at + s.shared.span_s[1]
+    grow = max(LEAST_SPAN_S - (last - first), 0.0) / 2.0
+    return first - grow, last + grow
+
+
+def _averages_correlation(a: Span, b: Span, time_constant_s: float) -> float:
+    """Correlation of a wandering error's averages over two spans."""
+    if time_constant_s <= 0.0:
+        return 0.0
+
+    def twice_integrated(lag_s: float) -> float:
+        u = abs(lag_s) / time_constant_s
+        return math.expm1(-u) + u
+
+    def together(p: Span, q: Span) -> float:
+        return (
+            twice_integrated(p[1] - q[0])
+            + twice_integrated(p[0] - q[1])
+            - twice_integrated(p[0] - q[0])
+            - twice_integrated(p[1] - q[1])
+        )
+
+    return min(max(together(a, b) / math.sqrt(together(a, a) * together(b, b)), 0.0), 1.0)
+
+
+def _transport(one: FeatureSet, two: FeatureSet) -> Array:
+    """What the first set's common states are, seen from the second's camera. (9.14)"""
+    d = LocalFrame(one.camera_lat_deg, one.camera_lon_deg, one.camera_height_m).to_enu(
+        two.camera_lat_deg, two.camera_lon_deg, two.camera_height_m
+    )
+    M = np.eye(COMMON_STATES)
+    M[:3, 3:6] = -skew(d)
+    M[:3, 6] = -d
+    M[7:, 7:] = (two.R_enu_cam.T @ one.R_enu_cam)[:2, :2]
+    return M
+
+
+def _root(covariance: Array) -> Array:
+    values, vectors = np.linalg.eigh(covariance)
+    out: Array = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    return out
+
+
+def _jacobian(s: FeatureSet, fix: Fix) -> Array:
+    """d X / d common states, (3, 9)."""
+    X = fix.offset_enu_m
+    x, y, z = s.R_enu_cam.T @ X
+    return np.concatenate([np.eye(3), -skew(X), -np.outer(X, [1.0, x / z, y / z])], axis=1)
