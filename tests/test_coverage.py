@@ -1,6 +1,6 @@
 """Nine true errors of ten lie inside the stated ellipse: of one click, of a pair in one set, of a pair in two sets.
 
-Whole flights with every error drawn from the configuration's own beliefs; `benchmarks.coverage` prints the whole table. A
+Whole flights with every error drawn from the configuration's own beliefs; `benchmarks.coverage` prints the table. A
 flight is one draw of all that is slow, so that the share of single clicks scatters by 5 % over thirty flights.
 """
 
