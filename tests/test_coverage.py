@@ -29,6 +29,6 @@ def test_nine_of_ten_errors_lie_inside_their_ellipses_within_a_set_and_between_s
     assert 0.82 < share("two_near") < 0.99
     assert 0.78 < share("two_far") < 0.985
     assert 0.7 < np.mean([np.mean(c.pose) for c in flown]) < 1.4
-    # What two sets share takes most of their ellipses away: without it every difference would lie inside.
+    # What two sets share takes most of their ellipses away: without it this is 0.1.
     difference = np.concatenate([c.two_near for c in flown])
-    assert 0.55 < np.mean(difference) / 2 < 1.3
+    assert 0.35 < np.mean(difference) / 2 < 1.3
