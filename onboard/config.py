@@ -184,7 +184,8 @@ class Telemetry(Section):
     lost_after_s: float = quantity(2.0, 0.2, 60.0, "s", "silence that counts as telemetry lost")
     clock: Literal["auto", "constant", "drift"] = choice(
         "auto",
-        "boot clock against ours: 'constant' offset, steady 'drift', or 'auto' (constant unless the log shows a drift)",
+        "boot clock against ours in a log, and where TIMESYNC is not answered: 'constant' offset, steady 'drift', or "
+        "'auto' (constant unless a drift shows)",
     )
     max_attitude_gap_s: float = quantity(1.0, 0.02, 10.0, "s", "longest gap between attitudes that is interpolated")
 

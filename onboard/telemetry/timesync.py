@@ -110,7 +110,10 @@ class TimeSync:
         least = self.round_trip_ns = min(s.round_trip_ns for s in samples)
         origin, base = samples[-1].boot_ns, samples[-1].offset_ns
         # What a round trip has over the least was spent on the way there or back: its half is the offset's error.
-        weights = [1.0 / (FLOOR_NS**2 + ((s.round_trip_ns - least) / 2.0) ** 2) for s in samples]
+        # The least of a few has an excess of its own, about as large as what lies between it and the next few.
+        usual = sorted(s.round_trip_ns for s in samples)[(len(samples) + 1) // 4]
+        own = FLOOR_NS**2 + ((usual - least) / 2.0) ** 2
+        weights = [1.0 / (own + ((s.round_trip_ns - least) / 2.0) ** 2) for s in samples]
         x = [float(s.boot_ns - origin) for s in samples]
         y = [float(s.offset_ns - base) for s in samples]
         total = sum(weights)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import socket
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -21,12 +22,12 @@ from tests.telemetry.listening import FLIGHT, Listening, config_for, content, er
 SECONDS = 5.5
 DRIFT = 300e-6
 WIRES = {
-    "udpin": ("udpout:127.0.0.1:47650", "pymavlink", "ardupilot"),
+    "udpin": ("udpout:127.0.0.1:{free}", "pymavlink", "ardupilot"),
     "udpout": ("udpin:127.0.0.1:0", "pymavlink", "px4"),
     "tcp": ("tcpin:127.0.0.1:0", "pymavlink", "ardupilot"),
     "serial": ("pty", "pymavlink", "ardupilot"),
     "old serial": ("pty", "pymavlink", "old"),
-    "mavsdk udp": ("udpout:127.0.0.1:47651", "mavsdk", "px4"),
+    "mavsdk udp": ("udpout:127.0.0.1:{free}", "mavsdk", "px4"),
     "mavsdk serial": ("pty", "mavsdk", "ardupilot"),
 }
 ALL = pytest.mark.parametrize("name", WIRES)
@@ -47,6 +48,12 @@ class Flown:
         return [event for _, event in self.heard.got]  # type: ignore[misc]
 
 
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("logs")
@@ -60,7 +67,15 @@ def flown(folder: Path) -> Iterator[dict[str, Flown]]:
         running = {}
         for number, (name, (url, backend, style)) in enumerate(WIRES.items()):
             autopilot = stack.enter_context(
-                FakeAutopilot(FLIGHT, url, style=style, drift=DRIFT, system=number + 1, begin_s=5.0, chatter=True)
+                FakeAutopilot(
+                    FLIGHT,
+                    url.format(free=free_port()),
+                    style=style,
+                    drift=DRIFT,
+                    system=number + 1,
+                    begin_s=5.0,
+                    chatter=True,
+                )
             )
             config = config_for(
                 autopilot.url, backend=backend, lost_after_s=2.0, system=number + 1, log=str(folder / name)

@@ -6,45 +6,59 @@ import itertools
 import random
 import socket
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
-import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from onboard.events import Attitude, PositionFix
 from onboard.sources import Severity, State
 from onboard.telemetry.sights import Target, View
 from simulation.autopilot.fake import FakeAutopilot, Faults
-from tests.telemetry.listening import FLIGHT, config_for, errors_ms, expected, listening
-
-BACKENDS = pytest.mark.parametrize("backend", ["pymavlink", "mavsdk"])
+from tests.telemetry.listening import FLIGHT, Listening, config_for, errors_ms, expected, listening
 
 
-@BACKENDS
-def test_silence_is_lost_in_time_and_a_reboot_starts_the_stamps_anew(backend: str) -> None:
-    with (
-        FakeAutopilot(FLIGHT, "tcpin:127.0.0.1:0", getting_ready_s=0.1) as autopilot,
-        listening(config_for(autopilot.url, backend=backend, lost_after_s=0.8, attitude_rate_hz=25.0)) as heard,
-    ):
-        heard.until(lambda: len(heard.of(Attitude)) > 20)
-        heard.wait(State.OK)
-        autopilot.mute(1.4)
-        assert 0.4 < heard.wait(State.LOST) < 1.4
-        heard.until(lambda: "silent" in heard.source.health().detail, 1.0)
-        heard.wait(State.OK, 4.0)
-        granted = len(autopilot.heard_of("COMMAND_LONG"))
-        autopilot.reboot(0.4)
-        heard.until(lambda: heard.source.health().figures["reboots"] == 1.0)
-        begun = len(heard.of(Attitude))
-        # Rates are lost with the reboot and asked for again: unasked they come at 4 Hz.
-        heard.until(lambda: len(heard.of(Attitude)) > begun + 20)
-        heard.wait(State.OK)
-        assert len(autopilot.heard_of("COMMAND_LONG")) > granted + 2
-        fixes = heard.of(PositionFix)
-        assert all(a.stamp_ns < b.stamp_ns for a, b in itertools.pairwise(fixes))
-        true = expected(autopilot, heard.clock)
-        assert np.max(np.abs(errors_ms(fixes[:-3], true))) < 25.0
+@contextmanager
+def both_libraries(**keys: object) -> Iterator[list[tuple[FakeAutopilot, Listening]]]:
+    """An autopilot and a source of each library, side by side to save time."""
+    with ExitStack() as stack:
+        pairs = []
+        for backend in ("pymavlink", "mavsdk"):
+            autopilot = stack.enter_context(FakeAutopilot(FLIGHT, "tcpin:127.0.0.1:0", getting_ready_s=0.1))
+            pairs.append(
+                (autopilot, stack.enter_context(listening(config_for(autopilot.url, backend=backend, **keys))))
+            )
+        yield pairs
+
+
+def test_silence_is_lost_in_time_and_a_reboot_starts_the_stamps_anew() -> None:
+    with both_libraries(lost_after_s=0.8, attitude_rate_hz=25.0) as pairs:
+        for _, heard in pairs:
+            heard.until(lambda heard=heard: len(heard.of(Attitude)) > 20)
+            heard.wait(State.OK)
+        for autopilot, _ in pairs:
+            autopilot.mute(1.4)
+        for _, heard in pairs:
+            assert heard.wait(State.LOST) < 1.4
+            heard.until(lambda heard=heard: "silent" in heard.source.health().detail, 1.0)
+        for _, heard in pairs:
+            heard.wait(State.OK, 4.0)
+        granted = [len(autopilot.heard_of("COMMAND_LONG")) for autopilot, _ in pairs]
+        for autopilot, _ in pairs:
+            autopilot.reboot(0.4)
+        for (autopilot, heard), before in zip(pairs, granted, strict=True):
+            heard.until(lambda heard=heard: heard.source.health().figures["reboots"] == 1.0)
+            begun = len(heard.of(Attitude))
+            # Rates are lost with the reboot and asked for again: unasked they come at 4 Hz.
+            heard.until(lambda heard=heard, begun=begun: len(heard.of(Attitude)) > begun + 20)
+            heard.wait(State.OK)
+            assert len(autopilot.heard_of("COMMAND_LONG")) > before + 2
+            fixes = heard.of(PositionFix)
+            assert all(a.stamp_ns < b.stamp_ns for a, b in itertools.pairwise(fixes))
+            true = expected(autopilot, heard.clock)
+            assert np.max(np.abs(errors_ms(fixes[:-3], true))) < 25.0
 
 
 def test_a_serial_line_is_unplugged_and_comes_back_under_another_name(tmp_path: Path) -> None:
@@ -159,25 +173,23 @@ def test_a_vehicle_that_is_not_there_is_waited_for() -> None:
         assert not heard.got
 
 
-@BACKENDS
-def test_what_is_said_and_shown_reaches_the_line(backend: str) -> None:
-    with (
-        FakeAutopilot(FLIGHT, "tcpin:127.0.0.1:0") as autopilot,
-        listening(config_for(autopilot.url, backend=backend, fov_status=True)) as heard,
-    ):
-        heard.wait(State.OK)
-        heard.source.say(Severity.WARNING, "Kamera verloren: ä" + "x" * 60)
-        heard.source.show_target(Target(-43.38, 172.4, 101.5, 3.0, 4.0))
-        heard.source.show_view(View(10**18, (-43.38, 172.4, 350.0), None, (0.7, 0.0, -0.7, 0.0), (40.0, 30.0)))
-        heard.until(lambda: autopilot.heard_of("CAMERA_FOV_STATUS"))
-        heard.until(lambda: autopilot.heard_of("STATUSTEXT"))
-        (text,) = autopilot.heard_of("STATUSTEXT")
-        assert (text.severity, text.text) == (4, "Kamera verloren: ?" + "x" * 32)
-        assert (text.get_srcSystem(), text.get_srcComponent()) == (1, 191)
-        (target,) = autopilot.heard_of("CAMERA_TRACKING_GEO_STATUS")
-        assert (target.lat, target.lon, target.alt, target.h_acc) == (-433_800_000, 1_724_000_000, 101.5, 3.0)
-        (view,) = autopilot.heard_of("CAMERA_FOV_STATUS")
-        assert (view.alt_camera, view.lat_image, view.hfov) == (350_000, 2**31 - 1, 40.0)
+def test_what_is_said_and_shown_reaches_the_line() -> None:
+    with both_libraries(fov_status=True) as pairs:
+        for _, heard in pairs:
+            heard.wait(State.OK)
+            heard.source.say(Severity.WARNING, "Kamera verloren: ä" + "x" * 60)
+            heard.source.show_target(Target(-43.38, 172.4, 101.5, 3.0, 4.0))
+            heard.source.show_view(View(10**18, (-43.38, 172.4, 350.0), None, (0.7, 0.0, -0.7, 0.0), (40.0, 30.0)))
+        for autopilot, heard in pairs:
+            heard.until(lambda autopilot=autopilot: autopilot.heard_of("CAMERA_FOV_STATUS"))
+            heard.until(lambda autopilot=autopilot: autopilot.heard_of("STATUSTEXT"))
+            (text,) = autopilot.heard_of("STATUSTEXT")
+            assert (text.severity, text.text) == (4, "Kamera verloren: ?" + "x" * 32)
+            assert (text.get_srcSystem(), text.get_srcComponent()) == (1, 191)
+            (target,) = autopilot.heard_of("CAMERA_TRACKING_GEO_STATUS")
+            assert (target.lat, target.lon, target.alt, target.h_acc) == (-433_800_000, 1_724_000_000, 101.5, 3.0)
+            (view,) = autopilot.heard_of("CAMERA_FOV_STATUS")
+            assert (view.alt_camera, view.lat_image, view.hfov) == (350_000, 2**31 - 1, 40.0)
 
 
 def test_signed_both_ways_and_nothing_unsigned_is_believed(tmp_path: Path) -> None:

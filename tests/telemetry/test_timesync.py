@@ -83,6 +83,15 @@ def test_long_queues_cost_a_part_of_the_least_round_trip_only() -> None:
     assert is_rising(stamps)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_a_few_exchanges_over_a_bad_link_are_no_drift(seed: int) -> None:
+    world, clock = World(-400e-6, 40.0, 30.0, seed), LinkClock("auto")
+    stamps = world.fly(clock, 2.0, hz=5)
+    stamps += world.fly(clock, 8.0)
+    assert abs(clock.figures()["drift_ppm"]) < 4000.0
+    assert np.max(np.abs(errors_ms(stamps[20:]))) < 40.0
+
+
 def test_the_stated_sigma_is_neither_too_small_nor_too_large() -> None:
     ratios = []
     for seed in range(60):
