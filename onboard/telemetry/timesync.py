@@ -22,7 +22,8 @@ SETTLED_NS = 4 * NS_PER_S
 WINDOW_NS = 60 * NS_PER_S
 MAX_ROUND_TRIP_NS = 2 * NS_PER_S
 FLOOR_NS = 100_000.0  # of an exchange's error: scheduling, reading the clocks
-PRIOR_DRIFT = 1e-3  # one sigma; a stronger one would hold back simulators, whose clocks are a per cent off
+PRIOR_DRIFT = 2e-4  # one sigma: crystals
+WIDE_PRIOR_DRIFT = 1e-2  # once they contradict it: simulators, whose clocks are a per cent off
 MAX_DRIFT = 0.1  # more is no clock; with SLEW it keeps stamps rising
 TOLERANCE_NS = 2_000_000.0  # beyond half its round trip, before an exchange contradicts the line
 MAX_STRIKES = 3
@@ -64,6 +65,7 @@ class TimeSync:
     strays: list[_Exchange] = field(default_factory=list)
     line: Line | None = None
     exchanges: int = 0  # counted in
+    prior_drift: float = PRIOR_DRIFT
     round_trip_ns: int = 0  # the least of the window; 0 before the first exchange
 
     def add(self, sent_ns: int, boot_ns: int, received_ns: int) -> bool:
@@ -72,23 +74,35 @@ class TimeSync:
         if not 0 <= round_trip <= MAX_ROUND_TRIP_NS:
             return False
         new = _Exchange(boot_ns, (sent_ns + received_ns) // 2 - boot_ns, round_trip)
-        if self.line is not None:
-            # The truth lies within half a round trip: a line farther off than that is wrong, or a clock has stepped.
-            miss = abs(new.offset_ns - self.line.at(boot_ns))
-            if miss > round_trip / 2 + 3.0 * self.line.sigma_ns + TOLERANCE_NS:
-                self.strays.append(new)
-                if len(self.strays) < MAX_STRIKES:
-                    return False
-                self.kept.clear()
-                again, self.strays = self.strays, []
-                for stray in again:
-                    self._keep(stray)
-                self._fit()
-                return True
+        if self.line is not None and not self._is_explained(new):
+            self.strays.append(new)
+            if len(self.strays) < MAX_STRIKES:
+                return False
+            self._start_over()
+            return True
         self.strays.clear()
         self._keep(new)
         self._fit()
         return True
+
+    def _is_explained(self, exchange: _Exchange) -> bool:
+        """The truth lies within half a round trip: a line farther off than that is wrong, or a clock has stepped."""
+        assert self.line is not None
+        miss = abs(exchange.offset_ns - self.line.at(exchange.boot_ns))
+        return miss <= exchange.round_trip_ns / 2 + 3.0 * self.line.sigma_ns + TOLERANCE_NS
+
+    def _start_over(self) -> None:
+        """Several contradictions in a row: a drift that no crystal has explains them and all before, or a step."""
+        again, self.strays = self.strays, []
+        self.prior_drift = WIDE_PRIOR_DRIFT
+        for stray in again:
+            self._keep(stray)
+        self._fit()
+        if not all(self._is_explained(exchange) for exchange in (*again, *self.kept.values())):
+            self.kept.clear()
+            for stray in again:
+                self._keep(stray)
+            self._fit()
 
     @property
     def is_settled(self) -> bool:
@@ -119,7 +133,7 @@ class TimeSync:
         total = sum(weights)
         mean_x = sum(w * a for w, a in zip(weights, x, strict=True)) / total
         mean_y = sum(w * b for w, b in zip(weights, y, strict=True)) / total
-        spread = sum(w * (a - mean_x) ** 2 for w, a in zip(weights, x, strict=True)) + 1.0 / PRIOR_DRIFT**2
+        spread = sum(w * (a - mean_x) ** 2 for w, a in zip(weights, x, strict=True)) + 1.0 / self.prior_drift**2
         drift = sum(w * (a - mean_x) * (b - mean_y) for w, a, b in zip(weights, x, y, strict=True)) / spread
         drift = min(max(drift, -MAX_DRIFT), MAX_DRIFT)
         residual = [b - mean_y - drift * (a - mean_x) for a, b in zip(x, y, strict=True)]
