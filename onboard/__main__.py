@@ -1,7 +1,7 @@
 """`pc-onboard`: the aircraft's commands. Only arguments, exit codes and wiring.
 
 Exit codes: 0 done, 2 wrong usage or unusable input (one line on stderr), 3 the daemon that was asked is not running,
-130 interrupted (what was done is kept).
+1 `doctor` found something, or the daemon failed and should be started anew, 130 interrupted (what was done is kept).
 """
 
 from __future__ import annotations
@@ -106,7 +106,24 @@ def parser() -> argparse.ArgumentParser:
 
     check = commands.add_parser("check-config", help="check a configuration file and the config.d beside it")
     check.add_argument("file", type=Path, metavar="FILE", nargs="?", default=CONFIG)
+    check.add_argument("--fly", action="store_true", help="and whether `run` has all it needs: a camera file")
     check.set_defaults(run=run_check_config)
+
+    doctor = commands.add_parser("doctor", help="before take-off: is everything well?")
+    doctor.add_argument("--config", type=Path, default=CONFIG, metavar="FILE", help=f"configuration ({CONFIG})")
+    doctor.add_argument("--json", action="store_true", help="for programs")
+    doctor.add_argument(
+        "--seconds",
+        type=_seconds,
+        default=8.0,
+        metavar="S",
+        help="without a daemon: longest look at camera and telemetry",
+    )
+    doctor.set_defaults(run=run_doctor)
+
+    run = commands.add_parser("run", help="fly: the daemon, as the service starts it")
+    run.add_argument("--config", type=Path, default=CONFIG, metavar="FILE", help=f"configuration ({CONFIG})")
+    run.set_defaults(run=run_daemon)
     return top
 
 
@@ -189,12 +206,28 @@ def run_cameras(arguments: argparse.Namespace) -> int:
 
 def run_check_config(arguments: argparse.Namespace) -> int:
     """Load a configuration; prints which files are good."""
-    from onboard.config_files import config_files, load_config_files  # noqa: PLC0415
+    from onboard.config_files import config_files, load_camera, load_config_files  # noqa: PLC0415
 
-    load_config_files(arguments.file)
+    config = load_config_files(arguments.file)
+    if arguments.fly:
+        load_camera(config)
     for file in config_files(arguments.file):
         print(f"{file}: good")
     return 0
+
+
+def run_daemon(arguments: argparse.Namespace) -> int:
+    """Fly until told to stop."""
+    from onboard import run_command  # noqa: PLC0415
+
+    return run_command.run(arguments)
+
+
+def run_doctor(arguments: argparse.Namespace) -> int:
+    """Look at everything; 1 if anything is not well."""
+    from onboard import doctor_command  # noqa: PLC0415
+
+    return doctor_command.run(arguments)
 
 
 def run_status(arguments: argparse.Namespace) -> int:

@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from contract.camera import Camera
 from contract.errors import ConfigError
 from onboard.config import Config, load_config
 
@@ -36,3 +37,10 @@ def state_folder(config: Config, environment: dict[str, str]) -> Path:
     except OSError as error:
         raise ConfigError(f"state directory {folder}: {error.strerror}; set service.state_dir") from error
     return folder
+
+
+def load_camera(config: Config) -> Camera:
+    """The optics that `camera.file` names. Raises ConfigError if it names none, InputError for one that is no good."""
+    if config.camera.file is None:
+        raise ConfigError("camera.file is not set: name a camera file, as `pc-onboard calibrate` writes it")
+    return Camera.from_json(Path(config.camera.file))

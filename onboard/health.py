@@ -85,7 +85,7 @@ def overall(inputs: Inputs) -> Overall:
         return Overall(Word.CAMERA_LOST, camera.detail)
     if camera.state is State.FROZEN:
         return Overall(Word.CAMERA_FROZEN, camera.detail)
-    if telemetry.state is State.LOST:
+    if telemetry.state in (State.LOST, State.FROZEN):
         return Overall(Word.TELEMETRY_LOST, telemetry.detail)
     for name, health in (("camera", camera), ("telemetry", telemetry)):
         if health.state is State.STARTING:

@@ -13,6 +13,9 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from contract.errors import InputError
 from contract.vehicle_status import VehicleStatus
 from onboard.config import Config
@@ -89,10 +92,11 @@ class Session:
         self._pipeline = _Worker("pipeline", self._run_pipeline)
         self._began_ns = self.clock.now_ns()
         self._busy_since_ns: int | None = None
-        self._snapshot_at_ns = 0
+        self._snapshot_at_ns = self._looked_ns = 0
         self._summary = Summary()
         self._tracks = 0
         self._gps: GpsQuality | None = None
+        self._picture: Detail | None = None
         self._last_learned: str | None = None
         self._learned: str | None = None  # not yet in the state file
 
@@ -175,8 +179,9 @@ class Session:
         gps, summary = self._gps, self._summary
         detail: Detail = {
             "status": asdict(status) | {"reason": overall(inputs).reason},
-            "camera": _told(inputs.camera),
-            "telemetry": _told(inputs.telemetry),
+            "camera": told(inputs.camera),
+            "telemetry": told(inputs.telemetry),
+            "picture": self._picture,
             "gps": None if gps is None else asdict(gps) | {"age_s": (now_ns - gps.stamp_ns) / 1e9},
             "pictures": {
                 "handled": summary.frames,
@@ -217,11 +222,11 @@ class Session:
                 if isinstance(event, GpsQuality):
                     self._gps = event
                 self._busy_since_ns = None
-            self._take_snapshot()
+            self._take_snapshot(None if got is None else got[1])
         self._busy_since_ns = self.clock.now_ns()
         self._hand_out(pipeline.finish())
-        self._snapshot_at_ns = 0
-        self._take_snapshot()
+        self._snapshot_at_ns = self._looked_ns = 0
+        self._take_snapshot(None)
         self._busy_since_ns = None
 
     def _hand_out(self, outputs: Sequence[Any]) -> None:
@@ -230,9 +235,11 @@ class Session:
                 sink.feature_set(output)
             self.recent.set_made(output, self.clock.now_ns())
 
-    def _take_snapshot(self) -> None:
-        """Once a second, what other threads may see of the pipeline."""
+    def _take_snapshot(self, event: Event | None) -> None:
+        """Once a second, what other threads may see of the pipeline; and how bright its newest picture is."""
         now_ns, pipeline = self.clock.now_ns(), self.parts.pipeline
+        if isinstance(event, Frame) and event.image is not None and now_ns - self._looked_ns >= SNAPSHOT_NS:
+            self._looked_ns, self._picture = now_ns, brightness(event.image)
         if now_ns - self._snapshot_at_ns < SNAPSHOT_NS:
             return
         self._snapshot_at_ns = now_ns
@@ -245,7 +252,18 @@ class Session:
                 self._last_learned = self._learned = learned
 
 
-def _told(health: Health) -> Detail:
+def brightness(image: NDArray[np.uint8]) -> Detail:
+    """Mean grey (0 to 255) of a picture and the shares of it that are black and white, from every eighth pixel."""
+    sample = image[::8, ::8]
+    return {
+        "mean": float(sample.mean()),
+        "black": float((sample <= 2).mean()),
+        "white": float((sample >= 253).mean()),
+    }
+
+
+def told(health: Health) -> Detail:
+    """A source's health as a report has it."""
     return {"state": health.state.value, "detail": health.detail, "figures": dict(health.figures)}
 
 

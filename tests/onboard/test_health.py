@@ -29,6 +29,7 @@ TABLE = [
     (replace(WELL, camera=FROZEN), Word.CAMERA_FROZEN, "same again"),
     (replace(WELL, telemetry=LOST), Word.TELEMETRY_LOST, "unplugged"),
     (replace(WELL, telemetry=LOST, outcome=Status.UNSYNCHRONISED), Word.TELEMETRY_LOST, "unplugged"),
+    (replace(WELL, telemetry=FROZEN), Word.TELEMETRY_LOST, "same again"),
     (replace(WELL, camera=LOST, telemetry=LOST), Word.CAMERA_LOST, "unplugged"),
     (replace(WELL, picture_age_s=5.0), Word.CAMERA_SILENT, "no picture for 5 s"),
     (replace(WELL, busy_s=9.0), Word.STUCK, "the pipeline has been at one event for 9 s"),
