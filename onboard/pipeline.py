@@ -26,6 +26,7 @@ from onboard.georeference import Origin, georeference
 from onboard.keyframe import Sighting, sighting
 from onboard.navigation import Navigation, NavState
 from onboard.prediction import Pose, move, predict_homography
+from onboard.staleness import Staleness
 from onboard.surface import Cast, level_cast, over_surface
 from onboard.tally import Summary, Tally
 from onboard.terrain import Terrain
@@ -113,6 +114,7 @@ class Pipeline:
         self._now_ns = 0  # stamp of the newest event
         self._session: int | None = None
         self._misses = 0
+        self._staleness = Staleness()
         self._failures = 0
         self._unsolved = Status.STARTING  # why there is no solution yet: POOR_FIT once windows were refused for it
         self._last_nav_ns: int | None = None
@@ -162,6 +164,8 @@ class Pipeline:
             nav = self.navigation.state_at(frame.stamp_ns, self.window.alignment.belief.mean[3])
         if isinstance(nav, Status):
             return [self._refuse(frame, nav)]
+        if self._staleness.is_stale(frame.image, nav):
+            return [self._refuse(frame, Status.BAD_PICTURE)]
         out: list[FeatureSet] = []
         if self._last_nav_ns is not None and frame.stamp_ns - self._last_nav_ns > MAX_OUTAGE_NS:
             out.extend(self._restart())

@@ -85,6 +85,7 @@ def test_a_frozen_camera_that_nobody_calls_frozen(tmp_path: Path) -> None:
     assert air.code == 0
     during = air.clicked(BEGIN_S + 0.3, END_S)
     assert not len(during.errors_m), during.told
+    assert air.first("bad picture", BEGIN_S) - BEGIN_S < SEEN_S, air.states(BEGIN_S, END_S)
     assert air.first("ok", END_S) < END_S + 6.0, air.states(BEGIN_S, 26.0)
     after = air.clicked(END_S, 1e9)
     assert after.inside_99 > 0.97, after.told

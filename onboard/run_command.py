@@ -1,0 +1,116 @@
+"""`pc-onboard run`: what the daemon opens and wires. Imported only after the environment is set."""
+
+from __future__ import annotations
+
+import argparse
+import faulthandler
+import logging
+import os
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+
+import cv2
+
+from contract.camera import Camera
+from contract.errors import ConfigError, InputError, PointclickError
+from contract.vehicle_status import VehicleStatus
+from onboard import service_log
+from onboard.camera.played import PREFIX, PlayedCamera
+from onboard.camera.v4l2 import V4l2Camera
+from onboard.config import Config, to_toml
+from onboard.config_files import load_camera, load_config_files, state_folder
+from onboard.daemon import Daemon, SignalOrders
+from onboard.host import cpu_temperature_c
+from onboard.link_sink import LinkSink
+from onboard.notify import Notifier
+from onboard.pipeline import Pipeline
+from onboard.prometheus import PrometheusServer, exposition
+from onboard.recorded import Recorded
+from onboard.replay import Sink
+from onboard.session import Detail, Parts, Reporter, restore
+from onboard.session_clock import SessionClock
+from onboard.sources import Source
+from onboard.state_file import StateFile
+from onboard.telemetry.opening import open_telemetry
+from onboard.terrain_files import TerrainFiles
+
+log = logging.getLogger("pointclick")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fly by a configuration until told to stop. Returns the exit code; ends the process if a thread hangs."""
+    service_log.set_up()
+    faulthandler.enable()  # a watchdog's SIGABRT leaves every thread's stack in the journal
+    cv2.setNumThreads(1)
+    with SignalOrders() as orders:
+        try:
+            code = Daemon(partial(load_config_files, arguments.config), open_parts, orders, Notifier()).run()
+        except PointclickError as error:
+            log.error("%s", " ".join(str(error).split()))
+            # 2: an operator must mend it. A link that cannot be opened now may be free in a second.
+            code = 2 if isinstance(error, ConfigError | InputError) else 1
+    if code:
+        # A thread may hang where the interpreter would wait for it for ever.
+        logging.shutdown()
+        sys.stdout.flush()
+        os._exit(code)
+    return code
+
+
+def open_camera(config: Config, camera: Camera, clock: SessionClock) -> Source:
+    """The camera that `camera.device` names."""
+    device = config.camera.device
+    if device.startswith(PREFIX):
+        return PlayedCamera(device.removeprefix(PREFIX), camera, clock, config.camera.latency_s)
+    return V4l2Camera(config.camera, camera, clock)
+
+
+def open_parts(config: Config) -> Parts:
+    """Open everything a session needs; what was opened is closed again if something cannot be."""
+    camera = load_camera(config)
+    folder = state_folder(config, dict(os.environ))
+    terrain = None if config.terrain.path is None else TerrainFiles(config.terrain.path, config.terrain.datum)
+    clock = SessionClock.start()
+    with ExitStack() as opened:
+        executor = ThreadPoolExecutor(1, thread_name_prefix="solve")
+        opened.callback(executor.shutdown, wait=False, cancel_futures=True)
+        pipeline = Pipeline(config, camera, terrain, executor)
+        state = StateFile(folder / "alignment.json")
+        complaint = restore(state, pipeline)
+        if complaint:
+            log.warning("%s; beginning without it", complaint)
+        link = LinkSink(config)
+        opened.callback(link.close)
+        sinks: list[Sink] = [link]
+        reporters: list[Reporter] = [link.report]
+        recording = None
+        if config.recording.enabled:
+            where = Path(config.recording.folder) if config.recording.folder else folder / "recordings"
+            recording = Recorded(where, config, camera, clock, to_toml(config))
+            sinks.append(recording)
+        if config.service.prometheus is not None:
+            server = opened.enter_context(PrometheusServer(config.service.prometheus))
+            reporters.append(partial(_show, server, config.vehicle.id))
+        parts = Parts(
+            clock=clock,
+            camera=open_camera(config, camera, clock),
+            telemetry=open_telemetry(config, clock),
+            pipeline=pipeline,
+            sinks=sinks,
+            recording=recording,
+            reporters=reporters,
+            state=state,
+            temperature_c=cpu_temperature_c,
+            resources=opened.pop_all(),
+        )
+    began = datetime.fromtimestamp(clock.now_ns() / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S")
+    log.info("session of %s begins, %s UTC by the host's clock", config.vehicle.id, began)
+    return parts
+
+
+def _show(server: PrometheusServer, vehicle: str, status: VehicleStatus, detail: Detail) -> None:
+    server.show(exposition(vehicle, status, detail))
