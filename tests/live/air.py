@@ -184,6 +184,9 @@ def take_off(
     flight = Flight.open(configuration, optics, folder / "frames", folder / "telemetry.tlog", folder / "stamps.csv")
     air = Air(folder)
     orders = orders or QueueOrders()
+    # All that takes time comes before the clock starts.
+    pictures = [(frame.stamp_ns, frame) for frame in flight.frames.frames()]
+    log = list(zip(flight.telemetry.arrival_ns, flight.telemetry.events, strict=True))
 
     def open_parts(config: Config) -> Parts:
         began_ns = time.monotonic_ns()
@@ -203,8 +206,6 @@ def take_off(
                     out.append((due_ns, kept))
             return out
 
-        pictures = [(frame.stamp_ns, frame) for frame in flight.frames.frames()]
-        log = list(zip(flight.telemetry.arrival_ns, flight.telemetry.events, strict=True))
         air.camera = PlayedSource(clock, due(pictures, camera))
         air.telemetry = PlayedSource(clock, due(log, telemetry))
         air.heard = Heard(clock)
