@@ -21,10 +21,11 @@ from onboard.doctor import Line, Report, Surroundings, diagnose
 from onboard.events import Event, Frame, GpsQuality
 from onboard.host import cpu_temperature_c, free_mb
 from onboard.publisher import Publisher
-from onboard.run_command import open_camera, open_telemetry
+from onboard.run_command import open_camera
 from onboard.session import brightness, told
 from onboard.session_clock import SessionClock
 from onboard.sources import Health, Source, State
+from onboard.telemetry.opening import open_telemetry
 
 GREEN, RED, PLAIN = "\x1b[32m", "\x1b[31m", "\x1b[0m"
 

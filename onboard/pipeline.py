@@ -113,9 +113,8 @@ class Pipeline:
         self._pending: _Pending | None = None
         self._now_ns = 0  # stamp of the newest event
         self._session: int | None = None
-        self._misses = 0
         self._staleness = Staleness()
-        self._failures = 0
+        self._misses = self._failures = 0
         self._unsolved = Status.STARTING  # why there is no solution yet: POOR_FIT once windows were refused for it
         self._last_nav_ns: int | None = None
         self._tally = Tally()
@@ -162,10 +161,8 @@ class Pipeline:
             return [self._refuse(frame, Status.BAD_PICTURE)]
         with self._tally.timed("navigation"):
             nav = self.navigation.state_at(frame.stamp_ns, self.window.alignment.belief.mean[3])
-        if isinstance(nav, Status):
-            return [self._refuse(frame, nav)]
-        if self._staleness.is_stale(frame.image, nav):
-            return [self._refuse(frame, Status.BAD_PICTURE)]
+        if isinstance(nav, Status) or self._staleness.is_stale(frame.image, nav):
+            return [self._refuse(frame, nav if isinstance(nav, Status) else Status.BAD_PICTURE)]
         out: list[FeatureSet] = []
         if self._last_nav_ns is not None and frame.stamp_ns - self._last_nav_ns > MAX_OUTAGE_NS:
             out.extend(self._restart())

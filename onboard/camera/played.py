@@ -1,13 +1,12 @@
 """A camera that is a folder of pictures or a video, played in real time: `camera.device = "replay:FOLDER"`.
 
-For tests and benches without a camera. Where the first stamp lies ahead on the session's clock, pictures come at their
-own stamps (so that an autopilot played beside it can keep step); otherwise the first comes at once and the others as
-long after it as they were taken.
+For tests and benches without a camera. Where stamps lie ahead on the session's clock, those pictures come at their own
+stamps and the earlier ones are gone, so that an autopilot played beside it keeps step, even over a restart. Otherwise
+the first comes at once and the others as long after it as they were taken.
 """
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 from contract.camera import Camera
@@ -32,18 +31,21 @@ class PlayedCamera:
 
     def run(self, emit: Emit, stop: Stop) -> None:
         """Play once, then be a lost camera until told to stop."""
-        first_ns, now_ns = self._source.stamps_ns[0], self._clock.now_ns()
-        shift_ns = 0 if first_ns >= now_ns else now_ns - first_ns
-        shown, began = 0, time.monotonic()
+        stamps_ns, now_ns = self._source.stamps_ns, self._clock.now_ns()
+        shift_ns = 0 if stamps_ns[-1] > now_ns else now_ns - stamps_ns[0]
+        first_ns, shown = 0, 0
         try:
             for frame in self._source.frames():
-                stamp_ns = frame.stamp_ns + shift_ns
-                if stop.wait(max(stamp_ns - self._clock.now_ns(), 0) / 1e9):
+                early_ns = frame.stamp_ns + shift_ns - self._clock.now_ns()
+                if shown == 0 and early_ns < 0 and shift_ns == 0:
+                    continue
+                if stop.wait(early_ns / 1e9) if early_ns > 0 else stop.is_set():
                     return
-                shown += 1
-                figures = {"rate_hz": shown / max(time.monotonic() - began, 1e-3), "lost": 0.0}
-                self._health = Health(State.OK, "", figures)
-                emit(self._clock.now_ns(), Frame(stamp_ns, frame.index, frame.image, frame.name))
+                now_ns = self._clock.now_ns()
+                first_ns, shown = first_ns or now_ns, shown + 1
+                rate_hz = (shown - 1) / max((now_ns - first_ns) / 1e9, 1e-3)
+                self._health = Health(State.OK, "", {"rate_hz": rate_hz, "lost": 0.0})
+                emit(now_ns, Frame(frame.stamp_ns + shift_ns, frame.index, frame.image, frame.name))
         except InputError as error:
             self._health = Health(State.LOST, str(error))
         else:
