@@ -14,6 +14,7 @@ from typing import TextIO
 
 from contract.camera import Camera
 from contract.errors import PointclickError
+from contract.link_config import Tls
 from onboard.ask_daemon import ask
 from onboard.config import Config
 from onboard.config_files import load_camera, load_config_files, state_folder
@@ -33,7 +34,8 @@ GREEN, RED, PLAIN = "\x1b[32m", "\x1b[31m", "\x1b[0m"
 def run(arguments: argparse.Namespace) -> int:
     """Print the lines; 0 if all are good, 1 if any is not."""
     config = load_config_files(arguments.config)
-    report = ask(config.vehicle.id, config.link.listen)
+    link = config.link
+    report = ask(config.vehicle.id, link.listen, Tls.of(link.ca, link.certificate, link.key))
     is_running = report is not None
     camera = _camera(config)
     if report is None:
@@ -74,7 +76,7 @@ def _surroundings(config: Config, camera: Camera | str, is_running: bool) -> Sur
     link = ""
     if not is_running:
         try:
-            Publisher(config.vehicle.id, config.link.listen, config.link.connect, config.link.scouting).close()
+            Publisher.open(config).close()
         except PointclickError as error:
             link = str(error)
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import faulthandler
+import json
 import logging
 import os
 import sys
@@ -17,7 +18,7 @@ import cv2
 
 from contract.camera import Camera
 from contract.errors import ConfigError, InputError, PointclickError
-from contract.vehicle_status import VehicleStatus
+from contract.vehicle_status import VehicleStatus, encode_status
 from onboard import service_log
 from onboard.camera.played import PREFIX, PlayedCamera
 from onboard.camera.v4l2 import V4l2Camera
@@ -25,10 +26,10 @@ from onboard.config import Config, to_toml
 from onboard.config_files import load_camera, load_config_files, state_folder
 from onboard.daemon import Daemon, SignalOrders
 from onboard.host import cpu_temperature_c
-from onboard.link_sink import LinkSink
 from onboard.notify import Notifier
 from onboard.pipeline import Pipeline
 from onboard.prometheus import PrometheusServer, exposition
+from onboard.publisher import Publisher
 from onboard.recorded import Recorded
 from onboard.replay import Sink
 from onboard.session import Detail, Parts, Reporter, restore
@@ -83,10 +84,10 @@ def open_parts(config: Config) -> Parts:
         complaint = restore(state, pipeline)
         if complaint:
             log.warning("%s; beginning without it", complaint)
-        link = LinkSink(config)
+        link = Publisher.open(config)
         opened.callback(link.close)
         sinks: list[Sink] = [link]
-        reporters: list[Reporter] = [link.report]
+        reporters: list[Reporter] = [partial(_send, link)]
         recording = None
         if config.recording.enabled:
             where = Path(config.recording.folder) if config.recording.folder else folder / "recordings"
@@ -110,6 +111,10 @@ def open_parts(config: Config) -> Parts:
     began = datetime.fromtimestamp(clock.now_ns() / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S")
     log.info("session of %s begins, %s UTC by the host's clock", config.vehicle.id, began)
     return parts
+
+
+def _send(link: Publisher, status: VehicleStatus, detail: Detail) -> None:
+    link.publish_status(encode_status(status), json.dumps(detail).encode())
 
 
 def _show(server: PrometheusServer, vehicle: str, status: VehicleStatus, detail: Detail) -> None:

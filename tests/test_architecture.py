@@ -28,7 +28,7 @@ IO_ROOMS = {
 PLUMBING = {
     "onboard.__main__", "onboard.daemon", "onboard.session", "onboard.replay", "onboard.replay_command",
     "onboard.run_command", "onboard.status_command", "onboard.doctor", "onboard.doctor_command", "onboard.recorded",
-    "onboard.cameras_command", "onboard.calibrate_command", "onboard.link_sink",
+    "onboard.cameras_command", "onboard.calibrate_command",
 }  # fmt: skip
 # What the outside world is reached through. None of it belongs in a room of mathematics.
 IO_PACKAGES = {
