@@ -17,6 +17,7 @@ help:
 	@echo "make lint    ruff: rules and format"
 	@echo "make types   mypy --strict"
 	@echo "make pytest  the tests alone (PYTEST_ARGS='-k click' to choose)"
+	@echo "make deb     a Debian package of the aircraft's side, into build/deb (docs/service.md)"
 	@echo "make bench   every benchmark, into benchmarks/results.md (half an hour; the real flight needs ../shared/data)"
 	@echo "make venv    only set up $(VENV)"
 	@echo "make clean   remove what was made: out, build, caches, $(VENV)"
@@ -77,6 +78,11 @@ pytest: $(INSTALLED) systemd-analyze
 bench: $(INSTALLED)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement benchmarks/requirements.txt
 	@$(BIN)/python -m benchmarks
+
+# A Debian package of the aircraft's side, into build/deb; wheels are fetched once.
+.PHONY: deb
+deb:
+	@PYTHON=$(PYTHON) packaging/build-deb.sh build/deb
 
 clean:
 	rm -rf out build $(VENV) *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .cache

@@ -9,9 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
+from contract.errors import InputError
 from contract.feature_set import Status
 from ground.recording import Recording
 from onboard.events import Event, Frame, GpsQuality, PositionFix
+from onboard.recording import SessionRecorder
 from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
@@ -194,3 +196,52 @@ def test_featureless_ground_is_called_that(tmp_path: Path) -> None:
 
     air = take_off(tmp_path, camera=on_pictures(water))
     holds(air, "featureless", "poor fit")
+
+
+class FullDisk:
+    """A file system of a few hundred kilobytes, so far as the recorder can tell: writes fail while `is_full`."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.is_full = False
+        write = SessionRecorder._write
+
+        def perhaps(recorder: SessionRecorder, *arguments: object) -> None:
+            if self.is_full:
+                raise InputError(f"recording {recorder.path}: No space left on device")
+            write(recorder, *arguments)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(SessionRecorder, "_write", perhaps)
+
+
+def test_a_full_disk_stops_the_recording_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    disk = FullDisk(monkeypatch)
+
+    class Filler:
+        """Fills the disk when its time has come, seen from the pipeline's thread."""
+
+        def __init__(self) -> None:
+            self.pictures = 0
+
+        def __enter__(self) -> Filler:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            return None
+
+        def event(self, arrival_ns: int, event: Event) -> None:
+            self.pictures += isinstance(event, Frame)
+            disk.is_full = BEGIN_S * 4 <= self.pictures < END_S * 4
+
+        def feature_set(self, output: object) -> None:
+            return None
+
+    air = take_off(tmp_path, sinks=lambda: [Filler()])
+    assert air.code == 0
+    assert air.first("not recording", BEGIN_S - 0.5) < BEGIN_S + SEEN_S
+    assert air.first("ok", END_S) < END_S + 11.0 + 1.0  # Recorded looks again after ten seconds
+    outcome = air.clicked()
+    assert outcome.solved > 0.95, outcome.told
+    assert outcome.inside_99 > 0.97, outcome.told
+    assert len(air.recordings) == 2
+    before, after = (Recording(path).frames("uav") for path in air.recordings)
+    assert before[0] == 0 and before[-1] < after[0]
