@@ -10,12 +10,12 @@ from importlib.metadata import version
 from pathlib import Path
 
 from tests.bench.image.host import run
-from tests.bench.image.root import CHECKOUT
+from tests.bench.image.root import CHECKOUT, INSTALL
 from tests.bench.machine import PYTHON, SHARE, Machine
 
 UNIT = "pointclick-onboard.service"
 OLD_SETUPTOOLS = 70
-PROGRAM = "/opt/pointclick/bin/pc-onboard"
+PROGRAM = "/usr/bin/pc-onboard"
 
 
 @functools.cache
@@ -35,10 +35,17 @@ def wheel() -> Path:
 
 
 def install(machine: Machine) -> None:
-    """Our package into /opt/pointclick, by pip and from its wheel alone."""
-    shutil.copy(wheel(), machine.share)
+    """The package into /opt/pointclick by pip, from its wheel alone; its command, its user, its unit."""
+    for file in (wheel(), CHECKOUT / "systemd" / UNIT):
+        shutil.copy(file, machine.share)
     pip = f"{PYTHON} -m pip install --quiet --no-deps --no-index --disable-pip-version-check --root-user-action=ignore"
-    machine.shell(f"{pip} {SHARE}/{wheel().name}", timeout_s=60.0)
+    machine.shell(
+        f"{pip} {SHARE}/{wheel().name}"
+        f" && ln -s {INSTALL}/bin/pc-onboard {PROGRAM}"
+        " && useradd --system --no-create-home --shell /usr/sbin/nologin pointclick"
+        f" && install -m 644 {SHARE}/{UNIT} /etc/systemd/system/ && systemctl daemon-reload",
+        timeout_s=60.0,
+    )
 
 
 def configure(machine: Machine, config: str, camera_file: str) -> None:
