@@ -32,6 +32,15 @@ def load_loopback(guest: Machine, number: int) -> None:
     guest.shell(f"modprobe v4l2loopback {words} video_nr={number}; {SETTLE}")
 
 
+def unplug_vivid(guest: Machine, number: int) -> None:
+    """Pull /dev/video<number> out from under whoever reads it, and take it away.
+
+    The first by itself is not enough: vivid plugs itself in again when its last reader has closed it.
+    """
+    set_control(guest, f"/dev/video{number}", "disconnect", 1)
+    unload(guest, "vivid")
+
+
 def unload(guest: Machine, module: str) -> None:
     """Take a driver away with its devices, as soon as nobody holds them open (5 s at most)."""
     guest.shell(f"for _ in $(seq 100); do rmmod {module} 2>/dev/null && exit 0; sleep 0.05; done; rmmod {module}")

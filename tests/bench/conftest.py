@@ -28,3 +28,12 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
         if isinstance(machine, Machine):
             report.sections.append(("journal of the guest", machine.journal()))
     return report
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """What was measured (`record_property`), beside what was held."""
+    measured = [(r.head_line, r.user_properties) for r in terminalreporter.stats.get("passed", []) if r.user_properties]
+    if measured:
+        terminalreporter.section("measured")
+    for name, figures in measured:
+        terminalreporter.line(f"{name}: " + ", ".join(f"{key} {value}" for key, value in figures))

@@ -116,6 +116,7 @@ class Machine:
         self._jobs: dict[int, Job] = {}
         self._numbers = itertools.count()
         self._ready = threading.Event()
+        self._ready_unix_s = 0.0
         self._clock: queue.Queue[int] = queue.Queue()
         self._sending = threading.Lock()
         threading.Thread(target=self._listen, daemon=True).start()
@@ -124,6 +125,7 @@ class Machine:
         """Return when the guest's agent has spoken. BenchError with the console's end otherwise."""
         for _ in range(int(BOOT_S / 0.1)):
             if self._ready.wait(0.1):
+                self._ready_unix_s = time.time()
                 return
             if self._process.poll() is not None:
                 break
@@ -175,9 +177,10 @@ class Machine:
         self.shell(f"mkdir -p $(dirname {path}) && echo {coded} | base64 -d >{path}")
 
     def journal(self, lines: int = 200) -> str:
-        """The end of the guest's journal, or why there is none."""
+        """The end of the guest's journal since it was ready, or why there is none."""
+        since = f"--since=@{self._ready_unix_s:.3f}"
         try:
-            return self.run("journalctl", "--boot", "--no-pager", "--output=short-monotonic", f"-n{lines}").text
+            return self.run("journalctl", since, "--no-pager", "--output=short-monotonic", f"-n{lines}").text
         except BenchError as error:
             return f"no journal: {error}\n{self.console_tail()}"
 

@@ -62,8 +62,8 @@ class Sortie:
         """What the ground connects to."""
         return f"tcp/{self.radio.guest}:{PORT}"
 
-    def status(self) -> dict[str, Any]:
-        """What `pc-onboard status` says on board; empty while nobody answers it."""
+    def report(self) -> dict[str, Any]:
+        """What `pc-onboard status` reads on board; empty while no daemon answers it."""
         done = self.machine.run(aircraft.PROGRAM, "status", "--json", timeout_s=15.0)
         return dict(json.loads(done.text)) if done.code == 0 else {}
 
@@ -75,18 +75,18 @@ class Sortie:
     def wait_for(
         self, what: str, holds: Callable[[dict[str, Any]], bool], within_s: float
     ) -> tuple[dict[str, Any], float]:
-        """The first status for which something holds, and how long that took; fails if none does in time."""
+        """The first report for which something holds, and how long that took; fails if none does in time."""
         began_s = time.monotonic()
         seen: list[str] = []
         while time.monotonic() - began_s < within_s:
-            status = self.status()
-            if status and holds(status):
-                return status, time.monotonic() - began_s
-            word = f"{status.get('state')}: {status.get('reason')}"
+            report = self.report()
+            if report and holds(report):
+                return report, time.monotonic() - began_s
+            word = f"{report['status']['state']}: {report['status']['reason']}" if report else "no answer"
             if not seen or seen[-1] != word:
                 seen.append(word)
             time.sleep(0.1)
-        raise AssertionError(f"not {what} within {within_s} s; seen: {seen}; newest: {status}")
+        raise AssertionError(f"not {what} within {within_s} s; seen: {seen}; newest: {json.dumps(report, indent=1)}")
 
 
 @contextlib.contextmanager
