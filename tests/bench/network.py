@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 from tests.bench.image.host import BenchError, run
 from tests.bench.machine import GUEST_MAC, Machine
@@ -22,6 +23,12 @@ class Link:
     """The end that User Mode Linux takes."""
     host: str
     guest: str
+    near: str
+    """The host's end."""
+
+    def received_bytes(self) -> int:
+        """What the guest has sent so far, frames of Ethernet as they came."""
+        return int(Path(f"/sys/class/net/{self.near}/statistics/rx_bytes").read_text())
 
     def up(self, machine: Machine) -> None:
         """Give the guest its address, and each end the other's hardware address: nobody waits for ARP."""
@@ -41,7 +48,7 @@ class Link:
 def link() -> Iterator[Link]:
     """A veth pair of its own for as long as the block lasts."""
     number, ours, theirs = _new_pair()
-    made = Link(theirs, f"10.213.{number}.1", f"10.213.{number}.2")
+    made = Link(theirs, f"10.213.{number}.1", f"10.213.{number}.2", ours)
     try:
         run(["ip", "link", "set", "dev", ours, "address", HOST_MAC])
         run(["ip", "addr", "add", f"{made.host}/30", "dev", ours])

@@ -69,6 +69,8 @@ class Flown:
     """As they came over the radio, by the picture's number in the flight."""
     delays_s: list[float]
     """From exposure to the ground, of each picture that was the newest when it came."""
+    sent_bit_s: float
+    """By the aircraft over the radio while it flew, everything counted."""
     clicks: list[Click]
     """Every click with truth on those sets."""
     refusals: Counter[str]
@@ -99,13 +101,17 @@ def flown(flight: Flight) -> Iterator[Flown]:
             player, first_ns = flights.play(flying.machine, flight, flying.autopilot, LOOPBACK)
             # The session's clock: the guest's Unix clock, which nothing steps here, against its CLOCK_MONOTONIC.
             unix_ns = flying.machine.unix_offset_ns() + first_ns + flight.stamps_unix_ns - flight.stamps_unix_ns[0]
+            began_s, before = time.monotonic(), flying.radio.received_bytes()
             delays_s = _listen(flying, cache, player)
+            sent_bit_s = 8.0 * (flying.radio.received_bytes() - before) / (time.monotonic() - began_s)
             report = flying.report()
             sets = _by_picture(cache, unix_ns)
             clicks, refusals = _click(cache, flight, sets)
             by_command = _click_by_command(flying, flight, sets, unix_ns)
         unit = flying.unit("ActiveState", "NRestarts", "MainPID")
-        yield Flown(flying.machine, flight, sets, delays_s, clicks, refusals, by_command, player.text, report, unit)
+        yield Flown(
+            flying.machine, flight, sets, delays_s, sent_bit_s, clicks, refusals, by_command, player.text, report, unit
+        )
 
 
 def _listen(flying: Sortie, cache: SetCache, player: Job) -> list[float]:
@@ -194,6 +200,7 @@ def test_sets_reach_the_ground_over_a_radio_that_loses_a_tenth(flown: Flown, rec
     answerable = [number for number, one in flown.sets.items() if one.is_ok]
     record_property("answerable sets", f"{len(answerable)} of {len(flown.flight.stamps_unix_ns)} pictures")
     record_property("first after", f"{(answerable or [-1])[0] / flights.RATE_HZ:.1f} s")
+    record_property("sent", f"{flown.sent_bit_s / 1e3:.1f} kbit/s")
     record_property("delay median, most", f"{np.median(flown.delays_s):.2f}, {max(flown.delays_s):.2f} s")
     assert answerable, flown.report
     assert answerable[0] < FIRST_SET_WITHIN_S * flights.RATE_HZ
