@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import functools
 import shutil
 import sys
@@ -22,6 +23,7 @@ PROGRAM = "/usr/bin/pc-onboard"
 def wheel() -> Path:
     """This checkout's wheel, built once a run from a copy: a build leaves nothing in the checkout."""
     folder = Path(tempfile.mkdtemp(prefix="pointclick-wheel-"))
+    atexit.register(shutil.rmtree, folder)
     source = folder / "source"
     left_out = shutil.ignore_patterns(".*", "out", "build", "*.egg-info", "__pycache__", "tests", "benchmarks")
     shutil.copytree(CHECKOUT, source, ignore=left_out)

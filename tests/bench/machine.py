@@ -229,7 +229,7 @@ def boot(
     pty that becomes /dev/ttyS0, `interface` the end of a veth pair that becomes vec0.
     """
     built = images()
-    folder = Path(tempfile.mkdtemp(prefix="pointclick-bench-", dir=_roomy_folder()))
+    folder = _new_folder()
     (folder / "share").mkdir()
     ours, theirs = socket.socketpair()
     words = [
@@ -265,6 +265,15 @@ def boot(
         _end(process)
         ours.close()
         shutil.rmtree(folder)
+
+
+def _new_folder() -> Path:
+    """For one guest, named after this process; those of processes that were killed go."""
+    where = _roomy_folder()
+    for old in Path(where or tempfile.gettempdir()).glob("pointclick-bench-*-*"):
+        if not Path("/proc", old.name.split("-")[2]).exists():
+            shutil.rmtree(old, ignore_errors=True)
+    return Path(tempfile.mkdtemp(prefix=f"pointclick-bench-{os.getpid()}-", dir=where))
 
 
 def _roomy_folder() -> str | None:
