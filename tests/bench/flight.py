@@ -15,6 +15,8 @@ from simulation.autopilot.fake import FakeAutopilot
 from simulation.flight import RecordedSpec
 from simulation.session import SessionSpec, fly
 from simulation.terrain import TerrainSpec
+from tests.bench.image import cache
+from tests.bench.image.root import CHECKOUT
 from tests.bench.machine import GUEST_CHECKOUT, INSIDE, PYTHON, SHARE, Job, Machine
 
 BEGIN_S = 5.0
@@ -42,16 +44,26 @@ class Flight:
         return [np.asarray(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE), np.uint8) for file in files]
 
 
-def render(folder: Path, seconds: float = SECONDS, rate_hz: float = RATE_HZ) -> Flight:
-    """Fly it: 250 m above gentle hills at 20 m/s, straight for 20 s, then into a left turn."""
+def rendered() -> Flight:
+    """Fly it: 250 m above gentle hills at 20 m/s, straight for 20 s, then into a left turn.
+
+    Kept in the bench's cache, under all that it is made from.
+    """
     spec = SessionSpec(
         RecordedSpec("plane_turn", BEGIN_S),
-        seconds=seconds,
-        rate_hz=rate_hz,
+        seconds=SECONDS,
+        rate_hz=RATE_HZ,
         mount_deg=MOUNT_DEG,
         terrain=TerrainSpec(relief_m=10.0),
     )
-    fly(spec, folder)
+    sources = [CHECKOUT / "tests" / "data" / "plane_turn.tlog", CHECKOUT / "tests" / "data" / "plane_turn.truth.csv"]
+    sources += sorted([*(CHECKOUT / "simulation").glob("*.py"), *(CHECKOUT / "contract").glob("*.py")])
+    key = cache.key_of(repr(spec), *(source.read_bytes() for source in sources))
+
+    def build(work: Path) -> None:
+        fly(spec, work / "session")
+
+    folder = cache.artefact("flight", key, build) / "session"
     rows = list(csv.DictReader((folder / "stamps.csv").open()))
     return Flight(folder, np.array([round(float(row["unix_time_s"]) * 1e9) for row in rows]))
 

@@ -82,8 +82,8 @@ class Flown:
 
 
 @pytest.fixture(scope="module")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> Flight:
-    return flights.render(tmp_path_factory.mktemp("flight") / "session")
+def flight() -> Flight:
+    return flights.rendered()
 
 
 @pytest.fixture(scope="module")
