@@ -33,6 +33,7 @@ SAME_PICTURE_S = 0.03
 """A picture's set is the one captured this near to it; pictures are 0.1 s apart."""
 FIRST_SET_WITHIN_S = 12.0
 CLICKS_BY_COMMAND = 12
+TRIES = 3
 Record = Callable[[str, object], None]
 NINETY_NINE = math.sqrt(math.log(0.01) / math.log(0.1))
 """How much larger a 99 % ellipse is than one of 90 %."""
@@ -76,6 +77,8 @@ class Flown:
     refusals: Counter[str]
     by_command: list[Click]
     """Some of them by `pc-ground click` over the radio, each a process of its own."""
+    failures: list[str]
+    """What `pc-ground click` said where it did not get through and was run again."""
     player: str
     report: dict[str, Any]
     unit: dict[str, str]
@@ -107,10 +110,21 @@ def flown(flight: Flight) -> Iterator[Flown]:
             report = flying.report()
             sets = _by_picture(cache, unix_ns)
             clicks, refusals = _click(cache, flight, sets)
-            by_command = _click_by_command(flying, flight, sets, unix_ns)
+            by_command, failures = _click_by_command(flying, flight, sets, unix_ns)
         unit = flying.unit("ActiveState", "NRestarts", "MainPID")
         yield Flown(
-            flying.machine, flight, sets, delays_s, sent_bit_s, clicks, refusals, by_command, player.text, report, unit
+            flying.machine,
+            flight,
+            sets,
+            delays_s,
+            sent_bit_s,
+            clicks,
+            refusals,
+            by_command,
+            failures,
+            player.text,
+            report,
+            unit,
         )
 
 
@@ -166,14 +180,20 @@ def _click(cache: SetCache, flight: Flight, sets: dict[int, FeatureSet]) -> tupl
 
 def _click_by_command(
     flying: Sortie, flight: Flight, sets: dict[int, FeatureSet], unix_ns: np.ndarray[Any, np.dtype[np.int64]]
-) -> list[Click]:
+) -> tuple[list[Click], list[str]]:
+    failures: list[str] = []
     rows = [row for row in _truth(flight) if int(row["frame"]) in sets and sets[int(row["frame"])].is_ok]
 
     def click(row: dict[str, float]) -> Click | None:
         argv = [sys.executable, "-m", "ground", "click", "--connect", flying.endpoint, "--format", "json"]
         argv += ["--time", f"{unix_ns[int(row['frame'])] / 1e9:.6f}", str(row["u"]), str(row["v"])]
-        done = subprocess.run(argv, cwd=CHECKOUT, capture_output=True, text=True, timeout=20, check=False)
-        assert done.returncode in (0, 3), done.stderr
+        for _ in range(TRIES):
+            done = subprocess.run(argv, cwd=CHECKOUT, capture_output=True, text=True, timeout=20, check=False)
+            if done.returncode in (0, 3):
+                break
+            # A command gives the radio 2 s to open, and 3 s to answer: at this loss too little now and then.
+            failures.append(done.stderr.strip())
+        assert done.returncode in (0, 3), failures
         said = json.loads(done.stdout)
         if said["status"] != "ok":
             return None
@@ -182,7 +202,7 @@ def _click_by_command(
 
     chosen = rows[:: max(len(rows) // CLICKS_BY_COMMAND, 1)][:CLICKS_BY_COMMAND]
     with concurrent.futures.ThreadPoolExecutor(2) as pool:
-        return [answer for answer in pool.map(click, chosen) if answer is not None]
+        return [answer for answer in pool.map(click, chosen) if answer is not None], failures
 
 
 def _share(clicks: list[Click], scale: float) -> float:
@@ -227,6 +247,8 @@ def test_clicks_land_where_they_should(flown: Flown, record_property: Record) ->
 
 def test_the_ground_command_answers_over_the_same_radio(flown: Flown, record_property: Record) -> None:
     record_property("error median", f"{np.median([click.error_m for click in flown.by_command]):.2f} m")
+    record_property("run again", f"{len(flown.failures)} of {CLICKS_BY_COMMAND}")
     assert len(flown.by_command) >= 0.75 * CLICKS_BY_COMMAND
+    assert len(flown.failures) <= 0.4 * CLICKS_BY_COMMAND, flown.failures
     assert float(np.median([click.error_m for click in flown.by_command])) < 3.0
     assert all(click.is_within(1.5 * NINETY_NINE) for click in flown.by_command)
