@@ -35,7 +35,8 @@ def main() -> int:
     given = parser.parse_args()
     try:
         if given.command == "build":
-            say(f"ready: {images()} in {folder()}")
+            images()
+            say(f"ready, in {folder()}")
             return 0
         before = {"run": [PYTHON], "pytest": [PYTHON, "-m", "pytest"], "sh": ["/bin/sh", "-c"]}[given.command]
         return _in_guest([*before, *given.words], given.checkout.resolve(), given.timeout)
