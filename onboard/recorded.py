@@ -91,8 +91,7 @@ class Recorded:
         self._fault, self._failed_ns = str(error), self._clock.now_ns()
         recorder, self._recorder = self._recorder, None
         if recorder is not None:
-            with contextlib.suppress(InputError):  # what can be closed is
-                recorder.close()
+            recorder.abandon()
 
 
 def _unused(folder: Path, name: str) -> Path:

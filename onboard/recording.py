@@ -6,6 +6,7 @@ No chunks, and every message is handed to the system at once: a killed process l
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import os
@@ -109,6 +110,7 @@ class SessionRecorder:
         self._sync_interval_s = sync_interval_s
         self._synced_at = 0.0
         self._stream: io.BufferedWriter | None = None
+        self._whole_bytes = 0  # of the file, up to its last whole message
         self._writer: Writer | None = None
         self._channels: dict[str, int] = {}
         self._sequences: dict[int, int] = {}
@@ -148,8 +150,19 @@ class SessionRecorder:
         except OSError as error:
             raise InputError(f"recording {self.path}: {error.strerror}") from error
         finally:
-            self._stream.close()
-            self._writer = self._stream = None
+            stream, self._stream, self._writer = self._stream, None, None
+            with contextlib.suppress(OSError):  # the same again that the flush above has said
+                stream.close()
+
+    def abandon(self) -> None:
+        """Close after a failed write: the file ends with its last whole message, without a summary, as after a kill."""
+        if self._stream is None:
+            return
+        stream, self._stream, self._writer = self._stream, None, None
+        with contextlib.suppress(OSError):
+            stream.close()
+        with contextlib.suppress(OSError):
+            os.truncate(self.path, self._whole_bytes)
 
     def __enter__(self) -> SessionRecorder:
         return self
@@ -176,6 +189,7 @@ class SessionRecorder:
         try:
             self._writer.add_message(channel, stamp_ns, data, stamp_ns, sequence)
             self._stream.flush()
+            self._whole_bytes = self._stream.tell()
             if time.monotonic() - self._synced_at >= self._sync_interval_s:
                 os.fsync(self._stream.fileno())
                 self._synced_at = time.monotonic()

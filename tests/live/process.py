@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -40,7 +40,7 @@ class Aircraft:
     shift_s: float
     process: subprocess.Popen[str] | None = None
     log: list[str] = field(default_factory=list)
-    environment: dict[str, str] = field(default_factory=dict)
+    max_file_bytes: int | None = None  # what any file it writes may grow to: a full disk, one file at a time
 
     @property
     def config(self) -> Path:
@@ -57,9 +57,13 @@ class Aircraft:
         command = [sys.executable, "-m", "onboard", "run", "--config", str(self.config)]
         self.process = subprocess.Popen(
             command, cwd=HOUSE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-            env=os.environ | self.environment,
+            preexec_fn=self._limit,  # noqa: PLW1509  set before any thread of the child
         )  # fmt: skip
         threading.Thread(target=self._read, args=(self.process,), daemon=True).start()
+
+    def _limit(self) -> None:
+        if self.max_file_bytes is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (self.max_file_bytes, self.max_file_bytes))
 
     def _read(self, process: subprocess.Popen[str]) -> None:
         assert process.stdout is not None

@@ -165,3 +165,21 @@ def test_the_doctor_looks_for_itself_at_a_good_aircraft(tmp_path: Path) -> None:
         assert json.loads(doctor.stdout)["daemon"] is False
         found = lines_of(doctor)
         assert {name for name, good in found.items() if not good} <= {"disk", "processor"}, doctor.stdout
+
+
+def test_a_disk_that_takes_no_more_stops_the_recording_until_there_is_room(tmp_path: Path) -> None:
+    """The system itself refuses the write, in the middle of a message."""
+    with aircraft(tmp_path, SPEC) as plane:
+        plane.max_file_bytes = 100_000
+        plane.start()
+        plane.wait_for("not recording")
+        plane.wait_for("ok", within_s=14.0)
+        plane.signal(signal.SIGTERM)
+        assert plane.ended() == 0
+        first, _ = plane.recordings
+        assert 99_000 < first.stat().st_size <= 100_000
+        outcome = clicked(plane, first)
+        assert len(outcome.errors_m) > 100, outcome.told
+        assert outcome.inside_99 > 0.97, outcome.told
+        assert sum("recording stops until there is room" in line for line in plane.log) == 1
+        assert sum("recording again" in line for line in plane.log) == 1
