@@ -57,7 +57,10 @@ class Mount(Section):
     roll_deg: float = quantity(0.0, -180.0, 180.0, "deg", "roll about the optical axis's forward direction")
     pitch_deg: float = quantity(-90.0, -180.0, 180.0, "deg", "pitch of the optical axis; -90 is straight down")
     yaw_deg: float = quantity(0.0, -360.0, 360.0, "deg", "yaw from the nose, clockwise seen from above")
-    gimbal: bool = choice(True, "a gimbal's attitude, when it comes, replaces the angles above")
+    gimbal: Literal["auto", "always", "never"] = choice(
+        "auto",
+        "a gimbal's attitude replaces the angles above: 'auto' (if the pictures bear it out), 'always', 'never'",
+    )
     sigma_deg: float = quantity(1.0, 0.0, 45.0, "deg", "one sigma of the mount angles above")
 
 

@@ -7,6 +7,8 @@ would carry a fixed camera just as the gimbal carries it. The mount's boresight 
 
 from __future__ import annotations
 
+from enum import Enum
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +19,14 @@ from onboard.config import Config
 from onboard.events import GimbalAttitude
 
 Array = NDArray[np.float64]
+
+
+class Carrier(Enum):
+    """A reading of what carries the camera."""
+
+    MOUNT = "mount"  # fixed to the vehicle
+    GIMBAL = "gimbal"  # as the message's flags say
+    JOINTS = "joints"  # the same numbers as joint angles, counted from the vehicle's body
 
 
 class Gimbal:
@@ -48,11 +58,16 @@ class Gimbal:
         """The clock has stepped."""
         self._attitudes.forget()
 
+    @property
+    def readings(self) -> list[Carrier]:
+        """What its messages may mean."""
+        return [Carrier.GIMBAL, Carrier.JOINTS] if self._from_nose else [Carrier.GIMBAL]
+
     def needed(self, vehicle: Attitudes) -> list[list[int]]:
         """Stamps of everything that an attitude is made of."""
         return [self.stamps_ns, vehicle.stamps_ns] if self._from_nose else [self.stamps_ns]
 
-    def at(self, moment_ns: int, vehicle: Attitudes) -> Array | Status:
+    def at(self, moment_ns: int, vehicle: Attitudes, reading: Carrier = Carrier.GIMBAL) -> Array | Status:
         """R_ned_body (3, 3) of the vehicle that a fixed mount would need, or why there is none. Equation (1.6)."""
         R_ref_gimbal = self._attitudes.at(moment_ns)
         if isinstance(R_ref_gimbal, Status):
@@ -62,13 +77,14 @@ class Gimbal:
             R_ned_body = vehicle.at(moment_ns) if vehicle.stamps_ns else Status.UNSYNCHRONISED
             if isinstance(R_ned_body, Status):
                 return R_ned_body
-            R_ned_ref = matrix_from_euler(0.0, 0.0, np.arctan2(R_ned_body[1, 0], R_ned_body[0, 0]))
+            heading = np.arctan2(R_ned_body[1, 0], R_ned_body[0, 0])
+            R_ned_ref = R_ned_body if reading is Carrier.JOINTS else matrix_from_euler(0.0, 0.0, heading)
         out: Array = R_ned_ref @ R_ref_gimbal @ self._R_body_gimbal.T
         return out
 
-    def rate_at(self, moment_ns: int, vehicle: Attitudes) -> Array | None:
+    def rate_at(self, moment_ns: int, vehicle: Attitudes, reading: Carrier = Carrier.GIMBAL) -> Array | None:
         """Angular rate (3,), rad/s, in the axes of what `at` answers; None if unknown."""
-        before, after = (self.at(moment_ns + side * RATE_WINDOW_NS // 2, vehicle) for side in (-1, 1))
+        before, after = (self.at(moment_ns + side * RATE_WINDOW_NS // 2, vehicle, reading) for side in (-1, 1))
         if isinstance(before, Status) or isinstance(after, Status):
             return None
         out: Array = log_so3(before.T @ after) / (RATE_WINDOW_NS / 1e9)

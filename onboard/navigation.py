@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import bisect
 import itertools
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from contract.rotations import R_ENU_NED, matrix_from_quaternion
 from onboard.attitudes import Attitudes
 from onboard.config import Config
 from onboard.events import Attitude, FilterStatus, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
-from onboard.gimbal import Gimbal
+from onboard.gimbal import Carrier, Gimbal
 from onboard.series import MEMORY_NS, Series
 
 Array = NDArray[np.float64]
@@ -57,7 +58,8 @@ class NavState:
 
     `velocity_enu_m_s` and `R_enu_body` are None where the log has none; `R_enu_body` also where `solve.attitude` is
     "none". The sigmas are the receiver's claim for the wandering part, bounded below by the configuration;
-    `sigma_white_m` is how positions scatter about their own velocity, likewise.
+    `sigma_white_m` is how positions scatter about their own velocity, likewise. `carriers` holds, where it is open what
+    carries the camera, R_enu_body by every reading.
     """
 
     stamp_ns: int
@@ -70,6 +72,7 @@ class NavState:
     undulation_m: float
     height_above_home_m: float | None
     ground_range: GroundRange | None = None
+    carriers: Mapping[Carrier, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +91,8 @@ class Navigation:
         self._positions: Series[_Position] = Series()
         self._attitudes = Attitudes(config.telemetry.max_attitude_gap_s)
         self._gimbal = Gimbal(config)
+        # Which reading of mount and gimbal is believed; `mount.gimbal` "auto" leaves it to whoever sees pictures.
+        self.carrier = Carrier.GIMBAL if config.mount.gimbal == "always" else Carrier.MOUNT
         self._ranges: Series[RangeFinder] = Series()
         self._quality: Series[GpsQuality] = Series()
         self._filter: Series[FilterStatus] = Series()
@@ -184,21 +189,38 @@ class Navigation:
         """
         needed: list[list[int]] = [self._positions.stamps_ns]
         if self._wants_attitude:
-            needed += self._gimbal.needed(self._attitudes) if self._has_gimbal else [self._attitudes.stamps_ns]
+            needed += self._gimbal.needed(self._attitudes) if self._hangs else [self._attitudes.stamps_ns]
         return all(stamps and stamps[0] <= stamp_ns <= stamps[-1] for stamps in needed)
 
     @property
     def _wants_attitude(self) -> bool:
-        known = bool(self._attitudes.stamps_ns) or self._has_gimbal
+        known = bool(self._attitudes.stamps_ns) or self._hangs
         return self.config.solve.attitude == "autopilot" and known
 
     @property
-    def _has_gimbal(self) -> bool:
-        return self.config.mount.gimbal and bool(self._gimbal.stamps_ns)
+    def _hangs(self) -> bool:
+        """Whether the camera's attitude is the gimbal's."""
+        if self.config.mount.gimbal == "never" or not self._gimbal.stamps_ns:
+            return False
+        return self.carrier is not Carrier.MOUNT or not self._attitudes.stamps_ns
+
+    @property
+    def _hanging(self) -> Carrier:
+        return Carrier.GIMBAL if self.carrier is Carrier.MOUNT else self.carrier
 
     def _attitude_at(self, moment_ns: int) -> Array | Status:
         """R_ned_body as the mount sees it: with a gimbal, of the body that would carry a fixed camera the same way."""
-        return self._gimbal.at(moment_ns, self._attitudes) if self._has_gimbal else self._attitudes.at(moment_ns)
+        if self._hangs:
+            return self._gimbal.at(moment_ns, self._attitudes, self._hanging)
+        return self._attitudes.at(moment_ns)
+
+    def _carriers_at(self, moment_ns: int, R_frame_ned: Array) -> dict[Carrier, Array]:
+        """R_enu_body by every reading, where more than one is possible."""
+        if self.config.mount.gimbal != "auto" or not (self._gimbal.stamps_ns and self._attitudes.stamps_ns):
+            return {}
+        found = {Carrier.MOUNT: self._attitudes.at(moment_ns)}  # first: where another says the same, the mount it is
+        found |= {c: self._gimbal.at(moment_ns, self._attitudes, c) for c in self._gimbal.readings}
+        return {c: R_frame_ned @ R for c, R in found.items() if not isinstance(R, Status)}
 
     def state_at(self, stamp_ns: int, offset_s: float = 0.0) -> NavState | Status:
         """The vehicle at `stamp_ns` + `offset_s` (camera-to-autopilot time offset), or why not.
@@ -215,12 +237,14 @@ class Navigation:
         slip_m_s, scatter_m = self._slip(moment_ns)
         if not self._gps_is_good(moment_ns) or slip_m_s > self.config.gps.max_slip_m_s:
             return Status.NO_GPS
-        R_enu_body = None
+        R_enu_body, carriers = None, {}
         if self._wants_attitude:
             R_ned_body = self._attitude_at(moment_ns)
             if isinstance(R_ned_body, Status):
                 return R_ned_body
-            R_enu_body = self._R_frame_ned(position.enu_m) @ R_ned_body
+            R_frame_ned = self._R_frame_ned(position.enu_m)
+            R_enu_body = R_frame_ned @ R_ned_body
+            carriers = self._carriers_at(moment_ns, R_frame_ned)
         sigma_horizontal_m, sigma_vertical_m = self._sigmas(moment_ns)
         return NavState(
             stamp_ns,
@@ -233,6 +257,7 @@ class Navigation:
             self._undulation_m,
             position.height_above_home_m,
             self._range_at(moment_ns, position.enu_m),
+            carriers,
         )
 
     def _range_at(self, moment_ns: int, position_enu_m: Array) -> GroundRange | None:
@@ -263,7 +288,9 @@ class Navigation:
     def body_rate_at(self, stamp_ns: int) -> Array | None:
         """Angular rate (3,), rad/s, axes of `NavState.R_enu_body`: measured, or from attitudes; None if unknown."""
         return (
-            self._gimbal.rate_at(stamp_ns, self._attitudes) if self._has_gimbal else self._attitudes.rate_at(stamp_ns)
+            self._gimbal.rate_at(stamp_ns, self._attitudes, self._hanging)
+            if self._hangs
+            else self._attitudes.rate_at(stamp_ns)
         )
 
     def displacement(self, start_ns: int, end_ns: int) -> Array | None:

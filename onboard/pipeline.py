@@ -18,16 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from contract.feature_set import DepthSource, FeatureSet, Status
+from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
+from onboard.carriage import Carriage
 from onboard.config import Config
 from onboard.events import Event, Frame
+from onboard.foresight import foretell, ground_so_far
 from onboard.georeference import Origin, georeference
 from onboard.keyframe import Sighting, sighting
+from onboard.known_ground import over_known_ground
 from onboard.navigation import Navigation, NavState
-from onboard.prediction import Pose, move, predict_homography
+from onboard.prediction import move
 from onboard.staleness import Staleness
-from onboard.surface import Cast, level_cast, over_surface
 from onboard.tally import Summary, Tally
 from onboard.terrain import Terrain
 from onboard.tracking import MIN_TRACKS, Tracker, Tracks
@@ -105,6 +107,7 @@ class Pipeline:
         self.navigation = Navigation(config)
         self.tracker = Tracker(camera.size_px, config.tracking.features, config.tracking.min_distance_px)
         self.window = Window(config, camera)
+        self.carriage = Carriage(camera, self.window.R_body_cam)
         self.tracks: Tracks | None = None  # of the newest picture, for whoever draws them
         self._waiting: deque[Frame] = deque()
         self._records: list[_Record] = []
@@ -159,11 +162,15 @@ class Pipeline:
             self._session = (frame.stamp_ns // 1_000_000_000) & 0xFFFFFFFF
         if frame.image is None:
             return [self._refuse(frame, Status.BAD_PICTURE)]
+        out: list[FeatureSet] = []
+        carrier = self.carriage.verdict
+        if carrier is not None and carrier is not self.navigation.carrier:
+            out.extend(self._restart())
+            self.navigation.carrier = carrier
         with self._tally.timed("navigation"):
             nav = self.navigation.state_at(frame.stamp_ns, self.window.alignment.belief.mean[3])
         if isinstance(nav, Status) or self._staleness.is_stale(frame.image, nav):
-            return [self._refuse(frame, nav if isinstance(nav, Status) else Status.BAD_PICTURE)]
-        out: list[FeatureSet] = []
+            return [*out, self._refuse(frame, nav if isinstance(nav, Status) else Status.BAD_PICTURE)]
         if self._last_nav_ns is not None and frame.stamp_ns - self._last_nav_ns > MAX_OUTAGE_NS:
             out.extend(self._restart())
         self._last_nav_ns = frame.stamp_ns
@@ -202,39 +209,19 @@ class Pipeline:
 
     def _track(self, frame: Frame, nav: NavState) -> Tracks | None:
         assert frame.image is not None
-        predicted = self._predict(nav)
+        # While it is open what carries the camera, the pictures must be heard without its prejudice.
+        predicted = None if self.carriage.is_open(nav) else foretell(self.window, nav)
         tracks = self.tracker.track(frame.image, predicted)
         if not self.tracker.has_keyframe:
             return None
+        plane = ground_so_far(self.window, nav)
+        if nav.carriers and self.window.keyframes and plane is not None and len(tracks) >= MIN_TRACKS:
+            self.carriage.weigh(self.window.keyframes[-1].nav, nav, plane, tracks.keyframe_uv_px, tracks.uv_px)
         if predicted is not None and len(tracks) >= MIN_TRACKS:
             miss = np.median(np.linalg.norm(move(predicted, tracks.keyframe_uv_px) - tracks.uv_px, axis=1))
             if miss > MAX_PREDICTION_MISS * self.camera.focal_px:
                 return self.tracker.nothing()
         return tracks
-
-    def _predict(self, nav: NavState) -> Array | None:
-        """Keyframe -> picture by telemetry's pose change over the ground plane; None without attitude or ground."""
-        if not self.window.keyframes or nav.R_enu_body is None:
-            return None
-        last = self.window.keyframes[-1]
-        if last.nav.R_enu_body is None:
-            return None
-        solved = self.window.solved
-        if solved is not None:
-            plane = solved.plane
-        elif nav.height_above_home_m is not None and nav.height_above_home_m > 2.0:
-            plane = np.array([nav.position_enu_m[2] - nav.height_above_home_m, 0.0, 0.0])
-        else:
-            return None
-        was, now = self.window.attitude_guess(last.nav), self.window.attitude_guess(nav)
-        assert was is not None and now is not None
-        moved = nav.position_enu_m - last.nav.position_enu_m
-        return predict_homography(
-            self.camera,
-            Pose(last.R_cam_enu, last.centre_enu_m),
-            Pose(now @ was.T @ last.R_cam_enu, last.centre_enu_m + moved),
-            plane,
-        )
 
     def _is_turning(self, frame: Frame) -> bool:
         rate = self.navigation.body_rate_at(frame.stamp_ns)
@@ -378,7 +365,7 @@ class Pipeline:
         )
         result = self._by_structure(record, origin, frame)
         if isinstance(result, Status):
-            over = self._over_known_ground(record, origin, frame)
+            over = self._over_known_ground(record.nav, origin, frame)
             result = result if over is None else over
         if isinstance(result, FeatureSet):
             record.status, record.revision = Status.OK, result.revision
@@ -410,32 +397,10 @@ class Pipeline:
         still = nav.stamp_ns - first.stamp_ns > PATIENCE_NS and travelled_m < MIN_TRAVEL * height_m
         return Status.LOW_PARALLAX if still else self._unsolved
 
-    def _over_known_ground(self, record: _Record, origin: Origin, frame: LocalFrame) -> FeatureSet | None:
-        """Over terrain or level ground at home's height, where configured and attitude is known; None otherwise."""
-        nav = record.nav
-        believed = self.window.believed(nav)
-        if believed is None:
-            return None
-        cast: Cast
-        if self.window.terrain is not None:
-            cast, sigma_m, source = self.window.terrain.cast, self.config.terrain.sigma_m, DepthSource.TERRAIN
-            ground_sigma_m = self.config.terrain.sigma_datum_m
-        elif self.config.solve.home_level and nav.height_above_home_m is not None:
-            cast = level_cast(float(nav.position_enu_m[2]) - nav.height_above_home_m)
-            sigma_m, source, ground_sigma_m = 0.0, DepthSource.PLANE, self.config.solve.home_level_sigma_m
-        else:
-            return None
-        result = over_surface(
-            self.camera,
-            believed.over_ground(ground_sigma_m),
-            cast,
-            sigma_m,
-            source,
-            origin,
-            frame,
-            nav.undulation_m,
-        )
-        return result if isinstance(result, FeatureSet) else None
+    def _over_known_ground(self, nav: NavState, origin: Origin, frame: LocalFrame) -> FeatureSet | None:
+        if self.carriage.is_open(nav):
+            return None  # nothing but the attitude says where the camera looks
+        return over_known_ground(self.config, self.camera, self.window, nav, origin, frame)
 
     def _refuse_record(self, record: _Record, status: Status) -> FeatureSet:
         record.status = status

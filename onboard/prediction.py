@@ -43,6 +43,14 @@ class Believed:
         by_draw[6, GROUND.start] = sigma_m
         return replace(self, shared=replace(self.shared, by_draw=by_draw))
 
+    def over_ranged_ground(self, sigma_m: float) -> Believed:
+        """The same over a ground measured from the camera, to one sigma: where the camera's height errs, so does it."""
+        white, by_draw = self.white.copy(), self.shared.by_draw.copy()
+        white[6], white[:, 6] = white[2], white[:, 2]
+        white[6, 6] = white[2, 2] + sigma_m**2
+        by_draw[6] = by_draw[2]
+        return replace(self, white=white, shared=replace(self.shared, by_draw=by_draw))
+
 
 def predict_pixels(camera: Camera, uv_px: Array, first: Pose, second: Pose, plane: Array) -> tuple[Array, Array]:
     """Pixels (N, 2) of the first view -> the second, over the ground plane; and whether each has a prediction.

@@ -114,7 +114,7 @@ def config_text(spec: SessionSpec) -> str:
     roll, pitch, yaw = spec.mount_deg
     return (
         f"[mount]\nroll_deg = {float(roll)!r}\npitch_deg = {float(pitch)!r}\nyaw_deg = {float(yaw)!r}\n"
-        "gimbal = false  # these pictures are of a fixed camera, whatever gimbal the recording had\n\n"
+        'gimbal = "never"  # these pictures are of a fixed camera, whatever gimbal the recording had\n\n'
         f'[solve]\nattitude = "{spec.attitude}"\n'
         f"velocity = {str(spec.velocity).lower()}\nlevel_ground = {str(spec.level_ground).lower()}\n"
     )

@@ -94,7 +94,7 @@ class RateRequests:
             _Want("GPS_RAW_INT", _falling(min(position_hz, GPS_HZ), 2.0)),
             _Want(report, _falling(FILTER_HZ, 2.0), is_needed=False),
         ]
-        if self.config.mount.gimbal:
+        if self.config.mount.gimbal != "never":
             wants.append(_Want("GIMBAL_DEVICE_ATTITUDE_STATUS", _falling(GIMBAL_HZ, 10.0), is_needed=False))
         if self.config.range_finder.use:
             wants.append(_Want("DISTANCE_SENSOR", _falling(RANGE_HZ, 5.0)))

@@ -67,9 +67,14 @@ def test_check_config_names_every_file_it_found_good(etc: Path, capsys: pytest.C
     ]
 
 
-@given(st.text(max_size=40), st.floats(-180, 180), st.booleans(), st.lists(st.text(max_size=10), max_size=3).map(tuple))
+@given(
+    st.text(max_size=40),
+    st.floats(-180, 180),
+    st.sampled_from(["auto", "always", "never"]),
+    st.lists(st.text(max_size=10), max_size=3).map(tuple),
+)
 def test_what_differs_from_the_defaults_reads_back_the_same(
-    device: str, roll: float, gimbal: bool, listen: tuple[str, ...]
+    device: str, roll: float, gimbal: str, listen: tuple[str, ...]
 ) -> None:
     table = {"camera": {"device": device}, "mount": {"roll_deg": roll, "gimbal": gimbal}, "link": {"listen": listen}}
     config = Config.model_validate(table)

@@ -15,7 +15,9 @@ from onboard.navigation import Navigation, NavState
 Array = NDArray[np.float64]
 T0 = 1_795_217_000_000_000_000
 MOUNT = (2.0, -60.0, 15.0)  # configured, and not how the gimbal hangs
-CONFIG = parse_config("[mount]\nroll_deg = 2.0\npitch_deg = -60.0\nyaw_deg = 15.0\n[gps]\nlatency_s = 0.0")
+CONFIG = parse_config(
+    "[mount]\ngimbal = 'always'\nroll_deg = 2.0\npitch_deg = -60.0\nyaw_deg = 15.0\n[gps]\nlatency_s = 0.0"
+)
 
 
 def heading(t: float) -> float:
@@ -89,7 +91,7 @@ def test_a_gimbal_that_falls_silent_is_a_gap_and_no_return_to_the_fixed_mount() 
 
 
 def test_a_gimbal_can_be_ignored() -> None:
-    ignoring = parse_config("[mount]\ngimbal = false\n[gps]\nlatency_s = 0.0")
+    ignoring = parse_config("[mount]\ngimbal = 'never'\n[gps]\nlatency_s = 0.0")
     state = flown("earth", config=ignoring).state_at(T0 + 1_500_000_000)
     assert isinstance(state, NavState)
     assert state.R_enu_body is not None

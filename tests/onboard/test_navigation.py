@@ -332,7 +332,7 @@ def test_recorded_positions_follow_the_truth(shared_data: Path, settings: str, l
 
 
 def test_recorded_attitudes_follow_the_truth(shared_data: Path) -> None:
-    answers, truth = replayed(shared_data, "plane_clean", parse_config("[mount]\ngimbal = false"), every=10)
+    answers, truth = replayed(shared_data, "plane_clean", parse_config("[mount]\ngimbal = 'never'"), every=10)
     errors = []
     for (_, got), row in zip(answers, truth, strict=True):
         assert isinstance(got, NavState)

@@ -134,3 +134,33 @@ def test_a_view_across_the_horizon_answers_below_it_only() -> None:
     assert 0 < len(s) < 63
     assert not isinstance(Locator(s).locate((320.0, 2.0)), Fix)
     assert np.all(s.sigma_inverse_depth_per_m > 0.0)
+
+
+def test_a_ranged_ground_errs_as_the_camera_does_and_the_ellipse_knows() -> None:
+    """Camera 2.5 m off in height, range 0.8 m: a click's height errs by both, its place only by the range's share."""
+    sigma_m = 0.8
+    believed = pose()
+    known = believed.over_ranged_ground(sigma_m)
+    s = level_set(known)
+    assert isinstance(s, FeatureSet)
+    answer = Locator(s).locate((600.0, 440.0))
+    assert isinstance(answer, Fix)
+    assert answer.sigma_height_m == pytest.approx(np.hypot(SIGMAS[2], sigma_m), rel=0.05)
+    loose = Locator(level_set(believed.over_ground(10.0))).locate((600.0, 440.0))  # type: ignore[arg-type]
+    assert isinstance(loose, Fix)
+    assert answer.ellipse.semi_major_m < loose.ellipse.semi_major_m
+    rng = np.random.default_rng(3)
+    inside = []
+    for _ in range(400):
+        error = SIGMAS * rng.standard_normal(7)
+        centre = believed.centre_enu_m + error[:3]
+        ground = error[2] + sigma_m * rng.standard_normal()  # the truth, where the range is off by so much
+        R_enu_cam = exp_so3(error[3:6]) @ believed.R_cam_enu.T
+        ray, _ = CAMERA.unproject(np.array([600.0, 440.0]))
+        d = R_enu_cam @ ray
+        truth = centre + d * ((ground - centre[2]) / d[2])
+        lat, lon, height = answer.lat_deg, answer.lon_deg, answer.height_amsl_m
+        assert height is not None
+        miss = (FRAME.to_enu(lat, lon, height) - truth)[:2]
+        inside.append(miss @ np.linalg.solve(answer.covariance_enu_m2[:2, :2], miss) < CHI2_2)
+    assert 0.86 < np.mean(inside) < 0.94

@@ -74,7 +74,7 @@ def test_the_session_holds_what_replay_reads(session: Path) -> None:
     assert Camera.from_json(session / "camera.json") == LENS
     config = tomllib.loads((session / "config.toml").read_text())
     assert config == {
-        "mount": {"roll_deg": 0.0, "pitch_deg": -90.0, "yaw_deg": 0.0, "gimbal": False},
+        "mount": {"roll_deg": 0.0, "pitch_deg": -90.0, "yaw_deg": 0.0, "gimbal": "never"},
         "solve": {"attitude": "autopilot", "velocity": True, "level_ground": False},
     }
     picture = cv2.imread(str(session / "frames" / "000000.png"), cv2.IMREAD_UNCHANGED)

@@ -90,7 +90,7 @@ def test_nothing_is_asked_of_an_autopilot_that_is_still_starting() -> None:
 
 
 def test_px4_is_asked_for_its_own_filter_report() -> None:
-    played = Played(grants, "[mount]\ngimbal = false\n[range_finder]\nuse = true", mavlink.MAV_AUTOPILOT_PX4)
+    played = Played(grants, "[mount]\ngimbal = 'never'\n[range_finder]\nuse = true", mavlink.MAV_AUTOPILOT_PX4)
     played.fly(5.0)
     assert [name for name, _ in played.asked][-2:] == ["ESTIMATOR_STATUS", "DISTANCE_SENSOR"]
     assert not {"EKF_STATUS_REPORT", "GIMBAL_DEVICE_ATTITUDE_STATUS"} & {name for name, _ in played.asked}
