@@ -87,7 +87,7 @@ def command_s(*arguments: str) -> float:
 
 def record(path: Path, sets: Sequence[FeatureSet], count: int) -> None:
     """A recording of `count` sets."""
-    with SessionRecorder(path, sets[0].vehicle, sync_interval_s=1e9) as recorder:
+    with SessionRecorder(path, sets[0].vehicle) as recorder:
         for s in many(sets, count):
             recorder.write_set(s)
 

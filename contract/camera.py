@@ -48,25 +48,34 @@ class Camera:
     def from_json(cls, path: Path | str) -> Camera:
         """Read a camera file; raises InputError naming the file and the key that is wrong."""
         try:
-            raw: dict[str, Any] = json.loads(Path(path).read_text())
+            text = Path(path).read_text()
         except OSError as error:
             raise InputError(f"camera file {path}: {error.strerror}") from error
         except ValueError as error:
             raise InputError(f"camera file {path}: not JSON ({error})") from error
+        return cls.from_text(text, f"camera file {path}")
+
+    @classmethod
+    def from_text(cls, text: str, what: str) -> Camera:
+        """The text of a camera file; `what` names it in an InputError."""
+        try:
+            raw: dict[str, Any] = json.loads(text)
+        except ValueError as error:
+            raise InputError(f"{what}: not JSON ({error})") from error
         try:
             if raw.get("model", "pinhole") != "pinhole":
-                raise InputError(f"camera file {path}: model {raw['model']!r} is not known; use 'pinhole'")
+                raise InputError(f"{what}: model {raw['model']!r} is not known; use 'pinhole'")
             width, height = (int(n) for n in raw["size_px"])
             coefficients = [float(c) for c in raw.get("distortion_opencv_k1_k2_p1_p2_k3", [0.0] * 5)]
             numbers = [float(raw[key]) for key in ("fx_px", "fy_px", "cx_px", "cy_px")]
         except KeyError as error:
-            raise InputError(f"camera file {path}: key {error.args[0]!r} is missing") from error
+            raise InputError(f"{what}: key {error.args[0]!r} is missing") from error
         except (TypeError, ValueError, AttributeError) as error:
-            raise InputError(f"camera file {path}: {error}") from error
+            raise InputError(f"{what}: {error}") from error
         if len(coefficients) != 5:
-            raise InputError(f"camera file {path}: distortion needs 5 coefficients, not {len(coefficients)}")
+            raise InputError(f"{what}: distortion needs 5 coefficients, not {len(coefficients)}")
         if not np.all(np.isfinite(numbers + coefficients)) or min(width, height) < 16 or min(numbers[:2]) <= 0:
-            raise InputError(f"camera file {path}: size and focal lengths must be positive and every number finite")
+            raise InputError(f"{what}: size and focal lengths must be positive and every number finite")
         k1, k2, p1, p2, k3 = coefficients
         fx, fy, cx, cy = numbers
         return cls(width, height, fx, fy, cx, cy, distortion=(k1, k2, p1, p2, k3))

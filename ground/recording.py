@@ -1,8 +1,8 @@
 """The sets of a recorded session, read with the standard library: a walk over MCAP records by opcode and length.
 
 Source: the MCAP specification, version 0 (mcap.dev/spec). A file cut off anywhere (a killed process, a lost disk) is
-read up to the cut. A file with chunks, which pc-onboard does not write but other tools may, is read through the `mcap`
-package if that is installed.
+read up to the cut. A session's further parts (`NAME.002.mcap`, ...) are read along with it. A file with chunks, which
+pc-onboard does not write but other tools may, is read through the `mcap` package if that is installed.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import mmap
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,17 +27,19 @@ _MESSAGE = struct.Struct("<HIQQ")
 _CHANNEL_HEAD = struct.Struct("<HH")
 _STRING = struct.Struct("<I")
 _DATA_END, _CHANNEL, _MESSAGE_OPCODE, _CHUNK = 0x0F, 0x04, 0x05, 0x06
+_Found = tuple[str, str, int, int]  # topic, encoding, start and length of a message
 _FRAMES_BEFORE, _FRAMES_AFTER = names.FRAMES.split("{vehicle}")
 
 
 @dataclass(frozen=True)
 class _Held:
-    """Where the latest revision of one frame's set lies in the file."""
+    """Where the latest revision of one frame's set lies."""
 
     frame: int
     revision: int
     capture_unix_ns: int
     is_ok: bool
+    file: int
     start: int
     length: int
 
@@ -45,18 +47,30 @@ class _Held:
 @dataclass(eq=False)
 class _Index:
     sets: dict[str, dict[int, _Held]] = field(default_factory=dict)  # by vehicle and frame
-    frames: dict[str, list[tuple[int, int]]] = field(default_factory=dict)  # by vehicle: start, length of frame events
+    frames: dict[str, list[tuple[int, int, int]]] = field(
+        default_factory=dict
+    )  # by vehicle: file, start, length of frame events
 
 
 class Recording:
-    """The sets of a session's file, indexed once. Raises InputError for what is no recording of this project."""
+    """The sets of a session, indexed once. Raises InputError for what is no recording of this project.
+
+    `path` is any of the session's files, or a folder that holds one session.
+    """
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        self._data = self._read()
         self._index = _Index()
-        for topic, encoding, start, length in self._messages():
-            self._note(topic, encoding, start, length)
+        self._data: list[bytes | mmap.mmap] = []
+        parts = _parts(self.path)
+        for file, part in enumerate(parts):
+            data = _read(part, may_be_empty=len(parts) > 1)
+            self._data.append(data)
+            found: Iterable[_Found] = _messages(data)
+            if _is_chunked(data):
+                self._data[file], found = _chunked_messages(part)
+            for topic, encoding, start, length in found:
+                self._note(topic, encoding, file, start, length)
         if not self._index.sets:
             raise InputError(f"recording {self.path}: holds no feature sets")
 
@@ -92,8 +106,8 @@ class Recording:
         if not events:
             raise InputError(f"recording {self.path}: holds no picture names, use --frame")
         quoted = json.dumps(name).encode()
-        for start, length in events:
-            text = self._data[start : start + length]
+        for file, start, length in events:
+            text = self._data[file][start : start + length]
             if quoted in text:
                 event = self._json(text)
                 if event.get("name") == name and isinstance(event.get("frame"), int):
@@ -113,70 +127,15 @@ class Recording:
         if held is None:
             return None
         try:
-            return decode(bytes(self._data[held.start : held.start + held.length]))
+            return decode(bytes(self._data[held.file][held.start : held.start + held.length]))
         except WireError as error:
             raise InputError(f"recording {self.path}: the set of frame {held.frame}: {error}") from error
 
-    def _read(self) -> bytes | mmap.mmap:
-        try:
-            with self.path.open("rb") as stream:
-                start = stream.read(len(_MAGIC))
-                if start != _MAGIC:
-                    raise InputError(f"recording {self.path}: not an MCAP file")
-                return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
-        except OSError as error:
-            raise InputError(f"recording {self.path}: {error.strerror}") from error
-
-    def _messages(self) -> Iterator[tuple[str, str, int, int]]:
-        """Topic, encoding, start and length of every message that matters here."""
-        data, end = self._data, len(self._data)
-        channels: dict[int, tuple[str, str]] = {}
-        position = len(_MAGIC)
-        unpack, head = _RECORD.unpack_from, _RECORD.size
-        while position + head <= end:
-            opcode, length = unpack(data, position)
-            start = position + head
-            position = start + length
-            if position > end or opcode == _DATA_END:
-                return
-            if opcode == _MESSAGE_OPCODE and length >= _MESSAGE.size:
-                known = channels.get(data[start] | data[start + 1] << 8)
-                if known:
-                    yield *known, start + _MESSAGE.size, length - _MESSAGE.size
-            elif opcode == _CHANNEL:
-                channel, topic, encoding = _channel(bytes(data[start:position]))
-                if encoding == names.SET_ENCODING or _frames_vehicle(topic):
-                    channels[channel] = topic, encoding
-            elif opcode == _CHUNK:
-                yield from self._chunked_messages()
-                return
-
-    def _chunked_messages(self) -> Iterator[tuple[str, str, int, int]]:
-        """The same through the mcap package; the messages' bytes take the place of the file's."""
-        try:
-            from mcap.exceptions import McapError  # noqa: PLC0415
-            from mcap.reader import NonSeekingReader  # noqa: PLC0415
-        except ImportError as error:
-            raise InputError(f"recording {self.path}: has chunks, which needs the package mcap") from error
-        kept = bytearray()
-        found: list[tuple[str, str, int, int]] = []
-        with self.path.open("rb") as stream:
-            try:
-                for _, channel, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
-                    found.append((channel.topic, channel.message_encoding, len(kept), len(message.data)))
-                    kept += message.data
-            except (McapError, struct.error, ValueError, EOFError) as error:
-                if not found:
-                    raise InputError(f"recording {self.path}: {error}") from error
-        self._data = bytes(kept)
-        self._index = _Index()
-        yield from found
-
-    def _note(self, topic: str, encoding: str, start: int, length: int) -> None:
+    def _note(self, topic: str, encoding: str, file: int, start: int, length: int) -> None:
         if encoding == names.SET_ENCODING:
             try:
                 vehicle = FEATURES.vehicle(topic)
-                identity = peek(self._data[start : start + length])
+                identity = peek(self._data[file][start : start + length])
             except (WireError, ValueError):
                 return  # not one of our sets; a damaged one is found by its checksum when it is asked for
             sets = self._index.sets.setdefault(vehicle, {})
@@ -184,10 +143,97 @@ class Recording:
             if held is None or held.revision <= identity.revision:
                 is_ok = identity.status is Status.OK
                 sets[identity.frame] = _Held(
-                    identity.frame, identity.revision, identity.capture_unix_ns, is_ok, start, length
+                    identity.frame, identity.revision, identity.capture_unix_ns, is_ok, file, start, length
                 )
         elif vehicle_name := _frames_vehicle(topic):
-            self._index.frames.setdefault(vehicle_name, []).append((start, length))
+            self._index.frames.setdefault(vehicle_name, []).append((file, start, length))
+
+
+def _parts(path: Path) -> list[Path]:
+    """The session's files in order. Raises InputError for a folder without a session, or with several."""
+    if not path.is_dir():
+        try:
+            beside = [file.name for file in path.parent.iterdir()]
+        except OSError:
+            return [path]  # and opening it says why
+        return [path.with_name(name) for name in names.session_parts(beside, path.name)]
+    found = sorted(file.name for file in path.iterdir() if names.split_part(file.name))
+    sessions = sorted({split[0] for name in found if (split := names.split_part(name))})
+    if not sessions:
+        raise InputError(f"recording {path}: is a directory without a recording in it")
+    if len(sessions) > 1:
+        raise InputError(
+            f"recording {path}: is a directory of {len(sessions)} sessions; name one: {', '.join(found[:4])}, ..."
+        )
+    return [path / name for name in names.session_parts(found, found[0])]
+
+
+def _read(path: Path, may_be_empty: bool) -> bytes | mmap.mmap:
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(len(_MAGIC))
+            if may_be_empty and len(start) < len(_MAGIC):
+                return b""  # a part begun in the moment of the end
+            if start != _MAGIC:
+                raise InputError(f"recording {path}: not an MCAP file")
+            return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+    except OSError as error:
+        raise InputError(f"recording {path}: {error.strerror}") from error
+
+
+def _is_chunked(data: bytes | mmap.mmap) -> bool:
+    """Whether chunks come before any message."""
+    for opcode, _, _ in _walk(data):
+        if opcode in (_CHUNK, _MESSAGE_OPCODE):
+            return opcode == _CHUNK
+    return False
+
+
+def _walk(data: bytes | mmap.mmap) -> Iterator[tuple[int, int, int]]:
+    """Opcode, start and length of every record up to the end of the data, or to where it was cut off."""
+    position, end = len(_MAGIC), len(data)
+    unpack, head = _RECORD.unpack_from, _RECORD.size
+    while position + head <= end:
+        opcode, length = unpack(data, position)
+        start = position + head
+        position = start + length
+        if position > end or opcode == _DATA_END:
+            return
+        yield opcode, start, length
+
+
+def _messages(data: bytes | mmap.mmap) -> Iterator[_Found]:
+    """Every message that matters here."""
+    channels: dict[int, tuple[str, str]] = {}
+    for opcode, start, length in _walk(data):
+        if opcode == _MESSAGE_OPCODE and length >= _MESSAGE.size:
+            known = channels.get(data[start] | data[start + 1] << 8)
+            if known:
+                yield *known, start + _MESSAGE.size, length - _MESSAGE.size
+        elif opcode == _CHANNEL:
+            channel, topic, encoding = _channel(bytes(data[start : start + length]))
+            if encoding == names.SET_ENCODING or _frames_vehicle(topic):
+                channels[channel] = topic, encoding
+
+
+def _chunked_messages(path: Path) -> tuple[bytes, list[_Found]]:
+    """The same through the mcap package: the messages' bytes one after the other, and where each is."""
+    try:
+        from mcap.exceptions import McapError  # noqa: PLC0415
+        from mcap.reader import NonSeekingReader  # noqa: PLC0415
+    except ImportError as error:
+        raise InputError(f"recording {path}: has chunks, which needs the package mcap") from error
+    kept = bytearray()
+    found: list[_Found] = []
+    with path.open("rb") as stream:
+        try:
+            for _, channel, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
+                found.append((channel.topic, channel.message_encoding, len(kept), len(message.data)))
+                kept += message.data
+        except (McapError, struct.error, ValueError, EOFError) as error:
+            if not found:
+                raise InputError(f"recording {path}: {error}") from error
+    return bytes(kept), found
 
 
 def _frames_vehicle(topic: str) -> str:

@@ -60,12 +60,22 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     replay = commands.add_parser("replay", help="run a recorded flight through the pipeline")
-    replay.add_argument("--config", type=Path, metavar="FILE", help="configuration (TOML); all defaults without it")
     replay.add_argument(
-        "--frames", type=Path, required=True, metavar="DIR_OR_VIDEO", help="folder of pictures, or a video"
+        "recording",
+        type=Path,
+        nargs="*",
+        metavar="SESSION.mcap",
+        help="a recorded session (all its parts, by any of them), or a folder with one; in place of the three below",
     )
-    replay.add_argument("--telemetry", type=Path, required=True, metavar="FLIGHT.tlog", help="the autopilot's log")
-    replay.add_argument("--camera", type=Path, required=True, metavar="CAMERA.json", help="intrinsics and distortion")
+    replay.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="configuration (TOML); without it the recording's own, or all defaults",
+    )
+    replay.add_argument("--frames", type=Path, metavar="DIR_OR_VIDEO", help="folder of pictures, or a video")
+    replay.add_argument("--telemetry", type=Path, metavar="FLIGHT.tlog", help="the autopilot's log")
+    replay.add_argument("--camera", type=Path, metavar="CAMERA.json", help="intrinsics and distortion")
     replay.add_argument(
         "--stamps",
         type=Path,

@@ -79,6 +79,11 @@ class Flight:
             )
         return cls(source, log)
 
+    @property
+    def stamps_ns(self) -> Sequence[int]:
+        """Of the pictures."""
+        return self.frames.stamps_ns
+
     def events(self) -> Iterator[tuple[int, Event]]:
         """Everything in the order in which it would have arrived, with that time (Unix ns)."""
         stamps = self.frames.stamps_ns
@@ -93,6 +98,17 @@ class Flight:
         while waiting is not None:
             yield waiting
             waiting = next(near, None)
+
+
+class Events(Protocol):
+    """A flight to replay: `Flight`, or `onboard.replay_recording.RecordedFlight`."""
+
+    @property
+    def stamps_ns(self) -> Sequence[int]:
+        """Of the pictures."""
+
+    def events(self) -> Iterator[tuple[int, Event]]:
+        """Everything in the order in which it arrived, with that time (Unix ns)."""
 
 
 class Pace:
@@ -110,7 +126,7 @@ class Pace:
 
 
 def replay(
-    flight: Flight,
+    flight: Events,
     pipeline: Pipeline,
     sinks: Sequence[Sink] = (),
     speed: float | None = None,
@@ -126,11 +142,11 @@ def replay(
     stop = stop or threading.Event()
     with ExitStack() as stack:
         bar = stack.enter_context(
-            tqdm(total=len(flight.frames.stamps_ns), unit="frame", file=progress, disable=progress is None, leave=False)
+            tqdm(total=len(flight.stamps_ns), unit="frame", file=progress, disable=progress is None, leave=False)
         )
         for sink in sinks:
             stack.enter_context(sink)
-        pace = Pace(speed, flight.frames.stamps_ns[0] - PACE_LEAD_NS, stop)
+        pace = Pace(speed, flight.stamps_ns[0] - PACE_LEAD_NS, stop)
         for moment_ns, event in flight.events():
             pace.wait_for(moment_ns)
             if stop.is_set():

@@ -19,6 +19,13 @@ class StateFile:
             raise InputError(f"state file {path}: is a folder; name a file")
         self.path = path
 
+    def text(self) -> str:
+        """What it holds, for the recording; nothing on a first flight. Raises InputError."""
+        try:
+            return self.path.read_text(encoding="utf-8") if self.path.exists() else ""
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"state file {self.path}: {error}") from error
+
     def restore(self, alignment: Alignment) -> None:
         """Begin from the file; a missing one is a first flight."""
         if not self.path.exists():

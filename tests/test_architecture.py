@@ -21,7 +21,7 @@ PART_OF = {"onboard.backlog": "onboard.publisher"}
 # Rooms of the aircraft that meet the world: files, links, clocks. Only the plumbing may know them.
 IO_ROOMS = {
     "onboard.camera", "onboard.telemetry", "onboard.publisher", "onboard.recording", "onboard.terrain_files",
-    "onboard.credentials", *PART_OF,
+    "onboard.credentials", "onboard.replay_recording", *PART_OF,
     "onboard.state_file", "onboard.notify", "onboard.intake", "onboard.prometheus", "onboard.service_log",
     "onboard.recent", "onboard.host", "onboard.ask_daemon", "onboard.config_files",
 }  # fmt: skip

@@ -87,7 +87,8 @@ def test_any_mcap_reader_reads_events_sets_and_metadata(session: Path) -> None:
         messages = list(reader.iter_messages(log_time_order=False))
         metadata = list(reader.iter_metadata())
     topics = {channel.topic: channel for _, channel, _ in messages}
-    assert set(topics) == {f"pc/uav-1/{name}" for name in ("features", "frames", "position", "gps_quality", "attitude")}
+    ours = ("features", "frames", "position", "gps_quality", "attitude")
+    assert set(topics) == {f"pc/uav-1/{name}" for name in (*ours, "view/vehicle", "view/camera", "view/features")}
     assert topics["pc/uav-1/features"].message_encoding == names.SET_ENCODING
     assert {channel.message_encoding for topic, channel in topics.items() if "features" not in topic} == {"json"}
     assert all(
@@ -95,7 +96,7 @@ def test_any_mcap_reader_reads_events_sets_and_metadata(session: Path) -> None:
         for schema, c, _ in messages
         if c.message_encoding == "json"
     )
-    sets = [m for _, c, m in messages if c.topic.endswith("features")]
+    sets = [m for _, c, m in messages if c.topic == "pc/uav-1/features"]
     assert sets[3].data == encode(a_set(3)) and sets[3].log_time == sets[3].publish_time == START_NS + 3 * 10**9
     assert [m.sequence for m in sets] == list(range(8))
     assert metadata[0].metadata["config"] == "x = 1" and metadata[0].metadata["camera"] == CAMERA.to_json()
