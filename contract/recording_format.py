@@ -21,27 +21,26 @@ VIEW_CAMERA = "pc/{vehicle}/view/camera"
 VIEW_FEATURES = "pc/{vehicle}/view/features"
 
 SUFFIX = ".mcap"
-_PART = re.compile(r"^(.+?)(?:\.(\d{3,6}))?\.mcap$")
+_PART = re.compile(r"^(.+)\.(\d{3,6})\.mcap$")
 
 
 def part_name(session: str, part: int) -> str:
-    """File of a session's part, from 1: `NAME.mcap`, `NAME.002.mcap`, ..."""
-    return f"{session}{SUFFIX}" if part == 1 else f"{session}.{part:03d}{SUFFIX}"
+    """File of a live session's part, from 1: `NAME.001.mcap`, `NAME.002.mcap`, ..."""
+    return f"{session}.{part:03d}{SUFFIX}"
 
 
 def split_part(name: str) -> tuple[str, int] | None:
-    """Session and part of a file's name; None if it is no recording's."""
+    """Session and part of a file's name, part 0 for a file that is a session by itself; None for no recording."""
     found = _PART.match(name)
-    if found is None:
-        return None
-    part = int(found[2] or 1)
-    return (found[1], part) if part_name(found[1], part) == name else (name[: -len(SUFFIX)], 1)
+    if found is not None and part_name(found[1], int(found[2])) == name:
+        return found[1], int(found[2])
+    return (name.removesuffix(SUFFIX), 0) if name.endswith(SUFFIX) and not name.startswith(".") else None
 
 
 def session_parts(names: list[str], one: str) -> list[str]:
-    """Those of `names` that are parts of the same session as `one`, in order; `one` alone if it is none of them."""
-    session = split_part(one)
-    if session is None or one not in names:
+    """Those of `names` that are parts of the same session as `one`, in order; `one` alone if it is a session itself."""
+    this = split_part(one)
+    if this is None or this[1] == 0 or one not in names:
         return [one]
-    parts = [(split[1], name) for name in names if (split := split_part(name)) and split[0] == session[0]]
-    return [name for _, name in sorted(parts)]
+    found = [(split[1], name) for name in names if (split := split_part(name)) and split[0] == this[0] and split[1]]
+    return [name for _, name in sorted(found)]

@@ -12,7 +12,6 @@ import importlib.metadata
 import logging
 import os
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -55,7 +54,7 @@ def software_version() -> str:
 
 
 class Recorded:
-    """Writes `FOLDER/YYYYmmddTHHMMSSZ-VEHICLE.mcap`, then `.002.mcap` and so on, as the section `recording` says.
+    """Writes `FOLDER/YYYYmmddTHHMMSSZ-VEHICLE.001.mcap`, then `.002.mcap` and so on, as the section `recording` says.
 
     For the daemon: one of the sinks, entered before the first event; `status` takes each encoded status, from any
     thread. `state_json` is the state file's text as the session began with it: without it a replay would begin with
@@ -80,7 +79,7 @@ class Recorded:
         self._part = 0
         self._is_complete = True
         self._recorder: SessionRecorder | None = None
-        self._synced_s = self._checked_s = self._failed_s = -1e9
+        self._synced_s = self._failed_s = 0.0
         self._fault = ""
         self._waiting: deque[tuple[int, Write]] = deque()
         self._waiting_bytes = 0
@@ -118,6 +117,9 @@ class Recorded:
     def status(self, stamp_ns: int, payload: bytes) -> None:
         """Record an encoded status."""
         self._put(0, lambda recorder: recorder.write_status(stamp_ns, payload))
+
+    def _now_s(self) -> float:
+        return self._clock.now_ns() / 1e9
 
     def _put(self, size: int, write: Write) -> None:
         with self._changed:
@@ -165,7 +167,7 @@ class Recorded:
         """The file being written; a new one if there is none, there is room, and the last failure is a while ago."""
         if self._recorder is not None:
             return self._recorder
-        now_s = time.monotonic()
+        now_s = self._now_s()
         if now_s - self._failed_s < self._retry_s:
             return None
         with contextlib.suppress(OSError):  # the check says it better
@@ -189,10 +191,9 @@ class Recorded:
 
     def _look_after(self, recorder: SessionRecorder) -> None:
         """Onto the disk twice a second, with a look at its room; a new file when this one is large enough."""
-        now_s = time.monotonic()
-        if now_s - self._synced_s >= SYNC_S:
+        if self._now_s() - self._synced_s >= SYNC_S:
             recorder.sync()
-            self._synced_s = time.monotonic()
+            self._synced_s = self._now_s()
             self._check_room()
         if recorder.size_bytes >= self._config.recording.rotate_mb * MEGABYTE:
             self._recorder = None
@@ -212,7 +213,7 @@ class Recorded:
     def _give_up(self, why: str) -> None:
         if not self._fault:
             log.error("%s; recording stops until there is room", why)
-        self._fault, self._failed_s = why, time.monotonic()
+        self._fault, self._failed_s = why, self._now_s()
         self._finish_file()
 
     def _finish_file(self) -> None:

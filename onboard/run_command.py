@@ -91,8 +91,9 @@ def open_parts(config: Config) -> Parts:
         recording = None
         if config.recording.enabled:
             where = Path(config.recording.folder) if config.recording.folder else folder / "recordings"
-            recording = Recorded(where, config, camera, clock, to_toml(config))
+            recording = Recorded(where, config, camera, clock, to_toml(config), "" if complaint else state.text())
             sinks.append(recording)
+            reporters.append(partial(_record, recording))
         if config.service.prometheus is not None:
             server = opened.enter_context(PrometheusServer(config.service.prometheus))
             reporters.append(partial(_show, server, config.vehicle.id))
@@ -115,6 +116,10 @@ def open_parts(config: Config) -> Parts:
 
 def _send(link: Publisher, status: VehicleStatus, detail: Detail) -> None:
     link.publish_status(encode_status(status), json.dumps(detail).encode())
+
+
+def _record(recording: Recorded, status: VehicleStatus, detail: Detail) -> None:
+    recording.status(round(status.unix_s * 1e9), encode_status(status))
 
 
 def _show(server: PrometheusServer, vehicle: str, status: VehicleStatus, detail: Detail) -> None:

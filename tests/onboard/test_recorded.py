@@ -105,7 +105,7 @@ def session(tmp_path_factory: pytest.TempPathFactory, learned: str) -> Path:
 
 
 def first(folder: Path) -> Path:
-    return min(folder.glob("*.mcap"), key=lambda path: len(path.name))
+    return min(folder.glob("*.mcap"))
 
 
 def as_recorded(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -379,8 +379,8 @@ def test_two_sessions_of_one_second_do_not_write_over_each_other(tmp_path: Path)
         with Recorded(tmp_path, config, CAMERA, stopped, "") as sink:
             sink.feature_set(plain_set(20))
     assert sorted(p.name for p in tmp_path.iterdir()) == [
-        "20231114T221320Z-uav-1-2.mcap",
-        "20231114T221320Z-uav-1.mcap",
+        "20231114T221320Z-uav-1-2.001.mcap",
+        "20231114T221320Z-uav-1.001.mcap",
     ]
 
 
