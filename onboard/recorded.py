@@ -53,6 +53,10 @@ def software_version() -> str:
         return ""
 
 
+class NoRoom(InputError):
+    """The disk has less free than is to be kept."""
+
+
 class Recorded:
     """Writes `FOLDER/YYYYmmddTHHMMSSZ-VEHICLE.001.mcap`, then `.002.mcap` and so on, as the section `recording` says.
 
@@ -155,9 +159,14 @@ class Recorded:
             if write is not None:
                 write(recorder)
             self._look_after(recorder)
+        except NoRoom as error:
+            self._give_up(error)
+            self._finish_file()
         except InputError as error:
-            self._is_complete = False
-            self._give_up(str(error))
+            self._give_up(error)
+            recorder, self._recorder = self._recorder, None
+            if recorder is not None:
+                recorder.abandon()
         else:
             if self._fault:
                 log.info("recording again, %s", recorder.path)
@@ -206,15 +215,14 @@ class Recorded:
             raise InputError(f"recording {self._folder}: {error.strerror}") from error
         keep_mb = self._config.recording.keep_free_mb
         if free_mb < keep_mb:
-            raise InputError(
+            raise NoRoom(
                 f"recording {self._folder}: {free_mb:.0f} MB free, less than recording.keep_free_mb = {keep_mb:g}"
             )
 
-    def _give_up(self, why: str) -> None:
+    def _give_up(self, error: InputError) -> None:
         if not self._fault:
-            log.error("%s; recording stops until there is room", why)
-        self._fault, self._failed_s = why, self._now_s()
-        self._finish_file()
+            log.error("%s; recording stops until there is room", error)
+        self._fault, self._failed_s, self._is_complete = str(error), self._now_s(), False
 
     def _finish_file(self) -> None:
         recorder, self._recorder = self._recorder, None

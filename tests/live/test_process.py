@@ -177,7 +177,7 @@ def test_a_disk_that_takes_no_more_stops_the_recording_until_there_is_room(tmp_p
         plane.signal(signal.SIGTERM)
         assert plane.ended() == 0
         first, _ = plane.recordings
-        assert 99_000 < first.stat().st_size <= 100_000
+        assert 85_000 < first.stat().st_size <= 100_000  # a message for the map takes 10 kB
         outcome = clicked(plane, first)
         assert len(outcome.errors_m) > 100, outcome.told
         assert outcome.inside_99 > 0.97, outcome.told
