@@ -20,7 +20,8 @@ from onboard.config import Config
 from onboard.creep import Creep, creep, ground_sigma_m_s
 from onboard.keyframe import Ids, Keyframe
 from onboard.levelling import fit_plane
-from onboard.residuals import AttitudePrior, Layout, Prior, SharedPrior, State, VelocityPrior
+from onboard.relief import alike_sigma_m
+from onboard.residuals import AttitudePrior, Layout, Prior, SharedPrior, State, VelocityPrior, ground_plane
 from onboard.sensors import range_prior, sensor_priors
 from onboard.shared_draws import shared_errors
 from onboard.terrain import Terrain
@@ -184,6 +185,7 @@ def adjust(request: Request) -> Outcome:
         if not again:
             break
         state = first.state
+    problem = replace(problem, relief_weight=_alike(problem, first, relief))
     adjusted = refine(problem, first, MIN_PIXEL_SIGMA_PX / (used.pixel_sigma_px * used.discord))
     if adjusted is None:
         return Outcome(Status.POOR_FIT, keyframes, noise)
@@ -301,6 +303,17 @@ def _ground(request: Request, points: Array) -> tuple[Array, Terrain | None]:
         if np.all(np.isfinite(height)):
             return np.full(len(points), 1.0 / request.config.terrain.sigma_m), request.terrain
     return np.full(len(points), 1.0 / max(request.config.solve.relief_sigma_m, 1e-3)), None
+
+
+def _alike(problem: Problem, first: Solution, relief: Array) -> Array:
+    """1 / sigma (P,) of the ground under each point, for points that stray alike: no more than `relief`. (5.13)"""
+    s = first.state
+    height, _, _ = ground_plane(s.points_enu_m, problem.reference_enu_m, s.plane, problem.terrain)
+    seen = np.isfinite(height) & (np.count_nonzero(problem.weight > 0, axis=0) >= 2)
+    offset = (s.points_enu_m - problem.reference_enu_m)[seen, :2]
+    clearance_m = float((s.centres_enu_m[:, 2]).mean() - np.median(s.points_enu_m[seen, 2]))
+    sigma_m = alike_sigma_m(offset, height[seen], first.point_covariance[seen, 2, 2], clearance_m)
+    return np.minimum(relief, 1.0 / max(sigma_m, 1e-3))
 
 
 def _strays_m(request: Request, offset: Array, plane: Array, terrain: Terrain | None) -> float:
