@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from operator import mul
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,13 +71,13 @@ def covariance_codes(covariance: Array) -> tuple[list[int], list[int]]:
         raise ValueError(f"this is not a covariance: its correlations have the eigenvalue {smallest:.3g}")
 
     target = correlation.tolist()
-    L = [[0.0] * n for _ in range(n)]
+    L: list[list[float]] = []
     codes: list[int] = []
     for i in range(n):
+        row: list[float] = []
         rest, kept = 1.0, 1.0  # of row i: what L leaves of the variance, and what the codes leave of it
         for j in range(i):
-            explained = sum(L[i][k] * L[j][k] for k in range(j))
-            value = (target[i][j] - explained) / L[j][j]
+            value = (target[i][j] - sum(map(mul, row, L[j]))) / L[j][j]
             p = value / math.sqrt(rest)
             code = MAX_CORRELATION_CODE
             if abs(p) < 1.0:
@@ -87,9 +88,9 @@ def covariance_codes(covariance: Array) -> tuple[list[int], list[int]]:
             codes.append(code if p >= 0.0 else -code)
             # A correlation beyond what can be written is held at the limit, so that later entries stay finite.
             limit = math.sqrt(max(rest - MIN_CONDITIONAL, 0.0))
-            L[i][j] = min(max(value, -limit), limit)
-            rest = max(rest - L[i][j] ** 2, MIN_CONDITIONAL)
-        L[i][i] = math.sqrt(rest)
+            row.append(min(max(value, -limit), limit))
+            rest = max(rest - row[j] ** 2, MIN_CONDITIONAL)
+        L.append([*row, math.sqrt(rest)])
     return sigma_codes, codes
 
 
