@@ -18,7 +18,7 @@ help:
 	@echo "make types   mypy --strict"
 	@echo "make pytest  the tests alone (PYTEST_ARGS='-k click' to choose)"
 	@echo "make deb     a Debian package of the aircraft's side, into build/deb (docs/service.md)"
-	@echo "make bench   every benchmark, into benchmarks/results.md (half an hour; the real flight needs ../shared/data)"
+	@echo "make bench   every benchmark, into benchmarks/results.md (an hour; the real flight needs ../shared/data)"
 	@echo "make venv    only set up $(VENV)"
 	@echo "make clean   remove what was made: out, build, caches, $(VENV)"
 

@@ -97,6 +97,7 @@ class Publisher:
         self._status, self._status_detail = b"", b""
         self._status_waits = False
         self._is_closed = self._has_news = False
+        self.sent = 0  # sets put on the link, without those asked for
         self._changed = threading.Condition()
         names = {*allowed, vehicle} if allowed else ()  # the aircraft's own programs may ask it too
         config = link_config(
@@ -241,6 +242,7 @@ class Publisher:
                 _reply(query)
             elif offer is not None:
                 self._publisher.put(offer.item)
+                self.sent += 1
         except zenoh.ZError as error:  # a link that breaks while it is used mends itself; the next message will do
             log.warning("link: %s", str(error).split(" at ", maxsplit=1)[0])
         return 0.0

@@ -8,6 +8,7 @@ import json
 import logging
 import os
 import sys
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from datetime import UTC, datetime
@@ -70,12 +71,18 @@ def open_camera(config: Config, camera: Camera, clock: SessionClock) -> Source:
     return V4l2Camera(config.camera, camera, clock)
 
 
-def open_parts(config: Config) -> Parts:
-    """Open everything a session needs; what was opened is closed again if something cannot be."""
+OpenCamera = Callable[[Config, Camera, SessionClock], Source]
+
+
+def open_parts(config: Config, clock: SessionClock | None = None, open_camera: OpenCamera = open_camera) -> Parts:
+    """Open everything a session needs; what was opened is closed again if something cannot be.
+
+    A bench may give a clock that runs faster, and a camera of its own.
+    """
     camera = load_camera(config)
     folder = state_folder(config, dict(os.environ))
     terrain = None if config.terrain.path is None else TerrainFiles(config.terrain.path, config.terrain.datum)
-    clock = SessionClock.start()
+    clock = clock or SessionClock.start()
     with ExitStack() as opened:
         executor = ThreadPoolExecutor(1, thread_name_prefix="solve")
         opened.callback(executor.shutdown, wait=False, cancel_futures=True)

@@ -8,9 +8,10 @@ import random
 import threading
 import time
 from collections import Counter, deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -22,6 +23,28 @@ IDLE_S = 0.02
 FRESH_BOOT_NS = 1_500_000_000  # how long after its boot a rebooted autopilot is first heard
 FIRST_QUESTION_NS = 2_000_000_000  # after a boot: its own first TIMESYNC
 KEEP = 50_000  # messages remembered for whoever asks
+
+
+class Clock(Protocol):
+    """What it lives by: the host's monotonic clock, unless a whole flight is to run faster than that."""
+
+    def now_ns(self) -> int:
+        """Now."""
+
+    def wall_s(self, ns: int) -> float:
+        """How long so much of this clock's time takes."""
+
+
+class HostClock:
+    """CLOCK_MONOTONIC."""
+
+    def now_ns(self) -> int:
+        """Now."""
+        return time.monotonic_ns()
+
+    def wall_s(self, ns: int) -> float:
+        """The same."""
+        return ns / 1e9
 
 
 @dataclass(frozen=True)
@@ -49,6 +72,8 @@ class FakeAutopilot:
     `drift` is how much faster its clock runs than the host's, `speed` how much faster it lives altogether (its clock
     with it). `system` is its system number, the recording's if None. `everything`: send every recorded message unasked.
     `chatter`: others talk on the same line, another vehicle among them. `key`: 32 bytes, sign and accept only signed.
+    `clock` takes the place of the host's: all that is called monotonic here is then its time. `spoil` sees each
+    recorded message (a copy) before it is sent, with that time, and returns what is sent instead; None for nothing.
     """
 
     def __init__(
@@ -70,6 +95,8 @@ class FakeAutopilot:
         getting_ready_s: float = 0.5,
         key: bytes | None = None,
         seed: int = 0,
+        clock: Clock | None = None,
+        spoil: Callable[[int, Any], Any | None] | None = None,
     ) -> None:
         self.flight = flight
         self.style = STYLES[style]
@@ -88,6 +115,8 @@ class FakeAutopilot:
         self._begin_ns = flight.due_ns[0] + round(begin_s * 1e9)
         self._at_ns = at_monotonic_ns
         self._random = random.Random(seed)
+        self._clock = clock or HostClock()
+        self._spoil = spoil
         self._wire = open_wire(url)
         self.url = self._wire.url
         self._packer = mavlink.MAVLink(None, srcSystem=self.system, srcComponent=mavlink.MAV_COMP_ID_AUTOPILOT1)
@@ -110,7 +139,7 @@ class FakeAutopilot:
         self._thread = threading.Thread(target=self._run, name="autopilot", daemon=True)
 
     def __enter__(self) -> Self:
-        start_ns = time.monotonic_ns() if self._at_ns is None else self._at_ns
+        start_ns = self._clock.now_ns() if self._at_ns is None else self._at_ns
         self._boots.append(_Boot(start_ns, self._begin_ns, 0))
         self._next_question_ns = start_ns + FIRST_QUESTION_NS
         self._pass_until(self._begin_ns)
@@ -166,7 +195,7 @@ class FakeAutopilot:
     def send_bytes(self, data: bytes) -> None:
         """Put anything on the line."""
         with self._lock:
-            heapq.heappush(self._late, (time.monotonic_ns(), next(self._order), data, None))
+            heapq.heappush(self._late, (self._clock.now_ns(), next(self._order), data, None))
 
     def _fresh_rates(self) -> Rates:
         return Rates(self.style, {m.get_type() for m in self._messages}, self._everything)
@@ -178,14 +207,14 @@ class FakeAutopilot:
     def _run(self) -> None:
         while not self._stop.is_set():
             self._obey()
-            now = time.monotonic_ns()
+            now = self._clock.now_ns()
             if now >= max(self._silent_until_ns, self._boots[0].monotonic_ns):
                 self._play(now)
             else:
                 self._skip(now)
             self._deliver()
             chunk = self._wire.receive(self._wait_s())
-            if chunk and time.monotonic_ns() >= self._silent_until_ns:
+            if chunk and self._clock.now_ns() >= self._silent_until_ns:
                 if self.faults.delay_s > 0.0:
                     with self._lock:
                         heapq.heappush(self._late, (self._arrival_ns(), next(self._order), None, chunk))
@@ -193,19 +222,20 @@ class FakeAutopilot:
                     self._hear(chunk)
 
     def _wait_s(self) -> float:
-        due = [time.monotonic_ns() + round(IDLE_S * 1e9)]
+        now = self._clock.now_ns()
+        due = []
         if self._next < len(self._messages):
             next_ns = self.monotonic_ns(self.flight.due_ns[self._next] + self._boots[-1].shift_ns)
             due.append(max(next_ns, self._silent_until_ns))
         with self._lock:
             if self._late:
                 due.append(self._late[0][0])
-        return max((min(due) - time.monotonic_ns()) / 1e9, 0.0)
+        return max(min([IDLE_S, *(self._clock.wall_s(at - now) for at in due)]), 0.0)
 
     def _obey(self) -> None:
         while self._orders:
             order, seconds = self._orders.popleft()
-            now = time.monotonic_ns()
+            now = self._clock.now_ns()
             if order == "unplug":
                 self._wire.unplug()
             elif order == "plug":
@@ -242,8 +272,12 @@ class FakeAutopilot:
         while self._next < len(self._messages) and self.flight.due_ns[self._next] <= recorded_ns:
             due_ns, message = self.flight.due_ns[self._next], self._messages[self._next]
             self._next += 1
-            if self._rates.is_due(message.get_type(), due_ns):
-                self._send(moved(message, run.shift_ns))
+            if self._rates.is_due(message.get_type(), due_ns + run.shift_ns):
+                sent = moved(message, run.shift_ns)
+                if self._spoil is not None:
+                    sent = self._spoil(now, sent)
+                if sent is not None:
+                    self._send(sent)
         if self._next >= len(self._messages) and self.loop:
             self._next = 0
             length_ns = self.flight.due_ns[-1] - self.flight.due_ns[0] + 20_000_000
@@ -278,7 +312,7 @@ class FakeAutopilot:
         late = self.faults.delay_s
         if self.faults.jitter_s > 0.0:
             late += self._random.expovariate(1.0 / self.faults.jitter_s)
-        return time.monotonic_ns() + round(late * 1e9)
+        return self._clock.now_ns() + round(late * 1e9)
 
     def _post(self, packet: bytes) -> None:
         faults = self.faults
@@ -303,7 +337,7 @@ class FakeAutopilot:
     def _deliver(self) -> None:
         while True:
             with self._lock:
-                if not self._late or self._late[0][0] > time.monotonic_ns():
+                if not self._late or self._late[0][0] > self._clock.now_ns():
                     return
                 _, _, outgoing, incoming = heapq.heappop(self._late)
             if outgoing is not None:
@@ -320,7 +354,7 @@ class FakeAutopilot:
                 continue
             self.heard.append(message)
             if name == "TIMESYNC" and message.tc1 == 0 and self.answers_timesync:
-                self._send(mavlink.MAVLink_timesync_message(self._boot_ns(time.monotonic_ns()), message.ts1))
+                self._send(mavlink.MAVLink_timesync_message(self._boot_ns(self._clock.now_ns()), message.ts1))
             elif name == "COMMAND_LONG" and message.target_system == self.system:
                 self._answer(message)
             elif name == "REQUEST_DATA_STREAM" and message.target_system == self.system:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import socket
 import time
@@ -182,3 +183,41 @@ def test_a_recording_in_a_loop_never_turns_its_clock_back(flight: Flight, statio
     assert not autopilot.is_over
     assert stamps == sorted(stamps)
     assert 1800 < stamps[-1] - stamps[0] < 2800
+
+
+def test_rates_hold_from_one_round_of_a_loop_to_the_next(flight: Flight, station: Station) -> None:
+    short = Flight(flight.due_ns[:40], flight.messages[:40], flight.log_offset_ns, 1, 1)
+    with FakeAutopilot(short, station.url, loop=True) as autopilot:
+        heard = named(station.listen(3.0), "ATTITUDE")
+    assert 9 <= len(heard) <= 14  # four a second, unasked
+    assert autopilot.counts["ATTITUDE"] >= len(heard)
+
+
+class TenTimes:
+    """A clock that runs ten times as fast as the host's."""
+
+    def now_ns(self) -> int:
+        return 10 * time.monotonic_ns()
+
+    def wall_s(self, ns: int) -> float:
+        return ns / 1e10
+
+
+def test_by_another_clock_it_lives_as_fast_as_that(flight: Flight, station: Station) -> None:
+    with FakeAutopilot(flight, station.url, everything=True, clock=TenTimes()):
+        stamps = [m.time_boot_ms for m in named(station.listen(1.0), "ATTITUDE")]
+    assert 7500 < stamps[-1] - stamps[0] < 11500
+    assert max(b - a for a, b in itertools.pairwise(stamps)) < 400
+
+
+def test_what_is_spoilt_is_sent_as_it_is_left(flight: Flight, station: Station) -> None:
+    def spoil(now_ns: int, message: Any) -> Any:
+        if message.get_type() == "GLOBAL_POSITION_INT":
+            message.relative_alt = 7
+        return None if message.get_type() == "ATTITUDE" else message
+
+    with FakeAutopilot(flight, station.url, everything=True, spoil=spoil):
+        heard = station.listen(1.0)
+    assert {m.relative_alt for m in named(heard, "GLOBAL_POSITION_INT")} == {7}
+    assert not named(heard, "ATTITUDE")
+    assert all(m.relative_alt != 7 for m in flight.messages if m.get_type() == "GLOBAL_POSITION_INT")
