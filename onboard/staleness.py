@@ -24,7 +24,8 @@ class Staleness:
     def is_stale(self, image: NDArray[np.uint8], nav: NavState) -> bool:
         """Whether a picture (H, W) is an old one, seen from elsewhere."""
         before = self._nav
-        if before is None or self._image is None or not np.array_equal(image, self._image):
+        if before is None or self._image is None or not np.array_equal(image, self._image) or not np.ptp(image):
+            # A picture of one single grey (black, white, a lens cap) is old or new alike: it has nothing to follow.
             self._image, self._nav = image, nav
             return False
         moved_m = float(np.linalg.norm(nav.position_enu_m - before.position_enu_m))

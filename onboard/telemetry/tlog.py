@@ -104,15 +104,15 @@ def _without_stray_stamps(messages: list[tuple[int, Any]]) -> list[tuple[int, An
 
 
 def _autopilot_system(messages: list[tuple[int, Any]]) -> int:
-    """The system whose autopilot sent most heartbeats; without any heartbeat, the one that sent most messages."""
+    """The system whose autopilot says most, of those with a heartbeat if any has one: others pass by on the line."""
     autopilots = [m for _, m in messages if m.get_srcComponent() == AUTOPILOT_COMPONENT]
-    beats = Counter(
+    beating = {
         m.get_srcSystem()
         for m in autopilots
         if m.get_type() == "HEARTBEAT" and m.autopilot != mavlink.MAV_AUTOPILOT_INVALID
-    )
-    counts = beats or Counter(m.get_srcSystem() for m in autopilots or [m for _, m in messages])
-    return int(counts.most_common(1)[0][0])
+    }
+    counts = Counter(m.get_srcSystem() for m in autopilots or [m for _, m in messages])
+    return int(max(counts, key=lambda system: (system in beating, counts[system])))
 
 
 def _decoded(data: bytes) -> Iterator[tuple[int, Any]]:
