@@ -8,7 +8,7 @@ INSTALLED := $(VENV)/.installed
 PYTEST_ARGS ?= -n 2
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-bench lint types pytest bench clean
+.PHONY: help venv demo test test-bench lint types pytest fuzz bench clean
 
 help:
 	@echo "make demo    a short simulated flight, from pictures to clicked coordinates; pictures in out/demo"
@@ -18,6 +18,7 @@ help:
 	@echo "make types   mypy --strict"
 	@echo "make pytest  the tests alone (PYTEST_ARGS='-k click' to choose)"
 	@echo "make deb     a Debian package of the aircraft's side, into build/deb (docs/service.md)"
+	@echo "make fuzz    a million damaged sets, statuses and recordings for their readers (some minutes)"
 	@echo "make bench   every benchmark, into benchmarks/results.md (an hour; the real flight needs ../shared/data)"
 	@echo "make venv    only set up $(VENV)"
 	@echo "make clean   remove what was made: out, build, caches, $(VENV)"
@@ -74,6 +75,9 @@ systemd-analyze:
 
 pytest: $(INSTALLED) systemd-analyze
 	@$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+fuzz: $(INSTALLED)
+	@$(BIN)/python -m tests.fuzz.payloads 1000000
 
 bench: $(INSTALLED)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement benchmarks/requirements.txt

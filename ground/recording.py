@@ -227,7 +227,9 @@ def _chunked_messages(path: Path) -> tuple[bytes, list[_Found]]:
     found: list[_Found] = []
     with path.open("rb") as stream:
         try:
-            for _, channel, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
+            # A damaged length must not become memory asked for.
+            reader = NonSeekingReader(stream, record_size_limit=path.stat().st_size)
+            for _, channel, message in reader.iter_messages(log_time_order=False):
                 found.append((channel.topic, channel.message_encoding, len(kept), len(message.data)))
                 kept += message.data
         except (McapError, struct.error, ValueError, EOFError) as error:

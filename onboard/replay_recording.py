@@ -217,7 +217,8 @@ def _records(path: Path) -> Iterator[Metadata | tuple[Channel, Message]]:
                 raise InputError(f"recording {path}: not an MCAP file")
             stream.seek(0)
             try:
-                for record in StreamReader(stream, record_size_limit=None).records:
+                # No record is longer than its file: a damaged length must not become memory asked for.
+                for record in StreamReader(stream, record_size_limit=path.stat().st_size).records:
                     if isinstance(record, Channel):
                         channels[record.id] = record
                     elif isinstance(record, Metadata):
@@ -236,7 +237,10 @@ def _decoded(message: bytes) -> NDArray[np.uint8]:
         encoded = base64.b64decode(json.loads(message)["data"], validate=True)
     except (ValueError, KeyError, TypeError, binascii.Error) as error:
         raise InputError(f"a picture that is none: {error}") from error
-    image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_GRAYSCALE)
+    try:
+        image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_GRAYSCALE)
+    except cv2.error as error:  # of a size that is none, or nothing at all
+        raise InputError("a picture that cannot be decoded") from error
     if image is None:
         raise InputError("a picture that cannot be decoded")
     return np.asarray(image, np.uint8)

@@ -1,0 +1,204 @@
+"""Bounded, damaged inputs for everything that reads what came over a radio or off a disk: sets, status, recordings.
+
+`python -m tests.fuzz.payloads 1000000` takes a few minutes; a part of it is among the tests. Inputs are true ones,
+damaged: bits, bytes, numbers, lengths, cuts, splices. Most sets get their length and checksum put right again, or every
+one of them would end there. An input passes if it is read or refused by the errors that are promised, and quickly.
+"""
+
+from __future__ import annotations
+
+import random
+import struct
+import sys
+import time
+import zlib
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory, gettempdir
+
+import cv2
+import numpy as np
+
+from contract.codec import decode, encode
+from contract.errors import InputError, WireError
+from contract.feature_set import FeatureSet, Status
+from contract.vehicle_status import VehicleStatus, decode_status, encode_status
+from ground.locate import Locator
+from ground.recording import Recording
+from onboard.events import Attitude, Frame, GpsQuality, PositionFix
+from onboard.recording import SessionRecorder
+from onboard.replay_recording import RecordedFlight
+from tests.contract.sets import plain_set
+
+MAX_INPUT_BYTES = 12_000
+SLOW_S = 1.0
+GOLDEN = Path(__file__).parents[1] / "contract" / "golden"
+_NUMBERS = (0, 1, 2, 127, 128, 255, 256, 32767, 32768, 65535, 2**31 - 1, 2**31, 2**32 - 1, 2**63, 2**64 - 1)
+
+
+@dataclass
+class Result:
+    """What became of the inputs, by kind of input and of end."""
+
+    ends: Counter[str] = field(default_factory=Counter)
+    slowest_s: float = 0.0
+
+    @property
+    def count(self) -> int:
+        return self.ends.total()
+
+
+def damaged(true: bytes, others: list[bytes], rng: random.Random) -> bytes:
+    """One to four things done to it."""
+    data = bytearray(true)
+    for _ in range(rng.choice((1, 1, 1, 2, 2, 3, 4))):
+        at = rng.randrange(len(data) + 1)
+        kind = rng.randrange(7)
+        if kind == 0 and data:
+            data[at % len(data)] ^= 1 << rng.randrange(8)
+        elif kind == 1 and data:
+            data[at % len(data)] = rng.randrange(256)
+        elif kind == 2:
+            width = rng.choice((1, 2, 4, 8))
+            data[at : at + width] = (rng.choice(_NUMBERS) % 256**width).to_bytes(width, rng.choice(("little", "big")))
+        elif kind == 3:
+            del data[at:]
+        elif kind == 4:
+            del data[at : at + rng.randrange(1, 40)]
+        elif kind == 5:
+            data[at:at] = rng.randbytes(rng.randrange(1, 40))
+        else:
+            other = rng.choice(others)
+            begin = rng.randrange(len(other) + 1)
+            data[at : at + 40] = other[begin : begin + rng.randrange(1, 200)]
+    return bytes(data[:MAX_INPUT_BYTES])
+
+
+def sealed(payload: bytes) -> bytes:
+    """A set's payload with its length and checksum put right, so that what is inside is read."""
+    if len(payload) < 30:
+        return payload
+    body = payload[:3] + struct.pack("<H", len(payload) & 0xFFFF) + payload[5:-4]
+    return body + struct.pack("<I", zlib.crc32(body))
+
+
+def kept(data: bytes) -> Path:
+    """A file that holds an input, to look into."""
+    path = Path(gettempdir()) / f"pointclick-fuzz-{zlib.crc32(data):08x}.bin"
+    path.write_bytes(data)
+    return path
+
+
+class Fuzz:
+    """Reads damaged inputs; raises whatever is raised that was not promised, with the input."""
+
+    def __init__(self, seed: int, folder: Path) -> None:
+        cv2.utils.logging.setLogLevel(
+            cv2.utils.logging.LOG_LEVEL_SILENT
+        )  # it prints what it thinks of damaged pictures
+        self._rng = random.Random(seed)
+        self._path = folder / "damaged.mcap"
+        self.result = Result()
+        refused = FeatureSet("uav-1", 1, 2, 3, Status.TURNING, plain_set(1).camera)
+        self._sets = [file.read_bytes() for file in sorted(GOLDEN.glob("*.bin"))]
+        self._sets += [encode(plain_set(n)) for n in (0, 1, 12, 100)] + [encode(refused)]
+        told = VehicleStatus(1.7e9, 7, "ok", "all is well", 12.0, 30.0, 29.0, 77, 0.2, 99, 1, 2, True, 55.0)
+        self._statuses = [encode_status(told), encode_status(VehicleStatus(0.0, 0, "starting")), b'{"v":1}', b"[]"]
+        self._recordings = [_a_recording(folder / "true.mcap", features) for features in (3, 12)]
+
+    def run(self, count: int) -> Result:
+        """So many inputs: of ten, six sets, three statuses, one recording."""
+        for number in range(count):
+            kind = number % 10
+            if kind < 6:
+                data = damaged(self._rng.choice(self._sets), self._sets, self._rng)
+                self._one("set", sealed(data) if self._rng.random() < 0.8 else data, self._read_set)
+            elif kind < 9:
+                self._one("status", damaged(self._rng.choice(self._statuses), self._statuses, self._rng), _read_status)
+            else:
+                data = damaged(self._rng.choice(self._recordings), self._recordings, self._rng)
+                self._one("recording", data, self._read_recording)
+        return self.result
+
+    def _one(self, name: str, data: bytes, read: Callable[[bytes], str]) -> None:
+        began = time.perf_counter()
+        try:
+            end = read(data)
+        except BaseException as error:
+            error.add_note(f"{name}, kept in {kept(data)}")
+            raise
+        took_s = time.perf_counter() - began
+        self.result.ends[f"{name} {end}"] += 1
+        self.result.slowest_s = max(self.result.slowest_s, took_s)
+        if took_s > SLOW_S:
+            raise AssertionError(f"{name} took {took_s:.1f} s, kept in {kept(data)}")
+
+    def _read_set(self, data: bytes) -> str:
+        try:
+            found = decode(data)
+        except WireError as error:
+            return type(error).__name__
+        if found.is_ok and self._rng.random() < 0.02:  # and a click in it, whatever its numbers say
+            Locator(found).locate((found.camera.width_px / 2.0, found.camera.height_px / 2.0))
+            return "clicked"
+        return "read"
+
+    def _read_recording(self, data: bytes) -> str:
+        # A new file each time: one that is mapped must not change.
+        self._path.unlink(missing_ok=True)
+        self._path.write_bytes(data)
+        end = "read"
+        try:
+            recording = Recording(self._path)
+            for vehicle in recording.vehicles:
+                recording.newest(vehicle)
+                recording.by_time(vehicle, 1.7e9)
+                recording.frame_of_file(vehicle, "a.png")
+                for frame in recording.frames(vehicle):
+                    recording.by_frame(vehicle, frame)
+        except InputError:
+            end = "InputError"
+        try:
+            for _ in RecordedFlight.open([self._path]).events():
+                pass
+        except InputError:
+            pass
+        return end
+
+
+def _read_status(data: bytes) -> str:
+    try:
+        decode_status(data)
+    except WireError as error:
+        return type(error).__name__
+    return "read"
+
+
+def _a_recording(path: Path, features: int) -> bytes:
+    base = plain_set(features)
+    with SessionRecorder(path, "uav-1", camera_json=base.camera.to_json(), pictures="lossless") as out:
+        out.write_event(PositionFix(1, -35.0, 149.0, 600.0, (1.0, 2.0, 3.0)))
+        out.write_event(GpsQuality(2, 3, 12))
+        out.write_event(Attitude(3, (1.0, 0.0, 0.0, 0.0)))
+        out.write_event(Frame(4, 77, np.zeros((8, 8), np.uint8), "a.png"))
+        out.write_set(base)
+    # Without what viewers get, which would be most of it, and without the summary: both are passed over.
+    return path.read_bytes()[:MAX_INPUT_BYTES]
+
+
+def main(count: int, seed: int) -> None:
+    """Run and tell."""
+    began = time.monotonic()
+    with TemporaryDirectory() as folder:
+        result = Fuzz(seed, Path(folder)).run(count)
+    print(
+        f"{result.count} inputs, seed {seed}, {time.monotonic() - began:.0f} s, slowest {1e3 * result.slowest_s:.1f} ms"
+    )
+    for end, number in sorted(result.ends.items()):
+        print(f"{number:>9} {end}")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000, int(sys.argv[2]) if len(sys.argv) > 2 else 1)

@@ -1,0 +1,21 @@
+"""A part of what `make fuzz` runs a million of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.fuzz.payloads import Fuzz
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_damaged_inputs_are_read_or_refused_as_promised(seed: int, tmp_path: Path) -> None:
+    result = Fuzz(seed, tmp_path).run(6000)
+    assert result.count == 6000
+    # The damage is neither so great that nothing is read nor so small that all is.
+    for kind in ("set", "status", "recording"):
+        ends = {end: n for end, n in result.ends.items() if end.startswith(kind)}
+        assert 0.02 < ends[f"{kind} read"] / sum(ends.values()) < 0.8, ends
+    assert result.ends["set CorruptPayload"] > 500 and result.ends["set NewerPayload"] > 5
+    assert result.ends["set clicked"] > 5
