@@ -170,5 +170,5 @@ def _refusal(error: zenoh.ReplyError | None) -> Refusal | None:
     try:
         said = json.loads(error.payload.to_bytes())
         return Refusal(Status(said["status"]), vehicle=str(said["vehicle"]))
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         return None

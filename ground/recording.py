@@ -117,7 +117,7 @@ class Recording:
     def _json(self, text: bytes) -> dict[str, Any]:
         try:
             event = json.loads(text)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise InputError(f"recording {self.path}: a frame event is not JSON ({error})") from error
         if not isinstance(event, dict):
             raise InputError(f"recording {self.path}: a frame event is not an object: {event!r}")

@@ -4,10 +4,10 @@ A radio's queue cannot be seen from here, and a queue that fills is delay that s
 `link.max_bit_rate` at its source (COMPONENTS: 80 kbit/s offered to 64 kbit/s are 7 to 17 s of delay, whatever zenoh is
 told to drop). Everything counts: sets, status, replies, and what zenoh, TLS, TCP and IP add.
 
-Overhead on the wire, IP headers and up, measured with zenoh 1.10 (`python -m benchmarks.link`): 55 B a message over tcp,
-34 over udp, 73 over tls, 82 over quic; beside that 29 (udp) to 130 B/s a ground for keep-alives and acknowledgements, 85
-to 197 B a reply, and 0.24 (udp), 0.6 (tcp), 1.8 (tls) or 8 kB (quic) for a ground that connects. Below, the dearest of
-tcp, udp and tls.
+Overhead on the wire, IP headers and up, measured with zenoh 1.10 (`python -m benchmarks.link`): 55 B a message over
+tcp, 34 over udp, 73 over tls, 82 over quic; beside that 29 (udp) to 130 B/s a ground for keep-alives and
+acknowledgements, 85 to 197 B a reply, and 0.24 (udp), 0.6 (tcp), 1.8 (tls) or 8 kB (quic) for a ground that connects.
+Below, the dearest of tcp, udp and tls.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ Every part of the session in order, each up to where it ends or was cut off.
 from __future__ import annotations
 
 import base64
-import binascii
+import io
 import json
 import struct
 from collections import Counter
@@ -22,6 +22,7 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Message, Metadata
 from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
+from PIL import Image
 
 from contract import recording_format as names
 from contract.camera import Camera
@@ -33,6 +34,17 @@ from onboard.event_record import NAV_EVENTS, frame_event, nav_event
 from onboard.events import Event
 
 _UNREADABLE = (McapError, struct.error, EOFError, UnicodeDecodeError, ValueError, OverflowError, MemoryError)
+# What a damaged message or a damaged picture's head raises (binascii's error is a ValueError).
+_NO_PICTURE = (
+    ValueError,
+    KeyError,
+    TypeError,
+    OSError,
+    SyntaxError,
+    EOFError,
+    struct.error,
+    Image.DecompressionBombError,
+)
 
 
 def parts_of(path: Path) -> list[Path]:
@@ -113,7 +125,7 @@ class RecordedFlight:
                         if as_recorded in ("png", "jpeg"):
                             if picture is None or picture[0] != frame.stamp_ns:
                                 raise InputError(f"frame {frame.index} without its picture")
-                            frame, _ = frame_event(message.data, _decoded(picture[1]))
+                            frame, _ = frame_event(message.data, _decoded(picture[1], self.camera))
                         if as_recorded != "none":
                             yield message.log_time, frame
                     elif kind in NAV_EVENTS:
@@ -231,16 +243,17 @@ def _records(path: Path) -> Iterator[Metadata | tuple[Channel, Message]]:
         raise InputError(f"recording {path}: {error.strerror}") from error
 
 
-def _decoded(message: bytes) -> NDArray[np.uint8]:
-    """The grey picture of a `foxglove.CompressedImage`."""
+def _decoded(message: bytes, camera: Camera) -> NDArray[np.uint8]:
+    """The grey picture of a `foxglove.CompressedImage`, of the camera's size: a damaged one may claim any other."""
     try:
         encoded = base64.b64decode(json.loads(message)["data"], validate=True)
-    except (ValueError, KeyError, TypeError, binascii.Error) as error:
+        with Image.open(io.BytesIO(encoded)) as header:
+            size_px = header.size
+    except _NO_PICTURE as error:
         raise InputError(f"a picture that is none: {error}") from error
-    try:
-        image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_GRAYSCALE)
-    except cv2.error as error:  # of a size that is none, or nothing at all
-        raise InputError("a picture that cannot be decoded") from error
+    if size_px != camera.size_px:
+        raise InputError(f"a picture of {size_px[0]} x {size_px[1]}, which is not the camera's size")
+    image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise InputError("a picture that cannot be decoded")
     return np.asarray(image, np.uint8)

@@ -182,7 +182,7 @@ def _a_recording(path: Path, features: int) -> bytes:
         out.write_event(PositionFix(1, -35.0, 149.0, 600.0, (1.0, 2.0, 3.0)))
         out.write_event(GpsQuality(2, 3, 12))
         out.write_event(Attitude(3, (1.0, 0.0, 0.0, 0.0)))
-        out.write_event(Frame(4, 77, np.zeros((8, 8), np.uint8), "a.png"))
+        out.write_event(Frame(4, 77, np.zeros(base.camera.size_px[::-1], np.uint8), "a.png"))
         out.write_set(base)
     # Without what viewers get, which would be most of it, and without the summary: both are passed over.
     return path.read_bytes()[:MAX_INPUT_BYTES]
