@@ -18,7 +18,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
 
-import cv2
 import numpy as np
 
 from contract.codec import decode, encode
