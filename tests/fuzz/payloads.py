@@ -94,9 +94,6 @@ class Fuzz:
     """Reads damaged inputs; raises whatever is raised that was not promised, with the input."""
 
     def __init__(self, seed: int, folder: Path) -> None:
-        cv2.utils.logging.setLogLevel(
-            cv2.utils.logging.LOG_LEVEL_SILENT
-        )  # it prints what it thinks of damaged pictures
         self._rng = random.Random(seed)
         self._path = folder / "damaged.mcap"
         self.result = Result()
