@@ -28,6 +28,10 @@ Array = NDArray[np.float64]
 MAGIC = b"PC"
 MAJOR, MINOR = 2, 0
 MAX_VEHICLE_BYTES = 32
+# What a set is to take where that depends on the step of its shared errors: to so many features, and beyond.
+MANY_FEATURES = 100
+MOST_BYTES = 600
+PACKET_BYTES = 1200
 
 # Section 2: magic, version, length, flags, status, session, frame, revision, capture time, vehicle's length.
 _HEAD = struct.Struct("<2sBHBBIIHQB")
@@ -88,7 +92,11 @@ def encode(feature_set: FeatureSet) -> bytes:
         flags |= _GEOMETRY | (_ELLIPSOID if s.height_datum is HeightDatum.ELLIPSOID else 0)
         flags |= _SOURCES.index(s.depth_source) << _SOURCE_SHIFT
         flags |= 0 if math.isnan(s.undulation_m) else _UNDULATION
-        body += _encode_geometry(s) + encode_features(s, camera)
+        body += _encode_geometry(s)
+        features = encode_features(s, camera)
+        most = MOST_BYTES if len(s) <= MANY_FEATURES else PACKET_BYTES
+        room = most - _HEAD.size - len(body) - len(features) - _CRC.size
+        body += encode_common(s.common_cov, s.shared, room) + features
     elif len(s):
         raise ValueError(f"a set with status {s.status.value!r} carries no features, this one has {len(s)}")
     length = _HEAD.size + len(body) + _CRC.size
@@ -222,6 +230,7 @@ def _rotation_steps(R: Array) -> list[int]:
 
 
 def _encode_geometry(s: FeatureSet) -> bytes:
+    """All but the common errors."""
     if not (abs(s.camera_lat_deg) <= 90.0 and abs(s.camera_lon_deg) <= 180.0):
         raise ValueError(f"camera position {s.camera_lat_deg!r}, {s.camera_lon_deg!r} is not a latitude and longitude")
     parts = [
@@ -237,7 +246,7 @@ def _encode_geometry(s: FeatureSet) -> bytes:
         raise ValueError(f"plane_per_m must be three finite numbers, not {plane.tolist()}")
     spread = sigma_code(s.plane_sigma_relative, "plane_sigma_relative")
     parts.append(_PLANE.pack(*plane, spread, sigma_code(s.roughness, "roughness")))
-    return b"".join(parts) + encode_common(s.common_cov, s.shared)
+    return b"".join(parts)
 
 
 def _decode_geometry(reader: Reader, flags: int) -> dict[str, Any]:

@@ -1,8 +1,8 @@
 """The errors that all points of a set have in common <-> bytes: section 4.4 of docs/wire-format.md.
 
 What is fresh is written as sigmas and partial correlations. What is shared with other sets is written in sigmas of what
-is fresh, decorrelated: a quarter of one is a step, so two sets' columns cancel to within a small part of what is left
-anyway. Any numbers give a covariance.
+is fresh, decorrelated, in steps as fine as there is room for: sets of the same pictures share what is fresh too, so
+that rounding is most of what is left between them. Any numbers give a covariance.
 """
 
 from __future__ import annotations
@@ -28,21 +28,22 @@ from contract.reader import Reader
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-STEP = 0.25
-MAX_STEPS = 2**14 - 1
+STEP = 0.25  # the coarsest
+MAX_HALVINGS = 2  # of the step
+MAX_STEPS = 2**12 - 1  # of the coarsest
 SPAN_STEPS = 100  # a second
 MAX_SPAN_STEPS = 2**15 - 1
 _CORRELATIONS = COMMON_STATES * (COMMON_STATES - 1) // 2
 _EMPTY = 15  # the Rice parameter of a column of zeros
 _HEAD = struct.Struct(f"<{COMMON_STATES}H6H2h")
-_PARAMETERS = 4 * (1 + DRAWS)  # bits
+_PARAMETERS = 4 * (2 + DRAWS)  # bits: halvings, then Rice parameters
 _SIZES = np.array([_CORRELATIONS] + [COMMON_STATES] * DRAWS)
 _WIDTHS = np.arange(_EMPTY)
 _POWERS = np.arange(_EMPTY - 1, -1, -1)  # of a number's bits, most significant first
 
 
-def encode_common(common_cov: Array, shared: SharedErrors) -> bytes:
-    """Their bytes. Raises ValueError."""
+def encode_common(common_cov: Array, shared: SharedErrors, room: int) -> bytes:
+    """Their bytes, in the finest steps that keep to `room` bytes, or else in the coarsest. Raises ValueError."""
     common, by_draw = np.asarray(common_cov, float), np.asarray(shared.by_draw, float)
     if common.shape != (COMMON_STATES, COMMON_STATES) or not np.all(np.isfinite(common)):
         raise ValueError(f"common_cov must be {COMMON_STATES} x {COMMON_STATES} finite numbers, not {np.shape(common)}")
@@ -54,21 +55,28 @@ def encode_common(common_cov: Array, shared: SharedErrors) -> bytes:
         raise ValueError(f"common_cov less what is shared: {error}") from error
     factor = factor_from_codes(sigmas, correlations)
     assert factor is not None
-    columns = bits.zigzag(_steps(by_draw, factor).T)
-    return _encode_head(sigmas, shared) + _encode_groups(bits.zigzag(np.array(correlations, np.int64)), columns)
+    head, codes = _encode_head(sigmas, shared), bits.zigzag(np.array(correlations, np.int64))
+    finest = _steps(by_draw, factor).T
+    coarsest = _encode_groups(0, codes, bits.zigzag(_coarser(finest, MAX_HALVINGS)))
+    # A bit a number and halving; told from what a decoded set has exactly too, so that it takes the same steps again.
+    for halvings in range(MAX_HALVINGS, 0, -1):
+        if len(head) + len(coarsest) + -(-halvings * finest.size // 8) <= room:
+            return head + _encode_groups(halvings, codes, bits.zigzag(_coarser(finest, MAX_HALVINGS - halvings)))
+    return head + coarsest
 
 
 def decode_common(reader: Reader) -> dict[str, Any]:
     """common_cov and shared. Raises CorruptPayload."""
     numbers = reader.unpack(_HEAD)
     sigmas, codes, span = list(numbers[:COMMON_STATES]), numbers[COMMON_STATES:-2], numbers[-2:]
-    correlations, steps = (bits.unzigzag(numbers) for numbers in _decode_groups(reader))
-    if np.any(np.abs(correlations) > MAX_CORRELATION_CODE) or np.any(np.abs(steps) > MAX_STEPS):
+    halvings, *groups = _decode_groups(reader)
+    correlations, steps = (bits.unzigzag(numbers) for numbers in groups)
+    if np.any(np.abs(correlations) > MAX_CORRELATION_CODE) or np.any(np.abs(steps) > MAX_STEPS << halvings):
         raise CorruptPayload("a correlation or a shared error is larger than can be written")
     factor = factor_from_codes(sigmas, correlations.tolist())
     if factor is None:
         raise CorruptPayload(f"correlations {correlations.tolist()} mean nothing")
-    by_draw = factor @ (steps.T * STEP)
+    by_draw = factor @ (steps.T * (STEP / 2**halvings))
     position_s, attitude_s, *alignment = (sigma_from_code(code) for code in codes)
     span_s = (span[0] / SPAN_STEPS, span[1] / SPAN_STEPS)
     return {
@@ -78,11 +86,19 @@ def decode_common(reader: Reader) -> dict[str, Any]:
 
 
 def _steps(by_draw: Array, factor: Array) -> Ints:
-    """Columns (9, DRAWS) in steps. `factor` (9, 9) is the lower Cholesky factor of the fresh covariance as decoded."""
+    """Columns (9, DRAWS) in the finest steps. `factor` (9, 9): lower Cholesky factor of what is fresh, as decoded."""
     # A state that is known exactly errs by no draw either.
     known = np.diag(factor) == 0.0
     in_sigmas = np.linalg.solve(factor + np.diag(known.astype(float)), np.where(known[:, None], 0.0, by_draw))
-    out: Ints = np.clip(np.rint(in_sigmas / STEP), -MAX_STEPS, MAX_STEPS).astype(np.int64)
+    most = MAX_STEPS << MAX_HALVINGS
+    out: Ints = np.clip(np.rint(in_sigmas * (2**MAX_HALVINGS / STEP)), -most, most).astype(np.int64)
+    return out
+
+
+def _coarser(steps: Ints, halvings: int) -> Ints:
+    """The nearest in steps doubled so many times; halves upwards."""
+    half = (1 << halvings) >> 1
+    out: Ints = (steps + half) >> halvings
     return out
 
 
@@ -101,14 +117,16 @@ def _encode_head(sigmas: list[int], shared: SharedErrors) -> bytes:
     return _HEAD.pack(*sigmas, *codes, *(int(n) for n in span))
 
 
-def _encode_groups(correlations: Ints, columns: Ints) -> bytes:
+def _encode_groups(halvings: int, correlations: Ints, columns: Ints) -> bytes:
     """Rice codes, a parameter a group: parameters, then all fixed parts, then all unary parts."""
     ks = np.concatenate([_parameters(correlations[None]), _parameters(columns)])
     k = np.repeat(ks, _SIZES)
     written = k != _EMPTY
     values, k = np.concatenate([correlations, columns.ravel()])[written], k[written]
     low = ((values[:, None] >> _POWERS) & 1)[k[:, None] > _POWERS].astype(np.uint8)
-    return np.packbits(np.concatenate([bits.fixed_to_bits([(ks, 4)]), low, bits.unary_to_bits(values >> k)])).tobytes()
+    return np.packbits(
+        np.concatenate([bits.fixed_to_bits([(np.append(halvings, ks), 4)]), low, bits.unary_to_bits(values >> k)])
+    ).tobytes()
 
 
 def _parameters(rows: Ints) -> Ints:
@@ -118,12 +136,15 @@ def _parameters(rows: Ints) -> Ints:
     return out
 
 
-def _decode_groups(reader: Reader) -> tuple[Ints, Ints]:
-    """Inverse of `_encode_groups`."""
+def _decode_groups(reader: Reader) -> tuple[int, Ints, Ints]:
+    """Inverse of `_encode_groups`. Raises CorruptPayload."""
     stream = np.unpackbits(np.frombuffer(reader.payload, np.uint8, reader.end - reader.position, reader.position))
     if len(stream) < _PARAMETERS:
         raise CorruptPayload("content ends within the common errors")
-    (ks,) = bits.bits_to_fixed(stream[:_PARAMETERS], [4])
+    (parameters,) = bits.bits_to_fixed(stream[:_PARAMETERS], [4])
+    halvings, ks = int(parameters[0]), parameters[1:]
+    if halvings > MAX_HALVINGS:
+        raise CorruptPayload(f"steps of shared errors halved {halvings} times")
     written = np.repeat(ks != _EMPTY, _SIZES)
     k = np.repeat(ks, _SIZES)[written]
     fixed_end = _PARAMETERS + int(k.sum())
@@ -139,4 +160,4 @@ def _decode_groups(reader: Reader) -> tuple[Ints, Ints]:
     low[k[:, None] > _POWERS] = stream[_PARAMETERS:fixed_end]
     values = np.zeros(len(written), np.int64)
     values[written] = (quotients << k) + low @ (np.int64(1) << _POWERS)
-    return values[:_CORRELATIONS], values[_CORRELATIONS:].reshape(DRAWS, COMMON_STATES)
+    return halvings, values[:_CORRELATIONS], values[_CORRELATIONS:].reshape(DRAWS, COMMON_STATES)

@@ -43,6 +43,20 @@ def test_a_hundred_features_take_at_most_600_bytes_and_two_hundred_fit_a_packet(
     assert min(two_hundred) > 700 and max(two_hundred) <= 1250
 
 
+def test_shared_errors_are_written_as_finely_as_there_is_room_for() -> None:
+    """Rounded by at most half a step of the fresh sigmas: fine in a plain set, coarse in one over white relief."""
+    for relief, halvings in ((0.0, 2), (0.06, 0)):
+        for seed in range(10):
+            s = plain_set(60 if halvings else 100, seed, relief)
+            got = decode(encode(s))
+            assert len(encode(s)) <= 630
+            fresh = np.linalg.cholesky(got.common_cov - got.shared.by_draw @ got.shared.by_draw.T)
+            steps = np.linalg.solve(fresh, got.shared.by_draw) / (0.25 / 2**halvings)
+            np.testing.assert_allclose(steps, np.rint(steps), atol=1e-3)
+            worst = np.abs(np.linalg.solve(fresh, got.shared.by_draw - s.shared.by_draw)).max() * 2**halvings
+            assert 0.05 < worst < 0.157  # coarse steps: rounded to fine ones first
+
+
 def test_two_hundred_features_of_a_large_picture_over_hills_fit_a_packet() -> None:
     camera = Camera(4000, 3000, 5500.0, 5500.0, 1999.5, 1499.5, (-0.2, 0.05, 0.0, 0.0, 0.01))
     assert len(encode(plain_set(200, relief=0.1, camera=camera))) <= 1250

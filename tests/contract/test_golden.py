@@ -71,18 +71,19 @@ def test_the_offsets_in_the_document_are_those_of_the_bytes() -> None:
     np.testing.assert_allclose(sigmas, np.sqrt(np.diag(fresh)), rtol=1e-9)
     assert 1e-12 * np.exp(0.0006 * (struct.unpack_from("<H", b, g + 60)[0] - 1.0)) == pytest.approx(60.0, rel=1e-3)
     assert struct.unpack_from("<2h", b, g + 72) == (-425, 475)
-    # Rice parameters, then the fixed parts of all groups, then the unary ones; the first column is that of the east.
+    # Halvings of the step, Rice parameters, the fixed parts of all groups, the unary ones; first the column of the east.
     bits = np.unpackbits(np.frombuffer(b, np.uint8, offset=g + 76))
-    ks = [int(k) for k in bits[:56].reshape(14, 4) @ [8, 4, 2, 1]]
+    halvings, *ks = (int(k) for k in bits[:60].reshape(15, 4) @ [8, 4, 2, 1])
+    assert halvings == 2
     widths = [k for k, n in zip(ks, [36] + [9] * 13, strict=True) if k < 15 for _ in range(n)]
-    ends = np.flatnonzero(bits[56 + sum(widths) :])
-    first = (int(ends[0]) << ks[0]) + int("".join(map(str, bits[56 : 56 + ks[0]])), 2)
+    ends = np.flatnonzero(bits[60 + sum(widths) :])
+    first = (int(ends[0]) << ks[0]) + int("".join(map(str, bits[60 : 60 + ks[0]])), 2)
     p = np.tanh(0.05 * (-(first + 1) // 2 if first % 2 else first // 2))
     assert p == pytest.approx(fresh[1, 0] / np.sqrt(fresh[0, 0] * fresh[1, 1]), rel=1e-6)
     at = 36 * ks[0]
-    number = (int(ends[36] - ends[35] - 1) << ks[1]) + int("".join(map(str, bits[56 + at : 56 + at + ks[1]])), 2)
+    number = (int(ends[36] - ends[35] - 1) << ks[1]) + int("".join(map(str, bits[60 + at : 60 + at + ks[1]])), 2)
     step = -(number + 1) // 2 if number % 2 else number // 2
-    assert by_draw[0, 0] == pytest.approx(sigmas[0] * 0.25 * step, rel=1e-9)
-    g += 76 + -(-(56 + sum(widths) + int(ends[len(widths) - 1]) + 1) // 8)
+    assert by_draw[0, 0] == pytest.approx(sigmas[0] * 0.25 / 4 * step, rel=1e-9)
+    g += 76 + -(-(60 + sum(widths) + int(ends[len(widths) - 1]) + 1) // 8)
     assert b[g] == 12
     assert struct.unpack_from("<I", b, len(b) - 4)[0] == zlib.crc32(b[:-4])
