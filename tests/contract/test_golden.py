@@ -71,7 +71,7 @@ def test_the_offsets_in_the_document_are_those_of_the_bytes() -> None:
     np.testing.assert_allclose(sigmas, np.sqrt(np.diag(fresh)), rtol=1e-9)
     assert 1e-12 * np.exp(0.0006 * (struct.unpack_from("<H", b, g + 60)[0] - 1.0)) == pytest.approx(60.0, rel=1e-3)
     assert struct.unpack_from("<2h", b, g + 72) == (-425, 475)
-    # Halvings of the step, Rice parameters, the fixed parts of all groups, the unary ones; first the column of the east.
+    # Halvings of the step, Rice parameters, the fixed parts of all groups, the unary ones; first column: east.
     bits = np.unpackbits(np.frombuffer(b, np.uint8, offset=g + 76))
     halvings, *ks = (int(k) for k in bits[:60].reshape(15, 4) @ [8, 4, 2, 1])
     assert halvings == 2
