@@ -40,7 +40,7 @@ from onboard.session import Detail, Parts
 from onboard.sources import Emit, Health, State, Stop
 
 LEAD_NS = 2_000_000_000  # from the clock's beginning to the first picture
-TAIL_NS = 1_000_000_000  # after the last minute, for its figures
+TAIL_NS = 4_000_000_000  # after the last minute, so that the process is still there to be looked at
 MOST_WAITING_S = 0.8  # of pictures: the flight waits, so that none is dropped
 LOST_AFTER_NS = 1_500_000_000
 MINUTE_NS = 60_000_000_000
@@ -95,15 +95,14 @@ class Plan:
 
 def pass_ns(flown: Leg) -> int:
     """Length of one pass over a leg: out, or back."""
-    first, last = flown.frames[0].stamp_ns, flown.frames[-1].stamp_ns
-    return last - first + (last - first) // (len(flown.frames) - 1)
+    return flown.frames[-1].stamp_ns - flown.frames[0].stamp_ns
 
 
 def pictures(flown: Leg, begin_ns: int) -> Iterator[Frame]:
-    """The leg's pictures out and back without end, the first at `begin_ns`."""
+    """The leg's pictures out and back without end, the first at `begin_ns`; no picture comes twice in a row."""
     first, last = flown.frames[0].stamp_ns, flown.frames[-1].stamp_ns
     for index in count():
-        turn, place = divmod(index, len(flown.frames))
+        turn, place = divmod(index, len(flown.frames) - 1)
         is_back = turn % 2 == 1
         picture = flown.frames[-1 - place if is_back else place]
         into_ns = last - picture.stamp_ns if is_back else picture.stamp_ns - first
