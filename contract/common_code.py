@@ -8,6 +8,7 @@ that rounding is most of what is left between them. Any numbers give a covarianc
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -55,14 +56,15 @@ def encode_common(common_cov: Array, shared: SharedErrors, room: int) -> bytes:
         raise ValueError(f"common_cov less what is shared: {error}") from error
     factor = factor_from_codes(sigmas, correlations)
     assert factor is not None
-    head, codes = _encode_head(sigmas, shared), bits.zigzag(np.array(correlations, np.int64))
+    head, codes = _encode_head(sigmas, shared), _Group.of(bits.zigzag(np.array(correlations, np.int64))[None])
     finest = _steps(by_draw, factor).T
-    coarsest = _encode_groups(0, codes, bits.zigzag(_coarser(finest, MAX_HALVINGS)))
+    columns = _Group.of(bits.zigzag(_coarser(finest, MAX_HALVINGS)))
+    room_bits = 8 * (room - len(head)) - _PARAMETERS - codes.bits - columns.bits
     # A bit a number and halving; told from what a decoded set has exactly too, so that it takes the same steps again.
-    for halvings in range(MAX_HALVINGS, 0, -1):
-        if len(head) + len(coarsest) + -(-halvings * finest.size // 8) <= room:
-            return head + _encode_groups(halvings, codes, bits.zigzag(_coarser(finest, MAX_HALVINGS - halvings)))
-    return head + coarsest
+    halvings = min(max(room_bits // finest.size, 0), MAX_HALVINGS)
+    if halvings:
+        columns = _Group.of(bits.zigzag(_coarser(finest, MAX_HALVINGS - halvings)))
+    return head + _encode_groups(halvings, codes, columns)
 
 
 def decode_common(reader: Reader) -> dict[str, Any]:
@@ -117,23 +119,31 @@ def _encode_head(sigmas: list[int], shared: SharedErrors) -> bytes:
     return _HEAD.pack(*sigmas, *codes, *(int(n) for n in span))
 
 
-def _encode_groups(halvings: int, correlations: Ints, columns: Ints) -> bytes:
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Rows of numbers (N, M), the Rice parameter (N,) of each, and the bits that they take."""
+
+    rows: Ints
+    ks: Ints
+    bits: int
+
+    @classmethod
+    def of(cls, rows: Ints) -> _Group:
+        """With the parameters that code each row in the fewest bits, the smallest if several do."""
+        cost = (rows[:, :, None] >> _WIDTHS).sum(axis=1) + rows.shape[1] * (_WIDTHS + 1)
+        some = rows.any(axis=1)
+        return cls(rows, np.where(some, cost.argmin(axis=1), _EMPTY), int(cost.min(axis=1)[some].sum()))
+
+
+def _encode_groups(halvings: int, correlations: _Group, columns: _Group) -> bytes:
     """Rice codes, a parameter a group: parameters, then all fixed parts, then all unary parts."""
-    ks = np.concatenate([_parameters(correlations[None]), _parameters(columns)])
+    ks = np.concatenate([correlations.ks, columns.ks])
     k = np.repeat(ks, _SIZES)
     written = k != _EMPTY
-    values, k = np.concatenate([correlations, columns.ravel()])[written], k[written]
+    values, k = np.concatenate([correlations.rows.ravel(), columns.rows.ravel()])[written], k[written]
     low = ((values[:, None] >> _POWERS) & 1)[k[:, None] > _POWERS].astype(np.uint8)
-    return np.packbits(
-        np.concatenate([bits.fixed_to_bits([(np.append(halvings, ks), 4)]), low, bits.unary_to_bits(values >> k)])
-    ).tobytes()
-
-
-def _parameters(rows: Ints) -> Ints:
-    """The parameter (N,) that codes each row of (N, M) in the fewest bits, the smallest if several do."""
-    cost = (rows[:, :, None] >> _WIDTHS).sum(axis=1) + rows.shape[1] * _WIDTHS
-    out: Ints = np.where(rows.any(axis=1), np.argmin(cost, axis=1), _EMPTY)
-    return out
+    parameters = bits.fixed_to_bits([(np.append(halvings, ks), 4)])
+    return np.packbits(np.concatenate([parameters, low, bits.unary_to_bits(values >> k)])).tobytes()
 
 
 def _decode_groups(reader: Reader) -> tuple[int, Ints, Ints]:
