@@ -56,6 +56,8 @@ class DrawnSpec:
     errors: float = 1.0
     outlier_share: float = 0.0
     has_terrain: bool = False
+    boresight_deg: tuple[float, float, float] | None = None  # as it is; None: drawn as the configuration believes
+    offset_s: float | None = None
     camera: Camera = field(default_factory=lambda: Camera.from_field_of_view(640, 480, 40.0))
 
 
@@ -97,6 +99,10 @@ class DrawnFlight:
         self.ground = Ground(rng, e * tilt * rng.standard_normal(2), spec.relief_sigma_m, spec.relief_wavelength_m)
         self.boresight_rad = e * np.radians(config.mount.sigma_deg) * rng.standard_normal(3)
         self.offset_s = e * config.camera.sigma_latency_s * float(rng.standard_normal())
+        if spec.boresight_deg is not None:
+            self.boresight_rad = np.radians(spec.boresight_deg)
+        if spec.offset_s is not None:
+            self.offset_s = spec.offset_s
         mount = config.mount
         R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg) @ exp_so3(self.boresight_rad)
         self.times_s = np.arange(round(spec.seconds * spec.rate_hz)) / spec.rate_hz

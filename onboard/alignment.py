@@ -36,6 +36,7 @@ class Belief:
     end_ns: int
     mean: Array
     covariance: Array
+    given: Array | None = None  # (4,) variances of the first prior that it still rests on; None: as configured
 
     @property
     def sigma(self) -> Array:
@@ -46,7 +47,7 @@ class Belief:
         """The same belief some time later."""
         minutes = max(stamp_ns - self.end_ns, 0) / 60e9 if self.end_ns else 0.0
         walk = np.array([BORESIGHT_WALK_RAD] * 3 + [OFFSET_WALK_S])
-        return Belief(self.end_ns, self.mean, self.covariance + np.diag(walk**2 * minutes))
+        return Belief(self.end_ns, self.mean, self.covariance + np.diag(walk**2 * minutes), self.given)
 
 
 class Alignment:
@@ -81,7 +82,12 @@ class Alignment:
         newest = self._lessons[-1]
         if start_ns < newest.end_ns or (newest.end_ns > 0 and end_ns - newest.end_ns < self._spacing_ns):
             return False
-        self._lessons.append(Belief(end_ns, mean.copy(), covariance.copy()))
+        first = self._lessons[0]
+        rests_on = self.prior_for(start_ns).given
+        lesson = Belief(
+            end_ns, mean.copy(), covariance.copy(), np.diag(first.covariance) if rests_on is None else rests_on
+        )
+        self._lessons.append(_regiven(lesson, first))
         del self._lessons[1:-MEMORY_LESSONS]
         return True
 
@@ -117,3 +123,24 @@ class Alignment:
             raise InputError("alignment state: covariance is not positive definite")
         first = self._lessons[0].covariance
         self._lessons = [Belief(0, mean, covariance + 0.25 * first)]
+
+
+def _regiven(lesson: Belief, first: Belief) -> Belief:
+    """The lesson on the first prior that the data deserve. Equation (6.12).
+
+    A mount that is three sigma from where it was declared pulls every lesson back towards the declaration. Where the data alone
+    are that far from it, it was the declaration's sigma that was too small: the variance of the prior becomes what makes the
+    data likeliest, never less than declared.
+    """
+    assert lesson.given is not None
+    precision = np.linalg.inv(lesson.covariance)
+    alone = precision - np.diag(1.0 / lesson.given)
+    values, vectors = np.linalg.eigh(alone)
+    if values[0] <= 1e-6 * values[-1]:
+        return lesson  # in some direction the data say nothing of their own
+    pull = precision @ (lesson.mean - first.mean)
+    by_data = np.linalg.solve(alone, pull)
+    own = np.diag((vectors / values) @ vectors.T)
+    given = np.maximum(np.diag(first.covariance), by_data**2 - own)
+    covariance = np.linalg.inv(alone + np.diag(1.0 / given))
+    return Belief(lesson.end_ns, first.mean + covariance @ pull, covariance, given)

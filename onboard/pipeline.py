@@ -135,7 +135,9 @@ class Pipeline:
             out.extend(self._adopt())
         while self._waiting:
             frame = self._waiting[0]
-            if not self.navigation.covers(frame.stamp_ns) and self._now_ns - frame.stamp_ns < MAX_WAIT_NS:
+            # The moment that counts is the autopilot's: extrapolating to it would bend what is learned of the offset.
+            moment_ns = frame.stamp_ns + round(self.window.alignment.belief.mean[3] * 1e9)
+            if not self.navigation.covers(moment_ns) and self._now_ns - frame.stamp_ns < MAX_WAIT_NS:
                 break
             out.extend(self._process(self._waiting.popleft()))
         out.extend(self._catch_up())
