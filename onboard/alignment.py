@@ -128,9 +128,9 @@ class Alignment:
 def _regiven(lesson: Belief, first: Belief) -> Belief:
     """The lesson on the first prior that the data deserve. Equation (6.12).
 
-    A mount that is three sigma from where it was declared pulls every lesson back towards the declaration. Where the data alone
-    are that far from it, it was the declaration's sigma that was too small: the variance of the prior becomes what makes the
-    data likeliest, never less than declared.
+    A mount that is three sigma from where it was declared pulls every lesson back towards the declaration. Where the
+    data alone are that far from it, it was the declaration's sigma that was too small: the variance of the prior
+    becomes what makes the data likeliest, never less than declared.
     """
     assert lesson.given is not None
     precision = np.linalg.inv(lesson.covariance)

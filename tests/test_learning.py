@@ -1,4 +1,4 @@
-"""What the platform does not know is learned in flight: 3 degrees of mount and 0.3 s of clock, at the default priors."""
+"""What the platform does not know is learned in flight: 3 degrees of mount and 0.3 s of clock, at default priors."""
 
 from __future__ import annotations
 
