@@ -24,6 +24,7 @@ STATES = 4  # boresight about camera x, y, z (rad), time offset (s)
 BORESIGHT_WALK_RAD = np.radians(0.03)
 OFFSET_WALK_S = 0.002
 MEMORY_LESSONS = 8
+TOO_SURE = 2.0  # times the declared sigma that data may claim
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +131,8 @@ def _regiven(lesson: Belief, first: Belief) -> Belief:
 
     A mount that is three sigma from where it was declared pulls every lesson back towards the declaration. Where the
     data alone are that far from it, it was the declaration's sigma that was too small: the variance of the prior
-    becomes what makes the data likeliest, never less than declared.
+    becomes what makes the data likeliest, never less than declared and never more than twice its sigma: data too have
+    errors that they do not know of.
     """
     assert lesson.given is not None
     precision = np.linalg.inv(lesson.covariance)
@@ -141,6 +143,7 @@ def _regiven(lesson: Belief, first: Belief) -> Belief:
     pull = precision @ (lesson.mean - first.mean)
     by_data = np.linalg.solve(alone, pull)
     own = np.diag((vectors / values) @ vectors.T)
-    given = np.maximum(np.diag(first.covariance), by_data**2 - own)
+    declared = np.diag(first.covariance)
+    given = np.clip(by_data**2 - own, declared, TOO_SURE**2 * declared)
     covariance = np.linalg.inv(alone + np.diag(1.0 / given))
     return Belief(lesson.end_ns, first.mean + covariance @ pull, covariance, given)

@@ -127,7 +127,7 @@ def test_what_is_no_belief_is_refused_by_name_and_changes_nothing(text: str) -> 
 
 
 def test_a_declaration_that_was_too_sure_gives_way_to_data() -> None:
-    """The mount declared within 1 degree, in truth 3 off; data know it to 0.5: it is pulled back by 0.08."""
+    """The mount declared within 1 degree, in truth 3 off; data know it to 0.5: it is pulled back by 0.18."""
     sigma, own = np.radians(1.0), np.radians(0.5)
     a = Alignment(sigma, 0.1, 20.0)
     truth = np.array([np.radians(3.0), 0.0, np.radians(0.5), 0.0])
@@ -135,9 +135,9 @@ def test_a_declaration_that_was_too_sure_gives_way_to_data() -> None:
     covariance = np.linalg.inv(precision + np.diag([sigma**-2] * 3 + [0.1**-2]))
     a.offer(at(0.0), at(10.0), covariance @ precision @ truth, covariance)
     believed = np.degrees(a.belief.mean[:3])
-    assert believed[0] == pytest.approx(2.92, abs=0.01)  # 9 - 0.25 square degrees of prior, instead of 1: 2.4
+    assert believed[0] == pytest.approx(2.82, abs=0.01)  # 4 square degrees of prior instead of 1: 2.4
     assert believed[2] == pytest.approx(0.4, abs=0.001)  # within what was declared: as it was
-    assert np.degrees(a.belief.sigma[0]) == pytest.approx(0.493, abs=0.002)
+    assert np.degrees(a.belief.sigma[0]) == pytest.approx(0.485, abs=0.002)
     assert np.degrees(a.belief.sigma[2]) == pytest.approx(np.degrees(np.sqrt(covariance[2, 2])), abs=1e-6)
 
 
@@ -153,4 +153,4 @@ def test_giving_way_happens_once_and_not_lesson_after_lesson() -> None:
         covariance = np.linalg.inv(held + data)
         a.offer(at(100.0 * k), at(100.0 * k + 10.0), covariance @ (held @ prior.mean + data @ truth), covariance)
         assert np.degrees(a.belief.sigma[0]) == pytest.approx(0.5 / np.sqrt(k + 1.0), rel=0.04)
-        assert abs(np.degrees(a.belief.mean[0]) - 3.0) < 0.1
+        assert abs(np.degrees(a.belief.mean[0]) - 3.0) < 0.2 / (k + 1)
