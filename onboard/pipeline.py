@@ -29,7 +29,7 @@ from onboard.keyframe import Sighting, sighting
 from onboard.known_ground import over_known_ground
 from onboard.navigation import Navigation, NavState
 from onboard.prediction import move
-from onboard.staleness import Staleness
+from onboard.staleness import Staleness, Stillness
 from onboard.tally import Summary, Tally
 from onboard.terrain import Terrain
 from onboard.tracking import MIN_TRACKS, Tracker, Tracks
@@ -116,7 +116,7 @@ class Pipeline:
         self._pending: _Pending | None = None
         self._now_ns = 0  # stamp of the newest event
         self._session: int | None = None
-        self._staleness = Staleness()
+        self._staleness, self._stillness = Staleness(), Stillness(camera.width_px)
         self._misses = self._failures = 0
         self._unsolved = Status.STARTING  # why there is no solution yet: POOR_FIT once windows were refused for it
         self._last_nav_ns: int | None = None
@@ -179,6 +179,8 @@ class Pipeline:
         self._know_terrain(nav)
         with self._tally.timed("tracking"):
             tracks = self._track(frame, nav)
+        if isinstance(tracks, Status):
+            return [*out, self._refuse(frame, tracks)]
         self.tracks = tracks
         if tracks is None:
             # The first picture of a stretch: nothing to track against yet.
@@ -209,13 +211,16 @@ class Pipeline:
                     frame, nav.position_enu_m, TERRAIN_RADIUS_M, TERRAIN_SPACING_M, nav.undulation_m
                 )
 
-    def _track(self, frame: Frame, nav: NavState) -> Tracks | None:
+    def _track(self, frame: Frame, nav: NavState) -> Tracks | Status | None:
+        """Features found again; None if there was nothing to look for, a status if the picture is not to be used."""
         assert frame.image is not None
         # While it is open what carries the camera, the pictures must be heard without its prejudice.
         predicted = None if self.carriage.is_open(nav) else foretell(self.window, nav)
         tracks = self.tracker.track(frame.image, predicted)
         if not self.tracker.has_keyframe:
             return None
+        if predicted is not None and len(tracks) and self._stillness.is_old(tracks, predicted, frame.stamp_ns):
+            return Status.BAD_PICTURE
         plane = ground_so_far(self.window, nav)
         if nav.carriers and self.window.keyframes and plane is not None and len(tracks) >= MIN_TRACKS:
             self.carriage.weigh(self.window.keyframes[-1].nav, nav, plane, tracks.keyframe_uv_px, tracks.uv_px)
@@ -245,6 +250,7 @@ class Pipeline:
         out = self._adopt()
         with self._tally.timed("tracking"):
             ids, uv = self.tracker.promote(tracks)
+        self._stillness.begin(ids, uv, frame.stamp_ns)
         seen = sighting(self.camera, ids, uv)
         offset_s = self.window.alignment.belief.mean[3]
         offset_ns = round(offset_s * 1e9)

@@ -9,7 +9,7 @@ Shi and Tomasi 1994; Bouguet's pyramidal LK. Two things differ from following pi
   scales, the picture is warped back first, because LK compares patches by translation alone.
 
 A track is believed if LK converged, its patch looks alike (LK's own error on the normalised picture) and its motion
-agrees with its neighbours'.
+agrees with its neighbours'. Where neighbours are far off each other altogether, none is (`onboard.scatter`).
 
 Pictures that come fast are followed cheaply: while the last picture was where its predecessor's motion, carried on, had
 put it, the next one starts from there, without phase correlation and with as few pyramid levels as that surprise asks
@@ -29,6 +29,7 @@ from onboard.picture import SPREAD, Normaliser, Picture, thumbnail
 from onboard.prediction import move
 from onboard.relocation import Described, describe, motion_between
 from onboard.repetition import repetition_px
+from onboard.scatter import are_scattered
 
 Array = NDArray[np.float64]
 
@@ -120,8 +121,10 @@ class Tracker:
                     best = found
                 if len(found) >= max(MIN_TRACKS, 0.5 * len(self._ids)):
                     break
-        if len(best) < MIN_TRACKS:
+        if len(best) < MIN_TRACKS or self._are_scattered(best):  # a start that misses half shows as that too
             best = self._relocate()
+            if len(best) >= MIN_TRACKS and self._are_scattered(best):
+                best = self.nothing()
         self._levels = None
         if self._repetition_px is not None and not self._is_sure(best, predicted, carried_on):
             return self.nothing()
@@ -166,9 +169,15 @@ class Tracker:
 
     def _is_plenty(self, tracks: Tracks) -> bool:
         """Whether nearly all features were found again that should be on the picture."""
-        return len(tracks) >= max(
-            MIN_TRACKS, CALM_SHARE * np.count_nonzero(self._inside(move(tracks.motion, self._uv)))
-        )
+        return len(tracks) >= max(MIN_TRACKS, CALM_SHARE * self._expected(tracks.motion))
+
+    def _expected(self, motion: Array) -> int:
+        """How many features should be on the picture; at least one."""
+        return max(int(np.count_nonzero(self._inside(move(motion, self._uv)))), 1)
+
+    def _are_scattered(self, tracks: Tracks) -> bool:
+        share = len(tracks) / self._expected(tracks.motion)
+        return are_scattered(tracks.motion, tracks.keyframe_uv_px, tracks.uv_px, share, self.width_px)
 
     def promote(self, tracks: Tracks) -> tuple[NDArray[np.int64], Array]:
         """Make the last picture the keyframe: keep `tracks`, fill up with new features; returns all ids and pixels."""
@@ -256,8 +265,9 @@ class Tracker:
             minEigThreshold=MIN_EIGENVALUE,
         )
         uv = move(back, np.asarray(end, float)) if turns else np.asarray(end, float)
-        is_alike = difference[:, 0] < MAX_DIFFERENCE * self._contrast[inside]
-        believed = (status[:, 0] == 1) & is_alike & self._inside(uv)
+        found = status[:, 0] == 1
+        difference = np.where(found, difference[:, 0], np.float32(np.inf))  # of the others it is what memory held
+        believed = found & (difference < MAX_DIFFERENCE * self._contrast[inside]) & self._inside(uv)
         keep = np.flatnonzero(believed)
         if len(keep) < MIN_TRACKS:
             return self.nothing()

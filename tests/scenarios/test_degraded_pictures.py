@@ -1,0 +1,143 @@
+"""Pictures spoilt by lens, air, compression or camera, for a stretch of the flight or all of it: refused, or held."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import pytest
+
+from contract.feature_set import Status
+from onboard.picture import Picture
+from simulation.session import SessionSpec
+from tests.scenarios.flights import Outcome, click, flown, play, retouched
+from tests.scenarios import test_degenerate_ground as ground
+
+Change = Callable[[Picture], Picture]
+
+# Long enough to begin anew after the spoilt third and be answered again.
+LEG, LARGE = replace(ground.LEG, seconds=10.0), replace(ground.LARGE, seconds=8.0)
+
+
+def picture(image: object) -> Picture:
+    return np.clip(np.asarray(image), 0, 255).astype(np.uint8)
+
+
+def blur(sigma_px: float) -> Change:
+    return lambda image: picture(cv2.GaussianBlur(image, (0, 0), sigma_px))
+
+
+def smeared_along(length_px: int, is_upright: bool) -> Change:
+    kernel = np.full((length_px, 1) if is_upright else (1, length_px), 1.0 / length_px)
+    return lambda image: picture(cv2.filter2D(image, -1, kernel))
+
+
+def jpeg(quality: int) -> Change:
+    def encoded(image: Picture) -> Picture:
+        done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+        assert done
+        return picture(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE))
+
+    return encoded
+
+
+def fog(image: Picture) -> Picture:
+    return picture(np.rint(0.05 * image + 142.0))
+
+
+def dirt(image: Picture) -> Picture:
+    """A smear on the lens: a third of the picture blurred and brightened, always the same third."""
+    height, width = image.shape
+    rows, columns = np.mgrid[:height, :width]
+    spot = np.exp(-((columns - 0.3 * width) ** 2 + (rows - 0.4 * height) ** 2) / (0.2 * width) ** 2)
+    return picture((1.0 - spot) * image + spot * (20.0 + 0.8 * cv2.GaussianBlur(image, (0, 0), 10.0)))
+
+
+ANSWERED, EITHER, REFUSED = "answered", "either", "refused"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A degradation and what becomes of its pictures, small (320 px) ones unless said."""
+
+    change: Change
+    verdict: str
+    spec: SessionSpec = LEG
+
+
+CASES = {
+    "blur of 2": Case(blur(2.0), ANSWERED),
+    "blur of 4": Case(blur(4.0), ANSWERED),
+    "blur of 8": Case(blur(8.0), EITHER),
+    "blur of 12": Case(blur(12.0), REFUSED),
+    "blur of 20": Case(blur(20.0), REFUSED),
+    "blur of 2, large": Case(blur(2.0), ANSWERED, LARGE),
+    "blur of 8, large": Case(blur(8.0), ANSWERED, LARGE),
+    "blur of 12, large": Case(blur(12.0), EITHER, LARGE),
+    "blur of 20, large": Case(blur(20.0), REFUSED, LARGE),
+    "10 px of motion": Case(smeared_along(10, False), ANSWERED),
+    "20 px of motion": Case(smeared_along(20, True), ANSWERED),
+    "40 px of motion": Case(smeared_along(40, False), ANSWERED),
+    "JPEG of quality 5": Case(jpeg(5), EITHER),
+    "JPEG of quality 20": Case(jpeg(20), ANSWERED),
+    "blurred, then JPEG": Case(lambda image: jpeg(50)(blur(8.0)(image)), REFUSED),
+    "bilateral filter": Case(lambda image: picture(cv2.bilateralFilter(image, 15, 60.0, 15.0)), ANSWERED),
+    "median filter": Case(lambda image: picture(cv2.medianBlur(image, 15)), ANSWERED),
+    "fog": Case(fog, ANSWERED),
+    "dirt on the lens": Case(dirt, ANSWERED),
+}
+
+
+def holds(outcome: Outcome, spoilt: range, verdict: str, may_miss: int) -> None:
+    """The truth is inside, and the spoilt pictures are answered or refused as they should be."""
+    assert outcome.inside_99 >= 0.97, outcome.told
+    statuses = [outcome.sets[frame].status for frame in spoilt]
+    answered = statuses.count(Status.OK)
+    if verdict is ANSWERED:
+        assert answered >= len(spoilt) - may_miss, outcome.told
+    if verdict is REFUSED:
+        assert answered == 0, outcome.told
+        assert set(statuses) <= {Status.FEATURELESS, Status.STARTING, Status.POOR_FIT}, outcome.told
+        assert statuses.count(Status.FEATURELESS) > 0.7 * len(spoilt), outcome.told
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_spoilt_from_the_start(name: str) -> None:
+    case = CASES[name]
+    outcome = play(retouched(flown(case.spec), case.change))
+    holds(outcome, range(len(outcome.sets)), case.verdict, may_miss=2)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_spoilt_in_mid_flight(name: str) -> None:
+    """A third of the flight. Two pictures are lost where sharp ones are no match for spoilt ones; then again after."""
+    case = CASES[name]
+    folder = flown(case.spec)
+    count = round(case.spec.seconds * case.spec.rate_hz)
+    spoilt = range(count // 3, 2 * count // 3)
+    outcome = play(retouched(folder, case.change, spoilt))
+    holds(outcome, spoilt, case.verdict, may_miss=3)
+    for stretch in (range(spoilt.start), spoilt, range(spoilt.stop, count)):
+        part = click(folder, {frame: outcome.sets[frame] for frame in stretch}, None)
+        assert part.inside_99 >= 0.97, part.told
+    sharp = [outcome.sets[frame].status for frame in range(count) if frame not in spoilt]
+    assert sharp.count(Status.OK) >= len(sharp) - 3, outcome.told
+
+
+@pytest.mark.parametrize("spec", [LEG, LARGE], ids=["small", "large"])
+def test_a_picture_repeated_in_other_bytes_is_bad(spec: SessionSpec) -> None:
+    """A driver that encodes its last picture anew: bad picture, until there are new ones."""
+    held: list[Picture] = []
+
+    def repeated(image: Picture) -> Picture:
+        held.append(held[0] if held else image)
+        return jpeg(60 + len(held))(held[0])
+
+    outcome = play(retouched(flown(spec), repeated, range(10, 18)))
+    statuses = [outcome.sets[frame].status for frame in range(round(spec.seconds * spec.rate_hz))]
+    assert outcome.inside_99 >= 0.97, outcome.told
+    assert statuses[11:18] == [Status.BAD_PICTURE] * 7, outcome.told
+    assert statuses[:11] == [Status.OK] * 11, outcome.told
+    assert statuses[22:] == [Status.OK] * len(statuses[22:]), outcome.told
