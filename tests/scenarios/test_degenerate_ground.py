@@ -79,7 +79,7 @@ def test_water_that_can_be_tracked_is_a_poor_fit_or_wide(style: str, flight: Des
     """
     outcome = play(flown(replace(LARGE, flight=flight, texture=TextureSpec(style))))
     honest(outcome, Status.POOR_FIT, Status.FEATURELESS)
-    assert outcome.statuses[Status.POOR_FIT] > 0, outcome.told
+    assert outcome.statuses[Status.POOR_FIT] + outcome.statuses[Status.FEATURELESS] > 0, outcome.told
     assert not len(outcome.semi_m) or np.median(outcome.semi_m) > least_m, outcome.told
 
 
@@ -88,7 +88,7 @@ def test_water_under_a_fast_aircraft_is_wide() -> None:
     spec = replace(LARGE, flight=FAST, texture=TextureSpec("sea"))
     wide, land = play(flown(spec)), play(flown(replace(spec, texture=TextureSpec())))
     holds(land)
-    honest(wide, Status.POOR_FIT)
+    honest(wide, Status.POOR_FIT, Status.FEATURELESS)
     assert len(wide.errors_m) > 0, wide.told
     assert np.median(wide.semi_m) > 1.5 * np.median(land.semi_m), (wide.told, land.told)
 

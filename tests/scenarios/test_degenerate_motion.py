@@ -46,9 +46,16 @@ def test_standing_still_has_no_parallax(spec: SessionSpec) -> None:
 
 @pytest.mark.parametrize("style", ["water", "sea"])
 def test_waves_under_a_hover_are_no_parallax(style: str) -> None:
-    """What moves in the pictures is the ground, not the aircraft: low parallax or poor fit, never a depth."""
+    """What moves in the pictures is the ground, not the aircraft: never a depth.
+
+    Refused as featureless where waves are off each other, and starting anew in between.
+    """
     spec = replace(LARGE, flight=HOVER.flight, texture=TextureSpec(style))
-    refuses(play(flown(spec)), Status.LOW_PARALLAX, Status.POOR_FIT)
+    outcome = play(flown(spec))
+    assert not len(outcome.errors_m), outcome.told
+    reasons = {Status.LOW_PARALLAX, Status.POOR_FIT, Status.FEATURELESS}
+    assert set(outcome.statuses) <= {*reasons, Status.STARTING}, outcome.told
+    assert outcome.statuses[Status.STARTING] < 0.6 * len(outcome.sets), outcome.told
 
 
 @pytest.mark.parametrize("spec", [HOVER, ROTATION], ids=["hover", "rotation"])

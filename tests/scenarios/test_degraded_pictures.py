@@ -12,8 +12,8 @@ import pytest
 from contract.feature_set import Status
 from onboard.picture import Picture
 from simulation.session import SessionSpec
-from tests.scenarios.flights import Outcome, click, flown, play, retouched
 from tests.scenarios import test_degenerate_ground as ground
+from tests.scenarios.flights import Outcome, click, flown, play, retouched
 
 Change = Callable[[Picture], Picture]
 
