@@ -168,3 +168,11 @@ def test_every_package_is_installed() -> None:
     shipped = {"contract", "ground", "onboard", "simulation"}
     found = {".".join(p.parent.relative_to(HOUSE).parts) for r in shipped for p in (HOUSE / r).rglob("*.py")}
     assert listed == found
+
+
+@pytest.mark.parametrize("module", [m for m in modules("contract", "onboard", "ground") if m.count(".") == 1])
+def test_every_room_is_on_the_map(module: str) -> None:
+    """docs/architecture.md names each file of the three packages, or the folder that it is in."""
+    room = module.split(".")[1]
+    text = (HOUSE / "docs" / "architecture.md").read_text(encoding="utf-8")
+    assert room == "__init__" or f"`{room}`" in text or f"`{room}/`" in text
