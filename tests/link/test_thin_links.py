@@ -22,6 +22,8 @@ from tests.link.thin import ThinLink
 
 BASE = plain_set(100)
 PICTURES_HZ = 10.0
+# Opening a session takes several datagrams in a row, and 2.5 s for each that is lost: not what is measured here.
+OPEN_S = 45.0
 STATUS = encode_status(VehicleStatus(1_700_000_000.5, 7, "ok"))
 
 
@@ -93,7 +95,7 @@ def flown(kind: str, bit_rate: float = 1e9, loss: float = 0.0) -> Iterator[tuple
         ThinLink(target, bit_rate=bit_rate, loss=loss) as link,
         SetCache(link.endpoint) as cache,
     ):
-        assert until(lambda: picture_age_s(cache) < 1.0, 10.0) < 10.0
+        assert until(lambda: picture_age_s(cache) < 1.0, OPEN_S) < OPEN_S
         yield link, cache
 
 
@@ -142,7 +144,7 @@ def on_a_slow_link() -> None:
         ThinLink(target, bit_rate=14400.0) as link,
         SetCache(link.endpoint) as cache,
     ):
-        assert until(lambda: picture_age_s(cache) < 3.0, 10.0) < 10.0
+        assert until(lambda: picture_age_s(cache) < 3.0, OPEN_S) < OPEN_S
         began = time.monotonic()
         found = ages(cache, 8.0)
         assert max(found) < 4.0
