@@ -62,6 +62,9 @@ def ask(
     return answers
 
 
+RENEW_S = 8.0
+
+
 class SetCache:
     """Subscribes to the sets of one or all vehicles and keeps the last ones, by vehicle, frame and time.
 
@@ -85,8 +88,12 @@ class SetCache:
         self._newest: dict[str, tuple[int, int, float]] = {}  # session, newest capture, and when it was heard
         self._locators: dict[str, Locator] = {}
         self._lock = threading.Lock()
-        self._session = _open("peer", endpoint, tls)
-        self._subscriber = self._session.declare_subscriber(FEATURES.key(vehicle), self._receive)
+        self._ways = endpoint, tls, FEATURES.key(vehicle)
+        self._heard_s = time.monotonic()
+        self._closed = threading.Event()
+        self._session, self._subscriber = self._subscribed()
+        self._watch = threading.Thread(target=self._renew, name="renew", daemon=True)
+        self._watch.start()
 
     @property
     def vehicles(self) -> list[str]:
@@ -128,6 +135,8 @@ class SetCache:
 
     def close(self) -> None:
         """Leave the link; what was kept stays readable."""
+        self._closed.set()
+        self._watch.join()
         self._session.close()
 
     def __enter__(self) -> SetCache:
@@ -136,7 +145,21 @@ class SetCache:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
 
+    def _subscribed(self) -> tuple[Any, Any]:
+        endpoint, tls, key = self._ways
+        session = _open("peer", endpoint, tls)
+        return session, session.declare_subscriber(key, self._receive)
+
+    def _renew(self) -> None:
+        """Begin anew after a long silence: over udp a subscription that was lost on its way is never said again."""
+        while not self._closed.wait(0.5):
+            if time.monotonic() - self._heard_s > RENEW_S:
+                self._session.close()
+                self._session, self._subscriber = self._subscribed()
+                self._heard_s = time.monotonic()
+
     def _receive(self, sample: zenoh.Sample) -> None:
+        self._heard_s = time.monotonic()
         try:
             received = decode(sample.payload.to_bytes())
         except WireError as error:
