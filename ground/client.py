@@ -20,6 +20,9 @@ from ground.answer import Refusal
 from ground.locate import Locator
 
 ANSWER_TIMEOUT_S = 3.0
+RENEW_S = (
+    8.0  # of silence, after which a listener begins anew: more than a short cut, less than a coordinator's patience
+)
 
 
 def ask(
@@ -60,9 +63,6 @@ def ask(
         who = "no aircraft answers" if vehicle == ANY_VEHICLE else f"aircraft {vehicle!r} does not answer"
         raise LinkError(f"{who} at {endpoint} (asked for {key})")
     return answers
-
-
-RENEW_S = 8.0
 
 
 class SetCache:
@@ -153,10 +153,14 @@ class SetCache:
     def _renew(self) -> None:
         """Begin anew after a long silence: over udp a subscription that was lost on its way is never said again."""
         while not self._closed.wait(0.5):
-            if time.monotonic() - self._heard_s > RENEW_S:
-                self._session.close()
+            if time.monotonic() - self._heard_s <= RENEW_S:
+                continue
+            self._heard_s = time.monotonic()
+            self._session.close()
+            try:
                 self._session, self._subscriber = self._subscribed()
-                self._heard_s = time.monotonic()
+            except LinkError:
+                continue  # no way out just now; the next silence tries again
 
     def _receive(self, sample: zenoh.Sample) -> None:
         self._heard_s = time.monotonic()

@@ -48,13 +48,11 @@ class Attitudes:
     def at(self, moment_ns: int) -> Array | Status:
         """R_ned_body (3, 3); STARTING before the first attitude, UNSYNCHRONISED in a gap or past the end."""
         series = self._series
-        bracket = series.bracket(moment_ns)
-        if bracket is None:
-            return Status.STARTING if moment_ns < series.stamps_ns[0] else Status.UNSYNCHRONISED
+        bracket = series.joined(moment_ns, self._max_gap_s)
+        if isinstance(bracket, Status):
+            return bracket
         left, right = bracket
         start_ns, end_ns = series.stamps_ns[left], series.stamps_ns[right]
-        if end_ns - start_ns > self._max_gap_s * 1e9:
-            return Status.UNSYNCHRONISED
         before, after = series.values[left], series.values[right]
         if left == right:
             rate = self.rate_at(start_ns)

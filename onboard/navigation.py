@@ -317,14 +317,12 @@ class Navigation:
 
     def _position_at(self, moment_ns: int) -> _Position | Status:
         series = self._positions
-        bracket = series.bracket(moment_ns)
-        if bracket is None:
-            return Status.STARTING if moment_ns < series.stamps_ns[0] else Status.UNSYNCHRONISED
+        bracket = series.joined(moment_ns, self.config.gps.max_gap_s)
+        if isinstance(bracket, Status):
+            return bracket
         left, right = bracket
         a, b = series.values[left], series.values[right]
         seconds = (series.stamps_ns[right] - series.stamps_ns[left]) / 1e9
-        if seconds > self.config.gps.max_gap_s:
-            return Status.UNSYNCHRONISED
         velocity_a, velocity_b = self._velocity(left), self._velocity(right)
         measured = a.velocity_enu_m_s is not None and b.velocity_enu_m_s is not None
         if left == right:

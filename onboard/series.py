@@ -6,6 +6,8 @@ import bisect
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
+from contract.feature_set import Status
+
 MEMORY_NS = 120_000_000_000
 MAX_EXTRAPOLATION_NS = 300_000_000
 
@@ -44,6 +46,15 @@ class Series(Generic[T]):
         if right == len(self.stamps_ns):
             return (right - 1, right - 1) if stamp_ns - self.stamps_ns[-1] <= MAX_EXTRAPOLATION_NS else None
         return right - 1, right
+
+    def joined(self, stamp_ns: int, max_gap_s: float) -> tuple[int, int] | Status:
+        """`bracket`, or why there is none: STARTING before the first, UNSYNCHRONISED past the end or in a longer gap."""
+        bracket = self.bracket(stamp_ns)
+        if bracket is None:
+            return Status.STARTING if stamp_ns < self.stamps_ns[0] else Status.UNSYNCHRONISED
+        left, right = bracket
+        too_long = (self.stamps_ns[right] - self.stamps_ns[left]) / 1e9 > max_gap_s
+        return Status.UNSYNCHRONISED if too_long else bracket
 
     def last_until(self, stamp_ns: int) -> int | None:
         """Index of the newest value not after a stamp."""
