@@ -27,8 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.machine import describe
-from onboard.bundle import Problem, Solution, evaluate, solve
-from onboard.residuals import AttitudePrior, Layout, PositionPrior, SharedPrior, State
+from onboard.estimation.bundle_adjustment import Problem, Solution, evaluate, solve
+from onboard.estimation.factors import AttitudePrior, Layout, PositionPrior, SharedPrior, State
 from simulation.study_window import Setting, begin, draw
 
 Array = NDArray[np.float64]

@@ -29,8 +29,8 @@ import numpy as np
 from benchmarks.flown import leg, sets_of
 from contract.feature_set import FeatureSet
 from ground.locate import Locator
-from onboard.publisher import Publisher, Rate
-from onboard.recording import SessionRecorder
+from onboard.link.publisher import Publisher, Rate
+from onboard.storage.mcap_writer import SessionRecorder
 
 GOAL_CACHED_MS, GOAL_COLD_S = 1.0, 0.5
 PERIOD_NS = 1_000_000_000 // 30

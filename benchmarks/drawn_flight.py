@@ -17,12 +17,12 @@ from contract.camera import Camera
 from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, mount_rotation, quaternion_from_matrix
-from onboard.config import Config
-from onboard.events import Attitude, Event, Frame, GpsQuality, PositionFix
-from onboard.pipeline import Pipeline
-from onboard.sensors import TERRAIN_SLOPE_SIGMA
-from onboard.terrain import Terrain
-from onboard.tracking import Tracker, Tracks, fit_homography
+from onboard.config.schema import Config
+from onboard.estimation.sensor_factors import TERRAIN_SLOPE_SIGMA
+from onboard.events.types import Attitude, Event, Frame, GpsQuality, PositionFix
+from onboard.geometry.terrain_grid import Terrain
+from onboard.pipeline.pipeline import Pipeline
+from onboard.vision.klt_tracker import Tracker, Tracks, fit_homography
 from simulation.paths import PathSpec, fly_path
 from simulation.trajectory import Trajectory
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
-from onboard.config import Config, load_config
-from onboard.events import Attitude, Event, Frame, NavEvent, PositionFix
-from onboard.pipeline import Pipeline
-from onboard.replay import Flight
+from onboard.config.schema import Config, load_config
+from onboard.events.types import Attitude, Event, Frame, NavEvent, PositionFix
+from onboard.pipeline.pipeline import Pipeline
+from onboard.replay.runner import Flight
 from simulation.flight import RecordedSpec
 from simulation.session import SessionSpec, fly
 

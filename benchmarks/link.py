@@ -1,4 +1,6 @@
-"""`python -m benchmarks.link`: what a message costs on the wire, IP headers and up; the reasons for `onboard.rate`.
+"""`python -m benchmarks.link`: what a message costs on the wire, IP headers and up.
+
+These are the reasons for the figures in `onboard.link.byte_budget`.
 
 Real zenoh sessions in a network namespace of their own (needs root, or user namespaces), every packet seen by a packet
 socket. Our configuration of both ends; certificates made on the spot.
@@ -24,7 +26,7 @@ import zenoh
 
 from contract.link_config import Tls, link_config
 from contract.topics import ANY_VEHICLE, FEATURES
-from onboard.credentials import make_credentials
+from onboard.link.certificates import make_credentials
 
 PORT = 17447
 SIZES = (60, 600, 1250)

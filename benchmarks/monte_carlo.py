@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.rotations import log_so3
-from onboard.bundle import Solution, solve
+from onboard.estimation.bundle_adjustment import Solution, solve
 from simulation.study_window import Flight, Setting, begin, bound, draw, estimate, point_covariance
 
 Array = NDArray[np.float64]

@@ -28,11 +28,11 @@ from benchmarks.machine import describe, load, table, verdict
 import numpy as np
 
 from benchmarks.flown import TELEMETRY_DELAY_NS, Leg, leg, out_and_back
-from contract.codec import encode
-from onboard.adjustment import Request
-from onboard.events import Frame
-from onboard.pipeline import ADOPTION_NS, Pipeline
-from onboard.worker import Done, Promise
+from contract.wire.codec import encode
+from onboard.estimation.solver_executor import Done, Promise
+from onboard.estimation.window_solver import Request
+from onboard.events.types import Frame
+from onboard.pipeline.pipeline import ADOPTION_NS, Pipeline
 
 RATE_HZ = 30.0
 GOAL_CORE, GOAL_GROWTH = 0.35, 0.05

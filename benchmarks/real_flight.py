@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from contract.geodesy import LocalFrame
-from onboard.picture import prepare
+from onboard.vision.contrast_normalisation import prepare
 
 MIN_VIEWS = 3
 MAX_POINTS = 200

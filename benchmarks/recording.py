@@ -16,8 +16,8 @@ from tempfile import TemporaryDirectory
 from benchmarks.flown import Leg, leg, out_and_back, sets_of
 from benchmarks.machine import describe, load
 from contract.feature_set import FeatureSet
-from onboard.events import Frame
-from onboard.recording import SessionRecorder
+from onboard.events.types import Frame
+from onboard.storage.mcap_writer import SessionRecorder
 
 RATE_HZ = 30.0
 

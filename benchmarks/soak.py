@@ -39,7 +39,7 @@ from contract.topics import FEATURES
 from simulation.autopilot.fake import FakeAutopilot
 from simulation.autopilot.flight import Flight
 
-HOUSE = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[1]
 TOP_SPEED = 12.0
 START_S, PATIENCE_S, END_S = 60.0, 120.0, 30.0  # wall: to begin, between two minutes of flight, to end
 LAST_QUESTION_S = 10.0  # before the end: nobody answers after it
@@ -74,7 +74,7 @@ def soak(
         environment = {**os.environ, "NOTIFY_SOCKET": str(manager.path), "WATCHDOG_USEC": str(limit_us)}
         command = [sys.executable, "-m", "benchmarks.soak_daemon", str(where / "plan.json")]
         with subprocess.Popen(
-            command, cwd=HOUSE, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+            command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         ) as process:
             reader = threading.Thread(target=_read, args=(process, out.log), daemon=True)
             reader.start()

@@ -12,7 +12,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from onboard.session_clock import SessionClock
+from onboard.events.session_clock import SessionClock
 
 _RECORD = struct.Struct("<qqdqq")
 AHEAD_S, BEHIND_S = 0.2, 0.45  # of pictures waiting: less and it runs faster, more and it runs slower

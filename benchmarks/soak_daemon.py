@@ -28,16 +28,16 @@ from benchmarks.flown import Leg, leg
 from benchmarks.soak_clock import FlightClock, Governor
 from contract.feature_set import FeatureSet
 from contract.vehicle_status import VehicleStatus
-from onboard import service_log
-from onboard.config import Config, to_toml
-from onboard.config_files import load_config_files
-from onboard.daemon import TICK_S, Daemon, Order, SignalOrders
-from onboard.events import Event, Frame
-from onboard.notify import Notifier
-from onboard.publisher import Publisher
-from onboard.run_command import open_parts
-from onboard.session import Detail, Parts
-from onboard.sources import Emit, Health, State, Stop
+from onboard.commands.run import open_parts
+from onboard.config.files import load_config_files
+from onboard.config.schema import Config, to_toml
+from onboard.events.source import Emit, SourceStatus, State, Stop
+from onboard.events.types import Event, Frame
+from onboard.link.publisher import Publisher
+from onboard.service import journal
+from onboard.service.daemon import TICK_S, Daemon, Order, SignalOrders
+from onboard.service.sd_notify import Notifier
+from onboard.service.session import Detail, Parts
 
 LEAD_NS = 2_000_000_000  # from the clock's beginning to the first picture
 TAIL_NS = 4_000_000_000  # after the last minute, so that the process is still there to be looked at
@@ -156,12 +156,12 @@ class Camera:
         """Pictures that the pipeline has not taken yet."""
         return self._counted.pictures - self._counted.taken - self._counted.dropped
 
-    def health(self) -> Health:
+    def health(self) -> SourceStatus:
         """Lost while unplugged, as a real one says within two seconds."""
         if self._came_ns is None:
-            return Health(State.STARTING)
+            return SourceStatus(State.STARTING)
         is_silent = self._clock.now_ns() - self._came_ns > LOST_AFTER_NS
-        return Health(State.LOST, "unplugged") if is_silent else Health(State.OK)
+        return SourceStatus(State.LOST, "unplugged") if is_silent else SourceStatus(State.OK)
 
 
 class Watch:
@@ -250,7 +250,7 @@ def configured(plan: Plan, flown: Leg) -> Path:
 
 def fly(plan: Plan) -> int:
     """The daemon's exit code."""
-    service_log.set_up()
+    journal.set_up()
     faulthandler.enable()
     cv2.setNumThreads(1)
     flown = leg(plan.leg_seconds, plan.rate_hz, Path(plan.cache))

@@ -21,11 +21,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from benchmarks.flown import Leg
 from benchmarks.soak_clock import ToldClock
 from benchmarks.soak_daemon import pass_ns
-from contract.codec import decode
 from contract.errors import LinkError, WireError
 from contract.link_config import link_config
 from contract.topics import FEATURES, STATUS
 from contract.vehicle_status import decode_status
+from contract.wire.codec import decode
 from ground.client import ask
 from simulation.autopilot.flight import Flight
 

@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.flown import leg
-from onboard.pipeline import KEYFRAME_SHIFT, KEYFRAME_TRACKS
-from onboard.prediction import move
-from onboard.tracking import LEVELS, MIN_EIGENVALUE, MIN_QUALITY, WINDOW_PX, Tracker, Tracks
+from onboard.geometry.plane_homography import move
+from onboard.pipeline.pipeline import KEYFRAME_SHIFT, KEYFRAME_TRACKS
+from onboard.vision.klt_tracker import LEVELS, MIN_EIGENVALUE, MIN_QUALITY, WINDOW_PX, Tracker, Tracks
 
 Picture = NDArray[np.uint8]
 FEATURES = 100

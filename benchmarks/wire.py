@@ -27,8 +27,8 @@ import numpy as np
 
 from benchmarks.flown import leg, sets_of
 from contract.camera import Camera
-from contract.codec import decode, encode
-from contract.feature_set import COMMON_STATES, DRAWS, DepthSource, FeatureSet, HeightDatum, SharedErrors, Status
+from contract.feature_set import COMMON_STATES, NUISANCES, DepthSource, FeatureSet, HeightDatum, SharedErrors, Status
+from contract.wire.codec import decode, encode
 
 GOAL_BYTES, GOAL_FEATURES, GOAL_US = 600, 100, 500.0
 _UPPER = np.triu_indices(COMMON_STATES)
@@ -61,8 +61,8 @@ def to_plain(s: FeatureSet) -> dict[str, Any]:
         "undulation_m": s.undulation_m,
         "rotation": s.R_enu_cam.ravel().tolist(),
         "common_cov": s.common_cov[_UPPER].tolist(),
-        "draws": np.flatnonzero(shared.by_draw.any(axis=0)).tolist(),
-        "shared": shared.by_draw[:, shared.by_draw.any(axis=0)].ravel().tolist(),
+        "draws": np.flatnonzero(shared.by_nuisance.any(axis=0)).tolist(),
+        "shared": shared.by_nuisance[:, shared.by_nuisance.any(axis=0)].ravel().tolist(),
         "times": [shared.position_time_s, shared.attitude_time_s, *shared.alignment_sigma.tolist(), *shared.span_s],
         "source": list(DepthSource).index(s.depth_source),
         "plane": [*s.plane_per_m.tolist(), s.plane_sigma_relative, s.roughness],
@@ -78,8 +78,8 @@ def from_plain(d: Mapping[str, Any]) -> FeatureSet:
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = d["intrinsics"]
     covariance = np.zeros((COMMON_STATES, COMMON_STATES))
     covariance[_UPPER] = d["common_cov"]
-    by_draw = np.zeros((COMMON_STATES, DRAWS))
-    by_draw[:, d["draws"]] = np.reshape(d["shared"], (COMMON_STATES, -1))
+    by_nuisance = np.zeros((COMMON_STATES, NUISANCES))
+    by_nuisance[:, d["draws"]] = np.reshape(d["shared"], (COMMON_STATES, -1))
     (width, height), (lat, lon, camera_height) = d["size_px"], d["position"]
     plane = list(d["plane"])
     return FeatureSet(
@@ -98,7 +98,7 @@ def from_plain(d: Mapping[str, Any]) -> FeatureSet:
         d["undulation_m"],
         np.array(d["rotation"]).reshape(3, 3),
         covariance + np.triu(covariance, 1).T,
-        SharedErrors(by_draw, d["times"][0], d["times"][1], np.array(d["times"][2:6]), tuple(d["times"][6:])),
+        SharedErrors(by_nuisance, d["times"][0], d["times"][1], np.array(d["times"][2:6]), tuple(d["times"][6:])),
         list(DepthSource)[d["source"]],
         np.array(plane[:3]),
         plane[3],

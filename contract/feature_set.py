@@ -70,7 +70,7 @@ class DepthSource(Enum):
     PLANE = "plane"
 
 
-DRAWS = 13
+NUISANCES = 13
 POSITION, ATTITUDE = slice(0, 3), slice(3, 6)  # wander of positions (m) and attitudes (rad) about east, north, up
 ALIGNMENT = slice(6, 10)  # boresight about camera x, y, z (rad), time offset (s)
 GROUND = slice(10, 13)  # the ground believed beforehand: height (m), slope east, slope north
@@ -81,7 +81,7 @@ class SharedErrors:
     """How slow errors act on a set: one unit draw each, which other sets of the session have as well. Section 9."""
 
     # (9, DRAWS): how far one sigma of each draw moves the common states; by_draw by_draw' is part of common_cov.
-    by_draw: Array = field(default_factory=lambda: np.zeros((COMMON_STATES, DRAWS)))
+    by_nuisance: Array = field(default_factory=lambda: np.zeros((COMMON_STATES, NUISANCES)))
     position_time_s: float = 0.0  # correlation times of the wander; 0: not shared
     attitude_time_s: float = 0.0
     alignment_sigma: Array = field(default_factory=lambda: np.zeros(4))  # one sigma of those draws, rad and s

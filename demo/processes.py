@@ -66,12 +66,12 @@ class Aircraft:
         click(0, 0, last_frame, self.endpoint)
         self._process.send_signal(signal.SIGTERM)
         try:
-            told, complaint = self._process.communicate(timeout=LANDING_S)
+            reported, complaint = self._process.communicate(timeout=LANDING_S)
         except subprocess.TimeoutExpired as late:
             raise InputError(f"pc-onboard did not end within {LANDING_S:g} s of being told to") from late
         if self._process.returncode not in (0, 130):
             raise InputError(f"pc-onboard ended with {self._process.returncode}: {complaint.strip()}")
-        return told.strip()
+        return reported.strip()
 
     def __enter__(self) -> Self:
         return self

@@ -15,10 +15,10 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from onboard.config import load_config
-from onboard.events import Frame
-from onboard.pipeline import Pipeline
-from onboard.replay import Flight
+from onboard.config.schema import load_config
+from onboard.events.types import Frame
+from onboard.pipeline.pipeline import Pipeline
+from onboard.replay.runner import Flight
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

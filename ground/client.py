@@ -10,12 +10,12 @@ from typing import Any
 
 import zenoh
 
-from contract.codec import decode
 from contract.errors import LinkError, WireError
 from contract.feature_set import FeatureSet, Status
 from contract.history import History
 from contract.link_config import Tls, link_config
 from contract.topics import ANY_VEHICLE, FEATURES, FRAME_PARAMETER, TIME_PARAMETER
+from contract.wire.codec import decode
 from ground.answer import Refusal
 from ground.locate import Locator
 

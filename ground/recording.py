@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from contract import recording_format as names
-from contract.codec import decode, peek
 from contract.errors import InputError, WireError
 from contract.feature_set import FeatureSet, Status
 from contract.topics import FEATURES, TIME_TOLERANCE_S
+from contract.wire.codec import decode, peek
 
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")

@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from contract.feature_set import ALIGNMENT, ATTITUDE, COMMON_STATES, DRAWS, POSITION, FeatureSet
+from contract.feature_set import ALIGNMENT, ATTITUDE, COMMON_STATES, NUISANCES, POSITION, FeatureSet
 from contract.geodesy import LocalFrame
 from contract.rotations import skew
 from ground.answer import Fix
@@ -47,7 +47,7 @@ def common_cross_covariance(one: FeatureSet, two: FeatureSet) -> Array:
     """Covariance (9, 9) between the common states of two sets of a session."""
     if two.capture_unix_ns < one.capture_unix_ns:
         return common_cross_covariance(two, one).T
-    F1, F2 = one.shared.by_draw, two.shared.by_draw
+    F1, F2 = one.shared.by_nuisance, two.shared.by_nuisance
     slow = (F1 * draw_correlations(one, two)) @ F2.T
     a, b = _span(one), _span(two)
     share = max(min(a[1], b[1]) - max(a[0], b[0]), 0.0) / math.sqrt((a[1] - a[0]) * (b[1] - b[0]))
@@ -65,7 +65,7 @@ def common_cross_covariance(one: FeatureSet, two: FeatureSet) -> Array:
 
 def draw_correlations(one: FeatureSet, two: FeatureSet) -> Array:
     """(DRAWS,) between the two sets' draws: wander by its age, the mount and clock by what was learned. (9.13)"""
-    out = np.ones(DRAWS)
+    out = np.ones(NUISANCES)
     s1, s2 = one.shared, two.shared
     for part, tau1, tau2 in (
         (POSITION, s1.position_time_s, s2.position_time_s),

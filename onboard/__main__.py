@@ -171,7 +171,7 @@ def _add_calibrate(calibrate: argparse.ArgumentParser) -> None:
 
 def run_calibrate(arguments: argparse.Namespace) -> int:
     """Calibrate; 1 if the calibration is not good."""
-    from onboard.calibrate_command import run  # noqa: PLC0415
+    from onboard.commands.calibrate import run  # noqa: PLC0415
 
     return run(arguments)
 
@@ -196,7 +196,7 @@ def _add_make_credentials(credentials: argparse.ArgumentParser) -> None:
 
 def run_make_credentials(arguments: argparse.Namespace) -> int:
     """Issue certificates and say where they are."""
-    from onboard.credentials import AUTHORITY, make_credentials  # noqa: PLC0415
+    from onboard.link.certificates import AUTHORITY, make_credentials  # noqa: PLC0415
 
     vehicles, people = arguments.vehicle, [*arguments.operator, *arguments.viewer]
     if not vehicles and not people:
@@ -209,14 +209,14 @@ def run_make_credentials(arguments: argparse.Namespace) -> int:
 
 def run_cameras(arguments: argparse.Namespace) -> int:
     """List the cameras; 1 if there is none."""
-    from onboard.cameras_command import run  # noqa: PLC0415
+    from onboard.commands.cameras import run  # noqa: PLC0415
 
     return run(arguments)
 
 
 def run_check_config(arguments: argparse.Namespace) -> int:
     """Load a configuration; prints which files are good."""
-    from onboard.config_files import config_files, load_camera, load_config_files  # noqa: PLC0415
+    from onboard.config.files import config_files, load_camera, load_config_files  # noqa: PLC0415
 
     config = load_config_files(arguments.file)
     if arguments.fly:
@@ -228,28 +228,28 @@ def run_check_config(arguments: argparse.Namespace) -> int:
 
 def run_daemon(arguments: argparse.Namespace) -> int:
     """Fly until told to stop."""
-    from onboard import run_command  # noqa: PLC0415
+    from onboard.commands import run  # noqa: PLC0415
 
-    return run_command.run(arguments)
+    return run.run(arguments)
 
 
 def run_doctor(arguments: argparse.Namespace) -> int:
     """Look at everything; 1 if anything is not well."""
-    from onboard import doctor_command  # noqa: PLC0415
+    from onboard.commands import doctor  # noqa: PLC0415
 
-    return doctor_command.run(arguments)
+    return doctor.run(arguments)
 
 
 def run_status(arguments: argparse.Namespace) -> int:
     """Ask the running daemon."""
-    from onboard import status_command  # noqa: PLC0415
+    from onboard.commands import status  # noqa: PLC0415
 
-    return status_command.run(arguments)
+    return status.run(arguments)
 
 
 def run_replay(arguments: argparse.Namespace) -> int:
     """Replay and print the summary."""
-    from onboard.replay_command import run  # noqa: PLC0415  NumPy and OpenCV must find their environment set
+    from onboard.commands.replay import run  # noqa: PLC0415  NumPy and OpenCV must find their environment set
 
     with _interrupt_sets(threading.Event()) as stop:
         summary = run(arguments, stop)

@@ -20,8 +20,8 @@ from simulation.paths import PathSpec, fly_path
 from simulation.telemetry import TelemetrySpec, write_tlog
 from simulation.trajectory import RecordedTruth, Trajectory
 
-HOUSE = Path(__file__).resolve().parent.parent
-RECORDINGS = (HOUSE / "tests" / "data", HOUSE.parent / "shared" / "data" / "sitl")
+ROOT = Path(__file__).resolve().parent.parent
+RECORDINGS = (ROOT / "tests" / "data", ROOT.parent / "shared" / "data" / "sitl")
 SMOOTHING_MARGIN_S = 1.0
 
 

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.rotations import exp_so3
-from onboard.bundle import Problem, Solution, solve
-from onboard.levelling import fit_plane, level, roll_from_plane
-from onboard.orientation import small_angle, travel_aligned
-from onboard.residuals import Layout, PositionPrior, SharedPrior, State
-from onboard.triangulation import triangulate
+from onboard.estimation.bundle_adjustment import Problem, Solution, solve
+from onboard.estimation.factors import Layout, PositionPrior, SharedPrior, State
+from onboard.geometry.plane_fit import fit_plane, level, roll_from_plane
+from onboard.geometry.relative_orientation import small_angle, travel_aligned
+from onboard.geometry.triangulation import triangulate
 from simulation.study_world import CAMERA, R_BODY_CAM, unit_depth
 
 Array = NDArray[np.float64]

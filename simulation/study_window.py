@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.rotations import exp_so3
-from onboard.adjustment import MIN_PARALLAX_RAD, MIN_PIXEL_SIGMA_PX, START_SIGMAS, approximate, refine
-from onboard.bundle import Problem, Solution, solve
-from onboard.levelling import fit_plane
-from onboard.residuals import (
+from onboard.estimation.bundle_adjustment import Problem, Solution, solve
+from onboard.estimation.factors import (
     AttitudePrior,
     Layout,
     PositionPrior,
@@ -25,11 +23,13 @@ from onboard.residuals import (
     SharedPrior,
     State,
     VelocityPrior,
-    wandering_sqrt_information,
+    gauss_markov_sqrt_information,
 )
-from onboard.starting import orient
-from onboard.terrain import Terrain
-from onboard.triangulation import triangulate
+from onboard.estimation.initialisation import orient
+from onboard.estimation.window_solver import MIN_PARALLAX_RAD, MIN_PIXEL_SIGMA_PX, START_SIGMAS, approximate, refine
+from onboard.geometry.plane_fit import fit_plane
+from onboard.geometry.terrain_grid import Terrain
+from onboard.geometry.triangulation import triangulate
 from simulation.study_world import CAMERA, HEIGHT_M, R_BODY_CAM, TRAVEL_ENU, nominal, project, turned, unit_depth
 
 Array = NDArray[np.float64]
@@ -121,7 +121,7 @@ def _wander(
     lag = np.abs(stamps[:, None] - stamps[None, :])
     root = np.linalg.cholesky(wander**2 * np.exp(-lag / time_constant_s) + 1e-12 * np.eye(len(stamps)))
     error = root @ rng.standard_normal(len(stamps)) + white * rng.standard_normal(len(stamps))
-    return error, wandering_sqrt_information(stamps, white, wander, time_constant_s)
+    return error, gauss_markov_sqrt_information(stamps, white, wander, time_constant_s)
 
 
 def _scene(setting: Setting, stamps: Array, rng: np.random.Generator) -> tuple[State, Mask, Array]:
@@ -207,7 +207,9 @@ def _sensors(
     slope = np.tan(np.radians(setting.slope_sigma_deg))
     boresight = max(np.radians(setting.boresight_sigma_deg), 1e-6)
     level = 1e4
-    if setting.terrain_sigma_m is not None:  # the plane is then what the known ground is off by, as onboard.sensors
+    if (
+        setting.terrain_sigma_m is not None
+    ):  # the plane is then what the known ground is off by, as onboard.estimation.sensor_factors
         slope, level = 1e-4, setting.terrain_sigma_m[1]
     sigmas = [boresight] * 3 + [max(setting.offset_sigma_s, 1e-6), level, slope, slope]
     priors.append(SharedPrior(layout, np.zeros(7), np.diag(1.0 / np.array(sigmas))))
@@ -215,7 +217,7 @@ def _sensors(
 
 
 def begin(flight: Flight) -> State | None:
-    """Where the solver starts, from measurements alone, as in `onboard.adjustment`; None if no orientation is found."""
+    """Where the solver starts, from measurements alone, as in `window_solver`; None if no orientation is found."""
     xy, seen = flight.problem.xy, flight.seen
     if flight.R_enu_cam_measured is not None:
         R = flight.R_enu_cam_measured.transpose(0, 2, 1)
@@ -243,7 +245,7 @@ def begin(flight: Flight) -> State | None:
 
 
 def estimate(flight: Flight, state: State) -> tuple[Solution, Array]:
-    """The two solves of `onboard.adjustment`, and the weights (K, P) kept; ValueError if all was cut as outliers."""
+    """The two solves of `window_solver`, and the weights (K, P) kept; ValueError if all was cut as outliers."""
     problem = flight.problem
     least = MIN_PIXEL_SIGMA_PX / max(flight.setting.pixel_sigma_px, MIN_PIXEL_SIGMA_PX)
     adjusted = refine(problem, approximate(problem, state), least)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from contract.rotations import exp_so3, mount_rotation
-from onboard.orientation import travel_aligned
+from onboard.geometry.relative_orientation import travel_aligned
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

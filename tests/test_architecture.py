@@ -3,60 +3,85 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import pytest
-
-HOUSE = Path(__file__).resolve().parents[1]
-ROOMS = {"contract", "ground", "onboard", "simulation", "demo", "benchmarks"}
+ROOT = Path(__file__).resolve().parents[1]
 MAX_LINES = 450
 
-# Files that belong to another's room: it alone knows them.
-PART_OF = {"onboard.backlog": "onboard.publisher"}
-# Rooms of the aircraft that meet the world: files, links, clocks. Only the plumbing may know them.
-IO_ROOMS = {
-    "onboard.camera", "onboard.telemetry", "onboard.publisher", "onboard.recording", "onboard.terrain_files",
-    "onboard.credentials", "onboard.replay_recording", *PART_OF,
-    "onboard.state_file", "onboard.notify", "onboard.intake", "onboard.prometheus", "onboard.service_log",
-    "onboard.recent", "onboard.host", "onboard.ask_daemon", "onboard.config_files",
+# Every package -> the packages that it may import. `contract` may be imported by all. Read top to bottom as data flows.
+ARROWS: dict[str, set[str]] = {
+    "contract": set(),
+    "contract.wire": set(),
+    "ground": set(),
+    "onboard.events": set(),
+    "onboard.config": set(),
+    "onboard.camera": {"events", "config"},
+    "onboard.telemetry": {"events", "config"},
+    "onboard.navigation": {"events", "config"},
+    "onboard.geometry": set(),
+    "onboard.vision": {"geometry"},
+    "onboard.estimation": {"geometry", "navigation", "config"},
+    "onboard.georeferencing": {"estimation", "geometry", "navigation", "config"},
+    "onboard.pipeline": {"georeferencing", "estimation", "vision", "geometry", "navigation", "events", "config"},
+    "onboard.link": {"events", "config"},
+    "onboard.storage": {"events", "config", "estimation", "geometry"},
+    "onboard.replay": {"pipeline", "camera", "telemetry", "storage", "events", "config"},
+    "onboard.service": {"pipeline", "storage", "events", "config"},
+    "onboard.calibration": set(),
+    "onboard.commands": {
+        "calibration", "camera", "config", "events", "link", "pipeline", "replay", "service", "storage", "telemetry",
+    },
+    "onboard": {"commands", "config", "link"},  # __main__: arguments and exit codes
+    "simulation": set(),
+    "simulation.autopilot": {"simulation"},
+    "demo": {"onboard", "ground", "simulation"},
+    "benchmarks": {"onboard", "ground", "simulation", "tests"},
 }  # fmt: skip
-PLUMBING = {
-    "onboard.__main__", "onboard.daemon", "onboard.session", "onboard.replay", "onboard.replay_command",
-    "onboard.run_command", "onboard.status_command", "onboard.doctor", "onboard.doctor_command", "onboard.recorded",
-    "onboard.cameras_command", "onboard.calibrate_command",
-}  # fmt: skip
-# What the outside world is reached through. None of it belongs in a room of mathematics.
+# The error study simulates the estimator itself; the rest of the simulation knows nothing of what it tests.
+STUDY = re.compile(r"simulation\.study\w*")
+# What the outside world is reached through, and the only packages that may.
 IO_PACKAGES = {
-    "argparse", "asyncio", "concurrent", "fcntl", "http", "linuxpy", "mavsdk", "mcap", "pymavlink", "queue", "select",
-    "serial", "signal", "socket", "subprocess", "threading", "tqdm", "zenoh",
+    "argparse", "asyncio", "concurrent", "fcntl", "http", "mavsdk", "mcap", "prometheus_client", "pymavlink", "queue",
+    "select", "serial", "signal", "socket", "subprocess", "threading", "tqdm", "zenoh",
 }  # fmt: skip
+IO_ALLOWED = {
+    "ground", "onboard", "onboard.camera", "onboard.telemetry", "onboard.link", "onboard.storage", "onboard.replay",
+    "onboard.service", "onboard.commands", "onboard.events", "simulation", "simulation.autopilot", "demo", "benchmarks",
+}  # fmt: skip
+SHIPPED = ("contract", "ground", "onboard")
 
 
 class Import(NamedTuple):
-    """One imported module, and whether it is only loaded inside of a function."""
+    """One imported module with the names taken from it, and whether it is only loaded inside of a function."""
 
-    name: str
+    module: str
+    names: tuple[str, ...]
     is_lazy: bool
 
     @property
-    def package(self) -> str:
-        return self.name.split(".")[0]
+    def top(self) -> str:
+        return self.module.split(".")[0]
 
 
-def modules(*rooms: str) -> list[str]:
-    """Dotted names of every module in some rooms."""
-    files = sorted(file for room in rooms for file in (HOUSE / room).rglob("*.py"))
-    return [".".join(file.relative_to(HOUSE).with_suffix("").parts).removesuffix(".__init__") for file in files]
+def modules(*tops: str) -> list[str]:
+    """Dotted names of every module below some top-level packages."""
+    files = sorted(file for top in tops for file in (ROOT / top).rglob("*.py"))
+    return [".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for file in files]
 
 
 def path_of(module: str) -> Path:
-    file = HOUSE.joinpath(*module.split("."))
+    file = ROOT.joinpath(*module.split("."))
     return file / "__init__.py" if file.is_dir() else file.with_suffix(".py")
+
+
+def package_of(module: str) -> str:
+    return module if (ROOT / Path(*module.split("."))).is_dir() else module.rpartition(".")[0]
 
 
 def imports(module: str) -> Iterator[Import]:
@@ -65,17 +90,15 @@ def imports(module: str) -> Iterator[Import]:
     def visit(node: ast.AST, is_lazy: bool) -> Iterator[Import]:
         for child in ast.iter_child_nodes(node):
             if isinstance(child, ast.Import):
-                yield from (Import(alias.name, is_lazy) for alias in child.names)
+                yield from (Import(alias.name, (), is_lazy) for alias in child.names)
             elif isinstance(child, ast.ImportFrom):
                 assert child.level == 0, f"{module}: relative import"
                 base = child.module or ""
-                yield Import(base, is_lazy)
-                # `from onboard import tracking` means the module onboard.tracking.
-                yield from (
-                    Import(f"{base}.{alias.name}", is_lazy)
-                    for alias in child.names
-                    if base.split(".")[0] in ROOMS and path_of(f"{base}.{alias.name}").is_file()
-                )
+                plain = [a.name for a in child.names if not path_of(f"{base}.{a.name}").is_file()]
+                if plain:
+                    yield Import(base, tuple(plain), is_lazy)
+                # `from onboard.storage import mcap_writer` means the module.
+                yield from (Import(f"{base}.{a.name}", (), is_lazy) for a in child.names if a.name not in plain)
             else:
                 lazy = is_lazy or isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda))
                 yield from visit(child, lazy)
@@ -83,96 +106,127 @@ def imports(module: str) -> Iterator[Import]:
     return visit(ast.parse(path_of(module).read_text(encoding="utf-8")), False)
 
 
-def foreign(module: str) -> set[str]:
-    """Imported packages that come neither with Python nor from this house."""
-    return {i.package for i in imports(module)} - ROOMS - sys.stdlib_module_names
+def is_allowed(importer: str, imported: str) -> bool:
+    """Whether a module may import another of this project."""
+    one, other = package_of(importer), package_of(imported)
+    if one == other or other.split(".")[0] == "contract":
+        return one.split(".")[0] != "contract" or other.split(".")[0] == "contract"
+    if STUDY.fullmatch(importer) and other.split(".")[0] == "onboard":
+        return True
+    allowed = ARROWS.get(one, set())
+    return other in allowed or other.split(".")[0] in allowed or other.removeprefix("onboard.") in allowed
 
 
-def rooms_of(module: str) -> set[str]:
-    return {i.package for i in imports(module)} & ROOMS
+def broken_arrows(all_modules: Iterable[str]) -> list[str]:
+    """One line for every import that the table does not allow."""
+    tops = {name.split(".")[0] for name in ARROWS} | {"tests"}
+    return [
+        f"{path_of(m).relative_to(ROOT)} imports {i.module}: {package_of(m)} may import only "
+        f"{', '.join(sorted(ARROWS.get(package_of(m), set()))) or 'nobody'} (and contract)"
+        for m in all_modules
+        for i in imports(m)
+        if i.top in tops and not is_allowed(m, i.module)
+    ]
 
 
-def test_the_reader_of_imports_sees_them_all() -> None:
-    seen = set(imports("onboard.__main__"))
-    assert Import("argparse", False) in seen
-    assert Import("onboard.replay_command", True) in seen
-    assert Import("onboard.pipeline", False) in set(imports("onboard.replay"))
-    assert Import("onboard.starting", False) in set(imports("onboard.adjustment"))
+EVERY = modules("contract", "ground", "onboard", "simulation", "demo", "benchmarks")
 
 
-@pytest.mark.parametrize("module", modules("contract"))
-def test_the_contract_imports_nobody(module: str) -> None:
-    assert rooms_of(module) <= {"contract"}
-    assert foreign(module) <= {"numpy"}
+def test_no_import_runs_against_the_arrows() -> None:
+    assert not (broken := broken_arrows(EVERY)), "\n".join(broken)
 
 
-@pytest.mark.parametrize("module", modules("ground"))
-def test_the_ground_stands_on_the_contract_alone(module: str) -> None:
-    assert rooms_of(module) <= {"contract", "ground"}
-    assert {i.package for i in imports(module) if not i.is_lazy} - ROOMS - sys.stdlib_module_names <= {"numpy", "zenoh"}
+def test_every_package_is_in_the_table_and_the_table_has_no_others() -> None:
+    assert {package_of(m) for m in EVERY} == set(ARROWS)
 
 
-@pytest.mark.parametrize("module", modules("onboard"))
-def test_the_aircraft_knows_neither_ground_nor_simulation(module: str) -> None:
-    assert rooms_of(module) <= {"contract", "onboard"}
+def test_the_arrows_run_one_way() -> None:
+    """No package reaches itself again by following arrows."""
+    reach = {p: {a if a in ARROWS else f"onboard.{a}" for a in to} for p, to in ARROWS.items()}
+    for package, first in reach.items():
+        seen: set[str] = set()
+        ahead = set(first)
+        while ahead:
+            seen |= ahead
+            ahead = {b for a in ahead for b in reach.get(a, set())} - seen
+        assert package not in seen, f"{package} reaches itself"
 
 
-@pytest.mark.parametrize("module", modules("simulation"))
-def test_the_simulation_is_independent_of_what_it_tests(module: str) -> None:
-    allowed = {"contract", "simulation"}
-    if module.startswith("simulation.study"):  # the seed's error study simulates the estimator itself
-        allowed = {*allowed, "onboard"}
-    assert rooms_of(module) <= allowed
+def test_a_broken_arrow_is_named() -> None:
+    assert is_allowed("onboard.vision.klt_tracker", "onboard.geometry.plane_homography")
+    assert not is_allowed("onboard.geometry.plane_fit", "onboard.vision.klt_tracker")
+    assert not is_allowed("ground.click", "onboard.config.schema")
+    assert not is_allowed("contract.camera", "ground.click")
+    assert not is_allowed("simulation.flight", "onboard.config.schema")
+    seen = {i.module: i for i in imports("onboard.__main__")}
+    assert not seen["argparse"].is_lazy
+    assert seen["onboard.commands.replay"].is_lazy
 
 
-@pytest.mark.parametrize("module", modules("contract", "ground", "onboard", "simulation"))
-def test_no_room_knows_the_demo_or_the_benchmarks(module: str) -> None:
-    assert not rooms_of(module) & {"demo", "benchmarks"}
+def test_only_packages_that_meet_the_world_know_sockets_threads_and_command_lines() -> None:
+    found = [
+        f"{path_of(m).relative_to(ROOT)} imports {i.module}: {package_of(m)} is not in IO_ALLOWED"
+        for m in EVERY
+        for i in imports(m)
+        if i.top in IO_PACKAGES and package_of(m) not in IO_ALLOWED
+    ]
+    assert not found, "\n".join(found)
 
 
-@pytest.mark.parametrize("module", [m for m in modules("onboard") if m not in PLUMBING])
-def test_only_the_plumbing_knows_cameras_telemetry_link_and_recording(module: str) -> None:
-    room = ".".join(module.split(".")[:2])
-    known = {i.name for i in imports(module) for io in IO_ROOMS if i.name == io or i.name.startswith(f"{io}.")}
-    assert not {name for name in known if ".".join(name.split(".")[:2]) != room and PART_OF.get(name) != room}
-    assert not {i.name for i in imports(module)} & PLUMBING
+def test_the_base_install_needs_numpy_and_zenoh_alone() -> None:
+    """`contract` NumPy; `ground` zenoh besides; what an extra brings is imported only where it is used."""
+    allowed = {"contract": {"numpy"}, "ground": {"numpy", "zenoh"}}
+    own = {name.split(".")[0] for name in ARROWS}
+    found = [
+        f"{path_of(m).relative_to(ROOT)} imports {i.module}"
+        for m in modules("contract", "ground")
+        for i in imports(m)
+        if not i.is_lazy and i.top not in own | set(sys.stdlib_module_names) | allowed[m.split(".")[0]]
+    ]
+    assert not found, "\n".join(found)
 
 
-@pytest.mark.parametrize(
-    "module",
-    [m for m in modules("onboard") if m not in PLUMBING and ".".join(m.split(".")[:2]) not in IO_ROOMS]
-    + modules("contract"),
-)
-def test_the_mathematics_has_no_sockets_threads_or_command_line(module: str) -> None:
-    assert not {i.package for i in imports(module)} & IO_PACKAGES
-
-
-@pytest.mark.parametrize("program", ["ground.__main__", "ground.client"])
-def test_nothing_heavy_is_loaded_by_importing_the_ground(program: str) -> None:
+def test_nothing_heavy_is_loaded_by_importing_the_ground() -> None:
     heavy = "{'cv2', 'scipy', 'mavsdk', 'pymavlink', 'mcap', 'pydantic', 'PIL', 'matplotlib', 'onboard', 'simulation'}"
-    check = f"import sys, {program}; print(sorted({heavy} & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", check], cwd=HOUSE, capture_output=True, text=True, check=True)
+    check = f"import sys, ground.__main__, ground.client; print(sorted({heavy} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", check], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize(
-    "file", sorted(p.relative_to(HOUSE) for r in ROOMS for p in (HOUSE / r).rglob("*.py")), ids=str
-)
-def test_no_file_is_longer_than_one_thing(file: Path) -> None:
-    assert len((HOUSE / file).read_text(encoding="utf-8").splitlines()) <= MAX_LINES
+def test_no_file_is_longer_than_one_thing() -> None:
+    lengths = {m: len(path_of(m).read_text(encoding="utf-8").splitlines()) for m in [*EVERY, *modules("tests")]}
+    assert not {m: n for m, n in lengths.items() if n > MAX_LINES}
 
 
-def test_every_package_is_installed() -> None:
-    """A folder of modules that `pyproject.toml` does not list works in a checkout and is missing once installed."""
-    listed = set(tomllib.loads((HOUSE / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
-    shipped = {"contract", "ground", "onboard", "simulation"}
-    found = {".".join(p.parent.relative_to(HOUSE).parts) for r in shipped for p in (HOUSE / r).rglob("*.py")}
-    assert listed == found
+def test_what_is_installed_is_what_ships() -> None:
+    """A folder that `pyproject.toml` does not list works in a checkout and is missing once installed."""
+    listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
+    assert listed == {package_of(m) for m in modules(*SHIPPED)}
 
 
-@pytest.mark.parametrize("module", [m for m in modules("contract", "onboard", "ground") if m.count(".") == 1])
-def test_every_room_is_on_the_map(module: str) -> None:
-    """docs/architecture.md names each file of the three packages, or the folder that it is in."""
-    room = module.split(".")[1]
-    text = (HOUSE / "docs" / "architecture.md").read_text(encoding="utf-8")
-    assert room == "__init__" or f"`{room}`" in text or f"`{room}/`" in text
+def test_what_packages_take_from_each_other_is_public() -> None:
+    """Names that cross a border are listed in the docstring of the package that they come from."""
+    found = []
+    for m in modules("onboard"):
+        for i in imports(m):
+            home = package_of(i.module)
+            if i.top != "onboard" or home == package_of(m) or home == "onboard":
+                continue
+            listed = ast.get_docstring(ast.parse(path_of(home).read_text(encoding="utf-8"))) or ""
+            missing = [n for n in i.names or (i.module.rpartition(".")[2],) if not re.search(rf"\b{n}\b", listed)]
+            found += [f"{m} takes {i.module}.{n}, which {home}'s docstring does not list" for n in missing]
+    assert not found, "\n".join(found)
+
+
+def test_every_module_is_on_the_map() -> None:
+    """docs/architecture.md names each module of the shipped packages in the row of its own package."""
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    missing = []
+    for module in modules(*SHIPPED):
+        package, _, name = module.rpartition(".")
+        if module in ARROWS or name == "__main__":
+            continue
+        rows = [line for line in text.splitlines() if line.startswith(f"| `{package.replace('.', '/')}/`")]
+        if not any(re.search(rf"`{name}`", row) for row in rows):
+            missing.append(f"`{name}` is not in the row of `{package.replace('.', '/')}/`")
+    assert not missing, "\n".join(missing)

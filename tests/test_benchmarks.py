@@ -13,7 +13,7 @@ from benchmarks import click, machine, pipeline, tracking, wire
 from benchmarks.__main__ import BENCHMARKS, merge, section
 from benchmarks.flown import Leg, leg, out_and_back, sets_of
 from contract.feature_set import FeatureSet
-from onboard.events import Frame, PositionFix
+from onboard.events.types import Frame, PositionFix
 
 FRAMES_A_PASS = 24
 
@@ -68,7 +68,7 @@ def test_the_pipeline_counts_pictures_sets_and_memory(flown: Leg) -> None:
     said = pipeline.report(flown, FRAMES_A_PASS)
     assert "of one core" in said
     assert "too short a run" in said
-    assert "onboard/tracking.py" in pipeline.hot_spots(flown, FRAMES_A_PASS, 1000)
+    assert "onboard/vision/klt_tracker.py" in pipeline.hot_spots(flown, FRAMES_A_PASS, 1000)
 
 
 def test_memory_growth_is_counted_after_warm_up() -> None:

@@ -27,7 +27,7 @@ from simulation.session import SessionSpec, fly
 from simulation.terrain import TerrainSpec
 from simulation.truth import Truth
 
-HOUSE = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[1]
 FRAMES = 45
 SEED_SENSORS = '[solve]\nattitude = "none"\nvelocity = false\nlevel_ground = true\n'
 FULL_SET = '[solve]\nattitude = "autopilot"\nvelocity = true\n'
@@ -40,7 +40,7 @@ def command(package: str, *arguments: object) -> list[str]:
 
 def run(package: str, *arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        command(package, *arguments), cwd=HOUSE, capture_output=True, text=True, check=False, timeout=120
+        command(package, *arguments), cwd=ROOT, capture_output=True, text=True, check=False, timeout=120
     )
 
 
@@ -133,10 +133,10 @@ def test_every_picture_of_a_solved_stretch_can_be_clicked(flown: dict[str, Flown
 
 
 def test_the_summary_tells_what_became_of_the_pictures(flown: dict[str, Flown]) -> None:
-    told = dict(line.split("  ", 1) for line in flown["full"].summary.splitlines())
-    assert int(told["frames"]) == FRAMES
+    reported = dict(line.split("  ", 1) for line in flown["full"].summary.splitlines())
+    assert int(reported["frames"]) == FRAMES
     assert {"keyframes", "solved", "refused", "median tracks", "reprojection", "time, tracking", "time, solve"} <= set(
-        told
+        reported
     )
 
 
@@ -167,14 +167,14 @@ def endpoint(flight: Path) -> Iterator[str]:
     config.write_text(f'{MOUNT}{FULL_SET}\n[link]\nlisten = ["{where}"]\n\n[vehicle]\nid = "kiwi"\n')
     arguments = [*replay_arguments(flight, config=config, speed=3, linger=300), "--publish"]
     process = subprocess.Popen(
-        command("onboard", *arguments), cwd=HOUSE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command("onboard", *arguments), cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     try:
         yield where
         process.send_signal(signal.SIGINT)
-        told, complaint = process.communicate(timeout=30.0)
+        reported, complaint = process.communicate(timeout=30.0)
         assert (process.returncode, complaint) == (130, "")
-        assert "solved" in told
+        assert "solved" in reported
     finally:
         process.kill()
         process.wait()

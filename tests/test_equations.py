@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-HOUSE = Path(__file__).resolve().parents[1]
-DOCUMENT = HOUSE / "docs" / "mathematics.md"
+ROOT = Path(__file__).resolve().parents[1]
+DOCUMENT = ROOT / "docs" / "mathematics.md"
 ROOMS = ("contract", "onboard", "ground", "simulation", "benchmarks")
 # A formula's own number ends an indented line; between parentheses nothing but the number.
 DEFINED = re.compile(r"^    .*\s{2,}\(([0-9]+\.[0-9]+)\)$", re.MULTILINE)
@@ -32,7 +32,7 @@ def citations(text: str, known: set[str]) -> set[str]:
 
 
 def sources() -> list[Path]:
-    return [path for room in ROOMS for path in sorted((HOUSE / room).rglob("*.py"))]
+    return [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
 
 
 def test_every_number_is_given_once_and_in_order() -> None:
@@ -47,7 +47,7 @@ def test_every_number_is_given_once_and_in_order() -> None:
 def test_every_equation_cited_in_the_code_is_in_the_document() -> None:
     known = set(defined())
     unknown = {
-        f"{path.relative_to(HOUSE)}: ({number})"
+        f"{path.relative_to(ROOT)}: ({number})"
         for path in sources()
         for number in citations(path.read_text(), known) - known
     }
@@ -57,7 +57,7 @@ def test_every_equation_cited_in_the_code_is_in_the_document() -> None:
 def test_every_equation_is_cited_somewhere() -> None:
     known = set(defined())
     cited = set().union(*(citations(path.read_text(), known) for path in sources()))
-    for page in sorted((HOUSE / "docs").rglob("*.md")):
+    for page in sorted((ROOT / "docs").rglob("*.md")):
         cited |= citations(DEFINED.sub("", page.read_text()), known)
     assert not known - cited
 

@@ -17,10 +17,10 @@ from packaging.utils import canonicalize_name
 
 from contract.camera import Camera
 from contract.feature_set import FeatureSet, Status
-from onboard.events import Frame
-from onboard.recording import SessionRecorder
+from onboard.events.types import Frame
+from onboard.storage.mcap_writer import SessionRecorder
 
-HOUSE = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[1]
 AIRCRAFT_ONLY = ("cv2", "scipy", "mavsdk", "pymavlink", "serial", "mcap", "pydantic", "PIL", "tqdm")
 CAPTURE_NS = 1_700_000_000_000_000_000
 HEIGHT_M = 120.0
@@ -32,14 +32,14 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("ground")
     # A copy of the sources: setuptools leaves its build folder beside them.
     shutil.copytree(
-        HOUSE,
+        ROOT,
         folder / "source",
         ignore=shutil.ignore_patterns(".*", "out", "build", "*.egg-info", "tests", "docs", "__pycache__"),
     )
     subprocess.run([sys.executable, "-m", "venv", folder / "venv"], check=True, timeout=120)
     pip = [folder / "venv" / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     done = subprocess.run(
-        [*pip, "--constraint", HOUSE / "requirements.lock", folder / "source"],
+        [*pip, "--constraint", ROOT / "requirements.lock", folder / "source"],
         capture_output=True,
         text=True,
         check=False,
@@ -79,12 +79,12 @@ def run(environment: Path, program: str, *arguments: object) -> subprocess.Compl
 
 
 def test_the_lock_holds_every_dependency_at_a_version_that_will_do() -> None:
-    project = tomllib.loads((HOUSE / "pyproject.toml").read_text())["project"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     wanted = [
         *project["dependencies"],
         *(line for extra in project["optional-dependencies"].values() for line in extra),
     ]
-    pins = (HOUSE / "requirements.lock").read_text().splitlines()
+    pins = (ROOT / "requirements.lock").read_text().splitlines()
     locked = dict(line.split("==") for line in pins if line and not line.startswith("#"))
     versions = {canonicalize_name(name): version for name, version in locked.items()}
     for requirement in map(Requirement, wanted):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.drawn_flight import DrawnFlight, DrawnSpec, fly
-from onboard.config import parse_config
+from onboard.config.schema import parse_config
 from simulation.paths import PathSpec
 
 TURNS = PathSpec("turns", leg_m=160.0)

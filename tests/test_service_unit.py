@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from onboard.daemon import FINISH_S, TICK_S
-from onboard.health import STUCK_S
+from onboard.service.daemon import FINISH_S, TICK_S
+from onboard.service.vehicle_state import STUCK_S
 
 SYSTEMD = Path(__file__).parents[1] / "systemd"
 UNIT = SYSTEMD / "pointclick-onboard.service"

@@ -190,16 +190,16 @@ def test_gps_is_lost_while_told_and_only_then() -> None:
 
 def test_the_flight_s_clock_is_the_same_in_both_processes_and_waits_for_its_camera(tmp_path: Path) -> None:
     governor = Governor(tmp_path / "clock", 5.0, 10_000_000)
-    told = ToldClock(tmp_path / "clock")
+    reported = ToldClock(tmp_path / "clock")
     time.sleep(0.05)
     stopped_ns = governor.pace.now_ns()
-    assert told.now_ns() == stopped_ns == governor.pace.limit_ns
+    assert reported.now_ns() == stopped_ns == governor.pace.limit_ns
     governor.govern(0, stopped_ns + 50_000_000)
-    assert told.pace() == governor.pace
+    assert reported.pace() == governor.pace
     assert governor.pace.at(governor.pace.monotonic_ns) == stopped_ns  # no leap over the time it stood still
     time.sleep(0.05)
-    assert stopped_ns < told.now_ns() <= stopped_ns + 50_000_000 + SLACK_NS
-    told.close()
+    assert stopped_ns < reported.now_ns() <= stopped_ns + 50_000_000 + SLACK_NS
+    reported.close()
 
 
 def test_the_flight_slows_when_pictures_wait_but_not_below_real_time(tmp_path: Path) -> None:

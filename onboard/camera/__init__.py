@@ -1,1 +1,13 @@
-"""Sources of Frames."""
+"""Pictures with their capture times: a V4L2 device, files, or a played recording. Sources handle device faults
+themselves.
+
+Public:
+
+- `discovery`: `device_paths`, `stable_names`
+- `factory`: `open_camera`
+- `format_negotiation`: `sizes_text`
+- `picture_files`: `FrameSource`, `PICTURE_SUFFIXES`, `open_frames`, `read_grey`
+- `pixel_formats`: `DECODERS`, `UNDECODABLE`
+- `v4l2_camera`: `V4l2Camera`
+- `v4l2_device`: `Control`, `Device`, `Sizes`, `V4l2Device`
+"""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from onboard.camera.device import Card, Device
+from onboard.camera.v4l2_device import Card, Device
 
 DEV = Path("/dev")
 SYS = Path("/sys/class/video4linux")

@@ -14,7 +14,7 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 
-from onboard.clock import BootClock, Mode
+from onboard.telemetry.boot_clock import BootClock, Mode
 
 NS_PER_S = 1_000_000_000
 BIN_NS = NS_PER_S // 2

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from contract.feature_set import COMMON_STATES, DRAWS, DepthSource, FeatureSet, HeightDatum, SharedErrors, Status
+from contract.feature_set import COMMON_STATES, NUISANCES, DepthSource, FeatureSet, HeightDatum, SharedErrors, Status
 from contract.rotations import exp_so3
 
 DISTORTION = (-0.21, 0.052, 0.0007, -0.0004, 0.011)
@@ -28,11 +28,11 @@ FRESH = np.array([0.3, 0.3, 0.2, 0.4, 0.4, 0.9, 1.0, 1.0, 1.0])
 
 def typical_shared(rng: np.random.Generator, sigmas: NDArray[np.float64]) -> SharedErrors:
     """As a window shares: position nearly all of its own, rotation by attitude, mount and ground, modes hardly."""
-    by_draw = np.zeros((COMMON_STATES, DRAWS))
-    by_draw[:3, :3] = np.diag(sigmas[:3])
-    by_draw[3:6, 3:] = 0.4 * sigmas[3:6, None] * rng.normal(size=(3, 10)) * (rng.uniform(size=(3, 10)) < 0.5)
-    by_draw[6:, 3:] = 0.02 * sigmas[6:, None] * rng.normal(size=(3, 10)) * (rng.uniform(size=(3, 10)) < 0.5)
-    return SharedErrors(by_draw, 60.0, 20.0, np.array([0.017, 0.017, 0.017, 0.1]), (-4.25, 4.75))
+    by_nuisance = np.zeros((COMMON_STATES, NUISANCES))
+    by_nuisance[:3, :3] = np.diag(sigmas[:3])
+    by_nuisance[3:6, 3:] = 0.4 * sigmas[3:6, None] * rng.normal(size=(3, 10)) * (rng.uniform(size=(3, 10)) < 0.5)
+    by_nuisance[6:, 3:] = 0.02 * sigmas[6:, None] * rng.normal(size=(3, 10)) * (rng.uniform(size=(3, 10)) < 0.5)
+    return SharedErrors(by_nuisance, 60.0, 20.0, np.array([0.017, 0.017, 0.017, 0.1]), (-4.25, 4.75))
 
 
 def plain_set(count: int = 100, seed: int = 0, relief: float = 0.03, camera: Camera | None = None) -> FeatureSet:
@@ -60,7 +60,7 @@ def plain_set(count: int = 100, seed: int = 0, relief: float = 0.03, camera: Cam
         height_datum=HeightDatum.AMSL,
         undulation_m=19.25,
         R_enu_cam=exp_so3(rng.normal(size=3)),
-        common_cov=random_covariance(rng, 100, sigmas * FRESH) + shared.by_draw @ shared.by_draw.T,
+        common_cov=random_covariance(rng, 100, sigmas * FRESH) + shared.by_nuisance @ shared.by_nuisance.T,
         shared=shared,
         depth_source=DepthSource.PARALLAX,
         plane_per_m=plane,
@@ -98,8 +98,8 @@ def feature_sets(draw: st.DrawFn) -> FeatureSet:
     angle = draw(st.sampled_from([0.0, 1e-7, 1.0, 3.0, math.pi - 1e-7, math.pi, math.pi + 1e-7]))
     sigmas = 10.0 ** rng.uniform(-6.0, 4.0, 9) * (rng.uniform(size=9) > draw(st.sampled_from([0.0, 0.3, 1.0])))
     fresh = random_covariance(rng, draw(st.sampled_from([1, 2, 5, 9, 20])), sigmas)
-    in_sigmas = rng.normal(size=(COMMON_STATES, DRAWS)) * draw(st.sampled_from([0.0, 0.1, 3.0, 30.0]))
-    in_sigmas *= rng.uniform(size=DRAWS) > draw(st.sampled_from([0.0, 0.5]))
+    in_sigmas = rng.normal(size=(COMMON_STATES, NUISANCES)) * draw(st.sampled_from([0.0, 0.1, 3.0, 30.0]))
+    in_sigmas *= rng.uniform(size=NUISANCES) > draw(st.sampled_from([0.0, 0.5]))
     shared = SharedErrors(
         sigmas[:, None] * in_sigmas,
         *(10.0 ** rng.uniform(-3.0, 3.0, 2) * rng.integers(0, 2, 2)).tolist(),
@@ -118,7 +118,7 @@ def feature_sets(draw: st.DrawFn) -> FeatureSet:
         height_datum=draw(st.sampled_from(HeightDatum)),
         undulation_m=draw(st.sampled_from([math.nan, 0.0, -105.123456, 85.0])),
         R_enu_cam=exp_so3(axis / np.linalg.norm(axis) * angle),
-        common_cov=fresh + shared.by_draw @ shared.by_draw.T,
+        common_cov=fresh + shared.by_nuisance @ shared.by_nuisance.T,
         shared=shared,
         depth_source=draw(st.sampled_from(DepthSource)),
         plane_per_m=plane,

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from contract import codec
 from contract.camera import Camera
-from contract.codec import decode, encode, peek
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload, WireError
 from contract.feature_set import FeatureSet, SharedErrors, Status
 from contract.rotations import log_so3
+from contract.wire import codec
+from contract.wire.codec import decode, encode, peek
 from tests.contract.sets import feature_sets, plain_set
 
 PAYLOAD = encode(plain_set())
@@ -50,10 +50,10 @@ def test_shared_errors_are_written_as_finely_as_there_is_room_for() -> None:
             s = plain_set(60 if halvings else 100, seed, relief)
             got = decode(encode(s))
             assert len(encode(s)) <= 630
-            fresh = np.linalg.cholesky(got.common_cov - got.shared.by_draw @ got.shared.by_draw.T)
-            steps = np.linalg.solve(fresh, got.shared.by_draw) / (0.25 / 2**halvings)
+            fresh = np.linalg.cholesky(got.common_cov - got.shared.by_nuisance @ got.shared.by_nuisance.T)
+            steps = np.linalg.solve(fresh, got.shared.by_nuisance) / (0.25 / 2**halvings)
             np.testing.assert_allclose(steps, np.rint(steps), atol=1e-3)
-            worst = np.abs(np.linalg.solve(fresh, got.shared.by_draw - s.shared.by_draw)).max() * 2**halvings
+            worst = np.abs(np.linalg.solve(fresh, got.shared.by_nuisance - s.shared.by_nuisance)).max() * 2**halvings
             assert 0.05 < worst < 0.157  # coarse steps: rounded to fine ones first
 
 
@@ -110,7 +110,7 @@ def test_a_round_trip_stays_within_the_stated_rounding(feature_set: FeatureSet) 
 @given(feature_sets())
 def test_the_decoded_covariance_keeps_its_variances_and_is_positive_semi_definite(feature_set: FeatureSet) -> None:
     after = decode(encode(feature_set))
-    got, want = (s.common_cov - s.shared.by_draw @ s.shared.by_draw.T for s in (after, feature_set))
+    got, want = (s.common_cov - s.shared.by_nuisance @ s.shared.by_nuisance.T for s in (after, feature_set))
     np.testing.assert_allclose(
         np.diag(got), np.diag(want), rtol=1e-3, atol=1e-9 * np.diag(feature_set.common_cov).max()
     )

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from contract.codec import decode, encode
+from contract.wire.codec import decode, encode
 from tests.contract.golden.make import plain_json
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -65,8 +65,8 @@ def test_the_offsets_in_the_document_are_those_of_the_bytes() -> None:
     assert struct.unpack_from("<i", b, g + 10)[0] == 812345
     assert int.from_bytes(b[g + 14 : g + 17], "little", signed=True) == 19250
     assert list(struct.unpack_from("<3f", b, g + 26)) == want["plane_per_m"]
-    by_draw, cov = np.array(want["shared"]["by_draw"]), np.array(want["common_cov"])
-    fresh = cov - by_draw @ by_draw.T
+    by_nuisance, cov = np.array(want["shared"]["by_draw"]), np.array(want["common_cov"])
+    fresh = cov - by_nuisance @ by_nuisance.T
     sigmas = 1e-12 * np.exp(0.0006 * (np.array(struct.unpack_from("<9H", b, g + 42)) - 1.0))
     np.testing.assert_allclose(sigmas, np.sqrt(np.diag(fresh)), rtol=1e-9)
     assert 1e-12 * np.exp(0.0006 * (struct.unpack_from("<H", b, g + 60)[0] - 1.0)) == pytest.approx(60.0, rel=1e-3)
@@ -83,7 +83,7 @@ def test_the_offsets_in_the_document_are_those_of_the_bytes() -> None:
     at = 36 * ks[0]
     number = (int(ends[36] - ends[35] - 1) << ks[1]) + int("".join(map(str, bits[60 + at : 60 + at + ks[1]])), 2)
     step = -(number + 1) // 2 if number % 2 else number // 2
-    assert by_draw[0, 0] == pytest.approx(sigmas[0] * 0.25 / 4 * step, rel=1e-9)
+    assert by_nuisance[0, 0] == pytest.approx(sigmas[0] * 0.25 / 4 * step, rel=1e-9)
     g += 76 + -(-(60 + sum(widths) + int(ends[len(widths) - 1]) + 1) // 8)
     assert b[g] == 12
     assert struct.unpack_from("<I", b, len(b) - 4)[0] == zlib.crc32(b[:-4])

@@ -20,15 +20,15 @@ from tempfile import TemporaryDirectory, gettempdir
 
 import numpy as np
 
-from contract.codec import decode, encode
 from contract.errors import InputError, WireError
 from contract.feature_set import FeatureSet, Status
 from contract.vehicle_status import VehicleStatus, decode_status, encode_status
+from contract.wire.codec import decode, encode
 from ground.locate import Locator
 from ground.recording import Recording
-from onboard.events import Attitude, Frame, GpsQuality, PositionFix
-from onboard.recording import SessionRecorder
-from onboard.replay_recording import RecordedFlight
+from onboard.events.types import Attitude, Frame, GpsQuality, PositionFix
+from onboard.storage.mcap_reader import RecordedFlight
+from onboard.storage.mcap_writer import SessionRecorder
 from tests.contract.sets import plain_set
 
 MAX_INPUT_BYTES = 12_000
@@ -100,8 +100,8 @@ class Fuzz:
         refused = FeatureSet("uav-1", 1, 2, 3, Status.TURNING, plain_set(1).camera)
         self._sets = [file.read_bytes() for file in sorted(GOLDEN.glob("*.bin"))]
         self._sets += [encode(plain_set(n)) for n in (0, 1, 12, 100)] + [encode(refused)]
-        told = VehicleStatus(1.7e9, 7, "ok", "all is well", 12.0, 30.0, 29.0, 77, 0.2, 99, 1, 2, True, 55.0)
-        self._statuses = [encode_status(told), encode_status(VehicleStatus(0.0, 0, "starting")), b'{"v":1}', b"[]"]
+        reported = VehicleStatus(1.7e9, 7, "ok", "all is well", 12.0, 30.0, 29.0, 77, 0.2, 99, 1, 2, True, 55.0)
+        self._statuses = [encode_status(reported), encode_status(VehicleStatus(0.0, 0, "starting")), b'{"v":1}', b"[]"]
         self._recordings = [_a_recording(folder / "true.mcap", features) for features in (3, 12)]
 
     def run(self, count: int) -> Result:

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from contract.codec import decode, encode
 from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
+from contract.wire.codec import decode, encode
 from ground.__main__ import main
 from ground.answer import Fix, time_utc
 from ground.locate import locate
-from onboard.events import Frame
-from onboard.recording import SessionRecorder
+from onboard.events.types import Frame
+from onboard.storage.mcap_writer import SessionRecorder
 from tests.ground.worlds import CAMERA, build
 
 START_NS = 1_700_000_000_250_000_000

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from contract.camera import Camera
-from contract.codec import decode, encode
 from contract.feature_set import DepthSource, FeatureSet, HeightDatum, Status
+from contract.wire.codec import decode, encode
 from ground.answer import CHI2_2, Ellipse, Fix, Refusal
 from ground.locate import Locator, locate
 from tests.contract.sets import feature_sets

@@ -13,12 +13,12 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from contract import recording_format as names
-from contract.codec import encode
 from contract.errors import InputError
 from contract.feature_set import FeatureSet, Status
+from contract.wire.codec import encode
 from ground.recording import Recording
-from onboard.events import Attitude, Frame, GpsQuality, PositionFix
-from onboard.recording import SessionRecorder
+from onboard.events.types import Attitude, Frame, GpsQuality, PositionFix
+from onboard.storage.mcap_writer import SessionRecorder
 from tests.contract.sets import plain_set
 
 START_NS = 1_700_000_000_000_000_000

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from contract.feature_set import ALIGNMENT, ATTITUDE, DRAWS, GROUND, POSITION, FeatureSet, SharedErrors
+from contract.feature_set import ALIGNMENT, ATTITUDE, GROUND, NUISANCES, POSITION, FeatureSet, SharedErrors
 from ground.answer import CHI2_2, Fix
 from ground.locate import Locator
 from ground.two_sets import common_cross_covariance, difference_covariance, draw_correlations
@@ -22,7 +22,7 @@ POSITION_S, ATTITUDE_S = 100.0, 20.0
 
 def shared(alignment_scale: float = 1.0, span_s: float = 0.0) -> SharedErrors:
     """Position and attitude wander, a mount, a clock and a slope, as a window of a straight flight has them."""
-    F = np.zeros((9, DRAWS))
+    F = np.zeros((9, NUISANCES))
     F[:3, POSITION] = np.diag([3.0, 3.0, 4.0])
     F[3:6, ATTITUDE] = np.diag([0.008, 0.008, 0.03])
     F[3:6, ALIGNMENT] = 0.017 * alignment_scale * np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]])
@@ -59,7 +59,7 @@ def test_the_ellipse_of_a_difference_between_two_sets_holds_ninety_percent(
     errors = Errors(shared=shared())
     inside, relative = [], []
     for _ in range(400):
-        draws = rng.normal(size=DRAWS)
+        draws = rng.normal(size=NUISANCES)
         a = build(rng, errors, features=50, draws=draws)
         b = build(
             rng,
@@ -84,7 +84,7 @@ def test_windows_of_the_same_pictures_share_what_is_fresh_too() -> None:
     errors = Errors(shared=shared(span_s=9.0), feature_relative=1e-3, relief_relative=1e-3, roughness=1e-5)
     inside, apart = [], []
     for _ in range(300):
-        draws, fresh, seed = rng.normal(size=DRAWS), rng.normal(size=9), int(rng.integers(2**32))
+        draws, fresh, seed = rng.normal(size=NUISANCES), rng.normal(size=9), int(rng.integers(2**32))
         worlds = [
             # The same seed draws the same covariance, and so the same fresh errors.
             build(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from contract.feature_set import DRAWS, FeatureSet, HeightDatum, SharedErrors, Status
+from contract.feature_set import NUISANCES, FeatureSet, HeightDatum, SharedErrors, Status
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, matrix_from_euler, mount_rotation
 from ground.answer import Fix
@@ -104,10 +104,10 @@ def build(
     truth = position + (rays @ R_true.T) / true_w[:, None]
 
     cov = common_covariance(rng) if errors.common else np.zeros((9, 9))
-    by_draw = errors.shared.by_draw
-    draws = rng.normal(size=DRAWS) if draws is None else draws
+    by_nuisance = errors.shared.by_nuisance
+    draws = rng.normal(size=NUISANCES) if draws is None else draws
     error = rng.multivariate_normal(np.zeros(9), cov) if fresh is None else root(cov) @ fresh
-    error = error + by_draw @ draws
+    error = error + by_nuisance @ draws
 
     modes = 1.0 + np.concatenate([np.ones((len(uv), 1)), rays[:, :2]], axis=1) @ error[6:]
     sigma = errors.feature_relative * flat[:features] * np.exp(rng.normal(0.0, 0.3, features))
@@ -132,7 +132,7 @@ def build(
         height_datum=HeightDatum.AMSL,
         undulation_m=20.0,
         R_enu_cam=exp_so3(error[3:6]) @ R_true,
-        common_cov=cov + by_draw @ by_draw.T,
+        common_cov=cov + by_nuisance @ by_nuisance.T,
         shared=errors.shared,
         plane_per_m=plane,
         plane_sigma_relative=errors.relief_relative,

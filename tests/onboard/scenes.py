@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, log_so3, matrix_from_euler, mount_rotation
-from onboard.bundle import Problem
-from onboard.config import Config, parse_config
-from onboard.keyframe import Sighting, sighting
-from onboard.navigation import NavState
-from onboard.residuals import (
+from onboard.config.schema import Config, parse_config
+from onboard.estimation.bundle_adjustment import Problem
+from onboard.estimation.factors import (
     AttitudePrior,
     Layout,
     PositionPrior,
@@ -26,10 +24,12 @@ from onboard.residuals import (
     SharedPrior,
     State,
     VelocityPrior,
-    wandering_sqrt_information,
+    gauss_markov_sqrt_information,
 )
-from onboard.triangulation import triangulate
-from onboard.window import Window
+from onboard.estimation.keyframe import Observation, observation
+from onboard.estimation.sliding_window import Window
+from onboard.geometry.triangulation import triangulate
+from onboard.navigation.navigator import NavState
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -135,7 +135,7 @@ class Scene:
     points_enu_m: Array  # (P, 3)
     boresight_rad: Array
     offset_s: float
-    sightings: list[Sighting]
+    observations: list[Observation]
     navs: list[NavState]
     rates: list[Array]
     flown: list[Array | None]  # since the keyframe before, of keyframes
@@ -149,7 +149,7 @@ class Scene:
         """A window that has been given all keyframes, unsolved."""
         window = Window(self.config, self.camera)
         for k in self.keys:
-            window.add(int(k), self.sightings[k], self.navs[k], 0.0, self.rates[k], self.flown[k])
+            window.add(int(k), self.observations[k], self.navs[k], 0.0, self.rates[k], self.flown[k])
         return window
 
 
@@ -188,12 +188,12 @@ def draw(
     which = rng.integers(0, F, spec.points)
     rays, _ = camera.unproject(uv)
     points = ground.meet(centres[which], np.einsum("nij,nj->ni", R_enu_cam[which], rays))
-    sightings = []
+    observations = []
     for f in range(F):
         pixels, inside = camera.project((points - centres[f]) @ R_enu_cam[f])
         pixels = pixels + spec.pixel_sigma_px * rng.standard_normal(pixels.shape)
         inside &= camera.contains(pixels)
-        sightings.append(sighting(camera, np.flatnonzero(inside).astype(np.int64), pixels[inside]))
+        observations.append(observation(camera, np.flatnonzero(inside).astype(np.int64), pixels[inside]))
 
     stamps = times - offset
     white = e * gps.sigma_white_m
@@ -248,7 +248,7 @@ def draw(
         flown.append(moved)
     return Scene(
         config, camera, ground, times, is_key, R_cam_enu, centres, points, boresight, offset,
-        sightings, navs, rates, flown,
+        observations, navs, rates, flown,
     )  # fmt: skip
 
 
@@ -299,7 +299,7 @@ def bundle_problem(
             layout,
             centres - velocities * truth.offset_s - error,
             velocities,
-            np.stack([wandering_sqrt_information(stamps, white, slow, tau)] * 3),
+            np.stack([gauss_markov_sqrt_information(stamps, white, slow, tau)] * 3),
             np.zeros(K),
         ),
         VelocityPrior(
@@ -321,7 +321,7 @@ def bundle_problem(
                 layout,
                 measured,
                 rates,
-                np.stack([wandering_sqrt_information(stamps, white, slow, tau)] * 3),
+                np.stack([gauss_markov_sqrt_information(stamps, white, slow, tau)] * 3),
                 np.zeros(K),
             )
         )

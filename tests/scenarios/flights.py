@@ -24,11 +24,11 @@ from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
 from ground.answer import Fix
 from ground.locate import Locator
-from onboard.config import Config
-from onboard.events import Event
-from onboard.picture import Picture
-from onboard.pipeline import Pipeline, TerrainSource
-from onboard.replay import Flight, replay
+from onboard.config.schema import Config
+from onboard.events.types import Event
+from onboard.pipeline.pipeline import Pipeline, TerrainSource
+from onboard.replay.runner import Flight, replay
+from onboard.vision.contrast_normalisation import Picture
 from simulation.session import SessionSpec, fly
 
 Array = NDArray[np.float64]
@@ -65,7 +65,7 @@ class Outcome:
         return float(np.mean(self.chi2 < CHI2_99)) if len(self.chi2) else 1.0
 
     @property
-    def told(self) -> str:
+    def reported(self) -> str:
         """One line for a failed assertion."""
         answered = f"answered {len(self.errors_m)}"
         if len(self.errors_m):

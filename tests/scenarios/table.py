@@ -69,14 +69,14 @@ def row(name: str, spec: SessionSpec, overrides: Overrides, has_terrain: bool) -
     ]
     pictures = sum(len(flight.sets) for flight in flights)
     shares = {status: sum(flight.statuses[status] for flight in flights) / pictures for status in Status}
-    told = ", ".join(f"{status.value} {100 * share:.0f} %" for status, share in shares.items() if share > 0.0)
+    reported = ", ".join(f"{status.value} {100 * share:.0f} %" for status, share in shares.items() if share > 0.0)
     errors, chi2, semi = (
         np.concatenate([getattr(flight, field) for flight in flights]) for field in ("errors_m", "chi2", "semi_m")
     )
     if not len(errors):
-        return f"| {name} | {told} | - | - | - |"
+        return f"| {name} | {reported} | - | - | - |"
     inside = f"{100 * np.mean(chi2 < CHI2_90):.0f} / {100 * np.mean(chi2 < CHI2_99):.0f} %"
-    return f"| {name} | {told} | {np.median(errors):.1f} | {np.median(semi):.1f} | {inside} |"
+    return f"| {name} | {reported} | {np.median(errors):.1f} | {np.median(semi):.1f} | {inside} |"
 
 
 if __name__ == "__main__":

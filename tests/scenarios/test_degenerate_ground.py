@@ -11,7 +11,7 @@ import pytest
 
 from contract.camera import Camera
 from contract.feature_set import Status
-from onboard.picture import Picture
+from onboard.vision.contrast_normalisation import Picture
 from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.renderer import SensorSpec
@@ -28,23 +28,23 @@ FAST = DescribedSpec(PathSpec("straight", speed_m_s=35.0))
 
 def holds(outcome: Outcome, solved: float = 0.9, max_median_m: float = 8.0) -> None:
     """Answered, nearly everywhere, near enough, and inside what was claimed."""
-    assert outcome.solved >= solved, outcome.told
-    assert outcome.inside_99 >= 0.97, outcome.told
-    assert np.median(outcome.errors_m) < max_median_m, outcome.told
-    assert 0.5 < np.median(outcome.semi_m) < 40.0, outcome.told
+    assert outcome.solved >= solved, outcome.reported
+    assert outcome.inside_99 >= 0.97, outcome.reported
+    assert np.median(outcome.errors_m) < max_median_m, outcome.reported
+    assert 0.5 < np.median(outcome.semi_m) < 40.0, outcome.reported
 
 
 def refuses(outcome: Outcome, *reasons: Status) -> None:
     """No click is answered, and the reasons are these; the first pictures may still be starting."""
-    assert not len(outcome.errors_m), outcome.told
-    assert set(outcome.statuses) <= {*reasons, Status.STARTING}, outcome.told
-    assert outcome.statuses[Status.STARTING] < 0.5 * len(outcome.sets), outcome.told
+    assert not len(outcome.errors_m), outcome.reported
+    assert set(outcome.statuses) <= {*reasons, Status.STARTING}, outcome.reported
+    assert outcome.statuses[Status.STARTING] < 0.5 * len(outcome.sets), outcome.reported
 
 
 def honest(outcome: Outcome, *reasons: Status) -> None:
     """Either of both: what is answered holds, what is refused has one of these reasons."""
-    assert outcome.inside_99 >= 0.97, outcome.told
-    assert set(outcome.statuses) <= {*reasons, Status.STARTING, Status.OK}, outcome.told
+    assert outcome.inside_99 >= 0.97, outcome.reported
+    assert set(outcome.statuses) <= {*reasons, Status.STARTING, Status.OK}, outcome.reported
 
 
 def test_a_planar_scene_is_solved() -> None:
@@ -79,8 +79,8 @@ def test_water_that_can_be_tracked_is_a_poor_fit_or_wide(style: str, flight: Des
     """
     outcome = play(flown(replace(LARGE, flight=flight, texture=TextureSpec(style))))
     honest(outcome, Status.POOR_FIT, Status.FEATURELESS)
-    assert outcome.statuses[Status.POOR_FIT] + outcome.statuses[Status.FEATURELESS] > 0, outcome.told
-    assert not len(outcome.semi_m) or np.median(outcome.semi_m) > least_m, outcome.told
+    assert outcome.statuses[Status.POOR_FIT] + outcome.statuses[Status.FEATURELESS] > 0, outcome.reported
+    assert not len(outcome.semi_m) or np.median(outcome.semi_m) > least_m, outcome.reported
 
 
 def test_water_under_a_fast_aircraft_is_wide() -> None:
@@ -89,8 +89,8 @@ def test_water_under_a_fast_aircraft_is_wide() -> None:
     wide, land = play(flown(spec)), play(flown(replace(spec, texture=TextureSpec())))
     holds(land)
     honest(wide, Status.POOR_FIT, Status.FEATURELESS)
-    assert len(wide.errors_m) > 0, wide.told
-    assert np.median(wide.semi_m) > 1.5 * np.median(land.semi_m), (wide.told, land.told)
+    assert len(wide.errors_m) > 0, wide.reported
+    assert np.median(wide.semi_m) > 1.5 * np.median(land.semi_m), (wide.reported, land.reported)
 
 
 @pytest.mark.parametrize("spec", [LEG, LARGE], ids=["small", "large"])
@@ -118,7 +118,7 @@ def test_few_vehicles_cost_nothing() -> None:
     few = play(flown(replace(LARGE, texture=TextureSpec("traffic", vehicle_spacing_m=128))))
     holds(empty)
     holds(few)
-    assert np.median(few.semi_m) < 1.2 * np.median(empty.semi_m), (few.told, empty.told)
+    assert np.median(few.semi_m) < 1.2 * np.median(empty.semi_m), (few.reported, empty.reported)
 
 
 def test_a_convoy_is_not_taken_for_the_ground() -> None:
@@ -173,10 +173,10 @@ def test_pictures_out_of_focus_are_refused_or_their_ellipse_holds() -> None:
 def test_blind_pictures_are_featureless_and_pass(blinded: Callable[[Picture], Picture]) -> None:
     """Two seconds without a usable picture in the middle: featureless, then OK again."""
     outcome = play(retouched(flown(LEG), blinded, range(9, 15)))
-    assert outcome.inside_99 >= 0.97, outcome.told
+    assert outcome.inside_99 >= 0.97, outcome.reported
     statuses = [outcome.sets[frame].status for frame in range(24)]
     if blinded is not defocused:
-        assert statuses[9:15] == [Status.FEATURELESS] * 6, outcome.told
-    assert set(statuses) <= {Status.FEATURELESS, Status.STARTING, Status.OK}, outcome.told
-    assert statuses[:9] == [Status.OK] * 9, outcome.told
-    assert statuses[19:] == [Status.OK] * 5, outcome.told
+        assert statuses[9:15] == [Status.FEATURELESS] * 6, outcome.reported
+    assert set(statuses) <= {Status.FEATURELESS, Status.STARTING, Status.OK}, outcome.reported
+    assert statuses[:9] == [Status.OK] * 9, outcome.reported
+    assert statuses[19:] == [Status.OK] * 5, outcome.reported

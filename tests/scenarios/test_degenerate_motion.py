@@ -9,8 +9,8 @@ import pytest
 
 from contract.feature_set import Status
 from contract.geodesy import LocalFrame
-from onboard.events import Event, GpsQuality
-from onboard.terrain import Terrain
+from onboard.events.types import Event, GpsQuality
+from onboard.geometry.terrain_grid import Terrain
 from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
@@ -52,10 +52,10 @@ def test_waves_under_a_hover_are_no_parallax(style: str) -> None:
     """
     spec = replace(LARGE, flight=HOVER.flight, texture=TextureSpec(style))
     outcome = play(flown(spec))
-    assert not len(outcome.errors_m), outcome.told
+    assert not len(outcome.errors_m), outcome.reported
     reasons = {Status.LOW_PARALLAX, Status.POOR_FIT, Status.FEATURELESS}
-    assert set(outcome.statuses) <= {*reasons, Status.STARTING}, outcome.told
-    assert outcome.statuses[Status.STARTING] < 0.6 * len(outcome.sets), outcome.told
+    assert set(outcome.statuses) <= {*reasons, Status.STARTING}, outcome.reported
+    assert outcome.statuses[Status.STARTING] < 0.6 * len(outcome.sets), outcome.reported
 
 
 @pytest.mark.parametrize("spec", [HOVER, ROTATION], ids=["hover", "rotation"])
@@ -111,8 +111,8 @@ def test_a_log_without_attitude_over_ground_of_unknown_slope_is_wide() -> None:
     """As before, but the ground may slope: nothing tells roll. The ellipse says so."""
     silent = replace(LEG, flight=DescribedSpec(PathSpec("straight"), TelemetrySpec(attitude_hz=0.0)))
     outcome = play(flown(silent))
-    assert outcome.inside_99 >= 0.97, outcome.told
-    assert not len(outcome.semi_m) or np.median(outcome.semi_m) > 40.0, outcome.told
+    assert outcome.inside_99 >= 0.97, outcome.reported
+    assert not len(outcome.semi_m) or np.median(outcome.semi_m) > 40.0, outcome.reported
 
 
 def test_late_stamps_widen_but_hold() -> None:
@@ -130,10 +130,10 @@ def test_an_outage_of_gps_is_refused_and_recovers_by_itself() -> None:
 
     outcome = play(folder, spoil=lose)
     statuses = [outcome.sets[k].status for k in sorted(outcome.sets)]
-    assert statuses[12:16] == [Status.NO_GPS] * 4, outcome.told
-    assert statuses[-6:] == [Status.OK] * 6, outcome.told
-    assert statuses[:9] == [Status.OK] * 9, outcome.told
-    assert outcome.inside_99 >= 0.97, outcome.told
+    assert statuses[12:16] == [Status.NO_GPS] * 4, outcome.reported
+    assert statuses[-6:] == [Status.OK] * 6, outcome.reported
+    assert statuses[:9] == [Status.OK] * 9, outcome.reported
+    assert outcome.inside_99 >= 0.97, outcome.reported
 
 
 def test_boresight_and_time_offset_are_learned_in_turns() -> None:
@@ -151,4 +151,4 @@ def test_boresight_and_time_offset_are_learned_in_turns() -> None:
     assert np.abs(boresight).max() < 0.3 + 3.0 * np.degrees(belief.sigma[2]), (boresight, np.degrees(belief.sigma))
     assert np.abs(boresight[:2]).max() < 0.3, boresight
     assert abs(belief.mean[3] + 0.3) < 0.03, belief.mean[3]
-    assert outcome.inside_99 >= 0.95, outcome.told
+    assert outcome.inside_99 >= 0.95, outcome.reported

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from contract.feature_set import Status
-from onboard.picture import Picture
+from onboard.vision.contrast_normalisation import Picture
 from simulation.session import SessionSpec
 from tests.scenarios import test_degenerate_ground as ground
 from tests.scenarios.flights import Outcome, click, flown, play, retouched
@@ -92,15 +92,15 @@ CASES = {
 
 def holds(outcome: Outcome, spoilt: range, verdict: str, may_miss: int) -> None:
     """The truth is inside, and the spoilt pictures are answered or refused as they should be."""
-    assert outcome.inside_99 >= 0.97, outcome.told
+    assert outcome.inside_99 >= 0.97, outcome.reported
     statuses = [outcome.sets[frame].status for frame in spoilt]
     answered = statuses.count(Status.OK)
     if verdict is ANSWERED:
-        assert answered >= len(spoilt) - may_miss, outcome.told
+        assert answered >= len(spoilt) - may_miss, outcome.reported
     if verdict is REFUSED:
-        assert answered == 0, outcome.told
-        assert set(statuses) <= {Status.FEATURELESS, Status.STARTING, Status.POOR_FIT}, outcome.told
-        assert statuses.count(Status.FEATURELESS) > 0.7 * len(spoilt), outcome.told
+        assert answered == 0, outcome.reported
+        assert set(statuses) <= {Status.FEATURELESS, Status.STARTING, Status.POOR_FIT}, outcome.reported
+        assert statuses.count(Status.FEATURELESS) > 0.7 * len(spoilt), outcome.reported
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -121,9 +121,9 @@ def test_spoilt_in_mid_flight(name: str) -> None:
     holds(outcome, spoilt, case.verdict, may_miss=3)
     for stretch in (range(spoilt.start), spoilt, range(spoilt.stop, count)):
         part = click(folder, {frame: outcome.sets[frame] for frame in stretch}, None)
-        assert part.inside_99 >= 0.97, part.told
+        assert part.inside_99 >= 0.97, part.reported
     sharp = [outcome.sets[frame].status for frame in range(count) if frame not in spoilt]
-    assert sharp.count(Status.OK) >= len(sharp) - 3, outcome.told
+    assert sharp.count(Status.OK) >= len(sharp) - 3, outcome.reported
 
 
 @pytest.mark.parametrize("spec", [LEG, LARGE], ids=["small", "large"])
@@ -137,7 +137,7 @@ def test_a_picture_repeated_in_other_bytes_is_bad(spec: SessionSpec) -> None:
 
     outcome = play(retouched(flown(spec), repeated, range(10, 18)))
     statuses = [outcome.sets[frame].status for frame in range(round(spec.seconds * spec.rate_hz))]
-    assert outcome.inside_99 >= 0.97, outcome.told
-    assert statuses[11:18] == [Status.BAD_PICTURE] * 7, outcome.told
-    assert statuses[:11] == [Status.OK] * 11, outcome.told
-    assert statuses[22:] == [Status.OK] * len(statuses[22:]), outcome.told
+    assert outcome.inside_99 >= 0.97, outcome.reported
+    assert statuses[11:18] == [Status.BAD_PICTURE] * 7, outcome.reported
+    assert statuses[:11] == [Status.OK] * 11, outcome.reported
+    assert statuses[22:] == [Status.OK] * len(statuses[22:]), outcome.reported

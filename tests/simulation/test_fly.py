@@ -56,9 +56,9 @@ def test_bad_usage_is_one_line_and_writes_nothing(
     arguments: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([*arguments.split(), "--out", str(tmp_path / "s")]) == 2
-    told = capsys.readouterr().err
-    assert says in told
-    assert told.count("\n") == 1
+    reported = capsys.readouterr().err
+    assert says in reported
+    assert reported.count("\n") == 1
     assert not (tmp_path / "s").exists()
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from onboard.orientation import epipolar_error, refine_direction, start_pair
-from onboard.residuals import State
-from onboard.triangulation import triangulate
+from onboard.estimation.factors import State
+from onboard.geometry.relative_orientation import epipolar_error, refine_direction, start_pair
+from onboard.geometry.triangulation import triangulate
 from simulation import study, study_seed
 from simulation.study_window import Setting, begin, bound, draw, estimate, point_covariance
 from simulation.study_world import (

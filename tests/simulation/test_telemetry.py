@@ -106,9 +106,9 @@ def test_an_aged_position_is_where_the_vehicle_was(turning: Trajectory, tmp_path
     log, epoch = write_tlog(turning, ORIGIN, UNDULATION_M, replace(PERFECT, position_age_s=0.2), seed=1)
     message = _read(log, tmp_path, "GLOBAL_POSITION_INT")[150]
     time = message.time_boot_ms * 1e-3 + least_delay_s(log) - epoch
-    told = ORIGIN.to_enu(message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3 + UNDULATION_M)
-    assert np.linalg.norm(told - turning.position_enu_m(time - 0.2)) < 0.02
-    assert 3.5 < np.linalg.norm(told - turning.position_enu_m(time)) < 4.5
+    reported = ORIGIN.to_enu(message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3 + UNDULATION_M)
+    assert np.linalg.norm(reported - turning.position_enu_m(time - 0.2)) < 0.02
+    assert 3.5 < np.linalg.norm(reported - turning.position_enu_m(time)) < 4.5
 
 
 def test_packets_arrive_in_order_and_never_before_they_were_sent(turning: Trajectory, tmp_path: Path) -> None:

@@ -21,15 +21,15 @@ from PIL import Image
 from contract.camera import Camera
 from contract.errors import ConfigError
 from onboard.__main__ import main
-from onboard.calibration_board import Board
-from onboard.camera.device import V4l2Device
-from onboard.camera.v4l2 import V4l2Camera
-from onboard.config import CameraConfig
-from onboard.events import Frame
-from onboard.session_clock import SessionClock
-from onboard.sources import Health, State
+from onboard.calibration.board import Board
+from onboard.camera.v4l2_camera import V4l2Camera
+from onboard.camera.v4l2_device import V4l2Device
+from onboard.config.schema import CameraConfig
+from onboard.events.session_clock import SessionClock
+from onboard.events.source import SourceStatus, State
+from onboard.events.types import Frame
 from tests.bench.v4l2 import Output
-from tests.onboard.board_pictures import Photographer, poses_all_over
+from tests.onboard.calibration.board_pictures import Photographer, poses_all_over
 
 VIVID, LOOPBACK = "/dev/video0", "/dev/video10"
 CLOCK = SessionClock.start()
@@ -54,7 +54,7 @@ class Running:
         self.arrivals_ns.append(arrival_ns)
         self.frames.append(event)
 
-    def until(self, state: State, within_s: float) -> tuple[float, Health]:
+    def until(self, state: State, within_s: float) -> tuple[float, SourceStatus]:
         """Seconds until the camera is in a state, and its health then."""
         begun = time.monotonic()
         while (waited := time.monotonic() - begun) < within_s:

@@ -16,11 +16,11 @@ import pytest
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from onboard.camera.v4l2 import V4l2Camera
-from onboard.config import CameraConfig
-from onboard.events import Event, Frame
-from onboard.session_clock import SessionClock
-from onboard.sources import State
+from onboard.camera.v4l2_camera import V4l2Camera
+from onboard.config.schema import CameraConfig
+from onboard.events.session_clock import SessionClock
+from onboard.events.source import State
+from onboard.events.types import Event, Frame
 from tests.bench.flight import as_format
 from tests.bench.v4l2 import Output
 

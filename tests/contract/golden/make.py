@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from contract.codec import decode, encode
 from contract.feature_set import DepthSource, FeatureSet, HeightDatum, Status
+from contract.wire.codec import decode, encode
 from tests.contract.sets import DISTORTION, plain_set
 
 HERE = Path(__file__).parent

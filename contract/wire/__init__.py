@@ -1,0 +1,1 @@
+"""Feature sets to bytes and back."""

@@ -1,0 +1,8 @@
+"""Views of a board to a camera file with its sigmas, and a verdict.
+
+Public:
+
+- `board`: `Board`, `Grey`
+- `intrinsics`: `Fit`, `PARAMETERS`, `View`, `calibrate`
+- `verdict`: `Verdict`, `bare_places`, `coverage_picture`, `judge`, `report`
+"""

@@ -1,0 +1,170 @@
+"""From a driver's buffers to Frames: which time, which were lost, which are worth looking at. No device, no clock.
+
+A picture goes on with no image when it is damaged, and when it repeats the one before to the last bit: a sensor's noise
+never does, so a repeat is an old picture under a new time stamp, the one thing that must not be georeferenced.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from onboard.camera.pixel_formats import Grey, to_grey
+from onboard.camera.v4l2_device import Buffer, Granted
+from onboard.events.session_clock import SessionClock
+from onboard.events.types import Frame
+
+# linux/videodev2.h
+FLAG_ERROR = 0x40
+CLOCK_MASK, CLOCK_UNKNOWN, CLOCK_MONOTONIC, CLOCK_COPIED = 0xE000, 0x0, 0x2000, 0x4000
+SOURCE_MASK, SOURCE_START_OF_EXPOSURE = 0x70000, 0x10000
+
+STALE_NS = 500_000_000
+"""A buffer older than this when it is taken waited while we were kept from running: it is not news any more."""
+FUTURE_NS = 5_000_000
+"""A stamp this far ahead of the clock is not the time of a picture that is already here."""
+RATE_WINDOW = 60
+RATE_SLACK = 0.8
+BAD_IN_A_ROW = 5
+
+
+@dataclass
+class Counts:
+    """Since the camera was first opened."""
+
+    pictures: int = 0  # handed out, those without an image included
+    lost: int = 0  # gaps in the driver's numbers
+    skipped: int = 0  # taken too late, or under a time that cannot be
+    damaged: int = 0
+    repeated: int = 0
+    reopened: int = 0
+
+
+class Pictures:
+    """Judges the buffers of one camera; `restart` whenever its stream begins anew."""
+
+    def __init__(self, clock: SessionClock, latency_s: float, size_px: tuple[int, int], rate_hz: float) -> None:
+        self.counts = Counts()
+        self._clock, self._size_px, self._rate_hz = clock, size_px, rate_hz
+        self._latency_ns = round(latency_s * 1e9)
+        self._last_stamp_ns: int | None = None  # over restarts: stamps never run backwards
+        self._begin()
+
+    def _begin(self) -> None:
+        self._sequence: int | None = None
+        self._is_numbered = True
+        self._last: Grey | None = None
+        self._stamps_ns: deque[int] = deque(maxlen=RATE_WINDOW)
+        self._same_since_ns: int | None = None
+        self._is_blank = False
+        self._damaged_in_a_row = 0
+        self._ahead_ns = 0
+        self._uses_arrival = False
+        self._source = ""
+        self._stale_in_a_row = 0
+
+    def restart(self) -> None:
+        """The stream begins anew: numbers and repeats start over, counts and stamps go on."""
+        self._begin()
+
+    def take(self, buffer: Buffer, format_: Granted, now_ns: int, has_waited: bool) -> Frame | None:
+        """A buffer, and CLOCK_MONOTONIC when it was taken -> a Frame, or None if it has no usable time."""
+        self._count_lost(buffer.sequence)
+        monotonic_ns = self._capture_time(buffer, now_ns, has_waited)
+        if monotonic_ns is None:
+            self.counts.skipped += 1
+            return None
+        stamp_ns = self._clock.from_monotonic_ns(monotonic_ns) - self._latency_ns
+        if self._last_stamp_ns is not None and stamp_ns <= self._last_stamp_ns:
+            self.counts.skipped += 1
+            return None
+        self._last_stamp_ns = stamp_ns
+        self._stamps_ns.append(stamp_ns)
+        image = None if buffer.flags & FLAG_ERROR else to_grey(
+            format_.fourcc, buffer.data, self._size_px, format_.bytes_per_line
+        )  # fmt: skip
+        frame = Frame(stamp_ns, self.counts.pictures, self._fresh(image, now_ns))
+        self.counts.pictures += 1
+        return frame
+
+    def _count_lost(self, sequence: int) -> None:
+        if self._sequence is not None:
+            step = (sequence - self._sequence) % 2**32
+            self._is_numbered = step != 0
+            if 0 < step < 2**31:  # else the driver has begun to count anew
+                self.counts.lost += step - 1
+        self._sequence = sequence
+
+    def _capture_time(self, buffer: Buffer, now_ns: int, has_waited: bool) -> int | None:
+        """CLOCK_MONOTONIC of the exposure as the driver has it, of the arrival if need be, None if neither is."""
+        age_ns = now_ns - buffer.stamp_ns
+        is_plausible = -FUTURE_NS <= age_ns <= STALE_NS
+        self._source = "start" if buffer.flags & SOURCE_MASK == SOURCE_START_OF_EXPOSURE else "end"
+        if buffer.flags & CLOCK_MASK == CLOCK_MONOTONIC:
+            self._uses_arrival = False
+            self._ahead_ns = max(-age_ns, 0) if age_ns < -FUTURE_NS else 0
+            is_stale = age_ns > STALE_NS
+            self._stale_in_a_row = self._stale_in_a_row + 1 if is_stale else 0
+            return None if is_stale else buffer.stamp_ns
+        self._uses_arrival = not is_plausible
+        if is_plausible:
+            return buffer.stamp_ns
+        # Not our clock. The arrival will do, unless the picture lay in the queue for we know not how long.
+        return None if has_waited or buffer.has_waited else now_ns
+
+    def _fresh(self, image: Grey | None, now_ns: int) -> Grey | None:
+        """The image, or None if it is damaged or repeats the last one."""
+        if image is None:
+            self.counts.damaged += 1
+            self._damaged_in_a_row += 1
+            return None
+        self._damaged_in_a_row = 0
+        last, self._last = self._last, image
+        self._is_blank = bool(image.min() == image.max())
+        # A sample first: nearly every picture already differs there.
+        if last is None or self._is_blank or np.any(last[::16, ::16] != image[::16, ::16]) or np.any(last != image):
+            self._same_since_ns = None
+            return image
+        self.counts.repeated += 1
+        if self._same_since_ns is None:
+            self._same_since_ns = now_ns
+        return None
+
+    def frozen_s(self, now_ns: int) -> float:
+        """For how long the same picture has come again and again."""
+        return 0.0 if self._same_since_ns is None else (now_ns - self._same_since_ns) / 1e9
+
+    @property
+    def rate_hz(self) -> float:
+        """Measured over the last pictures, by their stamps; 0 before there are any."""
+        stamps_ns = self._stamps_ns  # another thread may ask while `restart` replaces it
+        count = len(stamps_ns)
+        return (count - 1) * 1e9 / (stamps_ns[-1] - stamps_ns[0]) if count > 1 else 0.0
+
+    @property
+    def stamped_at(self) -> str:
+        """What the driver says its stamps are: the 'start' or the 'end' of the picture; '' before the first."""
+        return self._source
+
+    def complaints(self) -> list[str]:
+        """What is not as it should be, in words."""
+        found = []
+        if self._uses_arrival:
+            found.append("stamps are not of CLOCK_MONOTONIC: times of arrival are used, later by an unknown delay")
+        if self._ahead_ns:
+            found.append(f"stamps lie {self._ahead_ns / 1e6:.0f} ms in the future: calibrate camera.latency_s")
+        if self._stale_in_a_row > BAD_IN_A_ROW:
+            found.append("every picture is older than half a second: none is used")
+        if not self._is_numbered:
+            found.append("the driver does not number its pictures: lost ones cannot be counted")
+        if self._damaged_in_a_row >= BAD_IN_A_ROW:
+            found.append(f"the last {self._damaged_in_a_row} pictures are damaged")
+        if self._is_blank:
+            found.append("the picture is a single grey value: lens covered, or exposure far off")
+        if len(self._stamps_ns) == RATE_WINDOW and self.rate_hz < RATE_SLACK * self._rate_hz:
+            found.append(
+                f"{self.rate_hz:.1f} of {self._rate_hz:g} pictures a second: exposure too long, or bus too slow"
+            )
+        return found

@@ -1,0 +1,240 @@
+"""Frames from a folder of pictures or a video, in capture order, decoded one at a time.
+
+Everything that can be known without decoding (names, sizes, stamps) is checked when the source is opened. Pictures are
+decoded by Pillow because it refuses a cut-off file where OpenCV would hand out a half-grey picture; orientation tags
+are ignored, a camera's calibration being in its sensor's own axes.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from contract.camera import Camera
+from contract.errors import InputError
+from onboard.camera.file_stamps import read_stamps, stamp_from_exif, stamp_from_name
+from onboard.camera.pixel_formats import UNDECODABLE, reduce_16_bit
+from onboard.events.types import Frame
+
+PICTURE_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".pnm", ".webp", ".jp2"}
+SIXTEEN_BIT_MODES = {"I;16", "I;16B", "I;16L", "I"}
+
+
+class FrameSource(Protocol):
+    """Pictures of one camera with their capture times."""
+
+    @property
+    def stamps_ns(self) -> list[int]:
+        """Capture times in order, one a frame, strictly increasing."""
+
+    @property
+    def names(self) -> list[str]:
+        """What each frame is called, in the same order."""
+
+    def frames(self) -> Iterator[Frame]:
+        """Each picture in capture order; raises InputError at one that cannot be decoded or has another size."""
+
+
+def open_frames(
+    path: Path | str, camera: Camera, stamps: Path | str | None = None, latency_s: float = 0.0
+) -> FrameSource:
+    """Open a folder of pictures or a video; `latency_s` is taken off every stamp to give mid-exposure.
+
+    Raises InputError, one line, if it is missing or empty, of another size than the camera, or has no capture times.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return PictureFolder(path, camera, stamps, latency_s)
+    if not path.exists():
+        raise InputError(f"frames {path}: no such folder or video")
+    if path.suffix.lower() in PICTURE_SUFFIXES:
+        raise InputError(f"frames {path}: a single picture; name the folder it is in, or a video")
+    return Video(path, camera, stamps, latency_s)
+
+
+def _check_size(what: str, size_px: tuple[int, int], camera: Camera) -> None:
+    if size_px != camera.size_px:
+        raise InputError(
+            f"{what} is {size_px[0]} x {size_px[1]}, the camera file says {camera.width_px} x {camera.height_px}"
+        )
+
+
+@dataclass(frozen=True)
+class _Stamped:
+    stamp_ns: int
+    name: str
+
+
+def _in_capture_order(where: object, stamped: list[_Stamped]) -> list[_Stamped]:
+    ordered = sorted(stamped, key=lambda item: (item.stamp_ns, item.name))
+    for earlier, later in itertools.pairwise(ordered):
+        if earlier.stamp_ns == later.stamp_ns:
+            raise InputError(
+                f"frames {where}: {earlier.name} and {later.name} have the same capture time, "
+                f"{later.stamp_ns / 1e9:.6f} s; each picture needs its own"
+            )
+    return ordered
+
+
+class PictureFolder:
+    """The pictures of one folder (not of its subfolders)."""
+
+    def __init__(self, folder: Path, camera: Camera, stamps: Path | str | None, latency_s: float) -> None:
+        self.folder, self.camera = folder, camera
+        names = sorted(
+            entry.name for entry in folder.iterdir() if entry.suffix.lower() in PICTURE_SUFFIXES and entry.is_file()
+        )
+        if not names:
+            raise InputError(f"frames {folder}: no picture in it ({', '.join(sorted(PICTURE_SUFFIXES))})")
+        exif = [self._check_header(name) for name in names]
+        found = self._from_csv(names, stamps) if stamps is not None else self._from_pictures(names, exif)
+        late_ns = round(latency_s * 1e9)
+        self._stamped = _in_capture_order(
+            folder, [_Stamped(stamp - late_ns, name) for name, stamp in zip(names, found, strict=True)]
+        )
+
+    def _check_header(self, name: str) -> int | None:
+        """Check a picture's size; returns its EXIF capture time, if it has one."""
+        try:
+            with Image.open(self.folder / name) as image:
+                _check_size(f"frames {self.folder}: {name}", image.size, self.camera)
+                return stamp_from_exif(image)
+        except UNDECODABLE as error:
+            raise self._undecodable(name, error) from error
+
+    def _undecodable(self, name: str, error: Exception) -> InputError:
+        why = " ".join(str(error).split()).replace(str(self.folder / name), name)
+        return InputError(f"frames {self.folder}: {name} cannot be decoded ({why})")
+
+    def _from_csv(self, names: list[str], path: Path | str) -> list[int]:
+        stamps = read_stamps(path, "file")
+        by_name = {Path(name).name: stamp for name, stamp in stamps.items()}
+        if len(by_name) < len(stamps):
+            raise InputError(f"stamps {path}: two entries name the same picture in different folders")
+        unknown = sorted(set(by_name) - set(names))
+        if unknown:
+            raise InputError(f"stamps {path}: '{unknown[0]}' is not a picture in {self.folder}")
+        missing = [name for name in names if name not in by_name]
+        if missing:
+            raise InputError(
+                f"stamps {path}: no stamp for {missing[0]}" + (f" and {len(missing) - 1} more" * (len(missing) > 1))
+            )
+        return [by_name[name] for name in names]
+
+    def _from_pictures(self, names: list[str], exif: list[int | None]) -> list[int]:
+        """All by EXIF or all by name: two clocks must not be mixed."""
+        from_name = [stamp_from_name(name) for name in names]
+        for source in (exif, from_name):
+            known = [stamp for stamp in source if stamp is not None]
+            if len(known) == len(names):
+                return known
+        without = names[from_name.index(None)]
+        raise InputError(
+            f"frames {self.folder}: no capture time for {without}: no EXIF DateTimeOriginal with SubSecTimeOriginal "
+            f"and no UTC time in its name; give --stamps"
+        )
+
+    @property
+    def stamps_ns(self) -> list[int]:
+        """Capture times in order."""
+        return [item.stamp_ns for item in self._stamped]
+
+    @property
+    def names(self) -> list[str]:
+        """File names in capture order."""
+        return [item.name for item in self._stamped]
+
+    def frames(self) -> Iterator[Frame]:
+        """Decode and yield each picture; raises InputError at one that cannot be decoded."""
+        for index, item in enumerate(self._stamped):
+            try:
+                image = read_grey(self.folder / item.name)
+            except UNDECODABLE as error:
+                raise self._undecodable(item.name, error) from error
+            yield Frame(item.stamp_ns, index, image, item.name)
+
+
+def read_grey(path: Path) -> NDArray[np.uint8]:
+    """A picture file as grey (H, W); raises one of `UNDECODABLE`."""
+    with Image.open(path) as image:
+        if image.mode in SIXTEEN_BIT_MODES:
+            return reduce_16_bit(np.asarray(image).clip(0, 65535).astype(np.uint16))
+        image.draft("L", image.size)  # a JPEG's own luma, without the way through colour
+        return np.array(image.convert("L"), np.uint8)
+
+
+class Video:
+    """A video file; its stamps come from a CSV by index, or from the time in its name and its own frame times."""
+
+    def __init__(self, path: Path, camera: Camera, stamps: Path | str | None, latency_s: float) -> None:
+        self.path, self.camera = path, camera
+        capture = self._open()
+        size = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        count, rate_hz = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), capture.get(cv2.CAP_PROP_FPS)
+        capture.release()
+        _check_size(f"frames {path}", size, camera)
+        if count < 1:
+            raise InputError(f"frames {path}: the video does not say how many frames it has; remux it")
+        found = self._from_csv(count, stamps) if stamps is not None else self._from_name(count, rate_hz)
+        late_ns = round(latency_s * 1e9)
+        names = [f"{path.name}#{index}" for index in range(count)]
+        self._stamped = [_Stamped(stamp - late_ns, name) for stamp, name in zip(found, names, strict=True)]
+        if _in_capture_order(path, self._stamped) != self._stamped:
+            raise InputError(f"stamps {stamps}: times must increase with the index")
+
+    def _open(self) -> cv2.VideoCapture:
+        capture = cv2.VideoCapture(str(self.path))
+        if not capture.isOpened():
+            raise InputError(f"frames {self.path}: not a video that can be decoded")
+        capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+        return capture
+
+    def _from_csv(self, count: int, path: Path | str) -> list[int]:
+        found: list[int | None] = [None] * count
+        for key, stamp in read_stamps(path, "index").items():
+            if not key.isdecimal() or int(key) >= count:
+                raise InputError(
+                    f"stamps {path}: index '{key}' is not 0 to {count - 1}, the frames of {self.path.name}"
+                )
+            found[int(key)] = stamp
+        if None in found:
+            raise InputError(f"stamps {path}: no stamp for index {found.index(None)} of {count} frames")
+        return [stamp for stamp in found if stamp is not None]
+
+    def _from_name(self, count: int, rate_hz: float) -> list[int]:
+        start_ns = stamp_from_name(self.path.name)
+        if start_ns is None or not 0.01 < rate_hz < 1000.0:
+            raise InputError(f"frames {self.path}: no capture times: give --stamps with index,unix_time_s")
+        return [start_ns + round(index / rate_hz * 1e9) for index in range(count)]
+
+    @property
+    def stamps_ns(self) -> list[int]:
+        """Capture times in order."""
+        return [item.stamp_ns for item in self._stamped]
+
+    @property
+    def names(self) -> list[str]:
+        """`clip.mp4#12` for the frame with index 12."""
+        return [item.name for item in self._stamped]
+
+    def frames(self) -> Iterator[Frame]:
+        """Decode and yield each picture; raises InputError where the video ends too early."""
+        capture = self._open()
+        try:
+            for index, item in enumerate(self._stamped):
+                got, picture = capture.read()
+                if not got or picture is None:
+                    raise InputError(f"frames {self.path}: frame {index} of {len(self._stamped)} cannot be decoded")
+                grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
+                _check_size(f"frames {self.path}: frame {index}", (grey.shape[1], grey.shape[0]), self.camera)
+                yield Frame(item.stamp_ns, index, np.asarray(grey, np.uint8), item.name)
+        finally:
+            capture.release()

@@ -1,0 +1,57 @@
+"""A camera that is a folder of pictures or a video, played in real time: `camera.device = "replay:FOLDER"`.
+
+For tests and benches without a camera. Where stamps lie ahead on the session's clock, those pictures come at their own
+stamps and the earlier ones are gone, so that an autopilot played beside it keeps step, even over a restart. Otherwise
+the first comes at once and the others as long after it as they were taken.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from contract.camera import Camera
+from contract.errors import InputError
+from onboard.camera.picture_files import open_frames
+from onboard.events.session_clock import SessionClock
+from onboard.events.source import Emit, SourceStatus, State, Stop
+from onboard.events.types import Frame
+
+PREFIX = "replay:"
+STAMPS = "stamps.csv"
+
+
+class PlayedCamera:
+    """`path` is a folder or a video, with `stamps.csv` in or beside it if need be. Raises InputError if unusable."""
+
+    def __init__(self, path: Path | str, camera: Camera, clock: SessionClock, latency_s: float = 0.0) -> None:
+        self._path, self._clock = Path(path), clock
+        beside = [p for p in (self._path / STAMPS, self._path.parent / STAMPS) if p.is_file()]
+        self._source = open_frames(self._path, camera, beside[0] if beside else None, latency_s)
+        self._health = SourceStatus(State.STARTING, "not playing yet")
+
+    def run(self, emit: Emit, stop: Stop) -> None:
+        """Play once, then be a lost camera until told to stop."""
+        stamps_ns, now_ns = self._source.stamps_ns, self._clock.now_ns()
+        shift_ns = 0 if stamps_ns[-1] > now_ns else now_ns - stamps_ns[0]
+        first_ns, shown = 0, 0
+        try:
+            for frame in self._source.frames():
+                early_ns = frame.stamp_ns + shift_ns - self._clock.now_ns()
+                if shown == 0 and early_ns < 0 and shift_ns == 0:
+                    continue
+                if stop.wait(early_ns / 1e9) if early_ns > 0 else stop.is_set():
+                    return
+                now_ns = self._clock.now_ns()
+                first_ns, shown = first_ns or now_ns, shown + 1
+                rate_hz = (shown - 1) / max((now_ns - first_ns) / 1e9, 1e-3)
+                self._health = SourceStatus(State.OK, "", {"rate_hz": rate_hz, "lost": 0.0})
+                emit(now_ns, Frame(frame.stamp_ns + shift_ns, frame.index, frame.image, frame.name))
+        except InputError as error:
+            self._health = SourceStatus(State.LOST, str(error))
+        else:
+            self._health = SourceStatus(State.LOST, f"{self._path} has been played to its end")
+        stop.wait()
+
+    def health(self) -> SourceStatus:
+        """STARTING, OK while pictures come, LOST after the last."""
+        return self._health

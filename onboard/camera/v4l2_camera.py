@@ -1,0 +1,251 @@
+"""The live camera: a V4L2 device as a source of Frames that survives its being unplugged, frozen and renumbered."""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from contract.camera import Camera
+from contract.errors import ConfigError
+from onboard.camera.buffer_decoder import Pictures
+from onboard.camera.control_lock import Lock, Wanted
+from onboard.camera.discovery import Identity, candidates, identity, same_camera
+from onboard.camera.format_negotiation import ENOUGH, choose_format
+from onboard.camera.v4l2_device import Device, Granted, V4l2Device
+from onboard.config.schema import CameraConfig
+from onboard.events.session_clock import SessionClock
+from onboard.events.source import Emit, SourceStatus, State, Stop
+
+TICK_S = 0.2
+"""Longest wait in one go: how soon `stop` and a silent camera are seen."""
+RETRY_S = 0.25
+FIRST_PICTURE_S = 5.0
+"""Some cameras take seconds to their first picture."""
+PERIODS = 3.0
+"""At low rates so many periods without a picture, if that is more than `lost_after_s`, count as lost."""
+STARVED_S = 0.05
+"""A wait this much longer than asked: we were kept from running, and what is there now has lain in the queue."""
+
+_WORDS = {
+    errno.ENOENT: "not there",
+    errno.ENXIO: "not there",
+    errno.ENODEV: "unplugged",
+    errno.EACCES: "no permission: the user must be in the group 'video'",
+    errno.EPERM: "no permission: the user must be in the group 'video'",
+    errno.EBUSY: "in use by another program",
+    errno.EIO: "input/output error",
+}
+
+
+class _Absent(Exception):
+    """There is no camera to open just now; the text says why."""
+
+
+@dataclass
+class _Stream:
+    """An open device that streams."""
+
+    device: Device
+    path: str
+    format: Granted
+    lock: Lock
+    complaints: list[str]
+    has_picture: bool = False
+
+
+class V4l2Camera:
+    """A `Source` of Frames. Stamps are the driver's own, on the session's clock, minus `latency_s`."""
+
+    def __init__(
+        self,
+        config: CameraConfig,
+        camera: Camera,
+        clock: SessionClock,
+        *,
+        open_device: Callable[[str], Device] = V4l2Device,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        paths: Callable[[str], list[str]] = candidates,
+        identify: Callable[[str, Device], Identity] = lambda path, device: identity(path, device.card()),
+    ) -> None:
+        self._config, self._camera, self._clock = config, camera, clock
+        self._open_device, self._now_ns, self._paths, self._identify = open_device, now_ns, paths, identify
+        self._pictures = Pictures(clock, config.latency_s, camera.size_px, config.rate_hz)
+        self._known: Identity | None = None
+        self._others: set[str] = set()  # bus places of other cameras: not ours, however alike
+        self._stream: _Stream | None = None
+        self._absence = "not opened yet"
+        self._begun_ns = self._last_ns = now_ns()
+        self._has_begun = False
+        self._delay_ms = 0.0
+
+    def run(self, emit: Emit, stop: Stop) -> None:
+        """Emit pictures until `stop`; raises ConfigError if the device, at its first opening, cannot give them."""
+        self._begun_ns, self._has_begun = self._now_ns(), True
+        try:
+            while not stop.is_set():
+                try:
+                    self._stream = stream = self._open()
+                    while not stop.is_set() and self._step(stream, emit):
+                        pass
+                except _Absent as absent:
+                    self._absence = str(absent)
+                except OSError as error:
+                    self._absence = f"{self._name()}: {_words(error)}"
+                except ConfigError as error:
+                    if self._known is None:
+                        raise
+                    self._absence = str(error)
+                self._close()
+                stop.wait(RETRY_S)
+        finally:
+            self._close()
+
+    def _step(self, stream: _Stream, emit: Emit) -> bool:
+        """Wait for one buffer and hand it on; False once the camera has been silent for too long."""
+        asked_ns = self._now_ns()
+        buffer = stream.device.take(TICK_S)
+        now_ns = self._now_ns()
+        if buffer is None:
+            silent_s = (now_ns - self._last_ns) / 1e9
+            if silent_s <= (self._patience_s() if stream.has_picture else FIRST_PICTURE_S):
+                return True
+            self._absence = f"{stream.path}: no picture for {silent_s:.1f} s"
+            return False
+        was_starved = now_ns - asked_ns > (TICK_S + STARVED_S) * 1e9
+        if not stream.has_picture:
+            # Some drivers set their controls anew when the stream begins.
+            stream.complaints += stream.lock.check()
+            stream.has_picture = True
+        self._last_ns = now_ns
+        frame = self._pictures.take(buffer, stream.format, now_ns, was_starved)
+        if frame is not None:
+            arrival_ns = self._clock.from_monotonic_ns(now_ns)
+            self._delay_ms = (arrival_ns - frame.stamp_ns) / 1e6
+            emit(arrival_ns, frame)
+        return True
+
+    def _patience_s(self) -> float:
+        return max(self._config.lost_after_s, PERIODS / self._config.rate_hz)
+
+    def _open(self) -> _Stream:
+        """Find the camera, set it and begin."""
+        path, device = self._find()
+        try:
+            if not device.card().can_capture:
+                raise _Absent(f"{path}: no pictures to be had from it (no capture device, or nothing plays into it)")
+            size_px = self._camera.size_px
+            granted = choose_format(device, path, size_px, self._config.format, self._config.rate_hz)
+            rate_hz = device.set_rate_hz(self._config.rate_hz)
+            c = self._config
+            lock = Lock(device, Wanted(c.exposure_us, c.gain, c.focus, c.white_balance_k), size_px[0])
+            complaints = list(lock.complaints)
+            if not granted.is_progressive:
+                complaints.append("pictures are interlaced: two times in one picture")
+            if rate_hz is not None and rate_hz < ENOUGH * c.rate_hz:
+                complaints.append(f"{rate_hz:.1f} pictures a second instead of {c.rate_hz:g}")
+            found = self._identify(path, device)
+            self._pictures.restart()
+            device.start()
+        except BaseException:
+            device.close()
+            raise
+        if self._known is None:
+            self._others = self._buses_of_others(path, found)
+        else:
+            self._pictures.counts.reopened += 1
+        self._known = found
+        self._last_ns = self._now_ns()
+        return _Stream(device, path, granted, lock, complaints)
+
+    def _find(self) -> tuple[str, Device]:
+        """The configured device, or, once it is known, the same camera wherever it is now. Raises OSError, _Absent."""
+        configured = self._config.device
+        if self._known is None:
+            return configured, self._open_device(configured)
+        found: list[tuple[str, Identity]] = []
+        why: OSError | None = None
+        for path in self._paths(configured):
+            try:
+                device = self._open_device(path)
+            except OSError as error:
+                why = error if path == configured else why
+                continue
+            try:
+                other = self._identify(path, device)
+                if other.bus_info not in self._others and device.card().can_capture:
+                    found.append((path, other))
+            finally:
+                device.close()
+        path_now = same_camera(self._known, found)
+        if path_now is not None:
+            return path_now, self._open_device(path_now)
+        if len(found) > 1:
+            raise _Absent(f"{self._name()}: several cameras could be it, none surely")
+        raise _Absent(f"{self._name()}: {_words(why) if why else 'not among the devices'}")
+
+    def _buses_of_others(self, path: str, own: Identity) -> set[str]:
+        """Where other cameras are at the first opening, to mistake none of them for ours later."""
+        buses = set()
+        for other_path in self._paths(self._config.device):
+            if other_path == path:
+                continue
+            try:
+                device = self._open_device(other_path)
+            except OSError:
+                continue
+            try:
+                buses.add(self._identify(other_path, device).bus_info)
+            finally:
+                device.close()
+        return buses - {own.bus_info}
+
+    def _close(self) -> None:
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            stream.device.close()
+
+    def _name(self) -> str:
+        return f"{self._config.device} ({self._known.card})" if self._known else self._config.device
+
+    def health(self) -> SourceStatus:
+        """How the camera is. Judged now, not when the last picture came: a hanging driver is seen too."""
+        stream, now_ns = self._stream, self._now_ns()
+        figures = self._figures()
+        silent_s = (now_ns - self._last_ns) / 1e9
+        if stream is None or not stream.has_picture:
+            waited_s = (now_ns - self._begun_ns) / 1e9
+            starting = not self._has_begun or (self._known is None and waited_s < self._patience_s())
+            if stream is not None and self._pictures.counts.pictures == 0:
+                starting = silent_s < FIRST_PICTURE_S
+            why = f"{stream.path}: waiting for its first picture" if stream else self._absence
+            return SourceStatus(State.STARTING if starting else State.LOST, why, figures)
+        if silent_s > self._patience_s():
+            return SourceStatus(State.LOST, f"{stream.path}: no picture for {silent_s:.1f} s", figures)
+        what = (
+            f"{stream.path}: {stream.format.width_px}x{stream.format.height_px} {stream.format.fourcc}, "
+            f"stamped at its {self._pictures.stamped_at}"
+        )
+        frozen_s = self._pictures.frozen_s(now_ns)
+        if frozen_s >= self._config.frozen_after_s:
+            return SourceStatus(State.FROZEN, f"{stream.path}: the same picture for {frozen_s:.1f} s", figures)
+        complaints = stream.complaints + self._pictures.complaints()
+        return SourceStatus(State.DEGRADED if complaints else State.OK, "; ".join(complaints) or what, figures)
+
+    def _figures(self) -> dict[str, float]:
+        counts = self._pictures.counts
+        return {
+            "rate_hz": self._pictures.rate_hz if self._stream else 0.0,
+            "delay_ms": self._delay_ms,
+            "pictures": counts.pictures,
+            "lost": counts.lost,
+            "skipped": counts.skipped,
+            "damaged": counts.damaged,
+            "repeated": counts.repeated,
+            "reopened": counts.reopened,
+        }
+
+
+def _words(error: OSError) -> str:
+    return _WORDS.get(error.errno or 0, error.strerror or str(error))

@@ -1,0 +1,11 @@
+"""One module a command of `pc-onboard`: what it opens and wires.
+
+Public:
+
+- `calibrate`: `run`
+- `cameras`: `run`
+- `doctor`
+- `replay`: `run`
+- `run`
+- `status`
+"""

@@ -1,0 +1,147 @@
+"""`pc-onboard doctor`: asks the running daemon, or looks for itself, and prints a green or red line for each thing."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from typing import TextIO
+
+from contract.camera import Camera
+from contract.errors import PointclickError
+from contract.link_config import Tls
+from onboard.camera.factory import open_camera
+from onboard.commands.preflight import Line, Report, Surroundings, diagnose
+from onboard.config.files import load_camera, load_config_files, state_folder
+from onboard.config.schema import Config
+from onboard.events.session_clock import SessionClock
+from onboard.events.source import Source, SourceStatus, State
+from onboard.events.types import Event, Frame, GpsQuality
+from onboard.link.publisher import Publisher
+from onboard.link.status_query import ask
+from onboard.service.host import cpu_temperature_c, free_mb
+from onboard.service.session import brightness, reported
+from onboard.telemetry.factory import open_telemetry
+
+GREEN, RED, PLAIN = "\x1b[32m", "\x1b[31m", "\x1b[0m"
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print the lines; 0 if all are good, 1 if any is not."""
+    config = load_config_files(arguments.config)
+    link = config.link
+    report = ask(config.vehicle.id, link.listen, Tls.of(link.ca, link.certificate, link.key))
+    is_running = report is not None
+    camera = _camera(config)
+    if report is None:
+        report = Look(config, camera).report(arguments.seconds)
+    lines = diagnose(config, report, _surroundings(config, camera, is_running))
+    if arguments.json:
+        print(json.dumps({"daemon": is_running, "lines": [asdict(line) for line in lines]}, indent=1))
+    else:
+        print("the daemon runs and was asked" if is_running else "the daemon does not run; looked for ourselves")
+        print(text(lines, is_coloured(sys.stdout)))
+    return 0 if all(line.is_good for line in lines) else 1
+
+
+def is_coloured(stream: TextIO, environment: Mapping[str, str] = os.environ) -> bool:
+    """On a terminal, unless $NO_COLOR is set (no-color.org)."""
+    return stream.isatty() and not environment.get("NO_COLOR")
+
+
+def text(lines: list[Line], coloured: bool) -> str:
+    """One line each; what is not well is marked in words too."""
+    out = []
+    for line in lines:
+        mark = "ok " if line.is_good else "BAD"
+        if coloured:
+            mark = f"{GREEN if line.is_good else RED}{mark}{PLAIN}"
+        out.append(f"{mark} {line.name:<12}{line.text}")
+    return "\n".join(out)
+
+
+def _camera(config: Config) -> Camera | str:
+    try:
+        return load_camera(config)
+    except PointclickError as error:
+        return " ".join(str(error).split())
+
+
+def _surroundings(config: Config, camera: Camera | str, is_running: bool) -> Surroundings:
+    link = ""
+    if not is_running:
+        try:
+            Publisher.open(config).close()
+        except PointclickError as error:
+            link = str(error)
+    try:
+        folder = state_folder(config, dict(os.environ))
+        room = free_mb(folder)
+    except PointclickError:
+        room = None
+    return Surroundings(camera, link, room, cpu_temperature_c())
+
+
+class Look:
+    """Camera and telemetry opened for a few seconds, each in a thread."""
+
+    def __init__(self, config: Config, camera: Camera | str) -> None:
+        self._clock = SessionClock.start()
+        self._sources: dict[str, Source] = {}
+        self._errors: dict[str, str] = {}
+        self._picture: Report | None = None
+        self._gps: GpsQuality | None = None
+        if isinstance(camera, str):
+            self._errors["camera"] = "not opened without its camera file"
+        else:
+            self._open("camera", lambda: open_camera(config, camera, self._clock))
+        self._open("telemetry", lambda: open_telemetry(config, self._clock))
+
+    def report(self, seconds: float) -> Report:
+        """Look for so long (less if neither can be opened); then the report."""
+        stop = threading.Event()
+        threads = [
+            threading.Thread(target=self._run, args=(name, source, stop), daemon=True)
+            for name, source in self._sources.items()
+        ]
+        for thread in threads:
+            thread.start()
+        # Rates and clocks need their time even where all is well at once.
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline and len(self._errors) < 2:
+            time.sleep(0.1)
+        report = {name: self._told(name) for name in ("camera", "telemetry")}
+        stop.set()
+        for thread in threads:
+            thread.join(2.0)
+        gps = self._gps
+        age_s = 0.0 if gps is None else (self._clock.now_ns() - gps.stamp_ns) / 1e9
+        return {**report, "picture": self._picture, "gps": None if gps is None else asdict(gps) | {"age_s": age_s}}
+
+    def _open(self, name: str, opened: Callable[[], Source]) -> None:
+        try:
+            self._sources[name] = opened()
+        except PointclickError as error:
+            self._errors[name] = " ".join(str(error).split())
+
+    def _run(self, name: str, source: Source, stop: threading.Event) -> None:
+        try:
+            source.run(self._take, stop)
+        except PointclickError as error:
+            self._errors[name] = " ".join(str(error).split())
+
+    def _take(self, arrival_ns: int, event: Event) -> None:
+        if isinstance(event, Frame) and event.image is not None:
+            self._picture = brightness(event.image)
+        elif isinstance(event, GpsQuality):
+            self._gps = event
+
+    def _told(self, name: str) -> Report:
+        if name in self._errors:
+            return reported(SourceStatus(State.LOST, self._errors[name]))
+        return reported(self._sources[name].health())

@@ -1,0 +1,167 @@
+"""What `pc-onboard replay` opens, wires and prints. Imported only after the environment is set."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import cv2
+
+from contract.camera import Camera
+from contract.errors import ConfigError, InputError
+from contract.feature_set import FeatureSet
+from onboard.config.files import load_config_files
+from onboard.config.schema import Config, parse_config, to_toml
+from onboard.events.sink import Sink
+from onboard.events.types import Event
+from onboard.link.publisher import Publisher
+from onboard.pipeline.pipeline import Pipeline
+from onboard.replay.comparison import Comparison
+from onboard.replay.runner import Events, Flight, replay, summary_text
+from onboard.storage.alignment_file import StateFile
+from onboard.storage.elevation_files import TerrainFiles
+from onboard.storage.mcap_reader import RecordedFlight
+from onboard.storage.mcap_writer import SessionRecorder
+from onboard.storage.rotating_recorder import software_version
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """What a replay starts from."""
+
+    config: Config
+    config_text: str
+    camera: Camera
+    state_json: str
+    flight: Events
+    recorded: RecordedFlight | None  # the same flight, if it was
+
+
+def run(arguments: argparse.Namespace, stop: threading.Event) -> str:
+    """Replay as asked and return the summary; everything is opened and checked before anything is written."""
+    cv2.setNumThreads(1)
+    state = StateFile(arguments.state) if arguments.state is not None else None
+    inputs = _open_recording(arguments) if arguments.recording else _open_files(arguments)
+    config, camera = inputs.config, inputs.camera
+    terrain = None if config.terrain.path is None else TerrainFiles(config.terrain.path, config.terrain.datum)
+    pipeline = Pipeline(config, camera, terrain)
+    state_json = inputs.state_json
+    if state is not None:
+        state_json = state.text()
+        state.restore(pipeline.window.alignment)
+    elif state_json:
+        pipeline.window.alignment.restore(state_json)
+    sinks: list[Sink] = []
+    comparison = None if inputs.recorded is None else Comparison(inputs.recorded)
+    if comparison is not None:
+        sinks.append(comparison)
+    if arguments.record is not None:
+        if inputs.recorded is not None and arguments.record.resolve() in [p.resolve() for p in inputs.recorded.paths]:
+            raise InputError(f"recording {arguments.record}: is what is replayed; name another file")
+        sinks.append(WholeRecording(arguments.record, config, inputs.config_text, camera, state_json))
+    if arguments.publish:
+        sinks.append(Publisher.open(config))
+    terminal = sys.stderr if sys.stderr.isatty() else None
+    linger_s = arguments.linger if arguments.publish else 0.0
+    summary = replay(inputs.flight, pipeline, sinks, arguments.speed, linger_s, terminal, stop)
+    if state is not None:
+        state.keep(pipeline.window.alignment)
+    text = summary_text(summary)
+    if comparison is not None and inputs.recorded is not None and not stop.is_set():
+        text += f"\nas recorded: {comparison}"
+        text += "".join(f"\nnot exactly the same flight: {why}" for why in inputs.recorded.caveats)
+    return text
+
+
+def _open_files(arguments: argparse.Namespace) -> _Inputs:
+    """Pictures and an autopilot's log."""
+    needed = {"--frames": arguments.frames, "--telemetry": arguments.telemetry, "--camera": arguments.camera}
+    missing = [name for name, path in needed.items() if path is None]
+    if missing:
+        raise InputError(f"replay needs a recording, or pictures and a log: {' and '.join(missing)} is missing")
+    config = Config() if arguments.config is None else load_config_files(arguments.config)
+    config_text = "" if arguments.config is None else to_toml(config)
+    camera = Camera.from_json(arguments.camera)
+    if arguments.record is not None:
+        _check_place(arguments.record)
+    flight = Flight.open(config, camera, arguments.frames, arguments.telemetry, arguments.stamps)
+    return _Inputs(config, config_text, camera, "", flight, None)
+
+
+def _open_recording(arguments: argparse.Namespace) -> _Inputs:
+    """A session as the daemon recorded it, with its own configuration unless another is asked for."""
+    given = [f"--{name}" for name in ("frames", "telemetry", "stamps") if getattr(arguments, name) is not None]
+    if given:
+        raise InputError(f"a recording brings its own pictures and telemetry: leave {' and '.join(given)} out")
+    recorded = RecordedFlight.open(arguments.recording)
+    if arguments.config is not None:
+        config = load_config_files(arguments.config)
+        config_text = to_toml(config)
+    else:
+        config_text = recorded.config_text
+        try:
+            config = parse_config(config_text)
+        except ConfigError as error:
+            raise ConfigError(
+                f"recording {recorded.paths[0]}: its configuration (version {recorded.version or 'unknown'}): {error}"
+            ) from error
+    camera = recorded.camera if arguments.camera is None else Camera.from_json(arguments.camera)
+    return _Inputs(config, config_text, camera, recorded.state_json, recorded, recorded)
+
+
+def _check_place(path: Path) -> None:
+    if not path.parent.is_dir():
+        raise InputError(f"recording {path}: no such folder as {path.parent}")
+    if path.is_dir():
+        raise InputError(f"recording {path}: is a folder; name a file")
+
+
+class WholeRecording:
+    """A recording written beside its name and moved there only when all went well.
+
+    An error at the five-hundredth picture so leaves nothing behind, and an earlier recording of that name as it was.
+    Raises InputError if it cannot be written.
+    """
+
+    def __init__(self, path: Path, config: Config, config_text: str, camera: Camera, state_json: str = "") -> None:
+        _check_place(path)
+        self._path, self._part = path, path.with_name(f".{path.name}.part")
+        self._recorder = SessionRecorder(
+            self._part,
+            config.vehicle.id,
+            config_text=config_text,
+            camera_json=camera.to_json(),
+            software_version=software_version(),
+            state_json=state_json,
+            pictures=config.recording.pictures,
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._recorder.close()
+            if kind is None:
+                self._part.replace(self._path)
+        except OSError as failure:
+            raise InputError(f"recording {self._path}: {failure.strerror}") from failure
+        finally:
+            with contextlib.suppress(OSError):
+                self._part.unlink(missing_ok=True)
+
+    def event(self, arrival_ns: int, event: Event) -> None:
+        """Record an event."""
+        self._recorder.write_event(event, arrival_ns)
+
+    def feature_set(self, output: FeatureSet) -> None:
+        """Record a set."""
+        self._recorder.write_set(output)

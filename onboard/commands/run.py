@@ -1,0 +1,124 @@
+"""`pc-onboard run`: what the daemon opens and wires. Imported only after the environment is set."""
+
+from __future__ import annotations
+
+import argparse
+import faulthandler
+import json
+import logging
+import os
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+
+import cv2
+
+from contract.camera import Camera
+from contract.errors import ConfigError, InputError, PointclickError
+from contract.vehicle_status import VehicleStatus, encode_status
+from onboard.camera.factory import open_camera
+from onboard.config.files import load_camera, load_config_files, state_folder
+from onboard.config.schema import Config, to_toml
+from onboard.events.session_clock import SessionClock
+from onboard.events.sink import Sink
+from onboard.events.source import Source
+from onboard.link.publisher import Publisher
+from onboard.pipeline.pipeline import Pipeline
+from onboard.service import journal
+from onboard.service.daemon import Daemon, SignalOrders
+from onboard.service.host import cpu_temperature_c
+from onboard.service.prometheus import PrometheusServer, exposition
+from onboard.service.sd_notify import Notifier
+from onboard.service.session import Detail, Parts, Reporter, restore
+from onboard.storage.alignment_file import StateFile
+from onboard.storage.elevation_files import TerrainFiles
+from onboard.storage.rotating_recorder import Recorded
+from onboard.telemetry.factory import open_telemetry
+
+log = logging.getLogger("pointclick")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fly by a configuration until told to stop. Returns the exit code; ends the process if a thread hangs."""
+    journal.set_up()
+    faulthandler.enable()  # a watchdog's SIGABRT leaves every thread's stack in the journal
+    cv2.setNumThreads(1)
+    with SignalOrders() as orders:
+        try:
+            code = Daemon(partial(load_config_files, arguments.config), open_parts, orders, Notifier()).run()
+        except PointclickError as error:
+            log.error("%s", " ".join(str(error).split()))
+            # 2: an operator must mend it. A link that cannot be opened now may be free in a second.
+            code = 2 if isinstance(error, ConfigError | InputError) else 1
+    if code:
+        # A thread may hang where the interpreter would wait for it for ever.
+        logging.shutdown()
+        sys.stdout.flush()
+        os._exit(code)
+    return code
+
+
+OpenCamera = Callable[[Config, Camera, SessionClock], Source]
+
+
+def open_parts(config: Config, clock: SessionClock | None = None, open_camera: OpenCamera = open_camera) -> Parts:
+    """Open everything a session needs; what was opened is closed again if something cannot be.
+
+    A bench may give a clock that runs faster, and a camera of its own.
+    """
+    camera = load_camera(config)
+    folder = state_folder(config, dict(os.environ))
+    terrain = None if config.terrain.path is None else TerrainFiles(config.terrain.path, config.terrain.datum)
+    clock = clock or SessionClock.start()
+    with ExitStack() as opened:
+        executor = ThreadPoolExecutor(1, thread_name_prefix="solve")
+        opened.callback(executor.shutdown, wait=False, cancel_futures=True)
+        pipeline = Pipeline(config, camera, terrain, executor)
+        state = StateFile(folder / "alignment.json")
+        complaint = restore(state, pipeline)
+        if complaint:
+            log.warning("%s; beginning without it", complaint)
+        link = Publisher.open(config)
+        opened.callback(link.close)
+        sinks: list[Sink] = [link]
+        reporters: list[Reporter] = [partial(_send, link)]
+        recording = None
+        if config.recording.enabled:
+            where = Path(config.recording.folder) if config.recording.folder else folder / "recordings"
+            recording = Recorded(where, config, camera, clock, to_toml(config), "" if complaint else state.text())
+            sinks.append(recording)
+            reporters.append(partial(_record, recording))
+        if config.service.prometheus is not None:
+            server = opened.enter_context(PrometheusServer(config.service.prometheus))
+            reporters.append(partial(_show, server, config.vehicle.id))
+        parts = Parts(
+            clock=clock,
+            camera=open_camera(config, camera, clock),
+            telemetry=open_telemetry(config, clock),
+            pipeline=pipeline,
+            sinks=sinks,
+            recording=recording,
+            reporters=reporters,
+            state=state,
+            temperature_c=cpu_temperature_c,
+            resources=opened.pop_all(),
+        )
+    began = datetime.fromtimestamp(clock.now_ns() / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S")
+    log.info("session of %s begins, %s UTC by the host's clock", config.vehicle.id, began)
+    return parts
+
+
+def _send(link: Publisher, status: VehicleStatus, detail: Detail) -> None:
+    link.publish_status(encode_status(status), json.dumps(detail).encode())
+
+
+def _record(recording: Recorded, status: VehicleStatus, detail: Detail) -> None:
+    recording.status(round(status.unix_s * 1e9), encode_status(status))
+
+
+def _show(server: PrometheusServer, vehicle: str, status: VehicleStatus, detail: Detail) -> None:
+    server.show(exposition(vehicle, status, detail))

@@ -1,0 +1,7 @@
+"""The configuration: typed, frozen, the only source of keys and defaults; and the files it is read from.
+
+Public:
+
+- `files`: `config_files`, `load_camera`, `load_config_files`, `state_folder`
+- `schema`: `CameraConfig`, `Config`, `parse_config`, `to_toml`
+"""

@@ -1,0 +1,46 @@
+"""A configuration in several files: `config.toml`, then `config.d/*.toml` beside it by name; later ones win."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from contract.camera import Camera
+from contract.errors import ConfigError
+from onboard.config.schema import Config, load_config
+
+FOLDER = "config.d"
+
+
+def config_files(path: Path) -> list[Path]:
+    """The file and those that add to it, in the order in which they are read."""
+    return [path, *sorted(p for p in (path.parent / FOLDER).glob("*.toml") if p.is_file())]
+
+
+def load_config_files(path: Path | str) -> Config:
+    """Read them all. Raises ConfigError, one line that names the file at fault, the key, and what would be right."""
+    merged: dict[str, dict[str, Any]] = {}
+    for file in config_files(Path(path)):
+        load_config(file)  # each must be good by itself, so that the complaint names it
+        for section, keys in tomllib.loads(file.read_text(encoding="utf-8")).items():
+            merged.setdefault(section, {}).update(keys)
+    return Config.model_validate(merged)
+
+
+def state_folder(config: Config, environment: dict[str, str]) -> Path:
+    """Where the daemon keeps what it learns and records; made if absent. Raises ConfigError if it cannot be."""
+    named = config.service.state_dir or environment.get("STATE_DIRECTORY", "").split(":")[0]
+    folder = Path(named) if named else Path.home() / ".local" / "state" / "pointclick"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"state directory {folder}: {error.strerror}; set service.state_dir") from error
+    return folder
+
+
+def load_camera(config: Config) -> Camera:
+    """The optics that `camera.file` names. Raises ConfigError if it names none, InputError for one that is no good."""
+    if config.camera.file is None:
+        raise ConfigError("camera.file is not set: name a camera file, as `pc-onboard calibrate` writes it")
+    return Camera.from_json(Path(config.camera.file))

@@ -1,0 +1,390 @@
+"""The configuration: typed, frozen, every key with its unit, range and default in one place.
+
+`config.toml` in the repository root is generated from this file (`python -m onboard.config.schema > config.toml`) and a
+test holds the two together, so a key is added here and nowhere else. A file may name any subset of the keys.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import json
+import textwrap
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
+
+from contract.errors import ConfigError
+
+
+def quantity(default: float | None, low: float, high: float, unit: str, meaning: str) -> Any:
+    """A number with its range and unit (empty for a pure number). None as default: the key may be left unset."""
+    return Field(default, ge=low, le=high, description=meaning, json_schema_extra={"unit": unit})
+
+
+def choice(default: object, meaning: str) -> Any:
+    """A switch, a name or a list: no unit and no range beyond its type."""
+    return Field(default, description=meaning, strict=False if isinstance(default, tuple) else None)
+
+
+class Section(BaseModel):
+    """Base of every section: frozen, strict types (an integer may stand for a real), no unknown key, no nan."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Vehicle(Section):
+    """Who we are."""
+
+    id: str = Field(
+        default="uav",
+        pattern=r"^[A-Za-z0-9_.-]{1,32}$",
+        description="name in the link's topics: 1 to 32 letters, digits, '_', '.' or '-'",
+    )
+
+
+class Mount(Section):
+    """How the camera sits in the vehicle, as MAVLink gives a gimbal's attitude in the vehicle's frame.
+
+    Pitch -90 and yaw 0 look straight down with the picture's top towards the nose; yaw -90 then turns the camera's x
+    axis towards the nose.
+    """
+
+    roll_deg: float = quantity(0.0, -180.0, 180.0, "deg", "roll about the optical axis's forward direction")
+    pitch_deg: float = quantity(-90.0, -180.0, 180.0, "deg", "pitch of the optical axis; -90 is straight down")
+    yaw_deg: float = quantity(0.0, -360.0, 360.0, "deg", "yaw from the nose, clockwise seen from above")
+    gimbal: Literal["auto", "always", "never"] = choice(
+        "auto",
+        "a gimbal's attitude replaces the angles above: 'auto' (if the pictures bear it out), 'always', 'never'",
+    )
+    sigma_deg: float = quantity(1.0, 0.0, 45.0, "deg", "one sigma of the mount angles above")
+
+
+class CameraConfig(Section):
+    """The camera: where it is, how it is set, its clock. Its optics are in the camera file."""
+
+    device: str = choice("/dev/video0", "V4L2 device, better a name under /dev/v4l/by-id or by-path")
+    file: str | None = choice(None, "camera file (optics), as `pc-onboard calibrate` writes it")
+    format: Literal["auto", "GREY", "YUYV", "NV12", "MJPG", "Y16"] = choice(
+        "auto", "pixel format; 'auto' takes the first of these that has size and rate"
+    )
+    rate_hz: float = quantity(30.0, 0.1, 240.0, "Hz", "pictures asked of the device")
+    exposure_us: float | None = quantity(None, 1.0, 1e6, "us", "fixed exposure; left to the camera if not set")
+    gain: float | None = quantity(
+        None, 0.0, 1e6, "", "fixed gain, in the driver's units; left to the camera if not set"
+    )
+    focus: float | None = quantity(None, 0.0, 1e6, "", "fixed focus, in the driver's units; untouched if not set")
+    white_balance_k: float | None = quantity(None, 1000.0, 20000.0, "K", "fixed white balance; untouched if not set")
+    lost_after_s: float = quantity(1.5, 0.1, 60.0, "s", "time without a picture that counts as camera lost")
+    frozen_after_s: float = quantity(1.0, 0.1, 60.0, "s", "time with the same picture that counts as camera frozen")
+
+    latency_s: float = quantity(0.0, -5.0, 5.0, "s", "capture stamp minus true mid-exposure")
+    sigma_latency_s: float = quantity(0.1, 0.0, 2.0, "s", "one sigma of the camera-to-autopilot time offset")
+    sigma_jitter_s: float = quantity(0.003, 0.0, 0.1, "s", "least one sigma of a single stamp; more is learned")
+
+
+class Tracking(Section):
+    """Following features from picture to picture."""
+
+    features: int = quantity(100, 20, 200, "", "features kept on each picture")
+    min_distance_px: float = quantity(
+        0.0, 0.0, 500.0, "px", "least distance between features; 0: from picture size and number of features"
+    )
+
+
+class Solve(Section):
+    """The window solve and its sensor set."""
+
+    attitude: Literal["none", "autopilot"] = choice(
+        "autopilot", "attitude source: 'none' (direction of travel and level ground) or 'autopilot'"
+    )
+    velocity: bool = choice(True, "use the velocity of the autopilot's navigation filter")
+    level_ground: bool = choice(True, "take the mean ground to be level, which fixes roll when attitude is weak")
+    keyframes: int = quantity(10, 3, 30, "", "keyframes in the window")
+    pixel_sigma_px: float = quantity(0.3, 0.05, 10.0, "px", "one sigma of a tracked feature")
+    # ArduPilot 4.7 against the simulator's truth: tilt 0.2 to 0.35 deg, heading 1 deg, wandering over 8 to 25 s, the
+    # white part 0.02 to 0.05 deg. Real compasses and vibration are worse.
+    attitude_sigma_deg: float = quantity(0.5, 0.01, 45.0, "deg", "one sigma of roll and pitch, the wandering part")
+    heading_sigma_deg: float = quantity(2.0, 0.01, 90.0, "deg", "one sigma of heading, the wandering part")
+    # In the real flight of the tests roll and pitch stray by 0.3 deg from picture to picture, heading by 1 deg.
+    attitude_white_sigma_deg: float = quantity(0.15, 0.001, 45.0, "deg", "one sigma of roll and pitch, the white part")
+    heading_white_sigma_deg: float = quantity(0.6, 0.001, 45.0, "deg", "one sigma of heading, the white part")
+    attitude_wander_time_s: float = quantity(20.0, 0.1, 10000.0, "s", "correlation time of attitude's wandering part")
+    level_ground_sigma_deg: float = quantity(2.0, 0.01, 45.0, "deg", "one sigma of the mean ground's slope")
+    relief_sigma_m: float = quantity(10.0, 0.0, 1000.0, "m", "one sigma of the ground about its mean plane")
+    home_level: bool = choice(False, "without parallax and terrain, answer over level ground at home's height")
+    home_level_sigma_m: float = quantity(10.0, 0.1, 1000.0, "m", "one sigma of that ground's height")
+
+
+class TerrainModel(Section):
+    """An elevation model of the area, if there is one (needs the extra `terrain`)."""
+
+    path: str | None = choice(None, "GeoTIFF, SRTM .hgt, or a folder of them")
+    datum: Literal["amsl", "ellipsoid"] = choice("amsl", "what its heights count from: 'amsl' or 'ellipsoid'")
+    sigma_m: float = quantity(3.0, 0.1, 100.0, "m", "one sigma of its heights, from place to place")
+    sigma_datum_m: float = quantity(2.0, 0.0, 100.0, "m", "one sigma of its heights as a whole against the GPS's")
+
+
+class Gps(Section):
+    """What is believed of the position, and when it is not."""
+
+    # ArduPilot 4.7's GLOBAL_POSITION_INT against the simulator's truth: 40 ms (plane), 28 ms (copter).
+    latency_s: float = quantity(0.04, -1.0, 1.0, "s", "age of a position at its own time stamp")
+    sigma_white_m: float = quantity(0.3, 0.001, 100.0, "m", "one sigma of a position, the white part")
+    sigma_wander_horizontal_m: float = quantity(
+        1.5, 0.0, 1000.0, "m", "least one sigma of the wandering part, horizontal; the receiver may claim more"
+    )
+    sigma_wander_vertical_m: float = quantity(
+        2.5, 0.0, 1000.0, "m", "least one sigma of the wandering part, vertical; the receiver may claim more"
+    )
+    wander_time_s: float = quantity(60.0, 1.0, 100000.0, "s", "correlation time of the wandering part")
+    sigma_velocity_m_s: float = quantity(0.1, 0.001, 100.0, "m/s", "one sigma of velocity")
+    max_gap_s: float = quantity(1.5, 0.1, 10.0, "s", "longest gap between positions that is interpolated")
+    quality_timeout_s: float = quantity(2.0, 0.5, 60.0, "s", "silence of the receiver that counts as no GPS")
+    recovery_s: float = quantity(1.0, 0.0, 60.0, "s", "time without answers after the fix is back")
+    glitch_m: float = quantity(10.0, 1.0, 1000.0, "m", "least jump against velocity that counts as a glitch")
+    settle_s: float = quantity(
+        5.0, 0.0, 120.0, "s", "time without answers after a glitch, or after a fix that came and went"
+    )
+    max_slip_m_s: float = quantity(
+        1.0, 0.1, 100.0, "m/s", "position moving against velocity faster than this counts as no GPS"
+    )
+    undulation_m: float | None = quantity(
+        None, -120.0, 120.0, "m", "geoid undulation (ellipsoidal minus sea-level height) when the autopilot gives none"
+    )
+
+
+class RangeFinderConfig(Section):
+    """A distance sensor (DISTANCE_SENSOR), if there is one."""
+
+    use: bool = choice(False, "take its distance to the ground as a measurement in the window solve")
+    sigma_m: float = quantity(
+        0.5, 0.01, 100.0, "m", "least one sigma of a distance, its place against the camera included"
+    )
+    sigma_share: float = quantity(0.02, 0.0, 0.5, "", "one sigma as a share of the distance, added to the above")
+
+
+class Telemetry(Section):
+    """Where the autopilot is, and its clock."""
+
+    url: str = choice(
+        "udpin:127.0.0.1:14550",
+        "live link: serial:/dev/ttyAMA0:921600, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, "
+        "nmea:/dev/ttyUSB0:9600 or tlog:FILE; `replay` takes a file instead",
+    )
+    backend: Literal["pymavlink", "mavsdk"] = choice("pymavlink", "library that speaks MAVLink")
+    attitude_rate_hz: float = quantity(50.0, 1.0, 400.0, "Hz", "attitude asked of the autopilot, which may give less")
+    position_rate_hz: float = quantity(10.0, 1.0, 50.0, "Hz", "position asked of the autopilot, which may give less")
+    system: int = quantity(0, 0, 255, "", "the vehicle's MAVLink system number; 0: the first autopilot heard")
+    component: int = quantity(191, 1, 255, "", "our MAVLink component number in the vehicle's system")
+    signing_key: str | None = choice(None, "file with a MAVLink 2 signing key (32 bytes, raw or 64 hex digits)")
+    log: str | None = choice(None, "folder to write what the link says into, as .tlog files; none if not set")
+    fov_status: bool = choice(False, "send CAMERA_FOV_STATUS: where on the ground the camera looks")
+    lost_after_s: float = quantity(2.0, 0.2, 60.0, "s", "silence that counts as telemetry lost")
+    clock: Literal["auto", "constant", "drift"] = choice(
+        "auto",
+        "boot clock against ours in a log, and where TIMESYNC is not answered: 'constant' offset, steady 'drift', or "
+        "'auto' (constant unless a drift shows)",
+    )
+    max_attitude_gap_s: float = quantity(1.0, 0.02, 10.0, "s", "longest gap between attitudes that is interpolated")
+
+
+class Link(Section):
+    """zenoh, the link to the ground."""
+
+    listen: tuple[str, ...] = choice(("tcp/127.0.0.1:7447",), "zenoh endpoints to listen on; loopback unless opened")
+    connect: tuple[str, ...] = choice((), "zenoh endpoints to connect to")
+    scouting: bool = choice(False, "announce and look for peers on the local network by multicast")
+    max_bit_rate: float = quantity(
+        32000.0, 4000.0, 1e9, "bit/s", "all that is sent keeps below this, link overhead included"
+    )
+    min_rate_hz: float = quantity(0.2, 0.01, 30.0, "Hz", "feature sets sent at least, while there are any")
+    max_rate_hz: float = quantity(5.0, 0.01, 30.0, "Hz", "feature sets sent at most")
+    ca: str | None = choice(None, "TLS: certificate of the authority that both ends trust")
+    certificate: str | None = choice(None, "TLS: this aircraft's certificate")
+    key: str | None = choice(None, "TLS: this aircraft's private key")
+    allowed: tuple[str, ...] = choice(
+        (), "TLS: common names of the certificates that may listen and ask; empty: every one of the authority's"
+    )
+    history_s: float = quantity(600.0, 1.0, 86400.0, "s", "feature sets this young are kept to answer queries")
+    history_sets: int = quantity(5000, 1, 100000, "", "at most this many of them")
+
+
+class Recording(Section):
+    """What is kept on board: one MCAP file after the other a session."""
+
+    enabled: bool = choice(True, "record events, sets and status")
+    folder: str | None = choice(None, "where; if not set, `recordings` in the state directory")
+    pictures: Literal["none", "jpeg", "lossless"] = choice(
+        "none", "pictures too: 'jpeg' to look at, 'lossless' for a replay that gives the same bytes"
+    )
+    rotate_mb: float = quantity(512.0, 1.0, 1e6, "MB", "size at which a new file is begun")
+    keep_free_mb: float = quantity(1024.0, 1.0, 1e7, "MB", "recording stops when the disk has less free than this")
+
+
+class Service(Section):
+    """The daemon itself."""
+
+    state_dir: str | None = choice(
+        None, "where what is learned is kept; if not set, $STATE_DIRECTORY, else ~/.local/state/pointclick"
+    )
+    max_delay_s: float = quantity(1.0, 0.1, 30.0, "s", "pictures that wait longer than this are dropped, oldest first")
+    prometheus: str | None = choice(None, "HOST:PORT to serve Prometheus text on, such as 127.0.0.1:9464")
+
+
+class Config(Section):
+    """The whole configuration."""
+
+    vehicle: Vehicle = Vehicle()
+    mount: Mount = Mount()
+    camera: CameraConfig = CameraConfig()
+    tracking: Tracking = Tracking()
+    solve: Solve = Solve()
+    terrain: TerrainModel = TerrainModel()
+    gps: Gps = Gps()
+    range_finder: RangeFinderConfig = RangeFinderConfig()
+    telemetry: Telemetry = Telemetry()
+    link: Link = Link()
+    recording: Recording = Recording()
+    service: Service = Service()
+
+
+def load_config(path: Path | str) -> Config:
+    """Read a TOML file; raises ConfigError with one line that names the file, the key and what would be right."""
+    try:
+        text = Path(path).read_bytes().decode("utf-8")
+        return parse_config(text)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not UTF-8 text (byte {error.start})") from error
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def parse_config(text: str) -> Config:
+    """TOML text -> Config; raises ConfigError with one line that names the key and what would be right."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"not TOML: {' '.join(str(error).split())}") from error
+    try:
+        return Config.model_validate(table)
+    except ValidationError as error:
+        raise ConfigError(_first_complaint(error)) from error
+
+
+def _sections() -> Iterator[tuple[str, type[Section]]]:
+    for name, info in Config.model_fields.items():
+        if isinstance(info.annotation, type) and issubclass(info.annotation, Section):
+            yield name, info.annotation
+
+
+def key_table() -> dict[str, FieldInfo]:
+    """Every key under its dotted name."""
+    return {f"{name}.{key}": info for name, model in _sections() for key, info in model.model_fields.items()}
+
+
+def _first_complaint(error: ValidationError) -> str:
+    """One line for the first thing pydantic disliked; unknown keys first, being the likeliest slip of the pen."""
+    details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
+    first, others = details[0], len(details) - 1
+    parts = [str(part) for part in first["loc"]]
+    key, value = ".".join(parts), first["input"]
+    if first["type"] == "extra_forbidden":
+        message = _unknown_key(key, value)
+    elif len(parts) == 1:
+        message = f"'{key}' is a section: write [{key}] on a line of its own, not a value ({value!r})"
+    else:
+        info = key_table()[".".join(parts[:2])]
+        message = f"{key} = {value!r} is not usable: {_expectation(info)}"
+    return message + (f" (and {others} more)" if others else "")
+
+
+def _unknown_key(key: str, value: object) -> str:
+    known = list(key_table())
+    candidates = [name for name, _ in _sections()] if isinstance(value, dict) else known
+    near = difflib.get_close_matches(key, candidates, n=1, cutoff=0.5)
+    if not near and "." in key:  # the right key in the wrong section
+        tails = {name.split(".", 1)[1]: name for name in known}
+        near = [tails[tail] for tail in difflib.get_close_matches(key.split(".", 1)[1], list(tails), n=1, cutoff=0.7)]
+    if not near:  # the right key outside any section
+        tails = {name.split(".", 1)[1]: name for name in known}
+        near = [tails[tail] for tail in difflib.get_close_matches(key, list(tails), n=1, cutoff=0.7)]
+    kind = "section" if isinstance(value, dict) else "key"
+    return f"unknown {kind} '{key}'" + (
+        f"; did you mean '{near[0]}'?" if near else f"; known sections: {', '.join(n for n, _ in _sections())}"
+    )
+
+
+def _bounds(info: FieldInfo) -> tuple[float, float] | None:
+    """A numeric key's range."""
+    limits = {
+        name: getattr(item, name)
+        for item in info.metadata
+        for name in ("ge", "le")
+        if getattr(item, name, None) is not None
+    }
+    return (limits["ge"], limits["le"]) if len(limits) == 2 else None
+
+
+def _expectation(info: FieldInfo) -> str:
+    """What a key takes, in words: '-180 to 180 deg', 'true or false', ..."""
+    bounds = _bounds(info)
+    if bounds is not None:
+        extra = info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {}
+        unit = f" {extra['unit']}" if extra.get("unit") else ""
+        kind = "a whole number from " if info.annotation is int else ""
+        return f"{kind}{bounds[0]:g} to {bounds[1]:g}{unit}"
+    if info.annotation is bool:
+        return "true or false"
+    if info.annotation is str:
+        return "text: " + str(info.description) if any(hasattr(m, "pattern") for m in info.metadata) else "text"
+    if info.annotation == tuple[str, ...]:
+        return "a list of texts"
+    return " or ".join(f'"{name}"' for name in getattr(info.annotation, "__args__", ()))
+
+
+def _literal(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_literal(item) for item in value) + "]"
+    if isinstance(value, str):  # JSON's text is TOML's, but for DEL
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return repr(value)
+
+
+def to_toml(config: Config) -> str:
+    """The keys that differ from their defaults, as a file that `load_config` reads back to the same."""
+    lines = []
+    for name, model in _sections():
+        section, default = getattr(config, name), model()
+        keys = [key for key in model.model_fields if getattr(section, key) != getattr(default, key)]
+        if keys:
+            lines += [f"[{name}]", *(f"{key} = {_literal(getattr(section, key))}" for key in keys), ""]
+    return "\n".join(lines)
+
+
+def default_toml() -> str:
+    """The text of `config.toml`: every key at its default under a comment with meaning, range, unit and default."""
+    lines = ["# pointclick, aircraft side. Every key is optional; what stands here is the default."]
+    lines += ["# Made from onboard/config/schema.py by `python -m onboard.config.schema > config.toml`."]
+    for name, model in _sections():
+        lines += ["", *(f"# {line}".rstrip() for line in inspect.getdoc(model).splitlines())]  # type: ignore[union-attr]
+        lines += [f"[{name}]"]
+        for key, info in model.model_fields.items():
+            literal = "not set" if info.default is None else _literal(info.default)
+            takes = f"{_expectation(info)}; default" if _bounds(info) else "default"
+            comment = f"{info.description} ({takes} {literal})"
+            lines += textwrap.wrap(comment, 118, initial_indent="# ", subsequent_indent="#   ")
+            lines.append(f"# {key} =" if info.default is None else f"{key} = {literal}")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    print(default_toml(), end="")

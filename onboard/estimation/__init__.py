@@ -1,0 +1,14 @@
+"""The window of keyframes: factors, bundle adjustment, what is estimated of the sensors, and whether to believe a
+result.
+
+Public:
+
+- `boresight`: `Alignment`, `Belief`
+- `ground_roughness`: `plane_and_roughness`
+- `keyframe`: `Observation`, `observation`
+- `resection`: `Resection`, `resect`
+- `sensor_pose`: `SensorPose`
+- `sliding_window`: `Window`
+- `solver_executor`: `Inline`, `Promise`, `Worker`, `timed_adjust`
+- `window_solver`: `Solved`
+"""

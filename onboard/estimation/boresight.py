@@ -1,0 +1,149 @@
+"""What the platform does not know of itself, learned in flight: boresight and camera-to-autopilot time offset.
+
+Every window solve estimates both (residuals (5.4), (5.7)) against a prior. Its posterior may serve as prior for later
+windows only if it has seen none of their data, and the autopilot's attitude error wanders over tens of seconds, so
+that windows closer than that repeat the same error. Therefore one window in a while is learned from, and a window
+uses the newest lesson that ended before the window began. Section 10 of docs/mathematics.md.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.errors import InputError
+
+Array = NDArray[np.float64]
+
+STATES = 4  # boresight about camera x, y, z (rad), time offset (s)
+# What a mount and a clock may do by themselves, one sigma after a minute: a random walk.
+BORESIGHT_WALK_RAD = np.radians(0.03)
+OFFSET_WALK_S = 0.002
+MEMORY_ESTIMATES = 8
+TOO_SURE = 2.0  # times the declared sigma that data may claim
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """Mean (4,) and covariance (4, 4) of boresight (camera axes, rad) and time offset (s), from data up to `end_ns`.
+
+    `end_ns` 0 is the belief before take-off.
+    """
+
+    end_ns: int
+    mean: Array
+    covariance: Array
+    given: Array | None = None  # (4,) variances of the first prior that it still rests on; None: as configured
+
+    @property
+    def sigma(self) -> Array:
+        """One sigma of each state."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def aged(self, stamp_ns: int) -> Belief:
+        """The same belief some time later."""
+        minutes = max(stamp_ns - self.end_ns, 0) / 60e9 if self.end_ns else 0.0
+        walk = np.array([BORESIGHT_WALK_RAD] * 3 + [OFFSET_WALK_S])
+        return Belief(self.end_ns, self.mean, self.covariance + np.diag(walk**2 * minutes), self.given)
+
+
+class Alignment:
+    """Keeps the lessons; hands out the prior a window may use."""
+
+    def __init__(self, mount_sigma_rad: float, offset_sigma_s: float, spacing_s: float) -> None:
+        """Priors are one sigma; `spacing_s` is the least time between the ends of two lessons."""
+        tiny = 1e-12
+        first = np.diag([mount_sigma_rad**2 + tiny] * 3 + [offset_sigma_s**2 + tiny])
+        self._estimates = [Belief(0, np.zeros(STATES), first)]
+        self._spacing_ns = round(spacing_s * 1e9)
+
+    @property
+    def belief(self) -> Belief:
+        """The newest lesson."""
+        return self._estimates[-1]
+
+    @property
+    def updates(self) -> int:
+        """How many windows have been learned from."""
+        return len(self._estimates) - 1
+
+    def prior_for(self, start_ns: int) -> Belief:
+        """What may be believed in a window whose first keyframe is at `start_ns`."""
+        for estimate in reversed(self._estimates):
+            if estimate.end_ns <= start_ns:
+                return estimate.aged(start_ns)
+        return self._estimates[0]
+
+    def offer(self, start_ns: int, end_ns: int, mean: Array, covariance: Array) -> bool:
+        """A solved window's posterior; True if it was learned from."""
+        newest = self._estimates[-1]
+        if start_ns < newest.end_ns or (newest.end_ns > 0 and end_ns - newest.end_ns < self._spacing_ns):
+            return False
+        first = self._estimates[0]
+        rests_on = self.prior_for(start_ns).given
+        estimate = Belief(
+            end_ns, mean.copy(), covariance.copy(), np.diag(first.covariance) if rests_on is None else rests_on
+        )
+        self._estimates.append(_with_prior_reweighed(estimate, first))
+        del self._estimates[1:-MEMORY_ESTIMATES]
+        return True
+
+    def to_json(self) -> str:
+        """The newest belief, for the state directory."""
+        newest = self.belief
+        return json.dumps(
+            {
+                "boresight_rad": newest.mean[:3].tolist(),
+                "offset_s": float(newest.mean[3]),
+                "covariance": newest.covariance.tolist(),
+                "end_unix_ns": newest.end_ns,
+            },
+            indent=1,
+        )
+
+    def restore(self, text: str) -> None:
+        """Begin from a belief of an earlier session; raises InputError if the text is not one.
+
+        Its sigma is widened to what may have happened on the ground: half of the first prior.
+        """
+        try:
+            raw: dict[str, Any] = json.loads(text)
+            mean = np.array([*raw["boresight_rad"], raw["offset_s"]], float)
+            covariance = np.array(raw["covariance"], float)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"alignment state: not readable ({error})") from error
+        if mean.shape != (STATES,) or covariance.shape != (STATES, STATES):
+            raise InputError("alignment state: wrong shape")
+        if not (np.all(np.isfinite(mean)) and np.all(np.isfinite(covariance))):
+            raise InputError("alignment state: not finite")
+        if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance)[0] <= 0.0:
+            raise InputError("alignment state: covariance is not positive definite")
+        first = self._estimates[0].covariance
+        self._estimates = [Belief(0, mean, covariance + 0.25 * first)]
+
+
+def _with_prior_reweighed(estimate: Belief, first: Belief) -> Belief:
+    """The lesson on the first prior that the data deserve. Equation (6.12).
+
+    A mount that is three sigma from where it was declared pulls every lesson back towards the declaration. Where the
+    data alone are that far from it, it was the declaration's sigma that was too small: the variance of the prior
+    becomes what makes the data likeliest, never less than declared and never more than twice its sigma: data too have
+    errors that they do not know of.
+    """
+    assert estimate.given is not None
+    precision = np.linalg.inv(estimate.covariance)
+    alone = precision - np.diag(1.0 / estimate.given)
+    values, vectors = np.linalg.eigh(alone)
+    if values[0] <= 1e-6 * values[-1]:
+        return estimate  # in some direction the data say nothing of their own
+    pull = precision @ (estimate.mean - first.mean)
+    by_data = np.linalg.solve(alone, pull)
+    own = np.diag((vectors / values) @ vectors.T)
+    declared = np.diag(first.covariance)
+    given = np.clip(by_data**2 - own, declared, TOO_SURE**2 * declared)
+    covariance = np.linalg.inv(alone + np.diag(1.0 / given))
+    return Belief(estimate.end_ns, first.mean + covariance @ pull, covariance, given)

@@ -1,0 +1,314 @@
+"""Whitened residuals with analytic Jacobians, one plain function each. Equations: docs/mathematics.md, section 5.
+
+The unknowns are laid out by `Layout`: six columns a keyframe (rotation `d`, R_cam_enu <- exp([d]x) R_cam_enu, rad; then
+centre, ENU metres), then the boresight (camera axes, rad), the camera's time offset (s) and the ground plane (height m
+at the reference point, slope east, slope north). Points are eliminated and have no column here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.rotations import exp_so3, log_so3, right_jacobian_inverse
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Columns of the reduced system for K keyframes."""
+
+    keyframes: int
+
+    @property
+    def boresight(self) -> slice:
+        """Three columns, rad, camera axes."""
+        return slice(6 * self.keyframes, 6 * self.keyframes + 3)
+
+    @property
+    def offset(self) -> int:
+        """One column, s: the camera's stamps are early by this much."""
+        return 6 * self.keyframes + 3
+
+    @property
+    def plane(self) -> slice:
+        """Three columns: height (m), slope east, slope north."""
+        return slice(6 * self.keyframes + 4, 6 * self.keyframes + 7)
+
+    @property
+    def size(self) -> int:
+        """All columns."""
+        return 6 * self.keyframes + 7
+
+    def rotation(self, keyframe: int) -> slice:
+        """Three columns, rad."""
+        return slice(6 * keyframe, 6 * keyframe + 3)
+
+    def centre(self, keyframe: int) -> slice:
+        """Three columns, m."""
+        return slice(6 * keyframe + 3, 6 * keyframe + 6)
+
+    def rotations(self) -> NDArray[np.intp]:
+        """Column numbers (K, 3) of all rotations."""
+        return 6 * np.arange(self.keyframes)[:, None] + np.arange(3)
+
+    def centres(self) -> NDArray[np.intp]:
+        """Column numbers (K, 3) of all centres."""
+        return 6 * np.arange(self.keyframes)[:, None] + np.arange(3, 6)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """The unknowns of one window: K keyframes, P points, and what all of them share."""
+
+    R_cam_enu: Array  # (K, 3, 3)
+    centres_enu_m: Array  # (K, 3)
+    points_enu_m: Array  # (P, 3)
+    boresight_rad: Array  # (3,)
+    offset_s: float
+    plane: Array  # (3,) height m, slope east, slope north, about the reference point
+
+    def retract(self, dc: Array, dp: Array) -> State:
+        """Apply a step: dc (Layout.size,), dp (P, 3)."""
+        K = len(self.R_cam_enu)
+        pose = dc[: 6 * K].reshape(K, 6)
+        shared = dc[6 * K :]
+        return State(
+            exp_so3(pose[:, :3]) @ self.R_cam_enu,
+            self.centres_enu_m + pose[:, 3:],
+            self.points_enu_m + dp,
+            self.boresight_rad + shared[:3],
+            self.offset_s + float(shared[3]),
+            self.plane + shared[4:7],
+        )
+
+
+def reprojection(R_cam_enu: Array, centres_enu_m: Array, points_enu_m: Array, xy: Array) -> tuple[Array, Array, Array]:
+    """Unit-depth image residuals of every point in every view, (5.1). Points run along the last axis, for speed.
+
+    `R_cam_enu` (K, 3, 3), `centres_enu_m` (K, 3), `points_enu_m` (P, 3), measured `xy` (K, 2, P). Returns residuals
+    (K, 2, P) predicted minus measured, predicted xy (K, 2, P), and depth (K, P); depth at or below zero marks a point
+    behind the camera, whose residual is of no meaning (but finite).
+    """
+    p = R_cam_enu @ points_enu_m.T
+    p -= R_cam_enu @ centres_enu_m[:, :, None]
+    depth = p[:, 2]
+    predicted = p[:, :2] / np.maximum(depth, 1e-6)[:, None]
+    return predicted - xy, predicted, depth
+
+
+def reprojection_jacobians(R_cam_enu: Array, predicted: Array, depth: Array, scale: Array) -> tuple[Array, Array]:
+    """Of (5.1), times `scale` (K, P): by the view's rotation and by the point, both (K, 3, 2, P). (5.2), (5.3).
+
+    By the view's centre it is minus that by the point.
+    """
+    x, y = predicted[:, 0], predicted[:, 1]
+    by_point = R_cam_enu[:, 2, :, None, None] * predicted[:, None]
+    np.subtract(R_cam_enu[:, :2, :].transpose(0, 2, 1)[..., None], by_point, out=by_point)
+    by_point *= (scale / np.maximum(depth, 1e-6))[:, None, None]
+    by_rotation = np.empty_like(by_point)
+    sx, sy = scale * x, scale * y
+    np.multiply(sx, y, out=by_rotation[:, 1, 1])
+    np.negative(by_rotation[:, 1, 1], out=by_rotation[:, 0, 0])
+    np.add(scale, sx * x, out=by_rotation[:, 1, 0])
+    np.subtract(-scale, sy * y, out=by_rotation[:, 0, 1])
+    np.negative(sy, out=by_rotation[:, 2, 0])
+    by_rotation[:, 2, 1] = sx
+    return by_rotation, by_point
+
+
+def gauss_markov_sqrt_information(
+    stamps_s: Array, sigma_white: float | Array, sigma_gauss_markov: float, time_constant_s: float
+) -> Array:
+    """Lower-triangular whitener (K, K) of an error with a white part and an Ornstein-Uhlenbeck part, (5.5).
+
+    One axis of K measurements at `stamps_s` (s): covariance sigma_wander^2 exp(-|dt| / tau) + sigma_white^2 I;
+    `sigma_white` may differ from measurement to measurement, (K,).
+    """
+    lag = np.abs(stamps_s[:, None] - stamps_s[None, :])
+    covariance = sigma_gauss_markov**2 * np.exp(-lag / time_constant_s) + np.square(sigma_white) * np.eye(len(stamps_s))
+    inverse: Array = np.linalg.inv(np.linalg.cholesky(covariance))
+    return inverse
+
+
+def lasting_sigma(stamps_s: Array, sigma_gauss_markov: float, time_constant_s: float) -> float:
+    """One sigma of the largest constant that a wandering error at `stamps_s` (K,), in order, contains, (9.11)."""
+    parts = np.tanh(np.diff(stamps_s) / (2.0 * time_constant_s))
+    return float(sigma_gauss_markov / np.sqrt(1.0 + parts.sum()))
+
+
+@dataclass(frozen=True, eq=False)
+class PositionPrior:
+    """GPS positions with wandering and white error, moved along the velocity by the time offset. Equation (5.4)."""
+
+    layout: Layout
+    measured_enu_m: Array  # (K, 3)
+    velocity_enu_m_s: Array  # (K, 3)
+    whitener: Array  # (3, K, K): east, north, up
+    offset_s: Array  # (K,) time offset at which each was taken
+    lasting: Array = field(default_factory=lambda: np.zeros(3))  # one sigma (m) of what all K share, (9.11)
+
+    def evaluate(self, state: State) -> tuple[Array, Array]:
+        """Residual (3K,), Jacobian (3K, D)."""
+        error = (
+            state.centres_enu_m
+            - self.measured_enu_m
+            - self.velocity_enu_m_s * (state.offset_s - self.offset_s)[:, None]
+        )
+        return np.matmul(self.whitener, error.T[:, :, None]).reshape(-1), self._jacobian
+
+    @cached_property
+    def _jacobian(self) -> Array:
+        K = self.layout.keyframes
+        J = np.zeros((3, K, self.layout.size))
+        columns = self.layout.centres()
+        for axis in range(3):
+            J[axis][:, columns[:, axis]] = self.whitener[axis]
+            J[axis][:, self.layout.offset] = -self.whitener[axis] @ self.velocity_enu_m_s[:, axis]
+        return J.reshape(3 * K, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class VelocityPrior:
+    """Displacements between consecutive keyframes from integrated velocity, white between intervals. Equation (5.6).
+
+    In a turn the interval that was really flown, later by the time offset, is another one.
+    """
+
+    layout: Layout
+    displacement_enu_m: Array  # (K - 1, 3)
+    sigma_m: Array  # (K - 1,) sigma_v * dt, floored
+    gained_m_s: Array  # (K - 1, 3) velocity at the interval's end less that at its beginning
+    offset_s: Array  # (K - 1,) time offset at which each was taken
+
+    def evaluate(self, state: State) -> tuple[Array, Array]:
+        """Residual (3 (K - 1),), Jacobian (3 (K - 1), D)."""
+        flown = state.centres_enu_m[1:] - state.centres_enu_m[:-1]
+        later = self.gained_m_s * (state.offset_s - self.offset_s)[:, None]
+        return ((flown - self.displacement_enu_m - later) / self.sigma_m[:, None]).reshape(-1), self._jacobian
+
+    @cached_property
+    def _jacobian(self) -> Array:
+        n = self.layout.keyframes - 1
+        weight = 1.0 / self.sigma_m
+        J = np.zeros((n, 3, self.layout.size))
+        columns = self.layout.centres()
+        row = np.arange(n)
+        for axis in range(3):
+            J[row, axis, columns[1:, axis]] = weight
+            J[row, axis, columns[:-1, axis]] = -weight
+            J[row, axis, self.layout.offset] = -weight * self.gained_m_s[:, axis]
+        return J.reshape(3 * n, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class AttitudePrior:
+    """The autopilot's attitude through mount and boresight, wandering and white error in ENU axes. Equation (5.7)."""
+
+    layout: Layout
+    R_enu_cam_measured: Array  # (K, 3, 3) vehicle attitude times nominal mount
+    body_rate_cam_rad_s: Array  # (K, 3) vehicle rate in camera axes, for the time offset
+    whitener: Array  # (3, K, K): about east, north, up
+    offset_s: Array  # (K,) time offset at which each was taken
+    lasting: Array = field(default_factory=lambda: np.zeros(3))  # one sigma (rad) of what all K share, (9.11)
+
+    def evaluate(self, state: State) -> tuple[Array, Array]:
+        """Residual (3K,), Jacobian (3K, D)."""
+        K = self.layout.keyframes
+        turned = self.body_rate_cam_rad_s * (state.offset_s - self.offset_s)[:, None]
+        both = exp_so3(np.concatenate([turned, state.boresight_rad[None]]))  # one call: this is the inner loop
+        turn, tilt = both[:-1], both[-1]
+        R_enu_cam = self.R_enu_cam_measured @ turn @ tilt
+        # In camera axes: log(R_cam_enu R_enu_cam). Its derivatives: Jl^-1 = Jr^-1(-e) on the left, Jr^-1 on the right.
+        error_cam = log_so3(state.R_cam_enu @ R_enu_cam)
+        inverses = right_jacobian_inverse(np.concatenate([error_cam, state.boresight_rad[None]]))
+        right = inverses[:-1]
+        R_out = self.R_enu_cam_measured
+        inner = R_out @ right
+        by_rotation = R_out @ right.transpose(0, 2, 1)
+        by_boresight = inner @ np.linalg.inv(inverses[-1])
+        # exp(w t) on the inner side of exp(b): d exp(w t) = exp(w t) [w dt]x, carried through exp(b).
+        by_offset = inner @ (self.body_rate_cam_rad_s @ tilt)[:, :, None]
+        error = R_out @ error_cam[:, :, None]
+        residual = np.matmul(self.whitener, error.transpose(1, 0, 2))
+        J = np.zeros((3, K, self.layout.size))
+        by_view = J[:, :, : 6 * K].reshape(3, K, K, 6)
+        by_view[..., :3] = self.whitener[..., None] * by_rotation.transpose(1, 0, 2)[:, None]
+        J[:, :, self.layout.boresight] = self.whitener @ by_boresight.transpose(1, 0, 2)
+        J[:, :, self.layout.offset] = (self.whitener @ by_offset.transpose(1, 0, 2))[..., 0]
+        return residual.reshape(-1), J.reshape(3 * K, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class SharedPrior:
+    """What is believed of boresight, time offset and plane before this window, (5.8): mean (7,), whitener (7, 7)."""
+
+    layout: Layout
+    mean: Array
+    whitener: Array
+
+    def evaluate(self, state: State) -> tuple[Array, Array]:
+        """Residual (7,), Jacobian (7, D)."""
+        value = np.concatenate([state.boresight_rad, [state.offset_s], state.plane])
+        return self.whitener @ (value - self.mean), self._jacobian
+
+    @cached_property
+    def _jacobian(self) -> Array:
+        J = np.zeros((7, self.layout.size))
+        J[:, 6 * self.layout.keyframes :] = self.whitener
+        return J
+
+
+class HeightModel(Protocol):
+    """A ground known beforehand, in the window's frame."""
+
+    def height_and_slope(self, xy_enu_m: Array) -> tuple[Array, Array]:
+        """Heights (P,) m and slopes east, north (P, 2) at places (P, 2)."""
+
+
+def ground_plane(
+    points_enu_m: Array, reference_enu_m: Array, plane: Array, terrain: HeightModel | None = None
+) -> tuple[Array, Array, Array]:
+    """Height of points (P, 3) over the plane about a reference point, (5.9); over terrain plus plane if there is one.
+
+    Returns residual (P,) in metres, Jacobian by the point (P, 3) and by the plane (P, 3).
+    """
+    offset = points_enu_m[:, :2] - reference_enu_m[:2]
+    residual = points_enu_m[:, 2] - reference_enu_m[2] - plane[0] - offset @ plane[1:]
+    by_point = np.tile([-plane[1], -plane[2], 1.0], (len(offset), 1))
+    if terrain is not None:
+        # Heights only. The slopes of an elevation model are mostly its own noise, and as derivatives they would tie
+        # points sideways to bumps that are not there: 40 % of clicks were then inside their 90 % ellipse.
+        height, _ = terrain.height_and_slope(points_enu_m[:, :2])
+        residual = residual - height
+    by_plane = np.concatenate([-np.ones((len(offset), 1)), -offset], axis=1)
+    return residual, by_point, by_plane
+
+
+@dataclass(frozen=True, eq=False)
+class RangePrior:
+    """Where a range finder's beam ends, the ground plane (over the terrain, if it is known) lies. Equation (5.12)."""
+
+    layout: Layout
+    keyframe: NDArray[np.intp]  # (N,) whose view each belongs to
+    vector_enu_m: Array  # (N, 3) from the camera to the ground
+    sigma_m: Array  # (N,) of the height there, relief included
+    reference_enu_m: Array  # (3,) the plane's reference point
+    terrain: HeightModel | None = None
+
+    def evaluate(self, state: State) -> tuple[Array, Array]:
+        """Residual (N,), Jacobian (N, D)."""
+        ends = state.centres_enu_m[self.keyframe] + self.vector_enu_m
+        residual, by_end, by_plane = ground_plane(ends, self.reference_enu_m, state.plane, self.terrain)
+        J = np.zeros((len(ends), self.layout.size))
+        J[np.arange(len(ends))[:, None], self.layout.centres()[self.keyframe]] = by_end / self.sigma_m[:, None]
+        J[:, self.layout.plane] = by_plane / self.sigma_m[:, None]
+        return residual / self.sigma_m, J
+
+
+Prior = PositionPrior | VelocityPrior | AttitudePrior | SharedPrior | RangePrior

@@ -1,0 +1,119 @@
+"""How the ground strays from its plane: by how much, and over what distance it does so alike.
+
+Equations (9.6) and (5.13) of docs/mathematics.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack
+
+from onboard.geometry.linalg import solve_small
+from onboard.geometry.robust import middle
+
+Array = NDArray[np.float64]
+
+MIN_PLANE_SIGMA = 2e-4
+MIN_ROUGHNESS = 1e-8
+ROUGHNESS_RANGES = 3.0 ** np.arange(-3.0, 5.0)  # 1 / unit-depth: the reach over which the ground levels off, inverted
+MOST_POINTS = 100  # that a window's variogram is taken from: its cost grows with their cube
+
+
+def plane_and_roughness(H: Array, w: Array, variance: Array) -> tuple[Array, float, float]:
+    """The ground plane (3,) in inverse depth, the relative spread about it, and the variogram's slope."""
+    plane, relative = _plane(H, w, variance)
+    spread = _spread(relative, variance)
+    return plane, spread, _roughness(H, relative, variance, spread)
+
+
+def _spread(relative: Array, variance: Array) -> float:
+    """One sigma of the ground about the plane: what scatters beyond the features' noise, noisy ones counting less."""
+    s2 = 2.2 * middle(relative**2)  # of a normal distribution, the square's median is 0.455 of its mean
+    squared = np.minimum(relative**2, 16.0 * (s2 + variance))
+    for _ in range(3):
+        weight = 1.0 / (variance + s2 + MIN_PLANE_SIGMA**2) ** 2
+        s2 = max(float(weight @ (squared - variance)) / float(weight.sum()), 0.0)
+    return max(float(np.sqrt(s2)), MIN_PLANE_SIGMA)
+
+
+def _plane(H: Array, w: Array, variance: Array) -> tuple[Array, Array]:
+    """Robust affine fit of inverse depth (3.1) and each feature's relative deviation from it."""
+    scale = middle(w)
+    relative_w, known = w / scale, 1.0 / (variance + 1e-4)
+    weight: Array = known
+    plane: Array = np.zeros(3)
+    for _ in range(5):
+        weighted = (H * weight[:, None]).T
+        N = weighted @ H
+        N.flat[::4] += 1e-9 * N.trace()
+        plane = solve_small(N, weighted @ relative_w)
+        miss = relative_w - H @ plane
+        spread = max(1.4826 * middle(np.abs(miss)), 1e-6)
+        weight = known / (1.0 + (miss / (3.0 * spread)) ** 2)
+    plane *= scale
+    fitted = H @ plane
+    relative = np.where(fitted > 1e-3 * scale, w / np.where(fitted > 1e-3 * scale, fitted, 1.0) - 1.0, 0.0)
+    return plane, relative
+
+
+def _roughness(H: Array, relative: Array, variance: Array, spread: float) -> float:
+    """Slope of the variogram of relative inverse depth at distance zero: the likeliest for these features. (9.6)
+
+    The field is the one that kriging interpolates, (9.8), with its trend and nuggets; a likelihood is a product of
+    predictions from what is already known, so what fits it best also predicts as well as it says.
+    """
+    s2 = spread * spread
+    distance = distances(H[:, 1:])
+    known = H @ H.T + np.diag(variance + 1e-12)
+    value = np.clip(relative, -5.0 * np.sqrt(s2 + variance), 5.0 * np.sqrt(s2 + variance))
+
+    def unlikely(log_slope: float) -> float:
+        K = known + s2 * np.exp(distance * (-np.exp(log_slope) / s2))
+        factor, info = lapack.dpotrf(K, lower=1)
+        if info != 0:
+            return np.inf
+        whitened, _ = lapack.dtrtrs(factor, value, lower=1)
+        return float(np.log(np.diag(factor)).sum() + 0.5 * (whitened @ whitened))
+
+    # From a field that levels off over twenty times the picture to one that does within its smallest part.
+    ladder = np.log(s2) + np.log(ROUGHNESS_RANGES)
+    costs = [unlikely(float(step)) for step in ladder]
+    k = int(np.argmin(costs))
+    best = float(ladder[k])
+    if 0 < k < len(ladder) - 1 and np.all(np.isfinite(costs[k - 1 : k + 2])):
+        left, here, right = costs[k - 1 : k + 2]
+        bend = left - 2.0 * here + right
+        if bend > 0.0:
+            best += 0.5 * (left - right) / bend * float(ladder[1] - ladder[0])
+    return max(float(np.exp(best)), MIN_ROUGHNESS)
+
+
+def distances(xy: Array) -> Array:
+    """Between every two of (N, 2): (N, N)."""
+    apart = xy[:, None] - xy[None]
+    out: Array = np.sqrt(apart[..., 0] ** 2 + apart[..., 1] ** 2)
+    return out
+
+
+def effective_sigma_m(offset_m: Array, height_m: Array, variance_m2: Array, clearance_m: float) -> float:
+    """One sigma (m) to give each of P heights, as if independent, for their plane to be as sure of its slope as it is.
+
+    Neighbours on a hill are off the plane together, so they count as fewer. `offset_m` (P, 2) places about their
+    middle, `height_m` (P,) over any plane, `variance_m2` (P,) of their noise; `clearance_m`: height flown at. (5.13)
+    """
+    if len(height_m) < 8 or not clearance_m > 0.0:
+        return 0.0
+    some = np.linspace(0, len(height_m) - 1, min(len(height_m), MOST_POINTS)).astype(int)
+    H = np.concatenate([np.ones((len(some), 1)), offset_m[some] / clearance_m], axis=1)
+    value, noise = height_m[some] / clearance_m, variance_m2[some] / clearance_m**2
+    weighted = (H / (noise + max(middle(np.abs(value - middle(value))), 1e-4) ** 2)[:, None]).T
+    relative = value - H @ solve_small(weighted @ H, weighted @ value)
+    spread = _spread(relative, noise)
+    slope = _roughness(H, relative, noise, spread)
+    across, _ = np.linalg.qr(H)
+    alike = np.exp(distances(H[:, 1:]) * (-slope / spread**2))
+    # Of two slopes: the variance if points stray alike over that of points that stray alone.
+    effect = float((across[:, 1:] * (alike @ across[:, 1:])).sum()) / 2.0
+    effect = 1.0 + max(effect - 1.0, 0.0) * len(height_m) / len(some)
+    return spread * clearance_m * float(np.sqrt(effect))

@@ -1,0 +1,49 @@
+"""What one picture saw and where it was taken: the window's raw material."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from onboard.navigation.navigator import NavState
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What one picture saw: feature ids (N,), pixels, unit-depth coordinates (N, 2), and unit-depth per pixel (N,)."""
+
+    ids: Ids
+    uv_px: Array
+    xy: Array
+    gain: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Keyframe:
+    """A sighting with the vehicle's state and the current estimate of the camera's pose."""
+
+    frame: int
+    observation: Observation
+    nav: NavState
+    body_rate_rad_s: Array
+    nav_offset_s: float  # camera-to-autopilot offset at which `nav` was taken
+    flown_enu_m: Array | None  # since the keyframe before, by integrated velocity
+    R_cam_enu: Array
+    centre_enu_m: Array
+    flow_disagreement_xy: Array | None = None  # (2,) unit-depth: `ground_motion.slip` since the keyframe before
+
+
+def observation(camera: Camera, ids: Ids, uv_px: Array) -> Observation:
+    """Undistort pixels once; those without a ray are left out."""
+    rays, valid = camera.unproject(uv_px)
+    xy = rays[valid, :2]
+    J = camera.distortion_jacobian(xy)
+    det = np.abs(J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0])
+    gain = 1.0 / (camera.focal_px * np.sqrt(np.maximum(det, 0.05)))
+    return Observation(ids[valid], uv_px[valid], xy, gain)

@@ -1,0 +1,63 @@
+"""Which part of a window's errors other windows of the flight have too. Equations (9.11) and (9.12).
+
+Everything slow that a window believes beforehand is drawn once and lasts: the wander of positions and of attitudes, the
+mount, the clock, the ground's slope. The columns below say how far one sigma of each moves the window's camera side;
+with them two sets know what of their errors is one and the same.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.feature_set import ALIGNMENT, ATTITUDE, GROUND, NUISANCES, POSITION, SharedErrors
+from onboard.config.schema import Config
+from onboard.estimation.boresight import Belief
+from onboard.estimation.factors import AttitudePrior, PositionPrior, Prior, SharedPrior, State
+from onboard.estimation.sensor_pose import SensorPose
+from onboard.navigation.navigator import NavState
+
+Array = NDArray[np.float64]
+
+
+def shared_errors(config: Config, priors: list[Prior], state: State, covariance: Array) -> SharedErrors:
+    """How far one sigma of each draw moves a window's camera side: `by_nuisance` (D, DRAWS).
+
+    `covariance` (D, D) is the camera side's own.
+
+    A measurement that errs by v whitened sigmas moves the optimum by covariance @ J' v, (9.12).
+    """
+    gains = np.zeros((len(covariance), NUISANCES))
+    alignment_sigma = np.zeros(4)
+    for prior in priors:
+        if isinstance(prior, PositionPrior | AttitudePrior):
+            where, sign = (POSITION, 1.0) if isinstance(prior, PositionPrior) else (ATTITUDE, -1.0)
+            _, J = prior.evaluate(state)
+            per_axis = J.reshape(3, -1, J.shape[1])
+            error = prior.whitener.sum(axis=2) * (sign * prior.lasting[:, None])  # (3, K) one sigma on every picture
+            gains[:, where] = covariance @ np.einsum("akd,ak->da", per_axis, error)
+        elif isinstance(prior, SharedPrior):
+            _, J = prior.evaluate(state)
+            gains[:, ALIGNMENT.start : GROUND.stop] = covariance @ J.T
+            alignment_sigma = 1.0 / np.diag(prior.whitener)[:4]
+    attitude_time_s = config.solve.attitude_wander_time_s
+    return SharedErrors(gains, config.gps.wander_time_s, attitude_time_s, alignment_sigma)
+
+
+def make_sensor_pose(config: Config, nav: NavState, belief: Belief, R_cam_enu: Array) -> SensorPose:
+    """The camera's pose by sensors alone, its errors by the draws they come from, and what is the picture's own."""
+    solve, gps = config.solve, config.gps
+    speed = np.zeros(3) if nav.velocity_enu_m_s is None else nav.velocity_enu_m_s
+    tilt, heading = np.radians(solve.attitude_sigma_deg), np.radians(solve.heading_sigma_deg)
+    factor = np.linalg.cholesky(belief.covariance)
+    by_nuisance = np.zeros((7, NUISANCES))
+    by_nuisance[:3, POSITION] = np.diag([nav.sigma_horizontal_m, nav.sigma_horizontal_m, nav.sigma_vertical_m])
+    by_nuisance[3:6, ATTITUDE] = np.diag([tilt, tilt, heading])
+    by_nuisance[3:6, ALIGNMENT] = R_cam_enu.T @ factor[:3]
+    by_nuisance[:3, ALIGNMENT] = np.outer(speed, factor[3])
+    white = np.zeros(7)
+    white[:3] = nav.sigma_white_m * np.array([1.0, 1.0, 1.5])
+    white[3:5] = np.radians(solve.attitude_white_sigma_deg)
+    white[5] = np.radians(solve.heading_white_sigma_deg)
+    shared = SharedErrors(by_nuisance, gps.wander_time_s, solve.attitude_wander_time_s, np.diag(factor).copy())
+    return SensorPose(R_cam_enu, nav.position_enu_m, np.diag(white**2), shared)

@@ -1,0 +1,165 @@
+"""The sliding window of keyframes: what each saw and where it was, and the newest solution.
+
+The window holds no picture and knows no clock: keyframes come in with their measurements and their navigation state.
+When to add one is the pipeline's decision, and also when a request made by `prepare` is adjusted and its outcome
+adopted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from contract.feature_set import Status
+from contract.rotations import exp_so3, mount_rotation
+from onboard.config.schema import Config
+from onboard.estimation.boresight import STATES as SHARED
+from onboard.estimation.boresight import Alignment
+from onboard.estimation.keyframe import Keyframe, Observation
+from onboard.estimation.sensor_pose import SensorPose
+from onboard.estimation.shared_errors import make_sensor_pose
+from onboard.estimation.window_solver import MIN_POINTS, Noise, Outcome, Request, Solved, adjust
+from onboard.geometry.relative_orientation import rotation_only
+from onboard.geometry.terrain_grid import Terrain
+from onboard.navigation.navigator import NavState
+
+Array = NDArray[np.float64]
+
+GUESS_STEPS = 2  # of a rotation that is only where a resection or a solve starts
+CURVED_SHARE = 0.2  # of a moved time offset: drawn turns at 20 m/s, 0.3 s off, left 0.04 s of it
+MIN_UPDATE = 5  # keyframes of a last, short window that may still teach
+
+
+class Window:
+    """Keyframes in, solutions out."""
+
+    def __init__(self, config: Config, camera: Camera) -> None:
+        self.config = config
+        self.camera = camera
+        mount = config.mount
+        self.R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg)
+        self.keyframes: list[Keyframe] = []
+        self.solved: Solved | None = None
+        self.noise = Noise(config.solve.pixel_sigma_px, config.camera.sigma_jitter_s)
+        self.terrain: Terrain | None = None  # of the area flown over, if known
+        self.alignment = Alignment(
+            np.radians(mount.sigma_deg), config.camera.sigma_latency_s, config.solve.attitude_wander_time_s
+        )
+
+    def reset(self) -> None:
+        """Forget keyframes and structure: nothing links what comes to what was."""
+        self.keyframes.clear()
+        self.solved = None
+
+    def begin_again(self) -> None:
+        """Forget all but the newest keyframe, and what was thought of its pose."""
+        newest = self.keyframes[-1]
+        self.reset()
+        self.add(newest.frame, newest.observation, newest.nav, newest.nav_offset_s, newest.body_rate_rad_s, None)
+
+    def attitude_guess(self, nav: NavState) -> Array | None:
+        """R_cam_enu from the autopilot through mount and boresight, or None without attitude."""
+        if nav.R_enu_body is None:
+            return None
+        out: Array = (nav.R_enu_body @ self.R_body_cam @ exp_so3(self.alignment.belief.mean[:3])).T
+        return out
+
+    def sensor_pose(self, nav: NavState) -> SensorPose | None:
+        """The camera's pose by sensors alone with its covariance; None without attitude."""
+        R_cam_enu = self.attitude_guess(nav)
+        if R_cam_enu is None:
+            return None
+        return make_sensor_pose(self.config, nav, self.alignment.belief, R_cam_enu)
+
+    def position_guess(self, nav: NavState) -> Array:
+        """The camera's centre by GPS, shifted as the newest solved keyframe was shifted by its solution."""
+        shift = np.zeros(3)
+        if self.solved is not None:
+            newest = self.solved.keyframes[-1]
+            shift = newest.centre_enu_m - newest.nav.position_enu_m
+        return nav.position_enu_m + shift
+
+    def pose_guess(self, seen: Observation, nav: NavState) -> tuple[Array, Array] | None:
+        """R_cam_enu and centre of a new view: from known points where there are enough, else from the autopilot."""
+        centre = self.position_guess(nav)
+        if self.solved is not None:
+            rows, known = self.solved.rows(seen.ids)
+            if np.count_nonzero(known) >= MIN_POINTS:
+                directions = self.solved.solution.state.points_enu_m[rows[known]] - centre
+                rays = np.concatenate([seen.xy[known], np.ones((np.count_nonzero(known), 1))], axis=1)
+                return rotation_only(directions, rays, GUESS_STEPS), centre
+        attitude = self.attitude_guess(nav)
+        return None if attitude is None else (attitude, centre)
+
+    def add(
+        self,
+        frame: int,
+        seen: Observation,
+        nav: NavState,
+        nav_offset_s: float,
+        body_rate_rad_s: Array | None,
+        flown_enu_m: Array | None,
+        flow_disagreement_px: Array | None = None,
+    ) -> None:
+        """Take a keyframe; the oldest leaves a full window. `flow_disagreement_px`: since the keyframe before, by `coarse_flow`."""
+        guess = self.pose_guess(seen, nav)
+        # Without any attitude the start waits for the window's first solve; the mount alone is a placeholder.
+        R, centre = guess if guess is not None else (self.R_body_cam.T, nav.position_enu_m)
+        rate = np.zeros(3) if body_rate_rad_s is None else body_rate_rad_s
+        flow_disagreement_xy = None if flow_disagreement_px is None else flow_disagreement_px / self.camera.focal_px
+        self.keyframes.append(
+            Keyframe(frame, seen, nav, rate, nav_offset_s, flown_enu_m, R, centre, flow_disagreement_xy)
+        )
+        del self.keyframes[: -self.config.solve.keyframes]
+
+    def prepare(self) -> Request:
+        """The window as it stands, for `adjustment.adjust`; nothing done to the window later changes it."""
+        start_ns = self.keyframes[0].nav.stamp_ns if self.keyframes else 0
+        return Request(
+            self.config,
+            self.camera,
+            self.R_body_cam,
+            tuple(self.keyframes),
+            self.solved,
+            self.terrain,
+            self.alignment.prior_for(start_ns),
+            self.noise,
+        )
+
+    def adopt(self, outcome: Outcome) -> Status:
+        """Take what came of the newest request; OK and a new `solved`, or why there is none (an older one stays).
+
+        No keyframe may have been added since.
+        """
+        self.keyframes = list(outcome.keyframes)
+        self.noise = outcome.noise
+        if outcome.solved is not None:
+            self.solved = outcome.solved
+            if len(self.keyframes) == self.config.solve.keyframes:
+                self.learn(outcome.solved)
+        return outcome.status
+
+    def solve(self) -> Status:
+        """Prepare, adjust and adopt at once."""
+        return self.adopt(adjust(self.prepare()))
+
+    def learn(self, solved: Solved) -> None:
+        """Offer a solved window's boresight and time offset as a lesson."""
+        s, layout = solved.solution, solved.layout
+        if self.keyframes[0].nav.R_enu_body is None:
+            return
+        shared = slice(layout.boresight.start, layout.boresight.start + SHARED)
+        mean = np.append(s.state.boresight_rad, s.state.offset_s)
+        start, end = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
+        covariance = solved.covariance_at((start + end) // 2)[shared, shared].copy()
+        # The offset acts along straight lines from where it was looked up; in a turn its answer is off by a share of
+        # how far it had to move from there. The next window looks up at what this one learned.
+        moved_s = mean[3] - float(np.mean([k.nav_offset_s for k in self.keyframes]))
+        covariance[3, 3] += (CURVED_SHARE * moved_s) ** 2
+        self.alignment.offer(start, end, mean, covariance)
+
+    def conclude(self) -> None:
+        """The end of a stretch: learn from its last window even if it never filled."""
+        if self.solved is not None and len(self.keyframes) == len(self.solved.keyframes) >= MIN_UPDATE:
+            self.learn(self.solved)

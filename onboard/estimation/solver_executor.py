@@ -1,0 +1,59 @@
+"""Who adjusts a window: at once, or beside the tracking of further pictures. The pipeline knows only this shape.
+
+`concurrent.futures.ThreadPoolExecutor(1)` is a `Worker` as it stands; `Inline` needs no thread. What comes out does not
+depend on the choice, because a request never changes and the pipeline adopts an outcome at a moment of the data.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from onboard.estimation.window_solver import Outcome, Request, adjust
+
+
+@dataclass(frozen=True, eq=False)
+class Done:
+    """An outcome and the processor time it took."""
+
+    outcome: Outcome
+    processor_s: float
+
+
+class Promise(Protocol):
+    """What is being worked on."""
+
+    def result(self) -> Done:
+        """Wait for it; raises what the work raised."""
+
+
+class Worker(Protocol):
+    """Takes work and promises its result."""
+
+    def submit(self, fn: Callable[[Request], Done], request: Request, /) -> Promise:
+        """Begin, or at least remember, one call."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    done: Done
+
+    def result(self) -> Done:
+        return self.done
+
+
+class Inline:
+    """Works at once and in the same thread."""
+
+    def submit(self, fn: Callable[[Request], Done], request: Request, /) -> Promise:
+        """Do it now."""
+        return _Kept(fn(request))
+
+
+def timed_adjust(request: Request) -> Done:
+    """`adjust`, and how long this thread worked on it."""
+    began = time.thread_time()
+    outcome = adjust(request)
+    return Done(outcome, time.thread_time() - began)

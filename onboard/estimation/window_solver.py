@@ -1,0 +1,409 @@
+"""One window adjusted: a request that nothing changes any more goes in, an outcome comes out. Pure computation.
+
+Whoever does it, now or beside the tracking of further pictures, gets the same outcome from the same request. Whether
+the result may be believed is decided here, by evidence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from contract.feature_set import SharedErrors, Status
+from onboard.config.schema import Config
+from onboard.estimation import initialisation
+from onboard.estimation.boresight import Belief
+from onboard.estimation.bundle_adjustment import Problem, Solution, solve
+from onboard.estimation.factors import AttitudePrior, Layout, Prior, SharedPrior, State, VelocityPrior, ground_plane
+from onboard.estimation.ground_motion import GroundMotion, ground_motion, ground_sigma_m_s
+from onboard.estimation.ground_roughness import effective_sigma_m
+from onboard.estimation.keyframe import Ids, Keyframe
+from onboard.estimation.sensor_factors import range_prior, sensor_priors
+from onboard.estimation.shared_errors import shared_errors
+from onboard.geometry.plane_fit import fit_plane
+from onboard.geometry.terrain_grid import Terrain
+from onboard.geometry.triangulation import triangulate
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MIN_KEYFRAMES = 3
+MIN_POINTS = 12
+MIN_PARALLAX_RAD = 0.008  # below this a point starts on the ground plane and not where its rays meet
+START_SIGMAS = 5.0  # of an inlier at the start, at 640 px width: larger pictures carry larger calibration errors
+OUTLIER_SIGMAS = 4.0
+# Median length of a residual (of noise of one sigma an axis) of a point seen in so many views, from 2 on: along the
+# travel the point's place and depth have been fitted, across it its place. First: without any fit (Rayleigh).
+MEDIAN_LENGTH = np.array([1.1774, np.inf, 0.4769, 0.7833, 0.9085, 0.9732, 1.0112, 1.0373, 1.0560, 1.0713, 1.0816])
+MIN_INLIERS = 0.5
+MIN_PIXEL_SIGMA_PX = 0.08  # tracks err together by more than their residuals show
+MAX_FIT_SIGMAS = 4.0  # median residual, in configured pixel sigmas, above which the fit explains nothing
+MAX_DEPTH_SIGMA = 0.15  # relative; a scene less known than this has no parallax to speak of
+MAX_PRIOR_SIGMAS = 3.5  # root mean square of a sensor's whitened residuals that a true solution may show
+SHARED_SIGMAS = 5.0  # as far as one shared state may be from what was believed of it
+MAX_GROUND_SLOPE = 1.0
+MIN_STRAY_M = 0.3
+WEIGHING_ROUNDS = 5
+TOLERATED_RMS = 1.3  # of velocity's and attitude's whitened residuals
+MAX_JITTER_S = 0.02
+MAX_NOISE_INFLATION = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A solved window: poses of its keyframes, its points by id, and everything the covariances need."""
+
+    frames: tuple[int, ...]
+    layout: Layout
+    solution: Solution
+    point_ids: Ids  # sorted
+    good: Mask  # (P,) points whose measurements agree and which have parallax or plane to stand on
+    plane: Array  # height at the ENU origin (m), slope east, slope north
+    pixel_sigma_px: float
+    reprojection_px: float
+    keyframes: tuple[Keyframe, ...]
+    shared: SharedErrors  # `by_nuisance` (D, DRAWS) of the camera side, no span
+    ground_motion: GroundMotion  # what the ground's own motion may have done to it
+
+    def covariance_at(self, stamp_ns: int) -> Array:
+        """Of the camera side (D, D), for a picture of that time. (6.10)"""
+        out: Array = self.solution.covariance + self.ground_motion.covariance(stamp_ns)
+        return out
+
+    def rows(self, ids: Ids) -> tuple[NDArray[np.intp], Mask]:
+        """Row of each id among the points, and whether it is there and good."""
+        if not len(self.point_ids):
+            return np.zeros(len(ids), np.intp), np.zeros(len(ids), bool)
+        at = np.minimum(np.searchsorted(self.point_ids, ids), len(self.point_ids) - 1)
+        return at, (self.point_ids[at] == ids) & self.good[at]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What is known of the flight's own noise so far; every window is weighted by it and teaches a little of it."""
+
+    pixel_sigma_px: float
+    jitter_s: float
+    noise_inflation: float = 1.0  # how much less than by their own scatter pixels are trusted
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """A window as it stands, with what is believed of the sensors and of the tracking so far."""
+
+    config: Config
+    camera: Camera
+    R_body_cam: Array
+    keyframes: tuple[Keyframe, ...]
+    previous: Solved | None
+    terrain: Terrain | None
+    belief: Belief  # of boresight and time offset, for a window that begins where this one does
+    noise: Noise
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What came of a request: OK and `solved`, or the reason why there is none; and what was learned of the noise."""
+
+    status: Status
+    keyframes: tuple[Keyframe, ...]
+    noise: Noise
+    solved: Solved | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Adjusted:
+    """The second solve, the weights (K, P) that it kept, and the noise it found, relative to those weights."""
+
+    solution: Solution
+    kept: Array
+    own: float
+
+
+def approximate(problem: Problem, state: State) -> Solution:
+    """The first of the two solves: robust, as far as telling outliers needs."""
+    return solve(problem, state, scale=3.0, tolerance=1e-4)
+
+
+def refine(problem: Problem, first: Solution, least_own: float) -> Adjusted | None:
+    """The second: without what lay beyond 4 sigma, weighted by the noise found, at least `least_own` of the stated.
+
+    None where too little is left to tell the noise from.
+    """
+    sigmas = first.residual_sigmas
+    kept = np.where(sigmas > OUTLIER_SIGMAS * max(fit_of(sigmas), 1.0), 0.0, problem.weight)
+    kept[:, np.count_nonzero(kept > 0, axis=0) < 2] = 0.0
+    # The window's own noise, not the flight's so far, is what its covariances must be built on.
+    own = fit_of(np.where(kept > 0, sigmas, np.nan))
+    if not np.isfinite(own):
+        return None
+    own = max(own, least_own)
+    return Adjusted(solve(replace(problem, weight=kept / own), first.state, scale=6.0, tolerance=1e-6), kept, own)
+
+
+def adjust(request: Request) -> Outcome:
+    """Solve a window; the status of the outcome is OK, or the reason why it has no result."""
+    keyframes, noise = request.keyframes, request.noise
+    if len(keyframes) < MIN_KEYFRAMES:
+        return Outcome(Status.STARTING, keyframes, noise)
+    ids, counts = np.unique(np.concatenate([k.observation.ids for k in keyframes]), return_counts=True)
+    ids = ids[counts >= 2]
+    if len(ids) < MIN_POINTS:
+        return Outcome(Status.FEATURELESS, keyframes, noise)
+    xy, weight = _grid(request, ids)
+    oriented = _oriented(request, xy, weight > 0)
+    if oriented is None:
+        return Outcome(Status.LOW_PARALLAX if _travel_m(keyframes) < 1.0 else Status.POOR_FIT, keyframes, noise)
+    keyframes = oriented
+    layout = Layout(len(keyframes))
+    R = np.stack([k.R_cam_enu for k in keyframes])
+    C = np.stack([k.centre_enu_m for k in keyframes])
+    points, reference, plane = _points(request, ids, R, C, xy, weight > 0)
+    belief = request.belief
+    state = State(R, C, points, belief.mean[:3], float(belief.mean[3]), plane)
+    relief, terrain = _ground(request, points)
+    if terrain is not None:
+        reference[2] = 0.0
+        state = replace(state, plane=np.zeros(3))
+    clearance_m = None if terrain is not None else float(C[:, 2].mean() - reference[2])
+    strays_m = _strays_m(request, points - reference, state.plane, terrain)
+    ranged = range_prior(list(keyframes), layout, reference, state.plane, strays_m, terrain)
+    if ranged is not None:  # what it measures is the plane: the points must be held to that as closely as they lie
+        relief = np.full(len(points), 1.0 / strays_m)
+    for _ in range(WEIGHING_ROUNDS):
+        used = noise  # what this problem is weighted by; `noise` becomes what the next is
+        priors = sensor_priors(
+            request.config, request.R_body_cam, list(keyframes), layout, belief, terrain is not None, noise.jitter_s
+        )
+        priors += [] if ranged is None else [ranged]
+        problem = Problem(layout, xy, weight / noise.noise_inflation, priors, reference, relief, terrain, clearance_m)
+        first = approximate(problem, state)
+        noise, again = _reweighed(request, used, priors, first.state)
+        if not again:
+            break
+        state = first.state
+    problem = replace(problem, ground_weight=_alike(problem, first, relief))
+    adjusted = refine(problem, first, MIN_PIXEL_SIGMA_PX / (used.pixel_sigma_px * used.noise_inflation))
+    if adjusted is None:
+        return Outcome(Status.POOR_FIT, keyframes, noise)
+    judged = _judged(replace(request, keyframes=keyframes, noise=used), ids, layout, priors, problem.weight, adjusted)
+    return replace(judged, noise=replace(noise, pixel_sigma_px=judged.noise.pixel_sigma_px))
+
+
+def _reweighed(request: Request, noise: Noise, priors: list[Prior], state: State) -> tuple[Noise, bool]:
+    """Learn from velocity and attitude residuals how pictures and autopilot disagree; True if weights changed.
+
+    Stamps that stray by some milliseconds (photographs, USB) show in both at once, and are allowed for first. What
+    disagreement remains is the picture's: a calibration's error moves many features together, bends the poses and
+    hardly shows in the features' own residuals. All pixels are then trusted less, until both sides agree. (6.7)
+    """
+    measured = [p for p in priors if isinstance(p, VelocityPrior | AttitudePrior)]
+    if request.keyframes[0].nav.R_enu_body is None:
+        measured = [p for p in measured if isinstance(p, VelocityPrior)]
+    if not measured:
+        return noise, False
+    rms = max(float(np.sqrt(np.mean(p.evaluate(state)[0] ** 2))) for p in measured)
+    if rms > TOLERATED_RMS:
+        if noise.jitter_s < MAX_JITTER_S:
+            return replace(noise, jitter_s=min(max(noise.jitter_s, 0.003) * min(rms, 3.0), MAX_JITTER_S)), True
+        if noise.noise_inflation < MAX_NOISE_INFLATION:
+            return replace(noise, noise_inflation=min(noise.noise_inflation * min(rms, 2.0), MAX_NOISE_INFLATION)), True
+    elif rms < 1.0 / TOLERATED_RMS:
+        least_s = request.config.camera.sigma_jitter_s
+        return Noise(
+            noise.pixel_sigma_px, max(0.95 * noise.jitter_s, least_s), max(0.95 * noise.noise_inflation, 1.0)
+        ), False
+    return noise, False
+
+
+def _judged(
+    request: Request, ids: Ids, layout: Layout, priors: list[Prior], weight: Array, adjusted: Adjusted
+) -> Outcome:
+    """Decide by evidence whether a solution may be published. `weight` (K, P) is what the first solve used."""
+    s, kept, own = adjusted.solution, adjusted.kept, adjusted.own
+    noise, camera, config = request.noise, request.camera, request.config
+
+    def refused(status: Status) -> Outcome:
+        return Outcome(status, request.keyframes, noise)
+
+    seen, used = np.count_nonzero(weight > 0), np.count_nonzero(kept > 0)
+    fit = fit_of(s.residual_sigmas)
+    sigma_px = noise.pixel_sigma_px * noise.noise_inflation * own * fit
+    depth = np.abs(
+        np.einsum("kj,kpj->kp", s.state.R_cam_enu[:, 2], s.state.points_enu_m - s.state.centres_enu_m[:, None])
+    )
+    depth_m = np.where(kept > 0, depth, np.nan)
+    median_depth = float(np.nanmedian(depth_m)) if used else np.nan
+    good = np.count_nonzero(kept > 0, axis=0) >= 2
+    if used < MIN_INLIERS * seen or np.count_nonzero(good) < MIN_POINTS or not np.isfinite(median_depth):
+        return refused(Status.POOR_FIT)
+    if sigma_px > MAX_FIT_SIGMAS * config.solve.pixel_sigma_px * max(1.0, camera.width_px / 640.0):
+        return refused(Status.POOR_FIT)
+    scale = max(fit, 1.0) ** 2
+    still = float(np.median(_depth_sigma(s, s.covariance, good, layout))) / median_depth
+    if still * np.sqrt(scale) > MAX_DEPTH_SIGMA:
+        return refused(Status.LOW_PARALLAX)
+    moving = ground_motion(
+        request.keyframes, priors, s.state, s.covariance, ground_sigma_m_s(request.keyframes, median_depth)
+    )
+    covariance = s.covariance + moving.covariance(moving.epoch_ns)
+    if float(np.median(_depth_sigma(s, covariance, good, layout))) / median_depth > MAX_DEPTH_SIGMA:
+        return refused(Status.POOR_FIT)  # ground that slips past itself, too fast to say how large it is: water
+    below = np.einsum("j,kpj->kp", [0.0, 0.0, 1.0], s.state.points_enu_m - s.state.centres_enu_m[:, None]) < 0.0
+    if np.count_nonzero(below & (kept > 0)) < 0.9 * used or np.abs(s.state.plane[1:]).max() > MAX_GROUND_SLOPE:
+        return refused(Status.POOR_FIT)  # the ground above the aircraft, or a wall: a turned-over solution
+    if np.linalg.eigvalsh(s.covariance)[0] <= 0.0:
+        return refused(Status.POOR_FIT)
+    for prior in priors:
+        r = prior.evaluate(s.state)[0]
+        # What is shared (mount, delay) must not be bent far in any one direction to explain a scene that moves.
+        worst = np.abs(r).max() / SHARED_SIGMAS if isinstance(prior, SharedPrior) else 0.0
+        if max(float(np.sqrt(np.mean(r * r))) / MAX_PRIOR_SIGMAS, worst) > 1.0:
+            return refused(Status.POOR_FIT)
+    keyframes = tuple(
+        replace(k, R_cam_enu=R, centre_enu_m=C)
+        for k, R, C in zip(request.keyframes, s.state.R_cam_enu, s.state.centres_enu_m, strict=True)
+    )
+    plane, _ = fit_plane(s.state.points_enu_m[good])
+    # The noise of tracking is learned slowly, so that one odd window changes little.
+    learned = noise.pixel_sigma_px * (own * fit * noise.noise_inflation) ** 0.3
+    noise = replace(noise, pixel_sigma_px=float(np.clip(learned, MIN_PIXEL_SIGMA_PX, 5.0)))
+    frames = tuple(k.frame for k in keyframes)
+    shared = shared_errors(config, priors, s.state, s.covariance)
+    solved = Solved(frames, layout, s, ids, good, plane, sigma_px, sigma_px * 1.177, keyframes, shared, moving)
+    return Outcome(Status.OK, keyframes, noise, solved)
+
+
+def fit_of(sigmas: Array) -> float:
+    """Robust one sigma per axis of whitened residual lengths (K, P): their median over what it should be. (6.11)
+
+    Residuals are smaller than the noise by what the fit has swallowed: of a point seen twice, three out of four.
+    """
+    known = np.isfinite(sigmas)
+    seen = np.count_nonzero(known, axis=0)
+    several = seen >= 2
+    if not np.any(several):
+        return float("inf")
+    many = MEDIAN_LENGTH[0] * np.sqrt(1.0 - 1.5 / np.maximum(seen, 2))
+    last = len(MEDIAN_LENGTH) - 1
+    expected = np.where(seen <= last, MEDIAN_LENGTH[np.minimum(seen, last)], many)
+    ratio = (sigmas / expected)[known & several]
+    left = float(np.sum(2 * seen[several] - 3))
+    return float(np.median(ratio) * np.sqrt(left / max(left - 6 * len(sigmas), 0.2 * left)))
+
+
+def _travel_m(keyframes: tuple[Keyframe, ...]) -> float:
+    positions = np.stack([k.nav.position_enu_m for k in keyframes])
+    return float(np.linalg.norm(np.ptp(positions, axis=0)))
+
+
+def _ground(request: Request, points: Array) -> tuple[Array, Terrain | None]:
+    """1 / sigma of the ground under each point (P,), and the terrain if it is known under all of them."""
+    if request.terrain is not None:
+        height, _ = request.terrain.height_and_slope(points[:, :2])
+        if np.all(np.isfinite(height)):
+            return np.full(len(points), 1.0 / request.config.terrain.sigma_m), request.terrain
+    return np.full(len(points), 1.0 / max(request.config.solve.relief_sigma_m, 1e-3)), None
+
+
+def _alike(problem: Problem, first: Solution, relief: Array) -> Array:
+    """1 / sigma (P,) of the ground under each point, for points that stray alike: no more than `relief`. (5.13)"""
+    s = first.state
+    height, _, _ = ground_plane(s.points_enu_m, problem.reference_enu_m, s.plane, problem.terrain)
+    seen = np.isfinite(height) & (np.count_nonzero(problem.weight > 0, axis=0) >= 2)
+    offset = (s.points_enu_m - problem.reference_enu_m)[seen, :2]
+    clearance_m = float((s.centres_enu_m[:, 2]).mean() - np.median(s.points_enu_m[seen, 2]))
+    sigma_m = effective_sigma_m(offset, height[seen], first.point_covariance[seen, 2, 2], clearance_m)
+    return np.minimum(relief, 1.0 / max(sigma_m, 1e-3))
+
+
+def _strays_m(request: Request, offset: Array, plane: Array, terrain: Terrain | None) -> float:
+    """One sigma (m) of the ground about the plane, by the points themselves, or as declared of the terrain."""
+    if terrain is not None:
+        return request.config.terrain.sigma_m
+    above = offset[:, 2] - plane[0] - offset[:, :2] @ plane[1:]
+    measured = 1.4826 * float(np.median(np.abs(above - np.median(above))))
+    return min(max(measured, MIN_STRAY_M), max(request.config.solve.relief_sigma_m, MIN_STRAY_M))
+
+
+def _grid(request: Request, ids: Ids) -> tuple[Array, Array]:
+    """Measurements and weights on the (keyframe, point) grid."""
+    xy = np.zeros((len(request.keyframes), len(ids), 2))
+    weight = np.zeros((len(request.keyframes), len(ids)))
+    for k, keyframe in enumerate(request.keyframes):
+        seen = keyframe.observation
+        at = np.minimum(np.searchsorted(ids, seen.ids), len(ids) - 1)
+        known = ids[at] == seen.ids
+        xy[k, at[known]] = seen.xy[known]
+        weight[k, at[known]] = 1.0 / (request.noise.pixel_sigma_px * seen.gain[known])
+    return xy, weight
+
+
+def _oriented(request: Request, xy: Array, seen: Mask) -> tuple[Keyframe, ...] | None:
+    """The keyframes, each with a starting orientation; None if the rays support none."""
+    keyframes, camera = request.keyframes, request.camera
+    if request.previous is not None or all(k.nav.R_enu_body is not None for k in keyframes):
+        return keyframes
+    centres = np.stack([k.nav.position_enu_m for k in keyframes])
+    sigma_px = request.noise.pixel_sigma_px * max(1.0, camera.width_px / 640.0)
+    rotations = initialisation.orient(xy, seen, centres, request.R_body_cam, START_SIGMAS * sigma_px / camera.focal_px)
+    if rotations is None:
+        return None
+    return tuple(
+        replace(k, R_cam_enu=R, centre_enu_m=k.nav.position_enu_m) for k, R in zip(keyframes, rotations, strict=True)
+    )
+
+
+def _points(request: Request, ids: Ids, R: Array, C: Array, xy: Array, seen: Mask) -> tuple[Array, Array, Array]:
+    """Starting points (P, 3), the plane's reference point, and the plane about it."""
+    rays = triangulate(R, C, xy, seen)
+    points = rays.points_enu_m.copy()
+    sound = rays.is_ahead & (rays.parallax_rad > MIN_PARALLAX_RAD)
+    previous = request.previous
+    if previous is not None:
+        rows, known = previous.rows(ids)
+        points[known] = previous.solution.state.points_enu_m[rows[known]]
+        sound |= known
+    if np.count_nonzero(sound) >= MIN_POINTS:
+        plane, _ = fit_plane(points[sound])
+    elif previous is not None:
+        plane = previous.plane
+    else:
+        newest = request.keyframes[-1].nav
+        height = newest.height_above_home_m or 100.0
+        plane = np.array([newest.position_enu_m[2] - height, 0.0, 0.0])
+    if np.any(np.abs(plane[1:]) > 0.6):  # steeper than any ground an orientation was right about
+        plane = np.array([float(np.median(points[sound, 2])), 0.0, 0.0])
+    loose = ~sound
+    if np.any(loose):
+        points[loose] = _on_plane(R, C, xy, seen, plane)[loose]
+    reference = np.array([*np.median(points[:, :2], axis=0), 0.0])
+    reference[2] = plane[0] + plane[1:] @ reference[:2]
+    return points, reference, np.array([0.0, plane[1], plane[2]])
+
+
+def _depth_sigma(s: Solution, covariance: Array, good: Mask, layout: Layout) -> Array:
+    """One sigma (m) of each good point along the newest keyframe's axis, relative to that keyframe."""
+    axis = s.state.R_cam_enu[-1, 2]
+    gain = s.point_gain[good] * -1.0
+    M = np.einsum("i,pid->pd", axis, gain)
+    M[:, layout.centre(layout.keyframes - 1)] -= axis
+    own = np.einsum("i,pij,j->p", axis, s.point_covariance[good], axis)
+    out: Array = np.sqrt(np.maximum(np.sum((M @ covariance) * M, axis=1) + own, 0.0))
+    return out
+
+
+def _on_plane(R: Array, C: Array, xy: Array, seen: Mask, plane: Array) -> Array:
+    """Each point where its newest ray meets the plane (height at origin, slopes); far rays at ten clearances."""
+    newest = len(seen) - 1 - np.argmax(seen[::-1], axis=0)
+    P = np.arange(seen.shape[1])
+    rays = np.concatenate([xy[newest, P], np.ones((len(P), 1))], axis=1)
+    d = np.einsum("pi,pij->pj", rays, R[newest])
+    normal = np.array([-plane[1], -plane[2], 1.0])
+    clearance = np.maximum(C[newest] @ normal - plane[0], 1.0)
+    down = np.maximum(-(d @ normal), 0.1)
+    out: Array = C[newest] + d * (clearance / down)[:, None]
+    return out

@@ -1,0 +1,10 @@
+"""What enters the pipeline and what leaves it: event types, the protocols of sources and sinks, the clock of a session.
+
+Public:
+
+- `session_clock`: `SessionClock`
+- `sink`: `Sink`
+- `source`: `Emit`, `Severity`, `Source`, `SourceStatus`, `State`, `Stop`, `TelemetrySource`
+- `types`: `Attitude`, `Event`, `FilterStatus`, `Frame`, `GimbalAttitude`, `GpsQuality`, `NavEvent`, `PositionFix`,
+  `RangeFinder`
+"""

@@ -1,0 +1,73 @@
+"""What the daemon asks of everything that yields events: cameras, autopilots, receivers.
+
+A source is run in a thread of its own until it is told to stop. Whatever the field does to it (unplugged, silent,
+garbage, back under another name) is its own business: it reopens for good, says how it is, and raises only for what a
+configuration can never make work (`ConfigError`, `InputError`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Protocol
+
+from onboard.events.types import Event
+
+Emit = Callable[[int, Event], None]
+"""Takes the arrival time (Unix ns of the session's clock) and the event. Never blocks for long."""
+
+
+class Stop(Protocol):
+    """The part of `threading.Event` that a source needs."""
+
+    def is_set(self) -> bool:
+        """Whether to come to an end."""
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Sleep until it is set or `timeout` seconds have passed; returns whether it is set."""
+
+
+class State(Enum):
+    """How a source is. Values are the words users see."""
+
+    STARTING = "starting"
+    OK = "ok"
+    DEGRADED = "degraded"  # it works, but not as asked: `detail` says what is missing
+    LOST = "lost"
+    FROZEN = "frozen"  # it comes, but says the same again and again
+
+
+class Severity(Enum):
+    """Of a message to the people around the aircraft; values are MAVLink's MAV_SEVERITY and syslog's priorities."""
+
+    ERROR = 3
+    WARNING = 4
+    NOTICE = 5
+    INFO = 6
+
+
+@dataclass(frozen=True)
+class SourceStatus:
+    """How a source is just now. `figures` are named with their unit: `rate_hz`, `dropped`, `round_trip_ms`, ..."""
+
+    state: State
+    detail: str = ""
+    figures: dict[str, float] = field(default_factory=dict)
+
+
+class Source(Protocol):
+    """A camera or a telemetry link."""
+
+    def run(self, emit: Emit, stop: Stop) -> None:
+        """Hand out events until `stop` is set; returns within a second of it."""
+
+    def health(self) -> SourceStatus:
+        """Asked from another thread, at any time, before and after `run` too."""
+
+
+class TelemetrySource(Source, Protocol):
+    """A source that can also speak."""
+
+    def say(self, severity: Severity, text: str) -> None:
+        """Show a short text (50 characters) to the pilot, where the link can; otherwise nothing happens."""

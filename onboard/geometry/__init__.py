@@ -1,0 +1,12 @@
+"""Multiple-view geometry and ground surfaces: pure functions of arrays.
+
+Public:
+
+- `linalg`: `solve_positive`, `solve_small`
+- `plane_fit`: `fit_plane`
+- `plane_homography`: `Pose`, `move`, `predict_homography`, `predict_pixels`
+- `relative_orientation`: `rotation_only`, `start_pair`
+- `robust`: `middle`, `robust_cost`
+- `terrain_grid`: `Terrain`
+- `triangulation`: `triangulate`
+"""

@@ -1,0 +1,8 @@
+"""Sets, status and replies over zenoh within a bit rate; certificates.
+
+Public:
+
+- `certificates`: `AUTHORITY`, `make_credentials`
+- `publisher`: `Publisher`
+- `status_query`: `ask`
+"""

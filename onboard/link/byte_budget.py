@@ -1,0 +1,171 @@
+"""What may go out on the link, and when: a budget of bytes and a choice among sets. Pure logic, time is passed in.
+
+A radio's queue cannot be seen from here, and a queue that fills is delay that stays; so what is sent keeps below
+`link.max_bit_rate` at its source (COMPONENTS: 80 kbit/s offered to 64 kbit/s are 7 to 17 s of delay, whatever zenoh is
+told to drop). Everything counts: sets, status, replies, and what zenoh, TLS, TCP and IP add.
+
+Overhead on the wire, IP headers and up, measured with zenoh 1.10 (`python -m benchmarks.link`): 55 B a message over
+tcp, 34 over udp, 73 over tls, 82 over quic; beside that 29 (udp) to 130 B/s a ground for keep-alives and
+acknowledgements, 85 to 197 B a reply, and 0.24 (udp), 0.6 (tcp), 1.8 (tls) or 8 kB (quic) for a ground that connects.
+Below, the dearest of tcp, udp and tls.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable
+from enum import Enum
+from typing import TypeVar
+
+T = TypeVar("T", bound=Hashable)
+
+MESSAGE_OVERHEAD = 90  # bytes
+REPLY_OVERHEAD = 200
+GROUND_BYTES_PER_S = 140.0
+CONNECT_BYTES = 600
+SECURE_CONNECT_BYTES = 1800
+PACKET_BYTES = 1500
+BURST_S = 0.5
+# What status and replies may take at most: at least 0.35 stays for sets.
+STATUS_SHARE, REPLY_SHARE = 0.25, 0.4
+PATIENCE_S = 0.8  # of status and replies, before sets are held back for them
+# With nothing newer, the newest set is said again after this: it may have been sent into a link that was cut.
+# Better revisions of older pictures wait until the newest picture is not older than this on the ground.
+# Refusals give way to a set that answers and is at most this much older.
+# Pictures older than this are only answered when asked for.
+
+
+class Kind(Enum):
+    """What a message is, which decides how much of the budget it may take."""
+
+    SET = "set"
+    STATUS = "status"
+    REPLY = "reply"
+
+
+class Bucket:
+    """A token bucket: in any window of t seconds, at most rate t + depth bytes (or one message larger than it)."""
+
+    def __init__(self, bytes_per_s: float, depth: float, now_s: float) -> None:
+        self.bytes_per_s, self.depth = bytes_per_s, depth
+        self._level, self._at_s = depth, now_s
+
+    def level(self, now_s: float) -> float:
+        """Bytes that may go now; negative after a charge that could not be refused."""
+        if now_s > self._at_s:
+            self._level = min(self._level + (now_s - self._at_s) * self.bytes_per_s, self.depth)
+            self._at_s = now_s
+        return self._level
+
+    def wait_s(self, cost: float, now_s: float) -> float:
+        """Seconds until `cost` bytes may go; 0 if they may now."""
+        return max(min(cost, self.depth) - self.level(now_s), 0.0) / self.bytes_per_s
+
+    def take(self, cost: float, now_s: float) -> None:
+        """Take them, whether they are there or not."""
+        self._level = self.level(now_s) - cost
+
+    def owe(self, cost: float, now_s: float) -> None:
+        """Take what went without asking; what cannot be made good within one depth is forgiven."""
+        self._level = max(self.level(now_s) - cost, min(-self.depth, self._level))
+
+
+class Budget:
+    """All that may be sent, by kind. `grounds` is how many sessions each message goes to, at least 1.
+
+    The cap is never exceeded for long: over any t seconds, rate t + one burst. Within it, status and replies have their
+    shares, and none while sets are behind `min_rate_hz`; sets go out `max_rate_hz` times a second at most.
+    """
+
+    def __init__(
+        self,
+        max_bit_rate: float,
+        min_rate_hz: float,
+        max_rate_hz: float,
+        now_s: float,
+        connect_bytes: float = CONNECT_BYTES,
+    ) -> None:
+        self._connect_bytes = connect_bytes
+        self.bytes_per_s = max_bit_rate / 8.0
+        self.min_rate_hz, self.max_rate_hz = min(min_rate_hz, max_rate_hz), max_rate_hz
+        self.grounds = 1
+        self._all = Bucket(self.bytes_per_s, max(PACKET_BYTES, BURST_S * self.bytes_per_s), now_s)
+        self._shares = {
+            kind: Bucket(share * self.bytes_per_s, max(PACKET_BYTES, BURST_S * share * self.bytes_per_s), now_s)
+            for kind, share in ((Kind.STATUS, STATUS_SHARE), (Kind.REPLY, REPLY_SHARE))
+        }
+        self._set_at_s: float | None = None
+        self._waiting: dict[Kind, tuple[float, int]] = {}  # since when, and how many bytes
+        self._background_at_s = now_s
+
+    def cost(self, kind: Kind, payload_bytes: int) -> float:
+        """Bytes on the wire, to every ground; a reply goes to one."""
+        if kind is Kind.REPLY:
+            return payload_bytes + REPLY_OVERHEAD
+        return (payload_bytes + MESSAGE_OVERHEAD) * max(self.grounds, 1)
+
+    def waits(self, kind: Kind, payload_bytes: int | None, now_s: float) -> None:
+        """Say what waits to be sent, None for nothing: who has waited long goes before who has not."""
+        if payload_bytes is None:
+            self._waiting.pop(kind, None)
+        else:
+            since_s, _ = self._waiting.get(kind, (now_s, 0))
+            self._waiting[kind] = since_s, payload_bytes
+
+    def is_behind(self, now_s: float) -> bool:
+        """Whether sets wait and come more rarely than they must: then nothing else may go."""
+        if Kind.SET not in self._waiting:
+            return False
+        since_s, _ = self._waiting[Kind.SET]
+        if self._set_at_s is not None:
+            since_s = max(since_s, self._set_at_s)
+        return now_s - since_s >= 1.0 / self.min_rate_hz
+
+    def wait_s(self, kind: Kind, payload_bytes: int, now_s: float) -> float:
+        """Seconds until a message may go, if nothing else goes before; 0 if it may now; inf while others go first."""
+        self._note_background(now_s)
+        cost = self.cost(kind, payload_bytes)
+        wait = self._all.wait_s(cost, now_s)
+        if kind is Kind.SET:
+            if not self.is_behind(now_s) and self._others_turn(now_s):
+                return math.inf
+            if self._set_at_s is not None:
+                wait = max(wait, self._set_at_s + 1.0 / self.max_rate_hz - now_s)
+            return max(wait, 0.0)
+        if self.is_behind(now_s):
+            return math.inf
+        return max(wait, self._shares[kind].wait_s(cost, now_s))
+
+    def _others_turn(self, now_s: float) -> bool:
+        """Whether status or a reply has waited long and only want of bytes keeps it: sets would take them for good."""
+        return any(
+            now_s - since_s >= PATIENCE_S and share.wait_s(self.cost(kind, payload_bytes), now_s) <= 0.0
+            for kind, share in self._shares.items()
+            for since_s, payload_bytes in [self._waiting.get(kind, (math.inf, 0))]
+        )
+
+    def send(self, kind: Kind, payload_bytes: int, now_s: float) -> bool:
+        """Whether a message may go now; if so, it is paid for."""
+        if self.wait_s(kind, payload_bytes, now_s) > 0.0:
+            return False
+        cost = self.cost(kind, payload_bytes)
+        self._all.take(cost, now_s)
+        self._waiting.pop(kind, None)
+        if kind is Kind.SET:
+            self._set_at_s = now_s
+        else:
+            self._shares[kind].take(cost, now_s)
+        return True
+
+    def connected(self, grounds: int, now_s: float) -> None:
+        """How many sessions there are now; each new one has cost its handshake."""
+        self._note_background(now_s)
+        if grounds > self.grounds:
+            self._all.owe(self._connect_bytes * (grounds - self.grounds), now_s)
+        self.grounds = max(grounds, 0)
+
+    def _note_background(self, now_s: float) -> None:
+        """Keep-alives and acknowledgements; they never take more than half, or a slow link would fall silent."""
+        rate = min(GROUND_BYTES_PER_S * max(self.grounds, 1), 0.5 * self.bytes_per_s)
+        self._all.owe(rate * max(now_s - self._background_at_s, 0.0), now_s)
+        self._background_at_s = max(now_s, self._background_at_s)

@@ -1,0 +1,323 @@
+"""Feature sets and status -> zenoh, within the link's bit rate; queries answered from a bounded history.
+
+`byte_budget` and `set_selection` decide what goes and when; here is the session, the thread that sends, and nothing
+that ever waits for the link: `publish` takes a set and returns.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import zenoh
+
+from contract.errors import LinkError
+from contract.feature_set import FeatureSet, Status
+from contract.history import History
+from contract.link_config import Tls, link_config
+from contract.topics import DEFAULT_ENDPOINT, DETAIL_PARAMETER, FEATURES, FRAME_PARAMETER, STATUS, TIME_PARAMETER
+from onboard.config.schema import Config
+from onboard.events.types import Event
+from onboard.link.byte_budget import CONNECT_BYTES, SECURE_CONNECT_BYTES, Budget, Kind
+from onboard.link.packet import one_packet
+from onboard.link.set_selection import REPEAT_S, Offer, Selection
+from onboard.link.socket_backlog import Backlog
+
+MAX_WAITING_QUERIES = 16
+QUERY_PATIENCE_S = 2.8  # the ground waits 3 s; an answer after that is a waste
+IDLE_S = 0.25
+HELD_S = 0.05
+# Unacknowledged bytes, in seconds of the bit rate and at least so many, above which nothing more is sent: more than a
+# slow radio has under way, and less than a second of its time.
+BACKLOG_S, BACKLOG_BYTES = 1.0, 3000
+
+log = logging.getLogger("pointclick")
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How much may be sent: bit/s with everything the link adds, and sets a second, as in the section `link`."""
+
+    max_bit_rate: float = 32000.0
+    min_rate_hz: float = 0.2
+    max_rate_hz: float = 5.0
+
+
+@dataclass(eq=False)
+class _Waiting:
+    """A query and what it will be told."""
+
+    query: zenoh.Query
+    key: str
+    answer: bytes
+    is_error: bool
+    since_s: float
+
+
+class Publisher:
+    """Publishes one vehicle's sets and status, and answers queries on the same keys. A Sink (`onboard.replay.runner`).
+
+    For the daemon: `Publisher.open(config)` is one of the sinks; hand each encoded status to `publish_status`. Sets may
+    be handed over as fast as they are made: the newest and most useful go out, all are kept for queries. Replies count
+    against the same bit rate; a query that cannot be answered in time gets nothing.
+
+    A peer without a router. `listen` and `connect` are zenoh endpoints, `scouting` turns multicast discovery on.
+    Raises LinkError if the link cannot be opened (a port in use is named), ValueError for an impossible vehicle name.
+    """
+
+    def __init__(
+        self,
+        vehicle: str,
+        listen: Sequence[str] = (DEFAULT_ENDPOINT,),
+        connect: Sequence[str] = (),
+        scouting: bool = False,
+        history_s: float = 600.0,
+        history_sets: int = 5000,
+        *,
+        rate: Rate | None = None,
+        tls: Tls | None = None,
+        allowed: Sequence[str] = (),
+    ) -> None:
+        self._key, self._status_key = FEATURES.key(vehicle), STATUS.key(vehicle)
+        self._vehicle = vehicle
+        self._history: History[bytes] = History(history_s, history_sets)
+        rate = rate or Rate()
+        connect_bytes = CONNECT_BYTES if tls is None else SECURE_CONNECT_BYTES
+        self._budget = Budget(rate.max_bit_rate, rate.min_rate_hz, rate.max_rate_hz, time.monotonic(), connect_bytes)
+        self._backlog, self._most_backlog = Backlog(), max(BACKLOG_S * rate.max_bit_rate / 8.0, BACKLOG_BYTES)
+        self._selection: Selection[bytes] = Selection(min(REPEAT_S, 1.0 / rate.min_rate_hz))
+        self._queries: deque[_Waiting] = deque()
+        self._status, self._status_detail = b"", b""
+        self._status_waits = False
+        self._is_closed = self._has_news = False
+        self.sent = 0  # sets put on the link, without those asked for
+        self._changed = threading.Condition()
+        names = {*allowed, vehicle} if allowed else ()  # the aircraft's own programs may ask it too
+        config = link_config(
+            "peer",
+            listen=listen,
+            connect=connect,
+            scouting=scouting,
+            tls=tls,
+            is_aircraft=True,
+            allowed=sorted(names),
+        )
+        try:
+            self._session = zenoh.open(zenoh.Config.from_json5(config))
+        except zenoh.ZError as error:
+            raise LinkError(_open_failure(listen, connect, error)) from error
+        self._publisher = self._session.declare_publisher(
+            self._key,
+            congestion_control=zenoh.CongestionControl.DROP,
+            express=FEATURES.express,
+            reliability=zenoh.Reliability.BEST_EFFORT,
+        )
+        self._status_publisher = self._session.declare_publisher(
+            self._status_key,
+            congestion_control=zenoh.CongestionControl.DROP,
+            express=STATUS.express,
+            reliability=zenoh.Reliability.BEST_EFFORT,
+        )
+        # The variables keep the queryables declared.
+        self._queryable = self._session.declare_queryable(self._key, self._asked)
+        self._status_queryable = self._session.declare_queryable(self._status_key, self._asked_for_status)
+        self._thread = threading.Thread(target=self._run, name="link", daemon=True)
+        self._thread.start()
+
+    @classmethod
+    def open(cls, config: Config) -> Self:
+        """As the sections `vehicle` and `link` say. Raises LinkError."""
+        link = config.link
+        return cls(
+            config.vehicle.id,
+            link.listen,
+            link.connect,
+            link.scouting,
+            link.history_s,
+            link.history_sets,
+            rate=Rate(link.max_bit_rate, link.min_rate_hz, link.max_rate_hz),
+            tls=Tls.of(link.ca, link.certificate, link.key),
+            allowed=link.allowed,
+        )
+
+    def publish(self, feature_set: FeatureSet, payload: bytes | None = None) -> bytes:
+        """Keep a set for queries and send it if its turn comes; returns its packet. Raises ValueError.
+
+        `payload` is its encoding, if there is one already; a set too large for one packet is thinned.
+        """
+        s = feature_set
+        if s.vehicle != self._vehicle:
+            raise ValueError(f"a set of {s.vehicle!r} cannot be published as {self._vehicle!r}")
+        packet = one_packet(s, payload)
+        offer = Offer(s.session, s.frame, s.revision, s.capture_unix_ns, s.is_ok, s.is_keyframe, packet)
+        with self._changed:
+            self._history.add(s, packet)
+            self._selection.offer(offer)
+            self._wake()
+        return packet
+
+    def publish_status(self, payload: bytes, detail: bytes) -> None:
+        """Send an encoded status in its turn; it answers queries until the next, `detail` those that ask for more."""
+        with self._changed:
+            self._status, self._status_detail = payload, detail
+            self._status_waits = True
+            self._wake()
+
+    def event(self, arrival_ns: int, event: Event) -> None:
+        """Events stay on board."""
+
+    def feature_set(self, output: FeatureSet) -> None:
+        """`publish`, as a sink."""
+        self.publish(output)
+
+    def close(self) -> None:
+        """Leave the link; what has not been sent is not."""
+        with self._changed:
+            self._is_closed = True
+            self._wake()
+        self._thread.join(5.0)
+        self._session.close()  # type: ignore[no-untyped-call]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def _wake(self) -> None:
+        self._has_news = True
+        self._changed.notify()
+
+    def _run(self) -> None:
+        """The link's thread. Its locks are never held while zenoh is at work: it calls back from threads of its own."""
+        while True:
+            with self._changed:
+                if self._is_closed:
+                    return
+                self._has_news = False
+            wait_s = self._send_one()
+            with self._changed:
+                if not self._has_news or wait_s == HELD_S:
+                    self._changed.wait(wait_s)
+
+    def _send_one(self) -> float:
+        """Send at most one message; seconds until the next may go."""
+        info = self._session.info
+        grounds = len(info.transports())
+        if self._backlog.unacknowledged(link.dst for link in info.links()) > self._most_backlog:
+            return HELD_S
+        now_s = time.monotonic()
+        with self._changed:
+            budget = self._budget
+            budget.connected(grounds, now_s)
+            self._forget_old_queries(now_s)
+            offer = self._selection.next(now_s)
+            query = self._queries[0] if self._queries else None
+            status = self._status if self._status_waits else None
+            budget.waits(Kind.SET, len(offer.item) if offer is not None else None, now_s)
+            budget.waits(Kind.STATUS, len(status) if status is not None else None, now_s)
+            budget.waits(Kind.REPLY, len(query.answer) if query is not None else None, now_s)
+            if status is not None and budget.send(Kind.STATUS, len(status), now_s):
+                self._status_waits = False
+                query = offer = None
+            elif query is not None and budget.send(Kind.REPLY, len(query.answer), now_s):
+                self._queries.popleft()
+                status = offer = None
+            elif offer is not None and budget.send(Kind.SET, len(offer.item), now_s):
+                self._selection.sent(offer, now_s)
+                status = query = None
+            else:
+                return self._wait_s(now_s, status, query, offer)
+        try:
+            if status is not None:
+                self._status_publisher.put(status)
+            elif query is not None:
+                _reply(query)
+            elif offer is not None:
+                self._publisher.put(offer.item)
+                self.sent += 1
+        except zenoh.ZError as error:  # a link that breaks while it is used mends itself; the next message will do
+            log.warning("link: %s", str(error).split(" at ", maxsplit=1)[0])
+        return 0.0
+
+    def _wait_s(self, now_s: float, status: bytes | None, query: _Waiting | None, offer: Offer[bytes] | None) -> float:
+        waits = [self._selection.wait_s(now_s) or IDLE_S, IDLE_S]
+        for kind, size in (
+            (Kind.STATUS, None if status is None else len(status)),
+            (Kind.REPLY, None if query is None else len(query.answer)),
+            (Kind.SET, None if offer is None else len(offer.item)),
+        ):
+            if size is not None:
+                waits.append(self._budget.wait_s(kind, size, now_s))
+        return max(min(waits), 0.001)
+
+    def _forget_old_queries(self, now_s: float) -> None:
+        while self._queries and now_s - self._queries[0].since_s > QUERY_PATIENCE_S:
+            self._queries.popleft().query.drop()  # type: ignore[no-untyped-call]
+
+    def _asked(self, query: zenoh.Query) -> None:
+        """A set, or a Status and whose it is. A queryable that raised would look like an absent one."""
+        found = self._find(query.parameters.get(FRAME_PARAMETER), query.parameters.get(TIME_PARAMETER))
+        if isinstance(found, Status):
+            self._wait_to_answer(query, self._key, self._refusal(found), is_error=True)
+        else:
+            self._wait_to_answer(query, self._key, found)
+
+    def _asked_for_status(self, query: zenoh.Query) -> None:
+        with self._changed:
+            answer = self._status_detail if DETAIL_PARAMETER in query.parameters else self._status
+        if answer:
+            self._wait_to_answer(query, self._status_key, answer)
+        else:
+            self._wait_to_answer(query, self._status_key, self._refusal(Status.STARTING), is_error=True)
+
+    def _refusal(self, status: Status) -> bytes:
+        return json.dumps({"status": status.value, "vehicle": self._vehicle}).encode()
+
+    def _wait_to_answer(self, query: zenoh.Query, key: str, answer: bytes, is_error: bool = False) -> None:
+        with self._changed:
+            if len(self._queries) < MAX_WAITING_QUERIES and not self._is_closed:
+                self._queries.append(_Waiting(query, key, answer, is_error, time.monotonic()))
+                self._wake()
+                return
+        query.drop()  # type: ignore[no-untyped-call]
+
+    def _find(self, frame: str | None, time_: str | None) -> bytes | Status:
+        with self._changed:
+            if frame is not None:
+                is_number = frame.isascii() and frame.isdecimal() and len(frame) <= 10
+                payload = self._history.frame(int(frame)) if is_number else None
+            elif time_ is not None:
+                try:
+                    unix_s = float(time_)
+                except ValueError:
+                    unix_s = math.nan
+                payload = self._history.nearest(unix_s) if math.isfinite(unix_s) else None
+            else:
+                return self._history.newest() or Status.STARTING
+        return payload or Status.UNKNOWN_FRAME
+
+
+def _reply(waiting: _Waiting) -> None:
+    with waiting.query as query:
+        if waiting.is_error:
+            query.reply_err(waiting.answer)
+        else:
+            query.reply(waiting.key, waiting.answer)
+
+
+def _open_failure(listen: Sequence[str], connect: Sequence[str], error: zenoh.ZError) -> str:
+    """The endpoint at fault first, zenoh's long message shortened to its first clause."""
+    text = str(error)
+    named = [e for e in (*listen, *connect) if e in text or e.split("/")[-1] in text] or [*listen, *connect]
+    if "in use" in text:
+        return f"cannot listen on {', '.join(named)}: the port is already in use"
+    return f"cannot open the link at {', '.join(named)}: {text.split(' at ', maxsplit=1)[0]}"

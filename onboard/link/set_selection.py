@@ -1,0 +1,153 @@
+"""Which set goes out next, when not all can. Pure logic, time is passed in."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+T = TypeVar("T", bound=Hashable)
+
+REPEAT_S = 2.0
+FRESH_S = 1.0
+ANSWER_LEAD_NS = 1_000_000_000
+MEMORY_NS = 15_000_000_000
+MAX_REVISED = 512
+
+
+@dataclass(frozen=True)
+class Offer(Generic[T]):
+    """A set that could be sent, by what makes it worth sending. `item` is whatever the sender needs."""
+
+    session: int
+    frame: int
+    revision: int
+    capture_unix_ns: int
+    is_ok: bool
+    is_keyframe: bool
+    item: T
+
+
+class Selection(Generic[T]):
+    """Which set goes next. The newest that answers first; between two of those, the best revision of an older picture.
+
+    Revisions go keyframes first, then where on the time line least has been sent, so that what the ground holds is
+    spread evenly. What is not chosen is not lost: it answers queries from the history.
+    """
+
+    def __init__(self, repeat_s: float = REPEAT_S) -> None:
+        self._repeat_s = repeat_s
+        self._session: int | None = None
+        self._begin()
+
+    def _begin(self) -> None:
+        self._answer: Offer[T] | None = None  # the newest that answers, unsent
+        self._refusal: Offer[T] | None = None  # the newest that does not, unsent
+        self._revised: dict[int, Offer[T]] = {}  # of older pictures, by frame, unsent
+        self._revised_ns: list[int] = []  # captures of the revisions that were sent
+        self._repeated: Offer[T] | None = None  # the newest of all
+        self._newest_ns = 0
+        self._sent_ns = self._sent_answer_ns = 0  # newest capture sent, and of those that answer
+        self._fresh_at_s: float | None = None
+        self._turn_of_revised = False
+
+    @property
+    def waiting(self) -> bool:
+        """Whether there is a set that was never sent."""
+        return self._answer is not None or self._refusal is not None or bool(self._revised)
+
+    def offer(self, offered: Offer[T]) -> None:
+        """Take a set; one of a new session puts all others away."""
+        o = offered
+        if o.session != self._session:
+            self._session = o.session
+            self._begin()
+        self._newest_ns = max(self._newest_ns, o.capture_unix_ns)
+        if self._repeated is None or _precedes(self._repeated, o):
+            self._repeated = o
+        if not o.is_ok:
+            newest_ns = self._sent_ns if self._refusal is None else max(self._sent_ns, self._refusal.capture_unix_ns)
+            if o.capture_unix_ns >= newest_ns and not (o.revision and o.capture_unix_ns == self._sent_ns):
+                self._refusal = o
+        elif self._is_fresh(o):
+            displaced, self._answer = self._answer, o
+            if displaced is not None and displaced.frame != o.frame and displaced.revision:
+                self._revised[displaced.frame] = displaced
+        elif o.revision:
+            known = self._revised.get(o.frame)
+            if known is None or known.revision <= o.revision:
+                self._revised[o.frame] = o
+        self._forget()
+
+    def next(self, now_s: float) -> Offer[T] | None:
+        """What should go out now; the same again until `sent`. None: nothing is worth sending yet."""
+        fresh = self._fresh()
+        is_fresh_enough = self._fresh_at_s is not None and now_s - self._fresh_at_s < FRESH_S
+        if self._revised and (fresh is None or (self._turn_of_revised and is_fresh_enough)):
+            return self._best_revised()
+        if fresh is not None:
+            return fresh
+        wait_s = self.wait_s(now_s)
+        return self._repeated if wait_s is not None and wait_s <= 0.0 else None
+
+    def wait_s(self, now_s: float) -> float | None:
+        """Seconds until the newest is due to be said again; None: there is none, or others are waiting."""
+        if self.waiting or self._repeated is None or self._fresh_at_s is None:
+            return None
+        return max(self._fresh_at_s + self._repeat_s - now_s, 0.0)
+
+    def sent(self, offered: Offer[T], now_s: float) -> None:
+        """It went out."""
+        o = offered
+        self._turn_of_revised = o.capture_unix_ns >= self._sent_ns
+        if self._turn_of_revised or o is self._repeated:
+            self._fresh_at_s = now_s
+        self._sent_ns = max(self._sent_ns, o.capture_unix_ns)
+        if o.is_ok:
+            self._sent_answer_ns = max(self._sent_answer_ns, o.capture_unix_ns)
+            if o.revision:
+                self._revised_ns.append(o.capture_unix_ns)
+            held = self._revised.get(o.frame)
+            if held is not None and held.revision <= o.revision:
+                del self._revised[o.frame]
+        if self._answer is o:
+            self._answer = None
+        if self._refusal is not None and self._refusal.capture_unix_ns <= self._sent_ns:
+            self._refusal = None
+
+    def _is_fresh(self, o: Offer[T]) -> bool:
+        if o.capture_unix_ns < self._sent_answer_ns:
+            return False
+        held = self._answer
+        return held is None or (held.capture_unix_ns, held.revision) <= (o.capture_unix_ns, o.revision)
+
+    def _fresh(self) -> Offer[T] | None:
+        answer, refusal = self._answer, self._refusal
+        if answer is None or refusal is None:
+            return answer or refusal
+        return refusal if refusal.capture_unix_ns - answer.capture_unix_ns > ANSWER_LEAD_NS else answer
+
+    def _best_revised(self) -> Offer[T]:
+        def worth(o: Offer[T]) -> tuple[bool, int, int]:
+            gap = min((abs(o.capture_unix_ns - at) for at in self._revised_ns), default=MEMORY_NS)
+            return o.is_keyframe, gap, o.capture_unix_ns
+
+        return max(self._revised.values(), key=worth)
+
+    def _forget(self) -> None:
+        oldest = self._newest_ns - MEMORY_NS
+        old = [frame for frame, o in self._revised.items() if o.capture_unix_ns < oldest]
+        surplus = len(self._revised) - len(old) - MAX_REVISED
+        for frame in old:
+            del self._revised[frame]
+        for frame in sorted(self._revised)[: max(surplus, 0)]:
+            del self._revised[frame]
+        self._revised_ns = [at for at in self._revised_ns if at >= oldest]
+
+
+def _precedes(held: Offer[T], new: Offer[T]) -> bool:
+    """Whether `new` is what a ground that heard nothing should hear first: answers before refusals, then the newest."""
+    if held.is_ok != new.is_ok:
+        lead = new.capture_unix_ns - held.capture_unix_ns
+        return lead > -ANSWER_LEAD_NS if new.is_ok else lead > ANSWER_LEAD_NS
+    return (held.capture_unix_ns, held.revision) <= (new.capture_unix_ns, new.revision)

@@ -1,0 +1,7 @@
+"""Position, velocity and attitude at an exposure, or the reason why there is none.
+
+Public:
+
+- `gimbal`: `MountHypothesis`
+- `navigator`: `NavState`, `Navigation`
+"""

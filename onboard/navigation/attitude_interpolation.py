@@ -1,0 +1,96 @@
+"""Attitudes by time -> attitude and angular rate at any moment, or the reason why there is none.
+
+They are joined by cubic pieces of rotation with the measured rates at both ends, else by rotation at constant rate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.feature_set import Status
+from contract.rotations import exp_so3, log_so3, right_jacobian_inverse
+from onboard.navigation.time_series import Series
+
+Array = NDArray[np.float64]
+
+RATE_WINDOW_NS = 60_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class _Attitude:
+    R_ned_body: Array
+    rate_body_rad_s: Array | None
+
+
+class Attitudes:
+    """Fed in any order; gaps longer than `max_gap_s` are not bridged."""
+
+    def __init__(self, max_gap_s: float) -> None:
+        self._max_gap_s = max_gap_s
+        self._series: Series[_Attitude] = Series()
+
+    def insert(self, stamp_ns: int, R_ned_body: Array, rate_body_rad_s: Array | None) -> None:
+        """Take one attitude (3, 3) and its rate (3,), rad/s, in body axes, if known."""
+        self._series.insert(stamp_ns, _Attitude(R_ned_body, rate_body_rad_s))
+
+    @property
+    def stamps_ns(self) -> list[int]:
+        """When attitudes are held, sorted."""
+        return self._series.stamps_ns
+
+    def forget(self) -> None:
+        """The clock has stepped: nothing held can be compared any more."""
+        self._series = Series()
+
+    def at(self, moment_ns: int) -> Array | Status:
+        """R_ned_body (3, 3); STARTING before the first attitude, UNSYNCHRONISED in a gap or past the end."""
+        series = self._series
+        bracket = series.joined(moment_ns, self._max_gap_s)
+        if isinstance(bracket, Status):
+            return bracket
+        left, right = bracket
+        start_ns, end_ns = series.stamps_ns[left], series.stamps_ns[right]
+        before, after = series.values[left], series.values[right]
+        if left == right:
+            rate = self.rate_at(start_ns)
+            turned = np.zeros(3) if rate is None else rate * ((moment_ns - start_ns) / 1e9)
+            out: Array = before.R_ned_body @ exp_so3(turned)
+            return out
+        seconds = (end_ns - start_ns) / 1e9
+        s = (moment_ns - start_ns) / 1e9 / seconds
+        whole = log_so3(before.R_ned_body.T @ after.R_ned_body)
+        if before.rate_body_rad_s is None or after.rate_body_rad_s is None:
+            turned = s * whole
+        else:
+            # d exp(v)/dt = exp(v) [rate]x gives dv/dt = Jr^-1(v) rate: (1.5).
+            rate_end = right_jacobian_inverse(whole) @ after.rate_body_rad_s
+            turned = s * s * (3 - 2 * s) * whole
+            turned += seconds * s * (1 - s) * ((1 - s) * before.rate_body_rad_s - s * rate_end)
+        out = before.R_ned_body @ exp_so3(turned)
+        return out
+
+    def rate_at(self, stamp_ns: int) -> Array | None:
+        """Angular rate (3,), rad/s, body axes: measured, else from attitudes 60 ms apart; None if unknown."""
+        series = self._series
+        bracket = series.bracket(stamp_ns)
+        if bracket is None:
+            return None
+        left, right = bracket
+        a, b = series.values[left].rate_body_rad_s, series.values[right].rate_body_rad_s
+        measured = a is not None and b is not None
+        while not measured and series.stamps_ns[right] - series.stamps_ns[left] < RATE_WINDOW_NS:
+            grown = max(left - 1, 0), min(right + 1, len(series.stamps_ns) - 1)
+            if grown == (left, right):
+                return None
+            left, right = grown
+        seconds = (series.stamps_ns[right] - series.stamps_ns[left]) / 1e9
+        if seconds > self._max_gap_s:
+            return None
+        if a is not None and b is not None:
+            share = (stamp_ns - series.stamps_ns[left]) / 1e9 / seconds if seconds else 0.0
+            return a + share * (b - a)
+        rate: Array = log_so3(series.values[left].R_ned_body.T @ series.values[right].R_ned_body) / seconds
+        return rate

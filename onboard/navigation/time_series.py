@@ -1,0 +1,62 @@
+"""Values by time: what telemetry has said in the last two minutes, sorted."""
+
+from __future__ import annotations
+
+import bisect
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
+
+from contract.feature_set import Status
+
+MEMORY_NS = 120_000_000_000
+MAX_EXTRAPOLATION_NS = 300_000_000
+
+T = TypeVar("T")
+
+
+@dataclass
+class Series(Generic[T]):
+    """Values by time, sorted, of the last two minutes."""
+
+    stamps_ns: list[int] = field(default_factory=list)
+    values: list[T] = field(default_factory=list)
+
+    def insert(self, stamp_ns: int, value: T) -> int | None:
+        """Insert and return its index; None for a stamp that is here already or too old to keep."""
+        if self.stamps_ns and stamp_ns < self.stamps_ns[-1] - MEMORY_NS:
+            return None
+        index = bisect.bisect_left(self.stamps_ns, stamp_ns)
+        if index < len(self.stamps_ns) and self.stamps_ns[index] == stamp_ns:
+            return None
+        self.stamps_ns.insert(index, stamp_ns)
+        self.values.insert(index, value)
+        if self.stamps_ns[-1] - self.stamps_ns[0] > 2 * MEMORY_NS:
+            old = bisect.bisect_left(self.stamps_ns, self.stamps_ns[-1] - MEMORY_NS)
+            del self.stamps_ns[:old], self.values[:old]
+            index -= old
+        return index
+
+    def bracket(self, stamp_ns: int) -> tuple[int, int] | None:
+        """Indices of the neighbours of a stamp; both the same at an end that is near enough to extrapolate from."""
+        if not self.stamps_ns:
+            return None
+        right = bisect.bisect_left(self.stamps_ns, stamp_ns)
+        if right == 0:
+            return (0, 0) if self.stamps_ns[0] - stamp_ns <= MAX_EXTRAPOLATION_NS else None
+        if right == len(self.stamps_ns):
+            return (right - 1, right - 1) if stamp_ns - self.stamps_ns[-1] <= MAX_EXTRAPOLATION_NS else None
+        return right - 1, right
+
+    def joined(self, stamp_ns: int, max_gap_s: float) -> tuple[int, int] | Status:
+        """`bracket`, or the reason: STARTING before the first, UNSYNCHRONISED past the end or in a longer gap."""
+        bracket = self.bracket(stamp_ns)
+        if bracket is None:
+            return Status.STARTING if stamp_ns < self.stamps_ns[0] else Status.UNSYNCHRONISED
+        left, right = bracket
+        too_long = (self.stamps_ns[right] - self.stamps_ns[left]) / 1e9 > max_gap_s
+        return Status.UNSYNCHRONISED if too_long else bracket
+
+    def last_until(self, stamp_ns: int) -> int | None:
+        """Index of the newest value not after a stamp."""
+        index = bisect.bisect_right(self.stamps_ns, stamp_ns) - 1
+        return None if index < 0 else index

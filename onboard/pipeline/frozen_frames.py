@@ -1,0 +1,75 @@
+"""A camera that gives an old picture as new, though the aircraft has moved.
+
+The same to the last bit: no sensor gives the same noise twice. Or encoded anew, so that bits differ: then nothing in it
+has moved where telemetry foretells that all must have. Believed, such a picture places the camera where it was when it
+was taken.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.geometry.plane_homography import move
+from onboard.navigation.navigator import NavState
+from onboard.vision.klt_tracker import PREDICTED_PX, PREDICTED_SHARE, Tracks
+
+Array = NDArray[np.float64]
+
+MOVED_M = 0.5
+TURNED_RAD = 0.01
+STILL_PX = 0.5  # median motion at 640 px width that two encodings of one picture may show
+FORETOLD_SIGMAS = 2.0  # of telemetry's own doubt that the motion foretold must exceed
+PATIENCE_NS = 5_000_000_000  # after which telemetry's drift may be what it foretells
+
+
+class Staleness:
+    """Remembers the newest picture that was not a repetition, and where the vehicle then was."""
+
+    def __init__(self) -> None:
+        self._image: NDArray[np.uint8] | None = None
+        self._nav: NavState | None = None
+
+    def is_stale(self, image: NDArray[np.uint8], nav: NavState) -> bool:
+        """Whether a picture (H, W) is an old one, seen from elsewhere."""
+        before = self._nav
+        if before is None or self._image is None or not np.array_equal(image, self._image) or not np.ptp(image):
+            # A picture of one single grey (black, white, a lens cap) is old or new alike: it has nothing to follow.
+            self._image, self._nav = image, nav
+            return False
+        moved_m = float(np.linalg.norm(nav.position_enu_m - before.position_enu_m))
+        if nav.R_enu_body is None or before.R_enu_body is None:
+            return moved_m > MOVED_M
+        # The chord between two rotations is sqrt(2) times as long as their angle, for small angles.
+        turned_rad = float(np.linalg.norm(nav.R_enu_body - before.R_enu_body) / np.sqrt(2.0))
+        return moved_m > MOVED_M or turned_rad > TURNED_RAD
+
+
+class Stillness:
+    """Remembers where features were seen when they last moved, and what telemetry has foretold since."""
+
+    def __init__(self, width_px: int) -> None:
+        self._px = width_px / 640.0
+        self.begin(np.zeros(0, np.int64), np.zeros((0, 2)), 0)
+
+    def begin(self, ids: NDArray[np.int64], uv_px: Array, stamp_ns: int) -> None:
+        """A new keyframe: its features (N,) at their pixels (N, 2)."""
+        self._ids, self._uv, self._predicted, self._stamp_ns = ids, uv_px, np.eye(3), stamp_ns
+
+    def is_old(self, tracks: Tracks, predicted: Array, stamp_ns: int) -> bool:
+        """Whether `tracks` stand still though `predicted` (3, 3), from the keyframe, says they cannot."""
+        _, here, there = np.intersect1d(tracks.ids, self._ids, assume_unique=True, return_indices=True)
+        at, to = tracks.keyframe_uv_px[here], tracks.uv_px[here]
+        if not len(here) or _median(to - self._uv[there]) > STILL_PX * self._px:
+            self._ids, self._uv, self._predicted, self._stamp_ns = tracks.ids, tracks.uv_px, predicted, stamp_ns
+            return False
+        foretold_px = _median(move(predicted, at) - move(self._predicted, at))
+        if foretold_px > FORETOLD_SIGMAS * (PREDICTED_SHARE * foretold_px + PREDICTED_PX * self._px):
+            return True
+        if stamp_ns - self._stamp_ns > PATIENCE_NS:
+            self._predicted, self._stamp_ns = predicted, stamp_ns
+        return False
+
+
+def _median(step_px: Array) -> float:
+    return float(np.median(np.linalg.norm(step_px, axis=1)))

@@ -1,0 +1,41 @@
+"""Keyframe -> next picture by telemetry alone: where the window and the autopilot say that features will be."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.estimation.sliding_window import Window
+from onboard.geometry.plane_homography import Pose, predict_homography
+from onboard.navigation.navigator import NavState
+
+Array = NDArray[np.float64]
+
+MIN_HEIGHT_M = 2.0
+
+
+def ground_so_far(window: Window, nav: NavState) -> Array | None:
+    """Height (m) at the ENU origin and slopes of the ground plane: solved, else level at home; None if unknown."""
+    if window.solved is not None:
+        return window.solved.plane
+    if nav.height_above_home_m is not None and nav.height_above_home_m > MIN_HEIGHT_M:
+        return np.array([nav.position_enu_m[2] - nav.height_above_home_m, 0.0, 0.0])
+    return None
+
+
+def predict_motion(window: Window, nav: NavState) -> Array | None:
+    """Pixel homography (3, 3) from the newest keyframe to `nav`'s picture; None without attitude or ground."""
+    plane = ground_so_far(window, nav)
+    if not window.keyframes or plane is None:
+        return None
+    last = window.keyframes[-1]
+    was, now = window.attitude_guess(last.nav), window.attitude_guess(nav)
+    if was is None or now is None:
+        return None
+    moved = nav.position_enu_m - last.nav.position_enu_m
+    return predict_homography(
+        window.camera,
+        Pose(last.R_cam_enu, last.centre_enu_m),
+        Pose(now @ was.T @ last.R_cam_enu, last.centre_enu_m + moved),
+        plane,
+    )

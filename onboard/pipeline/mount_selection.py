@@ -1,0 +1,76 @@
+"""What carries the camera: the fixed mount, or the gimbal, and how the gimbal means what it says. Pictures decide.
+
+An autopilot may report a gimbal that is not there, one that carries another camera, or joint angles against the body
+where the message's flags promise angles against the horizon (ArduPilot 4.7's servo gimbal does). A wrong guess turns
+the camera by tens of degrees. So each reading foretells, through the vehicle's own motion, where a keyframe's features
+come to lie in the next pictures, and the one that foretells them is believed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from contract.rotations import log_so3
+from onboard.geometry.plane_homography import Pose, predict_pixels
+from onboard.navigation.gimbal import MountHypothesis
+from onboard.navigation.navigator import NavState
+
+Array = NDArray[np.float64]
+
+SIGMA_RAD = 0.01  # of a foretold feature: attitude noise, a little delay
+SIGMA_SHARE = 0.15  # of how far it moved: height above ground
+MOST = 9.0  # that one picture may say for or against
+MEMORY = 0.97  # a picture: what the last thirty said
+LEAD = 20.0  # by which one reading must be ahead of all others
+ALIKE_RAD = 0.05  # readings this close need no decision
+MIN_SEEN = 0.5  # share of features that a right reading must have an answer for
+
+
+class MountSelection:
+    """Fed with every picture's tracks; knows which reading of mount and gimbal foretells them."""
+
+    def __init__(self, camera: Camera, R_body_cam: Array) -> None:
+        self._camera, self._R_body_cam = camera, R_body_cam
+        self._scores: dict[MountHypothesis, float] = {}
+        self.verdict: MountHypothesis | None = None
+
+    def is_open(self, nav: NavState) -> bool:
+        """Whether readings differ at this picture and none has been found right yet."""
+        return self.verdict is None and _differ(nav.mount_hypotheses)
+
+    def weigh(self, was: NavState, now: NavState, plane: Array, from_px: Array, to_px: Array) -> None:
+        """Take the tracks (N, 2) from keyframe `was` to picture `now`; `plane` (3,): ground height at the ENU origin
+        and its slopes. Does nothing where the readings are alike.
+        """
+        if not _differ(now.mount_hypotheses) or not len(from_px):
+            return
+        both = [c for c in now.mount_hypotheses if c in was.mount_hypotheses]
+        flow = float(np.median(np.linalg.norm(to_px - from_px, axis=1)))
+        sigma_px = SIGMA_RAD * self._camera.focal_px + SIGMA_SHARE * flow
+        for mount_hypothesis in both:
+            first, second = (
+                Pose((n.mount_hypotheses[mount_hypothesis] @ self._R_body_cam).T, n.position_enu_m) for n in (was, now)
+            )
+            predicted_px, known = predict_pixels(self._camera, from_px, first, second, plane)
+            chi = MOST
+            if np.count_nonzero(known) >= MIN_SEEN * len(from_px):
+                miss = float(np.median(np.linalg.norm(predicted_px[known] - to_px[known], axis=1)))
+                chi = min((miss / sigma_px) ** 2, MOST)
+            self._scores[mount_hypothesis] = MEMORY * self._scores.get(mount_hypothesis, 0.0) + chi
+        best = min(both, key=lambda c: self._scores[c])
+        others = [c for c in both if _unlike(now.mount_hypotheses[c], now.mount_hypotheses[best])]
+        if others and min(self._scores[c] for c in others) - self._scores[best] > LEAD:
+            self.verdict = best
+
+
+def _differ(mount_hypotheses: Mapping[MountHypothesis, Array]) -> bool:
+    attitudes = list(mount_hypotheses.values())
+    return any(_unlike(attitudes[0], other) for other in attitudes[1:])
+
+
+def _unlike(one: Array, other: Array) -> bool:
+    return float(np.linalg.norm(log_so3(one.T @ other))) > ALIKE_RAD

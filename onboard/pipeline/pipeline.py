@@ -1,0 +1,421 @@
+"""Events in, feature sets out. No socket, no thread, no clock of its own: live and replay run this same code.
+
+A picture waits until telemetry on both sides of its exposure has arrived, is tracked against the last keyframe,
+becomes a keyframe itself when enough has moved, and gets a feature set: at once if the window has structure for it,
+otherwise with the first solve that has; and once more, as a later revision, when the window has seen past it.
+
+A window solve never holds up tracking: a worker does it, and its outcome is adopted at a moment that the data define,
+so that the same events give the same sets however fast the worker is.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from contract.feature_set import FeatureSet, Status
+from contract.geodesy import LocalFrame
+from onboard.config.schema import Config
+from onboard.estimation.keyframe import Observation, observation
+from onboard.estimation.sliding_window import Window
+from onboard.estimation.solver_executor import Inline, Promise, Worker, timed_adjust
+from onboard.events.types import Event, Frame
+from onboard.geometry.plane_homography import move
+from onboard.geometry.terrain_grid import Terrain
+from onboard.georeferencing.feature_sets import Origin, georeference
+from onboard.georeferencing.known_ground import over_known_ground
+from onboard.navigation.navigator import Navigation, NavState
+from onboard.pipeline.frozen_frames import Staleness, Stillness
+from onboard.pipeline.motion_prediction import ground_so_far, predict_motion
+from onboard.pipeline.mount_selection import MountSelection
+from onboard.pipeline.statistics import RunStatistics, Summary
+from onboard.vision.klt_tracker import MIN_TRACKS, Tracker, Tracks
+
+Array = NDArray[np.float64]
+
+MAX_WAIT_NS = 1_500_000_000  # for telemetry to catch up with a picture
+MAX_FAILURES = 4  # window solves in a row without a result before a new start
+MAX_MISSES = 3  # pictures in a row that found too little before a new start
+KEYFRAME_SHIFT = 0.10  # median motion, as a share of the picture's width, that makes a keyframe
+KEYFRAME_TRACKS = 0.65  # share of features still followed below which a keyframe is made
+KEYFRAME_TURN_RAD = 0.30
+MAX_PREDICTION_MISS = 0.15  # rad: tracked motion this far from what telemetry says is a wrong lock
+TURNING_RAD_S = 0.35
+MIN_TRAVEL = 0.03  # of the height above ground: less than this is no parallax
+MIN_TRAVEL_HEIGHT_M = 20.0
+PATIENCE_NS = 3_000_000_000  # before standing still is called that
+TERRAIN_RADIUS_M = 3000.0
+TERRAIN_SPACING_M = 20.0
+PLACED_AN_EVENT = 2  # a solve releases as many pictures as lie between two keyframes: all at once would hold up
+ADOPTION_NS = 250_000_000  # of data after a keyframe is taken up, until which its solve need not be done
+MAX_OUTAGE_NS = 3_000_000_000  # without navigation, after which old keyframes are of no use
+
+
+class TerrainSource(Protocol):
+    """Where elevation comes from."""
+
+    def around(
+        self, frame: LocalFrame, centre_enu_m: Array, radius_m: float, spacing_m: float, undulation_m: float
+    ) -> Terrain | None:
+        """Terrain within a square about a place of a local frame; None where there is none."""
+
+
+@dataclass(eq=False)
+class _Record:
+    """A picture that the window can still place, or place better."""
+
+    frame: Frame
+    seen: Observation
+    nav: NavState
+    is_keyframe: bool
+    status: Status = Status.STARTING
+    revision: int = -1
+    is_settled: bool = False
+    R_cam_enu: Array | None = None  # of its last set: where the next revision starts
+
+
+@dataclass(frozen=True, eq=False)
+class _Pending:
+    """A window solve under way for a new keyframe; `reason`: why the pictures before it were given up, if they were."""
+
+    promise: Promise
+    record: _Record
+    reason: Status | None
+    due_ns: int
+
+
+class Pipeline:
+    """The whole of the aircraft's work on one flight."""
+
+    def __init__(
+        self,
+        config: Config,
+        camera: Camera,
+        terrain: TerrainSource | None = None,
+        worker: Worker | None = None,
+    ) -> None:
+        """`worker` solves the windows; by default this thread does, at once."""
+        self.terrain = terrain
+        self.worker: Worker = Inline() if worker is None else worker
+        self.config = config
+        self.camera = camera
+        self.navigation = Navigation(config)
+        self.tracker = Tracker(camera.size_px, config.tracking.features, config.tracking.min_distance_px)
+        self.window = Window(config, camera)
+        self.mount_selection = MountSelection(camera, self.window.R_body_cam)
+        self.tracks: Tracks | None = None  # of the newest picture, for whoever draws them
+        self._waiting: deque[Frame] = deque()
+        self._records: list[_Record] = []
+        self._settling: deque[_Record] = deque()
+        self._unplaced: deque[_Record] = deque()
+        self._pending: _Pending | None = None
+        self._now_ns = 0  # stamp of the newest event
+        self._session: int | None = None
+        self._staleness, self._stillness = Staleness(), Stillness(camera.width_px)
+        self._misses = self._failures = 0
+        self._unsolved = Status.STARTING  # why there is no solution yet: POOR_FIT once windows were refused for it
+        self._last_nav_ns: int | None = None
+        self._statistics = RunStatistics()
+
+    def handle(self, event: Event) -> list[FeatureSet]:
+        """Take one event; returns the feature sets that follow from it, maybe of earlier pictures, maybe none."""
+        self._now_ns = event.stamp_ns
+        if isinstance(event, Frame):
+            self._waiting.append(event)
+        else:
+            with self._statistics.timed("navigation"):
+                self.navigation.add(event)
+        out: list[FeatureSet] = []
+        if self._pending is not None and self._now_ns >= self._pending.due_ns:
+            out.extend(self._adopt())
+        while self._waiting:
+            frame = self._waiting[0]
+            # The moment that counts is the autopilot's: extrapolating to it would bend what is learned of the offset.
+            moment_ns = frame.stamp_ns + round(self.window.alignment.belief.mean[3] * 1e9)
+            if not self.navigation.covers(moment_ns) and self._now_ns - frame.stamp_ns < MAX_WAIT_NS:
+                break
+            out.extend(self._process(self._waiting.popleft()))
+        out.extend(self._catch_up())
+        return out
+
+    def finish(self) -> list[FeatureSet]:
+        """The end of the data: place what still waits, and settle what the window holds."""
+        out: list[FeatureSet] = []
+        while self._waiting:
+            out.extend(self._process(self._waiting.popleft()))
+        out.extend(self._adopt())
+        out.extend(self._settle_all())
+        self.window.conclude()
+        return out
+
+    @property
+    def summary(self) -> Summary:
+        """Counts so far; a picture counts by its latest revision."""
+        alignment = self.window.alignment
+        return self._statistics.summary(alignment.belief if alignment.updates else None)
+
+    def _process(self, frame: Frame) -> list[FeatureSet]:
+        if self._session is None:
+            self._session = (frame.stamp_ns // 1_000_000_000) & 0xFFFFFFFF
+        if frame.image is None:
+            return [self._refuse(frame, Status.BAD_PICTURE)]
+        out: list[FeatureSet] = []
+        mount_hypothesis = self.mount_selection.verdict
+        if mount_hypothesis is not None and mount_hypothesis is not self.navigation.mount_hypothesis:
+            out.extend(self._restart())
+            self.navigation.mount_hypothesis = mount_hypothesis
+        with self._statistics.timed("navigation"):
+            nav = self.navigation.state_at(frame.stamp_ns, self.window.alignment.belief.mean[3])
+        if isinstance(nav, Status) or self._staleness.is_stale(frame.image, nav):
+            return [*out, self._refuse(frame, nav if isinstance(nav, Status) else Status.BAD_PICTURE)]
+        if self._last_nav_ns is not None and frame.stamp_ns - self._last_nav_ns > MAX_OUTAGE_NS:
+            out.extend(self._restart())
+        self._last_nav_ns = frame.stamp_ns
+        self._know_terrain(nav)
+        with self._statistics.timed("tracking"):
+            tracks = self._track(frame, nav)
+        if isinstance(tracks, Status):
+            return [*out, self._refuse(frame, tracks)]
+        self.tracks = tracks
+        if tracks is None:
+            # The first picture of a stretch: nothing to track against yet.
+            return [*out, *self._make_keyframe(frame, nav, self.tracker.nothing())]
+        self._statistics.track_counts[len(tracks)] += 1
+        if len(tracks) < MIN_TRACKS:
+            self._misses += 1
+            reason = Status.TURNING if self._is_turning(frame) else Status.FEATURELESS
+            if self._misses >= MAX_MISSES:
+                out.extend(self._restart())
+                return [*out, *self._make_keyframe(frame, nav, self.tracker.nothing(), reason)]
+            return [*out, self._refuse(frame, reason)]
+        self._misses = 0
+        if self._wants_keyframe(tracks):
+            return [*out, *self._make_keyframe(frame, nav, tracks)]
+        record = _Record(frame, observation(self.camera, tracks.ids, tracks.uv_px), nav, False)
+        self._records.append(record)
+        return [*out, *self._place([record])]
+
+    def _know_terrain(self, nav: NavState) -> None:
+        """Keep the terrain around the aircraft at hand, cut anew when it nears the edge of what is held."""
+        frame, held = self.navigation.frame, self.window.terrain
+        if self.terrain is None or frame is None:
+            return
+        if held is None or not held.covers(nav.position_enu_m[:2], TERRAIN_RADIUS_M / 3.0):
+            with self._statistics.timed("terrain"):
+                self.window.terrain = self.terrain.around(
+                    frame, nav.position_enu_m, TERRAIN_RADIUS_M, TERRAIN_SPACING_M, nav.undulation_m
+                )
+
+    def _track(self, frame: Frame, nav: NavState) -> Tracks | Status | None:
+        """Features found again; None if there was nothing to look for, a status if the picture is not to be used."""
+        assert frame.image is not None
+        # While it is open what carries the camera, the pictures must be heard without its prejudice.
+        predicted = None if self.mount_selection.is_open(nav) else predict_motion(self.window, nav)
+        tracks = self.tracker.track(frame.image, predicted)
+        if not self.tracker.has_keyframe:
+            return None
+        if predicted is not None and len(tracks) and self._stillness.is_old(tracks, predicted, frame.stamp_ns):
+            return Status.BAD_PICTURE
+        plane = ground_so_far(self.window, nav)
+        if nav.mount_hypotheses and self.window.keyframes and plane is not None and len(tracks) >= MIN_TRACKS:
+            self.mount_selection.weigh(self.window.keyframes[-1].nav, nav, plane, tracks.keyframe_uv_px, tracks.uv_px)
+        if predicted is not None and len(tracks) >= MIN_TRACKS:
+            miss = np.median(np.linalg.norm(move(predicted, tracks.keyframe_uv_px) - tracks.uv_px, axis=1))
+            if miss > MAX_PREDICTION_MISS * self.camera.focal_px:
+                return self.tracker.nothing()
+        return tracks
+
+    def _is_turning(self, frame: Frame) -> bool:
+        rate = self.navigation.body_rate_at(frame.stamp_ns)
+        return rate is not None and float(np.linalg.norm(rate)) > TURNING_RAD_S
+
+    def _wants_keyframe(self, tracks: Tracks) -> bool:
+        shift = float(np.median(np.linalg.norm(tracks.uv_px - tracks.keyframe_uv_px, axis=1)))
+        linear = tracks.motion[:2, :2]
+        turn = abs(float(np.arctan2(linear[1, 0] - linear[0, 1], linear[0, 0] + linear[1, 1])))
+        return (
+            shift > KEYFRAME_SHIFT * self.camera.width_px
+            or len(tracks) < KEYFRAME_TRACKS * tracks.offered
+            or turn > KEYFRAME_TURN_RAD
+        )
+
+    def _make_keyframe(
+        self, frame: Frame, nav: NavState, tracks: Tracks, reason: Status | None = None
+    ) -> list[FeatureSet]:
+        out = self._adopt()
+        with self._statistics.timed("tracking"):
+            ids, uv = self.tracker.promote(tracks)
+        self._stillness.begin(ids, uv, frame.stamp_ns)
+        seen = observation(self.camera, ids, uv)
+        offset_s = self.window.alignment.belief.mean[3]
+        offset_ns = round(offset_s * 1e9)
+        flown = None
+        if self.window.keyframes:
+            since_ns = self.window.keyframes[-1].nav.stamp_ns
+            flown = self.navigation.displacement(since_ns + offset_ns, frame.stamp_ns + offset_ns)
+        rate = self.navigation.body_rate_at(frame.stamp_ns + offset_ns)
+        self.window.add(frame.index, seen, nav, offset_s, rate, flown, self.tracker.flow_disagreement_px)
+        self._statistics.keyframes += 1
+        record = _Record(frame, seen, nav, True)
+        self._records.append(record)
+        promise = self.worker.submit(timed_adjust, self.window.prepare())
+        self._pending = _Pending(promise, record, reason, self._now_ns + ADOPTION_NS)
+        if reason is None:
+            out.extend(self._place([record], only_ok=True))
+        return out
+
+    def _adopt(self) -> list[FeatureSet]:
+        """Take the outcome of the solve under way, if there is one: wait for it, should it not be done."""
+        pending, self._pending = self._pending, None
+        if pending is None:
+            return []
+        done, record = pending.promise.result(), pending.record
+        self._statistics.spend("solve", done.processor_s)
+        status = self.window.adopt(done.outcome)
+        self._failures = self._failures + 1 if status is Status.POOR_FIT else 0
+        if status in (Status.OK, Status.POOR_FIT):
+            self._unsolved = Status.POOR_FIT if self._failures else Status.STARTING
+        solved = self.window.solved
+        if status is not Status.OK or solved is None:
+            out: list[FeatureSet] = []
+            if self._failures >= MAX_FAILURES:
+                # What the window holds does not fit together: begin again with this keyframe alone.
+                later = [r for r in self._records if r.frame.index > record.frame.index]
+                self._records = [r for r in self._records if r.frame.index < record.frame.index]
+                out = self._settle_all()
+                self.window.begin_again()
+                self._failures = 0
+                self._records = [record, *later]
+            if record.status is Status.OK:
+                return out
+            reported = self._unsolved if status is Status.STARTING else status
+            return [*out, self._refuse_record(record, pending.reason or reported)]
+        self._statistics.reprojections_px.append(solved.reprojection_px)
+        out = self._place([record])
+        self._unplaced = deque(r for r in self._records if r.status is not Status.OK)
+        middle = len(solved.frames) - 1 - self.config.solve.keyframes // 2
+        if middle >= 0:
+            limit = solved.frames[middle]
+            queued = set(map(id, self._settling))
+            passed = [r for r in self._records if r.frame.index <= limit and not r.is_settled]
+            self._settling.extend(r for r in passed if id(r) not in queued)
+        self._records = [r for r in self._records if r.frame.index > solved.frames[0] or not r.is_settled]
+        return out
+
+    def _restart(self) -> list[FeatureSet]:
+        """Begin anew: what the window could place is settled first."""
+        out = [*self._adopt(), *self._settle_all()]
+        self.window.reset()
+        self.tracker.forget()
+        self._misses = 0
+        return out
+
+    def _catch_up(self) -> list[FeatureSet]:
+        """A few of the pictures that a solve allows to be placed, or placed for good: the newest that have no set."""
+        out: list[FeatureSet] = []
+        for _ in range(PLACED_AN_EVENT):
+            if self._unplaced:
+                record = self._unplaced.pop()
+                if record.status is not Status.OK:
+                    out.extend(self._place([record]))
+            elif self._settling:
+                out.extend(self._settle([self._settling.popleft()]))
+        return out
+
+    def _settle_all(self) -> list[FeatureSet]:
+        """The last revision of all that the window holds, which is then forgotten."""
+        out = self._settle(self._records)
+        self._records = []
+        self._settling.clear()
+        self._unplaced.clear()
+        return out
+
+    def _settle(self, records: list[_Record]) -> list[FeatureSet]:
+        """The last revision of pictures that the window has seen past."""
+        if self.window.solved is None:
+            return []
+        out = []
+        for record in records:
+            if not record.is_settled:
+                record.is_settled = True
+                result = self._place([record], only_ok=True)
+                out.extend(result)
+        return out
+
+    def _place(self, records: list[_Record], only_ok: bool = False) -> list[FeatureSet]:
+        """Feature sets of pictures by the newest solution; refusals too, unless `only_ok` or refused before."""
+        out = []
+        with self._statistics.timed("georeference"):
+            for record in records:
+                result = self._feature_set(record)
+                if isinstance(result, FeatureSet):
+                    out.append(result)
+                elif not only_ok and record.revision < 0:
+                    out.append(self._refuse_record(record, result))
+        return out
+
+    def _feature_set(self, record: _Record) -> FeatureSet | Status:
+        frame = self.navigation.frame
+        if frame is None or self._session is None:
+            return Status.STARTING
+        origin = Origin(
+            self.config.vehicle.id,
+            self._session,
+            record.frame.index,
+            record.frame.stamp_ns,
+            min(record.revision + 1, 255),
+            record.is_keyframe,
+        )
+        result = self._by_structure(record, origin, frame)
+        if isinstance(result, Status):
+            over = self._over_known_ground(record.nav, origin, frame)
+            result = result if over is None else over
+        if isinstance(result, FeatureSet):
+            record.status, record.revision = Status.OK, result.revision
+            self._statistics.note(record.frame.index, Status.OK)
+        return result
+
+    def _by_structure(self, record: _Record, origin: Origin, frame: LocalFrame) -> FeatureSet | Status:
+        """From the window's own points; the reason why not otherwise."""
+        solved = self.window.solved
+        if solved is None:
+            return self._why_unsolved(record.nav)
+        if record.R_cam_enu is not None:
+            R, centre = record.R_cam_enu, self.window.position_guess(record.nav)
+        else:
+            guess = self.window.pose_guess(record.seen, record.nav)
+            if guess is None:
+                return Status.STARTING
+            R, centre = guess
+        result = georeference(self.window, solved, record.seen, origin, frame, record.nav.undulation_m, centre, R)
+        if isinstance(result, FeatureSet):
+            record.R_cam_enu = result.R_enu_cam.T
+        return result
+
+    def _why_unsolved(self, nav: NavState) -> Status:
+        """Starting, or standing still: no parallax will ever come of that."""
+        first = self.window.keyframes[0].nav if self.window.keyframes else nav
+        height_m = max(nav.height_above_home_m or 0.0, MIN_TRAVEL_HEIGHT_M)
+        travelled_m = float(np.linalg.norm(nav.position_enu_m - first.position_enu_m))
+        still = nav.stamp_ns - first.stamp_ns > PATIENCE_NS and travelled_m < MIN_TRAVEL * height_m
+        return Status.LOW_PARALLAX if still else self._unsolved
+
+    def _over_known_ground(self, nav: NavState, origin: Origin, frame: LocalFrame) -> FeatureSet | None:
+        if self.mount_selection.is_open(nav):
+            return None  # nothing but the attitude says where the camera looks
+        return over_known_ground(self.config, self.camera, self.window, nav, origin, frame)
+
+    def _refuse_record(self, record: _Record, status: Status) -> FeatureSet:
+        record.status = status
+        record.revision += 1
+        return replace(self._refuse(record.frame, status), revision=record.revision, is_keyframe=record.is_keyframe)
+
+    def _refuse(self, frame: Frame, status: Status) -> FeatureSet:
+        self._statistics.note(frame.index, status)
+        assert self._session is not None
+        return FeatureSet(self.config.vehicle.id, self._session, frame.index, frame.stamp_ns, status, self.camera)

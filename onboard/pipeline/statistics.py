@@ -1,0 +1,88 @@
+"""What became of a flight's pictures, counted in bounded memory, and where the processor's time went."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from contract.feature_set import Status
+from onboard.estimation.boresight import Belief
+
+REMEMBERED_PICTURES = 5000  # whose status may still change: many times what a window spans
+
+
+@dataclass
+class Summary:
+    """What became of the pictures. `refused` counts reasons; `stage_seconds` is processor time by room."""
+
+    frames: int = 0
+    keyframes: int = 0
+    solved: int = 0
+    refused: dict[str, int] = field(default_factory=dict)
+    median_tracks: float = 0.0
+    reprojection_px: float = 0.0
+    alignment: Belief | None = None  # boresight and time offset as learned; None before the first lesson
+    stage_seconds: dict[str, float] = field(default_factory=dict)
+
+
+class RunStatistics:
+    """Counts."""
+
+    def __init__(self) -> None:
+        self.keyframes = 0
+        self.track_counts: Counter[int] = Counter()
+        self.reprojections_px: deque[float] = deque(maxlen=REMEMBERED_PICTURES)
+        self._status: dict[int, Status] = {}  # of the newest pictures, by index; all are counted in `_outcomes`
+        self._outcomes: Counter[Status] = Counter()
+        self._stages: dict[str, float] = {}
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Add what this thread does meanwhile to a stage."""
+        began = time.thread_time()
+        yield
+        self.spend(stage, time.thread_time() - began)
+
+    def spend(self, stage: str, seconds: float) -> None:
+        """Add processor time to a stage."""
+        self._stages[stage] = self._stages.get(stage, 0.0) + seconds
+
+    def note(self, index: int, status: Status) -> None:
+        """Count a picture by its latest status; an hour of pictures must not be remembered one by one."""
+        before = self._status.get(index)
+        if before is not None:
+            self._outcomes[before] -= 1
+        self._outcomes[status] += 1
+        self._status[index] = status
+        while len(self._status) > REMEMBERED_PICTURES:
+            del self._status[next(iter(self._status))]
+
+    def summary(self, alignment: Belief | None) -> Summary:
+        """Counts so far; a picture counts by its latest revision."""
+        refused = Counter({s.value: n for s, n in self._outcomes.items() if s is not Status.OK and n})
+        return Summary(
+            frames=self._outcomes.total(),
+            keyframes=self.keyframes,
+            solved=self._outcomes[Status.OK],
+            refused=dict(refused.most_common()),
+            median_tracks=_median(self.track_counts),
+            reprojection_px=float(np.median(self.reprojections_px)) if self.reprojections_px else 0.0,
+            alignment=alignment,
+            stage_seconds=dict(self._stages),
+        )
+
+
+def _median(counts: Counter[int]) -> float:
+    """Of numbers given by how often each occurs; 0 of none."""
+    values = np.array(sorted(counts), float)
+    if not len(values):
+        return 0.0
+    below = np.cumsum([counts[int(v)] for v in values])
+    middle = (below[-1] - 1) / 2.0
+    ends = np.searchsorted(below, [np.floor(middle), np.ceil(middle)], side="right")
+    return float(values[ends].mean())

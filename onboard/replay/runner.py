@@ -1,0 +1,181 @@
+"""`pc-onboard replay`: a recorded flight through the same pipeline as live. Plumbing only.
+
+Pictures and telemetry are merged by time (pictures by their stamp, telemetry by its arrival in the log), handed to the
+pipeline one by one, and what comes out goes to the sinks. Nothing here changes an event.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol, TextIO
+
+from tqdm import tqdm
+
+from contract.camera import Camera
+from contract.errors import InputError
+from contract.feature_set import FeatureSet
+from onboard.camera.picture_files import FrameSource, open_frames
+from onboard.config.schema import Config
+from onboard.events.sink import Sink
+from onboard.events.types import Event, Frame
+from onboard.telemetry.tlog_reader import TelemetryLog, read_tlog
+
+if TYPE_CHECKING:
+    from onboard.pipeline.pipeline import Pipeline
+    from onboard.pipeline.statistics import Summary
+
+# Telemetry this long before the first and after the last picture takes part: enough for a receiver's state to be known
+# and for the last exposure to be bracketed, whatever the length of the log.
+LEAD_NS = 30_000_000_000
+TAIL_NS = 5_000_000_000
+PACE_LEAD_NS = 1_000_000_000
+# Pictures may lie this far outside of the telemetry and still be interpolated or extrapolated.
+OVERLAP_SLACK_NS = 300_000_000
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A recorded flight, opened and checked: every error that can be known without decoding has been raised."""
+
+    frames: FrameSource
+    telemetry: TelemetryLog
+
+    @classmethod
+    def open(
+        cls, config: Config, camera: Camera, frames: Path | str, telemetry: Path | str, stamps: Path | str | None
+    ) -> Flight:
+        """Open both inputs; raises InputError, one line, if either is unusable or they do not overlap in time."""
+        source = open_frames(frames, camera, stamps, config.camera.latency_s)
+        log = read_tlog(telemetry, config.telemetry.clock)
+        first, last = source.stamps_ns[0], source.stamps_ns[-1]
+        begin, end = log.span_ns
+        if last < begin - OVERLAP_SLACK_NS or first > end + OVERLAP_SLACK_NS:
+            raise InputError(
+                f"pictures and telemetry do not overlap: pictures {_utc(first)} to {_utc(last)}, "
+                f"telemetry {_utc(begin)} to {_utc(end)}"
+            )
+        return cls(source, log)
+
+    @property
+    def stamps_ns(self) -> Sequence[int]:
+        """Of the pictures."""
+        return self.frames.stamps_ns
+
+    def events(self) -> Iterator[tuple[int, Event]]:
+        """Everything in the order in which it would have arrived, with that time (Unix ns)."""
+        stamps = self.frames.stamps_ns
+        log = zip(self.telemetry.arrival_ns, self.telemetry.events, strict=True)
+        near = ((t, e) for t, e in log if stamps[0] - LEAD_NS <= t <= stamps[-1] + TAIL_NS)
+        waiting = next(near, None)
+        for frame in self.frames.frames():
+            while waiting is not None and waiting[0] <= frame.stamp_ns:
+                yield waiting
+                waiting = next(near, None)
+            yield frame.stamp_ns, frame
+        while waiting is not None:
+            yield waiting
+            waiting = next(near, None)
+
+
+class Events(Protocol):
+    """A flight to replay: `Flight`, or `onboard.storage.mcap_reader.RecordedFlight`."""
+
+    @property
+    def stamps_ns(self) -> Sequence[int]:
+        """Of the pictures."""
+
+    def events(self) -> Iterator[tuple[int, Event]]:
+        """Everything in the order in which it arrived, with that time (Unix ns)."""
+
+
+class Pace:
+    """Waits so that events leave `speed` times as fast as they came; never when `speed` is None."""
+
+    def __init__(self, speed: float | None, start_ns: int, stop: threading.Event) -> None:
+        self._speed, self._start_ns, self._stop = speed, start_ns, stop
+        self._began = time.monotonic()
+
+    def wait_for(self, moment_ns: int) -> None:
+        """Sleep until `moment_ns` is due or `stop` is set; everything before the start is due at once."""
+        if self._speed is not None:
+            due = self._began + (moment_ns - self._start_ns) / 1e9 / self._speed
+            self._stop.wait(max(due - time.monotonic(), 0.0))
+
+
+def replay(
+    flight: Events,
+    pipeline: Pipeline,
+    sinks: Sequence[Sink] = (),
+    speed: float | None = None,
+    linger_s: float = 0.0,
+    progress: TextIO | None = None,
+    stop: threading.Event | None = None,
+) -> Summary:
+    """Drive the pipeline with a flight; returns its summary.
+
+    `speed` None is as fast as it goes; `progress` a terminal for a bar. Once `stop` is set no further event enters, but
+    what has begun is finished, so that a recording is whole. Raises InputError at a picture that cannot be decoded.
+    """
+    stop = stop or threading.Event()
+    with ExitStack() as stack:
+        bar = stack.enter_context(
+            tqdm(total=len(flight.stamps_ns), unit="frame", file=progress, disable=progress is None, leave=False)
+        )
+        for sink in sinks:
+            stack.enter_context(sink)
+        pace = Pace(speed, flight.stamps_ns[0] - PACE_LEAD_NS, stop)
+        for moment_ns, event in flight.events():
+            pace.wait_for(moment_ns)
+            if stop.is_set():
+                break
+            for sink in sinks:
+                sink.event(moment_ns, event)
+            _publish(pipeline.handle(event), sinks)
+            if isinstance(event, Frame):
+                bar.update()
+        _publish(pipeline.finish(), sinks)
+        if linger_s > 0:
+            stop.wait(linger_s)
+    return pipeline.summary
+
+
+def _publish(outputs: Iterable[FeatureSet], sinks: Sequence[Sink]) -> None:
+    for output in outputs:
+        for sink in sinks:
+            sink.feature_set(output)
+
+
+def summary_text(summary: Summary) -> str:
+    """The figures at the end of a replay, a few aligned lines."""
+    refused = ", ".join(f"{count} {why}" for why, count in sorted(summary.refused.items(), key=lambda kv: -kv[1]))
+    rows = [
+        ("frames", f"{summary.frames}"),
+        ("keyframes", f"{summary.keyframes}"),
+        ("solved", f"{summary.solved}"),
+        ("refused", f"{sum(summary.refused.values())}" + (f" ({refused})" if refused else "")),
+        ("median tracks", f"{summary.median_tracks:.0f}"),
+        ("reprojection", f"{summary.reprojection_px:.2f} px"),
+    ]
+    if summary.alignment is not None:
+        mean, sigma = summary.alignment.mean, summary.alignment.sigma
+        turns = [f"{math.degrees(m):+.2f} +-{math.degrees(s):.2f}" for m, s in zip(mean[:3], sigma[:3], strict=True)]
+        rows.append(("boresight", f"x {turns[0]}, y {turns[1]}, z {turns[2]} deg, camera axes"))
+        rows.append(("time offset", f"{mean[3]:+.3f} +-{sigma[3]:.3f} s, camera to autopilot"))
+    frames = max(summary.frames, 1)
+    rows += [
+        (f"time, {stage}", f"{seconds:.2f} s ({1000.0 * seconds / frames:.1f} ms a frame)")
+        for stage, seconds in summary.stage_seconds.items()
+    ]
+    width = max(len(name) for name, _ in rows)
+    return "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
+
+
+def _utc(stamp_ns: int) -> str:
+    return datetime.fromtimestamp(stamp_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")

@@ -1,0 +1,207 @@
+"""The daemon: begins a session, watches over it, ends it. Lifecycle, orders and words to the outside; no work itself.
+
+What the field does to a camera or a link is their own business. A thread that fails or hangs is not: the daemon ends,
+with the reason in the log and an exit code that is not zero, and the service manager starts it anew within a second.
+"""
+
+from __future__ import annotations
+
+import enum
+import logging
+import signal
+from collections.abc import Callable
+from types import TracebackType
+from typing import Protocol, Self
+
+from contract.errors import InputError, PointclickError
+from onboard.config.schema import Config
+from onboard.events.source import Severity
+from onboard.service.sd_notify import Notifier
+from onboard.service.session import Parts, Session
+from onboard.service.vehicle_state import Overall, Word, is_alive, overall, severity
+
+TICK_S = 0.25
+REPORT_NS = 1_000_000_000
+KEEP_NS = 30_000_000_000  # between writes of what was learned
+SAY_NS = 3_000_000_000  # the pilot's screen is small: a state must be new for so long since the last one said
+FINISH_S = 5.0
+HUNG_S = 30.0  # without a service manager's watchdog, the daemon ends itself
+
+log = logging.getLogger("pointclick")
+_LEVELS = {
+    Severity.ERROR: logging.ERROR,
+    Severity.WARNING: logging.WARNING,
+    Severity.NOTICE: logging.INFO,
+    Severity.INFO: logging.INFO,
+}
+
+
+class Order(enum.Enum):
+    """What the daemon can be told."""
+
+    STOP = enum.auto()
+    RELOAD = enum.auto()
+
+
+class Orders(Protocol):
+    """Where orders come from."""
+
+    def next(self, timeout_s: float) -> Order | None:
+        """Wait for an order; None if none came in time."""
+
+
+class SignalOrders:
+    """SIGTERM and SIGINT stop, SIGHUP reloads. Waited for, never handled in the middle of something.
+
+    Entered before any thread is started, so that all of them leave these signals alone.
+    """
+
+    _MEANING = {signal.SIGTERM: Order.STOP, signal.SIGINT: Order.STOP, signal.SIGHUP: Order.RELOAD}  # noqa: RUF012
+
+    def __enter__(self) -> Self:
+        self._before = signal.pthread_sigmask(signal.SIG_BLOCK, self._MEANING)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        signal.pthread_sigmask(signal.SIG_SETMASK, self._before)
+
+    def next(self, timeout_s: float) -> Order | None:
+        """Wait for one of them."""
+        came = signal.sigtimedwait(self._MEANING, timeout_s)
+        return None if came is None else self._MEANING[signal.Signals(came.si_signo)]
+
+
+class Daemon:
+    """`load` reads the configuration, `open_parts` opens what it names; both raise PointclickError."""
+
+    def __init__(
+        self,
+        load: Callable[[], Config],
+        open_parts: Callable[[Config], Parts],
+        orders: Orders,
+        notifier: Notifier,
+        tick_s: float = TICK_S,
+    ) -> None:
+        self._load, self._open_parts = load, open_parts
+        self._orders, self._notifier, self._tick_s = orders, notifier, tick_s
+        self._session: Session
+        self._config: Config
+        self._overall: Overall | None = None
+        self._said: Word | None = None
+        self._said_ns = self._reported_ns = self._kept_ns = 0
+
+    def run(self) -> int:
+        """Fly until told to stop; the exit code. Raises PointclickError if it cannot begin."""
+        self._begin(self._load())
+        self._notifier.ready()
+        while (order := self._orders.next(self._tick_s)) is not Order.STOP:
+            if order is Order.RELOAD:
+                self._reload()
+            if not self._is_well():
+                self._finish()
+                return 1
+            self._tick()
+        log.info("told to stop")
+        self._notifier.stopping()
+        return 0 if self._finish() else 1
+
+    def _begin(self, config: Config) -> None:
+        parts = self._open_parts(config)
+        session = Session(config, parts)
+        try:
+            session.start()
+        except PointclickError:
+            session.finish(FINISH_S)
+            raise
+        self._config, self._session = config, session
+        self._overall, self._said = None, None
+        now_ns = session.clock.now_ns()
+        self._reported_ns, self._kept_ns, self._said_ns = 0, now_ns, 0
+
+    def _is_well(self) -> bool:
+        """False, with the reason logged, if a thread has failed or hangs."""
+        failure = self._session.failure
+        if failure is not None:
+            name, error = failure
+            if isinstance(error, PointclickError):
+                log.error("the %s cannot go on: %s", name, error)
+            elif error is not None:
+                log.error("the %s failed", name, exc_info=error)
+            else:
+                log.error("the %s ended by itself", name)
+            return False
+        busy_s = self._session.inputs().busy_s
+        if busy_s > HUNG_S:
+            log.error("the pipeline has been at one event for %.0f s", busy_s)
+            return False
+        return True
+
+    def _tick(self) -> None:
+        session, now_ns = self._session, self._session.clock.now_ns()
+        inputs = session.inputs()
+        self._tell(overall(inputs), now_ns)
+        if is_alive(inputs):
+            self._notifier.feed_watchdog()
+        if now_ns - self._reported_ns >= REPORT_NS:
+            self._reported_ns = now_ns
+            status, detail = session.report()
+            for reporter in session.parts.reporters:
+                reporter(status, detail)
+        if now_ns - self._kept_ns >= KEEP_NS:
+            self._kept_ns = now_ns
+            self._keep_learned()
+
+    def _tell(self, state: Overall, now_ns: int) -> None:
+        """The log and the service manager hear of each change at once, the pilot no more often than can be read."""
+        if self._overall is None or state.word is not self._overall.word:
+            log.log(_LEVELS[severity(state.word)], "state: %s", state)
+        self._overall = state
+        self._notifier.status(str(state))
+        if state.word is not self._said and now_ns - self._said_ns >= SAY_NS:
+            self._session.parts.telemetry.say(severity(state.word), f"pointclick: {state.word.value}")
+            self._said, self._said_ns = state.word, now_ns
+
+    def _reload(self) -> None:
+        self._notifier.reloading()
+        try:
+            config = self._load()
+        except PointclickError as error:
+            log.error("not reloaded, the old configuration stays: %s", " ".join(str(error).split()))
+        else:
+            self._change(config)
+        self._notifier.ready()
+
+    def _change(self, config: Config) -> None:
+        """What can be changed in flight is; all else needs a new session, with a clock and a recording of its own."""
+        live = {"service": self._config.service.model_copy(update={"max_delay_s": config.service.max_delay_s})}
+        if config == self._config.model_copy(update=live):
+            self._session.intake.max_delay_s = config.service.max_delay_s
+            self._config = config
+            log.info("configuration reloaded; the session goes on")
+            return
+        log.info("configuration reloaded; a new session begins")
+        old = self._config
+        if not self._finish():
+            raise InputError("the old session did not end; a new one cannot begin beside it")
+        try:
+            self._begin(config)
+        except PointclickError as error:
+            log.error("the new configuration cannot be flown, back to the old: %s", " ".join(str(error).split()))
+            self._begin(old)
+
+    def _finish(self) -> bool:
+        """Whether the session ended cleanly and in time."""
+        try:
+            in_time = self._session.finish(FINISH_S)
+        except InputError as error:
+            log.error("%s", error)
+            return False
+        if not in_time:
+            log.error("a thread did not end within %.0f s; it is left behind", FINISH_S)
+        return in_time
+
+    def _keep_learned(self) -> None:
+        try:
+            self._session.keep_learned()
+        except InputError as error:
+            log.warning("%s", error)

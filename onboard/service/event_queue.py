@@ -1,0 +1,93 @@
+"""Between the sources and the pipeline: events in order of arrival. Telemetry is never dropped, pictures are.
+
+A computer that cannot keep up must show a picture of now, not of a minute ago: pictures that have waited too long, or
+that are too many, are dropped, oldest first, before anything has been recorded of them.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from onboard.events.types import Event, Frame
+
+MAX_PICTURES = 64  # grey 640x480: 20 MB
+
+
+@dataclass
+class _Entry:
+    put_ns: int
+    arrival_ns: int
+    event: Event | None  # None: a picture that has been dropped
+
+
+class EventQueue:
+    """Filled by the sources' threads, emptied by the pipeline's."""
+
+    def __init__(self, now_ns: Callable[[], int], max_delay_s: float, max_pictures: int = MAX_PICTURES) -> None:
+        self.max_delay_s = max_delay_s
+        self._now_ns, self._max_pictures = now_ns, max_pictures
+        self._entries: deque[_Entry] = deque()
+        self._pictures: deque[_Entry] = deque()  # those of the entries that hold one
+        self._changed = threading.Condition()
+        self._is_closed = False
+        self._dropped = 0
+        self._dropped_at_ns: int | None = None
+
+    def put(self, arrival_ns: int, event: Event) -> None:
+        """Take an event; after `close`, nothing."""
+        with self._changed:
+            if self._is_closed:
+                return
+            now_ns = self._now_ns()
+            entry = _Entry(now_ns, arrival_ns, event)
+            if isinstance(event, Frame):
+                self._shed(now_ns, self._max_pictures - 1)
+                self._pictures.append(entry)
+            self._entries.append(entry)
+            self._changed.notify()
+
+    def get(self, timeout_s: float) -> tuple[int, Event] | None:
+        """The next event and its arrival; None if none came in time, or none will."""
+        with self._changed:
+            while True:
+                self._shed(self._now_ns(), self._max_pictures)
+                while self._entries:
+                    entry = self._entries.popleft()
+                    if entry.event is not None:
+                        if self._pictures and self._pictures[0] is entry:
+                            self._pictures.popleft()
+                        return entry.arrival_ns, entry.event
+                if self._is_closed or not self._changed.wait(timeout_s):
+                    return None
+
+    def close(self) -> None:
+        """Nothing more comes; what waits can still be had."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify_all()
+
+    @property
+    def is_over(self) -> bool:
+        """Closed and emptied."""
+        with self._changed:
+            return self._is_closed and not self._entries
+
+    @property
+    def dropped(self) -> int:
+        """Pictures dropped so far."""
+        return self._dropped
+
+    def dropped_within(self, seconds: float) -> bool:
+        """Whether a picture was dropped in the last `seconds`."""
+        at_ns = self._dropped_at_ns
+        return at_ns is not None and self._now_ns() - at_ns < seconds * 1e9
+
+    def _shed(self, now_ns: int, keep: int) -> None:
+        oldest_ns = now_ns - round(self.max_delay_s * 1e9)
+        while self._pictures and (len(self._pictures) > keep or self._pictures[0].put_ns < oldest_ns):
+            self._pictures.popleft().event = None
+            self._dropped += 1
+            self._dropped_at_ns = now_ns

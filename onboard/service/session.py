@@ -1,0 +1,276 @@
+"""One configuration in the air: camera, telemetry and pipeline, each in its own thread, on one clock.
+
+Started, looked at, and finished by the daemon's thread. The pipeline's thread is all that ever touches the pipeline
+and the sinks' events and sets, in one order, so that a recording replays to the same bytes.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.errors import InputError
+from contract.vehicle_status import VehicleStatus
+from onboard.config.schema import Config
+from onboard.events.session_clock import SessionClock
+from onboard.events.sink import Sink
+from onboard.events.source import Source, SourceStatus, TelemetrySource
+from onboard.events.types import Event, Frame, GpsQuality
+from onboard.pipeline.pipeline import Pipeline
+from onboard.pipeline.statistics import Summary
+from onboard.service.event_queue import EventQueue
+from onboard.service.live_rates import LiveRates
+from onboard.service.vehicle_state import Inputs, overall
+from onboard.storage.alignment_file import StateFile
+
+IDLE_S = 0.2  # the pipeline's thread looks up this often when nothing comes
+SNAPSHOT_NS = 1_000_000_000
+
+Detail = dict[str, Any]
+Reporter = Callable[[VehicleStatus, Detail], None]
+
+
+class RecordingSink(Sink, Protocol):
+    """A sink that may be unable to go on, and says so instead of raising."""
+
+    @property
+    def fault(self) -> str:
+        """Why nothing is being recorded; empty while all is well."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """What a session is put together from. `resources` closes whatever had to be opened for it."""
+
+    clock: SessionClock
+    camera: Source
+    telemetry: TelemetrySource
+    pipeline: Pipeline
+    sinks: Sequence[Sink] = ()
+    recording: RecordingSink | None = None  # one of the sinks
+    reporters: Sequence[Reporter] = ()
+    state: StateFile | None = None
+    temperature_c: Callable[[], float | None] = field(default=lambda: None)
+    resources: ExitStack = field(default_factory=ExitStack)
+
+
+class _Worker(threading.Thread):
+    """A thread whose error is kept for the daemon to see. Not waited for by the interpreter: it may hang."""
+
+    def __init__(self, name: str, work: Callable[[], None]) -> None:
+        super().__init__(name=name, daemon=True)
+        self._work = work
+        self.error: BaseException | None = None
+
+    def run(self) -> None:
+        try:
+            self._work()
+        except BaseException as error:  # not swallowed: `Session.failure` hands it to the daemon, which ends with it
+            self.error = error
+
+
+class Session:
+    """Raises nothing of its threads' making: `failure` is to be asked."""
+
+    def __init__(self, config: Config, parts: Parts) -> None:
+        self.parts = parts
+        self.clock = parts.clock
+        self.intake = EventQueue(self.clock.now_ns, config.service.max_delay_s)
+        self.recent = LiveRates()
+        self._stop = threading.Event()
+        self._sources = [
+            _Worker("camera", lambda: parts.camera.run(self._take, self._stop)),
+            _Worker("telemetry", lambda: parts.telemetry.run(self._take, self._stop)),
+        ]
+        self._pipeline = _Worker("pipeline", self._run_pipeline)
+        self._began_ns = self.clock.now_ns()
+        self._busy_since_ns: int | None = None
+        self._snapshot_at_ns = self._looked_ns = 0
+        self._summary = Summary()
+        self._tracks = 0
+        self._gps: GpsQuality | None = None
+        self._picture: Detail | None = None
+        self._last_learned: str | None = None
+        self._learned: str | None = None  # not yet in the state file
+
+    def start(self) -> None:
+        """Enter the sinks and let everything run."""
+        for sink in self.parts.sinks:
+            self.parts.resources.enter_context(sink)
+        for worker in (self._pipeline, *self._sources):
+            worker.start()
+
+    @property
+    def failure(self) -> tuple[str, BaseException | None] | None:
+        """The thread that ended without having been told to, and its error if there was one."""
+        for worker in (self._pipeline, *self._sources):
+            if worker.error is not None:
+                return worker.name, worker.error
+            if not worker.is_alive() and not self._stop.is_set():
+                return worker.name, None
+        return None
+
+    def finish(self, within_s: float) -> bool:
+        """Stop the sources, let the pipeline come to its end, close everything; whether all that was done in time.
+
+        A thread that does not end is left behind with what it uses: the process has to end then.
+        """
+        deadline = time.monotonic() + within_s
+        self._stop.set()
+        for worker in self._sources:
+            worker.join(max(deadline - time.monotonic() - 0.5 * within_s, 0.0))
+        self.intake.close()
+        self._pipeline.join(max(deadline - time.monotonic(), 0.0))
+        if self._pipeline.is_alive():
+            return False
+        self.parts.resources.close()
+        self.keep_learned()
+        return not any(worker.is_alive() for worker in self._sources)
+
+    def keep_learned(self) -> None:
+        """Write what was learned since the last time. Raises InputError if it cannot be written."""
+        learned, self._learned = self._learned, None
+        if learned is not None and self.parts.state is not None:
+            self.parts.state.write(learned)
+
+    def inputs(self) -> Inputs:
+        """What `health` needs to know."""
+        now_ns, busy_since_ns = self.clock.now_ns(), self._busy_since_ns
+        return Inputs(
+            camera=self.parts.camera.health(),
+            telemetry=self.parts.telemetry.health(),
+            picture_age_s=self.recent.picture_age_s(now_ns),
+            busy_s=0.0 if busy_since_ns is None else (now_ns - busy_since_ns) / 1e9,
+            outcome=self.recent.outcome(now_ns),
+            is_shedding=self.intake.dropped_within(2.0),
+            recording_fault=self.parts.recording.fault if self.parts.recording is not None else "",
+        )
+
+    def report(self) -> tuple[VehicleStatus, Detail]:
+        """The status for the link, and all the rest."""
+        now_ns, inputs, recent = self.clock.now_ns(), self.inputs(), self.recent
+        state = overall(inputs)
+        status = VehicleStatus(
+            unix_s=now_ns / 1e9,
+            session=recent.session,
+            state=state.word.value,
+            reason=state.reason,
+            up_s=(now_ns - self._began_ns) / 1e9,
+            camera_hz=recent.camera_hz(now_ns),
+            ok_hz=recent.ok_hz(now_ns),
+            frame=recent.frame,
+            delay_s=recent.delay_s,
+            tracks=self._tracks,
+            dropped=self.intake.dropped,
+            lost=round(inputs.camera.figures.get("lost", 0.0)),
+            recording=self.parts.recording is not None and not inputs.recording_fault,
+            cpu_c=self.parts.temperature_c(),
+        )
+        return status, self._detail(status, inputs, now_ns)
+
+    def _detail(self, status: VehicleStatus, inputs: Inputs, now_ns: int) -> Detail:
+        gps, summary = self._gps, self._summary
+        detail: Detail = {
+            "status": asdict(status) | {"reason": overall(inputs).reason},
+            "camera": reported(inputs.camera),
+            "telemetry": reported(inputs.telemetry),
+            "picture": self._picture,
+            "gps": None if gps is None else asdict(gps) | {"age_s": (now_ns - gps.stamp_ns) / 1e9},
+            "pictures": {
+                "handled": summary.frames,
+                "keyframes": summary.keyframes,
+                "solved": summary.solved,
+                "refused": summary.refused,
+                "reprojection_px": summary.reprojection_px,
+            },
+            "learned": None,
+            "recording_fault": inputs.recording_fault,
+            "host_clock_step_s": self.clock.host_step_s(),
+        }
+        if summary.alignment is not None:
+            mean, sigma = summary.alignment.mean.tolist(), summary.alignment.sigma.tolist()
+            detail["learned"] = {
+                "boresight_rad": mean[:3],
+                "sigma_boresight_rad": sigma[:3],
+                "offset_s": mean[3],
+                "sigma_offset_s": sigma[3],
+            }
+        return detail
+
+    def _take(self, arrival_ns: int, event: Event) -> None:
+        if isinstance(event, Frame):
+            self.recent.picture_came(self.clock.now_ns())
+        self.intake.put(arrival_ns, event)
+
+    def _run_pipeline(self) -> None:
+        pipeline, sinks = self.parts.pipeline, self.parts.sinks
+        while not self.intake.is_over:
+            got = self.intake.get(IDLE_S)
+            self._busy_since_ns = None if got is None else self.clock.now_ns()
+            if got is not None:
+                arrival_ns, event = got
+                for sink in sinks:
+                    sink.event(arrival_ns, event)
+                self._hand_out(pipeline.handle(event))
+                if isinstance(event, GpsQuality):
+                    self._gps = event
+                self._busy_since_ns = None
+            self._take_snapshot(None if got is None else got[1])
+        self._busy_since_ns = self.clock.now_ns()
+        self._hand_out(pipeline.finish())
+        self._snapshot_at_ns = self._looked_ns = 0
+        self._take_snapshot(None)
+        self._busy_since_ns = None
+
+    def _hand_out(self, outputs: Sequence[Any]) -> None:
+        for output in outputs:
+            for sink in self.parts.sinks:
+                sink.feature_set(output)
+            self.recent.set_made(output, self.clock.now_ns())
+
+    def _take_snapshot(self, event: Event | None) -> None:
+        """Once a second, what other threads may see of the pipeline; and how bright its newest picture is."""
+        now_ns, pipeline = self.clock.now_ns(), self.parts.pipeline
+        if isinstance(event, Frame) and event.image is not None and now_ns - self._looked_ns >= SNAPSHOT_NS:
+            self._looked_ns, self._picture = now_ns, brightness(event.image)
+        if now_ns - self._snapshot_at_ns < SNAPSHOT_NS:
+            return
+        self._snapshot_at_ns = now_ns
+        self._summary = pipeline.summary
+        self._tracks = 0 if pipeline.tracks is None else len(pipeline.tracks)
+        alignment = pipeline.window.alignment
+        if alignment.updates:
+            learned = alignment.to_json()
+            if learned != self._last_learned:
+                self._last_learned = self._learned = learned
+
+
+def brightness(image: NDArray[np.uint8]) -> Detail:
+    """Mean grey (0 to 255) of a picture and the shares of it that are black and white, from every eighth pixel."""
+    sample = image[::8, ::8]
+    return {
+        "mean": float(sample.mean()),
+        "black": float((sample <= 2).mean()),
+        "white": float((sample >= 253).mean()),
+    }
+
+
+def reported(health: SourceStatus) -> Detail:
+    """A source's health as a report has it."""
+    return {"state": health.state.value, "detail": health.detail, "figures": dict(health.figures)}
+
+
+def restore(state: StateFile, pipeline: Pipeline) -> str:
+    """Begin from the state file; what is wrong with it if it cannot be used, and the flight begins without."""
+    try:
+        state.restore(pipeline.window.alignment)
+    except InputError as error:
+        return str(error)
+    return ""

@@ -1,0 +1,10 @@
+"""Recordings, kept estimates, elevation files.
+
+Public:
+
+- `alignment_file`: `StateFile`
+- `elevation_files`: `TerrainFiles`
+- `mcap_reader`: `RecordedFlight`
+- `mcap_writer`: `SessionRecorder`
+- `rotating_recorder`: `Recorded`, `software_version`
+"""

@@ -1,0 +1,53 @@
+"""What was learned of boresight and time offset, kept in a file between sessions."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from contract.errors import InputError
+from onboard.estimation.boresight import Alignment
+
+
+class StateFile:
+    """One file, written whole or not at all. Raises InputError, one line."""
+
+    def __init__(self, path: Path) -> None:
+        if not path.parent.is_dir():
+            raise InputError(f"state file {path}: no such folder as {path.parent}")
+        if path.is_dir():
+            raise InputError(f"state file {path}: is a folder; name a file")
+        self.path = path
+
+    def text(self) -> str:
+        """What it holds, for the recording; nothing on a first flight. Raises InputError."""
+        try:
+            return self.path.read_text(encoding="utf-8") if self.path.exists() else ""
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"state file {self.path}: {error}") from error
+
+    def restore(self, alignment: Alignment) -> None:
+        """Begin from the file; a missing one is a first flight."""
+        if not self.path.exists():
+            return
+        try:
+            alignment.restore(self.path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, InputError) as error:
+            raise InputError(f"state file {self.path}: {error}") from error
+
+    def keep(self, alignment: Alignment) -> None:
+        """Write what this flight taught, if it taught anything."""
+        if alignment.updates:
+            self.write(alignment.to_json())
+
+    def write(self, text: str) -> None:
+        """Replace the file's content, safe against a loss of power: the old text or the new, never a part."""
+        part = self.path.with_name(f".{self.path.name}.part")
+        try:
+            with part.open("w", encoding="utf-8") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+            part.replace(self.path)
+        except OSError as error:
+            raise InputError(f"state file {self.path}: {error.strerror}") from error

@@ -1,0 +1,106 @@
+"""Elevation files -> `Terrain` around a place: GeoTIFF and SRTM `.hgt` through rasterio (extra `terrain`).
+
+SRTM and most national models are above mean sea level (EGM96 or the like), as MAVLink's heights are. A model above the
+ellipsoid is brought down by the undulation the receiver reports.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.errors import ConfigError, InputError
+from contract.geodesy import LocalFrame
+from onboard.geometry.terrain_grid import Terrain
+
+Array = NDArray[np.float64]
+
+
+class TerrainFiles:
+    """One file or a folder of tiles, opened once; `around` cuts what is needed."""
+
+    def __init__(self, path: Path | str, datum: Literal["amsl", "ellipsoid"] = "amsl") -> None:
+        """Raises InputError naming the file that is missing or no elevation model, ConfigError without rasterio."""
+        try:
+            import rasterio  # noqa: PLC0415  (166 MB: only for those who fly with terrain)
+            from rasterio.warp import transform  # noqa: PLC0415
+        except ImportError as error:
+            raise ConfigError(
+                "terrain.path is set, but rasterio is not installed: pip install pointclick[terrain]"
+            ) from error
+        self._transform = transform
+        self.datum = datum
+        place = Path(path)
+        if place.is_dir():
+            names = sorted(p for p in place.iterdir() if p.suffix.lower() in {".hgt", ".tif", ".tiff"})
+        else:
+            names = [place]
+        if not names or not all(n.is_file() for n in names):
+            raise InputError(f"terrain {path}: no such file, or no .hgt or .tif in that folder")
+        self._tiles: list[Any] = []
+        for name in names:
+            try:
+                tile = rasterio.open(name)
+            except rasterio.errors.RasterioIOError as error:
+                raise InputError(f"terrain {name}: not a readable elevation model ({error})") from error
+            if tile.crs is None:
+                raise InputError(f"terrain {name}: has no coordinate reference system")
+            self._tiles.append(tile)
+
+    def around(
+        self, frame: LocalFrame, centre_enu_m: Array, radius_m: float, spacing_m: float, undulation_m: float
+    ) -> Terrain | None:
+        """The terrain within `radius_m` (a square) of a place in a local frame; None where no tile has data.
+
+        None too for an ellipsoidal model while the undulation is unknown (nan): its heights would mean nothing.
+        """
+        if self.datum == "ellipsoid" and math.isnan(undulation_m):
+            return None
+        n = 2 * math.ceil(radius_m / spacing_m) + 1
+        axis = (np.arange(n) - n // 2) * spacing_m
+        west, south = centre_enu_m[0] + axis[0], centre_enu_m[1] + axis[0]
+        east, north = np.meshgrid(centre_enu_m[0] + axis, centre_enu_m[1] + axis)
+        # The frame's own height: the grid follows the ellipsoid, its heights are set back into the plane of the frame.
+        level = np.stack([east, north, np.zeros_like(east)], axis=-1)
+        geodetic = frame.to_geodetic(level)
+        amsl = np.full(east.shape, np.nan)
+        for tile in self._tiles:
+            missing = np.isnan(amsl)
+            if missing.any():
+                amsl[missing] = self._sample(tile, geodetic[missing])
+        if np.isnan(amsl).all():
+            return None
+        if self.datum == "ellipsoid":
+            amsl -= undulation_m
+        # geodetic[..., 2] is the height of the frame's plane above the datum there; the difference is the ENU height.
+        return Terrain(float(west), float(south), spacing_m, amsl - geodetic[..., 2])
+
+    def _sample(self, tile: Any, geodetic: Array) -> Array:
+        """Bilinear heights (N,) of a tile at latitudes and longitudes (N, 3); nan outside of it."""
+        xs, ys = self._transform("EPSG:4326", tile.crs, geodetic[:, 1].tolist(), geodetic[:, 0].tolist())
+        to_pixel = ~tile.transform
+        x, y = np.asarray(xs), np.asarray(ys)
+        columns = to_pixel.a * x + to_pixel.b * y + to_pixel.c - 0.5  # counted from the centre of the first pixel
+        rows = to_pixel.d * x + to_pixel.e * y + to_pixel.f - 0.5
+        inside = (columns >= -0.5) & (rows >= -0.5) & (columns <= tile.width - 0.5) & (rows <= tile.height - 0.5)
+        out = np.full(len(geodetic), np.nan)
+        if not inside.any():
+            return out
+        c, r = np.clip(columns[inside], 0, tile.width - 1), np.clip(rows[inside], 0, tile.height - 1)
+        c0, r0 = int(np.floor(c.min())), int(np.floor(r.min()))
+        c1, r1 = min(int(np.ceil(c.max())) + 1, tile.width - 1), min(int(np.ceil(r.max())) + 1, tile.height - 1)
+        block = tile.read(1, window=((r0, r1 + 1), (c0, c1 + 1))).astype(float)
+        if tile.nodata is not None:
+            block[block == tile.nodata] = np.nan
+        block[block < -1000.0] = np.nan  # SRTM voids are -32768
+        i, j = (r - r0).astype(int), (c - c0).astype(int)
+        i1, j1 = np.minimum(i + 1, block.shape[0] - 1), np.minimum(j + 1, block.shape[1] - 1)
+        a, b = c - c0 - j, r - r0 - i
+        out[inside] = (1 - b) * ((1 - a) * block[i, j] + a * block[i, j1]) + b * (
+            (1 - a) * block[i1, j] + a * block[i1, j1]
+        )
+        return out

@@ -1,0 +1,136 @@
+"""Events <-> JSON, for recordings: each event's own fields, nothing else. docs/wire-format.md, section 9."""
+
+from __future__ import annotations
+
+import json
+import types
+import typing
+from dataclasses import MISSING, asdict, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract import recording_format as names
+from contract.errors import InputError
+from onboard.events.types import (
+    Attitude,
+    Event,
+    FilterStatus,
+    Frame,
+    GimbalAttitude,
+    GpsQuality,
+    NavEvent,
+    PositionFix,
+    RangeFinder,
+)
+
+CHANNELS: dict[type[Event], str] = {
+    Frame: names.FRAMES,
+    PositionFix: names.POSITIONS,
+    GpsQuality: names.GPS_QUALITY,
+    Attitude: names.ATTITUDES,
+    FilterStatus: names.FILTERS,
+    GimbalAttitude: names.GIMBALS,
+    RangeFinder: names.RANGES,
+}
+NAV_EVENTS: dict[str, type[NavEvent]] = {t: kind for kind, t in CHANNELS.items() if kind is not Frame}  # type: ignore[misc]
+
+_HINTS: dict[type[Event], dict[str, Any]] = {kind: typing.get_type_hints(kind) for kind in CHANNELS}
+_PLAIN = {int: "integer", float: "number", str: "string", bool: "boolean"}
+
+
+def event_json(event: Event, picture: str = "") -> bytes:
+    """An event as it is recorded; `picture` is the format a frame's picture is recorded in, if it is."""
+    if isinstance(event, Frame):
+        content: dict[str, Any] = {
+            "stamp_ns": event.stamp_ns,
+            "frame": event.index,
+            "name": event.name,
+            "picture": picture or ("none" if event.image is not None else "undecodable"),
+        }
+    else:
+        content = asdict(event)
+    return json.dumps(content, separators=(",", ":")).encode()
+
+
+def event_schema(kind: type[Event]) -> tuple[str, str]:
+    """Name and JSON Schema of an event's records."""
+    if kind is Frame:
+        properties: dict[str, Any] = {
+            "stamp_ns": {"type": "integer"},
+            "frame": {"type": "integer"},
+            "name": {"type": "string"},
+            "picture": {"type": "string"},
+        }
+    else:
+        properties = {name: _schema(hint) for name, hint in _hints(kind).items()}
+    text = json.dumps({"type": "object", "properties": properties}, separators=(",", ":"))
+    return f"pointclick.{kind.__name__}", text
+
+
+def nav_event(kind: type[NavEvent], data: bytes) -> NavEvent:
+    """The event that `event_json` wrote; fields added since then take their defaults. Raises InputError."""
+    content = _object(data)
+    hints, values = _hints(kind), {}
+    for field in fields(kind):
+        if field.name in content:
+            values[field.name] = _value(content[field.name], hints[field.name], f"{kind.__name__}.{field.name}")
+        elif field.default is MISSING:
+            raise InputError(f"a {kind.__name__} without {field.name}")
+    return kind(**values)
+
+
+def frame_event(data: bytes, image: NDArray[np.uint8] | None) -> tuple[Frame, str]:
+    """A frame as it was recorded with its picture, and in what format that was. Raises InputError."""
+    content = _object(data)
+    try:
+        frame = Frame(int(content["stamp_ns"]), int(content["frame"]), image, str(content.get("name", "")))
+        return frame, str(content.get("picture", "none"))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"a frame that is none: {error}") from error
+
+
+def _object(data: bytes) -> dict[str, Any]:
+    try:
+        content = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"an event that is not JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise InputError("an event that is not a JSON object")
+    return content
+
+
+def _hints(kind: type[Event]) -> dict[str, Any]:
+    return _HINTS[kind]
+
+
+def _schema(hint: Any) -> dict[str, Any]:
+    if hint in _PLAIN:
+        return {"type": _PLAIN[hint]}
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if origin is typing.Literal:
+        return {"enum": list(inner)}
+    if origin is tuple:
+        return {"type": "array", "items": _schema(inner[0]), "minItems": len(inner), "maxItems": len(inner)}
+    assert origin is types.UnionType, hint
+    return {"anyOf": [{"type": "null"} if option is types.NoneType else _schema(option) for option in inner]}
+
+
+def _value(value: Any, hint: Any, name: str) -> Any:
+    """A JSON value as its field has it: lists become tuples, and what is of another kind is refused."""
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if origin is types.UnionType:
+        if value is None and types.NoneType in inner:
+            return None
+        (hint,) = (option for option in inner if option is not types.NoneType)
+        return _value(value, hint, name)
+    if origin is tuple and isinstance(value, list) and len(value) == len(inner):
+        return tuple(_value(item, inner[0], name) for item in value)
+    if origin is typing.Literal and value in inner:
+        return value
+    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        return value
+    if hint in (int, str, bool) and type(value) is hint:
+        return value
+    raise InputError(f"{name} = {str(value)[:40]!r} is not usable")

@@ -1,0 +1,220 @@
+"""A recorded session, read back: the events as they entered the pipeline, and the sets that came of them.
+
+Every part of the session in order, each up to where it ends or was cut off.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import struct
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.records import Channel, Message, Metadata
+from mcap.stream_reader import StreamReader
+from numpy.typing import NDArray
+from PIL import Image
+
+from contract import recording_format as names
+from contract.camera import Camera
+from contract.errors import InputError
+from contract.topics import FEATURES
+from onboard.events.types import Event
+from onboard.storage.event_json import NAV_EVENTS, frame_event, nav_event
+
+_UNREADABLE = (McapError, struct.error, EOFError, UnicodeDecodeError, ValueError, OverflowError, MemoryError)
+# What a damaged message or a damaged picture's head raises (binascii's error is a ValueError).
+_NO_PICTURE = (
+    ValueError,
+    KeyError,
+    TypeError,
+    OSError,
+    SyntaxError,
+    EOFError,
+    struct.error,
+    Image.DecompressionBombError,
+)
+
+
+def parts_of(path: Path) -> list[Path]:
+    """All parts of the session that a file belongs to, or of the one session in a folder. Raises InputError."""
+    if path.is_dir():
+        found = sorted(file.name for file in path.iterdir() if names.split_part(file.name))
+        sessions = sorted({split[0] for name in found if (split := names.split_part(name))})
+        if len(sessions) != 1:
+            what = (
+                f"{len(sessions)} sessions ({', '.join(sessions[:3])}, ...): name one" if sessions else "no recording"
+            )
+            raise InputError(f"recording {path}: holds {what}")
+        return [path / name for name in names.session_parts(found, found[0])]
+    if not path.exists():
+        raise InputError(f"recording {path}: no such file")
+    siblings = [file.name for file in path.parent.iterdir() if file.is_file()]
+    return [path.with_name(name) for name in names.session_parts(siblings, path.name)]
+
+
+@dataclass(eq=False)
+class RecordedFlight:
+    """A session's files, opened and looked through. It replays as `onboard.replay.runner.Flight` does."""
+
+    paths: list[Path]
+    vehicle: str
+    config_text: str
+    camera: Camera
+    state_json: str
+    version: str
+    stamps_ns: list[int] = field(default_factory=list)  # of the pictures
+    formats: Counter[str] = field(default_factory=Counter)  # in which they were recorded
+    counts: Counter[str] = field(default_factory=Counter)  # records by channel, the vehicle's name left out
+    gaps: list[Path] = field(default_factory=list)  # parts before which something is missing
+
+    @classmethod
+    def open(cls, paths: Sequence[Path]) -> RecordedFlight:
+        """Look through them. Raises InputError, one line, for what is no recording of ours or cannot be replayed."""
+        files = list(dict.fromkeys(part for path in paths for part in parts_of(path)))
+        flight: RecordedFlight | None = None
+        for file in files:
+            flight = _look_through(file, flight)
+        if flight is None:
+            raise InputError(f"recording {', '.join(map(str, files))}: ends before it says what it is")
+        flight.paths = files
+        if not flight.stamps_ns or flight.formats["none"] == len(flight.stamps_ns):
+            raise InputError(
+                f"recording {files[0]}: holds no pictures, and they are what a replay starts from (record with "
+                f'recording.pictures = "lossless"); in it: {flight.content}'
+            )
+        return flight
+
+    @property
+    def content(self) -> str:
+        """What is in it, in a line."""
+        return ", ".join(f"{count} {name}" for name, count in sorted(self.counts.items())) or "nothing"
+
+    @property
+    def caveats(self) -> list[str]:
+        """Why a replay may not give the same bytes; none if it does."""
+        found = [f"events are missing before {path.name}" for path in self.gaps]
+        if self.formats["jpeg"]:
+            found.append(f"{self.formats['jpeg']} pictures are JPEG, not as the pipeline saw them")
+        if self.formats["none"]:
+            found.append(f"{self.formats['none']} pictures were not recorded")
+        return found
+
+    def events(self) -> Iterator[tuple[int, Event]]:
+        """Every event with its arrival (Unix ns), in the order of the pipeline. Raises InputError at a damaged one."""
+        for path in self.paths:
+            picture: tuple[int, bytes] | None = None
+            for channel, message in _messages(path):
+                kind = _kind(channel.topic, self.vehicle)
+                try:
+                    if kind == names.PICTURES:
+                        picture = message.publish_time, message.data
+                    elif kind == names.FRAMES:
+                        frame, as_recorded = frame_event(message.data, None)
+                        if as_recorded in ("png", "jpeg"):
+                            if picture is None or picture[0] != frame.stamp_ns:
+                                raise InputError(f"frame {frame.index} without its picture")
+                            frame, _ = frame_event(message.data, _decoded(picture[1], self.camera))
+                        if as_recorded != "none":
+                            yield message.log_time, frame
+                    elif kind in NAV_EVENTS:
+                        yield message.log_time, nav_event(NAV_EVENTS[kind], message.data)
+                except InputError as error:
+                    raise InputError(f"recording {path}: {error}") from error
+
+    def sets(self) -> Iterator[bytes]:
+        """The payloads of the sets, in the order in which they were made."""
+        for path in self.paths:
+            for channel, message in _messages(path):
+                if channel.message_encoding == names.SET_ENCODING and channel.topic == FEATURES.key(self.vehicle):
+                    yield message.data
+
+
+def _kind(topic: str, vehicle: str) -> str:
+    """A channel's template, if it is this vehicle's."""
+    return topic.replace(f"pc/{vehicle}/", "pc/{vehicle}/", 1)
+
+
+def _look_through(path: Path, flight: RecordedFlight | None) -> RecordedFlight | None:
+    """Add a part to what is known of its session; None while that is nothing."""
+    for record in _records(path):
+        if isinstance(record, Metadata) and record.name == names.METADATA_NAME:
+            said = record.metadata
+            if flight is None:
+                flight = _begin(path, said)
+            elif said.get("vehicle") != flight.vehicle:
+                raise InputError(f"recording {path}: of vehicle {said.get('vehicle')!r}, not {flight.vehicle!r}")
+            if said.get("complete") == "no":
+                flight.gaps.append(path)
+        elif isinstance(record, tuple):
+            channel, message = record
+            if flight is None:
+                raise InputError(f"recording {path}: says nothing of its camera and configuration")
+            kind = _kind(channel.topic, flight.vehicle)
+            flight.counts[kind.removeprefix("pc/{vehicle}/")] += 1
+            if kind == names.FRAMES:
+                try:
+                    frame, as_recorded = frame_event(message.data, None)
+                except InputError as error:
+                    raise InputError(f"recording {path}: {error}") from error
+                flight.stamps_ns.append(frame.stamp_ns)
+                flight.formats[as_recorded] += 1
+    return flight
+
+
+def _begin(path: Path, said: dict[str, str]) -> RecordedFlight:
+    if not said.get("camera"):
+        raise InputError(f"recording {path}: without the camera's optics")
+    camera = Camera.from_text(said["camera"], f"recording {path}: camera")
+    return RecordedFlight(
+        [], said.get("vehicle", ""), said.get("config", ""), camera, said.get("state", ""), said.get("version", "")
+    )
+
+
+def _messages(path: Path) -> Iterator[tuple[Channel, Message]]:
+    return (record for record in _records(path) if isinstance(record, tuple))
+
+
+def _records(path: Path) -> Iterator[Metadata | tuple[Channel, Message]]:
+    """Metadata and messages of a file, up to its end or to where it was cut off. Raises InputError if it is none."""
+    channels: dict[int, Channel] = {}
+    try:
+        with path.open("rb") as stream:
+            if stream.read(8) != b"\x89MCAP0\r\n":
+                raise InputError(f"recording {path}: not an MCAP file")
+            stream.seek(0)
+            try:
+                # No record is longer than its file: a damaged length must not become memory asked for.
+                for record in StreamReader(stream, record_size_limit=path.stat().st_size).records:
+                    if isinstance(record, Channel):
+                        channels[record.id] = record
+                    elif isinstance(record, Metadata):
+                        yield record
+                    elif isinstance(record, Message) and record.channel_id in channels:
+                        yield channels[record.channel_id], record
+            except _UNREADABLE:  # the last record of a killed process or a lost disk: what was before it counts
+                return
+    except OSError as error:
+        raise InputError(f"recording {path}: {error.strerror}") from error
+
+
+def _decoded(message: bytes, camera: Camera) -> NDArray[np.uint8]:
+    """The grey picture of a `foxglove.CompressedImage`, of the camera's size: a damaged one may claim any other.
+
+    Pillow decodes it: OpenCV takes seconds over some damaged pictures, and hands out others half grey.
+    """
+    try:
+        encoded = base64.b64decode(json.loads(message)["data"], validate=True)
+        with Image.open(io.BytesIO(encoded), formats=("PNG", "JPEG")) as picture:
+            if picture.size == camera.size_px:
+                return np.asarray(picture.convert("L"), np.uint8)
+            width_px, height_px = picture.size
+    except _NO_PICTURE as error:
+        raise InputError(f"a picture that cannot be decoded: {error}") from error
+    raise InputError(f"a picture of {width_px} x {height_px}, which is not the camera's size")

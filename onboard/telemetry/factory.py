@@ -1,0 +1,51 @@
+"""`open_telemetry`: a configuration's `telemetry.url` -> the source that serves it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+from contract.errors import ConfigError
+from onboard.config.schema import Config
+from onboard.events.session_clock import SessionClock
+from onboard.events.source import TelemetrySource
+from onboard.telemetry.camera_messages import Target, View
+from onboard.telemetry.mavlink_source import LiveTelemetry, PymavlinkEnd
+from onboard.telemetry.nmea_source import NmeaTelemetry
+from onboard.telemetry.signing import read_key
+from onboard.telemetry.tlog_playback import PlayedTelemetry
+from onboard.telemetry.transports import Address
+
+
+class OpenedTelemetry(TelemetrySource, Protocol):
+    """A telemetry source that can also show the people around the aircraft what the camera sees, where its link can."""
+
+    def show_view(self, view: View) -> None:
+        """Where the camera looks; at most a few times a second. Sent if `telemetry.fov_status` asks for it."""
+
+    def show_target(self, target: Target) -> None:
+        """A located target."""
+
+
+def open_telemetry(config: Config, clock: SessionClock) -> OpenedTelemetry:
+    """The source of `telemetry.url`; nothing is opened before it runs.
+
+    Raises ConfigError, one line, for what can never work: an unknown kind of url, a missing log, a bad key.
+    """
+    telemetry = config.telemetry
+    scheme, _, rest = telemetry.url.partition(":")
+    if scheme == "tlog":
+        if not Path(rest).is_file():
+            raise ConfigError(f"telemetry.url {telemetry.url!r}: no such file")
+        return PlayedTelemetry(config, clock, Path(rest))
+    if scheme == "nmea":
+        return NmeaTelemetry(config, clock, Address.parse(telemetry.url, ("nmea",)))
+    address = Address.parse(telemetry.url)
+    key = read_key(telemetry.signing_key) if telemetry.signing_key is not None else None
+    if telemetry.backend == "mavsdk":
+        if key is not None:
+            raise ConfigError("telemetry.signing_key: mavsdk does not sign; set telemetry.backend to 'pymavlink'")
+        from onboard.telemetry.mavsdk_source import MavsdkEnd  # noqa: PLC0415  a large native library
+
+        return LiveTelemetry(config, clock, address, lambda: MavsdkEnd(config, clock))
+    return LiveTelemetry(config, clock, address, lambda: PymavlinkEnd(config, key))

@@ -1,0 +1,233 @@
+"""The conversation with one autopilot: messages in, events out, and what is to be said. No link, no thread, no clock.
+
+The vehicle is the one the configuration names, else the first whose autopilot is heard, and it stays that one: what
+others say on the same line is never taken for it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from onboard.config.schema import Config
+from onboard.events.source import Severity, SourceStatus, State
+from onboard.events.types import Attitude, NavEvent, PositionFix
+from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT, MessageToEvent, Sources, boot_ns_of
+from onboard.telemetry.message_rates import RateRequests
+from onboard.telemetry.timesync import LinkClock
+
+NS_PER_S = 1_000_000_000
+BEAT_NS = NS_PER_S
+TIMESYNC_NS = NS_PER_S
+HURRIED_TIMESYNC_NS = NS_PER_S // 5
+MAX_HURRIED = 10  # without any answer
+MAX_PENDING = 32
+RETURN_NS = 3 * NS_PER_S  # of silence after which what was granted is taken for lost
+SUBSTITUTE_NS = 5 * NS_PER_S  # to wait for the better of two messages
+SPEECH_NS = NS_PER_S // 2  # between texts: the pilot must be able to read them
+TEXT_LENGTH = 50
+MAX_TEXTS = 8
+
+
+class Autopilot:
+    """What has been heard of the autopilot. `hear` and `due` are called by one thread; `health` by any."""
+
+    def __init__(self, config: Config) -> None:
+        self.config = config.telemetry
+        self.system: int | None = config.telemetry.system or None
+        self.clock = LinkClock(config.telemetry.clock)
+        self.rates = RateRequests(config)
+        self.reboots = 0
+        self.lost = 0  # packets, by the gaps in their numbers
+        self.others: set[int] = set()  # other vehicles on the line
+        self._converter = MessageToEvent(Sources())
+        self._seen: Counter[str] = Counter()  # since the autopilot's boot
+        self._first_ns: int | None = None
+        self._heard_ns: int | None = None
+        self._position_ns: int | None = None
+        self._has_attitude = False
+        self._sequence: int | None = None
+        self._newest_boot_ns = 0
+        self._boot_moved_ns = 0
+        self._next_beat_ns = self._next_timesync_ns = self._next_text_ns = 0
+        self._asked = 0  # TIMESYNC requests since the boot
+        self._pending: deque[int] = deque(maxlen=MAX_PENDING)
+        self._answers: deque[Any] = deque(maxlen=MAX_PENDING)
+        self._texts: deque[tuple[Severity, str]] = deque(maxlen=MAX_TEXTS)
+        self._extras: deque[Any] = deque(maxlen=4)
+
+    # --- in ---
+
+    def hear(self, message: Any, arrival_ns: int) -> list[NavEvent]:
+        """One message off the line, whoever sent it -> the events it carries."""
+        name, system, component = message.get_type(), message.get_srcSystem(), message.get_srcComponent()
+        if component != AUTOPILOT_COMPONENT:
+            return []
+        if name == "HEARTBEAT" and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
+            if self.system is None:
+                self.system = system
+            elif system != self.system:
+                self.others.add(system)
+        if system != self.system:
+            return []
+        self._note(message, arrival_ns)
+        if name == "HEARTBEAT":
+            self.rates.heartbeat(message.system_status, message.autopilot)
+        elif name == "TIMESYNC":
+            self._timesync(message, arrival_ns)
+        elif name == "COMMAND_ACK" and self._is_for_us(message):
+            self.rates.acknowledged(message.command, message.result, arrival_ns)
+        return self._events(message, arrival_ns)
+
+    def _note(self, message: Any, arrival_ns: int) -> None:
+        """Who spoke, when, and what was lost before it."""
+        if self._heard_ns is not None and arrival_ns - self._heard_ns > RETURN_NS:
+            self.rates.restart()
+        self._heard_ns = arrival_ns
+        self._first_ns = self._first_ns or arrival_ns
+        sequence = message.get_seq()
+        gap = (sequence - self._sequence - 1) % 256 if self._sequence is not None else 0
+        if gap < 128:
+            self.lost += gap
+            self._sequence = sequence
+        elif self.lost:  # overtaken by others, it had been counted as lost
+            self.lost -= 1
+        self._seen[message.get_type()] += 1
+        self.rates.seen(message.get_type())
+
+    def _is_for_us(self, message: Any) -> bool:
+        """MAVLink 1 acknowledgements name nobody: 0."""
+        return message.target_system in (0, self.system) and message.target_component in (0, self.config.component)
+
+    def _timesync(self, message: Any, arrival_ns: int) -> None:
+        if message.tc1 == 0:
+            self._answers.append(mavlink.MAVLink_timesync_message(arrival_ns, message.ts1))
+        elif message.ts1 in self._pending:
+            self._pending.remove(message.ts1)
+            self.clock.exchanged(message.ts1, message.tc1, arrival_ns)
+
+    def _events(self, message: Any, arrival_ns: int) -> list[NavEvent]:
+        boot_ns = boot_ns_of(message)
+        if boot_ns is not None:
+            if self.clock.arrived(boot_ns, arrival_ns):
+                self._rebooted(arrival_ns)
+            if boot_ns > self._newest_boot_ns:
+                self._newest_boot_ns, self._boot_moved_ns = boot_ns, arrival_ns
+        if not self.clock.is_known(arrival_ns):
+            return []
+        self._converter.sources = self._best_sources(arrival_ns)
+        events = self._converter.convert(message, arrival_ns, self.clock.to_host_ns)
+        for event in events:
+            if isinstance(event, PositionFix):
+                self._position_ns = arrival_ns
+            elif isinstance(event, Attitude):
+                self._has_attitude = True
+        return events
+
+    def _rebooted(self, arrival_ns: int) -> None:
+        self.reboots += 1
+        self.rates.restart()
+        self._converter = MessageToEvent(self._converter.sources)
+        self._seen.clear()
+        self._pending.clear()
+        self._asked = 0
+        self._first_ns, self._newest_boot_ns = arrival_ns, 0
+
+    def _best_sources(self, now_ns: int) -> Sources:
+        """The filter's position and Euler angles, unless only the other kind has come for a while."""
+        sources = self._converter.sources
+        waited = self._first_ns is not None and now_ns - self._first_ns > SUBSTITUTE_NS
+        position, attitude = sources.position, sources.attitude
+        if self._seen["GLOBAL_POSITION_INT"]:
+            position = "GLOBAL_POSITION_INT"
+        elif waited and self._seen["GPS_RAW_INT"]:
+            position = "GPS_RAW_INT"
+        if self._seen["ATTITUDE"]:
+            attitude = "ATTITUDE"
+        elif waited and self._seen["ATTITUDE_QUATERNION"]:
+            attitude = "ATTITUDE_QUATERNION"
+        unchanged = (position, attitude) == (sources.position, sources.attitude)
+        return sources if unchanged else Sources(position, attitude)
+
+    # --- out ---
+
+    def due(self, now_ns: int, speaks_first: bool = False) -> list[Any]:
+        """What is to be sent now. `speaks_first`: the other end answers only whom it has heard."""
+        if self.system is None and not speaks_first:
+            return []
+        out: list[Any] = []
+        if now_ns >= self._next_beat_ns:
+            self._next_beat_ns = now_ns + BEAT_NS
+            out.append(
+                mavlink.MAVLink_heartbeat_message(
+                    mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
+                    mavlink.MAV_AUTOPILOT_INVALID,
+                    0,
+                    0,
+                    mavlink.MAV_STATE_ACTIVE,
+                    3,
+                )
+            )
+        if self.system is None or self._heard_ns is None:
+            return out
+        while self._answers:
+            out.append(self._answers.popleft())
+        if now_ns >= self._next_timesync_ns:
+            in_vain = not self.clock.sync.kept and self._asked >= MAX_HURRIED
+            relaxed = self.clock.sync.is_settled or in_vain
+            self._next_timesync_ns = now_ns + (TIMESYNC_NS if relaxed else HURRIED_TIMESYNC_NS)
+            self._asked += 1
+            self._pending.append(now_ns)
+            out.append(mavlink.MAVLink_timesync_message(0, now_ns))
+        if self._texts and now_ns >= self._next_text_ns:
+            self._next_text_ns = now_ns + SPEECH_NS
+            severity, text = self._texts.popleft()
+            out.append(mavlink.MAVLink_statustext_message(severity.value, text.encode("ascii", "replace")))
+        while self._extras:
+            out.append(self._extras.popleft())
+        return out + self.rates.due(self.system, now_ns)
+
+    def say(self, severity: Severity, text: str) -> None:
+        """Have a text shown to the pilot; cut to 50 characters. The newest few wait for the link."""
+        self._texts.append((severity, text[:TEXT_LENGTH]))
+
+    def send(self, message: Any) -> None:
+        """Have a message sent with the next ones; the newest few wait for the link."""
+        self._extras.append(message)
+
+    # --- how it is ---
+
+    def health(self, now_ns: int) -> SourceStatus:
+        """State, reason and figures. Silence counts from the last message of the vehicle's autopilot."""
+        figures = {
+            **self.rates.figures(),
+            **self.clock.figures(),
+            "reboots": float(self.reboots),
+            "lost_packets": float(self.lost),
+        }
+        heard_ns, position_ns = self._heard_ns, self._position_ns
+        patience_ns = self.config.lost_after_s * 1e9
+        if heard_ns is None:
+            whose = "no autopilot" if self.system is None else f"no autopilot with system number {self.system}"
+            return SourceStatus(State.STARTING, f"{whose} heard yet", figures)
+        silent_ns = now_ns - heard_ns
+        if silent_ns > patience_ns:
+            return SourceStatus(State.LOST, f"the autopilot is silent for {silent_ns / 1e9:.0f} s", figures)
+        if now_ns - self._boot_moved_ns > patience_ns and self._boot_moved_ns:
+            return SourceStatus(State.FROZEN, "the autopilot's clock stands still", figures)
+        if position_ns is None:
+            return SourceStatus(State.STARTING, "the autopilot gives no position yet", figures)
+        if now_ns - position_ns > patience_ns:
+            return SourceStatus(State.LOST, f"no position for {(now_ns - position_ns) / 1e9:.0f} s", figures)
+        complaint = self._complaint()
+        return SourceStatus(State.DEGRADED if complaint else State.OK, complaint, figures)
+
+    def _complaint(self) -> str:
+        if self.others and not self.config.system:
+            names = ", ".join(str(system) for system in sorted({self.system or 0, *self.others}))
+            return f"several vehicles on this line ({names}): set telemetry.system"
+        if self.clock.disagrees:
+            return "TIMESYNC is answered from another clock: stamps by arrival"
+        return self.rates.complaint()

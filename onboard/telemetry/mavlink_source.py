@@ -1,0 +1,197 @@
+"""A live MAVLink link: one thread that reads, converses, and opens the wire again for as long as it takes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
+from typing import Any, Protocol
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from onboard.config.schema import Config
+from onboard.events.session_clock import SessionClock
+from onboard.events.source import Emit, Severity, SourceStatus, State, Stop
+from onboard.telemetry.camera_messages import Target, View, fov_status, tracking_status
+from onboard.telemetry.mavlink_framing import Framer
+from onboard.telemetry.mavlink_session import Autopilot
+from onboard.telemetry.signing import keep_time, sign
+from onboard.telemetry.tlog_writer import TlogWriter
+from onboard.telemetry.transports import Address, Wire
+
+READ_S = 0.02
+REOPEN_S = 0.5
+HUNG_NS = 10_000_000_000  # of silence on a wire that can hang
+GARBAGE = 2000  # bytes without a packet among them that are worth a word
+
+
+class End(Protocol):
+    """Our end of a wire, as a MAVLink library makes it."""
+
+    system: int  # which we send as
+
+    def attach(self, wire: Wire) -> None:
+        """Send over this wire from now on."""
+
+    def take(self, data: bytes, now_ns: int) -> list[tuple[int, Any]]:
+        """What came in (maybe nothing) -> messages that are ready, each with its arrival, as pymavlink has them."""
+
+    def send(self, message: Any) -> None:
+        """Send one of pymavlink's messages. Raises OSError where the wire is broken."""
+
+    def complaint(self) -> str:
+        """Why nothing may be understood; empty if there is no reason to think so."""
+
+    def close(self) -> None:
+        """The end of it."""
+
+
+class PymavlinkEnd:
+    """Packs, checks and decodes with pymavlink; signs if there is a key."""
+
+    def __init__(self, config: Config, key: bytes | None = None) -> None:
+        self.system = config.telemetry.system or 1
+        self._mav = mavlink.MAVLink(None, srcSystem=self.system, srcComponent=config.telemetry.component)
+        self._is_signing = key is not None
+        if key is not None:
+            sign(self._mav, key)
+        self._framer = Framer(self._mav)
+        self._wire: Wire | None = None
+        self._taken = 0
+
+    def attach(self, wire: Wire) -> None:
+        """A new wire begins with no half packet from the old."""
+        self._wire = wire
+        self._framer = Framer(self._mav)
+        self._taken = 0
+
+    def take(self, data: bytes, now_ns: int) -> list[tuple[int, Any]]:
+        """Everything that arrived in one piece has one arrival."""
+        messages = self._framer.feed(data) if data else []
+        self._taken += len(messages)
+        return [(now_ns, message) for message in messages]
+
+    def send(self, message: Any) -> None:
+        """Pack and write at once."""
+        if self._is_signing:
+            keep_time(self._mav)
+        self._mav.srcSystem = self.system
+        packet = message.pack(self._mav)
+        self._mav.seq = (self._mav.seq + 1) % 256
+        if self._wire is not None:
+            self._wire.write(bytes(packet))
+
+    def complaint(self) -> str:
+        """Wrong keys and wrong baud rates look alike to who hears nothing: say which it is."""
+        signing = self._mav.signing
+        refused = signing.badsig_count if self._is_signing else 0
+        if refused and not signing.goodsig_count:
+            return f"{refused} packets with a wrong signature: another key?"
+        if not self._taken and self._framer.garbage > GARBAGE:
+            return f"{self._framer.garbage} bytes and no packet among them: another baud rate?"
+        return ""
+
+    def close(self) -> None:
+        """Nothing of its own to close."""
+
+
+class LiveTelemetry:
+    """A telemetry source over a wire. See `onboard.events.source.TelemetrySource`."""
+
+    def __init__(self, config: Config, clock: SessionClock, address: Address, make_end: Callable[[], End]) -> None:
+        self._config = config
+        self._clock = clock
+        self._address = address
+        self._make_end = make_end
+        self._autopilot = Autopilot(config)
+        self._log = (
+            TlogWriter(config.telemetry.log, config.recording.keep_free_mb)
+            if config.telemetry.log is not None
+            else None
+        )
+        self._fault = ""  # why there is no wire
+        self._complaint = ""
+        self._opened = 0
+        self._is_over = False
+
+    def run(self, emit: Emit, stop: Stop) -> None:
+        """Until `stop`: open, converse, and open again."""
+        end = self._make_end()
+        try:
+            while not stop.is_set():
+                try:
+                    wire = self._address.open()
+                except OSError as error:
+                    self._fault = f"cannot open {self._address.place}: {error.strerror or error}"
+                    stop.wait(REOPEN_S)
+                    continue
+                self._opened += 1
+                self._fault = ""
+                self._autopilot.rates.restart()
+                with closing(wire):
+                    try:
+                        end.attach(wire)
+                        self._converse(wire, end, emit, stop)
+                    except OSError as error:
+                        self._fault = f"{self._address.place}: {error.strerror or error}"
+                if not stop.is_set():
+                    stop.wait(REOPEN_S)
+        finally:
+            end.close()
+            if self._log is not None:
+                self._log.close()
+            self._is_over = True
+
+    def _converse(self, wire: Wire, end: End, emit: Emit, stop: Stop) -> None:
+        autopilot, clock = self._autopilot, self._clock
+        heard_ns = clock.now_ns()
+        while not stop.is_set():
+            data = wire.read(READ_S)
+            now_ns = clock.now_ns()
+            for arrival_ns, message in end.take(data, now_ns):
+                if message.get_srcSystem() == autopilot.system:
+                    wire.confirm()
+                    heard_ns = now_ns
+                if self._log is not None:
+                    self._log.write(arrival_ns, bytes(message.get_msgbuf()))
+                for event in autopilot.hear(message, arrival_ns):
+                    emit(arrival_ns, event)
+            end.system = autopilot.system or end.system
+            for message in autopilot.due(clock.now_ns(), wire.speaks_first or self._is_signed):
+                end.send(message)
+            self._complaint = end.complaint()
+            if wire.may_hang and now_ns - heard_ns > HUNG_NS:
+                self._fault = f"{self._address.place}: silent; opening it anew"
+                return
+
+    @property
+    def _is_signed(self) -> bool:
+        # Who may not know the time yet believes our signature's, and is believed only then.
+        return self._config.telemetry.signing_key is not None
+
+    def health(self) -> SourceStatus:
+        """From any thread."""
+        health = self._autopilot.health(self._clock.now_ns())
+        figures = {**health.figures, "reopened": float(max(self._opened - 1, 0))}
+        if self._is_over:
+            return SourceStatus(State.LOST, "stopped", figures)
+        if self._fault and health.state in (State.STARTING, State.LOST):
+            return SourceStatus(State.LOST, self._fault, figures)
+        if self._complaint and health.state in (State.STARTING, State.LOST):
+            return SourceStatus(health.state, self._complaint, figures)
+        if self._log is not None and self._log.fault and health.state is State.OK:
+            return SourceStatus(State.DEGRADED, f"telemetry log: {self._log.fault}", figures)
+        return replace(health, figures=figures)
+
+    def say(self, severity: Severity, text: str) -> None:
+        """As STATUSTEXT, which ground stations show and speak."""
+        self._autopilot.say(severity, text)
+
+    def show_view(self, view: View) -> None:
+        """As CAMERA_FOV_STATUS, if `telemetry.fov_status` asks for it."""
+        if self._config.telemetry.fov_status:
+            self._autopilot.send(fov_status(view))
+
+    def show_target(self, target: Target) -> None:
+        """As CAMERA_TRACKING_GEO_STATUS, which ArduPilot relays to ground stations. It steers nothing."""
+        self._autopilot.send(tracking_status(target))

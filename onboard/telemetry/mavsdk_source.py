@@ -1,0 +1,185 @@
+"""The MAVLink end made with mavsdk: it parses and writes packets; we hand it the bytes (`raw://`) and keep the wires.
+
+Fed that way a serial line costs little and survives being unplugged, neither of which holds for mavsdk's own serial
+connection. Messages come through `mavlink_direct`, whole and with the autopilot's own stamps, one callback each on a
+thread of mavsdk's; heartbeats it sends itself.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+from collections import deque
+from typing import Any
+
+from mavsdk import ComponentType, Configuration, Mavsdk, log_subscribe
+from mavsdk.plugins.mavlink_direct import MavlinkDirect, MavlinkDirectError, MavlinkMessage
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from onboard.config.schema import Config
+from onboard.events.session_clock import SessionClock
+from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT, WANTED
+from onboard.telemetry.mavlink_framing import Framer
+from onboard.telemetry.transports import Wire
+
+NAMES = sorted(
+    mavlink.mavlink_map[number].msgname
+    for number in (*WANTED, mavlink.MAVLINK_MSG_ID_TIMESYNC, mavlink.MAVLINK_MSG_ID_COMMAND_ACK)
+)
+CLASSES = {kind.msgname: kind for kind in mavlink.mavlink_map.values()}
+MAX_WAITING = 5000
+
+
+class MavsdkEnd:
+    """mavsdk takes its system number at birth and ours is the vehicle's, so it is born with the first heartbeat."""
+
+    def __init__(self, config: Config, clock: SessionClock) -> None:
+        self.system = config.telemetry.system or 1
+        self._wanted_system = config.telemetry.system
+        self._component = config.telemetry.component
+        self._clock = clock
+        self._scout = Framer(mavlink.MAVLink(None))
+        self._mavsdk: Any = None
+        self._direct: Any = None
+        self._born_as = 0
+        self._waiting: deque[tuple[int, Any]] = deque(maxlen=MAX_WAITING)
+        self._lock = threading.Lock()
+        self._wire: Wire | None = None
+        self._broken: OSError | None = None
+
+    def attach(self, wire: Wire) -> None:
+        """From now on both directions run over this wire."""
+        with self._lock:
+            self._wire, self._broken = wire, None
+        self._scout = Framer(mavlink.MAVLink(None))
+
+    def take(self, data: bytes, now_ns: int) -> list[tuple[int, Any]]:
+        """Hand the bytes over; returns what mavsdk has made of these and earlier ones. Raises OSError: wire broken."""
+        if self._broken is not None:
+            raise self._broken
+        if self._mavsdk is None:
+            system = self._system_in(data)
+            if system is None:
+                return []
+            self._be_born(system)
+        if data:
+            self._mavsdk.pass_received_raw_bytes(data)
+        if self._direct is None:
+            self._subscribe()
+        return [self._waiting.popleft() for _ in range(len(self._waiting))]
+
+    def send(self, message: Any) -> None:
+        """Through mavlink_direct; before the vehicle is known, nothing is. Raises OSError where the wire is broken."""
+        name = message.get_type()
+        if self._direct is None or name == "HEARTBEAT":
+            if self._mavsdk is None and self._wire is not None:  # it must be heard first to hear anybody
+                self._wire.write(bytes(message.pack(mavlink.MAVLink(None, self.system, self._component))))
+            return
+        fields = {field: _to_json(getattr(message, field)) for field in message.fieldnames}
+        target = int(fields.get("target_system", 0)), int(fields.get("target_component", 0))
+        whole = MavlinkMessage(name, self._born_as, self._component, *target, json.dumps(fields))
+        try:
+            self._direct.send_message(whole)
+        except MavlinkDirectError as error:
+            self._broken = self._broken or OSError(f"mavsdk: {error.result.name.lower()}")
+        if self._broken is not None:
+            raise self._broken
+
+    def complaint(self) -> str:
+        """Where there is much and no autopilot in it."""
+        return f"{self._scout.garbage} bytes and no packet among them: another baud rate?" if self._is_garbage else ""
+
+    @property
+    def _is_garbage(self) -> bool:
+        return self._mavsdk is None and self._scout.garbage > 2000
+
+    def close(self) -> None:
+        """Ends mavsdk's threads."""
+        with self._lock:
+            self._wire = None
+        if self._mavsdk is not None:
+            self._mavsdk.destroy()
+
+    def _system_in(self, data: bytes) -> int | None:
+        for message in self._scout.feed(data):
+            if message.get_type() != "HEARTBEAT" or message.get_srcComponent() != AUTOPILOT_COMPONENT:
+                continue
+            system = int(message.get_srcSystem())
+            if message.autopilot != mavlink.MAV_AUTOPILOT_INVALID and self._wanted_system in (0, system):
+                return system
+        return None
+
+    def _be_born(self, system: int) -> None:
+        log_subscribe(_is_muted)
+        configuration = Configuration.create_with_component_type(ComponentType.COMPANION_COMPUTER)
+        configuration.system_id = system
+        configuration.component_id = self._component
+        self._born_as = system
+        self._mavsdk = Mavsdk(configuration)
+        self._mavsdk.subscribe_raw_bytes_to_be_sent(self._write)
+        self._mavsdk.add_any_connection("raw://")
+
+    def _subscribe(self) -> None:
+        for system in self._mavsdk.get_systems():
+            if system.has_autopilot() and system.get_system_id() == self._born_as:
+                self._direct = MavlinkDirect(system)
+                for name in NAMES:
+                    self._direct.subscribe_message(name, self._receive)
+                return
+
+    def _receive(self, message: Any, _data: object) -> None:
+        """On mavsdk's thread."""
+        now_ns = self._clock.now_ns()
+        made = from_json(message.message_name, message.system_id, message.component_id, message.fields_json)
+        if made is not None:
+            self._waiting.append((now_ns, made))
+
+    def _write(self, data: bytes) -> None:
+        """On mavsdk's thread."""
+        with self._lock:
+            if self._wire is None or self._broken is not None:
+                return
+            try:
+                self._wire.write(data)
+            except OSError as error:
+                self._broken = error
+
+
+def from_json(name: str, system: int, component: int, text: str) -> Any | None:
+    """A message as mavlink_direct gives it -> the same as pymavlink has it; None for what does not fit."""
+    kind = CLASSES.get(name)
+    if kind is None:
+        return None
+    try:
+        fields = json.loads(text)
+        values = {field: _from_json(fields[field]) for field in kind.fieldnames if field in fields}
+        message = kind(**values)
+        message._header = mavlink.MAVLink_header(kind.id, srcSystem=system, srcComponent=component)
+        # Packed once, as if it had come off the line: logs want its bytes, and a value out of range shows here.
+        message.pack(mavlink.MAVLink(None, system, component))
+    except (ValueError, TypeError, KeyError, mavlink.struct.error):
+        return None
+    return message
+
+
+def _from_json(value: Any) -> Any:
+    """JSON has no nan: it is null there."""
+    if value is None:
+        return math.nan
+    if isinstance(value, list):
+        return [_from_json(part) for part in value]
+    return value.encode("ascii", "replace") if isinstance(value, str) else value
+
+
+def _to_json(value: Any) -> Any:
+    if isinstance(value, bytes | str):
+        return value.decode("ascii", "replace").rstrip("\0") if isinstance(value, bytes) else value
+    if isinstance(value, list | tuple):
+        return [_to_json(part) for part in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _is_muted(*_what: object) -> bool:
+    """mavsdk's own log goes to stdout in colours; what matters of it is in our health."""
+    return True

@@ -1,0 +1,161 @@
+"""Telemetry logs (.tlog) as ground stations and autopilots' companions write them -> events.
+
+A tlog is a sequence of (8-byte big-endian Unix microseconds of arrival, MAVLink packet). The framing is read here, so
+that garbage between packets costs only itself; packets are checked and decoded by pymavlink.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import struct
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from contract.errors import InputError
+from onboard.events.types import NavEvent, PositionFix
+from onboard.telemetry.boot_clock import BootClock, Mode
+from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT, WANTED, MessageToEvent, Sources, boot_ns_of
+
+STRAY_NS = 5_000_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class TelemetryLog:
+    """A log's events in order of arrival, with their arrival times (ns, same length)."""
+
+    events: list[NavEvent]
+    arrival_ns: list[int]
+    system: int
+    boot_segments: int
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Capture times of the first and the last position."""
+        stamps = [event.stamp_ns for event in self.events if isinstance(event, PositionFix)]
+        return min(stamps), max(stamps)
+
+
+def read_tlog(path: Path | str, clock: Mode = "auto") -> TelemetryLog:
+    """Read a whole telemetry log, every event stamped on the log's clock by its least-delayed messages.
+
+    Only the autopilot's component of the system with most of its heartbeats is read. Damaged stretches and a cut end
+    are passed over. Raises InputError, one line, for a file that is missing, empty, not a log, or without positions.
+    """
+    own, system = log_messages(path)
+    sources = Sources.by_counts(Counter(message.get_type() for _, message in own))
+    boot_clock = BootClock(clock)
+    segments: list[int] = []
+    for arrival_ns, message in own:
+        boot_ns = boot_ns_of(message)
+        segments.append(boot_clock.add(boot_ns, arrival_ns) if boot_ns is not None else (segments or [0])[-1])
+    events: list[NavEvent] = []
+    arrivals: list[int] = []
+    for segment, group in itertools.groupby(zip(segments, own, strict=True), key=lambda pair: pair[0]):
+        converter = MessageToEvent(sources)  # a new one after a reboot: it remembers boot stamps
+        to_host_ns = functools.partial(boot_clock.to_host_ns, segment=segment)
+        for _, (arrival_ns, message) in group:
+            new = converter.convert(message, arrival_ns, to_host_ns)
+            events += new
+            arrivals += [arrival_ns] * len(new)
+    if not any(isinstance(event, PositionFix) for event in events):
+        raise InputError(
+            f"telemetry {path}: system {system} sends no position (GLOBAL_POSITION_INT, or GPS_RAW_INT with a 3D fix)"
+        )
+    return TelemetryLog(events, arrivals, system, boot_clock.segments)
+
+
+def log_messages(path: Path | str) -> tuple[list[tuple[int, Any]], int]:
+    """(arrival ns, message) of a log's autopilot, in order, and its system number.
+
+    The system with most autopilot heartbeats is read. Raises InputError, one line, for a file that is missing, empty or
+    not a log.
+    """
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(f"telemetry {path}: {error.strerror}") from error
+    if not data:
+        raise InputError(f"telemetry {path}: the file is empty")
+    messages = _without_stray_stamps(list(_decoded(data)))
+    if not messages:
+        raise InputError(
+            f"telemetry {path}: not a MAVLink telemetry log (.tlog): no packet of an autopilot found in it"
+        )
+    system = _autopilot_system(messages)
+    own = [(t, m) for t, m in messages if m.get_srcSystem() == system and m.get_srcComponent() == AUTOPILOT_COMPONENT]
+    return own, system
+
+
+def _without_stray_stamps(messages: list[tuple[int, Any]]) -> list[tuple[int, Any]]:
+    """Drop packets whose arrival stamp alone is damaged: far from the median of the five around them."""
+    if len(messages) < 5:
+        return messages
+    arrival = np.array([min(t, 2**63 - 1) for t, _ in messages])
+    around = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(arrival, 2, mode="edge"), 5), axis=1)
+    keep = np.abs(arrival - around) < STRAY_NS
+    return [message for message, kept in zip(messages, keep, strict=True) if kept]
+
+
+def _autopilot_system(messages: list[tuple[int, Any]]) -> int:
+    """The system whose autopilot says most, of those with a heartbeat if any has one: others pass by on the line."""
+    autopilots = [m for _, m in messages if m.get_srcComponent() == AUTOPILOT_COMPONENT]
+    beating = {
+        m.get_srcSystem()
+        for m in autopilots
+        if m.get_type() == "HEARTBEAT" and m.autopilot != mavlink.MAV_AUTOPILOT_INVALID
+    }
+    counts = Counter(m.get_srcSystem() for m in autopilots or [m for _, m in messages])
+    return int(max(counts, key=lambda system: (system in beating, counts[system])))
+
+
+def _decoded(data: bytes) -> Iterator[tuple[int, Any]]:
+    """Arrival (ns) and decoded message of every wanted, undamaged packet of a tlog."""
+    decoder = mavlink.MAVLink(None)
+    position, end = 0, len(data)
+    while position + 16 <= end:
+        packet = _packet_at(data, position + 8)
+        if packet is None:
+            position += 1
+            continue
+        message_id, length = packet
+        after = position + 8 + length
+        message = None
+        # An unwanted packet is believed by its framing alone; a wanted one, by its checksum.
+        if message_id in WANTED:
+            try:
+                message = decoder.decode(bytearray(data[position + 8 : after]))
+            except (mavlink.MAVError, struct.error):
+                position += 1
+                continue
+        elif not _starts_packet(data, after):
+            position += 1
+            continue
+        if message is not None:
+            (arrival_us,) = struct.unpack_from(">Q", data, position)
+            yield arrival_us * 1000, message
+        position = after
+
+
+def _packet_at(data: bytes, start: int) -> tuple[int, int] | None:
+    """Message id and whole length of the packet framed at `start`, or None."""
+    magic = data[start]
+    if magic == mavlink.PROTOCOL_MARKER_V1:
+        length, message_id = data[start + 1] + 8, data[start + 5]
+    elif magic == mavlink.PROTOCOL_MARKER_V2 and start + 10 <= len(data):
+        signature = 13 if data[start + 2] & mavlink.MAVLINK_IFLAG_SIGNED else 0
+        length, message_id = data[start + 1] + 12 + signature, int.from_bytes(data[start + 7 : start + 10], "little")
+    else:
+        return None
+    return (message_id, length) if start + length <= len(data) else None
+
+
+def _starts_packet(data: bytes, position: int) -> bool:
+    """Whether another stamped packet, or the end of the file, follows."""
+    return position + 9 > len(data) or data[position + 8] in (mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2)

@@ -1,0 +1,413 @@
+"""KLT: Shi-Tomasi features followed by pyramidal Lucas-Kanade, every track verified. The seed's section 2.1.
+
+Shi and Tomasi 1994; Bouguet's pyramidal LK. Two things differ from following picture by picture:
+
+- Each feature is matched against the last *keyframe*, not the last picture. Its error does not grow with the number
+  of pictures in between, and a picture that fails (dark, blurred) is simply passed over.
+- Before LK starts, the whole picture's motion is known to a few pixels: from telemetry, from the last picture's
+  motion, by phase correlation of thumbnails, or by matched descriptors if all that fails. Where that motion turns or
+  scales, the picture is warped back first, because LK compares patches by translation alone.
+
+A track is believed if LK converged, its patch looks alike (LK's own error on the normalised picture) and its motion
+agrees with its neighbours'. Where neighbours are far off each other altogether, none is (`track_consistency`).
+
+Pictures that come fast are followed cheaply: while the last picture was where its predecessor's motion, carried on, had
+put it, the next one starts from there, without phase correlation and with as few pyramid levels as that surprise asks
+for. Where this finds too little, everything is done again from the beginning.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.geometry.plane_homography import move
+from onboard.vision.coarse_flow import flow_disagreement
+from onboard.vision.contrast_normalisation import SPREAD, Normaliser, Picture, thumbnail
+from onboard.vision.descriptor_matching import Described, describe, motion_between
+from onboard.vision.repetitive_texture import repetition_px
+from onboard.vision.track_consistency import are_inconsistent
+
+Array = NDArray[np.float64]
+
+WINDOW_PX = 21
+LEVELS = 3
+BORDER_PX = 8.0
+# Mean absolute difference of two unlike patches is about 1.1 times their standard deviation; of two alike at
+# correlation 0.75 half that. It is taken of the patch itself: mere noise is less than the texture aimed at.
+MAX_DIFFERENCE = 0.56
+MIN_QUALITY = 0.01
+MIN_EIGENVALUE = 1e-3
+MAX_TURN = 0.06  # rotation (rad) or scale change of a motion above which the picture is warped back before LK
+MIN_PEAK = 0.04  # response of phase correlation below which its shift is not believed
+MIN_TRACKS = 12
+# How far the motion carried on may have been off for nine features of ten, and the pyramid levels that then do; LK on
+# one level finds patches several pixels away, these are the distances at which it does so for practically all.
+CALM_LEVELS = ((1.5, 0), (4.0, 1), (8.0, 2))
+CALM_SHARE = 0.8  # of the features that should be on the picture; with fewer found again nothing is taken for granted
+ROUNDS = 5  # of reweighting, at most
+# How well telemetry foretells the motion between two pictures: a share of it (the ground's height is known no better at
+# first) and what attitude strays by, at 640 px width.
+PREDICTED_SHARE = 0.15
+PREDICTED_PX = 3.0
+GATE_PX = 4.0  # least deviation from the neighbours' motion that condemns a track, at 640 px width
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Features found again in one picture: identifiers (N,), pixels here and in the keyframe (N, 2)."""
+
+    ids: NDArray[np.int64]
+    uv_px: Array
+    keyframe_uv_px: Array
+    offered: int  # features that were looked for
+    motion: Array  # H (3, 3): keyframe pixel -> this picture
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+class Tracker:
+    """Holds the keyframe's picture and features; `track` looks for them, `promote` makes a picture the keyframe."""
+
+    def __init__(self, size_px: tuple[int, int], features: int, min_distance_px: float = 0.0) -> None:
+        self.width_px, self.height_px = size_px
+        self.features = features
+        spacing = np.sqrt(self.width_px * self.height_px / features)
+        self.min_distance_px = min_distance_px or float(max(4.0, 0.45 * spacing))
+        self._picture: Picture | None = None
+        self._thumbnail: NDArray[np.float32] | None = None
+        self._described: Described | None = None  # the keyframe's, once it was asked for
+        self._ids = np.zeros(0, np.int64)
+        self._uv = np.zeros((0, 2))
+        self._contrast = np.zeros(0)  # grey levels, one sigma of each feature's patch in the keyframe
+        self._next_id = 0
+        self._current: Picture | None = None
+        self._motion = np.eye(3)  # keyframe -> the last picture that was followed
+        self._predicted: Array | None = None  # the same as it was predicted
+        self._step = np.eye(3)  # the last picture's motion since the one before
+        self._levels: int | None = None  # pyramid levels that the motion carried on needs; None: not to be trusted
+        self._hann: NDArray[np.float32] | None = None
+        self._normalise = Normaliser(size_px)
+        self._repetition_px: float | None = None  # at which the keyframe repeats itself, if it does
+        self.flow_disagreement_px: Array | None = None  # (2,) `coarse_flow` since the keyframe before the present one
+
+    @property
+    def has_keyframe(self) -> bool:
+        """Whether there is a picture to track against."""
+        return self._picture is not None
+
+    @property
+    def keyframe_features(self) -> tuple[NDArray[np.int64], Array]:
+        """Identifiers (N,) and pixels (N, 2) of the keyframe's features, tracked ones and new ones."""
+        return self._ids, self._uv
+
+    def track(self, image: Picture, predicted: Array | None) -> Tracks:
+        """Look for the keyframe's features in a grey picture (H, W). `predicted`: H (3, 3) from keyframe, or None."""
+        self._current = self._normalise(image)
+        if self._picture is None or not len(self._ids):
+            return self.nothing()
+        carried_on = self._carry_on(predicted)
+        best = self.nothing()
+        if self._levels is not None:
+            best = self._follow(carried_on, self._levels)
+        if not self._is_plenty(best):
+            for start in [self._motion] if predicted is None else [predicted, self._motion]:
+                found = self._follow(self._align(start), LEVELS)
+                if len(found) > len(best):
+                    best = found
+                if len(found) >= max(MIN_TRACKS, 0.5 * len(self._ids)):
+                    break
+        if len(best) < MIN_TRACKS or self._are_scattered(best):  # a start that misses half shows as that too
+            best = self._relocate()
+            if len(best) >= MIN_TRACKS and self._are_scattered(best):
+                best = self.nothing()
+        self._levels = None
+        if self._repetition_px is not None and not self._is_sure(best, predicted, carried_on):
+            return self.nothing()
+        if len(best) >= MIN_TRACKS:
+            if self._is_plenty(best):
+                surprise = np.linalg.norm(move(carried_on, best.keyframe_uv_px) - best.uv_px, axis=1)
+                ninth = 9 * len(best) // 10
+                off_px = float(np.partition(surprise, ninth)[ninth])
+                self._levels = next((levels for limit_px, levels in CALM_LEVELS if off_px < limit_px), None)
+            self._step = best.motion @ np.linalg.inv(self._motion)
+            self._motion, self._predicted = best.motion, predicted
+        return best
+
+    def _relocate(self) -> Tracks:
+        """The last resort: follow from where matched descriptors say the picture went."""
+        assert self._picture is not None and self._current is not None
+        if self._described is None:
+            self._described = describe(self._picture)
+        motion = motion_between(self._described, describe(self._current), self.width_px)
+        return self.nothing() if motion is None else self._follow(motion, LEVELS)
+
+    def _carry_on(self, predicted: Array | None) -> Array:
+        """Where the last picture's motion leads: on by what telemetry says has changed since, else by the same step."""
+        if predicted is None or self._predicted is None:
+            step = self._step
+        else:
+            step = predicted @ np.linalg.inv(self._predicted)
+        out: Array = step @ self._motion
+        out /= out[2, 2]
+        return out
+
+    def _is_sure(self, tracks: Tracks, predicted: Array | None, carried_on: Array) -> bool:
+        """Whether telemetry tells tracks on ground that repeats itself from their twins a row away."""
+        if predicted is None or not len(tracks):
+            return False
+        predicted_px = move(predicted if self._predicted is None else carried_on, tracks.keyframe_uv_px)
+        last = move(self._motion, tracks.keyframe_uv_px)
+        step_px = float(np.median(np.linalg.norm(predicted_px - last, axis=1)))
+        miss_px = float(np.median(np.linalg.norm(predicted_px - tracks.uv_px, axis=1)))
+        unsure_px = PREDICTED_SHARE * step_px + PREDICTED_PX * self.width_px / 640.0
+        return max(unsure_px, miss_px) < 0.5 * (self._repetition_px or np.inf)
+
+    def _is_plenty(self, tracks: Tracks) -> bool:
+        """Whether nearly all features were found again that should be on the picture."""
+        return len(tracks) >= max(MIN_TRACKS, CALM_SHARE * self._expected(tracks.motion))
+
+    def _expected(self, motion: Array) -> int:
+        """How many features should be on the picture; at least one."""
+        return max(int(np.count_nonzero(self._inside(move(motion, self._uv)))), 1)
+
+    def _are_scattered(self, tracks: Tracks) -> bool:
+        share = len(tracks) / self._expected(tracks.motion)
+        return are_inconsistent(tracks.motion, tracks.keyframe_uv_px, tracks.uv_px, share, self.width_px)
+
+    def promote(self, tracks: Tracks) -> tuple[NDArray[np.int64], Array]:
+        """Make the last picture the keyframe: keep `tracks`, fill up with new features; returns all ids and pixels."""
+        if self._current is None:
+            raise RuntimeError("promote() before track(): there is no picture yet")
+        self.flow_disagreement_px = None
+        if self._picture is not None and len(tracks):
+            self.flow_disagreement_px = flow_disagreement(
+                self._picture, self._current, tracks.motion, tracks.keyframe_uv_px, tracks.uv_px
+            )
+        self._picture, self._thumbnail, self._described = self._current, None, None
+        self._motion = np.eye(3)
+        self._predicted = None if self._predicted is None else np.eye(3)
+        fresh = self._detect(tracks.uv_px, self.features - len(tracks))
+        ids = self._next_id + np.arange(len(fresh))
+        self._next_id += len(fresh)
+        self._ids = np.concatenate([tracks.ids, ids]).astype(np.int64)
+        self._uv = np.concatenate([tracks.uv_px, fresh])
+        self._contrast = np.minimum(_contrast(self._picture, self._uv), SPREAD)
+        self._repetition_px = repetition_px(self._picture, self._uv)
+        return self._ids, self._uv
+
+    def forget(self) -> None:
+        """Drop the keyframe: the next picture starts anew."""
+        self._picture = self._thumbnail = self._described = None
+        self._ids, self._uv = np.zeros(0, np.int64), np.zeros((0, 2))
+        self._motion, self._step = np.eye(3), np.eye(3)
+        self._predicted = self._levels = None
+
+    def nothing(self) -> Tracks:
+        """No track at all: what a picture that cannot be followed gives, and what a new start is promoted with."""
+        return Tracks(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), len(self._ids), np.eye(3))
+
+    def _align(self, start: Array) -> Array:
+        """Refine a whole-picture motion by phase correlation of thumbnails, the current one warped back by it."""
+        assert self._picture is not None and self._current is not None
+        if self._thumbnail is None:
+            self._thumbnail = thumbnail(self._picture)
+        small = self._thumbnail
+        current = thumbnail(self._current)
+        rows, columns = small.shape
+        shrink = np.diag([columns / self.width_px, rows / self.height_px, 1.0])
+        H_small = shrink @ start @ np.linalg.inv(shrink)
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        warped = cv2.warpPerspective(
+            current, H_small, (columns, rows), flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=(128.0,)
+        )
+        if self._hann is None or self._hann.shape != small.shape:
+            self._hann = np.asarray(cv2.createHanningWindow((columns, rows), cv2.CV_32F), np.float32)
+        (dx, dy), response = cv2.phaseCorrelate(small - 128.0, warped - 128.0, self._hann)
+        if response < MIN_PEAK:
+            return start
+        shift = np.eye(3)
+        shift[:2, 2] = dx * self.width_px / columns, dy * self.height_px / rows
+        out: Array = start @ shift
+        return out
+
+    def _follow(self, motion: Array, levels: int) -> Tracks:
+        """LK from the keyframe into the current picture around a known whole-picture motion, then verification."""
+        assert self._picture is not None and self._current is not None
+        turns = _turn(motion, self.width_px, self.height_px) > MAX_TURN
+        target, back = self._current, np.eye(3)
+        if turns:
+            flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+            target = np.asarray(
+                cv2.warpPerspective(
+                    self._current, motion, (self.width_px, self.height_px), flags=flags, borderMode=cv2.BORDER_REPLICATE
+                ),
+                np.uint8,
+            )
+            back = motion
+        guess = self._uv if turns else move(motion, self._uv)
+        expected = move(motion, self._uv)
+        inside = self._inside(expected)
+        if np.count_nonzero(inside) < MIN_TRACKS:
+            return self.nothing()
+        start = self._uv[inside].astype(np.float32)
+        end, status, difference = cv2.calcOpticalFlowPyrLK(
+            self._picture,
+            target,
+            start,
+            guess[inside].astype(np.float32).copy(),
+            winSize=(WINDOW_PX, WINDOW_PX),
+            maxLevel=levels,
+            criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01),
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+            minEigThreshold=MIN_EIGENVALUE,
+        )
+        uv = move(back, np.asarray(end, float)) if turns else np.asarray(end, float)
+        found = status[:, 0] == 1
+        difference = np.where(found, difference[:, 0], np.float32(np.inf))  # of the others it is what memory held
+        sensor_pose = found & (difference < MAX_DIFFERENCE * self._contrast[inside]) & self._inside(uv)
+        keep = np.flatnonzero(sensor_pose)
+        if len(keep) < MIN_TRACKS:
+            return self.nothing()
+        at = self._uv[inside]
+        H, agree = self._agreement(at[keep], uv[keep])
+        keep = keep[agree]
+        if len(keep) < MIN_TRACKS:
+            return self.nothing()
+        return Tracks(self._ids[inside][keep], uv[keep], at[keep], len(self._ids), H)
+
+    def _agreement(self, at: Array, to: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """A homography through the tracks by reweighted least squares, and which tracks follow it.
+
+        Relief moves tracks off it smoothly; the gate is therefore relative to what the others do, never under GATE_PX.
+        """
+        floor = GATE_PX * self.width_px / 640.0
+        fit = _HomographyFit(at, to)
+        weight = np.ones(len(at))
+        spread = np.inf
+        for _ in range(ROUNDS):
+            miss = fit.solve(weight)
+            before, spread = spread, 1.4826 * float(np.median(miss))
+            # Settled: neither outliers nor the spread they are judged by will change any more.
+            if spread > 0.9 * before:
+                break
+            weight = 1.0 / (1.0 + (miss / max(spread, 0.2)) ** 2)
+        return fit.H, miss < max(floor, 4.0 * spread)
+
+    def _inside(self, uv: Array) -> NDArray[np.bool_]:
+        u, v = uv[:, 0], uv[:, 1]
+        out: NDArray[np.bool_] = (
+            (u > BORDER_PX) & (v > BORDER_PX) & (u < self.width_px - BORDER_PX) & (v < self.height_px - BORDER_PX)
+        )
+        return out
+
+    def _detect(self, taken: Array, wanted: int) -> Array:
+        """Up to `wanted` new Shi-Tomasi corners (N, 2), apart from `taken` and each other, spread over the picture."""
+        if wanted <= 0 or self._picture is None:
+            return np.zeros((0, 2))
+        mask = np.full((self.height_px, self.width_px), 0, np.uint8)
+        b = int(BORDER_PX) + 2
+        mask[b:-b, b:-b] = 255
+        radius = int(self.min_distance_px)
+        for u, v in taken:
+            cv2.circle(mask, (round(float(u)), round(float(v))), radius, 0, -1)
+        smooth = cv2.GaussianBlur(self._picture, (3, 3), 0.8)
+        corners = cv2.goodFeaturesToTrack(
+            smooth,
+            maxCorners=4 * wanted,
+            qualityLevel=MIN_QUALITY,
+            minDistance=self.min_distance_px,
+            mask=mask,
+            blockSize=7,
+        )
+        if corners is None:
+            return np.zeros((0, 2))
+        found = np.asarray(corners, float).reshape(-1, 2)
+        return found[_spread_out(found, taken, wanted, (self.width_px, self.height_px))]
+
+
+def _spread_out(found: Array, taken: Array, wanted: int, size_px: tuple[int, int]) -> NDArray[np.intp]:
+    """Which of `found` (best first) to take so that every part of the picture gets its share: emptiest cell first."""
+    if len(found) <= wanted:
+        return np.arange(len(found))
+    cells = np.array([8, 6])
+    cell = np.minimum((found / size_px * cells).astype(int), cells - 1) @ [1, 8]
+    filled = np.zeros(48, int)
+    if len(taken):
+        at = np.clip((taken / size_px * cells).astype(int), 0, cells - 1) @ [1, 8]
+        filled += np.bincount(at, minlength=48)
+    # A corner's rank is how full its cell is when its turn comes; ties go to the stronger corner.
+    rank = np.empty(len(found), int)
+    seen = filled.copy()
+    for i, c in enumerate(cell):
+        rank[i] = seen[c]
+        seen[c] += 1
+    return np.sort(np.argsort(rank, kind="stable")[:wanted])
+
+
+def _contrast(picture: Picture, uv: Array) -> Array:
+    """Standard deviation of the picture in LK's window around pixels (N, 2), grey levels."""
+    reach = np.arange(WINDOW_PX) - WINDOW_PX // 2
+    height, width = picture.shape
+    at = np.rint(uv).astype(np.intp)
+    rows = np.clip(at[:, 1, None] + reach, 0, height - 1)
+    columns = np.clip(at[:, 0, None] + reach, 0, width - 1)
+    out: Array = picture[rows[:, :, None], columns[:, None, :]].std(axis=(1, 2))
+    return out
+
+
+class _HomographyFit:
+    """Weighted least squares homographies through the same pairs of pixels, `at` (N, 2) -> `to` (N, 2), N >= 4."""
+
+    def __init__(self, at: Array, to: Array) -> None:
+        self._centre, self._scale = at.mean(axis=0), max(float(np.ptp(at)), 1.0)
+        n = len(at)
+        p = (at - self._centre) / self._scale
+        self._q = (to - self._centre) / self._scale
+        self._p1 = np.ones((n, 3))
+        self._p1[:, :2] = p
+        self._A = np.zeros((2, n, 8))
+        self._A[0, :, :3] = self._A[1, :, 3:6] = self._p1
+        np.multiply(-self._q.T[:, :, None], p, out=self._A[:, :, 6:])
+        self._h = np.eye(3)
+
+    def solve(self, weight: Array) -> Array:
+        """One linear step, scaled; returns the distance (N,), px, that each pair misses by."""
+        A = self._A.reshape(-1, 8)
+        AW = (self._A * weight[:, None]).reshape(-1, 8)
+        h = np.linalg.solve(AW.T @ A + 1e-9 * np.eye(8), AW.T @ self._q.T.ravel())
+        self._h = np.append(h, 1.0).reshape(3, 3)
+        moved = self._p1 @ self._h.T
+        miss = moved[:, :2] / moved[:, 2:] - self._q
+        out: Array = np.hypot(miss[:, 0], miss[:, 1]) * self._scale
+        return out
+
+    @property
+    def H(self) -> Array:
+        """The last solution (3, 3), in pixels."""
+        (u, v), s = self._centre, self._scale
+        to_unit = np.array([[1 / s, 0, -u / s], [0, 1 / s, -v / s], [0, 0, 1.0]])
+        from_unit = np.array([[s, 0, u], [0, s, v], [0, 0, 1.0]])
+        out: Array = from_unit @ self._h @ to_unit
+        out /= out[2, 2]
+        return out
+
+
+def fit_homography(at: Array, to: Array, weight: Array) -> Array:
+    """Weighted least squares homography (3, 3), pixels `at` (N, 2) -> `to` (N, 2), N >= 4. One linear step, scaled."""
+    fit = _HomographyFit(at, to)
+    fit.solve(weight)
+    return fit.H
+
+
+def _turn(H: Array, width_px: int, height_px: int) -> float:
+    """How far a homography's linear part at the picture's middle is from no turn and no scale."""
+    middle = np.array([width_px / 2.0, height_px / 2.0])
+    steps = middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    moved = move(H, steps)
+    linear = (moved[1:] - moved[0]).T
+    return float(np.abs(linear - np.eye(2)).max())

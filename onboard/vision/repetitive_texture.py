@@ -1,0 +1,50 @@
+"""Ground that repeats itself: rows, tiles, chessboards. A track there may be right in all but by how many rows.
+
+Every patch then has twins that the tracker would take for it. Which one is followed is decided by where the search
+begins, and nothing afterwards shows a slip: a whole scene that is off by a row is as rigid as the true one.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.vision.contrast_normalisation import Picture
+
+Array = NDArray[np.float64]
+
+PATCH_PX = 21  # at half the picture's size
+REACH_PX = 40  # at half the picture's size
+SAMPLE = 12  # features asked
+MIN_SAMPLE = 6
+TWIN = 0.75  # correlation from which the tracker takes one patch for another
+APART = 0.5  # two peaks of correlation are two things if it falls below this between them
+SHARE = 0.5  # of the features asked that must have a twin
+
+
+def repetition_px(picture: Picture, uv_px: Array) -> float | None:
+    """Distance (px) at which a prepared picture repeats itself about its features (N, 2); None if it does not."""
+    half = np.asarray(cv2.pyrDown(picture), np.uint8)
+    height, width = half.shape
+    margin = PATCH_PX // 2 + REACH_PX
+    at = np.rint(uv_px / 2.0).astype(np.intp)
+    inside = np.all((at >= margin) & (at < np.array([width, height]) - margin), axis=1)
+    at = at[inside]
+    if len(at) < MIN_SAMPLE:
+        return None
+    at = at[np.linspace(0, len(at) - 1, min(SAMPLE, len(at))).astype(np.intp)]
+    twins = [twin for u, v in at if (twin := _twin_px(half[v - margin : v + margin + 1, u - margin : u + margin + 1]))]
+    return 2.0 * float(np.median(twins)) if len(twins) >= SHARE * len(at) else None
+
+
+def _twin_px(around: Picture) -> float | None:
+    """Distance from the middle of a square to the nearest other place that looks like it; None if there is none."""
+    patch = around[REACH_PX:-REACH_PX, REACH_PX:-REACH_PX]
+    likeness = np.asarray(cv2.matchTemplate(around, patch, cv2.TM_CCOEFF_NORMED), np.float32)
+    _, name = cv2.connectedComponents((likeness > APART).astype(np.uint8))
+    other = (likeness > TWIN) & (name != name[REACH_PX, REACH_PX])
+    if not other.any():
+        return None
+    rows, columns = np.nonzero(other)
+    return float(np.hypot(rows - REACH_PX, columns - REACH_PX).min())

@@ -1,0 +1,303 @@
+"""A known camera is calibrated: its numbers come back with honest sigmas, or a refusal that says what to do."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from contract.camera import Camera
+from onboard.__main__ import main
+from onboard.calibration.board import Board
+from onboard.calibration.intrinsics import MODELS, PARAMETERS, Model, View, calibrate, fit
+from onboard.calibration.verdict import coverage_picture, judge
+from onboard.commands.calibrate import Collector
+from tests.onboard.calibration.board_pictures import Photographer, Pose, poses_all_over
+
+TRUTH = Camera(640, 480, 560.0, 558.0, 322.3, 236.1, (-0.28, 0.09, 0.0008, -0.0005, 0.0))
+CHARUCO = Board()
+CHECKERS = Board("checkerboard", 7, 6)
+FRONTAL = [Pose((0.0, 0.0, p.turn_rad[2]), p.middle_cam_m) for p in poses_all_over(14, 3)]
+
+
+def seen(poses: list[Pose], noise_px: float = 0.05, camera: Camera = TRUTH, seed: int = 0) -> list[View]:
+    """What a perfect detector would find, with noise; no picture is drawn."""
+    rng = np.random.default_rng(seed)
+    points_m = CHARUCO.points_m()
+    middle_m = np.array([CHARUCO.columns, CHARUCO.rows, 0.0]) * CHARUCO.square_m / 2.0
+    views = []
+    for number, pose in enumerate(poses):
+        R = np.asarray(cv2.Rodrigues(np.array(pose.turn_rad))[0])
+        uv_px, is_inside = camera.project((points_m - middle_m) @ R.T + np.array(pose.middle_cam_m))
+        numbers = np.flatnonzero(is_inside)
+        noisy = uv_px[numbers] + rng.normal(0.0, noise_px, (len(numbers), 2))
+        views.append(View(f"{number}", numbers, noisy, points_m[numbers]))
+    return views
+
+
+def direction_errors_px(camera: Camera, truth: Camera = TRUTH) -> NDArray[np.float64]:
+    """How far off the camera sees the true directions of a grid of pixels, (N,)."""
+    grid = np.stack(np.meshgrid(np.linspace(8, 631, 9), np.linspace(8, 471, 7)), axis=-1).reshape(-1, 2)
+    rays, _ = truth.unproject(grid)
+    uv_px, _ = camera.project(rays)
+    return np.asarray(np.linalg.norm(uv_px - grid, axis=1))
+
+
+def photograph(board: Board, poses: list[Pose], folder: Path) -> None:
+    photographer = Photographer(TRUTH, board)
+    for number, pose in enumerate(poses):
+        Image.fromarray(photographer.photograph(pose)).save(folder / f"{number:02d}.png")
+
+
+@pytest.mark.parametrize(
+    ("board", "words"),
+    [(CHARUCO, []), (CHECKERS, ["--board", "checkerboard", "--squares", "7x6"])],
+    ids=["charuco", "checkerboard"],
+)
+def test_a_known_camera_is_recovered_from_pictures(
+    board: Board, words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pictures, out = tmp_path / "pictures", tmp_path / "camera.json"
+    pictures.mkdir()
+    photograph(board, poses_all_over(18, 1), pictures)
+    assert main(["calibrate", "--pictures", str(pictures), "--out", str(out), *words]) == 0
+    camera = Camera.from_json(out)
+    assert camera.size_px == (640, 480)
+    assert camera.fx_px == pytest.approx(560.0, rel=0.002)
+    assert camera.fy_px == pytest.approx(558.0, rel=0.002)
+    assert camera.cx_px == pytest.approx(322.3, abs=1.5)
+    assert camera.cy_px == pytest.approx(236.1, abs=1.5)
+    assert camera.distortion[0] == pytest.approx(-0.28, abs=0.01)
+    assert camera.distortion[1] == pytest.approx(0.09, abs=0.03)
+    assert direction_errors_px(camera).max() < 1.5
+    known = json.loads(out.read_text())["calibration"]
+    assert known["verdict"] == "good" and known["views"] == 18
+    assert 0.01 < known["reprojection_rms_px"] < 0.2
+    assert 0.0 < known["sigma"]["fx"] < 1.5
+    text = capsys.readouterr().out
+    assert "board found in 18 of 18 pictures" in text and "verdict: good" in text
+    drawn = np.asarray(Image.open(tmp_path / "camera.coverage.png"))
+    assert drawn.shape[1] == 1280 and len(np.unique(drawn.reshape(-1, 3), axis=0)) > 20
+
+
+def test_sigmas_are_what_the_errors_are() -> None:
+    poses = poses_all_over(14, 1)
+    truth = (TRUTH.fx_px, TRUTH.fy_px, TRUTH.cx_px, TRUTH.cy_px, *TRUTH.distortion)
+    scores, sigmas_px = [], []
+    for seed in range(40):
+        fitted = fit(seen(poses, seed=seed), TRUTH.size_px, Model(2, True))
+        assert fitted is not None
+        c = fitted.camera
+        found = (c.fx_px, c.fy_px, c.cx_px, c.cy_px, *c.distortion)
+        scores.append(
+            [(f - t) / fitted.sigmas[n] for n, f, t in zip(PARAMETERS[:8], found[:8], truth[:8], strict=True)]
+        )
+        sigmas_px.append(fitted.ray_sigma_px.max())
+    rms = np.sqrt(np.mean(np.square(scores), axis=0))
+    assert np.all((rms > 0.65) & (rms < 1.4)), rms
+    assert 0.75 < np.sqrt(np.mean(np.square(scores))) < 1.25
+    assert 0.02 < np.mean(sigmas_px) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("distortion", "chosen"),
+    [
+        ((0.0, 0.0, 0.0, 0.0, 0.0), "none"),
+        ((-0.1, 0.0, 0.0, 0.0, 0.0), "k1"),
+        ((-0.28, 0.09, 0.0, 0.0, 0.0), "k1 k2"),
+        ((-0.28, 0.09, 0.002, -0.001, 0.0), "k1 k2 p1 p2"),
+        ((-0.25, 0.1, 0.002, -0.001, -0.03), "k1 k2 k3 p1 p2"),
+    ],
+)
+def test_the_model_has_what_the_evidence_asks_for_and_no_more(
+    distortion: tuple[float, float, float, float, float], chosen: str
+) -> None:
+    camera = Camera(640, 480, 460.0, 460.0, 320.0, 240.0, distortion)
+    poses = poses_all_over(18, 2, distance_m=0.27)
+    result = calibrate(seen(poses, camera=camera), (640, 480))
+    assert result is not None
+    assert result[0].model.name == chosen
+    assert direction_errors_px(result[0].camera, camera).max() < 1.0
+
+
+def test_boards_that_all_face_the_camera_leave_the_focal_length_unknown() -> None:
+    result = calibrate(seen(FRONTAL), TRUTH.size_px)
+    verdict = judge(None if result is None else result[0], [], TRUTH.size_px, len(FRONTAL))
+    assert not verdict.is_good
+    assert "too few tilts: the focal length" in str(verdict)
+    assert "lean the board 20 to 40 degrees forwards or backwards and to the left or right" in str(verdict)
+
+
+def test_boards_that_lean_one_way_only_are_told_the_other() -> None:
+    poses = [Pose((0.5 * (-1) ** n, 0.0, 0.0), p.middle_cam_m) for n, p in enumerate(poses_all_over(14, 3))]
+    result = calibrate(seen(poses), TRUTH.size_px)
+    assert result is not None
+    complaint, *_ = judge(*result, TRUTH.size_px, 14).complaints
+    assert complaint.startswith("too few tilts")
+    assert complaint.endswith("lean the board 20 to 40 degrees to the left or right")
+
+
+def test_too_few_views_are_refused_and_nothing_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pictures, out = tmp_path / "pictures", tmp_path / "camera.json"
+    pictures.mkdir()
+    photograph(CHARUCO, poses_all_over(3, 1), pictures)
+    Image.new("L", (640, 480), 90).save(pictures / "empty.png")
+    assert main(["calibrate", "--pictures", str(pictures), "--out", str(out)]) == 1
+    assert not out.exists()
+    text = capsys.readouterr().out
+    assert "board found in 3 of 4 pictures, not in empty.png" in text
+    assert "verdict: not good: the board was found in 3 pictures only: take 16" in text
+
+
+def test_a_bad_calibration_is_written_only_if_insisted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pictures, out = tmp_path / "pictures", tmp_path / "camera.json"
+    pictures.mkdir()
+    photograph(CHARUCO, poses_all_over(6, 1), pictures)
+    command = ["calibrate", "--pictures", str(pictures), "--out", str(out)]
+    assert main(command) == 1
+    assert not out.exists()
+    assert "too few views (6)" in capsys.readouterr().out
+    assert main([*command, "--accept"]) == 1
+    assert Camera.from_json(out).fx_px == pytest.approx(560.0, rel=0.02)
+    assert json.loads(out.read_text())["calibration"]["verdict"].startswith("not good: too few views (6)")
+
+
+def test_a_corner_that_saw_no_board_is_named() -> None:
+    poses = [Pose(p.turn_rad, (-0.08 - 0.02 * (n % 3), -0.06, 0.45)) for n, p in enumerate(poses_all_over(14, 5))]
+    result = calibrate(seen(poses), TRUTH.size_px)
+    assert result is not None
+    text = str(judge(*result, TRUTH.size_px, 14))
+    assert "not enough coverage" in text and "lower right" in text
+    assert "upper left" not in text
+
+
+def test_noisy_corners_are_a_high_error() -> None:
+    result = calibrate(seen(poses_all_over(18, 1), noise_px=1.5), TRUTH.size_px)
+    assert result is not None
+    assert any(text.startswith("high error (2.") for text in judge(*result, TRUTH.size_px, 18).complaints)
+
+
+def test_a_view_that_contradicts_the_others_is_dropped() -> None:
+    views = seen(poses_all_over(18, 1))
+    moved = views[7].uv_px + np.where(np.arange(len(views[7].uv_px)) % 2, 3.0, -3.0)[:, None]
+    views[7] = View("moved", views[7].numbers, moved, views[7].points_m)
+    result = calibrate(views, TRUTH.size_px)
+    assert result is not None
+    fitted, dropped = result
+    assert [view.name for view in dropped] == ["moved"]
+    assert fitted.camera.fx_px == pytest.approx(560.0, rel=0.002)
+    assert fitted.rms_px < 0.1
+
+
+def test_a_lens_whose_distortion_folds_is_refused() -> None:
+    folding = Camera(640, 480, 460.0, 460.0, 320.0, 240.0, (-0.3, 0.2, 0.0, 0.0, -0.2))
+    result = calibrate(seen(poses_all_over(18, 2, distance_m=0.27), camera=folding), (640, 480))
+    assert result is not None
+    assert result[0].rms_px < 0.1
+    assert any("folds within the picture" in text for text in judge(*result, (640, 480), 18).complaints)
+
+
+def test_boards_in_the_middle_only_are_never_good_and_leave_a_ray_at_every_pixel() -> None:
+    poses = [Pose(p.turn_rad, (0.0, 0.0, 0.9)) for p in poses_all_over(12, 4)]
+    edge = np.array([(0.0, 0.0), (639.0, 0.0), (0.0, 479.0), (639.0, 479.0), (320.0, 0.0)])
+    for seed in range(5):
+        result = calibrate(seen(poses, noise_px=0.4, seed=seed), TRUTH.size_px)
+        assert result is not None
+        assert np.all(result[0].camera.unproject(edge)[1])
+        assert "not enough coverage" in str(judge(*result, TRUTH.size_px, 12))
+
+
+def test_every_model_is_its_parameters() -> None:
+    assert [model.name for model in MODELS] == [
+        *("none", "p1 p2", "k1", "k1 p1 p2", "k1 k2", "k1 k2 p1 p2", "k1 k2 k3", "k1 k2 k3 p1 p2"),
+    ]
+    for model in MODELS:
+        free = {PARAMETERS[column] for column in model.columns} - {"fx", "fy", "cx", "cy"}
+        assert free == set(model.name.split()) - {"none"}
+
+
+def test_residual_arrows_and_bare_cells_are_drawn() -> None:
+    result = calibrate(seen(poses_all_over(18, 1)[:6]), TRUTH.size_px)
+    assert result is not None
+    drawn = coverage_picture(result[0], judge(*result, TRUTH.size_px, 6))
+    assert drawn.shape == (2 * 480 + 52, 1280, 3)
+
+
+@pytest.mark.parametrize("board", [CHARUCO, CHECKERS], ids=["charuco", "checkerboard"])
+def test_the_printed_board_is_found_at_its_true_size(board: Board, tmp_path: Path) -> None:
+    path = tmp_path / "board.png"
+    words = ["--board", board.kind, "--squares", f"{board.columns}x{board.rows}"]
+    assert main(["calibrate", "--print-board", str(path), *words]) == 0
+    with Image.open(path) as image:
+        assert image.info["dpi"] == pytest.approx((300.0, 300.0), abs=0.01)
+        page = np.asarray(image)
+    view = board.find(np.asarray(cv2.resize(page, None, fx=0.3, fy=0.3, interpolation=cv2.INTER_AREA), np.uint8))
+    assert view is not None and len(view.numbers) == board.corners
+    spread_mm = np.ptp(view.uv_px, axis=0) / 0.3 / 300.0 * 25.4
+    wanted_mm = np.array([board.columns - 2, board.rows - 2]) * 25.0
+    assert np.sort(spread_mm) == pytest.approx(np.sort(wanted_mm), rel=0.003)
+    assert main(["calibrate", "--print-board", str(tmp_path / "board.pdf"), *words]) == 0
+    assert (tmp_path / "board.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_part_of_a_charuco_board_is_enough_and_its_corners_are_the_right_ones() -> None:
+    photographer = Photographer(TRUTH, CHARUCO)
+    pose = Pose((0.2, -0.3, 0.1), (0.1, 0.05, 0.3))
+    view = CHARUCO.find(photographer.photograph(pose))
+    assert view is not None and len(view.numbers) < CHARUCO.corners
+    (true,) = seen([pose], noise_px=0.0)
+    _, in_found, in_true = np.intersect1d(view.numbers, true.numbers, return_indices=True)
+    assert len(in_found) == len(view.numbers)
+    assert np.linalg.norm(view.uv_px[in_found] - true.uv_px[in_true], axis=1).max() < 0.5
+    assert CHARUCO.find(np.full((480, 640), 90, np.uint8)) is None
+
+
+def test_live_views_are_kept_when_still_and_new() -> None:
+    first, second = seen(poses_all_over(2, 1), noise_px=0.0)
+    collector = Collector((640, 480))
+    shaken = View("", first.numbers, first.uv_px + 3.0, first.points_m)
+    at_ns = iter(range(0, 10**10, 10**8))
+    offered = [first, shaken, first, first, first, None, second, second, first, first]
+    kept = [collector.offer(next(at_ns), view) for view in offered]
+    assert kept == [False, False, False, True, False, False, False, True, False, False]
+    late = Collector((640, 480))
+    assert not late.offer(0, first)
+    assert not late.offer(10**9, first)
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ([], "name either --pictures FOLDER or --device"),
+        (["--pictures", "x", "--device", "y"], "name either"),
+        (["--pictures", "x"], "--out CAMERA.json"),
+        (["--pictures", "/nowhere", "--out", "c.json"], "pictures /nowhere: no such folder"),
+        (["--device", "/dev/video0", "--out", "c.json"], "--size 1280x720"),
+        (["--pictures", "x", "--out", "/nowhere/c.json"], "/nowhere/c.json: cannot be written there"),
+        (["--squares", "2x9", "--pictures", "x"], "board of 2x9 squares: 3 to 40"),
+        (["--squares", "30x30", "--pictures", "x"], "needs 450 markers, dictionary 5X5_100 has 100"),
+        (["--dictionary", "9X9", "--pictures", "x"], "marker dictionary '9X9': one of 4X4_100"),
+        (["--marker-mm", "30", "--pictures", "x"], "markers of 30 mm: 0.3 to 0.9"),
+        (["--square-mm", "0", "--pictures", "x"], "squares of 0 mm"),
+        (["--print-board", "board.gif"], "printed from .png or .pdf"),
+    ],
+)
+def test_misuse_is_one_line(
+    words: list[str], line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["calibrate", *words]) == 2
+    error = capsys.readouterr().err
+    assert line in error and error.count("\n") == 1
+
+
+def test_pictures_of_two_sizes_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Image.new("L", (64, 48)).save(tmp_path / "a.png")
+    Image.new("L", (48, 64)).save(tmp_path / "b.png")
+    assert main(["calibrate", "--pictures", str(tmp_path), "--out", str(tmp_path / "c.json")]) == 2
+    assert "b.png is 48x64, the ones before 64x48" in capsys.readouterr().err

@@ -1,0 +1,165 @@
+"""What becomes of a driver's buffers: times, gaps, repeats, damage."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from onboard.camera.buffer_decoder import (
+    CLOCK_COPIED,
+    CLOCK_MONOTONIC,
+    CLOCK_UNKNOWN,
+    FLAG_ERROR,
+    SOURCE_START_OF_EXPOSURE,
+    Pictures,
+)
+from onboard.camera.v4l2_device import Buffer, Granted
+from onboard.events.session_clock import SessionClock
+from onboard.events.types import Frame
+from tests.onboard.camera.fake_camera import SIZE_PX, picture
+
+CLOCK = SessionClock(1_700_000_000_000_000_000)
+GREY = Granted("GREY", *SIZE_PX, 0, True)
+MS = 1_000_000
+START_NS = 10**12
+
+
+def judge() -> Pictures:
+    return Pictures(CLOCK, 0.0, SIZE_PX, 30.0)
+
+
+def offer(
+    pictures: Pictures, number: int, *, sequence: int | None = None, age_ns: int = MS, flags: int = CLOCK_MONOTONIC,
+    data: bytearray | None = None, has_waited: bool = False,
+) -> Frame | None:  # fmt: skip
+    now_ns = START_NS + number * 33 * MS
+    buffer = Buffer(
+        picture(number) if data is None else data,
+        now_ns - age_ns,
+        number if sequence is None else sequence,
+        flags,
+        has_waited,
+    )
+    return pictures.take(buffer, GREY, now_ns, False)
+
+
+@given(st.lists(st.integers(1, 5), min_size=1, max_size=30), st.integers(0, 2**32 - 1))
+def test_every_gap_in_the_numbers_is_counted_also_where_they_wrap(steps: list[int], first: int) -> None:
+    pictures, sequence = judge(), first
+    offer(pictures, 0, sequence=sequence)
+    for number, step in enumerate(steps, 1):
+        sequence = (sequence + step) % 2**32
+        offer(pictures, number, sequence=sequence)
+    assert pictures.counts.lost == sum(steps) - len(steps)
+    assert pictures.counts.pictures == len(steps) + 1
+
+
+def test_numbers_that_begin_anew_are_no_loss() -> None:
+    pictures = judge()
+    offer(pictures, 0, sequence=500)
+    offer(pictures, 1, sequence=0)
+    pictures.restart()
+    offer(pictures, 2, sequence=77)
+    assert pictures.counts.lost == 0
+
+
+def test_a_driver_that_does_not_number_says_so() -> None:
+    pictures = judge()
+    for number in range(3):
+        offer(pictures, number, sequence=0)
+    assert pictures.complaints() == ["the driver does not number its pictures: lost ones cannot be counted"]
+
+
+def test_stamps_of_the_monotonic_clock_are_taken_as_they_are() -> None:
+    pictures = judge()
+    frame = offer(pictures, 3, age_ns=7 * MS, flags=CLOCK_MONOTONIC | SOURCE_START_OF_EXPOSURE)
+    assert frame is not None
+    assert frame.stamp_ns == CLOCK.from_monotonic_ns(START_NS + 3 * 33 * MS - 7 * MS)
+    assert pictures.stamped_at == "start"
+    assert pictures.complaints() == []
+
+
+def test_a_stale_buffer_is_skipped() -> None:
+    pictures = judge()
+    assert offer(pictures, 0, age_ns=501 * MS) is None
+    assert offer(pictures, 1, age_ns=499 * MS) is not None
+    assert pictures.counts.skipped == 1
+
+
+def test_stamps_in_the_future_are_said() -> None:
+    pictures = judge()
+    assert offer(pictures, 0, age_ns=-33 * MS) is not None
+    assert pictures.complaints() == ["stamps lie 33 ms in the future: calibrate camera.latency_s"]
+
+
+@pytest.mark.parametrize("flags", [CLOCK_UNKNOWN, CLOCK_COPIED])
+def test_an_unknown_clock_is_believed_only_where_it_agrees_with_ours(flags: int) -> None:
+    pictures = judge()
+    agreeing = offer(pictures, 0, flags=flags, age_ns=20 * MS)
+    assert agreeing is not None and agreeing.stamp_ns == CLOCK.from_monotonic_ns(START_NS - 20 * MS)
+    assert pictures.complaints() == []
+    for age_ns in (-(10**18), 10**12):  # Unix time, another machine's uptime
+        pictures = judge()
+        frame = offer(pictures, 1, flags=flags, age_ns=age_ns)
+        assert frame is not None and frame.stamp_ns == CLOCK.from_monotonic_ns(START_NS + 33 * MS)
+        assert "not of CLOCK_MONOTONIC" in pictures.complaints()[0]
+        assert offer(pictures, 2, flags=flags, age_ns=age_ns, has_waited=True) is None
+
+
+def test_stamps_never_run_backwards() -> None:
+    pictures = judge()
+    frames = [offer(pictures, number, age_ns=age) for number, age in enumerate([MS, 40 * MS, MS, 34 * MS, MS])]
+    stamps_ns = [frame.stamp_ns for frame in frames if frame is not None]
+    assert stamps_ns == sorted(set(stamps_ns))
+    assert pictures.counts.skipped == 2
+    pictures.restart()
+    assert offer(pictures, 0) is None
+
+
+def test_a_repeat_to_the_last_bit_bears_no_image() -> None:
+    pictures = judge()
+    nearly = picture(0)
+    nearly[-1] ^= 1
+    images = [offer(pictures, n, data=data) for n, data in enumerate([picture(0), picture(0), nearly, nearly])]
+    assert [frame is not None and frame.image is not None for frame in images] == [True, False, True, False]
+    assert pictures.counts.repeated == 2
+
+
+def test_a_blank_picture_is_said_and_is_no_repeat() -> None:
+    pictures = judge()
+    black = bytearray(SIZE_PX[0] * SIZE_PX[1])
+    frames = [offer(pictures, number, data=black) for number in range(3)]
+    assert all(frame is not None and frame.image is not None for frame in frames)
+    assert "single grey value" in pictures.complaints()[0]
+
+
+def test_a_damaged_buffer_bears_no_image_and_many_are_said() -> None:
+    pictures = judge()
+    for number in range(4):
+        frame = offer(pictures, number, flags=CLOCK_MONOTONIC | FLAG_ERROR)
+        assert frame is not None and frame.image is None
+    assert pictures.complaints() == []
+    short = offer(pictures, 4, data=picture(4)[:-1])
+    assert short is not None and short.image is None
+    assert pictures.complaints() == ["the last 5 pictures are damaged"]
+    assert pictures.counts.damaged == 5
+    offer(pictures, 5)
+    assert pictures.complaints() == []
+
+
+def test_half_the_rate_is_said() -> None:
+    pictures = judge()
+    for number in range(0, 120, 2):
+        offer(pictures, number)
+    assert pictures.rate_hz == pytest.approx(15.15, abs=0.01)
+    assert pictures.complaints() == ["15.2 of 30 pictures a second: exposure too long, or bus too slow"]
+
+
+def test_images_do_not_share_memory() -> None:
+    pictures = judge()
+    frames = [offer(pictures, number) for number in range(2)]
+    first, second = (frame.image for frame in frames if frame is not None)
+    assert first is not None and second is not None
+    assert not np.shares_memory(first, second)

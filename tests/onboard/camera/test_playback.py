@@ -1,0 +1,72 @@
+"""A camera that is a folder: pictures when they are due, and lost when they are over."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from contract.camera import Camera
+from contract.errors import InputError
+from onboard.camera.playback import PlayedCamera
+from onboard.events.session_clock import SessionClock
+from onboard.events.source import State
+from onboard.events.types import Event, Frame
+
+CAMERA = Camera.from_field_of_view(64, 48, 40.0)
+
+
+def folder(where: Path, begin_s: float) -> Path:
+    lines = ["file,unix_time_s"]
+    for index in range(5):
+        Image.fromarray(np.full((48, 64), 10 * index, np.uint8)).save(where / f"{index}.png")
+        lines.append(f"{index}.png,{begin_s + 0.1 * index:.6f}")
+    (where / "stamps.csv").write_text("\n".join(lines))
+    return where
+
+
+def played(where: Path, seconds: float) -> tuple[PlayedCamera, list[tuple[int, Frame]]]:
+    source = PlayedCamera(where, CAMERA, SessionClock.start())
+    assert source.health().state is State.STARTING
+    out: list[tuple[int, Frame]] = []
+
+    def emit(arrival_ns: int, event: Event) -> None:
+        assert isinstance(event, Frame)
+        assert source.health().state is State.OK
+        out.append((arrival_ns, event))
+
+    stop = threading.Event()
+    thread = threading.Thread(target=source.run, args=(emit, stop))
+    thread.start()
+    time.sleep(seconds)
+    stop.set()
+    thread.join(1.0)
+    assert not thread.is_alive()
+    return source, out
+
+
+def test_pictures_of_long_ago_come_now_as_far_apart_as_they_were(tmp_path: Path) -> None:
+    source, out = played(folder(tmp_path, 1_600_000_000.0), 1.0)
+    assert [frame.index for _, frame in out] == [0, 1, 2, 3, 4]
+    assert np.diff([frame.stamp_ns for _, frame in out]) == pytest.approx([1e8] * 4)
+    assert abs(out[0][1].stamp_ns / 1e9 - time.time()) < 5.0
+    assert all(0 <= arrival_ns - frame.stamp_ns < 3e8 for arrival_ns, frame in out)
+    assert source.health().state is State.LOST
+
+
+def test_pictures_ahead_come_at_their_own_stamps_and_those_gone_by_do_not(tmp_path: Path) -> None:
+    begin_s = time.time() - 0.15
+    _, out = played(folder(tmp_path, begin_s), 0.8)
+    assert [frame.index for _, frame in out] in ([2, 3, 4], [3, 4])
+    for _, frame in out:
+        assert frame.stamp_ns / 1e9 == pytest.approx(begin_s + 0.1 * frame.index, abs=1e-3)
+        assert frame.image is not None and frame.image[0, 0] == 10 * frame.index
+
+
+def test_what_cannot_be_played_is_refused_at_once(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no picture"):
+        PlayedCamera(tmp_path, CAMERA, SessionClock.start())

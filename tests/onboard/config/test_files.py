@@ -1,0 +1,97 @@
+"""A configuration in several files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from contract.errors import ConfigError
+from onboard.__main__ import main
+from onboard.config.files import load_config_files, state_folder
+from onboard.config.schema import Config, parse_config, to_toml
+
+
+@pytest.fixture
+def etc(tmp_path: Path) -> Path:
+    (tmp_path / "config.d").mkdir()
+    (tmp_path / "config.toml").write_text('[vehicle]\nid = "kiwi"\n[camera]\nrate_hz = 10\ngain = 3\n')
+    return tmp_path
+
+
+def test_later_files_win_key_by_key_in_order_of_name(etc: Path) -> None:
+    (etc / "config.d" / "20-camera.toml").write_text("[camera]\nrate_hz = 20\n")
+    (etc / "config.d" / "10-camera.toml").write_text("[camera]\nrate_hz = 15\nfocus = 7\n")
+    (etc / "config.d" / "30-link.toml.bak").write_text("not read")
+    config = load_config_files(etc / "config.toml")
+    assert (config.vehicle.id, config.camera.rate_hz, config.camera.gain, config.camera.focus) == ("kiwi", 20, 3, 7)
+
+
+def test_without_a_folder_the_file_is_all(tmp_path: Path) -> None:
+    (tmp_path / "config.toml").write_text("[camera]\nrate_hz = 10\n")
+    assert load_config_files(tmp_path / "config.toml").camera.rate_hz == 10
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[camera]\nrate = 5\n", "did you mean 'camera.rate_hz'?"),
+        ("[camera]\nrate_hz = 5000\n", "0.1 to 240 Hz"),
+        ("[camera\n", "not TOML"),
+        ("camera = 5\n", "write [camera]"),
+    ],
+)
+def test_the_complaint_names_the_file_at_fault(
+    etc: Path, text: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (etc / "config.d" / "10-good.toml").write_text("[camera]\nrate_hz = 15\n")
+    (etc / "config.d" / "20-bad.toml").write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_config_files(etc / "config.toml")
+    assert str(etc / "config.d" / "20-bad.toml") in str(caught.value)
+    assert said in str(caught.value)
+    assert main(["check-config", str(etc / "config.toml")]) == 2
+    complaint = capsys.readouterr().err
+    assert complaint.count("\n") == 1
+    assert "20-bad.toml" in complaint
+
+
+def test_check_config_names_every_file_it_found_good(etc: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (etc / "config.d" / "a.toml").write_text("")
+    assert main(["check-config", str(etc / "config.toml")]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        f"{etc / 'config.toml'}: good",
+        f"{etc / 'config.d' / 'a.toml'}: good",
+    ]
+
+
+@given(
+    st.text(max_size=40),
+    st.floats(-180, 180),
+    st.sampled_from(["auto", "always", "never"]),
+    st.lists(st.text(max_size=10), max_size=3).map(tuple),
+)
+def test_what_differs_from_the_defaults_reads_back_the_same(
+    device: str, roll: float, gimbal: str, listen: tuple[str, ...]
+) -> None:
+    table = {"camera": {"device": device}, "mount": {"roll_deg": roll, "gimbal": gimbal}, "link": {"listen": listen}}
+    config = Config.model_validate(table)
+    assert parse_config(to_toml(config)) == config
+    assert to_toml(Config()) == ""
+
+
+def test_the_state_folder_is_the_configured_one_else_systemds_else_the_users(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    configured = Config.model_validate({"service": {"state_dir": str(tmp_path / "a" / "b")}})
+    environment = {"STATE_DIRECTORY": f"{tmp_path / 'c'}:{tmp_path / 'd'}"}
+    assert state_folder(configured, environment) == tmp_path / "a" / "b"
+    assert state_folder(Config(), environment) == tmp_path / "c"
+    assert state_folder(Config(), {}) == tmp_path / ".local" / "state" / "pointclick"
+    assert (tmp_path / "a" / "b").is_dir()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match=r"service\.state_dir"):
+        state_folder(Config.model_validate({"service": {"state_dir": str(tmp_path / "file" / "x")}}), {})

@@ -1,0 +1,156 @@
+"""What a flight teaches of boresight and time offset: independent lessons, ageing, and what survives a restart."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from contract.errors import InputError
+from onboard.estimation.boresight import BORESIGHT_WALK_RAD, MEMORY_ESTIMATES, OFFSET_WALK_S, STATES, Alignment
+
+T0_NS = 1_795_217_000_000_000_000
+SPACING_S = 20.0
+MEAN = np.array([0.02, -0.01, 0.005, -0.08])
+COVARIANCE = np.diag([1e-6, 2e-6, 3e-6, 1e-4])
+
+
+def alignment() -> Alignment:
+    return Alignment(np.radians(3.0), 0.1, SPACING_S)
+
+
+def at(seconds: float) -> int:
+    return T0_NS + round(seconds * 1e9)
+
+
+def test_before_any_lesson_the_prior_is_the_configured_one() -> None:
+    prior = alignment().prior_for(at(0.0))
+    assert np.all(prior.mean == 0.0)
+    assert prior.sigma == pytest.approx([*[np.radians(3.0)] * 3, 0.1], rel=1e-4)
+
+
+def test_a_lesson_serves_windows_that_begin_after_it_and_no_other() -> None:
+    a = alignment()
+    assert a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)
+    assert np.all(a.prior_for(at(9.9)).mean == 0.0)
+    assert np.all(a.prior_for(at(10.0)).mean == MEAN)
+    assert np.all(a.belief.mean == MEAN)
+    assert a.updates == 1
+
+
+def test_windows_that_overlap_a_lesson_or_follow_it_at_once_teach_nothing() -> None:
+    a = alignment()
+    a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)
+    assert not a.offer(at(9.0), at(50.0), 2 * MEAN, COVARIANCE)
+    assert not a.offer(at(10.0), at(29.9), 2 * MEAN, COVARIANCE)
+    assert a.updates == 1
+    assert a.offer(at(20.0), at(30.0), 2 * MEAN, COVARIANCE)
+    assert a.updates == 2
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 2000.0), st.floats(0.5, 60.0)), max_size=60))
+def test_lessons_never_share_data(windows: list[tuple[float, float]]) -> None:
+    a = alignment()
+    learned: list[tuple[float, float]] = []
+    for start, length in sorted(windows):
+        if a.offer(at(start), at(start + length), MEAN, COVARIANCE):
+            learned.append((start, start + length))
+    for (_, end), (start, later) in pairwise(learned):
+        assert start >= end - 1e-6
+        assert later - end >= SPACING_S - 1e-6
+    assert a.updates <= MEMORY_ESTIMATES
+
+
+def test_old_lessons_are_forgotten_but_the_first_prior_stays() -> None:
+    a = alignment()
+    for k in range(3 * MEMORY_ESTIMATES):
+        assert a.offer(at(100.0 * k), at(100.0 * k + 10.0), k * MEAN, COVARIANCE)
+    assert a.updates == MEMORY_ESTIMATES
+    assert np.all(a.prior_for(at(0.0)).mean == 0.0)
+
+
+def test_a_lesson_ages_as_a_random_walk() -> None:
+    a = alignment()
+    a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)
+    fresh, old = a.prior_for(at(10.0)), a.prior_for(at(10.0 + 4 * 60.0))
+    assert np.allclose(fresh.covariance, COVARIANCE)
+    grown = np.diag(old.covariance - COVARIANCE)
+    assert np.sqrt(grown[:3]) == pytest.approx(2.0 * BORESIGHT_WALK_RAD)
+    assert np.sqrt(grown[3]) == pytest.approx(2.0 * OFFSET_WALK_S)
+
+
+def test_a_belief_survives_the_state_directory_wider_than_before() -> None:
+    a, b = alignment(), alignment()
+    a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)
+    b.restore(a.to_json())
+    prior = b.prior_for(at(-1e5))
+    assert np.allclose(prior.mean, MEAN)
+    assert np.all(prior.sigma > a.belief.sigma)
+    assert np.all(prior.sigma < alignment().belief.sigma)
+    assert b.updates == 0
+    assert b.offer(at(0.0), at(5.0), MEAN, COVARIANCE)
+
+
+def _state(**changes: object) -> str:
+    a = alignment()
+    a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)
+    return json.dumps(json.loads(a.to_json()) | changes)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "{}",
+        "not json",
+        _state(boresight_rad=[0.0, 0.0]),
+        _state(boresight_rad=None),
+        _state(offset_s="soon"),
+        _state(covariance=np.eye(3).tolist()),
+        _state(covariance=(-np.eye(STATES)).tolist()),
+        _state(covariance=(np.eye(STATES) + np.triu(np.ones((STATES, STATES)), 1)).tolist()),
+        _state(covariance=np.full((STATES, STATES), np.nan).tolist()),
+        _state(offset_s=float("nan")),
+        _state(boresight_rad=[float("inf"), 0.0, 0.0]),
+    ],
+)
+def test_what_is_no_belief_is_refused_by_name_and_changes_nothing(text: str) -> None:
+    a = alignment()
+    with pytest.raises(InputError, match="alignment state"):
+        a.restore(text)
+    assert np.all(a.belief.mean == 0.0)
+
+
+def test_a_declaration_that_was_too_sure_gives_way_to_data() -> None:
+    """The mount declared within 1 degree, in truth 3 off; data know it to 0.5: it is pulled back by 0.18."""
+    sigma, own = np.radians(1.0), np.radians(0.5)
+    a = Alignment(sigma, 0.1, 20.0)
+    truth = np.array([np.radians(3.0), 0.0, np.radians(0.5), 0.0])
+    precision = np.diag([own**-2] * 3 + [0.02**-2])
+    covariance = np.linalg.inv(precision + np.diag([sigma**-2] * 3 + [0.1**-2]))
+    a.offer(at(0.0), at(10.0), covariance @ precision @ truth, covariance)
+    sensor_pose = np.degrees(a.belief.mean[:3])
+    assert sensor_pose[0] == pytest.approx(2.82, abs=0.01)  # 4 square degrees of prior instead of 1: 2.4
+    assert sensor_pose[2] == pytest.approx(0.4, abs=0.001)  # within what was declared: as it was
+    assert np.degrees(a.belief.sigma[0]) == pytest.approx(0.485, abs=0.002)
+    assert np.degrees(a.belief.sigma[2]) == pytest.approx(np.degrees(np.sqrt(covariance[2, 2])), abs=1e-6)
+
+
+def test_giving_way_happens_once_and_not_lesson_after_lesson() -> None:
+    """A second lesson rests on the first one's prior: its data are told from it, not from the declaration."""
+    sigma, own = np.radians(1.0), np.radians(0.5)
+    a = Alignment(sigma, 0.1, 20.0)
+    truth = np.array([np.radians(3.0), 0.0, 0.0, 0.0])
+    data = np.diag([own**-2] * 3 + [0.02**-2])
+    for k in range(4):
+        prior = a.prior_for(at(100.0 * k))
+        held = np.linalg.inv(prior.covariance)
+        covariance = np.linalg.inv(held + data)
+        a.offer(at(100.0 * k), at(100.0 * k + 10.0), covariance @ (held @ prior.mean + data @ truth), covariance)
+        assert np.degrees(a.belief.sigma[0]) == pytest.approx(0.5 / np.sqrt(k + 1.0), rel=0.04)
+        assert abs(np.degrees(a.belief.mean[0]) - 3.0) < 0.2 / (k + 1)

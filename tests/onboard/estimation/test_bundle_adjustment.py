@@ -1,0 +1,212 @@
+"""The bundle adjustment finds the truth, knows how well, and is the same as the dense problem it never builds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from contract.rotations import exp_so3
+from onboard.estimation.bundle_adjustment import Problem, evaluate, solve
+from onboard.estimation.factors import Layout, State, ground_plane, reprojection
+from onboard.geometry.plane_fit import fit_plane, level, roll_from_plane
+from onboard.geometry.robust import robust_cost
+from tests.onboard.scenes import Drawn, bundle_problem, error_of, first_guess
+
+Array = NDArray[np.float64]
+
+
+def residuals(problem: Problem, state: State) -> Array:
+    """Everything the cost squares, one after another, no loss."""
+    xy = problem.xy.transpose(0, 2, 1)
+    r = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, xy)[0] * problem.weight[:, None]
+    assert problem.ground_weight is not None
+    relief = ground_plane(state.points_enu_m, problem.reference_enu_m, state.plane)[0] * problem.ground_weight
+    return np.concatenate([r.ravel(), relief, *(prior.evaluate(state)[0] for prior in problem.priors)])
+
+
+def dense_jacobian(problem: Problem, state: State) -> Array:
+    """Central differences by camera side, then points."""
+    D, P = problem.layout.size, len(state.points_enu_m)
+    columns = []
+    for c in range(D + 3 * P):
+        step = np.zeros(D + 3 * P)
+        step[c] = h = 1e-6 if c < D else 1e-4
+        sides = [residuals(problem, state.retract(s[:D], s[D:].reshape(P, 3))) for s in (step, -step)]
+        columns.append((sides[0] - sides[1]) / (2.0 * h))
+    return np.stack(columns, axis=1)
+
+
+def turned_start(drawn: Drawn, turn_rad: Array) -> State:
+    """All cameras turned by the same rotation (ENU axes), centres as GPS says, points where the turned rays meet."""
+    R = drawn.truth.R_cam_enu @ exp_so3(turn_rad).T
+    return first_guess(drawn, R, drawn.truth.centres_enu_m)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("axis", ["roll", "pitch", "heading", "all"])
+def test_fifteen_degrees_of_wrong_orientation_are_removed_without_an_attitude_sensor(axis: str, sign: float) -> None:
+    """GPS, pictures and level ground alone: the seed's sensors."""
+    drawn = bundle_problem(np.random.default_rng(5), 8, 70, noise=0.0, attitude=False)
+    along = np.diff(drawn.truth.centres_enu_m[[0, -1]], axis=0)[0]
+    along[2] = 0.0
+    along /= np.linalg.norm(along)
+    axes = {"roll": along, "pitch": np.array([-along[1], along[0], 0.0]), "heading": np.array([0.0, 0.0, 1.0])}
+    turn = axes[axis] if axis != "all" else sum(axes.values()) / np.sqrt(3.0)
+    start = turned_start(drawn, sign * np.radians(15.0) * turn)
+    assert np.median(np.linalg.norm(start.points_enu_m - drawn.truth.points_enu_m, axis=1)) > 5.0
+    solution = solve(drawn.problem, start, scale=None, max_iterations=60, tolerance=1e-12)
+    assert solution.converged
+    assert np.abs(solution.state.centres_enu_m - drawn.truth.centres_enu_m).max() < 0.01
+    assert np.abs(solution.state.points_enu_m - drawn.truth.points_enu_m).max() < 0.01
+    assert 0.0 <= solution.cost < 1e-6
+
+
+def test_with_the_robust_loss_a_window_as_the_daemon_solves_it_also_gets_there() -> None:
+    drawn = bundle_problem(np.random.default_rng(6), 8, 70, noise=0.0, attitude=False)
+    start = turned_start(drawn, np.radians([6.0, -6.0, 8.0]))
+    first = solve(drawn.problem, start, scale=3.0, tolerance=1e-4)
+    second = solve(drawn.problem, first.state, scale=6.0, max_iterations=40, tolerance=1e-12)
+    assert np.abs(second.state.centres_enu_m - drawn.truth.centres_enu_m).max() < 0.01
+
+
+def test_covariance_is_the_scatter_of_the_errors() -> None:
+    """Normalised squared errors of the poses, of what they share and of the points, and the cost, are chi-square."""
+    runs, layout = 120, Layout(6)
+    poses, shared, points, cost, freedom = [], [], [], [], 0
+    for seed in range(runs):
+        drawn = bundle_problem(np.random.default_rng(100 + seed))
+        s = solve(drawn.problem, first_guess(drawn, drawn.truth.R_cam_enu, drawn.truth.centres_enu_m), scale=None)
+        e = error_of(s.state, drawn.truth)
+        pose, rest = slice(0, 36), slice(36, layout.size)
+        poses.append(e[pose] @ np.linalg.solve(s.covariance[pose, pose], e[pose]) / 36)
+        shared.append(e[rest] @ np.linalg.solve(s.covariance[rest, rest], e[rest]) / 7)
+        cov = np.einsum("pid,de,pje->pij", s.point_gain, s.covariance, s.point_gain) + s.point_covariance
+        ep = s.state.points_enu_m - drawn.truth.points_enu_m
+        points.append(np.mean(np.einsum("pi,pij,pj->p", ep, np.linalg.inv(cov), ep)) / 3)
+        cost.append(2.0 * s.cost)
+        measured = 2 * np.count_nonzero(drawn.problem.weight) + len(drawn.problem.ground_weight)  # type: ignore[arg-type]
+        priors = sum(len(prior.evaluate(s.state)[0]) for prior in drawn.problem.priors)
+        freedom += measured + priors - layout.size - 3 * drawn.truth.points_enu_m.shape[0]
+    # One sigma of the means: sqrt(2 / (36 * 120)) = 0.022 and sqrt(2 / (7 * 120)) = 0.049; points of one run share
+    # most of their error, so theirs is taken as of three free numbers a run: sqrt(2 / (3 * 120)) = 0.075.
+    assert 1.0 - 4 * 0.022 < np.mean(poses) < 1.0 + 4 * 0.022
+    assert 1.0 - 4 * 0.049 < np.mean(shared) < 1.0 + 4 * 0.049
+    assert 1.0 - 4 * 0.075 < np.mean(points) < 1.0 + 4 * 0.075
+    assert 0.97 < np.sum(cost) / freedom < 1.03
+
+
+def test_errors_drawn_larger_than_believed_show_as_larger() -> None:
+    """The test above can fail: twice the noise is four times the normalised error."""
+    values = []
+    for seed in range(15):
+        drawn = bundle_problem(np.random.default_rng(500 + seed), noise=2.0)
+        s = solve(drawn.problem, first_guess(drawn, drawn.truth.R_cam_enu, drawn.truth.centres_enu_m), scale=None)
+        e = error_of(s.state, drawn.truth)[:36]
+        values.append(e @ np.linalg.solve(s.covariance[:36, :36], e) / 36)
+    assert 3.2 < np.mean(values) < 4.8
+
+
+def test_schur_complement_is_the_dense_problem() -> None:
+    """Covariance, gain of the points and their own covariance are blocks of the dense normal matrix's inverse."""
+    drawn = bundle_problem(np.random.default_rng(2), 4, 14)
+    s = solve(
+        drawn.problem, first_guess(drawn, drawn.truth.R_cam_enu, drawn.truth.centres_enu_m), scale=None, tolerance=1e-12
+    )
+    D, P = drawn.problem.layout.size, len(drawn.truth.points_enu_m)
+    J = dense_jacobian(drawn.problem, s.state)
+    H = J.T @ J
+    scale = 1.0 / np.sqrt(np.diag(H))
+    inverse = np.linalg.inv(H * scale[:, None] * scale) * scale[:, None] * scale
+    sigma = np.sqrt(np.diag(inverse))
+    assert s.covariance / np.outer(sigma[:D], sigma[:D]) == pytest.approx(
+        inverse[:D, :D] / np.outer(sigma[:D], sigma[:D]), abs=2e-4
+    )
+    for p in range(P):
+        at = slice(D + 3 * p, D + 3 * p + 3)
+        # E[d point | d camera side] = -V^-1 W' d, so the joint covariance's block is -Y S.
+        cross = -s.point_gain[p] @ s.covariance
+        assert cross / np.outer(sigma[at], sigma[:D]) == pytest.approx(
+            inverse[at, :D] / np.outer(sigma[at], sigma[:D]), abs=2e-4
+        )
+        own = s.point_gain[p] @ s.covariance @ s.point_gain[p].T + s.point_covariance[p]
+        assert own / np.outer(sigma[at], sigma[at]) == pytest.approx(
+            inverse[at, at] / np.outer(sigma[at], sigma[at]), abs=2e-4
+        )
+
+
+def test_the_solution_is_a_minimum_of_the_cost_it_reports() -> None:
+    drawn = bundle_problem(np.random.default_rng(3), 4, 14)
+    start = first_guess(drawn, drawn.truth.R_cam_enu, drawn.truth.centres_enu_m)
+    for scale in (None, 3.0):
+        s = solve(drawn.problem, start, scale=scale, tolerance=1e-13, max_iterations=60)
+        assert s.cost == pytest.approx(evaluate(drawn.problem, s.state, scale), rel=1e-12)
+        assert s.cost < evaluate(drawn.problem, start, scale)
+        rng = np.random.default_rng(0)
+        for _ in range(20):
+            dc = np.sqrt(np.diag(s.covariance)) * 0.05 * rng.standard_normal(drawn.problem.layout.size)
+            dp = -np.einsum("pid,d->pi", s.point_gain, dc)
+            assert evaluate(drawn.problem, s.state.retract(dc, dp), scale) > s.cost
+
+
+def test_gross_errors_are_told_apart_and_do_no_harm() -> None:
+    rng = np.random.default_rng(8)
+    drawn = bundle_problem(rng, 8, 80)
+    clean = solve(drawn.problem, first_guess(drawn, drawn.truth.R_cam_enu, drawn.truth.centres_enu_m))
+    seen = drawn.problem.weight > 0
+    wrong = seen & (rng.random(seen.shape) < 0.10)
+    xy = drawn.problem.xy + np.where(wrong, 1.0, 0.0)[..., None] * rng.uniform(-60.0, 60.0, (*seen.shape, 2)) / 900.0
+    dirty = Drawn(replace(drawn.problem, xy=xy), drawn.truth)
+    s = solve(dirty.problem, first_guess(dirty, drawn.truth.R_cam_enu, drawn.truth.centres_enu_m), max_iterations=40)
+    large = wrong & (np.linalg.norm(xy - drawn.problem.xy, axis=-1) > 12.0 / 900.0)
+    often = np.count_nonzero(seen & ~wrong, axis=0) >= 3
+    assert np.mean(s.robust_weight[large & often] < 0.3) > 0.95
+    assert np.mean(s.robust_weight[seen & ~wrong & often] > 0.3) > 0.95
+    sigma = np.sqrt(np.diag(clean.covariance))
+    shift = error_of(s.state, clean.state) / sigma
+    assert np.abs(shift).max() < 1.0
+    plain = solve(
+        dirty.problem,
+        first_guess(dirty, drawn.truth.R_cam_enu, drawn.truth.centres_enu_m),
+        scale=None,
+        max_iterations=40,
+    )
+    assert np.abs(error_of(plain.state, clean.state) / sigma).max() > 3.0
+
+
+@pytest.mark.parametrize("scale", [None, 1.0, 3.0])
+def test_the_losss_weight_is_its_slope(scale: float | None) -> None:
+    squared = np.array([0.0, 0.5, 4.0, 100.0, 1e6])
+    value, weight = robust_cost(squared, scale)
+    h = 1e-4 * (1.0 + squared)
+    slope = (robust_cost(squared + h, scale)[0] - robust_cost(squared - h, scale)[0]) / (2.0 * h)
+    assert weight == pytest.approx(slope, rel=1e-5)
+    assert weight[0] == 1.0
+    assert np.all(value <= squared + 1e-12)
+
+
+def test_a_point_behind_a_camera_that_saw_it_costs_dearly() -> None:
+    drawn = bundle_problem(np.random.default_rng(4), 4, 14)
+    points = drawn.truth.points_enu_m.copy()
+    points[0, 2] += 600.0
+    behind = replace(drawn.truth, points_enu_m=points)
+    views = np.count_nonzero(drawn.problem.weight[:, 0])
+    at_truth, at_behind = (evaluate(drawn.problem, s, None) for s in (drawn.truth, behind))
+    assert views >= 2
+    assert 0.5 * views * 99.0**2 < at_behind - at_truth < 1e6
+
+
+def test_levelling_before_or_level_ground_in_the_bundle_agree() -> None:
+    """Seed 2.3: fit a plane, turn the scene about the line of flight. The bundle's soft plane says the same roll."""
+    drawn = bundle_problem(np.random.default_rng(9), 8, 90, noise=0.0, attitude=False)
+    truth = drawn.truth
+    travel = truth.centres_enu_m[-1] - truth.centres_enu_m[0]
+    R_wrong, R = level(truth.R_cam_enu, truth.centres_enu_m[0], travel, np.radians(4.0))
+    points = truth.centres_enu_m[0] + (truth.points_enu_m - truth.centres_enu_m[0]) @ R.T
+    roll = roll_from_plane(fit_plane(points)[0], travel)
+    assert np.degrees(roll) == pytest.approx(-4.0, abs=0.05)
+    s = solve(drawn.problem, first_guess(drawn, R_wrong, truth.centres_enu_m), scale=None, max_iterations=60)
+    levelled, _ = level(R_wrong, truth.centres_enu_m[0], travel, roll)
+    assert levelled == pytest.approx(s.state.R_cam_enu, abs=2e-3)

@@ -1,0 +1,138 @@
+"""Which residuals a window gets: what the configuration asks for and the data can give, each as wide as declared."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from contract.rotations import exp_so3, log_so3, mount_rotation
+from onboard.config.schema import Config, parse_config
+from onboard.estimation.boresight import STATES, Belief
+from onboard.estimation.factors import AttitudePrior, Layout, PositionPrior, Prior, SharedPrior, State, VelocityPrior
+from onboard.estimation.keyframe import Keyframe
+from onboard.estimation.sensor_factors import sensor_priors
+from tests.onboard.scenes import FULL, Scene, SceneSpec, draw
+
+BELIEF = Belief(0, np.array([0.01, -0.02, 0.005, 0.03]), np.diag([1e-4, 1e-4, 4e-4, 1e-2]))
+CALM = SceneSpec(keyframes=6, error_scale=0.0, pixel_sigma_px=0.0)
+JITTER_S = 0.003
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return draw(np.random.default_rng(0), spec=CALM)
+
+
+def keyframes_of(scene: Scene) -> list[Keyframe]:
+    return scene.window().keyframes
+
+
+def priors_of(config: Config, keyframes: list[Keyframe], has_terrain: bool = False) -> dict[type, Prior]:
+    mount = config.mount
+    R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg)
+    layout = Layout(len(keyframes))
+    return {type(p): p for p in sensor_priors(config, R_body_cam, keyframes, layout, BELIEF, has_terrain, JITTER_S)}
+
+
+def truth_of(scene: Scene) -> State:
+    keys = scene.keys
+    return State(
+        scene.R_cam_enu[keys], scene.centres_enu_m[keys], scene.points_enu_m, scene.boresight_rad, scene.offset_s,
+        np.zeros(3),
+    )  # fmt: skip
+
+
+def test_the_full_set_has_position_velocity_attitude_and_what_is_shared(scene: Scene) -> None:
+    priors = priors_of(FULL, keyframes_of(scene))
+    assert set(priors) == {PositionPrior, VelocityPrior, AttitudePrior, SharedPrior}
+
+
+def test_at_the_truth_of_a_flight_without_errors_every_sensor_agrees(scene: Scene) -> None:
+    truth = truth_of(scene)
+    for kind, prior in priors_of(FULL, keyframes_of(scene)).items():
+        if kind is not SharedPrior:
+            assert np.abs(prior.evaluate(truth)[0]).max() < 1e-3, kind
+
+
+def test_velocity_takes_part_only_where_asked_for_and_known_throughout(scene: Scene) -> None:
+    keyframes = keyframes_of(scene)
+    assert VelocityPrior not in priors_of(parse_config("[solve]\nvelocity = false"), keyframes)
+    broken = [*keyframes[:3], replace(keyframes[3], flown_enu_m=None), *keyframes[4:]]
+    assert VelocityPrior not in priors_of(FULL, broken)
+    first = [replace(keyframes[0], flown_enu_m=None), *keyframes[1:]]
+    assert VelocityPrior in priors_of(FULL, first)
+
+
+def test_without_attitude_a_weak_belief_in_level_flight_along_the_path_stands_in(scene: Scene) -> None:
+    blind = [replace(k, nav=replace(k.nav, R_enu_body=None)) for k in keyframes_of(scene)]
+    strong, weak = (priors_of(FULL, k)[AttitudePrior] for k in (keyframes_of(scene), blind))
+    assert isinstance(strong, AttitudePrior) and isinstance(weak, AttitudePrior)
+    off = log_so3(strong.R_enu_cam_measured.transpose(0, 2, 1) @ weak.R_enu_cam_measured)
+    assert np.degrees(np.linalg.norm(off, axis=1)).max() < 6.0
+    turned = replace(truth_of(scene), R_cam_enu=exp_so3(np.array([0.1, 0.0, 0.0])) @ truth_of(scene).R_cam_enu)
+    costs = [float(np.sum(p.evaluate(turned)[0] ** 2)) for p in (strong, weak)]
+    assert costs[0] > 20.0 * costs[1] > 0.0
+
+
+def test_a_vehicle_that_hardly_moves_has_no_belief_from_its_path(scene: Scene) -> None:
+    slow = [
+        replace(k, nav=replace(k.nav, R_enu_body=None, velocity_enu_m_s=np.array([0.3, 0.0, 0.0])))
+        for k in keyframes_of(scene)
+    ]
+    assert AttitudePrior not in priors_of(FULL, slow)
+
+
+def test_one_keyframe_without_attitude_takes_the_sensor_out(scene: Scene) -> None:
+    keyframes = keyframes_of(scene)
+    keyframes[2] = replace(keyframes[2], nav=replace(keyframes[2].nav, R_enu_body=None))
+    full, weak = priors_of(FULL, keyframes_of(scene))[AttitudePrior], priors_of(FULL, keyframes)[AttitudePrior]
+    assert isinstance(full, AttitudePrior) and isinstance(weak, AttitudePrior)
+    assert np.abs(weak.whitener).max() < 0.1 * np.abs(full.whitener).max()
+
+
+def test_a_common_shift_costs_what_the_wandering_sigma_says(scene: Scene) -> None:
+    """All positions off by the wandering sigma: one sigma for a memory that outlasts the window, a little more."""
+    prior = priors_of(FULL, keyframes_of(scene))[PositionPrior]
+    truth = truth_of(scene)
+    for axis, sigma in ((0, 1.5), (2, 2.5)):
+        moved = replace(truth, centres_enu_m=truth.centres_enu_m + sigma * np.eye(3)[axis])
+        cost = float(np.sum(prior.evaluate(moved)[0] ** 2) - np.sum(prior.evaluate(truth)[0] ** 2))
+        assert 0.85 < cost < 1.3
+
+
+def test_the_receivers_claim_widens_the_position(scene: Scene) -> None:
+    keyframes = keyframes_of(scene)
+    claimed = [replace(k, nav=replace(k.nav, sigma_horizontal_m=6.0)) for k in keyframes]
+    truth = truth_of(scene)
+    moved = replace(truth, centres_enu_m=truth.centres_enu_m + [6.0, 0.0, 0.0])
+    near, wide = (
+        float(np.sum(priors_of(FULL, k)[PositionPrior].evaluate(moved)[0] ** 2)) for k in (keyframes, claimed)
+    )
+    assert near > 10.0 * wide
+    assert 0.8 < wide < 1.4
+
+
+def shared_sigmas(prior: Prior) -> np.ndarray:
+    assert isinstance(prior, SharedPrior)
+    return np.sqrt(np.diag(np.linalg.inv(prior.whitener.T @ prior.whitener)))
+
+
+def test_what_is_shared_is_believed_as_learned_and_configured(scene: Scene) -> None:
+    prior = priors_of(FULL, keyframes_of(scene))[SharedPrior]
+    assert isinstance(prior, SharedPrior)
+    assert np.all(prior.mean[:STATES] == BELIEF.mean)
+    sigmas = shared_sigmas(prior)
+    assert sigmas[:STATES] == pytest.approx(BELIEF.sigma)
+    assert sigmas[4] > 1e3
+    assert sigmas[5:] == pytest.approx(np.tan(np.radians(FULL.solve.level_ground_sigma_deg)))
+
+
+def test_ground_not_said_to_be_level_may_slope_and_terrain_may_not(scene: Scene) -> None:
+    keyframes = keyframes_of(scene)
+    free = shared_sigmas(priors_of(parse_config("[solve]\nlevel_ground = false"), keyframes)[SharedPrior])
+    known = shared_sigmas(priors_of(FULL, keyframes, has_terrain=True)[SharedPrior])
+    assert free[5:].min() > 1.0
+    assert known[5:].max() < 0.02
+    assert known[4] == pytest.approx(FULL.terrain.sigma_datum_m, abs=0.01)

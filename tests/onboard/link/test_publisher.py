@@ -1,0 +1,261 @@
+"""Publisher and client over real zenoh sessions on the loopback interface."""
+
+import dataclasses
+import json
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from contract.errors import LinkError
+from contract.feature_set import FeatureSet, Status
+from contract.link_config import link_config
+from contract.wire.codec import decode, encode
+from ground.__main__ import main
+from ground.answer import Fix, Refusal
+from ground.client import SetCache, ask
+from onboard.link.publisher import Publisher, Rate
+from tests.contract.sets import plain_set
+from tests.onboard.link.ports import free_endpoint
+
+START_NS = 1_700_000_000_000_000_000
+BASE = plain_set(100)
+WIDE = Rate(max_bit_rate=1e8, max_rate_hz=30.0)  # tests of what is said, not of how much
+
+
+def a_set(frame: int, revision: int = 0, status: Status = Status.OK, vehicle: str = "uav-1") -> FeatureSet:
+    stamp_ns = START_NS + frame * 10**9
+    if status is Status.OK:
+        return dataclasses.replace(BASE, frame=frame, revision=revision, capture_unix_ns=stamp_ns, vehicle=vehicle)
+    return FeatureSet(vehicle, BASE.session, frame, stamp_ns, status, BASE.camera, revision)
+
+
+def eventually(condition: Callable[[], bool], within_s: float = 10.0) -> bool:
+    deadline = time.monotonic() + within_s
+    while time.monotonic() < deadline:
+        if condition():
+            return True
+        time.sleep(0.02)
+    return False
+
+
+@pytest.fixture
+def endpoint() -> str:
+    return free_endpoint()
+
+
+@pytest.fixture
+def publisher(endpoint: str) -> Iterator[Publisher]:
+    with Publisher("uav-1", [endpoint], rate=WIDE) as opened:
+        yield opened
+
+
+def got(answers: dict[str, FeatureSet | Refusal], vehicle: str = "uav-1") -> FeatureSet:
+    answer = answers[vehicle]
+    assert isinstance(answer, FeatureSet), answer
+    return answer
+
+
+def refused(answers: dict[str, FeatureSet | Refusal], vehicle: str = "uav-1") -> Status:
+    answer = answers[vehicle]
+    assert isinstance(answer, Refusal), answer
+    return answer.status
+
+
+def test_a_query_without_parameters_gets_the_newest_set_that_answers(publisher: Publisher, endpoint: str) -> None:
+    assert refused(ask(endpoint)) is Status.STARTING
+    publisher.publish(a_set(0, status=Status.LOW_PARALLAX))
+    assert got(ask(endpoint)).status is Status.LOW_PARALLAX
+    publisher.publish(a_set(1))
+    publisher.publish(a_set(2))
+    publisher.publish(a_set(3, status=Status.TURNING))
+    newest = got(ask(endpoint, "uav-1"))
+    assert newest.frame == 2 and encode(newest) == encode(a_set(2))
+
+
+def test_a_query_for_a_frame_or_a_time_gets_that_set(publisher: Publisher, endpoint: str) -> None:
+    for frame in range(5):
+        publisher.publish(a_set(frame))
+    publisher.publish(a_set(5, status=Status.TURNING))
+    assert got(ask(endpoint, frame=1)).frame == 1
+    assert got(ask(endpoint, frame=5)).status is Status.TURNING
+    assert refused(ask(endpoint, frame=99)) is Status.UNKNOWN_FRAME
+    assert got(ask(endpoint, unix_s=START_NS / 1e9 + 2.4)).frame == 2
+    assert refused(ask(endpoint, unix_s=START_NS / 1e9 + 5.6)) is Status.UNKNOWN_FRAME
+
+
+def test_a_later_revision_replaces_the_earlier_and_not_the_other_way(publisher: Publisher, endpoint: str) -> None:
+    publisher.publish(a_set(0, revision=0))
+    publisher.publish(a_set(0, revision=2))
+    publisher.publish(a_set(0, revision=1))
+    assert got(ask(endpoint, frame=0)).revision == 2
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    ["frame=x", "frame=-1", "frame=" + "9" * 5000, "frame=", "time=nan", "time=x", "time=1e400", "frame=²"],
+)
+def test_a_senseless_query_is_refused_and_the_next_one_answered(
+    publisher: Publisher, endpoint: str, parameters: str
+) -> None:
+    publisher.publish(a_set(0))
+    config = {"mode": "client", "connect": {"endpoints": [endpoint]}}
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
+        replies = list(session.get(f"pc/uav-1/features?{parameters}", timeout=5.0))
+    assert [json.loads(r.err.payload.to_bytes())["status"] for r in replies if r.err] == ["unknown_frame"]
+    assert got(ask(endpoint)).frame == 0
+
+
+def test_a_subscriber_caches_sets_by_vehicle_frame_and_time(publisher: Publisher, endpoint: str) -> None:
+    with SetCache(endpoint) as cache:
+        assert cache.newest("uav-1") is None
+
+        def heard() -> bool:  # the first sets are sent before the subscription is known
+            publisher.publish(a_set(0))
+            return cache.vehicles == ["uav-1"]
+
+        assert eventually(heard)
+
+        def complete() -> bool:  # a set may be dropped where the machine is busy: the link never holds up the aircraft
+            for frame, revision in ((1, 1), (2, 4), (3, 0)):  # older pictures only go out again when revised
+                publisher.publish(a_set(frame, revision))
+            return all(cache.by_frame("uav-1", frame) is not None for frame in range(1, 4))
+
+        assert eventually(complete)
+        newest, two, timed = (
+            cache.newest("uav-1"),
+            cache.by_frame("uav-1", 2),
+            cache.by_time("uav-1", START_NS / 1e9 + 1.1),
+        )
+        assert newest is not None and newest.frame == 3
+        assert eventually(lambda: (s := cache.by_frame("uav-1", 2)) is not None and s.revision == 4)
+        assert two is not None and timed is not None and timed.frame == 1
+        assert cache.locator(newest) is cache.locator(newest)
+        assert isinstance(cache.locator(newest).locate((320.0, 240.0)), Fix)
+        assert cache.by_frame("nobody", 1) is None and cache.unreadable == 0
+
+
+def test_garbage_on_the_key_is_counted_and_does_no_harm(endpoint: str) -> None:
+    """From a faulty aircraft: a Publisher lets nobody else publish through it (test_access.py)."""
+    with SetCache(endpoint) as cache, zenoh_peer(endpoint) as session:
+
+        def spoilt() -> bool:
+            session.put("pc/uav-1/features", b"PC\x20 nonsense")
+            session.put("pc/uav-1/features", encode(a_set(0)))
+            return cache.unreadable > 0 and cache.newest("uav-1") is not None
+
+        assert eventually(spoilt)
+        assert "bytes" in str(cache.last_error)
+
+
+def zenoh_peer(endpoint: str, mode: str = "peer") -> zenoh.Session:
+    return zenoh.open(zenoh.Config.from_json5(link_config(mode, listen=[endpoint])))
+
+
+def test_a_subscriber_may_come_first_and_the_aircraft_later(endpoint: str) -> None:
+    with SetCache(endpoint) as cache, Publisher("uav-1", [endpoint]) as publisher:
+
+        def heard() -> bool:
+            publisher.publish(a_set(0))
+            return cache.newest("uav-1") is not None
+
+        assert eventually(heard, 20.0)
+
+
+def test_a_port_in_use_is_named(endpoint: str) -> None:
+    port = int(endpoint.rsplit(":", maxsplit=1)[-1])
+    with socket.socket() as holder:
+        holder.bind(("127.0.0.1", port))
+        holder.listen()
+        with pytest.raises(LinkError, match=f"{endpoint}: the port is already in use"):
+            Publisher("uav-1", [endpoint])
+
+
+def test_an_impossible_endpoint_and_vehicle_are_named(endpoint: str) -> None:
+    with pytest.raises(LinkError, match="carrier pigeon"):
+        Publisher("uav-1", ["carrier pigeon"])
+    with pytest.raises(ValueError, match="uav/1"):
+        Publisher("uav/1", [endpoint])
+
+
+def test_nobody_there_and_nobody_answering_are_told_apart(publisher: Publisher, endpoint: str) -> None:
+    with pytest.raises(LinkError, match="nobody listens"):
+        ask(free_endpoint())
+    with pytest.raises(LinkError, match="'uav-9' does not answer"):
+        ask(endpoint, "uav-9")
+
+
+def test_a_listener_that_says_nothing_is_given_up() -> None:
+    with socket.socket() as silent:
+        silent.bind(("127.0.0.1", 0))
+        silent.listen()
+        began = time.monotonic()
+        with pytest.raises(LinkError, match="nobody listens"):
+            ask(f"tcp/127.0.0.1:{silent.getsockname()[1]}")
+        assert time.monotonic() - began < 6.0
+
+
+def test_another_vehicles_set_is_not_published(publisher: Publisher) -> None:
+    with pytest.raises(ValueError, match="uav-2"):
+        publisher.publish(a_set(0, vehicle="uav-2"))
+
+
+def test_two_vehicles_at_one_endpoint_must_be_told_apart(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Both connect to a router on the ground."""
+    with (
+        zenoh_peer(endpoint, "router"),
+        Publisher("uav-1", (), [endpoint]) as one,
+        Publisher("uav-2", (), [endpoint]) as two,
+    ):
+        one.publish(a_set(0))
+        two.publish(a_set(4, vehicle="uav-2"))
+
+        def both() -> bool:
+            try:
+                return len(ask(endpoint)) == 2
+            except LinkError:
+                return False
+
+        assert eventually(both)
+        assert main(["click", "320", "240", "--connect", endpoint]) == 2
+        assert "several vehicles answer: uav-1, uav-2" in capsys.readouterr().err
+        assert main(["click", "320", "240", "--connect", endpoint, "--vehicle", "uav-2", "--format", "json"]) == 0
+        assert json.loads(capsys.readouterr().out)["frame"] == 4
+
+
+def test_the_age_of_the_newest_picture_grows_while_only_old_ones_come(publisher: Publisher, endpoint: str) -> None:
+    with SetCache(endpoint) as cache:
+        assert cache.age_s("uav-1") is None
+        publisher.publish(a_set(5))
+        assert eventually(lambda: cache.newest("uav-1") is not None)  # said again until it is heard
+        heard_at = time.monotonic()
+        time.sleep(0.5)
+        publisher.publish(a_set(4, revision=1))
+        assert eventually(lambda: cache.by_frame("uav-1", 4) is not None)
+        age_s = cache.age_s("uav-1")
+        assert age_s is not None and 0.4 <= age_s <= time.monotonic() - heard_at + 0.5
+        publisher.publish(a_set(6))
+        assert eventually(lambda: (age := cache.age_s("uav-1")) is not None and age < 0.3)
+
+
+def test_a_live_click_in_its_own_process_answers_and_refuses(publisher: Publisher, endpoint: str) -> None:
+    publisher.publish(a_set(7))
+
+    def click(*arguments: str) -> tuple[int, str, str]:
+        command = [sys.executable, "-m", "ground", "click", "320", "240", "--connect", endpoint, *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=Path(__file__).parents[3])
+        return done.returncode, done.stdout, done.stderr
+
+    code, out, _ = click("--format", "json")
+    expected = decode(encode(a_set(7)))
+    assert code == 0
+    assert json.loads(out)["frame"] == 7 and json.loads(out)["vehicle"] == expected.vehicle
+    code, out, _ = click("--frame", "8", "--format", "json")
+    assert code == 3 and json.loads(out)["status"] == "unknown_frame" and json.loads(out)["frame"] == 8
+    code, out, err = click("--file", "x.png")
+    assert (code, out) == (2, "") and "--frame or --time" in err

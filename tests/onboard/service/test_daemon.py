@@ -1,0 +1,425 @@
+"""The daemon's life: it begins, flies, is told things and ends, and does none of it halfway."""
+
+from __future__ import annotations
+
+import json
+import logging
+import signal
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from contract.errors import ConfigError, InputError
+from contract.feature_set import FeatureSet
+from ground.recording import Recording
+from onboard.config.schema import Config
+from onboard.events.session_clock import SessionClock
+from onboard.events.source import Emit, Severity, SourceStatus, State, Stop
+from onboard.events.types import Event, Frame, GpsQuality
+from onboard.pipeline.pipeline import Pipeline
+from onboard.service.daemon import Daemon, Order, SignalOrders
+from onboard.service.sd_notify import Notifier
+from onboard.service.session import Parts
+from tests.onboard.service.air import QueueOrders, take_off
+from tests.scenarios.flights import CAMERA
+
+
+class Notes(Notifier):
+    """Keeps what would be told to systemd."""
+
+    def __init__(self) -> None:
+        super().__init__({"WATCHDOG_USEC": "1000000"})
+        self.words: list[str] = []
+
+    def _send(self, text: str) -> None:
+        self.words.append(text.split("\n", maxsplit=1)[0])
+
+
+class Steady:
+    """A source of one kind of event, twenty a second, that can be told how to be."""
+
+    def __init__(self, make: type[Frame] | type[GpsQuality], clock: SessionClock) -> None:
+        self.make, self.clock = make, clock
+        self.state = State.OK
+        self.error: BaseException | None = None
+        self.is_silent = self.ends = self.is_deaf = False
+        self.reported: list[str] = []
+
+    def run(self, emit: Emit, stop: Stop) -> None:
+        index = 0
+        while (self.is_deaf or not stop.wait(0.05)) and not self.ends:
+            if self.error is not None:
+                raise self.error
+            if self.is_deaf:
+                time.sleep(0.05)
+            elif not self.is_silent:
+                now_ns = self.clock.now_ns()
+                emit(now_ns, Frame(now_ns, index, None) if self.make is Frame else GpsQuality(now_ns, 0))
+                index += 1
+
+    def health(self) -> SourceStatus:
+        return SourceStatus(self.state, "as told" if self.state is not State.OK else "")
+
+    def say(self, severity: Severity, text: str) -> None:
+        self.reported.append(text)
+
+
+class Held(Pipeline):
+    """A pipeline that can be made to hang or to fail."""
+
+    def __init__(self, config: Config) -> None:
+        super().__init__(config, CAMERA)
+        self.release = threading.Event()
+        self.release.set()
+        self.error: Exception | None = None
+
+    def handle(self, event: Event) -> list[FeatureSet]:
+        self.release.wait(20.0)
+        if self.error is not None:
+            raise self.error
+        return super().handle(event)
+
+
+class Rig:
+    """A daemon in a thread of the test, on the real clock, with sources that do as they are told."""
+
+    def __init__(self) -> None:
+        self.orders, self.notes = QueueOrders(), Notes()
+        self.configs: list[Config | ConfigError] = [Config()]
+        self.open_error: InputError | None = None
+        self.opened: list[tuple[Config, Parts]] = []
+        self.closed = 0
+        self.states: list[str] = []
+        self.code: int | None = None
+        self.error: BaseException | None = None
+        self.daemon = Daemon(self.load, self.open, self.orders, self.notes, tick_s=0.02)
+        self.thread = threading.Thread(target=self.run)
+
+    def load(self) -> Config:
+        found = self.configs[-1]
+        if isinstance(found, ConfigError):
+            raise found
+        return found
+
+    def open(self, config: Config) -> Parts:
+        if self.open_error is not None:
+            error, self.open_error = self.open_error, None
+            raise error
+        clock = SessionClock.start()
+        self.camera, self.telemetry = Steady(Frame, clock), Steady(GpsQuality, clock)
+        self.pipeline = Held(config)
+        parts = Parts(
+            clock, self.camera, self.telemetry, self.pipeline, reporters=[lambda s, _: self.states.append(s.state)]
+        )
+        parts.resources.callback(self.note_closed)
+        self.opened.append((config, parts))
+        return parts
+
+    def note_closed(self) -> None:
+        self.closed += 1
+
+    def run(self) -> None:
+        try:
+            self.code = self.daemon.run()
+        except (ConfigError, InputError) as error:
+            self.error = error
+
+    def __enter__(self) -> Rig:
+        self.thread.start()
+        self.wait_for(lambda: "READY=1" in self.notes.words or not self.thread.is_alive())
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.orders.queue.put(Order.STOP)
+        self.pipeline.release.set()
+        self.thread.join(15.0)
+        assert not self.thread.is_alive()
+
+    def wait_for(self, claim: object, seconds: float = 10.0) -> float:
+        began = time.monotonic()
+        while not claim():  # type: ignore[operator]
+            assert time.monotonic() - began < seconds, (self.notes.words[-5:], self.states[-3:])
+            time.sleep(0.01)
+        return time.monotonic() - began
+
+    def order(self, order: Order) -> None:
+        self.orders.queue.put(order)
+
+    def ended(self, within_s: float = 10.0) -> int:
+        self.thread.join(within_s)
+        assert not self.thread.is_alive()
+        assert self.code is not None
+        return self.code
+
+    @property
+    def fed(self) -> int:
+        return self.notes.words.count("WATCHDOG=1")
+
+
+def test_it_says_ready_feeds_the_watchdog_and_stops_when_told() -> None:
+    with Rig() as rig:
+        rig.wait_for(lambda: rig.fed > 3 and "no gps" not in rig.states[:1])
+        rig.order(Order.STOP)
+        began = time.monotonic()
+        assert rig.ended() == 0
+        assert time.monotonic() - began < 3.0
+    assert rig.notes.words[0] == "READY=1"
+    assert rig.notes.words[-1] == "STOPPING=1"
+    assert rig.closed == 1
+
+
+def test_a_configuration_that_cannot_be_flown_is_raised_and_nothing_said_to_be_ready() -> None:
+    rig = Rig()
+    rig.open_error = InputError("camera file missing")
+    rig.thread.start()
+    rig.thread.join(10.0)
+    assert str(rig.error) == "camera file missing"
+    assert rig.notes.words == []
+
+
+@pytest.mark.parametrize("part", ["camera", "telemetry", "pipeline"])
+def test_a_thread_that_fails_ends_the_daemon_with_the_reason(part: str, caplog: pytest.LogCaptureFixture) -> None:
+    with Rig() as rig:
+        getattr(rig, part).error = RuntimeError("out of luck")
+        assert rig.ended() == 1
+    assert f"the {part} failed" in caplog.text
+    assert "out of luck" in caplog.text
+    assert rig.closed == 1
+
+
+def test_what_no_configuration_can_mend_is_one_line(caplog: pytest.LogCaptureFixture) -> None:
+    with Rig() as rig:
+        rig.camera.error = InputError("/dev/video0: not a camera")
+        assert rig.ended() == 1
+    assert [r.getMessage() for r in caplog.records if r.levelno == logging.ERROR] == [
+        "the camera cannot go on: /dev/video0: not a camera"
+    ]
+
+
+def test_a_source_that_ends_by_itself_ends_the_daemon(caplog: pytest.LogCaptureFixture) -> None:
+    with Rig() as rig:
+        rig.telemetry.ends = True
+        assert rig.ended() == 1
+    assert "the telemetry ended by itself" in caplog.text
+
+
+def test_a_hung_pipeline_starves_the_watchdog_and_is_called_stuck() -> None:
+    with Rig() as rig:
+        rig.wait_for(lambda: rig.fed > 3)
+        rig.pipeline.release.clear()
+        rig.wait_for(lambda: "stuck" in rig.states, 8.0)
+        fed = rig.fed
+        time.sleep(0.3)
+        assert rig.fed == fed
+        rig.pipeline.release.set()
+        rig.wait_for(lambda: rig.fed > fed)
+
+
+def test_a_daemon_with_a_hung_pipeline_still_ends_and_says_so(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("onboard.service.daemon.FINISH_S", 0.5)
+    with Rig() as rig:
+        rig.pipeline.release.clear()
+        time.sleep(0.2)
+        rig.order(Order.STOP)
+        assert rig.ended(5.0) == 1
+    assert "did not end" in caplog.text
+
+
+def test_a_silent_camera_that_calls_itself_well_starves_the_watchdog_a_lost_one_does_not() -> None:
+    with Rig() as rig:
+        rig.wait_for(lambda: rig.fed > 3)
+        rig.camera.is_silent, rig.camera.state = True, State.LOST
+        time.sleep(3.5)
+        fed = rig.fed
+        rig.wait_for(lambda: rig.fed > fed + 3)
+        assert rig.states[-1] == "camera lost"
+        rig.camera.state = State.OK
+        time.sleep(0.1)
+        fed = rig.fed
+        time.sleep(0.3)
+        assert rig.fed == fed
+        rig.wait_for(lambda: rig.states[-1] == "camera silent")
+
+
+def test_states_are_logged_once_and_said_to_the_pilot(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    with Rig() as rig:
+        rig.wait_for(lambda: rig.states.count("bad picture") + rig.states.count("no gps") > 1)
+        rig.camera.state = State.LOST
+        rig.wait_for(lambda: "pointclick: camera lost" in rig.telemetry.reported)
+        rig.camera.state = State.OK
+    lost = [r for r in caplog.records if r.getMessage() == "state: camera lost: as told"]
+    assert len(lost) == 1
+    assert lost[0].levelno == logging.WARNING
+    assert "STATUS=camera lost: as told" in rig.notes.words
+    assert all(len(text) <= 50 for text in rig.telemetry.reported)
+
+
+def test_a_reload_of_the_delay_goes_on_in_the_same_session() -> None:
+    with Rig() as rig:
+        service = rig.opened[0][0].service.model_copy(update={"max_delay_s": 0.2})
+        rig.configs.append(Config(service=service))
+        rig.order(Order.RELOAD)
+        rig.wait_for(lambda: rig.notes.words.count("READY=1") == 2)
+        assert len(rig.opened) == 1
+        assert rig.daemon._session.intake.max_delay_s == 0.2
+
+
+def test_a_reload_of_anything_else_begins_a_session_of_its_own() -> None:
+    with Rig() as rig:
+        rig.configs.append(Config.model_validate({"vehicle": {"id": "kiwi"}}))
+        rig.order(Order.RELOAD)
+        rig.wait_for(lambda: rig.notes.words.count("READY=1") == 2)
+        assert [config.vehicle.id for config, _ in rig.opened] == ["uav", "kiwi"]
+        assert rig.closed == 1
+        assert rig.notes.words.index("RELOADING=1") > rig.notes.words.index("READY=1")
+
+
+def test_a_bad_configuration_is_refused_in_one_line_and_the_old_one_flies_on(caplog: pytest.LogCaptureFixture) -> None:
+    with Rig() as rig:
+        rig.configs.append(ConfigError("config.toml: unknown key 'gps.latency'"))
+        rig.order(Order.RELOAD)
+        rig.wait_for(lambda: rig.notes.words.count("READY=1") == 2)
+        fed = rig.fed
+        rig.wait_for(lambda: rig.fed > fed)
+        assert len(rig.opened) == 1
+        assert rig.closed == 0
+    (line,) = [r.getMessage() for r in caplog.records if r.levelno == logging.ERROR]
+    assert line == "not reloaded, the old configuration stays: config.toml: unknown key 'gps.latency'"
+
+
+def test_a_new_configuration_that_cannot_be_opened_gives_way_to_the_old(caplog: pytest.LogCaptureFixture) -> None:
+    with Rig() as rig:
+        rig.configs.append(Config.model_validate({"vehicle": {"id": "kiwi"}}))
+        rig.open_error = InputError("the port is already in use")
+        rig.order(Order.RELOAD)
+        rig.wait_for(lambda: rig.notes.words.count("READY=1") == 2)
+        assert [config.vehicle.id for config, _ in rig.opened] == ["uav", "uav"]
+    assert "back to the old: the port is already in use" in caplog.text
+
+
+def test_signals_are_orders_and_interrupt_nothing() -> None:
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [])
+    with SignalOrders() as orders:
+        assert orders.next(0.01) is None
+        for number, order in ((signal.SIGHUP, Order.RELOAD), (signal.SIGTERM, Order.STOP), (signal.SIGINT, Order.STOP)):
+            signal.pthread_kill(threading.get_ident(), number)  # threads of earlier tests (zenoh's) do not block it
+            assert orders.next(5.0) is order
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == before
+
+
+def test_a_flight_gives_answers_a_recording_and_what_was_learned(tmp_path: Path) -> None:
+    air = take_off(tmp_path)
+    assert air.code == 0
+    assert air.states(-1.0, 6.0) == ["starting", "ok"]
+    assert air.states(6.0, 25.0) == ["ok"]
+    outcome = air.clicked()
+    assert outcome.solved > 0.95, outcome.reported
+    assert outcome.inside_99 > 0.97, outcome.reported
+    assert air.telemetry is not None and air.heard is not None
+    assert [text for _, text in air.telemetry.reported] == ["pointclick: starting", "pointclick: ok"]
+    learned = json.loads((tmp_path / "alignment.json").read_text())
+    assert abs(learned["offset_s"]) < 0.2
+    status = air.statuses[-1][1]
+    assert (status.dropped, status.recording) == (0, True)
+    assert 3.0 < status.camera_hz < 5.0
+    assert 0.0 < status.delay_s < 1.0
+    (recording,) = air.recordings
+    kept = Recording(recording)
+    frames = [event.index for event in air.heard.events if isinstance(event, Frame)]
+    assert kept.frames("uav") == frames == list(range(len(frames)))
+    last = {output.frame: output for _, output in air.heard.sets}
+    for frame, output in last.items():
+        found = kept.by_frame("uav", frame)
+        assert found is not None
+        assert (found.revision, found.status) == (output.revision, output.status)
+
+
+def test_the_live_session_replays_to_the_same_sets(tmp_path: Path) -> None:
+    """What the pipeline's thread saw, in its order, is all that matters: a fresh pipeline without threads agrees."""
+    air = take_off(tmp_path, seconds=12.0)
+    assert air.heard is not None
+    table = {"mount": {"roll_deg": 0.0, "pitch_deg": -90.0, "yaw_deg": 0.0}}
+    settings = Config().model_dump()
+    settings["mount"].update(table["mount"])
+    settings["solve"].update({"attitude": "autopilot", "velocity": True, "level_ground": False})
+    again = Pipeline(Config.model_validate(settings), CAMERA)
+    sets = [output for event in air.heard.events for output in again.handle(event)] + again.finish()
+    live = [output for _, output in air.heard.sets]
+    assert [(s.frame, s.revision, s.status) for s in sets] == [(s.frame, s.revision, s.status) for s in live]
+    for a, b in zip(sets, live, strict=True):
+        assert (a.camera_lat_deg, a.camera_height_m) == (b.camera_lat_deg, b.camera_height_m)
+        assert a.inverse_depth_per_m.tobytes() == b.inverse_depth_per_m.tobytes()
+    assert len(sets) > 60
+
+
+def test_pictures_are_shed_oldest_first_when_the_processor_is_starved(tmp_path: Path) -> None:
+    """A pipeline that needs 0.4 s a picture, fed four a second, on a real clock."""
+
+    def slow(pipeline: Pipeline) -> Pipeline:
+        handle = pipeline.handle
+
+        def slowly(event: Event) -> list[FeatureSet]:
+            if isinstance(event, Frame):
+                time.sleep(0.4)
+            return handle(event)
+
+        pipeline.handle = slowly  # type: ignore[method-assign]
+        return pipeline
+
+    air = take_off(tmp_path, seconds=8.0, speed=1.0, wrap=slow, config={"service": {"max_delay_s": 0.8}})
+    assert air.heard is not None
+    assert air.statuses[-1][1].dropped > 5
+    late = [(made_ns - s.capture_unix_ns) / 1e9 for made_ns, s in air.heard.sets if s.revision == 0]
+    # Waiting, its own handling and telemetry's; the same at the end as at the beginning.
+    assert max(late[len(late) // 2 :]) < 0.8 + 2 * 0.4 + 0.6
+    assert "overloaded" in air.states(2.0, 8.0)
+    events = air.heard.events
+    stamps = [event.stamp_ns for event in events if isinstance(event, Frame)]
+    assert stamps == sorted(stamps)
+    assert stamps[-1] > air.first_ns + 6.5e9
+    outcome = air.clicked()
+    assert outcome.inside_99 > 0.97, outcome.reported
+    # Shedding comes before recording: what was dropped is in nobody's list.
+    assert len(Recording(air.recordings[0]).frames("uav")) == len(stamps)
+
+
+def test_nothing_the_host_does_to_its_clock_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An hour forth and an hour back in flight."""
+    true_ns, began = time.time_ns, time.monotonic()
+
+    def stepped() -> int:
+        flown_s = (time.monotonic() - began) * 4.0
+        return true_ns() + (3_600_000_000_000 if 8.0 < flown_s < 14.0 else -3_600_000_000_000 if flown_s > 14.0 else 0)
+
+    monkeypatch.setattr(time, "time_ns", stepped)
+    air = take_off(tmp_path, seconds=20.0)
+    assert air.code == 0
+    assert air.states(4.0, 19.0) == ["ok"]
+    outcome = air.clicked()
+    assert outcome.solved > 0.95, outcome.reported
+    assert outcome.inside_99 > 0.97, outcome.reported
+    stamps = [s.capture_unix_ns for s in air.sets().values()]
+    assert max(stamps) - min(stamps) < 21e9
+
+
+def test_a_state_file_is_begun_from(tmp_path: Path) -> None:
+    belief = {
+        "boresight_rad": [0.01, 0.0, 0.0], "offset_s": 0.05, "end_unix_ns": 1,
+        "covariance": [[1e-6 if i == j else 0.0 for j in range(4)] for i in range(4)],
+    }  # fmt: skip
+    (tmp_path / "alignment.json").write_text(json.dumps(belief))
+    from onboard.service.session import restore  # noqa: PLC0415
+    from onboard.storage.alignment_file import StateFile  # noqa: PLC0415
+
+    pipeline = Pipeline(Config(), CAMERA)
+    assert restore(StateFile(tmp_path / "alignment.json"), pipeline) == ""
+    assert pipeline.window.alignment.belief.mean[3] == 0.05
+    (tmp_path / "alignment.json").write_text("{half")
+    again = Pipeline(Config(), CAMERA)
+    assert "alignment.json" in restore(StateFile(tmp_path / "alignment.json"), again)
+    assert again.window.alignment.belief.mean[3] == 0.0

@@ -1,0 +1,185 @@
+"""`pc-onboard run` as a process: started, watched, reloaded, killed, with a fake autopilot on a serial line."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from contract.feature_set import FeatureSet
+from ground.recording import Recording
+from tests.onboard.service.air import STRAIGHT
+from tests.onboard.service.process import ROOT, Aircraft, aircraft
+from tests.scenarios.flights import Outcome, click
+
+SPEC = replace(STRAIGHT)
+
+
+def sets_of(plane: Aircraft, recording: Path) -> dict[int, FeatureSet]:
+    kept = Recording(recording)
+    found = {frame: kept.by_frame("uav", frame) for frame in kept.frames("uav")}
+    return {frame: output for frame, output in found.items() if output is not None}
+
+
+def clicked(plane: Aircraft, recording: Path) -> Outcome:
+    return click(plane.folder, sets_of(plane, recording), None)
+
+
+def pc_onboard(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "onboard", *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=60)
+
+
+def lines_of(done: subprocess.CompletedProcess[str]) -> dict[str, bool]:
+    return {line["name"]: line["is_good"] for line in json.loads(done.stdout)["lines"]}
+
+
+def test_a_daemon_flies_answers_for_itself_and_ends_whole(tmp_path: Path) -> None:
+    with aircraft(tmp_path, SPEC) as plane:
+        plane.start()
+        plane.wait_for("ok")
+        reported = pc_onboard("status", "--config", plane.config)
+        assert (reported.returncode, reported.stdout.splitlines()[0]) == (0, "state      ok")
+        doctor = pc_onboard("doctor", "--config", plane.config, "--json")
+        found = lines_of(doctor)
+        # This computer's own disk and temperature are what they are; the flight is well.
+        assert {name for name, good in found.items() if not good} <= {"disk", "processor"}, doctor.stdout
+        assert json.loads(doctor.stdout)["daemon"] is True
+        plane.sleep_until(12.0)
+        began = time.monotonic()
+        plane.signal(signal.SIGTERM)
+        assert plane.ended() == 0
+        assert time.monotonic() - began < 4.0
+        (recording,) = plane.recordings
+        outcome = clicked(plane, recording)
+        assert outcome.solved > 0.9, outcome.reported
+        assert outcome.inside_99 > 0.97, outcome.reported
+        assert json.loads((tmp_path / "state" / "alignment.json").read_text())
+    assert [line.split(maxsplit=3)[-1] for line in plane.log[-1:]] == ["told to stop"]
+    assert pc_onboard("status", "--config", plane.config).returncode == 3
+
+
+def test_kill_9_leaves_a_recording_to_the_last_second_and_a_restart_goes_on(tmp_path: Path) -> None:
+    with aircraft(tmp_path, SPEC) as plane:
+        plane.start()
+        plane.wait_for("ok")
+        plane.sleep_until(8.0)
+        killed_s = plane.now_s
+        plane.signal(signal.SIGKILL)
+        assert plane.ended() == -signal.SIGKILL
+        plane.start()
+        plane.wait_for("ok")
+        plane.sleep_until(20.0)
+        plane.signal(signal.SIGTERM)
+        assert plane.ended() == 0
+        first, second = plane.recordings
+        newest = max(s.capture_unix_ns for s in sets_of(plane, first).values()) / 1e9 - plane.first_unix_s
+        assert killed_s - newest < 1.5
+        for recording in (first, second):
+            outcome = clicked(plane, recording)
+            assert len(outcome.errors_m) > 100, outcome.reported
+            assert outcome.inside_99 > 0.97, outcome.reported
+
+
+def test_an_autopilot_that_reboots_and_a_line_that_is_pulled(tmp_path: Path) -> None:
+    with aircraft(tmp_path, SPEC) as plane:
+        plane.start()
+        plane.wait_for("ok")
+        plane.sleep_until(6.0)
+        plane.autopilot.reboot(3.0)
+        plane.wait_for("telemetry lost", "unsynchronised", within_s=3.5)
+        plane.wait_for("ok", within_s=12.0)
+        assert plane.autopilot.boots == 2
+        plane.signal(signal.SIGINT)
+        assert plane.ended() == 0
+        outcome = clicked(plane, plane.recordings[0])
+        assert outcome.inside_99 > 0.97, outcome.reported
+
+
+def test_a_reload_in_flight(tmp_path: Path) -> None:
+    with aircraft(tmp_path, SPEC) as plane:
+        plane.start()
+        plane.wait_for("ok")
+        (tmp_path / "config.d").mkdir()
+        extra = tmp_path / "config.d" / "50-extra.toml"
+        extra.write_text("[tracking]\nfeatuers = 80\n")
+        plane.signal(signal.SIGHUP)
+        plane.sleep_until(plane.now_s + 1.0)
+        (line,) = [line for line in plane.log if "ERROR" in line]
+        assert "50-extra.toml" in line and "did you mean 'tracking.features'?" in line
+        assert len(plane.recordings) == 1
+        extra.write_text("[tracking]\nfeatures = 80\n")
+        plane.signal(signal.SIGHUP)
+        deadline = time.monotonic() + 10.0
+        while len(plane.recordings) < 2 and time.monotonic() < deadline:
+            time.sleep(0.1)
+        plane.wait_for("ok")
+        plane.signal(signal.SIGTERM)
+        assert plane.ended() == 0
+        assert len(plane.recordings) == 2
+        assert any("a new session begins" in line for line in plane.log)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[camera]\nrate = 5\n", "did you mean 'camera.rate_hz'?"),
+        ("", "camera.file is not set"),
+        ('[camera]\nfile = "/nonexistent/camera.json"\n', "/nonexistent/camera.json"),
+    ],
+)
+def test_a_configuration_that_cannot_fly_is_one_line_and_exit_2(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "config.toml").write_text(text)
+    done = pc_onboard("run", "--config", tmp_path / "config.toml")
+    assert done.returncode == 2
+    (line,) = done.stdout.splitlines()
+    assert said in line
+    assert pc_onboard("check-config", "--fly", tmp_path / "config.toml").returncode == 2
+
+
+def test_the_doctor_looks_for_itself_and_calls_what_is_missing_bad(tmp_path: Path) -> None:
+    (tmp_path / "config.toml").write_text(
+        f'[camera]\ndevice = "/dev/video77"\n[telemetry]\nurl = "serial:{tmp_path / "tty"}:57600"\n'
+        f'[link]\nlisten = ["tcp/127.0.0.1:0"]\n[service]\nstate_dir = "{tmp_path / "state"}"\n'
+    )
+    done = pc_onboard("doctor", "--config", tmp_path / "config.toml", "--json", "--seconds", 2)
+    assert done.returncode == 1
+    found = lines_of(done)
+    assert not any(found[name] for name in ("camera", "rate", "exposure", "telemetry", "rates", "gps", "calibration"))
+    assert found["mount"]
+    plain = pc_onboard("doctor", "--config", tmp_path / "config.toml", "--seconds", 0.5).stdout.splitlines()
+    assert plain[0] == "the daemon does not run; looked for ourselves"
+    assert plain[1].startswith("BAD camera ")
+    assert "\x1b" not in "".join(plain)
+
+
+def test_the_doctor_looks_for_itself_at_a_good_aircraft(tmp_path: Path) -> None:
+    with aircraft(tmp_path, SPEC) as plane:
+        doctor = pc_onboard("doctor", "--config", plane.config, "--json", "--seconds", 8)
+        assert json.loads(doctor.stdout)["daemon"] is False
+        found = lines_of(doctor)
+        assert {name for name, good in found.items() if not good} <= {"disk", "processor"}, doctor.stdout
+
+
+def test_a_disk_that_takes_no_more_stops_the_recording_until_there_is_room(tmp_path: Path) -> None:
+    """The system itself refuses the write, in the middle of a message."""
+    with aircraft(tmp_path, SPEC) as plane:
+        plane.max_file_bytes = 100_000
+        plane.start()
+        plane.wait_for("not recording")
+        plane.wait_for("ok", within_s=14.0)
+        plane.signal(signal.SIGTERM)
+        assert plane.ended() == 0
+        first, _ = plane.recordings
+        assert 85_000 < first.stat().st_size <= 100_000  # a message for the map takes 10 kB
+        outcome = clicked(plane, first)
+        assert len(outcome.errors_m) > 100, outcome.reported
+        assert outcome.inside_99 > 0.97, outcome.reported
+        assert sum("recording stops until there is room" in line for line in plane.log) == 1
+        assert sum("recording again" in line for line in plane.log) == 1

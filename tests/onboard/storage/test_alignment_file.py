@@ -1,0 +1,55 @@
+"""What was learned in flight survives until the next one, or the file is refused by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from contract.errors import InputError
+from onboard.estimation.boresight import Alignment
+from onboard.storage.alignment_file import StateFile
+
+
+def taught() -> Alignment:
+    alignment = Alignment(0.02, 0.1, 20.0)
+    alignment.offer(1, 10_000_000_000, np.array([0.01, -0.02, 0.005, 0.08]), np.diag([1e-6, 1e-6, 4e-6, 1e-4]))
+    return alignment
+
+
+def test_a_lesson_is_kept_and_widened_at_the_next_start(tmp_path: Path) -> None:
+    state = StateFile(tmp_path / "alignment.json")
+    state.keep(taught())
+    again = Alignment(0.02, 0.1, 20.0)
+    state.restore(again)
+    assert again.belief.mean == pytest.approx([0.01, -0.02, 0.005, 0.08], rel=1e-3)
+    assert np.all(again.belief.sigma > taught().belief.sigma)
+    assert np.all(again.belief.sigma < Alignment(0.02, 0.1, 20.0).belief.sigma)
+    assert [p.name for p in tmp_path.iterdir()] == ["alignment.json"]
+
+
+def test_a_first_flight_and_a_flight_without_lessons_leave_nothing(tmp_path: Path) -> None:
+    state = StateFile(tmp_path / "alignment.json")
+    fresh = Alignment(0.02, 0.1, 20.0)
+    state.restore(fresh)
+    state.keep(fresh)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{}", '{"boresight_rad": [0, 0, 0], "offset_s": 0, "covariance": [[1]]}', "[1, 2]", '{"offset_s": NaN}'],
+)
+def test_an_unreadable_state_is_refused_by_name(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "alignment.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"alignment\.json"):
+        StateFile(path).restore(Alignment(0.02, 0.1, 20.0))
+
+
+def test_a_state_file_in_no_folder_is_refused_before_the_flight(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such folder"):
+        StateFile(tmp_path / "nowhere" / "alignment.json")
+    with pytest.raises(InputError, match="is a folder"):
+        StateFile(tmp_path)

@@ -1,0 +1,111 @@
+"""A telemetry source run in a thread beside a fake autopilot, and what has come out of it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from onboard.config.schema import Config, parse_config
+from onboard.events.session_clock import SessionClock
+from onboard.events.source import State
+from onboard.events.types import Event, NavEvent
+from onboard.telemetry.factory import OpenedTelemetry, open_telemetry
+from onboard.telemetry.mavlink_events import MessageToEvent, Sources
+from simulation.autopilot.fake import FakeAutopilot
+from simulation.autopilot.flight import Flight
+
+TLOG = Path(__file__).resolve().parents[2] / "data" / "plane_turn.tlog"
+FLIGHT = Flight.read(TLOG)
+
+
+def config_for(url: str, **keys: object) -> Config:
+    """A configuration with these keys of [telemetry]; silence is noticed soon, to save the tests' time."""
+    keys = {"url": url, "lost_after_s": 0.6, **keys}
+    text = [f"{key} = {str(value).lower() if isinstance(value, bool) else repr(value)}" for key, value in keys.items()]
+    return parse_config("[telemetry]\n" + "\n".join(text))
+
+
+@dataclass
+class Listening:
+    """A source at work, and its events with their arrivals."""
+
+    source: OpenedTelemetry
+    clock: SessionClock
+    stop: threading.Event = field(default_factory=threading.Event)
+    got: list[tuple[int, Event]] = field(default_factory=list)
+    faults: list[BaseException] = field(default_factory=list)
+
+    def of(self, kind: type[Event]) -> list[Any]:
+        return [event for _, event in list(self.got) if isinstance(event, kind)]
+
+    def wait(self, state: State, seconds: float = 6.0) -> float:
+        """Seconds until the source is in this state; fails if it is not by then."""
+        began = time.monotonic()
+        while self.source.health().state is not state:
+            assert time.monotonic() - began < seconds, self.source.health()
+            time.sleep(0.01)
+        return time.monotonic() - began
+
+    def until(self, condition: Callable[[], object], seconds: float = 6.0) -> None:
+        began = time.monotonic()
+        while not condition():
+            assert time.monotonic() - began < seconds, self.source.health()
+            time.sleep(0.01)
+
+    def run(self) -> None:
+        try:
+            self.source.run(lambda arrival_ns, event: self.got.append((arrival_ns, event)), self.stop)
+        except BaseException as fault:
+            self.faults.append(fault)
+
+
+@contextmanager
+def listening(config: Config) -> Iterator[Listening]:
+    """Runs the source of a configuration; it must end within a second, and without an error."""
+    clock = SessionClock.start()
+    heard = Listening(open_telemetry(config, clock), clock)
+    thread = threading.Thread(target=heard.run, daemon=True)
+    thread.start()
+    try:
+        yield heard
+    finally:
+        heard.stop.set()
+        thread.join(1.0)
+        assert not thread.is_alive()
+        assert not heard.faults
+
+
+def expected(autopilot: FakeAutopilot, clock: SessionClock) -> list[NavEvent]:
+    """The events of everything the autopilot has sent, at their true moments."""
+    converter = MessageToEvent(Sources())
+
+    def truth(boot: int, boot_ns: int) -> int:
+        return clock.from_monotonic_ns(autopilot.monotonic_ns(boot_ns, boot))
+
+    out = []
+    for boot, message in list(autopilot.sent):
+        out += converter.convert(message, 0, partial(truth, boot))
+    return out
+
+
+def errors_ms(got: list[NavEvent], true: list[NavEvent]) -> list[float]:
+    """How far each event's stamp is from that of the event which says the same; fails if there is none."""
+    stamps: dict[str, list[int]] = {}
+    for event in true:
+        stamps.setdefault(content(event), []).append(event.stamp_ns)
+    out = []
+    for event in got:
+        assert content(event) in stamps, event
+        out.append(min((event.stamp_ns - stamp for stamp in stamps[content(event)]), key=abs) / 1e6)
+    return out
+
+
+def content(event: NavEvent) -> str:
+    """An event but for its stamp."""
+    return repr(replace(event, stamp_ns=0))

@@ -1,0 +1,158 @@
+"""One recording over every wire and both libraries: the same events, at their true moments."""
+
+from __future__ import annotations
+
+import itertools
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from onboard.events.source import State
+from onboard.events.types import Attitude, FilterStatus, GpsQuality, NavEvent, PositionFix
+from onboard.telemetry.tlog_reader import read_tlog
+from simulation.autopilot.fake import FakeAutopilot
+from tests.onboard.telemetry.listening import FLIGHT, Listening, config_for, content, errors_ms, expected, listening
+
+SECONDS = 5.5
+DRIFT = 300e-6
+WIRES = {
+    "udpin": ("udpout:127.0.0.1:{free}", "pymavlink", "ardupilot"),
+    "udpout": ("udpin:127.0.0.1:0", "pymavlink", "px4"),
+    "tcp": ("tcpin:127.0.0.1:0", "pymavlink", "ardupilot"),
+    "serial": ("pty", "pymavlink", "ardupilot"),
+    "old serial": ("pty", "pymavlink", "old"),
+    "mavsdk udp": ("udpout:127.0.0.1:{free}", "mavsdk", "px4"),
+    "mavsdk serial": ("pty", "mavsdk", "ardupilot"),
+}
+ALL = pytest.mark.parametrize("name", WIRES)
+
+
+@dataclass
+class Flown:
+    """What was sent and what came of it."""
+
+    autopilot: FakeAutopilot
+    heard: Listening
+    true: list[NavEvent]
+    state: State
+    figures: dict[str, float]
+
+    @property
+    def events(self) -> list[NavEvent]:
+        return [event for _, event in self.heard.got]  # type: ignore[misc]
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("logs")
+
+
+@pytest.fixture(scope="module")
+def flown(folder: Path) -> Iterator[dict[str, Flown]]:
+    """All of them side by side, a few seconds long."""
+    out = {}
+    with ExitStack() as stack:
+        running = {}
+        for number, (name, (url, backend, style)) in enumerate(WIRES.items()):
+            autopilot = stack.enter_context(
+                FakeAutopilot(
+                    FLIGHT,
+                    url.format(free=free_port()),
+                    style=style,
+                    drift=DRIFT,
+                    system=number + 1,
+                    begin_s=5.0,
+                    chatter=True,
+                )
+            )
+            config = config_for(
+                autopilot.url, backend=backend, lost_after_s=2.0, system=number + 1, log=str(folder / name)
+            )
+            running[name] = autopilot, stack.enter_context(listening(config))
+        time.sleep(SECONDS)
+        for name, (autopilot, heard) in running.items():
+            health = heard.source.health()
+            true = expected(autopilot, heard.clock)
+            out[name] = Flown(autopilot, heard, true, health.state, health.figures)
+    yield out
+
+
+@ALL
+def test_the_events_are_what_was_sent_at_the_true_moments(flown: dict[str, Flown], name: str) -> None:
+    flight = flown[name]
+    cut = len(flight.events) - 20  # the newest may have been sent after `true` was read
+    errors = errors_ms(flight.events[:cut], flight.true)
+    assert len(errors) > 40
+    assert {type(event) for event in flight.events} >= {PositionFix, Attitude, GpsQuality, FilterStatus}
+    assert 0.0 < np.median(np.abs(errors)) < 3.0
+    # What has no stamp of its own has that of the message before it, which the very first may have missed.
+    assert np.max(np.abs(errors[5:])) < 20.0
+    assert np.max(np.abs(errors)) < 300.0
+
+
+@ALL
+def test_nothing_is_missing_between_the_first_and_the_last(flown: dict[str, Flown], name: str) -> None:
+    flight = flown[name]
+    for kind in (PositionFix, Attitude):
+        got = {content(event) for event in flight.events if isinstance(event, kind)}
+        true = [content(event) for event in flight.true if isinstance(event, kind)]
+        first, last = (
+            next(i for i, c in order if c in got) for order in (enumerate(true), reversed([*enumerate(true)]))
+        )
+        missing = [c for c in true[first : last + 1] if c not in got]
+        assert len(missing) <= 0.02 * (last - first)
+        assert first < 0.5 * len(true)
+
+
+@ALL
+def test_stamps_of_a_kind_never_run_backwards(flown: dict[str, Flown], name: str) -> None:
+    for kind in (PositionFix, Attitude):
+        stamps = [event.stamp_ns for event in flown[name].events if isinstance(event, kind)]
+        assert all(a < b for a, b in itertools.pairwise(stamps))
+
+
+@ALL
+def test_health_says_so_with_figures(flown: dict[str, Flown], name: str) -> None:
+    flight = flown[name]
+    assert flight.state is State.OK
+    assert 0.0 < flight.figures["round_trip_ms"] < 30.0
+    assert 0.0 < flight.figures["clock_sigma_ms"] < 10.0
+    assert flight.figures["drift_ppm"] == pytest.approx(-300.0, abs=250.0)
+    assert flight.figures["attitude_hz"] > 10.0
+    assert flight.figures["reboots"] == 0.0
+
+
+@ALL
+def test_it_is_a_good_citizen(flown: dict[str, Flown], name: str) -> None:
+    autopilot = flown[name].autopilot
+    beats = [beat for beat in autopilot.heard_of("HEARTBEAT") if beat.get_srcSystem() == autopilot.system]
+    assert 4 <= len(beats) <= 8
+    assert {(beat.get_srcComponent(), beat.type) for beat in beats} == {(191, 18)}
+    answers = [message for message in autopilot.heard_of("TIMESYNC") if message.tc1]
+    assert len(answers) >= (3 if WIRES[name][2] == "px4" else 1)
+    assert all(answer.tc1 > 0 for answer in answers)
+
+
+@ALL
+def test_a_log_it_wrote_reads_as_the_same_flight(flown: dict[str, Flown], folder: Path, name: str) -> None:
+    (path,) = (folder / name).glob("*.tlog")
+    log = read_tlog(path)
+    live = [event for event in flown[name].events if isinstance(event, PositionFix)]
+    again = [event for event in log.events if isinstance(event, PositionFix)]
+    assert {content(event) for event in live} <= {content(event) for event in again}
+    errors = errors_ms(live[3:], again)
+    # A log is mapped by its least delayed arrivals and one constant offset: 300 ppm over four seconds are 1.2 ms.
+    assert np.max(np.abs(np.array(errors) - np.median(errors))) < 20.0
+    assert abs(np.median(errors)) < 20.0

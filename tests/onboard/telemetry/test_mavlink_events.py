@@ -1,0 +1,139 @@
+"""MAVLink messages beyond position and attitude, as events: the filter's doubts, gimbals, range finders."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from contract.rotations import matrix_from_quaternion
+from onboard.events.types import FilterStatus, GimbalAttitude, NavEvent, RangeFinder
+from onboard.telemetry.mavlink_events import MessageToEvent, Sources, sensor_direction
+
+BOOT_MS = 5000
+STAMP = BOOT_MS * 1_000_000 + 7
+
+
+def events(*messages: Any) -> list[NavEvent]:
+    converter = MessageToEvent(Sources())
+    return [event for m in messages for event in converter.convert(m, 99, lambda boot_ns: boot_ns + 7)]
+
+
+def clock() -> Any:
+    return mavlink.MAVLink_system_time_message(0, BOOT_MS)
+
+
+def ekf(flags: int) -> Any:
+    return mavlink.MAVLink_ekf_status_report_message(flags, 0.1, 0.1, 0.1, 0.1, 0.1)
+
+
+def estimator(flags: int) -> Any:
+    return mavlink.MAVLink_estimator_status_message(0, flags, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.5, 0.5)
+
+
+# As recorded from ArduPilot: flying, ten seconds into an outage, seventeen into a jamming, on the ground, starting.
+@pytest.mark.parametrize(
+    ("message", "has_position", "is_glitching"),
+    [
+        (ekf(0x33F), True, False),
+        (ekf(0x12F), False, False),
+        (ekf(0x833F), True, True),
+        (ekf(0xA7), False, False),
+        (ekf(0x400), False, False),
+        (estimator(0x33F), True, False),
+        (estimator(0x73F), True, True),
+        (estimator(0xBF), False, False),
+    ],
+)
+def test_a_filter_s_flags_say_what_it_believes(message: Any, has_position: bool, is_glitching: bool) -> None:
+    assert events(clock(), message) == [FilterStatus(STAMP, has_position, is_glitching)]
+
+
+def gimbal(flags: int, q: tuple[float, float, float, float] = (2**-0.5, 0.0, -(2**-0.5), 0.0), failure: int = 0) -> Any:
+    return mavlink.MAVLink_gimbal_device_attitude_status_message(
+        0, 0, BOOT_MS, flags, list(q), math.nan, math.nan, math.nan, failure
+    )
+
+
+@pytest.mark.parametrize(
+    ("flags", "reference"),
+    [
+        (32, "vehicle"),
+        (64, "earth"),
+        (16, "earth"),
+        (12, "vehicle"),
+        (32 | 16, "vehicle"),
+        (64 | 16, "earth"),
+        (44, "vehicle"),
+    ],
+)
+def test_a_gimbal_s_flags_say_against_what_it_counts_yaw(flags: int, reference: str) -> None:
+    (got,) = events(gimbal(flags))
+    assert isinstance(got, GimbalAttitude)
+    assert (got.stamp_ns, got.reference) == (STAMP, reference)
+    looks = matrix_from_quaternion(got.q_ref_gimbal) @ [1.0, 0.0, 0.0]
+    assert looks == pytest.approx([0.0, 0.0, 1.0], abs=1e-6)  # pitched 90 degrees down
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        gimbal(32, (math.nan, 0.0, 0.0, 0.0)),
+        gimbal(32, (0.0, 0.0, 0.0, 0.0)),
+        gimbal(32, failure=mavlink.GIMBAL_DEVICE_ERROR_FLAGS_ENCODER_ERROR),
+    ],
+)
+def test_a_gimbal_that_does_not_know_is_not_asked(message: Any) -> None:
+    assert events(message) == []
+
+
+def distance(centimetres: int = 4200, orientation: int = 25, covariance: int = 255, **more: Any) -> Any:
+    return mavlink.MAVLink_distance_sensor_message(
+        BOOT_MS, 20, 12000, centimetres, 0, 1, orientation, covariance, **more
+    )
+
+
+def test_a_distance_has_its_direction_and_its_sigma() -> None:
+    (plain,) = events(distance())
+    assert isinstance(plain, RangeFinder)
+    assert (plain.stamp_ns, plain.distance_m, plain.sigma_m) == (STAMP, 42.0, None)
+    assert plain.direction_body == pytest.approx((0.0, 0.0, 1.0), abs=1e-9)
+    (known,) = events(distance(covariance=144))
+    assert isinstance(known, RangeFinder)
+    assert known.sigma_m == pytest.approx(0.12)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [distance(20), distance(12000), distance(65535), distance(0), distance(signal_quality=1), distance(orientation=99)],
+)
+def test_a_distance_that_is_none_makes_no_event(message: Any) -> None:
+    assert events(message) == []
+
+
+def test_orientations_point_where_mavlink_says() -> None:
+    downwards = math.sqrt(0.5)
+    for number, direction in {
+        0: (1.0, 0.0, 0.0), 2: (0.0, 1.0, 0.0), 4: (-1.0, 0.0, 0.0), 6: (0.0, -1.0, 0.0),
+        24: (0.0, 0.0, -1.0), 25: (0.0, 0.0, 1.0), 1: (downwards, downwards, 0.0),
+    }.items():  # fmt: skip
+        assert sensor_direction(number) == pytest.approx(direction, abs=1e-9)
+    for number in mavlink.enums["MAV_SENSOR_ORIENTATION"]:
+        looks = sensor_direction(number)
+        assert looks is None or np.linalg.norm(looks) == pytest.approx(1.0)
+
+
+@given(st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: 0.6 < math.hypot(*q) < 1.9))
+def test_a_custom_orientation_is_its_quaternion(q: tuple[float, float, float, float]) -> None:
+    unit = np.array(q) / math.hypot(*q)
+    assert sensor_direction(100, q) == pytest.approx(matrix_from_quaternion(unit) @ [1.0, 0.0, 0.0], abs=1e-9)
+
+
+def test_a_custom_orientation_without_a_quaternion_is_unknown() -> None:
+    assert sensor_direction(100, (0.0, 0.0, 0.0, 0.0)) is None
+    assert sensor_direction(100) is None

@@ -1,0 +1,130 @@
+"""Packets out of whatever is on a line: none is lost to garbage, none is made up of it, and it ends in good time."""
+
+from __future__ import annotations
+
+import random
+import time
+from typing import Any
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from onboard.config.schema import parse_config
+from onboard.events.types import PositionFix
+from onboard.telemetry.mavlink_framing import Framer
+from onboard.telemetry.mavlink_session import Autopilot
+from tests.onboard.telemetry.listening import TLOG
+
+SECOND = 1_000_000_000
+
+
+def packets(count: int, mavlink1: bool = False) -> list[bytes]:
+    packer = mavlink.MAVLink(None, 1, 1)
+    out = []
+    for i in range(count):
+        message = mavlink.MAVLink_attitude_message(1000 + i, 0.1 * i, 0.2, 0.3, 0.0, 0.0, 0.0)
+        out.append(bytes(message.pack(packer, force_mavlink1=mavlink1)))
+        packer.seq = (packer.seq + 1) % 256
+    return out
+
+
+def stamps(messages: list[Any]) -> list[int]:
+    return [message.time_boot_ms for message in messages if message.get_type() == "ATTITUDE"]
+
+
+@given(
+    st.lists(st.binary(max_size=80), min_size=5, max_size=5),
+    st.booleans(),
+    st.lists(st.integers(1, 90), min_size=1, max_size=8),
+)
+def test_every_packet_is_found_between_garbage_in_any_pieces(
+    garbage: list[bytes], mavlink1: bool, pieces: list[int]
+) -> None:
+    # Bytes that may begin a packet hold back what follows until as much has come as they promise.
+    line = b"".join(g + p for g, p in zip(garbage, packets(5, mavlink1), strict=True)) + bytes(600)
+    framer, heard, at = Framer(mavlink.MAVLink(None)), [], 0
+    while at < len(line):
+        size = pieces[at % len(pieces)]
+        heard += framer.feed(line[at : at + size])
+        at += size
+    assert stamps(heard) == [1000, 1001, 1002, 1003, 1004]
+
+
+def test_a_stray_start_byte_does_not_swallow_the_packet_after_it() -> None:
+    first, second = packets(2)
+    ours, theirs = Framer(mavlink.MAVLink(None)), mavlink.MAVLink(None)
+    theirs.robust_parsing = True
+    line = b"\xfe\x1c\x00\x01\x01\x1e" + first + second
+    assert stamps(ours.feed(line)) == [1000, 1001]
+    assert stamps(theirs.parse_buffer(line) or []) != [1000, 1001]  # why the framing is ours
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=200)
+def test_a_flipped_bit_never_makes_a_message(seed: int) -> None:
+    rng = random.Random(seed)
+    packet = bytearray(packets(1)[0])
+    packet[rng.randrange(len(packet))] ^= 1 << rng.randrange(8)
+    assert Framer(mavlink.MAVLink(None)).feed(bytes(packet) + bytes(300)) == []
+
+
+def test_the_worst_garbage_is_read_faster_than_it_can_come() -> None:
+    rng = random.Random(0)
+    worst = {
+        "noise": rng.randbytes(92_160),
+        "starts of MAVLink 1": b"\xfe" * 92_160,
+        "starts of MAVLink 2": b"\xfd" * 92_160,
+        "empty headers": b"\xfd\xff\x00\x00\x00\x01\x01\xff\xff\x00" * 9216,
+        "long headers": b"\xfe\x1c\x00\x01\x01\x1e" * 15_360,
+    }
+    for name, data in worst.items():  # a second at 921600 baud
+        framer, began = Framer(mavlink.MAVLink(None)), time.process_time()
+        for at in range(0, len(data), 512):
+            framer.feed(data[at : at + 512])
+        assert time.process_time() - began < 0.7, name
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32), st.floats(0.0, 0.3))
+def test_a_recording_with_any_of_its_bytes_changed_is_survived(seed: int, share: float) -> None:
+    """All the way: framing, the conversation and its answers. Nothing raises, what is asked for stays little."""
+    rng = random.Random(seed)
+    data = bytearray(TLOG.read_bytes()[:6000])
+    for _ in range(round(share * len(data))):
+        data[rng.randrange(len(data))] = rng.randrange(256)
+    framer, autopilot, now = Framer(mavlink.MAVLink(None)), Autopilot(parse_config("")), 10**18
+    sent = 0
+    for at in range(0, len(data), 64):
+        for message in framer.feed(bytes(data[at : at + 64])):
+            autopilot.hear(message, now)
+        sent += len(autopilot.due(now))
+        now += SECOND // 50
+        autopilot.health(now)
+    assert sent < 60
+
+
+def fields(kind: Any) -> st.SearchStrategy[bytes]:
+    return st.binary(min_size=kind.unpacker.size, max_size=kind.unpacker.size)
+
+
+KINDS = [mavlink.mavlink_map[number] for number in (0, 2, 24, 30, 31, 33, 77, 111, 132, 193, 230, 285)]
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(st.sampled_from(KINDS).flatmap(lambda kind: fields(kind).map(lambda data: (kind, data))), max_size=12))
+def test_sound_packets_of_nonsense_are_survived(chosen: list[tuple[Any, bytes]]) -> None:
+    autopilot, now = Autopilot(parse_config("[telemetry]\nsystem = 1")), 10**18
+    framer, packer = Framer(mavlink.MAVLink(None)), mavlink.MAVLink(None, 1, 1)
+    for kind, payload in chosen:
+        message = mavlink.MAVLink_message(kind.id, kind.msgname)
+        line = message._pack(packer, kind.crc_extra, payload)
+        for heard in framer.feed(bytes(line)):
+            for event in autopilot.hear(heard, now):
+                assert abs(event.stamp_ns) < 2**63
+                assert not isinstance(event, PositionFix) or (
+                    abs(event.lat_deg) <= 90.0 and abs(event.lon_deg) <= 180.0
+                )
+        autopilot.due(now)
+        autopilot.health(now)
+        now += SECOND // 10

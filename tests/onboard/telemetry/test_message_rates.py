@@ -1,0 +1,181 @@
+"""What is asked of autopilots that grant, deny, ignore and forget; time is a number here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from onboard.config.schema import parse_config
+from onboard.telemetry.message_rates import COMMAND, NS_PER_S, RateRequests
+
+ACCEPTED, DENIED, FAILED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_DENIED, mavlink.MAV_RESULT_FAILED
+UNSUPPORTED, BUSY = mavlink.MAV_RESULT_UNSUPPORTED, mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+Answer = Callable[[str, float], int | None]
+STEP_NS = NS_PER_S // 20
+
+
+class Played:
+    """An autopilot that answers by a rule and sends what it granted, at what it granted."""
+
+    def __init__(self, answer: Answer, text: str = "", autopilot: int = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA) -> None:
+        self.requests = RateRequests(parse_config(text))
+        self.answer, self.autopilot = answer, autopilot
+        self.now_ns = 10**18
+        self.asked: list[tuple[str, float]] = []
+        self.streams: list[tuple[int, int]] = []
+        self.sends_hz: dict[str, float] = {}
+        self._owed: dict[str, float] = {}
+
+    def fly(self, seconds: float, status: int = mavlink.MAV_STATE_ACTIVE) -> None:
+        for _ in range(round(seconds * NS_PER_S / STEP_NS)):
+            self.requests.heartbeat(status, self.autopilot)
+            for name, hz in self.sends_hz.items():
+                self._owed[name] = self._owed.get(name, 0.0) + hz * STEP_NS / NS_PER_S
+                while self._owed[name] >= 1.0:
+                    self._owed[name] -= 1.0
+                    self.requests.seen(name)
+            for message in self.requests.due(1, self.now_ns):
+                self.hear(message)
+            self.now_ns += STEP_NS
+
+    def hear(self, message: object) -> None:
+        if isinstance(message, mavlink.MAVLink_request_data_stream_message):
+            self.streams.append((message.req_stream_id, message.req_message_rate))
+            return
+        assert isinstance(message, mavlink.MAVLink_command_long_message)
+        assert (message.command, message.target_system, message.target_component) == (COMMAND, 1, 1)
+        name, rate_hz = mavlink.mavlink_map[int(message.param1)].msgname, 1e6 / message.param2
+        self.asked.append((name, rate_hz))
+        result = self.answer(name, rate_hz)
+        if result is not None:
+            self.requests.acknowledged(COMMAND, result, self.now_ns)
+        if result == ACCEPTED:
+            self.sends_hz[name] = rate_hz
+
+
+def grants(_name: str, _rate_hz: float) -> int | None:
+    return ACCEPTED
+
+
+def test_everything_is_asked_once_and_then_there_is_peace() -> None:
+    played = Played(grants)
+    played.fly(60.0)
+    assert played.asked == [
+        ("ATTITUDE", 50.0),
+        ("GLOBAL_POSITION_INT", 10.0),
+        ("GPS_RAW_INT", 5.0),
+        ("EKF_STATUS_REPORT", 5.0),
+        ("GIMBAL_DEVICE_ATTITUDE_STATUS", 20.0),
+    ]
+    assert played.requests.complaint() == ""
+    assert played.requests.figures() == pytest.approx(
+        {"attitude_hz": 50.0, "position_hz": 10.0, "gps_hz": 5.0}, abs=0.5
+    )
+
+
+def test_what_is_denied_is_asked_lower_by_steps() -> None:
+    played = Played(lambda name, hz: DENIED if hz > 25.0 else ACCEPTED, "[telemetry]\nattitude_rate_hz = 100.0")
+    played.fly(10.0)
+    assert [hz for name, hz in played.asked if name == "ATTITUDE"] == [100.0, 50.0, 40.0, 25.0]
+
+
+def test_nothing_is_asked_of_an_autopilot_that_is_still_starting() -> None:
+    played = Played(grants)
+    played.fly(10.0, status=mavlink.MAV_STATE_CALIBRATING)
+    assert not played.asked
+    played.fly(1.0, status=mavlink.MAV_STATE_STANDBY)
+    assert played.asked
+
+
+def test_px4_is_asked_for_its_own_filter_report() -> None:
+    played = Played(grants, "[mount]\ngimbal = 'never'\n[range_finder]\nuse = true", mavlink.MAV_AUTOPILOT_PX4)
+    played.fly(5.0)
+    assert [name for name, _ in played.asked][-2:] == ["ESTIMATOR_STATUS", "DISTANCE_SENSOR"]
+    assert not {"EKF_STATUS_REPORT", "GIMBAL_DEVICE_ATTITUDE_STATUS"} & {name for name, _ in played.asked}
+
+
+def test_only_one_request_is_under_way() -> None:
+    played = Played(lambda name, hz: None)
+    played.fly(0.9)
+    assert played.asked == [("ATTITUDE", 50.0)]
+
+
+@pytest.mark.parametrize("answer", [lambda name, hz: UNSUPPORTED, lambda name, hz: None], ids=["unsupported", "mute"])
+def test_old_autopilots_are_asked_for_streams(answer: Answer) -> None:
+    played = Played(answer)
+    played.fly(12.0)
+    assert set(played.streams) == {
+        (mavlink.MAV_DATA_STREAM_EXTRA1, 50),
+        (mavlink.MAV_DATA_STREAM_POSITION, 10),
+        (mavlink.MAV_DATA_STREAM_EXTENDED_STATUS, 5),
+        (mavlink.MAV_DATA_STREAM_EXTRA3, 5),
+    }
+    assert len(played.asked) <= 3
+
+
+def test_a_busy_autopilot_is_asked_again() -> None:
+    patience = iter([BUSY, BUSY])
+    played = Played(lambda name, hz: next(patience, ACCEPTED))
+    played.fly(6.0)
+    assert played.sends_hz["ATTITUDE"] == 50.0
+
+
+def test_a_lost_acknowledgement_is_got_over() -> None:
+    lost = iter([None, None])
+    played = Played(lambda name, hz: next(lost, ACCEPTED))
+    played.fly(8.0)
+    assert len(played.sends_hz) == 5
+    assert not played.streams
+
+
+def test_a_message_that_stops_coming_is_asked_for_again_but_ever_less_often() -> None:
+    played = Played(grants)
+    played.fly(10.0)
+    before = len(played.asked)
+    played.answer = lambda name, hz: ACCEPTED
+    del played.sends_hz["GLOBAL_POSITION_INT"]
+    played.fly(5.0)
+    assert played.asked[before:][0] == ("GLOBAL_POSITION_INT", 10.0)
+    played.hear = lambda message: played.requests.acknowledged(COMMAND, ACCEPTED, played.now_ns)  # type: ignore[method-assign]
+    del played.sends_hz["ATTITUDE"]
+    played.fly(10.0)
+    assert played.requests.complaint() == "no ATTITUDE"
+
+
+def test_how_often_a_grant_that_is_not_kept_is_claimed() -> None:
+    played = Played(grants)
+    played.fly(10.0)
+    asked: list[int] = []
+
+    def accept(message: object) -> None:
+        asked.append(played.now_ns)
+        played.requests.acknowledged(COMMAND, ACCEPTED, played.now_ns)
+
+    played.hear = accept  # type: ignore[method-assign]
+    played.sends_hz["ATTITUDE"] = 4.0
+    played.fly(300.0)
+    assert 4 <= len(asked) <= 12
+    assert "ATTITUDE at 4.0 Hz where 50 were granted" in played.requests.complaint()
+
+
+def test_what_is_denied_altogether_is_said() -> None:
+    played = Played(lambda name, hz: FAILED if "POSITION" in name else ACCEPTED)
+    played.fly(10.0)
+    assert played.requests.complaint() == "no GLOBAL_POSITION_INT: the autopilot denies it"
+
+
+def test_a_denied_attitude_is_asked_for_as_a_quaternion() -> None:
+    played = Played(lambda name, hz: DENIED if name == "ATTITUDE" else ACCEPTED)
+    played.fly(10.0)
+    assert played.sends_hz["ATTITUDE_QUATERNION"] == 50.0
+
+
+def test_after_a_restart_everything_is_asked_anew() -> None:
+    played = Played(grants)
+    played.fly(5.0)
+    before = len(played.asked)
+    played.requests.restart()
+    played.fly(5.0)
+    assert played.asked[before:] == played.asked[:before]

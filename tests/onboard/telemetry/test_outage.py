@@ -1,0 +1,127 @@
+"""GPS switched off and jammed in a recorded ArduPilot flight: the pipeline refuses in time, and recovers by itself."""
+
+from __future__ import annotations
+
+import functools
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from contract.camera import Camera
+from contract.feature_set import Status
+from onboard.config.schema import Config
+from onboard.events.types import FilterStatus, Frame, GpsQuality, NavEvent, PositionFix
+from onboard.navigation.navigator import Navigation, NavState
+from onboard.pipeline.pipeline import Pipeline
+from onboard.telemetry.tlog_reader import TelemetryLog, read_tlog
+
+SECOND = 1_000_000_000
+PERIOD = SECOND // 2
+
+
+@functools.cache
+def recorded(folder: Path) -> TelemetryLog:
+    return read_tlog(folder / "sitl" / "plane_gps_outage.tlog")
+
+
+def statuses(folder: Path, keep: Callable[[NavEvent], bool]) -> list[tuple[float, Status]]:
+    """Seconds since the GPS was switched off, and what became of an empty picture then: FEATURELESS if all was well."""
+    log = recorded(folder)
+    off_ns = events_ns(folder)[0]
+    pipeline = Pipeline(Config(), Camera.from_field_of_view(64, 48, 40.0))
+    blank = np.full((48, 64), 128, np.uint8)
+    due_ns, index, out = off_ns - 30 * SECOND, 0, []
+    for arrival_ns, event in zip(log.arrival_ns, log.events, strict=True):
+        if not off_ns - 60 * SECOND < arrival_ns < off_ns + 160 * SECOND or not keep(event):
+            continue
+        while due_ns < arrival_ns:
+            out += pipeline.handle(Frame(due_ns, index, blank))
+            due_ns, index = due_ns + PERIOD, index + 1
+        out += pipeline.handle(event)
+    return [((answer.capture_unix_ns - off_ns) / 1e9, answer.status) for answer in out if answer.revision == 0]
+
+
+def events_ns(folder: Path) -> list[int]:
+    text = (folder / "sitl" / "plane_gps_outage.events.json").read_text()
+    return [event["unix_us"] * 1000 for event in json.loads(text)]
+
+
+Share = Callable[[float, float], float]
+
+
+def refusals(folder: Path, keep: Callable[[NavEvent], bool]) -> Share:
+    """Share of the pictures between two times that were refused for want of GPS."""
+    seen = statuses(folder, keep)
+    assert len(seen) > 300
+
+    def share(begin: float, end: float) -> float:
+        within = [status is Status.NO_GPS for t, status in seen if begin <= t < end]
+        assert within
+        return float(np.mean(within))
+
+    return share
+
+
+@pytest.mark.parametrize("without", [None, FilterStatus], ids=["all", "no filter"])
+def test_each_loss_is_seen_within_two_seconds_and_got_over(shared_data: Path, without: type[NavEvent] | None) -> None:
+    off, on, jammed, clear = ((t - events_ns(shared_data)[0]) / 1e9 for t in events_ns(shared_data))
+    share = refusals(shared_data, lambda event: without is None or not isinstance(event, without))
+    assert share(off - 30.0, off - 0.5) == 0.0
+    assert share(off + 2.0, on) == 1.0
+    assert share(on + 5.0, jammed - 0.5) == 0.0
+    assert share(jammed + 2.0, clear) == 1.0
+    assert share(clear + 15.0, clear + 50.0) == 0.0
+
+
+def test_the_filter_alone_says_it_late_but_says_it(shared_data: Path) -> None:
+    off, on, jammed, clear = ((t - events_ns(shared_data)[0]) / 1e9 for t in events_ns(shared_data))
+    share = refusals(shared_data, lambda event: not isinstance(event, GpsQuality))
+    assert share(off - 30.0, off - 0.5) == 0.0
+    assert share(off + 2.0, off + 8.0) < 0.5  # its flags stay good for ten seconds
+    assert share(off + 11.0, on) == 1.0
+    assert share(jammed + 16.0, clear) == 1.0
+    assert share(clear + 15.0, clear + 50.0) == 0.0
+
+
+def position(t: float) -> PositionFix:
+    return PositionFix(round(t * SECOND), -43.38 + 1e-6 * t, 172.4, 350.0, (0.11, 0.0, 0.0), 250.0)
+
+
+def moments(report: FilterStatus) -> list[bool]:
+    """Whether a steady flight of ten seconds is believed at each half second, with one report among good ones."""
+    navigation = Navigation(Config())
+    for i in range(101):
+        navigation.add(position(i / 10))
+        if i % 10 == 0:
+            stamp = round(i / 10 * SECOND)
+            navigation.add(report if report.stamp_ns == stamp else FilterStatus(stamp, True, False))
+    return [isinstance(navigation.state_at(round(t / 2 * SECOND)), NavState) for t in range(1, 20)]
+
+
+@pytest.mark.parametrize(("has_position", "is_glitching"), [(False, False), (True, True)])
+def test_a_filter_that_does_not_believe_itself_is_not_believed(has_position: bool, is_glitching: bool) -> None:
+    sensor_pose = moments(FilterStatus(5 * SECOND, has_position, is_glitching))
+    refused = [t / 2 for t, good in enumerate(sensor_pose, start=1) if not good]
+    # From the good report before it, for what it says may have been so since; until it is `recovery_s` past.
+    assert refused == [4.0, 4.5, 5.0, 5.5]
+
+
+def test_a_filter_content_with_itself_changes_nothing() -> None:
+    assert all(moments(FilterStatus(5 * SECOND, True, False)))
+
+
+def test_a_bad_report_stands_until_a_good_one_comes() -> None:
+    navigation = Navigation(Config())
+    for i in range(301):
+        navigation.add(position(i / 10))
+        if i == 50:
+            navigation.add(FilterStatus(5 * SECOND, False, False))
+    assert navigation.state_at(29 * SECOND) is Status.NO_GPS
+    navigation.add(FilterStatus(30 * SECOND, True, False))
+    navigation.add(position(32.0))
+    for i in range(301, 330):
+        navigation.add(position(i / 10))
+    assert isinstance(navigation.state_at(32 * SECOND), NavState)

@@ -1,0 +1,86 @@
+"""Self-likeness: pictures that repeat themselves are found to, others are not, and the tracker then asks telemetry."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from onboard.vision.contrast_normalisation import Picture, prepare
+from onboard.vision.klt_tracker import Tracker
+from onboard.vision.repetitive_texture import repetition_px
+
+SIZE = (320, 240)
+
+
+def rows(period_px: float, shift_px: float = 0.0, crossed: bool = True, noise: float = 2.0) -> Picture:
+    """Crop rows along a slant, crossed by weaker ones, under the sensor's noise."""
+    u, v = np.meshgrid(np.arange(SIZE[0], dtype=float), np.arange(SIZE[1], dtype=float))
+    along, across = 0.94 * (u - shift_px) + 0.34 * v, 0.94 * v - 0.34 * (u - shift_px)
+    picture = np.sign(np.sin(2 * np.pi * along / period_px))
+    if crossed:
+        picture = picture + 0.6 * np.sign(np.sin(2 * np.pi * across / period_px))
+    smooth = cv2.GaussianBlur(120.0 + 30.0 * picture, (0, 0), 0.8)
+    smooth += noise * np.random.default_rng(1).standard_normal(smooth.shape)
+    return np.asarray(np.clip(smooth, 0, 255), np.uint8)
+
+
+def wild(seed: int) -> Picture:
+    """Blobs of many sizes, none like another."""
+    rng = np.random.default_rng(seed)
+    layers = [cv2.GaussianBlur(rng.standard_normal(SIZE[::-1]), (0, 0), s) * s for s in (1.0, 2.0, 4.0, 8.0)]
+    return np.asarray(np.clip(120.0 + 60.0 * sum(layers), 0, 255), np.uint8)
+
+
+def features(picture: Picture) -> np.ndarray:
+    tracker = Tracker(SIZE, 100)
+    tracker.track(picture, None)
+    return tracker.promote(tracker.nothing())[1]
+
+
+@pytest.mark.parametrize("period_px", [12.0, 20.0, 32.0])
+def test_rows_repeat_at_their_spacing(period_px: float) -> None:
+    found = repetition_px(prepare(rows(period_px)), features(rows(period_px)))
+    # The near edge of the twin's peak is taken, so a little less than the period.
+    assert found is not None and 0.6 * period_px < found < 1.1 * period_px
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_ground_without_twins_does_not_repeat(seed: int) -> None:
+    assert repetition_px(prepare(wild(seed)), features(wild(seed))) is None
+
+
+def test_too_few_features_say_nothing() -> None:
+    picture = prepare(rows(20.0))
+    assert repetition_px(picture, np.zeros((0, 2))) is None
+    assert repetition_px(picture, np.full((3, 2), 120.0)) is None
+
+
+def shifted(shift_px: float) -> np.ndarray:
+    return np.array([[1.0, 0.0, shift_px], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def test_rows_are_followed_as_far_as_telemetry_tells_them_apart() -> None:
+    """The picture has moved by 7 px; rows are 20 px apart."""
+    period, moved = 20.0, 7.0
+    for reported, followed in ((moved, True), (moved + 3.0, True), (None, False)):
+        tracker = Tracker(SIZE, 100)
+        tracker.track(rows(period), None)
+        tracker.promote(tracker.nothing())
+        tracks = tracker.track(rows(period, moved), None if reported is None else shifted(reported))
+        assert (len(tracks) > 30) is followed, reported
+        if followed:
+            assert np.median(tracks.uv_px[:, 0] - tracks.keyframe_uv_px[:, 0]) == pytest.approx(moved, abs=0.3)
+
+
+def test_a_step_that_telemetry_cannot_tell_to_half_a_row_is_not_followed() -> None:
+    """60 px foretold to 9 px, rows 12 px apart; the same step over ground without twins is followed."""
+    tracker = Tracker(SIZE, 100)
+    tracker.track(rows(12.0), None)
+    tracker.promote(tracker.nothing())
+    assert len(tracker.track(rows(12.0, 60.0), shifted(60.0))) == 0
+    other = Tracker(SIZE, 100)
+    other.track(wild(4), None)
+    other.promote(other.nothing())
+    moved = np.asarray(cv2.warpAffine(wild(4), shifted(60.0)[:2], SIZE), np.uint8)
+    assert len(other.track(moved, shifted(60.0))) > 30
