@@ -102,7 +102,7 @@ class Window:
         flown_enu_m: Array | None,
         flow_disagreement_px: Array | None = None,
     ) -> None:
-        """Take a keyframe; the oldest leaves a full window. `flow_disagreement_px`: since the keyframe before, by `coarse_flow`."""
+        """Take a keyframe; the oldest leaves a full window. `flow_disagreement_px`: since the one before."""
         guess = self.pose_guess(seen, nav)
         # Without any attitude the start waits for the window's first solve; the mount alone is a placeholder.
         R, centre = guess if guess is not None else (self.R_body_cam.T, nav.position_enu_m)
