@@ -10,7 +10,7 @@ import pytest
 
 from contract.camera import Camera
 from contract.errors import ConfigError
-from onboard.camera.buffer_decoder import CLOCK_UNKNOWN
+from onboard.camera import v4l2_structures as v4l2
 from onboard.camera.discovery import Identity
 from onboard.camera.format_negotiation import choose_format
 from onboard.camera.v4l2_camera import V4l2Camera
@@ -258,7 +258,7 @@ def test_pictures_that_waited_while_we_were_starved_are_not_shown_as_news() -> N
 
 
 def test_a_time_of_arrival_is_never_given_to_a_picture_that_waited() -> None:
-    world = World(video0=Plugged(OURS, flags=CLOCK_UNKNOWN, age_ns=-(10**17)))
+    world = World(video0=Plugged(OURS, flags=v4l2.BUF_FLAG_TIMESTAMP_UNKNOWN, age_ns=-(10**17)))
     camera = live(world)
     # Kept from running for a second, within the wait for a picture: the queue is full of old ones then.
     world.events = [(1.01, lambda: setattr(world, "now_ns", world.now_ns + 1_000_000_000))]
