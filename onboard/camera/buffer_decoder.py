@@ -18,7 +18,7 @@ from onboard.events.session_clock import SessionClock
 from onboard.events.types import Frame
 
 STALE_NS = 500_000_000
-"""A buffer older than this when it is taken waited while we were kept from running: it is not news any more."""
+"""A buffer older than this when it is taken waited in the queue while this process did not run: too old to be used."""
 FUTURE_NS = 5_000_000
 """A stamp this far ahead of the clock is not the time of a picture that is already here."""
 RATE_WINDOW = 60

@@ -26,7 +26,7 @@ FIRST_PICTURE_S = 5.0
 PERIODS = 3.0
 """At low rates so many periods without a picture, if that is more than `lost_after_s`, count as lost."""
 STARVED_S = 0.05
-"""A wait this much longer than asked: we were kept from running, and what is there now has lain in the queue."""
+"""A wait this much longer than asked: this process did not run, and the buffer there now has waited in the queue."""
 SENDS_NOTHING = "opens but sends no picture"
 
 _WORDS = {

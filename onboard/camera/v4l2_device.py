@@ -25,7 +25,7 @@ from onboard.camera import v4l2_structures as v4l2
 
 BUFFERS = 4
 _ENDS_A_LIST = {errno.EINVAL, errno.ENOTTY, errno.ENODATA, errno.EPIPE}
-_MAX_LISTED = 1024  # entries of any list: a driver that never ends one must not hold us
+_MAX_LISTED = 1024  # entries of any list: a driver that never ends one must not block us
 
 
 @dataclass(frozen=True)
