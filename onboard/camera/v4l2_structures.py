@@ -48,8 +48,6 @@ FRMSIZE_TYPE_DISCRETE = 1
 FRMIVAL_TYPE_DISCRETE = 1
 
 # enum v4l2_ctrl_type; flags of v4l2_query_ext_ctrl
-CTRL_TYPE_INTEGER = 1
-CTRL_TYPE_BOOLEAN = 2
 CTRL_TYPE_MENU = 3
 CTRL_TYPE_INTEGER64 = 5
 CTRL_TYPE_INTEGER_MENU = 9
@@ -155,18 +153,11 @@ class PixFormat(ctypes.Structure):
     """struct v4l2_pix_format."""
 
     _fields_ = [
-        ("width", _U32),
-        ("height", _U32),
-        ("pixelformat", _U32),
-        ("field", _U32),
-        ("bytesperline", _U32),
-        ("sizeimage", _U32),
-        ("colorspace", _U32),
-        ("priv", _U32),
-        ("flags", _U32),
-        ("ycbcr_enc", _U32),
-        ("quantization", _U32),
-        ("xfer_func", _U32),
+        (name, _U32)
+        for name in (
+            *("width", "height", "pixelformat", "field", "bytesperline", "sizeimage", "colorspace", "priv", "flags"),
+            *("ycbcr_enc", "quantization", "xfer_func"),
+        )
     ]
 
 
