@@ -25,7 +25,12 @@ from onboard.telemetry.transports import Wire
 
 NAMES = sorted(
     mavlink.mavlink_map[number].msgname
-    for number in (*WANTED, mavlink.MAVLINK_MSG_ID_TIMESYNC, mavlink.MAVLINK_MSG_ID_COMMAND_ACK)
+    for number in (
+        *WANTED,
+        mavlink.MAVLINK_MSG_ID_TIMESYNC,
+        mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
+        mavlink.MAVLINK_MSG_ID_PARAM_VALUE,
+    )
 )
 CLASSES = {kind.msgname: kind for kind in mavlink.mavlink_map.values()}
 MAX_WAITING = 5000
@@ -85,6 +90,10 @@ class MavsdkEnd:
             self._broken = self._broken or OSError(f"mavsdk: {error.result.name.lower()}")
         if self._broken is not None:
             raise self._broken
+
+    def lost(self, system: int) -> int | None:
+        """mavsdk hands over messages without their numbers."""
+        return None
 
     def complaint(self) -> str:
         """Where there is much and no autopilot in it."""

@@ -9,7 +9,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Any, Protocol, Self
 
@@ -74,6 +74,7 @@ class FakeAutopilot:
     `chatter`: others talk on the same line, another vehicle among them. `key`: 32 bytes, sign and accept only signed.
     `clock` takes the place of the host's: all that is called monotonic here is then its time. `spoil` sees each
     recorded message (a copy) before it is sent, with that time, and returns what is sent instead; None for nothing.
+    `mission_computer_s` takes the place of the style's, so that tests need not wait as long.
     """
 
     def __init__(
@@ -97,9 +98,12 @@ class FakeAutopilot:
         seed: int = 0,
         clock: Clock | None = None,
         spoil: Callable[[int, Any], Any | None] | None = None,
+        mission_computer_s: float | None = None,
     ) -> None:
         self.flight = flight
         self.style = STYLES[style]
+        if mission_computer_s is not None:
+            self.style = replace(self.style, mission_computer_s=mission_computer_s)
         self.faults = faults or Faults()
         self.rate = speed * (1.0 + drift)
         self.loop = loop
@@ -131,6 +135,7 @@ class FakeAutopilot:
         self._late: list[tuple[int, int, bytes | None, bytes | None]] = []  # (due, order, to send, to take in)
         self._order = itertools.count()
         self._silent_until_ns = 0
+        self._mission_computer_ns: int | None = None  # when it was heard last
         self._next = 0
         self._next_beat_ns = self._next_question_ns = 0
         self._stop = threading.Event()
@@ -265,6 +270,7 @@ class FakeAutopilot:
         if now >= self._next_beat_ns:
             self._next_beat_ns = now + 1_000_000_000
             self._beat(now)
+        self._miss_mission_computer(now)
         if now >= self._next_question_ns:
             self._next_question_ns = now + round(self.style.timesync_s * 1e9)
             self._send(mavlink.MAVLink_timesync_message(0, boot_ns))
@@ -285,10 +291,13 @@ class FakeAutopilot:
 
     def _beat(self, now: int) -> None:
         ready = now - self._boots[-1].monotonic_ns >= self.getting_ready_s * 1e9
-        status = mavlink.MAV_STATE_ACTIVE if ready else mavlink.MAV_STATE_CALIBRATING
+        status = mavlink.MAV_STATE_ACTIVE if ready else self.style.starting_status
         self._send(
             mavlink.MAVLink_heartbeat_message(self.flight.vehicle_type, self.style.autopilot, 0x81, 10, status, 3)
         )
+        for number in self.style.unknown:
+            self._post(mavlink.MAVLink_message(number, "")._pack(self._packer, 0, b"\x01" * 20))
+            self._packer.seq = (self._packer.seq + 1) % 256
         if self.chatter:
             others = (
                 (self.system + 6, 1, mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3)),
@@ -300,6 +309,22 @@ class FakeAutopilot:
             )
             for system, component, message in others:
                 self._post(message.pack(mavlink.MAVLink(None, system, component)))
+
+    def _miss_mission_computer(self, now: int) -> None:
+        """PX4's warning; it looks at the type of a component's heartbeats, never at the state they claim."""
+        limit_s, heard_ns = self.style.mission_computer_s, self._mission_computer_ns
+        if limit_s is not None and heard_ns is not None and now - heard_ns > limit_s * 1e9:
+            self._mission_computer_ns = None
+            self._tell(mavlink.MAV_SEVERITY_CRITICAL, "Connection to mission computer lost")
+
+    def _tell(self, severity: int, text: str) -> None:
+        """Show the pilot a text."""
+        self._send(mavlink.MAVLink_statustext_message(severity, text.encode()))
+
+    @property
+    def told(self) -> list[str]:
+        """Texts the pilot was shown by the autopilot itself."""
+        return [message.text for _, message in list(self.sent) if message.get_type() == "STATUSTEXT"]
 
     def _send(self, message: Any) -> None:
         packet = message.pack(self._packer, force_mavlink1=self.style.mavlink1)
@@ -357,12 +382,22 @@ class FakeAutopilot:
                 self._send(mavlink.MAVLink_timesync_message(self._boot_ns(self._clock.now_ns()), message.ts1))
             elif name == "COMMAND_LONG" and message.target_system == self.system:
                 self._answer(message)
+            elif name == "HEARTBEAT" and message.type == mavlink.MAV_TYPE_ONBOARD_CONTROLLER:
+                if message.get_srcSystem() == self.system:
+                    self._mission_computer_ns = self._clock.now_ns()
+            elif name == "PARAM_REQUEST_READ" and message.target_system == self.system:
+                if message.param_id == "SCHED_LOOP_RATE" and self.style.loop_hz is not None:
+                    kind = mavlink.MAV_PARAM_TYPE_INT16
+                    name_bytes = message.param_id.encode()
+                    self._send(mavlink.MAVLink_param_value_message(name_bytes, self.style.loop_hz, kind, 1000, 500))
             elif name == "REQUEST_DATA_STREAM" and message.target_system == self.system:
                 self._rates.set_stream(message.req_stream_id, message.req_message_rate * message.start_stop)
 
     def _answer(self, command: Any) -> None:
         if command.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
             result = self._rates.set_interval(int(command.param1), command.param2)
+            if result == mavlink.MAV_RESULT_DENIED and self.style.loop_hz is not None:
+                self._tell(mavlink.MAV_SEVERITY_WARNING, f"Requested rate {1e6 / command.param2:.0f}Hz too fast")
         elif command.command == mavlink.MAV_CMD_REQUEST_MESSAGE and command.param1 == 148:
             result = int(mavlink.MAV_RESULT_ACCEPTED)
             none = [0] * 8
