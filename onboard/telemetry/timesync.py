@@ -89,7 +89,8 @@ class TimeSync:
         """The truth lies within half a round trip: a line farther off than that is wrong, or a clock has stepped."""
         line = self.line_at(exchange.boot_ns)
         assert line is not None
-        return abs(exchange.offset_ns - line.level_ns) <= exchange.round_trip_ns / 2 + 3.0 * line.sigma_ns + TOLERANCE_NS
+        allowed_ns = exchange.round_trip_ns / 2 + 3.0 * line.sigma_ns + TOLERANCE_NS
+        return abs(exchange.offset_ns - line.level_ns) <= allowed_ns
 
     def _start_over(self) -> None:
         """Several contradictions in a row: a clock has stepped (a simulator that stalled), and only they count."""
