@@ -4,6 +4,7 @@ State: offset b (ns) and rate r of the host's clock minus the other's, over the 
 how fast it walks is what differs between clocks: a crystal's rate stands still, a simulator's changes by thousandths
 within seconds. So one filter runs for each of several densities of that walk, and the observations weigh them
 (interacting multiple models: before each observation every filter starts from the mixture that could have led to it).
+The mathematics: (12.3), (12.4).
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ class ClockFilter:
             model.weight = likelihood / total
 
     def at(self, boot_ns: int) -> tuple[float, float, float]:
-        """Offset less `base_ns`, rate, and the offset's variance (ns^2), all at a time of the observed clock."""
+        """Offset less `base_ns`, rate, and the offset's variance (ns^2) by (12.4), at a time of the observed clock."""
         seconds = max(boot_ns - self.boot_ns, 0) / NS_PER_S
         b, r = self._mean()
         variance = sum(
@@ -110,7 +111,7 @@ def _predict(model: _Model, seconds: float) -> None:
 
 
 def _spread(model: _Model, seconds: float) -> float:
-    """Variance of the offset so much later."""
+    """Variance of the offset so much later, by (12.3)."""
     ns = seconds * NS_PER_S
     walk = model.density * seconds * ns * ns / 3.0
     return model.p_bb + 2.0 * ns * model.p_br + ns * ns * model.p_rr + walk

@@ -113,5 +113,5 @@ class Framer:
         except mavlink.MAVError:
             return None
         if message.get_type().startswith("UNKNOWN") and end < len(self._buffer) and self._buffer[end] not in (V1, V2):
-            return None  # nothing checks its bytes: believed only where another packet follows
+            return None  # nothing checks its bytes: accepted only where another packet follows
         return message

@@ -1,4 +1,4 @@
-"""The conversation with one autopilot: messages in, events out, and what is to be said. No link, no thread, no clock.
+"""One autopilot: messages in, events out, and messages to be sent. No link, no thread, no clock.
 
 The vehicle is the one the configuration names, else the first whose autopilot is heard, and it stays that one: what
 others say on the same line is never taken for it.
@@ -26,7 +26,7 @@ MAX_HURRIED = 10  # without any answer
 MAX_PENDING = 32
 RETURN_NS = 3 * NS_PER_S  # of silence after which what was granted is taken for lost
 SUBSTITUTE_NS = 5 * NS_PER_S  # to wait for the better of two messages
-SPEECH_NS = NS_PER_S // 2  # between texts: the pilot must be able to read them
+TEXT_NS = NS_PER_S // 2  # between texts: the pilot must be able to read them
 CHUNK_LENGTH = 50  # of STATUSTEXT
 MAX_CHUNKS = 2
 MAX_TEXTS = 8
@@ -163,21 +163,21 @@ class Autopilot:
         while self._answers:
             out.append(self._answers.popleft())
         if now_ns >= self._next_timesync_ns:
-            in_vain = not self.clock.sync.kept and self._asked >= MAX_HURRIED
-            relaxed = self.clock.sync.is_settled or in_vain
+            is_unanswered = not self.clock.sync.kept and self._asked >= MAX_HURRIED
+            relaxed = self.clock.sync.is_settled or is_unanswered
             self._next_timesync_ns = now_ns + (TIMESYNC_NS if relaxed else HURRIED_TIMESYNC_NS)
             self._asked += 1
             self._pending.append(now_ns)
             out.append(mavlink.MAVLink_timesync_message(0, now_ns))
         if self._texts and now_ns >= self._next_text_ns:
-            self._next_text_ns = now_ns + SPEECH_NS
+            self._next_text_ns = now_ns + TEXT_NS
             out += self._statustexts(*self._texts.popleft())
         return out + self.rates.due(self.system, now_ns)
 
     def _heartbeat(self, state: int) -> Any:
-        # PX4 takes whoever says "onboard controller" for its mission computer, and warns the pilot, critically, when
-        # that falls silent, however it takes its leave. Nobody flies by us: to PX4, and before we know whom we talk
-        # to, we are no more than a component.
+        # PX4 takes any component of the type "onboard controller" for its mission computer, and sends the pilot a
+        # critical warning when its heartbeats cease, whatever the last one said. The vehicle does not depend on us: to
+        # PX4, and before the autopilot is known, we are a generic component, whose silence it does not report.
         is_other = self._kind in (mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_INVALID)
         kind = mavlink.MAV_TYPE_GENERIC if is_other else mavlink.MAV_TYPE_ONBOARD_CONTROLLER
         return mavlink.MAVLink_heartbeat_message(kind, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, state, 3)
@@ -213,18 +213,18 @@ class Autopilot:
             "reboots": float(self.reboots),
         }
         heard_ns, position_ns = self._heard_ns, self._position_ns
-        patience_ns = self.config.lost_after_s * 1e9
+        limit_ns = self.config.lost_after_s * 1e9
         if heard_ns is None:
             whose = "no autopilot" if self.system is None else f"no autopilot with system number {self.system}"
             return SourceStatus(State.STARTING, f"{whose} heard yet", figures)
         silent_ns = now_ns - heard_ns
-        if silent_ns > patience_ns:
+        if silent_ns > limit_ns:
             return SourceStatus(State.LOST, f"the autopilot is silent for {silent_ns / 1e9:.0f} s", figures)
-        if now_ns - self._boot_moved_ns > patience_ns and self._boot_moved_ns:
+        if now_ns - self._boot_moved_ns > limit_ns and self._boot_moved_ns:
             return SourceStatus(State.FROZEN, "the autopilot's clock stands still", figures)
         if position_ns is None:
             return SourceStatus(State.STARTING, "the autopilot gives no position yet", figures)
-        if now_ns - position_ns > patience_ns:
+        if now_ns - position_ns > limit_ns:
             return SourceStatus(State.LOST, f"no position for {(now_ns - position_ns) / 1e9:.0f} s", figures)
         complaint = self._complaint()
         return SourceStatus(State.DEGRADED if complaint else State.OK, complaint, figures)

@@ -1,4 +1,4 @@
-"""A live MAVLink link: one thread that reads, converses, and opens the wire again for as long as it takes."""
+"""A live MAVLink link: one thread that reads, answers, and opens the wire again until it succeeds."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from onboard.telemetry.transports import Address, Wire
 
 READ_S = 0.02
 REOPEN_S = 0.5
-HUNG_NS = 10_000_000_000  # of silence on a wire that can hang
-GARBAGE = 2000  # bytes without a packet among them that are worth a word
+HUNG_NS = 10_000_000_000  # of silence on a wire that may be dead without an error
+GARBAGE = 2000  # bytes without a packet among them before that is reported
 
 
 class End(Protocol):
@@ -91,7 +91,7 @@ class PymavlinkEnd:
         return self._gaps.lost[system, AUTOPILOT_COMPONENT]
 
     def complaint(self) -> str:
-        """Wrong keys and wrong baud rates look alike to who hears nothing: say which it is."""
+        """Wrong keys and wrong baud rates both mean that no message comes: say which it is."""
         signing = self._mav.signing
         refused = signing.badsig_count if self._is_signing else 0
         if refused and not signing.goodsig_count:
@@ -125,7 +125,7 @@ class LiveTelemetry:
         self._is_over = False
 
     def run(self, emit: Emit, stop: Stop) -> None:
-        """Until `stop`: open, converse, and open again."""
+        """Until `stop`: open, exchange messages, and open again."""
         end = self._make_end()
         try:
             while not stop.is_set():
@@ -141,7 +141,7 @@ class LiveTelemetry:
                 with closing(wire):
                     try:
                         end.attach(wire)
-                        self._converse(wire, end, emit, stop)
+                        self._exchange(wire, end, emit, stop)
                         if stop.is_set():
                             end.send(self._autopilot.farewell())
                     except OSError as error:
@@ -154,7 +154,7 @@ class LiveTelemetry:
                 self._log.close()
             self._is_over = True
 
-    def _converse(self, wire: Wire, end: End, emit: Emit, stop: Stop) -> None:
+    def _exchange(self, wire: Wire, end: End, emit: Emit, stop: Stop) -> None:
         autopilot, clock = self._autopilot, self._clock
         heard_ns = clock.now_ns()
         while not stop.is_set():
@@ -173,13 +173,13 @@ class LiveTelemetry:
                 end.send(message)
             self._complaint = end.complaint()
             self._lost = end.lost(autopilot.system) if autopilot.system is not None else None
-            if wire.may_hang and now_ns - heard_ns > HUNG_NS:
+            if wire.may_die_silently and now_ns - heard_ns > HUNG_NS:
                 self._fault = f"{self._address.place}: silent; opening it anew"
                 return
 
     @property
     def _is_signed(self) -> bool:
-        # Who may not know the time yet believes our signature's, and is believed only then.
+        # An autopilot that does not know the time yet takes it from our signature, and its packets pass only then.
         return self._config.telemetry.signing_key is not None
 
     def health(self) -> SourceStatus:

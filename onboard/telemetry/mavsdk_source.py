@@ -78,7 +78,8 @@ class MavsdkEnd:
         """Through mavlink_direct; before the vehicle is known, nothing is. Raises OSError where the wire is broken."""
         name = message.get_type()
         if self._direct is None or name == "HEARTBEAT":
-            if self._mavsdk is None and self._wire is not None:  # it must be heard first to hear anybody
+            # The other end may send only to an address it has heard from.
+            if self._mavsdk is None and self._wire is not None:
                 self._wire.write(bytes(message.pack(mavlink.MAVLink(None, self.system, self._component))))
             return
         fields = {field: _to_json(getattr(message, field)) for field in message.fieldnames}

@@ -1,10 +1,10 @@
 """Which messages are asked of the autopilot, and how often: one request at a time, lower where it is denied.
 
-An acknowledgement names the command and not the message, so that two requests under way could not be told apart. What
-was granted is watched: a message that comes too seldom is asked for again, and everything after a reboot, a lost link,
-or when the autopilot becomes ready.
+An acknowledgement names the command and not the message, so that two requests under way could not be distinguished.
+What was granted is watched: a message that comes too seldom is asked for again, and everything after a reboot, a lost
+link, or when the autopilot becomes ready.
 
-ArduPilot sends a message at most at 0.8 of its loop rate, and tells the pilot of each request above that. So its loop
+ArduPilot sends a message at most at 0.8 of its loop rate, and warns the pilot of each request above that. So its loop
 rate is asked for first, and nothing beyond it; where it does not say, no more than every ArduPilot can.
 """
 
@@ -34,7 +34,7 @@ LOOP_RATE = "SCHED_LOOP_RATE"  # ArduPilot's parameter, Hz
 LOOP_SHARE = 0.8  # of it, the most a message is sent at
 LEAST_LOOP_HZ = 50.0  # the least ArduPilot can be set to, and ArduPlane's own
 COMMAND = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
-FILTER_HZ = 5.0  # reports of the navigation filter: they tell of a loss
+FILTER_HZ = 5.0  # reports of the navigation filter: they show a loss
 GPS_HZ = 5.0
 GIMBAL_HZ = 20.0
 RANGE_HZ = 10.0
@@ -94,7 +94,7 @@ def _falling(rate_hz: float, lowest_hz: float) -> tuple[float, ...]:
 
 @dataclass
 class RateRequests:
-    """The conversation about rates with one autopilot. Owns no link and no clock: `due` says what to send now."""
+    """Requests of rates to one autopilot, and its answers. Owns no link and no clock: `due` says what to send now."""
 
     config: Config
     wants: list[_Want] = field(init=False)
@@ -115,7 +115,7 @@ class RateRequests:
 
     @property
     def _cap_hz(self) -> float:
-        """What may be asked for without the pilot being told that it is too much."""
+        """What may be asked for without a warning to the pilot that it is too much."""
         return most_hz(self._loop_hz or LEAST_LOOP_HZ) if self._is_ardupilot else math.inf
 
     def _all_wants(self) -> list[_Want]:

@@ -300,4 +300,4 @@ class NmeaTelemetry:
         return SourceStatus(State.OK, "", figures)
 
     def say(self, severity: Severity, text: str) -> None:
-        """A receiver has no ears."""
+        """A receiver takes no messages: nothing happens."""

@@ -1,9 +1,9 @@
 """The autopilot's boot clock on ours, live: by TIMESYNC where it answers, else by the least delayed arrivals.
 
 An exchange (we send our time, the autopilot adds its own, the answer comes back) gives the clocks' offset to within
-half its round trip, whatever the delays. Offset and drift follow all exchanges through a filter (`clock_filter`) that
-weighs each by what its round trip has over the least one, and estimates how fast the drift itself changes: a crystal's
-hardly does, a simulator's by thousandths within seconds. Every stamp has a sigma.
+half its round trip, whatever the delays (12.1). Offset and drift follow all exchanges through a filter
+(`clock_filter`) that weighs each by what its round trip has over the least one, and estimates how fast the drift itself
+changes: a crystal's hardly does, a simulator's by thousandths within seconds. Every stamp has a sigma.
 
 Stamps follow the estimate without ever running backwards: where the estimate moves, the clock handed out catches up at
 a bounded rate; only a reboot, which starts the boot clock again, makes it jump.
@@ -26,7 +26,7 @@ WINDOW_NS = 60 * NS_PER_S  # over which the least round trip is sought
 MAX_ROUND_TRIP_NS = 2 * NS_PER_S
 FLOOR_NS = 100_000.0  # of an exchange's error: scheduling, reading the clocks
 TOLERANCE_NS = 2_000_000.0  # beyond half its round trip, before an exchange contradicts the line
-MAX_STRIKES = 3
+MAX_CONTRADICTIONS = 3
 FEW = 16  # exchanges, while the least round trip is still falling: all are weighed anew with each
 DISAGREEMENT_NS = 1.5 * NS_PER_S  # between TIMESYNC and the newest arrivals: it is of another clock
 STALE_NS = 5 * NS_PER_S  # without an exchange, before arrivals may serve better
@@ -63,7 +63,7 @@ class TimeSync:
     """Exchanges of one run of the boot clock -> offset and drift. Memory is bounded by the window."""
 
     kept: dict[int, _Exchange] = field(default_factory=dict)  # the least round trip of every half second
-    strays: list[_Exchange] = field(default_factory=list)
+    outliers: list[_Exchange] = field(default_factory=list)
     exchanges: int = 0  # counted in
     round_trip_ns: int = 0  # the least of the window; 0 before the first exchange
     _filter: ClockFilter | None = None
@@ -76,12 +76,12 @@ class TimeSync:
             return False
         new = _Exchange(boot_ns, (sent_ns + received_ns) // 2 - boot_ns, round_trip)
         if self._filter is not None and not self._is_explained(new):
-            self.strays.append(new)
-            if len(self.strays) < MAX_STRIKES:
+            self.outliers.append(new)
+            if len(self.outliers) < MAX_CONTRADICTIONS:
                 return False
             self._start_over()
             return True
-        self.strays.clear()
+        self.outliers.clear()
         self._take(new)
         return True
 
@@ -94,17 +94,17 @@ class TimeSync:
 
     def _start_over(self) -> None:
         """Several contradictions in a row: a clock has stepped (a simulator that stalled), and only they count."""
-        again, self.strays = self.strays, []
+        again, self.outliers = self.outliers, []
         self.kept.clear()
         self._first.clear()
         self._filter = None
-        for stray in again:
-            self._take(stray)
+        for outlier in again:
+            self._take(outlier)
 
     @property
     def is_settled(self) -> bool:
         """Whether it has what it needs, so that asking once a second is enough."""
-        return (max(self.kept) - min(self.kept)) * BIN_NS >= SETTLED_NS and not self.strays if self.kept else False
+        return (max(self.kept) - min(self.kept)) * BIN_NS >= SETTLED_NS and not self.outliers if self.kept else False
 
     @property
     def line(self) -> Line | None:
@@ -135,7 +135,7 @@ class TimeSync:
         self.kept = {k: exchange for k, exchange in self.kept.items() if k >= oldest}
         trips = sorted(exchange.round_trip_ns for exchange in self.kept.values())
         least = self.round_trip_ns = trips[0]
-        # What a round trip has over the least was spent on the way there or back: its half is the offset's error.
+        # (12.2): what a round trip has over the least was spent on the way there or back, and its half is the error.
         # The least of a few has an excess of its own, about as large as what lies between it and the next few.
         own = FLOOR_NS**2 + ((trips[(len(trips) + 1) // 4] - least) / 2.0) ** 2 if len(trips) > 1 else FLOOR_NS**2
 
@@ -179,7 +179,7 @@ class LinkClock:
         self._newest_ns = 0
         self._is_handed_out = False  # a stamp of this boot has left: from now on the clock may only slew
         self._round_trip_ns = 0  # the least that was known last, of this link
-        self._strikes = 0
+        self._contradictions = 0
         self._figures: dict[str, float] = {}  # made by the thread that feeds, read by any
         self._figures_ns = 0
         self.sync = TimeSync()
@@ -208,8 +208,8 @@ class LinkClock:
         # Against the newest arrivals alone: over longer, the drift of a simulator's clock would add up to as much.
         offset_ns = (sent_ns + received_ns) // 2 - boot_ns
         self.disagrees = abs(offset_ns - self._arrivals.nearest_offset_ns()) > DISAGREEMENT_NS
-        self._strikes = self._strikes + 1 if self.disagrees else 0
-        if self._strikes >= MAX_STRIKES and self.sync.exchanges:
+        self._contradictions = self._contradictions + 1 if self.disagrees else 0
+        if self._contradictions >= MAX_CONTRADICTIONS and self.sync.exchanges:
             self.sync = TimeSync()  # what was known by exchanges is out of date, and is not extrapolated
             self._follow(at_once=True)
         if not self.disagrees and self.sync.add(sent_ns, boot_ns, received_ns):

@@ -51,9 +51,9 @@ class PlayedTelemetry:
         health = self._autopilot.health(self._clock.now_ns())
         if self._is_over:
             return SourceStatus(State.LOST, f"the end of {self._path.name}", health.figures)
-        if health.state is State.DEGRADED:  # nobody answers requests here
+        if health.state is State.DEGRADED:  # a log answers no requests
             return SourceStatus(State.OK, health.detail, health.figures)
         return replace(health)
 
     def say(self, severity: Severity, text: str) -> None:
-        """Nobody is there to be shown it."""
+        """A log shows no texts: nothing happens."""

@@ -1,4 +1,4 @@
-"""The autopilot itself: one thread that plays a flight over a wire, on a boot clock of its own, and talks back."""
+"""The autopilot itself: one thread that plays a flight over a wire, on a boot clock of its own, and answers."""
 
 from __future__ import annotations
 
@@ -11,40 +11,19 @@ from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from simulation.autopilot.clock import Clock, HostClock
 from simulation.autopilot.flight import Flight, as_px4, moved
-from simulation.autopilot.manners import STYLES, Rates
-from simulation.autopilot.wire import open_wire
+from simulation.autopilot.styles import STYLES, Rates
+from simulation.autopilot.transports import open_wire
 
 IDLE_S = 0.02
 FRESH_BOOT_NS = 1_500_000_000  # how long after its boot a rebooted autopilot is first heard
 FIRST_QUESTION_NS = 2_000_000_000  # after a boot: its own first TIMESYNC
 KEEP = 50_000  # messages remembered for whoever asks
-
-
-class Clock(Protocol):
-    """What it lives by: the host's monotonic clock, unless a whole flight is to run faster than that."""
-
-    def now_ns(self) -> int:
-        """Now."""
-
-    def wall_s(self, ns: int) -> float:
-        """How long so much of this clock's time takes."""
-
-
-class HostClock:
-    """CLOCK_MONOTONIC."""
-
-    def now_ns(self) -> int:
-        """Now."""
-        return time.monotonic_ns()
-
-    def wall_s(self, ns: int) -> float:
-        """The same."""
-        return ns / 1e9
 
 
 @dataclass(frozen=True)
@@ -67,11 +46,11 @@ class _Boot:
 
 
 class FakeAutopilot:
-    """Plays `flight` over `url` (see `wire.open_wire`) while entered; `url` is then what the other end opens.
+    """Plays `flight` over `url` (see `transports.open_wire`) while entered; `url` is then what the other end opens.
 
-    `drift` is how much faster its clock runs than the host's, `speed` how much faster it lives altogether (its clock
+    `drift` is how much faster its clock runs than the host's, `speed` how much faster everything runs (its clock
     with it). `system` is its system number, the recording's if None. `everything`: send every recorded message unasked.
-    `chatter`: others talk on the same line, another vehicle among them. `key`: 32 bytes, sign and accept only signed.
+    `chatter`: others send on the same line, another vehicle among them. `key`: 32 bytes, sign and accept only signed.
     `clock` takes the place of the host's: all that is called monotonic here is then its time. `spoil` sees each
     recorded message (a copy) before it is sent, with that time, and returns what is sent instead; None for nothing.
     `mission_computer_s` takes the place of the style's, so that tests need not wait as long.
@@ -211,7 +190,7 @@ class FakeAutopilot:
 
     def _run(self) -> None:
         while not self._stop.is_set():
-            self._obey()
+            self._take_orders()
             now = self._clock.now_ns()
             if now >= max(self._silent_until_ns, self._boots[0].monotonic_ns):
                 self._play(now)
@@ -237,7 +216,7 @@ class FakeAutopilot:
                 due.append(self._late[0][0])
         return max(min([IDLE_S, *(self._clock.wall_s(at - now) for at in due)]), 0.0)
 
-    def _obey(self) -> None:
+    def _take_orders(self) -> None:
         while self._orders:
             order, seconds = self._orders.popleft()
             now = self._clock.now_ns()
@@ -270,7 +249,7 @@ class FakeAutopilot:
         if now >= self._next_beat_ns:
             self._next_beat_ns = now + 1_000_000_000
             self._beat(now)
-        self._miss_mission_computer(now)
+        self._watch_mission_computer(now)
         if now >= self._next_question_ns:
             self._next_question_ns = now + round(self.style.timesync_s * 1e9)
             self._send(mavlink.MAVLink_timesync_message(0, boot_ns))
@@ -310,20 +289,20 @@ class FakeAutopilot:
             for system, component, message in others:
                 self._post(message.pack(mavlink.MAVLink(None, system, component)))
 
-    def _miss_mission_computer(self, now: int) -> None:
+    def _watch_mission_computer(self, now: int) -> None:
         """PX4's warning; it looks at the type of a component's heartbeats, never at the state they claim."""
         limit_s, heard_ns = self.style.mission_computer_s, self._mission_computer_ns
         if limit_s is not None and heard_ns is not None and now - heard_ns > limit_s * 1e9:
             self._mission_computer_ns = None
-            self._tell(mavlink.MAV_SEVERITY_CRITICAL, "Connection to mission computer lost")
+            self._show(mavlink.MAV_SEVERITY_CRITICAL, "Connection to mission computer lost")
 
-    def _tell(self, severity: int, text: str) -> None:
-        """Show the pilot a text."""
+    def _show(self, severity: int, text: str) -> None:
+        """Send the pilot a text."""
         self._send(mavlink.MAVLink_statustext_message(severity, text.encode()))
 
     @property
-    def told(self) -> list[str]:
-        """Texts the pilot was shown by the autopilot itself."""
+    def shown(self) -> list[str]:
+        """Texts the autopilot itself has sent to its pilot."""
         return [message.text for _, message in list(self.sent) if message.get_type() == "STATUSTEXT"]
 
     def _send(self, message: Any) -> None:
@@ -397,7 +376,7 @@ class FakeAutopilot:
         if command.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
             result = self._rates.set_interval(int(command.param1), command.param2)
             if result == mavlink.MAV_RESULT_DENIED and self.style.loop_hz is not None:
-                self._tell(mavlink.MAV_SEVERITY_WARNING, f"Requested rate {1e6 / command.param2:.0f}Hz too fast")
+                self._show(mavlink.MAV_SEVERITY_WARNING, f"Requested rate {1e6 / command.param2:.0f}Hz too fast")
         elif command.command == mavlink.MAV_CMD_REQUEST_MESSAGE and command.param1 == 148:
             result = int(mavlink.MAV_RESULT_ACCEPTED)
             none = [0] * 8

@@ -20,6 +20,8 @@ from onboard.telemetry.tlog_reader import read_tlog
 from simulation.autopilot.fake import FakeAutopilot
 from tests.onboard.telemetry.listening import FLIGHT, Listening, config_for, content, errors_ms, expected, listening
 
+pytestmark = pytest.mark.wall_clock
+
 SECONDS = 5.5
 DRIFT = 300e-6
 WIRES = {
@@ -146,7 +148,7 @@ def test_it_is_a_good_citizen(flown: dict[str, Flown], name: str) -> None:
     assert {beat.get_srcComponent() for beat in beats} == {191}
     assert kinds[-1] == (0 if WIRES[name][2] == "px4" else 18)
     assert 18 not in kinds or WIRES[name][2] != "px4"
-    assert autopilot.told == []
+    assert autopilot.shown == []
     answers = [message for message in autopilot.heard_of("TIMESYNC") if message.tc1]
     assert len(answers) >= (3 if WIRES[name][2] == "px4" else 1)
     assert all(answer.tc1 > 0 for answer in answers)

@@ -19,6 +19,8 @@ from onboard.events.types import Attitude, PositionFix
 from simulation.autopilot.fake import FakeAutopilot, Faults
 from tests.onboard.telemetry.listening import FLIGHT, Listening, config_for, errors_ms, expected, listening
 
+pytestmark = pytest.mark.wall_clock
+
 
 @contextmanager
 def both_libraries(**keys: object) -> Iterator[list[tuple[FakeAutopilot, Listening]]]:
@@ -244,7 +246,6 @@ def test_a_clock_that_stands_still_is_frozen() -> None:
             time.sleep(0.1)
 
 
-@pytest.mark.wall_clock
 def test_px4_does_not_miss_us_when_we_leave_and_no_packet_counts_as_lost() -> None:
     """As an onboard controller we would be missed: PX4 tells the pilot, critical."""
     with FakeAutopilot(FLIGHT, "tcpin:127.0.0.1:0", style="px4", mission_computer_s=0.5) as autopilot:
@@ -253,11 +254,10 @@ def test_px4_does_not_miss_us_when_we_leave_and_no_packet_counts_as_lost() -> No
             heard.until(lambda: len(heard.of(PositionFix)) > 20)
             assert heard.source.health().figures["lost_packets"] == 0.0
         time.sleep(1.0)
-        assert autopilot.told == []
+        assert autopilot.shown == []
         assert autopilot.heard_of("HEARTBEAT")[-1].system_status == mavlink.MAV_STATE_POWEROFF
 
 
-@pytest.mark.wall_clock
 def test_the_fake_px4_misses_an_onboard_controller() -> None:
     """The control of the test above."""
     with FakeAutopilot(FLIGHT, "tcpin:127.0.0.1:0", style="px4", mission_computer_s=0.5) as autopilot:
@@ -266,19 +266,18 @@ def test_the_fake_px4_misses_an_onboard_controller() -> None:
         with socket.create_connection(("127.0.0.1", port)) as end:
             end.sendall(beat.pack(mavlink.MAVLink(None, autopilot.system, 191)))
             deadline = time.monotonic() + 4.0
-            while not autopilot.told and time.monotonic() < deadline:
+            while not autopilot.shown and time.monotonic() < deadline:
                 time.sleep(0.05)
-        assert autopilot.told == ["Connection to mission computer lost"]
+        assert autopilot.shown == ["Connection to mission computer lost"]
 
 
-@pytest.mark.wall_clock
 def test_ardupilot_tells_its_pilot_nothing_of_our_requests() -> None:
     with both_libraries(attitude_rate_hz=50.0) as pairs:
         for autopilot, heard in pairs:
             heard.wait(State.OK)
             heard.until(lambda autopilot=autopilot: len(autopilot.heard_of("COMMAND_LONG")) >= 4)
         for autopilot, _ in pairs:
-            assert autopilot.told == []
+            assert autopilot.shown == []
             asked = [message for message in autopilot.heard_of("COMMAND_LONG") if message.param1 == 30]
             assert [message.param2 for message in asked] == [25_000.0]  # 40 Hz: all its 50 Hz loop gives
             (beat, *_) = reversed(autopilot.heard_of("HEARTBEAT"))

@@ -109,6 +109,7 @@ def test_overtaken_packets_are_not_lost_and_a_new_link_begins_without_a_gap() ->
     assert gaps.lost[1, 1] == 0
 
 
+@pytest.mark.wall_clock
 def test_the_worst_garbage_is_read_faster_than_it_can_come() -> None:
     rng = random.Random(0)
     worst = {

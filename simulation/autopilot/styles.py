@@ -31,7 +31,7 @@ class Style:
     starting_status: int = mavlink.MAV_STATE_CALIBRATING  # of its heartbeats until it is ready
     loop_hz: float | None = None  # ArduPilot's SCHED_LOOP_RATE; None: it has no such parameter
     unknown: tuple[int, ...] = ()  # numbers of messages it sends that pymavlink's dialect does not have
-    # How long a component of the type "onboard controller" may be silent before the pilot is told; None: for ever.
+    # How long a component of the type "onboard controller" may be silent before the pilot is warned; None: for ever.
     mission_computer_s: float | None = None
 
 
