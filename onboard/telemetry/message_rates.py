@@ -85,7 +85,7 @@ class _Want:
 
 def most_hz(loop_hz: float) -> float:
     """The highest rate ArduPilot grants with this loop rate: its intervals are whole milliseconds."""
-    return 1000.0 / math.ceil(round(1000.0 / (LOOP_SHARE * loop_hz), 6))
+    return 1000.0 / max(math.ceil(round(1000.0 / (LOOP_SHARE * loop_hz), 6)), 1)
 
 
 def _falling(rate_hz: float, lowest_hz: float) -> tuple[float, ...]:

@@ -149,7 +149,7 @@ def fields(kind: Any) -> st.SearchStrategy[bytes]:
     return st.binary(min_size=kind.unpacker.size, max_size=kind.unpacker.size)
 
 
-KINDS = [mavlink.mavlink_map[number] for number in (0, 2, 24, 30, 31, 33, 77, 111, 132, 193, 230, 285)]
+KINDS = [mavlink.mavlink_map[number] for number in (0, 2, 22, 24, 30, 31, 33, 77, 111, 132, 193, 230, 285)]
 
 
 @settings(max_examples=300, deadline=None)

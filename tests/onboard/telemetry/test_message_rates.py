@@ -254,10 +254,17 @@ def test_a_loop_rate_that_comes_late_raises_what_was_asked_and_nonsense_does_not
     played = Played(grants, loop_hz=None)
     played.fly(10.0)
     before = len(played.asked)
-    for name, value in (("SCHED_LOOP_RATE", float("nan")), ("SCHED_LOOP_RATE", 0.0), ("SCHED_DEBUG", 400.0)):
+    for name, value in (
+        ("SCHED_LOOP_RATE", float("nan")),
+        ("SCHED_LOOP_RATE", 0.0),
+        ("SCHED_DEBUG", 400.0),
+        ("", 400.0),
+    ):
         played.requests.parameter(name, value)
     played.fly(5.0)
     assert len(played.asked) == before
+    played.requests.parameter("SCHED_LOOP_RATE", 1e30)  # no faster than a message a millisecond
+    assert max(want.rates_hz[0] for want in played.requests.wants) <= 1000.0
     played.requests.parameter(b"SCHED_LOOP_RATE\0", 400.0)
     played.fly(5.0)
     assert played.asked[before:] == [("ATTITUDE", 50.0)]
