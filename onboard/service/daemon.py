@@ -158,7 +158,7 @@ class Daemon:
         self._overall = state
         self._notifier.status(str(state))
         if state.word is not self._said and now_ns - self._said_ns >= SAY_NS:
-            self._session.parts.telemetry.say(severity(state.word), f"pointclick: {state.word.value}")
+            self._session.parts.telemetry.say(severity(state.word), f"pointclick: {state}")
             self._said, self._said_ns = state.word, now_ns
 
     def _reload(self) -> None:
