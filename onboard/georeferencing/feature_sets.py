@@ -25,10 +25,10 @@ from onboard.geometry.plane_homography import Pose
 Array = NDArray[np.float64]
 
 MIN_FEATURES = 8
-MAX_RELATIVE_SIGMA = 0.3  # a feature's own depth error beyond which it says nothing the ground plane does not
+MAX_RELATIVE_SIGMA = 0.3  # a feature's own depth error beyond which it adds nothing to the ground plane
 ROTATION_PRIOR_RAD = 0.1
 POSITION_PRIOR_M = 1.0
-# Of a variance, at most: on the wire what is shared is counted in sigmas of what is not.
+# Of a variance, at most: on the wire the shared part is quantised in sigmas of the rest.
 MAX_SHARED = 0.999
 
 
@@ -171,7 +171,7 @@ def assemble(
 
     `common` (9, 9) and `shared` in session axes; `H` (N, 3) rows (1, x, y), pixels (N, 2), inverse depths `w` (N,) and
     relative `variance` (N,) of every feature, which the ground plane is fitted to; `published`: the rows that travel.
-    `noise` (N,): what of `variance` is the features' own and not the ground's; all of it unless given.
+    `noise` (N,): the part of `variance` that is the features' own and not the ground's; all of it unless given.
     """
     plane, spread, roughness = plane_and_roughness(H, w, variance if noise is None else noise)
     lat, lon, height = (float(c) for c in frame.to_geodetic(pose.centre_enu_m))
