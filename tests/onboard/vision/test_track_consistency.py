@@ -1,4 +1,4 @@
-"""The tracks' own error is read from their neighbours; relief, roofs and few tracks do not mislead it."""
+"""The tracks' own error is estimated from their neighbours; hills, roofs and few tracks do not bias it."""
 
 from __future__ import annotations
 
