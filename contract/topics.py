@@ -39,7 +39,7 @@ class Topic:
         return name
 
 
-# A set is small, self-contained and soon followed by a newer one: never wait for an old one to get through.
+# A set is small, stands alone and is soon followed by a newer one: never wait for an old one to get through.
 FEATURES = Topic("pc/{vehicle}/features", "pointclick set, docs/wire-format.md", 30.0, False, True, True)
 
 # How the aircraft is, for people and for dashboards: small, once a second.

@@ -148,7 +148,7 @@ def test_the_same_inputs_give_the_same_bytes(flight: Path, flown: dict[str, Flow
 
 
 def test_a_cold_click_takes_under_a_second(flown: dict[str, Flown]) -> None:
-    """The bound allows for a loaded machine; alone it takes 0.2 s."""
+    """The bound leaves room for a loaded machine; alone it takes 0.2 s."""
     times = []
     for _ in range(3):
         began = time.monotonic()

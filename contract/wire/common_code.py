@@ -60,7 +60,7 @@ def encode_common(common_cov: Array, shared: SharedErrors, room: int) -> bytes:
     finest = _steps(by_nuisance, factor).T
     columns = _Group.of(bits.zigzag(_coarser(finest, MAX_HALVINGS)))
     room_bits = 8 * (room - len(head)) - _PARAMETERS - codes.bits - columns.bits
-    # A bit a number and halving; computed from what a decoded set reproduces exactly, so that it takes the same steps.
+    # A bit a number and halving; told from what a decoded set has exactly too, so that it takes the same steps again.
     halvings = min(max(room_bits // finest.size, 0), MAX_HALVINGS)
     if halvings:
         columns = _Group.of(bits.zigzag(_coarser(finest, MAX_HALVINGS - halvings)))
@@ -88,8 +88,8 @@ def decode_common(reader: Reader) -> dict[str, Any]:
 
 
 def _steps(by_nuisance: Array, factor: Array) -> Ints:
-    """Columns (9, NUISANCES) in the finest steps. `factor` (9, 9): Cholesky factor of what is fresh, as decoded."""
-    # A state that is known exactly has no shared error either.
+    """Columns (9, DRAWS) in the finest steps. `factor` (9, 9): lower Cholesky factor of what is fresh, as decoded."""
+    # A state that is known exactly errs by no draw either.
     known = np.diag(factor) == 0.0
     in_sigmas = np.linalg.solve(factor + np.diag(known.astype(float)), np.where(known[:, None], 0.0, by_nuisance))
     most = MAX_STEPS << MAX_HALVINGS

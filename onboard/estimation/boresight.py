@@ -1,9 +1,9 @@
-"""Boresight and camera-to-autopilot time offset, estimated in flight.
+"""What the platform does not know of itself, learned in flight: boresight and camera-to-autopilot time offset.
 
 Every window solve estimates both (residuals (5.4), (5.7)) against a prior. Its posterior may serve as prior for later
-windows only if it has seen none of their data, and the autopilot's attitude error is correlated over tens of seconds,
-so that windows closer than that repeat the same error. Therefore posteriors are kept only from windows that far apart,
-and a window's prior is the newest posterior that ended before the window began. Section 10 of docs/mathematics.md.
+windows only if it has seen none of their data, and the autopilot's attitude error wanders over tens of seconds, so
+that windows closer than that repeat the same error. Therefore one window in a while is learned from, and a window
+uses the newest lesson that ended before the window began. Section 10 of docs/mathematics.md.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ class Belief:
 
 
 class Alignment:
-    """Keeps the posteriors of past windows; hands out the prior a window may use."""
+    """Keeps the lessons; hands out the prior a window may use."""
 
     def __init__(self, mount_sigma_rad: float, offset_sigma_s: float, spacing_s: float) -> None:
-        """Priors are one sigma; `spacing_s` is the least time between the ends of two windows that update it."""
+        """Priors are one sigma; `spacing_s` is the least time between the ends of two lessons."""
         tiny = 1e-12
         first = np.diag([mount_sigma_rad**2 + tiny] * 3 + [offset_sigma_s**2 + tiny])
         self._estimates = [Belief(0, np.zeros(STATES), first)]

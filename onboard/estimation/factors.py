@@ -146,7 +146,7 @@ def lasting_sigma(stamps_s: Array, sigma_gauss_markov: float, time_constant_s: f
 
 @dataclass(frozen=True, eq=False)
 class PositionPrior:
-    """GPS positions with Gauss-Markov and white error, moved along the velocity by the time offset. Equation (5.4)."""
+    """GPS positions with wandering and white error, moved along the velocity by the time offset. Equation (5.4)."""
 
     layout: Layout
     measured_enu_m: Array  # (K, 3)
@@ -179,7 +179,7 @@ class PositionPrior:
 class VelocityPrior:
     """Displacements between consecutive keyframes from integrated velocity, white between intervals. Equation (5.6).
 
-    In a turn the displacement changes when the interval moves by the time offset.
+    In a turn the interval that was really flown, later by the time offset, is another one.
     """
 
     layout: Layout
@@ -248,7 +248,7 @@ class AttitudePrior:
 
 @dataclass(frozen=True, eq=False)
 class SharedPrior:
-    """Prior of boresight, time offset and plane before this window, (5.8): mean (7,), whitener (7, 7)."""
+    """What is believed of boresight, time offset and plane before this window, (5.8): mean (7,), whitener (7, 7)."""
 
     layout: Layout
     mean: Array

@@ -158,7 +158,7 @@ def _coordinated(R_body_cam: Array, stamps_s: Array, velocities: Array) -> Array
 
 
 def _shared_prior(config: Config, layout: Layout, belief: Belief, has_terrain: bool) -> SharedPrior:
-    """Boresight and time offset as estimated so far, and the ground plane's slope and height."""
+    """Boresight and time offset as learned so far, and the ground plane's slope and height."""
     covariance = np.zeros((7, 7))
     covariance[:SHARED, :SHARED] = belief.covariance
     solve_ = config.solve

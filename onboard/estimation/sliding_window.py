@@ -153,8 +153,8 @@ class Window:
         mean = np.append(s.state.boresight_rad, s.state.offset_s)
         start, end = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
         covariance = solved.covariance_at((start + end) // 2)[shared, shared].copy()
-        # The offset's effect is linearised where the navigation state was interpolated; in a turn its estimate is off
-        # by a share of how far it moved from there. The next window interpolates at this window's estimate.
+        # The offset acts along straight lines from where it was looked up; in a turn its answer is off by a share of
+        # how far it had to move from there. The next window looks up at what this one learned.
         moved_s = mean[3] - float(np.mean([k.nav_offset_s for k in self.keyframes]))
         covariance[3, 3] += (CURVED_SHARE * moved_s) ** 2
         self.alignment.offer(start, end, mean, covariance)

@@ -87,7 +87,7 @@ class Noise:
 
     pixel_sigma_px: float
     jitter_s: float
-    noise_inflation: float = 1.0  # times the sigma that the tracks' own residuals show
+    noise_inflation: float = 1.0  # how much less than by their own scatter pixels are trusted
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +222,7 @@ def _reweighed(request: Request, noise: Noise, priors: list[Prior], state: State
 def _judged(
     request: Request, ids: Ids, layout: Layout, priors: list[Prior], weight: Array, adjusted: Adjusted
 ) -> Outcome:
-    """Decide whether a solution may be published. `weight` (K, P) is what the first solve used."""
+    """Decide by evidence whether a solution may be published. `weight` (K, P) is what the first solve used."""
     s, kept, own = adjusted.solution, adjusted.kept, adjusted.own
     noise, camera, config = request.noise, request.camera, request.config
 

@@ -171,7 +171,7 @@ def assemble(
 
     `common` (9, 9) and `shared` in session axes; `H` (N, 3) rows (1, x, y), pixels (N, 2), inverse depths `w` (N,) and
     relative `variance` (N,) of every feature, which the ground plane is fitted to; `published`: the rows that travel.
-    `noise` (N,): the part of `variance` that is the features' own and not the ground's; all of it unless given.
+    `noise` (N,): what of `variance` is the features' own and not the ground's; all of it unless given.
     """
     plane, spread, roughness = plane_and_roughness(H, w, variance if noise is None else noise)
     lat, lon, height = (float(c) for c in frame.to_geodetic(pose.centre_enu_m))

@@ -27,7 +27,7 @@ def over_known_ground(
         cast, sigma_m, source = window.terrain.cast, config.terrain.sigma_m, DepthSource.TERRAIN
         over = sensor_pose.over_ground(config.terrain.sigma_datum_m)
     elif ranged is not None:
-        # The beam measures one place; the ground around it deviates by its roughness.
+        # The beam hits one place; the ground about it lies as far off as relief goes.
         cast = level_cast(float(sensor_pose.centre_enu_m[2] + ranged.vector_enu_m[2]))
         sigma_m, source = 0.0, DepthSource.PLANE
         over = sensor_pose.over_ranged_ground(float(np.hypot(ranged.sigma_m, config.solve.relief_sigma_m)))

@@ -1,8 +1,8 @@
-"""Detects a camera that repeats an old picture under a new stamp although the aircraft has moved.
+"""A camera that gives an old picture as new, though the aircraft has moved.
 
-Either the picture is the same to the last bit, and no sensor gives the same noise twice. Or it was encoded anew, so
-that bits differ: then nothing in it has moved although telemetry predicts that everything must have. Such a picture
-would place the camera where it was when the picture was taken.
+The same to the last bit: no sensor gives the same noise twice. Or encoded anew, so that bits differ: then nothing in it
+has moved where telemetry foretells that all must have. Believed, such a picture places the camera where it was when it
+was taken.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 MOVED_M = 0.5
 TURNED_RAD = 0.01
 STILL_PX = 0.5  # median motion at 640 px width that two encodings of one picture may show
-PREDICTED_SIGMAS = 2.0  # of the prediction's own error that the predicted motion must exceed
-PATIENCE_NS = 5_000_000_000  # after which telemetry's drift may explain the predicted motion
+FORETOLD_SIGMAS = 2.0  # of telemetry's own doubt that the motion foretold must exceed
+PATIENCE_NS = 5_000_000_000  # after which telemetry's drift may be what it foretells
 
 
 class Staleness:
@@ -46,7 +46,7 @@ class Staleness:
 
 
 class Stillness:
-    """Remembers where features were seen when they last moved, and the motion that telemetry predicts since."""
+    """Remembers where features were seen when they last moved, and what telemetry has foretold since."""
 
     def __init__(self, width_px: int) -> None:
         self._px = width_px / 640.0
@@ -63,8 +63,8 @@ class Stillness:
         if not len(here) or _median(to - self._uv[there]) > STILL_PX * self._px:
             self._ids, self._uv, self._predicted, self._stamp_ns = tracks.ids, tracks.uv_px, predicted, stamp_ns
             return False
-        predicted_px = _median(move(predicted, at) - move(self._predicted, at))
-        if predicted_px > PREDICTED_SIGMAS * (PREDICTED_SHARE * predicted_px + PREDICTED_PX * self._px):
+        foretold_px = _median(move(predicted, at) - move(self._predicted, at))
+        if foretold_px > FORETOLD_SIGMAS * (PREDICTED_SHARE * foretold_px + PREDICTED_PX * self._px):
             return True
         if stamp_ns - self._stamp_ns > PATIENCE_NS:
             self._predicted, self._stamp_ns = predicted, stamp_ns

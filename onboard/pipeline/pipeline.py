@@ -135,7 +135,7 @@ class Pipeline:
             out.extend(self._adopt())
         while self._waiting:
             frame = self._waiting[0]
-            # Exposure in the autopilot's time: extrapolating the navigation to it would bias the offset's estimate.
+            # The moment that counts is the autopilot's: extrapolating to it would bend what is learned of the offset.
             moment_ns = frame.stamp_ns + round(self.window.alignment.belief.mean[3] * 1e9)
             if not self.navigation.covers(moment_ns) and self._now_ns - frame.stamp_ns < MAX_WAIT_NS:
                 break
@@ -214,7 +214,7 @@ class Pipeline:
     def _track(self, frame: Frame, nav: NavState) -> Tracks | Status | None:
         """Features found again; None if there was nothing to look for, a status if the picture is not to be used."""
         assert frame.image is not None
-        # While no mount hypothesis is selected, a prediction by the wrong one would bias the tracks.
+        # While it is open what carries the camera, the pictures must be heard without its prejudice.
         predicted = None if self.mount_selection.is_open(nav) else predict_motion(self.window, nav)
         tracks = self.tracker.track(frame.image, predicted)
         if not self.tracker.has_keyframe:

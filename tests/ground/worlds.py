@@ -78,7 +78,7 @@ def build(
     features: int = 100,
     clicks_px: Array | None = None,
     position_enu_m: tuple[float, float, float] = (0.0, 0.0, 250.0),
-    nuisance: Array | None = None,
+    draws: Array | None = None,
     fresh: Array | None = None,
     yaw_rad: float | None = None,
     frame: int = 0,
@@ -87,7 +87,7 @@ def build(
 ) -> World:
     """One picture over ground around height 0; everything it publishes carries the declared errors.
 
-    `nuisance` (NUISANCES,) and `fresh` (9,): shared errors and the rest, in units of their sigmas; drawn unless given.
+    `draws` (DRAWS,) and `fresh` (9,) are unit draws of what is shared and what is not; drawn here unless given.
     """
     errors = errors or Errors()
     clicks = rng.uniform([100.0, 80.0], [540.0, 400.0], (2, 2)) if clicks_px is None else clicks_px
@@ -105,9 +105,9 @@ def build(
 
     cov = common_covariance(rng) if errors.common else np.zeros((9, 9))
     by_nuisance = errors.shared.by_nuisance
-    nuisance = rng.normal(size=NUISANCES) if nuisance is None else nuisance
+    draws = rng.normal(size=NUISANCES) if draws is None else draws
     error = rng.multivariate_normal(np.zeros(9), cov) if fresh is None else root(cov) @ fresh
-    error = error + by_nuisance @ nuisance
+    error = error + by_nuisance @ draws
 
     modes = 1.0 + np.concatenate([np.ones((len(uv), 1)), rays[:, :2]], axis=1) @ error[6:]
     sigma = errors.feature_relative * flat[:features] * np.exp(rng.normal(0.0, 0.3, features))
