@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from onboard.geometry.linalg import solve_small
-from onboard.geometry.robust import middle
+from onboard.geometry.robust import irls, middle
 
 Array = NDArray[np.float64]
 
@@ -41,16 +41,15 @@ def _plane(H: Array, w: Array, variance: Array) -> tuple[Array, Array]:
     """Robust affine fit of inverse depth (3.1) and each feature's relative deviation from it."""
     scale = middle(w)
     relative_w, known = w / scale, 1.0 / (variance + 1e-4)
-    weight: Array = known
-    plane: Array = np.zeros(3)
-    for _ in range(5):
+
+    def fit(weight: Array) -> tuple[Array, Array]:
         weighted = (H * weight[:, None]).T
         N = weighted @ H
         N.flat[::4] += 1e-9 * N.trace()
         plane = solve_small(N, weighted @ relative_w)
-        miss = relative_w - H @ plane
-        spread = max(1.4826 * middle(np.abs(miss)), 1e-6)
-        weight = known / (1.0 + (miss / (3.0 * spread)) ** 2)
+        return plane, relative_w - H @ plane
+
+    plane, _ = irls(fit, known, lambda miss: (miss / (3.0 * max(1.4826 * middle(np.abs(miss)), 1e-6))) ** 2)
     plane *= scale
     fitted = H @ plane
     relative = np.where(fitted > 1e-3 * scale, w / np.where(fitted > 1e-3 * scale, fitted, 1.0) - 1.0, 0.0)
