@@ -68,8 +68,12 @@ def _roughness(H: Array, relative: Array, variance: Array, spread: float) -> flo
     value = np.clip(relative, -5.0 * np.sqrt(s2 + variance), 5.0 * np.sqrt(s2 + variance))
 
     def unlikely(log_slope: float) -> float:
-        K = known + s2 * np.exp(distance * (-np.exp(log_slope) / s2))
-        factor, info = lapack.dpotrf(K, lower=1)
+        K = np.multiply(distance, -np.exp(log_slope) / s2)
+        np.exp(K, out=K)
+        K *= s2
+        K += known
+        # Symmetric, so that its transpose is it, in the order of LAPACK: factored where it is, without a copy.
+        factor, info = lapack.dpotrf(K.T, lower=1, clean=0, overwrite_a=1)
         if info != 0:
             return np.inf
         whitened, _ = lapack.dtrtrs(factor, value, lower=1)
@@ -90,9 +94,13 @@ def _roughness(H: Array, relative: Array, variance: Array, spread: float) -> flo
 
 def distances(xy: Array) -> Array:
     """Between every two of (N, 2): (N, N)."""
-    apart = xy[:, None] - xy[None]
-    out: Array = np.sqrt(apart[..., 0] ** 2 + apart[..., 1] ** 2)
-    return out
+    x, y = np.ascontiguousarray(xy.T)
+    out: Array = x[:, None] - x
+    out *= out
+    across = y[:, None] - y
+    across *= across
+    out += across
+    return np.sqrt(out, out=out)
 
 
 def effective_sigma_m(offset_m: Array, height_m: Array, variance_m2: Array, clearance_m: float) -> float:
