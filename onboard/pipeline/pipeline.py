@@ -25,10 +25,10 @@ from onboard.estimation.keyframe import Observation, observation
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solver_executor import Inline, Promise, Worker, timed_adjust
 from onboard.events.types import Event, Frame
-from onboard.geometry.plane_homography import move
+from onboard.geometry.plane_homography import Pose, move
 from onboard.geometry.terrain_grid import Terrain
-from onboard.georeferencing.feature_sets import Origin, georeference
-from onboard.georeferencing.known_ground import over_known_ground
+from onboard.georeferencing.feature_sets import Origin, Picture, georeference
+from onboard.georeferencing.surface_sets import over_known_ground
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.frozen_frames import Staleness, Stillness
 from onboard.pipeline.motion_prediction import ground_so_far, predict_motion
@@ -371,16 +371,17 @@ class Pipeline:
             min(record.revision + 1, 255),
             record.is_keyframe,
         )
-        result = self._by_structure(record, origin, frame)
+        picture = Picture(self.camera, origin, frame, record.nav.undulation_m)
+        result = self._by_structure(record, picture)
         if isinstance(result, Status):
-            over = self._over_known_ground(record.nav, origin, frame)
+            over = self._over_known_ground(record.nav, picture)
             result = result if over is None else over
         if isinstance(result, FeatureSet):
             record.status, record.revision = Status.OK, result.revision
             self._statistics.note(record.frame.index, Status.OK)
         return result
 
-    def _by_structure(self, record: _Record, origin: Origin, frame: LocalFrame) -> FeatureSet | Status:
+    def _by_structure(self, record: _Record, picture: Picture) -> FeatureSet | Status:
         """From the window's own points; the reason why not otherwise."""
         solved = self.window.solved
         if solved is None:
@@ -392,7 +393,7 @@ class Pipeline:
             if guess is None:
                 return Status.STARTING
             R, centre = guess
-        result = georeference(self.window, solved, record.seen, origin, frame, record.nav.undulation_m, centre, R)
+        result = georeference(self.window, solved, record.seen, picture, Pose(R, centre))
         if isinstance(result, FeatureSet):
             record.R_cam_enu = result.R_enu_cam.T
         return result
@@ -405,10 +406,10 @@ class Pipeline:
         still = nav.stamp_ns - first.stamp_ns > PATIENCE_NS and travelled_m < MIN_TRAVEL * height_m
         return Status.LOW_PARALLAX if still else self._unsolved
 
-    def _over_known_ground(self, nav: NavState, origin: Origin, frame: LocalFrame) -> FeatureSet | None:
+    def _over_known_ground(self, nav: NavState, picture: Picture) -> FeatureSet | None:
         if self.mount_selection.is_open(nav):
             return None  # nothing but the attitude says where the camera looks
-        return over_known_ground(self.config, self.camera, self.window, nav, origin, frame)
+        return over_known_ground(self.config, self.window, nav, picture)
 
     def _refuse_record(self, record: _Record, status: Status) -> FeatureSet:
         record.status = status

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.geometry.plane_homography import move
+from onboard.geometry.robust import cauchy_weight
 from onboard.vision.coarse_flow import flow_disagreement
 from onboard.vision.contrast_normalisation import SPREAD, Normaliser, Picture, thumbnail
 from onboard.vision.descriptor_matching import Described, describe, motion_between
@@ -295,7 +296,7 @@ class Tracker:
             # Settled: neither outliers nor the spread they are judged by will change any more.
             if spread > 0.9 * before:
                 break
-            weight = 1.0 / (1.0 + (miss / max(spread, 0.2)) ** 2)
+            weight = cauchy_weight(miss, max(spread, 0.2))
         return fit.H, miss < max(floor, 4.0 * spread)
 
     def _inside(self, uv: Array) -> NDArray[np.bool_]:

@@ -15,7 +15,8 @@ from ground.answer import CHI2_2, Fix
 from ground.locate import Locator
 from onboard.config.schema import Config
 from onboard.estimation.sliding_window import Window
-from onboard.georeferencing.feature_sets import Origin, georeference
+from onboard.geometry.plane_homography import Pose
+from onboard.georeferencing.feature_sets import Origin, Picture, georeference
 from tests.onboard.scenes import FRAME, FULL, SEED_SENSORS, T0_NS, Scene, SceneSpec, draw
 
 Array = NDArray[np.float64]
@@ -35,7 +36,8 @@ def publish(scene: Scene, window: Window, frame: int) -> FeatureSet | Status:
     assert guess is not None
     assert window.solved is not None
     origin = Origin("uav-1", 7, frame, T0_NS + frame, 0, bool(scene.is_key[frame]))
-    return georeference(window, window.solved, seen, origin, FRAME, UNDULATION_M, guess[1], guess[0])
+    picture = Picture(window.camera, origin, FRAME, UNDULATION_M)
+    return georeference(window, window.solved, seen, picture, Pose(*guess))
 
 
 def truth_at(scene: Scene, frame: int, uv: Array) -> Array:
