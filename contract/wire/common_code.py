@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from contract.errors import CorruptPayload
 from contract.feature_set import COMMON_STATES, NUISANCES, SharedErrors
 from contract.wire import bits
-from contract.wire.byte_cursor import Reader
+from contract.wire.byte_cursor import ByteCursor
 from contract.wire.covariance_code import (
     MAX_CORRELATION_CODE,
     covariance_codes,
@@ -67,11 +67,11 @@ def encode_common(common_cov: Array, shared: SharedErrors, room: int) -> bytes:
     return head + _encode_groups(halvings, codes, columns)
 
 
-def decode_common(reader: Reader) -> dict[str, Any]:
+def decode_common(cursor: ByteCursor) -> dict[str, Any]:
     """common_cov and shared. Raises CorruptPayload."""
-    numbers = reader.unpack(_HEAD)
+    numbers = cursor.unpack(_HEAD)
     sigmas, codes, span = list(numbers[:COMMON_STATES]), numbers[COMMON_STATES:-2], numbers[-2:]
-    halvings, *groups = _decode_groups(reader)
+    halvings, *groups = _decode_groups(cursor)
     correlations, steps = (bits.unzigzag(numbers) for numbers in groups)
     if np.any(np.abs(correlations) > MAX_CORRELATION_CODE) or np.any(np.abs(steps) > MAX_STEPS << halvings):
         raise CorruptPayload("a correlation or a shared error is larger than can be written")
@@ -146,9 +146,9 @@ def _encode_groups(halvings: int, correlations: _Group, columns: _Group) -> byte
     return np.packbits(np.concatenate([parameters, low, bits.unary_to_bits(values >> k)])).tobytes()
 
 
-def _decode_groups(reader: Reader) -> tuple[int, Ints, Ints]:
+def _decode_groups(cursor: ByteCursor) -> tuple[int, Ints, Ints]:
     """Inverse of `_encode_groups`. Raises CorruptPayload."""
-    stream = np.unpackbits(np.frombuffer(reader.payload, np.uint8, reader.end - reader.position, reader.position))
+    stream = np.unpackbits(np.frombuffer(cursor.payload, np.uint8, cursor.end - cursor.position, cursor.position))
     if len(stream) < _PARAMETERS:
         raise CorruptPayload("content ends within the common errors")
     (parameters,) = bits.bits_to_fixed(stream[:_PARAMETERS], [4])
@@ -165,7 +165,7 @@ def _decode_groups(reader: Reader) -> tuple[int, Ints, Ints]:
     used = fixed_end + unary_bits
     if np.any(stream[used : -(-used // 8) * 8]):
         raise CorruptPayload("padding bits behind the common errors are not zero")
-    reader.take(-(-used // 8))
+    cursor.take(-(-used // 8))
     low = np.zeros((len(k), len(_POWERS)), np.int64)
     low[k[:, None] > _POWERS] = stream[_PARAMETERS:fixed_end]
     values = np.zeros(len(written), np.int64)
