@@ -73,6 +73,9 @@ class Recording:
                 self._note(topic, encoding, file, start, length)
         if not self._index.sets:
             raise InputError(f"recording {self.path}: holds no feature sets")
+        self._newest_ns = {
+            name: max(held.capture_unix_ns for held in sets.values()) for name, sets in self._index.sets.items()
+        }
 
     @property
     def vehicles(self) -> list[str]:
@@ -86,6 +89,15 @@ class Recording:
     def by_frame(self, vehicle: str, frame: int) -> FeatureSet | None:
         """The set of a frame at its latest revision."""
         return self._decoded(self._index.sets[vehicle].get(frame))
+
+    def age_s(self, feature_set: FeatureSet) -> float:
+        """How much older a set's picture is than the newest one of its vehicle."""
+        return (self._newest_ns[feature_set.vehicle] - feature_set.capture_unix_ns) / 1e9
+
+    def newest_picture(self, vehicle: str) -> FeatureSet | None:
+        """The newest set, whether it answers or refuses."""
+        held = self._index.sets[vehicle].values()
+        return self._decoded(max(held, key=lambda h: (h.capture_unix_ns, h.frame), default=None))
 
     def newest(self, vehicle: str) -> FeatureSet | None:
         """The newest set that answers clicks, or the newest refusal if none does."""

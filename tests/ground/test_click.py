@@ -32,6 +32,7 @@ FIELDS = [
     "method",
     "frame",
     "time_utc",
+    "age_s",
     "vehicle",
 ]
 
