@@ -111,7 +111,7 @@ def _run_batch(args: argparse.Namespace) -> int:
     if args.u is not None or not args.recording or args.format == "text" or args.max_age is not None:
         raise UsageError("--batch goes with --from SESSION.mcap, without U, V and --max-age, and writes JSON")
     clicks = read_clicks(args.batch)
-    recording = Recording(args.recording)
+    recording = _opened(args.recording)
     vehicle = _vehicle(args, recording.vehicles)
 
     @lru_cache(maxsize=64)
@@ -153,7 +153,7 @@ def read_clicks(path: Path) -> list[Click]:
 
 
 def _from_recording(args: argparse.Namespace) -> Reply:
-    recording = Recording(args.recording)
+    recording = _opened(args.recording)
     vehicle = _vehicle(args, recording.vehicles)
     frame, later = args.frame, None
     if args.file is not None:
@@ -179,6 +179,14 @@ def _from_recording(args: argparse.Namespace) -> Reply:
         if latest.frame != found.frame:
             later = Later(latest.status, latest.frame, recording.age_s(latest))
     return Reply(found, recording.age_s(found), later)
+
+
+def _opened(path: Path) -> Recording:
+    """A recording; what of it is damaged is said on standard error, and the rest is there."""
+    recording = Recording(path)
+    for line in recording.damage:
+        print(f"pc-ground: warning: {line}", file=sys.stderr)
+    return recording
 
 
 def _unknown_frame(recording: Recording, vehicle: str, frame: int) -> Refusal:

@@ -105,7 +105,7 @@ def test_in_any_order_what_is_handed_out_is_of_one_session_and_five_in_a_row_dec
         found = [item for frame in range(10) if (item := history.frame(frame)) is not None]
         assert {item.session for item in found} == {history.session}
         assert all(any(item is h for h in heard) for item in found)
-        row = list(itertools.takewhile(lambda h: h.session == session, reversed(heard)))
+        row = list(itertools.takewhile(lambda h: h.session == s.session, reversed(heard)))
         if len(row) >= IN_A_ROW or session > max((h.session for h in heard[:-1]), default=-1):
             assert history.session == session
             best = {h.frame: h for h in sorted(row, key=lambda h: h.revision)}
