@@ -19,9 +19,9 @@ from typing import Any
 from contract import recording_format as names
 from contract.errors import InputError, WireError
 from contract.feature_set import FeatureSet, Status
+from contract.mcap_records import CHANNEL, CHUNK, MAGIC, MESSAGE, MESSAGE_HEAD, Damage, Data, records
 from contract.topics import FEATURES, TIME_TOLERANCE_S
 from contract.wire.codec import decode, peek
-from ground.mcap_records import CHANNEL, CHUNK, MAGIC, MESSAGE, MESSAGE_HEAD, Damage, Data, records
 
 _CHANNEL_HEAD = struct.Struct("<HH")
 _STRING = struct.Struct("<I")
