@@ -93,7 +93,7 @@ def test_a_fresh_picture_is_answered_with_its_age(aircraft: Aircraft, click: Cli
     aircraft.picture(4, 0.2, Status.TURNING)
     code, answer = click()
     assert code == 0 and answer["status"] == "ok" and answer["frame"] == 3
-    assert 0.4 <= answer["age_s"] < 2.0
+    assert 0.4 <= answer["age_s"] < 3.0
 
 
 LOST = [
