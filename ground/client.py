@@ -254,7 +254,7 @@ class SetCache:
             history = self._histories[received.vehicle]
             history.add(received, received)
             if received.session == history.session:  # a late packet of an earlier one says nothing of the time
-                age_s = _seconds(_object(sample.attachment).get("age_s"))
+                age_s = _seconds(_json(sample.attachment))
                 self._clocks[received.vehicle].heard(received.session, received.capture_unix_ns, age_s, heard_ns)
 
 
@@ -295,12 +295,17 @@ def _refusal(error: zenoh.ReplyError | None) -> Reply | None:
     return Reply(Refusal(status, vehicle=vehicle, detail=detail), None, None, state, reason)
 
 
-def _object(content: zenoh.ZBytes | None) -> dict[str, Any]:
-    """A JSON object; empty for whatever is none: nobody has to say anything beside a set."""
+def _json(content: zenoh.ZBytes | None) -> object:
+    """None for what is no JSON: nobody has to say anything beside a set."""
     try:
-        said = {} if content is None else json.loads(content.to_bytes())
+        return None if content is None else json.loads(content.to_bytes())
     except (ValueError, RecursionError):
-        return {}
+        return None
+
+
+def _object(content: zenoh.ZBytes | None) -> dict[str, Any]:
+    """A JSON object; empty for whatever is none."""
+    said = _json(content)
     return said if isinstance(said, dict) else {}
 
 

@@ -58,9 +58,9 @@ class SetClock:
         return None if offset_ns is None else max((monotonic_ns + offset_ns - capture_unix_ns) / 1e9, 0.0)
 
     def said(self, capture_unix_ns: int, monotonic_ns: int) -> bytes | None:
-        """The age as it goes with a set that is sent; None if it is not known."""
+        """The age as it goes with every set that is sent, in a few bytes; None if it is not known."""
         age_s = self.age_s(capture_unix_ns, monotonic_ns)
-        return None if age_s is None else _json({"age_s": round(age_s, 2)})
+        return None if age_s is None else f"{age_s:.2f}".encode()
 
 
 def answer(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from contract.feature_set import ALIGNMENT, ATTITUDE, GROUND, NUISANCES, POSITION, FeatureSet, SharedErrors
 from ground.answer import CHI2_2, Fix
 from ground.locate import Locator
-from ground.two_sets import common_cross_covariance, difference_covariance, draw_correlations
+from ground.two_sets import common_cross_covariance, difference_covariance, nuisance_correlations
 from tests.ground.worlds import Errors, World, build
 
 Array = NDArray[np.float64]
@@ -21,7 +21,7 @@ POSITION_S, ATTITUDE_S = 100.0, 20.0
 
 
 def shared(alignment_scale: float = 1.0, span_s: float = 0.0) -> SharedErrors:
-    """Position and attitude wander, a mount, a clock and a slope, as a window of a straight flight has them."""
+    """Position, attitude, mount, clock and slope, as a window of a straight flight has their errors."""
     F = np.zeros((9, NUISANCES))
     F[:3, POSITION] = np.diag([3.0, 3.0, 4.0])
     F[3:6, ATTITUDE] = np.diag([0.008, 0.008, 0.03])
@@ -38,12 +38,12 @@ def answered(world: World, index: int = 0) -> Fix:
     return answer
 
 
-def later(rng: np.random.Generator, draws: Array, gap_s: float) -> Array:
-    """The same draws some time on: what wanders has wandered."""
-    out = draws.copy()
+def later(rng: np.random.Generator, nuisances: Array, gap_s: float) -> Array:
+    """The same parameters some time on: the Gauss-Markov errors have moved."""
+    out = nuisances.copy()
     for part, tau in ((POSITION, POSITION_S), (ATTITUDE, ATTITUDE_S)):
         keep = math.exp(-gap_s / tau)
-        out[part] = keep * draws[part] + math.sqrt(1.0 - keep * keep) * rng.normal(size=3)
+        out[part] = keep * nuisances[part] + math.sqrt(1.0 - keep * keep) * rng.normal(size=3)
     return out
 
 
@@ -51,7 +51,7 @@ def later(rng: np.random.Generator, draws: Array, gap_s: float) -> Array:
 def test_the_ellipse_of_a_difference_between_two_sets_holds_ninety_percent(
     gap_s: float, least: float, most: float
 ) -> None:
-    """Position, rotation and slope are drawn once and wander on; the rest is drawn for each set.
+    """Position, rotation and slope are sampled once and change with time; the rest is sampled for each set.
 
     `least` and `most`: the stated variance, relative to that of two sets that share nothing.
     """
@@ -59,13 +59,13 @@ def test_the_ellipse_of_a_difference_between_two_sets_holds_ninety_percent(
     errors = Errors(shared=shared())
     inside, relative = [], []
     for _ in range(400):
-        draws = rng.normal(size=NUISANCES)
-        a = build(rng, errors, features=50, draws=draws)
+        nuisances = rng.normal(size=NUISANCES)
+        a = build(rng, errors, features=50, nuisances=nuisances)
         b = build(
             rng,
             errors,
             features=50,
-            draws=later(rng, draws, gap_s),
+            nuisances=later(rng, nuisances, gap_s),
             position_enu_m=(60.0, 0.0, 250.0),
             capture_unix_ns=a.feature_set.capture_unix_ns + round(gap_s * 1e9),
         )
@@ -84,14 +84,14 @@ def test_windows_of_the_same_pictures_share_what_is_fresh_too() -> None:
     errors = Errors(shared=shared(span_s=9.0), feature_relative=1e-3, relief_relative=1e-3, roughness=1e-5)
     inside, apart = [], []
     for _ in range(300):
-        draws, fresh, seed = rng.normal(size=NUISANCES), rng.normal(size=9), int(rng.integers(2**32))
+        nuisances, fresh, seed = rng.normal(size=NUISANCES), rng.normal(size=9), int(rng.integers(2**32))
         worlds = [
-            # The same seed draws the same covariance, and so the same fresh errors.
+            # The same seed gives the same covariance, and so the same fresh errors.
             build(
                 np.random.default_rng(seed),
                 errors,
                 features=50,
-                draws=draws,
+                nuisances=nuisances,
                 fresh=fresh,
                 yaw_rad=0.3,
                 position_enu_m=(10.0 * k, 0.0, 250.0),
@@ -118,7 +118,7 @@ def sets(gap_s: float, *errors: SharedErrors) -> list[FeatureSet]:
 
 def test_what_wanders_is_shared_by_its_age_and_a_mount_by_what_was_learned_since() -> None:
     one, two = sets(10.0, shared(), shared(alignment_scale=0.25))
-    got = draw_correlations(one, two)
+    got = nuisance_correlations(one, two)
     assert got[POSITION] == pytest.approx(math.exp(-10.0 / POSITION_S), rel=1e-3)
     assert got[ATTITUDE] == pytest.approx(math.exp(-10.0 / ATTITUDE_S), rel=1e-3)
     assert got[ALIGNMENT] == pytest.approx(0.25)
@@ -126,8 +126,8 @@ def test_what_wanders_is_shared_by_its_age_and_a_mount_by_what_was_learned_since
 
 
 def test_averages_over_long_windows_change_less_than_what_they_average() -> None:
-    short = draw_correlations(*sets(1.0, shared(span_s=0.1), shared(span_s=0.1)))
-    long = draw_correlations(*sets(1.0, shared(span_s=9.0), shared(span_s=9.0)))
+    short = nuisance_correlations(*sets(1.0, shared(span_s=0.1), shared(span_s=0.1)))
+    long = nuisance_correlations(*sets(1.0, shared(span_s=9.0), shared(span_s=9.0)))
     assert np.all(long[ATTITUDE] > short[ATTITUDE]) and np.all(long[ATTITUDE] < 1.0)
 
 
