@@ -28,14 +28,7 @@ _NEAR_NS = 86_400_000_000_000  # and their messages are of the same day as the l
 _CANDIDATE = re.compile(rb"[\x03\x04\x05\x0c\x0f].{4}\x00{4}", re.DOTALL)
 
 Data = bytes | mmap.mmap
-
-
-class Record(NamedTuple):
-    """Where a record's content lies."""
-
-    opcode: int
-    start: int
-    length: int
+Record = tuple[int, int, int]  # opcode, and where the content starts and how long it is
 
 
 class Damage(NamedTuple):
@@ -47,17 +40,18 @@ class Damage(NamedTuple):
 
 def records(data: Data, damaged: Callable[[Damage], None]) -> Iterator[Record]:
     """Every record up to the end of the data section, or to where the file was cut off; calls `damaged` on the way."""
-    head, end = _RECORD.size, len(data)
+    head, end, unpack, least = _RECORD.size, len(data), _RECORD.unpack_from, _LEAST
     position, log_ns = len(MAGIC), None
     opcode, length = _header(data, position)
     while position + head <= end:
         start, after = position + head, position + head + length
-        is_whole = _LEAST[opcode] <= length < _MAX_LENGTH and after <= end
-        next_opcode, next_length = _header(data, after) if is_whole else (0, 0)
-        if is_whole and (opcode == DATA_END or _LEAST[next_opcode] <= next_length < _MAX_LENGTH or after + head > end):
+        is_whole = after <= end and least[opcode] <= length < _MAX_LENGTH
+        has_next = is_whole and after + head <= end
+        next_opcode, next_length = unpack(data, after) if has_next else (0, 0)
+        if is_whole and (not has_next or least[next_opcode] <= next_length < _MAX_LENGTH or opcode == DATA_END):
             if opcode == DATA_END:
                 return
-            yield Record(opcode, start, length)
+            yield opcode, start, length
             if opcode == MESSAGE:
                 log_ns = start + 6
             position, opcode, length = after, next_opcode, next_length
@@ -65,7 +59,7 @@ def records(data: Data, damaged: Callable[[Damage], None]) -> Iterator[Record]:
         # The damage is this record's length, or the head of the one after it.
         resumed = _next_place(data, position + 1, None if log_ns is None else _u64(data, log_ns))
         if is_whole and (resumed is None or after <= resumed):
-            yield Record(opcode, start, length)
+            yield opcode, start, length
             position = after
         if resumed is None:
             if position < end and (is_whole or _is_closed(data)):

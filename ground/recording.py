@@ -182,9 +182,9 @@ def _read(path: Path, may_be_empty: bool) -> Data:
 
 def _is_chunked(data: Data) -> bool:
     """Whether chunks come before any message."""
-    for record in records(data, lambda _: None):
-        if record.opcode in (CHUNK, MESSAGE):
-            return record.opcode == CHUNK
+    for opcode, _, _ in records(data, lambda _: None):
+        if opcode in (CHUNK, MESSAGE):
+            return opcode == CHUNK
     return False
 
 
