@@ -21,7 +21,7 @@ POSITION_S, ATTITUDE_S = 100.0, 20.0
 
 
 def shared(alignment_scale: float = 1.0, span_s: float = 0.0) -> SharedErrors:
-    """Position, attitude, mount, clock and slope, as a window of a straight flight has their errors."""
+    """Position and attitude wander, a mount, a clock and a slope, as a window of a straight flight has them."""
     F = np.zeros((9, NUISANCES))
     F[:3, POSITION] = np.diag([3.0, 3.0, 4.0])
     F[3:6, ATTITUDE] = np.diag([0.008, 0.008, 0.03])
@@ -38,12 +38,12 @@ def answered(world: World, index: int = 0) -> Fix:
     return answer
 
 
-def later(rng: np.random.Generator, nuisances: Array, gap_s: float) -> Array:
-    """The same parameters some time on: the Gauss-Markov errors have moved."""
-    out = nuisances.copy()
+def later(rng: np.random.Generator, draws: Array, gap_s: float) -> Array:
+    """The same draws some time on: what wanders has wandered."""
+    out = draws.copy()
     for part, tau in ((POSITION, POSITION_S), (ATTITUDE, ATTITUDE_S)):
         keep = math.exp(-gap_s / tau)
-        out[part] = keep * nuisances[part] + math.sqrt(1.0 - keep * keep) * rng.normal(size=3)
+        out[part] = keep * draws[part] + math.sqrt(1.0 - keep * keep) * rng.normal(size=3)
     return out
 
 
@@ -51,7 +51,7 @@ def later(rng: np.random.Generator, nuisances: Array, gap_s: float) -> Array:
 def test_the_ellipse_of_a_difference_between_two_sets_holds_ninety_percent(
     gap_s: float, least: float, most: float
 ) -> None:
-    """Position, rotation and slope are sampled once and change with time; the rest is sampled for each set.
+    """Position, rotation and slope are drawn once and wander on; the rest is drawn for each set.
 
     `least` and `most`: the stated variance, relative to that of two sets that share nothing.
     """
@@ -59,13 +59,13 @@ def test_the_ellipse_of_a_difference_between_two_sets_holds_ninety_percent(
     errors = Errors(shared=shared())
     inside, relative = [], []
     for _ in range(400):
-        nuisances = rng.normal(size=NUISANCES)
-        a = build(rng, errors, features=50, nuisances=nuisances)
+        draws = rng.normal(size=NUISANCES)
+        a = build(rng, errors, features=50, draws=draws)
         b = build(
             rng,
             errors,
             features=50,
-            nuisances=later(rng, nuisances, gap_s),
+            draws=later(rng, draws, gap_s),
             position_enu_m=(60.0, 0.0, 250.0),
             capture_unix_ns=a.feature_set.capture_unix_ns + round(gap_s * 1e9),
         )
@@ -84,14 +84,14 @@ def test_windows_of_the_same_pictures_share_what_is_fresh_too() -> None:
     errors = Errors(shared=shared(span_s=9.0), feature_relative=1e-3, relief_relative=1e-3, roughness=1e-5)
     inside, apart = [], []
     for _ in range(300):
-        nuisances, fresh, seed = rng.normal(size=NUISANCES), rng.normal(size=9), int(rng.integers(2**32))
+        draws, fresh, seed = rng.normal(size=NUISANCES), rng.normal(size=9), int(rng.integers(2**32))
         worlds = [
-            # The same seed gives the same covariance, and so the same fresh errors.
+            # The same seed draws the same covariance, and so the same fresh errors.
             build(
                 np.random.default_rng(seed),
                 errors,
                 features=50,
-                nuisances=nuisances,
+                draws=draws,
                 fresh=fresh,
                 yaw_rad=0.3,
                 position_enu_m=(10.0 * k, 0.0, 250.0),

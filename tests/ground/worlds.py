@@ -1,4 +1,4 @@
-"""Synthetic feature sets with truth, sampled from exactly the errors they declare."""
+"""Synthetic feature sets with truth, drawn from exactly the errors they declare."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COMMON_SIGMAS = np.array([1.2, 1.4, 2.0, 0.006, 0.006, 0.012, 0.008, 0.01, 0.01]
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """What a world is sampled from."""
+    """What a world is drawn from."""
 
     feature_relative: float = 0.006
     relief_relative: float = 0.02
@@ -78,7 +78,7 @@ def build(
     features: int = 100,
     clicks_px: Array | None = None,
     position_enu_m: tuple[float, float, float] = (0.0, 0.0, 250.0),
-    nuisances: Array | None = None,
+    draws: Array | None = None,
     fresh: Array | None = None,
     yaw_rad: float | None = None,
     frame: int = 0,
@@ -87,7 +87,7 @@ def build(
 ) -> World:
     """One picture over ground around height 0; everything it publishes carries the declared errors.
 
-    `nuisances` (NUISANCES,) and `fresh` (9,) are unit errors, shared and not; sampled here unless given.
+    `draws` (DRAWS,) and `fresh` (9,) are unit draws of what is shared and what is not; drawn here unless given.
     """
     errors = errors or Errors()
     clicks = rng.uniform([100.0, 80.0], [540.0, 400.0], (2, 2)) if clicks_px is None else clicks_px
@@ -105,9 +105,9 @@ def build(
 
     cov = common_covariance(rng) if errors.common else np.zeros((9, 9))
     by_nuisance = errors.shared.by_nuisance
-    nuisances = rng.normal(size=NUISANCES) if nuisances is None else nuisances
+    draws = rng.normal(size=NUISANCES) if draws is None else draws
     error = rng.multivariate_normal(np.zeros(9), cov) if fresh is None else root(cov) @ fresh
-    error = error + by_nuisance @ nuisances
+    error = error + by_nuisance @ draws
 
     modes = 1.0 + np.concatenate([np.ones((len(uv), 1)), rays[:, :2]], axis=1) @ error[6:]
     sigma = errors.feature_relative * flat[:features] * np.exp(rng.normal(0.0, 0.3, features))
