@@ -18,7 +18,7 @@ from contract.camera import Camera
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 from contract.feature_set import DepthSource, FeatureSet, HeightDatum, Status
 from contract.rotations import exp_so3, log_of_one
-from contract.wire.byte_cursor import Reader
+from contract.wire.byte_cursor import ByteCursor
 from contract.wire.common_code import decode_common, encode_common
 from contract.wire.covariance_code import sigma_code, sigma_from_code
 from contract.wire.feature_code import decode_features, encode_features
@@ -126,20 +126,20 @@ def decode(payload: bytes) -> FeatureSet:
         raise CorruptPayload(f"payload has {len(payload)} bytes where its header says {length}")
     if zlib.crc32(payload[: -_CRC.size]) != _CRC.unpack(payload[-_CRC.size :])[0]:
         raise CorruptPayload("checksum does not match")
-    reader = Reader(payload, _HEAD.size, length - _CRC.size)
+    cursor = ByteCursor(payload, _HEAD.size, length - _CRC.size)
     try:
-        vehicle = reader.take(vehicle_bytes).decode()
+        vehicle = cursor.take(vehicle_bytes).decode()
     except UnicodeDecodeError as error:
         raise CorruptPayload(f"vehicle name is not UTF-8: {error}") from error
     if not 1 <= vehicle_bytes <= MAX_VEHICLE_BYTES:
         raise CorruptPayload(f"vehicle name of {vehicle_bytes} bytes")
-    camera = _decode_camera(reader, bool(flags & _DISTORTED))
+    camera = _decode_camera(cursor, bool(flags & _DISTORTED))
     geometry: dict[str, Any] = {}
     if flags & _GEOMETRY:
-        geometry = _decode_geometry(reader, flags)
-        geometry |= decode_features(reader, camera, geometry["plane_per_m"])
-    if version & 15 <= MINOR and reader.position != reader.end:
-        raise CorruptPayload(f"{reader.end - reader.position} bytes are left over")
+        geometry = _decode_geometry(cursor, flags)
+        geometry |= decode_features(cursor, camera, geometry["plane_per_m"])
+    if version & 15 <= MINOR and cursor.position != cursor.end:
+        raise CorruptPayload(f"{cursor.end - cursor.position} bytes are left over")
     status = _status(status_code)
     if (status is Status.OK) != bool(flags & _GEOMETRY):
         raise CorruptPayload(f"status {status.value!r} with{'' if geometry else 'out'} a pose")
@@ -209,9 +209,9 @@ def _encode_camera(camera: Camera) -> bytes:
     return out + _DISTORTION.pack(*camera.distortion) if any(camera.distortion) else out
 
 
-def _decode_camera(reader: Reader, distorted: bool) -> Camera:
-    width, height, fx, fy, cx, cy = reader.unpack(_CAMERA)
-    k1, k2, p1, p2, k3 = reader.unpack(_DISTORTION) if distorted else (0.0,) * 5
+def _decode_camera(cursor: ByteCursor, distorted: bool) -> Camera:
+    width, height, fx, fy, cx, cy = cursor.unpack(_CAMERA)
+    k1, k2, p1, p2, k3 = cursor.unpack(_DISTORTION) if distorted else (0.0,) * 5
     if not (all(map(math.isfinite, (fx, fy, cx, cy, k1, k2, p1, p2, k3))) and min(width, height, fx, fy) > 0):
         raise CorruptPayload("intrinsics are not those of a camera")
     return Camera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
@@ -268,16 +268,16 @@ def _encode_geometry(s: FeatureSet) -> bytes:
     return b"".join(parts)
 
 
-def _decode_geometry(reader: Reader, flags: int) -> dict[str, Any]:
-    lat, lon = reader.signed(5) / DEGREE_STEPS, reader.signed(5) / DEGREE_STEPS
+def _decode_geometry(cursor: ByteCursor, flags: int) -> dict[str, Any]:
+    lat, lon = cursor.signed(5) / DEGREE_STEPS, cursor.signed(5) / DEGREE_STEPS
     if abs(lat) > 90.0 or abs(lon) > 180.0:
         raise CorruptPayload(f"camera position {lat}, {lon} is not a latitude and longitude")
-    height = reader.signed(4) / METRE_STEPS
-    undulation = reader.signed(3) / METRE_STEPS if flags & _UNDULATION else math.nan
-    steps = [reader.signed(3) for _ in range(3)]
+    height = cursor.signed(4) / METRE_STEPS
+    undulation = cursor.signed(3) / METRE_STEPS if flags & _UNDULATION else math.nan
+    steps = [cursor.signed(3) for _ in range(3)]
     if math.hypot(*steps) * ROTATION_STEP > math.pi:
         raise CorruptPayload(f"rotation vector {steps} is longer than half a turn")
-    *plane, spread, roughness = reader.unpack(_PLANE)
+    *plane, spread, roughness = cursor.unpack(_PLANE)
     if not all(map(math.isfinite, plane)):
         raise CorruptPayload("the ground plane is not finite")
     source = flags >> _SOURCE_SHIFT & _SOURCE_MASK
@@ -294,4 +294,4 @@ def _decode_geometry(reader: Reader, flags: int) -> dict[str, Any]:
         "plane_per_m": np.array(plane),
         "plane_sigma_relative": sigma_from_code(spread),
         "roughness": sigma_from_code(roughness),
-    } | decode_common(reader)
+    } | decode_common(cursor)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from contract.errors import CorruptPayload
 from contract.feature_set import COMMON_STATES, NUISANCES, SharedErrors
 from contract.wire import bits
-from contract.wire.byte_cursor import Reader
+from contract.wire.byte_cursor import ByteCursor
 from contract.wire.covariance_code import (
     MAX_CORRELATION_CODE,
     covariance_codes,
@@ -82,11 +82,11 @@ def encode_common(common_cov: Array, shared: SharedErrors, room: int) -> bytes:
     return head + _encode_groups(halvings, [ks[0], *column_ks], written)
 
 
-def decode_common(reader: Reader) -> dict[str, Any]:
+def decode_common(cursor: ByteCursor) -> dict[str, Any]:
     """common_cov and shared. Raises CorruptPayload."""
-    numbers = reader.unpack(_HEAD)
+    numbers = cursor.unpack(_HEAD)
     sigmas, codes, span = list(numbers[:COMMON_STATES]), numbers[COMMON_STATES:-2], numbers[-2:]
-    halvings, written = _decode_groups(reader)
+    halvings, written = _decode_groups(cursor)
     # In zigzag a number within a limit is one up to twice the limit.
     most = 2 * MAX_CORRELATION_CODE, 2 * MAX_STEPS << halvings
     if written[:_CORRELATIONS].max() > most[0] or written[_CORRELATIONS:].max() > most[1]:
@@ -153,9 +153,9 @@ def _encode_groups(halvings: int, ks: list[int], numbers: Ints) -> bytes:
     return bits.with_unary([_NIBBLES.take(parameters, axis=0).ravel(), bits.short_to_bits(numbers, k)], numbers >> k)
 
 
-def _decode_groups(reader: Reader) -> tuple[int, Ints]:
+def _decode_groups(cursor: ByteCursor) -> tuple[int, Ints]:
     """Inverse of `_encode_groups`: halvings, and all numbers. Raises CorruptPayload."""
-    stream = np.unpackbits(np.frombuffer(reader.payload, np.uint8, reader.end - reader.position, reader.position))
+    stream = np.unpackbits(np.frombuffer(cursor.payload, np.uint8, cursor.end - cursor.position, cursor.position))
     if len(stream) < _PARAMETERS:
         raise CorruptPayload("content ends within the common errors")
     parameters = stream[:_PARAMETERS].reshape(-1, 4) @ _PLACES
@@ -173,7 +173,7 @@ def _decode_groups(reader: Reader) -> tuple[int, Ints]:
     used = fixed_end + unary_bits
     if stream[used : -(-used // 8) * 8].any():
         raise CorruptPayload("padding bits behind the common errors are not zero")
-    reader.take(-(-used // 8))
+    cursor.take(-(-used // 8))
     numbers = np.zeros(len(written), np.int64)
     numbers[written] = (quotients << k) + bits.bits_to_short(stream[_PARAMETERS:fixed_end], k)
     return halvings, numbers

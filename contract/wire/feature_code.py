@@ -16,7 +16,7 @@ from contract.camera import Camera
 from contract.errors import CorruptPayload
 from contract.feature_set import FeatureSet
 from contract.wire import bits
-from contract.wire.byte_cursor import Reader
+from contract.wire.byte_cursor import ByteCursor
 from contract.wire.covariance_code import MAX_SIGMA_CODE, SIGMA_FLOOR, SIGMA_UNIT, sigma_code, sigma_from_code
 
 Array = NDArray[np.float64]
@@ -105,16 +105,16 @@ def encode_features(s: FeatureSet, camera: Camera) -> bytes:
     return bytes([n]) + _FEATURES.pack(base, *ks) + bits.with_unary([fixed], quotients.ravel())
 
 
-def decode_features(reader: Reader, camera: Camera, plane_per_m: Array) -> dict[str, Any]:
+def decode_features(cursor: ByteCursor, camera: Camera, plane_per_m: Array) -> dict[str, Any]:
     """The feature columns of a FeatureSet, in the order of the wire. Raises CorruptPayload."""
-    n = reader.take(1)[0]
+    n = cursor.take(1)[0]
     if not n:
         return {}
-    base, *ks = reader.unpack(_FEATURES)
+    base, *ks = cursor.unpack(_FEATURES)
     if max(ks) >= bits.MAX_WIDTH or base == 0:
         raise CorruptPayload(f"feature codes are {ks} bits wide, smallest sigma {base}")
     widths = [_u_width(camera), *ks]
-    stream = np.unpackbits(np.frombuffer(reader.payload, np.uint8, reader.end - reader.position, reader.position))
+    stream = np.unpackbits(np.frombuffer(cursor.payload, np.uint8, cursor.end - cursor.position, cursor.position))
     fixed_bits = n * sum(widths)
     unary = bits.bits_to_unary(stream[fixed_bits:], 3 * n)
     if unary is None:
@@ -123,7 +123,7 @@ def decode_features(reader: Reader, camera: Camera, plane_per_m: Array) -> dict[
     used = fixed_bits + unary_bits
     if stream[used : -(-used // 8) * 8].any():
         raise CorruptPayload("padding bits are not zero")
-    reader.take(-(-used // 8))
+    cursor.take(-(-used // 8))
     u_steps, *lows = bits.bits_to_fixed(stream[:fixed_bits], widths)
     numbers = (quotients.reshape(3, n) << np.array(ks)[:, None]) + np.array(lows)
     rows, residual, sigma_steps = numbers

@@ -44,19 +44,9 @@ _NO_PICTURE = (
 
 def parts_of(path: Path) -> list[Path]:
     """All parts of the session that a file belongs to, or of the one session in a folder. Raises InputError."""
-    if path.is_dir():
-        found = sorted(file.name for file in path.iterdir() if names.split_part(file.name))
-        sessions = sorted({split[0] for name in found if (split := names.split_part(name))})
-        if len(sessions) != 1:
-            what = (
-                f"{len(sessions)} sessions ({', '.join(sessions[:3])}, ...): name one" if sessions else "no recording"
-            )
-            raise InputError(f"recording {path}: holds {what}")
-        return [path / name for name in names.session_parts(found, found[0])]
     if not path.exists():
         raise InputError(f"recording {path}: no such file")
-    siblings = [file.name for file in path.parent.iterdir() if file.is_file()]
-    return [path.with_name(name) for name in names.session_parts(siblings, path.name)]
+    return names.session_files(path)
 
 
 @dataclass(eq=False)
