@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.config.schema import Gps
+from onboard.config.schema import Config
 from onboard.events.types import FilterStatus, GpsQuality
 from onboard.navigation.position_doubt import ALIKE_SIGMAS, Position, PositionDoubt, Slip, slip_at
 from onboard.navigation.time_series import MEMORY_NS, Series
@@ -41,20 +41,20 @@ RECOVERING = "recovering"
 class GpsIntegrity:
     """Fed with positions, receiver and filter reports; says of any moment whether its position may be believed."""
 
-    def __init__(self, gps: Gps) -> None:
-        self._gps = gps
+    def __init__(self, config: Config) -> None:
+        self._config, self._gps = config, config.gps
         self.quality: Series[GpsQuality] = Series()
         self.filter: Series[FilterStatus] = Series()
         self.positions: Series[Position] = Series()
         self._jumps: list[tuple[int, int, str]] = []  # refused from, until (ns), and why
         self._had_fix = False
-        self._doubt = PositionDoubt(gps, self._was_unfit)
+        self._doubt = PositionDoubt(config, self._was_unfit)
 
     def forget(self) -> None:
         """The clock was set back: nothing held can be compared any more."""
         self.quality, self.filter, self.positions = Series(), Series(), Series()
         self._jumps.clear()
-        self._doubt = PositionDoubt(self._gps, self._was_unfit)
+        self._doubt = PositionDoubt(self._config, self._was_unfit)
 
     def begin(self, positions: Series[Position], jumped_ns: int | None) -> None:
         """Positions in a new frame; `jumped_ns`: when those of the old frame were found to be elsewhere, if so."""
@@ -85,7 +85,8 @@ class GpsIntegrity:
     @property
     def is_unfit_now(self) -> bool:
         """Whether the newest report of receiver or filter denies that there is a position."""
-        return any(not is_fit for _, is_fit, _ in self._last_words())
+        quality, status = self.quality.values, self.filter.values
+        return bool(quality and quality[-1].fix_type <= UNUSABLE_FIX) or bool(status and not status[-1].has_position)
 
     def _last_words(self) -> list[tuple[int, bool, str]]:
         """Of receiver and filter: when each last was unfit (0: never), whether it is fit now, and why not."""

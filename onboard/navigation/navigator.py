@@ -85,7 +85,7 @@ class Navigation:
         self.reason = NOTHING_YET  # why no position is believed just now, for people; empty when one is
         self._fixes: Series[PositionFix] = Series()  # as they came; those of `_positions`, or all before a frame is
         self._positions: Series[Position] = Series()
-        self._integrity = GpsIntegrity(config.gps)
+        self._integrity = GpsIntegrity(config)
         self._moves = 0  # of the frame
         self._attitudes = Attitudes(config.telemetry.max_attitude_gap_s)
         self._gimbal = Gimbal(config)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.config.schema import Gps
+from onboard.config.schema import Config
 from onboard.navigation.time_series import Series
 
 Array = NDArray[np.float64]
@@ -112,9 +112,9 @@ class _Episode:
 class PositionDoubt:
     """Fed with every newest position; says how far positions may be off for jumps that nothing has explained."""
 
-    def __init__(self, gps: Gps, was_unfit: Callable[[int, int, float], bool]) -> None:
+    def __init__(self, config: Config, was_unfit: Callable[[int, int, float], bool]) -> None:
         """`was_unfit(start_ns, end_ns, moved_m)`: whether receiver or filter had owned up to such an error."""
-        self._gps, self._was_unfit = gps, was_unfit
+        self._gps, self._was_unfit = config.gps, was_unfit
         self._entries: list[_Entry] = [_Entry(0, np.zeros(3), np.zeros(2), 0)]
         self._is_suspected = False  # the newest entry is of an episode under way
         self.begin()
