@@ -7,6 +7,7 @@ that ever waits for the link: `publish` takes a set and returns.
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections import deque

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from contract.feature_set import Status
 from contract.rotations import exp_so3
 from onboard.geometry.plane_homography import move
 from onboard.navigation.navigator import NavState
@@ -39,6 +40,15 @@ def test_it_stays_stale_however_long_it_is_repeated_and_a_new_one_ends_it() -> N
     changed[20, 30] ^= 1
     assert not staleness.is_stale(changed, at(10.0))
     assert staleness.is_stale(changed, at(11.0))
+
+
+def test_a_time_offset_learned_since_moves_nothing() -> None:
+    """The older state is looked up anew, with the offset that the newer one has: 2 m/s, learned 0.4 s."""
+    staleness = Staleness()
+    staleness.is_stale(PICTURE, at(0.0))
+    assert not staleness.is_stale(PICTURE.copy(), at(0.8), lambda stamp_ns: at(0.8))
+    assert staleness.is_stale(PICTURE.copy(), at(1.6), lambda stamp_ns: at(0.8))
+    assert staleness.is_stale(PICTURE.copy(), at(0.8), lambda stamp_ns: Status.UNSYNCHRONISED)
 
 
 IDS = np.arange(40)
