@@ -8,4 +8,5 @@ Public:
 - `prometheus`: `PrometheusServer`, `exposition`
 - `sd_notify`: `Notifier`
 - `session`: `Detail`, `Parts`, `Reporter`, `brightness`, `reported`, `restore`
+- `supervision`: `Supervisor`, `ThreadReport`, `ThreadState`
 """

@@ -120,7 +120,7 @@ class Daemon:
 
     def _is_well(self) -> bool:
         """False, with the reason logged, if a thread has failed or hangs."""
-        failure = self._session.failure
+        failure = self._session.supervisor.failure
         if failure is not None:
             name, error = failure
             if isinstance(error, PointclickError):
@@ -134,13 +134,16 @@ class Daemon:
         if busy_s > HUNG_S:
             log.error("the pipeline has been at one event for %.0f s", busy_s)
             return False
+        if hung := self._session.supervisor.hung(HUNG_S):
+            log.error("the %s has not been heard from for %.0f s", hung, HUNG_S)
+            return False
         return True
 
     def _tick(self) -> None:
         session, now_ns = self._session, self._session.clock.now_ns()
         inputs = session.inputs()
         self._tell(overall(inputs), now_ns)
-        if is_alive(inputs):
+        if is_alive(inputs) and session.supervisor.is_alive:
             self._notifier.feed_watchdog()
         if now_ns - self._reported_ns >= REPORT_NS:
             self._reported_ns = now_ns

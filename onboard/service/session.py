@@ -22,15 +22,18 @@ from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.sink import Sink
 from onboard.events.source import Source, SourceStatus, TelemetrySource
+from onboard.events.supervised_thread import Policy, SupervisedThread, ThreadReport
 from onboard.events.types import Event, Frame, GpsQuality
 from onboard.pipeline.pipeline import Pipeline
 from onboard.pipeline.statistics import Summary
 from onboard.service.event_queue import EventQueue
 from onboard.service.live_rates import LiveRates
-from onboard.service.vehicle_state import Inputs, overall
+from onboard.service.supervision import Supervisor
+from onboard.service.vehicle_state import STUCK_S, Inputs, overall
 from onboard.storage.alignment_file import StateFile
 
 IDLE_S = 0.2  # the pipeline's thread looks up this often when nothing comes
+SOURCE_LATE_S = 10.0  # a source asks each second whether to end; opening a device may take it some seconds
 SNAPSHOT_NS = 1_000_000_000
 
 Detail = dict[str, Any]
@@ -59,21 +62,7 @@ class Parts:
     state: StateFile | None = None
     temperature_c: Callable[[], float | None] = field(default=lambda: None)
     resources: ExitStack = field(default_factory=ExitStack)
-
-
-class _Worker(threading.Thread):
-    """A thread whose error is kept for the daemon to see. Not waited for by the interpreter: it may hang."""
-
-    def __init__(self, name: str, work: Callable[[], None]) -> None:
-        super().__init__(name=name, daemon=True)
-        self._work = work
-        self.error: BaseException | None = None
-
-    def run(self) -> None:
-        try:
-            self._work()
-        except BaseException as error:  # not swallowed: `Session.failure` hands it to the daemon, which ends with it
-            self.error = error
+    threads: Sequence[SupervisedThread] = ()  # those that the parts brought with them: link, recording, solver, ...
 
 
 class Session:
@@ -86,10 +75,13 @@ class Session:
         self.recent = LiveRates()
         self._stop = threading.Event()
         self._sources = [
-            _Worker("camera", lambda: parts.camera.run(self._take, self._stop)),
-            _Worker("telemetry", lambda: parts.telemetry.run(self._take, self._stop)),
+            SupervisedThread("camera", self._run_camera, Policy.END, late_after_s=SOURCE_LATE_S, stop=self._stop),
+            SupervisedThread("telemetry", self._run_telemetry, Policy.END, late_after_s=SOURCE_LATE_S, stop=self._stop),
         ]
-        self._pipeline = _Worker("pipeline", self._run_pipeline)
+        self._pipeline = SupervisedThread(
+            "pipeline", self._run_pipeline, Policy.END, late_after_s=STUCK_S, stop=self._stop
+        )
+        self.supervisor = Supervisor(lambda: (*self._sources, self._pipeline, *parts.threads))
         self._began_ns = self.clock.now_ns()
         self._busy_since_ns: int | None = None
         self._snapshot_at_ns = self._looked_ns = 0
@@ -107,15 +99,9 @@ class Session:
         for worker in (self._pipeline, *self._sources):
             worker.start()
 
-    @property
-    def failure(self) -> tuple[str, BaseException | None] | None:
-        """The thread that ended without having been told to, and its error if there was one."""
-        for worker in (self._pipeline, *self._sources):
-            if worker.error is not None:
-                return worker.name, worker.error
-            if not worker.is_alive() and not self._stop.is_set():
-                return worker.name, None
-        return None
+    def threads(self) -> tuple[ThreadReport, ...]:
+        """How each thread of the session is: camera, telemetry, pipeline, and those of the parts."""
+        return self.supervisor.reports()
 
     def finish(self, within_s: float) -> bool:
         """Stop the sources, let the pipeline come to its end, close everything; whether all that was done in time.
@@ -204,14 +190,21 @@ class Session:
             }
         return detail
 
+    def _run_camera(self, thread: SupervisedThread) -> None:
+        self.parts.camera.run(self._take, thread)
+
+    def _run_telemetry(self, thread: SupervisedThread) -> None:
+        self.parts.telemetry.run(self._take, thread)
+
     def _take(self, arrival_ns: int, event: Event) -> None:
         if isinstance(event, Frame):
             self.recent.picture_came(self.clock.now_ns())
         self.intake.put(arrival_ns, event)
 
-    def _run_pipeline(self) -> None:
+    def _run_pipeline(self, thread: SupervisedThread) -> None:
         pipeline, sinks = self.parts.pipeline, self.parts.sinks
         while not self.intake.is_over:
+            thread.beat()
             got = self.intake.get(IDLE_S)
             self._busy_since_ns = None if got is None else self.clock.now_ns()
             if got is not None:
