@@ -18,7 +18,7 @@ from onboard.config.schema import Config
 from onboard.events.source import Severity
 from onboard.service.sd_notify import Notifier
 from onboard.service.session import Parts, Session
-from onboard.service.vehicle_state import Overall, Word, is_alive, overall, severity
+from onboard.service.vehicle_state import Overall, VehicleState, is_alive, overall, severity
 
 TICK_S = 0.25
 REPORT_NS = 1_000_000_000
@@ -87,7 +87,7 @@ class Daemon:
         self._session: Session
         self._config: Config
         self._overall: Overall | None = None
-        self._said: Word | None = None
+        self._said: VehicleState | None = None
         self._said_ns = self._reported_ns = self._kept_ns = 0
 
     def run(self) -> int:
@@ -147,22 +147,22 @@ class Daemon:
             self._notifier.feed_watchdog()
         if now_ns - self._reported_ns >= REPORT_NS:
             self._reported_ns = now_ns
-            status, detail = session.report()
+            report = session.report()
             for reporter in session.parts.reporters:
-                reporter(status, detail)
+                reporter(report)
         if now_ns - self._kept_ns >= KEEP_NS:
             self._kept_ns = now_ns
             self._keep_learned()
 
     def _tell(self, state: Overall, now_ns: int) -> None:
         """The log and the service manager hear of each change at once, the pilot no more often than can be read."""
-        if self._overall is None or state.word is not self._overall.word:
-            log.log(_LEVELS[severity(state.word)], "state: %s", state)
+        if self._overall is None or state.state is not self._overall.state:
+            log.log(_LEVELS[severity(state.state)], "state: %s", state)
         self._overall = state
         self._notifier.status(str(state))
-        if state.word is not self._said and now_ns - self._said_ns >= SAY_NS:
-            self._session.parts.telemetry.say(severity(state.word), f"pointclick: {state.word.value}")
-            self._said, self._said_ns = state.word, now_ns
+        if state.state is not self._said and now_ns - self._said_ns >= SAY_NS:
+            self._session.parts.telemetry.say(severity(state.state), f"pointclick: {state.state.value}")
+            self._said, self._said_ns = state.state, now_ns
 
     def _reload(self) -> None:
         self._notifier.reloading()

@@ -10,34 +10,39 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
 
 from contract.errors import InputError
 from contract.vehicle_status import VehicleStatus
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.sink import Sink
-from onboard.events.source import Source, SourceStatus, TelemetrySource
+from onboard.events.source import Source, TelemetrySource
 from onboard.events.supervised_thread import Policy, SupervisedThread, ThreadReport
 from onboard.events.types import Event, Frame, GpsQuality
 from onboard.pipeline.pipeline import Pipeline
 from onboard.pipeline.statistics import Summary
 from onboard.service.event_queue import EventQueue
 from onboard.service.live_rates import LiveRates
+from onboard.service.reports import (
+    Brightness,
+    ClockReport,
+    PictureCounts,
+    RecordingReport,
+    Report,
+    estimates,
+    gps_report,
+)
 from onboard.service.supervision import Supervisor
-from onboard.service.vehicle_state import STUCK_S, Inputs, overall
+from onboard.service.vehicle_state import STUCK_S, Inputs, judge, overall
 from onboard.storage.alignment_file import StateFile
 
 IDLE_S = 0.2  # the pipeline's thread looks up this often when nothing comes
 SOURCE_LATE_S = 10.0  # a source asks each second whether to end; opening a device may take it some seconds
 SNAPSHOT_NS = 1_000_000_000
 
-Detail = dict[str, Any]
-Reporter = Callable[[VehicleStatus, Detail], None]
+Reporter = Callable[[Report], None]
 
 
 class RecordingSink(Sink, Protocol):
@@ -88,7 +93,7 @@ class Session:
         self._summary = Summary()
         self._tracks = 0
         self._gps: GpsQuality | None = None
-        self._picture: Detail | None = None
+        self._brightness: Brightness | None = None
         self._last_learned: str | None = None
         self._learned: str | None = None  # not yet in the state file
 
@@ -127,7 +132,7 @@ class Session:
             self.parts.state.write(learned)
 
     def inputs(self) -> Inputs:
-        """What `health` needs to know."""
+        """What the state is judged by."""
         now_ns, busy_since_ns = self.clock.now_ns(), self._busy_since_ns
         return Inputs(
             camera=self.parts.camera.health(),
@@ -137,16 +142,19 @@ class Session:
             outcome=self.recent.outcome(now_ns),
             is_shedding=self.intake.dropped_within(2.0),
             recording_fault=self.parts.recording.fault if self.parts.recording is not None else "",
+            gps=gps_report(self._gps, now_ns),
+            threads=self.threads(),
         )
 
-    def report(self) -> tuple[VehicleStatus, Detail]:
-        """The status for the link, and all the rest."""
-        now_ns, inputs, recent = self.clock.now_ns(), self.inputs(), self.recent
+    def report(self) -> Report:
+        """Everything the session knows of itself."""
+        now_ns, inputs, recent, summary = self.clock.now_ns(), self.inputs(), self.recent, self._summary
         state = overall(inputs)
+        is_recording = self.parts.recording is not None and not inputs.recording_fault
         status = VehicleStatus(
             unix_s=now_ns / 1e9,
             session=recent.session,
-            state=state.word.value,
+            state=state.state.value,
             reason=state.reason,
             up_s=(now_ns - self._began_ns) / 1e9,
             camera_hz=recent.camera_hz(now_ns),
@@ -156,39 +164,22 @@ class Session:
             tracks=self._tracks,
             dropped=self.intake.dropped,
             lost=round(inputs.camera.figures.get("lost", 0.0)),
-            recording=self.parts.recording is not None and not inputs.recording_fault,
+            recording=is_recording,
             cpu_c=self.parts.temperature_c(),
         )
-        return status, self._detail(status, inputs, now_ns)
-
-    def _detail(self, status: VehicleStatus, inputs: Inputs, now_ns: int) -> Detail:
-        gps, summary = self._gps, self._summary
-        detail: Detail = {
-            "status": asdict(status) | {"reason": overall(inputs).reason},
-            "camera": reported(inputs.camera),
-            "telemetry": reported(inputs.telemetry),
-            "picture": self._picture,
-            "gps": None if gps is None else asdict(gps) | {"age_s": (now_ns - gps.stamp_ns) / 1e9},
-            "pictures": {
-                "handled": summary.frames,
-                "keyframes": summary.keyframes,
-                "solved": summary.solved,
-                "refused": summary.refused,
-                "reprojection_px": summary.reprojection_px,
-            },
-            "learned": None,
-            "recording_fault": inputs.recording_fault,
-            "host_clock_step_s": self.clock.host_step_s(),
-        }
-        if summary.alignment is not None:
-            mean, sigma = summary.alignment.mean.tolist(), summary.alignment.sigma.tolist()
-            detail["learned"] = {
-                "boresight_rad": mean[:3],
-                "sigma_boresight_rad": sigma[:3],
-                "offset_s": mean[3],
-                "sigma_offset_s": sigma[3],
-            }
-        return detail
+        return Report(
+            status,
+            inputs.camera,
+            inputs.telemetry,
+            judge(inputs),
+            self._brightness,
+            inputs.gps,
+            PictureCounts.of(summary),
+            estimates(summary),
+            inputs.threads,
+            RecordingReport(is_recording, inputs.recording_fault),
+            ClockReport(self.clock.host_step_s()),
+        )
 
     def _run_camera(self, thread: SupervisedThread) -> None:
         self.parts.camera.run(self._take, thread)
@@ -232,7 +223,7 @@ class Session:
         """Once a second, what other threads may see of the pipeline; and how bright its newest picture is."""
         now_ns, pipeline = self.clock.now_ns(), self.parts.pipeline
         if isinstance(event, Frame) and event.image is not None and now_ns - self._looked_ns >= SNAPSHOT_NS:
-            self._looked_ns, self._picture = now_ns, brightness(event.image)
+            self._looked_ns, self._brightness = now_ns, Brightness.of(event.image)
         if now_ns - self._snapshot_at_ns < SNAPSHOT_NS:
             return
         self._snapshot_at_ns = now_ns
@@ -243,21 +234,6 @@ class Session:
             learned = alignment.to_json()
             if learned != self._last_learned:
                 self._last_learned = self._learned = learned
-
-
-def brightness(image: NDArray[np.uint8]) -> Detail:
-    """Mean grey (0 to 255) of a picture and the shares of it that are black and white, from every eighth pixel."""
-    sample = image[::8, ::8]
-    return {
-        "mean": float(sample.mean()),
-        "black": float((sample <= 2).mean()),
-        "white": float((sample >= 253).mean()),
-    }
-
-
-def reported(health: SourceStatus) -> Detail:
-    """A source's health as a report has it."""
-    return {"state": health.state.value, "detail": health.detail, "figures": dict(health.figures)}
 
 
 def restore(state: StateFile, pipeline: Pipeline) -> str:

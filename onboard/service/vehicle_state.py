@@ -13,6 +13,7 @@ from enum import Enum
 
 from contract.feature_set import Status
 from onboard.events.source import Severity, SourceStatus, State
+from onboard.events.supervised_thread import ThreadReport
 
 STUCK_S = 4.0  # one event never takes this long
 SILENT_S = 3.0  # without a picture though the camera calls itself well
@@ -94,7 +95,7 @@ class Inputs:
     is_at_rest: bool = False  # the autopilot or the positions say that the aircraft stands still
     is_shedding: bool = False  # pictures were dropped a moment ago
     recording_fault: str = ""  # why nothing is recorded; empty when all is well or none is wanted
-    thread_faults: tuple[str, ...] = ()  # threads that do not run as they should, each with the reason
+    threads: tuple[ThreadReport, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -220,8 +221,28 @@ def _beside(inputs: Inputs) -> Iterator[Finding]:
         yield Finding(Subject.LOAD, VehicleState.OVERLOADED, "pictures are dropped to keep up")
     if inputs.recording_fault:
         yield Finding(Subject.RECORDING, VehicleState.NOT_RECORDING, inputs.recording_fault)
-    for fault in inputs.thread_faults:
-        yield Finding(Subject.THREADS, VehicleState.DEGRADED, fault)
+    for thread in inputs.threads:
+        if not thread.is_well:
+            why = f" ({thread.last_error})" if thread.last_error else ""
+            yield Finding(Subject.THREADS, VehicleState.DEGRADED, f"{thread.name}: {thread.state.value}{why}")
+
+
+# What a question for the newest picture is refused with, by state; STARTING where none fits.
+_NO_NEWEST: dict[VehicleState, Status] = {
+    VehicleState.CAMERA_LOST: Status.CAMERA_LOST,
+    VehicleState.CAMERA_FROZEN: Status.CAMERA_LOST,
+    VehicleState.CAMERA_SILENT: Status.CAMERA_LOST,
+    VehicleState.TELEMETRY_LOST: Status.UNSYNCHRONISED,
+} | {state: status for status, (state, _) in _REFUSALS.items() if status is not Status.UNCERTAIN}
+
+
+def newest_refusal(state: Overall) -> tuple[Status, str, bool]:
+    """Why there is no newest picture: a status, the state with its reason, and whether that hides older pictures too.
+
+    It does while the camera is lost: the newest picture of before is not what anybody sees now.
+    """
+    status = _NO_NEWEST.get(state.state, Status.STARTING)
+    return status, str(state), status is Status.CAMERA_LOST
 
 
 def severity(state: VehicleState) -> Severity:

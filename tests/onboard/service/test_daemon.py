@@ -111,7 +111,11 @@ class Rig:
         self.camera, self.telemetry = Steady(Frame, clock), Steady(GpsQuality, clock)
         self.pipeline = Held(config)
         parts = Parts(
-            clock, self.camera, self.telemetry, self.pipeline, reporters=[lambda s, _: self.states.append(s.state)]
+            clock,
+            self.camera,
+            self.telemetry,
+            self.pipeline,
+            reporters=[lambda report: self.states.append(report.status.state)],
         )
         parts.resources.callback(self.note_closed)
         self.opened.append((config, parts))
