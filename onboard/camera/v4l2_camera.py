@@ -23,6 +23,7 @@ TICK_S = 0.2
 RETRY_S = 0.25
 FIRST_PICTURE_S = 5.0
 """Some cameras take seconds to their first picture."""
+MUTE = "{}: opens but sends no picture"
 PERIODS = 3.0
 """At low rates so many periods without a picture, if that is more than `lost_after_s`, count as lost."""
 STARVED_S = 0.05
@@ -76,6 +77,7 @@ class V4l2Camera:
         self._others: set[str] = set()  # bus places of other cameras: not ours, however alike
         self._stream: _Stream | None = None
         self._absence = "not opened yet"
+        self._is_mute = False  # the last time it was opened it sent no picture
         self._begun_ns = self._last_ns = now_ns()
         self._has_begun = False
         self._delay_ms = 0.0
@@ -111,13 +113,16 @@ class V4l2Camera:
             silent_s = (now_ns - self._last_ns) / 1e9
             if silent_s <= (self._patience_s() if stream.has_picture else FIRST_PICTURE_S):
                 return True
-            self._absence = f"{stream.path}: no picture for {silent_s:.1f} s"
+            self._is_mute = not stream.has_picture
+            self._absence = (
+                MUTE.format(stream.path) if self._is_mute else f"{stream.path}: no picture for {silent_s:.1f} s"
+            )
             return False
         was_starved = now_ns - asked_ns > (TICK_S + STARVED_S) * 1e9
         if not stream.has_picture:
             # Some drivers set their controls anew when the stream begins.
             stream.complaints += stream.lock.check()
-            stream.has_picture = True
+            stream.has_picture, self._is_mute = True, False
         self._last_ns = now_ns
         frame = self._pictures.take(buffer, stream.format, now_ns, was_starved)
         if frame is not None:
@@ -218,8 +223,10 @@ class V4l2Camera:
             waited_s = (now_ns - self._begun_ns) / 1e9
             starting = not self._has_begun or (self._known is None and waited_s < self._patience_s())
             if stream is not None and self._pictures.counts.pictures == 0:
-                starting = silent_s < FIRST_PICTURE_S
-            why = f"{stream.path}: waiting for its first picture" if stream else self._absence
+                # Opened again and again it stays what it was found to be.
+                starting = silent_s < FIRST_PICTURE_S and not self._is_mute
+            waits = MUTE if self._is_mute else "{}: waiting for its first picture"
+            why = waits.format(stream.path) if stream else self._absence
             return SourceStatus(State.STARTING if starting else State.LOST, why, figures)
         if silent_s > self._patience_s():
             return SourceStatus(State.LOST, f"{stream.path}: no picture for {silent_s:.1f} s", figures)

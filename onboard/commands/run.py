@@ -34,7 +34,6 @@ from onboard.service.prometheus import PrometheusServer
 from onboard.service.reports import Report
 from onboard.service.sd_notify import Notifier
 from onboard.service.session import Parts, Reporter, restore
-from onboard.service.vehicle_state import newest_refusal
 from onboard.storage.alignment_file import StateFile
 from onboard.storage.elevation_files import TerrainFiles
 from onboard.storage.rotating_recorder import Recorded
@@ -115,7 +114,6 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
 
 def _send(link: Publisher, report: Report) -> None:
     link.publish_status(encode_status(report.status), report.to_json())
-    link.explain(*newest_refusal(report.overall))
 
 
 def _record(recording: Recorded, report: Report) -> None:

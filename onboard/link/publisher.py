@@ -96,7 +96,6 @@ class Publisher:
         self._selection: Selection[bytes] = Selection(min(REPEAT_S, 1.0 / rate.min_rate_hz))
         self._queries: deque[_Waiting] = deque()
         self._status, self._status_detail = b"", b""
-        self._explanation: tuple[Status, str, bool] = Status.STARTING, "", False
         self._status_waits = False
         self._is_closed = self._has_news = False
         self.sent = 0  # sets put on the link, without those asked for
@@ -171,15 +170,6 @@ class Publisher:
             self._status, self._status_detail = payload, detail
             self._status_waits = True
             self._wake()
-
-    def explain(self, status: Status, reason: str, hides_older: bool) -> None:
-        """What a query for the newest picture is refused with from now on while no set answers it.
-
-        `hides_older`: even while there are older ones that would, for no newer one comes (the camera is lost).
-        Those can be asked for by frame and by time as before.
-        """
-        with self._changed:
-            self._explanation = status, reason, hides_older
 
     def event(self, arrival_ns: int, event: Event) -> None:
         """Events stay on board."""
@@ -276,8 +266,8 @@ class Publisher:
     def _asked(self, query: zenoh.Query) -> None:
         """A set, or a Status and whose it is. A queryable that raised would look like an absent one."""
         found = self._find(query.parameters.get(FRAME_PARAMETER), query.parameters.get(TIME_PARAMETER))
-        if not isinstance(found, bytes):
-            self._wait_to_answer(query, self._key, self._refusal(*found), is_error=True)
+        if isinstance(found, Status):
+            self._wait_to_answer(query, self._key, self._refusal(found), is_error=True)
         else:
             self._wait_to_answer(query, self._key, found)
 
@@ -289,9 +279,8 @@ class Publisher:
         else:
             self._wait_to_answer(query, self._status_key, self._refusal(Status.STARTING), is_error=True)
 
-    def _refusal(self, status: Status, reason: str = "") -> bytes:
-        said = {"status": status.value, "vehicle": self._vehicle}
-        return json.dumps(said | ({"reason": reason} if reason else {})).encode()
+    def _refusal(self, status: Status) -> bytes:
+        return json.dumps({"status": status.value, "vehicle": self._vehicle}).encode()
 
     def _wait_to_answer(self, query: zenoh.Query, key: str, answer: bytes, is_error: bool = False) -> None:
         with self._changed:
@@ -301,7 +290,7 @@ class Publisher:
                 return
         query.drop()  # type: ignore[no-untyped-call]
 
-    def _find(self, frame: str | None, time_: str | None) -> bytes | tuple[Status, str]:
+    def _find(self, frame: str | None, time_: str | None) -> bytes | Status:
         with self._changed:
             if frame is not None:
                 is_number = frame.isascii() and frame.isdecimal() and len(frame) <= 10
@@ -313,10 +302,8 @@ class Publisher:
                     unix_s = math.nan
                 payload = self._history.nearest(unix_s) if math.isfinite(unix_s) else None
             else:
-                status, reason, hides_older = self._explanation
-                newest = None if hides_older else self._history.newest()
-                return newest or (status, reason)
-        return payload or (Status.UNKNOWN_FRAME, "")
+                return self._history.newest() or Status.STARTING
+        return payload or Status.UNKNOWN_FRAME
 
 
 def _reply(waiting: _Waiting) -> None:

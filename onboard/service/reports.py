@@ -20,7 +20,7 @@ from onboard.events.source import SourceStatus
 from onboard.events.supervised_thread import ThreadReport
 from onboard.events.types import GpsQuality
 from onboard.pipeline.statistics import Summary
-from onboard.service.vehicle_state import Finding, GpsReport, Overall, VehicleState
+from onboard.service.vehicle_state import Finding, GpsReport
 
 BLACK, WHITE = 2, 253  # grey levels up to which and from which a pixel tells nothing any more
 EVERY = 8  # pixels looked at for the brightness, in both directions
@@ -123,11 +123,6 @@ class Report:
     threads: tuple[ThreadReport, ...] = ()
     recording: RecordingReport = RecordingReport()
     clock: ClockReport = ClockReport()
-
-    @property
-    def overall(self) -> Overall:
-        """The state of the whole, as the status has it."""
-        return Overall(VehicleState(self.status.state), self.status.reason)
 
     def estimate(self, name: str) -> Estimate | None:
         """One of the estimates; None while there is none of that name."""

@@ -227,24 +227,6 @@ def _beside(inputs: Inputs) -> Iterator[Finding]:
             yield Finding(Subject.THREADS, VehicleState.DEGRADED, f"{thread.name}: {thread.state.value}{why}")
 
 
-# What a question for the newest picture is refused with, by state; STARTING where none fits.
-_NO_NEWEST: dict[VehicleState, Status] = {
-    VehicleState.CAMERA_LOST: Status.CAMERA_LOST,
-    VehicleState.CAMERA_FROZEN: Status.CAMERA_LOST,
-    VehicleState.CAMERA_SILENT: Status.CAMERA_LOST,
-    VehicleState.TELEMETRY_LOST: Status.UNSYNCHRONISED,
-} | {state: status for status, (state, _) in _REFUSALS.items() if status is not Status.UNCERTAIN}
-
-
-def newest_refusal(state: Overall) -> tuple[Status, str, bool]:
-    """Why there is no newest picture: a status, the state with its reason, and whether that hides older pictures too.
-
-    It does while the camera is lost: the newest picture of before is not what anybody sees now.
-    """
-    status = _NO_NEWEST.get(state.state, Status.STARTING)
-    return status, str(state), status is Status.CAMERA_LOST
-
-
 def severity(state: VehicleState) -> Severity:
     """How much people should care."""
     if state.is_well or state in (VehicleState.STARTING, VehicleState.TURNING, VehicleState.LOW_PARALLAX):

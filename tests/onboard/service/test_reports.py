@@ -14,7 +14,7 @@ from contract.errors import LinkError
 from onboard.events.source import SourceStatus, State
 from onboard.events.types import GpsQuality
 from onboard.service.reports import BORESIGHT, Brightness, Estimate, PictureCounts, Report, gps_report
-from onboard.service.vehicle_state import Inputs, overall
+from onboard.service.vehicle_state import Inputs
 from tests.onboard.service.reported import WELL, inputs, report_of
 
 
@@ -27,7 +27,6 @@ def test_a_report_is_the_same_there_and_back(said: Inputs) -> None:
     )
     again = Report.from_json(report.to_json())
     assert again == report
-    assert again.overall == overall(said)
 
 
 def test_numbers_that_are_none_survive_and_the_text_is_json_for_all() -> None:

@@ -22,7 +22,6 @@ from onboard.service.vehicle_state import (
     VehicleState,
     is_alive,
     judge,
-    newest_refusal,
     overall,
     severity,
 )
@@ -138,30 +137,6 @@ def test_with_the_camera_lost_all_else_that_is_not_well_is_found_too() -> None:
     assert [finding.subject for finding in judge(said)] == [
         Subject.CAMERA, Subject.GPS, Subject.ANSWERS, Subject.RECORDING,
     ]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("said", "refusal"),
-    [
-        (replace(WELL, camera=LOST), (Status.CAMERA_LOST, "camera lost: unplugged", True)),
-        (replace(WELL, camera=FROZEN), (Status.CAMERA_LOST, "camera frozen: same again", True)),
-        (replace(WELL, picture_age_s=5.0), (Status.CAMERA_LOST, "camera silent: no picture for 5 s", True)),
-        (replace(WELL, telemetry=LOST), (Status.UNSYNCHRONISED, "telemetry lost: unplugged", False)),
-        (replace(WELL, outcome=None), (Status.STARTING, "starting: no picture has come through yet", False)),
-        (replace(WELL, position_fault="no fix", outcome=None), (Status.NO_GPS, "no gps: no fix", False)),
-        (REST, (Status.STARTING, f"at rest: {AT_REST}", False)),
-        (WELL, (Status.STARTING, "ok", False)),
-    ],
-)
-def test_why_there_is_no_newest_picture(said: Inputs, refusal: tuple[Status, str, bool]) -> None:
-    assert newest_refusal(overall(said)) == refusal
-
-
-def test_every_state_has_a_refusal_that_is_none_of_an_answer() -> None:
-    refusals = {state: newest_refusal(Overall(state))[0] for state in VehicleState}
-    assert Status.OK not in refusals.values()
-    assert refusals[VehicleState.POOR_FIT] is Status.POOR_FIT
-    assert refusals[VehicleState.LOW_PARALLAX] is Status.LOW_PARALLAX
 
 
 @given(inputs())
