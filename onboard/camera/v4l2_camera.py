@@ -94,7 +94,7 @@ class V4l2Camera:
                 except _Absent as absent:
                     self._absence = str(absent)
                 except OSError as error:
-                    self._absence = f"{self._name()}: {_words(error)}"
+                    self._absence = f"{self._name()}: {words(error)}"
                 except ConfigError as error:
                     if self._known is None:
                         raise
@@ -188,7 +188,7 @@ class V4l2Camera:
             return path_now, self._open_device(path_now)
         if len(found) > 1:
             raise _Absent(f"{self._name()}: several cameras could be it, none surely")
-        raise _Absent(f"{self._name()}: {_words(why) if why else 'not among the devices'}")
+        raise _Absent(f"{self._name()}: {words(why) if why else 'not among the devices'}")
 
     def _buses_of_others(self, path: str, own: Identity) -> set[str]:
         """Where other cameras are at the first opening, to mistake none of them for ours later."""
@@ -254,5 +254,6 @@ class V4l2Camera:
         }
 
 
-def _words(error: OSError) -> str:
+def words(error: OSError) -> str:
+    """Why a camera cannot be opened, in plain words."""
     return _WORDS.get(error.errno or 0, error.strerror or str(error))
