@@ -15,6 +15,7 @@ ATTITUDES = "pc/{vehicle}/attitude"
 FILTERS = "pc/{vehicle}/filter"
 GIMBALS = "pc/{vehicle}/gimbal"
 RANGES = "pc/{vehicle}/range"
+GAPS = "pc/{vehicle}/gaps"
 # For viewers alone, as schemas that Foxglove knows.
 VIEW_VEHICLE = "pc/{vehicle}/view/vehicle"
 VIEW_CAMERA = "pc/{vehicle}/view/camera"

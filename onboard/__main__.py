@@ -1,8 +1,8 @@
 """`pc-onboard`: the aircraft's commands. Only arguments, exit codes and wiring.
 
 Exit codes: 0 done, 2 wrong usage or unusable input (one line on stderr), 3 the daemon that was asked is not running,
-1 `doctor` or `check-config --fly` found something, or the daemon failed and should be started anew, 130 interrupted (what
-was done is kept), 141 whoever reads our output (`head`, say) went away before there was a verdict.
+1 `doctor` or `check-config --fly` found something, or the daemon failed and should be started anew, 130 interrupted
+(what was done is kept), 141 whoever reads our output (`head`, say) went away before there was a verdict.
 """
 
 from __future__ import annotations

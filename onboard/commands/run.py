@@ -8,7 +8,6 @@ import logging
 import os
 import sys
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from datetime import UTC, datetime
 from functools import partial
@@ -34,6 +33,7 @@ from onboard.service.prometheus import PrometheusServer
 from onboard.service.reports import Report
 from onboard.service.sd_notify import Notifier
 from onboard.service.session import Parts, Reporter, restore
+from onboard.service.solver_thread import SolverThread
 from onboard.storage.alignment_file import StateFile
 from onboard.storage.elevation_files import TerrainFiles
 from onboard.storage.rotating_recorder import Recorded
@@ -52,8 +52,11 @@ def run(arguments: argparse.Namespace) -> int:
             code = Daemon(partial(load_config_files, arguments.config), open_parts, orders, Notifier()).run()
         except PointclickError as error:
             log.error("%s", " ".join(str(error).split()))
-            # 2: an operator must mend it. A link that cannot be opened now may be free in a second.
+            # 2: it never began, and an operator must mend why. A link that cannot be opened now may be soon.
             code = 2 if isinstance(error, ConfigError | InputError) else 1
+        except Exception:
+            log.exception("the daemon failed")
+            code = 1
     if code:
         # A thread may hang where the interpreter would wait for it for ever.
         logging.shutdown()
@@ -75,9 +78,9 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
     terrain = None if config.terrain.path is None else TerrainFiles(config.terrain.path, config.terrain.datum)
     clock = clock or SessionClock.start()
     with ExitStack() as opened:
-        executor = ThreadPoolExecutor(1, thread_name_prefix="solve")
-        opened.callback(executor.shutdown, wait=False, cancel_futures=True)
-        pipeline = Pipeline(config, camera, terrain, executor)
+        solver = SolverThread()
+        opened.callback(solver.close)
+        pipeline = Pipeline(config, camera, terrain, solver)
         state = StateFile(folder / "alignment.json")
         complaint = restore(state, pipeline)
         if complaint:
@@ -85,15 +88,18 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
         link = Publisher.open(config)
         opened.callback(link.close)
         sinks: list[Sink] = [link]
+        threads = [solver.thread, link.thread]
         reporters: list[Reporter] = [partial(_send, link)]
         recording = None
         if config.recording.enabled:
             where = Path(config.recording.folder) if config.recording.folder else folder / "recordings"
             recording = Recorded(where, config, camera, clock, to_toml(config), "" if complaint else state.text())
             sinks.append(recording)
+            threads.append(recording.thread)
             reporters.append(partial(_record, recording))
         if config.service.prometheus is not None:
             server = opened.enter_context(PrometheusServer(config.service.prometheus, config.vehicle.id))
+            threads.append(server.thread)
             reporters.append(server.show)
         parts = Parts(
             clock=clock,
@@ -106,6 +112,7 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
             state=state,
             temperature_c=cpu_temperature_c,
             resources=opened.pop_all(),
+            threads=threads,
         )
     began = datetime.fromtimestamp(clock.now_ns() / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S")
     log.info("session of %s begins, %s UTC by the host's clock", config.vehicle.id, began)

@@ -1,4 +1,4 @@
-"""One kind of thread for all that run beside each other on the aircraft: it has a name, it is heard from, it has a policy.
+"""One kind of thread for all that run beside each other on the aircraft: with a name, a heartbeat and a policy.
 
 It stands below sources, sinks and the service, because each of them has threads. The ground has one thread and may not
 import the aircraft's code: it watches that one itself.

@@ -25,6 +25,7 @@ from contract.history import History
 from contract.link_config import Tls, link_config
 from contract.topics import DEFAULT_ENDPOINT, DETAIL_PARAMETER, FEATURES, FRAME_PARAMETER, STATUS, TIME_PARAMETER
 from onboard.config.schema import Config
+from onboard.events.supervised_thread import Policy, SupervisedThread
 from onboard.events.types import Event
 from onboard.link.byte_budget import CONNECT_BYTES, SECURE_CONNECT_BYTES, Budget, Kind
 from onboard.link.packet import one_packet
@@ -35,6 +36,7 @@ MAX_WAITING_QUERIES = 16
 QUERY_PATIENCE_S = 2.8  # the ground waits 3 s; an answer after that is a waste
 IDLE_S = 0.25
 HELD_S = 0.05
+WARN_AGAIN_S = 10.0
 # Unacknowledged bytes, in seconds of the bit rate and at least so many, above which nothing more is sent: more than a
 # slow radio has under way, and less than a second of its time.
 BACKLOG_S, BACKLOG_BYTES = 1.0, 3000
@@ -99,6 +101,7 @@ class Publisher:
         self._status_waits = False
         self._is_closed = self._has_news = False
         self.sent = 0  # sets put on the link, without those asked for
+        self._warned_s = -math.inf
         self._changed = threading.Condition()
         names = {*allowed, vehicle} if allowed else ()  # the aircraft's own programs may ask it too
         config = link_config(
@@ -129,8 +132,8 @@ class Publisher:
         # The variables keep the queryables declared.
         self._queryable = self._session.declare_queryable(self._key, self._asked)
         self._status_queryable = self._session.declare_queryable(self._status_key, self._asked_for_status)
-        self._thread = threading.Thread(target=self._run, name="link", daemon=True)
-        self._thread.start()
+        self.thread = SupervisedThread("link", self._run, Policy.RESTART)
+        self.thread.start()
 
     @classmethod
     def open(cls, config: Config) -> Self:
@@ -180,10 +183,11 @@ class Publisher:
 
     def close(self) -> None:
         """Leave the link; what has not been sent is not."""
+        self.thread.end()
         with self._changed:
             self._is_closed = True
             self._wake()
-        self._thread.join(5.0)
+        self.thread.join(5.0)
         self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Self:
@@ -196,12 +200,10 @@ class Publisher:
         self._has_news = True
         self._changed.notify()
 
-    def _run(self) -> None:
+    def _run(self, thread: SupervisedThread) -> None:
         """The link's thread. Its locks are never held while zenoh is at work: it calls back from threads of its own."""
-        while True:
+        while not thread.is_set():
             with self._changed:
-                if self._is_closed:
-                    return
                 self._has_news = False
             wait_s = self._send_one()
             with self._changed:
@@ -212,7 +214,7 @@ class Publisher:
         """Send at most one message; seconds until the next may go."""
         info = self._session.info
         grounds = len(info.transports())
-        if self._backlog.unacknowledged(link.dst for link in info.links()) > self._most_backlog:
+        if self._unacknowledged(info) > self._most_backlog:
             return HELD_S
         now_s = time.monotonic()
         with self._changed:
@@ -244,9 +246,23 @@ class Publisher:
             elif offer is not None:
                 self._publisher.put(offer.item)
                 self.sent += 1
-        except zenoh.ZError as error:  # a link that breaks while it is used mends itself; the next message will do
-            log.warning("link: %s", str(error).split(" at ", maxsplit=1)[0])
+        except (zenoh.ZError, OSError) as error:  # a link that breaks in use mends itself; the next message will do
+            self._warn(str(error).split(" at ", maxsplit=1)[0])
         return 0.0
+
+    def _unacknowledged(self, info: zenoh.SessionInfo) -> int:
+        """Bytes under way; 0 where it cannot be known, as where no descriptor is left to look with."""
+        try:
+            return self._backlog.unacknowledged(link.dst for link in info.links())
+        except OSError as error:
+            self._warn(f"what is under way cannot be known: {error.strerror or error}")
+            return 0
+
+    def _warn(self, text: str) -> None:
+        now_s = time.monotonic()
+        if now_s - self._warned_s >= WARN_AGAIN_S:
+            self._warned_s = now_s
+            log.warning("link: %s", text)
 
     def _wait_s(self, now_s: float, status: bytes | None, query: _Waiting | None, offer: Offer[bytes] | None) -> float:
         waits = [self._selection.wait_s(now_s) or IDLE_S, IDLE_S]

@@ -8,5 +8,6 @@ Public:
 - `prometheus`: `PrometheusServer`, `exposition`
 - `sd_notify`: `Notifier`
 - `session`: `Detail`, `Parts`, `Reporter`, `brightness`, `reported`, `restore`
+- `solver_thread`: `SolverThread`
 - `supervision`: `Supervisor`, `ThreadReport`, `ThreadState`
 """

@@ -147,6 +147,7 @@ def _pictures(one: _Labelled, report: Report) -> Iterator[Metric]:
     pictures, brightness = report.pictures, report.brightness
     yield one.counter("handled_pictures", "pictures that came through the pipeline", pictures.handled)
     yield one.counter("keyframes", "pictures that became keyframes", pictures.keyframes)
+    yield one.counter("unencodable_sets", "sets that had no encoding and were left out", pictures.unencodable)
     # A picture counts by its latest revision: these two can go down.
     yield one.gauge("solved_pictures", "pictures that can be clicked", "", pictures.solved)
     yield one.gauges("refused_pictures", "pictures that cannot be clicked", "", "reason", pictures.refused)

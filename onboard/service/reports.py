@@ -50,12 +50,13 @@ class PictureCounts:
     solved: int = 0
     refused: Mapping[str, int] = field(default_factory=dict)
     reprojection_px: float = 0.0
+    unencodable: int = 0  # sets that had no encoding and were left out
 
     @classmethod
-    def of(cls, summary: Summary) -> PictureCounts:
+    def of(cls, summary: Summary, unencodable: int) -> PictureCounts:
         """From the pipeline's statistics."""
         s = summary
-        return cls(s.frames, s.keyframes, s.solved, dict(s.refused), s.reprojection_px)
+        return cls(s.frames, s.keyframes, s.solved, dict(s.refused), s.reprojection_px, unencodable)
 
 
 @dataclass(frozen=True)

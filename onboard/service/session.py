@@ -6,14 +6,17 @@ and the sinks' events and sets, in one order, so that a recording replays to the
 
 from __future__ import annotations
 
+import logging
+import struct
 import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 from contract.errors import InputError
+from contract.feature_set import FeatureSet
 from contract.vehicle_status import VehicleStatus
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
@@ -39,9 +42,15 @@ from onboard.service.vehicle_state import STUCK_S, Inputs, judge, overall
 from onboard.storage.alignment_file import StateFile
 
 IDLE_S = 0.2  # the pipeline's thread looks up this often when nothing comes
+KEEP_LATE_S = 10.0
 SOURCE_LATE_S = 10.0  # a source asks each second whether to end; opening a device may take it some seconds
 SNAPSHOT_NS = 1_000_000_000
+KEEP_S = 30.0  # between writes of what was learned
+REPEAT_NS = 60_000_000_000  # between lines of the log about the same thing
+# What encoding a set raises if a number in it has no place on the wire.
+UNENCODABLE = (ValueError, ArithmeticError, struct.error)
 
+log = logging.getLogger("pointclick")
 Reporter = Callable[[Report], None]
 
 
@@ -86,7 +95,13 @@ class Session:
         self._pipeline = SupervisedThread(
             "pipeline", self._run_pipeline, Policy.END, late_after_s=STUCK_S, stop=self._stop
         )
-        self.supervisor = Supervisor(lambda: (*self._sources, self._pipeline, *parts.threads))
+        self._may_not_learn = threading.Event()  # set when nothing more comes to be learned
+        self._keeper = SupervisedThread(
+            "alignment file", self._keep, Policy.RESTART, late_after_s=KEEP_LATE_S, stop=self._may_not_learn
+        )
+        self.supervisor = Supervisor(lambda: (*self._sources, self._pipeline, self._keeper, *parts.threads))
+        self.unencodable = 0  # sets that a sink could not encode, and that were left out
+        self._unencodable_ns: int | None = None
         self._began_ns = self.clock.now_ns()
         self._busy_since_ns: int | None = None
         self._snapshot_at_ns = self._looked_ns = 0
@@ -94,42 +109,75 @@ class Session:
         self._tracks = 0
         self._gps: GpsQuality | None = None
         self._brightness: Brightness | None = None
-        self._last_learned: str | None = None
-        self._learned: str | None = None  # not yet in the state file
+        self._learned: str | None = None  # the newest; written by the pipeline's thread
+        self._kept: str | None = None  # what the state file holds of it
 
     def start(self) -> None:
         """Enter the sinks and let everything run."""
         for sink in self.parts.sinks:
             self.parts.resources.enter_context(sink)
-        for worker in (self._pipeline, *self._sources):
-            worker.start()
+        for thread in (self._keeper, self._pipeline, *self._sources):
+            thread.start()
 
     def threads(self) -> tuple[ThreadReport, ...]:
         """How each thread of the session is: camera, telemetry, pipeline, and those of the parts."""
         return self.supervisor.reports()
 
     def finish(self, within_s: float) -> bool:
-        """Stop the sources, let the pipeline come to its end, close everything; whether all that was done in time.
+        """Stop the sources, let the pipeline come to its end, keep what was learned, close everything.
 
-        A thread that does not end is left behind with what it uses: the process has to end then.
+        Whether all that was done, and in time; what was not is in the log. A thread that does not end is left behind
+        with what it uses: the process has to end then. A session that never started, or only in part, is closed too.
         """
         deadline = time.monotonic() + within_s
+        reported = self.supervisor.failure or ()  # by the daemon, already
         self._stop.set()
-        for worker in self._sources:
-            worker.join(max(deadline - time.monotonic() - 0.5 * within_s, 0.0))
+        for source in self._sources:
+            source.join(max(deadline - time.monotonic() - 0.5 * within_s, 0.0))
         self.intake.close()
         self._pipeline.join(max(deadline - time.monotonic(), 0.0))
+        # Before anything that may fail is closed: it is small, and flights were needed to learn it.
+        self._may_not_learn.set()
+        self._keeper.join(max(deadline - time.monotonic(), 0.5))
+        left = [t.name for t in (*self._sources, self._pipeline, self._keeper) if t.is_alive()]
+        if left:
+            log.error("%s did not end within %.0f s: left behind", ", ".join(left), within_s)
         if self._pipeline.is_alive():
             return False
-        self.parts.resources.close()
-        self.keep_learned()
-        return not any(worker.is_alive() for worker in self._sources)
+        failed = self._pipeline.error
+        if failed is not None and failed not in reported:
+            log.error("the pipeline failed as it ended", exc_info=failed)
+        return self._close() and failed is None and not left
 
-    def keep_learned(self) -> None:
-        """Write what was learned since the last time. Raises InputError if it cannot be written."""
-        learned, self._learned = self._learned, None
-        if learned is not None and self.parts.state is not None:
+    def _close(self) -> bool:
+        try:
+            self.parts.resources.close()
+        except InputError as error:
+            log.error("%s", error)
+        except Exception:  # closing goes on past it; it may not cost the exit code or what the daemon does next
+            log.exception("something could not be closed")
+        else:
+            return True
+        return False
+
+    def _keep(self, thread: SupervisedThread) -> None:
+        """Write what was learned now and then, and at the end. In a thread of its own: a disk may hang."""
+        while not thread.wait(KEEP_S):
+            self.keep_learned()
+        self.keep_learned()
+
+    def keep_learned(self) -> bool:
+        """Write what was learned since the last time; if that fails, say so, and it is tried again the next time."""
+        learned = self._learned
+        if learned is None or learned == self._kept or self.parts.state is None:
+            return True
+        try:
             self.parts.state.write(learned)
+        except InputError as error:
+            log.warning("%s", error)
+            return False
+        self._kept = learned
+        return True
 
     def inputs(self) -> Inputs:
         """What the state is judged by."""
@@ -174,7 +222,7 @@ class Session:
             judge(inputs),
             self._brightness,
             inputs.gps,
-            PictureCounts.of(summary),
+            PictureCounts.of(summary, self.unencodable),
             estimates(summary),
             inputs.threads,
             RecordingReport(is_recording, inputs.recording_fault),
@@ -213,11 +261,24 @@ class Session:
         self._take_snapshot(None)
         self._busy_since_ns = None
 
-    def _hand_out(self, outputs: Sequence[Any]) -> None:
+    def _hand_out(self, outputs: Sequence[FeatureSet]) -> None:
         for output in outputs:
-            for sink in self.parts.sinks:
-                sink.feature_set(output)
-            self.recent.set_made(output, self.clock.now_ns())
+            taken = [self._hand_over(output, sink) for sink in self.parts.sinks]
+            if all(taken):
+                self.recent.set_made(output, self.clock.now_ns())
+
+    def _hand_over(self, output: FeatureSet, sink: Sink) -> bool:
+        """Whether the sink took it. A set without an encoding is no reason to end the flight: it is left out."""
+        try:
+            sink.feature_set(output)
+        except UNENCODABLE as error:
+            self.unencodable += 1
+            now_ns = self.clock.now_ns()
+            if self._unencodable_ns is None or now_ns - self._unencodable_ns >= REPEAT_NS:
+                self._unencodable_ns = now_ns
+                log.exception("the set of frame %d is left out (%d so far): %s", output.frame, self.unencodable, error)
+            return False
+        return True
 
     def _take_snapshot(self, event: Event | None) -> None:
         """Once a second, what other threads may see of the pipeline; and how bright its newest picture is."""
@@ -231,9 +292,7 @@ class Session:
         self._tracks = 0 if pipeline.tracks is None else len(pipeline.tracks)
         alignment = pipeline.window.alignment
         if alignment.updates:
-            learned = alignment.to_json()
-            if learned != self._last_learned:
-                self._last_learned = self._learned = learned
+            self._learned = alignment.to_json()
 
 
 def restore(state: StateFile, pipeline: Pipeline) -> str:

@@ -1,4 +1,4 @@
-"""All threads of a session seen together: how each is, whether one has failed or hangs, whether the watchdog may be fed.
+"""All threads of a session seen together: how each is, whether one failed or hangs, whether the watchdog may be fed.
 
 The type itself is `onboard.events.supervised_thread`: sinks have threads too, and may not import the service.
 """

@@ -6,6 +6,7 @@ Every part of the session in order, each up to where it ends or was cut off.
 from __future__ import annotations
 
 import base64
+import functools
 import io
 import json
 import struct
@@ -27,6 +28,7 @@ from contract.errors import InputError
 from contract.topics import FEATURES
 from onboard.events.types import Event
 from onboard.storage.event_json import NAV_EVENTS, frame_event, nav_event
+from onboard.storage.recording_queue import Gap
 
 _UNREADABLE = (McapError, struct.error, EOFError, UnicodeDecodeError, ValueError, OverflowError, MemoryError)
 # What a damaged message or a damaged picture's head raises (binascii's error is a ValueError).
@@ -73,6 +75,7 @@ class RecordedFlight:
     formats: Counter[str] = field(default_factory=Counter)  # in which they were recorded
     counts: Counter[str] = field(default_factory=Counter)  # records by channel, the vehicle's name left out
     gaps: list[Path] = field(default_factory=list)  # parts before which something is missing
+    dropped: dict[Path, list[Gap]] = field(default_factory=dict)  # what the recorder says that it left out
 
     @classmethod
     def open(cls, paths: Sequence[Path]) -> RecordedFlight:
@@ -100,6 +103,7 @@ class RecordedFlight:
     def caveats(self) -> list[str]:
         """Why a replay may not give the same bytes; none if it does."""
         found = [f"events are missing before {path.name}" for path in self.gaps]
+        found += [f"{path.name} lacks {_in_words(gaps)}" for path, gaps in self.dropped.items()]
         if self.formats["jpeg"]:
             found.append(f"{self.formats['jpeg']} pictures are JPEG, not as the pipeline saw them")
         if self.formats["none"]:
@@ -143,6 +147,7 @@ def _kind(topic: str, vehicle: str) -> str:
 
 def _look_through(path: Path, flight: RecordedFlight | None) -> RecordedFlight | None:
     """Add a part to what is known of its session; None while that is nothing."""
+    has_begun = False
     for record in _records(path):
         if isinstance(record, Metadata) and record.name == names.METADATA_NAME:
             said = record.metadata
@@ -150,14 +155,17 @@ def _look_through(path: Path, flight: RecordedFlight | None) -> RecordedFlight |
                 flight = _begin(path, said)
             elif said.get("vehicle") != flight.vehicle:
                 raise InputError(f"recording {path}: of vehicle {said.get('vehicle')!r}, not {flight.vehicle!r}")
-            if said.get("complete") == "no":
+            if said.get("complete") == "no" and not has_begun:
                 flight.gaps.append(path)
+            has_begun = True  # further metadata of a part repeat it after a gap, which has a record of its own
         elif isinstance(record, tuple):
             channel, message = record
             if flight is None:
                 raise InputError(f"recording {path}: says nothing of its camera and configuration")
             kind = _kind(channel.topic, flight.vehicle)
             flight.counts[kind.removeprefix("pc/{vehicle}/")] += 1
+            if kind == names.GAPS:
+                flight.dropped.setdefault(path, []).append(Gap.from_json(message.data))
             if kind == names.FRAMES:
                 try:
                     frame, as_recorded = frame_event(message.data, None)
@@ -166,6 +174,12 @@ def _look_through(path: Path, flight: RecordedFlight | None) -> RecordedFlight |
                 flight.stamps_ns.append(frame.stamp_ns)
                 flight.formats[as_recorded] += 1
     return flight
+
+
+def _in_words(gaps: list[Gap]) -> str:
+    whole = functools.reduce(Gap.and_then, gaps)
+    places = "in one place" if len(gaps) == 1 else f"in {len(gaps)} places"
+    return f"{str(whole) or 'records'}, {places}: {whole.reason}"
 
 
 def _begin(path: Path, said: dict[str, str]) -> RecordedFlight:
