@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from onboard.camera.pixel_formats import Grey, to_grey
+from onboard.camera.stamp_consistency import StampConsistency
 from onboard.camera.v4l2_device import Buffer, Granted
 from onboard.events.session_clock import SessionClock
 from onboard.events.types import Frame
@@ -49,6 +50,7 @@ class Pictures:
         self.counts = Counts()
         self._clock, self._size_px, self._rate_hz = clock, size_px, rate_hz
         self._latency_ns = round(latency_s * 1e9)
+        self._consistency = StampConsistency()  # over restarts: the same camera
         self._last_stamp_ns: int | None = None  # over restarts: stamps never run backwards
         self._begin()
 
@@ -85,7 +87,8 @@ class Pictures:
         image = None if buffer.flags & FLAG_ERROR else to_grey(
             format_.fourcc, buffer.data, self._size_px, format_.bytes_per_line
         )  # fmt: skip
-        frame = Frame(stamp_ns, self.counts.pictures, self._fresh(image, now_ns))
+        sigma_s = self._consistency.sigma_s(now_ns, now_ns - monotonic_ns)
+        frame = Frame(stamp_ns, self.counts.pictures, self._fresh(image, now_ns), stamp_sigma_s=sigma_s)
         self.counts.pictures += 1
         return frame
 

@@ -44,6 +44,13 @@ class Belief:
         """One sigma of each state."""
         return np.sqrt(np.diag(self.covariance))
 
+    def widened(self, stamp_sigma_s: float) -> Belief:
+        """The same belief about pictures whose stamps err by one more sigma, all alike."""
+        if stamp_sigma_s == 0.0:
+            return self
+        wider = np.diag([0.0] * 3 + [stamp_sigma_s**2])
+        return Belief(self.end_ns, self.mean, self.covariance + wider, self.given)
+
     def aged(self, stamp_ns: int) -> Belief:
         """The same belief some time later."""
         minutes = max(stamp_ns - self.end_ns, 0) / 60e9 if self.end_ns else 0.0

@@ -70,7 +70,7 @@ class Window:
         R_cam_enu = self.attitude_guess(nav)
         if R_cam_enu is None:
             return None
-        return make_sensor_pose(self.config, nav, self.alignment.belief, R_cam_enu)
+        return make_sensor_pose(self.config, nav, self.alignment.belief.widened(nav.stamp_sigma_s), R_cam_enu)
 
     def position_guess(self, nav: NavState) -> Array:
         """The camera's centre by GPS, shifted as the newest solved keyframe was shifted by its solution."""
@@ -123,7 +123,7 @@ class Window:
             tuple(self.keyframes),
             self.solved,
             self.terrain,
-            self.alignment.prior_for(start_ns),
+            self.alignment.prior_for(start_ns).widened(max((k.nav.stamp_sigma_s for k in self.keyframes), default=0.0)),
             self.noise,
         )
 
@@ -147,8 +147,8 @@ class Window:
     def learn(self, solved: Solved) -> None:
         """Offer a solved window's boresight and time offset as a lesson."""
         s, layout = solved.solution, solved.layout
-        if self.keyframes[0].nav.R_enu_body is None:
-            return
+        if self.keyframes[0].nav.R_enu_body is None or any(k.nav.stamp_sigma_s for k in self.keyframes):
+            return  # what stamps are off by for a while is no property of the platform
         shared = slice(layout.boresight.start, layout.boresight.start + SHARED)
         mean = np.append(s.state.boresight_rad, s.state.offset_s)
         start, end = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns

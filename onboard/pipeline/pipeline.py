@@ -31,7 +31,7 @@ from onboard.georeferencing.feature_sets import Origin, georeference
 from onboard.georeferencing.known_ground import over_known_ground
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.frozen_frames import Staleness, Stillness
-from onboard.pipeline.motion_prediction import ground_so_far, predict_motion
+from onboard.pipeline.motion_prediction import are_comparable, ground_so_far, predict_motion
 from onboard.pipeline.mount_selection import MountSelection
 from onboard.pipeline.statistics import RunStatistics, Summary
 from onboard.vision.klt_tracker import MIN_TRACKS, Tracker, Tracks
@@ -53,7 +53,6 @@ TERRAIN_RADIUS_M = 3000.0
 TERRAIN_SPACING_M = 20.0
 PLACED_AN_EVENT = 2  # a solve releases as many pictures as lie between two keyframes: all at once would hold up
 ADOPTION_NS = 250_000_000  # of data after a keyframe is taken up, until which its solve need not be done
-MAX_OUTAGE_NS = 3_000_000_000  # without navigation, after which old keyframes are of no use
 
 
 class TerrainSource(Protocol):
@@ -119,7 +118,8 @@ class Pipeline:
         self._staleness, self._stillness = Staleness(), Stillness(camera.width_px)
         self._misses = self._failures = 0
         self._unsolved = Status.STARTING  # why there is no solution yet: POOR_FIT once windows were refused for it
-        self._last_nav_ns: int | None = None
+        self._last_nav: NavState | None = None
+        self._frame: LocalFrame | None = None  # the navigation frame that the window's states are in
         self._statistics = RunStatistics()
 
     def handle(self, event: Event) -> list[FeatureSet]:
@@ -136,7 +136,7 @@ class Pipeline:
         while self._waiting:
             frame = self._waiting[0]
             # The moment that counts is the autopilot's: extrapolating to it would bend what is learned of the offset.
-            moment_ns = frame.stamp_ns + round(self.window.alignment.belief.mean[3] * 1e9)
+            moment_ns = frame.stamp_ns + round(self._offset_s * 1e9)
             if not self.navigation.covers(moment_ns) and self._now_ns - frame.stamp_ns < MAX_WAIT_NS:
                 break
             out.extend(self._process(self._waiting.popleft()))
@@ -170,12 +170,14 @@ class Pipeline:
             out.extend(self._restart())
             self.navigation.mount_hypothesis = mount_hypothesis
         with self._statistics.timed("navigation"):
-            nav = self.navigation.state_at(frame.stamp_ns, self.window.alignment.belief.mean[3])
-        if isinstance(nav, Status) or self._staleness.is_stale(frame.image, nav):
+            nav = self._state_at(frame.stamp_ns, frame.stamp_sigma_s)
+        if isinstance(nav, Status) or self._staleness.is_stale(frame.image, nav, self._state_at):
             return [*out, self._refuse(frame, nav if isinstance(nav, Status) else Status.BAD_PICTURE)]
-        if self._last_nav_ns is not None and frame.stamp_ns - self._last_nav_ns > MAX_OUTAGE_NS:
+        if self._last_nav is not None and not are_comparable(self._last_nav, nav):
             out.extend(self._restart())
-        self._last_nav_ns = frame.stamp_ns
+        if self._frame is not self.navigation.frame:
+            self._frame, self.window.terrain = self.navigation.frame, None
+        self._last_nav = nav
         self._know_terrain(nav)
         with self._statistics.timed("tracking"):
             tracks = self._track(frame, nav)
@@ -200,9 +202,17 @@ class Pipeline:
         self._records.append(record)
         return [*out, *self._place([record])]
 
+    @property
+    def _offset_s(self) -> float:
+        """Camera-to-autopilot time offset as it is known now."""
+        return float(self.window.alignment.belief.mean[3])
+
+    def _state_at(self, stamp_ns: int, stamp_sigma_s: float = 0.0) -> NavState | Status:
+        return self.navigation.state_at(stamp_ns, self._offset_s, stamp_sigma_s)
+
     def _know_terrain(self, nav: NavState) -> None:
         """Keep the terrain around the aircraft at hand, cut anew when it nears the edge of what is held."""
-        frame, held = self.navigation.frame, self.window.terrain
+        frame, held = self._frame, self.window.terrain
         if self.terrain is None or frame is None:
             return
         if held is None or not held.covers(nav.position_enu_m[:2], TERRAIN_RADIUS_M / 3.0):
@@ -215,7 +225,7 @@ class Pipeline:
         """Features found again; None if there was nothing to look for, a status if the picture is not to be used."""
         assert frame.image is not None
         # While it is open what carries the camera, the pictures must be heard without its prejudice.
-        predicted = None if self.mount_selection.is_open(nav) else predict_motion(self.window, nav)
+        predicted = None if self.mount_selection.is_open(nav) else self._predict(nav)
         tracks = self.tracker.track(frame.image, predicted)
         if not self.tracker.has_keyframe:
             return None
@@ -230,8 +240,16 @@ class Pipeline:
                 return self.tracker.nothing()
         return tracks
 
+    def _predict(self, nav: NavState) -> Array | None:
+        """Motion since the newest keyframe, both moments looked up with one and the same time offset."""
+        if not self.window.keyframes:
+            return None
+        last = self.window.keyframes[-1]
+        was = last.nav if last.nav_offset_s == self._offset_s else self._state_at(last.nav.stamp_ns)
+        return predict_motion(self.window, last.nav if isinstance(was, Status) else was, nav)
+
     def _is_turning(self, frame: Frame) -> bool:
-        rate = self.navigation.body_rate_at(frame.stamp_ns)
+        rate = self.navigation.body_rate_at(frame.stamp_ns + round(self._offset_s * 1e9))
         return rate is not None and float(np.linalg.norm(rate)) > TURNING_RAD_S
 
     def _wants_keyframe(self, tracks: Tracks) -> bool:
@@ -252,7 +270,7 @@ class Pipeline:
             ids, uv = self.tracker.promote(tracks)
         self._stillness.begin(ids, uv, frame.stamp_ns)
         seen = observation(self.camera, ids, uv)
-        offset_s = self.window.alignment.belief.mean[3]
+        offset_s = self._offset_s
         offset_ns = round(offset_s * 1e9)
         flown = None
         if self.window.keyframes:
@@ -360,7 +378,7 @@ class Pipeline:
         return out
 
     def _feature_set(self, record: _Record) -> FeatureSet | Status:
-        frame = self.navigation.frame
+        frame = self._frame
         if frame is None or self._session is None:
             return Status.STARTING
         origin = Origin(
