@@ -37,6 +37,7 @@ from onboard.service.reports import (
     estimates,
     gps_report,
 )
+from onboard.service.standstill import Standstill
 from onboard.service.supervision import Supervisor
 from onboard.service.vehicle_state import STUCK_S, Inputs, judge, overall
 from onboard.storage.alignment_file import StateFile
@@ -108,6 +109,7 @@ class Session:
         self._summary = Summary()
         self._tracks = 0
         self._gps: GpsQuality | None = None
+        self._standstill = Standstill(config.gps)
         self._brightness: Brightness | None = None
         self._learned: str | None = None  # the newest; written by the pipeline's thread
         self._kept: str | None = None  # what the state file holds of it
@@ -191,6 +193,8 @@ class Session:
             is_shedding=self.intake.dropped_within(2.0),
             recording_fault=self.parts.recording.fault if self.parts.recording is not None else "",
             gps=gps_report(self._gps, now_ns),
+            position_fault=self.parts.pipeline.navigation.reason,
+            is_at_rest=self._standstill.is_at_rest,
             threads=self.threads(),
         )
 
@@ -251,6 +255,7 @@ class Session:
                 for sink in sinks:
                     sink.event(arrival_ns, event)
                 self._hand_out(pipeline.handle(event))
+                self._standstill.note(event)
                 if isinstance(event, GpsQuality):
                     self._gps = event
                 self._busy_since_ns = None

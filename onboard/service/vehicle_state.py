@@ -132,6 +132,12 @@ _REFUSALS: dict[Status, tuple[VehicleState, str]] = {
 }
 # What pictures come to on the ground, where the camera may look at grass from a hand's breadth: no fault before flight.
 _OF_REST = (Status.STARTING, Status.LOW_PARALLAX, Status.FEATURELESS)
+# What a position that is not believed makes of the state, by what the newest pictures came to; else there is no GPS.
+_OF_POSITION: dict[Status | None, VehicleState] = {
+    Status.OK: VehicleState.DEGRADED,
+    Status.STARTING: VehicleState.STARTING,
+    None: VehicleState.STARTING,
+}
 AT_REST = "standing still with a good position; answers begin in flight"
 
 
@@ -195,13 +201,12 @@ def _stopped(inputs: Inputs) -> Iterator[Finding]:
 
 
 def _position(inputs: Inputs) -> Iterator[Finding]:
-    """Receiver and navigation. Before the first picture there is no more than `starting` to be said of either."""
+    """What receiver and navigation say of the position."""
     yield from gps_findings(inputs.gps)
     if inputs.position_fault:
-        # Answers that flow all the same carry the doubt in their radius.
-        flows = inputs.outcome is Status.OK
-        state = VehicleState.DEGRADED if flows else VehicleState.NO_GPS
-        yield Finding(Subject.POSITION, state, f"position: {inputs.position_fault}" if flows else inputs.position_fault)
+        # Answers that flow all the same carry the doubt in their radius; before the first one may still be waited for.
+        state = _OF_POSITION.get(inputs.outcome, VehicleState.NO_GPS)
+        yield Finding(Subject.POSITION, state, f"position: {inputs.position_fault}")
     if inputs.outcome in (Status.NO_GPS, Status.UNSYNCHRONISED) and not inputs.position_fault:
         yield Finding(Subject.POSITION, *_REFUSALS[inputs.outcome])
 
