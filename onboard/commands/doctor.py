@@ -83,10 +83,10 @@ def _surroundings(config: Config, camera: Camera | str, is_running: bool) -> Sur
             link = str(error)
     try:
         folder = state_folder(config, dict(os.environ))
-        room = free_mb(folder)
+        free = free_mb(folder)
     except PointclickError:
-        room = None
-    return Surroundings(camera, link, room, cpu_temperature_c(), is_running)
+        free = None
+    return Surroundings(camera, link, free, cpu_temperature_c(), is_running)
 
 
 class Look:

@@ -183,7 +183,7 @@ def _disk(config: Config, free_mb: float | None) -> Line:
     if not config.recording.enabled:
         return Line("disk", True, "recording is off")
     if free_mb is None:
-        return Line("disk", False, "room unknown")
+        return Line("disk", False, "free space unknown")
     return Line(
         "disk",
         free_mb > config.recording.keep_free_mb,
