@@ -23,7 +23,6 @@ TICK_S = 0.2
 RETRY_S = 0.25
 FIRST_PICTURE_S = 5.0
 """Some cameras take seconds to their first picture."""
-MUTE = "{}: opens but sends no picture"
 PERIODS = 3.0
 """At low rates so many periods without a picture, if that is more than `lost_after_s`, count as lost."""
 STARVED_S = 0.05
@@ -77,7 +76,6 @@ class V4l2Camera:
         self._others: set[str] = set()  # bus places of other cameras: not ours, however alike
         self._stream: _Stream | None = None
         self._absence = "not opened yet"
-        self._is_mute = False  # the last time it was opened it sent no picture
         self._begun_ns = self._last_ns = now_ns()
         self._has_begun = False
         self._delay_ms = 0.0
@@ -94,7 +92,7 @@ class V4l2Camera:
                 except _Absent as absent:
                     self._absence = str(absent)
                 except OSError as error:
-                    self._absence = f"{self._name()}: {words(error)}"
+                    self._absence = f"{self._name()}: {_words(error)}"
                 except ConfigError as error:
                     if self._known is None:
                         raise
@@ -113,16 +111,13 @@ class V4l2Camera:
             silent_s = (now_ns - self._last_ns) / 1e9
             if silent_s <= (self._patience_s() if stream.has_picture else FIRST_PICTURE_S):
                 return True
-            self._is_mute = not stream.has_picture
-            self._absence = (
-                MUTE.format(stream.path) if self._is_mute else f"{stream.path}: no picture for {silent_s:.1f} s"
-            )
+            self._absence = f"{stream.path}: no picture for {silent_s:.1f} s"
             return False
         was_starved = now_ns - asked_ns > (TICK_S + STARVED_S) * 1e9
         if not stream.has_picture:
             # Some drivers set their controls anew when the stream begins.
             stream.complaints += stream.lock.check()
-            stream.has_picture, self._is_mute = True, False
+            stream.has_picture = True
         self._last_ns = now_ns
         frame = self._pictures.take(buffer, stream.format, now_ns, was_starved)
         if frame is not None:
@@ -188,7 +183,7 @@ class V4l2Camera:
             return path_now, self._open_device(path_now)
         if len(found) > 1:
             raise _Absent(f"{self._name()}: several cameras could be it, none surely")
-        raise _Absent(f"{self._name()}: {words(why) if why else 'not among the devices'}")
+        raise _Absent(f"{self._name()}: {_words(why) if why else 'not among the devices'}")
 
     def _buses_of_others(self, path: str, own: Identity) -> set[str]:
         """Where other cameras are at the first opening, to mistake none of them for ours later."""
@@ -223,10 +218,8 @@ class V4l2Camera:
             waited_s = (now_ns - self._begun_ns) / 1e9
             starting = not self._has_begun or (self._known is None and waited_s < self._patience_s())
             if stream is not None and self._pictures.counts.pictures == 0:
-                # Opened again and again it stays what it was found to be.
-                starting = silent_s < FIRST_PICTURE_S and not self._is_mute
-            waits = MUTE if self._is_mute else "{}: waiting for its first picture"
-            why = waits.format(stream.path) if stream else self._absence
+                starting = silent_s < FIRST_PICTURE_S
+            why = f"{stream.path}: waiting for its first picture" if stream else self._absence
             return SourceStatus(State.STARTING if starting else State.LOST, why, figures)
         if silent_s > self._patience_s():
             return SourceStatus(State.LOST, f"{stream.path}: no picture for {silent_s:.1f} s", figures)
@@ -254,6 +247,5 @@ class V4l2Camera:
         }
 
 
-def words(error: OSError) -> str:
-    """Why a camera cannot be opened, in plain words."""
+def _words(error: OSError) -> str:
     return _WORDS.get(error.errno or 0, error.strerror or str(error))

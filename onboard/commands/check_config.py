@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from onboard.camera.playback import PREFIX
-from onboard.camera.v4l2_camera import words
 from onboard.camera.v4l2_device import V4l2Device
 from onboard.config.files import config_files, load_camera, load_config_files
 from onboard.config.schema import Config
@@ -75,7 +74,7 @@ def _camera(device: str) -> Named:
     try:
         opened = V4l2Device(device)
     except OSError as error:
-        return Named("camera.device", device, False, words(error))
+        return Named("camera.device", device, False, error.strerror or str(error))
     try:
         card = opened.card()
     finally:

@@ -278,19 +278,6 @@ def test_before_it_runs_it_is_starting() -> None:
     assert live(World()).health().state is State.STARTING
 
 
-def test_a_camera_that_opens_and_sends_nothing_is_lost_and_stays_so_until_it_sends() -> None:
-    """It flipped between `starting` and `camera lost` every five seconds."""
-    ours = Plugged(OURS, is_silent=True)
-    world = World(video0=ours)
-    world.events = [(30.0, lambda: setattr(ours, "is_silent", False))]
-    seen = run(live(world), world, 37.0)
-    assert at(seen, 4.5).state is State.STARTING
-    said = {(health.state, health.detail) for at_s, health in seen.items() if 5.5 < at_s < 30.0}
-    assert said == {(State.LOST, "/dev/video0: opens but sends no picture")}
-    assert first(seen, State.OK, 30.0) < 1.0
-    assert {health.state for at_s, health in seen.items() if 31.0 < at_s < 37.0} <= {State.OK, State.DEGRADED}
-
-
 def test_a_slow_camera_is_not_lost_between_two_pictures() -> None:
     world = World(video0=Plugged(OURS))
     assert live(world, rate_hz=0.5)._patience_s() == pytest.approx(6.0)

@@ -59,7 +59,7 @@ def test_what_is_absent_is_said_line_by_line(tmp_path: Path, capsys: pytest.Capt
         [
             f"{file}: good",
             f"camera.file {tmp_path / 'camera.json'}: 640 x 480",
-            "camera.device /dev/video77: MISSING: not there",
+            "camera.device /dev/video77: MISSING: No such file or directory",
             f"telemetry.url serial:{tmp_path / 'tty'}:57600: MISSING: No such file or directory",
         ],
     )
