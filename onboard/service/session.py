@@ -242,6 +242,8 @@ class Session:
     def _take(self, arrival_ns: int, event: Event) -> None:
         if isinstance(event, Frame):
             self.recent.picture_came(self.clock.now_ns())
+        elif isinstance(event, GpsQuality):
+            self._gps = event  # here, before it waits in the queue: its age is the receiver's silence
         self.intake.put(arrival_ns, event)
 
     def _run_pipeline(self, thread: SupervisedThread) -> None:
@@ -256,8 +258,6 @@ class Session:
                     sink.event(arrival_ns, event)
                 self._hand_out(pipeline.handle(event))
                 self._standstill.note(event)
-                if isinstance(event, GpsQuality):
-                    self._gps = event
                 self._busy_since_ns = None
             self._take_snapshot(None if got is None else got[1])
         self._busy_since_ns = self.clock.now_ns()
