@@ -94,7 +94,7 @@ class _Entry:
     def at(self, moment_ns: int, time_s: float) -> Array:
         """Horizontal and vertical, m."""
         left = _decayed(self, moment_ns, time_s)
-        lasting = np.array([np.hypot(self.unexplained_m[0], self.unexplained_m[1]), abs(self.unexplained_m[2])])
+        lasting = _parts(self.unexplained_m)
         return np.asarray(np.hypot(lasting, left), float)
 
 
@@ -116,6 +116,7 @@ class PositionDoubt:
         """`was_unfit(start_ns, end_ns, moved_m)`: whether receiver or filter had owned up to such an error."""
         self._gps, self._was_unfit = gps, was_unfit
         self._entries: list[_Entry] = [_Entry(0, np.zeros(3), np.zeros(2), 0)]
+        self._is_suspected = False  # the newest entry is of an episode under way
         self.begin()
 
     def begin(self) -> None:
@@ -166,12 +167,12 @@ class PositionDoubt:
         episode = self._episode
         if episode is None:
             if slipping:
-                start_ns = moment_ns - SLIP_WINDOW_NS // 2
+                start_ns = max(moment_ns - SLIP_WINDOW_NS // 2, self._entries[-1].stamp_ns)
                 self._episode = episode = _Episode(start_ns, self._strayed_at(start_ns))
             else:
                 return
         newest_ns, strayed = self._strayed[-1]
-        moved = _scaled(strayed - episode.before_m)
+        moved = strayed - episode.before_m
         episode.most_m = max(episode.most_m, float(np.hypot(moved[0], moved[1])))
         episode.sigma_m = max(episode.sigma_m, sigma_m)
         if not episode.is_sure and slip.surely_m_s > self._gps.max_slip_m_s:
@@ -185,28 +186,30 @@ class PositionDoubt:
     def _strayed_at(self, stamp_ns: int) -> Array:
         return next((s for t, s in reversed(self._strayed) if t <= stamp_ns), self._strayed[0][1])
 
-    def _settled(self, before_ns: int) -> _Entry:
-        """What was doubted before an episode that began at a stamp."""
-        while len(self._entries) > 1 and self._entries[-1].stamp_ns >= before_ns:
+    def _settled(self) -> _Entry:
+        """What was doubted before the episode under way."""
+        if self._is_suspected:
             self._entries.pop()
+            self._is_suspected = False
         return self._entries[-1]
 
     def _suspect(self, episode: _Episode) -> None:
         """While it lasts, all that it has moved by so far is in doubt."""
-        last = self._settled(episode.start_ns)
+        last = self._settled()
         if episode.most_m <= ALIKE_SIGMAS * episode.sigma_m:
             return
         lasting = last.at(episode.start_ns, self._gps.wander_time_s)
-        doubt = np.array([lasting[0] + episode.most_m, 0.0, lasting[1]])
+        doubt = np.array([lasting[0] / SHARED_WITH_VELOCITY + episode.most_m, 0.0, lasting[1]])
         self._put(_Entry(episode.start_ns, doubt, np.zeros(2), last.stretch))
+        self._is_suspected = True
 
     def _end(self, episode: _Episode, end_ns: int, moved_m: Array) -> None:
-        last = self._settled(episode.start_ns)
+        last = self._settled()
         self._add(last, episode.start_ns, end_ns, moved_m, episode.sigma_m, episode.is_sure)
 
     def jumped(self, start_ns: int, end_ns: int, moved_m: Array, sigma_m: float) -> None:
         """A jump (3,), ENU m, between two positions that have no velocities, or upward alone."""
-        self._add(self._entries[-1], start_ns, end_ns, moved_m, sigma_m, True)
+        self._add(self._settled(), start_ns, end_ns, moved_m, sigma_m, True)
 
     def _add(self, last: _Entry, start_ns: int, end_ns: int, moved_m: Array, sigma_m: float, is_sure: bool) -> None:
         size_m = float(np.linalg.norm(moved_m))
@@ -217,10 +220,10 @@ class PositionDoubt:
         self._largest_m = max(self._largest_m, left_m)
         stretch = last.stretch + (size_m > ALIKE_SIGMAS * sigma_m)
         decaying = _decayed(last, end_ns, self._gps.wander_time_s)
-        is_owned = is_sure and self._was_unfit(start_ns, end_ns, size_m)
-        if is_owned or left_m <= max(ALIKE_SIGMAS * sigma_m, EXPLAINED_SHARE * self._largest_m):
-            rest = np.zeros(2) if is_owned else np.array([np.hypot(total[0], total[1]), abs(total[2])])
-            total, decaying, self._largest_m = np.zeros(3), np.hypot(decaying, rest), 0.0
+        if is_sure and left_m > before_m and self._was_unfit(start_ns, end_ns, size_m):
+            total = last.unexplained_m
+        elif left_m <= max(ALIKE_SIGMAS * sigma_m, EXPLAINED_SHARE * self._largest_m):
+            total, decaying, self._largest_m = np.zeros(3), np.hypot(decaying, _parts(total)), 0.0
         self._put(_Entry(end_ns, total, decaying, stretch))
 
     def _put(self, entry: _Entry) -> None:
@@ -228,11 +231,11 @@ class PositionDoubt:
         del self._entries[:-MAX_ENTRIES]
 
 
+def _parts(moved_m: Array) -> Array:
+    """Horizontal and vertical size of a jump (3,), as the correction at least that it was part of."""
+    return np.array([SHARED_WITH_VELOCITY * float(np.hypot(moved_m[0], moved_m[1])), abs(float(moved_m[2]))])
+
+
 def _decayed(entry: _Entry, moment_ns: int, time_s: float) -> Array:
     out: Array = entry.decaying_m * np.exp(-max(moment_ns - entry.stamp_ns, 0) / 1e9 / time_s)
     return out
-
-
-def _scaled(moved_m: Array) -> Array:
-    """What position moved by, as the correction that it was part of at least."""
-    return np.append(SHARED_WITH_VELOCITY * moved_m[:2], moved_m[2])

@@ -19,7 +19,9 @@ from contract.wire.codec import decode, encode
 from ground.__main__ import main
 from ground.answer import Fix, Refusal
 from ground.client import SetCache, ask
+from onboard.events.supervised_thread import ThreadState
 from onboard.link.publisher import Publisher, Rate
+from onboard.link.socket_backlog import Backlog
 from tests.contract.sets import plain_set
 from tests.onboard.link.ports import free_endpoint
 
@@ -259,3 +261,44 @@ def test_a_live_click_in_its_own_process_answers_and_refuses(publisher: Publishe
     assert code == 3 and json.loads(out)["status"] == "unknown_frame" and json.loads(out)["frame"] == 8
     code, out, err = click("--file", "x.png")
     assert (code, out) == (2, "") and "--frame or --time" in err
+
+
+@pytest.mark.parametrize("error", [OSError(24, "Too many open files"), RuntimeError("a bug")])
+def test_an_error_in_the_links_thread_costs_a_moment_and_not_the_link(
+    publisher: Publisher, endpoint: str, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    assert publisher.thread.report().state is ThreadState.RUNNING
+    send, left = Publisher._send_one, [2]
+
+    def fail(self: Publisher) -> float:
+        left[0] -= 1
+        if left[0] >= 0:
+            raise error
+        return send(self)
+
+    monkeypatch.setattr(Publisher, "_send_one", fail)
+    assert eventually(lambda: publisher.thread.report().restarts == 2)
+    publisher.publish(a_set(3))
+    assert got(ask(endpoint)).frame == 3
+    report = publisher.thread.report()
+    assert (report.state, report.restarts) == (ThreadState.RUNNING, 2) and str(error) in report.last_error
+
+
+def test_sets_go_out_where_it_cannot_be_known_what_is_under_way(
+    publisher: Publisher, endpoint: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Without a free descriptor the process cannot look at its sockets."""
+
+    def fail(self: Backlog, peers: object) -> int:
+        raise OSError(24, "Too many open files")
+
+    monkeypatch.setattr(Backlog, "unacknowledged", fail)
+    with SetCache(endpoint) as cache:
+
+        def heard() -> bool:
+            publisher.publish(a_set(0))
+            return cache.newest("uav-1") is not None
+
+        assert eventually(heard)
+    assert publisher.thread.report().restarts == 0
+    assert caplog.text.count("Too many open files") == 1
