@@ -182,7 +182,7 @@ class Daemon:
         """
         live = {"service": self._config.service.model_copy(update={"max_delay_s": config.service.max_delay_s})}
         if config == self._config.model_copy(update=live):
-            self._session.intake.max_delay_s = config.service.max_delay_s
+            self._session.event_queue.max_delay_s = config.service.max_delay_s
             self._config = config
             log.info("configuration reloaded; the session goes on")
             return True

@@ -86,8 +86,8 @@ class Session:
     def __init__(self, config: Config, parts: Parts) -> None:
         self.parts = parts
         self.clock = parts.clock
-        self.intake = EventQueue(self.clock.now_ns, config.service.max_delay_s)
-        self.recent = LiveRates()
+        self.event_queue = EventQueue(self.clock.now_ns, config.service.max_delay_s)
+        self.live_rates = LiveRates()
         self._stop = threading.Event()
         self._sources = [
             SupervisedThread("camera", self._run_camera, Policy.END, late_after_s=SOURCE_LATE_S, stop=self._stop),
@@ -136,7 +136,7 @@ class Session:
         self._stop.set()
         for source in self._sources:
             source.join(max(deadline - time.monotonic() - 0.5 * within_s, 0.0))
-        self.intake.close()
+        self.event_queue.close()
         self._pipeline.join(max(deadline - time.monotonic(), 0.0))
         # Before anything that may fail is closed: it is small, and flights were needed to learn it.
         self._may_not_learn.set()
@@ -187,10 +187,10 @@ class Session:
         return Inputs(
             camera=self.parts.camera.health(),
             telemetry=self.parts.telemetry.health(),
-            picture_age_s=self.recent.picture_age_s(now_ns),
+            picture_age_s=self.live_rates.picture_age_s(now_ns),
             busy_s=0.0 if busy_since_ns is None else (now_ns - busy_since_ns) / 1e9,
-            outcome=self.recent.outcome(now_ns),
-            is_shedding=self.intake.dropped_within(2.0),
+            outcome=self.live_rates.outcome(now_ns),
+            is_shedding=self.event_queue.dropped_within(2.0),
             recording_fault=self.parts.recording.fault if self.parts.recording is not None else "",
             gps=gps_report(self._gps, now_ns),
             position_fault=self.parts.pipeline.navigation.reason,
@@ -200,21 +200,21 @@ class Session:
 
     def report(self) -> Report:
         """Everything the session knows of itself."""
-        now_ns, inputs, recent, summary = self.clock.now_ns(), self.inputs(), self.recent, self._summary
+        now_ns, inputs, rates, summary = self.clock.now_ns(), self.inputs(), self.live_rates, self._summary
         state = overall(inputs)
         is_recording = self.parts.recording is not None and not inputs.recording_fault
         status = VehicleStatus(
             unix_s=now_ns / 1e9,
-            session=recent.session,
+            session=rates.session,
             state=state.state.value,
             reason=state.reason,
             up_s=(now_ns - self._began_ns) / 1e9,
-            camera_hz=recent.camera_hz(now_ns),
-            ok_hz=recent.ok_hz(now_ns),
-            frame=recent.frame,
-            delay_s=recent.delay_s,
+            camera_hz=rates.camera_hz(now_ns),
+            ok_hz=rates.ok_hz(now_ns),
+            frame=rates.frame,
+            delay_s=rates.delay_s,
             tracks=self._tracks,
-            dropped=self.intake.dropped,
+            dropped=self.event_queue.dropped,
             lost=round(inputs.camera.figures.get("lost", 0.0)),
             recording=is_recording,
             cpu_c=self.parts.temperature_c(),
@@ -241,16 +241,16 @@ class Session:
 
     def _take(self, arrival_ns: int, event: Event) -> None:
         if isinstance(event, Frame):
-            self.recent.picture_came(self.clock.now_ns())
+            self.live_rates.picture_came(self.clock.now_ns())
         elif isinstance(event, GpsQuality):
             self._gps = event  # here, before it waits in the queue: its age is the receiver's silence
-        self.intake.put(arrival_ns, event)
+        self.event_queue.put(arrival_ns, event)
 
     def _run_pipeline(self, thread: SupervisedThread) -> None:
         pipeline, sinks = self.parts.pipeline, self.parts.sinks
-        while not self.intake.is_over:
+        while not self.event_queue.is_over:
             thread.beat()
-            got = self.intake.get(IDLE_S)
+            got = self.event_queue.get(IDLE_S)
             self._busy_since_ns = None if got is None else self.clock.now_ns()
             if got is not None:
                 arrival_ns, event = got
@@ -270,7 +270,7 @@ class Session:
         for output in outputs:
             taken = [self._hand_over(output, sink) for sink in self.parts.sinks]
             if all(taken):
-                self.recent.set_made(output, self.clock.now_ns())
+                self.live_rates.set_made(output, self.clock.now_ns())
 
     def _hand_over(self, output: FeatureSet, sink: Sink) -> bool:
         """Whether the sink took it. A set without an encoding is no reason to end the flight: it is left out."""

@@ -270,7 +270,7 @@ def test_a_reload_of_the_delay_goes_on_in_the_same_session() -> None:
         rig.order(Order.RELOAD)
         rig.wait_for(lambda: rig.notes.words.count("READY=1") == 2)
         assert len(rig.opened) == 1
-        assert rig.daemon._session.intake.max_delay_s == 0.2
+        assert rig.daemon._session.event_queue.max_delay_s == 0.2
 
 
 def test_a_reload_of_anything_else_begins_a_session_of_its_own() -> None:
