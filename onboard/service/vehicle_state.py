@@ -138,7 +138,7 @@ _OF_POSITION: dict[Status | None, VehicleState] = {
     Status.STARTING: VehicleState.STARTING,
     None: VehicleState.STARTING,
 }
-AT_REST = "standing still with a good position; answers begin in flight"
+AT_REST = "standing still; answers begin in flight"
 
 
 def judge(inputs: Inputs) -> tuple[Finding, ...]:

@@ -14,7 +14,7 @@ from onboard.config.schema import Config
 from onboard.events.source import SourceStatus, State
 from onboard.events.supervised_thread import ThreadReport, ThreadState
 from onboard.service.reports import BORESIGHT, Estimate, Report
-from onboard.service.vehicle_state import Inputs, Subject, overall
+from onboard.service.vehicle_state import AT_REST, Inputs, Subject, overall
 from tests.onboard.service.reported import WELL as WELL_INPUTS
 from tests.onboard.service.reported import inputs, report_of
 
@@ -54,7 +54,7 @@ def test_at_rest_with_a_good_fix_all_is_green() -> None:
     """PX4 on the ground: a good fix and nothing to be seen. It was `no gps` with a doctor that was green."""
     report = report_of(replace(WELL_INPUTS, outcome=Status.LOW_PARALLAX, is_at_rest=True))
     assert red(report) == []
-    assert text(report, "state") == "at rest: standing still with a good position; answers begin in flight"
+    assert text(report, "state") == f"at rest: {AT_REST}"
 
 
 @given(inputs())

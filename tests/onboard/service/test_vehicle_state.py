@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 
 from contract.feature_set import Status
-from contract.vehicle_status import MAX_WORD
+from contract.vehicle_status import MAX_STATE
 from onboard.events.source import Severity, SourceStatus, State
 from onboard.events.supervised_thread import ThreadReport, ThreadState
 from onboard.service.vehicle_state import (
@@ -120,7 +120,7 @@ def test_all_is_well_only_when_everything_is(said: Inputs) -> None:
     assert state.state.is_well == everything
     assert (state.state is VehicleState.OK) == (everything and flows)
     assert bool(state.reason) != (everything and flows)
-    assert len(state.state.value) <= MAX_WORD
+    assert len(state.state.value) <= MAX_STATE
 
 
 @given(inputs())
