@@ -16,7 +16,7 @@ from onboard.events.supervised_thread import ThreadReport, ThreadState
 from onboard.service.reports import BORESIGHT, Estimate, Report
 from onboard.service.vehicle_state import AT_REST, Inputs, Subject, overall
 from tests.onboard.service.reported import WELL as WELL_INPUTS
-from tests.onboard.service.reported import inputs, report_of
+from tests.onboard.service.reported import inputs, report_of, unhurried
 
 CONFIG = Config.model_validate({"telemetry": {"url": "serial:/dev/ttyAMA0:921600"}, "camera": {"exposure_us": 2000.0}})
 CAMERA = Camera.from_field_of_view(640, 480, 40.0)
@@ -57,6 +57,7 @@ def test_at_rest_with_a_good_fix_all_is_green() -> None:
     assert text(report, "state") == f"at rest: {AT_REST}"
 
 
+@unhurried
 @given(inputs())
 def test_state_and_doctor_never_disagree(said: Inputs) -> None:
     """Whatever makes the state not well is a red line of the doctor's beside the state's own, and the reverse."""
@@ -68,6 +69,7 @@ def test_state_and_doctor_never_disagree(said: Inputs) -> None:
     assert all(lines[name] for name in lines.keys() - judged.keys() - {"state"})
 
 
+@unhurried
 @given(inputs())
 def test_what_the_state_says_stands_in_a_red_line(said: Inputs) -> None:
     state = overall(said)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
 from contract.feature_set import Status
@@ -13,6 +14,8 @@ from onboard.events.supervised_thread import ThreadReport, ThreadState
 from onboard.service.reports import Brightness, RecordingReport, Report
 from onboard.service.vehicle_state import GpsReport, Inputs, judge, overall
 
+# On a busy machine a draw may take a second: no fault of what is tested.
+unhurried = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 OK = SourceStatus(State.OK)
 FIGURES = {"rate_hz": 29.8, "attitude_hz": 49.0, "position_hz": 10.0, "round_trip_ms": 2.5, "clock_sigma_ms": 0.9}
 WELL = Inputs(OK, OK, 0.03, 0.0, Status.OK, GpsReport(3, 0.2, 14, 0.8))

@@ -19,7 +19,7 @@ from onboard.events.supervised_thread import ThreadReport, ThreadState
 from onboard.service.prometheus import PrometheusServer, metrics
 from onboard.service.reports import BORESIGHT, ClockReport, Estimate, PictureCounts
 from onboard.service.vehicle_state import Inputs
-from tests.onboard.service.reported import WELL, inputs, report_of
+from tests.onboard.service.reported import WELL, inputs, report_of, unhurried
 
 FULL = replace(
     report_of(replace(WELL, position_fault="", outcome=None)),
@@ -70,6 +70,7 @@ def test_figures_are_in_base_units_under_their_rules() -> None:
     assert not [family for family in families if "cpu" in family.name], "no processor told its temperature"
 
 
+@unhurried
 @given(inputs())
 def test_every_metric_is_there_once_and_has_one_unit(said: Inputs) -> None:
     families = list(metrics("kiwi", report_of(said)))

@@ -15,9 +15,10 @@ from onboard.events.source import SourceStatus, State
 from onboard.events.types import GpsQuality
 from onboard.service.reports import BORESIGHT, Brightness, Estimate, PictureCounts, Report, gps_report
 from onboard.service.vehicle_state import Inputs
-from tests.onboard.service.reported import WELL, inputs, report_of
+from tests.onboard.service.reported import WELL, inputs, report_of, unhurried
 
 
+@unhurried
 @given(inputs())
 def test_a_report_is_the_same_there_and_back(said: Inputs) -> None:
     report = replace(

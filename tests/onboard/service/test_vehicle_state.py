@@ -25,7 +25,7 @@ from onboard.service.vehicle_state import (
     overall,
     severity,
 )
-from tests.onboard.service.reported import inputs
+from tests.onboard.service.reported import inputs, unhurried
 
 OK = SourceStatus(State.OK)
 GPS = GpsReport(3, 0.2, 14, 0.8)
@@ -96,6 +96,7 @@ def test_the_state_has_one_word_and_its_reason(said: Inputs, state: VehicleState
     assert overall(said) == Overall(state, reason)
 
 
+@unhurried
 @given(inputs())
 def test_all_is_well_only_when_everything_is(said: Inputs) -> None:
     state = overall(said)
@@ -123,6 +124,7 @@ def test_all_is_well_only_when_everything_is(said: Inputs) -> None:
     assert len(state.state.value) <= MAX_STATE
 
 
+@unhurried
 @given(inputs())
 def test_the_state_is_the_first_of_what_is_found_and_degradations_come_last(said: Inputs) -> None:
     found = judge(said)
@@ -141,6 +143,7 @@ def test_with_the_camera_lost_all_else_that_is_not_well_is_found_too() -> None:
     ]  # fmt: skip
 
 
+@unhurried
 @given(inputs())
 def test_a_daemon_that_is_well_is_alive_and_one_that_is_stuck_is_not(said: Inputs) -> None:
     if overall(said).state.is_well:
