@@ -237,7 +237,7 @@ def test_a_newer_major_version_and_an_unknown_status_are_refused_as_newer() -> N
         ({"R_enu_cam": np.eye(3) * 1.1}, "not a rotation"),
         ({"common_cov": -np.eye(9)}, "less what is shared.*negative variance"),
         ({"common_cov": np.ones((9, 9)) + np.eye(9) * -0.5, "shared": SharedErrors()}, "not a covariance"),
-        ({"shared": SharedErrors(np.full((9, 13), np.nan))}, "by_draw"),
+        ({"shared": SharedErrors(np.full((9, 13), np.nan))}, "by_nuisance"),
         ({"shared": SharedErrors(np.full((9, 13), 1e3))}, "less what is shared"),
         ({"shared": SharedErrors(position_time_s=-1.0)}, "position_time_s"),
         ({"shared": SharedErrors(alignment_sigma=np.ones(3))}, "four numbers"),
