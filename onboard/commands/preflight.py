@@ -152,6 +152,10 @@ def _time_sync(config: Config, report: Report) -> Line:
     sigma_ms, trip_ms = figures.get("clock_sigma_ms"), figures.get("round_trip_ms")
     if config.telemetry.url.startswith(("tlog:", "nmea:")):
         return Line("time sync", True, "by arrival: this kind of telemetry answers no TIMESYNC")
+    by_arrival_ms = figures.get("arrival_sigma_ms")
+    if sigma_ms is None and by_arrival_ms is not None and math.isfinite(by_arrival_ms):
+        why = f"TIMESYNC is not answered: by arrival, +-{by_arrival_ms:.1f} ms and whatever the line delays"
+        return Line("time sync", False, why)
     if sigma_ms is None or not math.isfinite(sigma_ms):
         return Line("time sync", False, "the autopilot's clock is not known yet")
     text = f"+-{sigma_ms:.1f} ms" + ("" if trip_ms is None else f", round trip {trip_ms:.1f} ms")

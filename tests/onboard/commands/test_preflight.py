@@ -50,6 +50,12 @@ def test_before_a_good_flight_all_is_green() -> None:
     assert text(WELL, "gps") == "fix type 3, 14 satellites, +-0.8 m"
 
 
+def test_a_clock_known_by_arrival_alone_is_not_called_unknown() -> None:
+    report = figures("telemetry", clock_sigma_ms=None, round_trip_ms=None, arrival_sigma_ms=3.0)
+    assert red(report) == ["time sync"]
+    assert text(report, "time sync").startswith("TIMESYNC is not answered: by arrival, +-3.0 ms")
+
+
 def test_at_rest_with_a_good_fix_all_is_green() -> None:
     """PX4 on the ground: a good fix and nothing to be seen. It was `no gps` with a doctor that was green."""
     report = report_of(replace(WELL_INPUTS, outcome=Status.LOW_PARALLAX, is_at_rest=True))
