@@ -24,6 +24,8 @@ BEGIN_S, END_S = 9.0, 14.0  # of most faults
 SEEN_S = 2.0 + 1.0 + 0.5  # two seconds, until the next status is due, and a loaded machine's slack
 LONG = SessionSpec(DescribedSpec(PathSpec("straight")), seconds=84.0, rate_hz=2.0, camera=CAMERA)
 
+pytestmark = pytest.mark.wall_clock  # real threads and processes on a real clock
+
 
 def is_on(t_s: float) -> bool:
     return BEGIN_S <= t_s < END_S

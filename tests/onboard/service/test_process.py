@@ -20,6 +20,8 @@ from tests.scenarios.flights import Outcome, click
 
 SPEC = replace(STRAIGHT)
 
+pytestmark = pytest.mark.wall_clock  # real threads and processes on a real clock
+
 
 def sets_of(plane: Aircraft, recording: Path) -> dict[int, FeatureSet]:
     kept = Recording(recording)

@@ -395,6 +395,7 @@ class Stalled:
         monkeypatch.setattr(SessionRecorder, "write_set", write_set)
 
 
+@pytest.mark.wall_clock
 def test_a_stalled_disk_holds_up_nobody_and_leaves_a_gap_that_is_recorded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -447,6 +448,7 @@ def test_pictures_that_are_too_many_bytes_are_dropped_and_telemetry_is_not(
     assert sum(isinstance(e, GpsQuality) for e in events) == 5
 
 
+@pytest.mark.wall_clock
 def test_a_disk_that_never_comes_back_does_not_hold_up_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("onboard.storage.rotating_recorder.CLOSE_SILENT_S", 0.2)
     disk = Stalled(monkeypatch)
@@ -556,6 +558,7 @@ def test_two_sessions_of_one_second_do_not_write_over_each_other(tmp_path: Path)
     ]
 
 
+@pytest.mark.wall_clock
 def test_a_killed_process_loses_at_most_the_last_second(tmp_path: Path) -> None:
     """kill -9 in full flight, pictures and all: what had been handed over a second before is there and replays."""
     script = (
