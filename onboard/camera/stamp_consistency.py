@@ -41,9 +41,12 @@ class StampConsistency:
         self._lately.append((arrival_ns, delay_ns))
         while self._lately[0][0] < arrival_ns - HELD_NS:
             self._lately.popleft()
-        least_ns = min(delay for _, delay in self._lately)
+        delays_ns = [delay for _, delay in self._lately]
+        least_ns = min(delays_ns)
         # Too soon: at once. Too late: only when not one picture has been in time for as long as the worst is held.
         off_ns = self._least_ns - least_ns
-        if off_ns < 0 and arrival_ns - self._lately[0][0] < HELD_NS // 2:
-            return 0.0
+        if off_ns < 0:
+            spread_ns = float(np.median(delays_ns)) - least_ns
+            if arrival_ns - self._lately[0][0] < HELD_NS // 2 or -off_ns <= SPREAD_SLACK * spread_ns:
+                return 0.0
         return abs(off_ns) / 1e9 if abs(off_ns) > self._slack_ns else 0.0
