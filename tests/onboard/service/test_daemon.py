@@ -56,7 +56,7 @@ class Steady:
                 time.sleep(0.05)
             elif not self.is_silent:
                 now_ns = self.clock.now_ns()
-                emit(now_ns, Frame(now_ns, index, None) if self.make is Frame else GpsQuality(now_ns, 0))
+                emit(now_ns, Frame(now_ns, index, None) if self.make is Frame else GpsQuality(now_ns, 3))
                 index += 1
 
     def health(self) -> SourceStatus:
