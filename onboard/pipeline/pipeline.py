@@ -11,7 +11,7 @@ so that the same events give the same sets however fast the worker is.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -21,9 +21,9 @@ from contract.camera import Camera
 from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
 from onboard.config.schema import Config
-from onboard.estimation.keyframe import Observation, observation
+from onboard.estimation.keyframe import observation
 from onboard.estimation.sliding_window import Window
-from onboard.estimation.solver_executor import Inline, Promise, Worker, timed_adjust
+from onboard.estimation.solver_executor import Inline, Worker, timed_adjust
 from onboard.events.types import Event, Frame
 from onboard.geometry.plane_homography import move
 from onboard.geometry.terrain_grid import Terrain
@@ -33,6 +33,7 @@ from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.frozen_frames import Staleness, Stillness
 from onboard.pipeline.motion_prediction import are_comparable, ground_so_far, predict_motion
 from onboard.pipeline.mount_selection import MountSelection
+from onboard.pipeline.picture_record import Pending, Record
 from onboard.pipeline.statistics import RunStatistics, Summary
 from onboard.vision.klt_tracker import MIN_TRACKS, Tracker, Tracks
 
@@ -64,30 +65,6 @@ class TerrainSource(Protocol):
         """Terrain within a square about a place of a local frame; None where there is none."""
 
 
-@dataclass(eq=False)
-class _Record:
-    """A picture that the window can still place, or place better."""
-
-    frame: Frame
-    seen: Observation
-    nav: NavState
-    is_keyframe: bool
-    status: Status = Status.STARTING
-    revision: int = -1
-    is_settled: bool = False
-    R_cam_enu: Array | None = None  # of its last set: where the next revision starts
-
-
-@dataclass(frozen=True, eq=False)
-class _Pending:
-    """A window solve under way for a new keyframe; `reason`: why the pictures before it were given up, if they were."""
-
-    promise: Promise
-    record: _Record
-    reason: Status | None
-    due_ns: int
-
-
 class Pipeline:
     """The whole of the aircraft's work on one flight."""
 
@@ -109,10 +86,10 @@ class Pipeline:
         self.mount_selection = MountSelection(camera, self.window.R_body_cam)
         self.tracks: Tracks | None = None  # of the newest picture, for whoever draws them
         self._waiting: deque[Frame] = deque()
-        self._records: list[_Record] = []
-        self._settling: deque[_Record] = deque()
-        self._unplaced: deque[_Record] = deque()
-        self._pending: _Pending | None = None
+        self._records: list[Record] = []
+        self._settling: deque[Record] = deque()
+        self._unplaced: deque[Record] = deque()
+        self._pending: Pending | None = None
         self._now_ns = 0  # stamp of the newest event
         self._session: int | None = None
         self._staleness, self._stillness = Staleness(), Stillness(camera.width_px)
@@ -198,7 +175,7 @@ class Pipeline:
         self._misses = 0
         if self._wants_keyframe(tracks):
             return [*out, *self._make_keyframe(frame, nav, tracks)]
-        record = _Record(frame, observation(self.camera, tracks.ids, tracks.uv_px), nav, False)
+        record = Record(frame, observation(self.camera, tracks.ids, tracks.uv_px), nav, False)
         self._records.append(record)
         return [*out, *self._place([record])]
 
@@ -279,10 +256,10 @@ class Pipeline:
         rate = self.navigation.body_rate_at(frame.stamp_ns + offset_ns)
         self.window.add(frame.index, seen, nav, offset_s, rate, flown, self.tracker.flow_disagreement_px)
         self._statistics.keyframes += 1
-        record = _Record(frame, seen, nav, True)
+        record = Record(frame, seen, nav, True)
         self._records.append(record)
         promise = self.worker.submit(timed_adjust, self.window.prepare())
-        self._pending = _Pending(promise, record, reason, self._now_ns + ADOPTION_NS)
+        self._pending = Pending(promise, record, reason, self._now_ns + ADOPTION_NS)
         if reason is None:
             out.extend(self._place([record], only_ok=True))
         return out
@@ -312,6 +289,8 @@ class Pipeline:
             if record.status is Status.OK:
                 return out
             reported = self._unsolved if status is Status.STARTING else status
+            if status is Status.FEATURELESS:
+                reported = self._why_without_depth(record)
             return [*out, self._refuse_record(record, pending.reason or reported)]
         self._statistics.reprojections_px.append(solved.reprojection_px)
         out = self._place([record])
@@ -353,7 +332,7 @@ class Pipeline:
         self._unplaced.clear()
         return out
 
-    def _settle(self, records: list[_Record]) -> list[FeatureSet]:
+    def _settle(self, records: list[Record]) -> list[FeatureSet]:
         """The last revision of pictures that the window has seen past."""
         if self.window.solved is None:
             return []
@@ -365,7 +344,7 @@ class Pipeline:
                 out.extend(result)
         return out
 
-    def _place(self, records: list[_Record], only_ok: bool = False) -> list[FeatureSet]:
+    def _place(self, records: list[Record], only_ok: bool = False) -> list[FeatureSet]:
         """Feature sets of pictures by the newest solution; refusals too, unless `only_ok` or refused before."""
         out = []
         with self._statistics.timed("georeference"):
@@ -377,7 +356,7 @@ class Pipeline:
                     out.append(self._refuse_record(record, result))
         return out
 
-    def _feature_set(self, record: _Record) -> FeatureSet | Status:
+    def _feature_set(self, record: Record) -> FeatureSet | Status:
         frame = self._frame
         if frame is None or self._session is None:
             return Status.STARTING
@@ -398,7 +377,7 @@ class Pipeline:
             self._statistics.note(record.frame.index, Status.OK)
         return result
 
-    def _by_structure(self, record: _Record, origin: Origin, frame: LocalFrame) -> FeatureSet | Status:
+    def _by_structure(self, record: Record, origin: Origin, frame: LocalFrame) -> FeatureSet | Status:
         """From the window's own points; the reason why not otherwise."""
         solved = self.window.solved
         if solved is None:
@@ -413,11 +392,22 @@ class Pipeline:
         result = georeference(self.window, solved, record.seen, origin, frame, record.nav.undulation_m, centre, R)
         if isinstance(result, FeatureSet):
             record.R_cam_enu = result.R_enu_cam.T
-        return result
+        return self._why_without_depth(record) if result is Status.FEATURELESS else result
 
-    def _why_unsolved(self, nav: NavState) -> Status:
-        """Starting, or standing still: no parallax will ever come of that."""
-        first = self.window.keyframes[0].nav if self.window.keyframes else nav
+    def _why_without_depth(self, record: Record) -> Status:
+        """FEATURELESS only where the picture is: else its features are too new to have depth, as after a spin."""
+        if len(record.seen.ids) < MIN_TRACKS:
+            return Status.FEATURELESS
+        alike = (
+            k for k in self.window.keyframes if len(np.intersect1d(k.observation.ids, record.seen.ids)) >= MIN_TRACKS
+        )
+        first = next(alike, None)
+        return self._why_unsolved(record.nav, None if first is None else first.nav)
+
+    def _why_unsolved(self, nav: NavState, first: NavState | None = None) -> Status:
+        """Starting, or standing still since `first`, the window's first by default: no parallax will come of that."""
+        if first is None:
+            first = self.window.keyframes[0].nav if self.window.keyframes else nav
         height_m = max(nav.height_above_home_m or 0.0, MIN_TRAVEL_HEIGHT_M)
         travelled_m = float(np.linalg.norm(nav.position_enu_m - first.position_enu_m))
         still = nav.stamp_ns - first.stamp_ns > PATIENCE_NS and travelled_m < MIN_TRAVEL * height_m
@@ -428,7 +418,7 @@ class Pipeline:
             return None  # nothing but the attitude says where the camera looks
         return over_known_ground(self.config, self.camera, self.window, nav, origin, frame)
 
-    def _refuse_record(self, record: _Record, status: Status) -> FeatureSet:
+    def _refuse_record(self, record: Record, status: Status) -> FeatureSet:
         record.status = status
         record.revision += 1
         return replace(self._refuse(record.frame, status), revision=record.revision, is_keyframe=record.is_keyframe)

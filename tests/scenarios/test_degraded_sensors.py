@@ -127,8 +127,9 @@ def test_stamps_that_begin_to_be_late_are_carried_by_the_answers_and_are_over_wh
     assert asked.inside_99(LATE_FROM_S, LATE_TO_S) >= 0.97
     assert asked.answered(LATE_FROM_S + 8.0, LATE_TO_S) > 0.5
     assert asked.answered(LATE_TO_S + 10.0, 70.0) > 0.8
-    assert asked.radius_m(LATE_FROM_S + 8.0, LATE_TO_S) > 1.5 * asked.radius_m(15.0, LATE_FROM_S)
-    assert asked.radius_m(LATE_TO_S + 10.0, 70.0) < 1.5 * asked.radius_m(15.0, LATE_FROM_S)
+    # Wider at once; later turns show how late the stamps are, and the windows estimate it.
+    assert asked.radius_m(LATE_FROM_S + 1.0, LATE_FROM_S + 10.0) > 1.1 * asked.radius_m(15.0, LATE_FROM_S)
+    assert asked.radius_m(LATE_TO_S + 10.0, 70.0) < 1.2 * asked.radius_m(15.0, LATE_FROM_S)
     # What was off for a while is no property of camera and clock.
     assert abs(pipeline.window.alignment.belief.mean[3] - flight.offset_s) < 0.03
 
