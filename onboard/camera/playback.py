@@ -30,7 +30,7 @@ class PlayedCamera:
         self._health = SourceStatus(State.STARTING, "not playing yet")
 
     def run(self, emit: Emit, stop: Stop) -> None:
-        """Play once, then be a lost camera until told to stop."""
+        """Play once, then be a lost camera until `stop`."""
         stamps_ns, now_ns = self._source.stamps_ns, self._clock.now_ns()
         shift_ns = 0 if stamps_ns[-1] > now_ns else now_ns - stamps_ns[0]
         first_ns, shown = 0, 0

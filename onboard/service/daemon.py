@@ -159,7 +159,7 @@ class Daemon:
         self._overall = state
         self._notifier.status(str(state))
         if state.state is not self._said and now_ns - self._said_ns >= SAY_NS:
-            self._session.parts.telemetry.say(severity(state.state), f"pointclick: {state.state.value}")
+            self._session.parts.telemetry.say(severity(state.state), f"pointclick: {state}")
             self._said, self._said_ns = state.state, now_ns
 
     def _reload(self) -> bool:
