@@ -131,7 +131,7 @@ class Camera:
         self._came_ns: int | None = None
 
     def run(self, emit: Emit, stop: Stop) -> None:
-        """Until told to stop."""
+        """Until stopped."""
         counted, governor = self._counted, self._clock.governor
         for frame in pictures(self._flown, self._begin_ns):
             governor.govern((self._waiting - 1) / self._plan.rate_hz, frame.stamp_ns)  # the last has only just come

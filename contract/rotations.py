@@ -1,4 +1,4 @@
-"""SO(3) tools and the frames of this house: ENU world, FRD body, OpenCV camera. See docs/mathematics.md, section 1.
+"""SO(3) tools and this project's frames: ENU world, FRD body, OpenCV camera. See docs/mathematics.md, section 1.
 
 Rotations are `R_dst_src`, arrays (..., 3, 3) that take components in `src` to components in `dst`.
 """

@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENT = ROOT / "docs" / "mathematics.md"
-ROOMS = ("contract", "onboard", "ground", "simulation", "benchmarks")
+FOLDERS = ("contract", "onboard", "ground", "simulation", "benchmarks")
 # A formula's own number ends an indented line; between parentheses nothing but the number.
 DEFINED = re.compile(r"^    .*\s{2,}\(([0-9]+\.[0-9]+)\)$", re.MULTILINE)
 NUMBER = r"\(([1-9][0-9]?\.[0-9]{1,2})\)"
@@ -32,7 +32,7 @@ def citations(text: str, known: set[str]) -> set[str]:
 
 
 def sources() -> list[Path]:
-    return [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
+    return [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py"))]
 
 
 def test_every_number_is_given_once_and_in_order() -> None:

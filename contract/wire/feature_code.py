@@ -28,7 +28,7 @@ PIXEL_STEPS = 4  # a pixel
 SIGMA_STEPS = 80  # units of SIGMA_UNIT between two feature sigmas: 4.9 %
 DEPTH_STEPS = 3  # to the smallest sigma, whose variance rounding so raises by under 1 %
 MAX_DEPTH_STEPS = 2**40
-MAX_UNDISTORTION = 0.5  # of unit-depth coordinates
+MAX_UNDISTORTION = 0.5  # of normalised image coordinates
 
 
 def _u_width(camera: Camera) -> int:

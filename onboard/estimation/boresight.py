@@ -70,23 +70,23 @@ class Alignment:
 
     @property
     def belief(self) -> Belief:
-        """The newest lesson."""
+        """The newest posterior."""
         return self._estimates[-1]
 
     @property
     def updates(self) -> int:
-        """How many windows have been learned from."""
+        """How many windows have updated the estimate."""
         return len(self._estimates) - 1
 
     def prior_for(self, start_ns: int) -> Belief:
-        """What may be believed in a window whose first keyframe is at `start_ns`."""
+        """The prior of a window whose first keyframe is at `start_ns`."""
         for estimate in reversed(self._estimates):
             if estimate.end_ns <= start_ns:
                 return estimate.aged(start_ns)
         return self._estimates[0]
 
     def offer(self, start_ns: int, end_ns: int, mean: Array, covariance: Array) -> bool:
-        """A solved window's posterior; True if it was learned from."""
+        """A solved window's posterior; True if it was taken."""
         newest = self._estimates[-1]
         if start_ns < newest.end_ns or (newest.end_ns > 0 and end_ns - newest.end_ns < self._spacing_ns):
             return False
@@ -134,19 +134,19 @@ class Alignment:
 
 
 def _with_prior_reweighed(estimate: Belief, first: Belief) -> Belief:
-    """The lesson on the first prior that the data deserve. Equation (6.12).
+    """The same posterior with the first prior's variance re-estimated from the data. Equation (6.12).
 
-    A mount that is three sigma from where it was declared pulls every lesson back towards the declaration. Where the
-    data alone are that far from it, it was the declaration's sigma that was too small: the variance of the prior
-    becomes what makes the data likeliest, never less than declared and never more than twice its sigma: data too have
-    errors that they do not know of.
+    A mount that is three sigma from where it was declared biases every posterior towards the declaration. Where the
+    data alone are that far from it, the declared sigma was too small: the prior's variance becomes what makes the data
+    likeliest, never less than declared and never more than twice its sigma, because the data have unmodelled errors
+    too.
     """
     assert estimate.given is not None
     precision = np.linalg.inv(estimate.covariance)
     alone = precision - np.diag(1.0 / estimate.given)
     values, vectors = np.linalg.eigh(alone)
     if values[0] <= 1e-6 * values[-1]:
-        return estimate  # in some direction the data say nothing of their own
+        return estimate  # in some direction the data carry no information
     pull = precision @ (estimate.mean - first.mean)
     by_data = np.linalg.solve(alone, pull)
     own = np.diag((vectors / values) @ vectors.T)

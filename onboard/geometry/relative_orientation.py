@@ -1,8 +1,8 @@
 """Starting orientation: absolute from the GPS path, relative by the small-angle method. The seed's section 2.2.
 
-Section 3 of docs/mathematics.md. Nothing here has to be accurate: the bundle adjustment follows. It has to be
-near enough, and to notice when it is not: `start_pair` tries the direction of travel first, turns about the vertical
-next and a five-point start last, and keeps what the measured rays support best.
+Section 3 of docs/mathematics.md. Nothing here has to be accurate, because the bundle adjustment follows. It has to lie
+within that adjustment's basin of convergence, and to report when it does not: `start_pair` tries the direction of
+travel first, turns about the vertical next and a five-point start last, and keeps what the measured rays support best.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ def start_pair(
 ) -> Pair | None:
     """Both orientations of two views from rays and the GPS baseline alone; None if no start explains the rays.
 
-    Evidence decides between starts: how many rays lie near their epipolar planes with points ahead of both views. The
+    The start with the most support is kept: rays near their epipolar planes with points ahead of both views. The
     seed's own start wins ties, because the direction of travel is then known and needs no estimate.
     """
     if len(rays1) < ENOUGH:

@@ -1,7 +1,7 @@
 """A terrain model around the aircraft: heights on a regular ENU grid, bilinear between its nodes. No I/O.
 
-Heights are in the datum of the navigation frame (above mean sea level). Where the model has no data the height is nan
-there, and everything computed from it says so by being nan or infinite.
+Heights are in the datum of the navigation frame (above mean sea level). Where the model has no data the height is nan,
+and everything computed from it is nan or infinite.
 """
 
 from __future__ import annotations

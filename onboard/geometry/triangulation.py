@@ -1,4 +1,4 @@
-"""Two or more rays -> points, all points of a window at once, with the parallax that carries them. Equation (4.3)."""
+"""Two or more rays -> points, all points of a window at once, with their parallax. Equation (4.3)."""
 
 from __future__ import annotations
 

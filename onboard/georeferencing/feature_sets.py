@@ -25,10 +25,10 @@ from onboard.geometry.plane_homography import Pose
 Array = NDArray[np.float64]
 
 MIN_FEATURES = 8
-MAX_RELATIVE_SIGMA = 0.3  # a feature's own depth error beyond which it says nothing the ground plane does not
+MAX_RELATIVE_SIGMA = 0.3  # a feature's own depth error beyond which it adds nothing to the ground plane
 ROTATION_PRIOR_RAD = 0.1
 POSITION_PRIOR_M = 1.0
-# Of a variance, at most: on the wire what is shared is counted in sigmas of what is not.
+# Of a variance, at most: on the wire the shared part is quantised in sigmas of the rest.
 MAX_SHARED = 0.999
 
 

@@ -1,8 +1,8 @@
 """Feature sets over a ground known beforehand, for pictures without parallax: hover, pure rotation, the first seconds.
 
-The pose is the autopilot's, through mount and boresight; the depth is where a grid of rays meets the surface. Every
-error comes from the pose's and the surface's, by differences of that intersection (9.7): with the pose the depth
-field moves, because the ground stays where it is.
+The pose is the autopilot's, through mount and boresight; the depth is where a grid of rays meets the surface. Errors
+are propagated from the pose and the surface by finite differences of that intersection (9.7): an error of the pose
+moves the depth field too, because the ground stays where it is.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 GRID = (9, 7)
 MIN_RAYS = 8
 SURFACE_NOISE = 1e-8  # of d ln w, squared: the surface itself is known where its rays meet it
-MAX_GRAZE = 0.12  # sine of a ray's angle with the level ground below which it is left out
+MAX_GRAZE = 0.12  # least sine of a ray's angle with the level ground
 Cast = Callable[[Array, Array], Array]  # centre (3,), rays (N, 3) ENU -> depth (N,), inf where the ground is missed
 
 

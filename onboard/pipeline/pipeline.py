@@ -4,8 +4,8 @@ A picture waits until telemetry on both sides of its exposure has arrived, is tr
 becomes a keyframe itself when enough has moved, and gets a feature set: at once if the window has structure for it,
 otherwise with the first solve that has; and once more, as a later revision, when the window has seen past it.
 
-A window solve never holds up tracking: a worker does it, and its outcome is adopted at a moment that the data define,
-so that the same events give the same sets however fast the worker is.
+A window solve never holds up tracking: a worker does it, and its outcome is adopted at a time that the data define, so
+that the same events give the same sets however fast the worker is.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ MAX_MISSES = 3  # pictures in a row that found too little before a new start
 KEYFRAME_SHIFT = 0.10  # median motion, as a share of the picture's width, that makes a keyframe
 KEYFRAME_TRACKS = 0.65  # share of features still followed below which a keyframe is made
 KEYFRAME_TURN_RAD = 0.30
-MAX_PREDICTION_MISS = 0.15  # rad: tracked motion this far from what telemetry says is a wrong lock
+MAX_PREDICTION_MISS = 0.15  # rad: tracks this far from telemetry's prediction have locked onto the wrong features
 TURNING_RAD_S = 0.35
 MIN_TRAVEL = 0.03  # of the height above ground: less than this is no parallax
 MIN_TRAVEL_HEIGHT_M = 20.0
 PATIENCE_NS = 3_000_000_000  # before standing still is called that
 TERRAIN_RADIUS_M = 3000.0
 TERRAIN_SPACING_M = 20.0
-PLACED_AN_EVENT = 2  # a solve releases as many pictures as lie between two keyframes: all at once would hold up
+PLACED_AN_EVENT = 2  # a solve releases as many pictures as lie between two keyframes: all at once would delay the next
 ADOPTION_NS = 250_000_000  # of data after a keyframe is taken up, until which its solve need not be done
 
 
@@ -84,7 +84,7 @@ class Pipeline:
         self.tracker = Tracker(camera.size_px, config.tracking.features, config.tracking.min_distance_px)
         self.window = Window(config, camera)
         self.mount_selection = MountSelection(camera, self.window.R_body_cam)
-        self.tracks: Tracks | None = None  # of the newest picture, for whoever draws them
+        self.tracks: Tracks | None = None  # of the newest picture, for display
         self._waiting: deque[Frame] = deque()
         self._records: list[Record] = []
         self._settling: deque[Record] = deque()

@@ -1,4 +1,4 @@
-"""The status payload: small, plain, and nothing of it is believed unread."""
+"""The status payload: small, plain, and nothing of it is used unchecked."""
 
 from __future__ import annotations
 

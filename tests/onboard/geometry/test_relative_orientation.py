@@ -31,7 +31,7 @@ TOLERANCE = 4.0 * PIXEL
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """Two views of one ground: unit-depth rays (N, 3) of both, truth, and what is assumed of the mount."""
+    """Two views of one ground: rays (N, 3) of both, truth, and what is assumed of the mount."""
 
     rays1: Array
     rays2: Array
@@ -128,7 +128,7 @@ def test_true_matches_lie_on_their_epipolar_planes_and_a_pixel_off_is_a_pixel_of
 
 def test_the_seeds_printed_constraint_mixes_axes_and_ours_does_not() -> None:
     """(3.3) and the three readings of the seed's line: world rays with t, camera rays with R t; never R^-1 t."""
-    # Oblique: the R of a camera that looks straight down is a half turn, its own inverse, and hides one of the slips.
+    # Oblique: the R of a camera that looks straight down is a half turn, its own inverse, and hides one of the errors.
     v = views(np.random.default_rng(6), turn_deg=3.0, noise=0.0, mount_yaw_deg=-90.0, mount_pitch_deg=-50.0)
     R, t = v.first, v.baseline_enu_m / np.linalg.norm(v.baseline_enu_m)
 

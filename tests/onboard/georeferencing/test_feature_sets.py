@@ -67,7 +67,7 @@ def study(
 ) -> tuple[Study, Study]:
     """Fly, solve, publish and click in worlds as `config` believes them: on a keyframe, and on a picture between.
 
-    At most `may_refuse` windows may be refused; with errors as believed none is.
+    At most `may_refuse` windows may be refused; with errors as configured none is.
     """
     out = Study(), Study()
     refused = 0
@@ -116,7 +116,7 @@ WORLDS = 150
 def test_nine_of_ten_clicks_lie_inside_the_ellipse_with_the_full_sensor_set() -> None:
     """Flat ground of unknown slope, every sensor erring as configured, boresight and clock unknown.
 
-    Means of chi-square over 150 worlds scatter by 0.08 (two degrees of freedom), 0.12, 0.05 and 0.07.
+    Means of chi-square over 150 worlds have a sigma of 0.08 (two degrees of freedom), 0.12, 0.05 and 0.07.
     """
     for s in study(FULL, SceneSpec(), WORLDS):
         assert s.refused == 0
@@ -148,7 +148,7 @@ def test_with_the_seeds_sensors_the_ellipse_is_wide_and_holds_what_it_says() -> 
 
 
 def test_an_ellipse_that_is_believed_too_small_would_be_noticed() -> None:
-    """Sensors that err twice as much as configured: clicks leave their ellipses, or the window is not believed."""
+    """Sensors with errors twice as large as configured: clicks leave their ellipses, or the window is refused."""
     s, _ = study(FULL, SceneSpec(error_scale=2.0), 40, first_seed=3000, may_refuse=10)
     assert np.mean(np.array(s.horizontal) < CHI2_2) < 0.7
     assert 2.5 < np.mean(s.horizontal) / 2 < 6.0

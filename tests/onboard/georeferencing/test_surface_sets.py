@@ -63,7 +63,7 @@ def test_with_the_true_pose_over_level_ground_a_click_is_exact(pitch_deg: float)
 
 
 def draw(rng: np.random.Generator, sensor_pose: SensorPose, terrain: Terrain | None) -> tuple[FeatureSet, np.ndarray]:
-    """A set from a wrongly believed pose over a wrongly known ground, and the true points of CLICKS."""
+    """A set from a pose with errors over a ground with errors, and the true points of CLICKS."""
     e = SIGMAS * rng.standard_normal(7)
     wrong = replace(
         sensor_pose,

@@ -61,10 +61,10 @@ def stillness() -> Stillness:
     return out
 
 
-@pytest.mark.parametrize(("foretold_px", "old"), [(5.0, False), (8.0, False), (9.0, True), (60.0, True)])
-def test_a_picture_encoded_anew_is_old_once_telemetry_is_sure(foretold_px: float, old: bool) -> None:
+@pytest.mark.parametrize(("predicted_px", "old"), [(5.0, False), (8.0, False), (9.0, True), (60.0, True)])
+def test_a_picture_encoded_anew_is_old_once_telemetry_is_sure(predicted_px: float, old: bool) -> None:
     """Sure is two sigmas: 3 px and a share of 0.15, so 8.6 px."""
-    assert stillness().is_old(seen(0.0), shifted(foretold_px), 1) is old
+    assert stillness().is_old(seen(0.0), shifted(predicted_px), 1) is old
 
 
 def test_steps_too_small_for_one_picture_add_up() -> None:
@@ -75,7 +75,7 @@ def test_steps_too_small_for_one_picture_add_up() -> None:
     assert verdicts == [False] * 3 + [True] * 4
 
 
-def test_ground_that_moves_as_foretold_or_otherwise_is_new() -> None:
+def test_ground_that_moves_as_predicted_or_otherwise_is_new() -> None:
     still = stillness()
     assert not any(still.is_old(seen(12.0 * k), shifted(12.0 * k), k) for k in range(1, 6))
     assert not any(still.is_old(seen(60.0 + 1.0 * k), shifted(60.0 + 12.0 * k), k) for k in range(1, 6))
