@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import faulthandler
-import json
 import logging
 import os
 import sys
@@ -18,7 +17,7 @@ import cv2
 
 from contract.camera import Camera
 from contract.errors import ConfigError, InputError, PointclickError
-from contract.vehicle_status import VehicleStatus, encode_status
+from contract.vehicle_status import encode_status
 from onboard.camera.factory import open_camera
 from onboard.config.files import load_camera, load_config_files, state_folder
 from onboard.config.schema import Config, to_toml
@@ -30,9 +29,10 @@ from onboard.pipeline.pipeline import Pipeline
 from onboard.service import journal
 from onboard.service.daemon import Daemon, SignalOrders
 from onboard.service.host import cpu_temperature_c
-from onboard.service.prometheus import PrometheusServer, exposition
+from onboard.service.prometheus import PrometheusServer
+from onboard.service.reports import Report
 from onboard.service.sd_notify import Notifier
-from onboard.service.session import Detail, Parts, Reporter, restore
+from onboard.service.session import Parts, Reporter, restore
 from onboard.service.solver_thread import SolverThread
 from onboard.storage.alignment_file import StateFile
 from onboard.storage.elevation_files import TerrainFiles
@@ -98,8 +98,9 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
             threads.append(recording.thread)
             reporters.append(partial(_record, recording))
         if config.service.prometheus is not None:
-            server = opened.enter_context(PrometheusServer(config.service.prometheus))
-            reporters.append(partial(_show, server, config.vehicle.id))
+            server = opened.enter_context(PrometheusServer(config.service.prometheus, config.vehicle.id))
+            threads.append(server.thread)
+            reporters.append(server.show)
         parts = Parts(
             clock=clock,
             camera=open_camera(config, camera, clock),
@@ -118,13 +119,9 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
     return parts
 
 
-def _send(link: Publisher, status: VehicleStatus, detail: Detail) -> None:
-    link.publish_status(encode_status(status), json.dumps(detail).encode())
+def _send(link: Publisher, report: Report) -> None:
+    link.publish_status(encode_status(report.status), report.to_json())
 
 
-def _record(recording: Recorded, status: VehicleStatus, detail: Detail) -> None:
-    recording.status(round(status.unix_s * 1e9), encode_status(status))
-
-
-def _show(server: PrometheusServer, vehicle: str, status: VehicleStatus, detail: Detail) -> None:
-    server.show(exposition(vehicle, status, detail))
+def _record(recording: Recorded, report: Report) -> None:
+    recording.status(round(report.status.unix_s * 1e9), encode_status(report.status))

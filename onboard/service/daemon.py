@@ -18,7 +18,7 @@ from onboard.config.schema import Config
 from onboard.events.source import Severity
 from onboard.service.sd_notify import Notifier
 from onboard.service.session import Parts, Session
-from onboard.service.vehicle_state import Overall, Word, is_alive, overall, severity
+from onboard.service.vehicle_state import Overall, VehicleState, is_alive, overall, severity
 
 TICK_S = 0.25
 REPORT_NS = 1_000_000_000
@@ -86,7 +86,7 @@ class Daemon:
         self._session: Session
         self._config: Config
         self._overall: Overall | None = None
-        self._said: Word | None = None
+        self._said: VehicleState | None = None
         self._said_ns = self._reported_ns = 0
 
     def run(self) -> int:
@@ -148,19 +148,19 @@ class Daemon:
             self._notifier.feed_watchdog()
         if now_ns - self._reported_ns >= REPORT_NS:
             self._reported_ns = now_ns
-            status, detail = session.report()
+            report = session.report()
             for reporter in session.parts.reporters:
-                reporter(status, detail)
+                reporter(report)
 
     def _tell(self, state: Overall, now_ns: int) -> None:
         """The log and the service manager hear of each change at once, the pilot no more often than can be read."""
-        if self._overall is None or state.word is not self._overall.word:
-            log.log(_LEVELS[severity(state.word)], "state: %s", state)
+        if self._overall is None or state.state is not self._overall.state:
+            log.log(_LEVELS[severity(state.state)], "state: %s", state)
         self._overall = state
         self._notifier.status(str(state))
-        if state.word is not self._said and now_ns - self._said_ns >= SAY_NS:
-            self._session.parts.telemetry.say(severity(state.word), f"pointclick: {state}")
-            self._said, self._said_ns = state.word, now_ns
+        if state.state is not self._said and now_ns - self._said_ns >= SAY_NS:
+            self._session.parts.telemetry.say(severity(state.state), f"pointclick: {state}")
+            self._said, self._said_ns = state.state, now_ns
 
     def _reload(self) -> bool:
         """Whether the flight goes on, with the new configuration or with the old."""
@@ -182,7 +182,7 @@ class Daemon:
         """
         live = {"service": self._config.service.model_copy(update={"max_delay_s": config.service.max_delay_s})}
         if config == self._config.model_copy(update=live):
-            self._session.intake.max_delay_s = config.service.max_delay_s
+            self._session.event_queue.max_delay_s = config.service.max_delay_s
             self._config = config
             log.info("configuration reloaded; the session goes on")
             return True

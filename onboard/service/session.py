@@ -12,11 +12,8 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import dataclass, field
+from typing import Protocol
 
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
@@ -24,15 +21,25 @@ from contract.vehicle_status import VehicleStatus
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.sink import Sink
-from onboard.events.source import Source, SourceStatus, TelemetrySource
+from onboard.events.source import Source, TelemetrySource
 from onboard.events.supervised_thread import Policy, SupervisedThread, ThreadReport
 from onboard.events.types import Event, Frame, GpsQuality
 from onboard.pipeline.pipeline import Pipeline
 from onboard.pipeline.statistics import Summary
 from onboard.service.event_queue import EventQueue
 from onboard.service.live_rates import LiveRates
+from onboard.service.reports import (
+    Brightness,
+    ClockReport,
+    PictureCounts,
+    RecordingReport,
+    Report,
+    estimates,
+    gps_report,
+)
+from onboard.service.standstill import Standstill
 from onboard.service.supervision import Supervisor
-from onboard.service.vehicle_state import STUCK_S, Inputs, overall
+from onboard.service.vehicle_state import STUCK_S, Inputs, judge, overall
 from onboard.storage.alignment_file import StateFile
 
 IDLE_S = 0.2  # the pipeline's thread looks up this often when nothing comes
@@ -45,8 +52,7 @@ REPEAT_NS = 60_000_000_000  # between lines of the log about the same thing
 UNENCODABLE = (ValueError, ArithmeticError, struct.error)
 
 log = logging.getLogger("pointclick")
-Detail = dict[str, Any]
-Reporter = Callable[[VehicleStatus, Detail], None]
+Reporter = Callable[[Report], None]
 
 
 class RecordingSink(Sink, Protocol):
@@ -80,8 +86,8 @@ class Session:
     def __init__(self, config: Config, parts: Parts) -> None:
         self.parts = parts
         self.clock = parts.clock
-        self.intake = EventQueue(self.clock.now_ns, config.service.max_delay_s)
-        self.recent = LiveRates()
+        self.event_queue = EventQueue(self.clock.now_ns, config.service.max_delay_s)
+        self.live_rates = LiveRates()
         self._stop = threading.Event()
         self._sources = [
             SupervisedThread("camera", self._run_camera, Policy.END, late_after_s=SOURCE_LATE_S, stop=self._stop),
@@ -103,7 +109,8 @@ class Session:
         self._summary = Summary()
         self._tracks = 0
         self._gps: GpsQuality | None = None
-        self._picture: Detail | None = None
+        self._standstill = Standstill(config.gps)
+        self._brightness: Brightness | None = None
         self._learned: str | None = None  # the newest; written by the pipeline's thread
         self._kept: str | None = None  # what the state file holds of it
 
@@ -129,7 +136,7 @@ class Session:
         self._stop.set()
         for source in self._sources:
             source.join(max(deadline - time.monotonic() - 0.5 * within_s, 0.0))
-        self.intake.close()
+        self.event_queue.close()
         self._pipeline.join(max(deadline - time.monotonic(), 0.0))
         # Before anything that may fail is closed: it is small, and flights were needed to learn it.
         self._may_not_learn.set()
@@ -175,68 +182,56 @@ class Session:
         return True
 
     def inputs(self) -> Inputs:
-        """What `health` needs to know."""
+        """What the state is judged by."""
         now_ns, busy_since_ns = self.clock.now_ns(), self._busy_since_ns
         return Inputs(
             camera=self.parts.camera.health(),
             telemetry=self.parts.telemetry.health(),
-            picture_age_s=self.recent.picture_age_s(now_ns),
+            picture_age_s=self.live_rates.picture_age_s(now_ns),
             busy_s=0.0 if busy_since_ns is None else (now_ns - busy_since_ns) / 1e9,
-            outcome=self.recent.outcome(now_ns),
-            is_shedding=self.intake.dropped_within(2.0),
+            outcome=self.live_rates.outcome(now_ns),
+            is_shedding=self.event_queue.dropped_within(2.0),
             recording_fault=self.parts.recording.fault if self.parts.recording is not None else "",
+            gps=gps_report(self._gps, now_ns),
+            position_fault=self.parts.pipeline.navigation.reason,
+            is_at_rest=self._standstill.is_at_rest,
+            threads=self.threads(),
         )
 
-    def report(self) -> tuple[VehicleStatus, Detail]:
-        """The status for the link, and all the rest."""
-        now_ns, inputs, recent = self.clock.now_ns(), self.inputs(), self.recent
+    def report(self) -> Report:
+        """Everything the session knows of itself."""
+        now_ns, inputs, rates, summary = self.clock.now_ns(), self.inputs(), self.live_rates, self._summary
         state = overall(inputs)
+        is_recording = self.parts.recording is not None and not inputs.recording_fault
         status = VehicleStatus(
             unix_s=now_ns / 1e9,
-            session=recent.session,
-            state=state.word.value,
+            session=rates.session,
+            state=state.state.value,
             reason=state.reason,
             up_s=(now_ns - self._began_ns) / 1e9,
-            camera_hz=recent.camera_hz(now_ns),
-            ok_hz=recent.ok_hz(now_ns),
-            frame=recent.frame,
-            delay_s=recent.delay_s,
+            camera_hz=rates.camera_hz(now_ns),
+            ok_hz=rates.ok_hz(now_ns),
+            frame=rates.frame,
+            delay_s=rates.delay_s,
             tracks=self._tracks,
-            dropped=self.intake.dropped,
+            dropped=self.event_queue.dropped,
             lost=round(inputs.camera.figures.get("lost", 0.0)),
-            recording=self.parts.recording is not None and not inputs.recording_fault,
+            recording=is_recording,
             cpu_c=self.parts.temperature_c(),
         )
-        return status, self._detail(status, inputs, now_ns)
-
-    def _detail(self, status: VehicleStatus, inputs: Inputs, now_ns: int) -> Detail:
-        gps, summary = self._gps, self._summary
-        detail: Detail = {
-            "status": asdict(status) | {"reason": overall(inputs).reason},
-            "camera": reported(inputs.camera),
-            "telemetry": reported(inputs.telemetry),
-            "picture": self._picture,
-            "gps": None if gps is None else asdict(gps) | {"age_s": (now_ns - gps.stamp_ns) / 1e9},
-            "pictures": {
-                "handled": summary.frames,
-                "keyframes": summary.keyframes,
-                "solved": summary.solved,
-                "refused": summary.refused,
-                "reprojection_px": summary.reprojection_px,
-            },
-            "learned": None,
-            "recording_fault": inputs.recording_fault,
-            "host_clock_step_s": self.clock.host_step_s(),
-        }
-        if summary.alignment is not None:
-            mean, sigma = summary.alignment.mean.tolist(), summary.alignment.sigma.tolist()
-            detail["learned"] = {
-                "boresight_rad": mean[:3],
-                "sigma_boresight_rad": sigma[:3],
-                "offset_s": mean[3],
-                "sigma_offset_s": sigma[3],
-            }
-        return detail
+        return Report(
+            status,
+            inputs.camera,
+            inputs.telemetry,
+            judge(inputs),
+            self._brightness,
+            inputs.gps,
+            PictureCounts.of(summary, self.unencodable),
+            estimates(summary),
+            inputs.threads,
+            RecordingReport(is_recording, inputs.recording_fault),
+            ClockReport(self.clock.host_step_s()),
+        )
 
     def _run_camera(self, thread: SupervisedThread) -> None:
         self.parts.camera.run(self._take, thread)
@@ -246,22 +241,23 @@ class Session:
 
     def _take(self, arrival_ns: int, event: Event) -> None:
         if isinstance(event, Frame):
-            self.recent.picture_came(self.clock.now_ns())
-        self.intake.put(arrival_ns, event)
+            self.live_rates.picture_came(self.clock.now_ns())
+        elif isinstance(event, GpsQuality):
+            self._gps = event  # here, before it waits in the queue: its age is the receiver's silence
+        self.event_queue.put(arrival_ns, event)
 
     def _run_pipeline(self, thread: SupervisedThread) -> None:
         pipeline, sinks = self.parts.pipeline, self.parts.sinks
-        while not self.intake.is_over:
+        while not self.event_queue.is_over:
             thread.beat()
-            got = self.intake.get(IDLE_S)
+            got = self.event_queue.get(IDLE_S)
             self._busy_since_ns = None if got is None else self.clock.now_ns()
             if got is not None:
                 arrival_ns, event = got
                 for sink in sinks:
                     sink.event(arrival_ns, event)
                 self._hand_out(pipeline.handle(event))
-                if isinstance(event, GpsQuality):
-                    self._gps = event
+                self._standstill.note(event)
                 self._busy_since_ns = None
             self._take_snapshot(None if got is None else got[1])
         self._busy_since_ns = self.clock.now_ns()
@@ -274,7 +270,7 @@ class Session:
         for output in outputs:
             taken = [self._hand_over(output, sink) for sink in self.parts.sinks]
             if all(taken):
-                self.recent.set_made(output, self.clock.now_ns())
+                self.live_rates.set_made(output, self.clock.now_ns())
 
     def _hand_over(self, output: FeatureSet, sink: Sink) -> bool:
         """Whether the sink took it. A set without an encoding is no reason to end the flight: it is left out."""
@@ -293,7 +289,7 @@ class Session:
         """Once a second, what other threads may see of the pipeline; and how bright its newest picture is."""
         now_ns, pipeline = self.clock.now_ns(), self.parts.pipeline
         if isinstance(event, Frame) and event.image is not None and now_ns - self._looked_ns >= SNAPSHOT_NS:
-            self._looked_ns, self._picture = now_ns, brightness(event.image)
+            self._looked_ns, self._brightness = now_ns, Brightness.of(event.image)
         if now_ns - self._snapshot_at_ns < SNAPSHOT_NS:
             return
         self._snapshot_at_ns = now_ns
@@ -302,21 +298,6 @@ class Session:
         alignment = pipeline.window.alignment
         if alignment.updates:
             self._learned = alignment.to_json()
-
-
-def brightness(image: NDArray[np.uint8]) -> Detail:
-    """Mean grey (0 to 255) of a picture and the shares of it that are black and white, from every eighth pixel."""
-    sample = image[::8, ::8]
-    return {
-        "mean": float(sample.mean()),
-        "black": float((sample <= 2).mean()),
-        "white": float((sample >= 253).mean()),
-    }
-
-
-def reported(health: SourceStatus) -> Detail:
-    """A source's health as a report has it."""
-    return {"state": health.state.value, "detail": health.detail, "figures": dict(health.figures)}
 
 
 def restore(state: StateFile, pipeline: Pipeline) -> str:

@@ -56,7 +56,7 @@ class Steady:
                 time.sleep(0.05)
             elif not self.is_silent:
                 now_ns = self.clock.now_ns()
-                emit(now_ns, Frame(now_ns, index, None) if self.make is Frame else GpsQuality(now_ns, 0))
+                emit(now_ns, Frame(now_ns, index, None) if self.make is Frame else GpsQuality(now_ns, 3))
                 index += 1
 
     def health(self) -> SourceStatus:
@@ -111,7 +111,11 @@ class Rig:
         self.camera, self.telemetry = Steady(Frame, clock), Steady(GpsQuality, clock)
         self.pipeline = Held(config)
         parts = Parts(
-            clock, self.camera, self.telemetry, self.pipeline, reporters=[lambda s, _: self.states.append(s.state)]
+            clock,
+            self.camera,
+            self.telemetry,
+            self.pipeline,
+            reporters=[lambda report: self.states.append(report.status.state)],
         )
         parts.resources.callback(self.note_closed)
         self.opened.append((config, parts))
@@ -266,7 +270,7 @@ def test_a_reload_of_the_delay_goes_on_in_the_same_session() -> None:
         rig.order(Order.RELOAD)
         rig.wait_for(lambda: rig.notes.words.count("READY=1") == 2)
         assert len(rig.opened) == 1
-        assert rig.daemon._session.intake.max_delay_s == 0.2
+        assert rig.daemon._session.event_queue.max_delay_s == 0.2
 
 
 def test_a_reload_of_anything_else_begins_a_session_of_its_own() -> None:
