@@ -84,7 +84,7 @@ def _open_files(arguments: argparse.Namespace) -> _Inputs:
     needed = {"--frames": arguments.frames, "--telemetry": arguments.telemetry, "--camera": arguments.camera}
     missing = [name for name, path in needed.items() if path is None]
     if missing:
-        raise InputError(f"replay needs a recording, or pictures and a log: {' and '.join(missing)} is missing")
+        raise InputError(f"replay needs a recording, or pictures and a log: {' and '.join(missing)} missing")
     config = Config() if arguments.config is None else load_config_files(arguments.config)
     config_text = "" if arguments.config is None else to_toml(config)
     camera = Camera.from_json(arguments.camera)

@@ -89,7 +89,9 @@ def test_a_message_larger_than_a_burst_goes_once_the_bucket_is_full_whatever_the
         if budget.send(Kind.REPLY, 3000, now_s):
             took.append(now_s)
         now_s += 0.01
-    assert 60.0 * 0.2 * budget.bytes_per_s < len(took) * budget.cost(Kind.REPLY, 3000) < 60.0 * 0.45 * budget.bytes_per_s
+    assert (
+        60.0 * 0.2 * budget.bytes_per_s < len(took) * budget.cost(Kind.REPLY, 3000) < 60.0 * 0.45 * budget.bytes_per_s
+    )
 
 
 def test_the_ground_is_never_without_the_newest_picture_for_long() -> None:
