@@ -1,9 +1,9 @@
 """What the platform does not know of itself, learned in flight: boresight and camera-to-autopilot time offset.
 
 Every window solve estimates both (residuals (5.4), (5.7)) against a prior. Its posterior may serve as prior for later
-windows only if it has seen none of their data, and the autopilot's attitude error wanders over tens of seconds, so
-that windows closer than that repeat the same error. Therefore one window in a while is learned from, and a window
-uses the newest lesson that ended before the window began. Section 10 of docs/mathematics.md.
+windows only if it has seen none of their data, and the autopilot's attitude error changes over tens of seconds, so
+that windows closer than that repeat the same error. Therefore one window in a while updates the estimate, and a window
+uses the newest posterior that ended before the window began. Section 10 of docs/mathematics.md.
 """
 
 from __future__ import annotations

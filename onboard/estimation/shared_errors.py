@@ -44,7 +44,7 @@ def shared_errors(config: Config, priors: list[Prior], state: State, covariance:
 
 
 def make_sensor_pose(config: Config, nav: NavState, belief: Belief, R_cam_enu: Array) -> SensorPose:
-    """The camera's pose by sensors alone, its errors by the draws they come from, and what is the picture's own."""
+    """The camera's pose by sensors alone, its errors by nuisance parameters, and what is the picture's own."""
     solve, gps = config.solve, config.gps
     speed = np.zeros(3) if nav.velocity_enu_m_s is None else nav.velocity_enu_m_s
     tilt, heading = np.radians(solve.attitude_sigma_deg), np.radians(solve.heading_sigma_deg)

@@ -87,7 +87,7 @@ class Noise:
 
     pixel_sigma_px: float
     jitter_s: float
-    noise_inflation: float = 1.0  # how much less than by their own scatter pixels are trusted
+    noise_inflation: float = 1.0  # how much less than by their own residuals pixels are trusted
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +164,7 @@ def adjust(request: Request) -> Outcome:
     points, reference, plane = _points(request, ids, R, C, xy, weight > 0)
     belief = request.belief
     state = State(R, C, points, belief.mean[:3], float(belief.mean[3]), plane)
-    relief, terrain = _ground(request, points)
+    ground_weight, terrain = _ground(request, points)
     if terrain is not None:
         reference[2] = 0.0
         state = replace(state, plane=np.zeros(3))
@@ -172,20 +172,22 @@ def adjust(request: Request) -> Outcome:
     strays_m = _strays_m(request, points - reference, state.plane, terrain)
     ranged = range_prior(list(keyframes), layout, reference, state.plane, strays_m, terrain)
     if ranged is not None:  # what it measures is the plane: the points must be held to that as closely as they lie
-        relief = np.full(len(points), 1.0 / strays_m)
+        ground_weight = np.full(len(points), 1.0 / strays_m)
     for _ in range(WEIGHING_ROUNDS):
         used = noise  # what this problem is weighted by; `noise` becomes what the next is
         priors = sensor_priors(
             request.config, request.R_body_cam, list(keyframes), layout, belief, terrain is not None, noise.jitter_s
         )
         priors += [] if ranged is None else [ranged]
-        problem = Problem(layout, xy, weight / noise.noise_inflation, priors, reference, relief, terrain, clearance_m)
+        problem = Problem(
+            layout, xy, weight / noise.noise_inflation, priors, reference, ground_weight, terrain, clearance_m
+        )
         first = approximate(problem, state)
         noise, again = _reweighed(request, used, priors, first.state)
         if not again:
             break
         state = first.state
-    problem = replace(problem, ground_weight=_alike(problem, first, relief))
+    problem = replace(problem, ground_weight=_alike(problem, first, ground_weight))
     adjusted = refine(problem, first, MIN_PIXEL_SIGMA_PX / (used.pixel_sigma_px * used.noise_inflation))
     if adjusted is None:
         return Outcome(Status.POOR_FIT, keyframes, noise)
@@ -309,15 +311,15 @@ def _ground(request: Request, points: Array) -> tuple[Array, Terrain | None]:
     return np.full(len(points), 1.0 / max(request.config.solve.relief_sigma_m, 1e-3)), None
 
 
-def _alike(problem: Problem, first: Solution, relief: Array) -> Array:
-    """1 / sigma (P,) of the ground under each point, for correlated deviations: no more than `relief`. (5.13)"""
+def _alike(problem: Problem, first: Solution, ground_weight: Array) -> Array:
+    """1 / sigma (P,) of the ground under each point, for correlated deviations: no more than `ground_weight`. (5.13)"""
     s = first.state
     height, _, _ = ground_plane(s.points_enu_m, problem.reference_enu_m, s.plane, problem.terrain)
     seen = np.isfinite(height) & (np.count_nonzero(problem.weight > 0, axis=0) >= 2)
     offset = (s.points_enu_m - problem.reference_enu_m)[seen, :2]
     clearance_m = float((s.centres_enu_m[:, 2]).mean() - np.median(s.points_enu_m[seen, 2]))
     sigma_m = effective_sigma_m(offset, height[seen], first.point_covariance[seen, 2, 2], clearance_m)
-    return np.minimum(relief, 1.0 / max(sigma_m, 1e-3))
+    return np.minimum(ground_weight, 1.0 / max(sigma_m, 1e-3))
 
 
 def _strays_m(request: Request, offset: Array, plane: Array, terrain: Terrain | None) -> float:
