@@ -11,7 +11,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from contract.feature_set import Status
+from onboard.config.schema import Config
 from onboard.estimation.boresight import Belief
+from onboard.pipeline.motion_prediction import MAX_APART_NS
+from onboard.pipeline.shortfall import Evidence, Shortfall
 
 REMEMBERED_PICTURES = 5000  # whose status may still change: many times what a window spans
 
@@ -28,6 +31,7 @@ class Summary:
     reprojection_px: float = 0.0
     alignment: Belief | None = None  # boresight and time offset as estimated; None before the first update
     stage_seconds: dict[str, float] = field(default_factory=dict)
+    shortfall: Shortfall | None = None  # why nothing was solved, where nothing was
 
 
 class RunStatistics:
@@ -40,6 +44,7 @@ class RunStatistics:
         self._status: dict[int, Status] = {}  # of the newest pictures, by index; all are counted in `_outcomes`
         self._outcomes: Counter[Status] = Counter()
         self._stages: dict[str, float] = {}
+        self.evidence = Evidence()
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
@@ -62,7 +67,14 @@ class RunStatistics:
         while len(self._status) > REMEMBERED_PICTURES:
             del self._status[next(iter(self._status))]
 
-    def summary(self, alignment: Belief | None) -> Summary:
+    def shortfall(self, config: Config) -> Shortfall | None:
+        """Why nothing was solved; None where anything was."""
+        if self._outcomes[Status.OK]:
+            return None
+        self.evidence.keyframes = self.keyframes
+        return self.evidence.why(+self._outcomes, config, MAX_APART_NS / 1e9)
+
+    def summary(self, alignment: Belief | None, config: Config) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
         refused = Counter({s.value: n for s, n in self._outcomes.items() if s is not Status.OK and n})
         return Summary(
@@ -74,6 +86,7 @@ class RunStatistics:
             reprojection_px=float(np.median(self.reprojections_px)) if self.reprojections_px else 0.0,
             alignment=alignment,
             stage_seconds=dict(self._stages),
+            shortfall=self.shortfall(config),
         )
 
 
