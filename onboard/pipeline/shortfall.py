@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 REMEMBERED_STEPS = 1000
 MIN_OVERLAP = 0.25  # rendered flights: answered in full at 0.27 of the picture in common, not at all at 0.17
 MIN_SPAN = 0.1  # of the height above ground, flown during a window: less is no parallax
+MIN_LASTING_S = 5.0  # of a flight that is said to have stood still: a shorter one is too short
 SHARE_GRID = (16, 12)
 
 
@@ -155,7 +156,7 @@ class Evidence:
     def _by_status(self, statuses: Counter[Status], config: Config) -> Shortfall:
         worst = max((s for s in statuses if s is not Status.STARTING), key=lambda s: statuses[s], default=None)
         count = 0 if worst is None else statuses[worst]
-        is_still = self.span_m < MIN_SPAN * self.height_m
+        is_still = self.span_m < MIN_SPAN * self.height_m and sum(self.apart_s) > MIN_LASTING_S
         if worst is Status.FEATURELESS and count > statuses[Status.STARTING]:
             return Shortfall(
                 f"nothing to follow on {count} pictures", "check focus, exposure and that the lens looks at the ground"
