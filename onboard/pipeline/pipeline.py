@@ -35,7 +35,7 @@ from onboard.pipeline.keyframe_choice import wants_keyframe
 from onboard.pipeline.motion_prediction import ground_so_far, predict_motion, what_parts
 from onboard.pipeline.mount_selection import MountSelection
 from onboard.pipeline.picture_record import Pending, Record
-from onboard.pipeline.shortfall import MIN_OVERLAP
+from onboard.pipeline.shortfall import MIN_OVERLAP, Evidence
 from onboard.pipeline.statistics import RunStatistics, Summary
 from onboard.vision.klt_tracker import MIN_TRACKS, Tracker, Tracks
 
@@ -98,7 +98,7 @@ class Pipeline:
         self._unsolved = Status.STARTING  # why there is no solution yet: POOR_FIT once windows were refused for it
         self._last_nav: NavState | None = None
         self._frame: LocalFrame | None = None  # the navigation frame that the window's states are in
-        self._statistics = RunStatistics()
+        self._statistics = RunStatistics(Evidence(config))
 
     def handle(self, event: Event) -> list[FeatureSet]:
         """Take one event; returns the feature sets that follow from it, maybe of earlier pictures, maybe none."""
@@ -135,7 +135,7 @@ class Pipeline:
     def summary(self) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
         alignment = self.window.alignment
-        return self._statistics.summary(alignment.belief if alignment.updates else None, self.config)
+        return self._statistics.summary(alignment.belief if alignment.updates else None)
 
     def _process(self, frame: Frame) -> list[FeatureSet]:
         if self._session is None:

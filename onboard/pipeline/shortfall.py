@@ -19,6 +19,7 @@ from onboard.navigation.navigator import NavState
 
 Array = NDArray[np.float64]
 
+MAX_APART_S = 12.0  # between pictures: ten of them, a window, span what navigation remembers
 REMEMBERED_STEPS = 1000
 MIN_OVERLAP = 0.25  # rendered flights: answered in full at 0.27 of the picture in common, not at all at 0.17
 MIN_SPAN = 0.1  # of the height above ground, flown during a window: less is no parallax
@@ -47,11 +48,11 @@ class Shortfall:
 class Evidence:
     """What a flight without answers is judged by: its latest pictures, in bounded memory."""
 
+    config: Config
     apart_s: deque[float] = field(default_factory=lambda: deque(maxlen=REMEMBERED_STEPS))
     overlap: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=REMEMBERED_STEPS))
     breaks: Counter[Break] = field(default_factory=Counter)
     has_attitude: bool = False
-    keyframes: int = 0
     navigation: str = ""  # why the position was not believed, the last time it was not
     span_m: float = 0.0  # the farthest flown within one window
     height_m: float = float("nan")  # above home, the last known
@@ -84,7 +85,7 @@ class Evidence:
         self.overlap.append(((nav.stamp_ns - was.stamp_ns) / 1e9, share))
         return share
 
-    def why(self, statuses: Counter[Status], config: Config, max_apart_s: float) -> Shortfall:
+    def why(self, statuses: Counter[Status], keyframes: int) -> Shortfall:
         """The likely reason why none of the pictures with these statuses has an answer."""
         frames = statuses.total()
         if not frames:
@@ -95,8 +96,8 @@ class Evidence:
             default=(Status.STARTING, 0),
         )
         if 2 * count > frames:
-            return self._unusable(worst, count, config)
-        apart = self._too_far_apart(max_apart_s)
+            return self._unusable(worst, count)
+        apart = self._too_far_apart()
         if apart is not None:
             return apart
         if len(self.apart_s) + 1 < MIN_KEYFRAMES:
@@ -104,9 +105,9 @@ class Evidence:
                 f"{len(self.apart_s) + 1} usable pictures of {frames}",
                 f"at least {MIN_KEYFRAMES} in a row must show the same ground and have telemetry about them",
             )
-        return self._by_status(statuses, config)
+        return self._by_status(statuses, keyframes)
 
-    def _unusable(self, status: Status, count: int, config: Config) -> Shortfall:
+    def _unusable(self, status: Status, count: int) -> Shortfall:
         if status is Status.BAD_PICTURE:
             return Shortfall(f"{count} pictures are damaged or repeat an earlier one", "check the camera and its files")
         if status is Status.NO_GPS:
@@ -116,12 +117,12 @@ class Evidence:
                 "wait for a fix before the first picture; see GPS_RAW_INT and EKF_STATUS_REPORT in the log",
             )
         return Shortfall(
-            f"telemetry gap: no position within {config.gps.max_gap_s:g} s or no attitude within "
-            f"{config.telemetry.max_attitude_gap_s:g} s about {count} pictures",
+            f"telemetry gap: no position within {self.config.gps.max_gap_s:g} s or no attitude within "
+            f"{self.config.telemetry.max_attitude_gap_s:g} s about {count} pictures",
             "raise the rates of GLOBAL_POSITION_INT and ATTITUDE, and check that pictures and log have the same clock",
         )
 
-    def _too_far_apart(self, max_apart_s: float) -> Shortfall | None:
+    def _too_far_apart(self) -> Shortfall | None:
         steps = len(self.apart_s)
         if not steps:
             return None
@@ -130,7 +131,7 @@ class Evidence:
         if 3 * self.breaks.total() >= steps:
             if why is Break.APART:
                 return Shortfall(
-                    f"pictures {usual_s:.1f} s apart, at most {max_apart_s:.1f}", "take pictures more often"
+                    f"pictures {usual_s:.1f} s apart, at most {MAX_APART_S:.1f}", "take pictures more often"
                 )
             if why is Break.STAMPS:
                 return Shortfall(
@@ -153,7 +154,7 @@ class Evidence:
             "take pictures more often, fly slower or higher, or use a wider lens",
         )
 
-    def _by_status(self, statuses: Counter[Status], config: Config) -> Shortfall:
+    def _by_status(self, statuses: Counter[Status], keyframes: int) -> Shortfall:
         worst = max((s for s in statuses if s is not Status.STARTING), key=lambda s: statuses[s], default=None)
         count = 0 if worst is None else statuses[worst]
         is_still = self.span_m < MIN_SPAN * self.height_m and sum(self.apart_s) > MIN_LASTING_S
@@ -170,7 +171,7 @@ class Evidence:
                 f"no parallax: {self.span_m:.0f} m flown at {self.height_m:.0f} m above home",
                 "fly on, or say where the ground is: terrain.path, solve.home_level or a range finder",
             )
-        if not self.has_attitude and config.solve.attitude == "autopilot":
+        if not self.has_attitude and self.config.solve.attitude == "autopilot":
             return Shortfall(
                 "no attitude in the telemetry", "ask the autopilot for ATTITUDE, or set solve.level_ground = true"
             )
@@ -180,7 +181,7 @@ class Evidence:
                 "check mount.*_deg, camera.json, and that pictures and log are of one flight and one clock",
             )
         return Shortfall(
-            f"too short: {self.keyframes} keyframes within {self.span_m:.0f} m flown",
+            f"too short: {keyframes} keyframes within {self.span_m:.0f} m flown",
             f"at least {MIN_KEYFRAMES} keyframes are needed, each a tenth of a picture farther on: fly on",
         )
 

@@ -11,9 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from contract.feature_set import Status
-from onboard.config.schema import Config
 from onboard.estimation.boresight import Belief
-from onboard.pipeline.motion_prediction import MAX_APART_NS
 from onboard.pipeline.shortfall import Evidence, Shortfall
 
 REMEMBERED_PICTURES = 5000  # whose status may still change: many times what a window spans
@@ -24,6 +22,7 @@ class Summary:
     """What became of the pictures. `refused` counts reasons; `stage_seconds` is processor time by stage."""
 
     frames: int = 0
+    shortfall: Shortfall | None = None  # why nothing was solved, where nothing was
     keyframes: int = 0
     solved: int = 0
     refused: dict[str, int] = field(default_factory=dict)
@@ -31,20 +30,19 @@ class Summary:
     reprojection_px: float = 0.0
     alignment: Belief | None = None  # boresight and time offset as estimated; None before the first update
     stage_seconds: dict[str, float] = field(default_factory=dict)
-    shortfall: Shortfall | None = None  # why nothing was solved, where nothing was
 
 
 class RunStatistics:
     """Counts."""
 
-    def __init__(self) -> None:
+    def __init__(self, evidence: Evidence) -> None:
+        self.evidence = evidence
         self.keyframes = 0
         self.track_counts: Counter[int] = Counter()
         self.reprojections_px: deque[float] = deque(maxlen=REMEMBERED_PICTURES)
         self._status: dict[int, Status] = {}  # of the newest pictures, by index; all are counted in `_outcomes`
         self._outcomes: Counter[Status] = Counter()
         self._stages: dict[str, float] = {}
-        self.evidence = Evidence()
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
@@ -67,17 +65,11 @@ class RunStatistics:
         while len(self._status) > REMEMBERED_PICTURES:
             del self._status[next(iter(self._status))]
 
-    def shortfall(self, config: Config) -> Shortfall | None:
-        """Why nothing was solved; None where anything was."""
-        if self._outcomes[Status.OK]:
-            return None
-        self.evidence.keyframes = self.keyframes
-        return self.evidence.why(+self._outcomes, config, MAX_APART_NS / 1e9)
-
-    def summary(self, alignment: Belief | None, config: Config) -> Summary:
+    def summary(self, alignment: Belief | None) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
         refused = Counter({s.value: n for s, n in self._outcomes.items() if s is not Status.OK and n})
         return Summary(
+            shortfall=None if self._outcomes[Status.OK] else self.evidence.why(+self._outcomes, self.keyframes),
             frames=self._outcomes.total(),
             keyframes=self.keyframes,
             solved=self._outcomes[Status.OK],
@@ -86,7 +78,6 @@ class RunStatistics:
             reprojection_px=float(np.median(self.reprojections_px)) if self.reprojections_px else 0.0,
             alignment=alignment,
             stage_seconds=dict(self._stages),
-            shortfall=self.shortfall(config),
         )
 
 

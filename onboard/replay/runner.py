@@ -168,13 +168,13 @@ def summary_text(summary: Summary) -> str:
         turns = [f"{math.degrees(m):+.2f} +-{math.degrees(s):.2f}" for m, s in zip(mean[:3], sigma[:3], strict=True)]
         rows.append(("boresight", f"x {turns[0]}, y {turns[1]}, z {turns[2]} deg, camera axes"))
         rows.append(("time offset", f"{mean[3]:+.3f} +-{sigma[3]:.3f} s, camera to autopilot"))
-    if summary.shortfall is not None:
-        rows += [("nothing solved", summary.shortfall.reason), ("what to do", summary.shortfall.remedy)]
     frames = max(summary.frames, 1)
     rows += [
         (f"time, {stage}", f"{seconds:.2f} s ({1000.0 * seconds / frames:.1f} ms a frame)")
         for stage, seconds in summary.stage_seconds.items()
     ]
+    if summary.shortfall is not None:
+        rows += [("nothing solved", summary.shortfall.reason), ("what to do", summary.shortfall.remedy)]
     width = max(len(name) for name, _ in rows)
     return "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
 
