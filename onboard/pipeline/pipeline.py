@@ -216,7 +216,8 @@ class Pipeline:
         assert frame.image is not None
         # While it is open what carries the camera, the pictures must be heard without its prejudice.
         predicted = None if self.mount_selection.is_open(nav) else self._predict(nav)
-        self._overlap = self._statistics.evidence.note_overlap(self.camera, predicted, self.window.keyframes, nav)
+        was = self.window.keyframes[-1].nav if self.window.keyframes else None
+        self._overlap = self._statistics.evidence.note_overlap(self.camera, predicted, was, nav)
         tracks = self.tracker.track(frame.image, predicted)
         if not self.tracker.has_keyframe:
             return None

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.feature_set import Status
 from onboard.config.schema import Config
-from onboard.estimation.keyframe import Keyframe
 from onboard.estimation.window_solver import MIN_KEYFRAMES
 from onboard.geometry.plane_homography import move
 from onboard.navigation.navigator import NavState
@@ -73,11 +72,10 @@ class Evidence:
         self.has_attitude |= has_attitude
         self.height_m = self.height_m if height_m is None else height_m
 
-    def note_overlap(self, camera: Camera, predicted: Array | None, keyframes: list[Keyframe], nav: NavState) -> float:
-        """How much of the newest keyframe this picture should show, by the motion predicted since (3, 3) if it is."""
-        if not keyframes:
+    def note_overlap(self, camera: Camera, predicted: Array | None, was: NavState | None, nav: NavState) -> float:
+        """How much of the keyframe of `was` this picture should show; `predicted` (3, 3) is the motion since."""
+        if was is None:
             return 1.0
-        was = keyframes[-1].nav
         travelled_m = float(np.linalg.norm(nav.position_enu_m - was.position_enu_m))
         share = overlap_share(camera, predicted, travelled_m, nav.height_above_home_m)
         if share is None:
