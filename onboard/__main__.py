@@ -1,8 +1,9 @@
 """`pc-onboard`: the aircraft's commands. Only arguments, exit codes and wiring.
 
-Exit codes: 0 done, 2 wrong usage or unusable input (one line on stderr), 3 the daemon that was asked is not running,
-1 `doctor` or `check-config --fly` found something, or the daemon failed and should be started anew, 130 interrupted
-(what was done is kept), 141 whoever reads our output (`head`, say) went away before there was a verdict.
+Exit codes: 0 done, 2 wrong usage or unusable input (one line on stderr), 3 the daemon that was asked is not running, or
+a replay solved no picture, 1 `doctor` or `check-config --fly` found something, or the daemon failed and should be
+started anew, 130 interrupted (what was done is kept), 141 whoever reads our output (`head`, say) went away before there
+was a verdict.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from contract.errors import InputError, PointclickError
 
 PROGRAM = "pc-onboard"
 CONFIG = Path("/etc/pointclick/config.toml")
+NOTHING_SOLVED = 3
 READER_GONE = 141  # as the shell has it for a program that a SIGPIPE ended
 
 
@@ -258,12 +260,15 @@ def run_status(arguments: argparse.Namespace) -> int:
 
 
 def run_replay(arguments: argparse.Namespace) -> int:
-    """Replay and print the summary."""
+    """Replay and print the summary; 3 if no picture was solved."""
     from onboard.commands.replay import run  # noqa: PLC0415  NumPy and OpenCV must find their environment set
 
     with _interrupt_sets(threading.Event()) as stop:
-        print(run(arguments, stop))
-        return 130 if stop.is_set() else 0
+        text, is_solved = run(arguments, stop)
+        print(text)
+        if stop.is_set():
+            return 130
+        return 0 if is_solved else NOTHING_SOLVED
 
 
 def _set_environment() -> None:

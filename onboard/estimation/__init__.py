@@ -10,5 +10,5 @@ Public:
 - `sensor_pose`: `SensorPose`
 - `sliding_window`: `Window`
 - `solver_executor`: `Inline`, `Promise`, `Worker`, `timed_adjust`
-- `window_solver`: `Solved`
+- `window_solver`: `MIN_KEYFRAMES`, `Solved`
 """
