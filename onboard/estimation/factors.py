@@ -1,8 +1,8 @@
 """Whitened residuals with analytic Jacobians, one plain function each. Equations: docs/mathematics.md, section 5.
 
 The unknowns are laid out by `Layout`: six columns a keyframe (rotation `d`, R_cam_enu <- exp([d]x) R_cam_enu, rad; then
-centre, ENU metres), then the boresight (camera axes, rad), the camera's time offset (s) and the ground plane (height m
-at the reference point, slope east, slope north). Points are eliminated and have no column here.
+centre, ENU metres), then the boresight (camera axes, rad), the camera's time offset (s), the position's delay (s) and the
+ground plane (height m at the reference point, slope east, slope north). Points are eliminated and have no column here.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from contract.rotations import exp_so3, log_so3, right_jacobian_inverse
+from contract.rotations import exp_so3, log_so3, right_jacobian_inverse, skew
 
 Array = NDArray[np.float64]
 
@@ -36,14 +36,24 @@ class Layout:
         return 6 * self.keyframes + 3
 
     @property
+    def delay(self) -> int:
+        """One column, s: position and velocity are older than their stamps by this much more than configured."""
+        return 6 * self.keyframes + 4
+
+    @property
+    def shared(self) -> slice:
+        """Boresight, time offset, delay and plane."""
+        return slice(6 * self.keyframes, self.size)
+
+    @property
     def plane(self) -> slice:
         """Three columns: height (m), slope east, slope north."""
-        return slice(6 * self.keyframes + 4, 6 * self.keyframes + 7)
+        return slice(6 * self.keyframes + 5, 6 * self.keyframes + 8)
 
     @property
     def size(self) -> int:
         """All columns."""
-        return 6 * self.keyframes + 7
+        return 6 * self.keyframes + 8
 
     def rotation(self, keyframe: int) -> slice:
         """Three columns, rad."""
@@ -72,6 +82,7 @@ class State:
     boresight_rad: Array  # (3,)
     offset_s: float
     plane: Array  # (3,) height m, slope east, slope north, about the reference point
+    delay_s: float = 0.0  # position and velocity are older than their stamps by this much more than configured
 
     def retract(self, dc: Array, dp: Array) -> State:
         """Apply a step: dc (Layout.size,), dp (P, 3)."""
@@ -84,8 +95,17 @@ class State:
             self.points_enu_m + dp,
             self.boresight_rad + shared[:3],
             self.offset_s + float(shared[3]),
-            self.plane + shared[4:7],
+            self.plane + shared[5:8],
+            self.delay_s + float(shared[4]),
         )
+
+    def antennas_enu_m(self, lever_cam_m: Array) -> tuple[Array, Array]:
+        """Where the autopilot's reference points are (K, 3), and their derivative by the views' rotation (K, 3, 3).
+
+        `lever_cam_m` (3,) leads from that point to the camera, camera axes. Equation (5.14).
+        """
+        R_enu_cam = self.R_cam_enu.transpose(0, 2, 1)
+        return self.centres_enu_m - R_enu_cam @ lever_cam_m, -R_enu_cam @ skew(lever_cam_m)
 
 
 def reprojection(R_cam_enu: Array, centres_enu_m: Array, points_enu_m: Array, xy: Array) -> tuple[Array, Array, Array]:
@@ -144,23 +164,30 @@ def lasting_sigma(stamps_s: Array, sigma_gauss_markov: float, time_constant_s: f
 
 @dataclass(frozen=True, eq=False)
 class PositionPrior:
-    """GPS positions with wandering and white error, moved along the velocity by the time offset. Equation (5.4)."""
+    """Positions with Gauss-Markov and white error, moved along the velocity by time offset and delay. Equation (5.4)."""
 
     layout: Layout
     measured_enu_m: Array  # (K, 3)
     velocity_enu_m_s: Array  # (K, 3)
     whitener: Array  # (3, K, K): east, north, up
-    offset_s: Array  # (K,) time offset at which each was taken
+    offset_s: Array  # (K,) time offset plus delay at which each was taken
     lasting: Array = field(default_factory=lambda: np.zeros(3))  # one sigma (m) of what all K share, (9.11)
+    lever_cam_m: Array = field(default_factory=lambda: np.zeros(3))  # from the autopilot's reference point
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3K,), Jacobian (3K, D)."""
-        error = (
-            state.centres_enu_m
-            - self.measured_enu_m
-            - self.velocity_enu_m_s * (state.offset_s - self.offset_s)[:, None]
-        )
-        return np.matmul(self.whitener, error.T[:, :, None]).reshape(-1), self._jacobian
+        at, by_rotation = state.antennas_enu_m(self.lever_cam_m)
+        moved_s = state.offset_s + state.delay_s - self.offset_s
+        error = at - self.measured_enu_m - self.velocity_enu_m_s * moved_s[:, None]
+        J = self._jacobian
+        if self.lever_cam_m.any():
+            J = J.copy()
+            for axis in range(3):
+                columns = self.layout.rotations()
+                J.reshape(3, len(error), -1)[axis][:, columns] += (
+                    self.whitener[axis][:, :, None] * by_rotation[None, :, axis]
+                )
+        return np.matmul(self.whitener, error.T[:, :, None]).reshape(-1), J
 
     @cached_property
     def _jacobian(self) -> Array:
@@ -169,40 +196,52 @@ class PositionPrior:
         columns = self.layout.centres()
         for axis in range(3):
             J[axis][:, columns[:, axis]] = self.whitener[axis]
-            J[axis][:, self.layout.offset] = -self.whitener[axis] @ self.velocity_enu_m_s[:, axis]
+            by_time = -self.whitener[axis] @ self.velocity_enu_m_s[:, axis]
+            J[axis][:, self.layout.offset] = J[axis][:, self.layout.delay] = by_time
         return J.reshape(3 * K, -1)
 
 
 @dataclass(frozen=True, eq=False)
 class VelocityPrior:
-    """Displacements between consecutive keyframes from integrated velocity, white between intervals. Equation (5.6).
+    """Displacements between consecutive keyframes from integrated velocity. Equation (5.6).
 
-    In a turn the interval that was really flown, later by the time offset, is another one.
+    Its error is a white part and a Gauss-Markov part of the velocity. In a turn the interval that was really flown,
+    later by time offset and delay, is another one.
     """
 
     layout: Layout
     displacement_enu_m: Array  # (K - 1, 3)
-    sigma_m: Array  # (K - 1,) sigma_v * dt, floored
+    whitener: Array  # (3, K - 1, K - 1): east, north, up
     gained_m_s: Array  # (K - 1, 3) velocity at the interval's end less that at its beginning
-    offset_s: Array  # (K - 1,) time offset at which each was taken
+    offset_s: Array  # (K - 1,) time offset plus delay at which each was taken
+    lever_cam_m: Array = field(default_factory=lambda: np.zeros(3))  # from the autopilot's reference point
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3 (K - 1),), Jacobian (3 (K - 1), D)."""
-        flown = state.centres_enu_m[1:] - state.centres_enu_m[:-1]
-        later = self.gained_m_s * (state.offset_s - self.offset_s)[:, None]
-        return ((flown - self.displacement_enu_m - later) / self.sigma_m[:, None]).reshape(-1), self._jacobian
+        at, by_rotation = state.antennas_enu_m(self.lever_cam_m)
+        later = self.gained_m_s * (state.offset_s + state.delay_s - self.offset_s)[:, None]
+        error = at[1:] - at[:-1] - self.displacement_enu_m - later
+        J = self._jacobian
+        if self.lever_cam_m.any():
+            J = J.copy()
+            rows = J.reshape(3, len(error), -1)
+            columns = self.layout.rotations()
+            for axis in range(3):
+                w = self.whitener[axis][:, :, None]
+                rows[axis][:, columns[1:]] += w * by_rotation[None, 1:, axis]
+                rows[axis][:, columns[:-1]] -= w * by_rotation[None, :-1, axis]
+        return np.matmul(self.whitener, error.T[:, :, None]).reshape(-1), J
 
     @cached_property
     def _jacobian(self) -> Array:
         n = self.layout.keyframes - 1
-        weight = 1.0 / self.sigma_m
-        J = np.zeros((n, 3, self.layout.size))
+        J = np.zeros((3, n, self.layout.size))
         columns = self.layout.centres()
-        row = np.arange(n)
         for axis in range(3):
-            J[row, axis, columns[1:, axis]] = weight
-            J[row, axis, columns[:-1, axis]] = -weight
-            J[row, axis, self.layout.offset] = -weight * self.gained_m_s[:, axis]
+            J[axis][:, columns[1:, axis]] += self.whitener[axis]
+            J[axis][:, columns[:-1, axis]] -= self.whitener[axis]
+            by_time = -self.whitener[axis] @ self.gained_m_s[:, axis]
+            J[axis][:, self.layout.offset] = J[axis][:, self.layout.delay] = by_time
         return J.reshape(3 * n, -1)
 
 
@@ -246,21 +285,21 @@ class AttitudePrior:
 
 @dataclass(frozen=True, eq=False)
 class SharedPrior:
-    """What is believed of boresight, time offset and plane before this window, (5.8): mean (7,), whitener (7, 7)."""
+    """What is believed of boresight, time offset, delay and plane before this window, (5.8): mean (8,), whitener (8, 8)."""
 
     layout: Layout
     mean: Array
     whitener: Array
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
-        """Residual (7,), Jacobian (7, D)."""
-        value = np.concatenate([state.boresight_rad, [state.offset_s], state.plane])
+        """Residual (8,), Jacobian (8, D)."""
+        value = np.concatenate([state.boresight_rad, [state.offset_s, state.delay_s], state.plane])
         return self.whitener @ (value - self.mean), self._jacobian
 
     @cached_property
     def _jacobian(self) -> Array:
-        J = np.zeros((7, self.layout.size))
-        J[:, 6 * self.layout.keyframes :] = self.whitener
+        J = np.zeros((8, self.layout.size))
+        J[:, self.layout.shared] = self.whitener
         return J
 
 
