@@ -89,11 +89,13 @@ class State:
 
 
 def reprojection(R_cam_enu: Array, centres_enu_m: Array, points_enu_m: Array, xy: Array) -> tuple[Array, Array, Array]:
-    """Unit-depth image residuals of every point in every view, (5.1). Points run along the last axis, for speed.
+    """Image residuals of every point in every view, (5.1), in normalised image coordinates.
+
+    Points run along the last axis, for speed.
 
     `R_cam_enu` (K, 3, 3), `centres_enu_m` (K, 3), `points_enu_m` (P, 3), measured `xy` (K, 2, P). Returns residuals
     (K, 2, P) predicted minus measured, predicted xy (K, 2, P), and depth (K, P); depth at or below zero marks a point
-    behind the camera, whose residual is of no meaning (but finite).
+    behind the camera, whose residual is finite but meaningless.
     """
     p = R_cam_enu @ points_enu_m.T
     p -= R_cam_enu @ centres_enu_m[:, :, None]
@@ -125,9 +127,9 @@ def reprojection_jacobians(R_cam_enu: Array, predicted: Array, depth: Array, sca
 def gauss_markov_sqrt_information(
     stamps_s: Array, sigma_white: float | Array, sigma_gauss_markov: float, time_constant_s: float
 ) -> Array:
-    """Lower-triangular whitener (K, K) of an error with a white part and an Ornstein-Uhlenbeck part, (5.5).
+    """Lower-triangular whitener (K, K) of an error with a white and a first-order Gauss-Markov part, (5.5).
 
-    One axis of K measurements at `stamps_s` (s): covariance sigma_wander^2 exp(-|dt| / tau) + sigma_white^2 I;
+    One axis of K measurements at `stamps_s` (s): covariance sigma_gauss_markov^2 exp(-|dt| / tau) + sigma_white^2 I;
     `sigma_white` may differ from measurement to measurement, (K,).
     """
     lag = np.abs(stamps_s[:, None] - stamps_s[None, :])
@@ -137,14 +139,14 @@ def gauss_markov_sqrt_information(
 
 
 def lasting_sigma(stamps_s: Array, sigma_gauss_markov: float, time_constant_s: float) -> float:
-    """One sigma of the largest constant that a wandering error at `stamps_s` (K,), in order, contains, (9.11)."""
+    """One sigma of the largest constant that a Gauss-Markov error at `stamps_s` (K,), in order, contains, (9.11)."""
     parts = np.tanh(np.diff(stamps_s) / (2.0 * time_constant_s))
     return float(sigma_gauss_markov / np.sqrt(1.0 + parts.sum()))
 
 
 @dataclass(frozen=True, eq=False)
 class PositionPrior:
-    """GPS positions with wandering and white error, moved along the velocity by the time offset. Equation (5.4)."""
+    """GPS positions with Gauss-Markov and white error, moved along the velocity by the time offset. Equation (5.4)."""
 
     layout: Layout
     measured_enu_m: Array  # (K, 3)
@@ -177,7 +179,7 @@ class PositionPrior:
 class VelocityPrior:
     """Displacements between consecutive keyframes from integrated velocity, white between intervals. Equation (5.6).
 
-    In a turn the interval that was really flown, later by the time offset, is another one.
+    In a turn the displacement changes when the interval moves by the time offset.
     """
 
     layout: Layout
@@ -208,7 +210,7 @@ class VelocityPrior:
 
 @dataclass(frozen=True, eq=False)
 class AttitudePrior:
-    """The autopilot's attitude through mount and boresight, wandering and white error in ENU axes. Equation (5.7)."""
+    """The autopilot's attitude through mount and boresight; Gauss-Markov and white error in ENU axes. (5.7)"""
 
     layout: Layout
     R_enu_cam_measured: Array  # (K, 3, 3) vehicle attitude times nominal mount
@@ -246,7 +248,7 @@ class AttitudePrior:
 
 @dataclass(frozen=True, eq=False)
 class SharedPrior:
-    """What is believed of boresight, time offset and plane before this window, (5.8): mean (7,), whitener (7, 7)."""
+    """Prior of boresight, time offset and plane before this window, (5.8): mean (7,), whitener (7, 7)."""
 
     layout: Layout
     mean: Array
@@ -292,12 +294,12 @@ def ground_plane(
 
 @dataclass(frozen=True, eq=False)
 class RangePrior:
-    """Where a range finder's beam ends, the ground plane (over the terrain, if it is known) lies. Equation (5.12)."""
+    """The end of a range finder's beam lies on the ground plane (over the terrain, if known). Equation (5.12)."""
 
     layout: Layout
     keyframe: NDArray[np.intp]  # (N,) whose view each belongs to
     vector_enu_m: Array  # (N, 3) from the camera to the ground
-    sigma_m: Array  # (N,) of the height there, relief included
+    sigma_m: Array  # (N,) of the height there, ground roughness included
     reference_enu_m: Array  # (3,) the plane's reference point
     terrain: HeightModel | None = None
 
