@@ -1,5 +1,5 @@
-"""The window of keyframes: factors, bundle adjustment, what is estimated of the sensors, and whether to believe a
-result.
+"""The window of keyframes: factors, bundle adjustment, what is estimated of the sensors, and whether a result may be
+published.
 
 Public:
 

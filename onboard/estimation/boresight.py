@@ -1,9 +1,9 @@
-"""What the platform does not know of itself, learned in flight: boresight and camera-to-autopilot time offset.
+"""Boresight and camera-to-autopilot time offset, estimated in flight.
 
 Every window solve estimates both (residuals (5.4), (5.7)) against a prior. Its posterior may serve as prior for later
-windows only if it has seen none of their data, and the autopilot's attitude error wanders over tens of seconds, so
-that windows closer than that repeat the same error. Therefore one window in a while is learned from, and a window
-uses the newest lesson that ended before the window began. Section 10 of docs/mathematics.md.
+windows only if it has seen none of their data, and the autopilot's attitude error is correlated over tens of seconds,
+so that windows closer than that repeat the same error. Therefore posteriors are kept only from windows that far apart,
+and a window's prior is the newest posterior that ended before the window began. Section 10 of docs/mathematics.md.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ class Belief:
 
 
 class Alignment:
-    """Keeps the lessons; hands out the prior a window may use."""
+    """Keeps the posteriors of past windows; hands out the prior a window may use."""
 
     def __init__(self, mount_sigma_rad: float, offset_sigma_s: float, spacing_s: float) -> None:
-        """Priors are one sigma; `spacing_s` is the least time between the ends of two lessons."""
+        """Priors are one sigma; `spacing_s` is the least time between the ends of two windows that update it."""
         tiny = 1e-12
         first = np.diag([mount_sigma_rad**2 + tiny] * 3 + [offset_sigma_s**2 + tiny])
         self._estimates = [Belief(0, np.zeros(STATES), first)]
@@ -63,23 +63,23 @@ class Alignment:
 
     @property
     def belief(self) -> Belief:
-        """The newest lesson."""
+        """The newest posterior."""
         return self._estimates[-1]
 
     @property
     def updates(self) -> int:
-        """How many windows have been learned from."""
+        """How many windows have updated the estimate."""
         return len(self._estimates) - 1
 
     def prior_for(self, start_ns: int) -> Belief:
-        """What may be believed in a window whose first keyframe is at `start_ns`."""
+        """The prior of a window whose first keyframe is at `start_ns`."""
         for estimate in reversed(self._estimates):
             if estimate.end_ns <= start_ns:
                 return estimate.aged(start_ns)
         return self._estimates[0]
 
     def offer(self, start_ns: int, end_ns: int, mean: Array, covariance: Array) -> bool:
-        """A solved window's posterior; True if it was learned from."""
+        """A solved window's posterior; True if it was taken."""
         newest = self._estimates[-1]
         if start_ns < newest.end_ns or (newest.end_ns > 0 and end_ns - newest.end_ns < self._spacing_ns):
             return False
@@ -127,19 +127,19 @@ class Alignment:
 
 
 def _with_prior_reweighed(estimate: Belief, first: Belief) -> Belief:
-    """The lesson on the first prior that the data deserve. Equation (6.12).
+    """The same posterior with the first prior's variance re-estimated from the data. Equation (6.12).
 
-    A mount that is three sigma from where it was declared pulls every lesson back towards the declaration. Where the
-    data alone are that far from it, it was the declaration's sigma that was too small: the variance of the prior
-    becomes what makes the data likeliest, never less than declared and never more than twice its sigma: data too have
-    errors that they do not know of.
+    A mount that is three sigma from where it was declared biases every posterior towards the declaration. Where the
+    data alone are that far from it, the declared sigma was too small: the prior's variance becomes what makes the data
+    likeliest, never less than declared and never more than twice its sigma, because the data have unmodelled errors
+    too.
     """
     assert estimate.given is not None
     precision = np.linalg.inv(estimate.covariance)
     alone = precision - np.diag(1.0 / estimate.given)
     values, vectors = np.linalg.eigh(alone)
     if values[0] <= 1e-6 * values[-1]:
-        return estimate  # in some direction the data say nothing of their own
+        return estimate  # in some direction the data carry no information
     pull = precision @ (estimate.mean - first.mean)
     by_data = np.linalg.solve(alone, pull)
     own = np.diag((vectors / values) @ vectors.T)

@@ -28,8 +28,8 @@ from onboard.geometry.robust import robust_cost
 
 Array = NDArray[np.float64]
 
-_BEHIND = 100.0  # sigmas charged for a point behind a camera that saw it
-_MAX_LEAP = 0.5  # of its least depth: as far as one step may take a point
+_BEHIND = 100.0  # the residual, in sigmas, of a point behind a camera that saw it
+_MAX_LEAP = 0.5  # of its least depth: the longest step of a point
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,14 +37,14 @@ class Problem:
     """One window: image measurements, priors over the camera side, and a soft plane under the points."""
 
     layout: Layout
-    xy: Array  # (K, P, 2) unit-depth measurements, anything where weight is 0
-    weight: Array  # (K, P) 1 / sigma in unit-depth coordinates; 0 where not seen
+    xy: Array  # (K, P, 2) normalised image coordinates, anything where weight is 0
+    weight: Array  # (K, P) 1 / sigma in normalised image coordinates; 0 where not seen
     priors: list[Prior]
     reference_enu_m: Array = field(default_factory=lambda: np.zeros(3))  # the plane's reference point
-    ground_weight: Array | None = None  # (P,) 1 / sigma_relief (1/m), or None for no plane under the points
+    ground_weight: Array | None = None  # (P,) 1 / sigma of the ground (1/m), or None for no plane under the points
     terrain: HeightModel | None = None  # what the plane's heights are counted from, if the ground is known
-    # Relief counts relative to the height flown at, this being where sigma_relief holds; None: in metres. In metres the
-    # least squares shrink the whole scene, because a smaller one has less relief: see (5.9).
+    # The ground's sigma is relative to the height flown at, and `ground_weight` holds at this height; None: it is in
+    # metres. In metres least squares shrink the whole scene, because a smaller one lies nearer the plane: see (5.9).
     clearance_m: float | None = None
 
 
@@ -163,7 +163,7 @@ def _clearance(problem: Problem, state: State) -> float:
 
 
 def _shrink(problem: Problem, state: State) -> float:
-    """What relief counts, relative to problem.clearance_m."""
+    """The factor on the ground residuals' weight at this height, 1 at problem.clearance_m."""
     return 1.0 if problem.clearance_m is None else problem.clearance_m / max(_clearance(problem, state), 1.0)
 
 
@@ -201,7 +201,7 @@ def _linearise(problem: Problem, at: _Residuals) -> _Linear:
         gp, gs, rg = by_point.T * w, by_plane.T * w, rg * root
         columns = np.arange(layout.size)[layout.plane]
         if problem.clearance_m is not None:
-            grown = rg / _clearance(problem, at.state)  # a scene twice as far away may have twice the relief
+            grown = rg / _clearance(problem, at.state)  # the ground's sigma grows with the distance to it
             gs[0] += grown
             gs = np.concatenate([gs, np.tile(-grown / K, (K, 1))])
             columns = np.concatenate([columns, layout.centres()[:, 2]])

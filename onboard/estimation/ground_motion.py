@@ -1,10 +1,10 @@
-"""Ground that moves as a whole: what betrays it, and what it does to a solution. Equations (6.8) to (6.10).
+"""Ground that moves as a whole (water): how it is detected, and what it does to a solution. Equations (6.8) to (6.10).
 
-A pattern that drifts at a constant velocity is seen exactly as solid ground from an aircraft of another velocity: no
-residual shows it, and the scene comes out too large or too small. But waves are many patterns at once, and long ones
-outrun short ones, so that water slips past itself: what is seen coarsely moves otherwise than what is seen finely.
-Solid ground does not, however badly it is seen. That slip says how fast the ground may move, and covariances allow
-for it.
+A pattern that drifts at a constant velocity looks exactly like solid ground seen from an aircraft of another velocity:
+no residual shows it, and the scene comes out too large or too small. But waves are many patterns at once, and long ones
+are faster than short ones, so that over water the flow measured at coarse resolution differs from the flow measured at
+fine resolution. Over solid ground the two agree, however blurred or noisy the pictures are. Their disagreement says how
+fast the ground may move, and the covariances allow for it.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from onboard.estimation.keyframe import Keyframe
 
 Array = NDArray[np.float64]
 
-# One sigma of the ground's own motion, per axis, against that of its patterns past each other. In deep water patterns
-# four times as long run twice as fast, so that the slip should be the motion; but the coarse view still sees some of
-# the fine. Measured over simulated seas the motion is up to three times the slip.
+# One sigma of the ground's own motion, per axis, over the disagreement of coarse and fine flow. In deep water patterns
+# four times as long run twice as fast, so that the disagreement should equal the motion; but the coarse picture still
+# shows some of the fine pattern. Measured over simulated seas the motion is up to three times the disagreement.
 MOTION_PER_SLIP = 3.0
 
 
 @dataclass(frozen=True, eq=False)
 class GroundMotion:
-    """How a window's camera side answers to ground that moves by one sigma, east and north: (D, 2) and its growth.
+    """How far ground that moves by one sigma, east and north, moves a window's camera side: (D, 2) and its rate.
 
-    Points and poses are those of the instant a picture was taken, so the answer depends on that instant, linearly.
+    Points and poses are those of the instant a picture was taken, so the effect is linear in that instant.
     """
 
     sigma_m_s: float
@@ -47,7 +47,7 @@ class GroundMotion:
 
 
 def ground_sigma_m_s(keyframes: Sequence[Keyframe], depth_m: float) -> float:
-    """One sigma per axis, m/s, of the ground's own motion, by how its patterns slip past each other. (6.8)"""
+    """One sigma per axis, m/s, of the ground's own motion, from the disagreement of coarse and fine flow. (6.8)"""
     speeds = [
         float(np.linalg.norm(k.flow_disagreement_xy))
         * depth_m
@@ -63,8 +63,8 @@ def ground_motion(
 ) -> GroundMotion:
     """What ground moving by `sigma_m_s` does to a solution with this camera-side covariance (D, D). Equation (6.9).
 
-    Pictures show the aircraft's motion over the ground, position and velocity that over the Earth: to both residuals
-    the ground's motion is a measurement that strays.
+    Pictures show the aircraft's motion over the ground, position and velocity that over the Earth: for both residuals
+    the ground's motion acts as a measurement error.
     """
     epoch_ns = keyframes[-1].nav.stamp_ns
     stamps = np.array([(k.nav.stamp_ns - epoch_ns) / 1e9 for k in keyframes])

@@ -1,4 +1,4 @@
-"""How the ground strays from its plane: by how much, and over what distance it does so alike.
+"""Ground roughness: how far the ground is from its plane, and over what distance neighbours deviate together.
 
 Equations (9.6) and (5.13) of docs/mathematics.md.
 """
@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 
 MIN_PLANE_SIGMA = 2e-4
 MIN_ROUGHNESS = 1e-8
-ROUGHNESS_RANGES = 3.0 ** np.arange(-3.0, 5.0)  # 1 / unit-depth: the reach over which the ground levels off, inverted
-MOST_POINTS = 100  # that a window's variogram is taken from: its cost grows with their cube
+ROUGHNESS_RANGES = 3.0 ** np.arange(-3.0, 5.0)  # 1 / correlation length, in 1 / normalised image coordinates
+MOST_POINTS = 100  # that a window's variogram is estimated from: its cost grows with their cube
 
 
 def plane_and_roughness(H: Array, w: Array, variance: Array) -> tuple[Array, float, float]:
@@ -28,7 +28,7 @@ def plane_and_roughness(H: Array, w: Array, variance: Array) -> tuple[Array, flo
 
 
 def _spread(relative: Array, variance: Array) -> float:
-    """One sigma of the ground about the plane: what scatters beyond the features' noise, noisy ones counting less."""
+    """One sigma of the ground about the plane: the spread beyond the features' noise, noisy ones weighted less."""
     s2 = 2.2 * middle(relative**2)  # of a normal distribution, the square's median is 0.455 of its mean
     squared = np.minimum(relative**2, 16.0 * (s2 + variance))
     for _ in range(3):
@@ -76,7 +76,7 @@ def _roughness(H: Array, relative: Array, variance: Array, spread: float) -> flo
         whitened, _ = lapack.dtrtrs(factor, value, lower=1)
         return float(np.log(np.diag(factor)).sum() + 0.5 * (whitened @ whitened))
 
-    # From a field that levels off over twenty times the picture to one that does within its smallest part.
+    # Correlation lengths from twenty times the picture's width down to its smallest part.
     ladder = np.log(s2) + np.log(ROUGHNESS_RANGES)
     costs = [unlikely(float(step)) for step in ladder]
     k = int(np.argmin(costs))
@@ -99,8 +99,9 @@ def distances(xy: Array) -> Array:
 def effective_sigma_m(offset_m: Array, height_m: Array, variance_m2: Array, clearance_m: float) -> float:
     """One sigma (m) to give each of P heights, as if independent, for their plane to be as sure of its slope as it is.
 
-    Neighbours on a hill are off the plane together, so they count as fewer. `offset_m` (P, 2) places about their
-    middle, `height_m` (P,) over any plane, `variance_m2` (P,) of their noise; `clearance_m`: height flown at. (5.13)
+    Neighbours on a hill are off the plane together, so they carry less information. `offset_m` (P, 2) places about
+    their middle, `height_m` (P,) over any plane, `variance_m2` (P,) of their noise; `clearance_m`: height flown at.
+    Equation (5.13).
     """
     if len(height_m) < 8 or not clearance_m > 0.0:
         return 0.0
@@ -113,7 +114,7 @@ def effective_sigma_m(offset_m: Array, height_m: Array, variance_m2: Array, clea
     slope = _roughness(H, relative, noise, spread)
     across, _ = np.linalg.qr(H)
     alike = np.exp(distances(H[:, 1:]) * (-slope / spread**2))
-    # Of two slopes: the variance if points stray alike over that of points that stray alone.
+    # Of two slopes: the variance with correlated deviations over that with independent ones.
     effect = float((across[:, 1:] * (alike @ across[:, 1:])).sum()) / 2.0
     effect = 1.0 + max(effect - 1.0, 0.0) * len(height_m) / len(some)
     return spread * clearance_m * float(np.sqrt(effect))

@@ -1,7 +1,7 @@
 """A window's first orientations from rays and GPS positions alone, when no sensor gives attitude. Seed, section 2.2.
 
-One pair with a long baseline and many common features is oriented by `orientation.start_pair`; the other views follow
-from its points, nearest first, each by the rotation that best turns the known points' directions into its rays.
+One pair with a long baseline and many common features is oriented by `relative_orientation.start_pair`; the other views
+follow from its points, nearest first, each by the rotation that best turns the known points' directions into its rays.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ ENOUGH_KNOWN = 8
 def orient(xy: Array, seen: Mask, centres_enu_m: Array, R_body_cam: Array, tolerance_rad: float) -> Array | None:
     """R_cam_enu (K, 3, 3) of every view; None if no pair of them can be oriented.
 
-    Unit-depth `xy` (K, P, 2), `seen` (K, P), GPS `centres_enu_m` (K, 3); `tolerance_rad` is an inlier's epipolar error.
+    Normalised image coordinates `xy` (K, P, 2), `seen` (K, P), GPS `centres_enu_m` (K, 3); `tolerance_rad` is an
+    inlier's epipolar error.
     """
     K = len(centres_enu_m)
     common = (seen.astype(int) @ seen.T.astype(int)).astype(float)

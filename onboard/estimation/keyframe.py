@@ -16,7 +16,7 @@ Ids = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What one picture saw: feature ids (N,), pixels, unit-depth coordinates (N, 2), and unit-depth per pixel (N,)."""
+    """One picture's features: ids (N,), pixels, normalised image coordinates `xy` (N, 2), `gain` (N,) of xy per px."""
 
     ids: Ids
     uv_px: Array
@@ -26,7 +26,7 @@ class Observation:
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """A sighting with the vehicle's state and the current estimate of the camera's pose."""
+    """An observation with the vehicle's state and the current estimate of the camera's pose."""
 
     frame: int
     observation: Observation
@@ -36,7 +36,7 @@ class Keyframe:
     flown_enu_m: Array | None  # since the keyframe before, by integrated velocity
     R_cam_enu: Array
     centre_enu_m: Array
-    flow_disagreement_xy: Array | None = None  # (2,) unit-depth: `ground_motion.slip` since the keyframe before
+    flow_disagreement_xy: Array | None = None  # (2,) normalised; `coarse_flow`, since the keyframe before
 
 
 def observation(camera: Camera, ids: Ids, uv_px: Array) -> Observation:

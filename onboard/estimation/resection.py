@@ -1,4 +1,4 @@
-"""One view's pose from points already known, with whatever is believed of it beforehand. Equations (7.1), (7.2)."""
+"""One view's pose from points already known and a prior pose. Equations (7.1), (7.2)."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def resect(
 ) -> Resection:
     """Gauss-Newton from a starting pose, which is also the prior with `prior_sigma` (6,): rad (camera axes), m (ENU).
 
-    `points_enu_m` (N, 3), unit-depth `xy` (N, 2), `weight` (N,) 1 / sigma.
+    `points_enu_m` (N, 3), normalised image coordinates `xy` (N, 2), `weight` (N,) 1 / sigma.
     """
     R0, C0 = R_cam_enu, centre_enu_m
     R, C = R0, C0

@@ -1,4 +1,4 @@
-"""Configuration and navigation -> the window's residuals: which sensors take part, and how far each is believed."""
+"""Configuration and navigation -> the window's residuals: which sensors take part, and with what covariance."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def range_prior(
     """The range finder's distances, where keyframes have any; an echo unlike the others (a roof) is left out. (5.12)
 
     `reference_enu_m` (3,) and `plane` (3,): the ground plane as it is known so far; `ground_sigma_m`: how the ground
-    strays from it, or from the terrain.
+    deviates from it, or from the terrain (one sigma).
     """
     having = [(i, k.nav.ground_range) for i, k in enumerate(keyframes) if k.nav.ground_range is not None]
     if not having:
@@ -142,8 +142,8 @@ def range_prior(
 def _coordinated(R_body_cam: Array, stamps_s: Array, velocities: Array) -> Array | None:
     """R_enu_cam (K, 3, 3) of a vehicle that heads where it flies and banks into its turns; None while it is slow.
 
-    What keeps any aircraft in the air pushes along its own up axis, so that axis lies near acceleration plus
-    gravity. A weak belief, (5.10), but one that a turned-over solution contradicts.
+    Lift acts along the aircraft's own up axis, so that axis lies near acceleration plus gravity. A weak prior, (5.10),
+    but one that an upside-down solution contradicts.
     """
     if len(stamps_s) < 2 or np.linalg.norm(velocities[:, :2], axis=1).min() < 3.0:
         return None
@@ -158,7 +158,7 @@ def _coordinated(R_body_cam: Array, stamps_s: Array, velocities: Array) -> Array
 
 
 def _shared_prior(config: Config, layout: Layout, belief: Belief, has_terrain: bool) -> SharedPrior:
-    """Boresight and time offset as learned so far, and the ground plane's slope and height."""
+    """Boresight and time offset as estimated so far, and the ground plane's slope and height."""
     covariance = np.zeros((7, 7))
     covariance[:SHARED, :SHARED] = belief.covariance
     solve_ = config.solve

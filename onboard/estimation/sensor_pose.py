@@ -19,7 +19,7 @@ class SensorPose:
     R_cam_enu: Array
     centre_enu_m: Array
     white: Array  # (7, 7) covariance of what is this picture's own
-    shared: SharedErrors  # `by_nuisance` (7, DRAWS)
+    shared: SharedErrors  # `by_nuisance` (7, NUISANCES)
 
     @property
     def covariance(self) -> Array:

@@ -1,8 +1,8 @@
 """Which part of a window's errors other windows of the flight have too. Equations (9.11) and (9.12).
 
-Everything slow that a window believes beforehand is drawn once and lasts: the wander of positions and of attitudes, the
-mount, the clock, the ground's slope. The columns below say how far one sigma of each moves the window's camera side;
-with them two sets know what of their errors is one and the same.
+Every slow error in a window's priors is one nuisance parameter that lasts: the Gauss-Markov errors of positions and of
+attitudes, the mount, the clock, the ground's slope. The columns below say how far one sigma of each moves the window's
+camera side; from them follows which part of the errors of two sets is the same.
 """
 
 from __future__ import annotations
@@ -21,11 +21,10 @@ Array = NDArray[np.float64]
 
 
 def shared_errors(config: Config, priors: list[Prior], state: State, covariance: Array) -> SharedErrors:
-    """How far one sigma of each draw moves a window's camera side: `by_nuisance` (D, DRAWS).
+    """How far one sigma of each nuisance parameter moves a window's camera side: `by_nuisance` (D, NUISANCES).
 
-    `covariance` (D, D) is the camera side's own.
-
-    A measurement that errs by v whitened sigmas moves the optimum by covariance @ J' v, (9.12).
+    `covariance` (D, D) is the camera side's own. A measurement error of v whitened sigmas moves the optimum by
+    covariance @ J' v, (9.12).
     """
     gains = np.zeros((len(covariance), NUISANCES))
     alignment_sigma = np.zeros(4)
@@ -45,7 +44,7 @@ def shared_errors(config: Config, priors: list[Prior], state: State, covariance:
 
 
 def make_sensor_pose(config: Config, nav: NavState, belief: Belief, R_cam_enu: Array) -> SensorPose:
-    """The camera's pose by sensors alone, its errors by the draws they come from, and what is the picture's own."""
+    """The camera's pose by sensors alone, its errors by nuisance parameter, and what is the picture's own."""
     solve, gps = config.solve, config.gps
     speed = np.zeros(3) if nav.velocity_enu_m_s is None else nav.velocity_enu_m_s
     tilt, heading = np.radians(solve.attitude_sigma_deg), np.radians(solve.heading_sigma_deg)

@@ -26,9 +26,9 @@ from onboard.navigation.navigator import NavState
 
 Array = NDArray[np.float64]
 
-GUESS_STEPS = 2  # of a rotation that is only where a resection or a solve starts
-CURVED_SHARE = 0.2  # of a moved time offset: drawn turns at 20 m/s, 0.3 s off, left 0.04 s of it
-MIN_UPDATE = 5  # keyframes of a last, short window that may still teach
+GUESS_STEPS = 2  # of a rotation that is only the start of a resection or a solve
+CURVED_SHARE = 0.2  # of a moved time offset: simulated turns at 20 m/s, 0.3 s off, left 0.04 s of it
+MIN_UPDATE = 5  # keyframes of a last, short window that may still update the alignment
 
 
 class Window:
@@ -53,7 +53,7 @@ class Window:
         self.solved = None
 
     def begin_again(self) -> None:
-        """Forget all but the newest keyframe, and what was thought of its pose."""
+        """Forget all but the newest keyframe, and the estimate of its pose."""
         newest = self.keyframes[-1]
         self.reset()
         self.add(newest.frame, newest.observation, newest.nav, newest.nav_offset_s, newest.body_rate_rad_s, None)
@@ -114,7 +114,7 @@ class Window:
         del self.keyframes[: -self.config.solve.keyframes]
 
     def prepare(self) -> Request:
-        """The window as it stands, for `adjustment.adjust`; nothing done to the window later changes it."""
+        """The window as it stands, for `window_solver.adjust`; nothing done to the window later changes it."""
         start_ns = self.keyframes[0].nav.stamp_ns if self.keyframes else 0
         return Request(
             self.config,
@@ -145,7 +145,7 @@ class Window:
         return self.adopt(adjust(self.prepare()))
 
     def learn(self, solved: Solved) -> None:
-        """Offer a solved window's boresight and time offset as a lesson."""
+        """Offer a solved window's boresight and time offset as a posterior update."""
         s, layout = solved.solution, solved.layout
         if self.keyframes[0].nav.R_enu_body is None:
             return
@@ -153,13 +153,13 @@ class Window:
         mean = np.append(s.state.boresight_rad, s.state.offset_s)
         start, end = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
         covariance = solved.covariance_at((start + end) // 2)[shared, shared].copy()
-        # The offset acts along straight lines from where it was looked up; in a turn its answer is off by a share of
-        # how far it had to move from there. The next window looks up at what this one learned.
+        # The offset's effect is linearised where the navigation state was interpolated; in a turn its estimate is off
+        # by a share of how far it moved from there. The next window interpolates at this window's estimate.
         moved_s = mean[3] - float(np.mean([k.nav_offset_s for k in self.keyframes]))
         covariance[3, 3] += (CURVED_SHARE * moved_s) ** 2
         self.alignment.offer(start, end, mean, covariance)
 
     def conclude(self) -> None:
-        """The end of a stretch: learn from its last window even if it never filled."""
+        """The end of a stretch: update the alignment from its last window even if it never filled."""
         if self.solved is not None and len(self.keyframes) == len(self.solved.keyframes) >= MIN_UPDATE:
             self.learn(self.solved)

@@ -1,7 +1,7 @@
-"""Who adjusts a window: at once, or beside the tracking of further pictures. The pipeline knows only this shape.
+"""Where a window is adjusted: at once, or in a thread of its own. The pipeline knows only this interface.
 
-`concurrent.futures.ThreadPoolExecutor(1)` is a `Worker` as it stands; `Inline` needs no thread. What comes out does not
-depend on the choice, because a request never changes and the pipeline adopts an outcome at a moment of the data.
+`concurrent.futures.ThreadPoolExecutor(1)` is a `Worker` as it stands; `Inline` needs no thread. The result does not
+depend on the choice, because a request never changes and the pipeline adopts an outcome at a time that the data define.
 """
 
 from __future__ import annotations

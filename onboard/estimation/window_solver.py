@@ -1,7 +1,7 @@
-"""One window adjusted: a request that nothing changes any more goes in, an outcome comes out. Pure computation.
+"""One window adjusted: an immutable request goes in, an outcome comes out. Pure computation.
 
-Whoever does it, now or beside the tracking of further pictures, gets the same outcome from the same request. Whether
-the result may be believed is decided here, by evidence.
+The same request gives the same outcome in whatever thread it runs. Whether the result may be published is decided
+here, from residuals, covariances and priors.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ Mask = NDArray[np.bool_]
 MIN_KEYFRAMES = 3
 MIN_POINTS = 12
 MIN_PARALLAX_RAD = 0.008  # below this a point starts on the ground plane and not where its rays meet
-START_SIGMAS = 5.0  # of an inlier at the start, at 640 px width: larger pictures carry larger calibration errors
+START_SIGMAS = 5.0  # of an inlier at the start, at 640 px width: larger pictures have larger calibration errors
 OUTLIER_SIGMAS = 4.0
 # Median length of a residual (of noise of one sigma an axis) of a point seen in so many views, from 2 on: along the
 # travel the point's place and depth have been fitted, across it its place. First: without any fit (Rayleigh).
 MEDIAN_LENGTH = np.array([1.1774, np.inf, 0.4769, 0.7833, 0.9085, 0.9732, 1.0112, 1.0373, 1.0560, 1.0713, 1.0816])
 MIN_INLIERS = 0.5
-MIN_PIXEL_SIGMA_PX = 0.08  # tracks err together by more than their residuals show
-MAX_FIT_SIGMAS = 4.0  # median residual, in configured pixel sigmas, above which the fit explains nothing
-MAX_DEPTH_SIGMA = 0.15  # relative; a scene less known than this has no parallax to speak of
+MIN_PIXEL_SIGMA_PX = 0.08  # tracks have common errors, larger than their residuals show
+MAX_FIT_SIGMAS = 4.0  # median residual, in configured pixel sigmas, above which the fit is refused
+MAX_DEPTH_SIGMA = 0.15  # relative; above it the scene has too little parallax
 MAX_PRIOR_SIGMAS = 3.5  # root mean square of a sensor's whitened residuals that a true solution may show
-SHARED_SIGMAS = 5.0  # as far as one shared state may be from what was believed of it
+SHARED_SIGMAS = 5.0  # as far as one shared state may be from its prior
 MAX_GROUND_SLOPE = 1.0
 MIN_STRAY_M = 0.3
 WEIGHING_ROUNDS = 5
@@ -60,12 +60,12 @@ class Solved:
     layout: Layout
     solution: Solution
     point_ids: Ids  # sorted
-    good: Mask  # (P,) points whose measurements agree and which have parallax or plane to stand on
+    good: Mask  # (P,) points seen in two views or more after outliers were left out
     plane: Array  # height at the ENU origin (m), slope east, slope north
     pixel_sigma_px: float
     reprojection_px: float
     keyframes: tuple[Keyframe, ...]
-    shared: SharedErrors  # `by_nuisance` (D, DRAWS) of the camera side, no span
+    shared: SharedErrors  # `by_nuisance` (D, NUISANCES) of the camera side, no span
     ground_motion: GroundMotion  # what the ground's own motion may have done to it
 
     def covariance_at(self, stamp_ns: int) -> Array:
@@ -83,16 +83,16 @@ class Solved:
 
 @dataclass(frozen=True)
 class Noise:
-    """What is known of the flight's own noise so far; every window is weighted by it and teaches a little of it."""
+    """The flight's own noise as estimated so far; every window is weighted by it and updates it a little."""
 
     pixel_sigma_px: float
     jitter_s: float
-    noise_inflation: float = 1.0  # how much less than by their own scatter pixels are trusted
+    noise_inflation: float = 1.0  # times the sigma that the tracks' own residuals show
 
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """A window as it stands, with what is believed of the sensors and of the tracking so far."""
+    """A window as it stands, with the priors of the sensors and of the tracking noise so far."""
 
     config: Config
     camera: Camera
@@ -106,7 +106,7 @@ class Request:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What came of a request: OK and `solved`, or the reason why there is none; and what was learned of the noise."""
+    """The result of a request: OK and `solved`, or the reason why there is none; and the noise as estimated anew."""
 
     status: Status
     keyframes: tuple[Keyframe, ...]
@@ -124,14 +124,14 @@ class Adjusted:
 
 
 def approximate(problem: Problem, state: State) -> Solution:
-    """The first of the two solves: robust, as far as telling outliers needs."""
+    """The first of the two solves: robust, only as exact as finding outliers needs."""
     return solve(problem, state, scale=3.0, tolerance=1e-4)
 
 
 def refine(problem: Problem, first: Solution, least_own: float) -> Adjusted | None:
     """The second: without what lay beyond 4 sigma, weighted by the noise found, at least `least_own` of the stated.
 
-    None where too little is left to tell the noise from.
+    None where too little is left to estimate the noise from.
     """
     sigmas = first.residual_sigmas
     kept = np.where(sigmas > OUTLIER_SIGMAS * max(fit_of(sigmas), 1.0), 0.0, problem.weight)
@@ -194,11 +194,11 @@ def adjust(request: Request) -> Outcome:
 
 
 def _reweighed(request: Request, noise: Noise, priors: list[Prior], state: State) -> tuple[Noise, bool]:
-    """Learn from velocity and attitude residuals how pictures and autopilot disagree; True if weights changed.
+    """Stamp jitter and noise inflation from velocity and attitude residuals; True if weights changed.
 
-    Stamps that stray by some milliseconds (photographs, USB) show in both at once, and are allowed for first. What
-    disagreement remains is the picture's: a calibration's error moves many features together, bends the poses and
-    hardly shows in the features' own residuals. All pixels are then trusted less, until both sides agree. (6.7)
+    Stamps that are off by some milliseconds (photographs, USB) raise both residuals at once, and are allowed for first.
+    What disagreement remains is the picture's: a calibration's error moves many features together, biases the poses and
+    hardly shows in the features' own residuals. The sigma of all pixels is then raised until both sides agree. (6.7)
     """
     measured = [p for p in priors if isinstance(p, VelocityPrior | AttitudePrior)]
     if request.keyframes[0].nav.R_enu_body is None:
@@ -222,7 +222,7 @@ def _reweighed(request: Request, noise: Noise, priors: list[Prior], state: State
 def _judged(
     request: Request, ids: Ids, layout: Layout, priors: list[Prior], weight: Array, adjusted: Adjusted
 ) -> Outcome:
-    """Decide by evidence whether a solution may be published. `weight` (K, P) is what the first solve used."""
+    """Decide whether a solution may be published. `weight` (K, P) is what the first solve used."""
     s, kept, own = adjusted.solution, adjusted.kept, adjusted.own
     noise, camera, config = request.noise, request.camera, request.config
 
@@ -251,7 +251,7 @@ def _judged(
     )
     covariance = s.covariance + moving.covariance(moving.epoch_ns)
     if float(np.median(_depth_sigma(s, covariance, good, layout))) / median_depth > MAX_DEPTH_SIGMA:
-        return refused(Status.POOR_FIT)  # ground that slips past itself, too fast to say how large it is: water
+        return refused(Status.POOR_FIT)  # coarse and fine flow disagree too much to know the scale: water
     below = np.einsum("j,kpj->kp", [0.0, 0.0, 1.0], s.state.points_enu_m - s.state.centres_enu_m[:, None]) < 0.0
     if np.count_nonzero(below & (kept > 0)) < 0.9 * used or np.abs(s.state.plane[1:]).max() > MAX_GROUND_SLOPE:
         return refused(Status.POOR_FIT)  # the ground above the aircraft, or a wall: a turned-over solution
@@ -259,7 +259,7 @@ def _judged(
         return refused(Status.POOR_FIT)
     for prior in priors:
         r = prior.evaluate(s.state)[0]
-        # What is shared (mount, delay) must not be bent far in any one direction to explain a scene that moves.
+        # No shared state (mount, delay) may be far from its prior: a moving scene is often explained that way.
         worst = np.abs(r).max() / SHARED_SIGMAS if isinstance(prior, SharedPrior) else 0.0
         if max(float(np.sqrt(np.mean(r * r))) / MAX_PRIOR_SIGMAS, worst) > 1.0:
             return refused(Status.POOR_FIT)
@@ -268,7 +268,7 @@ def _judged(
         for k, R, C in zip(request.keyframes, s.state.R_cam_enu, s.state.centres_enu_m, strict=True)
     )
     plane, _ = fit_plane(s.state.points_enu_m[good])
-    # The noise of tracking is learned slowly, so that one odd window changes little.
+    # The tracking noise is updated slowly, so that one odd window changes little.
     learned = noise.pixel_sigma_px * (own * fit * noise.noise_inflation) ** 0.3
     noise = replace(noise, pixel_sigma_px=float(np.clip(learned, MIN_PIXEL_SIGMA_PX, 5.0)))
     frames = tuple(k.frame for k in keyframes)
@@ -280,7 +280,7 @@ def _judged(
 def fit_of(sigmas: Array) -> float:
     """Robust one sigma per axis of whitened residual lengths (K, P): their median over what it should be. (6.11)
 
-    Residuals are smaller than the noise by what the fit has swallowed: of a point seen twice, three out of four.
+    Residuals are smaller than the noise by the degrees of freedom fitted: of a point seen twice, three out of four.
     """
     known = np.isfinite(sigmas)
     seen = np.count_nonzero(known, axis=0)
@@ -310,7 +310,7 @@ def _ground(request: Request, points: Array) -> tuple[Array, Terrain | None]:
 
 
 def _alike(problem: Problem, first: Solution, relief: Array) -> Array:
-    """1 / sigma (P,) of the ground under each point, for points that stray alike: no more than `relief`. (5.13)"""
+    """1 / sigma (P,) of the ground under each point, for correlated deviations: no more than `relief`. (5.13)"""
     s = first.state
     height, _, _ = ground_plane(s.points_enu_m, problem.reference_enu_m, s.plane, problem.terrain)
     seen = np.isfinite(height) & (np.count_nonzero(problem.weight > 0, axis=0) >= 2)
