@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.drawn_flight import DrawnTracker, Ground, Mask, fly, replace_section
+from benchmarks.drawn_flight import DrawnTracker, Ground, Mask, replace_section
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
@@ -138,7 +138,7 @@ class ReplayedFlight:
         for _, event in sorted([*telemetry, *pictures], key=lambda pair: pair[0]):
             yield event
 
-    def _wander(self, begin_ns: int, end_ns: int) -> "Wander":
+    def _wander(self, begin_ns: int, end_ns: int) -> Wander:
         return Wander(self.rng, self.place, begin_ns, end_ns, self.spec.wander_m)
 
 
@@ -262,7 +262,9 @@ def judge(scene: Scene, seed: int, warm_s: float = 30.0) -> Score:
     alignment = pipeline.window.alignment
     mean, sigma = alignment.belief.mean, alignment.belief.sigma
     score.learned_values = (mean, sigma)
-    score.learned = " ".join(f"{m * 180 / np.pi:+.2f}±{s * 180 / np.pi:.2f}" for m, s in zip(mean[:3], sigma[:3], strict=True))
+    score.learned = " ".join(
+        f"{m * 180 / np.pi:+.2f}±{s * 180 / np.pi:.2f}" for m, s in zip(mean[:3], sigma[:3], strict=True)
+    )
     score.learned += " deg " + " ".join(f"{m:+.3f}±{s:.3f}" for m, s in zip(mean[3:], sigma[3:], strict=True)) + " s"
     score.learned += f" | {pipeline.window.noise}"
     return score
@@ -319,7 +321,14 @@ MOUNTS = {
     "tilted": {"pitch_deg": -60.0},
 }
 SENSORS: dict[str, dict[str, object]] = {"full": {}, "gps": {"attitude": "none", "velocity": False}}
-STARTS = {"plane_clean": 60.0, "plane_gps_outage": 60.0, "plane_wind_noise": 60.0, "plane_breeze": 45.0, "plane_log": 40.0, "copter_survey": 30.0}
+STARTS = {
+    "plane_clean": 60.0,
+    "plane_gps_outage": 60.0,
+    "plane_wind_noise": 60.0,
+    "plane_breeze": 45.0,
+    "plane_log": 40.0,
+    "copter_survey": 30.0,
+}
 FAULTS: dict[str, dict[str, object]] = {
     "none": {},
     "late": {"stamps_late_s": 0.2, "mount_error_deg": (2.0, 1.5, 0.0)},
@@ -355,7 +364,11 @@ def main() -> None:
         for mount in args.mounts.split(","):
             for sensors in args.sensors.split(","):
                 for fault in args.faults.split(","):
-                    config = replace_section(replace_section(base, "mount", **MOUNTS[mount]), "solve", **SENSORS[sensors]) if SENSORS[sensors] else replace_section(base, "mount", **MOUNTS[mount])
+                    config = (
+                        replace_section(replace_section(base, "mount", **MOUNTS[mount]), "solve", **SENSORS[sensors])
+                        if SENSORS[sensors]
+                        else replace_section(base, "mount", **MOUNTS[mount])
+                    )
                     for draw in range(args.draws):
                         start = STARTS[name] if args.start is None else args.start
                         scene = Scene(name, config, start, args.seconds, **FAULTS[fault])  # type: ignore[arg-type]

@@ -3,7 +3,7 @@ published.
 
 Public:
 
-- `boresight`: `Alignment`, `Belief`
+- `boresight`: `Alignment`, `Belief`, `OFFSET`, `DELAY`
 - `ground_roughness`: `plane_and_roughness`
 - `keyframe`: `Observation`, `observation`
 - `resection`: `Resection`, `resect`

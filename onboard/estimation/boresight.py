@@ -1,9 +1,10 @@
-"""Boresight and camera-to-autopilot time offset, estimated in flight.
+"""Boresight, camera-to-autopilot time offset and position delay, estimated in flight.
 
-Every window solve estimates both (residuals (5.4), (5.7)) against a prior. Its posterior may serve as prior for later
+Every window solve estimates them (residuals (5.4), (5.7)) against a prior. Its posterior may serve as prior for later
 windows only if it has seen none of their data, and the autopilot's attitude error is correlated over tens of seconds,
 so that windows closer than that repeat the same error. Therefore posteriors are kept only from windows that far apart,
-and a window's prior is the newest posterior that ended before the window began. Section 10 of docs/mathematics.md.
+and a window's prior is the newest posterior that ended before the window began. Windows that disagree with each other by
+more than their covariances say count for less, (6.13). Section 10 of docs/mathematics.md.
 """
 
 from __future__ import annotations
@@ -19,17 +20,21 @@ from contract.errors import InputError
 
 Array = NDArray[np.float64]
 
-STATES = 4  # boresight about camera x, y, z (rad), time offset (s)
+STATES = 5  # boresight about camera x, y, z (rad), time offset (s), delay of position and velocity (s)
+BORESIGHT, OFFSET, DELAY = slice(0, 3), 3, 4
 # What a mount and a clock may do by themselves, one sigma after a minute: a random walk.
 BORESIGHT_WALK_RAD = np.radians(0.03)
 OFFSET_WALK_S = 0.002
+DELAY_WALK_S = 0.005
 MEMORY_ESTIMATES = 8
 TOO_SURE = 2.0  # times the declared sigma that data may claim
+AGREEMENT_PRIOR = 2.0  # windows that agree with their covariances, assumed before any has been seen
+MIN_GAIN = 0.02  # of a variance: a window that says less of a state is no evidence on it
 
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Mean (4,) and covariance (4, 4) of boresight (camera axes, rad) and time offset (s), from data up to `end_ns`.
+    """Mean (5,) and covariance (5, 5): boresight (camera axes, rad), time offset, delay (s), from data up to `end_ns`.
 
     `end_ns` 0 is the belief before take-off.
     """
@@ -37,7 +42,7 @@ class Belief:
     end_ns: int
     mean: Array
     covariance: Array
-    given: Array | None = None  # (4,) variances of the first prior that it still rests on; None: as configured
+    given: Array | None = None  # (5,) variances of the first prior that it still rests on; None: as configured
 
     @property
     def sigma(self) -> Array:
@@ -47,19 +52,22 @@ class Belief:
     def aged(self, stamp_ns: int) -> Belief:
         """The same belief some time later."""
         minutes = max(stamp_ns - self.end_ns, 0) / 60e9 if self.end_ns else 0.0
-        walk = np.array([BORESIGHT_WALK_RAD] * 3 + [OFFSET_WALK_S])
+        walk = np.array([BORESIGHT_WALK_RAD] * 3 + [OFFSET_WALK_S, DELAY_WALK_S])
         return Belief(self.end_ns, self.mean, self.covariance + np.diag(walk**2 * minutes), self.given)
 
 
 class Alignment:
     """Keeps the posteriors of past windows; hands out the prior a window may use."""
 
-    def __init__(self, mount_sigma_rad: float, offset_sigma_s: float, spacing_s: float) -> None:
+    def __init__(
+        self, mount_sigma_rad: float, offset_sigma_s: float, spacing_s: float, delay_sigma_s: float = 0.0
+    ) -> None:
         """Priors are one sigma; `spacing_s` is the least time between the ends of two windows that update it."""
         tiny = 1e-12
-        first = np.diag([mount_sigma_rad**2 + tiny] * 3 + [offset_sigma_s**2 + tiny])
+        first = np.diag([mount_sigma_rad**2 + tiny] * 3 + [offset_sigma_s**2 + tiny, delay_sigma_s**2 + tiny])
         self._estimates = [Belief(0, np.zeros(STATES), first)]
         self._spacing_ns = round(spacing_s * 1e9)
+        self._squares, self._counts = np.zeros(STATES), np.zeros(STATES)
 
     @property
     def belief(self) -> Belief:
@@ -83,8 +91,9 @@ class Alignment:
         newest = self._estimates[-1]
         if start_ns < newest.end_ns or (newest.end_ns > 0 and end_ns - newest.end_ns < self._spacing_ns):
             return False
-        first = self._estimates[0]
-        rests_on = self.prior_for(start_ns).given
+        first, before = self._estimates[0], self.prior_for(start_ns)
+        mean, covariance = self._agreed(before, mean, covariance)
+        rests_on = before.given
         estimate = Belief(
             end_ns, mean.copy(), covariance.copy(), np.diag(first.covariance) if rests_on is None else rests_on
         )
@@ -92,13 +101,37 @@ class Alignment:
         del self._estimates[1:-MEMORY_ESTIMATES]
         return True
 
+    @property
+    def disagreement(self) -> Array:
+        """(5,) by how much more than their covariances say windows differ, as a factor on one sigma; 1 if they agree."""
+        mean_square = (AGREEMENT_PRIOR + self._squares) / (AGREEMENT_PRIOR + self._counts)
+        return np.sqrt(np.maximum(mean_square, 1.0))
+
+    def _agreed(self, before: Belief, mean: Array, covariance: Array) -> tuple[Array, Array]:
+        """The posterior with the window's own information weakened by how far windows disagree. Equation (6.13)."""
+        gained = np.diag(before.covariance - covariance)
+        tells = gained > MIN_GAIN * np.diag(before.covariance)
+        self._squares += np.where(tells, (mean - before.mean) ** 2 / np.where(tells, gained, 1.0), 0.0)
+        self._counts += tells
+        weaker = 1.0 / self.disagreement
+        if np.all(weaker == 1.0):
+            return mean, covariance
+        prior = np.linalg.inv(before.covariance)
+        own = np.linalg.inv(covariance) - prior
+        # The window alone: where it has no information its estimate is the prior's.
+        shift = np.linalg.pinv(own, rcond=1e-9, hermitian=True) @ (np.linalg.inv(covariance) @ (mean - before.mean))
+        own = own * weaker[:, None] * weaker
+        wider = np.linalg.inv(prior + own)
+        return before.mean + wider @ (own @ shift), 0.5 * (wider + wider.T)
+
     def to_json(self) -> str:
         """The newest belief, for the state directory."""
         newest = self.belief
         return json.dumps(
             {
                 "boresight_rad": newest.mean[:3].tolist(),
-                "offset_s": float(newest.mean[3]),
+                "offset_s": float(newest.mean[OFFSET]),
+                "delay_s": float(newest.mean[DELAY]),
                 "covariance": newest.covariance.tolist(),
                 "end_unix_ns": newest.end_ns,
             },
@@ -112,8 +145,11 @@ class Alignment:
         """
         try:
             raw: dict[str, Any] = json.loads(text)
-            mean = np.array([*raw["boresight_rad"], raw["offset_s"]], float)
+            mean = np.array([*raw["boresight_rad"], raw["offset_s"], raw.get("delay_s", 0.0)], float)
             covariance = np.array(raw["covariance"], float)
+            if covariance.shape == (DELAY, DELAY) and "delay_s" not in raw:  # written before the delay was estimated
+                covariance = np.pad(covariance, (0, 1))
+                covariance[DELAY, DELAY] = self._estimates[0].covariance[DELAY, DELAY]
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"alignment state: not readable ({error})") from error
         if mean.shape != (STATES,) or covariance.shape != (STATES, STATES):

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contract.rotations import exp_so3, log_so3, right_jacobian_inverse, skew
+
+if TYPE_CHECKING:
+    from onboard.estimation.variance_components import Parts
 
 Array = NDArray[np.float64]
 
@@ -109,11 +112,13 @@ class State:
 
 
 def reprojection(R_cam_enu: Array, centres_enu_m: Array, points_enu_m: Array, xy: Array) -> tuple[Array, Array, Array]:
-    """Unit-depth image residuals of every point in every view, (5.1). Points run along the last axis, for speed.
+    """Image residuals of every point in every view, (5.1), in normalised image coordinates.
+
+    Points run along the last axis, for speed.
 
     `R_cam_enu` (K, 3, 3), `centres_enu_m` (K, 3), `points_enu_m` (P, 3), measured `xy` (K, 2, P). Returns residuals
     (K, 2, P) predicted minus measured, predicted xy (K, 2, P), and depth (K, P); depth at or below zero marks a point
-    behind the camera, whose residual is of no meaning (but finite).
+    behind the camera, whose residual is finite but meaningless.
     """
     p = R_cam_enu @ points_enu_m.T
     p -= R_cam_enu @ centres_enu_m[:, :, None]
@@ -145,19 +150,30 @@ def reprojection_jacobians(R_cam_enu: Array, predicted: Array, depth: Array, sca
 def gauss_markov_sqrt_information(
     stamps_s: Array, sigma_white: float | Array, sigma_gauss_markov: float, time_constant_s: float
 ) -> Array:
-    """Lower-triangular whitener (K, K) of an error with a white part and an Ornstein-Uhlenbeck part, (5.5).
+    """Lower-triangular whitener (K, K) of an error with a white and a first-order Gauss-Markov part, (5.5).
 
-    One axis of K measurements at `stamps_s` (s): covariance sigma_wander^2 exp(-|dt| / tau) + sigma_white^2 I;
+    One axis of K measurements at `stamps_s` (s): covariance sigma_gauss_markov^2 exp(-|dt| / tau) + sigma_white^2 I;
     `sigma_white` may differ from measurement to measurement, (K,).
     """
+    slow = gauss_markov_covariance(stamps_s, sigma_gauss_markov, time_constant_s)
+    return whitener_of(slow + np.square(sigma_white) * np.eye(len(stamps_s)))
+
+
+def gauss_markov_covariance(stamps_s: Array, sigma: float, time_constant_s: float) -> Array:
+    """Covariance (K, K) of a first-order Gauss-Markov error at `stamps_s` (K,)."""
     lag = np.abs(stamps_s[:, None] - stamps_s[None, :])
-    covariance = sigma_gauss_markov**2 * np.exp(-lag / time_constant_s) + np.square(sigma_white) * np.eye(len(stamps_s))
+    out: Array = sigma**2 * np.exp(-lag / time_constant_s)
+    return out
+
+
+def whitener_of(covariance: Array) -> Array:
+    """The lower-triangular matrix (K, K) that whitens errors of this covariance."""
     inverse: Array = np.linalg.inv(np.linalg.cholesky(covariance))
     return inverse
 
 
 def lasting_sigma(stamps_s: Array, sigma_gauss_markov: float, time_constant_s: float) -> float:
-    """One sigma of the largest constant that a wandering error at `stamps_s` (K,), in order, contains, (9.11)."""
+    """One sigma of the largest constant that a Gauss-Markov error at `stamps_s` (K,), in order, contains, (9.11)."""
     parts = np.tanh(np.diff(stamps_s) / (2.0 * time_constant_s))
     return float(sigma_gauss_markov / np.sqrt(1.0 + parts.sum()))
 
@@ -173,6 +189,7 @@ class PositionPrior:
     offset_s: Array  # (K,) time offset plus delay at which each was taken
     lasting: Array = field(default_factory=lambda: np.zeros(3))  # one sigma (m) of what all K share, (9.11)
     lever_cam_m: Array = field(default_factory=lambda: np.zeros(3))  # from the autopilot's reference point
+    parts: Parts | None = None  # of the covariance that `whitener` whitens
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3K,), Jacobian (3K, D)."""
@@ -215,6 +232,7 @@ class VelocityPrior:
     gained_m_s: Array  # (K - 1, 3) velocity at the interval's end less that at its beginning
     offset_s: Array  # (K - 1,) time offset plus delay at which each was taken
     lever_cam_m: Array = field(default_factory=lambda: np.zeros(3))  # from the autopilot's reference point
+    parts: Parts | None = None  # of the covariance that `whitener` whitens
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3 (K - 1),), Jacobian (3 (K - 1), D)."""
@@ -247,7 +265,7 @@ class VelocityPrior:
 
 @dataclass(frozen=True, eq=False)
 class AttitudePrior:
-    """The autopilot's attitude through mount and boresight, wandering and white error in ENU axes. Equation (5.7)."""
+    """The autopilot's attitude through mount and boresight; Gauss-Markov and white error in ENU axes. (5.7)"""
 
     layout: Layout
     R_enu_cam_measured: Array  # (K, 3, 3) vehicle attitude times nominal mount
@@ -255,6 +273,7 @@ class AttitudePrior:
     whitener: Array  # (3, K, K): about east, north, up
     offset_s: Array  # (K,) time offset at which each was taken
     lasting: Array = field(default_factory=lambda: np.zeros(3))  # one sigma (rad) of what all K share, (9.11)
+    parts: Parts | None = None  # of the covariance that `whitener` whitens
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3K,), Jacobian (3K, D)."""
@@ -285,7 +304,7 @@ class AttitudePrior:
 
 @dataclass(frozen=True, eq=False)
 class SharedPrior:
-    """What is believed of boresight, time offset, delay and plane before this window, (5.8): mean (8,), whitener (8, 8)."""
+    """Prior of boresight, time offset, delay and plane before this window, (5.8): mean (8,), whitener (8, 8)."""
 
     layout: Layout
     mean: Array
@@ -331,12 +350,12 @@ def ground_plane(
 
 @dataclass(frozen=True, eq=False)
 class RangePrior:
-    """Where a range finder's beam ends, the ground plane (over the terrain, if it is known) lies. Equation (5.12)."""
+    """The end of a range finder's beam lies on the ground plane (over the terrain, if known). Equation (5.12)."""
 
     layout: Layout
     keyframe: NDArray[np.intp]  # (N,) whose view each belongs to
     vector_enu_m: Array  # (N, 3) from the camera to the ground
-    sigma_m: Array  # (N,) of the height there, relief included
+    sigma_m: Array  # (N,) of the height there, ground roughness included
     reference_enu_m: Array  # (3,) the plane's reference point
     terrain: HeightModel | None = None
 

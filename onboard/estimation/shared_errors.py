@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from contract.feature_set import ALIGNMENT, ATTITUDE, GROUND, NUISANCES, POSITION, SharedErrors
 from onboard.config.schema import Config
-from onboard.estimation.boresight import Belief
+from onboard.estimation.boresight import BORESIGHT, DELAY, OFFSET, STATES, Belief
 from onboard.estimation.factors import AttitudePrior, PositionPrior, Prior, SharedPrior, State
+from onboard.estimation.sensor_factors import attitude_sigmas
 from onboard.estimation.sensor_pose import SensorPose
+from onboard.estimation.variance_components import HEADING_WHITE, TILT_WHITE, VarianceFactors
 from onboard.navigation.navigator import NavState
 
 Array = NDArray[np.float64]
@@ -37,26 +39,46 @@ def shared_errors(config: Config, priors: list[Prior], state: State, covariance:
             gains[:, where] = covariance @ np.einsum("akd,ak->da", per_axis, error)
         elif isinstance(prior, SharedPrior):
             _, J = prior.evaluate(state)
-            gains[:, ALIGNMENT.start : GROUND.stop] = covariance @ J.T
+            by_prior = covariance @ J.T
+            centres = prior.layout.centres()
+            moved = np.stack([by_prior[centres[:, axis]].mean(axis=0) for axis in (0, 1)])
+            gains[:, ALIGNMENT] = _one_clock(by_prior[:, :STATES], moved)
+            gains[:, GROUND] = by_prior[:, STATES:]
             alignment_sigma = 1.0 / np.diag(prior.whitener)[:4]
     attitude_time_s = config.solve.attitude_wander_time_s
     return SharedErrors(gains, config.gps.wander_time_s, attitude_time_s, alignment_sigma)
 
 
-def make_sensor_pose(config: Config, nav: NavState, belief: Belief, R_cam_enu: Array) -> SensorPose:
+def _one_clock(by_state: Array, moved: Array) -> Array:
+    """The columns (D, 5) of boresight, time offset and delay as the wire's four: one time error instead of two.
+
+    Both times move positions along the track. Of the two independent errors the combination that does so most, by
+    `moved` (2, 5), east and north, is what sets share; what is left of them stays in each set's own covariance.
+    """
+    _, _, basis = np.linalg.svd(moved[:, OFFSET : DELAY + 1])
+    along = basis[0] * np.sign(basis[0][np.argmax(np.abs(basis[0]))])
+    return np.column_stack([by_state[:, BORESIGHT], by_state[:, OFFSET : DELAY + 1] @ along])
+
+
+def make_sensor_pose(
+    config: Config, nav: NavState, belief: Belief, R_cam_enu: Array, factors: VarianceFactors, lever_cam_m: Array
+) -> SensorPose:
     """The camera's pose by sensors alone, its errors by nuisance parameter, and what is the picture's own."""
     solve, gps = config.solve, config.gps
     speed = np.zeros(3) if nav.velocity_enu_m_s is None else nav.velocity_enu_m_s
-    tilt, heading = np.radians(solve.attitude_sigma_deg), np.radians(solve.heading_sigma_deg)
+    tilt, heading = attitude_sigmas(config, factors)
     factor = np.linalg.cholesky(belief.covariance)
     by_nuisance = np.zeros((7, NUISANCES))
     by_nuisance[:3, POSITION] = np.diag([nav.sigma_horizontal_m, nav.sigma_horizontal_m, nav.sigma_vertical_m])
     by_nuisance[3:6, ATTITUDE] = np.diag([tilt, tilt, heading])
-    by_nuisance[3:6, ALIGNMENT] = R_cam_enu.T @ factor[:3]
-    by_nuisance[:3, ALIGNMENT] = np.outer(speed, factor[3])
+    by_state = np.zeros((7, STATES))
+    by_state[3:6] = R_cam_enu.T @ factor[BORESIGHT]
+    by_state[:3] = np.outer(speed, factor[OFFSET] + factor[DELAY])
+    by_nuisance[:, ALIGNMENT] = _one_clock(by_state, by_state[:2])
     white = np.zeros(7)
     white[:3] = nav.sigma_white_m * np.array([1.0, 1.0, 1.5])
-    white[3:5] = np.radians(solve.attitude_white_sigma_deg)
-    white[5] = np.radians(solve.heading_white_sigma_deg)
-    shared = SharedErrors(by_nuisance, gps.wander_time_s, solve.attitude_wander_time_s, np.diag(factor).copy())
-    return SensorPose(R_cam_enu, nav.position_enu_m, np.diag(white**2), shared)
+    white[3:5] = np.radians(solve.attitude_white_sigma_deg) * factors.sigma(TILT_WHITE)
+    white[5] = np.radians(solve.heading_white_sigma_deg) * factors.sigma(HEADING_WHITE)
+    shared = SharedErrors(by_nuisance, gps.wander_time_s, solve.attitude_wander_time_s, np.diag(factor)[:4].copy())
+    centre = nav.position_enu_m + R_cam_enu.T @ lever_cam_m
+    return SensorPose(R_cam_enu, centre, np.diag(white**2), shared)

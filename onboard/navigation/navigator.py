@@ -182,15 +182,18 @@ class Navigation:
             newest = self._positions.stamps_ns[-1]
             self._glitches_ns = [g for g in self._glitches_ns if g[1] > newest - 2 * MEMORY_NS]
 
-    def covers(self, stamp_ns: int) -> bool:
+    def covers(self, stamp_ns: int, delay_ns: int = 0) -> bool:
         """Whether `state_at` can do no better by waiting: data after this moment has arrived.
 
         Attitude counts if the configuration uses it and any has been seen.
         """
-        needed: list[list[int]] = [self._positions.stamps_ns]
+        needed: list[list[int]] = []
         if self._wants_attitude:
             needed += self._gimbal.needed(self._attitudes) if self._uses_gimbal else [self._attitudes.stamps_ns]
-        return all(stamps and stamps[0] <= stamp_ns <= stamps[-1] for stamps in needed)
+        positions, moment_ns = self._positions.stamps_ns, stamp_ns + delay_ns
+        return bool(positions and positions[0] <= moment_ns <= positions[-1]) and all(
+            stamps and stamps[0] <= stamp_ns <= stamps[-1] for stamps in needed
+        )
 
     @property
     def _wants_attitude(self) -> bool:
@@ -224,8 +227,10 @@ class Navigation:
         found |= {c: self._gimbal.at(moment_ns, self._attitudes, c) for c in self._gimbal.readings}
         return {c: R_frame_ned @ R for c, R in found.items() if not isinstance(R, Status)}
 
-    def state_at(self, stamp_ns: int, offset_s: float = 0.0) -> NavState | Status:
+    def state_at(self, stamp_ns: int, offset_s: float = 0.0, delay_s: float = 0.0) -> NavState | Status:
         """The vehicle at `stamp_ns` + `offset_s` (camera-to-autopilot time offset), or why not.
+
+        Position and velocity are looked up `delay_s` later: they are older than their stamps.
 
         STARTING before the first data, UNSYNCHRONISED in a gap or past the end, NO_GPS where GPS is not believed.
         """
@@ -233,7 +238,7 @@ class Navigation:
         if self.frame is None or not self._positions.stamps_ns:
             lost = bool(self._quality.values) and self._quality.values[-1].fix_type <= UNUSABLE_FIX
             return Status.NO_GPS if lost else Status.STARTING
-        position = self._position_at(moment_ns)
+        position = self._position_at(moment_ns + round(delay_s * 1e9))
         if isinstance(position, Status):
             return position
         slip_m_s, dispersion_m = self._slip(moment_ns)

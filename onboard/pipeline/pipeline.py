@@ -21,6 +21,7 @@ from contract.camera import Camera
 from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
 from onboard.config.schema import Config
+from onboard.estimation.boresight import DELAY, OFFSET
 from onboard.estimation.keyframe import Observation, observation
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solver_executor import Inline, Promise, Worker, timed_adjust
@@ -136,8 +137,12 @@ class Pipeline:
         while self._waiting:
             frame = self._waiting[0]
             # The moment that counts is the autopilot's: extrapolating to it would bend what is learned of the offset.
-            moment_ns = frame.stamp_ns + round(self.window.alignment.belief.mean[3] * 1e9)
-            if not self.navigation.covers(moment_ns) and self._now_ns - frame.stamp_ns < MAX_WAIT_NS:
+            offset_s, delay_s = self.window.alignment.belief.mean[[OFFSET, DELAY]]
+            moment_ns = frame.stamp_ns + round(offset_s * 1e9)
+            if (
+                not self.navigation.covers(moment_ns, round(delay_s * 1e9))
+                and self._now_ns - frame.stamp_ns < MAX_WAIT_NS
+            ):
                 break
             out.extend(self._process(self._waiting.popleft()))
         out.extend(self._catch_up())
@@ -170,7 +175,8 @@ class Pipeline:
             out.extend(self._restart())
             self.navigation.mount_hypothesis = mount_hypothesis
         with self._statistics.timed("navigation"):
-            nav = self.navigation.state_at(frame.stamp_ns, self.window.alignment.belief.mean[3])
+            offset_s, delay_s = self.window.alignment.belief.mean[[OFFSET, DELAY]]
+            nav = self.navigation.state_at(frame.stamp_ns, offset_s, delay_s)
         if isinstance(nav, Status) or self._staleness.is_stale(frame.image, nav):
             return [*out, self._refuse(frame, nav if isinstance(nav, Status) else Status.BAD_PICTURE)]
         if self._last_nav_ns is not None and frame.stamp_ns - self._last_nav_ns > MAX_OUTAGE_NS:
@@ -252,14 +258,14 @@ class Pipeline:
             ids, uv = self.tracker.promote(tracks)
         self._stillness.begin(ids, uv, frame.stamp_ns)
         seen = observation(self.camera, ids, uv)
-        offset_s = self.window.alignment.belief.mean[3]
-        offset_ns = round(offset_s * 1e9)
+        offset_s, delay_s = self.window.alignment.belief.mean[[OFFSET, DELAY]].tolist()
+        offset_ns, position_ns = round(offset_s * 1e9), round((offset_s + delay_s) * 1e9)
         flown = None
         if self.window.keyframes:
             since_ns = self.window.keyframes[-1].nav.stamp_ns
-            flown = self.navigation.displacement(since_ns + offset_ns, frame.stamp_ns + offset_ns)
+            flown = self.navigation.displacement(since_ns + position_ns, frame.stamp_ns + position_ns)
         rate = self.navigation.body_rate_at(frame.stamp_ns + offset_ns)
-        self.window.add(frame.index, seen, nav, offset_s, rate, flown, self.tracker.flow_disagreement_px)
+        self.window.add(frame.index, seen, nav, (offset_s, delay_s), rate, flown, self.tracker.flow_disagreement_px)
         self._statistics.keyframes += 1
         record = _Record(frame, seen, nav, True)
         self._records.append(record)
