@@ -1,4 +1,4 @@
-"""Boresight, camera-to-autopilot time offset and position delay, estimated in flight.
+"""Boresight, camera-to-autopilot time offset, position delay and heading error, estimated in flight.
 
 Every window solve estimates them (residuals (5.4), (5.7)) against a prior. Its posterior may serve as prior for later
 windows only if it has seen none of their data, and the autopilot's attitude error is correlated over tens of seconds,
@@ -20,12 +20,13 @@ from contract.errors import InputError
 
 Array = NDArray[np.float64]
 
-STATES = 5  # boresight about camera x, y, z (rad), time offset (s), delay of position and velocity (s)
-BORESIGHT, OFFSET, DELAY = slice(0, 3), 3, 4
+STATES = 7  # boresight about camera x, y, z (rad), time offset (s), position's delay (s), heading by heading (rad)
+BORESIGHT, OFFSET, DELAY, HEADING = slice(0, 3), 3, 4, slice(5, 7)
 # What a mount and a clock may do by themselves, one sigma after a minute: a random walk.
 BORESIGHT_WALK_RAD = np.radians(0.03)
 OFFSET_WALK_S = 0.002
 DELAY_WALK_S = 0.005
+HEADING_WALK_RAD = np.radians(0.1)
 MEMORY_ESTIMATES = 8
 TOO_SURE = 2.0  # times the declared sigma that data may claim
 AGREEMENT_PRIOR = 2.0  # windows that agree with their covariances, assumed before any has been seen
@@ -34,7 +35,7 @@ MIN_GAIN = 0.02  # of a variance: a window that says less of a state is no evide
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Mean (5,) and covariance (5, 5): boresight (camera axes, rad), time offset, delay (s), from data up to `end_ns`.
+    """Mean (7,) and covariance (7, 7) in the order of STATES, from data up to `end_ns`.
 
     `end_ns` 0 is the belief before take-off.
     """
@@ -42,7 +43,7 @@ class Belief:
     end_ns: int
     mean: Array
     covariance: Array
-    given: Array | None = None  # (5,) variances of the first prior that it still rests on; None: as configured
+    given: Array | None = None  # (7,) variances of the first prior that it still rests on; None: as configured
 
     @property
     def sigma(self) -> Array:
@@ -52,7 +53,7 @@ class Belief:
     def aged(self, stamp_ns: int) -> Belief:
         """The same belief some time later."""
         minutes = max(stamp_ns - self.end_ns, 0) / 60e9 if self.end_ns else 0.0
-        walk = np.array([BORESIGHT_WALK_RAD] * 3 + [OFFSET_WALK_S, DELAY_WALK_S])
+        walk = np.array([BORESIGHT_WALK_RAD] * 3 + [OFFSET_WALK_S, DELAY_WALK_S] + [HEADING_WALK_RAD] * 2)
         return Belief(self.end_ns, self.mean, self.covariance + np.diag(walk**2 * minutes), self.given)
 
 
@@ -60,11 +61,17 @@ class Alignment:
     """Keeps the posteriors of past windows; hands out the prior a window may use."""
 
     def __init__(
-        self, mount_sigma_rad: float, offset_sigma_s: float, spacing_s: float, delay_sigma_s: float = 0.0
+        self,
+        mount_sigma_rad: float,
+        offset_sigma_s: float,
+        spacing_s: float,
+        delay_sigma_s: float = 0.0,
+        heading_sigma_rad: float = 0.0,
     ) -> None:
         """Priors are one sigma; `spacing_s` is the least time between the ends of two windows that update it."""
         tiny = 1e-12
-        first = np.diag([mount_sigma_rad**2 + tiny] * 3 + [offset_sigma_s**2 + tiny, delay_sigma_s**2 + tiny])
+        sigmas = [mount_sigma_rad] * 3 + [offset_sigma_s, delay_sigma_s] + [heading_sigma_rad] * 2
+        first = np.diag(np.square(sigmas) + tiny)
         self._estimates = [Belief(0, np.zeros(STATES), first)]
         self._spacing_ns = round(spacing_s * 1e9)
         self._squares, self._counts = np.zeros(STATES), np.zeros(STATES)
@@ -103,7 +110,7 @@ class Alignment:
 
     @property
     def disagreement(self) -> Array:
-        """(5,) by how much more than their covariances say windows differ, as a factor on one sigma; 1 if they agree."""
+        """(7,) factor on one sigma by which windows differ more than their covariances say; 1 if they agree."""
         mean_square = (AGREEMENT_PRIOR + self._squares) / (AGREEMENT_PRIOR + self._counts)
         return np.sqrt(np.maximum(mean_square, 1.0))
 
@@ -132,6 +139,7 @@ class Alignment:
                 "boresight_rad": newest.mean[:3].tolist(),
                 "offset_s": float(newest.mean[OFFSET]),
                 "delay_s": float(newest.mean[DELAY]),
+                "heading_rad": newest.mean[HEADING].tolist(),
                 "covariance": newest.covariance.tolist(),
                 "end_unix_ns": newest.end_ns,
             },
@@ -145,11 +153,13 @@ class Alignment:
         """
         try:
             raw: dict[str, Any] = json.loads(text)
-            mean = np.array([*raw["boresight_rad"], raw["offset_s"], raw.get("delay_s", 0.0)], float)
+            mean = np.array([*raw["boresight_rad"], raw["offset_s"]], float)
             covariance = np.array(raw["covariance"], float)
-            if covariance.shape == (DELAY, DELAY) and "delay_s" not in raw:  # written before the delay was estimated
-                covariance = np.pad(covariance, (0, 1))
-                covariance[DELAY, DELAY] = self._estimates[0].covariance[DELAY, DELAY]
+            if "delay_s" in raw:
+                mean = np.array([*mean, raw["delay_s"], *raw["heading_rad"]], float)
+            elif covariance.shape == (DELAY, DELAY):  # written before delay and heading's error were estimated
+                mean, covariance = np.pad(mean, (0, STATES - DELAY)), np.pad(covariance, (0, STATES - DELAY))
+                covariance[DELAY:, DELAY:] = self._estimates[0].covariance[DELAY:, DELAY:]
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"alignment state: not readable ({error})") from error
         if mean.shape != (STATES,) or covariance.shape != (STATES, STATES):

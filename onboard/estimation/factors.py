@@ -1,8 +1,8 @@
 """Whitened residuals with analytic Jacobians, one plain function each. Equations: docs/mathematics.md, section 5.
 
 The unknowns are laid out by `Layout`: six columns a keyframe (rotation `d`, R_cam_enu <- exp([d]x) R_cam_enu, rad; then
-centre, ENU metres), then the boresight (camera axes, rad), the camera's time offset (s), the position's delay (s) and the
-ground plane (height m at the reference point, slope east, slope north). Points are eliminated and have no column here.
+centre, ENU metres), then the boresight (camera axes, rad), the camera's time offset (s), the position's delay (s), the
+error of heading that depends on heading (rad) and the ground plane (height m at the reference point, slope east, slope north). Points are eliminated and have no column here.
 """
 
 from __future__ import annotations
@@ -40,23 +40,28 @@ class Layout:
 
     @property
     def delay(self) -> int:
-        """One column, s: position and velocity are older than their stamps by this much more than configured."""
+        """One column, s: the position is older than its stamp by this much more than configured."""
         return 6 * self.keyframes + 4
 
     @property
+    def heading(self) -> slice:
+        """Two columns, rad: the heading's error is their product with the cosine and the sine of the heading."""
+        return slice(6 * self.keyframes + 5, 6 * self.keyframes + 7)
+
+    @property
     def shared(self) -> slice:
-        """Boresight, time offset, delay and plane."""
+        """Boresight, time offset, delay, heading error and plane."""
         return slice(6 * self.keyframes, self.size)
 
     @property
     def plane(self) -> slice:
         """Three columns: height (m), slope east, slope north."""
-        return slice(6 * self.keyframes + 5, 6 * self.keyframes + 8)
+        return slice(6 * self.keyframes + 7, 6 * self.keyframes + 10)
 
     @property
     def size(self) -> int:
         """All columns."""
-        return 6 * self.keyframes + 8
+        return 6 * self.keyframes + 10
 
     def rotation(self, keyframe: int) -> slice:
         """Three columns, rad."""
@@ -85,7 +90,8 @@ class State:
     boresight_rad: Array  # (3,)
     offset_s: float
     plane: Array  # (3,) height m, slope east, slope north, about the reference point
-    delay_s: float = 0.0  # position and velocity are older than their stamps by this much more than configured
+    delay_s: float = 0.0  # the position is older than its stamp by this much more than configured
+    heading_rad: Array = field(default_factory=lambda: np.zeros(2))  # (2,) see `Layout.heading`
 
     def retract(self, dc: Array, dp: Array) -> State:
         """Apply a step: dc (Layout.size,), dp (P, 3)."""
@@ -98,8 +104,9 @@ class State:
             self.points_enu_m + dp,
             self.boresight_rad + shared[:3],
             self.offset_s + float(shared[3]),
-            self.plane + shared[5:8],
+            self.plane + shared[7:10],
             self.delay_s + float(shared[4]),
+            self.heading_rad + shared[5:7],
         )
 
     def antennas_enu_m(self, lever_cam_m: Array) -> tuple[Array, Array]:
@@ -180,7 +187,7 @@ def lasting_sigma(stamps_s: Array, sigma_gauss_markov: float, time_constant_s: f
 
 @dataclass(frozen=True, eq=False)
 class PositionPrior:
-    """Positions with Gauss-Markov and white error, moved along the velocity by time offset and delay. Equation (5.4)."""
+    """Positions with Gauss-Markov and white error, moved along the velocity by time offset and delay. (5.4)"""
 
     layout: Layout
     measured_enu_m: Array  # (K, 3)
@@ -222,22 +229,23 @@ class PositionPrior:
 class VelocityPrior:
     """Displacements between consecutive keyframes from integrated velocity. Equation (5.6).
 
-    Its error is a white part and a Gauss-Markov part of the velocity. In a turn the interval that was really flown,
-    later by time offset and delay, is another one.
+    Its error is a white part, a Gauss-Markov part and a delay of the velocity's own: a navigation filter that believes
+    in a wrong GPS delay has its position behind by all of it and its velocity by a part. In a turn the displacement
+    changes when the interval moves by the time offset.
     """
 
     layout: Layout
     displacement_enu_m: Array  # (K - 1, 3)
     whitener: Array  # (3, K - 1, K - 1): east, north, up
     gained_m_s: Array  # (K - 1, 3) velocity at the interval's end less that at its beginning
-    offset_s: Array  # (K - 1,) time offset plus delay at which each was taken
+    offset_s: Array  # (K - 1,) time offset at which each was taken
     lever_cam_m: Array = field(default_factory=lambda: np.zeros(3))  # from the autopilot's reference point
     parts: Parts | None = None  # of the covariance that `whitener` whitens
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3 (K - 1),), Jacobian (3 (K - 1), D)."""
         at, by_rotation = state.antennas_enu_m(self.lever_cam_m)
-        later = self.gained_m_s * (state.offset_s + state.delay_s - self.offset_s)[:, None]
+        later = self.gained_m_s * (state.offset_s - self.offset_s)[:, None]
         error = at[1:] - at[:-1] - self.displacement_enu_m - later
         J = self._jacobian
         if self.lever_cam_m.any():
@@ -258,8 +266,7 @@ class VelocityPrior:
         for axis in range(3):
             J[axis][:, columns[1:, axis]] += self.whitener[axis]
             J[axis][:, columns[:-1, axis]] -= self.whitener[axis]
-            by_time = -self.whitener[axis] @ self.gained_m_s[:, axis]
-            J[axis][:, self.layout.offset] = J[axis][:, self.layout.delay] = by_time
+            J[axis][:, self.layout.offset] = -self.whitener[axis] @ self.gained_m_s[:, axis]
         return J.reshape(3 * n, -1)
 
 
@@ -273,6 +280,7 @@ class AttitudePrior:
     whitener: Array  # (3, K, K): about east, north, up
     offset_s: Array  # (K,) time offset at which each was taken
     lasting: Array = field(default_factory=lambda: np.zeros(3))  # one sigma (rad) of what all K share, (9.11)
+    by_heading: Array | None = None  # (K, 2) cosine and sine of each heading; None: no error depends on it
     parts: Parts | None = None  # of the covariance that `whitener` whitens
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
@@ -282,6 +290,9 @@ class AttitudePrior:
         both = exp_so3(np.concatenate([turned, state.boresight_rad[None]]))  # one call: this is the inner loop
         turn, tilt = both[:-1], both[-1]
         R_enu_cam = self.R_enu_cam_measured @ turn @ tilt
+        if self.by_heading is not None:
+            about_up = -(self.by_heading @ state.heading_rad)[:, None] * np.array([0.0, 0.0, 1.0])
+            R_enu_cam = exp_so3(about_up) @ R_enu_cam
         # In camera axes: log(R_cam_enu R_enu_cam). Its derivatives: Jl^-1 = Jr^-1(-e) on the left, Jr^-1 on the right.
         error_cam = log_so3(state.R_cam_enu @ R_enu_cam)
         inverses = right_jacobian_inverse(np.concatenate([error_cam, state.boresight_rad[None]]))
@@ -299,25 +310,29 @@ class AttitudePrior:
         by_view[..., :3] = self.whitener[..., None] * by_rotation.transpose(1, 0, 2)[:, None]
         J[:, :, self.layout.boresight] = self.whitener @ by_boresight.transpose(1, 0, 2)
         J[:, :, self.layout.offset] = (self.whitener @ by_offset.transpose(1, 0, 2))[..., 0]
+        if self.by_heading is not None:
+            by_yaw = -inner @ R_enu_cam[:, 2, :, None] * self.by_heading[:, None, :]
+            J[:, :, self.layout.heading] = self.whitener @ by_yaw.transpose(1, 0, 2)
         return residual.reshape(-1), J.reshape(3 * K, -1)
 
 
 @dataclass(frozen=True, eq=False)
 class SharedPrior:
-    """Prior of boresight, time offset, delay and plane before this window, (5.8): mean (8,), whitener (8, 8)."""
+    """Prior of what all pictures of the window share, (5.8), in the layout's order: mean (10,), whitener (10, 10)."""
 
     layout: Layout
     mean: Array
     whitener: Array
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
-        """Residual (8,), Jacobian (8, D)."""
-        value = np.concatenate([state.boresight_rad, [state.offset_s, state.delay_s], state.plane])
+        """Residual (10,), Jacobian (10, D)."""
+        times_s = [state.offset_s, state.delay_s]
+        value = np.concatenate([state.boresight_rad, times_s, state.heading_rad, state.plane])
         return self.whitener @ (value - self.mean), self._jacobian
 
     @cached_property
     def _jacobian(self) -> Array:
-        J = np.zeros((8, self.layout.size))
+        J = np.zeros((10, self.layout.size))
         J[:, self.layout.shared] = self.whitener
         return J
 

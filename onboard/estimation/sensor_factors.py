@@ -135,22 +135,24 @@ def _velocity(
     if not config.solve.velocity or any(f is None for f in flown):
         return []
     stamps, velocities = _stamps_s(keyframes), _velocities(keyframes)
-    speed = np.linalg.norm(velocities, axis=1)
+    speed, gained = np.linalg.norm(velocities, axis=1), np.diff(velocities, axis=0)
     dt = np.maximum(np.diff(stamps), 0.05)
     # The declared error lasts about a second: over longer intervals it averages. What is found beyond it lasts.
     declared = config.gps.sigma_velocity_m_s
     own = (declared * np.sqrt(dt * np.minimum(dt, 1.0))) ** 2 + (jitter_s * np.hypot(speed[1:], speed[:-1])) ** 2
     middle = 0.5 * (stamps[1:] + stamps[:-1])
     slow = factors.scale(VELOCITY) * np.outer(dt, dt) * gauss_markov_covariance(middle, declared, VELOCITY_TIME_S)
-    whitener = whitener_of(np.diag(own) + slow)
+    # Its delay is its own, and as unknown as the position's: marginalised, an axis at a time.
+    late = config.gps.sigma_latency_s**2 * gained.T[:, :, None] * gained.T[:, None, :]
+    whitener = np.stack([whitener_of(np.diag(own) + slow + late[axis]) for axis in range(3)])
     part = {VELOCITY: slow}
     return [
         VelocityPrior(
             layout,
             np.array(flown),
-            np.stack([whitener] * 3),
-            np.diff(velocities, axis=0),
-            _taken_s(keyframes)[1:],
+            whitener,
+            gained,
+            np.array([k.nav_offset_s for k in keyframes])[1:],
             lever_cam_m(config, R_body_cam),
             Parts((part, part, part)),
         )
@@ -183,7 +185,9 @@ def _attitude(
             whitener.append(whitener_of(slow + white + np.diag((jitter_s * turning[:, axis]) ** 2)))
         lasting = np.array([lasting_sigma(stamps, s, solve_.attitude_wander_time_s) for s in (tilt, tilt, heading)])
         measured = Parts((parts[0], parts[1], parts[2]))
-        return [AttitudePrior(layout, R_enu_cam, rates, np.stack(whitener), offsets, lasting, measured)]
+        bodies = np.stack([k.nav.R_enu_body for k in keyframes if k.nav.R_enu_body is not None])
+        by_heading = cosine_sine_of_heading(bodies)
+        return [AttitudePrior(layout, R_enu_cam, rates, np.stack(whitener), offsets, lasting, by_heading, measured)]
     coordinated = _coordinated(R_body_cam, stamps, velocities)
     if coordinated is None:
         return []
@@ -193,6 +197,13 @@ def _attitude(
     still = np.zeros((layout.keyframes, 3))
     lasting = np.array([lasting_sigma(stamps, s, time_s) for s in PATH_SIGMA_RAD * np.array([1.0, 1.0, 2.0])])
     return [AttitudePrior(layout, coordinated, still, np.stack([loose, loose, heading_of_path]), offsets, lasting)]
+
+
+def cosine_sine_of_heading(R_enu_body: Array) -> Array:
+    """(..., 2) of attitudes (..., 3, 3), heading counted from north; of the direction of the nose's projection."""
+    nose = R_enu_body[..., 1::-1, 0]
+    out: Array = nose / np.maximum(np.linalg.norm(nose, axis=-1, keepdims=True), 1e-9)
+    return out
 
 
 def attitude_sigmas(config: Config, factors: VarianceFactors) -> tuple[float, float]:
@@ -250,7 +261,7 @@ def _coordinated(R_body_cam: Array, stamps_s: Array, velocities: Array) -> Array
 
 def _shared_prior(config: Config, layout: Layout, belief: Belief, has_terrain: bool) -> SharedPrior:
     """Boresight and time offset as estimated so far, and the ground plane's slope and height."""
-    covariance = np.zeros((8, 8))
+    covariance = np.zeros((10, 10))
     covariance[:SHARED, :SHARED] = belief.covariance
     solve_ = config.solve
     slope = np.tan(np.radians(solve_.level_ground_sigma_deg)) if solve_.level_ground else 3.0
@@ -258,6 +269,6 @@ def _shared_prior(config: Config, layout: Layout, belief: Belief, has_terrain: b
     if has_terrain:  # the plane is then what the terrain model is off by, as a whole
         slope, height_m = TERRAIN_SLOPE_SIGMA, config.terrain.sigma_datum_m + 1e-3
     covariance[SHARED:, SHARED:] = np.diag([height_m**2, slope**2, slope**2])
-    mean = np.zeros(8)
+    mean = np.zeros(10)
     mean[:SHARED] = belief.mean
     return SharedPrior(layout, mean, np.linalg.inv(np.linalg.cholesky(covariance)))

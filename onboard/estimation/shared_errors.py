@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from contract.feature_set import ALIGNMENT, ATTITUDE, GROUND, NUISANCES, POSITION, SharedErrors
 from onboard.config.schema import Config
-from onboard.estimation.boresight import BORESIGHT, DELAY, OFFSET, STATES, Belief
+from onboard.estimation.boresight import BORESIGHT, DELAY, HEADING, OFFSET, STATES, Belief
 from onboard.estimation.factors import AttitudePrior, PositionPrior, Prior, SharedPrior, State
-from onboard.estimation.sensor_factors import attitude_sigmas
+from onboard.estimation.sensor_factors import attitude_sigmas, cosine_sine_of_heading
 from onboard.estimation.sensor_pose import SensorPose
 from onboard.estimation.variance_components import HEADING_WHITE, TILT_WHITE, VarianceFactors
 from onboard.navigation.navigator import NavState
@@ -50,10 +50,11 @@ def shared_errors(config: Config, priors: list[Prior], state: State, covariance:
 
 
 def _one_clock(by_state: Array, moved: Array) -> Array:
-    """The columns (D, 5) of boresight, time offset and delay as the wire's four: one time error instead of two.
+    """The columns (D, 7) of the platform's states as the wire's four: boresight, and one time error instead of two.
 
     Both times move positions along the track. Of the two independent errors the combination that does so most, by
-    `moved` (2, 5), east and north, is what sets share; what is left of them stays in each set's own covariance.
+    `moved` (2, 7), east and north, is what sets share. The other, and the heading's error by heading, stay in each set's
+    own covariance.
     """
     _, _, basis = np.linalg.svd(moved[:, OFFSET : DELAY + 1])
     along = basis[0] * np.sign(basis[0][np.argmax(np.abs(basis[0]))])
@@ -68,6 +69,8 @@ def make_sensor_pose(
     speed = np.zeros(3) if nav.velocity_enu_m_s is None else nav.velocity_enu_m_s
     tilt, heading = attitude_sigmas(config, factors)
     factor = np.linalg.cholesky(belief.covariance)
+    if nav.R_enu_body is not None:
+        heading = float(np.hypot(heading, np.linalg.norm(cosine_sine_of_heading(nav.R_enu_body) @ factor[HEADING])))
     by_nuisance = np.zeros((7, NUISANCES))
     by_nuisance[:3, POSITION] = np.diag([nav.sigma_horizontal_m, nav.sigma_horizontal_m, nav.sigma_vertical_m])
     by_nuisance[3:6, ATTITUDE] = np.diag([tilt, tilt, heading])

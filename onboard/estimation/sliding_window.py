@@ -14,9 +14,10 @@ from contract.camera import Camera
 from contract.feature_set import Status
 from contract.rotations import exp_so3, mount_rotation
 from onboard.config.schema import Config
-from onboard.estimation.boresight import DELAY, OFFSET, Alignment
+from onboard.estimation.boresight import BORESIGHT, DELAY, HEADING, OFFSET, Alignment
 from onboard.estimation.boresight import STATES as SHARED
 from onboard.estimation.keyframe import Keyframe, Observation
+from onboard.estimation.sensor_factors import cosine_sine_of_heading
 from onboard.estimation.sensor_pose import SensorPose
 from onboard.estimation.shared_errors import make_sensor_pose
 from onboard.estimation.window_solver import MIN_POINTS, Noise, Outcome, Request, Solved, adjust
@@ -48,6 +49,7 @@ class Window:
             config.camera.sigma_latency_s,
             config.solve.attitude_wander_time_s,
             config.gps.sigma_latency_s,
+            np.radians(config.solve.heading_sigma_deg),
         )
         self.lever_body_m = np.array(mount.lever_arm_m)
 
@@ -67,7 +69,10 @@ class Window:
         """R_cam_enu from the autopilot through mount and boresight, or None without attitude."""
         if nav.R_enu_body is None:
             return None
-        out: Array = (nav.R_enu_body @ self.R_body_cam @ exp_so3(self.alignment.belief.mean[:3])).T
+        mean = self.alignment.belief.mean
+        yaw = float(cosine_sine_of_heading(nav.R_enu_body) @ mean[HEADING])
+        R_enu_body = exp_so3(np.array([0.0, 0.0, -yaw])) @ nav.R_enu_body
+        out: Array = (R_enu_body @ self.R_body_cam @ exp_so3(mean[BORESIGHT])).T
         return out
 
     def sensor_pose(self, nav: NavState) -> SensorPose | None:
@@ -160,7 +165,7 @@ class Window:
         if self.keyframes[0].nav.R_enu_body is None:
             return
         shared = slice(layout.boresight.start, layout.boresight.start + SHARED)
-        mean = np.array([*s.state.boresight_rad, s.state.offset_s, s.state.delay_s])
+        mean = np.array([*s.state.boresight_rad, s.state.offset_s, s.state.delay_s, *s.state.heading_rad])
         start, end = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
         covariance = solved.covariance_at((start + end) // 2)[shared, shared].copy()
         # The offset's effect is linearised where the navigation state was interpolated; in a turn its estimate is off

@@ -259,11 +259,11 @@ class Pipeline:
         self._stillness.begin(ids, uv, frame.stamp_ns)
         seen = observation(self.camera, ids, uv)
         offset_s, delay_s = self.window.alignment.belief.mean[[OFFSET, DELAY]].tolist()
-        offset_ns, position_ns = round(offset_s * 1e9), round((offset_s + delay_s) * 1e9)
+        offset_ns = round(offset_s * 1e9)
         flown = None
         if self.window.keyframes:
             since_ns = self.window.keyframes[-1].nav.stamp_ns
-            flown = self.navigation.displacement(since_ns + position_ns, frame.stamp_ns + position_ns)
+            flown = self.navigation.displacement(since_ns + offset_ns, frame.stamp_ns + offset_ns)
         rate = self.navigation.body_rate_at(frame.stamp_ns + offset_ns)
         self.window.add(frame.index, seen, nav, (offset_s, delay_s), rate, flown, self.tracker.flow_disagreement_px)
         self._statistics.keyframes += 1
