@@ -60,7 +60,7 @@ class Scene:
     mount_error_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     stamps_late_s: float = 0.0
     attitude_hz: float | None = None
-    rate_hz: float = 3.0
+    rate_hz: float = 2.0
     relief_sigma_m: float = 2.0
     slope_deg: float = 0.0
     wander_m: float = 1.5

@@ -20,8 +20,9 @@ from contract.errors import InputError
 
 Array = NDArray[np.float64]
 
-STATES = 7  # boresight about camera x, y, z (rad), time offset (s), position's delay (s), heading by heading (rad)
-BORESIGHT, OFFSET, DELAY, HEADING = slice(0, 3), 3, 4, slice(5, 7)
+# Boresight about camera x, y, z (rad), time offset, delay of position, of velocity (s), heading error by heading (rad).
+STATES = 8
+BORESIGHT, OFFSET, DELAY, VELOCITY_DELAY, HEADING = slice(0, 3), 3, 4, 5, slice(6, 8)
 # What a mount and a clock may do by themselves, one sigma after a minute: a random walk.
 BORESIGHT_WALK_RAD = np.radians(0.03)
 OFFSET_WALK_S = 0.002
@@ -35,7 +36,7 @@ MIN_GAIN = 0.02  # of a variance: a window that says less of a state is no evide
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Mean (7,) and covariance (7, 7) in the order of STATES, from data up to `end_ns`.
+    """Mean (8,) and covariance (8, 8) in the order of STATES, from data up to `end_ns`.
 
     `end_ns` 0 is the belief before take-off.
     """
@@ -43,7 +44,7 @@ class Belief:
     end_ns: int
     mean: Array
     covariance: Array
-    given: Array | None = None  # (7,) variances of the first prior that it still rests on; None: as configured
+    given: Array | None = None  # (8,) variances of the first prior that it still rests on; None: as configured
 
     @property
     def sigma(self) -> Array:
@@ -53,7 +54,7 @@ class Belief:
     def aged(self, stamp_ns: int) -> Belief:
         """The same belief some time later."""
         minutes = max(stamp_ns - self.end_ns, 0) / 60e9 if self.end_ns else 0.0
-        walk = np.array([BORESIGHT_WALK_RAD] * 3 + [OFFSET_WALK_S, DELAY_WALK_S] + [HEADING_WALK_RAD] * 2)
+        walk = np.array([BORESIGHT_WALK_RAD] * 3 + [OFFSET_WALK_S, DELAY_WALK_S, DELAY_WALK_S] + [HEADING_WALK_RAD] * 2)
         return Belief(self.end_ns, self.mean, self.covariance + np.diag(walk**2 * minutes), self.given)
 
 
@@ -70,7 +71,7 @@ class Alignment:
     ) -> None:
         """Priors are one sigma; `spacing_s` is the least time between the ends of two windows that update it."""
         tiny = 1e-12
-        sigmas = [mount_sigma_rad] * 3 + [offset_sigma_s, delay_sigma_s] + [heading_sigma_rad] * 2
+        sigmas = [mount_sigma_rad] * 3 + [offset_sigma_s, delay_sigma_s, delay_sigma_s] + [heading_sigma_rad] * 2
         first = np.diag(np.square(sigmas) + tiny)
         self._estimates = [Belief(0, np.zeros(STATES), first)]
         self._spacing_ns = round(spacing_s * 1e9)
@@ -110,7 +111,7 @@ class Alignment:
 
     @property
     def disagreement(self) -> Array:
-        """(7,) factor on one sigma by which windows differ more than their covariances say; 1 if they agree."""
+        """(8,) factor on one sigma by which windows differ more than their covariances say; 1 if they agree."""
         mean_square = (AGREEMENT_PRIOR + self._squares) / (AGREEMENT_PRIOR + self._counts)
         return np.sqrt(np.maximum(mean_square, 1.0))
 
@@ -139,6 +140,7 @@ class Alignment:
                 "boresight_rad": newest.mean[:3].tolist(),
                 "offset_s": float(newest.mean[OFFSET]),
                 "delay_s": float(newest.mean[DELAY]),
+                "velocity_delay_s": float(newest.mean[VELOCITY_DELAY]),
                 "heading_rad": newest.mean[HEADING].tolist(),
                 "covariance": newest.covariance.tolist(),
                 "end_unix_ns": newest.end_ns,
@@ -156,7 +158,7 @@ class Alignment:
             mean = np.array([*raw["boresight_rad"], raw["offset_s"]], float)
             covariance = np.array(raw["covariance"], float)
             if "delay_s" in raw:
-                mean = np.array([*mean, raw["delay_s"], *raw["heading_rad"]], float)
+                mean = np.array([*mean, raw["delay_s"], raw["velocity_delay_s"], *raw["heading_rad"]], float)
             elif covariance.shape == (DELAY, DELAY):  # written before delay and heading's error were estimated
                 mean, covariance = np.pad(mean, (0, STATES - DELAY)), np.pad(covariance, (0, STATES - DELAY))
                 covariance[DELAY:, DELAY:] = self._estimates[0].covariance[DELAY:, DELAY:]

@@ -1,8 +1,8 @@
 """Whitened residuals with analytic Jacobians, one plain function each. Equations: docs/mathematics.md, section 5.
 
 The unknowns are laid out by `Layout`: six columns a keyframe (rotation `d`, R_cam_enu <- exp([d]x) R_cam_enu, rad; then
-centre, ENU metres), then the boresight (camera axes, rad), the camera's time offset (s), the position's delay (s), the
-error of heading that depends on heading (rad) and the ground plane (height m at the reference point, slope east, slope north). Points are eliminated and have no column here.
+centre, ENU metres), then the boresight (camera axes, rad), the camera's time offset (s), the position's and
+the velocity's delay (s), the error of heading that depends on heading (rad) and the ground plane (height m at the reference point, slope east, slope north). Points are eliminated and have no column here.
 """
 
 from __future__ import annotations
@@ -44,9 +44,14 @@ class Layout:
         return 6 * self.keyframes + 4
 
     @property
+    def velocity_delay(self) -> int:
+        """One column, s: the same of the velocity."""
+        return 6 * self.keyframes + 5
+
+    @property
     def heading(self) -> slice:
         """Two columns, rad: the heading's error is their product with the cosine and the sine of the heading."""
-        return slice(6 * self.keyframes + 5, 6 * self.keyframes + 7)
+        return slice(6 * self.keyframes + 6, 6 * self.keyframes + 8)
 
     @property
     def shared(self) -> slice:
@@ -56,12 +61,12 @@ class Layout:
     @property
     def plane(self) -> slice:
         """Three columns: height (m), slope east, slope north."""
-        return slice(6 * self.keyframes + 7, 6 * self.keyframes + 10)
+        return slice(6 * self.keyframes + 8, 6 * self.keyframes + 11)
 
     @property
     def size(self) -> int:
         """All columns."""
-        return 6 * self.keyframes + 10
+        return 6 * self.keyframes + 11
 
     def rotation(self, keyframe: int) -> slice:
         """Three columns, rad."""
@@ -91,6 +96,7 @@ class State:
     offset_s: float
     plane: Array  # (3,) height m, slope east, slope north, about the reference point
     delay_s: float = 0.0  # the position is older than its stamp by this much more than configured
+    velocity_delay_s: float = 0.0  # the same of the velocity
     heading_rad: Array = field(default_factory=lambda: np.zeros(2))  # (2,) see `Layout.heading`
 
     def retract(self, dc: Array, dp: Array) -> State:
@@ -104,9 +110,10 @@ class State:
             self.points_enu_m + dp,
             self.boresight_rad + shared[:3],
             self.offset_s + float(shared[3]),
-            self.plane + shared[7:10],
+            self.plane + shared[8:11],
             self.delay_s + float(shared[4]),
-            self.heading_rad + shared[5:7],
+            self.velocity_delay_s + float(shared[5]),
+            self.heading_rad + shared[6:8],
         )
 
     def antennas_enu_m(self, lever_cam_m: Array) -> tuple[Array, Array]:
@@ -229,23 +236,23 @@ class PositionPrior:
 class VelocityPrior:
     """Displacements between consecutive keyframes from integrated velocity. Equation (5.6).
 
-    Its error is a white part, a Gauss-Markov part and a delay of the velocity's own: a navigation filter that believes
-    in a wrong GPS delay has its position behind by all of it and its velocity by a part. In a turn the displacement
-    changes when the interval moves by the time offset.
+    Its error is a white part, a Gauss-Markov part and a delay of the velocity's own: a navigation filter that is told
+    a wrong GPS delay has its position behind by all of it and its velocity by a part. In a turn the displacement
+    changes when the interval moves by time offset and delay.
     """
 
     layout: Layout
     displacement_enu_m: Array  # (K - 1, 3)
     whitener: Array  # (3, K - 1, K - 1): east, north, up
     gained_m_s: Array  # (K - 1, 3) velocity at the interval's end less that at its beginning
-    offset_s: Array  # (K - 1,) time offset at which each was taken
+    offset_s: Array  # (K - 1,) time offset plus the velocity's delay at which each was taken
     lever_cam_m: Array = field(default_factory=lambda: np.zeros(3))  # from the autopilot's reference point
     parts: Parts | None = None  # of the covariance that `whitener` whitens
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3 (K - 1),), Jacobian (3 (K - 1), D)."""
         at, by_rotation = state.antennas_enu_m(self.lever_cam_m)
-        later = self.gained_m_s * (state.offset_s - self.offset_s)[:, None]
+        later = self.gained_m_s * (state.offset_s + state.velocity_delay_s - self.offset_s)[:, None]
         error = at[1:] - at[:-1] - self.displacement_enu_m - later
         J = self._jacobian
         if self.lever_cam_m.any():
@@ -266,7 +273,8 @@ class VelocityPrior:
         for axis in range(3):
             J[axis][:, columns[1:, axis]] += self.whitener[axis]
             J[axis][:, columns[:-1, axis]] -= self.whitener[axis]
-            J[axis][:, self.layout.offset] = -self.whitener[axis] @ self.gained_m_s[:, axis]
+            by_time = -self.whitener[axis] @ self.gained_m_s[:, axis]
+            J[axis][:, self.layout.offset] = J[axis][:, self.layout.velocity_delay] = by_time
         return J.reshape(3 * n, -1)
 
 
@@ -318,21 +326,21 @@ class AttitudePrior:
 
 @dataclass(frozen=True, eq=False)
 class SharedPrior:
-    """Prior of what all pictures of the window share, (5.8), in the layout's order: mean (10,), whitener (10, 10)."""
+    """Prior of what all pictures of the window share, (5.8), in the layout's order: mean (11,), whitener (11, 11)."""
 
     layout: Layout
     mean: Array
     whitener: Array
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
-        """Residual (10,), Jacobian (10, D)."""
-        times_s = [state.offset_s, state.delay_s]
+        """Residual (11,), Jacobian (11, D)."""
+        times_s = [state.offset_s, state.delay_s, state.velocity_delay_s]
         value = np.concatenate([state.boresight_rad, times_s, state.heading_rad, state.plane])
         return self.whitener @ (value - self.mean), self._jacobian
 
     @cached_property
     def _jacobian(self) -> Array:
-        J = np.zeros((10, self.layout.size))
+        J = np.zeros((11, self.layout.size))
         J[:, self.layout.shared] = self.whitener
         return J
 

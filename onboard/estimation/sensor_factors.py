@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.config.schema import Config
+from onboard.estimation.boresight import DELAY, VELOCITY_DELAY, Belief
 from onboard.estimation.boresight import STATES as SHARED
-from onboard.estimation.boresight import Belief
 from onboard.estimation.factors import (
     AttitudePrior,
     HeightModel,
@@ -42,6 +42,7 @@ PATH_SIGMA_RAD = 0.25
 PATH_WHITE_SIGMA_RAD = 0.15
 GRAVITY_M_S2 = 9.81
 ECHO_SIGMAS = 4.0
+STATES_AND_PLANE = SHARED + 3
 VELOCITY_TIME_S = 8.0  # a navigation filter takes so long to correct a velocity
 TERRAIN_SLOPE_SIGMA = 0.005  # of an elevation model over a window's few hundred metres: neighbours err alike
 
@@ -135,23 +136,21 @@ def _velocity(
     if not config.solve.velocity or any(f is None for f in flown):
         return []
     stamps, velocities = _stamps_s(keyframes), _velocities(keyframes)
-    speed, gained = np.linalg.norm(velocities, axis=1), np.diff(velocities, axis=0)
+    speed = np.linalg.norm(velocities, axis=1)
     dt = np.maximum(np.diff(stamps), 0.05)
     # The declared error lasts about a second: over longer intervals it averages. What is found beyond it lasts.
     declared = config.gps.sigma_velocity_m_s
     own = (declared * np.sqrt(dt * np.minimum(dt, 1.0))) ** 2 + (jitter_s * np.hypot(speed[1:], speed[:-1])) ** 2
     middle = 0.5 * (stamps[1:] + stamps[:-1])
     slow = factors.scale(VELOCITY) * np.outer(dt, dt) * gauss_markov_covariance(middle, declared, VELOCITY_TIME_S)
-    # Its delay is its own, and as unknown as the position's: marginalised, an axis at a time.
-    late = config.gps.sigma_latency_s**2 * gained.T[:, :, None] * gained.T[:, None, :]
-    whitener = np.stack([whitener_of(np.diag(own) + slow + late[axis]) for axis in range(3)])
+    whitener = whitener_of(np.diag(own) + slow)
     part = {VELOCITY: slow}
     return [
         VelocityPrior(
             layout,
             np.array(flown),
-            whitener,
-            gained,
+            np.stack([whitener] * 3),
+            np.diff(velocities, axis=0),
             np.array([k.nav_offset_s for k in keyframes])[1:],
             lever_cam_m(config, R_body_cam),
             Parts((part, part, part)),
@@ -261,14 +260,16 @@ def _coordinated(R_body_cam: Array, stamps_s: Array, velocities: Array) -> Array
 
 def _shared_prior(config: Config, layout: Layout, belief: Belief, has_terrain: bool) -> SharedPrior:
     """Boresight and time offset as estimated so far, and the ground plane's slope and height."""
-    covariance = np.zeros((10, 10))
+    covariance = np.zeros((STATES_AND_PLANE, STATES_AND_PLANE))
     covariance[:SHARED, :SHARED] = belief.covariance
+    # A filter whose velocity is late has its position behind in straight flight by more than its turns show. (5.15)
+    covariance[DELAY, DELAY] += (config.gps.latency_s + belief.mean[VELOCITY_DELAY]) ** 2
     solve_ = config.solve
     slope = np.tan(np.radians(solve_.level_ground_sigma_deg)) if solve_.level_ground else 3.0
     height_m = 1e4
     if has_terrain:  # the plane is then what the terrain model is off by, as a whole
         slope, height_m = TERRAIN_SLOPE_SIGMA, config.terrain.sigma_datum_m + 1e-3
     covariance[SHARED:, SHARED:] = np.diag([height_m**2, slope**2, slope**2])
-    mean = np.zeros(10)
+    mean = np.zeros(STATES_AND_PLANE)
     mean[:SHARED] = belief.mean
     return SharedPrior(layout, mean, np.linalg.inv(np.linalg.cholesky(covariance)))

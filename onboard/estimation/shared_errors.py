@@ -50,10 +50,10 @@ def shared_errors(config: Config, priors: list[Prior], state: State, covariance:
 
 
 def _one_clock(by_state: Array, moved: Array) -> Array:
-    """The columns (D, 7) of the platform's states as the wire's four: boresight, and one time error instead of two.
+    """The columns (D, 8) of the platform's states as the wire's four: boresight, and one time error instead of two.
 
     Both times move positions along the track. Of the two independent errors the combination that does so most, by
-    `moved` (2, 7), east and north, is what sets share. The other, and the heading's error by heading, stay in each set's
+    `moved` (2, 8), east and north, is what sets share. The other, and what else is estimated, stay in each set's
     own covariance.
     """
     _, _, basis = np.linalg.svd(moved[:, OFFSET : DELAY + 1])

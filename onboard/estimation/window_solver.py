@@ -15,7 +15,7 @@ from contract.camera import Camera
 from contract.feature_set import SharedErrors, Status
 from onboard.config.schema import Config
 from onboard.estimation import initialisation
-from onboard.estimation.boresight import BORESIGHT, DELAY, HEADING, OFFSET, Belief
+from onboard.estimation.boresight import BORESIGHT, HEADING, OFFSET, VELOCITY_DELAY, Belief
 from onboard.estimation.bundle_adjustment import Problem, Solution, solve
 from onboard.estimation.factors import AttitudePrior, Layout, Prior, SharedPrior, State, VelocityPrior, ground_plane
 from onboard.estimation.ground_motion import GroundMotion, ground_motion, ground_sigma_m_s
@@ -166,8 +166,9 @@ def adjust(request: Request) -> Outcome:
     C = np.stack([k.centre_enu_m for k in keyframes])
     points, reference, plane = _points(request, ids, R, C, xy, weight > 0)
     belief = request.belief
-    times_s = float(belief.mean[OFFSET]), float(belief.mean[DELAY])
-    state = State(R, C, points, belief.mean[BORESIGHT], times_s[0], plane, times_s[1], belief.mean[HEADING])
+    offset_s, late_s, velocity_late_s = belief.mean[OFFSET : VELOCITY_DELAY + 1].tolist()
+    platform = belief.mean[BORESIGHT], belief.mean[HEADING]
+    state = State(R, C, points, platform[0], offset_s, plane, late_s, velocity_late_s, platform[1])
     relief, terrain = _ground(request, points)
     if terrain is not None:
         reference[2] = 0.0
