@@ -3,8 +3,8 @@
 Every window solve estimates them (residuals (5.4), (5.7)) against a prior. Its posterior may serve as prior for later
 windows only if it has seen none of their data, and the autopilot's attitude error is correlated over tens of seconds,
 so that windows closer than that repeat the same error. Therefore posteriors are kept only from windows that far apart,
-and a window's prior is the newest posterior that ended before the window began. Windows that disagree with each other by
-more than their covariances say count for less, (6.13). Section 10 of docs/mathematics.md.
+and a window's prior is the newest posterior that ended before the window began. Windows that disagree with each other
+by more than their covariances say count for less, (6.13). Section 10 of docs/mathematics.md.
 """
 
 from __future__ import annotations

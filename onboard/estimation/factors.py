@@ -1,8 +1,9 @@
 """Whitened residuals with analytic Jacobians, one plain function each. Equations: docs/mathematics.md, section 5.
 
 The unknowns are laid out by `Layout`: six columns a keyframe (rotation `d`, R_cam_enu <- exp([d]x) R_cam_enu, rad; then
-centre, ENU metres), then the boresight (camera axes, rad), the camera's time offset (s), the position's and
-the velocity's delay (s), the error of heading that depends on heading (rad) and the ground plane (height m at the reference point, slope east, slope north). Points are eliminated and have no column here.
+centre, ENU metres), then what is estimated of the platform (boresight in camera axes, rad; the camera's time offset and
+the delays of position and velocity, s; the heading's error that depends on heading, rad) and the ground plane (height m
+at the reference point, slope east, slope north). Points are eliminated and have no column here.
 """
 
 from __future__ import annotations
@@ -115,6 +116,12 @@ class State:
             self.velocity_delay_s + float(shared[5]),
             self.heading_rad + shared[6:8],
         )
+
+    @property
+    def platform(self) -> Array:
+        """(8,) what is estimated of the platform, in the order of `boresight.STATES`."""
+        times_s = [self.offset_s, self.delay_s, self.velocity_delay_s]
+        return np.concatenate([self.boresight_rad, times_s, self.heading_rad])
 
     def antennas_enu_m(self, lever_cam_m: Array) -> tuple[Array, Array]:
         """Where the autopilot's reference points are (K, 3), and their derivative by the views' rotation (K, 3, 3).
@@ -334,8 +341,7 @@ class SharedPrior:
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (11,), Jacobian (11, D)."""
-        times_s = [state.offset_s, state.delay_s, state.velocity_delay_s]
-        value = np.concatenate([state.boresight_rad, times_s, state.heading_rad, state.plane])
+        value = np.concatenate([state.platform, state.plane])
         return self.whitener @ (value - self.mean), self._jacobian
 
     @cached_property

@@ -165,9 +165,7 @@ class Window:
         if self.keyframes[0].nav.R_enu_body is None:
             return
         shared = slice(layout.boresight.start, layout.boresight.start + SHARED)
-        mean = np.array(
-            [*s.state.boresight_rad, s.state.offset_s, s.state.delay_s, s.state.velocity_delay_s, *s.state.heading_rad]
-        )
+        mean = s.state.platform
         start, end = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
         covariance = solved.covariance_at((start + end) // 2)[shared, shared].copy()
         # The offset's effect is linearised where the navigation state was interpolated; in a turn its estimate is off
