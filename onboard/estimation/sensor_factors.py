@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.config.schema import Config
-from onboard.estimation.boresight import DELAY, VELOCITY_DELAY, Belief
 from onboard.estimation.boresight import STATES as SHARED
+from onboard.estimation.boresight import Belief
 from onboard.estimation.factors import (
     AttitudePrior,
     HeightModel,
@@ -262,8 +262,6 @@ def _shared_prior(config: Config, layout: Layout, belief: Belief, has_terrain: b
     """Boresight and time offset as estimated so far, and the ground plane's slope and height."""
     covariance = np.zeros((STATES_AND_PLANE, STATES_AND_PLANE))
     covariance[:SHARED, :SHARED] = belief.covariance
-    # A filter whose velocity is late has its position behind in straight flight by more than its turns show. (5.15)
-    covariance[DELAY, DELAY] += (config.gps.latency_s + belief.mean[VELOCITY_DELAY]) ** 2
     solve_ = config.solve
     slope = np.tan(np.radians(solve_.level_ground_sigma_deg)) if solve_.level_ground else 3.0
     height_m = 1e4

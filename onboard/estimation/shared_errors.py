@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from contract.feature_set import ALIGNMENT, ATTITUDE, GROUND, NUISANCES, POSITION, SharedErrors
 from onboard.config.schema import Config
-from onboard.estimation.boresight import BORESIGHT, DELAY, HEADING, OFFSET, STATES, Belief
+from onboard.estimation.boresight import BORESIGHT, DELAY, HEADING, OFFSET, STATES, VELOCITY_DELAY, Belief
 from onboard.estimation.factors import AttitudePrior, PositionPrior, Prior, SharedPrior, State
 from onboard.estimation.sensor_factors import attitude_sigmas, cosine_sine_of_heading
 from onboard.estimation.sensor_pose import SensorPose
@@ -22,7 +22,7 @@ from onboard.navigation.navigator import NavState
 Array = NDArray[np.float64]
 
 
-def shared_errors(config: Config, priors: list[Prior], state: State, covariance: Array) -> SharedErrors:
+def shared_errors(config: Config, priors: list[Prior], state: State, covariance: Array, lag: Array) -> SharedErrors:
     """How far one sigma of each nuisance parameter moves a window's camera side: `by_nuisance` (D, NUISANCES).
 
     `covariance` (D, D) is the camera side's own. A measurement error of v whitened sigmas moves the optimum by
@@ -41,24 +41,25 @@ def shared_errors(config: Config, priors: list[Prior], state: State, covariance:
             _, J = prior.evaluate(state)
             by_prior = covariance @ J.T
             centres = prior.layout.centres()
-            moved = np.stack([by_prior[centres[:, axis]].mean(axis=0) for axis in (0, 1)])
-            gains[:, ALIGNMENT] = _one_clock(by_prior[:, :STATES], moved)
+            times = np.column_stack([by_prior[:, OFFSET : VELOCITY_DELAY + 1], lag])
+            moved = np.stack([times[centres[:, axis]].mean(axis=0) for axis in (0, 1)])
+            gains[:, ALIGNMENT] = np.column_stack([by_prior[:, BORESIGHT], _one_clock(times, moved)])
             gains[:, GROUND] = by_prior[:, STATES:]
             alignment_sigma = 1.0 / np.diag(prior.whitener)[:4]
     attitude_time_s = config.solve.attitude_wander_time_s
     return SharedErrors(gains, config.gps.wander_time_s, attitude_time_s, alignment_sigma)
 
 
-def _one_clock(by_state: Array, moved: Array) -> Array:
-    """The columns (D, 8) of the platform's states as the wire's four: boresight, and one time error instead of two.
+def _one_clock(times: Array, moved: Array) -> Array:
+    """Of several independent errors of time (D, n), the one that sets share, as the wire's single column (D,).
 
-    Both times move positions along the track. Of the two independent errors the combination that does so most, by
-    `moved` (2, 8), east and north, is what sets share. The other, and what else is estimated, stay in each set's
-    own covariance.
+    All move positions along the track. The combination that does so most, by `moved` (2, n), east and north, is what
+    sets share; the others, and what else is estimated of the platform, stay in each set's own covariance.
     """
-    _, _, basis = np.linalg.svd(moved[:, OFFSET : DELAY + 1])
+    _, _, basis = np.linalg.svd(moved)
     along = basis[0] * np.sign(basis[0][np.argmax(np.abs(basis[0]))])
-    return np.column_stack([by_state[:, BORESIGHT], by_state[:, OFFSET : DELAY + 1] @ along])
+    out: Array = times @ along
+    return out
 
 
 def make_sensor_pose(
@@ -74,10 +75,9 @@ def make_sensor_pose(
     by_nuisance = np.zeros((7, NUISANCES))
     by_nuisance[:3, POSITION] = np.diag([nav.sigma_horizontal_m, nav.sigma_horizontal_m, nav.sigma_vertical_m])
     by_nuisance[3:6, ATTITUDE] = np.diag([tilt, tilt, heading])
-    by_state = np.zeros((7, STATES))
-    by_state[3:6] = R_cam_enu.T @ factor[BORESIGHT]
-    by_state[:3] = np.outer(speed, factor[OFFSET] + factor[DELAY])
-    by_nuisance[:, ALIGNMENT] = _one_clock(by_state, by_state[:2])
+    late_s = np.linalg.norm(np.append(factor[OFFSET] + factor[DELAY], gps.sigma_latency_s))
+    by_nuisance[3:6, ALIGNMENT.start : ALIGNMENT.stop - 1] = R_cam_enu.T @ factor[BORESIGHT, :3]
+    by_nuisance[:3, ALIGNMENT.stop - 1] = speed * late_s
     white = np.zeros(7)
     white[:3] = nav.sigma_white_m * np.array([1.0, 1.0, 1.5])
     white[3:5] = np.radians(solve.attitude_white_sigma_deg) * factors.sigma(TILT_WHITE)
