@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 LOCKED := $(VENV)/.locked
 INSTALLED := $(VENV)/.installed
-PYTEST_ARGS ?= -n 2
+PYTEST_ARGS ?=
 
 .DEFAULT_GOAL := help
 .PHONY: help venv demo test test-bench lint types pytest fuzz bench clean
@@ -73,8 +73,16 @@ systemd-analyze:
 		&& apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends systemd >/dev/null; } \
 		|| echo "no systemd-analyze: the test of the unit will be left out"
 
+# Tests that measure real time run after the others, alone. A run without any test (exit code 5) is a lost marker, unless
+# PYTEST_ARGS chose the tests; then one of the two must have some.
 pytest: $(INSTALLED) systemd-analyze
-	@$(BIN)/python -m pytest $(PYTEST_ARGS)
+	@$(BIN)/python -m pytest -m "not wall_clock" -n 2 --dist loadgroup $(PYTEST_ARGS); parallel=$$?; \
+	$(BIN)/python -m pytest -m wall_clock -n 0 $(PYTEST_ARGS); serial=$$?; \
+	case "$$parallel $$serial" in \
+		"0 0") ;; \
+		"0 5" | "5 0") $(if $(PYTEST_ARGS),,echo "make pytest: no test in one of the two runs: is the marker wall_clock lost?" >&2; exit 1) ;; \
+		*) exit 1 ;; \
+	esac
 
 fuzz: $(INSTALLED)
 	@$(BIN)/python -m tests.fuzz.payloads 1000000

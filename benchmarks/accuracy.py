@@ -2,7 +2,7 @@
 
     python -m benchmarks.accuracy [--flights 200] [--seed 0] [--rows TEXT]
 
-A flight is 250 m over the ground, 40 degrees, 640x480, 0.3 px, ten views over 180 m; GPS error is a wandering part
+A flight is 250 m over the ground, 40 degrees, 640x480, 0.3 px, ten views over 180 m; GPS error is a Gauss-Markov part
 (1.5 m horizontal, 2.5 m vertical, 60 s) and a white part (0.3 m). Truth is drawn from the very model that the priors
 state, so the bound from the Fisher information is the bound of these flights. Outliers: a fifth of the tracks jump,
 drift or follow a vehicle; errors count over the right tracks, and the bound is that of one who knows which those are.

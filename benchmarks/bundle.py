@@ -67,7 +67,7 @@ def numbers(views: int, points: int, seed: int = 1) -> tuple[Problem, State]:
 
 
 def _pick(counts: NDArray[np.intp], points: int, observations: int) -> NDArray[np.intp]:
-    """Columns of `points` points that have `observations` sightings together, by exchanging one at a time."""
+    """Columns of `points` points that have `observations` together, by exchanging one at a time."""
     rng = np.random.default_rng(0)
     chosen = rng.permutation(len(counts))
     inside, outside = chosen[:points].copy(), chosen[points:].copy()

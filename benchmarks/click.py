@@ -137,7 +137,7 @@ def report(sets: Sequence[FeatureSet], recorded: int, clicks: int, runs: int) ->
             cases = {
                 f"recording of {recorded} sets": ("--from", str(recording), "--frame", picture),
                 "live peer, that picture": ("--connect", endpoint, "--frame", picture),
-                "live peer, newest": ("--connect", endpoint),
+                "live peer, newest": ("--connect", endpoint, "--max-age", "inf"),
             }
             width, height = sets[0].camera.size_px
             for _ in range(runs + 1):

@@ -5,7 +5,7 @@
 Each flight goes through the whole onboard pipeline but for the tracker (`drawn_flight`), its feature sets through the
 ground's locator. Counted, horizontally: single clicks; the vector between two clicks of one set; between clicks of two
 sets a second or two apart, and farther apart. NEES is the mean squared error over the claimed covariance, 1 if honest:
-of the pose (six states), of clicks (two), of heights. One flight is one draw of mount, offset and slow GPS error: the
+of the pose (six states), of clicks (two), of heights. One flight is one sample of mount, offset and slow GPS error: the
 last column gives one sigma of the first from the finite number of flights. Goal: 85 to 95 %.
 """
 
@@ -153,7 +153,7 @@ def _pose_nees(flight: DrawnFlight, frame: int, s: FeatureSet) -> float:
 
 
 def _share(per_flight: list[Counts], pick: Callable[[Counts], list[float]], limit: float) -> tuple[float, float]:
-    """Share under a limit and one sigma of it from the scatter between flights."""
+    """Share under a limit and one sigma of it from the dispersion between flights."""
     shares = np.array([np.mean(np.array(pick(c)) < limit) for c in per_flight if pick(c)])
     if not len(shares):
         return float("nan"), float("nan")

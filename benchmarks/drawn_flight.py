@@ -1,8 +1,8 @@
 """Flights without pictures: events and feature tracks drawn from the errors that the configuration declares.
 
 Everything of the onboard side runs as it does in the air but for the tracker, which looks up where points of the ground
-really are and adds noise. Every error is drawn from the prior that the window puts against it, so whatever the stated
-covariances miss is the estimator's own doing and not the simulation's.
+really are and adds noise. Every error is drawn from the prior that the window has for it, so whatever the stated
+covariances miss comes from the estimator and not from the simulation.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class DrawnSpec:
     errors: float = 1.0
     outlier_share: float = 0.0
     has_terrain: bool = False
-    boresight_deg: tuple[float, float, float] | None = None  # as it is; None: drawn as the configuration believes
+    boresight_deg: tuple[float, float, float] | None = None  # as it is; None: drawn from the configured prior
     offset_s: float | None = None
     camera: Camera = field(default_factory=lambda: Camera.from_field_of_view(640, 480, 40.0))
 
@@ -146,11 +146,11 @@ class DrawnFlight:
 
     def _positions(self) -> list[PositionFix]:
         gps, time = self.spec.config.gps, self._instants(POSITION_HZ)
-        wander = (gps.sigma_wander_horizontal_m, gps.sigma_wander_horizontal_m, gps.sigma_wander_vertical_m)
+        sigma_m = (gps.sigma_wander_horizontal_m, gps.sigma_wander_horizontal_m, gps.sigma_wander_vertical_m)
         white = (gps.sigma_white_m, gps.sigma_white_m, 1.5 * gps.sigma_white_m)
         error = [
             self._error(time, slow, gps.wander_time_s) + self._error(time, fast, WHITE_TIME_S)
-            for slow, fast in zip(wander, white, strict=True)
+            for slow, fast in zip(sigma_m, white, strict=True)
         ]
         velocity = self.trajectory.velocity_enu_m_s(time) + np.stack(
             [self._error(time, gps.sigma_velocity_m_s, VELOCITY_TIME_S) for _ in range(3)], axis=1
@@ -170,9 +170,9 @@ class DrawnFlight:
         fast = (solve.attitude_white_sigma_deg, solve.attitude_white_sigma_deg, solve.heading_white_sigma_deg)
         error = np.stack(
             [
-                self._error(time, np.radians(wander), solve.attitude_wander_time_s)
+                self._error(time, np.radians(gauss_markov_deg), solve.attitude_wander_time_s)
                 + self._error(time, np.radians(white), WHITE_TIME_S)
-                for wander, white in zip(slow, fast, strict=True)
+                for gauss_markov_deg, white in zip(slow, fast, strict=True)
             ],
             axis=1,
         )

@@ -31,6 +31,7 @@ from onboard.link.certificates import make_credentials
 PORT = 17447
 SIZES = (60, 600, 1250)
 RATE_HZ = 5.0
+AGE, REPLY_AGE = b"0.35", b'{"age_s":0.351}'  # as goes beside each set
 ETH_P_IP, PACKET_OUTGOING = 0x0800, 4
 
 
@@ -107,7 +108,7 @@ def row(kind: str, credentials: Path, seconds: float) -> str:
             count = round(RATE_HZ * seconds)
             wire.bytes.clear()
             for _ in range(count):
-                publisher.put(os.urandom(size))
+                publisher.put(os.urandom(size), attachment=AGE)
                 time.sleep(1.0 / RATE_HZ)
             message = (wire.bytes["down"] - idle["down"]) / count - size
             cells.append(f"{message:.0f}")
@@ -130,7 +131,7 @@ def row(kind: str, credentials: Path, seconds: float) -> str:
 
 def _reply(query: zenoh.Query, key: str) -> None:
     with query:
-        query.reply(key, os.urandom(600))
+        query.reply(key, os.urandom(600), attachment=REPLY_AGE)
 
 
 def main() -> None:

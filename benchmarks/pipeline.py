@@ -180,7 +180,7 @@ def report(flown: Leg, frames: int) -> str:
             "",
             f"{run.frames / max(len(run.call_ms), 1):.1f} pictures a call: they wait for the position after them. "
             "The longest call is the first: the pictures taken before any position came.",
-            "by room: " + ", ".join(f"{room} {100 * s / busy:.0f} %" for room, s in run.stages.items()),
+            "by stage: " + ", ".join(f"{stage} {100 * s / busy:.0f} %" for stage, s in run.stages.items()),
         ]
     )
 

@@ -27,7 +27,6 @@ import numpy as np
 from benchmarks.flown import Leg, leg
 from benchmarks.soak_clock import FlightClock, Governor
 from contract.feature_set import FeatureSet
-from contract.vehicle_status import VehicleStatus
 from onboard.commands.run import open_parts
 from onboard.config.files import load_config_files
 from onboard.config.schema import Config, to_toml
@@ -36,8 +35,9 @@ from onboard.events.types import Event, Frame
 from onboard.link.publisher import Publisher
 from onboard.service import journal
 from onboard.service.daemon import TICK_S, Daemon, Order, SignalOrders
+from onboard.service.reports import Report
 from onboard.service.sd_notify import Notifier
-from onboard.service.session import Detail, Parts
+from onboard.service.session import Parts
 
 LEAD_NS = 2_000_000_000  # from the clock's beginning to the first picture
 TAIL_NS = 4_000_000_000  # after the last minute, so that the process is still there to be looked at
@@ -131,7 +131,7 @@ class Camera:
         self._came_ns: int | None = None
 
     def run(self, emit: Emit, stop: Stop) -> None:
-        """Until told to stop."""
+        """Until stopped."""
         counted, governor = self._counted, self._clock.governor
         for frame in pictures(self._flown, self._begin_ns):
             governor.govern((self._waiting - 1) / self._plan.rate_hz, frame.stamp_ns)  # the last has only just come
@@ -195,9 +195,9 @@ class Watch:
             self._frame = output.frame
             counted.delays_s.append((self._clock.now_ns() - output.capture_unix_ns) / 1e9)
 
-    def report(self, status: VehicleStatus, detail: Detail) -> None:
+    def report(self, report: Report) -> None:
         """What the daemon says of itself."""
-        self._counted.dropped = status.dropped
+        self._counted.dropped = report.status.dropped
 
     def _write(self) -> None:
         counted = self._counted

@@ -1,4 +1,4 @@
-"""Pinhole intrinsics with OpenCV's five-coefficient distortion: pixel <-> unit-depth ray, with validity.
+"""Pinhole intrinsics with OpenCV's five-coefficient distortion: pixel <-> normalised image coordinates, with validity.
 
 Pixel (0, 0) is the centre of the top-left pixel; the camera looks along +z with x to the right and y down. Equations
 (2.1) to (2.4) of docs/mathematics.md. A fitted distortion polynomial need not be invertible over the whole picture
@@ -21,8 +21,8 @@ from contract.errors import InputError
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Where the radial polynomial's slope has fallen this low a pixel of noise is three in ray space: the calibration is
-# extrapolating towards its fold and is not believed.
+# Where the radial polynomial's slope has fallen this low, a pixel of noise is three in normalised coordinates: the
+# calibration is extrapolating towards its fold and is not used.
 MIN_RADIAL_SLOPE = 0.3
 
 
@@ -107,7 +107,7 @@ class Camera:
 
     @cached_property
     def max_radius(self) -> float:
-        """The largest undistorted radius (unit depth) up to which the radial polynomial's slope stays usable. (2.3)"""
+        """The largest undistorted radius (normalised) up to which the radial polynomial's slope stays usable. (2.3)"""
         k1, k2, _, _, k3 = self.distortion
         if (k1, k2, k3) == (0.0, 0.0, 0.0):
             return float("inf")
@@ -117,7 +117,7 @@ class Camera:
         return float(np.sqrt(r2[max(bad[0] - 1, 0)])) if bad.size else 3.0
 
     def distort(self, xy: ArrayLike) -> Array:
-        """Undistorted unit-depth coordinates (..., 2) -> distorted ones, (2.1)."""
+        """Undistorted normalised image coordinates (..., 2) -> distorted ones, (2.1)."""
         xy = np.asarray(xy, float)
         x, y = xy[..., 0], xy[..., 1]
         k1, k2, p1, p2, k3 = self.distortion
@@ -130,6 +130,27 @@ class Camera:
             ],
             axis=-1,
         )
+
+    def displacement(self, xy: Array) -> Array:
+        """`distort(xy) - xy`, but for rounding, of rows x, y (2, N): (2.1) in half the time, for what need not agree
+        with `distort` to the last bit.
+        """
+        k1, k2, p1, p2, k3 = self.distortion
+        squares = xy * xy
+        r2 = squares[0] + squares[1]
+        along: Array = r2 * k3
+        along += k2
+        along *= r2
+        along += k1
+        along *= r2
+        # The tangential part is 2 (p2 x + p1 y) (x, y) + r2 (p2, p1).
+        tangential = np.array([[p2], [p1]])
+        across = xy * (2.0 * tangential)
+        along += across[0]
+        along += across[1]
+        out: Array = xy * along
+        out += tangential * r2
+        return out
 
     def distortion_jacobian(self, xy: ArrayLike) -> Array:
         """d distort / d xy, (..., 2, 2), (2.2)."""
@@ -162,9 +183,9 @@ class Camera:
         return inside
 
     def unproject(self, uv_px: ArrayLike) -> tuple[Array, Mask]:
-        """Pixels (..., 2) -> rays at unit depth (..., 3) and validity. Newton on (2.1) with (2.2); see (2.4).
+        """Pixels (..., 2) -> rays (x, y, 1), (..., 3), and validity. Newton on (2.1) with (2.2); see (2.4).
 
-        An invalid pixel (off the picture, or where the calibration folds) has a ray of no meaning, but finite.
+        An invalid pixel (off the picture, or where the calibration folds) has a finite but meaningless ray.
         """
         uv = np.asarray(uv_px, float)
         target = (uv - (self.cx_px, self.cy_px)) / (self.fx_px, self.fy_px)

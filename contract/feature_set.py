@@ -1,6 +1,6 @@
 """FeatureSet: what the aircraft publishes about one picture, and all the ground needs to answer a click.
 
-The interpolated quantity is inverse depth over unit-depth ray coordinates (x, y): on a planar facet it is exactly
+The interpolated quantity is inverse depth over normalised image coordinates (x, y): on a planar facet it is exactly
 affine (3.1). A click's position is C + R_enu_cam @ (x, y, 1) / w.
 
 Errors travel in three parts, docs/mathematics.md section 9:
@@ -8,7 +8,7 @@ Errors travel in three parts, docs/mathematics.md section 9:
   left perturbation R <- exp([dtheta]x) R in east-north-up axes) and three dimensionless modes m0, m1, m2 of relative
   inverse depth, dw/w = m0 + m1 x + m2 y;
 - `sigma_inverse_depth`: what is each feature's own;
-- `shared`: which part of `common_cov` comes from slow things that the session's other sets suffer from too.
+- `shared`: which part of `common_cov` comes from slow errors that the session's other sets have too.
 """
 
 from __future__ import annotations
@@ -71,20 +71,21 @@ class DepthSource(Enum):
 
 
 NUISANCES = 13
-POSITION, ATTITUDE = slice(0, 3), slice(3, 6)  # wander of positions (m) and attitudes (rad) about east, north, up
+# Gauss-Markov errors of positions (m) and attitudes (rad), along and about east, north, up
+POSITION, ATTITUDE = slice(0, 3), slice(3, 6)
 ALIGNMENT = slice(6, 10)  # boresight about camera x, y, z (rad), time offset (s)
-GROUND = slice(10, 13)  # the ground believed beforehand: height (m), slope east, slope north
+GROUND = slice(10, 13)  # errors of the prior ground: height (m), slope east, slope north
 
 
 @dataclass(frozen=True, eq=False)
 class SharedErrors:
-    """How slow errors act on a set: one unit draw each, which other sets of the session have as well. Section 9."""
+    """How slow errors act on a set: nuisance parameters that other sets of the session have as well. Section 9."""
 
-    # (9, DRAWS): how far one sigma of each draw moves the common states; by_draw by_draw' is part of common_cov.
+    # (9, NUISANCES): how far one sigma of each parameter moves the common states; its square is part of common_cov.
     by_nuisance: Array = field(default_factory=lambda: np.zeros((COMMON_STATES, NUISANCES)))
-    position_time_s: float = 0.0  # correlation times of the wander; 0: not shared
+    position_time_s: float = 0.0  # correlation times of the Gauss-Markov errors; 0: not shared
     attitude_time_s: float = 0.0
-    alignment_sigma: Array = field(default_factory=lambda: np.zeros(4))  # one sigma of those draws, rad and s
+    alignment_sigma: Array = field(default_factory=lambda: np.zeros(4))  # one sigma of those parameters, rad and s
     span_s: tuple[float, float] = (0.0, 0.0)  # from capture to the first and to the last picture the set is built on
 
 

@@ -1,4 +1,4 @@
-"""WGS84 geodetic <-> ECEF <-> local east-north-up. Arrays of many, degrees at the door, metres inside.
+"""WGS84 geodetic <-> ECEF <-> local east-north-up. Arrays of many; angles in degrees, lengths in metres.
 
 Sources: NIMA TR8350.2 (WGS84 constants); Bowring 1985 for the inverse, iterated twice, which is exact to well under a
 micrometre below 100 km.

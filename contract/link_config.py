@@ -66,7 +66,7 @@ def link_config(
     whose certificate's common name is in `allowed`, if any are named.
     """
     is_client = mode == "client"
-    # What the system would buffer for a link that is cut is delay when it is back: little, and small batches.
+    # What the system buffers while a link is cut is delay when it is back: a small buffer, and small batches.
     streams: dict[str, Any] = {"so_sndbuf": 8192} if is_aircraft else {}
     link: dict[str, Any] = {
         # Ten keep-alives in a lease of ten seconds: reconnects within 2.5 s of a cut, and holds at 20 % loss.
@@ -107,18 +107,18 @@ def link_config(
 
 
 def _access(allowed: Sequence[str]) -> dict[str, Any]:
-    """Others may listen and ask, and nothing else: no sample, no reply and no queryable of theirs is let through."""
+    """Others may subscribe and query, and nothing else: no sample, reply or queryable of theirs is let through."""
     keys = ["pc/**"]
     rules = [
         {
-            "id": "listen and ask",
+            "id": "subscribe and query",
             "permission": "allow",
             "flows": ["ingress"],
             "messages": ["declare_subscriber", "query"],
             "key_exprs": keys,
         },
         {
-            "id": "be told",
+            "id": "receive",
             "permission": "allow",
             "flows": ["egress"],
             "messages": ["put", "reply", "declare_queryable"],

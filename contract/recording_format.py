@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
+
+from contract.errors import InputError
 
 SET_ENCODING = "pointclick"
 METADATA_NAME = "pointclick"
@@ -15,6 +18,7 @@ ATTITUDES = "pc/{vehicle}/attitude"
 FILTERS = "pc/{vehicle}/filter"
 GIMBALS = "pc/{vehicle}/gimbal"
 RANGES = "pc/{vehicle}/range"
+GAPS = "pc/{vehicle}/gaps"
 # For viewers alone, as schemas that Foxglove knows.
 VIEW_VEHICLE = "pc/{vehicle}/view/vehicle"
 VIEW_CAMERA = "pc/{vehicle}/view/camera"
@@ -44,3 +48,25 @@ def session_parts(names: list[str], one: str) -> list[str]:
         return [one]
     found = [(split[1], name) for name in names if (split := split_part(name)) and split[0] == this[0] and split[1]]
     return [name for _, name in sorted(found)]
+
+
+def session_files(path: Path) -> list[Path]:
+    """All files of the session that a file belongs to, or of the one session in a folder, in order.
+
+    Raises InputError for a folder without a session, or with several. A file that is not there is handed back: opening
+    it says why.
+    """
+    if not path.is_dir():
+        try:
+            beside = [file.name for file in path.parent.iterdir()]
+        except OSError:
+            return [path]
+        return [path.with_name(name) for name in session_parts(beside, path.name)]
+    found = sorted(file.name for file in path.iterdir() if split_part(file.name))
+    sessions = sorted({split[0] for name in found if (split := split_part(name))})
+    if not sessions:
+        raise InputError(f"recording {path}: is a directory without a recording in it")
+    if len(sessions) > 1:
+        some = ", ".join(sessions[:3]) + (", ..." if len(sessions) > 3 else "")
+        raise InputError(f"recording {path}: is a directory of {len(sessions)} sessions ({some}); name one")
+    return [path / name for name in session_parts(found, found[0])]

@@ -1,9 +1,11 @@
-"""SO(3) tools and the frames of this house: ENU world, FRD body, OpenCV camera. See docs/mathematics.md, section 1.
+"""SO(3) tools and this project's frames: ENU world, FRD body, OpenCV camera. See docs/mathematics.md, section 1.
 
 Rotations are `R_dst_src`, arrays (..., 3, 3) that take components in `src` to components in `dst`.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,12 +33,29 @@ def skew(v: ArrayLike) -> Array:
 def exp_so3(v: ArrayLike) -> Array:
     """Rotation vectors (..., 3), rad -> rotation matrices (..., 3, 3). Rodrigues, equation (1.4)."""
     v = np.asarray(v, float)
+    if v.ndim == 1:
+        return _exp_of_one(v)
     angle2 = (v * v).sum(axis=-1)[..., None, None]
     small = angle2 < 1e-8
     safe = np.sqrt(np.where(small, 1.0, angle2))
     a = np.where(small, 1.0 - angle2 / 6.0, np.sin(safe) / safe)
     b = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(safe)) / (safe * safe))
     k = skew(v)
+    out: Array = _IDENTITY + a * k + b * (k @ k)
+    return out
+
+
+def _exp_of_one(v: Array) -> Array:
+    """`exp_so3` of one vector (3,), the same to the last bit in a third of the time."""
+    x, y, z = v.tolist()
+    angle2 = x * x + y * y + z * z
+    if angle2 < 1e-8:
+        a, b = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
+    else:
+        angle = math.sqrt(angle2)
+        # NumPy's sine and cosine, as for many: the standard library's may differ in the last bit.
+        a, b = np.sin(angle) / angle, (1.0 - np.cos(angle)) / (angle * angle)
+    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     out: Array = _IDENTITY + a * k + b * (k @ k)
     return out
 
@@ -63,6 +82,30 @@ def _log_by_quaternion(R: Array) -> Array:
     scale = np.where(small, 2.0, 2.0 * np.arctan2(norm, q[..., :1]) / np.where(small, 1.0, norm))
     out: Array = scale * q[..., 1:]
     return out
+
+
+def log_of_one(rows: list[list[float]]) -> list[float]:
+    """`log_so3` of one matrix in plain numbers: its rows -> the rotation vector, in a tenth of the time.
+
+    By the quaternion at every angle, so that the last bits may differ from `log_so3`'s below 120 degrees.
+    """
+    (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rows
+    squares = (1 + r00 + r11 + r22, 1 + r00 - r11 - r22, 1 - r00 + r11 - r22, 1 - r00 - r11 + r22)
+    a, b, c = r21 - r12, r02 - r20, r10 - r01
+    p, q, r = r01 + r10, r02 + r20, r12 + r21
+    best = squares.index(max(squares))
+    w, x, y, z = (
+        (squares[0], a, b, c),
+        (a, squares[1], p, q),
+        (b, p, squares[2], r),
+        (c, q, r, squares[3]),
+    )[best]
+    if w < 0.0:
+        w, x, y, z = -w, -x, -y, -z
+    length = math.sqrt(x * x + y * y + z * z)
+    # Not normalised: only ratios count. Where the vector part is nothing the scale is its limit, 2 / w.
+    scale = 2.0 * math.atan2(length, w) / length if length > 1e-9 * w else 2.0 / w
+    return [scale * x, scale * y, scale * z]
 
 
 def right_jacobian_inverse(v: ArrayLike) -> Array:

@@ -1,16 +1,27 @@
 """One table of everything that crosses the link: key expression, payload, rate, quality of service.
 
-`{vehicle}` is one chunk of a zenoh key. The quality of service is that of the publication; a queryable on the same key
-answers reliably (docs/wire-format.md, section 8).
+`{vehicle}` is one chunk of a zenoh key. Publisher and ground take the quality of service from here: a topic's own is
+that of its publication, and QUERY that of a query and of its answer (docs/wire-format.md, section 8).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 ANY_VEHICLE = "*"
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 _FORBIDDEN = frozenset("/*$?#")
+
+
+@dataclass(frozen=True)
+class Qos:
+    """Quality of service, by the names that zenoh's enumerations have. `express`: never held back to fill a batch."""
+
+    reliability: Literal["BEST_EFFORT", "RELIABLE"]
+    congestion_control: Literal["DROP", "BLOCK"]
+    priority: Literal["DATA_HIGH", "DATA", "DATA_LOW"]
+    express: bool
 
 
 @dataclass(frozen=True)
@@ -20,9 +31,7 @@ class Topic:
     template: str
     payload: str
     max_rate_hz: float
-    reliable: bool
-    drop_when_congested: bool
-    express: bool
+    qos: Qos
 
     def key(self, vehicle: str) -> str:
         """The key of one vehicle, or of all with ANY_VEHICLE. Raises ValueError for a name no key can hold."""
@@ -39,11 +48,16 @@ class Topic:
         return name
 
 
-# A set is small, stands alone and is soon followed by a newer one: never wait for an old one to get through.
-FEATURES = Topic("pc/{vehicle}/features", "pointclick set, docs/wire-format.md", 30.0, False, True, True)
+# A message is small, stands alone and is soon followed by a newer one: never wait for an old one to get through.
+LATEST_ONLY = Qos("BEST_EFFORT", "DROP", "DATA", express=True)
+# Of a query and its answer, both said once: they wait for their turn, and zenoh sends them again if they are lost. It
+# gives the answer the quality of its query.
+QUERY = Qos("RELIABLE", "BLOCK", "DATA", express=False)
+
+FEATURES = Topic("pc/{vehicle}/features", "pointclick set, docs/wire-format.md", 30.0, LATEST_ONLY)
 
 # How the aircraft is, for people and for dashboards: small, once a second.
-STATUS = Topic("pc/{vehicle}/status", "JSON, docs/wire-format.md section 10", 1.0, False, True, True)
+STATUS = Topic("pc/{vehicle}/status", "JSON, docs/wire-format.md section 10", 1.0, LATEST_ONLY)
 
 TOPICS: tuple[Topic, ...] = (FEATURES, STATUS)
 

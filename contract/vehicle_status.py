@@ -14,7 +14,7 @@ from contract.errors import CorruptPayload, NewerPayload
 
 VERSION = 1
 MAX_BYTES = 300
-MAX_WORD = 24
+MAX_STATE = 24
 MAX_REASON = 50
 
 
@@ -24,7 +24,7 @@ class VehicleStatus:
 
     unix_s: float  # on the session's clock
     session: int  # as in its feature sets; 0 before the first
-    state: str  # a word of docs/faults.md, "ok" when answers flow
+    state: str  # one of docs/faults.md, "ok" when answers flow
     reason: str = ""
     up_s: float = 0.0
     camera_hz: float = 0.0
@@ -43,7 +43,7 @@ def encode_status(status: VehicleStatus) -> bytes:
     content: dict[str, Any] = {"v": VERSION, **asdict(status)}
     for key, digits in (("unix_s", 3), ("up_s", 0), ("camera_hz", 1), ("ok_hz", 1), ("delay_s", 3)):
         content[key] = _number(content[key], digits)
-    content["state"], content["reason"] = status.state[:MAX_WORD], _plain(status.reason)[:MAX_REASON]
+    content["state"], content["reason"] = status.state[:MAX_STATE], _plain(status.reason)[:MAX_REASON]
     if status.cpu_c is None:
         del content["cpu_c"]
     else:
@@ -56,6 +56,8 @@ def encode_status(status: VehicleStatus) -> bytes:
 
 
 def _number(value: float, digits: int) -> float | int:
+    if not math.isfinite(value):
+        raise ValueError(f"{value} is not finite and has no place in a status")
     rounded = round(value, digits)
     return int(rounded) if rounded == int(rounded) else rounded
 
@@ -88,7 +90,7 @@ def decode_status(payload: bytes) -> VehicleStatus:
     for name, value in values.items():
         if not _fits(value, known[name]):
             raise CorruptPayload(f"status with {name} = {str(value)[:40]!r}, which is not {known[name]}")
-    if len(values["state"]) > MAX_WORD or len(values.get("reason", "")) > MAX_REASON:
+    if len(values["state"]) > MAX_STATE or len(values.get("reason", "")) > MAX_REASON:
         raise CorruptPayload("status with a state or reason too long")
     if not all(text.isprintable() for text in (values["state"], values.get("reason", ""))):
         raise CorruptPayload("status with a state or reason that cannot be printed")

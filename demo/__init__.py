@@ -1,1 +1,1 @@
-"""A short flight from pictures to clicked coordinates: `make demo`. Above the house: it may use every room."""
+"""A short flight from pictures to clicked coordinates: `make demo`. It may import every package."""

@@ -54,7 +54,8 @@ def _run(out: Path, seconds: float) -> int:
         level_ground=True,
     )
     _say(
-        f"Flying {seconds:g} s of a recorded flight over drawn ground: 250 m up, 20 m/s, {RATE_HZ:g} pictures a second"
+        f"Flying {seconds:g} s of a recorded flight over simulated ground: "
+        f"250 m up, 20 m/s, {RATE_HZ:g} pictures a second"
     )
     truth = fly(spec, flight, _progress)
 

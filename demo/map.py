@@ -152,7 +152,7 @@ def _draw_clicks(axes: Axes, samples: Sequence[Sample], clicked: Sequence[Clicke
 
 
 def _draw_ground(axes: Axes, texture: Texture, low: Array, high: Array) -> None:
-    """The drawn world's own brightness as the map's background, east to the right, north up."""
+    """The simulated world's own brightness as the map's background, east to the right, north up."""
     size = high - low
     step_m = float(size.max()) / 900.0
     east, north = np.meshgrid(np.arange(0.0, size[0], step_m), np.arange(0.0, size[1], step_m))

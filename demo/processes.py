@@ -68,7 +68,7 @@ class Aircraft:
         try:
             reported, complaint = self._process.communicate(timeout=LANDING_S)
         except subprocess.TimeoutExpired as late:
-            raise InputError(f"pc-onboard did not end within {LANDING_S:g} s of being told to") from late
+            raise InputError(f"pc-onboard did not end within {LANDING_S:g} s of SIGTERM") from late
         if self._process.returncode not in (0, 130):
             raise InputError(f"pc-onboard ended with {self._process.returncode}: {complaint.strip()}")
         return reported.strip()

@@ -57,7 +57,7 @@ class Ellipse:
 
 @dataclass(frozen=True, eq=False)
 class Fix:
-    """An answered click. Heights are None where the datum's undulation is unknown."""
+    """An answered click. Heights are None where the datum's undulation is unknown, the picture's age where that is."""
 
     lat_deg: float
     lon_deg: float
@@ -71,6 +71,7 @@ class Fix:
     vehicle: str
     offset_enu_m: Array  # from the camera, in its east-north-up axes
     covariance_enu_m2: Array  # (3, 3)
+    age_s: float | None = None  # of the picture when the answer came; in a recording, against its newest picture
 
     @property
     def status(self) -> Status:
@@ -89,6 +90,7 @@ class Fix:
             f'"semi_minor_m": {e.semi_minor_m:.3f}, "azimuth_deg": {e.azimuth_deg:.2f}}}, '
             f'"sigma_height_m": {self.sigma_height_m:.3f}, "method": {json.dumps(self.method)}, '
             f'"frame": {self.frame}, "time_utc": "{time_utc(self.capture_unix_ns)}", '
+            f'"age_s": {"null" if self.age_s is None else f"{self.age_s:.3f}"}, '
             f'"vehicle": {json.dumps(self.vehicle)}}}'
         )
 
@@ -100,7 +102,8 @@ class Fix:
         return (
             f"{self.lat_deg:.9f} {self.lon_deg:.9f}  {height} +-{self.sigma_height_m:.1f} m  "
             f"{CONFIDENCE:.0%} ellipse {e.semi_major_m:.1f} x {e.semi_minor_m:.1f} m at {e.azimuth_deg:.0f} deg  "
-            f"{self.method}  frame {self.frame} of {self.vehicle} at {time_utc(self.capture_unix_ns)}"
+            f"{self.method}  frame {self.frame} of {self.vehicle} at {time_utc(self.capture_unix_ns)}, "
+            f"{age_text(self.age_s)}"
         )
 
 
@@ -113,6 +116,7 @@ class Refusal:
     capture_unix_ns: int | None = None
     vehicle: str | None = None
     detail: str = ""
+    age_s: float | None = None
 
     def to_json(self) -> str:
         """One line."""
@@ -123,6 +127,7 @@ class Refusal:
                 "reason": self.reason,
                 "frame": self.frame,
                 "time_utc": when,
+                "age_s": None if self.age_s is None else round(self.age_s, 3),
                 "vehicle": self.vehicle,
             }
         )
@@ -134,11 +139,17 @@ class Refusal:
 
     def to_text(self) -> str:
         """One line for people."""
-        where = "" if self.frame is None else f" (frame {self.frame})"
+        age = "" if self.capture_unix_ns is None else f", {age_text(self.age_s)}"
+        where = "" if self.frame is None else f" (frame {self.frame}{age})"
         return f"{self.status.value}: {self.reason}{where}"
 
 
 Answer = Fix | Refusal
+
+
+def age_text(age_s: float | None) -> str:
+    """How old a picture is, for people."""
+    return "of unknown age" if age_s is None else f"{age_s:.1f} s old"
 
 
 def time_utc(unix_ns: int) -> str:

@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from contract.errors import InputError, PointclickError
-from contract.feature_set import FeatureSet, Status
+from contract.feature_set import Status
 from contract.link_config import CA_FILE, CERTIFICATE_FILE, KEY_FILE, Tls
 from contract.topics import ANY_VEHICLE, DEFAULT_ENDPOINT, TIME_TOLERANCE_S
 from ground.answer import Answer, Refusal
+from ground.freshness import MAX_AGE_S, Later, Reply, aged
 from ground.locate import Locator
 from ground.recording import Recording
 
@@ -55,6 +56,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source.add_argument("--connect", metavar="ENDPOINT", help=f"zenoh endpoint (default {DEFAULT_ENDPOINT})")
     source.add_argument("--from", dest="recording", metavar="SESSION.mcap", type=Path, help="a recorded session")
     add_tls_arguments(parser)
+    parser.add_argument(
+        "--max-age",
+        metavar="S",
+        type=_age,
+        help=f"refuse the newest picture if it is older; inf: never (default {MAX_AGE_S:g}, of a recording inf)",
+    )
     parser.add_argument("--format", choices=("text", "json"), help="default: text, a batch always json")
 
 
@@ -85,8 +92,13 @@ def run(args: argparse.Namespace) -> int:
         return _run_batch(args)
     if args.u is None or args.v is None:
         raise UsageError("click needs U and V, or --batch CLICKS.csv")
-    found = _from_recording(args) if args.recording else _from_link(args)
-    answer: Answer = found if isinstance(found, Refusal) else Locator(found).locate((args.u, args.v))
+    is_newest = args.frame is None and args.file is None and args.time is None
+    if args.max_age is not None and not is_newest:
+        raise UsageError("--max-age is about the newest picture: leave it out with --frame, --file or --time")
+    reply = _from_recording(args) if args.recording else _from_link(args)
+    usual_s = MAX_AGE_S if is_newest and not args.recording else math.inf
+    found = reply.fresh(usual_s if args.max_age is None else args.max_age)
+    answer = found if isinstance(found, Refusal) else aged(Locator(found).locate((args.u, args.v)), reply.age_s)
     is_refused = isinstance(answer, Refusal)
     if args.format == "json":
         print(answer.to_json())
@@ -96,10 +108,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run_batch(args: argparse.Namespace) -> int:
-    if args.u is not None or not args.recording or args.format == "text":
-        raise UsageError("--batch goes with --from SESSION.mcap, without U and V, and writes JSON")
+    if args.u is not None or not args.recording or args.format == "text" or args.max_age is not None:
+        raise UsageError("--batch goes with --from SESSION.mcap, without U, V and --max-age, and writes JSON")
     clicks = read_clicks(args.batch)
-    recording = Recording(args.recording)
+    recording = _opened(args.recording)
     vehicle = _vehicle(args, recording.vehicles)
 
     @lru_cache(maxsize=64)
@@ -109,7 +121,11 @@ def _run_batch(args: argparse.Namespace) -> int:
 
     for click in clicks:
         known = locator(click.frame)
-        answer = known.locate((click.u_px, click.v_px)) if known else _unknown_frame(recording, vehicle, click.frame)
+        answer: Answer
+        if known is None:
+            answer = _unknown_frame(recording, vehicle, click.frame)
+        else:
+            answer = aged(known.locate((click.u_px, click.v_px)), recording.age_s(known.feature_set))
         sys.stdout.write(answer.to_json() + "\n")
     return ANSWERED
 
@@ -136,26 +152,41 @@ def read_clicks(path: Path) -> list[Click]:
     return clicks
 
 
-def _from_recording(args: argparse.Namespace) -> FeatureSet | Refusal:
-    recording = Recording(args.recording)
+def _from_recording(args: argparse.Namespace) -> Reply:
+    recording = _opened(args.recording)
     vehicle = _vehicle(args, recording.vehicles)
-    frame = args.frame
+    frame, later = args.frame, None
     if args.file is not None:
         frame = recording.frame_of_file(vehicle, args.file)
         if frame is None and Path(args.file).name != args.file:
             frame = recording.frame_of_file(vehicle, Path(args.file).name)
         if frame is None:
-            return Refusal(Status.UNKNOWN_FRAME, vehicle=vehicle, detail=f"no picture is named {args.file!r}")
+            return Reply(Refusal(Status.UNKNOWN_FRAME, vehicle=vehicle, detail=f"no picture is named {args.file!r}"))
     # A refused set has no features and so is false: compare with None.
     if frame is not None:
         found = recording.by_frame(vehicle, frame)
-        return _unknown_frame(recording, vehicle, frame) if found is None else found
-    if args.time is not None:
+        if found is None:
+            return Reply(_unknown_frame(recording, vehicle, frame))
+    elif args.time is not None:
         found = recording.by_time(vehicle, args.time)
-        detail = f"no picture was taken within {TIME_TOLERANCE_S} s of {args.time!r}"
-        return Refusal(Status.UNKNOWN_FRAME, vehicle=vehicle, detail=detail) if found is None else found
-    found = recording.newest(vehicle)
-    return Refusal(Status.STARTING, vehicle=vehicle) if found is None else found
+        if found is None:
+            detail = f"no picture was taken within {TIME_TOLERANCE_S} s of {args.time!r}"
+            return Reply(Refusal(Status.UNKNOWN_FRAME, vehicle=vehicle, detail=detail))
+    else:
+        found, latest = recording.newest(vehicle), recording.newest_picture(vehicle)
+        if found is None or latest is None:
+            return Reply(Refusal(Status.STARTING, vehicle=vehicle))
+        if latest.frame != found.frame:
+            later = Later(latest.status, latest.frame, recording.age_s(latest))
+    return Reply(found, recording.age_s(found), later)
+
+
+def _opened(path: Path) -> Recording:
+    """A recording; what of it is damaged is said on standard error, and the rest is there."""
+    recording = Recording(path)
+    for line in recording.damage:
+        print(f"pc-ground: warning: {line}", file=sys.stderr)
+    return recording
 
 
 def _unknown_frame(recording: Recording, vehicle: str, frame: int) -> Refusal:
@@ -164,19 +195,21 @@ def _unknown_frame(recording: Recording, vehicle: str, frame: int) -> Refusal:
     return Refusal(Status.UNKNOWN_FRAME, frame, vehicle=vehicle, detail=detail)
 
 
-def _from_link(args: argparse.Namespace) -> FeatureSet | Refusal:
+def _from_link(args: argparse.Namespace) -> Reply:
     if args.file is not None:
         raise UsageError("--file needs --from SESSION.mcap: picture names do not cross the link; use --frame or --time")
-    from ground.client import ask  # noqa: PLC0415  zenoh is loaded only where there is a link
+    from ground.client import inquire  # noqa: PLC0415  zenoh is loaded only where there is a link
 
     tls = tls_of(args)
     endpoint = args.connect or (DEFAULT_ENDPOINT if tls is None else DEFAULT_ENDPOINT.replace("tcp/", "tls/", 1))
     try:
-        answers = ask(endpoint, args.vehicle or ANY_VEHICLE, frame=args.frame, unix_s=args.time, tls=tls)
+        replies = inquire(endpoint, args.vehicle or ANY_VEHICLE, frame=args.frame, unix_s=args.time, tls=tls)
     except ValueError as error:
         raise UsageError(str(error)) from error
-    answer = answers[_vehicle(args, sorted(answers))]
-    return replace(answer, frame=args.frame) if isinstance(answer, Refusal) else answer
+    reply = replies[_vehicle(args, sorted(replies))]
+    if isinstance(reply.answer, Refusal):
+        return replace(reply, answer=replace(reply.answer, frame=args.frame))
+    return reply
 
 
 def _vehicle(args: argparse.Namespace, vehicles: list[str]) -> str:
@@ -197,6 +230,13 @@ def _finite(text: str) -> float:
         value = math.nan
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text.strip()!r} is not a finite number")
+    return value
+
+
+def _age(text: str) -> float:
+    value = math.inf if text.strip() == "inf" else _finite(text)
+    if value < 0.0:
+        raise argparse.ArgumentTypeError(f"{text.strip()!r} is not an age in seconds")
     return value
 
 

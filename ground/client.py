@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import threading
 import time
@@ -14,26 +15,32 @@ from contract.errors import LinkError, WireError
 from contract.feature_set import FeatureSet, Status
 from contract.history import History
 from contract.link_config import Tls, link_config
-from contract.topics import ANY_VEHICLE, FEATURES, FRAME_PARAMETER, TIME_PARAMETER
+from contract.topics import ANY_VEHICLE, FEATURES, FRAME_PARAMETER, QUERY, TIME_PARAMETER
 from contract.wire.codec import decode
-from ground.answer import Refusal
+from ground.answer import EXPLANATIONS, Refusal
+from ground.freshness import AircraftClock, Later, Reply
 from ground.locate import Locator
+from ground.watched_thread import WatchedThread
 
 ANSWER_TIMEOUT_S = 3.0
-RENEW_S = (
-    8.0  # of silence, after which a listener begins anew: more than a short cut, less than a coordinator's patience
-)
+# Of silence, after which a listener begins anew: more than a short cut, less than a coordinator's patience.
+RENEW_S = 8.0
+RENEWAL_PERIOD_S = 0.5
+FIRST_RETRY_S = 1.0  # after a renewal that failed; twice as long each time, at most RENEW_S
 
 
-def ask(
+def inquire(
     endpoint: str,
     vehicle: str = ANY_VEHICLE,
     *,
     frame: int | None = None,
     unix_s: float | None = None,
     tls: Tls | None = None,
-) -> dict[str, FeatureSet | Refusal]:
+) -> dict[str, Reply]:
     """What each vehicle at an endpoint answers: its set of a frame or a time, or its newest one, or a refusal.
+
+    With the age that the picture had at most when the reply came: what the aircraft says by its own clock when it is
+    asked, and the time that the question took from here and back.
 
     A client session: it opens in milliseconds where a peer waits half a second for others to show up. Raises LinkError
     if nobody is there or nobody answers, WireError for a set this version cannot read.
@@ -44,19 +51,24 @@ def ask(
     elif unix_s is not None:
         parameters = f"?{TIME_PARAMETER}={unix_s!r}"
     key = FEATURES.key(vehicle)
-    answers: dict[str, FeatureSet | Refusal] = {}
+    answers: dict[str, Reply] = {}
     session = _open("client", endpoint, tls)
     try:
+        asked_s = time.monotonic()
         replies = session.get(
             key + parameters,
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
             timeout=ANSWER_TIMEOUT_S,
+            congestion_control=getattr(zenoh.CongestionControl, QUERY.congestion_control),
+            priority=getattr(zenoh.Priority, QUERY.priority),
+            express=QUERY.express,
         )
         for reply in replies:
-            answer = _refusal(reply.err) if reply.ok is None else decode(reply.ok.payload.to_bytes())
-            if answer is not None and answer.vehicle is not None:
-                answers[answer.vehicle] = answer
+            took_s = time.monotonic() - asked_s
+            answer = _refusal(reply.err) if reply.ok is None else _answered(reply.ok)
+            if answer is not None and answer.answer.vehicle is not None:
+                answers[answer.answer.vehicle] = answer.later_by(took_s)
     finally:
         session.close()
     if not answers:
@@ -65,11 +77,25 @@ def ask(
     return answers
 
 
+def ask(
+    endpoint: str,
+    vehicle: str = ANY_VEHICLE,
+    *,
+    frame: int | None = None,
+    unix_s: float | None = None,
+    tls: Tls | None = None,
+) -> dict[str, FeatureSet | Refusal]:
+    """The answers of `inquire` by themselves, however old."""
+    replies = inquire(endpoint, vehicle, frame=frame, unix_s=unix_s, tls=tls)
+    return {name: reply.answer for name, reply in replies.items()}
+
+
 class SetCache:
     """Subscribes to the sets of one or all vehicles and keeps the last ones, by vehicle, frame and time.
 
     Thread-safe. `unreadable` counts payloads that were no sets; `last_error` is the last one's. A peer session, which
-    reconnects by itself. Raises LinkError if the link cannot be opened.
+    reconnects by itself, and is opened anew after a silence of RENEW_S: `link_error` says what keeps it from that.
+    Raises LinkError if the link cannot be opened.
     """
 
     def __init__(
@@ -85,15 +111,18 @@ class SetCache:
         self.last_error: WireError | None = None
         self._bounds = max_age_s, max_sets
         self._histories: dict[str, History[FeatureSet]] = {}
-        self._newest: dict[str, tuple[int, int, float]] = {}  # session, newest capture, and when it was heard
+        self._clocks: dict[str, AircraftClock] = {}
         self._locators: dict[str, Locator] = {}
         self._lock = threading.Lock()
         self._ways = endpoint, tls, FEATURES.key(vehicle)
-        self._heard_s = time.monotonic()
-        self._closed = threading.Event()
-        self._session, self._subscriber = self._subscribed()
-        self._watch = threading.Thread(target=self._renew, name="renew", daemon=True)
-        self._watch.start()
+        self._heard_s = self._renewed_s = time.monotonic()
+        self._retry_s = FIRST_RETRY_S
+        self._failure: Exception | None = None  # of the last attempt to open the link anew
+        self._is_closed = False
+        self._session: Any = None
+        self._subscriber: Any = None
+        self._subscribe()
+        self._renewal = WatchedThread("renewal of the link", self._renew_if_silent, RENEWAL_PERIOD_S)
 
     @property
     def vehicles(self) -> list[str]:
@@ -117,13 +146,35 @@ class SetCache:
             return self._histories[vehicle].nearest(unix_s) if vehicle in self._histories else None
 
     def age_s(self, vehicle: str) -> float | None:
-        """Seconds since a picture newer than all before was heard of; None before the first.
+        """Seconds since the newest picture heard of was taken, whether it answers or not; None before the first.
 
         This and not the link's own idea of being up says whether what is shown is old: a session outlives a cut by its
-        lease, and a set may be said again. It needs no clock in common with the aircraft; the delay of the link adds.
+        lease, and a set may be said again. It needs no clock in common with the aircraft, which says how old a set was
+        when it was sent; what the fastest set took on its way is not in it.
+        """
+        reply = self.reply(vehicle)
+        return None if reply is None else reply.age_s if reply.later is None else reply.later.age_s
+
+    def reply(self, vehicle: str) -> Reply | None:
+        """`newest` with the age of its picture, and what is known of a newer one that refuses; None before the first.
+
+        `Reply.fresh` makes a refusal of it where that is too old to be what is seen now.
         """
         with self._lock:
-            return time.monotonic() - self._newest[vehicle][2] if vehicle in self._newest else None
+            if vehicle not in self._histories:
+                return None
+            history, clock, now_ns = self._histories[vehicle], self._clocks[vehicle], time.monotonic_ns()
+            found, latest = history.newest_entry(), history.newest_picture()
+            assert found is not None and latest is not None
+            later = None
+            if latest is not found:
+                later = Later(latest.status, latest.frame, clock.age_s(latest.capture_unix_ns, now_ns))
+            return Reply(found.item, clock.age_s(found.capture_unix_ns, now_ns), later)
+
+    @property
+    def link_error(self) -> str:
+        """Why the link cannot be opened anew just now, in a line; empty if nothing is known against it."""
+        return self._renewal.error
 
     def locator(self, feature_set: FeatureSet) -> Locator:
         """A Locator of a set, the last one of each vehicle kept: repeated clicks on one picture are solved once."""
@@ -134,10 +185,12 @@ class SetCache:
             return held
 
     def close(self) -> None:
-        """Leave the link; what was kept stays readable."""
-        self._closed.set()
-        self._watch.join()
-        self._session.close()
+        """Leave the link; what was kept stays readable. A renewal under way closes what it has opened by itself."""
+        with self._lock:
+            self._is_closed = True
+            session, self._session, self._subscriber = self._session, None, None
+        self._renewal.close()
+        _close(session)
 
     def __enter__(self) -> SetCache:
         return self
@@ -145,25 +198,48 @@ class SetCache:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
 
-    def _subscribed(self) -> tuple[Any, Any]:
+    def _subscribe(self) -> None:
+        """Open a session in place of the one there is none of. Raises LinkError."""
         endpoint, tls, key = self._ways
         session = _open("peer", endpoint, tls)
-        return session, session.declare_subscriber(key, self._receive)
+        try:
+            subscriber = session.declare_subscriber(key, self._receive)
+        except zenoh.ZError as error:
+            _close(session)
+            raise LinkError(f"cannot listen to {key} at {endpoint}: {error}") from error
+        with self._lock:
+            if not self._is_closed:
+                self._session, self._subscriber = session, subscriber
+                return
+        _close(session)
 
-    def _renew(self) -> None:
-        """Begin anew after a long silence: over udp a subscription that was lost on its way is never said again."""
-        while not self._closed.wait(0.5):
-            if time.monotonic() - self._heard_s <= RENEW_S:
-                continue
-            self._heard_s = time.monotonic()
-            self._session.close()
-            try:
-                self._session, self._subscriber = self._subscribed()
-            except LinkError:
-                continue  # no way out just now; the next silence tries again
+    def _renew_if_silent(self) -> None:
+        """Begin anew after a long silence: over udp a subscription that was lost on its way is never said again.
+
+        Raises LinkError, and is called again.
+        """
+        now_s = time.monotonic()
+        with self._lock:
+            is_down = self._session is None
+            wait_s = self._retry_s if is_down else RENEW_S
+            if self._is_closed or now_s - max(self._heard_s, self._renewed_s) <= wait_s:
+                if is_down and self._failure is not None:
+                    raise self._failure  # still so
+                return
+            session, self._session, self._subscriber = self._session, None, None
+            self._renewed_s = now_s
+        _close(session)
+        try:
+            self._subscribe()
+        except Exception as error:
+            self._failure = error
+            self._retry_s = min(2.0 * self._retry_s, RENEW_S)
+            raise
+        self._failure, self._retry_s = None, FIRST_RETRY_S
 
     def _receive(self, sample: zenoh.Sample) -> None:
-        self._heard_s = time.monotonic()
+        heard_ns = time.monotonic_ns()
+        self._heard_s = heard_ns / 1e9
         try:
             received = decode(sample.payload.to_bytes())
         except WireError as error:
@@ -174,10 +250,12 @@ class SetCache:
         with self._lock:
             if received.vehicle not in self._histories:
                 self._histories[received.vehicle] = History(*self._bounds)
-            self._histories[received.vehicle].add(received, received)
-            session, capture_ns, _ = self._newest.get(received.vehicle, (-1, 0, 0.0))
-            if received.session != session or received.capture_unix_ns > capture_ns:
-                self._newest[received.vehicle] = received.session, received.capture_unix_ns, time.monotonic()
+                self._clocks[received.vehicle] = AircraftClock()
+            history = self._histories[received.vehicle]
+            history.add(received, received)
+            if received.session == history.session:  # a late packet of an earlier one says nothing of the time
+                age_s = _seconds(_json(sample.attachment))
+                self._clocks[received.vehicle].heard(received.session, received.capture_unix_ns, age_s, heard_ns)
 
 
 def _open(mode: str, endpoint: str, tls: Tls | None) -> Any:
@@ -190,12 +268,64 @@ def _open(mode: str, endpoint: str, tls: Tls | None) -> Any:
         raise LinkError(f"cannot open the link to {endpoint}: {reason}") from error
 
 
-def _refusal(error: zenoh.ReplyError | None) -> Refusal | None:
+def _close(session: Any) -> None:
+    """Close a session, if there is one; a session that cannot be closed is gone already."""
+    if session is not None:
+        with contextlib.suppress(zenoh.ZError):
+            session.close()
+
+
+def _answered(sample: zenoh.Sample) -> Reply:
+    """A set, and what its attachment says of it. Raises WireError for a set that cannot be read."""
+    found = decode(sample.payload.to_bytes())
+    about = _object(sample.attachment)
+    return Reply(found, _seconds(about.get("age_s")), _later(about.get("newest")), *_said(about))
+
+
+def _refusal(error: zenoh.ReplyError | None) -> Reply | None:
     """What a queryable said instead of a set; None if it is not one of ours."""
-    if error is None:
+    about = _object(None if error is None else error.payload)
+    try:
+        status, vehicle = Status(about["status"]), str(about["vehicle"])
+    except (ValueError, KeyError):
+        return None
+    state, reason = _said(about)
+    said = f"{state}: {reason}" if reason else state
+    detail = f"{EXPLANATIONS[status]}; the aircraft says: {said}" if said else ""
+    return Reply(Refusal(status, vehicle=vehicle, detail=detail), None, None, state, reason)
+
+
+def _json(content: zenoh.ZBytes | None) -> object:
+    """None for what is no JSON: nobody has to say anything beside a set."""
+    try:
+        return None if content is None else json.loads(content.to_bytes())
+    except (ValueError, RecursionError):
+        return None
+
+
+def _object(content: zenoh.ZBytes | None) -> dict[str, Any]:
+    """A JSON object; empty for whatever is none."""
+    said = _json(content)
+    return said if isinstance(said, dict) else {}
+
+
+def _later(said: object) -> Later | None:
+    if not isinstance(said, dict):
         return None
     try:
-        said = json.loads(error.payload.to_bytes())
-        return Refusal(Status(said["status"]), vehicle=str(said["vehicle"]))
-    except (ValueError, KeyError, TypeError, RecursionError):
+        return Later(Status(said["status"]), int(said["frame"]), _seconds(said.get("age_s")))
+    except (ValueError, KeyError, TypeError, OverflowError):
         return None
+
+
+def _said(about: dict[str, Any]) -> tuple[str, str]:
+    """The daemon's state and its reason, as one line of text each."""
+    state, reason = (str(about.get(key, ""))[:80] for key in ("state", "reason"))
+    return "".join(c for c in state if c.isprintable()), "".join(c for c in reason if c.isprintable())
+
+
+def _seconds(said: object) -> float | None:
+    """An age; None for what is none."""
+    if isinstance(said, bool) or not isinstance(said, int | float):
+        return None
+    return float(said) if 0.0 <= said < 1e12 else None

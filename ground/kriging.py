@@ -19,6 +19,7 @@ MIN_TREND_FEATURES = 6
 # One sigma of the trend's prior. Loose (the ground's inverse depth is known to a factor of two), so that it only
 # matters where the features leave a direction of the trend undetermined.
 TREND_SIGMA = 1.0
+LEAST_HALF = 32  # rows; below, one call of NumPy is faster
 SURFACE_NUGGET = 1e-8  # of a feature that lies on a surface known beforehand
 
 
@@ -48,34 +49,64 @@ class Kriging:
         self._astray = nugget if is_surface and n > 1 else None
         self._spacing = float(np.median(np.sort(apart, axis=1)[:, 1])) if n > 1 else 1.0
         K = self._covariance(apart) + np.diag(measured + 1e-16)
-        self._inverse = np.asarray(np.linalg.inv(K), np.float64)
-        self._weighted_trend = self._inverse @ F  # (N, 3)
+        self._whiten = _whitening(K)
+        self._trend = self._whiten @ F  # (N, 3)
+        white = self._whiten @ r
+        self._trend_cov = np.zeros((3, 3))
         if prior:
-            self._trend_cov = np.asarray(np.linalg.inv(F.T @ self._weighted_trend + np.eye(3) / prior), np.float64)
-        else:
-            self._trend_cov = np.zeros((3, 3))
-        self._beta = self._trend_cov @ (self._weighted_trend.T @ r)
-        self._alpha = self._inverse @ (r - F @ self._beta)  # (N,)
+            inverse = _whitening(self._trend.T @ self._trend + np.eye(3) / prior)
+            self._trend_cov = inverse.T @ inverse
+        self._beta = self._trend_cov @ (self._trend.T @ white)
+        self._residual = white - self._trend @ self._beta  # (N,)
 
     def predict(self, xy: Array) -> tuple[Array, Array]:
         """r (M,) at points (M, 2) and the covariance (M, M) of its errors."""
         k = self._covariance(_distances(xy, self._xy))  # (M, N)
         f = _trend(xy)
-        left = f - k @ self._weighted_trend
-        covariance = self._covariance(_distances(xy, xy)) - k @ self._inverse @ k.T + left @ self._trend_cov @ left.T
+        known = k @ self._whiten.T  # (M, N)
+        left = f - known @ self._trend
+        covariance = self._covariance(_distances(xy, xy)) - known @ known.T + left @ self._trend_cov @ left.T
         if self._astray is not None:
             # A rough surface is rough by its own errors too: what interpolation allows for already is not added again.
             astray = self._astray[np.argmin(_distances(xy, self._xy), axis=1)]
             sigma = np.sqrt(np.maximum(astray - np.diag(covariance), 0.0))
             alike = np.exp(-_distances(xy, xy) / max(self._spacing, 1e-9))
             covariance = covariance + np.outer(sigma, sigma) * alike
-        return f @ self._beta + k @ self._alpha, covariance
+        return f @ self._beta + known @ self._residual, covariance
 
     def _covariance(self, distance: Array) -> Array:
         if self._sill == 0.0 or self._slope == 0.0:
             # A ground without roughness may still lie off the plane as a whole: that is common to all of it.
             return np.full_like(distance, self._sill)
         return self._sill * np.exp(-(self._slope / self._sill) * distance)
+
+
+def _whitening(covariance: Array) -> Array:
+    """W (N, N) with W' W the inverse of a covariance: that of its Cholesky factor.
+
+    Where rounding leaves no factor (features in one place, next to no noise) each gets as much more noise as it takes.
+    """
+    rounding = float(np.finfo(float).eps * np.trace(covariance))
+    for added in (0.0, *(rounding * 10.0**power for power in range(8))):
+        try:
+            factor = np.linalg.cholesky(covariance + added * np.eye(len(covariance)))
+        except np.linalg.LinAlgError:
+            continue
+        return _inverse_of_lower(np.asarray(factor, np.float64))
+    raise np.linalg.LinAlgError("no covariance: far from positive definite")
+
+
+def _inverse_of_lower(factor: Array) -> Array:
+    """The inverse of a lower-triangular matrix by halves: NumPy has no solve that knows of the zeros."""
+    n = len(factor)
+    if n <= LEAST_HALF:
+        return np.asarray(np.tril(np.linalg.inv(factor)), np.float64)
+    half = n // 2
+    out = np.zeros_like(factor)
+    first = out[:half, :half] = _inverse_of_lower(factor[:half, :half])
+    second = out[half:, half:] = _inverse_of_lower(factor[half:, half:])
+    out[half:, :half] = -second @ (factor[half:, :half] @ first)
+    return out
 
 
 def _trend(xy: Array) -> Array:

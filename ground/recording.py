@@ -1,8 +1,8 @@
-"""The sets of a recorded session, read with the standard library: a walk over MCAP records by opcode and length.
+"""The sets of a recorded session, read with the standard library.
 
-Source: the MCAP specification, version 0 (mcap.dev/spec). A file cut off anywhere (a killed process, a lost disk) is
-read up to the cut. A session's further parts (`NAME.002.mcap`, ...) are read along with it. A file with chunks, which
-pc-onboard does not write but other tools may, is read through the `mcap` package if that is installed.
+A file cut off anywhere (a killed process, a lost disk) is read up to the cut, one damaged in the middle on both sides
+of it. A session's further parts (`NAME.002.mcap`, ...) are read along with it. A file with chunks, which pc-onboard
+does not write but other tools may, is read through the `mcap` package if that is installed.
 """
 
 from __future__ import annotations
@@ -10,23 +10,21 @@ from __future__ import annotations
 import json
 import mmap
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from contract import recording_format as names
 from contract.errors import InputError, WireError
 from contract.feature_set import FeatureSet, Status
+from contract.mcap_records import CHANNEL, CHUNK, MAGIC, MESSAGE, MESSAGE_HEAD, Damage, Data, records
 from contract.topics import FEATURES, TIME_TOLERANCE_S
 from contract.wire.codec import decode, peek
 
-_MAGIC = b"\x89MCAP0\r\n"
-_RECORD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
 _CHANNEL_HEAD = struct.Struct("<HH")
 _STRING = struct.Struct("<I")
-_DATA_END, _CHANNEL, _MESSAGE_OPCODE, _CHUNK = 0x0F, 0x04, 0x05, 0x06
 _Found = tuple[str, str, int, int]  # topic, encoding, start and length of a message
 _FRAMES_BEFORE, _FRAMES_AFTER = names.FRAMES.split("{vehicle}")
 
@@ -55,24 +53,31 @@ class _Index:
 class Recording:
     """The sets of a session, indexed once. Raises InputError for what is no recording of this project.
 
-    `path` is any of the session's files, or a folder that holds one session.
+    `path` is any of the session's files, or a folder that holds one session. `damage` says, a line each, where a file
+    is damaged so that records are missing; a file that ends early is not.
     """
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         self._index = _Index()
-        self._data: list[bytes | mmap.mmap] = []
-        parts = _parts(self.path)
+        self._data: list[Data] = []
+        self.damage: list[str] = []
+        parts = names.session_files(self.path)
         for file, part in enumerate(parts):
             data = _read(part, may_be_empty=len(parts) > 1)
             self._data.append(data)
-            found: Iterable[_Found] = _messages(data)
+            found: Iterable[_Found] = _messages(data, partial(self._say, part))
             if _is_chunked(data):
-                self._data[file], found = _chunked_messages(part)
+                self._data[file], found, trouble = _chunked_messages(part)
+                if trouble:
+                    self.damage.append(f"recording {part}: {trouble}; what comes after is missing")
             for topic, encoding, start, length in found:
                 self._note(topic, encoding, file, start, length)
         if not self._index.sets:
             raise InputError(f"recording {self.path}: holds no feature sets")
+        self._newest_ns = {
+            name: max(held.capture_unix_ns for held in sets.values()) for name, sets in self._index.sets.items()
+        }
 
     @property
     def vehicles(self) -> list[str]:
@@ -86,6 +91,15 @@ class Recording:
     def by_frame(self, vehicle: str, frame: int) -> FeatureSet | None:
         """The set of a frame at its latest revision."""
         return self._decoded(self._index.sets[vehicle].get(frame))
+
+    def age_s(self, feature_set: FeatureSet) -> float:
+        """How much older a set's picture is than the newest one of its vehicle."""
+        return (self._newest_ns[feature_set.vehicle] - feature_set.capture_unix_ns) / 1e9
+
+    def newest_picture(self, vehicle: str) -> FeatureSet | None:
+        """The newest set, whether it answers or refuses."""
+        held = self._index.sets[vehicle].values()
+        return self._decoded(max(held, key=lambda h: (h.capture_unix_ns, h.frame), default=None))
 
     def newest(self, vehicle: str) -> FeatureSet | None:
         """The newest set that answers clicks, or the newest refusal if none does."""
@@ -113,6 +127,10 @@ class Recording:
                 if event.get("name") == name and isinstance(event.get("frame"), int):
                     return int(event["frame"])
         return None
+
+    def _say(self, part: Path, where: Damage) -> None:
+        size = where.end - where.start
+        self.damage.append(f"recording {part}: damaged from byte {where.start} on; {size} bytes were passed over")
 
     def _json(self, text: bytes) -> dict[str, Any]:
         try:
@@ -149,81 +167,49 @@ class Recording:
             self._index.frames.setdefault(vehicle_name, []).append((file, start, length))
 
 
-def _parts(path: Path) -> list[Path]:
-    """The session's files in order. Raises InputError for a folder without a session, or with several."""
-    if not path.is_dir():
-        try:
-            beside = [file.name for file in path.parent.iterdir()]
-        except OSError:
-            return [path]  # and opening it says why
-        return [path.with_name(name) for name in names.session_parts(beside, path.name)]
-    found = sorted(file.name for file in path.iterdir() if names.split_part(file.name))
-    sessions = sorted({split[0] for name in found if (split := names.split_part(name))})
-    if not sessions:
-        raise InputError(f"recording {path}: is a directory without a recording in it")
-    if len(sessions) > 1:
-        raise InputError(
-            f"recording {path}: is a directory of {len(sessions)} sessions; name one: {', '.join(found[:4])}, ..."
-        )
-    return [path / name for name in names.session_parts(found, found[0])]
-
-
-def _read(path: Path, may_be_empty: bool) -> bytes | mmap.mmap:
+def _read(path: Path, may_be_empty: bool) -> Data:
     try:
         with path.open("rb") as stream:
-            start = stream.read(len(_MAGIC))
-            if may_be_empty and len(start) < len(_MAGIC):
+            start = stream.read(len(MAGIC))
+            if may_be_empty and len(start) < len(MAGIC):
                 return b""  # a part begun in the moment of the end
-            if start != _MAGIC:
+            if start != MAGIC:
                 raise InputError(f"recording {path}: not an MCAP file")
             return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
     except OSError as error:
         raise InputError(f"recording {path}: {error.strerror}") from error
 
 
-def _is_chunked(data: bytes | mmap.mmap) -> bool:
+def _is_chunked(data: Data) -> bool:
     """Whether chunks come before any message."""
-    for opcode, _, _ in _walk(data):
-        if opcode in (_CHUNK, _MESSAGE_OPCODE):
-            return opcode == _CHUNK
+    for opcode, _, _ in records(data, lambda _: None):
+        if opcode in (CHUNK, MESSAGE):
+            return opcode == CHUNK
     return False
 
 
-def _walk(data: bytes | mmap.mmap) -> Iterator[tuple[int, int, int]]:
-    """Opcode, start and length of every record up to the end of the data, or to where it was cut off."""
-    position, end = len(_MAGIC), len(data)
-    unpack, head = _RECORD.unpack_from, _RECORD.size
-    while position + head <= end:
-        opcode, length = unpack(data, position)
-        start = position + head
-        position = start + length
-        if position > end or opcode == _DATA_END:
-            return
-        yield opcode, start, length
-
-
-def _messages(data: bytes | mmap.mmap) -> Iterator[_Found]:
+def _messages(data: Data, damaged: Callable[[Damage], None]) -> Iterator[_Found]:
     """Every message that matters here."""
     channels: dict[int, tuple[str, str]] = {}
-    for opcode, start, length in _walk(data):
-        if opcode == _MESSAGE_OPCODE and length >= _MESSAGE.size:
+    for opcode, start, length in records(data, damaged):
+        if opcode == MESSAGE:
             known = channels.get(data[start] | data[start + 1] << 8)
             if known:
-                yield *known, start + _MESSAGE.size, length - _MESSAGE.size
-        elif opcode == _CHANNEL:
+                yield *known, start + MESSAGE_HEAD.size, length - MESSAGE_HEAD.size
+        elif opcode == CHANNEL:
             channel, topic, encoding = _channel(bytes(data[start : start + length]))
             if encoding == names.SET_ENCODING or _frames_vehicle(topic):
                 channels[channel] = topic, encoding
 
 
-def _chunked_messages(path: Path) -> tuple[bytes, list[_Found]]:
-    """The same through the mcap package: the messages' bytes one after the other, and where each is."""
+def _chunked_messages(path: Path) -> tuple[bytes, list[_Found], str]:
+    """The same through the mcap package: the messages' bytes one after the other, where each is, and what ended it."""
     try:
         from mcap.exceptions import McapError  # noqa: PLC0415
         from mcap.reader import NonSeekingReader  # noqa: PLC0415
     except ImportError as error:
         raise InputError(f"recording {path}: has chunks, which needs the package mcap") from error
-    kept = bytearray()
+    kept, trouble = bytearray(), ""
     found: list[_Found] = []
     with path.open("rb") as stream:
         try:
@@ -235,7 +221,8 @@ def _chunked_messages(path: Path) -> tuple[bytes, list[_Found]]:
         except (McapError, struct.error, ValueError, EOFError) as error:
             if not found:
                 raise InputError(f"recording {path}: {error}") from error
-    return bytes(kept), found
+            trouble = f"cannot be read to its end ({error or type(error).__name__})"
+    return bytes(kept), found, trouble
 
 
 def _frames_vehicle(topic: str) -> str:

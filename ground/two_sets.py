@@ -1,7 +1,7 @@
 """The vector between clicks of two sets of one session: how much of their errors is one and the same.
 
-Each set says how the slow errors act on its nine common states, one column of F a draw. Two sets have the same draws as
-far as they last, so with their correlations P the common states' covariance between sets a and b is
+Each set says how the slow errors act on its nine common states, one column of F for each nuisance parameter. Two sets
+share these as far as they last, so with their correlations P the common states' covariance between sets a and b is
 
     X = F_a P F_b' + fresh
 
@@ -48,7 +48,7 @@ def common_cross_covariance(one: FeatureSet, two: FeatureSet) -> Array:
     if two.capture_unix_ns < one.capture_unix_ns:
         return common_cross_covariance(two, one).T
     F1, F2 = one.shared.by_nuisance, two.shared.by_nuisance
-    slow = (F1 * draw_correlations(one, two)) @ F2.T
+    slow = (F1 * nuisance_correlations(one, two)) @ F2.T
     a, b = _span(one), _span(two)
     share = max(min(a[1], b[1]) - max(a[0], b[0]), 0.0) / math.sqrt((a[1] - a[0]) * (b[1] - b[0]))
     if share == 0.0:
@@ -63,8 +63,11 @@ def common_cross_covariance(one: FeatureSet, two: FeatureSet) -> Array:
     return slow + share * np.linalg.solve(M, both)
 
 
-def draw_correlations(one: FeatureSet, two: FeatureSet) -> Array:
-    """(DRAWS,) between the two sets' draws: wander by its age, the mount and clock by what was learned. (9.13)"""
+def nuisance_correlations(one: FeatureSet, two: FeatureSet) -> Array:
+    """(NUISANCES,) between the two sets' nuisance parameters. (9.13)
+
+    Gauss-Markov errors by their age, the mount and the clock by how far their estimates have come.
+    """
     out = np.ones(NUISANCES)
     s1, s2 = one.shared, two.shared
     for part, tau1, tau2 in (
@@ -86,7 +89,7 @@ def _span(s: FeatureSet) -> Span:
 
 
 def _averages_correlation(a: Span, b: Span, time_constant_s: float) -> float:
-    """Correlation of a wandering error's averages over two spans."""
+    """Correlation of a Gauss-Markov error's averages over two spans."""
     if time_constant_s <= 0.0:
         return 0.0
 

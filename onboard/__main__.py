@@ -1,7 +1,8 @@
 """`pc-onboard`: the aircraft's commands. Only arguments, exit codes and wiring.
 
 Exit codes: 0 done, 2 wrong usage or unusable input (one line on stderr), 3 the daemon that was asked is not running,
-1 `doctor` found something, or the daemon failed and should be started anew, 130 interrupted (what was done is kept).
+1 `doctor` or `check-config --fly` found something, or the daemon failed and should be started anew, 130 interrupted
+(what was done is kept), 141 whoever reads our output (`head`, say) went away before there was a verdict.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import select
 import signal
 import sys
 import threading
@@ -20,6 +22,7 @@ from contract.errors import InputError, PointclickError
 
 PROGRAM = "pc-onboard"
 CONFIG = Path("/etc/pointclick/config.toml")
+READER_GONE = 141  # as the shell has it for a program that a SIGPIPE ended
 
 
 class Parser(argparse.ArgumentParser):
@@ -116,7 +119,9 @@ def parser() -> argparse.ArgumentParser:
 
     check = commands.add_parser("check-config", help="check a configuration file and the config.d beside it")
     check.add_argument("file", type=Path, metavar="FILE", nargs="?", default=CONFIG)
-    check.add_argument("--fly", action="store_true", help="and whether `run` has all it needs: a camera file")
+    check.add_argument(
+        "--fly", action="store_true", help="and whether what it names is there: camera file, camera, telemetry"
+    )
     check.set_defaults(run=run_check_config)
 
     doctor = commands.add_parser("doctor", help="before take-off: is everything well?")
@@ -215,15 +220,10 @@ def run_cameras(arguments: argparse.Namespace) -> int:
 
 
 def run_check_config(arguments: argparse.Namespace) -> int:
-    """Load a configuration; prints which files are good."""
-    from onboard.config.files import config_files, load_camera, load_config_files  # noqa: PLC0415
+    """Load a configuration; prints which files are good. With --fly, 1 if something that it names is missing."""
+    from onboard.commands import check_config  # noqa: PLC0415
 
-    config = load_config_files(arguments.file)
-    if arguments.fly:
-        load_camera(config)
-    for file in config_files(arguments.file):
-        print(f"{file}: good")
-    return 0
+    return check_config.run(arguments)
 
 
 def run_daemon(arguments: argparse.Namespace) -> int:
@@ -252,11 +252,7 @@ def run_replay(arguments: argparse.Namespace) -> int:
     from onboard.commands.replay import run  # noqa: PLC0415  NumPy and OpenCV must find their environment set
 
     with _interrupt_sets(threading.Event()) as stop:
-        summary = run(arguments, stop)
-        try:
-            print(summary, flush=True)
-        except BrokenPipeError:  # the reader, `head` say, has seen enough
-            sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123  for the interpreter's last flush
+        print(run(arguments, stop))
         return 130 if stop.is_set() else 0
 
 
@@ -289,7 +285,32 @@ def _interrupt_sets(stop: threading.Event) -> Iterator[threading.Event]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run a command; returns the exit code."""
+    """Run a command; returns the exit code. Whoever reads what it prints may go away when they have seen enough."""
+    code = READER_GONE
+    try:
+        try:
+            code = _run(argv)
+        finally:
+            sys.stdout.flush()  # here, where it can be told, and not by the interpreter on its way out
+    except BrokenPipeError:
+        if not _is_reader_gone():
+            raise
+    return code
+
+
+def _is_reader_gone() -> bool:
+    """Whether nobody reads our output any more; what it still holds is dropped then."""
+    output = select.poll()
+    output.register(sys.stdout.fileno(), 0)
+    if not output.poll(0):
+        return False
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
+    return True
+
+
+def _run(argv: list[str] | None) -> int:
     _set_environment()
     arguments = parser().parse_args(argv)
     try:

@@ -8,7 +8,7 @@
 # $PYTHON must be of Debian's minor version (3.11): wheels are chosen and bytecode is made with it.
 set -eu
 
-house=$(cd "$(dirname "$0")/.." && pwd)
+checkout=$(cd "$(dirname "$0")/.." && pwd)
 mkdir -p "$1"
 out=$(cd "$1" && pwd)
 wheels=${2:-$out/wheels}
@@ -19,7 +19,7 @@ minor=3.11
 	|| { echo "build-deb: $python is not Python $minor, which Debian 12 runs; name one: PYTHON=python$minor" >&2; exit 1; }
 command -v dpkg-deb >/dev/null || { echo "build-deb: no dpkg-deb; sudo apt-get install dpkg" >&2; exit 1; }
 
-version=$(sed -n 's/^version = "\(.*\)"/\1/p' "$house/pyproject.toml")
+version=$(sed -n 's/^version = "\(.*\)"/\1/p' "$checkout/pyproject.toml")
 arch=$(dpkg --print-architecture)
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
@@ -27,17 +27,24 @@ pip() { $python -m pip --disable-pip-version-check --quiet "$@"; }
 
 # The package is built from a copy: a build leaves nothing in the checkout.
 mkdir "$work/source"
-for part in contract ground onboard simulation pyproject.toml README.md; do
-	cp -r "$house/$part" "$work/source/"
+for part in contract ground onboard pyproject.toml README.md; do
+	cp -r "$checkout/$part" "$work/source/"
 done
 
-if [ ! -f "$wheels/.complete" ]; then
+# What pyproject.toml declares for the aircraft, read as TOML, and the lock: fetched anew when either has changed.
+$python - "$checkout/pyproject.toml" > "$work/declared" <<'PYTHON'
+import sys, tomllib
+project = tomllib.load(open(sys.argv[1], "rb"))["project"]
+extras = project["optional-dependencies"]
+print(*project["dependencies"], *extras["onboard"], *extras["terrain"], sep="\n")
+PYTHON
+cat "$work/declared" "$checkout/requirements.lock" > "$work/wanted"
+if ! cmp -s "$work/wanted" "$wheels/.complete"; then
 	echo "build-deb: fetching wheels into $wheels"
 	mkdir -p "$wheels"
-	pip download --dest "$wheels" --only-binary :all: --constraint "$house/requirements.lock" "setuptools" \
-		$(sed -n '/^dependencies = \[/s/.*\[\(.*\)\]/\1/p' "$house/pyproject.toml" | tr -d '",' ) \
-		$(sed -n '/^onboard = \[/,/^\]/s/^ *"\(.*\)",$/\1/p; /^terrain = \[/s/.*\[\(.*\)\]/\1/p' "$house/pyproject.toml" | tr -d '"')
-	touch "$wheels/.complete"
+	pip download --dest "$wheels" --only-binary :all: --constraint "$checkout/requirements.lock" \
+		setuptools --requirement "$work/declared"
+	cp "$work/wanted" "$wheels/.complete"
 fi
 
 # An environment by hand: pip into a folder, and the one file that makes a folder an environment.
@@ -49,8 +56,9 @@ printf 'home = /usr/bin\ninclude-system-site-packages = false\nversion = %s\n' "
 ln -s /usr/bin/python$minor "$home/bin/python3"
 ln -s python3 "$home/bin/python"
 pip wheel --no-deps --no-index --find-links "$wheels" --wheel-dir "$work" "$work/source"
-pip install --no-index --find-links "$wheels" --target "$site" --no-compile --no-warn-conflicts "$work"/pointclick-*.whl \
-	$(ls "$wheels"/*.whl | grep -v /setuptools-)
+# By what is declared, not by what lies there: an old wheel is left out, a missing one fails here.
+pip install --no-index --find-links "$wheels" --constraint "$checkout/requirements.lock" --target "$site" --no-compile \
+	--no-warn-conflicts "$(echo "$work"/pointclick-*.whl)[onboard,terrain]"
 rm -rf "$site/bin"
 # Nobody may write there later, so bytecode comes along; found by what the file is, not by when it was written.
 $python -m compileall -q -j 1 --invalidation-mode unchecked-hash -s "$root" "$site" || true
@@ -61,17 +69,17 @@ for program in pc-onboard:onboard pc-ground:ground; do
 done
 
 doc=$root/usr/share/doc/pointclick-onboard
-install -D -m 644 "$house/systemd/pointclick-onboard.service" "$root/lib/systemd/system/pointclick-onboard.service"
-install -D -m 644 "$house/packaging/debian/sysusers" "$root/usr/lib/sysusers.d/pointclick.conf"
-install -D -m 644 "$house/config.toml" "$root/etc/pointclick/config.toml"
+install -D -m 644 "$checkout/systemd/pointclick-onboard.service" "$root/lib/systemd/system/pointclick-onboard.service"
+install -D -m 644 "$checkout/packaging/debian/sysusers" "$root/usr/lib/sysusers.d/pointclick.conf"
+install -D -m 644 "$checkout/config.toml" "$root/etc/pointclick/config.toml"
 install -d -m 755 "$root/etc/pointclick/config.d"
-install -D -m 644 "$house/systemd/70-pointclick.rules" "$doc/examples/70-pointclick.rules"
+install -D -m 644 "$checkout/systemd/70-pointclick.rules" "$doc/examples/70-pointclick.rules"
 for page in service faults; do
-	[ ! -f "$house/docs/$page.md" ] || install -D -m 644 "$house/docs/$page.md" "$doc/$page.md"
+	[ ! -f "$checkout/docs/$page.md" ] || install -D -m 644 "$checkout/docs/$page.md" "$doc/$page.md"
 done
 echo /etc/pointclick/config.toml > "$root/DEBIAN/conffiles"
 for script in postinst prerm postrm; do
-	install -m 755 "$house/packaging/debian/$script" "$root/DEBIAN/$script"
+	install -m 755 "$checkout/packaging/debian/$script" "$root/DEBIAN/$script"
 done
 cat > "$root/DEBIAN/control" <<CONTROL
 Package: pointclick-onboard

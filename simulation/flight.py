@@ -1,4 +1,4 @@
-"""A flight: true motion and the telemetry that tells of it, on one clock.
+"""A flight: true motion and its telemetry, on one clock.
 
 A recorded flight takes both from a recording (`NAME.truth.csv` beside `NAME.tlog`); a described one (`paths`) has its
 motion computed and its telemetry written by `telemetry`.

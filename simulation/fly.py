@@ -96,12 +96,12 @@ def _parser() -> argparse.ArgumentParser:
         help="ATTITUDE (default), ATTITUDE_QUATERNION or both",
     )
     add("--gps-white-m", type=float, nargs=2, metavar=("H", "V"), help="new in every message (default 0.05 0.05)")
-    add("--gps-slow-m", type=float, nargs=2, metavar=("H", "V"), help="wandering (default 0.8 1.2)")
-    add("--gps-time-constant-s", type=float, metavar="S", help="of the wandering (default 60)")
+    add("--gps-slow-m", type=float, nargs=2, metavar=("H", "V"), help="Gauss-Markov part (default 0.8 1.2)")
+    add("--gps-time-constant-s", type=float, metavar="S", help="correlation time (default 60)")
     add("--position-age-s", type=float, metavar="S", help="age of a position at its own stamp (default 0)")
     add("--velocity-noise-m-s", type=float, metavar="M", help="(default 0.1)")
     add("--attitude-white-deg", type=float, metavar="DEG", help="(default 0.05)")
-    add("--attitude-slow-deg", type=float, metavar="DEG", help="wandering (default 0.5)")
+    add("--attitude-slow-deg", type=float, metavar="DEG", help="Gauss-Markov part (default 0.5)")
     add("--latency-s", type=float, metavar="S", help="of the link, least (default 0.03)")
     add("--jitter-s", type=float, metavar="S", help="of the link, mean (default 0.02)")
 

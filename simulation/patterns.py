@@ -39,7 +39,7 @@ def draw_grain(rng: np.random.Generator) -> Image:
 
 
 def _periodic_regions(rng: np.random.Generator, size: int, count: int) -> NDArray[np.int32]:
-    """Labels (size, size) of a Voronoi partition of the torus into `count` regions, with wandering borders."""
+    """Labels (size, size) of a Voronoi partition of the torus into `count` regions, with irregular borders."""
     pad = size // 2
     sites = rng.integers(0, size, (count, 2))
     marks = np.full((size, size), 255, np.uint8)
@@ -99,8 +99,8 @@ def draw_land(rng: np.random.Generator) -> Image:
         (2.0 * np.pi / pitch * np.cos(angle)).astype(np.float32),
         (2.0 * np.pi / pitch * np.sin(angle)).astype(np.float32),
     )
-    wander = periodic_noise(rng, SIZE, 40.0, 400.0, 1.0)
-    canvas += plough[regions] * np.sin(kx[regions] * grid[None, :] + ky[regions] * grid[:, None] + wander)
+    phase = periodic_noise(rng, SIZE, 40.0, 400.0, 1.0)
+    canvas += plough[regions] * np.sin(kx[regions] * grid[None, :] + ky[regions] * grid[:, None] + phase)
     canvas += np.float32(0.035) * periodic_noise(rng, SIZE, 8.0, 400.0, 0.5)
 
     border = (regions != np.roll(regions, 1, 0)) | (regions != np.roll(regions, 1, 1))
@@ -126,7 +126,7 @@ def draw_land(rng: np.random.Generator) -> Image:
         _stamp(canvas, x, y, radius, shade, crown)
     for along_x, width, brightness in ((True, 11.0, 0.24), (False, 7.0, 0.18), (True, 5.0, 0.14), (False, 5.0, -0.08)):
         cover = _road(rng, SIZE, along_x, width)
-        rut = brightness + 0.03 * wander
+        rut = brightness + 0.03 * phase
         canvas = canvas * (1.0 - cover) + cover * rut
     return np.asarray(np.clip(canvas, -0.33, 0.5), np.float32)
 

@@ -31,7 +31,7 @@ class SensorSpec:
     """The camera's faults. `noise` is one sigma in grey levels at mid-grey; `vignetting` the corner's loss of light.
 
     `exposure_swing` is the ratio between the brightest and darkest rendering of one scene as the automatic exposure
-    wanders (1: constant); `exposure_s` the time the shutter is open.
+    varies slowly (1: constant); `exposure_s` the time the shutter is open.
     """
 
     noise: float = 1.5

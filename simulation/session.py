@@ -68,7 +68,7 @@ def make_flight(spec: SessionSpec) -> Flight:
 def fly(spec: SessionSpec, out_dir: Path | str, progress: Callable[[int, int], None] | None = None) -> Truth:
     """Write the session into `out_dir` (made if absent) and return its truth.
 
-    `progress` is told pictures done and pictures to do.
+    `progress` is called with pictures done and pictures to do.
     Raises InputError before anything is written if the spec cannot be flown or `out_dir` already holds a session.
     """
     folder = Path(out_dir)

@@ -4,7 +4,7 @@
 
 Each figure writes `figN.csv` and `figN.png` for the seed's own method, and `figN_windows.csv` and `figN_windows.png`
 for windows of views, attitude and velocity. Discussed in docs/error-analysis.md. The `study*` files may import
-onboard's maths rooms, as nothing else in `simulation` does: they study those very functions.
+onboard's packages, as nothing else in `simulation` does: they study those very functions.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PIXEL_NOISE_PX = (0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0)
 GPS_NOISE_M = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
 ANGLES_DEG = tuple(float(a) for a in range(-10, 11))
 WINDOW_ANGLES_DEG = (-10.0, -5.0, 0.0, 5.0, 10.0)
-# Noise at which the windows' figures 7 and 8 are drawn, white only: without noise every converged curve is zero.
+# Noise of the windows' figures 7 and 8, white only: without noise every converged curve is zero.
 WINDOW_PIXEL_PX = 0.3
 WINDOW_GPS_M = 1.0
 TINY_PX, TINY_M = 0.05, 0.01  # what stands for no noise: far less and the weights, not the flight, are examined
@@ -47,7 +47,7 @@ class Row:
 
 
 def fig6(seeds: int = SEEDS) -> list[Row]:
-    """Mean error against the sigma of pixel noise and of GPS noise, initial and converged, over `seeds` draws."""
+    """Mean error against the sigma of pixel noise and of GPS noise, initial and converged, over `seeds` samples."""
     scene = two_views()
     stages = ("initial", "converged")
     rows = []
@@ -86,7 +86,7 @@ def _angles(turned: str) -> list[Row]:
 
 
 def sensor_sets() -> dict[str, Setting]:
-    """The windows' curves: white noise only and level ground without relief, as in the seed's world."""
+    """The windows' curves: white noise only and flat, level ground, as in the seed's world."""
     base = Setting(
         pixel_sigma_px=WINDOW_PIXEL_PX,
         gps_white_m=(WINDOW_GPS_M, WINDOW_GPS_M),
@@ -122,7 +122,7 @@ def fig6_windows(seeds: int = WINDOW_SEEDS) -> list[Row]:
 
 
 def fig7_windows(seeds: int = WINDOW_SEEDS) -> list[Row]:
-    """The camera turned away from the mount that is believed: the start is wrong, with attitude the boresight too."""
+    """The camera turned away from the configured mount: the start is wrong, with attitude the boresight too."""
     rows = []
     for axis in AXES:
         for angle in WINDOW_ANGLES_DEG:
@@ -151,7 +151,7 @@ def _window_error(setting: Setting, seeds: int) -> float:
         start = begin(flight)
         if start is not None:
             solution, kept = estimate(flight, start)
-            used = np.count_nonzero(kept, axis=0) >= 2  # a point cut down to one sighting is not published either
+            used = np.count_nonzero(kept, axis=0) >= 2  # a point left with one observation is not published either
             miss = (solution.state.points_enu_m - flight.truth.points_enu_m)[used]
             errors.append(np.linalg.norm(miss, axis=1).mean())
     return float(np.mean(errors)) if errors else float("nan")

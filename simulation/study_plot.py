@@ -13,7 +13,7 @@ TITLES = {
     "fig7": "Seed, figure 7: first camera turned from the direction of travel",
     "fig8": "Seed, figure 8: second camera turned against the first",
     "fig6_windows": "Errors in the input, for windows of views and more sensors",
-    "fig7_windows": "Camera turned from the believed mount; 0.3 px, GPS 1 m",
+    "fig7_windows": "Camera turned from the configured mount; 0.3 px, GPS 1 m",
     "fig8_windows": "Every second view turned; 0.3 px, GPS 1 m",
 }
 LABELS = {

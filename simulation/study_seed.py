@@ -1,7 +1,7 @@
 """The seed's method on two views, step by step and in its order (sections 2.2 and 2.3).
 
 Orientation from travel, one small-angle least squares, triangulation, k iterations of bundle adjustment over image and
-GPS residuals, levelling. Uses onboard's maths rooms: they are what is being studied.
+GPS residuals, levelling. Uses onboard's packages: they are what is being studied.
 """
 
 from __future__ import annotations

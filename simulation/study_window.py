@@ -1,8 +1,8 @@
 """Windows of many views with truth: every error is drawn from exactly the model that the solver's priors state.
 
-The scene is the seed's flight made longer: 250 m over ground that is a plane with relief, 640x480 over 40 degrees, a
+The scene is the seed's flight made longer: 250 m over ground that is a plane with roughness, 640x480 over 40 degrees, a
 view every 20 m, features that enter and leave the picture. Serves the study's own figures and
-`benchmarks/accuracy.py`. Uses onboard's maths rooms: they are what is being measured.
+`benchmarks/accuracy.py`. Uses onboard's packages: they are what is being measured.
 """
 
 from __future__ import annotations
@@ -60,13 +60,13 @@ class Setting:
     terrain_sigma_m: tuple[float, float] | None = None  # of a known ground: from place to place, and as a whole
     offset_sigma_s: float = 0.01
     outlier_share: float = 0.0
-    misaligned: tuple[str, float] | None = None  # axis, rad: the camera turned from the mount that is believed
+    misaligned: tuple[str, float] | None = None  # axis, rad: the camera turned from the configured mount
     alternating: tuple[str, float] | None = None  # axis, rad: every second view turned
 
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """A drawn flight: the problem as the solver gets it, the truth, and which tracks (P,) are wrong."""
+    """A sampled flight: the problem as the solver gets it, the truth, and which tracks (P,) are wrong."""
 
     setting: Setting
     problem: Problem
@@ -82,7 +82,7 @@ class Flight:
 
 
 def draw(setting: Setting, rng: np.random.Generator) -> Flight:
-    """Draw truth and measurements."""
+    """Sample truth and measurements."""
     K = setting.views
     stamps = np.arange(K, dtype=np.float64) * float(setting.spacing_m / setting.speed_m_s)
     truth, seen, xy = _scene(setting, stamps, rng)
@@ -96,11 +96,11 @@ def draw(setting: Setting, rng: np.random.Generator) -> Flight:
     reference = np.array([*(TRAVEL_ENU[:2] * setting.spacing_m * (K - 1) / 2.0), 0.0])
     weight = np.where(seen, 1.0 / sigma, 0.0)
     if setting.terrain_sigma_m is None:
-        relief = np.full(P, 1.0 / setting.relief_sigma_m)
-        problem = Problem(layout, xy, weight, priors, reference, relief, clearance_m=HEIGHT_M)
+        ground_weight = np.full(P, 1.0 / setting.relief_sigma_m)
+        problem = Problem(layout, xy, weight, priors, reference, ground_weight, clearance_m=HEIGHT_M)
     else:
-        relief = np.full(P, 1.0 / setting.terrain_sigma_m[0])
-        problem = Problem(layout, xy, weight, priors, reference, relief, terrain=hills())
+        ground_weight = np.full(P, 1.0 / setting.terrain_sigma_m[0])
+        problem = Problem(layout, xy, weight, priors, reference, ground_weight, terrain=hills())
     return Flight(setting, problem, truth, gps, measured, is_outlier)
 
 
@@ -114,23 +114,23 @@ def hills() -> Terrain:
     return Terrain(-reach_m, -reach_m, spacing_m, heights)
 
 
-def _wander(
-    stamps: Array, white: float, wander: float, time_constant_s: float, rng: np.random.Generator
+def _gauss_markov(
+    stamps: Array, white: float, gauss_markov: float, time_constant_s: float, rng: np.random.Generator
 ) -> tuple[Array, Array]:
     """One axis of an error (K,) with an Ornstein-Uhlenbeck and a white part, and the whitener that states it."""
     lag = np.abs(stamps[:, None] - stamps[None, :])
-    root = np.linalg.cholesky(wander**2 * np.exp(-lag / time_constant_s) + 1e-12 * np.eye(len(stamps)))
+    root = np.linalg.cholesky(gauss_markov**2 * np.exp(-lag / time_constant_s) + 1e-12 * np.eye(len(stamps)))
     error = root @ rng.standard_normal(len(stamps)) + white * rng.standard_normal(len(stamps))
-    return error, gauss_markov_sqrt_information(stamps, white, wander, time_constant_s)
+    return error, gauss_markov_sqrt_information(stamps, white, gauss_markov, time_constant_s)
 
 
 def _scene(setting: Setting, stamps: Array, rng: np.random.Generator) -> tuple[State, Mask, Array]:
-    """True state, what is seen (K, P), and noise-free unit-depth measurements (K, P, 2)."""
+    """True state, what is seen (K, P), and noise-free normalised image coordinates (K, P, 2)."""
     K = setting.views
     along = np.arange(K) * setting.spacing_m
     centres = np.array([0.0, 0.0, HEIGHT_M]) + along[:, None] * TRAVEL_ENU
-    centres = centres + np.stack([_wander(stamps, 0.0, 1.0, 5.0, rng)[0] for _ in range(3)], axis=1)
-    sway = np.stack([_wander(stamps, np.radians(0.3), np.radians(2.0), 5.0, rng)[0] for _ in range(3)], axis=1)
+    centres = centres + np.stack([_gauss_markov(stamps, 0.0, 1.0, 5.0, rng)[0] for _ in range(3)], axis=1)
+    sway = np.stack([_gauss_markov(stamps, np.radians(0.3), np.radians(2.0), 5.0, rng)[0] for _ in range(3)], axis=1)
     camera = nominal() if setting.misaligned is None else turned(nominal(), *setting.misaligned)
     R = exp_so3(sway) @ camera
     if setting.alternating is not None:
@@ -187,7 +187,7 @@ def _sensors(
     K = layout.keyframes
     velocity = np.tile(TRAVEL_ENU * setting.speed_m_s, (K, 1))
     drawn = [
-        _wander(stamps, setting.gps_white_m[v], setting.gps_wander_m[v], setting.gps_wander_time_s, rng)
+        _gauss_markov(stamps, setting.gps_white_m[v], setting.gps_wander_m[v], setting.gps_wander_time_s, rng)
         for v in (0, 0, 1)
     ]
     gps = truth.centres_enu_m - velocity * truth.offset_s + np.stack([e for e, _ in drawn], axis=1)
@@ -200,7 +200,7 @@ def _sensors(
     if setting.attitude_wander_deg is not None:
         tilt, heading = np.radians(setting.attitude_wander_deg)
         white = np.radians(setting.attitude_white_deg)
-        turn = [_wander(stamps, white, w, setting.attitude_wander_time_s, rng) for w in (tilt, tilt, heading)]
+        turn = [_gauss_markov(stamps, white, w, setting.attitude_wander_time_s, rng) for w in (tilt, tilt, heading)]
         error_cam = np.einsum("kij,kj->ki", truth.R_cam_enu, np.stack([e for e, _ in turn], axis=1))
         measured = truth.R_cam_enu.transpose(0, 2, 1) @ exp_so3(error_cam) @ exp_so3(-truth.boresight_rad)
         priors.append(AttitudePrior(layout, measured, np.zeros((K, 3)), np.stack([w for _, w in turn]), np.zeros(K)))

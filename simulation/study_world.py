@@ -1,7 +1,7 @@
 """The seed's test scene (its section 3): a 5 m grid, two views 40 m apart at 250 m, 640x480 over 40 degrees.
 
 World axes are ENU: the seed's x is east, its y north; a heading of 30 degrees is from x towards y. The camera is the
-seed's, x along the travel and z down. This room and the other `study*` files may import onboard's maths rooms (nothing
+seed's, x along the travel and z down. This module and the other `study*` files may import onboard's packages (nothing
 else in `simulation` does): the study examines those very functions.
 """
 
@@ -71,7 +71,7 @@ def project(R_cam_enu: Array, centres_enu_m: Array, points_enu_m: Array) -> tupl
 
 
 def unit_depth(uv_px: Array) -> Array:
-    """Pixels (..., 2) -> unit-depth coordinates (..., 2) of the study's ideal camera."""
+    """Pixels (..., 2) -> normalised image coordinates (..., 2) of the study's ideal camera."""
     out: Array = (uv_px - [CAMERA.cx_px, CAMERA.cy_px]) / [CAMERA.fx_px, CAMERA.fy_px]
     return out
 

@@ -1,7 +1,7 @@
 """Nine true errors of ten lie inside the stated ellipse: of one click, of a pair in one set, of a pair in two sets.
 
-Whole flights with every error drawn from the configuration's own beliefs; `benchmarks.coverage` prints the table. A
-flight is one draw of all that is slow, so that the share of single clicks scatters by 5 % over thirty flights.
+Whole flights with every error drawn from the configured priors; `benchmarks.coverage` prints the table. A flight is
+one sample of all slow errors, so that the share of single clicks has a sigma of 5 % over thirty flights.
 """
 
 from __future__ import annotations

@@ -147,14 +147,15 @@ def test_the_same_inputs_give_the_same_bytes(flight: Path, flown: dict[str, Flow
     assert again.read_bytes() == flown["full"].recording.read_bytes()
 
 
+@pytest.mark.wall_clock
 def test_a_cold_click_takes_under_a_second(flown: dict[str, Flown]) -> None:
-    """The bound leaves room for a loaded machine; alone it takes 0.2 s."""
+    """Alone it takes 0.2 s."""
     times = []
     for _ in range(3):
         began = time.monotonic()
         assert run("ground", "click", 320, 240, "--frame", 20, "--from", flown["full"].recording).returncode == 0
         times.append(time.monotonic() - began)
-    assert min(times) < 1.5
+    assert min(times) < 1.0
 
 
 @pytest.fixture(scope="module")
@@ -204,14 +205,18 @@ def test_a_flying_aircraft_can_be_clicked_from_another_process(flight: Path, end
 
 def test_newest_time_and_unknown_pictures_over_the_link(flight: Path, endpoint: str) -> None:
     click_until(endpoint, 320, 240, "--frame", FRAMES - 1, code=0)
-    newest = json.loads(click_until(endpoint, 320, 240, code=0).stdout)
+    newest = json.loads(click_until(endpoint, 320, 240, "--max-age", "inf", code=0).stdout)
     assert newest["frame"] == FRAMES - 1
+    # The flight is over and nothing newer comes: what was the newest picture is not what is seen now for long.
+    stale = json.loads(click_until(endpoint, 320, 240, code=3).stdout)
+    assert (stale["status"], stale["frame"]) == ("stale", FRAMES - 1) and 3.0 < stale["age_s"] < 120.0
     stamp = float(list(csv.DictReader((flight / "stamps.csv").open()))[20]["unix_time_s"])
     assert json.loads(click_until(endpoint, 320, 240, "--time", stamp, code=0).stdout)["frame"] == 20
     refused = json.loads(click_until(endpoint, 320, 240, "--frame", 999, code=3).stdout)
     assert (refused["status"], refused["frame"]) == ("unknown_frame", 999)
 
 
+@pytest.mark.wall_clock
 def test_a_live_cold_click_takes_under_a_second(endpoint: str) -> None:
     click_until(endpoint, 320, 240, "--frame", 20, code=0)
     times = []
@@ -219,7 +224,7 @@ def test_a_live_cold_click_takes_under_a_second(endpoint: str) -> None:
         began = time.monotonic()
         assert run("ground", "click", 320, 240, "--frame", 20, "--connect", endpoint).returncode == 0
         times.append(time.monotonic() - began)
-    assert min(times) < 1.5
+    assert min(times) < 1.0
 
 
 def missing_frames(flight: Path, spoilt: Path) -> dict[str, object]:

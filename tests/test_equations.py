@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENT = ROOT / "docs" / "mathematics.md"
-ROOMS = ("contract", "onboard", "ground", "simulation", "benchmarks")
+FOLDERS = ("contract", "onboard", "ground", "simulation", "benchmarks")
 # A formula's own number ends an indented line; between parentheses nothing but the number.
 DEFINED = re.compile(r"^    .*\s{2,}\(([0-9]+\.[0-9]+)\)$", re.MULTILINE)
 NUMBER = r"\(([1-9][0-9]?\.[0-9]{1,2})\)"
@@ -32,14 +32,14 @@ def citations(text: str, known: set[str]) -> set[str]:
 
 
 def sources() -> list[Path]:
-    return [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
+    return [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py"))]
 
 
 def test_every_number_is_given_once_and_in_order() -> None:
     numbers = [tuple(int(part) for part in number.split(".")) for number in defined()]
     assert len(numbers) >= 50
     assert numbers == sorted(set(numbers))
-    for section in range(1, 12):
+    for section in range(1, 13):
         of_section = [minor for major, minor in numbers if major == section]
         assert of_section == list(range(1, len(of_section) + 1)), f"section {section} skips a number"
 
@@ -64,7 +64,7 @@ def test_every_equation_is_cited_somewhere() -> None:
 
 def test_sections_named_in_the_code_exist() -> None:
     headings = set(re.findall(r"^## ([0-9]+) ", DOCUMENT.read_text(), re.MULTILINE))
-    assert headings == {str(n) for n in range(1, 12)}
+    assert headings == {str(n) for n in range(1, 13)}
     for path in sources():
         text = " ".join(path.read_text().split())
         for first, second in re.findall(

@@ -1,13 +1,19 @@
-"""What is installed: the lock, and `pip install .` alone with none of the aircraft's packages beside it."""
+"""What is installed: the lock, the wheel, and each extra alone, in an environment with nothing else beside it."""
 
 from __future__ import annotations
 
+import ast
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tomllib
+import zipfile
+from collections.abc import Callable
+from functools import cache
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import numpy as np
@@ -19,34 +25,58 @@ from contract.camera import Camera
 from contract.feature_set import FeatureSet, Status
 from onboard.events.types import Frame
 from onboard.storage.mcap_writer import SessionRecorder
+from simulation.flight import RecordedSpec
+from simulation.session import SessionSpec, fly
+from simulation.terrain import TerrainSpec
 
+pytestmark = pytest.mark.xdist_group("install")  # one worker: each environment is built once
 ROOT = Path(__file__).resolve().parents[1]
+SHIPPED = ("contract", "ground", "onboard")
 AIRCRAFT_ONLY = ("cv2", "scipy", "mavsdk", "pymavlink", "serial", "mcap", "pydantic", "PIL", "tqdm")
 CAPTURE_NS = 1_700_000_000_000_000_000
 HEIGHT_M = 120.0
 
 
 @pytest.fixture(scope="module")
-def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A new environment's folder of programs, with the package and its base dependencies and nothing else."""
-    folder = tmp_path_factory.mktemp("ground")
-    # A copy of the sources: setuptools leaves its build folder beside them.
-    shutil.copytree(
-        ROOT,
-        folder / "source",
-        ignore=shutil.ignore_patterns(".*", "out", "build", "*.egg-info", "tests", "docs", "__pycache__"),
-    )
-    subprocess.run([sys.executable, "-m", "venv", folder / "venv"], check=True, timeout=120)
-    pip = [folder / "venv" / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-    done = subprocess.run(
-        [*pip, "--constraint", ROOT / "requirements.lock", folder / "source"],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    return folder / "venv" / "bin"
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of what an installation is made of: setuptools leaves its build folder beside it."""
+    ignored = shutil.ignore_patterns(".*", "out", "build", "*.egg-info", "tests", "docs", "__pycache__")
+    return Path(shutil.copytree(ROOT, tmp_path_factory.mktemp("source") / "pointclick", ignore=ignored))
+
+
+@pytest.fixture(scope="module")
+def wheel(source: Path) -> Path:
+    """The wheel, built as `make` builds: with the setuptools of this environment."""
+    out = source.parent / "wheels"
+    built(sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", out, source)
+    (path,) = out.glob("pointclick-*.whl")
+    return path
+
+
+@pytest.fixture(scope="module")
+def install(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Gives the folder of programs of a new environment: the wheel with one extra ("" for none) and nothing else."""
+
+    @cache
+    def installed(extra: str) -> Path:
+        folder = tmp_path_factory.mktemp(extra or "base") / "venv"
+        built(sys.executable, "-m", "venv", folder)
+        pip = [folder / "bin" / "python", "-m", "pip", "install", "--no-compile", "--disable-pip-version-check"]
+        built(*pip, "--quiet", "--constraint", ROOT / "requirements.lock", f"{wheel}[{extra}]" if extra else wheel)
+        return folder / "bin"
+
+    return installed
+
+
+def built(*command: object) -> None:
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def environment(install: Callable[[str], Path]) -> Path:
+    """The ground's: base dependencies and nothing else."""
+    return install("")
 
 
 @pytest.fixture(scope="module")
@@ -135,3 +165,146 @@ def test_the_aircrafts_command_says_what_it_needs(environment: Path) -> None:
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
     assert "pointclick[onboard]" in done.stderr
+
+
+def run_well(environment: Path, program: str, *arguments: object) -> str:
+    """What a program prints that ends well and complains of nothing."""
+    done = run(environment, program, *arguments)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
+def commands(environment: Path, program: str) -> list[str]:
+    """The commands that a program's own help lists."""
+    found = re.findall(r"^    ([a-z][\w-]*)", run_well(environment, program, "--help"), re.MULTILINE)
+    assert found
+    return found
+
+
+def fly_and_click(environment: Path, folder: Path) -> None:
+    """A short flight through the installed `pc-onboard`, and a click on what it recorded."""
+    # The same level ground and mount as elsewhere in the tests, for three seconds.
+    spec = SessionSpec(
+        RecordedSpec("plane_turn", 3.0, whole_log=False), seconds=3.0, rate_hz=5.0, mount_deg=(0.0, -90.0, -90.0),
+        terrain=TerrainSpec(relief_m=10.0),
+    )  # fmt: skip
+    flight, recording = folder / "flight", folder / "session.mcap"
+    fly(spec, flight)
+    files = {"frames": "frames", "telemetry": "telemetry.tlog", "camera": "camera.json", "stamps": "stamps.csv"}
+    arguments = [part for key, name in files.items() for part in (f"--{key}", flight / name)]
+    summary = run_well(
+        environment, "pc-onboard", "replay", *arguments, "--config", flight / "config.toml", "--record", recording
+    )
+    assert re.search(r"^solved +15$", summary, re.MULTILINE)
+    click = run_well(
+        environment, "pc-ground", "click", 320, 240, "--frame", 12, "--from", recording, "--format", "json"
+    )
+    assert json.loads(click)["status"] == "ok"
+
+
+def use_onboard(environment: Path, folder: Path) -> None:
+    """What people do with the aircraft's installation, each command that needs a package of its own."""
+    for command in commands(environment, "pc-onboard"):
+        assert f"pc-onboard {command}" in run_well(environment, "pc-onboard", command, "--help")
+    keys = folder / "keys"
+    run_well(environment, "pc-onboard", "make-credentials", keys, "--vehicle", "uav1", "--address", "10.0.0.7")
+    assert "BEGIN CERTIFICATE" in (keys / "uav1" / "certificate.pem").read_text()
+    run_well(environment, "pc-onboard", "calibrate", "--print-board", folder / "board.pdf")
+    assert (folder / "board.pdf").read_bytes().startswith(b"%PDF")
+    (folder / "config.toml").write_text("[mount]\npitch_deg = -45.0\n")
+    assert "good" in run_well(environment, "pc-onboard", "check-config", folder / "config.toml")
+    for url in ("udpin:127.0.0.1:14999", "nmea:/dev/ttyUSB0:9600", "mavsdk:udpin://127.0.0.1:14998"):
+        (folder / "config.toml").write_text(f'[telemetry]\nurl = "{url}"\n')
+        run_well(environment, "pc-onboard", "check-config", folder / "config.toml")
+    fly_and_click(environment, folder)
+
+
+def use_terrain(environment: Path, folder: Path) -> None:
+    """An elevation model is read with nothing but the base beside rasterio."""
+    heights = np.full((1201, 1201), 77, ">i2")
+    (folder / "S44E172.hgt").write_bytes(heights.tobytes())
+    program = f"""
+import numpy as np
+from contract.geodesy import LocalFrame
+from onboard.storage.elevation_files import TerrainFiles
+terrain = TerrainFiles({str(folder)!r}).around(LocalFrame(-43.5, 172.5, 0.0), np.zeros(3), 300.0, 30.0, 0.0)
+print(round(float(terrain.height_and_slope(np.zeros((1, 2)))[0][0]), 3))
+"""
+    assert run_well(environment, "python", "-c", program) == "77.0\n"
+
+
+USES: dict[str, Callable[[Path, Path], None]] = {"onboard": use_onboard, "terrain": use_terrain}
+"""What each extra, installed alone, is used for. A new extra gets an entry here."""
+
+
+def test_every_extra_for_users_is_tried() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert set(USES) == set(extras) - {"dev"}
+
+
+@pytest.mark.parametrize("extra", sorted(USES))
+def test_an_extra_installed_alone_does_its_work(extra: str, install: Callable[[str], Path], tmp_path: Path) -> None:
+    environment = install(extra)
+    for command in commands(environment, "pc-ground"):
+        assert f"pc-ground {command}" in run_well(environment, "pc-ground", command, "--help")
+    USES[extra](environment, tmp_path)
+
+
+def test_the_wheel_holds_what_ships_and_nothing_else(source: Path, wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    ours = {name for name in names if ".dist-info/" not in name}
+    shipped = {
+        str(file.relative_to(source)) for top in SHIPPED for file in (source / top).rglob("*")
+        if file.is_file() and "__pycache__" not in file.parts
+    }  # fmt: skip
+    assert ours == shipped
+    (entries,) = (name for name in names if name.endswith("entry_points.txt"))
+    scripts = re.findall(r"^([\w-]+) = ", zipfile.ZipFile(wheel).read(entries).decode(), re.MULTILINE)
+    assert sorted(scripts) == ["pc-ground", "pc-onboard"]
+
+
+def test_the_source_archive_makes_the_same_wheel(source: Path, wheel: Path) -> None:
+    out = source.parent / "sdist"
+    out.mkdir()
+    make = f"import setuptools.build_meta as b; b.build_sdist({str(out)!r})"
+    done = subprocess.run(
+        [sys.executable, "-c", make], cwd=source, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    (archive,) = out.glob("pointclick-*.tar.gz")
+    built(sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", out, archive)
+    (again,) = out.glob("pointclick-*.whl")
+    assert sorted(zipfile.ZipFile(again).namelist()) == sorted(zipfile.ZipFile(wheel).namelist())
+
+
+def imported_packages(top: str) -> dict[str, Path]:
+    """Top-level modules that the files below a folder import anywhere, with one file that does."""
+    found: dict[str, Path] = {}
+    for file in sorted((ROOT / top).rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            found |= {name.split(".")[0]: file for name in names}
+    return found
+
+
+@pytest.mark.parametrize("top", SHIPPED)
+def test_every_package_that_is_imported_is_declared(top: str) -> None:
+    """`cryptography` was there while developing, as a dependency of something else, and missing when installed.
+
+    What may be imported where, and at module level, is `test_architecture`'s to say.
+    """
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    declared = {
+        canonicalize_name(Requirement(line).name)
+        for line in [*project["dependencies"], *(line for extra in extras if extra != "dev" for line in extras[extra])]
+    }
+    owners = packages_distributions()
+    known = {*SHIPPED, *sys.stdlib_module_names}
+    others = {name: file for name, file in imported_packages(top).items() if name not in known}
+    undeclared = {
+        name: str(file) for name, file in others.items()
+        if not declared & {canonicalize_name(owner) for owner in owners.get(name, [])}
+    }  # fmt: skip
+    assert not undeclared

@@ -1,4 +1,4 @@
-"""What the platform does not know is learned in flight: 3 degrees of mount and 0.3 s of clock, at default priors."""
+"""Boresight and time offset are estimated in flight: 3 degrees of mount and 0.3 s of clock, at default priors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TURNS = PathSpec("turns", leg_m=160.0)
 def test_three_degrees_of_mount_and_a_third_of_a_second_are_recovered(
     boresight_deg: tuple[float, float, float], offset_s: float
 ) -> None:
-    """Four minutes with turns; the sensors' errors are 0.4 of what they are believed to be."""
+    """Four minutes with turns; the sensors' errors are 0.4 of those configured."""
     spec = DrawnSpec(parse_config(""), TURNS, seconds=240.0, errors=0.4, boresight_deg=boresight_deg, offset_s=offset_s)
     flight = DrawnFlight(spec, 5)
     sets, pipeline = fly(flight)

@@ -8,7 +8,7 @@ from typing import Any
 from contract.errors import CorruptPayload
 
 
-class Reader:
+class ByteCursor:
     """Reads `payload` from `position` up to `end`; raises CorruptPayload where content is missing."""
 
     def __init__(self, payload: bytes, position: int, end: int) -> None:

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 from contract.feature_set import DepthSource, FeatureSet, HeightDatum, Status
-from contract.rotations import exp_so3, log_so3
-from contract.wire.byte_cursor import Reader
+from contract.rotations import exp_so3, log_of_one
+from contract.wire.byte_cursor import ByteCursor
 from contract.wire.common_code import decode_common, encode_common
 from contract.wire.covariance_code import sigma_code, sigma_from_code
 from contract.wire.feature_code import decode_features, encode_features
@@ -37,6 +37,7 @@ PACKET_BYTES = 1200
 _HEAD = struct.Struct("<2sBHBBIIHQB")
 _CAMERA = struct.Struct("<HH4f")
 _DISTORTION = struct.Struct("<5f")
+_NINE = struct.Struct("<9f")  # both: focal lengths, principal point, distortion
 _CRC = struct.Struct("<I")
 # Section 4: integers of 5, 4 and 3 bytes are written apart; then the plane, its spread and roughness.
 _PLANE = struct.Struct("<3fHH")
@@ -125,20 +126,20 @@ def decode(payload: bytes) -> FeatureSet:
         raise CorruptPayload(f"payload has {len(payload)} bytes where its header says {length}")
     if zlib.crc32(payload[: -_CRC.size]) != _CRC.unpack(payload[-_CRC.size :])[0]:
         raise CorruptPayload("checksum does not match")
-    reader = Reader(payload, _HEAD.size, length - _CRC.size)
+    cursor = ByteCursor(payload, _HEAD.size, length - _CRC.size)
     try:
-        vehicle = reader.take(vehicle_bytes).decode()
+        vehicle = cursor.take(vehicle_bytes).decode()
     except UnicodeDecodeError as error:
         raise CorruptPayload(f"vehicle name is not UTF-8: {error}") from error
     if not 1 <= vehicle_bytes <= MAX_VEHICLE_BYTES:
         raise CorruptPayload(f"vehicle name of {vehicle_bytes} bytes")
-    camera = _decode_camera(reader, bool(flags & _DISTORTED))
+    camera = _decode_camera(cursor, bool(flags & _DISTORTED))
     geometry: dict[str, Any] = {}
     if flags & _GEOMETRY:
-        geometry = _decode_geometry(reader, flags)
-        geometry |= decode_features(reader, camera, geometry["plane_per_m"])
-    if version & 15 <= MINOR and reader.position != reader.end:
-        raise CorruptPayload(f"{reader.end - reader.position} bytes are left over")
+        geometry = _decode_geometry(cursor, flags)
+        geometry |= decode_features(cursor, camera, geometry["plane_per_m"])
+    if version & 15 <= MINOR and cursor.position != cursor.end:
+        raise CorruptPayload(f"{cursor.end - cursor.position} bytes are left over")
     status = _status(status_code)
     if (status is Status.OK) != bool(flags & _GEOMETRY):
         raise CorruptPayload(f"status {status.value!r} with{'' if geometry else 'out'} a pose")
@@ -193,11 +194,13 @@ def _rounded(camera: Camera) -> Camera:
     if not (1 <= camera.width_px <= 65535 and 1 <= camera.height_px <= 65535):
         raise ValueError(f"picture size {camera.size_px} must be between 1 and 65535")
     numbers = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion)
-    with np.errstate(over="ignore"):
-        rounded = np.array(numbers, np.float32)
-    if not np.all(np.isfinite(rounded)) or rounded[:2].min() <= 0.0:
+    try:
+        rounded = _NINE.unpack(_NINE.pack(*numbers))
+    except OverflowError:
+        rounded = (math.inf,)
+    if not all(map(math.isfinite, rounded)) or min(rounded[:2]) <= 0.0:
         raise ValueError(f"intrinsics and distortion {numbers} must be finite, focal lengths positive")
-    fx, fy, cx, cy, k1, k2, p1, p2, k3 = rounded.tolist()
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = rounded
     return Camera(camera.width_px, camera.height_px, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
 
 
@@ -206,9 +209,9 @@ def _encode_camera(camera: Camera) -> bytes:
     return out + _DISTORTION.pack(*camera.distortion) if any(camera.distortion) else out
 
 
-def _decode_camera(reader: Reader, distorted: bool) -> Camera:
-    width, height, fx, fy, cx, cy = reader.unpack(_CAMERA)
-    k1, k2, p1, p2, k3 = reader.unpack(_DISTORTION) if distorted else (0.0,) * 5
+def _decode_camera(cursor: ByteCursor, distorted: bool) -> Camera:
+    width, height, fx, fy, cx, cy = cursor.unpack(_CAMERA)
+    k1, k2, p1, p2, k3 = cursor.unpack(_DISTORTION) if distorted else (0.0,) * 5
     if not (all(map(math.isfinite, (fx, fy, cx, cy, k1, k2, p1, p2, k3))) and min(width, height, fx, fy) > 0):
         raise CorruptPayload("intrinsics are not those of a camera")
     return Camera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
@@ -216,17 +219,33 @@ def _decode_camera(reader: Reader, distorted: bool) -> Camera:
 
 def _rotation_steps(R: Array) -> list[int]:
     """Rotation vector in steps, of length below pi so that its logarithm is itself again (section 4.2)."""
-    if R.shape != (3, 3) or not np.max(np.abs(R @ R.T - np.eye(3))) < 1e-6 or np.linalg.det(R) < 0.0:
-        raise ValueError(f"R_enu_cam is not a rotation: {R.tolist()}")
-    v = log_so3(R) / ROTATION_STEP
+    rows = R.tolist()
+    if R.shape != (3, 3) or not _is_rotation(rows):
+        raise ValueError(f"R_enu_cam is not a rotation: {rows}")
+    v = [x / ROTATION_STEP for x in log_of_one(rows)]
     limit = math.pi * (1.0 - 1e-9) / ROTATION_STEP
-    steps = np.rint(v)
-    if np.linalg.norm(steps) > limit:
-        steps = np.trunc(v)
-    if np.linalg.norm(steps) > limit:
-        longest = int(np.argmax(np.abs(steps)))
-        steps[longest] -= np.sign(steps[longest])
-    return [int(n) for n in steps]
+    steps = [round(x) for x in v]
+    if math.hypot(*steps) > limit:
+        steps = [int(x) for x in v]
+    if math.hypot(*steps) > limit:
+        longest = max(range(3), key=lambda i: abs(steps[i]))
+        steps[longest] -= 1 if steps[longest] > 0 else -1
+    return steps
+
+
+def _is_rotation(rows: list[list[float]]) -> bool:
+    """Whether rows are of length one, at right angles to each other, and right-handed."""
+    (a, b, c), (d, e, f), (g, h, i) = rows
+    off = (
+        a * a + b * b + c * c - 1.0,
+        d * d + e * e + f * f - 1.0,
+        g * g + h * h + i * i - 1.0,
+        a * d + b * e + c * f,
+        a * g + b * h + c * i,
+        d * g + e * h + f * i,
+    )
+    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    return all(abs(x) < 1e-6 for x in off) and determinant > 0.0
 
 
 def _encode_geometry(s: FeatureSet) -> bytes:
@@ -241,26 +260,25 @@ def _encode_geometry(s: FeatureSet) -> bytes:
     if not math.isnan(s.undulation_m):
         parts.append(_signed("undulation_m", s.undulation_m, METRE_STEPS, 3))
     parts += [n.to_bytes(3, "little", signed=True) for n in _rotation_steps(np.asarray(s.R_enu_cam, float))]
-    plane = np.asarray(s.plane_per_m, float)
-    if plane.shape != (3,) or not np.all(np.isfinite(plane)) or np.any(np.abs(plane) > 3e38):
-        raise ValueError(f"plane_per_m must be three finite numbers, not {plane.tolist()}")
+    plane = np.asarray(s.plane_per_m, float).tolist()
+    if np.shape(plane) != (3,) or not all(abs(x) <= 3e38 for x in plane):
+        raise ValueError(f"plane_per_m must be three finite numbers, not {plane}")
     spread = sigma_code(s.plane_sigma_relative, "plane_sigma_relative")
     parts.append(_PLANE.pack(*plane, spread, sigma_code(s.roughness, "roughness")))
     return b"".join(parts)
 
 
-def _decode_geometry(reader: Reader, flags: int) -> dict[str, Any]:
-    lat, lon = reader.signed(5) / DEGREE_STEPS, reader.signed(5) / DEGREE_STEPS
+def _decode_geometry(cursor: ByteCursor, flags: int) -> dict[str, Any]:
+    lat, lon = cursor.signed(5) / DEGREE_STEPS, cursor.signed(5) / DEGREE_STEPS
     if abs(lat) > 90.0 or abs(lon) > 180.0:
         raise CorruptPayload(f"camera position {lat}, {lon} is not a latitude and longitude")
-    height = reader.signed(4) / METRE_STEPS
-    undulation = reader.signed(3) / METRE_STEPS if flags & _UNDULATION else math.nan
-    steps = np.array([reader.signed(3) for _ in range(3)], float)
-    if np.linalg.norm(steps) * ROTATION_STEP > math.pi:
-        raise CorruptPayload(f"rotation vector {steps.tolist()} is longer than half a turn")
-    *numbers, spread, roughness = reader.unpack(_PLANE)
-    plane = np.array(numbers)
-    if not np.all(np.isfinite(plane)):
+    height = cursor.signed(4) / METRE_STEPS
+    undulation = cursor.signed(3) / METRE_STEPS if flags & _UNDULATION else math.nan
+    steps = [cursor.signed(3) for _ in range(3)]
+    if math.hypot(*steps) * ROTATION_STEP > math.pi:
+        raise CorruptPayload(f"rotation vector {steps} is longer than half a turn")
+    *plane, spread, roughness = cursor.unpack(_PLANE)
+    if not all(map(math.isfinite, plane)):
         raise CorruptPayload("the ground plane is not finite")
     source = flags >> _SOURCE_SHIFT & _SOURCE_MASK
     if source >= len(_SOURCES):
@@ -271,9 +289,9 @@ def _decode_geometry(reader: Reader, flags: int) -> dict[str, Any]:
         "camera_height_m": height,
         "height_datum": HeightDatum.ELLIPSOID if flags & _ELLIPSOID else HeightDatum.AMSL,
         "undulation_m": undulation,
-        "R_enu_cam": exp_so3(steps * ROTATION_STEP),
+        "R_enu_cam": exp_so3(np.array(steps, float) * ROTATION_STEP),
         "depth_source": _SOURCES[source],
-        "plane_per_m": plane,
+        "plane_per_m": np.array(plane),
         "plane_sigma_relative": sigma_from_code(spread),
         "roughness": sigma_from_code(roughness),
-    } | decode_common(reader)
+    } | decode_common(cursor)

@@ -7,8 +7,8 @@ that rounding is most of what is left between them. Any numbers give a covarianc
 
 from __future__ import annotations
 
+import math
 import struct
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from contract.errors import CorruptPayload
 from contract.feature_set import COMMON_STATES, NUISANCES, SharedErrors
 from contract.wire import bits
-from contract.wire.byte_cursor import Reader
+from contract.wire.byte_cursor import ByteCursor
 from contract.wire.covariance_code import (
     MAX_CORRELATION_CODE,
     covariance_codes,
@@ -37,45 +37,63 @@ MAX_SPAN_STEPS = 2**15 - 1
 _CORRELATIONS = COMMON_STATES * (COMMON_STATES - 1) // 2
 _EMPTY = 15  # the Rice parameter of a column of zeros
 _HEAD = struct.Struct(f"<{COMMON_STATES}H6H2h")
+_PLACES = np.array([8, 4, 2, 1])
+_NIBBLES = ((np.arange(16)[:, None] & _PLACES) > 0).astype(np.uint8)  # the four bits of each parameter
 _PARAMETERS = 4 * (2 + NUISANCES)  # bits: halvings, then Rice parameters
 _SIZES = np.array([_CORRELATIONS] + [COMMON_STATES] * NUISANCES)
-_WIDTHS = np.arange(_EMPTY)
-_POWERS = np.arange(_EMPTY - 1, -1, -1)  # of a number's bits, most significant first
+_GROUP = np.repeat(np.arange(len(_SIZES)), _SIZES)  # of each number
+_WIDTHS = np.arange(_EMPTY)[:, None]
+# Where groups start in what is priced at once: the correlations, the columns in the coarsest steps and in the finest.
+_PRICED = np.concatenate([[_CORRELATIONS], [COMMON_STATES] * 2 * NUISANCES])
+_STARTS = np.cumsum(_PRICED) - _PRICED
 
 
 def encode_common(common_cov: Array, shared: SharedErrors, room: int) -> bytes:
     """Their bytes, in the finest steps that keep to `room` bytes, or else in the coarsest. Raises ValueError."""
     common, by_nuisance = np.asarray(common_cov, float), np.asarray(shared.by_nuisance, float)
-    if common.shape != (COMMON_STATES, COMMON_STATES) or not np.all(np.isfinite(common)):
-        raise ValueError(f"common_cov must be {COMMON_STATES} x {COMMON_STATES} finite numbers, not {np.shape(common)}")
-    if by_nuisance.shape != (COMMON_STATES, NUISANCES) or not np.all(np.isfinite(by_nuisance)):
-        raise ValueError(f"by_nuisance must be {COMMON_STATES} x {NUISANCES} and finite, not {np.shape(by_nuisance)}")
+    if common.shape != (COMMON_STATES, COMMON_STATES):
+        raise ValueError(f"common_cov must be {COMMON_STATES} x {COMMON_STATES} numbers, not {np.shape(common)}")
+    if by_nuisance.shape != (COMMON_STATES, NUISANCES):
+        raise ValueError(f"by_nuisance must be {COMMON_STATES} x {NUISANCES} numbers, not {np.shape(by_nuisance)}")
     try:
-        sigmas, correlations = covariance_codes(common - by_nuisance @ by_nuisance.T)
+        sigmas, correlations, factor = covariance_codes(common - by_nuisance @ by_nuisance.T)
     except ValueError as error:
+        for name, values in (("common_cov", common), ("by_nuisance", by_nuisance)):
+            if not np.isfinite(values).all():
+                raise ValueError(f"{name} must be finite, not {values.tolist()}") from error
         raise ValueError(f"common_cov less what is shared: {error}") from error
-    factor = factor_from_codes(sigmas, correlations)
-    assert factor is not None
-    head, codes = _encode_head(sigmas, shared), _Group.of(bits.zigzag(np.array(correlations, np.int64))[None])
-    finest = _steps(by_nuisance, factor).T
-    columns = _Group.of(bits.zigzag(_coarser(finest, MAX_HALVINGS)))
-    room_bits = 8 * (room - len(head)) - _PARAMETERS - codes.bits - columns.bits
-    # A bit a number and halving; told from what a decoded set has exactly too, so that it takes the same steps again.
+    head = _encode_head(sigmas, shared)
+    finest = _steps(by_nuisance, factor).T.ravel()
+    coarsest = (finest + (1 << MAX_HALVINGS >> 1)) >> MAX_HALVINGS
+    numbers = bits.zigzag(np.concatenate([correlations, coarsest, finest]))
+    ks, cost = _rice(numbers, _PRICED, _STARTS)
+    room_bits = 8 * (room - len(head)) - _PARAMETERS - sum(cost[: 1 + NUISANCES])
+    # A bit a number and halving; from what a decoded set has exactly too, so that it takes the same steps again.
     halvings = min(max(room_bits // finest.size, 0), MAX_HALVINGS)
-    if halvings:
-        columns = _Group.of(bits.zigzag(_coarser(finest, MAX_HALVINGS - halvings)))
-    return head + _encode_groups(halvings, codes, columns)
+    if halvings == MAX_HALVINGS:
+        columns, column_ks = numbers[-finest.size :], ks[-NUISANCES:]
+    elif halvings == 0:
+        columns, column_ks = numbers[_CORRELATIONS : -finest.size], ks[1:-NUISANCES]
+    else:
+        left = MAX_HALVINGS - halvings
+        columns = bits.zigzag((finest + (1 << left >> 1)) >> left)
+        column_ks = _rice(columns, _PRICED[1 : 1 + NUISANCES], _STARTS[1 : 1 + NUISANCES] - _CORRELATIONS)[0]
+    written = np.concatenate([numbers[:_CORRELATIONS], columns])
+    return head + _encode_groups(halvings, [ks[0], *column_ks], written)
 
 
-def decode_common(reader: Reader) -> dict[str, Any]:
+def decode_common(cursor: ByteCursor) -> dict[str, Any]:
     """common_cov and shared. Raises CorruptPayload."""
-    numbers = reader.unpack(_HEAD)
+    numbers = cursor.unpack(_HEAD)
     sigmas, codes, span = list(numbers[:COMMON_STATES]), numbers[COMMON_STATES:-2], numbers[-2:]
-    halvings, *groups = _decode_groups(reader)
-    correlations, steps = (bits.unzigzag(numbers) for numbers in groups)
-    if np.any(np.abs(correlations) > MAX_CORRELATION_CODE) or np.any(np.abs(steps) > MAX_STEPS << halvings):
+    halvings, written = _decode_groups(cursor)
+    # In zigzag a number within a limit is one up to twice the limit.
+    most = 2 * MAX_CORRELATION_CODE, 2 * MAX_STEPS << halvings
+    if written[:_CORRELATIONS].max() > most[0] or written[_CORRELATIONS:].max() > most[1]:
         raise CorruptPayload("a correlation or a shared error is larger than can be written")
-    factor = factor_from_codes(sigmas, correlations.tolist())
+    signed = bits.unzigzag(written)
+    correlations, steps = signed[:_CORRELATIONS], signed[_CORRELATIONS:].reshape(NUISANCES, COMMON_STATES)
+    factor = factor_from_codes(sigmas, correlations)
     if factor is None:
         raise CorruptPayload(f"correlations {correlations.tolist()} mean nothing")
     by_nuisance = factor @ (steps.T * (STEP / 2**halvings))
@@ -89,18 +107,13 @@ def decode_common(reader: Reader) -> dict[str, Any]:
 
 def _steps(by_nuisance: Array, factor: Array) -> Ints:
     """Columns (9, DRAWS) in the finest steps. `factor` (9, 9): lower Cholesky factor of what is fresh, as decoded."""
-    # A state that is known exactly errs by no draw either.
-    known = np.diag(factor) == 0.0
-    in_sigmas = np.linalg.solve(factor + np.diag(known.astype(float)), np.where(known[:, None], 0.0, by_nuisance))
+    diagonal = factor.diagonal()
+    if not diagonal.all():  # a state that is known exactly errs by no nuisance either
+        known = diagonal == 0.0
+        factor, by_nuisance = factor + np.diag(known.astype(float)), np.where(known[:, None], 0.0, by_nuisance)
+    in_sigmas = np.linalg.solve(factor, by_nuisance) * (2**MAX_HALVINGS / STEP)
     most = MAX_STEPS << MAX_HALVINGS
-    out: Ints = np.clip(np.rint(in_sigmas * (2**MAX_HALVINGS / STEP)), -most, most).astype(np.int64)
-    return out
-
-
-def _coarser(steps: Ints, halvings: int) -> Ints:
-    """The nearest in steps doubled so many times; halves upwards."""
-    half = (1 << halvings) >> 1
-    out: Ints = (steps + half) >> halvings
+    out: Ints = np.maximum(np.minimum(np.rint(in_sigmas), most), -most).astype(np.int64)
     return out
 
 
@@ -111,63 +124,56 @@ def _encode_head(sigmas: list[int], shared: SharedErrors) -> bytes:
     codes = [
         sigma_code(shared.position_time_s, "position_time_s"),
         sigma_code(shared.attitude_time_s, "attitude_time_s"),
-        *(sigma_code(float(value), "alignment_sigma") for value in alignment),
+        *(sigma_code(value, "alignment_sigma") for value in alignment.tolist()),
     ]
-    if not np.all(np.isfinite(shared.span_s)):
+    if not all(map(math.isfinite, shared.span_s)):
         raise ValueError(f"span_s must be finite, not {shared.span_s}")
-    span = np.clip(np.rint(np.array(shared.span_s) * SPAN_STEPS), -MAX_SPAN_STEPS, MAX_SPAN_STEPS)
-    return _HEAD.pack(*sigmas, *codes, *(int(n) for n in span))
+    most = MAX_SPAN_STEPS / SPAN_STEPS
+    span = (round(min(max(float(s), -most), most) * SPAN_STEPS) for s in shared.span_s)
+    return _HEAD.pack(*sigmas, *codes, *span)
 
 
-@dataclass(frozen=True, eq=False)
-class _Group:
-    """Rows of numbers (N, M), the Rice parameter (N,) of each, and the bits that they take."""
-
-    rows: Ints
-    ks: Ints
-    bits: int
-
-    @classmethod
-    def of(cls, rows: Ints) -> _Group:
-        """With the parameters that code each row in the fewest bits, the smallest if several do."""
-        cost = (rows[:, :, None] >> _WIDTHS).sum(axis=1) + rows.shape[1] * (_WIDTHS + 1)
-        some = rows.any(axis=1)
-        return cls(rows, np.where(some, cost.argmin(axis=1), _EMPTY), int(cost.min(axis=1)[some].sum()))
+def _rice(numbers: Ints, sizes: Ints, starts: Ints) -> tuple[list[int], list[int]]:
+    """Of each group of numbers: the parameter that takes the fewest bits, the smallest of equals, and those bits."""
+    widths = _WIDTHS[: int(np.maximum.reduce(numbers)).bit_length() + 1]  # wider ones cost more
+    cost = np.add.reduceat(numbers >> widths, starts, axis=1)
+    some = cost[0] > 0
+    cost += sizes * (widths + 1)
+    ks = np.where(some, cost.argmin(axis=0), _EMPTY)
+    return ks.tolist(), (np.minimum.reduce(cost) * some).tolist()
 
 
-def _encode_groups(halvings: int, correlations: _Group, columns: _Group) -> bytes:
+def _encode_groups(halvings: int, ks: list[int], numbers: Ints) -> bytes:
     """Rice codes, a parameter a group: parameters, then all fixed parts, then all unary parts."""
-    ks = np.concatenate([correlations.ks, columns.ks])
-    k = np.repeat(ks, _SIZES)
-    written = k != _EMPTY
-    values, k = np.concatenate([correlations.rows.ravel(), columns.rows.ravel()])[written], k[written]
-    low = ((values[:, None] >> _POWERS) & 1)[k[:, None] > _POWERS].astype(np.uint8)
-    parameters = bits.fixed_to_bits([(np.append(halvings, ks), 4)])
-    return np.packbits(np.concatenate([parameters, low, bits.unary_to_bits(values >> k)])).tobytes()
+    parameters = np.array([halvings, *ks])
+    k = parameters[1:].take(_GROUP)
+    if _EMPTY in ks:
+        written = k != _EMPTY
+        numbers, k = numbers[written], k[written]
+    return bits.with_unary([_NIBBLES.take(parameters, axis=0).ravel(), bits.short_to_bits(numbers, k)], numbers >> k)
 
 
-def _decode_groups(reader: Reader) -> tuple[int, Ints, Ints]:
-    """Inverse of `_encode_groups`. Raises CorruptPayload."""
-    stream = np.unpackbits(np.frombuffer(reader.payload, np.uint8, reader.end - reader.position, reader.position))
+def _decode_groups(cursor: ByteCursor) -> tuple[int, Ints]:
+    """Inverse of `_encode_groups`: halvings, and all numbers. Raises CorruptPayload."""
+    stream = np.unpackbits(np.frombuffer(cursor.payload, np.uint8, cursor.end - cursor.position, cursor.position))
     if len(stream) < _PARAMETERS:
         raise CorruptPayload("content ends within the common errors")
-    (parameters,) = bits.bits_to_fixed(stream[:_PARAMETERS], [4])
-    halvings, ks = int(parameters[0]), parameters[1:]
+    parameters = stream[:_PARAMETERS].reshape(-1, 4) @ _PLACES
+    halvings = int(parameters[0])
     if halvings > MAX_HALVINGS:
         raise CorruptPayload(f"steps of shared errors halved {halvings} times")
-    written = np.repeat(ks != _EMPTY, _SIZES)
-    k = np.repeat(ks, _SIZES)[written]
+    k = parameters[1:].take(_GROUP)
+    written = k != _EMPTY
+    k = k[written]
     fixed_end = _PARAMETERS + int(k.sum())
     unary = bits.bits_to_unary(stream[fixed_end:], len(k))
     if unary is None:
         raise CorruptPayload("content ends within the common errors")
     quotients, unary_bits = unary
     used = fixed_end + unary_bits
-    if np.any(stream[used : -(-used // 8) * 8]):
+    if stream[used : -(-used // 8) * 8].any():
         raise CorruptPayload("padding bits behind the common errors are not zero")
-    reader.take(-(-used // 8))
-    low = np.zeros((len(k), len(_POWERS)), np.int64)
-    low[k[:, None] > _POWERS] = stream[_PARAMETERS:fixed_end]
-    values = np.zeros(len(written), np.int64)
-    values[written] = (quotients << k) + low @ (np.int64(1) << _POWERS)
-    return halvings, values[:_CORRELATIONS], values[_CORRELATIONS:].reshape(NUISANCES, COMMON_STATES)
+    cursor.take(-(-used // 8))
+    numbers = np.zeros(len(written), np.int64)
+    numbers[written] = (quotients << k) + bits.bits_to_short(stream[_PARAMETERS:fixed_end], k)
+    return halvings, numbers

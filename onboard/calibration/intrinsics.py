@@ -223,7 +223,7 @@ def _ray_sigma_px(camera: Camera, columns: list[int], covariance: Array) -> Arra
     K = np.array([[camera.fx_px, 0.0, camera.cx_px], [0.0, camera.fy_px, camera.cy_px], [0.0, 0.0, 1.0]])
     _, J = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K, np.array(camera.distortion))
     J_rotation, J_camera = J[:, :3], J[:, 6:15][:, columns]
-    # The mount's angles are learned in flight: a rotation common to all pixels costs nothing.
+    # The boresight is estimated in flight, so that a rotation common to all pixels does no harm.
     left = J_camera - J_rotation @ np.linalg.lstsq(J_rotation, J_camera, rcond=None)[0]
     variances = np.einsum("ij,jk,ik->i", left, covariance, left).reshape(-1, 2).sum(axis=1)
     sigmas: Array = np.sqrt(np.maximum(variances, 0.0)).reshape(_GRID[1], _GRID[0])

@@ -143,7 +143,7 @@ def report(fit: Fit, dropped: list[View]) -> str:
 
 
 def coverage_picture(fit: Fit, verdict: Verdict) -> NDArray[np.uint8]:
-    """Where corners were seen, with their residuals drawn longer, (H, W, 3) BGR. Bare cells are red."""
+    """Where corners were seen, with their residuals magnified, (H, W, 3) BGR. Cells without corners are red."""
     width, height = fit.camera.size_px
     scale = max(1, round(960 / width))
     canvas = np.full((height * scale, width * scale, 3), 255, np.uint8)

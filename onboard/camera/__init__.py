@@ -7,6 +7,7 @@ Public:
 - `factory`: `open_camera`
 - `format_negotiation`: `sizes_text`
 - `picture_files`: `FrameSource`, `PICTURE_SUFFIXES`, `open_frames`, `read_grey`
+- `playback`: `PREFIX`
 - `pixel_formats`: `DECODERS`, `UNDECODABLE`
 - `v4l2_camera`: `V4l2Camera`
 - `v4l2_device`: `Control`, `Device`, `Sizes`, `V4l2Device`

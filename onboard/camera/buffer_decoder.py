@@ -11,18 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from onboard.camera import v4l2_structures as v4l2
 from onboard.camera.pixel_formats import Grey, to_grey
+from onboard.camera.stamp_consistency import StampConsistency
 from onboard.camera.v4l2_device import Buffer, Granted
 from onboard.events.session_clock import SessionClock
 from onboard.events.types import Frame
 
-# linux/videodev2.h
-FLAG_ERROR = 0x40
-CLOCK_MASK, CLOCK_UNKNOWN, CLOCK_MONOTONIC, CLOCK_COPIED = 0xE000, 0x0, 0x2000, 0x4000
-SOURCE_MASK, SOURCE_START_OF_EXPOSURE = 0x70000, 0x10000
-
 STALE_NS = 500_000_000
-"""A buffer older than this when it is taken waited while we were kept from running: it is not news any more."""
+"""A buffer older than this when it is taken waited in the queue while this process did not run: too old to be used."""
 FUTURE_NS = 5_000_000
 """A stamp this far ahead of the clock is not the time of a picture that is already here."""
 RATE_WINDOW = 60
@@ -49,6 +46,7 @@ class Pictures:
         self.counts = Counts()
         self._clock, self._size_px, self._rate_hz = clock, size_px, rate_hz
         self._latency_ns = round(latency_s * 1e9)
+        self._consistency = StampConsistency()  # over restarts: the same camera
         self._last_stamp_ns: int | None = None  # over restarts: stamps never run backwards
         self._begin()
 
@@ -82,10 +80,11 @@ class Pictures:
             return None
         self._last_stamp_ns = stamp_ns
         self._stamps_ns.append(stamp_ns)
-        image = None if buffer.flags & FLAG_ERROR else to_grey(
+        image = None if buffer.flags & v4l2.BUF_FLAG_ERROR else to_grey(
             format_.fourcc, buffer.data, self._size_px, format_.bytes_per_line
         )  # fmt: skip
-        frame = Frame(stamp_ns, self.counts.pictures, self._fresh(image, now_ns))
+        sigma_s = self._consistency.sigma_s(now_ns, now_ns - monotonic_ns)
+        frame = Frame(stamp_ns, self.counts.pictures, self._fresh(image, now_ns), stamp_sigma_s=sigma_s)
         self.counts.pictures += 1
         return frame
 
@@ -101,8 +100,9 @@ class Pictures:
         """CLOCK_MONOTONIC of the exposure as the driver has it, of the arrival if need be, None if neither is."""
         age_ns = now_ns - buffer.stamp_ns
         is_plausible = -FUTURE_NS <= age_ns <= STALE_NS
-        self._source = "start" if buffer.flags & SOURCE_MASK == SOURCE_START_OF_EXPOSURE else "end"
-        if buffer.flags & CLOCK_MASK == CLOCK_MONOTONIC:
+        is_at_start = buffer.flags & v4l2.BUF_FLAG_TSTAMP_SRC_MASK == v4l2.BUF_FLAG_TSTAMP_SRC_SOE
+        self._source = "start" if is_at_start else "end"
+        if buffer.flags & v4l2.BUF_FLAG_TIMESTAMP_MASK == v4l2.BUF_FLAG_TIMESTAMP_MONOTONIC:
             self._uses_arrival = False
             self._ahead_ns = max(-age_ns, 0) if age_ns < -FUTURE_NS else 0
             is_stale = age_ns > STALE_NS

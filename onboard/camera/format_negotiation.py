@@ -12,7 +12,7 @@ _SHOWN = 8
 
 
 def choose_format(device: Device, path: str, size_px: tuple[int, int], format_: str, rate_hz: float) -> Granted:
-    """Set the best format that has the camera file's size; 'auto' minds the rate first, then the decoder's ease.
+    """Set the best format that has the camera file's size; 'auto' prefers the rate, then the cheapest decoder.
 
     Raises ConfigError, one line with what the device offers, if there is none; OSError from the driver.
     """

@@ -7,6 +7,7 @@ the first comes at once and the others as long after it as they were taken.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from contract.camera import Camera
@@ -14,7 +15,6 @@ from contract.errors import InputError
 from onboard.camera.picture_files import open_frames
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import Emit, SourceStatus, State, Stop
-from onboard.events.types import Frame
 
 PREFIX = "replay:"
 STAMPS = "stamps.csv"
@@ -30,7 +30,7 @@ class PlayedCamera:
         self._health = SourceStatus(State.STARTING, "not playing yet")
 
     def run(self, emit: Emit, stop: Stop) -> None:
-        """Play once, then be a lost camera until told to stop."""
+        """Play once, then be a lost camera until `stop`."""
         stamps_ns, now_ns = self._source.stamps_ns, self._clock.now_ns()
         shift_ns = 0 if stamps_ns[-1] > now_ns else now_ns - stamps_ns[0]
         first_ns, shown = 0, 0
@@ -45,7 +45,7 @@ class PlayedCamera:
                 first_ns, shown = first_ns or now_ns, shown + 1
                 rate_hz = (shown - 1) / max((now_ns - first_ns) / 1e9, 1e-3)
                 self._health = SourceStatus(State.OK, "", {"rate_hz": rate_hz, "lost": 0.0})
-                emit(now_ns, Frame(frame.stamp_ns + shift_ns, frame.index, frame.image, frame.name))
+                emit(now_ns, replace(frame, stamp_ns=frame.stamp_ns + shift_ns))
         except InputError as error:
             self._health = SourceStatus(State.LOST, str(error))
         else:

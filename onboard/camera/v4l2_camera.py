@@ -26,7 +26,8 @@ FIRST_PICTURE_S = 5.0
 PERIODS = 3.0
 """At low rates so many periods without a picture, if that is more than `lost_after_s`, count as lost."""
 STARVED_S = 0.05
-"""A wait this much longer than asked: we were kept from running, and what is there now has lain in the queue."""
+"""A wait this much longer than asked: this process did not run, and the buffer there now has waited in the queue."""
+SENDS_NOTHING = "opens but sends no picture"
 
 _WORDS = {
     errno.ENOENT: "not there",
@@ -76,6 +77,8 @@ class V4l2Camera:
         self._others: set[str] = set()  # bus places of other cameras: not ours, however alike
         self._stream: _Stream | None = None
         self._absence = "not opened yet"
+        self._has_failed = False  # since it was first opened, or its last picture: it is not starting any more
+        self._sends_nothing = False  # the last opening ended without a single picture
         self._begun_ns = self._last_ns = now_ns()
         self._has_begun = False
         self._delay_ms = 0.0
@@ -90,17 +93,21 @@ class V4l2Camera:
                     while not stop.is_set() and self._step(stream, emit):
                         pass
                 except _Absent as absent:
-                    self._absence = str(absent)
+                    self._fail(str(absent))
                 except OSError as error:
-                    self._absence = f"{self._name()}: {_words(error)}"
+                    self._fail(f"{self._name()}: {_words(error)}")
                 except ConfigError as error:
                     if self._known is None:
                         raise
-                    self._absence = str(error)
+                    self._fail(str(error))
                 self._close()
                 stop.wait(RETRY_S)
         finally:
             self._close()
+
+    def _fail(self, why: str, *, sends_nothing: bool = False) -> None:
+        self._absence, self._sends_nothing = why, sends_nothing
+        self._has_failed = self._known is not None
 
     def _step(self, stream: _Stream, emit: Emit) -> bool:
         """Wait for one buffer and hand it on; False once the camera has been silent for too long."""
@@ -111,13 +118,17 @@ class V4l2Camera:
             silent_s = (now_ns - self._last_ns) / 1e9
             if silent_s <= (self._patience_s() if stream.has_picture else FIRST_PICTURE_S):
                 return True
-            self._absence = f"{stream.path}: no picture for {silent_s:.1f} s"
+            if stream.has_picture:
+                self._fail(f"{stream.path}: no picture for {silent_s:.1f} s")
+            else:
+                self._fail(f"{stream.path}: {SENDS_NOTHING}", sends_nothing=True)
             return False
         was_starved = now_ns - asked_ns > (TICK_S + STARVED_S) * 1e9
         if not stream.has_picture:
             # Some drivers set their controls anew when the stream begins.
             stream.complaints += stream.lock.check()
             stream.has_picture = True
+            self._has_failed = self._sends_nothing = False
         self._last_ns = now_ns
         frame = self._pictures.take(buffer, stream.format, now_ns, was_starved)
         if frame is not None:
@@ -218,8 +229,12 @@ class V4l2Camera:
             waited_s = (now_ns - self._begun_ns) / 1e9
             starting = not self._has_begun or (self._known is None and waited_s < self._patience_s())
             if stream is not None and self._pictures.counts.pictures == 0:
-                starting = silent_s < FIRST_PICTURE_S
-            why = f"{stream.path}: waiting for its first picture" if stream else self._absence
+                starting = silent_s < FIRST_PICTURE_S and not self._has_failed
+            # A camera that opens and sends nothing is opened again and again: one state and one reason all the while.
+            why = self._absence
+            if stream is not None:
+                sends_nothing = self._sends_nothing or silent_s >= FIRST_PICTURE_S
+                why = f"{stream.path}: {SENDS_NOTHING if sends_nothing else 'waiting for its first picture'}"
             return SourceStatus(State.STARTING if starting else State.LOST, why, figures)
         if silent_s > self._patience_s():
             return SourceStatus(State.LOST, f"{stream.path}: no picture for {silent_s:.1f} s", figures)

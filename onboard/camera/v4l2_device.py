@@ -1,8 +1,8 @@
-"""A V4L2 device: the ioctls the camera needs, each as one method in plain numbers. The only file that knows linuxpy.
+"""A V4L2 device: the ioctls the camera needs, each as one method in plain numbers.
 
-Of linuxpy only the kernel's structures and request numbers (`linuxpy.video.raw`) are used: its friendlier layer maps
-what a driver says to enumerations and fails on controls, formats and flags newer than itself. Every method raises
-OSError with the driver's errno; what that means is decided by `v4l2`.
+What a driver says is handed on as numbers and text, never mapped to a closed list: drivers have controls, formats and
+flags newer than this program. Every method raises OSError with the driver's errno; what that means is decided by
+`v4l2_camera`. Structures and requests: `v4l2_structures`.
 
 Single-plane and multi-plane drivers (the latter with one plane, as camera pipelines of many small computers have) look
 the same from outside.
@@ -21,17 +21,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
-from linuxpy.video import raw
+from onboard.camera import v4l2_structures as v4l2
 
 BUFFERS = 4
 _ENDS_A_LIST = {errno.EINVAL, errno.ENOTTY, errno.ENODATA, errno.EPIPE}
-_CAPTURE = int(raw.Capability.VIDEO_CAPTURE)
-_CAPTURE_MPLANE = int(raw.Capability.VIDEO_CAPTURE_MPLANE)
-_STREAMING = int(raw.Capability.STREAMING)
-_HAS_DEVICE_CAPS = int(raw.Capability.DEVICE_CAPS)
-_NEXT_CONTROL = int(raw.ControlFlag.NEXT_CTRL)
-_MAX_LISTED = 1024  # entries of any list: a driver that never ends one must not hold us
-_BITS_64 = int(raw.CtrlType.INTEGER64)
+_MAX_LISTED = 1024  # entries of any list: a driver that never ends one must not block us
 
 
 @dataclass(frozen=True)
@@ -135,24 +129,26 @@ class V4l2Device:
     """An open device node."""
 
     def __init__(self, path: str) -> None:
+        """Raises OSError where it cannot be opened or is no V4L2 device, ConfigError on a system that is not 64-bit."""
+        v4l2.refuse_other_layouts(path)
         self._fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
         self._maps: list[mmap.mmap] = []
         self._is_streaming = False
         try:
-            caps = raw.v4l2_capability()
-            self._ioctl("QUERYCAP", caps)
+            caps = v4l2.Capability()
+            self._ioctl(v4l2.QUERYCAP, caps)
         except OSError:
             os.close(self._fd)
             raise
-        own = caps.device_caps if caps.capabilities & _HAS_DEVICE_CAPS else caps.capabilities
+        own = caps.device_caps if caps.capabilities & v4l2.CAP_DEVICE_CAPS else caps.capabilities
         self._card = Card(
             _text(caps.driver),
             _text(caps.card),
             _text(caps.bus_info),
-            bool(own & (_CAPTURE | _CAPTURE_MPLANE) and own & _STREAMING),
+            bool(own & (v4l2.CAP_VIDEO_CAPTURE | v4l2.CAP_VIDEO_CAPTURE_MPLANE) and own & v4l2.CAP_STREAMING),
         )
-        self._is_multiplanar = not own & _CAPTURE and bool(own & _CAPTURE_MPLANE)
-        self._type = int(raw.BufType.VIDEO_CAPTURE_MPLANE if self._is_multiplanar else raw.BufType.VIDEO_CAPTURE)
+        self._is_multiplanar = not own & v4l2.CAP_VIDEO_CAPTURE and bool(own & v4l2.CAP_VIDEO_CAPTURE_MPLANE)
+        self._type = v4l2.BUF_TYPE_VIDEO_CAPTURE_MPLANE if self._is_multiplanar else v4l2.BUF_TYPE_VIDEO_CAPTURE
 
     def __enter__(self) -> Self:
         return self
@@ -160,15 +156,15 @@ class V4l2Device:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _ioctl(self, name: str, argument: Any) -> None:
-        fcntl.ioctl(self._fd, raw.IOC[name].value, argument)
+    def _ioctl(self, request: int, argument: Any) -> None:
+        fcntl.ioctl(self._fd, request, argument)
 
-    def _listed(self, name: str, argument: Any) -> Iterator[None]:
+    def _listed(self, request: int, argument: Any) -> Iterator[None]:
         """Fill `argument` with one entry of a list after the other."""
         for index in range(_MAX_LISTED):
             argument.index = index
             try:
-                self._ioctl(name, argument)
+                self._ioctl(request, argument)
             except OSError as error:
                 if error.errno in _ENDS_A_LIST:
                     return
@@ -181,60 +177,60 @@ class V4l2Device:
 
     def formats(self) -> list[str]:
         """Pixel formats, four letters each, in the driver's order."""
-        entry = raw.v4l2_fmtdesc()
+        entry = v4l2.Fmtdesc()
         entry.type = self._type
-        return [_fourcc(entry.pixelformat) for _ in self._listed("ENUM_FMT", entry)]
+        return [_fourcc(entry.pixelformat) for _ in self._listed(v4l2.ENUM_FMT, entry)]
 
     def sizes(self, fourcc: str) -> Sizes:
         """Picture sizes of a format; unknown ones where the driver does not list them."""
-        entry = raw.v4l2_frmsizeenum()
+        entry = v4l2.Frmsizeenum()
         entry.pixel_format = _code(fourcc)
         discrete = []
-        for _ in self._listed("ENUM_FRAMESIZES", entry):
-            if entry.type != int(raw.Frmsizetypes.DISCRETE):
-                s = entry.m1.stepwise
+        for _ in self._listed(v4l2.ENUM_FRAMESIZES, entry):
+            if entry.type != v4l2.FRMSIZE_TYPE_DISCRETE:
+                s = entry.stepwise
                 return Sizes(
                     (), (s.min_width, s.min_height), (s.max_width, s.max_height), (s.step_width, s.step_height)
                 )
-            discrete.append((int(entry.m1.discrete.width), int(entry.m1.discrete.height)))
+            discrete.append((int(entry.discrete.width), int(entry.discrete.height)))
         return Sizes(tuple(discrete))
 
     def rates_hz(self, fourcc: str, size_px: tuple[int, int]) -> list[float]:
         """Picture rates of a format and size (the ends of a range, where it is one), highest first."""
-        entry = raw.v4l2_frmivalenum()
+        entry = v4l2.Frmivalenum()
         entry.pixel_format = _code(fourcc)
         entry.width, entry.height = size_px
         rates = []
-        for _ in self._listed("ENUM_FRAMEINTERVALS", entry):
-            if entry.type != int(raw.Frmivaltypes.DISCRETE):
-                rates = [_rate_hz(entry.m1.stepwise.min), _rate_hz(entry.m1.stepwise.max)]
+        for _ in self._listed(v4l2.ENUM_FRAMEINTERVALS, entry):
+            if entry.type != v4l2.FRMIVAL_TYPE_DISCRETE:
+                rates = [_rate_hz(entry.stepwise.min), _rate_hz(entry.stepwise.max)]
                 break
-            rates.append(_rate_hz(entry.m1.discrete))
+            rates.append(_rate_hz(entry.discrete))
         return sorted({rate for rate in rates if rate > 0.0}, reverse=True)
 
     def set_format(self, fourcc: str, size_px: tuple[int, int]) -> Granted:
         """Ask for a format; returns what the driver chose, which may be another."""
-        wanted = raw.v4l2_format()
+        wanted = v4l2.Format()
         wanted.type = self._type
         pix = wanted.fmt.pix_mp if self._is_multiplanar else wanted.fmt.pix
         pix.width, pix.height = size_px
         pix.pixelformat = _code(fourcc)
-        pix.field = int(raw.Field.NONE)
+        pix.field = v4l2.FIELD_NONE
         if self._is_multiplanar:
             pix.num_planes = 1
-        self._ioctl("S_FMT", wanted)
+        self._ioctl(v4l2.S_FMT, wanted)
         line = pix.plane_fmt[0].bytesperline if self._is_multiplanar else pix.bytesperline
-        progressive = pix.field in {int(raw.Field.NONE), int(raw.Field.ANY)}
+        progressive = pix.field in {v4l2.FIELD_NONE, v4l2.FIELD_ANY}
         return Granted(_fourcc(pix.pixelformat), int(pix.width), int(pix.height), int(line), progressive)
 
     def set_rate_hz(self, rate_hz: float) -> float | None:
         """Ask for a picture rate; returns the driver's choice, None where it has no such setting."""
-        wanted = raw.v4l2_streamparm()
+        wanted = v4l2.Streamparm()
         wanted.type = self._type
         interval = wanted.parm.capture.timeperframe
         interval.numerator, interval.denominator = 1000, round(rate_hz * 1000)
         try:
-            self._ioctl("S_PARM", wanted)
+            self._ioctl(v4l2.S_PARM, wanted)
         except OSError as error:
             if error.errno == errno.ENODEV:
                 raise
@@ -244,11 +240,11 @@ class V4l2Device:
     def controls(self) -> list[Control]:
         """Every simple control, in the driver's order."""
         found = []
-        entry = raw.v4l2_query_ext_ctrl()
+        entry = v4l2.QueryExtCtrl()
         for _ in range(_MAX_LISTED):
-            entry.id |= _NEXT_CONTROL
+            entry.id |= v4l2.CTRL_FLAG_NEXT_CTRL
             try:
-                self._ioctl("QUERY_EXT_CTRL", entry)
+                self._ioctl(v4l2.QUERY_EXT_CTRL, entry)
             except OSError as error:
                 if error.errno in _ENDS_A_LIST:
                     break
@@ -269,79 +265,79 @@ class V4l2Device:
         return found
 
     def _menu(self, entry: Any) -> tuple[tuple[int, str], ...]:
-        if entry.type not in {int(raw.CtrlType.MENU), int(raw.CtrlType.INTEGER_MENU)}:
+        if entry.type not in {v4l2.CTRL_TYPE_MENU, v4l2.CTRL_TYPE_INTEGER_MENU}:
             return ()
         listed = []
-        item = raw.v4l2_querymenu()
+        item = v4l2.Querymenu()
         item.id = entry.id
         for index in range(max(entry.minimum, 0), min(entry.maximum, _MAX_LISTED) + 1):
             item.index = index
             with contextlib.suppress(OSError):  # menus have holes
-                self._ioctl("QUERYMENU", item)
-                is_number = entry.type == int(raw.CtrlType.INTEGER_MENU)
-                listed.append((index, str(item.m1.value) if is_number else _text(item.m1.name)))
+                self._ioctl(v4l2.QUERYMENU, item)
+                is_number = entry.type == v4l2.CTRL_TYPE_INTEGER_MENU
+                listed.append((index, str(item.value) if is_number else _text(item.name)))
         return tuple(listed)
 
     def get_control(self, control: Control) -> int:
         """A control's value."""
-        if control.kind == _BITS_64:
-            one = raw.v4l2_ext_control()
+        if control.kind == v4l2.CTRL_TYPE_INTEGER64:
+            one = v4l2.ExtControl()
             one.id = control.id
-            self._extended("G_EXT_CTRLS", one)
-            return int(one.m1.value64)
-        plain = raw.v4l2_control()
+            self._extended(v4l2.G_EXT_CTRLS, one)
+            return int(one.value64)
+        plain = v4l2.Control()
         plain.id = control.id
-        self._ioctl("G_CTRL", plain)
+        self._ioctl(v4l2.G_CTRL, plain)
         return int(plain.value)
 
     def set_control(self, control: Control, value: int) -> None:
         """Set a control; the driver may clamp it: read it back."""
-        if control.kind == _BITS_64:
-            one = raw.v4l2_ext_control()
-            one.id, one.m1.value64 = control.id, value
-            self._extended("S_EXT_CTRLS", one)
+        if control.kind == v4l2.CTRL_TYPE_INTEGER64:
+            one = v4l2.ExtControl()
+            one.id, one.value64 = control.id, value
+            self._extended(v4l2.S_EXT_CTRLS, one)
             return
-        plain = raw.v4l2_control()
+        plain = v4l2.Control()
         plain.id, plain.value = control.id, value
-        self._ioctl("S_CTRL", plain)
+        self._ioctl(v4l2.S_CTRL, plain)
 
-    def _extended(self, name: str, one: Any) -> None:
-        several = raw.v4l2_ext_controls()
+    def _extended(self, request: int, one: Any) -> None:
+        several = v4l2.ExtControls()
         several.count = 1
         several.controls = ctypes.pointer(one)
-        self._ioctl(name, several)
+        self._ioctl(request, several)
 
     def _blank(self, index: int) -> tuple[Any, Any]:
         """A buffer to ask with, and its one plane, which must be kept alive (None for single-plane drivers)."""
-        buffer = raw.v4l2_buffer()
-        buffer.type, buffer.memory, buffer.index = self._type, int(raw.Memory.MMAP), index
+        buffer = v4l2.Buffer()
+        buffer.type, buffer.memory, buffer.index = self._type, v4l2.MEMORY_MMAP, index
         plane = None
         if self._is_multiplanar:
-            plane = (raw.v4l2_plane * 8)()
-            buffer.m.planes = ctypes.cast(plane, ctypes.POINTER(raw.v4l2_plane))
-            buffer.length = 8
+            plane = (v4l2.Plane * v4l2.MAX_PLANES)()
+            buffer.m.planes = ctypes.cast(plane, ctypes.POINTER(v4l2.Plane))
+            buffer.length = v4l2.MAX_PLANES
         return buffer, plane
 
     def start(self) -> None:
         """Map buffers, queue them all and begin."""
-        request = raw.v4l2_requestbuffers()
-        request.count, request.type, request.memory = BUFFERS, self._type, int(raw.Memory.MMAP)
-        self._ioctl("REQBUFS", request)
+        request = v4l2.Requestbuffers()
+        request.count, request.type, request.memory = BUFFERS, self._type, v4l2.MEMORY_MMAP
+        self._ioctl(v4l2.REQBUFS, request)
         for index in range(request.count):
             buffer, planes = self._blank(index)
-            self._ioctl("QUERYBUF", buffer)
+            self._ioctl(v4l2.QUERYBUF, buffer)
             if planes is not None:
                 length, offset = planes[0].length, planes[0].m.mem_offset
             else:
                 length, offset = buffer.length, buffer.m.offset
             self._maps.append(mmap.mmap(self._fd, length, offset=offset))
             self._queue(index)
-        self._ioctl("STREAMON", ctypes.c_int(self._type))
+        self._ioctl(v4l2.STREAMON, ctypes.c_int(self._type))
         self._is_streaming = True
 
     def _queue(self, index: int) -> None:
         buffer, _planes = self._blank(index)
-        self._ioctl("QBUF", buffer)
+        self._ioctl(v4l2.QBUF, buffer)
 
     def take(self, timeout_s: float) -> Buffer | None:
         """The oldest filled buffer, copied and given back to the driver; None if none came in time."""
@@ -354,7 +350,7 @@ class V4l2Device:
             return None
         buffer, planes = self._blank(0)
         try:
-            self._ioctl("DQBUF", buffer)  # after POLLERR this says what is wrong
+            self._ioctl(v4l2.DQBUF, buffer)  # after POLLERR this says what is wrong
         except BlockingIOError as error:
             if events[0][1] & (select.POLLERR | select.POLLHUP):
                 raise OSError(errno.EIO, "the stream has ended") from error  # or we should ask for ever
@@ -365,7 +361,7 @@ class V4l2Device:
         mapped = self._maps[buffer.index]
         data = bytearray(memoryview(mapped)[start:used]) if used > start else bytearray()
         self._queue(buffer.index)
-        stamp_ns = int(buffer.timestamp.secs) * 1_000_000_000 + int(buffer.timestamp.usecs) * 1000
+        stamp_ns = int(buffer.timestamp.tv_sec) * 1_000_000_000 + int(buffer.timestamp.tv_usec) * 1000
         return Buffer(data, stamp_ns, int(buffer.sequence), int(buffer.flags), has_waited)
 
     def close(self) -> None:
@@ -374,7 +370,7 @@ class V4l2Device:
             return
         if self._is_streaming:
             with contextlib.suppress(OSError):
-                self._ioctl("STREAMOFF", ctypes.c_int(self._type))
+                self._ioctl(v4l2.STREAMOFF, ctypes.c_int(self._type))
         for mapped in self._maps:
             mapped.close()
         self._maps.clear()

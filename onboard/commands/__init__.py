@@ -4,6 +4,7 @@ Public:
 
 - `calibrate`: `run`
 - `cameras`: `run`
+- `check_config`: `run`
 - `doctor`
 - `replay`: `run`
 - `run`

@@ -15,8 +15,9 @@ from typing import TextIO
 from contract.camera import Camera
 from contract.errors import PointclickError
 from contract.link_config import Tls
+from contract.vehicle_status import VehicleStatus
 from onboard.camera.factory import open_camera
-from onboard.commands.preflight import Line, Report, Surroundings, diagnose
+from onboard.commands.preflight import Line, Surroundings, diagnose
 from onboard.config.files import load_camera, load_config_files, state_folder
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
@@ -25,7 +26,8 @@ from onboard.events.types import Event, Frame, GpsQuality
 from onboard.link.publisher import Publisher
 from onboard.link.status_query import ask
 from onboard.service.host import cpu_temperature_c, free_mb
-from onboard.service.session import brightness, reported
+from onboard.service.reports import Brightness, Report, gps_report
+from onboard.service.vehicle_state import gps_findings, source_findings
 from onboard.telemetry.factory import open_telemetry
 
 GREEN, RED, PLAIN = "\x1b[32m", "\x1b[31m", "\x1b[0m"
@@ -35,16 +37,16 @@ def run(arguments: argparse.Namespace) -> int:
     """Print the lines; 0 if all are good, 1 if any is not."""
     config = load_config_files(arguments.config)
     link = config.link
-    report = ask(config.vehicle.id, link.listen, Tls.of(link.ca, link.certificate, link.key))
-    is_running = report is not None
+    answer = ask(config.vehicle.id, link.listen, Tls.of(link.ca, link.certificate, link.key))
+    is_running = answer is not None
     camera = _camera(config)
-    if report is None:
-        report = Look(config, camera).report(arguments.seconds)
+    report = Look(config, camera).report(arguments.seconds) if answer is None else Report.from_json(answer)
     lines = diagnose(config, report, _surroundings(config, camera, is_running))
     if arguments.json:
         print(json.dumps({"daemon": is_running, "lines": [asdict(line) for line in lines]}, indent=1))
     else:
-        print("the daemon runs and was asked" if is_running else "the daemon does not run; looked for ourselves")
+        alone = "the daemon does not run: looked at what can be seen without it; position and answers were not judged"
+        print("the daemon runs and was asked" if is_running else alone)
         print(text(lines, is_coloured(sys.stdout)))
     return 0 if all(line.is_good for line in lines) else 1
 
@@ -81,10 +83,10 @@ def _surroundings(config: Config, camera: Camera | str, is_running: bool) -> Sur
             link = str(error)
     try:
         folder = state_folder(config, dict(os.environ))
-        room = free_mb(folder)
+        free = free_mb(folder)
     except PointclickError:
-        room = None
-    return Surroundings(camera, link, room, cpu_temperature_c())
+        free = None
+    return Surroundings(camera, link, free, cpu_temperature_c(), is_running)
 
 
 class Look:
@@ -94,7 +96,7 @@ class Look:
         self._clock = SessionClock.start()
         self._sources: dict[str, Source] = {}
         self._errors: dict[str, str] = {}
-        self._picture: Report | None = None
+        self._brightness: Brightness | None = None
         self._gps: GpsQuality | None = None
         if isinstance(camera, str):
             self._errors["camera"] = "not opened without its camera file"
@@ -115,13 +117,20 @@ class Look:
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline and len(self._errors) < 2:
             time.sleep(0.1)
-        report = {name: self._told(name) for name in ("camera", "telemetry")}
+        camera, telemetry = self._status("camera"), self._status("telemetry")
         stop.set()
         for thread in threads:
             thread.join(2.0)
-        gps = self._gps
-        age_s = 0.0 if gps is None else (self._clock.now_ns() - gps.stamp_ns) / 1e9
-        return {**report, "picture": self._picture, "gps": None if gps is None else asdict(gps) | {"age_s": age_s}}
+        now_ns = self._clock.now_ns()
+        gps = gps_report(self._gps, now_ns)
+        return Report(
+            VehicleStatus(now_ns / 1e9, 0, "not running"),
+            camera,
+            telemetry,
+            (*source_findings(camera, telemetry), *gps_findings(gps)),
+            self._brightness,
+            gps,
+        )
 
     def _open(self, name: str, opened: Callable[[], Source]) -> None:
         try:
@@ -137,11 +146,11 @@ class Look:
 
     def _take(self, arrival_ns: int, event: Event) -> None:
         if isinstance(event, Frame) and event.image is not None:
-            self._picture = brightness(event.image)
+            self._brightness = Brightness.of(event.image)
         elif isinstance(event, GpsQuality):
             self._gps = event
 
-    def _told(self, name: str) -> Report:
+    def _status(self, name: str) -> SourceStatus:
         if name in self._errors:
-            return reported(SourceStatus(State.LOST, self._errors[name]))
-        return reported(self._sources[name].health())
+            return SourceStatus(State.LOST, self._errors[name])
+        return self._sources[name].health()

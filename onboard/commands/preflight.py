@@ -1,26 +1,29 @@
-"""Before take-off: one line for each thing that a good flight needs, from a report of the daemon's shape.
+"""Before take-off: one line for each thing that a good flight needs, from a report of the daemon's.
 
-The same lines whether a running daemon was asked or `doctor_command` looked for itself. No line is good for want of
-knowing: what nobody can tell is said to be unknown, and counts as bad where a flight depends on it.
+Two kinds of lines. Those of `vehicle_state.Subject` only show what the daemon itself has judged, so that the state and
+the doctor agree. The others hold what is seen against limits for take-off (rates, exposure, time sync, mount, disk),
+that are stricter than what a flight needs to go on. The same lines whether a running daemon was asked or
+`doctor` looked for itself, who then knows of camera, telemetry and receiver alone. No line is good for want of knowing:
+what nobody can tell is said to be unknown, and counts as bad where a flight depends on it.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from contract.camera import Camera
 from onboard.config.schema import Config
-
-Report = dict[str, Any]
+from onboard.events.source import SourceStatus
+from onboard.service.reports import BORESIGHT, Report
+from onboard.service.vehicle_state import Subject, VehicleState
 
 RATE_SHARE = 0.8  # of the rate asked for
 MIN_ATTITUDE_HZ = 10.0
 MIN_POSITION_HZ = 2.0
 MAX_CLOCK_SIGMA_MS = 20.0  # 20 m/s over 20 ms are 0.4 m
 MAX_ROUND_TRIP_MS = 100.0
-MAX_GPS_SIGMA_M = 5.0
 BORESIGHT_SIGMAS = 3.0
 MAX_CLIPPED = 0.3
 DARK, BRIGHT = 25.0, 230.0
@@ -44,47 +47,86 @@ class Surroundings:
     link: str  # what is wrong with the link; empty if nothing
     free_mb: float | None
     temperature_c: float | None
+    is_running: bool = True  # the report is a daemon's, which has judged its flight
+
+
+# Of what is judged, that which can be seen without a daemon.
+SEEN_ALONE = (Subject.CAMERA, Subject.TELEMETRY, Subject.GPS)
 
 
 def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]:
     """All lines, in the order in which one would look."""
-    return [
-        _camera(report),
+    judged = {s: _judged(report, s) for s in Subject if around.is_running or s in SEEN_ALONE}
+    lines = [
+        judged.pop(Subject.CAMERA),
         _rate(config, report),
         _exposure(config, report),
-        _telemetry(report),
+        judged.pop(Subject.TELEMETRY),
         _rates(report),
         _time_sync(config, report),
-        _gps(report),
+        *judged.values(),
         _mount(config, report),
         _calibration(around.camera),
         Line("link", not around.link, around.link or f"open, {', '.join((*config.link.listen, *config.link.connect))}"),
         _disk(config, around.free_mb),
         _processor(around.temperature_c),
     ]
+    return [_state_line(report), *lines] if around.is_running else lines
 
 
-def _camera(report: Report) -> Line:
-    health = report["camera"]
-    return Line("camera", health["state"] == "ok", _state(health))
+def _state_line(report: Report) -> Line:
+    """As `pc-onboard status` has it; the lines below say the same, thing by thing."""
+    status = report.status
+    is_well = status.state in {state.value for state in VehicleState if state.is_well}
+    return Line("state", is_well, f"{status.state}: {status.reason}" if status.reason else status.state)
+
+
+def _judged(report: Report, subject: Subject) -> Line:
+    """What the daemon has found amiss with one thing; how it is if nothing."""
+    found = [finding for finding in report.findings if finding.subject is subject]
+    if found:
+        said = dict.fromkeys(finding.reason.removeprefix(f"{subject.value}: ") for finding in found)
+        return Line(subject.value, False, "; ".join(said))
+    return Line(subject.value, True, _WELL[subject](report))
+
+
+def _answers(report: Report) -> str:
+    status, pictures = report.status, report.pictures
+    if status.state == VehicleState.AT_REST.value:
+        return f"at rest: {status.reason}"
+    return f"{status.ok_hz:.1f} pictures a second can be clicked, {pictures.solved} of {pictures.handled} so far"
+
+
+# How a thing is when nothing is amiss with it.
+_WELL: dict[Subject, Callable[[Report], str]] = {
+    Subject.PIPELINE: lambda report: f"moves, {report.status.delay_s:.2f} s from capture to set",
+    Subject.CAMERA: lambda report: _source(report.camera),
+    Subject.TELEMETRY: lambda report: _source(report.telemetry),
+    Subject.GPS: lambda report: str(report.gps),
+    Subject.POSITION: lambda report: "believed",
+    Subject.ANSWERS: _answers,
+    Subject.LOAD: lambda report: f"keeps up, {report.status.dropped} pictures dropped so far",
+    Subject.RECORDING: lambda report: "on" if report.recording.is_on else "off, as configured",
+    Subject.THREADS: lambda report: ", ".join(thread.name for thread in report.threads) or "none but its own",
+}
 
 
 def _rate(config: Config, report: Report) -> Line:
-    rate_hz, asked_hz = report["camera"]["figures"].get("rate_hz", 0.0), config.camera.rate_hz
-    lost = report["camera"]["figures"].get("lost", 0.0)
+    rate_hz, asked_hz = report.camera.figures.get("rate_hz", 0.0), config.camera.rate_hz
+    lost = report.camera.figures.get("lost", 0.0)
     text = f"{rate_hz:.1f} of {asked_hz:g} pictures a second" + (f", {lost:.0f} lost" if lost else "")
     return Line("rate", rate_hz >= RATE_SHARE * asked_hz, text)
 
 
 def _exposure(config: Config, report: Report) -> Line:
     how = "automatic" if config.camera.exposure_us is None else f"fixed at {config.camera.exposure_us:g} us"
-    picture = report.get("picture")
+    picture = report.brightness
     if picture is None:
         return Line("exposure", False, f"{how}; no picture to judge it by")
-    for share, what in ((picture["black"], "black"), (picture["white"], "white")):
+    for share, what in ((picture.black, "black"), (picture.white, "white")):
         if share > MAX_CLIPPED:
             return Line("exposure", False, f"{how}; {100 * share:.0f} % of the picture is {what}")
-    mean = picture["mean"]
+    mean = picture.mean
     good = DARK < mean < BRIGHT
     return Line(
         "exposure",
@@ -93,13 +135,8 @@ def _exposure(config: Config, report: Report) -> Line:
     )
 
 
-def _telemetry(report: Report) -> Line:
-    health = report["telemetry"]
-    return Line("telemetry", health["state"] in ("ok", "degraded"), _state(health))
-
-
 def _rates(report: Report) -> Line:
-    figures = report["telemetry"]["figures"]
+    figures = report.telemetry.figures
     attitude, position = figures.get("attitude_hz"), figures.get("position_hz")
     reported = [
         f"{name} {rate:.0f} Hz" for name, rate in (("attitude", attitude), ("position", position)) if rate is not None
@@ -111,10 +148,14 @@ def _rates(report: Report) -> Line:
 
 
 def _time_sync(config: Config, report: Report) -> Line:
-    figures = report["telemetry"]["figures"]
+    figures = report.telemetry.figures
     sigma_ms, trip_ms = figures.get("clock_sigma_ms"), figures.get("round_trip_ms")
     if config.telemetry.url.startswith(("tlog:", "nmea:")):
         return Line("time sync", True, "by arrival: this kind of telemetry answers no TIMESYNC")
+    by_arrival_ms = figures.get("arrival_sigma_ms")
+    if sigma_ms is None and by_arrival_ms is not None and math.isfinite(by_arrival_ms):
+        why = f"TIMESYNC is not answered: by arrival, +-{by_arrival_ms:.1f} ms and whatever the line delays"
+        return Line("time sync", False, why)
     if sigma_ms is None or not math.isfinite(sigma_ms):
         return Line("time sync", False, "the autopilot's clock is not known yet")
     text = f"+-{sigma_ms:.1f} ms" + ("" if trip_ms is None else f", round trip {trip_ms:.1f} ms")
@@ -122,26 +163,14 @@ def _time_sync(config: Config, report: Report) -> Line:
     return Line("time sync", good, text)
 
 
-def _gps(report: Report) -> Line:
-    gps = report.get("gps")
-    if gps is None:
-        return Line("gps", False, "the receiver has said nothing")
-    seen = "" if gps["satellites"] is None else f", {gps['satellites']} satellites"
-    sigma_m = gps["sigma_horizontal_m"]
-    claim = "" if sigma_m is None else f", +-{sigma_m:.1f} m"
-    good = gps["fix_type"] >= 3 and gps["age_s"] < 3.0 and (sigma_m is None or sigma_m <= MAX_GPS_SIGMA_M)
-    old = f", {gps['age_s']:.0f} s old" if gps["age_s"] >= 3.0 else ""
-    return Line("gps", good, f"fix type {gps['fix_type']}{seen}{claim}{old}")
-
-
 def _mount(config: Config, report: Report) -> Line:
     mount = config.mount
     how = f"roll {mount.roll_deg:g}, pitch {mount.pitch_deg:g}, yaw {mount.yaw_deg:g} deg"
-    learned = report.get("learned")
+    learned = report.estimate(BORESIGHT)
     if learned is None:
         return Line("mount", True, f"{how} +-{mount.sigma_deg:g}; nothing learned yet")
-    off_deg = math.degrees(math.hypot(*learned["boresight_rad"]))
-    sigma_deg = math.degrees(max(learned["sigma_boresight_rad"]))
+    off_deg = math.degrees(math.hypot(*learned.values))
+    sigma_deg = math.degrees(max(learned.sigmas))
     good = off_deg <= BORESIGHT_SIGMAS * math.hypot(mount.sigma_deg, sigma_deg)
     return Line("mount", good, f"{how}; learned in flight: {off_deg:.1f} +-{sigma_deg:.1f} deg beside that")
 
@@ -158,7 +187,7 @@ def _disk(config: Config, free_mb: float | None) -> Line:
     if not config.recording.enabled:
         return Line("disk", True, "recording is off")
     if free_mb is None:
-        return Line("disk", False, "room unknown")
+        return Line("disk", False, "free space unknown")
     return Line(
         "disk",
         free_mb > config.recording.keep_free_mb,
@@ -172,5 +201,5 @@ def _processor(temperature_c: float | None) -> Line:
     return Line("processor", temperature_c < HOT_C, f"{temperature_c:.0f} deg C")
 
 
-def _state(health: dict[str, Any]) -> str:
-    return f"{health['state']}: {health['detail']}" if health["detail"] else str(health["state"])
+def _source(source: SourceStatus) -> str:
+    return f"{source.state.value}: {source.detail}" if source.detail else source.state.value

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import argparse
 import faulthandler
-import json
 import logging
 import os
 import sys
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from datetime import UTC, datetime
 from functools import partial
@@ -19,7 +17,7 @@ import cv2
 
 from contract.camera import Camera
 from contract.errors import ConfigError, InputError, PointclickError
-from contract.vehicle_status import VehicleStatus, encode_status
+from contract.vehicle_status import encode_status
 from onboard.camera.factory import open_camera
 from onboard.config.files import load_camera, load_config_files, state_folder
 from onboard.config.schema import Config, to_toml
@@ -31,9 +29,11 @@ from onboard.pipeline.pipeline import Pipeline
 from onboard.service import journal
 from onboard.service.daemon import Daemon, SignalOrders
 from onboard.service.host import cpu_temperature_c
-from onboard.service.prometheus import PrometheusServer, exposition
+from onboard.service.prometheus import PrometheusServer
+from onboard.service.reports import Report
 from onboard.service.sd_notify import Notifier
-from onboard.service.session import Detail, Parts, Reporter, restore
+from onboard.service.session import Parts, Reporter, restore
+from onboard.service.solver_thread import SolverThread
 from onboard.storage.alignment_file import StateFile
 from onboard.storage.elevation_files import TerrainFiles
 from onboard.storage.rotating_recorder import Recorded
@@ -52,8 +52,11 @@ def run(arguments: argparse.Namespace) -> int:
             code = Daemon(partial(load_config_files, arguments.config), open_parts, orders, Notifier()).run()
         except PointclickError as error:
             log.error("%s", " ".join(str(error).split()))
-            # 2: an operator must mend it. A link that cannot be opened now may be free in a second.
+            # 2: it never began, and an operator must mend why. A link that cannot be opened now may be soon.
             code = 2 if isinstance(error, ConfigError | InputError) else 1
+        except Exception:
+            log.exception("the daemon failed")
+            code = 1
     if code:
         # A thread may hang where the interpreter would wait for it for ever.
         logging.shutdown()
@@ -75,9 +78,9 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
     terrain = None if config.terrain.path is None else TerrainFiles(config.terrain.path, config.terrain.datum)
     clock = clock or SessionClock.start()
     with ExitStack() as opened:
-        executor = ThreadPoolExecutor(1, thread_name_prefix="solve")
-        opened.callback(executor.shutdown, wait=False, cancel_futures=True)
-        pipeline = Pipeline(config, camera, terrain, executor)
+        solver = SolverThread()
+        opened.callback(solver.close)
+        pipeline = Pipeline(config, camera, terrain, solver)
         state = StateFile(folder / "alignment.json")
         complaint = restore(state, pipeline)
         if complaint:
@@ -85,16 +88,19 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
         link = Publisher.open(config)
         opened.callback(link.close)
         sinks: list[Sink] = [link]
+        threads = [solver.thread, link.thread]
         reporters: list[Reporter] = [partial(_send, link)]
         recording = None
         if config.recording.enabled:
             where = Path(config.recording.folder) if config.recording.folder else folder / "recordings"
             recording = Recorded(where, config, camera, clock, to_toml(config), "" if complaint else state.text())
             sinks.append(recording)
+            threads.append(recording.thread)
             reporters.append(partial(_record, recording))
         if config.service.prometheus is not None:
-            server = opened.enter_context(PrometheusServer(config.service.prometheus))
-            reporters.append(partial(_show, server, config.vehicle.id))
+            server = opened.enter_context(PrometheusServer(config.service.prometheus, config.vehicle.id))
+            threads.append(server.thread)
+            reporters.append(server.show)
         parts = Parts(
             clock=clock,
             camera=open_camera(config, camera, clock),
@@ -106,19 +112,16 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
             state=state,
             temperature_c=cpu_temperature_c,
             resources=opened.pop_all(),
+            threads=threads,
         )
     began = datetime.fromtimestamp(clock.now_ns() / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S")
     log.info("session of %s begins, %s UTC by the host's clock", config.vehicle.id, began)
     return parts
 
 
-def _send(link: Publisher, status: VehicleStatus, detail: Detail) -> None:
-    link.publish_status(encode_status(status), json.dumps(detail).encode())
+def _send(link: Publisher, report: Report) -> None:
+    link.publish_status(encode_status(report.status), report.to_json())
 
 
-def _record(recording: Recorded, status: VehicleStatus, detail: Detail) -> None:
-    recording.status(round(status.unix_s * 1e9), encode_status(status))
-
-
-def _show(server: PrometheusServer, vehicle: str, status: VehicleStatus, detail: Detail) -> None:
-    server.show(exposition(vehicle, status, detail))
+def _record(recording: Recorded, report: Report) -> None:
+    recording.status(round(report.status.unix_s * 1e9), encode_status(report.status))

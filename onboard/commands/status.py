@@ -6,12 +6,14 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 from contract.link_config import Tls
 from onboard.config.files import load_config_files
 from onboard.config.schema import Config
+from onboard.events.source import SourceStatus
+from onboard.events.supervised_thread import ThreadReport
 from onboard.link.status_query import ask
+from onboard.service.reports import Report
 
 NOT_RUNNING = 3
 
@@ -21,11 +23,12 @@ def run(arguments: argparse.Namespace) -> int:
     config = configuration(arguments.config)
     link = config.link
     tls = Tls.of(link.ca, link.certificate, link.key)
-    report = ask(arguments.vehicle or config.vehicle.id, link.listen, tls)
-    if report is None:
+    answer = ask(arguments.vehicle or config.vehicle.id, link.listen, tls)
+    if answer is None:
         print("not running", file=sys.stderr)
         return NOT_RUNNING
-    print(json.dumps(report, indent=1) if arguments.json else text(report))
+    report = Report.from_json(answer)
+    print(json.dumps(json.loads(report.to_json()), indent=1) if arguments.json else text(report))
     return 0
 
 
@@ -34,29 +37,38 @@ def configuration(path: Path) -> Config:
     return load_config_files(path) if path.exists() else Config()
 
 
-def text(report: dict[str, Any]) -> str:
-    """The report in a few aligned lines."""
-    status, camera, telemetry = report["status"], report["camera"], report["telemetry"]
-    reason = f": {status['reason']}" if status["reason"] else ""
-    lost = f", {status['lost']} lost by the camera" if status["lost"] else ""
+def text(report: Report) -> str:
+    """The report in a few aligned lines; below the state, whatever else is not well."""
+    status = report.status
+    reason = f": {status.reason}" if status.reason else ""
+    lost = f", {status.lost} lost by the camera" if status.lost else ""
     rows = [
-        ("state", f"{status['state']}{reason}"),
-        ("session", f"{status['session']}, {_span(status['up_s'])}"),
-        ("pictures", f"{status['camera_hz']:.1f} a second, {status['dropped']} dropped{lost}"),
-        ("answers", f"{status['ok_hz']:.1f} a second, {status['delay_s']:.2f} s after capture"),
-        ("tracks", f"{status['tracks']}"),
-        ("camera", _source(camera)),
-        ("telemetry", _source(telemetry)),
-        ("recording", "on" if status["recording"] else report.get("recording_fault") or "off"),
+        ("state", f"{status.state}{reason}"),
+        *(("", f"{f.state.value}: {f.reason}") for f in report.findings[1:] if f.reason != status.reason),
+        ("session", f"{status.session}, {_span(status.up_s)}"),
+        ("pictures", f"{status.camera_hz:.1f} a second, {status.dropped} dropped{lost}"),
+        ("answers", f"{status.ok_hz:.1f} a second, {status.delay_s:.2f} s after capture"),
+        ("tracks", f"{status.tracks}"),
+        ("camera", _source(report.camera)),
+        ("telemetry", _source(report.telemetry)),
+        ("gps", "nothing said" if report.gps is None else str(report.gps)),
+        ("recording", "on" if report.recording.is_on else report.recording.fault or "off"),
+        ("threads", ", ".join(_thread(thread) for thread in report.threads)),
     ]
-    if status["cpu_c"] is not None:
-        rows.append(("processor", f"{status['cpu_c']:.0f} deg C"))
-    return "\n".join(f"{name:<11}{value}" for name, value in rows)
+    if status.cpu_c is not None:
+        rows.append(("processor", f"{status.cpu_c:.0f} deg C"))
+    return "\n".join(f"{name:<11}{value}".rstrip() for name, value in rows)
 
 
-def _source(health: dict[str, Any]) -> str:
-    figures = ", ".join(f"{name} {value:.3g}" for name, value in health["figures"].items())
-    return ", ".join(part for part in (health["state"], health["detail"], figures) if part)
+def _source(source: SourceStatus) -> str:
+    figures = ", ".join(f"{name} {value:.3g}" for name, value in source.figures.items())
+    return ", ".join(part for part in (source.state.value, source.detail, figures) if part)
+
+
+def _thread(thread: ThreadReport) -> str:
+    error = f" ({thread.last_error})" if thread.last_error else ""
+    again = f", begun again {thread.restarts} times" if thread.restarts else ""
+    return f"{thread.name} {thread.state.value}{again}{error}"
 
 
 def _span(seconds: float) -> str:

@@ -22,14 +22,14 @@ def load_config_files(path: Path | str) -> Config:
     """Read them all. Raises ConfigError, one line that names the file at fault, the key, and what would be right."""
     merged: dict[str, dict[str, Any]] = {}
     for file in config_files(Path(path)):
-        load_config(file)  # each must be good by itself, so that the complaint names it
+        load_config(file)  # each must be valid by itself, so that the message names it
         for section, keys in tomllib.loads(file.read_text(encoding="utf-8")).items():
             merged.setdefault(section, {}).update(keys)
     return Config.model_validate(merged)
 
 
 def state_folder(config: Config, environment: dict[str, str]) -> Path:
-    """Where the daemon keeps what it learns and records; made if absent. Raises ConfigError if it cannot be."""
+    """Where the daemon keeps its estimates and recordings; made if absent. Raises ConfigError if it cannot be."""
     named = config.service.state_dir or environment.get("STATE_DIRECTORY", "").split(":")[0]
     folder = Path(named) if named else Path.home() / ".local" / "state" / "pointclick"
     try:

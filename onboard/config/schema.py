@@ -59,7 +59,7 @@ class Mount(Section):
     yaw_deg: float = quantity(0.0, -360.0, 360.0, "deg", "yaw from the nose, clockwise seen from above")
     gimbal: Literal["auto", "always", "never"] = choice(
         "auto",
-        "a gimbal's attitude replaces the angles above: 'auto' (if the pictures bear it out), 'always', 'never'",
+        "a gimbal's attitude replaces the angles above: 'auto' (if the pictures confirm it), 'always', 'never'",
     )
     sigma_deg: float = quantity(1.0, 0.0, 45.0, "deg", "one sigma of the mount angles above")
     lever_arm_m: tuple[float, float, float] = choice(
@@ -87,7 +87,7 @@ class CameraConfig(Section):
 
     latency_s: float = quantity(0.0, -5.0, 5.0, "s", "capture stamp minus true mid-exposure")
     sigma_latency_s: float = quantity(0.1, 0.0, 2.0, "s", "one sigma of the camera-to-autopilot time offset")
-    sigma_jitter_s: float = quantity(0.003, 0.0, 0.1, "s", "least one sigma of a single stamp; more is learned")
+    sigma_jitter_s: float = quantity(0.003, 0.0, 0.1, "s", "least one sigma of a single stamp; estimated upwards")
 
 
 class Tracking(Section):
@@ -109,16 +109,16 @@ class Solve(Section):
     level_ground: bool = choice(True, "take the mean ground to be level, which fixes roll when attitude is weak")
     keyframes: int = quantity(10, 3, 30, "", "keyframes in the window")
     pixel_sigma_px: float = quantity(0.3, 0.05, 10.0, "px", "one sigma of a tracked feature")
-    # ArduPilot 4.7 against the simulator's truth: tilt 0.2 to 0.35 deg, heading 1 deg, wandering over 8 to 25 s, the
+    # ArduPilot 4.7 against the simulator's truth: tilt 0.2 to 0.35 deg, heading 1 deg, correlated over 8 to 25 s, the
     # white part 0.02 to 0.05 deg. Real compasses and vibration are worse.
-    attitude_sigma_deg: float = quantity(0.5, 0.01, 45.0, "deg", "one sigma of roll and pitch, the wandering part")
-    heading_sigma_deg: float = quantity(2.0, 0.01, 90.0, "deg", "one sigma of heading, the wandering part")
-    # In the real flight of the tests roll and pitch stray by 0.3 deg from picture to picture, heading by 1 deg.
+    attitude_sigma_deg: float = quantity(0.5, 0.01, 45.0, "deg", "one sigma of roll and pitch, the Gauss-Markov part")
+    heading_sigma_deg: float = quantity(2.0, 0.01, 90.0, "deg", "one sigma of heading, the Gauss-Markov part")
+    # In the real flight of the tests roll and pitch vary by 0.3 deg from picture to picture, heading by 1 deg.
     attitude_white_sigma_deg: float = quantity(0.15, 0.001, 45.0, "deg", "one sigma of roll and pitch, the white part")
     heading_white_sigma_deg: float = quantity(0.6, 0.001, 45.0, "deg", "one sigma of heading, the white part")
-    attitude_wander_time_s: float = quantity(20.0, 0.1, 10000.0, "s", "correlation time of attitude's wandering part")
+    attitude_wander_time_s: float = quantity(20.0, 0.1, 10000.0, "s", "correlation time of the Gauss-Markov part")
     level_ground_sigma_deg: float = quantity(2.0, 0.01, 45.0, "deg", "one sigma of the mean ground's slope")
-    relief_sigma_m: float = quantity(10.0, 0.0, 1000.0, "m", "one sigma of the ground about its mean plane")
+    relief_sigma_m: float = quantity(10.0, 0.0, 1000.0, "m", "ground roughness: one sigma about its mean plane")
     home_level: bool = choice(False, "without parallax and terrain, answer over level ground at home's height")
     home_level_sigma_m: float = quantity(10.0, 0.1, 1000.0, "m", "one sigma of that ground's height")
 
@@ -133,19 +133,19 @@ class TerrainModel(Section):
 
 
 class Gps(Section):
-    """What is believed of the position, and when it is not."""
+    """Errors of the position, and when it is not used."""
 
     # ArduPilot 4.7's GLOBAL_POSITION_INT against the simulator's truth: 40 ms (plane), 28 ms (copter).
     latency_s: float = quantity(0.04, -1.0, 1.0, "s", "age of a position at its own time stamp")
     sigma_latency_s: float = quantity(0.1, 0.0, 5.0, "s", "one sigma of that age; it is estimated in flight")
     sigma_white_m: float = quantity(0.3, 0.001, 100.0, "m", "one sigma of a position, the white part")
     sigma_wander_horizontal_m: float = quantity(
-        1.5, 0.0, 1000.0, "m", "least one sigma of the wandering part, horizontal; the receiver may claim more"
+        1.5, 0.0, 1000.0, "m", "least one sigma of the Gauss-Markov part, horizontal; the receiver may claim more"
     )
     sigma_wander_vertical_m: float = quantity(
-        2.5, 0.0, 1000.0, "m", "least one sigma of the wandering part, vertical; the receiver may claim more"
+        2.5, 0.0, 1000.0, "m", "least one sigma of the Gauss-Markov part, vertical; the receiver may claim more"
     )
-    wander_time_s: float = quantity(60.0, 1.0, 100000.0, "s", "correlation time of the wandering part")
+    wander_time_s: float = quantity(60.0, 1.0, 100000.0, "s", "correlation time of the Gauss-Markov part")
     sigma_velocity_m_s: float = quantity(0.1, 0.001, 100.0, "m/s", "one sigma of velocity")
     max_gap_s: float = quantity(1.5, 0.1, 10.0, "s", "longest gap between positions that is interpolated")
     quality_timeout_s: float = quantity(2.0, 0.5, 60.0, "s", "silence of the receiver that counts as no GPS")
@@ -187,7 +187,6 @@ class Telemetry(Section):
     component: int = quantity(191, 1, 255, "", "our MAVLink component number in the vehicle's system")
     signing_key: str | None = choice(None, "file with a MAVLink 2 signing key (32 bytes, raw or 64 hex digits)")
     log: str | None = choice(None, "folder to write what the link says into, as .tlog files; none if not set")
-    fov_status: bool = choice(False, "send CAMERA_FOV_STATUS: where on the ground the camera looks")
     lost_after_s: float = quantity(2.0, 0.2, 60.0, "s", "silence that counts as telemetry lost")
     clock: Literal["auto", "constant", "drift"] = choice(
         "auto",
@@ -234,7 +233,7 @@ class Service(Section):
     """The daemon itself."""
 
     state_dir: str | None = choice(
-        None, "where what is learned is kept; if not set, $STATE_DIRECTORY, else ~/.local/state/pointclick"
+        None, "where estimates and recordings are kept; if not set, $STATE_DIRECTORY, else ~/.local/state/pointclick"
     )
     max_delay_s: float = quantity(1.0, 0.1, 30.0, "s", "pictures that wait longer than this are dropped, oldest first")
     prometheus: str | None = choice(None, "HOST:PORT to serve Prometheus text on, such as 127.0.0.1:9464")
@@ -294,7 +293,7 @@ def key_table() -> dict[str, FieldInfo]:
 
 
 def _first_complaint(error: ValidationError) -> str:
-    """One line for the first thing pydantic disliked; unknown keys first, being the likeliest slip of the pen."""
+    """One line for pydantic's first complaint; unknown keys first, because a misspelt key is the likeliest cause."""
     details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
     first, others = details[0], len(details) - 1
     parts = [str(part) for part in first["loc"]]

@@ -51,6 +51,14 @@ class Belief:
         """One sigma of each state."""
         return np.sqrt(np.diag(self.covariance))
 
+    def widened(self, stamp_sigma_s: float) -> Belief:
+        """The same belief about pictures whose stamps err by one more sigma, all alike."""
+        if stamp_sigma_s == 0.0:
+            return self
+        wider = self.covariance.copy()
+        wider[OFFSET, OFFSET] += stamp_sigma_s**2
+        return Belief(self.end_ns, self.mean, wider, self.given)
+
     def aged(self, stamp_ns: int) -> Belief:
         """The same belief some time later."""
         minutes = max(stamp_ns - self.end_ns, 0) / 60e9 if self.end_ns else 0.0
@@ -125,7 +133,8 @@ class Alignment:
         if np.all(weaker == 1.0):
             return mean, covariance
         prior = np.linalg.inv(before.covariance)
-        own = np.linalg.inv(covariance) - prior
+        values, vectors = np.linalg.eigh(np.linalg.inv(covariance) - prior)
+        own = (vectors * np.maximum(values, 0.0)) @ vectors.T  # what was added to the window's covariance may exceed it
         # The window alone: where it has no information its estimate is the prior's.
         shift = np.linalg.pinv(own, rcond=1e-9, hermitian=True) @ (np.linalg.inv(covariance) @ (mean - before.mean))
         own = own * weaker[:, None] * weaker

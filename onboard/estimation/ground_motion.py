@@ -82,20 +82,3 @@ def ground_motion(
             for axis in (0, 1):
                 at_epoch[:, axis] += J[axis].T @ prior.whitener[axis] @ np.diff(stamps)
     return GroundMotion(sigma_m_s, epoch_ns, sigma_m_s * covariance @ at_epoch, sigma_m_s * covariance @ per_s)
-
-
-def lag_gain(priors: list[Prior], state: State, covariance: Array, sigma_s: float) -> Array:
-    """How far positions that lag `sigma_s` behind the motion, all alike, move the camera side (D,). Equation (6.14).
-
-    A navigation filter that is told a wrong GPS delay keeps its position that far back along the track, while inertial
-    sensors keep every turn and every change of speed in time: no residual shows it, whatever is flown. It is therefore
-    not estimated but considered: it widens covariances and moves nothing.
-    """
-    gain = np.zeros(len(covariance))
-    for prior in priors:
-        if isinstance(prior, PositionPrior):
-            J = prior.evaluate(state)[1].reshape(3, -1, len(covariance))
-            for axis in range(3):
-                gain += J[axis].T @ (prior.whitener[axis] @ (sigma_s * prior.velocity_enu_m_s[:, axis]))
-    out: Array = covariance @ gain
-    return out

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from onboard.geometry.linalg import solve_small
-from onboard.geometry.robust import middle
+from onboard.geometry.robust import irls, middle
 
 Array = NDArray[np.float64]
 
@@ -41,16 +41,15 @@ def _plane(H: Array, w: Array, variance: Array) -> tuple[Array, Array]:
     """Robust affine fit of inverse depth (3.1) and each feature's relative deviation from it."""
     scale = middle(w)
     relative_w, known = w / scale, 1.0 / (variance + 1e-4)
-    weight: Array = known
-    plane: Array = np.zeros(3)
-    for _ in range(5):
+
+    def fit(weight: Array) -> tuple[Array, Array]:
         weighted = (H * weight[:, None]).T
         N = weighted @ H
         N.flat[::4] += 1e-9 * N.trace()
         plane = solve_small(N, weighted @ relative_w)
-        miss = relative_w - H @ plane
-        spread = max(1.4826 * middle(np.abs(miss)), 1e-6)
-        weight = known / (1.0 + (miss / (3.0 * spread)) ** 2)
+        return plane, relative_w - H @ plane
+
+    plane, _ = irls(fit, known, lambda miss: (miss / (3.0 * max(1.4826 * middle(np.abs(miss)), 1e-6))) ** 2)
     plane *= scale
     fitted = H @ plane
     relative = np.where(fitted > 1e-3 * scale, w / np.where(fitted > 1e-3 * scale, fitted, 1.0) - 1.0, 0.0)
@@ -69,8 +68,12 @@ def _roughness(H: Array, relative: Array, variance: Array, spread: float) -> flo
     value = np.clip(relative, -5.0 * np.sqrt(s2 + variance), 5.0 * np.sqrt(s2 + variance))
 
     def unlikely(log_slope: float) -> float:
-        K = known + s2 * np.exp(distance * (-np.exp(log_slope) / s2))
-        factor, info = lapack.dpotrf(K, lower=1)
+        K = np.multiply(distance, -np.exp(log_slope) / s2)
+        np.exp(K, out=K)
+        K *= s2
+        K += known
+        # Symmetric, so that its transpose is it, in the order of LAPACK: factored where it is, without a copy.
+        factor, info = lapack.dpotrf(K.T, lower=1, clean=0, overwrite_a=1)
         if info != 0:
             return np.inf
         whitened, _ = lapack.dtrtrs(factor, value, lower=1)
@@ -91,9 +94,13 @@ def _roughness(H: Array, relative: Array, variance: Array, spread: float) -> flo
 
 def distances(xy: Array) -> Array:
     """Between every two of (N, 2): (N, N)."""
-    apart = xy[:, None] - xy[None]
-    out: Array = np.sqrt(apart[..., 0] ** 2 + apart[..., 1] ** 2)
-    return out
+    x, y = np.ascontiguousarray(xy.T)
+    out: Array = x[:, None] - x
+    out *= out
+    across = y[:, None] - y
+    across *= across
+    out += across
+    return np.sqrt(out, out=out)
 
 
 def effective_sigma_m(offset_m: Array, height_m: Array, variance_m2: Array, clearance_m: float) -> float:

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.config.schema import Config
+from onboard.estimation.boresight import DELAY, VELOCITY_DELAY, Belief
 from onboard.estimation.boresight import STATES as SHARED
-from onboard.estimation.boresight import Belief
 from onboard.estimation.factors import (
     AttitudePrior,
     HeightModel,
@@ -43,6 +43,7 @@ PATH_WHITE_SIGMA_RAD = 0.15
 GRAVITY_M_S2 = 9.81
 ECHO_SIGMAS = 4.0
 STATES_AND_PLANE = SHARED + 3
+DYNAMIC_TIME_S = 3.0  # that a navigation filter takes to forget what acceleration did to it
 VELOCITY_TIME_S = 8.0  # a navigation filter takes so long to correct a velocity
 TERRAIN_SLOPE_SIGMA = 0.005  # of an elevation model over a window's few hundred metres: neighbours err alike
 
@@ -85,6 +86,23 @@ def _velocities(keyframes: list[Keyframe]) -> Array:
     return np.stack([np.zeros(3) if k.nav.velocity_enu_m_s is None else k.nav.velocity_enu_m_s for k in keyframes])
 
 
+def _dynamic_m_s(config: Config, keyframes: list[Keyframe]) -> Array:
+    """One sigma (K,) of the velocity's error that comes of acceleration: a filter's delays, times it. Equation (5.16).
+
+    It lasts for as long as the filter takes to forget it, so what counts is the largest of the last seconds.
+    """
+    stamps, velocities = _stamps_s(keyframes), _velocities(keyframes)
+    if len(stamps) < 2:
+        return np.zeros(len(stamps))
+    rates = np.linalg.norm(np.diff(velocities, axis=0), axis=1) / np.maximum(np.diff(stamps), 0.05)
+    ending = stamps[1:]
+    recent = (ending[None, :] <= stamps[:, None] + DYNAMIC_TIME_S) & (
+        ending[None, :] >= stamps[:, None] - DYNAMIC_TIME_S
+    )
+    out: Array = config.gps.sigma_latency_s * np.where(recent, rates, 0.0).max(axis=1)
+    return out
+
+
 def lever_cam_m(config: Config, R_body_cam: Array) -> Array:
     """From the autopilot's reference point to the camera, camera axes (3,)."""
     out: Array = R_body_cam.T @ np.array(config.mount.lever_arm_m)
@@ -105,12 +123,14 @@ def _position(
     vertical = grow * max(k.nav.sigma_vertical_m for k in keyframes)
     white_m = np.array([k.nav.sigma_white_m for k in keyframes])
     slow_m = np.array([horizontal, horizontal, vertical])
+    moved_m = DYNAMIC_TIME_S * _dynamic_m_s(config, keyframes)
+    dynamic = np.outer(moved_m, moved_m) * gauss_markov_covariance(stamps, 1.0, DYNAMIC_TIME_S)
     parts, whitener = [], []
     for axis, share in enumerate((1.0, 1.0, 1.5)):
         slow = gauss_markov_covariance(stamps, slow_m[axis], gps.wander_time_s)
         white = np.diag((white_m * share) ** 2 + (jitter_s * velocities[:, axis]) ** 2)
         parts.append({POSITION: slow})
-        whitener.append(whitener_of(slow + white))
+        whitener.append(whitener_of(slow + white + dynamic))
     return PositionPrior(
         layout,
         np.stack([k.nav.position_enu_m for k in keyframes]),
@@ -143,7 +163,10 @@ def _velocity(
     own = (declared * np.sqrt(dt * np.minimum(dt, 1.0))) ** 2 + (jitter_s * np.hypot(speed[1:], speed[:-1])) ** 2
     middle = 0.5 * (stamps[1:] + stamps[:-1])
     slow = factors.scale(VELOCITY) * np.outer(dt, dt) * gauss_markov_covariance(middle, declared, VELOCITY_TIME_S)
-    whitener = whitener_of(np.diag(own) + slow)
+    erring = _dynamic_m_s(config, keyframes)
+    erring = dt * np.maximum(erring[1:], erring[:-1])
+    dynamic = np.outer(erring, erring) * gauss_markov_covariance(middle, 1.0, DYNAMIC_TIME_S)
+    whitener = whitener_of(np.diag(own) + slow + dynamic)
     part = {VELOCITY: slow}
     return [
         VelocityPrior(
@@ -262,6 +285,8 @@ def _shared_prior(config: Config, layout: Layout, belief: Belief, has_terrain: b
     """Boresight and time offset as estimated so far, and the ground plane's slope and height."""
     covariance = np.zeros((STATES_AND_PLANE, STATES_AND_PLANE))
     covariance[:SHARED, :SHARED] = belief.covariance
+    # What turns show of a filter's delays is not all of them: inertial sensors keep turns in time. (5.15)
+    covariance[[DELAY, VELOCITY_DELAY], [DELAY, VELOCITY_DELAY]] += config.gps.sigma_latency_s**2
     solve_ = config.solve
     slope = np.tan(np.radians(solve_.level_ground_sigma_deg)) if solve_.level_ground else 3.0
     height_m = 1e4

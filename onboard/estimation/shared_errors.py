@@ -22,7 +22,7 @@ from onboard.navigation.navigator import NavState
 Array = NDArray[np.float64]
 
 
-def shared_errors(config: Config, priors: list[Prior], state: State, covariance: Array, lag: Array) -> SharedErrors:
+def shared_errors(config: Config, priors: list[Prior], state: State, covariance: Array) -> SharedErrors:
     """How far one sigma of each nuisance parameter moves a window's camera side: `by_nuisance` (D, NUISANCES).
 
     `covariance` (D, D) is the camera side's own. A measurement error of v whitened sigmas moves the optimum by
@@ -41,7 +41,7 @@ def shared_errors(config: Config, priors: list[Prior], state: State, covariance:
             _, J = prior.evaluate(state)
             by_prior = covariance @ J.T
             centres = prior.layout.centres()
-            times = np.column_stack([by_prior[:, OFFSET : VELOCITY_DELAY + 1], lag])
+            times = by_prior[:, OFFSET : VELOCITY_DELAY + 1]
             moved = np.stack([times[centres[:, axis]].mean(axis=0) for axis in (0, 1)])
             gains[:, ALIGNMENT] = np.column_stack([by_prior[:, BORESIGHT], _one_clock(times, moved)])
             gains[:, GROUND] = by_prior[:, STATES:]
@@ -75,7 +75,7 @@ def make_sensor_pose(
     by_nuisance = np.zeros((7, NUISANCES))
     by_nuisance[:3, POSITION] = np.diag([nav.sigma_horizontal_m, nav.sigma_horizontal_m, nav.sigma_vertical_m])
     by_nuisance[3:6, ATTITUDE] = np.diag([tilt, tilt, heading])
-    late_s = np.linalg.norm(np.append(factor[OFFSET] + factor[DELAY], gps.sigma_latency_s))
+    late_s = float(np.linalg.norm(np.append(factor[OFFSET] + factor[DELAY], gps.sigma_latency_s)))
     by_nuisance[3:6, ALIGNMENT.start : ALIGNMENT.stop - 1] = R_cam_enu.T @ factor[BORESIGHT, :3]
     by_nuisance[:3, ALIGNMENT.stop - 1] = speed * late_s
     white = np.zeros(7)

@@ -83,7 +83,7 @@ class Window:
         return make_sensor_pose(
             self.config,
             nav,
-            self.alignment.belief,
+            self.alignment.belief.widened(nav.stamp_sigma_s),
             R_cam_enu,
             self.noise.factors,
             self.R_body_cam.T @ self.lever_body_m,
@@ -138,7 +138,7 @@ class Window:
             tuple(self.keyframes),
             self.solved,
             self.terrain,
-            self.alignment.prior_for(start_ns),
+            self.alignment.prior_for(start_ns).widened(max((k.nav.stamp_sigma_s for k in self.keyframes), default=0.0)),
             self.noise,
         )
 
@@ -162,8 +162,8 @@ class Window:
     def learn(self, solved: Solved) -> None:
         """Offer a solved window's boresight and time offset as a posterior update."""
         s, layout = solved.solution, solved.layout
-        if self.keyframes[0].nav.R_enu_body is None:
-            return
+        if self.keyframes[0].nav.R_enu_body is None or any(k.nav.stamp_sigma_s for k in self.keyframes):
+            return  # what stamps are off by for a while is no property of the platform
         shared = slice(layout.boresight.start, layout.boresight.start + SHARED)
         mean = s.state.platform
         start, end = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns

@@ -18,7 +18,7 @@ from onboard.estimation import initialisation
 from onboard.estimation.boresight import BORESIGHT, HEADING, OFFSET, VELOCITY_DELAY, Belief
 from onboard.estimation.bundle_adjustment import Problem, Solution, solve
 from onboard.estimation.factors import AttitudePrior, Layout, Prior, SharedPrior, State, VelocityPrior, ground_plane
-from onboard.estimation.ground_motion import GroundMotion, ground_motion, ground_sigma_m_s, lag_gain
+from onboard.estimation.ground_motion import GroundMotion, ground_motion, ground_sigma_m_s
 from onboard.estimation.ground_roughness import effective_sigma_m
 from onboard.estimation.keyframe import Ids, Keyframe
 from onboard.estimation.sensor_factors import range_prior, sensor_priors
@@ -69,12 +69,10 @@ class Solved:
     keyframes: tuple[Keyframe, ...]
     shared: SharedErrors  # `by_nuisance` (D, NUISANCES) of the camera side, no span
     ground_motion: GroundMotion  # what the ground's own motion may have done to it
-    lag: Array  # (D,) what one sigma of the position's lag behind the motion does to the camera side
 
     def covariance_at(self, stamp_ns: int) -> Array:
         """Of the camera side (D, D), for a picture of that time. (6.10)"""
-        lag = self.lag[:, None]
-        out: Array = self.solution.covariance + self.ground_motion.covariance(stamp_ns) + lag @ lag.T
+        out: Array = self.solution.covariance + self.ground_motion.covariance(stamp_ns)
         return out
 
     def rows(self, ids: Ids) -> tuple[NDArray[np.intp], Mask]:
@@ -293,7 +291,6 @@ def _judged(
     moving = ground_motion(
         request.keyframes, priors, s.state, s.covariance, ground_sigma_m_s(request.keyframes, median_depth)
     )
-    lag = lag_gain(priors, s.state, s.covariance, config.gps.sigma_latency_s)
     covariance = s.covariance + moving.covariance(moving.epoch_ns)
     if float(np.median(_depth_sigma(s, covariance, good, layout))) / median_depth > MAX_DEPTH_SIGMA:
         return refused(Status.POOR_FIT)  # coarse and fine flow disagree too much to know the scale: water
@@ -317,8 +314,8 @@ def _judged(
     learned = noise.pixel_sigma_px * (own * fit * noise.noise_inflation) ** 0.3
     noise = replace(noise, pixel_sigma_px=float(np.clip(learned, MIN_PIXEL_SIGMA_PX, 5.0)))
     frames = tuple(k.frame for k in keyframes)
-    shared = shared_errors(config, priors, s.state, s.covariance, lag)
-    solved = Solved(frames, layout, s, ids, good, plane, sigma_px, sigma_px * 1.177, keyframes, shared, moving, lag)
+    shared = shared_errors(config, priors, s.state, s.covariance)
+    solved = Solved(frames, layout, s, ids, good, plane, sigma_px, sigma_px * 1.177, keyframes, shared, moving)
     return Outcome(Status.OK, keyframes, noise, solved)
 
 

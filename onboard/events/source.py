@@ -70,4 +70,4 @@ class TelemetrySource(Source, Protocol):
     """A source that can also speak."""
 
     def say(self, severity: Severity, text: str) -> None:
-        """Show a short text (50 characters) to the pilot, where the link can; otherwise nothing happens."""
+        """Show a short text (100 characters) to the pilot, where the link can; otherwise nothing happens."""

@@ -14,12 +14,17 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One picture, grey (H, W) uint8. `index` counts pictures in capture order from 0; `image` None: undecodable."""
+    """One picture, grey (H, W) uint8. `index` counts pictures in capture order from 0; `image` None: undecodable.
+
+    `stamp_sigma_s`: one sigma of the stamp beyond what the configuration says of it, where the source sees that its
+    stamps have changed; an error common to all pictures that have it.
+    """
 
     stamp_ns: int
     index: int
     image: NDArray[np.uint8] | None
     name: str = ""
+    stamp_sigma_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -63,6 +68,7 @@ class FilterStatus:
     stamp_ns: int
     has_position: bool  # horizontal position is believed absolute
     is_glitching: bool  # the filter calls the GPS a glitch
+    is_at_rest: bool = False  # it holds the position constant, believing position and velocity: standing on the ground
 
 
 @dataclass(frozen=True)

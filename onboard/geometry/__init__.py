@@ -6,7 +6,7 @@ Public:
 - `plane_fit`: `fit_plane`
 - `plane_homography`: `Pose`, `move`, `predict_homography`, `predict_pixels`
 - `relative_orientation`: `rotation_only`, `start_pair`
-- `robust`: `middle`, `robust_cost`
+- `robust`: `middle`, `robust_cost`, `cauchy_weight`, `irls`
 - `terrain_grid`: `Terrain`
 - `triangulation`: `triangulate`
 """

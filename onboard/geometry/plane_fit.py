@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.rotations import exp_so3
+from onboard.geometry.robust import irls
 
 Array = NDArray[np.float64]
 
@@ -22,18 +23,20 @@ def fit_plane(points_enu_m: Array, weight: Array | None = None) -> tuple[Array, 
     A[:, 1:] -= centre
     scale = max(float(np.abs(A[:, 1:]).max(initial=0.0)), 1e-9)
     A[:, 1:] /= scale
-    w = base.copy()
-    plane: Array = np.zeros(3)
-    spread = 0.0
-    for _ in range(5):
+    height = points_enu_m[:, 2]
+
+    def fit(w: Array) -> tuple[Array, Array]:
         N = A.T @ (A * w[:, None])
         damped = N + 1e-6 * max(float(N[0, 0]), 1e-12) * np.eye(3)
-        plane = np.asarray(np.linalg.solve(damped, A.T @ (w * points_enu_m[:, 2])), float)
-        miss = np.abs(points_enu_m[:, 2] - A @ plane)
-        spread = 1.4826 * float(np.median(miss))
-        w = base / (1.0 + (miss / max(2.0 * spread, 1e-9)) ** 2)
+        plane = np.asarray(np.linalg.solve(damped, A.T @ (w * height)), float)
+        return plane, np.abs(height - A @ plane)
+
+    def spread(miss: Array) -> float:
+        return 1.4826 * float(np.median(miss))
+
+    plane, miss = irls(fit, base, lambda miss: (miss / max(2.0 * spread(miss), 1e-9)) ** 2)
     slope = plane[1:] / scale
-    return np.array([plane[0] - slope @ centre, *slope]), spread
+    return np.array([plane[0] - slope @ centre, *slope]), spread(miss)
 
 
 def roll_from_plane(plane: Array, travel_enu: Array) -> float:

@@ -1,4 +1,4 @@
-"""Where one picture's features will be in another, before looking: pose change over the ground plane. (4.1), (4.2)"""
+"""Features of one picture predicted into another from the change of pose over the ground plane. (4.1), (4.2)"""
 
 from __future__ import annotations
 

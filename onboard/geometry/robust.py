@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Model = TypeVar("Model")
 
 
 def middle(values: Array) -> float:
@@ -20,3 +24,24 @@ def robust_cost(squared: Array, scale: float | None) -> tuple[Array, Array]:
         return squared, np.ones_like(squared)
     ratio = squared / scale**2
     return scale**2 * np.log1p(ratio), 1.0 / (1.0 + ratio)
+
+
+def cauchy_weight(residual: Array, scale: float) -> Array:
+    """The weight of (6.5) for residuals of any sign, in their own units."""
+    out: Array = 1.0 / (1.0 + (residual / scale) ** 2)
+    return out
+
+
+def irls(
+    fit: Callable[[Array], tuple[Model, Array]], weight: Array, squared: Callable[[Array], Array], rounds: int = 5
+) -> tuple[Model, Array]:
+    """Iteratively reweighted least squares with Cauchy's weights, (6.5): the last model and its residuals (N,).
+
+    `fit` takes weights (N,) and gives a model and residuals (N,) of any kind that `squared` turns into squares over
+    their scale. The first weights are `weight`, those of later rounds that times Cauchy's. `rounds` counts fits, at
+    least one.
+    """
+    model, residual = fit(weight)
+    for _ in range(rounds - 1):
+        model, residual = fit(weight / (1.0 + squared(residual)))
+    return model, residual

@@ -1,7 +1,7 @@
 """A terrain model around the aircraft: heights on a regular ENU grid, bilinear between its nodes. No I/O.
 
-Heights are in the datum of the navigation frame (above mean sea level). Where the model has no data the height is nan
-there, and everything computed from it says so by being nan or infinite.
+Heights are in the datum of the navigation frame (above mean sea level). Where the model has no data the height is nan,
+and everything computed from it is nan or infinite.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Terrain:
         )
 
     def cast(self, centre_enu_m: Array, rays_enu: Array) -> Array:
-        """Depth (N,) at which rays (N, 3), unit depth, first go under the ground; inf where they never do.
+        """Depth (N,) at which rays (N, 3) of depth 1 first go under the ground; inf where they never do.
 
         Marched from the highest to the lowest ground in steps of equal height loss, then bisected.
         """

@@ -1,4 +1,4 @@
-"""Two or more rays -> points, all points of a window at once, with the parallax that carries them. Equation (4.3)."""
+"""Two or more rays -> points, all points of a window at once, with their parallax. Equation (4.3)."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Triangulated:
 def triangulate(R_cam_enu: Array, centres_enu_m: Array, xy: Array, seen: Mask) -> Triangulated:
     """Least squares intersection of rays: minimises the squared distances to all of a point's rays, (4.3).
 
-    `R_cam_enu` (K, 3, 3), `centres_enu_m` (K, 3), unit-depth `xy` (K, P, 2), `seen` (K, P). A point without parallax
-    comes out somewhere along its rays; its parallax says so.
+    `R_cam_enu` (K, 3, 3), `centres_enu_m` (K, 3), `xy` (K, P, 2) normalised image coordinates, `seen` (K, P). A point
+    without parallax comes out somewhere along its rays; its parallax says so.
     """
     rays = np.concatenate([xy, np.ones((*xy.shape[:2], 1))], axis=-1)
     d = np.einsum("kpi,kij->kpj", rays, R_cam_enu)

@@ -2,6 +2,6 @@
 
 Public:
 
-- `feature_sets`: `Origin`, `georeference`
-- `known_ground`: `over_known_ground`
+- `feature_sets`: `Origin`, `Picture`, `georeference`
+- `surface_sets`: `over_known_ground`
 """

@@ -1,33 +1,43 @@
 """Feature sets over a ground known beforehand, for pictures without parallax: hover, pure rotation, the first seconds.
 
-The pose is the autopilot's, through mount and boresight; the depth is where a grid of rays meets the surface. Every
-error comes from the pose's and the surface's, by differences of that intersection (9.7): with the pose the depth
-field moves, because the ground stays where it is.
+The pose is the autopilot's, through mount and boresight; the depth is where a grid of rays meets the surface. Errors
+are propagated from the pose and the surface by finite differences of that intersection (9.7): an error of the pose
+moves the depth field too, because the ground stays where it is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contract.camera import Camera
 from contract.feature_set import DepthSource, FeatureSet, Status
-from contract.geodesy import LocalFrame
 from contract.rotations import exp_so3
+from onboard.config.schema import Config
 from onboard.estimation.sensor_pose import SensorPose
+from onboard.estimation.sliding_window import Window
 from onboard.geometry.plane_homography import Pose
-from onboard.georeferencing.feature_sets import Origin, assemble, common_states
+from onboard.georeferencing.feature_sets import Features, Linearised, Picture, assemble, common_states
+from onboard.navigation.navigator import NavState
 
 Array = NDArray[np.float64]
 
 GRID = (9, 7)
 MIN_RAYS = 8
 SURFACE_NOISE = 1e-8  # of d ln w, squared: the surface itself is known where its rays meet it
-MAX_GRAZE = 0.12  # sine of a ray's angle with the level ground below which it is left out
+MAX_GRAZE = 0.12  # least sine of a ray's angle with the level ground
 Cast = Callable[[Array, Array], Array]  # centre (3,), rays (N, 3) ENU -> depth (N,), inf where the ground is missed
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A ground known beforehand."""
+
+    cast: Cast
+    sigma_m: float  # of the ground's own roughness about it, independent from place to place
+    source: DepthSource
 
 
 def level_cast(height_m: float) -> Cast:
@@ -41,21 +51,39 @@ def level_cast(height_m: float) -> Cast:
     return cast
 
 
-def over_surface(
-    camera: Camera,
-    sensor_pose: SensorPose,
-    cast: Cast,
-    ground_sigma_m: float,
-    source: DepthSource,
-    origin: Origin,
-    frame: LocalFrame,
-    undulation_m: float,
-) -> FeatureSet | Status:
+def over_known_ground(config: Config, window: Window, nav: NavState, picture: Picture) -> FeatureSet | None:
+    """The picture's set by the autopilot's pose over a known ground; None without attitude or without such a ground.
+
+    That ground is terrain, or what a range finder measures, or home's level.
+    """
+    sensor_pose = window.sensor_pose(nav)
+    if sensor_pose is None:
+        return None
+    ranged = nav.ground_range
+    if window.terrain is not None:
+        surface = Surface(window.terrain.cast, config.terrain.sigma_m, DepthSource.TERRAIN)
+        over = sensor_pose.over_ground(config.terrain.sigma_datum_m)
+    elif ranged is not None:
+        # The beam hits one place; the ground about it lies as far off as relief goes.
+        cast = level_cast(float(sensor_pose.centre_enu_m[2] + ranged.vector_enu_m[2]))
+        surface = Surface(cast, 0.0, DepthSource.PLANE)
+        over = sensor_pose.over_ranged_ground(float(np.hypot(ranged.sigma_m, config.solve.relief_sigma_m)))
+    elif config.solve.home_level and nav.height_above_home_m is not None:
+        cast = level_cast(float(nav.position_enu_m[2]) - nav.height_above_home_m)
+        surface = Surface(cast, 0.0, DepthSource.PLANE)
+        over = sensor_pose.over_ground(config.solve.home_level_sigma_m)
+    else:
+        return None
+    result = over_surface(picture, over, surface)
+    return result if isinstance(result, FeatureSet) else None
+
+
+def over_surface(picture: Picture, sensor_pose: SensorPose, surface: Surface) -> FeatureSet | Status:
     """The feature set of one picture over a known ground; ABOVE_HORIZON where too few rays meet it.
 
-    `ground_sigma_m` is the ground's own roughness about the surface, independent from place to place; what is wrong
-    with the surface as a whole belongs in `sensor_pose`.
+    What is wrong with the surface as a whole belongs in `sensor_pose`.
     """
+    camera, cast = picture.camera, surface.cast
     u, v = np.meshgrid(
         np.linspace(0.01, 0.99, GRID[0]) * (camera.width_px - 1),
         np.linspace(0.01, 0.99, GRID[1]) * (camera.height_px - 1),
@@ -74,32 +102,17 @@ def over_surface(
     uv, rays, z, M = uv[usable], rays[usable], z[usable], M[usable]
     R_enu_cam = sensor_pose.R_cam_enu.T
     # The same linear path as a solved window: d pose = gain d state, d ln w = M d state.
-    own = (ground_sigma_m * M[:, 6]) ** 2 + SURFACE_NOISE
+    own = (surface.sigma_m * M[:, 6]) ** 2 + SURFACE_NOISE
     P = np.zeros((6, 7))
     P[:3, 3:6] = -sensor_pose.R_cam_enu
     P[3:, :3] = np.eye(3)
     H = np.concatenate([np.ones((len(z), 1)), rays[:, :2]], axis=1)
-    none = np.zeros((6, 6))
-    common, variance, T = common_states(H, own, M, np.zeros((len(z), 6)), P, R_enu_cam, sensor_pose.covariance, none)
+    errors = Linearised(sensor_pose.covariance, P, np.zeros((6, 6)), H, M, np.zeros((len(z), 6)), own)
+    common, variance, T = common_states(errors, R_enu_cam)
     shared = replace(sensor_pose.shared, by_nuisance=T @ sensor_pose.shared.by_nuisance)
     pose = Pose(sensor_pose.R_cam_enu, sensor_pose.centre_enu_m)
-    every = np.arange(len(z))
-    return assemble(
-        camera,
-        origin,
-        frame,
-        undulation_m,
-        pose,
-        common,
-        shared,
-        source,
-        H,
-        uv,
-        1.0 / z,
-        variance,
-        every,
-        noise=np.full(len(z), SURFACE_NOISE),
-    )
+    features = Features(H, uv, 1.0 / z, variance, np.full(len(z), SURFACE_NOISE), np.arange(len(z)))
+    return assemble(picture, pose, features, common, shared, surface.source)
 
 
 def _sensitivity(sensor_pose: SensorPose, cast: Cast, rays: Array, z: Array) -> Array:

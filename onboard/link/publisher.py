@@ -6,7 +6,6 @@ that ever waits for the link: `publish` takes a set and returns.
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 import threading
@@ -23,11 +22,22 @@ from contract.errors import LinkError
 from contract.feature_set import FeatureSet, Status
 from contract.history import History
 from contract.link_config import Tls, link_config
-from contract.topics import DEFAULT_ENDPOINT, DETAIL_PARAMETER, FEATURES, FRAME_PARAMETER, STATUS, TIME_PARAMETER
+from contract.topics import (
+    DEFAULT_ENDPOINT,
+    DETAIL_PARAMETER,
+    FEATURES,
+    FRAME_PARAMETER,
+    QUERY,
+    STATUS,
+    TIME_PARAMETER,
+    Topic,
+)
 from onboard.config.schema import Config
+from onboard.events.supervised_thread import Policy, SupervisedThread
 from onboard.events.types import Event
 from onboard.link.byte_budget import CONNECT_BYTES, SECURE_CONNECT_BYTES, Budget, Kind
 from onboard.link.packet import one_packet
+from onboard.link.reply import Answer, SetClock, answer, refusal
 from onboard.link.set_selection import REPEAT_S, Offer, Selection
 from onboard.link.socket_backlog import Backlog
 
@@ -35,6 +45,7 @@ MAX_WAITING_QUERIES = 16
 QUERY_PATIENCE_S = 2.8  # the ground waits 3 s; an answer after that is a waste
 IDLE_S = 0.25
 HELD_S = 0.05
+WARN_AGAIN_S = 10.0
 # Unacknowledged bytes, in seconds of the bit rate and at least so many, above which nothing more is sent: more than a
 # slow radio has under way, and less than a second of its time.
 BACKLOG_S, BACKLOG_BYTES = 1.0, 3000
@@ -57,8 +68,7 @@ class _Waiting:
 
     query: zenoh.Query
     key: str
-    answer: bytes
-    is_error: bool
+    answer: Answer
     since_s: float
 
 
@@ -89,6 +99,7 @@ class Publisher:
         self._key, self._status_key = FEATURES.key(vehicle), STATUS.key(vehicle)
         self._vehicle = vehicle
         self._history: History[bytes] = History(history_s, history_sets)
+        self._set_clock = SetClock()
         rate = rate or Rate()
         connect_bytes = CONNECT_BYTES if tls is None else SECURE_CONNECT_BYTES
         self._budget = Budget(rate.max_bit_rate, rate.min_rate_hz, rate.max_rate_hz, time.monotonic(), connect_bytes)
@@ -99,6 +110,7 @@ class Publisher:
         self._status_waits = False
         self._is_closed = self._has_news = False
         self.sent = 0  # sets put on the link, without those asked for
+        self._warned_s = -math.inf
         self._changed = threading.Condition()
         names = {*allowed, vehicle} if allowed else ()  # the aircraft's own programs may ask it too
         config = link_config(
@@ -114,23 +126,13 @@ class Publisher:
             self._session = zenoh.open(zenoh.Config.from_json5(config))
         except zenoh.ZError as error:
             raise LinkError(_open_failure(listen, connect, error)) from error
-        self._publisher = self._session.declare_publisher(
-            self._key,
-            congestion_control=zenoh.CongestionControl.DROP,
-            express=FEATURES.express,
-            reliability=zenoh.Reliability.BEST_EFFORT,
-        )
-        self._status_publisher = self._session.declare_publisher(
-            self._status_key,
-            congestion_control=zenoh.CongestionControl.DROP,
-            express=STATUS.express,
-            reliability=zenoh.Reliability.BEST_EFFORT,
-        )
+        self._publisher = _declared(self._session, FEATURES, vehicle)
+        self._status_publisher = _declared(self._session, STATUS, vehicle)
         # The variables keep the queryables declared.
         self._queryable = self._session.declare_queryable(self._key, self._asked)
         self._status_queryable = self._session.declare_queryable(self._status_key, self._asked_for_status)
-        self._thread = threading.Thread(target=self._run, name="link", daemon=True)
-        self._thread.start()
+        self.thread = SupervisedThread("link", self._run, Policy.RESTART)
+        self.thread.start()
 
     @classmethod
     def open(cls, config: Config) -> Self:
@@ -160,6 +162,7 @@ class Publisher:
         offer = Offer(s.session, s.frame, s.revision, s.capture_unix_ns, s.is_ok, s.is_keyframe, packet)
         with self._changed:
             self._history.add(s, packet)
+            self._set_clock.captured(s.session, s.capture_unix_ns, time.monotonic_ns())
             self._selection.offer(offer)
             self._wake()
         return packet
@@ -172,7 +175,9 @@ class Publisher:
             self._wake()
 
     def event(self, arrival_ns: int, event: Event) -> None:
-        """Events stay on board."""
+        """Events stay on board; their arrivals tell the time by which pictures are aged."""
+        with self._changed:
+            self._set_clock.arrived(arrival_ns, time.monotonic_ns())
 
     def feature_set(self, output: FeatureSet) -> None:
         """`publish`, as a sink."""
@@ -180,10 +185,11 @@ class Publisher:
 
     def close(self) -> None:
         """Leave the link; what has not been sent is not."""
+        self.thread.end()
         with self._changed:
             self._is_closed = True
             self._wake()
-        self._thread.join(5.0)
+        self.thread.join(5.0)
         self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Self:
@@ -196,12 +202,10 @@ class Publisher:
         self._has_news = True
         self._changed.notify()
 
-    def _run(self) -> None:
+    def _run(self, thread: SupervisedThread) -> None:
         """The link's thread. Its locks are never held while zenoh is at work: it calls back from threads of its own."""
-        while True:
+        while not thread.is_set():
             with self._changed:
-                if self._is_closed:
-                    return
                 self._has_news = False
             wait_s = self._send_one()
             with self._changed:
@@ -212,7 +216,7 @@ class Publisher:
         """Send at most one message; seconds until the next may go."""
         info = self._session.info
         grounds = len(info.transports())
-        if self._backlog.unacknowledged(link.dst for link in info.links()) > self._most_backlog:
+        if self._unacknowledged(info) > self._most_backlog:
             return HELD_S
         now_s = time.monotonic()
         with self._changed:
@@ -242,11 +246,27 @@ class Publisher:
             elif query is not None:
                 _reply(query)
             elif offer is not None:
-                self._publisher.put(offer.item)
+                self._publisher.put(
+                    offer.item, attachment=self._set_clock.said(offer.capture_unix_ns, time.monotonic_ns())
+                )
                 self.sent += 1
-        except zenoh.ZError as error:  # a link that breaks while it is used mends itself; the next message will do
-            log.warning("link: %s", str(error).split(" at ", maxsplit=1)[0])
+        except (zenoh.ZError, OSError) as error:  # a link that breaks in use mends itself; the next message will do
+            self._warn(str(error).split(" at ", maxsplit=1)[0])
         return 0.0
+
+    def _unacknowledged(self, info: zenoh.SessionInfo) -> int:
+        """Bytes under way; 0 where it cannot be known, as where no descriptor is left to look with."""
+        try:
+            return self._backlog.unacknowledged(link.dst for link in info.links())
+        except OSError as error:
+            self._warn(f"what is under way cannot be known: {error.strerror or error}")
+            return 0
+
+    def _warn(self, text: str) -> None:
+        now_s = time.monotonic()
+        if now_s - self._warned_s >= WARN_AGAIN_S:
+            self._warned_s = now_s
+            log.warning("link: %s", text)
 
     def _wait_s(self, now_s: float, status: bytes | None, query: _Waiting | None, offer: Offer[bytes] | None) -> float:
         waits = [self._selection.wait_s(now_s) or IDLE_S, IDLE_S]
@@ -265,53 +285,46 @@ class Publisher:
 
     def _asked(self, query: zenoh.Query) -> None:
         """A set, or a Status and whose it is. A queryable that raised would look like an absent one."""
-        found = self._find(query.parameters.get(FRAME_PARAMETER), query.parameters.get(TIME_PARAMETER))
-        if isinstance(found, Status):
-            self._wait_to_answer(query, self._key, self._refusal(found), is_error=True)
-        else:
-            self._wait_to_answer(query, self._key, found)
+        frame, unix_s = query.parameters.get(FRAME_PARAMETER), query.parameters.get(TIME_PARAMETER)
+        with self._changed:
+            now_ns = time.monotonic_ns()
+            found = answer(self._history, frame, unix_s, self._vehicle, self._status, self._set_clock, now_ns)
+        self._wait_to_answer(query, self._key, found)
 
     def _asked_for_status(self, query: zenoh.Query) -> None:
         with self._changed:
-            answer = self._status_detail if DETAIL_PARAMETER in query.parameters else self._status
-        if answer:
-            self._wait_to_answer(query, self._status_key, answer)
-        else:
-            self._wait_to_answer(query, self._status_key, self._refusal(Status.STARTING), is_error=True)
+            payload = self._status_detail if DETAIL_PARAMETER in query.parameters else self._status
+        found = Answer(payload) if payload else refusal(Status.STARTING, self._vehicle)
+        self._wait_to_answer(query, self._status_key, found)
 
-    def _refusal(self, status: Status) -> bytes:
-        return json.dumps({"status": status.value, "vehicle": self._vehicle}).encode()
-
-    def _wait_to_answer(self, query: zenoh.Query, key: str, answer: bytes, is_error: bool = False) -> None:
+    def _wait_to_answer(self, query: zenoh.Query, key: str, found: Answer) -> None:
         with self._changed:
             if len(self._queries) < MAX_WAITING_QUERIES and not self._is_closed:
-                self._queries.append(_Waiting(query, key, answer, is_error, time.monotonic()))
+                self._queries.append(_Waiting(query, key, found, time.monotonic()))
                 self._wake()
                 return
         query.drop()  # type: ignore[no-untyped-call]
 
-    def _find(self, frame: str | None, time_: str | None) -> bytes | Status:
-        with self._changed:
-            if frame is not None:
-                is_number = frame.isascii() and frame.isdecimal() and len(frame) <= 10
-                payload = self._history.frame(int(frame)) if is_number else None
-            elif time_ is not None:
-                try:
-                    unix_s = float(time_)
-                except ValueError:
-                    unix_s = math.nan
-                payload = self._history.nearest(unix_s) if math.isfinite(unix_s) else None
-            else:
-                return self._history.newest() or Status.STARTING
-        return payload or Status.UNKNOWN_FRAME
-
 
 def _reply(waiting: _Waiting) -> None:
     with waiting.query as query:
-        if waiting.is_error:
-            query.reply_err(waiting.answer)
+        found = waiting.answer
+        if found.is_error:
+            query.reply_err(found.payload)
         else:
-            query.reply(waiting.key, waiting.answer)
+            query.reply(waiting.key, found.payload, express=QUERY.express, attachment=found.about or None)
+
+
+def _declared(session: zenoh.Session, topic: Topic, vehicle: str) -> zenoh.Publisher:
+    """A publisher of a topic with the quality of service of the table."""
+    qos = topic.qos
+    return session.declare_publisher(
+        topic.key(vehicle),
+        congestion_control=getattr(zenoh.CongestionControl, qos.congestion_control),
+        priority=getattr(zenoh.Priority, qos.priority),
+        express=qos.express,
+        reliability=getattr(zenoh.Reliability, qos.reliability),
+    )
 
 
 def _open_failure(listen: Sequence[str], connect: Sequence[str], error: zenoh.ZError) -> str:

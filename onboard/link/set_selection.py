@@ -8,9 +8,13 @@ from typing import Generic, TypeVar
 
 T = TypeVar("T", bound=Hashable)
 
+# With nothing newer, the newest set is sent again after this: it may have been sent into a link that was cut.
 REPEAT_S = 2.0
+# Better revisions of older pictures wait until the newest picture is not older than this on the ground.
 FRESH_S = 1.0
+# Refusals give way to a set that answers and is at most this much older.
 ANSWER_LEAD_NS = 1_000_000_000
+# Pictures older than this are only answered when asked for.
 MEMORY_NS = 15_000_000_000
 MAX_REVISED = 512
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
-from typing import Any
 
 import zenoh
 
-from contract.errors import LinkError
 from contract.link_config import Tls, link_config
 from contract.topics import DETAIL_PARAMETER, STATUS
 
@@ -22,8 +19,8 @@ def local_endpoints(listen: Sequence[str]) -> list[str]:
     return [_EVERYWHERE.sub("/127.0.0.1:", endpoint) for endpoint in listen]
 
 
-def ask(vehicle: str, listen: Sequence[str], tls: Tls | None = None) -> dict[str, Any] | None:
-    """The daemon's detailed report; None if nobody answers. Raises LinkError for an answer that is none.
+def ask(vehicle: str, listen: Sequence[str], tls: Tls | None = None) -> bytes | None:
+    """The daemon's detailed report as it sends it (`onboard.service.reports`); None if nobody answers.
 
     With `tls`, its own: the daemon lets whoever shows its certificate ask it.
     """
@@ -35,17 +32,7 @@ def ask(vehicle: str, listen: Sequence[str], tls: Tls | None = None) -> dict[str
         try:
             for reply in session.get(f"{STATUS.key(vehicle)}?{DETAIL_PARAMETER}=1", timeout=TIMEOUT_S):
                 if reply.ok is not None:
-                    return _read(reply.ok.payload.to_bytes())
+                    return reply.ok.payload.to_bytes()
         finally:
             session.close()  # type: ignore[no-untyped-call]
     return None
-
-
-def _read(payload: bytes) -> dict[str, Any]:
-    try:
-        content = json.loads(payload)
-    except ValueError as error:
-        raise LinkError(f"the daemon's report cannot be read: {error}") from error
-    if not isinstance(content, dict) or not isinstance(content.get("status"), dict):
-        raise LinkError("the daemon's report is none; is it of another version?")
-    return content

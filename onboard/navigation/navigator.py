@@ -2,18 +2,16 @@
 
 Positions are joined by cubic Hermite pieces whose slopes are the filter's own velocities; attitudes likewise with the
 gyros' rates (a recorded flight thinned to 3.3 Hz is then 0.06 deg off at the 95th percentile, where rotation at
-constant rate is 0.50 deg off), else by rotation at constant rate. GPS is believed until the messages say otherwise: a
-lost or silent fix, a jump that the velocity does not explain, or a filter that slips (moves its position against its
-own velocity, as it does while it corrects an error) refuses every exposure from then until it has settled again. Slip
-is measured over two seconds: at most 0.3 m/s in recorded clean flights, 0.65 m/s in the real one; 1 to 4 m/s while
-jammed and for the ten seconds of recovery in which the receiver's own figures are already perfect and the position is
-still 28 to 4 m off.
+constant rate is 0.50 deg off), else by rotation at constant rate. Whether a position is believed is judged by
+`gps_integrity`.
+
+The local frame lies where the first believed position is, and moves to a believed position that is far from it: what
+an autopilot reports before its receiver has a fix is no place (ArduPilot sends 0.0003 N 0.0001 W).
 """
 
 from __future__ import annotations
 
 import bisect
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -27,19 +25,18 @@ from onboard.config.schema import Config
 from onboard.events.types import Attitude, FilterStatus, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
 from onboard.navigation.attitude_interpolation import Attitudes
 from onboard.navigation.gimbal import Gimbal, MountHypothesis
-from onboard.navigation.time_series import MEMORY_NS, Series
+from onboard.navigation.gps_integrity import NOTHING_YET, RECOVERING, GpsIntegrity
+from onboard.navigation.position_doubt import Position
+from onboard.navigation.time_series import Series
 
 Array = NDArray[np.float64]
 
 # Data this much older than the newest means that the clock was set back: nothing held can be compared any more.
 CLOCK_STEP_NS = 5_000_000_000
 CLIMB_WINDOW_NS = 1_000_000_000
-SLIP_WINDOW_NS = 2_000_000_000
-CLAIM_WINDOW_NS = 2_000_000_000
-FLAPPING_NS = 10_000_000_000
-UNUSABLE_FIX = 2  # GPS_FIX_TYPE up to this one
-GLITCH_SIGMAS = 5.0
-MIN_DISPERSION_FREEDOM = 4
+# From its origin the frame's up and the vertical differ by 0.2 degrees here; ground taken for level in it would slope.
+FRAME_REACH_M = 20_000.0
+KEPT_NS = 3_000_000_000  # of positions, when the frame moves: as long as a picture waits, and slip needs
 MAX_DISPERSION_M = 5.0
 MAX_RANGE_GAP_NS = 500_000_000
 
@@ -57,9 +54,11 @@ class NavState:
     """The vehicle at one exposure. Position and velocity in `Navigation.frame`, attitude in ENU axes at the vehicle.
 
     `velocity_enu_m_s` and `R_enu_body` are None where the log has none; `R_enu_body` also where `solve.attitude` is
-    "none". The sigmas are the receiver's claim for the wandering part, bounded below by the configuration;
-    `sigma_white_m` is how positions scatter about their own velocity, likewise. `mount_hypotheses` holds R_enu_body by
-    every mount hypothesis while more than one is possible.
+    "none". The sigmas are the receiver's claim for the Gauss-Markov error, bounded below by the configuration, and
+    jumps that nothing has explained; `sigma_white_m` is the dispersion of positions about their own velocity, bounded
+    likewise. `mount_hypotheses` holds R_enu_body by every mount hypothesis while more than one is possible. States of
+    different `stretch` must not be compared: the position jumped, or the frame moved, between them. `stamp_sigma_s`:
+    one sigma of the time it was asked for, beyond the time offset's own, common to all states that have it.
     """
 
     stamp_ns: int
@@ -73,13 +72,8 @@ class NavState:
     height_above_home_m: float | None
     ground_range: GroundRange | None = None
     mount_hypotheses: Mapping[MountHypothesis, Array] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
-class _Position:
-    enu_m: Array
-    velocity_enu_m_s: Array | None
-    height_above_home_m: float | None
+    stretch: int = 0
+    stamp_sigma_s: float = 0.0
 
 
 class Navigation:
@@ -88,25 +82,26 @@ class Navigation:
     def __init__(self, config: Config) -> None:
         self.config = config
         self.frame: LocalFrame | None = None
-        self._positions: Series[_Position] = Series()
+        self.reason = NOTHING_YET  # why no position is believed just now, for people; empty when one is
+        self._fixes: Series[PositionFix] = Series()  # as they came; those of `_positions`, or all before a frame is
+        self._positions: Series[Position] = Series()
+        self._integrity = GpsIntegrity(config)
+        self._moves = 0  # of the frame
         self._attitudes = Attitudes(config.telemetry.max_attitude_gap_s)
         self._gimbal = Gimbal(config)
         # Which reading of mount and gimbal is believed; `mount.gimbal` "auto" leaves it to whoever sees pictures.
         self.mount_hypothesis = MountHypothesis.GIMBAL if config.mount.gimbal == "always" else MountHypothesis.MOUNT
         self._ranges: Series[RangeFinder] = Series()
-        self._quality: Series[GpsQuality] = Series()
-        self._filter: Series[FilterStatus] = Series()
-        self._glitches_ns: list[tuple[int, int]] = []  # stretches around jumps
         self._undulation_m = float("nan") if config.gps.undulation_m is None else config.gps.undulation_m
         self._latency_ns = round(config.gps.latency_s * 1e9)
 
     def add(self, event: NavEvent) -> None:
         """Take one event; events with a stamp already held are ignored."""
-        held: Series[_Position] | Attitudes | Gimbal | Series[GpsQuality] | Series[RangeFinder] | Series[FilterStatus]
+        held: Series[PositionFix] | Attitudes | Gimbal | Series[GpsQuality] | Series[RangeFinder] | Series[FilterStatus]
         if isinstance(event, PositionFix):
-            held = self._positions
+            held = self._fixes
         elif isinstance(event, GpsQuality):
-            held = self._quality
+            held = self._integrity.quality
         elif isinstance(event, Attitude):
             held = self._attitudes
         elif isinstance(event, GimbalAttitude):
@@ -114,13 +109,13 @@ class Navigation:
         elif isinstance(event, RangeFinder):
             held = self._ranges
         else:
-            held = self._filter
+            held = self._integrity.filter
         if held.stamps_ns and event.stamp_ns < held.stamps_ns[-1] - CLOCK_STEP_NS:
             self._forget()
         if isinstance(event, PositionFix):
             self._add_position(event)
         elif isinstance(event, GpsQuality):
-            self._quality.insert(event.stamp_ns, event)
+            self._integrity.note_quality(event)
             if event.undulation_m is not None:
                 self._undulation_m = event.undulation_m
         elif isinstance(event, Attitude):
@@ -131,56 +126,86 @@ class Navigation:
         elif isinstance(event, RangeFinder):
             self._ranges.insert(event.stamp_ns, event)
         else:
-            self._filter.insert(event.stamp_ns, event)
+            self._integrity.note_filter(event)
+        if isinstance(event, PositionFix | GpsQuality | FilterStatus):
+            if self.frame is None:
+                self._place_frame(event.stamp_ns)
+            if not isinstance(event, PositionFix):
+                self._judge_now()
 
     def _forget(self) -> None:
-        self._positions, self._quality, self._ranges, self._filter = Series(), Series(), Series(), Series()
+        self._fixes, self._positions, self._ranges = Series(), Series(), Series()
+        self._integrity.forget()
+        self._integrity.positions = self._positions
         self._attitudes.forget()
         self._gimbal.forget()
-        self._glitches_ns.clear()
 
     def _add_position(self, fix: PositionFix) -> None:
-        if self.frame is None:
-            index = self._quality.last_until(fix.stamp_ns)
-            if index is not None and self._quality.values[index].fix_type <= UNUSABLE_FIX:
-                return  # a filter without a fix reports a place it remembers or has been told
-            self.frame = LocalFrame(fix.lat_deg, fix.lon_deg, fix.height_amsl_m)
+        if self._fixes.insert(fix.stamp_ns, fix) is None or self.frame is None:
+            return
+        is_believed = not self._integrity.is_unfit_now
+        if is_believed and np.linalg.norm(self._enu(fix)) > FRAME_REACH_M:
+            self._move_frame(fix)
+        else:
+            self._insert(fix)
+
+    def _enu(self, fix: PositionFix) -> Array:
+        assert self.frame is not None
+        return self.frame.to_enu(fix.lat_deg, fix.lon_deg, fix.height_amsl_m)
+
+    def _insert(self, fix: PositionFix) -> None:
+        assert self.frame is not None
         velocity = None
         if fix.velocity_ned_m_s is not None:
             R_frame_here = self.frame.R_enu_ecef @ rotation_enu_ecef(fix.lat_deg, fix.lon_deg).T
             velocity = R_frame_here @ (R_ENU_NED @ np.nan_to_num(fix.velocity_ned_m_s, nan=0.0))
             if not np.isfinite(fix.velocity_ned_m_s[2]):
                 velocity[2] = np.nan
-        enu = self.frame.to_enu(fix.lat_deg, fix.lon_deg, fix.height_amsl_m)
-        index = self._positions.insert(
-            fix.stamp_ns - self._latency_ns, _Position(enu, velocity, fix.height_above_home_m)
-        )
-        if index is not None and index > 0:
-            self._note_glitch(index)
+        position = Position(self._enu(fix), velocity, fix.height_above_home_m)
+        index = self._positions.insert(fix.stamp_ns - self._latency_ns, position)
+        if index is not None:
+            self._integrity.note_position(index)
 
-    def _note_glitch(self, index: int) -> None:
-        """Remember a jump that velocity does not explain, from the last fix before it until it has settled."""
-        gps = self.config.gps
-        before, after = self._positions.values[index - 1], self._positions.values[index]
-        start_ns, end_ns = self._positions.stamps_ns[index - 1], self._positions.stamps_ns[index]
-        seconds = (end_ns - start_ns) / 1e9
-        if seconds > gps.max_gap_s:
+    def _place_frame(self, now_ns: int) -> None:
+        """Put the frame where the first believed position is, once one is."""
+        if not self._fixes.stamps_ns:
             return
-        velocities = [np.nan_to_num(v) for v in (before.velocity_enu_m_s, after.velocity_enu_m_s) if v is not None]
-        if velocities:
-            predicted = np.mean(velocities, axis=0) * seconds
-        elif index > 1:
-            earlier_s = (start_ns - self._positions.stamps_ns[index - 2]) / 1e9
-            predicted = (before.enu_m - self._positions.values[index - 2].enu_m) * (seconds / earlier_s)
-        else:
+        since_ns, self.reason = self._integrity.first_belief(self._fixes.stamps_ns[0], now_ns)
+        if since_ns is None:
             return
-        sigma_horizontal_m, sigma_vertical_m = self._sigmas(end_ns)
-        miss = after.enu_m - before.enu_m - predicted
-        horizontal = np.hypot(miss[0], miss[1]) > max(gps.glitch_m, GLITCH_SIGMAS * sigma_horizontal_m)
-        if horizontal or abs(miss[2]) > max(gps.glitch_m, GLITCH_SIGMAS * sigma_vertical_m):
-            self._glitches_ns.append((start_ns, end_ns + round(gps.settle_s * 1e9)))
-            newest = self._positions.stamps_ns[-1]
-            self._glitches_ns = [g for g in self._glitches_ns if g[1] > newest - 2 * MEMORY_NS]
+        believed = [fix for fix in self._fixes.values if fix.stamp_ns > since_ns]
+        if not believed:
+            self.reason = RECOVERING
+            return
+        newest = believed[-1]
+        self.frame = LocalFrame(newest.lat_deg, newest.lon_deg, newest.height_amsl_m)
+        near = [fix for fix in believed if np.linalg.norm(self._enu(fix)) <= FRAME_REACH_M]
+        # What came before may be held against the newest only as far as it can have been flown since.
+        first = near[0]
+        self.frame = LocalFrame(first.lat_deg, first.lon_deg, first.height_amsl_m)
+        self._hold(near)
+
+    def _move_frame(self, fix: PositionFix) -> None:
+        """The frame's origin to a believed position far from it; what pictures still wait for is kept if it is near."""
+        recent = [f for f in self._fixes.values if abs(f.stamp_ns - fix.stamp_ns) <= KEPT_NS]
+        self.frame = LocalFrame(fix.lat_deg, fix.lon_deg, fix.height_amsl_m)
+        self._moves += 1
+        near = [held for held in recent if np.linalg.norm(self._enu(held)) <= FRAME_REACH_M]
+        is_one_path = len(near) == len(recent) > 1
+        self._hold(near, None if is_one_path else fix.stamp_ns)
+
+    def _hold(self, fixes: list[PositionFix], jumped_ns: int | None = None) -> None:
+        self._fixes, self._positions = Series(), Series()
+        self._integrity.begin(self._positions, jumped_ns)
+        for fix in fixes:
+            self._fixes.insert(fix.stamp_ns, fix)
+            self._insert(fix)
+
+    def _judge_now(self) -> None:
+        """Bring `reason` up to date where no picture asks."""
+        if self.frame is not None and self._positions.stamps_ns:
+            newest_ns = self._positions.stamps_ns[-1]
+            self.reason = self._integrity.fault_at(newest_ns, self._integrity.slip_at(newest_ns))
 
     def covers(self, stamp_ns: int, delay_ns: int = 0) -> bool:
         """Whether `state_at` can do no better by waiting: data after this moment has arrived.
@@ -227,7 +252,9 @@ class Navigation:
         found |= {c: self._gimbal.at(moment_ns, self._attitudes, c) for c in self._gimbal.readings}
         return {c: R_frame_ned @ R for c, R in found.items() if not isinstance(R, Status)}
 
-    def state_at(self, stamp_ns: int, offset_s: float = 0.0, delay_s: float = 0.0) -> NavState | Status:
+    def state_at(
+        self, stamp_ns: int, offset_s: float = 0.0, stamp_sigma_s: float = 0.0, delay_s: float = 0.0
+    ) -> NavState | Status:
         """The vehicle at `stamp_ns` + `offset_s` (camera-to-autopilot time offset), or why not.
 
         Position and velocity are looked up `delay_s` later: they are older than their stamps.
@@ -236,13 +263,13 @@ class Navigation:
         """
         moment_ns = stamp_ns + round(offset_s * 1e9)
         if self.frame is None or not self._positions.stamps_ns:
-            lost = bool(self._quality.values) and self._quality.values[-1].fix_type <= UNUSABLE_FIX
-            return Status.NO_GPS if lost else Status.STARTING
+            return Status.NO_GPS if self._integrity.is_unfit_now else Status.STARTING
         position = self._position_at(moment_ns + round(delay_s * 1e9))
         if isinstance(position, Status):
             return position
-        slip_m_s, dispersion_m = self._slip(moment_ns)
-        if not self._gps_is_good(moment_ns) or slip_m_s > self.config.gps.max_slip_m_s:
+        slip = self._integrity.slip_at(moment_ns)
+        self.reason = self._integrity.fault_at(moment_ns, slip)
+        if self.reason:
             return Status.NO_GPS
         R_enu_body, mount_hypotheses = None, {}
         if self._wants_attitude:
@@ -252,7 +279,7 @@ class Navigation:
             R_frame_ned = self._R_frame_ned(position.enu_m)
             R_enu_body = R_frame_ned @ R_ned_body
             mount_hypotheses = self._mount_hypotheses_at(moment_ns, R_frame_ned)
-        sigma_horizontal_m, sigma_vertical_m = self._sigmas(moment_ns)
+        sigma_horizontal_m, sigma_vertical_m = self._integrity.sigmas(moment_ns)
         return NavState(
             stamp_ns,
             position.enu_m,
@@ -260,11 +287,13 @@ class Navigation:
             R_enu_body,
             sigma_horizontal_m,
             sigma_vertical_m,
-            max(self.config.gps.sigma_white_m, min(dispersion_m, MAX_DISPERSION_M)),
+            max(self.config.gps.sigma_white_m, min(slip.dispersion_m, MAX_DISPERSION_M)),
             self._undulation_m,
             position.height_above_home_m,
             self._range_at(moment_ns, position.enu_m),
             mount_hypotheses,
+            self._moves + self._integrity.stretch_at(moment_ns),
+            stamp_sigma_s,
         )
 
     def _range_at(self, moment_ns: int, position_enu_m: Array) -> GroundRange | None:
@@ -322,7 +351,7 @@ class Navigation:
             return None
         return position.velocity_enu_m_s if np.all(np.isfinite(position.velocity_enu_m_s)) else None
 
-    def _position_at(self, moment_ns: int) -> _Position | Status:
+    def _position_at(self, moment_ns: int) -> Position | Status:
         series = self._positions
         bracket = series.joined(moment_ns, self.config.gps.max_gap_s)
         if isinstance(bracket, Status):
@@ -334,7 +363,7 @@ class Navigation:
         measured = a.velocity_enu_m_s is not None and b.velocity_enu_m_s is not None
         if left == right:
             since = (moment_ns - series.stamps_ns[left]) / 1e9
-            return _Position(a.enu_m + velocity_a * since, velocity_a if measured else None, a.height_above_home_m)
+            return Position(a.enu_m + velocity_a * since, velocity_a if measured else None, a.height_above_home_m)
         s = (moment_ns - series.stamps_ns[left]) / 1e9 / seconds
         enu = (
             (1 + 2 * s) * (1 - s) ** 2 * a.enu_m
@@ -346,7 +375,7 @@ class Navigation:
         if a.height_above_home_m is not None:
             # Its difference from the height itself is a constant, home's own height.
             above_home = a.height_above_home_m + float(enu[2] - a.enu_m[2])
-        return _Position(enu, velocity, above_home)
+        return Position(enu, velocity, above_home)
 
     def _velocity(self, index: int) -> Array:
         """A fix's velocity (3,); the components it lacks from its neighbours' positions."""
@@ -363,84 +392,3 @@ class Navigation:
             return np.zeros(3) if known is None else np.nan_to_num(known)
         slope: Array = (values[last].enu_m - values[first].enu_m) / ((stamps[last] - stamps[first]) / 1e9)
         return slope if known is None else np.where(np.isfinite(known), known, slope)
-
-    def _slip(self, moment_ns: int) -> tuple[float, float]:
-        """How fast the filter surely moves its position sideways of its own velocity (m/s), and how it scatters (m).
-
-        A line through positions minus integrated velocities over two seconds: its slope less three of its sigmas, and
-        the scatter about it per axis. Both 0 where too little is known.
-        """
-        stamps = self._positions.stamps_ns
-        first = bisect.bisect_left(stamps, moment_ns - SLIP_WINDOW_NS // 2)
-        last = bisect.bisect_right(stamps, moment_ns + SLIP_WINDOW_NS // 2) - 1
-        if last - first < 2 or stamps[last] - stamps[first] < SLIP_WINDOW_NS // 4:
-            return 0.0, 0.0
-        velocities = [p.velocity_enu_m_s for p in self._positions.values[first : last + 1]]
-        known = [v[:2] for v in velocities if v is not None]
-        if len(known) < len(velocities):
-            return 0.0, 0.0
-        seconds = (np.array(stamps[first : last + 1]) - stamps[first]) / 1e9
-        if np.diff(seconds).max() > self.config.gps.max_gap_s:
-            return 0.0, 0.0
-        v = np.array(known)
-        flown = np.zeros_like(v)
-        np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(seconds)[:, None], axis=0, out=flown[1:])
-        strayed = np.array([p.enu_m[:2] for p in self._positions.values[first : last + 1]]) - flown
-        t = seconds - seconds.mean()
-        span = float(t @ t)
-        slope = t @ (strayed - strayed.mean(axis=0)) / span
-        miss = strayed - strayed.mean(axis=0) - t[:, None] * slope
-        freedom = len(t) - 2
-        dispersion_m = float(np.sqrt(np.sum(miss**2) / (2 * freedom))) if freedom >= MIN_DISPERSION_FREEDOM else 0.0
-        surely = float(np.linalg.norm(slope)) - 3.0 * dispersion_m / np.sqrt(span)
-        return max(surely, 0.0), dispersion_m
-
-    def _sigmas(self, moment_ns: int) -> tuple[float, float]:
-        """The receiver's worst claim of the last two seconds (when jammed it alternates), bounded below."""
-        gps = self.config.gps
-        last = bisect.bisect_right(self._quality.stamps_ns, moment_ns)
-        first = bisect.bisect_left(self._quality.stamps_ns, moment_ns - CLAIM_WINDOW_NS)
-        claims = self._quality.values[min(first, max(last - 1, 0)) : last]
-        return (
-            max([gps.sigma_wander_horizontal_m, *(c.sigma_horizontal_m for c in claims if c.sigma_horizontal_m)]),
-            max([gps.sigma_wander_vertical_m, *(c.sigma_vertical_m for c in claims if c.sigma_vertical_m)]),
-        )
-
-    def _gps_is_good(self, moment_ns: int) -> bool:
-        """No glitch, the filter content, and the receiver, if it ever spoke, spoke lately; all since `recovery_s`."""
-        if any(start <= moment_ns < end for start, end in self._glitches_ns) or not self._filter_is_good(moment_ns):
-            return False
-        if not self._quality.stamps_ns:
-            return True
-        gps, stamps = self.config.gps, self._quality.stamps_ns
-        last = self._quality.last_until(moment_ns)
-        if last is None:  # it had not spoken yet
-            return self._quality.values[0].fix_type > UNUSABLE_FIX
-        if moment_ns - stamps[last] > gps.quality_timeout_s * 1e9:
-            return False
-        # The message after an exposure tells of the moment before it too.
-        after = min(last + 1, len(stamps) - 1)
-        if stamps[after] - moment_ns > gps.quality_timeout_s * 1e9:
-            after = last
-        recent = min(bisect.bisect_right(stamps, moment_ns - FLAPPING_NS), last)
-        has_fix = [quality.fix_type > UNUSABLE_FIX for quality in self._quality.values[recent : after + 1]]
-        losses = sum(was and not now for was, now in itertools.pairwise(has_fix))
-        # A fix that comes and goes is a jammed receiver's: back it is no better than after a glitch.
-        wait_s = gps.recovery_s if losses < 2 else max(gps.recovery_s, gps.settle_s)
-        since = bisect.bisect_right(stamps, moment_ns - round(wait_s * 1e9))
-        return all(has_fix[max(min(since, last) - recent, 0) :])
-
-    def _filter_is_good(self, moment_ns: int) -> bool:
-        """The autopilot's filter believes its position and its GPS, and has since `recovery_s` ago; or never spoke.
-
-        Between two reports the later one counts as well; a bad one stands until a good one comes.
-        """
-        stamps = self._filter.stamps_ns
-        last = self._filter.last_until(moment_ns)
-        if last is None:
-            return True
-        first = min(bisect.bisect_right(stamps, moment_ns - round(self.config.gps.recovery_s * 1e9)), last)
-        after = min(last + 1, len(stamps) - 1)
-        if stamps[after] - moment_ns > self.config.gps.quality_timeout_s * 1e9:
-            after = last
-        return all(said.has_position and not said.is_glitching for said in self._filter.values[first : after + 1])

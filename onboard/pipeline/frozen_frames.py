@@ -1,15 +1,18 @@
 """A camera that gives an old picture as new, though the aircraft has moved.
 
 The same to the last bit: no sensor gives the same noise twice. Or encoded anew, so that bits differ: then nothing in it
-has moved where telemetry foretells that all must have. Believed, such a picture places the camera where it was when it
+has moved where telemetry predicts that all must have. Believed, such a picture places the camera where it was when it
 was taken.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.feature_set import Status
 from onboard.geometry.plane_homography import move
 from onboard.navigation.navigator import NavState
 from onboard.vision.klt_tracker import PREDICTED_PX, PREDICTED_SHARE, Tracks
@@ -19,8 +22,8 @@ Array = NDArray[np.float64]
 MOVED_M = 0.5
 TURNED_RAD = 0.01
 STILL_PX = 0.5  # median motion at 640 px width that two encodings of one picture may show
-FORETOLD_SIGMAS = 2.0  # of telemetry's own doubt that the motion foretold must exceed
-PATIENCE_NS = 5_000_000_000  # after which telemetry's drift may be what it foretells
+PREDICTED_SIGMAS = 2.0  # of telemetry's own sigma that the predicted motion must exceed
+PATIENCE_NS = 5_000_000_000  # after which telemetry's drift may be what it predicts
 
 
 class Staleness:
@@ -30,13 +33,21 @@ class Staleness:
         self._image: NDArray[np.uint8] | None = None
         self._nav: NavState | None = None
 
-    def is_stale(self, image: NDArray[np.uint8], nav: NavState) -> bool:
-        """Whether a picture (H, W) is an old one, seen from elsewhere."""
+    def is_stale(
+        self, image: NDArray[np.uint8], nav: NavState, state_at: Callable[[int], NavState | Status] | None = None
+    ) -> bool:
+        """Whether a picture (H, W) is an old one, seen from elsewhere.
+
+        `state_at` looks the older picture's state up anew: the time offset may have been learned since, and states by
+        different offsets differ though nothing has moved.
+        """
         before = self._nav
         if before is None or self._image is None or not np.array_equal(image, self._image) or not np.ptp(image):
             # A picture of one single grey (black, white, a lens cap) is old or new alike: it has nothing to follow.
             self._image, self._nav = image, nav
             return False
+        looked_up = before if state_at is None else state_at(before.stamp_ns)
+        before = before if isinstance(looked_up, Status) else looked_up
         moved_m = float(np.linalg.norm(nav.position_enu_m - before.position_enu_m))
         if nav.R_enu_body is None or before.R_enu_body is None:
             return moved_m > MOVED_M
@@ -46,7 +57,7 @@ class Staleness:
 
 
 class Stillness:
-    """Remembers where features were seen when they last moved, and what telemetry has foretold since."""
+    """Remembers where features were seen when they last moved, and what motion telemetry has predicted since."""
 
     def __init__(self, width_px: int) -> None:
         self._px = width_px / 640.0
@@ -63,8 +74,8 @@ class Stillness:
         if not len(here) or _median(to - self._uv[there]) > STILL_PX * self._px:
             self._ids, self._uv, self._predicted, self._stamp_ns = tracks.ids, tracks.uv_px, predicted, stamp_ns
             return False
-        foretold_px = _median(move(predicted, at) - move(self._predicted, at))
-        if foretold_px > FORETOLD_SIGMAS * (PREDICTED_SHARE * foretold_px + PREDICTED_PX * self._px):
+        predicted_px = _median(move(predicted, at) - move(self._predicted, at))
+        if predicted_px > PREDICTED_SIGMAS * (PREDICTED_SHARE * predicted_px + PREDICTED_PX * self._px):
             return True
         if stamp_ns - self._stamp_ns > PATIENCE_NS:
             self._predicted, self._stamp_ns = predicted, stamp_ns

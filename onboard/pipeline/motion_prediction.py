@@ -12,6 +12,8 @@ from onboard.navigation.navigator import NavState
 Array = NDArray[np.float64]
 
 MIN_HEIGHT_M = 2.0
+MAX_OUTAGE_NS = 3_000_000_000  # without navigation, after which old keyframes are of no use
+SAME_STAMPS = 0.5  # share that the sigma of stamps may change by while their error is taken for the same
 
 
 def ground_so_far(window: Window, nav: NavState) -> Array | None:
@@ -23,19 +25,30 @@ def ground_so_far(window: Window, nav: NavState) -> Array | None:
     return None
 
 
-def predict_motion(window: Window, nav: NavState) -> Array | None:
-    """Pixel homography (3, 3) from the newest keyframe to `nav`'s picture; None without attitude or ground."""
+def predict_motion(window: Window, was_nav: NavState, nav: NavState) -> Array | None:
+    """Pixel homography (3, 3) from the newest keyframe to `nav`'s picture; None without attitude or ground.
+
+    `was_nav` is the keyframe's state, looked up with the same time offset as `nav`.
+    """
     plane = ground_so_far(window, nav)
     if not window.keyframes or plane is None:
         return None
     last = window.keyframes[-1]
-    was, now = window.attitude_guess(last.nav), window.attitude_guess(nav)
+    was, now = window.attitude_guess(was_nav), window.attitude_guess(nav)
     if was is None or now is None:
         return None
-    moved = nav.position_enu_m - last.nav.position_enu_m
+    moved = nav.position_enu_m - was_nav.position_enu_m
     return predict_homography(
         window.camera,
         Pose(last.R_cam_enu, last.centre_enu_m),
         Pose(now @ was.T @ last.R_cam_enu, last.centre_enu_m + moved),
         plane,
     )
+
+
+def are_comparable(was: NavState, now: NavState) -> bool:
+    """Whether one window may hold both: not after an outage, a jump of the position, or a change of the stamps."""
+    if now.stamp_ns - was.stamp_ns > MAX_OUTAGE_NS or now.stretch != was.stretch:
+        return False
+    one, other = was.stamp_sigma_s, now.stamp_sigma_s
+    return abs(one - other) <= SAME_STAMPS * max(one, other)

@@ -1,9 +1,9 @@
-"""What carries the camera: the fixed mount, or the gimbal, and how the gimbal means what it says. Pictures decide.
+"""Selects the mount hypothesis by reprojection error: fixed mount, gimbal angles, or joint angles.
 
 An autopilot may report a gimbal that is not there, one that carries another camera, or joint angles against the body
-where the message's flags promise angles against the horizon (ArduPilot 4.7's servo gimbal does). A wrong guess turns
-the camera by tens of degrees. So each reading foretells, through the vehicle's own motion, where a keyframe's features
-come to lie in the next pictures, and the one that foretells them is believed.
+where the message's flags promise angles against the horizon (ArduPilot 4.7's servo gimbal does). A wrong choice turns
+the camera by tens of degrees. So each hypothesis predicts, from the vehicle's own motion, where a keyframe's features
+come to lie in the next pictures, and the one that predicts them best is selected once it is clearly ahead.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from onboard.navigation.navigator import NavState
 
 Array = NDArray[np.float64]
 
-SIGMA_RAD = 0.01  # of a foretold feature: attitude noise, a little delay
+SIGMA_RAD = 0.01  # of a predicted feature: attitude noise, a little delay
 SIGMA_SHARE = 0.15  # of how far it moved: height above ground
-MOST = 9.0  # that one picture may say for or against
-MEMORY = 0.97  # a picture: what the last thirty said
-LEAD = 20.0  # by which one reading must be ahead of all others
-ALIKE_RAD = 0.05  # readings this close need no decision
-MIN_SEEN = 0.5  # share of features that a right reading must have an answer for
+MOST = 9.0  # largest cost that one picture adds
+MEMORY = 0.97  # decay of the cost per picture: about the last thirty count
+LEAD = 20.0  # by which the cost of one hypothesis must be below all others
+ALIKE_RAD = 0.05  # hypotheses this close need no decision
+MIN_SEEN = 0.5  # share of features that the right hypothesis must have a prediction for
 
 
 class MountSelection:
-    """Fed with every picture's tracks; knows which reading of mount and gimbal foretells them."""
+    """Fed with every picture's tracks; knows which mount hypothesis predicts them, once one clearly does."""
 
     def __init__(self, camera: Camera, R_body_cam: Array) -> None:
         self._camera, self._R_body_cam = camera, R_body_cam
@@ -39,12 +39,12 @@ class MountSelection:
         self.verdict: MountHypothesis | None = None
 
     def is_open(self, nav: NavState) -> bool:
-        """Whether readings differ at this picture and none has been found right yet."""
+        """Whether hypotheses differ at this picture and none has been selected yet."""
         return self.verdict is None and _differ(nav.mount_hypotheses)
 
     def weigh(self, was: NavState, now: NavState, plane: Array, from_px: Array, to_px: Array) -> None:
         """Take the tracks (N, 2) from keyframe `was` to picture `now`; `plane` (3,): ground height at the ENU origin
-        and its slopes. Does nothing where the readings are alike.
+        and its slopes. Does nothing where the hypotheses are alike.
         """
         if not _differ(now.mount_hypotheses) or not len(from_px):
             return

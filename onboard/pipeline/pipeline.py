@@ -4,14 +4,14 @@ A picture waits until telemetry on both sides of its exposure has arrived, is tr
 becomes a keyframe itself when enough has moved, and gets a feature set: at once if the window has structure for it,
 otherwise with the first solve that has; and once more, as a later revision, when the window has seen past it.
 
-A window solve never holds up tracking: a worker does it, and its outcome is adopted at a moment that the data define,
-so that the same events give the same sets however fast the worker is.
+A window solve never holds up tracking: a worker does it, and its outcome is adopted at a time that the data define, so
+that the same events give the same sets however fast the worker is.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -22,18 +22,19 @@ from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
 from onboard.config.schema import Config
 from onboard.estimation.boresight import DELAY, OFFSET
-from onboard.estimation.keyframe import Observation, observation
+from onboard.estimation.keyframe import observation
 from onboard.estimation.sliding_window import Window
-from onboard.estimation.solver_executor import Inline, Promise, Worker, timed_adjust
+from onboard.estimation.solver_executor import Inline, Worker, timed_adjust
 from onboard.events.types import Event, Frame
-from onboard.geometry.plane_homography import move
+from onboard.geometry.plane_homography import Pose, move
 from onboard.geometry.terrain_grid import Terrain
-from onboard.georeferencing.feature_sets import Origin, georeference
-from onboard.georeferencing.known_ground import over_known_ground
+from onboard.georeferencing.feature_sets import Origin, Picture, georeference
+from onboard.georeferencing.surface_sets import over_known_ground
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.frozen_frames import Staleness, Stillness
-from onboard.pipeline.motion_prediction import ground_so_far, predict_motion
+from onboard.pipeline.motion_prediction import are_comparable, ground_so_far, predict_motion
 from onboard.pipeline.mount_selection import MountSelection
+from onboard.pipeline.picture_record import Pending, Record
 from onboard.pipeline.statistics import RunStatistics, Summary
 from onboard.vision.klt_tracker import MIN_TRACKS, Tracker, Tracks
 
@@ -45,16 +46,15 @@ MAX_MISSES = 3  # pictures in a row that found too little before a new start
 KEYFRAME_SHIFT = 0.10  # median motion, as a share of the picture's width, that makes a keyframe
 KEYFRAME_TRACKS = 0.65  # share of features still followed below which a keyframe is made
 KEYFRAME_TURN_RAD = 0.30
-MAX_PREDICTION_MISS = 0.15  # rad: tracked motion this far from what telemetry says is a wrong lock
+MAX_PREDICTION_MISS = 0.15  # rad: tracks this far from telemetry's prediction have locked onto the wrong features
 TURNING_RAD_S = 0.35
 MIN_TRAVEL = 0.03  # of the height above ground: less than this is no parallax
 MIN_TRAVEL_HEIGHT_M = 20.0
 PATIENCE_NS = 3_000_000_000  # before standing still is called that
 TERRAIN_RADIUS_M = 3000.0
 TERRAIN_SPACING_M = 20.0
-PLACED_AN_EVENT = 2  # a solve releases as many pictures as lie between two keyframes: all at once would hold up
+PLACED_AN_EVENT = 2  # a solve releases as many pictures as lie between two keyframes: all at once would delay the next
 ADOPTION_NS = 250_000_000  # of data after a keyframe is taken up, until which its solve need not be done
-MAX_OUTAGE_NS = 3_000_000_000  # without navigation, after which old keyframes are of no use
 
 
 class TerrainSource(Protocol):
@@ -64,30 +64,6 @@ class TerrainSource(Protocol):
         self, frame: LocalFrame, centre_enu_m: Array, radius_m: float, spacing_m: float, undulation_m: float
     ) -> Terrain | None:
         """Terrain within a square about a place of a local frame; None where there is none."""
-
-
-@dataclass(eq=False)
-class _Record:
-    """A picture that the window can still place, or place better."""
-
-    frame: Frame
-    seen: Observation
-    nav: NavState
-    is_keyframe: bool
-    status: Status = Status.STARTING
-    revision: int = -1
-    is_settled: bool = False
-    R_cam_enu: Array | None = None  # of its last set: where the next revision starts
-
-
-@dataclass(frozen=True, eq=False)
-class _Pending:
-    """A window solve under way for a new keyframe; `reason`: why the pictures before it were given up, if they were."""
-
-    promise: Promise
-    record: _Record
-    reason: Status | None
-    due_ns: int
 
 
 class Pipeline:
@@ -109,18 +85,19 @@ class Pipeline:
         self.tracker = Tracker(camera.size_px, config.tracking.features, config.tracking.min_distance_px)
         self.window = Window(config, camera)
         self.mount_selection = MountSelection(camera, self.window.R_body_cam)
-        self.tracks: Tracks | None = None  # of the newest picture, for whoever draws them
+        self.tracks: Tracks | None = None  # of the newest picture, for display
         self._waiting: deque[Frame] = deque()
-        self._records: list[_Record] = []
-        self._settling: deque[_Record] = deque()
-        self._unplaced: deque[_Record] = deque()
-        self._pending: _Pending | None = None
+        self._records: list[Record] = []
+        self._settling: deque[Record] = deque()
+        self._unplaced: deque[Record] = deque()
+        self._pending: Pending | None = None
         self._now_ns = 0  # stamp of the newest event
         self._session: int | None = None
         self._staleness, self._stillness = Staleness(), Stillness(camera.width_px)
         self._misses = self._failures = 0
         self._unsolved = Status.STARTING  # why there is no solution yet: POOR_FIT once windows were refused for it
-        self._last_nav_ns: int | None = None
+        self._last_nav: NavState | None = None
+        self._frame: LocalFrame | None = None  # the navigation frame that the window's states are in
         self._statistics = RunStatistics()
 
     def handle(self, event: Event) -> list[FeatureSet]:
@@ -137,12 +114,9 @@ class Pipeline:
         while self._waiting:
             frame = self._waiting[0]
             # The moment that counts is the autopilot's: extrapolating to it would bend what is learned of the offset.
-            offset_s, delay_s = self.window.alignment.belief.mean[[OFFSET, DELAY]]
-            moment_ns = frame.stamp_ns + round(offset_s * 1e9)
-            if (
-                not self.navigation.covers(moment_ns, round(delay_s * 1e9))
-                and self._now_ns - frame.stamp_ns < MAX_WAIT_NS
-            ):
+            moment_ns = frame.stamp_ns + round(self._offset_s * 1e9)
+            is_covered = self.navigation.covers(moment_ns, round(self._delay_s * 1e9))
+            if not is_covered and self._now_ns - frame.stamp_ns < MAX_WAIT_NS:
                 break
             out.extend(self._process(self._waiting.popleft()))
         out.extend(self._catch_up())
@@ -175,13 +149,14 @@ class Pipeline:
             out.extend(self._restart())
             self.navigation.mount_hypothesis = mount_hypothesis
         with self._statistics.timed("navigation"):
-            offset_s, delay_s = self.window.alignment.belief.mean[[OFFSET, DELAY]]
-            nav = self.navigation.state_at(frame.stamp_ns, offset_s, delay_s)
-        if isinstance(nav, Status) or self._staleness.is_stale(frame.image, nav):
+            nav = self._state_at(frame.stamp_ns, frame.stamp_sigma_s)
+        if isinstance(nav, Status) or self._staleness.is_stale(frame.image, nav, self._state_at):
             return [*out, self._refuse(frame, nav if isinstance(nav, Status) else Status.BAD_PICTURE)]
-        if self._last_nav_ns is not None and frame.stamp_ns - self._last_nav_ns > MAX_OUTAGE_NS:
+        if self._last_nav is not None and not are_comparable(self._last_nav, nav):
             out.extend(self._restart())
-        self._last_nav_ns = frame.stamp_ns
+        if self._frame is not self.navigation.frame:
+            self._frame, self.window.terrain = self.navigation.frame, None
+        self._last_nav = nav
         self._know_terrain(nav)
         with self._statistics.timed("tracking"):
             tracks = self._track(frame, nav)
@@ -202,13 +177,26 @@ class Pipeline:
         self._misses = 0
         if self._wants_keyframe(tracks):
             return [*out, *self._make_keyframe(frame, nav, tracks)]
-        record = _Record(frame, observation(self.camera, tracks.ids, tracks.uv_px), nav, False)
+        record = Record(frame, observation(self.camera, tracks.ids, tracks.uv_px), nav, False)
         self._records.append(record)
         return [*out, *self._place([record])]
 
+    @property
+    def _offset_s(self) -> float:
+        """Camera-to-autopilot time offset as it is known now."""
+        return float(self.window.alignment.belief.mean[OFFSET])
+
+    @property
+    def _delay_s(self) -> float:
+        """How much older than its stamp the position is, beyond `gps.latency_s`, as it is known now."""
+        return float(self.window.alignment.belief.mean[DELAY])
+
+    def _state_at(self, stamp_ns: int, stamp_sigma_s: float = 0.0) -> NavState | Status:
+        return self.navigation.state_at(stamp_ns, self._offset_s, stamp_sigma_s, self._delay_s)
+
     def _know_terrain(self, nav: NavState) -> None:
         """Keep the terrain around the aircraft at hand, cut anew when it nears the edge of what is held."""
-        frame, held = self.navigation.frame, self.window.terrain
+        frame, held = self._frame, self.window.terrain
         if self.terrain is None or frame is None:
             return
         if held is None or not held.covers(nav.position_enu_m[:2], TERRAIN_RADIUS_M / 3.0):
@@ -221,7 +209,7 @@ class Pipeline:
         """Features found again; None if there was nothing to look for, a status if the picture is not to be used."""
         assert frame.image is not None
         # While it is open what carries the camera, the pictures must be heard without its prejudice.
-        predicted = None if self.mount_selection.is_open(nav) else predict_motion(self.window, nav)
+        predicted = None if self.mount_selection.is_open(nav) else self._predict(nav)
         tracks = self.tracker.track(frame.image, predicted)
         if not self.tracker.has_keyframe:
             return None
@@ -236,8 +224,16 @@ class Pipeline:
                 return self.tracker.nothing()
         return tracks
 
+    def _predict(self, nav: NavState) -> Array | None:
+        """Motion since the newest keyframe, both moments looked up with one and the same time offset."""
+        if not self.window.keyframes:
+            return None
+        last = self.window.keyframes[-1]
+        was = last.nav if last.nav_offset_s == self._offset_s else self._state_at(last.nav.stamp_ns)
+        return predict_motion(self.window, last.nav if isinstance(was, Status) else was, nav)
+
     def _is_turning(self, frame: Frame) -> bool:
-        rate = self.navigation.body_rate_at(frame.stamp_ns)
+        rate = self.navigation.body_rate_at(frame.stamp_ns + round(self._offset_s * 1e9))
         return rate is not None and float(np.linalg.norm(rate)) > TURNING_RAD_S
 
     def _wants_keyframe(self, tracks: Tracks) -> bool:
@@ -258,7 +254,7 @@ class Pipeline:
             ids, uv = self.tracker.promote(tracks)
         self._stillness.begin(ids, uv, frame.stamp_ns)
         seen = observation(self.camera, ids, uv)
-        offset_s, delay_s = self.window.alignment.belief.mean[[OFFSET, DELAY]].tolist()
+        offset_s, delay_s = self._offset_s, self._delay_s
         offset_ns = round(offset_s * 1e9)
         flown = None
         if self.window.keyframes:
@@ -267,10 +263,10 @@ class Pipeline:
         rate = self.navigation.body_rate_at(frame.stamp_ns + offset_ns)
         self.window.add(frame.index, seen, nav, (offset_s, delay_s), rate, flown, self.tracker.flow_disagreement_px)
         self._statistics.keyframes += 1
-        record = _Record(frame, seen, nav, True)
+        record = Record(frame, seen, nav, True)
         self._records.append(record)
         promise = self.worker.submit(timed_adjust, self.window.prepare())
-        self._pending = _Pending(promise, record, reason, self._now_ns + ADOPTION_NS)
+        self._pending = Pending(promise, record, reason, self._now_ns + ADOPTION_NS)
         if reason is None:
             out.extend(self._place([record], only_ok=True))
         return out
@@ -300,6 +296,8 @@ class Pipeline:
             if record.status is Status.OK:
                 return out
             reported = self._unsolved if status is Status.STARTING else status
+            if status is Status.FEATURELESS:
+                reported = self._why_without_depth(record)
             return [*out, self._refuse_record(record, pending.reason or reported)]
         self._statistics.reprojections_px.append(solved.reprojection_px)
         out = self._place([record])
@@ -341,7 +339,7 @@ class Pipeline:
         self._unplaced.clear()
         return out
 
-    def _settle(self, records: list[_Record]) -> list[FeatureSet]:
+    def _settle(self, records: list[Record]) -> list[FeatureSet]:
         """The last revision of pictures that the window has seen past."""
         if self.window.solved is None:
             return []
@@ -353,7 +351,7 @@ class Pipeline:
                 out.extend(result)
         return out
 
-    def _place(self, records: list[_Record], only_ok: bool = False) -> list[FeatureSet]:
+    def _place(self, records: list[Record], only_ok: bool = False) -> list[FeatureSet]:
         """Feature sets of pictures by the newest solution; refusals too, unless `only_ok` or refused before."""
         out = []
         with self._statistics.timed("georeference"):
@@ -365,8 +363,8 @@ class Pipeline:
                     out.append(self._refuse_record(record, result))
         return out
 
-    def _feature_set(self, record: _Record) -> FeatureSet | Status:
-        frame = self.navigation.frame
+    def _feature_set(self, record: Record) -> FeatureSet | Status:
+        frame = self._frame
         if frame is None or self._session is None:
             return Status.STARTING
         origin = Origin(
@@ -377,16 +375,17 @@ class Pipeline:
             min(record.revision + 1, 255),
             record.is_keyframe,
         )
-        result = self._by_structure(record, origin, frame)
+        picture = Picture(self.camera, origin, frame, record.nav.undulation_m)
+        result = self._by_structure(record, picture)
         if isinstance(result, Status):
-            over = self._over_known_ground(record.nav, origin, frame)
+            over = self._over_known_ground(record.nav, picture)
             result = result if over is None else over
         if isinstance(result, FeatureSet):
             record.status, record.revision = Status.OK, result.revision
             self._statistics.note(record.frame.index, Status.OK)
         return result
 
-    def _by_structure(self, record: _Record, origin: Origin, frame: LocalFrame) -> FeatureSet | Status:
+    def _by_structure(self, record: Record, picture: Picture) -> FeatureSet | Status:
         """From the window's own points; the reason why not otherwise."""
         solved = self.window.solved
         if solved is None:
@@ -398,25 +397,36 @@ class Pipeline:
             if guess is None:
                 return Status.STARTING
             R, centre = guess
-        result = georeference(self.window, solved, record.seen, origin, frame, record.nav.undulation_m, centre, R)
+        result = georeference(self.window, solved, record.seen, picture, Pose(R, centre))
         if isinstance(result, FeatureSet):
             record.R_cam_enu = result.R_enu_cam.T
-        return result
+        return self._why_without_depth(record) if result is Status.FEATURELESS else result
 
-    def _why_unsolved(self, nav: NavState) -> Status:
-        """Starting, or standing still: no parallax will ever come of that."""
-        first = self.window.keyframes[0].nav if self.window.keyframes else nav
+    def _why_without_depth(self, record: Record) -> Status:
+        """FEATURELESS only where the picture is: else its features are too new to have depth, as after a spin."""
+        if len(record.seen.ids) < MIN_TRACKS:
+            return Status.FEATURELESS
+        alike = (
+            k for k in self.window.keyframes if len(np.intersect1d(k.observation.ids, record.seen.ids)) >= MIN_TRACKS
+        )
+        first = next(alike, None)
+        return self._why_unsolved(record.nav, None if first is None else first.nav)
+
+    def _why_unsolved(self, nav: NavState, first: NavState | None = None) -> Status:
+        """Starting, or standing still since `first`, the window's first by default: no parallax will come of that."""
+        if first is None:
+            first = self.window.keyframes[0].nav if self.window.keyframes else nav
         height_m = max(nav.height_above_home_m or 0.0, MIN_TRAVEL_HEIGHT_M)
         travelled_m = float(np.linalg.norm(nav.position_enu_m - first.position_enu_m))
         still = nav.stamp_ns - first.stamp_ns > PATIENCE_NS and travelled_m < MIN_TRAVEL * height_m
         return Status.LOW_PARALLAX if still else self._unsolved
 
-    def _over_known_ground(self, nav: NavState, origin: Origin, frame: LocalFrame) -> FeatureSet | None:
+    def _over_known_ground(self, nav: NavState, picture: Picture) -> FeatureSet | None:
         if self.mount_selection.is_open(nav):
             return None  # nothing but the attitude says where the camera looks
-        return over_known_ground(self.config, self.camera, self.window, nav, origin, frame)
+        return over_known_ground(self.config, self.window, nav, picture)
 
-    def _refuse_record(self, record: _Record, status: Status) -> FeatureSet:
+    def _refuse_record(self, record: Record, status: Status) -> FeatureSet:
         record.status = status
         record.revision += 1
         return replace(self._refuse(record.frame, status), revision=record.revision, is_keyframe=record.is_keyframe)

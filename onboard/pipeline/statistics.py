@@ -18,7 +18,7 @@ REMEMBERED_PICTURES = 5000  # whose status may still change: many times what a w
 
 @dataclass
 class Summary:
-    """What became of the pictures. `refused` counts reasons; `stage_seconds` is processor time by room."""
+    """What became of the pictures. `refused` counts reasons; `stage_seconds` is processor time by stage."""
 
     frames: int = 0
     keyframes: int = 0
@@ -26,7 +26,7 @@ class Summary:
     refused: dict[str, int] = field(default_factory=dict)
     median_tracks: float = 0.0
     reprojection_px: float = 0.0
-    alignment: Belief | None = None  # boresight and time offset as learned; None before the first lesson
+    alignment: Belief | None = None  # boresight and time offset as estimated; None before the first update
     stage_seconds: dict[str, float] = field(default_factory=dict)
 
 

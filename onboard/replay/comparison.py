@@ -1,4 +1,4 @@
-"""A replay held against what was recorded."""
+"""A replay compared with what was recorded."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from onboard.storage.mcap_reader import RecordedFlight
 
 
 class Comparison:
-    """A sink that holds the sets of a replay against those that were recorded, byte for byte."""
+    """A sink that compares the sets of a replay with those that were recorded, byte for byte."""
 
     def __init__(self, flight: RecordedFlight) -> None:
         self._recorded = flight.sets()

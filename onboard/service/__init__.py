@@ -5,7 +5,11 @@ Public:
 - `daemon`: `Daemon`, `SignalOrders`
 - `host`: `cpu_temperature_c`, `free_mb`
 - `journal`
-- `prometheus`: `PrometheusServer`, `exposition`
+- `prometheus`: `PrometheusServer`
+- `reports`: `BORESIGHT`, `Brightness`, `Report`, `gps_report`
 - `sd_notify`: `Notifier`
-- `session`: `Detail`, `Parts`, `Reporter`, `brightness`, `reported`, `restore`
+- `session`: `Parts`, `Reporter`, `restore`
+- `solver_thread`: `SolverThread`
+- `supervision`: `Supervisor`, `ThreadReport`, `ThreadState`
+- `vehicle_state`: `Subject`, `VehicleState`, `gps_findings`, `source_findings`
 """

@@ -13,16 +13,15 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Protocol, Self
 
-from contract.errors import InputError, PointclickError
+from contract.errors import PointclickError
 from onboard.config.schema import Config
 from onboard.events.source import Severity
 from onboard.service.sd_notify import Notifier
 from onboard.service.session import Parts, Session
-from onboard.service.vehicle_state import Overall, Word, is_alive, overall, severity
+from onboard.service.vehicle_state import Overall, VehicleState, is_alive, overall, severity
 
 TICK_S = 0.25
 REPORT_NS = 1_000_000_000
-KEEP_NS = 30_000_000_000  # between writes of what was learned
 SAY_NS = 3_000_000_000  # the pilot's screen is small: a state must be new for so long since the last one said
 FINISH_S = 5.0
 HUNG_S = 30.0  # without a service manager's watchdog, the daemon ends itself
@@ -87,16 +86,19 @@ class Daemon:
         self._session: Session
         self._config: Config
         self._overall: Overall | None = None
-        self._said: Word | None = None
-        self._said_ns = self._reported_ns = self._kept_ns = 0
+        self._said: VehicleState | None = None
+        self._said_ns = self._reported_ns = 0
 
     def run(self) -> int:
-        """Fly until told to stop; the exit code. Raises PointclickError if it cannot begin."""
+        """Fly until told to stop; the exit code. Raises PointclickError if it cannot begin, and only then.
+
+        Whatever happens after the beginning, a reload that finds no way on among it, is 1: the manager tries again.
+        """
         self._begin(self._load())
         self._notifier.ready()
         while (order := self._orders.next(self._tick_s)) is not Order.STOP:
-            if order is Order.RELOAD:
-                self._reload()
+            if order is Order.RELOAD and not self._reload():
+                return 1
             if not self._is_well():
                 self._finish()
                 return 1
@@ -110,17 +112,16 @@ class Daemon:
         session = Session(config, parts)
         try:
             session.start()
-        except PointclickError:
+        except BaseException:
             session.finish(FINISH_S)
             raise
         self._config, self._session = config, session
         self._overall, self._said = None, None
-        now_ns = session.clock.now_ns()
-        self._reported_ns, self._kept_ns, self._said_ns = 0, now_ns, 0
+        self._reported_ns = self._said_ns = 0
 
     def _is_well(self) -> bool:
         """False, with the reason logged, if a thread has failed or hangs."""
-        failure = self._session.failure
+        failure = self._session.supervisor.failure
         if failure is not None:
             name, error = failure
             if isinstance(error, PointclickError):
@@ -134,74 +135,75 @@ class Daemon:
         if busy_s > HUNG_S:
             log.error("the pipeline has been at one event for %.0f s", busy_s)
             return False
+        if hung := self._session.supervisor.hung(HUNG_S):
+            log.error("the %s has not been heard from for %.0f s", hung, HUNG_S)
+            return False
         return True
 
     def _tick(self) -> None:
         session, now_ns = self._session, self._session.clock.now_ns()
         inputs = session.inputs()
         self._tell(overall(inputs), now_ns)
-        if is_alive(inputs):
+        if is_alive(inputs) and session.supervisor.is_alive:
             self._notifier.feed_watchdog()
         if now_ns - self._reported_ns >= REPORT_NS:
             self._reported_ns = now_ns
-            status, detail = session.report()
+            report = session.report()
             for reporter in session.parts.reporters:
-                reporter(status, detail)
-        if now_ns - self._kept_ns >= KEEP_NS:
-            self._kept_ns = now_ns
-            self._keep_learned()
+                reporter(report)
 
     def _tell(self, state: Overall, now_ns: int) -> None:
         """The log and the service manager hear of each change at once, the pilot no more often than can be read."""
-        if self._overall is None or state.word is not self._overall.word:
-            log.log(_LEVELS[severity(state.word)], "state: %s", state)
+        if self._overall is None or state.state is not self._overall.state:
+            log.log(_LEVELS[severity(state.state)], "state: %s", state)
         self._overall = state
         self._notifier.status(str(state))
-        if state.word is not self._said and now_ns - self._said_ns >= SAY_NS:
-            self._session.parts.telemetry.say(severity(state.word), f"pointclick: {state.word.value}")
-            self._said, self._said_ns = state.word, now_ns
+        if state.state is not self._said and now_ns - self._said_ns >= SAY_NS:
+            self._session.parts.telemetry.say(severity(state.state), f"pointclick: {state}")
+            self._said, self._said_ns = state.state, now_ns
 
-    def _reload(self) -> None:
+    def _reload(self) -> bool:
+        """Whether the flight goes on, with the new configuration or with the old."""
         self._notifier.reloading()
         try:
             config = self._load()
         except PointclickError as error:
             log.error("not reloaded, the old configuration stays: %s", " ".join(str(error).split()))
         else:
-            self._change(config)
+            if not self._change(config):
+                return False
         self._notifier.ready()
+        return True
 
-    def _change(self, config: Config) -> None:
-        """What can be changed in flight is; all else needs a new session, with a clock and a recording of its own."""
+    def _change(self, config: Config) -> bool:
+        """What can be changed in flight is; all else needs a new session, with a clock and a recording of its own.
+
+        False if there is no session any more: then a new process is the way on.
+        """
         live = {"service": self._config.service.model_copy(update={"max_delay_s": config.service.max_delay_s})}
         if config == self._config.model_copy(update=live):
-            self._session.intake.max_delay_s = config.service.max_delay_s
+            self._session.event_queue.max_delay_s = config.service.max_delay_s
             self._config = config
             log.info("configuration reloaded; the session goes on")
-            return
+            return True
         log.info("configuration reloaded; a new session begins")
         old = self._config
         if not self._finish():
-            raise InputError("the old session did not end; a new one cannot begin beside it")
+            log.error("the old session did not end; a new one cannot begin beside it")
+            return False
         try:
             self._begin(config)
         except PointclickError as error:
             log.error("the new configuration cannot be flown, back to the old: %s", " ".join(str(error).split()))
+        else:
+            return True
+        try:
             self._begin(old)
+        except PointclickError as error:
+            log.error("the old configuration cannot be flown any more: %s", " ".join(str(error).split()))
+            return False
+        return True
 
     def _finish(self) -> bool:
         """Whether the session ended cleanly and in time."""
-        try:
-            in_time = self._session.finish(FINISH_S)
-        except InputError as error:
-            log.error("%s", error)
-            return False
-        if not in_time:
-            log.error("a thread did not end within %.0f s; it is left behind", FINISH_S)
-        return in_time
-
-    def _keep_learned(self) -> None:
-        try:
-            self._session.keep_learned()
-        except InputError as error:
-            log.warning("%s", error)
+        return self._session.finish(FINISH_S)

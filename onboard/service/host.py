@@ -1,4 +1,4 @@
-"""The computer itself: temperature and room on the disk."""
+"""The computer itself: temperature and free space on the disk."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def cpu_temperature_c(thermal: Path = THERMAL) -> float | None:
 
 
 def free_mb(folder: Path) -> float | None:
-    """Room on the disk of a folder, or of the nearest parent that exists, MB; None if nobody can tell."""
+    """Free space on the disk of a folder, or of the nearest parent that exists, MB; None if nobody can tell."""
     for place in (folder, *folder.parents):
         try:
             return shutil.disk_usage(place).free / 1e6

@@ -1,110 +1,250 @@
-"""The daemon's figures as Prometheus text (exposition format 0.0.4), over HTTP from a thread of its own."""
+"""The daemon's figures for Prometheus, over HTTP from a thread of its own: base units, one unit a metric.
+
+prometheus_client writes the text. A source's figures are named with their unit (`delay_ms`); here they become metrics
+of the base unit (`pointclick_camera_delay_seconds`), those without a unit counters (`pointclick_camera_lost_total`).
+"""
 
 from __future__ import annotations
 
-import threading
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+import socket
+from collections.abc import Iterator, Mapping
 from types import TracebackType
 from typing import Any, Self
+from wsgiref.simple_server import WSGIRequestHandler, make_server
+
+from prometheus_client import CollectorRegistry, make_wsgi_app
+from prometheus_client.core import (
+    CounterMetricFamily,
+    GaugeMetricFamily,
+    InfoMetricFamily,
+    Metric,
+    StateSetMetricFamily,
+)
+from prometheus_client.exposition import ThreadingWSGIServer
 
 from contract.errors import ConfigError, LinkError
-from contract.vehicle_status import VehicleStatus
-from onboard.service.vehicle_state import Word
+from onboard.events.source import SourceStatus, State
+from onboard.events.supervised_thread import Policy, SupervisedThread, ThreadState
+from onboard.service.reports import Estimate, Report
+from onboard.service.vehicle_state import Subject, VehicleState
 
-CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
-# Name, type, meaning, and the status' field.
-_METRICS = (
-    ("up_seconds", "gauge", "age of the session", "up_s"),
-    ("camera_hertz", "gauge", "pictures taken a second", "camera_hz"),
-    ("answered_hertz", "gauge", "pictures a second that can be clicked", "ok_hz"),
-    ("delay_seconds", "gauge", "from the newest picture's capture to its set", "delay_s"),
-    ("tracks", "gauge", "features followed into the newest picture", "tracks"),
-    ("dropped_pictures_total", "counter", "pictures dropped for want of time", "dropped"),
-    ("lost_pictures_total", "counter", "pictures lost by the camera", "lost"),
-    ("recording", "gauge", "1 while the session is being recorded", "recording"),
-    ("cpu_celsius", "gauge", "temperature of the processor", "cpu_c"),
-)
-
-
-def exposition(vehicle: str, status: VehicleStatus, detail: dict[str, Any]) -> str:
-    """All figures of a report. The state is one series a word, 1 for the one that holds."""
-    label = f'vehicle="{_escaped(vehicle)}"'
-    lines = ["# HELP pointclick_state 1 for the state that holds", "# TYPE pointclick_state gauge"]
-    lines += [f'pointclick_state{{{label},state="{word.value}"}} {int(word.value == status.state)}' for word in Word]
-    for name, kind, meaning, field in _METRICS:
-        value = getattr(status, field)
-        if value is not None:
-            lines += [f"# HELP pointclick_{name} {meaning}", f"# TYPE pointclick_{name} {kind}"]
-            lines += [f"pointclick_{name}{{{label}}} {float(value):.10g}"]
-    for source in ("camera", "telemetry"):
-        figures = detail.get(source, {}).get("figures", {})
-        if figures:
-            lines += [f"# HELP pointclick_{source} figures of the {source}", f"# TYPE pointclick_{source} gauge"]
-        lines += [
-            f'pointclick_{source}{{{label},figure="{_escaped(name)}"}} {float(value):.10g}'
-            for name, value in sorted(figures.items())
-        ]
-    refused = detail.get("pictures", {}).get("refused", {})
-    if refused:
-        lines += [
-            "# HELP pointclick_refused_pictures pictures without an answer",
-            "# TYPE pointclick_refused_pictures gauge",
-        ]
-    lines += [
-        f'pointclick_refused_pictures{{{label},reason="{_escaped(why)}"}} {count}'
-        for why, count in sorted(refused.items())
-    ]
-    return "\n".join(lines) + "\n"
+POLL_S = 0.5
+REQUEST_S = 5.0  # a client that says nothing for so long is let go
+# The end of a figure's name -> the base unit, and what a figure is to be multiplied by.
+_UNITS = {
+    "_hz": ("hertz", 1.0),
+    "_ms": ("seconds", 1e-3),
+    "_s": ("seconds", 1.0),
+    "_ppm": ("ratio", 1e-6),
+    "_share": ("ratio", 1.0),
+    "_m": ("meters", 1.0),
+    "_rad": ("radians", 1.0),
+    "_px": ("pixels", 1.0),
+    "_mb": ("bytes", 1e6),
+}
 
 
-def _escaped(text: str) -> str:
-    return text.replace("\\", r"\\").replace('"', r"\"").replace("\n", r"\n")
+def metrics(vehicle: str, report: Report) -> Iterator[Metric]:
+    """Every figure of a report as a metric with the label `vehicle`; what is not known is left out."""
+    one = _Labelled(vehicle)
+    status = report.status
+    yield one.info("session", "the session that runs", {"session": str(status.session)})
+    yield one.states("state", "1 for the state of the vehicle that holds", VehicleState, status.state)
+    well = {subject: all(f.subject is not subject for f in report.findings) for subject in Subject}
+    yield one.gauges("well", "1 where nothing is amiss", "", "subject", {s.value: float(w) for s, w in well.items()})
+    yield one.gauge("up", "age of the session", "seconds", status.up_s)
+    yield one.gauge("pictures", "pictures taken a second", "hertz", status.camera_hz)
+    yield one.gauge("answered_pictures", "pictures a second that can be clicked", "hertz", status.ok_hz)
+    yield one.gauge("delay", "from the newest picture's capture to its set", "seconds", status.delay_s)
+    yield one.gauge("tracks", "features followed into the newest picture", "", status.tracks)
+    yield one.counter("dropped_pictures", "pictures dropped for want of time", status.dropped)
+    yield one.counter("lost_pictures", "pictures lost by the camera", status.lost)
+    yield one.gauge("recording", "1 while the session is being recorded", "", status.recording)
+    yield one.gauge("host_clock_step", "the host's clock against the session's", "seconds", report.clock.host_step_s)
+    if status.cpu_c is not None:
+        yield one.gauge("cpu", "temperature of the processor", "celsius", status.cpu_c)
+    yield from _source(one, "camera", report.camera)
+    yield from _source(one, "telemetry", report.telemetry)
+    yield from _gps(one, report)
+    yield from _pictures(one, report)
+    for estimate in report.estimates:
+        yield from _estimate(one, estimate)
+    yield from _threads(one, report)
+
+
+class _Labelled:
+    """Makes metrics of one vehicle."""
+
+    def __init__(self, vehicle: str) -> None:
+        self._vehicle = vehicle
+
+    def gauge(self, name: str, meaning: str, unit: str, value: float) -> Metric:
+        metric = GaugeMetricFamily(f"pointclick_{name}", meaning, labels=["vehicle"], unit=unit)
+        metric.add_metric([self._vehicle], float(value))
+        return metric
+
+    def gauges(self, name: str, meaning: str, unit: str, label: str, values: Mapping[str, float]) -> Metric:
+        metric = GaugeMetricFamily(f"pointclick_{name}", meaning, labels=["vehicle", label], unit=unit)
+        for key, value in values.items():
+            metric.add_metric([self._vehicle, key], float(value))
+        return metric
+
+    def counter(self, name: str, meaning: str, value: float) -> Metric:
+        metric = CounterMetricFamily(f"pointclick_{name}", meaning, labels=["vehicle"])
+        metric.add_metric([self._vehicle], float(value))
+        return metric
+
+    def counters(self, name: str, meaning: str, label: str, values: Mapping[str, float]) -> Metric:
+        metric = CounterMetricFamily(f"pointclick_{name}", meaning, labels=["vehicle", label])
+        for key, value in values.items():
+            metric.add_metric([self._vehicle, key], float(value))
+        return metric
+
+    def states(self, name: str, meaning: str, of: Any, holds: str) -> Metric:
+        metric = StateSetMetricFamily(f"pointclick_{name}", meaning, labels=["vehicle"])
+        metric.add_metric([self._vehicle], {state.value: state.value == holds for state in of})
+        return metric
+
+    def info(self, name: str, meaning: str, values: dict[str, str]) -> Metric:
+        metric = InfoMetricFamily(f"pointclick_{name}", meaning, labels=["vehicle"])
+        metric.add_metric([self._vehicle], values)
+        return metric
+
+    def state_of_each(self, name: str, meaning: str, label: str, of: Any, holds: Mapping[str, str]) -> Metric:
+        metric = StateSetMetricFamily(f"pointclick_{name}", meaning, labels=["vehicle", label])
+        for key, state_now in holds.items():
+            metric.add_metric([self._vehicle, key], {state.value: state.value == state_now for state in of})
+        return metric
+
+
+def _source(one: _Labelled, name: str, source: SourceStatus) -> Iterator[Metric]:
+    yield one.states(f"{name}_state", f"1 for the state of the {name} that holds", State, source.state.value)
+    for figure, value in sorted(source.figures.items()):
+        ending = next((e for e in _UNITS if figure.endswith(e)), None)
+        if ending is None:
+            yield one.counter(f"{name}_{figure}", f"{name}: {figure} since the session began", value)
+        else:
+            unit, factor = _UNITS[ending]
+            what = figure.removesuffix(ending)
+            yield one.gauge(f"{name}_{what}", f"{name}: {what.replace('_', ' ')}", unit, value * factor)
+
+
+def _gps(one: _Labelled, report: Report) -> Iterator[Metric]:
+    gps = report.gps
+    if gps is None:
+        return
+    yield one.gauge("gps_fix_type", "GPS_FIX_TYPE of MAVLink: 3 and up is usable", "", gps.fix_type)
+    yield one.gauge("gps_age", "since the receiver's newest word", "seconds", gps.age_s)
+    if gps.satellites is not None:
+        yield one.gauge("gps_satellites", "satellites used", "", gps.satellites)
+    claims = {"horizontal": gps.sigma_horizontal_m, "vertical": gps.sigma_vertical_m}
+    known = {axis: sigma for axis, sigma in claims.items() if sigma is not None}
+    if known:
+        yield one.gauges("gps_sigma", "what the receiver claims", "meters", "direction", known)
+
+
+def _pictures(one: _Labelled, report: Report) -> Iterator[Metric]:
+    pictures, brightness = report.pictures, report.brightness
+    yield one.counter("handled_pictures", "pictures that came through the pipeline", pictures.handled)
+    yield one.counter("keyframes", "pictures that became keyframes", pictures.keyframes)
+    yield one.counter("unencodable_sets", "sets that had no encoding and were left out", pictures.unencodable)
+    # A picture counts by its latest revision: these two can go down.
+    yield one.gauge("solved_pictures", "pictures that can be clicked", "", pictures.solved)
+    yield one.gauges("refused_pictures", "pictures that cannot be clicked", "", "reason", pictures.refused)
+    yield one.gauge("reprojection", "median residual of the window solves", "pixels", pictures.reprojection_px)
+    if brightness is not None:
+        yield one.gauge("picture_mean", "mean grey of a picture, 1 is white", "ratio", brightness.mean / 255.0)
+        yield one.gauge("picture_black", "share of a picture that is black", "ratio", brightness.black)
+        yield one.gauge("picture_white", "share of a picture that is white", "ratio", brightness.white)
+
+
+def _estimate(one: _Labelled, estimate: Estimate) -> Iterator[Metric]:
+    name = estimate.name.replace("_", " ")
+    for suffix, what, numbers in (("", "as estimated", estimate.values), ("_sigma", "one sigma", estimate.sigmas)):
+        values = {str(index): value for index, value in enumerate(numbers)}
+        yield one.gauges(estimate.name + suffix, f"{name}, {what}", estimate.unit, "component", values)
+
+
+def _threads(one: _Labelled, report: Report) -> Iterator[Metric]:
+    if not report.threads:
+        return
+    names = {thread.name: thread for thread in report.threads}
+    states = {name: thread.state.value for name, thread in names.items()}
+    yield one.state_of_each("thread_state", "1 for the state of a thread that holds", "thread", ThreadState, states)
+    ages = {name: t.heartbeat_age_s for name, t in names.items() if t.heartbeat_age_s is not None}
+    yield one.gauges("thread_heartbeat_age", "since a thread was last heard from", "seconds", "thread", ages)
+    restarts = {name: float(thread.restarts) for name, thread in names.items()}
+    yield one.counters("thread_restarts", "times that a thread was begun again", "thread", restarts)
 
 
 class PrometheusServer:
-    """Serves the newest text on every path. Raises ConfigError for what is no address, LinkError for one in use."""
+    """Serves the newest report on every path; nothing before there is one. A Reporter: `show`.
 
-    def __init__(self, address: str) -> None:
+    Raises ConfigError for what is no address, LinkError for one that cannot be listened on.
+    """
+
+    def __init__(self, address: str, vehicle: str) -> None:
         host, _, port = address.rpartition(":")
         if not host or not port.isdecimal() or int(port) > 65535:
             raise ConfigError(f"service.prometheus = {address!r} is not usable: HOST:PORT, such as 127.0.0.1:9464")
+        self._vehicle = vehicle
+        self._report: Report | None = None
+        registry = CollectorRegistry()
+        registry.register(self)
         try:
-            self._server = ThreadingHTTPServer((host.strip("[]"), int(port)), _Handler)
+            self._server = _listen(host.strip("[]"), int(port), registry)
         except OSError as error:
             raise LinkError(f"service.prometheus = {address!r}: {error.strerror or error}") from error
-        self._server.daemon_threads = True
-        self._server.text = b""  # type: ignore[attr-defined]
-        self._thread = threading.Thread(target=self._server.serve_forever, name="prometheus", daemon=True)
-        self._thread.start()
+        self.thread = SupervisedThread("metrics", self._serve, Policy.RESTART)
+        self.thread.start()
 
     @property
     def port(self) -> int:
         """Where it listens: the configured port, or the one that was given for 0."""
-        return int(self._server.server_address[1])
+        return int(self._server.server_port)
 
-    def show(self, text: str) -> None:
+    def show(self, report: Report) -> None:
         """Serve this from now on."""
-        self._server.text = text.encode()  # type: ignore[attr-defined]
+        self._report = report
+
+    def collect(self) -> Iterator[Metric]:
+        """For prometheus_client, at each request."""
+        report = self._report
+        if report is not None:
+            yield from metrics(self._vehicle, report)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._server.shutdown()
+        self.thread.end()
+        self.thread.join(10.0 * POLL_S)
         self._server.server_close()
 
+    def _serve(self, thread: SupervisedThread) -> None:
+        while not thread.is_set():
+            self._server.handle_request()
 
-class _Handler(BaseHTTPRequestHandler):
-    timeout = 5.0
 
-    def do_GET(self) -> None:
-        """The text, whatever the path."""
-        text: bytes = self.server.text  # type: ignore[attr-defined]
-        self.send_response(200 if text else 503)
-        self.send_header("Content-Type", CONTENT_TYPE)
-        self.send_header("Content-Length", str(len(text)))
-        self.end_headers()
-        self.wfile.write(text)
+class _Handler(WSGIRequestHandler):
+    timeout = REQUEST_S
 
     def log_message(self, format: str, *arguments: object) -> None:
         """A scrape each few seconds is nothing for the log."""
+
+
+class _Server(ThreadingWSGIServer):
+    timeout = POLL_S
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A client that went away in the middle is nothing for the log."""
+
+
+class _Server6(_Server):
+    address_family = socket.AF_INET6
+
+
+def _listen(host: str, port: int, registry: CollectorRegistry) -> _Server:
+    """Raises OSError, also for a name that nobody knows."""
+    app = make_wsgi_app(registry)
+    return make_server(host, port, app, _Server6 if ":" in host else _Server, _Handler)

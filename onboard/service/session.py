@@ -6,35 +6,53 @@ and the sinks' events and sets, in one order, so that a recording replays to the
 
 from __future__ import annotations
 
+import logging
+import struct
 import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import dataclass, field
+from typing import Protocol
 
 from contract.errors import InputError
+from contract.feature_set import FeatureSet
 from contract.vehicle_status import VehicleStatus
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.sink import Sink
-from onboard.events.source import Source, SourceStatus, TelemetrySource
+from onboard.events.source import Source, TelemetrySource
+from onboard.events.supervised_thread import Policy, SupervisedThread, ThreadReport
 from onboard.events.types import Event, Frame, GpsQuality
 from onboard.pipeline.pipeline import Pipeline
 from onboard.pipeline.statistics import Summary
 from onboard.service.event_queue import EventQueue
 from onboard.service.live_rates import LiveRates
-from onboard.service.vehicle_state import Inputs, overall
+from onboard.service.reports import (
+    Brightness,
+    ClockReport,
+    PictureCounts,
+    RecordingReport,
+    Report,
+    estimates,
+    gps_report,
+)
+from onboard.service.standstill import Standstill
+from onboard.service.supervision import Supervisor
+from onboard.service.vehicle_state import STUCK_S, Inputs, judge, overall
 from onboard.storage.alignment_file import StateFile
 
 IDLE_S = 0.2  # the pipeline's thread looks up this often when nothing comes
+KEEP_LATE_S = 10.0
+SOURCE_LATE_S = 10.0  # a source asks each second whether to end; opening a device may take it some seconds
 SNAPSHOT_NS = 1_000_000_000
+KEEP_S = 30.0  # between writes of what was learned
+REPEAT_NS = 60_000_000_000  # between lines of the log about the same thing
+# What encoding a set raises if a number in it has no place on the wire.
+UNENCODABLE = (ValueError, ArithmeticError, struct.error)
 
-Detail = dict[str, Any]
-Reporter = Callable[[VehicleStatus, Detail], None]
+log = logging.getLogger("pointclick")
+Reporter = Callable[[Report], None]
 
 
 class RecordingSink(Sink, Protocol):
@@ -59,21 +77,7 @@ class Parts:
     state: StateFile | None = None
     temperature_c: Callable[[], float | None] = field(default=lambda: None)
     resources: ExitStack = field(default_factory=ExitStack)
-
-
-class _Worker(threading.Thread):
-    """A thread whose error is kept for the daemon to see. Not waited for by the interpreter: it may hang."""
-
-    def __init__(self, name: str, work: Callable[[], None]) -> None:
-        super().__init__(name=name, daemon=True)
-        self._work = work
-        self.error: BaseException | None = None
-
-    def run(self) -> None:
-        try:
-            self._work()
-        except BaseException as error:  # not swallowed: `Session.failure` hands it to the daemon, which ends with it
-            self.error = error
+    threads: Sequence[SupervisedThread] = ()  # those that the parts brought with them: link, recording, solver, ...
 
 
 class Session:
@@ -82,145 +86,178 @@ class Session:
     def __init__(self, config: Config, parts: Parts) -> None:
         self.parts = parts
         self.clock = parts.clock
-        self.intake = EventQueue(self.clock.now_ns, config.service.max_delay_s)
-        self.recent = LiveRates()
+        self.event_queue = EventQueue(self.clock.now_ns, config.service.max_delay_s)
+        self.live_rates = LiveRates()
         self._stop = threading.Event()
         self._sources = [
-            _Worker("camera", lambda: parts.camera.run(self._take, self._stop)),
-            _Worker("telemetry", lambda: parts.telemetry.run(self._take, self._stop)),
+            SupervisedThread("camera", self._run_camera, Policy.END, late_after_s=SOURCE_LATE_S, stop=self._stop),
+            SupervisedThread("telemetry", self._run_telemetry, Policy.END, late_after_s=SOURCE_LATE_S, stop=self._stop),
         ]
-        self._pipeline = _Worker("pipeline", self._run_pipeline)
+        self._pipeline = SupervisedThread(
+            "pipeline", self._run_pipeline, Policy.END, late_after_s=STUCK_S, stop=self._stop
+        )
+        self._may_not_learn = threading.Event()  # set when nothing more comes to be learned
+        self._keeper = SupervisedThread(
+            "alignment file", self._keep, Policy.RESTART, late_after_s=KEEP_LATE_S, stop=self._may_not_learn
+        )
+        self.supervisor = Supervisor(lambda: (*self._sources, self._pipeline, self._keeper, *parts.threads))
+        self.unencodable = 0  # sets that a sink could not encode, and that were left out
+        self._unencodable_ns: int | None = None
         self._began_ns = self.clock.now_ns()
         self._busy_since_ns: int | None = None
         self._snapshot_at_ns = self._looked_ns = 0
         self._summary = Summary()
         self._tracks = 0
         self._gps: GpsQuality | None = None
-        self._picture: Detail | None = None
-        self._last_learned: str | None = None
-        self._learned: str | None = None  # not yet in the state file
+        self._standstill = Standstill(config.gps)
+        self._brightness: Brightness | None = None
+        self._learned: str | None = None  # the newest; written by the pipeline's thread
+        self._kept: str | None = None  # what the state file holds of it
 
     def start(self) -> None:
         """Enter the sinks and let everything run."""
         for sink in self.parts.sinks:
             self.parts.resources.enter_context(sink)
-        for worker in (self._pipeline, *self._sources):
-            worker.start()
+        for thread in (self._keeper, self._pipeline, *self._sources):
+            thread.start()
 
-    @property
-    def failure(self) -> tuple[str, BaseException | None] | None:
-        """The thread that ended without having been told to, and its error if there was one."""
-        for worker in (self._pipeline, *self._sources):
-            if worker.error is not None:
-                return worker.name, worker.error
-            if not worker.is_alive() and not self._stop.is_set():
-                return worker.name, None
-        return None
+    def threads(self) -> tuple[ThreadReport, ...]:
+        """How each thread of the session is: camera, telemetry, pipeline, and those of the parts."""
+        return self.supervisor.reports()
 
     def finish(self, within_s: float) -> bool:
-        """Stop the sources, let the pipeline come to its end, close everything; whether all that was done in time.
+        """Stop the sources, let the pipeline come to its end, keep what was learned, close everything.
 
-        A thread that does not end is left behind with what it uses: the process has to end then.
+        Whether all that was done, and in time; what was not is in the log. A thread that does not end is left behind
+        with what it uses: the process has to end then. A session that never started, or only in part, is closed too.
         """
         deadline = time.monotonic() + within_s
+        reported = self.supervisor.failure or ()  # by the daemon, already
         self._stop.set()
-        for worker in self._sources:
-            worker.join(max(deadline - time.monotonic() - 0.5 * within_s, 0.0))
-        self.intake.close()
+        for source in self._sources:
+            source.join(max(deadline - time.monotonic() - 0.5 * within_s, 0.0))
+        self.event_queue.close()
         self._pipeline.join(max(deadline - time.monotonic(), 0.0))
+        # Before anything that may fail is closed: it is small, and flights were needed to learn it.
+        self._may_not_learn.set()
+        self._keeper.join(max(deadline - time.monotonic(), 0.5))
+        left = [t.name for t in (*self._sources, self._pipeline, self._keeper) if t.is_alive()]
+        if left:
+            log.error("%s did not end within %.0f s: left behind", ", ".join(left), within_s)
         if self._pipeline.is_alive():
             return False
-        self.parts.resources.close()
-        self.keep_learned()
-        return not any(worker.is_alive() for worker in self._sources)
+        failed = self._pipeline.error
+        if failed is not None and failed not in reported:
+            log.error("the pipeline failed as it ended", exc_info=failed)
+        return self._close() and failed is None and not left
 
-    def keep_learned(self) -> None:
-        """Write what was learned since the last time. Raises InputError if it cannot be written."""
-        learned, self._learned = self._learned, None
-        if learned is not None and self.parts.state is not None:
+    def _close(self) -> bool:
+        try:
+            self.parts.resources.close()
+        except InputError as error:
+            log.error("%s", error)
+        except Exception:  # closing goes on past it; it may not cost the exit code or what the daemon does next
+            log.exception("something could not be closed")
+        else:
+            return True
+        return False
+
+    def _keep(self, thread: SupervisedThread) -> None:
+        """Write what was learned now and then, and at the end. In a thread of its own: a disk may hang."""
+        while not thread.wait(KEEP_S):
+            self.keep_learned()
+        self.keep_learned()
+
+    def keep_learned(self) -> bool:
+        """Write what was learned since the last time; if that fails, say so, and it is tried again the next time."""
+        learned = self._learned
+        if learned is None or learned == self._kept or self.parts.state is None:
+            return True
+        try:
             self.parts.state.write(learned)
+        except InputError as error:
+            log.warning("%s", error)
+            return False
+        self._kept = learned
+        return True
 
     def inputs(self) -> Inputs:
-        """What `health` needs to know."""
+        """What the state is judged by."""
         now_ns, busy_since_ns = self.clock.now_ns(), self._busy_since_ns
         return Inputs(
             camera=self.parts.camera.health(),
             telemetry=self.parts.telemetry.health(),
-            picture_age_s=self.recent.picture_age_s(now_ns),
+            picture_age_s=self.live_rates.picture_age_s(now_ns),
             busy_s=0.0 if busy_since_ns is None else (now_ns - busy_since_ns) / 1e9,
-            outcome=self.recent.outcome(now_ns),
-            is_shedding=self.intake.dropped_within(2.0),
+            outcome=self.live_rates.outcome(now_ns),
+            is_shedding=self.event_queue.dropped_within(2.0),
             recording_fault=self.parts.recording.fault if self.parts.recording is not None else "",
+            gps=gps_report(self._gps, now_ns),
+            position_fault=self.parts.pipeline.navigation.reason,
+            is_at_rest=self._standstill.is_at_rest,
+            threads=self.threads(),
         )
 
-    def report(self) -> tuple[VehicleStatus, Detail]:
-        """The status for the link, and all the rest."""
-        now_ns, inputs, recent = self.clock.now_ns(), self.inputs(), self.recent
+    def report(self) -> Report:
+        """Everything the session knows of itself."""
+        now_ns, inputs, rates, summary = self.clock.now_ns(), self.inputs(), self.live_rates, self._summary
         state = overall(inputs)
+        is_recording = self.parts.recording is not None and not inputs.recording_fault
         status = VehicleStatus(
             unix_s=now_ns / 1e9,
-            session=recent.session,
-            state=state.word.value,
+            session=rates.session,
+            state=state.state.value,
             reason=state.reason,
             up_s=(now_ns - self._began_ns) / 1e9,
-            camera_hz=recent.camera_hz(now_ns),
-            ok_hz=recent.ok_hz(now_ns),
-            frame=recent.frame,
-            delay_s=recent.delay_s,
+            camera_hz=rates.camera_hz(now_ns),
+            ok_hz=rates.ok_hz(now_ns),
+            frame=rates.frame,
+            delay_s=rates.delay_s,
             tracks=self._tracks,
-            dropped=self.intake.dropped,
+            dropped=self.event_queue.dropped,
             lost=round(inputs.camera.figures.get("lost", 0.0)),
-            recording=self.parts.recording is not None and not inputs.recording_fault,
+            recording=is_recording,
             cpu_c=self.parts.temperature_c(),
         )
-        return status, self._detail(status, inputs, now_ns)
+        return Report(
+            status,
+            inputs.camera,
+            inputs.telemetry,
+            judge(inputs),
+            self._brightness,
+            inputs.gps,
+            PictureCounts.of(summary, self.unencodable),
+            estimates(summary),
+            inputs.threads,
+            RecordingReport(is_recording, inputs.recording_fault),
+            ClockReport(self.clock.host_step_s()),
+        )
 
-    def _detail(self, status: VehicleStatus, inputs: Inputs, now_ns: int) -> Detail:
-        gps, summary = self._gps, self._summary
-        detail: Detail = {
-            "status": asdict(status) | {"reason": overall(inputs).reason},
-            "camera": reported(inputs.camera),
-            "telemetry": reported(inputs.telemetry),
-            "picture": self._picture,
-            "gps": None if gps is None else asdict(gps) | {"age_s": (now_ns - gps.stamp_ns) / 1e9},
-            "pictures": {
-                "handled": summary.frames,
-                "keyframes": summary.keyframes,
-                "solved": summary.solved,
-                "refused": summary.refused,
-                "reprojection_px": summary.reprojection_px,
-            },
-            "learned": None,
-            "recording_fault": inputs.recording_fault,
-            "host_clock_step_s": self.clock.host_step_s(),
-        }
-        if summary.alignment is not None:
-            mean, sigma = summary.alignment.mean.tolist(), summary.alignment.sigma.tolist()
-            detail["learned"] = {
-                "boresight_rad": mean[:3],
-                "sigma_boresight_rad": sigma[:3],
-                "offset_s": mean[3],
-                "sigma_offset_s": sigma[3],
-            }
-        return detail
+    def _run_camera(self, thread: SupervisedThread) -> None:
+        self.parts.camera.run(self._take, thread)
+
+    def _run_telemetry(self, thread: SupervisedThread) -> None:
+        self.parts.telemetry.run(self._take, thread)
 
     def _take(self, arrival_ns: int, event: Event) -> None:
         if isinstance(event, Frame):
-            self.recent.picture_came(self.clock.now_ns())
-        self.intake.put(arrival_ns, event)
+            self.live_rates.picture_came(self.clock.now_ns())
+        elif isinstance(event, GpsQuality):
+            self._gps = event  # here, before it waits in the queue: its age is the receiver's silence
+        self.event_queue.put(arrival_ns, event)
 
-    def _run_pipeline(self) -> None:
+    def _run_pipeline(self, thread: SupervisedThread) -> None:
         pipeline, sinks = self.parts.pipeline, self.parts.sinks
-        while not self.intake.is_over:
-            got = self.intake.get(IDLE_S)
+        while not self.event_queue.is_over:
+            thread.beat()
+            got = self.event_queue.get(IDLE_S)
             self._busy_since_ns = None if got is None else self.clock.now_ns()
             if got is not None:
                 arrival_ns, event = got
                 for sink in sinks:
                     sink.event(arrival_ns, event)
                 self._hand_out(pipeline.handle(event))
-                if isinstance(event, GpsQuality):
-                    self._gps = event
+                self._standstill.note(event)
                 self._busy_since_ns = None
             self._take_snapshot(None if got is None else got[1])
         self._busy_since_ns = self.clock.now_ns()
@@ -229,17 +266,30 @@ class Session:
         self._take_snapshot(None)
         self._busy_since_ns = None
 
-    def _hand_out(self, outputs: Sequence[Any]) -> None:
+    def _hand_out(self, outputs: Sequence[FeatureSet]) -> None:
         for output in outputs:
-            for sink in self.parts.sinks:
-                sink.feature_set(output)
-            self.recent.set_made(output, self.clock.now_ns())
+            taken = [self._hand_over(output, sink) for sink in self.parts.sinks]
+            if all(taken):
+                self.live_rates.set_made(output, self.clock.now_ns())
+
+    def _hand_over(self, output: FeatureSet, sink: Sink) -> bool:
+        """Whether the sink took it. A set without an encoding is no reason to end the flight: it is left out."""
+        try:
+            sink.feature_set(output)
+        except UNENCODABLE as error:
+            self.unencodable += 1
+            now_ns = self.clock.now_ns()
+            if self._unencodable_ns is None or now_ns - self._unencodable_ns >= REPEAT_NS:
+                self._unencodable_ns = now_ns
+                log.exception("the set of frame %d is left out (%d so far): %s", output.frame, self.unencodable, error)
+            return False
+        return True
 
     def _take_snapshot(self, event: Event | None) -> None:
         """Once a second, what other threads may see of the pipeline; and how bright its newest picture is."""
         now_ns, pipeline = self.clock.now_ns(), self.parts.pipeline
         if isinstance(event, Frame) and event.image is not None and now_ns - self._looked_ns >= SNAPSHOT_NS:
-            self._looked_ns, self._picture = now_ns, brightness(event.image)
+            self._looked_ns, self._brightness = now_ns, Brightness.of(event.image)
         if now_ns - self._snapshot_at_ns < SNAPSHOT_NS:
             return
         self._snapshot_at_ns = now_ns
@@ -247,24 +297,7 @@ class Session:
         self._tracks = 0 if pipeline.tracks is None else len(pipeline.tracks)
         alignment = pipeline.window.alignment
         if alignment.updates:
-            learned = alignment.to_json()
-            if learned != self._last_learned:
-                self._last_learned = self._learned = learned
-
-
-def brightness(image: NDArray[np.uint8]) -> Detail:
-    """Mean grey (0 to 255) of a picture and the shares of it that are black and white, from every eighth pixel."""
-    sample = image[::8, ::8]
-    return {
-        "mean": float(sample.mean()),
-        "black": float((sample <= 2).mean()),
-        "white": float((sample >= 253).mean()),
-    }
-
-
-def reported(health: SourceStatus) -> Detail:
-    """A source's health as a report has it."""
-    return {"state": health.state.value, "detail": health.detail, "figures": dict(health.figures)}
+            self._learned = alignment.to_json()
 
 
 def restore(state: StateFile, pipeline: Pipeline) -> str:

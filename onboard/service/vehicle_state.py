@@ -1,25 +1,32 @@
-"""How the aircraft's side is, in one word with a reason: a pure function of what its parts say.
+"""How the aircraft's side is: a pure function of what its parts say. The one place where that is judged.
 
-The word is the first thing that keeps answers from being given, in the order in which one causes the next; only when
-answers flow, what is amiss besides. docs/faults.md says what each word means and what ends it.
+`judge` lists everything that is not well, in the order in which one thing causes the next; the state is the first of
+the list, and `pc-onboard doctor` prints the whole of it, so that the two cannot disagree. docs/faults.md says what each
+state means and what ends it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 
 from contract.feature_set import Status
 from onboard.events.source import Severity, SourceStatus, State
+from onboard.events.supervised_thread import ThreadReport
 
 STUCK_S = 4.0  # one event never takes this long
 SILENT_S = 3.0  # without a picture though the camera calls itself well
+MIN_FIX_TYPE = 3  # GPS_FIX_TYPE
+MAX_GPS_AGE_S = 3.0
+MAX_GPS_SIGMA_M = 5.0
 
 
-class Word(Enum):
+class VehicleState(Enum):
     """The state in a word. Values are what users see."""
 
     OK = "ok"
+    AT_REST = "at rest"
     DEGRADED = "degraded"
     STARTING = "starting"
     STUCK = "stuck"
@@ -37,6 +44,42 @@ class Word(Enum):
     OVERLOADED = "overloaded"
     NOT_RECORDING = "not recording"
 
+    @property
+    def is_well(self) -> bool:
+        """Whether all is as it should be: answers flow, or will as soon as the aircraft flies."""
+        return self in (VehicleState.OK, VehicleState.AT_REST)
+
+
+class Subject(Enum):
+    """What is judged; each is a line of `doctor`."""
+
+    PIPELINE = "pipeline"
+    CAMERA = "camera"
+    TELEMETRY = "telemetry"
+    GPS = "gps"
+    POSITION = "position"
+    ANSWERS = "answers"
+    LOAD = "load"
+    RECORDING = "recording"
+    THREADS = "threads"
+
+
+@dataclass(frozen=True)
+class GpsReport:
+    """What the receiver says of itself, and how old that is."""
+
+    fix_type: int  # MAVLink GPS_FIX_TYPE: 0-1 none, 2 two-dimensional, 3 and up usable
+    age_s: float
+    satellites: int | None = None
+    sigma_horizontal_m: float | None = None
+    sigma_vertical_m: float | None = None
+
+    def __str__(self) -> str:
+        seen = "" if self.satellites is None else f", {self.satellites} satellites"
+        claim = "" if self.sigma_horizontal_m is None else f", +-{self.sigma_horizontal_m:.1f} m"
+        old = f", {self.age_s:.0f} s old" if self.age_s >= MAX_GPS_AGE_S else ""
+        return f"fix type {self.fix_type}{seen}{claim}{old}"
+
 
 @dataclass(frozen=True)
 class Inputs:
@@ -47,70 +90,153 @@ class Inputs:
     picture_age_s: float | None  # since the last picture came; None before the first
     busy_s: float  # how long the pipeline has been at one event; 0 when it waits
     outcome: Status | None  # of the newest pictures; None while there are none
+    gps: GpsReport | None = None  # None before the receiver's first word
+    position_fault: str = ""  # why the navigation does not believe the position; empty when it does
+    is_at_rest: bool = False  # the autopilot or the positions say that the aircraft stands still
     is_shedding: bool = False  # pictures were dropped a moment ago
     recording_fault: str = ""  # why nothing is recorded; empty when all is well or none is wanted
+    threads: tuple[ThreadReport, ...] = ()
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that is not well: what it is about, the state it makes, and the reason."""
+
+    subject: Subject
+    state: VehicleState
+    reason: str
 
 
 @dataclass(frozen=True)
 class Overall:
-    """The word and the reason for it."""
+    """The state of the whole and the reason for it."""
 
-    word: Word
+    state: VehicleState
     reason: str = ""
 
     def __str__(self) -> str:
-        return f"{self.word.value}: {self.reason}" if self.reason else self.word.value
+        return f"{self.state.value}: {self.reason}" if self.reason else self.state.value
 
 
-# Why pictures were refused, as a word about the aircraft and in plain words.
-_REFUSALS: dict[Status, tuple[Word, str]] = {
-    Status.STARTING: (Word.STARTING, "no position or too little seen yet"),
-    Status.NO_GPS: (Word.NO_GPS, "the position is not believed"),
-    Status.UNSYNCHRONISED: (Word.UNSYNCHRONISED, "no telemetry about the moment of exposure"),
-    Status.FEATURELESS: (Word.FEATURELESS, "too little to follow in the pictures"),
-    Status.BAD_PICTURE: (Word.BAD_PICTURE, "pictures cannot be used"),
-    Status.TURNING: (Word.TURNING, "turning too fast to follow features"),
-    Status.LOW_PARALLAX: (Word.LOW_PARALLAX, "standing still: no depth without motion"),
-    Status.POOR_FIT: (Word.POOR_FIT, "pictures and telemetry contradict each other"),
-    Status.UNCERTAIN: (Word.POOR_FIT, "too uncertain to answer"),
+# Why pictures were refused, as a state of the aircraft and in plain words.
+_REFUSALS: dict[Status, tuple[VehicleState, str]] = {
+    Status.STARTING: (VehicleState.STARTING, "no position or too little seen yet"),
+    Status.NO_GPS: (VehicleState.NO_GPS, "the position is not believed"),
+    Status.UNSYNCHRONISED: (VehicleState.UNSYNCHRONISED, "no telemetry about the moment of exposure"),
+    Status.FEATURELESS: (VehicleState.FEATURELESS, "too little to follow in the pictures"),
+    Status.BAD_PICTURE: (VehicleState.BAD_PICTURE, "pictures cannot be used"),
+    Status.TURNING: (VehicleState.TURNING, "turning too fast to follow features"),
+    Status.LOW_PARALLAX: (VehicleState.LOW_PARALLAX, "standing still: no depth without motion"),
+    Status.POOR_FIT: (VehicleState.POOR_FIT, "pictures and telemetry contradict each other"),
+    Status.UNCERTAIN: (VehicleState.POOR_FIT, "too uncertain to answer"),
 }
+# What pictures come to on the ground, where the camera may look at grass from a hand's breadth: no fault before flight.
+_OF_REST = (Status.STARTING, Status.LOW_PARALLAX, Status.FEATURELESS)
+# What a position that is not believed makes of the state, by what the newest pictures came to; else there is no GPS.
+_OF_POSITION: dict[Status | None, VehicleState] = {
+    Status.OK: VehicleState.DEGRADED,
+    Status.STARTING: VehicleState.STARTING,
+    None: VehicleState.STARTING,
+}
+AT_REST = "standing still; answers begin in flight"
+
+
+def judge(inputs: Inputs) -> tuple[Finding, ...]:
+    """Everything that is not well, causes before their consequences, what only spoils the answers last."""
+    found = [*_stopped(inputs), *_position(inputs), *_answers(inputs), *_beside(inputs)]
+    # Degradations come last: what takes the answers away is named first.
+    return tuple(sorted(found, key=lambda finding: finding.state is VehicleState.DEGRADED))
 
 
 def overall(inputs: Inputs) -> Overall:
-    """The state of the whole."""
-    camera, telemetry = inputs.camera, inputs.telemetry
-    if inputs.busy_s > STUCK_S:
-        return Overall(Word.STUCK, f"the pipeline has been at one event for {inputs.busy_s:.0f} s")
+    """The state of the whole: that of the first finding; without any, "ok" or "at rest"."""
+    found = judge(inputs)
+    if found:
+        return Overall(found[0].state, found[0].reason)
+    return Overall(VehicleState.OK) if inputs.outcome is Status.OK else Overall(VehicleState.AT_REST, AT_REST)
+
+
+def source_findings(camera: SourceStatus, telemetry: SourceStatus) -> tuple[Finding, ...]:
+    """What the two sources say of themselves."""
+    found = []
     if camera.state is State.LOST:
-        return Overall(Word.CAMERA_LOST, camera.detail)
+        found.append(Finding(Subject.CAMERA, VehicleState.CAMERA_LOST, camera.detail))
     if camera.state is State.FROZEN:
-        return Overall(Word.CAMERA_FROZEN, camera.detail)
+        found.append(Finding(Subject.CAMERA, VehicleState.CAMERA_FROZEN, camera.detail))
     if telemetry.state in (State.LOST, State.FROZEN):
-        return Overall(Word.TELEMETRY_LOST, telemetry.detail)
-    for name, health in (("camera", camera), ("telemetry", telemetry)):
-        if health.state is State.STARTING:
-            return Overall(Word.STARTING, f"{name}: {health.detail}" if health.detail else f"waiting for the {name}")
-    if inputs.picture_age_s is not None and inputs.picture_age_s > SILENT_S:
-        return Overall(Word.CAMERA_SILENT, f"no picture for {inputs.picture_age_s:.0f} s")
-    if inputs.outcome is None:
-        return Overall(Word.STARTING, "no picture has come through yet")
-    if inputs.outcome is not Status.OK:
-        return Overall(*_REFUSALS.get(inputs.outcome, (Word.DEGRADED, inputs.outcome.value)))
+        found.append(Finding(Subject.TELEMETRY, VehicleState.TELEMETRY_LOST, telemetry.detail))
+    for subject, source in ((Subject.CAMERA, camera), (Subject.TELEMETRY, telemetry)):
+        name, detail = subject.value, source.detail
+        if source.state is State.STARTING:
+            reason = f"{name}: {detail}" if detail else f"waiting for the {name}"
+            found.append(Finding(subject, VehicleState.STARTING, reason))
+        if source.state is State.DEGRADED:
+            found.append(Finding(subject, VehicleState.DEGRADED, f"{name}: {detail}"))
+    return tuple(found)
+
+
+def gps_findings(gps: GpsReport | None) -> tuple[Finding, ...]:
+    """What the receiver says of itself, as the state has it when nothing worse is the matter."""
+    if gps is None:
+        return (Finding(Subject.GPS, VehicleState.DEGRADED, "gps: the receiver has said nothing"),)
+    if gps.fix_type < MIN_FIX_TYPE:
+        return (Finding(Subject.GPS, VehicleState.NO_GPS, f"no fix ({gps})"),)
+    if gps.age_s >= MAX_GPS_AGE_S:
+        return (Finding(Subject.GPS, VehicleState.NO_GPS, f"the receiver is silent for {gps.age_s:.0f} s"),)
+    if gps.sigma_horizontal_m is not None and gps.sigma_horizontal_m > MAX_GPS_SIGMA_M:
+        return (Finding(Subject.GPS, VehicleState.DEGRADED, f"gps: {gps}"),)
+    return ()
+
+
+def _stopped(inputs: Inputs) -> Iterator[Finding]:
+    """What keeps pictures or telemetry from coming at all."""
+    if inputs.busy_s > STUCK_S:
+        reason = f"the pipeline has been at one event for {inputs.busy_s:.0f} s"
+        yield Finding(Subject.PIPELINE, VehicleState.STUCK, reason)
+    yield from source_findings(inputs.camera, inputs.telemetry)
+    has_explained = inputs.camera.state in (State.LOST, State.FROZEN, State.STARTING)
+    if inputs.picture_age_s is not None and inputs.picture_age_s > SILENT_S and not has_explained:
+        reason = f"no picture for {inputs.picture_age_s:.0f} s"
+        yield Finding(Subject.CAMERA, VehicleState.CAMERA_SILENT, reason)
+
+
+def _position(inputs: Inputs) -> Iterator[Finding]:
+    """What receiver and navigation say of the position."""
+    yield from gps_findings(inputs.gps)
+    if inputs.position_fault:
+        # Answers that flow all the same carry the doubt in their radius; before the first one may still be waited for.
+        state = _OF_POSITION.get(inputs.outcome, VehicleState.NO_GPS)
+        yield Finding(Subject.POSITION, state, f"position: {inputs.position_fault}")
+    if inputs.outcome in (Status.NO_GPS, Status.UNSYNCHRONISED) and not inputs.position_fault:
+        yield Finding(Subject.POSITION, *_REFUSALS[inputs.outcome])
+
+
+def _answers(inputs: Inputs) -> Iterator[Finding]:
+    """What the newest pictures came to."""
+    outcome = inputs.outcome
+    if outcome is None:
+        yield Finding(Subject.ANSWERS, VehicleState.STARTING, "no picture has come through yet")
+    elif outcome is not Status.OK and not (inputs.is_at_rest and outcome in _OF_REST):
+        yield Finding(Subject.ANSWERS, *_REFUSALS.get(outcome, (VehicleState.DEGRADED, outcome.value)))
+
+
+def _beside(inputs: Inputs) -> Iterator[Finding]:
+    """What is amiss while answers flow."""
     if inputs.is_shedding:
-        return Overall(Word.OVERLOADED, "pictures are dropped to keep up")
+        yield Finding(Subject.LOAD, VehicleState.OVERLOADED, "pictures are dropped to keep up")
     if inputs.recording_fault:
-        return Overall(Word.NOT_RECORDING, inputs.recording_fault)
-    for name, health in (("camera", camera), ("telemetry", telemetry)):
-        if health.state is State.DEGRADED:
-            return Overall(Word.DEGRADED, f"{name}: {health.detail}")
-    return Overall(Word.OK)
+        yield Finding(Subject.RECORDING, VehicleState.NOT_RECORDING, inputs.recording_fault)
+    for thread in inputs.threads:
+        if not thread.is_well:
+            why = f" ({thread.last_error})" if thread.last_error else ""
+            yield Finding(Subject.THREADS, VehicleState.DEGRADED, f"{thread.name}: {thread.state.value}{why}")
 
 
-def severity(word: Word) -> Severity:
+def severity(state: VehicleState) -> Severity:
     """How much people should care."""
-    if word in (Word.OK, Word.STARTING, Word.TURNING, Word.LOW_PARALLAX):
+    if state.is_well or state in (VehicleState.STARTING, VehicleState.TURNING, VehicleState.LOW_PARALLAX):
         return Severity.NOTICE
-    return Severity.ERROR if word in (Word.STUCK, Word.CAMERA_SILENT) else Severity.WARNING
+    return Severity.ERROR if state in (VehicleState.STUCK, VehicleState.CAMERA_SILENT) else Severity.WARNING
 
 
 def is_alive(inputs: Inputs) -> bool:

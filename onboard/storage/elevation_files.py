@@ -19,6 +19,10 @@ from onboard.geometry.terrain_grid import Terrain
 
 Array = NDArray[np.float64]
 
+MISS_HOLDS = 1.0 / 3.0
+"""Of the radius: how far from a place without any data it is taken that there still is none. Reading takes a tenth of a
+second and more, too much for every picture; two thirds of the radius stay known to be empty all the same."""
+
 
 class TerrainFiles:
     """One file or a folder of tiles, opened once; `around` cuts what is needed."""
@@ -34,6 +38,7 @@ class TerrainFiles:
             ) from error
         self._transform = transform
         self.datum = datum
+        self._missed: tuple[LocalFrame, Array, float] | None = None  # where there was no data, and within which radius
         place = Path(path)
         if place.is_dir():
             names = sorted(p for p in place.iterdir() if p.suffix.lower() in {".hgt", ".tif", ".tiff"})
@@ -57,8 +62,11 @@ class TerrainFiles:
         """The terrain within `radius_m` (a square) of a place in a local frame; None where no tile has data.
 
         None too for an ellipsoidal model while the undulation is unknown (nan): its heights would mean nothing.
+        Where there was no data the files are read again only once the place has moved by `MISS_HOLDS` of the radius.
         """
         if self.datum == "ellipsoid" and math.isnan(undulation_m):
+            return None
+        if self._is_known_miss(frame, centre_enu_m, radius_m):
             return None
         n = 2 * math.ceil(radius_m / spacing_m) + 1
         axis = (np.arange(n) - n // 2) * spacing_m
@@ -73,11 +81,19 @@ class TerrainFiles:
             if missing.any():
                 amsl[missing] = self._sample(tile, geodetic[missing])
         if np.isnan(amsl).all():
+            self._missed = (frame, np.array(centre_enu_m[:2]), radius_m)
             return None
         if self.datum == "ellipsoid":
             amsl -= undulation_m
         # geodetic[..., 2] is the height of the frame's plane above the datum there; the difference is the ENU height.
         return Terrain(float(west), float(south), spacing_m, amsl - geodetic[..., 2])
+
+    def _is_known_miss(self, frame: LocalFrame, centre_enu_m: Array, radius_m: float) -> bool:
+        if self._missed is None:
+            return False
+        missed_frame, place, missed_radius_m = self._missed
+        moved_m = float(np.linalg.norm(centre_enu_m[:2] - place))
+        return frame == missed_frame and radius_m <= missed_radius_m and moved_m < MISS_HOLDS * missed_radius_m
 
     def _sample(self, tile: Any, geodetic: Array) -> Array:
         """Bilinear heights (N,) of a tile at latitudes and longitudes (N, 3); nan outside of it."""

@@ -48,6 +48,7 @@ def event_json(event: Event, picture: str = "") -> bytes:
             "frame": event.index,
             "name": event.name,
             "picture": picture or ("none" if event.image is not None else "undecodable"),
+            "stamp_sigma_s": event.stamp_sigma_s,
         }
     else:
         content = asdict(event)
@@ -62,6 +63,7 @@ def event_schema(kind: type[Event]) -> tuple[str, str]:
             "frame": {"type": "integer"},
             "name": {"type": "string"},
             "picture": {"type": "string"},
+            "stamp_sigma_s": {"type": "number"},
         }
     else:
         properties = {name: _schema(hint) for name, hint in _hints(kind).items()}
@@ -85,7 +87,8 @@ def frame_event(data: bytes, image: NDArray[np.uint8] | None) -> tuple[Frame, st
     """A frame as it was recorded with its picture, and in what format that was. Raises InputError."""
     content = _object(data)
     try:
-        frame = Frame(int(content["stamp_ns"]), int(content["frame"]), image, str(content.get("name", "")))
+        name, sigma_s = str(content.get("name", "")), float(content.get("stamp_sigma_s", 0.0))
+        frame = Frame(int(content["stamp_ns"]), int(content["frame"]), image, name, sigma_s)
         return frame, str(content.get("picture", "none"))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"a frame that is none: {error}") from error

@@ -1,11 +1,12 @@
 """A recorded session, read back: the events as they entered the pipeline, and the sets that came of them.
 
-Every part of the session in order, each up to where it ends or was cut off.
+Every part of the session in order, each up to where it ends or was cut off, past what is damaged in it.
 """
 
 from __future__ import annotations
 
 import base64
+import functools
 import io
 import json
 import struct
@@ -15,9 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from mcap.exceptions import McapError
 from mcap.records import Channel, Message, Metadata
-from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -27,8 +26,9 @@ from contract.errors import InputError
 from contract.topics import FEATURES
 from onboard.events.types import Event
 from onboard.storage.event_json import NAV_EVENTS, frame_event, nav_event
+from onboard.storage.mcap_records import MAGIC, Damage, Found, Lost, walk
+from onboard.storage.recording_queue import Gap
 
-_UNREADABLE = (McapError, struct.error, EOFError, UnicodeDecodeError, ValueError, OverflowError, MemoryError)
 # What a damaged message or a damaged picture's head raises (binascii's error is a ValueError).
 _NO_PICTURE = (
     ValueError,
@@ -44,19 +44,9 @@ _NO_PICTURE = (
 
 def parts_of(path: Path) -> list[Path]:
     """All parts of the session that a file belongs to, or of the one session in a folder. Raises InputError."""
-    if path.is_dir():
-        found = sorted(file.name for file in path.iterdir() if names.split_part(file.name))
-        sessions = sorted({split[0] for name in found if (split := names.split_part(name))})
-        if len(sessions) != 1:
-            what = (
-                f"{len(sessions)} sessions ({', '.join(sessions[:3])}, ...): name one" if sessions else "no recording"
-            )
-            raise InputError(f"recording {path}: holds {what}")
-        return [path / name for name in names.session_parts(found, found[0])]
     if not path.exists():
         raise InputError(f"recording {path}: no such file")
-    siblings = [file.name for file in path.parent.iterdir() if file.is_file()]
-    return [path.with_name(name) for name in names.session_parts(siblings, path.name)]
+    return names.session_files(path)
 
 
 @dataclass(eq=False)
@@ -73,6 +63,10 @@ class RecordedFlight:
     formats: Counter[str] = field(default_factory=Counter)  # in which they were recorded
     counts: Counter[str] = field(default_factory=Counter)  # records by channel, the vehicle's name left out
     gaps: list[Path] = field(default_factory=list)  # parts before which something is missing
+    dropped: dict[Path, list[Gap]] = field(default_factory=dict)  # what the recorder says that it left out
+
+    damaged: dict[Path, list[Damage]] = field(default_factory=dict)  # stretches that cannot be read
+    lost: dict[Path, Counter[str]] = field(default_factory=dict)  # what they held, by channel, so far as is known
 
     @classmethod
     def open(cls, paths: Sequence[Path]) -> RecordedFlight:
@@ -100,17 +94,32 @@ class RecordedFlight:
     def caveats(self) -> list[str]:
         """Why a replay may not give the same bytes; none if it does."""
         found = [f"events are missing before {path.name}" for path in self.gaps]
+        found += [f"{path.name} lacks {_in_words(gaps)}" for path, gaps in self.dropped.items()]
+        found += [self._damage_of(path) for path in self.paths if path in self.damaged or path in self.lost]
         if self.formats["jpeg"]:
             found.append(f"{self.formats['jpeg']} pictures are JPEG, not as the pipeline saw them")
         if self.formats["none"]:
             found.append(f"{self.formats['none']} pictures were not recorded")
         return found
 
+    def _damage_of(self, path: Path) -> str:
+        stretches = self.damaged.get(path, [])
+        places = "in its channels" if not stretches else f"at byte {stretches[0].begin}"
+        places += f" and {len(stretches) - 1} later" if stretches[1:] else ""
+        size = sum(damage.end - damage.begin for damage in stretches)
+        lost = ", ".join(f"{count} {name}" for name, count in sorted(self.lost.get(path, Counter()).items()))
+        return f"{path.name} is damaged {places}, {size} bytes passed over: {lost or 'nothing known'} lost"
+
     def events(self) -> Iterator[tuple[int, Event]]:
         """Every event with its arrival (Unix ns), in the order of the pipeline. Raises InputError at a damaged one."""
         for path in self.paths:
             picture: tuple[int, bytes] | None = None
-            for channel, message in _messages(path):
+            is_damaged = False
+            for record in _records(path):
+                if not isinstance(record, tuple):
+                    is_damaged = is_damaged or isinstance(record, Damage)
+                    continue
+                channel, message = record
                 kind = _kind(channel.topic, self.vehicle)
                 try:
                     if kind == names.PICTURES:
@@ -119,6 +128,8 @@ class RecordedFlight:
                         frame, as_recorded = frame_event(message.data, None)
                         if as_recorded in ("png", "jpeg"):
                             if picture is None or picture[0] != frame.stamp_ns:
+                                if is_damaged:
+                                    continue  # its picture was in a stretch that cannot be read
                                 raise InputError(f"frame {frame.index} without its picture")
                             frame, _ = frame_event(message.data, _decoded(picture[1], self.camera))
                         if as_recorded != "none":
@@ -141,31 +152,62 @@ def _kind(topic: str, vehicle: str) -> str:
     return topic.replace(f"pc/{vehicle}/", "pc/{vehicle}/", 1)
 
 
+def _name(topic: str, vehicle: str) -> str:
+    return _kind(topic, vehicle).removeprefix("pc/{vehicle}/") or "of unknown channels"
+
+
+def _note_lost(flight: RecordedFlight, path: Path, name: str, count: int) -> None:
+    flight.lost.setdefault(path, Counter())[name] += count
+
+
 def _look_through(path: Path, flight: RecordedFlight | None) -> RecordedFlight | None:
     """Add a part to what is known of its session; None while that is nothing."""
+    has_begun = False
+    picture_ns: int | None = None
     for record in _records(path):
-        if isinstance(record, Metadata) and record.name == names.METADATA_NAME:
+        if isinstance(record, Damage | Lost):
+            if flight is None:
+                raise InputError(f"recording {path}: damaged before it says what it is")
+            if isinstance(record, Damage):
+                flight.damaged.setdefault(path, []).append(record)
+            else:
+                _note_lost(flight, path, _name(record.topic, flight.vehicle), record.count)
+        elif isinstance(record, Metadata) and record.name == names.METADATA_NAME:
             said = record.metadata
             if flight is None:
                 flight = _begin(path, said)
             elif said.get("vehicle") != flight.vehicle:
                 raise InputError(f"recording {path}: of vehicle {said.get('vehicle')!r}, not {flight.vehicle!r}")
-            if said.get("complete") == "no":
+            if said.get("complete") == "no" and not has_begun:
                 flight.gaps.append(path)
+            has_begun = True  # further metadata of a part repeat it after a gap, which has a record of its own
         elif isinstance(record, tuple):
             channel, message = record
             if flight is None:
                 raise InputError(f"recording {path}: says nothing of its camera and configuration")
             kind = _kind(channel.topic, flight.vehicle)
-            flight.counts[kind.removeprefix("pc/{vehicle}/")] += 1
+            flight.counts[_name(channel.topic, flight.vehicle)] += 1
+            if kind == names.PICTURES:
+                picture_ns = message.publish_time
+            if kind == names.GAPS:
+                flight.dropped.setdefault(path, []).append(Gap.from_json(message.data))
             if kind == names.FRAMES:
                 try:
                     frame, as_recorded = frame_event(message.data, None)
                 except InputError as error:
                     raise InputError(f"recording {path}: {error}") from error
+                if path in flight.damaged and as_recorded in ("png", "jpeg") and picture_ns != frame.stamp_ns:
+                    _note_lost(flight, path, "frames without their pictures", 1)
+                    continue
                 flight.stamps_ns.append(frame.stamp_ns)
                 flight.formats[as_recorded] += 1
     return flight
+
+
+def _in_words(gaps: list[Gap]) -> str:
+    whole = functools.reduce(Gap.and_then, gaps)
+    places = "in one place" if len(gaps) == 1 else f"in {len(gaps)} places"
+    return f"{str(whole) or 'records'}, {places}: {whole.reason}"
 
 
 def _begin(path: Path, said: dict[str, str]) -> RecordedFlight:
@@ -181,25 +223,13 @@ def _messages(path: Path) -> Iterator[tuple[Channel, Message]]:
     return (record for record in _records(path) if isinstance(record, tuple))
 
 
-def _records(path: Path) -> Iterator[Metadata | tuple[Channel, Message]]:
-    """Metadata and messages of a file, up to its end or to where it was cut off. Raises InputError if it is none."""
-    channels: dict[int, Channel] = {}
+def _records(path: Path) -> Iterator[Found]:
+    """What a file holds, as `walk` finds it. Raises InputError if it is none."""
     try:
         with path.open("rb") as stream:
-            if stream.read(8) != b"\x89MCAP0\r\n":
+            if stream.read(len(MAGIC)) != MAGIC:
                 raise InputError(f"recording {path}: not an MCAP file")
-            stream.seek(0)
-            try:
-                # No record is longer than its file: a damaged length must not become memory asked for.
-                for record in StreamReader(stream, record_size_limit=path.stat().st_size).records:
-                    if isinstance(record, Channel):
-                        channels[record.id] = record
-                    elif isinstance(record, Metadata):
-                        yield record
-                    elif isinstance(record, Message) and record.channel_id in channels:
-                        yield channels[record.channel_id], record
-            except _UNREADABLE:  # the last record of a killed process or a lost disk: what was before it counts
-                return
+            yield from walk(stream)
     except OSError as error:
         raise InputError(f"recording {path}: {error.strerror}") from error
 

@@ -33,7 +33,7 @@ VIEW_FEATURES_NS = 1_000_000_000
 JPEG_QUALITY = 85
 # Of 640x480 pictures of the ground: 97 kB in 4.3 ms. Stronger compression takes twice the time for 2 %.
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
-_STATUS_SCHEMA = '{"type":"object"}'
+_STATUS_SCHEMA = _GAP_SCHEMA = '{"type":"object"}'
 
 
 def encode_picture(image: NDArray[np.uint8], pictures: str) -> tuple[bytes, str]:
@@ -92,6 +92,11 @@ class SessionRecorder:
         self._viewed_ns: dict[str, int] = {}
 
     @property
+    def has_message(self) -> bool:
+        """Whether the file holds, or held when it was closed, at least one whole message."""
+        return self._whole_bytes > 0
+
+    @property
     def size_bytes(self) -> int:
         """How large the file is by now."""
         return 0 if self._stream is None else self._stream.tell()
@@ -145,6 +150,17 @@ class SessionRecorder:
         channel = self._channel(STATUS.template, "json", "pointclick.Status", _STATUS_SCHEMA)
         self._write(channel, stamp_ns, stamp_ns, payload)
 
+    def write_gap(self, begin_ns: int, end_ns: int, content: bytes) -> None:
+        """Record that something is missing here, and mark the file as not complete."""
+        channel = self._channel(names.GAPS, "json", "pointclick.Gap", _GAP_SCHEMA)
+        self._write(channel, end_ns, begin_ns, content)
+        if self._metadata["complete"] == "yes":
+            self._metadata["complete"] = "no"
+            try:
+                self._open().add_metadata(names.METADATA_NAME, self._metadata)
+            except OSError as error:
+                raise self._failure(error) from error
+
     def sync(self) -> None:
         """Wait until all that was written is on the disk."""
         if self._stream is not None:
@@ -169,14 +185,20 @@ class SessionRecorder:
                 stream.close()
 
     def abandon(self) -> None:
-        """Close after a failed write: the file ends with its last whole message, without a summary, as after a kill."""
+        """Close after a failed write: the file ends with its last whole message, without a summary, as after a kill.
+
+        One without a whole message is removed.
+        """
         if self._stream is None:
             return
         stream, self._stream, self._writer = self._stream, None, None
         with contextlib.suppress(OSError):
             stream.close()
         with contextlib.suppress(OSError):
-            os.truncate(self.path, self._whole_bytes)
+            if self._whole_bytes:
+                os.truncate(self.path, self._whole_bytes)
+            elif self.path.is_file():
+                self.path.unlink()
 
     def __enter__(self) -> SessionRecorder:
         return self

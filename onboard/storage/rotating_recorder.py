@@ -1,8 +1,9 @@
 """The recording as the daemon's sink: a session's files one after the other, in a thread of its own.
 
-What is handed over waits in a queue, so that neither a picture's compression nor a slow disk holds up the pipeline; if
-the disk falls behind for good, the pipeline is made to wait, which sheds pictures before they are recorded. A full disk
-is a fault to report, not to die of: sets are published all the same, and recording goes on when there is room again.
+What is handed over waits in a bounded queue, so that neither a picture's compression nor a slow disk holds up the
+pipeline; if the disk falls behind, what the queue cannot take is dropped at once, and a gap record stands in its place.
+A disk that is full or fails is a fault to report, not to die of: sets are published all the same, and recording goes on
+when there is room again.
 """
 
 from __future__ import annotations
@@ -10,9 +11,10 @@ from __future__ import annotations
 import contextlib
 import importlib.metadata
 import logging
+import math
 import os
-import threading
-from collections import deque
+import struct
+import time
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,20 +25,28 @@ from contract import recording_format as names
 from contract.camera import Camera
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
+from contract.wire.codec import encode
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
+from onboard.events.supervised_thread import Policy, SupervisedThread, ThreadState
 from onboard.events.types import Event, Frame
 from onboard.storage.mcap_writer import SessionRecorder
+from onboard.storage.recording_queue import Entry, Gap, RecordingQueue
 
 SYNC_S = 0.5  # between writes to the disk itself: what a loss of power may cost, with what the disk takes
-RETRY_S = 5.0
+RETRY_S, MAX_RETRY_S = 5.0, 60.0
+STEADY_S = 60.0  # a file that fails earlier than this after a failure failed of the same thing
+REPEAT_S = 60.0  # between lines of the log about one thing
 MAX_WAITING = 4096
 MAX_WAITING_BYTES = 64_000_000  # of pictures, not yet compressed
-PATIENCE_S = 2.0  # with a disk that does not keep up
+BEHIND_S = 2.0  # after the last drop, until the disk is said to keep up again
+LATE_S = 10.0  # in one write: the disk hangs
+CLOSE_SILENT_S, CLOSE_S = 3.0, 8.0  # at the end: with a disk that takes nothing more, and with one that is slow
 MEGABYTE = 1_000_000
+# What encoding a set raises if a number in it has no place on the wire.
+UNENCODABLE = (ValueError, ArithmeticError, struct.error)
 
 log = logging.getLogger("pointclick")
-Write = Callable[[SessionRecorder], None]
 
 
 def free_bytes(folder: Path) -> int:
@@ -84,100 +94,137 @@ class Recorded:
         self._is_complete = True
         self._recorder: SessionRecorder | None = None
         self._synced_s = self._failed_s = 0.0
+        self._resumed_s = self._reported_s = self._unencodable_s = self._drops_reported_s = -math.inf
+        self._pause_s = retry_s
         self._fault = ""
-        self._waiting: deque[tuple[int, Write]] = deque()
-        self._waiting_bytes = 0
-        self._is_over = False
-        self._changed = threading.Condition()
-        self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
+        self._is_reported = False  # the fault, in the log
+        self._missing: Gap | None = None  # not yet in a file
+        self._queue = RecordingQueue(MAX_WAITING, MAX_WAITING_BYTES)
+        self._dropped_s = -math.inf
+        self.unencodable = 0  # sets left out because they have no encoding
+        self.thread = SupervisedThread("recording", self._run, Policy.RESTART, late_after_s=LATE_S)
 
     @property
     def fault(self) -> str:
-        """Why nothing is recorded; empty while all is well."""
+        """Why nothing, or not everything, is recorded; empty while all is well."""
+        state = self.thread.report().state
+        if state in (ThreadState.LATE, ThreadState.RESTARTING, ThreadState.FAILED):
+            what = "the disk takes nothing" if state is ThreadState.LATE else f"its thread is {state.value}"
+            return f"recording {self._folder}: {what}"
+        if not self._fault and self._now_s() - self._dropped_s < BEHIND_S:
+            return f"recording {self._folder}: the disk does not keep up"
         return self._fault
 
+    @property
+    def dropped(self) -> int:
+        """Records dropped because the disk did not keep up."""
+        return self._queue.dropped
+
     def __enter__(self) -> Self:
-        self._thread.start()
+        self.thread.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Write what waits, and the end of the file."""
-        with self._changed:
-            self._is_over = True
-            self._changed.notify_all()
-        self._thread.join()
+        """Write what waits, and the end of the file. Raises InputError if the disk does not take it in time."""
+        self.thread.end()
+        self._queue.close()
+        deadline_s = time.monotonic() + CLOSE_S
+        while not self.thread.join(0.05):
+            if time.monotonic() > deadline_s or self.thread.heartbeat_age_s > CLOSE_SILENT_S:
+                raise InputError(f"recording {self._folder}: the disk did not take the end of it")
 
     def event(self, arrival_ns: int, event: Event) -> None:
-        """Record an event as it enters the pipeline."""
-        size = event.image.nbytes if isinstance(event, Frame) and event.image is not None else 0
-        self._put(size, lambda recorder: recorder.write_event(event, arrival_ns))
+        """Record an event as it enters the pipeline; never waits."""
+        if isinstance(event, Frame) and event.image is not None:
+            self._put(
+                Entry("pictures", arrival_ns, event.image.nbytes, lambda file: file.write_event(event, arrival_ns))
+            )
+        else:
+            self._put(Entry("events", arrival_ns, 0, lambda file: file.write_event(event, arrival_ns)))
 
     def feature_set(self, output: FeatureSet) -> None:
-        """Record a set."""
-        self._put(0, lambda recorder: recorder.write_set(output))
+        """Record a set; never waits."""
+        self._put(Entry("sets", output.capture_unix_ns, 0, lambda file: _write_set(file, output)))
 
     def status(self, stamp_ns: int, payload: bytes) -> None:
-        """Record an encoded status."""
-        self._put(0, lambda recorder: recorder.write_status(stamp_ns, payload))
+        """Record an encoded status; never waits."""
+        self._put(Entry("statuses", stamp_ns, 0, lambda file: file.write_status(stamp_ns, payload)))
 
     def _now_s(self) -> float:
         return self._clock.now_ns() / 1e9
 
-    def _put(self, size: int, write: Write) -> None:
-        with self._changed:
-            if not self._changed.wait_for(self._has_room, PATIENCE_S):
-                self._fault = self._fault or f"recording {self._folder}: the disk does not keep up"
-                self._is_complete = False  # of what follows
-                return
-            self._waiting.append((size, write))
-            self._waiting_bytes += size
-            self._changed.notify_all()
+    def _put(self, entry: Entry) -> None:
+        if not self._queue.put(entry):
+            self._dropped_s = self._now_s()
 
-    def _has_room(self) -> bool:
-        return len(self._waiting) < MAX_WAITING and self._waiting_bytes < MAX_WAITING_BYTES
-
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._waiting or self._is_over, SYNC_S)
-                if self._is_over and not self._waiting:
-                    break
-                size, write = self._waiting.popleft() if self._waiting else (0, None)
-                self._waiting_bytes -= size
-                self._changed.notify_all()
-            self._work(write)
+    def _run(self, thread: SupervisedThread) -> None:
+        while not self._queue.is_over:
+            thread.beat()
+            self._work(self._queue.get(SYNC_S))
+        thread.beat()
         self._finish_file()
 
-    def _work(self, write: Write | None) -> None:
+    def _work(self, found: Entry | Gap | None) -> None:
+        if isinstance(found, Gap):
+            self._miss(found)
+            self._report_drops()
+            found = None
+        is_written = found is None
         try:
-            recorder = self._ready() if write is not None else self._recorder
+            recorder = self._ready() if found is not None else self._recorder
             if recorder is None:
-                self._is_complete = self._is_complete and write is None
+                if found is not None:
+                    self._miss(found.missing(self._fault or "no file"))
+                self._report_fault()
                 return
-            if write is not None:
-                write(recorder)
+            if found is not None:
+                self._write_gap(recorder)
+                self._write(found, recorder)
+                is_written = True
             self._look_after(recorder)
         except NoRoom as error:
-            self._give_up(error)
+            self._give_up(error, self._retry_s)
             self._finish_file()
-        except InputError as error:
-            self._give_up(error)
-            recorder, self._recorder = self._recorder, None
-            if recorder is not None:
-                recorder.abandon()
+        except Exception as error:  # a bug in a writer must cost the file and not the thread: status would not say so
+            if not isinstance(error, InputError):
+                log.error("the recording failed", exc_info=error)
+            # A file that failed again so soon is the same fault: each try leaves a small file behind.
+            is_again = self._now_s() - self._resumed_s < STEADY_S and not self._fault
+            self._give_up(error, min(2.0 * self._pause_s, MAX_RETRY_S) if is_again else self._pause_s)
+            self._abandon_file()
         else:
-            if self._fault:
-                log.info("recording again, %s", recorder.path)
-                self._fault = ""
+            self._recovered(recorder)
+        if found is not None and not is_written:
+            self._miss(found.missing(self._fault))
+
+    def _write(self, entry: Entry, recorder: SessionRecorder) -> None:
+        """Into the file; a set that has no encoding leaves a gap."""
+        try:
+            entry.write(recorder)
+        except _Unencodable as error:
+            self.unencodable += 1
+            self._miss(entry.missing("it cannot be encoded"))
+            if self._now_s() - self._unencodable_s >= REPEAT_S:
+                self._unencodable_s = self._now_s()
+                log.error("recording %s: %s (%d so far)", recorder.path, error, self.unencodable)
+
+    def _write_gap(self, recorder: SessionRecorder) -> None:
+        if self._missing is not None:
+            recorder.write_gap(self._missing.begin_ns, self._missing.end_ns, self._missing.to_json())
+            self._missing = None
+
+    def _miss(self, gap: Gap) -> None:
+        self._missing = gap if self._missing is None else self._missing.and_then(gap)
+        self._is_complete = False
 
     def _ready(self) -> SessionRecorder | None:
         """The file being written; a new one if there is none, there is room, and the last failure is a while ago."""
         if self._recorder is not None:
             return self._recorder
         now_s = self._now_s()
-        if now_s - self._failed_s < self._retry_s:
+        if now_s - self._failed_s < self._pause_s:
             return None
         with contextlib.suppress(OSError):  # the check says it better
             self._folder.mkdir(parents=True, exist_ok=True)
@@ -219,18 +266,61 @@ class Recorded:
                 f"recording {self._folder}: {free_mb:.0f} MB free, less than recording.keep_free_mb = {keep_mb:g}"
             )
 
-    def _give_up(self, error: InputError) -> None:
+    def _give_up(self, error: Exception, pause_s: float) -> None:
+        """No file for `pause_s`. A fault that comes back soon is in the log once a minute, however often it does."""
         if not self._fault:
-            log.error("%s; recording stops until there is room", error)
-        self._fault, self._failed_s, self._is_complete = str(error), self._now_s(), False
+            self._is_reported = False
+        self._fault = str(error) or type(error).__name__
+        self._failed_s, self._pause_s, self._is_complete = self._now_s(), pause_s, False
+        self._report_fault()
+
+    def _report_drops(self) -> None:
+        if self._now_s() - self._drops_reported_s >= REPEAT_S:
+            self._drops_reported_s = self._now_s()
+            log.warning(
+                "recording %s: the disk does not keep up: %d records left out so far", self._folder, self.dropped
+            )
+
+    def _report_fault(self) -> None:
+        if self._fault and not self._is_reported and self._now_s() - self._reported_s >= REPEAT_S:
+            log.error("%s; recording stops until there is room", self._fault)
+            self._is_reported, self._reported_s = True, self._now_s()
+
+    def _recovered(self, recorder: SessionRecorder) -> None:
+        if self._fault:
+            if self._is_reported:
+                log.info("recording again, %s", recorder.path)
+            self._fault, self._resumed_s = "", self._now_s()
+        elif self._now_s() - self._resumed_s >= STEADY_S:
+            self._pause_s = self._retry_s
+
+    def _abandon_file(self) -> None:
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            recorder.abandon()
+            if not recorder.has_message:
+                self._part -= 1  # nothing of it is left
 
     def _finish_file(self) -> None:
         recorder, self._recorder = self._recorder, None
         if recorder is not None:
             try:
+                self._write_gap(recorder)
                 recorder.close()
             except InputError as error:  # what is in it can be read without its end
                 log.error("%s", error)
+
+
+class _Unencodable(Exception):
+    """A set that has no encoding: nothing of it was written."""
+
+
+def _write_set(recorder: SessionRecorder, output: FeatureSet) -> None:
+    try:
+        payload = encode(output)
+    except UNENCODABLE as error:
+        raise _Unencodable(f"the set of frame {output.frame} cannot be encoded: {error}") from error
+    recorder.write_set(output, payload)
 
 
 def _unused(folder: Path, now_ns: int, vehicle: str) -> str:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
 
 from contract.errors import ConfigError
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import TelemetrySource
-from onboard.telemetry.camera_messages import Target, View
 from onboard.telemetry.mavlink_source import LiveTelemetry, PymavlinkEnd
 from onboard.telemetry.nmea_source import NmeaTelemetry
 from onboard.telemetry.signing import read_key
@@ -17,17 +15,7 @@ from onboard.telemetry.tlog_playback import PlayedTelemetry
 from onboard.telemetry.transports import Address
 
 
-class OpenedTelemetry(TelemetrySource, Protocol):
-    """A telemetry source that can also show the people around the aircraft what the camera sees, where its link can."""
-
-    def show_view(self, view: View) -> None:
-        """Where the camera looks; at most a few times a second. Sent if `telemetry.fov_status` asks for it."""
-
-    def show_target(self, target: Target) -> None:
-        """A located target."""
-
-
-def open_telemetry(config: Config, clock: SessionClock) -> OpenedTelemetry:
+def open_telemetry(config: Config, clock: SessionClock) -> TelemetrySource:
     """The source of `telemetry.url`; nothing is opened before it runs.
 
     Raises ConfigError, one line, for what can never work: an unknown kind of url, a missing log, a bad key.

@@ -42,6 +42,7 @@ GIMBAL_UNFIT = (
 ROTATION = "MAV_SENSOR_ROTATION_"
 CUSTOM_ROTATION = mavlink.MAV_SENSOR_ROTATION_CUSTOM
 UNKNOWN_COVARIANCE = 255
+AT_REST = mavlink.ESTIMATOR_VELOCITY_HORIZ | mavlink.ESTIMATOR_POS_HORIZ_ABS | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS
 NO_SIGNAL = 1  # of signal_quality, per cent; 0 is unknown
 
 
@@ -201,9 +202,14 @@ def _filter_status(message: Any, stamp_ns: int) -> FilterStatus:
     flags = int(message.flags)
     is_ardupilot = message.get_type() == "EKF_STATUS_REPORT"
     glitch = mavlink.EKF_GPS_GLITCHING if is_ardupilot else mavlink.ESTIMATOR_GPS_GLITCH
-    # Held at a constant position it calls that absolute too.
-    unfit = mavlink.EKF_CONST_POS_MODE | (mavlink.EKF_UNINITIALIZED if is_ardupilot else 0)
-    return FilterStatus(stamp_ns, bool(flags & mavlink.EKF_POS_HORIZ_ABS) and not flags & unfit, bool(flags & glitch))
+    has_position = bool(flags & mavlink.EKF_POS_HORIZ_ABS)
+    is_held = bool(flags & mavlink.EKF_CONST_POS_MODE)
+    # Held at a constant position for want of any, a filter calls that absolute too. PX4 holds it whenever it stands
+    # still, with GNSS fused and position and velocity good.
+    is_at_rest = is_held and not is_ardupilot and flags & AT_REST == AT_REST
+    if (is_held and not is_at_rest) or (is_ardupilot and flags & mavlink.EKF_UNINITIALIZED):
+        has_position = False
+    return FilterStatus(stamp_ns, has_position, bool(flags & glitch), is_at_rest)
 
 
 def _gimbal(message: Any, stamp_ns: int) -> GimbalAttitude | None:

@@ -7,6 +7,7 @@ stray start byte; here only that byte is given up.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -18,11 +19,34 @@ SIGNED = mavlink.MAVLINK_IFLAG_SIGNED
 HEADER_V1, HEADER_V2 = 6, 10
 
 
+class SequenceGaps:
+    """Packets lost, by the gaps in their numbers, for each sender (system, component)."""
+
+    def __init__(self) -> None:
+        self.lost: Counter[tuple[int, int]] = Counter()
+        self._newest: dict[tuple[int, int], int] = {}
+
+    def note(self, system: int, component: int, sequence: int) -> None:
+        """Take one packet's header."""
+        sender = system, component
+        gap = (sequence - self._newest.get(sender, sequence - 1) - 1) % 256
+        if gap < 128:
+            self.lost[sender] += gap
+            self._newest[sender] = sequence
+        elif self.lost[sender]:  # overtaken by others, it had been counted as lost
+            self.lost[sender] -= 1
+
+    def restart(self) -> None:
+        """The link was interrupted: what passed meanwhile is not counted as lost."""
+        self._newest.clear()
+
+
 class Framer:
     """Fed with chunks as they come; `decoder` holds the keys if packets must be signed."""
 
-    def __init__(self, decoder: Any) -> None:
+    def __init__(self, decoder: Any, gaps: SequenceGaps | None = None) -> None:
         self._decoder = decoder
+        self._gaps = gaps if gaps is not None else SequenceGaps()
         self._buffer = bytearray()
         self.garbage = 0  # bytes that belonged to no packet
 
@@ -48,6 +72,11 @@ class Framer:
                 self.garbage += 1
                 at += 1
                 continue
+            # Off the header, for pymavlink does not decode that of unknown kinds, and their numbers count like all.
+            sequence, system, component = self._buffer[at + 2 : at + 5]
+            if self._buffer[at] == V2:
+                sequence, system, component = self._buffer[at + 4 : at + 7]
+            self._gaps.note(system, component, sequence)
             out.append(message)
             at += length
         del self._buffer[:at]
@@ -84,5 +113,5 @@ class Framer:
         except mavlink.MAVError:
             return None
         if message.get_type().startswith("UNKNOWN") and end < len(self._buffer) and self._buffer[end] not in (V1, V2):
-            return None  # nothing checks its bytes: believed only where another packet follows
+            return None  # nothing checks its bytes: accepted only where another packet follows
         return message

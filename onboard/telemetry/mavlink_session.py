@@ -1,4 +1,4 @@
-"""The conversation with one autopilot: messages in, events out, and what is to be said. No link, no thread, no clock.
+"""One autopilot: messages in, events out, and messages to be sent. No link, no thread, no clock.
 
 The vehicle is the one the configuration names, else the first whose autopilot is heard, and it stays that one: what
 others say on the same line is never taken for it.
@@ -26,9 +26,11 @@ MAX_HURRIED = 10  # without any answer
 MAX_PENDING = 32
 RETURN_NS = 3 * NS_PER_S  # of silence after which what was granted is taken for lost
 SUBSTITUTE_NS = 5 * NS_PER_S  # to wait for the better of two messages
-SPEECH_NS = NS_PER_S // 2  # between texts: the pilot must be able to read them
-TEXT_LENGTH = 50
+TEXT_NS = NS_PER_S // 2  # between texts: the pilot must be able to read them
+CHUNK_LENGTH = 50  # of STATUSTEXT
+MAX_CHUNKS = 2
 MAX_TEXTS = 8
+MAX_CLOCK_SIGMA_MS = 20.0  # as the doctor's: 0.4 m at 20 m/s
 
 
 class Autopilot:
@@ -40,7 +42,6 @@ class Autopilot:
         self.clock = LinkClock(config.telemetry.clock)
         self.rates = RateRequests(config)
         self.reboots = 0
-        self.lost = 0  # packets, by the gaps in their numbers
         self.others: set[int] = set()  # other vehicles on the line
         self._converter = MessageToEvent(Sources())
         self._seen: Counter[str] = Counter()  # since the autopilot's boot
@@ -48,7 +49,6 @@ class Autopilot:
         self._heard_ns: int | None = None
         self._position_ns: int | None = None
         self._has_attitude = False
-        self._sequence: int | None = None
         self._newest_boot_ns = 0
         self._boot_moved_ns = 0
         self._next_beat_ns = self._next_timesync_ns = self._next_text_ns = 0
@@ -56,7 +56,8 @@ class Autopilot:
         self._pending: deque[int] = deque(maxlen=MAX_PENDING)
         self._answers: deque[Any] = deque(maxlen=MAX_PENDING)
         self._texts: deque[tuple[Severity, str]] = deque(maxlen=MAX_TEXTS)
-        self._extras: deque[Any] = deque(maxlen=4)
+        self._text_number = 0
+        self._kind = int(mavlink.MAV_AUTOPILOT_INVALID)  # of autopilot; not known yet
 
     # --- in ---
 
@@ -74,26 +75,22 @@ class Autopilot:
             return []
         self._note(message, arrival_ns)
         if name == "HEARTBEAT":
+            self._kind = int(message.autopilot)
             self.rates.heartbeat(message.system_status, message.autopilot)
         elif name == "TIMESYNC":
             self._timesync(message, arrival_ns)
         elif name == "COMMAND_ACK" and self._is_for_us(message):
             self.rates.acknowledged(message.command, message.result, arrival_ns)
+        elif name == "PARAM_VALUE":
+            self.rates.parameter(message.param_id, message.param_value)
         return self._events(message, arrival_ns)
 
     def _note(self, message: Any, arrival_ns: int) -> None:
-        """Who spoke, when, and what was lost before it."""
+        """Who spoke, and when."""
         if self._heard_ns is not None and arrival_ns - self._heard_ns > RETURN_NS:
             self.rates.restart()
         self._heard_ns = arrival_ns
         self._first_ns = self._first_ns or arrival_ns
-        sequence = message.get_seq()
-        gap = (sequence - self._sequence - 1) % 256 if self._sequence is not None else 0
-        if gap < 128:
-            self.lost += gap
-            self._sequence = sequence
-        elif self.lost:  # overtaken by others, it had been counted as lost
-            self.lost -= 1
         self._seen[message.get_type()] += 1
         self.rates.seen(message.get_type())
 
@@ -160,42 +157,51 @@ class Autopilot:
         out: list[Any] = []
         if now_ns >= self._next_beat_ns:
             self._next_beat_ns = now_ns + BEAT_NS
-            out.append(
-                mavlink.MAVLink_heartbeat_message(
-                    mavlink.MAV_TYPE_ONBOARD_CONTROLLER,
-                    mavlink.MAV_AUTOPILOT_INVALID,
-                    0,
-                    0,
-                    mavlink.MAV_STATE_ACTIVE,
-                    3,
-                )
-            )
+            out.append(self._heartbeat(mavlink.MAV_STATE_ACTIVE))
         if self.system is None or self._heard_ns is None:
             return out
         while self._answers:
             out.append(self._answers.popleft())
         if now_ns >= self._next_timesync_ns:
-            in_vain = not self.clock.sync.kept and self._asked >= MAX_HURRIED
-            relaxed = self.clock.sync.is_settled or in_vain
+            is_unanswered = not self.clock.sync.kept and self._asked >= MAX_HURRIED
+            relaxed = self.clock.sync.is_settled or is_unanswered
             self._next_timesync_ns = now_ns + (TIMESYNC_NS if relaxed else HURRIED_TIMESYNC_NS)
             self._asked += 1
             self._pending.append(now_ns)
             out.append(mavlink.MAVLink_timesync_message(0, now_ns))
         if self._texts and now_ns >= self._next_text_ns:
-            self._next_text_ns = now_ns + SPEECH_NS
-            severity, text = self._texts.popleft()
-            out.append(mavlink.MAVLink_statustext_message(severity.value, text.encode("ascii", "replace")))
-        while self._extras:
-            out.append(self._extras.popleft())
+            self._next_text_ns = now_ns + TEXT_NS
+            out += self._statustexts(*self._texts.popleft())
         return out + self.rates.due(self.system, now_ns)
 
-    def say(self, severity: Severity, text: str) -> None:
-        """Have a text shown to the pilot; cut to 50 characters. The newest few wait for the link."""
-        self._texts.append((severity, text[:TEXT_LENGTH]))
+    def _heartbeat(self, state: int) -> Any:
+        # PX4 takes any component of the type "onboard controller" for its mission computer, and sends the pilot a
+        # critical warning when its heartbeats cease, whatever the last one said. The vehicle does not depend on us: to
+        # PX4, and before the autopilot is known, we are a generic component, whose silence it does not report.
+        is_other = self._kind in (mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_INVALID)
+        kind = mavlink.MAV_TYPE_GENERIC if is_other else mavlink.MAV_TYPE_ONBOARD_CONTROLLER
+        return mavlink.MAVLink_heartbeat_message(kind, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, state, 3)
 
-    def send(self, message: Any) -> None:
-        """Have a message sent with the next ones; the newest few wait for the link."""
-        self._extras.append(message)
+    def farewell(self) -> Any:
+        """The last message of a session: a HEARTBEAT that says we power off."""
+        return self._heartbeat(mavlink.MAV_STATE_POWEROFF)
+
+    def say(self, severity: Severity, text: str) -> None:
+        """Have a text shown to the pilot: 100 characters at most. The newest few wait for the link."""
+        self._texts.append((severity, text[: MAX_CHUNKS * CHUNK_LENGTH]))
+
+    def _statustexts(self, severity: Severity, text: str) -> list[Any]:
+        """One message, or several that ground stations put together by number; MAVLink 1 ones show them apart."""
+        data = text.encode("ascii", "replace")
+        if len(data) <= CHUNK_LENGTH:
+            return [mavlink.MAVLink_statustext_message(severity.value, data)]
+        self._text_number = self._text_number % 65535 + 1
+        return [
+            mavlink.MAVLink_statustext_message(
+                severity.value, data[at : at + CHUNK_LENGTH], self._text_number, at // CHUNK_LENGTH
+            )
+            for at in range(0, len(data), CHUNK_LENGTH)
+        ]
 
     # --- how it is ---
 
@@ -205,21 +211,20 @@ class Autopilot:
             **self.rates.figures(),
             **self.clock.figures(),
             "reboots": float(self.reboots),
-            "lost_packets": float(self.lost),
         }
         heard_ns, position_ns = self._heard_ns, self._position_ns
-        patience_ns = self.config.lost_after_s * 1e9
+        limit_ns = self.config.lost_after_s * 1e9
         if heard_ns is None:
             whose = "no autopilot" if self.system is None else f"no autopilot with system number {self.system}"
             return SourceStatus(State.STARTING, f"{whose} heard yet", figures)
         silent_ns = now_ns - heard_ns
-        if silent_ns > patience_ns:
+        if silent_ns > limit_ns:
             return SourceStatus(State.LOST, f"the autopilot is silent for {silent_ns / 1e9:.0f} s", figures)
-        if now_ns - self._boot_moved_ns > patience_ns and self._boot_moved_ns:
+        if now_ns - self._boot_moved_ns > limit_ns and self._boot_moved_ns:
             return SourceStatus(State.FROZEN, "the autopilot's clock stands still", figures)
         if position_ns is None:
             return SourceStatus(State.STARTING, "the autopilot gives no position yet", figures)
-        if now_ns - position_ns > patience_ns:
+        if now_ns - position_ns > limit_ns:
             return SourceStatus(State.LOST, f"no position for {(now_ns - position_ns) / 1e9:.0f} s", figures)
         complaint = self._complaint()
         return SourceStatus(State.DEGRADED if complaint else State.OK, complaint, figures)
@@ -228,6 +233,12 @@ class Autopilot:
         if self.others and not self.config.system:
             names = ", ".join(str(system) for system in sorted({self.system or 0, *self.others}))
             return f"several vehicles on this line ({names}): set telemetry.system"
+        sigma_ms = self.clock.figures().get("clock_sigma_ms")
+        sigma = "" if sigma_ms is None else f", +-{sigma_ms:.0f} ms"
         if self.clock.disagrees:
-            return "TIMESYNC is answered from another clock: stamps by arrival"
+            return f"TIMESYNC is answered from another clock: stamps by arrival{sigma}"
+        if self.clock.is_by_arrival:
+            return f"TIMESYNC is not answered any more: stamps by arrival{sigma}"
+        if sigma_ms is not None and sigma_ms > MAX_CLOCK_SIGMA_MS:
+            return f"the autopilot's clock is known to +-{sigma_ms:.0f} ms only"
         return self.rates.complaint()

@@ -1,4 +1,4 @@
-"""A live MAVLink link: one thread that reads, converses, and opens the wire again for as long as it takes."""
+"""A live MAVLink link: one thread that reads, answers, and opens the wire again until it succeeds."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import Emit, Severity, SourceStatus, State, Stop
-from onboard.telemetry.camera_messages import Target, View, fov_status, tracking_status
-from onboard.telemetry.mavlink_framing import Framer
+from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT
+from onboard.telemetry.mavlink_framing import Framer, SequenceGaps
 from onboard.telemetry.mavlink_session import Autopilot
 from onboard.telemetry.signing import keep_time, sign
 from onboard.telemetry.tlog_writer import TlogWriter
@@ -21,8 +21,8 @@ from onboard.telemetry.transports import Address, Wire
 
 READ_S = 0.02
 REOPEN_S = 0.5
-HUNG_NS = 10_000_000_000  # of silence on a wire that can hang
-GARBAGE = 2000  # bytes without a packet among them that are worth a word
+HUNG_NS = 10_000_000_000  # of silence on a wire that may be dead without an error
+GARBAGE = 2000  # bytes without a packet among them before that is reported
 
 
 class End(Protocol):
@@ -38,6 +38,9 @@ class End(Protocol):
 
     def send(self, message: Any) -> None:
         """Send one of pymavlink's messages. Raises OSError where the wire is broken."""
+
+    def lost(self, system: int) -> int | None:
+        """Packets lost on the way from this system's autopilot since the start; None where that is not known."""
 
     def complaint(self) -> str:
         """Why nothing may be understood; empty if there is no reason to think so."""
@@ -55,14 +58,16 @@ class PymavlinkEnd:
         self._is_signing = key is not None
         if key is not None:
             sign(self._mav, key)
-        self._framer = Framer(self._mav)
+        self._gaps = SequenceGaps()
+        self._framer = Framer(self._mav, self._gaps)
         self._wire: Wire | None = None
         self._taken = 0
 
     def attach(self, wire: Wire) -> None:
         """A new wire begins with no half packet from the old."""
         self._wire = wire
-        self._framer = Framer(self._mav)
+        self._framer = Framer(self._mav, self._gaps)
+        self._gaps.restart()
         self._taken = 0
 
     def take(self, data: bytes, now_ns: int) -> list[tuple[int, Any]]:
@@ -81,8 +86,12 @@ class PymavlinkEnd:
         if self._wire is not None:
             self._wire.write(bytes(packet))
 
+    def lost(self, system: int) -> int | None:
+        """By the numbers in the headers of all packets, of unknown kinds too."""
+        return self._gaps.lost[system, AUTOPILOT_COMPONENT]
+
     def complaint(self) -> str:
-        """Wrong keys and wrong baud rates look alike to who hears nothing: say which it is."""
+        """Wrong keys and wrong baud rates both mean that no message comes: say which it is."""
         signing = self._mav.signing
         refused = signing.badsig_count if self._is_signing else 0
         if refused and not signing.goodsig_count:
@@ -111,11 +120,12 @@ class LiveTelemetry:
         )
         self._fault = ""  # why there is no wire
         self._complaint = ""
+        self._lost: int | None = None
         self._opened = 0
         self._is_over = False
 
     def run(self, emit: Emit, stop: Stop) -> None:
-        """Until `stop`: open, converse, and open again."""
+        """Until `stop`: open, exchange messages, and open again."""
         end = self._make_end()
         try:
             while not stop.is_set():
@@ -131,7 +141,9 @@ class LiveTelemetry:
                 with closing(wire):
                     try:
                         end.attach(wire)
-                        self._converse(wire, end, emit, stop)
+                        self._exchange(wire, end, emit, stop)
+                        if stop.is_set():
+                            end.send(self._autopilot.farewell())
                     except OSError as error:
                         self._fault = f"{self._address.place}: {error.strerror or error}"
                 if not stop.is_set():
@@ -142,7 +154,7 @@ class LiveTelemetry:
                 self._log.close()
             self._is_over = True
 
-    def _converse(self, wire: Wire, end: End, emit: Emit, stop: Stop) -> None:
+    def _exchange(self, wire: Wire, end: End, emit: Emit, stop: Stop) -> None:
         autopilot, clock = self._autopilot, self._clock
         heard_ns = clock.now_ns()
         while not stop.is_set():
@@ -160,19 +172,22 @@ class LiveTelemetry:
             for message in autopilot.due(clock.now_ns(), wire.speaks_first or self._is_signed):
                 end.send(message)
             self._complaint = end.complaint()
-            if wire.may_hang and now_ns - heard_ns > HUNG_NS:
+            self._lost = end.lost(autopilot.system) if autopilot.system is not None else None
+            if wire.may_die_silently and now_ns - heard_ns > HUNG_NS:
                 self._fault = f"{self._address.place}: silent; opening it anew"
                 return
 
     @property
     def _is_signed(self) -> bool:
-        # Who may not know the time yet believes our signature's, and is believed only then.
+        # An autopilot that does not know the time yet takes it from our signature, and its packets pass only then.
         return self._config.telemetry.signing_key is not None
 
     def health(self) -> SourceStatus:
         """From any thread."""
         health = self._autopilot.health(self._clock.now_ns())
         figures = {**health.figures, "reopened": float(max(self._opened - 1, 0))}
+        if self._lost is not None:
+            figures["lost_packets"] = float(self._lost)
         if self._is_over:
             return SourceStatus(State.LOST, "stopped", figures)
         if self._fault and health.state in (State.STARTING, State.LOST):
@@ -186,12 +201,3 @@ class LiveTelemetry:
     def say(self, severity: Severity, text: str) -> None:
         """As STATUSTEXT, which ground stations show and speak."""
         self._autopilot.say(severity, text)
-
-    def show_view(self, view: View) -> None:
-        """As CAMERA_FOV_STATUS, if `telemetry.fov_status` asks for it."""
-        if self._config.telemetry.fov_status:
-            self._autopilot.send(fov_status(view))
-
-    def show_target(self, target: Target) -> None:
-        """As CAMERA_TRACKING_GEO_STATUS, which ArduPilot relays to ground stations. It steers nothing."""
-        self._autopilot.send(tracking_status(target))

@@ -25,24 +25,29 @@ from onboard.telemetry.transports import Wire
 
 NAMES = sorted(
     mavlink.mavlink_map[number].msgname
-    for number in (*WANTED, mavlink.MAVLINK_MSG_ID_TIMESYNC, mavlink.MAVLINK_MSG_ID_COMMAND_ACK)
+    for number in (
+        *WANTED,
+        mavlink.MAVLINK_MSG_ID_TIMESYNC,
+        mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
+        mavlink.MAVLINK_MSG_ID_PARAM_VALUE,
+    )
 )
 CLASSES = {kind.msgname: kind for kind in mavlink.mavlink_map.values()}
 MAX_WAITING = 5000
 
 
 class MavsdkEnd:
-    """mavsdk takes its system number at birth and ours is the vehicle's, so it is born with the first heartbeat."""
+    """mavsdk takes its system number when it is made, and ours is the vehicle's: it is made at the first heartbeat."""
 
     def __init__(self, config: Config, clock: SessionClock) -> None:
         self.system = config.telemetry.system or 1
         self._wanted_system = config.telemetry.system
         self._component = config.telemetry.component
         self._clock = clock
-        self._scout = Framer(mavlink.MAVLink(None))
+        self._finder = Framer(mavlink.MAVLink(None))
         self._mavsdk: Any = None
         self._direct: Any = None
-        self._born_as = 0
+        self._system_as_made = 0
         self._waiting: deque[tuple[int, Any]] = deque(maxlen=MAX_WAITING)
         self._lock = threading.Lock()
         self._wire: Wire | None = None
@@ -52,17 +57,17 @@ class MavsdkEnd:
         """From now on both directions run over this wire."""
         with self._lock:
             self._wire, self._broken = wire, None
-        self._scout = Framer(mavlink.MAVLink(None))
+        self._finder = Framer(mavlink.MAVLink(None))
 
     def take(self, data: bytes, now_ns: int) -> list[tuple[int, Any]]:
         """Hand the bytes over; returns what mavsdk has made of these and earlier ones. Raises OSError: wire broken."""
         if self._broken is not None:
             raise self._broken
         if self._mavsdk is None:
-            system = self._system_in(data)
-            if system is None:
+            beat = self._heartbeat_in(data)
+            if beat is None:
                 return []
-            self._be_born(system)
+            self._begin(int(beat.get_srcSystem()), beat.autopilot == mavlink.MAV_AUTOPILOT_PX4)
         if data:
             self._mavsdk.pass_received_raw_bytes(data)
         if self._direct is None:
@@ -73,12 +78,13 @@ class MavsdkEnd:
         """Through mavlink_direct; before the vehicle is known, nothing is. Raises OSError where the wire is broken."""
         name = message.get_type()
         if self._direct is None or name == "HEARTBEAT":
-            if self._mavsdk is None and self._wire is not None:  # it must be heard first to hear anybody
+            # The other end may send only to an address it has heard from.
+            if self._mavsdk is None and self._wire is not None:
                 self._wire.write(bytes(message.pack(mavlink.MAVLink(None, self.system, self._component))))
             return
         fields = {field: _to_json(getattr(message, field)) for field in message.fieldnames}
         target = int(fields.get("target_system", 0)), int(fields.get("target_component", 0))
-        whole = MavlinkMessage(name, self._born_as, self._component, *target, json.dumps(fields))
+        whole = MavlinkMessage(name, self._system_as_made, self._component, *target, json.dumps(fields))
         try:
             self._direct.send_message(whole)
         except MavlinkDirectError as error:
@@ -86,13 +92,17 @@ class MavsdkEnd:
         if self._broken is not None:
             raise self._broken
 
+    def lost(self, system: int) -> int | None:
+        """mavsdk hands over messages without their numbers."""
+        return None
+
     def complaint(self) -> str:
         """Where there is much and no autopilot in it."""
-        return f"{self._scout.garbage} bytes and no packet among them: another baud rate?" if self._is_garbage else ""
+        return f"{self._finder.garbage} bytes and no packet among them: another baud rate?" if self._is_garbage else ""
 
     @property
     def _is_garbage(self) -> bool:
-        return self._mavsdk is None and self._scout.garbage > 2000
+        return self._mavsdk is None and self._finder.garbage > 2000
 
     def close(self) -> None:
         """Ends mavsdk's threads."""
@@ -101,28 +111,32 @@ class MavsdkEnd:
         if self._mavsdk is not None:
             self._mavsdk.destroy()
 
-    def _system_in(self, data: bytes) -> int | None:
-        for message in self._scout.feed(data):
+    def _heartbeat_in(self, data: bytes) -> Any | None:
+        """The first heartbeat of an autopilot that may be ours."""
+        for message in self._finder.feed(data):
             if message.get_type() != "HEARTBEAT" or message.get_srcComponent() != AUTOPILOT_COMPONENT:
                 continue
             system = int(message.get_srcSystem())
             if message.autopilot != mavlink.MAV_AUTOPILOT_INVALID and self._wanted_system in (0, system):
-                return system
+                return message
         return None
 
-    def _be_born(self, system: int) -> None:
+    def _begin(self, system: int, is_px4: bool) -> None:
         log_subscribe(_is_muted)
-        configuration = Configuration.create_with_component_type(ComponentType.COMPANION_COMPUTER)
-        configuration.system_id = system
-        configuration.component_id = self._component
-        self._born_as = system
+        if is_px4:  # of the type "generic": PX4 would miss a companion computer that leaves (`mavlink_session`)
+            configuration = Configuration.create_manual(system, self._component, True)
+        else:
+            configuration = Configuration.create_with_component_type(ComponentType.COMPANION_COMPUTER)
+            configuration.system_id = system
+            configuration.component_id = self._component
+        self._system_as_made = system
         self._mavsdk = Mavsdk(configuration)
         self._mavsdk.subscribe_raw_bytes_to_be_sent(self._write)
         self._mavsdk.add_any_connection("raw://")
 
     def _subscribe(self) -> None:
         for system in self._mavsdk.get_systems():
-            if system.has_autopilot() and system.get_system_id() == self._born_as:
+            if system.has_autopilot() and system.get_system_id() == self._system_as_made:
                 self._direct = MavlinkDirect(system)
                 for name in NAMES:
                     self._direct.subscribe_message(name, self._receive)

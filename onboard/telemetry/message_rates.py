@@ -1,11 +1,16 @@
 """Which messages are asked of the autopilot, and how often: one request at a time, lower where it is denied.
 
-An acknowledgement names the command and not the message, so that two requests under way could not be told apart. What
-was granted is watched: a message that stops coming is asked for again, and everything after a reboot or a lost link.
+An acknowledgement names the command and not the message, so that two requests under way could not be distinguished.
+What was granted is watched: a message that comes too seldom is asked for again, and everything after a reboot, a lost
+link, or when the autopilot becomes ready.
+
+ArduPilot sends a message at most at 0.8 of its loop rate, and warns the pilot of each request above that. So its loop
+rate is asked for first, and nothing beyond it; where it does not say, no more than every ArduPilot can.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,13 +22,19 @@ from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT
 NS_PER_S = 1_000_000_000
 ANSWER_NS = NS_PER_S  # to wait for an acknowledgement
 MAX_TRIES = 3
+LOOP_TRIES = 2
+LOOP_NS = NS_PER_S // 4  # to wait for the loop rate before anything is asked; later it may still come
 WATCH_NS = 3 * NS_PER_S
 FIRST_AGAIN_NS = 3 * NS_PER_S
 MAX_AGAIN_NS = 60 * NS_PER_S
-TOO_FEW = 0.35  # of the rate granted: asked for again
+TOO_FEW = 0.35  # of the rate granted: a complaint
+FEWER = 0.7  # of the rate granted: asked for again
 FALLBACKS_HZ = (50.0, 40.0, 25.0, 10.0, 5.0, 2.0)
+LOOP_RATE = "SCHED_LOOP_RATE"  # ArduPilot's parameter, Hz
+LOOP_SHARE = 0.8  # of it, the most a message is sent at
+LEAST_LOOP_HZ = 50.0  # the least ArduPilot can be set to, and ArduPlane's own
 COMMAND = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
-FILTER_HZ = 5.0  # reports of the navigation filter: they tell of a loss
+FILTER_HZ = 5.0  # reports of the navigation filter: they show a loss
 GPS_HZ = 5.0
 GIMBAL_HZ = 20.0
 RANGE_HZ = 10.0
@@ -55,12 +66,26 @@ class _Want:
 
     @property
     def is_short(self) -> bool:
-        """Granted, and it does not come. The first watch began before the grant."""
-        return self.watches >= 2 and self.measured_hz is not None and self.measured_hz < TOO_FEW * self.granted_hz
+        """Granted, and it hardly comes."""
+        return self._comes_below(TOO_FEW)
+
+    @property
+    def is_to_be_asked_again(self) -> bool:
+        """Granted, and it comes less often than that."""
+        return self._comes_below(FEWER)
+
+    def _comes_below(self, share: float) -> bool:
+        """The first watch began before the grant."""
+        return self.watches >= 2 and self.measured_hz is not None and self.measured_hz < share * self.granted_hz
 
     @property
     def is_denied(self) -> bool:
         return self.step >= len(self.rates_hz)
+
+
+def most_hz(loop_hz: float) -> float:
+    """The highest rate ArduPilot grants with this loop rate: its intervals are whole milliseconds."""
+    return 1000.0 / max(math.ceil(round(1000.0 / (LOOP_SHARE * loop_hz), 6)), 1)
 
 
 def _falling(rate_hz: float, lowest_hz: float) -> tuple[float, ...]:
@@ -69,10 +94,11 @@ def _falling(rate_hz: float, lowest_hz: float) -> tuple[float, ...]:
 
 @dataclass
 class RateRequests:
-    """The conversation about rates with one autopilot. Owns no link and no clock: `due` says what to send now."""
+    """Requests of rates to one autopilot, and its answers. Owns no link and no clock: `due` says what to send now."""
 
     config: Config
     wants: list[_Want] = field(init=False)
+    can_be_asked: bool = False  # a heartbeat has come, and not of one that is booting
     is_ready: bool = False  # the autopilot's system_status was 3 or more
     by_streams: bool = False  # it does not know SET_MESSAGE_INTERVAL
     _asking: _Want | None = None
@@ -80,17 +106,26 @@ class RateRequests:
     _unanswered: int = 0
     _watch_ns: int | None = None
     _is_ardupilot: bool = True
+    _loop_hz: float | None = None  # ArduPilot's, once it has said
+    _loop_tries: int = 0
+    _loop_asked_ns: int = 0
 
     def __post_init__(self) -> None:
         self.wants = self._all_wants()
+
+    @property
+    def _cap_hz(self) -> float:
+        """What may be asked for without a warning to the pilot that it is too much."""
+        return most_hz(self._loop_hz or LEAST_LOOP_HZ) if self._is_ardupilot else math.inf
 
     def _all_wants(self) -> list[_Want]:
         telemetry = self.config.telemetry
         position_hz = telemetry.position_rate_hz
         report = "EKF_STATUS_REPORT" if self._is_ardupilot else "ESTIMATOR_STATUS"
+        cap_hz = self._cap_hz
         wants = [
-            _Want("ATTITUDE", _falling(telemetry.attitude_rate_hz, 10.0)),
-            _Want("GLOBAL_POSITION_INT", _falling(position_hz, 2.0)),
+            _Want("ATTITUDE", _falling(min(telemetry.attitude_rate_hz, cap_hz), 10.0)),
+            _Want("GLOBAL_POSITION_INT", _falling(min(position_hz, cap_hz), 2.0)),
             _Want("GPS_RAW_INT", _falling(min(position_hz, GPS_HZ), 2.0)),
             _Want(report, _falling(FILTER_HZ, 2.0), is_needed=False),
         ]
@@ -101,19 +136,46 @@ class RateRequests:
         return wants
 
     def heartbeat(self, status: int, autopilot: int) -> None:
-        """Take the autopilot's own heartbeat: whether it is ready to be asked, and what it is."""
-        self.is_ready = status >= mavlink.MAV_STATE_STANDBY
+        """Take the autopilot's own heartbeat: whether it can be asked, whether it is ready, and what it is.
+
+        PX4 says "uninitialised" until it has a position, and grants rates all the same; one that is booting or
+        calibrating may forget what it granted. What was asked before it was ready is asked again when it is.
+        """
+        is_ready = status >= mavlink.MAV_STATE_STANDBY
         is_ardupilot = autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-        if is_ardupilot != self._is_ardupilot:
+        if is_ardupilot != self._is_ardupilot or (is_ready and not self.is_ready and self.can_be_asked):
             self._is_ardupilot = is_ardupilot
-            self.restart()
+            self._begin()
+        self.is_ready = is_ready
+        self.can_be_asked = status not in (mavlink.MAV_STATE_BOOT, mavlink.MAV_STATE_CALIBRATING)
+
+    def parameter(self, name: str | bytes, value: float) -> None:
+        """Take a PARAM_VALUE of the autopilot's; all but the loop rate are passed over."""
+        text = name.decode("ascii", "replace") if isinstance(name, bytes) else name
+        if text.rstrip("\0") != LOOP_RATE or not self._is_ardupilot or not math.isfinite(value) or value < 1.0:
+            return
+        if self._loop_hz == value:
+            return
+        self._loop_hz = value
+        better = {want.name: want for want in self._all_wants()}
+        for i, want in enumerate(self.wants):  # what is asked for at the right rate already stays as it is
+            new = better.get(want.name)
+            if new is not None and new.rates_hz != want.rates_hz:
+                self.wants[i] = new
+                self._asking = None if self._asking is want else self._asking
 
     def restart(self) -> None:
         """Ask for everything anew: the autopilot has rebooted, or the link was lost and with it what it granted."""
+        self.is_ready = self.can_be_asked = False
+        self._loop_hz = None
+        self._loop_tries = 0
+        self._begin()
+
+    def _begin(self) -> None:
         self.wants = self._all_wants()
         self._asking, self._watch_ns = None, None
         self._unanswered = 0
-        self.is_ready = self.by_streams = False
+        self.by_streams = False
 
     def acknowledged(self, command: int, result: int, now_ns: int) -> None:
         """Take a COMMAND_ACK that is meant for us."""
@@ -151,8 +213,15 @@ class RateRequests:
     def due(self, system: int, now_ns: int) -> list[Any]:
         """What to send now: at most one request."""
         self._watch(now_ns)
-        if not self.is_ready:
+        if not self.can_be_asked:
             return []
+        if self._is_ardupilot and self._loop_hz is None:
+            since_ns = now_ns - self._loop_asked_ns
+            if self._loop_tries == 0 or (self._loop_tries < LOOP_TRIES and since_ns >= ANSWER_NS):
+                self._loop_tries, self._loop_asked_ns = self._loop_tries + 1, now_ns
+                return [mavlink.MAVLink_param_request_read_message(system, AUTOPILOT_COMPONENT, LOOP_RATE.encode(), -1)]
+            if self._loop_tries == 1 and since_ns < LOOP_NS:
+                return []
         if self._asking is not None and not self.by_streams:
             if now_ns - self._asked_ns < ANSWER_NS:
                 return []
@@ -167,7 +236,7 @@ class RateRequests:
         for want in self.wants:
             if want.is_denied or now_ns < want.due_ns:
                 continue
-            if want.granted_hz and not want.is_short:
+            if want.granted_hz and not want.is_to_be_asked_again:
                 continue
             return self._ask(want, system, now_ns)
         return []
@@ -206,7 +275,7 @@ class RateRequests:
             for want in self.wants:
                 want.measured_hz, want.count = want.count / seconds, 0
                 want.watches += 1
-                if want.granted_hz and want.watches >= 2 and not want.is_short:
+                if want.granted_hz and want.watches >= 2 and not want.is_to_be_asked_again:
                     want.again_ns = FIRST_AGAIN_NS
             self._watch_ns = now_ns
 

@@ -24,7 +24,6 @@ from onboard.events.session_clock import SessionClock
 from onboard.events.source import Emit, Severity, SourceStatus, State, Stop
 from onboard.events.types import GpsQuality, NavEvent, PositionFix
 from onboard.telemetry.boot_clock import BootClock
-from onboard.telemetry.camera_messages import Target, View
 from onboard.telemetry.transports import Address, Wire
 
 NS_PER_S = 1_000_000_000
@@ -301,10 +300,4 @@ class NmeaTelemetry:
         return SourceStatus(State.OK, "", figures)
 
     def say(self, severity: Severity, text: str) -> None:
-        """A receiver has no ears."""
-
-    def show_view(self, view: View) -> None:
-        """A receiver has no ears."""
-
-    def show_target(self, target: Target) -> None:
-        """A receiver has no ears."""
+        """A receiver takes no messages: nothing happens."""

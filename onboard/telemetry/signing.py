@@ -1,4 +1,4 @@
-"""MAVLink 2 signing: the key file, and what makes a pymavlink end sign and believe only what is signed."""
+"""MAVLink 2 signing: the key file, and what makes a pymavlink end sign and accept only what is signed."""
 
 from __future__ import annotations
 

@@ -9,7 +9,6 @@ from contract.errors import InputError
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import Emit, Severity, SourceStatus, State, Stop
-from onboard.telemetry.camera_messages import Target, View
 from onboard.telemetry.mavlink_session import Autopilot
 from onboard.telemetry.tlog_reader import log_messages
 
@@ -52,15 +51,9 @@ class PlayedTelemetry:
         health = self._autopilot.health(self._clock.now_ns())
         if self._is_over:
             return SourceStatus(State.LOST, f"the end of {self._path.name}", health.figures)
-        if health.state is State.DEGRADED:  # nobody answers requests here
+        if health.state is State.DEGRADED:  # a log answers no requests
             return SourceStatus(State.OK, health.detail, health.figures)
         return replace(health)
 
     def say(self, severity: Severity, text: str) -> None:
-        """Nobody is there to be shown it."""
-
-    def show_view(self, view: View) -> None:
-        """Nobody is there to be shown it."""
-
-    def show_target(self, target: Target) -> None:
-        """Nobody is there to be shown it."""
+        """A log shows no texts: nothing happens."""

@@ -127,7 +127,7 @@ def _decoded(data: bytes) -> Iterator[tuple[int, Any]]:
         message_id, length = packet
         after = position + 8 + length
         message = None
-        # An unwanted packet is believed by its framing alone; a wanted one, by its checksum.
+        # An unwanted packet is accepted by its framing alone; a wanted one, by its checksum.
         if message_id in WANTED:
             try:
                 message = decoder.decode(bytearray(data[position + 8 : after]))

@@ -1,6 +1,6 @@
 """The wires a telemetry link may run over: serial (pyserial), UDP, TCP. Bytes in, bytes out; OSError when broken.
 
-None of them mends itself: whoever uses one closes it and opens another.
+None of them reopens itself: its user closes it and opens another.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ SCHEMES = "serial:/dev/NAME:BAUD, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PO
 class Wire(Protocol):
     """An open wire."""
 
-    speaks_first: bool  # the other end answers only whom it has heard
-    may_hang: bool  # it can be dead without a word: worth opening anew after long silence
+    speaks_first: bool  # the other end sends only to an address it has heard from
+    may_die_silently: bool  # it can be dead without an error: to be opened anew after long silence
 
     def read(self, timeout_s: float) -> bytes:
         """What has come in, waiting at most that long; empty if nothing has. Raises OSError when broken."""
@@ -35,7 +35,7 @@ class Wire(Protocol):
         """Send; what nobody takes is lost. Raises OSError when broken."""
 
     def confirm(self) -> None:
-        """What was read last came from whom we talk to: answers go there."""
+        """What was read last came from the vehicle: answers go there."""
 
     def close(self) -> None:
         """The end of it."""
@@ -77,7 +77,7 @@ class Address:
 
 class _Serial:
     speaks_first = False
-    may_hang = True
+    may_die_silently = True
 
     def __init__(self, device: str, baud: int) -> None:
         try:
@@ -108,7 +108,7 @@ class _Serial:
 
 class _Tcp:
     speaks_first = False
-    may_hang = True
+    may_die_silently = True
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.create_connection((host, port), timeout=CONNECT_S)
@@ -140,7 +140,7 @@ class _Tcp:
 
 
 class _Udp:
-    may_hang = False
+    may_die_silently = False
 
     def __init__(self, host: str, port: int, listens: bool) -> None:
         kind, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]

@@ -1,4 +1,4 @@
-"""Whether a ground's large patterns move as its small ones do: water's do not. Equation (6.8)."""
+"""Coarse-to-fine flow disagreement: over water, large patterns move otherwise than small ones. Equation (6.8)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WINDOW_PX = 21
 
 
 def flow_disagreement(was: Picture, now: Picture, motion: Array, at: Array, to: Array) -> Array:
-    """How far (2,), px, the ground's large patterns have moved past its small ones between two prepared pictures.
+    """Coarse flow minus fine flow (2,), px, between two prepared pictures.
 
     `at` (N, 2) are the features in `was`, `to` where they were found in `now`, `motion` the homography of the whole
     picture. The median over features of what LK finds at a quarter of the size, beyond where the feature itself went.

@@ -1,9 +1,8 @@
 """Local contrast normalisation: pictures whose brightness swings between frames become comparable patch by patch.
 
-Mean and spread over a neighbourhood are taken at quarter size, where they cost little, and stretched back over the
-picture; the floor keeps sensor noise on featureless ground from being blown up into texture. The full picture is worked
-on in 16-bit integers and in place: a megabyte asked of the system and given back for every picture costs more than the
-arithmetic.
+Mean and spread over a neighbourhood are taken at quarter size, where they cost little, and enlarged to the picture's
+size; the floor keeps sensor noise on featureless ground from being amplified into texture. The full picture is worked
+on in 16-bit integers and in place: allocating and freeing a megabyte for every picture costs more than the arithmetic.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ Picture = NDArray[np.uint8]
 SPREAD = 40.0  # grey levels: one sigma of every neighbourhood with texture
 NOISE_FLOOR = 2.0  # grey levels of local spread that count as no texture
 _SHRINK = 4
-_MEAN_STEPS, _GAIN_STEPS = 32, 256  # of the fixed-point mean and gain; both fit 16 bits with room
+_MEAN_STEPS, _GAIN_STEPS = 32, 256  # of the fixed-point mean and gain; both fit 16 bits with headroom
 
 
 class Normaliser:

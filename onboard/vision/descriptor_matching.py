@@ -1,9 +1,9 @@
-"""The whole picture's motion where nothing hints at it and phase correlation fails: matched descriptors, a homography.
+"""The whole picture's motion by matched descriptors and a homography, where prediction and phase correlation fail.
 
 Rublee et al. 2011 (ORB), Lowe 2004 (the ratio test), Fischler and Bolles 1981 (RANSAC). An exposure that drops by
 three and a half times defeats correlation of thumbnails where photographs overlap little or are turned against each
-other; corners described by comparisons within their patch do not notice it. Dearer than a tracking step, so the last
-resort.
+other; ORB's descriptors compare brightness within a patch and are not affected. It costs more than a tracking step and
+is therefore tried last.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 WIDTH_PX = 640  # at most, of the pictures that corners are looked for in
 CORNERS = 500
 RATIO = 0.8  # best distance over the second best, above which a match is not one
-MAX_MISS_PX = 4.0  # of the homography, at WIDTH_PX: relief moves points off it
+MAX_MISS_PX = 4.0  # of the homography, at WIDTH_PX: points off the ground plane deviate from it
 MIN_AGREEING = 20
 
 

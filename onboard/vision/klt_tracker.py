@@ -8,12 +8,12 @@ Shi and Tomasi 1994; Bouguet's pyramidal LK. Two things differ from following pi
   motion, by phase correlation of thumbnails, or by matched descriptors if all that fails. Where that motion turns or
   scales, the picture is warped back first, because LK compares patches by translation alone.
 
-A track is believed if LK converged, its patch looks alike (LK's own error on the normalised picture) and its motion
-agrees with its neighbours'. Where neighbours are far off each other altogether, none is (`track_consistency`).
+A track is accepted if LK converged, its patch looks alike (LK's own error on the normalised picture) and its motion
+agrees with its neighbours'. Where the dispersion of all tracks is too large, none is accepted (`track_consistency`).
 
-Pictures that come fast are followed cheaply: while the last picture was where its predecessor's motion, carried on, had
-put it, the next one starts from there, without phase correlation and with as few pyramid levels as that surprise asks
-for. Where this finds too little, everything is done again from the beginning.
+At high picture rates a cheaper search comes first: if the last motion, extrapolated, predicted the last picture well,
+the next one starts from such a prediction, without phase correlation and with as few pyramid levels as the last
+prediction's error requires. Where this finds too few features, the full search is made.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.geometry.plane_homography import move
+from onboard.geometry.robust import cauchy_weight
 from onboard.vision.coarse_flow import flow_disagreement
 from onboard.vision.contrast_normalisation import SPREAD, Normaliser, Picture, thumbnail
 from onboard.vision.descriptor_matching import Described, describe, motion_between
@@ -42,15 +43,15 @@ MAX_DIFFERENCE = 0.56
 MIN_QUALITY = 0.01
 MIN_EIGENVALUE = 1e-3
 MAX_TURN = 0.06  # rotation (rad) or scale change of a motion above which the picture is warped back before LK
-MIN_PEAK = 0.04  # response of phase correlation below which its shift is not believed
+MIN_PEAK = 0.04  # response of phase correlation below which its shift is not used
 MIN_TRACKS = 12
-# How far the motion carried on may have been off for nine features of ten, and the pyramid levels that then do; LK on
-# one level finds patches several pixels away, these are the distances at which it does so for practically all.
+# Largest error (px) of the extrapolated motion for nine features of ten, and the pyramid levels that are then enough;
+# LK on one level finds patches several pixels away, these are the distances at which it does so for practically all.
 CALM_LEVELS = ((1.5, 0), (4.0, 1), (8.0, 2))
-CALM_SHARE = 0.8  # of the features that should be on the picture; with fewer found again nothing is taken for granted
+CALM_SHARE = 0.8  # of the features that should be on the picture; with fewer found again the full search follows
 ROUNDS = 5  # of reweighting, at most
-# How well telemetry foretells the motion between two pictures: a share of it (the ground's height is known no better at
-# first) and what attitude strays by, at 640 px width.
+# One sigma of telemetry's prediction of the motion between two pictures: a share of that motion (at first the ground's
+# height is known no better) and attitude noise, at 640 px width.
 PREDICTED_SHARE = 0.15
 PREDICTED_PX = 3.0
 GATE_PX = 4.0  # least deviation from the neighbours' motion that condemns a track, at 640 px width
@@ -89,7 +90,7 @@ class Tracker:
         self._motion = np.eye(3)  # keyframe -> the last picture that was followed
         self._predicted: Array | None = None  # the same as it was predicted
         self._step = np.eye(3)  # the last picture's motion since the one before
-        self._levels: int | None = None  # pyramid levels that the motion carried on needs; None: not to be trusted
+        self._levels: int | None = None  # pyramid levels that the extrapolated motion needs; None: full search
         self._hann: NDArray[np.float32] | None = None
         self._normalise = Normaliser(size_px)
         self._repetition_px: float | None = None  # at which the keyframe repeats itself, if it does
@@ -121,9 +122,9 @@ class Tracker:
                     best = found
                 if len(found) >= max(MIN_TRACKS, 0.5 * len(self._ids)):
                     break
-        if len(best) < MIN_TRACKS or self._are_scattered(best):  # a start that misses half shows as that too
+        if len(best) < MIN_TRACKS or self._are_inconsistent(best):  # so is a start that misses half of the picture
             best = self._relocate()
-            if len(best) >= MIN_TRACKS and self._are_scattered(best):
+            if len(best) >= MIN_TRACKS and self._are_inconsistent(best):
                 best = self.nothing()
         self._levels = None
         if self._repetition_px is not None and not self._is_sure(best, predicted, carried_on):
@@ -139,7 +140,7 @@ class Tracker:
         return best
 
     def _relocate(self) -> Tracks:
-        """The last resort: follow from where matched descriptors say the picture went."""
+        """Track from the motion that matched descriptors give; tried last, because it costs most."""
         assert self._picture is not None and self._current is not None
         if self._described is None:
             self._described = describe(self._picture)
@@ -147,7 +148,7 @@ class Tracker:
         return self.nothing() if motion is None else self._follow(motion, LEVELS)
 
     def _carry_on(self, predicted: Array | None) -> Array:
-        """Where the last picture's motion leads: on by what telemetry says has changed since, else by the same step."""
+        """The last picture's motion extrapolated: by telemetry's change since then, else by the same step again."""
         if predicted is None or self._predicted is None:
             step = self._step
         else:
@@ -157,7 +158,7 @@ class Tracker:
         return out
 
     def _is_sure(self, tracks: Tracks, predicted: Array | None, carried_on: Array) -> bool:
-        """Whether telemetry tells tracks on ground that repeats itself from their twins a row away."""
+        """Whether telemetry predicts well enough to exclude, on ground that repeats itself, a track of a row away."""
         if predicted is None or not len(tracks):
             return False
         predicted_px = move(predicted if self._predicted is None else carried_on, tracks.keyframe_uv_px)
@@ -175,7 +176,7 @@ class Tracker:
         """How many features should be on the picture; at least one."""
         return max(int(np.count_nonzero(self._inside(move(motion, self._uv)))), 1)
 
-    def _are_scattered(self, tracks: Tracks) -> bool:
+    def _are_inconsistent(self, tracks: Tracks) -> bool:
         share = len(tracks) / self._expected(tracks.motion)
         return are_inconsistent(tracks.motion, tracks.keyframe_uv_px, tracks.uv_px, share, self.width_px)
 
@@ -268,9 +269,9 @@ class Tracker:
         )
         uv = move(back, np.asarray(end, float)) if turns else np.asarray(end, float)
         found = status[:, 0] == 1
-        difference = np.where(found, difference[:, 0], np.float32(np.inf))  # of the others it is what memory held
-        sensor_pose = found & (difference < MAX_DIFFERENCE * self._contrast[inside]) & self._inside(uv)
-        keep = np.flatnonzero(sensor_pose)
+        difference = np.where(found, difference[:, 0], np.float32(np.inf))  # uninitialised for the others
+        accepted = found & (difference < MAX_DIFFERENCE * self._contrast[inside]) & self._inside(uv)
+        keep = np.flatnonzero(accepted)
         if len(keep) < MIN_TRACKS:
             return self.nothing()
         at = self._uv[inside]
@@ -283,7 +284,7 @@ class Tracker:
     def _agreement(self, at: Array, to: Array) -> tuple[Array, NDArray[np.bool_]]:
         """A homography through the tracks by reweighted least squares, and which tracks follow it.
 
-        Relief moves tracks off it smoothly; the gate is therefore relative to what the others do, never under GATE_PX.
+        Rough ground moves tracks off it smoothly; the gate is therefore relative to the others, never under GATE_PX.
         """
         floor = GATE_PX * self.width_px / 640.0
         fit = _HomographyFit(at, to)
@@ -295,7 +296,7 @@ class Tracker:
             # Settled: neither outliers nor the spread they are judged by will change any more.
             if spread > 0.9 * before:
                 break
-            weight = 1.0 / (1.0 + (miss / max(spread, 0.2)) ** 2)
+            weight = cauchy_weight(miss, max(spread, 0.2))
         return fit.H, miss < max(floor, 4.0 * spread)
 
     def _inside(self, uv: Array) -> NDArray[np.bool_]:

@@ -1,7 +1,7 @@
-"""Ground that repeats itself: rows, tiles, chessboards. A track there may be right in all but by how many rows.
+"""Ground that repeats itself: rows, tiles, chessboards. A track there may be off by a whole number of rows.
 
-Every patch then has twins that the tracker would take for it. Which one is followed is decided by where the search
-begins, and nothing afterwards shows a slip: a whole scene that is off by a row is as rigid as the true one.
+Every patch then has twins that the tracker cannot distinguish from it. Which one is followed depends on where the
+search begins, and no residual shows the error: a whole scene that is off by a row is as rigid as the true one.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ Array = NDArray[np.float64]
 
 PATCH_PX = 21  # at half the picture's size
 REACH_PX = 40  # at half the picture's size
-SAMPLE = 12  # features asked
+SAMPLE = 12  # features tested
 MIN_SAMPLE = 6
 TWIN = 0.75  # correlation from which the tracker takes one patch for another
 APART = 0.5  # two peaks of correlation are two things if it falls below this between them
-SHARE = 0.5  # of the features asked that must have a twin
+SHARE = 0.5  # of the features tested that must have a twin
 
 
 def repetition_px(picture: Picture, uv_px: Array) -> float | None:

@@ -1,10 +1,10 @@
-"""How far tracks are off each other: what tells features from what is made of rounding or compression.
+"""Track residual dispersion: distinguishes features of the ground from artefacts of rounding or compression.
 
-A picture that is blurred without noise of its own holds contour lines of rounded brightness where it seems to hold
-texture, and strong compression holds blocks. Normalised, both look like the ground's own detail, and patches of them
-are alike: the tracker finds some again, pixels from where they belong, and their patches' differences do not say so.
-Their neighbours do: what the ground's relief does to one track it does to those beside it, and where roofs stand next
-to streets it does so along one direction only. What remains across that direction is the tracks' own error.
+A blurred picture without noise shows contour lines of rounded brightness in place of texture, and strong compression
+shows blocks. After normalisation both look like the ground's own detail, and their patches are alike: the tracker finds
+some again, pixels from where they belong, and the patches' differences do not show it. Comparison with neighbouring
+tracks does: heights off the ground plane move neighbours by nearly the same amount, and where roofs stand next to
+streets, along one direction only. What remains across that direction is the tracks' own error.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ Array = NDArray[np.float64]
 
 NEIGHBOURS = 4
 DIRECTIONS = 16
-MAX_SCATTER_PX = 1.3  # one sigma at 640 px width, where all features were found again
+MAX_DISPERSION_PX = 1.3  # one sigma at 640 px width, where all features were found again
 WORTH_ASKING = 0.8  # of the limit: tracks closer than this to one homography are not far off each other
 
 
-def scatter_px(motion: Array, at: Array, to: Array) -> float:
+def dispersion_px(motion: Array, at: Array, to: Array) -> float:
     """One sigma (px) of tracks `at` -> `to`, (N, 2) each, N > 4, about their neighbours', where it is least.
 
     `motion` (3, 3) is the homography of the whole picture, beyond which tracks move as their neighbours do.
@@ -39,10 +39,10 @@ def scatter_px(motion: Array, at: Array, to: Array) -> float:
 def are_inconsistent(motion: Array, at: Array, to: Array, share: float, width_px: int) -> bool:
     """Whether tracks are too far off each other to be of the ground, `share` of the features having been found again.
 
-    Those that were lost were the worst: the fewer are left, the more their own scatter understates.
+    Those that were lost were the worst: the fewer are left, the more their own dispersion understates.
     """
-    limit_px = MAX_SCATTER_PX * width_px / 640.0 * min(share, 1.0) ** 2
+    limit_px = MAX_DISPERSION_PX * width_px / 640.0 * min(share, 1.0) ** 2
     miss = np.linalg.norm(to - move(motion, at), axis=1)
     if float(np.median(miss)) < WORTH_ASKING * limit_px:
         return False
-    return scatter_px(motion, at, to) > limit_px
+    return dispersion_px(motion, at, to) > limit_px

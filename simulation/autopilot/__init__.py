@@ -1,1 +1,1 @@
-"""An autopilot of recorded flights: plays their telemetry and talks back as ArduPilot and PX4 do."""
+"""An autopilot of recorded flights: plays their telemetry and answers as ArduPilot and PX4 do."""

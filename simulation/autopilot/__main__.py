@@ -16,7 +16,7 @@ from pathlib import Path
 from contract.errors import PointclickError
 from simulation.autopilot.fake import FakeAutopilot, Faults
 from simulation.autopilot.flight import Flight
-from simulation.autopilot.manners import STYLES
+from simulation.autopilot.styles import STYLES
 
 
 def share(text: str) -> float:
@@ -29,14 +29,14 @@ def parser() -> argparse.ArgumentParser:
     out = argparse.ArgumentParser(prog="python -m simulation.autopilot", description=__doc__.partition("\n")[0])
     out.add_argument("--tlog", required=True, type=Path, help="recorded telemetry to play")
     out.add_argument("--url", required=True, help="udpout:HOST:PORT, udpin:HOST:PORT, tcpin:HOST:PORT, pty or pty:LINK")
-    out.add_argument("--style", choices=sorted(STYLES), default="ardupilot", help="whose manners (default ardupilot)")
+    out.add_argument("--style", choices=sorted(STYLES), default="ardupilot", help="whose behaviour (default ardupilot)")
     out.add_argument("--everything", action="store_true", help="send every recorded message without being asked")
     out.add_argument("--loss", type=share, default=0.0, help="share of packets lost, both ways")
     out.add_argument("--delay", type=float, default=0.0, help="s, both ways")
     out.add_argument("--jitter", type=float, default=0.0, help="s, mean of a random delay on top")
     out.add_argument("--corrupt", type=share, default=0.0, help="share of packets damaged")
     out.add_argument("--drift", type=share, default=0.0, help="boot clock against the host's: 0.0002 or 200ppm")
-    out.add_argument("--speed", type=float, default=1.0, help="how fast it lives, its boot clock included")
+    out.add_argument("--speed", type=float, default=1.0, help="how fast everything runs, its boot clock included")
     out.add_argument("--from", dest="begin", type=float, default=0.0, help="s into the recording to begin at")
     out.add_argument("--seconds", type=float, help="s after which to end")
     out.add_argument("--at-monotonic", type=int, help="ns of CLOCK_MONOTONIC at which to begin; now if not given")

@@ -1,4 +1,4 @@
-"""The autopilot itself: one thread that plays a flight over a wire, on a boot clock of its own, and talks back."""
+"""The autopilot itself: one thread that plays a flight over a wire, on a boot clock of its own, and answers."""
 
 from __future__ import annotations
 
@@ -9,42 +9,21 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from simulation.autopilot.clock import Clock, HostClock
 from simulation.autopilot.flight import Flight, as_px4, moved
-from simulation.autopilot.manners import STYLES, Rates
-from simulation.autopilot.wire import open_wire
+from simulation.autopilot.styles import STYLES, Rates
+from simulation.autopilot.transports import open_wire
 
 IDLE_S = 0.02
 FRESH_BOOT_NS = 1_500_000_000  # how long after its boot a rebooted autopilot is first heard
 FIRST_QUESTION_NS = 2_000_000_000  # after a boot: its own first TIMESYNC
 KEEP = 50_000  # messages remembered for whoever asks
-
-
-class Clock(Protocol):
-    """What it lives by: the host's monotonic clock, unless a whole flight is to run faster than that."""
-
-    def now_ns(self) -> int:
-        """Now."""
-
-    def wall_s(self, ns: int) -> float:
-        """How long so much of this clock's time takes."""
-
-
-class HostClock:
-    """CLOCK_MONOTONIC."""
-
-    def now_ns(self) -> int:
-        """Now."""
-        return time.monotonic_ns()
-
-    def wall_s(self, ns: int) -> float:
-        """The same."""
-        return ns / 1e9
 
 
 @dataclass(frozen=True)
@@ -67,13 +46,14 @@ class _Boot:
 
 
 class FakeAutopilot:
-    """Plays `flight` over `url` (see `wire.open_wire`) while entered; `url` is then what the other end opens.
+    """Plays `flight` over `url` (see `transports.open_wire`) while entered; `url` is then what the other end opens.
 
-    `drift` is how much faster its clock runs than the host's, `speed` how much faster it lives altogether (its clock
+    `drift` is how much faster its clock runs than the host's, `speed` how much faster everything runs (its clock
     with it). `system` is its system number, the recording's if None. `everything`: send every recorded message unasked.
-    `chatter`: others talk on the same line, another vehicle among them. `key`: 32 bytes, sign and accept only signed.
+    `chatter`: others send on the same line, another vehicle among them. `key`: 32 bytes, sign and accept only signed.
     `clock` takes the place of the host's: all that is called monotonic here is then its time. `spoil` sees each
     recorded message (a copy) before it is sent, with that time, and returns what is sent instead; None for nothing.
+    `mission_computer_s` takes the place of the style's, so that tests need not wait as long.
     """
 
     def __init__(
@@ -97,9 +77,12 @@ class FakeAutopilot:
         seed: int = 0,
         clock: Clock | None = None,
         spoil: Callable[[int, Any], Any | None] | None = None,
+        mission_computer_s: float | None = None,
     ) -> None:
         self.flight = flight
         self.style = STYLES[style]
+        if mission_computer_s is not None:
+            self.style = replace(self.style, mission_computer_s=mission_computer_s)
         self.faults = faults or Faults()
         self.rate = speed * (1.0 + drift)
         self.loop = loop
@@ -131,6 +114,7 @@ class FakeAutopilot:
         self._late: list[tuple[int, int, bytes | None, bytes | None]] = []  # (due, order, to send, to take in)
         self._order = itertools.count()
         self._silent_until_ns = 0
+        self._mission_computer_ns: int | None = None  # when it was heard last
         self._next = 0
         self._next_beat_ns = self._next_question_ns = 0
         self._stop = threading.Event()
@@ -206,7 +190,7 @@ class FakeAutopilot:
 
     def _run(self) -> None:
         while not self._stop.is_set():
-            self._obey()
+            self._take_orders()
             now = self._clock.now_ns()
             if now >= max(self._silent_until_ns, self._boots[0].monotonic_ns):
                 self._play(now)
@@ -232,7 +216,7 @@ class FakeAutopilot:
                 due.append(self._late[0][0])
         return max(min([IDLE_S, *(self._clock.wall_s(at - now) for at in due)]), 0.0)
 
-    def _obey(self) -> None:
+    def _take_orders(self) -> None:
         while self._orders:
             order, seconds = self._orders.popleft()
             now = self._clock.now_ns()
@@ -265,6 +249,7 @@ class FakeAutopilot:
         if now >= self._next_beat_ns:
             self._next_beat_ns = now + 1_000_000_000
             self._beat(now)
+        self._watch_mission_computer(now)
         if now >= self._next_question_ns:
             self._next_question_ns = now + round(self.style.timesync_s * 1e9)
             self._send(mavlink.MAVLink_timesync_message(0, boot_ns))
@@ -285,10 +270,13 @@ class FakeAutopilot:
 
     def _beat(self, now: int) -> None:
         ready = now - self._boots[-1].monotonic_ns >= self.getting_ready_s * 1e9
-        status = mavlink.MAV_STATE_ACTIVE if ready else mavlink.MAV_STATE_CALIBRATING
+        status = mavlink.MAV_STATE_ACTIVE if ready else self.style.starting_status
         self._send(
             mavlink.MAVLink_heartbeat_message(self.flight.vehicle_type, self.style.autopilot, 0x81, 10, status, 3)
         )
+        for number in self.style.unknown:
+            self._post(mavlink.MAVLink_message(number, "")._pack(self._packer, 0, b"\x01" * 20))
+            self._packer.seq = (self._packer.seq + 1) % 256
         if self.chatter:
             others = (
                 (self.system + 6, 1, mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3)),
@@ -300,6 +288,22 @@ class FakeAutopilot:
             )
             for system, component, message in others:
                 self._post(message.pack(mavlink.MAVLink(None, system, component)))
+
+    def _watch_mission_computer(self, now: int) -> None:
+        """PX4's warning; it looks at the type of a component's heartbeats, never at the state they claim."""
+        limit_s, heard_ns = self.style.mission_computer_s, self._mission_computer_ns
+        if limit_s is not None and heard_ns is not None and now - heard_ns > limit_s * 1e9:
+            self._mission_computer_ns = None
+            self._show(mavlink.MAV_SEVERITY_CRITICAL, "Connection to mission computer lost")
+
+    def _show(self, severity: int, text: str) -> None:
+        """Send the pilot a text."""
+        self._send(mavlink.MAVLink_statustext_message(severity, text.encode()))
+
+    @property
+    def shown(self) -> list[str]:
+        """Texts the autopilot itself has sent to its pilot."""
+        return [message.text for _, message in list(self.sent) if message.get_type() == "STATUSTEXT"]
 
     def _send(self, message: Any) -> None:
         packet = message.pack(self._packer, force_mavlink1=self.style.mavlink1)
@@ -357,12 +361,22 @@ class FakeAutopilot:
                 self._send(mavlink.MAVLink_timesync_message(self._boot_ns(self._clock.now_ns()), message.ts1))
             elif name == "COMMAND_LONG" and message.target_system == self.system:
                 self._answer(message)
+            elif name == "HEARTBEAT" and message.type == mavlink.MAV_TYPE_ONBOARD_CONTROLLER:
+                if message.get_srcSystem() == self.system:
+                    self._mission_computer_ns = self._clock.now_ns()
+            elif name == "PARAM_REQUEST_READ" and message.target_system == self.system:
+                if message.param_id == "SCHED_LOOP_RATE" and self.style.loop_hz is not None:
+                    kind = mavlink.MAV_PARAM_TYPE_INT16
+                    name_bytes = message.param_id.encode()
+                    self._send(mavlink.MAVLink_param_value_message(name_bytes, self.style.loop_hz, kind, 1000, 500))
             elif name == "REQUEST_DATA_STREAM" and message.target_system == self.system:
                 self._rates.set_stream(message.req_stream_id, message.req_message_rate * message.start_stop)
 
     def _answer(self, command: Any) -> None:
         if command.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
             result = self._rates.set_interval(int(command.param1), command.param2)
+            if result == mavlink.MAV_RESULT_DENIED and self.style.loop_hz is not None:
+                self._show(mavlink.MAV_SEVERITY_WARNING, f"Requested rate {1e6 / command.param2:.0f}Hz too fast")
         elif command.command == mavlink.MAV_CMD_REQUEST_MESSAGE and command.param1 == 148:
             result = int(mavlink.MAV_RESULT_ACCEPTED)
             none = [0] * 8

@@ -56,6 +56,8 @@ def test_the_package_installs_upgrades_and_leaves_nothing_when_purged(debian: Sh
     assert debian("pc-onboard status").returncode == 3
     assert debian("pc-onboard run").returncode == 2
     assert debian("pc-ground --help").returncode == 0
+    made = debian("pc-onboard make-credentials /tmp/keys --vehicle uav1 --address 10.0.0.7")
+    assert made.returncode == 0, made.stderr
 
     debian("echo '# ours' >> /etc/pointclick/config.toml; systemctl disable pointclick-onboard")
     assert debian(INSTALL).returncode == 0

@@ -32,6 +32,14 @@ def test_projection_is_opencvs(xy: list[tuple[float, float]]) -> None:
     np.testing.assert_allclose(MILD.project(points)[0], expected[:, 0], atol=1e-6)
 
 
+def test_the_displacement_is_what_distortion_adds() -> None:
+    xy = np.random.default_rng(0).uniform(-0.6, 0.6, (2, 200))
+    for distortion in (MILD.distortion, (-0.2, 0.05, 0.0, 0.0, 0.0), (0.0, 0.0, 0.001, -0.002, 0.0), (0.0,) * 5):
+        k1, k2, p1, p2, k3 = distortion
+        camera = Camera(640, 480, 700.0, 710.0, 322.0, 236.0, (k1, k2, p1, p2, k3))
+        np.testing.assert_allclose(camera.displacement(xy), (camera.distort(xy.T) - xy.T).T, rtol=0.0, atol=1e-15)
+
+
 @given(us, vs)
 def test_where_the_calibration_folds_a_pixel_has_no_ray_but_a_finite_one(u: float, v: float) -> None:
     ray, valid = FOLDING.unproject((u, v))

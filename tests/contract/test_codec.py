@@ -36,7 +36,7 @@ def assert_same(a: FeatureSet, b: FeatureSet) -> None:
 
 @pytest.mark.parametrize(("relief", "most"), [(0.0, 600), (0.01, 600), (0.03, 615), (0.06, 630)])
 def test_a_hundred_features_take_at_most_600_bytes_and_two_hundred_fit_a_packet(relief: float, most: int) -> None:
-    """`relief` scatters white from feature to feature; 0.03 is 7 m from 250 m, rougher than any ground flown over."""
+    """`relief` is white from feature to feature; 0.03 is 7 m from 250 m, rougher than any ground flown over."""
     hundred = [len(encode(plain_set(100, seed, relief))) for seed in range(10)]
     two_hundred = [len(encode(plain_set(200, seed, relief))) for seed in range(10)]
     assert min(hundred) > 400 and max(hundred) <= most
@@ -44,7 +44,7 @@ def test_a_hundred_features_take_at_most_600_bytes_and_two_hundred_fit_a_packet(
 
 
 def test_shared_errors_are_written_as_finely_as_there_is_room_for() -> None:
-    """Rounded by at most half a step of the fresh sigmas: fine in a plain set, coarse in one over white relief."""
+    """Rounded by at most half a step of the fresh sigmas: fine in a plain set, coarse in one over white roughness."""
     for relief, halvings in ((0.0, 2), (0.06, 0)):
         for seed in range(10):
             s = plain_set(60 if halvings else 100, seed, relief)
@@ -237,7 +237,7 @@ def test_a_newer_major_version_and_an_unknown_status_are_refused_as_newer() -> N
         ({"R_enu_cam": np.eye(3) * 1.1}, "not a rotation"),
         ({"common_cov": -np.eye(9)}, "less what is shared.*negative variance"),
         ({"common_cov": np.ones((9, 9)) + np.eye(9) * -0.5, "shared": SharedErrors()}, "not a covariance"),
-        ({"shared": SharedErrors(np.full((9, 13), np.nan))}, "by_draw"),
+        ({"shared": SharedErrors(np.full((9, 13), np.nan))}, "by_nuisance"),
         ({"shared": SharedErrors(np.full((9, 13), 1e3))}, "less what is shared"),
         ({"shared": SharedErrors(position_time_s=-1.0)}, "position_time_s"),
         ({"shared": SharedErrors(alignment_sigma=np.ones(3))}, "four numbers"),

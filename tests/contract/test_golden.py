@@ -65,7 +65,7 @@ def test_the_offsets_in_the_document_are_those_of_the_bytes() -> None:
     assert struct.unpack_from("<i", b, g + 10)[0] == 812345
     assert int.from_bytes(b[g + 14 : g + 17], "little", signed=True) == 19250
     assert list(struct.unpack_from("<3f", b, g + 26)) == want["plane_per_m"]
-    by_nuisance, cov = np.array(want["shared"]["by_draw"]), np.array(want["common_cov"])
+    by_nuisance, cov = np.array(want["shared"]["by_nuisance"]), np.array(want["common_cov"])
     fresh = cov - by_nuisance @ by_nuisance.T
     sigmas = 1e-12 * np.exp(0.0006 * (np.array(struct.unpack_from("<9H", b, g + 42)) - 1.0))
     np.testing.assert_allclose(sigmas, np.sqrt(np.diag(fresh)), rtol=1e-9)

@@ -1,10 +1,12 @@
 import dataclasses
+import itertools
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from contract.feature_set import FeatureSet, Status
-from contract.history import History
+from contract.history import IN_A_ROW, History
 from tests.contract.sets import plain_set
 
 OK = plain_set(1)
@@ -37,9 +39,89 @@ def test_late_sets_take_their_place_in_time() -> None:
     assert near is not None and near.frame == 3
 
 
-def test_a_new_session_forgets_the_old() -> None:
-    history = filled(at(5, 5.0), at(0, 1.0, session=9))
-    assert history.frame(5) is None and len(history) == 1
+def test_a_new_session_takes_the_place_of_the_old_at_once() -> None:
+    history = filled(at(5, 5.0), at(0, 1.0, session=OK.session + 1))
+    assert history.frame(5) is None and len(history) == 1 and history.session == OK.session + 1
+
+
+def test_a_late_packet_of_an_earlier_session_changes_nothing() -> None:
+    """One such packet used to leave 1 of 100 sets."""
+    history = filled(*(at(i, i) for i in range(100)))
+    for late in range(IN_A_ROW - 1):
+        history.add(earlier := at(late, 1000.0 + late, session=OK.session - 50), earlier)
+    newest = history.newest()
+    assert len(history) == 100 and newest is not None and newest.frame == 99 and newest.session == OK.session
+
+
+def test_an_aircraft_whose_clock_was_set_back_is_heard_again() -> None:
+    """Started anew without a clock battery it counts from an earlier second, and its sets keep coming."""
+    history = filled(*(at(i, i) for i in range(100)))
+    again = [at(i, i, session=OK.session - 3600) for i in range(IN_A_ROW + 20)]
+    for count, s in enumerate(again, 1):
+        history.add(s, s)
+        assert history.session == (OK.session if count < IN_A_ROW else OK.session - 3600)
+    assert len(history) == len(again)  # those before it was believed too
+    history.add(late := at(100, 100.0), late)
+    assert history.session == OK.session - 3600
+
+
+@st.composite
+def delivered(draw: st.DrawFn) -> tuple[list[FeatureSet], int]:
+    """Sets of sessions that follow each other, each packet late by some; and the number of the last session."""
+    packets: list[tuple[float, FeatureSet]] = []
+    sent = 0
+    lengths = draw(st.lists(st.integers(1, 12), min_size=1, max_size=4))
+    for session, length in enumerate(lengths, 100):
+        for frame in range(length):
+            # At most so much later that fewer than IN_A_ROW of a session arrive after the first of the next.
+            delay = draw(st.floats(0.0, IN_A_ROW - 1.5))
+            packets.append((sent + delay, at(frame, float(frame), is_ok=draw(st.booleans()), session=session)))
+            sent += 1
+    return [s for _, s in sorted(packets, key=lambda pair: pair[0])], 99 + len(lengths)
+
+
+@settings(deadline=None, max_examples=300)
+@given(delivered())
+def test_late_packets_of_several_sessions_leave_the_last_whole(flown: tuple[list[FeatureSet], int]) -> None:
+    packets, last = flown
+    history = filled(*packets)
+    kept = {s.frame: s for s in packets if s.session == last}
+    assert history.session == last and len(history) == len(kept)
+    assert all(history.frame(frame) is s for frame, s in kept.items())
+    assert history.newest() is max(kept.values(), key=lambda s: (s.is_ok, s.frame))
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.lists(st.tuples(st.integers(1, 4), st.integers(0, 9), st.integers(0, 2)), max_size=60))
+def test_in_any_order_what_is_handed_out_is_of_one_session_and_five_in_a_row_decide(
+    rows: list[tuple[int, int, int]],
+) -> None:
+    history: History[FeatureSet] = History()
+    heard: list[FeatureSet] = []
+    for session, frame, revision in rows:
+        before = history.session
+        heard.append(s := at(frame, float(frame), revision, session=session))
+        history.add(s, s)
+        found = [item for frame in range(10) if (item := history.frame(frame)) is not None]
+        assert {item.session for item in found} == {history.session}
+        assert all(any(item is h for h in heard) for item in found)
+        row = list(itertools.takewhile(lambda h: h.session == s.session, reversed(heard)))
+        if len(row) >= IN_A_ROW or session > max((h.session for h in heard[:-1]), default=-1):
+            assert history.session == session
+            best = {h.frame: h for h in sorted(row, key=lambda h: h.revision)}
+            held = {frame: history.frame(frame) for frame in best}
+            assert all(h is not None and h.revision >= best[frame].revision for frame, h in held.items())
+        else:
+            assert history.session == before
+
+
+@pytest.mark.parametrize("sessions", [3, 50])
+def test_memory_stays_bounded_whatever_sessions_come(sessions: int) -> None:
+    history: History[FeatureSet] = History(max_sets=10)
+    for session in range(sessions):
+        for frame in range(30):
+            history.add(s := at(frame, frame, session=session), s)
+    assert len(history._sessions) <= 2 and sum(len(s.entries) for s in history._sessions.values()) <= 20
 
 
 def test_a_frame_refused_at_a_later_revision_no_longer_answers() -> None:

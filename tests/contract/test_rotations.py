@@ -8,6 +8,7 @@ from contract.rotations import (
     R_ENU_NED,
     euler_from_matrix,
     exp_so3,
+    log_of_one,
     log_so3,
     matrix_from_euler,
     matrix_from_quaternion,
@@ -32,6 +33,23 @@ def rotation_vectors(draw: st.DrawFn) -> Array:
 @given(vectors, vectors)
 def test_skew_is_the_cross_product(v: Array, w: Array) -> None:
     np.testing.assert_allclose(skew(v) @ w, np.cross(v, w), atol=1e-15)
+
+
+@given(rotation_vectors())
+def test_one_rotation_vector_is_turned_into_the_same_matrix_alone_as_among_others(v: Array) -> None:
+    np.testing.assert_allclose(exp_so3(v), exp_so3(np.stack([v, -v]))[0], rtol=0.0, atol=2e-16)
+
+
+@given(rotation_vectors())
+def test_one_matrix_has_the_same_rotation_vector_in_plain_numbers(v: Array) -> None:
+    np.testing.assert_allclose(log_of_one(exp_so3(v).tolist()), log_so3(exp_so3(v)), rtol=1e-12, atol=1e-14)
+
+
+def test_half_a_turn_has_the_same_rotation_vector_in_plain_numbers() -> None:
+    for axis in (*np.eye(3), np.array([0.6, -0.8, 0.0]), np.array([-2.0, 1.0, 2.0]) / 3.0):
+        for angle in (np.pi, np.pi - 1e-9, np.pi + 1e-9):
+            R = exp_so3(axis * angle)
+            np.testing.assert_allclose(log_of_one(R.tolist()), log_so3(R), rtol=0.0, atol=1e-12)
 
 
 @given(rotation_vectors())

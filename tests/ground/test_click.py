@@ -32,6 +32,7 @@ FIELDS = [
     "method",
     "frame",
     "time_utc",
+    "age_s",
     "vehicle",
 ]
 
@@ -134,6 +135,10 @@ def test_a_refusal_exits_with_three_and_its_reason(
         (["click", "1", "2", "--connect", "carrier pigeon"], "carrier pigeon"),
         (["click", "1", "2", "--vehicle", "a/b"], "without any of"),
         (["click", "--batch", "x.csv"], "--from"),
+        (["click", "1", "2", "--max-age", "-1"], "not an age in seconds"),
+        (["click", "1", "2", "--max-age", "nan"], "not a finite number"),
+        (["click", "1", "2", "--max-age", "1", "--frame", "3"], "leave it out with --frame"),
+        (["click", "1", "2", "--max-age", "1", "--time", "3"], "leave it out with --frame"),
         (["clack"], "clack"),
         ([], "required"),
     ],
@@ -253,3 +258,32 @@ sys.exit(code)
 )
 def test_times_are_written_in_utc(unix_ns: int, text: str) -> None:
     assert time_utc(unix_ns) == text
+
+
+def test_the_age_in_a_recording_is_against_its_newest_picture(session: str, capsys: pytest.CaptureFixture[str]) -> None:
+    def click(*options: str) -> tuple[int, dict[str, object]]:
+        code = main(["click", "300", "240", "--from", session, "--format", "json", *options])
+        return code, json.loads(capsys.readouterr().out)
+
+    # The newest picture, a second later, is refused; only who gives a limit is kept from the one before.
+    assert click()[1]["age_s"] == 1.0
+    assert click("--frame", "0")[1]["age_s"] == 3.0
+    assert click("--max-age", "1")[0] == 0 and click("--max-age", "inf")[0] == 0
+    code, answer = click("--max-age", "0.9")
+    assert code == 3 and answer["status"] == "stale" and answer["frame"] == 2 and answer["age_s"] == 1.0
+    assert "frame 3, 0.0 s old, is refused: turning: the aircraft was turning too fast" in str(answer["reason"])
+    assert click("--frame", "3")[1]["age_s"] == 0.0
+    assert click("--frame", "77")[1]["age_s"] is None
+
+
+def test_the_age_is_in_the_text_and_in_a_batch(
+    session: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["click", "300", "240", "--from", session]) == 0
+    assert capsys.readouterr().out.endswith("Z, 1.0 s old\n")
+    assert main(["click", "300", "240", "--frame", "3", "--from", session]) == 3
+    assert capsys.readouterr().err.endswith("(frame 3, 0.0 s old)\n")
+    clicks = tmp_path / "clicks.csv"
+    clicks.write_text("frame,u,v\n2,300,240\n0,300,240\n3,300,240\n50,1,1\n")
+    assert main(["click", "--batch", str(clicks), "--from", session]) == 0
+    assert [json.loads(line)["age_s"] for line in capsys.readouterr().out.splitlines()] == [1.0, 3.0, 0.0, None]

@@ -64,6 +64,38 @@ def test_without_relief_it_is_the_weighted_fit_of_a_plane() -> None:
     np.testing.assert_allclose(covariance, F[:5] @ np.linalg.inv(normal) @ F[:5].T, rtol=1e-3, atol=1e-10)
 
 
+@pytest.mark.parametrize("features", [3, 31, 33, 100, 255])
+def test_it_is_what_the_inverse_of_the_covariance_says(features: int) -> None:
+    """To 1e-9: universal kriging as it is written down, (9.8)."""
+    rng = np.random.default_rng(features)
+    xy, at = rng.uniform(-0.4, 0.4, (features, 2)), rng.uniform(-0.4, 0.4, (7, 2))
+    r, nugget = rng.normal(0.0, 0.02, features), rng.uniform(1e-5, 1e-4, features)
+    slope, sill = 0.004, 0.02**2
+
+    def covariance(a: Array, b: Array) -> Array:
+        out: Array = sill * np.exp(-slope / sill * np.linalg.norm(a[:, None] - b[None], axis=-1))
+        return out
+
+    inverse = np.linalg.inv(covariance(xy, xy) + np.diag(nugget + 1e-16))
+    F, f = (np.concatenate([np.ones((len(p), 1)), p], axis=1) for p in (xy, at))
+    k = covariance(at, xy)
+    trend = np.linalg.inv(F.T @ inverse @ F + np.eye(3)) if features >= 6 else np.zeros((3, 3))
+    beta = trend @ F.T @ inverse @ r
+    left = f - k @ inverse @ F
+    predicted, stated = Kriging(xy, r, nugget, slope, np.sqrt(sill)).predict(at)
+    np.testing.assert_allclose(predicted, f @ beta + k @ inverse @ (r - F @ beta), rtol=1e-9, atol=1e-13)
+    expected = covariance(at, at) - k @ inverse @ k.T + left @ trend @ left.T
+    np.testing.assert_allclose(stated, expected, rtol=1e-9, atol=1e-9 * np.max(expected))
+
+
+@pytest.mark.parametrize("nugget", [0.0, 1e-18, 1e-12])
+def test_features_in_one_place_with_next_to_no_noise_are_survived(nugget: float) -> None:
+    xy = np.repeat([[0.1, 0.0], [0.0, 0.1], [0.2, 0.2]], 40, axis=0)
+    predicted, covariance = Kriging(xy, np.full(120, 0.01), np.full(120, nugget), 0.5, 30.0).predict(xy[::40])
+    np.testing.assert_allclose(predicted, 0.01, rtol=1e-3)
+    assert np.all(np.isfinite(covariance)) and np.all(np.diag(covariance) > -1e-9)
+
+
 def test_a_feature_without_noise_is_met_exactly_and_known() -> None:
     rng = np.random.default_rng(4)
     xy = rng.uniform(-0.4, 0.4, (30, 2))

@@ -1,5 +1,6 @@
 import dataclasses
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from contract import recording_format as names
 from contract.errors import InputError
 from contract.feature_set import FeatureSet, Status
 from contract.wire.codec import encode
+from ground.__main__ import main
 from ground.recording import Recording
 from onboard.events.types import Attitude, Frame, GpsQuality, PositionFix
 from onboard.storage.mcap_writer import SessionRecorder
@@ -166,6 +168,118 @@ def test_a_damaged_file_is_read_or_refused_by_name(session: Path, data: st.DataO
                 recording.by_frame(vehicle, frame)
     except InputError as error:
         assert str(damaged) in str(error)
+
+
+def write_long(path: Path) -> list[tuple[int, int]]:
+    """A hundred sets with their frame events; where each record but the last begins and how long its content is."""
+    with SessionRecorder(path, "uav-1") as out:
+        for frame in range(100):
+            out.write_event(Frame(START_NS + frame * 10**9, frame, None, f"{frame}.png"))
+            out.write_set(a_set(frame))
+    content, places, position = path.read_bytes(), [], 8
+    while content[position] != 0x0F:
+        length = int.from_bytes(content[position + 1 : position + 9], "little")
+        places.append((position, length))
+        position += 9 + length
+    return places
+
+
+@pytest.fixture(scope="module")
+def long_session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[int, int]], list[int]]:
+    path = tmp_path_factory.mktemp("long") / "session.mcap"
+    places = write_long(path)
+    content = path.read_bytes()
+    of_sets = [i for i, (at, _) in enumerate(places) if content[at] == 5 and content[at + 31 : at + 34] == b"PC\x20"]
+    assert len(of_sets) == 100
+    return path, places, of_sets
+
+
+Long = tuple[Path, list[tuple[int, int]], list[int]]
+
+
+@pytest.mark.parametrize("length", [2**63, 2**31, 10**6, 5000, 100, 3, 0])
+def test_a_damaged_record_length_costs_that_record_and_is_said(long_session: Long, tmp_path: Path, length: int) -> None:
+    """33 of 100 pictures used to be all that was found, without a word."""
+    path, places, of_sets = long_session
+    content = bytearray(path.read_bytes())
+    at, true_length = places[of_sets[33]]
+    content[at + 1 : at + 9] = length.to_bytes(8, "little")
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(content)
+    recording = Recording(damaged)
+    assert set(range(100)) - set(recording.frames("uav-1")) <= {33}
+    assert recording.by_frame("uav-1", 34) is not None and recording.by_frame("uav-1", 99) is not None
+    (said,) = recording.damage
+    assert str(damaged) in said and "damaged from byte" in said
+    place, size = (int(number) for number in re.findall(r"\d+", said.split("damaged from byte")[1]))
+    assert at <= place <= at + 9 + true_length and place + size == places[of_sets[33] + 1][0]
+    assert Recording(path).damage == []
+
+
+def test_a_click_on_a_damaged_recording_is_answered_with_a_warning(
+    long_session: Long, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, places, of_sets = long_session
+    content = bytearray(path.read_bytes())
+    content[places[of_sets[33]][0] + 6] = 255
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(content)
+    assert main(["click", "320", "240", "--frame", "90", "--from", str(damaged), "--format", "json"]) == 0
+    out, err = capsys.readouterr()
+    assert '"frame": 90' in out and err.startswith("pc-ground: warning: ") and err.count("\n") == 1
+
+
+@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_any_damaged_heads_cost_no_more_than_their_neighbours(long_session: Long, data: st.DataObject) -> None:
+    path, places, of_sets = long_session
+    content = bytearray(path.read_bytes())
+    first = next(i for i in of_sets if i > 8)  # what says who publishes is whole
+    hit = data.draw(st.lists(st.integers(first, len(places) - 2), min_size=1, max_size=3, unique=True))
+    for i in hit:
+        at, length = places[i]
+        wrong = data.draw(
+            st.one_of(st.integers(0, 2000), st.integers(0, 2**64 - 1)).filter(lambda n, n0=length: n != n0)
+        )
+        content[at + 1 : at + 9] = wrong.to_bytes(8, "little")
+    damaged = path.with_name("hit.mcap")
+    damaged.unlink(missing_ok=True)
+    damaged.write_bytes(content)
+    recording = Recording(damaged)
+    near = {i + step for i in hit for step in (-1, 0, 1)}
+    lost = {frame for frame, i in enumerate(of_sets) if i in near}
+    assert set(range(100)) - set(recording.frames("uav-1")) <= lost
+    assert recording.damage and all(str(damaged) in line for line in recording.damage)
+
+
+def test_a_recording_damaged_to_its_end_says_so_and_one_cut_off_does_not(long_session: Long, tmp_path: Path) -> None:
+    path, places, of_sets = long_session
+    content = path.read_bytes()
+    at = places[of_sets[60]][0]
+    overwritten = tmp_path / "overwritten.mcap"
+    overwritten.write_bytes(content[:at] + bytes(len(content) - at))
+    recording = Recording(overwritten)
+    assert recording.frames("uav-1") == list(range(60)) and len(recording.damage) == 1
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(content[: at + 40])
+    recording = Recording(cut)
+    assert recording.frames("uav-1") == list(range(60)) and recording.damage == []
+
+
+def test_a_chunked_recording_that_cannot_be_read_to_its_end_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "chunked.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.NONE, chunk_size=1000)
+        writer.start()
+        channel = writer.register_channel("pc/uav-1/features", names.SET_ENCODING, 0)
+        for frame in range(20):
+            writer.add_message(channel, START_NS + frame, encode(a_set(frame)), START_NS + frame)
+        writer.finish()
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    recording = Recording(path)
+    assert 0 < len(recording.frames("uav-1")) < 20
+    assert len(recording.damage) == 1 and str(path) in recording.damage[0]
 
 
 @pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r\n", b"not a recording at all"])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from contract.feature_set import ALIGNMENT, ATTITUDE, GROUND, NUISANCES, POSITION, FeatureSet, SharedErrors
 from ground.answer import CHI2_2, Fix
 from ground.locate import Locator
-from ground.two_sets import common_cross_covariance, difference_covariance, draw_correlations
+from ground.two_sets import common_cross_covariance, difference_covariance, nuisance_correlations
 from tests.ground.worlds import Errors, World, build
 
 Array = NDArray[np.float64]
@@ -118,7 +118,7 @@ def sets(gap_s: float, *errors: SharedErrors) -> list[FeatureSet]:
 
 def test_what_wanders_is_shared_by_its_age_and_a_mount_by_what_was_learned_since() -> None:
     one, two = sets(10.0, shared(), shared(alignment_scale=0.25))
-    got = draw_correlations(one, two)
+    got = nuisance_correlations(one, two)
     assert got[POSITION] == pytest.approx(math.exp(-10.0 / POSITION_S), rel=1e-3)
     assert got[ATTITUDE] == pytest.approx(math.exp(-10.0 / ATTITUDE_S), rel=1e-3)
     assert got[ALIGNMENT] == pytest.approx(0.25)
@@ -126,8 +126,8 @@ def test_what_wanders_is_shared_by_its_age_and_a_mount_by_what_was_learned_since
 
 
 def test_averages_over_long_windows_change_less_than_what_they_average() -> None:
-    short = draw_correlations(*sets(1.0, shared(span_s=0.1), shared(span_s=0.1)))
-    long = draw_correlations(*sets(1.0, shared(span_s=9.0), shared(span_s=9.0)))
+    short = nuisance_correlations(*sets(1.0, shared(span_s=0.1), shared(span_s=0.1)))
+    long = nuisance_correlations(*sets(1.0, shared(span_s=9.0), shared(span_s=9.0)))
     assert np.all(long[ATTITUDE] > short[ATTITUDE]) and np.all(long[ATTITUDE] < 1.0)
 
 

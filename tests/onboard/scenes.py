@@ -43,7 +43,7 @@ SEED_SENSORS = parse_config('[solve]\nattitude = "none"\nvelocity = false')
 
 @dataclass(frozen=True)
 class SceneSpec:
-    """A straight flight at a height above ground that has a slope and relief."""
+    """A straight flight at a height above ground that has a slope and roughness."""
 
     keyframes: int = 10
     between: int = 1  # pictures between keyframes
@@ -153,10 +153,10 @@ class Scene:
         return window
 
 
-def wander(
+def gauss_markov(
     rng: np.random.Generator, stamps_s: Array, white: float, sigma: float, time_constant_s: float
 ) -> NDArray[np.float64]:
-    """A sample (N,) of white plus Ornstein-Uhlenbeck error: the model of residuals (5.5)."""
+    """A sample (N,) of white plus Gauss-Markov error: the model of residuals (5.5)."""
     lag = np.abs(stamps_s[:, None] - stamps_s[None, :])
     covariance = sigma**2 * np.exp(-lag / time_constant_s) + (white**2 + 1e-18) * np.eye(len(stamps_s))
     out: Array = np.linalg.cholesky(covariance) @ rng.standard_normal(len(stamps_s))
@@ -166,7 +166,7 @@ def wander(
 def draw(
     rng: np.random.Generator, config: Config = FULL, spec: SceneSpec | None = None, camera: Camera = CAMERA
 ) -> Scene:
-    """One flight, its errors drawn from the priors that `config` makes the window believe."""
+    """One flight, its errors drawn from the priors that the window takes from `config`."""
     spec = spec or SceneSpec()
     gps, solve, mount = config.gps, config.solve, config.mount
     e = spec.error_scale
@@ -199,7 +199,7 @@ def draw(
     white = e * gps.sigma_white_m
     position_error = np.stack(
         [
-            wander(rng, times, white * grow, e * sigma, gps.wander_time_s)
+            gauss_markov(rng, times, white * grow, e * sigma, gps.wander_time_s)
             for sigma, grow in (
                 (gps.sigma_wander_horizontal_m, 1.0),
                 (gps.sigma_wander_horizontal_m, 1.0),
@@ -210,7 +210,7 @@ def draw(
     )
     tilt = np.stack(
         [
-            wander(
+            gauss_markov(
                 rng,
                 times,
                 e * np.radians(solve.attitude_white_sigma_deg),
@@ -263,10 +263,10 @@ class Drawn:
 def bundle_problem(
     rng: np.random.Generator, keyframes: int = 6, points: int = 50, *, noise: float = 1.0, attitude: bool = True
 ) -> Drawn:
-    """A strip seen straight down from 250 m; `noise` scales every error, the priors believing in 1.
+    """A strip seen straight down from 250 m; `noise` scales every error, 1 being what the priors state.
 
-    Of `points`, those that two views or more see are kept. Errors in the position and attitude wander and are white,
-    point heights scatter about a sloping plane.
+    Of `points`, those that two views or more see are kept. Errors of position and attitude have a Gauss-Markov and a
+    white part, point heights vary about a sloping plane.
     """
     K, P, layout = keyframes, points, Layout(keyframes)
     stamps = np.arange(K) * 1.5
@@ -279,8 +279,8 @@ def bundle_problem(
     shared = noise * sigma_shared * rng.standard_normal(7)
     reference = np.array([4.0, -7.0, 3.0])
     xy_ground = rng.uniform([-150.0, -120.0], [150.0, 120.0], (P, 2))
-    relief = 10.0
-    z = reference[2] + shared[4] + (xy_ground - reference[:2]) @ shared[5:] + noise * relief * rng.standard_normal(P)
+    ground_m = 10.0
+    z = reference[2] + shared[4] + (xy_ground - reference[:2]) @ shared[5:] + noise * ground_m * rng.standard_normal(P)
     ground = np.column_stack([xy_ground, z])
     p = np.einsum("kij,kpj->kpi", R_cam_enu, ground[None] - centres[:, None])
     xy = p[..., :2] / p[..., 2:]
@@ -292,7 +292,7 @@ def bundle_problem(
     xy = xy + noise * sigma * rng.standard_normal(xy.shape)
 
     white, slow, tau = 0.3, 1.5, 60.0
-    error = np.stack([wander(rng, stamps, white, slow, tau) for _ in range(3)], axis=1) * noise
+    error = np.stack([gauss_markov(rng, stamps, white, slow, tau) for _ in range(3)], axis=1) * noise
     velocities = np.broadcast_to(velocity, (K, 3)).copy()
     priors: list[Prior] = [
         PositionPrior(
@@ -313,7 +313,7 @@ def bundle_problem(
     ]
     if attitude:
         white, slow = 0.004, 0.017
-        tilt = np.stack([wander(rng, stamps, white, slow, tau) for _ in range(3)], axis=1) * noise
+        tilt = np.stack([gauss_markov(rng, stamps, white, slow, tau) for _ in range(3)], axis=1) * noise
         turn = exp_so3(rates * truth.offset_s) @ exp_so3(truth.boresight_rad)
         measured = exp_so3(tilt) @ R_cam_enu.transpose(0, 2, 1) @ turn.transpose(0, 2, 1)
         priors.append(
@@ -326,7 +326,7 @@ def bundle_problem(
             )
         )
     weight = np.where(seen, 1.0 / sigma, 0.0)
-    return Drawn(Problem(layout, xy, weight, priors, reference, np.full(P, 1.0 / relief)), truth)
+    return Drawn(Problem(layout, xy, weight, priors, reference, np.full(P, 1.0 / ground_m)), truth)
 
 
 def first_guess(drawn: Drawn, R_cam_enu: Array, centres_enu_m: Array) -> State:

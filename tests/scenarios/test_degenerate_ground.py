@@ -72,10 +72,10 @@ def test_water_in_small_pictures_is_refused_or_its_ellipse_holds() -> None:
 @pytest.mark.parametrize("style", ["water", "sea"])
 @pytest.mark.parametrize(("flight", "least_m"), [(LARGE.flight, 16.0), (LOW, 7.0)], ids=["250m", "100m"])
 def test_water_that_can_be_tracked_is_a_poor_fit_or_wide(style: str, flight: DescribedSpec, least_m: float) -> None:
-    """Waves that hold together from picture to picture, moving as a whole at 2 to 3 m/s. Refused, or wide.
+    """Waves that persist from picture to picture, moving as a whole at 2 to 3 m/s. Refused, or wide.
 
-    Nothing but their slip past each other shows it: believed as land, up to four fifths of the clicks are outside their
-    99 % ellipse.
+    Nothing but the disagreement of coarse and fine flow shows it: taken for land, up to four fifths of the clicks are
+    outside their 99 % ellipse.
     """
     outcome = play(flown(replace(LARGE, flight=flight, texture=TextureSpec(style))))
     honest(outcome, Status.POOR_FIT, Status.FEATURELESS)
@@ -94,20 +94,20 @@ def test_water_under_a_fast_aircraft_is_wide() -> None:
 
 
 @pytest.mark.parametrize("spec", [LEG, LARGE], ids=["small", "large"])
-def test_stripes_are_told_apart_by_telemetry(spec: SessionSpec) -> None:
+def test_stripes_are_distinguished_by_telemetry(spec: SessionSpec) -> None:
     """Rows that repeat exactly every 8 m, 4 to 7 m between pictures. OK: telemetry is better than half a row."""
     holds(play(flown(replace(spec, texture=TextureSpec("stripes")))))
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 3.0])
 def test_stripes_without_attitude_are_featureless(rate_hz: float) -> None:
-    """Nothing says by how many rows the picture moved (believed, it was 140 to 340 m off): featureless."""
+    """Nothing says by how many rows the picture moved (answered, it was 140 to 340 m off): featureless."""
     spec = replace(LARGE, rate_hz=rate_hz, texture=TextureSpec("stripes"))
     refuses(play(flown(spec), ("solve.attitude", "none"), ("solve.level_ground", True)), Status.FEATURELESS)
 
 
 def test_stripes_far_apart_in_time_are_featureless() -> None:
-    """Two and a half rows between pictures, more than telemetry foretells to half a row: featureless."""
+    """Two and a half rows between pictures, more than telemetry predicts to half a row: featureless."""
     spec = replace(LARGE, rate_hz=1.0, seconds=12.0, texture=TextureSpec("stripes"))
     refuses(play(flown(spec)), Status.FEATURELESS)
 

@@ -16,6 +16,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from simulation.autopilot.fake import FakeAutopilot, Faults
 from simulation.autopilot.flight import Flight
 
+pytestmark = pytest.mark.wall_clock
+
 TLOG = Path(__file__).resolve().parents[1] / "data" / "plane_turn.tlog"
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from onboard.camera.buffer_decoder import CLOCK_MONOTONIC
+from onboard.camera import v4l2_structures as v4l2
 from onboard.camera.discovery import Identity
 from onboard.camera.v4l2_device import Buffer, Card, Control, Granted, Sizes
 from onboard.events.types import Frame
@@ -44,7 +44,7 @@ class Plugged:
     open_fault: int = 0
     data: Callable[[int], bytearray] = picture
     age_ns: int = 2_000_000  # of a picture when it can be had
-    flags: int = CLOCK_MONOTONIC
+    flags: int = v4l2.BUF_FLAG_TIMESTAMP_MONOTONIC
     writes: list[tuple[str, int]] = field(default_factory=list)
 
 

@@ -7,14 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from onboard.camera.buffer_decoder import (
-    CLOCK_COPIED,
-    CLOCK_MONOTONIC,
-    CLOCK_UNKNOWN,
-    FLAG_ERROR,
-    SOURCE_START_OF_EXPOSURE,
-    Pictures,
-)
+from onboard.camera import v4l2_structures as v4l2
+from onboard.camera.buffer_decoder import Pictures
 from onboard.camera.v4l2_device import Buffer, Granted
 from onboard.events.session_clock import SessionClock
 from onboard.events.types import Frame
@@ -31,8 +25,8 @@ def judge() -> Pictures:
 
 
 def offer(
-    pictures: Pictures, number: int, *, sequence: int | None = None, age_ns: int = MS, flags: int = CLOCK_MONOTONIC,
-    data: bytearray | None = None, has_waited: bool = False,
+    pictures: Pictures, number: int, *, sequence: int | None = None, age_ns: int = MS,
+    flags: int = v4l2.BUF_FLAG_TIMESTAMP_MONOTONIC, data: bytearray | None = None, has_waited: bool = False,
 ) -> Frame | None:  # fmt: skip
     now_ns = START_NS + number * 33 * MS
     buffer = Buffer(
@@ -74,7 +68,7 @@ def test_a_driver_that_does_not_number_says_so() -> None:
 
 def test_stamps_of_the_monotonic_clock_are_taken_as_they_are() -> None:
     pictures = judge()
-    frame = offer(pictures, 3, age_ns=7 * MS, flags=CLOCK_MONOTONIC | SOURCE_START_OF_EXPOSURE)
+    frame = offer(pictures, 3, age_ns=7 * MS, flags=v4l2.BUF_FLAG_TIMESTAMP_MONOTONIC | v4l2.BUF_FLAG_TSTAMP_SRC_SOE)
     assert frame is not None
     assert frame.stamp_ns == CLOCK.from_monotonic_ns(START_NS + 3 * 33 * MS - 7 * MS)
     assert pictures.stamped_at == "start"
@@ -94,7 +88,7 @@ def test_stamps_in_the_future_are_said() -> None:
     assert pictures.complaints() == ["stamps lie 33 ms in the future: calibrate camera.latency_s"]
 
 
-@pytest.mark.parametrize("flags", [CLOCK_UNKNOWN, CLOCK_COPIED])
+@pytest.mark.parametrize("flags", [v4l2.BUF_FLAG_TIMESTAMP_UNKNOWN, v4l2.BUF_FLAG_TIMESTAMP_COPY])
 def test_an_unknown_clock_is_believed_only_where_it_agrees_with_ours(flags: int) -> None:
     pictures = judge()
     agreeing = offer(pictures, 0, flags=flags, age_ns=20 * MS)
@@ -138,7 +132,7 @@ def test_a_blank_picture_is_said_and_is_no_repeat() -> None:
 def test_a_damaged_buffer_bears_no_image_and_many_are_said() -> None:
     pictures = judge()
     for number in range(4):
-        frame = offer(pictures, number, flags=CLOCK_MONOTONIC | FLAG_ERROR)
+        frame = offer(pictures, number, flags=v4l2.BUF_FLAG_TIMESTAMP_MONOTONIC | v4l2.BUF_FLAG_ERROR)
         assert frame is not None and frame.image is None
     assert pictures.complaints() == []
     short = offer(pictures, 4, data=picture(4)[:-1])

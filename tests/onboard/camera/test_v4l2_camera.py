@@ -10,7 +10,7 @@ import pytest
 
 from contract.camera import Camera
 from contract.errors import ConfigError
-from onboard.camera.buffer_decoder import CLOCK_UNKNOWN
+from onboard.camera import v4l2_structures as v4l2
 from onboard.camera.discovery import Identity
 from onboard.camera.format_negotiation import choose_format
 from onboard.camera.v4l2_camera import V4l2Camera
@@ -234,6 +234,47 @@ def test_a_frozen_camera_says_so_and_hands_out_no_old_picture() -> None:
     assert all(frame.image is not None for frame in world.frames[-20:])
 
 
+def changes(seen: dict[float, SourceStatus]) -> list[tuple[State, str]]:
+    """State and reason whenever either changes."""
+    out: list[tuple[State, str]] = []
+    for _, health in sorted(seen.items()):
+        if not out or out[-1] != (health.state, health.detail):
+            out.append((health.state, health.detail))
+    return out
+
+
+def test_a_camera_that_opens_and_sends_nothing_is_lost_once_and_steadily() -> None:
+    camera = Plugged(OURS, is_silent=True)
+    world = World(video0=camera)
+    world.events.append((32.0, lambda: setattr(camera, "is_silent", False)))
+    seen = run(live(world), world, 36.0)
+    assert changes({t: h for t, h in seen.items() if 0.1 < t < 32.0}) == [
+        (State.STARTING, "/dev/video0: waiting for its first picture"),
+        (State.LOST, "/dev/video0: opens but sends no picture"),
+    ]
+    assert first(seen, State.LOST, 0.1) == pytest.approx(5.0, abs=0.3)
+    assert at(seen, 32.0).figures["reopened"] >= 5.0  # it is tried again all the while
+    assert at(seen, 35.9).state is State.OK
+
+
+def test_a_camera_that_falls_silent_and_opens_anew_in_vain_stays_lost() -> None:
+    camera = Plugged(OURS)
+    world = World(video0=camera)
+    world.events.append((2.0, lambda: setattr(camera, "is_silent", True)))
+    seen = run(live(world), world, 30.0)
+    assert {h.state for t, h in seen.items() if t > 4.0} == {State.LOST}
+    assert {h.detail for t, h in seen.items() if t > 12.0} == {"/dev/video0: opens but sends no picture"}
+
+
+def test_a_camera_whose_stream_breaks_before_every_first_picture_does_not_start_again_and_again() -> None:
+    camera = Plugged(OURS, fault=errno.EIO)
+    world = World(video0=camera)
+    world.events += [(0.5 * n, lambda: setattr(camera, "fault", errno.EIO)) for n in range(1, 20)]
+    camera.is_silent = True
+    seen = run(live(world), world, 10.0)
+    assert {h.state for t, h in seen.items() if t > 1.0} == {State.LOST}
+
+
 def test_a_hanging_driver_is_seen_while_it_hangs() -> None:
     world = World(video0=Plugged(OURS))
     camera = live(world)
@@ -258,7 +299,7 @@ def test_pictures_that_waited_while_we_were_starved_are_not_shown_as_news() -> N
 
 
 def test_a_time_of_arrival_is_never_given_to_a_picture_that_waited() -> None:
-    world = World(video0=Plugged(OURS, flags=CLOCK_UNKNOWN, age_ns=-(10**17)))
+    world = World(video0=Plugged(OURS, flags=v4l2.BUF_FLAG_TIMESTAMP_UNKNOWN, age_ns=-(10**17)))
     camera = live(world)
     # Kept from running for a second, within the wait for a picture: the queue is full of old ones then.
     world.events = [(1.01, lambda: setattr(world, "now_ns", world.now_ns + 1_000_000_000))]

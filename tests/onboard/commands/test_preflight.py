@@ -2,121 +2,170 @@
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable
-from typing import Any
+from dataclasses import replace
 
 import pytest
+from hypothesis import given
 
 from contract.camera import Camera
+from contract.feature_set import Status
 from onboard.commands.preflight import Surroundings, diagnose
 from onboard.config.schema import Config
+from onboard.events.source import SourceStatus, State
+from onboard.events.supervised_thread import ThreadReport, ThreadState
+from onboard.service.reports import BORESIGHT, Estimate, Report
+from onboard.service.vehicle_state import AT_REST, Inputs, Subject, overall
+from tests.onboard.service.reported import WELL as WELL_INPUTS
+from tests.onboard.service.reported import inputs, report_of, unhurried
 
 CONFIG = Config.model_validate({"telemetry": {"url": "serial:/dev/ttyAMA0:921600"}, "camera": {"exposure_us": 2000.0}})
 CAMERA = Camera.from_field_of_view(640, 480, 40.0)
-WELL: dict[str, Any] = {
-    "camera": {"state": "ok", "detail": "/dev/video0: 640x480 GREY", "figures": {"rate_hz": 29.8, "lost": 0.0}},
-    "telemetry": {
-        "state": "ok",
-        "detail": "",
-        "figures": {"attitude_hz": 49.0, "position_hz": 10.0, "round_trip_ms": 2.5, "clock_sigma_ms": 0.9},
-    },
-    "picture": {"mean": 120.0, "black": 0.01, "white": 0.02},
-    "gps": {"fix_type": 3, "satellites": 14, "sigma_horizontal_m": 0.8, "age_s": 0.2},
-    "learned": None,
-}
+WELL = report_of(WELL_INPUTS)
 AROUND = Surroundings(CAMERA, "", 20000.0, 61.0)
 
 
-def verdicts(report: dict[str, Any], around: Surroundings = AROUND, config: Config = CONFIG) -> dict[str, bool]:
+NO_POSITION = Status.NO_GPS
+
+
+def verdicts(report: Report, around: Surroundings = AROUND, config: Config = CONFIG) -> dict[str, bool]:
     return {line.name: line.is_good for line in diagnose(config, report, around)}
 
 
-def text(report: dict[str, Any], name: str) -> str:
+def text(report: Report, name: str) -> str:
     return next(line.text for line in diagnose(CONFIG, report, AROUND) if line.name == name)
+
+
+def red(report: Report, around: Surroundings = AROUND) -> list[str]:
+    return [name for name, is_good in verdicts(report, around).items() if not is_good]
 
 
 def test_before_a_good_flight_all_is_green() -> None:
     assert verdicts(WELL) == dict.fromkeys(
-        ["camera", "rate", "exposure", "telemetry", "rates", "time sync", "gps", "mount", "calibration", "link", "disk",
-         "processor"], True,
+        ["state", "camera", "rate", "exposure", "telemetry", "rates", "time sync", "pipeline", "gps", "position",
+         "answers", "load", "recording", "threads", "mount", "calibration", "link", "disk", "processor"], True,
     )  # fmt: skip
     assert text(WELL, "exposure") == "fixed at 2000 us, mean grey 120 of 255"
     assert text(WELL, "time sync") == "+-0.9 ms, round trip 2.5 ms"
     assert text(WELL, "calibration") == "640 x 480, 40 deg wide"
+    assert text(WELL, "gps") == "fix type 3, 14 satellites, +-0.8 m"
 
 
-def put(*path: str, value: Any) -> Callable[[dict[str, Any]], None]:
-    def spoil(report: dict[str, Any]) -> None:
-        for key in path[:-1]:
-            report = report[key]
-        if value is ...:
-            del report[path[-1]]
-        else:
-            report[path[-1]] = value
-
-    return spoil
+def test_a_clock_known_by_arrival_alone_is_not_called_unknown() -> None:
+    report = figures("telemetry", clock_sigma_ms=None, round_trip_ms=None, arrival_sigma_ms=3.0)
+    assert red(report) == ["time sync"]
+    assert text(report, "time sync").startswith("TIMESYNC is not answered: by arrival, +-3.0 ms")
 
 
-@pytest.mark.parametrize(
-    ("spoil", "red"),
-    [
-        (put("camera", "state", value="degraded"), "camera"),
-        (put("camera", "state", value="frozen"), "camera"),
-        (put("camera", "figures", "rate_hz", value=20.0), "rate"),
-        (put("camera", "figures", "rate_hz", value=...), "rate"),
-        (put("picture", value=None), "exposure"),
-        (put("picture", "mean", value=12.0), "exposure"),
-        (put("picture", "white", value=0.5), "exposure"),
-        (put("picture", "black", value=0.5), "exposure"),
-        (put("telemetry", "state", value="lost"), "telemetry"),
-        (put("telemetry", "figures", "position_hz", value=1.0), "rates"),
-        (put("telemetry", "figures", "position_hz", value=...), "rates"),
-        (put("telemetry", "figures", "attitude_hz", value=4.0), "rates"),
-        (put("telemetry", "figures", "clock_sigma_ms", value=...), "time sync"),
-        (put("telemetry", "figures", "clock_sigma_ms", value=float("nan")), "time sync"),
-        (put("telemetry", "figures", "clock_sigma_ms", value=50.0), "time sync"),
-        (put("telemetry", "figures", "round_trip_ms", value=300.0), "time sync"),
-        (put("gps", value=None), "gps"),
-        (put("gps", "fix_type", value=2), "gps"),
-        (put("gps", "age_s", value=9.0), "gps"),
-        (put("gps", "sigma_horizontal_m", value=12.0), "gps"),
-        (
-            put("learned", value={"boresight_rad": [0.2, 0.0, 0.0], "sigma_boresight_rad": [0.002] * 3}),
-            "mount",
-        ),
-    ],
-)
-def test_each_fault_turns_its_own_line_red(spoil: Callable[[dict[str, Any]], None], red: str) -> None:
-    report = copy.deepcopy(WELL)
-    spoil(report)
-    assert [name for name, is_good in verdicts(report).items() if not is_good] == [red]
+def test_at_rest_with_a_good_fix_all_is_green() -> None:
+    """PX4 on the ground: a good fix and nothing to be seen. It was `no gps` with a doctor that was green."""
+    report = report_of(replace(WELL_INPUTS, outcome=Status.LOW_PARALLAX, is_at_rest=True))
+    assert red(report) == []
+    assert text(report, "state") == f"at rest: {AT_REST}"
+
+
+@unhurried
+@given(inputs())
+def test_state_and_doctor_never_disagree(said: Inputs) -> None:
+    """Whatever makes the state not well is a red line of the doctor's beside the state's own, and the reverse."""
+    is_well = overall(said).state.is_well
+    lines = verdicts(report_of(said))
+    judged = {name: lines[name] for name in (subject.value for subject in Subject)}
+    assert lines["state"] is is_well
+    assert all(judged.values()) is is_well
+    assert all(lines[name] for name in lines.keys() - judged.keys() - {"state"})
+
+
+@unhurried
+@given(inputs())
+def test_what_the_state_says_stands_in_a_red_line(said: Inputs) -> None:
+    state = overall(said)
+    if not state.state.is_well:
+        lines = diagnose(CONFIG, report_of(said), AROUND)
+        reason = state.reason.split(": ")[-1]
+        assert any(reason in line.text for line in lines if not line.is_good and line.name != "state")
 
 
 @pytest.mark.parametrize(
-    ("around", "red"),
+    ("report", "lines"),
     [
-        (Surroundings("camera.file is not set", "", 20000.0, 61.0), "calibration"),
-        (Surroundings(CAMERA, "the port is already in use", 20000.0, 61.0), "link"),
-        (Surroundings(CAMERA, "", 900.0, 61.0), "disk"),
-        (Surroundings(CAMERA, "", None, 61.0), "disk"),
-        (Surroundings(CAMERA, "", 20000.0, 85.0), "processor"),
+        (report_of(replace(WELL_INPUTS, camera=SourceStatus(State.DEGRADED, "10 of 30 Hz"))), ["camera"]),
+        (report_of(replace(WELL_INPUTS, camera=SourceStatus(State.FROZEN, "same again"))), ["camera"]),
+        (report_of(replace(WELL_INPUTS, telemetry=SourceStatus(State.LOST, "silent"))), ["telemetry"]),
+        (report_of(replace(WELL_INPUTS, busy_s=9.0)), ["pipeline"]),
+        (report_of(replace(WELL_INPUTS, outcome=NO_POSITION, position_fault="far from it")), ["position", "answers"]),
+        (report_of(replace(WELL_INPUTS, outcome=Status.POOR_FIT)), ["answers"]),
+        (report_of(replace(WELL_INPUTS, is_shedding=True)), ["load"]),
+        (report_of(replace(WELL_INPUTS, recording_fault="disk full")), ["recording"]),
+        (report_of(replace(WELL_INPUTS, threads=(ThreadReport("link", ThreadState.FAILED, None, 0, "gone"),))),
+         ["threads"]),
+        (report_of(replace(WELL_INPUTS, gps=None)), ["gps"]),
+        (report_of(replace(WELL_INPUTS, gps=replace(WELL.gps, fix_type=2))), ["gps"]),
+        (report_of(replace(WELL_INPUTS, gps=replace(WELL.gps, age_s=9.0))), ["gps"]),
+        (report_of(replace(WELL_INPUTS, gps=replace(WELL.gps, sigma_horizontal_m=12.0))), ["gps"]),
+    ],
+)  # fmt: skip
+def test_what_the_daemon_judged_turns_the_state_and_its_own_line_red(report: Report, lines: list[str]) -> None:
+    assert red(report) == ["state", *lines]
+
+
+def figures(source: str, **changed: float | None) -> Report:
+    """The report with figures of a source changed, or without them."""
+    status: SourceStatus = getattr(WELL, source)
+    kept = {name: value for name, value in (status.figures | changed).items() if value is not None}
+    return replace(WELL, **{source: replace(status, figures=kept)})
+
+
+@pytest.mark.parametrize(
+    ("report", "line"),
+    [
+        (figures("camera", rate_hz=20.0), "rate"),
+        (figures("camera", rate_hz=None), "rate"),
+        (replace(WELL, brightness=None), "exposure"),
+        (replace(WELL, brightness=replace(WELL.brightness, mean=12.0)), "exposure"),
+        (replace(WELL, brightness=replace(WELL.brightness, white=0.5)), "exposure"),
+        (replace(WELL, brightness=replace(WELL.brightness, black=0.5)), "exposure"),
+        (figures("telemetry", position_hz=1.0), "rates"),
+        (figures("telemetry", position_hz=None), "rates"),
+        (figures("telemetry", attitude_hz=4.0), "rates"),
+        (figures("telemetry", clock_sigma_ms=None), "time sync"),
+        (figures("telemetry", clock_sigma_ms=float("nan")), "time sync"),
+        (figures("telemetry", clock_sigma_ms=50.0), "time sync"),
+        (figures("telemetry", round_trip_ms=300.0), "time sync"),
+        (replace(WELL, estimates=(Estimate(BORESIGHT, "radians", (0.2, 0.0, 0.0), (0.002,) * 3),)), "mount"),
     ],
 )
-def test_what_surrounds_it_counts_too(around: Surroundings, red: str) -> None:
-    assert [name for name, is_good in verdicts(WELL, around).items() if not is_good] == [red]
+def test_each_limit_for_take_off_turns_its_own_line_red(report: Report, line: str) -> None:
+    assert red(report) == [line]
+
+
+@pytest.mark.parametrize(
+    ("around", "line"),
+    [
+        (replace(AROUND, camera="camera.file is not set"), "calibration"),
+        (replace(AROUND, link="the port is already in use"), "link"),
+        (replace(AROUND, free_mb=900.0), "disk"),
+        (replace(AROUND, free_mb=None), "disk"),
+        (replace(AROUND, temperature_c=85.0), "processor"),
+    ],
+)
+def test_what_surrounds_it_counts_too(around: Surroundings, line: str) -> None:
+    assert red(WELL, around) == [line]
 
 
 def test_what_is_not_needed_is_not_missed() -> None:
-    report = copy.deepcopy(WELL)
-    report["telemetry"]["figures"] = {"position_hz": 10.0}
-    report["gps"]["sigma_horizontal_m"] = report["gps"]["satellites"] = None
+    gps = replace(WELL.gps, sigma_horizontal_m=None, satellites=None)
+    report = replace(WELL, gps=gps, telemetry=SourceStatus(State.OK, "", {"position_hz": 10.0}))
     config = Config.model_validate({"telemetry": {"url": "nmea:/dev/ttyUSB0:9600"}, "recording": {"enabled": False}})
     assert all(verdicts(report, Surroundings(CAMERA, "", None, None), config).values())
 
 
+def test_without_a_daemon_nothing_is_said_of_what_only_it_can_know() -> None:
+    lines = verdicts(WELL, replace(AROUND, is_running=False))
+    assert not lines.keys() & {"state", "pipeline", "position", "answers", "load", "recording", "threads"}
+    assert {"camera", "telemetry", "gps"} < lines.keys()
+
+
 def test_a_boresight_within_its_prior_is_well() -> None:
-    report = copy.deepcopy(WELL)
-    report["learned"] = {"boresight_rad": [0.01, 0.01, 0.0], "sigma_boresight_rad": [0.002] * 3}
+    report = replace(WELL, estimates=(Estimate(BORESIGHT, "radians", (0.01, 0.01, 0.0), (0.002,) * 3),))
     assert verdicts(report)["mount"]
     assert "learned in flight: 0.8 +-0.1 deg" in text(report, "mount")

@@ -1,4 +1,4 @@
-"""What a flight teaches of boresight and time offset: independent lessons, ageing, and what survives a restart."""
+"""Boresight and time offset over a flight: independent posterior updates, ageing, and what survives a restart."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def at(seconds: float) -> int:
     return T0_NS + round(seconds * 1e9)
 
 
-def test_before_any_lesson_the_prior_is_the_configured_one() -> None:
+def test_before_any_update_the_prior_is_the_configured_one() -> None:
     prior = alignment().prior_for(at(0.0))
     assert np.all(prior.mean == 0.0)
     assert prior.sigma == pytest.approx([*[np.radians(3.0)] * 3, 0.1], rel=1e-4)
 
 
-def test_a_lesson_serves_windows_that_begin_after_it_and_no_other() -> None:
+def test_a_posterior_serves_windows_that_begin_after_it_and_no_other() -> None:
     a = alignment()
     assert a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)
     assert np.all(a.prior_for(at(9.9)).mean == 0.0)
@@ -42,7 +42,7 @@ def test_a_lesson_serves_windows_that_begin_after_it_and_no_other() -> None:
     assert a.updates == 1
 
 
-def test_windows_that_overlap_a_lesson_or_follow_it_at_once_teach_nothing() -> None:
+def test_windows_that_overlap_an_update_or_follow_it_at_once_update_nothing() -> None:
     a = alignment()
     a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)
     assert not a.offer(at(9.0), at(50.0), 2 * MEAN, COVARIANCE)
@@ -53,19 +53,19 @@ def test_windows_that_overlap_a_lesson_or_follow_it_at_once_teach_nothing() -> N
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 2000.0), st.floats(0.5, 60.0)), max_size=60))
-def test_lessons_never_share_data(windows: list[tuple[float, float]]) -> None:
+def test_updates_never_share_data(windows: list[tuple[float, float]]) -> None:
     a = alignment()
-    learned: list[tuple[float, float]] = []
+    taken: list[tuple[float, float]] = []
     for start, length in sorted(windows):
         if a.offer(at(start), at(start + length), MEAN, COVARIANCE):
-            learned.append((start, start + length))
-    for (_, end), (start, later) in pairwise(learned):
+            taken.append((start, start + length))
+    for (_, end), (start, later) in pairwise(taken):
         assert start >= end - 1e-6
         assert later - end >= SPACING_S - 1e-6
     assert a.updates <= MEMORY_ESTIMATES
 
 
-def test_old_lessons_are_forgotten_but_the_first_prior_stays() -> None:
+def test_old_posteriors_are_forgotten_but_the_first_prior_stays() -> None:
     a = alignment()
     for k in range(3 * MEMORY_ESTIMATES):
         assert a.offer(at(100.0 * k), at(100.0 * k + 10.0), k * MEAN, COVARIANCE)
@@ -73,7 +73,7 @@ def test_old_lessons_are_forgotten_but_the_first_prior_stays() -> None:
     assert np.all(a.prior_for(at(0.0)).mean == 0.0)
 
 
-def test_a_lesson_ages_as_a_random_walk() -> None:
+def test_a_posterior_ages_as_a_random_walk() -> None:
     a = alignment()
     a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)
     fresh, old = a.prior_for(at(10.0)), a.prior_for(at(10.0 + 4 * 60.0))
@@ -126,7 +126,7 @@ def test_what_is_no_belief_is_refused_by_name_and_changes_nothing(text: str) -> 
     assert np.all(a.belief.mean == 0.0)
 
 
-def test_a_declaration_that_was_too_sure_gives_way_to_data() -> None:
+def test_a_prior_that_was_too_narrow_is_widened_by_data() -> None:
     """The mount declared within 1 degree, in truth 3 off; data know it to 0.5: it is pulled back by 0.18."""
     sigma, own = np.radians(1.0), np.radians(0.5)
     a = Alignment(sigma, 0.1, 20.0)
@@ -134,15 +134,15 @@ def test_a_declaration_that_was_too_sure_gives_way_to_data() -> None:
     precision = np.diag([own**-2] * 3 + [0.02**-2])
     covariance = np.linalg.inv(precision + np.diag([sigma**-2] * 3 + [0.1**-2]))
     a.offer(at(0.0), at(10.0), covariance @ precision @ truth, covariance)
-    sensor_pose = np.degrees(a.belief.mean[:3])
-    assert sensor_pose[0] == pytest.approx(2.82, abs=0.01)  # 4 square degrees of prior instead of 1: 2.4
-    assert sensor_pose[2] == pytest.approx(0.4, abs=0.001)  # within what was declared: as it was
+    mean_deg = np.degrees(a.belief.mean[:3])
+    assert mean_deg[0] == pytest.approx(2.82, abs=0.01)  # 4 square degrees of prior instead of 1: 2.4
+    assert mean_deg[2] == pytest.approx(0.4, abs=0.001)  # within what was declared: as it was
     assert np.degrees(a.belief.sigma[0]) == pytest.approx(0.485, abs=0.002)
     assert np.degrees(a.belief.sigma[2]) == pytest.approx(np.degrees(np.sqrt(covariance[2, 2])), abs=1e-6)
 
 
-def test_giving_way_happens_once_and_not_lesson_after_lesson() -> None:
-    """A second lesson rests on the first one's prior: its data are told from it, not from the declaration."""
+def test_the_prior_is_widened_once_and_not_update_after_update() -> None:
+    """A second update rests on the first one's prior: its data are separated from that, not from the declared one."""
     sigma, own = np.radians(1.0), np.radians(0.5)
     a = Alignment(sigma, 0.1, 20.0)
     truth = np.array([np.radians(3.0), 0.0, 0.0, 0.0])

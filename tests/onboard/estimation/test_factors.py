@@ -168,8 +168,8 @@ def test_the_ground_planes_jacobians_are_its_derivatives() -> None:
         assert by_plane[:, axis] == pytest.approx((ahead - behind) / 2e-5, abs=1e-5)
 
 
-def test_the_whitener_whitens_an_error_that_wanders() -> None:
-    """Samples of the model come out with unit covariance; one that ignored the wandering would not do it."""
+def test_the_whitener_whitens_a_gauss_markov_error() -> None:
+    """Samples of the model come out with unit covariance; one that ignored the correlation would not do it."""
     rng = np.random.default_rng(0)
     stamps = np.array([0.0, 1.0, 2.5, 4.0, 30.0])
     white, slow, tau = 0.3, 1.5, 10.0
@@ -196,7 +196,7 @@ def test_the_time_offset_moves_positions_along_the_velocity() -> None:
     assert asked.evaluate(state)[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
 
 
-def test_the_attitude_error_is_told_about_east_north_up() -> None:
+def test_the_attitude_error_is_expressed_about_east_north_up() -> None:
     """A camera turned by 0.01 rad about the vertical shows 0.01 in the heading's residual only, however it looks."""
     rng = np.random.default_rng(3)
     R_enu_cam = exp_so3(rng.standard_normal((2, 3)))

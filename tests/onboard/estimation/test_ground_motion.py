@@ -1,4 +1,4 @@
-"""Ground that moves as a whole: its slip is measured, and covariances answer to it as the solution itself does."""
+"""Ground that moves as a whole: flow disagreement measures it, and covariances grow by what it does to the solution."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SIZE = (640, 480)
 
 
 def patterns(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Two random patterns (H, W): blobs of about 3 px and of about 20 px, with room to move."""
+    """Two random patterns (H, W): blobs of about 3 px and of about 20 px, with a margin to move in."""
     rng = np.random.default_rng(seed)
     shape = (SIZE[1] + 80, SIZE[0] + 80)
     return tuple(  # type: ignore[return-value]
@@ -65,7 +65,7 @@ def test_patterns_that_pass_each_other_slip(past_px: tuple[int, int]) -> None:
 
 
 def test_slip_is_measured_on_a_picture_that_turns() -> None:
-    """A turn of 0.15 rad about the middle is no slip."""
+    """A turn of 0.15 rad about the middle is no disagreement."""
     c, s = np.cos(0.15), np.sin(0.15)
     u, v = (SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2
     turn = np.array([[c, -s, u - c * u + s * v], [s, c, v - s * u - c * v], [0.0, 0.0, 1.0]])

@@ -16,7 +16,7 @@ WIDE = np.array([0.1, 0.1, 0.1, 30.0, 30.0, 30.0])
 
 
 def view(rng: np.random.Generator, P: int = 40) -> tuple[Array, Array, Array, Array]:
-    """Points, exact measurements, R_cam_enu and centre: 250 m up, 20 degrees off the vertical, some relief."""
+    """Points, exact measurements, R_cam_enu and centre: 250 m up, 20 degrees off the vertical, rough ground."""
     R = (R_ENU_NED @ matrix_from_euler(0.05, -0.03, 0.7) @ mount_rotation(0.0, -70.0, 10.0)).T
     centre = np.array([5.0, -7.0, 250.0])
     rays = np.column_stack([rng.uniform(-0.36, 0.36, P), rng.uniform(-0.27, 0.27, P), np.ones(P)])
@@ -39,7 +39,7 @@ def test_the_pose_is_found_from_five_degrees_and_ten_metres_off() -> None:
 
 
 def test_the_information_is_that_of_the_errors() -> None:
-    """Prior and pixels drawn from what is believed of them: normalised errors are chi-square with six degrees."""
+    """Prior and pixels drawn from their stated sigmas: normalised errors are chi-square with six degrees."""
     prior = np.array([0.02, 0.02, 0.02, 2.0, 2.0, 2.0])
     values = []
     for seed in range(150):

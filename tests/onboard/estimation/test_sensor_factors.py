@@ -93,7 +93,7 @@ def test_one_keyframe_without_attitude_takes_the_sensor_out(scene: Scene) -> Non
 
 
 def test_a_common_shift_costs_what_the_wandering_sigma_says(scene: Scene) -> None:
-    """All positions off by the wandering sigma: one sigma for a memory that outlasts the window, a little more."""
+    """All positions off by the Gauss-Markov sigma: one sigma if the correlation outlasts the window, a little more."""
     prior = priors_of(FULL, keyframes_of(scene))[PositionPrior]
     truth = truth_of(scene)
     for axis, sigma in ((0, 1.5), (2, 2.5)):

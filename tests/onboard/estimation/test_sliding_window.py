@@ -1,4 +1,4 @@
-"""The window answers where it may be believed and says why where not."""
+"""The window answers where its result is sound and says why where not."""
 
 from __future__ import annotations
 

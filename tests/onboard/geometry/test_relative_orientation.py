@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from contract.rotations import R_ENU_NED, exp_so3, log_so3, matrix_from_euler, mount_rotation
 from onboard.estimation import initialisation
 from onboard.geometry.relative_orientation import (
+    _five_point,
     absolute_from_direction,
     epipolar_error,
     refine_direction,
@@ -30,7 +31,7 @@ TOLERANCE = 4.0 * PIXEL
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """Two views of one ground: unit-depth rays (N, 3) of both, truth, and what is assumed of the mount."""
+    """Two views of one ground: rays (N, 3) of both, truth, and what is assumed of the mount."""
 
     rays1: Array
     rays2: Array
@@ -127,7 +128,7 @@ def test_true_matches_lie_on_their_epipolar_planes_and_a_pixel_off_is_a_pixel_of
 
 def test_the_seeds_printed_constraint_mixes_axes_and_ours_does_not() -> None:
     """(3.3) and the three readings of the seed's line: world rays with t, camera rays with R t; never R^-1 t."""
-    # Oblique: the R of a camera that looks straight down is a half turn, its own inverse, and hides one of the slips.
+    # Oblique: the R of a camera that looks straight down is a half turn, its own inverse, and hides one of the errors.
     v = views(np.random.default_rng(6), turn_deg=3.0, noise=0.0, mount_yaw_deg=-90.0, mount_pitch_deg=-50.0)
     R, t = v.first, v.baseline_enu_m / np.linalg.norm(v.baseline_enu_m)
 
@@ -262,6 +263,37 @@ def test_rays_that_belong_to_no_pair_of_views_are_refused() -> None:
     v = views(rng, outliers=1.0)
     assert start_pair(v.rays1, v.rays2, v.baseline_enu_m, v.R_body_cam, TOLERANCE) is None
     assert start_pair(v.rays1[:5], v.rays2[:5], v.baseline_enu_m, v.R_body_cam, TOLERANCE) is None
+
+
+def five_point_is_right(v: Views) -> bool:
+    """Whether the five-point start has the rotation within a degree and the direction of travel within six."""
+    for Q, t in _five_point(v.rays1, v.rays2, float(np.linalg.norm(v.baseline_enu_m)), TOLERANCE):
+        cosine = float(t @ v.t_cam1) / float(np.linalg.norm(t) * np.linalg.norm(v.t_cam1))
+        return angle_deg(Q, v.Q) < 1.0 and cosine > np.cos(np.radians(6.0))
+    return False
+
+
+def test_five_points_find_large_turns_over_rough_ground_whatever_the_heading() -> None:
+    def rate(outliers: float) -> float:
+        drawn = []
+        for seed in range(40):
+            rng = np.random.default_rng(seed)
+            turn, crab, roll = rng.uniform([0.0, -180.0, -20.0], [15.0, 180.0, 20.0])
+            v = views(rng, turn_deg=turn, crab_deg=crab, roll_deg=roll, relief_m=40.0, outliers=outliers)
+            if len(v.rays1) >= 30:
+                drawn.append(five_point_is_right(v))
+        assert len(drawn) >= 35
+        return float(np.mean(drawn))
+
+    assert rate(0.0) >= 0.95
+    assert rate(0.2) >= 0.85
+
+
+@pytest.mark.parametrize("extent", [(0.3, 0.0), (0.0, 0.0)], ids=["a line", "one place"])
+def test_five_points_give_nothing_from_points_on_a_line_or_in_one_place(extent: tuple[float, float]) -> None:
+    at = np.random.default_rng(1).uniform(-1.0, 1.0, (30, 2)) * extent
+    rays1 = np.column_stack([at, np.ones(30)])
+    assert _five_point(rays1, rays1 + np.array([0.1, 0.0, 0.0]), 80.0, TOLERANCE) == []
 
 
 def test_a_whole_window_is_oriented_from_its_best_pair() -> None:

@@ -162,6 +162,41 @@ def test_far_from_every_tile_there_is_no_terrain(geographic: Path) -> None:
     assert TerrainFiles(geographic).around(LocalFrame(10.0, 20.0, 0.0), CENTRE, 400.0, 40.0, 11.0) is None
 
 
+def counting(path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[TerrainFiles, list[int]]:
+    """Elevation files, and a list that grows by one whenever a tile is looked at."""
+    files, looks = TerrainFiles(path), []
+    sample = files._sample
+    monkeypatch.setattr(files, "_sample", lambda *a: (looks.append(1), sample(*a))[1])
+    return files, looks
+
+
+def test_a_miss_is_remembered_while_the_aircraft_stays_near(geographic: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files, looks = counting(geographic, monkeypatch)
+    away = LocalFrame(-44.5, 172.5, 120.0)
+    for step in range(100):
+        assert files.around(away, np.array([2.0 * step, 0.0, 80.0]), 900.0, 90.0, 11.0) is None
+    assert len(looks) == 1
+    assert files.around(away, np.array([301.0, 0.0, 80.0]), 900.0, 90.0, 11.0) is None
+    assert len(looks) == 2
+    # Nothing of it holds for more than was looked at, nor elsewhere.
+    assert files.around(away, np.array([301.0, 0.0, 80.0]), 1000.0, 90.0, 11.0) is None
+    assert len(looks) == 3
+    assert files.around(FRAME, np.array([301.0, 0.0, 80.0]), 900.0, 90.0, 11.0) is not None
+
+
+def test_terrain_is_found_again_before_the_aircraft_is_over_it(
+    geographic: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Flown north from 10 km south of the model: found when its edge is 2/3 of the radius to the whole radius away."""
+    files, looks = counting(geographic, monkeypatch)
+    edge_m = FRAME.to_enu(-43.55, 172.5, 0.0)[1]
+    for gap_m in np.arange(10_000.0, 0.0, -20.0):
+        if files.around(FRAME, np.array([0.0, edge_m - gap_m, 80.0]), 900.0, 90.0, 11.0) is not None:
+            break
+    assert 600.0 - 20.0 <= gap_m <= 900.0 + 20.0
+    assert 28 <= len(looks) <= 33  # every 300 m of 9.1 to 9.4 km, not each of 460 steps
+
+
 def test_a_folder_of_tiles_is_one_terrain(geographic: Path, utm: Path) -> None:
     both = TerrainFiles(geographic.parent).around(FRAME, CENTRE, 3000.0, 100.0, 11.0)
     one = TerrainFiles(geographic).around(FRAME, CENTRE, 3000.0, 100.0, 11.0)

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def strip(rng: np.random.Generator, K: int = 5, P: int = 40, step_m: float = 20.0) -> tuple[Array, Array, Array, Array]:
-    """R_cam_enu, centres, points, exact unit-depth measurements of a pass straight overhead at 250 m."""
+    """R_cam_enu, centres, points, exact normalised image coordinates of a pass straight overhead at 250 m."""
     base = (R_ENU_NED @ mount_rotation(0.0, -90.0, 0.0)).T
     R = exp_so3(0.05 * rng.standard_normal((K, 3))) @ base
     centres = np.arange(K)[:, None] * np.array([step_m, 0.0, 0.0]) + [0.0, 0.0, 250.0]

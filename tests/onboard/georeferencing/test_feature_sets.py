@@ -15,7 +15,8 @@ from ground.answer import CHI2_2, Fix
 from ground.locate import Locator
 from onboard.config.schema import Config
 from onboard.estimation.sliding_window import Window
-from onboard.georeferencing.feature_sets import Origin, georeference
+from onboard.geometry.plane_homography import Pose
+from onboard.georeferencing.feature_sets import Origin, Picture, georeference
 from tests.onboard.scenes import FRAME, FULL, SEED_SENSORS, T0_NS, Scene, SceneSpec, draw
 
 Array = NDArray[np.float64]
@@ -35,7 +36,8 @@ def publish(scene: Scene, window: Window, frame: int) -> FeatureSet | Status:
     assert guess is not None
     assert window.solved is not None
     origin = Origin("uav-1", 7, frame, T0_NS + frame, 0, bool(scene.is_key[frame]))
-    return georeference(window, window.solved, seen, origin, FRAME, UNDULATION_M, guess[1], guess[0])
+    picture = Picture(window.camera, origin, FRAME, UNDULATION_M)
+    return georeference(window, window.solved, seen, picture, Pose(*guess))
 
 
 def truth_at(scene: Scene, frame: int, uv: Array) -> Array:
@@ -67,7 +69,7 @@ def study(
 ) -> tuple[Study, Study]:
     """Fly, solve, publish and click in worlds as `config` believes them: on a keyframe, and on a picture between.
 
-    At most `may_refuse` windows may be refused; with errors as believed none is.
+    At most `may_refuse` windows may be refused; with errors as configured none is.
     """
     out = Study(), Study()
     refused = 0
@@ -116,7 +118,7 @@ WORLDS = 150
 def test_nine_of_ten_clicks_lie_inside_the_ellipse_with_the_full_sensor_set() -> None:
     """Flat ground of unknown slope, every sensor erring as configured, boresight and clock unknown.
 
-    Means of chi-square over 150 worlds scatter by 0.08 (two degrees of freedom), 0.12, 0.05 and 0.07.
+    Means of chi-square over 150 worlds have a sigma of 0.08 (two degrees of freedom), 0.12, 0.05 and 0.07.
     """
     for s in study(FULL, SceneSpec(), WORLDS):
         assert s.refused == 0
@@ -148,7 +150,7 @@ def test_with_the_seeds_sensors_the_ellipse_is_wide_and_holds_what_it_says() -> 
 
 
 def test_an_ellipse_that_is_believed_too_small_would_be_noticed() -> None:
-    """Sensors that err twice as much as configured: clicks leave their ellipses, or the window is not believed."""
+    """Sensors with errors twice as large as configured: clicks leave their ellipses, or the window is refused."""
     s, _ = study(FULL, SceneSpec(error_scale=2.0), 40, first_seed=3000, may_refuse=10)
     assert np.mean(np.array(s.horizontal) < CHI2_2) < 0.7
     assert 2.5 < np.mean(s.horizontal) / 2 < 6.0

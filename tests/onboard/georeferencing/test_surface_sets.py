@@ -15,12 +15,12 @@ from ground.answer import CHI2_2, Fix
 from ground.locate import Locator
 from onboard.estimation.sensor_pose import SensorPose
 from onboard.geometry.terrain_grid import Terrain
-from onboard.georeferencing.feature_sets import Origin
-from onboard.georeferencing.surface_sets import level_cast, over_surface
+from onboard.georeferencing.feature_sets import Origin, Picture
+from onboard.georeferencing.surface_sets import Surface, level_cast, over_surface
 
 CAMERA = Camera.from_field_of_view(640, 480, 40.0)
 FRAME = LocalFrame(-43.4, 172.4, 100.0)
-ORIGIN = Origin("uav", 1, 0, 1_795_217_000_000_000_000, 0, False)
+PICTURE = Picture(CAMERA, Origin("uav", 1, 0, 1_795_217_000_000_000_000, 0, False), FRAME, 0.0)
 SIGMAS = np.array([1.5, 1.5, 2.5, *np.radians([1.0, 1.0, 2.0]), 4.0])
 HEIGHT_M = 120.0
 
@@ -36,7 +36,7 @@ def pose(pitch_deg: float = -90.0, **angles: float) -> SensorPose:
 
 
 def level_set(sensor_pose: SensorPose, height_m: float = 0.0) -> FeatureSet | Status:
-    return over_surface(CAMERA, sensor_pose, level_cast(height_m), 0.0, DepthSource.PLANE, ORIGIN, FRAME, 0.0)
+    return over_surface(PICTURE, sensor_pose, Surface(level_cast(height_m), 0.0, DepthSource.PLANE))
 
 
 def hills() -> Terrain:
@@ -63,7 +63,7 @@ def test_with_the_true_pose_over_level_ground_a_click_is_exact(pitch_deg: float)
 
 
 def draw(rng: np.random.Generator, sensor_pose: SensorPose, terrain: Terrain | None) -> tuple[FeatureSet, np.ndarray]:
-    """A set from a wrongly believed pose over a wrongly known ground, and the true points of CLICKS."""
+    """A set from a pose with errors over a ground with errors, and the true points of CLICKS."""
     e = SIGMAS * rng.standard_normal(7)
     wrong = replace(
         sensor_pose,
@@ -78,7 +78,7 @@ def draw(rng: np.random.Generator, sensor_pose: SensorPose, terrain: Terrain | N
         cast, believed_cast, source = terrain.cast, known.cast, DepthSource.TERRAIN
     d = rays @ sensor_pose.R_cam_enu
     truth = sensor_pose.centre_enu_m + d * cast(sensor_pose.centre_enu_m, d)[:, None]
-    s = over_surface(CAMERA, wrong, believed_cast, 0.5 if terrain else 0.0, source, ORIGIN, FRAME, 0.0)
+    s = over_surface(PICTURE, wrong, Surface(believed_cast, 0.5 if terrain else 0.0, source))
     assert isinstance(s, FeatureSet)
     return s, truth
 

@@ -239,7 +239,7 @@ def test_the_command_issues_what_a_click_over_the_encrypted_link_needs(
     with Publisher("uav-1", [endpoint], rate=WIDE, tls=Tls.in_folder(folder / "uav-1")) as publisher:
         publisher.publish(a_set(3))
         capsys.readouterr()
-        click = ["click", "320", "240", "--connect", endpoint, "--format", "json"]
+        click = ["click", "320", "240", "--max-age", "60", "--connect", endpoint, "--format", "json"]
         assert ground_main([*click, "--credentials", str(folder / "cleo")]) == 0
         assert json.loads(capsys.readouterr().out)["frame"] == 3
         files = [str(folder / "ben" / name) for name in ("ca.pem", "certificate.pem", "key.pem")]

@@ -19,7 +19,9 @@ from contract.wire.codec import decode, encode
 from ground.__main__ import main
 from ground.answer import Fix, Refusal
 from ground.client import SetCache, ask
+from onboard.events.supervised_thread import ThreadState
 from onboard.link.publisher import Publisher, Rate
+from onboard.link.socket_backlog import Backlog
 from tests.contract.sets import plain_set
 from tests.onboard.link.ports import free_endpoint
 
@@ -224,7 +226,8 @@ def test_two_vehicles_at_one_endpoint_must_be_told_apart(endpoint: str, capsys: 
         assert eventually(both)
         assert main(["click", "320", "240", "--connect", endpoint]) == 2
         assert "several vehicles answer: uav-1, uav-2" in capsys.readouterr().err
-        assert main(["click", "320", "240", "--connect", endpoint, "--vehicle", "uav-2", "--format", "json"]) == 0
+        options = ["--vehicle", "uav-2", "--max-age", "60", "--format", "json"]
+        assert main(["click", "320", "240", "--connect", endpoint, *options]) == 0
         assert json.loads(capsys.readouterr().out)["frame"] == 4
 
 
@@ -251,7 +254,7 @@ def test_a_live_click_in_its_own_process_answers_and_refuses(publisher: Publishe
         done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=Path(__file__).parents[3])
         return done.returncode, done.stdout, done.stderr
 
-    code, out, _ = click("--format", "json")
+    code, out, _ = click("--format", "json", "--max-age", "60")  # a loaded machine may take its time
     expected = decode(encode(a_set(7)))
     assert code == 0
     assert json.loads(out)["frame"] == 7 and json.loads(out)["vehicle"] == expected.vehicle
@@ -259,3 +262,44 @@ def test_a_live_click_in_its_own_process_answers_and_refuses(publisher: Publishe
     assert code == 3 and json.loads(out)["status"] == "unknown_frame" and json.loads(out)["frame"] == 8
     code, out, err = click("--file", "x.png")
     assert (code, out) == (2, "") and "--frame or --time" in err
+
+
+@pytest.mark.parametrize("error", [OSError(24, "Too many open files"), RuntimeError("a bug")])
+def test_an_error_in_the_links_thread_costs_a_moment_and_not_the_link(
+    publisher: Publisher, endpoint: str, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    assert publisher.thread.report().state is ThreadState.RUNNING
+    send, left = Publisher._send_one, [2]
+
+    def fail(self: Publisher) -> float:
+        left[0] -= 1
+        if left[0] >= 0:
+            raise error
+        return send(self)
+
+    monkeypatch.setattr(Publisher, "_send_one", fail)
+    assert eventually(lambda: publisher.thread.report().restarts == 2)
+    publisher.publish(a_set(3))
+    assert got(ask(endpoint)).frame == 3
+    report = publisher.thread.report()
+    assert (report.state, report.restarts) == (ThreadState.RUNNING, 2) and str(error) in report.last_error
+
+
+def test_sets_go_out_where_it_cannot_be_known_what_is_under_way(
+    publisher: Publisher, endpoint: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Without a free descriptor the process cannot look at its sockets."""
+
+    def fail(self: Backlog, peers: object) -> int:
+        raise OSError(24, "Too many open files")
+
+    monkeypatch.setattr(Backlog, "unacknowledged", fail)
+    with SetCache(endpoint) as cache:
+
+        def heard() -> bool:
+            publisher.publish(a_set(0))
+            return cache.newest("uav-1") is not None
+
+        assert eventually(heard)
+    assert publisher.thread.report().restarts == 0
+    assert caplog.text.count("Too many open files") == 1

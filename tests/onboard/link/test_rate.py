@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 
 import pytest
 from hypothesis import given, settings
@@ -11,69 +10,7 @@ from hypothesis import strategies as st
 
 from onboard.link.byte_budget import BURST_S, CONNECT_BYTES, PACKET_BYTES, Budget, Kind
 from onboard.link.set_selection import Offer, Selection
-
-SECOND_NS = 1_000_000_000
-START_NS = 1_700_000_000 * SECOND_NS
-
-
-def an_offer(frame: int, at_s: float, revision: int = 0, is_ok: bool = True, is_keyframe: bool = False) -> Offer[str]:
-    return Offer(1, frame, revision, START_NS + round(at_s * 1e9), is_ok, is_keyframe, f"{frame}.{revision}")
-
-
-@dataclass
-class Sent:
-    at_s: float
-    kind: Kind
-    wire_bytes: float
-    offer: Offer[str] | None = None
-
-
-def run(
-    budget: Budget,
-    offers: list[tuple[float, Offer[str]]],
-    duration_s: float,
-    set_bytes: int = 600,
-    status_bytes: int = 0,
-    replies_hz: float = 0.0,
-) -> list[Sent]:
-    """The publisher's loop without its thread: sets come as given, a status a second, replies as often as asked."""
-    selection: Selection[str] = Selection()
-    sent: list[Sent] = []
-    waiting = sorted(offers, key=lambda pair: pair[0])
-    status_due, replies_due, step_s = 0.0, 0.0, 0.02
-    for tick in range(round(duration_s / step_s)):
-        now_s = tick * step_s
-        while waiting and waiting[0][0] <= now_s:
-            selection.offer(waiting.pop(0)[1])
-        budget.waits(Kind.SET, set_bytes if selection.waiting else None, now_s)
-        budget.waits(Kind.STATUS, status_bytes if status_bytes and now_s >= status_due else None, now_s)
-        budget.waits(Kind.REPLY, set_bytes if replies_hz and now_s >= replies_due else None, now_s)
-        if status_bytes and now_s >= status_due and budget.send(Kind.STATUS, status_bytes, now_s):
-            sent.append(Sent(now_s, Kind.STATUS, budget.cost(Kind.STATUS, status_bytes)))
-            status_due = now_s + 1.0
-        if replies_hz and now_s >= replies_due and budget.send(Kind.REPLY, set_bytes, now_s):
-            sent.append(Sent(now_s, Kind.REPLY, budget.cost(Kind.REPLY, set_bytes)))
-            replies_due = now_s + 1.0 / replies_hz
-        chosen = selection.next(now_s)
-        if chosen is not None and budget.send(Kind.SET, set_bytes, now_s):
-            selection.sent(chosen, now_s)
-            sent.append(Sent(now_s, Kind.SET, budget.cost(Kind.SET, set_bytes), chosen))
-    return sent
-
-
-def flight(duration_s: float, rate_hz: float = 30.0, revised_after_s: float = 3.0) -> list[tuple[float, Offer[str]]]:
-    """Every picture at once, and again when the window has seen past it; every tenth is a keyframe."""
-    offers: list[tuple[float, Offer[str]]] = []
-    for frame in range(round(duration_s * rate_hz)):
-        at_s = frame / rate_hz
-        key = frame % 10 == 0
-        offers.append((at_s + 0.05, an_offer(frame, at_s, is_keyframe=key)))
-        offers.append((at_s + revised_after_s, an_offer(frame, at_s, 1, is_keyframe=key)))
-    return offers
-
-
-def sets(sent: list[Sent]) -> list[tuple[float, Offer[str]]]:
-    return [(s.at_s, s.offer) for s in sent if s.offer is not None]
+from tests.onboard.link.virtual import START_NS, Radio, an_offer, flight, run, sets
 
 
 @settings(deadline=None, max_examples=25)
@@ -250,3 +187,46 @@ def test_time_that_stands_still_or_runs_backwards_earns_nothing(kind: Kind) -> N
     budget = Budget(8000.0, 0.2, 30.0, 100.0)
     sent = sum(budget.send(kind, 600, 100.0 - i) for i in range(50))
     assert sent <= 3
+
+
+# What tests/onboard/link/test_thin_links.py shows of real sessions in real time, of the rules alone: to the hundredth.
+
+
+@pytest.mark.parametrize("cut_s", [5.0, 9.0, 40.0, 120.0])
+@pytest.mark.parametrize(("bit_rate", "is_stream"), [(64000.0, True), (44000.0, True), (64000.0, False)])
+def test_after_a_cut_the_newest_picture_is_there_within_a_second_or_two(
+    cut_s: float, bit_rate: float, is_stream: bool
+) -> None:
+    radio = Radio(bit_rate, ((10.0, 10.0 + cut_s),), is_stream)
+    run(Budget(32000.0, 0.2, 5.0, 0.0), flight(cut_s + 20.0, 10.0), cut_s + 20.0, 600, 300, radio=radio)
+    assert max(radio.ages_s(1.0, 10.0)) < 0.8
+    assert max(radio.ages_s(10.0, 10.0 + cut_s)) > cut_s - 0.8
+    assert max(radio.ages_s(10.0 + cut_s + 1.0, cut_s + 20.0)) < 1.5
+    assert max(radio.ages_s(10.0 + cut_s + 2.5, cut_s + 20.0)) < 0.8
+
+
+def test_without_holding_back_a_cut_would_be_paid_for_long_after(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That the radio above can tell: with all that was sent into the cut still to come, the newest is late."""
+    monkeypatch.setattr(Radio, "unacknowledged", lambda _: 0.0)
+    radio = Radio(44000.0, ((10.0, 19.0),))
+    run(Budget(32000.0, 0.2, 5.0, 0.0), flight(30.0, 10.0), 30.0, 600, 300, radio=radio)
+    assert max(radio.ages_s(20.5, 30.0)) > 5.0
+
+
+@pytest.mark.parametrize(
+    ("offered", "carried", "replies_hz", "median_s", "worst_s"),
+    [
+        (32000.0, 64000.0, 0.0, 0.5, 0.8),
+        (32000.0, 64000.0, 1.0, 0.6, 1.0),
+        (9600.0, 14400.0, 0.0, 1.2, 2.5),
+        (32000.0, 16000.0, 0.0, 3.0, 4.0),  # slower than we are told: what is unacknowledged holds the delay
+    ],
+)
+def test_the_delay_on_a_slow_radio_does_not_grow(
+    offered: float, carried: float, replies_hz: float, median_s: float, worst_s: float
+) -> None:
+    radio = Radio(carried)
+    run(Budget(offered, 0.2, 5.0, 0.0), flight(120.0, 10.0), 120.0, 600, 300, replies_hz, radio)
+    for began_s in (5.0, 95.0):
+        found = sorted(radio.ages_s(began_s, began_s + 25.0))
+        assert 0.05 < found[len(found) // 2] < median_s and found[-1] < worst_s

@@ -1,5 +1,7 @@
 """The link as it is flown: cut, lossy, thin. Real zenoh sessions through a link in user space, in real time.
 
+The rules behind it are held to far tighter bounds in virtual time by test_rate.py; here is what TCP, UDP and zenoh add.
+
 "Newest" is meant of pictures: the capture time of the newest set the ground holds, against the moment.
 """
 
@@ -12,6 +14,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
+import pytest
+
 from contract.feature_set import FeatureSet
 from contract.vehicle_status import VehicleStatus, encode_status
 from ground.client import SetCache, ask
@@ -19,6 +23,8 @@ from onboard.link.publisher import Publisher, Rate
 from tests.contract.sets import plain_set
 from tests.onboard.link.ports import free_endpoint
 from tests.onboard.link.thin import ThinLink
+
+pytestmark = pytest.mark.wall_clock
 
 BASE = plain_set(100)
 PICTURES_HZ = 10.0

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from contract.feature_set import Status
 from contract.rotations import exp_so3
 from onboard.geometry.plane_homography import move
 from onboard.navigation.navigator import NavState
@@ -41,6 +42,15 @@ def test_it_stays_stale_however_long_it_is_repeated_and_a_new_one_ends_it() -> N
     assert staleness.is_stale(changed, at(11.0))
 
 
+def test_a_time_offset_learned_since_moves_nothing() -> None:
+    """The older state is looked up anew, with the offset that the newer one has: 2 m/s, learned 0.4 s."""
+    staleness = Staleness()
+    staleness.is_stale(PICTURE, at(0.0))
+    assert not staleness.is_stale(PICTURE.copy(), at(0.8), lambda stamp_ns: at(0.8))
+    assert staleness.is_stale(PICTURE.copy(), at(1.6), lambda stamp_ns: at(0.8))
+    assert staleness.is_stale(PICTURE.copy(), at(0.8), lambda stamp_ns: Status.UNSYNCHRONISED)
+
+
 IDS = np.arange(40)
 FEATURES = np.random.default_rng(4).uniform([10.0, 10.0], [630.0, 470.0], (40, 2))
 
@@ -61,10 +71,10 @@ def stillness() -> Stillness:
     return out
 
 
-@pytest.mark.parametrize(("foretold_px", "old"), [(5.0, False), (8.0, False), (9.0, True), (60.0, True)])
-def test_a_picture_encoded_anew_is_old_once_telemetry_is_sure(foretold_px: float, old: bool) -> None:
+@pytest.mark.parametrize(("predicted_px", "old"), [(5.0, False), (8.0, False), (9.0, True), (60.0, True)])
+def test_a_picture_encoded_anew_is_old_once_telemetry_is_sure(predicted_px: float, old: bool) -> None:
     """Sure is two sigmas: 3 px and a share of 0.15, so 8.6 px."""
-    assert stillness().is_old(seen(0.0), shifted(foretold_px), 1) is old
+    assert stillness().is_old(seen(0.0), shifted(predicted_px), 1) is old
 
 
 def test_steps_too_small_for_one_picture_add_up() -> None:
@@ -75,7 +85,7 @@ def test_steps_too_small_for_one_picture_add_up() -> None:
     assert verdicts == [False] * 3 + [True] * 4
 
 
-def test_ground_that_moves_as_foretold_or_otherwise_is_new() -> None:
+def test_ground_that_moves_as_predicted_or_otherwise_is_new() -> None:
     still = stillness()
     assert not any(still.is_old(seen(12.0 * k), shifted(12.0 * k), k) for k in range(1, 6))
     assert not any(still.is_old(seen(60.0 + 1.0 * k), shifted(60.0 + 12.0 * k), k) for k in range(1, 6))

@@ -1,4 +1,4 @@
-"""What carries the camera is decided by pictures: each reading wins where it is true, and none where nothing tells."""
+"""The mount hypothesis is selected by reprojection error: the true one wins, and none where nothing shows which."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def state(t: float, wobble_rad: float, joints: Array, speed_m_s: float = 20.0) -
 def pictures(
     truth: MountHypothesis, joints_of: str, count: int, wobble_rad: float = 0.1, speed_m_s: float = 20.0
 ) -> tuple[MountSelection, int | None]:
-    """A carriage after `count` pictures at 5 Hz against a keyframe a second; and at which picture it decided."""
+    """A selection after `count` pictures at 5 Hz against a keyframe a second; and at which picture it decided."""
     rng = np.random.default_rng(3)
     mount_selection = MountSelection(CAMERA, DOWN)
     decided = None
@@ -73,7 +73,7 @@ def pictures(
         R_was, R_now = ((n.mount_hypotheses[truth] @ DOWN).T for n in (was, now))
         rays, _ = CAMERA.unproject(uv)
         rays_enu = rays @ R_was
-        height = HEIGHT_M * rng.uniform(0.97, 1.03, len(uv))  # relief
+        height = HEIGHT_M * rng.uniform(0.97, 1.03, len(uv))  # ground roughness
         points = was.position_enu_m - rays_enu * (height / rays_enu[:, 2])[:, None]
         to, seen = CAMERA.project((points - now.position_enu_m) @ R_now.T)
         mount_selection.weigh(was, now, np.zeros(3), uv[seen], to[seen] + rng.normal(0.0, 0.3, (int(seen.sum()), 2)))

@@ -26,8 +26,9 @@ from onboard.events.types import Event, Frame
 from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.runner import Flight
 from onboard.service.daemon import Daemon, Order
+from onboard.service.reports import Report
 from onboard.service.sd_notify import Notifier
-from onboard.service.session import Detail, Parts
+from onboard.service.session import Parts
 from onboard.storage.alignment_file import StateFile
 from onboard.storage.rotating_recorder import Recorded
 from simulation.flight import DescribedSpec
@@ -126,7 +127,7 @@ class Air:
     shift_ns: int = 0
     code: int | None = None
     statuses: list[tuple[float, VehicleStatus]] = field(default_factory=list)
-    details: list[Detail] = field(default_factory=list)
+    reports: list[Report] = field(default_factory=list)
     camera: PlayedSource | None = None
     telemetry: PlayedSource | None = None
     heard: Heard | None = None
@@ -214,9 +215,9 @@ def take_off(
         executor = ThreadPoolExecutor(1)
         pipeline = Pipeline(config, optics, worker=executor)
 
-        def report(status: VehicleStatus, detail: Detail) -> None:
-            air.statuses.append(((clock.now_ns() - air.first_ns) / 1e9, decode_status(encode_status(status))))
-            air.details.append(detail)
+        def report(report: Report) -> None:
+            air.statuses.append(((clock.now_ns() - air.first_ns) / 1e9, decode_status(encode_status(report.status))))
+            air.reports.append(report)
 
         more = [] if sinks is None else list(sinks())
         return Parts(

@@ -14,10 +14,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from contract.vehicle_status import VehicleStatus
 from onboard.link.status_query import ask
+from onboard.service.reports import Report
 from simulation.autopilot.fake import FakeAutopilot
 from simulation.autopilot.flight import Flight
 from simulation.session import SessionSpec
@@ -78,12 +78,13 @@ class Aircraft:
         assert self.process is not None
         return self.process.wait(within_s)
 
-    def detail(self) -> dict[str, Any] | None:
-        return ask("uav", [self.endpoint])
+    def report(self) -> Report | None:
+        answer = ask("uav", [self.endpoint])
+        return None if answer is None else Report.from_json(answer)
 
     def status(self) -> VehicleStatus | None:
-        detail = self.detail()
-        return None if detail is None else VehicleStatus(**detail["status"])
+        report = self.report()
+        return None if report is None else report.status
 
     def wait_for(self, *words: str, within_s: float = 30.0) -> float:
         """Until the state is one of these; seconds waited."""

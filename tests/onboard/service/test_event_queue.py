@@ -1,4 +1,4 @@
-"""The intake: telemetry always, pictures while they are of now."""
+"""The event queue: telemetry always, pictures while they are of now."""
 
 from __future__ import annotations
 
@@ -29,43 +29,43 @@ def fix(index: int) -> GpsQuality:
     return GpsQuality(index, 3)
 
 
-def drained(intake: EventQueue) -> list[Event]:
+def drained(event_queue: EventQueue) -> list[Event]:
     out = []
-    while (got := intake.get(0.0)) is not None:
+    while (got := event_queue.get(0.0)) is not None:
         out.append(got[1])
     return out
 
 
 def test_events_leave_in_the_order_and_with_the_arrival_they_came_with() -> None:
-    intake = EventQueue(Clock().now_ns, 1.0)
+    event_queue = EventQueue(Clock().now_ns, 1.0)
     events: list[Event] = [fix(0), picture(1), fix(2), fix(3), picture(4)]
     for event in events:
-        intake.put(100 + event.stamp_ns, event)
-    assert [intake.get(0.0) for _ in events] == [(100 + e.stamp_ns, e) for e in events]
-    assert intake.get(0.0) is None
+        event_queue.put(100 + event.stamp_ns, event)
+    assert [event_queue.get(0.0) for _ in events] == [(100 + e.stamp_ns, e) for e in events]
+    assert event_queue.get(0.0) is None
 
 
 def test_pictures_that_waited_too_long_are_dropped_oldest_first_and_telemetry_never() -> None:
     clock = Clock()
-    intake = EventQueue(clock.now_ns, 1.0)
+    event_queue = EventQueue(clock.now_ns, 1.0)
     for n in range(10):
         clock.s = 0.2 * n
-        intake.put(0, picture(n))
-        intake.put(0, fix(n))
-    left = drained(intake)
+        event_queue.put(0, picture(n))
+        event_queue.put(0, fix(n))
+    left = drained(event_queue)
     assert [e.stamp_ns for e in left if isinstance(e, GpsQuality)] == list(range(10))
     assert [e.index for e in left if isinstance(e, Frame)] == [4, 5, 6, 7, 8, 9]
-    assert intake.dropped == 4
-    assert intake.dropped_within(1.0)
+    assert event_queue.dropped == 4
+    assert event_queue.dropped_within(1.0)
     clock.s += 5.0
-    assert not intake.dropped_within(1.0)
+    assert not event_queue.dropped_within(1.0)
 
 
-def test_a_full_intake_drops_the_oldest_picture_for_a_new_one() -> None:
-    intake = EventQueue(Clock().now_ns, 1e3, max_pictures=3)
+def test_a_full_queue_drops_the_oldest_picture_for_a_new_one() -> None:
+    event_queue = EventQueue(Clock().now_ns, 1e3, max_pictures=3)
     for n in range(5):
-        intake.put(0, picture(n))
-    assert [e.stamp_ns for e in drained(intake)] == [2, 3, 4]
+        event_queue.put(0, picture(n))
+    assert [e.stamp_ns for e in drained(event_queue)] == [2, 3, 4]
 
 
 @given(
@@ -77,54 +77,55 @@ def test_no_picture_is_ever_handed_out_late_or_out_of_order(
     steps: list[tuple[str, float]], most: int, max_delay_s: float
 ) -> None:
     clock = Clock()
-    intake = EventQueue(clock.now_ns, max_delay_s, most)
+    event_queue = EventQueue(clock.now_ns, max_delay_s, most)
     put_at: dict[int, float] = {}
     out: list[Event] = []
     for n, (what, pause_s) in enumerate(steps):
         clock.s += pause_s
         if what == "g":
-            got = intake.get(0.0)
+            got = event_queue.get(0.0)
             if got is not None:
                 out.append(got[1])
                 if isinstance(got[1], Frame):
                     assert clock.s - put_at[n_of(got[1])] <= max_delay_s + 1e-6
         else:
             put_at[n] = clock.s
-            intake.put(0, picture(n) if what == "p" else fix(n))
-    out += drained(intake)
+            event_queue.put(0, picture(n) if what == "p" else fix(n))
+    out += drained(event_queue)
     stamps = [e.stamp_ns for e in out]
     assert stamps == sorted(stamps)
     telemetry = [e.stamp_ns for e in out if isinstance(e, GpsQuality)]
     assert telemetry == [n for n, (what, _) in enumerate(steps) if what == "t"]
     came = sum(what == "p" for what, _ in steps)
-    assert came == intake.dropped + sum(isinstance(e, Frame) for e in out)
+    assert came == event_queue.dropped + sum(isinstance(e, Frame) for e in out)
 
 
 def n_of(frame: Frame) -> int:
     return frame.index
 
 
-def test_a_closed_intake_takes_nothing_and_gives_what_it_holds() -> None:
-    intake = EventQueue(Clock().now_ns, 1.0)
-    intake.put(0, fix(0))
-    intake.close()
-    intake.put(0, fix(1))
-    assert not intake.is_over
-    assert drained(intake) == [fix(0)]
-    assert intake.is_over
+def test_a_closed_queue_takes_nothing_and_gives_what_it_holds() -> None:
+    event_queue = EventQueue(Clock().now_ns, 1.0)
+    event_queue.put(0, fix(0))
+    event_queue.close()
+    event_queue.put(0, fix(1))
+    assert not event_queue.is_over
+    assert drained(event_queue) == [fix(0)]
+    assert event_queue.is_over
 
 
 def test_whoever_waits_is_woken_by_an_event_and_by_the_end() -> None:
-    intake = EventQueue(time.monotonic_ns, 1.0)
-    for act, expected in ((lambda: intake.put(7, fix(0)), (7, fix(0))), (intake.close, None)):
+    event_queue = EventQueue(time.monotonic_ns, 1.0)
+    for act, expected in ((lambda: event_queue.put(7, fix(0)), (7, fix(0))), (event_queue.close, None)):
         timer = threading.Timer(0.05, act)
         timer.start()
         began = time.monotonic()
-        assert intake.get(10.0) == expected
+        assert event_queue.get(10.0) == expected
         assert time.monotonic() - began < 5.0
 
 
-def test_without_events_the_wait_has_an_end() -> None:
+@pytest.mark.wall_clock
+def test_without_events_the_wait_has_an_end_and_not_before_its_time() -> None:
     began = time.monotonic()
-    assert EventQueue(time.monotonic_ns, 1.0).get(0.05) is None
-    assert time.monotonic() - began == pytest.approx(0.05, abs=0.5)
+    assert EventQueue(time.monotonic_ns, 1.0).get(0.2) is None
+    assert 0.19 <= time.monotonic() - began < 2.0

@@ -6,15 +6,31 @@ from dataclasses import replace
 
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 
 from contract.feature_set import Status
-from contract.vehicle_status import MAX_WORD
+from contract.vehicle_status import MAX_STATE
 from onboard.events.source import Severity, SourceStatus, State
-from onboard.service.vehicle_state import SILENT_S, STUCK_S, Inputs, Overall, Word, is_alive, overall, severity
+from onboard.events.supervised_thread import ThreadReport, ThreadState
+from onboard.service.vehicle_state import (
+    AT_REST,
+    SILENT_S,
+    STUCK_S,
+    GpsReport,
+    Inputs,
+    Overall,
+    Subject,
+    VehicleState,
+    is_alive,
+    judge,
+    overall,
+    severity,
+)
+from tests.onboard.service.reported import inputs, unhurried
 
 OK = SourceStatus(State.OK)
-WELL = Inputs(OK, OK, 0.03, 0.0, Status.OK)
+GPS = GpsReport(3, 0.2, 14, 0.8)
+WELL = Inputs(OK, OK, 0.03, 0.0, Status.OK, GPS)
+REST = replace(WELL, outcome=Status.LOW_PARALLAX, is_at_rest=True)
 LOST, FROZEN, STARTING = (
     SourceStatus(State.LOST, "unplugged"),
     SourceStatus(State.FROZEN, "same again"),
@@ -23,73 +39,123 @@ LOST, FROZEN, STARTING = (
 LATE = SourceStatus(State.DEGRADED, "10 of 30 Hz")
 
 TABLE = [
-    (WELL, Word.OK, ""),
-    (replace(WELL, camera=STARTING, picture_age_s=None, outcome=None), Word.STARTING, "waiting for the camera"),
-    (replace(WELL, telemetry=STARTING, outcome=None), Word.STARTING, "waiting for the telemetry"),
-    (replace(WELL, outcome=None), Word.STARTING, "no picture has come through yet"),
-    (replace(WELL, outcome=Status.STARTING), Word.STARTING, "no position or too little seen yet"),
-    (replace(WELL, camera=LOST), Word.CAMERA_LOST, "unplugged"),
-    (replace(WELL, camera=LOST, picture_age_s=100.0, outcome=None), Word.CAMERA_LOST, "unplugged"),
-    (replace(WELL, camera=FROZEN), Word.CAMERA_FROZEN, "same again"),
-    (replace(WELL, telemetry=LOST), Word.TELEMETRY_LOST, "unplugged"),
-    (replace(WELL, telemetry=LOST, outcome=Status.UNSYNCHRONISED), Word.TELEMETRY_LOST, "unplugged"),
-    (replace(WELL, telemetry=FROZEN), Word.TELEMETRY_LOST, "same again"),
-    (replace(WELL, camera=LOST, telemetry=LOST), Word.CAMERA_LOST, "unplugged"),
-    (replace(WELL, picture_age_s=5.0), Word.CAMERA_SILENT, "no picture for 5 s"),
-    (replace(WELL, busy_s=9.0), Word.STUCK, "the pipeline has been at one event for 9 s"),
-    (replace(WELL, busy_s=9.0, camera=LOST), Word.STUCK, "the pipeline has been at one event for 9 s"),
-    (replace(WELL, outcome=Status.NO_GPS), Word.NO_GPS, "the position is not believed"),
-    (replace(WELL, outcome=Status.FEATURELESS), Word.FEATURELESS, "too little to follow in the pictures"),
-    (replace(WELL, outcome=Status.UNSYNCHRONISED), Word.UNSYNCHRONISED, "no telemetry about the moment of exposure"),
-    (replace(WELL, outcome=Status.LOW_PARALLAX), Word.LOW_PARALLAX, "standing still: no depth without motion"),
-    (replace(WELL, is_shedding=True), Word.OVERLOADED, "pictures are dropped to keep up"),
-    (replace(WELL, is_shedding=True, outcome=Status.NO_GPS), Word.NO_GPS, "the position is not believed"),
-    (replace(WELL, recording_fault="disk full"), Word.NOT_RECORDING, "disk full"),
-    (replace(WELL, camera=LATE), Word.DEGRADED, "camera: 10 of 30 Hz"),
-    (replace(WELL, telemetry=LATE), Word.DEGRADED, "telemetry: 10 of 30 Hz"),
-    (replace(WELL, telemetry=LATE, outcome=Status.TURNING), Word.TURNING, "turning too fast to follow features"),
+    (WELL, VehicleState.OK, ""),
+    (replace(WELL, camera=STARTING, picture_age_s=None, outcome=None), VehicleState.STARTING, "waiting for the camera"),
+    (replace(WELL, telemetry=STARTING, outcome=None), VehicleState.STARTING, "waiting for the telemetry"),
+    (replace(WELL, outcome=None), VehicleState.STARTING, "no picture has come through yet"),
+    (replace(WELL, outcome=Status.STARTING), VehicleState.STARTING, "no position or too little seen yet"),
+    (replace(WELL, camera=LOST), VehicleState.CAMERA_LOST, "unplugged"),
+    (replace(WELL, camera=LOST, picture_age_s=100.0, outcome=None), VehicleState.CAMERA_LOST, "unplugged"),
+    (replace(WELL, camera=FROZEN), VehicleState.CAMERA_FROZEN, "same again"),
+    (replace(WELL, telemetry=LOST), VehicleState.TELEMETRY_LOST, "unplugged"),
+    (replace(WELL, telemetry=LOST, outcome=Status.UNSYNCHRONISED), VehicleState.TELEMETRY_LOST, "unplugged"),
+    (replace(WELL, telemetry=FROZEN), VehicleState.TELEMETRY_LOST, "same again"),
+    (replace(WELL, camera=LOST, telemetry=LOST), VehicleState.CAMERA_LOST, "unplugged"),
+    (replace(WELL, picture_age_s=5.0), VehicleState.CAMERA_SILENT, "no picture for 5 s"),
+    (replace(WELL, busy_s=9.0), VehicleState.STUCK, "the pipeline has been at one event for 9 s"),
+    (replace(WELL, busy_s=9.0, camera=LOST), VehicleState.STUCK, "the pipeline has been at one event for 9 s"),
+    (replace(WELL, outcome=Status.NO_GPS), VehicleState.NO_GPS, "the position is not believed"),
+    (replace(WELL, outcome=Status.FEATURELESS), VehicleState.FEATURELESS, "too little to follow in the pictures"),
+    (replace(WELL, outcome=Status.UNSYNCHRONISED), VehicleState.UNSYNCHRONISED,
+     "no telemetry about the moment of exposure"),
+    (replace(WELL, outcome=Status.LOW_PARALLAX), VehicleState.LOW_PARALLAX, "standing still: no depth without motion"),
+    (replace(WELL, is_shedding=True), VehicleState.OVERLOADED, "pictures are dropped to keep up"),
+    (replace(WELL, is_shedding=True, outcome=Status.NO_GPS), VehicleState.NO_GPS, "the position is not believed"),
+    (replace(WELL, recording_fault="disk full"), VehicleState.NOT_RECORDING, "disk full"),
+    (replace(WELL, camera=LATE), VehicleState.DEGRADED, "camera: 10 of 30 Hz"),
+    (replace(WELL, telemetry=LATE), VehicleState.DEGRADED, "telemetry: 10 of 30 Hz"),
+    (REST, VehicleState.AT_REST, AT_REST),
+    (replace(REST, outcome=Status.STARTING), VehicleState.AT_REST, AT_REST),
+    (replace(REST, outcome=Status.FEATURELESS), VehicleState.AT_REST, AT_REST),
+    (replace(REST, outcome=Status.OK), VehicleState.OK, ""),
+    (replace(REST, outcome=Status.POOR_FIT), VehicleState.POOR_FIT, "pictures and telemetry contradict each other"),
+    (replace(REST, outcome=Status.BAD_PICTURE), VehicleState.BAD_PICTURE, "pictures cannot be used"),
+    (replace(REST, outcome=None), VehicleState.STARTING, "no picture has come through yet"),
+    (replace(REST, position_fault="far from it"), VehicleState.NO_GPS, "position: far from it"),
+    (replace(REST, recording_fault="disk full"), VehicleState.NOT_RECORDING, "disk full"),
+    (replace(REST, camera=LATE), VehicleState.DEGRADED, "camera: 10 of 30 Hz"),
+    (replace(WELL, outcome=Status.POOR_FIT, position_fault="far from it"), VehicleState.NO_GPS,
+     "position: far from it"),
+    (replace(WELL, outcome=None, position_fault="no fix yet"), VehicleState.STARTING, "position: no fix yet"),
+    (replace(WELL, position_fault="came back unexplained"), VehicleState.DEGRADED, "position: came back unexplained"),
+    (replace(WELL, gps=None), VehicleState.DEGRADED, "gps: the receiver has said nothing"),
+    (replace(WELL, gps=replace(GPS, fix_type=1)), VehicleState.NO_GPS, "no fix (fix type 1, 14 satellites, +-0.8 m)"),
+    (replace(WELL, gps=replace(GPS, age_s=4.0)), VehicleState.NO_GPS, "the receiver is silent for 4 s"),
+    (replace(WELL, gps=replace(GPS, sigma_horizontal_m=12.0)), VehicleState.DEGRADED,
+     "gps: fix type 3, 14 satellites, +-12.0 m"),
+    (replace(WELL, threads=(ThreadReport("link", ThreadState.FAILED, None, 2, "OSError: gone"),)),
+     VehicleState.DEGRADED, "link: failed (OSError: gone)"),
+    (replace(WELL, threads=(ThreadReport("link", ThreadState.RUNNING, 0.1, 2, "OSError: gone"),)), VehicleState.OK, ""),
+    (replace(WELL, telemetry=LATE, outcome=Status.TURNING), VehicleState.TURNING,
+     "turning too fast to follow features"),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("inputs", "word", "reason"), TABLE)
-def test_the_state_has_one_word_and_its_reason(inputs: Inputs, word: Word, reason: str) -> None:
-    assert overall(inputs) == Overall(word, reason)
+@pytest.mark.parametrize(("said", "state", "reason"), TABLE)
+def test_the_state_has_one_word_and_its_reason(said: Inputs, state: VehicleState, reason: str) -> None:
+    assert overall(said) == Overall(state, reason)
 
 
-HEALTHS = st.builds(SourceStatus, st.sampled_from(State), st.just("because"))
-INPUTS = st.builds(
-    Inputs, HEALTHS, HEALTHS, st.none() | st.floats(0, 10), st.floats(0, 10), st.none() | st.sampled_from(Status),
-    st.booleans(), st.sampled_from(["", "disk full"]),
-)  # fmt: skip
-
-
-@given(INPUTS)
-def test_all_is_well_only_when_everything_is(inputs: Inputs) -> None:
-    state = overall(inputs)
+@unhurried
+@given(inputs())
+def test_all_is_well_only_when_everything_is(said: Inputs) -> None:
+    state = overall(said)
+    flows = said.outcome is Status.OK
+    rests = said.is_at_rest and said.outcome in (Status.STARTING, Status.LOW_PARALLAX, Status.FEATURELESS)
+    gps = said.gps
     everything = (
-        inputs.camera.state is State.OK
-        and inputs.telemetry.state is State.OK
-        and inputs.outcome is Status.OK
-        and not inputs.is_shedding
-        and not inputs.recording_fault
-        and inputs.busy_s <= STUCK_S
-        and (inputs.picture_age_s is None or inputs.picture_age_s <= SILENT_S)
+        said.camera.state is State.OK
+        and said.telemetry.state is State.OK
+        and (flows or rests)
+        and gps is not None
+        and gps.fix_type >= 3
+        and gps.age_s < 3.0
+        and (gps.sigma_horizontal_m is None or gps.sigma_horizontal_m <= 5.0)
+        and not said.position_fault
+        and not said.is_shedding
+        and not said.recording_fault
+        and all(thread.is_well for thread in said.threads)
+        and said.busy_s <= STUCK_S
+        and (said.picture_age_s is None or said.picture_age_s <= SILENT_S)
     )
-    assert (state.word is Word.OK) == everything
-    assert bool(state.reason) != everything
-    assert len(state.word.value) <= MAX_WORD
+    assert state.state.is_well == everything
+    assert (state.state is VehicleState.OK) == (everything and flows)
+    assert bool(state.reason) != (everything and flows)
+    assert len(state.state.value) <= MAX_STATE
 
 
-@given(INPUTS)
-def test_a_daemon_that_is_well_is_alive_and_one_that_is_stuck_is_not(inputs: Inputs) -> None:
-    if overall(inputs).word is Word.OK:
-        assert is_alive(inputs)
-    if overall(inputs).word in (Word.STUCK, Word.CAMERA_SILENT):
-        assert not is_alive(inputs) or overall(inputs).word is Word.CAMERA_SILENT
+@unhurried
+@given(inputs())
+def test_the_state_is_the_first_of_what_is_found_and_degradations_come_last(said: Inputs) -> None:
+    found = judge(said)
+    assert overall(said).state.is_well == (not found)
+    if found:
+        assert (overall(said).state, overall(said).reason) == (found[0].state, found[0].reason)
+    degraded = [finding.state is VehicleState.DEGRADED for finding in found]
+    assert degraded == sorted(degraded)
+    assert all(finding.reason for finding in found)
+
+
+def test_with_the_camera_lost_all_else_that_is_not_well_is_found_too() -> None:
+    said = replace(WELL, camera=LOST, outcome=None, gps=replace(GPS, fix_type=0), recording_fault="disk full")
+    assert [finding.subject for finding in judge(said)] == [
+        Subject.CAMERA, Subject.GPS, Subject.ANSWERS, Subject.RECORDING,
+    ]  # fmt: skip
+
+
+@unhurried
+@given(inputs())
+def test_a_daemon_that_is_well_is_alive_and_one_that_is_stuck_is_not(said: Inputs) -> None:
+    if overall(said).state.is_well:
+        assert is_alive(said)
+    if overall(said).state is VehicleState.STUCK:
+        assert not is_alive(said)
+    if overall(said).state is VehicleState.CAMERA_SILENT:
+        assert not is_alive(said)
 
 
 @pytest.mark.parametrize(
-    ("inputs", "alive"),
+    ("said", "alive"),
     [
         (WELL, True),
         (replace(WELL, busy_s=STUCK_S + 0.1), False),
@@ -101,11 +167,11 @@ def test_a_daemon_that_is_well_is_alive_and_one_that_is_stuck_is_not(inputs: Inp
         (replace(WELL, telemetry=LOST, outcome=Status.UNSYNCHRONISED), True),
     ],
 )
-def test_the_watchdog_is_fed_while_pictures_flow_or_the_camera_says_why_not(inputs: Inputs, alive: bool) -> None:
-    assert is_alive(inputs) is alive
+def test_the_watchdog_is_fed_while_pictures_flow_or_the_camera_says_why_not(said: Inputs, alive: bool) -> None:
+    assert is_alive(said) is alive
 
 
 def test_people_are_told_of_faults_louder_than_of_flying() -> None:
-    assert severity(Word.OK) is severity(Word.STARTING) is Severity.NOTICE
-    assert severity(Word.CAMERA_LOST) is severity(Word.NO_GPS) is Severity.WARNING
-    assert severity(Word.STUCK) is Severity.ERROR
+    assert severity(VehicleState.OK) is severity(VehicleState.STARTING) is Severity.NOTICE
+    assert severity(VehicleState.CAMERA_LOST) is severity(VehicleState.NO_GPS) is Severity.WARNING
+    assert severity(VehicleState.STUCK) is Severity.ERROR

@@ -107,7 +107,7 @@ def test_lossless_pictures_are_lossless_and_jpeg_is_small(size: tuple[int, int])
 # relies on, in our own words.
 TIME = {"sec": int, "nsec": int}
 PUBLISHED: dict[str, dict[str, Any]] = {
-    "foxglove_schemas.LocationFix": {
+    "foxglove.LocationFix": {
         "timestamp": TIME,
         "frame_id": str,
         "latitude": float,
@@ -116,8 +116,8 @@ PUBLISHED: dict[str, dict[str, Any]] = {
         "position_covariance": list,
         "position_covariance_type": int,
     },
-    "foxglove_schemas.GeoJSON": {"geojson": str},
-    "foxglove_schemas.CompressedImage": {"timestamp": TIME, "frame_id": str, "data": str, "format": str},
+    "foxglove.GeoJSON": {"geojson": str},
+    "foxglove.CompressedImage": {"timestamp": TIME, "frame_id": str, "data": str, "format": str},
 }
 
 
@@ -157,9 +157,9 @@ def test_what_foxglove_shows_has_its_published_fields(shown: dict[str, list[dict
 
 
 def test_views_come_at_their_own_rates_and_pictures_all(shown: dict[str, list[dict[str, Any]]]) -> None:
-    assert len(shown["foxglove_schemas.LocationFix"]) == 20  # of vehicle and camera, every second of 20 each
-    assert len(shown["foxglove_schemas.GeoJSON"]) == 2
-    pictures = [base64.b64decode(message["data"]) for message in shown["foxglove_schemas.CompressedImage"]]
+    assert len(shown["foxglove.LocationFix"]) == 20  # of vehicle and camera, every second of 20 each
+    assert len(shown["foxglove.GeoJSON"]) == 2
+    pictures = [base64.b64decode(message["data"]) for message in shown["foxglove.CompressedImage"]]
     assert [int(np.asarray(Image.open(io.BytesIO(data)))[0, 0]) for data in pictures] == list(range(20))
 
 

@@ -350,27 +350,6 @@ def test_a_folder_that_cannot_be_made_is_a_fault(tmp_path: Path) -> None:
         assert "Not a directory" in sink.fault or "No such file" in sink.fault
 
 
-def test_a_slow_disk_makes_the_pipeline_wait_before_anything_is_lost(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("onboard.storage.rotating_recorder.MAX_WAITING", 10)
-    slow = SessionRecorder.write_set
-
-    def write_set(self: SessionRecorder, *given: object) -> None:
-        time.sleep(0.01)
-        slow(self, *given)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(SessionRecorder, "write_set", write_set)
-    base = plain_set(20)
-    with recorder(tmp_path, configured("none")) as sink:
-        began = time.monotonic()
-        for frame in range(60):
-            sink.feature_set(dataclasses.replace(base, frame=frame))
-        assert time.monotonic() - began > 0.3  # it waited
-        assert sink.fault == ""
-    assert Recording(tmp_path).frames("uav-1") == list(range(60))
-
-
 def test_two_sessions_of_one_second_do_not_write_over_each_other(tmp_path: Path) -> None:
     clock, config = SessionClock.start(), configured("none")
     stopped = dataclasses.replace(clock)
@@ -384,6 +363,7 @@ def test_two_sessions_of_one_second_do_not_write_over_each_other(tmp_path: Path)
     ]
 
 
+@pytest.mark.wall_clock
 def test_a_killed_process_loses_at_most_the_last_second(tmp_path: Path) -> None:
     """kill -9 in full flight, pictures and all: what had been handed over a second before is there and replays."""
     script = (

@@ -26,7 +26,7 @@ from onboard.telemetry.nmea_source import NmeaReceiver
 from tests.onboard.telemetry.sentences import burst, sentence
 
 SPELL = 200  # inputs before everything begins anew
-KINDS = [mavlink.mavlink_map[number] for number in (*sorted(WANTED), 77, 111)]
+KINDS = [mavlink.mavlink_map[number] for number in (*sorted(WANTED), 22, 77, 111)]
 EDGES = (0, 1, 0x7F, 0x80, 0xFF)
 
 

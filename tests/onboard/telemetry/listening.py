@@ -13,9 +13,9 @@ from typing import Any
 
 from onboard.config.schema import Config, parse_config
 from onboard.events.session_clock import SessionClock
-from onboard.events.source import State
+from onboard.events.source import State, TelemetrySource
 from onboard.events.types import Event, NavEvent
-from onboard.telemetry.factory import OpenedTelemetry, open_telemetry
+from onboard.telemetry.factory import open_telemetry
 from onboard.telemetry.mavlink_events import MessageToEvent, Sources
 from simulation.autopilot.fake import FakeAutopilot
 from simulation.autopilot.flight import Flight
@@ -35,7 +35,7 @@ def config_for(url: str, **keys: object) -> Config:
 class Listening:
     """A source at work, and its events with their arrivals."""
 
-    source: OpenedTelemetry
+    source: TelemetrySource
     clock: SessionClock
     stop: threading.Event = field(default_factory=threading.Event)
     got: list[tuple[int, Event]] = field(default_factory=list)

@@ -67,6 +67,7 @@ def test_a_source_can_be_asked_before_it_runs() -> None:
         assert source.health().state is State.STARTING
 
 
+@pytest.mark.wall_clock
 def test_a_log_is_played_as_if_it_came_now_and_ends_as_lost(tmp_path: Path) -> None:
     data, short = TLOG.read_bytes(), tmp_path / "short.tlog"
     short.write_bytes(data[: len(data) // 23])  # three seconds
@@ -116,6 +117,7 @@ def test_the_log_writer_begins_a_new_file_and_gives_up_quietly(tmp_path: Path) -
     assert nowhere.fault == "No such file or directory"
 
 
+@pytest.mark.wall_clock
 def test_a_log_that_cannot_be_written_is_said_and_no_hindrance() -> None:
     with (
         FakeAutopilot(FLIGHT, "udpin:127.0.0.1:0", everything=True) as autopilot,

@@ -48,10 +48,18 @@ def estimator(flags: int) -> Any:
         (estimator(0x33F), True, False),
         (estimator(0x73F), True, True),
         (estimator(0xBF), False, False),
+        (ekf(1023), False, False),  # ArduPilot holds a position for want of any
     ],
 )
 def test_a_filter_s_flags_say_what_it_believes(message: Any, has_position: bool, is_glitching: bool) -> None:
     assert events(clock(), message) == [FilterStatus(STAMP, has_position, is_glitching)]
+
+
+def test_px4_standing_on_the_ground_with_gnss_fused_has_a_position() -> None:
+    """It holds the position whenever at rest, and says so: all flags but GPS glitch and accelerometer error."""
+    assert events(clock(), estimator(1023)) == [FilterStatus(STAMP, True, False, is_at_rest=True)]
+    without_velocity = 1023 & ~mavlink.ESTIMATOR_VELOCITY_HORIZ
+    assert events(clock(), estimator(without_velocity)) == [FilterStatus(STAMP, False, False)]
 
 
 def gimbal(flags: int, q: tuple[float, float, float, float] = (2**-0.5, 0.0, -(2**-0.5), 0.0), failure: int = 0) -> Any:

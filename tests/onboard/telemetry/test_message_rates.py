@@ -19,9 +19,16 @@ STEP_NS = NS_PER_S // 20
 class Played:
     """An autopilot that answers by a rule and sends what it granted, at what it granted."""
 
-    def __init__(self, answer: Answer, text: str = "", autopilot: int = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA) -> None:
+    def __init__(
+        self,
+        answer: Answer,
+        text: str = "",
+        autopilot: int = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
+        loop_hz: float | None = 400.0,
+    ) -> None:
         self.requests = RateRequests(parse_config(text))
-        self.answer, self.autopilot = answer, autopilot
+        self.answer, self.autopilot, self.loop_hz = answer, autopilot, loop_hz
+        self.parameters = 0  # how often it was asked for its loop rate
         self.now_ns = 10**18
         self.asked: list[tuple[str, float]] = []
         self.streams: list[tuple[int, int]] = []
@@ -43,6 +50,12 @@ class Played:
     def hear(self, message: object) -> None:
         if isinstance(message, mavlink.MAVLink_request_data_stream_message):
             self.streams.append((message.req_stream_id, message.req_message_rate))
+            return
+        if isinstance(message, mavlink.MAVLink_param_request_read_message):
+            assert message.param_id == "SCHED_LOOP_RATE"
+            self.parameters += 1
+            if self.loop_hz is not None:
+                self.requests.parameter("SCHED_LOOP_RATE", self.loop_hz)
             return
         assert isinstance(message, mavlink.MAVLink_command_long_message)
         assert (message.command, message.target_system, message.target_component) == (COMMAND, 1, 1)
@@ -104,10 +117,10 @@ def test_only_one_request_is_under_way() -> None:
 
 @pytest.mark.parametrize("answer", [lambda name, hz: UNSUPPORTED, lambda name, hz: None], ids=["unsupported", "mute"])
 def test_old_autopilots_are_asked_for_streams(answer: Answer) -> None:
-    played = Played(answer)
-    played.fly(12.0)
+    played = Played(answer, loop_hz=None)
+    played.fly(14.0)
     assert set(played.streams) == {
-        (mavlink.MAV_DATA_STREAM_EXTRA1, 50),
+        (mavlink.MAV_DATA_STREAM_EXTRA1, 40),
         (mavlink.MAV_DATA_STREAM_POSITION, 10),
         (mavlink.MAV_DATA_STREAM_EXTENDED_STATUS, 5),
         (mavlink.MAV_DATA_STREAM_EXTRA3, 5),
@@ -179,3 +192,79 @@ def test_after_a_restart_everything_is_asked_anew() -> None:
     played.requests.restart()
     played.fly(5.0)
     assert played.asked[before:] == played.asked[:before]
+
+
+def is_quiet(loop_hz: float, rate_hz: float) -> bool:
+    """Whether ArduPilot grants a rate without a word to the pilot: `cap_message_interval` of its GCS_Common."""
+    return int(1e6 / rate_hz + 1e-6) // 1000 * 800 >= 1e6 / loop_hz - 1e-6
+
+
+@pytest.mark.parametrize("wanted_hz", [20.0, 50.0, 200.0, 400.0])
+@pytest.mark.parametrize("loop_hz", [50.0, 100.0, 200.0, 300.0, 400.0])
+def test_ardupilot_is_asked_for_what_its_loop_can_give_and_no_less(loop_hz: float, wanted_hz: float) -> None:
+    played = Played(grants, f"[telemetry]\nattitude_rate_hz = {wanted_hz}\nposition_rate_hz = 50.0", loop_hz=loop_hz)
+    played.fly(10.0)
+    assert all(is_quiet(loop_hz, hz) for _, hz in played.asked)
+    attitude_hz = played.sends_hz["ATTITUDE"]
+    assert attitude_hz <= wanted_hz
+    assert attitude_hz >= min(wanted_hz, 0.6 * loop_hz)  # whole milliseconds cost the rest of 0.8
+    assert played.parameters == 1
+
+
+def test_an_ardupilot_that_does_not_give_its_loop_rate_is_asked_for_forty() -> None:
+    played = Played(grants, loop_hz=None)
+    played.fly(10.0)
+    assert played.asked[0] == ("ATTITUDE", 40.0)
+    assert all(is_quiet(50.0, hz) for _, hz in played.asked)
+    assert played.parameters == 2
+    lower = Played(lambda name, hz: DENIED if hz > 30.0 else ACCEPTED, loop_hz=None)
+    lower.fly(10.0)
+    assert [hz for name, hz in lower.asked if name == "ATTITUDE"] == [40.0, 25.0]
+
+
+def test_px4_is_not_asked_for_ardupilot_s_parameter() -> None:
+    played = Played(grants, autopilot=mavlink.MAV_AUTOPILOT_PX4)
+    played.fly(10.0)
+    assert played.parameters == 0
+    assert played.sends_hz["ATTITUDE"] == 50.0
+
+
+def test_px4_without_a_fix_is_asked_at_once_and_again_when_it_is_ready() -> None:
+    played = Played(grants, autopilot=mavlink.MAV_AUTOPILOT_PX4)
+    played.fly(10.0, status=mavlink.MAV_STATE_UNINIT)
+    first = list(played.asked)
+    assert len(first) == 5
+    played.fly(10.0, status=mavlink.MAV_STATE_STANDBY)
+    assert played.asked == first * 2
+    played.fly(10.0, status=mavlink.MAV_STATE_ACTIVE)
+    assert played.asked == first * 2
+
+
+def test_a_rate_below_what_was_granted_is_asked_for_again() -> None:
+    played = Played(grants, autopilot=mavlink.MAV_AUTOPILOT_PX4)
+    played.fly(10.0)
+    before = len(played.asked)
+    played.sends_hz["ATTITUDE"] = 25.0  # another on the line has set it lower
+    played.fly(10.0)
+    assert played.asked[before:] == [("ATTITUDE", 50.0)]
+    assert played.requests.complaint() == ""
+
+
+def test_a_loop_rate_that_comes_late_raises_what_was_asked_and_nonsense_does_not() -> None:
+    played = Played(grants, loop_hz=None)
+    played.fly(10.0)
+    before = len(played.asked)
+    for name, value in (
+        ("SCHED_LOOP_RATE", float("nan")),
+        ("SCHED_LOOP_RATE", 0.0),
+        ("SCHED_DEBUG", 400.0),
+        ("", 400.0),
+    ):
+        played.requests.parameter(name, value)
+    played.fly(5.0)
+    assert len(played.asked) == before
+    played.requests.parameter("SCHED_LOOP_RATE", 1e30)  # no faster than a message a millisecond
+    assert max(want.rates_hz[0] for want in played.requests.wants) <= 1000.0
+    played.requests.parameter(b"SCHED_LOOP_RATE\0", 400.0)
+    played.fly(5.0)
+    assert played.asked[before:] == [("ATTITUDE", 50.0)]

@@ -140,7 +140,7 @@ def test_a_dark_photograph_of_the_real_flight_is_found_against_a_bright_one(shar
 
 
 def test_a_prediction_that_is_wrong_gives_right_tracks_or_none(world: World) -> None:
-    """Twenty degrees and forty metres off: what is believed afterwards must be the pictures' own motion."""
+    """Twenty degrees and forty metres off: what is accepted afterwards must be the pictures' own motion."""
     there = pose(4.0, 7.0)
     wrong = between(START, pose(-30.0, 30.0, yaw=50.0))
     tracks = started(world.picture(START, 0)).track(world.picture(there, 1), wrong)

@@ -74,7 +74,7 @@ def test_rows_are_followed_as_far_as_telemetry_tells_them_apart() -> None:
 
 
 def test_a_step_that_telemetry_cannot_tell_to_half_a_row_is_not_followed() -> None:
-    """60 px foretold to 9 px, rows 12 px apart; the same step over ground without twins is followed."""
+    """60 px predicted to 9 px, rows 12 px apart; the same step over ground without twins is followed."""
     tracker = Tracker(SIZE, 100)
     tracker.track(rows(12.0), None)
     tracker.promote(tracker.nothing())

@@ -1,4 +1,4 @@
-"""The tracks' own error is read from their neighbours; relief, roofs and few tracks do not mislead it."""
+"""The tracks' own error is estimated from their neighbours; hills, roofs and few tracks do not bias it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from onboard.geometry.plane_homography import move
-from onboard.vision.track_consistency import MAX_SCATTER_PX, are_inconsistent, scatter_px
+from onboard.vision.track_consistency import MAX_DISPERSION_PX, are_inconsistent, dispersion_px
 
 Array = NDArray[np.float64]
 
@@ -24,14 +24,14 @@ def tracks(sigma_px: float, seed: int = 0, count: int = 90) -> tuple[Array, Arra
 
 @given(st.floats(0.05, 5.0), st.integers(0, 1000))
 def test_the_scatter_is_the_tracks_own_error(sigma_px: float, seed: int) -> None:
-    assert 0.45 * sigma_px < scatter_px(MOTION, *tracks(sigma_px, seed)) < 1.25 * sigma_px
+    assert 0.45 * sigma_px < dispersion_px(MOTION, *tracks(sigma_px, seed)) < 1.25 * sigma_px
 
 
 def test_hills_are_not_scatter() -> None:
     """They move tracks by pixels, but neighbours alike."""
     at, to = tracks(0.1)
     to[:, 0] += 3.0 * np.sin(at[:, 0] / 100.0) * np.cos(at[:, 1] / 80.0)
-    assert scatter_px(MOTION, at, to) < 0.3
+    assert dispersion_px(MOTION, at, to) < 0.3
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 0.6, 1.9])
@@ -41,17 +41,17 @@ def test_roofs_beside_streets_are_not_scatter(angle_rad: float) -> None:
     roofs = np.random.default_rng(1).random(len(at)) < 0.5
     to[roofs] += 12.0 * np.array([np.cos(angle_rad), np.sin(angle_rad)])
     assert not are_inconsistent(MOTION, at, to, 1.0, 640)
-    assert scatter_px(MOTION, at, to) < 1.3
+    assert dispersion_px(MOTION, at, to) < 1.3
 
 
 def test_tracks_that_are_pixels_off_each_other_are_not_believed() -> None:
-    assert are_inconsistent(MOTION, *tracks(2.0 * MAX_SCATTER_PX), 1.0, 640)
-    assert not are_inconsistent(MOTION, *tracks(2.0 * MAX_SCATTER_PX), 1.0, 1920)
-    assert not are_inconsistent(MOTION, *tracks(0.5 * MAX_SCATTER_PX), 1.0, 640)
+    assert are_inconsistent(MOTION, *tracks(2.0 * MAX_DISPERSION_PX), 1.0, 640)
+    assert not are_inconsistent(MOTION, *tracks(2.0 * MAX_DISPERSION_PX), 1.0, 1920)
+    assert not are_inconsistent(MOTION, *tracks(0.5 * MAX_DISPERSION_PX), 1.0, 640)
 
 
 def test_where_most_features_were_lost_the_rest_must_agree_better() -> None:
-    half_lost = tracks(0.6 * MAX_SCATTER_PX, count=40)
+    half_lost = tracks(0.6 * MAX_DISPERSION_PX, count=40)
     assert not are_inconsistent(MOTION, *half_lost, 1.0, 640)
     assert are_inconsistent(MOTION, *half_lost, 0.4, 640)
     assert not are_inconsistent(MOTION, *tracks(0.05, count=40), 0.4, 640)

@@ -28,6 +28,11 @@ class Style:
     knows_streams: bool = True
     mavlink1: bool = False
     timesync_s: float = 10.0  # how often it asks us
+    starting_status: int = mavlink.MAV_STATE_CALIBRATING  # of its heartbeats until it is ready
+    loop_hz: float | None = None  # ArduPilot's SCHED_LOOP_RATE; None: it has no such parameter
+    unknown: tuple[int, ...] = ()  # numbers of messages it sends that pymavlink's dialect does not have
+    # How long a component of the type "onboard controller" may be silent before the pilot is warned; None: for ever.
+    mission_computer_s: float | None = None
 
 
 STYLES = {
@@ -36,6 +41,7 @@ STYLES = {
         {"ATTITUDE": 4.0, "GLOBAL_POSITION_INT": 2.0, "GPS_RAW_INT": 2.0, "ATTITUDE_QUATERNION": 0.0},
         1.0,
         40.0,
+        loop_hz=50.0,
     ),
     "px4": Style(
         mavlink.MAV_AUTOPILOT_PX4,
@@ -44,6 +50,9 @@ STYLES = {
         1000.0,
         knows_streams=False,
         timesync_s=1.0,
+        starting_status=mavlink.MAV_STATE_UNINIT,  # until it has a position
+        unknown=(8, 380, 410, 411, 436),
+        mission_computer_s=5.0,  # its COM_OBC_LOSS_T
     ),
     "old": Style(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, {}, 0.0, 50.0, knows_intervals=False, mavlink1=True),
 }

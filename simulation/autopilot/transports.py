@@ -110,7 +110,7 @@ class _TcpServer:
     def send(self, packet: bytes) -> None:
         if self._client is not None:
             try:
-                # All of a packet or nothing: half of one is what a wire does, not a stream with room.
+                # All of a packet or nothing: a stream whose buffer is full would cut it.
                 self._client.send(packet)
             except BlockingIOError:
                 pass

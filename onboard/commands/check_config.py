@@ -1,0 +1,103 @@
+"""`pc-onboard check-config`: is the configuration good, and with --fly: is what it names there?
+
+Exit codes: 0 good, 1 with --fly: something that it names is missing (the daemon waits for it), 2 the configuration
+itself is at fault.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import stat
+from dataclasses import dataclass
+from pathlib import Path
+
+from onboard.camera.playback import PREFIX
+from onboard.camera.v4l2_device import V4l2Device
+from onboard.config.files import config_files, load_camera, load_config_files
+from onboard.config.schema import Config
+from onboard.events.session_clock import SessionClock
+from onboard.telemetry.factory import open_telemetry
+
+DEVICES = ("serial", "nmea")
+HEARD_WHEN_FLYING = {
+    "udpin": "listens there; whether an autopilot sends cannot be known before `run` (then: pc-onboard doctor)",
+    "udpout": "sends there; whether an autopilot answers cannot be known before `run` (then: pc-onboard doctor)",
+    "tcp": "connects there; whether an autopilot answers cannot be known before `run` (then: pc-onboard doctor)",
+}
+
+
+@dataclass(frozen=True)
+class Named:
+    """Something that the configuration names: which key names what, whether it is there, and what was seen."""
+
+    key: str
+    value: str
+    is_there: bool
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.key} {self.value}: {'' if self.is_there else 'MISSING: '}{self.text}"
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Load a configuration and print which files are good; with --fly, look at what they name as well."""
+    config = load_config_files(arguments.file)
+    named = look(config) if arguments.fly else []
+    for file in config_files(arguments.file):
+        print(f"{file}: good")
+    for thing in named:
+        print(thing)
+    return 0 if all(thing.is_there for thing in named) else 1
+
+
+def look(config: Config) -> list[Named]:
+    """Camera file, camera and telemetry, each looked at without disturbing a daemon that may be using it.
+
+    Raises PointclickError for what no waiting mends.
+    """
+    camera = load_camera(config)
+    open_telemetry(config, SessionClock.start())  # opens nothing yet, but refuses what can never work
+    width, height = camera.size_px
+    return [
+        Named("camera.file", str(config.camera.file), True, f"{width} x {height}"),
+        _camera(config.camera.device),
+        _telemetry(config.telemetry.url),
+    ]
+
+
+def _camera(device: str) -> Named:
+    if device.startswith(PREFIX):
+        is_there = Path(device.removeprefix(PREFIX)).exists()
+        text = "recorded pictures" if is_there else "no such file or folder"
+        return Named("camera.device", device, is_there, text)
+    try:
+        opened = V4l2Device(device)
+    except OSError as error:
+        return Named("camera.device", device, False, error.strerror or str(error))
+    try:
+        card = opened.card()
+    finally:
+        opened.close()
+    if not card.can_capture:
+        return Named("camera.device", device, False, f"{card.card} takes no pictures: another /dev/video number?")
+    return Named("camera.device", device, True, card.card)
+
+
+def _telemetry(url: str) -> Named:
+    scheme, _, rest = url.partition(":")
+    key = "telemetry.url"
+    if scheme in HEARD_WHEN_FLYING:
+        return Named(key, url, True, HEARD_WHEN_FLYING[scheme])
+    if scheme not in DEVICES:
+        return Named(key, url, True, "a recorded log")  # that it is there has been seen
+    path = rest.rpartition(":")[0]
+    try:
+        is_device = stat.S_ISCHR(Path(path).stat().st_mode)
+    except OSError as error:
+        return Named(key, url, False, error.strerror or str(error))
+    if not is_device:
+        return Named(key, url, False, "is no serial device")
+    if not os.access(path, os.R_OK | os.W_OK):
+        return Named(key, url, False, "no permission: the user must be in the group 'dialout'")
+    return Named(key, url, True, "is there; whether an autopilot sends cannot be known before `run`")

@@ -1,0 +1,131 @@
+"""What a query is answered with: a set or a refusal, and beside it how old that is and why there is nothing newer.
+
+Pure logic, time is passed in. docs/wire-format.md, section 8.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+
+from contract.errors import WireError
+from contract.feature_set import Status
+from contract.history import Entry, History
+from contract.vehicle_status import VehicleStatus, decode_status
+
+WELL = "ok"
+# States of the daemon in which a missing first set is the camera's fault.
+CAMERA_STATES = ("camera lost", "camera silent", "camera frozen")
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a query gets: `payload` is a set, or with `is_error` a refusal as JSON. `about` goes with a set, as JSON."""
+
+    payload: bytes
+    about: bytes = b""
+    is_error: bool = False
+
+    def __len__(self) -> int:
+        return len(self.payload) + len(self.about)
+
+
+class SetClock:
+    """The clock of the capture times at any moment, from what has been seen of it: CLOCK_MONOTONIC plus a constant.
+
+    Nothing arrives before it happened, so each event's arrival says what the time was at least; the greatest difference
+    counts. Without events the captures of the sets stand in, which come later by what a solution takes.
+    """
+
+    def __init__(self) -> None:
+        self._arrivals_ns: int | None = None
+        self._captures_ns: int | None = None
+        self._session = -1
+
+    def arrived(self, arrival_ns: int, monotonic_ns: int) -> None:
+        """An event that arrived at `arrival_ns` on the session's clock is known of now."""
+        self._arrivals_ns = _greater(self._arrivals_ns, arrival_ns - monotonic_ns)
+
+    def captured(self, session: int, capture_unix_ns: int, monotonic_ns: int) -> None:
+        """A set of a picture is known of now."""
+        held_ns = self._captures_ns if session == self._session else None
+        self._captures_ns, self._session = _greater(held_ns, capture_unix_ns - monotonic_ns), session
+
+    def age_s(self, capture_unix_ns: int, monotonic_ns: int) -> float | None:
+        """How long ago a picture was taken; None while nothing is known of the clock."""
+        offset_ns = self._captures_ns if self._arrivals_ns is None else self._arrivals_ns
+        return None if offset_ns is None else max((monotonic_ns + offset_ns - capture_unix_ns) / 1e9, 0.0)
+
+    def said(self, capture_unix_ns: int, monotonic_ns: int) -> bytes | None:
+        """The age as it goes with every set that is sent, in a few bytes; None if it is not known."""
+        age_s = self.age_s(capture_unix_ns, monotonic_ns)
+        return None if age_s is None else f"{age_s:.2f}".encode()
+
+
+def answer(
+    history: History[bytes],
+    frame: str | None,
+    unix_s: str | None,
+    vehicle: str,
+    status: bytes,
+    clock: SetClock,
+    monotonic_ns: int,
+) -> Answer:
+    """The answer to a query with the parameters `frame` or `time`, or neither. `status` is the last one's encoding."""
+    now = _state(status)
+    later: Entry[bytes] | None = None
+    found: Entry[bytes] | None = None
+    if frame is not None:
+        found = history.entry(int(frame)) if frame.isascii() and frame.isdecimal() and len(frame) <= 10 else None
+    elif unix_s is not None:
+        asked_s = _number(unix_s)
+        found = history.nearest_entry(asked_s) if math.isfinite(asked_s) else None
+    else:
+        found, later = history.newest_entry(), history.newest_picture()
+        if found is None:
+            is_blind = now is not None and now.state in CAMERA_STATES
+            return refusal(Status.CAMERA_LOST if is_blind else Status.STARTING, vehicle, now)
+    if found is None:
+        return refusal(Status.UNKNOWN_FRAME, vehicle)
+    about = _aged(found, clock, monotonic_ns)
+    if later is not None and later is not found:
+        about["newest"] = {"frame": later.frame, "status": later.status.value} | _aged(later, clock, monotonic_ns)
+    return Answer(found.item, _json(about | _said(now)))
+
+
+def refusal(status: Status, vehicle: str, now: VehicleStatus | None = None) -> Answer:
+    """Why there is no set, with the daemon's own state where that says more."""
+    return Answer(_json({"status": status.value, "vehicle": vehicle} | _said(now)), is_error=True)
+
+
+def _aged(entry: Entry[bytes], clock: SetClock, monotonic_ns: int) -> dict[str, object]:
+    age_s = clock.age_s(entry.capture_unix_ns, monotonic_ns)
+    return {} if age_s is None else {"age_s": round(age_s, 3)}
+
+
+def _said(now: VehicleStatus | None) -> dict[str, object]:
+    """The daemon's state, if there is anything to say."""
+    return {} if now is None or now.state == WELL else {"state": now.state, "reason": now.reason}
+
+
+def _greater(held: int | None, new: int) -> int:
+    return new if held is None else max(held, new)
+
+
+def _state(status: bytes) -> VehicleStatus | None:
+    try:
+        return decode_status(status)
+    except WireError:
+        return None  # none has been published yet
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _json(content: dict[str, object]) -> bytes:
+    return json.dumps(content, separators=(",", ":")).encode() if content else b""

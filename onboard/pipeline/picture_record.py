@@ -1,0 +1,40 @@
+"""What the pipeline remembers of a picture that the window can still place, and of a window solve under way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from numpy import float64
+from numpy.typing import NDArray
+
+from contract.feature_set import Status
+from onboard.estimation.keyframe import Observation
+from onboard.estimation.solver_executor import Promise
+from onboard.events.types import Frame
+from onboard.navigation.navigator import NavState
+
+Array = NDArray[float64]
+
+
+@dataclass(eq=False)
+class Record:
+    """A picture that the window can still place, or place better."""
+
+    frame: Frame
+    seen: Observation
+    nav: NavState
+    is_keyframe: bool
+    status: Status = Status.STARTING
+    revision: int = -1
+    is_settled: bool = False
+    R_cam_enu: Array | None = None  # of its last set: where the next revision starts
+
+
+@dataclass(frozen=True, eq=False)
+class Pending:
+    """A window solve under way for a new keyframe; `reason`: why the pictures before it were given up, if they were."""
+
+    promise: Promise
+    record: Record
+    reason: Status | None
+    due_ns: int

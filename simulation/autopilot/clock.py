@@ -1,0 +1,28 @@
+"""The clock an autopilot runs by: the host's, or one that makes a whole flight run faster."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """What the autopilot takes its time from."""
+
+    def now_ns(self) -> int:
+        """Now."""
+
+    def wall_s(self, ns: int) -> float:
+        """How long so much of this clock's time takes."""
+
+
+class HostClock:
+    """CLOCK_MONOTONIC."""
+
+    def now_ns(self) -> int:
+        """Now."""
+        return time.monotonic_ns()
+
+    def wall_s(self, ns: int) -> float:
+        """The same."""
+        return ns / 1e9

@@ -1,0 +1,57 @@
+"""Bits against the slow and obvious way to write them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from contract.wire import bits
+
+widths = st.lists(st.integers(0, 43), min_size=1, max_size=5).filter(lambda w: sum(w) > 0)
+
+
+@given(widths, st.integers(1, 40), st.integers(0, 2**32 - 1))
+def test_columns_are_written_row_by_row_whatever_their_widths(widths: list[int], rows: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    columns = [rng.integers(0, 1 << width, rows) for width in widths]
+    written = bits.fixed_to_bits(list(zip(columns, widths, strict=True)))
+    text = "".join(f"{column[i]:0{w}b}" for i in range(rows) for column, w in zip(columns, widths, strict=True) if w)
+    assert "".join(map(str, written)) == text
+    for got, want in zip(bits.bits_to_fixed(written, widths), columns, strict=True):
+        np.testing.assert_array_equal(got, want)
+
+
+@given(st.lists(st.tuples(st.integers(0, 2**15 - 1), st.integers(0, 15)), max_size=60))
+def test_short_numbers_are_their_lowest_bits_one_after_the_other(numbers: list[tuple[int, int]]) -> None:
+    values, ks = np.array(numbers, np.int64).reshape(-1, 2).T
+    written = bits.short_to_bits(values, ks)
+    assert "".join(map(str, written)) == "".join(f"{v & (1 << k) - 1:0{k}b}" for v, k in numbers if k)
+    np.testing.assert_array_equal(bits.bits_to_short(written, ks), values & ((1 << ks) - 1))
+
+
+@given(st.lists(st.integers(0, 1), max_size=20), st.lists(st.integers(0, 30), max_size=40))
+def test_quotients_are_zeros_and_a_one_behind_what_is_fixed(fixed: list[int], quotients: list[int]) -> None:
+    text = "".join(map(str, fixed)) + "".join("0" * q + "1" for q in quotients)
+    payload = bits.with_unary([np.array(fixed, np.uint8)], np.array(quotients, np.int64))
+    stream = np.unpackbits(np.frombuffer(payload, np.uint8))
+    assert "".join(map(str, stream)) == text + "0" * (-len(text) % 8)
+    got = bits.bits_to_unary(stream[len(fixed) :], len(quotients))
+    assert got is not None and got[0].tolist() == quotients and got[1] == len(text) - len(fixed)
+    assert bits.bits_to_unary(stream[len(fixed) :], len(quotients) + 1) is None
+
+
+@given(st.lists(st.tuples(*[st.integers(0, 2**st_bits) for st_bits in (3, 12, 41)]), min_size=1, max_size=50))
+def test_the_rice_parameter_is_the_cheapest_of_all_and_the_smallest_of_equals(rows: list[tuple[int, int, int]]) -> None:
+    columns = np.array(rows, np.int64).T
+    for column, k in zip(columns, bits.rice_parameters(columns), strict=True):
+        cost = [int((column >> tried).sum()) + len(column) * tried for tried in range(bits.MAX_WIDTH)]
+        assert k == cost.index(min(cost))
+
+
+@pytest.mark.parametrize("most", [5, 2**41])
+def test_zigzag_counts_from_nought_outwards(most: int) -> None:
+    signed = np.array([0, -1, 1, -2, 2, most, -most], np.int64)
+    np.testing.assert_array_equal(bits.zigzag(signed), [0, 1, 2, 3, 4, 2 * most, 2 * most - 1])
+    np.testing.assert_array_equal(bits.unzigzag(bits.zigzag(signed)), signed)

@@ -1,0 +1,116 @@
+"""`check-config --fly` looks at what the configuration names, and says of each thing whether it is there."""
+
+from __future__ import annotations
+
+import os
+import pty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from contract.camera import Camera
+from onboard.__main__ import main
+from onboard.camera.v4l2_device import Card
+from onboard.commands import check_config
+
+OPTICS = Camera.from_field_of_view(640, 480, 60.0)
+
+
+class Opened:
+    """A device node that opens."""
+
+    def __init__(self, can_capture: bool) -> None:
+        self.can_capture, self.is_closed = can_capture, False
+
+    def card(self) -> Card:
+        return Card("uvcvideo", "Test Cam", "usb-1", self.can_capture)
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+@pytest.fixture
+def serial_line() -> Iterator[str]:
+    ours, theirs = pty.openpty()
+    yield os.ttyname(theirs)
+    os.close(ours)
+    os.close(theirs)
+
+
+def written(where: Path, device: object, url: str) -> Path:
+    (where / "camera.json").write_text(OPTICS.to_json())
+    (where / "config.toml").write_text(
+        f'[camera]\nfile = "{where / "camera.json"}"\ndevice = "{device}"\n[telemetry]\nurl = "{url}"\n'
+    )
+    return where / "config.toml"
+
+
+def checked(file: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, list[str]]:
+    code = main(["check-config", "--fly", str(file)])
+    return code, capsys.readouterr().out.splitlines()
+
+
+def test_what_is_absent_is_said_line_by_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It said `good` with neither camera nor autopilot there."""
+    file = written(tmp_path, "/dev/video77", f"serial:{tmp_path / 'tty'}:57600")
+    assert checked(file, capsys) == (
+        1,
+        [
+            f"{file}: good",
+            f"camera.file {tmp_path / 'camera.json'}: 640 x 480",
+            "camera.device /dev/video77: MISSING: No such file or directory",
+            f"telemetry.url serial:{tmp_path / 'tty'}:57600: MISSING: No such file or directory",
+        ],
+    )
+
+
+def test_what_is_there_is_good(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], serial_line: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device = Opened(True)
+    monkeypatch.setattr(check_config, "V4l2Device", lambda path: device)
+    code, lines = checked(written(tmp_path, "/dev/video0", f"serial:{serial_line}:57600"), capsys)
+    assert (code, lines[2]) == (0, "camera.device /dev/video0: Test Cam")
+    assert "is there; whether an autopilot sends cannot be known" in lines[3]
+    assert device.is_closed
+
+
+def test_a_node_that_takes_no_pictures_is_no_camera(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], serial_line: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device = Opened(False)
+    monkeypatch.setattr(check_config, "V4l2Device", lambda path: device)
+    code, lines = checked(written(tmp_path, "/dev/video1", f"serial:{serial_line}:57600"), capsys)
+    assert (code, "MISSING: Test Cam takes no pictures" in lines[2]) == (1, True)
+    assert device.is_closed
+
+
+@pytest.mark.parametrize("url", ["udpin:127.0.0.1:14550", "udpout:127.0.0.1:14550", "tcp:127.0.0.1:5760"])
+def test_of_the_network_it_says_that_nobody_can_know(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], url: str
+) -> None:
+    (tmp_path / "frames").mkdir()
+    code, lines = checked(written(tmp_path, f"replay:{tmp_path / 'frames'}", url), capsys)
+    assert (code, lines[2].endswith("recorded pictures")) == (0, True)
+    assert "cannot be known" in lines[3]
+
+
+def test_a_file_is_no_serial_line_and_recorded_pictures_must_be_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "tty").write_text("")
+    code, lines = checked(written(tmp_path, f"replay:{tmp_path / 'none'}", f"nmea:{tmp_path / 'tty'}:9600"), capsys)
+    assert code == 1
+    assert lines[2].endswith("MISSING: no such file or folder")
+    assert lines[3].endswith("MISSING: is no serial device")
+
+
+@pytest.mark.parametrize("url", ["carrier:pigeon", "tlog:/nonexistent.tlog", "serial:/dev/ttyAMA0:7"])
+def test_what_no_waiting_mends_is_the_configurations_fault(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], url: str
+) -> None:
+    assert main(["check-config", "--fly", str(written(tmp_path, "/dev/video0", url))]) == 2
+    out, complaint = capsys.readouterr()
+    assert (out, complaint.count("\n")) == ("", 1)
+    assert "telemetry.url" in complaint

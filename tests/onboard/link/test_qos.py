@@ -1,0 +1,73 @@
+"""The table of topics is what travels: both ends take the quality of service from it."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+
+import pytest
+import zenoh
+
+from contract import topics
+from contract.link_config import link_config
+from contract.topics import FEATURES, QUERY, STATUS, Qos, Topic
+from contract.vehicle_status import VehicleStatus, encode_status
+from ground import client
+from ground.freshness import Reply
+from onboard.link import publisher as onboard_publisher
+from onboard.link.publisher import Publisher
+from tests.contract.sets import plain_set
+from tests.onboard.link.ports import free_endpoint
+
+OTHER = Qos("RELIABLE", "BLOCK", "DATA_HIGH", express=False)
+
+
+def of(sample: zenoh.Sample) -> tuple[str, str, bool]:
+    return str(sample.congestion_control), str(sample.priority), sample.express
+
+
+def expected(qos: Qos) -> tuple[str, str, bool]:
+    control, priority = zenoh.CongestionControl, zenoh.Priority
+    return str(getattr(control, qos.congestion_control)), str(getattr(priority, qos.priority)), qos.express
+
+
+@pytest.mark.parametrize("changed", [False, True])
+@pytest.mark.parametrize("topic", topics.TOPICS, ids=lambda topic: topic.template.rsplit("/", 1)[1])
+def test_what_is_published_has_the_quality_of_the_table(
+    monkeypatch: pytest.MonkeyPatch, topic: Topic, changed: bool
+) -> None:
+    if changed:
+        other = dataclasses.replace(topic, qos=OTHER)
+        monkeypatch.setattr(onboard_publisher, {FEATURES: "FEATURES", STATUS: "STATUS"}[topic], other)
+    endpoint = free_endpoint()
+    heard: list[zenoh.Sample] = []
+    config = zenoh.Config.from_json5(link_config("client", connect=[endpoint]))
+    with Publisher("uav-1", [endpoint]) as flying, zenoh.open(config) as ground:
+        ground.declare_subscriber(topic.key("uav-1"), heard.append)
+        deadline = time.monotonic() + 15.0
+        while not heard and time.monotonic() < deadline:
+            flying.publish(plain_set(10))
+            flying.publish_status(encode_status(VehicleStatus(1.7e9, 7, "ok")), b"{}")
+            time.sleep(0.05)
+        declared = flying._publisher if topic is FEATURES else flying._status_publisher
+        qos = OTHER if changed else topic.qos
+        assert of(heard[0]) == expected(qos)
+        assert str(declared.reliability) == str(getattr(zenoh.Reliability, qos.reliability))
+
+
+@pytest.mark.parametrize("qos", [QUERY, Qos("RELIABLE", "DROP", "DATA_LOW", express=False)])
+def test_an_answer_has_the_quality_of_the_query(monkeypatch: pytest.MonkeyPatch, qos: Qos) -> None:
+    heard: list[zenoh.Sample] = []
+    read = client._answered
+
+    def listen(sample: zenoh.Sample) -> Reply:
+        heard.append(sample)
+        return read(sample)
+
+    monkeypatch.setattr(client, "QUERY", qos)
+    monkeypatch.setattr(client, "_answered", listen)
+    endpoint = free_endpoint()
+    with Publisher("uav-1", [endpoint]) as flying:
+        flying.publish(plain_set(10))
+        assert "uav-1" in client.inquire(endpoint)
+    assert [of(sample)[:2] for sample in heard] == [expected(qos)[:2]]

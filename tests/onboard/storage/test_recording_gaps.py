@@ -1,0 +1,224 @@
+"""What a recording does with a disk that stalls or fails and with what it cannot write: gaps, faults, no waiting."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from contract.errors import InputError
+from ground.recording import Recording
+from onboard.events.supervised_thread import ThreadState
+from onboard.events.types import Frame, GpsQuality
+from onboard.storage.mcap_reader import RecordedFlight
+from onboard.storage.mcap_writer import SessionRecorder
+from onboard.storage.recording_queue import Entry
+from onboard.storage.rotating_recorder import Recorded
+from tests.contract.sets import plain_set
+from tests.onboard.storage.test_rotating_recorder import Disk, configured, first, holds, recorder, wait_for
+from tests.scenarios.flights import CAMERA
+
+
+@pytest.fixture
+def sink(tmp_path: Path) -> Iterator[Recorded]:
+    """One that tries again soon, on a disk with room."""
+    with recorder(tmp_path, configured("none", keep_free_mb=100.0), free=Disk(), retry_s=0.1) as opened:
+        yield opened
+
+
+def test_a_disk_slower_than_a_moment_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    slow = SessionRecorder.write_set
+
+    def write_set(self: SessionRecorder, *given: object) -> None:
+        time.sleep(0.01)
+        slow(self, *given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(SessionRecorder, "write_set", write_set)
+    base = plain_set(20)
+    with recorder(tmp_path, configured("none")) as sink:
+        for frame in range(60):
+            sink.feature_set(dataclasses.replace(base, frame=frame))
+        assert sink.fault == ""
+    assert Recording(tmp_path).frames("uav-1") == list(range(60))
+    assert sink.dropped == 0 and metadata_of(first(tmp_path)) == ["yes"]
+
+
+def metadata_of(path: Path) -> list[str]:
+    """What each of a file's metadata records says of its being complete."""
+    with path.open("rb") as stream:
+        return [m.metadata["complete"] for m in make_reader(stream).iter_metadata()]
+
+
+def gaps_of(path: Path) -> list[dict[str, object]]:
+    with path.open("rb") as stream:
+        return [json.loads(m.data) for _, _, m in make_reader(stream).iter_messages(topics=["pc/uav-1/gaps"])]
+
+
+class Stalled:
+    """A disk that takes its time over each set until it is let go."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.release, self.is_in_a_write = threading.Event(), threading.Event()
+        write = SessionRecorder.write_set
+
+        def write_set(recorder: SessionRecorder, *given: object) -> None:
+            self.is_in_a_write.set()
+            self.release.wait(30.0)
+            write(recorder, *given)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(SessionRecorder, "write_set", write_set)
+
+
+@pytest.mark.wall_clock
+def test_a_stalled_disk_holds_up_nobody_and_leaves_a_gap_that_is_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("onboard.storage.rotating_recorder.MAX_WAITING", 10)
+    disk = Stalled(monkeypatch)
+    base = plain_set(20)
+    picture = np.zeros((CAMERA.height_px, CAMERA.width_px), np.uint8)
+    with recorder(tmp_path, configured()) as sink:
+        sink.event(0, Frame(1_700_000_000_000_000_000, 0, picture))
+        sink.feature_set(dataclasses.replace(base, frame=0))
+        assert disk.is_in_a_write.wait(10.0)
+        began_s = time.monotonic()
+        for frame in range(1, 31):  # ten wait, twenty are dropped
+            sink.feature_set(dataclasses.replace(base, frame=frame, capture_unix_ns=10**18 + frame))
+        sink.event(10**18 + 31, Frame(10**18 + 31, 1, picture))
+        assert time.monotonic() - began_s < 1.0  # one wait for the disk was 2 s
+        assert "does not keep up" in sink.fault and sink.dropped == 21
+        disk.release.set()
+        assert wait_for(lambda: holds(tmp_path, 10))
+        sink.feature_set(dataclasses.replace(base, frame=31))
+    assert Recording(tmp_path).frames("uav-1") == [*range(11), 31]
+    (gap,) = gaps_of(first(tmp_path))
+    assert (gap["sets"], gap["pictures"], gap["events"]) == (20, 1, 0)
+    assert (gap["begin_ns"], gap["end_ns"]) == (10**18 + 11, 10**18 + 31)
+    assert metadata_of(first(tmp_path)) == ["yes", "no"]  # it was, to the gap
+    (caveat,) = RecordedFlight.open([tmp_path]).caveats
+    assert "1 picture and 20 sets" in caveat and "did not keep up" in caveat
+
+
+def test_pictures_that_are_too_many_bytes_are_dropped_and_telemetry_is_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("onboard.storage.rotating_recorder.MAX_WAITING_BYTES", 200_000)
+    disk = Stalled(monkeypatch)
+    picture = np.zeros((CAMERA.height_px, CAMERA.width_px), np.uint8)  # 76,800 bytes
+    with recorder(tmp_path, configured()) as sink:
+        sink.feature_set(plain_set(20))
+        assert disk.is_in_a_write.wait(10.0)
+        for frame in range(5):
+            sink.event(frame, Frame(frame, frame, picture))
+            sink.event(frame, GpsQuality(frame, 3))
+        assert sink.dropped == 3
+        disk.release.set()
+    gaps = [(gap["pictures"], gap["events"], gap["sets"]) for gap in gaps_of(first(tmp_path))]
+    assert gaps == [(1, 0, 0)] * 3  # each where its picture would stand
+    (caveat,) = RecordedFlight.open([tmp_path]).caveats
+    assert "lacks 3 pictures, in 3 places" in caveat
+    events = [event for _, event in RecordedFlight.open([tmp_path]).events()]
+    assert [e.index for e in events if isinstance(e, Frame)] == [0, 1]
+    assert sum(isinstance(e, GpsQuality) for e in events) == 5
+
+
+@pytest.mark.wall_clock
+def test_a_disk_that_never_comes_back_does_not_hold_up_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("onboard.storage.rotating_recorder.CLOSE_SILENT_S", 0.2)
+    disk = Stalled(monkeypatch)
+    sink = recorder(tmp_path, configured("none"))
+    sink.__enter__()
+    sink.feature_set(plain_set(20))
+    assert disk.is_in_a_write.wait(10.0)
+    began_s = time.monotonic()
+    with pytest.raises(InputError, match="did not take the end"):
+        sink.__exit__(None, None, None)
+    assert time.monotonic() - began_s < 3.0
+    disk.release.set()
+    assert sink.thread.join(10.0)
+
+
+@pytest.mark.parametrize("error", [RuntimeError("a bug"), OSError(5, "Input/output error"), KeyError("no such")])
+def test_an_unforeseen_error_of_the_writer_is_a_fault_and_recording_goes_on(
+    sink: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    writes, is_broken = SessionRecorder.write_set, threading.Event()
+    is_broken.set()
+
+    def write_set(self: SessionRecorder, *given: object) -> None:
+        if is_broken.is_set():
+            raise error
+        writes(self, *given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(SessionRecorder, "write_set", write_set)
+    sink.feature_set(plain_set(20))
+    assert wait_for(lambda: str(error) in sink.fault)
+    assert sink.thread.report().state is ThreadState.RUNNING
+    is_broken.clear()
+
+    def again() -> bool:
+        sink.feature_set(dataclasses.replace(plain_set(20), frame=7))
+        return sink.fault == ""
+
+    assert wait_for(again)
+    assert wait_for(lambda: holds(tmp_path, 7))
+
+
+def test_a_set_that_cannot_be_encoded_leaves_a_gap_and_the_file_goes_on(
+    sink: Recorded, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    base = plain_set(20)
+    sink.feature_set(dataclasses.replace(base, frame=0))
+    for frame in (1, 2):
+        sink.feature_set(dataclasses.replace(base, frame=frame, camera_height_m=float("nan")))
+    sink.feature_set(dataclasses.replace(base, frame=3))
+    assert wait_for(lambda: holds(tmp_path, 3))
+    assert sink.fault == "" and sink.unencodable == 2
+    assert Recording(first(tmp_path)).frames("uav-1") == [0, 3]
+    (line,) = [r.getMessage() for r in caplog.records if r.levelname == "ERROR"]
+    assert "frame 1 cannot be encoded" in line
+
+
+class Minutes:
+    """A session's clock that the test turns."""
+
+    def __init__(self) -> None:
+        self.s = 1_700_000_000.0
+
+    def now_ns(self) -> int:
+        return round(self.s * 1e9)
+
+
+def test_a_disk_that_fails_again_and_again_is_reported_once_a_minute_and_tried_ever_more_seldom(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Each file takes three seconds of sets, as one that may grow to a size and no further does."""
+    caplog.set_level("INFO", "pointclick")
+    clock, base = Minutes(), plain_set(20)
+    writes = SessionRecorder.write_set
+    taken: dict[Path, int] = {}
+
+    def write_set(self: SessionRecorder, *given: object) -> None:
+        if taken.get(self.path, 0) >= 3:
+            raise InputError(f"recording {self.path}: File too large")
+        taken[self.path] = taken.get(self.path, 0) + 1
+        writes(self, *given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(SessionRecorder, "write_set", write_set)
+    sink = Recorded(tmp_path, configured("none", keep_free_mb=1.0), CAMERA, clock, "", free=Disk())  # type: ignore[arg-type]
+    for second in range(240):
+        clock.s += 1.0
+        sink._work(Entry("sets", clock.now_ns(), 0, lambda f, n=second: f.write_set(base, None)))  # type: ignore[misc]
+    stops = [r for r in caplog.records if "recording stops until there is room" in r.message]
+    goes_on = [r for r in caplog.records if "recording again" in r.message]
+    assert 2 <= len(stops) <= 4  # of a minute each
+    assert len(stops) - 1 <= len(goes_on) <= len(stops)  # none that answers nothing
+    assert 4 <= len(taken) <= 9  # 5, 10, 20, 40, 60, 60 s apart; at every 5 s it would be 30 files
+    sink._finish_file()

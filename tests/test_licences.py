@@ -1,0 +1,102 @@
+"""The README's tables of dependencies and licences are what the installed packages say; none is under the GPL."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from importlib.metadata import distribution
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parents[1]
+ROW = re.compile(r"^\| ([\w.-]+) \| ([^|]+) \|$", re.MULTILINE)
+GPL = re.compile(r"(?<!L)GPL|(?<!Lesser )(?<!Library )General Public License", re.IGNORECASE)
+
+
+def locked() -> set[str]:
+    lines = (ROOT / "requirements.lock").read_text().splitlines()
+    return {str(canonicalize_name(line.split("==")[0])) for line in lines if line and not line.startswith("#")}
+
+
+def closure(requirements: list[str]) -> set[str]:
+    """Every package that an installation of some requirements brings, by what the installed ones require."""
+    found: set[str] = set()
+    ahead = [(Requirement(line), "") for line in requirements]
+    while ahead:
+        requirement, extra = ahead.pop()
+        name = str(canonicalize_name(requirement.name))
+        if name in found or (requirement.marker and not requirement.marker.evaluate({"extra": extra})):
+            continue
+        found.add(name)
+        for line in distribution(name).requires or []:
+            ahead += [(Requirement(line), wanted) for wanted in requirement.extras or {""}]
+    return found
+
+
+def flying() -> set[str]:
+    """What runs: the base and every extra but `dev`."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    return closure([*project["dependencies"], *(line for e in extras if e != "dev" for line in extras[e])])
+
+
+def licence(name: str) -> str:
+    """What a package's metadata says: the expression, else the classifiers, else the first words of its licence."""
+    metadata = distribution(name).metadata
+    if expression := metadata.get("License-Expression"):
+        return str(expression)
+    classifiers = [c.split(" :: ")[-1] for c in metadata.get_all("Classifier") or [] if c.startswith("License ::")]
+    return " or ".join(classifiers) or str(metadata.get("License") or "?").splitlines()[0]
+
+
+def tables() -> tuple[dict[str, str], dict[str, str]]:
+    """Package -> licence: the README's table of what runs, and its table of what only development needs."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    section = text.partition("\n## Licences\n")[2].partition("\n## ")[0]
+    runs, _, develops = section.partition("Only for development")
+    read = [{name: said for name, said in ROW.findall(part) if name != "package"} for part in (runs, develops)]
+    return read[0], read[1]
+
+
+def test_the_readme_names_every_package_that_runs_with_its_licence() -> None:
+    wanted = {name: licence(name) for name in flying()}
+    assert tables()[0] == wanted, "\n".join(f"| {name} | {wanted[name]} |" for name in sorted(wanted))
+
+
+def test_the_readme_names_every_package_of_development_with_its_licence() -> None:
+    wanted = {name: licence(name) for name in locked() - flying()}
+    assert tables()[1] == wanted, "\n".join(f"| {name} | {wanted[name]} |" for name in sorted(wanted))
+
+
+def test_the_lock_holds_everything_that_runs() -> None:
+    assert flying() <= locked()
+
+
+def test_no_dependency_is_under_the_gpl() -> None:
+    assert not {name: licence(name) for name in locked() | flying() if GPL.search(licence(name))}
+
+
+@pytest.mark.parametrize(
+    ("words", "is_gpl"),
+    [
+        ("GPL-3.0-or-later", True),
+        ("GNU General Public License v3 (GPLv3)", True),
+        ("GNU Affero General Public License v3", True),
+        ("AGPL-3.0-only", True),
+        ("MIT OR GPL-2.0", True),
+        ("LGPLv3", False),
+        ("GNU Lesser General Public License v3 (LGPLv3)", False),
+        ("MPL-2.0", False),
+        ("Apache-2.0 OR BSD-3-Clause", False),
+    ],
+)
+def test_the_gpl_is_known_by_its_names(words: str, is_gpl: bool) -> None:
+    assert bool(GPL.search(words)) is is_gpl
+
+
+def test_the_readme_says_whose_choice_the_projects_own_licence_is() -> None:
+    section = (ROOT / "README.md").read_text(encoding="utf-8").partition("\n## Licences\n")[2]
+    assert "still to be chosen by its owner" in " ".join(section.split())

@@ -1,0 +1,63 @@
+"""`make pytest` runs two sets of tests, those that measure real time alone, and fails if either fails or is missing."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def make_pytest(folder: Path, parallel: int, serial: int, arguments: str = "") -> tuple[int, list[str], str]:
+    """`make pytest` with a pytest that ends with these codes: make's own code, the two calls, what was said."""
+    programs = folder / "venv" / "bin"
+    programs.mkdir(parents=True)
+    calls = folder / "calls"
+    fake = (
+        f'#!/bin/sh\necho "$@" >> {calls}\ncase "$*" in *"not wall_clock"*) exit {parallel};; *) exit {serial};; esac\n'
+    )
+    for name, text in {"python": fake, "systemd-analyze": "#!/bin/sh\n"}.items():
+        (programs / name).write_text(text)
+        (programs / name).chmod(0o755)
+    for stamp in (".locked", ".installed"):  # newer than the lock: nothing to install
+        (folder / "venv" / stamp).touch()
+    done = subprocess.run(
+        ["make", "pytest", f"VENV={folder / 'venv'}", f"PYTEST_ARGS={arguments}"],
+        cwd=ROOT,
+        env={"PATH": f"{programs}:{os.environ['PATH']}"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=30,
+    )
+    return done.returncode, calls.read_text().splitlines(), done.stderr
+
+
+def test_real_time_is_measured_alone(tmp_path: Path) -> None:
+    code, calls, _ = make_pytest(tmp_path, 0, 0)
+    assert code == 0
+    assert calls == ["-m pytest -m not wall_clock -n 2 --dist loadgroup", "-m pytest -m wall_clock -n 0"]
+
+
+@pytest.mark.parametrize(("parallel", "serial"), [(1, 0), (0, 1), (5, 0), (0, 5), (5, 5), (2, 5), (5, 2)])
+def test_a_failure_or_an_empty_run_fails(tmp_path: Path, parallel: int, serial: int) -> None:
+    code, calls, said = make_pytest(tmp_path, parallel, serial)
+    assert code != 0
+    assert len(calls) == 2  # a failure in one does not hide what the other finds
+    assert ("marker wall_clock lost" in said) == ({parallel, serial} == {0, 5})
+
+
+@pytest.mark.parametrize(("parallel", "serial", "is_well"), [(0, 5, True), (5, 0, True), (5, 5, False), (1, 5, False)])
+def test_chosen_tests_may_all_be_in_one_run(tmp_path: Path, parallel: int, serial: int, is_well: bool) -> None:
+    code, calls, _ = make_pytest(tmp_path, parallel, serial, "-k 'click or terrain'")
+    assert (code == 0) is is_well
+    assert all(call.endswith("-k click or terrain") for call in calls)
+
+
+def test_the_marker_is_registered() -> None:
+    options = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
+    assert "wall_clock: measures real time; run serially" in options["markers"]
