@@ -32,7 +32,6 @@ from ground.answer import CHI2_2, Fix
 from ground.locate import Locator
 from onboard.config.schema import Config, parse_config
 from onboard.events.types import Attitude, Event, Frame, PositionFix
-from onboard.navigation.navigator import Navigation
 from onboard.pipeline.pipeline import Pipeline
 from onboard.telemetry.tlog_reader import TelemetryLog, read_tlog
 from onboard.vision.klt_tracker import Tracks
@@ -124,7 +123,7 @@ class ReplayedFlight:
         pictures: list[tuple[int, Event]] = [
             (int(t), Frame(int(t), k, np.full((1, 1), k, np.uint16).view(np.uint8))) for k, t in enumerate(stamps_ns)
         ]
-        wander = self._wander(begin_ns - LEAD_NS, end_ns)
+        wander = self.wander = Wander(self.rng, self.place, begin_ns - LEAD_NS, end_ns, self.spec.wander_m)
         telemetry: list[tuple[int, Event]] = []
         last_attitude_ns = 0
         for arrival_ns, event in zip(self._log.arrival_ns, self._log.events, strict=True):
@@ -137,9 +136,6 @@ class ReplayedFlight:
             telemetry.append((arrival_ns, wander(event) if isinstance(event, PositionFix) else event))
         for _, event in sorted([*telemetry, *pictures], key=lambda pair: pair[0]):
             yield event
-
-    def _wander(self, begin_ns: int, end_ns: int) -> Wander:
-        return Wander(self.rng, self.place, begin_ns, end_ns, self.spec.wander_m)
 
 
 class Wander:
@@ -221,7 +217,6 @@ def judge(scene: Scene, seed: int, warm_s: float = 30.0) -> Score:
     sets.update({out.frame: out for out in pipeline.finish()})
     score = Score()
     rng = np.random.default_rng([seed, 912])
-    navigation = _navigation(scene, flight)
     for k, t in enumerate(flight.times_s):
         if t < warm_s:
             continue
@@ -240,7 +235,7 @@ def judge(scene: Scene, seed: int, warm_s: float = 30.0) -> Score:
             score.refused[reason] = score.refused.get(reason, 0) + len(uv)
             continue
         locator = Locator(decode(encode(s)))
-        flat = _flat(navigation, scene, flight, k, uv)
+        flat = _flat(scene, flight, k, uv)
         for one, where, ray in zip(uv, truth, flat, strict=True):
             answer = locator.locate(one)
             if not isinstance(answer, Fix):
@@ -270,23 +265,12 @@ def judge(scene: Scene, seed: int, warm_s: float = 30.0) -> Score:
     return score
 
 
-def _navigation(scene: Scene, flight: ReplayedFlight) -> Navigation:
-    """The autopilot's own pose, as a ground station would draw it: no latency of ours, nothing refused."""
-    navigation = Navigation(replace_section(scene.config, "gps", latency_s=0.0))
-    wander = flight._wander
-    del wander
-    for event in flight._log.events:
-        if isinstance(event, PositionFix | Attitude):
-            navigation.add(event)
-    return navigation
-
-
-def _flat(navigation: Navigation, scene: Scene, flight: ReplayedFlight, k: int, uv: Array) -> Array:
+def _flat(scene: Scene, flight: ReplayedFlight, k: int, uv: Array) -> Array:
     """Where the pixel's ray from the autopilot's pose through the true mount meets level ground at home's height."""
-    del navigation
     log = _raw(scene.recording)
     t_ns = round((flight.begin_s + flight.times_s[k]) * 1e9)
     p = np.array([np.interp(t_ns, log[0], log[1][:, i]) for i in range(3)])
+    p = p + flight.wander.at(t_ns)
     j = min(max(int(np.searchsorted(log[2], t_ns)), 1), len(log[2]) - 1)
     R_ned_body = log[3][j if abs(log[2][j] - t_ns) < abs(log[2][j - 1] - t_ns) else j - 1]
     from contract.rotations import R_ENU_NED

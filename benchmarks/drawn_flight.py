@@ -18,7 +18,7 @@ from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, mount_rotation, quaternion_from_matrix
 from onboard.config.schema import Config
-from onboard.estimation.sensor_factors import TERRAIN_SLOPE_SIGMA
+from onboard.estimation.sensor_factors import DYNAMIC_TIME_S, TERRAIN_SLOPE_SIGMA
 from onboard.events.types import Attitude, Event, Frame, GpsQuality, PositionFix
 from onboard.geometry.terrain_grid import Terrain
 from onboard.pipeline.pipeline import Pipeline
@@ -99,6 +99,7 @@ class DrawnFlight:
         self.ground = Ground(rng, e * tilt * rng.standard_normal(2), spec.relief_sigma_m, spec.relief_wavelength_m)
         self.boresight_rad = e * np.radians(config.mount.sigma_deg) * rng.standard_normal(3)
         self.offset_s = e * config.camera.sigma_latency_s * float(rng.standard_normal())
+        self.delay_s = e * config.gps.sigma_latency_s * float(rng.standard_normal())
         if spec.boresight_deg is not None:
             self.boresight_rad = np.radians(spec.boresight_deg)
         if spec.offset_s is not None:
@@ -152,10 +153,17 @@ class DrawnFlight:
             self._error(time, slow, gps.wander_time_s) + self._error(time, fast, WHITE_TIME_S)
             for slow, fast in zip(sigma_m, white, strict=True)
         ]
-        velocity = self.trajectory.velocity_enu_m_s(time) + np.stack(
+        late = time - self.delay_s
+        velocity = self.trajectory.velocity_enu_m_s(late) + np.stack(
             [self._error(time, gps.sigma_velocity_m_s, VELOCITY_TIME_S) for _ in range(3)], axis=1
         )
-        geodetic = PLACE.to_geodetic(self.trajectory.position_enu_m(time) + np.stack(error, axis=1))
+        # What acceleration does to a navigation filter, (5.16).
+        gained = np.linalg.norm(np.gradient(self.trajectory.velocity_enu_m_s(time), time, axis=0), axis=1)
+        dynamic = gps.sigma_latency_s * gained
+        velocity += np.stack([dynamic * self._error(time, 1.0, DYNAMIC_TIME_S) for _ in range(3)], axis=1)
+        for axis in range(3):
+            error[axis] = error[axis] + 0.5 * DYNAMIC_TIME_S * dynamic * self._error(time, 1.0, DYNAMIC_TIME_S)
+        geodetic = PLACE.to_geodetic(self.trajectory.position_enu_m(late) + np.stack(error, axis=1))
         ned = velocity @ R_ENU_NED
         above_m = self.trajectory.position_enu_m(time)[:, 2] + error[2]
         rows = zip(time, geodetic.tolist(), ned.tolist(), above_m.tolist(), strict=True)

@@ -123,7 +123,7 @@ def _position(
     vertical = grow * max(k.nav.sigma_vertical_m for k in keyframes)
     white_m = np.array([k.nav.sigma_white_m for k in keyframes])
     slow_m = np.array([horizontal, horizontal, vertical])
-    moved_m = DYNAMIC_TIME_S * _dynamic_m_s(config, keyframes)
+    moved_m = 0.5 * DYNAMIC_TIME_S * _dynamic_m_s(config, keyframes)
     dynamic = np.outer(moved_m, moved_m) * gauss_markov_covariance(stamps, 1.0, DYNAMIC_TIME_S)
     parts, whitener = [], []
     for axis, share in enumerate((1.0, 1.0, 1.5)):
@@ -286,7 +286,8 @@ def _shared_prior(config: Config, layout: Layout, belief: Belief, has_terrain: b
     covariance = np.zeros((STATES_AND_PLANE, STATES_AND_PLANE))
     covariance[:SHARED, :SHARED] = belief.covariance
     # What turns show of a filter's delays is not all of them: inertial sensors keep turns in time. (5.15)
-    covariance[[DELAY, VELOCITY_DELAY], [DELAY, VELOCITY_DELAY]] += config.gps.sigma_latency_s**2
+    for delay in (DELAY, VELOCITY_DELAY):
+        covariance[delay, delay] += max(config.gps.sigma_latency_s**2 - belief.covariance[delay, delay], 0.0)
     solve_ = config.solve
     slope = np.tan(np.radians(solve_.level_ground_sigma_deg)) if solve_.level_ground else 3.0
     height_m = 1e4
