@@ -11,16 +11,29 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from contract.errors import InputError
-from onboard.estimation.boresight import BORESIGHT_WALK_RAD, MEMORY_ESTIMATES, OFFSET_WALK_S, STATES, Alignment
+from onboard.estimation.boresight import (
+    BORESIGHT_WALK_RAD,
+    DELAY,
+    DELAY_WALK_S,
+    HEADING,
+    HEADING_WALK_RAD,
+    MEMORY_ESTIMATES,
+    OFFSET,
+    OFFSET_WALK_S,
+    STATES,
+    VELOCITY_DELAY,
+    Alignment,
+)
 
 T0_NS = 1_795_217_000_000_000_000
 SPACING_S = 20.0
-MEAN = np.array([0.02, -0.01, 0.005, -0.08])
-COVARIANCE = np.diag([1e-6, 2e-6, 3e-6, 1e-4])
+MEAN = np.array([0.02, -0.01, 0.005, -0.08, 0.06, 0.03, -0.02, 0.01])
+COVARIANCE = np.diag([1e-6, 2e-6, 3e-6, 1e-4, 4e-4, 9e-4, 1e-4, 2e-4])
+FIRST = np.array([*[np.radians(3.0)] * 3, 0.1, 0.1, 0.1, *[np.radians(2.0)] * 2])
 
 
 def alignment() -> Alignment:
-    return Alignment(np.radians(3.0), 0.1, SPACING_S)
+    return Alignment(np.radians(3.0), 0.1, SPACING_S, 0.1, np.radians(2.0))
 
 
 def at(seconds: float) -> int:
@@ -30,7 +43,7 @@ def at(seconds: float) -> int:
 def test_before_any_update_the_prior_is_the_configured_one() -> None:
     prior = alignment().prior_for(at(0.0))
     assert np.all(prior.mean == 0.0)
-    assert prior.sigma == pytest.approx([*[np.radians(3.0)] * 3, 0.1], rel=1e-4)
+    assert prior.sigma == pytest.approx(FIRST, rel=1e-4)
 
 
 def test_a_posterior_serves_windows_that_begin_after_it_and_no_other() -> None:
@@ -80,7 +93,9 @@ def test_a_posterior_ages_as_a_random_walk() -> None:
     assert np.allclose(fresh.covariance, COVARIANCE)
     grown = np.diag(old.covariance - COVARIANCE)
     assert np.sqrt(grown[:3]) == pytest.approx(2.0 * BORESIGHT_WALK_RAD)
-    assert np.sqrt(grown[3]) == pytest.approx(2.0 * OFFSET_WALK_S)
+    assert np.sqrt(grown[OFFSET]) == pytest.approx(2.0 * OFFSET_WALK_S)
+    assert np.sqrt(grown[[DELAY, VELOCITY_DELAY]]) == pytest.approx(2.0 * DELAY_WALK_S)
+    assert np.sqrt(grown[HEADING]) == pytest.approx(2.0 * HEADING_WALK_RAD)
 
 
 def test_a_belief_survives_the_state_directory_wider_than_before() -> None:
@@ -109,6 +124,9 @@ def _state(**changes: object) -> str:
         "{}",
         "not json",
         _state(boresight_rad=[0.0, 0.0]),
+        _state(heading_rad=[0.0]),
+        _state(velocity_delay_s=None),
+        _state(delay_s=float("nan")),
         _state(boresight_rad=None),
         _state(offset_s="soon"),
         _state(covariance=np.eye(3).tolist()),
@@ -129,10 +147,10 @@ def test_what_is_no_belief_is_refused_by_name_and_changes_nothing(text: str) -> 
 def test_a_prior_that_was_too_narrow_is_widened_by_data() -> None:
     """The mount declared within 1 degree, in truth 3 off; data know it to 0.5: it is pulled back by 0.18."""
     sigma, own = np.radians(1.0), np.radians(0.5)
-    a = Alignment(sigma, 0.1, 20.0)
-    truth = np.array([np.radians(3.0), 0.0, np.radians(0.5), 0.0])
-    precision = np.diag([own**-2] * 3 + [0.02**-2])
-    covariance = np.linalg.inv(precision + np.diag([sigma**-2] * 3 + [0.1**-2]))
+    a = Alignment(sigma, 0.1, 20.0, 0.1, sigma)
+    truth = np.array([np.radians(3.0), 0.0, np.radians(0.5), 0.0, 0.0, 0.0, 0.0, 0.0])
+    precision = np.diag([own**-2] * 3 + [0.02**-2] * 3 + [own**-2] * 2)
+    covariance = np.linalg.inv(precision + np.diag([sigma**-2] * 3 + [0.1**-2] * 3 + [sigma**-2] * 2))
     a.offer(at(0.0), at(10.0), covariance @ precision @ truth, covariance)
     mean_deg = np.degrees(a.belief.mean[:3])
     assert mean_deg[0] == pytest.approx(2.82, abs=0.01)  # 4 square degrees of prior instead of 1: 2.4
@@ -144,9 +162,9 @@ def test_a_prior_that_was_too_narrow_is_widened_by_data() -> None:
 def test_the_prior_is_widened_once_and_not_update_after_update() -> None:
     """A second update rests on the first one's prior: its data are separated from that, not from the declared one."""
     sigma, own = np.radians(1.0), np.radians(0.5)
-    a = Alignment(sigma, 0.1, 20.0)
-    truth = np.array([np.radians(3.0), 0.0, 0.0, 0.0])
-    data = np.diag([own**-2] * 3 + [0.02**-2])
+    a = Alignment(sigma, 0.1, 20.0, 0.1, sigma)
+    truth = np.array([np.radians(3.0), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    data = np.diag([own**-2] * 3 + [0.02**-2] * 3 + [own**-2] * 2)
     for k in range(4):
         prior = a.prior_for(at(100.0 * k))
         held = np.linalg.inv(prior.covariance)
