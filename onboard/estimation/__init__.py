@@ -10,5 +10,6 @@ Public:
 - `sensor_pose`: `SensorPose`
 - `sliding_window`: `Window`
 - `solver_executor`: `Inline`, `Promise`, `Worker`, `timed_adjust`
+- `variance_components`: `VarianceFactors`, and the names of its parts
 - `window_solver`: `Solved`
 """

@@ -8,7 +8,7 @@ configuration's sigmas are where it starts and its floors; there is no ceiling.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -96,8 +96,3 @@ def evidence_of(priors: list[Prior], state: State, covariance: Array, used: Vari
                 found[name] = found.get(name, 0.0) + float(weighted @ Q @ weighted)
                 expected[name] = expected.get(name, 0.0) + max(float(np.sum(Q * left)), 0.0)
     return Evidence({n: v * used.scale(n) for n, v in found.items()}, expected)
-
-
-def described(factors: VarianceFactors) -> Iterator[tuple[str, float]]:
-    """Every part whose estimate is larger than configured, with the factor on its sigma."""
-    return ((name, factors.sigma(name)) for name in NAMES if factors.of(name) > 1.0)

@@ -31,6 +31,7 @@ from onboard.geometry.terrain_grid import Terrain
 from onboard.georeferencing.feature_sets import Origin, Picture, georeference
 from onboard.georeferencing.surface_sets import over_known_ground
 from onboard.navigation.navigator import Navigation, NavState
+from onboard.pipeline.estimates import estimates_of, sensor_errors
 from onboard.pipeline.frozen_frames import Staleness, Stillness
 from onboard.pipeline.motion_prediction import are_comparable, ground_so_far, predict_motion
 from onboard.pipeline.mount_selection import MountSelection
@@ -136,7 +137,10 @@ class Pipeline:
     def summary(self) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
         alignment = self.window.alignment
-        return self._statistics.summary(alignment.belief if alignment.updates else None)
+        return self._statistics.summary(
+            estimates_of(alignment.belief if alignment.updates else None),
+            sensor_errors(self.config, self.window.noise.factors),
+        )
 
     def _process(self, frame: Frame) -> list[FeatureSet]:
         if self._session is None:

@@ -11,7 +11,6 @@ from contract.errors import InputError
 from onboard.estimation.boresight import Alignment
 from onboard.storage.alignment_file import StateFile
 
-
 MEAN = np.array([0.01, -0.02, 0.005, 0.08, 0.05, -0.03, 0.02, -0.01])
 
 
