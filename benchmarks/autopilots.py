@@ -6,8 +6,8 @@
 Position, velocity and attitude are what ArduPilot sent, with all of its errors, none of which we chose; a drawn
 Gauss-Markov error is added to the position, for one flight is only one draw of its GPS. Features are points of drawn
 ground with pixel noise (`drawn_flight`), so that a flight of minutes takes seconds. Printed for every scene: the share
-answered, median and 90 % error beside what the flat ray gives (the autopilot's own pose, the true mount, level ground at
-home's height), the share inside the 90 % ellipse by bank, inside the 99 % ellipse, the worst error over its 90 %
+answered, median and 90 % error beside what the flat ray gives (the autopilot's own pose, the true mount, level ground
+at home's height), the share inside the 90 % ellipse by bank, inside the 99 % ellipse, the worst error over its 90 %
 ellipse, and what was estimated of mount and clocks against the truth.
 """
 
@@ -15,9 +15,12 @@ from __future__ import annotations
 
 import argparse
 import functools
+import itertools
+import multiprocessing
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +29,7 @@ from benchmarks.drawn_flight import DrawnTracker, Ground, Mask, replace_section
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
-from contract.rotations import exp_so3, mount_rotation
+from contract.rotations import R_ENU_NED, exp_so3, matrix_from_quaternion, mount_rotation
 from contract.wire.codec import decode, encode
 from ground.answer import CHI2_2, Fix
 from ground.locate import Locator
@@ -50,7 +53,7 @@ CLICKS = 3
 
 @dataclass(frozen=True)
 class Scene:
-    """One recorded flight as it is flown again. Angles and offsets are the truth; the configuration does not know them."""
+    """One recorded flight as it is flown again. Angles and offsets are the truth; the configuration knows none."""
 
     recording: str
     config: Config
@@ -126,14 +129,14 @@ class ReplayedFlight:
         wander = self.wander = Wander(self.rng, self.place, begin_ns - LEAD_NS, end_ns, self.spec.wander_m)
         telemetry: list[tuple[int, Event]] = []
         last_attitude_ns = 0
-        for arrival_ns, event in zip(self._log.arrival_ns, self._log.events, strict=True):
-            if not begin_ns - LEAD_NS <= event.stamp_ns <= end_ns:
+        for arrival_ns, said in zip(self._log.arrival_ns, self._log.events, strict=True):
+            if not begin_ns - LEAD_NS <= said.stamp_ns <= end_ns:
                 continue
-            if isinstance(event, Attitude) and self.spec.attitude_hz is not None:
-                if event.stamp_ns - last_attitude_ns < 0.98e9 / self.spec.attitude_hz:
+            if isinstance(said, Attitude) and self.spec.attitude_hz is not None:
+                if said.stamp_ns - last_attitude_ns < 0.98e9 / self.spec.attitude_hz:
                     continue
-                last_attitude_ns = event.stamp_ns
-            telemetry.append((arrival_ns, wander(event) if isinstance(event, PositionFix) else event))
+                last_attitude_ns = said.stamp_ns
+            telemetry.append((arrival_ns, wander(said) if isinstance(said, PositionFix) else said))
         for _, event in sorted([*telemetry, *pictures], key=lambda pair: pair[0]):
             yield event
 
@@ -159,6 +162,7 @@ class Wander:
         return out
 
     def __call__(self, fix: PositionFix) -> PositionFix:
+        """The same message with the error added."""
         east, north, up = self.at(fix.stamp_ns)
         p = self._place.to_enu(fix.lat_deg, fix.lon_deg, fix.height_amsl_m) + [east, north, up]
         lat, lon, height = (float(c) for c in self._place.to_geodetic(p))
@@ -178,14 +182,14 @@ class ReplayedTracker(DrawnTracker):
                 return self.nothing()
         return super().track(image, predicted)
 
-    def promote(self, tracks):  # type: ignore[no-untyped-def,override]
-        """The last picture becomes the keyframe."""
-        kept = super().promote(tracks)
-        bad = ~np.isfinite(self._points).all(axis=1)
+    def promote(self, tracks: Tracks) -> tuple[NDArray[np.int64], Array]:
+        """The last picture becomes the keyframe; what showed no ground is no feature."""
+        super().promote(tracks)
+        bad = np.any(~np.isfinite(self._points), axis=1)
         self._points[bad] = [0.0, 0.0, 1e7]
         ok = ~bad[self._ids]
         self._ids, self._uv = self._ids[ok], self._uv[ok]
-        return self._ids, self._uv if kept is not None else self._uv
+        return self._ids, self._uv
 
 
 @dataclass
@@ -210,7 +214,7 @@ def judge(scene: Scene, seed: int, warm_s: float = 30.0) -> Score:
     """Fly the scene and ask `CLICKS` clicks of every picture after `warm_s`."""
     flight = ReplayedFlight(scene, seed)
     pipeline = Pipeline(scene.config, scene.camera, None)
-    pipeline.tracker = ReplayedTracker(flight)  # type: ignore[arg-type]
+    pipeline.tracker = ReplayedTracker(flight)
     sets: dict[int, FeatureSet] = {}
     for event in flight.events():
         sets.update({out.frame: out for out in pipeline.handle(event)})
@@ -273,8 +277,6 @@ def _flat(scene: Scene, flight: ReplayedFlight, k: int, uv: Array) -> Array:
     p = p + flight.wander.at(t_ns)
     j = min(max(int(np.searchsorted(log[2], t_ns)), 1), len(log[2]) - 1)
     R_ned_body = log[3][j if abs(log[2][j] - t_ns) < abs(log[2][j - 1] - t_ns) else j - 1]
-    from contract.rotations import R_ENU_NED
-
     rays, _ = scene.camera.unproject(uv)
     rays = rays @ (R_ENU_NED @ R_ned_body @ flight.R_body_cam).T
     depth = -p[2] / np.minimum(rays[:, 2], -1e-3)
@@ -284,8 +286,6 @@ def _flat(scene: Scene, flight: ReplayedFlight, k: int, uv: Array) -> Array:
 
 @functools.lru_cache(maxsize=8)
 def _raw(name: str) -> tuple[Array, Array, Array, Array]:
-    from contract.rotations import matrix_from_quaternion
-
     log, truth = recording(name)
     place = LocalFrame(float(truth.lat_deg[0]), float(truth.lon_deg[0]), GROUND_AMSL_M)
     fixes = sorted((e for e in log.events if isinstance(e, PositionFix)), key=lambda e: e.stamp_ns)
@@ -298,13 +298,13 @@ def _raw(name: str) -> tuple[Array, Array, Array, Array]:
     )
 
 
-MOUNTS = {
+MOUNTS: dict[str, dict[str, float]] = {
     "nadir": {},
     "180": {"yaw_deg": 180.0},
     "-90": {"yaw_deg": -90.0},
     "tilted": {"pitch_deg": -60.0},
 }
-SENSORS: dict[str, dict[str, object]] = {"full": {}, "gps": {"attitude": "none", "velocity": False}}
+SENSORS: dict[str, dict[str, Any]] = {"full": {}, "gps": {"attitude": "none", "velocity": False}}
 STARTS = {
     "plane_clean": 60.0,
     "plane_gps_outage": 60.0,
@@ -313,7 +313,7 @@ STARTS = {
     "plane_log": 40.0,
     "copter_survey": 30.0,
 }
-FAULTS: dict[str, dict[str, object]] = {
+FAULTS: dict[str, dict[str, Any]] = {
     "none": {},
     "late": {"stamps_late_s": 0.2, "mount_error_deg": (2.0, 1.5, 0.0)},
     "1hz": {"attitude_hz": 1.0},
@@ -321,11 +321,38 @@ FAULTS: dict[str, dict[str, object]] = {
 }
 
 
-def _worker(job: tuple[str, Scene, int]) -> tuple[str, Score, float]:
+Job = tuple[str, Scene, int]
+
+
+def _work(job: Job) -> tuple[str, Score, float]:
     name, scene, seed = job
     begin = time.perf_counter()
     score = judge(scene, seed)
     return name, score, time.perf_counter() - begin
+
+
+def jobs_of(args: argparse.Namespace) -> list[Job]:
+    """Every combination that was asked for: its name, the scene, the seed."""
+    base = parse_config(args.set.replace(";", "\n"))
+    asked = (args.recordings, args.mounts, args.sensors, args.faults)
+    jobs = []
+    for name, mount, sensors, fault in itertools.product(*(names.split(",") for names in asked)):
+        config = replace_section(replace_section(base, "mount", **MOUNTS[mount]), "solve", **SENSORS[sensors])
+        start_s = STARTS[name] if args.start is None else args.start
+        scene = replace(Scene(name, config, start_s, args.seconds), **FAULTS[fault])
+        jobs += [(f"{name} {mount} {sensors} {fault}", scene, args.seed + draw) for draw in range(args.draws)]
+    return jobs
+
+
+def report(results: Iterable[tuple[str, Score, float]]) -> None:
+    """Print a row for every scene as it comes, and one for each set of sensors."""
+    print(f"{'scene':<38} answ bank | med   90%  | flat med 90% | 0-5  5-15 15-30 >30 | all  in99 worst")
+    pooled: dict[str, list[Score]] = {}
+    for name, score, seconds in results:
+        print(row(name, [score]), f"{seconds:5.0f} s", score.learned, score.refused, flush=True)
+        pooled.setdefault(name.split()[2], []).append(score)
+    for sensors, scores in pooled.items():
+        print(row(f"pooled {sensors}", scores))
 
 
 def main() -> None:
@@ -342,35 +369,23 @@ def main() -> None:
     parser.add_argument("--set", default="", help="TOML put over the defaults")
     parser.add_argument("--jobs", type=int, default=1)
     args = parser.parse_args()
-    base = parse_config(args.set.replace(";", "\n"))
-    jobs = []
-    for name in args.recordings.split(","):
-        for mount in args.mounts.split(","):
-            for sensors in args.sensors.split(","):
-                for fault in args.faults.split(","):
-                    config = (
-                        replace_section(replace_section(base, "mount", **MOUNTS[mount]), "solve", **SENSORS[sensors])
-                        if SENSORS[sensors]
-                        else replace_section(base, "mount", **MOUNTS[mount])
-                    )
-                    for draw in range(args.draws):
-                        start = STARTS[name] if args.start is None else args.start
-                        scene = Scene(name, config, start, args.seconds, **FAULTS[fault])  # type: ignore[arg-type]
-                        jobs.append((f"{name} {mount} {sensors} {fault}", scene, args.seed + draw))
-    head = f"{'scene':<38} answ bank | med   90%  | flat med 90% | 0-5  5-15 15-30 >30 | all  in99 worst"
-    print(head)
-    pooled: dict[str, list[Score]] = {}
-    if args.jobs > 1:
-        import multiprocessing
+    jobs = jobs_of(args)
+    if args.jobs == 1:
+        report(map(_work, jobs))
+        return
+    with multiprocessing.get_context("fork").Pool(args.jobs) as pool:
+        report(pool.imap(_work, jobs))
 
-        results = multiprocessing.get_context("fork").Pool(args.jobs).imap(_worker, jobs)
-    else:
-        results = map(_worker, jobs)
-    for name, score, seconds in results:
-        print(row(name, [score]), f"{seconds:5.0f} s", score.learned, score.refused, flush=True)
-        pooled.setdefault(name.split()[2], []).append(score)
-    for sensors, scores in pooled.items():
-        print(row(f"pooled {sensors}", scores))
+
+def share_inside(scores: list[Score]) -> list[float | None]:
+    """Share of errors inside the 90 % ellipse in each bin of bank; None where hardly any were asked."""
+    chi2 = np.concatenate([s.chi2 for s in scores])
+    bank = np.concatenate([s.bank_deg for s in scores])
+    out: list[float | None] = []
+    for low, high in itertools.pairwise(BANKS_DEG):
+        here = (bank >= low) & (bank < high)
+        out.append(float(np.mean(chi2[here] < CHI2_2)) if here.sum() > 5 else None)
+    return out
 
 
 def row(name: str, scores: list[Score]) -> str:
@@ -379,18 +394,15 @@ def row(name: str, scores: list[Score]) -> str:
     error = np.concatenate([s.error_m for s in scores])
     flat = np.concatenate([s.flat_m for s in scores])
     ratio = np.concatenate([s.ratio for s in scores])
-    bank = np.concatenate([s.bank_deg for s in scores])
     if not len(chi2):
         return f"{name:<38} nothing"
     asked = {b: sum(s.asked[b] for s in scores) for b in ("all", "bank")}
     answered = {b: sum(s.answered[b] for s in scores) for b in ("all", "bank")}
-    shares = []
-    for low, high in zip(BANKS_DEG[:-1], BANKS_DEG[1:], strict=True):
-        here = (bank >= low) & (bank < high)
-        shares.append(f"{100 * np.mean(chi2[here] < CHI2_2):4.0f}" if here.sum() > 5 else "   -")
+    shares = ["   -" if share is None else f"{100 * share:4.0f}" for share in share_inside(scores)]
+    answered_bank = 100 * answered["bank"] / max(asked["bank"], 1)
     q = np.quantile
     return (
-        f"{name:<38} {100 * answered['all'] / max(asked['all'], 1):4.0f} {100 * answered['bank'] / max(asked['bank'], 1):4.0f} |"
+        f"{name:<38} {100 * answered['all'] / max(asked['all'], 1):4.0f} {answered_bank:4.0f} |"
         f"{q(error, 0.5):5.2f} {q(error, 0.9):6.2f} | {q(flat, 0.5):5.2f} {q(flat, 0.9):6.2f} |{' '.join(shares)} |"
         f" {100 * np.mean(chi2 < CHI2_2):4.0f} {100 * np.mean(chi2 < CHI2_99):5.1f} {ratio.max():5.1f}"
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -202,10 +203,46 @@ class DrawnFlight:
         return Terrain(float(axis[0]), float(axis[0]), TERRAIN_NODE_M, height + rough)
 
 
+class Seen(Protocol):
+    """What a drawn tracker needs to know of how a flight is seen."""
+
+    @property
+    def config(self) -> Config:
+        """The configuration that is flown."""
+
+    @property
+    def camera(self) -> Camera:
+        """The camera."""
+
+    @property
+    def pixel_sigma_px(self) -> float:
+        """One sigma of a feature's pixel noise."""
+
+    @property
+    def outlier_share(self) -> float:
+        """Share of tracks that are wrong."""
+
+
+class FlightInSight(Protocol):
+    """A flight of which a drawn tracker can look up what its pictures show."""
+
+    rng: np.random.Generator
+
+    @property
+    def spec(self) -> Seen:
+        """How it is seen."""
+
+    def ground_points(self, frame: int, uv_px: Array) -> Array:
+        """The ground (N, 3) that pixels (N, 2) of a picture show."""
+
+    def pixels(self, frame: int, points: Array) -> tuple[Array, Mask]:
+        """Pixels (N, 2) of points (N, 3) in a picture, and whether they are on it."""
+
+
 class DrawnTracker(Tracker):
     """Features that are points of the drawn ground, found again wherever they are visible, with white pixel noise."""
 
-    def __init__(self, flight: DrawnFlight) -> None:
+    def __init__(self, flight: FlightInSight) -> None:
         spec = flight.spec
         super().__init__(spec.camera.size_px, spec.config.tracking.features)
         self._flight = flight

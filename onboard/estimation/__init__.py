@@ -10,6 +10,7 @@ Public:
 - `sensor_pose`: `SensorPose`
 - `sliding_window`: `Window`
 - `solver_executor`: `Inline`, `Promise`, `Worker`, `timed_adjust`
-- `variance_components`: `VarianceFactors`, and the names of its parts
+- `variance_components`: `VarianceFactors`, `NAMES`, `TILT`, `HEADING`, `TILT_WHITE`, `HEADING_WHITE`,
+  `VELOCITY`, `POSITION`
 - `window_solver`: `Solved`
 """

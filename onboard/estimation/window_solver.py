@@ -261,10 +261,7 @@ def _judged(
     weight: Array,
     adjusted: Adjusted,
 ) -> Outcome:
-    """Decide whether a solution may be published. `weight` (K, P) is what the first solve used.
-
-    `before`: the sensors' residuals, weighted as the windows before this one had it.
-    """
+    """Whether a solution may be published. `weight` (K, P): the first solve's; `before`: priors by earlier windows."""
     s, kept, own = adjusted.solution, adjusted.kept, adjusted.own
     noise, camera, config = request.noise, request.camera, request.config
 

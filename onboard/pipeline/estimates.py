@@ -1,4 +1,4 @@
-"""What a flight has found of its own platform and sensors, each with a name, a unit and its sigma, for people to read."""
+"""What a flight has found of its own platform and sensors, each with a name, a unit and its sigma, for people."""
 
 from __future__ import annotations
 

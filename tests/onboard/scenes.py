@@ -281,8 +281,8 @@ def bundle_problem(
     """A strip seen straight down from 250 m; `noise` scales every error, 1 being what the priors state.
 
     Of `points`, those that two views or more see are kept. Errors of position and attitude have a Gauss-Markov and a
-    white part, point heights vary about a sloping plane. Velocities and headings differ from view to view, so that every
-    shared state has something to show. `lever_cam_m` leads from the point that the positions are of to the camera.
+    white part, point heights vary about a sloping plane. Velocities and headings differ from view to view, so that
+    every shared state has something to show. `lever_cam_m` leads from the point of the positions to the camera.
     """
     K, P, layout = keyframes, points, Layout(keyframes)
     stamps = np.arange(K) * 1.5

@@ -43,7 +43,8 @@ def red(report: Report, around: Surroundings = AROUND) -> list[str]:
 def test_before_a_good_flight_all_is_green() -> None:
     assert verdicts(WELL) == dict.fromkeys(
         ["state", "camera", "rate", "exposure", "telemetry", "rates", "time sync", "pipeline", "gps", "position",
-         "answers", "load", "recording", "threads", "mount", "sensors", "calibration", "link", "disk", "processor"], True,
+         "answers", "load", "recording", "threads", "mount", "sensors", "calibration", "link", "disk",
+         "processor"], True,
     )  # fmt: skip
     assert text(WELL, "exposure") == "fixed at 2000 us, mean grey 120 of 255"
     assert text(WELL, "time sync") == "+-0.9 ms, round trip 2.5 ms"

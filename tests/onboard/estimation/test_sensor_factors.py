@@ -141,7 +141,7 @@ def test_what_is_shared_is_believed_as_learned_and_configured(scene: Scene) -> N
 
 
 def test_no_delay_is_surer_than_declared_however_sure_turns_make_it(scene: Scene) -> None:
-    """(5.15): what turns show is kept as the mean; the sigma is the declared one, or the belief's where that is more."""
+    """(5.15): what turns show is kept as the mean; the sigma is the declared one, or the belief's if that is more."""
     assert BELIEF.sigma[DELAY] < FULL.gps.sigma_latency_s < BELIEF.sigma[VELOCITY_DELAY]
     sigmas = shared_sigmas(priors_of(FULL, keyframes_of(scene))[SharedPrior])
     assert sigmas[DELAY] == pytest.approx(FULL.gps.sigma_latency_s)
