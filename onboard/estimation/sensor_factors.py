@@ -199,12 +199,14 @@ def _attitude(
         tilt_white = np.radians(solve_.attitude_white_sigma_deg) * factors.sigma(TILT_WHITE)
         heading_white = np.radians(solve_.heading_white_sigma_deg) * factors.sigma(HEADING_WHITE)
         axes = ((TILT, tilt, TILT_WHITE, tilt_white),) * 2 + ((HEADING, heading, HEADING_WHITE, heading_white),)
+        between = np.array([k.nav.attitude_sigma_rad for k in keyframes])
         parts, whitener = [], []
         for axis, (name, sigma, white_name, white_sigma) in enumerate(axes):
             slow = gauss_markov_covariance(stamps, sigma, solve_.attitude_wander_time_s)
             white = white_sigma**2 * np.eye(len(stamps))
+            own = np.hypot(between, jitter_s * turning[:, axis])
             parts.append({name: slow, white_name: white})
-            whitener.append(whitener_of(slow + white + np.diag((jitter_s * turning[:, axis]) ** 2)))
+            whitener.append(whitener_of(slow + white + np.diag(own**2)))
         lasting = np.array([lasting_sigma(stamps, s, solve_.attitude_wander_time_s) for s in (tilt, tilt, heading)])
         measured = Parts((parts[0], parts[1], parts[2]))
         bodies = np.stack([k.nav.R_enu_body for k in keyframes if k.nav.R_enu_body is not None])

@@ -74,6 +74,7 @@ class NavState:
     mount_hypotheses: Mapping[MountHypothesis, Array] = field(default_factory=dict)
     stretch: int = 0
     stamp_sigma_s: float = 0.0
+    attitude_sigma_rad: float = 0.0  # of the attitude, because its messages come more slowly than the vehicle turns
 
 
 class Navigation:
@@ -294,6 +295,7 @@ class Navigation:
             mount_hypotheses,
             self._moves + self._integrity.stretch_at(moment_ns),
             stamp_sigma_s,
+            0.0 if R_enu_body is None or self._uses_gimbal else self._attitudes.sigma_at(moment_ns),
         )
 
     def _range_at(self, moment_ns: int, position_enu_m: Array) -> GroundRange | None:
