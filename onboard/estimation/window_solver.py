@@ -197,9 +197,9 @@ def adjust(request: Request) -> Outcome:
         priors = sensors(used)
         problem = Problem(layout, xy, weight / used.noise_inflation, priors, reference, relief, terrain, clearance_m)
         first = approximate(problem, state)
-        noise, again = _with_own_evidence(request, used, priors, first)
+        noise, again = _reweighed(request, used, priors, first.state)
         if not again:
-            noise, again = _reweighed(request, used, priors, first.state)
+            noise, again = _with_own_evidence(request, noise, priors, first)
         if not again:
             break
         state = first.state
