@@ -120,7 +120,7 @@ def test_the_estimate_converges_to_the_factor_that_was_drawn(name: str, variance
 
 @pytest.mark.parametrize("name", SENSORS)
 def test_the_expectation_is_what_residuals_come_to(name: str) -> None:
-    """(11.1): drawn as believed, found over expected is 1, whatever share of the residuals the pictures decide."""
+    """(13.1): drawn as believed, found over expected is 1, whatever share of the residuals the pictures decide."""
     rng = np.random.default_rng([8, *name.encode()])
     used = VarianceFactors()
     believed = used.scale(name)
