@@ -47,9 +47,11 @@ def clicks(flight: DrawnFlight, sets: dict[int, FeatureSet], after_s: float, eve
 
 
 def body_bias_m(lever_known: bool) -> Array:
-    """Mean error (3,) of the cameras' centres, body axes, over turns; sensors err by a fiftieth of what is declared."""
-    config = replace_section(CONFIG, "mount", lever_arm_m=LEVER_M) if lever_known else CONFIG
-    spec = DrawnSpec(config, TURNS, seconds=50.0, rate_hz=2.0, errors=0.02, lever_arm_m=LEVER_M)
+    """Mean error (3,) of the cameras' centres, body axes, over turns; sensors err by a 250th of what is declared."""
+    config = with_latency(0.001)  # at one speed a lever arm ahead looks like a delay: here there is none to be found
+    if lever_known:
+        config = replace_section(config, "mount", lever_arm_m=LEVER_M)
+    spec = DrawnSpec(config, TURNS, seconds=50.0, rate_hz=2.0, errors=0.004, lever_arm_m=LEVER_M)
     flight = DrawnFlight(spec, 3)
     sets, _ = fly(flight)
     R_enu_body = flight.trajectory.R_enu_body(flight.times_s)
@@ -66,8 +68,8 @@ def body_bias_m(lever_known: bool) -> Array:
 def test_a_lever_arm_that_is_known_leaves_no_bias_and_one_that_is_not_leaves_itself() -> None:
     known, ignored = body_bias_m(True), body_bias_m(False)
     print(known, ignored)
-    assert np.abs(known).max() < 0.08
-    assert ignored[:2] == pytest.approx(-np.array(LEVER_M[:2]), abs=0.12)
+    assert np.abs(known).max() < 0.06
+    assert known - ignored == pytest.approx(np.array(LEVER_M), abs=0.05)
 
 
 @pytest.mark.parametrize(("path", "seconds", "after_s"), [(PathSpec(), 24.0, 4.0), (TURNS, 70.0, 40.0)],
@@ -84,8 +86,8 @@ def test_a_delay_is_covered_by_the_ellipse(path: PathSpec, seconds: float, after
         inside += list(chi2 < CHI2_2)
         wide += list(semi_m)
     print(np.mean(inside), np.median(wide))
-    assert np.mean(inside) > 0.8
-    assert np.median(wide) < 16.0
+    assert np.mean(inside) > 0.85
+    assert np.median(wide) < 12.0
 
 
 def test_who_takes_the_delay_for_certain_is_wrong_by_it() -> None:
