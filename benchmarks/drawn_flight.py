@@ -19,7 +19,7 @@ from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, mount_rotation, quaternion_from_matrix
 from onboard.config.schema import Config
-from onboard.estimation.sensor_factors import DYNAMIC_TIME_S, TERRAIN_SLOPE_SIGMA
+from onboard.estimation.sensor_factors import DYNAMIC_TIME_S, TERRAIN_SLOPE_SIGMA, cosine_sine_of_heading
 from onboard.events.types import Attitude, Event, Frame, GpsQuality, PositionFix
 from onboard.geometry.terrain_grid import Terrain
 from onboard.pipeline.pipeline import Pipeline
@@ -59,6 +59,9 @@ class DrawnSpec:
     has_terrain: bool = False
     boresight_deg: tuple[float, float, float] | None = None  # as it is; None: drawn from the configured prior
     offset_s: float | None = None
+    delay_s: float | None = None  # of position and velocity beyond `gps.latency_s`
+    heading_error_deg: tuple[float, float] = (0.0, 0.0)  # times the cosine and the sine of the heading
+    lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # as it is, whatever is configured
     camera: Camera = field(default_factory=lambda: Camera.from_field_of_view(640, 480, 40.0))
 
 
@@ -105,12 +108,15 @@ class DrawnFlight:
             self.boresight_rad = np.radians(spec.boresight_deg)
         if spec.offset_s is not None:
             self.offset_s = spec.offset_s
+        if spec.delay_s is not None:
+            self.delay_s = spec.delay_s
         mount = config.mount
         R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg) @ exp_so3(self.boresight_rad)
         self.times_s = np.arange(round(spec.seconds * spec.rate_hz)) / spec.rate_hz
         poses = [self.trajectory.camera_pose(float(t), R_body_cam) for t in self.times_s]
         self.R_enu_cam = np.stack([p.R_enu_cam for p in poses])
-        self.centres_enu_m = np.stack([p.centre_m for p in poses])
+        lever_enu_m = self.trajectory.R_enu_body(self.times_s) @ np.array(spec.lever_arm_m)
+        self.centres_enu_m = np.stack([p.centre_m for p in poses]) + lever_enu_m
         self.terrain_error_m = e * config.terrain.sigma_datum_m * float(rng.standard_normal())
         self.terrain_tilt = e * TERRAIN_SLOPE_SIGMA * rng.standard_normal(2)
 
@@ -185,7 +191,9 @@ class DrawnFlight:
             ],
             axis=1,
         )
-        R_ned_body = R_ENU_NED.T @ exp_so3(error) @ self.trajectory.R_enu_body(time)
+        R_enu_body = self.trajectory.R_enu_body(time)
+        error[:, 2] += cosine_sine_of_heading(R_enu_body) @ np.radians(self.spec.heading_error_deg)
+        R_ned_body = R_ENU_NED.T @ exp_so3(error) @ R_enu_body
         return [
             Attitude(_stamp(t), (q[0], q[1], q[2], q[3]))
             for t, q in zip(time, quaternion_from_matrix(R_ned_body).tolist(), strict=True)

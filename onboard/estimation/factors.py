@@ -287,7 +287,7 @@ class VelocityPrior:
 
 @dataclass(frozen=True, eq=False)
 class AttitudePrior:
-    """The autopilot's attitude through mount and boresight; Gauss-Markov and white error in ENU axes. (5.7)"""
+    """The autopilot's attitude through mount and boresight; Gauss-Markov and white error in ENU axes. (5.7), (5.17)"""
 
     layout: Layout
     R_enu_cam_measured: Array  # (K, 3, 3) vehicle attitude times nominal mount

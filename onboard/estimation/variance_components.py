@@ -1,8 +1,8 @@
-"""How large the sensors' errors are, estimated from the flight's own residuals. Section 11 of docs/mathematics.md.
+"""How large the sensors' errors are, estimated from the flight's own residuals. Section 13 of docs/mathematics.md.
 
 Every sensor's covariance is a sum of parts (a Gauss-Markov and a white part, for tilt, heading, velocity and position),
 each a known correlation times an unknown variance. After a window is solved, each part's share of the residuals is
-compared with what that part should have left in them, (11.1), which is Helmert's estimate of variance components. The
+compared with what that part should have left in them, (13.1), which is Helmert's estimate of variance components. The
 configuration's sigmas are where it starts and its floors; there is no ceiling.
 """
 
@@ -36,7 +36,7 @@ class Parts:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What residuals say of each part: squares found, in configured variances, and how many were expected, (11.1)."""
+    """What residuals say of each part: squares found, in configured variances, and how many were expected, (13.1)."""
 
     found: Mapping[str, float] = field(default_factory=dict)
     expected: Mapping[str, float] = field(default_factory=dict)
@@ -75,7 +75,7 @@ class VarianceFactors:
 
 
 def evidence_of(priors: list[Prior], state: State, covariance: Array, used: VarianceFactors) -> Evidence:
-    """Compare each part's residuals at a solution with their expectation, (11.1).
+    """Compare each part's residuals at a solution with their expectation, (13.1).
 
     `covariance` (D, D) is the camera side's; `used` are the factors that the priors were weighted by.
     """

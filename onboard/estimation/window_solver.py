@@ -220,7 +220,7 @@ def adjust(request: Request) -> Outcome:
 
 
 def _with_own_evidence(request: Request, used: Noise, priors: list[Prior], first: Solution) -> tuple[Noise, bool]:
-    """The sensors' variances with what this window itself says of them; True if that changes its weights. (11.2)"""
+    """The sensors' variances with what this window itself says of them; True if that changes its weights. (13.2)"""
     evidence = evidence_of(priors, first.state, first.covariance, used.factors)
     own = request.noise.factors.with_evidence(evidence, request.keyframes[-1].nav.stamp_ns)
     changed = any(abs(np.log(own.scale(n) / used.factors.scale(n))) > MIN_CHANGE for n in NAMES)

@@ -61,8 +61,8 @@ class SensorError:
 def estimates_of(belief: Belief | None) -> tuple[Estimate, ...]:
     """What is estimated of mount, clock, delays and compass; empty before the first estimate.
 
-    Delays are what positions and velocities are older than their stamps beyond `gps.latency_s`; the heading's error is
-    the first component times the cosine of the heading plus the second times its sine.
+    Delays are what positions and velocities are older than their stamps beyond `gps.latency_s`; the heading read
+    is too small by the first component times the cosine of the heading plus the second times its sine.
     """
     if belief is None:
         return ()

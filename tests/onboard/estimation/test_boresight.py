@@ -172,3 +172,82 @@ def test_the_prior_is_widened_once_and_not_update_after_update() -> None:
         a.offer(at(100.0 * k), at(100.0 * k + 10.0), covariance @ (held @ prior.mean + data @ truth), covariance)
         assert np.degrees(a.belief.sigma[0]) == pytest.approx(0.5 / np.sqrt(k + 1.0), rel=0.04)
         assert abs(np.degrees(a.belief.mean[0]) - 3.0) < 0.2 / (k + 1)
+
+
+def windows_of(a: Alignment, scatter: float, seed: int, windows: int = 20) -> tuple[np.ndarray, np.ndarray]:
+    """Errors and sigmas after independent windows half a minute apart; data scatter `scatter` times as they claim."""
+    rng = np.random.default_rng(seed)
+    truth = FIRST * rng.standard_normal(STATES)
+    own = 0.2 * FIRST
+    data = np.diag(own**-2)
+    for k in range(windows):
+        prior = a.prior_for(at(30.0 * k))
+        held = np.linalg.inv(prior.covariance)
+        covariance = np.linalg.inv(held + data)
+        seen = truth + scatter * own * rng.standard_normal(STATES)
+        assert a.offer(at(30.0 * k), at(30.0 * k + 10.0), covariance @ (held @ prior.mean + data @ seen), covariance)
+    return a.belief.mean - truth, a.belief.sigma
+
+
+def sigma_of_all(scatter: float = 1.0, windows: int = 20) -> np.ndarray:
+    """One sigma that the same windows come to in a filter, with the same random walks, that knows how they scatter."""
+    walk = np.array([BORESIGHT_WALK_RAD] * 3 + [OFFSET_WALK_S] + [DELAY_WALK_S] * 2 + [HEADING_WALK_RAD] * 2)
+    variance = FIRST**2
+    for k in range(windows):
+        variance = 1.0 / (1.0 / (variance + (walk**2 * (20.0 / 60.0) if k else 0.0)) + (scatter * 0.2 * FIRST) ** -2)
+    return np.sqrt(variance)
+
+
+def test_windows_that_agree_keep_their_information() -> None:
+    """Scatter as declared: after twenty windows the sigmas are those of a filter that believes all of it. (6.13)"""
+    ratios, nees = [], []
+    for seed in range(40):
+        error, sigma = windows_of(alignment(), 1.0, seed)
+        ratios.append(sigma / sigma_of_all())
+        nees.append(np.mean((error / sigma) ** 2))
+    assert np.min(ratios) > 0.99
+    assert np.median(ratios) < 1.06
+    assert np.mean(ratios) < 1.12
+    # No truth walked, so that errors are smaller than a filter which allows for it says, and not by much.
+    assert 0.5 < np.mean(nees) < 1.1
+
+
+def test_windows_that_scatter_twice_as_much_count_for_a_quarter() -> None:
+    """(6.13): the factor found is about two, and the sigmas are near those of a filter that knew it beforehand."""
+    ratios, factors, nees, credulous = [], [], [], []
+    for seed in range(40):
+        a = alignment()
+        error, sigma = windows_of(a, 2.0, seed)
+        ratios.append(sigma / sigma_of_all(2.0))
+        factors.append(a.disagreement)
+        nees.append(np.mean((error / sigma) ** 2))
+        credulous.append(np.mean((error / sigma_of_all()) ** 2))
+    print(np.median(factors), np.median(ratios), np.mean(nees), np.mean(credulous))
+    assert np.min(factors) >= 1.0
+    assert 1.6 < np.median(factors) < 2.2
+    assert 0.8 < np.median(ratios) < 1.1
+    assert 0.5 < np.mean(nees) < 0.6 * np.mean(credulous)
+    assert np.mean(credulous) > 2.0, "nothing had to be widened"
+
+
+def test_a_state_that_a_window_says_nothing_of_is_no_evidence_of_agreement() -> None:
+    a = alignment()
+    prior = a.prior_for(at(0.0))
+    tells = np.diag([25.0, 25.0, 25.0, 25.0, 0.0, 0.0, 25.0, 25.0]) / FIRST**2
+    covariance = np.linalg.inv(np.linalg.inv(prior.covariance) + tells)
+    a.offer(at(0.0), at(10.0), 3.0 * FIRST * np.diag(tells > 0.0), covariance)
+    assert np.all(a.disagreement[[DELAY, VELOCITY_DELAY]] == 1.0)
+    assert a.disagreement[0] > 1.0
+
+
+def test_a_state_file_from_before_delays_were_estimated_is_read_with_their_first_prior() -> None:
+    old = {
+        "boresight_rad": [0.01, -0.02, 0.005], "offset_s": 0.05, "end_unix_ns": 1,
+        "covariance": (1e-6 * np.eye(4)).tolist(),
+    }  # fmt: skip
+    a = alignment()
+    a.restore(json.dumps(old))
+    assert a.belief.mean == pytest.approx([0.01, -0.02, 0.005, 0.05, 0.0, 0.0, 0.0, 0.0])
+    assert np.all(a.belief.sigma[DELAY:] >= FIRST[DELAY:] - 1e-9)
+    assert np.all(a.belief.sigma[DELAY:] < 1.2 * FIRST[DELAY:])
+    assert np.all(a.belief.sigma[:3] < 0.6 * FIRST[:3])
