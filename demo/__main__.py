@@ -17,7 +17,9 @@ from demo.map import draw_overview
 from demo.processes import Aircraft, click
 from demo.tracks import draw_tracks, follow
 from ground.recording import Recording
-from simulation.flight import RecordedSpec
+from simulation.flight import DescribedSpec, RecordedSpec
+from simulation.ordinary import ordinary
+from simulation.paths import PathSpec
 from simulation.session import SessionSpec, fly
 from simulation.terrain import TerrainSpec
 from simulation.truth import Truth
@@ -26,6 +28,13 @@ MOUNT_DEG = (0.0, -90.0, -90.0)  # down, the camera's x axis along the nose: the
 RATE_HZ = 4.0
 START_S = 3.0  # into tests/data/plane_turn: straight and level, 20 m/s, 250 m above the ground
 SPEED = 3.0  # times real time
+SEED = 3
+PATH = PathSpec("turns", leg_m=150.0)
+FLIGHTS: dict[str, RecordedSpec | DescribedSpec] = {
+    "ordinary": DescribedSpec(PATH, ordinary(SEED), seed=SEED),
+    "declared": DescribedSpec(PATH, seed=SEED),
+    "recorded": RecordedSpec("plane_turn", START_S, whole_log=False),
+}
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -33,20 +42,27 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m demo", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("out/demo"), metavar="DIR", help="default out/demo")
     parser.add_argument("--seconds", type=float, default=14.0, metavar="S", help="length of the flight (default 14)")
+    parser.add_argument(
+        "--autopilot",
+        choices=tuple(FLIGHTS),
+        default="ordinary",
+        help="ordinary: a described flight with an ordinary autopilot's errors (default); declared: with those that "
+        "the configuration declares; recorded: along a real autopilot's recording",
+    )
     options = parser.parse_args(arguments)
     try:
-        return _run(options.out, options.seconds)
+        return _run(options.out, options.seconds, options.autopilot)
     except PointclickError as error:
         print(f"demo: error: {error}", file=sys.stderr)
         return 2
 
 
-def _run(out: Path, seconds: float) -> int:
+def _run(out: Path, seconds: float, autopilot: str) -> int:
     began = time.monotonic()
     shutil.rmtree(out, ignore_errors=True)
     flight, recording = out / "flight", out / "session.mcap"
     spec = SessionSpec(
-        RecordedSpec("plane_turn", START_S, whole_log=False),
+        FLIGHTS[autopilot],
         seconds=seconds,
         rate_hz=RATE_HZ,
         mount_deg=MOUNT_DEG,
@@ -54,7 +70,7 @@ def _run(out: Path, seconds: float) -> int:
         level_ground=True,
     )
     _say(
-        f"Flying {seconds:g} s of a recorded flight over simulated ground: "
+        f"Flying {seconds:g} s over simulated ground, autopilot: {autopilot}; "
         f"250 m up, 20 m/s, {RATE_HZ:g} pictures a second"
     )
     truth = fly(spec, flight, _progress)

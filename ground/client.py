@@ -264,7 +264,9 @@ def _open(mode: str, endpoint: str, tls: Tls | None) -> Any:
     except zenoh.ZError as error:
         reason = str(error).split(" at ", maxsplit=1)[0]
         if "Unable to connect" in reason:
-            raise LinkError(f"nobody listens at {endpoint}") from error
+            raise LinkError(
+                f"nobody listens at {endpoint}: does pc-onboard run there, and does its link.listen open it?"
+            ) from error
         raise LinkError(f"cannot open the link to {endpoint}: {reason}") from error
 
 

@@ -1,15 +1,18 @@
 """`pc-onboard`: the aircraft's commands. Only arguments, exit codes and wiring.
 
-Exit codes: 0 done, 2 wrong usage or unusable input (one line on stderr), 3 the daemon that was asked is not running,
-1 `doctor` or `check-config --fly` found something, or the daemon failed and should be started anew, 130 interrupted
-(what was done is kept), 141 whoever reads our output (`head`, say) went away before there was a verdict.
+Exit codes: 0 done, 2 wrong usage or unusable input (one line on stderr), 3 the daemon that was asked is not running, or
+a replay solved no picture, 1 `doctor` or `check-config --fly` found something, or the daemon failed and should be
+started anew, 130 interrupted (what was done is kept), 141 whoever reads our output (`head`, say) went away before there
+was a verdict.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import os
+import re
 import select
 import signal
 import sys
@@ -22,6 +25,7 @@ from contract.errors import InputError, PointclickError
 
 PROGRAM = "pc-onboard"
 CONFIG = Path("/etc/pointclick/config.toml")
+NOTHING_SOLVED = 3
 READER_GONE = 141  # as the shell has it for a program that a SIGPIPE ended
 
 
@@ -33,27 +37,35 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{PROGRAM}: error: {message} (see {self.prog} --help)\n")
 
 
+def _number(text: str) -> float:
+    """A number; NaN, which is in no range, where it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
 def _speed(text: str) -> float | None:
     """'max' -> None; a positive number, how many times as fast as it was flown."""
     if text == "max":
         return None
-    speed = float(text)
+    speed = _number(text)
     if not 0.0 < speed <= 1000.0:
-        raise ValueError(text)
+        raise argparse.ArgumentTypeError(f"{text!r} is neither 'max' nor a number above 0, at most 1000")
     return speed
 
 
 def _seconds(text: str) -> float:
-    seconds = float(text)
+    seconds = _number(text)
     if not 0.0 <= seconds <= 86400.0:
-        raise ValueError(text)
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds from 0 to 86400")
     return seconds
 
 
 def _days(text: str) -> float:
-    days = float(text)
+    days = _number(text)
     if not 0.0 < days <= 36500.0:
-        raise ValueError(text)
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of days above 0, at most 36500")
     return days
 
 
@@ -144,10 +156,10 @@ def parser() -> argparse.ArgumentParser:
 
 def _pair(text: str) -> tuple[int, int]:
     """'640x480' -> (640, 480)."""
-    first, second = text.lower().split("x")
-    if min(int(first), int(second)) < 1:
-        raise ValueError(text)
-    return int(first), int(second)
+    found = re.fullmatch(r"([1-9]\d{0,5})[xX]([1-9]\d{0,5})", text)
+    if found is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not two whole numbers as in 640x480")
+    return int(found[1]), int(found[2])
 
 
 def _add_calibrate(calibrate: argparse.ArgumentParser) -> None:
@@ -248,12 +260,15 @@ def run_status(arguments: argparse.Namespace) -> int:
 
 
 def run_replay(arguments: argparse.Namespace) -> int:
-    """Replay and print the summary."""
+    """Replay and print the summary; 3 if no picture was solved."""
     from onboard.commands.replay import run  # noqa: PLC0415  NumPy and OpenCV must find their environment set
 
     with _interrupt_sets(threading.Event()) as stop:
-        print(run(arguments, stop))
-        return 130 if stop.is_set() else 0
+        text, is_solved = run(arguments, stop)
+        print(text)
+        if stop.is_set():
+            return 130
+        return 0 if is_solved else NOTHING_SOLVED
 
 
 def _set_environment() -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from contract.camera import Camera
 from contract.errors import InputError
 from simulation.flight import DescribedSpec, RecordedSpec
+from simulation.ordinary import ordinary
 from simulation.paths import KINDS, PathSpec
 from simulation.renderer import SensorSpec
 from simulation.session import SessionSpec, fly
@@ -20,6 +22,7 @@ from simulation.texture import STYLES, TextureSpec
 EXAMPLES = """examples:
   python -m simulation.fly --recorded plane_clean --start 192 --seconds 20 --out /tmp/leg
   python -m simulation.fly --path straight --height-m 250 --crab-deg 15 --mount 0 -90 90 --out /tmp/crab
+  python -m simulation.fly --path turns --autopilot ordinary --seed 4 --seconds 120 --out /tmp/ordinary
   python -m simulation.fly --path waypoints --waypoint 0 0 --waypoint 0 400 --waypoint 500 400 --out /tmp/corner
 
 The folder then holds what `pc-onboard replay` reads (frames/, stamps.csv, camera.json, telemetry.tlog, config.toml) and
@@ -87,6 +90,9 @@ def _parser() -> argparse.ArgumentParser:
     )
 
     add = parser.add_argument_group("telemetry of described paths").add_argument
+    add("--autopilot", choices=("declared", "ordinary"),
+        help="declared: errors as the configuration declares them (default); ordinary: an ordinary autopilot's, drawn "
+        "by --seed (simulation/ordinary.py). The options below change single ones of either")  # fmt: skip
     add("--position-hz", type=float, metavar="HZ", help="GLOBAL_POSITION_INT (default 10)")
     add("--gps-hz", type=float, metavar="HZ", help="GPS_RAW_INT (default 5)")
     add("--attitude-hz", type=float, metavar="HZ", help="0: none (default 25)")
@@ -178,8 +184,9 @@ def _flight(options: argparse.Namespace) -> RecordedSpec | DescribedSpec:
     if options.waypoint is not None:
         path["waypoints_m"] = tuple((east, north) for east, north in options.waypoint)
     if options.recorded is not None:
-        if path or telemetry:
-            names = ", ".join(sorted({**path, **telemetry}))
+        autopilot = _given(options, {"autopilot": "autopilot"})
+        if path or telemetry or autopilot:
+            names = ", ".join(sorted({**path, **telemetry, **autopilot}))
             raise InputError(f"{names}: only for --path; {_RECORDED_ALWAYS}")
         return RecordedSpec(
             options.recorded,
@@ -194,7 +201,7 @@ def _flight(options: argparse.Namespace) -> RecordedSpec | DescribedSpec:
         raise InputError("--waypoint belongs to --path waypoints")
     return DescribedSpec(
         PathSpec(kind=options.path, **path),  # type: ignore[arg-type]
-        TelemetrySpec(**telemetry),  # type: ignore[arg-type]
+        replace(ordinary(options.seed) if options.autopilot == "ordinary" else TelemetrySpec(), **telemetry),  # type: ignore[arg-type]
         ground_amsl_m=options.ground_amsl_m,
         undulation_m=11.0 if options.undulation_m is None else options.undulation_m,
         seed=options.seed,

@@ -7,7 +7,7 @@ negative. As in the recordings, the session's clock is boot time plus the least 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +16,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from contract.errors import InputError
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, euler_from_matrix, exp_so3, log_so3, quaternion_from_matrix
+from simulation.autopilot_errors import AutopilotErrors, ErringFilter, SlowError
 from simulation.trajectory import Trajectory, axes_from_local
 
 Array = NDArray[np.float64]
 
 BOOT_UNIX_S = 1_790_000_000.0
 FIRST_BOOT_S = 60.0  # the autopilot has been up for this long when the log begins
-SLOW_STEP_S = 0.05
 RATE_STEP_S = 0.01
 
 
@@ -31,6 +31,8 @@ class TelemetrySpec:
     """Rates in Hz, errors in one sigma. `attitude_message`: "euler" (ATTITUDE), "quaternion" or "both".
 
     `position_age_s`: GLOBAL_POSITION_INT tells where the vehicle was this long before its stamp; `gps_age_s` likewise.
+    By default the errors are those that the configuration declares; `errors` are a navigation filter's on top, and
+    `simulation.ordinary` draws both as ordinary autopilots have them.
     """
 
     position_hz: float = 10.0
@@ -50,6 +52,7 @@ class TelemetrySpec:
     white_attitude_deg: float = 0.05
     slow_attitude_deg: float = 0.5
     slow_attitude_time_constant_s: float = 30.0
+    errors: AutopilotErrors = field(default_factory=AutopilotErrors)
 
     def __post_init__(self) -> None:
         if self.attitude_message not in ("euler", "quaternion", "both"):
@@ -68,6 +71,7 @@ def write_tlog(
     start, end = trajectory.start_s, trajectory.end_s
     slow_position = SlowError(rng, start, end, spec.slow_time_constant_s)
     slow_attitude = SlowError(rng, start, end, spec.slow_attitude_time_constant_s)
+    filter_ = ErringFilter(spec.errors, trajectory, seed)
     scale_m = np.array([spec.slow_horizontal_m, spec.slow_horizontal_m, spec.slow_vertical_m])
     white_m = np.array([spec.white_horizontal_m, spec.white_horizontal_m, spec.white_vertical_m])
     ground_amsl_m = origin.height_m - undulation_m
@@ -77,10 +81,11 @@ def write_tlog(
         out: Array = np.round(np.arange(start, end, 1.0 / rate_hz) if rate_hz > 0 else np.zeros(0), 3)
         return out
 
-    def positions(time: Array, age_s: float) -> Array:
+    def positions(time: Array, age_s: float, off_m: Array) -> Array:
         seen = np.clip(time - age_s, start, end)
         enu = (
             trajectory.position_enu_m(seen)
+            + off_m
             + scale_m * slow_position(time)
             + white_m * rng.standard_normal((len(time), 3))
         )
@@ -95,12 +100,13 @@ def write_tlog(
         outgoing.append((t, len(outgoing), message))
 
     time = instants(spec.position_hz)
-    geodetic = positions(time, spec.position_age_s)
+    geodetic = positions(time, spec.position_age_s, filter_.position_m(time))
     seen = np.clip(time - spec.position_age_s, start, end)
     velocity = trajectory.velocity_enu_m_s(seen) + spec.velocity_m_s * rng.standard_normal((len(time), 3))
+    velocity += filter_.velocity_m_s(time)
     R_local = axes_from_local(origin, geodetic[:, 0], geodetic[:, 1]).swapaxes(1, 2)
     ned = np.einsum("ij,njk,nk->ni", R_ENU_NED.T, R_local, velocity)
-    heading = euler_from_matrix(R_ENU_NED.T @ R_local @ trajectory.R_enu_body(time))[:, 2]
+    heading = euler_from_matrix(filter_.attitude(time, R_ENU_NED.T @ R_local @ trajectory.R_enu_body(time)))[:, 2]
     for t, (lat, lon, height), v, yaw in zip(time, geodetic, ned, heading, strict=True):
         amsl = height - undulation_m
         send(t, mavlink.MAVLink_global_position_int_message(
@@ -111,7 +117,7 @@ def write_tlog(
     sigma_h = float(np.hypot(spec.white_horizontal_m, spec.slow_horizontal_m))
     sigma_v = float(np.hypot(spec.white_vertical_m, spec.slow_vertical_m))
     time = instants(spec.gps_hz)
-    geodetic = positions(time, spec.gps_age_s)
+    geodetic = positions(time, spec.gps_age_s, filter_.receiver_m(time))
     velocity = trajectory.velocity_enu_m_s(time)
     for t, (lat, lon, height), v in zip(time, geodetic, velocity, strict=True):
         send(t, mavlink.MAVLink_gps_raw_int_message(
@@ -128,7 +134,8 @@ def write_tlog(
         )
         place = origin.to_geodetic(trajectory.position_enu_m(time))
         R_local = axes_from_local(origin, place[:, 0], place[:, 1]).swapaxes(1, 2)
-        R_ned_body = R_ENU_NED.T @ R_local @ trajectory.R_enu_body(time) @ exp_so3(np.radians(wrong))
+        R_ned_body = filter_.attitude(time, R_ENU_NED.T @ R_local @ trajectory.R_enu_body(time))
+        R_ned_body = R_ned_body @ exp_so3(np.radians(wrong))
         before, after = (trajectory.R_enu_body(np.clip(time + h, start, end)) for h in (-RATE_STEP_S, RATE_STEP_S))
         rates = log_so3(before.swapaxes(1, 2) @ after) / (2.0 * RATE_STEP_S)  # a gyro's are right where attitude drifts
         angles_of, q_of = euler_from_matrix(R_ned_body), quaternion_from_matrix(R_ned_body)
@@ -170,21 +177,3 @@ def write_tlog(
         sender.seq = (sender.seq + 1) % 256
         least = min(least, stamp_us * 1e-6 - boot_unix_s - float(t))
     return bytes(log), boot_unix_s + float(least)
-
-
-class SlowError:
-    """Three independent Ornstein-Uhlenbeck processes of unit variance, interpolated: time (N,) -> (N, 3)."""
-
-    def __init__(self, rng: np.random.Generator, start_s: float, end_s: float, time_constant_s: float) -> None:
-        self._time = np.arange(start_s, end_s + SLOW_STEP_S, SLOW_STEP_S)
-        keep = float(np.exp(-SLOW_STEP_S / time_constant_s))
-        push = np.sqrt(1.0 - keep * keep) * rng.standard_normal((len(self._time), 3))
-        state = rng.standard_normal(3)
-        self._values = np.empty((len(self._time), 3))
-        for k in range(len(self._time)):
-            self._values[k] = state
-            state = keep * state + push[k]
-
-    def __call__(self, time_s: Array) -> Array:
-        """Values (N, 3) at times (N,)."""
-        return np.stack([np.interp(time_s, self._time, column) for column in self._values.T], axis=1)

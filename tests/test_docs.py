@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from contract.feature_set import Status
 from onboard.config.schema import key_table
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -27,6 +28,11 @@ def test_links_between_the_pages_lead_somewhere() -> None:
     assert len(links) > 20
     missing = [f"{page.relative_to(ROOT)}: {link}" for page, link in sorted(links) if not (page.parent / link).exists()]
     assert not missing, "\n".join(missing)
+
+
+def test_every_refusal_has_one_row_in_the_readme() -> None:
+    rows = re.findall(r"^\| `(\w+)` \|", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted(rows) == sorted(status.value for status in Status if status is not Status.OK)
 
 
 def test_the_keys_with_older_words_are_keys() -> None:

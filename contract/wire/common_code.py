@@ -106,7 +106,7 @@ def decode_common(cursor: ByteCursor) -> dict[str, Any]:
 
 
 def _steps(by_nuisance: Array, factor: Array) -> Ints:
-    """Columns (9, DRAWS) in the finest steps. `factor` (9, 9): lower Cholesky factor of what is fresh, as decoded."""
+    """Columns (9, NUISANCES) in the finest steps. `factor` (9, 9): lower Cholesky factor of the fresh part, decoded."""
     diagonal = factor.diagonal()
     if not diagonal.all():  # a state that is known exactly errs by no nuisance either
         known = diagonal == 0.0

@@ -43,8 +43,11 @@ class _Inputs:
     recorded: RecordedFlight | None  # the same flight, if it was
 
 
-def run(arguments: argparse.Namespace, stop: threading.Event) -> str:
-    """Replay as asked and return the summary; everything is opened and checked before anything is written."""
+def run(arguments: argparse.Namespace, stop: threading.Event) -> tuple[str, bool]:
+    """Replay as asked: the summary, and whether any picture was solved.
+
+    Everything is opened and checked before anything is written.
+    """
     cv2.setNumThreads(1)
     state = StateFile(arguments.state) if arguments.state is not None else None
     inputs = _open_recording(arguments) if arguments.recording else _open_files(arguments)
@@ -76,7 +79,7 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> str:
     if comparison is not None and inputs.recorded is not None and not stop.is_set():
         text += f"\nas recorded: {comparison}"
         text += "".join(f"\nnot exactly the same flight: {why}" for why in inputs.recorded.caveats)
-    return text
+    return text, summary.solved > 0
 
 
 def _open_files(arguments: argparse.Namespace) -> _Inputs:
@@ -84,7 +87,7 @@ def _open_files(arguments: argparse.Namespace) -> _Inputs:
     needed = {"--frames": arguments.frames, "--telemetry": arguments.telemetry, "--camera": arguments.camera}
     missing = [name for name, path in needed.items() if path is None]
     if missing:
-        raise InputError(f"replay needs a recording, or pictures and a log: {' and '.join(missing)} is missing")
+        raise InputError(f"replay needs a recording, or pictures and a log: {' and '.join(missing)} missing")
     config = Config() if arguments.config is None else load_config_files(arguments.config)
     config_text = "" if arguments.config is None else to_toml(config)
     camera = Camera.from_json(arguments.camera)

@@ -261,6 +261,8 @@ def load_config(path: Path | str) -> Config:
     try:
         text = Path(path).read_bytes().decode("utf-8")
         return parse_config(text)
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path}: {error.strerror}; write one (every key has a default) or name another") from error
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from error
     except UnicodeDecodeError as error:

@@ -169,7 +169,7 @@ def adjust(request: Request) -> Outcome:
     offset_s, late_s, velocity_late_s = belief.mean[OFFSET : VELOCITY_DELAY + 1].tolist()
     platform = belief.mean[BORESIGHT], belief.mean[HEADING]
     state = State(R, C, points, platform[0], offset_s, plane, late_s, velocity_late_s, platform[1])
-    relief, terrain = _ground(request, points)
+    ground_weight, terrain = _ground(request, points)
     if terrain is not None:
         reference[2] = 0.0
         state = replace(state, plane=np.zeros(3))
@@ -177,7 +177,7 @@ def adjust(request: Request) -> Outcome:
     strays_m = _strays_m(request, points - reference, state.plane, terrain)
     ranged = range_prior(list(keyframes), layout, reference, state.plane, strays_m, terrain)
     if ranged is not None:  # what it measures is the plane: the points must be held to that as closely as they lie
-        relief = np.full(len(points), 1.0 / strays_m)
+        ground_weight = np.full(len(points), 1.0 / strays_m)
 
     def sensors(noise: Noise) -> list[Prior]:
         found = sensor_priors(
@@ -195,7 +195,9 @@ def adjust(request: Request) -> Outcome:
     for _ in range(WEIGHING_ROUNDS):
         used = noise  # what this problem is weighted by; `noise` becomes what the next is
         priors = sensors(used)
-        problem = Problem(layout, xy, weight / used.noise_inflation, priors, reference, relief, terrain, clearance_m)
+        problem = Problem(
+            layout, xy, weight / used.noise_inflation, priors, reference, ground_weight, terrain, clearance_m
+        )
         first = approximate(problem, state)
         noise, again = _reweighed(request, used, priors, first.state)
         if not again:
@@ -203,7 +205,7 @@ def adjust(request: Request) -> Outcome:
         if not again:
             break
         state = first.state
-    problem = replace(problem, ground_weight=_alike(problem, first, relief))
+    problem = replace(problem, ground_weight=_alike(problem, first, ground_weight))
     adjusted = refine(problem, first, MIN_PIXEL_SIGMA_PX / (used.pixel_sigma_px * used.noise_inflation))
     if adjusted is None:
         return Outcome(Status.POOR_FIT, keyframes, noise)
@@ -348,15 +350,15 @@ def _ground(request: Request, points: Array) -> tuple[Array, Terrain | None]:
     return np.full(len(points), 1.0 / max(request.config.solve.relief_sigma_m, 1e-3)), None
 
 
-def _alike(problem: Problem, first: Solution, relief: Array) -> Array:
-    """1 / sigma (P,) of the ground under each point, for correlated deviations: no more than `relief`. (5.13)"""
+def _alike(problem: Problem, first: Solution, ground_weight: Array) -> Array:
+    """1 / sigma (P,) of the ground under each point, for correlated deviations: no more than `ground_weight`. (5.13)"""
     s = first.state
     height, _, _ = ground_plane(s.points_enu_m, problem.reference_enu_m, s.plane, problem.terrain)
     seen = np.isfinite(height) & (np.count_nonzero(problem.weight > 0, axis=0) >= 2)
     offset = (s.points_enu_m - problem.reference_enu_m)[seen, :2]
     clearance_m = float((s.centres_enu_m[:, 2]).mean() - np.median(s.points_enu_m[seen, 2]))
     sigma_m = effective_sigma_m(offset, height[seen], first.point_covariance[seen, 2, 2], clearance_m)
-    return np.minimum(relief, 1.0 / max(sigma_m, 1e-3))
+    return np.minimum(ground_weight, 1.0 / max(sigma_m, 1e-3))
 
 
 def _strays_m(request: Request, offset: Array, plane: Array, terrain: Terrain | None) -> float:

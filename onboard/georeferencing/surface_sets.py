@@ -64,7 +64,7 @@ def over_known_ground(config: Config, window: Window, nav: NavState, picture: Pi
         surface = Surface(window.terrain.cast, config.terrain.sigma_m, DepthSource.TERRAIN)
         over = sensor_pose.over_ground(config.terrain.sigma_datum_m)
     elif ranged is not None:
-        # The beam hits one place; the ground about it lies as far off as relief goes.
+        # The beam hits one place; the ground about it lies as far off as it is rough.
         cast = level_cast(float(sensor_pose.centre_enu_m[2] + ranged.vector_enu_m[2]))
         surface = Surface(cast, 0.0, DepthSource.PLANE)
         over = sensor_pose.over_ranged_ground(float(np.hypot(ranged.sigma_m, config.solve.relief_sigma_m)))

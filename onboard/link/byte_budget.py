@@ -62,8 +62,15 @@ class Bucket:
         self._level = self.level(now_s) - cost
 
     def owe(self, cost: float, now_s: float) -> None:
-        """Take what went without asking; what cannot be made good within one depth is forgiven."""
-        self._level = max(self.level(now_s) - cost, min(-self.depth, self._level))
+        """Take what went without asking since the last look; what cannot be made good within one depth is forgiven.
+
+        It is taken from what came in meanwhile, before that is cut at the depth: taken afterwards, a steady drain would
+        keep the bucket from ever being full, and a message larger than it would wait for good.
+        """
+        came = max(now_s - self._at_s, 0.0) * self.bytes_per_s
+        least = min(-self.depth, self._level + came)
+        self._level = min(max(self._level + came - cost, least), self.depth)
+        self._at_s = max(now_s, self._at_s)
 
 
 class Budget:

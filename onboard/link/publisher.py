@@ -64,7 +64,7 @@ class Rate:
 
 @dataclass(eq=False)
 class _Waiting:
-    """A query and what it will be told."""
+    """A query and its reply."""
 
     query: zenoh.Query
     key: str

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Sequence
 
 import zenoh
@@ -10,7 +11,9 @@ import zenoh
 from contract.link_config import Tls, link_config
 from contract.topics import DETAIL_PARAMETER, STATUS
 
-TIMEOUT_S = 2.0
+TIMEOUT_S = 3.0  # a daemon gives up a reply that found no room on the link after 2.8 s
+PATIENCE_S = 8.0  # reports are large: at 32 kbit/s, the room that replies have is enough for one in two seconds
+_AT_ONCE_S = 1.0  # whoever has no such vehicle says so sooner
 _EVERYWHERE = re.compile(r"/(0\.0\.0\.0|\[::\]):")
 
 
@@ -30,9 +33,20 @@ def ask(vehicle: str, listen: Sequence[str], tls: Tls | None = None) -> bytes | 
         except zenoh.ZError:
             continue
         try:
-            for reply in session.get(f"{STATUS.key(vehicle)}?{DETAIL_PARAMETER}=1", timeout=TIMEOUT_S):
-                if reply.ok is not None:
-                    return reply.ok.payload.to_bytes()
+            if (found := _asked(session, f"{STATUS.key(vehicle)}?{DETAIL_PARAMETER}=1")) is not None:
+                return found
         finally:
             session.close()  # type: ignore[no-untyped-call]
+    return None
+
+
+def _asked(session: zenoh.Session, question: str) -> bytes | None:
+    """Asks again while somebody is there who only did not find the time."""
+    end_s = time.monotonic() + PATIENCE_S
+    while (begin_s := time.monotonic()) < end_s:
+        for reply in session.get(question, timeout=TIMEOUT_S):
+            if reply.ok is not None:
+                return reply.ok.payload.to_bytes()
+        if time.monotonic() - begin_s < _AT_ONCE_S:
+            return None
     return None

@@ -1,6 +1,6 @@
-"""A stabilised camera: its attitude in place of the vehicle's, so that every other room may think the mount fixed.
+"""A stabilised camera: its attitude in place of the vehicle's, so that all other modules may take the mount as fixed.
 
-A gimbal says how it hangs; the rooms that follow ask for the attitude of a vehicle whose camera sits in the configured
+A gimbal reports its own attitude; the modules that follow ask for that of a vehicle whose camera sits in the configured
 mount. So what is answered is R_ned_gimbal R_body_gimbal^T with the nominal mount's R_body_gimbal (1.6): a vehicle that
 would carry a fixed camera just as the gimbal carries it. The mount's boresight error then is the gimbal's own.
 """

@@ -28,6 +28,7 @@ CLAIM_WINDOW_NS = 2_000_000_000
 FLAPPING_NS = 10_000_000_000
 UNUSABLE_FIX = 2  # GPS_FIX_TYPE up to this one
 GLITCH_SIGMAS = 5.0
+BELIEF_STEP_NS = 500_000_000  # of `was_believed`: shorter than any refusal lasts
 
 NOTHING_YET = "no position yet"
 UNHEARD = "waiting for the receiver's and the filter's own report"
@@ -154,6 +155,21 @@ class GpsIntegrity:
         if slip.surely_m_s > self._gps.max_slip_m_s:
             return f"position moves {slip.surely_m_s:.1f} m/s against velocity"
         return ""
+
+    def was_believed(self, start_ns: int, end_ns: int) -> bool:
+        """As `Navigation.was_believed`."""
+        stamps = self.positions.stamps_ns
+        before_ns = next_ns = start_ns
+        for stamp_ns in stamps[bisect.bisect_right(stamps, start_ns) : bisect.bisect_left(stamps, end_ns)]:
+            if stamp_ns - before_ns > self._gps.max_gap_s * 1e9:
+                # The receiver's own word comes later than the first position after a gap.
+                next_ns = stamp_ns + round(self._gps.quality_timeout_s * 1e9)
+            before_ns = stamp_ns
+            if stamp_ns >= next_ns:
+                if self.fault_at(stamp_ns, self.slip_at(stamp_ns)):
+                    return False
+                next_ns = stamp_ns + BELIEF_STEP_NS
+        return True
 
     def slip_at(self, moment_ns: int) -> Slip:
         """How position moves against velocity about a moment."""

@@ -298,6 +298,10 @@ class Navigation:
             0.0 if R_enu_body is None or self._uses_gimbal else self._attitudes.sigma_at(moment_ns),
         )
 
+    def was_believed(self, start_ns: int, end_ns: int) -> bool:
+        """Whether no position between two moments was refused; a gap in telemetry alone says nothing against them."""
+        return self._integrity.was_believed(start_ns, end_ns)
+
     def _range_at(self, moment_ns: int, position_enu_m: Array) -> GroundRange | None:
         """The range finder between its messages about a moment; None without it, the vehicle's attitude or an echo."""
         settings = self.config.range_finder

@@ -7,12 +7,13 @@ from numpy.typing import NDArray
 
 from onboard.estimation.sliding_window import Window
 from onboard.geometry.plane_homography import Pose, predict_homography
-from onboard.navigation.navigator import NavState
+from onboard.navigation.navigator import Navigation, NavState
+from onboard.pipeline.shortfall import MAX_APART_S, Break
 
 Array = NDArray[np.float64]
 
 MIN_HEIGHT_M = 2.0
-MAX_OUTAGE_NS = 3_000_000_000  # without navigation, after which old keyframes are of no use
+MAX_UNASKED_NS = 3_000_000_000  # between pictures, above which navigation in between is looked at
 SAME_STAMPS = 0.5  # share that the sigma of stamps may change by while their error is taken for the same
 
 
@@ -46,9 +47,19 @@ def predict_motion(window: Window, was_nav: NavState, nav: NavState) -> Array | 
     )
 
 
-def are_comparable(was: NavState, now: NavState) -> bool:
-    """Whether one window may hold both: not after an outage, a jump of the position, or a change of the stamps."""
-    if now.stamp_ns - was.stamp_ns > MAX_OUTAGE_NS or now.stretch != was.stretch:
-        return False
+def what_parts(was: NavState, now: NavState, navigation: Navigation, offset_ns: int) -> Break | None:
+    """Why no window may hold both: navigation was lost in between, position or stamps jumped, or too long ago.
+
+    Pictures that come slowly are no outage: in between, navigation had believed positions. `offset_ns`: camera to
+    autopilot.
+    """
+    apart_ns = now.stamp_ns - was.stamp_ns
+    if now.stretch != was.stretch:
+        return Break.JUMP
+    if apart_ns > MAX_UNASKED_NS:
+        if not navigation.was_believed(was.stamp_ns + offset_ns, now.stamp_ns + offset_ns):
+            return Break.OUTAGE
+        if apart_ns > MAX_APART_S * 1e9:
+            return Break.APART
     one, other = was.stamp_sigma_s, now.stamp_sigma_s
-    return abs(one - other) <= SAME_STAMPS * max(one, other)
+    return None if abs(one - other) <= SAME_STAMPS * max(one, other) else Break.STAMPS

@@ -33,9 +33,11 @@ from onboard.georeferencing.surface_sets import over_known_ground
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.estimates import estimates_of, sensor_errors
 from onboard.pipeline.frozen_frames import Staleness, Stillness
-from onboard.pipeline.motion_prediction import are_comparable, ground_so_far, predict_motion
+from onboard.pipeline.keyframe_choice import wants_keyframe
+from onboard.pipeline.motion_prediction import ground_so_far, predict_motion, what_parts
 from onboard.pipeline.mount_selection import MountSelection
 from onboard.pipeline.picture_record import Pending, Record
+from onboard.pipeline.shortfall import MIN_OVERLAP, Evidence
 from onboard.pipeline.statistics import RunStatistics, Summary
 from onboard.vision.klt_tracker import MIN_TRACKS, Tracker, Tracks
 
@@ -44,9 +46,7 @@ Array = NDArray[np.float64]
 MAX_WAIT_NS = 1_500_000_000  # for telemetry to catch up with a picture
 MAX_FAILURES = 4  # window solves in a row without a result before a new start
 MAX_MISSES = 3  # pictures in a row that found too little before a new start
-KEYFRAME_SHIFT = 0.10  # median motion, as a share of the picture's width, that makes a keyframe
-KEYFRAME_TRACKS = 0.65  # share of features still followed below which a keyframe is made
-KEYFRAME_TURN_RAD = 0.30
+SLOW_NS = 1_000_000_000  # between pictures, above which one that has lost the keyframe's ground begins anew at once
 MAX_PREDICTION_MISS = 0.15  # rad: tracks this far from telemetry's prediction have locked onto the wrong features
 TURNING_RAD_S = 0.35
 MIN_TRAVEL = 0.03  # of the height above ground: less than this is no parallax
@@ -96,10 +96,11 @@ class Pipeline:
         self._session: int | None = None
         self._staleness, self._stillness = Staleness(), Stillness(camera.width_px)
         self._misses = self._failures = 0
+        self._overlap = 1.0  # of the newest picture with the newest keyframe, as telemetry predicts it
         self._unsolved = Status.STARTING  # why there is no solution yet: POOR_FIT once windows were refused for it
         self._last_nav: NavState | None = None
         self._frame: LocalFrame | None = None  # the navigation frame that the window's states are in
-        self._statistics = RunStatistics()
+        self._statistics = RunStatistics(Evidence(config))
 
     def handle(self, event: Event) -> list[FeatureSet]:
         """Take one event; returns the feature sets that follow from it, maybe of earlier pictures, maybe none."""
@@ -154,12 +155,14 @@ class Pipeline:
             self.navigation.mount_hypothesis = mount_hypothesis
         with self._statistics.timed("navigation"):
             nav = self._state_at(frame.stamp_ns, frame.stamp_sigma_s)
+        if nav is Status.NO_GPS:
+            self._statistics.evidence.navigation = self.navigation.reason
         if isinstance(nav, Status) or self._staleness.is_stale(frame.image, nav, self._state_at):
             return [*out, self._refuse(frame, nav if isinstance(nav, Status) else Status.BAD_PICTURE)]
-        if self._last_nav is not None and not are_comparable(self._last_nav, nav):
-            out.extend(self._restart())
+        out.extend(self._part_from_last(nav))
         if self._frame is not self.navigation.frame:
             self._frame, self.window.terrain = self.navigation.frame, None
+        is_slow = self._last_nav is not None and nav.stamp_ns - self._last_nav.stamp_ns > SLOW_NS
         self._last_nav = nav
         self._know_terrain(nav)
         with self._statistics.timed("tracking"):
@@ -174,16 +177,26 @@ class Pipeline:
         if len(tracks) < MIN_TRACKS:
             self._misses += 1
             reason = Status.TURNING if self._is_turning(frame) else Status.FEATURELESS
-            if self._misses >= MAX_MISSES:
+            if self._misses >= MAX_MISSES or (is_slow and self._overlap < MIN_OVERLAP):
                 out.extend(self._restart())
                 return [*out, *self._make_keyframe(frame, nav, self.tracker.nothing(), reason)]
             return [*out, self._refuse(frame, reason)]
         self._misses = 0
-        if self._wants_keyframe(tracks):
+        if wants_keyframe(tracks, self.camera.width_px):
             return [*out, *self._make_keyframe(frame, nav, tracks)]
         record = Record(frame, observation(self.camera, tracks.ids, tracks.uv_px), nav, False)
         self._records.append(record)
         return [*out, *self._place([record])]
+
+    def _part_from_last(self, nav: NavState) -> list[FeatureSet]:
+        """Begin anew where this picture and the one before it may not be in one window."""
+        last, evidence = self._last_nav, self._statistics.evidence
+        why = None
+        if last is not None:
+            why = what_parts(last, nav, self.navigation, round(self._offset_s * 1e9))
+            evidence.note_step((nav.stamp_ns - last.stamp_ns) / 1e9, why)
+        evidence.note_place(nav.position_enu_m, nav.height_above_home_m, nav.R_enu_body is not None)
+        return [] if why is None else self._restart()
 
     @property
     def _offset_s(self) -> float:
@@ -214,6 +227,8 @@ class Pipeline:
         assert frame.image is not None
         # While it is open what carries the camera, the pictures must be heard without its prejudice.
         predicted = None if self.mount_selection.is_open(nav) else self._predict(nav)
+        was = self.window.keyframes[-1].nav if self.window.keyframes else None
+        self._overlap = self._statistics.evidence.note_overlap(self.camera, predicted, was, nav)
         tracks = self.tracker.track(frame.image, predicted)
         if not self.tracker.has_keyframe:
             return None
@@ -239,16 +254,6 @@ class Pipeline:
     def _is_turning(self, frame: Frame) -> bool:
         rate = self.navigation.body_rate_at(frame.stamp_ns + round(self._offset_s * 1e9))
         return rate is not None and float(np.linalg.norm(rate)) > TURNING_RAD_S
-
-    def _wants_keyframe(self, tracks: Tracks) -> bool:
-        shift = float(np.median(np.linalg.norm(tracks.uv_px - tracks.keyframe_uv_px, axis=1)))
-        linear = tracks.motion[:2, :2]
-        turn = abs(float(np.arctan2(linear[1, 0] - linear[0, 1], linear[0, 0] + linear[1, 1])))
-        return (
-            shift > KEYFRAME_SHIFT * self.camera.width_px
-            or len(tracks) < KEYFRAME_TRACKS * tracks.offered
-            or turn > KEYFRAME_TURN_RAD
-        )
 
     def _make_keyframe(
         self, frame: Frame, nav: NavState, tracks: Tracks, reason: Status | None = None

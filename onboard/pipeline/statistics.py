@@ -12,6 +12,7 @@ import numpy as np
 
 from contract.feature_set import Status
 from onboard.pipeline.estimates import Estimate, SensorError
+from onboard.pipeline.shortfall import Evidence, Shortfall
 
 REMEMBERED_PICTURES = 5000  # whose status may still change: many times what a window spans
 
@@ -21,6 +22,7 @@ class Summary:
     """What became of the pictures. `refused` counts reasons; `stage_seconds` is processor time by stage."""
 
     frames: int = 0
+    shortfall: Shortfall | None = None  # why nothing was solved, where nothing was
     keyframes: int = 0
     solved: int = 0
     refused: dict[str, int] = field(default_factory=dict)
@@ -34,7 +36,8 @@ class Summary:
 class RunStatistics:
     """Counts."""
 
-    def __init__(self) -> None:
+    def __init__(self, evidence: Evidence) -> None:
+        self.evidence = evidence
         self.keyframes = 0
         self.track_counts: Counter[int] = Counter()
         self.reprojections_px: deque[float] = deque(maxlen=REMEMBERED_PICTURES)
@@ -67,6 +70,7 @@ class RunStatistics:
         """Counts so far; a picture counts by its latest revision."""
         refused = Counter({s.value: n for s, n in self._outcomes.items() if s is not Status.OK and n})
         return Summary(
+            shortfall=None if self._outcomes[Status.OK] else self.evidence.why(+self._outcomes, self.keyframes),
             frames=self._outcomes.total(),
             keyframes=self.keyframes,
             solved=self._outcomes[Status.OK],

@@ -169,6 +169,8 @@ def summary_text(summary: Summary) -> str:
         (f"time, {stage}", f"{seconds:.2f} s ({1000.0 * seconds / frames:.1f} ms a frame)")
         for stage, seconds in summary.stage_seconds.items()
     ]
+    if summary.shortfall is not None:
+        rows += [("nothing solved", summary.shortfall.reason), ("what to do", summary.shortfall.remedy)]
     width = max(len(name) for name, _ in rows)
     return "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
 

@@ -67,6 +67,8 @@ class RecordedFlight:
 
     damaged: dict[Path, list[Damage]] = field(default_factory=dict)  # stretches that cannot be read
     lost: dict[Path, Counter[str]] = field(default_factory=dict)  # what they held, by channel, so far as is known
+    # Events whose content cannot be read, by channel: known once `events` has come by them.
+    unreadable: dict[Path, Counter[str]] = field(default_factory=dict)
 
     @classmethod
     def open(cls, paths: Sequence[Path]) -> RecordedFlight:
@@ -96,6 +98,9 @@ class RecordedFlight:
         found = [f"events are missing before {path.name}" for path in self.gaps]
         found += [f"{path.name} lacks {_in_words(gaps)}" for path, gaps in self.dropped.items()]
         found += [self._damage_of(path) for path in self.paths if path in self.damaged or path in self.lost]
+        for path, names_of in self.unreadable.items():
+            content = ", ".join(f"{count} {name}" for name, count in sorted(names_of.items()))
+            found.append(f"{path.name} has events whose content is damaged: {content} left out")
         if self.formats["jpeg"]:
             found.append(f"{self.formats['jpeg']} pictures are JPEG, not as the pipeline saw them")
         if self.formats["none"]:
@@ -111,7 +116,13 @@ class RecordedFlight:
         return f"{path.name} is damaged {places}, {size} bytes passed over: {lost or 'nothing known'} lost"
 
     def events(self) -> Iterator[tuple[int, Event]]:
-        """Every event with its arrival (Unix ns), in the order of the pipeline. Raises InputError at a damaged one."""
+        """Every event with its arrival (Unix ns), in the order of the pipeline; `unreadable` counts what is left out.
+
+        Raises InputError, at the end, if none of a channel's could be read: that is no damage but another format.
+        """
+        self.unreadable.clear()
+        read: set[str] = set()
+        errors: dict[str, InputError] = {}
         for path in self.paths:
             picture: tuple[int, bytes] | None = None
             is_damaged = False
@@ -120,7 +131,8 @@ class RecordedFlight:
                     is_damaged = is_damaged or isinstance(record, Damage)
                     continue
                 channel, message = record
-                kind = _kind(channel.topic, self.vehicle)
+                kind, name = _kind(channel.topic, self.vehicle), _name(channel.topic, self.vehicle)
+                event: Event | None = None
                 try:
                     if kind == names.PICTURES:
                         picture = message.publish_time, message.data
@@ -133,11 +145,18 @@ class RecordedFlight:
                                 raise InputError(f"frame {frame.index} without its picture")
                             frame, _ = frame_event(message.data, _decoded(picture[1], self.camera))
                         if as_recorded != "none":
-                            yield message.log_time, frame
+                            event = frame
                     elif kind in NAV_EVENTS:
-                        yield message.log_time, nav_event(NAV_EVENTS[kind], message.data)
+                        event = nav_event(NAV_EVENTS[kind], message.data)
                 except InputError as error:
-                    raise InputError(f"recording {path}: {error}") from error
+                    errors.setdefault(name, InputError(f"recording {path}: {error}"))
+                    self.unreadable.setdefault(path, Counter())[name] += 1
+                if event is not None:
+                    read.add(name)
+                    yield message.log_time, event
+        for name, unread in errors.items():
+            if name not in read:
+                raise unread
 
     def sets(self) -> Iterator[bytes]:
         """The payloads of the sets, in the order in which they were made."""
@@ -194,8 +213,8 @@ def _look_through(path: Path, flight: RecordedFlight | None) -> RecordedFlight |
             if kind == names.FRAMES:
                 try:
                     frame, as_recorded = frame_event(message.data, None)
-                except InputError as error:
-                    raise InputError(f"recording {path}: {error}") from error
+                except InputError:
+                    continue  # `events` counts it
                 if path in flight.damaged and as_recorded in ("png", "jpeg") and picture_ns != frame.stamp_ns:
                     _note_lost(flight, path, "frames without their pictures", 1)
                     continue

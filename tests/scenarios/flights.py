@@ -121,11 +121,11 @@ def play(
     folder: Path,
     *overrides: tuple[str, object],
     terrain: TerrainSource | None = None,
-    spoil: Callable[[Event, float], Event] | None = None,
+    spoil: Callable[[Event, float], Event | None] | None = None,
 ) -> Outcome:
     """Replay a session under its configuration with `overrides` ("section.key", value), and click.
 
-    `spoil` may change each telemetry event, given its time (s) since the first picture.
+    `spoil` may change each telemetry event, given its time (s) since the first picture, or lose it (None).
     """
     table = tomllib.loads((folder / "config.toml").read_text())
     for name, value in overrides:
@@ -136,8 +136,10 @@ def play(
     flight = Flight.open(config, camera, folder / "frames", folder / "telemetry.tlog", folder / "stamps.csv")
     if spoil is not None:
         first_ns, log = flight.frames.stamps_ns[0], flight.telemetry
-        events = [spoil(event, (event.stamp_ns - first_ns) / 1e9) for event in log.events]
-        flight = replace(flight, telemetry=replace(log, events=events))
+        spoilt = ((t, spoil(e, (e.stamp_ns - first_ns) / 1e9)) for t, e in zip(log.arrival_ns, log.events, strict=True))
+        kept = [(t, e) for t, e in spoilt if e is not None]
+        log = replace(log, arrival_ns=[t for t, _ in kept], events=[e for _, e in kept])
+        flight = replace(flight, telemetry=log)
     pipeline, sink = Pipeline(config, camera, terrain), _Sets()
     replay(flight, pipeline, [sink])
     return click(folder, sink.by_frame, pipeline)

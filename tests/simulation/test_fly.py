@@ -41,6 +41,7 @@ def test_it_writes_a_session(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         ("--recorded nothing", "known: copter_leg"),
         ("--recorded plane_turn --start 50 --seconds 30", "is not within it"),
         ("--recorded plane_turn --height-m 100", "own path and telemetry"),
+        ("--recorded plane_turn --autopilot ordinary", "autopilot: only for --path"),
         ("--path straight --start 3", "--start"),
         ("--path straight --size 640", "640x480"),
         ("--path straight --hfov-deg 190", "between 1 and 150"),

@@ -245,11 +245,12 @@ def test_the_same_inputs_give_the_same_recording_and_a_summary(
 ) -> None:
     recordings = []
     for name in ("a.mcap", "b.mcap"):
-        assert main(arguments(session, record=session / name)) == 0
+        assert main(arguments(session, record=session / name)) == 3, "pictures of noise: nothing is solved"
         recordings.append((session / name).read_bytes())
     reported = capsys.readouterr()
     assert "frames" in reported.out
     assert "refused" in reported.out
+    assert "nothing solved" in reported.out and "what to do" in reported.out
     assert reported.err == ""
     assert recordings[0] == recordings[1]
     assert len(recordings[0]) > 500

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from onboard.link.publisher import Publisher
 from onboard.link.status_query import ask, local_endpoints
 from onboard.service.reports import RecordingReport, Report
 from onboard.service.vehicle_state import Finding, Subject, VehicleState
+from tests.contract.sets import plain_set
 from tests.onboard.link.ports import free_endpoint
 
 STATUS = VehicleStatus(1.7e9, 7, "camera lost", "unplugged", 4000.0, 0.0, 0.0, 300, 0.125, 97, 12, 3, True, 61.0)
@@ -55,6 +57,16 @@ def test_a_running_daemon_is_told_of(config: tuple[str, Path], capsys: pytest.Ca
         assert main(["status", "--config", str(file), "--json"]) == 0
         assert json.loads(capsys.readouterr().out) == json.loads(REPORT.to_json())
         assert main(["status", "--config", str(file), "--vehicle", "weka"]) == 3
+
+
+def test_a_long_report_is_given_again_and_again_beside_a_flights_sets(config: tuple[str, Path]) -> None:
+    # A report in flight is 2 to 3 kB, more than the link sends in a burst.
+    long = REPORT.to_json() + b" " * (3000 - len(REPORT.to_json()))
+    with Publisher("kiwi", (config[0],)) as publisher:
+        for number in range(3):
+            publisher.publish(replace(plain_set(), vehicle="kiwi", frame=number))
+            publisher.publish_status(encode_status(STATUS), long)
+            assert main(["status", "--config", str(config[1])]) == 0
 
 
 def test_nobody_there_is_one_line_and_an_exit_code(

@@ -69,7 +69,7 @@ def test_a_wrong_file_is_refused_in_one_line_that_says_what_is_right(text: str, 
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"nothing\.toml: No such file"):
+    with pytest.raises(ConfigError, match=r"nothing\.toml: No such file .*; write one \(every key has a default\)"):
         load_config(tmp_path / "nothing.toml")
 
 

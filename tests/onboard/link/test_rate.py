@@ -75,6 +75,25 @@ def test_replies_do_not_silence_sets_and_are_not_silenced_by_them() -> None:
     assert kinds[Kind.SET] >= 15 and kinds[Kind.REPLY] >= 10 and kinds[Kind.STATUS] >= 15
 
 
+@pytest.mark.parametrize("max_bit_rate", [4000.0, 32_000.0])
+@pytest.mark.parametrize("grounds", [1, 3])
+def test_a_message_larger_than_a_burst_goes_once_the_bucket_is_full_whatever_the_background(
+    max_bit_rate: float, grounds: int
+) -> None:
+    # The daemon's own report is such a message: `pc-onboard status` said "not running" of one that ran.
+    budget = Budget(max_bit_rate, 0.2, 5.0, 0.0)
+    budget.connected(grounds, 0.0)
+    took, now_s = [], 0.0
+    while now_s < 60.0:
+        budget.waits(Kind.REPLY, 3000, now_s)
+        if budget.send(Kind.REPLY, 3000, now_s):
+            took.append(now_s)
+        now_s += 0.01
+    assert (
+        60.0 * 0.2 * budget.bytes_per_s < len(took) * budget.cost(Kind.REPLY, 3000) < 60.0 * 0.45 * budget.bytes_per_s
+    )
+
+
 def test_the_ground_is_never_without_the_newest_picture_for_long() -> None:
     sent = sets(run(Budget(32000.0, 0.2, 5.0, 0.0), flight(20.0), 20.0))
     newest_ns, late_s = 0, []

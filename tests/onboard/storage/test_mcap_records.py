@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from contract.errors import InputError
 from onboard.__main__ import main
 from onboard.config.schema import to_toml
 from onboard.events.types import Event, Frame, GpsQuality
@@ -129,6 +130,29 @@ def test_a_stretch_of_zeros_costs_what_lay_in_it_and_is_counted(whole: bytes, tm
     expected = {"pictures": 4, "frames": 3, "gps_quality": 6, "features": 3, "frames without their pictures": 1}
     assert {name: count for name, count in lost.items() if not name.startswith("view/")} == expected
     assert len(list(recorded.sets())) == PICTURES - 3
+
+
+def test_content_that_cannot_be_read_is_left_out_and_counted(whole: bytes, tmp_path: Path) -> None:
+    """A sector inside of a picture, which leaves every record's length whole; and a letter of a telemetry event."""
+    pictures = messages_of(whole, longer_than=20_000)
+    begin = pictures[40] + 9_000
+    event = whole.index(b'"fix_type"', pictures[70])
+    content = whole[:begin] + bytes(512) + whole[begin + 512 : event] + b"\xff" + whole[event + 1 :]
+    recorded, events = opened(tmp_path, content)
+    assert set(range(PICTURES)) - set(frames_of(events)) == {40}
+    assert sum(isinstance(e, GpsQuality) for e in events) == 2 * PICTURES - 1
+    assert recorded.damaged == {}
+    for _ in range(2):  # reading it again counts nothing twice
+        assert any("content is damaged: 1 frames, 1 gps_quality left out" in caveat for caveat in recorded.caveats)
+        assert len(list(recorded.events())) == len(events)
+
+
+def test_a_channel_of_which_nothing_can_be_read_is_no_damage(whole: bytes, tmp_path: Path) -> None:
+    """Events of another version, say: a flight without its telemetry is another one."""
+    path = tmp_path / "session.mcap"
+    path.write_bytes(whole.replace(b'"fix_type"', b'"fix_kind"'))
+    with pytest.raises(InputError, match="a GpsQuality without fix_type"):
+        list(RecordedFlight.open([path]).events())
 
 
 def test_two_damaged_places_are_both_passed(whole: bytes, tmp_path: Path) -> None:

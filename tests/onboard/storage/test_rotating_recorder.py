@@ -109,7 +109,7 @@ def first(folder: Path) -> Path:
 
 
 def as_recorded(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    assert main(["replay", *arguments]) == 0
+    assert main(["replay", *arguments]) in (0, 3)  # 3: too few pictures to solve any, as of a flight cut short
     (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("as recorded")]
     return line
 

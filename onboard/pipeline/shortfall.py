@@ -1,0 +1,196 @@
+"""Why a flight's pictures gave no answer: the likely reason and what to do, from what was noticed on the way."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from contract.feature_set import Status
+from onboard.config.schema import Config
+from onboard.estimation.window_solver import MIN_KEYFRAMES
+from onboard.geometry.plane_homography import move
+from onboard.navigation.navigator import NavState
+
+Array = NDArray[np.float64]
+
+MAX_APART_S = 12.0  # between pictures: ten of them, a window, span what navigation remembers
+REMEMBERED_STEPS = 1000
+MIN_OVERLAP = 0.25  # rendered flights: answered in full at 0.27 of the picture in common, not at all at 0.17
+MIN_SPAN = 0.1  # of the height above ground, flown during a window: less is no parallax
+MIN_LASTING_S = 5.0  # of a flight that is said to have stood still: a shorter one is too short
+SHARE_GRID = (16, 12)
+
+
+class Break(Enum):
+    """Why no window may hold both a picture and the one before it. Values are the words users see."""
+
+    APART = "apart"
+    OUTAGE = "outage"
+    JUMP = "jump"
+    STAMPS = "stamps"
+
+
+@dataclass(frozen=True)
+class Shortfall:
+    """The likely reason, and its remedy, one line each."""
+
+    reason: str
+    remedy: str
+
+
+@dataclass
+class Evidence:
+    """What a flight without answers is judged by: its latest pictures, in bounded memory."""
+
+    config: Config
+    apart_s: deque[float] = field(default_factory=lambda: deque(maxlen=REMEMBERED_STEPS))
+    overlap: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=REMEMBERED_STEPS))
+    breaks: Counter[Break] = field(default_factory=Counter)
+    has_attitude: bool = False
+    navigation: str = ""  # why the position was not believed, the last time it was not
+    span_m: float = 0.0  # the farthest flown within one window
+    height_m: float = float("nan")  # above home, the last known
+    _first_enu_m: Array | None = None
+
+    def note_step(self, apart_s: float, why: Break | None) -> None:
+        """Two pictures in a row, both with navigation, and what parts them, if anything does."""
+        self.apart_s.append(apart_s)
+        if why is not None:
+            self.breaks[why] += 1
+            self._first_enu_m = None
+
+    def note_place(self, position_enu_m: Array, height_m: float | None, has_attitude: bool) -> None:
+        """Where a picture with navigation was taken."""
+        if self._first_enu_m is None:
+            self._first_enu_m = position_enu_m
+        self.span_m = max(self.span_m, float(np.linalg.norm(position_enu_m - self._first_enu_m)))
+        self.has_attitude |= has_attitude
+        self.height_m = self.height_m if height_m is None else height_m
+
+    def note_overlap(self, camera: Camera, predicted: Array | None, was: NavState | None, nav: NavState) -> float:
+        """How much of the keyframe of `was` this picture should show; `predicted` (3, 3) is the motion since."""
+        if was is None:
+            return 1.0
+        travelled_m = float(np.linalg.norm(nav.position_enu_m - was.position_enu_m))
+        share = overlap_share(camera, predicted, travelled_m, nav.height_above_home_m)
+        if share is None:
+            return 1.0
+        self.overlap.append(((nav.stamp_ns - was.stamp_ns) / 1e9, share))
+        return share
+
+    def why(self, statuses: Counter[Status], keyframes: int) -> Shortfall:
+        """The likely reason why none of the pictures with these statuses has an answer."""
+        frames = statuses.total()
+        if not frames:
+            return Shortfall("no pictures", "check the folder of pictures, their stamps and the log's time")
+        worst, count = max(
+            ((s, n) for s, n in statuses.items() if s in (Status.BAD_PICTURE, Status.NO_GPS, Status.UNSYNCHRONISED)),
+            key=lambda pair: pair[1],
+            default=(Status.STARTING, 0),
+        )
+        if 2 * count > frames:
+            return self._unusable(worst, count)
+        apart = self._too_far_apart()
+        if apart is not None:
+            return apart
+        if len(self.apart_s) + 1 < MIN_KEYFRAMES:
+            return Shortfall(
+                f"{len(self.apart_s) + 1} usable pictures of {frames}",
+                f"at least {MIN_KEYFRAMES} in a row must show the same ground and have telemetry about them",
+            )
+        return self._by_status(statuses, keyframes)
+
+    def _unusable(self, status: Status, count: int) -> Shortfall:
+        if status is Status.BAD_PICTURE:
+            return Shortfall(f"{count} pictures are damaged or repeat an earlier one", "check the camera and its files")
+        if status is Status.NO_GPS:
+            said = f" ({self.navigation})" if self.navigation else ""
+            return Shortfall(
+                f"no believed position for {count} pictures{said}",
+                "wait for a fix before the first picture; see GPS_RAW_INT and EKF_STATUS_REPORT in the log",
+            )
+        return Shortfall(
+            f"telemetry gap: no position within {self.config.gps.max_gap_s:g} s or no attitude within "
+            f"{self.config.telemetry.max_attitude_gap_s:g} s about {count} pictures",
+            "raise the rates of GLOBAL_POSITION_INT and ATTITUDE, and check that pictures and log have the same clock",
+        )
+
+    def _too_far_apart(self) -> Shortfall | None:
+        steps = len(self.apart_s)
+        if not steps:
+            return None
+        usual_s = float(np.median(self.apart_s))
+        why, count = max(self.breaks.items(), key=lambda pair: pair[1], default=(Break.APART, 0))
+        if 3 * self.breaks.total() >= steps:
+            if why is Break.APART:
+                return Shortfall(
+                    f"pictures {usual_s:.1f} s apart, at most {MAX_APART_S:.1f}", "take pictures more often"
+                )
+            if why is Break.STAMPS:
+                return Shortfall(
+                    f"the stamps' own error changed {count} times", "check that pictures and autopilot share a clock"
+                )
+            what = "GPS was lost or doubted" if why is Break.OUTAGE else "the position jumped"
+            return Shortfall(
+                f"{what} between {count} of {steps} pairs of pictures", "fly where the receiver keeps its fix"
+            )
+        if not self.overlap:
+            return None
+        shares = np.array(self.overlap)
+        if np.median(shares[:, 1]) >= MIN_OVERLAP:
+            return None
+        # Overlap is lost evenly with time: from what was lost, when too little is left.
+        most_s = float(np.median(shares[:, 0] * (1.0 - MIN_OVERLAP) / np.maximum(1.0 - shares[:, 1], 1e-6)))
+        return Shortfall(
+            f"no overlap: pictures {usual_s:.1f} s apart, at most {most_s:.1f} here, where less than "
+            f"{100 * MIN_OVERLAP:.0f} % of the ground is on both",
+            "take pictures more often, fly slower or higher, or use a wider lens",
+        )
+
+    def _by_status(self, statuses: Counter[Status], keyframes: int) -> Shortfall:
+        worst = max((s for s in statuses if s is not Status.STARTING), key=lambda s: statuses[s], default=None)
+        count = 0 if worst is None else statuses[worst]
+        is_still = self.span_m < MIN_SPAN * self.height_m and sum(self.apart_s) > MIN_LASTING_S
+        if worst is Status.FEATURELESS and count > statuses[Status.STARTING]:
+            return Shortfall(
+                f"nothing to follow on {count} pictures", "check focus, exposure and that the lens looks at the ground"
+            )
+        if worst is Status.TURNING and count > statuses[Status.STARTING]:
+            return Shortfall(
+                f"turning too fast to follow the ground on {count} pictures", "take pictures more often, or turn slower"
+            )
+        if worst is Status.LOW_PARALLAX or is_still:
+            return Shortfall(
+                f"no parallax: {self.span_m:.0f} m flown at {self.height_m:.0f} m above home",
+                "fly on, or say where the ground is: terrain.path, solve.home_level or a range finder",
+            )
+        if not self.has_attitude and self.config.solve.attitude == "autopilot":
+            return Shortfall(
+                "no attitude in the telemetry", "ask the autopilot for ATTITUDE, or set solve.level_ground = true"
+            )
+        if worst is Status.POOR_FIT:
+            return Shortfall(
+                f"pictures and telemetry contradict each other on {count} pictures",
+                "check mount.*_deg, camera.json, and that pictures and log are of one flight and one clock",
+            )
+        return Shortfall(
+            f"too short: {keyframes} keyframes within {self.span_m:.0f} m flown",
+            f"at least {MIN_KEYFRAMES} keyframes are needed, each a tenth of a picture farther on: fly on",
+        )
+
+
+def overlap_share(camera: Camera, predicted: Array | None, travelled_m: float, height_m: float | None) -> float | None:
+    """How much of a keyframe another picture shows: by the predicted motion H (3, 3), else as if looking down."""
+    if predicted is None:
+        if height_m is None or height_m <= 0.0:
+            return None
+        across_m = min(camera.size_px) * height_m / camera.focal_px
+        return max(1.0 - travelled_m / across_m, 0.0)
+    u, v = (np.linspace(0.0, size - 1.0, n) for size, n in zip(camera.size_px, SHARE_GRID, strict=True))
+    grid = np.stack([c.ravel() for c in np.meshgrid(u, v)], axis=-1)
+    return float(np.mean(camera.contains(move(predicted, grid))))
