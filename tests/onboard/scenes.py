@@ -180,8 +180,9 @@ def draw(
     path = Path(rng, spec, float(times[-1]))
     boresight = e * np.radians(mount.sigma_deg) * rng.standard_normal(3)
     offset = e * config.camera.sigma_latency_s * float(rng.standard_normal())
-    delay, velocity_delay = (e * gps.sigma_latency_s * rng.standard_normal(2)).tolist()
-    heading = e * np.radians(solve.heading_sigma_deg) * rng.standard_normal(2)
+    (also,) = rng.spawn(1)  # so that what was drawn before these existed is still drawn
+    delay, velocity_delay = (e * gps.sigma_latency_s * also.standard_normal(2)).tolist()
+    heading = e * np.radians(solve.heading_sigma_deg) * also.standard_normal(2)
     R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg)
     R_enu_cam = np.stack([path.R_enu_body(t) @ R_body_cam @ exp_so3(boresight) for t in times])
     R_cam_enu = R_enu_cam.transpose(0, 2, 1)
