@@ -12,7 +12,7 @@ from contract.wire.codec import decode, encode
 from ground.answer import CHI2_2, Fix
 from ground.locate import Locator
 from onboard.config.schema import Config, parse_config
-from onboard.estimation.boresight import DELAY, HEADING
+from onboard.estimation.boresight import HEADING
 from simulation.paths import PathSpec
 
 Array = NDArray[np.float64]
@@ -67,7 +67,6 @@ def body_bias_m(lever_known: bool) -> Array:
 
 def test_a_lever_arm_that_is_known_leaves_no_bias_and_one_that_is_not_leaves_itself() -> None:
     known, ignored = body_bias_m(True), body_bias_m(False)
-    print(known, ignored)
     assert np.abs(known).max() < 0.06
     assert known - ignored == pytest.approx(np.array(LEVER_M), abs=0.05)
 
@@ -85,7 +84,6 @@ def test_a_delay_is_covered_by_the_ellipse(path: PathSpec, seconds: float, after
         assert len(chi2) > 10
         inside += list(chi2 < CHI2_2)
         wide += list(semi_m)
-    print(np.mean(inside), np.median(wide))
     assert np.mean(inside) > 0.85
     assert np.median(wide) < 12.0
 
@@ -98,7 +96,6 @@ def test_who_takes_the_delay_for_certain_is_wrong_by_it() -> None:
         flight = DrawnFlight(spec, seed)
         sets, _ = fly(flight)
         inside += list(clicks(flight, sets, 4.0)[0] < CHI2_2)
-    print(np.mean(inside))
     assert np.mean(inside) < 0.8
 
 
@@ -110,7 +107,6 @@ def test_a_compass_that_errs_by_its_heading_is_recovered_after_turns(heading_err
     sets, pipeline = fly(flight)
     belief = pipeline.window.alignment.belief
     found_deg, sigma_deg = np.degrees(belief.mean[HEADING]), np.degrees(belief.sigma[HEADING])
-    print(found_deg, sigma_deg, belief.mean[DELAY], flight.delay_s)
     assert np.all(np.abs(found_deg - heading_error_deg) < 3.0 * sigma_deg)
     assert sigma_deg.max() < 0.75 * CONFIG.solve.heading_sigma_deg
     which = int(np.argmax(np.abs(heading_error_deg)))

@@ -222,7 +222,6 @@ def test_windows_that_scatter_twice_as_much_count_for_a_quarter() -> None:
         factors.append(a.disagreement)
         nees.append(np.mean((error / sigma) ** 2))
         credulous.append(np.mean((error / sigma_of_all()) ** 2))
-    print(np.median(factors), np.median(ratios), np.mean(nees), np.mean(credulous))
     assert np.min(factors) >= 1.0
     assert 1.6 < np.median(factors) < 2.2
     assert 0.8 < np.median(ratios) < 1.1
