@@ -127,6 +127,8 @@ class Alignment:
         """The posterior with the window's own information weakened by how far windows disagree. Equation (6.13)."""
         gained = np.diag(before.covariance - covariance)
         tells = gained > MIN_GAIN * np.diag(before.covariance)
+        if before.given is None:
+            return mean, covariance  # held against what was declared, not against another window: (6.12) weighs that
         self._squares += np.where(tells, (mean - before.mean) ** 2 / np.where(tells, gained, 1.0), 0.0)
         self._counts += tells
         weaker = 1.0 / self.disagreement

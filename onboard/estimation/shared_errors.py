@@ -43,22 +43,26 @@ def shared_errors(config: Config, priors: list[Prior], state: State, covariance:
             centres = prior.layout.centres()
             times = by_prior[:, OFFSET : VELOCITY_DELAY + 1]
             moved = np.stack([times[centres[:, axis]].mean(axis=0) for axis in (0, 1)])
-            gains[:, ALIGNMENT] = np.column_stack([by_prior[:, BORESIGHT], _one_clock(times, moved)])
+            gains[:, ALIGNMENT] = np.column_stack([by_prior[:, BORESIGHT], _one_of(times, moved)])
+            turns = np.column_stack([gains[:, ATTITUDE.stop - 1], by_prior[:, HEADING]])
+            rotations = prior.layout.rotations()
+            turned = np.stack([turns[rotations[:, axis]].mean(axis=0) for axis in range(3)])
+            gains[:, ATTITUDE.stop - 1] = _one_of(turns, turned)
             gains[:, GROUND] = by_prior[:, STATES:]
             alignment_sigma = 1.0 / np.diag(prior.whitener)[:4]
     attitude_time_s = config.solve.attitude_wander_time_s
     return SharedErrors(gains, config.gps.wander_time_s, attitude_time_s, alignment_sigma)
 
 
-def _one_clock(times: Array, moved: Array) -> Array:
-    """Of several independent errors of time (D, n), the one that sets share, as the wire's single column (D,).
+def _one_of(errors: Array, moved: Array) -> Array:
+    """Of several independent errors (D, n) that act alike, the one that sets share, as the wire's single column (D,).
 
-    All move positions along the track. The combination that does so most, by `moved` (2, n), east and north, is what
-    sets share; the others, and what else is estimated of the platform, stay in each set's own covariance.
+    Errors of time all move positions along the track, errors of heading all turn the views about the vertical. The
+    combination that does so most, by `moved` (m, n), is what sets share; the others stay in each set's own covariance.
     """
     _, _, basis = np.linalg.svd(moved)
     along = basis[0] * np.sign(basis[0][np.argmax(np.abs(basis[0]))])
-    out: Array = times @ along
+    out: Array = errors @ along
     return out
 
 

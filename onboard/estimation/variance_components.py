@@ -52,11 +52,15 @@ class VarianceFactors:
 
     def of(self, name: str) -> float:
         """The factor on one part's variance, at least 1."""
-        return max((PRIOR_COUNT + self.found.get(name, 0.0)) / (PRIOR_COUNT + self.expected.get(name, 0.0)), 1.0)
+        if name == VELOCITY:  # the declared part and the lasting one together
+            return 1.0 - VELOCITY_SLOW_SHARE + self.scale(name)
+        return self.scale(name)
 
     def scale(self, name: str) -> float:
-        """What a part's covariance is scaled by: of velocity only what is found beyond the declared error lasts."""
-        return self.of(name) - (1.0 - VELOCITY_SLOW_SHARE) if name == VELOCITY else self.of(name)
+        """What a part is scaled by. A velocity's lasting part begins at a small share of the declared one."""
+        least = VELOCITY_SLOW_SHARE if name == VELOCITY else 1.0
+        found, expected = self.found.get(name, 0.0), self.expected.get(name, 0.0)
+        return max((PRIOR_COUNT * least + found) / (PRIOR_COUNT + expected), least)
 
     def sigma(self, name: str) -> float:
         """The factor on one part's sigma."""

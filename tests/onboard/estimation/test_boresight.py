@@ -231,10 +231,14 @@ def test_windows_that_scatter_twice_as_much_count_for_a_quarter() -> None:
 
 def test_a_state_that_a_window_says_nothing_of_is_no_evidence_of_agreement() -> None:
     a = alignment()
-    prior = a.prior_for(at(0.0))
     tells = np.diag([25.0, 25.0, 25.0, 25.0, 0.0, 0.0, 25.0, 25.0]) / FIRST**2
-    covariance = np.linalg.inv(np.linalg.inv(prior.covariance) + tells)
-    a.offer(at(0.0), at(10.0), 3.0 * FIRST * np.diag(tells > 0.0), covariance)
+    for start_s, off in ((0.0, 0.0), (40.0, 3.0)):  # the first is held against what was declared, not against a window
+        prior = a.prior_for(at(start_s))
+        covariance = np.linalg.inv(np.linalg.inv(prior.covariance) + tells)
+        assert a.disagreement == pytest.approx(1.0)
+        assert a.offer(
+            at(start_s), at(start_s + 10.0), prior.mean + off * prior.sigma * np.diag(tells > 0.0), covariance
+        )
     assert np.all(a.disagreement[[DELAY, VELOCITY_DELAY]] == 1.0)
     assert a.disagreement[0] > 1.0
 

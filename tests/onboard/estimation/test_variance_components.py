@@ -30,6 +30,7 @@ from onboard.estimation.variance_components import (
     TILT,
     TILT_WHITE,
     VELOCITY,
+    VELOCITY_SLOW_SHARE,
     Evidence,
     Parts,
     VarianceFactors,
@@ -112,10 +113,12 @@ def test_the_estimate_converges_to_the_factor_that_was_drawn(name: str, variance
         factors, k = factors.with_evidence(evidence, T_NS + k), k + 1  # at one time: nothing is forgotten
         assert k < 2000
     scatter = np.sqrt(2.0 / factors.expected[name])
-    found = (PRIOR_COUNT + factors.found[name]) / (PRIOR_COUNT + factors.expected[name])
+    least = VELOCITY_SLOW_SHARE if name == VELOCITY else 1.0
+    found = (PRIOR_COUNT * least + factors.found[name]) / (PRIOR_COUNT + factors.expected[name])
     # The first windows are weighted by too small a variance and may say a little too much.
     assert abs(found / variance - 1.0) < 3.0 * scatter + 0.02
-    assert factors.of(name) == max(found, 1.0)
+    assert factors.scale(name) == max(found, least)
+    assert factors.of(name) == pytest.approx(max(found, least) + 1.0 - least)
 
 
 @pytest.mark.parametrize("name", SENSORS)
