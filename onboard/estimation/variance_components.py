@@ -22,7 +22,7 @@ TILT, HEADING, TILT_WHITE, HEADING_WHITE = "tilt", "heading", "tilt_white", "hea
 VELOCITY, POSITION = "velocity", "position"
 NAMES = (TILT, HEADING, TILT_WHITE, HEADING_WHITE, VELOCITY, POSITION)
 # Effective measurements that the configured sigma counts for: after so many of its own the flight has as much to say.
-PRIOR_COUNT = 3.0
+PRIOR_COUNT = 10.0
 VELOCITY_SLOW_SHARE = 0.05  # of the declared variance, in the lasting part where nothing more has been found
 MEMORY_S = 240.0  # over which what was seen is forgotten: compasses and winds change
 
