@@ -60,7 +60,7 @@ def numbers(views: int, points: int, seed: int = 1) -> tuple[Problem, State]:
     else:
         pick = np.sort(np.random.default_rng(seed).permutation(flight.seen.shape[1])[:points])
     layout = Layout(views)
-    held = SharedPrior(layout, np.zeros(7), np.diag([1e6] * 4 + [1.0] * 3))
+    held = SharedPrior(layout, np.zeros(11), np.diag([1e6] * 8 + [1.0] * 3))
     priors = [p for p in flight.problem.priors if isinstance(p, PositionPrior | AttitudePrior)]
     problem = Problem(layout, flight.problem.xy[:, pick], flight.problem.weight[:, pick], [*priors, held])
     return problem, replace(start, points_enu_m=start.points_enu_m[pick])

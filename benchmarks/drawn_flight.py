@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, mount_rotation, quaternion_from_matrix
 from onboard.config.schema import Config
-from onboard.estimation.sensor_factors import TERRAIN_SLOPE_SIGMA
+from onboard.estimation.sensor_factors import DYNAMIC_TIME_S, TERRAIN_SLOPE_SIGMA, cosine_sine_of_heading
 from onboard.events.types import Attitude, Event, Frame, GpsQuality, PositionFix
 from onboard.geometry.terrain_grid import Terrain
 from onboard.pipeline.pipeline import Pipeline
@@ -58,6 +59,9 @@ class DrawnSpec:
     has_terrain: bool = False
     boresight_deg: tuple[float, float, float] | None = None  # as it is; None: drawn from the configured prior
     offset_s: float | None = None
+    delay_s: float | None = None  # of position and velocity beyond `gps.latency_s`
+    heading_error_deg: tuple[float, float] = (0.0, 0.0)  # times the cosine and the sine of the heading
+    lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # as it is, whatever is configured
     camera: Camera = field(default_factory=lambda: Camera.from_field_of_view(640, 480, 40.0))
 
 
@@ -99,16 +103,20 @@ class DrawnFlight:
         self.ground = Ground(rng, e * tilt * rng.standard_normal(2), spec.relief_sigma_m, spec.relief_wavelength_m)
         self.boresight_rad = e * np.radians(config.mount.sigma_deg) * rng.standard_normal(3)
         self.offset_s = e * config.camera.sigma_latency_s * float(rng.standard_normal())
+        self.delay_s = e * config.gps.sigma_latency_s * float(rng.standard_normal())
         if spec.boresight_deg is not None:
             self.boresight_rad = np.radians(spec.boresight_deg)
         if spec.offset_s is not None:
             self.offset_s = spec.offset_s
+        if spec.delay_s is not None:
+            self.delay_s = spec.delay_s
         mount = config.mount
         R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg) @ exp_so3(self.boresight_rad)
         self.times_s = np.arange(round(spec.seconds * spec.rate_hz)) / spec.rate_hz
         poses = [self.trajectory.camera_pose(float(t), R_body_cam) for t in self.times_s]
         self.R_enu_cam = np.stack([p.R_enu_cam for p in poses])
-        self.centres_enu_m = np.stack([p.centre_m for p in poses])
+        lever_enu_m = self.trajectory.R_enu_body(self.times_s) @ np.array(spec.lever_arm_m)
+        self.centres_enu_m = np.stack([p.centre_m for p in poses]) + lever_enu_m
         self.terrain_error_m = e * config.terrain.sigma_datum_m * float(rng.standard_normal())
         self.terrain_tilt = e * TERRAIN_SLOPE_SIGMA * rng.standard_normal(2)
 
@@ -152,10 +160,17 @@ class DrawnFlight:
             self._error(time, slow, gps.wander_time_s) + self._error(time, fast, WHITE_TIME_S)
             for slow, fast in zip(sigma_m, white, strict=True)
         ]
-        velocity = self.trajectory.velocity_enu_m_s(time) + np.stack(
+        late = time - self.delay_s
+        velocity = self.trajectory.velocity_enu_m_s(late) + np.stack(
             [self._error(time, gps.sigma_velocity_m_s, VELOCITY_TIME_S) for _ in range(3)], axis=1
         )
-        geodetic = PLACE.to_geodetic(self.trajectory.position_enu_m(time) + np.stack(error, axis=1))
+        # What acceleration does to a navigation filter, (5.16).
+        gained = np.linalg.norm(np.gradient(self.trajectory.velocity_enu_m_s(time), time, axis=0), axis=1)
+        dynamic = gps.sigma_latency_s * gained
+        velocity += np.stack([dynamic * self._error(time, 1.0, DYNAMIC_TIME_S) for _ in range(3)], axis=1)
+        for axis in range(3):
+            error[axis] = error[axis] + 0.5 * DYNAMIC_TIME_S * dynamic * self._error(time, 1.0, DYNAMIC_TIME_S)
+        geodetic = PLACE.to_geodetic(self.trajectory.position_enu_m(late) + np.stack(error, axis=1))
         ned = velocity @ R_ENU_NED
         above_m = self.trajectory.position_enu_m(time)[:, 2] + error[2]
         rows = zip(time, geodetic.tolist(), ned.tolist(), above_m.tolist(), strict=True)
@@ -176,7 +191,9 @@ class DrawnFlight:
             ],
             axis=1,
         )
-        R_ned_body = R_ENU_NED.T @ exp_so3(error) @ self.trajectory.R_enu_body(time)
+        R_enu_body = self.trajectory.R_enu_body(time)
+        error[:, 2] += cosine_sine_of_heading(R_enu_body) @ np.radians(self.spec.heading_error_deg)
+        R_ned_body = R_ENU_NED.T @ exp_so3(error) @ R_enu_body
         return [
             Attitude(_stamp(t), (q[0], q[1], q[2], q[3]))
             for t, q in zip(time, quaternion_from_matrix(R_ned_body).tolist(), strict=True)
@@ -194,10 +211,46 @@ class DrawnFlight:
         return Terrain(float(axis[0]), float(axis[0]), TERRAIN_NODE_M, height + rough)
 
 
+class Seen(Protocol):
+    """What a drawn tracker needs to know of how a flight is seen."""
+
+    @property
+    def config(self) -> Config:
+        """The configuration that is flown."""
+
+    @property
+    def camera(self) -> Camera:
+        """The camera."""
+
+    @property
+    def pixel_sigma_px(self) -> float:
+        """One sigma of a feature's pixel noise."""
+
+    @property
+    def outlier_share(self) -> float:
+        """Share of tracks that are wrong."""
+
+
+class FlightInSight(Protocol):
+    """A flight of which a drawn tracker can look up what its pictures show."""
+
+    rng: np.random.Generator
+
+    @property
+    def spec(self) -> Seen:
+        """How it is seen."""
+
+    def ground_points(self, frame: int, uv_px: Array) -> Array:
+        """The ground (N, 3) that pixels (N, 2) of a picture show."""
+
+    def pixels(self, frame: int, points: Array) -> tuple[Array, Mask]:
+        """Pixels (N, 2) of points (N, 3) in a picture, and whether they are on it."""
+
+
 class DrawnTracker(Tracker):
     """Features that are points of the drawn ground, found again wherever they are visible, with white pixel noise."""
 
-    def __init__(self, flight: DrawnFlight) -> None:
+    def __init__(self, flight: FlightInSight) -> None:
         spec = flight.spec
         super().__init__(spec.camera.size_px, spec.config.tracking.features)
         self._flight = flight

@@ -50,7 +50,7 @@ def problem(uv_px: Array, gps_enu_m: Array) -> Problem:
     gps = PositionPrior(
         layout, gps_enu_m, np.zeros((2, 3)), np.broadcast_to(np.eye(2) / WEIGHT_SIGMA_M, (3, 2, 2)), np.zeros(2)
     )
-    held = SharedPrior(layout, np.zeros(7), np.eye(7))
+    held = SharedPrior(layout, np.zeros(11), np.eye(11))
     return Problem(layout, xy, np.full(xy.shape[:2], CAMERA.focal_px / WEIGHT_SIGMA_PX), [gps, held])
 
 

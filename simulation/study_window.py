@@ -35,6 +35,8 @@ from simulation.study_world import CAMERA, HEIGHT_M, R_BODY_CAM, TRAVEL_ENU, nom
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+# Delays of position and velocity (s) and the heading's error by heading (rad): this study has none of them.
+UNDRAWN_SIGMA = 1e-6
 OUTLIER_KINDS = ("jump", "drift", "moving")
 
 
@@ -195,7 +197,8 @@ def _sensors(
     if setting.velocity_sigma_m_s is not None:
         sigma = setting.velocity_sigma_m_s * np.diff(stamps)
         flown = np.diff(truth.centres_enu_m, axis=0) + sigma[:, None] * rng.standard_normal((K - 1, 3))
-        priors.append(VelocityPrior(layout, flown, sigma, np.diff(velocity, axis=0), np.zeros(K - 1)))
+        whitener = np.stack([np.diag(1.0 / sigma)] * 3)
+        priors.append(VelocityPrior(layout, flown, whitener, np.diff(velocity, axis=0), np.zeros(K - 1)))
     measured = None
     if setting.attitude_wander_deg is not None:
         tilt, heading = np.radians(setting.attitude_wander_deg)
@@ -211,8 +214,8 @@ def _sensors(
         setting.terrain_sigma_m is not None
     ):  # the plane is then what the known ground is off by, as onboard.estimation.sensor_factors
         slope, level = 1e-4, setting.terrain_sigma_m[1]
-    sigmas = [boresight] * 3 + [max(setting.offset_sigma_s, 1e-6), level, slope, slope]
-    priors.append(SharedPrior(layout, np.zeros(7), np.diag(1.0 / np.array(sigmas))))
+    sigmas = [boresight] * 3 + [max(setting.offset_sigma_s, 1e-6), *[UNDRAWN_SIGMA] * 4, level, slope, slope]
+    priors.append(SharedPrior(layout, np.zeros(len(sigmas)), np.diag(1.0 / np.array(sigmas))))
     return priors, gps, measured
 
 

@@ -7,12 +7,17 @@ import shutil
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 # Before anything imports NumPy or OpenCV: several tests run side by side, and one thread each gives the same bytes
 # everywhere.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
     os.environ[variable] = "1"
 os.environ["OPENCV_OPENCL_RUNTIME"] = "disabled"
+
+# An example's time says how loaded the machine is; what must be quick has a test of its own.
+settings.register_profile("pointclick", deadline=None)
+settings.load_profile("pointclick")
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 LEFT_OUT = "left out: no recordings at"

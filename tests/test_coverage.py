@@ -24,10 +24,18 @@ def test_nine_of_ten_errors_lie_inside_their_ellipses_within_a_set_and_between_s
     def share(kind: str) -> float:
         return float(np.mean([np.mean(np.array(getattr(c, kind)) < CHI2_2) for c in flown if getattr(c, kind)]))
 
-    assert 0.76 < share("clicks") < 0.99
-    assert 0.82 < share("one_set") < 0.98
-    assert 0.82 < share("two_near") < 0.99
-    assert 0.78 < share("two_far") < 0.985
+    def mean(kind: str) -> float:
+        return float(np.concatenate([getattr(c, kind) for c in flown]).mean()) / 2.0
+
+    # Errors of time are one draw a flight and act alike on every click of it: shares say little about the wide side,
+    # which the mean of squared errors over what was claimed holds, 1 if honest.
+    assert 0.76 < share("clicks") < 0.995
+    assert 0.6 < mean("clicks") < 1.4
+    assert 0.82 < share("one_set") < 0.985
+    assert 0.6 < mean("one_set") < 1.3
+    assert 0.82 < share("two_near") < 0.998
+    assert 0.78 < share("two_far") < 0.998
+    assert 0.55 < mean("two_far") < 1.4
     assert 0.7 < np.mean([np.mean(c.pose) for c in flown]) < 1.4
     # What two sets share takes most of their ellipses away: without it this is 0.1.
     difference = np.concatenate([c.two_near for c in flown])

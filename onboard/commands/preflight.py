@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from contract.camera import Camera
 from onboard.config.schema import Config
 from onboard.events.source import SourceStatus
-from onboard.service.reports import BORESIGHT, Report
+from onboard.pipeline.estimates import BORESIGHT, larger_than_declared
+from onboard.service.reports import Report
 from onboard.service.vehicle_state import Subject, VehicleState
 
 RATE_SHARE = 0.8  # of the rate asked for
@@ -66,6 +67,7 @@ def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]
         _time_sync(config, report),
         *judged.values(),
         _mount(config, report),
+        Line("sensors", True, larger_than_declared(report.sensor_errors) or "no error found larger than configured"),
         _calibration(around.camera),
         Line("link", not around.link, around.link or f"open, {', '.join((*config.link.listen, *config.link.connect))}"),
         _disk(config, around.free_mb),

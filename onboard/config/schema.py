@@ -62,6 +62,9 @@ class Mount(Section):
         "a gimbal's attitude replaces the angles above: 'auto' (if the pictures confirm it), 'always', 'never'",
     )
     sigma_deg: float = quantity(1.0, 0.0, 45.0, "deg", "one sigma of the mount angles above")
+    lever_arm_m: tuple[float, float, float] = choice(
+        (0.0, 0.0, 0.0), "from the autopilot's reference point to the camera: forward, right, down, m"
+    )
 
 
 class CameraConfig(Section):
@@ -134,6 +137,7 @@ class Gps(Section):
 
     # ArduPilot 4.7's GLOBAL_POSITION_INT against the simulator's truth: 40 ms (plane), 28 ms (copter).
     latency_s: float = quantity(0.04, -1.0, 1.0, "s", "age of a position at its own time stamp")
+    sigma_latency_s: float = quantity(0.1, 0.0, 5.0, "s", "one sigma of that age; it is estimated in flight")
     sigma_white_m: float = quantity(0.3, 0.001, 100.0, "m", "one sigma of a position, the white part")
     sigma_wander_horizontal_m: float = quantity(
         1.5, 0.0, 1000.0, "m", "least one sigma of the Gauss-Markov part, horizontal; the receiver may claim more"

@@ -3,12 +3,14 @@ published.
 
 Public:
 
-- `boresight`: `Alignment`, `Belief`
+- `boresight`: `Alignment`, `Belief`, `OFFSET`, `DELAY`
 - `ground_roughness`: `plane_and_roughness`
 - `keyframe`: `Observation`, `observation`
 - `resection`: `Resection`, `resect`
 - `sensor_pose`: `SensorPose`
 - `sliding_window`: `Window`
 - `solver_executor`: `Inline`, `Promise`, `Worker`, `timed_adjust`
+- `variance_components`: `VarianceFactors`, `NAMES`, `TILT`, `HEADING`, `TILT_WHITE`, `HEADING_WHITE`,
+  `VELOCITY`, `POSITION`
 - `window_solver`: `MIN_KEYFRAMES`, `Solved`
 """

@@ -1,9 +1,10 @@
-"""What the platform does not know of itself, learned in flight: boresight and camera-to-autopilot time offset.
+"""Boresight, camera-to-autopilot time offset, position delay and heading error, estimated in flight.
 
-Every window solve estimates both (residuals (5.4), (5.7)) against a prior. Its posterior may serve as prior for later
-windows only if it has seen none of their data, and the autopilot's attitude error changes over tens of seconds, so
-that windows closer than that repeat the same error. Therefore one window in a while updates the estimate, and a window
-uses the newest posterior that ended before the window began. Section 10 of docs/mathematics.md.
+Every window solve estimates them (residuals (5.4), (5.7)) against a prior. Its posterior may serve as prior for later
+windows only if it has seen none of their data, and the autopilot's attitude error is correlated over tens of seconds,
+so that windows closer than that repeat the same error. Therefore posteriors are kept only from windows that far apart,
+and a window's prior is the newest posterior that ended before the window began. Windows that disagree with each other
+by more than their covariances say count for less, (6.13). Section 10 of docs/mathematics.md.
 """
 
 from __future__ import annotations
@@ -19,17 +20,23 @@ from contract.errors import InputError
 
 Array = NDArray[np.float64]
 
-STATES = 4  # boresight about camera x, y, z (rad), time offset (s)
+# Boresight about camera x, y, z (rad), time offset, delay of position, of velocity (s), heading error by heading (rad).
+STATES = 8
+BORESIGHT, OFFSET, DELAY, VELOCITY_DELAY, HEADING = slice(0, 3), 3, 4, 5, slice(6, 8)
 # What a mount and a clock may do by themselves, one sigma after a minute: a random walk.
 BORESIGHT_WALK_RAD = np.radians(0.03)
 OFFSET_WALK_S = 0.002
+DELAY_WALK_S = 0.005
+HEADING_WALK_RAD = np.radians(0.1)
 MEMORY_ESTIMATES = 8
 TOO_SURE = 2.0  # times the declared sigma that data may claim
+AGREEMENT_PRIOR = 2.0  # windows that agree with their covariances, assumed before any has been seen
+MIN_GAIN = 0.02  # of a variance: a window that says less of a state is no evidence on it
 
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Mean (4,) and covariance (4, 4) of boresight (camera axes, rad) and time offset (s), from data up to `end_ns`.
+    """Mean (8,) and covariance (8, 8) in the order of STATES, from data up to `end_ns`.
 
     `end_ns` 0 is the belief before take-off.
     """
@@ -37,7 +44,7 @@ class Belief:
     end_ns: int
     mean: Array
     covariance: Array
-    given: Array | None = None  # (4,) variances of the first prior that it still rests on; None: as configured
+    given: Array | None = None  # (8,) variances of the first prior that it still rests on; None: as configured
 
     @property
     def sigma(self) -> Array:
@@ -48,25 +55,35 @@ class Belief:
         """The same belief about pictures whose stamps err by one more sigma, all alike."""
         if stamp_sigma_s == 0.0:
             return self
-        wider = np.diag([0.0] * 3 + [stamp_sigma_s**2])
-        return Belief(self.end_ns, self.mean, self.covariance + wider, self.given)
+        wider = self.covariance.copy()
+        wider[OFFSET, OFFSET] += stamp_sigma_s**2
+        return Belief(self.end_ns, self.mean, wider, self.given)
 
     def aged(self, stamp_ns: int) -> Belief:
         """The same belief some time later."""
         minutes = max(stamp_ns - self.end_ns, 0) / 60e9 if self.end_ns else 0.0
-        walk = np.array([BORESIGHT_WALK_RAD] * 3 + [OFFSET_WALK_S])
+        walk = np.array([BORESIGHT_WALK_RAD] * 3 + [OFFSET_WALK_S, DELAY_WALK_S, DELAY_WALK_S] + [HEADING_WALK_RAD] * 2)
         return Belief(self.end_ns, self.mean, self.covariance + np.diag(walk**2 * minutes), self.given)
 
 
 class Alignment:
-    """Keeps the lessons; hands out the prior a window may use."""
+    """Keeps the posteriors of past windows; hands out the prior a window may use."""
 
-    def __init__(self, mount_sigma_rad: float, offset_sigma_s: float, spacing_s: float) -> None:
-        """Priors are one sigma; `spacing_s` is the least time between the ends of two lessons."""
+    def __init__(
+        self,
+        mount_sigma_rad: float,
+        offset_sigma_s: float,
+        spacing_s: float,
+        delay_sigma_s: float = 0.0,
+        heading_sigma_rad: float = 0.0,
+    ) -> None:
+        """Priors are one sigma; `spacing_s` is the least time between the ends of two windows that update it."""
         tiny = 1e-12
-        first = np.diag([mount_sigma_rad**2 + tiny] * 3 + [offset_sigma_s**2 + tiny])
+        sigmas = [mount_sigma_rad] * 3 + [offset_sigma_s, delay_sigma_s, delay_sigma_s] + [heading_sigma_rad] * 2
+        first = np.diag(np.square(sigmas) + tiny)
         self._estimates = [Belief(0, np.zeros(STATES), first)]
         self._spacing_ns = round(spacing_s * 1e9)
+        self._squares, self._counts = np.zeros(STATES), np.zeros(STATES)
 
     @property
     def belief(self) -> Belief:
@@ -90,8 +107,9 @@ class Alignment:
         newest = self._estimates[-1]
         if start_ns < newest.end_ns or (newest.end_ns > 0 and end_ns - newest.end_ns < self._spacing_ns):
             return False
-        first = self._estimates[0]
-        rests_on = self.prior_for(start_ns).given
+        first, before = self._estimates[0], self.prior_for(start_ns)
+        mean, covariance = self._agreed(before, mean, covariance)
+        rests_on = before.given
         estimate = Belief(
             end_ns, mean.copy(), covariance.copy(), np.diag(first.covariance) if rests_on is None else rests_on
         )
@@ -99,13 +117,42 @@ class Alignment:
         del self._estimates[1:-MEMORY_ESTIMATES]
         return True
 
+    @property
+    def disagreement(self) -> Array:
+        """(8,) factor on one sigma by which windows differ more than their covariances say; 1 if they agree."""
+        mean_square = (AGREEMENT_PRIOR + self._squares) / (AGREEMENT_PRIOR + self._counts)
+        return np.sqrt(np.maximum(mean_square, 1.0))
+
+    def _agreed(self, before: Belief, mean: Array, covariance: Array) -> tuple[Array, Array]:
+        """The posterior with the window's own information weakened by how far windows disagree. Equation (6.13)."""
+        gained = np.diag(before.covariance - covariance)
+        tells = gained > MIN_GAIN * np.diag(before.covariance)
+        if before.given is None:
+            return mean, covariance  # held against what was declared, not against another window: (6.12) weighs that
+        self._squares += np.where(tells, (mean - before.mean) ** 2 / np.where(tells, gained, 1.0), 0.0)
+        self._counts += tells
+        weaker = 1.0 / self.disagreement
+        if np.all(weaker == 1.0):
+            return mean, covariance
+        prior = np.linalg.inv(before.covariance)
+        values, vectors = np.linalg.eigh(np.linalg.inv(covariance) - prior)
+        own = (vectors * np.maximum(values, 0.0)) @ vectors.T  # what was added to the window's covariance may exceed it
+        # The window alone: where it has no information its estimate is the prior's.
+        shift = np.linalg.pinv(own, rcond=1e-9, hermitian=True) @ (np.linalg.inv(covariance) @ (mean - before.mean))
+        own = own * weaker[:, None] * weaker
+        wider = np.linalg.inv(prior + own)
+        return before.mean + wider @ (own @ shift), 0.5 * (wider + wider.T)
+
     def to_json(self) -> str:
         """The newest belief, for the state directory."""
         newest = self.belief
         return json.dumps(
             {
                 "boresight_rad": newest.mean[:3].tolist(),
-                "offset_s": float(newest.mean[3]),
+                "offset_s": float(newest.mean[OFFSET]),
+                "delay_s": float(newest.mean[DELAY]),
+                "velocity_delay_s": float(newest.mean[VELOCITY_DELAY]),
+                "heading_rad": newest.mean[HEADING].tolist(),
                 "covariance": newest.covariance.tolist(),
                 "end_unix_ns": newest.end_ns,
             },
@@ -121,6 +168,11 @@ class Alignment:
             raw: dict[str, Any] = json.loads(text)
             mean = np.array([*raw["boresight_rad"], raw["offset_s"]], float)
             covariance = np.array(raw["covariance"], float)
+            if "delay_s" in raw:
+                mean = np.array([*mean, raw["delay_s"], raw["velocity_delay_s"], *raw["heading_rad"]], float)
+            elif covariance.shape == (DELAY, DELAY):  # written before delay and heading's error were estimated
+                mean, covariance = np.pad(mean, (0, STATES - DELAY)), np.pad(covariance, (0, STATES - DELAY))
+                covariance[DELAY:, DELAY:] = self._estimates[0].covariance[DELAY:, DELAY:]
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"alignment state: not readable ({error})") from error
         if mean.shape != (STATES,) or covariance.shape != (STATES, STATES):

@@ -1,7 +1,8 @@
 """Whitened residuals with analytic Jacobians, one plain function each. Equations: docs/mathematics.md, section 5.
 
 The unknowns are laid out by `Layout`: six columns a keyframe (rotation `d`, R_cam_enu <- exp([d]x) R_cam_enu, rad; then
-centre, ENU metres), then the boresight (camera axes, rad), the camera's time offset (s) and the ground plane (height m
+centre, ENU metres), then what is estimated of the platform (boresight in camera axes, rad; the camera's time offset and
+the delays of position and velocity, s; the heading's error that depends on heading, rad) and the ground plane (height m
 at the reference point, slope east, slope north). Points are eliminated and have no column here.
 """
 
@@ -9,12 +10,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contract.rotations import exp_so3, log_so3, right_jacobian_inverse
+from contract.rotations import exp_so3, log_so3, right_jacobian_inverse, skew
+
+if TYPE_CHECKING:
+    from onboard.estimation.variance_components import Parts
 
 Array = NDArray[np.float64]
 
@@ -36,14 +40,34 @@ class Layout:
         return 6 * self.keyframes + 3
 
     @property
+    def delay(self) -> int:
+        """One column, s: the position is older than its stamp by this much more than configured."""
+        return 6 * self.keyframes + 4
+
+    @property
+    def velocity_delay(self) -> int:
+        """One column, s: the same of the velocity."""
+        return 6 * self.keyframes + 5
+
+    @property
+    def heading(self) -> slice:
+        """Two columns, rad: the heading's error is their product with the cosine and the sine of the heading."""
+        return slice(6 * self.keyframes + 6, 6 * self.keyframes + 8)
+
+    @property
+    def shared(self) -> slice:
+        """Boresight, time offset, delay, heading error and plane."""
+        return slice(6 * self.keyframes, self.size)
+
+    @property
     def plane(self) -> slice:
         """Three columns: height (m), slope east, slope north."""
-        return slice(6 * self.keyframes + 4, 6 * self.keyframes + 7)
+        return slice(6 * self.keyframes + 8, 6 * self.keyframes + 11)
 
     @property
     def size(self) -> int:
         """All columns."""
-        return 6 * self.keyframes + 7
+        return 6 * self.keyframes + 11
 
     def rotation(self, keyframe: int) -> slice:
         """Three columns, rad."""
@@ -72,6 +96,9 @@ class State:
     boresight_rad: Array  # (3,)
     offset_s: float
     plane: Array  # (3,) height m, slope east, slope north, about the reference point
+    delay_s: float = 0.0  # the position is older than its stamp by this much more than configured
+    velocity_delay_s: float = 0.0  # the same of the velocity
+    heading_rad: Array = field(default_factory=lambda: np.zeros(2))  # (2,) see `Layout.heading`
 
     def retract(self, dc: Array, dp: Array) -> State:
         """Apply a step: dc (Layout.size,), dp (P, 3)."""
@@ -84,8 +111,25 @@ class State:
             self.points_enu_m + dp,
             self.boresight_rad + shared[:3],
             self.offset_s + float(shared[3]),
-            self.plane + shared[4:7],
+            self.plane + shared[8:11],
+            self.delay_s + float(shared[4]),
+            self.velocity_delay_s + float(shared[5]),
+            self.heading_rad + shared[6:8],
         )
+
+    @property
+    def platform(self) -> Array:
+        """(8,) what is estimated of the platform, in the order of `boresight.STATES`."""
+        times_s = [self.offset_s, self.delay_s, self.velocity_delay_s]
+        return np.concatenate([self.boresight_rad, times_s, self.heading_rad])
+
+    def antennas_enu_m(self, lever_cam_m: Array) -> tuple[Array, Array]:
+        """Where the autopilot's reference points are (K, 3), and their derivative by the views' rotation (K, 3, 3).
+
+        `lever_cam_m` (3,) leads from that point to the camera, camera axes. Equation (5.14).
+        """
+        R_enu_cam = self.R_cam_enu.transpose(0, 2, 1)
+        return self.centres_enu_m - R_enu_cam @ lever_cam_m, -R_enu_cam @ skew(lever_cam_m)
 
 
 def reprojection(R_cam_enu: Array, centres_enu_m: Array, points_enu_m: Array, xy: Array) -> tuple[Array, Array, Array]:
@@ -132,8 +176,19 @@ def gauss_markov_sqrt_information(
     One axis of K measurements at `stamps_s` (s): covariance sigma_gauss_markov^2 exp(-|dt| / tau) + sigma_white^2 I;
     `sigma_white` may differ from measurement to measurement, (K,).
     """
+    slow = gauss_markov_covariance(stamps_s, sigma_gauss_markov, time_constant_s)
+    return whitener_of(slow + np.square(sigma_white) * np.eye(len(stamps_s)))
+
+
+def gauss_markov_covariance(stamps_s: Array, sigma: float, time_constant_s: float) -> Array:
+    """Covariance (K, K) of a first-order Gauss-Markov error at `stamps_s` (K,)."""
     lag = np.abs(stamps_s[:, None] - stamps_s[None, :])
-    covariance = sigma_gauss_markov**2 * np.exp(-lag / time_constant_s) + np.square(sigma_white) * np.eye(len(stamps_s))
+    out: Array = sigma**2 * np.exp(-lag / time_constant_s)
+    return out
+
+
+def whitener_of(covariance: Array) -> Array:
+    """The lower-triangular matrix (K, K) that whitens errors of this covariance."""
     inverse: Array = np.linalg.inv(np.linalg.cholesky(covariance))
     return inverse
 
@@ -146,23 +201,31 @@ def lasting_sigma(stamps_s: Array, sigma_gauss_markov: float, time_constant_s: f
 
 @dataclass(frozen=True, eq=False)
 class PositionPrior:
-    """GPS positions with wandering and white error, moved along the velocity by the time offset. Equation (5.4)."""
+    """Positions with Gauss-Markov and white error, moved along the velocity by time offset and delay. (5.4)"""
 
     layout: Layout
     measured_enu_m: Array  # (K, 3)
     velocity_enu_m_s: Array  # (K, 3)
     whitener: Array  # (3, K, K): east, north, up
-    offset_s: Array  # (K,) time offset at which each was taken
+    offset_s: Array  # (K,) time offset plus delay at which each was taken
     lasting: Array = field(default_factory=lambda: np.zeros(3))  # one sigma (m) of what all K share, (9.11)
+    lever_cam_m: Array = field(default_factory=lambda: np.zeros(3))  # from the autopilot's reference point
+    parts: Parts | None = None  # of the covariance that `whitener` whitens
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3K,), Jacobian (3K, D)."""
-        error = (
-            state.centres_enu_m
-            - self.measured_enu_m
-            - self.velocity_enu_m_s * (state.offset_s - self.offset_s)[:, None]
-        )
-        return np.matmul(self.whitener, error.T[:, :, None]).reshape(-1), self._jacobian
+        at, by_rotation = state.antennas_enu_m(self.lever_cam_m)
+        moved_s = state.offset_s + state.delay_s - self.offset_s
+        error = at - self.measured_enu_m - self.velocity_enu_m_s * moved_s[:, None]
+        J = self._jacobian
+        if self.lever_cam_m.any():
+            J = J.copy()
+            for axis in range(3):
+                columns = self.layout.rotations()
+                J.reshape(3, len(error), -1)[axis][:, columns] += (
+                    self.whitener[axis][:, :, None] * by_rotation[None, :, axis]
+                )
+        return np.matmul(self.whitener, error.T[:, :, None]).reshape(-1), J
 
     @cached_property
     def _jacobian(self) -> Array:
@@ -171,46 +234,60 @@ class PositionPrior:
         columns = self.layout.centres()
         for axis in range(3):
             J[axis][:, columns[:, axis]] = self.whitener[axis]
-            J[axis][:, self.layout.offset] = -self.whitener[axis] @ self.velocity_enu_m_s[:, axis]
+            by_time = -self.whitener[axis] @ self.velocity_enu_m_s[:, axis]
+            J[axis][:, self.layout.offset] = J[axis][:, self.layout.delay] = by_time
         return J.reshape(3 * K, -1)
 
 
 @dataclass(frozen=True, eq=False)
 class VelocityPrior:
-    """Displacements between consecutive keyframes from integrated velocity, white between intervals. Equation (5.6).
+    """Displacements between consecutive keyframes from integrated velocity. Equation (5.6).
 
-    In a turn the interval that was really flown, later by the time offset, is another one.
+    Its error is a white part, a Gauss-Markov part and a delay of the velocity's own: a navigation filter that is told
+    a wrong GPS delay has its position behind by all of it and its velocity by a part. In a turn the displacement
+    changes when the interval moves by time offset and delay.
     """
 
     layout: Layout
     displacement_enu_m: Array  # (K - 1, 3)
-    sigma_m: Array  # (K - 1,) sigma_v * dt, floored
+    whitener: Array  # (3, K - 1, K - 1): east, north, up
     gained_m_s: Array  # (K - 1, 3) velocity at the interval's end less that at its beginning
-    offset_s: Array  # (K - 1,) time offset at which each was taken
+    offset_s: Array  # (K - 1,) time offset plus the velocity's delay at which each was taken
+    lever_cam_m: Array = field(default_factory=lambda: np.zeros(3))  # from the autopilot's reference point
+    parts: Parts | None = None  # of the covariance that `whitener` whitens
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3 (K - 1),), Jacobian (3 (K - 1), D)."""
-        flown = state.centres_enu_m[1:] - state.centres_enu_m[:-1]
-        later = self.gained_m_s * (state.offset_s - self.offset_s)[:, None]
-        return ((flown - self.displacement_enu_m - later) / self.sigma_m[:, None]).reshape(-1), self._jacobian
+        at, by_rotation = state.antennas_enu_m(self.lever_cam_m)
+        later = self.gained_m_s * (state.offset_s + state.velocity_delay_s - self.offset_s)[:, None]
+        error = at[1:] - at[:-1] - self.displacement_enu_m - later
+        J = self._jacobian
+        if self.lever_cam_m.any():
+            J = J.copy()
+            rows = J.reshape(3, len(error), -1)
+            columns = self.layout.rotations()
+            for axis in range(3):
+                w = self.whitener[axis][:, :, None]
+                rows[axis][:, columns[1:]] += w * by_rotation[None, 1:, axis]
+                rows[axis][:, columns[:-1]] -= w * by_rotation[None, :-1, axis]
+        return np.matmul(self.whitener, error.T[:, :, None]).reshape(-1), J
 
     @cached_property
     def _jacobian(self) -> Array:
         n = self.layout.keyframes - 1
-        weight = 1.0 / self.sigma_m
-        J = np.zeros((n, 3, self.layout.size))
+        J = np.zeros((3, n, self.layout.size))
         columns = self.layout.centres()
-        row = np.arange(n)
         for axis in range(3):
-            J[row, axis, columns[1:, axis]] = weight
-            J[row, axis, columns[:-1, axis]] = -weight
-            J[row, axis, self.layout.offset] = -weight * self.gained_m_s[:, axis]
+            J[axis][:, columns[1:, axis]] += self.whitener[axis]
+            J[axis][:, columns[:-1, axis]] -= self.whitener[axis]
+            by_time = -self.whitener[axis] @ self.gained_m_s[:, axis]
+            J[axis][:, self.layout.offset] = J[axis][:, self.layout.velocity_delay] = by_time
         return J.reshape(3 * n, -1)
 
 
 @dataclass(frozen=True, eq=False)
 class AttitudePrior:
-    """The autopilot's attitude through mount and boresight; Gauss-Markov and white error in ENU axes. (5.7)"""
+    """The autopilot's attitude through mount and boresight; Gauss-Markov and white error in ENU axes. (5.7), (5.17)"""
 
     layout: Layout
     R_enu_cam_measured: Array  # (K, 3, 3) vehicle attitude times nominal mount
@@ -218,6 +295,8 @@ class AttitudePrior:
     whitener: Array  # (3, K, K): about east, north, up
     offset_s: Array  # (K,) time offset at which each was taken
     lasting: Array = field(default_factory=lambda: np.zeros(3))  # one sigma (rad) of what all K share, (9.11)
+    by_heading: Array | None = None  # (K, 2) cosine and sine of each heading; None: no error depends on it
+    parts: Parts | None = None  # of the covariance that `whitener` whitens
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3K,), Jacobian (3K, D)."""
@@ -226,6 +305,9 @@ class AttitudePrior:
         both = exp_so3(np.concatenate([turned, state.boresight_rad[None]]))  # one call: this is the inner loop
         turn, tilt = both[:-1], both[-1]
         R_enu_cam = self.R_enu_cam_measured @ turn @ tilt
+        if self.by_heading is not None:
+            about_up = -(self.by_heading @ state.heading_rad)[:, None] * np.array([0.0, 0.0, 1.0])
+            R_enu_cam = exp_so3(about_up) @ R_enu_cam
         # In camera axes: log(R_cam_enu R_enu_cam). Its derivatives: Jl^-1 = Jr^-1(-e) on the left, Jr^-1 on the right.
         error_cam = log_so3(state.R_cam_enu @ R_enu_cam)
         inverses = right_jacobian_inverse(np.concatenate([error_cam, state.boresight_rad[None]]))
@@ -243,26 +325,29 @@ class AttitudePrior:
         by_view[..., :3] = self.whitener[..., None] * by_rotation.transpose(1, 0, 2)[:, None]
         J[:, :, self.layout.boresight] = self.whitener @ by_boresight.transpose(1, 0, 2)
         J[:, :, self.layout.offset] = (self.whitener @ by_offset.transpose(1, 0, 2))[..., 0]
+        if self.by_heading is not None:
+            by_yaw = -inner @ R_enu_cam[:, 2, :, None] * self.by_heading[:, None, :]
+            J[:, :, self.layout.heading] = self.whitener @ by_yaw.transpose(1, 0, 2)
         return residual.reshape(-1), J.reshape(3 * K, -1)
 
 
 @dataclass(frozen=True, eq=False)
 class SharedPrior:
-    """What is believed of boresight, time offset and plane before this window, (5.8): mean (7,), whitener (7, 7)."""
+    """Prior of what all pictures of the window share, (5.8), in the layout's order: mean (11,), whitener (11, 11)."""
 
     layout: Layout
     mean: Array
     whitener: Array
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
-        """Residual (7,), Jacobian (7, D)."""
-        value = np.concatenate([state.boresight_rad, [state.offset_s], state.plane])
+        """Residual (11,), Jacobian (11, D)."""
+        value = np.concatenate([state.platform, state.plane])
         return self.whitener @ (value - self.mean), self._jacobian
 
     @cached_property
     def _jacobian(self) -> Array:
-        J = np.zeros((7, self.layout.size))
-        J[:, 6 * self.layout.keyframes :] = self.whitener
+        J = np.zeros((11, self.layout.size))
+        J[:, self.layout.shared] = self.whitener
         return J
 
 

@@ -78,7 +78,7 @@ def ground_motion(
                 at_epoch[:, axis] += pull @ stamps
                 per_s[:, axis] -= pull.sum(axis=1)
         elif isinstance(prior, VelocityPrior):
-            J = prior.evaluate(state)[1].reshape(K - 1, 3, D)
+            J = prior.evaluate(state)[1].reshape(3, K - 1, D)
             for axis in (0, 1):
-                at_epoch[:, axis] += J[:, axis].T @ (np.diff(stamps) / prior.sigma_m)
+                at_epoch[:, axis] += J[axis].T @ prior.whitener[axis] @ np.diff(stamps)
     return GroundMotion(sigma_m_s, epoch_ns, sigma_m_s * covariance @ at_epoch, sigma_m_s * covariance @ per_s)

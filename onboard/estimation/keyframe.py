@@ -33,6 +33,7 @@ class Keyframe:
     nav: NavState
     body_rate_rad_s: Array
     nav_offset_s: float  # camera-to-autopilot offset at which `nav` was taken
+    nav_delay_s: float  # and the position's delay
     flown_enu_m: Array | None  # since the keyframe before, by integrated velocity
     R_cam_enu: Array
     centre_enu_m: Array

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.config.schema import Config
+from onboard.estimation.boresight import DELAY, VELOCITY_DELAY, Belief
 from onboard.estimation.boresight import STATES as SHARED
-from onboard.estimation.boresight import Belief
 from onboard.estimation.factors import (
     AttitudePrior,
     HeightModel,
@@ -17,11 +17,23 @@ from onboard.estimation.factors import (
     RangePrior,
     SharedPrior,
     VelocityPrior,
+    gauss_markov_covariance,
     gauss_markov_sqrt_information,
     ground_plane,
     lasting_sigma,
+    whitener_of,
 )
 from onboard.estimation.keyframe import Keyframe
+from onboard.estimation.variance_components import (
+    HEADING,
+    HEADING_WHITE,
+    POSITION,
+    TILT,
+    TILT_WHITE,
+    VELOCITY,
+    Parts,
+    VarianceFactors,
+)
 
 Array = NDArray[np.float64]
 
@@ -30,6 +42,9 @@ PATH_SIGMA_RAD = 0.25
 PATH_WHITE_SIGMA_RAD = 0.15
 GRAVITY_M_S2 = 9.81
 ECHO_SIGMAS = 4.0
+STATES_AND_PLANE = SHARED + 3
+DYNAMIC_TIME_S = 3.0  # that a navigation filter takes to forget what acceleration did to it
+VELOCITY_TIME_S = 8.0  # a navigation filter takes so long to correct a velocity
 TERRAIN_SLOPE_SIGMA = 0.005  # of an elevation model over a window's few hundred metres: neighbours err alike
 
 
@@ -41,74 +56,185 @@ def sensor_priors(
     belief: Belief,
     has_terrain: bool,
     jitter_s: float,
+    factors: VarianceFactors,
 ) -> list[Prior]:
     """Every residual over the camera side that the configuration asks for and the keyframes have data for.
 
     `has_terrain`: the plane among the shared states is then the terrain model's own error, not the ground itself.
     `jitter_s`: one sigma of each picture's own stamp: white error wherever the vehicle moves or turns. (5.11)
     """
-    solve_, gps = config.solve, config.gps
+    return [
+        _position(config, R_body_cam, keyframes, layout, factors, jitter_s),
+        *_velocity(config, R_body_cam, keyframes, layout, factors, jitter_s),
+        *_attitude(config, R_body_cam, keyframes, layout, factors, jitter_s),
+        _shared_prior(config, layout, belief, has_terrain),
+    ]
+
+
+def _stamps_s(keyframes: list[Keyframe]) -> Array:
     stamps_ns = np.array([k.nav.stamp_ns for k in keyframes], np.int64)
-    stamps = (stamps_ns - stamps_ns[0]) / 1e9
-    offsets = np.array([k.nav_offset_s for k in keyframes])
-    positions = np.stack([k.nav.position_enu_m for k in keyframes])
-    velocities = np.stack(
-        [np.zeros(3) if k.nav.velocity_enu_m_s is None else k.nav.velocity_enu_m_s for k in keyframes]
+    out: Array = (stamps_ns - stamps_ns[0]) / 1e9
+    return out
+
+
+def _taken_s(keyframes: list[Keyframe]) -> Array:
+    """Time offset plus delay at which positions and velocities were taken."""
+    return np.array([k.nav_offset_s + k.nav_delay_s for k in keyframes])
+
+
+def _velocities(keyframes: list[Keyframe]) -> Array:
+    return np.stack([np.zeros(3) if k.nav.velocity_enu_m_s is None else k.nav.velocity_enu_m_s for k in keyframes])
+
+
+def _dynamic_m_s(config: Config, keyframes: list[Keyframe]) -> Array:
+    """One sigma (K,) of the velocity's error that comes of acceleration: a filter's delays, times it. Equation (5.16).
+
+    It lasts for as long as the filter takes to forget it, so what counts is the largest of the last seconds.
+    """
+    stamps, velocities = _stamps_s(keyframes), _velocities(keyframes)
+    if len(stamps) < 2:
+        return np.zeros(len(stamps))
+    rates = np.linalg.norm(np.diff(velocities, axis=0), axis=1) / np.maximum(np.diff(stamps), 0.05)
+    ending = stamps[1:]
+    recent = (ending[None, :] <= stamps[:, None] + DYNAMIC_TIME_S) & (
+        ending[None, :] >= stamps[:, None] - DYNAMIC_TIME_S
     )
-    horizontal = max(k.nav.sigma_horizontal_m for k in keyframes)
-    vertical = max(k.nav.sigma_vertical_m for k in keyframes)
+    out: Array = config.gps.sigma_latency_s * np.where(recent, rates, 0.0).max(axis=1)
+    return out
+
+
+def lever_cam_m(config: Config, R_body_cam: Array) -> Array:
+    """From the autopilot's reference point to the camera, camera axes (3,)."""
+    out: Array = R_body_cam.T @ np.array(config.mount.lever_arm_m)
+    return out
+
+
+def _position(
+    config: Config,
+    R_body_cam: Array,
+    keyframes: list[Keyframe],
+    layout: Layout,
+    factors: VarianceFactors,
+    jitter_s: float,
+) -> PositionPrior:
+    gps, stamps, velocities = config.gps, _stamps_s(keyframes), _velocities(keyframes)
+    grow = factors.sigma(POSITION)
+    horizontal = grow * max(k.nav.sigma_horizontal_m for k in keyframes)
+    vertical = grow * max(k.nav.sigma_vertical_m for k in keyframes)
     white_m = np.array([k.nav.sigma_white_m for k in keyframes])
-    whitener = np.stack(
-        [
-            gauss_markov_sqrt_information(
-                stamps, np.hypot(white_m * grow, jitter_s * velocities[:, axis]), wander, gps.wander_time_s
-            )
-            for axis, (wander, grow) in enumerate(((horizontal, 1.0), (horizontal, 1.0), (vertical, 1.5)))
-        ]
+    slow_m = np.array([horizontal, horizontal, vertical])
+    moved_m = 0.5 * DYNAMIC_TIME_S * _dynamic_m_s(config, keyframes)
+    dynamic = np.outer(moved_m, moved_m) * gauss_markov_covariance(stamps, 1.0, DYNAMIC_TIME_S)
+    parts, whitener = [], []
+    for axis, share in enumerate((1.0, 1.0, 1.5)):
+        slow = gauss_markov_covariance(stamps, slow_m[axis], gps.wander_time_s)
+        white = np.diag((white_m * share) ** 2 + (jitter_s * velocities[:, axis]) ** 2)
+        parts.append({POSITION: slow})
+        whitener.append(whitener_of(slow + white + dynamic))
+    return PositionPrior(
+        layout,
+        np.stack([k.nav.position_enu_m for k in keyframes]),
+        velocities,
+        np.stack(whitener),
+        _taken_s(keyframes),
+        np.array([lasting_sigma(stamps, s, gps.wander_time_s) for s in slow_m]),
+        lever_cam_m(config, R_body_cam),
+        Parts((parts[0], parts[1], parts[2])),
     )
-    lasting = np.array([lasting_sigma(stamps, s, gps.wander_time_s) for s in (horizontal, horizontal, vertical)])
-    priors: list[Prior] = [PositionPrior(layout, positions, velocities, whitener, offsets, lasting)]
+
+
+def _velocity(
+    config: Config,
+    R_body_cam: Array,
+    keyframes: list[Keyframe],
+    layout: Layout,
+    factors: VarianceFactors,
+    jitter_s: float,
+) -> list[Prior]:
+    """Displacements by integrated velocity, whose error is white from interval to interval and Gauss-Markov. (5.6)"""
     flown = [k.flown_enu_m for k in keyframes[1:]]
-    if solve_.velocity and all(f is not None for f in flown):
-        speed = np.linalg.norm(velocities, axis=1)
-        slip_m = jitter_s * np.hypot(speed[1:], speed[:-1])
-        # Velocity errors last about a second: over longer intervals they average.
-        dt = np.maximum(np.diff(stamps), 0.05)
-        sigma = np.hypot(gps.sigma_velocity_m_s * np.sqrt(dt * np.minimum(dt, 1.0)), slip_m)
-        priors.append(VelocityPrior(layout, np.array(flown), sigma, np.diff(velocities, axis=0), offsets[1:]))
+    if not config.solve.velocity or any(f is None for f in flown):
+        return []
+    stamps, velocities = _stamps_s(keyframes), _velocities(keyframes)
+    speed = np.linalg.norm(velocities, axis=1)
+    dt = np.maximum(np.diff(stamps), 0.05)
+    # The declared error lasts about a second: over longer intervals it averages. What is found beyond it lasts.
+    declared = config.gps.sigma_velocity_m_s
+    own = (declared * np.sqrt(dt * np.minimum(dt, 1.0))) ** 2 + (jitter_s * np.hypot(speed[1:], speed[:-1])) ** 2
+    middle = 0.5 * (stamps[1:] + stamps[:-1])
+    slow = factors.scale(VELOCITY) * np.outer(dt, dt) * gauss_markov_covariance(middle, declared, VELOCITY_TIME_S)
+    erring = _dynamic_m_s(config, keyframes)
+    erring = dt * np.maximum(erring[1:], erring[:-1])
+    dynamic = np.outer(erring, erring) * gauss_markov_covariance(middle, 1.0, DYNAMIC_TIME_S)
+    whitener = whitener_of(np.diag(own) + slow + dynamic)
+    part = {VELOCITY: slow}
+    return [
+        VelocityPrior(
+            layout,
+            np.array(flown),
+            np.stack([whitener] * 3),
+            np.diff(velocities, axis=0),
+            np.array([k.nav_offset_s for k in keyframes])[1:],
+            lever_cam_m(config, R_body_cam),
+            Parts((part, part, part)),
+        )
+    ]
+
+
+def _attitude(
+    config: Config,
+    R_body_cam: Array,
+    keyframes: list[Keyframe],
+    layout: Layout,
+    factors: VarianceFactors,
+    jitter_s: float,
+) -> list[Prior]:
+    stamps, velocities, solve_ = _stamps_s(keyframes), _velocities(keyframes), config.solve
+    offsets = np.array([k.nav_offset_s for k in keyframes])
     if all(k.nav.R_enu_body is not None for k in keyframes):
         R_enu_cam = np.stack([k.nav.R_enu_body @ R_body_cam for k in keyframes if k.nav.R_enu_body is not None])
         rates = np.stack([k.body_rate_rad_s for k in keyframes]) @ R_body_cam
         turning = np.einsum("kij,kj->ki", R_enu_cam, rates)
-        white = np.radians(
-            [solve_.attitude_white_sigma_deg, solve_.attitude_white_sigma_deg, solve_.heading_white_sigma_deg]
-        )
-        wander_deg = (solve_.attitude_sigma_deg, solve_.attitude_sigma_deg, solve_.heading_sigma_deg)
-        attitude = np.stack(
-            [
-                gauss_markov_sqrt_information(
-                    stamps,
-                    np.hypot(white[axis], jitter_s * turning[:, axis]),
-                    np.radians(sigma_deg),
-                    solve_.attitude_wander_time_s,
-                )
-                for axis, sigma_deg in enumerate(wander_deg)
-            ]
-        )
-        lasting = np.array([lasting_sigma(stamps, s, solve_.attitude_wander_time_s) for s in np.radians(wander_deg)])
-        priors.append(AttitudePrior(layout, R_enu_cam, rates, attitude, offsets, lasting))
-    else:
-        coordinated = _coordinated(R_body_cam, stamps, velocities)
-        if coordinated is not None:
-            loose = gauss_markov_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, PATH_SIGMA_RAD, gps.wander_time_s)
-            heading = gauss_markov_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, 2 * PATH_SIGMA_RAD, gps.wander_time_s)
-            still = np.zeros((layout.keyframes, 3))
-            path = PATH_SIGMA_RAD * np.array([1.0, 1.0, 2.0])
-            lasting = np.array([lasting_sigma(stamps, s, gps.wander_time_s) for s in path])
-            whitener = np.stack([loose, loose, heading])
-            priors.append(AttitudePrior(layout, coordinated, still, whitener, offsets, lasting))
-    priors.append(_shared_prior(config, layout, belief, has_terrain))
-    return priors
+        tilt, heading = attitude_sigmas(config, factors)
+        tilt_white = np.radians(solve_.attitude_white_sigma_deg) * factors.sigma(TILT_WHITE)
+        heading_white = np.radians(solve_.heading_white_sigma_deg) * factors.sigma(HEADING_WHITE)
+        axes = ((TILT, tilt, TILT_WHITE, tilt_white),) * 2 + ((HEADING, heading, HEADING_WHITE, heading_white),)
+        between = np.array([k.nav.attitude_sigma_rad for k in keyframes])
+        parts, whitener = [], []
+        for axis, (name, sigma, white_name, white_sigma) in enumerate(axes):
+            slow = gauss_markov_covariance(stamps, sigma, solve_.attitude_wander_time_s)
+            white = white_sigma**2 * np.eye(len(stamps))
+            own = np.hypot(between, jitter_s * turning[:, axis])
+            parts.append({name: slow, white_name: white})
+            whitener.append(whitener_of(slow + white + np.diag(own**2)))
+        lasting = np.array([lasting_sigma(stamps, s, solve_.attitude_wander_time_s) for s in (tilt, tilt, heading)])
+        measured = Parts((parts[0], parts[1], parts[2]))
+        bodies = np.stack([k.nav.R_enu_body for k in keyframes if k.nav.R_enu_body is not None])
+        by_heading = cosine_sine_of_heading(bodies)
+        return [AttitudePrior(layout, R_enu_cam, rates, np.stack(whitener), offsets, lasting, by_heading, measured)]
+    coordinated = _coordinated(R_body_cam, stamps, velocities)
+    if coordinated is None:
+        return []
+    time_s = config.gps.wander_time_s
+    loose = gauss_markov_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, PATH_SIGMA_RAD, time_s)
+    heading_of_path = gauss_markov_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, 2 * PATH_SIGMA_RAD, time_s)
+    still = np.zeros((layout.keyframes, 3))
+    lasting = np.array([lasting_sigma(stamps, s, time_s) for s in PATH_SIGMA_RAD * np.array([1.0, 1.0, 2.0])])
+    return [AttitudePrior(layout, coordinated, still, np.stack([loose, loose, heading_of_path]), offsets, lasting)]
+
+
+def cosine_sine_of_heading(R_enu_body: Array) -> Array:
+    """(..., 2) of attitudes (..., 3, 3), heading counted from north; of the direction of the nose's projection."""
+    nose = R_enu_body[..., 1::-1, 0]
+    out: Array = nose / np.maximum(np.linalg.norm(nose, axis=-1, keepdims=True), 1e-9)
+    return out
+
+
+def attitude_sigmas(config: Config, factors: VarianceFactors) -> tuple[float, float]:
+    """One sigma (rad) of the Gauss-Markov part of roll and pitch, and of heading, as estimated so far."""
+    solve_ = config.solve
+    tilt = np.radians(solve_.attitude_sigma_deg) * factors.sigma(TILT)
+    return float(tilt), float(np.radians(solve_.heading_sigma_deg) * factors.sigma(HEADING))
 
 
 def range_prior(
@@ -158,15 +284,18 @@ def _coordinated(R_body_cam: Array, stamps_s: Array, velocities: Array) -> Array
 
 
 def _shared_prior(config: Config, layout: Layout, belief: Belief, has_terrain: bool) -> SharedPrior:
-    """Boresight and time offset as learned so far, and the ground plane's slope and height."""
-    covariance = np.zeros((7, 7))
+    """Boresight and time offset as estimated so far, and the ground plane's slope and height."""
+    covariance = np.zeros((STATES_AND_PLANE, STATES_AND_PLANE))
     covariance[:SHARED, :SHARED] = belief.covariance
+    # What turns show of a filter's delays is not all of them: inertial sensors keep turns in time. (5.15)
+    for delay in (DELAY, VELOCITY_DELAY):
+        covariance[delay, delay] += max(config.gps.sigma_latency_s**2 - belief.covariance[delay, delay], 0.0)
     solve_ = config.solve
     slope = np.tan(np.radians(solve_.level_ground_sigma_deg)) if solve_.level_ground else 3.0
     height_m = 1e4
     if has_terrain:  # the plane is then what the terrain model is off by, as a whole
         slope, height_m = TERRAIN_SLOPE_SIGMA, config.terrain.sigma_datum_m + 1e-3
-    covariance[4:, 4:] = np.diag([height_m**2, slope**2, slope**2])
-    mean = np.zeros(7)
+    covariance[SHARED:, SHARED:] = np.diag([height_m**2, slope**2, slope**2])
+    mean = np.zeros(STATES_AND_PLANE)
     mean[:SHARED] = belief.mean
     return SharedPrior(layout, mean, np.linalg.inv(np.linalg.cholesky(covariance)))

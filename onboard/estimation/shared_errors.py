@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from contract.feature_set import ALIGNMENT, ATTITUDE, GROUND, NUISANCES, POSITION, SharedErrors
 from onboard.config.schema import Config
-from onboard.estimation.boresight import Belief
+from onboard.estimation.boresight import BORESIGHT, DELAY, HEADING, OFFSET, STATES, VELOCITY_DELAY, Belief
 from onboard.estimation.factors import AttitudePrior, PositionPrior, Prior, SharedPrior, State
+from onboard.estimation.sensor_factors import attitude_sigmas, cosine_sine_of_heading
 from onboard.estimation.sensor_pose import SensorPose
+from onboard.estimation.variance_components import HEADING_WHITE, TILT_WHITE, VarianceFactors
 from onboard.navigation.navigator import NavState
 
 Array = NDArray[np.float64]
@@ -37,26 +39,53 @@ def shared_errors(config: Config, priors: list[Prior], state: State, covariance:
             gains[:, where] = covariance @ np.einsum("akd,ak->da", per_axis, error)
         elif isinstance(prior, SharedPrior):
             _, J = prior.evaluate(state)
-            gains[:, ALIGNMENT.start : GROUND.stop] = covariance @ J.T
+            by_prior = covariance @ J.T
+            centres = prior.layout.centres()
+            times = by_prior[:, OFFSET : VELOCITY_DELAY + 1]
+            moved = np.stack([times[centres[:, axis]].mean(axis=0) for axis in (0, 1)])
+            gains[:, ALIGNMENT] = np.column_stack([by_prior[:, BORESIGHT], _one_of(times, moved)])
+            turns = np.column_stack([gains[:, ATTITUDE.stop - 1], by_prior[:, HEADING]])
+            rotations = prior.layout.rotations()
+            turned = np.stack([turns[rotations[:, axis]].mean(axis=0) for axis in range(3)])
+            gains[:, ATTITUDE.stop - 1] = _one_of(turns, turned)
+            gains[:, GROUND] = by_prior[:, STATES:]
             alignment_sigma = 1.0 / np.diag(prior.whitener)[:4]
     attitude_time_s = config.solve.attitude_wander_time_s
     return SharedErrors(gains, config.gps.wander_time_s, attitude_time_s, alignment_sigma)
 
 
-def make_sensor_pose(config: Config, nav: NavState, belief: Belief, R_cam_enu: Array) -> SensorPose:
-    """The camera's pose by sensors alone, its errors by nuisance parameters, and what is the picture's own."""
+def _one_of(errors: Array, moved: Array) -> Array:
+    """Of several independent errors (D, n) that act alike, the one that sets share, as the wire's single column (D,).
+
+    Errors of time all move positions along the track, errors of heading all turn the views about the vertical. The
+    combination that does so most, by `moved` (m, n), is what sets share; the others stay in each set's own covariance.
+    """
+    _, _, basis = np.linalg.svd(moved)
+    along = basis[0] * np.sign(basis[0][np.argmax(np.abs(basis[0]))])
+    out: Array = errors @ along
+    return out
+
+
+def make_sensor_pose(
+    config: Config, nav: NavState, belief: Belief, R_cam_enu: Array, factors: VarianceFactors, lever_cam_m: Array
+) -> SensorPose:
+    """The camera's pose by sensors alone, its errors by nuisance parameter, and what is the picture's own."""
     solve, gps = config.solve, config.gps
     speed = np.zeros(3) if nav.velocity_enu_m_s is None else nav.velocity_enu_m_s
-    tilt, heading = np.radians(solve.attitude_sigma_deg), np.radians(solve.heading_sigma_deg)
+    tilt, heading = attitude_sigmas(config, factors)
     factor = np.linalg.cholesky(belief.covariance)
+    if nav.R_enu_body is not None:
+        heading = float(np.hypot(heading, np.linalg.norm(cosine_sine_of_heading(nav.R_enu_body) @ factor[HEADING])))
     by_nuisance = np.zeros((7, NUISANCES))
     by_nuisance[:3, POSITION] = np.diag([nav.sigma_horizontal_m, nav.sigma_horizontal_m, nav.sigma_vertical_m])
     by_nuisance[3:6, ATTITUDE] = np.diag([tilt, tilt, heading])
-    by_nuisance[3:6, ALIGNMENT] = R_cam_enu.T @ factor[:3]
-    by_nuisance[:3, ALIGNMENT] = np.outer(speed, factor[3])
+    late_s = float(np.linalg.norm(np.append(factor[OFFSET] + factor[DELAY], gps.sigma_latency_s)))
+    by_nuisance[3:6, ALIGNMENT.start : ALIGNMENT.stop - 1] = R_cam_enu.T @ factor[BORESIGHT, :3]
+    by_nuisance[:3, ALIGNMENT.stop - 1] = speed * late_s
     white = np.zeros(7)
     white[:3] = nav.sigma_white_m * np.array([1.0, 1.0, 1.5])
-    white[3:5] = np.radians(solve.attitude_white_sigma_deg)
-    white[5] = np.radians(solve.heading_white_sigma_deg)
-    shared = SharedErrors(by_nuisance, gps.wander_time_s, solve.attitude_wander_time_s, np.diag(factor).copy())
-    return SensorPose(R_cam_enu, nav.position_enu_m, np.diag(white**2), shared)
+    white[3:5] = np.radians(solve.attitude_white_sigma_deg) * factors.sigma(TILT_WHITE)
+    white[5] = np.radians(solve.heading_white_sigma_deg) * factors.sigma(HEADING_WHITE)
+    shared = SharedErrors(by_nuisance, gps.wander_time_s, solve.attitude_wander_time_s, np.diag(factor)[:4].copy())
+    centre = nav.position_enu_m + R_cam_enu.T @ lever_cam_m
+    return SensorPose(R_cam_enu, centre, np.diag(white**2), shared)

@@ -14,9 +14,10 @@ from contract.camera import Camera
 from contract.feature_set import Status
 from contract.rotations import exp_so3, mount_rotation
 from onboard.config.schema import Config
+from onboard.estimation.boresight import BORESIGHT, DELAY, HEADING, OFFSET, Alignment
 from onboard.estimation.boresight import STATES as SHARED
-from onboard.estimation.boresight import Alignment
 from onboard.estimation.keyframe import Keyframe, Observation
+from onboard.estimation.sensor_factors import cosine_sine_of_heading
 from onboard.estimation.sensor_pose import SensorPose
 from onboard.estimation.shared_errors import make_sensor_pose
 from onboard.estimation.window_solver import MIN_POINTS, Noise, Outcome, Request, Solved, adjust
@@ -44,8 +45,13 @@ class Window:
         self.noise = Noise(config.solve.pixel_sigma_px, config.camera.sigma_jitter_s)
         self.terrain: Terrain | None = None  # of the area flown over, if known
         self.alignment = Alignment(
-            np.radians(mount.sigma_deg), config.camera.sigma_latency_s, config.solve.attitude_wander_time_s
+            np.radians(mount.sigma_deg),
+            config.camera.sigma_latency_s,
+            config.solve.attitude_wander_time_s,
+            config.gps.sigma_latency_s,
+            np.radians(config.solve.heading_sigma_deg),
         )
+        self.lever_body_m = np.array(mount.lever_arm_m)
 
     def reset(self) -> None:
         """Forget keyframes and structure: nothing links what comes to what was."""
@@ -56,13 +62,17 @@ class Window:
         """Forget all but the newest keyframe, and the estimate of its pose."""
         newest = self.keyframes[-1]
         self.reset()
-        self.add(newest.frame, newest.observation, newest.nav, newest.nav_offset_s, newest.body_rate_rad_s, None)
+        times_s = newest.nav_offset_s, newest.nav_delay_s
+        self.add(newest.frame, newest.observation, newest.nav, times_s, newest.body_rate_rad_s, None)
 
     def attitude_guess(self, nav: NavState) -> Array | None:
         """R_cam_enu from the autopilot through mount and boresight, or None without attitude."""
         if nav.R_enu_body is None:
             return None
-        out: Array = (nav.R_enu_body @ self.R_body_cam @ exp_so3(self.alignment.belief.mean[:3])).T
+        mean = self.alignment.belief.mean
+        yaw = float(cosine_sine_of_heading(nav.R_enu_body) @ mean[HEADING])
+        R_enu_body = exp_so3(np.array([0.0, 0.0, -yaw])) @ nav.R_enu_body
+        out: Array = (R_enu_body @ self.R_body_cam @ exp_so3(mean[BORESIGHT])).T
         return out
 
     def sensor_pose(self, nav: NavState) -> SensorPose | None:
@@ -70,7 +80,14 @@ class Window:
         R_cam_enu = self.attitude_guess(nav)
         if R_cam_enu is None:
             return None
-        return make_sensor_pose(self.config, nav, self.alignment.belief.widened(nav.stamp_sigma_s), R_cam_enu)
+        return make_sensor_pose(
+            self.config,
+            nav,
+            self.alignment.belief.widened(nav.stamp_sigma_s),
+            R_cam_enu,
+            self.noise.factors,
+            self.R_body_cam.T @ self.lever_body_m,
+        )
 
     def position_guess(self, nav: NavState) -> Array:
         """The camera's centre by GPS, shifted as the newest solved keyframe was shifted by its solution."""
@@ -97,7 +114,7 @@ class Window:
         frame: int,
         seen: Observation,
         nav: NavState,
-        nav_offset_s: float,
+        times_s: tuple[float, float],
         body_rate_rad_s: Array | None,
         flown_enu_m: Array | None,
         flow_disagreement_px: Array | None = None,
@@ -108,9 +125,7 @@ class Window:
         R, centre = guess if guess is not None else (self.R_body_cam.T, nav.position_enu_m)
         rate = np.zeros(3) if body_rate_rad_s is None else body_rate_rad_s
         flow_disagreement_xy = None if flow_disagreement_px is None else flow_disagreement_px / self.camera.focal_px
-        self.keyframes.append(
-            Keyframe(frame, seen, nav, rate, nav_offset_s, flown_enu_m, R, centre, flow_disagreement_xy)
-        )
+        self.keyframes.append(Keyframe(frame, seen, nav, rate, *times_s, flown_enu_m, R, centre, flow_disagreement_xy))
         del self.keyframes[: -self.config.solve.keyframes]
 
     def prepare(self) -> Request:
@@ -150,13 +165,14 @@ class Window:
         if self.keyframes[0].nav.R_enu_body is None or any(k.nav.stamp_sigma_s for k in self.keyframes):
             return  # what stamps are off by for a while is no property of the platform
         shared = slice(layout.boresight.start, layout.boresight.start + SHARED)
-        mean = np.append(s.state.boresight_rad, s.state.offset_s)
+        mean = s.state.platform
         start, end = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
         covariance = solved.covariance_at((start + end) // 2)[shared, shared].copy()
-        # The offset acts along straight lines from where it was looked up; in a turn its answer is off by a share of
-        # how far it had to move from there. The next window looks up at what this one learned.
-        moved_s = mean[3] - float(np.mean([k.nav_offset_s for k in self.keyframes]))
-        covariance[3, 3] += (CURVED_SHARE * moved_s) ** 2
+        # The offset's effect is linearised where the navigation state was interpolated; in a turn its estimate is off
+        # by a share of how far it moved from there. The next window interpolates at this window's estimate.
+        taken_s = np.mean([(k.nav_offset_s, k.nav_delay_s) for k in self.keyframes], axis=0)
+        moved_s = mean[[OFFSET, DELAY]] - taken_s
+        covariance[[OFFSET, DELAY], [OFFSET, DELAY]] += (CURVED_SHARE * moved_s) ** 2
         self.alignment.offer(start, end, mean, covariance)
 
     def conclude(self) -> None:

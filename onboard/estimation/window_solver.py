@@ -6,7 +6,7 @@ here, from residuals, covariances and priors.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from contract.camera import Camera
 from contract.feature_set import SharedErrors, Status
 from onboard.config.schema import Config
 from onboard.estimation import initialisation
-from onboard.estimation.boresight import Belief
+from onboard.estimation.boresight import BORESIGHT, HEADING, OFFSET, VELOCITY_DELAY, Belief
 from onboard.estimation.bundle_adjustment import Problem, Solution, solve
 from onboard.estimation.factors import AttitudePrior, Layout, Prior, SharedPrior, State, VelocityPrior, ground_plane
 from onboard.estimation.ground_motion import GroundMotion, ground_motion, ground_sigma_m_s
@@ -23,6 +23,7 @@ from onboard.estimation.ground_roughness import effective_sigma_m
 from onboard.estimation.keyframe import Ids, Keyframe
 from onboard.estimation.sensor_factors import range_prior, sensor_priors
 from onboard.estimation.shared_errors import shared_errors
+from onboard.estimation.variance_components import NAMES, VarianceFactors, evidence_of
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.terrain_grid import Terrain
 from onboard.geometry.triangulation import triangulate
@@ -50,6 +51,7 @@ WEIGHING_ROUNDS = 5
 TOLERATED_RMS = 1.3  # of velocity's and attitude's whitened residuals
 MAX_JITTER_S = 0.02
 MAX_NOISE_INFLATION = 2.0
+MIN_CHANGE = 0.3  # of a variance's logarithm, by which it must change to weigh a window anew
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +89,8 @@ class Noise:
 
     pixel_sigma_px: float
     jitter_s: float
-    noise_inflation: float = 1.0  # how much less than by their own residuals pixels are trusted
+    noise_inflation: float = 1.0  # times the sigma that the tracks' own residuals show
+    factors: VarianceFactors = field(default_factory=VarianceFactors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +166,9 @@ def adjust(request: Request) -> Outcome:
     C = np.stack([k.centre_enu_m for k in keyframes])
     points, reference, plane = _points(request, ids, R, C, xy, weight > 0)
     belief = request.belief
-    state = State(R, C, points, belief.mean[:3], float(belief.mean[3]), plane)
+    offset_s, late_s, velocity_late_s = belief.mean[OFFSET : VELOCITY_DELAY + 1].tolist()
+    platform = belief.mean[BORESIGHT], belief.mean[HEADING]
+    state = State(R, C, points, platform[0], offset_s, plane, late_s, velocity_late_s, platform[1])
     ground_weight, terrain = _ground(request, points)
     if terrain is not None:
         reference[2] = 0.0
@@ -173,17 +178,30 @@ def adjust(request: Request) -> Outcome:
     ranged = range_prior(list(keyframes), layout, reference, state.plane, strays_m, terrain)
     if ranged is not None:  # what it measures is the plane: the points must be held to that as closely as they lie
         ground_weight = np.full(len(points), 1.0 / strays_m)
+
+    def sensors(noise: Noise) -> list[Prior]:
+        found = sensor_priors(
+            request.config,
+            request.R_body_cam,
+            list(keyframes),
+            layout,
+            belief,
+            terrain is not None,
+            noise.jitter_s,
+            noise.factors,
+        )
+        return found if ranged is None else [*found, ranged]
+
     for _ in range(WEIGHING_ROUNDS):
         used = noise  # what this problem is weighted by; `noise` becomes what the next is
-        priors = sensor_priors(
-            request.config, request.R_body_cam, list(keyframes), layout, belief, terrain is not None, noise.jitter_s
-        )
-        priors += [] if ranged is None else [ranged]
+        priors = sensors(used)
         problem = Problem(
-            layout, xy, weight / noise.noise_inflation, priors, reference, ground_weight, terrain, clearance_m
+            layout, xy, weight / used.noise_inflation, priors, reference, ground_weight, terrain, clearance_m
         )
         first = approximate(problem, state)
         noise, again = _reweighed(request, used, priors, first.state)
+        if not again:
+            noise, again = _with_own_evidence(request, noise, priors, first)
         if not again:
             break
         state = first.state
@@ -191,8 +209,24 @@ def adjust(request: Request) -> Outcome:
     adjusted = refine(problem, first, MIN_PIXEL_SIGMA_PX / (used.pixel_sigma_px * used.noise_inflation))
     if adjusted is None:
         return Outcome(Status.POOR_FIT, keyframes, noise)
-    judged = _judged(replace(request, keyframes=keyframes, noise=used), ids, layout, priors, problem.weight, adjusted)
-    return replace(judged, noise=replace(noise, pixel_sigma_px=judged.noise.pixel_sigma_px))
+    # Whether sensors contradict the pictures is judged by what earlier windows found, not by this one's own excuse.
+    before = sensors(replace(used, factors=request.noise.factors))
+    judged = _judged(
+        replace(request, keyframes=keyframes, noise=used), ids, layout, priors, before, problem.weight, adjusted
+    )
+    factors = request.noise.factors
+    if judged.status is Status.OK:
+        evidence = evidence_of(priors, adjusted.solution.state, adjusted.solution.covariance, used.factors)
+        factors = factors.with_evidence(evidence, keyframes[-1].nav.stamp_ns, 1.0 / len(keyframes))
+    return replace(judged, noise=replace(noise, pixel_sigma_px=judged.noise.pixel_sigma_px, factors=factors))
+
+
+def _with_own_evidence(request: Request, used: Noise, priors: list[Prior], first: Solution) -> tuple[Noise, bool]:
+    """The sensors' variances with what this window itself says of them; True if that changes its weights. (13.2)"""
+    evidence = evidence_of(priors, first.state, first.covariance, used.factors)
+    own = request.noise.factors.with_evidence(evidence, request.keyframes[-1].nav.stamp_ns)
+    changed = any(abs(np.log(own.scale(n) / used.factors.scale(n))) > MIN_CHANGE for n in NAMES)
+    return (replace(used, factors=own), True) if changed else (used, False)
 
 
 def _reweighed(request: Request, noise: Noise, priors: list[Prior], state: State) -> tuple[Noise, bool]:
@@ -215,16 +249,21 @@ def _reweighed(request: Request, noise: Noise, priors: list[Prior], state: State
             return replace(noise, noise_inflation=min(noise.noise_inflation * min(rms, 2.0), MAX_NOISE_INFLATION)), True
     elif rms < 1.0 / TOLERATED_RMS:
         least_s = request.config.camera.sigma_jitter_s
-        return Noise(
-            noise.pixel_sigma_px, max(0.95 * noise.jitter_s, least_s), max(0.95 * noise.noise_inflation, 1.0)
-        ), False
+        jitter_s, inflation = max(0.95 * noise.jitter_s, least_s), max(0.95 * noise.noise_inflation, 1.0)
+        return replace(noise, jitter_s=jitter_s, noise_inflation=inflation), False
     return noise, False
 
 
 def _judged(
-    request: Request, ids: Ids, layout: Layout, priors: list[Prior], weight: Array, adjusted: Adjusted
+    request: Request,
+    ids: Ids,
+    layout: Layout,
+    priors: list[Prior],
+    before: list[Prior],
+    weight: Array,
+    adjusted: Adjusted,
 ) -> Outcome:
-    """Decide by evidence whether a solution may be published. `weight` (K, P) is what the first solve used."""
+    """Whether a solution may be published. `weight` (K, P): the first solve's; `before`: priors by earlier windows."""
     s, kept, own = adjusted.solution, adjusted.kept, adjusted.own
     noise, camera, config = request.noise, request.camera, request.config
 
@@ -259,7 +298,7 @@ def _judged(
         return refused(Status.POOR_FIT)  # the ground above the aircraft, or a wall: a turned-over solution
     if np.linalg.eigvalsh(s.covariance)[0] <= 0.0:
         return refused(Status.POOR_FIT)
-    for prior in priors:
+    for prior in before:
         r = prior.evaluate(s.state)[0]
         # No shared state (mount, delay) may be far from its prior: a moving scene is often explained that way.
         worst = np.abs(r).max() / SHARED_SIGMAS if isinstance(prior, SharedPrior) else 0.0

@@ -72,6 +72,37 @@ class Attitudes:
         out = before.R_ned_body @ exp_so3(turned)
         return out
 
+    def sigma_at(self, moment_ns: int) -> float:
+        """One sigma (rad) of what `at` may be off by because attitudes come more slowly than the vehicle turns. (1.7)
+
+        Between two attitudes their own rates say how far the vehicle should have turned; by how much it turned
+        otherwise, the motion has changed in between. Without rates the neighbouring intervals say it.
+        """
+        series = self._series
+        bracket = series.bracket(moment_ns)
+        if bracket is None or bracket[0] == bracket[1]:
+            return 0.0
+        left, right = bracket
+        a, b = series.values[left], series.values[right]
+        seconds = (series.stamps_ns[right] - series.stamps_ns[left]) / 1e9
+        s = (moment_ns - series.stamps_ns[left]) / 1e9 / seconds
+        if a.rate_body_rad_s is not None and b.rate_body_rad_s is not None:
+            turned = log_so3(a.R_ned_body.T @ b.R_ned_body)
+            missed = turned - 0.5 * seconds * (a.rate_body_rad_s + right_jacobian_inverse(turned) @ b.rate_body_rad_s)
+        else:
+            missed = np.zeros(3)
+            if left > 0 and right + 1 < len(series.values):
+                before, after = self._mean_rate(left - 1), self._mean_rate(right)
+                missed = 0.25 * seconds * (after - before)
+        return float(2.0 * s * (1.0 - s) * np.linalg.norm(missed))
+
+    def _mean_rate(self, index: int) -> Array:
+        """(3,) rad/s between an attitude and the next."""
+        series = self._series
+        seconds = (series.stamps_ns[index + 1] - series.stamps_ns[index]) / 1e9
+        out: Array = log_so3(series.values[index].R_ned_body.T @ series.values[index + 1].R_ned_body) / seconds
+        return out
+
     def rate_at(self, stamp_ns: int) -> Array | None:
         """Angular rate (3,), rad/s, body axes: measured, else from attitudes 60 ms apart; None if unknown."""
         series = self._series

@@ -74,6 +74,7 @@ class NavState:
     mount_hypotheses: Mapping[MountHypothesis, Array] = field(default_factory=dict)
     stretch: int = 0
     stamp_sigma_s: float = 0.0
+    attitude_sigma_rad: float = 0.0  # of the attitude, because its messages come more slowly than the vehicle turns
 
 
 class Navigation:
@@ -207,15 +208,18 @@ class Navigation:
             newest_ns = self._positions.stamps_ns[-1]
             self.reason = self._integrity.fault_at(newest_ns, self._integrity.slip_at(newest_ns))
 
-    def covers(self, stamp_ns: int) -> bool:
+    def covers(self, stamp_ns: int, delay_ns: int = 0) -> bool:
         """Whether `state_at` can do no better by waiting: data after this moment has arrived.
 
         Attitude counts if the configuration uses it and any has been seen.
         """
-        needed: list[list[int]] = [self._positions.stamps_ns]
+        needed: list[list[int]] = []
         if self._wants_attitude:
             needed += self._gimbal.needed(self._attitudes) if self._uses_gimbal else [self._attitudes.stamps_ns]
-        return all(stamps and stamps[0] <= stamp_ns <= stamps[-1] for stamps in needed)
+        positions, moment_ns = self._positions.stamps_ns, stamp_ns + delay_ns
+        return bool(positions and positions[0] <= moment_ns <= positions[-1]) and all(
+            stamps and stamps[0] <= stamp_ns <= stamps[-1] for stamps in needed
+        )
 
     @property
     def _wants_attitude(self) -> bool:
@@ -249,15 +253,19 @@ class Navigation:
         found |= {c: self._gimbal.at(moment_ns, self._attitudes, c) for c in self._gimbal.readings}
         return {c: R_frame_ned @ R for c, R in found.items() if not isinstance(R, Status)}
 
-    def state_at(self, stamp_ns: int, offset_s: float = 0.0, stamp_sigma_s: float = 0.0) -> NavState | Status:
+    def state_at(
+        self, stamp_ns: int, offset_s: float = 0.0, stamp_sigma_s: float = 0.0, delay_s: float = 0.0
+    ) -> NavState | Status:
         """The vehicle at `stamp_ns` + `offset_s` (camera-to-autopilot time offset), or why not.
+
+        Position and velocity are looked up `delay_s` later: they are older than their stamps.
 
         STARTING before the first data, UNSYNCHRONISED in a gap or past the end, NO_GPS where GPS is not believed.
         """
         moment_ns = stamp_ns + round(offset_s * 1e9)
         if self.frame is None or not self._positions.stamps_ns:
             return Status.NO_GPS if self._integrity.is_unfit_now else Status.STARTING
-        position = self._position_at(moment_ns)
+        position = self._position_at(moment_ns + round(delay_s * 1e9))
         if isinstance(position, Status):
             return position
         slip = self._integrity.slip_at(moment_ns)
@@ -287,6 +295,7 @@ class Navigation:
             mount_hypotheses,
             self._moves + self._integrity.stretch_at(moment_ns),
             stamp_sigma_s,
+            0.0 if R_enu_body is None or self._uses_gimbal else self._attitudes.sigma_at(moment_ns),
         )
 
     def was_believed(self, start_ns: int, end_ns: int) -> bool:

@@ -2,6 +2,7 @@
 
 Public:
 
+- `estimates`: `BORESIGHT`, `Estimate`, `SensorError`, `as_rows`, `larger_than_declared`
 - `pipeline`: `Pipeline`
 - `statistics`: `Summary`
 """

@@ -21,6 +21,7 @@ from contract.camera import Camera
 from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
 from onboard.config.schema import Config
+from onboard.estimation.boresight import DELAY, OFFSET
 from onboard.estimation.keyframe import observation
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solver_executor import Inline, Worker, timed_adjust
@@ -30,6 +31,7 @@ from onboard.geometry.terrain_grid import Terrain
 from onboard.georeferencing.feature_sets import Origin, Picture, georeference
 from onboard.georeferencing.surface_sets import over_known_ground
 from onboard.navigation.navigator import Navigation, NavState
+from onboard.pipeline.estimates import estimates_of, sensor_errors
 from onboard.pipeline.frozen_frames import Staleness, Stillness
 from onboard.pipeline.keyframe_choice import wants_keyframe
 from onboard.pipeline.motion_prediction import ground_so_far, predict_motion, what_parts
@@ -115,7 +117,8 @@ class Pipeline:
             frame = self._waiting[0]
             # The moment that counts is the autopilot's: extrapolating to it would bend what is learned of the offset.
             moment_ns = frame.stamp_ns + round(self._offset_s * 1e9)
-            if not self.navigation.covers(moment_ns) and self._now_ns - frame.stamp_ns < MAX_WAIT_NS:
+            is_covered = self.navigation.covers(moment_ns, round(self._delay_s * 1e9))
+            if not is_covered and self._now_ns - frame.stamp_ns < MAX_WAIT_NS:
                 break
             out.extend(self._process(self._waiting.popleft()))
         out.extend(self._catch_up())
@@ -135,7 +138,10 @@ class Pipeline:
     def summary(self) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
         alignment = self.window.alignment
-        return self._statistics.summary(alignment.belief if alignment.updates else None)
+        return self._statistics.summary(
+            estimates_of(alignment.belief if alignment.updates else None),
+            sensor_errors(self.config, self.window.noise.factors),
+        )
 
     def _process(self, frame: Frame) -> list[FeatureSet]:
         if self._session is None:
@@ -195,10 +201,15 @@ class Pipeline:
     @property
     def _offset_s(self) -> float:
         """Camera-to-autopilot time offset as it is known now."""
-        return float(self.window.alignment.belief.mean[3])
+        return float(self.window.alignment.belief.mean[OFFSET])
+
+    @property
+    def _delay_s(self) -> float:
+        """How much older than its stamp the position is, beyond `gps.latency_s`, as it is known now."""
+        return float(self.window.alignment.belief.mean[DELAY])
 
     def _state_at(self, stamp_ns: int, stamp_sigma_s: float = 0.0) -> NavState | Status:
-        return self.navigation.state_at(stamp_ns, self._offset_s, stamp_sigma_s)
+        return self.navigation.state_at(stamp_ns, self._offset_s, stamp_sigma_s, self._delay_s)
 
     def _know_terrain(self, nav: NavState) -> None:
         """Keep the terrain around the aircraft at hand, cut anew when it nears the edge of what is held."""
@@ -252,14 +263,14 @@ class Pipeline:
             ids, uv = self.tracker.promote(tracks)
         self._stillness.begin(ids, uv, frame.stamp_ns)
         seen = observation(self.camera, ids, uv)
-        offset_s = self._offset_s
+        offset_s, delay_s = self._offset_s, self._delay_s
         offset_ns = round(offset_s * 1e9)
         flown = None
         if self.window.keyframes:
             since_ns = self.window.keyframes[-1].nav.stamp_ns
             flown = self.navigation.displacement(since_ns + offset_ns, frame.stamp_ns + offset_ns)
         rate = self.navigation.body_rate_at(frame.stamp_ns + offset_ns)
-        self.window.add(frame.index, seen, nav, offset_s, rate, flown, self.tracker.flow_disagreement_px)
+        self.window.add(frame.index, seen, nav, (offset_s, delay_s), rate, flown, self.tracker.flow_disagreement_px)
         self._statistics.keyframes += 1
         record = Record(frame, seen, nav, True)
         self._records.append(record)

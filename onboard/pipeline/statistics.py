@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from contract.feature_set import Status
-from onboard.estimation.boresight import Belief
+from onboard.pipeline.estimates import Estimate, SensorError
 from onboard.pipeline.shortfall import Evidence, Shortfall
 
 REMEMBERED_PICTURES = 5000  # whose status may still change: many times what a window spans
@@ -28,7 +28,8 @@ class Summary:
     refused: dict[str, int] = field(default_factory=dict)
     median_tracks: float = 0.0
     reprojection_px: float = 0.0
-    alignment: Belief | None = None  # boresight and time offset as estimated; None before the first update
+    estimates: tuple[Estimate, ...] = ()  # of the platform; empty before the first update
+    sensor_errors: tuple[SensorError, ...] = ()  # how large they are, as estimated beside what is configured
     stage_seconds: dict[str, float] = field(default_factory=dict)
 
 
@@ -65,7 +66,7 @@ class RunStatistics:
         while len(self._status) > REMEMBERED_PICTURES:
             del self._status[next(iter(self._status))]
 
-    def summary(self, alignment: Belief | None) -> Summary:
+    def summary(self, estimates: tuple[Estimate, ...] = (), sensor_errors: tuple[SensorError, ...] = ()) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
         refused = Counter({s.value: n for s, n in self._outcomes.items() if s is not Status.OK and n})
         return Summary(
@@ -76,7 +77,8 @@ class RunStatistics:
             refused=dict(refused.most_common()),
             median_tracks=_median(self.track_counts),
             reprojection_px=float(np.median(self.reprojections_px)) if self.reprojections_px else 0.0,
-            alignment=alignment,
+            estimates=estimates,
+            sensor_errors=sensor_errors,
             stage_seconds=dict(self._stages),
         )
 

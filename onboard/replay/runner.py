@@ -6,7 +6,6 @@ pipeline one by one, and what comes out goes to the sinks. Nothing here changes 
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -25,6 +24,7 @@ from onboard.camera.picture_files import FrameSource, open_frames
 from onboard.config.schema import Config
 from onboard.events.sink import Sink
 from onboard.events.types import Event, Frame
+from onboard.pipeline.estimates import as_rows
 from onboard.telemetry.tlog_reader import TelemetryLog, read_tlog
 
 if TYPE_CHECKING:
@@ -163,11 +163,7 @@ def summary_text(summary: Summary) -> str:
         ("median tracks", f"{summary.median_tracks:.0f}"),
         ("reprojection", f"{summary.reprojection_px:.2f} px"),
     ]
-    if summary.alignment is not None:
-        mean, sigma = summary.alignment.mean, summary.alignment.sigma
-        turns = [f"{math.degrees(m):+.2f} +-{math.degrees(s):.2f}" for m, s in zip(mean[:3], sigma[:3], strict=True)]
-        rows.append(("boresight", f"x {turns[0]}, y {turns[1]}, z {turns[2]} deg, camera axes"))
-        rows.append(("time offset", f"{mean[3]:+.3f} +-{sigma[3]:.3f} s, camera to autopilot"))
+    rows += as_rows(summary.estimates, summary.sensor_errors)
     frames = max(summary.frames, 1)
     rows += [
         (f"time, {stage}", f"{seconds:.2f} s ({1000.0 * seconds / frames:.1f} ms a frame)")

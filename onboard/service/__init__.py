@@ -6,7 +6,7 @@ Public:
 - `host`: `cpu_temperature_c`, `free_mb`
 - `journal`
 - `prometheus`: `PrometheusServer`
-- `reports`: `BORESIGHT`, `Brightness`, `Report`, `gps_report`
+- `reports`: `Brightness`, `Report`, `gps_report`
 - `sd_notify`: `Notifier`
 - `session`: `Parts`, `Reporter`, `restore`
 - `solver_thread`: `SolverThread`

@@ -25,7 +25,8 @@ from prometheus_client.exposition import ThreadingWSGIServer
 from contract.errors import ConfigError, LinkError
 from onboard.events.source import SourceStatus, State
 from onboard.events.supervised_thread import Policy, SupervisedThread, ThreadState
-from onboard.service.reports import Estimate, Report
+from onboard.pipeline.estimates import Estimate
+from onboard.service.reports import Report
 from onboard.service.vehicle_state import Subject, VehicleState
 
 POLL_S = 0.5
@@ -69,6 +70,9 @@ def metrics(vehicle: str, report: Report) -> Iterator[Metric]:
     yield from _pictures(one, report)
     for estimate in report.estimates:
         yield from _estimate(one, estimate)
+    ratios = {error.name: error.sigma / error.declared for error in report.sensor_errors if error.declared}
+    if ratios:
+        yield one.gauges("sensor_error", "one sigma as estimated, of what is configured", "ratio", "sensor", ratios)
     yield from _threads(one, report)
 
 

@@ -19,6 +19,7 @@ from contract.vehicle_status import VehicleStatus
 from onboard.events.source import SourceStatus
 from onboard.events.supervised_thread import ThreadReport
 from onboard.events.types import GpsQuality
+from onboard.pipeline.estimates import Estimate, SensorError
 from onboard.pipeline.statistics import Summary
 from onboard.service.vehicle_state import Finding, GpsReport
 
@@ -59,30 +60,6 @@ class PictureCounts:
         return cls(s.frames, s.keyframes, s.solved, dict(s.refused), s.reprojection_px, unencodable)
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """One quantity that is estimated in flight: a name, its unit, and as many values as it has components."""
-
-    name: str
-    unit: str  # as Prometheus writes it: radians, seconds, meters, ...
-    values: tuple[float, ...]
-    sigmas: tuple[float, ...]
-
-
-BORESIGHT, TIME_OFFSET = "boresight", "camera_time_offset"
-
-
-def estimates(summary: Summary) -> tuple[Estimate, ...]:
-    """What is learned of mount and time offset; empty before the first estimate."""
-    if summary.alignment is None:
-        return ()
-    mean, sigma = summary.alignment.mean.tolist(), summary.alignment.sigma.tolist()
-    return (
-        Estimate(BORESIGHT, "radians", tuple(mean[:3]), tuple(sigma[:3])),
-        Estimate(TIME_OFFSET, "seconds", (mean[3],), (sigma[3],)),
-    )
-
-
 def gps_report(quality: GpsQuality | None, now_ns: int) -> GpsReport | None:
     """The receiver's newest word and how old it is at `now_ns` (session clock); None before the first."""
     q = quality
@@ -121,6 +98,7 @@ class Report:
     gps: GpsReport | None = None
     pictures: PictureCounts = PictureCounts()
     estimates: tuple[Estimate, ...] = ()
+    sensor_errors: tuple[SensorError, ...] = ()
     threads: tuple[ThreadReport, ...] = ()
     recording: RecordingReport = RecordingReport()
     clock: ClockReport = ClockReport()

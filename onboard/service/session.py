@@ -34,7 +34,6 @@ from onboard.service.reports import (
     PictureCounts,
     RecordingReport,
     Report,
-    estimates,
     gps_report,
 )
 from onboard.service.standstill import Standstill
@@ -227,7 +226,8 @@ class Session:
             self._brightness,
             inputs.gps,
             PictureCounts.of(summary, self.unencodable),
-            estimates(summary),
+            summary.estimates,
+            summary.sensor_errors,
             inputs.threads,
             RecordingReport(is_recording, inputs.recording_fault),
             ClockReport(self.clock.host_step_s()),

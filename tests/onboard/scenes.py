@@ -27,6 +27,7 @@ from onboard.estimation.factors import (
     gauss_markov_sqrt_information,
 )
 from onboard.estimation.keyframe import Observation, observation
+from onboard.estimation.sensor_factors import cosine_sine_of_heading
 from onboard.estimation.sliding_window import Window
 from onboard.geometry.triangulation import triangulate
 from onboard.navigation.navigator import NavState
@@ -135,6 +136,9 @@ class Scene:
     points_enu_m: Array  # (P, 3)
     boresight_rad: Array
     offset_s: float
+    delay_s: float  # of the position, and of the velocity, beyond what is configured
+    velocity_delay_s: float
+    heading_rad: Array  # (2,) heading error by cosine and sine of the heading
     observations: list[Observation]
     navs: list[NavState]
     rates: list[Array]
@@ -149,7 +153,7 @@ class Scene:
         """A window that has been given all keyframes, unsolved."""
         window = Window(self.config, self.camera)
         for k in self.keys:
-            window.add(int(k), self.observations[k], self.navs[k], 0.0, self.rates[k], self.flown[k])
+            window.add(int(k), self.observations[k], self.navs[k], (0.0, 0.0), self.rates[k], self.flown[k])
         return window
 
 
@@ -176,6 +180,9 @@ def draw(
     path = Path(rng, spec, float(times[-1]))
     boresight = e * np.radians(mount.sigma_deg) * rng.standard_normal(3)
     offset = e * config.camera.sigma_latency_s * float(rng.standard_normal())
+    (also,) = rng.spawn(1)  # so that what was drawn before these existed is still drawn
+    delay, velocity_delay = (e * gps.sigma_latency_s * also.standard_normal(2)).tolist()
+    heading = e * np.radians(solve.heading_sigma_deg) * also.standard_normal(2)
     R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg)
     R_enu_cam = np.stack([path.R_enu_body(t) @ R_body_cam @ exp_so3(boresight) for t in times])
     R_cam_enu = R_enu_cam.transpose(0, 2, 1)
@@ -225,12 +232,14 @@ def draw(
     before: float | None = None
     for f, stamp in enumerate(stamps):
         has_attitude = solve.attitude == "autopilot"
+        R_enu_body = path.R_enu_body(stamp)
+        yaw = float(cosine_sine_of_heading(R_enu_body) @ heading)
         navs.append(
             NavState(
                 T0_NS + round(times[f] * 1e9),
-                path.position_enu_m(stamp) - position_error[f],
-                path.velocity_enu_m_s(stamp),
-                exp_so3(tilt[f]) @ path.R_enu_body(stamp) if has_attitude else None,
+                path.position_enu_m(stamp - delay) - position_error[f],
+                path.velocity_enu_m_s(stamp - velocity_delay),
+                exp_so3(tilt[f] + [0.0, 0.0, yaw]) @ R_enu_body if has_attitude else None,
                 gps.sigma_wander_horizontal_m,
                 gps.sigma_wander_vertical_m,
                 gps.sigma_white_m,
@@ -242,13 +251,14 @@ def draw(
         moved = None
         if is_key[f]:
             if before is not None:
-                sigma = e * gps.sigma_velocity_m_s * (stamp - before)
-                moved = path.position_enu_m(stamp) - path.position_enu_m(before) + sigma * rng.standard_normal(3)
-            before = stamp
+                late = stamp - velocity_delay
+                sigma = e * gps.sigma_velocity_m_s * (late - before)
+                moved = path.position_enu_m(late) - path.position_enu_m(before) + sigma * rng.standard_normal(3)
+            before = stamp - velocity_delay
         flown.append(moved)
     return Scene(
         config, camera, ground, times, is_key, R_cam_enu, centres, points, boresight, offset,
-        observations, navs, rates, flown,
+        delay, velocity_delay, heading, observations, navs, rates, flown,
     )  # fmt: skip
 
 
@@ -261,12 +271,19 @@ class Drawn:
 
 
 def bundle_problem(
-    rng: np.random.Generator, keyframes: int = 6, points: int = 50, *, noise: float = 1.0, attitude: bool = True
+    rng: np.random.Generator,
+    keyframes: int = 6,
+    points: int = 50,
+    *,
+    noise: float = 1.0,
+    attitude: bool = True,
+    lever_cam_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Drawn:
     """A strip seen straight down from 250 m; `noise` scales every error, 1 being what the priors state.
 
     Of `points`, those that two views or more see are kept. Errors of position and attitude have a Gauss-Markov and a
-    white part, point heights vary about a sloping plane.
+    white part, point heights vary about a sloping plane. Velocities and headings differ from view to view, so that
+    every shared state has something to show. `lever_cam_m` leads from the point of the positions to the camera.
     """
     K, P, layout = keyframes, points, Layout(keyframes)
     stamps = np.arange(K) * 1.5
@@ -275,47 +292,58 @@ def bundle_problem(
     base = R_ENU_NED @ mount_rotation(0.0, -90.0, 25.0)
     R_cam_enu = exp_so3(0.05 * rng.standard_normal((K, 3))) @ base.T
     rates = 0.1 * rng.standard_normal((K, 3))
-    sigma_shared = np.array([0.02, 0.02, 0.02, 0.05, 30.0, 0.04, 0.04])
-    shared = noise * sigma_shared * rng.standard_normal(7)
+    sigma_shared = np.array([0.02, 0.02, 0.02, 0.05, 0.04, 0.06, 0.02, 0.02, 30.0, 0.04, 0.04])
+    shared = noise * sigma_shared * rng.standard_normal(11)
+    plane = shared[8:]
     reference = np.array([4.0, -7.0, 3.0])
     xy_ground = rng.uniform([-150.0, -120.0], [150.0, 120.0], (P, 2))
     ground_m = 10.0
-    z = reference[2] + shared[4] + (xy_ground - reference[:2]) @ shared[5:] + noise * ground_m * rng.standard_normal(P)
+    z = reference[2] + plane[0] + (xy_ground - reference[:2]) @ plane[1:] + noise * ground_m * rng.standard_normal(P)
     ground = np.column_stack([xy_ground, z])
     p = np.einsum("kij,kpj->kpi", R_cam_enu, ground[None] - centres[:, None])
     xy = p[..., :2] / p[..., 2:]
     seen = (np.abs(xy[..., 0]) < 0.45) & (np.abs(xy[..., 1]) < 0.4)
     often = np.count_nonzero(seen, axis=0) >= 2
     xy, seen, ground, P = xy[:, often], seen[:, often], ground[often], int(np.count_nonzero(often))
-    truth = State(R_cam_enu, centres, ground, shared[:3], float(shared[3]), shared[4:])
+    times_s = shared[3:6].tolist()
+    truth = State(R_cam_enu, centres, ground, shared[:3], times_s[0], plane, times_s[1], times_s[2], shared[6:8])
     sigma = 0.3 / 900.0
     xy = xy + noise * sigma * rng.standard_normal(xy.shape)
 
     white, slow, tau = 0.3, 1.5, 60.0
     error = np.stack([gauss_markov(rng, stamps, white, slow, tau) for _ in range(3)], axis=1) * noise
-    velocities = np.broadcast_to(velocity, (K, 3)).copy()
+    velocities = velocity + 2.0 * rng.standard_normal((K, 3))
+    gained = np.diff(velocities, axis=0)
+    antennas, _ = truth.antennas_enu_m(np.array(lever_cam_m))
     priors: list[Prior] = [
         PositionPrior(
             layout,
-            centres - velocities * truth.offset_s - error,
+            antennas - velocities * (truth.offset_s + truth.delay_s) - error,
             velocities,
             np.stack([gauss_markov_sqrt_information(stamps, white, slow, tau)] * 3),
             np.zeros(K),
+            lever_cam_m=np.array(lever_cam_m),
         ),
         VelocityPrior(
             layout,
-            np.diff(centres, axis=0) + noise * 0.15 * rng.standard_normal((K - 1, 3)),
-            np.full(K - 1, 0.15),
-            np.diff(velocities, axis=0),
+            np.diff(antennas, axis=0)
+            - gained * truth.velocity_delay_s
+            + noise * 0.15 * rng.standard_normal((K - 1, 3)),
+            np.stack([np.eye(K - 1) / 0.15] * 3),
+            gained,
             np.full(K - 1, truth.offset_s),
+            np.array(lever_cam_m),
         ),
-        SharedPrior(layout, np.zeros(7), np.diag(1.0 / sigma_shared)),
+        SharedPrior(layout, np.zeros(11), np.diag(1.0 / sigma_shared)),
     ]
     if attitude:
         white, slow = 0.004, 0.017
         tilt = np.stack([gauss_markov(rng, stamps, white, slow, tau) for _ in range(3)], axis=1) * noise
         turn = exp_so3(rates * truth.offset_s) @ exp_so3(truth.boresight_rad)
-        measured = exp_so3(tilt) @ R_cam_enu.transpose(0, 2, 1) @ turn.transpose(0, 2, 1)
+        bearing = rng.uniform(0.0, 2.0 * np.pi, K)
+        by_heading = np.column_stack([np.cos(bearing), np.sin(bearing)])
+        about_up = (by_heading @ truth.heading_rad)[:, None] * [0.0, 0.0, 1.0]
+        measured = exp_so3(about_up) @ exp_so3(tilt) @ R_cam_enu.transpose(0, 2, 1) @ turn.transpose(0, 2, 1)
         priors.append(
             AttitudePrior(
                 layout,
@@ -323,6 +351,7 @@ def bundle_problem(
                 rates,
                 np.stack([gauss_markov_sqrt_information(stamps, white, slow, tau)] * 3),
                 np.zeros(K),
+                by_heading=by_heading,
             )
         )
     weight = np.where(seen, 1.0 / sigma, 0.0)
@@ -341,6 +370,4 @@ def error_of(state: State, truth: State) -> Array:
     K = len(truth.R_cam_enu)
     turn = log_so3(state.R_cam_enu @ truth.R_cam_enu.transpose(0, 2, 1))
     pose = np.concatenate([turn, state.centres_enu_m - truth.centres_enu_m], axis=1).reshape(6 * K)
-    return np.concatenate(
-        [pose, state.boresight_rad - truth.boresight_rad, [state.offset_s - truth.offset_s], state.plane - truth.plane]
-    )
+    return np.concatenate([pose, state.platform - truth.platform, state.plane - truth.plane])

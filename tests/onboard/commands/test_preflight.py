@@ -13,7 +13,8 @@ from onboard.commands.preflight import Surroundings, diagnose
 from onboard.config.schema import Config
 from onboard.events.source import SourceStatus, State
 from onboard.events.supervised_thread import ThreadReport, ThreadState
-from onboard.service.reports import BORESIGHT, Estimate, Report
+from onboard.pipeline.estimates import BORESIGHT, Estimate, SensorError
+from onboard.service.reports import Report
 from onboard.service.vehicle_state import AT_REST, Inputs, Subject, overall
 from tests.onboard.service.reported import WELL as WELL_INPUTS
 from tests.onboard.service.reported import inputs, report_of, unhurried
@@ -42,7 +43,8 @@ def red(report: Report, around: Surroundings = AROUND) -> list[str]:
 def test_before_a_good_flight_all_is_green() -> None:
     assert verdicts(WELL) == dict.fromkeys(
         ["state", "camera", "rate", "exposure", "telemetry", "rates", "time sync", "pipeline", "gps", "position",
-         "answers", "load", "recording", "threads", "mount", "calibration", "link", "disk", "processor"], True,
+         "answers", "load", "recording", "threads", "mount", "sensors", "calibration", "link", "disk",
+         "processor"], True,
     )  # fmt: skip
     assert text(WELL, "exposure") == "fixed at 2000 us, mean grey 120 of 255"
     assert text(WELL, "time sync") == "+-0.9 ms, round trip 2.5 ms"
@@ -169,3 +171,16 @@ def test_a_boresight_within_its_prior_is_well() -> None:
     report = replace(WELL, estimates=(Estimate(BORESIGHT, "radians", (0.01, 0.01, 0.0), (0.002,) * 3),))
     assert verdicts(report)["mount"]
     assert "learned in flight: 0.8 +-0.1 deg" in text(report, "mount")
+
+
+def test_sensors_worse_than_declared_are_named_with_both_numbers() -> None:
+    found = (
+        SensorError("tilt", "deg", 0.52, 0.5),
+        SensorError("heading", "deg", 3.8, 2.0),
+        SensorError("velocity", "m/s", 0.3, 0.1),
+    )
+    assert (
+        text(replace(WELL, sensor_errors=found), "sensors")
+        == "heading 3.8 deg, declared 2; velocity 0.3 m/s, declared 0.1"
+    )
+    assert text(WELL, "sensors") == "no error found larger than configured"

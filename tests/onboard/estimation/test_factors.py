@@ -55,27 +55,46 @@ def whitener(rng: np.random.Generator) -> Array:
     return np.stack([gauss_markov_sqrt_information(stamps, s, 3.0 * s, 20.0) for s in (0.3, 0.5, 0.9)])
 
 
-def position_prior(rng: np.random.Generator) -> Prior:
+def position_prior(rng: np.random.Generator) -> PositionPrior:
     return PositionPrior(
         Layout(K), 50.0 * rng.standard_normal((K, 3)), 20.0 * rng.standard_normal((K, 3)), whitener(rng),
         0.1 * rng.standard_normal(K),
     )  # fmt: skip
 
 
-def velocity_prior(rng: np.random.Generator) -> Prior:
-    sigma, gained = rng.uniform(0.1, 0.4, K - 1), 5.0 * rng.standard_normal((K - 1, 3))
-    return VelocityPrior(Layout(K), 20.0 * rng.standard_normal((K - 1, 3)), sigma, gained, rng.normal(0.0, 0.1, K - 1))
+def velocity_prior(rng: np.random.Generator) -> VelocityPrior:
+    gained = 5.0 * rng.standard_normal((K - 1, 3))
+    return VelocityPrior(
+        Layout(K), 20.0 * rng.standard_normal((K - 1, 3)), whitener(rng)[:, 1:, 1:], gained, rng.normal(0.0, 0.1, K - 1)
+    )
 
 
-def attitude_prior(rng: np.random.Generator) -> Prior:
+def with_lever_arm(
+    make: Callable[[np.random.Generator], PositionPrior | VelocityPrior],
+) -> Callable[[np.random.Generator], Prior]:
+    """The same residual with the camera some metres from the autopilot's reference point."""
+
+    def made(rng: np.random.Generator) -> Prior:
+        return replace(make(rng), lever_cam_m=3.0 * rng.standard_normal(3))
+
+    return made
+
+
+def attitude_prior(rng: np.random.Generator) -> AttitudePrior:
     """Far from the state: attitude off by half a radian, rates of a radian a second."""
     truth = bundle_problem(rng, K, P).truth
     measured = truth.R_cam_enu.transpose(0, 2, 1) @ exp_so3(0.3 * rng.standard_normal((K, 3)))
     return AttitudePrior(Layout(K), measured, rng.standard_normal((K, 3)), whitener(rng), 0.1 * rng.standard_normal(K))
 
 
+def compass_prior(rng: np.random.Generator) -> Prior:
+    """An attitude whose heading errs by its heading, each picture's another."""
+    bearing = rng.uniform(0.0, 2.0 * np.pi, K)
+    return replace(attitude_prior(rng), by_heading=np.column_stack([np.cos(bearing), np.sin(bearing)]))
+
+
 def shared_prior(rng: np.random.Generator) -> Prior:
-    return SharedPrior(Layout(K), rng.standard_normal(7), rng.standard_normal((7, 7)))
+    return SharedPrior(Layout(K), rng.standard_normal(11), rng.standard_normal((11, 11)))
 
 
 def range_prior(rng: np.random.Generator) -> Prior:
@@ -83,15 +102,56 @@ def range_prior(rng: np.random.Generator) -> Prior:
     return RangePrior(Layout(K), np.array([0, 2]), ends, rng.uniform(0.5, 3.0, 2), 20.0 * rng.standard_normal(3))
 
 
+PRIORS = {
+    "position": position_prior,
+    "position, lever arm": with_lever_arm(position_prior),
+    "velocity": velocity_prior,
+    "velocity, lever arm": with_lever_arm(velocity_prior),
+    "attitude": attitude_prior,
+    "attitude by heading": compass_prior,
+    "shared": shared_prior,
+    "range": range_prior,
+}
+
+
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("make", [position_prior, velocity_prior, attitude_prior, shared_prior, range_prior])
+@pytest.mark.parametrize("make", PRIORS.values(), ids=PRIORS.keys())
 def test_a_priors_jacobian_is_its_residuals_derivative(make: Callable[[np.random.Generator], Prior], seed: int) -> None:
     rng = np.random.default_rng(seed)
     prior, state = make(rng), drawn_state(rng)
     residual, jacobian = prior.evaluate(state)
     assert jacobian.shape == (len(residual), Layout(K).size)
     expected = numeric(lambda s: prior.evaluate(s)[0], state, Layout(K).size)
-    assert jacobian == pytest.approx(expected, rel=1e-6, abs=1e-6 * np.abs(jacobian).max())
+    # A column in radians beside one in metres: each by its own largest entry, so that none hides behind another.
+    largest = np.abs(expected).max(axis=0)
+    assert np.all(np.abs(jacobian - expected) <= 1e-6 * np.abs(expected) + 2e-6 * largest + 1e-7)
+
+
+COLUMNS = {
+    "position": {"centres", "offset", "delay"},
+    "position, lever arm": {"rotations", "centres", "offset", "delay"},
+    "velocity": {"centres", "offset", "velocity_delay"},
+    "velocity, lever arm": {"rotations", "centres", "offset", "velocity_delay"},
+    "attitude": {"rotations", "boresight", "offset"},
+    "attitude by heading": {"rotations", "boresight", "offset", "heading"},
+    "shared": {"boresight", "offset", "delay", "velocity_delay", "heading", "plane"},
+    "range": {"centres", "plane"},
+}
+
+
+@pytest.mark.parametrize("kind", PRIORS)
+def test_a_prior_has_columns_of_the_states_it_depends_on_and_of_no_other(kind: str) -> None:
+    """Left out of a Jacobian and of the residual alike, a state would pass the differences above."""
+    rng, layout = np.random.default_rng(7), Layout(K)
+    _, jacobian = PRIORS[kind](rng).evaluate(drawn_state(rng))
+    whole = {
+        "rotations": layout.rotations().ravel(),
+        "centres": layout.centres().ravel(),
+        **{name: np.r_[getattr(layout, name)] for name in ("boresight", "offset", "delay", "velocity_delay")},
+        **{name: np.r_[getattr(layout, name)] for name in ("heading", "plane")},
+    }
+    assert sorted(np.concatenate(list(whole.values()))) == list(range(layout.size))
+    assert {name for name, columns in whole.items() if jacobian[:, columns].any()} == COLUMNS[kind]
 
 
 def test_the_attitude_jacobian_is_tested_where_its_terms_differ() -> None:
@@ -196,6 +256,47 @@ def test_the_time_offset_moves_positions_along_the_velocity() -> None:
     assert asked.evaluate(state)[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
 
 
+def test_a_delay_of_the_position_moves_it_as_the_time_offset_does_and_that_of_the_velocity_does_not() -> None:
+    """A position 0.1 s older than its stamp at 20 m/s east lies 2 m west of the camera."""
+    velocity = np.array([[20.0, 0.0, 0.0]])
+    prior = PositionPrior(Layout(1), np.zeros((1, 3)), velocity, np.ones((3, 1, 1)), np.zeros(1))
+    base = State(
+        np.eye(3)[None], np.array([[2.0, 0.0, 0.0]]), np.zeros((0, 3)), np.zeros(3), 0.0, np.zeros(3), delay_s=0.1
+    )
+    assert prior.evaluate(base)[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
+    velocity_late = replace(base, delay_s=0.0, velocity_delay_s=0.1)
+    assert prior.evaluate(velocity_late)[0] == pytest.approx([2.0, 0.0, 0.0], abs=1e-12)
+
+
+def test_the_lever_arm_turns_with_the_camera() -> None:
+    """A camera 0.5 m ahead of the GPS: the same centre, turned right about, is measured a metre from before. (5.14)"""
+    ahead = np.array([0.5, 0.0, 0.0])
+    prior = PositionPrior(
+        Layout(1), np.array([[-0.5, 0.0, 0.0]]), np.zeros((1, 3)), np.ones((3, 1, 1)), np.zeros(1), lever_cam_m=ahead
+    )
+    state = State(np.eye(3)[None], np.zeros((1, 3)), np.zeros((0, 3)), np.zeros(3), 0.0, np.zeros(3))
+    assert prior.evaluate(state)[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
+    about = replace(state, R_cam_enu=exp_so3(np.array([[0.0, 0.0, np.pi]])))
+    assert prior.evaluate(about)[0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-9)
+
+
+def test_a_heading_error_by_heading_turns_each_picture_by_its_own_heading() -> None:
+    """Cosine part 0.02 rad: northbound the compass shows 0.02 to the west of the camera, southbound to the east."""
+    R_enu_cam = exp_so3(np.random.default_rng(4).standard_normal((3, 3)))
+    by_heading = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]])
+    measured = exp_so3(np.array([[0.0, 0.0, 0.02], [0.0, 0.0, -0.02], [0.0, 0.0, 0.0]])) @ R_enu_cam
+    prior = AttitudePrior(
+        Layout(3), measured, np.zeros((3, 3)), np.stack([np.eye(3)] * 3), np.zeros(3), by_heading=by_heading
+    )
+    state = State(
+        R_enu_cam.transpose(0, 2, 1), np.zeros((3, 3)), np.zeros((0, 3)), np.zeros(3), 0.0, np.zeros(3),
+        heading_rad=np.array([0.02, 0.0]),
+    )  # fmt: skip
+    assert prior.evaluate(state)[0] == pytest.approx(0.0, abs=1e-9)
+    believed = prior.evaluate(replace(state, heading_rad=np.zeros(2)))[0].reshape(3, 3)
+    assert believed[2] == pytest.approx([0.02, -0.02, 0.0], abs=1e-5)
+
+
 def test_the_attitude_error_is_expressed_about_east_north_up() -> None:
     """A camera turned by 0.01 rad about the vertical shows 0.01 in the heading's residual only, however it looks."""
     rng = np.random.default_rng(3)
@@ -220,6 +321,11 @@ def test_retraction_composes_as_the_error_says() -> None:
     assert moved.boresight_rad - state.boresight_rad == pytest.approx(step[Layout(K).boresight])
     assert moved.offset_s - state.offset_s == pytest.approx(step[Layout(K).offset])
     assert moved.plane - state.plane == pytest.approx(step[Layout(K).plane])
+    assert moved.delay_s - state.delay_s == pytest.approx(step[Layout(K).delay])
+    assert moved.velocity_delay_s - state.velocity_delay_s == pytest.approx(step[Layout(K).velocity_delay])
+    assert moved.heading_rad - state.heading_rad == pytest.approx(step[Layout(K).heading])
+    together = np.concatenate([moved.platform - state.platform, moved.plane - state.plane])
+    assert together == pytest.approx(step[Layout(K).shared])
 
 
 def test_a_range_measures_the_height_over_the_plane_where_its_beam_ends() -> None:

@@ -110,7 +110,14 @@ def test_the_answer_to_moving_ground_is_the_solutions_own(speed_m_s: tuple[float
     a, b = before.solved.solution, after.solved.solution
     layout = before.solved.layout
     priors = sensor_priors(
-        request.config, request.R_body_cam, list(before.keyframes), layout, request.belief, False, before.noise.jitter_s
+        request.config,
+        request.R_body_cam,
+        list(before.keyframes),
+        layout,
+        request.belief,
+        False,
+        before.noise.jitter_s,
+        before.noise.factors,
     )
     answer = ground_motion(before.keyframes, priors, a.state, a.covariance, 1.0)
     axis = int(np.argmax(np.abs(speed)))

@@ -9,13 +9,18 @@ import pytest
 
 from contract.rotations import exp_so3, log_so3, mount_rotation
 from onboard.config.schema import Config, parse_config
-from onboard.estimation.boresight import STATES, Belief
+from onboard.estimation.boresight import DELAY, STATES, VELOCITY_DELAY, Belief
 from onboard.estimation.factors import AttitudePrior, Layout, PositionPrior, Prior, SharedPrior, State, VelocityPrior
 from onboard.estimation.keyframe import Keyframe
 from onboard.estimation.sensor_factors import sensor_priors
+from onboard.estimation.variance_components import VarianceFactors
 from tests.onboard.scenes import FULL, Scene, SceneSpec, draw
 
-BELIEF = Belief(0, np.array([0.01, -0.02, 0.005, 0.03]), np.diag([1e-4, 1e-4, 4e-4, 1e-2]))
+BELIEF = Belief(
+    0,
+    np.array([0.01, -0.02, 0.005, 0.03, 0.06, -0.04, 0.02, -0.01]),
+    np.diag([1e-4, 1e-4, 4e-4, 1e-2, 4e-4, 4e-2, 1e-4, 4e-4]),
+)
 CALM = SceneSpec(keyframes=6, error_scale=0.0, pixel_sigma_px=0.0)
 JITTER_S = 0.003
 
@@ -29,11 +34,15 @@ def keyframes_of(scene: Scene) -> list[Keyframe]:
     return scene.window().keyframes
 
 
-def priors_of(config: Config, keyframes: list[Keyframe], has_terrain: bool = False) -> dict[type, Prior]:
+def priors_of(
+    config: Config, keyframes: list[Keyframe], has_terrain: bool = False, factors: VarianceFactors | None = None
+) -> dict[type, Prior]:
     mount = config.mount
     R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg)
     layout = Layout(len(keyframes))
-    return {type(p): p for p in sensor_priors(config, R_body_cam, keyframes, layout, BELIEF, has_terrain, JITTER_S)}
+    believed = VarianceFactors() if factors is None else factors
+    priors = sensor_priors(config, R_body_cam, keyframes, layout, BELIEF, has_terrain, JITTER_S, believed)
+    return {type(p): p for p in priors}
 
 
 def truth_of(scene: Scene) -> State:
@@ -124,15 +133,27 @@ def test_what_is_shared_is_believed_as_learned_and_configured(scene: Scene) -> N
     assert isinstance(prior, SharedPrior)
     assert np.all(prior.mean[:STATES] == BELIEF.mean)
     sigmas = shared_sigmas(prior)
-    assert sigmas[:STATES] == pytest.approx(BELIEF.sigma)
-    assert sigmas[4] > 1e3
-    assert sigmas[5:] == pytest.approx(np.tan(np.radians(FULL.solve.level_ground_sigma_deg)))
+    delays = [DELAY, VELOCITY_DELAY]
+    others = np.delete(np.arange(STATES), delays)
+    assert sigmas[others] == pytest.approx(BELIEF.sigma[others])
+    assert sigmas[STATES] > 1e3
+    assert sigmas[STATES + 1 :] == pytest.approx(np.tan(np.radians(FULL.solve.level_ground_sigma_deg)))
+
+
+def test_no_delay_is_surer_than_declared_however_sure_turns_make_it(scene: Scene) -> None:
+    """(5.15): what turns show is kept as the mean; the sigma is the declared one, or the belief's if that is more."""
+    assert BELIEF.sigma[DELAY] < FULL.gps.sigma_latency_s < BELIEF.sigma[VELOCITY_DELAY]
+    sigmas = shared_sigmas(priors_of(FULL, keyframes_of(scene))[SharedPrior])
+    assert sigmas[DELAY] == pytest.approx(FULL.gps.sigma_latency_s)
+    assert sigmas[VELOCITY_DELAY] == pytest.approx(BELIEF.sigma[VELOCITY_DELAY])
+    sure = shared_sigmas(priors_of(parse_config("[gps]\nsigma_latency_s = 0.0"), keyframes_of(scene))[SharedPrior])
+    assert sure[[DELAY, VELOCITY_DELAY]] == pytest.approx(BELIEF.sigma[[DELAY, VELOCITY_DELAY]])
 
 
 def test_ground_not_said_to_be_level_may_slope_and_terrain_may_not(scene: Scene) -> None:
     keyframes = keyframes_of(scene)
     free = shared_sigmas(priors_of(parse_config("[solve]\nlevel_ground = false"), keyframes)[SharedPrior])
     known = shared_sigmas(priors_of(FULL, keyframes, has_terrain=True)[SharedPrior])
-    assert free[5:].min() > 1.0
-    assert known[5:].max() < 0.02
-    assert known[4] == pytest.approx(FULL.terrain.sigma_datum_m, abs=0.01)
+    assert free[STATES + 1 :].min() > 1.0
+    assert known[STATES + 1 :].max() < 0.02
+    assert known[STATES] == pytest.approx(FULL.terrain.sigma_datum_m, abs=0.01)

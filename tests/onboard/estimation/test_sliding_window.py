@@ -19,7 +19,7 @@ CALM = SceneSpec(error_scale=0.3)
 
 
 def add(window: Window, scene: Scene, k: int) -> None:
-    window.add(k, scene.observations[k], scene.navs[k], 0.0, scene.rates[k], scene.flown[k])
+    window.add(k, scene.observations[k], scene.navs[k], (0.0, 0.0), scene.rates[k], scene.flown[k])
 
 
 def worst_turn_deg(window: Window, scene: Scene) -> float:
@@ -158,6 +158,6 @@ def test_a_solution_survives_a_solve_that_fails() -> None:
     before = window.solved
     empty = observation(CAMERA, np.zeros(0, np.int64), np.zeros((0, 2)))
     for k in range(10):
-        window.add(100 + k, empty, scene.navs[int(scene.keys[5])], 0.0, None, None)
+        window.add(100 + k, empty, scene.navs[int(scene.keys[5])], (0.0, 0.0), None, None)
     assert window.solve() is Status.FEATURELESS
     assert window.solved is before

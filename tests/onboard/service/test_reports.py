@@ -13,7 +13,8 @@ from hypothesis import given
 from contract.errors import LinkError
 from onboard.events.source import SourceStatus, State
 from onboard.events.types import GpsQuality
-from onboard.service.reports import BORESIGHT, Brightness, Estimate, PictureCounts, Report, gps_report
+from onboard.pipeline.estimates import BORESIGHT, Estimate, SensorError
+from onboard.service.reports import Brightness, PictureCounts, Report, gps_report
 from onboard.service.vehicle_state import Inputs
 from tests.onboard.service.reported import WELL, inputs, report_of, unhurried
 
@@ -25,6 +26,7 @@ def test_a_report_is_the_same_there_and_back(said: Inputs) -> None:
         report_of(said),
         pictures=PictureCounts(300, 40, 280, {"no_gps": 12, "starting": 8}, 0.25),
         estimates=(Estimate(BORESIGHT, "radians", (0.01, -0.02, 0.0), (0.001,) * 3),),
+        sensor_errors=(SensorError("heading", "deg", 3.8, 2.0),),
     )
     again = Report.from_json(report.to_json())
     assert again == report

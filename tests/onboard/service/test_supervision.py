@@ -236,7 +236,7 @@ class Memory:
 
 def learning(memory: Memory) -> Callable[[Parts], Parts]:
     def change(parts: Parts) -> Parts:
-        assert parts.pipeline.window.alignment.offer(0, 1, np.zeros(4), 1e-6 * np.eye(4))
+        assert parts.pipeline.window.alignment.offer(0, 1, np.zeros(8), 1e-6 * np.eye(8))
         return replace(parts, state=memory)  # type: ignore[arg-type]
 
     return change

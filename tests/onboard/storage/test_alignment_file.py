@@ -11,29 +11,36 @@ from contract.errors import InputError
 from onboard.estimation.boresight import Alignment
 from onboard.storage.alignment_file import StateFile
 
+MEAN = np.array([0.01, -0.02, 0.005, 0.08, 0.05, -0.03, 0.02, -0.01])
+
+
+def fresh() -> Alignment:
+    return Alignment(0.02, 0.1, 20.0, 0.1, 0.03)
+
 
 def taught() -> Alignment:
-    alignment = Alignment(0.02, 0.1, 20.0)
-    alignment.offer(1, 10_000_000_000, np.array([0.01, -0.02, 0.005, 0.08]), np.diag([1e-6, 1e-6, 4e-6, 1e-4]))
+    alignment = fresh()
+    alignment.offer(1, 10_000_000_000, MEAN, np.diag([1e-6, 1e-6, 4e-6, 1e-4, 1e-4, 1e-3, 1e-5, 1e-5]))
     return alignment
 
 
 def test_a_lesson_is_kept_and_widened_at_the_next_start(tmp_path: Path) -> None:
     state = StateFile(tmp_path / "alignment.json")
     state.keep(taught())
-    again = Alignment(0.02, 0.1, 20.0)
+    again = fresh()
     state.restore(again)
-    assert again.belief.mean == pytest.approx([0.01, -0.02, 0.005, 0.08], rel=1e-3)
+    assert again.belief.mean == pytest.approx(taught().belief.mean, rel=1e-12)
+    assert again.belief.mean[:4] == pytest.approx(MEAN[:4], rel=1e-3)
     assert np.all(again.belief.sigma > taught().belief.sigma)
-    assert np.all(again.belief.sigma < Alignment(0.02, 0.1, 20.0).belief.sigma)
+    assert np.all(again.belief.sigma < fresh().belief.sigma)
     assert [p.name for p in tmp_path.iterdir()] == ["alignment.json"]
 
 
 def test_a_first_flight_and_a_flight_without_lessons_leave_nothing(tmp_path: Path) -> None:
     state = StateFile(tmp_path / "alignment.json")
-    fresh = Alignment(0.02, 0.1, 20.0)
-    state.restore(fresh)
-    state.keep(fresh)
+    untaught = fresh()
+    state.restore(untaught)
+    state.keep(untaught)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -45,7 +52,7 @@ def test_an_unreadable_state_is_refused_by_name(tmp_path: Path, text: str) -> No
     path = tmp_path / "alignment.json"
     path.write_text(text)
     with pytest.raises(InputError, match=r"alignment\.json"):
-        StateFile(path).restore(Alignment(0.02, 0.1, 20.0))
+        StateFile(path).restore(fresh())
 
 
 def test_a_state_file_in_no_folder_is_refused_before_the_flight(tmp_path: Path) -> None:

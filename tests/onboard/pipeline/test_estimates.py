@@ -1,0 +1,55 @@
+"""What a flight found is named with units, and only what is news is said."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from onboard.config.schema import parse_config
+from onboard.estimation.boresight import STATES, Belief
+from onboard.estimation.variance_components import NAMES, Evidence, VarianceFactors
+from onboard.pipeline.estimates import as_rows, estimates_of, larger_than_declared, sensor_errors
+
+CONFIG = parse_config("")
+BELIEF = Belief(
+    1,
+    np.array([*np.radians([0.5, -1.0, 2.0]), 0.12, -0.03, 0.04, *np.radians([4.0, -1.0])]),
+    np.diag(np.square([*np.radians([0.1, 0.2, 0.3]), 0.01, 0.02, 0.05, *np.radians([0.5, 0.6])])),
+)
+FOUND = VarianceFactors().with_evidence(Evidence({"heading": 4000.0, "tilt": 5.0}, {"heading": 1e3, "tilt": 10.0}), 1)
+
+
+def test_every_state_is_reported_once_with_its_unit_and_sigma() -> None:
+    found = {e.name: e for e in estimates_of(BELIEF)}
+    assert {name: e.unit for name, e in found.items()} == {
+        "boresight": "radians", "camera_time_offset": "seconds", "position_delay": "seconds",
+        "velocity_delay": "seconds", "heading_error_by_heading": "radians",
+    }  # fmt: skip
+    assert [v for e in found.values() for v in e.values] == pytest.approx(BELIEF.mean)
+    assert [s for e in found.values() for s in e.sigmas] == pytest.approx(BELIEF.sigma)
+    assert sum(len(e.values) for e in found.values()) == STATES
+    assert estimates_of(None) == ()
+
+
+def test_sensor_errors_are_the_configured_ones_times_what_was_found() -> None:
+    errors = {e.name: e for e in sensor_errors(CONFIG, FOUND)}
+    assert tuple(errors) == NAMES
+    assert errors["heading"].declared == CONFIG.solve.heading_sigma_deg
+    assert errors["heading"].sigma == pytest.approx(2.0 * CONFIG.solve.heading_sigma_deg, rel=0.01)
+    assert errors["tilt"].sigma == errors["tilt"].declared == CONFIG.solve.attitude_sigma_deg
+    assert errors["velocity"].declared == CONFIG.gps.sigma_velocity_m_s
+    assert errors["position"].declared == CONFIG.gps.sigma_wander_horizontal_m
+
+
+def test_the_summary_has_a_row_for_each_and_names_a_sensor_only_where_it_is_worse() -> None:
+    rows = dict(as_rows(estimates_of(BELIEF), sensor_errors(CONFIG, FOUND)))
+    assert rows == {
+        "boresight": "x +0.50 +-0.10, y -1.00 +-0.20, z +2.00 +-0.30 deg, camera axes",
+        "time offset": "+0.120 +-0.010 s, camera to autopilot",
+        "position delay": "-0.030 +-0.020 s beside gps.latency_s",
+        "velocity delay": "+0.040 +-0.050 s beside gps.latency_s",
+        "heading error": "+4.00 +-0.50 deg times cos heading, -1.00 +-0.60 deg times sin heading",
+        "sensor errors": "heading 4 deg, declared 2",
+    }
+    assert as_rows((), sensor_errors(CONFIG, VarianceFactors())) == []
+    assert larger_than_declared(sensor_errors(CONFIG, VarianceFactors())) == ""

@@ -1,0 +1,123 @@
+"""Lever arm, delays and a compass that errs by its heading are modelled, so that answers hold beside them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, fly, replace_section
+from contract.feature_set import FeatureSet
+from contract.wire.codec import decode, encode
+from ground.answer import CHI2_2, Fix
+from ground.locate import Locator
+from onboard.config.schema import Config, parse_config
+from onboard.estimation.boresight import HEADING
+from simulation.paths import PathSpec
+
+Array = NDArray[np.float64]
+
+CONFIG = parse_config("")
+TURNS = PathSpec("turns", leg_m=160.0)
+SURVEY = PathSpec("survey", leg_m=200.0, spacing_m=120.0)
+LEVER_M = (0.5, 0.2, 0.1)
+
+
+def with_latency(sigma_s: float) -> Config:
+    return replace_section(CONFIG, "gps", sigma_latency_s=sigma_s)
+
+
+def clicks(flight: DrawnFlight, sets: dict[int, FeatureSet], after_s: float, every: int = 4) -> tuple[Array, Array]:
+    """Squared errors in units of the stated covariance, and semi-major axes, of clicks from `after_s` on."""
+    rng = np.random.default_rng(7)
+    chi2, semi_m = [], []
+    for k in range(0, len(flight.times_s), every):
+        if flight.times_s[k] < after_s or k not in sets or not sets[k].is_ok:
+            continue
+        locator = Locator(decode(encode(sets[k])))
+        for uv in rng.uniform(40.0, 440.0, (2, 2)):
+            answer = locator.locate(uv)
+            if isinstance(answer, Fix):
+                assert answer.height_amsl_m is not None
+                where = PLACE.to_enu(answer.lat_deg, answer.lon_deg, answer.height_amsl_m)
+                error = (where - flight.ground_points(k, uv[None])[0])[:2]
+                chi2.append(float(error @ np.linalg.solve(answer.covariance_enu_m2[:2, :2], error)))
+                semi_m.append(answer.ellipse.semi_major_m)
+    return np.array(chi2), np.array(semi_m)
+
+
+def body_bias_m(lever_known: bool) -> Array:
+    """Mean error (3,) of the cameras' centres, body axes, over turns; sensors err by a 250th of what is declared."""
+    config = with_latency(0.001)  # at one speed a lever arm ahead looks like a delay: here there is none to be found
+    if lever_known:
+        config = replace_section(config, "mount", lever_arm_m=LEVER_M)
+    spec = DrawnSpec(config, TURNS, seconds=50.0, rate_hz=2.0, errors=0.004, lever_arm_m=LEVER_M)
+    flight = DrawnFlight(spec, 3)
+    sets, _ = fly(flight)
+    R_enu_body = flight.trajectory.R_enu_body(flight.times_s)
+    errors = []
+    for k, s in sets.items():
+        if s.is_ok and flight.times_s[k] > 10.0:
+            centre = PLACE.to_enu(s.camera_lat_deg, s.camera_lon_deg, s.camera_height_m)
+            errors.append(R_enu_body[k].T @ (centre - flight.centres_enu_m[k]))
+    assert len(errors) > 50
+    out: Array = np.mean(errors, axis=0)
+    return out
+
+
+def test_a_lever_arm_that_is_known_leaves_no_bias_and_one_that_is_not_leaves_itself() -> None:
+    known, ignored = body_bias_m(True), body_bias_m(False)
+    assert np.abs(known).max() < 0.06
+    assert known - ignored == pytest.approx(np.array(LEVER_M), abs=0.05)
+
+
+@pytest.mark.parametrize(("path", "seconds", "after_s"), [(PathSpec(), 24.0, 4.0), (TURNS, 70.0, 40.0)],
+                         ids=["straight", "after turns"])  # fmt: skip
+@pytest.mark.parametrize("delay_s", [0.15, -0.15])
+def test_a_delay_is_covered_by_the_ellipse(path: PathSpec, seconds: float, after_s: float, delay_s: float) -> None:
+    """Three metres along the track that no straight leg shows: held by the ellipse, and not by one without end."""
+    inside, wide = [], []
+    for seed in range(3):
+        flight = DrawnFlight(DrawnSpec(CONFIG, path, seconds, 2.0, errors=0.5, delay_s=delay_s, offset_s=0.0), seed)
+        sets, _ = fly(flight)
+        chi2, semi_m = clicks(flight, sets, after_s)
+        assert len(chi2) > 10
+        inside += list(chi2 < CHI2_2)
+        wide += list(semi_m)
+    assert np.mean(inside) > 0.85
+    assert np.median(wide) < 12.0
+
+
+def test_who_takes_the_delay_for_certain_is_wrong_by_it() -> None:
+    """The flights above need their ellipses: with the delay declared certain, most clicks lie outside."""
+    inside = []
+    for seed in range(3):
+        spec = DrawnSpec(with_latency(0.001), seconds=24.0, rate_hz=2.0, errors=0.5, delay_s=0.15, offset_s=0.0)
+        flight = DrawnFlight(spec, seed)
+        sets, _ = fly(flight)
+        inside += list(clicks(flight, sets, 4.0)[0] < CHI2_2)
+    assert np.mean(inside) < 0.8
+
+
+@pytest.mark.parametrize("heading_error_deg", [(4.0, 0.0), (0.0, -4.0)])
+def test_a_compass_that_errs_by_its_heading_is_recovered_after_turns(heading_error_deg: tuple[float, float]) -> None:
+    """Two minutes over opposite legs and turns: found within three of its sigmas, which have become smaller."""
+    spec = DrawnSpec(CONFIG, SURVEY, 150.0, 2.0, errors=0.4, heading_error_deg=heading_error_deg, offset_s=0.0)
+    flight = DrawnFlight(spec, 4)
+    sets, pipeline = fly(flight)
+    belief = pipeline.window.alignment.belief
+    found_deg, sigma_deg = np.degrees(belief.mean[HEADING]), np.degrees(belief.sigma[HEADING])
+    assert np.all(np.abs(found_deg - heading_error_deg) < 3.0 * sigma_deg)
+    assert sigma_deg.max() < 0.75 * CONFIG.solve.heading_sigma_deg
+    which = int(np.argmax(np.abs(heading_error_deg)))
+    assert abs(found_deg[which] - heading_error_deg[which]) < 2.0, "nothing was learned"
+    chi2, _ = clicks(flight, sets, 60.0)
+    assert np.mean(chi2 < CHI2_2) > 0.8
+
+
+def test_without_such_an_error_none_is_found() -> None:
+    flight = DrawnFlight(DrawnSpec(CONFIG, SURVEY, 100.0, 2.0, errors=0.4, offset_s=0.0), 4)
+    _, pipeline = fly(flight)
+    belief = pipeline.window.alignment.belief
+    assert np.all(np.abs(belief.mean[HEADING]) < 3.0 * belief.sigma[HEADING])
+    assert np.abs(np.degrees(belief.mean[HEADING])).max() < 1.5
