@@ -27,7 +27,9 @@ def stop_and_spin(spec: PathSpec, seconds: float, seed: int) -> Trajectory:
 
 def test_hover_after_a_spin_is_low_parallax(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("benchmarks.drawn_flight.fly_path", stop_and_spin)
-    spec = DrawnSpec(parse_config("[mount]\npitch_deg = -45.0"), seconds=END_S, rate_hz=3.0)
+    spec = DrawnSpec(
+        parse_config("[mount]\npitch_deg = -45.0\n[gps]\nsigma_latency_s = 0.01"), seconds=END_S, rate_hz=3.0
+    )
     sets, _ = fly(DrawnFlight(spec, 4))
     statuses = {k / spec.rate_hz: sets[k].status for k in sorted(sets)}
     assert np.mean([s is Status.OK for t, s in statuses.items() if 6.0 < t < STOP_S]) > 0.9
