@@ -11,7 +11,7 @@ import mmap
 import re
 import struct
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from dataclasses import dataclass
 
 MAGIC = b"\x89MCAP0\r\n"
 SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
@@ -19,9 +19,10 @@ MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish ti
 _RECORD = struct.Struct("<BQ")
 _MAX_LENGTH = 1 << 32
 _CANNOT_BE = 1 << 62
-# The least length of each opcode's records; opcodes from 0x80 are for private use, the rest does not exist.
+# The least length of each opcode's records. No others exist but those from 0x80 on, for private use: a recording has
+# none, and in damaged bytes half of all would be one.
 _LEAST = [_CANNOT_BE, 8, 20, 16, 14, 22, 40, 6, 70, 49, 62, 46, 12, 24, 17, 4]
-_LEAST += [_CANNOT_BE] * (0x80 - len(_LEAST)) + [0] * 0x80
+_LEAST += [_CANNOT_BE] * (0x100 - len(_LEAST))
 _IN_A_ROW = 3  # records that follow one another, for a place to be where one begins
 _NEAR_NS = 86_400_000_000_000  # and their messages are of the same day as the last one read
 # Records that may come first after a damage, with a length below 2^32.
@@ -31,7 +32,8 @@ Data = bytes | mmap.mmap
 Record = tuple[int, int, int]  # opcode, and where the content starts and how long it is
 
 
-class Damage(NamedTuple):
+@dataclass(frozen=True)
+class Damage:
     """Bytes in which no record can be found, from `start` up to `end`."""
 
     start: int
@@ -40,7 +42,9 @@ class Damage(NamedTuple):
 
 def records(data: Data, damaged: Callable[[Damage], None]) -> Iterator[Record]:
     """Every record up to the end of the data section, or to where the file was cut off; calls `damaged` on the way."""
-    head, end, unpack, least = _RECORD.size, len(data), _RECORD.unpack_from, _LEAST
+    head, unpack, least = _RECORD.size, _RECORD.unpack_from, _LEAST
+    is_closed = _is_closed(data)
+    end = len(data) - len(MAGIC) if is_closed else len(data)
     position, log_ns = len(MAGIC), None
     opcode, length = _header(data, position)
     while position + head <= end:
@@ -48,7 +52,13 @@ def records(data: Data, damaged: Callable[[Damage], None]) -> Iterator[Record]:
         is_whole = after <= end and least[opcode] <= length < _MAX_LENGTH
         has_next = is_whole and after + head <= end
         next_opcode, next_length = unpack(data, after) if has_next else (0, 0)
-        if is_whole and (not has_next or least[next_opcode] <= next_length < _MAX_LENGTH or opcode == DATA_END):
+        # Whoever takes a damaged record for the end of the data loses all that comes after it.
+        if is_whole and (
+            (opcode == DATA_END and length != least[DATA_END]) or (is_closed and end - head < after < end)
+        ):
+            is_whole = False
+        most = end - after - head if is_closed else _MAX_LENGTH - 1  # what was cut off may be longer than what is left
+        if is_whole and (not has_next or least[next_opcode] <= next_length <= most or opcode == DATA_END):
             if opcode == DATA_END:
                 return
             yield opcode, start, length
@@ -62,7 +72,7 @@ def records(data: Data, damaged: Callable[[Damage], None]) -> Iterator[Record]:
             yield opcode, start, length
             position = after
         if resumed is None:
-            if position < end and (is_whole or _is_closed(data)):
+            if position < end and (is_whole or is_closed):
                 damaged(Damage(position, end))
             return
         damaged(Damage(position, resumed))

@@ -23,10 +23,11 @@ from PIL import Image
 from contract import recording_format as names
 from contract.camera import Camera
 from contract.errors import InputError
+from contract.mcap_records import MAGIC, Damage
 from contract.topics import FEATURES
 from onboard.events.types import Event
 from onboard.storage.event_json import NAV_EVENTS, frame_event, nav_event
-from onboard.storage.mcap_records import MAGIC, Damage, Found, Lost, walk
+from onboard.storage.mcap_records import Found, Lost, walk
 from onboard.storage.recording_queue import Gap
 
 # What a damaged message or a damaged picture's head raises (binascii's error is a ValueError).
@@ -109,9 +110,9 @@ class RecordedFlight:
 
     def _damage_of(self, path: Path) -> str:
         stretches = self.damaged.get(path, [])
-        places = "in its channels" if not stretches else f"at byte {stretches[0].begin}"
+        places = "in its channels" if not stretches else f"at byte {stretches[0].start}"
         places += f" and {len(stretches) - 1} later" if stretches[1:] else ""
-        size = sum(damage.end - damage.begin for damage in stretches)
+        size = sum(damage.end - damage.start for damage in stretches)
         lost = ", ".join(f"{count} {name}" for name, count in sorted(self.lost.get(path, Counter()).items()))
         return f"{path.name} is damaged {places}, {size} bytes passed over: {lost or 'nothing known'} lost"
 
