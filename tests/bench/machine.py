@@ -29,6 +29,8 @@ ROOM_BYTES = 3_000_000_000
 """Of the memory, the disk's changes and the shared folder."""
 BOOT_S = 60.0
 """Bound on the boot; it takes 3 to 7 s on an idle machine."""
+END_S = 10.0
+"""Bound on the wait for what was killed."""
 LIFE_S = 900.0
 """Bound on a guest's whole life: then it is killed, whoever still waits for it."""
 
@@ -285,13 +287,24 @@ def _roomy_folder() -> str | None:
 
 def _end(process: subprocess.Popen[bytes]) -> None:
     """Kill the guest: its kernel, and the host processes in which its programs ran (its session, nobody else's)."""
-    session = process.pid
     process.kill()
     process.wait()
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdigit():
-            continue
-        with contextlib.suppress(OSError):
+    # A busy host takes a moment over it, and a process may have begun another meanwhile.
+    deadline = time.monotonic() + END_S
+    while (left := processes_of(process.pid)) and time.monotonic() < deadline:
+        for number in left:
+            with contextlib.suppress(OSError):
+                os.kill(number, signal.SIGKILL)
+        time.sleep(0.02)
+
+
+def processes_of(session: int) -> list[int]:
+    """The host's processes of a session that are not over."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # gone meanwhile
             # After the last ")": state, parent, group, session.
-            if int((entry / "stat").read_text().rsplit(")", 1)[1].split()[3]) == session:
-                os.kill(int(entry.name), signal.SIGKILL)
+            fields = entry.read_text().rsplit(")", 1)[1].split()
+            if int(fields[3]) == session and fields[0] != "Z":
+                found.append(int(entry.parent.name))
+    return found

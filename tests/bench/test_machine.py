@@ -14,7 +14,7 @@ from simulation.autopilot.fake import FakeAutopilot
 from simulation.autopilot.flight import Flight
 from tests.bench.image.host import BenchError
 from tests.bench.image.root import CHECKOUT
-from tests.bench.machine import PYTHON, Machine, boot
+from tests.bench.machine import PYTHON, Machine, boot, processes_of
 from tests.bench.network import Link, link
 
 LISTEN = """
@@ -113,20 +113,8 @@ def test_the_autopilot_is_heard_over_the_serial_line_without_loss(guest: Machine
 def test_a_guest_leaves_nothing_behind() -> None:
     with link() as radio, boot(interface=radio.interface) as machine:
         folder, session = machine.share.parent, machine.session
-        assert _processes(session)
+        assert processes_of(session)
         machine.start(["sleep", "50"])
     assert not folder.exists()
-    assert not _processes(session)
+    assert not processes_of(session)
     assert not Path("/sys/class/net", radio.interface).exists()
-
-
-def _processes(session: int) -> list[int]:
-    found = []
-    for entry in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = entry.read_text().rsplit(")", 1)[1].split()
-        except OSError:  # gone meanwhile
-            continue
-        if int(fields[3]) == session and fields[0] != "Z":
-            found.append(int(entry.parent.name))
-    return found
