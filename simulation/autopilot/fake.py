@@ -238,6 +238,8 @@ class FakeAutopilot:
         """What is not said while silent is never said."""
         if now >= self._boots[-1].monotonic_ns:
             self._pass_until(self._boot_ns(now) - self._boots[-1].shift_ns)
+            while self._begins_again():
+                self._pass_until(self._boot_ns(now) - self._boots[-1].shift_ns)
 
     def _pass_until(self, recorded_ns: int) -> None:
         while self._next < len(self._messages) and self.flight.due_ns[self._next] < recorded_ns:
@@ -263,10 +265,16 @@ class FakeAutopilot:
                     sent = self._spoil(now, sent)
                 if sent is not None:
                     self._send(sent)
-        if self._next >= len(self._messages) and self.loop:
-            self._next = 0
-            length_ns = self.flight.due_ns[-1] - self.flight.due_ns[0] + 20_000_000
-            self._boots[-1] = _Boot(run.monotonic_ns, run.boot_ns, run.shift_ns + length_ns)
+        self._begins_again()
+
+    def _begins_again(self) -> bool:
+        """At the recording's end, if it is played in a loop: from its beginning, boot clock running on."""
+        if self._next < len(self._messages) or not self.loop:
+            return False
+        run, self._next = self._boots[-1], 0
+        length_ns = self.flight.due_ns[-1] - self.flight.due_ns[0] + 20_000_000
+        self._boots[-1] = _Boot(run.monotonic_ns, run.boot_ns, run.shift_ns + length_ns)
+        return True
 
     def _beat(self, now: int) -> None:
         ready = now - self._boots[-1].monotonic_ns >= self.getting_ready_s * 1e9

@@ -195,6 +195,20 @@ def test_rates_hold_from_one_round_of_a_loop_to_the_next(flight: Flight, station
     assert autopilot.counts["ATTITUDE"] >= len(heard)
 
 
+def test_silence_over_the_end_of_a_loop_is_not_made_up_for(flight: Flight, station: Station) -> None:
+    """What was due meanwhile came all at once, which fills a serial line that nobody empties as fast."""
+    short = Flight(flight.due_ns[:40], flight.messages[:40], flight.log_offset_ns, 1, 1)
+    with FakeAutopilot(short, station.url, everything=True, loop=True) as autopilot:
+        before = named(station.listen(0.4), "ATTITUDE")
+        autopilot.mute(3.0)  # three rounds and a half
+        after = named(station.listen(4.0), "ATTITUDE")
+    silent = [m for m in after if 300 < m.time_boot_ms - before[-1].time_boot_ms < 2900]
+    assert not silent
+    assert 10 <= len(after) <= 40  # a second at 25 Hz
+    stamps = [m.time_boot_ms for m in after]
+    assert stamps == sorted(stamps)
+
+
 class TenTimes:
     """A clock that runs ten times as fast as the host's."""
 
