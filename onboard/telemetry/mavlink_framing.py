@@ -1,14 +1,16 @@
 """Bytes of a line -> MAVLink messages, whatever else is on it. pymavlink checks and decodes; the framing is ours.
 
 pymavlink's own parser drops a whole supposed packet where a checksum fails, and real packets with it that follow a
-stray start byte; here only that byte is given up.
+stray start byte; here only that byte is given up. Nor do complete packets wait until as much has come as stray bytes
+promise: where nothing says that those begin a packet (no packet of their sender was heard), what is complete counts.
+Where a sender that is known seems to go on, the rest is awaited: a packet may carry others, which are none of this line.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from typing import Any
+from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -36,9 +38,26 @@ class SequenceGaps:
         elif self.lost[sender]:  # overtaken by others, it had been counted as lost
             self.lost[sender] -= 1
 
+    def goes_on(self, system: int, component: int, sequence: int) -> bool:
+        """Whether this may be a sender's next packet."""
+        newest = self._newest.get((system, component))
+        return newest is not None and (sequence - newest - 1) % 256 < 128
+
+    def is_heard(self, system: int, component: int) -> bool:
+        """Whether packets of this sender have come."""
+        return (system, component) in self._newest
+
     def restart(self) -> None:
         """The link was interrupted: what passed meanwhile is not counted as lost."""
         self._newest.clear()
+
+
+class _Packet(NamedTuple):
+    """A packet in the buffer."""
+
+    start: int
+    length: int
+    message: Any
 
 
 class Framer:
@@ -66,21 +85,41 @@ class Framer:
             if length is None:
                 break
             message = self._decoded(at, length) if length else None
-            if message is None:
-                if length and at + length > len(self._buffer):
+            if message is None and at + length > len(self._buffer):
+                inside = None if self._gaps.goes_on(*self._sender(at)) else self._complete_within(at + 1)
+                if inside is None:
                     break
+                self.garbage += inside.start - at
+                at, length, message = inside
+            if message is None:
                 self.garbage += 1
                 at += 1
                 continue
-            # Off the header, for pymavlink does not decode that of unknown kinds, and their numbers count like all.
-            sequence, system, component = self._buffer[at + 2 : at + 5]
-            if self._buffer[at] == V2:
-                sequence, system, component = self._buffer[at + 4 : at + 7]
-            self._gaps.note(system, component, sequence)
+            self._gaps.note(*self._sender(at))
             out.append(message)
             at += length
         del self._buffer[:at]
         return [message for message in out if not message.get_type().startswith("UNKNOWN")]
+
+    def _sender(self, at: int) -> tuple[int, int, int]:
+        """System, component and number of the packet that seems to start here.
+
+        Off the header, for pymavlink does not decode that of unknown kinds, and their numbers count like all.
+        """
+        first = at + (2 if self._buffer[at] == V1 else 4)
+        sequence, system, component = self._buffer[first : first + 3]
+        return system, component, sequence
+
+    def _complete_within(self, at: int) -> _Packet | None:
+        """The first packet from here on that is complete, sound and of a known kind."""
+        for start in START.finditer(self._buffer, at):
+            length = self._length(start.start())
+            if length is None:
+                return None
+            message = self._decoded(start.start(), length) if length else None
+            if message is not None and not message.get_type().startswith("UNKNOWN"):
+                return _Packet(start.start(), length, message)
+        return None
 
     def _length(self, at: int) -> int | None:
         """Whole length of the packet that seems to start here; 0: none does; None: too little of it has come."""
@@ -112,6 +151,9 @@ class Framer:
             message = self._decoder.decode(packet)
         except mavlink.MAVError:
             return None
-        if message.get_type().startswith("UNKNOWN") and end < len(self._buffer) and self._buffer[end] not in (V1, V2):
-            return None  # nothing checks its bytes: accepted only where another packet follows
+        if message.get_type().startswith("UNKNOWN"):
+            # Nothing checks its bytes: accepted only of a sender who is known, and where another packet follows.
+            system, component, _ = self._sender(at)
+            is_followed = end == len(self._buffer) or self._buffer[end] in (V1, V2)
+            return message if is_followed and self._gaps.is_heard(system, component) else None
         return message
