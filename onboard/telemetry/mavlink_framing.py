@@ -3,7 +3,7 @@
 pymavlink's own parser drops a whole supposed packet where a checksum fails, and real packets with it that follow a
 stray start byte; here only that byte is given up. Nor do complete packets wait until as much has come as stray bytes
 promise: where nothing says that those begin a packet (no packet of their sender was heard), what is complete counts.
-Where a sender that is known seems to go on, the rest is awaited: a packet may carry others, which are none of this line.
+Where a known sender seems to go on, the rest is awaited: a packet may carry others, which are none of this line.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """A daemon in the air, within the test: a simulated flight through real threads, on a clock that may run faster.
 
-Sources are played from the flight's own files and may be spoilt on the way; states, sets, recording and the words said
+While the daemon has work left the fast clock stands still: how fast the machine is changes how long the test takes, and
+nothing else. Sources are played from the flight's own files and may be spoilt on the way; states, sets, recording and the words said
 to the pilot are kept, and every true click can be asked afterwards.
 """
 
@@ -14,6 +15,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
@@ -43,18 +45,65 @@ STRAIGHT = SessionSpec(DescribedSpec(PathSpec("straight")), seconds=26.0, rate_h
 LEAD_S = 1.5  # telemetry before the first picture
 
 
-@dataclass(frozen=True)
+STEP_NS = 50_000_000  # the most that counts between two looks at a fast clock: then the machine itself stood still
+STUCK_NS = 5_000_000_000  # work that takes longer than this holds the clock no more
+
+
 class FastClock(SessionClock):
-    """The session's clock, `speed` times as fast from `began_ns` (monotonic) on."""
+    """The session's clock, `speed` times as fast as the host's, that stands still while `is_busy`."""
 
-    began_ns: int = 0
-    speed: float = 1.0
-
-    def from_monotonic_ns(self, monotonic_ns: int) -> int:
-        return self.began_ns + round((monotonic_ns - self.began_ns) * self.speed) + self.offset_ns
+    def __init__(self, speed: float, is_busy: Callable[[], bool]) -> None:
+        super().__init__(0)
+        self.speed, self._is_busy = speed, is_busy
+        self._lock = threading.Lock()
+        self._at_ns, self._seen_ns = time.time_ns(), time.monotonic_ns()
+        self._idle_ns = self._seen_ns
 
     def now_ns(self) -> int:
-        return self.from_monotonic_ns(time.monotonic_ns())
+        with self._lock:
+            now_ns = time.monotonic_ns()
+            step_ns, self._seen_ns = now_ns - self._seen_ns, now_ns
+            if not self._is_busy():
+                self._idle_ns = now_ns
+            if self.speed == 1.0:
+                self._at_ns += step_ns
+            elif self._idle_ns == now_ns or now_ns - self._idle_ns > STUCK_NS:
+                self._at_ns += round(min(step_ns, STEP_NS) * self.speed)
+            return self._at_ns
+
+
+class Work:
+    """What the daemon has been given and has not done yet."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._left = 0
+        self.is_recording: Callable[[], bool] = lambda: False
+
+    def is_left(self) -> bool:
+        return self._left > 0 or self.is_recording()
+
+    def given(self) -> None:
+        with self._lock:
+            self._left += 1
+
+    def done(self, *_: object) -> None:
+        with self._lock:
+            self._left -= 1
+
+
+class CountingExecutor(ThreadPoolExecutor):
+    """One thread whose work is counted."""
+
+    def __init__(self, work: Work) -> None:
+        super().__init__(1)
+        self._work = work
+
+    def submit(self, *given: Any, **named: Any) -> Any:
+        self._work.given()
+        promise = super().submit(*given, **named)
+        promise.add_done_callback(self._work.done)
+        return promise
 
 
 class QueueOrders:
@@ -73,17 +122,22 @@ class QueueOrders:
 class PlayedSource:
     """Hands out events when they are due; calls itself lost after `lost_after_s` without any, as real ones do."""
 
-    def __init__(self, clock: FastClock, due: Sequence[tuple[int, Event]], lost_after_s: float = 1.5) -> None:
-        self._clock, self._due, self._lost_after_s = clock, due, lost_after_s
+    def __init__(
+        self, clock: FastClock, due: Sequence[tuple[int, Event]], work: Work, lost_after_s: float = 1.5
+    ) -> None:
+        self._clock, self._due, self._work, self._lost_after_s = clock, due, work, lost_after_s
         self._last_ns: int | None = None
         self.reported: list[tuple[Severity, str]] = []
 
     def run(self, emit: Emit, stop: Stop) -> None:
         for due_ns, event in self._due:
-            wait_s = (due_ns - self._clock.now_ns()) / 1e9 / self._clock.speed
-            if stop.wait(wait_s) if wait_s > 0 else stop.is_set():
+            while (wait_s := (due_ns - self._clock.now_ns()) / 1e9 / self._clock.speed) > 0.0:
+                if stop.wait(max(wait_s, 0.001)):
+                    return
+            if stop.is_set():
                 return
             self._last_ns = self._clock.now_ns()
+            self._work.given()
             emit(due_ns, event)
         stop.wait()
 
@@ -164,14 +218,14 @@ def take_off(
     *,
     spec: SessionSpec = STRAIGHT,
     seconds: float | None = None,
-    speed: float = 4.0,
+    speed: float = 8.0,
     camera: Spoil | None = None,
     telemetry: Spoil | None = None,
     config: dict[str, dict[str, object]] | None = None,
     wrap: Callable[[Pipeline], Pipeline] | None = None,
     orders: QueueOrders | None = None,
     sinks: Callable[[], Sequence[Sink]] | None = None,
-    tick_s: float = 0.05,
+    tick_s: float = 0.02,
 ) -> Air:
     """Fly `seconds` of a flight (all without) and return what came of it; `where` holds recordings and state."""
     folder = flown(spec)
@@ -190,13 +244,23 @@ def take_off(
     pictures = [(frame.stamp_ns, frame) for frame in flight.frames.frames()]
     log = list(zip(flight.telemetry.arrival_ns, flight.telemetry.events, strict=True))
 
+    is_over = threading.Event()
+
+    def stop_at(clock: FastClock, end_ns: int) -> None:
+        while not is_over.wait(0.02):
+            if clock.now_ns() > end_ns + round(0.1e9 * clock.speed):
+                orders.queue.put(Order.STOP)
+                return
+
     def open_parts(config: Config) -> Parts:
-        began_ns = time.monotonic_ns()
-        clock = FastClock(time.time_ns() - began_ns, began_ns, speed)
+        work = Work()
+        work.given()  # putting all this together
+        clock = FastClock(speed, work.is_left)
         flown_first_ns = flight.frames.stamps_ns[0]
         air.shift_ns = clock.now_ns() + round(LEAD_S * 1e9) - flown_first_ns
         air.first_ns = flown_first_ns + air.shift_ns
         end_ns = air.first_ns + round((seconds or spec.seconds) * 1e9)
+        threading.Thread(target=stop_at, args=(clock, end_ns), daemon=True).start()
 
         def due(events: Sequence[tuple[int, Event]], spoil: Spoil | None) -> list[tuple[int, Event]]:
             out = []
@@ -208,23 +272,26 @@ def take_off(
                     out.append((due_ns, kept))
             return out
 
-        air.camera = PlayedSource(clock, due(pictures, camera))
-        air.telemetry = PlayedSource(clock, due(log, telemetry))
+        air.camera = PlayedSource(clock, due(pictures, camera), work)
+        air.telemetry = PlayedSource(clock, due(log, telemetry), work)
         air.heard = Heard(clock)
         recording = Recorded(where / "recordings", config, optics, clock, "")
-        executor = ThreadPoolExecutor(1)
-        pipeline = Pipeline(config, optics, worker=executor)
+        work.is_recording = lambda: bool(recording._queue._waiting)
+        pipeline = Pipeline(config, optics, worker=CountingExecutor(work))
+        flying = pipeline if wrap is None else wrap(pipeline)
+        flying.handle = counted(flying.handle, work)  # type: ignore[method-assign]
 
         def report(report: Report) -> None:
             air.statuses.append(((clock.now_ns() - air.first_ns) / 1e9, decode_status(encode_status(report.status))))
             air.reports.append(report)
 
         more = [] if sinks is None else list(sinks())
+        work.done()
         return Parts(
             clock,
             air.camera,
             air.telemetry,
-            pipeline if wrap is None else wrap(pipeline),
+            flying,
             [air.heard, recording, *more],
             recording,
             [report],
@@ -232,15 +299,24 @@ def take_off(
         )
 
     daemon = Daemon(lambda: configuration, open_parts, orders, Notifier({}), tick_s)
-    length_s = (LEAD_S + (seconds or spec.seconds)) / speed
-    timer = threading.Timer(length_s + 0.1, orders.queue.put, [Order.STOP])
-    timer.start()
     try:
         air.code = daemon.run()
     finally:
-        timer.cancel()
+        is_over.set()
     air.recordings = sorted((where / "recordings").glob("*.mcap"))
     return air
+
+
+def counted(handle: Callable[[Event], list[FeatureSet]], work: Work) -> Callable[[Event], list[FeatureSet]]:
+    """A pipeline's `handle` that says when it is done."""
+
+    def handled(event: Event) -> list[FeatureSet]:
+        try:
+            return handle(event)
+        finally:
+            work.done()
+
+    return handled
 
 
 def is_frame(event: Event) -> bool:
