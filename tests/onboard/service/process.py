@@ -86,6 +86,22 @@ class Aircraft:
         report = self.report()
         return None if report is None else report.status
 
+    def said_since(self, unix_s: float, within_s: float = 30.0) -> VehicleStatus:
+        """The first status said at or after a moment of the daemon's clock."""
+        deadline = time.monotonic() + within_s
+        while (seen := self.status()) is None or seen.unix_s < unix_s:
+            assert time.monotonic() < deadline, f"no status since {unix_s} within {within_s} s but {seen}"
+            time.sleep(0.1)
+        return seen
+
+    def logged(self, word: str, within_s: float = 30.0) -> list[str]:
+        """The lines of the log with a word in them, once there is one."""
+        deadline = time.monotonic() + within_s
+        while not (found := [line for line in self.log if word in line]):
+            assert time.monotonic() < deadline, f"no {word} within {within_s} s; log:\n" + "\n".join(self.log[-20:])
+            time.sleep(0.05)
+        return found
+
     def wait_for(self, *words: str, within_s: float = 30.0) -> float:
         """Until the state is one of these; seconds waited."""
         began, seen = time.monotonic(), None

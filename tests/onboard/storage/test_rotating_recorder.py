@@ -255,7 +255,7 @@ def holds(folder: Path, frame: int) -> bool:
         return False
 
 
-def wait_for(condition: Callable[[], bool], within_s: float = 5.0) -> bool:
+def wait_for(condition: Callable[[], bool], within_s: float = 30.0) -> bool:
     deadline = time.monotonic() + within_s
     while not condition() and time.monotonic() < deadline:
         time.sleep(0.02)
