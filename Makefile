@@ -73,10 +73,11 @@ systemd-analyze:
 		&& apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends systemd >/dev/null; } \
 		|| echo "no systemd-analyze: the test of the unit will be left out"
 
-# Tests that measure real time run after the others, alone. A run without any test (exit code 5) is a lost marker, unless
-# PYTEST_ARGS chose the tests; then one of the two must have some.
+# Three at a time for two cores: some tests wait most of their time. Those that measure real time run after the others,
+# alone. A run without any test (exit code 5) is a lost marker, unless PYTEST_ARGS chose the tests; then one of the two
+# must have some.
 pytest: $(INSTALLED) systemd-analyze
-	@$(BIN)/python -m pytest -m "not wall_clock" -n 2 --dist loadgroup $(PYTEST_ARGS); parallel=$$?; \
+	@$(BIN)/python -m pytest -m "not wall_clock" -n 3 --dist loadgroup $(PYTEST_ARGS); parallel=$$?; \
 	$(BIN)/python -m pytest -m wall_clock -n 0 $(PYTEST_ARGS); serial=$$?; \
 	case "$$parallel $$serial" in \
 		"0 0") ;; \

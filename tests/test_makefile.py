@@ -40,7 +40,7 @@ def make_pytest(folder: Path, parallel: int, serial: int, arguments: str = "") -
 def test_real_time_is_measured_alone(tmp_path: Path) -> None:
     code, calls, _ = make_pytest(tmp_path, 0, 0)
     assert code == 0
-    assert calls == ["-m pytest -m not wall_clock -n 2 --dist loadgroup", "-m pytest -m wall_clock -n 0"]
+    assert calls == ["-m pytest -m not wall_clock -n 3 --dist loadgroup", "-m pytest -m wall_clock -n 0"]
 
 
 @pytest.mark.parametrize(("parallel", "serial"), [(1, 0), (0, 1), (5, 0), (0, 5), (5, 5), (2, 5), (5, 2)])

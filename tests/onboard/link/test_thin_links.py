@@ -14,8 +14,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
-import pytest
-
 from contract.feature_set import FeatureSet
 from contract.vehicle_status import VehicleStatus, encode_status
 from ground.client import SetCache, ask
@@ -23,8 +21,6 @@ from onboard.link.publisher import Publisher, Rate
 from tests.contract.sets import plain_set
 from tests.onboard.link.ports import free_endpoint
 from tests.onboard.link.thin import ThinLink
-
-pytestmark = pytest.mark.wall_clock
 
 BASE = plain_set(100)
 PICTURES_HZ = 10.0
@@ -75,22 +71,34 @@ def picture_age_s(cache: SetCache) -> float:
     return 1e9 if newest is None else time.time() - newest.capture_unix_ns / 1e9
 
 
+class Stalls:
+    """The longest time for which this thread was held up: what runs beside it was, too, and is excused for as long."""
+
+    def __init__(self) -> None:
+        self.worst_s = 0.0
+
+    def sleep(self, seconds: float) -> None:
+        began = time.monotonic()
+        time.sleep(seconds)
+        self.worst_s = max(self.worst_s, time.monotonic() - began - seconds)
+
+
 def until(condition: Callable[[], bool], within_s: float) -> float:
     """Seconds until it holds; more than `within_s` if it does not."""
-    began = time.monotonic()
-    while not condition() and time.monotonic() - began <= within_s:
-        time.sleep(0.02)
-    return time.monotonic() - began
+    began, stalls = time.monotonic(), Stalls()
+    while not condition() and time.monotonic() - began - stalls.worst_s <= within_s:
+        stalls.sleep(0.02)
+    return time.monotonic() - began - stalls.worst_s
 
 
 def ages(cache: SetCache, seconds: float) -> list[float]:
     """The newest picture's age, ten times a second."""
-    found = []
+    found, stalls = [], Stalls()
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         found.append(picture_age_s(cache))
-        time.sleep(0.1)
-    return found
+        stalls.sleep(0.1)
+    return [age_s - stalls.worst_s for age_s in found]
 
 
 @contextmanager
@@ -125,7 +133,7 @@ def after_a_cut(kind: str, cut_s: float, bit_rate: float = 64000.0) -> None:
 
 
 def test_after_a_cut_the_newest_picture_is_there_within_three_seconds() -> None:
-    """Cuts that a session outlives (its lease is 10 s) and that it does not, by more than it waits between two tries."""
+    """Cuts that a session outlives (its lease is 10 s) and that it does not, by more than one wait between two tries."""
     together(
         lambda: after_a_cut("tcp", 20.0),
         lambda: after_a_cut("udp", 20.0),

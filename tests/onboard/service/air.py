@@ -1,8 +1,8 @@
 """A daemon in the air, within the test: a simulated flight through real threads, on a clock that may run faster.
 
 While the daemon has work left the fast clock stands still: how fast the machine is changes how long the test takes, and
-nothing else. Sources are played from the flight's own files and may be spoilt on the way; states, sets, recording and the words said
-to the pilot are kept, and every true click can be asked afterwards.
+nothing else. Sources are played from the flight's own files and may be spoilt on the way; states, sets, recording and
+the words said to the pilot are kept, and every true click can be asked afterwards.
 """
 
 from __future__ import annotations

