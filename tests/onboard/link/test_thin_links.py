@@ -133,7 +133,7 @@ def after_a_cut(kind: str, cut_s: float, bit_rate: float = 64000.0) -> None:
 
 
 def test_after_a_cut_the_newest_picture_is_there_within_three_seconds() -> None:
-    """Cuts that a session outlives (its lease is 10 s) and that it does not, by more than one wait between two tries."""
+    """Cuts that a session outlives (its lease is 10 s) and that it does not, by more than the wait between tries."""
     together(
         lambda: after_a_cut("tcp", 20.0),
         lambda: after_a_cut("udp", 20.0),

@@ -7,6 +7,7 @@ import logging
 import signal
 import threading
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -396,14 +397,23 @@ def test_pictures_are_shed_oldest_first_when_the_processor_is_starved(tmp_path: 
 
 def test_nothing_the_host_does_to_its_clock_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An hour forth and an hour back in flight."""
-    true_ns, began = time.time_ns, time.monotonic()
+    true_ns, hour_ns = time.time_ns, 3_600_000_000_000
+    pictures = 0
 
-    def stepped() -> int:
-        flown_s = (time.monotonic() - began) * 4.0
-        return true_ns() + (3_600_000_000_000 if 8.0 < flown_s < 14.0 else -3_600_000_000_000 if flown_s > 14.0 else 0)
+    class Counting(ExitStack):
+        def feature_set(self, output: FeatureSet) -> None:
+            return None
+
+        def event(self, arrival_ns: int, event: Event) -> None:
+            nonlocal pictures
+            pictures += isinstance(event, Frame)
+
+    def stepped() -> int:  # after eight and after fourteen seconds of four pictures each
+        return true_ns() + (0 if pictures < 32 else hour_ns if pictures < 56 else -hour_ns)
 
     monkeypatch.setattr(time, "time_ns", stepped)
-    air = take_off(tmp_path, seconds=20.0)
+    air = take_off(tmp_path, seconds=20.0, sinks=lambda: [Counting()])
+    assert pictures == 80
     assert air.code == 0
     assert air.states(4.0, 19.0) == ["ok"]
     outcome = air.clicked()
