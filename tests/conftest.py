@@ -47,17 +47,8 @@ def systemd_analyze() -> str:
     return program
 
 
-# Tests that share what takes seconds to make go to one worker: module, and the fixture.
-TOGETHER = {"test_end_to_end": "flight", "test_pipeline": "session"}
-
-
-@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Those beside this file come first, for the longest are among them: one that began last would end alone."""
-    for item in items:
-        name = item.path.stem
-        if TOGETHER.get(name, "") in getattr(item, "fixturenames", ()):
-            item.add_marker(pytest.mark.xdist_group(name))
     items.sort(key=lambda item: item.path.parent != Path(__file__).parent)
 
 
