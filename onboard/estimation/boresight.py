@@ -10,7 +10,7 @@ by more than their covariances say count for less, (6.13). Section 10 of docs/ma
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,9 @@ HEADING_WALK_RAD = np.radians(0.1)
 MEMORY_ESTIMATES = 8
 TOO_SURE = 2.0  # times the declared sigma that data may claim
 AGREEMENT_PRIOR = 2.0  # windows that agree with their covariances, assumed before any has been seen
+OUTSIDE = 4.0  # sigmas from what was believed, beyond which a value is adopted only once something confirms it
+AGREE = 3.0  # sigmas of their difference, within which two values confirm each other
+MIN_SHARPER = 0.5  # of the sigma believed: rotations less sure say nothing that windows of the same pictures did not
 MIN_GAIN = 0.02  # of a variance: a window that says less of a state is no evidence on it
 
 
@@ -66,8 +69,22 @@ class Belief:
         return Belief(self.end_ns, self.mean, self.covariance + np.diag(walk**2 * minutes), self.given)
 
 
+@dataclass(frozen=True, eq=False)
+class Unconfirmed:
+    """What would be learned if anything confirmed it: the states that are outside (8,), and mean and sigma of all."""
+
+    end_ns: int
+    outside: NDArray[np.bool_]
+    mean: Array
+    sigma: Array
+
+
 class Alignment:
-    """Keeps the posteriors of past windows; hands out the prior a window may use."""
+    """Keeps the posteriors of past windows; hands out the prior a window may use.
+
+    `unconfirmed`: the newest value that was too far from what was believed to be adopted; None once it was confirmed,
+    or once another was adopted instead.
+    """
 
     def __init__(
         self,
@@ -84,6 +101,9 @@ class Alignment:
         self._estimates = [Belief(0, np.zeros(STATES), first)]
         self._spacing_ns = round(spacing_s * 1e9)
         self._squares, self._counts = np.zeros(STATES), np.zeros(STATES)
+        self._window_end_ns = 0  # of the newest window that updated
+        self._heard: tuple[float, float] | None = None  # an offset by rotations, and its sigma, not yet confirmed
+        self.unconfirmed: Unconfirmed | None = None
 
     @property
     def belief(self) -> Belief:
@@ -104,18 +124,73 @@ class Alignment:
 
     def offer(self, start_ns: int, end_ns: int, mean: Array, covariance: Array) -> bool:
         """A solved window's posterior; True if it was taken."""
-        newest = self._estimates[-1]
-        if start_ns < newest.end_ns or (newest.end_ns > 0 and end_ns - newest.end_ns < self._spacing_ns):
+        newest, since_ns = self._estimates[-1], self._window_end_ns
+        if start_ns < newest.end_ns or (since_ns > 0 and end_ns - since_ns < self._spacing_ns):
             return False
         first, before = self._estimates[0], self.prior_for(start_ns)
+        outside = _outside(before, mean) | (_outside(first, mean) & ~_outside(first, before.mean))
+        if np.any(outside) and not self._is_confirmed(start_ns, end_ns, mean, covariance, outside):
+            return False
+        self.unconfirmed = None
         mean, covariance = self._agreed(before, mean, covariance)
         rests_on = before.given
         estimate = Belief(
             end_ns, mean.copy(), covariance.copy(), np.diag(first.covariance) if rests_on is None else rests_on
         )
         self._estimates.append(_with_prior_reweighed(estimate, first))
+        self._window_end_ns = end_ns
         del self._estimates[1:-MEMORY_ESTIMATES]
         return True
+
+    def _is_confirmed(
+        self, start_ns: int, end_ns: int, mean: Array, covariance: Array, outside: NDArray[np.bool_]
+    ) -> bool:
+        """Whether an earlier window that shares no data, and no error of the attitude, was outside likewise. (10.7)"""
+        held, sigma = self.unconfirmed, np.sqrt(np.diag(covariance))
+        if held is not None and (start_ns < held.end_ns or end_ns - held.end_ns < self._spacing_ns):
+            return False  # it may repeat the other's error: neither a confirmation nor anything new
+        self.unconfirmed = Unconfirmed(end_ns, outside, mean.copy(), sigma)
+        if held is None or np.any(outside & ~held.outside):
+            return False
+        return bool(np.all(np.abs(mean - held.mean)[outside] <= AGREE * np.hypot(sigma, held.sigma)[outside]))
+
+    def hear(self, end_ns: int, offset_s: float, sigma_s: float) -> bool:
+        """Take a time offset that rotations alone have shown, from pictures up to `end_ns`. (10.7)
+
+        True if it has had its say, so that what it rests on must not be offered again; False if it says nothing new.
+        """
+        belief, sigma_s = self.belief.aged(end_ns), float(np.sqrt(2.0) * sigma_s)
+        own_s = float(belief.sigma[OFFSET])
+        if abs(offset_s - belief.mean[OFFSET]) > OUTSIDE * np.hypot(own_s, sigma_s):
+            held, self._heard = self._heard, (offset_s, sigma_s)
+            if held is not None and abs(offset_s - held[0]) <= AGREE * np.hypot(sigma_s, held[1]):
+                self._begin_from(offset_s, sigma_s)
+            else:
+                alone = np.arange(STATES) == OFFSET
+                self.unconfirmed = Unconfirmed(
+                    end_ns, alone, np.where(alone, offset_s, belief.mean), np.where(alone, sigma_s, belief.sigma)
+                )
+            return True
+        self._heard = None
+        if sigma_s > MIN_SHARPER * own_s:
+            return False
+        if not self.updates:
+            self._begin_from(offset_s, sigma_s, belief)
+            return True
+        self._estimates.append(replace(_with_offset(belief, offset_s, sigma_s), end_ns=end_ns))
+        del self._estimates[1:-MEMORY_ESTIMATES]
+        return True
+
+    def _begin_from(self, offset_s: float, sigma_s: float, known: Belief | None = None) -> None:
+        """Forget windows' posteriors: they rest on another offset. What rotations say is what windows begin with."""
+        first = self._estimates[0] if known is None else known
+        mean, covariance = first.mean.copy(), first.covariance.copy()
+        mean[OFFSET] = offset_s
+        covariance[OFFSET, :] = covariance[:, OFFSET] = 0.0
+        covariance[OFFSET, OFFSET] = sigma_s**2
+        self._estimates = [Belief(0, mean, covariance)] * 2  # a first prior, and one update
+        self._squares, self._counts = np.zeros(STATES), np.zeros(STATES)
+        self._window_end_ns, self._heard, self.unconfirmed = 0, None, None
 
     @property
     def disagreement(self) -> Array:
@@ -183,6 +258,20 @@ class Alignment:
             raise InputError("alignment state: covariance is not positive definite")
         first = self._estimates[0].covariance
         self._estimates = [Belief(0, mean, covariance + 0.25 * first)]
+
+
+def _outside(believed: Belief, mean: Array) -> NDArray[np.bool_]:
+    """(8,) which states are farther from what was believed than its sigma allows for."""
+    out: NDArray[np.bool_] = np.abs(mean - believed.mean) > OUTSIDE * believed.sigma
+    return out
+
+
+def _with_offset(belief: Belief, offset_s: float, sigma_s: float) -> Belief:
+    """A belief and one measurement of its time offset. (10.7)"""
+    gain = belief.covariance[:, OFFSET] / (belief.covariance[OFFSET, OFFSET] + sigma_s**2)
+    covariance = belief.covariance - np.outer(gain, belief.covariance[OFFSET])
+    mean = belief.mean + gain * (offset_s - belief.mean[OFFSET])
+    return replace(belief, mean=mean, covariance=0.5 * (covariance + covariance.T))
 
 
 def _with_prior_reweighed(estimate: Belief, first: Belief) -> Belief:

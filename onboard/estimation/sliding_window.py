@@ -17,6 +17,7 @@ from onboard.config.schema import Config
 from onboard.estimation.boresight import BORESIGHT, DELAY, HEADING, OFFSET, Alignment
 from onboard.estimation.boresight import STATES as SHARED
 from onboard.estimation.keyframe import Keyframe, Observation
+from onboard.estimation.rotation_timing import LEAST_SIGMA_S
 from onboard.estimation.sensor_factors import cosine_sine_of_heading
 from onboard.estimation.sensor_pose import SensorPose
 from onboard.estimation.shared_errors import make_sensor_pose
@@ -173,6 +174,7 @@ class Window:
         taken_s = np.mean([(k.nav_offset_s, k.nav_delay_s) for k in self.keyframes], axis=0)
         moved_s = mean[[OFFSET, DELAY]] - taken_s
         covariance[[OFFSET, DELAY], [OFFSET, DELAY]] += (CURVED_SHARE * moved_s) ** 2
+        covariance[OFFSET, OFFSET] += LEAST_SIGMA_S**2
         self.alignment.offer(start, end, mean, covariance)
 
     def conclude(self) -> None:

@@ -39,6 +39,7 @@ FRAME_REACH_M = 20_000.0
 KEPT_NS = 3_000_000_000  # of positions, when the frame moves: as long as a picture waits, and slip needs
 MAX_DISPERSION_M = 5.0
 MAX_RANGE_GAP_NS = 500_000_000
+MAX_ATTITUDE_INTERVAL_S = 0.35  # an aircraft rolls in within a second: less than three attitudes of it miss its course
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,15 @@ class GroundRange:
 
     vector_enu_m: Array
     sigma_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Attitude (3, 3) and velocity (3,), m/s, in ENU axes, and one sigma (rad) of what joining attitudes leaves."""
+
+    R_enu_body: Array
+    velocity_enu_m_s: Array
+    sigma_rad: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,6 +336,25 @@ class Navigation:
         lat, lon, _ = self.frame.to_geodetic(position_enu_m)
         out: Array = self.frame.R_enu_ecef @ rotation_enu_ecef(float(lat), float(lon)).T @ R_ENU_NED
         return out
+
+    def motion_at(self, moment_ns: int) -> Motion | None:
+        """How the vehicle moved, whether or not its position is believed; None with a gimbal, and wherever attitudes
+        or velocities are not there on both sides, or attitudes come too slowly to follow a roll.
+        """
+        if not self._wants_attitude or self._uses_gimbal or self.frame is None:
+            return None
+        bracket = self._positions.joined(moment_ns, self.config.gps.max_gap_s)
+        if self._attitudes.interval_s(moment_ns) > MAX_ATTITUDE_INTERVAL_S or isinstance(bracket, Status):
+            return None
+        R_ned_body = self._attitudes.at(moment_ns)
+        left, right = bracket
+        a, b = self._positions.values[left], self._positions.values[right]
+        if isinstance(R_ned_body, Status) or left == right or a.velocity_enu_m_s is None or b.velocity_enu_m_s is None:
+            return None
+        first_ns, last_ns = self._positions.stamps_ns[left], self._positions.stamps_ns[right]
+        share = (moment_ns - first_ns) / (last_ns - first_ns)
+        velocity = (1 - share) * self._velocity(left) + share * self._velocity(right)
+        return Motion(self._R_frame_ned(a.enu_m) @ R_ned_body, velocity, self._attitudes.sigma_at(moment_ns))
 
     def body_rate_at(self, stamp_ns: int) -> Array | None:
         """Angular rate (3,), rad/s, axes of `NavState.R_enu_body`: measured, or from attitudes; None if unknown."""

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,18 +26,20 @@ from onboard.estimation.sliding_window import Window
 from onboard.estimation.solver_executor import Inline, Worker, timed_adjust
 from onboard.events.types import Event, Frame
 from onboard.geometry.plane_homography import Pose, move
-from onboard.geometry.terrain_grid import Terrain
 from onboard.georeferencing.feature_sets import Origin, Picture, georeference
 from onboard.georeferencing.surface_sets import over_known_ground
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.estimates import estimates_of, sensor_errors
 from onboard.pipeline.frozen_frames import Staleness, Stillness
 from onboard.pipeline.keyframe_choice import wants_keyframe
+from onboard.pipeline.keyframe_navigation import look_up_again
 from onboard.pipeline.motion_prediction import ground_so_far, predict_motion, what_parts
 from onboard.pipeline.mount_selection import MountSelection
+from onboard.pipeline.offset_watch import OffsetWatch
 from onboard.pipeline.picture_record import Pending, Record
 from onboard.pipeline.shortfall import MIN_OVERLAP, Evidence
 from onboard.pipeline.statistics import RunStatistics, Summary
+from onboard.pipeline.terrain_at_hand import TerrainSource, cut, is_at_hand
 from onboard.vision.klt_tracker import MIN_TRACKS, Tracker, Tracks
 
 Array = NDArray[np.float64]
@@ -52,19 +53,8 @@ TURNING_RAD_S = 0.35
 MIN_TRAVEL = 0.03  # of the height above ground: less than this is no parallax
 MIN_TRAVEL_HEIGHT_M = 20.0
 PATIENCE_NS = 3_000_000_000  # before standing still is called that
-TERRAIN_RADIUS_M = 3000.0
-TERRAIN_SPACING_M = 20.0
 PLACED_AN_EVENT = 2  # a solve releases as many pictures as lie between two keyframes: all at once would delay the next
 ADOPTION_NS = 250_000_000  # of data after a keyframe is taken up, until which its solve need not be done
-
-
-class TerrainSource(Protocol):
-    """Where elevation comes from."""
-
-    def around(
-        self, frame: LocalFrame, centre_enu_m: Array, radius_m: float, spacing_m: float, undulation_m: float
-    ) -> Terrain | None:
-        """Terrain within a square about a place of a local frame; None where there is none."""
 
 
 class Pipeline:
@@ -86,6 +76,7 @@ class Pipeline:
         self.tracker = Tracker(camera.size_px, config.tracking.features, config.tracking.min_distance_px)
         self.window = Window(config, camera)
         self.mount_selection = MountSelection(camera, self.window.R_body_cam)
+        self._offset_watch = OffsetWatch(config, camera, self.window.R_body_cam)
         self.tracks: Tracks | None = None  # of the newest picture, for display
         self._waiting: deque[Frame] = deque()
         self._records: list[Record] = []
@@ -213,14 +204,9 @@ class Pipeline:
 
     def _know_terrain(self, nav: NavState) -> None:
         """Keep the terrain around the aircraft at hand, cut anew when it nears the edge of what is held."""
-        frame, held = self._frame, self.window.terrain
-        if self.terrain is None or frame is None:
-            return
-        if held is None or not held.covers(nav.position_enu_m[:2], TERRAIN_RADIUS_M / 3.0):
+        if self.terrain is not None and self._frame is not None and not is_at_hand(self.window.terrain, nav):
             with self._statistics.timed("terrain"):
-                self.window.terrain = self.terrain.around(
-                    frame, nav.position_enu_m, TERRAIN_RADIUS_M, TERRAIN_SPACING_M, nav.undulation_m
-                )
+                self.window.terrain = cut(self.terrain, self._frame, nav)
 
     def _track(self, frame: Frame, nav: NavState) -> Tracks | Status | None:
         """Features found again; None if there was nothing to look for, a status if the picture is not to be used."""
@@ -232,6 +218,7 @@ class Pipeline:
         tracks = self.tracker.track(frame.image, predicted)
         if not self.tracker.has_keyframe:
             return None
+        self._learn_offset(nav, tracks)
         if predicted is not None and len(tracks) and self._stillness.is_old(tracks, predicted, frame.stamp_ns):
             return Status.BAD_PICTURE
         plane = ground_so_far(self.window, nav)
@@ -242,6 +229,17 @@ class Pipeline:
             if miss > MAX_PREDICTION_MISS * self.camera.focal_px:
                 return self.tracker.nothing()
         return tracks
+
+    def _learn_offset(self, nav: NavState, tracks: Tracks) -> None:
+        """What rotations alone say of the time offset: heard before tracks are held against a prediction by it."""
+        if nav.R_enu_body is None or nav.stamp_sigma_s or self.mount_selection.is_open(nav):
+            return  # what stamps are off by for a while is no property of the platform
+        with self._statistics.timed("time offset"):
+            watch, alignment = self._offset_watch, self.window.alignment
+            watch.note(nav.stamp_ns, tracks.ids, tracks.uv_px)
+            found = watch.estimate(self.navigation, alignment.belief, self._now_ns)
+            if found is not None and alignment.hear(found.end_ns, found.offset_s, found.sigma_s):
+                watch.forget()
 
     def _predict(self, nav: NavState) -> Array | None:
         """Motion since the newest keyframe, both moments looked up with one and the same time offset."""
@@ -262,6 +260,7 @@ class Pipeline:
         with self._statistics.timed("tracking"):
             ids, uv = self.tracker.promote(tracks)
         self._stillness.begin(ids, uv, frame.stamp_ns)
+        look_up_again(self.window, self.navigation)
         seen = observation(self.camera, ids, uv)
         offset_s, delay_s = self._offset_s, self._delay_s
         offset_ns = round(offset_s * 1e9)
