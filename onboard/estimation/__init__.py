@@ -3,10 +3,11 @@ published.
 
 Public:
 
-- `boresight`: `Alignment`, `Belief`, `OFFSET`, `DELAY`
+- `boresight`: `Alignment`, `Belief`, `Unconfirmed`, `BORESIGHT`, `OFFSET`, `DELAY`
 - `ground_roughness`: `plane_and_roughness`
-- `keyframe`: `Observation`, `observation`
+- `keyframe`: `Ids`, `Keyframe`, `Observation`, `observation`
 - `resection`: `Resection`, `resect`
+- `rotation_timing`: `Course`, `Pair`, `Timing`, `timing`, `FEATURES`, `REACH_S`
 - `sensor_pose`: `SensorPose`
 - `sliding_window`: `Window`
 - `solver_executor`: `Inline`, `Promise`, `Worker`, `timed_adjust`

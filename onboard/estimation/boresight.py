@@ -128,7 +128,7 @@ class Alignment:
         if start_ns < newest.end_ns or (since_ns > 0 and end_ns - since_ns < self._spacing_ns):
             return False
         first, before = self._estimates[0], self.prior_for(start_ns)
-        outside = _outside(before, mean) | (_outside(first, mean) & ~_outside(first, before.mean))
+        outside = _outside(before, mean, self.disagreement) | (_outside(first, mean) & ~_outside(first, before.mean))
         if np.any(outside) and not self._is_confirmed(start_ns, end_ns, mean, covariance, outside):
             return False
         self.unconfirmed = None
@@ -260,9 +260,9 @@ class Alignment:
         self._estimates = [Belief(0, mean, covariance + 0.25 * first)]
 
 
-def _outside(believed: Belief, mean: Array) -> NDArray[np.bool_]:
-    """(8,) which states are farther from what was believed than its sigma allows for."""
-    out: NDArray[np.bool_] = np.abs(mean - believed.mean) > OUTSIDE * believed.sigma
+def _outside(believed: Belief, mean: Array, factor: Array | float = 1.0) -> NDArray[np.bool_]:
+    """(8,) which states are farther from what was believed than its sigma, times a factor, allows for. (10.7)"""
+    out: NDArray[np.bool_] = np.abs(mean - believed.mean) > OUTSIDE * factor * believed.sigma
     return out
 
 

@@ -4,7 +4,7 @@ Two pictures and the direction of travel between them give the camera's rotation
 points, ground or positions. The autopilot's attitudes, looked up at another time offset, give another rotation wherever
 the angular rate changes. The offset at which both agree best over many pairs is the estimate. It does not depend on how
 late positions are, needs no window, and is found from half a second away, where a window's linearised effect of the
-offset on a roll is only the beginning of the truth. (10.3) to (10.6) of docs/mathematics.md.
+offset on a roll is only the beginning of the truth. Equations (10.3) to (10.6) of docs/mathematics.md.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 FEATURES = 32  # of a pair: a rotation needs no more
 REACH_S = 0.5  # about the offset believed, within which one is looked for
-COARSE_S, FINE_S = 0.05, 0.01
+COARSE_S, FINE_S = 0.05, 0.01  # the first is also the step of a `Course`
 FINE_STEPS = 3
 MIN_PAIRS = 6
 FREEDOMS = 5  # of a pair: rotation and direction of travel
@@ -30,6 +30,7 @@ DIRECTION_SIGMA_RAD = 0.06  # of the travel's direction against the attitude: wh
 NUISANCE_SIGMA_RAD = 0.06  # of mount and heading together, which turn all pairs alike
 FARTHEST_RAD = 0.5  # a rotation or direction may deviate so far: what no ray shows of a pair stays a number
 MIN_SPEED_M_S, SPEED_SIGMA_M_S = 0.5, 0.5
+ASIDE = 2  # coarse steps from the minimum: far enough that errors of single attitudes are others
 RIVAL = 9.0  # of chi-square by which any other offset must be worse
 MIN_BLOCKS = 3.0  # seconds that tell of the offset, in effect: what one second says has nothing to be held against
 BLOCK_NS = 1_000_000_000  # errors of attitudes between their messages last shorter
@@ -92,8 +93,7 @@ def timing(pairs: list[Pair], course: Course, centre_s: float, boresight_rad: Ar
     taus = centre_s + np.arange(-REACH_S, REACH_S + 0.5 * COARSE_S, COARSE_S)
     coarse = problem.chi2(taus)
     scale2 = _scale2(coarse[int(np.argmin(_cost(coarse).sum(axis=1)))])
-    total = _cost(coarse, scale2).sum(axis=1)
-    best = int(np.argmin(total))
+    best = int(np.argmin(_cost(coarse, scale2).sum(axis=1)))
     if best in (0, len(taus) - 1):
         return None
     fine = taus[best] + FINE_S * np.arange(-2 * FINE_STEPS, 2 * FINE_STEPS + 1)
@@ -104,10 +104,16 @@ def timing(pairs: list[Pair], course: Course, centre_s: float, boresight_rad: Ar
     offset_s, sigma_s = _minimum(fine[here], each[here], np.array([p.start_ns for p in pairs]))
     if not np.isfinite(sigma_s) or not fine[0] < offset_s < fine[-1]:
         return None
-    others = np.abs(taus - offset_s) > 2.5 * COARSE_S
-    if np.min(total[others]) - each.sum(axis=1).min() < RIVAL:
+    # Every offset meets other errors of the attitudes, and chi-squares scatter by that however alike the rotations are.
+    # Whole steps away interpolation is the same: between two attitudes their mean errs less than either does.
+    chance = np.sqrt(2.0 * FREEDOMS * len(pairs))
+    steps = np.arange(-round(REACH_S / COARSE_S), round(REACH_S / COARSE_S) + 1)
+    beside = _cost(problem.chi2(offset_s + COARSE_S * steps), scale2).sum(axis=1)
+    beside -= beside[steps == 0]
+    rise = float(beside[np.abs(steps) == ASIDE].min() - chance)
+    if beside[np.abs(steps) >= ASIDE].min() < RIVAL + chance or rise <= 0.0:
         return None
-    sigma_s = float(np.hypot(sigma_s, LEAST_SIGMA_S))
+    sigma_s = float(np.hypot(max(sigma_s, ASIDE * COARSE_S / np.sqrt(rise)), LEAST_SIGMA_S))
     return Timing(offset_s, sigma_s, pairs[0].start_ns, max(p.end_ns for p in pairs), len(pairs))
 
 

@@ -3,5 +3,5 @@
 Public:
 
 - `gimbal`: `MountHypothesis`
-- `navigator`: `NavState`, `Navigation`
+- `navigator`: `NavState`, `Motion`, `Navigation`
 """

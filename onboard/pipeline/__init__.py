@@ -2,7 +2,7 @@
 
 Public:
 
-- `estimates`: `BORESIGHT`, `Estimate`, `SensorError`, `as_rows`, `larger_than_declared`
+- `estimates`: `BORESIGHT`, `Estimate`, `SensorError`, `as_rows`, `larger_than_declared`, `not_adopted`
 - `pipeline`: `Pipeline`
 - `statistics`: `Summary`
 """

@@ -10,7 +10,7 @@ import numpy as np
 
 from onboard.config.schema import Config
 from onboard.estimation import boresight
-from onboard.estimation.boresight import Belief
+from onboard.estimation.boresight import Belief, Unconfirmed
 from onboard.estimation.variance_components import (
     HEADING,
     HEADING_WHITE,
@@ -73,6 +73,19 @@ def estimates_of(belief: Belief | None) -> tuple[Estimate, ...]:
     )
 
 
+def unconfirmed_of(found: Unconfirmed | None) -> tuple[Estimate, ...]:
+    """What was found too far from what was believed to be adopted before anything confirms it; empty if nothing was."""
+    if found is None:
+        return ()
+    every = estimates_of(Belief(found.end_ns, found.mean, np.diag(np.square(found.sigma))))
+    return tuple(e for e, (_, _, at) in zip(every, STATES, strict=True) if np.any(found.outside[at]))
+
+
+def not_adopted(unconfirmed: Iterable[Estimate]) -> str:
+    """The same in words: `time offset +0.810 +-0.120 s, camera to autopilot`; empty if nothing was."""
+    return "; ".join(f"{_ROW_NAMES[e.name]} {_text(e)}" for e in unconfirmed)
+
+
 def sensor_errors(config: Config, factors: VarianceFactors) -> tuple[SensorError, ...]:
     """Every part in the order of NAMES."""
     solve, gps = config.solve, config.gps
@@ -92,11 +105,13 @@ def larger_than_declared(errors: Iterable[SensorError]) -> str:
     return "; ".join(str(e) for e in errors if e.sigma > SHOWN * e.declared)
 
 
-def as_rows(estimates: Iterable[Estimate], errors: Iterable[SensorError]) -> list[tuple[str, str]]:
+def as_rows(
+    estimates: Iterable[Estimate], errors: Iterable[SensorError], unconfirmed: Iterable[Estimate] = ()
+) -> list[tuple[str, str]]:
     """The same as rows of a summary: a name and a text each, angles in degrees."""
     rows = [(_ROW_NAMES[e.name], _text(e)) for e in estimates]
-    larger = larger_than_declared(errors)
-    return [*rows, ("sensor errors", larger)] if larger else rows
+    others = [("sensor errors", larger_than_declared(errors)), ("not confirmed", not_adopted(unconfirmed))]
+    return [*rows, *((name, text) for name, text in others if text)]
 
 
 _ROW_NAMES = {

@@ -29,7 +29,7 @@ from onboard.geometry.plane_homography import Pose, move
 from onboard.georeferencing.feature_sets import Origin, Picture, georeference
 from onboard.georeferencing.surface_sets import over_known_ground
 from onboard.navigation.navigator import Navigation, NavState
-from onboard.pipeline.estimates import estimates_of, sensor_errors
+from onboard.pipeline.estimates import estimates_of, sensor_errors, unconfirmed_of
 from onboard.pipeline.frozen_frames import Staleness, Stillness
 from onboard.pipeline.keyframe_choice import wants_keyframe
 from onboard.pipeline.keyframe_navigation import look_up_again
@@ -132,6 +132,7 @@ class Pipeline:
         return self._statistics.summary(
             estimates_of(alignment.belief if alignment.updates else None),
             sensor_errors(self.config, self.window.noise.factors),
+            unconfirmed_of(alignment.unconfirmed),
         )
 
     def _process(self, frame: Frame) -> list[FeatureSet]:

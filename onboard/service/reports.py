@@ -102,6 +102,7 @@ class Report:
     threads: tuple[ThreadReport, ...] = ()
     recording: RecordingReport = RecordingReport()
     clock: ClockReport = ClockReport()
+    unconfirmed: tuple[Estimate, ...] = ()  # found, but too far from what was believed to be adopted by itself
 
     def estimate(self, name: str) -> Estimate | None:
         """One of the estimates; None while there is none of that name."""

@@ -231,6 +231,7 @@ class Session:
             inputs.threads,
             RecordingReport(is_recording, inputs.recording_fault),
             ClockReport(self.clock.host_step_s()),
+            summary.unconfirmed,
         )
 
     def _run_camera(self, thread: SupervisedThread) -> None:

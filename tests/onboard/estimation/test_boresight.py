@@ -58,10 +58,10 @@ def test_a_posterior_serves_windows_that_begin_after_it_and_no_other() -> None:
 def test_windows_that_overlap_an_update_or_follow_it_at_once_update_nothing() -> None:
     a = alignment()
     a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)
-    assert not a.offer(at(9.0), at(50.0), 2 * MEAN, COVARIANCE)
-    assert not a.offer(at(10.0), at(29.9), 2 * MEAN, COVARIANCE)
+    assert not a.offer(at(9.0), at(50.0), 1.1 * MEAN, COVARIANCE)
+    assert not a.offer(at(10.0), at(29.9), 1.1 * MEAN, COVARIANCE)
     assert a.updates == 1
-    assert a.offer(at(20.0), at(30.0), 2 * MEAN, COVARIANCE)
+    assert a.offer(at(20.0), at(30.0), 1.1 * MEAN, COVARIANCE)
     assert a.updates == 2
 
 
@@ -81,7 +81,7 @@ def test_updates_never_share_data(windows: list[tuple[float, float]]) -> None:
 def test_old_posteriors_are_forgotten_but_the_first_prior_stays() -> None:
     a = alignment()
     for k in range(3 * MEMORY_ESTIMATES):
-        assert a.offer(at(100.0 * k), at(100.0 * k + 10.0), k * MEAN, COVARIANCE)
+        assert a.offer(at(100.0 * k), at(100.0 * k + 10.0), 0.1 * k * MEAN, COVARIANCE)
     assert a.updates == MEMORY_ESTIMATES
     assert np.all(a.prior_for(at(0.0)).mean == 0.0)
 
@@ -175,7 +175,11 @@ def test_the_prior_is_widened_once_and_not_update_after_update() -> None:
 
 
 def windows_of(a: Alignment, scatter: float, seed: int, windows: int = 20) -> tuple[np.ndarray, np.ndarray]:
-    """Errors and sigmas after independent windows half a minute apart; data scatter `scatter` times as they claim."""
+    """Errors and sigmas after independent windows half a minute apart; data scatter `scatter` times as they claim.
+
+    Hardly any is so far from what was believed that it waits for a confirmation.
+    """
+    taken = 0
     rng = np.random.default_rng(seed)
     truth = FIRST * rng.standard_normal(STATES)
     own = 0.2 * FIRST
@@ -185,7 +189,9 @@ def windows_of(a: Alignment, scatter: float, seed: int, windows: int = 20) -> tu
         held = np.linalg.inv(prior.covariance)
         covariance = np.linalg.inv(held + data)
         seen = truth + scatter * own * rng.standard_normal(STATES)
-        assert a.offer(at(30.0 * k), at(30.0 * k + 10.0), covariance @ (held @ prior.mean + data @ seen), covariance)
+        mean = covariance @ (held @ prior.mean + data @ seen)
+        taken += a.offer(at(30.0 * k), at(30.0 * k + 10.0), mean, covariance)
+    assert taken >= 0.85 * windows
     return a.belief.mean - truth, a.belief.sigma
 
 
@@ -254,3 +260,96 @@ def test_a_state_file_from_before_delays_were_estimated_is_read_with_their_first
     assert np.all(a.belief.sigma[DELAY:] >= FIRST[DELAY:] - 1e-9)
     assert np.all(a.belief.sigma[DELAY:] < 1.2 * FIRST[DELAY:])
     assert np.all(a.belief.sigma[:3] < 0.6 * FIRST[:3])
+
+
+def told(a: Alignment, start_s: float, offset_s: float, sigma_s: float = 0.01) -> bool:
+    """Offer a window of ten seconds that knows the time offset alone."""
+    prior = a.prior_for(at(start_s))
+    mean, covariance = prior.mean.copy(), prior.covariance.copy()
+    mean[OFFSET], covariance[OFFSET, OFFSET] = offset_s, sigma_s**2
+    return a.offer(at(start_s), at(start_s + 10.0), mean, covariance)
+
+
+def test_a_value_outside_its_prior_waits_for_a_second_window_that_shares_nothing_with_the_first() -> None:
+    a = alignment()
+    assert not told(a, 0.0, 0.45)  # declared: 0.1
+    assert a.updates == 0
+    assert a.unconfirmed is not None
+    assert list(np.flatnonzero(a.unconfirmed.outside)) == [OFFSET]
+    assert not told(a, 5.0, 0.45), "shares pictures with the first"
+    assert not told(a, 15.0, 0.45), "shares the attitude's error with the first"
+    assert a.belief.mean[OFFSET] == 0.0
+    assert told(a, 25.0, 0.44)
+    assert a.belief.mean[OFFSET] == pytest.approx(0.44, abs=0.01)
+    assert a.unconfirmed is None
+    assert told(a, 60.0, 0.445), "what was confirmed must not wait again"
+
+
+def test_windows_that_are_outside_without_agreeing_confirm_nothing() -> None:
+    a = alignment()
+    for k, offset_s in enumerate((0.81, 0.5, -0.6, 0.7)):
+        assert not told(a, 30.0 * k, offset_s)
+    assert a.updates == 0
+    assert told(a, 200.0, 0.05)
+    assert a.unconfirmed is None
+    assert a.belief.mean[OFFSET] == pytest.approx(0.05, abs=0.001)
+
+
+def test_what_was_learned_is_not_overthrown_by_one_window() -> None:
+    a = alignment()
+    told(a, 0.0, 0.05)
+    assert not told(a, 40.0, 0.15)  # ten sigmas
+    assert a.belief.mean[OFFSET] == pytest.approx(0.05, abs=0.001)
+    assert told(a, 80.0, 0.15)
+
+
+def test_an_unconfirmed_value_is_never_written() -> None:
+    a = alignment()
+    assert told(a, 0.0, 0.05)
+    before = a.to_json()
+    assert not told(a, 40.0, 0.45)
+    assert not a.hear(at(60.0), 0.049, 0.02), "says nothing new"
+    assert a.hear(at(70.0), -0.3, 0.005)
+    assert a.unconfirmed is not None
+    assert a.to_json() == before
+
+
+def test_rotations_move_the_offset_and_nothing_that_is_independent_of_it() -> None:
+    a = alignment()
+    assert a.hear(at(10.0), -0.2, 0.006)
+    belief = a.prior_for(at(0.0))  # of the windows that hold the same pictures, too
+    assert belief.mean[OFFSET] == pytest.approx(-0.2)
+    assert belief.sigma[OFFSET] == pytest.approx(np.sqrt(2.0) * 0.006)
+    others = np.arange(STATES) != OFFSET
+    assert np.all(belief.mean[others] == 0.0)
+    assert belief.sigma[others] == pytest.approx(FIRST[others], rel=1e-4)
+    assert a.updates == 1
+    assert not a.hear(at(40.0), -0.195, 0.006), "as sure as what is known: nothing to be gained"
+
+
+def test_rotations_refine_an_offset_that_windows_know_less_well() -> None:
+    a = alignment()
+    assert a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)  # -0.08 +- 0.01
+    assert a.hear(at(30.0), -0.07, 0.002)
+    assert a.belief.mean[OFFSET] == pytest.approx(-0.0708, abs=0.0005)
+    assert a.belief.sigma[OFFSET] < 0.003
+    assert a.prior_for(at(29.0)).mean[OFFSET] == pytest.approx(-0.08)
+    assert a.belief.mean[:3] == pytest.approx(MEAN[:3])
+
+
+@pytest.mark.parametrize("agree", [True, False])
+def test_rotations_that_contradict_windows_need_each_other(agree: bool) -> None:
+    """Windows that never fitted a roll learned -0.08; two sets of pictures say -0.2: all begins anew from there."""
+    a = alignment()
+    a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)
+    assert a.hear(at(30.0), -0.2, 0.005)
+    assert a.belief.mean[OFFSET] == pytest.approx(-0.08)
+    assert a.hear(at(60.0), -0.203 if agree else 0.1, 0.005)
+    if agree:
+        assert a.belief.mean[OFFSET] == pytest.approx(-0.203)
+        assert np.all(a.belief.mean[:3] == 0.0), "the mount was learned at another offset"
+        assert a.unconfirmed is None
+        assert json.loads(a.to_json())["offset_s"] == pytest.approx(-0.203)
+    else:
+        assert a.belief.mean[OFFSET] == pytest.approx(-0.08)
+        assert a.unconfirmed is not None
