@@ -108,7 +108,8 @@ def timing(pairs: list[Pair], course: Course, centre_s: float, boresight_rad: Ar
     # Whole steps away interpolation is the same: between two attitudes their mean errs less than either does.
     chance = np.sqrt(2.0 * FREEDOMS * len(pairs))
     steps = np.arange(-round(REACH_S / COARSE_S), round(REACH_S / COARSE_S) + 1)
-    beside = _cost(problem.chi2(offset_s + COARSE_S * steps), scale2).sum(axis=1)
+    around_s: Array = np.asarray(offset_s + COARSE_S * steps, np.float64)
+    beside = _cost(problem.chi2(around_s), scale2).sum(axis=1)
     beside -= beside[steps == 0]
     rise = float(beside[np.abs(steps) == ASIDE].min() - chance)
     if beside[np.abs(steps) >= ASIDE].min() < RIVAL + chance or rise <= 0.0:
@@ -165,7 +166,7 @@ class _Problem:
         out: Array = np.empty((len(taus_s), len(self._start)))
         for row, tau in enumerate(taus_s):
             found, covariance, by_mount = self._deviations(round(float(tau) * 1e9))
-            weight: Array = np.linalg.inv(covariance)
+            weight: Array = np.asarray(np.linalg.inv(covariance), np.float64)
             out[row] = _without_common(found, weight, by_mount)
         return out
 
@@ -196,7 +197,7 @@ class _Problem:
             found = np.linalg.solve(N, (weighted * right[..., None]).sum(axis=1)[..., None])[..., 0]
             miss = (right - np.einsum("pmf,pf->pm", J, found)) * self._w
             w = self._w / np.sqrt(1.0 + (miss / 3.0) ** 2)
-        covariance: Array = np.linalg.inv(N) + prior[:, :, None] * np.eye(FREEDOMS)
+        covariance: Array = np.asarray(np.linalg.inv(N) + prior[:, :, None] * np.eye(FREEDOMS), np.float64)
         return found, covariance, np.concatenate([Q - np.eye(3), -across], axis=1)
 
 

@@ -25,7 +25,7 @@ from onboard.estimation.variance_components import (
 BORESIGHT, TIME_OFFSET = "boresight", "camera_time_offset"
 POSITION_DELAY, VELOCITY_DELAY = "position_delay", "velocity_delay"
 HEADING_ERROR = "heading_error_by_heading"
-STATES = (
+STATES: tuple[tuple[str, str, slice | int], ...] = (
     (BORESIGHT, "radians", boresight.BORESIGHT),
     (TIME_OFFSET, "seconds", boresight.OFFSET),
     (POSITION_DELAY, "seconds", boresight.DELAY),
@@ -78,7 +78,8 @@ def unconfirmed_of(found: Unconfirmed | None) -> tuple[Estimate, ...]:
     if found is None:
         return ()
     every = estimates_of(Belief(found.end_ns, found.mean, np.diag(np.square(found.sigma))))
-    return tuple(e for e, (_, _, at) in zip(every, STATES, strict=True) if np.any(found.outside[at]))
+    outside = [bool(np.any(found.outside[at])) for _, _, at in STATES]
+    return tuple(e for e, is_outside in zip(every, outside, strict=True) if is_outside)
 
 
 def not_adopted(unconfirmed: Iterable[Estimate]) -> str:

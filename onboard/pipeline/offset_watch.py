@@ -22,12 +22,12 @@ REACH_STEPS = (round(REACH_S * 1e9) + MARGIN_NS) // STEP_NS + 1
 LEAST_APART_NS, MOST_APART_NS = 200_000_000, 1_500_000_000  # of the pictures of a pair
 MIN_COMMON = 16
 MEMORY_NS = 60_000_000_000
-MOST_PAIRS = 60  # the newest that tell something
+MOST_PAIRS = 40  # the newest that tell something
 MIN_CHANGE_RAD_S = 0.08  # of the angular rate: 0.1 s of it is then half a degree, as much as an attitude errs
 MAX_WAIT_NS = 3_000_000_000  # for attitudes on both sides
-NEWS, NEWS_NS = 3, 2_000_000_000  # pairs, and time, after which the estimate is made again
+NEWS, NEWS_NS = 3, 2_500_000_000  # pairs, and time, after which the estimate is made again
 RELAXED, RELAXED_NS = 10, 10_000_000_000  # the same once the offset is known well
-KNOWN_S = 0.012
+KNOWN_S = 0.02
 RECENTRE_S = 0.5 * REACH_S
 
 

@@ -235,12 +235,11 @@ class Pipeline:
         """What rotations alone say of the time offset: heard before tracks are held against a prediction by it."""
         if nav.R_enu_body is None or nav.stamp_sigma_s or self.mount_selection.is_open(nav):
             return  # what stamps are off by for a while is no property of the platform
-        with self._statistics.timed("time offset"):
-            watch, alignment = self._offset_watch, self.window.alignment
-            watch.note(nav.stamp_ns, tracks.ids, tracks.uv_px)
-            found = watch.estimate(self.navigation, alignment.belief, self._now_ns)
-            if found is not None and alignment.hear(found.end_ns, found.offset_s, found.sigma_s):
-                watch.forget()
+        watch, alignment = self._offset_watch, self.window.alignment
+        watch.note(nav.stamp_ns, tracks.ids, tracks.uv_px)
+        found = watch.estimate(self.navigation, alignment.belief, self._now_ns)
+        if found is not None and alignment.hear(found.end_ns, found.offset_s, found.sigma_s):
+            watch.forget()
 
     def _predict(self, nav: NavState) -> Array | None:
         """Motion since the newest keyframe, both moments looked up with one and the same time offset."""

@@ -184,3 +184,11 @@ def test_sensors_worse_than_declared_are_named_with_both_numbers() -> None:
         == "heading 3.8 deg, declared 2; velocity 0.3 m/s, declared 0.1"
     )
     assert text(WELL, "sensors") == "no error found larger than configured"
+
+
+def test_what_was_found_and_not_confirmed_is_named() -> None:
+    doubted = (Estimate("camera_time_offset", "seconds", (0.81,), (0.12,)),)
+    assert text(replace(WELL, unconfirmed=doubted), "sensors") == (
+        "no error found larger than configured; found but not confirmed, and not used: "
+        "time offset +0.810 +-0.120 s, camera to autopilot"
+    )

@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 
 from onboard.config.schema import parse_config
-from onboard.estimation.boresight import STATES, Belief
+from onboard.estimation.boresight import OFFSET, STATES, Belief, Unconfirmed
 from onboard.estimation.variance_components import NAMES, Evidence, VarianceFactors
-from onboard.pipeline.estimates import as_rows, estimates_of, larger_than_declared, sensor_errors
+from onboard.pipeline.estimates import (
+    as_rows,
+    estimates_of,
+    larger_than_declared,
+    not_adopted,
+    sensor_errors,
+    unconfirmed_of,
+)
 
 CONFIG = parse_config("")
 BELIEF = Belief(
@@ -53,3 +60,16 @@ def test_the_summary_has_a_row_for_each_and_names_a_sensor_only_where_it_is_wors
     }
     assert as_rows((), sensor_errors(CONFIG, VarianceFactors())) == []
     assert larger_than_declared(sensor_errors(CONFIG, VarianceFactors())) == ""
+
+
+def test_what_is_not_confirmed_is_said_with_its_sigma_and_apart_from_what_is_used() -> None:
+    mean, sigma = np.zeros(STATES), np.full(STATES, 0.1)
+    mean[OFFSET], sigma[OFFSET] = 0.81, 0.12
+    found = unconfirmed_of(Unconfirmed(1, np.arange(STATES) == OFFSET, mean, sigma))
+    assert [(e.name, e.values, e.sigmas) for e in found] == [
+        ("camera_time_offset", (pytest.approx(0.81),), (pytest.approx(0.12),))
+    ]
+    assert not_adopted(found) == "time offset +0.810 +-0.120 s, camera to autopilot"
+    rows = as_rows((), sensor_errors(CONFIG, VarianceFactors()), found)
+    assert rows == [("not confirmed", "time offset +0.810 +-0.120 s, camera to autopilot")]
+    assert unconfirmed_of(None) == ()

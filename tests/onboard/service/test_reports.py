@@ -27,6 +27,7 @@ def test_a_report_is_the_same_there_and_back(said: Inputs) -> None:
         pictures=PictureCounts(300, 40, 280, {"no_gps": 12, "starting": 8}, 0.25),
         estimates=(Estimate(BORESIGHT, "radians", (0.01, -0.02, 0.0), (0.001,) * 3),),
         sensor_errors=(SensorError("heading", "deg", 3.8, 2.0),),
+        unconfirmed=(Estimate(BORESIGHT, "radians", (0.2, 0.0, 0.0), (0.01,) * 3),),
     )
     again = Report.from_json(report.to_json())
     assert again == report

@@ -36,6 +36,19 @@ def test_a_lesson_is_kept_and_widened_at_the_next_start(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["alignment.json"]
 
 
+def test_what_nothing_confirms_never_reaches_the_file(tmp_path: Path) -> None:
+    """A hover once "learned" +0.81 +- 0.12 s against a prior of 0.1, and wrote it."""
+    state, alignment = StateFile(tmp_path / "alignment.json"), fresh()
+    mean = np.zeros(8)
+    mean[3] = 0.81
+    covariance = np.diag([1e-5] * 3 + [0.12**2, 1e-3, 1e-3] + [1e-5] * 2)
+    assert not alignment.offer(1, 10_000_000_000, mean, covariance)
+    alignment.hear(20_000_000_000, 0.7, 0.005)
+    assert alignment.unconfirmed is not None
+    state.keep(alignment)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_first_flight_and_a_flight_without_lessons_leave_nothing(tmp_path: Path) -> None:
     state = StateFile(tmp_path / "alignment.json")
     untaught = fresh()

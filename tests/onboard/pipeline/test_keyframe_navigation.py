@@ -1,0 +1,96 @@
+"""Keyframes are looked up again where the time offset is known better than when they were taken."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.drawn_flight import DrawnFlight, DrawnSpec, DrawnTracker
+from onboard.config.schema import parse_config
+from onboard.estimation.keyframe import Keyframe
+from onboard.events.types import Attitude
+from onboard.navigation.navigator import NavState
+from onboard.pipeline.keyframe_navigation import look_up_again
+from onboard.pipeline.pipeline import Pipeline
+from simulation.paths import PathSpec
+
+SPEC = DrawnSpec(parse_config(""), PathSpec(), 9.0, 2.0, errors=0.2, offset_s=-0.2, delay_s=0.0)
+
+
+def flown(attitudes: int = 1) -> Pipeline:
+    """A pipeline as it is after nine seconds, with every so manieth attitude."""
+    flight = DrawnFlight(SPEC, 1)
+    pipeline = Pipeline(SPEC.config, SPEC.camera)
+    pipeline.tracker = DrawnTracker(flight)
+    count = 0
+    for event in flight.events():
+        if isinstance(event, Attitude):
+            count += 1
+            if count % attitudes:
+                continue
+        pipeline.handle(event)
+    return pipeline
+
+
+def alike(one: list[Keyframe], other: list[Keyframe]) -> bool:
+    return all(a is b for a, b in zip(one, other, strict=True))
+
+
+def test_attitude_rate_position_and_distance_are_those_of_the_new_offset() -> None:
+    pipeline = flown()
+    window, navigation = pipeline.window, pipeline.navigation
+    before = list(window.keyframes)
+    assert len(before) >= 4
+    assert window.alignment.hear(before[-1].nav.stamp_ns, -0.2, 0.004)
+    look_up_again(window, navigation)
+    delay_s = float(window.alignment.belief.mean[4])
+    for k, (old, new) in enumerate(zip(before, window.keyframes, strict=True)):
+        nav = navigation.state_at(old.nav.stamp_ns, -0.2, 0.0, delay_s)
+        assert isinstance(nav, NavState)
+        assert new.nav_offset_s == pytest.approx(-0.2)
+        assert new.nav.R_enu_body is not None
+        assert nav.R_enu_body is not None
+        assert np.allclose(new.nav.R_enu_body, nav.R_enu_body)
+        assert np.allclose(new.nav.position_enu_m, nav.position_enu_m)
+        rate = navigation.body_rate_at(old.nav.stamp_ns - 200_000_000)
+        assert rate is not None
+        assert np.allclose(new.body_rate_rad_s, rate)
+        assert new.observation is old.observation
+        if k and old.flown_enu_m is not None:
+            assert new.flown_enu_m is not None
+            assert 0.0 < np.linalg.norm(new.flown_enu_m - old.flown_enu_m) < 5.0
+    moved = [
+        np.linalg.norm(a.nav.position_enu_m - b.nav.position_enu_m)
+        for a, b in zip(before, window.keyframes, strict=True)
+    ]
+    assert min(moved) > 1.0, "0.2 s are metres"
+
+
+def test_nothing_is_touched_where_nothing_changed_or_navigation_is_gone() -> None:
+    pipeline = flown()
+    window = pipeline.window
+    now_s = window.keyframes[-1].nav_offset_s
+    window.alignment.hear(window.keyframes[-1].nav.stamp_ns, now_s + 0.002, 0.004)
+    look_up_again(window, pipeline.navigation)
+    before = list(window.keyframes)
+    look_up_again(window, pipeline.navigation)
+    assert alike(window.keyframes, before)
+    window.alignment.hear(before[-1].nav.stamp_ns, -0.2, 0.001)
+    pipeline.navigation._forget()
+    look_up_again(window, pipeline.navigation)
+    assert alike(window.keyframes, before)
+
+
+def test_motion_is_that_of_the_state_where_attitudes_come_often_and_none_where_they_do_not() -> None:
+    pipeline = flown()
+    moment_ns = pipeline.window.keyframes[-1].nav.stamp_ns - 333_000_000
+    state, motion = pipeline.navigation.state_at(moment_ns), pipeline.navigation.motion_at(moment_ns)
+    assert isinstance(state, NavState)
+    assert motion is not None
+    assert state.R_enu_body is not None
+    assert state.velocity_enu_m_s is not None
+    assert np.allclose(motion.R_enu_body, state.R_enu_body, atol=1e-6)
+    assert np.allclose(motion.velocity_enu_m_s, state.velocity_enu_m_s)
+    slow = flown(attitudes=8)  # 2.5 Hz: a roll that begins and ends between two of them is in none
+    assert isinstance(slow.navigation.state_at(moment_ns), NavState)
+    assert slow.navigation.motion_at(moment_ns) is None
