@@ -259,7 +259,7 @@ def judge(scene: Scene, seed: int, warm_s: float = 30.0) -> Score:
             score.moment_s.append(float(t))
             score.flat_m.append(float(np.hypot(*(ray - where)[:2])))
     alignment = pipeline.window.alignment
-    mean, sigma = alignment.belief.mean, alignment.belief.sigma
+    mean, sigma = alignment.belief.mean, pipeline.window.belief.sigma
     score.learned_values = (mean, sigma)
     score.learned = " ".join(
         f"{m * 180 / np.pi:+.2f}±{s * 180 / np.pi:.2f}" for m, s in zip(mean[:3], sigma[:3], strict=True)

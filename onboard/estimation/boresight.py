@@ -185,6 +185,19 @@ class Alignment:
         self._estimates = [Belief(0, mean, covariance + 0.25 * first)]
 
 
+def under_another_prior(mean: Array, covariance: Array, prior: Belief, given: Array) -> tuple[Array, Array]:
+    """The posterior that follows from `prior` where the window was solved with the prior covariance `given` (8, 8).
+
+    The means of both priors are the same. What the window itself says, C^-1 - given^-1, is put upon the other prior.
+    """
+    precision = np.linalg.inv(covariance)
+    values, vectors = np.linalg.eigh(precision - np.linalg.inv(given))
+    alone = (vectors * np.maximum(values, 0.0)) @ vectors.T  # `covariance` may have been widened after the solve
+    shift = precision @ (mean - prior.mean)
+    out = np.linalg.inv(np.linalg.inv(prior.covariance) + alone)
+    return prior.mean + out @ shift, 0.5 * (out + out.T)
+
+
 def _with_prior_reweighed(estimate: Belief, first: Belief) -> Belief:
     """The same posterior with the first prior's variance re-estimated from the data. Equation (6.12).
 

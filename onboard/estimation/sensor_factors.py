@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -283,13 +285,21 @@ def _coordinated(R_body_cam: Array, stamps_s: Array, velocities: Array) -> Array
     return out
 
 
+def with_delays_held_open(config: Config, belief: Belief) -> Belief:
+    """The same belief with both delays at least as uncertain as declared.
+
+    What turns show of a filter's delays is not all of them: inertial sensors keep turns in time. (5.15)
+    """
+    covariance = belief.covariance.copy()
+    for delay in (DELAY, VELOCITY_DELAY):
+        covariance[delay, delay] += max(config.gps.sigma_latency_s**2 - covariance[delay, delay], 0.0)
+    return replace(belief, covariance=covariance)
+
+
 def _shared_prior(config: Config, layout: Layout, belief: Belief, has_terrain: bool) -> SharedPrior:
     """Boresight and time offset as estimated so far, and the ground plane's slope and height."""
     covariance = np.zeros((STATES_AND_PLANE, STATES_AND_PLANE))
-    covariance[:SHARED, :SHARED] = belief.covariance
-    # What turns show of a filter's delays is not all of them: inertial sensors keep turns in time. (5.15)
-    for delay in (DELAY, VELOCITY_DELAY):
-        covariance[delay, delay] += max(config.gps.sigma_latency_s**2 - belief.covariance[delay, delay], 0.0)
+    covariance[:SHARED, :SHARED] = with_delays_held_open(config, belief).covariance
     solve_ = config.solve
     slope = np.tan(np.radians(solve_.level_ground_sigma_deg)) if solve_.level_ground else 3.0
     height_m = 1e4

@@ -14,10 +14,10 @@ from contract.camera import Camera
 from contract.feature_set import Status
 from contract.rotations import exp_so3, mount_rotation
 from onboard.config.schema import Config
-from onboard.estimation.boresight import BORESIGHT, DELAY, HEADING, OFFSET, Alignment
+from onboard.estimation.boresight import BORESIGHT, DELAY, HEADING, OFFSET, Alignment, Belief, under_another_prior
 from onboard.estimation.boresight import STATES as SHARED
 from onboard.estimation.keyframe import Keyframe, Observation
-from onboard.estimation.sensor_factors import cosine_sine_of_heading
+from onboard.estimation.sensor_factors import cosine_sine_of_heading, with_delays_held_open
 from onboard.estimation.sensor_pose import SensorPose
 from onboard.estimation.shared_errors import make_sensor_pose
 from onboard.estimation.window_solver import MIN_POINTS, Noise, Outcome, Request, Solved, adjust
@@ -52,6 +52,11 @@ class Window:
             np.radians(config.solve.heading_sigma_deg),
         )
         self.lever_body_m = np.array(mount.lever_arm_m)
+
+    @property
+    def belief(self) -> Belief:
+        """What is estimated of the platform by now, no delay surer than declared, (5.15)."""
+        return with_delays_held_open(self.config, self.alignment.belief)
 
     def reset(self) -> None:
         """Forget keyframes and structure: nothing links what comes to what was."""
@@ -173,6 +178,10 @@ class Window:
         taken_s = np.mean([(k.nav_offset_s, k.nav_delay_s) for k in self.keyframes], axis=0)
         moved_s = mean[[OFFSET, DELAY]] - taken_s
         covariance[[OFFSET, DELAY], [OFFSET, DELAY]] += (CURVED_SHARE * moved_s) ** 2
+        before = self.alignment.prior_for(start)
+        mean, covariance = under_another_prior(
+            mean, covariance, before, with_delays_held_open(self.config, before).covariance
+        )
         self.alignment.offer(start, end, mean, covariance)
 
     def conclude(self) -> None:

@@ -137,9 +137,8 @@ class Pipeline:
     @property
     def summary(self) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
-        alignment = self.window.alignment
         return self._statistics.summary(
-            estimates_of(alignment.belief if alignment.updates else None),
+            estimates_of(self.window.belief if self.window.alignment.updates else None),
             sensor_errors(self.config, self.window.noise.factors),
         )
 
