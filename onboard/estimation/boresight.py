@@ -16,11 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.camera import Camera
 from contract.errors import InputError
+from onboard.estimation import camera_states
 
 Array = NDArray[np.float64]
 
-# Boresight about camera x, y, z (rad), time offset, delay of position, of velocity (s), heading error by heading (rad).
+# Boresight about camera x, y, z (rad), time offset, delay of position, of velocity (s), heading error by heading (rad);
+# after them the camera's own, see `camera_states`, if its file states how wrong it may be.
 STATES = 8
 BORESIGHT, OFFSET, DELAY, VELOCITY_DELAY, HEADING = slice(0, 3), 3, 4, 5, slice(6, 8)
 # What a mount and a clock may do by themselves, one sigma after a minute: a random walk.
@@ -28,6 +31,7 @@ BORESIGHT_WALK_RAD = np.radians(0.03)
 OFFSET_WALK_S = 0.002
 DELAY_WALK_S = 0.005
 HEADING_WALK_RAD = np.radians(0.1)
+CAMERA_WALK = (1e-4, 1e-4, 1e-4, 3e-4, 3e-4)  # a lens that warms up or cools down, in the units of `camera_states`
 MEMORY_ESTIMATES = 8
 TOO_SURE = 2.0  # times the declared sigma that data may claim
 AGREEMENT_PRIOR = 2.0  # windows that agree with their covariances, assumed before any has been seen
@@ -36,7 +40,7 @@ MIN_GAIN = 0.02  # of a variance: a window that says less of a state is no evide
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Mean (8,) and covariance (8, 8) in the order of STATES, from data up to `end_ns`.
+    """Mean (B,) and covariance (B, B) in the order of STATES, from data up to `end_ns`.
 
     `end_ns` 0 is the belief before take-off.
     """
@@ -62,7 +66,8 @@ class Belief:
     def aged(self, stamp_ns: int) -> Belief:
         """The same belief some time later."""
         minutes = max(stamp_ns - self.end_ns, 0) / 60e9 if self.end_ns else 0.0
-        walk = np.array([BORESIGHT_WALK_RAD] * 3 + [OFFSET_WALK_S, DELAY_WALK_S, DELAY_WALK_S] + [HEADING_WALK_RAD] * 2)
+        platform = [BORESIGHT_WALK_RAD] * 3 + [OFFSET_WALK_S, DELAY_WALK_S, DELAY_WALK_S] + [HEADING_WALK_RAD] * 2
+        walk = np.array([*platform, *CAMERA_WALK[: len(self.mean) - STATES]])
         return Belief(self.end_ns, self.mean, self.covariance + np.diag(walk**2 * minutes), self.given)
 
 
@@ -76,14 +81,20 @@ class Alignment:
         spacing_s: float,
         delay_sigma_s: float = 0.0,
         heading_sigma_rad: float = 0.0,
+        camera: Camera | None = None,
     ) -> None:
-        """Priors are one sigma; `spacing_s` is the least time between the ends of two windows that update it."""
+        """Priors are one sigma; `spacing_s` is the least time between the ends of two windows that update it.
+
+        `camera`: the camera file, whose own errors are then estimated too, if it states any sigma.
+        """
         tiny = 1e-12
+        self._camera = camera if camera is not None and any(camera.sigma) else None
         sigmas = [mount_sigma_rad] * 3 + [offset_sigma_s, delay_sigma_s, delay_sigma_s] + [heading_sigma_rad] * 2
+        sigmas += [] if self._camera is None else list(self._camera.sigma)
         first = np.diag(np.square(sigmas) + tiny)
-        self._estimates = [Belief(0, np.zeros(STATES), first)]
+        self._estimates = [Belief(0, np.zeros(len(first)), first)]
         self._spacing_ns = round(spacing_s * 1e9)
-        self._squares, self._counts = np.zeros(STATES), np.zeros(STATES)
+        self._squares, self._counts = np.zeros(len(first)), np.zeros(len(first))
 
     @property
     def belief(self) -> Belief:
@@ -146,6 +157,9 @@ class Alignment:
     def to_json(self) -> str:
         """The newest belief, for the state directory."""
         newest = self.belief
+        camera = {}
+        if self._camera is not None:
+            camera["camera"] = camera_states.as_numbers(self._camera, newest.mean[STATES:])
         return json.dumps(
             {
                 "boresight_rad": newest.mean[:3].tolist(),
@@ -153,6 +167,11 @@ class Alignment:
                 "delay_s": float(newest.mean[DELAY]),
                 "velocity_delay_s": float(newest.mean[VELOCITY_DELAY]),
                 "heading_rad": newest.mean[HEADING].tolist(),
+                **(
+                    {}
+                    if self._camera is None
+                    else {"camera": camera_states.as_numbers(self._camera, newest.mean[STATES:])}
+                ),
                 "covariance": newest.covariance.tolist(),
                 "end_unix_ns": newest.end_ns,
             },
@@ -170,18 +189,23 @@ class Alignment:
             covariance = np.array(raw["covariance"], float)
             if "delay_s" in raw:
                 mean = np.array([*mean, raw["delay_s"], raw["velocity_delay_s"], *raw["heading_rad"]], float)
-            elif covariance.shape == (DELAY, DELAY):  # written before delay and heading's error were estimated
-                mean, covariance = np.pad(mean, (0, STATES - DELAY)), np.pad(covariance, (0, STATES - DELAY))
-                covariance[DELAY:, DELAY:] = self._estimates[0].covariance[DELAY:, DELAY:]
+            if self._camera is not None and "camera" in raw:
+                mean = np.array([*mean, *camera_states.from_numbers(self._camera, raw["camera"])])
+            elif "camera" in raw:  # the camera file is now taken as it is
+                covariance = covariance[:STATES, :STATES]
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"alignment state: not readable ({error})") from error
-        if mean.shape != (STATES,) or covariance.shape != (STATES, STATES):
+        first = self._estimates[0].covariance
+        missing = len(first) - len(mean)
+        if missing < 0 or covariance.shape != (len(mean), len(mean)):
             raise InputError("alignment state: wrong shape")
+        if missing:  # written before these were estimated
+            mean, covariance = np.pad(mean, (0, missing)), np.pad(covariance, (0, missing))
+            covariance[-missing:, -missing:] = first[-missing:, -missing:]
         if not (np.all(np.isfinite(mean)) and np.all(np.isfinite(covariance))):
             raise InputError("alignment state: not finite")
         if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance)[0] <= 0.0:
             raise InputError("alignment state: covariance is not positive definite")
-        first = self._estimates[0].covariance
         self._estimates = [Belief(0, mean, covariance + 0.25 * first)]
 
 

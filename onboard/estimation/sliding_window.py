@@ -7,6 +7,8 @@ adopted.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,9 +16,18 @@ from contract.camera import Camera
 from contract.feature_set import Status
 from contract.rotations import exp_so3, mount_rotation
 from onboard.config.schema import Config
-from onboard.estimation.boresight import BORESIGHT, DELAY, HEADING, OFFSET, Alignment, Belief, under_another_prior
-from onboard.estimation.boresight import STATES as SHARED
-from onboard.estimation.keyframe import Keyframe, Observation
+from onboard.estimation.boresight import (
+    BORESIGHT,
+    DELAY,
+    HEADING,
+    OFFSET,
+    STATES,
+    Alignment,
+    Belief,
+    under_another_prior,
+)
+from onboard.estimation.camera_states import corrected
+from onboard.estimation.keyframe import Keyframe, Observation, seen_with
 from onboard.estimation.sensor_factors import cosine_sine_of_heading, with_delays_held_open
 from onboard.estimation.sensor_pose import SensorPose
 from onboard.estimation.shared_errors import make_sensor_pose
@@ -37,7 +48,8 @@ class Window:
 
     def __init__(self, config: Config, camera: Camera) -> None:
         self.config = config
-        self.camera = camera
+        self.camera_file = camera
+        self.camera = camera  # as it is believed now: new observations are made with it
         mount = config.mount
         self.R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg)
         self.keyframes: list[Keyframe] = []
@@ -50,7 +62,9 @@ class Window:
             config.solve.attitude_wander_time_s,
             config.gps.sigma_latency_s,
             np.radians(config.solve.heading_sigma_deg),
+            camera,
         )
+        self.camera_taken = np.zeros_like(self.alignment.belief.mean[STATES:])  # what parts `camera` from its file
         self.lever_body_m = np.array(mount.lever_arm_m)
 
     @property
@@ -135,10 +149,13 @@ class Window:
 
     def prepare(self) -> Request:
         """The window as it stands, for `window_solver.adjust`; nothing done to the window later changes it."""
+        self._see_with_belief()  # which may have been restored from the state directory
         start_ns = self.keyframes[0].nav.stamp_ns if self.keyframes else 0
         return Request(
             self.config,
             self.camera,
+            self.camera_file,
+            self.camera_taken,
             self.R_body_cam,
             tuple(self.keyframes),
             self.solved,
@@ -158,6 +175,7 @@ class Window:
             self.solved = outcome.solved
             if len(self.keyframes) == self.config.solve.keyframes:
                 self.learn(outcome.solved)
+        self._see_with_belief()
         return outcome.status
 
     def solve(self) -> Status:
@@ -169,7 +187,7 @@ class Window:
         s, layout = solved.solution, solved.layout
         if self.keyframes[0].nav.R_enu_body is None or any(k.nav.stamp_sigma_s for k in self.keyframes):
             return  # what stamps are off by for a while is no property of the platform
-        shared = slice(layout.boresight.start, layout.boresight.start + SHARED)
+        shared = slice(layout.boresight.start, layout.plane.start)
         mean = s.state.platform
         start, end = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
         covariance = solved.covariance_at((start + end) // 2)[shared, shared].copy()
@@ -183,6 +201,14 @@ class Window:
             mean, covariance, before, with_delays_held_open(self.config, before).covariance
         )
         self.alignment.offer(start, end, mean, covariance)
+
+    def _see_with_belief(self) -> None:
+        """Where the belief of the camera has moved, make the keyframes' observations anew. Equation (5.18)."""
+        states = self.alignment.belief.mean[STATES:]
+        if np.array_equal(states, self.camera_taken):
+            return
+        self.camera_taken, self.camera = states.copy(), corrected(self.camera_file, states)
+        self.keyframes = [replace(k, observation=seen_with(self.camera, k.observation)) for k in self.keyframes]
 
     def conclude(self) -> None:
         """The end of a stretch: update the alignment from its last window even if it never filled."""
