@@ -323,14 +323,14 @@ FAULTS: dict[str, dict[str, Any]] = {
     "1hz": {"attitude_hz": 1.0},
     "slope": {"slope_deg": 9.8},
     # The camera file says nothing of its errors: it is right all the same, or 3 % and 0.1 wrong.
-    "unsure lens": {"camera_file": replace(LENS, sigma=UNKNOWN_SIGMA)},
+    "unsure lens": {"camera_file": replace(LENS, stated_sigma=UNKNOWN_SIGMA)},
     "wrong lens": {
         "camera_file": replace(
             LENS,
             fx_px=1.03 * LENS.fx_px,
             fy_px=1.03 * LENS.fy_px,
             distortion=(0.1, 0.0, 0.0, 0.0, 0.0),
-            sigma=UNKNOWN_SIGMA,
+            stated_sigma=UNKNOWN_SIGMA,
         )
     },
 }

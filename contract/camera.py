@@ -8,10 +8,10 @@ Pixel (0, 0) is the centre of the top-left pixel; the camera looks along +z with
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +20,7 @@ from contract.errors import InputError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Sigma = tuple[float, float, float, float, float]
 
 # What a camera file that does not say so may be wrong about: see `Camera.sigma`. A lens of the same type and a data
 # sheet give the focal length to some per cent, and k1 and k2 to about this.
@@ -35,7 +36,8 @@ class Camera:
     """Intrinsics in pixels; `distortion` is OpenCV's k1, k2, p1, p2, k3.
 
     `sigma`: one sigma of the focal length (relative), of the principal point (x, y, in focal lengths), of k1 and of k2.
-    It is no part of what the camera is: two cameras are equal without it, and the wire does not carry it.
+    It is no part of what the camera is: two cameras are equal without it, `replace` drops it and the wire does not
+    carry it.
     """
 
     width_px: int
@@ -45,7 +47,13 @@ class Camera:
     cx_px: float
     cy_px: float
     distortion: tuple[float, float, float, float, float] = field(default=(0.0, 0.0, 0.0, 0.0, 0.0))
-    sigma: tuple[float, float, float, float, float] = field(default=(0.0, 0.0, 0.0, 0.0, 0.0), compare=False)
+    stated_sigma: InitVar[Sigma | None] = None  # none: the camera is taken as it is
+    sigma: ClassVar[Sigma] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self, stated_sigma: Sigma | None) -> None:
+        """Keep the sigmas beside the fields, for they are no part of what the camera is."""
+        if stated_sigma is not None:
+            object.__setattr__(self, "sigma", stated_sigma)
 
     @classmethod
     def from_field_of_view(cls, width_px: int, height_px: int, hfov_deg: float) -> Camera:
@@ -95,7 +103,7 @@ class Camera:
         if sigmas is None:
             return camera
         f = camera.focal_px
-        return replace(camera, sigma=(sigmas[0] / fx, sigmas[1] / f, sigmas[2] / f, sigmas[3], sigmas[4]))
+        return replace(camera, stated_sigma=(sigmas[0] / fx, sigmas[1] / f, sigmas[2] / f, sigmas[3], sigmas[4]))
 
     def to_json(self) -> str:
         """The camera file's text; `from_json` reads it back exactly."""

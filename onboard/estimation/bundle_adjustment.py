@@ -48,7 +48,7 @@ class Problem:
     # The ground's sigma is relative to the height flown at, and `ground_weight` holds at this height; None: it is in
     # metres. In metres least squares shrink the whole scene, because a smaller one lies nearer the plane: see (5.9).
     clearance_m: float | None = None
-    # The camera that `xy` was made with, and its own states (C,) in that, where they are estimated: (5.18).
+    # The camera that `xy` was made with, and its own states (C,) in that, where they are estimated: (14.2).
     camera: Camera | None = None
     camera_taken: Array = field(default_factory=lambda: np.zeros(0))
 

@@ -1,7 +1,7 @@
 """What a camera file may be wrong about: focal length, principal point, radial distortion, estimated in flight.
 
 Five states, each counted from the camera file: the focal length's relative error, the principal point's shift (in focal
-lengths, x and y), and what k1 and k2 are larger by. Equation (5.18) of docs/mathematics.md.
+lengths, x and y), and what k1 and k2 are larger by. Equation (14.2) of docs/mathematics.md.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def corrected(camera: Camera, states: Array) -> Camera:
 
 
 def by_states(camera: Camera, x: Array, y: Array) -> Array:
-    """How normalised image coordinates (any shape ...) of fixed pixels move with the states: (..., 5, 2), as (5.18).
+    """How normalised image coordinates (any shape ...) of fixed pixels move with the states: (..., 5, 2), as (14.2).
 
     `camera` is the one that they were computed with. The result has its two new axes first but one: x of shape (K, P)
     gives (K, 5, 2, P).

@@ -203,7 +203,7 @@ class Window:
         self.alignment.offer(start, end, mean, covariance)
 
     def _see_with_belief(self) -> None:
-        """Where the belief of the camera has moved, make the keyframes' observations anew. Equation (5.18)."""
+        """Where the belief of the camera has moved, make the keyframes' observations anew. Equation (14.2)."""
         states = self.alignment.belief.mean[STATES:]
         if np.array_equal(states, self.camera_taken):
             return

@@ -247,7 +247,7 @@ def _as_common(errors: Linearised) -> tuple[Array, Array]:
 
     A wrong focal length moves rays and depths together, such that the ground hardly moves sideways. A click must see
     that, but the wire has no states of the camera: the nine that move the points most nearly as they move are taken
-    instead, (9.13).
+    instead, (14.3).
     """
     d, H = errors.directions, errors.H
     z = np.linalg.norm(d, axis=1)

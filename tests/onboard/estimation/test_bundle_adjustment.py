@@ -116,7 +116,7 @@ def test_errors_drawn_larger_than_believed_show_as_larger() -> None:
 
 
 # Nearly right, for the derivatives are those at the camera that measurements were made with.
-LENS = replace(Camera.from_field_of_view(640, 480, 40.0), sigma=(2e-5, 1e-5, 1e-5, 5e-5, 5e-5))
+LENS = replace(Camera.from_field_of_view(640, 480, 40.0), stated_sigma=(2e-5, 1e-5, 1e-5, 5e-5, 5e-5))
 
 
 @pytest.mark.parametrize("lens", [None, LENS])
