@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from contract.camera import Camera
+from contract.camera import Camera, Sigma
 from contract.feature_set import Status
 from contract.rotations import exp_so3, mount_rotation
 from onboard.config.schema import Config
@@ -201,6 +201,15 @@ class Window:
             mean, covariance, before, with_delays_held_open(self.config, before).covariance
         )
         self.alignment.offer(start, end, mean, covariance)
+
+    def camera_found(self) -> tuple[Camera, Sigma]:
+        """The camera as the flight found it, and one sigma of each of its states; the file's own if it has none."""
+        belief = self.alignment.belief
+        states, sigma = belief.mean[STATES:], belief.sigma[STATES:]
+        if not len(states):
+            return self.camera_file, self.camera_file.sigma
+        f, x, y, k1, k2 = (float(s) for s in sigma)
+        return corrected(self.camera_file, states), (f, x, y, k1, k2)
 
     def _see_with_belief(self) -> None:
         """Where the belief of the camera has moved, make the keyframes' observations anew. Equation (14.2)."""
