@@ -43,9 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     ):
         print(f"{name:<20}{was:.6g} -> {now:.6g}, one sigma {own:.2g} (before: {before:.2g})")
     if not pipeline.window.alignment.updates or np.all(ratio > FOUND):
-        print(
-            f"{arguments.out} is not written: this flight says too little of its camera. Turns, climbs and relief tell most"
-        )
+        print(f"{arguments.out} is not written: this flight says too little of its camera; turns and climbs tell most")
         return 1
     _write(arguments.out, replace(camera, stated_sigma=sigma), arguments.from_session)
     print(f"written: {arguments.out}")
