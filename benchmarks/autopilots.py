@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.drawn_flight import DrawnTracker, Ground, Mask, replace_section
-from contract.camera import Camera
+from contract.camera import UNKNOWN_SIGMA, Camera
 from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, matrix_from_quaternion, mount_rotation
@@ -51,6 +51,9 @@ LEAD_NS, TAIL_NS = 30_000_000_000, 3_000_000_000
 CLICKS = 3
 
 
+LENS = Camera.from_field_of_view(640, 480, 40.0)
+
+
 @dataclass(frozen=True)
 class Scene:
     """One recorded flight as it is flown again. Angles and offsets are the truth; the configuration knows none."""
@@ -68,7 +71,8 @@ class Scene:
     wander_m: float = 1.5
     pixel_sigma_px: float = 0.3
     outlier_share: float = 0.03
-    camera: Camera = field(default_factory=lambda: Camera.from_field_of_view(640, 480, 40.0))
+    camera: Camera = field(default_factory=lambda: LENS)
+    camera_file: Camera | None = None  # what the daemon is told; None: the truth, as known for sure
 
 
 @functools.lru_cache(maxsize=8)
@@ -213,7 +217,7 @@ class Score:
 def judge(scene: Scene, seed: int, warm_s: float = 30.0) -> Score:
     """Fly the scene and ask `CLICKS` clicks of every picture after `warm_s`."""
     flight = ReplayedFlight(scene, seed)
-    pipeline = Pipeline(scene.config, scene.camera, None)
+    pipeline = Pipeline(scene.config, scene.camera_file or scene.camera, None)
     pipeline.tracker = ReplayedTracker(flight)
     sets: dict[int, FeatureSet] = {}
     for event in flight.events():
@@ -259,7 +263,7 @@ def judge(scene: Scene, seed: int, warm_s: float = 30.0) -> Score:
             score.moment_s.append(float(t))
             score.flat_m.append(float(np.hypot(*(ray - where)[:2])))
     alignment = pipeline.window.alignment
-    mean, sigma = alignment.belief.mean, alignment.belief.sigma
+    mean, sigma = alignment.belief.mean, pipeline.window.belief.sigma
     score.learned_values = (mean, sigma)
     score.learned = " ".join(
         f"{m * 180 / np.pi:+.2f}±{s * 180 / np.pi:.2f}" for m, s in zip(mean[:3], sigma[:3], strict=True)
@@ -318,6 +322,17 @@ FAULTS: dict[str, dict[str, Any]] = {
     "late": {"stamps_late_s": 0.2, "mount_error_deg": (2.0, 1.5, 0.0)},
     "1hz": {"attitude_hz": 1.0},
     "slope": {"slope_deg": 9.8},
+    # The camera file says nothing of its errors: it is right all the same, or 3 % and 0.1 wrong.
+    "unsure lens": {"camera_file": replace(LENS, stated_sigma=UNKNOWN_SIGMA)},
+    "wrong lens": {
+        "camera_file": replace(
+            LENS,
+            fx_px=1.03 * LENS.fx_px,
+            fy_px=1.03 * LENS.fy_px,
+            distortion=(0.1, 0.0, 0.0, 0.0, 0.0),
+            stated_sigma=UNKNOWN_SIGMA,
+        )
+    },
 }
 
 

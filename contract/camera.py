@@ -8,10 +8,10 @@ Pixel (0, 0) is the centre of the top-left pixel; the camera looks along +z with
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +20,12 @@ from contract.errors import InputError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Sigma = tuple[float, float, float, float, float]
 
+# What a camera file that does not say so may be wrong about: see `Camera.sigma`. A lens of the same type and a data
+# sheet give the focal length to some per cent, and k1 and k2 to about this.
+UNKNOWN_SIGMA = (0.02, 0.01, 0.01, 0.05, 0.05)
+SIGMA_KEYS = ("fx", "cx", "cy", "k1", "k2")  # of a camera file's calibration, in the order of `Camera.sigma`
 # Where the radial polynomial's slope has fallen this low, a pixel of noise is three in normalised coordinates: the
 # calibration is extrapolating towards its fold and is not used.
 MIN_RADIAL_SLOPE = 0.3
@@ -28,7 +33,12 @@ MIN_RADIAL_SLOPE = 0.3
 
 @dataclass(frozen=True)
 class Camera:
-    """Intrinsics in pixels; `distortion` is OpenCV's k1, k2, p1, p2, k3."""
+    """Intrinsics in pixels; `distortion` is OpenCV's k1, k2, p1, p2, k3.
+
+    `sigma`: one sigma of the focal length (relative), of the principal point (x, y, in focal lengths), of k1 and of k2.
+    It is no part of what the camera is: two cameras are equal without it, `replace` drops it and the wire does not
+    carry it.
+    """
 
     width_px: int
     height_px: int
@@ -37,6 +47,13 @@ class Camera:
     cx_px: float
     cy_px: float
     distortion: tuple[float, float, float, float, float] = field(default=(0.0, 0.0, 0.0, 0.0, 0.0))
+    stated_sigma: InitVar[Sigma | None] = None  # none: the camera is taken as it is
+    sigma: ClassVar[Sigma] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self, stated_sigma: Sigma | None) -> None:
+        """Keep the sigmas beside the fields, for they are no part of what the camera is."""
+        if stated_sigma is not None:
+            object.__setattr__(self, "sigma", stated_sigma)
 
     @classmethod
     def from_field_of_view(cls, width_px: int, height_px: int, hfov_deg: float) -> Camera:
@@ -68,6 +85,8 @@ class Camera:
             width, height = (int(n) for n in raw["size_px"])
             coefficients = [float(c) for c in raw.get("distortion_opencv_k1_k2_p1_p2_k3", [0.0] * 5)]
             numbers = [float(raw[key]) for key in ("fx_px", "fy_px", "cx_px", "cy_px")]
+            stated = raw.get("calibration", {}).get("sigma")
+            sigmas = None if stated is None else [float(stated[key]) for key in SIGMA_KEYS]
         except KeyError as error:
             raise InputError(f"{what}: key {error.args[0]!r} is missing") from error
         except (TypeError, ValueError, AttributeError) as error:
@@ -76,9 +95,15 @@ class Camera:
             raise InputError(f"{what}: distortion needs 5 coefficients, not {len(coefficients)}")
         if not np.all(np.isfinite(numbers + coefficients)) or min(width, height) < 16 or min(numbers[:2]) <= 0:
             raise InputError(f"{what}: size and focal lengths must be positive and every number finite")
+        if sigmas is not None and not (np.all(np.isfinite(sigmas)) and min(sigmas) >= 0.0):
+            raise InputError(f"{what}: sigmas must be finite and not negative")
         k1, k2, p1, p2, k3 = coefficients
         fx, fy, cx, cy = numbers
-        return cls(width, height, fx, fy, cx, cy, distortion=(k1, k2, p1, p2, k3))
+        camera = cls(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3), UNKNOWN_SIGMA)
+        if sigmas is None:
+            return camera
+        f = camera.focal_px
+        return replace(camera, stated_sigma=(sigmas[0] / fx, sigmas[1] / f, sigmas[2] / f, sigmas[3], sigmas[4]))
 
     def to_json(self) -> str:
         """The camera file's text; `from_json` reads it back exactly."""
@@ -91,9 +116,14 @@ class Camera:
                 "cx_px": self.cx_px,
                 "cy_px": self.cy_px,
                 "distortion_opencv_k1_k2_p1_p2_k3": list(self.distortion),
+                "calibration": {"sigma": dict(zip(SIGMA_KEYS, self._sigma_as_written(), strict=True))},
             },
             indent=1,
         )
+
+    def _sigma_as_written(self) -> list[float]:
+        units = (self.fx_px, self.focal_px, self.focal_px, 1.0, 1.0)
+        return [s * unit for s, unit in zip(self.sigma, units, strict=True)]
 
     @property
     def size_px(self) -> tuple[int, int]:

@@ -165,6 +165,9 @@ def _pair(text: str) -> tuple[int, int]:
 def _add_calibrate(calibrate: argparse.ArgumentParser) -> None:
     calibrate.add_argument("--out", type=Path, metavar="CAMERA.json", help="the camera file to write")
     calibrate.add_argument("--pictures", type=Path, metavar="DIR", help="pictures of the board")
+    calibrate.add_argument(
+        "--from", dest="from_session", type=Path, metavar="SESSION.mcap", help="no board: what a recorded flight found"
+    )
     calibrate.add_argument("--device", metavar="/dev/videoN", help="or: watch this camera")
     calibrate.add_argument("--size", type=_pair, metavar="WxH", help="with --device: picture size, as it will be flown")
     calibrate.add_argument(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -102,7 +103,9 @@ def fly(spec: SessionSpec, out_dir: Path | str, progress: Callable[[int, int], N
     stamps = truth.unix_time_s + spec.camera_delay_s + spec.stamp_jitter_s * rng.standard_normal(len(time))
     lines = ["file,unix_time_s", *(f"{name},{stamp:.6f}" for name, stamp in zip(files, stamps, strict=True))]
     (folder / "stamps.csv").write_text("\n".join(lines) + "\n")
-    (folder / "camera.json").write_text(spec.camera.to_json() + "\n")
+    filed = json.loads(spec.camera.to_json())
+    del filed["calibration"]  # as most camera files are: nobody knows how right they are
+    (folder / "camera.json").write_text(json.dumps(filed, indent=1) + "\n")
     (folder / "telemetry.tlog").write_bytes(flight.telemetry)
     (folder / "config.toml").write_text(config_text(spec))
     truth.write(folder, spec.clicks_per_frame, spec.seed)

@@ -25,6 +25,7 @@ from onboard.calibration.verdict import Verdict, bare_places, coverage_picture, 
 from onboard.camera.picture_files import PICTURE_SUFFIXES, read_grey
 from onboard.camera.pixel_formats import UNDECODABLE
 from onboard.camera.v4l2_camera import V4l2Camera
+from onboard.commands import calibrate_in_flight
 from onboard.config.schema import CameraConfig
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import State
@@ -41,6 +42,8 @@ NEW_SHARE = 0.03
 
 def run(arguments: argparse.Namespace) -> int:
     """Print a board, or calibrate; 0: good and written, 1: not good, nothing written unless `--accept`."""
+    if arguments.from_session is not None:
+        return calibrate_in_flight.run(arguments)
     columns, rows = arguments.squares
     board = Board(
         arguments.board,
@@ -55,7 +58,9 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.pictures is None and arguments.device is None:
             return 0
     if (arguments.pictures is None) == (arguments.device is None):
-        raise ConfigError("calibrate: name either --pictures FOLDER or --device /dev/videoN (see --help)")
+        raise ConfigError(
+            "calibrate: name either --pictures FOLDER, --device /dev/videoN or --from SESSION.mcap (see --help)"
+        )
     if arguments.out is None:
         raise ConfigError("calibrate: name the camera file to write: --out CAMERA.json")
     _check_writable(arguments.out)

@@ -118,6 +118,12 @@ def _open_recording(arguments: argparse.Namespace) -> _Inputs:
     return _Inputs(config, config_text, camera, recorded.state_json, recorded, recorded)
 
 
+def recorded_flight(session: Path) -> tuple[Config, Camera, Events]:
+    """A recorded session's configuration, camera and events. Raises InputError, ConfigError."""
+    recorded = RecordedFlight.open([session])
+    return parse_config(recorded.config_text), recorded.camera, recorded
+
+
 def _check_place(path: Path) -> None:
     if not path.parent.is_dir():
         raise InputError(f"recording {path}: no such folder as {path.parent}")

@@ -16,11 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.camera import Camera
 from contract.errors import InputError
+from onboard.estimation import camera_states
 
 Array = NDArray[np.float64]
 
-# Boresight about camera x, y, z (rad), time offset, delay of position, of velocity (s), heading error by heading (rad).
+# Boresight about camera x, y, z (rad), time offset, delay of position, of velocity (s), heading error by heading (rad);
+# after them the camera's own, see `camera_states`, if its file states how wrong it may be.
 STATES = 8
 BORESIGHT, OFFSET, DELAY, VELOCITY_DELAY, HEADING = slice(0, 3), 3, 4, 5, slice(6, 8)
 # What a mount and a clock may do by themselves, one sigma after a minute: a random walk.
@@ -28,6 +31,7 @@ BORESIGHT_WALK_RAD = np.radians(0.03)
 OFFSET_WALK_S = 0.002
 DELAY_WALK_S = 0.005
 HEADING_WALK_RAD = np.radians(0.1)
+CAMERA_WALK = (1e-4, 1e-4, 1e-4, 3e-4, 3e-4)  # a lens that warms up or cools down, in the units of `camera_states`
 MEMORY_ESTIMATES = 8
 TOO_SURE = 2.0  # times the declared sigma that data may claim
 AGREEMENT_PRIOR = 2.0  # windows that agree with their covariances, assumed before any has been seen
@@ -39,7 +43,7 @@ MIN_GAIN = 0.02  # of a variance: a window that says less of a state is no evide
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Mean (8,) and covariance (8, 8) in the order of STATES, from data up to `end_ns`.
+    """Mean (B,) and covariance (B, B) in the order of STATES, from data up to `end_ns`.
 
     `end_ns` 0 is the belief before take-off.
     """
@@ -65,7 +69,8 @@ class Belief:
     def aged(self, stamp_ns: int) -> Belief:
         """The same belief some time later."""
         minutes = max(stamp_ns - self.end_ns, 0) / 60e9 if self.end_ns else 0.0
-        walk = np.array([BORESIGHT_WALK_RAD] * 3 + [OFFSET_WALK_S, DELAY_WALK_S, DELAY_WALK_S] + [HEADING_WALK_RAD] * 2)
+        platform = [BORESIGHT_WALK_RAD] * 3 + [OFFSET_WALK_S, DELAY_WALK_S, DELAY_WALK_S] + [HEADING_WALK_RAD] * 2
+        walk = np.array([*platform, *CAMERA_WALK[: len(self.mean) - STATES]])
         return Belief(self.end_ns, self.mean, self.covariance + np.diag(walk**2 * minutes), self.given)
 
 
@@ -93,14 +98,20 @@ class Alignment:
         spacing_s: float,
         delay_sigma_s: float = 0.0,
         heading_sigma_rad: float = 0.0,
+        camera: Camera | None = None,
     ) -> None:
-        """Priors are one sigma; `spacing_s` is the least time between the ends of two windows that update it."""
+        """Priors are one sigma; `spacing_s` is the least time between the ends of two windows that update it.
+
+        `camera`: the camera file, whose own errors are then estimated too, if it states any sigma.
+        """
         tiny = 1e-12
+        self._camera = camera if camera is not None and any(camera.sigma) else None
         sigmas = [mount_sigma_rad] * 3 + [offset_sigma_s, delay_sigma_s, delay_sigma_s] + [heading_sigma_rad] * 2
+        sigmas += [] if self._camera is None else list(self._camera.sigma)
         first = np.diag(np.square(sigmas) + tiny)
-        self._estimates = [Belief(0, np.zeros(STATES), first)]
+        self._estimates = [Belief(0, np.zeros(len(first)), first)]
         self._spacing_ns = round(spacing_s * 1e9)
-        self._squares, self._counts = np.zeros(STATES), np.zeros(STATES)
+        self._squares, self._counts = np.zeros(len(first)), np.zeros(len(first))
         self._window_end_ns = 0  # of the newest window that updated
         self._heard: tuple[float, float] | None = None  # an offset by rotations, and its sigma, not yet confirmed
         self.unconfirmed: Unconfirmed | None = None
@@ -166,7 +177,7 @@ class Alignment:
             if held is not None and abs(offset_s - held[0]) <= AGREE * np.hypot(sigma_s, held[1]):
                 self._begin_from(offset_s, sigma_s)
             else:
-                alone = np.arange(STATES) == OFFSET
+                alone = np.arange(len(belief.mean)) == OFFSET
                 self.unconfirmed = Unconfirmed(
                     end_ns, alone, np.where(alone, offset_s, belief.mean), np.where(alone, sigma_s, belief.sigma)
                 )
@@ -189,12 +200,12 @@ class Alignment:
         covariance[OFFSET, :] = covariance[:, OFFSET] = 0.0
         covariance[OFFSET, OFFSET] = sigma_s**2
         self._estimates = [Belief(0, mean, covariance)] * 2  # a first prior, and one update
-        self._squares, self._counts = np.zeros(STATES), np.zeros(STATES)
+        self._squares, self._counts = np.zeros(len(mean)), np.zeros(len(mean))
         self._window_end_ns, self._heard, self.unconfirmed = 0, None, None
 
     @property
     def disagreement(self) -> Array:
-        """(8,) factor on one sigma by which windows differ more than their covariances say; 1 if they agree."""
+        """(B,) factor on one sigma by which windows differ more than their covariances say; 1 if they agree."""
         mean_square = (AGREEMENT_PRIOR + self._squares) / (AGREEMENT_PRIOR + self._counts)
         return np.sqrt(np.maximum(mean_square, 1.0))
 
@@ -221,6 +232,9 @@ class Alignment:
     def to_json(self) -> str:
         """The newest belief, for the state directory."""
         newest = self.belief
+        camera: dict[str, Any] = {}
+        if self._camera is not None:
+            camera["camera"] = camera_states.as_numbers(self._camera, newest.mean[STATES:])
         return json.dumps(
             {
                 "boresight_rad": newest.mean[:3].tolist(),
@@ -228,6 +242,7 @@ class Alignment:
                 "delay_s": float(newest.mean[DELAY]),
                 "velocity_delay_s": float(newest.mean[VELOCITY_DELAY]),
                 "heading_rad": newest.mean[HEADING].tolist(),
+                **camera,
                 "covariance": newest.covariance.tolist(),
                 "end_unix_ns": newest.end_ns,
             },
@@ -245,18 +260,23 @@ class Alignment:
             covariance = np.array(raw["covariance"], float)
             if "delay_s" in raw:
                 mean = np.array([*mean, raw["delay_s"], raw["velocity_delay_s"], *raw["heading_rad"]], float)
-            elif covariance.shape == (DELAY, DELAY):  # written before delay and heading's error were estimated
-                mean, covariance = np.pad(mean, (0, STATES - DELAY)), np.pad(covariance, (0, STATES - DELAY))
-                covariance[DELAY:, DELAY:] = self._estimates[0].covariance[DELAY:, DELAY:]
+            if self._camera is not None and "camera" in raw:
+                mean = np.array([*mean, *camera_states.from_numbers(self._camera, raw["camera"])])
+            elif "camera" in raw:  # the camera file is now taken as it is
+                covariance = covariance[:STATES, :STATES]
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"alignment state: not readable ({error})") from error
-        if mean.shape != (STATES,) or covariance.shape != (STATES, STATES):
+        first = self._estimates[0].covariance
+        missing = len(first) - len(mean)
+        if missing < 0 or covariance.shape != (len(mean), len(mean)):
             raise InputError("alignment state: wrong shape")
+        if missing:  # written before these were estimated
+            mean, covariance = np.pad(mean, (0, missing)), np.pad(covariance, (0, missing))
+            covariance[-missing:, -missing:] = first[-missing:, -missing:]
         if not (np.all(np.isfinite(mean)) and np.all(np.isfinite(covariance))):
             raise InputError("alignment state: not finite")
         if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance)[0] <= 0.0:
             raise InputError("alignment state: covariance is not positive definite")
-        first = self._estimates[0].covariance
         self._estimates = [Belief(0, mean, covariance + 0.25 * first)]
 
 
@@ -272,6 +292,19 @@ def _with_offset(belief: Belief, offset_s: float, sigma_s: float) -> Belief:
     covariance = belief.covariance - np.outer(gain, belief.covariance[OFFSET])
     mean = belief.mean + gain * (offset_s - belief.mean[OFFSET])
     return replace(belief, mean=mean, covariance=0.5 * (covariance + covariance.T))
+
+
+def under_another_prior(mean: Array, covariance: Array, prior: Belief, given: Array) -> tuple[Array, Array]:
+    """The posterior that follows from `prior` where the window was solved with the prior covariance `given` (8, 8).
+
+    The means of both priors are the same. What the window itself says, C^-1 - given^-1, is put upon the other prior.
+    """
+    precision = np.linalg.inv(covariance)
+    values, vectors = np.linalg.eigh(precision - np.linalg.inv(given))
+    alone = (vectors * np.maximum(values, 0.0)) @ vectors.T  # `covariance` may have been widened after the solve
+    shift = precision @ (mean - prior.mean)
+    out = np.linalg.inv(np.linalg.inv(prior.covariance) + alone)
+    return prior.mean + out @ shift, 0.5 * (out + out.T)
 
 
 def _with_prior_reweighed(estimate: Belief, first: Belief) -> Belief:

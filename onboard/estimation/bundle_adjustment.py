@@ -14,6 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.camera import Camera
+from onboard.estimation.camera_states import by_states
 from onboard.estimation.factors import (
     HeightModel,
     Layout,
@@ -46,6 +48,9 @@ class Problem:
     # The ground's sigma is relative to the height flown at, and `ground_weight` holds at this height; None: it is in
     # metres. In metres least squares shrink the whole scene, because a smaller one lies nearer the plane: see (5.9).
     clearance_m: float | None = None
+    # The camera that `xy` was made with, and its own states (C,) in that, where they are estimated: (15.2).
+    camera: Camera | None = None
+    camera_taken: Array = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +100,7 @@ class _Residuals:
     stiffness: Array
     pull: Array
     cost: float
+    by_camera: Array | None  # (K, C, 2, P) how measurements move with the camera's own states
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +116,8 @@ class _Linear:
     bp: Array  # (3, P)
     by_view: Array  # (K, 6, 2, P)
     by_point: Array  # (K, 3, 2, P)
+    by_camera: Array | None  # (K, C, 2, P)
+    camera: slice  # its columns
     columns: NDArray[np.intp]  # of the camera side that the ground depends on
     ground_by_side: Array  # (G, P)
     ground_by_point: Array  # (3, P)
@@ -134,6 +142,11 @@ def evaluate(problem: Problem, state: State, scale: float | None) -> float:
 def _residuals(problem: Problem, xy: Array, state: State, scale: float | None) -> _Residuals:
     weight = problem.weight
     image, predicted, depth = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, xy)
+    by_camera = None
+    if problem.camera is not None:
+        # Where points are predicted, not where they were measured: a larger focal length must not shrink the noise.
+        by_camera = by_states(problem.camera, predicted[:, 0], predicted[:, 1])
+        image -= np.einsum("kcip,c->kip", by_camera, state.camera - problem.camera_taken)
     squared = image[:, 0] ** 2
     squared += image[:, 1] ** 2
     squared *= weight
@@ -154,7 +167,9 @@ def _residuals(problem: Problem, xy: Array, state: State, scale: float | None) -
         cost += float(r @ r)
     J = np.concatenate([J for _, J in priors])
     stiffness, pull = J.T @ J, J.T @ np.concatenate([r for r, _ in priors])
-    return _Residuals(state, image, predicted, depth, behind, squared, robust, ground, stiffness, pull, 0.5 * cost)
+    return _Residuals(
+        state, image, predicted, depth, behind, squared, robust, ground, stiffness, pull, 0.5 * cost, by_camera
+    )
 
 
 def _clearance(problem: Problem, state: State) -> float:
@@ -192,6 +207,15 @@ def _linearise(problem: Problem, at: _Residuals) -> _Linear:
             np.einsum("kp,kp->p", rows[i], rows[j], out=V[i, j])
             V[j, i] = V[i, j]
     bp = np.einsum("ikp,kp->ip", rows, r.reshape(2 * K, P))
+    by_camera = None
+    if at.by_camera is not None:
+        by_camera = at.by_camera * -s[:, None, None]
+        flat_camera = by_camera.reshape(K, layout.camera_states, 2 * P)
+        U[layout.camera, layout.camera] += np.einsum("kcn,kdn->cd", flat_camera, flat_camera)
+        across = flat @ flat_camera.transpose(0, 2, 1)  # (K, 6, C)
+        U[: 6 * K, layout.camera] += across.reshape(6 * K, -1)
+        U[layout.camera, : 6 * K] += across.reshape(6 * K, -1).T
+        bc[layout.camera] += np.einsum("kcn,kn->c", flat_camera, r.reshape(K, 2 * P))
     columns, gs, gp = np.zeros(0, np.intp), np.zeros((0, P)), np.zeros((3, P))
     if at.ground is not None:
         assert problem.ground_weight is not None
@@ -209,7 +233,7 @@ def _linearise(problem: Problem, at: _Residuals) -> _Linear:
         bp += gp * rg
         U[np.ix_(columns, columns)] += gs @ gs.T
         bc[columns] += gs @ rg
-    return _Linear(U, V, bc, bp, J, A, columns, gs, gp)
+    return _Linear(U, V, bc, bp, J, A, by_camera, layout.camera, columns, gs, gp)
 
 
 def _point_factor(V: Array, damping: float) -> tuple[Array, ...]:
@@ -263,6 +287,8 @@ def _reduce(system: _Linear, damping: float) -> Reduced:
     views = Z[: 6 * K].reshape(K, 6, 3, P)
     np.multiply(J[:, :, None, 0], A[:, None, 0], out=views)
     views += J[:, :, None, 1] * A[:, None, 1]
+    if system.by_camera is not None:
+        Z[system.camera] += np.einsum("kcip,kijp->cjp", system.by_camera, A)
     if len(system.columns):
         Z[system.columns] += system.ground_by_side[:, None] * _forward(factor, system.ground_by_point)
     zb = _forward(factor, system.bp)

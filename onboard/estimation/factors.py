@@ -2,8 +2,9 @@
 
 The unknowns are laid out by `Layout`: six columns a keyframe (rotation `d`, R_cam_enu <- exp([d]x) R_cam_enu, rad; then
 centre, ENU metres), then what is estimated of the platform (boresight in camera axes, rad; the camera's time offset and
-the delays of position and velocity, s; the heading's error that depends on heading, rad) and the ground plane (height m
-at the reference point, slope east, slope north). Points are eliminated and have no column here.
+the delays of position and velocity, s; the heading's error that depends on heading, rad), of the camera itself
+(`camera_states`), and the ground plane (height m at the reference point, slope east, slope north). Points are
+eliminated and have no column here.
 """
 
 from __future__ import annotations
@@ -25,9 +26,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Layout:
-    """Columns of the reduced system for K keyframes."""
+    """Columns of the reduced system for K keyframes, with so many of the camera's own (`camera_states`)."""
 
     keyframes: int
+    camera_states: int = 0
 
     @property
     def boresight(self) -> slice:
@@ -55,19 +57,24 @@ class Layout:
         return slice(6 * self.keyframes + 6, 6 * self.keyframes + 8)
 
     @property
+    def camera(self) -> slice:
+        """The camera's own, in the order of `camera_states.NAMES`; none where the camera is taken as it is."""
+        return slice(6 * self.keyframes + 8, 6 * self.keyframes + 8 + self.camera_states)
+
+    @property
     def shared(self) -> slice:
-        """Boresight, time offset, delay, heading error and plane."""
+        """Boresight, time offset, delays, heading error, camera and plane."""
         return slice(6 * self.keyframes, self.size)
 
     @property
     def plane(self) -> slice:
         """Three columns: height (m), slope east, slope north."""
-        return slice(6 * self.keyframes + 8, 6 * self.keyframes + 11)
+        return slice(self.size - 3, self.size)
 
     @property
     def size(self) -> int:
         """All columns."""
-        return 6 * self.keyframes + 11
+        return 6 * self.keyframes + 11 + self.camera_states
 
     def rotation(self, keyframe: int) -> slice:
         """Three columns, rad."""
@@ -99,6 +106,7 @@ class State:
     delay_s: float = 0.0  # the position is older than its stamp by this much more than configured
     velocity_delay_s: float = 0.0  # the same of the velocity
     heading_rad: Array = field(default_factory=lambda: np.zeros(2))  # (2,) see `Layout.heading`
+    camera: Array = field(default_factory=lambda: np.zeros(0))  # deviations from the camera file, see `Layout.camera`
 
     def retract(self, dc: Array, dp: Array) -> State:
         """Apply a step: dc (Layout.size,), dp (P, 3)."""
@@ -111,17 +119,18 @@ class State:
             self.points_enu_m + dp,
             self.boresight_rad + shared[:3],
             self.offset_s + float(shared[3]),
-            self.plane + shared[8:11],
+            self.plane + shared[-3:],
             self.delay_s + float(shared[4]),
             self.velocity_delay_s + float(shared[5]),
             self.heading_rad + shared[6:8],
+            self.camera + shared[8:-3],
         )
 
     @property
     def platform(self) -> Array:
-        """(8,) what is estimated of the platform, in the order of `boresight.STATES`."""
+        """(8 + camera states,) what is estimated of the platform, in the order of `boresight.STATES`."""
         times_s = [self.offset_s, self.delay_s, self.velocity_delay_s]
-        return np.concatenate([self.boresight_rad, times_s, self.heading_rad])
+        return np.concatenate([self.boresight_rad, times_s, self.heading_rad, self.camera])
 
     def antennas_enu_m(self, lever_cam_m: Array) -> tuple[Array, Array]:
         """Where the autopilot's reference points are (K, 3), and their derivative by the views' rotation (K, 3, 3).
@@ -333,20 +342,20 @@ class AttitudePrior:
 
 @dataclass(frozen=True, eq=False)
 class SharedPrior:
-    """Prior of what all pictures of the window share, (5.8), in the layout's order: mean (11,), whitener (11, 11)."""
+    """Prior of what all pictures of the window share, (5.8), in the layout's order: mean (S,), whitener (S, S)."""
 
     layout: Layout
     mean: Array
     whitener: Array
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
-        """Residual (11,), Jacobian (11, D)."""
+        """Residual (S,), Jacobian (S, D)."""
         value = np.concatenate([state.platform, state.plane])
         return self.whitener @ (value - self.mean), self._jacobian
 
     @cached_property
     def _jacobian(self) -> Array:
-        J = np.zeros((11, self.layout.size))
+        J = np.zeros((len(self.mean), self.layout.size))
         J[:, self.layout.shared] = self.whitener
         return J
 

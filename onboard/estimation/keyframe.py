@@ -48,3 +48,8 @@ def observation(camera: Camera, ids: Ids, uv_px: Array) -> Observation:
     det = np.abs(J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0])
     gain = 1.0 / (camera.focal_px * np.sqrt(np.maximum(det, 0.05)))
     return Observation(ids[valid], uv_px[valid], xy, gain)
+
+
+def seen_with(camera: Camera, seen: Observation) -> Observation:
+    """The same features by another calibration."""
+    return observation(camera, seen.ids, seen.uv_px)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from onboard.config.schema import Config
 from onboard.estimation.boresight import DELAY, VELOCITY_DELAY, Belief
-from onboard.estimation.boresight import STATES as SHARED
 from onboard.estimation.factors import (
     AttitudePrior,
     HeightModel,
@@ -42,7 +43,6 @@ PATH_SIGMA_RAD = 0.25
 PATH_WHITE_SIGMA_RAD = 0.15
 GRAVITY_M_S2 = 9.81
 ECHO_SIGMAS = 4.0
-STATES_AND_PLANE = SHARED + 3
 DYNAMIC_TIME_S = 3.0  # that a navigation filter takes to forget what acceleration did to it
 VELOCITY_TIME_S = 8.0  # a navigation filter takes so long to correct a velocity
 TERRAIN_SLOPE_SIGMA = 0.005  # of an elevation model over a window's few hundred metres: neighbours err alike
@@ -283,19 +283,26 @@ def _coordinated(R_body_cam: Array, stamps_s: Array, velocities: Array) -> Array
     return out
 
 
+def with_delays_held_open(config: Config, belief: Belief) -> Belief:
+    """The same belief with both delays at least as uncertain as declared.
+
+    What turns show of a filter's delays is not all of them: inertial sensors keep turns in time. (5.15)
+    """
+    covariance = belief.covariance.copy()
+    for delay in (DELAY, VELOCITY_DELAY):
+        covariance[delay, delay] += max(config.gps.sigma_latency_s**2 - covariance[delay, delay], 0.0)
+    return replace(belief, covariance=covariance)
+
+
 def _shared_prior(config: Config, layout: Layout, belief: Belief, has_terrain: bool) -> SharedPrior:
     """Boresight and time offset as estimated so far, and the ground plane's slope and height."""
-    covariance = np.zeros((STATES_AND_PLANE, STATES_AND_PLANE))
-    covariance[:SHARED, :SHARED] = belief.covariance
-    # What turns show of a filter's delays is not all of them: inertial sensors keep turns in time. (5.15)
-    for delay in (DELAY, VELOCITY_DELAY):
-        covariance[delay, delay] += max(config.gps.sigma_latency_s**2 - belief.covariance[delay, delay], 0.0)
+    shared = len(belief.mean)
+    covariance = np.zeros((shared + 3, shared + 3))
+    covariance[:shared, :shared] = with_delays_held_open(config, belief).covariance
     solve_ = config.solve
     slope = np.tan(np.radians(solve_.level_ground_sigma_deg)) if solve_.level_ground else 3.0
     height_m = 1e4
     if has_terrain:  # the plane is then what the terrain model is off by, as a whole
         slope, height_m = TERRAIN_SLOPE_SIGMA, config.terrain.sigma_datum_m + 1e-3
-    covariance[SHARED:, SHARED:] = np.diag([height_m**2, slope**2, slope**2])
-    mean = np.zeros(STATES_AND_PLANE)
-    mean[:SHARED] = belief.mean
-    return SharedPrior(layout, mean, np.linalg.inv(np.linalg.cholesky(covariance)))
+    covariance[shared:, shared:] = np.diag([height_m**2, slope**2, slope**2])
+    return SharedPrior(layout, np.append(belief.mean, np.zeros(3)), np.linalg.inv(np.linalg.cholesky(covariance)))

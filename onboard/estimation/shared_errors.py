@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from contract.feature_set import ALIGNMENT, ATTITUDE, GROUND, NUISANCES, POSITION, SharedErrors
 from onboard.config.schema import Config
-from onboard.estimation.boresight import BORESIGHT, DELAY, HEADING, OFFSET, STATES, VELOCITY_DELAY, Belief
+from onboard.estimation.boresight import BORESIGHT, DELAY, HEADING, OFFSET, VELOCITY_DELAY, Belief
 from onboard.estimation.factors import AttitudePrior, PositionPrior, Prior, SharedPrior, State
 from onboard.estimation.sensor_factors import attitude_sigmas, cosine_sine_of_heading
 from onboard.estimation.sensor_pose import SensorPose
@@ -48,7 +48,7 @@ def shared_errors(config: Config, priors: list[Prior], state: State, covariance:
             rotations = prior.layout.rotations()
             turned = np.stack([turns[rotations[:, axis]].mean(axis=0) for axis in range(3)])
             gains[:, ATTITUDE.stop - 1] = _one_of(turns, turned)
-            gains[:, GROUND] = by_prior[:, STATES:]
+            gains[:, GROUND] = by_prior[:, -3:]
             alignment_sigma = 1.0 / np.diag(prior.whitener)[:4]
     attitude_time_s = config.solve.attitude_wander_time_s
     return SharedErrors(gains, config.gps.wander_time_s, attitude_time_s, alignment_sigma)

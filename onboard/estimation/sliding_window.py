@@ -7,18 +7,29 @@ adopted.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from contract.camera import Camera
+from contract.camera import Camera, Sigma
 from contract.feature_set import Status
 from contract.rotations import exp_so3, mount_rotation
 from onboard.config.schema import Config
-from onboard.estimation.boresight import BORESIGHT, DELAY, HEADING, OFFSET, Alignment
-from onboard.estimation.boresight import STATES as SHARED
-from onboard.estimation.keyframe import Keyframe, Observation
+from onboard.estimation.boresight import (
+    BORESIGHT,
+    DELAY,
+    HEADING,
+    OFFSET,
+    STATES,
+    Alignment,
+    Belief,
+    under_another_prior,
+)
+from onboard.estimation.camera_states import corrected
+from onboard.estimation.keyframe import Keyframe, Observation, seen_with
 from onboard.estimation.rotation_timing import LEAST_SIGMA_S
-from onboard.estimation.sensor_factors import cosine_sine_of_heading
+from onboard.estimation.sensor_factors import cosine_sine_of_heading, with_delays_held_open
 from onboard.estimation.sensor_pose import SensorPose
 from onboard.estimation.shared_errors import make_sensor_pose
 from onboard.estimation.window_solver import MIN_POINTS, Noise, Outcome, Request, Solved, adjust
@@ -38,7 +49,8 @@ class Window:
 
     def __init__(self, config: Config, camera: Camera) -> None:
         self.config = config
-        self.camera = camera
+        self.camera_file = camera
+        self.camera = camera  # as it is believed now: new observations are made with it
         mount = config.mount
         self.R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg)
         self.keyframes: list[Keyframe] = []
@@ -51,8 +63,15 @@ class Window:
             config.solve.attitude_wander_time_s,
             config.gps.sigma_latency_s,
             np.radians(config.solve.heading_sigma_deg),
+            camera,
         )
+        self.camera_taken = np.zeros_like(self.alignment.belief.mean[STATES:])  # what parts `camera` from its file
         self.lever_body_m = np.array(mount.lever_arm_m)
+
+    @property
+    def belief(self) -> Belief:
+        """What is estimated of the platform by now, no delay surer than declared, (5.15)."""
+        return with_delays_held_open(self.config, self.alignment.belief)
 
     def reset(self) -> None:
         """Forget keyframes and structure: nothing links what comes to what was."""
@@ -131,10 +150,13 @@ class Window:
 
     def prepare(self) -> Request:
         """The window as it stands, for `window_solver.adjust`; nothing done to the window later changes it."""
+        self._see_with_belief()  # which may have been restored from the state directory
         start_ns = self.keyframes[0].nav.stamp_ns if self.keyframes else 0
         return Request(
             self.config,
             self.camera,
+            self.camera_file,
+            self.camera_taken,
             self.R_body_cam,
             tuple(self.keyframes),
             self.solved,
@@ -154,6 +176,7 @@ class Window:
             self.solved = outcome.solved
             if len(self.keyframes) == self.config.solve.keyframes:
                 self.learn(outcome.solved)
+        self._see_with_belief()
         return outcome.status
 
     def solve(self) -> Status:
@@ -165,7 +188,7 @@ class Window:
         s, layout = solved.solution, solved.layout
         if self.keyframes[0].nav.R_enu_body is None or any(k.nav.stamp_sigma_s for k in self.keyframes):
             return  # what stamps are off by for a while is no property of the platform
-        shared = slice(layout.boresight.start, layout.boresight.start + SHARED)
+        shared = slice(layout.boresight.start, layout.plane.start)
         mean = s.state.platform
         start, end = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
         covariance = solved.covariance_at((start + end) // 2)[shared, shared].copy()
@@ -175,7 +198,28 @@ class Window:
         moved_s = mean[[OFFSET, DELAY]] - taken_s
         covariance[[OFFSET, DELAY], [OFFSET, DELAY]] += (CURVED_SHARE * moved_s) ** 2
         covariance[OFFSET, OFFSET] += LEAST_SIGMA_S**2
+        before = self.alignment.prior_for(start)
+        mean, covariance = under_another_prior(
+            mean, covariance, before, with_delays_held_open(self.config, before).covariance
+        )
         self.alignment.offer(start, end, mean, covariance)
+
+    def camera_found(self) -> tuple[Camera, Sigma]:
+        """The camera as the flight found it, and one sigma of each of its states; the file's own if it has none."""
+        belief = self.alignment.belief
+        states, sigma = belief.mean[STATES:], belief.sigma[STATES:]
+        if not len(states):
+            return self.camera_file, self.camera_file.sigma
+        f, x, y, k1, k2 = (float(s) for s in sigma)
+        return corrected(self.camera_file, states), (f, x, y, k1, k2)
+
+    def _see_with_belief(self) -> None:
+        """Where the belief of the camera has moved, make the keyframes' observations anew. Equation (15.2)."""
+        states = self.alignment.belief.mean[STATES:]
+        if np.array_equal(states, self.camera_taken):
+            return
+        self.camera_taken, self.camera = states.copy(), corrected(self.camera_file, states)
+        self.keyframes = [replace(k, observation=seen_with(self.camera, k.observation)) for k in self.keyframes]
 
     def conclude(self) -> None:
         """The end of a stretch: update the alignment from its last window even if it never filled."""

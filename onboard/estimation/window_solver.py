@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.feature_set import SharedErrors, Status
 from onboard.config.schema import Config
-from onboard.estimation import initialisation
-from onboard.estimation.boresight import BORESIGHT, HEADING, OFFSET, VELOCITY_DELAY, Belief
+from onboard.estimation import camera_states, initialisation
+from onboard.estimation.boresight import BORESIGHT, HEADING, OFFSET, STATES, VELOCITY_DELAY, Belief
 from onboard.estimation.bundle_adjustment import Problem, Solution, solve
 from onboard.estimation.factors import AttitudePrior, Layout, Prior, SharedPrior, State, VelocityPrior, ground_plane
 from onboard.estimation.ground_motion import GroundMotion, ground_motion, ground_sigma_m_s
@@ -69,6 +69,7 @@ class Solved:
     keyframes: tuple[Keyframe, ...]
     shared: SharedErrors  # `by_nuisance` (D, NUISANCES) of the camera side, no span
     ground_motion: GroundMotion  # what the ground's own motion may have done to it
+    camera: Camera  # with its own states as solved
 
     def covariance_at(self, stamp_ns: int) -> Array:
         """Of the camera side (D, D), for a picture of that time. (6.10)"""
@@ -98,7 +99,9 @@ class Request:
     """A window as it stands, with the priors of the sensors and of the tracking noise so far."""
 
     config: Config
-    camera: Camera
+    camera: Camera  # that the keyframes' observations were made with
+    camera_file: Camera
+    camera_taken: Array  # the states that part the two, (C,)
     R_body_cam: Array
     keyframes: tuple[Keyframe, ...]
     previous: Solved | None
@@ -161,14 +164,14 @@ def adjust(request: Request) -> Outcome:
     if oriented is None:
         return Outcome(Status.LOW_PARALLAX if _travel_m(keyframes) < 1.0 else Status.POOR_FIT, keyframes, noise)
     keyframes = oriented
-    layout = Layout(len(keyframes))
+    layout = Layout(len(keyframes), len(request.camera_taken))
     R = np.stack([k.R_cam_enu for k in keyframes])
     C = np.stack([k.centre_enu_m for k in keyframes])
     points, reference, plane = _points(request, ids, R, C, xy, weight > 0)
     belief = request.belief
     offset_s, late_s, velocity_late_s = belief.mean[OFFSET : VELOCITY_DELAY + 1].tolist()
-    platform = belief.mean[BORESIGHT], belief.mean[HEADING]
-    state = State(R, C, points, platform[0], offset_s, plane, late_s, velocity_late_s, platform[1])
+    platform = belief.mean[BORESIGHT], belief.mean[HEADING], belief.mean[STATES:]
+    state = State(R, C, points, platform[0], offset_s, plane, late_s, velocity_late_s, *platform[1:])
     ground_weight, terrain = _ground(request, points)
     if terrain is not None:
         reference[2] = 0.0
@@ -196,7 +199,16 @@ def adjust(request: Request) -> Outcome:
         used = noise  # what this problem is weighted by; `noise` becomes what the next is
         priors = sensors(used)
         problem = Problem(
-            layout, xy, weight / used.noise_inflation, priors, reference, ground_weight, terrain, clearance_m
+            layout,
+            xy,
+            weight / used.noise_inflation,
+            priors,
+            reference,
+            ground_weight,
+            terrain,
+            clearance_m,
+            request.camera if layout.camera_states else None,
+            request.camera_taken,
         )
         first = approximate(problem, state)
         noise, again = _reweighed(request, used, priors, first.state)
@@ -314,7 +326,8 @@ def _judged(
     noise = replace(noise, pixel_sigma_px=float(np.clip(learned, MIN_PIXEL_SIGMA_PX, 5.0)))
     frames = tuple(k.frame for k in keyframes)
     shared = shared_errors(config, priors, s.state, s.covariance)
-    solved = Solved(frames, layout, s, ids, good, plane, sigma_px, sigma_px * 1.177, keyframes, shared, moving)
+    camera = camera_states.corrected(request.camera_file, s.state.camera)
+    solved = Solved(frames, layout, s, ids, good, plane, sigma_px, sigma_px * 1.177, keyframes, shared, moving, camera)
     return Outcome(Status.OK, keyframes, noise, solved)
 
 

@@ -7,7 +7,7 @@ side plus independent noise, and the nine common states (9.3) are linear in that
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.feature_set import DepthSource, FeatureSet, SharedErrors, Status
 from contract.geodesy import LocalFrame, rotation_enu_ecef
+from contract.rotations import skew
 from onboard.estimation.ground_roughness import plane_and_roughness
 from onboard.estimation.keyframe import Observation
 from onboard.estimation.resection import Resection, resect
@@ -79,6 +80,9 @@ class Linearised:
     M: Array  # (N, D)
     by_pose: Array  # (N, 6)
     own: Array  # (N,) variances
+    camera: slice = field(default_factory=lambda: slice(0))  # columns of the states that are the camera's own
+    directions: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (N, 3) camera to points, ENU metres
+    points_by_camera: Array = field(default_factory=lambda: np.zeros((0, 3, 0)))  # (N, 3, C) how these move the points
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +167,10 @@ def _by_view(solved: Solved, view: _View, picture: Picture, most: int) -> Featur
     own = np.maximum(own, 1e-12)
     capture_unix_ns = picture.origin.capture_unix_ns
     covariance = solved.covariance_at(capture_unix_ns)
-    errors = Linearised(covariance, view.gain, view.noise, H, M, by_pose, own)
+    columns = solved.layout.camera
+    directions = s.state.points_enu_m[rows] - view.pose.centre_enu_m
+    moved = -s.point_gain[rows][:, :, columns]
+    errors = Linearised(covariance, view.gain, view.noise, H, M, by_pose, own, columns, directions, moved)
     common, variance, T = common_states(errors, R.T)
     span_s = tuple((solved.keyframes[k].nav.stamp_ns - capture_unix_ns) / 1e9 for k in (0, -1))
     shared = replace(solved.shared, by_nuisance=T @ solved.shared.by_nuisance, span_s=(span_s[0], span_s[1]))
@@ -225,9 +232,36 @@ def common_states(errors: Linearised, R_enu_cam: Array) -> tuple[Array, Array, A
     to_common[3:6, :3] = -R_enu_cam
     T = to_common @ errors.by_state
     T[6:] += fit @ M
+    rest = M - H @ (fit @ M)
+    if errors.points_by_camera.shape[2]:
+        T[:, errors.camera], rest[:, errors.camera] = _as_common(errors)
     T_noise = to_common
     T_noise[6:] += fit @ errors.by_pose
     common = T @ covariance @ T.T + T_noise @ errors.noise @ T_noise.T
-    rest = M - H @ (fit @ M)
     variance = own + np.maximum(((rest @ covariance) * rest).sum(axis=1), 0.0)
     return 0.5 * (common + common.T), variance, T
+
+
+def _as_common(errors: Linearised) -> tuple[Array, Array]:
+    """The camera's own errors as errors of the nine common states: (9, C), and what is left of d ln w (N, C).
+
+    A wrong focal length moves rays and depths together, such that the ground hardly moves sideways. A click must see
+    that, but the wire has no states of the camera: the nine that move the points most nearly as they move are taken
+    instead, (15.3).
+    """
+    d, H = errors.directions, errors.H
+    z = np.linalg.norm(d, axis=1)
+    scale = float(np.median(z))
+    G = np.zeros((len(d), 3, 9))
+    G[:, :, :3] = np.eye(3)
+    G[:, :, 3:6] = -skew(d) / scale  # the angles in units that move a point as far as a metre does
+    G[:, :, 6:] = -d[:, :, None] * H[:, None] / scale
+    weight = 1.0 / z
+    A = (G * weight[:, None, None]).reshape(-1, 9)
+    b = (errors.points_by_camera * weight[:, None, None]).reshape(len(A), -1)
+    N = A.T @ A
+    T = np.linalg.solve(N + 1e-6 * np.trace(N) / 9.0 * np.eye(9), A.T @ b)
+    left = errors.points_by_camera - G @ T
+    along = -np.einsum("ni,nic->nc", d, left) / (z * z)[:, None]
+    T[3:] /= scale
+    return T, along

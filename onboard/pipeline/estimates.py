@@ -25,12 +25,19 @@ from onboard.estimation.variance_components import (
 BORESIGHT, TIME_OFFSET = "boresight", "camera_time_offset"
 POSITION_DELAY, VELOCITY_DELAY = "position_delay", "velocity_delay"
 HEADING_ERROR = "heading_error_by_heading"
+FOCAL_LENGTH, PRINCIPAL_POINT, DISTORTION = "focal_length_error", "principal_point_error", "radial_distortion_error"
 STATES: tuple[tuple[str, str, slice | int], ...] = (
     (BORESIGHT, "radians", boresight.BORESIGHT),
     (TIME_OFFSET, "seconds", boresight.OFFSET),
     (POSITION_DELAY, "seconds", boresight.DELAY),
     (VELOCITY_DELAY, "seconds", boresight.VELOCITY_DELAY),
     (HEADING_ERROR, "radians", boresight.HEADING),
+)
+# The camera's own, where its file says that it may be wrong; ratios are in focal lengths.
+CAMERA_STATES = (
+    (FOCAL_LENGTH, "ratio", slice(boresight.STATES, boresight.STATES + 1)),
+    (PRINCIPAL_POINT, "ratio", slice(boresight.STATES + 1, boresight.STATES + 3)),
+    (DISTORTION, "ratio", slice(boresight.STATES + 3, boresight.STATES + 5)),
 )
 SHOWN = 1.1  # times the declared sigma: less is not worth a line
 
@@ -59,7 +66,7 @@ class SensorError:
 
 
 def estimates_of(belief: Belief | None) -> tuple[Estimate, ...]:
-    """What is estimated of mount, clock, delays and compass; empty before the first estimate.
+    """What is estimated of mount, clock, delays, compass and camera; empty before the first estimate.
 
     Delays are what positions and velocities are older than their stamps beyond `gps.latency_s`; the heading read
     is too small by the first component times the cosine of the heading plus the second times its sine.
@@ -69,7 +76,7 @@ def estimates_of(belief: Belief | None) -> tuple[Estimate, ...]:
     mean, sigma = belief.mean, belief.sigma
     return tuple(
         Estimate(name, unit, tuple(np.atleast_1d(mean[at]).tolist()), tuple(np.atleast_1d(sigma[at]).tolist()))
-        for name, unit, at in STATES
+        for name, unit, at in (*STATES, *(CAMERA_STATES if len(mean) > boresight.STATES else ()))
     )
 
 
@@ -121,6 +128,9 @@ _ROW_NAMES = {
     POSITION_DELAY: "position delay",
     VELOCITY_DELAY: "velocity delay",
     HEADING_ERROR: "heading error",
+    FOCAL_LENGTH: "focal length",
+    PRINCIPAL_POINT: "principal point",
+    DISTORTION: "distortion",
 }
 
 
@@ -131,5 +141,13 @@ def _text(estimate: Estimate) -> str:
         return f"x {degrees[0]}, y {degrees[1]}, z {degrees[2]} deg, camera axes"
     if estimate.name == HEADING_ERROR:
         return f"{degrees[0]} deg times cos heading, {degrees[1]} deg times sin heading"
+    if estimate.name == FOCAL_LENGTH:
+        return f"{100 * pairs[0][0]:+.2f} +-{100 * pairs[0][1]:.2f} % beside the camera file"
+    if estimate.name == PRINCIPAL_POINT:
+        x, y = (f"{100 * m:+.2f} +-{100 * s:.2f}" for m, s in pairs)
+        return f"x {x}, y {y} % of the focal length beside the camera file"
+    if estimate.name == DISTORTION:
+        k1, k2 = (f"{m:+.3f} +-{s:.3f}" for m, s in pairs)
+        return f"k1 {k1}, k2 {k2} beside the camera file"
     seconds = f"{pairs[0][0]:+.3f} +-{pairs[0][1]:.3f} s"
     return f"{seconds}, camera to autopilot" if estimate.name == TIME_OFFSET else f"{seconds} beside gps.latency_s"

@@ -21,7 +21,7 @@ from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
 from onboard.config.schema import Config
 from onboard.estimation.boresight import DELAY, OFFSET
-from onboard.estimation.keyframe import observation
+from onboard.estimation.keyframe import observation, seen_with
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solver_executor import Inline, Worker, timed_adjust
 from onboard.events.types import Event, Frame
@@ -128,11 +128,10 @@ class Pipeline:
     @property
     def summary(self) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
-        alignment = self.window.alignment
         return self._statistics.summary(
-            estimates_of(alignment.belief if alignment.updates else None),
+            estimates_of(self.window.belief if self.window.alignment.updates else None),
             sensor_errors(self.config, self.window.noise.factors),
-            unconfirmed_of(alignment.unconfirmed),
+            unconfirmed_of(self.window.alignment.unconfirmed),
         )
 
     def _process(self, frame: Frame) -> list[FeatureSet]:
@@ -176,7 +175,7 @@ class Pipeline:
         self._misses = 0
         if wants_keyframe(tracks, self.camera.width_px):
             return [*out, *self._make_keyframe(frame, nav, tracks)]
-        record = Record(frame, observation(self.camera, tracks.ids, tracks.uv_px), nav, False)
+        record = Record(frame, observation(self.window.camera, tracks.ids, tracks.uv_px), nav, False)
         self._records.append(record)
         return [*out, *self._place([record])]
 
@@ -261,7 +260,7 @@ class Pipeline:
             ids, uv = self.tracker.promote(tracks)
         self._stillness.begin(ids, uv, frame.stamp_ns)
         look_up_again(self.window, self.navigation)
-        seen = observation(self.camera, ids, uv)
+        seen = observation(self.window.camera, ids, uv)
         offset_s, delay_s = self._offset_s, self._delay_s
         offset_ns = round(offset_s * 1e9)
         flown = None
@@ -383,7 +382,9 @@ class Pipeline:
             min(record.revision + 1, 255),
             record.is_keyframe,
         )
-        picture = Picture(self.camera, origin, frame, record.nav.undulation_m)
+        solved = self.window.solved
+        camera = self.window.camera if solved is None else solved.camera
+        picture = Picture(camera, origin, frame, record.nav.undulation_m)
         result = self._by_structure(record, picture)
         if isinstance(result, Status):
             over = self._over_known_ground(record.nav, picture)
@@ -405,7 +406,8 @@ class Pipeline:
             if guess is None:
                 return Status.STARTING
             R, centre = guess
-        result = georeference(self.window, solved, record.seen, picture, Pose(R, centre))
+        seen = record.seen if solved.camera == self.camera else seen_with(solved.camera, record.seen)
+        result = georeference(self.window, solved, seen, picture, Pose(R, centre))
         if isinstance(result, FeatureSet):
             record.R_cam_enu = result.R_enu_cam.T
         return self._why_without_depth(record) if result is Status.FEATURELESS else result

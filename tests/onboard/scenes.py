@@ -6,7 +6,7 @@ comes from the generator that is handed in.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from contract.camera import Camera
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, log_so3, matrix_from_euler, mount_rotation
 from onboard.config.schema import Config, parse_config
+from onboard.estimation import camera_states
 from onboard.estimation.bundle_adjustment import Problem
 from onboard.estimation.factors import (
     AttitudePrior,
@@ -278,23 +279,26 @@ def bundle_problem(
     noise: float = 1.0,
     attitude: bool = True,
     lever_cam_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    lens: Camera | None = None,
 ) -> Drawn:
     """A strip seen straight down from 250 m; `noise` scales every error, 1 being what the priors state.
 
     Of `points`, those that two views or more see are kept. Errors of position and attitude have a Gauss-Markov and a
     white part, point heights vary about a sloping plane. Velocities and headings differ from view to view, so that
-    every shared state has something to show. `lever_cam_m` leads from the point of the positions to the camera.
+    every shared state has something to show. `lever_cam_m` leads from the point of the positions to the camera. With
+    a `lens`, whose sigmas say how wrong it may be, the camera's own states are drawn too.
     """
-    K, P, layout = keyframes, points, Layout(keyframes)
+    sigma_lens = np.array([] if lens is None else lens.sigma)
+    K, P, layout = keyframes, points, Layout(keyframes, len(sigma_lens))
     stamps = np.arange(K) * 1.5
     velocity = np.array([14.0, 9.0, -0.5])
     centres = velocity * (stamps - stamps.mean())[:, None] + [0.0, 0.0, 250.0]
     base = R_ENU_NED @ mount_rotation(0.0, -90.0, 25.0)
     R_cam_enu = exp_so3(0.05 * rng.standard_normal((K, 3))) @ base.T
     rates = 0.1 * rng.standard_normal((K, 3))
-    sigma_shared = np.array([0.02, 0.02, 0.02, 0.05, 0.04, 0.06, 0.02, 0.02, 30.0, 0.04, 0.04])
-    shared = noise * sigma_shared * rng.standard_normal(11)
-    plane = shared[8:]
+    sigma_shared = np.array([0.02, 0.02, 0.02, 0.05, 0.04, 0.06, 0.02, 0.02, *sigma_lens, 30.0, 0.04, 0.04])
+    shared = noise * sigma_shared * rng.standard_normal(len(sigma_shared))
+    plane = shared[-3:]
     reference = np.array([4.0, -7.0, 3.0])
     xy_ground = rng.uniform([-150.0, -120.0], [150.0, 120.0], (P, 2))
     ground_m = 10.0
@@ -306,8 +310,14 @@ def bundle_problem(
     often = np.count_nonzero(seen, axis=0) >= 2
     xy, seen, ground, P = xy[:, often], seen[:, often], ground[often], int(np.count_nonzero(often))
     times_s = shared[3:6].tolist()
-    truth = State(R_cam_enu, centres, ground, shared[:3], times_s[0], plane, times_s[1], times_s[2], shared[6:8])
+    truth = State(
+        R_cam_enu, centres, ground, shared[:3], times_s[0], plane, times_s[1], times_s[2], shared[6:8], shared[8:-3]
+    )
     sigma = 0.3 / 900.0
+    if lens is not None:  # what the lens as filed makes of pixels that the true one took
+        true_lens = camera_states.corrected(lens, truth.camera)
+        uv = true_lens.distort(xy) * (true_lens.fx_px, true_lens.fy_px) + (true_lens.cx_px, true_lens.cy_px)
+        xy = lens.unproject(uv)[0][..., :2]
     xy = xy + noise * sigma * rng.standard_normal(xy.shape)
 
     white, slow, tau = 0.3, 1.5, 60.0
@@ -334,7 +344,7 @@ def bundle_problem(
             np.full(K - 1, truth.offset_s),
             np.array(lever_cam_m),
         ),
-        SharedPrior(layout, np.zeros(11), np.diag(1.0 / sigma_shared)),
+        SharedPrior(layout, np.zeros(len(sigma_shared)), np.diag(1.0 / sigma_shared)),
     ]
     if attitude:
         white, slow = 0.004, 0.017
@@ -355,14 +365,16 @@ def bundle_problem(
             )
         )
     weight = np.where(seen, 1.0 / sigma, 0.0)
-    return Drawn(Problem(layout, xy, weight, priors, reference, np.full(P, 1.0 / ground_m)), truth)
+    problem = Problem(layout, xy, weight, priors, reference, np.full(P, 1.0 / ground_m))
+    return Drawn(replace(problem, camera=lens, camera_taken=np.zeros_like(sigma_lens)), truth)
 
 
 def first_guess(drawn: Drawn, R_cam_enu: Array, centres_enu_m: Array) -> State:
     """A state to start from: given poses, points where their rays meet, everything shared at zero."""
     problem = drawn.problem
     points = triangulate(R_cam_enu, centres_enu_m, problem.xy, problem.weight > 0).points_enu_m
-    return State(R_cam_enu, centres_enu_m, points, np.zeros(3), 0.0, np.zeros(3))
+    lens = np.zeros(problem.layout.camera_states)
+    return State(R_cam_enu, centres_enu_m, points, np.zeros(3), 0.0, np.zeros(3), camera=lens)
 
 
 def error_of(state: State, truth: State) -> Array:

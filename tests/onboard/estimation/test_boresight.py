@@ -23,6 +23,8 @@ from onboard.estimation.boresight import (
     STATES,
     VELOCITY_DELAY,
     Alignment,
+    Belief,
+    under_another_prior,
 )
 
 T0_NS = 1_795_217_000_000_000_000
@@ -353,3 +355,42 @@ def test_rotations_that_contradict_windows_need_each_other(agree: bool) -> None:
     else:
         assert a.belief.mean[OFFSET] == pytest.approx(-0.08)
         assert a.unconfirmed is not None
+
+
+def test_a_window_solved_under_a_looser_prior_says_no_more_than_it_saw() -> None:
+    """What it saw is put upon the belief itself: the same posterior as if it had been solved under that."""
+    rng = np.random.default_rng(5)
+    A = rng.standard_normal((STATES, STATES)) / FIRST
+    tells = A.T @ A
+    seen = rng.standard_normal(STATES) * FIRST
+    prior = Belief(1, 0.3 * seen, np.diag(0.25 * FIRST**2))
+    given = prior.covariance + np.diag(np.where(np.arange(STATES) == DELAY, FIRST**2, 0.0))
+
+    def posterior(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        out = np.linalg.inv(np.linalg.inv(covariance) + tells)
+        return prior.mean + out @ tells @ (seen - prior.mean), out
+
+    mean, covariance = under_another_prior(*posterior(given), prior, given)
+    assert mean / FIRST == pytest.approx(posterior(prior.covariance)[0] / FIRST, abs=1e-6)
+    assert covariance / np.outer(FIRST, FIRST) == pytest.approx(
+        posterior(prior.covariance)[1] / np.outer(FIRST, FIRST), abs=1e-6
+    )
+
+
+def test_windows_that_see_nothing_of_a_delay_leave_it_where_it_was() -> None:
+    """A loosened prior is not a reason to follow the noise: 100 windows that say little move the mean by as little."""
+    rng = np.random.default_rng(6)
+    belief = Belief(1, np.zeros(STATES), np.diag(FIRST**2))
+    little = 0.01 / FIRST[DELAY] ** 2
+    for _ in range(100):
+        given = belief.covariance.copy()
+        given[DELAY, DELAY] = FIRST[DELAY] ** 2
+        tells = np.zeros((STATES, STATES))
+        tells[DELAY, DELAY] = little
+        covariance = np.linalg.inv(np.linalg.inv(given) + tells)
+        seen = np.where(np.arange(STATES) == DELAY, rng.standard_normal() / np.sqrt(little), 0.0)
+        mean = belief.mean + covariance @ tells @ (seen - belief.mean)
+        belief = Belief(1, *under_another_prior(mean, covariance, belief, given))
+    # 100 times a hundredth of the first prior's information: as much again as it had.
+    assert belief.sigma[DELAY] == pytest.approx(FIRST[DELAY] / np.sqrt(2.0), rel=1e-6)
+    assert abs(belief.mean[DELAY]) < 2.5 * belief.sigma[DELAY]

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from contract.camera import Camera
 from contract.rotations import exp_so3
 from onboard.estimation.bundle_adjustment import Problem, evaluate, solve
+from onboard.estimation.camera_states import by_states
 from onboard.estimation.factors import Layout, State, ground_plane, reprojection
 from onboard.geometry.plane_fit import fit_plane, level, roll_from_plane
 from onboard.geometry.robust import robust_cost
@@ -21,7 +23,11 @@ Array = NDArray[np.float64]
 def residuals(problem: Problem, state: State) -> Array:
     """Everything the cost squares, one after another, no loss."""
     xy = problem.xy.transpose(0, 2, 1)
-    r = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, xy)[0] * problem.weight[:, None]
+    r, predicted, _ = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, xy)
+    if problem.camera is not None:
+        by_camera = by_states(problem.camera, predicted[:, 0], predicted[:, 1])
+        r = r - np.einsum("kcip,c->kip", by_camera, state.camera - problem.camera_taken)
+    r = r * problem.weight[:, None]
     assert problem.ground_weight is not None
     relief = ground_plane(state.points_enu_m, problem.reference_enu_m, state.plane)[0] * problem.ground_weight
     return np.concatenate([r.ravel(), relief, *(prior.evaluate(state)[0] for prior in problem.priors)])
@@ -109,9 +115,14 @@ def test_errors_drawn_larger_than_believed_show_as_larger() -> None:
     assert 3.2 < np.mean(values) < 4.8
 
 
-def test_schur_complement_is_the_dense_problem() -> None:
+# Nearly right, for the derivatives are those at the camera that measurements were made with.
+LENS = replace(Camera.from_field_of_view(640, 480, 40.0), stated_sigma=(2e-5, 1e-5, 1e-5, 5e-5, 5e-5))
+
+
+@pytest.mark.parametrize("lens", [None, LENS])
+def test_schur_complement_is_the_dense_problem(lens: Camera | None) -> None:
     """Covariance, gain of the points and their own covariance are blocks of the dense normal matrix's inverse."""
-    drawn = bundle_problem(np.random.default_rng(2), 4, 14)
+    drawn = bundle_problem(np.random.default_rng(2), 4, 14, lens=lens)
     s = solve(
         drawn.problem, first_guess(drawn, drawn.truth.R_cam_enu, drawn.truth.centres_enu_m), scale=None, tolerance=1e-12
     )
