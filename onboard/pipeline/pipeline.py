@@ -162,6 +162,7 @@ class Pipeline:
         out.extend(self._part_from_last(nav))
         if self._frame is not self.navigation.frame:
             self._frame, self.window.terrain = self.navigation.frame, None
+            self.window.ground_slope.forget()
         is_slow = self._last_nav is not None and nav.stamp_ns - self._last_nav.stamp_ns > SLOW_NS
         self._last_nav = nav
         self._know_terrain(nav)
