@@ -23,7 +23,9 @@ Array = NDArray[np.float64]
 
 GROUPS = (POSITION, VELOCITY, TILT, HEADING)
 FALSE_ALARM = 1e-6  # share of consistent windows in which a group is held to fail
-LEAST_REDUNDANCY = 1e-6  # share of a residual that the fit leaves: what no other sensor sees cannot contradict any
+# Share of a residual's variance that the fit leaves: where the others know a tenth of what the sensor knows, or less,
+# they do not contradict it, and what remains there is the solver's tolerance.
+LEAST_REDUNDANCY = 0.01
 FADING_S = 30.0  # after its last failure, in which a group's added variance falls to a third
 FORGOTTEN = 1.5  # factor on a variance, below which a failure is over
 AXES = {POSITION: slice(0, 3), VELOCITY: slice(0, 3), TILT: slice(0, 2), HEADING: slice(2, 3)}
@@ -122,8 +124,9 @@ def innovations(
             for k, W in enumerate(prior.whitener[axes]):
                 constant[k * n : (k + 1) * n, k] = W.sum(axis=1)
             values, vectors = np.linalg.eigh(np.eye(len(r)) - J @ covariance @ J.T)
+            told = values > LEAST_REDUNDANCY
             values = np.clip(values, LEAST_REDUNDANCY, 1.0)
-            without = (vectors / values) @ vectors.T
+            without = (vectors * (told / values)) @ vectors.T
             predicted = (vectors * (1.0 / values - 1.0)) @ vectors.T
             out.append(Innovation(group, sigma * (without @ r), sigma**2 * predicted, sigma * constant))
     return out
