@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from contract.camera import Camera
 from onboard.config.schema import Config
 from onboard.events.source import SourceStatus
-from onboard.pipeline.estimates import BORESIGHT, larger_than_declared
+from onboard.pipeline.estimates import BORESIGHT, larger_than_declared, said_of
 from onboard.service.reports import Report
 from onboard.service.vehicle_state import Subject, VehicleState
 
@@ -67,13 +67,19 @@ def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]
         _time_sync(config, report),
         *judged.values(),
         _mount(config, report),
-        Line("sensors", True, larger_than_declared(report.sensor_errors) or "no error found larger than configured"),
+        _sensors(report),
         _calibration(around.camera),
         Line("link", not around.link, around.link or f"open, {', '.join((*config.link.listen, *config.link.connect))}"),
         _disk(config, around.free_mb),
         _processor(around.temperature_c),
     ]
     return [_state_line(report), *lines] if around.is_running else lines
+
+
+def _sensors(report: Report) -> Line:
+    against, larger = said_of(report.contradictions), larger_than_declared(report.sensor_errors)
+    said = "; ".join(text for text in (against, larger) if text)
+    return Line("sensors", not against, said or "no error found larger than configured")
 
 
 def _state_line(report: Report) -> Line:

@@ -7,6 +7,7 @@ Public:
 - `ground_roughness`: `plane_and_roughness`
 - `keyframe`: `Observation`, `observation`
 - `resection`: `Resection`, `resect`
+- `sensor_groups`: `Failing`, `FORGOTTEN`
 - `sensor_pose`: `SensorPose`
 - `sliding_window`: `Window`
 - `solver_executor`: `Inline`, `Promise`, `Worker`, `timed_adjust`

@@ -26,7 +26,8 @@ FALSE_ALARM = 1e-6  # share of consistent windows in which a group is held to fa
 # Share of a residual's variance that the fit leaves: where the others know a tenth of what the sensor knows, or less,
 # they do not contradict it, and what remains there is the solver's tolerance.
 LEAST_REDUNDANCY = 0.01
-FADING_S = 30.0  # after its last failure, in which a group's added variance falls to a third
+LEFT_OUT = 9.0  # times the variance that makes a failing group consistent: what it says is not to be averaged with
+FADING_S = 20.0  # after its last failure, in which a group's added variance falls to a third
 FORGOTTEN = 1.5  # factor on a variance, below which a failure is over
 AXES = {POSITION: slice(0, 3), VELOCITY: slice(0, 3), TILT: slice(0, 2), HEADING: slice(2, 3)}
 SENSOR = {POSITION: PositionPrior, VELOCITY: VelocityPrior, TILT: AttitudePrior, HEADING: AttitudePrior}
@@ -51,10 +52,15 @@ class Failing:
     """The groups that fail or have failed of late, by name."""
 
     failures: Mapping[str, Failure] = field(default_factory=dict)
+    windows: Mapping[str, int] = field(default_factory=dict)  # in which each has failed since the start
 
     def factors(self, start_ns: int) -> dict[str, float]:
         """Factors on the variances of groups, for a window that begins at `start_ns`."""
         return {name: f.at(start_ns) for name, f in self.failures.items()}
+
+    def fails_at(self, end_ns: int) -> bool:
+        """Whether any failed in the window that ended then."""
+        return any(f.last_ns == end_ns for f in self.failures.values())
 
     def after(self, start_ns: int, end_ns: int, failed: Mapping[str, float]) -> Failing:
         """After a window in which the groups of `failed` did, with the factors that make them consistent."""
@@ -63,7 +69,7 @@ class Failing:
             before = kept.get(name)
             since_ns = end_ns if before is None else before.since_ns
             kept[name] = Failure(since_ns, end_ns, max(factor, 0.0 if before is None else before.at(start_ns)))
-        return Failing(kept)
+        return Failing(kept, {n: self.windows.get(n, 0) + (n in failed) for n in {**self.windows, **failed}})
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,13 +162,13 @@ def failing_groups(
         again = [i for i in against if i.group in factors and i.group not in failed]
         for i in again:
             failed.add(i.group)
-            factors[i.group] = max(factors[i.group], i.consistent_variance())
+            factors[i.group] = max(factors[i.group], LEFT_OUT * i.consistent_variance())
         fresh = [i for i in against if i.group not in factors and _may_fail(i.group, factors, begun)]
         if not fresh:
             return factors, failed
         trials = []
         for i in fresh:
-            trial = {**factors, i.group: i.consistent_variance()}
+            trial = {**factors, i.group: LEFT_OUT * i.consistent_variance()}
             left = solve(trial)
             trials.append((max((j.excess() for j in left if j.group not in trial), default=0.0), i.group, trial, left))
         _, group, factors, found = min(trials, key=lambda t: t[0])

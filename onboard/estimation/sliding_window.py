@@ -169,7 +169,8 @@ class Window:
             self.solved = outcome.solved
             if len(self.keyframes) == self.config.solve.keyframes:
                 self._see_slope(outcome.solved)
-                self.learn(outcome.solved)
+                if not outcome.noise.failing.fails_at(self.keyframes[-1].nav.stamp_ns):
+                    self.learn(outcome.solved)  # a sensor that is wrong teaches nothing about mount and clock
         return outcome.status
 
     def solve(self) -> Status:

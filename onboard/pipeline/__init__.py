@@ -2,7 +2,7 @@
 
 Public:
 
-- `estimates`: `BORESIGHT`, `Estimate`, `SensorError`, `as_rows`, `larger_than_declared`
+- `estimates`: `BORESIGHT`, `Contradiction`, `Estimate`, `SensorError`, `as_rows`, `larger_than_declared`, `said_of`
 - `pipeline`: `Pipeline`
 - `statistics`: `Summary`
 """

@@ -31,7 +31,7 @@ from onboard.geometry.terrain_grid import Terrain
 from onboard.georeferencing.feature_sets import Origin, Picture, georeference
 from onboard.georeferencing.surface_sets import over_known_ground
 from onboard.navigation.navigator import Navigation, NavState
-from onboard.pipeline.estimates import estimates_of, sensor_errors
+from onboard.pipeline.estimates import contradictions_of, estimates_of, sensor_errors
 from onboard.pipeline.frozen_frames import Staleness, Stillness
 from onboard.pipeline.keyframe_choice import wants_keyframe
 from onboard.pipeline.motion_prediction import ground_so_far, predict_motion, what_parts
@@ -141,6 +141,7 @@ class Pipeline:
         return self._statistics.summary(
             estimates_of(alignment.belief if alignment.updates else None),
             sensor_errors(self.config, self.window.noise.factors),
+            contradictions_of(self.window.noise.failing, self._now_ns),
         )
 
     def _process(self, frame: Frame) -> list[FeatureSet]:

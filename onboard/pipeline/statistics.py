@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from contract.feature_set import Status
-from onboard.pipeline.estimates import Estimate, SensorError
+from onboard.pipeline.estimates import Contradiction, Estimate, SensorError
 from onboard.pipeline.shortfall import Evidence, Shortfall
 
 REMEMBERED_PICTURES = 5000  # whose status may still change: many times what a window spans
@@ -30,6 +30,7 @@ class Summary:
     reprojection_px: float = 0.0
     estimates: tuple[Estimate, ...] = ()  # of the platform; empty before the first update
     sensor_errors: tuple[SensorError, ...] = ()  # how large they are, as estimated beside what is configured
+    contradictions: tuple[Contradiction, ...] = ()  # sensors that contradict the others, or did
     stage_seconds: dict[str, float] = field(default_factory=dict)
 
 
@@ -66,7 +67,12 @@ class RunStatistics:
         while len(self._status) > REMEMBERED_PICTURES:
             del self._status[next(iter(self._status))]
 
-    def summary(self, estimates: tuple[Estimate, ...] = (), sensor_errors: tuple[SensorError, ...] = ()) -> Summary:
+    def summary(
+        self,
+        estimates: tuple[Estimate, ...] = (),
+        sensor_errors: tuple[SensorError, ...] = (),
+        contradictions: tuple[Contradiction, ...] = (),
+    ) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
         refused = Counter({s.value: n for s, n in self._outcomes.items() if s is not Status.OK and n})
         return Summary(
@@ -79,6 +85,7 @@ class RunStatistics:
             reprojection_px=float(np.median(self.reprojections_px)) if self.reprojections_px else 0.0,
             estimates=estimates,
             sensor_errors=sensor_errors,
+            contradictions=contradictions,
             stage_seconds=dict(self._stages),
         )
 
