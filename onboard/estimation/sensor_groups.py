@@ -153,7 +153,7 @@ def failing_groups(
 
     `found`: innovations with the factors of `held`, which fade since earlier windows; `solve` gives them with other
     factors. Who is wrong where two contradict each other is asked of the rest: that group fails without which the
-    others agree best. One sensor a window may begin to fail, and position and velocity never both: where more
+    others agree best. One sensor a window may begin to fail, and position only beside a velocity that does not: where more
     contradict the pictures at once, the pictures are as likely to be wrong. Equation (13.5).
     """
     factors, failed, begun = dict(held), set[str](), set[type]()
@@ -163,7 +163,8 @@ def failing_groups(
         for i in again:
             failed.add(i.group)
             factors[i.group] = max(factors[i.group], LEFT_OUT * i.consistent_variance())
-        fresh = [i for i in against if i.group not in factors and _may_fail(i.group, factors, begun)]
+        known = {i.group for i in found}
+        fresh = [i for i in against if i.group not in factors and _may_fail(i.group, known, factors, begun)]
         if not fresh:
             return factors, failed
         trials = []
@@ -176,7 +177,7 @@ def failing_groups(
         begun.add(SENSOR[group])
 
 
-def _may_fail(group: str, factors: Mapping[str, float], begun: set[type]) -> bool:
+def _may_fail(group: str, known: set[str], factors: Mapping[str, float], begun: set[type]) -> bool:
     if begun and SENSOR[group] not in begun:
         return False
-    return not ({group, *factors} >= {POSITION, VELOCITY})
+    return not ({group, *factors} >= {POSITION, VELOCITY}) and (group != POSITION or VELOCITY in known)
