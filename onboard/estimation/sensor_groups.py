@@ -153,8 +153,8 @@ def failing_groups(
 
     `found`: innovations with the factors of `held`, which fade since earlier windows; `solve` gives them with other
     factors. Who is wrong where two contradict each other is asked of the rest: that group fails without which the
-    others agree best. One sensor a window may begin to fail, and position only beside a velocity that does not: where more
-    contradict the pictures at once, the pictures are as likely to be wrong. Equation (13.5).
+    others agree best. One sensor a window may begin to fail, and position only beside a velocity that does not:
+    where more contradict the pictures at once, the pictures are as likely to be wrong. Equation (13.5).
     """
     factors, failed, begun = dict(held), set[str](), set[type]()
     while True:
