@@ -13,7 +13,7 @@ from onboard.commands.preflight import Surroundings, diagnose
 from onboard.config.schema import Config
 from onboard.events.source import SourceStatus, State
 from onboard.events.supervised_thread import ThreadReport, ThreadState
-from onboard.pipeline.estimates import BORESIGHT, Estimate, SensorError
+from onboard.pipeline.estimates import BORESIGHT, Contradiction, Estimate, SensorError
 from onboard.service.reports import Report
 from onboard.service.vehicle_state import AT_REST, Inputs, Subject, overall
 from tests.onboard.service.reported import WELL as WELL_INPUTS
@@ -184,3 +184,11 @@ def test_sensors_worse_than_declared_are_named_with_both_numbers() -> None:
         == "heading 3.8 deg, declared 2; velocity 0.3 m/s, declared 0.1"
     )
     assert text(WELL, "sensors") == "no error found larger than configured"
+
+
+def test_a_sensor_that_contradicts_the_others_is_not_well_while_it_does() -> None:
+    wrong, over = Contradiction("tilt", 12.0, 9.0, 8), Contradiction("velocity", 1.0, 3.0, 4)
+    report = replace(WELL, contradictions=(wrong, over))
+    assert not verdicts(report)["sensors"]
+    assert text(report, "sensors") == "tilt contradicts the other sensors for 9 s and counts with 12 times its sigma"
+    assert verdicts(replace(WELL, contradictions=(over,)))["sensors"]

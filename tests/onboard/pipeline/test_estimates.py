@@ -7,8 +7,17 @@ import pytest
 
 from onboard.config.schema import parse_config
 from onboard.estimation.boresight import STATES, Belief
+from onboard.estimation.sensor_groups import Failing
 from onboard.estimation.variance_components import NAMES, Evidence, VarianceFactors
-from onboard.pipeline.estimates import as_rows, estimates_of, larger_than_declared, sensor_errors
+from onboard.pipeline.estimates import (
+    Contradiction,
+    as_rows,
+    contradictions_of,
+    estimates_of,
+    larger_than_declared,
+    said_of,
+    sensor_errors,
+)
 
 CONFIG = parse_config("")
 BELIEF = Belief(
@@ -53,3 +62,18 @@ def test_the_summary_has_a_row_for_each_and_names_a_sensor_only_where_it_is_wors
     }
     assert as_rows((), sensor_errors(CONFIG, VarianceFactors())) == []
     assert larger_than_declared(sensor_errors(CONFIG, VarianceFactors())) == ""
+
+
+def test_a_sensor_that_contradicts_the_others_is_said_while_it_does_and_remembered_after() -> None:
+    second_ns = 1_000_000_000
+    failing = (
+        Failing().after(0, 10 * second_ns, {"heading": 100.0}).after(5 * second_ns, 22 * second_ns, {"heading": 400.0})
+    )
+    (now,) = contradictions_of(failing, 22 * second_ns)
+    assert now == Contradiction("heading", 20.0, 12.0, 2)
+    assert said_of([now]) == "heading contradicts the other sensors for 12 s and counts with 20 times its sigma"
+    assert dict(as_rows((), (), [now])) == {"contradictions": str(now)}
+    (later,) = contradictions_of(failing, 600 * second_ns)
+    assert later.sigma_times == pytest.approx(1.0) and said_of([later]) == ""
+    assert str(later) == "heading contradicted the other sensors in 2 windows"
+    assert contradictions_of(Failing(), 0) == ()
