@@ -22,6 +22,7 @@ from onboard.estimation.variance_components import HEADING, POSITION, TILT, VELO
 Array = NDArray[np.float64]
 
 GROUPS = (POSITION, VELOCITY, TILT, HEADING)
+MAY_FAIL = (TILT, HEADING)
 FALSE_ALARM = 1e-6  # share of consistent windows in which a group is held to fail
 # Share of a residual's variance that the fit leaves: where the others know a tenth of what the sensor knows, or less,
 # they do not contradict it, and what remains there is the solver's tolerance.
@@ -152,32 +153,29 @@ def failing_groups(
     """The factors by which groups' variances grow in a window, and the groups that contradict the others in it.
 
     `found`: innovations with the factors of `held`, which fade since earlier windows; `solve` gives them with other
-    factors. Who is wrong where two contradict each other is asked of the rest: that group fails without which the
-    others agree best. One sensor a window may begin to fail, and position only beside a velocity that does not:
-    where more contradict the pictures at once, the pictures are as likely to be wrong. Equation (13.5).
+    factors. That group fails without which the others agree best, and only if position and velocity then do not
+    contradict the pictures: where they do, the pictures are as likely to be wrong (a convoy, water), and whether the
+    window may be published is for the residuals to say. Therefore only the attitude's groups may fail. Position
+    and velocity are held against each other before any window (`navigation.position_doubt`). Equation (13.5).
     """
-    factors, failed, begun = dict(held), set[str](), set[type]()
+    factors, failed = dict(held), set[str]()
     while True:
         against = contradictions(found)
-        again = [i for i in against if i.group in factors and i.group not in failed]
-        for i in again:
-            failed.add(i.group)
-            factors[i.group] = max(factors[i.group], LEFT_OUT * i.consistent_variance())
-        known = {i.group for i in found}
-        fresh = [i for i in against if i.group not in factors and _may_fail(i.group, known, factors, begun)]
-        if not fresh:
-            return factors, failed
+        for i in against:
+            if i.group in factors and i.group not in failed:
+                failed.add(i.group)
+                factors[i.group] = max(factors[i.group], LEFT_OUT * i.consistent_variance())
         trials = []
-        for i in fresh:
+        for i in against:
+            if i.group in factors or i.group not in MAY_FAIL:
+                continue
             trial = {**factors, i.group: LEFT_OUT * i.consistent_variance()}
             left = solve(trial)
-            trials.append((max((j.excess() for j in left if j.group not in trial), default=0.0), i.group, trial, left))
+            others = max((j.excess() for j in left if j.group not in MAY_FAIL), default=0.0)
+            if others <= 1.0:
+                rest = max((j.excess() for j in left if j.group not in trial), default=0.0)
+                trials.append((rest, i.group, trial, left))
+        if not trials:
+            return factors, failed
         _, group, factors, found = min(trials, key=lambda t: t[0])
         failed.add(group)
-        begun.add(SENSOR[group])
-
-
-def _may_fail(group: str, known: set[str], factors: Mapping[str, float], begun: set[type]) -> bool:
-    if begun and SENSOR[group] not in begun:
-        return False
-    return not ({group, *factors} >= {POSITION, VELOCITY}) and (group != POSITION or VELOCITY in known)

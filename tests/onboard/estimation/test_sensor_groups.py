@@ -23,6 +23,7 @@ from onboard.estimation.sensor_groups import (
     FADING_S,
     FALSE_ALARM,
     GROUPS,
+    MAY_FAIL,
     Failing,
     Innovation,
     contradictions,
@@ -140,7 +141,7 @@ def test_innovations_have_the_covariance_that_is_claimed() -> None:
         assert 0.5 < np.mean(squares) < 1.3, group  # what no other sensor sees counts as nothing
 
 
-@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize("group", MAY_FAIL)
 def test_the_one_that_is_wrong_is_found_and_no_other(group: str) -> None:
     for seed in range(5):
         window = Window(seed, group, FAULTS[group])
@@ -172,14 +173,12 @@ def test_it_fails_for_as_long_as_it_is_wrong_and_is_heard_again_after() -> None:
     assert failing.after(later_ns, later_ns + SECOND_NS, {}).factors(later_ns) == {}
 
 
-def test_position_and_velocity_never_both_fail() -> None:
-    """With neither, nothing in the window has a scale or a place; what contradicts both may be the pictures."""
-    window = Window(1, VELOCITY, FAULTS[VELOCITY])
-    factors, _ = window.failing({POSITION: 100.0})
-    assert VELOCITY not in factors
-    alone = [i for i in Window(1, POSITION, FAULTS[POSITION]).solve({}) if i.group == POSITION]
-    assert contradictions(alone), "the pictures do contradict it"
-    assert failing_groups(alone, window.solve, {}) == ({}, set())
+@pytest.mark.parametrize("group", [POSITION, VELOCITY])
+def test_what_contradicts_position_or_velocity_excuses_no_sensor(group: str) -> None:
+    """It may be the pictures that are wrong, over a convoy: that the window's residuals must show."""
+    window = Window(1, group, FAULTS[group])
+    assert group in {i.group for i in contradictions(window.solve({}))}
+    assert window.failing({}) == ({}, set())
 
 
 def test_the_quantile_is_that_of_one_false_alarm_in_a_million() -> None:
