@@ -217,7 +217,9 @@ def adjust(request: Request) -> Outcome:
 
     held = noise.factors.groups
     found = innovations(priors, first.state, first.covariance, held, has_attitude)
-    groups, failed = failing_groups(found, innovations_with, held)
+    groups, failed = dict(held), set[str]()
+    if noise.factors.stamp_ns:  # a sensor that never agreed with pictures (a convoy) has not failed: refused below
+        groups, failed = failing_groups(found, innovations_with, held)
     if failed:
         noise = replace(noise, factors=replace(noise.factors, groups=groups))
         problem, priors, first = weighed(noise, first.state)
