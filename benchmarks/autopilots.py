@@ -25,7 +25,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.drawn_flight import DrawnTracker, Ground, Mask, replace_section
+from benchmarks.drawn_flight import DrawnTracker, Ground, Mask, Valley, replace_section
+from benchmarks.sensor_faults import EVERY_MINUTE, Disturbance, disturbed
 from contract.camera import UNKNOWN_SIGMA, Camera
 from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
@@ -68,6 +69,9 @@ class Scene:
     rate_hz: float = 2.0
     relief_sigma_m: float = 2.0
     slope_deg: float = 0.0
+    rises_towards_deg: float = 36.9  # counted from north
+    is_valley: bool = False  # the slope on either side of a line through the first place, falling towards it
+    disturbances: tuple[Disturbance, ...] = ()
     wander_m: float = 1.5
     pixel_sigma_px: float = 0.3
     outlier_share: float = 0.03
@@ -102,8 +106,9 @@ class ReplayedFlight:
         poses = [self.trajectory.camera_pose(float(t), self.R_body_cam) for t in self.times_s]
         self.R_enu_cam = np.stack([p.R_enu_cam for p in poses])
         self.centres_enu_m = np.stack([p.centre_m for p in poses])
-        slope = np.tan(np.radians(scene.slope_deg)) * np.array([0.6, 0.8])
-        self.ground = Ground(rng, slope, scene.relief_sigma_m, 200.0)
+        uphill = np.radians(scene.rises_towards_deg)
+        slope = np.tan(np.radians(scene.slope_deg)) * np.array([np.sin(uphill), np.cos(uphill)])
+        self.ground = (Valley if scene.is_valley else Ground)(rng, slope, scene.relief_sigma_m, 200.0)
         down = self.trajectory.R_enu_body(self.times_s)[:, :, 2]
         self.bank_deg = np.degrees(np.arccos(np.clip(-down[:, 2], -1.0, 1.0)))
 
@@ -140,7 +145,8 @@ class ReplayedFlight:
                 if said.stamp_ns - last_attitude_ns < 0.98e9 / self.spec.attitude_hz:
                     continue
                 last_attitude_ns = said.stamp_ns
-            telemetry.append((arrival_ns, wander(said) if isinstance(said, PositionFix) else said))
+            event = disturbed(said, begin_ns, self.spec.disturbances, self.place)
+            telemetry.append((arrival_ns, wander(event) if isinstance(event, PositionFix) else event))
         for _, event in sorted([*telemetry, *pictures], key=lambda pair: pair[0]):
             yield event
 
@@ -333,6 +339,11 @@ FAULTS: dict[str, dict[str, Any]] = {
             stated_sigma=UNKNOWN_SIGMA,
         )
     },
+    "slope-east": {"slope_deg": 9.8, "rises_towards_deg": 90.0},
+    "slope-north": {"slope_deg": 9.8, "rises_towards_deg": 0.0},
+    "slope-4": {"slope_deg": 4.0, "rises_towards_deg": 300.0},
+    "valley": {"slope_deg": 9.8, "rises_towards_deg": 36.9, "is_valley": True},
+    **{name: {"disturbances": every} for name, every in EVERY_MINUTE.items()},
 }
 
 

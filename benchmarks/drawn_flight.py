@@ -91,6 +91,17 @@ class Ground:
         return np.asarray(centre + rays * depth[:, None], float)
 
 
+class Valley(Ground):
+    """The same on both sides of a valley through the origin; `slope` (2,) is that of the side where it is uphill."""
+
+    def height_m(self, xy: Array) -> Array:
+        """Heights of places (..., 2); the valley's floor is rounded over a hundred metres."""
+        rise = xy @ self.slope
+        rounded_m = 50.0 * float(np.hypot(*self.slope))
+        out: Array = super().height_m(xy) - rise + np.hypot(rise, rounded_m) - rounded_m
+        return out
+
+
 class DrawnFlight:
     """The truth of one flight and the events that tell of it."""
 

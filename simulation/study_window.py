@@ -26,7 +26,8 @@ from onboard.estimation.factors import (
     gauss_markov_sqrt_information,
 )
 from onboard.estimation.initialisation import orient
-from onboard.estimation.window_solver import MIN_PARALLAX_RAD, MIN_PIXEL_SIGMA_PX, START_SIGMAS, approximate, refine
+from onboard.estimation.window_solver import MIN_PIXEL_SIGMA_PX, approximate, refine
+from onboard.estimation.window_start import MIN_PARALLAX_RAD, START_SIGMAS
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.terrain_grid import Terrain
 from onboard.geometry.triangulation import triangulate

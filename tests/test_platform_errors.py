@@ -49,6 +49,7 @@ def clicks(flight: DrawnFlight, sets: dict[int, FeatureSet], after_s: float, eve
 def body_bias_m(lever_known: bool) -> Array:
     """Mean error (3,) of the cameras' centres, body axes, over turns; sensors err by a 250th of what is declared."""
     config = with_latency(0.001)  # at one speed a lever arm ahead looks like a delay: here there is none to be found
+    config = replace_section(config, "solve", level_ground_sigma_deg=2.0)  # ground is drawn by it, and is to be level
     if lever_known:
         config = replace_section(config, "mount", lever_arm_m=LEVER_M)
     spec = DrawnSpec(config, TURNS, seconds=50.0, rate_hz=2.0, errors=0.004, lever_arm_m=LEVER_M)

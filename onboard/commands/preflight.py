@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from contract.camera import Camera
 from onboard.config.schema import Config
 from onboard.events.source import SourceStatus
-from onboard.pipeline.estimates import BORESIGHT, larger_than_declared, not_adopted
+from onboard.pipeline.estimates import BORESIGHT, larger_than_declared, not_adopted, said_of
 from onboard.service.reports import Report
 from onboard.service.vehicle_state import Subject, VehicleState
 
@@ -67,13 +67,22 @@ def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]
         _time_sync(config, report),
         *judged.values(),
         _mount(config, report),
-        Line("sensors", True, _sensors(report)),
+        _sensors(report),
         _calibration(around.camera),
         Line("link", not around.link, around.link or f"open, {', '.join((*config.link.listen, *config.link.connect))}"),
         _disk(config, around.free_mb),
         _processor(around.temperature_c),
     ]
     return [_state_line(report), *lines] if around.is_running else lines
+
+
+def _sensors(report: Report) -> Line:
+    against, larger = said_of(report.contradictions), larger_than_declared(report.sensor_errors)
+    doubted = not_adopted(report.unconfirmed)
+    said = "; ".join(text for text in (against, larger) if text) or "no error found larger than configured"
+    if doubted:
+        said += f"; found but not confirmed, and not used: {doubted}"
+    return Line("sensors", not against, said)
 
 
 def _state_line(report: Report) -> Line:
@@ -175,12 +184,6 @@ def _mount(config: Config, report: Report) -> Line:
     sigma_deg = math.degrees(max(learned.sigmas))
     good = off_deg <= BORESIGHT_SIGMAS * math.hypot(mount.sigma_deg, sigma_deg)
     return Line("mount", good, f"{how}; learned in flight: {off_deg:.1f} +-{sigma_deg:.1f} deg beside that")
-
-
-def _sensors(report: Report) -> str:
-    larger, doubted = larger_than_declared(report.sensor_errors), not_adopted(report.unconfirmed)
-    found = larger or "no error found larger than configured"
-    return f"{found}; found but not confirmed, and not used: {doubted}" if doubted else found
 
 
 def _calibration(camera: Camera | str) -> Line:

@@ -117,7 +117,7 @@ class Solve(Section):
     attitude_white_sigma_deg: float = quantity(0.15, 0.001, 45.0, "deg", "one sigma of roll and pitch, the white part")
     heading_white_sigma_deg: float = quantity(0.6, 0.001, 45.0, "deg", "one sigma of heading, the white part")
     attitude_wander_time_s: float = quantity(20.0, 0.1, 10000.0, "s", "correlation time of the Gauss-Markov part")
-    level_ground_sigma_deg: float = quantity(2.0, 0.01, 45.0, "deg", "one sigma of the mean ground's slope")
+    level_ground_sigma_deg: float = quantity(3.5, 0.01, 45.0, "deg", "one sigma of the mean ground's slope")
     relief_sigma_m: float = quantity(10.0, 0.0, 1000.0, "m", "ground roughness: one sigma about its mean plane")
     home_level: bool = choice(False, "without parallax and terrain, answer over level ground at home's height")
     home_level_sigma_m: float = quantity(10.0, 0.1, 1000.0, "m", "one sigma of that ground's height")

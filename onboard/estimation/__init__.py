@@ -5,9 +5,10 @@ Public:
 
 - `boresight`: `Alignment`, `Belief`, `Unconfirmed`, `BORESIGHT`, `OFFSET`, `DELAY`
 - `ground_roughness`: `plane_and_roughness`
-- `keyframe`: `Ids`, `Keyframe`, `Observation`, `observation`
+- `keyframe`: `Ids`, `Keyframe`, `Observation`, `observation`, `seen_with`
 - `resection`: `Resection`, `resect`
 - `rotation_timing`: `Course`, `Pair`, `Timing`, `timing`, `FEATURES`, `REACH_S`
+- `sensor_groups`: `Failing`, `FORGOTTEN`
 - `sensor_pose`: `SensorPose`
 - `sliding_window`: `Window`
 - `solver_executor`: `Inline`, `Promise`, `Worker`, `timed_adjust`

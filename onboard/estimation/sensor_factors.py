@@ -24,6 +24,7 @@ from onboard.estimation.factors import (
     lasting_sigma,
     whitener_of,
 )
+from onboard.estimation.ground_slope import NO_SLOPE_PRIOR, SlopePrior
 from onboard.estimation.keyframe import Keyframe
 from onboard.estimation.variance_components import (
     HEADING,
@@ -44,6 +45,7 @@ PATH_WHITE_SIGMA_RAD = 0.15
 GRAVITY_M_S2 = 9.81
 ECHO_SIGMAS = 4.0
 DYNAMIC_TIME_S = 3.0  # that a navigation filter takes to forget what acceleration did to it
+UNKNOWN_M = 1e5  # one sigma of a displacement of which nothing is known
 VELOCITY_TIME_S = 8.0  # a navigation filter takes so long to correct a velocity
 TERRAIN_SLOPE_SIGMA = 0.005  # of an elevation model over a window's few hundred metres: neighbours err alike
 
@@ -57,17 +59,19 @@ def sensor_priors(
     has_terrain: bool,
     jitter_s: float,
     factors: VarianceFactors,
+    slope: SlopePrior | None = None,
 ) -> list[Prior]:
     """Every residual over the camera side that the configuration asks for and the keyframes have data for.
 
     `has_terrain`: the plane among the shared states is then the terrain model's own error, not the ground itself.
     `jitter_s`: one sigma of each picture's own stamp: white error wherever the vehicle moves or turns. (5.11)
+    `slope`: what is believed of the ground's; None: level as configured.
     """
     return [
         _position(config, R_body_cam, keyframes, layout, factors, jitter_s),
         *_velocity(config, R_body_cam, keyframes, layout, factors, jitter_s),
         *_attitude(config, R_body_cam, keyframes, layout, factors, jitter_s),
-        _shared_prior(config, layout, belief, has_terrain),
+        shared_prior(config, layout, belief, has_terrain, slope),
     ]
 
 
@@ -118,7 +122,8 @@ def _position(
     jitter_s: float,
 ) -> PositionPrior:
     gps, stamps, velocities = config.gps, _stamps_s(keyframes), _velocities(keyframes)
-    grow = factors.sigma(POSITION)
+    failing = factors.group_sigma(POSITION)
+    grow = failing * factors.sigma(POSITION)
     horizontal = grow * max(k.nav.sigma_horizontal_m for k in keyframes)
     vertical = grow * max(k.nav.sigma_vertical_m for k in keyframes)
     white_m = np.array([k.nav.sigma_white_m for k in keyframes])
@@ -129,8 +134,8 @@ def _position(
     for axis, share in enumerate((1.0, 1.0, 1.5)):
         slow = gauss_markov_covariance(stamps, slow_m[axis], gps.wander_time_s)
         white = np.diag((white_m * share) ** 2 + (jitter_s * velocities[:, axis]) ** 2)
-        parts.append({POSITION: slow})
-        whitener.append(whitener_of(slow + white + dynamic))
+        parts.append({POSITION: slow} if failing == 1.0 else {})
+        whitener.append(whitener_of(slow + failing**2 * (white + dynamic)))
     return PositionPrior(
         layout,
         np.stack([k.nav.position_enu_m for k in keyframes]),
@@ -152,9 +157,10 @@ def _velocity(
     jitter_s: float,
 ) -> list[Prior]:
     """Displacements by integrated velocity, whose error is white from interval to interval and Gauss-Markov. (5.6)"""
-    flown = [k.flown_enu_m for k in keyframes[1:]]
-    if not config.solve.velocity or any(f is None for f in flown):
+    known = np.array([k.flown_enu_m is not None for k in keyframes[1:]], bool)
+    if not config.solve.velocity or not known.any():
         return []
+    flown = [np.zeros(3) if k.flown_enu_m is None else k.flown_enu_m for k in keyframes[1:]]
     stamps, velocities = _stamps_s(keyframes), _velocities(keyframes)
     speed = np.linalg.norm(velocities, axis=1)
     dt = np.maximum(np.diff(stamps), 0.05)
@@ -166,8 +172,11 @@ def _velocity(
     erring = _dynamic_m_s(config, keyframes)
     erring = dt * np.maximum(erring[1:], erring[:-1])
     dynamic = np.outer(erring, erring) * gauss_markov_covariance(middle, 1.0, DYNAMIC_TIME_S)
-    whitener = whitener_of(np.diag(own) + slow + dynamic)
-    part = {VELOCITY: slow}
+    # An interval over a gap of the telemetry says nothing; those about it do.
+    whitener = whitener_of(np.diag(np.where(known, own, UNKNOWN_M**2)) + slow + dynamic)
+    failing = factors.group_sigma(VELOCITY)
+    whitener = whitener / failing
+    part = {VELOCITY: slow} if failing == 1.0 else {}
     return [
         VelocityPrior(
             layout,
@@ -198,14 +207,15 @@ def _attitude(
         tilt, heading = attitude_sigmas(config, factors)
         tilt_white = np.radians(solve_.attitude_white_sigma_deg) * factors.sigma(TILT_WHITE)
         heading_white = np.radians(solve_.heading_white_sigma_deg) * factors.sigma(HEADING_WHITE)
+        tilt_white, heading_white = tilt_white * factors.group_sigma(TILT), heading_white * factors.group_sigma(HEADING)
         axes = ((TILT, tilt, TILT_WHITE, tilt_white),) * 2 + ((HEADING, heading, HEADING_WHITE, heading_white),)
         between = np.array([k.nav.attitude_sigma_rad for k in keyframes])
         parts, whitener = [], []
         for axis, (name, sigma, white_name, white_sigma) in enumerate(axes):
             slow = gauss_markov_covariance(stamps, sigma, solve_.attitude_wander_time_s)
             white = white_sigma**2 * np.eye(len(stamps))
-            own = np.hypot(between, jitter_s * turning[:, axis])
-            parts.append({name: slow, white_name: white})
+            own = np.hypot(between, jitter_s * turning[:, axis]) * factors.group_sigma(name)
+            parts.append({name: slow, white_name: white} if factors.group_sigma(name) == 1.0 else {})
             whitener.append(whitener_of(slow + white + np.diag(own**2)))
         lasting = np.array([lasting_sigma(stamps, s, solve_.attitude_wander_time_s) for s in (tilt, tilt, heading)])
         measured = Parts((parts[0], parts[1], parts[2]))
@@ -233,8 +243,9 @@ def cosine_sine_of_heading(R_enu_body: Array) -> Array:
 def attitude_sigmas(config: Config, factors: VarianceFactors) -> tuple[float, float]:
     """One sigma (rad) of the Gauss-Markov part of roll and pitch, and of heading, as estimated so far."""
     solve_ = config.solve
-    tilt = np.radians(solve_.attitude_sigma_deg) * factors.sigma(TILT)
-    return float(tilt), float(np.radians(solve_.heading_sigma_deg) * factors.sigma(HEADING))
+    tilt = np.radians(solve_.attitude_sigma_deg) * factors.sigma(TILT) * factors.group_sigma(TILT)
+    heading = np.radians(solve_.heading_sigma_deg) * factors.sigma(HEADING) * factors.group_sigma(HEADING)
+    return float(tilt), float(heading)
 
 
 def range_prior(
@@ -294,15 +305,25 @@ def with_delays_held_open(config: Config, belief: Belief) -> Belief:
     return replace(belief, covariance=covariance)
 
 
-def _shared_prior(config: Config, layout: Layout, belief: Belief, has_terrain: bool) -> SharedPrior:
-    """Boresight and time offset as estimated so far, and the ground plane's slope and height."""
-    shared = len(belief.mean)
-    covariance = np.zeros((shared + 3, shared + 3))
-    covariance[:shared, :shared] = with_delays_held_open(config, belief).covariance
+def level_sigma(config: Config) -> float:
+    """One sigma of the ground's slope (its tangent) where nothing is known of it."""
     solve_ = config.solve
-    slope = np.tan(np.radians(solve_.level_ground_sigma_deg)) if solve_.level_ground else 3.0
+    return float(np.tan(np.radians(solve_.level_ground_sigma_deg))) if solve_.level_ground else NO_SLOPE_PRIOR
+
+
+def shared_prior(
+    config: Config, layout: Layout, belief: Belief, has_terrain: bool, slope: SlopePrior | None = None
+) -> SharedPrior:
+    """Boresight and time offset as estimated so far, and the ground plane's slope and height."""
+    covariance = with_delays_held_open(config, belief).covariance
+    shared = len(covariance)
+    if slope is None:
+        slope = SlopePrior(covariance=level_sigma(config) ** 2 * np.eye(2))
     height_m = 1e4
     if has_terrain:  # the plane is then what the terrain model is off by, as a whole
-        slope, height_m = TERRAIN_SLOPE_SIGMA, config.terrain.sigma_datum_m + 1e-3
-    covariance[shared:, shared:] = np.diag([height_m**2, slope**2, slope**2])
-    return SharedPrior(layout, np.append(belief.mean, np.zeros(3)), np.linalg.inv(np.linalg.cholesky(covariance)))
+        slope, height_m = SlopePrior(covariance=TERRAIN_SLOPE_SIGMA**2 * np.eye(2)), config.terrain.sigma_datum_m + 1e-3
+    whitener = np.zeros((shared + 3, shared + 3))
+    whitener[:shared, :shared] = np.linalg.inv(np.linalg.cholesky(covariance))
+    whitener[shared, shared] = 1.0 / height_m
+    whitener[shared + 1 :, shared + 1 :] = slope.whitener
+    return SharedPrior(layout, np.concatenate([belief.mean, [0.0], slope.mean]), whitener)

@@ -27,12 +27,19 @@ from onboard.estimation.boresight import (
     under_another_prior,
 )
 from onboard.estimation.camera_states import corrected
+from onboard.estimation.ground_slope import GroundSlope, SlopePrior, SlopeSeen, seen_alone
 from onboard.estimation.keyframe import Keyframe, Observation, seen_with
 from onboard.estimation.rotation_timing import LEAST_SIGMA_S
-from onboard.estimation.sensor_factors import cosine_sine_of_heading, with_delays_held_open
+from onboard.estimation.sensor_factors import (
+    cosine_sine_of_heading,
+    level_sigma,
+    shared_prior,
+    with_delays_held_open,
+)
 from onboard.estimation.sensor_pose import SensorPose
 from onboard.estimation.shared_errors import make_sensor_pose
-from onboard.estimation.window_solver import MIN_POINTS, Noise, Outcome, Request, Solved, adjust
+from onboard.estimation.window_solver import Noise, Outcome, Request, Solved, adjust
+from onboard.estimation.window_start import MIN_POINTS
 from onboard.geometry.relative_orientation import rotation_only
 from onboard.geometry.terrain_grid import Terrain
 from onboard.navigation.navigator import NavState
@@ -67,6 +74,8 @@ class Window:
         )
         self.camera_taken = np.zeros_like(self.alignment.belief.mean[STATES:])  # what parts `camera` from its file
         self.lever_body_m = np.array(mount.lever_arm_m)
+        self.ground_slope = GroundSlope(level_sigma(config))
+        self._request: Request | None = None  # the newest
 
     @property
     def belief(self) -> Belief:
@@ -105,7 +114,7 @@ class Window:
             nav,
             self.alignment.belief.widened(nav.stamp_sigma_s),
             R_cam_enu,
-            self.noise.factors,
+            self.noise.factors_at(nav.stamp_ns),
             self.R_body_cam.T @ self.lever_body_m,
         )
 
@@ -152,7 +161,7 @@ class Window:
         """The window as it stands, for `window_solver.adjust`; nothing done to the window later changes it."""
         self._see_with_belief()  # which may have been restored from the state directory
         start_ns = self.keyframes[0].nav.stamp_ns if self.keyframes else 0
-        return Request(
+        self._request = Request(
             self.config,
             self.camera,
             self.camera_file,
@@ -163,7 +172,19 @@ class Window:
             self.terrain,
             self.alignment.prior_for(start_ns).widened(max((k.nav.stamp_sigma_s for k in self.keyframes), default=0.0)),
             self.noise,
+            self._slope_prior(start_ns),
         )
+        return self._request
+
+    def _slope_prior(self, start_ns: int) -> SlopePrior | None:
+        if not self.keyframes or not self.config.solve.level_ground:
+            return None
+        return self.ground_slope.prior_for(start_ns, self._place_enu_m())
+
+    def _place_enu_m(self) -> Array:
+        """Where the window is, level (2,)."""
+        out: Array = np.mean([k.nav.position_enu_m[:2] for k in self.keyframes], axis=0)
+        return out
 
     def adopt(self, outcome: Outcome) -> Status:
         """Take what came of the newest request; OK and a new `solved`, or why there is none (an older one stays).
@@ -175,13 +196,27 @@ class Window:
         if outcome.solved is not None:
             self.solved = outcome.solved
             if len(self.keyframes) == self.config.solve.keyframes:
-                self.learn(outcome.solved)
+                self._see_slope(outcome.solved)
+                if not outcome.noise.failing.fails_at(self.keyframes[-1].nav.stamp_ns):
+                    self.learn(outcome.solved)  # a sensor that is wrong teaches nothing about mount and clock
         self._see_with_belief()
         return outcome.status
 
     def solve(self) -> Status:
         """Prepare, adjust and adopt at once."""
         return self.adopt(adjust(self.prepare()))
+
+    def _see_slope(self, solved: Solved) -> None:
+        """Keep what the window that `prepare` asked for alone says of the ground's slope."""
+        request, layout = self._request, solved.layout
+        if request is None or request.slope is None or request.terrain is not None:
+            return  # over a terrain model the plane is what that is off by
+        start_ns, end_ns = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
+        prior = shared_prior(self.config, layout, request.belief, False, request.slope)
+        state, covariance = solved.solution.state, solved.covariance_at((start_ns + end_ns) // 2)
+        shared = np.concatenate([state.platform, state.plane])
+        slope, sigma2 = seen_alone(prior, shared, covariance[layout.shared, layout.shared])
+        self.ground_slope.offer(start_ns, SlopeSeen(end_ns, self._place_enu_m(), slope, sigma2))
 
     def learn(self, solved: Solved) -> None:
         """Offer a solved window's boresight and time offset as a posterior update."""

@@ -49,6 +49,11 @@ class VarianceFactors:
     stamp_ns: int = 0
     found: Mapping[str, float] = field(default_factory=dict)
     expected: Mapping[str, float] = field(default_factory=dict)
+    groups: Mapping[str, float] = field(default_factory=dict)  # on all of a sensor's variance, while it fails
+
+    def group_sigma(self, group: str) -> float:
+        """The factor on the sigma of a sensor that contradicts the others (`sensor_groups`), at least 1."""
+        return float(np.sqrt(self.groups.get(group, 1.0)))
 
     def of(self, name: str) -> float:
         """The factor on one part's variance, at least 1."""
@@ -75,7 +80,7 @@ class VarianceFactors:
         for name, value in evidence.expected.items():
             found[name] = found.get(name, 0.0) + weight * evidence.found[name]
             expected[name] = expected.get(name, 0.0) + weight * value
-        return VarianceFactors(stamp_ns, found, expected)
+        return VarianceFactors(stamp_ns, found, expected, self.groups)
 
 
 def evidence_of(priors: list[Prior], state: State, covariance: Array, used: VarianceFactors) -> Evidence:

@@ -6,6 +6,7 @@ here, from residuals, covariances and priors.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,27 +15,26 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.feature_set import SharedErrors, Status
 from onboard.config.schema import Config
-from onboard.estimation import camera_states, initialisation
+from onboard.estimation import camera_states
 from onboard.estimation.boresight import BORESIGHT, HEADING, OFFSET, STATES, VELOCITY_DELAY, Belief
 from onboard.estimation.bundle_adjustment import Problem, Solution, solve
 from onboard.estimation.factors import AttitudePrior, Layout, Prior, SharedPrior, State, VelocityPrior, ground_plane
 from onboard.estimation.ground_motion import GroundMotion, ground_motion, ground_sigma_m_s
 from onboard.estimation.ground_roughness import effective_sigma_m
+from onboard.estimation.ground_slope import SlopePrior
 from onboard.estimation.keyframe import Ids, Keyframe
 from onboard.estimation.sensor_factors import range_prior, sensor_priors
+from onboard.estimation.sensor_groups import Failing, Innovation, failing_groups, innovations
 from onboard.estimation.shared_errors import shared_errors
 from onboard.estimation.variance_components import NAMES, VarianceFactors, evidence_of
+from onboard.estimation.window_start import MIN_POINTS, grid, oriented, starting_points, travel_m
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.terrain_grid import Terrain
-from onboard.geometry.triangulation import triangulate
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MIN_KEYFRAMES = 3
-MIN_POINTS = 12
-MIN_PARALLAX_RAD = 0.008  # below this a point starts on the ground plane and not where its rays meet
-START_SIGMAS = 5.0  # of an inlier at the start, at 640 px width: larger pictures have larger calibration errors
 OUTLIER_SIGMAS = 4.0
 # Median length of a residual (of noise of one sigma an axis) of a point seen in so many views, from 2 on: along the
 # travel the point's place and depth have been fitted, across it its place. First: without any fit (Rayleigh).
@@ -92,6 +92,11 @@ class Noise:
     jitter_s: float
     noise_inflation: float = 1.0  # times the sigma that the tracks' own residuals show
     factors: VarianceFactors = field(default_factory=VarianceFactors)
+    failing: Failing = field(default_factory=Failing)  # sensors that contradict the others
+
+    def factors_at(self, start_ns: int) -> VarianceFactors:
+        """The sensors' variances for a window that begins then, those of failing sensors as they fade."""
+        return replace(self.factors, groups=self.failing.factors(start_ns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +113,7 @@ class Request:
     terrain: Terrain | None
     belief: Belief  # of boresight and time offset, for a window that begins where this one does
     noise: Noise
+    slope: SlopePrior | None = None  # of the ground where the window is; None: as configured
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,15 +165,15 @@ def adjust(request: Request) -> Outcome:
     ids = ids[counts >= 2]
     if len(ids) < MIN_POINTS:
         return Outcome(Status.FEATURELESS, keyframes, noise)
-    xy, weight = _grid(request, ids)
-    oriented = _oriented(request, xy, weight > 0)
-    if oriented is None:
-        return Outcome(Status.LOW_PARALLAX if _travel_m(keyframes) < 1.0 else Status.POOR_FIT, keyframes, noise)
-    keyframes = oriented
+    xy, weight = grid(request, ids)
+    start = oriented(request, xy, weight > 0)
+    if start is None:
+        return Outcome(Status.LOW_PARALLAX if travel_m(keyframes) < 1.0 else Status.POOR_FIT, keyframes, noise)
+    keyframes = start
     layout = Layout(len(keyframes), len(request.camera_taken))
     R = np.stack([k.R_cam_enu for k in keyframes])
     C = np.stack([k.centre_enu_m for k in keyframes])
-    points, reference, plane = _points(request, ids, R, C, xy, weight > 0)
+    points, reference, plane = starting_points(request, ids, R, C, xy, weight > 0)
     belief = request.belief
     offset_s, late_s, velocity_late_s = belief.mean[OFFSET : VELOCITY_DELAY + 1].tolist()
     platform = belief.mean[BORESIGHT], belief.mean[HEADING], belief.mean[STATES:]
@@ -192,16 +198,16 @@ def adjust(request: Request) -> Outcome:
             terrain is not None,
             noise.jitter_s,
             noise.factors,
+            request.slope,
         )
         return found if ranged is None else [*found, ranged]
 
-    for _ in range(WEIGHING_ROUNDS):
-        used = noise  # what this problem is weighted by; `noise` becomes what the next is
-        priors = sensors(used)
+    def weighed(noise: Noise, state: State) -> tuple[Problem, list[Prior], Solution]:
+        priors = sensors(noise)
         problem = Problem(
             layout,
             xy,
-            weight / used.noise_inflation,
+            weight / noise.noise_inflation,
             priors,
             reference,
             ground_weight,
@@ -210,13 +216,36 @@ def adjust(request: Request) -> Outcome:
             request.camera if layout.camera_states else None,
             request.camera_taken,
         )
-        first = approximate(problem, state)
+        return problem, priors, approximate(problem, state)
+
+    start_ns, end_ns = keyframes[0].nav.stamp_ns, keyframes[-1].nav.stamp_ns
+    noise = replace(noise, factors=noise.factors_at(start_ns))
+    problem, priors, first = weighed(noise, state)
+    has_attitude = all(k.nav.R_enu_body is not None for k in keyframes)
+
+    def innovations_with(groups: Mapping[str, float]) -> list[Innovation]:
+        other = replace(noise, factors=replace(noise.factors, groups=groups))
+        _, priors, solution = weighed(other, first.state)
+        return innovations(priors, solution.state, solution.covariance, groups, has_attitude)
+
+    held = noise.factors.groups
+    found = innovations(priors, first.state, first.covariance, held, has_attitude)
+    groups, failed = dict(held), set[str]()
+    if noise.factors.stamp_ns:  # a sensor that never agreed with pictures (a convoy) has not failed: refused below
+        groups, failed = failing_groups(found, innovations_with, held)
+    if failed:
+        noise = replace(noise, factors=replace(noise.factors, groups=groups))
+        problem, priors, first = weighed(noise, first.state)
+    # What follows is judged by what earlier windows found of the sensors, and by which of them fail.
+    request = replace(request, noise=noise)
+    for _ in range(WEIGHING_ROUNDS):
+        used = noise  # what this problem is weighted by; `noise` becomes what the next is
         noise, again = _reweighed(request, used, priors, first.state)
         if not again:
             noise, again = _with_own_evidence(request, noise, priors, first)
         if not again:
             break
-        state = first.state
+        problem, priors, first = weighed(noise, first.state)
     problem = replace(problem, ground_weight=_alike(problem, first, ground_weight))
     adjusted = refine(problem, first, MIN_PIXEL_SIGMA_PX / (used.pixel_sigma_px * used.noise_inflation))
     if adjusted is None:
@@ -226,11 +255,13 @@ def adjust(request: Request) -> Outcome:
     judged = _judged(
         replace(request, keyframes=keyframes, noise=used), ids, layout, priors, before, problem.weight, adjusted
     )
-    factors = request.noise.factors
+    factors, failing = replace(request.noise.factors, groups={}), noise.failing
     if judged.status is Status.OK:
         evidence = evidence_of(priors, adjusted.solution.state, adjusted.solution.covariance, used.factors)
-        factors = factors.with_evidence(evidence, keyframes[-1].nav.stamp_ns, 1.0 / len(keyframes))
-    return replace(judged, noise=replace(noise, pixel_sigma_px=judged.noise.pixel_sigma_px, factors=factors))
+        factors = factors.with_evidence(evidence, end_ns, 1.0 / len(keyframes))
+        failing = failing.after(start_ns, end_ns, {name: groups[name] for name in failed})
+    learned = replace(noise, pixel_sigma_px=judged.noise.pixel_sigma_px, factors=factors, failing=failing)
+    return replace(judged, noise=learned)
 
 
 def _with_own_evidence(request: Request, used: Noise, priors: list[Prior], first: Solution) -> tuple[Noise, bool]:
@@ -349,11 +380,6 @@ def fit_of(sigmas: Array) -> float:
     return float(np.median(ratio) * np.sqrt(left / max(left - 6 * len(sigmas), 0.2 * left)))
 
 
-def _travel_m(keyframes: tuple[Keyframe, ...]) -> float:
-    positions = np.stack([k.nav.position_enu_m for k in keyframes])
-    return float(np.linalg.norm(np.ptp(positions, axis=0)))
-
-
 def _ground(request: Request, points: Array) -> tuple[Array, Terrain | None]:
     """1 / sigma of the ground under each point (P,), and the terrain if it is known under all of them."""
     if request.terrain is not None:
@@ -383,62 +409,6 @@ def _strays_m(request: Request, offset: Array, plane: Array, terrain: Terrain | 
     return min(max(measured, MIN_STRAY_M), max(request.config.solve.relief_sigma_m, MIN_STRAY_M))
 
 
-def _grid(request: Request, ids: Ids) -> tuple[Array, Array]:
-    """Measurements and weights on the (keyframe, point) grid."""
-    xy = np.zeros((len(request.keyframes), len(ids), 2))
-    weight = np.zeros((len(request.keyframes), len(ids)))
-    for k, keyframe in enumerate(request.keyframes):
-        seen = keyframe.observation
-        at = np.minimum(np.searchsorted(ids, seen.ids), len(ids) - 1)
-        known = ids[at] == seen.ids
-        xy[k, at[known]] = seen.xy[known]
-        weight[k, at[known]] = 1.0 / (request.noise.pixel_sigma_px * seen.gain[known])
-    return xy, weight
-
-
-def _oriented(request: Request, xy: Array, seen: Mask) -> tuple[Keyframe, ...] | None:
-    """The keyframes, each with a starting orientation; None if the rays support none."""
-    keyframes, camera = request.keyframes, request.camera
-    if request.previous is not None or all(k.nav.R_enu_body is not None for k in keyframes):
-        return keyframes
-    centres = np.stack([k.nav.position_enu_m for k in keyframes])
-    sigma_px = request.noise.pixel_sigma_px * max(1.0, camera.width_px / 640.0)
-    rotations = initialisation.orient(xy, seen, centres, request.R_body_cam, START_SIGMAS * sigma_px / camera.focal_px)
-    if rotations is None:
-        return None
-    return tuple(
-        replace(k, R_cam_enu=R, centre_enu_m=k.nav.position_enu_m) for k, R in zip(keyframes, rotations, strict=True)
-    )
-
-
-def _points(request: Request, ids: Ids, R: Array, C: Array, xy: Array, seen: Mask) -> tuple[Array, Array, Array]:
-    """Starting points (P, 3), the plane's reference point, and the plane about it."""
-    rays = triangulate(R, C, xy, seen)
-    points = rays.points_enu_m.copy()
-    sound = rays.is_ahead & (rays.parallax_rad > MIN_PARALLAX_RAD)
-    previous = request.previous
-    if previous is not None:
-        rows, known = previous.rows(ids)
-        points[known] = previous.solution.state.points_enu_m[rows[known]]
-        sound |= known
-    if np.count_nonzero(sound) >= MIN_POINTS:
-        plane, _ = fit_plane(points[sound])
-    elif previous is not None:
-        plane = previous.plane
-    else:
-        newest = request.keyframes[-1].nav
-        height = newest.height_above_home_m or 100.0
-        plane = np.array([newest.position_enu_m[2] - height, 0.0, 0.0])
-    if np.any(np.abs(plane[1:]) > 0.6):  # steeper than any ground an orientation was right about
-        plane = np.array([float(np.median(points[sound, 2])), 0.0, 0.0])
-    loose = ~sound
-    if np.any(loose):
-        points[loose] = _on_plane(R, C, xy, seen, plane)[loose]
-    reference = np.array([*np.median(points[:, :2], axis=0), 0.0])
-    reference[2] = plane[0] + plane[1:] @ reference[:2]
-    return points, reference, np.array([0.0, plane[1], plane[2]])
-
-
 def _depth_sigma(s: Solution, covariance: Array, good: Mask, layout: Layout) -> Array:
     """One sigma (m) of each good point along the newest keyframe's axis, relative to that keyframe."""
     axis = s.state.R_cam_enu[-1, 2]
@@ -447,17 +417,4 @@ def _depth_sigma(s: Solution, covariance: Array, good: Mask, layout: Layout) -> 
     M[:, layout.centre(layout.keyframes - 1)] -= axis
     own = np.einsum("i,pij,j->p", axis, s.point_covariance[good], axis)
     out: Array = np.sqrt(np.maximum(np.sum((M @ covariance) * M, axis=1) + own, 0.0))
-    return out
-
-
-def _on_plane(R: Array, C: Array, xy: Array, seen: Mask, plane: Array) -> Array:
-    """Each point where its newest ray meets the plane (height at origin, slopes); far rays at ten clearances."""
-    newest = len(seen) - 1 - np.argmax(seen[::-1], axis=0)
-    P = np.arange(seen.shape[1])
-    rays = np.concatenate([xy[newest, P], np.ones((len(P), 1))], axis=1)
-    d = np.einsum("pi,pij->pj", rays, R[newest])
-    normal = np.array([-plane[1], -plane[2], 1.0])
-    clearance = np.maximum(C[newest] @ normal - plane[0], 1.0)
-    down = np.maximum(-(d @ normal), 0.1)
-    out: Array = C[newest] + d * (clearance / down)[:, None]
     return out

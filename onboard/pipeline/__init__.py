@@ -2,7 +2,8 @@
 
 Public:
 
-- `estimates`: `BORESIGHT`, `Estimate`, `SensorError`, `as_rows`, `larger_than_declared`, `not_adopted`
+- `estimates`: `BORESIGHT`, `Contradiction`, `Estimate`, `SensorError`, `as_rows`, `larger_than_declared`,
+  `not_adopted`, `said_of`
 - `pipeline`: `Pipeline`
 - `statistics`: `Summary`
 """

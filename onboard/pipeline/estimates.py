@@ -11,6 +11,7 @@ import numpy as np
 from onboard.config.schema import Config
 from onboard.estimation import boresight
 from onboard.estimation.boresight import Belief, Unconfirmed
+from onboard.estimation.sensor_groups import FORGOTTEN, Failing
 from onboard.estimation.variance_components import (
     HEADING,
     HEADING_WHITE,
@@ -65,6 +66,44 @@ class SensorError:
         return f"{self.name.replace('_', ' ')} {self.sigma:.2g} {self.unit}, declared {self.declared:g}"
 
 
+@dataclass(frozen=True)
+class Contradiction:
+    """A sensor that contradicts all others, or did: how it counts, and since when it does so without a pause."""
+
+    name: str  # position, velocity, tilt or heading
+    sigma_times: float  # what its sigma counts as many times of; 1 once it agrees again
+    lasting_s: float  # from the first to the last window of its newest failure
+    windows: int  # in which it failed since the start
+
+    @property
+    def is_now(self) -> bool:
+        """Whether it is held to be wrong now."""
+        return self.sigma_times**2 > FORGOTTEN
+
+    def __str__(self) -> str:
+        if self.is_now:
+            for_s = f" for {self.lasting_s:.0f} s" if self.lasting_s >= 1.0 else ""
+            times = f"{self.sigma_times:.2g} times its sigma"
+            return f"{self.name} contradicts the other sensors{for_s} and counts with {times}"
+        return f"{self.name} contradicted the other sensors in {self.windows} windows"
+
+
+def contradictions_of(failing: Failing, now_ns: int) -> tuple[Contradiction, ...]:
+    """Sensors that fail or have failed since the start, by name."""
+    out = []
+    for name in sorted(failing.windows):
+        failure = failing.failures.get(name)
+        times = 1.0 if failure is None else math.sqrt(failure.at(now_ns))
+        lasting_s = 0.0 if failure is None else (failure.last_ns - failure.since_ns) / 1e9
+        out.append(Contradiction(name, times, lasting_s, failing.windows[name]))
+    return tuple(out)
+
+
+def said_of(contradictions: Iterable[Contradiction]) -> str:
+    """Those of now in one line; empty if there are none."""
+    return "; ".join(str(c) for c in contradictions if c.is_now)
+
+
 def estimates_of(belief: Belief | None) -> tuple[Estimate, ...]:
     """What is estimated of mount, clock, delays, compass and camera; empty before the first estimate.
 
@@ -114,11 +153,18 @@ def larger_than_declared(errors: Iterable[SensorError]) -> str:
 
 
 def as_rows(
-    estimates: Iterable[Estimate], errors: Iterable[SensorError], unconfirmed: Iterable[Estimate] = ()
+    estimates: Iterable[Estimate],
+    errors: Iterable[SensorError],
+    unconfirmed: Iterable[Estimate] = (),
+    contradictions: Iterable[Contradiction] = (),
 ) -> list[tuple[str, str]]:
     """The same as rows of a summary: a name and a text each, angles in degrees."""
     rows = [(_ROW_NAMES[e.name], _text(e)) for e in estimates]
-    others = [("sensor errors", larger_than_declared(errors)), ("not confirmed", not_adopted(unconfirmed))]
+    others = [
+        ("sensor errors", larger_than_declared(errors)),
+        ("not confirmed", not_adopted(unconfirmed)),
+        ("contradictions", "; ".join(str(c) for c in contradictions)),
+    ]
     return [*rows, *((name, text) for name, text in others if text)]
 
 

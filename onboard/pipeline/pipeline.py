@@ -29,7 +29,7 @@ from onboard.geometry.plane_homography import Pose, move
 from onboard.georeferencing.feature_sets import Origin, Picture, georeference
 from onboard.georeferencing.surface_sets import over_known_ground
 from onboard.navigation.navigator import Navigation, NavState
-from onboard.pipeline.estimates import estimates_of, sensor_errors, unconfirmed_of
+from onboard.pipeline.estimates import contradictions_of, estimates_of, sensor_errors, unconfirmed_of
 from onboard.pipeline.frozen_frames import Staleness, Stillness
 from onboard.pipeline.keyframe_choice import wants_keyframe
 from onboard.pipeline.keyframe_navigation import look_up_again
@@ -132,6 +132,7 @@ class Pipeline:
             estimates_of(self.window.belief if self.window.alignment.updates else None),
             sensor_errors(self.config, self.window.noise.factors),
             unconfirmed_of(self.window.alignment.unconfirmed),
+            contradictions_of(self.window.noise.failing, self._now_ns),
         )
 
     def _process(self, frame: Frame) -> list[FeatureSet]:
@@ -153,6 +154,7 @@ class Pipeline:
         out.extend(self._part_from_last(nav))
         if self._frame is not self.navigation.frame:
             self._frame, self.window.terrain = self.navigation.frame, None
+            self.window.ground_slope.forget()
         is_slow = self._last_nav is not None and nav.stamp_ns - self._last_nav.stamp_ns > SLOW_NS
         self._last_nav = nav
         self._know_terrain(nav)

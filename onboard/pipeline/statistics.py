@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from contract.feature_set import Status
-from onboard.pipeline.estimates import Estimate, SensorError
+from onboard.pipeline.estimates import Contradiction, Estimate, SensorError
 from onboard.pipeline.shortfall import Evidence, Shortfall
 
 REMEMBERED_PICTURES = 5000  # whose status may still change: many times what a window spans
@@ -31,6 +31,7 @@ class Summary:
     estimates: tuple[Estimate, ...] = ()  # of the platform; empty before the first update
     sensor_errors: tuple[SensorError, ...] = ()  # how large they are, as estimated beside what is configured
     unconfirmed: tuple[Estimate, ...] = ()  # found, but too far from what was believed to be adopted by itself
+    contradictions: tuple[Contradiction, ...] = ()  # sensors that contradict the others, or did
     stage_seconds: dict[str, float] = field(default_factory=dict)
 
 
@@ -72,6 +73,7 @@ class RunStatistics:
         estimates: tuple[Estimate, ...] = (),
         sensor_errors: tuple[SensorError, ...] = (),
         unconfirmed: tuple[Estimate, ...] = (),
+        contradictions: tuple[Contradiction, ...] = (),
     ) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
         refused = Counter({s.value: n for s, n in self._outcomes.items() if s is not Status.OK and n})
@@ -86,6 +88,7 @@ class RunStatistics:
             estimates=estimates,
             sensor_errors=sensor_errors,
             unconfirmed=unconfirmed,
+            contradictions=contradictions,
             stage_seconds=dict(self._stages),
         )
 

@@ -163,7 +163,7 @@ def summary_text(summary: Summary) -> str:
         ("median tracks", f"{summary.median_tracks:.0f}"),
         ("reprojection", f"{summary.reprojection_px:.2f} px"),
     ]
-    rows += as_rows(summary.estimates, summary.sensor_errors, summary.unconfirmed)
+    rows += as_rows(summary.estimates, summary.sensor_errors, summary.unconfirmed, summary.contradictions)
     frames = max(summary.frames, 1)
     rows += [
         (f"time, {stage}", f"{seconds:.2f} s ({1000.0 * seconds / frames:.1f} ms a frame)")

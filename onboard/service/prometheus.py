@@ -73,6 +73,10 @@ def metrics(vehicle: str, report: Report) -> Iterator[Metric]:
     ratios = {error.name: error.sigma / error.declared for error in report.sensor_errors if error.declared}
     if ratios:
         yield one.gauges("sensor_error", "one sigma as estimated, of what is configured", "ratio", "sensor", ratios)
+    times = {c.name: c.sigma_times for c in report.contradictions}
+    if times:
+        meaning = "what a sensor that contradicts the others counts with, of its sigma; 1: it agrees again"
+        yield one.gauges("sensor_contradiction", meaning, "ratio", "sensor", times)
     yield from _threads(one, report)
 
 

@@ -19,7 +19,7 @@ from contract.vehicle_status import VehicleStatus
 from onboard.events.source import SourceStatus
 from onboard.events.supervised_thread import ThreadReport
 from onboard.events.types import GpsQuality
-from onboard.pipeline.estimates import Estimate, SensorError
+from onboard.pipeline.estimates import Contradiction, Estimate, SensorError
 from onboard.pipeline.statistics import Summary
 from onboard.service.vehicle_state import Finding, GpsReport
 
@@ -99,6 +99,7 @@ class Report:
     pictures: PictureCounts = PictureCounts()
     estimates: tuple[Estimate, ...] = ()
     sensor_errors: tuple[SensorError, ...] = ()
+    contradictions: tuple[Contradiction, ...] = ()
     threads: tuple[ThreadReport, ...] = ()
     recording: RecordingReport = RecordingReport()
     clock: ClockReport = ClockReport()

@@ -228,6 +228,7 @@ class Session:
             PictureCounts.of(summary, self.unencodable),
             summary.estimates,
             summary.sensor_errors,
+            summary.contradictions,
             inputs.threads,
             RecordingReport(is_recording, inputs.recording_fault),
             ClockReport(self.clock.host_step_s()),

@@ -13,7 +13,7 @@ from onboard.commands.preflight import Surroundings, diagnose
 from onboard.config.schema import Config
 from onboard.events.source import SourceStatus, State
 from onboard.events.supervised_thread import ThreadReport, ThreadState
-from onboard.pipeline.estimates import BORESIGHT, Estimate, SensorError
+from onboard.pipeline.estimates import BORESIGHT, Contradiction, Estimate, SensorError
 from onboard.service.reports import Report
 from onboard.service.vehicle_state import AT_REST, Inputs, Subject, overall
 from tests.onboard.service.reported import WELL as WELL_INPUTS
@@ -192,3 +192,11 @@ def test_what_was_found_and_not_confirmed_is_named() -> None:
         "no error found larger than configured; found but not confirmed, and not used: "
         "time offset +0.810 +-0.120 s, camera to autopilot"
     )
+
+
+def test_a_sensor_that_contradicts_the_others_is_not_well_while_it_does() -> None:
+    wrong, over = Contradiction("tilt", 12.0, 9.0, 8), Contradiction("velocity", 1.0, 3.0, 4)
+    report = replace(WELL, contradictions=(wrong, over))
+    assert not verdicts(report)["sensors"]
+    assert text(report, "sensors") == "tilt contradicts the other sensors for 9 s and counts with 12 times its sigma"
+    assert verdicts(replace(WELL, contradictions=(over,)))["sensors"]

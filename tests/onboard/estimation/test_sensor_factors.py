@@ -65,11 +65,22 @@ def test_at_the_truth_of_a_flight_without_errors_every_sensor_agrees(scene: Scen
             assert np.abs(prior.evaluate(truth)[0]).max() < 1e-3, kind
 
 
-def test_velocity_takes_part_only_where_asked_for_and_known_throughout(scene: Scene) -> None:
+def test_velocity_takes_part_only_where_asked_for_and_known(scene: Scene) -> None:
     keyframes = keyframes_of(scene)
     assert VelocityPrior not in priors_of(parse_config("[solve]\nvelocity = false"), keyframes)
+    unknown = [replace(k, flown_enu_m=None) for k in keyframes]
+    assert VelocityPrior not in priors_of(FULL, unknown)
     broken = [*keyframes[:3], replace(keyframes[3], flown_enu_m=None), *keyframes[4:]]
-    assert VelocityPrior not in priors_of(FULL, broken)
+    whole, gap = (priors_of(FULL, k)[VelocityPrior] for k in (keyframes, broken))
+    assert isinstance(whole, VelocityPrior) and isinstance(gap, VelocityPrior)
+    # What displacements say of the views' centres: nothing over the gap, all of it over the other intervals.
+    said = [p.evaluate(truth_of(scene))[1] for p in (whole, gap)]
+    over_gap = np.zeros(said[0].shape[1])
+    over_gap[whole.layout.centre(3).start :: 6][: len(keyframes) - 3] = 1.0  # all centres after the gap moved east
+    assert np.linalg.norm(said[0] @ over_gap) > 1.0 > 1e3 * np.linalg.norm(said[1] @ over_gap)
+    elsewhere = np.zeros(said[0].shape[1])
+    elsewhere[whole.layout.centre(5).start] = 1.0
+    assert np.linalg.norm(said[1] @ elsewhere) > 0.8 * np.linalg.norm(said[0] @ elsewhere)
     first = [replace(keyframes[0], flown_enu_m=None), *keyframes[1:]]
     assert VelocityPrior in priors_of(FULL, first)
 

@@ -7,12 +7,16 @@ import pytest
 
 from onboard.config.schema import parse_config
 from onboard.estimation.boresight import OFFSET, STATES, Belief, Unconfirmed
+from onboard.estimation.sensor_groups import Failing
 from onboard.estimation.variance_components import NAMES, Evidence, VarianceFactors
 from onboard.pipeline.estimates import (
+    Contradiction,
     as_rows,
+    contradictions_of,
     estimates_of,
     larger_than_declared,
     not_adopted,
+    said_of,
     sensor_errors,
     unconfirmed_of,
 )
@@ -73,3 +77,18 @@ def test_what_is_not_confirmed_is_said_with_its_sigma_and_apart_from_what_is_use
     rows = as_rows((), sensor_errors(CONFIG, VarianceFactors()), found)
     assert rows == [("not confirmed", "time offset +0.810 +-0.120 s, camera to autopilot")]
     assert unconfirmed_of(None) == ()
+
+
+def test_a_sensor_that_contradicts_the_others_is_said_while_it_does_and_remembered_after() -> None:
+    second_ns = 1_000_000_000
+    failing = (
+        Failing().after(0, 10 * second_ns, {"heading": 100.0}).after(5 * second_ns, 22 * second_ns, {"heading": 400.0})
+    )
+    (now,) = contradictions_of(failing, 22 * second_ns)
+    assert now == Contradiction("heading", 20.0, 12.0, 2)
+    assert said_of([now]) == "heading contradicts the other sensors for 12 s and counts with 20 times its sigma"
+    assert dict(as_rows((), (), (), [now])) == {"contradictions": str(now)}
+    (later,) = contradictions_of(failing, 600 * second_ns)
+    assert later.sigma_times == pytest.approx(1.0) and said_of([later]) == ""
+    assert str(later) == "heading contradicted the other sensors in 2 windows"
+    assert contradictions_of(Failing(), 0) == ()

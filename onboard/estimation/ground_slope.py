@@ -1,0 +1,140 @@
+"""How much the ground slopes where a window is, from what windows elsewhere have found. Section 14 of mathematics.md.
+
+Pictures and positions show the slope along the track; the slope across a straight track shows in nothing but an
+attitude. So "the ground is level" is a prior. Its sigma is not declared once and for all: slope is a field over the
+ground, whose scale and correlation length the flight's own windows tell, each by what it alone saw of its slope. Where
+a turn or a leg across has seen the slope nearby, the prior is that slope, and narrow; where nothing has, it is level
+ground with the declared sigma or what the slopes seen elsewhere show it to be.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.estimation.boresight import BORESIGHT, STATES
+from onboard.estimation.factors import SharedPrior
+
+Array = NDArray[np.float64]
+
+LENGTHS_M = (300.0, 1000.0, 3000.0, 10000.0)  # over which slopes may be alike, all equally likely beforehand
+PRIOR_COUNT = 2.0  # slopes of the declared size, assumed before any has been seen
+MEMORY = 24  # windows
+NO_SLOPE_PRIOR = 3.0  # one sigma of a slope of which nothing is assumed (72 deg)
+NO_MOUNT_PRIOR_RAD = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class SlopePrior:
+    """What is believed of the slope (east, north) where a window is: mean (2,), covariance (2, 2)."""
+
+    mean: Array = field(default_factory=lambda: np.zeros(2))
+    covariance: Array = field(default_factory=lambda: NO_SLOPE_PRIOR**2 * np.eye(2))
+
+    @property
+    def whitener(self) -> Array:
+        """(2, 2), the symmetric one: it changes little where the covariance does. Sets share what it makes white."""
+        values, vectors = np.linalg.eigh(self.covariance)
+        out: Array = (vectors / np.sqrt(values)) @ vectors.T
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class SlopeSeen:
+    """What one window alone says of the slope (2,) at a place (2,), ENU, with covariance (2, 2)."""
+
+    end_ns: int
+    place_enu_m: Array
+    slope: Array
+    covariance: Array
+
+
+class GroundSlope:
+    """Slopes that windows without common pictures have seen; the prior for a window elsewhere."""
+
+    def __init__(self, sigma: float) -> None:
+        """`sigma`: one sigma of a slope (its tangent) at a place of which nothing is known, and the least."""
+        self.sigma = sigma
+        self._seen: list[SlopeSeen] = []
+
+    def forget(self) -> None:
+        """Places have another origin from now on."""
+        self._seen.clear()
+
+    def offer(self, start_ns: int, seen: SlopeSeen) -> bool:
+        """What a solved window, which began at `start_ns`, saw; True if it shares no picture with the one before."""
+        if self._seen and start_ns <= self._seen[-1].end_ns:
+            return False
+        self._seen.append(seen)
+        del self._seen[:-MEMORY]
+        return True
+
+    def prior_for(self, start_ns: int, place_enu_m: Array) -> SlopePrior:
+        """For a window that begins at `start_ns` near a place (2,): by windows that ended before. (14.2) to (14.4)"""
+        seen = [s for s in self._seen if s.end_ns < start_ns]
+        if not seen:
+            return SlopePrior(np.zeros(2), self.sigma**2 * np.eye(2))
+        slopes = np.concatenate([s.slope for s in seen])
+        noise = np.zeros((len(slopes), len(slopes)))
+        for k, s in enumerate(seen):
+            noise[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = s.covariance
+        places = np.stack([s.place_enu_m for s in seen])
+        apart_m = np.linalg.norm(places[:, None] - places, axis=2)
+        away_m = np.linalg.norm(places - place_enu_m, axis=1)
+        logs, means, covariances = [], [], []
+        for length_m in LENGTHS_M:
+            alike = self.sigma**2 * np.kron(np.exp(-apart_m / length_m), np.eye(2))
+            scale = _scale(alike, noise, slopes)
+            total = scale * alike + noise
+            factor = np.linalg.cholesky(total)
+            to_here = scale * self.sigma**2 * np.kron(np.exp(-away_m / length_m)[:, None], np.eye(2))
+            half = np.linalg.solve(factor, np.column_stack([slopes, to_here]))
+            logs.append(-0.5 * half[:, 0] @ half[:, 0] - np.log(np.diag(factor)).sum())
+            means.append(half[:, 1:].T @ half[:, 0])
+            covariances.append(scale * self.sigma**2 * np.eye(2) - half[:, 1:].T @ half[:, 1:])
+        weight = np.exp(np.array(logs) - max(logs))
+        weight /= weight.sum()
+        mean = weight @ np.stack(means)
+        off = np.stack(means) - mean
+        within = np.einsum("l,lij->ij", weight, np.stack(covariances))
+        return SlopePrior(mean, within + np.einsum("l,li,lj->ij", weight, off, off))
+
+
+def _scale(alike: Array, noise: Array, slopes: Array) -> float:
+    """The factor on the variance of slopes that the slopes seen ask for, at least 1. Equation (14.3), as (13.2)."""
+    scale = 1.0
+    for _ in range(3):
+        inverse = np.linalg.inv(scale * alike + noise)
+        weighted = inverse @ slopes
+        found = scale**2 * float(weighted @ alike @ weighted)
+        expected = scale * float(np.sum(alike * inverse))
+        scale = max((PRIOR_COUNT + found) / (PRIOR_COUNT + expected), 1.0)
+    return scale
+
+
+def seen_alone(prior: SharedPrior, shared: Array, covariance: Array) -> tuple[Array, Array]:
+    """A window's own estimate of its ground's slope (2,) and covariance (2, 2), whatever the prior said. (14.1)
+
+    `shared` (11,) and `covariance` (11, 11) are the posterior of the shared states, `prior` theirs. Nothing is
+    assumed of the slope, and nothing of the mount: its error is the same in all windows, and across a straight track
+    it would be taken for the ground's slope.
+    """
+    given = prior.whitener.T @ prior.whitener
+    posterior = np.linalg.inv(covariance)
+    values, vectors = np.linalg.eigh(posterior - given)
+    by_data = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    pull = posterior @ shared - given @ prior.mean
+    loose = np.linalg.inv(given)
+    loose[BORESIGHT, :] = loose[:, BORESIGHT] = 0.0
+    loose[BORESIGHT, BORESIGHT] = NO_MOUNT_PRIOR_RAD**2 * np.eye(3)
+    slope = slice(STATES + 1, STATES + 3)
+    loose[slope, :] = loose[:, slope] = 0.0
+    loose[slope, slope] = NO_SLOPE_PRIOR**2 * np.eye(2)
+    before = np.linalg.inv(loose)
+    mean = prior.mean.copy()
+    mean[slope] = 0.0
+    alone = np.linalg.inv(by_data + before)
+    estimate = alone @ (pull + before @ mean)
+    return estimate[slope], 0.5 * (alone[slope, slope] + alone[slope, slope].T)

@@ -1,0 +1,181 @@
+"""Whether a sensor contradicts all the others in a window, and what it then counts for. Section 13, (13.3) to (13.5).
+
+Variance components (`variance_components`) find errors that are larger than declared all along. A sensor that is
+suddenly wrong (a compass near metal, an attitude that jumps, a velocity that has gone astray) is another matter: over
+minutes it is rare, and in its window it is everything. So each group of residuals is held against what all others
+say of it, which is its innovation. The group that contradicts them most counts with a variance that makes it
+consistent, in that window and, fading, in those after it; and it is reported by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from onboard.estimation.factors import AttitudePrior, PositionPrior, Prior, State, VelocityPrior
+from onboard.estimation.variance_components import HEADING, POSITION, TILT, VELOCITY
+
+Array = NDArray[np.float64]
+
+GROUPS = (POSITION, VELOCITY, TILT, HEADING)
+MAY_FAIL = (TILT, HEADING)
+FALSE_ALARM = 1e-6  # share of consistent windows in which a group is held to fail
+# Share of a residual's variance that the fit leaves: where the others know a tenth of what the sensor knows, or less,
+# they do not contradict it, and what remains there is the solver's tolerance.
+LEAST_REDUNDANCY = 0.01
+LEFT_OUT = 9.0  # times the variance that makes a failing group consistent: what it says is not to be averaged with
+FADING_S = 20.0  # after its last failure, in which a group's added variance falls to a third
+FORGOTTEN = 1.5  # factor on a variance, below which a failure is over
+AXES = {POSITION: slice(0, 3), VELOCITY: slice(0, 3), TILT: slice(0, 2), HEADING: slice(2, 3)}
+SENSOR = {POSITION: PositionPrior, VELOCITY: VelocityPrior, TILT: AttitudePrior, HEADING: AttitudePrior}
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A group that contradicts the others: since when and until when it was seen to, and its variance's factor then."""
+
+    since_ns: int
+    last_ns: int
+    variance: float
+
+    def at(self, stamp_ns: int) -> float:
+        """The factor on the group's variance in a window that begins then."""
+        age_s = max(stamp_ns - self.last_ns, 0) / 1e9
+        return 1.0 + (self.variance - 1.0) * float(np.exp(-age_s / FADING_S))
+
+
+@dataclass(frozen=True)
+class Failing:
+    """The groups that fail or have failed of late, by name."""
+
+    failures: Mapping[str, Failure] = field(default_factory=dict)
+    windows: Mapping[str, int] = field(default_factory=dict)  # in which each has failed since the start
+
+    def factors(self, start_ns: int) -> dict[str, float]:
+        """Factors on the variances of groups, for a window that begins at `start_ns`."""
+        return {name: f.at(start_ns) for name, f in self.failures.items()}
+
+    def fails_at(self, end_ns: int) -> bool:
+        """Whether any failed in the window that ended then."""
+        return any(f.last_ns == end_ns for f in self.failures.values())
+
+    def after(self, start_ns: int, end_ns: int, failed: Mapping[str, float]) -> Failing:
+        """After a window in which the groups of `failed` did, with the factors that make them consistent."""
+        kept = {n: f for n, f in self.failures.items() if f.at(start_ns) > FORGOTTEN}
+        for name, factor in failed.items():
+            before = kept.get(name)
+            since_ns = end_ns if before is None else before.since_ns
+            kept[name] = Failure(since_ns, end_ns, max(factor, 0.0 if before is None else before.at(start_ns)))
+        return Failing(kept, {n: self.windows.get(n, 0) + (n in failed) for n in {**self.windows, **failed}})
+
+
+@dataclass(frozen=True, eq=False)
+class Innovation:
+    """What one group says of a window beyond all the others, whitened by the group's own errors. Equation (13.3).
+
+    `residual` (n,); `predicted` (n, n), the covariance that the others leave it; `constant` (n, m) a constant error of
+    each of its m axes.
+    """
+
+    group: str
+    residual: Array
+    predicted: Array
+    constant: Array
+
+    def excess(self, variance: float = 1.0) -> float:
+        """Above 1: the group contradicts the others, even with its variance times `variance`. Equation (13.4)."""
+        n, m = self.constant.shape
+        factor = np.linalg.cholesky(self.predicted + variance * np.eye(n))
+        half = np.linalg.solve(factor, np.column_stack([self.residual, self.constant]))
+        of_constant = half[:, 1:]
+        pull = of_constant.T @ half[:, 0]
+        by_constant = float(pull @ np.linalg.solve(of_constant.T @ of_constant, pull))
+        return max(
+            float(half[:, 0] @ half[:, 0]) / float(chdtri(n, FALSE_ALARM)), by_constant / float(chdtri(m, FALSE_ALARM))
+        )
+
+    def consistent_variance(self) -> float:
+        """The least factor on its variance with which the group is as near to the others as errors usually are."""
+        low, high = 0.0, 14.0  # of its logarithm
+        usual = self.constant.shape[0] / float(chdtri(self.constant.shape[0], FALSE_ALARM))
+        while high - low > 0.1:
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if self.excess(float(np.exp(middle))) > usual else (low, middle)
+        return float(np.exp(high))
+
+
+def innovations(
+    priors: list[Prior], state: State, covariance: Array, factors: Mapping[str, float], has_attitude: bool
+) -> list[Innovation]:
+    """Each group's, from a solution that holds all residuals; `covariance` (D, D) is the camera side's.
+
+    `factors`: those on the groups' variances that the whiteners already hold: what is held against the others are
+    the variances without them. `has_attitude`: an attitude was measured.
+    """
+    out = []
+    for group in GROUPS:
+        for prior in priors:
+            if not isinstance(prior, PositionPrior | VelocityPrior | AttitudePrior):
+                continue
+            if not isinstance(prior, SENSOR[group]) or (isinstance(prior, AttitudePrior) and not has_attitude):
+                continue
+            axes, n, sigma = AXES[group], prior.whitener.shape[1], np.sqrt(factors.get(group, 1.0))
+            r, J = prior.evaluate(state)
+            r = r.reshape(3, n)[axes].ravel()
+            J = J.reshape(3, n, -1)[axes].reshape(len(r), -1)
+            constant = np.zeros((len(r), len(r) // n))
+            for k, W in enumerate(prior.whitener[axes]):
+                constant[k * n : (k + 1) * n, k] = W.sum(axis=1)
+            values, vectors = np.linalg.eigh(np.eye(len(r)) - J @ covariance @ J.T)
+            told = values > LEAST_REDUNDANCY
+            values = np.clip(values, LEAST_REDUNDANCY, 1.0)
+            without = (vectors * (told / values)) @ vectors.T
+            predicted = (vectors * (1.0 / values - 1.0)) @ vectors.T
+            out.append(Innovation(group, sigma * (without @ r), sigma**2 * predicted, sigma * constant))
+    return out
+
+
+def contradictions(found: list[Innovation]) -> list[Innovation]:
+    """Those that exceed their limits, the farthest first."""
+    return sorted((i for i in found if i.excess() > 1.0), key=lambda i: -i.excess())
+
+
+Solve = Callable[[Mapping[str, float]], list[Innovation]]
+
+
+def failing_groups(
+    found: list[Innovation], solve: Solve, held: Mapping[str, float]
+) -> tuple[dict[str, float], set[str]]:
+    """The factors by which groups' variances grow in a window, and the groups that contradict the others in it.
+
+    `found`: innovations with the factors of `held`, which fade since earlier windows; `solve` gives them with other
+    factors. That group fails without which the others agree best, and only if position and velocity then do not
+    contradict the pictures: where they do, the pictures are as likely to be wrong (a convoy, water), and whether the
+    window may be published is for the residuals to say. Therefore only the attitude's groups may fail. Position
+    and velocity are held against each other before any window (`navigation.position_doubt`). Equation (13.5).
+    """
+    factors, failed = dict(held), set[str]()
+    while True:
+        against = contradictions(found)
+        for i in against:
+            if i.group in factors and i.group not in failed:
+                failed.add(i.group)
+                factors[i.group] = max(factors[i.group], LEFT_OUT * i.consistent_variance())
+        trials = []
+        for i in against:
+            if i.group in factors or i.group not in MAY_FAIL:
+                continue
+            trial = {**factors, i.group: LEFT_OUT * i.consistent_variance()}
+            left = solve(trial)
+            others = max((j.excess() for j in left if j.group not in MAY_FAIL), default=0.0)
+            if others <= 1.0:
+                rest = max((j.excess() for j in left if j.group not in trial), default=0.0)
+                trials.append((rest, i.group, trial, left))
+        if not trials:
+            return factors, failed
+        _, group, factors, found = min(trials, key=lambda t: t[0])
+        failed.add(group)

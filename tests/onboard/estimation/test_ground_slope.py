@@ -1,0 +1,129 @@
+"""The prior on the ground's slope: what slopes seen elsewhere say, no more, and never less wide than they are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from onboard.config.schema import parse_config
+from onboard.estimation.boresight import BORESIGHT, STATES
+from onboard.estimation.factors import Layout, SharedPrior
+from onboard.estimation.ground_slope import GroundSlope, SlopeSeen, seen_alone
+from onboard.estimation.sensor_factors import level_sigma
+
+Array = NDArray[np.float64]
+SIGMA = level_sigma(parse_config(""))
+KNOWN, UNKNOWN = np.radians(0.5), 1.0
+INSIDE_99 = np.sqrt(-2.0 * np.log(0.01))  # sigmas
+TEN_DEG = np.tan(np.radians(10.0))
+SECOND_NS = 1_000_000_000
+
+
+def leg(towards: Array, slope: Array, first_s: int, start_m: Array, rng: np.random.Generator) -> list[SlopeSeen]:
+    """Windows of ten seconds and 200 m one after the other, which see the slope along a level direction (2,) alone."""
+    across = np.array([-towards[1], towards[0]])
+    covariance = KNOWN**2 * np.outer(towards, towards) + UNKNOWN**2 * np.outer(across, across)
+    factor = np.linalg.cholesky(covariance)
+    return [
+        SlopeSeen(
+            (first_s + 11 * k + 10) * SECOND_NS,
+            start_m + 200.0 * k * towards,
+            slope + factor @ rng.standard_normal(2),
+            covariance,
+        )
+        for k in range(5)
+    ]
+
+
+def after(seen: list[SlopeSeen]) -> GroundSlope:
+    ground = GroundSlope(SIGMA)
+    for s in seen:
+        assert ground.offer(s.end_ns - 10 * SECOND_NS, s)
+    return ground
+
+
+EAST, NORTH = np.array([1.0, 0.0]), np.array([0.0, 1.0])
+LATER_NS = 10_000 * SECOND_NS
+
+
+def test_before_anything_was_seen_ten_degrees_are_inside_the_99_percent_ellipse() -> None:
+    prior = GroundSlope(SIGMA).prior_for(0, np.zeros(2))
+    assert np.all(prior.mean == 0.0)
+    assert prior.covariance == pytest.approx(SIGMA**2 * np.eye(2))
+    assert TEN_DEG / SIGMA < INSIDE_99
+    assert TEN_DEG / SIGMA > 0.8 * INSIDE_99, "wider than ten degrees ask for"
+
+
+def test_a_leg_tells_of_the_slope_along_it_and_not_of_that_across() -> None:
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        prior = after(leg(EAST, np.array([0.0, TEN_DEG]), 0, np.zeros(2), rng)).prior_for(LATER_NS, 900.0 * EAST)
+        sigmas = np.sqrt(np.diag(prior.covariance))
+        assert sigmas[0] < 0.6 * SIGMA
+        assert abs(TEN_DEG - prior.mean[1]) < INSIDE_99 * sigmas[1], "ten degrees across, which nobody saw"
+
+
+@pytest.mark.parametrize("slope", [np.zeros(2), np.array([0.1, 0.14]), np.array([-0.17, 0.0])])
+def test_legs_in_two_directions_find_the_slope(slope: Array) -> None:
+    """Closer than level ground of two degrees, as it was assumed before, and within what is claimed."""
+    squares = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        first = leg(EAST, slope, 0, np.zeros(2), rng)
+        second = leg(NORTH, slope, 60, 800.0 * EAST, rng)
+        prior = after([*first, *second]).prior_for(LATER_NS, 800.0 * (EAST + NORTH))
+        assert np.sqrt(np.linalg.eigvalsh(prior.covariance)).max() < np.tan(np.radians(2.0))
+        off = slope - prior.mean
+        squares.append(float(off @ np.linalg.solve(prior.covariance, off)))
+    assert max(squares) < INSIDE_99**2
+    assert np.mean(squares) > 0.02, "far wider than the slope turns out to be off"
+
+
+def test_far_away_nothing_is_known_again() -> None:
+    rng = np.random.default_rng(1)
+    ground = after([*leg(EAST, np.zeros(2), 0, np.zeros(2), rng), *leg(NORTH, np.zeros(2), 60, 800.0 * EAST, rng)])
+    near, far = (ground.prior_for(LATER_NS, at * EAST).covariance for at in (800.0, 40_000.0))
+    assert np.sqrt(np.diag(far)) == pytest.approx([SIGMA, SIGMA], rel=0.1)
+    assert np.diag(near).max() < 0.4 * np.diag(far).min()
+
+
+def test_the_sides_of_a_valley_widen_the_prior() -> None:
+    """Slopes that differ from window to window by more than declared are no level ground anywhere near."""
+    rng = np.random.default_rng(2)
+    steep = 2.0 * TEN_DEG
+    sides = [leg(EAST, np.array([s * steep, 0.0]), 60 * k, 1000.0 * k * EAST, rng) for k, s in enumerate((1, -1, 1))]
+    prior = after([s for side in sides for s in side]).prior_for(LATER_NS, 6000.0 * EAST)
+    assert SIGMA < np.sqrt(prior.covariance[1, 1]) < 10.0 * SIGMA
+
+
+def test_a_window_is_told_nothing_by_pictures_of_its_own() -> None:
+    rng = np.random.default_rng(3)
+    seen = leg(EAST, np.array([0.1, 0.0]), 0, np.zeros(2), rng)
+    ground = after(seen)
+    begins_ns = seen[0].end_ns - 5 * SECOND_NS
+    assert np.all(ground.prior_for(begins_ns, np.zeros(2)).mean == 0.0)
+    assert not ground.offer(seen[-1].end_ns - SECOND_NS, seen[-1]), "it shares pictures with the one before"
+    assert ground.prior_for(LATER_NS, np.zeros(2)).mean[0] > 0.05
+    ground.forget()
+    assert np.all(ground.prior_for(LATER_NS, np.zeros(2)).mean == 0.0)
+
+
+def test_what_a_window_alone_says_is_free_of_prior_and_mount() -> None:
+    """(14.1): along the track as measured, whatever the prior; across, where roll is the mount's, next to nothing."""
+    n = STATES + 3
+    rows = np.zeros((2, n))
+    rows[0, STATES + 1] = 1.0 / KNOWN  # the slope east, by the pictures
+    rows[1, [BORESIGHT.start, STATES + 2]] = 1.0 / KNOWN  # slope north plus the mount's roll, by the attitude
+    said = np.array([0.08, -0.05])
+    for sigma, believed in ((0.03, 0.0), (0.2, 0.1)):
+        whitener = np.diag(1.0 / np.array([0.02] * STATES + [1e4, sigma, sigma]))
+        mean = np.zeros(n)
+        mean[STATES + 1 :] = believed
+        prior = SharedPrior(Layout(10), mean, whitener)
+        covariance = np.linalg.inv(whitener @ whitener + rows.T @ rows)
+        posterior = covariance @ (whitener @ whitener @ mean + rows.T @ (said / KNOWN))
+        slope, alone = seen_alone(prior, posterior, covariance)
+        assert slope[0] == pytest.approx(said[0], rel=1e-3)
+        assert np.sqrt(alone[0, 0]) == pytest.approx(KNOWN, rel=0.01)
+        assert np.sqrt(alone[1, 1]) > 10.0 * SIGMA * 0.5

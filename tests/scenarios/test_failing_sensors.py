@@ -1,0 +1,120 @@
+"""One sensor wrong for a while: what is said of it, what is answered meanwhile, and never worse than without it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from benchmarks.drawn_flight import EPOCH_NS, PLACE, DrawnFlight, DrawnSpec, fly, replace_section
+from benchmarks.sensor_faults import ATTITUDE_TIME, HEADING, POSITION, TILT, VELOCITY, Disturbance, disturbed
+from contract.wire.codec import decode, encode
+from ground.answer import CHI2_2, Fix
+from ground.locate import Locator
+from onboard.config.schema import parse_config
+from onboard.events.types import Event
+from onboard.pipeline.estimates import Contradiction
+from simulation.paths import PathSpec
+
+CONFIG = parse_config("")
+CAMERA_AND_GPS = replace_section(CONFIG, "solve", attitude="none", velocity=False)
+CHI2_99 = 9.21
+TURNS = PathSpec("turns", leg_m=250.0)
+FAULTS: dict[str, tuple[Disturbance, ...]] = {
+    "none": (),
+    "tilt": (Disturbance(TILT, 18.0, 12.0, 5.0),),
+    "heading": (Disturbance(HEADING, 18.0, 12.0, 40.0),),
+    "velocity": (Disturbance(VELOCITY, 18.0, 10.0, 1.0),),
+    "position": (Disturbance(POSITION, 18.0, 10.0, 8.0),),
+    "time": (Disturbance(ATTITUDE_TIME, 15.0, 20.0, 0.5),),
+}
+
+
+class DisturbedFlight(DrawnFlight):
+    """A drawn flight with sensors that fail for a while."""
+
+    def __init__(self, spec: DrawnSpec, seed: int, faults: tuple[Disturbance, ...]) -> None:
+        super().__init__(spec, seed)
+        self._faults = faults
+
+    def events(self) -> Iterator[Event]:
+        said = [disturbed(event, EPOCH_NS, self._faults, PLACE) for event in super().events()]
+        yield from sorted(said, key=lambda event: event.stamp_ns)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Clicks of one flight: how many got an answer, errors, their chi-square, semi-major axes, and what was said."""
+
+    answered: float
+    error_m: float
+    chi2: NDArray[np.float64]
+    semi_m: float
+    said: tuple[Contradiction, ...]
+
+
+def flown(fault: str, is_full: bool) -> Outcome:
+    """Camera and GPS alone do not hear what is wrong with the attitude."""
+    return _flown(fault if is_full or fault in (VELOCITY, POSITION) else "none", is_full)
+
+
+@cache
+def _flown(fault: str, is_full: bool) -> Outcome:
+    spec = DrawnSpec(CONFIG if is_full else CAMERA_AND_GPS, TURNS, 36.0, 2.0, errors=0.7, offset_s=0.0, delay_s=0.0)
+    flight = DisturbedFlight(spec, 3, FAULTS[fault])
+    sets, pipeline = fly(flight)
+    rng = np.random.default_rng(7)
+    asked, chi2, errors, semi = 0, [], [], []
+    for k in range(10, len(flight.times_s), 2):
+        asked += 2
+        if k not in sets or not sets[k].is_ok:
+            continue
+        locator = Locator(decode(encode(sets[k])))
+        for uv in rng.uniform(40.0, 440.0, (2, 2)):
+            answer = locator.locate(uv)
+            if isinstance(answer, Fix):
+                assert answer.height_amsl_m is not None
+                where = PLACE.to_enu(answer.lat_deg, answer.lon_deg, answer.height_amsl_m)
+                error = (where - flight.ground_points(k, uv[None])[0])[:2]
+                chi2.append(float(error @ np.linalg.solve(answer.covariance_enu_m2[:2, :2], error)))
+                errors.append(float(np.hypot(*error)))
+                semi.append(answer.ellipse.semi_major_m)
+    said = pipeline.summary.contradictions
+    return Outcome(len(errors) / asked, float(np.median(errors)), np.array(chi2), float(np.median(semi)), said)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_answers_go_on_and_are_as_honest_as_claimed(fault: str) -> None:
+    outcome = flown(fault, True)
+    assert outcome.answered > 0.85
+    assert np.mean(outcome.chi2 < CHI2_99) >= 0.97
+    assert np.mean(outcome.chi2 < CHI2_2) >= 0.85
+    assert np.sqrt(outcome.chi2.max() / CHI2_2) < 2.0
+    assert outcome.semi_m < 25.0
+
+
+@pytest.mark.parametrize(("fault", "names"), [("tilt", "tilt"), ("heading", "heading"), ("time", "tilt"), ("none", "")])
+def test_the_sensor_that_contradicts_the_others_is_named(fault: str, names: str) -> None:
+    said = flown(fault, True).said
+    assert {c.name for c in said} == ({names} if names else set())
+    for c in said:
+        assert 5 < c.windows < 60
+        assert 5.0 < c.lasting_s < 30.0
+        assert c.sigma_times > 3.0
+        assert c.is_now and f"{names} contradicts the other sensors for " in str(c)
+
+
+def test_the_full_set_is_never_worse_than_camera_and_gps() -> None:
+    """Flight by flight but for what one draw makes of two medians, and over all of them without that."""
+    pairs = {fault: (flown(fault, True), flown(fault, False)) for fault in FAULTS}
+    for fault, (full, gps) in pairs.items():
+        assert full.answered >= gps.answered - 0.08, fault
+        assert full.error_m <= 1.25 * gps.error_m, fault
+        assert np.mean(full.chi2 < CHI2_99) >= np.mean(gps.chi2 < CHI2_99) - 0.03, fault
+        assert full.semi_m <= gps.semi_m, fault
+    errors_m = np.array([[full.error_m, gps.error_m] for full, gps in pairs.values()])
+    assert errors_m[:, 0].mean() < 0.95 * errors_m[:, 1].mean()

@@ -1,0 +1,65 @@
+"""Camera and GPS alone over a hillside: nothing but a turn shows the slope across a straight track; ellipses know."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from benchmarks.drawn_flight import DrawnFlight, DrawnSpec, fly, replace_section
+from ground.answer import CHI2_2
+from onboard.config.schema import parse_config
+from onboard.estimation.ground_slope import SlopePrior
+from onboard.estimation.sensor_factors import level_sigma
+from simulation.paths import PathSpec
+from tests.test_platform_errors import clicks
+
+Array = NDArray[np.float64]
+
+CAMERA_AND_GPS = replace_section(parse_config(""), "solve", attitude="none", velocity=False)
+CHI2_99 = 9.21
+TEN_DEG = float(np.tan(np.radians(10.0)))
+SLOPES = {"level": (0.0, 0.0), "east": (TEN_DEG, 0.0), "north-west": (-0.7 * TEN_DEG, 0.7 * TEN_DEG)}
+
+
+@cache
+def flown(slope: str) -> tuple[Array, Array, SlopePrior]:
+    """Chi-square and semi-major axes (m) of clicks of legs joined by turns, and the prior at the end."""
+    spec = DrawnSpec(CAMERA_AND_GPS, PathSpec("turns", leg_m=200.0), 44.0, 2.0, errors=0.5, offset_s=0.0, delay_s=0.0)
+    flight = DrawnFlight(spec, 6)
+    flight.ground.slope = np.array(SLOPES[slope])
+    sets, pipeline = fly(flight)
+    chi2, semi_m = clicks(flight, sets, 4.0, 2)
+    newest = pipeline.window.keyframes[-1].nav
+    prior = pipeline.window.ground_slope.prior_for(newest.stamp_ns + 1, newest.position_enu_m[:2])
+    return chi2, semi_m, prior
+
+
+@pytest.mark.parametrize("slope", SLOPES)
+def test_the_ellipse_of_99_percent_holds_a_slope_of_ten_degrees(slope: str) -> None:
+    chi2, semi_m, _ = flown(slope)
+    assert len(chi2) > 40
+    assert np.mean(chi2 < CHI2_99) >= 0.97
+    assert np.mean(chi2 < CHI2_2) >= 0.8
+    assert np.median(semi_m) < 45.0
+
+
+def test_turns_find_the_slope() -> None:
+    """What later windows begin from is nearer to the truth than level ground is, and level where it is level."""
+    for name, slope in SLOPES.items():
+        _, _, prior = flown(name)
+        off = slope - prior.mean
+        assert np.linalg.norm(off) < 0.4 * TEN_DEG, name
+        assert off @ np.linalg.solve(prior.covariance, off) < CHI2_99, name
+
+
+def test_after_turns_the_prior_is_narrower_than_declared_and_ellipses_are_shorter() -> None:
+    for name in SLOPES:
+        _, _, prior = flown(name)
+        widest = np.sqrt(np.linalg.eigvalsh(prior.covariance)[-1])
+        assert 0.1 * level_sigma(CAMERA_AND_GPS) < widest < 0.85 * level_sigma(CAMERA_AND_GPS), name
+    _, semi_m, _ = flown("east")
+    third = len(semi_m) // 3
+    assert np.median(semi_m[-third:]) < 0.8 * np.median(semi_m[:third])
