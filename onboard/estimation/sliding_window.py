@@ -12,15 +12,17 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from contract.feature_set import Status
-from contract.rotations import exp_so3, mount_rotation
+from contract.rotations import mount_rotation
 from onboard.config.schema import Config
-from onboard.estimation.boresight import BORESIGHT, DELAY, HEADING, OFFSET, Alignment
+from onboard.estimation.boresight import DELAY, OFFSET, Alignment
 from onboard.estimation.boresight import STATES as SHARED
 from onboard.estimation.keyframe import Keyframe, Observation
-from onboard.estimation.sensor_factors import cosine_sine_of_heading
+from onboard.estimation.second_start import by_attitude
 from onboard.estimation.sensor_pose import SensorPose
 from onboard.estimation.shared_errors import make_sensor_pose
-from onboard.estimation.window_solver import MIN_POINTS, Noise, Outcome, Request, Solved, adjust
+from onboard.estimation.solved_window import Solved
+from onboard.estimation.window_acceptance import MIN_POINTS, Memory
+from onboard.estimation.window_solver import Noise, Outcome, Request, adjust
 from onboard.geometry.relative_orientation import rotation_only
 from onboard.geometry.terrain_grid import Terrain
 from onboard.navigation.navigator import NavState
@@ -42,6 +44,8 @@ class Window:
         self.R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg)
         self.keyframes: list[Keyframe] = []
         self.solved: Solved | None = None
+        self.memory = Memory()
+        self.refusal = ""  # why the newest window has no solution, in words; empty if it has one
         self.noise = Noise(config.solve.pixel_sigma_px, config.camera.sigma_jitter_s)
         self.terrain: Terrain | None = None  # of the area flown over, if known
         self.alignment = Alignment(
@@ -57,6 +61,7 @@ class Window:
         """Forget keyframes and structure: nothing links what comes to what was."""
         self.keyframes.clear()
         self.solved = None
+        self.memory = self.memory.without_windows()
 
     def begin_again(self) -> None:
         """Forget all but the newest keyframe, and the estimate of its pose."""
@@ -67,13 +72,7 @@ class Window:
 
     def attitude_guess(self, nav: NavState) -> Array | None:
         """R_cam_enu from the autopilot through mount and boresight, or None without attitude."""
-        if nav.R_enu_body is None:
-            return None
-        mean = self.alignment.belief.mean
-        yaw = float(cosine_sine_of_heading(nav.R_enu_body) @ mean[HEADING])
-        R_enu_body = exp_so3(np.array([0.0, 0.0, -yaw])) @ nav.R_enu_body
-        out: Array = (R_enu_body @ self.R_body_cam @ exp_so3(mean[BORESIGHT])).T
-        return out
+        return by_attitude(nav, self.alignment.belief, self.R_body_cam)
 
     def sensor_pose(self, nav: NavState) -> SensorPose | None:
         """The camera's pose by sensors alone with its covariance; None without attitude."""
@@ -140,6 +139,7 @@ class Window:
             self.terrain,
             self.alignment.prior_for(start_ns).widened(max((k.nav.stamp_sigma_s for k in self.keyframes), default=0.0)),
             self.noise,
+            self.memory,
         )
 
     def adopt(self, outcome: Outcome) -> Status:
@@ -149,8 +149,12 @@ class Window:
         """
         self.keyframes = list(outcome.keyframes)
         self.noise = outcome.noise
+        self.refusal = outcome.reason
+        found = outcome.rejected if outcome.solved is None else outcome.solved
+        if found is not None:
+            self.memory = self.memory.after(self.config, found, outcome.agreed, outcome.solved is not None)
         if outcome.solved is not None:
-            self.solved = outcome.solved
+            self.solved = self.memory.windows[-1]
             if len(self.keyframes) == self.config.solve.keyframes:
                 self.learn(outcome.solved)
         return outcome.status
