@@ -25,7 +25,7 @@ LASTING_S = 1.5  # of the longer of their windows, from the first of them to the
 
 @dataclass(frozen=True, eq=False)
 class GroundPatch:
-    """The ground under one window: centre east, north (m), height there, gradient, and the covariance of these three."""
+    """The ground under one window: centre east, north (m), height there and gradient, with their covariance."""
 
     centre_m: Array  # (2,)
     height_m: float
@@ -73,13 +73,13 @@ class GroundPatch:
         variance = float(back @ self.covariance @ back + half @ other.covariance @ half)
         variance += (slope_sigma * distance) ** 2 + 2.0 * (relief_m * apart) ** 2
         if abs(miss_m) > MAX_SIGMAS * np.sqrt(variance):
-            return f"the ground is {miss_m:+.0f} m off what lies beside it, sigma {np.sqrt(variance):.0f}"
+            return f"ground off what lies beside it: {miss_m:+.0f} m, sigma {np.sqrt(variance):.0f}"
         turn = self.slope - other.slope
         covariance = (self.covariance + other.covariance)[1:, 1:]
         covariance = covariance + np.eye(2) * 2.0 * (slope_sigma**2 + (relief_m * apart / radius) ** 2)
         if float(turn @ np.linalg.solve(covariance, turn)) > MAX_SIGMAS**2:
             tilt = np.degrees(np.arctan(np.linalg.norm(turn)))
-            return f"the ground is tilted by {tilt:.0f} degrees against what lies beside it"
+            return f"ground tilted against what lies beside it: {tilt:.0f} degrees"
         return None
 
 
@@ -125,7 +125,7 @@ class GroundMemory:
             miss_m, sigma_m = home.miss(patch, slope_sigma_deg, relief_m)
             if abs(miss_m) <= MAX_SIGMAS * sigma_m or self._is_outvoted(patch, slope_sigma_deg, relief_m):
                 return None
-            return f"the ground is {miss_m:+.0f} m off home's level, sigma {sigma_m:.0f}"
+            return f"ground off home's level: {miss_m:+.0f} m, sigma {sigma_m:.0f}"
         near = [p for p in self.patches if p.differs(patch, slope_sigma_deg, relief_m) is not None]
         if not near:
             return None

@@ -69,21 +69,21 @@ def by_sensors(keyframes: tuple[Keyframe, ...], belief: Belief, R_body_cam: Arra
 
 
 def verdict(one: Solved, two: Solved) -> tuple[Solved | None, str]:
-    """Which of two accepted solutions of a window to believe; None and the reason where they fit alike and differ."""
+    """Which of two accepted solutions to believe, (14.8); None and the reason where they fit alike and differ."""
     count = float(np.count_nonzero(one.good) * len(one.keyframes))
     apart = float(np.log(one.pixel_sigma_px / two.pixel_sigma_px)) * np.sqrt(2.0 * count)
     if abs(apart) > CLEAR_SIGMAS:
         return (two if apart > 0.0 else one), ""
     both = np.intersect1d(one.point_ids[one.good], two.point_ids[two.good], assume_unique=True)
     if len(both) == 0:
-        return None, "two solutions fit alike and have no point in common"
+        return None, "two solutions fit alike: no point in common"
     at1, at2 = one.rows(both)[0], two.rows(both)[0]
     miss_m = np.linalg.norm(one.solution.state.points_enu_m[at1] - two.solution.state.points_enu_m[at2], axis=1)
     gain = one.solution.point_gain[at1]
     covariance = gain @ one.covariance_at(one.keyframes[-1].nav.stamp_ns) @ gain.transpose(0, 2, 1)
     sigma_m = np.sqrt(np.trace(covariance + one.solution.point_covariance[at1], axis1=1, axis2=2))
     if float(np.median(miss_m / sigma_m)) > SAME_SIGMAS:
-        return None, f"two solutions fit alike and lie {np.median(miss_m):.0f} m apart"
+        return None, f"two solutions fit alike: {np.median(miss_m):.0f} m apart"
     return one, ""
 
 

@@ -117,10 +117,12 @@ def by_itself(
         name = type(prior).__name__.removesuffix("Prior").lower()
         # No shared state (mount, delay) may be far from its prior: a moving scene is often explained that way.
         if isinstance(prior, SharedPrior) and float(np.abs(r).max()) > SHARED_SIGMAS:
-            return Refusal(Status.POOR_FIT, f"mount, clock or ground {np.abs(r).max():.1f} sigmas from what was known")
+            return Refusal(
+                Status.POOR_FIT, f"mount, clock or ground far from what was known: {np.abs(r).max():.1f} sigmas"
+            )
         rms = float(np.sqrt(np.mean(r * r)))
         if rms > MAX_PRIOR_SIGMAS:
-            return Refusal(Status.POOR_FIT, f"{name} contradicts the pictures by {rms:.1f} sigmas")
+            return Refusal(Status.POOR_FIT, f"{name} contradicts the pictures: {rms:.1f} sigmas rms")
     return _by_terrain(config, terrain, s, good) or _by_distance(config, keyframes, s, layout)
 
 
@@ -137,7 +139,7 @@ def _by_terrain(config: Config, terrain: Terrain | None, s: Solution, good: Mask
     mean = -s.point_gain[good][seen][:, 2].mean(axis=0)
     sigma_m = float(np.sqrt(mean @ s.covariance @ mean + config.terrain.sigma_datum_m**2 + config.terrain.sigma_m**2))
     if abs(above_m) > TERRAIN_SIGMAS * sigma_m:
-        return Refusal(Status.POOR_FIT, f"the ground is {above_m:+.0f} m off the terrain model, sigma {sigma_m:.0f}")
+        return Refusal(Status.POOR_FIT, f"ground off the terrain model: {above_m:+.0f} m, sigma {sigma_m:.0f}")
     return None
 
 
@@ -159,8 +161,8 @@ def _by_distance(config: Config, keyframes: Sequence[Keyframe], s: Solution, lay
     if chi2 > SCALE_SIGMAS**2:
         return Refusal(
             Status.POOR_FIT,
-            f"{np.linalg.norm(by_pictures):.0f} m between the first and the last picture, by velocity "
-            f"{np.linalg.norm(by_velocity):.0f}",
+            f"scale contradicts velocity: {np.linalg.norm(by_pictures):.0f} m from the first picture to the last, "
+            f"{np.linalg.norm(by_velocity):.0f} by velocity",
         )
     return None
 
@@ -170,7 +172,7 @@ def by_memory(config: Config, memory: Memory, solved: Solved, agreed: Agreement 
     if agreed is not None and agreed.chi2 > MAX_AGREEMENT * memory.relative.factor:
         return Refusal(
             Status.POOR_FIT,
-            f"{agreed.points} points seen again are {agreed.shift_m:.1f} m elsewhere: "
+            f"points seen again are elsewhere: {agreed.points} of them by {agreed.shift_m:.1f} m, "
             f"chi-square {agreed.chi2:.0f}, at most {MAX_AGREEMENT * memory.relative.factor:.0f}",
         )
     solve, solved = config.solve, replace(solved, variance_factor=memory.relative.factor)

@@ -131,7 +131,7 @@ def refine(problem: Problem, first: Solution, least_own: float) -> Adjusted | No
 def adjust(request: Request) -> Outcome:
     """Solve a window; the status of the outcome is OK, or the reason why it has no result.
 
-    From a second start too, where the first solution is refused or unconfirmed and there may be another.
+    From a second start too, where the first is refused or nothing confirms it yet.
     """
     first = _adjusted(request)
     is_confirmed = first.agreed is not None or bool(request.memory.windows)
@@ -284,13 +284,13 @@ def _judged(
     median_depth = float(np.nanmedian(depth_m)) if used else np.nan
     good = np.count_nonzero(kept > 0, axis=0) >= 2
     if used < MIN_INLIERS * seen or np.count_nonzero(good) < MIN_POINTS or not np.isfinite(median_depth):
-        return refused(Status.POOR_FIT, f"{used} of {seen} measurements fit each other")
+        return refused(Status.POOR_FIT, f"outliers: {seen - used} of {seen} measurements")
     if sigma_px > MAX_FIT_SIGMAS * config.solve.pixel_sigma_px * max(1.0, camera.width_px / 640.0):
-        return refused(Status.POOR_FIT, f"residuals of {sigma_px:.1f} px")
+        return refused(Status.POOR_FIT, f"large residuals: {sigma_px:.1f} px")
     scale = max(fit, 1.0) ** 2
     still = float(np.median(_depth_sigma(s, s.covariance, good, layout))) / median_depth
     if still * np.sqrt(scale) > MAX_DEPTH_SIGMA:
-        return refused(Status.LOW_PARALLAX, f"depths are known to {100.0 * still * np.sqrt(scale):.0f} %")
+        return refused(Status.LOW_PARALLAX, f"little parallax: depths to {100.0 * still * np.sqrt(scale):.0f} %")
     moving = ground_motion(
         request.keyframes, priors, s.state, s.covariance, ground_sigma_m_s(request.keyframes, median_depth)
     )

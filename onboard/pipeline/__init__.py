@@ -2,7 +2,7 @@
 
 Public:
 
-- `estimates`: `BORESIGHT`, `Estimate`, `SensorError`, `as_rows`, `larger_than_declared`
+- `estimates`: `BORESIGHT`, `RELATIVE_VARIANCE`, `Estimate`, `SensorError`, `as_rows`, `larger_than_declared`
 - `pipeline`: `Pipeline`
 - `statistics`: `Summary`
 """

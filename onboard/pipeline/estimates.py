@@ -11,6 +11,7 @@ import numpy as np
 from onboard.config.schema import Config
 from onboard.estimation import boresight
 from onboard.estimation.boresight import Belief
+from onboard.estimation.reobservation import RelativeVariance
 from onboard.estimation.variance_components import (
     HEADING,
     HEADING_WHITE,
@@ -25,6 +26,7 @@ from onboard.estimation.variance_components import (
 BORESIGHT, TIME_OFFSET = "boresight", "camera_time_offset"
 POSITION_DELAY, VELOCITY_DELAY = "position_delay", "velocity_delay"
 HEADING_ERROR = "heading_error_by_heading"
+RELATIVE_VARIANCE = "relative_variance_factor"
 STATES = (
     (BORESIGHT, "radians", boresight.BORESIGHT),
     (TIME_OFFSET, "seconds", boresight.OFFSET),
@@ -73,6 +75,16 @@ def estimates_of(belief: Belief | None) -> tuple[Estimate, ...]:
     )
 
 
+def relative_variance_of(relative: RelativeVariance) -> tuple[Estimate, ...]:
+    """By what factor the variances of relative positions were found too small, and published larger; 1: as stated.
+
+    Empty before points have been seen again.
+    """
+    if not relative.expected:
+        return ()
+    return (Estimate(RELATIVE_VARIANCE, "ratio", (relative.factor,), (relative.sigma,)),)
+
+
 def sensor_errors(config: Config, factors: VarianceFactors) -> tuple[SensorError, ...]:
     """Every part in the order of NAMES."""
     solve, gps = config.solve, config.gps
@@ -105,11 +117,14 @@ _ROW_NAMES = {
     POSITION_DELAY: "position delay",
     VELOCITY_DELAY: "velocity delay",
     HEADING_ERROR: "heading error",
+    RELATIVE_VARIANCE: "relative errors",
 }
 
 
 def _text(estimate: Estimate) -> str:
     pairs = list(zip(estimate.values, estimate.sigmas, strict=True))
+    if estimate.name == RELATIVE_VARIANCE:
+        return f"variance {pairs[0][0]:.2f} +-{pairs[0][1]:.2f} of what was stated, by points seen again"
     degrees = [f"{math.degrees(m):+.2f} +-{math.degrees(s):.2f}" for m, s in pairs]
     if estimate.name == BORESIGHT:
         return f"x {degrees[0]}, y {degrees[1]}, z {degrees[2]} deg, camera axes"

@@ -31,7 +31,7 @@ from onboard.geometry.terrain_grid import Terrain
 from onboard.georeferencing.feature_sets import Origin, Picture, georeference
 from onboard.georeferencing.surface_sets import over_known_ground
 from onboard.navigation.navigator import Navigation, NavState
-from onboard.pipeline.estimates import estimates_of, sensor_errors
+from onboard.pipeline.estimates import estimates_of, relative_variance_of, sensor_errors
 from onboard.pipeline.frozen_frames import Staleness, Stillness
 from onboard.pipeline.keyframe_choice import wants_keyframe
 from onboard.pipeline.motion_prediction import ground_so_far, predict_motion, what_parts
@@ -139,7 +139,8 @@ class Pipeline:
         """Counts so far; a picture counts by its latest revision."""
         alignment = self.window.alignment
         return self._statistics.summary(
-            estimates_of(alignment.belief if alignment.updates else None),
+            estimates_of(alignment.belief if alignment.updates else None)
+            + relative_variance_of(self.window.memory.relative),
             sensor_errors(self.config, self.window.noise.factors),
         )
 
@@ -288,6 +289,7 @@ class Pipeline:
         done, record = pending.promise.result(), pending.record
         self._statistics.spend("solve", done.processor_s)
         status = self.window.adopt(done.outcome)
+        self._statistics.note_window(self.window.refusal)
         self._failures = self._failures + 1 if status is Status.POOR_FIT else 0
         if status in (Status.OK, Status.POOR_FIT):
             self._unsolved = Status.POOR_FIT if self._failures else Status.STARTING
