@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 PARAMETERS = 7  # shift (3), turn (3) and scale of a patch of ground
 MIN_COMMON = 12
 STRAY_SIGMAS = 4.0  # of one point against the others, beyond which it is no longer the same place
+MEDIAN_SQUARE = 2.366  # of chi-square with three degrees of freedom
 # Effective degrees of freedom that "as stated" counts for: three windows' worth.
 PRIOR_COUNT = 21.0
 MEMORY_S = 240.0  # over which agreement is forgotten, as sensors' errors are (13.2)
@@ -79,12 +80,12 @@ def agreement(earlier: Solved, later: Solved) -> Agreement | None:
     X1, X2 = earlier.solution.state.points_enu_m[one], later.solution.state.points_enu_m[two]
     own = earlier.solution.point_covariance[one] + later.solution.point_covariance[two]
     difference = X2 - X1
-    for _ in range(2):
+    while True:
         fit, spread, basis, weight = _similarity(X1, difference, own)
         q = np.einsum("pij,pj->i", fit, difference)
         left = difference - basis @ q
         square = np.einsum("pi,pij,pj->p", left, weight, left)
-        keep = square < STRAY_SIGMAS**2 * max(float(np.median(square)) / 2.366, 1.0)
+        keep = square < STRAY_SIGMAS**2 * max(float(np.median(square)) / MEDIAN_SQUARE, 1.0)
         if np.all(keep):
             break
         if np.count_nonzero(keep) < MIN_COMMON:

@@ -17,6 +17,7 @@ from contract.feature_set import Status
 from contract.rotations import exp_so3
 from onboard.estimation.boresight import BORESIGHT, HEADING, Belief
 from onboard.estimation.keyframe import Keyframe
+from onboard.estimation.reobservation import agreement
 from onboard.estimation.sensor_factors import coordinated_turn, cosine_sine_of_heading
 from onboard.estimation.solved_window import Solved
 from onboard.navigation.navigator import NavState
@@ -24,7 +25,8 @@ from onboard.navigation.navigator import NavState
 Array = NDArray[np.float64]
 
 STEEP_COSINE = float(np.cos(np.radians(30.0)))  # of the bank, above which a solution is checked from a second start
-CLEAR_SIGMAS = 3.0  # of the sampling error of a residuals' sigma, by which one of two solutions is the better
+CLEAR_COST = float(np.log(1000.0))  # by which one of two solutions is the likelier, a thousand to one
+CONFIRMING = 18.5  # of chi-square with 7 degrees of freedom: 99 %
 SAME_SIGMAS = 3.0  # of the points' own places, within which two solutions are the same
 
 
@@ -68,11 +70,23 @@ def by_sensors(keyframes: tuple[Keyframe, ...], belief: Belief, R_body_cam: Arra
     return None if path is None else turned(keyframes, path.transpose(0, 2, 1))
 
 
-def verdict(one: Solved, two: Solved) -> tuple[Solved | None, str]:
-    """Which of two accepted solutions to believe, (14.8); None and the reason where they fit alike and differ."""
-    count = float(np.count_nonzero(one.good) * len(one.keyframes))
-    apart = float(np.log(one.pixel_sigma_px / two.pixel_sigma_px)) * np.sqrt(2.0 * count)
-    if abs(apart) > CLEAR_SIGMAS:
+def confirms(previous: Solved | None, solved: Solved) -> bool:
+    """Whether the last published window has the same points in the same places, (14.3).
+
+    Pictures that both rest on are counted as if they were independent: that is too lenient to refuse by, not to
+    confirm by, since another minimum lies far outside of what a window states.
+    """
+    agreed = None if previous is None else agreement(previous, solved)
+    return agreed is not None and agreed.chi2 < CONFIRMING
+
+
+def verdict(one: Solved, two: Solved, costs: tuple[float, float]) -> tuple[Solved | None, str]:
+    """Which of two accepted solutions to believe, (14.8); None and the reason where they fit alike and differ.
+
+    `costs`: of each, (6.1) over all measurements, those that were left out later too.
+    """
+    apart = costs[0] - costs[1]
+    if abs(apart) > CLEAR_COST:
         return (two if apart > 0.0 else one), ""
     both = np.intersect1d(one.point_ids[one.good], two.point_ids[two.good], assume_unique=True)
     if len(both) == 0:

@@ -1,7 +1,6 @@
 """One window adjusted: an immutable request goes in, an outcome comes out. Pure computation.
 
-The same request gives the same outcome in whatever thread it runs. Whether the result may be published is decided
-here, from residuals, covariances and priors.
+The same request gives the same outcome in whatever thread it runs.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from onboard.estimation.ground_motion import ground_motion, ground_sigma_m_s
 from onboard.estimation.ground_roughness import effective_sigma_m
 from onboard.estimation.keyframe import Ids, Keyframe
 from onboard.estimation.reobservation import Agreement
-from onboard.estimation.second_start import by_sensors, is_worth_another, verdict
+from onboard.estimation.second_start import by_sensors, confirms, is_worth_another, verdict
 from onboard.estimation.sensor_factors import range_prior, sensor_priors
 from onboard.estimation.shared_errors import shared_errors
 from onboard.estimation.solved_window import Solved
@@ -38,7 +37,7 @@ from onboard.estimation.window_acceptance import (
 )
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.terrain_grid import Terrain
-from onboard.geometry.triangulation import triangulate
+from onboard.geometry.triangulation import on_plane, triangulate
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -94,6 +93,7 @@ class Outcome:
     noise: Noise
     solved: Solved | None = None
     reason: str = ""  # why not, in words
+    cost: float = np.inf  # of the first of the two solves, which outliers are part of
     rejected: Solved | None = None  # a solution that only earlier windows speak against
     agreed: Agreement | None = None  # with an earlier window that shares points and no picture
 
@@ -142,9 +142,15 @@ def adjust(request: Request) -> Outcome:
     if start is None or (has_attitude and request.previous is None):
         return first  # the sensors' start was the first one
     second = _adjusted(replace(request, keyframes=start, previous=None, is_oriented=True))
-    if first.solved is None or second.solved is None:
-        return first if second.solved is None else second
-    better, reason = verdict(first.solved, second.solved)
+    if second.solved is None:
+        return first
+    # A path is no attitude: what only its start finds needs an earlier window to confirm it.
+    is_supported = has_attitude or second.agreed is not None or confirms(request.previous, second.solved)
+    if first.solved is None and not is_supported:
+        return first
+    if first.solved is None:
+        return second
+    better, reason = verdict(first.solved, second.solved, (first.cost, second.cost))
     if better is None:
         return replace(first, status=Status.POOR_FIT, keyframes=request.keyframes, solved=None, reason=reason)
     return first if better is first.solved else second
@@ -222,7 +228,9 @@ def _adjusted(request: Request) -> Outcome:
     if judged.status is Status.OK:
         evidence = evidence_of(priors, adjusted.solution.state, adjusted.solution.covariance, used.factors)
         factors = factors.with_evidence(evidence, keyframes[-1].nav.stamp_ns, 1.0 / len(keyframes))
-    return replace(judged, noise=replace(noise, pixel_sigma_px=judged.noise.pixel_sigma_px, factors=factors))
+    return replace(
+        judged, cost=first.cost, noise=replace(noise, pixel_sigma_px=judged.noise.pixel_sigma_px, factors=factors)
+    )
 
 
 def _with_own_evidence(request: Request, used: Noise, priors: list[Prior], first: Solution) -> tuple[Noise, bool]:
@@ -421,7 +429,7 @@ def _points(request: Request, ids: Ids, R: Array, C: Array, xy: Array, seen: Mas
         plane = np.array([float(np.median(points[sound, 2])), 0.0, 0.0])
     loose = ~sound
     if np.any(loose):
-        points[loose] = _on_plane(R, C, xy, seen, plane)[loose]
+        points[loose] = on_plane(R, C, xy, seen, plane)[loose]
     reference = np.array([*np.median(points[:, :2], axis=0), 0.0])
     reference[2] = plane[0] + plane[1:] @ reference[:2]
     return points, reference, np.array([0.0, plane[1], plane[2]])
@@ -435,17 +443,4 @@ def _depth_sigma(s: Solution, covariance: Array, good: Mask, layout: Layout) -> 
     M[:, layout.centre(layout.keyframes - 1)] -= axis
     own = np.einsum("i,pij,j->p", axis, s.point_covariance[good], axis)
     out: Array = np.sqrt(np.maximum(np.sum((M @ covariance) * M, axis=1) + own, 0.0))
-    return out
-
-
-def _on_plane(R: Array, C: Array, xy: Array, seen: Mask, plane: Array) -> Array:
-    """Each point where its newest ray meets the plane (height at origin, slopes); far rays at ten clearances."""
-    newest = len(seen) - 1 - np.argmax(seen[::-1], axis=0)
-    P = np.arange(seen.shape[1])
-    rays = np.concatenate([xy[newest, P], np.ones((len(P), 1))], axis=1)
-    d = np.einsum("pi,pij->pj", rays, R[newest])
-    normal = np.array([-plane[1], -plane[2], 1.0])
-    clearance = np.maximum(C[newest] @ normal - plane[0], 1.0)
-    down = np.maximum(-(d @ normal), 0.1)
-    out: Array = C[newest] + d * (clearance / down)[:, None]
     return out
