@@ -6,11 +6,13 @@ Public:
 - `boresight`: `Alignment`, `Belief`, `OFFSET`, `DELAY`
 - `ground_roughness`: `plane_and_roughness`
 - `keyframe`: `Observation`, `observation`
+- `reobservation`: `RelativeVariance`
 - `resection`: `Resection`, `resect`
 - `sensor_pose`: `SensorPose`
 - `sliding_window`: `Window`
+- `solved_window`: `Solved`
 - `solver_executor`: `Inline`, `Promise`, `Worker`, `timed_adjust`
 - `variance_components`: `VarianceFactors`, `NAMES`, `TILT`, `HEADING`, `TILT_WHITE`, `HEADING_WHITE`,
   `VELOCITY`, `POSITION`
-- `window_solver`: `MIN_KEYFRAMES`, `Solved`
+- `window_solver`: `MIN_KEYFRAMES`
 """

@@ -7,8 +7,9 @@ import pytest
 
 from onboard.config.schema import parse_config
 from onboard.estimation.boresight import STATES, Belief
+from onboard.estimation.reobservation import RelativeVariance
 from onboard.estimation.variance_components import NAMES, Evidence, VarianceFactors
-from onboard.pipeline.estimates import as_rows, estimates_of, larger_than_declared, sensor_errors
+from onboard.pipeline.estimates import as_rows, estimates_of, larger_than_declared, relative_variance_of, sensor_errors
 
 CONFIG = parse_config("")
 BELIEF = Belief(
@@ -53,3 +54,12 @@ def test_the_summary_has_a_row_for_each_and_names_a_sensor_only_where_it_is_wors
     }
     assert as_rows((), sensor_errors(CONFIG, VarianceFactors())) == []
     assert larger_than_declared(sensor_errors(CONFIG, VarianceFactors())) == ""
+
+
+def test_relative_errors_are_reported_once_points_were_seen_again() -> None:
+    assert relative_variance_of(RelativeVariance()) == ()
+    (estimate,) = relative_variance_of(RelativeVariance(1, found=50.0, expected=14.0))
+    assert estimate.name == "relative_variance_factor" and estimate.unit == "ratio"
+    assert estimate.values[0] == pytest.approx(71.0 / 35.0)
+    ((name, text),) = as_rows((estimate,), ())
+    assert name == "relative errors" and text.startswith("variance 2.03 +-")
