@@ -8,6 +8,7 @@ it yet.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,16 +17,19 @@ from numpy.typing import NDArray
 from contract.feature_set import Status
 from contract.rotations import exp_so3
 from onboard.estimation.boresight import BORESIGHT, HEADING, Belief
+from onboard.estimation.factors import AttitudePrior, PositionPrior, Prior, State, VelocityPrior
 from onboard.estimation.keyframe import Keyframe
 from onboard.estimation.reobservation import agreement
 from onboard.estimation.sensor_factors import coordinated_turn, cosine_sine_of_heading
 from onboard.estimation.solved_window import Solved
+from onboard.geometry.robust import robust_cost
 from onboard.navigation.navigator import NavState
 
 Array = NDArray[np.float64]
 
 STEEP_COSINE = float(np.cos(np.radians(30.0)))  # of the bank, above which a solution is checked from a second start
 CLEAR_COST = float(np.log(1000.0))  # by which one of two solutions is the likelier, a thousand to one
+COST_SCALE = 3.0  # of the loss (6.5) in sigmas, as in the first of a window's two solves
 CONFIRMING = 18.5  # of chi-square with 7 degrees of freedom: 99 %
 SAME_SIGMAS = 3.0  # of the points' own places, within which two solutions are the same
 
@@ -81,24 +85,33 @@ def confirms(previous: Solved | None, solved: Solved) -> bool:
 
 
 def verdict(one: Solved, two: Solved, costs: tuple[float, float]) -> tuple[Solved | None, str]:
-    """Which of two accepted solutions to believe, (14.8); None and the reason where they fit alike and differ.
+    """Which of two accepted solutions to believe: the first if both are the same, else the likelier, (14.8).
 
-    `costs`: of each, (6.1) over all measurements, those that were left out later too.
+    None and the reason where they fit alike and differ. `costs`: of each, by `comparable_cost`.
     """
-    apart = costs[0] - costs[1]
-    if abs(apart) > CLEAR_COST:
-        return (two if apart > 0.0 else one), ""
     both = np.intersect1d(one.point_ids[one.good], two.point_ids[two.good], assume_unique=True)
-    if len(both) == 0:
-        return None, "two solutions fit alike: no point in common"
     at1, at2 = one.rows(both)[0], two.rows(both)[0]
     miss_m = np.linalg.norm(one.solution.state.points_enu_m[at1] - two.solution.state.points_enu_m[at2], axis=1)
     gain = one.solution.point_gain[at1]
     covariance = gain @ one.covariance_at(one.keyframes[-1].nav.stamp_ns) @ gain.transpose(0, 2, 1)
     sigma_m = np.sqrt(np.trace(covariance + one.solution.point_covariance[at1], axis1=1, axis2=2))
-    if float(np.median(miss_m / sigma_m)) > SAME_SIGMAS:
-        return None, f"two solutions fit alike: {np.median(miss_m):.0f} m apart"
-    return one, ""
+    if len(both) and float(np.median(miss_m / sigma_m)) < SAME_SIGMAS:
+        return one, ""
+    apart = costs[0] - costs[1]
+    if abs(apart) > CLEAR_COST:
+        return (two if apart > 0.0 else one), ""
+    return None, f"two solutions fit alike: {np.median(miss_m) if len(both) else np.inf:.0f} m apart"
+
+
+def comparable_cost(residual_sigmas: Array, sensors: Sequence[Prior], state: State) -> float:
+    """(6.1) of one solution without the ground, whose weights depend on where a solve started.
+
+    `residual_sigmas` (K, P): of all measurements, later outliers too; `sensors` as earlier windows weighted them.
+    """
+    measured = np.square(residual_sigmas[np.isfinite(residual_sigmas)])
+    image, _ = robust_cost(measured, COST_SCALE)
+    said = [p.evaluate(state)[0] for p in sensors if isinstance(p, PositionPrior | VelocityPrior | AttitudePrior)]
+    return 0.5 * float(np.sum(image)) + 0.5 * float(sum(r @ r for r in said))
 
 
 def is_worth_another(status: Status, keyframes: tuple[Keyframe, ...], R_body_cam: Array, is_confirmed: bool) -> bool:

@@ -93,7 +93,7 @@ class Outcome:
     noise: Noise
     solved: Solved | None = None
     reason: str = ""  # why not, in words
-    cost: float = np.inf  # of the first of the two solves, which outliers are part of
+    cost: float = np.inf  # by `comparable_cost`
     rejected: Solved | None = None  # a solution that only earlier windows speak against
     agreed: Agreement | None = None  # with an earlier window that shares points and no picture
 

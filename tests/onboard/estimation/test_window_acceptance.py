@@ -170,6 +170,7 @@ def test_of_two_solutions_the_likelier_is_kept_and_none_where_they_fit_alike_and
     assert verdict(solved, far, (100.0, 130.0))[0] is solved
     assert verdict(far, solved, (130.0, 100.0))[0] is solved
     assert verdict(solved, near, (100.0, 101.0))[0] is solved
+    assert verdict(solved, near, (130.0, 100.0))[0] is solved  # the same: costs of two starts are no reason to change
     nobody, reason = verdict(solved, far, (100.0, 101.0))
     assert nobody is None and "alike" in reason
     assert confirms(solved, near)
