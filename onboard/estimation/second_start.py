@@ -85,9 +85,10 @@ def confirms(previous: Solved | None, solved: Solved) -> bool:
 
 
 def verdict(one: Solved, two: Solved, costs: tuple[float, float]) -> tuple[Solved | None, str]:
-    """Which of two accepted solutions to believe: the first if both are the same, else the likelier, (14.8).
+    """Which of two accepted solutions to believe: the first if both are about the same, else the likelier, (14.8).
 
-    None and the reason where they fit alike and differ. `costs`: of each, by `comparable_cost`.
+    Least squares from both starts that end in one minimum agree to a hundredth of a sigma. What they differ by is added
+    to the variance. None and the reason where they fit alike and differ. `costs`: of each, by `comparable_cost`.
     """
     both = np.intersect1d(one.point_ids[one.good], two.point_ids[two.good], assume_unique=True)
     at1, at2 = one.rows(both)[0], two.rows(both)[0]
@@ -95,8 +96,9 @@ def verdict(one: Solved, two: Solved, costs: tuple[float, float]) -> tuple[Solve
     gain = one.solution.point_gain[at1]
     covariance = gain @ one.covariance_at(one.keyframes[-1].nav.stamp_ns) @ gain.transpose(0, 2, 1)
     sigma_m = np.sqrt(np.trace(covariance + one.solution.point_covariance[at1], axis1=1, axis2=2))
-    if len(both) and float(np.median(miss_m / sigma_m)) < SAME_SIGMAS:
-        return one, ""
+    sigmas = float(np.median(miss_m / sigma_m)) if len(both) else np.inf
+    if sigmas < SAME_SIGMAS:
+        return replace(one, variance_factor=one.variance_factor * (1.0 + sigmas**2)), ""
     apart = costs[0] - costs[1]
     if abs(apart) > CLEAR_COST:
         return (two if apart > 0.0 else one), ""

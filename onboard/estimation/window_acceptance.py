@@ -77,7 +77,7 @@ class Memory:
         """With one more window; of one that is not believed only the disagreement is kept, and what ground it saw."""
         stamp_ns, share = solved.keyframes[-1].nav.stamp_ns, 1.0 / len(solved.keyframes)
         relative = self.relative if agreed is None else self.relative.with_agreement(agreed, stamp_ns, share)
-        solved = replace(solved, variance_factor=relative.factor)
+        solved = replace(solved, variance_factor=solved.variance_factor * relative.factor)
         patch = GroundPatch.of(solved)
         if not is_believed:
             return Memory(self.windows, self.ground.contradicted(patch), relative)
@@ -175,7 +175,7 @@ def by_memory(config: Config, memory: Memory, solved: Solved, agreed: Agreement 
             f"points seen again are elsewhere: {agreed.points} of them by {agreed.shift_m:.1f} m, "
             f"chi-square {agreed.chi2:.0f}, at most {MAX_AGREEMENT * memory.relative.factor:.0f}",
         )
-    solve, solved = config.solve, replace(solved, variance_factor=memory.relative.factor)
+    solve, solved = config.solve, replace(solved, variance_factor=solved.variance_factor * memory.relative.factor)
     against = memory.ground.contradiction(
         GroundPatch.of(solved), solve.level_ground_sigma_deg, solve.relief_sigma_m, _home(config, solved)
     )

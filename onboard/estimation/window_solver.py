@@ -153,7 +153,7 @@ def adjust(request: Request) -> Outcome:
     better, reason = verdict(first.solved, second.solved, (first.cost, second.cost))
     if better is None:
         return replace(first, status=Status.POOR_FIT, keyframes=request.keyframes, solved=None, reason=reason)
-    return first if better is first.solved else second
+    return replace(first, solved=better) if better is not second.solved else second
 
 
 def _adjusted(request: Request) -> Outcome:

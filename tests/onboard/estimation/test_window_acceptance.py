@@ -169,8 +169,10 @@ def test_of_two_solutions_the_likelier_is_kept_and_none_where_they_fit_alike_and
     far, near = shifted(solved, 200.0), shifted(solved, 0.5)
     assert verdict(solved, far, (100.0, 130.0))[0] is solved
     assert verdict(far, solved, (130.0, 100.0))[0] is solved
-    assert verdict(solved, near, (100.0, 101.0))[0] is solved
-    assert verdict(solved, near, (130.0, 100.0))[0] is solved  # the same: costs of two starts are no reason to change
+    same = verdict(solved, solved, (130.0, 100.0))[0]  # costs of two starts are no reason to change
+    assert same is not None and same.solution is solved.solution and same.variance_factor == 1.0
+    beside = verdict(solved, near, (100.0, 101.0))[0]
+    assert beside is not None and beside.solution is solved.solution and 1.0 < beside.variance_factor < 3.0
     nobody, reason = verdict(solved, far, (100.0, 101.0))
     assert nobody is None and "alike" in reason
     assert confirms(solved, near)
