@@ -6,8 +6,8 @@ To first order, with the nine common states of contract/feature_set.py and the c
     dX = dC + dtheta x (r / w) - (r / w) (m0 + m1 x + m2 y + e)  =  J(x, y) s - (r / w) e,
     J = [ I,  -[r / w]x,  -(r / w) (1, x, y) ]                                              (3 x 9)
 
-so that cov X = J S J' + (r / w)(r / w)' var e. Between two clicks the common states cancel through J1 - J2, and kriging
-gives the covariance of e1 with e2. Between two sets:
+so that cov X = J S J' + (r / w)(r / w)' var e; towards the horizon terms of higher order widen it, (9.17). Between two
+clicks the common states cancel through J1 - J2, and kriging gives the covariance of e1 with e2. Between two sets:
 ground/two_sets.py. Section 9 of docs/mathematics.md.
 """
 
@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contract.feature_set import DepthSource, FeatureSet, HeightDatum, Status
+from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, HeightDatum, Status
 from contract.geodesy import LocalFrame
 from contract.rotations import skew
 from ground.answer import Answer, Ellipse, Fix, Refusal
@@ -154,10 +154,38 @@ class Locator:
         J = np.concatenate([_jacobian(sight) for sight in sights])
         _, own = self._kriging.predict(np.array([sight.xy for sight in sights]))
         spread = np.zeros((3 * len(sights), len(sights)))
+        by_depth = np.zeros((len(sights), COMMON_STATES + len(sights)))
         for i, sight in enumerate(sights):
             spread[3 * i : 3 * i + 3, i] = -sight.offset_enu_m * sight.relative
-        out: Array = J @ self.feature_set.common_cov @ J.T + spread @ own @ spread.T
+            by_depth[i, 6:COMMON_STATES] = [1.0, *sight.xy]
+            by_depth[i, COMMON_STATES + i] = sight.relative
+        causes = np.zeros((by_depth.shape[1], by_depth.shape[1]))
+        causes[:COMMON_STATES, :COMMON_STATES] = self.feature_set.common_cov
+        causes[COMMON_STATES:, COMMON_STATES:] = own
+        by_cause = np.concatenate([J, spread], axis=1)
+        out: Array = by_cause @ causes @ by_cause.T + _curvature(by_cause, by_depth, causes)
         return out
+
+
+def _curvature(by_cause: Array, by_depth: Array, causes: Array) -> Array:
+    """What a linear covariance of M clicks lacks (3 M, 3 M), where ln w is not known well. Equation (9.17).
+
+    `by_cause` (3 M, N) moves the positions, `by_depth` (M, N) u = d ln w; `causes` (N, N) is the covariance of both.
+    Never negative: an answer is not made surer.
+    """
+    turned = by_cause.copy()
+    turned[:, :3] = 0.0  # dC is not divided by anything
+    u = np.repeat(by_depth, 3, axis=0)  # each click's u beside each of its coordinates
+    by_u, by_turned = causes @ u.T, causes @ turned.T
+    uu, vu, vv = u @ by_u, turned @ by_u, turned @ by_turned
+    own = np.diag(uu)  # var u
+    vu_own = np.diag(vu)  # cov(v, u) of the same click
+    au = by_cause @ by_u
+    third = by_cause @ by_turned * own + 2.0 * au * vu_own
+    total = uu * vv + np.outer(vu_own, vu_own) + vu * vu.T + third + third.T
+    values, vectors = np.linalg.eigh(total)
+    out: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return out
 
 
 def _jacobian(sight: _Sight) -> Array:

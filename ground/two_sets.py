@@ -16,15 +16,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from contract.feature_set import ALIGNMENT, ATTITUDE, COMMON_STATES, NUISANCES, POSITION, FeatureSet
+from contract.error_correlation import LEAST_SPAN_S, Span, slow_error_correlations
+from contract.feature_set import COMMON_STATES, FeatureSet
 from contract.geodesy import LocalFrame
 from contract.rotations import skew
 from ground.answer import Fix
 
 Array = NDArray[np.float64]
-Span = tuple[float, float]
-
-LEAST_SPAN_S = 0.05
 
 
 def difference_covariance(one: FeatureSet, fix_one: Fix, two: FeatureSet, fix_two: Fix) -> Array:
@@ -48,8 +46,8 @@ def common_cross_covariance(one: FeatureSet, two: FeatureSet) -> Array:
     if two.capture_unix_ns < one.capture_unix_ns:
         return common_cross_covariance(two, one).T
     F1, F2 = one.shared.by_nuisance, two.shared.by_nuisance
-    slow = (F1 * nuisance_correlations(one, two)) @ F2.T
     a, b = _span(one), _span(two)
+    slow = (F1 * nuisance_correlations(one, two)) @ F2.T
     share = max(min(a[1], b[1]) - max(a[0], b[0]), 0.0) / math.sqrt((a[1] - a[0]) * (b[1] - b[0]))
     if share == 0.0:
         return slow
@@ -64,20 +62,8 @@ def common_cross_covariance(one: FeatureSet, two: FeatureSet) -> Array:
 
 
 def nuisance_correlations(one: FeatureSet, two: FeatureSet) -> Array:
-    """(NUISANCES,) between the two sets' nuisance parameters. (9.13)
-
-    Gauss-Markov errors by their age, the mount and the clock by how far their estimates have come.
-    """
-    out = np.ones(NUISANCES)
-    s1, s2 = one.shared, two.shared
-    for part, tau1, tau2 in (
-        (POSITION, s1.position_time_s, s2.position_time_s),
-        (ATTITUDE, s1.attitude_time_s, s2.attitude_time_s),
-    ):
-        out[part] = _averages_correlation(_span(one), _span(two), min(tau1, tau2))
-    less, more = np.minimum(s1.alignment_sigma, s2.alignment_sigma), np.maximum(s1.alignment_sigma, s2.alignment_sigma)
-    out[ALIGNMENT] = np.where(more > 0.0, less / np.where(more > 0.0, more, 1.0), 0.0)
-    return out
+    """(NUISANCES,) between the two sets' nuisance parameters. (9.13)"""
+    return slow_error_correlations(one.shared, _span(one), two.shared, _span(two))
 
 
 def _span(s: FeatureSet) -> Span:
@@ -86,26 +72,6 @@ def _span(s: FeatureSet) -> Span:
     first, last = at + s.shared.span_s[0], at + s.shared.span_s[1]
     grow = max(LEAST_SPAN_S - (last - first), 0.0) / 2.0
     return first - grow, last + grow
-
-
-def _averages_correlation(a: Span, b: Span, time_constant_s: float) -> float:
-    """Correlation of a Gauss-Markov error's averages over two spans."""
-    if time_constant_s <= 0.0:
-        return 0.0
-
-    def twice_integrated(lag_s: float) -> float:
-        u = abs(lag_s) / time_constant_s
-        return math.expm1(-u) + u
-
-    def together(p: Span, q: Span) -> float:
-        return (
-            twice_integrated(p[1] - q[0])
-            + twice_integrated(p[0] - q[1])
-            - twice_integrated(p[0] - q[0])
-            - twice_integrated(p[1] - q[1])
-        )
-
-    return min(max(together(a, b) / math.sqrt(together(a, a) * together(b, b)), 0.0), 1.0)
 
 
 def _transport(one: FeatureSet, two: FeatureSet) -> Array:

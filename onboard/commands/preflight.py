@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from contract.camera import Camera
 from onboard.config.schema import Config
 from onboard.events.source import SourceStatus
-from onboard.pipeline.estimates import BORESIGHT, larger_than_declared, not_adopted, said_of
+from onboard.pipeline.estimates import BORESIGHT, RELATIVE_VARIANCE, larger_than_declared, not_adopted, said_of
 from onboard.service.reports import Report
 from onboard.service.vehicle_state import Subject, VehicleState
 
@@ -25,6 +25,7 @@ MIN_ATTITUDE_HZ = 10.0
 MIN_POSITION_HZ = 2.0
 MAX_CLOCK_SIGMA_MS = 20.0  # 20 m/s over 20 ms are 0.4 m
 MAX_ROUND_TRIP_MS = 100.0
+MAX_VARIANCE_FACTOR = 4.0  # ellipses are then twice as long as sensors and pictures explain
 BORESIGHT_SIGMAS = 3.0
 MAX_CLIPPED = 0.3
 DARK, BRIGHT = 25.0, 230.0
@@ -67,6 +68,7 @@ def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]
         _time_sync(config, report),
         *judged.values(),
         _mount(config, report),
+        _relative_errors(report),
         _sensors(report),
         _calibration(around.camera),
         Line("link", not around.link, around.link or f"open, {', '.join((*config.link.listen, *config.link.connect))}"),
@@ -184,6 +186,15 @@ def _mount(config: Config, report: Report) -> Line:
     sigma_deg = math.degrees(max(learned.sigmas))
     good = off_deg <= BORESIGHT_SIGMAS * math.hypot(mount.sigma_deg, sigma_deg)
     return Line("mount", good, f"{how}; learned in flight: {off_deg:.1f} +-{sigma_deg:.1f} deg beside that")
+
+
+def _relative_errors(report: Report) -> Line:
+    factor = report.estimate(RELATIVE_VARIANCE)
+    if factor is None:
+        return Line("relative errors", True, "no ground has been seen again yet")
+    value = factor.values[0]
+    how = f"variance {value:.2f} +-{factor.sigmas[0]:.2f} of what was stated, by points seen again"
+    return Line("relative errors", value < MAX_VARIANCE_FACTOR, how)
 
 
 def _calibration(camera: Camera | str) -> Line:

@@ -6,13 +6,15 @@ Public:
 - `boresight`: `Alignment`, `Belief`, `Unconfirmed`, `BORESIGHT`, `OFFSET`, `DELAY`
 - `ground_roughness`: `plane_and_roughness`
 - `keyframe`: `Ids`, `Keyframe`, `Observation`, `observation`, `seen_with`
+- `reobservation`: `RelativeVariance`
 - `resection`: `Resection`, `resect`
 - `rotation_timing`: `Course`, `Pair`, `Timing`, `timing`, `FEATURES`, `REACH_S`
 - `sensor_groups`: `Failing`, `FORGOTTEN`
 - `sensor_pose`: `SensorPose`
 - `sliding_window`: `Window`
+- `solved_window`: `Solved`
 - `solver_executor`: `Inline`, `Promise`, `Worker`, `timed_adjust`
 - `variance_components`: `VarianceFactors`, `NAMES`, `TILT`, `HEADING`, `TILT_WHITE`, `HEADING_WHITE`,
   `VELOCITY`, `POSITION`
-- `window_solver`: `MIN_KEYFRAMES`, `Solved`
+- `window_solver`: `MIN_KEYFRAMES`
 """

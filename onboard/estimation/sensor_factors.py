@@ -276,6 +276,11 @@ def range_prior(
     return RangePrior(layout, index[keep], vectors[keep], sigma_m[keep], reference_enu_m, terrain)
 
 
+def coordinated_turn(R_body_cam: Array, keyframes: list[Keyframe]) -> Array | None:
+    """R_enu_cam (K, 3, 3) by the path alone, (5.10); None while it is slow."""
+    return _coordinated(R_body_cam, _stamps_s(keyframes), _velocities(keyframes))
+
+
 def _coordinated(R_body_cam: Array, stamps_s: Array, velocities: Array) -> Array | None:
     """R_enu_cam (K, 3, 3) of a vehicle that heads where it flies and banks into its turns; None while it is slow.
 

@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera, Sigma
 from contract.feature_set import Status
-from contract.rotations import exp_so3, mount_rotation
+from contract.rotations import mount_rotation
 from onboard.config.schema import Config
 from onboard.estimation.boresight import (
-    BORESIGHT,
     DELAY,
-    HEADING,
     OFFSET,
     STATES,
     Alignment,
@@ -30,16 +28,17 @@ from onboard.estimation.camera_states import corrected
 from onboard.estimation.ground_slope import GroundSlope, SlopePrior, SlopeSeen, seen_alone
 from onboard.estimation.keyframe import Keyframe, Observation, seen_with
 from onboard.estimation.rotation_timing import LEAST_SIGMA_S
+from onboard.estimation.second_start import by_attitude
 from onboard.estimation.sensor_factors import (
-    cosine_sine_of_heading,
     level_sigma,
     shared_prior,
     with_delays_held_open,
 )
 from onboard.estimation.sensor_pose import SensorPose
 from onboard.estimation.shared_errors import make_sensor_pose
-from onboard.estimation.window_solver import Noise, Outcome, Request, Solved, adjust
-from onboard.estimation.window_start import MIN_POINTS
+from onboard.estimation.solved_window import Solved
+from onboard.estimation.window_acceptance import MIN_POINTS, Memory
+from onboard.estimation.window_solver import Noise, Outcome, Request, adjust
 from onboard.geometry.relative_orientation import rotation_only
 from onboard.geometry.terrain_grid import Terrain
 from onboard.navigation.navigator import NavState
@@ -62,6 +61,8 @@ class Window:
         self.R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg)
         self.keyframes: list[Keyframe] = []
         self.solved: Solved | None = None
+        self.memory = Memory()
+        self.refusal = ""  # why the newest window has no solution, in words; empty if it has one
         self.noise = Noise(config.solve.pixel_sigma_px, config.camera.sigma_jitter_s)
         self.terrain: Terrain | None = None  # of the area flown over, if known
         self.alignment = Alignment(
@@ -86,6 +87,7 @@ class Window:
         """Forget keyframes and structure: nothing links what comes to what was."""
         self.keyframes.clear()
         self.solved = None
+        self.memory = self.memory.without_windows()
 
     def begin_again(self) -> None:
         """Forget all but the newest keyframe, and the estimate of its pose."""
@@ -96,13 +98,7 @@ class Window:
 
     def attitude_guess(self, nav: NavState) -> Array | None:
         """R_cam_enu from the autopilot through mount and boresight, or None without attitude."""
-        if nav.R_enu_body is None:
-            return None
-        mean = self.alignment.belief.mean
-        yaw = float(cosine_sine_of_heading(nav.R_enu_body) @ mean[HEADING])
-        R_enu_body = exp_so3(np.array([0.0, 0.0, -yaw])) @ nav.R_enu_body
-        out: Array = (R_enu_body @ self.R_body_cam @ exp_so3(mean[BORESIGHT])).T
-        return out
+        return by_attitude(nav, self.alignment.belief, self.R_body_cam)
 
     def sensor_pose(self, nav: NavState) -> SensorPose | None:
         """The camera's pose by sensors alone with its covariance; None without attitude."""
@@ -173,6 +169,7 @@ class Window:
             self.alignment.prior_for(start_ns).widened(max((k.nav.stamp_sigma_s for k in self.keyframes), default=0.0)),
             self.noise,
             self._slope_prior(start_ns),
+            self.memory,
         )
         return self._request
 
@@ -193,8 +190,12 @@ class Window:
         """
         self.keyframes = list(outcome.keyframes)
         self.noise = outcome.noise
+        self.refusal = outcome.reason
+        found = outcome.rejected if outcome.solved is None else outcome.solved
+        if found is not None:
+            self.memory = self.memory.after(self.config, found, outcome.agreed, outcome.solved is not None)
         if outcome.solved is not None:
-            self.solved = outcome.solved
+            self.solved = self.memory.windows[-1]
             if len(self.keyframes) == self.config.solve.keyframes:
                 self._see_slope(outcome.solved)
                 if not outcome.noise.failing.fails_at(self.keyframes[-1].nav.stamp_ns):

@@ -1,7 +1,6 @@
 """One window adjusted: an immutable request goes in, an outcome comes out. Pure computation.
 
-The same request gives the same outcome in whatever thread it runs. Whether the result may be published is decided
-here, from residuals, covariances and priors.
+The same request gives the same outcome in whatever thread it runs.
 """
 
 from __future__ import annotations
@@ -13,21 +12,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from contract.feature_set import SharedErrors, Status
+from contract.feature_set import Status
 from onboard.config.schema import Config
 from onboard.estimation import camera_states
 from onboard.estimation.boresight import BORESIGHT, HEADING, OFFSET, STATES, VELOCITY_DELAY, Belief
 from onboard.estimation.bundle_adjustment import Problem, Solution, solve
-from onboard.estimation.factors import AttitudePrior, Layout, Prior, SharedPrior, State, VelocityPrior, ground_plane
-from onboard.estimation.ground_motion import GroundMotion, ground_motion, ground_sigma_m_s
+from onboard.estimation.factors import AttitudePrior, Layout, Prior, State, VelocityPrior, ground_plane
+from onboard.estimation.ground_motion import ground_motion, ground_sigma_m_s
 from onboard.estimation.ground_roughness import effective_sigma_m
 from onboard.estimation.ground_slope import SlopePrior
 from onboard.estimation.keyframe import Ids, Keyframe
+from onboard.estimation.reobservation import Agreement
+from onboard.estimation.second_start import by_sensors, confirms, is_worth_another, verdict
 from onboard.estimation.sensor_factors import range_prior, sensor_priors
 from onboard.estimation.sensor_groups import Failing, Innovation, failing_groups, innovations
 from onboard.estimation.shared_errors import shared_errors
+from onboard.estimation.solved_window import Solved
 from onboard.estimation.variance_components import NAMES, VarianceFactors, evidence_of
-from onboard.estimation.window_start import MIN_POINTS, grid, oriented, starting_points, travel_m
+from onboard.estimation.window_acceptance import (
+    MAX_DEPTH_SIGMA,
+    MAX_FIT_SIGMAS,
+    MIN_INLIERS,
+    MIN_POINTS,
+    Memory,
+    by_itself,
+    by_memory,
+)
+from onboard.estimation.window_start import grid, oriented, starting_points, travel_m
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.terrain_grid import Terrain
 
@@ -39,49 +50,13 @@ OUTLIER_SIGMAS = 4.0
 # Median length of a residual (of noise of one sigma an axis) of a point seen in so many views, from 2 on: along the
 # travel the point's place and depth have been fitted, across it its place. First: without any fit (Rayleigh).
 MEDIAN_LENGTH = np.array([1.1774, np.inf, 0.4769, 0.7833, 0.9085, 0.9732, 1.0112, 1.0373, 1.0560, 1.0713, 1.0816])
-MIN_INLIERS = 0.5
 MIN_PIXEL_SIGMA_PX = 0.08  # tracks have common errors, larger than their residuals show
-MAX_FIT_SIGMAS = 4.0  # median residual, in configured pixel sigmas, above which the fit is refused
-MAX_DEPTH_SIGMA = 0.15  # relative; above it the scene has too little parallax
-MAX_PRIOR_SIGMAS = 3.5  # root mean square of a sensor's whitened residuals that a true solution may show
-SHARED_SIGMAS = 5.0  # as far as one shared state may be from its prior
-MAX_GROUND_SLOPE = 1.0
 MIN_STRAY_M = 0.3
 WEIGHING_ROUNDS = 5
 TOLERATED_RMS = 1.3  # of velocity's and attitude's whitened residuals
 MAX_JITTER_S = 0.02
 MAX_NOISE_INFLATION = 2.0
 MIN_CHANGE = 0.3  # of a variance's logarithm, by which it must change to weigh a window anew
-
-
-@dataclass(frozen=True, eq=False)
-class Solved:
-    """A solved window: poses of its keyframes, its points by id, and everything the covariances need."""
-
-    frames: tuple[int, ...]
-    layout: Layout
-    solution: Solution
-    point_ids: Ids  # sorted
-    good: Mask  # (P,) points seen in two views or more after outliers were left out
-    plane: Array  # height at the ENU origin (m), slope east, slope north
-    pixel_sigma_px: float
-    reprojection_px: float
-    keyframes: tuple[Keyframe, ...]
-    shared: SharedErrors  # `by_nuisance` (D, NUISANCES) of the camera side, no span
-    ground_motion: GroundMotion  # what the ground's own motion may have done to it
-    camera: Camera  # with its own states as solved
-
-    def covariance_at(self, stamp_ns: int) -> Array:
-        """Of the camera side (D, D), for a picture of that time. (6.10)"""
-        out: Array = self.solution.covariance + self.ground_motion.covariance(stamp_ns)
-        return out
-
-    def rows(self, ids: Ids) -> tuple[NDArray[np.intp], Mask]:
-        """Row of each id among the points, and whether it is there and good."""
-        if not len(self.point_ids):
-            return np.zeros(len(ids), np.intp), np.zeros(len(ids), bool)
-        at = np.minimum(np.searchsorted(self.point_ids, ids), len(self.point_ids) - 1)
-        return at, (self.point_ids[at] == ids) & self.good[at]
 
 
 @dataclass(frozen=True)
@@ -114,6 +89,8 @@ class Request:
     belief: Belief  # of boresight and time offset, for a window that begins where this one does
     noise: Noise
     slope: SlopePrior | None = None  # of the ground where the window is; None: as configured
+    memory: Memory = field(default_factory=Memory)
+    is_oriented: bool = False  # the keyframes' orientations are a start, whatever they came from
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +101,10 @@ class Outcome:
     keyframes: tuple[Keyframe, ...]
     noise: Noise
     solved: Solved | None = None
+    reason: str = ""  # why not, in words
+    cost: float = np.inf  # by `comparable_cost`
+    rejected: Solved | None = None  # a solution that only earlier windows speak against
+    agreed: Agreement | None = None  # with an earlier window that shares points and no picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +138,35 @@ def refine(problem: Problem, first: Solution, least_own: float) -> Adjusted | No
 
 
 def adjust(request: Request) -> Outcome:
-    """Solve a window; the status of the outcome is OK, or the reason why it has no result."""
+    """Solve a window; the status of the outcome is OK, or the reason why it has no result.
+
+    From a second start too, where the first is refused or nothing confirms it yet.
+    """
+    first = _adjusted(request)
+    is_confirmed = first.agreed is not None or bool(request.memory.windows)
+    if not is_worth_another(first.status, first.keyframes, request.R_body_cam, is_confirmed):
+        return first
+    start = by_sensors(request.keyframes, request.belief, request.R_body_cam)
+    has_attitude = all(k.nav.R_enu_body is not None for k in request.keyframes)
+    if start is None or (has_attitude and request.previous is None):
+        return first  # the sensors' start was the first one
+    second = _adjusted(replace(request, keyframes=start, previous=None, is_oriented=True))
+    if second.solved is None:
+        return first
+    # A path is no attitude: what only its start finds needs an earlier window to confirm it.
+    is_supported = has_attitude or second.agreed is not None or confirms(request.previous, second.solved)
+    if first.solved is None and not is_supported:
+        return first
+    if first.solved is None:
+        return second
+    better, reason = verdict(first.solved, second.solved, (first.cost, second.cost))
+    if better is None:
+        return replace(first, status=Status.POOR_FIT, keyframes=request.keyframes, solved=None, reason=reason)
+    return replace(first, solved=better) if better is not second.solved else second
+
+
+def _adjusted(request: Request) -> Outcome:
+    """From one start."""
     keyframes, noise = request.keyframes, request.noise
     if len(keyframes) < MIN_KEYFRAMES:
         return Outcome(Status.STARTING, keyframes, noise)
@@ -168,7 +177,8 @@ def adjust(request: Request) -> Outcome:
     xy, weight = grid(request, ids)
     start = oriented(request, xy, weight > 0)
     if start is None:
-        return Outcome(Status.LOW_PARALLAX if travel_m(keyframes) < 1.0 else Status.POOR_FIT, keyframes, noise)
+        status = Status.LOW_PARALLAX if travel_m(keyframes) < 1.0 else Status.POOR_FIT
+        return Outcome(status, keyframes, noise, reason="the pictures' rays support no orientation")
     keyframes = start
     layout = Layout(len(keyframes), len(request.camera_taken))
     R = np.stack([k.R_cam_enu for k in keyframes])
@@ -249,7 +259,7 @@ def adjust(request: Request) -> Outcome:
     problem = replace(problem, ground_weight=_alike(problem, first, ground_weight))
     adjusted = refine(problem, first, MIN_PIXEL_SIGMA_PX / (used.pixel_sigma_px * used.noise_inflation))
     if adjusted is None:
-        return Outcome(Status.POOR_FIT, keyframes, noise)
+        return Outcome(Status.POOR_FIT, keyframes, noise, reason="too little is left without outliers")
     # Whether sensors contradict the pictures is judged by what earlier windows found, not by this one's own excuse.
     before = sensors(replace(used, factors=request.noise.factors))
     judged = _judged(
@@ -261,7 +271,7 @@ def adjust(request: Request) -> Outcome:
         factors = factors.with_evidence(evidence, end_ns, 1.0 / len(keyframes))
         failing = failing.after(start_ns, end_ns, {name: groups[name] for name in failed})
     learned = replace(noise, pixel_sigma_px=judged.noise.pixel_sigma_px, factors=factors, failing=failing)
-    return replace(judged, noise=learned)
+    return replace(judged, cost=first.cost, noise=learned)
 
 
 def _with_own_evidence(request: Request, used: Noise, priors: list[Prior], first: Solution) -> tuple[Noise, bool]:
@@ -310,8 +320,8 @@ def _judged(
     s, kept, own = adjusted.solution, adjusted.kept, adjusted.own
     noise, camera, config = request.noise, request.camera, request.config
 
-    def refused(status: Status) -> Outcome:
-        return Outcome(status, request.keyframes, noise)
+    def refused(status: Status, reason: str) -> Outcome:
+        return Outcome(status, request.keyframes, noise, reason=reason)
 
     seen, used = np.count_nonzero(weight > 0), np.count_nonzero(kept > 0)
     fit = fit_of(s.residual_sigmas)
@@ -323,30 +333,23 @@ def _judged(
     median_depth = float(np.nanmedian(depth_m)) if used else np.nan
     good = np.count_nonzero(kept > 0, axis=0) >= 2
     if used < MIN_INLIERS * seen or np.count_nonzero(good) < MIN_POINTS or not np.isfinite(median_depth):
-        return refused(Status.POOR_FIT)
+        return refused(Status.POOR_FIT, f"outliers: {seen - used} of {seen} measurements")
     if sigma_px > MAX_FIT_SIGMAS * config.solve.pixel_sigma_px * max(1.0, camera.width_px / 640.0):
-        return refused(Status.POOR_FIT)
+        return refused(Status.POOR_FIT, f"large residuals: {sigma_px:.1f} px")
     scale = max(fit, 1.0) ** 2
     still = float(np.median(_depth_sigma(s, s.covariance, good, layout))) / median_depth
     if still * np.sqrt(scale) > MAX_DEPTH_SIGMA:
-        return refused(Status.LOW_PARALLAX)
+        return refused(Status.LOW_PARALLAX, f"little parallax: depths to {100.0 * still * np.sqrt(scale):.0f} %")
     moving = ground_motion(
         request.keyframes, priors, s.state, s.covariance, ground_sigma_m_s(request.keyframes, median_depth)
     )
     covariance = s.covariance + moving.covariance(moving.epoch_ns)
     if float(np.median(_depth_sigma(s, covariance, good, layout))) / median_depth > MAX_DEPTH_SIGMA:
-        return refused(Status.POOR_FIT)  # coarse and fine flow disagree too much to know the scale: water
-    below = np.einsum("j,kpj->kp", [0.0, 0.0, 1.0], s.state.points_enu_m - s.state.centres_enu_m[:, None]) < 0.0
-    if np.count_nonzero(below & (kept > 0)) < 0.9 * used or np.abs(s.state.plane[1:]).max() > MAX_GROUND_SLOPE:
-        return refused(Status.POOR_FIT)  # the ground above the aircraft, or a wall: a turned-over solution
-    if np.linalg.eigvalsh(s.covariance)[0] <= 0.0:
-        return refused(Status.POOR_FIT)
-    for prior in before:
-        r = prior.evaluate(s.state)[0]
-        # No shared state (mount, delay) may be far from its prior: a moving scene is often explained that way.
-        worst = np.abs(r).max() / SHARED_SIGMAS if isinstance(prior, SharedPrior) else 0.0
-        if max(float(np.sqrt(np.mean(r * r))) / MAX_PRIOR_SIGMAS, worst) > 1.0:
-            return refused(Status.POOR_FIT)
+        # coarse and fine flow disagree too much to know the scale: water
+        return refused(Status.POOR_FIT, "the ground moves")
+    against = by_itself(config, camera, request.keyframes, request.terrain, s, layout, kept, good, before)
+    if against is not None:
+        return refused(against.status, against.reason)
     keyframes = tuple(
         replace(k, R_cam_enu=R, centre_enu_m=C)
         for k, R, C in zip(request.keyframes, s.state.R_cam_enu, s.state.centres_enu_m, strict=True)
@@ -359,7 +362,11 @@ def _judged(
     shared = shared_errors(config, priors, s.state, s.covariance)
     camera = camera_states.corrected(request.camera_file, s.state.camera)
     solved = Solved(frames, layout, s, ids, good, plane, sigma_px, sigma_px * 1.177, keyframes, shared, moving, camera)
-    return Outcome(Status.OK, keyframes, noise, solved)
+    agreed = request.memory.compared(solved)
+    remembered = by_memory(config, request.memory, solved, agreed)
+    if remembered is not None:
+        return replace(refused(remembered.status, remembered.reason), rejected=solved, agreed=agreed)
+    return Outcome(Status.OK, keyframes, noise, solved, agreed=agreed)
 
 
 def fit_of(sigmas: Array) -> float:

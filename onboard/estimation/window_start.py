@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from onboard.estimation import initialisation
 from onboard.estimation.keyframe import Ids, Keyframe
+from onboard.estimation.window_acceptance import MIN_POINTS
 from onboard.geometry.plane_fit import fit_plane
-from onboard.geometry.triangulation import triangulate
+from onboard.geometry.triangulation import on_plane, triangulate
 
 if TYPE_CHECKING:
     from onboard.estimation.window_solver import Request
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-MIN_POINTS = 12
 MIN_PARALLAX_RAD = 0.008  # below this a point starts on the ground plane and not where its rays meet
 START_SIGMAS = 5.0  # of an inlier at the start, at 640 px width: larger pictures have larger calibration errors
 
@@ -46,7 +46,7 @@ def grid(request: Request, ids: Ids) -> tuple[Array, Array]:
 def oriented(request: Request, xy: Array, seen: Mask) -> tuple[Keyframe, ...] | None:
     """The keyframes, each with a starting orientation; None if the rays support none."""
     keyframes, camera = request.keyframes, request.camera
-    if request.previous is not None or all(k.nav.R_enu_body is not None for k in keyframes):
+    if request.is_oriented or request.previous is not None or all(k.nav.R_enu_body is not None for k in keyframes):
         return keyframes
     centres = np.stack([k.nav.position_enu_m for k in keyframes])
     sigma_px = request.noise.pixel_sigma_px * max(1.0, camera.width_px / 640.0)
@@ -82,20 +82,7 @@ def starting_points(
         plane = np.array([float(np.median(points[sound, 2])), 0.0, 0.0])
     loose = ~sound
     if np.any(loose):
-        points[loose] = _on_plane(R, C, xy, seen, plane)[loose]
+        points[loose] = on_plane(R, C, xy, seen, plane)[loose]
     reference = np.array([*np.median(points[:, :2], axis=0), 0.0])
     reference[2] = plane[0] + plane[1:] @ reference[:2]
     return points, reference, np.array([0.0, plane[1], plane[2]])
-
-
-def _on_plane(R: Array, C: Array, xy: Array, seen: Mask, plane: Array) -> Array:
-    """Each point where its newest ray meets the plane (height at origin, slopes); far rays at ten clearances."""
-    newest = len(seen) - 1 - np.argmax(seen[::-1], axis=0)
-    P = np.arange(seen.shape[1])
-    rays = np.concatenate([xy[newest, P], np.ones((len(P), 1))], axis=1)
-    d = np.einsum("pi,pij->pj", rays, R[newest])
-    normal = np.array([-plane[1], -plane[2], 1.0])
-    clearance = np.maximum(C[newest] @ normal - plane[0], 1.0)
-    down = np.maximum(-(d @ normal), 0.1)
-    out: Array = C[newest] + d * (clearance / down)[:, None]
-    return out

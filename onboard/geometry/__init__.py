@@ -8,5 +8,5 @@ Public:
 - `relative_orientation`: `rotation_only`, `start_pair`
 - `robust`: `middle`, `robust_cost`, `cauchy_weight`, `irls`
 - `terrain_grid`: `Terrain`
-- `triangulation`: `triangulate`
+- `triangulation`: `on_plane`, `triangulate`
 """

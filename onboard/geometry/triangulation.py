@@ -43,3 +43,16 @@ def triangulate(R_cam_enu: Array, centres_enu_m: Array, xy: Array, seen: Mask) -
     depth = np.einsum("kj,kpj->kp", R_cam_enu[:, 2], points[None] - centres_enu_m[:, None])
     ahead = np.all((depth > 0.0) | ~seen, axis=0) & (count >= 2.0)
     return Triangulated(points, parallax, ahead)
+
+
+def on_plane(R: Array, C: Array, xy: Array, seen: Mask, plane: Array) -> Array:
+    """Each point where its newest ray meets the plane (height at origin, slopes); far rays at ten clearances."""
+    newest = len(seen) - 1 - np.argmax(seen[::-1], axis=0)
+    P = np.arange(seen.shape[1])
+    rays = np.concatenate([xy[newest, P], np.ones((len(P), 1))], axis=1)
+    d = np.einsum("pi,pij->pj", rays, R[newest])
+    normal = np.array([-plane[1], -plane[2], 1.0])
+    clearance = np.maximum(C[newest] @ normal - plane[0], 1.0)
+    down = np.maximum(-(d @ normal), 0.1)
+    out: Array = C[newest] + d * (clearance / down)[:, None]
+    return out

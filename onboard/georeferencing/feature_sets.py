@@ -20,7 +20,7 @@ from onboard.estimation.ground_roughness import plane_and_roughness
 from onboard.estimation.keyframe import Observation
 from onboard.estimation.resection import Resection, resect
 from onboard.estimation.sliding_window import Window
-from onboard.estimation.window_solver import Solved
+from onboard.estimation.solved_window import Solved
 from onboard.geometry.plane_homography import Pose
 
 Array = NDArray[np.float64]
@@ -172,8 +172,12 @@ def _by_view(solved: Solved, view: _View, picture: Picture, most: int) -> Featur
     moved = -s.point_gain[rows][:, :, columns]
     errors = Linearised(covariance, view.gain, view.noise, H, M, by_pose, own, columns, directions, moved)
     common, variance, T = common_states(errors, R.T)
+    factor = solved.variance_factor  # what points seen again say of all of these, (16.4)
+    common, variance = factor * common, factor * variance
     span_s = tuple((solved.keyframes[k].nav.stamp_ns - capture_unix_ns) / 1e9 for k in (0, -1))
-    shared = replace(solved.shared, by_nuisance=T @ solved.shared.by_nuisance, span_s=(span_s[0], span_s[1]))
+    shared = replace(
+        solved.shared, by_nuisance=np.sqrt(factor) * (T @ solved.shared.by_nuisance), span_s=(span_s[0], span_s[1])
+    )
     best = np.sort(np.argsort(variance, kind="stable")[:most])
     features = Features(H, uv, 1.0 / z, variance, variance, best)
     return assemble(picture, view.pose, features, common, shared, DepthSource.PARALLAX)

@@ -2,8 +2,8 @@
 
 Public:
 
-- `estimates`: `BORESIGHT`, `Contradiction`, `Estimate`, `SensorError`, `as_rows`, `larger_than_declared`,
-  `not_adopted`, `said_of`
+- `estimates`: `BORESIGHT`, `RELATIVE_VARIANCE`, `Contradiction`, `Estimate`, `SensorError`, `as_rows`,
+  `larger_than_declared`, `not_adopted`, `said_of`
 - `pipeline`: `Pipeline`
 - `statistics`: `Summary`
 """

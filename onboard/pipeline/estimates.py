@@ -11,7 +11,9 @@ import numpy as np
 from onboard.config.schema import Config
 from onboard.estimation import boresight
 from onboard.estimation.boresight import Belief, Unconfirmed
+from onboard.estimation.reobservation import RelativeVariance
 from onboard.estimation.sensor_groups import FORGOTTEN, Failing
+from onboard.estimation.sliding_window import Window
 from onboard.estimation.variance_components import (
     HEADING,
     HEADING_WHITE,
@@ -26,6 +28,7 @@ from onboard.estimation.variance_components import (
 BORESIGHT, TIME_OFFSET = "boresight", "camera_time_offset"
 POSITION_DELAY, VELOCITY_DELAY = "position_delay", "velocity_delay"
 HEADING_ERROR = "heading_error_by_heading"
+RELATIVE_VARIANCE = "relative_variance_factor"
 FOCAL_LENGTH, PRINCIPAL_POINT, DISTORTION = "focal_length_error", "principal_point_error", "radial_distortion_error"
 STATES: tuple[tuple[str, str, slice | int], ...] = (
     (BORESIGHT, "radians", boresight.BORESIGHT),
@@ -133,6 +136,16 @@ def not_adopted(unconfirmed: Iterable[Estimate]) -> str:
     return "; ".join(f"{_ROW_NAMES[e.name]} {_text(e)}" for e in unconfirmed)
 
 
+def relative_variance_of(relative: RelativeVariance) -> tuple[Estimate, ...]:
+    """By what factor the variances of relative positions were found too small, and published larger; 1: as stated.
+
+    Empty before points have been seen again.
+    """
+    if not relative.expected:
+        return ()
+    return (Estimate(RELATIVE_VARIANCE, "ratio", (relative.factor,), (relative.sigma,)),)
+
+
 def sensor_errors(config: Config, factors: VarianceFactors) -> tuple[SensorError, ...]:
     """Every part in the order of NAMES."""
     solve, gps = config.solve, config.gps
@@ -150,6 +163,19 @@ def sensor_errors(config: Config, factors: VarianceFactors) -> tuple[SensorError
 def larger_than_declared(errors: Iterable[SensorError]) -> str:
     """Those that the flight showed to be larger than configured: `heading 3.8 deg, declared 2`; empty if none."""
     return "; ".join(str(e) for e in errors if e.sigma > SHOWN * e.declared)
+
+
+def found_in_flight(
+    config: Config, window: Window, now_ns: int
+) -> tuple[tuple[Estimate, ...], tuple[SensorError, ...], tuple[Estimate, ...], tuple[Contradiction, ...]]:
+    """Estimates, sensor errors, what is not confirmed, and contradictions, as of now."""
+    belief = window.belief if window.alignment.updates else None
+    return (
+        estimates_of(belief) + relative_variance_of(window.memory.relative),
+        sensor_errors(config, window.noise.factors),
+        unconfirmed_of(window.alignment.unconfirmed),
+        contradictions_of(window.noise.failing, now_ns),
+    )
 
 
 def as_rows(
@@ -177,11 +203,14 @@ _ROW_NAMES = {
     FOCAL_LENGTH: "focal length",
     PRINCIPAL_POINT: "principal point",
     DISTORTION: "distortion",
+    RELATIVE_VARIANCE: "relative errors",
 }
 
 
 def _text(estimate: Estimate) -> str:
     pairs = list(zip(estimate.values, estimate.sigmas, strict=True))
+    if estimate.name == RELATIVE_VARIANCE:
+        return f"variance {pairs[0][0]:.2f} +-{pairs[0][1]:.2f} of what was stated, by points seen again"
     degrees = [f"{math.degrees(m):+.2f} +-{math.degrees(s):.2f}" for m, s in pairs]
     if estimate.name == BORESIGHT:
         return f"x {degrees[0]}, y {degrees[1]}, z {degrees[2]} deg, camera axes"

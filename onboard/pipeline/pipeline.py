@@ -29,7 +29,7 @@ from onboard.geometry.plane_homography import Pose, move
 from onboard.georeferencing.feature_sets import Origin, Picture, georeference
 from onboard.georeferencing.surface_sets import over_known_ground
 from onboard.navigation.navigator import Navigation, NavState
-from onboard.pipeline.estimates import contradictions_of, estimates_of, sensor_errors, unconfirmed_of
+from onboard.pipeline.estimates import found_in_flight
 from onboard.pipeline.frozen_frames import Staleness, Stillness
 from onboard.pipeline.keyframe_choice import wants_keyframe
 from onboard.pipeline.keyframe_navigation import look_up_again
@@ -128,12 +128,7 @@ class Pipeline:
     @property
     def summary(self) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
-        return self._statistics.summary(
-            estimates_of(self.window.belief if self.window.alignment.updates else None),
-            sensor_errors(self.config, self.window.noise.factors),
-            unconfirmed_of(self.window.alignment.unconfirmed),
-            contradictions_of(self.window.noise.failing, self._now_ns),
-        )
+        return self._statistics.summary(*found_in_flight(self.config, self.window, self._now_ns))
 
     def _process(self, frame: Frame) -> list[FeatureSet]:
         if self._session is None:
@@ -288,6 +283,7 @@ class Pipeline:
         done, record = pending.promise.result(), pending.record
         self._statistics.spend("solve", done.processor_s)
         status = self.window.adopt(done.outcome)
+        self._statistics.note_window(self.window.refusal)
         self._failures = self._failures + 1 if status is Status.POOR_FIT else 0
         if status in (Status.OK, Status.POOR_FIT):
             self._unsolved = Status.POOR_FIT if self._failures else Status.STARTING

@@ -26,6 +26,7 @@ class Summary:
     keyframes: int = 0
     solved: int = 0
     refused: dict[str, int] = field(default_factory=dict)
+    refused_windows: dict[str, int] = field(default_factory=dict)  # by what spoke against them
     median_tracks: float = 0.0
     reprojection_px: float = 0.0
     estimates: tuple[Estimate, ...] = ()  # of the platform; empty before the first update
@@ -46,6 +47,7 @@ class RunStatistics:
         self._status: dict[int, Status] = {}  # of the newest pictures, by index; all are counted in `_outcomes`
         self._outcomes: Counter[Status] = Counter()
         self._stages: dict[str, float] = {}
+        self._windows: Counter[str] = Counter()
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
@@ -57,6 +59,11 @@ class RunStatistics:
     def spend(self, stage: str, seconds: float) -> None:
         """Add processor time to a stage."""
         self._stages[stage] = self._stages.get(stage, 0.0) + seconds
+
+    def note_window(self, refusal: str) -> None:
+        """Count a window by why it was refused, `what: how much`; empty if it was not."""
+        if refusal:
+            self._windows[refusal.partition(":")[0]] += 1
 
     def note(self, index: int, status: Status) -> None:
         """Count a picture by its latest status; an hour of pictures must not be remembered one by one."""
@@ -83,6 +90,7 @@ class RunStatistics:
             keyframes=self.keyframes,
             solved=self._outcomes[Status.OK],
             refused=dict(refused.most_common()),
+            refused_windows=dict(self._windows.most_common()),
             median_tracks=_median(self.track_counts),
             reprojection_px=float(np.median(self.reprojections_px)) if self.reprojections_px else 0.0,
             estimates=estimates,

@@ -163,6 +163,8 @@ def summary_text(summary: Summary) -> str:
         ("median tracks", f"{summary.median_tracks:.0f}"),
         ("reprojection", f"{summary.reprojection_px:.2f} px"),
     ]
+    if summary.refused_windows:
+        rows.append(("refused windows", ", ".join(f"{n} {why}" for why, n in summary.refused_windows.items())))
     rows += as_rows(summary.estimates, summary.sensor_errors, summary.unconfirmed, summary.contradictions)
     frames = max(summary.frames, 1)
     rows += [

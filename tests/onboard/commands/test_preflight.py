@@ -13,7 +13,7 @@ from onboard.commands.preflight import Surroundings, diagnose
 from onboard.config.schema import Config
 from onboard.events.source import SourceStatus, State
 from onboard.events.supervised_thread import ThreadReport, ThreadState
-from onboard.pipeline.estimates import BORESIGHT, Contradiction, Estimate, SensorError
+from onboard.pipeline.estimates import BORESIGHT, RELATIVE_VARIANCE, Contradiction, Estimate, SensorError
 from onboard.service.reports import Report
 from onboard.service.vehicle_state import AT_REST, Inputs, Subject, overall
 from tests.onboard.service.reported import WELL as WELL_INPUTS
@@ -43,7 +43,8 @@ def red(report: Report, around: Surroundings = AROUND) -> list[str]:
 def test_before_a_good_flight_all_is_green() -> None:
     assert verdicts(WELL) == dict.fromkeys(
         ["state", "camera", "rate", "exposure", "telemetry", "rates", "time sync", "pipeline", "gps", "position",
-         "answers", "load", "recording", "threads", "mount", "sensors", "calibration", "link", "disk",
+         "answers", "load", "recording", "threads", "mount", "relative errors", "sensors",
+             "calibration", "link", "disk",
          "processor"], True,
     )  # fmt: skip
     assert text(WELL, "exposure") == "fixed at 2000 us, mean grey 120 of 255"
@@ -171,6 +172,16 @@ def test_a_boresight_within_its_prior_is_well() -> None:
     report = replace(WELL, estimates=(Estimate(BORESIGHT, "radians", (0.01, 0.01, 0.0), (0.002,) * 3),))
     assert verdicts(report)["mount"]
     assert "learned in flight: 0.8 +-0.1 deg" in text(report, "mount")
+
+
+def test_relative_errors_larger_than_stated_are_said_and_far_larger_are_amiss() -> None:
+    def found(factor: float) -> Report:
+        return replace(WELL, estimates=(Estimate(RELATIVE_VARIANCE, "ratio", (factor,), (0.2,)),))
+
+    assert text(WELL, "relative errors") == "no ground has been seen again yet"
+    assert text(found(1.3), "relative errors") == "variance 1.30 +-0.20 of what was stated, by points seen again"
+    assert verdicts(found(1.3))["relative errors"]
+    assert not verdicts(found(6.0))["relative errors"]
 
 
 def test_sensors_worse_than_declared_are_named_with_both_numbers() -> None:

@@ -144,7 +144,7 @@ def test_with_the_seeds_sensors_the_ellipse_is_wide_and_holds_what_it_says() -> 
     """No attitude, no velocity: the path's weak belief (a bank of 15 degrees) is wider than this calm flight."""
     s, _ = study(SEED_SENSORS, SceneSpec(), 50, first_seed=2000)
     assert s.refused == 0
-    assert 0.85 < np.mean(np.array(s.horizontal) < CHI2_2) < 1.0
+    assert 0.8 < np.mean(np.array(s.horizontal) < CHI2_2) < 1.0  # of 50 flights: one sigma is 0.042
     assert 0.4 < np.mean(s.horizontal) / 2 < 1.3
     assert 10.0 < np.median(s.major_m) < 35.0
     assert 3.0 < np.median(s.error_m) < 12.0

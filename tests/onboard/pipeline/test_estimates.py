@@ -7,6 +7,7 @@ import pytest
 
 from onboard.config.schema import parse_config
 from onboard.estimation.boresight import OFFSET, STATES, Belief, Unconfirmed
+from onboard.estimation.reobservation import RelativeVariance
 from onboard.estimation.sensor_groups import Failing
 from onboard.estimation.variance_components import NAMES, Evidence, VarianceFactors
 from onboard.pipeline.estimates import (
@@ -16,6 +17,7 @@ from onboard.pipeline.estimates import (
     estimates_of,
     larger_than_declared,
     not_adopted,
+    relative_variance_of,
     said_of,
     sensor_errors,
     unconfirmed_of,
@@ -92,3 +94,12 @@ def test_a_sensor_that_contradicts_the_others_is_said_while_it_does_and_remember
     assert later.sigma_times == pytest.approx(1.0) and said_of([later]) == ""
     assert str(later) == "heading contradicted the other sensors in 2 windows"
     assert contradictions_of(Failing(), 0) == ()
+
+
+def test_relative_errors_are_reported_once_points_were_seen_again() -> None:
+    assert relative_variance_of(RelativeVariance()) == ()
+    (estimate,) = relative_variance_of(RelativeVariance(1, found=50.0, expected=14.0))
+    assert estimate.name == "relative_variance_factor" and estimate.unit == "ratio"
+    assert estimate.values[0] == pytest.approx(71.0 / 35.0)
+    ((name, text),) = as_rows((estimate,), ())
+    assert name == "relative errors" and text.startswith("variance 2.03 +-")

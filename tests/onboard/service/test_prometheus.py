@@ -16,7 +16,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from contract.errors import ConfigError, LinkError
 from onboard.events.source import SourceStatus, State
 from onboard.events.supervised_thread import ThreadReport, ThreadState
-from onboard.pipeline.estimates import BORESIGHT, Estimate, SensorError
+from onboard.pipeline.estimates import BORESIGHT, RELATIVE_VARIANCE, Estimate, SensorError
 from onboard.service.prometheus import PrometheusServer, metrics
 from onboard.service.reports import ClockReport, PictureCounts
 from onboard.service.vehicle_state import Inputs
@@ -27,7 +27,10 @@ FULL = replace(
     camera=SourceStatus(State.OK, "", {"rate_hz": 29.97, "delay_ms": 12.5, "lost": 3.0}),
     telemetry=SourceStatus(State.DEGRADED, "", {"drift_ppm": 20.0, "lost_packets": 7.0, "clock_sigma_ms": 0.9}),
     pictures=PictureCounts(300, 40, 280, {"no_gps": 12}, 0.25),
-    estimates=(Estimate(BORESIGHT, "radians", (0.01, 0.0, 0.0), (0.001,) * 3),),
+    estimates=(
+        Estimate(BORESIGHT, "radians", (0.01, 0.0, 0.0), (0.001,) * 3),
+        Estimate(RELATIVE_VARIANCE, "ratio", (1.4,), (0.2,)),
+    ),
     sensor_errors=(SensorError("heading", "deg", 3.8, 2.0),),
     threads=(ThreadReport("camera", ThreadState.RUNNING, 0.25, 2, "OSError: gone"),),
     clock=ClockReport(-0.5),
@@ -59,6 +62,8 @@ def test_figures_are_in_base_units_under_their_rules() -> None:
     assert sample(families, "pointclick_refused_pictures", reason="no_gps") == 12.0
     assert sample(families, "pointclick_boresight_radians", component="0") == 0.01
     assert sample(families, "pointclick_boresight_sigma_radians", component="2") == 0.001
+    assert sample(families, "pointclick_relative_variance_factor_ratio", component="0") == 1.4
+    assert sample(families, "pointclick_relative_variance_factor_sigma_ratio", component="0") == 0.2
     assert sample(families, "pointclick_sensor_error_ratio", sensor="heading") == 1.9
     assert sample(families, "pointclick_host_clock_step_seconds") == -0.5
     assert sample(families, "pointclick_state", pointclick_state="starting") == 1.0

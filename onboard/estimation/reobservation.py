@@ -1,0 +1,120 @@
+"""The same ground points in two windows without a common picture: how true the stated relative errors are.
+
+A point is followed over more pictures than the newest window's end and the next one's beginning have, so that two
+windows of which one ended before the other began still hold many of the same points. Their places must agree within the
+covariance of their difference. What a window errs by as a whole is a shift, a turn and a scale of its patch of ground;
+these seven are compared, (16.1) to (16.3). Over a flight their normalised squares say by how much the published
+variances are too small: `RelativeVariance`, (16.4). Section 14 of docs/mathematics.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.error_correlation import slow_error_correlations
+from contract.rotations import skew
+from onboard.estimation.solved_window import Solved
+
+Array = NDArray[np.float64]
+
+PARAMETERS = 7  # shift (3), turn (3) and scale of a patch of ground
+MIN_COMMON = 12
+STRAY_SIGMAS = 4.0  # of one point against the others, beyond which it is no longer the same place
+MEDIAN_SQUARE = 2.366  # of chi-square with three degrees of freedom
+# Effective degrees of freedom that "as stated" counts for: three windows' worth.
+PRIOR_COUNT = 21.0
+MEMORY_S = 240.0  # over which agreement is forgotten, as sensors' errors are (13.2)
+MAX_RATIO = 30.0  # of one comparison's mean square, so that a single wrong window does not speak for the flight
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How two windows see their common points: the normalised square of the seven differences, and how far apart."""
+
+    chi2: float  # of PARAMETERS degrees of freedom if both covariances are true, (16.3)
+    points: int
+    shift_m: float  # length of the patch's shift
+
+
+@dataclass(frozen=True)
+class RelativeVariance:
+    """Running estimate of the factor by which true relative variances exceed the stated ones. (16.4)"""
+
+    stamp_ns: int = 0
+    found: float = 0.0
+    expected: float = 0.0
+
+    @property
+    def factor(self) -> float:
+        """At least 1."""
+        return max((PRIOR_COUNT + self.found) / (PRIOR_COUNT + self.expected), 1.0)
+
+    @property
+    def sigma(self) -> float:
+        """One sigma of the factor, by the count of what it rests on."""
+        return self.factor * float(np.sqrt(2.0 / (PRIOR_COUNT + self.expected)))
+
+    def with_agreement(self, agreement: Agreement, stamp_ns: int, weight: float) -> RelativeVariance:
+        """One more comparison; older ones fade. `weight`: the share of it that the one before did not have."""
+        age_s = max(stamp_ns - self.stamp_ns, 0) / 1e9 if self.stamp_ns else 0.0
+        keep = float(np.exp(-age_s / MEMORY_S))
+        chi2 = min(agreement.chi2, MAX_RATIO * PARAMETERS * self.factor)
+        return RelativeVariance(
+            stamp_ns, keep * self.found + weight * chi2, keep * self.expected + weight * float(PARAMETERS)
+        )
+
+
+def agreement(earlier: Solved, later: Solved) -> Agreement | None:
+    """Compare two windows by the points they have in common; None where these are too few.
+
+    The windows may have no picture in common: their measurements are then independent but for the slow errors, which
+    are correlated as (9.13) says.
+    """
+    ids = np.intersect1d(earlier.point_ids[earlier.good], later.point_ids[later.good], assume_unique=True)
+    if len(ids) < MIN_COMMON:
+        return None
+    one, two = earlier.rows(ids)[0], later.rows(ids)[0]
+    X1, X2 = earlier.solution.state.points_enu_m[one], later.solution.state.points_enu_m[two]
+    own = earlier.solution.point_covariance[one] + later.solution.point_covariance[two]
+    difference = X2 - X1
+    while True:
+        fit, spread, basis, weight = _similarity(X1, difference, own)
+        q = np.einsum("pij,pj->i", fit, difference)
+        left = difference - basis @ q
+        square = np.einsum("pi,pij,pj->p", left, weight, left)
+        keep = square < STRAY_SIGMAS**2 * max(float(np.median(square)) / MEDIAN_SQUARE, 1.0)
+        if np.all(keep):
+            break
+        if np.count_nonzero(keep) < MIN_COMMON:
+            return None
+        X1, difference, own, one, two = X1[keep], difference[keep], own[keep], one[keep], two[keep]
+    by_state1 = np.einsum("pij,pjd->id", fit, earlier.solution.point_gain[one])
+    by_state2 = np.einsum("pij,pjd->id", fit, later.solution.point_gain[two])
+    cov1 = by_state1 @ earlier.covariance_at(earlier.keyframes[-1].nav.stamp_ns) @ by_state1.T
+    cov2 = by_state2 @ later.covariance_at(later.keyframes[-1].nav.stamp_ns) @ by_state2.T
+    F1, F2 = by_state1 @ earlier.shared.by_nuisance, by_state2 @ later.shared.by_nuisance
+    alike = slow_error_correlations(earlier.shared, earlier.span_s, later.shared, later.span_s)
+    cross = (F1 * alike) @ F2.T
+    total = spread + cov1 + cov2 - cross - cross.T
+    values, vectors = np.linalg.eigh(0.5 * (total + total.T))
+    values = np.maximum(values, np.linalg.eigvalsh(spread)[0])  # never surer than the points' own noise allows
+    chi2 = float(np.sum((vectors.T @ q) ** 2 / values))
+    return Agreement(chi2, len(difference), float(np.linalg.norm(q[:3])))
+
+
+def _similarity(X: Array, difference: Array, own: Array) -> tuple[Array, Array, Array, Array]:
+    """Weighted fit of (16.1) to differences (P, 3) of covariances `own` (P, 3, 3): H, its covariance, B and weights.
+
+    Turn and scale are in metres at the patch's own radius.
+    """
+    arm = X - X.mean(axis=0)
+    arm = arm / max(float(np.sqrt(np.mean(np.sum(arm * arm, axis=1)))), 1e-6)
+    basis = np.concatenate([np.broadcast_to(np.eye(3), (len(X), 3, 3)), -skew(arm), arm[:, :, None]], axis=2)
+    weight = np.linalg.inv(own)
+    pull = basis.transpose(0, 2, 1) @ weight  # (P, 7, 3)
+    spread: Array = np.linalg.inv(np.sum(pull @ basis, axis=0))
+    fit: Array = spread @ pull
+    return fit, spread, basis, np.asarray(weight, float)

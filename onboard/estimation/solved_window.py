@@ -1,0 +1,55 @@
+"""What a solved window is: poses of its keyframes, points, and everything that covariances need."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from contract.feature_set import SharedErrors
+from onboard.estimation.bundle_adjustment import Solution
+from onboard.estimation.factors import Layout
+from onboard.estimation.ground_motion import GroundMotion
+from onboard.estimation.keyframe import Ids, Keyframe
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A solved window: poses of its keyframes, its points by id, and everything the covariances need."""
+
+    frames: tuple[int, ...]
+    layout: Layout
+    solution: Solution
+    point_ids: Ids  # sorted
+    good: Mask  # (P,) points seen in two views or more after outliers were left out
+    plane: Array  # height at the ENU origin (m), slope east, slope north
+    pixel_sigma_px: float
+    reprojection_px: float
+    keyframes: tuple[Keyframe, ...]
+    shared: SharedErrors  # `by_nuisance` (D, NUISANCES) of the camera side, no span
+    ground_motion: GroundMotion  # what the ground's own motion may have done to it
+    camera: Camera  # with its own states as solved
+    variance_factor: float = 1.0  # on every variance that is published of it, (16.4)
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last exposure, s on the session's clock."""
+        first, last = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
+        return first / 1e9, last / 1e9
+
+    def covariance_at(self, stamp_ns: int) -> Array:
+        """Of the camera side (D, D), for a picture of that time. (6.10)"""
+        out: Array = self.solution.covariance + self.ground_motion.covariance(stamp_ns)
+        return out
+
+    def rows(self, ids: Ids) -> tuple[NDArray[np.intp], Mask]:
+        """Row of each id among the points, and whether it is there and good."""
+        if not len(self.point_ids):
+            return np.zeros(len(ids), np.intp), np.zeros(len(ids), bool)
+        at = np.minimum(np.searchsorted(self.point_ids, ids), len(self.point_ids) - 1)
+        return at, (self.point_ids[at] == ids) & self.good[at]

@@ -1,0 +1,191 @@
+"""Whether an adjusted window may be believed: each test by itself, in sigmas, with its reason in words.
+
+`by_itself` looks at one window: its depths, sensors, the known ground. `by_memory` holds it against what earlier
+windows of the flight found: the same points again, (16.3), and the ground's height and gradient, (16.5). A window that
+fails is refused, and the reason goes to the statistics and the log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from contract.feature_set import Status
+from onboard.config.schema import Config
+from onboard.estimation.bundle_adjustment import Solution
+from onboard.estimation.factors import Layout, Prior, SharedPrior
+from onboard.estimation.ground_memory import GroundMemory, GroundPatch, Home
+from onboard.estimation.keyframe import Keyframe
+from onboard.estimation.reobservation import Agreement, RelativeVariance, agreement
+from onboard.estimation.solved_window import Solved
+from onboard.geometry.terrain_grid import Terrain
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MIN_POINTS = 12
+MIN_INLIERS = 0.5
+MAX_FIT_SIGMAS = 4.0  # median residual, in configured pixel sigmas, above which the fit is refused
+MAX_DEPTH_SIGMA = 0.15  # relative; above it the scene has too little parallax
+MAX_PRIOR_SIGMAS = 3.5  # root mean square of a sensor's whitened residuals that a true solution may show
+SHARED_SIGMAS = 5.0  # as far as one shared state may be from its prior
+MAX_GROUND_SLOPE = 1.0
+MIN_AHEAD = 0.9  # of the measurements: of points below the camera and in front of it
+MIN_DEPTH_SHARE = 0.05  # of the median depth: a point nearer than this is as good as behind the camera
+TERRAIN_SIGMAS = 5.0
+SCALE_SIGMAS = 5.0
+# Of a velocity that no residual of the window uses, lasting: recorded autopilots in turns (docs/telemetry.md).
+LASTING_VELOCITY_M_S = 1.5
+# Of chi-square with 7 degrees of freedom: exceeded once in 1e5 comparisons.
+MAX_AGREEMENT = 35.0
+HOME_UNCERTAIN_M = 500.0  # from where the session began to home
+REMEMBERED = 14  # windows: a few more than the keyframes of one, so that one without a common picture is among them
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a window is not believed."""
+
+    status: Status
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """What a flight's published windows leave for judging the next: the newest of them, the ground, their honesty."""
+
+    windows: tuple[Solved, ...] = ()
+    ground: GroundMemory = field(default_factory=GroundMemory)
+    relative: RelativeVariance = field(default_factory=RelativeVariance)
+
+    def without_windows(self) -> Memory:
+        """After a new start: no point of earlier windows is seen again."""
+        return Memory((), self.ground, self.relative)
+
+    def compared(self, solved: Solved) -> Agreement | None:
+        """The window against the newest that has no picture in common with it."""
+        start_ns = solved.keyframes[0].nav.stamp_ns
+        apart = (w for w in reversed(self.windows) if w.keyframes[-1].nav.stamp_ns < start_ns)
+        earlier = next(apart, None)
+        return None if earlier is None else agreement(earlier, solved)
+
+    def after(self, config: Config, solved: Solved, agreed: Agreement | None, is_believed: bool) -> Memory:
+        """With one more window; of one that is not believed only the disagreement is kept, and what ground it saw."""
+        stamp_ns, share = solved.keyframes[-1].nav.stamp_ns, 1.0 / len(solved.keyframes)
+        relative = self.relative if agreed is None else self.relative.with_agreement(agreed, stamp_ns, share)
+        solved = replace(solved, variance_factor=solved.variance_factor * relative.factor)
+        patch = GroundPatch.of(solved)
+        if not is_believed:
+            return Memory(self.windows, self.ground.contradicted(patch), relative)
+        solve = config.solve
+        ground = self.ground.with_patch(patch, solve.level_ground_sigma_deg, solve.relief_sigma_m)
+        return Memory((*self.windows, solved)[-REMEMBERED:], ground, relative)
+
+
+def by_itself(
+    config: Config,
+    camera: Camera,
+    keyframes: Sequence[Keyframe],
+    terrain: Terrain | None,
+    s: Solution,
+    layout: Layout,
+    kept: Array,
+    good: Mask,
+    before: Sequence[Prior],
+) -> Refusal | None:
+    """What speaks against a solution; None if nothing does. `kept` (K, P) weights, `good` (P,) points, `before`: the
+    sensors as weighted by earlier windows.
+    """
+    offset = s.state.points_enu_m - s.state.centres_enu_m[:, None]
+    depth = np.einsum("kj,kpj->kp", s.state.R_cam_enu[:, 2], offset)
+    used = kept > 0
+    least_m = MIN_DEPTH_SHARE * float(np.median(np.abs(depth[used])))
+    if np.count_nonzero((offset[..., 2] < 0.0) & used) < MIN_AHEAD * np.count_nonzero(used):
+        return Refusal(Status.POOR_FIT, "the ground lies above the aircraft")
+    if np.count_nonzero((depth > least_m) & used) < MIN_AHEAD * np.count_nonzero(used):
+        return Refusal(Status.POOR_FIT, "points lie behind the camera or at it")
+    if np.abs(s.state.plane[1:]).max() > MAX_GROUND_SLOPE:
+        return Refusal(Status.POOR_FIT, "the ground is a wall")
+    if np.linalg.eigvalsh(s.covariance)[0] <= 0.0:
+        return Refusal(Status.POOR_FIT, "the solution has no covariance")
+    for prior in before:
+        r = prior.evaluate(s.state)[0]
+        name = type(prior).__name__.removesuffix("Prior").lower()
+        # No shared state (mount, delay) may be far from its prior: a moving scene is often explained that way.
+        if isinstance(prior, SharedPrior) and float(np.abs(r).max()) > SHARED_SIGMAS:
+            return Refusal(
+                Status.POOR_FIT, f"mount, clock or ground far from what was known: {np.abs(r).max():.1f} sigmas"
+            )
+        rms = float(np.sqrt(np.mean(r * r)))
+        if rms > MAX_PRIOR_SIGMAS:
+            return Refusal(Status.POOR_FIT, f"{name} contradicts the pictures: {rms:.1f} sigmas rms")
+    return _by_terrain(config, terrain, s, good) or _by_distance(config, keyframes, s, layout)
+
+
+def _by_terrain(config: Config, terrain: Terrain | None, s: Solution, good: Mask) -> Refusal | None:
+    """The points' height over the terrain model, where it is known. Equation (16.6)."""
+    if terrain is None:
+        return None
+    points = s.state.points_enu_m[good]
+    known, _ = terrain.height_and_slope(points[:, :2])
+    seen = np.isfinite(known)
+    if np.count_nonzero(seen) < MIN_POINTS:
+        return None
+    above_m = float(np.median((points[:, 2] - known)[seen]))
+    mean = -s.point_gain[good][seen][:, 2].mean(axis=0)
+    sigma_m = float(np.sqrt(mean @ s.covariance @ mean + config.terrain.sigma_datum_m**2 + config.terrain.sigma_m**2))
+    if abs(above_m) > TERRAIN_SIGMAS * sigma_m:
+        return Refusal(Status.POOR_FIT, f"ground off the terrain model: {above_m:+.0f} m, sigma {sigma_m:.0f}")
+    return None
+
+
+def _by_distance(config: Config, keyframes: Sequence[Keyframe], s: Solution, layout: Layout) -> Refusal | None:
+    """The distance between the window's ends against the velocity's integral: the scene's scale. Equation (16.7)."""
+    flown = [k.flown_enu_m for k in keyframes[1:]]
+    if any(f is None for f in flown):
+        return None
+    by_velocity = np.sum([f for f in flown if f is not None], axis=0)
+    by_pictures = s.state.centres_enu_m[-1] - s.state.centres_enu_m[0]
+    seconds = (keyframes[-1].nav.stamp_ns - keyframes[0].nav.stamp_ns) / 1e9
+    ends = np.zeros((3, layout.size))
+    ends[:, layout.centre(layout.keyframes - 1)] = np.eye(3)
+    ends[:, layout.centre(0)] -= np.eye(3)
+    lasting_m = max(LASTING_VELOCITY_M_S, config.gps.sigma_velocity_m_s) * seconds
+    covariance = ends @ s.covariance @ ends.T + np.eye(3) * lasting_m**2
+    miss = by_pictures - by_velocity
+    chi2 = float(miss @ np.linalg.solve(covariance, miss))
+    if chi2 > SCALE_SIGMAS**2:
+        return Refusal(
+            Status.POOR_FIT,
+            f"scale contradicts velocity: {np.linalg.norm(by_pictures):.0f} m from the first picture to the last, "
+            f"{np.linalg.norm(by_velocity):.0f} by velocity",
+        )
+    return None
+
+
+def by_memory(config: Config, memory: Memory, solved: Solved, agreed: Agreement | None) -> Refusal | None:
+    """What earlier windows say against this one; None if nothing does."""
+    if agreed is not None and agreed.chi2 > MAX_AGREEMENT * memory.relative.factor:
+        return Refusal(
+            Status.POOR_FIT,
+            f"points seen again are elsewhere: {agreed.points} of them by {agreed.shift_m:.1f} m, "
+            f"chi-square {agreed.chi2:.0f}, at most {MAX_AGREEMENT * memory.relative.factor:.0f}",
+        )
+    solve, solved = config.solve, replace(solved, variance_factor=solved.variance_factor * memory.relative.factor)
+    against = memory.ground.contradiction(
+        GroundPatch.of(solved), solve.level_ground_sigma_deg, solve.relief_sigma_m, _home(config, solved)
+    )
+    return None if against is None else Refusal(Status.POOR_FIT, against)
+
+
+def _home(config: Config, solved: Solved) -> Home | None:
+    """Home's level, by the newest keyframe; home lies near where the session's axes have their origin."""
+    nav = solved.keyframes[-1].nav
+    if nav.height_above_home_m is None:
+        return None
+    distance_m = float(np.linalg.norm(nav.position_enu_m[:2])) + HOME_UNCERTAIN_M
+    return Home(float(nav.position_enu_m[2]) - nav.height_above_home_m, config.solve.home_level_sigma_m, distance_m)
