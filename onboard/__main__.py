@@ -55,6 +55,13 @@ def _speed(text: str) -> float | None:
     return speed
 
 
+def _finite(text: str) -> float:
+    number = _number(text)
+    if not math.isfinite(number):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
+    return number
+
+
 def _seconds(text: str) -> float:
     seconds = _number(text)
     if not 0.0 <= seconds <= 86400.0:
@@ -89,7 +96,18 @@ def parser() -> argparse.ArgumentParser:
         help="configuration (TOML); without it the recording's own, or all defaults",
     )
     replay.add_argument("--frames", type=Path, metavar="DIR_OR_VIDEO", help="folder of pictures, or a video")
-    replay.add_argument("--telemetry", type=Path, metavar="FLIGHT.tlog", help="the autopilot's log")
+    replay.add_argument(
+        "--telemetry",
+        type=Path,
+        metavar="LOG|exif",
+        help="a log: .tlog, ArduPilot .bin, PX4 .ulg, DJI .srt, .csv (docs/telemetry.md); exif: what the pictures say",
+    )
+    replay.add_argument(
+        "--home-amsl-m",
+        type=_finite,
+        metavar="M",
+        help="how high above sea level the take-off was, for a .srt that counts heights from there",
+    )
     replay.add_argument("--camera", type=Path, metavar="CAMERA.json", help="intrinsics and distortion")
     replay.add_argument(
         "--stamps",

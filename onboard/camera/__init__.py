@@ -6,6 +6,7 @@ Public:
 - `discovery`: `device_paths`, `stable_names`
 - `factory`: `open_camera`
 - `format_negotiation`: `sizes_text`
+- `photo_metadata`: `PhotoMetadata`, `read_photo`
 - `picture_files`: `FrameSource`, `PICTURE_SUFFIXES`, `open_frames`, `read_grey`
 - `playback`: `PREFIX`
 - `pixel_formats`: `DECODERS`, `UNDECODABLE`
