@@ -36,6 +36,7 @@ from onboard.pipeline.frozen_frames import Staleness, Stillness
 from onboard.pipeline.keyframe_choice import wants_keyframe
 from onboard.pipeline.motion_prediction import ground_so_far, predict_motion, what_parts
 from onboard.pipeline.mount_selection import MountSelection
+from onboard.pipeline.mount_trial import MountTrials, carry_over
 from onboard.pipeline.picture_record import Pending, Record
 from onboard.pipeline.shortfall import MIN_OVERLAP, Evidence
 from onboard.pipeline.statistics import RunStatistics, Summary
@@ -86,6 +87,7 @@ class Pipeline:
         self.tracker = Tracker(camera.size_px, config.tracking.features, config.tracking.min_distance_px)
         self.window = Window(config, camera)
         self.mount_selection = MountSelection(camera, self.window.R_body_cam)
+        self._trials = MountTrials(self.mount_selection)
         self.tracks: Tracks | None = None  # of the newest picture, for display
         self._waiting: deque[Frame] = deque()
         self._records: list[Record] = []
@@ -137,11 +139,9 @@ class Pipeline:
     @property
     def summary(self) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
-        alignment = self.window.alignment
-        return self._statistics.summary(
-            estimates_of(alignment.belief if alignment.updates else None),
-            sensor_errors(self.config, self.window.noise.factors),
-        )
+        belief = self.window.alignment.belief if self.window.alignment.updates else None
+        errors = sensor_errors(self.config, self.window.noise.factors)
+        return self._statistics.summary(estimates_of(belief), errors, self.mount_selection.carrier(self.navigation))
 
     def _process(self, frame: Frame) -> list[FeatureSet]:
         if self._session is None:
@@ -149,10 +149,10 @@ class Pipeline:
         if frame.image is None:
             return [self._refuse(frame, Status.BAD_PICTURE)]
         out: list[FeatureSet] = []
-        mount_hypothesis = self.mount_selection.verdict
-        if mount_hypothesis is not None and mount_hypothesis is not self.navigation.mount_hypothesis:
-            out.extend(self._restart())
-            self.navigation.mount_hypothesis = mount_hypothesis
+        if (reading := self.mount_selection.verdict) and reading is not self.navigation.mount_hypothesis:
+            out.extend(self._adopt())
+            if not carry_over(self.window, self._records, self.navigation, reading):
+                out.extend(self._restart())
         with self._statistics.timed("navigation"):
             nav = self._state_at(frame.stamp_ns, frame.stamp_sigma_s)
         if nav is Status.NO_GPS:
@@ -275,6 +275,7 @@ class Pipeline:
         record = Record(frame, seen, nav, True)
         self._records.append(record)
         promise = self.worker.submit(timed_adjust, self.window.prepare())
+        self._trials.begin(self.window, self.worker, self.navigation)
         self._pending = Pending(promise, record, reason, self._now_ns + ADOPTION_NS)
         if reason is None:
             out.extend(self._place([record], only_ok=True))
@@ -286,8 +287,9 @@ class Pipeline:
         if pending is None:
             return []
         done, record = pending.promise.result(), pending.record
-        self._statistics.spend("solve", done.processor_s)
-        status = self.window.adopt(done.outcome)
+        outcome, trials_s = self._trials.judged(done.outcome, self.window, self._records, self.navigation)
+        self._statistics.spend("solve", done.processor_s + trials_s)
+        status = self.window.adopt(outcome)
         self._failures = self._failures + 1 if status is Status.POOR_FIT else 0
         if status in (Status.OK, Status.POOR_FIT):
             self._unsolved = Status.POOR_FIT if self._failures else Status.STARTING

@@ -30,6 +30,7 @@ class Summary:
     reprojection_px: float = 0.0
     estimates: tuple[Estimate, ...] = ()  # of the platform; empty before the first update
     sensor_errors: tuple[SensorError, ...] = ()  # how large they are, as estimated beside what is configured
+    carrier: str = ""  # what was believed to carry the camera
     stage_seconds: dict[str, float] = field(default_factory=dict)
 
 
@@ -66,7 +67,9 @@ class RunStatistics:
         while len(self._status) > REMEMBERED_PICTURES:
             del self._status[next(iter(self._status))]
 
-    def summary(self, estimates: tuple[Estimate, ...] = (), sensor_errors: tuple[SensorError, ...] = ()) -> Summary:
+    def summary(
+        self, estimates: tuple[Estimate, ...] = (), sensor_errors: tuple[SensorError, ...] = (), carrier: str = ""
+    ) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
         refused = Counter({s.value: n for s, n in self._outcomes.items() if s is not Status.OK and n})
         return Summary(
@@ -79,6 +82,7 @@ class RunStatistics:
             reprojection_px=float(np.median(self.reprojections_px)) if self.reprojections_px else 0.0,
             estimates=estimates,
             sensor_errors=sensor_errors,
+            carrier=carrier,
             stage_seconds=dict(self._stages),
         )
 

@@ -190,6 +190,8 @@ def summary_text(summary: Summary) -> str:
         ("median tracks", f"{summary.median_tracks:.0f}"),
         ("reprojection", f"{summary.reprojection_px:.2f} px"),
     ]
+    if summary.carrier:
+        rows.append(("camera carried by", summary.carrier))
     rows += as_rows(summary.estimates, summary.sensor_errors)
     frames = max(summary.frames, 1)
     rows += [
