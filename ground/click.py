@@ -50,7 +50,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     which.add_argument("--frame", metavar="N", type=_frame_number, help="picture N in capture order, from 0")
     which.add_argument("--file", metavar="NAME", help="the picture with this file name (from a recording)")
     which.add_argument("--time", metavar="UNIX_S", type=_finite, help="the picture captured nearest, within 0.5 s")
-    which.add_argument("--batch", metavar="CLICKS.csv", type=Path, help="columns frame,u,v or file,u,v: one JSON line a click")
+    which.add_argument(
+        "--batch", metavar="CLICKS.csv", type=Path, help="columns frame,u,v or file,u,v: one JSON line a click"
+    )
     parser.add_argument("--vehicle", metavar="ID", help="needed where several answer")
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--connect", metavar="ENDPOINT", help=f"zenoh endpoint (default {DEFAULT_ENDPOINT})")
@@ -143,9 +145,7 @@ def read_clicks(path: Path) -> list[Click]:
             which = next((name for name in _PICTURE if name in header), None)
             missing = [*([] if which else ["frame (or file)"]), *(name for name in ("u", "v") if name not in header)]
             if which is None or missing:
-                raise InputError(
-                    f"{path}, line 1: no column {', '.join(missing)}; a batch needs frame,u,v or file,u,v"
-                )
+                raise InputError(f"{path}, line 1: no column {', '.join(missing)}; a batch needs frame,u,v or file,u,v")
             for row in rows:
                 texts = [row[name] or "" for name in (which, "u", "v")]
                 try:

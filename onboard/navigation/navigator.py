@@ -227,6 +227,11 @@ class Navigation:
         return self.config.solve.attitude == "autopilot" and known
 
     @property
+    def behind_ns(self) -> int:
+        """How long after a moment its position comes, beyond what any autopilot's takes."""
+        return max(self._latency_ns, 0)
+
+    @property
     def heard(self) -> tuple[bool, bool]:
         """Whether there are attitudes of the vehicle, and of a gimbal, that may be used."""
         if self.config.solve.attitude == "none":

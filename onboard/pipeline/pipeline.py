@@ -120,7 +120,7 @@ class Pipeline:
             # The moment that counts is the autopilot's: extrapolating to it would bend what is learned of the offset.
             moment_ns = frame.stamp_ns + round(self._offset_s * 1e9)
             is_covered = self.navigation.covers(moment_ns, round(self._delay_s * 1e9))
-            if not is_covered and self._now_ns - frame.stamp_ns < MAX_WAIT_NS:
+            if not is_covered and self._now_ns - frame.stamp_ns < MAX_WAIT_NS + self.navigation.behind_ns:
                 break
             out.extend(self._process(self._waiting.popleft()))
         out.extend(self._catch_up())

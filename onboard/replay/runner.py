@@ -51,6 +51,7 @@ class Flight:
 
     frames: FrameSource
     telemetry: TelemetryLog
+    behind_ns: int = 0  # how far positions lag behind their stamps
 
     @classmethod
     def open(
@@ -78,7 +79,7 @@ class Flight:
                 f"pictures and telemetry do not overlap: pictures {_utc(first)} to {_utc(last)}, "
                 f"telemetry {_utc(begin)} to {_utc(end)}"
             )
-        return cls(source, log)
+        return cls(source, log, max(round(config.gps.latency_s * 1e9), 0))
 
     @classmethod
     def _of_photos(cls, config: Config, camera: Camera, frames: Path | str, stamps: Path | str | None) -> Flight:
@@ -99,7 +100,7 @@ class Flight:
         """Everything in the order in which it would have arrived, with that time (Unix ns)."""
         stamps = self.frames.stamps_ns
         log = zip(self.telemetry.arrival_ns, self.telemetry.events, strict=True)
-        near = ((t, e) for t, e in log if stamps[0] - LEAD_NS <= t <= stamps[-1] + TAIL_NS)
+        near = ((t, e) for t, e in log if stamps[0] - LEAD_NS <= t <= stamps[-1] + TAIL_NS + self.behind_ns)
         waiting = next(near, None)
         for frame in self.frames.frames():
             while waiting is not None and waiting[0] <= frame.stamp_ns:
