@@ -7,12 +7,14 @@ import csv
 import io
 import itertools
 import json
+import math
 import shutil
 from collections import Counter
 from pathlib import Path
 
 from contract.camera import Camera
 from contract.errors import InputError
+from contract.geodesy import LocalFrame
 from onboard.camera.file_stamps import spread_within_seconds
 from onboard.camera.photo_metadata import Focal, PhotoMetadata, read_photo
 from onboard.camera.picture_files import PICTURE_SUFFIXES
@@ -27,6 +29,7 @@ MIN_PHOTOS = 3
 SIGMA_CENTRE, SIGMA_K1, SIGMA_GIMBAL_DEG, SIGMA_MOUNT_DEG = 0.01, 0.03, 1.0, 5.0
 SIGMA_TAG_S = 0.1  # of the moment of a tagged position: receivers give five to ten a second
 WHOLE_SECOND_S = 0.29  # evenly within a second
+TURNED_BACK = 2.0  # steps that two legs in opposite directions differ by
 WITHIN_S = 0.01  # of stamps with fractions
 POSITION_FIELDS = ("unix_time_s", "lat_deg", "lon_deg", "height_amsl_m", "height_above_home_m")
 ANGLE_FIELDS = (
@@ -184,6 +187,7 @@ def _config(
         gap_s = gap_to_join_s(stamps_ns)
         sections["telemetry"] = [f"max_attitude_gap_s = {gap_s}"]
         sections["gps"] += [f"max_gap_s = {max(gap_s, 1.5)}", "latency_s = 0.0", f"sigma_latency_s = {SIGMA_TAG_S}"]
+        sections["gps"].append(f"glitch_m = {_turn_m(photos):.0f}.0")
         sections["camera"] += [f"sigma_latency_s = {WITHIN_S}"]
         assumed.append(("positions", _positions_text(photos)))
         horizontal = [photo.sigma_horizontal_m for photo in photos if photo.sigma_horizontal_m is not None]
@@ -195,6 +199,14 @@ def _config(
     for name, keys in sections.items():
         lines += ["", f"[{name}]", *keys] if keys else []
     return "\n".join(lines) + "\n", assumed
+
+
+def _turn_m(photos: list[PhotoMetadata]) -> float:
+    """By how much two steps in a row may differ where the aircraft turned back between two pictures: no jump yet."""
+    first = LocalFrame(photos[0].lat_deg or 0.0, photos[0].lon_deg or 0.0, 0.0)
+    east_north_m = [first.to_enu(photo.lat_deg or 0.0, photo.lon_deg or 0.0, 0.0)[:2] for photo in photos]
+    longest_m = max(math.dist(a, b) for a, b in itertools.pairwise(east_north_m))
+    return min(max(TURNED_BACK * longest_m, 10.0), 1000.0)
 
 
 def _positions_text(photos: list[PhotoMetadata]) -> str:
