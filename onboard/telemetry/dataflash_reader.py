@@ -35,11 +35,12 @@ FIELDS = {
     "POS": ("Lat", "Lng", "Alt", "RelHomeAlt"),
     "ATT": ("Roll", "Pitch", "Yaw"),
     "IMU": ("GyrX", "GyrY", "GyrZ"),
-    "KF1": ("VN", "VE", "VD", "PN", "PE", "GX", "GY", "GZ"),
+    "KF1": ("VN", "VE", "VD", "GX", "GY", "GZ"),
     "KF4": ("SS",),
     "RFND": ("Dist", "Orient", "Stat"),
     "MNT": ("Roll", "Pitch", "YawB"),
 }
+METRES_A_DEGREE = 111_320.0
 STRAY_US = 5_000_000  # a stamp this far from its neighbours' is damaged
 MAX_GAP_S = 0.3  # over which velocities and rates are interpolated
 REPORT_US = 200_000  # the filter's flags come at its own rate: handed on when they change, and this often
@@ -89,7 +90,7 @@ def read_dataflash(path: Path | str, clock: Mode = "auto") -> TelemetryLog:
         gps_clock.add(boot_ns, unix_ns)
     if not gps_clock.is_set:
         raise InputError(f"telemetry {path}: no GPS time in it (GPS with a 3D fix), so its moments cannot be told")
-    gps_clock.lag_s = _lag_s(gps, tables["KF1"], gps_clock)
+    gps_clock.lag_s = _lag_s(gps, tables["POS"], gps_clock)
     events: list[NavEvent] = [
         *_positions(tables, gps_clock),
         *_attitudes(tables, gps_clock),
@@ -162,9 +163,7 @@ def _table(rows: list[tuple[float, ...]], width: int) -> _Table:
 
 
 def _lag_s(gps: _Table, filtered: _Table, clock: GpsClock) -> float:
-    """The receiver's delay, by its track against the filter's, with the least delayed report as time so far."""
-    if not len(filtered) or not np.isfinite(filtered.values[:, 3:5]).all():
-        return receiver_lag_s(np.zeros(0), np.zeros((0, 2)), np.zeros(0), np.zeros((0, 2)))
+    """The receiver's delay, by its track against the filter's (POS), with the least delayed report as time so far."""
     good = (gps.values[:, 0] >= WITHOUT_FIX) & (gps.values[:, 2] > 0)
     times, fixes = gps.boot_us[good], gps.values[good]
     boot_of_fix_s = np.array(
@@ -173,14 +172,9 @@ def _lag_s(gps: _Table, filtered: _Table, clock: GpsClock) -> float:
             for boot, row in zip((times * 1000).tolist(), fixes, strict=True)
         ]
     )
-    metres = 111_320.0 * np.array([1.0, math.cos(math.radians(float(fixes[0, 4])))])
-    receiver_ne_m = (fixes[:, 4:6] - fixes[0, 4:6]) * metres
-    filter_s, filter_ne_m = filtered.boot_us.astype(float) * 1e-6, filtered.values[:, 3:5]
-    # The filter counts from its origin: brought beside the receiver's first fix, what is left is a small constant.
-    filter_ne_m = filter_ne_m - np.median(
-        [np.interp(boot_of_fix_s, filter_s, filter_ne_m[:, i]) - receiver_ne_m[:, i] for i in (0, 1)], axis=1
-    )
-    return receiver_lag_s(boot_of_fix_s, receiver_ne_m, filter_s, filter_ne_m)
+    metres = METRES_A_DEGREE * np.array([1.0, math.cos(math.radians(float(fixes[0, 4])))])
+    receiver_ne_m, filter_ne_m = ((rows - fixes[0, 4:6]) * metres for rows in (fixes[:, 4:6], filtered.values[:, :2]))
+    return receiver_lag_s(boot_of_fix_s, receiver_ne_m, filtered.boot_us.astype(float) * 1e-6, filter_ne_m)
 
 
 def _known(value: float) -> float | None:
@@ -216,7 +210,7 @@ def _attitudes(tables: dict[str, _Table], clock: GpsClock) -> list[NavEvent]:
     """Rates are the gyros', less the filter's estimate of their bias, as ATTITUDE has them."""
     att = tables["ATT"]
     rates = tables["IMU"].at(att.boot_us, slice(0, 3))
-    rates = rates - np.radians(np.nan_to_num(tables["KF1"].at(att.boot_us, slice(5, 8))))
+    rates = rates - np.radians(np.nan_to_num(tables["KF1"].at(att.boot_us, slice(3, 6))))
     out: list[NavEvent] = []
     for us, (w, x, y, z), rate in zip(
         att.boot_us.tolist(), quaternions(att.values).tolist(), rates.tolist(), strict=True

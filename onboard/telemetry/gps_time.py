@@ -74,10 +74,13 @@ def receiver_lag_s(reported_s: Array, receiver_ne_m: Array, filter_s: Array, fil
     Least squares for the lag and a constant offset of both tracks, beside what is usual. The estimate keeps to what is
     usual where nothing was flown, or only straight on.
     """
-    inside = (reported_s > filter_s[0] + MAX_LAG_S) & (reported_s < filter_s[-1])
-    times, seen = reported_s[inside], receiver_ne_m[inside]
     lag = LAG_S
-    if len(times) < 10 or len(filter_s) < 10:
+    if len(filter_s) < 10:
+        return lag
+    inside = (reported_s > filter_s[0] + MAX_LAG_S) & (reported_s < filter_s[-1])
+    inside &= np.isfinite(receiver_ne_m).all(axis=1)
+    times, seen = reported_s[inside], receiver_ne_m[inside]
+    if len(times) < 10:
         return lag
     spacing_s = float(np.median(np.diff(times)))
     sigma_m = SIGMA_TRACK_M * np.sqrt(max(TRACK_TIME_S / max(spacing_s, 1e-3), 1.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -54,20 +55,12 @@ def vouched(positions: list[PositionFix], claims: list[GpsQuality]) -> list[NavE
     Whoever wrote a position into the file had a fix then. `claims` are what the file says of its accuracy, one a
     position, with any stamp; each is repeated until the next position, as a receiver would.
     """
-    first_ns = positions[0].stamp_ns
-    out: list[NavEvent] = [FilterStatus(first_ns - NS_PER_S, has_position=True, is_glitching=False)]
-    out.append(_at(claims[0], first_ns - NS_PER_S))
-    ends = [fix.stamp_ns for fix in positions[1:]] + [positions[-1].stamp_ns + NS_PER_S]
-    reported_ns = first_ns - NS_PER_S
-    for fix, claim, end_ns in zip(positions, claims, ends, strict=True):
-        moment_ns = fix.stamp_ns
-        while moment_ns < end_ns:
-            if moment_ns - reported_ns >= REPORT_NS:
-                out.append(_at(claim, moment_ns))
-                reported_ns = moment_ns
-            moment_ns += REPORT_NS
-        out.append(fix)
-    out.append(_at(claims[-1], positions[-1].stamp_ns + NS_PER_S))
+    first_ns, last_ns = positions[0].stamp_ns, positions[-1].stamp_ns
+    stamps_ns = [fix.stamp_ns for fix in positions]
+    out: list[NavEvent] = [FilterStatus(first_ns - REPORT_NS, has_position=True, is_glitching=False), *positions]
+    for moment_ns in range(first_ns - REPORT_NS, last_ns + NS_PER_S, REPORT_NS):
+        newest = max(bisect.bisect_right(stamps_ns, moment_ns) - 1, 0)
+        out.append(replace(claims[newest], stamp_ns=moment_ns))
     return out
 
 
@@ -84,7 +77,3 @@ def quaternion(euler_deg: tuple[float, float, float]) -> tuple[float, float, flo
     """Roll, pitch, yaw in degrees -> w, x, y, z."""
     w, x, y, z = quaternion_from_matrix(matrix_from_euler(*(math.radians(angle) for angle in euler_deg))).tolist()
     return w, x, y, z
-
-
-def _at(claim: GpsQuality, stamp_ns: int) -> GpsQuality:
-    return replace(claim, stamp_ns=stamp_ns)

@@ -167,8 +167,6 @@ def _lag_s(gps: _Topic, fixed: NDArray[np.bool_], utc_us: Array, filtered: _Topi
         ]
     )
     lat, lon, _ = (values[fixed] for values in _place(gps))
-    if not len(filtered):
-        return receiver_lag_s(np.zeros(0), np.zeros((0, 2)), np.zeros(1), np.zeros((1, 2)))
     metres = METRES_A_DEGREE * np.array([1.0, math.cos(math.radians(float(lat[0])))])
     receiver_ne_m = (np.stack([lat, lon], -1) - [lat[0], lon[0]]) * metres
     filter_lat, filter_lon, _ = _place(filtered)

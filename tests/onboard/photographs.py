@@ -66,8 +66,12 @@ def write_photographs(session: Path, out: Path, style: Style, seed: int = 0) -> 
             attributes |= {"AbsoluteAltitude": f"{height:+.2f}", "RelativeAltitude": f"{height - 112.0:+.2f}"}
         if style.angles:
             turned = (roll, pitch + 0.3, yaw + 1.0)
-            attributes |= {f"Gimbal{a}Degree": f"{v:+.2f}" for a, v in zip(("Roll", "Pitch", "Yaw"), turned, strict=True)}
-            attributes |= {f"Flight{a}Degree": f"{v:+.2f}" for a, v in zip(("Roll", "Pitch", "Yaw"), (4, -9, yaw), strict=True)}
+            attributes |= {
+                f"Gimbal{a}Degree": f"{v:+.2f}" for a, v in zip(("Roll", "Pitch", "Yaw"), turned, strict=True)
+            }
+            attributes |= {
+                f"Flight{a}Degree": f"{v:+.2f}" for a, v in zip(("Roll", "Pitch", "Yaw"), (4, -9, yaw), strict=True)
+            }
         if style.rtk:
             attributes |= {"RtkFlag": "50", "RtkStdLat": "0.012", "RtkStdLon": "0.012", "RtkStdHgt": "0.03"}
         exif._ifds[ExifTags.IFD.Exif] = details
