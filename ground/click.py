@@ -143,7 +143,7 @@ def read_clicks(path: Path) -> list[Click]:
             rows = csv.DictReader(stream, skipinitialspace=True, strict=True)
             header = rows.fieldnames or ()
             which = next((name for name in _PICTURE if name in header), None)
-            missing = [*([] if which else ["frame (or file)"]), *(name for name in ("u", "v") if name not in header)]
+            missing = [*([] if which else ["frame or file"]), *(name for name in ("u", "v") if name not in header)]
             if which is None or missing:
                 raise InputError(f"{path}, line 1: no column {', '.join(missing)}; a batch needs frame,u,v or file,u,v")
             for row in rows:
