@@ -123,7 +123,7 @@ class PictureFolder:
     def _whole_in_order(self, names: list[str], exif: list[int | None]) -> list[int | None]:
         """Pictures of one second, where times are cut to it, spread over it in the order of their names."""
         known = sorted((stamp, name) for stamp, name in zip(exif, names, strict=True) if stamp is not None)
-        if not self._whole_seconds or len(known) < len(names):
+        if not self._whole_seconds or len(known) < len(names) or any(stamp % 1_000_000_000 for stamp, _ in known):
             return exif
         spread = spread_within_seconds([stamp for stamp, _ in known])
         by_name = {name: stamp for (_, name), stamp in zip(known, spread, strict=True)}

@@ -41,6 +41,7 @@ FIELDS = {
     "MNT": ("Roll", "Pitch", "YawB"),
 }
 METRES_A_DEGREE = 111_320.0
+FAST, FAST_US = {"IMU", "KF1", "KF4"}, 3000  # may be logged at a loop's rate, of which no more than this is used
 STRAY_US = 5_000_000  # a stamp this far from its neighbours' is damaged
 MAX_GAP_S = 0.3  # over which velocities and rates are interpolated
 REPORT_US = 200_000  # the filter's flags come at its own rate: handed on when they change, and this often
@@ -119,8 +120,10 @@ def _tables(path: Path | str) -> dict[str, _Table]:
                     if name == "KF4":
                         primary = getattr(message, "PI", primary)
                     if name is not None and _is_used(message, name, primary):
-                        values = [_number(message, field) for field in ("TimeUS", *FIELDS[name])]
-                        rows[name].append(tuple(values))
+                        held = rows[name]
+                        boot_us = _number(message, "TimeUS")
+                        if name not in FAST or not held or not 0.0 <= boot_us - held[-1][0] < FAST_US:
+                            held.append((boot_us, *(_number(message, field) for field in FIELDS[name])))
         except Exception as error:
             why = " ".join(str(error).split()) or type(error).__name__
             raise InputError(f"telemetry {path}: not a DataFlash log that can be read ({why})") from error

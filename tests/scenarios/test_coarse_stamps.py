@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 from contract.camera import Camera
-from contract.feature_set import Status
-from onboard.config.schema import parse_config
+from contract.rotations import R_ENU_NED, matrix_from_euler
+from onboard.config.schema import Config, parse_config
+from onboard.estimation.sliding_window import Window
 from onboard.events.types import PositionFix
+from onboard.navigation.navigator import NavState
 from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.runner import Flight, replay
 from onboard.telemetry.telemetry_log import TelemetryLog
@@ -56,15 +58,17 @@ def test_declared_stamps_of_a_second_are_answered_with_a_radius_that_holds(seed:
     assert silent.solved < 0.8, silent.reported
 
 
-def test_a_picture_placed_by_sensors_alone_owns_up_to_its_stamp() -> None:
-    """Over known level ground, before there is any parallax."""
-    folder = cut_to_the_second(survey(0, "straight"))
-    level = ("solve.home_level", True), ("solve.home_level_sigma_m", 3.0)
-    one = ("tracking.features", 20), ("solve.keyframes", 3)
-    wide = play(folder, *WHOLE_SECONDS, *level, *one)
-    shutil.rmtree(folder)
-    first = [s for s in wide.sets.values() if s.status is Status.OK]
-    assert first and wide.inside_99 >= 0.97, wide.reported
+@pytest.mark.parametrize("jitter_s", [0.003, 0.3])
+def test_a_pose_by_sensors_alone_owns_up_to_its_stamp(jitter_s: float) -> None:
+    """Along the track, by the speed; not across it."""
+    window = Window(Config.model_validate({"camera": {"sigma_jitter_s": jitter_s}}), WIDE)
+    R_enu_body = R_ENU_NED @ matrix_from_euler(0.0, 0.0, 0.0)
+    nav = NavState(0, np.zeros(3), np.array([0.0, 14.0, 0.0]), R_enu_body, 1.5, 2.5, 0.3, 0.0, 150.0)
+    pose = window.sensor_pose(nav)
+    assert pose is not None
+    east, north = np.sqrt(np.diag(pose.white)[:2])
+    assert east == pytest.approx(0.3)
+    assert north == pytest.approx(np.hypot(0.3, 14.0 * jitter_s))
 
 
 def late(folder: Path, behind_s: float, declared_s: float) -> Outcome:
