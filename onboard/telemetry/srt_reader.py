@@ -28,7 +28,7 @@ _DATE = re.compile(
 )
 _NAMED = re.compile(rf"([A-Za-z_]+)\s*:\s*{_NUMBER}")
 _TRIPLE = re.compile(rf"(?<![A-Z.])GPS\s*\(\s*{_NUMBER}\s*,\s*{_NUMBER}\s*(?:,\s*{_NUMBER}M?\s*)?\)", re.IGNORECASE)
-_ABOVE_HOME = re.compile(rf"(?:\bH[\s:]\s*|BAROMETER\s*[:(]\s*){_NUMBER}")
+_ABOVE_HOME = re.compile(rf"(?:\bHb?[\s:]\s*|BAROMETER\s*[:(]\s*){_NUMBER}")
 _ANGLES = re.compile(rf"\b([FG])\.PRY\s*\(\s*{_NUMBER}\D*?,\s*{_NUMBER}\D*?,\s*{_NUMBER}\D*?\)")
 _TURNED = re.compile(rf"\b(Drone|Gimbal)\s*:\s*Yaw\s*:\s*{_NUMBER},?\s*Pitch\s*:\s*{_NUMBER},?\s*Roll\s*:\s*{_NUMBER}")
 _TAG = re.compile(r"<[^>]*>")
@@ -82,6 +82,8 @@ def read_srt(path: Path | str, home_amsl_m: float | None = None) -> TelemetryLog
             f"telemetry {path}: no position in its subtitles; the drone writes one with 'Video Subtitles' on and a fix"
         )
     has_amsl = any(s.height_amsl_m is not None or s.altitude_m is not None for s in placed)
+    if not has_amsl and all(s.above_home_m is None for s in placed):
+        raise InputError(f"telemetry {path}: positions without any height in its subtitles; give another log")
     if home_amsl_m is None and not has_amsl:
         raise InputError(
             f"telemetry {path}: heights above the take-off only; say how high that is above sea level: --home-amsl-m M"
@@ -89,7 +91,7 @@ def read_srt(path: Path | str, home_amsl_m: float | None = None) -> TelemetryLog
     epoch_ns = _epoch_ns(subtitles)
     positions, claims = _positions(placed, epoch_ns, home_amsl_m)
     if not positions:
-        raise InputError(f"telemetry {path}: no subtitle has a position with a height")
+        raise InputError(f"telemetry {path}: no height above the take-off in its subtitles; leave --home-amsl-m out")
     events = vouched(positions, claims)
     for subtitle in subtitles:
         events += _attitudes(subtitle, epoch_ns)

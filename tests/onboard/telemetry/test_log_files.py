@@ -276,6 +276,7 @@ DIALECTS = {
 }  # fmt: skip
 BARE = {
     "phantom 4": "HOME(149.0251,-20.2532) 2017.08.05 14:11:51\nGPS(149.0251,-20.2533,16) BAROMETER:31.9\nISO:100",
+    "older": "HOME(149.0251,-20.2532) 2017.8.5 14:11:51\nGPS(149.0251,-20.2533,16) Hb:31.9 Hs:1.9\nISO:100 TV:60",
     "mavic pro": "F/2.8, SS 206.14, ISO 150, EV 0, GPS (149.0251, -20.2533, 15), D 24.78m, H 31.90m, H.S 2.01m/s",
     "phantom 4 rtk": "GPS (149.0251, -20.2533, 15), D 24.1m, H 31.9m, H.S 3.0m/s, V.S 0.1m/s, "
     "F.PRY (-4.0°, 0.3°, 12.1°), G.PRY (-90.0°, 0.0°, 12.3°)",
@@ -314,6 +315,24 @@ def test_dialects_without_a_height_above_the_sea_ask_for_the_take_off_s(tmp_path
     if dialect == "phantom 4 rtk":
         R = matrix_from_quaternion(of(log, GimbalAttitude)[0].q_ref_gimbal)
         assert R[2, 0] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "home_amsl_m", "said"),
+    [
+        ("[latitude : -35.080155] [longtitude : -60.286702]", 100.0, "positions without any height"),
+        ("[latitude: 48.1] [longitude: 11.5] [abs_alt: 212.3]", 100.0, "leave --home-amsl-m out"),
+        ("[latitude: 0.000000] [longitude: 0.000000] [rel_alt: 1.0 abs_alt: 2.0]", None, "no position"),
+    ],
+)
+def test_subtitles_that_cannot_be_used_are_one_line(
+    tmp_path: Path, text: str, home_amsl_m: float | None, said: str
+) -> None:
+    path = tmp_path / "a.srt"
+    path.write_text(SRT_HEAD + text + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match=said) as caught:
+        read_log(path, home_amsl_m=home_amsl_m)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
