@@ -1,7 +1,7 @@
 """What a photograph says of itself: EXIF, and the XMP that drones add (DJI's names, in any namespace).
 
-Read with Pillow, which decodes the pictures anyway; XMP is XML, read by the standard library without following any
-document type.
+Read with Pillow, which decodes the pictures anyway; XMP is XML, read by the standard library from its root element
+on, before which alone a document type could stand.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def _xmp(image: Image.Image) -> dict[str, str]:
     packet = image.info.get("xmp", b"")
     packet = packet.encode() if isinstance(packet, str) else packet
     start, end = packet.find(b"<x:xmpmeta"), packet.rfind(b"</x:xmpmeta>")
-    if start < 0 or end < 0 or b"<!" in packet[start:end]:
+    if start < 0 or end < 0:
         return {}
     try:
         root = ElementTree.fromstring(packet[start : end + len(b"</x:xmpmeta>")])

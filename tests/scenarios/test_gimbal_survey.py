@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,9 @@ import pytest
 from contract.camera import Camera
 from contract.feature_set import Status
 from contract.rotations import matrix_from_euler, matrix_from_quaternion, quaternion_from_matrix
+from contract.wire.codec import encode
 from onboard.config.schema import Config
+from onboard.estimation.solver_executor import Worker
 from onboard.events.types import Attitude, Event, GimbalAttitude, NavEvent
 from onboard.navigation.gimbal import MountHypothesis
 from onboard.pipeline.pipeline import Pipeline
@@ -37,7 +40,11 @@ def q(R: np.ndarray) -> tuple[float, float, float, float]:
 
 
 def played(
-    folder: Path, gimbal: str, events: Callable[[Attitude, float], list[NavEvent]], pitch_off: float = 0.0
+    folder: Path,
+    gimbal: str,
+    events: Callable[[Attitude, float], list[NavEvent]],
+    pitch_off: float = 0.0,
+    worker: Worker | None = None,
 ) -> Outcome:
     """A session whose attitudes are exchanged for other events, given the time (s) since the first picture."""
     table = tomllib.loads((folder / "config.toml").read_text())
@@ -50,7 +57,7 @@ def played(
         t = (event.stamp_ns - flight.stamps_ns[0]) / 1e9
         pairs += [(arrival_ns, e) for e in (events(event, t) if isinstance(event, Attitude) else [event])]
     log = TelemetryLog([event for _, event in pairs], [arrival for arrival, _ in pairs])
-    pipeline, sink = Pipeline(config, camera), _Sets()
+    pipeline, sink = Pipeline(config, camera, worker=worker), _Sets()
     replay(replace(flight, telemetry=log), pipeline, [sink])
     return click(folder, sink.by_frame, pipeline)
 
@@ -103,6 +110,15 @@ def test_auto_solves_no_fewer_pictures_than_always_where_the_gimbal_tells_the_tr
     assert auto.pipeline is not None and auto.pipeline.mount_selection.verdict is MountHypothesis.GIMBAL
     assert "camera carried by" in summary_text(auto.pipeline.summary)
     assert auto.pipeline.summary.carrier == "gimbal, as the pictures show"
+
+
+def test_trials_in_a_thread_give_the_same_bytes() -> None:
+    speed, height, leaning = LEANS["leaning far"]
+    folder = survey(speed, height)
+    inline = played(folder, "auto", held_level(leaning))
+    with ThreadPoolExecutor(1) as worker:
+        threaded = played(folder, "auto", held_level(leaning), worker=worker)
+    assert [encode(s) for s in inline.sets.values()] == [encode(s) for s in threaded.sets.values()]
 
 
 @pytest.mark.parametrize("pitch_off", [0.0, 4.0, 8.0])
