@@ -37,7 +37,8 @@ from ground.locate import Locator
 from onboard.config.schema import Config, parse_config
 from onboard.events.types import Attitude, Event, Frame, PositionFix
 from onboard.pipeline.pipeline import Pipeline
-from onboard.telemetry.tlog_reader import TelemetryLog, read_tlog
+from onboard.telemetry.telemetry_log import TelemetryLog
+from onboard.telemetry.tlog_reader import read_tlog
 from onboard.vision.klt_tracker import Tracks
 from simulation.flight import find_recording
 from simulation.trajectory import RecordedTruth, Trajectory

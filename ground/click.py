@@ -25,7 +25,7 @@ from ground.locate import Locator
 from ground.recording import Recording
 
 ANSWERED, WRONG_USAGE, REFUSED = 0, 2, 3
-_COLUMNS = ("frame", "u", "v")
+_PICTURE = ("frame", "file")  # the column that says which picture: one of them
 
 
 class UsageError(PointclickError):
@@ -33,9 +33,9 @@ class UsageError(PointclickError):
 
 
 class Click(NamedTuple):
-    """One row of a batch."""
+    """One row of a batch; the picture by its number in capture order, or by its file's name."""
 
-    frame: int
+    picture: int | str
     u_px: float
     v_px: float
 
@@ -50,7 +50,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     which.add_argument("--frame", metavar="N", type=_frame_number, help="picture N in capture order, from 0")
     which.add_argument("--file", metavar="NAME", help="the picture with this file name (from a recording)")
     which.add_argument("--time", metavar="UNIX_S", type=_finite, help="the picture captured nearest, within 0.5 s")
-    which.add_argument("--batch", metavar="CLICKS.csv", type=Path, help="columns frame,u,v: one JSON line a click")
+    which.add_argument(
+        "--batch", metavar="CLICKS.csv", type=Path, help="columns frame,u,v or file,u,v: one JSON line a click"
+    )
     parser.add_argument("--vehicle", metavar="ID", help="needed where several answer")
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--connect", metavar="ENDPOINT", help=f"zenoh endpoint (default {DEFAULT_ENDPOINT})")
@@ -115,15 +117,18 @@ def _run_batch(args: argparse.Namespace) -> int:
     vehicle = _vehicle(args, recording.vehicles)
 
     @lru_cache(maxsize=64)
-    def locator(frame: int) -> Locator | None:
+    def locator(picture: int | str) -> Locator | Refusal:
+        frame = _frame_of(recording, vehicle, picture)
+        if isinstance(frame, Refusal):
+            return frame
         feature_set = recording.by_frame(vehicle, frame)
-        return None if feature_set is None else Locator(feature_set)
+        return _unknown_frame(recording, vehicle, frame) if feature_set is None else Locator(feature_set)
 
     for click in clicks:
-        known = locator(click.frame)
+        known = locator(click.picture)
         answer: Answer
-        if known is None:
-            answer = _unknown_frame(recording, vehicle, click.frame)
+        if isinstance(known, Refusal):
+            answer = known
         else:
             answer = aged(known.locate((click.u_px, click.v_px)), recording.age_s(known.feature_set))
         sys.stdout.write(answer.to_json() + "\n")
@@ -136,13 +141,16 @@ def read_clicks(path: Path) -> list[Click]:
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             rows = csv.DictReader(stream, skipinitialspace=True, strict=True)
-            missing = [name for name in _COLUMNS if name not in (rows.fieldnames or ())]
-            if missing:
-                raise InputError(f"{path}, line 1: no column {', '.join(missing)}; a batch needs {','.join(_COLUMNS)}")
+            header = rows.fieldnames or ()
+            which = next((name for name in _PICTURE if name in header), None)
+            missing = [*([] if which else ["frame or file"]), *(name for name in ("u", "v") if name not in header)]
+            if which is None or missing:
+                raise InputError(f"{path}, line 1: no column {', '.join(missing)}; a batch needs frame,u,v or file,u,v")
             for row in rows:
-                texts = [row[name] or "" for name in _COLUMNS]
+                texts = [row[name] or "" for name in (which, "u", "v")]
                 try:
-                    clicks.append(Click(_frame_number(texts[0]), _finite(texts[1]), _finite(texts[2])))
+                    picture = _frame_number(texts[0]) if which == "frame" else _file_name(texts[0])
+                    clicks.append(Click(picture, _finite(texts[1]), _finite(texts[2])))
                 except (ValueError, argparse.ArgumentTypeError) as error:
                     raise InputError(f"{path}, line {rows.line_num}: {error}") from error
     except OSError as error:
@@ -157,11 +165,9 @@ def _from_recording(args: argparse.Namespace) -> Reply:
     vehicle = _vehicle(args, recording.vehicles)
     frame, later = args.frame, None
     if args.file is not None:
-        frame = recording.frame_of_file(vehicle, args.file)
-        if frame is None and Path(args.file).name != args.file:
-            frame = recording.frame_of_file(vehicle, Path(args.file).name)
-        if frame is None:
-            return Reply(Refusal(Status.UNKNOWN_FRAME, vehicle=vehicle, detail=f"no picture is named {args.file!r}"))
+        frame = _frame_of(recording, vehicle, args.file)
+        if isinstance(frame, Refusal):
+            return Reply(frame)
     # A refused set has no features and so is false: compare with None.
     if frame is not None:
         found = recording.by_frame(vehicle, frame)
@@ -187,6 +193,17 @@ def _opened(path: Path) -> Recording:
     for line in recording.damage:
         print(f"pc-ground: warning: {line}", file=sys.stderr)
     return recording
+
+
+def _frame_of(recording: Recording, vehicle: str, picture: int | str) -> int | Refusal:
+    """The number of a picture named by its number or by its file, with folders or without."""
+    if isinstance(picture, int):
+        return picture
+    names = dict.fromkeys((picture, Path(picture).name))
+    found = next((f for n in names if (f := recording.frame_of_file(vehicle, n)) is not None), None)
+    if found is None:
+        return Refusal(Status.UNKNOWN_FRAME, vehicle=vehicle, detail=f"no picture is named {picture!r}")
+    return found
 
 
 def _unknown_frame(recording: Recording, vehicle: str, frame: int) -> Refusal:
@@ -238,6 +255,12 @@ def _age(text: str) -> float:
     if value < 0.0:
         raise argparse.ArgumentTypeError(f"{text.strip()!r} is not an age in seconds")
     return value
+
+
+def _file_name(text: str) -> str:
+    if not text.strip():
+        raise argparse.ArgumentTypeError("no file name")
+    return text.strip()
 
 
 def _frame_number(text: str) -> int:

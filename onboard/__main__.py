@@ -29,6 +29,17 @@ NOTHING_SOLVED = 3
 READER_GONE = 141  # as the shell has it for a program that a SIGPIPE ended
 
 
+REPLAY_EXAMPLES = """examples:
+  pc-onboard replay --frames FRAMES --telemetry 00000042.BIN --camera camera.json --record session.mcap
+  pc-onboard replay --frames DJI_0042.MP4 --telemetry DJI_0042.SRT --camera camera.json --home-amsl-m 412
+  pc-onboard replay --config FLIGHT/config.toml --frames FLIGHT/frames --telemetry exif --camera FLIGHT/camera.json
+"""
+IMPORT_EXAMPLE = """example:
+  pc-onboard import-photos /media/card/DCIM/100MEDIA --out survey-0612
+"""
+AsWritten = argparse.RawDescriptionHelpFormatter
+
+
 class Parser(argparse.ArgumentParser):
     """Wrong usage is one line, as every other error."""
 
@@ -55,6 +66,13 @@ def _speed(text: str) -> float | None:
     return speed
 
 
+def _finite(text: str) -> float:
+    number = _number(text)
+    if not math.isfinite(number):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
+    return number
+
+
 def _seconds(text: str) -> float:
     seconds = _number(text)
     if not 0.0 <= seconds <= 86400.0:
@@ -74,7 +92,9 @@ def parser() -> argparse.ArgumentParser:
     top = Parser(prog=PROGRAM, description="Pictures and position in, georeferenced feature sets out.")
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    replay = commands.add_parser("replay", help="run a recorded flight through the pipeline")
+    replay = commands.add_parser(
+        "replay", help="run a recorded flight through the pipeline", epilog=REPLAY_EXAMPLES, formatter_class=AsWritten
+    )
     replay.add_argument(
         "recording",
         type=Path,
@@ -89,7 +109,18 @@ def parser() -> argparse.ArgumentParser:
         help="configuration (TOML); without it the recording's own, or all defaults",
     )
     replay.add_argument("--frames", type=Path, metavar="DIR_OR_VIDEO", help="folder of pictures, or a video")
-    replay.add_argument("--telemetry", type=Path, metavar="FLIGHT.tlog", help="the autopilot's log")
+    replay.add_argument(
+        "--telemetry",
+        type=Path,
+        metavar="LOG|exif",
+        help="a log: .tlog, ArduPilot .bin, PX4 .ulg, DJI .srt, .csv (docs/telemetry.md); exif: what the pictures say",
+    )
+    replay.add_argument(
+        "--home-amsl-m",
+        type=_finite,
+        metavar="M",
+        help="how high above sea level the take-off was, for a .srt that counts heights from there",
+    )
     replay.add_argument("--camera", type=Path, metavar="CAMERA.json", help="intrinsics and distortion")
     replay.add_argument(
         "--stamps",
@@ -112,6 +143,22 @@ def parser() -> argparse.ArgumentParser:
         "--linger", type=_seconds, default=0.0, metavar="S", help="seconds to go on answering on the link afterwards"
     )
     replay.set_defaults(run=run_replay)
+
+    photos = commands.add_parser(
+        "import-photos",
+        help="make a flight for replay of a folder of survey photographs",
+        description="Stamps, camera file and mount of a folder of photographs, by what their EXIF and XMP say; "
+        "prints what it assumed, and how to replay it.",
+        epilog=IMPORT_EXAMPLE,
+        formatter_class=AsWritten,
+    )
+    photos.add_argument("folder", type=Path, metavar="DIR", help="the photographs, of one camera and one flight")
+    photos.add_argument("--out", type=Path, required=True, metavar="FLIGHT", help="folder to write; new or empty")
+    photos.add_argument(
+        "--telemetry", type=Path, metavar="LOG", help="a log of the flight, in place of what the pictures say"
+    )
+    photos.add_argument("--copy", action="store_true", help="copy the pictures; else they are linked to")
+    photos.set_defaults(run=run_import_photos)
 
     cameras = commands.add_parser("cameras", help="list cameras, their formats and controls")
     cameras.add_argument("--json", action="store_true", help="for programs")
@@ -225,6 +272,13 @@ def run_make_credentials(arguments: argparse.Namespace) -> int:
         print(folder)
     print(f"{arguments.folder / AUTHORITY} (signs new ones: keep it off the aircraft and away from others)")
     return 0
+
+
+def run_import_photos(arguments: argparse.Namespace) -> int:
+    """Make a flight of photographs and say what was assumed."""
+    from onboard.commands import import_photos  # noqa: PLC0415
+
+    return import_photos.run(arguments)
 
 
 def run_cameras(arguments: argparse.Namespace) -> int:

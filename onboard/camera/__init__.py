@@ -5,7 +5,9 @@ Public:
 
 - `discovery`: `device_paths`, `stable_names`
 - `factory`: `open_camera`
+- `file_stamps`: `spread_within_seconds`
 - `format_negotiation`: `sizes_text`
+- `photo_metadata`: `Focal`, `PhotoMetadata`, `read_photo`
 - `picture_files`: `FrameSource`, `PICTURE_SUFFIXES`, `open_frames`, `read_grey`
 - `playback`: `PREFIX`
 - `pixel_formats`: `DECODERS`, `UNDECODABLE`

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
@@ -56,31 +57,47 @@ def stamp_from_name(name: str) -> int | None:
     return None
 
 
-def stamp_from_exif(image: Image.Image) -> int | None:
+def stamp_from_exif(image: Image.Image, whole_seconds: bool = False) -> int | None:
     """DateTimeOriginal with SubSecTimeOriginal -> Unix ns, or None.
 
-    OffsetTimeOriginal is honoured; without it the time is taken as UTC. Whole seconds alone are no capture time here:
-    at 20 m/s they are up to 20 m wrong.
+    OffsetTimeOriginal is honoured; without it the time is taken as UTC. Whole seconds alone are no capture time unless
+    `whole_seconds` says that they may be: at 20 m/s they are up to 20 m wrong.
     """
-    exif = image.getexif().get_ifd(ExifTags.IFD.Exif)
+    stamp_ns, is_whole = exif_moment(dict(image.getexif().get_ifd(ExifTags.IFD.Exif)))
+    return None if is_whole and not whole_seconds else stamp_ns
+
+
+def exif_moment(details: Mapping[int, object]) -> tuple[int | None, bool]:
+    """The Exif directory's capture time (Unix ns) and whether it is cut to the second."""
     text, fraction, offset = (
-        str(exif.get(tag, "")).strip(" \0")
+        str(details.get(tag, "")).strip(" \0")
         for tag in (
             ExifTags.Base.DateTimeOriginal,
             ExifTags.Base.SubsecTimeOriginal,
             ExifTags.Base.OffsetTimeOriginal,
         )
     )
-    if not re.fullmatch(r"\d{1,9}", fraction):
-        return None
     try:
         moment = datetime.strptime(text, "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
     except ValueError:
-        return None
+        return None, False
     if zone := re.fullmatch(r"([+-])(\d{2}):?(\d{2})", offset):
         ahead = timedelta(hours=int(zone[2]), minutes=int(zone[3]))
         moment += -ahead if zone[1] == "+" else ahead
-    return _to_ns(moment, fraction)
+    is_whole = re.fullmatch(r"\d{1,9}", fraction) is None
+    return _to_ns(moment, "0" if is_whole else fraction), is_whole
+
+
+def spread_within_seconds(stamps_ns: list[int]) -> list[int]:
+    """Times cut to the second, in order of capture -> times that differ: pictures of one second evenly within it."""
+    out, start = [], 0
+    while start < len(stamps_ns):
+        end = start
+        while end < len(stamps_ns) and stamps_ns[end] == stamps_ns[start]:
+            end += 1
+        out += [stamps_ns[start] + i * 1_000_000_000 // (end - start) for i in range(end - start)]
+        start = end
+    return out
 
 
 def read_stamps(path: Path | str, key: str) -> dict[str, int]:

@@ -20,7 +20,7 @@ from PIL import Image
 
 from contract.camera import Camera
 from contract.errors import InputError
-from onboard.camera.file_stamps import read_stamps, stamp_from_exif, stamp_from_name
+from onboard.camera.file_stamps import read_stamps, spread_within_seconds, stamp_from_exif, stamp_from_name
 from onboard.camera.pixel_formats import UNDECODABLE, reduce_16_bit
 from onboard.events.types import Frame
 
@@ -44,20 +44,28 @@ class FrameSource(Protocol):
 
 
 def open_frames(
-    path: Path | str, camera: Camera, stamps: Path | str | None = None, latency_s: float = 0.0
+    path: Path | str,
+    camera: Camera,
+    stamps: Path | str | None = None,
+    latency_s: float = 0.0,
+    whole_seconds: bool = False,
+    epoch_ns: int | None = None,
 ) -> FrameSource:
     """Open a folder of pictures or a video; `latency_s` is taken off every stamp to give mid-exposure.
+
+    `whole_seconds`: EXIF times cut to the second may serve. `epoch_ns`: when a video without `stamps` began, whatever
+    its name says.
 
     Raises InputError, one line, if it is missing or empty, of another size than the camera, or has no capture times.
     """
     path = Path(path)
     if path.is_dir():
-        return PictureFolder(path, camera, stamps, latency_s)
+        return PictureFolder(path, camera, stamps, latency_s, whole_seconds)
     if not path.exists():
         raise InputError(f"frames {path}: no such folder or video")
     if path.suffix.lower() in PICTURE_SUFFIXES:
         raise InputError(f"frames {path}: a single picture; name the folder it is in, or a video")
-    return Video(path, camera, stamps, latency_s)
+    return Video(path, camera, stamps, latency_s, epoch_ns)
 
 
 def _check_size(what: str, size_px: tuple[int, int], camera: Camera) -> None:
@@ -87,14 +95,16 @@ def _in_capture_order(where: object, stamped: list[_Stamped]) -> list[_Stamped]:
 class PictureFolder:
     """The pictures of one folder (not of its subfolders)."""
 
-    def __init__(self, folder: Path, camera: Camera, stamps: Path | str | None, latency_s: float) -> None:
-        self.folder, self.camera = folder, camera
+    def __init__(
+        self, folder: Path, camera: Camera, stamps: Path | str | None, latency_s: float, whole_seconds: bool = False
+    ) -> None:
+        self.folder, self.camera, self._whole_seconds = folder, camera, whole_seconds
         names = sorted(
             entry.name for entry in folder.iterdir() if entry.suffix.lower() in PICTURE_SUFFIXES and entry.is_file()
         )
         if not names:
             raise InputError(f"frames {folder}: no picture in it ({', '.join(sorted(PICTURE_SUFFIXES))})")
-        exif = [self._check_header(name) for name in names]
+        exif = self._whole_in_order(names, [self._check_header(name) for name in names])
         found = self._from_csv(names, stamps) if stamps is not None else self._from_pictures(names, exif)
         late_ns = round(latency_s * 1e9)
         self._stamped = _in_capture_order(
@@ -106,9 +116,18 @@ class PictureFolder:
         try:
             with Image.open(self.folder / name) as image:
                 _check_size(f"frames {self.folder}: {name}", image.size, self.camera)
-                return stamp_from_exif(image)
+                return stamp_from_exif(image, self._whole_seconds)
         except UNDECODABLE as error:
             raise self._undecodable(name, error) from error
+
+    def _whole_in_order(self, names: list[str], exif: list[int | None]) -> list[int | None]:
+        """Pictures of one second, where times are cut to it, spread over it in the order of their names."""
+        known = sorted((stamp, name) for stamp, name in zip(exif, names, strict=True) if stamp is not None)
+        if not self._whole_seconds or len(known) < len(names) or any(stamp % 1_000_000_000 for stamp, _ in known):
+            return exif
+        spread = spread_within_seconds([stamp for stamp, _ in known])
+        by_name = {name: stamp for (_, name), stamp in zip(known, spread, strict=True)}
+        return [by_name[name] for name in names]
 
     def _undecodable(self, name: str, error: Exception) -> InputError:
         why = " ".join(str(error).split()).replace(str(self.folder / name), name)
@@ -139,7 +158,8 @@ class PictureFolder:
         without = names[from_name.index(None)]
         raise InputError(
             f"frames {self.folder}: no capture time for {without}: no EXIF DateTimeOriginal with SubSecTimeOriginal "
-            f"and no UTC time in its name; give --stamps"
+            f"and no UTC time in its name; give --stamps, or, for times cut to the second, camera.latency_s = -0.5 and "
+            f"camera.sigma_jitter_s = 0.3"
         )
 
     @property
@@ -174,7 +194,14 @@ def read_grey(path: Path) -> NDArray[np.uint8]:
 class Video:
     """A video file; its stamps come from a CSV by index, or from the time in its name and its own frame times."""
 
-    def __init__(self, path: Path, camera: Camera, stamps: Path | str | None, latency_s: float) -> None:
+    def __init__(
+        self,
+        path: Path,
+        camera: Camera,
+        stamps: Path | str | None,
+        latency_s: float,
+        epoch_ns: int | None = None,
+    ) -> None:
         self.path, self.camera = path, camera
         capture = self._open()
         size = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
@@ -183,7 +210,7 @@ class Video:
         _check_size(f"frames {path}", size, camera)
         if count < 1:
             raise InputError(f"frames {path}: the video does not say how many frames it has; remux it")
-        found = self._from_csv(count, stamps) if stamps is not None else self._from_name(count, rate_hz)
+        found = self._from_csv(count, stamps) if stamps is not None else self._from_rate(count, rate_hz, epoch_ns)
         late_ns = round(latency_s * 1e9)
         names = [f"{path.name}#{index}" for index in range(count)]
         self._stamped = [_Stamped(stamp - late_ns, name) for stamp, name in zip(found, names, strict=True)]
@@ -209,8 +236,8 @@ class Video:
             raise InputError(f"stamps {path}: no stamp for index {found.index(None)} of {count} frames")
         return [stamp for stamp in found if stamp is not None]
 
-    def _from_name(self, count: int, rate_hz: float) -> list[int]:
-        start_ns = stamp_from_name(self.path.name)
+    def _from_rate(self, count: int, rate_hz: float, epoch_ns: int | None) -> list[int]:
+        start_ns = stamp_from_name(self.path.name) if epoch_ns is None else epoch_ns
         if start_ns is None or not 0.01 < rate_hz < 1000.0:
             raise InputError(f"frames {self.path}: no capture times: give --stamps with index,unix_time_s")
         return [start_ns + round(index / rate_hz * 1e9) for index in range(count)]

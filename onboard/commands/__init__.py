@@ -6,6 +6,7 @@ Public:
 - `cameras`: `run`
 - `check_config`: `run`
 - `doctor`
+- `import_photos`: `run`
 - `replay`: `run`
 - `run`
 - `status`

@@ -93,7 +93,7 @@ def _open_files(arguments: argparse.Namespace) -> _Inputs:
     camera = Camera.from_json(arguments.camera)
     if arguments.record is not None:
         _check_place(arguments.record)
-    flight = Flight.open(config, camera, arguments.frames, arguments.telemetry, arguments.stamps)
+    flight = Flight.open(config, camera, arguments.frames, arguments.telemetry, arguments.stamps, arguments.home_amsl_m)
     return _Inputs(config, config_text, camera, "", flight, None)
 
 

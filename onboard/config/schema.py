@@ -87,7 +87,9 @@ class CameraConfig(Section):
 
     latency_s: float = quantity(0.0, -5.0, 5.0, "s", "capture stamp minus true mid-exposure")
     sigma_latency_s: float = quantity(0.1, 0.0, 2.0, "s", "one sigma of the camera-to-autopilot time offset")
-    sigma_jitter_s: float = quantity(0.003, 0.0, 0.1, "s", "least one sigma of a single stamp; estimated upwards")
+    sigma_jitter_s: float = quantity(
+        0.003, 0.0, 1.0, "s", "least one sigma of a single stamp, 0.3 where it is cut to the second; estimated upwards"
+    )
 
 
 class Tracking(Section):
@@ -136,7 +138,7 @@ class Gps(Section):
     """Errors of the position, and when it is not used."""
 
     # ArduPilot 4.7's GLOBAL_POSITION_INT against the simulator's truth: 40 ms (plane), 28 ms (copter).
-    latency_s: float = quantity(0.04, -1.0, 1.0, "s", "age of a position at its own time stamp")
+    latency_s: float = quantity(0.04, -1.0, 5.0, "s", "age of a position at its own time stamp")
     sigma_latency_s: float = quantity(0.1, 0.0, 5.0, "s", "one sigma of that age; it is estimated in flight")
     sigma_white_m: float = quantity(0.3, 0.001, 100.0, "m", "one sigma of a position, the white part")
     sigma_wander_horizontal_m: float = quantity(

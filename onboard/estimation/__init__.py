@@ -16,5 +16,5 @@ Public:
 - `solver_executor`: `Inline`, `Promise`, `Worker`, `timed_adjust`
 - `variance_components`: `VarianceFactors`, `NAMES`, `TILT`, `HEADING`, `TILT_WHITE`, `HEADING_WHITE`,
   `VELOCITY`, `POSITION`
-- `window_solver`: `MIN_KEYFRAMES`
+- `window_solver`: `MIN_KEYFRAMES`, `Noise`, `Outcome`, `Request`
 """

@@ -67,9 +67,18 @@ def _one_of(errors: Array, moved: Array) -> Array:
 
 
 def make_sensor_pose(
-    config: Config, nav: NavState, belief: Belief, R_cam_enu: Array, factors: VarianceFactors, lever_cam_m: Array
+    config: Config,
+    nav: NavState,
+    belief: Belief,
+    R_cam_enu: Array,
+    factors: VarianceFactors,
+    lever_cam_m: Array,
+    stamp_error: tuple[float, float] = (0.0, 0.0),
 ) -> SensorPose:
-    """The camera's pose by sensors alone, its errors by nuisance parameter, and what is the picture's own."""
+    """The camera's pose by sensors alone, its errors by nuisance parameter, and what is the picture's own.
+
+    `stamp_error`: one sigma of the picture's own stamp (s), and how fast the vehicle turns (rad/s).
+    """
     solve, gps = config.solve, config.gps
     speed = np.zeros(3) if nav.velocity_enu_m_s is None else nav.velocity_enu_m_s
     tilt, heading = attitude_sigmas(config, factors)
@@ -82,10 +91,14 @@ def make_sensor_pose(
     late_s = float(np.linalg.norm(np.append(factor[OFFSET] + factor[DELAY], gps.sigma_latency_s)))
     by_nuisance[3:6, ALIGNMENT.start : ALIGNMENT.stop - 1] = R_cam_enu.T @ factor[BORESIGHT, :3]
     by_nuisance[:3, ALIGNMENT.stop - 1] = speed * late_s
+    jitter_s, rate_rad_s = stamp_error
     white = np.zeros(7)
     white[:3] = nav.sigma_white_m * np.array([1.0, 1.0, 1.5])
     white[3:5] = np.radians(solve.attitude_white_sigma_deg) * factors.sigma(TILT_WHITE)
     white[5] = np.radians(solve.heading_white_sigma_deg) * factors.sigma(HEADING_WHITE)
+    white[3:6] = np.hypot(white[3:6], rate_rad_s * jitter_s)
+    own = np.diag(white**2)
+    own[:3, :3] += jitter_s**2 * np.outer(speed, speed)  # (5.11)
     shared = SharedErrors(by_nuisance, gps.wander_time_s, solve.attitude_wander_time_s, np.diag(factor)[:4].copy())
     centre = nav.position_enu_m + R_cam_enu.T @ lever_cam_m
-    return SensorPose(R_cam_enu, centre, np.diag(white**2), shared)
+    return SensorPose(R_cam_enu, centre, own, shared)

@@ -105,6 +105,7 @@ class Window:
         R_cam_enu = self.attitude_guess(nav)
         if R_cam_enu is None:
             return None
+        rate = np.linalg.norm(self.keyframes[-1].body_rate_rad_s) if self.keyframes else 0.0
         return make_sensor_pose(
             self.config,
             nav,
@@ -112,6 +113,7 @@ class Window:
             R_cam_enu,
             self.noise.factors_at(nav.stamp_ns),
             self.R_body_cam.T @ self.lever_body_m,
+            (self.noise.jitter_s, float(rate)),
         )
 
     def position_guess(self, nav: NavState) -> Array:

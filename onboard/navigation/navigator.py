@@ -237,6 +237,18 @@ class Navigation:
         return self.config.solve.attitude == "autopilot" and known
 
     @property
+    def behind_ns(self) -> int:
+        """How long after a moment its position comes, beyond what any autopilot's takes."""
+        return max(self._latency_ns, 0)
+
+    @property
+    def heard(self) -> tuple[bool, bool]:
+        """Whether there are attitudes of the vehicle, and of a gimbal, that may be used."""
+        if self.config.solve.attitude == "none":
+            return False, False
+        return bool(self._attitudes.stamps_ns), self.config.mount.gimbal != "never" and bool(self._gimbal.stamps_ns)
+
+    @property
     def _uses_gimbal(self) -> bool:
         """Whether the camera's attitude is the gimbal's."""
         if self.config.mount.gimbal == "never" or not self._gimbal.stamps_ns:

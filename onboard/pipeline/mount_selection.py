@@ -17,7 +17,7 @@ from contract.camera import Camera
 from contract.rotations import log_so3
 from onboard.geometry.plane_homography import Pose, predict_pixels
 from onboard.navigation.gimbal import MountHypothesis
-from onboard.navigation.navigator import NavState
+from onboard.navigation.navigator import Navigation, NavState
 
 Array = NDArray[np.float64]
 
@@ -28,6 +28,11 @@ MEMORY = 0.97  # decay of the cost per picture: about the last thirty count
 LEAD = 20.0  # by which the cost of one hypothesis must be below all others
 ALIKE_RAD = 0.05  # hypotheses this close need no decision
 MIN_SEEN = 0.5  # share of features that the right hypothesis must have a prediction for
+WORDS = {
+    MountHypothesis.MOUNT: "fixed mount",
+    MountHypothesis.GIMBAL: "gimbal",
+    MountHypothesis.JOINTS: "gimbal by joint angles",
+}
 
 
 class MountSelection:
@@ -41,6 +46,24 @@ class MountSelection:
     def is_open(self, nav: NavState) -> bool:
         """Whether hypotheses differ at this picture and none has been selected yet."""
         return self.verdict is None and _differ(nav.mount_hypotheses)
+
+    def carrier(self, navigation: Navigation) -> str:
+        """What is believed to carry the camera, and why, in words."""
+        has_vehicle, has_gimbal = navigation.heard
+        if not has_gimbal:
+            return "fixed mount" if has_vehicle else "unknown: no attitude is used"
+        if not has_vehicle:
+            return "gimbal, as no attitude of the vehicle is heard"
+        if navigation.config.mount.gimbal == "always":
+            return 'gimbal, as mount.gimbal = "always" says'
+        if self.verdict is None:
+            return f"{WORDS[navigation.mount_hypothesis]}; the pictures have not told it from the gimbal's messages"
+        return f"{WORDS[self.verdict]}, as the pictures show"
+
+    def may_be(self, mount_hypothesis: MountHypothesis) -> bool:
+        """Whether the pictures' motion does not speak against a hypothesis by as much as would decide for another."""
+        least = min(self._scores.values(), default=0.0)
+        return self._scores.get(mount_hypothesis, 0.0) - least <= LEAD
 
     def weigh(self, was: NavState, now: NavState, plane: Array, from_px: Array, to_px: Array) -> None:
         """Take the tracks (N, 2) from keyframe `was` to picture `now`; `plane` (3,): ground height at the ENU origin
@@ -62,15 +85,16 @@ class MountSelection:
                 chi = min((miss / sigma_px) ** 2, MOST)
             self._scores[mount_hypothesis] = MEMORY * self._scores.get(mount_hypothesis, 0.0) + chi
         best = min(both, key=lambda c: self._scores[c])
-        others = [c for c in both if _unlike(now.mount_hypotheses[c], now.mount_hypotheses[best])]
+        others = [c for c in both if unlike(now.mount_hypotheses[c], now.mount_hypotheses[best])]
         if others and min(self._scores[c] for c in others) - self._scores[best] > LEAD:
             self.verdict = best
 
 
 def _differ(mount_hypotheses: Mapping[MountHypothesis, Array]) -> bool:
     attitudes = list(mount_hypotheses.values())
-    return any(_unlike(attitudes[0], other) for other in attitudes[1:])
+    return any(unlike(attitudes[0], other) for other in attitudes[1:])
 
 
-def _unlike(one: Array, other: Array) -> bool:
+def unlike(one: Array, other: Array) -> bool:
+    """Whether two attitudes (3, 3) differ by so much that one of them must be chosen."""
     return float(np.linalg.norm(log_so3(one.T @ other))) > ALIKE_RAD

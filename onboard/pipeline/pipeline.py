@@ -35,6 +35,7 @@ from onboard.pipeline.keyframe_choice import wants_keyframe
 from onboard.pipeline.keyframe_navigation import look_up_again
 from onboard.pipeline.motion_prediction import ground_so_far, predict_motion, what_parts
 from onboard.pipeline.mount_selection import MountSelection
+from onboard.pipeline.mount_trial import MountTrials, carry_over
 from onboard.pipeline.offset_watch import OffsetWatch
 from onboard.pipeline.picture_record import Pending, Record
 from onboard.pipeline.shortfall import MIN_OVERLAP, Evidence
@@ -77,6 +78,7 @@ class Pipeline:
         self.window = Window(config, camera)
         self.mount_selection = MountSelection(camera, self.window.R_body_cam)
         self._offset_watch = OffsetWatch(config, camera, self.window.R_body_cam)
+        self._trials = MountTrials(self.mount_selection)
         self.tracks: Tracks | None = None  # of the newest picture, for display
         self._waiting: deque[Frame] = deque()
         self._records: list[Record] = []
@@ -109,7 +111,7 @@ class Pipeline:
             # The moment that counts is the autopilot's: extrapolating to it would bend what is learned of the offset.
             moment_ns = frame.stamp_ns + round(self._offset_s * 1e9)
             is_covered = self.navigation.covers(moment_ns, round(self._delay_s * 1e9))
-            if not is_covered and self._now_ns - frame.stamp_ns < MAX_WAIT_NS:
+            if not is_covered and self._now_ns - frame.stamp_ns < MAX_WAIT_NS + self.navigation.behind_ns:
                 break
             out.extend(self._process(self._waiting.popleft()))
         out.extend(self._catch_up())
@@ -128,7 +130,8 @@ class Pipeline:
     @property
     def summary(self) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
-        return self._statistics.summary(*found_in_flight(self.config, self.window, self._now_ns))
+        carrier = self.mount_selection.carrier(self.navigation)
+        return self._statistics.summary(*found_in_flight(self.config, self.window, self._now_ns), carrier)
 
     def _process(self, frame: Frame) -> list[FeatureSet]:
         if self._session is None:
@@ -136,10 +139,10 @@ class Pipeline:
         if frame.image is None:
             return [self._refuse(frame, Status.BAD_PICTURE)]
         out: list[FeatureSet] = []
-        mount_hypothesis = self.mount_selection.verdict
-        if mount_hypothesis is not None and mount_hypothesis is not self.navigation.mount_hypothesis:
-            out.extend(self._restart())
-            self.navigation.mount_hypothesis = mount_hypothesis
+        if (reading := self.mount_selection.verdict) and reading is not self.navigation.mount_hypothesis:
+            out.extend(self._adopt())
+            if not carry_over(self.window, self._records, self.navigation, reading):
+                out.extend(self._restart())
         with self._statistics.timed("navigation"):
             nav = self._state_at(frame.stamp_ns, frame.stamp_sigma_s)
         if nav is Status.NO_GPS:
@@ -270,6 +273,7 @@ class Pipeline:
         record = Record(frame, seen, nav, True)
         self._records.append(record)
         promise = self.worker.submit(timed_adjust, self.window.prepare())
+        self._trials.begin(self.window, self.worker, self.navigation)
         self._pending = Pending(promise, record, reason, self._now_ns + ADOPTION_NS)
         if reason is None:
             out.extend(self._place([record], only_ok=True))
@@ -281,8 +285,9 @@ class Pipeline:
         if pending is None:
             return []
         done, record = pending.promise.result(), pending.record
-        self._statistics.spend("solve", done.processor_s)
-        status = self.window.adopt(done.outcome)
+        outcome, trials_s = self._trials.judged(done.outcome, self.window, self._records, self.navigation)
+        self._statistics.spend("solve", done.processor_s + trials_s)
+        status = self.window.adopt(outcome)
         self._statistics.note_window(self.window.refusal)
         self._failures = self._failures + 1 if status is Status.POOR_FIT else 0
         if status in (Status.OK, Status.POOR_FIT):

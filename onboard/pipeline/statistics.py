@@ -33,6 +33,7 @@ class Summary:
     sensor_errors: tuple[SensorError, ...] = ()  # how large they are, as estimated beside what is configured
     unconfirmed: tuple[Estimate, ...] = ()  # found, but too far from what was believed to be adopted by itself
     contradictions: tuple[Contradiction, ...] = ()  # sensors that contradict the others, or did
+    carrier: str = ""  # what was believed to carry the camera
     stage_seconds: dict[str, float] = field(default_factory=dict)
 
 
@@ -81,6 +82,7 @@ class RunStatistics:
         sensor_errors: tuple[SensorError, ...] = (),
         unconfirmed: tuple[Estimate, ...] = (),
         contradictions: tuple[Contradiction, ...] = (),
+        carrier: str = "",
     ) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
         refused = Counter({s.value: n for s, n in self._outcomes.items() if s is not Status.OK and n})
@@ -97,6 +99,7 @@ class RunStatistics:
             sensor_errors=sensor_errors,
             unconfirmed=unconfirmed,
             contradictions=contradictions,
+            carrier=carrier,
             stage_seconds=dict(self._stages),
         )
 

@@ -3,5 +3,6 @@
 Public:
 
 - `comparison`: `Comparison`
+- `photo_telemetry`: `gap_to_join_s`, `height_amsl`, `photo_telemetry`
 - `runner`: `Events`, `Flight`, `replay`, `summary_text`
 """

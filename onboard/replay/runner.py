@@ -20,17 +20,22 @@ from tqdm import tqdm
 from contract.camera import Camera
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
+from onboard.camera.photo_metadata import read_photo
 from onboard.camera.picture_files import FrameSource, open_frames
 from onboard.config.schema import Config
 from onboard.events.sink import Sink
 from onboard.events.types import Event, Frame
 from onboard.pipeline.estimates import as_rows
-from onboard.telemetry.tlog_reader import TelemetryLog, read_tlog
+from onboard.replay.photo_telemetry import check_gaps, photo_telemetry
+from onboard.telemetry.log_files import read_log
+from onboard.telemetry.telemetry_log import TelemetryLog
 
 if TYPE_CHECKING:
     from onboard.pipeline.pipeline import Pipeline
     from onboard.pipeline.statistics import Summary
 
+EXIF = "exif"  # in place of a log: the pictures' own words
+WHOLE_SECOND_SIGMA_S = 0.25  # of a stamp, from which on one cut to the second is no worse: evenly within it is 0.29
 # Telemetry this long before the first and after the last picture takes part: enough for a receiver's state to be known
 # and for the last exposure to be bracketed, whatever the length of the log.
 LEAD_NS = 30_000_000_000
@@ -46,14 +51,27 @@ class Flight:
 
     frames: FrameSource
     telemetry: TelemetryLog
+    behind_ns: int = 0  # how far positions lag behind their stamps
 
     @classmethod
     def open(
-        cls, config: Config, camera: Camera, frames: Path | str, telemetry: Path | str, stamps: Path | str | None
+        cls,
+        config: Config,
+        camera: Camera,
+        frames: Path | str,
+        telemetry: Path | str,
+        stamps: Path | str | None,
+        home_amsl_m: float | None = None,
     ) -> Flight:
-        """Open both inputs; raises InputError, one line, if either is unusable or they do not overlap in time."""
-        source = open_frames(frames, camera, stamps, config.camera.latency_s)
-        log = read_tlog(telemetry, config.telemetry.clock)
+        """Open both inputs; raises InputError, one line, if either is unusable or they do not overlap in time.
+
+        `telemetry` is a log, or the word "exif": what the pictures themselves say. `home_amsl_m`: see `read_log`.
+        """
+        if str(telemetry) == EXIF:
+            return cls._of_photos(config, camera, frames, stamps)
+        whole = config.camera.sigma_jitter_s >= WHOLE_SECOND_SIGMA_S
+        log = read_log(telemetry, config.telemetry.clock, home_amsl_m)
+        source = open_frames(frames, camera, stamps, config.camera.latency_s, whole, log.video_epoch_ns)
         first, last = source.stamps_ns[0], source.stamps_ns[-1]
         begin, end = log.span_ns
         if last < begin - OVERLAP_SLACK_NS or first > end + OVERLAP_SLACK_NS:
@@ -61,7 +79,17 @@ class Flight:
                 f"pictures and telemetry do not overlap: pictures {_utc(first)} to {_utc(last)}, "
                 f"telemetry {_utc(begin)} to {_utc(end)}"
             )
-        return cls(source, log)
+        return cls(source, log, max(round(config.gps.latency_s * 1e9), 0))
+
+    @classmethod
+    def _of_photos(cls, config: Config, camera: Camera, frames: Path | str, stamps: Path | str | None) -> Flight:
+        folder = Path(frames)
+        if folder.is_file():
+            raise InputError(f"telemetry exif: {folder} is a video; pictures in a folder have EXIF")
+        source = open_frames(frames, camera, stamps, config.camera.latency_s, whole_seconds=True)
+        check_gaps(config, source.stamps_ns)
+        photos = [read_photo(folder / name) for name in source.names]
+        return cls(source, photo_telemetry(photos, source.stamps_ns, config.gps.undulation_m))
 
     @property
     def stamps_ns(self) -> Sequence[int]:
@@ -72,7 +100,7 @@ class Flight:
         """Everything in the order in which it would have arrived, with that time (Unix ns)."""
         stamps = self.frames.stamps_ns
         log = zip(self.telemetry.arrival_ns, self.telemetry.events, strict=True)
-        near = ((t, e) for t, e in log if stamps[0] - LEAD_NS <= t <= stamps[-1] + TAIL_NS)
+        near = ((t, e) for t, e in log if stamps[0] - LEAD_NS <= t <= stamps[-1] + TAIL_NS + self.behind_ns)
         waiting = next(near, None)
         for frame in self.frames.frames():
             while waiting is not None and waiting[0] <= frame.stamp_ns:
@@ -165,6 +193,8 @@ def summary_text(summary: Summary) -> str:
     ]
     if summary.refused_windows:
         rows.append(("refused windows", ", ".join(f"{n} {why}" for why, n in summary.refused_windows.items())))
+    if summary.carrier:
+        rows.append(("camera carried by", summary.carrier))
     rows += as_rows(summary.estimates, summary.sensor_errors, summary.unconfirmed, summary.contradictions)
     frames = max(summary.frames, 1)
     rows += [

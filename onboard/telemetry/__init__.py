@@ -4,5 +4,6 @@ themselves.
 Public:
 
 - `factory`: `open_telemetry`
-- `tlog_reader`: `TelemetryLog`, `read_tlog`
+- `log_files`: `read_log`
+- `telemetry_log`: `TelemetryLog`, `quaternion`, `vouched`
 """

@@ -11,7 +11,6 @@ import itertools
 import struct
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,24 +21,9 @@ from contract.errors import InputError
 from onboard.events.types import NavEvent, PositionFix
 from onboard.telemetry.boot_clock import BootClock, Mode
 from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT, WANTED, MessageToEvent, Sources, boot_ns_of
+from onboard.telemetry.telemetry_log import TelemetryLog
 
 STRAY_NS = 5_000_000_000
-
-
-@dataclass(frozen=True, eq=False)
-class TelemetryLog:
-    """A log's events in order of arrival, with their arrival times (ns, same length)."""
-
-    events: list[NavEvent]
-    arrival_ns: list[int]
-    system: int
-    boot_segments: int
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """Capture times of the first and the last position."""
-        stamps = [event.stamp_ns for event in self.events if isinstance(event, PositionFix)]
-        return min(stamps), max(stamps)
 
 
 def read_tlog(path: Path | str, clock: Mode = "auto") -> TelemetryLog:

@@ -190,11 +190,25 @@ def test_a_batch_answers_every_click_in_order_refusals_included(
     assert answers[3]["lat_deg"] == pytest.approx(expected.lat_deg, abs=1e-9)
 
 
+def test_a_batch_may_name_pictures_by_their_files(
+    session: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    by_file, by_frame = tmp_path / "files.csv", tmp_path / "frames.csv"
+    by_file.write_text("file,u,v\npicture_1.png,310.25,200.5\n/some/where/picture_0.png,300,240\nother.png,1,2\n")
+    by_frame.write_text("frame,u,v\n1,310.25,200.5\n0,300,240\n")
+    assert main(["click", "--batch", str(by_file), "--from", session]) == 0
+    named = capsys.readouterr().out.splitlines()
+    assert main(["click", "--batch", str(by_frame), "--from", session]) == 0
+    assert named[:2] == capsys.readouterr().out.splitlines()
+    assert json.loads(named[2])["status"] == "unknown_frame" and "'other.png'" in named[2]
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
         ("frame,u\n1,2\n", "line 1: no column v"),
-        ("", "line 1: no column frame, u, v"),
+        ("", "line 1: no column frame or file, u, v"),
+        ("file,u,v\n,2,3\n", "line 2: no file name"),
         ("frame,u,v\n1,2,3\n1,two,3\n", "line 3: 'two' is not a finite number"),
         ("frame,u,v\n1,2\n", "line 2: '' is not a finite number"),
         ("frame,u,v\n-1,2,3\n", "line 2: '-1' is not a frame number"),

@@ -190,7 +190,7 @@ def spoil_overlap(session: Path) -> dict[str, Path | str]:
         (lambda s: {"config": s / "none.toml"}, "none.toml: No such file"),
         (lambda s: {"frames": s / "none"}, "no such folder or video"),
         (lambda s: {"telemetry": s / "none.tlog"}, "none.tlog: No such file"),
-        (lambda s: {"telemetry": s / "stamps.csv"}, "not a MAVLink telemetry log"),
+        (lambda s: {"telemetry": s / "stamps.csv"}, "no column lat_deg, lon_deg, height_amsl_m"),
         (lambda s: {"camera": s / "none.json"}, "none.json: No such file"),
         (lambda s: {"stamps": s / "none.csv"}, "none.csv: No such file"),
         (lambda s: {"record": s / "none" / "out.mcap"}, "no such folder"),

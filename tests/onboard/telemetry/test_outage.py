@@ -16,7 +16,8 @@ from onboard.config.schema import Config
 from onboard.events.types import FilterStatus, Frame, GpsQuality, NavEvent, PositionFix
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.pipeline import Pipeline
-from onboard.telemetry.tlog_reader import TelemetryLog, read_tlog
+from onboard.telemetry.telemetry_log import TelemetryLog
+from onboard.telemetry.tlog_reader import read_tlog
 
 SECOND = 1_000_000_000
 PERIOD = SECOND // 2

@@ -15,7 +15,8 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from contract.errors import InputError
 from onboard.events.types import Attitude, GpsQuality, NavEvent, PositionFix
-from onboard.telemetry.tlog_reader import TelemetryLog, read_tlog
+from onboard.telemetry.telemetry_log import TelemetryLog
+from onboard.telemetry.tlog_reader import read_tlog
 
 T0_US = 1_795_217_000_000_000
 BOOT_MS = 60_000

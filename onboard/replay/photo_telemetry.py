@@ -1,0 +1,91 @@
+"""Telemetry out of the pictures themselves: each says where it was taken and, if a drone took it, where it looked.
+
+A position here belongs to its picture whatever the clock says, so even times cut to the second will do.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+from contract.errors import InputError
+from onboard.camera.photo_metadata import PhotoMetadata
+from onboard.config.schema import Config
+from onboard.events.types import Attitude, GimbalAttitude, GpsQuality, PositionFix
+from onboard.telemetry.telemetry_log import TelemetryLog, quaternion, vouched
+
+# Heights of drones without RTK come from a barometer and an unsaid geoid; with RTK from the ellipsoid, which lies
+# within tens of metres of the sea in most places.
+SIGMA_AMSL_M, SIGMA_GEOID_M = 20.0, 40.0
+MAX_GAP_S = 10.0  # what the configuration takes
+STEP_S = 0.1  # in what is asked for, so that it reads well
+
+
+def photo_telemetry(photos: list[PhotoMetadata], stamps_ns: list[int], undulation_m: float | None) -> TelemetryLog:
+    """Of photographs in order of capture, with their times. `undulation_m` brings ellipsoidal heights to sea level.
+
+    Raises InputError, one line, if a photograph has no position.
+    """
+    without = [photo.name for photo in photos if photo.lat_deg is None or photo.height_amsl_m is None]
+    if without:
+        more = f" and {len(without) - 1} more" if len(without) > 1 else ""
+        raise InputError(
+            f"telemetry exif: no GPS position with a height in {without[0]}{more}; "
+            "give a log of the flight instead: --telemetry FILE"
+        )
+    is_timed = not any(photo.stamp_is_whole_s for photo in photos)
+    pairs = list(zip(photos, stamps_ns, strict=True))
+    positions = [_position(photo, stamp_ns, is_timed, undulation_m) for photo, stamp_ns in pairs]
+    events = vouched(positions, [_claim(photo, undulation_m) for photo in photos])
+    for photo, stamp_ns in pairs:
+        if photo.body_deg is not None:
+            events.append(Attitude(stamp_ns, quaternion(photo.body_deg)))
+        if photo.gimbal_deg is not None:
+            events.append(GimbalAttitude(stamp_ns, quaternion(photo.gimbal_deg), "earth"))
+    return TelemetryLog.by_stamp(events)
+
+
+def check_gaps(config: Config, stamps_ns: list[int]) -> None:
+    """Raise InputError if the configuration does not join positions as far apart as the pictures usually are."""
+    apart_s = _usual_s(stamps_ns)
+    if min(config.gps.max_gap_s, config.telemetry.max_attitude_gap_s) < min(apart_s, MAX_GAP_S):
+        raise InputError(
+            f"telemetry exif: the pictures alone say where they were, {apart_s:.1f} s apart: set gps.max_gap_s and "
+            f"telemetry.max_attitude_gap_s to {gap_to_join_s(stamps_ns):.1f}, as `pc-onboard import-photos` does"
+        )
+
+
+def _usual_s(stamps_ns: list[int]) -> float:
+    """How far apart all but the longest tenth are."""
+    apart_s = sorted((after - before) / 1e9 for before, after in itertools.pairwise(stamps_ns))
+    return apart_s[(9 * (len(apart_s) - 1)) // 10] if apart_s else 0.0
+
+
+def gap_to_join_s(stamps_ns: list[int]) -> float:
+    """What both gaps of the configuration must be to join these pictures, as far as any may be joined."""
+    apart_s = max(((after - before) / 1e9 for before, after in itertools.pairwise(stamps_ns)), default=0.0)
+    return min(round(apart_s + STEP_S, 1), MAX_GAP_S)
+
+
+def height_amsl(photo: PhotoMetadata, undulation_m: float | None) -> tuple[float, float | None]:
+    """A photograph's height above sea level and its one sigma, m."""
+    assert photo.height_amsl_m is not None
+    if photo.height_is_ellipsoidal:
+        if undulation_m is None:
+            return photo.height_amsl_m, SIGMA_GEOID_M
+        return photo.height_amsl_m - undulation_m, photo.sigma_vertical_m
+    return photo.height_amsl_m, photo.sigma_vertical_m or SIGMA_AMSL_M
+
+
+def _position(photo: PhotoMetadata, stamp_ns: int, is_timed: bool, undulation_m: float | None) -> PositionFix:
+    assert photo.lat_deg is not None and photo.lon_deg is not None
+    velocity = None
+    if is_timed and photo.velocity_ne_m_s is not None:
+        velocity = (*photo.velocity_ne_m_s, float("nan"))
+    height_m, _ = height_amsl(photo, undulation_m)
+    return PositionFix(stamp_ns, photo.lat_deg, photo.lon_deg, height_m, velocity, photo.above_home_m)
+
+
+def _claim(photo: PhotoMetadata, undulation_m: float | None) -> GpsQuality:
+    return GpsQuality(
+        0, 3, None, photo.sigma_horizontal_m, height_amsl(photo, undulation_m)[1], undulation_m=undulation_m
+    )

@@ -1,0 +1,280 @@
+"""ArduPilot's own log (DataFlash, .bin) -> events. Its filter's outputs serve as the same autopilot's MAVLink messages
+do: POS as GLOBAL_POSITION_INT (its velocity from XKF1 or NKF1), ATT as ATTITUDE, GPS and GPA as GPS_RAW_INT, XKF4 as
+EKF_STATUS_REPORT, MNT as the gimbal's attitude, RFND as DISTANCE_SENSOR.
+
+A simulator's log also holds the truth (SIM, SIM2): never read here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+from collections import defaultdict
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pymavlink import DFReader
+
+from contract.errors import InputError
+from onboard.events.types import Attitude, FilterStatus, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
+from onboard.telemetry.boot_clock import Mode
+from onboard.telemetry.gps_time import GpsClock, receiver_lag_s, unix_ns_of_gps
+from onboard.telemetry.mavlink_events import FROZEN_GPS_NS, sensor_direction
+from onboard.telemetry.telemetry_log import TelemetryLog, quaternions
+
+Array = NDArray[np.float64]
+
+MAGIC = b"\xa3\x95"
+FIELDS = {
+    "GPS": ("Status", "GMS", "GWk", "NSats", "Lat", "Lng", "Alt", "Spd", "GCrs", "VZ"),
+    "GPA": ("HAcc", "VAcc", "SAcc", "AEl"),
+    "POS": ("Lat", "Lng", "Alt", "RelHomeAlt"),
+    "ATT": ("Roll", "Pitch", "Yaw"),
+    "IMU": ("GyrX", "GyrY", "GyrZ"),
+    "KF1": ("VN", "VE", "VD", "GX", "GY", "GZ"),
+    "KF4": ("SS",),
+    "RFND": ("Dist", "Orient", "Stat"),
+    "MNT": ("Roll", "Pitch", "YawB"),
+}
+METRES_A_DEGREE = 111_320.0
+FAST, FAST_US = {"IMU", "KF1", "KF4"}, 3000  # may be logged at a loop's rate, of which no more than this is used
+STRAY_US = 5_000_000  # a stamp this far from its neighbours' is damaged
+MAX_GAP_S = 0.3  # over which velocities and rates are interpolated
+REPORT_US = 200_000  # the filter's flags come at its own rate: handed on when they change, and this often
+GOOD_RANGE = 4  # RFND.Stat
+WITHOUT_FIX = 3  # GPS.Status below this one
+# nav_filter_status, the bits of XKF4.SS.
+POSITION_ABSOLUTE, POSITION_HELD, GLITCHING, INITIALISED = 1 << 4, 1 << 7, 1 << 14, 1 << 16
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """The messages of one kind: boot time (N,), us, and the fields of `FIELDS` (N, F); nan where a field is missing."""
+
+    boot_us: NDArray[np.int64]
+    values: Array
+
+    def __len__(self) -> int:
+        return len(self.boot_us)
+
+    def at(self, boot_us: NDArray[np.int64], columns: slice) -> Array:
+        """Columns interpolated at other times (M,); nan past the ends and within gaps."""
+        out = np.full((len(boot_us), len(range(*columns.indices(self.values.shape[1])))), np.nan)
+        if len(self) < 2:
+            return out
+        right = np.clip(np.searchsorted(self.boot_us, boot_us), 1, len(self) - 1)
+        near = (self.boot_us[right] - self.boot_us[right - 1]) * 1e-6 <= MAX_GAP_S
+        near &= (boot_us >= self.boot_us[0]) & (boot_us <= self.boot_us[-1])
+        for i, column in enumerate(self.values[:, columns].T):
+            out[near, i] = np.interp(boot_us[near], self.boot_us, column)
+        return out
+
+
+def read_dataflash(path: Path | str, clock: Mode = "auto") -> TelemetryLog:
+    """Read a whole log, stamped on Unix time by GPS time. Damaged stretches and a cut end are passed over.
+
+    Raises InputError, one line, for a file that is no log, or has no GPS time or no position.
+    """
+    tables = _tables(path)
+    gps = tables["GPS"]
+    gps_clock = GpsClock(clock)
+    fixed = [
+        (int(us) * 1000, unix_ns_of_gps(int(row[2]), int(row[1])))
+        for us, row in zip(gps.boot_us, gps.values, strict=True)
+        if row[0] >= WITHOUT_FIX and row[2] > 0 and np.isfinite(row[1])
+    ]
+    for boot_ns, unix_ns in fixed:
+        gps_clock.add(boot_ns, unix_ns)
+    if not gps_clock.is_set:
+        raise InputError(f"telemetry {path}: no GPS time in it (GPS with a 3D fix), so its moments cannot be told")
+    gps_clock.lag_s = _lag_s(gps, tables["POS"], gps_clock)
+    events: list[NavEvent] = [
+        *_positions(tables, gps_clock),
+        *_attitudes(tables, gps_clock),
+        *_qualities(gps, tables["GPA"], gps_clock),
+        *_filter_statuses(tables["KF4"], gps_clock),
+        *_gimbal(tables["MNT"], gps_clock),
+        *_ranges(tables["RFND"], gps_clock),
+    ]
+    if not any(isinstance(event, PositionFix) for event in events):
+        raise InputError(f"telemetry {path}: no position in it (POS, or GPS with a 3D fix)")
+    return TelemetryLog.by_stamp(events, gps_clock.segments)
+
+
+def _tables(path: Path | str) -> dict[str, _Table]:
+    rows: dict[str, list[tuple[float, ...]]] = defaultdict(list)
+    # What the library makes of damage it prints; what it makes of strange files it raises, in many ways.
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        try:
+            with DFReader.DFReader_binary(str(path)) as log:
+                filter_name = _filter_of(log)
+                kinds = {name: name for name in FIELDS if not name.startswith("KF")}
+                kinds |= {f"{filter_name}{name[2:]}": name for name in FIELDS if name.startswith("KF")}
+                primary = 0
+                while (message := log.recv_match(type=list(kinds))) is not None:
+                    name = kinds.get(message.get_type())
+                    if name == "KF4":
+                        primary = getattr(message, "PI", primary)
+                    if name is not None and _is_used(message, name, primary):
+                        held = rows[name]
+                        boot_us = _number(message, "TimeUS")
+                        if name not in FAST or not held or not 0.0 <= boot_us - held[-1][0] < FAST_US:
+                            held.append((boot_us, *(_number(message, field) for field in FIELDS[name])))
+        except Exception as error:
+            why = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(f"telemetry {path}: not a DataFlash log that can be read ({why})") from error
+    return {name: _table(rows[name], len(fields)) for name, fields in FIELDS.items()}
+
+
+def _filter_of(log: Any) -> str:
+    """The navigation filter that flew: "XKF" (the third) or "NKF" (the second)."""
+    first = log.recv_match(type="ATT")
+    log.rewind()
+    names = log.name_to_id
+    if getattr(first, "AEKF", 0) == 2 or "XKF1" not in names:
+        return "NKF"
+    return "XKF"
+
+
+def _is_used(message: Any, name: str, primary: int) -> bool:
+    """Of the filter's cores the primary one; of receivers the one in use; of other sensors the first."""
+    if name in ("KF1", "KF4"):
+        return bool(getattr(message, "C", primary) == primary)
+    if name == "GPS" and hasattr(message, "U"):
+        return bool(message.U)
+    return name == "RFND" or getattr(message, "I", 0) == 0
+
+
+def _number(message: Any, field: str) -> float:
+    value = getattr(message, field, math.nan)
+    return float(value) if isinstance(value, int | float) else math.nan
+
+
+def _table(rows: list[tuple[float, ...]], width: int) -> _Table:
+    values = np.array(rows, float).reshape(-1, width + 1)
+    values = values[np.isfinite(values[:, 0])]
+    if len(values) >= 5:
+        padded = np.pad(values[:, 0], 2, mode="edge")
+        around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
+        values = values[np.abs(values[:, 0] - around) < STRAY_US]
+    values = values[np.argsort(values[:, 0], kind="stable")]
+    return _Table(values[:, 0].astype(np.int64), values[:, 1:])
+
+
+def _lag_s(gps: _Table, filtered: _Table, clock: GpsClock) -> float:
+    """The receiver's delay, by its track against the filter's (POS), with the least delayed report as time so far."""
+    good = (gps.values[:, 0] >= WITHOUT_FIX) & (gps.values[:, 2] > 0)
+    times, fixes = gps.boot_us[good], gps.values[good]
+    boot_of_fix_s = np.array(
+        [
+            (boot + unix_ns_of_gps(int(row[2]), int(row[1])) - clock.to_unix_ns(boot)) / 1e9
+            for boot, row in zip((times * 1000).tolist(), fixes, strict=True)
+        ]
+    )
+    metres = METRES_A_DEGREE * np.array([1.0, math.cos(math.radians(float(fixes[0, 4])))])
+    receiver_ne_m, filter_ne_m = ((rows - fixes[0, 4:6]) * metres for rows in (fixes[:, 4:6], filtered.values[:, :2]))
+    return receiver_lag_s(boot_of_fix_s, receiver_ne_m, filtered.boot_us.astype(float) * 1e-6, filter_ne_m)
+
+
+def _known(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _is_place(lat_deg: float, lon_deg: float, height_m: float) -> bool:
+    return (lat_deg, lon_deg) != (0.0, 0.0) and abs(lat_deg) <= 90 and abs(lon_deg) <= 180 and abs(height_m) < 1e5
+
+
+def _positions(tables: dict[str, _Table], clock: GpsClock) -> list[NavEvent]:
+    pos = tables["POS"]
+    out: list[NavEvent] = []
+    velocities = tables["KF1"].at(pos.boot_us, slice(0, 3))
+    for us, row, v in zip(pos.boot_us.tolist(), pos.values.tolist(), velocities.tolist(), strict=True):
+        if _is_place(*row[:3]):
+            velocity = (v[0], v[1], v[2]) if math.isfinite(sum(v)) else None
+            out.append(PositionFix(clock.to_unix_ns(us * 1000), row[0], row[1], row[2], velocity, _known(row[3])))
+    if out:
+        return out
+    gps = tables["GPS"]
+    for us, row in zip(gps.boot_us.tolist(), gps.values.tolist(), strict=True):
+        if row[0] >= WITHOUT_FIX and _is_place(*row[4:7]):
+            course = math.radians(row[8])
+            north, east, down = row[7] * math.cos(course), row[7] * math.sin(course), row[9]
+            velocity = (north, east, down) if math.isfinite(north) else None
+            stamp_ns = clock.to_unix_ns(us * 1000) - round(clock.lag_s * 1e9)
+            out.append(PositionFix(stamp_ns, row[4], row[5], row[6], velocity))
+    return out
+
+
+def _attitudes(tables: dict[str, _Table], clock: GpsClock) -> list[NavEvent]:
+    """Rates are the gyros', less the filter's estimate of their bias, as ATTITUDE has them."""
+    att = tables["ATT"]
+    rates = tables["IMU"].at(att.boot_us, slice(0, 3))
+    rates = rates - np.radians(np.nan_to_num(tables["KF1"].at(att.boot_us, slice(3, 6))))
+    out: list[NavEvent] = []
+    for us, (w, x, y, z), rate in zip(
+        att.boot_us.tolist(), quaternions(att.values).tolist(), rates.tolist(), strict=True
+    ):
+        if math.isfinite(w + x + y + z):
+            body = (rate[0], rate[1], rate[2]) if math.isfinite(sum(rate)) else None
+            out.append(Attitude(clock.to_unix_ns(us * 1000), (w, x, y, z), body))
+    return out
+
+
+def _qualities(gps: _Table, gpa: _Table, clock: GpsClock) -> list[NavEvent]:
+    out: list[NavEvent] = []
+    moved_us, last_ms = 0, math.nan
+    for us, row in zip(gps.boot_us.tolist(), gps.values.tolist(), strict=True):
+        if row[1] != last_ms:
+            moved_us, last_ms = us, row[1]
+        fix_type = int(row[0]) if math.isfinite(row[0]) and us - moved_us <= FROZEN_GPS_NS // 1000 else 0
+        claim = [math.nan] * 4
+        nearest = int(np.searchsorted(gpa.boot_us, us))
+        if nearest < len(gpa) and gpa.boot_us[nearest] - us < STRAY_US // 10:
+            claim = gpa.values[nearest].tolist()
+        undulation = claim[3] - row[6]
+        known = fix_type >= WITHOUT_FIX and abs(undulation) < 150.0  # unknown is the least integer
+        sigmas = [_known(value) or None for value in claim[:3]]
+        satellites = int(row[3]) if math.isfinite(row[3]) else None
+        quality = GpsQuality(clock.to_unix_ns(us * 1000), fix_type, satellites, sigmas[0], sigmas[1], sigmas[2])
+        out.append(replace(quality, undulation_m=undulation) if known else quality)
+    return out
+
+
+def _filter_statuses(table: _Table, clock: GpsClock) -> list[NavEvent]:
+    out: list[NavEvent] = []
+    # Older filters have no bit for being initialised.
+    has_bit = bool(np.any(table.values[:, 0] >= INITIALISED))
+    said: tuple[bool, bool] | None = None
+    said_us = 0
+    for us, value in zip(table.boot_us.tolist(), table.values[:, 0].tolist(), strict=True):
+        if not 0 <= value < 2**32:
+            continue
+        flags = int(value)
+        has_position = bool(flags & POSITION_ABSOLUTE) and not flags & POSITION_HELD
+        has_position &= bool(flags & INITIALISED) or not has_bit
+        state = has_position, bool(flags & GLITCHING)
+        if state != said or us - said_us >= REPORT_US:
+            said, said_us = state, us
+            out.append(FilterStatus(clock.to_unix_ns(us * 1000), *state))
+    return out
+
+
+def _gimbal(table: _Table, clock: GpsClock) -> list[NavEvent]:
+    return [
+        GimbalAttitude(clock.to_unix_ns(us * 1000), (w, x, y, z), "vehicle")
+        for us, (w, x, y, z) in zip(table.boot_us.tolist(), quaternions(table.values).tolist(), strict=True)
+        if math.isfinite(w + x + y + z)
+    ]
+
+
+def _ranges(table: _Table, clock: GpsClock) -> list[NavEvent]:
+    out: list[NavEvent] = []
+    for us, (distance_m, orientation, state) in zip(table.boot_us.tolist(), table.values.tolist(), strict=True):
+        direction = sensor_direction(int(orientation)) if math.isfinite(orientation) else None
+        if direction is not None and state == GOOD_RANGE and distance_m > 0.0:
+            out.append(RangeFinder(clock.to_unix_ns(us * 1000), distance_m, direction))
+    return out

@@ -1,0 +1,215 @@
+"""DJI's subtitles (.SRT), written beside a video -> events. Several dialects:
+
+    [latitude: 47.1] [longitude: 8.2] [rel_alt: 30.1 abs_alt: 501.3] [gb_yaw: 12.0 gb_pitch: -90.0 gb_roll: 0.0]
+    [latitude : 47.1] [longtitude : 8.2] [altitude: 501.3]                 (the letter too many is DJI's)
+    [Drone: Yaw:1.9, Pitch:-3.1, Roll:1.5] [Gimbal: Yaw:10.0, Pitch:-45.0, Roll:0.0]
+    GPS(8.2,47.1,14) BAROMETER:30.1                                        (longitude first; 14 satellites)
+    GPS (8.2, 47.1, 14), D 24.1m, H 30.1m, H.S 3.0m/s, F.PRY (-4.0°, 0.3°, 12.1°), G.PRY (-90.0°, 0.0°, 12.3°)
+
+A subtitle's own time is the video's, so pictures of the same video need no other clock. Dates are the camera's local
+time; they are taken as UTC, as the names of files are.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from contract.errors import InputError
+from onboard.events.types import Attitude, GimbalAttitude, GpsQuality, NavEvent, PositionFix
+from onboard.telemetry.telemetry_log import TelemetryLog, quaternion, vouched
+
+_NUMBER = r"([+-]?\d+(?:\.\d+)?)"
+_INTERVAL = re.compile(r"(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->\s*\d+:\d\d:\d\d[,.]\d{1,3}")
+_DATE = re.compile(
+    r"(?<!\d)(\d{4})[-./](\d{1,2})[-./](\d{1,2})[ T]+(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{3})(?:[.,](\d{3}))?)?"
+)
+_NAMED = re.compile(rf"([A-Za-z_]+)\s*:\s*{_NUMBER}")
+_TRIPLE = re.compile(rf"(?<![A-Z.])GPS\s*\(\s*{_NUMBER}\s*,\s*{_NUMBER}\s*(?:,\s*{_NUMBER}M?\s*)?\)", re.IGNORECASE)
+_ABOVE_HOME = re.compile(rf"(?:\bHb?[\s:]\s*|BAROMETER\s*[:(]\s*){_NUMBER}")
+_ANGLES = re.compile(rf"\b([FG])\.PRY\s*\(\s*{_NUMBER}\D*?,\s*{_NUMBER}\D*?,\s*{_NUMBER}\D*?\)")
+_TURNED = re.compile(rf"\b(Drone|Gimbal)\s*:\s*Yaw\s*:\s*{_NUMBER},?\s*Pitch\s*:\s*{_NUMBER},?\s*Roll\s*:\s*{_NUMBER}")
+_TAG = re.compile(r"<[^>]*>")
+# A position stands still between the receiver's own: only the subtitle in which it moved says when. One that hovers is
+# repeated this often.
+STANDING_NS = 1_000_000_000
+EMPTY_EPOCH_NS = 946_684_800_000_000_000  # of a log without any date: 2000-01-01
+# `abs_alt` comes from a barometer and an unsaid geoid: tens of metres off between models and days. `altitude` counts
+# from the sea on some models and from the take-off on others, and nothing says which.
+SIGMA_AMSL_M, SIGMA_UNSAID_M = 20.0, 300.0
+MAX_SATELLITES = 60  # a larger number in that place is a height
+METRES_A_DEGREE = 111_320.0
+
+
+@dataclass(frozen=True)
+class _Subtitle:
+    """What one says; `at_ns` on the video's own time."""
+
+    at_ns: int
+    taken_ns: int | None
+    lat_deg: float | None = None
+    lon_deg: float | None = None
+    decimals: int = 6
+    height_amsl_m: float | None = None
+    altitude_m: float | None = None  # above the sea, or above the take-off
+    above_home_m: float | None = None
+    satellites: int | None = None
+    gimbal_deg: tuple[float, float, float] | None = None  # roll, pitch, yaw against north-east-down
+    body_deg: tuple[float, float, float] | None = None
+
+
+def looks_like_subtitles(head: bytes) -> bool:
+    """Whether a file that begins so has subtitles."""
+    return _INTERVAL.search(head.decode("utf-8", "replace")) is not None
+
+
+def read_srt(path: Path | str, home_amsl_m: float | None = None) -> TelemetryLog:
+    """Read a file of subtitles. `home_amsl_m` is the take-off's height above sea level, for dialects that only say how
+    high above it the aircraft was.
+
+    Raises InputError, one line, for a file without positions or without heights.
+    """
+    try:
+        text = Path(path).read_bytes().decode("utf-8-sig", "replace")
+    except OSError as error:
+        raise InputError(f"telemetry {path}: {error.strerror}") from error
+    subtitles = _subtitles(text)
+    placed = [s for s in subtitles if s.lat_deg is not None]
+    if not placed:
+        raise InputError(
+            f"telemetry {path}: no position in its subtitles; the drone writes one with 'Video Subtitles' on and a fix"
+        )
+    has_amsl = any(s.height_amsl_m is not None or s.altitude_m is not None for s in placed)
+    if not has_amsl and all(s.above_home_m is None for s in placed):
+        raise InputError(f"telemetry {path}: positions without any height in its subtitles; give another log")
+    if home_amsl_m is None and not has_amsl:
+        raise InputError(
+            f"telemetry {path}: heights above the take-off only; say how high that is above sea level: --home-amsl-m M"
+        )
+    epoch_ns = _epoch_ns(subtitles)
+    positions, claims = _positions(placed, epoch_ns, home_amsl_m)
+    if not positions:
+        raise InputError(f"telemetry {path}: no height above the take-off in its subtitles; leave --home-amsl-m out")
+    events = vouched(positions, claims)
+    for subtitle in subtitles:
+        events += _attitudes(subtitle, epoch_ns)
+    return replace(TelemetryLog.by_stamp(events), video_epoch_ns=epoch_ns)
+
+
+def _subtitles(text: str) -> list[_Subtitle]:
+    found = list(_INTERVAL.finditer(text))
+    ends = [match.start() for match in found[1:]] + [len(text)]
+    out = []
+    for match, end in zip(found, ends, strict=True):
+        hours, minutes, seconds, fraction = match.groups()
+        whole = (int(hours) * 60 + int(minutes)) * 60 + int(seconds)
+        at_ns = whole * 1_000_000_000 + int(fraction.ljust(3, "0")) * 1_000_000
+        out.append(_subtitle(at_ns, _TAG.sub(" ", text[match.end() : end])))
+    return sorted(out, key=lambda subtitle: subtitle.at_ns)
+
+
+def _subtitle(at_ns: int, text: str) -> _Subtitle:
+    named = {name.lower(): value for name, value in _NAMED.findall(text)}
+    number = {name: float(value) for name, value in named.items()}
+    latitude, longitude = named.get("latitude"), named.get("longitude", named.get("longtitude"))
+    above, satellites = number.get("rel_alt"), None
+    if latitude is None and (triple := _TRIPLE.search(text)) is not None:
+        longitude, latitude, last = triple.groups()
+        satellites = None if last is None or "." in last or int(last) > MAX_SATELLITES else int(last)
+    if above is None and (height := _ABOVE_HOME.search(text)) is not None:
+        above = float(height[1])
+    place = _place(latitude, longitude)
+    angles = {kind: (float(r), float(p), float(y)) for kind, p, r, y in _ANGLES.findall(text)}
+    angles |= {kind[0]: (float(r), float(p), float(y)) for kind, y, p, r in _TURNED.findall(text)}
+    return _Subtitle(
+        at_ns,
+        _date_ns(text),
+        lat_deg=None if place is None else place[0],
+        lon_deg=None if place is None else place[1],
+        decimals=min(len((part or "").partition(".")[2]) for part in (latitude, longitude)),
+        height_amsl_m=number.get("abs_alt"),
+        altitude_m=number.get("altitude"),
+        above_home_m=above,
+        satellites=satellites,
+        gimbal_deg=_named_angles(number, "gb") or angles.get("G"),
+        body_deg=_named_angles(number, "drone") or angles.get("F") or angles.get("D"),
+    )
+
+
+def _place(latitude: str | None, longitude: str | None) -> tuple[float, float] | None:
+    """Degrees; None without a fix, which is written as 0, 0."""
+    if latitude is None or longitude is None:
+        return None
+    lat, lon = float(latitude), float(longitude)
+    return (lat, lon) if (lat, lon) != (0.0, 0.0) and abs(lat) <= 90.0 and abs(lon) <= 180.0 else None
+
+
+def _named_angles(number: dict[str, float], who: str) -> tuple[float, float, float] | None:
+    values = [number.get(f"{who}_{angle}") for angle in ("roll", "pitch", "yaw")]
+    roll, pitch, yaw = values
+    return None if roll is None or pitch is None or yaw is None else (roll, pitch, yaw)
+
+
+def _date_ns(text: str) -> int | None:
+    found = _DATE.search(text)
+    if found is None:
+        return None
+    parts = [int(part) for part in found.groups()[:6]]
+    try:
+        moment = datetime(*parts, tzinfo=UTC)  # type: ignore[misc,arg-type]
+    except ValueError:
+        return None
+    return round(moment.timestamp()) * 1_000_000_000 + int(found[7] or 0) * 1_000_000 + int(found[8] or 0) * 1000
+
+
+def _epoch_ns(subtitles: list[_Subtitle]) -> int:
+    """When the video began: the dates less the video's time. Whole seconds are cut off, never rounded up, so that the
+    latest beginning that they allow is the best.
+    """
+    began = [s.taken_ns - s.at_ns for s in subtitles if s.taken_ns is not None]
+    return max(began) if began else EMPTY_EPOCH_NS
+
+
+def _positions(
+    placed: list[_Subtitle], epoch_ns: int, home_amsl_m: float | None
+) -> tuple[list[PositionFix], list[GpsQuality]]:
+    positions: list[PositionFix] = []
+    claims: list[GpsQuality] = []
+    for subtitle in placed:
+        stamp_ns = epoch_ns + subtitle.at_ns
+        amsl_m, above_m, sigma_m = _height(subtitle, home_amsl_m)
+        if amsl_m is None or subtitle.lat_deg is None or subtitle.lon_deg is None:
+            continue
+        fix = PositionFix(stamp_ns, subtitle.lat_deg, subtitle.lon_deg, amsl_m, None, above_m)
+        if positions:
+            last = positions[-1]
+            same = (fix.lat_deg, fix.lon_deg) == (last.lat_deg, last.lon_deg)
+            if stamp_ns <= last.stamp_ns or (same and stamp_ns - last.stamp_ns < STANDING_NS):
+                continue
+        positions.append(fix)
+        step_m = METRES_A_DEGREE * 10.0**-subtitle.decimals
+        claims.append(GpsQuality(stamp_ns, 3, subtitle.satellites, step_m / 12.0**0.5, sigma_m))
+    return positions, claims
+
+
+def _height(subtitle: _Subtitle, home_amsl_m: float | None) -> tuple[float | None, float | None, float | None]:
+    """Above sea level, above the take-off, and one sigma of the former, where the configuration cannot know it."""
+    above_m = subtitle.above_home_m
+    if home_amsl_m is not None:
+        above_m = subtitle.altitude_m if above_m is None else above_m
+        return (None, None, None) if above_m is None else (home_amsl_m + above_m, above_m, None)
+    if subtitle.height_amsl_m is not None:
+        return subtitle.height_amsl_m, above_m, SIGMA_AMSL_M
+    return subtitle.altitude_m, above_m, SIGMA_UNSAID_M
+
+
+def _attitudes(subtitle: _Subtitle, epoch_ns: int) -> list[NavEvent]:
+    stamp_ns = epoch_ns + subtitle.at_ns
+    out: list[NavEvent] = []
+    if subtitle.body_deg is not None:
+        out.append(Attitude(stamp_ns, quaternion(subtitle.body_deg)))
+    if subtitle.gimbal_deg is not None:
+        out.append(GimbalAttitude(stamp_ns, quaternion(subtitle.gimbal_deg), "earth"))
+    return out

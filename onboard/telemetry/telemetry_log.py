@@ -1,0 +1,79 @@
+"""What every reader of a recorded log gives: events and when they arrived."""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.rotations import matrix_from_euler, quaternion_from_matrix
+from onboard.events.types import FilterStatus, GpsQuality, NavEvent, PositionFix
+
+Array = NDArray[np.float64]
+
+NS_PER_S = 1_000_000_000
+# Of reports on positions that stand in a file: often enough for `gps.quality_timeout_s` at its least.
+REPORT_NS = 400_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class TelemetryLog:
+    """Events in order of arrival, each with its arrival time (ns, same length).
+
+    `system` is the vehicle's MAVLink system number, 0 where the format has none; `boot_segments` how often its clock
+    began. `video_epoch_ns`: when the video began that the log was written beside, if it was written beside one.
+    """
+
+    events: list[NavEvent]
+    arrival_ns: list[int]
+    system: int = 0
+    boot_segments: int = 1
+    video_epoch_ns: int | None = None
+
+    @classmethod
+    def by_stamp(cls, events: Iterable[NavEvent], boot_segments: int = 1) -> TelemetryLog:
+        """Of a log that no link has delayed: what it says is there when it is true. Events of one moment keep their
+        order.
+        """
+        ordered = sorted(events, key=lambda event: event.stamp_ns)
+        return cls(ordered, [event.stamp_ns for event in ordered], boot_segments=boot_segments)
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Capture times of the first and the last position."""
+        stamps = [event.stamp_ns for event in self.events if isinstance(event, PositionFix)]
+        return min(stamps), max(stamps)
+
+
+def vouched(positions: list[PositionFix], claims: list[GpsQuality]) -> list[NavEvent]:
+    """Positions (in order of time) of a file that has no receiver's and no filter's reports, with such as it implies.
+
+    Whoever wrote a position into the file had a fix then. `claims` are what the file says of its accuracy, one a
+    position, with any stamp; each is repeated until the next position, as a receiver would.
+    """
+    first_ns, last_ns = positions[0].stamp_ns, positions[-1].stamp_ns
+    stamps_ns = [fix.stamp_ns for fix in positions]
+    out: list[NavEvent] = [FilterStatus(first_ns - REPORT_NS, has_position=True, is_glitching=False), *positions]
+    for moment_ns in range(first_ns - REPORT_NS, last_ns + NS_PER_S, REPORT_NS):
+        newest = max(bisect.bisect_right(stamps_ns, moment_ns) - 1, 0)
+        out.append(replace(claims[newest], stamp_ns=moment_ns))
+    return out
+
+
+def quaternions(euler_deg: Array) -> Array:
+    """Roll, pitch, yaw (N, 3) in degrees -> unit quaternions w, x, y, z (N, 4); nan where any angle is not finite."""
+    out = np.full((len(euler_deg), 4), np.nan)
+    known = np.isfinite(euler_deg).all(axis=1)
+    if known.any():
+        out[known] = quaternion_from_matrix(matrix_from_euler(*np.radians(euler_deg[known]).T))
+    return out
+
+
+def quaternion(euler_deg: tuple[float, float, float]) -> tuple[float, float, float, float]:
+    """Roll, pitch, yaw in degrees -> w, x, y, z."""
+    w, x, y, z = quaternion_from_matrix(matrix_from_euler(*(math.radians(angle) for angle in euler_deg))).tolist()
+    return w, x, y, z

@@ -1,0 +1,267 @@
+"""Survey photographs become a flight in one command, and its clicks are where they should be."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import ExifTags, Image
+
+from contract.camera import Camera
+from ground.__main__ import main as ground
+from ground.recording import Recording
+from onboard.__main__ import main
+from onboard.camera.photo_metadata import read_photo
+from onboard.config.files import load_config_files
+from onboard.events.types import Attitude, GimbalAttitude, PositionFix
+from onboard.replay.runner import Flight
+from simulation.flight import DescribedSpec
+from simulation.paths import PathSpec
+from simulation.session import SessionSpec
+from tests.onboard.photographs import Style, write_photographs
+from tests.scenarios.flights import Outcome, click, flown
+
+CAMERA = Camera.from_field_of_view(400, 300, 70.0)
+PICTURES, APART_S = 16, 2.1
+SURVEY = PathSpec("survey", speed_m_s=9.0, height_m=120.0, wobble_deg=0.3, pitch_deg=0.0, leg_m=100.0, spacing_m=45.0)
+
+
+@pytest.fixture(scope="module")
+def session() -> Path:
+    """A survey of two legs, a picture every 2.1 s."""
+    return flown(
+        SessionSpec(
+            DescribedSpec(SURVEY), seconds=PICTURES * APART_S, rate_hz=1 / APART_S, camera=CAMERA, clicks_per_frame=8
+        )
+    )
+
+
+def imported(session: Path, folder: Path, style: Style) -> Path:
+    write_photographs(session, folder / "photos", style)
+    assert main(["import-photos", str(folder / "photos"), "--out", str(folder / "flight")]) == 0
+    return folder / "flight"
+
+
+def replayed(session: Path, flight: Path, capsys: pytest.CaptureFixture[str]) -> Outcome:
+    """By the very line that the import printed."""
+    command = capsys.readouterr().out.splitlines()[-1].split()
+    assert command[0] == "pc-onboard"
+    assert main(command[1:]) == 0
+    recording = Recording(flight / "session.mcap")
+    (vehicle,) = recording.vehicles
+    sets = {frame: recording.by_frame(vehicle, frame) for frame in recording.frames(vehicle)}
+    return click(session, {frame: found for frame, found in sets.items() if found is not None}, None)
+
+
+STYLES = {
+    "a camera drone, times cut to the second": (Style(whole_seconds=True), 8.0),
+    "the same with RTK": (Style(rtk=True, offset_m=(0.0, 0.0, 0.0), white_m=0.02), 6.0),
+    "a survey camera without angles": (Style(angles=False, focal="equivalent"), 20.0),
+}
+
+
+@pytest.mark.parametrize("name", STYLES)
+def test_a_folder_of_photographs_is_clicked_within_its_radius(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    style, widest_m = STYLES[name]
+    outcome = replayed(session, imported(session, tmp_path, style), capsys)
+    assert outcome.solved >= 0.9, outcome.reported
+    assert outcome.inside_99 >= 0.97, outcome.reported
+    assert np.median(outcome.errors_m) < 3.0, outcome.reported
+    assert 0.5 < np.median(outcome.semi_m) < widest_m, outcome.reported
+
+
+def test_it_says_what_it_assumed_and_writes_it_down(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flight = imported(session, tmp_path, Style(whole_seconds=True))
+    said = capsys.readouterr().out
+    for words in ("16 of DJI FC7303", "cut to the second", "from CalibratedFocalLength", "gimbal's angles", "+-20 m"):
+        assert words in said, said
+    camera, raw = Camera.from_json(flight / "camera.json"), json.loads((flight / "camera.json").read_text())
+    assert camera.fx_px == pytest.approx(CAMERA.fx_px, rel=1e-6) and camera.size_px == CAMERA.size_px
+    sigma = raw["calibration"]["sigma"]
+    assert 0.005 < sigma["fx"] / camera.fx_px < 0.03 and set(sigma) == {
+        "fx",
+        "fy",
+        "cx",
+        "cy",
+        "k1",
+        "k2",
+        "p1",
+        "p2",
+        "k3",
+    }
+    config = load_config_files(flight / "config.toml")
+    assert config.mount.gimbal == "always" and config.gps.max_gap_s > APART_S
+    with (flight / "stamps.csv").open() as stream:
+        assert len(list(csv.DictReader(stream))) == PICTURES
+    assert (flight / "frames" / "DJI_0001.JPG").is_symlink()
+
+
+def test_clicks_by_the_photograph_s_name(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flight = imported(session, tmp_path, Style())
+    replayed(session, flight, capsys)
+    clicks = tmp_path / "clicks.csv"
+    clicks.write_text("file,u,v\nDJI_0008.JPG,200,150\n/elsewhere/DJI_0009.JPG,180,140\n")
+    capsys.readouterr()
+    assert ground(["click", "--batch", str(clicks), "--from", str(flight / "session.mcap")]) == 0
+    answers = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [(a["status"], a["frame"]) for a in answers] == [("ok", 7), ("ok", 8)]
+
+
+def test_the_pictures_own_words_are_the_same_telemetry(session: Path, tmp_path: Path) -> None:
+    """`--telemetry exif` and the table that the import wrote."""
+    flight = imported(session, tmp_path, Style())
+    config, camera = load_config_files(flight / "config.toml"), Camera.from_json(flight / "camera.json")
+    own, table = (
+        Flight.open(config, camera, flight / "frames", source, None if source == "exif" else flight / "stamps.csv")
+        for source in ("exif", flight / "telemetry.csv")
+    )
+    assert own.stamps_ns == table.stamps_ns
+    for kind in (PositionFix, Attitude, GimbalAttitude):
+        one, other = ([e for e in f.telemetry.events if isinstance(e, kind)] for f in (own, table))
+        assert len(one) == len(other) == PICTURES
+        assert [e.stamp_ns for e in one] == [e.stamp_ns for e in other] == list(own.stamps_ns)
+    fixes = [[e for e in f.telemetry.events if isinstance(e, PositionFix)] for f in (own, table)]
+    for a, b in zip(*fixes, strict=True):
+        assert (a.lat_deg, a.lon_deg, a.height_amsl_m) == pytest.approx(
+            (b.lat_deg, b.lon_deg, b.height_amsl_m), abs=1e-8
+        )
+
+
+def test_exif_alone_says_what_the_configuration_must_join(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flight = imported(session, tmp_path, Style())
+    capsys.readouterr()
+    arguments = ["replay", "--frames", str(flight / "frames"), "--telemetry", "exif", "--camera"]
+    assert main([*arguments, str(flight / "camera.json")]) == 2
+    err = capsys.readouterr().err
+    assert "set gps.max_gap_s" in err and "import-photos" in err and err.count("\n") == 1
+
+
+def spoilt(folder: Path, how: str) -> None:
+    photo = sorted(folder.iterdir())[3]
+    with Image.open(photo) as image:
+        image.load()
+        exif = image.getexif()
+        size = (200, 150) if how == "size" else image.size
+        details, gps = exif.get_ifd(ExifTags.IFD.Exif), exif.get_ifd(ExifTags.IFD.GPSInfo)
+        if how == "time":
+            details.pop(ExifTags.Base.DateTimeOriginal)
+        if how == "place":
+            gps.clear()
+        if how == "model":
+            exif[ExifTags.Base.Model] = "another"
+        xmp = b"" if how in ("place", "focal") else image.info.get("xmp", b"")
+        copy = image.resize(size)
+    copy.save(photo, "JPEG", exif=exif, xmp=xmp)
+    if how == "cut":
+        photo.write_bytes(photo.read_bytes()[:40])
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ("size", "another size than most"),
+        ("model", "another camera than most"),
+        ("time", "no DateTimeOriginal"),
+        ("place", "no GPS position with a height in DJI_0004.JPG; give a log of the flight instead"),
+        ("focal", "no focal length in EXIF"),
+        ("cut", "cannot be read"),
+    ],
+)
+def test_what_cannot_be_a_flight_is_one_line_and_nothing_is_written(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], how: str, said: str
+) -> None:
+    style = Style(angles=False, focal="plane") if how == "place" else Style()
+    write_photographs(session, tmp_path / "photos", style)
+    spoilt(tmp_path / "photos", how)
+    assert main(["import-photos", str(tmp_path / "photos"), "--out", str(tmp_path / "flight")]) == 2
+    err = capsys.readouterr().err
+    assert said in err and err.count("\n") == 1
+    assert not (tmp_path / "flight").exists()
+
+
+def test_a_folder_that_is_not_there_or_a_place_that_is_taken(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["import-photos", str(tmp_path / "none"), "--out", str(tmp_path / "flight")]) == 2
+    assert "no such folder of photographs" in capsys.readouterr().err
+    (tmp_path / "empty").mkdir()
+    assert main(["import-photos", str(tmp_path / "empty"), "--out", str(tmp_path / "flight")]) == 2
+    assert "0 pictures in it; at least 3" in capsys.readouterr().err
+
+
+# ---------------------------------------------------------------- single photographs
+
+
+def photo(folder: Path, attributes: str = "", **gps: object) -> Path:
+    exif = Image.Exif()
+    exif._ifds[ExifTags.IFD.Exif] = {
+        ExifTags.Base.DateTimeOriginal: "2023:05:12 12:01:02",
+        ExifTags.Base.FocalLengthIn35mmFilm: 24,
+    }
+    if gps:
+        exif._ifds[ExifTags.IFD.GPSInfo] = {getattr(ExifTags.GPS, name): value for name, value in gps.items()}
+    xmp = (
+        '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+        f'<rdf:Description xmlns:d="http://www.dji.com/drone-dji/1.0/" {attributes}/></rdf:RDF></x:xmpmeta>'
+    )
+    path = folder / "a.jpg"
+    Image.new("L", (400, 300)).save(path, "JPEG", exif=exif, xmp=xmp.encode())
+    return path
+
+
+def test_dewarping_data_are_a_calibration(tmp_path: Path) -> None:
+    data = 'd:DewarpData="2018-09-24;300.5,301.5,2.0,-1.5,-0.26,0.11,0.0001,-0.0002,-0.03" d:DewarpFlag="0"'
+    focal = read_photo(photo(tmp_path, data)).focal
+    assert focal is not None and (focal.fx_px, focal.fy_px) == (300.5, 301.5)
+    assert focal.centre_px == (199.5 + 2.0, 149.5 - 1.5) and focal.sigma_px < 2.0
+    assert focal.distortion == (-0.26, 0.11, 0.0001, -0.0002, -0.03)
+    straight = read_photo(photo(tmp_path, data.replace('DewarpFlag="0"', 'DewarpFlag="1"'))).focal
+    assert straight is not None and straight.distortion == (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_an_equivalent_focal_length_counts_along_the_diagonal(tmp_path: Path) -> None:
+    focal = read_photo(photo(tmp_path)).focal
+    assert focal is not None and focal.fx_px == pytest.approx(24.0 / 43.2666 * 500.0)
+    assert 0.02 < focal.sigma_px / focal.fx_px < 0.05
+
+
+def test_the_exposure_s_utc_beats_exif_s_whole_second(tmp_path: Path) -> None:
+    plain, exact = (
+        read_photo(photo(tmp_path)),
+        read_photo(photo(tmp_path, 'd:UTCAtExposure="2023-05-12T10:01:02.345678"')),
+    )
+    assert plain.stamp_is_whole_s and plain.stamp_ns == 1_683_892_862 * 10**9
+    assert not exact.stamp_is_whole_s and exact.stamp_ns == (1_683_892_862 - 7200) * 10**9 + 345_678_000
+
+
+def test_south_west_and_below_the_sea(tmp_path: Path) -> None:
+    read = read_photo(
+        photo(tmp_path, GPSLatitudeRef="S", GPSLatitude=(43.0, 22.0, 48.0), GPSLongitudeRef="W",
+              GPSLongitude=(7.0, 30.0, 0.0), GPSAltitudeRef=b"\x01", GPSAltitude=3.5)
+    )  # fmt: skip
+    assert (read.lat_deg, read.lon_deg, read.height_amsl_m) == pytest.approx((-43.38, -7.5, -3.5))
+
+
+@pytest.mark.parametrize(
+    "attributes", ['d:GimbalYawDegree="north"', "<broken", 'd:GpsLatitude="91" d:GpsLongitude="0"']
+)
+def test_nonsense_is_as_if_it_were_not_there(tmp_path: Path, attributes: str) -> None:
+    read = read_photo(photo(tmp_path, attributes))
+    assert read.gimbal_deg is None and read.lat_deg is None
+
+
+def test_an_rtk_height_counts_from_the_ellipsoid(tmp_path: Path) -> None:
+    read = read_photo(
+        photo(tmp_path, 'd:AltitudeType="RtkAlt" d:AbsoluteAltitude="+461.0" d:RtkStdLat="0.01" d:RtkStdLon="0.01"')
+    )
+    assert read.height_is_ellipsoidal and read.height_amsl_m == 461.0
+    assert read.sigma_horizontal_m == pytest.approx(0.01)

@@ -1,0 +1,290 @@
+"""One short flight as logs of every kind that is read, written from the formats' documentation.
+
+North at 20 m/s with a gentle roll, 100 m above a home at 350 m above sea level. Boot time begins at BOOT_S, and the
+flight at T0_S of Unix time.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pyulog import ULog
+
+from contract.rotations import matrix_from_euler, quaternion_from_matrix
+
+Array = NDArray[np.float64]
+
+T0_S = 1_795_217_000.0
+BOOT_S = 60.0
+SECONDS = 12.0
+LAT, LON, HOME_M, ABOVE_M = -43.38, 172.4, 350.0, 100.0
+SPEED = 20.0
+METRES_A_DEGREE = 111_132.0
+GPS_LAG_S = 0.12  # what readers assume where a straight flight shows none
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Where the flight is, `t` seconds after its beginning."""
+
+    t: float
+
+    @property
+    def lat(self) -> float:
+        return LAT + SPEED * self.t / METRES_A_DEGREE
+
+    @property
+    def euler_deg(self) -> tuple[float, float, float]:
+        return 6.0 * math.sin(0.8 * self.t), 3.0, 10.0
+
+    @property
+    def roll_rate(self) -> float:
+        return math.radians(4.8 * math.cos(0.8 * self.t))
+
+    @property
+    def q(self) -> tuple[float, ...]:
+        return tuple(quaternion_from_matrix(matrix_from_euler(*np.radians(self.euler_deg))).tolist())
+
+
+def moments(rate_hz: float) -> Iterator[Moment]:
+    for i in range(round(SECONDS * rate_hz)):
+        yield Moment(i / rate_hz)
+
+
+# ---------------------------------------------------------------- MAVLink
+
+
+def tlog() -> bytes:
+    packer, out = mavlink.MAVLink(None, srcSystem=1, srcComponent=1), []
+
+    def send(t: float, message: mavlink.MAVLink_message) -> None:
+        out.append((t, struct.pack(">Q", round((T0_S + t) * 1e6)) + message.pack(packer)))
+
+    boot = {m.t: round((BOOT_S + m.t) * 1000) for m in moments(50)}
+    for m in moments(50):
+        roll, pitch, yaw = np.radians(m.euler_deg)
+        send(m.t, mavlink.MAVLink_attitude_message(boot[m.t], roll, pitch, yaw, m.roll_rate, 1e-9, 1e-9))
+    for m in moments(10):
+        place = round(m.lat * 1e7), round(LON * 1e7), round((HOME_M + ABOVE_M) * 1e3), round(ABOVE_M * 1e3)
+        send(m.t, mavlink.MAVLink_global_position_int_message(boot[m.t], *place, round(SPEED * 100), 0, 0, 0))
+    for m in moments(5):
+        send(m.t, mavlink.MAVLink_gps_raw_int_message(
+            boot[m.t] * 1000, 3, round(m.lat * 1e7), round(LON * 1e7), 450_000, 100, 100, 2000, 0, 12, 461_000, 400,
+            600, 0, 0, 0))  # fmt: skip
+        send(m.t, mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3))
+        send(m.t, mavlink.MAVLink_ekf_status_report_message(0b1100111111, 0, 0, 0, 0, 0))
+    return b"".join(data for _, data in sorted(out, key=lambda item: item[0]))
+
+
+# ---------------------------------------------------------------- DataFlash
+
+PACK = {
+    "Q": "Q",
+    "f": "f",
+    "d": "d",
+    "L": "i",
+    "B": "B",
+    "I": "I",
+    "H": "H",
+    "h": "h",
+    "N": "16s",
+    "n": "4s",
+    "Z": "64s",
+}
+KINDS = {  # name: format, columns
+    "GPS": ("QBBIHBffff", "TimeUS,I,Status,GMS,GWk,NSats,Alt,Spd,GCrs,VZ"),
+    "GPSL": ("QLL", "TimeUS,Lat,Lng"),
+    "GPA": ("QBfffff", "TimeUS,I,VDop,HAcc,VAcc,SAcc,AEl"),
+    "POS": ("QLLff", "TimeUS,Lat,Lng,Alt,RelHomeAlt"),
+    "ATT": ("QfffB", "TimeUS,Roll,Pitch,Yaw,AEKF"),
+    "IMU": ("QBfff", "TimeUS,I,GyrX,GyrY,GyrZ"),
+    "XKF1": ("QBffffffff", "TimeUS,C,VN,VE,VD,PN,PE,GX,GY,GZ"),
+    "XKF4": ("QBIB", "TimeUS,C,SS,PI"),
+    "SIM": ("QLL", "TimeUS,Lat,Lng"),
+    "RFND": ("QBfBB", "TimeUS,Instance,Dist,Stat,Orient"),
+    "MNT": ("QBfff", "TimeUS,I,Roll,Pitch,YawB"),
+}
+KINDS["GPS"] = ("QBBIHBLLffff", "TimeUS,I,Status,GMS,GWk,NSats,Lat,Lng,Alt,Spd,GCrs,VZ")
+del KINDS["GPSL"]
+
+
+class Dataflash:
+    """Writes a DataFlash log."""
+
+    def __init__(self) -> None:
+        self.data = b""
+        self.rows: list[tuple[int, bytes]] = []
+        self._types = {name: 130 + i for i, name in enumerate(KINDS)}
+        self._format(128, 89, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
+        for name, (form, columns) in KINDS.items():
+            length = 3 + struct.calcsize("<" + "".join(PACK[c] for c in form))
+            self._format(self._types[name], length, name, form, columns)
+
+    def _format(self, kind: int, length: int, name: str, form: str, columns: str) -> None:
+        body = struct.pack("<BB4s16s64s", kind, length, name.encode(), form.encode(), columns.encode())
+        self.data += b"\xa3\x95\x80" + body
+
+    def add(self, name: str, t: float, *values: float) -> None:
+        form = KINDS[name][0]
+        scaled = [round(v * 1e7) if c == "L" else v for c, v in zip(form[1:], values, strict=True)]
+        boot_us = round((BOOT_S + t) * 1e6)
+        packed = struct.pack("<Q" + "".join(PACK[c] for c in form[1:]), boot_us, *scaled)
+        self.rows.append((boot_us, bytes([0xA3, 0x95, self._types[name]]) + packed))
+
+    def bytes(self) -> bytes:
+        return self.data + b"".join(row for _, row in sorted(self.rows, key=lambda row: row[0]))
+
+
+def gps_time(unix_s: float) -> tuple[int, int]:
+    """Week and milliseconds, 18 leap seconds ahead of UTC."""
+    ms = round((unix_s - 315_964_800 + 18) * 1000)
+    return ms // 604_800_000, ms % 604_800_000
+
+
+def dataflash_log(gimbal: bool = False) -> Dataflash:
+    log = Dataflash()
+    for m in moments(50):
+        log.add("IMU", m.t, 0, m.roll_rate + math.radians(0.5), 0.0, 0.0)
+        log.add("XKF1", m.t, 0, SPEED, 0.0, 0.0, SPEED * m.t, 0.0, 0.5, 0.0, 0.0)
+        log.add("XKF1", m.t, 1, 99.0, 99.0, 9.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # another core, not the primary
+        log.add("XKF4", m.t, 0, 0b1_1000_0011_0011_1111, 0)
+        log.add("ATT", m.t, *m.euler_deg, 3)
+    for m in moments(10):
+        log.add("POS", m.t, m.lat, LON, HOME_M + ABOVE_M, ABOVE_M)
+        log.add("SIM", m.t, 1.0, 2.0)
+        log.add("RFND", m.t, 0, ABOVE_M, 4, 25)
+        if gimbal:
+            log.add("MNT", m.t, 0, 0.0, -90.0, 5.0)
+    for m in moments(5):
+        week, ms = gps_time(T0_S + m.t)
+        late = m.t + GPS_LAG_S
+        log.add("GPS", late, 0, 3, ms, week, 12, m.lat, LON, HOME_M + ABOVE_M, SPEED, 0.0, 0.0)
+        log.add("GPA", late, 0, 1.0, 0.4, 0.6, 0.1, HOME_M + ABOVE_M + 11.0)
+    return log
+
+
+def dataflash() -> bytes:
+    return dataflash_log().bytes()
+
+
+# ---------------------------------------------------------------- ULog
+
+NUMPY = {"uint64_t": "<u8", "double": "<f8", "float": "<f4", "uint8_t": "u1", "int32_t": "<i4", "uint16_t": "<u2"}
+TOPICS: dict[str, tuple[tuple[str, str], ...]] = {
+    "vehicle_global_position": (("double", "lat"), ("double", "lon"), ("float", "alt")),
+    "vehicle_local_position": (("float", "vx"), ("float", "vy"), ("float", "vz")),
+    "vehicle_attitude": (("float[4]", "q"),),
+    "vehicle_angular_velocity": (("float[3]", "xyz"),),
+    "vehicle_gps_position": (
+        ("double", "latitude_deg"), ("double", "longitude_deg"), ("double", "altitude_msl_m"),
+        ("double", "altitude_ellipsoid_m"), ("uint64_t", "time_utc_usec"), ("float", "eph"), ("float", "epv"),
+        ("float", "s_variance_m_s"), ("uint8_t", "fix_type"), ("uint8_t", "satellites_used"),
+    ),
+    "estimator_status": (("uint16_t", "solution_status_flags"),),
+    "home_position": (("float", "alt"), ("uint8_t", "valid_alt")),
+    "gimbal_device_attitude_status": (("float[4]", "q"), ("uint16_t", "device_flags")),
+}  # fmt: skip
+
+
+def _ulog_rows(gimbal: bool) -> Iterator[tuple[float, str, tuple[float, ...]]]:
+    for m in moments(50):
+        yield m.t, "vehicle_attitude", m.q
+        yield m.t, "vehicle_angular_velocity", (m.roll_rate, 0.0, 0.0)
+        yield m.t, "vehicle_local_position", (SPEED, 0.0, 0.0)
+    for m in moments(10):
+        yield m.t, "vehicle_global_position", (m.lat, LON, HOME_M + ABOVE_M)
+        if gimbal:
+            yield m.t, "gimbal_device_attitude_status", (*_quaternion(0.0, -90.0, 40.0), 64)  # yaw against north
+    for m in moments(5):
+        height, utc = HOME_M + ABOVE_M, round((T0_S + m.t) * 1e6)
+        gps = m.lat, LON, height, height + 11.0, utc, 0.4, 0.6, 0.1, 3, 12
+        yield m.t + GPS_LAG_S, "vehicle_gps_position", gps
+        yield m.t, "estimator_status", (0b11_0011_1111,)
+    yield 0.0, "home_position", (HOME_M, 1)
+
+
+def _quaternion(*euler_deg: float) -> tuple[float, ...]:
+    return tuple(quaternion_from_matrix(matrix_from_euler(*np.radians(euler_deg))).tolist())
+
+
+def ulog(gimbal: bool = False) -> bytes:
+    """Put together from the file format's documentation, and written by pyulog's own writer."""
+    rows = sorted(_ulog_rows(gimbal), key=lambda row: row[0])
+    used = [name for name in TOPICS if any(row[1] == name for row in rows)]
+
+    def message(kind: str, body: bytes) -> bytes:
+        return struct.pack("<HB", len(body), ord(kind)) + body
+
+    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", round(BOOT_S * 1e6)) + message("B", bytes(40))
+    for name in used:
+        fields = ";".join(f"{kind} {field}" for kind, field in (("uint64_t", "timestamp"), *TOPICS[name]))
+        out += message("F", f"{name}:{fields};".encode())
+    for number, name in enumerate(used):
+        out += message("A", struct.pack("<BH", 0, number) + name.encode())
+    for t, name, values in rows:
+        left, body = list(values), struct.pack("<HQ", used.index(name), round((BOOT_S + t) * 1e6))
+        for kind, _ in TOPICS[name]:
+            base, _, count = kind.partition("[")
+            for _ in range(int(count.rstrip("]") or 1)):
+                body += np.array(left.pop(0), NUMPY[base]).tobytes()
+        out += message("D", body)
+    again = io.BytesIO()
+    ULog(io.BytesIO(out)).write_ulog(again)
+    return again.getvalue()
+
+
+# ---------------------------------------------------------------- text
+
+
+def srt() -> bytes:
+    """As a Mavic 3 writes it: an entry a frame at 30 Hz, positions new ten times a second."""
+    out = []
+    for i, m in enumerate(moments(30)):
+        seen = Moment(math.floor(m.t * 10 + 1e-9) / 10)
+        stamp = datetime.fromtimestamp(T0_S + m.t, UTC)
+        roll, pitch, yaw = m.euler_deg
+        out.append(
+            f"{i + 1}\n{_clock(m.t)} --> {_clock(m.t + 1 / 30)}\n"
+            f'<font size="28">FrameCnt: {i + 1}, DiffTime: 33ms\n'
+            f"{stamp:%Y-%m-%d %H:%M:%S}.{stamp.microsecond // 1000:03d}\n"
+            f"[iso: 100] [shutter: 1/640.0] [fnum: 2.8] [ev: 0] [focal_len: 24.00] [latitude: {seen.lat:.6f}] "
+            f"[longitude: {LON:.6f}] [rel_alt: {ABOVE_M:.3f} abs_alt: {HOME_M + ABOVE_M:.3f}] [ct: 5200] "
+            f"[drone_yaw: {yaw:.1f} drone_pitch: {pitch:.1f} drone_roll: {roll:.1f}] "
+            f"[gb_yaw: 10.0 gb_pitch: -90.0 gb_roll: 0.0] </font>\n"
+        )
+    return "\n".join(out).encode()
+
+
+def _clock(t: float) -> str:
+    ms = round(t * 1000)
+    return f"{ms // 3_600_000:02d}:{ms // 60_000 % 60:02d}:{ms // 1000 % 60:02d},{ms % 1000:03d}"
+
+
+def table() -> bytes:
+    rows = ["unix_time_s,lat_deg,lon_deg,height_amsl_m,height_above_home_m,velocity_north_m_s,velocity_east_m_s,"
+            "velocity_down_m_s,roll_deg,pitch_deg,yaw_deg,rate_x_rad_s,rate_y_rad_s,rate_z_rad_s,sigma_horizontal_m,"
+            "sigma_vertical_m,satellites,undulation_m"]  # fmt: skip
+    for i, m in enumerate(moments(50)):
+        place = f"{m.lat:.9f},{LON},{HOME_M + ABOVE_M},{ABOVE_M},{SPEED},0,0" if i % 5 == 0 else ",,,,,,"
+        roll, pitch, yaw = m.euler_deg
+        claim = "0.4,0.6,12,11" if i % 5 == 0 else ",,,"
+        rows.append(f"{T0_S + m.t:.3f},{place},{roll:.6f},{pitch},{yaw},{m.roll_rate:.9f},0,0,{claim}")
+    return "\n".join(rows).encode()
+
+
+WRITERS: dict[str, Callable[[], bytes]] = {"tlog": tlog, "bin": dataflash, "ulg": ulog, "srt": srt, "csv": table}
+
+
+def written(folder: Path, kind: str, name: str | None = None) -> Path:
+    path = folder / (name or f"flight.{kind}")
+    path.write_bytes(WRITERS[kind]())
+    return path

@@ -1,0 +1,365 @@
+"""One flight as a log of every kind: the same events, and one line for what is no log."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import random
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from contract.errors import InputError
+from contract.rotations import log_so3, matrix_from_quaternion
+from onboard.events.types import Attitude, FilterStatus, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
+from onboard.telemetry.log_files import read_log
+from onboard.telemetry.telemetry_log import TelemetryLog
+from tests.onboard.telemetry.log_writers import (
+    ABOVE_M,
+    HOME_M,
+    LAT,
+    LON,
+    METRES_A_DEGREE,
+    SECONDS,
+    SPEED,
+    T0_S,
+    WRITERS,
+    Moment,
+    dataflash_log,
+    gps_time,
+    ulog,
+    written,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Promise:
+    """What a kind of log can say, and how well."""
+
+    stamp_s: float = 0.002
+    place_m: float = 0.03
+    tilt_deg: float = 0.01
+    has_velocity: bool = True
+    has_rate: bool = True
+    has_claims: bool = True
+    undulation_m: float | None = 11.0
+
+
+KINDS = {
+    "tlog": Promise(),
+    "bin": Promise(),
+    "ulg": Promise(),
+    "srt": Promise(0.035, 0.7, 0.3, has_velocity=False, has_rate=False, has_claims=False, undulation_m=None),
+    "csv": Promise(),
+}
+ALL = pytest.mark.parametrize("kind", KINDS)
+
+
+def of(log: TelemetryLog, kind: type[NavEvent]) -> list:
+    return [event for event in log.events if isinstance(event, kind)]
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, TelemetryLog]:
+    folder = tmp_path_factory.mktemp("logs")
+    return {kind: read_log(written(folder, kind)) for kind in KINDS}
+
+
+@ALL
+def test_positions_are_where_the_flight_was_at_their_stamps(logs: dict[str, TelemetryLog], kind: str) -> None:
+    promise, fixes = KINDS[kind], of(logs[kind], PositionFix)
+    assert 0.95 * SECONDS * 10 <= len(fixes) <= SECONDS * 10
+    for fix in fixes:
+        t = fix.stamp_ns / 1e9 - T0_S
+        off_m = (fix.lat_deg - Moment(t).lat) * METRES_A_DEGREE
+        assert abs(off_m) < promise.place_m + SPEED * promise.stamp_s
+        assert fix.lon_deg == pytest.approx(LON, abs=1e-6)
+        assert fix.height_amsl_m == pytest.approx(HOME_M + ABOVE_M, abs=0.01)
+        assert fix.height_above_home_m == pytest.approx(ABOVE_M, abs=0.01)
+        if promise.has_velocity:
+            assert fix.velocity_ned_m_s == pytest.approx((SPEED, 0.0, 0.0), abs=0.02)
+        else:
+            assert fix.velocity_ned_m_s is None
+
+
+@ALL
+def test_attitudes_come_at_the_log_s_full_rate_with_the_gyros_rates(logs: dict[str, TelemetryLog], kind: str) -> None:
+    promise, attitudes = KINDS[kind], of(logs[kind], Attitude)
+    assert len(attitudes) >= (0.98 if promise.has_rate else 0.55) * SECONDS * 50
+    for attitude in attitudes[1:-1]:
+        t = attitude.stamp_ns / 1e9 - T0_S
+        R, truth = matrix_from_quaternion(attitude.q_ned_body), matrix_from_quaternion(Moment(t).q)
+        assert np.degrees(np.linalg.norm(log_so3(R.T @ truth))) < promise.tilt_deg + 6.0 * promise.stamp_s
+        if promise.has_rate:
+            assert attitude.rate_body_rad_s == pytest.approx((Moment(t).roll_rate, 0.0, 0.0), abs=2e-3)
+        else:
+            assert attitude.rate_body_rad_s is None
+
+
+@ALL
+def test_the_receiver_and_the_filter_are_heard_before_the_first_position_is_needed(
+    logs: dict[str, TelemetryLog], kind: str
+) -> None:
+    promise, log = KINDS[kind], logs[kind]
+    qualities, statuses = of(log, GpsQuality), of(log, FilterStatus)
+    assert all(q.fix_type == 3 for q in qualities) and all(s.has_position and not s.is_glitching for s in statuses)
+    gaps = np.diff([q.stamp_ns for q in qualities]) / 1e9
+    assert len(qualities) > 10 and gaps.max() < 0.6  # `gps.quality_timeout_s` may be as short as 0.5 s
+    assert statuses
+    last = qualities[-1]
+    assert last.undulation_m == (
+        None if promise.undulation_m is None else pytest.approx(promise.undulation_m, abs=0.01)
+    )
+    if promise.has_claims:
+        assert (last.sigma_horizontal_m, last.sigma_vertical_m) == pytest.approx((0.4, 0.6))
+        assert last.satellites == 12
+
+
+@ALL
+def test_it_arrives_in_order_and_stamps_of_a_kind_never_run_backwards(logs: dict[str, TelemetryLog], kind: str) -> None:
+    log = logs[kind]
+    assert len(log.arrival_ns) == len(log.events)
+    assert log.arrival_ns == sorted(log.arrival_ns)
+    for what in (PositionFix, Attitude, GpsQuality, FilterStatus):
+        stamps = [event.stamp_ns for event in of(log, what)]
+        assert all(a <= b for a, b in itertools.pairwise(stamps))
+    begin_s, end_s = (stamp / 1e9 - T0_S for stamp in log.span_ns)
+    assert -0.05 < begin_s < 0.05 and SECONDS - 0.2 < end_s < SECONDS + 0.05
+
+
+@ALL
+def test_a_log_is_known_by_what_it_holds_and_not_by_its_name(tmp_path: Path, kind: str) -> None:
+    path = written(tmp_path, kind, "log.dat")
+    assert len(of(read_log(path), PositionFix)) > 100
+
+
+@ALL
+@pytest.mark.parametrize("share", [0.5, 0.9])
+def test_a_cut_log_gives_what_it_still_holds(tmp_path: Path, kind: str, share: float) -> None:
+    whole = WRITERS[kind]()
+    path = tmp_path / "cut"
+    path.write_bytes(whole[: round(share * len(whole))])
+    if kind == "csv":  # a table cut within a line is not what was meant
+        with pytest.raises(InputError, match=r"line \d+"):
+            read_log(path)
+        path.write_bytes(path.read_bytes().rpartition(b"\n")[0])
+    assert 0.4 * share * SECONDS * 10 < len(of(read_log(path), PositionFix)) < SECONDS * 10
+
+
+@ALL
+def test_a_damaged_log_gives_the_rest_or_one_line(tmp_path: Path, kind: str) -> None:
+    """Bytes overwritten at random, ten times over: never another exception, never a place that it was not at."""
+    whole, rng, read = WRITERS[kind](), random.Random(3), 0
+    path = tmp_path / "damaged"
+    for _ in range(10):
+        data = bytearray(whole)
+        for _ in range(4):
+            at = rng.randrange(3000, len(data) - 64)
+            data[at : at + 16] = rng.randbytes(16)
+        path.write_bytes(bytes(data))
+        try:
+            fixes = of(read_log(path), PositionFix)
+        except InputError as error:
+            assert "\n" not in str(error) and str(path) in str(error)
+            continue
+        read += 1
+        near = [f for f in fixes if abs(f.lat_deg - LAT) < 0.01 and abs(f.lon_deg - LON) < 0.01]
+        # pyulog goes on at the next synchronisation mark, of which an autopilot writes many and its own writer none.
+        assert len(near) >= len(fixes) - 8 and len(near) > (0 if kind == "ulg" else 60)
+    assert read >= (0 if kind == "csv" else 5)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "is empty"),
+        (b"FMT, 128, 89, FMT, BBnNZ, Type,Length", "a DataFlash log as text"),
+        (b"\xff\xd8\xff\xe0\x00\x10JFIF" + bytes(50), "--telemetry exif"),
+        (b"PK\x03\x04" + bytes(60), "unpack it first"),
+        (b"\x89MCAP0\r\n" + bytes(60), "without --telemetry"),
+        (b"time,lat,lon\n1,2,3\n", "known are MAVLink .tlog"),
+        (b"just some words\n", "known are MAVLink .tlog"),
+        (bytes(range(256)) * 30, "known are MAVLink .tlog"),
+        (b"\xa3\x95\x80" + bytes(500), "telemetry"),
+        (b"ULog\x01\x12\x35\x01" + bytes(20), "telemetry"),
+        (b"unix_time_s,lat_deg\n1795217000,1\n", "no column lon_deg, height_amsl_m"),
+        (b"1\n00:00:00,000 --> 00:00:01,000\nHello\n", "no position in its subtitles"),
+    ],
+)
+def test_what_is_no_log_is_one_line(tmp_path: Path, content: bytes, said: str) -> None:
+    path = tmp_path / "x"
+    path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        read_log(path)
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="No such file"):
+        read_log(tmp_path / "none.bin")
+    with pytest.raises(InputError, match="directory"):
+        read_log(tmp_path)
+
+
+def test_without_pyulog_one_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = written(tmp_path, "ulg")
+    monkeypatch.setitem(sys.modules, "pyulog", None)
+    with pytest.raises(InputError, match=r"pip install 'pointclick\[logs\]'"):
+        read_log(path)
+
+
+# ---------------------------------------------------------------- single formats
+
+
+def test_gps_time_becomes_unix_time_with_the_leap_seconds_of_its_day() -> None:
+    from onboard.telemetry.gps_time import unix_ns_of_gps  # noqa: PLC0415
+
+    assert unix_ns_of_gps(*gps_time(T0_S)) == round(T0_S * 1e9)
+    # GPS week 1825, 2014-12-28 00:00:00 GPS time: 16 s ahead of UTC; week 1854, 2015-07-19: 17 s.
+    assert unix_ns_of_gps(1825, 0) == (1_419_724_800 - 16) * 10**9
+    assert unix_ns_of_gps(1854, 0) == (1_437_264_000 - 17) * 10**9
+
+
+def test_the_simulator_s_truth_in_a_dataflash_log_is_no_input(tmp_path: Path) -> None:
+    path = written(tmp_path, "bin")
+    assert b"SIM\0" in path.read_bytes()
+    assert all(abs(fix.lat_deg - LAT) < 0.01 for fix in of(read_log(path), PositionFix))
+
+
+def test_gimbal_range_and_lost_fix_of_a_dataflash_log(tmp_path: Path) -> None:
+    log = dataflash_log(gimbal=True)
+    for i in range(10):  # the receiver's time stands still
+        week, ms = gps_time(T0_S + 12.0)
+        log.add("GPS", 12.2 + 0.5 * i, 0, 3, ms, week, 12, LAT, LON, 450.0, SPEED, 0.0, 0.0)
+        log.add("XKF4", 12.2 + 0.5 * i, 0, (1 << 16 | 0x4000 | 1 << 4) if i < 5 else (1 << 16 | 1 << 7 | 1 << 4), 0)
+    path = tmp_path / "flight.bin"
+    path.write_bytes(log.bytes())
+    read = read_log(path)
+    gimbal, ranged = of(read, GimbalAttitude)[5], of(read, RangeFinder)[5]
+    assert gimbal.reference == "vehicle"
+    assert matrix_from_quaternion(gimbal.q_ref_gimbal)[:, 0] == pytest.approx((0.0, 0.0, 1.0), abs=1e-6)
+    assert ranged.distance_m == pytest.approx(ABOVE_M) and ranged.direction_body == pytest.approx((0.0, 0.0, 1.0))
+    kinds = [q.fix_type for q in of(read, GpsQuality)]
+    assert kinds[0] == 3 and kinds[-1] == 0
+    states = of(read, FilterStatus)
+    assert any(s.has_position and s.is_glitching for s in states) and not states[-1].has_position
+
+
+def test_an_earth_fixed_gimbal_of_a_px4_log(tmp_path: Path) -> None:
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(ulog(gimbal=True))
+    gimbal = of(read_log(path), GimbalAttitude)
+    assert len(gimbal) > 100 and all(g.reference == "earth" for g in gimbal)
+
+
+SRT_HEAD = "1\n00:00:00,000 --> 00:00:00,033\n"
+DIALECTS = {
+    "mavic 2": (
+        '<font size="36">FrameCnt : 1, DiffTime : 33ms\n2019-09-21 10:52:36,245,036\n[iso : 100] [shutter : 1/120.0] '
+        "[fnum : 280] [ct : 5353] [focal_len : 240] [latitude : 48.100001] [longtitude : 11.500002] "
+        "[altitude: 512.300000] </font>",
+        (48.100001, 11.500002, 512.3, None, 300.0), None,
+    ),
+    "mavic 3": (
+        '<font size="28">FrameCnt: 1, DiffTime: 33ms\n2023-05-12 12:01:02.345\n[iso: 100] [latitude: 48.1] '
+        "[longitude: 11.5] [rel_alt: 1.300 abs_alt: 212.345] [gb_yaw: -12.3 gb_pitch: -90.0 gb_roll: 0.0] </font>",
+        (48.1, 11.5, 212.345, 1.3, 20.0), (0.0, -90.0, -12.3),
+    ),
+    "matrice": (
+        "SrtCnt : 1, DiffTime : 33ms\n2024-06-01 09:00:00.000\n[latitude: 41.3] [longitude: -81.3] "
+        "[rel_alt: 50.6 abs_alt: 300] [Drone: Yaw:1.9, Pitch:-3.1, Roll:1.5] [Gimbal: Yaw:10.0, Pitch:-45.0, Roll:0.0]",
+        (41.3, -81.3, 300.0, 50.6, 20.0), (0.0, -45.0, 10.0),
+    ),
+}  # fmt: skip
+BARE = {
+    "phantom 4": "HOME(149.0251,-20.2532) 2017.08.05 14:11:51\nGPS(149.0251,-20.2533,16) BAROMETER:31.9\nISO:100",
+    "older": "HOME(149.0251,-20.2532) 2017.8.5 14:11:51\nGPS(149.0251,-20.2533,16) Hb:31.9 Hs:1.9\nISO:100 TV:60",
+    "mavic pro": "F/2.8, SS 206.14, ISO 150, EV 0, GPS (149.0251, -20.2533, 15), D 24.78m, H 31.90m, H.S 2.01m/s",
+    "phantom 4 rtk": "GPS (149.0251, -20.2533, 15), D 24.1m, H 31.9m, H.S 3.0m/s, V.S 0.1m/s, "
+    "F.PRY (-4.0°, 0.3°, 12.1°), G.PRY (-90.0°, 0.0°, 12.3°)",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+def test_dialects_of_dji_s_subtitles(tmp_path: Path, dialect: str) -> None:
+    text, (lat, lon, amsl, above, sigma), gimbal_deg = DIALECTS[dialect]
+    path = tmp_path / "a.srt"
+    path.write_text(SRT_HEAD + text + "\n", encoding="utf-8")
+    log = read_log(path)
+    (fix,) = of(log, PositionFix)
+    assert (fix.lat_deg, fix.lon_deg, fix.height_amsl_m, fix.height_above_home_m) == (lat, lon, amsl, above)
+    assert of(log, GpsQuality)[0].sigma_vertical_m == sigma
+    gimbal = of(log, GimbalAttitude)
+    assert bool(gimbal) is (gimbal_deg is not None)
+    if gimbal_deg is not None:
+        R = matrix_from_quaternion(gimbal[0].q_ref_gimbal)
+        assert math.degrees(math.asin(-R[2, 0])) == pytest.approx(gimbal_deg[1])
+    assert log.video_epoch_ns == fix.stamp_ns
+
+
+@pytest.mark.parametrize("dialect", BARE)
+def test_dialects_without_a_height_above_the_sea_ask_for_the_take_off_s(tmp_path: Path, dialect: str) -> None:
+    path = tmp_path / "a.srt"
+    path.write_text(SRT_HEAD + BARE[dialect] + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match="--home-amsl-m"):
+        read_log(path)
+    log = read_log(path, home_amsl_m=400.0)
+    (fix,) = of(log, PositionFix)
+    assert (fix.lat_deg, fix.lon_deg, fix.height_amsl_m) == (-20.2533, 149.0251, 431.9)
+    quality = of(log, GpsQuality)[0]
+    assert quality.satellites in (15, 16)
+    assert quality.sigma_horizontal_m == pytest.approx(11.132 / 12**0.5)  # four decimals
+    if dialect == "phantom 4 rtk":
+        R = matrix_from_quaternion(of(log, GimbalAttitude)[0].q_ref_gimbal)
+        assert R[2, 0] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "home_amsl_m", "said"),
+    [
+        ("[latitude : -35.080155] [longtitude : -60.286702]", 100.0, "positions without any height"),
+        ("[latitude: 48.1] [longitude: 11.5] [abs_alt: 212.3]", 100.0, "leave --home-amsl-m out"),
+        ("[latitude: 0.000000] [longitude: 0.000000] [rel_alt: 1.0 abs_alt: 2.0]", None, "no position"),
+    ],
+)
+def test_subtitles_that_cannot_be_used_are_one_line(
+    tmp_path: Path, text: str, home_amsl_m: float | None, said: str
+) -> None:
+    path = tmp_path / "a.srt"
+    path.write_text(SRT_HEAD + text + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match=said) as caught:
+        read_log(path, home_amsl_m=home_amsl_m)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("1795217000,91,172,350", "line 3: lat_deg '91' is not a number that it can be"),
+        ("1795217000,-43,x,350", "line 3: lon_deg 'x'"),
+        ("17952170,-43,172,350", "line 3: '17952170' is not a Unix time"),
+        ("1795217000,-43,,350", "line 3: lat_deg, lon_deg, height_amsl_m go together"),
+        ("1795217000,-43,172", "line 3: not as many cells"),
+    ],
+)
+def test_a_bad_line_of_a_table_is_named(tmp_path: Path, line: str, said: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(f"unix_time_s,lat_deg,lon_deg,height_amsl_m\n1795217000,-43,172,350\n{line}\n")
+    with pytest.raises(InputError) as caught:
+        read_log(path)
+    assert said in str(caught.value)
+
+
+def test_a_column_that_is_not_known_is_named_and_not_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("unix_time_s,lat_deg,lon_deg,height_amsl_m,heading\n1795217000,-43,172,350,3\n")
+    with pytest.raises(InputError, match="unknown column 'heading'; known are unix_time_s,lat_deg"):
+        read_log(path)
+
+
+def test_a_truth_table_of_the_recordings_is_telemetry_as_it_stands() -> None:
+    log = read_log(Path(__file__).parents[2] / "data" / "plane_turn.truth.csv")
+    assert len(of(log, PositionFix)) == len(of(log, Attitude)) > 500

@@ -1,0 +1,106 @@
+"""Stamps cut to the second, and positions seconds behind: declared, they give honest, wide answers."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from tempfile import mkdtemp
+
+import numpy as np
+import pytest
+
+from contract.camera import Camera
+from contract.rotations import R_ENU_NED, matrix_from_euler
+from onboard.config.schema import Config, parse_config
+from onboard.estimation.sliding_window import Window
+from onboard.events.types import PositionFix
+from onboard.navigation.navigator import NavState
+from onboard.pipeline.pipeline import Pipeline
+from onboard.replay.runner import Flight, replay
+from onboard.telemetry.telemetry_log import TelemetryLog
+from simulation.flight import DescribedSpec
+from simulation.paths import PathSpec
+from simulation.session import SessionSpec
+from tests.scenarios.flights import Outcome, _Sets, click, flown, play
+
+WIDE = Camera.from_field_of_view(320, 240, 70.0)
+WHOLE_SECONDS = (("camera.latency_s", -0.5), ("camera.sigma_jitter_s", 0.3))
+
+
+def survey(seed: int, kind: str = "survey") -> Path:
+    path = PathSpec(kind, speed_m_s=14.0, height_m=150.0, wobble_deg=1.0, leg_m=150.0, spacing_m=60.0)
+    return flown(
+        SessionSpec(
+            DescribedSpec(path, seed=seed), seconds=28.0, rate_hz=1 / 1.4, camera=WIDE, clicks_per_frame=8, seed=seed
+        )
+    )
+
+
+def cut_to_the_second(folder: Path) -> Path:
+    copy = Path(mkdtemp())
+    shutil.copytree(folder, copy, dirs_exist_ok=True)
+    header, *rows = (copy / "stamps.csv").read_text().splitlines()
+    cut = [f"{name},{int(float(stamp))}" for name, stamp in (row.split(",") for row in rows)]
+    (copy / "stamps.csv").write_text("\n".join([header, *cut]) + "\n")
+    return copy
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_declared_stamps_of_a_second_are_answered_with_a_radius_that_holds(seed: int) -> None:
+    folder = cut_to_the_second(survey(seed))
+    declared, silent = play(folder, *WHOLE_SECONDS), play(folder)
+    shutil.rmtree(folder)
+    assert declared.solved >= 0.85, declared.reported
+    assert declared.inside_99 >= 0.97, declared.reported
+    assert np.median(declared.errors_m) < 5.0 and np.median(declared.semi_m) < 15.0, declared.reported
+    # Not declared, the same stamps are refused, or wrong.
+    assert silent.solved < 0.8, silent.reported
+
+
+@pytest.mark.parametrize("jitter_s", [0.003, 0.3])
+def test_a_pose_by_sensors_alone_owns_up_to_its_stamp(jitter_s: float) -> None:
+    """Along the track, by the speed; not across it."""
+    window = Window(Config.model_validate({"camera": {"sigma_jitter_s": jitter_s}}), WIDE)
+    R_enu_body = R_ENU_NED @ matrix_from_euler(0.0, 0.0, 0.0)
+    nav = NavState(0, np.zeros(3), np.array([0.0, 14.0, 0.0]), R_enu_body, 1.5, 2.5, 0.3, 0.0, 150.0)
+    pose = window.sensor_pose(nav)
+    assert pose is not None
+    east, north = np.sqrt(np.diag(pose.white)[:2])
+    assert east == pytest.approx(0.3)
+    assert north == pytest.approx(np.hypot(0.3, 14.0 * jitter_s))
+
+
+def late(folder: Path, behind_s: float, declared_s: float) -> Outcome:
+    """Positions that come `behind_s` later, stamped when they come."""
+    config = parse_config((folder / "config.toml").read_text() + f"\n[gps]\nlatency_s = {declared_s}\n")
+    camera = Camera.from_json(folder / "camera.json")
+    flight = Flight.open(config, camera, folder / "frames", folder / "telemetry.tlog", folder / "stamps.csv")
+    ns = round(behind_s * 1e9)
+    pairs = [
+        (t + ns, replace(e, stamp_ns=e.stamp_ns + ns)) if isinstance(e, PositionFix) else (t, e)
+        for t, e in zip(flight.telemetry.arrival_ns, flight.telemetry.events, strict=True)
+    ]
+    pairs.sort(key=lambda pair: pair[0])
+    log = TelemetryLog([event for _, event in pairs], [arrival for arrival, _ in pairs])
+    pipeline, sink = Pipeline(config, camera), _Sets()
+    replay(replace(flight, telemetry=log), pipeline, [sink])
+    return click(folder, sink.by_frame, pipeline)
+
+
+def test_positions_seconds_behind_their_stamps_are_waited_for() -> None:
+    folder = survey(0)
+    prompt, behind = late(folder, 0.0, 0.0), late(folder, 4.0, 4.0)
+    assert prompt.solved == 1.0, prompt.reported
+    assert behind.solved == 1.0, behind.reported
+    assert behind.inside_99 >= 0.97, behind.reported
+    assert np.median(behind.errors_m) == pytest.approx(np.median(prompt.errors_m), abs=0.05)
+
+
+@pytest.mark.parametrize(("key", "most"), [("camera.sigma_jitter_s", 1.0), ("gps.latency_s", 5.0)])
+def test_the_configuration_takes_them(key: str, most: float) -> None:
+    section, name = key.split(".")
+    config = parse_config(f"[{section}]\n{name} = {most}\n")
+    assert getattr(getattr(config, section), name) == most
+    with pytest.raises(Exception, match=f"{name} = {most + 0.1} is not usable"):
+        parse_config(f"[{section}]\n{name} = {most + 0.1}\n")
