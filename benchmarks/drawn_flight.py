@@ -63,6 +63,7 @@ class DrawnSpec:
     heading_error_deg: tuple[float, float] = (0.0, 0.0)  # times the cosine and the sine of the heading
     lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # as it is, whatever is configured
     camera: Camera = field(default_factory=lambda: Camera.from_field_of_view(640, 480, 40.0))
+    camera_file: Camera | None = None  # what the pipeline is told; None: the truth
 
 
 class Ground:
@@ -333,7 +334,7 @@ class _OwnTerrain:
 def fly(flight: DrawnFlight) -> tuple[dict[int, FeatureSet], Pipeline]:
     """The flight through the pipeline: the last feature set of each picture, and the pipeline as it is then."""
     spec = flight.spec
-    pipeline = Pipeline(spec.config, spec.camera, _OwnTerrain(flight) if spec.has_terrain else None)
+    pipeline = Pipeline(spec.config, spec.camera_file or spec.camera, _OwnTerrain(flight) if spec.has_terrain else None)
     pipeline.tracker = DrawnTracker(flight)
     sets: dict[int, FeatureSet] = {}
     for event in flight.events():

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, fly, replace_section
+from contract.camera import UNKNOWN_SIGMA
 from contract.feature_set import FeatureSet
 from contract.wire.codec import decode, encode
 from ground.answer import CHI2_2, Fix
 from ground.locate import Locator
 from onboard.config.schema import Config, parse_config
-from onboard.estimation.boresight import HEADING, OFFSET
+from onboard.estimation.boresight import HEADING, OFFSET, STATES
 from simulation.paths import PathSpec
 
 Array = NDArray[np.float64]
@@ -25,6 +28,22 @@ LEVER_M = (0.5, 0.2, 0.1)
 
 def with_latency(sigma_s: float) -> Config:
     return replace_section(CONFIG, "gps", sigma_latency_s=sigma_s)
+
+
+def errors_of(flight: DrawnFlight, sets: dict[int, FeatureSet], after_s: float) -> list[float]:
+    """Horizontal errors (m) of clicks at the pictures' middles and near their corners, from `after_s` on."""
+    out = []
+    for k, s in sets.items():
+        if flight.times_s[k] < after_s or not s.is_ok:
+            continue
+        locator = Locator(decode(encode(s)))
+        for uv in np.array([[320.0, 240.0], [80.0, 60.0], [560.0, 420.0]]):
+            answer = locator.locate(uv)
+            if isinstance(answer, Fix):
+                assert answer.height_amsl_m is not None
+                where = PLACE.to_enu(answer.lat_deg, answer.lon_deg, answer.height_amsl_m)
+                out.append(float(np.hypot(*(where - flight.ground_points(k, uv[None])[0])[:2])))
+    return out
 
 
 def clicks(flight: DrawnFlight, sets: dict[int, FeatureSet], after_s: float, every: int = 4) -> tuple[Array, Array]:
@@ -140,3 +159,34 @@ def test_late_stamps_are_known_after_a_few_turns_from_beyond_their_prior() -> No
     assert np.mean(chi2 < CHI2_2) > 0.85
     assert np.median(semi_m) < 12.0
     assert np.mean([s.is_ok for s in sets.values()]) > 0.85
+
+
+def test_a_wrong_camera_file_is_found_out_and_hardly_costs_accuracy() -> None:
+    """Focal length 3 % and k1 0.1 wrong, in a file that says nothing of its errors: after a minute with turns."""
+    lens = DrawnSpec(CONFIG).camera
+    wrong = replace(
+        lens,
+        fx_px=1.03 * lens.fx_px,
+        fy_px=1.03 * lens.fy_px,
+        distortion=(0.1, 0.0, 0.0, 0.0, 0.0),
+        stated_sigma=UNKNOWN_SIGMA,
+    )
+    medians_m, inside = {}, []
+    for name, filed in (("right", None), ("wrong", wrong)):
+        errors_m: list[float] = []
+        for seed in range(2):
+            spec = DrawnSpec(CONFIG, TURNS, seconds=80.0, rate_hz=2.0, offset_s=0.0, camera_file=filed)
+            flight = DrawnFlight(spec, seed)
+            sets, pipeline = fly(flight)
+            chi2, _ = clicks(flight, sets, 40.0)
+            errors_m += list(errors_of(flight, sets, 40.0))
+            assert len(chi2) > 20
+            if filed is not None:
+                inside += list(chi2 < CHI2_2)
+                belief = pipeline.window.alignment.belief
+                found, sigma = belief.mean[STATES:], belief.sigma[STATES:]
+                assert np.abs(found[0] + np.log(1.03)) < 3.0 * sigma[0] and sigma[0] < 0.5 * UNKNOWN_SIGMA[0]
+                assert np.abs(found[3] + 0.1) < 3.0 * sigma[3] and sigma[3] < 0.5 * UNKNOWN_SIGMA[3]
+        medians_m[name] = float(np.median(errors_m))
+    assert medians_m["wrong"] < 1.3 * medians_m["right"], medians_m
+    assert np.mean(inside) > 0.85

@@ -38,6 +38,7 @@ AGREEMENT_PRIOR = 2.0  # windows that agree with their covariances, assumed befo
 OUTSIDE = 4.0  # sigmas from what was believed, beyond which a value is adopted only once something confirms it
 AGREE = 3.0  # sigmas of their difference, within which two values confirm each other
 MIN_SHARPER = 0.5  # of the sigma believed: rotations less sure say nothing that windows of the same pictures did not
+MIN_TOLD = 1e-6  # of the given precision: less is rounding
 MIN_GAIN = 0.02  # of a variance: a window that says less of a state is no evidence on it
 
 
@@ -217,17 +218,15 @@ class Alignment:
             return mean, covariance  # held against what was declared, not against another window: (6.12) weighs that
         self._squares += np.where(tells, (mean - before.mean) ** 2 / np.where(tells, gained, 1.0), 0.0)
         self._counts += tells
-        weaker = 1.0 / self.disagreement
-        if np.all(weaker == 1.0):
+        disagreement = self.disagreement
+        if np.all(disagreement == 1.0):
             return mean, covariance
-        prior = np.linalg.inv(before.covariance)
-        values, vectors = np.linalg.eigh(np.linalg.inv(covariance) - prior)
-        own = (vectors * np.maximum(values, 0.0)) @ vectors.T  # what was added to the window's covariance may exceed it
-        # The window alone: where it has no information its estimate is the prior's.
-        shift = np.linalg.pinv(own, rcond=1e-9, hermitian=True) @ (np.linalg.inv(covariance) @ (mean - before.mean))
-        own = own * weaker[:, None] * weaker
-        wider = np.linalg.inv(prior + own)
-        return before.mean + wider @ (own @ shift), 0.5 * (wider + wider.T)
+        values, basis, pull = _alone(mean, covariance, before)
+        # Along each direction that the window tells of, by how far windows disagree about what lies in it.
+        apart = np.square(basis * before.sigma[:, None]).T @ np.square(disagreement)
+        own = (basis * (values / apart)) @ basis.T
+        wider = np.linalg.inv(np.linalg.inv(before.covariance) + own)
+        return before.mean + wider @ (basis @ (pull / apart)), 0.5 * (wider + wider.T)
 
     def to_json(self) -> str:
         """The newest belief, for the state directory."""
@@ -294,17 +293,29 @@ def _with_offset(belief: Belief, offset_s: float, sigma_s: float) -> Belief:
     return replace(belief, mean=mean, covariance=0.5 * (covariance + covariance.T))
 
 
-def under_another_prior(mean: Array, covariance: Array, prior: Belief, given: Array) -> tuple[Array, Array]:
-    """The posterior that follows from `prior` where the window was solved with the prior covariance `given` (8, 8).
+def under_another_prior(mean: Array, covariance: Array, given: Belief, prior: Belief) -> tuple[Array, Array]:
+    """The posterior that follows from `prior` where the window was solved under `given`.
 
-    The means of both priors are the same. What the window itself says, C^-1 - given^-1, is put upon the other prior.
+    What the window itself says, the precision C^-1 - given^-1 about its own mean, is put upon the other prior, which
+    may be tighter (no delay held open) or newer (rotations have told the offset meanwhile).
     """
-    precision = np.linalg.inv(covariance)
-    values, vectors = np.linalg.eigh(precision - np.linalg.inv(given))
-    alone = (vectors * np.maximum(values, 0.0)) @ vectors.T  # `covariance` may have been widened after the solve
-    shift = precision @ (mean - prior.mean)
+    values, basis, pull = _alone(mean, covariance, given)
+    alone = (basis * values) @ basis.T
     out = np.linalg.inv(np.linalg.inv(prior.covariance) + alone)
-    return prior.mean + out @ shift, 0.5 * (out + out.T)
+    return prior.mean + out @ (basis @ pull + alone @ (given.mean - prior.mean)), 0.5 * (out + out.T)
+
+
+def _alone(mean: Array, covariance: Array, given: Belief) -> tuple[Array, Array, Array]:
+    """What a window itself says, its posterior less the belief it was solved under, by independent directions (D,).
+
+    Returns their precisions in units of what was given (D,), the directions as columns (B, D), such that the window's
+    precision is `basis @ diag(values) @ basis.T`, and its pull on the given mean is `basis @ pull` (D,).
+    """
+    scale, precision = given.sigma, np.linalg.inv(covariance)
+    values, vectors = np.linalg.eigh((precision - np.linalg.inv(given.covariance)) * np.outer(scale, scale))
+    tells = values > MIN_TOLD  # a posterior may have been widened after the solve: there it says nothing
+    vectors = vectors[:, tells]
+    return values[tells], vectors / scale[:, None], vectors.T @ (scale * (precision @ (mean - given.mean)))
 
 
 def _with_prior_reweighed(estimate: Belief, first: Belief) -> Belief:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.estimation.boresight import BORESIGHT, STATES
+from onboard.estimation.boresight import BORESIGHT
 from onboard.estimation.factors import SharedPrior
 
 Array = NDArray[np.float64]
@@ -117,19 +117,23 @@ def _scale(alike: Array, noise: Array, slopes: Array) -> float:
 def seen_alone(prior: SharedPrior, shared: Array, covariance: Array) -> tuple[Array, Array]:
     """A window's own estimate of its ground's slope (2,) and covariance (2, 2), whatever the prior said. (14.1)
 
-    `shared` (11,) and `covariance` (11, 11) are the posterior of the shared states, `prior` theirs. Nothing is
+    `shared` (S,) and `covariance` (S, S) are the posterior of the shared states, `prior` theirs. Nothing is
     assumed of the slope, and nothing of the mount: its error is the same in all windows, and across a straight track
     it would be taken for the ground's slope.
     """
     given = prior.whitener.T @ prior.whitener
     posterior = np.linalg.inv(covariance)
-    values, vectors = np.linalg.eigh(posterior - given)
+    scale = 1.0 / np.sqrt(
+        np.diag(given)
+    )  # units differ by orders of magnitude: what is rounding must not look like data
+    values, vectors = np.linalg.eigh((posterior - given) * np.outer(scale, scale))
+    vectors /= scale[:, None]
     by_data = (vectors * np.maximum(values, 0.0)) @ vectors.T
     pull = posterior @ shared - given @ prior.mean
     loose = np.linalg.inv(given)
     loose[BORESIGHT, :] = loose[:, BORESIGHT] = 0.0
     loose[BORESIGHT, BORESIGHT] = NO_MOUNT_PRIOR_RAD**2 * np.eye(3)
-    slope = slice(STATES + 1, STATES + 3)
+    slope = slice(len(shared) - 2, len(shared))
     loose[slope, :] = loose[:, slope] = 0.0
     loose[slope, slope] = NO_SLOPE_PRIOR**2 * np.eye(2)
     before = np.linalg.inv(loose)

@@ -77,6 +77,7 @@ class Window:
         self.lever_body_m = np.array(mount.lever_arm_m)
         self.ground_slope = GroundSlope(level_sigma(config))
         self._request: Request | None = None  # the newest
+        self._solved_under: Belief | None = None  # the belief that `solved` began with
 
     @property
     def belief(self) -> Belief:
@@ -197,6 +198,7 @@ class Window:
         if found is not None:
             self.memory = self.memory.after(self.config, found, outcome.agreed, outcome.solved is not None)
         if outcome.solved is not None:
+            self._solved_under = None if self._request is None else self._request.belief
             self.solved = self.memory.windows[-1]
             if len(self.keyframes) == self.config.solve.keyframes:
                 self._see_slope(outcome.solved)
@@ -237,9 +239,8 @@ class Window:
         covariance[[OFFSET, DELAY], [OFFSET, DELAY]] += (CURVED_SHARE * moved_s) ** 2
         covariance[OFFSET, OFFSET] += LEAST_SIGMA_S**2
         before = self.alignment.prior_for(start)
-        mean, covariance = under_another_prior(
-            mean, covariance, before, with_delays_held_open(self.config, before).covariance
-        )
+        solved_under = with_delays_held_open(self.config, self._solved_under or before)
+        mean, covariance = under_another_prior(mean, covariance, solved_under, before)
         self.alignment.offer(start, end, mean, covariance)
 
     def camera_found(self) -> tuple[Camera, Sigma]:

@@ -370,11 +370,12 @@ def test_a_window_solved_under_a_looser_prior_says_no_more_than_it_saw() -> None
         out = np.linalg.inv(np.linalg.inv(covariance) + tells)
         return prior.mean + out @ tells @ (seen - prior.mean), out
 
-    mean, covariance = under_another_prior(*posterior(given), prior, given)
-    assert mean / FIRST == pytest.approx(posterior(prior.covariance)[0] / FIRST, abs=1e-6)
-    assert covariance / np.outer(FIRST, FIRST) == pytest.approx(
-        posterior(prior.covariance)[1] / np.outer(FIRST, FIRST), abs=1e-6
-    )
+    for other in (prior, Belief(2, -0.2 * seen, np.diag(0.1 * FIRST**2))):
+        information = np.linalg.inv(other.covariance)
+        expected = np.linalg.inv(information + tells)
+        mean, covariance = under_another_prior(*posterior(given), Belief(1, prior.mean, given), other)
+        assert mean / FIRST == pytest.approx(expected @ (information @ other.mean + tells @ seen) / FIRST, abs=1e-6)
+        assert covariance / np.outer(FIRST, FIRST) == pytest.approx(expected / np.outer(FIRST, FIRST), abs=1e-6)
 
 
 def test_windows_that_see_nothing_of_a_delay_leave_it_where_it_was() -> None:
@@ -390,7 +391,7 @@ def test_windows_that_see_nothing_of_a_delay_leave_it_where_it_was() -> None:
         covariance = np.linalg.inv(np.linalg.inv(given) + tells)
         seen = np.where(np.arange(STATES) == DELAY, rng.standard_normal() / np.sqrt(little), 0.0)
         mean = belief.mean + covariance @ tells @ (seen - belief.mean)
-        belief = Belief(1, *under_another_prior(mean, covariance, belief, given))
+        belief = Belief(1, *under_another_prior(mean, covariance, Belief(1, belief.mean, given), belief))
     # 100 times a hundredth of the first prior's information: as much again as it had.
     assert belief.sigma[DELAY] == pytest.approx(FIRST[DELAY] / np.sqrt(2.0), rel=1e-6)
     assert abs(belief.mean[DELAY]) < 2.5 * belief.sigma[DELAY]
