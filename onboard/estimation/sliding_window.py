@@ -90,6 +90,10 @@ class Window:
         self.solved = None
         self.memory = self.memory.without_windows()
 
+    def forget_solutions(self) -> None:
+        """Forget what was solved, and what later windows are compared with; the keyframes stay."""
+        self.solved, self.memory = None, Memory()
+
     def begin_again(self) -> None:
         """Forget all but the newest keyframe, and the estimate of its pose."""
         newest = self.keyframes[-1]

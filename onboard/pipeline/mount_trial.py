@@ -106,7 +106,8 @@ def carry_over(window: Window, records: list[Record], navigation: Navigation, re
     for keyframe in request.keyframes:
         rate = navigation.body_rate_at(keyframe.nav.stamp_ns + round(keyframe.nav_offset_s * 1e9))
         keyframes.append(keyframe if rate is None else replace(keyframe, body_rate_rad_s=rate))
-    window.keyframes, window.solved, window.noise = keyframes, None, request.noise
+    window.forget_solutions()
+    window.keyframes, window.noise = keyframes, request.noise
     for record in records:
         nav = renewed[record.frame.index]
         assert nav is not None
