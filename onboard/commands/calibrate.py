@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
             return 0
     if (arguments.pictures is None) == (arguments.device is None):
         raise ConfigError(
-            "calibrate: name either --pictures FOLDER, --device /dev/videoN or --from SESSION.mcap (see --help)"
+            "calibrate: name either --pictures FOLDER or --device /dev/videoN, or --from SESSION.mcap (see --help)"
         )
     if arguments.out is None:
         raise ConfigError("calibrate: name the camera file to write: --out CAMERA.json")

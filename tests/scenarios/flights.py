@@ -132,7 +132,7 @@ def play(
         section, key = name.split(".")
         table.setdefault(section, {})[key] = value
     config = Config.model_validate(table)
-    camera = Camera.from_json(folder / "camera.json")
+    camera = replace(Camera.from_json(folder / "camera.json"))  # taken as it is: `replace` leaves its sigmas out
     flight = Flight.open(config, camera, folder / "frames", folder / "telemetry.tlog", folder / "stamps.csv")
     if spoil is not None:
         first_ns, log = flight.frames.stamps_ns[0], flight.telemetry

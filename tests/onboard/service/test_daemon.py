@@ -8,10 +8,12 @@ import signal
 import threading
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from contract.camera import UNKNOWN_SIGMA
 from contract.errors import ConfigError, InputError
 from contract.feature_set import FeatureSet
 from ground.recording import Recording
@@ -354,7 +356,7 @@ def test_the_live_session_replays_to_the_same_sets(tmp_path: Path) -> None:
     settings = Config().model_dump()
     settings["mount"].update(table["mount"])
     settings["solve"].update({"attitude": "autopilot", "velocity": True, "level_ground": False})
-    again = Pipeline(Config.model_validate(settings), CAMERA)
+    again = Pipeline(Config.model_validate(settings), replace(CAMERA, stated_sigma=UNKNOWN_SIGMA))  # as filed
     sets = [output for event in air.heard.events for output in again.handle(event)] + again.finish()
     live = [output for _, output in air.heard.sets]
     assert [(s.frame, s.revision, s.status) for s in sets] == [(s.frame, s.revision, s.status) for s in live]
