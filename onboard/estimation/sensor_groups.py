@@ -63,6 +63,10 @@ class Failing:
         """Whether any failed in the window that ended then."""
         return any(f.last_ns == end_ns for f in self.failures.values())
 
+    def explained(self) -> Failing:
+        """After something else has been found to be what contradicted: nobody fails, what was counted stays."""
+        return Failing({}, self.windows)
+
     def after(self, start_ns: int, end_ns: int, failed: Mapping[str, float]) -> Failing:
         """After a window in which the groups of `failed` did, with the factors that make them consistent."""
         kept = {n: f for n, f in self.failures.items() if f.at(start_ns) > FORGOTTEN}

@@ -14,6 +14,7 @@ from onboard.estimation.sliding_window import Window
 from onboard.navigation.navigator import Navigation
 
 LEAST_OFFSET_S, LEAST_DELAY_S = 0.003, 0.02  # of 3 rad/s and 30 m/s: half a degree and half a metre
+EXPLAINS_S = 0.02  # of an offset, a third of a degree in a slow roll: what contradicted was the clock and no sensor
 
 
 def look_up_again(window: Window, navigation: Navigation) -> None:
@@ -41,4 +42,6 @@ def look_up_again(window: Window, navigation: Navigation) -> None:
         if k.frame not in solved and R_cam_enu is not None:  # its start was by the navigation that is replaced
             now = replace(now, R_cam_enu=R_cam_enu, centre_enu_m=window.position_guess(nav))
         found.append(now)
+    if max(abs(k.nav_offset_s - offset_s) for k in window.keyframes) > EXPLAINS_S:
+        window.noise = replace(window.noise, failing=window.noise.failing.explained())
     window.keyframes = found

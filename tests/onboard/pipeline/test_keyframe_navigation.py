@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from benchmarks.drawn_flight import DrawnFlight, DrawnSpec, DrawnTracker
 from onboard.config.schema import parse_config
 from onboard.estimation.keyframe import Keyframe
+from onboard.estimation.sensor_groups import Failing
 from onboard.events.types import Attitude
 from onboard.navigation.navigator import NavState
 from onboard.pipeline.keyframe_navigation import look_up_again
@@ -64,6 +67,20 @@ def test_attitude_rate_position_and_distance_are_those_of_the_new_offset() -> No
         for a, b in zip(before, window.keyframes, strict=True)
     ]
     assert min(moved) > 1.0, "0.2 s are metres"
+
+
+@pytest.mark.parametrize("moved_s", [-0.2, 0.008])
+def test_a_sensor_that_contradicted_because_of_the_clock_fails_no_longer(moved_s: float) -> None:
+    pipeline = flown()
+    window = pipeline.window
+    last = window.keyframes[-1]
+    start_ns, end_ns = window.keyframes[0].nav.stamp_ns, last.nav.stamp_ns
+    window.noise = replace(window.noise, failing=Failing().after(start_ns, end_ns, {"tilt": 1e4}))
+    assert window.alignment.hear(end_ns, last.nav_offset_s + moved_s, 0.002)
+    look_up_again(window, pipeline.navigation)
+    assert abs(window.keyframes[-1].nav_offset_s - last.nav_offset_s - moved_s) < 0.004
+    assert window.noise.failing.fails_at(end_ns) == (abs(moved_s) < 0.02)
+    assert window.noise.failing.windows == {"tilt": 1}
 
 
 def test_nothing_is_touched_where_nothing_changed_or_navigation_is_gone() -> None:
