@@ -1,0 +1,63 @@
+"""`pc-onboard calibrate --from`: a recorded flight corrects the camera file it was flown with."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from contract.camera import UNKNOWN_SIGMA, Camera
+from onboard.__main__ import main
+from simulation.flight import DescribedSpec
+from simulation.paths import PathSpec
+from simulation.session import SessionSpec
+from tests.scenarios.flights import flown
+
+CAMERA = Camera.from_field_of_view(480, 360, 50.0)
+TURNS = PathSpec("turns", leg_m=120.0, speed_m_s=20.0)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A flight with turns, recorded with pictures and a camera file whose focal length is 3 % too long."""
+    folder = tmp_path_factory.mktemp("lens")
+    session = flown(SessionSpec(DescribedSpec(TURNS), seconds=40.0, rate_hz=2.5, camera=CAMERA, clicks_per_frame=1))
+    filed = json.loads((session / "camera.json").read_text())
+    filed["fx_px"] *= 1.03
+    filed["fy_px"] *= 1.03
+    (folder / "camera.json").write_text(json.dumps(filed))
+    (folder / "config.toml").write_text(
+        (session / "config.toml").read_text() + '\n[recording]\npictures = "lossless"\n'
+    )
+    words = [
+        "replay", "--config", str(folder / "config.toml"), "--frames", str(session / "frames"),
+        "--telemetry", str(session / "telemetry.tlog"), "--camera", str(folder / "camera.json"),
+        "--stamps", str(session / "stamps.csv"), "--record", str(folder / "session.mcap"),
+    ]  # fmt: skip
+    assert main(words) == 0
+    return folder / "session.mcap"
+
+
+def test_a_flight_with_turns_gives_a_better_camera_file(recorded: Path, tmp_path: Path) -> None:
+    out = tmp_path / "camera.json"
+    assert main(["calibrate", "--from", str(recorded), "--out", str(out)]) == 0
+    found = Camera.from_json(out)
+    assert found.sigma[0] < 0.5 * UNKNOWN_SIGMA[0]
+    assert abs(found.fx_px / CAMERA.fx_px - 1.0) < 3.0 * found.sigma[0]
+    assert abs(found.fx_px / CAMERA.fx_px - 1.0) < 0.015
+    assert json.loads(out.read_text())["calibration"]["from_flight"] == recorded.name
+
+
+def test_misuse_is_one_line_and_writes_nothing(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    for words in (
+        ["--from", str(recorded)],
+        ["--from", str(tmp_path / "none.mcap"), "--out", str(tmp_path / "camera.json")],
+        ["--from", str(recorded), "--out", str(tmp_path / "nowhere" / "camera.json")],
+    ):
+        assert main(["calibrate", *words]) == 2
+        assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    assert not list(tmp_path.iterdir())
