@@ -1,6 +1,6 @@
 """PX4's own log (.ulg) -> events: vehicle_global_position (its velocity from vehicle_local_position), vehicle_attitude,
 vehicle_gps_position, estimator_status, gimbal_device_attitude_status and distance_sensor, in the roles of the MAVLink
-messages that PX4 makes of them. Read by pyulog (extra `logs`).
+messages that PX4 makes of them. Read by pyulog.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def _topics(path: Path | str) -> dict[str, _Topic]:
         from pyulog import ULog  # noqa: PLC0415  an extra
     except ModuleNotFoundError as error:
         raise InputError(
-            f"telemetry {path}: PX4's logs are read by pyulog, which is not installed: pip install 'pointclick[logs]'"
+            f"telemetry {path}: PX4's logs are read by pyulog, which is not installed: pip install pyulog"
         ) from error
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         try:

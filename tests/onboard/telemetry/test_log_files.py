@@ -207,7 +207,7 @@ def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
 def test_without_pyulog_one_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = written(tmp_path, "ulg")
     monkeypatch.setitem(sys.modules, "pyulog", None)
-    with pytest.raises(InputError, match=r"pip install 'pointclick\[logs\]'"):
+    with pytest.raises(InputError, match=r"pip install pyulog"):
         read_log(path)
 
 
