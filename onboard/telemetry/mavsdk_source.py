@@ -122,7 +122,6 @@ class MavsdkEnd:
         return None
 
     def _begin(self, system: int, is_px4: bool) -> None:
-        log_subscribe(_is_muted)
         if is_px4:  # of the type "generic": PX4 would miss a companion computer that leaves (`mavlink_session`)
             configuration = Configuration.create_manual(system, self._component, True)
         else:
@@ -197,3 +196,7 @@ def _to_json(value: Any) -> Any:
 def _is_muted(*_what: object) -> bool:
     """mavsdk's own log goes to stdout in colours; what matters of it is in our health."""
     return True
+
+
+# Once in a process, as the import is: to do it again frees the callback that a thread of mavsdk's may be about to call.
+log_subscribe(_is_muted)
