@@ -238,6 +238,10 @@ def _add_calibrate(calibrate: argparse.ArgumentParser) -> None:
 
 def run_calibrate(arguments: argparse.Namespace) -> int:
     """Calibrate; 1 if the calibration is not good."""
+    if arguments.from_session is not None:
+        from onboard.commands.calibrate_in_flight import run as run_in_flight  # noqa: PLC0415
+
+        return run_in_flight(arguments)
     from onboard.commands.calibrate import run  # noqa: PLC0415
 
     return run(arguments)

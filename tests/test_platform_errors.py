@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, fly, replace_section
 from contract.camera import UNKNOWN_SIGMA
 from contract.feature_set import FeatureSet
-from contract.wire.codec import decode, encode
-from ground.answer import CHI2_2, Fix
-from ground.locate import Locator
+from ground.answer import CHI2_2
 from onboard.config.schema import Config, parse_config
 from onboard.estimation.boresight import HEADING, OFFSET, STATES
 from simulation.paths import PathSpec
+from tests.drawn_clicks import chi2_of, located
 
 Array = NDArray[np.float64]
 
@@ -36,13 +35,8 @@ def errors_of(flight: DrawnFlight, sets: dict[int, FeatureSet], after_s: float) 
     for k, s in sets.items():
         if flight.times_s[k] < after_s or not s.is_ok:
             continue
-        locator = Locator(decode(encode(s)))
-        for uv in np.array([[320.0, 240.0], [80.0, 60.0], [560.0, 420.0]]):
-            answer = locator.locate(uv)
-            if isinstance(answer, Fix):
-                assert answer.height_amsl_m is not None
-                where = PLACE.to_enu(answer.lat_deg, answer.lon_deg, answer.height_amsl_m)
-                out.append(float(np.hypot(*(where - flight.ground_points(k, uv[None])[0])[:2])))
+        uv = np.array([[320.0, 240.0], [80.0, 60.0], [560.0, 420.0]])
+        out += [float(np.hypot(*error)) for error, _ in located(flight, s, uv)]
     return out
 
 
@@ -53,15 +47,9 @@ def clicks(flight: DrawnFlight, sets: dict[int, FeatureSet], after_s: float, eve
     for k in range(0, len(flight.times_s), every):
         if flight.times_s[k] < after_s or k not in sets or not sets[k].is_ok:
             continue
-        locator = Locator(decode(encode(sets[k])))
-        for uv in rng.uniform(40.0, 440.0, (2, 2)):
-            answer = locator.locate(uv)
-            if isinstance(answer, Fix):
-                assert answer.height_amsl_m is not None
-                where = PLACE.to_enu(answer.lat_deg, answer.lon_deg, answer.height_amsl_m)
-                error = (where - flight.ground_points(k, uv[None])[0])[:2]
-                chi2.append(float(error @ np.linalg.solve(answer.covariance_enu_m2[:2, :2], error)))
-                semi_m.append(answer.ellipse.semi_major_m)
+        for error, answer in located(flight, sets[k], rng.uniform(40.0, 440.0, (2, 2))):
+            chi2.append(chi2_of(error, answer))
+            semi_m.append(answer.ellipse.semi_major_m)
     return np.array(chi2), np.array(semi_m)
 
 

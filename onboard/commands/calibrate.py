@@ -25,7 +25,6 @@ from onboard.calibration.verdict import Verdict, bare_places, coverage_picture, 
 from onboard.camera.picture_files import PICTURE_SUFFIXES, read_grey
 from onboard.camera.pixel_formats import UNDECODABLE
 from onboard.camera.v4l2_camera import V4l2Camera
-from onboard.commands import calibrate_in_flight
 from onboard.config.schema import CameraConfig
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import State
@@ -42,8 +41,6 @@ NEW_SHARE = 0.03
 
 def run(arguments: argparse.Namespace) -> int:
     """Print a board, or calibrate; 0: good and written, 1: not good, nothing written unless `--accept`."""
-    if arguments.from_session is not None:
-        return calibrate_in_flight.run(arguments)
     columns, rows = arguments.squares
     board = Board(
         arguments.board,
@@ -83,13 +80,13 @@ def conclude(views: list[View], size_px: tuple[int, int], out: Path, coverage: P
     if fit is not None:
         print(report(fit, dropped))
         picture = coverage or out.with_suffix(".coverage.png")
-        _write(picture, cv2.imencode(".png", coverage_picture(fit, verdict))[1].tobytes())
+        write(picture, cv2.imencode(".png", coverage_picture(fit, verdict))[1].tobytes())
         print(f"coverage: {picture}")
     print(f"verdict: {verdict}")
     if fit is None or not (verdict.is_good or accept):
         print(f"{out} is not written" + ("" if fit is None else " (--accept writes it all the same)"))
         return 1
-    _write(out, camera_file(fit, verdict).encode())
+    write(out, camera_file(fit, verdict).encode())
     print(f"written: {out}")
     return 0 if verdict.is_good else 1
 
@@ -115,7 +112,8 @@ def _check_writable(path: Path) -> None:
         raise InputError(f"{path}: cannot be written there")
 
 
-def _write(path: Path, content: bytes) -> None:
+def write(path: Path, content: bytes) -> None:
+    """The whole file or none of it; raises InputError."""
     part = path.with_name(path.name + ".part")
     try:
         part.write_bytes(content)

@@ -13,6 +13,7 @@ import numpy as np
 
 from contract.camera import SIGMA_KEYS, UNKNOWN_SIGMA, Camera
 from contract.errors import InputError
+from onboard.commands.calibrate import write
 from onboard.commands.replay import recorded_flight
 from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.runner import replay
@@ -57,9 +58,4 @@ def _numbers(camera: Camera) -> tuple[float, ...]:
 def _write(path: Path, camera: Camera, source: Path) -> None:
     known = json.loads(camera.to_json())
     known["calibration"]["from_flight"] = source.name
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
-        part.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
+    write(path, (json.dumps(known, indent=1) + "\n").encode())

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.errors import InputError
 from onboard.estimation import camera_states
+from onboard.geometry.linalg import precision_beyond
 
 Array = NDArray[np.float64]
 
@@ -312,10 +313,10 @@ def _alone(mean: Array, covariance: Array, given: Belief) -> tuple[Array, Array,
     precision is `basis @ diag(values) @ basis.T`, and its pull on the given mean is `basis @ pull` (D,).
     """
     scale, precision = given.sigma, np.linalg.inv(covariance)
-    values, vectors = np.linalg.eigh((precision - np.linalg.inv(given.covariance)) * np.outer(scale, scale))
+    values, basis = precision_beyond(precision, np.linalg.inv(given.covariance), scale)
     tells = values > MIN_TOLD  # a posterior may have been widened after the solve: there it says nothing
-    vectors = vectors[:, tells]
-    return values[tells], vectors / scale[:, None], vectors.T @ (scale * (precision @ (mean - given.mean)))
+    basis = basis[:, tells]
+    return values[tells], basis, (basis * np.square(scale)[:, None]).T @ (precision @ (mean - given.mean))
 
 
 def _with_prior_reweighed(estimate: Belief, first: Belief) -> Belief:

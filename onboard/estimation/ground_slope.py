@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from onboard.estimation.boresight import BORESIGHT
 from onboard.estimation.factors import SharedPrior
+from onboard.geometry.linalg import precision_beyond
 
 Array = NDArray[np.float64]
 
@@ -123,12 +124,8 @@ def seen_alone(prior: SharedPrior, shared: Array, covariance: Array) -> tuple[Ar
     """
     given = prior.whitener.T @ prior.whitener
     posterior = np.linalg.inv(covariance)
-    scale = 1.0 / np.sqrt(
-        np.diag(given)
-    )  # units differ by orders of magnitude: what is rounding must not look like data
-    values, vectors = np.linalg.eigh((posterior - given) * np.outer(scale, scale))
-    vectors /= scale[:, None]
-    by_data = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    values, directions = precision_beyond(posterior, given, 1.0 / np.sqrt(np.diag(given)))
+    by_data = (directions * np.maximum(values, 0.0)) @ directions.T
     pull = posterior @ shared - given @ prior.mean
     loose = np.linalg.inv(given)
     loose[BORESIGHT, :] = loose[:, BORESIGHT] = 0.0

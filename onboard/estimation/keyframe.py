@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,3 +54,15 @@ def observation(camera: Camera, ids: Ids, uv_px: Array) -> Observation:
 def seen_with(camera: Camera, seen: Observation) -> Observation:
     """The same features by another calibration."""
     return observation(camera, seen.ids, seen.uv_px)
+
+
+def have_attitude(keyframes: Sequence[Keyframe]) -> bool:
+    """Whether the autopilot gave an attitude to every one."""
+    return all(k.nav.R_enu_body is not None for k in keyframes)
+
+
+def turned(keyframes: Sequence[Keyframe], R_cam_enu: Iterable[Array]) -> tuple[Keyframe, ...]:
+    """The keyframes with these orientations, at the positions that GPS gives."""
+    return tuple(
+        replace(k, R_cam_enu=R, centre_enu_m=k.nav.position_enu_m) for k, R in zip(keyframes, R_cam_enu, strict=True)
+    )

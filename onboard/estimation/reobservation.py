@@ -4,7 +4,7 @@ A point is followed over more pictures than the newest window's end and the next
 windows of which one ended before the other began still hold many of the same points. Their places must agree within the
 covariance of their difference. What a window errs by as a whole is a shift, a turn and a scale of its patch of ground;
 these seven are compared, (16.1) to (16.3). Over a flight their normalised squares say by how much the published
-variances are too small: `RelativeVariance`, (16.4). Section 14 of docs/mathematics.md.
+variances are too small: `RelativeVariance`, (16.4). Section 16 of docs/mathematics.md.
 """
 
 from __future__ import annotations
@@ -73,10 +73,9 @@ def agreement(earlier: Solved, later: Solved) -> Agreement | None:
     The windows may have no picture in common: their measurements are then independent but for the slow errors, which
     are correlated as (9.13) says.
     """
-    ids = np.intersect1d(earlier.point_ids[earlier.good], later.point_ids[later.good], assume_unique=True)
-    if len(ids) < MIN_COMMON:
+    one, two = earlier.common(later)
+    if len(one) < MIN_COMMON:
         return None
-    one, two = earlier.rows(ids)[0], later.rows(ids)[0]
     X1, X2 = earlier.solution.state.points_enu_m[one], later.solution.state.points_enu_m[two]
     own = earlier.solution.point_covariance[one] + later.solution.point_covariance[two]
     difference = X2 - X1

@@ -18,7 +18,7 @@ from contract.feature_set import Status
 from contract.rotations import exp_so3
 from onboard.estimation.boresight import BORESIGHT, HEADING, Belief
 from onboard.estimation.factors import AttitudePrior, PositionPrior, Prior, State, VelocityPrior
-from onboard.estimation.keyframe import Keyframe
+from onboard.estimation.keyframe import Keyframe, have_attitude, turned
 from onboard.estimation.reobservation import agreement
 from onboard.estimation.sensor_factors import coordinated_turn, cosine_sine_of_heading
 from onboard.estimation.solved_window import Solved
@@ -57,13 +57,6 @@ def is_steep(keyframes: tuple[Keyframe, ...], R_body_cam: Array) -> bool:
     return bool(np.min(-down) < STEEP_COSINE)
 
 
-def turned(keyframes: tuple[Keyframe, ...], R_cam_enu: Array) -> tuple[Keyframe, ...]:
-    """The keyframes with these orientations, at the positions that GPS gives."""
-    return tuple(
-        replace(k, R_cam_enu=R, centre_enu_m=k.nav.position_enu_m) for k, R in zip(keyframes, R_cam_enu, strict=True)
-    )
-
-
 def by_sensors(keyframes: tuple[Keyframe, ...], belief: Belief, R_body_cam: Array) -> tuple[Keyframe, ...] | None:
     """Keyframes oriented by the autopilot, or where it gives no attitude by a coordinated turn along the path."""
     attitudes = [by_attitude(k.nav, belief, R_body_cam) for k in keyframes]
@@ -90,19 +83,18 @@ def verdict(one: Solved, two: Solved, costs: tuple[float, float]) -> tuple[Solve
     Least squares from both starts that end in one minimum agree to a hundredth of a sigma. What they differ by is added
     to the variance. None and the reason where they fit alike and differ. `costs`: of each, by `comparable_cost`.
     """
-    both = np.intersect1d(one.point_ids[one.good], two.point_ids[two.good], assume_unique=True)
-    at1, at2 = one.rows(both)[0], two.rows(both)[0]
+    at1, at2 = one.common(two)
     miss_m = np.linalg.norm(one.solution.state.points_enu_m[at1] - two.solution.state.points_enu_m[at2], axis=1)
     gain = one.solution.point_gain[at1]
     covariance = gain @ one.covariance_at(one.keyframes[-1].nav.stamp_ns) @ gain.transpose(0, 2, 1)
     sigma_m = np.sqrt(np.trace(covariance + one.solution.point_covariance[at1], axis1=1, axis2=2))
-    sigmas = float(np.median(miss_m / sigma_m)) if len(both) else np.inf
+    sigmas = float(np.median(miss_m / sigma_m)) if len(at1) else np.inf
     if sigmas < SAME_SIGMAS:
         return replace(one, variance_factor=one.variance_factor * (1.0 + sigmas**2)), ""
     apart = costs[0] - costs[1]
     if abs(apart) > CLEAR_COST:
         return (two if apart > 0.0 else one), ""
-    return None, f"two solutions fit alike: {np.median(miss_m) if len(both) else np.inf:.0f} m apart"
+    return None, f"two solutions fit alike: {np.median(miss_m) if len(at1) else np.inf:.0f} m apart"
 
 
 def comparable_cost(residual_sigmas: Array, sensors: Sequence[Prior], state: State) -> float:
@@ -122,4 +114,4 @@ def is_worth_another(status: Status, keyframes: tuple[Keyframe, ...], R_body_cam
         return True
     if status is not Status.OK or is_confirmed:
         return False
-    return any(k.nav.R_enu_body is None for k in keyframes) or is_steep(keyframes, R_body_cam)
+    return not have_attitude(keyframes) or is_steep(keyframes, R_body_cam)

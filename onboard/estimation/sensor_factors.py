@@ -25,7 +25,7 @@ from onboard.estimation.factors import (
     whitener_of,
 )
 from onboard.estimation.ground_slope import NO_SLOPE_PRIOR, SlopePrior
-from onboard.estimation.keyframe import Keyframe
+from onboard.estimation.keyframe import Keyframe, have_attitude
 from onboard.estimation.variance_components import (
     HEADING,
     HEADING_WHITE,
@@ -200,7 +200,7 @@ def _attitude(
 ) -> list[Prior]:
     stamps, velocities, solve_ = _stamps_s(keyframes), _velocities(keyframes), config.solve
     offsets = np.array([k.nav_offset_s for k in keyframes])
-    if all(k.nav.R_enu_body is not None for k in keyframes):
+    if have_attitude(keyframes):
         R_enu_cam = np.stack([k.nav.R_enu_body @ R_body_cam for k in keyframes if k.nav.R_enu_body is not None])
         rates = np.stack([k.body_rate_rad_s for k in keyframes]) @ R_body_cam
         turning = np.einsum("kij,kj->ki", R_enu_cam, rates)

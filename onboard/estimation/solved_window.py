@@ -53,3 +53,8 @@ class Solved:
             return np.zeros(len(ids), np.intp), np.zeros(len(ids), bool)
         at = np.minimum(np.searchsorted(self.point_ids, ids), len(self.point_ids) - 1)
         return at, (self.point_ids[at] == ids) & self.good[at]
+
+    def common(self, other: Solved) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Rows of the good points that both windows have, here and in the other."""
+        ids = np.intersect1d(self.point_ids[self.good], other.point_ids[other.good], assume_unique=True)
+        return self.rows(ids)[0], other.rows(ids)[0]

@@ -21,7 +21,7 @@ from onboard.estimation.factors import AttitudePrior, Layout, Prior, State, Velo
 from onboard.estimation.ground_motion import ground_motion, ground_sigma_m_s
 from onboard.estimation.ground_roughness import effective_sigma_m
 from onboard.estimation.ground_slope import SlopePrior
-from onboard.estimation.keyframe import Ids, Keyframe
+from onboard.estimation.keyframe import Ids, Keyframe, have_attitude
 from onboard.estimation.reobservation import Agreement
 from onboard.estimation.second_start import by_sensors, confirms, is_worth_another, verdict
 from onboard.estimation.sensor_factors import range_prior, sensor_priors
@@ -147,7 +147,7 @@ def adjust(request: Request) -> Outcome:
     if not is_worth_another(first.status, first.keyframes, request.R_body_cam, is_confirmed):
         return first
     start = by_sensors(request.keyframes, request.belief, request.R_body_cam)
-    has_attitude = all(k.nav.R_enu_body is not None for k in request.keyframes)
+    has_attitude = have_attitude(request.keyframes)
     if start is None or (has_attitude and request.previous is None):
         return first  # the sensors' start was the first one
     second = _adjusted(replace(request, keyframes=start, previous=None, is_oriented=True))
@@ -231,7 +231,7 @@ def _adjusted(request: Request) -> Outcome:
     start_ns, end_ns = keyframes[0].nav.stamp_ns, keyframes[-1].nav.stamp_ns
     noise = replace(noise, factors=noise.factors_at(start_ns))
     problem, priors, first = weighed(noise, state)
-    has_attitude = all(k.nav.R_enu_body is not None for k in keyframes)
+    has_attitude = have_attitude(keyframes)
 
     def innovations_with(groups: Mapping[str, float]) -> list[Innovation]:
         other = replace(noise, factors=replace(noise.factors, groups=groups))

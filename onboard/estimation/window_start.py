@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation import initialisation
-from onboard.estimation.keyframe import Ids, Keyframe
+from onboard.estimation.keyframe import Ids, Keyframe, have_attitude, turned
 from onboard.estimation.window_acceptance import MIN_POINTS
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.triangulation import on_plane, triangulate
@@ -46,16 +45,14 @@ def grid(request: Request, ids: Ids) -> tuple[Array, Array]:
 def oriented(request: Request, xy: Array, seen: Mask) -> tuple[Keyframe, ...] | None:
     """The keyframes, each with a starting orientation; None if the rays support none."""
     keyframes, camera = request.keyframes, request.camera
-    if request.is_oriented or request.previous is not None or all(k.nav.R_enu_body is not None for k in keyframes):
+    if request.is_oriented or request.previous is not None or have_attitude(keyframes):
         return keyframes
     centres = np.stack([k.nav.position_enu_m for k in keyframes])
     sigma_px = request.noise.pixel_sigma_px * max(1.0, camera.width_px / 640.0)
     rotations = initialisation.orient(xy, seen, centres, request.R_body_cam, START_SIGMAS * sigma_px / camera.focal_px)
     if rotations is None:
         return None
-    return tuple(
-        replace(k, R_cam_enu=R, centre_enu_m=k.nav.position_enu_m) for k, R in zip(keyframes, rotations, strict=True)
-    )
+    return turned(keyframes, rotations)
 
 
 def starting_points(

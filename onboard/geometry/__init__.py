@@ -2,7 +2,7 @@
 
 Public:
 
-- `linalg`: `solve_positive`, `solve_small`
+- `linalg`: `precision_beyond`, `solve_positive`, `solve_small`
 - `plane_fit`: `fit_plane`
 - `plane_homography`: `Pose`, `move`, `predict_homography`, `predict_pixels`
 - `relative_orientation`: `rotation_only`, `start_pair`

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from benchmarks.drawn_flight import EPOCH_NS, PLACE, DrawnFlight, DrawnSpec, fly, replace_section
 from benchmarks.sensor_faults import ATTITUDE_TIME, HEADING, POSITION, TILT, VELOCITY, Disturbance, disturbed
-from contract.wire.codec import decode, encode
-from ground.answer import CHI2_2, Fix
-from ground.locate import Locator
+from ground.answer import CHI2_2
 from onboard.config.schema import parse_config
 from onboard.events.types import Event
 from onboard.pipeline.estimates import Contradiction
 from simulation.paths import PathSpec
+from tests.drawn_clicks import chi2_of, located
 
 CONFIG = parse_config("")
 CAMERA_AND_GPS = replace_section(CONFIG, "solve", attitude="none", velocity=False)
@@ -73,16 +72,10 @@ def _flown(fault: str, is_full: bool) -> Outcome:
         asked += 2
         if k not in sets or not sets[k].is_ok:
             continue
-        locator = Locator(decode(encode(sets[k])))
-        for uv in rng.uniform(40.0, 440.0, (2, 2)):
-            answer = locator.locate(uv)
-            if isinstance(answer, Fix):
-                assert answer.height_amsl_m is not None
-                where = PLACE.to_enu(answer.lat_deg, answer.lon_deg, answer.height_amsl_m)
-                error = (where - flight.ground_points(k, uv[None])[0])[:2]
-                chi2.append(float(error @ np.linalg.solve(answer.covariance_enu_m2[:2, :2], error)))
-                errors.append(float(np.hypot(*error)))
-                semi.append(answer.ellipse.semi_major_m)
+        for error, answer in located(flight, sets[k], rng.uniform(40.0, 440.0, (2, 2))):
+            chi2.append(chi2_of(error, answer))
+            errors.append(float(np.hypot(*error)))
+            semi.append(answer.ellipse.semi_major_m)
     said = pipeline.summary.contradictions
     return Outcome(len(errors) / asked, float(np.median(errors)), np.array(chi2), float(np.median(semi)), said)
 
