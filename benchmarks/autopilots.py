@@ -26,8 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.drawn_flight import DrawnTracker, Ground, Mask, Valley, replace_section
-from benchmarks.sensor_faults import EVERY_MINUTE, Disturbance, disturbed
-from contract.camera import UNKNOWN_SIGMA, Camera
+from benchmarks.platform_faults import BELIEVED, FAULTS, LENS
+from benchmarks.sensor_faults import Disturbance, disturbed
+from contract.camera import Camera
 from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, matrix_from_quaternion, mount_rotation
@@ -41,6 +42,7 @@ from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.tlog_reader import read_tlog
 from onboard.vision.klt_tracker import Tracks
 from simulation.flight import find_recording
+from simulation.rows import RowsOf
 from simulation.trajectory import RecordedTruth, Trajectory
 
 Array = NDArray[np.float64]
@@ -51,9 +53,6 @@ BANKS_DEG = (0.0, 5.0, 15.0, 30.0, 180.0)
 CHI2_99 = -2.0 * np.log(0.01)
 LEAD_NS, TAIL_NS = 30_000_000_000, 3_000_000_000
 CLICKS = 3
-
-
-LENS = Camera.from_field_of_view(640, 480, 40.0)
 
 
 @dataclass(frozen=True)
@@ -78,6 +77,7 @@ class Scene:
     outlier_share: float = 0.03
     camera: Camera = field(default_factory=lambda: LENS)
     camera_file: Camera | None = None  # what the daemon is told; None: the truth, as known for sure
+    readout_s: float = 0.0  # of the rows, as it is; the configuration may say something else
 
 
 @functools.lru_cache(maxsize=8)
@@ -104,6 +104,7 @@ class ReplayedFlight:
         mount = scene.config.mount
         R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg)
         self.R_body_cam = R_body_cam @ exp_so3(np.radians(scene.mount_error_deg))
+        self._rows = RowsOf(self.trajectory, self.R_body_cam, scene.readout_s)
         poses = [self.trajectory.camera_pose(float(t), self.R_body_cam) for t in self.times_s]
         self.R_enu_cam = np.stack([p.R_enu_cam for p in poses])
         self.centres_enu_m = np.stack([p.centre_m for p in poses])
@@ -115,18 +116,16 @@ class ReplayedFlight:
 
     def ground_points(self, frame: int, uv_px: Array) -> Array:
         """The ground (N, 3) that pixels (N, 2) of a picture show; nan where they show none."""
-        rays, _ = self.spec.camera.unproject(uv_px)
-        rays = rays @ self.R_enu_cam[frame].T
-        centre = self.centres_enu_m[frame]
+        rays, centre = self._rows.rays(self.spec.camera, float(self.times_s[frame]), uv_px)
         downward = rays[:, 2] < -0.06 * np.linalg.norm(rays, axis=1)
         points = self.ground.meet(centre, np.where(downward[:, None], rays, [0.0, 0.0, -1.0]))
-        height = centre[2] - self.ground.height_m(centre[None, :2])[0]
+        height = centre[:, 2] - self.ground.height_m(centre[:, :2])
         near = np.linalg.norm(points - centre, axis=1) < MAX_RANGE * height
         return np.where((downward & near)[:, None], points, np.nan)
 
     def pixels(self, frame: int, points: Array) -> tuple[Array, Mask]:
         """Pixels (N, 2) of points (N, 3) in a picture, and whether they are on it."""
-        return self.spec.camera.project((points - self.centres_enu_m[frame]) @ self.R_enu_cam[frame])
+        return self._rows.pixels(self.spec.camera, float(self.times_s[frame]), points)
 
     def events(self) -> Iterator[Event]:
         """Telemetry by arrival and pictures by stamp; a picture's image holds nothing but its own number."""
@@ -324,30 +323,6 @@ STARTS = {
     "plane_log": 40.0,
     "copter_survey": 30.0,
 }
-FAULTS: dict[str, dict[str, Any]] = {
-    "none": {},
-    "late": {"stamps_late_s": 0.2, "mount_error_deg": (2.0, 1.5, 0.0)},
-    "1hz": {"attitude_hz": 1.0},
-    "slope": {"slope_deg": 9.8},
-    # The camera file says nothing of its errors: it is right all the same, or 3 % and 0.1 wrong.
-    "unsure lens": {"camera_file": replace(LENS, stated_sigma=UNKNOWN_SIGMA)},
-    "wrong lens": {
-        "camera_file": replace(
-            LENS,
-            fx_px=1.03 * LENS.fx_px,
-            fy_px=1.03 * LENS.fy_px,
-            distortion=(0.1, 0.0, 0.0, 0.0, 0.0),
-            stated_sigma=UNKNOWN_SIGMA,
-        )
-    },
-    "slope-east": {"slope_deg": 9.8, "rises_towards_deg": 90.0},
-    "slope-north": {"slope_deg": 9.8, "rises_towards_deg": 0.0},
-    "slope-4": {"slope_deg": 4.0, "rises_towards_deg": 300.0},
-    "valley": {"slope_deg": 9.8, "rises_towards_deg": 36.9, "is_valley": True},
-    **{name: {"disturbances": every} for name, every in EVERY_MINUTE.items()},
-}
-
-
 Job = tuple[str, Scene, int]
 
 
@@ -365,6 +340,7 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
     jobs = []
     for name, mount, sensors, fault in itertools.product(*(names.split(",") for names in asked)):
         config = replace_section(replace_section(base, "mount", **MOUNTS[mount]), "solve", **SENSORS[sensors])
+        config = replace_section(config, "camera", **BELIEVED.get(fault, {}))
         start_s = STARTS[name] if args.start is None else args.start
         scene = replace(Scene(name, config, start_s, args.seconds), **FAULTS[fault])
         jobs += [(f"{name} {mount} {sensors} {fault}", scene, args.seed + draw) for draw in range(args.draws)]

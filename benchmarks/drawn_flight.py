@@ -25,6 +25,7 @@ from onboard.geometry.terrain_grid import Terrain
 from onboard.pipeline.pipeline import Pipeline
 from onboard.vision.klt_tracker import Tracker, Tracks, fit_homography
 from simulation.paths import PathSpec, fly_path
+from simulation.rows import RowsOf
 from simulation.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -64,6 +65,7 @@ class DrawnSpec:
     lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # as it is, whatever is configured
     camera: Camera = field(default_factory=lambda: Camera.from_field_of_view(640, 480, 40.0))
     camera_file: Camera | None = None  # what the pipeline is told; None: the truth
+    readout_s: float = 0.0  # of the rows, as it is, whatever is configured
 
 
 class Ground:
@@ -84,8 +86,8 @@ class Ground:
         return out
 
     def meet(self, centre: Array, rays: Array) -> Array:
-        """Where rays (N, 3), ENU axes, from a centre (3,) meet the ground: (N, 3). For ground seen from well above."""
-        depth = -centre[2] / rays[:, 2]
+        """Where rays (N, 3), ENU axes, from a centre (3,) or (N, 3) well above the ground meet it: (N, 3)."""
+        depth = -centre[..., 2] / rays[:, 2]
         for _ in range(60):
             points = centre + rays * depth[:, None]
             depth = depth - 0.6 * (points[:, 2] - self.height_m(points[:, :2])) / rays[:, 2]
@@ -125,6 +127,7 @@ class DrawnFlight:
         mount = config.mount
         R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg) @ exp_so3(self.boresight_rad)
         self.times_s = np.arange(round(spec.seconds * spec.rate_hz)) / spec.rate_hz
+        self._rows = RowsOf(self.trajectory, R_body_cam, spec.readout_s, np.array(spec.lever_arm_m))
         poses = [self.trajectory.camera_pose(float(t), R_body_cam) for t in self.times_s]
         self.R_enu_cam = np.stack([p.R_enu_cam for p in poses])
         lever_enu_m = self.trajectory.R_enu_body(self.times_s) @ np.array(spec.lever_arm_m)
@@ -134,12 +137,12 @@ class DrawnFlight:
 
     def ground_points(self, frame: int, uv_px: Array) -> Array:
         """The ground (N, 3) that pixels (N, 2) of a picture show."""
-        rays, _ = self.spec.camera.unproject(uv_px)
-        return self.ground.meet(self.centres_enu_m[frame], rays @ self.R_enu_cam[frame].T)
+        rays, centres = self._rows.rays(self.spec.camera, float(self.times_s[frame]), uv_px)
+        return self.ground.meet(centres, rays)
 
     def pixels(self, frame: int, points: Array) -> tuple[Array, Mask]:
         """Pixels (N, 2) of points (N, 3) in a picture, and whether they are on it."""
-        return self.spec.camera.project((points - self.centres_enu_m[frame]) @ self.R_enu_cam[frame])
+        return self._rows.pixels(self.spec.camera, float(self.times_s[frame]), points)
 
     def events(self) -> Iterator[Event]:
         """Telemetry and pictures, in order of time; a picture's image holds nothing but its own number."""

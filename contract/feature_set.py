@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
+from contract.rolling_shutter import RollingShutter
 
 Array = NDArray[np.float64]
 
@@ -119,6 +120,8 @@ class FeatureSet:
     uv_px: Array = field(default_factory=lambda: np.zeros((0, 2)))
     inverse_depth_per_m: Array = field(default_factory=lambda: np.zeros(0))
     sigma_inverse_depth_per_m: Array = field(default_factory=lambda: np.zeros(0))
+    # None: all rows at once. Else the pose and the features' pixels are those of the middle row's moment.
+    shutter: RollingShutter | None = None
 
     def __len__(self) -> int:
         return len(self.inverse_depth_per_m)

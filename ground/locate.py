@@ -14,13 +14,14 @@ ground/two_sets.py. Section 9 of docs/mathematics.md.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, HeightDatum, Status
 from contract.geodesy import LocalFrame
+from contract.rolling_shutter import row_share
 from contract.rotations import skew
 from ground.answer import Answer, Ellipse, Fix, Refusal
 from ground.kriging import Kriging, convex_hull, distance_outside, hull_area
@@ -36,6 +37,7 @@ MIN_FEATURES = 3
 MIN_INVERSE_DEPTH_SIGMAS = 3.0
 # The longest semi-major axis (90 %) that is still an answer, as a share of the range.
 MAX_ELLIPSE_SHARE = 0.5
+SHUTTER_STEPS = 2  # of the place that a pixel of another row than the middle has: the second moves it by microns
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +48,7 @@ class _Sight:
     offset_enu_m: Array
     relative: float  # d ln w / d r of kriging's prediction
     method: str
+    by_readout: Array = field(default_factory=lambda: np.zeros(3))  # d offset (m) / d readout (s) of the picture
 
 
 class Locator:
@@ -133,7 +136,7 @@ class Locator:
             return Status.OUTSIDE_CALIBRATION
         if not self._has_ground:
             return Status.POOR_FIT
-        xy = ray[:2]
+        xy, late = self._at_middle_row(ray[:2], float(uv_px[1]))
         plane = float(s.plane_per_m[0] + xy @ s.plane_per_m[1:])
         outside = distance_outside(self._hull, xy)
         method = s.depth_source.value
@@ -147,7 +150,23 @@ class Locator:
         relative = 1.0 + float(r[0])
         if not relative > MIN_INVERSE_DEPTH_SIGMAS * math.sqrt(max(float(variance[0, 0]), 0.0)):
             return Status.ABOVE_HORIZON
-        return _Sight(xy, s.R_enu_cam @ ray / (plane * relative), 1.0 / relative, method)
+        offset = s.R_enu_cam @ np.array([*xy, 1.0]) / (plane * relative)
+        steeper = float(late @ s.plane_per_m[1:]) / plane
+        by_readout = s.R_enu_cam[:, :2] @ late / (plane * relative) - offset * steeper
+        return _Sight(xy, offset, 1.0 / relative, method, by_readout)
+
+    def _at_middle_row(self, xy: Array, v_px: float) -> tuple[Array, Array]:
+        """Where what a pixel of this row saw was at the picture's own moment, and d that / d readout. (17.4)"""
+        s, out, moved = self.feature_set, xy, np.zeros(2)
+        if s.shutter is None:
+            return out, moved
+        share = float(row_share(v_px, s.camera.height_px))
+        for _ in range(SHUTTER_STEPS):
+            plane = max(float(s.plane_per_m[0] + out @ s.plane_per_m[1:]), self._plane_floor)
+            r, _ = self._kriging.predict(out[None])
+            moved = -share * s.shutter.image_velocity(out, plane * max(1.0 + float(r[0]), 0.0))
+            out = xy + s.shutter.readout_s * moved
+        return out, moved
 
     def _covariance(self, sights: list[_Sight]) -> Array:
         """Joint covariance (3 M, 3 M) of the clicks' positions."""
@@ -164,6 +183,9 @@ class Locator:
         causes[COMMON_STATES:, COMMON_STATES:] = own
         by_cause = np.concatenate([J, spread], axis=1)
         out: Array = by_cause @ causes @ by_cause.T + _curvature(by_cause, by_depth, causes)
+        if self.feature_set.shutter is not None:
+            moved = np.concatenate([sight.by_readout for sight in sights]) * self.feature_set.shutter.sigma_readout_s
+            out = out + np.outer(moved, moved)
         return out
 
 

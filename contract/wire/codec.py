@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 from contract.feature_set import DepthSource, FeatureSet, HeightDatum, Status
+from contract.rolling_shutter import RollingShutter
 from contract.rotations import exp_so3, log_of_one
 from contract.wire.byte_cursor import ByteCursor
 from contract.wire.common_code import decode_common, encode_common
@@ -27,6 +28,8 @@ Array = NDArray[np.float64]
 
 MAGIC = b"PC"
 MAJOR, MINOR = 2, 0
+# A set whose rows were not exposed at once: a reader that knows nothing of that would give wrong places, so it refuses.
+ROLLING_MAJOR = 3
 MAX_VEHICLE_BYTES = 32
 # What a set is to take where that depends on the step of its shared errors: to so many features, and beyond.
 MANY_FEATURES = 100
@@ -43,6 +46,8 @@ _CRC = struct.Struct("<I")
 _PLANE = struct.Struct("<3fHH")
 
 _KEYFRAME, _ELLIPSOID, _UNDULATION, _DISTORTED, _GEOMETRY = 1, 2, 4, 8, 64
+# Section 4.5: readout, its sigma, angular rate, velocity.
+_SHUTTER = struct.Struct("<fH6h")
 _SOURCE_SHIFT, _SOURCE_MASK = 4, 3
 _SOURCES = tuple(DepthSource)
 _STATUSES = tuple(Status)
@@ -50,6 +55,9 @@ _STATUSES = tuple(Status)
 DEGREE_STEPS = 10**9  # a degree
 METRE_STEPS = 1000  # a metre
 ROTATION_STEP = math.pi / (2**23 - 1)
+RATE_STEPS = 2000  # a rad/s
+VELOCITY_STEPS = 100  # a m/s
+MAX_READOUT_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -93,7 +101,7 @@ def encode(feature_set: FeatureSet) -> bytes:
         flags |= _GEOMETRY | (_ELLIPSOID if s.height_datum is HeightDatum.ELLIPSOID else 0)
         flags |= _SOURCES.index(s.depth_source) << _SOURCE_SHIFT
         flags |= 0 if math.isnan(s.undulation_m) else _UNDULATION
-        body += _encode_geometry(s)
+        body += _encode_geometry(s) + (b"" if s.shutter is None else _encode_shutter(s.shutter))
         features = encode_features(s, camera)
         most = MOST_BYTES if len(s) <= MANY_FEATURES else PACKET_BYTES
         room = most - _HEAD.size - len(body) - len(features) - _CRC.size
@@ -101,9 +109,10 @@ def encode(feature_set: FeatureSet) -> bytes:
     elif len(s):
         raise ValueError(f"a set with status {s.status.value!r} carries no features, this one has {len(s)}")
     length = _HEAD.size + len(body) + _CRC.size
+    is_rolling = s.is_ok and s.shutter is not None
     head = _HEAD.pack(
         MAGIC,
-        MAJOR << 4 | MINOR,
+        (ROLLING_MAJOR if is_rolling else MAJOR) << 4 | MINOR,
         length,
         flags,
         s.status.code,
@@ -136,11 +145,13 @@ def decode(payload: bytes) -> FeatureSet:
     camera = _decode_camera(cursor, bool(flags & _DISTORTED))
     geometry: dict[str, Any] = {}
     if flags & _GEOMETRY:
-        geometry = _decode_geometry(cursor, flags)
+        geometry = _decode_geometry(cursor, flags, is_rolling=version >> 4 == ROLLING_MAJOR)
         geometry |= decode_features(cursor, camera, geometry["plane_per_m"])
     if version & 15 <= MINOR and cursor.position != cursor.end:
         raise CorruptPayload(f"{cursor.end - cursor.position} bytes are left over")
     status = _status(status_code)
+    if version >> 4 == ROLLING_MAJOR and not geometry:
+        raise CorruptPayload("a refused set has no rows to tell apart")
     if (status is Status.OK) != bool(flags & _GEOMETRY):
         raise CorruptPayload(f"status {status.value!r} with{'' if geometry else 'out'} a pose")
     return FeatureSet(
@@ -161,12 +172,9 @@ def _read_head(payload: bytes) -> tuple[Any, ...]:
         raise CorruptPayload(f"payload starts with {payload[:2]!r}, not {MAGIC!r}")
     if len(payload) < 3:
         raise TruncatedPayload(f"payload has {len(payload)} bytes")
-    if (major := payload[2] >> 4) != MAJOR:
-        if major > MAJOR:
-            raise NewerPayload(
-                f"payload has version {major}.{payload[2] & 15}, this program reads {MAJOR}.x: update it"
-            )
-        raise CorruptPayload(f"payload has version {major}.{payload[2] & 15}, this program reads {MAJOR}.x")
+    if not MAJOR <= (major := payload[2] >> 4) <= ROLLING_MAJOR:
+        read = f"payload has version {major}.{payload[2] & 15}, this program reads {MAJOR}.x and {ROLLING_MAJOR}.x"
+        raise NewerPayload(f"{read}: update it") if major > MAJOR else CorruptPayload(read)
     if len(payload) < _HEAD.size:
         raise TruncatedPayload(f"payload has {len(payload)} bytes, its head alone takes {_HEAD.size}")
     head = _HEAD.unpack_from(payload)
@@ -268,7 +276,30 @@ def _encode_geometry(s: FeatureSet) -> bytes:
     return b"".join(parts)
 
 
-def _decode_geometry(cursor: ByteCursor, flags: int) -> dict[str, Any]:
+def _encode_shutter(shutter: RollingShutter) -> bytes:
+    if not abs(shutter.readout_s) <= MAX_READOUT_S:
+        raise ValueError(f"readout_s must be within {MAX_READOUT_S:g} either way, not {shutter.readout_s!r}")
+    steps = []
+    for name, values, scale in (
+        ("rate_cam_rad_s", shutter.rate_cam_rad_s, RATE_STEPS),
+        ("velocity_cam_m_s", shutter.velocity_cam_m_s, VELOCITY_STEPS),
+    ):
+        numbers = np.asarray(values, float).tolist()
+        if np.shape(numbers) != (3,) or not all(abs(x) * scale <= 32767.0 for x in numbers):
+            raise ValueError(f"{name} must be three numbers within {32767 / scale:g} either way, not {numbers}")
+        steps += [round(x * scale) for x in numbers]
+    return _SHUTTER.pack(shutter.readout_s, sigma_code(shutter.sigma_readout_s, "sigma_readout_s"), *steps)
+
+
+def _decode_shutter(cursor: ByteCursor) -> RollingShutter:
+    readout_s, sigma, *steps = cursor.unpack(_SHUTTER)
+    if not abs(readout_s) <= MAX_READOUT_S:
+        raise CorruptPayload(f"a readout of {readout_s} s")
+    rate, velocity = np.array(steps[:3]) / RATE_STEPS, np.array(steps[3:]) / VELOCITY_STEPS
+    return RollingShutter(readout_s, rate, velocity, sigma_from_code(sigma))
+
+
+def _decode_geometry(cursor: ByteCursor, flags: int, *, is_rolling: bool) -> dict[str, Any]:
     lat, lon = cursor.signed(5) / DEGREE_STEPS, cursor.signed(5) / DEGREE_STEPS
     if abs(lat) > 90.0 or abs(lon) > 180.0:
         raise CorruptPayload(f"camera position {lat}, {lon} is not a latitude and longitude")
@@ -283,6 +314,7 @@ def _decode_geometry(cursor: ByteCursor, flags: int) -> dict[str, Any]:
     source = flags >> _SOURCE_SHIFT & _SOURCE_MASK
     if source >= len(_SOURCES):
         raise CorruptPayload(f"depth source {source} means nothing")
+    shutter = _decode_shutter(cursor) if is_rolling else None
     return {
         "camera_lat_deg": lat,
         "camera_lon_deg": lon,
@@ -294,4 +326,5 @@ def _decode_geometry(cursor: ByteCursor, flags: int) -> dict[str, Any]:
         "plane_per_m": np.array(plane),
         "plane_sigma_relative": sigma_from_code(spread),
         "roughness": sigma_from_code(roughness),
+        "shutter": shutter,
     } | decode_common(cursor)

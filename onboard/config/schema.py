@@ -90,6 +90,15 @@ class CameraConfig(Section):
     sigma_jitter_s: float = quantity(
         0.003, 0.0, 1.0, "s", "least one sigma of a single stamp, 0.3 where it is cut to the second; estimated upwards"
     )
+    readout_s: float = quantity(
+        0.0, -0.2, 0.2, "s", "rolling shutter: time in which all rows are read, negative if the last is first; 0: none"
+    )
+    sigma_readout_s: float = quantity(0.0, 0.0, 0.1, "s", "one sigma of that; above 0 it is estimated in flight")
+
+    @property
+    def is_rolling(self) -> bool:
+        """Whether rows are, or may be, exposed one after the other."""
+        return self.readout_s != 0.0 or self.sigma_readout_s > 0.0
 
 
 class Tracking(Section):

@@ -32,7 +32,14 @@ BORESIGHT_WALK_RAD = np.radians(0.03)
 OFFSET_WALK_S = 0.002
 DELAY_WALK_S = 0.005
 HEADING_WALK_RAD = np.radians(0.1)
-CAMERA_WALK = (1e-4, 1e-4, 1e-4, 3e-4, 3e-4)  # a lens that warms up or cools down, in the units of `camera_states`
+CAMERA_WALK = (
+    1e-4,
+    1e-4,
+    1e-4,
+    3e-4,
+    3e-4,
+    1e-5,
+)  # a lens that warms up or cools down, in the units of `camera_states`
 MEMORY_ESTIMATES = 8
 TOO_SURE = 2.0  # times the declared sigma that data may claim
 AGREEMENT_PRIOR = 2.0  # windows that agree with their covariances, assumed before any has been seen
@@ -101,15 +108,18 @@ class Alignment:
         delay_sigma_s: float = 0.0,
         heading_sigma_rad: float = 0.0,
         camera: Camera | None = None,
+        readout: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         """Priors are one sigma; `spacing_s` is the least time between the ends of two windows that update it.
 
-        `camera`: the camera file, whose own errors are then estimated too, if it states any sigma.
+        `camera`: the camera file, whose own errors are then estimated too, if it states any sigma. `readout`: of its
+        rows, as configured, and one sigma (s).
         """
         tiny = 1e-12
-        self._camera = camera if camera is not None and any(camera.sigma) else None
+        of_camera = camera_states.first_sigmas(camera, readout[1])
+        self._camera, self._readout_s = camera if of_camera else None, readout[0]
         sigmas = [mount_sigma_rad] * 3 + [offset_sigma_s, delay_sigma_s, delay_sigma_s] + [heading_sigma_rad] * 2
-        sigmas += [] if self._camera is None else list(self._camera.sigma)
+        sigmas += list(of_camera)
         first = np.diag(np.square(sigmas) + tiny)
         self._estimates = [Belief(0, np.zeros(len(first)), first)]
         self._spacing_ns = round(spacing_s * 1e9)
@@ -234,7 +244,7 @@ class Alignment:
         newest = self.belief
         camera: dict[str, Any] = {}
         if self._camera is not None:
-            camera["camera"] = camera_states.as_numbers(self._camera, newest.mean[STATES:])
+            camera["camera"] = camera_states.as_numbers(self._camera, newest.mean[STATES:], self._readout_s)
         return json.dumps(
             {
                 "boresight_rad": newest.mean[:3].tolist(),
@@ -261,7 +271,9 @@ class Alignment:
             if "delay_s" in raw:
                 mean = np.array([*mean, raw["delay_s"], raw["velocity_delay_s"], *raw["heading_rad"]], float)
             if self._camera is not None and "camera" in raw:
-                mean = np.array([*mean, *camera_states.from_numbers(self._camera, raw["camera"])])
+                states = camera_states.from_numbers(self._camera, raw["camera"], self._readout_s)
+                mean = np.array([*mean, *states[: len(self._estimates[0].mean) - STATES]])
+                covariance = covariance[: len(mean), : len(mean)]  # the readout may now be taken as it is
             elif "camera" in raw:  # the camera file is now taken as it is
                 covariance = covariance[:STATES, :STATES]
         except (KeyError, TypeError, ValueError) as error:

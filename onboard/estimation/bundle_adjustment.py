@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from onboard.estimation.camera_states import by_states
+from onboard.estimation.camera_states import COUNT, by_states
 from onboard.estimation.factors import (
     HeightModel,
     Layout,
@@ -25,6 +25,7 @@ from onboard.estimation.factors import (
     reprojection,
     reprojection_jacobians,
 )
+from onboard.estimation.rolling_shutter import Sweep
 from onboard.geometry.linalg import solve_positive
 from onboard.geometry.robust import robust_cost
 
@@ -51,6 +52,8 @@ class Problem:
     # The camera that `xy` was made with, and its own states (C,) in that, where they are estimated: (15.2).
     camera: Camera | None = None
     camera_taken: Array = field(default_factory=lambda: np.zeros(0))
+    # Where `xy` is what each picture's rows saw, one after the other; None: all at once. (17.3)
+    sweep: Sweep | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,6 +149,12 @@ def _residuals(problem: Problem, xy: Array, state: State, scale: float | None) -
     if problem.camera is not None:
         # Where points are predicted, not where they were measured: a larger focal length must not shrink the noise.
         by_camera = by_states(problem.camera, predicted[:, 0], predicted[:, 1])
+    if problem.sweep is not None:
+        by_readout = problem.sweep.by_readout(state.R_cam_enu, predicted, depth)
+        image += problem.sweep.readout_s * by_readout
+        if by_camera is not None and problem.layout.camera_states > COUNT:
+            by_camera = np.concatenate([by_camera, -by_readout[:, None]], axis=1)
+    if by_camera is not None:
         image -= np.einsum("kcip,c->kip", by_camera, state.camera - problem.camera_taken)
     squared = image[:, 0] ** 2
     squared += image[:, 1] ** 2

@@ -1,7 +1,8 @@
 """What a camera file may be wrong about: focal length, principal point, radial distortion, estimated in flight.
 
 Five states, each counted from the camera file: the focal length's relative error, the principal point's shift (in focal
-lengths, x and y), and what k1 and k2 are larger by. Equation (15.2) of docs/mathematics.md.
+lengths, x and y), and what k1 and k2 are larger by. Equation (15.2) of docs/mathematics.md. A sixth, where it is not
+known for sure, is what the readout of the rows takes longer than `camera.readout_s` says (s), see `rolling_shutter`.
 """
 
 from __future__ import annotations
@@ -17,11 +18,12 @@ Array = NDArray[np.float64]
 
 NAMES = ("focal_length", "principal_point_x", "principal_point_y", "k1", "k2")
 COUNT = len(NAMES)
+READOUT = COUNT  # where that state is, if it is one
 MIN_DETERMINANT = 0.05  # of the distortion's Jacobian: where it folds over, nothing is measured
 
 
 def corrected(camera: Camera, states: Array) -> Camera:
-    """The camera file's camera with the states (5,) applied; the same camera for none (0,)."""
+    """The camera file's camera with the states (5,) or (6,) applied; the same camera for none (0,)."""
     if not len(states):
         return camera
     grown = float(np.exp(states[0]))
@@ -34,6 +36,25 @@ def corrected(camera: Camera, states: Array) -> Camera:
         cy_px=camera.cy_px + camera.focal_px * float(states[2]),
         distortion=(k1 + float(states[3]), k2 + float(states[4]), p1, p2, k3),
     )
+
+
+def readout_s(states: Array) -> float:
+    """What the states (0,), (5,) or (6,) say of the readout, s beside what is configured."""
+    return float(states[READOUT]) if len(states) > READOUT else 0.0
+
+
+def first_sigmas(camera: Camera | None, sigma_readout_s: float) -> tuple[float, ...]:
+    """One sigma of every state before take-off: five and the readout's, or none where nothing may be wrong."""
+    lens = camera.sigma if camera is not None else (0.0,) * COUNT
+    if sigma_readout_s > 0.0:
+        return *lens, sigma_readout_s
+    return lens if any(lens) else ()
+
+
+def taken(states: Array) -> Array:
+    """The states that rays were made with: pixels keep the time of their row, whatever the readout is."""
+    out: Array = np.where(np.arange(len(states)) == READOUT, 0.0, states)
+    return out
 
 
 def by_states(camera: Camera, x: Array, y: Array) -> Array:
@@ -68,21 +89,23 @@ def by_states(camera: Camera, x: Array, y: Array) -> Array:
     return out
 
 
-def as_numbers(camera: Camera, states: Array) -> dict[str, float]:
+def as_numbers(camera: Camera, states: Array, configured_s: float = 0.0) -> dict[str, float]:
     """The corrected camera, for the state directory: what it is, not how far it is from a file that may be replaced."""
     c = corrected(camera, states)
-    return {"focal_px": c.focal_px, "cx_px": c.cx_px, "cy_px": c.cy_px, "k1": c.distortion[0], "k2": c.distortion[1]}
+    out = {"focal_px": c.focal_px, "cx_px": c.cx_px, "cy_px": c.cy_px, "k1": c.distortion[0], "k2": c.distortion[1]}
+    return {**out, "readout_s": configured_s + readout_s(states)} if len(states) > READOUT else out
 
 
-def from_numbers(camera: Camera, numbers: dict[str, float]) -> Array:
-    """The states (5,) that make the file's camera such a one. Raises KeyError, TypeError, ValueError."""
+def from_numbers(camera: Camera, numbers: dict[str, float], configured_s: float = 0.0) -> Array:
+    """The states (5,) or (6,) that make the file's camera such a one. Raises KeyError, TypeError, ValueError."""
     focal_px = camera.focal_px
-    return np.array(
-        [
-            np.log(float(numbers["focal_px"]) / focal_px),
-            (float(numbers["cx_px"]) - camera.cx_px) / focal_px,
-            (float(numbers["cy_px"]) - camera.cy_px) / focal_px,
-            float(numbers["k1"]) - camera.distortion[0],
-            float(numbers["k2"]) - camera.distortion[1],
-        ]
-    )
+    out = [
+        np.log(float(numbers["focal_px"]) / focal_px),
+        (float(numbers["cx_px"]) - camera.cx_px) / focal_px,
+        (float(numbers["cy_px"]) - camera.cy_px) / focal_px,
+        float(numbers["k1"]) - camera.distortion[0],
+        float(numbers["k2"]) - camera.distortion[1],
+    ]
+    if "readout_s" in numbers:
+        out.append(float(numbers["readout_s"]) - configured_s)
+    return np.array(out)

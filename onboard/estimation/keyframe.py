@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
+from contract.rolling_shutter import row_share
+from onboard.estimation.rolling_shutter import Moving
 from onboard.navigation.navigator import NavState
 
 Array = NDArray[np.float64]
@@ -17,12 +19,19 @@ Ids = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """One picture's features: ids (N,), pixels, normalised image coordinates `xy` (N, 2), `gain` (N,) of xy per px."""
+    """One picture's features: ids (N,), pixels, normalised image coordinates `xy` (N, 2), `gain` (N,) of xy per px.
+
+    `xy` is where they were when the middle row was exposed, over the ground that was assumed; `raw_xy` where they were
+    seen, each by its own row, at these shares (N,) of the readout. Both are the same of a global shutter.
+    """
 
     ids: Ids
     uv_px: Array
     xy: Array
     gain: Array
+    raw_xy: Array
+    share: Array
+    moving: Moving | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,19 +50,24 @@ class Keyframe:
     flow_disagreement_xy: Array | None = None  # (2,) normalised; `coarse_flow`, since the keyframe before
 
 
-def observation(camera: Camera, ids: Ids, uv_px: Array) -> Observation:
-    """Undistort pixels once; those without a ray are left out."""
+def observation(camera: Camera, ids: Ids, uv_px: Array, moving: Moving | None = None) -> Observation:
+    """Undistort pixels once; those without a ray are left out. `moving`: of a picture read row by row. (17.3)"""
     rays, valid = camera.unproject(uv_px)
     xy = rays[valid, :2]
     J = camera.distortion_jacobian(xy)
     det = np.abs(J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0])
     gain = 1.0 / (camera.focal_px * np.sqrt(np.maximum(det, 0.05)))
-    return Observation(ids[valid], uv_px[valid], xy, gain)
+    if moving is None:
+        return Observation(ids[valid], uv_px[valid], xy, gain, xy, np.zeros(len(xy)))
+    share = np.asarray(row_share(uv_px[valid, 1], camera.height_px))
+    at_once = xy - moving.readout_s * moving.by_readout(xy, share)
+    return Observation(ids[valid], uv_px[valid], at_once, gain, xy, share, moving)
 
 
-def seen_with(camera: Camera, seen: Observation) -> Observation:
-    """The same features by another calibration."""
-    return observation(camera, seen.ids, seen.uv_px)
+def seen_with(camera: Camera, seen: Observation, readout_s: float = 0.0) -> Observation:
+    """The same features by another calibration, and by another readout of the rows."""
+    moving = None if seen.moving is None else replace(seen.moving, readout_s=readout_s)
+    return observation(camera, seen.ids, seen.uv_px, moving)
 
 
 def have_attitude(keyframes: Sequence[Keyframe]) -> bool:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from contract.rotations import exp_so3, log_so3
 from onboard.estimation.factors import reprojection, reprojection_jacobians
+from onboard.estimation.rolling_shutter import Sweep
 from onboard.geometry.linalg import solve_small
 from onboard.geometry.robust import robust_cost
 
@@ -37,24 +38,26 @@ def resect(
     prior_sigma: Array,
     scale: float = 3.0,
     steps: int = 8,
+    sweep: Sweep | None = None,
 ) -> Resection:
     """Gauss-Newton from a starting pose, which is also the prior with `prior_sigma` (6,): rad (camera axes), m (ENU).
 
-    `points_enu_m` (N, 3), normalised image coordinates `xy` (N, 2), `weight` (N,) 1 / sigma.
+    `points_enu_m` (N, 3), normalised image coordinates `xy` (N, 2), `weight` (N,) 1 / sigma. `sweep`: of this one view,
+    where `xy` is what its rows saw one after the other.
     """
     R0, C0 = R_cam_enu, centre_enu_m
     R, C = R0, C0
     prior = 1.0 / prior_sigma**2
     stiff = np.diag(prior)
     for _ in range(steps):
-        A, _, r, _, _ = _whitened(points_enu_m, xy, weight, R, C, scale)
+        A, _, r, _, _ = _whitened(points_enu_m, xy, weight, R, C, scale, sweep)
         off = np.concatenate([log_so3(R @ R0.T), C - C0])
         step = -solve_small(A @ A.T + stiff, A @ r + prior * off)
         R, C = exp_so3(step[:3]) @ R, C + step[3:]
         # A hundredth of a pixel, a centimetre: far below what the pose is known to.
         if float(np.abs(step[:3]).max()) < 1e-5 and float(np.abs(step[3:]).max()) < 1e-2:
             break
-    A, B, _, sigmas, used = _whitened(points_enu_m, xy, weight, R, C, scale)
+    A, B, _, sigmas, used = _whitened(points_enu_m, xy, weight, R, C, scale, sweep)
     information = A @ A.T + stiff
     rows, N = A.reshape(6, 2, -1), len(points_enu_m)
     by_point = (rows[:, None, 0] * B[:, 0] + rows[:, None, 1] * B[:, 1]).reshape(18, N).T.reshape(N, 6, 3)
@@ -62,10 +65,12 @@ def resect(
 
 
 def _whitened(
-    points: Array, xy: Array, weight: Array, R: Array, C: Array, scale: float
+    points: Array, xy: Array, weight: Array, R: Array, C: Array, scale: float, sweep: Sweep | None = None
 ) -> tuple[Array, Array, Array, Array, Mask]:
     """Rows by the view (6, 2N), by the point (3, 2, N), residual (2N,), sigmas (N,), and which lie ahead (N,)."""
     residual, predicted, depth = reprojection(R[None], C[None], points, xy.T[None])
+    if sweep is not None:
+        residual += sweep.readout_s * sweep.by_readout(R[None], predicted, depth)
     ahead: Mask = depth[0] > 1e-6
     squared = np.where(ahead, (residual[0] ** 2).sum(axis=0) * weight**2, 1e6)
     _, robust = robust_cost(squared, scale)

@@ -24,7 +24,7 @@ from onboard.estimation.boresight import (
     Belief,
     under_another_prior,
 )
-from onboard.estimation.camera_states import corrected
+from onboard.estimation.camera_states import corrected, readout_s, taken
 from onboard.estimation.ground_slope import GroundSlope, SlopePrior, SlopeSeen, seen_alone
 from onboard.estimation.keyframe import Keyframe, Observation, seen_with
 from onboard.estimation.rotation_timing import LEAST_SIGMA_S
@@ -72,6 +72,7 @@ class Window:
             config.gps.sigma_latency_s,
             np.radians(config.solve.heading_sigma_deg),
             camera,
+            (config.camera.readout_s, config.camera.sigma_readout_s),
         )
         self.camera_taken = np.zeros_like(self.alignment.belief.mean[STATES:])  # what parts `camera` from its file
         self.lever_body_m = np.array(mount.lever_arm_m)
@@ -168,7 +169,7 @@ class Window:
             self.config,
             self.camera,
             self.camera_file,
-            self.camera_taken,
+            taken(self.camera_taken),
             self.R_body_cam,
             tuple(self.keyframes),
             self.solved,
@@ -253,8 +254,15 @@ class Window:
         states, sigma = belief.mean[STATES:], belief.sigma[STATES:]
         if not len(states):
             return self.camera_file, self.camera_file.sigma
-        f, x, y, k1, k2 = (float(s) for s in sigma)
+        f, x, y, k1, k2 = (float(s) for s in sigma[:5])
         return corrected(self.camera_file, states), (f, x, y, k1, k2)
+
+    @property
+    def readout(self) -> tuple[float, float]:
+        """How long the rows take, as believed now, and one sigma (s); 0 and 0 of a global shutter."""
+        camera, belief = self.config.camera, self.alignment.belief
+        states, sigma = belief.mean[STATES:], belief.sigma[STATES:]
+        return camera.readout_s + readout_s(states), readout_s(sigma)
 
     def _see_with_belief(self) -> None:
         """Where the belief of the camera has moved, make the keyframes' observations anew. Equation (15.2)."""
@@ -262,7 +270,9 @@ class Window:
         if np.array_equal(states, self.camera_taken):
             return
         self.camera_taken, self.camera = states.copy(), corrected(self.camera_file, states)
-        self.keyframes = [replace(k, observation=seen_with(self.camera, k.observation)) for k in self.keyframes]
+        self.keyframes = [
+            replace(k, observation=seen_with(self.camera, k.observation, self.readout[0])) for k in self.keyframes
+        ]
 
     def conclude(self) -> None:
         """The end of a stretch: update the alignment from its last window even if it never filled."""

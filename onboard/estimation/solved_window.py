@@ -34,6 +34,7 @@ class Solved:
     shared: SharedErrors  # `by_nuisance` (D, NUISANCES) of the camera side, no span
     ground_motion: GroundMotion  # what the ground's own motion may have done to it
     camera: Camera  # with its own states as solved
+    readout_s: float = 0.0  # likewise
     variance_factor: float = 1.0  # on every variance that is published of it, (16.4)
 
     @property

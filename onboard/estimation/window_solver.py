@@ -38,7 +38,7 @@ from onboard.estimation.window_acceptance import (
     by_itself,
     by_memory,
 )
-from onboard.estimation.window_start import grid, oriented, starting_points, travel_m
+from onboard.estimation.window_start import grid, oriented, starting_points, sweep, travel_m
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.terrain_grid import Terrain
 
@@ -174,12 +174,13 @@ def _adjusted(request: Request) -> Outcome:
     ids = ids[counts >= 2]
     if len(ids) < MIN_POINTS:
         return Outcome(Status.FEATURELESS, keyframes, noise)
-    xy, weight = grid(request, ids)
+    xy, raw, weight, share = grid(request, ids)
     start = oriented(request, xy, weight > 0)
     if start is None:
         status = Status.LOW_PARALLAX if travel_m(keyframes) < 1.0 else Status.POOR_FIT
         return Outcome(status, keyframes, noise, reason="the pictures' rays support no orientation")
     keyframes = start
+    rows = sweep(request, keyframes, share)
     layout = Layout(len(keyframes), len(request.camera_taken))
     R = np.stack([k.R_cam_enu for k in keyframes])
     C = np.stack([k.centre_enu_m for k in keyframes])
@@ -216,7 +217,7 @@ def _adjusted(request: Request) -> Outcome:
         priors = sensors(noise)
         problem = Problem(
             layout,
-            xy,
+            raw,
             weight / noise.noise_inflation,
             priors,
             reference,
@@ -225,6 +226,7 @@ def _adjusted(request: Request) -> Outcome:
             clearance_m,
             request.camera if layout.camera_states else None,
             request.camera_taken,
+            rows,
         )
         return problem, priors, approximate(problem, state)
 
@@ -361,7 +363,11 @@ def _judged(
     frames = tuple(k.frame for k in keyframes)
     shared = shared_errors(config, priors, s.state, s.covariance)
     camera = camera_states.corrected(request.camera_file, s.state.camera)
-    solved = Solved(frames, layout, s, ids, good, plane, sigma_px, sigma_px * 1.177, keyframes, shared, moving, camera)
+    readout_s = config.camera.readout_s + camera_states.readout_s(s.state.camera)
+    sigma_p = sigma_px * 1.177
+    solved = Solved(
+        frames, layout, s, ids, good, plane, sigma_px, sigma_p, keyframes, shared, moving, camera, readout_s
+    )
     agreed = request.memory.compared(solved)
     remembered = by_memory(config, request.memory, solved, agreed)
     if remembered is not None:

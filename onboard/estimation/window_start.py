@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.rotations import exp_so3
 from onboard.estimation import initialisation
+from onboard.estimation.boresight import BORESIGHT
 from onboard.estimation.keyframe import Ids, Keyframe, have_attitude, turned
+from onboard.estimation.rolling_shutter import Sweep, rates_between
 from onboard.estimation.window_acceptance import MIN_POINTS
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.triangulation import on_plane, triangulate
@@ -29,17 +32,39 @@ def travel_m(keyframes: tuple[Keyframe, ...]) -> float:
     return float(np.linalg.norm(np.ptp(positions, axis=0)))
 
 
-def grid(request: Request, ids: Ids) -> tuple[Array, Array]:
-    """Measurements and weights on the (keyframe, point) grid."""
+def grid(request: Request, ids: Ids) -> tuple[Array, Array, Array, Array]:
+    """On the (keyframe, point) grid: measurements at each picture's moment, as its rows saw them, weights, and rows.
+
+    A row is given as the share of the readout at which it is exposed.
+    """
     xy = np.zeros((len(request.keyframes), len(ids), 2))
-    weight = np.zeros((len(request.keyframes), len(ids)))
+    raw = np.zeros_like(xy)
+    weight, share = np.zeros(xy.shape[:2]), np.zeros(xy.shape[:2])
     for k, keyframe in enumerate(request.keyframes):
         seen = keyframe.observation
         at = np.minimum(np.searchsorted(ids, seen.ids), len(ids) - 1)
         known = ids[at] == seen.ids
-        xy[k, at[known]] = seen.xy[known]
+        xy[k, at[known]], raw[k, at[known]] = seen.xy[known], seen.raw_xy[known]
+        share[k, at[known]] = seen.share[known]
         weight[k, at[known]] = 1.0 / (request.noise.pixel_sigma_px * seen.gain[known])
-    return xy, weight
+    return xy, raw, weight, share
+
+
+def sweep(request: Request, keyframes: tuple[Keyframe, ...], share: Array) -> Sweep | None:
+    """How the keyframes' rows move, by their navigation as it is now; None where all rows are exposed at once.
+
+    Without attitudes the poses themselves say how fast the camera turns, from keyframe to keyframe.
+    """
+    if keyframes[0].observation.moving is None:
+        return None
+    if have_attitude(keyframes):
+        R_body_cam = request.R_body_cam @ exp_so3(request.belief.mean[BORESIGHT])
+        rate = np.stack([k.body_rate_rad_s for k in keyframes]) @ R_body_cam
+    else:
+        stamps_s = np.array([(k.nav.stamp_ns - keyframes[0].nav.stamp_ns) / 1e9 for k in keyframes])
+        rate = rates_between(stamps_s, np.stack([k.R_cam_enu for k in keyframes]))
+    velocity = [np.zeros(3) if k.nav.velocity_enu_m_s is None else k.nav.velocity_enu_m_s for k in keyframes]
+    return Sweep(request.config.camera.readout_s, share, rate, np.stack(velocity))
 
 
 def oriented(request: Request, xy: Array, seen: Mask) -> tuple[Keyframe, ...] | None:

@@ -19,6 +19,7 @@ from contract.rotations import skew
 from onboard.estimation.ground_roughness import plane_and_roughness
 from onboard.estimation.keyframe import Observation
 from onboard.estimation.resection import Resection, resect
+from onboard.estimation.rolling_shutter import Moving, Sweep
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solved_window import Solved
 from onboard.geometry.plane_homography import Pose
@@ -53,6 +54,8 @@ class Picture:
     origin: Origin
     frame: LocalFrame  # the session's axes, in which poses and covariances are
     undulation_m: float  # ellipsoidal minus AMSL height; nan: unknown
+    moving: Moving | None = None  # while it was read row by row; None: all rows at once
+    readout_s: tuple[float, float] = (0.0, 0.0)  # and how long that took, with what of its sigma no state holds
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +113,7 @@ def georeference(
         view = _resected_view(solved, seen, rows, known, guess)
         if view is None:
             return Status.POOR_FIT
+    picture = replace(picture, readout_s=(solved.readout_s, 0.0))  # it is one of the window's states, if it is unsure
     return _by_view(solved, view, picture, window.config.tracking.features)
 
 
@@ -130,7 +134,12 @@ def _resected_view(
     points = s.state.points_enu_m[rows[known]]
     weight = 1.0 / (solved.pixel_sigma_px * seen.gain[known])
     prior = np.array([ROTATION_PRIOR_RAD] * 3 + [POSITION_PRIOR_M] * 3)
-    pose: Resection = resect(points, seen.xy[known], weight, guess.R_cam_enu, guess.centre_enu_m, prior)
+    sweep = None
+    if (m := seen.moving) is not None:
+        share = seen.share[known][None]
+        sweep = Sweep(solved.readout_s, share, m.rate_cam_rad_s[None], m.velocity_enu_m_s[None])
+    xy = seen.raw_xy[known]
+    pose: Resection = resect(points, xy, weight, guess.R_cam_enu, guess.centre_enu_m, prior, sweep=sweep)
     if np.count_nonzero(pose.inliers) < max(MIN_FEATURES, 0.5 * len(points)):
         return None
     covariance = np.linalg.inv(pose.information)
@@ -219,6 +228,7 @@ def assemble(
         uv_px=features.uv_px[published],
         inverse_depth_per_m=w[published],
         sigma_inverse_depth_per_m=(np.sqrt(features.variance) * w)[published],
+        shutter=None if picture.moving is None else picture.moving.for_ground(pose.R_cam_enu, *picture.readout_s),
     )
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from onboard.config.schema import Config
-from onboard.estimation import boresight
+from onboard.estimation import boresight, camera_states
 from onboard.estimation.boresight import Belief, Unconfirmed
 from onboard.estimation.reobservation import RelativeVariance
 from onboard.estimation.sensor_groups import FORGOTTEN, Failing
@@ -30,6 +30,7 @@ POSITION_DELAY, VELOCITY_DELAY = "position_delay", "velocity_delay"
 HEADING_ERROR = "heading_error_by_heading"
 RELATIVE_VARIANCE = "relative_variance_factor"
 FOCAL_LENGTH, PRINCIPAL_POINT, DISTORTION = "focal_length_error", "principal_point_error", "radial_distortion_error"
+READOUT = "readout_error"
 STATES: tuple[tuple[str, str, slice | int], ...] = (
     (BORESIGHT, "radians", boresight.BORESIGHT),
     (TIME_OFFSET, "seconds", boresight.OFFSET),
@@ -43,6 +44,7 @@ CAMERA_STATES = (
     (PRINCIPAL_POINT, "ratio", slice(boresight.STATES + 1, boresight.STATES + 3)),
     (DISTORTION, "ratio", slice(boresight.STATES + 3, boresight.STATES + 5)),
 )
+READOUT_STATE = ((READOUT, "seconds", boresight.STATES + camera_states.READOUT),)  # where `camera.readout_s` is unsure
 SHOWN = 1.1  # times the declared sigma: less is not worth a line
 
 
@@ -118,8 +120,14 @@ def estimates_of(belief: Belief | None) -> tuple[Estimate, ...]:
     mean, sigma = belief.mean, belief.sigma
     return tuple(
         Estimate(name, unit, tuple(np.atleast_1d(mean[at]).tolist()), tuple(np.atleast_1d(sigma[at]).tolist()))
-        for name, unit, at in (*STATES, *(CAMERA_STATES if len(mean) > boresight.STATES else ()))
+        for name, unit, at in _states_of(len(mean))
     )
+
+
+def _states_of(count: int) -> tuple[tuple[str, str, slice | int], ...]:
+    """The states of a belief of so many numbers."""
+    has_lens, has_readout = count > boresight.STATES, count > boresight.STATES + camera_states.READOUT
+    return *STATES, *(CAMERA_STATES if has_lens else ()), *(READOUT_STATE if has_readout else ())
 
 
 def unconfirmed_of(found: Unconfirmed | None) -> tuple[Estimate, ...]:
@@ -127,7 +135,7 @@ def unconfirmed_of(found: Unconfirmed | None) -> tuple[Estimate, ...]:
     if found is None:
         return ()
     every = estimates_of(Belief(found.end_ns, found.mean, np.diag(np.square(found.sigma))))
-    outside = [bool(np.any(found.outside[at])) for _, _, at in STATES]
+    outside = [bool(np.any(found.outside[at])) for _, _, at in _states_of(len(found.mean))]
     return tuple(e for e, is_outside in zip(every, outside, strict=True) if is_outside)
 
 
@@ -203,6 +211,7 @@ _ROW_NAMES = {
     FOCAL_LENGTH: "focal length",
     PRINCIPAL_POINT: "principal point",
     DISTORTION: "distortion",
+    READOUT: "readout",
     RELATIVE_VARIANCE: "relative errors",
 }
 
@@ -224,5 +233,7 @@ def _text(estimate: Estimate) -> str:
     if estimate.name == DISTORTION:
         k1, k2 = (f"{m:+.3f} +-{s:.3f}" for m, s in pairs)
         return f"k1 {k1}, k2 {k2} beside the camera file"
+    if estimate.name == READOUT:
+        return f"{1e3 * pairs[0][0]:+.1f} +-{1e3 * pairs[0][1]:.1f} ms beside camera.readout_s"
     seconds = f"{pairs[0][0]:+.3f} +-{pairs[0][1]:.3f} s"
     return f"{seconds}, camera to autopilot" if estimate.name == TIME_OFFSET else f"{seconds} beside gps.latency_s"

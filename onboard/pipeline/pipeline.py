@@ -21,7 +21,7 @@ from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
 from onboard.config.schema import Config
 from onboard.estimation.boresight import DELAY, OFFSET
-from onboard.estimation.keyframe import observation, seen_with
+from onboard.estimation.keyframe import seen_with
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solver_executor import Inline, Worker, timed_adjust
 from onboard.events.types import Event, Frame
@@ -37,6 +37,7 @@ from onboard.pipeline.motion_prediction import ground_so_far, predict_motion, wh
 from onboard.pipeline.mount_selection import MountSelection
 from onboard.pipeline.mount_trial import MountTrials, carry_over
 from onboard.pipeline.offset_watch import OffsetWatch
+from onboard.pipeline.picture_motion import as_read, seen_at
 from onboard.pipeline.picture_record import Pending, Record
 from onboard.pipeline.shortfall import MIN_OVERLAP, Evidence
 from onboard.pipeline.statistics import RunStatistics, Summary
@@ -175,7 +176,7 @@ class Pipeline:
         self._misses = 0
         if wants_keyframe(tracks, self.camera.width_px):
             return [*out, *self._make_keyframe(frame, nav, tracks)]
-        record = Record(frame, observation(self.window.camera, tracks.ids, tracks.uv_px), nav, False)
+        record = Record(frame, seen_at(self.window, self.navigation, nav, tracks), nav, False)
         self._records.append(record)
         return [*out, *self._place([record])]
 
@@ -246,7 +247,8 @@ class Pipeline:
             return None
         last = self.window.keyframes[-1]
         was = last.nav if last.nav_offset_s == self._offset_s else self._state_at(last.nav.stamp_ns)
-        return predict_motion(self.window, last.nav if isinstance(was, Status) else was, nav)
+        H = predict_motion(self.window, last.nav if isinstance(was, Status) else was, nav)
+        return as_read(self.window, self.navigation, H, nav)
 
     def _is_turning(self, frame: Frame) -> bool:
         rate = self.navigation.body_rate_at(frame.stamp_ns + round(self._offset_s * 1e9))
@@ -260,7 +262,7 @@ class Pipeline:
             ids, uv = self.tracker.promote(tracks)
         self._stillness.begin(ids, uv, frame.stamp_ns)
         look_up_again(self.window, self.navigation)
-        seen = observation(self.window.camera, ids, uv)
+        seen = seen_at(self.window, self.navigation, nav, replace(tracks, ids=ids, uv_px=uv))
         offset_s, delay_s = self._offset_s, self._delay_s
         offset_ns = round(offset_s * 1e9)
         flown = None
@@ -357,8 +359,7 @@ class Pipeline:
         for record in records:
             if not record.is_settled:
                 record.is_settled = True
-                result = self._place([record], only_ok=True)
-                out.extend(result)
+                out.extend(self._place([record], only_ok=True))
         return out
 
     def _place(self, records: list[Record], only_ok: bool = False) -> list[FeatureSet]:
@@ -387,7 +388,7 @@ class Pipeline:
         )
         solved = self.window.solved
         camera = self.window.camera if solved is None else solved.camera
-        picture = Picture(camera, origin, frame, record.nav.undulation_m)
+        picture = Picture(camera, origin, frame, record.nav.undulation_m, record.seen.moving, self.window.readout)
         result = self._by_structure(record, picture)
         if isinstance(result, Status):
             over = self._over_known_ground(record.nav, picture)
@@ -422,8 +423,7 @@ class Pipeline:
         alike = (
             k for k in self.window.keyframes if len(np.intersect1d(k.observation.ids, record.seen.ids)) >= MIN_TRACKS
         )
-        first = next(alike, None)
-        return self._why_unsolved(record.nav, None if first is None else first.nav)
+        return self._why_unsolved(record.nav, next((k.nav for k in alike), None))
 
     def _why_unsolved(self, nav: NavState, first: NavState | None = None) -> Status:
         """Starting, or standing still since `first`, the window's first by default: no parallax will come of that."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from contract.feature_set import COMMON_STATES, NUISANCES, DepthSource, FeatureSet, HeightDatum, SharedErrors, Status
+from contract.rolling_shutter import RollingShutter
 from contract.rotations import exp_so3
 
 DISTORTION = (-0.21, 0.052, 0.0007, -0.0004, 0.011)
@@ -106,6 +107,9 @@ def feature_sets(draw: st.DrawFn) -> FeatureSet:
         10.0 ** rng.uniform(-6.0, 1.0, 4) * rng.integers(0, 2, 4),
         (draw(st.floats(-400.0, 400.0)), draw(st.floats(-400.0, 400.0))),
     )
+    rolling = RollingShutter(
+        float(rng.uniform(-1.0, 1.0)), rng.uniform(-16.0, 16.0, 3), rng.uniform(-320.0, 320.0, 3), float(rng.uniform())
+    )
     plane = rng.normal(size=3) * draw(st.sampled_from([0.0, 0.004, 1.0]))
     w = 10.0 ** rng.uniform(-5.0, 0.0, n)
     relative = 10.0 ** rng.uniform(-5.0, 0.0) * np.exp(rng.normal(0.0, 0.3, n))
@@ -127,5 +131,6 @@ def feature_sets(draw: st.DrawFn) -> FeatureSet:
         uv_px=rng.choice([rng.uniform(size=(n, 2)), rng.integers(0, 2, (n, 2))]) * [width, height] - 0.5,
         inverse_depth_per_m=w,
         sigma_inverse_depth_per_m=np.maximum(w * relative, 1e-9),
+        shutter=draw(st.sampled_from([None, rolling])),
         **identity,
     )

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from contract.camera import Camera
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload, WireError
 from contract.feature_set import FeatureSet, SharedErrors, Status
+from contract.rolling_shutter import RollingShutter
 from contract.rotations import log_so3
 from contract.wire import codec
 from contract.wire.codec import decode, encode, peek
@@ -27,8 +28,8 @@ def with_checksum(content: bytes) -> bytes:
 def assert_same(a: FeatureSet, b: FeatureSet) -> None:
     for field in dataclasses.fields(FeatureSet):
         x, y = getattr(a, field.name), getattr(b, field.name)
-        if field.name == "shared":
-            for part in dataclasses.fields(SharedErrors):
+        if dataclasses.is_dataclass(x) and field.name != "camera":
+            for part in dataclasses.fields(x):
                 np.testing.assert_array_equal(getattr(x, part.name), getattr(y, part.name), err_msg=part.name)
         else:
             np.testing.assert_array_equal(x, y, err_msg=field.name)
@@ -209,8 +210,8 @@ def test_the_same_bytes_appended_by_this_version_are_corrupt() -> None:
 
 
 def test_a_newer_major_version_and_an_unknown_status_are_refused_as_newer() -> None:
-    newer = PAYLOAD[:2] + b"\x30" + PAYLOAD[3:]
-    with pytest.raises(NewerPayload, match=r"3\.0"):
+    newer = PAYLOAD[:2] + b"\x40" + PAYLOAD[3:]
+    with pytest.raises(NewerPayload, match=r"4\.0"):
         decode(newer)
     with pytest.raises(CorruptPayload, match=r"1\.0"):
         decode(PAYLOAD[:2] + b"\x10" + PAYLOAD[3:])
@@ -220,9 +221,31 @@ def test_a_newer_major_version_and_an_unknown_status_are_refused_as_newer() -> N
         decode(with_checksum(bytes(unknown)))
 
 
+def test_a_set_of_a_rolling_shutter_takes_18_bytes_more_and_a_version_that_older_readers_refuse() -> None:
+    """An older reader would answer as if all rows had been exposed at once: several pixels off in a turn."""
+    shutter = RollingShutter(0.03, np.array([0.1, -0.2, 0.3]), np.array([20.0, -1.0, 0.5]), 0.002)
+    plain = plain_set(100, 4)
+    rolling = encode(dataclasses.replace(plain, shutter=shutter))
+    assert rolling[2] == 0x30 and encode(plain)[2] == 0x20
+    assert len(rolling) - len(encode(plain)) <= 18
+    got = decode(rolling).shutter
+    assert got is not None
+    assert (got.readout_s, got.sigma_readout_s) == (pytest.approx(0.03, rel=1e-6), pytest.approx(0.002, rel=1e-3))
+    np.testing.assert_allclose(got.rate_cam_rad_s, shutter.rate_cam_rad_s, atol=0.00025)
+    np.testing.assert_allclose(got.velocity_cam_m_s, shutter.velocity_cam_m_s, atol=0.005)
+    refused = encode(FeatureSet("uav-1", 5, 6, 7, Status.TURNING, plain.camera, shutter=shutter))
+    assert refused[2] == 0x20 and decode(refused).shutter is None
+    with pytest.raises(CorruptPayload, match="refused"):
+        decode(with_checksum(refused[:2] + b"\x30" + refused[3:-4]))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"shutter": RollingShutter(float("nan"))}, "readout_s"),
+        ({"shutter": RollingShutter(0.03, np.array([20.0, 0.0, 0.0]))}, "rate_cam_rad_s"),
+        ({"shutter": RollingShutter(0.03, velocity_cam_m_s=np.full(3, np.inf))}, "velocity_cam_m_s"),
+        ({"shutter": RollingShutter(0.03, sigma_readout_s=-1.0)}, "sigma_readout_s"),
         ({"vehicle": "a name that is longer than thirty-two"}, "vehicle name"),
         ({"vehicle": ""}, "vehicle name"),
         ({"session": -1}, "session"),

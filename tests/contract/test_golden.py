@@ -1,4 +1,4 @@
-"""The wire format of version 2.0, frozen: golden bytes beside what they mean."""
+"""The wire format of versions 2.0 and 3.0, frozen: golden bytes beside what they mean."""
 
 import json
 import struct
@@ -31,7 +31,7 @@ def assert_close(got: Any, want: Any, where: str) -> None:
 
 
 def test_there_are_golden_payloads_of_every_kind() -> None:
-    assert NAMES == ["a_hundred_features", "plane_only", "refused", "twelve_features"]
+    assert NAMES == ["a_hundred_features", "plane_only", "refused", "rolling_shutter", "twelve_features"]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -87,3 +87,16 @@ def test_the_offsets_in_the_document_are_those_of_the_bytes() -> None:
     g += 76 + -(-(60 + sum(widths) + int(ends[len(widths) - 1]) + 1) // 8)
     assert b[g] == 12
     assert struct.unpack_from("<I", b, len(b) - 4)[0] == zlib.crc32(b[:-4])
+
+
+def test_the_rows_of_a_rolling_shutter_lie_where_the_document_says() -> None:
+    """Section 4.5: between the plane's roughness and the fresh sigmas."""
+    b = (GOLDEN / "rolling_shutter.bin").read_bytes()
+    want = json.loads((GOLDEN / "rolling_shutter.json").read_text())["shutter"]
+    assert b[2] == 0x30
+    g = 71 + 42
+    readout_s, sigma, *steps = struct.unpack_from("<fH6h", b, g)
+    assert readout_s == want["readout_s"] == pytest.approx(-0.021, rel=1e-6)
+    assert 1e-12 * np.exp(0.0006 * (sigma - 1.0)) == pytest.approx(want["sigma_readout_s"], rel=1e-12)
+    assert [x / 2000 for x in steps[:3]] == want["rate_cam_rad_s"] == [0.12, -0.31, 0.05]
+    assert [x / 100 for x in steps[3:]] == want["velocity_cam_m_s"] == [3.5, -19.2, 1.1]

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from contract.feature_set import DepthSource, FeatureSet, HeightDatum, Status
+from contract.rolling_shutter import RollingShutter
 from contract.wire.codec import decode, encode
 from tests.contract.sets import DISTORTION, plain_set
 
@@ -33,6 +34,10 @@ def cases() -> dict[str, FeatureSet]:
             undulation_m=math.nan,
             is_keyframe=False,
             revision=0,
+        ),
+        "rolling_shutter": dataclasses.replace(
+            plain_set(12, seed=5),
+            shutter=RollingShutter(-0.021, np.array([0.12, -0.31, 0.05]), np.array([3.5, -19.2, 1.1]), 0.0035),
         ),
         "refused": FeatureSet("uav-1", 5, 6, 1_525_226_625_500_000_000, Status.LOW_PARALLAX, plain.camera, revision=1),
     }

@@ -226,5 +226,5 @@ def test_a_picture_whose_pixels_contradict_the_window_is_refused() -> None:
     window = solved(scene)
     frame = int(scene.keys[2]) + 1
     seen = scene.observations[frame]
-    scene.observations[frame] = replace(seen, xy=seen.xy + rng.uniform(-0.1, 0.1, seen.xy.shape))
+    scene.observations[frame] = replace(seen, raw_xy=seen.raw_xy + rng.uniform(-0.1, 0.1, seen.xy.shape))
     assert publish(scene, window, frame) is Status.POOR_FIT

@@ -1,0 +1,44 @@
+"""What is wrong, by name, with the platform of a flight in `benchmarks.autopilots`, and what the daemon is told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from benchmarks.sensor_faults import EVERY_MINUTE
+from contract.camera import UNKNOWN_SIGMA, Camera
+
+LENS = Camera.from_field_of_view(640, 480, 40.0)
+
+FAULTS: dict[str, dict[str, Any]] = {
+    "none": {},
+    "late": {"stamps_late_s": 0.2, "mount_error_deg": (2.0, 1.5, 0.0)},
+    "1hz": {"attitude_hz": 1.0},
+    "slope": {"slope_deg": 9.8},
+    # The camera file says nothing of its errors: it is right all the same, or 3 % and 0.1 wrong.
+    "unsure lens": {"camera_file": replace(LENS, stated_sigma=UNKNOWN_SIGMA)},
+    "wrong lens": {
+        "camera_file": replace(
+            LENS,
+            fx_px=1.03 * LENS.fx_px,
+            fy_px=1.03 * LENS.fy_px,
+            distortion=(0.1, 0.0, 0.0, 0.0, 0.0),
+            stated_sigma=UNKNOWN_SIGMA,
+        )
+    },
+    # Rows read in 30 ms: as the configuration says, to 20 ms, for sure; and said to be a global shutter, wrongly.
+    **{f"rolling{how}": {"readout_s": 0.03} for how in ("", " unsure", " found", " ignored")},
+    "slope-east": {"slope_deg": 9.8, "rises_towards_deg": 90.0},
+    "slope-north": {"slope_deg": 9.8, "rises_towards_deg": 0.0},
+    "slope-4": {"slope_deg": 4.0, "rises_towards_deg": 300.0},
+    "valley": {"slope_deg": 9.8, "rises_towards_deg": 36.9, "is_valley": True},
+    **{name: {"disturbances": every} for name, every in EVERY_MINUTE.items()},
+}
+
+
+# What the daemon is told of the rows, where that is not a global shutter.
+BELIEVED: dict[str, dict[str, float]] = {
+    "rolling": {"readout_s": 0.03},
+    "rolling unsure": {"readout_s": 0.03, "sigma_readout_s": 0.02},
+    "rolling found": {"sigma_readout_s": 0.02},
+}

@@ -1,0 +1,72 @@
+"""Rows that are read one after the other, in the estimator: where each feature was at its picture's own moment.
+
+A picture's pose is that of its middle row. A feature of another row was seen earlier or later, and has moved on the
+picture by its image velocity since, which follows from the vehicle's rate and velocity and the feature's depth, (17.2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.rolling_shutter import RollingShutter, image_velocity
+from contract.rotations import log_so3
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """How one picture's camera moved while it was read.
+
+    `plane_per_m` (3,): inverse depth a + b x + c y of the ground, as it is taken for before the window is solved.
+    """
+
+    readout_s: float  # as believed when the picture was taken up
+    rate_cam_rad_s: Array
+    velocity_enu_m_s: Array
+    velocity_cam_m_s: Array
+    plane_per_m: Array
+
+    def by_readout(self, xy: Array, share: Array) -> Array:
+        """d place / d readout (N, 2) of places (N, 2) seen in rows of these shares (N,), over the assumed ground."""
+        w = np.maximum(self.plane_per_m[0] + xy @ self.plane_per_m[1:], 0.0)
+        moved = image_velocity(xy[:, 0], xy[:, 1], w, self.rate_cam_rad_s, self.velocity_cam_m_s)
+        out: Array = np.stack(moved, axis=-1) * share[:, None]
+        return out
+
+    def for_ground(self, R_cam_enu: Array, readout_s: float, sigma_readout_s: float) -> RollingShutter:
+        """What the set of this picture says of it. `sigma_readout_s`: beyond what its other errors hold."""
+        return RollingShutter(readout_s, self.rate_cam_rad_s, R_cam_enu @ self.velocity_enu_m_s, sigma_readout_s)
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """K pictures' rows on the (keyframe, point) grid of an adjustment."""
+
+    readout_s: float  # as configured: what an estimated deviation is counted from
+    share: Array  # (K, P) of the readout at which each measurement's row was exposed, 0 where there is none
+    rate_cam_rad_s: Array  # (K, 3)
+    velocity_enu_m_s: Array  # (K, 3)
+
+    def by_readout(self, R_cam_enu: Array, predicted: Array, depth: Array) -> Array:
+        """d x / d readout (K, 2, P) of points predicted at (K, 2, P) with `depth` (K, P), by (17.2)."""
+        velocity = np.einsum("kij,kj->ik", R_cam_enu, self.velocity_enu_m_s)[:, :, None]
+        rate = self.rate_cam_rad_s.T[:, :, None]
+        moved = image_velocity(predicted[:, 0], predicted[:, 1], 1.0 / np.maximum(depth, 1e-6), rate, velocity)
+        out: Array = np.stack(moved, axis=1) * self.share[:, None]
+        return out
+
+
+def rates_between(stamps_s: Array, R_cam_enu: Array) -> Array:
+    """Angular rates (K, 3), camera axes, of poses at these times (K,), in order: over the neighbours on both sides."""
+    K = len(stamps_s)
+    if K < 2:
+        return np.zeros((K, 3))
+    before, after = np.maximum(np.arange(K) - 1, 0), np.minimum(np.arange(K) + 1, K - 1)
+    # R_cam_enu(t + dt) = exp(-rate dt) R_cam_enu(t)
+    turned = log_so3(R_cam_enu[before] @ R_cam_enu[after].transpose(0, 2, 1))
+    out: Array = turned / np.maximum(stamps_s[after] - stamps_s[before], 1e-3)[:, None]
+    return out
