@@ -42,6 +42,7 @@ from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.tlog_reader import read_tlog
 from onboard.vision.klt_tracker import Tracks
 from simulation.flight import find_recording
+from simulation.moved_optics import stabilised, zoomed
 from simulation.rows import RowsOf
 from simulation.trajectory import RecordedTruth, Trajectory
 
@@ -78,6 +79,8 @@ class Scene:
     camera: Camera = field(default_factory=lambda: LENS)
     camera_file: Camera | None = None  # what the daemon is told; None: the truth, as known for sure
     readout_s: float = 0.0  # of the rows, as it is; the configuration may say something else
+    stabilised_s: float | None = None  # over which electronic stabilisation smooths rotation; None: there is none
+    zoom: tuple[float, float, float] | None = None  # factor, from and until (s)
 
 
 @functools.lru_cache(maxsize=8)
@@ -105,6 +108,7 @@ class ReplayedFlight:
         R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg)
         self.R_body_cam = R_body_cam @ exp_so3(np.radians(scene.mount_error_deg))
         self._rows = RowsOf(self.trajectory, self.R_body_cam, scene.readout_s)
+        self.cameras = _cameras(scene, self.trajectory, self.R_body_cam, self.times_s)
         poses = [self.trajectory.camera_pose(float(t), self.R_body_cam) for t in self.times_s]
         self.R_enu_cam = np.stack([p.R_enu_cam for p in poses])
         self.centres_enu_m = np.stack([p.centre_m for p in poses])
@@ -116,7 +120,7 @@ class ReplayedFlight:
 
     def ground_points(self, frame: int, uv_px: Array) -> Array:
         """The ground (N, 3) that pixels (N, 2) of a picture show; nan where they show none."""
-        rays, centre = self._rows.rays(self.spec.camera, float(self.times_s[frame]), uv_px)
+        rays, centre = self._rows.rays(self.cameras[frame], float(self.times_s[frame]), uv_px)
         downward = rays[:, 2] < -0.06 * np.linalg.norm(rays, axis=1)
         points = self.ground.meet(centre, np.where(downward[:, None], rays, [0.0, 0.0, -1.0]))
         height = centre[:, 2] - self.ground.height_m(centre[:, :2])
@@ -125,7 +129,7 @@ class ReplayedFlight:
 
     def pixels(self, frame: int, points: Array) -> tuple[Array, Mask]:
         """Pixels (N, 2) of points (N, 3) in a picture, and whether they are on it."""
-        return self._rows.pixels(self.spec.camera, float(self.times_s[frame]), points)
+        return self._rows.pixels(self.cameras[frame], float(self.times_s[frame]), points)
 
     def events(self) -> Iterator[Event]:
         """Telemetry by arrival and pictures by stamp; a picture's image holds nothing but its own number."""
@@ -149,6 +153,15 @@ class ReplayedFlight:
             telemetry.append((arrival_ns, wander(event) if isinstance(event, PositionFix) else event))
         for _, event in sorted([*telemetry, *pictures], key=lambda pair: pair[0]):
             yield event
+
+
+def _cameras(scene: Scene, trajectory: Trajectory, R_body_cam: Array, times_s: Array) -> list[Camera]:
+    """The camera as it is at each picture."""
+    if scene.stabilised_s is not None:
+        return stabilised(scene.camera, trajectory, R_body_cam, times_s, scene.stabilised_s)
+    if scene.zoom is not None:
+        return zoomed(scene.camera, times_s, *scene.zoom)
+    return [scene.camera] * len(times_s)
 
 
 class Wander:
@@ -182,15 +195,6 @@ class Wander:
 
 class ReplayedTracker(DrawnTracker):
     """As drawn, but no feature where the picture shows no ground."""
-
-    def track(self, image: NDArray[np.uint8], predicted: Array | None) -> Tracks:
-        """As drawn; nothing where fewer are in sight than a motion needs."""
-        self._frame = int(image.view(np.uint16)[0, 0])
-        if self._key and len(self._ids):
-            _, seen = self._flight.pixels(self._frame, self._points[self._ids])
-            if np.count_nonzero(seen) < 6:
-                return self.nothing()
-        return super().track(image, predicted)
 
     def promote(self, tracks: Tracks) -> tuple[NDArray[np.int64], Array]:
         """The last picture becomes the keyframe; what showed no ground is no feature."""

@@ -42,6 +42,7 @@ VELOCITY_TIME_S = 0.5
 POSITION_HZ, ATTITUDE_HZ, QUALITY_HZ = 10.0, 20.0, 2.0
 WAVES = 16
 TERRAIN_NODE_M = 20.0
+LEAST_SEEN = 6  # features, below which no motion can be told
 
 
 @dataclass(frozen=True)
@@ -280,12 +281,14 @@ class DrawnTracker(Tracker):
         return self._key
 
     def track(self, image: NDArray[np.uint8], predicted: Array | None) -> Tracks:
-        """Every feature of the keyframe that this picture sees."""
+        """Every feature of the keyframe that this picture sees; nothing where too few are in sight."""
         self._frame = int(image.view(np.uint16)[0, 0])
         if not self._key or not len(self._ids):
             return self.nothing()
         rng, sigma = self._flight.rng, self._flight.spec.pixel_sigma_px
         uv, seen = self._flight.pixels(self._frame, self._points[self._ids])
+        if np.count_nonzero(seen) < LEAST_SEEN:
+            return self.nothing()
         uv = uv + sigma * rng.standard_normal(uv.shape)
         uv += np.where(self._wrong[self._ids, None], rng.normal(0.0, 2.5, uv.shape), 0.0)
         seen &= self._inside(uv)

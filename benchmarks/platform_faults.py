@@ -28,6 +28,11 @@ FAULTS: dict[str, dict[str, Any]] = {
     },
     # Rows read in 30 ms: as the configuration says, to 20 ms, for sure; and said to be a global shutter, wrongly.
     **{f"rolling{how}": {"readout_s": 0.03} for how in ("", " unsure", " found", " ignored")},
+    # Electronic stabilisation that smooths over half a second, and over two; a lens that zooms and comes back.
+    "stabilised": {"stabilised_s": 0.5},
+    "stabilised 2 s": {"stabilised_s": 2.0},
+    "zoom": {"zoom": (1.25, 45.0, 75.0)},
+    "zoom 5 %": {"zoom": (1.05, 45.0, 75.0)},
     "slope-east": {"slope_deg": 9.8, "rises_towards_deg": 90.0},
     "slope-north": {"slope_deg": 9.8, "rises_towards_deg": 0.0},
     "slope-4": {"slope_deg": 4.0, "rises_towards_deg": 300.0},
