@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
-from contract.rotations import R_ENU_NED, exp_so3, mount_rotation, quaternion_from_matrix
+from contract.rotations import R_ENU_NED, exp_so3, log_so3, mount_rotation, quaternion_from_matrix
 from onboard.config.schema import Config
 from onboard.estimation.sensor_factors import DYNAMIC_TIME_S, TERRAIN_SLOPE_SIGMA, cosine_sine_of_heading
 from onboard.events.types import Attitude, Event, Frame, GpsQuality, PositionFix
@@ -42,6 +42,7 @@ VELOCITY_TIME_S = 0.5
 POSITION_HZ, ATTITUDE_HZ, QUALITY_HZ = 10.0, 20.0, 2.0
 WAVES = 16
 TERRAIN_NODE_M = 20.0
+GYRO_STEP_S = 0.01
 LEAST_SEEN = 6  # features, below which no motion can be told
 
 
@@ -67,6 +68,7 @@ class DrawnSpec:
     camera: Camera = field(default_factory=lambda: Camera.from_field_of_view(640, 480, 40.0))
     camera_file: Camera | None = None  # what the pipeline is told; None: the truth
     readout_s: float = 0.0  # of the rows, as it is, whatever is configured
+    gyro_sigma_deg_s: float | None = None  # of the rates sent with attitudes; None: attitudes come without
 
 
 class Ground:
@@ -210,9 +212,15 @@ class DrawnFlight:
         R_enu_body = self.trajectory.R_enu_body(time)
         error[:, 2] += cosine_sine_of_heading(R_enu_body) @ np.radians(self.spec.heading_error_deg)
         R_ned_body = R_ENU_NED.T @ exp_so3(error) @ R_enu_body
+        quaternions = quaternion_from_matrix(R_ned_body).tolist()
+        rates: list[tuple[float, float, float] | None] = [None] * len(time)
+        if self.spec.gyro_sigma_deg_s is not None:
+            ahead, behind = (self.trajectory.R_enu_body(time + side * GYRO_STEP_S) for side in (0.5, -0.5))
+            rate = log_so3(behind.transpose(0, 2, 1) @ ahead) / GYRO_STEP_S
+            rate += np.radians(self.spec.gyro_sigma_deg_s) * self.rng.standard_normal(rate.shape)
+            rates = [(x, y, z) for x, y, z in rate.tolist()]
         return [
-            Attitude(_stamp(t), (q[0], q[1], q[2], q[3]))
-            for t, q in zip(time, quaternion_from_matrix(R_ned_body).tolist(), strict=True)
+            Attitude(_stamp(t), (q[0], q[1], q[2], q[3]), r) for t, q, r in zip(time, quaternions, rates, strict=True)
         ]
 
     def terrain(self) -> Terrain:

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 NAMES = ("focal_length", "principal_point_x", "principal_point_y", "k1", "k2")
 COUNT = len(NAMES)
 READOUT = COUNT  # where that state is, if it is one
+PLATFORM = 8  # states before those of the camera: `boresight.STATES`
 MIN_DETERMINANT = 0.05  # of the distortion's Jacobian: where it folds over, nothing is measured
 
 
@@ -49,6 +50,19 @@ def first_sigmas(camera: Camera | None, sigma_readout_s: float) -> tuple[float, 
     if sigma_readout_s > 0.0:
         return *lens, sigma_readout_s
     return lens if any(lens) else ()
+
+
+def without_readout(mean: Array, covariance: Array, given: Array, given_covariance: Array) -> tuple[Array, Array]:
+    """A posterior of which the readout, its last state, is what was given (if it is a state): it teaches nothing of it.
+
+    `mean` (B,), `covariance` (B, B); the states of the platform come before those of the camera.
+    """
+    if len(mean) <= PLATFORM + READOUT:
+        return mean, covariance
+    mean, covariance = mean.copy(), covariance.copy()
+    covariance[-1], covariance[:, -1] = 0.0, 0.0
+    mean[-1], covariance[-1, -1] = given[-1], given_covariance[-1, -1]
+    return mean, covariance
 
 
 def taken(states: Array) -> Array:

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 class Moving:
     """How one picture's camera moved while it was read.
 
+    A rate that is noisy itself biases what is found of the readout towards 0, so such pictures teach nothing of it.
     `plane_per_m` (3,): inverse depth a + b x + c y of the ground, as it is taken for before the window is solved.
     """
 
@@ -29,6 +30,7 @@ class Moving:
     velocity_enu_m_s: Array
     velocity_cam_m_s: Array
     plane_per_m: Array
+    sigma_rate_rad_s: float = 0.0  # of a rate that is the difference of attitudes; 0: it is measured
 
     def by_readout(self, xy: Array, share: Array) -> Array:
         """d place / d readout (N, 2) of places (N, 2) seen in rows of these shares (N,), over the assumed ground."""

@@ -24,7 +24,7 @@ from onboard.estimation.boresight import (
     Belief,
     under_another_prior,
 )
-from onboard.estimation.camera_states import corrected, readout_s, taken
+from onboard.estimation.camera_states import corrected, readout_s, taken, without_readout
 from onboard.estimation.ground_slope import GroundSlope, SlopePrior, SlopeSeen, seen_alone
 from onboard.estimation.keyframe import Keyframe, Observation, seen_with
 from onboard.estimation.rotation_timing import LEAST_SIGMA_S
@@ -245,6 +245,8 @@ class Window:
         covariance[OFFSET, OFFSET] += LEAST_SIGMA_S**2
         before = self.alignment.prior_for(start)
         solved_under = with_delays_held_open(self.config, self._solved_under or before)
+        if any(k.observation.moving is not None and k.observation.moving.sigma_rate_rad_s for k in self.keyframes):
+            mean, covariance = without_readout(mean, covariance, solved_under.mean, solved_under.covariance)
         mean, covariance = under_another_prior(mean, covariance, solved_under, before)
         self.alignment.offer(start, end, mean, covariance)
 

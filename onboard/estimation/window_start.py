@@ -46,7 +46,10 @@ def grid(request: Request, ids: Ids) -> tuple[Array, Array, Array, Array]:
         known = ids[at] == seen.ids
         xy[k, at[known]], raw[k, at[known]] = seen.xy[known], seen.raw_xy[known]
         share[k, at[known]] = seen.share[known]
-        weight[k, at[known]] = 1.0 / (request.noise.pixel_sigma_px * seen.gain[known])
+        sigma = request.noise.pixel_sigma_px * seen.gain
+        if seen.moving is not None and seen.moving.sigma_rate_rad_s:
+            sigma = np.hypot(sigma, seen.share * seen.moving.readout_s * seen.moving.sigma_rate_rad_s)
+        weight[k, at[known]] = 1.0 / sigma[known]
     return xy, raw, weight, share
 
 

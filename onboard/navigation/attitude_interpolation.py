@@ -110,6 +110,11 @@ class Attitudes:
         out: Array = log_so3(series.values[index].R_ned_body.T @ series.values[index + 1].R_ned_body) / seconds
         return out
 
+    def measures_rate(self, stamp_ns: int) -> bool:
+        """Whether the attitudes about a moment came with rates of their own."""
+        bracket = self._series.bracket(stamp_ns)
+        return bracket is not None and all(self._series.values[i].rate_body_rad_s is not None for i in bracket)
+
     def rate_at(self, stamp_ns: int) -> Array | None:
         """Angular rate (3,), rad/s, body axes: measured, else from attitudes 60 ms apart; None if unknown."""
         series = self._series

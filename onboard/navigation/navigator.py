@@ -376,6 +376,10 @@ class Navigation:
             else self._attitudes.rate_at(stamp_ns)
         )
 
+    def measures_rate(self, stamp_ns: int) -> bool:
+        """Whether that rate is measured, and not the difference of attitudes with their noise."""
+        return not self._uses_gimbal and self._attitudes.measures_rate(stamp_ns)
+
     def displacement(self, start_ns: int, end_ns: int) -> Array | None:
         """Distance flown (3,), ENU m, from the velocities alone (trapezium rule); None where any is missing."""
         series = self._positions

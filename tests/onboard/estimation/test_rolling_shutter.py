@@ -75,7 +75,8 @@ def test_a_picture_between_keyframes_finds_its_pose_through_its_rows() -> None:
     for rows in (own, None):
         found = resect(s.points_enu_m[seen], xy[k, seen], weight, s.R_cam_enu[k], s.centres_enu_m[k], loose, sweep=rows)
         missed.append(float(np.linalg.norm(found.centre_enu_m - s.centres_enu_m[k])))
-    assert missed[0] < 0.03 < 0.5 < missed[1]
+    assert missed[0] < 0.03
+    assert missed[1] > 0.5, "this motion would not matter"
 
 
 def test_the_residual_changes_with_the_readout_as_its_derivative_says() -> None:
@@ -99,9 +100,8 @@ def test_an_observation_is_brought_to_the_middle_rows_moment_over_the_assumed_gr
     uv = np.array([[320.0, 3.0], [100.0, 239.5], [500.0, 470.0]])
     ids = np.arange(3)
     at_once = observation(CAMERA, ids, uv)
-    moving = Moving(
-        READOUT_S, np.array([0.35, 0.0, 0.0]), np.array([0.0, 20.0, 0.0]), np.array([0.0, -20.0, 0.0]), np.array([0.01, 0, 0])
-    )  # fmt: skip
+    rate, velocity, plane = np.array([0.35, 0.0, 0.0]), np.array([0.0, 20.0, 0.0]), np.array([0.01, 0.0, 0.0])
+    moving = Moving(READOUT_S, rate, velocity, -velocity, plane)
     seen = observation(CAMERA, ids, uv, moving)
     np.testing.assert_array_equal(seen.raw_xy, at_once.xy)
     np.testing.assert_array_equal(at_once.raw_xy, at_once.xy)
