@@ -46,6 +46,8 @@ class Status(Enum):
     UNKNOWN_FRAME = "unknown_frame"
     BAD_PICTURE = "bad_picture"
     OUTSIDE_CALIBRATION = "outside_calibration"
+    STABILISED = "stabilised"
+    ZOOMED = "zoomed"
 
     @property
     def code(self) -> int:

@@ -27,7 +27,8 @@ from contract.wire.feature_code import decode_features, encode_features
 Array = NDArray[np.float64]
 
 MAGIC = b"PC"
-MAJOR, MINOR = 2, 0
+MAJOR, MINOR = 2, 1
+STATUSES_OF_FIRST = 16  # that version 2.0 knows; those after it are written as 2.1
 # A set whose rows were not exposed at once: a reader that knows nothing of that would give wrong places, so it refuses.
 ROLLING_MAJOR = 3
 MAX_VEHICLE_BYTES = 32
@@ -112,7 +113,7 @@ def encode(feature_set: FeatureSet) -> bytes:
     is_rolling = s.is_ok and s.shutter is not None
     head = _HEAD.pack(
         MAGIC,
-        (ROLLING_MAJOR if is_rolling else MAJOR) << 4 | MINOR,
+        ROLLING_MAJOR << 4 if is_rolling else MAJOR << 4 | (MINOR if s.status.code >= STATUSES_OF_FIRST else 0),
         length,
         flags,
         s.status.code,
@@ -147,7 +148,7 @@ def decode(payload: bytes) -> FeatureSet:
     if flags & _GEOMETRY:
         geometry = _decode_geometry(cursor, flags, is_rolling=version >> 4 == ROLLING_MAJOR)
         geometry |= decode_features(cursor, camera, geometry["plane_per_m"])
-    if version & 15 <= MINOR and cursor.position != cursor.end:
+    if version & 15 <= (MINOR if version >> 4 == MAJOR else 0) and cursor.position != cursor.end:
         raise CorruptPayload(f"{cursor.end - cursor.position} bytes are left over")
     status = _status(status_code)
     if version >> 4 == ROLLING_MAJOR and not geometry:

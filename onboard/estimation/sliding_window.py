@@ -27,6 +27,7 @@ from onboard.estimation.boresight import (
 from onboard.estimation.camera_states import corrected, readout_s, taken, without_readout
 from onboard.estimation.ground_slope import GroundSlope, SlopePrior, SlopeSeen, seen_alone
 from onboard.estimation.keyframe import Keyframe, Observation, seen_with
+from onboard.estimation.moved_optics import MOVED, adjust
 from onboard.estimation.rotation_timing import LEAST_SIGMA_S
 from onboard.estimation.second_start import by_attitude
 from onboard.estimation.sensor_factors import (
@@ -38,7 +39,7 @@ from onboard.estimation.sensor_pose import SensorPose
 from onboard.estimation.shared_errors import make_sensor_pose
 from onboard.estimation.solved_window import Solved
 from onboard.estimation.window_acceptance import MIN_POINTS, Memory
-from onboard.estimation.window_solver import Noise, Outcome, Request, adjust
+from onboard.estimation.window_solver import Noise, Outcome, Request
 from onboard.geometry.relative_orientation import rotation_only
 from onboard.geometry.terrain_grid import Terrain
 from onboard.navigation.navigator import NavState
@@ -100,7 +101,9 @@ class Window:
         newest = self.keyframes[-1]
         self.reset()
         times_s = newest.nav_offset_s, newest.nav_delay_s
-        self.add(newest.frame, newest.observation, newest.nav, times_s, newest.body_rate_rad_s, None)
+        self.add(
+            newest.frame, newest.observation, newest.nav, times_s, newest.body_rate_rad_s, None, None, newest.log_zoom
+        )
 
     def attitude_guess(self, nav: NavState) -> Array | None:
         """R_cam_enu from the autopilot through mount and boresight, or None without attitude."""
@@ -151,6 +154,7 @@ class Window:
         body_rate_rad_s: Array | None,
         flown_enu_m: Array | None,
         flow_disagreement_px: Array | None = None,
+        log_zoom: float = 0.0,
     ) -> None:
         """Take a keyframe; the oldest leaves a full window. `flow_disagreement_px`: since the one before."""
         guess = self.pose_guess(seen, nav)
@@ -158,7 +162,10 @@ class Window:
         R, centre = guess if guess is not None else (self.R_body_cam.T, nav.position_enu_m)
         rate = np.zeros(3) if body_rate_rad_s is None else body_rate_rad_s
         flow_disagreement_xy = None if flow_disagreement_px is None else flow_disagreement_px / self.camera.focal_px
-        self.keyframes.append(Keyframe(frame, seen, nav, rate, *times_s, flown_enu_m, R, centre, flow_disagreement_xy))
+        zoom = self.keyframes[-1].log_zoom if self.keyframes else log_zoom
+        self.keyframes.append(
+            Keyframe(frame, seen, nav, rate, *times_s, flown_enu_m, R, centre, flow_disagreement_xy, zoom)
+        )
         del self.keyframes[: -self.config.solve.keyframes]
 
     def prepare(self) -> Request:
@@ -199,6 +206,8 @@ class Window:
         self.keyframes = list(outcome.keyframes)
         self.noise = outcome.noise
         self.refusal = outcome.reason
+        if outcome.status in MOVED:
+            self.solved = None  # what it places is placed through optics that it knows nothing of
         found = outcome.rejected if outcome.solved is None else outcome.solved
         if found is not None:
             self.memory = self.memory.after(self.config, found, outcome.agreed, outcome.solved is not None)

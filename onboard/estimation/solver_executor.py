@@ -11,7 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from onboard.estimation.window_solver import Outcome, Request, adjust
+from onboard.estimation.moved_optics import adjust
+from onboard.estimation.window_solver import Outcome, Request
 
 
 @dataclass(frozen=True, eq=False)

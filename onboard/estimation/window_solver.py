@@ -68,6 +68,7 @@ class Noise:
     noise_inflation: float = 1.0  # times the sigma that the tracks' own residuals show
     factors: VarianceFactors = field(default_factory=VarianceFactors)
     failing: Failing = field(default_factory=Failing)  # sensors that contradict the others
+    shifted_ns: int = 0  # stamp of the newest window whose frame was seen to be shifted: `moved_optics`
 
     def factors_at(self, start_ns: int) -> VarianceFactors:
         """The sensors' variances for a window that begins then, those of failing sensors as they fade."""

@@ -22,6 +22,7 @@ from contract.geodesy import LocalFrame
 from onboard.config.schema import Config
 from onboard.estimation.boresight import DELAY, OFFSET
 from onboard.estimation.keyframe import seen_with
+from onboard.estimation.moved_optics import MOVED
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solver_executor import Inline, Worker, timed_adjust
 from onboard.events.types import Event, Frame
@@ -291,9 +292,9 @@ class Pipeline:
         self._statistics.spend("solve", done.processor_s + trials_s)
         status = self.window.adopt(outcome)
         self._statistics.note_window(self.window.refusal)
-        self._failures = self._failures + 1 if status is Status.POOR_FIT else 0
-        if status in (Status.OK, Status.POOR_FIT):
-            self._unsolved = Status.POOR_FIT if self._failures else Status.STARTING
+        self._failures = self._failures + 1 if status in (Status.POOR_FIT, *MOVED) else 0
+        if status is Status.OK or self._failures:
+            self._unsolved = status if self._failures else Status.STARTING
         solved = self.window.solved
         if status is not Status.OK or solved is None:
             out: list[FeatureSet] = []
@@ -435,8 +436,8 @@ class Pipeline:
         return Status.LOW_PARALLAX if still else self._unsolved
 
     def _over_known_ground(self, nav: NavState, picture: Picture) -> FeatureSet | None:
-        if self.mount_selection.is_open(nav):
-            return None  # nothing but the attitude says where the camera looks
+        if self.mount_selection.is_open(nav) or self._unsolved in MOVED:
+            return None  # nothing but the attitude says where the camera looks, or not even that
         return over_known_ground(self.config, self.window, nav, picture)
 
     def _refuse_record(self, record: Record, status: Status) -> FeatureSet:

@@ -173,6 +173,14 @@ class Evidence:
             return Shortfall(
                 "no attitude in the telemetry", "ask the autopilot for ATTITUDE, or set solve.level_ground = true"
             )
+        if worst is Status.STABILISED:
+            return Shortfall(
+                f"electronic stabilisation shifted {count} pictures", "switch the camera's image stabilisation (EIS) off"
+            )
+        if worst is Status.ZOOMED:
+            return Shortfall(
+                f"the lens had zoomed or refocused on {count} pictures", "fix zoom and focus where they were calibrated"
+            )
         if worst is Status.POOR_FIT:
             return Shortfall(
                 f"pictures and telemetry contradict each other on {count} pictures",

@@ -128,6 +128,8 @@ _REFUSALS: dict[Status, tuple[VehicleState, str]] = {
     Status.TURNING: (VehicleState.TURNING, "turning too fast to follow features"),
     Status.LOW_PARALLAX: (VehicleState.LOW_PARALLAX, "standing still: no depth without motion"),
     Status.POOR_FIT: (VehicleState.POOR_FIT, "pictures and telemetry contradict each other"),
+    Status.STABILISED: (VehicleState.POOR_FIT, "electronic stabilisation shifts the pictures"),
+    Status.ZOOMED: (VehicleState.POOR_FIT, "the lens has zoomed or refocused"),
     Status.UNCERTAIN: (VehicleState.POOR_FIT, "too uncertain to answer"),
 }
 # What pictures come to on the ground, where the camera may look at grass from a hand's breadth: no fault before flight.
