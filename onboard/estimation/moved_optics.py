@@ -25,6 +25,7 @@ from onboard.estimation.factors import AttitudePrior, Layout, State
 from onboard.estimation.keyframe import Keyframe, have_attitude, observation
 from onboard.estimation.second_start import by_attitude
 from onboard.estimation.sensor_factors import sensor_priors
+from onboard.estimation.sensor_groups import FORGOTTEN
 from onboard.estimation.window_acceptance import MIN_POINTS
 from onboard.estimation.window_solver import MIN_KEYFRAMES, Outcome, Request, approximate
 from onboard.estimation.window_solver import adjust as solve_window
@@ -41,7 +42,8 @@ LIKELIER = 15.0  # by how much a logarithm of likelihood must grow: pixels' erro
 LIKELIER_SCALE = 60.0  # the same with a scale for every picture: height, too, may err
 LEAST_SCALE = 0.015  # of a zoom that is one: less is what relief and heights leave
 BACK = 0.03  # from the first scale, within which a zoom has come back: windows judge again
-HELD_NS = 20_000_000_000  # for which a frame that was seen shifted is still taken to be, where windows are strained
+HELD_NS = 30_000_000_000  # for which a frame that was seen shifted is still taken to be
+LEAST_JITTER_S = 0.003
 
 
 @dataclass(frozen=True)
@@ -57,24 +59,44 @@ def adjust(request: Request) -> Outcome:
     """Solve a window; where it is strained or refused, see whether optics that moved are the reason, and refuse it so."""
     if any(k.log_zoom for k in request.keyframes):
         return _followed(request)
+    end_ns, seen_ns = request.keyframes[-1].nav.stamp_ns if request.keyframes else 0, request.noise.shifted_ns
+    if seen_ns and end_ns - seen_ns < HELD_NS:
+        return _shifted(request, seen_ns, _excess(explained(request)))
     outcome = solve_window(request)
-    noise, declared_s = outcome.noise, max(request.config.camera.sigma_jitter_s, 0.003)
-    is_strained = noise.noise_inflation > STRAINED or noise.jitter_s > STRAINED * declared_s
-    if outcome.status is not Status.POOR_FIT and not (outcome.status is Status.OK and is_strained):
+    if outcome.status is not Status.POOR_FIT and not (outcome.status is Status.OK and _is_strained(request, outcome)):
         return outcome
-    end_ns = request.keyframes[-1].nav.stamp_ns
-    was_seen = end_ns - request.noise.shifted_ns < HELD_NS
-    shifted = explained(request)
-    if shifted is not None and shifted.as_is - shifted.shifted > (0.0 if was_seen else LIKELIER):
-        # What it did to the noise says nothing of the next window's.
-        noise = replace(request.noise, shifted_ns=end_ns)
-        reason = f"the frame is shifted from picture to picture (stabilisation), {shifted.shift_px:.0f} px rms"
-        return Outcome(Status.STABILISED, request.keyframes, noise, reason=reason)
+    excess = _excess(explained(request))
+    if excess is not None:
+        return _shifted(request, seen_ns, excess)
     if outcome.status is Status.POOR_FIT:
         log_scale, gain = scaled(request)
         if gain > LIKELIER_SCALE and np.abs(log_scale).max() > LEAST_SCALE:
             return _zoomed(request, log_scale)
     return outcome
+
+
+def _excess(explanation: Explanation | None) -> float | None:
+    """How far (px) a window's frame is shifted; None where nothing says that it is."""
+    if explanation is None or explanation.as_is - explanation.shifted < LIKELIER:
+        return None
+    return explanation.shift_px
+
+
+def _shifted(request: Request, seen_ns: int, shift_px: float | None) -> Outcome:
+    """Refused; `shift_px` None: for what was seen of windows until `seen_ns`, for video is not stabilised by turns."""
+    end_ns = request.keyframes[-1].nav.stamp_ns
+    # What it did to the noise says nothing of the next window's.
+    noise = replace(request.noise, shifted_ns=seen_ns if shift_px is None else end_ns)
+    size = f"{(end_ns - seen_ns) / 1e9:.0f} s ago" if shift_px is None else f"{shift_px:.0f} px rms"
+    reason = f"the frame is shifted from picture to picture (stabilisation), {size}"
+    return Outcome(Status.STABILISED, request.keyframes, noise, reason=reason)
+
+
+def _is_strained(request: Request, outcome: Outcome) -> bool:
+    """Whether a window that is accepted needed more noise than declared, or a sensor left out."""
+    noise, declared_s = outcome.noise, max(request.config.camera.sigma_jitter_s, LEAST_JITTER_S)
+    fails = any(f.at(request.keyframes[-1].nav.stamp_ns) > FORGOTTEN for f in noise.failing.failures.values())
+    return fails or noise.noise_inflation > STRAINED or noise.jitter_s > STRAINED * declared_s
 
 
 def _followed(request: Request) -> Outcome:

@@ -175,7 +175,8 @@ class Evidence:
             )
         if worst is Status.STABILISED:
             return Shortfall(
-                f"electronic stabilisation shifted {count} pictures", "switch the camera's image stabilisation (EIS) off"
+                f"electronic stabilisation shifted {count} pictures",
+                "switch the camera's image stabilisation (EIS) off",
             )
         if worst is Status.ZOOMED:
             return Shortfall(
