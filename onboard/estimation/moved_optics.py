@@ -1,10 +1,10 @@
 """Optics that moved from picture to picture: electronic stabilisation, and zoom or refocus. (18.1) to (18.3)
 
-A frame that follows the smoothed rotation moves the principal point from picture to picture. Seen as the rotation that it
-hides it contradicts the attitude, as an attitude that errs does. The two differ in perspective: a shift moves all of a
-picture alike, a rotation its corners more. So a window that is strained is adjusted twice without any attitude: as it is,
-and with every picture shifted back by as much as its orientation differs from the autopilot's. If the attitude erred the
-second is the worse one, by perspective alone; if the frame was shifted it is the better one.
+A frame that follows the smoothed rotation moves the principal point from picture to picture. Seen as the rotation that
+it hides it contradicts the attitude, as an attitude that errs does. The two differ in perspective: a shift moves all of
+a picture alike, a rotation its corners more. So a window that is strained is adjusted twice without any attitude: as it
+is, and with every picture shifted back by as much as its orientation differs from the autopilot's. If the attitude
+erred the second is the worse one, by perspective alone; if the frame was shifted it is the better one.
 
 A lens that zooms scales pictures as a change of height would, which contradicts positions. So a refused window is adjusted
 once more with every picture scaled back to the first by as much as its features lie off radially.
@@ -65,14 +65,14 @@ def adjust(request: Request) -> Outcome:
     outcome = solve_window(request)
     if outcome.status is not Status.POOR_FIT and not (outcome.status is Status.OK and _is_strained(request, outcome)):
         return outcome
-    excess = _excess(explained(request))
-    if excess is not None:
-        return _shifted(request, seen_ns, excess)
-    if outcome.status is Status.POOR_FIT:
+    explanation = explained(request)
+    excess = _excess(explanation)
+    if outcome.status is Status.POOR_FIT or excess is not None:
         log_scale, gain = scaled(request)
-        if gain > LIKELIER_SCALE and np.abs(log_scale).max() > LEAST_SCALE:
+        by_shift = 0.0 if explanation is None else explanation.as_is - explanation.shifted
+        if gain > max(LIKELIER_SCALE, by_shift) and np.abs(log_scale).max() > LEAST_SCALE:
             return _zoomed(request, log_scale)
-    return outcome
+    return outcome if excess is None else _shifted(request, seen_ns, excess)
 
 
 def _excess(explanation: Explanation | None) -> float | None:
@@ -101,6 +101,14 @@ def _is_strained(request: Request, outcome: Outcome) -> bool:
 
 def _followed(request: Request) -> Outcome:
     """A window of which some pictures are known to be scaled: the newest's scale, by all others."""
+    if any(k.is_zoom_lost for k in request.keyframes):
+        # Only the ground's height remains to tell: a window that fits it as the camera is on file is at that scale.
+        plain = replace(
+            request, keyframes=tuple(replace(k, log_zoom=0.0, is_zoom_lost=False) for k in request.keyframes)
+        )
+        outcome = solve_window(plain)
+        if outcome.status is Status.OK:
+            return outcome
     log_scale, _ = scaled(request)
     return _zoomed(request, log_scale)
 

@@ -79,6 +79,7 @@ class Window:
         self.lever_body_m = np.array(mount.lever_arm_m)
         self.ground_slope = GroundSlope(level_sigma(config))
         self._request: Request | None = None  # the newest
+        self._zoom = (0.0, False)  # of the next keyframe, where there is none before it: see `Keyframe`
         self._solved_under: Belief | None = None  # the belief that `solved` began with
 
     @property
@@ -88,6 +89,8 @@ class Window:
 
     def reset(self) -> None:
         """Forget keyframes and structure: nothing links what comes to what was."""
+        if self.keyframes:
+            self._zoom = self.keyframes[-1].log_zoom, self.keyframes[-1].log_zoom != 0.0
         self.keyframes.clear()
         self.solved = None
         self.memory = self.memory.without_windows()
@@ -101,9 +104,8 @@ class Window:
         newest = self.keyframes[-1]
         self.reset()
         times_s = newest.nav_offset_s, newest.nav_delay_s
-        self.add(
-            newest.frame, newest.observation, newest.nav, times_s, newest.body_rate_rad_s, None, None, newest.log_zoom
-        )
+        self._zoom = newest.log_zoom, newest.is_zoom_lost
+        self.add(newest.frame, newest.observation, newest.nav, times_s, newest.body_rate_rad_s, None)
 
     def attitude_guess(self, nav: NavState) -> Array | None:
         """R_cam_enu from the autopilot through mount and boresight, or None without attitude."""
@@ -154,7 +156,6 @@ class Window:
         body_rate_rad_s: Array | None,
         flown_enu_m: Array | None,
         flow_disagreement_px: Array | None = None,
-        log_zoom: float = 0.0,
     ) -> None:
         """Take a keyframe; the oldest leaves a full window. `flow_disagreement_px`: since the one before."""
         guess = self.pose_guess(seen, nav)
@@ -162,9 +163,10 @@ class Window:
         R, centre = guess if guess is not None else (self.R_body_cam.T, nav.position_enu_m)
         rate = np.zeros(3) if body_rate_rad_s is None else body_rate_rad_s
         flow_disagreement_xy = None if flow_disagreement_px is None else flow_disagreement_px / self.camera.focal_px
-        zoom = self.keyframes[-1].log_zoom if self.keyframes else log_zoom
+        last = self.keyframes[-1] if self.keyframes else None
+        zoom = self._zoom if last is None else (last.log_zoom, last.is_zoom_lost)
         self.keyframes.append(
-            Keyframe(frame, seen, nav, rate, *times_s, flown_enu_m, R, centre, flow_disagreement_xy, zoom)
+            Keyframe(frame, seen, nav, rate, *times_s, flown_enu_m, R, centre, flow_disagreement_xy, *zoom)
         )
         del self.keyframes[: -self.config.solve.keyframes]
 
