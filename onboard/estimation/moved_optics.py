@@ -6,8 +6,8 @@ a picture alike, a rotation its corners more. So a window that is strained is ad
 is, and with every picture shifted back by as much as its orientation differs from the autopilot's. If the attitude
 erred the second is the worse one, by perspective alone; if the frame was shifted it is the better one.
 
-A lens that zooms scales pictures as a change of height would, which contradicts positions. So a refused window is adjusted
-once more with every picture scaled back to the first by as much as its features lie off radially.
+A lens that zooms scales pictures as a change of height would, which contradicts positions. So a refused window is
+adjusted once more with every picture scaled back to the first by as much as its features lie off radially.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.feature_set import Status
-from contract.rotations import exp_so3, log_so3
+from contract.rotations import log_so3
 from onboard.estimation.boresight import BORESIGHT, HEADING, OFFSET, STATES, VELOCITY_DELAY
 from onboard.estimation.bundle_adjustment import Problem, Solution
 from onboard.estimation.factors import AttitudePrior, Layout, State
@@ -56,7 +56,7 @@ class Explanation:
 
 
 def adjust(request: Request) -> Outcome:
-    """Solve a window; where it is strained or refused, see whether optics that moved are the reason, and refuse it so."""
+    """Solve a window; where it is strained or refused, see whether moved optics are why, and refuse it so."""
     if any(k.log_zoom for k in request.keyframes):
         return _followed(request)
     end_ns, seen_ns = request.keyframes[-1].nav.stamp_ns if request.keyframes else 0, request.noise.shifted_ns

@@ -15,6 +15,7 @@ from ground.answer import CHI2_2, Fix
 from ground.locate import Locator
 from onboard.config.schema import Config
 from onboard.estimation import variance_components
+from onboard.estimation.keyframe import observation
 from onboard.estimation.sliding_window import Window
 from onboard.geometry.plane_homography import Pose
 from onboard.georeferencing.feature_sets import Origin, Picture, georeference
@@ -215,7 +216,7 @@ def test_a_picture_that_shares_too_little_with_the_window_is_refused() -> None:
     window = solved(scene)
     frame = int(scene.keys[2]) + 1
     seen = scene.observations[frame]
-    few = replace(seen, ids=seen.ids[:5], uv_px=seen.uv_px[:5], xy=seen.xy[:5], gain=seen.gain[:5])
+    few = observation(window.camera, seen.ids[:5], seen.uv_px[:5])
     scene.observations[frame] = few
     assert publish(scene, window, frame) is Status.FEATURELESS
 
