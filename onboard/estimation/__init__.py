@@ -6,8 +6,11 @@ Public:
 - `boresight`: `Alignment`, `Belief`, `Unconfirmed`, `BORESIGHT`, `OFFSET`, `DELAY`
 - `ground_roughness`: `plane_and_roughness`
 - `keyframe`: `Ids`, `Keyframe`, `Observation`, `observation`, `seen_with`
+- `camera_states`: `READOUT`
+- `moved_optics`: `MOVED`
 - `reobservation`: `RelativeVariance`
 - `resection`: `Resection`, `resect`
+- `rolling_shutter`: `Moving`, `Sweep`, `rates_between`
 - `rotation_timing`: `Course`, `Pair`, `Timing`, `timing`, `FEATURES`, `REACH_S`
 - `sensor_groups`: `Failing`, `FORGOTTEN`
 - `sensor_pose`: `SensorPose`

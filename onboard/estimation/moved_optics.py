@@ -138,16 +138,37 @@ def scaled(request: Request) -> tuple[Array, float]:
     R = np.stack([k.R_cam_enu if a is None else a for k, a in zip(keyframes, attitudes, strict=True)])
     has_attitude = have_attitude(keyframes)
     first = _adjusted(request, keyframes, R, has_attitude=has_attitude)
-    log_scale, gain = nothing, 0.0
+    if first is None:
+        return nothing, 0.0
+    ground_m = float(np.median(first.state.points_enu_m[:, 2]))
+    log_scale, gain = _picture_to_picture(keyframes, R, ground_m), 0.0
     for _ in range(SCALE_ROUNDS):
         back = tuple(_scaled_back(request, k, float(z)) for k, z in zip(keyframes, log_scale, strict=True))
         solution = _adjusted(request, back, R, has_attitude=has_attitude)
-        if solution is None or first is None:
+        if solution is None:
             return nothing, 0.0
         gain = first.cost - solution.cost
         found = _farther_out(solution, back)
         log_scale = log_scale + found - found[0]
     return log_scale, gain
+
+
+def _picture_to_picture(keyframes: tuple[Keyframe, ...], R: Array, ground_m: float) -> Array:
+    """A first guess of the scales (K,): how features spread from picture to picture, beside what sensors predict."""
+    out = np.zeros(len(keyframes))
+    for i in range(1, len(keyframes)):
+        was, now = keyframes[i - 1], keyframes[i]
+        _, at, to = np.intersect1d(was.observation.ids, now.observation.ids, return_indices=True)
+        out[i] = out[i - 1]
+        if len(at) < MIN_POINTS:
+            continue
+        rays = np.column_stack([was.observation.xy[at], np.ones(len(at))]) @ R[i - 1]
+        depth = (ground_m - was.nav.position_enu_m[2]) / np.minimum(rays[:, 2], -1e-3)
+        p = (was.nav.position_enu_m + rays * depth[:, None] - now.nav.position_enu_m) @ R[i].T
+        both = p[:, :2] / p[:, 2:], now.observation.xy[to]
+        spread = [float(np.median(np.linalg.norm(q - np.median(q, axis=0), axis=1))) for q in both]
+        out[i] += float(np.log(max(spread[1], 1e-6) / max(spread[0], 1e-6)))
+    return out
 
 
 def _farther_out(solution: Solution, keyframes: tuple[Keyframe, ...]) -> Array:

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from onboard.config.schema import Config
-from onboard.estimation import boresight, camera_states
+from onboard.estimation import boresight
 from onboard.estimation.boresight import Belief, Unconfirmed
+from onboard.estimation.camera_states import READOUT as READOUT_AT
 from onboard.estimation.reobservation import RelativeVariance
 from onboard.estimation.sensor_groups import FORGOTTEN, Failing
 from onboard.estimation.sliding_window import Window
@@ -44,7 +45,7 @@ CAMERA_STATES = (
     (PRINCIPAL_POINT, "ratio", slice(boresight.STATES + 1, boresight.STATES + 3)),
     (DISTORTION, "ratio", slice(boresight.STATES + 3, boresight.STATES + 5)),
 )
-READOUT_STATE = ((READOUT, "seconds", boresight.STATES + camera_states.READOUT),)  # where `camera.readout_s` is unsure
+READOUT_STATE = ((READOUT, "seconds", boresight.STATES + READOUT_AT),)  # where `camera.readout_s` is unsure
 SHOWN = 1.1  # times the declared sigma: less is not worth a line
 
 
@@ -126,7 +127,7 @@ def estimates_of(belief: Belief | None) -> tuple[Estimate, ...]:
 
 def _states_of(count: int) -> tuple[tuple[str, str, slice | int], ...]:
     """The states of a belief of so many numbers."""
-    has_lens, has_readout = count > boresight.STATES, count > boresight.STATES + camera_states.READOUT
+    has_lens, has_readout = count > boresight.STATES, count > boresight.STATES + READOUT_AT
     return *STATES, *(CAMERA_STATES if has_lens else ()), *(READOUT_STATE if has_readout else ())
 
 

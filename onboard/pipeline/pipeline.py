@@ -183,8 +183,7 @@ class Pipeline:
 
     def _part_from_last(self, nav: NavState) -> list[FeatureSet]:
         """Begin anew where this picture and the one before it may not be in one window."""
-        last, evidence = self._last_nav, self._statistics.evidence
-        why = None
+        last, evidence, why = self._last_nav, self._statistics.evidence, None
         if last is not None:
             why = what_parts(last, nav, self.navigation, round(self._offset_s * 1e9))
             evidence.note_step((nav.stamp_ns - last.stamp_ns) / 1e9, why)
@@ -388,7 +387,7 @@ class Pipeline:
             record.is_keyframe,
         )
         solved = self.window.solved
-        camera = self.window.camera if solved is None else solved.camera
+        camera = (solved or self.window).camera
         picture = Picture(camera, origin, frame, record.nav.undulation_m, record.seen.moving, self.window.readout)
         result = self._by_structure(record, picture)
         if isinstance(result, Status):
