@@ -50,6 +50,7 @@ class Keyframe:
     flow_disagreement_xy: Array | None = None  # (2,) normalised; `coarse_flow`, since the keyframe before
     log_zoom: float = 0.0  # logarithm of its scale beside the camera file's, once a zoom was seen
     is_zoom_lost: bool = False  # the features that it was followed by are gone: it is what it was then
+    is_oriented: bool = True  # False: nothing has given an orientation yet, and `R_cam_enu` holds the mount's alone
 
 
 def observation(camera: Camera, ids: Ids, uv_px: Array, moving: Moving | None = None) -> Observation:
@@ -80,5 +81,6 @@ def have_attitude(keyframes: Sequence[Keyframe]) -> bool:
 def turned(keyframes: Sequence[Keyframe], R_cam_enu: Iterable[Array]) -> tuple[Keyframe, ...]:
     """The keyframes with these orientations, at the positions that GPS gives."""
     return tuple(
-        replace(k, R_cam_enu=R, centre_enu_m=k.nav.position_enu_m) for k, R in zip(keyframes, R_cam_enu, strict=True)
+        replace(k, R_cam_enu=R, centre_enu_m=k.nav.position_enu_m, is_oriented=True)
+        for k, R in zip(keyframes, R_cam_enu, strict=True)
     )
