@@ -38,6 +38,7 @@ ROUNDS = 2  # of shifts: each finds what is left of the one before
 SCALE_ROUNDS = 4
 LOSS_SIGMAS = 3.0
 STRAINED = 1.3  # times the declared noise, above which a window that is accepted is looked at too
+MAX_COST = 1.5  # a measurement, of pictures that are explained; of noise alone it is less than 1
 LIKELIER = 15.0  # by how much a logarithm of likelihood must grow: pixels' errors are not quite independent
 LIKELIER_SCALE = 60.0  # the same with a scale for every picture: height, too, may err
 LEAST_SCALE = 0.015  # of a zoom that is one: less is what relief and heights leave
@@ -142,6 +143,7 @@ def scaled(request: Request) -> tuple[Array, float]:
         return nothing, 0.0
     ground_m = float(np.median(first.state.points_enu_m[:, 2]))
     log_scale, gain = _picture_to_picture(keyframes, R, ground_m), 0.0
+    solution: Solution | None = None
     for _ in range(SCALE_ROUNDS):
         back = tuple(_scaled_back(request, k, float(z)) for k, z in zip(keyframes, log_scale, strict=True))
         solution = _adjusted(request, back, R, has_attitude=has_attitude)
@@ -150,7 +152,7 @@ def scaled(request: Request) -> tuple[Array, float]:
         gain = first.cost - solution.cost
         found = _farther_out(solution, back)
         log_scale = log_scale + found - found[0]
-    return log_scale, gain
+    return (log_scale, gain) if _fits(solution) else (nothing, 0.0)
 
 
 def _picture_to_picture(keyframes: tuple[Keyframe, ...], R: Array, ground_m: float) -> Array:
@@ -218,6 +220,8 @@ def explained(request: Request) -> Explanation | None:
             return None
         solution = again
     size_px = float(np.sqrt(np.mean(np.sum(shift**2, axis=1)))) * request.camera.focal_px
+    if not _fits(solution):
+        return None
     return Explanation(_image_cost(first), _image_cost(solution), size_px)
 
 
@@ -270,6 +274,13 @@ def _adjusted(
         sweep(request, keyframes, share),
     )
     return approximate(problem, state)
+
+
+def _fits(solution: Solution | None) -> bool:
+    """Whether pictures fit at all: what leaves them as wrong as before explains nothing."""
+    return solution is not None and _image_cost(solution) < MAX_COST * np.count_nonzero(
+        np.isfinite(solution.residual_sigmas)
+    )
 
 
 def _image_cost(solution: Solution) -> float:
