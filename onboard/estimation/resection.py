@@ -37,13 +37,16 @@ def resect(
     prior_sigma: Array,
     scale: float = 3.0,
     steps: int = 8,
+    start: tuple[Array, Array] | None = None,
 ) -> Resection:
     """Gauss-Newton from a starting pose, which is also the prior with `prior_sigma` (6,): rad (camera axes), m (ENU).
+
+    `start`, rotation and centre, is where to begin if a pose better than the prior's is known.
 
     `points_enu_m` (N, 3), normalised image coordinates `xy` (N, 2), `weight` (N,) 1 / sigma.
     """
     R0, C0 = R_cam_enu, centre_enu_m
-    R, C = R0, C0
+    R, C = start or (R0, C0)
     prior = 1.0 / prior_sigma**2
     stiff = np.diag(prior)
     for _ in range(steps):

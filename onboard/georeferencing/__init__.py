@@ -2,6 +2,6 @@
 
 Public:
 
-- `feature_sets`: `Origin`, `Picture`, `georeference`
+- `feature_sets`: `Origin`, `Picture`, `Placed`, `place`
 - `surface_sets`: `over_known_ground`
 """

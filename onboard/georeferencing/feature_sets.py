@@ -56,6 +56,23 @@ class Picture:
 
 
 @dataclass(frozen=True, eq=False)
+class Placed:
+    """A picture's set, and the pose (session axes) and solution that it was placed by.
+
+    What places it again, or the next picture, begins where this one ended.
+    """
+
+    feature_set: FeatureSet
+    pose: Pose
+    solved: Solved
+
+    @property
+    def ground_range(self) -> float:
+        """The variogram's slope over the squared spread: one over how far the ground is alike, normalised."""
+        return self.feature_set.roughness / self.feature_set.plane_sigma_relative**2
+
+
+@dataclass(frozen=True, eq=False)
 class Features:
     """What the ground plane is fitted to: (N,) of each, and which of them travel."""
 
@@ -102,15 +119,32 @@ def georeference(
 
     `guess` starts the resection of a picture that is no keyframe of the window.
     """
+    placed = place(window, solved, seen, picture, guess)
+    return placed.feature_set if isinstance(placed, Placed) else placed
+
+
+def place(
+    window: Window,
+    solved: Solved,
+    seen: Observation,
+    picture: Picture,
+    guess: Pose,
+    start: Pose | None = None,
+    range_near: float | None = None,
+) -> Placed | Status:
+    """As `georeference`: `start` is this picture's pose by an earlier solution, `range_near` the `ground_range` of one
+    that shows nearly the same ground.
+    """
     rows, known = solved.rows(seen.ids)
     if np.count_nonzero(known) < MIN_FEATURES:
         return Status.FEATURELESS
     view = _keyframe_view(solved, picture.origin.frame, rows[known])
     if view is None:
-        view = _resected_view(solved, seen, rows, known, guess)
+        view = _resected_view(solved, seen, rows, known, guess, start)
         if view is None:
             return Status.POOR_FIT
-    return _by_view(solved, view, picture, window.config.tracking.features)
+    made = _by_view(solved, view, picture, window.config.tracking.features, range_near)
+    return made if isinstance(made, Status) else Placed(made, view.pose, solved)
 
 
 def _keyframe_view(solved: Solved, frame: int, rows: NDArray[np.intp]) -> _View | None:
@@ -124,13 +158,19 @@ def _keyframe_view(solved: Solved, frame: int, rows: NDArray[np.intp]) -> _View 
 
 
 def _resected_view(
-    solved: Solved, seen: Observation, rows: NDArray[np.intp], known: NDArray[np.bool_], guess: Pose
+    solved: Solved,
+    seen: Observation,
+    rows: NDArray[np.intp],
+    known: NDArray[np.bool_],
+    guess: Pose,
+    start: Pose | None,
 ) -> _View | None:
     s = solved.solution
     points = s.state.points_enu_m[rows[known]]
     weight = 1.0 / (solved.pixel_sigma_px * seen.gain[known])
     prior = np.array([ROTATION_PRIOR_RAD] * 3 + [POSITION_PRIOR_M] * 3)
-    pose: Resection = resect(points, seen.xy[known], weight, guess.R_cam_enu, guess.centre_enu_m, prior)
+    begin = None if start is None else (start.R_cam_enu, start.centre_enu_m)
+    pose: Resection = resect(points, seen.xy[known], weight, guess.R_cam_enu, guess.centre_enu_m, prior, start=begin)
     if np.count_nonzero(pose.inliers) < max(MIN_FEATURES, 0.5 * len(points)):
         return None
     covariance = np.linalg.inv(pose.information)
@@ -142,7 +182,9 @@ def _resected_view(
     return _View(Pose(pose.R_cam_enu, pose.centre_enu_m), gain, noise, used)
 
 
-def _by_view(solved: Solved, view: _View, picture: Picture, most: int) -> FeatureSet | Status:
+def _by_view(
+    solved: Solved, view: _View, picture: Picture, most: int, range_near: float | None
+) -> FeatureSet | Status:
     """The set of a picture whose pose is known, with the `most` features that are known best."""
     s = solved.solution
     R = view.pose.R_cam_enu
@@ -180,18 +222,24 @@ def _by_view(solved: Solved, view: _View, picture: Picture, most: int) -> Featur
     )
     best = np.sort(np.argsort(variance, kind="stable")[:most])
     features = Features(H, uv, 1.0 / z, variance, variance, best)
-    return assemble(picture, view.pose, features, common, shared, DepthSource.PARALLAX)
+    return assemble(picture, view.pose, features, common, shared, DepthSource.PARALLAX, range_near)
 
 
 def assemble(
-    picture: Picture, pose: Pose, features: Features, common: Array, shared: SharedErrors, source: DepthSource
+    picture: Picture,
+    pose: Pose,
+    features: Features,
+    common: Array,
+    shared: SharedErrors,
+    source: DepthSource,
+    range_near: float | None = None,
 ) -> FeatureSet:
     """The set of a picture whose errors are known: moved from the session's axes into those at the camera's own place.
 
-    `common` (9, 9) and `shared` in session axes.
+    `common` (9, 9) and `shared` in session axes; `range_near` as `plane_and_roughness` takes it.
     """
     origin, published, w = picture.origin, features.published, features.inverse_depth_per_m
-    plane, spread, roughness = plane_and_roughness(features.H, w, features.noise)
+    plane, spread, roughness = plane_and_roughness(features.H, w, features.noise, range_near)
     lat, lon, height = (float(c) for c in picture.frame.to_geodetic(pose.centre_enu_m))
     R_local_session = rotation_enu_ecef(lat, lon) @ picture.frame.R_enu_ecef.T
     lift = np.eye(9)
