@@ -21,15 +21,18 @@ MOST_POINTS = 100  # that a window's variogram is estimated from: its cost grows
 
 
 def plane_and_roughness(
-    H: Array, w: Array, variance: Array, range_near: float | None = None
+    H: Array, w: Array, variance: Array, ground_range: float | None = None
 ) -> tuple[Array, float, float]:
     """The ground plane (3,) in inverse depth, the relative spread about it, and the variogram's slope.
 
-    `range_near`: slope over squared spread of nearly the same ground, from where the likeliest is then sought.
+    `ground_range`: slope over squared spread where it is known of the same ground. It is then not estimated again: how
+    far the ground is alike does not change between pictures that show it.
     """
     plane, relative = _plane(H, w, variance)
     spread = _spread(relative, variance)
-    return plane, spread, _roughness(H, relative, variance, spread, range_near)
+    if ground_range is not None:
+        return plane, spread, max(ground_range * spread * spread, MIN_ROUGHNESS)
+    return plane, spread, _roughness(H, relative, variance, spread)
 
 
 def _spread(relative: Array, variance: Array) -> float:
@@ -61,7 +64,7 @@ def _plane(H: Array, w: Array, variance: Array) -> tuple[Array, Array]:
     return plane, relative
 
 
-def _roughness(H: Array, relative: Array, variance: Array, spread: float, range_near: float | None = None) -> float:
+def _roughness(H: Array, relative: Array, variance: Array, spread: float) -> float:
     """Slope of the variogram of relative inverse depth at distance zero: the likeliest for these features. (9.6)
 
     The field is the one that kriging interpolates, (9.8), with its trend and nuggets; a likelihood is a product of
@@ -86,22 +89,11 @@ def _roughness(H: Array, relative: Array, variance: Array, spread: float, range_
 
     # Correlation lengths from twenty times the picture's width down to its smallest part.
     ladder = np.log(s2) + np.log(ROUGHNESS_RANGES)
-    costs: dict[int, float] = {}
-
-    def cost(k: int) -> float:
-        if k not in costs:
-            costs[k] = unlikely(float(ladder[k]))
-        return costs[k]
-
-    if range_near is None:
-        k = min(range(len(ladder)), key=cost)
-    else:  # downhill from there
-        here_k, k = -1, int(np.abs(np.log(ROUGHNESS_RANGES / range_near)).argmin())
-        while k != here_k:
-            here_k, k = k, min(range(max(k - 1, 0), min(k + 2, len(ladder))), key=cost)
+    costs = [unlikely(float(step)) for step in ladder]
+    k = int(np.argmin(costs))
     best = float(ladder[k])
-    if 0 < k < len(ladder) - 1 and all(np.isfinite(costs[j]) for j in (k - 1, k, k + 1)):
-        left, here, right = (costs[j] for j in (k - 1, k, k + 1))
+    if 0 < k < len(ladder) - 1 and np.all(np.isfinite(costs[k - 1 : k + 2])):
+        left, here, right = costs[k - 1 : k + 2]
         bend = left - 2.0 * here + right
         if bend > 0.0:
             best += 0.5 * (left - right) / bend * float(ladder[1] - ladder[0])

@@ -15,6 +15,8 @@ from onboard.geometry.robust import robust_cost
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+_SETTLED = 1.0 / np.array([1e-5] * 3 + [1e-2] * 3)  # one over the step, rad and m, that is nothing any more
+
 
 @dataclass(frozen=True, eq=False)
 class Resection:
@@ -55,7 +57,7 @@ def resect(
         step = -solve_small(A @ A.T + stiff, A @ r + prior * off)
         R, C = exp_so3(step[:3]) @ R, C + step[3:]
         # A hundredth of a pixel, a centimetre: far below what the pose is known to.
-        if float(np.abs(step[:3]).max()) < 1e-5 and float(np.abs(step[3:]).max()) < 1e-2:
+        if np.abs(step * _SETTLED).max() < 1.0:
             break
     A, B, _, sigmas, used = _whitened(points_enu_m, xy, weight, R, C, scale)
     information = A @ A.T + stiff

@@ -56,7 +56,7 @@ def predict_homography(camera: Camera, first: Pose, second: Pose, plane: Array) 
     H, _ = cv2.findHomography(grid[valid], moved[valid], 0)
     if H is None or not np.all(np.isfinite(H)):
         return None
-    out: Array = H
+    out: Array = np.asarray(H, np.float64)
     return out
 
 
@@ -70,8 +70,8 @@ def _grid(camera: Camera) -> tuple[Array, Array, NDArray[np.bool_]]:
 @lru_cache(maxsize=8)
 def pixel_grid(size_px: tuple[int, int], counts: tuple[int, int]) -> Array:
     """Pixels (N, 2) in columns and rows from border to border of a picture. Not to be written to."""
-    u, v = np.meshgrid(*(np.linspace(0.0, size - 1.0, n) for size, n in zip(size_px, counts, strict=True)))
-    grid: Array = np.stack([u.ravel(), v.ravel()], axis=-1).astype(np.float64)
+    columns, rows = np.meshgrid(*(np.linspace(0.0, size - 1.0, n) for size, n in zip(size_px, counts, strict=True)))
+    grid: Array = np.stack([columns.ravel(), rows.ravel()], axis=-1).astype(np.float64)
     grid.setflags(write=False)
     return grid
 

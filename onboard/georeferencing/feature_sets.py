@@ -21,7 +21,9 @@ from onboard.estimation.keyframe import Observation
 from onboard.estimation.resection import Resection, resect
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solved_window import Solved
+from onboard.geometry.linalg import solve_small
 from onboard.geometry.plane_homography import Pose
+from onboard.geometry.robust import middle
 
 Array = NDArray[np.float64]
 
@@ -130,10 +132,10 @@ def place(
     picture: Picture,
     guess: Pose,
     start: Pose | None = None,
-    range_near: float | None = None,
+    ground_range: float | None = None,
 ) -> Placed | Status:
-    """As `georeference`: `start` is this picture's pose by an earlier solution, `range_near` the `ground_range` of one
-    that shows nearly the same ground.
+    """As `georeference`: `start` is this picture's pose by an earlier solution, `ground_range` that of one
+    that shows the same ground.
     """
     rows, known = solved.rows(seen.ids)
     if np.count_nonzero(known) < MIN_FEATURES:
@@ -143,7 +145,7 @@ def place(
         view = _resected_view(solved, seen, rows, known, guess, start)
         if view is None:
             return Status.POOR_FIT
-    made = _by_view(solved, view, picture, window.config.tracking.features, range_near)
+    made = _by_view(solved, view, picture, window.config.tracking.features, ground_range)
     return made if isinstance(made, Status) else Placed(made, view.pose, solved)
 
 
@@ -183,7 +185,7 @@ def _resected_view(
 
 
 def _by_view(
-    solved: Solved, view: _View, picture: Picture, most: int, range_near: float | None
+    solved: Solved, view: _View, picture: Picture, most: int, ground_range: float | None
 ) -> FeatureSet | Status:
     """The set of a picture whose pose is known, with the `most` features that are known best."""
     s = solved.solution
@@ -222,7 +224,7 @@ def _by_view(
     )
     best = np.sort(np.argsort(variance, kind="stable")[:most])
     features = Features(H, uv, 1.0 / z, variance, variance, best)
-    return assemble(picture, view.pose, features, common, shared, DepthSource.PARALLAX, range_near)
+    return assemble(picture, view.pose, features, common, shared, DepthSource.PARALLAX, ground_range)
 
 
 def assemble(
@@ -232,14 +234,14 @@ def assemble(
     common: Array,
     shared: SharedErrors,
     source: DepthSource,
-    range_near: float | None = None,
+    ground_range: float | None = None,
 ) -> FeatureSet:
     """The set of a picture whose errors are known: moved from the session's axes into those at the camera's own place.
 
-    `common` (9, 9) and `shared` in session axes; `range_near` as `plane_and_roughness` takes it.
+    `common` (9, 9) and `shared` in session axes; `ground_range` as `plane_and_roughness` takes it.
     """
     origin, published, w = picture.origin, features.published, features.inverse_depth_per_m
-    plane, spread, roughness = plane_and_roughness(features.H, w, features.noise, range_near)
+    plane, spread, roughness = plane_and_roughness(features.H, w, features.noise, ground_range)
     lat, lon, height = (float(c) for c in picture.frame.to_geodetic(pose.centre_enu_m))
     R_local_session = rotation_enu_ecef(lat, lon) @ picture.frame.R_enu_ecef.T
     lift = np.eye(9)
@@ -278,7 +280,7 @@ def common_states(errors: Linearised, R_enu_cam: Array) -> tuple[Array, Array, A
     H, M, own, covariance = errors.H, errors.M, errors.own, errors.covariance
     weighted = (H / own[:, None]).T
     N = weighted @ H
-    fit = np.linalg.solve(N + 1e-9 * np.trace(N) / 3.0 * np.eye(3), weighted)  # (3, N): modes of d ln w
+    fit = solve_small(N + 1e-9 * N.trace() / 3.0 * np.eye(3), weighted)  # (3, N): modes of d ln w
     to_common = np.zeros((9, 6))
     to_common[:3, 3:] = np.eye(3)
     to_common[3:6, :3] = -R_enu_cam
@@ -303,7 +305,7 @@ def _as_common(errors: Linearised) -> tuple[Array, Array]:
     """
     d, H = errors.directions, errors.H
     z = np.linalg.norm(d, axis=1)
-    scale = float(np.median(z))
+    scale = middle(z)
     G = np.zeros((len(d), 3, 9))
     G[:, :, :3] = np.eye(3)
     G[:, :, 3:6] = -skew(d) / scale  # the angles in units that move a point as far as a metre does
@@ -312,7 +314,7 @@ def _as_common(errors: Linearised) -> tuple[Array, Array]:
     A = (G * weight[:, None, None]).reshape(-1, 9)
     b = (errors.points_by_camera * weight[:, None, None]).reshape(len(A), -1)
     N = A.T @ A
-    T = np.linalg.solve(N + 1e-6 * np.trace(N) / 9.0 * np.eye(9), A.T @ b)
+    T = solve_small(N + 1e-6 * N.trace() / 9.0 * np.eye(9), A.T @ b)
     left = errors.points_by_camera - G @ T
     along = -np.einsum("ni,nic->nc", d, left) / (z * z)[:, None]
     T[3:] /= scale

@@ -33,9 +33,9 @@ class Placing:
             if known is None:
                 return Status.STARTING
             guess = Pose(*known)
-        # A keyframe looks for the ground's roughness anew, lest one that was hit upon by chance stay for good.
-        range_near = None if near is None or (record.is_keyframe and again is None) else near.ground_range
-        placed = place(window, solved, record.seen, picture, guess, None if again is None else again.pose, range_near)
+        # How far the ground is alike is estimated of every keyframe, and taken for known until the next.
+        ground_range = None if near is None or record.is_keyframe else near.ground_range
+        placed = place(window, solved, record.seen, picture, guess, None if again is None else again.pose, ground_range)
         if isinstance(placed, Status):
             return placed
         record.placed = placed
