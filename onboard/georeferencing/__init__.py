@@ -3,5 +3,6 @@
 Public:
 
 - `feature_sets`: `Origin`, `Picture`, `Placed`, `place`
+- `revision`: `Revisions`
 - `surface_sets`: `over_known_ground`
 """

@@ -356,15 +356,16 @@ class Pipeline:
         return out
 
     def _settle(self, records: list[Record]) -> list[FeatureSet]:
-        """The last revision of pictures that the window has seen past."""
-        if self.window.solved is None:
+        """The last revision of pictures that the window has seen past, where it says anything new."""
+        solved = self.window.solved
+        if solved is None:
             return []
         out = []
         for record in records:
             if not record.is_settled:
                 record.is_settled = True
-                result = self._place([record], only_ok=True)
-                out.extend(result)
+                if not self._placing.is_needless(solved, record):
+                    out.extend(self._place([record], only_ok=True))
         return out
 
     def _place(self, records: list[Record], only_ok: bool = False) -> list[FeatureSet]:

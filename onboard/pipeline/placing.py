@@ -7,6 +7,7 @@ from onboard.estimation.sliding_window import Window
 from onboard.estimation.solved_window import Solved
 from onboard.geometry.plane_homography import Pose
 from onboard.georeferencing.feature_sets import Picture, Placed, place
+from onboard.georeferencing.revision import Revisions
 from onboard.pipeline.picture_record import Record
 
 NEAR_NS = 100_000_000  # between pictures that show the same ground, turned by less than a resection's own start may be
@@ -17,6 +18,7 @@ class Placing:
 
     def __init__(self) -> None:
         self._newest: Record | None = None
+        self._revisions = Revisions()
 
     def forget(self) -> None:
         """What comes shares nothing with what was."""
@@ -42,6 +44,10 @@ class Placing:
         if self._newest is None or record.nav.stamp_ns >= self._newest.nav.stamp_ns:
             self._newest = record
         return placed.feature_set
+
+    def is_needless(self, solved: Solved, record: Record) -> bool:
+        """Whether clicks on the picture have the answers already that `solved` would give them."""
+        return record.placed is not None and self._revisions.is_needless(record.placed, solved)
 
     def _of_newest_before(self, record: Record) -> Placed | None:
         newest = self._newest

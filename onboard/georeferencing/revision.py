@@ -1,0 +1,75 @@
+"""Whether a newer solution would answer clicks on a picture otherwise than the set that it has.
+
+A click names a piece of ground that is seen at its pixel. Where the points of the ground have not moved, it has the
+same answer; and where they are known no better or worse, the same radius. What remains is ground that could not be
+clicked because no point near it was known: with the picture's corners in reach, there is none.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.estimation.solved_window import Solved
+from onboard.georeferencing.feature_sets import Placed
+
+Array = NDArray[np.float64]
+
+MOVED = 0.1  # of the semi-major axis of a point's 90 % ellipse: an error so much longer is inside 0.5 % less often
+WIDENED = 0.05  # of the same axis, either way
+# How far beyond its features' hull a set is asked, in roots of the hull's area: a little less than the ground asks it.
+IN_REACH = 0.33
+MOST_POINTS = 40  # of a pair of solutions that are looked at
+RADIUS_90 = float(np.sqrt(-2.0 * np.log(0.1)))  # in sigmas, of two dimensions
+
+
+class Revisions:
+    """Remembers the newest pair of solutions: all pictures between two keyframes have the same."""
+
+    def __init__(self) -> None:
+        self._pair: tuple[Solved, Solved, bool] | None = None
+
+    def is_needless(self, placed: Placed, now: Solved) -> bool:
+        """Whether the picture need not be placed again by `now`."""
+        before = placed.solved
+        if before is now:
+            return True
+        if self._pair is None or self._pair[0] is not before or self._pair[1] is not now:
+            self._pair = before, now, are_alike(before, now)
+        return self._pair[2] and is_all_in_reach(placed.feature_set.uv_px, placed.feature_set.camera.size_px)
+
+
+def are_alike(before: Solved, now: Solved) -> bool:
+    """Whether the points that two solutions have in common are where they were, and known as well as they were."""
+    one, other = before.common(now)
+    if not len(one):
+        return False
+    some = np.linspace(0, len(one) - 1, min(MOST_POINTS, len(one))).astype(np.intp)
+    one, other = one[some], other[some]
+    moved_m = np.linalg.norm(
+        (now.solution.state.points_enu_m[other] - before.solution.state.points_enu_m[one])[:, :2], axis=1
+    )
+    stamp_ns = before.keyframes[-1].nav.stamp_ns
+    was_m, is_m = _radii_m(before, one, stamp_ns), _radii_m(now, other, stamp_ns)
+    return bool(np.all(moved_m < MOVED * is_m) and np.all(np.abs(was_m - is_m) < WIDENED * is_m))
+
+
+def _radii_m(solved: Solved, rows: NDArray[np.intp], stamp_ns: int) -> Array:
+    """Semi-major axes (N,) of points' horizontal 90 % ellipses."""
+    s = solved.solution
+    gain = s.point_gain[rows, :2]
+    covariance = gain @ solved.covariance_at(stamp_ns) @ gain.transpose(0, 2, 1) + s.point_covariance[rows, :2, :2]
+    out: Array = RADIUS_90 * np.sqrt(solved.variance_factor * np.linalg.eigvalsh(covariance)[:, 1])
+    return out
+
+
+def is_all_in_reach(uv_px: Array, size_px: tuple[int, int]) -> bool:
+    """Whether every pixel of a picture is near enough to the hull of features (N, 2) for a click to be answered."""
+    if len(uv_px) < 3:
+        return False
+    hull = cv2.convexHull(uv_px.astype(np.float32))
+    reach_px = IN_REACH * float(np.sqrt(cv2.contourArea(hull)))
+    # The hull and what is in reach of it are convex: with the corners, the whole picture is in it.
+    corners = [(u, v) for u in (0.0, size_px[0] - 1.0) for v in (0.0, size_px[1] - 1.0)]
+    return all(-cv2.pointPolygonTest(hull, corner, True) < reach_px for corner in corners)
