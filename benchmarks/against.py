@@ -55,7 +55,7 @@ class Flying:
         self._process = subprocess.Popen(
             command,
             cwd=code,
-            env={**os.environ, "PYTHONPATH": str(code)},
+            env={**os.environ, "PYTHONPATH": str(code)},  # one thread each: `benchmarks.machine` has seen to that
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -112,7 +112,9 @@ def report(commit: str, before: list[Turn], now: list[Turn]) -> str:
     for name, of in (("in all", lambda t: t.picture_ms), *((s, _stage(s)) for s in before[0].stages_ms)):
         a, b = (float(np.median([of(t) for t in flown])) for flown in (before, now))
         rows.append([name, f"{a:.2f}", f"{b:.2f}", f"{b / a:.2f}"])
-    counts = (f"{sum(t.sets for t in flown)} sets, {sum(t.answered for t in flown)} with an answer" for flown in (before, now))
+    counts = (
+        f"{sum(t.sets for t in flown)} sets, {sum(t.answered for t in flown)} with an answer" for flown in (before, now)
+    )
     was, has = counts
     return "\n".join(
         [
@@ -139,7 +141,9 @@ def main() -> None:
     parser.add_argument("--base", default=BASE, help=f"commit to compare with (default {BASE})")
     parser.add_argument("--turns", type=int, default=10, help="that count, of each (default 10)")
     parser.add_argument("--pictures", type=int, default=150, help="a turn (default 150)")
-    parser.add_argument("--flight", type=Path, help="folder of a flight at 30 Hz (default: the leg of benchmarks.flown)")
+    parser.add_argument(
+        "--flight", type=Path, help="folder of a flight at 30 Hz (default: the leg of benchmarks.flown)"
+    )
     args = parser.parse_args()
     flight = args.flight
     if flight is None:
@@ -147,7 +151,9 @@ def main() -> None:
         flight = CACHE / "leg_14s_30hz"
     print(f"{describe()}; {load()}\n")
     with tempfile.TemporaryDirectory(prefix="pointclick-") as folder:
-        print(report(args.base, *compare(unpacked(args.base, Path(folder)), flight.resolve(), args.turns, args.pictures)))
+        print(
+            report(args.base, *compare(unpacked(args.base, Path(folder)), flight.resolve(), args.turns, args.pictures))
+        )
 
 
 if __name__ == "__main__":

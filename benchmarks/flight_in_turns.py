@@ -3,21 +3,17 @@
     python -P benchmarks/flight_in_turns.py FOLDER
 
 It must run with the code of earlier commits too, so it takes from it only what has been there since: the flight, the
-leg out and back, the pipeline, `encode`. A line on standard input is a number of pictures; the answer is a line of JSON.
+leg out and back, the pipeline, `encode`. A line on standard input is a number of pictures; the answer is a line of
+JSON.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import sys
 import time
 from pathlib import Path
 
-for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
-    os.environ[_variable] = "1"
-
-# isort: split
 from benchmarks.flown import Leg, out_and_back
 from contract.camera import Camera
 from contract.wire.codec import encode

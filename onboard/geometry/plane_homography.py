@@ -22,7 +22,9 @@ class Pose:
     centre_enu_m: Array
 
 
-def predict_pixels(camera: Camera, uv_px: Array, first: Pose, second: Pose, plane: Array) -> tuple[Array, NDArray[np.bool_]]:
+def predict_pixels(
+    camera: Camera, uv_px: Array, first: Pose, second: Pose, plane: Array
+) -> tuple[Array, NDArray[np.bool_]]:
     """Pixels (N, 2) of the first view -> the second, over the ground plane; and whether each has a prediction.
 
     `plane` is (height m at the ENU origin, slope east, slope north). Equation (4.1).
