@@ -1,6 +1,6 @@
 """Processor time of a picture at thirty a second, this checkout against an earlier commit, in one run.
 
-    python -m benchmarks.against [--base 16dc944] [--turns 10] [--pictures 150] [--flight FOLDER]
+    python -m benchmarks.against [--base 16dc944] [--turns 40] [--pictures 60] [--flight FOLDER]
 
 Two processes fly the same pictures, one with this checkout's code and one with the commit's (`git archive`, into a
 temporary folder), and take turns of a few seconds of flight: what else the machine does meets both alike. Counted is
@@ -33,7 +33,7 @@ CHECKOUT = Path(__file__).resolve().parents[1]
 BASE = "16dc944"
 GOAL = 0.60  # of the base's processor time
 RATE_HZ = 30.0
-WARM_UP_TURNS = 2
+WARM_UP_TURNS = 5
 
 
 @dataclass(frozen=True)
@@ -139,8 +139,8 @@ def _share(turns: list[Turn]) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--base", default=BASE, help=f"commit to compare with (default {BASE})")
-    parser.add_argument("--turns", type=int, default=10, help="that count, of each (default 10)")
-    parser.add_argument("--pictures", type=int, default=150, help="a turn (default 150)")
+    parser.add_argument("--turns", type=int, default=40, help="that count, of each (default 40)")
+    parser.add_argument("--pictures", type=int, default=60, help="a turn (default 60)")
     parser.add_argument(
         "--flight", type=Path, help="folder of a flight at 30 Hz (default: the leg of benchmarks.flown)"
     )

@@ -16,12 +16,12 @@ from onboard.georeferencing.feature_sets import Placed
 
 Array = NDArray[np.float64]
 
-MOVED = 0.1  # of the semi-major axis of a point's 90 % ellipse: an error so much longer is inside 0.5 % less often
+MOVED = 0.1  # of the semi-major axis of a point's 90 % ellipse, and of 90 % of its height's error
 WIDENED = 0.05  # of the same axis, either way
 # How far beyond its features' hull a set is asked, in roots of the hull's area: a little less than the ground asks it.
 IN_REACH = 0.33
 MOST_POINTS = 40  # of a pair of solutions that are looked at
-RADIUS_90 = float(np.sqrt(-2.0 * np.log(0.1)))  # in sigmas, of two dimensions
+RADIUS_90, INTERVAL_90 = float(np.sqrt(-2.0 * np.log(0.1))), 1.645  # in sigmas, of two dimensions and of one
 
 
 class Revisions:
@@ -47,21 +47,20 @@ def are_alike(before: Solved, now: Solved) -> bool:
         return False
     some = np.linspace(0, len(one) - 1, min(MOST_POINTS, len(one))).astype(np.intp)
     one, other = one[some], other[some]
-    moved_m = np.linalg.norm(
-        (now.solution.state.points_enu_m[other] - before.solution.state.points_enu_m[one])[:, :2], axis=1
-    )
+    moved_m = now.solution.state.points_enu_m[other] - before.solution.state.points_enu_m[one]
+    moved_m = np.stack([np.hypot(moved_m[:, 0], moved_m[:, 1]), np.abs(moved_m[:, 2])])
     stamp_ns = before.keyframes[-1].nav.stamp_ns
-    was_m, is_m = _radii_m(before, one, stamp_ns), _radii_m(now, other, stamp_ns)
+    was_m, is_m = _reaches_m(before, one, stamp_ns), _reaches_m(now, other, stamp_ns)
     return bool(np.all(moved_m < MOVED * is_m) and np.all(np.abs(was_m - is_m) < WIDENED * is_m))
 
 
-def _radii_m(solved: Solved, rows: NDArray[np.intp], stamp_ns: int) -> Array:
-    """Semi-major axes (N,) of points' horizontal 90 % ellipses."""
+def _reaches_m(solved: Solved, rows: NDArray[np.intp], stamp_ns: int) -> Array:
+    """Of points: semi-major axes of the horizontal 90 % ellipses, and how far 90 % of heights are off, (2, N)."""
     s = solved.solution
-    gain = s.point_gain[rows, :2]
-    covariance = gain @ solved.covariance_at(stamp_ns) @ gain.transpose(0, 2, 1) + s.point_covariance[rows, :2, :2]
-    out: Array = RADIUS_90 * np.sqrt(solved.variance_factor * np.linalg.eigvalsh(covariance)[:, 1])
-    return out
+    gain = s.point_gain[rows]
+    covariance = gain @ solved.covariance_at(stamp_ns) @ gain.transpose(0, 2, 1) + s.point_covariance[rows]
+    major, height = np.linalg.eigvalsh(covariance[:, :2, :2])[:, 1], covariance[:, 2, 2]
+    return np.sqrt(solved.variance_factor * np.stack([RADIUS_90**2 * major, INTERVAL_90**2 * height]))
 
 
 def is_all_in_reach(uv_px: Array, size_px: tuple[int, int]) -> bool:
