@@ -19,6 +19,8 @@ from onboard.config.schema import parse_config
 from onboard.events.types import Frame, PositionFix
 from tests.contract.sets import plain_set
 
+pytestmark = pytest.mark.xdist_group("benchmarks")  # one worker: what they share is made once
+
 FRAMES_A_PASS = 24
 
 

@@ -32,6 +32,8 @@ from simulation.session import SessionSpec, fly
 from simulation.terrain import TerrainSpec
 from simulation.truth import Truth
 
+pytestmark = pytest.mark.xdist_group("pipeline")  # one worker: what they share is made once
+
 SECONDS, RATE_HZ = 9.0, 3.0
 CAMERA = Camera.from_field_of_view(480, 360, 40.0)
 SPEC = SessionSpec(
