@@ -16,8 +16,11 @@ from onboard.georeferencing.feature_sets import Placed
 
 Array = NDArray[np.float64]
 
-MOVED = 0.1  # of the semi-major axis of a point's 90 % ellipse, and of 90 % of its height's error
+MOVED = 0.1  # of the semi-major axis of a point's 90 % ellipse
 WIDENED = 0.05  # of the same axis, either way
+# Of what 90 % of heights are off by. Their sigma does not count: it falls by a fifth from the newest picture to the
+# window's middle, while the ellipse stays as it is, and the wider one that a picture keeps is as true.
+RISEN = 0.2
 # How far beyond its features' hull a set is asked, in roots of the hull's area: a little less than the ground asks it.
 IN_REACH = 0.33
 MOST_POINTS = 40  # of a pair of solutions that are looked at
@@ -51,7 +54,8 @@ def are_alike(before: Solved, now: Solved) -> bool:
     moved_m = np.stack([np.hypot(moved_m[:, 0], moved_m[:, 1]), np.abs(moved_m[:, 2])])
     stamp_ns = before.keyframes[-1].nav.stamp_ns
     was_m, is_m = _reaches_m(before, one, stamp_ns), _reaches_m(now, other, stamp_ns)
-    return bool(np.all(moved_m < MOVED * is_m) and np.all(np.abs(was_m - is_m) < WIDENED * is_m))
+    is_there = np.all(moved_m < [[MOVED], [RISEN]] * is_m)
+    return bool(is_there and np.all(np.abs(was_m[0] - is_m[0]) < WIDENED * is_m[0]))
 
 
 def _reaches_m(solved: Solved, rows: NDArray[np.intp], stamp_ns: int) -> Array:

@@ -16,6 +16,7 @@ from onboard.georeferencing.revision import (
     IN_REACH,
     MOVED,
     RADIUS_90,
+    RISEN,
     WIDENED,
     Revisions,
     are_alike,
@@ -43,13 +44,19 @@ def placed() -> Placed:
     return made
 
 
-def radius_m(solved: Solved) -> float:
-    """The smallest 90 % semi-major axis of the window's points."""
+def reaches_m(solved: Solved) -> Array:
+    """Semi-major axes of the points' horizontal 90 % ellipses, and what 90 % of heights are off by, (2, N)."""
     s = solved.solution
-    gain = s.point_gain[solved.good][:, :2]
+    gain = s.point_gain[solved.good]
     covariance = gain @ solved.covariance_at(solved.keyframes[-1].nav.stamp_ns) @ gain.transpose(0, 2, 1)
-    covariance += s.point_covariance[solved.good][:, :2, :2]
-    return RADIUS_90 * float(np.sqrt(solved.variance_factor * np.linalg.eigvalsh(covariance)[:, 1].min()))
+    covariance += s.point_covariance[solved.good]
+    major = RADIUS_90 * np.sqrt(np.linalg.eigvalsh(covariance[:, :2, :2])[:, 1])
+    return np.sqrt(solved.variance_factor) * np.stack([major, 1.645 * np.sqrt(covariance[:, 2, 2])])
+
+
+def radius_m(solved: Solved) -> float:
+    """The smallest of the semi-major axes."""
+    return float(reaches_m(solved)[0].min())
 
 
 def shifted(solved: Solved, by_m: Array) -> Solved:
@@ -74,8 +81,11 @@ def test_one_point_that_has_moved_is_enough(placed: Placed) -> None:
     assert not are_alike(placed.solved, shifted(placed.solved, by_m))
 
 
-def test_a_height_that_has_moved_is_another_answer(placed: Placed) -> None:
-    assert not are_alike(placed.solved, shifted(placed.solved, radius_m(placed.solved) * np.array([0.0, 0.0, 1.0])))
+def test_a_height_that_has_moved_by_more_than_a_fifth_of_its_error_is_another_answer(placed: Placed) -> None:
+    least_m = float(reaches_m(placed.solved)[1].min())
+    up = np.array([0.0, 0.0, 1.0])
+    assert are_alike(placed.solved, shifted(placed.solved, 0.8 * RISEN * least_m * up))
+    assert not are_alike(placed.solved, shifted(placed.solved, 1.5 * RISEN * least_m * up))
 
 
 @pytest.mark.parametrize("change", [1.0 + WIDENED, 1.0 / (1.0 + WIDENED)])
