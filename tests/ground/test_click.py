@@ -20,6 +20,8 @@ from onboard.events.types import Frame
 from onboard.storage.mcap_writer import SessionRecorder
 from tests.ground.worlds import CAMERA, build
 
+pytestmark = pytest.mark.xdist_group("click")  # one worker: what they share is made once
+
 START_NS = 1_700_000_000_250_000_000
 FIELDS = [
     "status",
