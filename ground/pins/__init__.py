@@ -11,12 +11,13 @@ What other packages take from here (all values are frozen dataclasses; heights i
             Each has `to_dict()` (JSON, without loss) and `from_dict()` (raises InputError on what is no such thing).
 `store`     `PinStore(path)` SQLite; on disk before a call returns; several threads and processes.
             `add(clicks, name=, note=, category=, who=, crop=) -> Pin`, `add_click(pin_id, click, who=, crop=)`,
-            `remove_click(pin_id, click_id, who=)`, `edit(pin_id, who=, name=, note=, category=)`, `delete(pin_id, who=)`,
-            `clear(who=)`, `undo(who=) -> str | None` and `redo(who=)` (a sentence of what was undone; None: nothing),
+            `remove_click(pin_id, click_id, who=)`, `edit(pin_id, who=, name=, note=, category=)`,
+            `delete(pin_id, who=)`, `clear(who=)`, `bring_in(pins, who=, crops=)` (a file's, as one change),
+            `undo(who=) -> str | None` and `redo(who=)` (what was undone in words; None: nothing),
             `pins(category=, text=, vehicle=, who=, since_unix_ns=) -> list[Pin]`, `pin(pin_id)`, `by_number(number)`,
             `crop(click_id) -> bytes | None`, `ties()`, `add_tie(tie, who=)` (raises `TieRefused`),
             `delete_tie(tie_id, who=)`, `merge(pin)` (of another server: last writer wins), `removed()` (tombstones),
-            `revision` (an integer that grows with each change of anybody's), `close()`.
+            `revision` (an integer that grows with each change of anybody's), `close()`. `file.default_path()`.
 `fusion`    `fuse(clicks, ties=()) -> Place | Contradiction`: one position from several clicks of one thing.
             `Place` lat_deg, lon_deg, height_ellipsoid_m, height_amsl_m, covariance_enu_m2 (None: accuracy unknown),
             ellipse, ce90_m, le90_m, sigma_height_m, chi2, freedom, clicks, tied. `Contradiction` chi2, freedom,
