@@ -123,7 +123,7 @@ def fuse_groups(groups: Sequence[Sequence[PinClick]], ties: Sequence[Tie] = ()) 
     spots: list[object] = [g for g, group in enumerate(used) for _ in group]
     frame = LocalFrame(flat[0].lat_deg, flat[0].lon_deg, _height(flat[0], is_high))
     own = [t for t in ties if any((t.click.vehicle, t.click.session) == (c.vehicle, c.session) for c in flat)]
-    y, C = _adjusted(flat, spots, own, frame, is_high)
+    y, (C_apart, C) = _adjusted(flat, spots, own, frame, is_high)
     weights = np.zeros((3 * len(groups), 3 * len(flat)))
     begin = 0
     for g, group in enumerate(used):
@@ -134,7 +134,7 @@ def fuse_groups(groups: Sequence[Sequence[PinClick]], ties: Sequence[Tie] = ()) 
         if not n:
             out.append(_unknown(groups[g]))
             continue
-        W, chi2 = _least_squares(y[at], C[at, at])
+        W, chi2 = _least_squares(y[at], C_apart[at, at])
         weights[3 * g : 3 * g + 3, at] = W
         freedom = 3 * (n - 1)
         tied = sum(any((t.click.vehicle, t.click.session) == (c.vehicle, c.session) for c in group) for t in own)
@@ -208,15 +208,18 @@ def between(a: Place, b: Place, covariance_enu_m2: Array | None) -> Vector:
 
 def _adjusted(
     clicks: Sequence[PinClick], spots: Sequence[object], ties: Sequence[Tie], frame: LocalFrame, is_ellipsoidal: bool
-) -> tuple[Array, Array]:
-    """Positions (3 N,) with the ties applied, and their joint covariance. (17.4)"""
+) -> tuple[Array, tuple[Array, Array]]:
+    """Positions (3 N,) with the ties applied, and their joint covariances. (17.4)"""
     y = np.concatenate([frame.to_enu(c.lat_deg, c.lon_deg, _height(c, is_ellipsoidal, frame.height_m)) for c in clicks])
     shift, C = condition(clicks, spots, ties)
     return y - shift, C
 
 
 def _least_squares(y: Array, C: Array) -> tuple[Array, float]:
-    """Weights (3, 3 N) of the best linear unbiased estimate, and chi-square of what is left. (17.2), (17.3)"""
+    """Weights (3, 3 N) of the best linear unbiased estimate, and chi-square of what is left. (17.2), (17.3)
+
+    C as if what clicks add by themselves were not alike: the weights then do not rest on how alike it is.
+    """
     n = len(y) // 3
     A = np.tile(np.eye(3), (n, 1))
     if n == 1:

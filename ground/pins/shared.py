@@ -16,48 +16,60 @@ Array = NDArray[np.float64]
 CONTRADICTION = 1e-3
 
 
-def joint_covariance(clicks: Sequence[PinClick], spots: Sequence[object]) -> Array:
-    """(3 N, 3 N), m^2, east, north, up, of N clicks with a covariance; `spots` says which are of the same thing.
+def joint_covariances(clicks: Sequence[PinClick], spots: Sequence[object]) -> tuple[Array, Array]:
+    """(3 N, 3 N) twice, m^2, east, north, up, of N clicks with a covariance; `spots` says which are of the same thing.
 
-    With the pointing errors, which nobody shares. What rounding and the approximations of (9.15) make negative is zero.
+    What clicks of one thing add by themselves may be alike in them or not: as if it were not, then as if it were. With
+    the pointing errors, which nobody shares. What rounding and the approximations of (9.15) make negative is zero.
     """
     n = len(clicks)
-    out = np.zeros((3 * n, 3 * n))
-    pointing = np.zeros_like(out)
+    apart = np.zeros((3 * n, 3 * n))
+    alike = np.zeros_like(apart)
+    pointing = np.zeros_like(apart)
     for i, a in enumerate(clicks):
         at = slice(3 * i, 3 * i + 3)
         assert a.covariance_enu_m2 is not None
-        out[at, at] = a.covariance_enu_m2
+        apart[at, at] = alike[at, at] = a.covariance_enu_m2
         if a.errors is not None:
             pointing[at, at] = a.errors.pointing_cov_m2
         for j in range(i):
-            cross = cross_covariance(clicks[j], a, is_same_spot=spots[j] == spots[i])
-            out[3 * j : 3 * j + 3, at] = cross
-            out[at, 3 * j : 3 * j + 3] = cross.T
-    if n > 1:
-        values, vectors = np.linalg.eigh(out)
-        if values[0] < 0.0:
-            out = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return out + pointing
+            other = slice(3 * j, 3 * j + 3)
+            common = _from_common(clicks[j], a)
+            own = _own_alike(clicks[j], a) if spots[j] == spots[i] else np.zeros((3, 3))
+            apart[other, at], alike[other, at] = common, common + own
+            apart[at, other], alike[at, other] = apart[other, at].T, alike[other, at].T
+    return _positive(apart) + pointing, _positive(alike) + pointing
 
 
-def cross_covariance(one: PinClick, two: PinClick, *, is_same_spot: bool) -> Array:
-    """(3, 3) between the answers of two clicks, without their pointing. (17.1)"""
+def _positive(covariance: Array) -> Array:
+    values, vectors = np.linalg.eigh(covariance)
+    if values[0] >= 0.0:
+        return covariance
+    out: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return out
+
+
+def _from_common(one: PinClick, two: PinClick) -> Array:
+    """(3, 3) between two clicks' answers, by what their sets share. (17.1)"""
+    a, b = one.errors, two.errors
+    if a is None or b is None or (one.vehicle, one.session) != (two.vehicle, two.session):
+        return np.zeros((3, 3))
+    J1, J2 = position_jacobian(a, a.offset_enu_m), position_jacobian(b, b.offset_enu_m)
+    out: Array = J1 @ common_cross_covariance(a, b) @ J2.T
+    return out
+
+
+def _own_alike(one: PinClick, two: PinClick) -> Array:
+    """(3, 3) between two clicks of one thing, by what each adds itself, as far as that may be alike. (17.1)"""
     a, b = one.errors, two.errors
     if a is None or b is None:
         return np.zeros((3, 3))
-    is_same_session = (one.vehicle, one.session) == (two.vehicle, two.session)
     out = np.zeros((3, 3))
-    if is_same_session:
-        J1, J2 = position_jacobian(a, a.offset_enu_m), position_jacobian(b, b.offset_enu_m)
-        out = J1 @ common_cross_covariance(a, b) @ J2.T
-    if is_same_spot:
-        alike = a.between_features * b.between_features
-        if is_same_session:
-            alike += overlap(a, b) * a.feature_noise * b.feature_noise
-            out = out + symmetric_root(_rest(one)) @ symmetric_root(_rest(two))
-        out = out + alike * np.outer(a.offset_enu_m, b.offset_enu_m)
-    return out
+    by_depth = a.between_features * b.between_features
+    if (one.vehicle, one.session) == (two.vehicle, two.session):
+        by_depth += overlap(a, b) * a.feature_noise * b.feature_noise
+        out = symmetric_root(_rest(one)) @ symmetric_root(_rest(two))
+    return out + by_depth * np.outer(a.offset_enu_m, b.offset_enu_m)
 
 
 def _rest(click: PinClick) -> Array:

@@ -19,7 +19,7 @@ from ground.answer import Fix
 from ground.chi_square import exceeded_with, limit
 from ground.locate import Locator
 from ground.pins.model import POINTING_PX, PinClick, Tie
-from ground.pins.shared import CONTRADICTION, joint_covariance
+from ground.pins.shared import CONTRADICTION, joint_covariances
 
 Array = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ def judge(tie: Tie, earlier: Sequence[Tie]) -> Judgement:
     rows = _rows(tie)
     d = _difference(tie) - shift[rows]
     # A place that was tied before has one survey error, which is in `shift` as far as it could be told.
-    V = C[np.ix_(rows, rows)] + _survey(tie)[np.ix_(rows, rows)]
+    V = C[0][np.ix_(rows, rows)] + _survey(tie)[np.ix_(rows, rows)]
     chi2 = float(d @ np.linalg.solve(V, d))
     freedom = len(rows)
     misses = float(np.hypot(d[0], d[1]))
@@ -94,13 +94,17 @@ def judge(tie: Tie, earlier: Sequence[Tie]) -> Judgement:
     return Judgement(chi2, freedom, misses, allowed, float(d[2]) if freedom == 3 else None)
 
 
-def condition(clicks: Sequence[PinClick], spots: Sequence[object], ties: Sequence[Tie]) -> tuple[Array, Array]:
-    """What to take off the clicks' positions (3 N,), and the joint covariance (3 N, 3 N) that is left. (17.4)"""
+def condition(
+    clicks: Sequence[PinClick], spots: Sequence[object], ties: Sequence[Tie]
+) -> tuple[Array, tuple[Array, Array]]:
+    """What to take off the clicks' positions (3 N,), and the joint covariances (3 N, 3 N) that are left. (17.4)
+
+    Two of them, as in `shared.joint_covariances`.
+    """
     n = 3 * len(clicks)
-    joint = joint_covariance([*clicks, *(t.click for t in ties)], [*spots, *(_place(t) for t in ties)])
-    C = joint[:n, :n]
+    both = joint_covariances([*clicks, *(t.click for t in ties)], [*spots, *(_place(t) for t in ties)])
     if not ties:
-        return np.zeros(n), C
+        return np.zeros(n), both
     rows = np.concatenate([n + 3 * k + np.array(_rows(t)) for k, t in enumerate(ties)])
     d = np.concatenate([_difference(t) for t in ties])
     survey = np.zeros((3 * len(ties), 3 * len(ties)))
@@ -108,10 +112,18 @@ def condition(clicks: Sequence[PinClick], spots: Sequence[object], ties: Sequenc
         for m, other in enumerate(ties):
             if k == m or _place(one) == _place(other):
                 survey[3 * k : 3 * k + 3, 3 * m : 3 * m + 3] = np.sqrt(_survey(one) * _survey(other))
-    V = joint[np.ix_(rows, rows)] + survey[np.ix_(rows - n, rows - n)]
-    gain = np.linalg.solve(V, joint[rows, :n]).T
-    left = C - gain @ joint[rows, :n]
-    return gain @ d, 0.5 * (left + left.T)
+    S = survey[np.ix_(rows - n, rows - n)]
+    # The gain as if nothing of the clicks' own were alike, and what is left of either by that gain.
+    gain = np.linalg.solve(both[0][np.ix_(rows, rows)] + S, both[0][rows, :n]).T
+    left = [_left(C[:n, :n], C[rows, :n], C[np.ix_(rows, rows)] + S, gain) for C in both]
+    return gain @ d, (left[0], left[1])
+
+
+def _left(C: Array, cross: Array, V: Array, gain: Array) -> Array:
+    """Covariance of what is left when `gain` times what the ties say is taken off."""
+    off = gain @ cross
+    out: Array = C - off - off.T + gain @ V @ gain.T
+    return out
 
 
 def _difference(tie: Tie) -> Array:
