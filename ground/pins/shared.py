@@ -26,6 +26,8 @@ def joint_covariances(clicks: Sequence[PinClick], spots: Sequence[object]) -> tu
     apart = np.zeros((3 * n, 3 * n))
     alike = np.zeros_like(apart)
     pointing = np.zeros_like(apart)
+    roots = [np.zeros((3, 3)) if c.errors is None else symmetric_root(_rest(c)) for c in clicks]
+    Js = [np.zeros((3, 9)) if c.errors is None else position_jacobian(c.errors, c.errors.offset_enu_m) for c in clicks]
     for i, a in enumerate(clicks):
         at = slice(3 * i, 3 * i + 3)
         assert a.covariance_enu_m2 is not None
@@ -34,42 +36,32 @@ def joint_covariances(clicks: Sequence[PinClick], spots: Sequence[object]) -> tu
             pointing[at, at] = a.errors.pointing_cov_m2
         for j in range(i):
             other = slice(3 * j, 3 * j + 3)
-            common = _from_common(clicks[j], a)
-            own = _own_alike(clicks[j], a) if spots[j] == spots[i] else np.zeros((3, 3))
+            if (one := clicks[j].errors) is None or (two := a.errors) is None:
+                continue
+            is_one_session = (clicks[j].vehicle, clicks[j].session) == (a.vehicle, a.session)
+            common = Js[j] @ common_cross_covariance(one, two) @ Js[i].T if is_one_session else np.zeros((3, 3))
+            own = np.zeros((3, 3))
+            if spots[j] == spots[i]:
+                # What lies between the features is the ground's, whoever looks; their noise, the window's.
+                by_depth = one.between_features * two.between_features
+                if is_one_session:
+                    by_depth += overlap(one, two) * one.feature_noise * two.feature_noise
+                    own = roots[j] @ roots[i]
+                own = own + by_depth * np.outer(one.offset_enu_m, two.offset_enu_m)
             apart[other, at], alike[other, at] = common, common + own
             apart[at, other], alike[at, other] = apart[other, at].T, alike[other, at].T
     return _positive(apart) + pointing, _positive(alike) + pointing
 
 
 def _positive(covariance: Array) -> Array:
-    values, vectors = np.linalg.eigh(covariance)
-    if values[0] >= 0.0:
+    """The nearest covariance without negative eigenvalues; rounding is passed over."""
+    try:
+        np.linalg.cholesky(covariance + 1e-9 * np.diag(np.diag(covariance)))
         return covariance
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(covariance)
     out: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return out
-
-
-def _from_common(one: PinClick, two: PinClick) -> Array:
-    """(3, 3) between two clicks' answers, by what their sets share. (17.1)"""
-    a, b = one.errors, two.errors
-    if a is None or b is None or (one.vehicle, one.session) != (two.vehicle, two.session):
-        return np.zeros((3, 3))
-    J1, J2 = position_jacobian(a, a.offset_enu_m), position_jacobian(b, b.offset_enu_m)
-    out: Array = J1 @ common_cross_covariance(a, b) @ J2.T
-    return out
-
-
-def _own_alike(one: PinClick, two: PinClick) -> Array:
-    """(3, 3) between two clicks of one thing, by what each adds itself, as far as that may be alike. (17.1)"""
-    a, b = one.errors, two.errors
-    if a is None or b is None:
-        return np.zeros((3, 3))
-    out = np.zeros((3, 3))
-    by_depth = a.between_features * b.between_features
-    if (one.vehicle, one.session) == (two.vehicle, two.session):
-        by_depth += overlap(a, b) * a.feature_noise * b.feature_noise
-        out = symmetric_root(_rest(one)) @ symmetric_root(_rest(two))
-    return out + by_depth * np.outer(a.offset_enu_m, b.offset_enu_m)
 
 
 def _rest(click: PinClick) -> Array:

@@ -54,9 +54,12 @@ def sightings(
 ) -> list[PinClick]:
     """A click a picture at these times on targets (N, 3) in ORIGIN's axes; each answer errs as its set declares.
 
-    `same_window`: all pictures have the fresh errors in common, as pictures of one window have.
+    `same_window`: all pictures have the fresh errors and the features in common, as pictures of one window have.
     """
     draws = drifting(rng, times_s) if draws is None else draws
+    if same_window:
+        draws = np.tile(draws[0], (len(times_s), 1))
+    pixel = rng.uniform([150.0, 120.0], [490.0, 360.0], (1, 2))
     fresh, seed = rng.normal(size=9), int(rng.integers(2**32))
     clicks = []
     for k, at_s in enumerate(times_s):
@@ -64,7 +67,7 @@ def sightings(
             np.random.default_rng(seed) if same_window else rng,
             Errors(shared=shared(span_s=200.0 if same_window else 0.0), **FLAT),
             features=24,
-            clicks_px=rng.uniform([150.0, 120.0], [490.0, 360.0], (1, 2)),
+            clicks_px=pixel if same_window else rng.uniform([150.0, 120.0], [490.0, 360.0], (1, 2)),
             draws=draws[k],
             fresh=fresh if same_window else None,
             yaw_rad=0.3 if same_window else None,
@@ -80,8 +83,6 @@ def sightings(
         click = PinClick.of(world.feature_set, fix, world.clicks_px[0], locator=locator, clicked_unix_ns=START_NS)
         lat, lon, height = (float(v) for v in ORIGIN.to_geodetic(targets_enu_m[k] + error))
         clicks.append(
-            dataclasses.replace(
-                click, lat_deg=lat, lon_deg=lon, height_ellipsoid_m=height, height_amsl_m=height - 20.0
-            )
+            dataclasses.replace(click, lat_deg=lat, lon_deg=lon, height_ellipsoid_m=height, height_amsl_m=height - 20.0)
         )
     return clicks
