@@ -30,7 +30,8 @@ def _minutes(value_deg: float, digits: int, letters: str) -> str:
     # Rounded first, so that no minute is ever 60.
     unit = 10**_MINUTE_DECIMALS
     degrees, rest = divmod(round(abs(value_deg) * 60.0 * unit), 60 * unit)
-    return f"{degrees:0{digits}d}°{rest / unit:0{3 + _MINUTE_DECIMALS}.{_MINUTE_DECIMALS}f}'{letters[value_deg < 0.0]}"
+    minutes = f"{rest / unit:0{3 + _MINUTE_DECIMALS}.{_MINUTE_DECIMALS}f}"
+    return f"{degrees:0{digits}d}°{minutes}'{letters[int(value_deg < 0.0)]}"
 
 
 def _seconds(value_deg: float, digits: int, letters: str) -> str:
@@ -39,7 +40,7 @@ def _seconds(value_deg: float, digits: int, letters: str) -> str:
     minutes, seconds = divmod(rest, 60 * unit)
     return (
         f"{degrees:0{digits}d}°{minutes:02d}'{seconds / unit:0{3 + _SECOND_DECIMALS}.{_SECOND_DECIMALS}f}\""
-        f"{letters[value_deg < 0.0]}"
+        f"{letters[int(value_deg < 0.0)]}"
     )
 
 

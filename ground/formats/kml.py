@@ -67,7 +67,7 @@ def _placemark(body: ET.Element, mark: Mark, grid: Grid | None) -> None:
     element(place, tag("styleUrl"), f"#{mark.category}")
     data = element(place, tag("ExtendedData"))
     values: dict[str, object] = {
-        "id": mark.id, "name": mark.name, "number": mark.number, "category": mark.category, "note": mark.note,
+        "id": mark.id, "pin_name": mark.name, "number": mark.number, "category": mark.category, "note": mark.note,
         "who": mark.who, "status": mark.status, "reason": mark.reason or None, "ce90_m": _figure(mark.ce90_m),
         "le90_m": _figure(mark.le90_m), "height_ellipsoid_m": _figure(mark.height_ellipsoid_m),
         "height_amsl_m": _figure(mark.height_amsl_m), "vehicle": mark.vehicle, "frame": mark.frame,
@@ -143,7 +143,7 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
                 lat_deg=lat, lon_deg=lon, height_amsl_m=height,
                 sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
                 sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS,
-                name=about.get("name", child_text(place, "name")),
+                name=about.get("pin_name", child_text(place, "name")),
                 note=about.get("note", "" if about else child_text(place, "description")),
                 category=about.get("category"), who=who, time_text=moment, now_unix_ns=now_unix_ns,
             )
