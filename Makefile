@@ -54,6 +54,7 @@ demo: $(INSTALLED)
 
 test: lint types pytest
 	@echo "LEFT OUT: tests/bench, with a real V4L2 camera and a real systemd. To run it: make test-bench"
+	@echo "LEFT OUT: tests/arm64, the Debian packages and the other architecture. To run it: make test-arm64"
 
 # Kernel and images are built once and kept in $POINTCLICK_BENCH_CACHE (~/.cache/pointclick-bench).
 test-bench: $(INSTALLED)

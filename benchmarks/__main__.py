@@ -42,6 +42,7 @@ BENCHMARKS = (
     Benchmark("bundle", "The window solve against GTSAM", (), ("--repeat", "5")),
     Benchmark("tracking", "A tracking step against raw Lucas-Kanade", (), ("--seconds", "3", "--passes", "1")),
     Benchmark("pipeline", "The pipeline at thirty pictures a second", ("--hour", "--profile"), ("--minutes", "1")),
+    Benchmark("budget", "What a picture costs", ("--instructions",), ("--pictures", "60", "--sizes", "640x480")),
     Benchmark("soak", "An hour in the daemon", ("--minutes", "30"), ("--minutes", "2")),
     Benchmark("wire", "A set on the wire", (), ("--repeat", "20")),
     Benchmark("click", "A click", (), ("--sets", "500", "--clicks", "500", "--runs", "3")),

@@ -1,7 +1,7 @@
 """Shared libraries (ELF, 64 bit, little-endian) made smaller without a compiler: what only debuggers read goes, and
 libraries that are never called are no longer asked for.
 
-Works on another architecture's files as on this one's: nothing is run, only tables are rewritten. The names are those of
+Works on another architecture's files as on this one's: nothing is run, only tables are rewritten. Names are those of
 elf(5).
 """
 

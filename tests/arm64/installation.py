@@ -37,11 +37,11 @@ class Installation:
             script.chmod(0o755)
         return folder
 
-    def __call__(self, *arguments: object, timeout_s: float = 120.0) -> subprocess.CompletedProcess[str]:
+    def __call__(self, *arguments: object, timeout_s: float = 600.0) -> subprocess.CompletedProcess[str]:
         """Its Python with these arguments, without anything of ours beside it."""
         return self._run(["-I", *map(str, arguments)], {}, timeout_s)
 
-    def beside(self, site: Path, *arguments: object, timeout_s: float = 300.0) -> subprocess.CompletedProcess[str]:
+    def beside(self, site: Path, *arguments: object, timeout_s: float = 900.0) -> subprocess.CompletedProcess[str]:
         """Its Python with one more folder of packages, in the checkout."""
         return self._run(list(map(str, arguments)), {"PYTHONPATH": str(site)}, timeout_s)
 

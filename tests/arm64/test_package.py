@@ -262,7 +262,7 @@ def test_golden_bytes_and_the_codecs_properties_hold_there(installed: Callable[[
     tests = ("test_golden", "test_bits", "test_covariance_code", "test_codec")
     done = installed("arm64").beside(
         emulation.testing(), "-m", "pytest", "-p", "no:cacheprovider",
-        *(CHECKOUT / "tests" / "contract" / f"{name}.py" for name in tests), timeout_s=400.0,
+        *(CHECKOUT / "tests" / "contract" / f"{name}.py" for name in tests),
     )  # fmt: skip
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-1000:]
     assert int(re.search(r"(\d+) passed", done.stdout)[1]) > 60
