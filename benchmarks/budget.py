@@ -76,7 +76,7 @@ def prepared(size_px: tuple[int, int], features: int) -> tuple[MadeFlight, Camer
 
 
 def flown(size_px: tuple[int, int], features: int, pictures: int) -> tuple[Load, float, float]:
-    """A flight's load, the median of raw LK, us, and this process's memory at the end, MB: the drawn ground is in it."""
+    """A flight's load, the median of raw LK, us, and this process's memory at the end, MB (with the drawn ground)."""
     made, camera = prepared(size_px, features)
     lk = RawLk(camera)
     found = measure(made.config, camera, lk.between(made.events()), lambda n: n >= pictures)

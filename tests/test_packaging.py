@@ -17,6 +17,9 @@ from types import ModuleType
 
 import pytest
 
+from tests.arm64 import emulation
+from tests.bench.image.host import BenchError
+
 PACKAGING = Path(__file__).resolve().parents[1] / "packaging"
 
 
@@ -122,3 +125,14 @@ def test_an_addition_holds_nothing_that_is_there_already(tmp_path: Path) -> None
     slim.subtract(tmp_path / "extra", tmp_path / "base")
     assert sorted(p.name for p in (tmp_path / "extra").iterdir()) == ["more", "more-1.dist-info"]
     assert (tmp_path / "base" / "alike").is_dir()
+
+
+def test_a_host_without_an_emulator_is_told_the_one_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    have = {"apt-get", "dpkg-deb"}
+    monkeypatch.setattr(emulation.shutil, "which", lambda program: program if program in have else None)
+    monkeypatch.setattr(emulation.os, "geteuid", lambda: 1000)
+    with pytest.raises(BenchError, match=r"Once: sudo apt-get install -y .*qemu-user-static"):
+        emulation.require()
+    have.clear()
+    with pytest.raises(BenchError, match=r"a Debian or Ubuntu with qemu-user-static"):
+        emulation.require()
