@@ -69,7 +69,7 @@ class RawLk:
 
 def prepared(size_px: tuple[int, int], features: int) -> tuple[MadeFlight, Camera]:
     """A flight with so large pictures and so many features."""
-    camera = Camera.from_field_of_view(*size_px, FIELD_OF_VIEW_DEG)  # type: ignore[call-arg]  # a pair, then the angle
+    camera = Camera.from_field_of_view(*size_px, FIELD_OF_VIEW_DEG)
     config = Config()
     config = config.model_copy(update={"tracking": config.tracking.model_copy(update={"features": features})})
     return MadeFlight(config, camera), camera
