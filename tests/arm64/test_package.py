@@ -141,6 +141,14 @@ def test_everything_that_people_do_with_it_works(installed: Callable[[str], Inst
     use_onboard(installed("amd64").programs, tmp_path)
 
 
+def test_it_measures_the_computer(installed: Callable[[str], Installation], tmp_path: Path) -> None:
+    """With its own small means: `simulation` is not in it. What it measures under emulation would mean nothing."""
+    arguments = ("--config", tmp_path / "none.toml", "--size", "320x240", "--rate", "1", "--seconds", "0")
+    found = json.loads(well(installed("amd64")("-m", "onboard", "bench", *arguments, "--format", "json")))
+    assert found["solved"] > 0.9 * found["pictures"] >= 100
+    assert found["is_good"]
+
+
 def test_the_emulated_one_reads_its_configuration_and_helps(
     installed: Callable[[str], Installation], tmp_path: Path
 ) -> None:
