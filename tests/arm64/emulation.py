@@ -114,5 +114,5 @@ def package(architecture: str, name: str = "pointclick-onboard") -> Path:
 
 
 def _packages(architecture: str) -> Path:
-    """Of this checkout: another one's may be built at the same time."""
-    return cache.folder() / "deb" / f"{cache.key_of(str(CHECKOUT))}-{architecture}"
+    """In the checkout: another one's may be built at the same time, and `make clean` takes these away."""
+    return CHECKOUT / "build" / "tested" / architecture
