@@ -44,6 +44,7 @@ BENCHMARKS = (
     Benchmark("pipeline", "The pipeline at thirty pictures a second", ("--hour", "--profile"), ("--minutes", "1")),
     Benchmark("against", "Processor time against an earlier commit", (), ("--turns", "4")),
     Benchmark("latency", "From exposure to an answer on the ground", (), ("--seconds", "20")),
+    Benchmark("budget", "What a picture costs", ("--instructions",), ("--pictures", "60", "--sizes", "640x480")),
     Benchmark("soak", "An hour in the daemon", ("--minutes", "30"), ("--minutes", "2")),
     Benchmark("wire", "A set on the wire", (), ("--repeat", "20")),
     Benchmark("click", "A click", (), ("--sets", "500", "--clicks", "500", "--runs", "3")),
