@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from benchmarks.autopilots import STARTS
 from benchmarks.machine import describe
 
 HERE = Path(__file__).resolve().parent
@@ -39,6 +40,12 @@ class Benchmark:
 BENCHMARKS = (
     Benchmark("accuracy", "Errors over the Cramer-Rao bound", (), ("--flights", "10")),
     Benchmark("coverage", "Honesty of the stated radius"),
+    Benchmark(
+        "autopilots",
+        "Beside recorded autopilots",
+        ("--recordings", ",".join(STARTS), "--seconds", "150", "--seed", "3"),
+        ("--recordings", "plane_clean", "--seconds", "40"),
+    ),
     Benchmark("bundle", "The window solve against GTSAM", (), ("--repeat", "5")),
     Benchmark("tracking", "A tracking step against raw Lucas-Kanade", (), ("--seconds", "3", "--passes", "1")),
     Benchmark("pipeline", "The pipeline at thirty pictures a second", ("--hour", "--profile"), ("--minutes", "1")),
