@@ -258,7 +258,7 @@ assert not heavy, heavy
 sys.exit(code)
 """
     command = [sys.executable, "-c", script, "click", "300", "240", "--from", session]
-    done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=Path(__file__).parents[3], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "interpolated" in done.stdout
 
