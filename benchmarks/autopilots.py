@@ -284,7 +284,6 @@ def judge(scene: Scene, seed: int, warm_s: float = 30.0) -> Score:
         f"{m * 180 / np.pi:+.2f}±{s * 180 / np.pi:.2f}" for m, s in zip(mean[:3], sigma[:3], strict=True)
     )
     score.learned += " deg " + " ".join(f"{m:+.3f}±{s:.3f}" for m, s in zip(mean[3:], sigma[3:], strict=True)) + " s"
-    score.learned += f" | {pipeline.window.noise}"
     return score
 
 

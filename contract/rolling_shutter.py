@@ -1,7 +1,7 @@
 """A sensor that reads its rows one after the other: what moves between them, and what a pixel of any row has seen.
 
 A picture has one pose, that of the moment its middle row was exposed. What a row sees earlier or later has moved on the
-picture by then, to first order by its image velocity. Equations (17.1) to (17.4) of docs/mathematics.md.
+picture by then, to first order by its image velocity. Equations (18.1) to (18.4) of docs/mathematics.md.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class RollingShutter:
 
 
 def row_share(v_px: Array | float, height_px: int) -> Array | float:
-    """When a row is exposed, counted from the middle row, as a share of the readout: -1/2 to 1/2. (17.1)"""
+    """When a row is exposed, counted from the middle row, as a share of the readout: -1/2 to 1/2. (18.1)"""
     return (v_px - 0.5 * (height_px - 1)) / height_px
 
 
@@ -46,7 +46,7 @@ def image_velocity(
     rate: Sequence[Array] | Array,
     velocity: Sequence[Array] | Array,
 ) -> tuple[Array, Array]:
-    """d x / dt and d y / dt (1/s) of normalised image coordinates of points that stand still. (17.2)
+    """d x / dt and d y / dt (1/s) of normalised image coordinates of points that stand still. (18.2)
 
     `rate` (rad/s) and `velocity` (m/s) are three numbers each, camera axes, or three arrays that broadcast with x.
     """

@@ -46,6 +46,7 @@ class Kriging:
         # Rounding of the wire and of this solve: 1e-8 of relative depth, 3 micrometres at 300 m.
         apart = _distances(xy, xy)
         measured = np.full(n, SURFACE_NUGGET) if is_surface else nugget
+        self._nugget = measured
         self._astray = nugget if is_surface and n > 1 else None
         self._spacing = float(np.median(np.sort(apart, axis=1)[:, 1])) if n > 1 else 1.0
         K = self._covariance(apart) + np.diag(measured + 1e-16)
@@ -73,6 +74,16 @@ class Kriging:
             alike = np.exp(-_distances(xy, xy) / max(self._spacing, 1e-9))
             covariance = covariance + np.outer(sigma, sigma) * alike
         return f @ self._beta + known @ self._residual, covariance
+
+    def measured_variance(self, xy: Array) -> Array:
+        """The part (M,) of the variances at points (M, 2) that comes from the features' own noise.
+
+        The rest is the ground's between the features. (17.1)
+        """
+        known = self._covariance(_distances(xy, self._xy)) @ self._whiten.T
+        left = _trend(xy) - known @ self._trend
+        weights = (known + left @ self._trend_cov @ self._trend.T) @ self._whiten  # (M, N) of the features
+        return np.asarray((weights**2) @ self._nugget, np.float64)
 
     def _covariance(self, distance: Array) -> Array:
         if self._sill == 0.0 or self._slope == 0.0:

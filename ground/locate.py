@@ -51,6 +51,19 @@ class _Sight:
     by_readout: Array = field(default_factory=lambda: np.zeros(3))  # d offset (m) / d readout (s) of the picture
 
 
+@dataclass(frozen=True, eq=False)
+class ErrorParts:
+    """What of a click's error is its own, for comparing it with clicks of the same spot in other pictures. (17.1)
+
+    One sigma each of the relative inverse depth: the ground between the features, the features' noise. `by_pixel_m`
+    (3, 2): how far the answer moves, east, north, up, for a pixel of u and of v.
+    """
+
+    between_features: float
+    feature_noise: float
+    by_pixel_m: Array
+
+
 class Locator:
     """Answers clicks on one feature set. What does not depend on the click is solved once."""
 
@@ -121,6 +134,22 @@ class Locator:
         out: Array = joint[:3, :3] + joint[3:, 3:] - joint[:3, 3:] - joint[3:, :3]
         return out
 
+    def error_parts(self, uv_px: ArrayLike) -> ErrorParts | None:
+        """The parts of a click's error that are its own; None if it has no answer."""
+        uv = np.asarray(uv_px, float)
+        sight = self._sight(uv)
+        if isinstance(sight, Status):
+            return None
+        s = self.feature_set
+        own = float(self._kriging.predict(sight.xy[None])[1][0, 0])
+        noise = min(float(self._kriging.measured_variance(sight.xy[None])[0]), own)
+        rays, _ = s.camera.unproject(uv + np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]]))
+        # The ground about the click as the plane slopes, at the height that was found.
+        w = (s.plane_per_m[0] + rays[:, :2] @ s.plane_per_m[1:]) / sight.relative
+        beside = (rays / np.maximum(w, self._plane_floor)[:, None]) @ s.R_enu_cam.T
+        by_pixel: Array = np.stack([beside[0] - beside[1], beside[2] - beside[3]], axis=1)
+        return ErrorParts(sight.relative * math.sqrt(own - noise), sight.relative * math.sqrt(noise), by_pixel)
+
     def _refusal(self, status: Status) -> Refusal:
         s = self.feature_set
         return Refusal(status, s.frame, s.capture_unix_ns, s.vehicle)
@@ -156,7 +185,7 @@ class Locator:
         return _Sight(xy, offset, 1.0 / relative, method, by_readout)
 
     def _at_middle_row(self, xy: Array, v_px: float) -> tuple[Array, Array]:
-        """Where what a pixel of this row saw was at the picture's own moment, and d that / d readout. (17.4)"""
+        """Where what a pixel of this row saw was at the picture's own moment, and d that / d readout. (18.4)"""
         s, out, moved = self.feature_set, xy, np.zeros(2)
         if s.shutter is None:
             return out, moved

@@ -12,17 +12,39 @@ Equations (9.13) to (9.15) of docs/mathematics.md.
 from __future__ import annotations
 
 import math
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contract.error_correlation import LEAST_SPAN_S, Span, slow_error_correlations
-from contract.feature_set import COMMON_STATES, FeatureSet
+from contract.feature_set import COMMON_STATES, FeatureSet, SharedErrors
 from contract.geodesy import LocalFrame
 from contract.rotations import skew
 from ground.answer import Fix
 
 Array = NDArray[np.float64]
+
+
+class SetErrors(Protocol):
+    """What two sets are compared by: a FeatureSet, or what is kept of one with a click."""
+
+    @property
+    def session(self) -> int: ...  # noqa: D102
+    @property
+    def capture_unix_ns(self) -> int: ...  # noqa: D102
+    @property
+    def camera_lat_deg(self) -> float: ...  # noqa: D102
+    @property
+    def camera_lon_deg(self) -> float: ...  # noqa: D102
+    @property
+    def camera_height_m(self) -> float: ...  # noqa: D102
+    @property
+    def R_enu_cam(self) -> Array: ...  # noqa: D102
+    @property
+    def common_cov(self) -> Array: ...  # noqa: D102
+    @property
+    def shared(self) -> SharedErrors: ...  # noqa: D102
 
 
 def difference_covariance(one: FeatureSet, fix_one: Fix, two: FeatureSet, fix_two: Fix) -> Array:
@@ -33,7 +55,7 @@ def difference_covariance(one: FeatureSet, fix_one: Fix, two: FeatureSet, fix_tw
     total: Array = fix_one.covariance_enu_m2 + fix_two.covariance_enu_m2
     if (one.vehicle, one.session) != (two.vehicle, two.session):
         return total
-    J1, J2 = _jacobian(one, fix_one), _jacobian(two, fix_two)
+    J1, J2 = position_jacobian(one, fix_one.offset_enu_m), position_jacobian(two, fix_two.offset_enu_m)
     cross = J1 @ common_cross_covariance(one, two) @ J2.T
     # Rounding, and a fix made on another revision of its set, may leave too little.
     values, vectors = np.linalg.eigh(total - cross - cross.T)
@@ -41,14 +63,13 @@ def difference_covariance(one: FeatureSet, fix_one: Fix, two: FeatureSet, fix_tw
     return out
 
 
-def common_cross_covariance(one: FeatureSet, two: FeatureSet) -> Array:
+def common_cross_covariance(one: SetErrors, two: SetErrors) -> Array:
     """Covariance (9, 9) between the common states of two sets of a session."""
     if two.capture_unix_ns < one.capture_unix_ns:
         return common_cross_covariance(two, one).T
     F1, F2 = one.shared.by_nuisance, two.shared.by_nuisance
-    a, b = _span(one), _span(two)
     slow = (F1 * nuisance_correlations(one, two)) @ F2.T
-    share = max(min(a[1], b[1]) - max(a[0], b[0]), 0.0) / math.sqrt((a[1] - a[0]) * (b[1] - b[0]))
+    share = overlap(one, two)
     if share == 0.0:
         return slow
     R1, R2 = one.common_cov - F1 @ F1.T, two.common_cov - F2 @ F2.T
@@ -57,16 +78,26 @@ def common_cross_covariance(one: FeatureSet, two: FeatureSet) -> Array:
     # Symmetric roots, in units of both sets' own sigmas: what errs alike is taken to err together.
     scale = np.sqrt(np.maximum(np.diag(moved) * np.diag(R2), 0.0) ** 0.5)
     scale = np.where(scale > 0.0, scale, 1.0)
-    both = _root(moved / np.outer(scale, scale)) @ _root(R2 / np.outer(scale, scale)) * np.outer(scale, scale)
+    both = (
+        symmetric_root(moved / np.outer(scale, scale))
+        @ symmetric_root(R2 / np.outer(scale, scale))
+        * np.outer(scale, scale)
+    )
     return slow + share * np.linalg.solve(M, both)
 
 
-def nuisance_correlations(one: FeatureSet, two: FeatureSet) -> Array:
+def overlap(one: SetErrors, two: SetErrors) -> float:
+    """How far the windows of two sets of a session are the same pictures, 0 to 1: o of (9.15)."""
+    a, b = _span(one), _span(two)
+    return max(min(a[1], b[1]) - max(a[0], b[0]), 0.0) / math.sqrt((a[1] - a[0]) * (b[1] - b[0]))
+
+
+def nuisance_correlations(one: SetErrors, two: SetErrors) -> Array:
     """(NUISANCES,) between the two sets' nuisance parameters. (9.13)"""
     return slow_error_correlations(one.shared, _span(one), two.shared, _span(two))
 
 
-def _span(s: FeatureSet) -> Span:
+def _span(s: SetErrors) -> Span:
     """First and last moment behind a set, s after its session began; at least a little apart."""
     at = (s.capture_unix_ns - s.session * 1_000_000_000) / 1e9
     first, last = at + s.shared.span_s[0], at + s.shared.span_s[1]
@@ -74,7 +105,7 @@ def _span(s: FeatureSet) -> Span:
     return first - grow, last + grow
 
 
-def _transport(one: FeatureSet, two: FeatureSet) -> Array:
+def _transport(one: SetErrors, two: SetErrors) -> Array:
     """What the first set's common states are, seen from the second's camera. (9.14)"""
     d = LocalFrame(one.camera_lat_deg, one.camera_lon_deg, one.camera_height_m).to_enu(
         two.camera_lat_deg, two.camera_lon_deg, two.camera_height_m
@@ -86,14 +117,15 @@ def _transport(one: FeatureSet, two: FeatureSet) -> Array:
     return M
 
 
-def _root(covariance: Array) -> Array:
+def symmetric_root(covariance: Array) -> Array:
+    """The symmetric root of a covariance; what rounding made negative in it is zero."""
     values, vectors = np.linalg.eigh(covariance)
     out: Array = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     return out
 
 
-def _jacobian(s: FeatureSet, fix: Fix) -> Array:
-    """d X / d common states, (3, 9)."""
-    X = fix.offset_enu_m
+def position_jacobian(s: SetErrors, offset_enu_m: Array) -> Array:
+    """d X / d common states, (3, 9), of a point so far from the set's camera. (9.9)"""
+    X = offset_enu_m
     x, y, z = s.R_enu_cam.T @ X
     return np.concatenate([np.eye(3), -skew(X), -np.outer(X, [1.0, x / z, y / z])], axis=1)

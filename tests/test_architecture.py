@@ -19,6 +19,9 @@ ARROWS: dict[str, set[str]] = {
     "contract": set(),
     "contract.wire": set(),
     "ground": set(),
+    "ground.pins": {"ground"},
+    "ground.formats": {"ground", "ground.pins"},
+    "ground.commands": {"ground", "ground.pins", "ground.formats"},
     "onboard.events": set(),
     "onboard.config": set(),
     "onboard.camera": {"events", "config"},
@@ -51,7 +54,8 @@ IO_PACKAGES = {
     "select", "serial", "signal", "socket", "subprocess", "threading", "tqdm", "zenoh",
 }  # fmt: skip
 IO_ALLOWED = {
-    "ground", "onboard", "onboard.camera", "onboard.telemetry", "onboard.link", "onboard.storage", "onboard.replay",
+    "ground", "ground.commands", "ground.pins", "onboard", "onboard.camera", "onboard.telemetry", "onboard.link",
+    "onboard.storage", "onboard.replay",
     "onboard.service", "onboard.commands", "onboard.events", "simulation", "simulation.autopilot", "demo", "benchmarks",
 }  # fmt: skip
 SHIPPED = ("contract", "ground", "onboard")

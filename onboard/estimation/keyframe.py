@@ -19,12 +19,14 @@ Ids = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """One picture's features: ids (N,), pixels, normalised image coordinates `xy` (N, 2), `gain` (N,) of xy per px.
+    """One picture's features: ids (N,), pixels, and by `camera` normalised image coordinates `xy` (N, 2) and `gain`
+    (N,) of xy per px.
 
     `xy` is where they were when the middle row was exposed, over the ground that was assumed; `raw_xy` where they were
     seen, each by its own row, at these shares (N,) of the readout. Both are the same of a global shutter.
     """
 
+    camera: Camera
     ids: Ids
     uv_px: Array
     xy: Array
@@ -54,23 +56,27 @@ class Keyframe:
 
 
 def observation(camera: Camera, ids: Ids, uv_px: Array, moving: Moving | None = None) -> Observation:
-    """Undistort pixels once; those without a ray are left out. `moving`: of a picture read row by row. (17.3)"""
-    rays, valid = camera.unproject(uv_px)
-    xy = rays[valid, :2]
-    J = camera.distortion_jacobian(xy)
-    det = np.abs(J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0])
-    gain = 1.0 / (camera.focal_px * np.sqrt(np.maximum(det, 0.05)))
-    if moving is None:
-        return Observation(ids[valid], uv_px[valid], xy, gain, xy, np.zeros(len(xy)))
-    share = np.asarray(row_share(uv_px[valid, 1], camera.height_px))
-    at_once = xy - moving.readout_s * moving.by_readout(xy, share)
-    return Observation(ids[valid], uv_px[valid], at_once, gain, xy, share, moving)
+    """Undistort pixels once; those without a ray are left out. `moving`: of a picture read row by row. (18.3)"""
+    return _undistorted(camera, ids, uv_px, None, moving)
 
 
 def seen_with(camera: Camera, seen: Observation, readout_s: float = 0.0) -> Observation:
-    """The same features by another calibration, and by another readout of the rows."""
+    """The same features by another calibration, which is nearly that they were seen with, and another readout."""
     moving = None if seen.moving is None else replace(seen.moving, readout_s=readout_s)
-    return observation(camera, seen.ids, seen.uv_px, moving)
+    if camera == seen.camera and (seen.moving is None or seen.moving.readout_s == readout_s):
+        return seen
+    return _undistorted(camera, seen.ids, seen.uv_px, seen.raw_xy, moving)
+
+
+def _undistorted(camera: Camera, ids: Ids, uv_px: Array, near: Array | None, moving: Moving | None) -> Observation:
+    rays, valid = camera.unproject(uv_px, near)
+    xy = rays[valid, :2]
+    gain = 1.0 / (camera.focal_px * np.sqrt(np.maximum(np.abs(camera.area_gain(xy)), 0.05)))
+    if moving is None:
+        return Observation(camera, ids[valid], uv_px[valid], xy, gain, xy, np.zeros(len(xy)))
+    share = np.asarray(row_share(uv_px[valid, 1], camera.height_px))
+    at_once = xy - moving.readout_s * moving.by_readout(xy, share)
+    return Observation(camera, ids[valid], uv_px[valid], at_once, gain, xy, share, moving)
 
 
 def have_attitude(keyframes: Sequence[Keyframe]) -> bool:

@@ -1,4 +1,4 @@
-"""Optics that moved from picture to picture: electronic stabilisation, and zoom or refocus. (18.1) to (18.3)
+"""Optics that moved from picture to picture: electronic stabilisation, and zoom or refocus. (19.1) to (19.3)
 
 A frame that follows the smoothed rotation moves the principal point from picture to picture. Seen as the rotation that
 it hides it contradicts the attitude, as an attitude that errs does. The two differ in perspective: a shift moves all of
@@ -127,7 +127,7 @@ def _zoomed(request: Request, log_scale: Array) -> Outcome:
 
 
 def scaled(request: Request) -> tuple[Array, float]:
-    """Logarithm of each keyframe's scale (K,) beside the first one's, and by how much the cost falls with them. (18.3)
+    """Logarithm of each keyframe's scale (K,) beside the first one's, and by how much the cost falls with them. (19.3)
 
     As they were taken for and 0 where too little is there to adjust.
     """
@@ -200,7 +200,7 @@ def _scaled_back(request: Request, keyframe: Keyframe, log_scale: float) -> Keyf
 
 
 def explained(request: Request) -> Explanation | None:
-    """Both adjustments of a window; None where there is no attitude or too little to adjust. (18.1), (18.2)"""
+    """Both adjustments of a window; None where there is no attitude or too little to adjust. (19.1), (19.2)"""
     keyframes = request.keyframes
     if len(keyframes) < MIN_KEYFRAMES or not have_attitude(keyframes):
         return None
@@ -278,9 +278,9 @@ def _adjusted(
 
 def _fits(solution: Solution | None) -> bool:
     """Whether pictures fit at all: what leaves them as wrong as before explains nothing."""
-    return solution is not None and _image_cost(solution) < MAX_COST * np.count_nonzero(
-        np.isfinite(solution.residual_sigmas)
-    )
+    if solution is None:
+        return False
+    return _image_cost(solution) < MAX_COST * int(np.count_nonzero(np.isfinite(solution.residual_sigmas)))
 
 
 def _image_cost(solution: Solution) -> float:

@@ -1,7 +1,7 @@
 """Rows that are read one after the other, in the estimator: where each feature was at its picture's own moment.
 
 A picture's pose is that of its middle row. A feature of another row was seen earlier or later, and has moved on the
-picture by its image velocity since, which follows from the vehicle's rate and velocity and the feature's depth, (17.2).
+picture by its image velocity since, which follows from the vehicle's rate and velocity and the feature's depth, (18.2).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Sweep:
     velocity_enu_m_s: Array  # (K, 3)
 
     def by_readout(self, R_cam_enu: Array, predicted: Array, depth: Array) -> Array:
-        """d x / d readout (K, 2, P) of points predicted at (K, 2, P) with `depth` (K, P), by (17.2)."""
+        """d x / d readout (K, 2, P) of points predicted at (K, 2, P) with `depth` (K, P), by (18.2)."""
         velocity = np.einsum("kij,kj->ik", R_cam_enu, self.velocity_enu_m_s)[:, :, None]
         rate = self.rate_cam_rad_s.T[:, :, None]
         moved = image_velocity(predicted[:, 0], predicted[:, 1], 1.0 / np.maximum(depth, 1e-6), rate, velocity)

@@ -185,8 +185,10 @@ class Window:
         flow_disagreement_xy = None if flow_disagreement_px is None else flow_disagreement_px / self.camera.focal_px
         last = self.keyframes[-1] if self.keyframes else None
         zoom = self._zoom if last is None else (last.log_zoom, last.is_zoom_lost)
-        made = Keyframe(frame, seen, nav, rate, *times_s, flown_enu_m, R, centre, flow_disagreement_xy, *zoom)
-        self.keyframes.append(replace(made, is_oriented=guess is not None))
+        made = Keyframe(
+            frame, seen, nav, rate, *times_s, flown_enu_m, R, centre, flow_disagreement_xy, guess is not None
+        )
+        self.keyframes.append(replace(made, log_zoom=zoom[0], is_zoom_lost=zoom[1]))
         del self.keyframes[: -self.config.solve.keyframes]
 
     def prepare(self) -> Request:

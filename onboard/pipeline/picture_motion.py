@@ -68,9 +68,9 @@ def _inverse_depth(R_cam_enu: Array, plane: Array | None, centre_enu_m: Array) -
     return np.array([falls[2], falls[0], falls[1]])
 
 
-def seen_at(window: Window, navigation: Navigation, nav: NavState, tracks: Tracks) -> Observation:
-    """What a picture with this state saw."""
-    return observation(window.camera, tracks.ids, tracks.uv_px, moving_at(window, navigation, nav))
+def seen_at(window: Window, camera: Camera, navigation: Navigation, nav: NavState, tracks: Tracks) -> Observation:
+    """What a picture with this state saw, by this calibration."""
+    return observation(camera, tracks.ids, tracks.uv_px, moving_at(window, navigation, nav))
 
 
 def as_read(window: Window, navigation: Navigation, H: Array | None, nav: NavState) -> Array | None:

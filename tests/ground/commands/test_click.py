@@ -16,9 +16,10 @@ from contract.wire.codec import decode, encode
 from ground.__main__ import main
 from ground.answer import Fix, time_utc
 from ground.locate import locate
-from onboard.events.types import Frame
-from onboard.storage.mcap_writer import SessionRecorder
+from tests.ground.recorded import record
 from tests.ground.worlds import CAMERA, build
+
+pytestmark = pytest.mark.xdist_group("click")  # one worker: what they share is made once
 
 START_NS = 1_700_000_000_250_000_000
 FIELDS = [
@@ -48,12 +49,7 @@ SETS = sets()
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> str:
-    path = tmp_path_factory.mktemp("session") / "s.mcap"
-    with SessionRecorder(path, "uav-1") as out:
-        for s in SETS:
-            out.write_event(Frame(s.capture_unix_ns, s.frame, None, f"picture_{s.frame}.png"))
-            out.write_set(s)
-    return str(path)
+    return record(tmp_path_factory.mktemp("session") / "s.mcap", SETS)
 
 
 @pytest.mark.parametrize(
@@ -256,7 +252,7 @@ assert not heavy, heavy
 sys.exit(code)
 """
     command = [sys.executable, "-c", script, "click", "300", "240", "--from", session]
-    done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=Path(__file__).parents[3], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "interpolated" in done.stdout
 

@@ -1,0 +1,42 @@
+"""Where the pins of a store are by now: fused, tied, computed once for each version of a pin and of the ties."""
+
+from __future__ import annotations
+
+import threading
+
+from ground.pins.fusion import Contradiction, Fused, Unplaced, Vector, fuse, vector
+from ground.pins.model import Pin, Tie
+from ground.pins.store import PinStore
+
+
+class Places:
+    """The places of a store's pins. Every method may be called from any thread."""
+
+    def __init__(self, store: PinStore) -> None:
+        self._store = store
+        self._lock = threading.Lock()
+        # By the pin's id: its version and that of the ties of its sessions.
+        self._known: dict[str, tuple[tuple[int, tuple[str, ...]], Fused]] = {}
+
+    def place(self, pin: Pin) -> Fused:
+        """Where a pin is, or why that cannot be said."""
+        ties = self.ties_of(pin)
+        version = pin.modified_unix_ns, tuple(tie.id for tie in ties)
+        with self._lock:
+            held = self._known.get(pin.id)
+        if held is not None and held[0] == version:
+            return held[1]
+        found = fuse(pin.clicks, ties)
+        with self._lock:
+            self._known[pin.id] = version, found
+        return found
+
+    def ties_of(self, pin: Pin) -> list[Tie]:
+        """The ties that say something of a pin: those of its clicks' sessions."""
+        sessions = {(click.vehicle, click.session) for click in pin.clicks if click.errors is not None}
+        return [tie for tie in self._store.ties() if (tie.click.vehicle, tie.click.session) in sessions]
+
+    def between(self, one: Pin, two: Pin) -> Vector | Contradiction | Unplaced:
+        """Distance, bearing and height difference from one pin to another."""
+        ties = {tie.id: tie for tie in [*self.ties_of(one), *self.ties_of(two)]}
+        return vector(one.clicks, two.clicks, list(ties.values()))

@@ -1,0 +1,404 @@
+"""Pins and ties in an SQLite file: on disk before a call returns, undone and redone, shared by threads and processes.
+
+Each change is one transaction with what was there before and after, so that undoing is writing back. Nothing is ever
+removed from the file: a deleted pin stays as a tombstone, which other servers must hear of, and its number is not given
+again, because somebody may have said it on the radio.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from contract.errors import InputError
+from ground.pins.file import PinFile
+from ground.pins.model import Category, Pin, PinClick, Tie, check_texts, new_pin
+from ground.pins.ties import TieRefused, judge
+
+MAX_CROP_BYTES = 2_000_000
+# A pin from another server may be stamped so much later than now: clocks differ, but one that lies would win for good.
+MAX_AHEAD_NS = 86_400_000_000_000
+
+_Change = tuple[str, str, str | None, str | None]  # "pin" or "tie", id, before and after as JSON
+
+
+class PinStore:
+    """A file of pins. Every method may be called from any thread. Raises InputError for what cannot be stored or found.
+
+    `revision` grows with each change of anybody's, in this process or another.
+    """
+
+    def __init__(self, path: Path | str, *, now_ns: Callable[[], int] = time.time_ns) -> None:
+        self.path = Path(path)
+        self._now_ns = now_ns
+        self._file = PinFile(self.path)
+        self._pins: dict[str, Pin] = {}  # tombstones too, by number, as of revision `_seen`
+        self._seen = 0
+        self._ties: tuple[int, list[Tie]] = (-1, [])
+
+    def close(self) -> None:
+        """Leave the file; what was written is on disk already."""
+        self._file.close()
+
+    def __enter__(self) -> PinStore:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    # Reading
+
+    @property
+    def revision(self) -> int:
+        """Grows with each change."""
+        with self._file.reading():
+            return self._file.value("revision")
+
+    def pins(
+        self,
+        *,
+        category: Category | None = None,
+        text: str = "",
+        vehicle: str = "",
+        who: str = "",
+        since_unix_ns: int = 0,
+    ) -> list[Pin]:
+        """Those that are not deleted, by number; `text` in name or note, in small or capital letters."""
+        wanted = text.casefold()
+        return [
+            pin
+            for pin in self._current().values()
+            if not pin.is_deleted
+            and (category is None or pin.category is category)
+            and (not wanted or wanted in pin.name.casefold() or wanted in pin.note.casefold())
+            and (not vehicle or any(click.vehicle == vehicle for click in pin.clicks))
+            and (not who or pin.who == who)
+            and pin.created_unix_ns >= since_unix_ns
+        ]
+
+    def removed(self) -> list[Pin]:
+        """Tombstones, by number: what other servers must hear of."""
+        return [pin for pin in self._current().values() if pin.is_deleted]
+
+    def pin(self, pin_id: str) -> Pin:
+        """By id. Raises InputError if there is none, or it was deleted."""
+        found = self._current().get(pin_id)
+        if found is None or found.is_deleted:
+            raise InputError(f"no pin with id {pin_id[:64]!r}")
+        return found
+
+    def by_number(self, number: int) -> Pin:
+        """By number. Raises InputError if there is none, or it was deleted."""
+        for pin in self._current().values():
+            if pin.number == number and not pin.is_deleted:
+                return pin
+        raise InputError(f"no pin {number}")
+
+    def crop(self, click_id: str) -> bytes | None:
+        """The picture around a click, if one was kept."""
+        rows = self._file.rows("SELECT picture FROM crops WHERE click = ?", click_id)
+        return bytes(rows[0][0]) if rows else None
+
+    def ties(self) -> list[Tie]:
+        """Those that are not deleted, in the order they were made."""
+        with self._file.reading():
+            # They have a revision of their own: pins come far more often.
+            revision = self._file.value("ties_revision")
+            if self._ties[0] == revision:
+                return list(self._ties[1])
+            rows = self._file.rows("SELECT doc FROM ties WHERE NOT is_deleted ORDER BY rowid")
+            found = [Tie.from_dict(self._file.json(doc)) for (doc,) in rows]
+            if not self._file.is_in_transaction:
+                self._ties = revision, found
+            return list(found)
+
+    # Changing
+
+    def add(
+        self,
+        clicks: Sequence[PinClick],
+        *,
+        name: str = "",
+        note: str = "",
+        category: Category = Category.POI,
+        who: str = "",
+        crop: bytes | None = None,
+    ) -> Pin:
+        """A new pin with the next number; `crop` is of its first click. On disk when this returns."""
+        with self._changing(who) as change:
+            made = new_pin(self._next_number(), tuple(clicks), name, note, category, who, self._now_ns())
+            Pin.from_dict(made.to_dict())  # whatever could not be read back is not written
+            self._keep_crop(made.clicks[:1], crop)
+            change(f"pin {made.number} added", [self._written(made)])
+        return made
+
+    def add_click(self, pin_id: str, click: PinClick, *, who: str = "", crop: bytes | None = None) -> Pin:
+        """The same thing seen once more."""
+
+        def more(pin: Pin) -> Pin:
+            self._keep_crop((click,), crop)
+            return replace(pin, clicks=(*pin.clicks, click))
+
+        return self._modified(pin_id, who, "got a click", more)
+
+    def remove_click(self, pin_id: str, click_id: str, *, who: str = "") -> Pin:
+        """Without one of its clicks. Raises InputError if it is none of them, or the only one."""
+
+        def fewer(pin: Pin) -> Pin:
+            left = tuple(click for click in pin.clicks if click.id != click_id)
+            if len(left) == len(pin.clicks):
+                raise InputError(f"pin {pin.number} has no click {click_id[:64]!r}")
+            if not left:
+                raise InputError(f"this is the only click of pin {pin.number}: delete the pin")
+            return replace(pin, clicks=left)
+
+        return self._modified(pin_id, who, "lost a click", fewer)
+
+    def edit(
+        self,
+        pin_id: str,
+        *,
+        who: str = "",
+        name: str | None = None,
+        note: str | None = None,
+        category: Category | None = None,
+    ) -> Pin:
+        """Other words; what is None stays."""
+
+        def edited(pin: Pin) -> Pin:
+            return check_texts(
+                replace(
+                    pin,
+                    name=pin.name if name is None else name,
+                    note=pin.note if note is None else note,
+                    category=pin.category if category is None else category,
+                )
+            )
+
+        return self._modified(pin_id, who, "edited", edited)
+
+    def delete(self, pin_id: str, *, who: str = "") -> None:
+        """Undone like any other change; its number is not given again."""
+        self._modified(pin_id, who, "deleted", lambda pin: replace(pin, is_deleted=True))
+
+    def clear(self, *, who: str = "") -> int:
+        """Delete all pins, as one change. Returns how many."""
+        with self._changing(who) as change:
+            now = self._now_ns()
+            there = self.pins()
+            gone = [replace(p, is_deleted=True, modified_unix_ns=now, modified_by=who) for p in there]
+            if gone:
+                change(f"{len(gone)} pins deleted", [self._written(p) for p in gone])
+        return len(gone)
+
+    def bring_in(self, pins: Sequence[Pin], *, who: str = "", crops: dict[str, bytes] | None = None) -> int:
+        """Pins of a file, as one change, those that are here already only if they are newer. Returns how many."""
+        with self._changing(who) as change:
+            items = [self._written(taken) for pin in pins if (taken := self._newer(pin, revive=True)) is not None]
+            for click_id, picture in (crops or {}).items():
+                self._write_crop(click_id, picture)
+            if items:
+                change(f"{len(items)} pins imported", items)
+        return len(items)
+
+    def merge(self, pin: Pin) -> bool:
+        """A pin of another server, deleted ones too: the last writer wins, by time and then by name.
+
+        Returns whether anything changed. Not undone by anybody here. Raises InputError for a time far ahead of ours.
+        """
+        with self._file.writing():
+            taken = self._newer(pin)
+            if taken is not None:
+                self._file.bump("revision")
+                self._written(taken)
+        return taken is not None
+
+    def add_tie(self, tie: Tie, *, who: str = "") -> Tie:
+        """Apply a tie to its session. Raises TieRefused if it disagrees with its click or the ties there are."""
+        with self._changing(who) as change:
+            judgement = judge(tie, self.ties())
+            if not judgement.is_accepted:
+                raise TieRefused(judgement)
+            change(f"tie {tie.name or tie.id[:8]} added", [self._written_tie(tie.id, _text(tie.to_dict()))])
+        return tie
+
+    def delete_tie(self, tie_id: str, *, who: str = "") -> None:
+        """Take a tie back. Raises InputError if there is none."""
+        with self._changing(who) as change:
+            if tie_id not in {tie.id for tie in self.ties()}:
+                raise InputError(f"no tie with id {tie_id[:64]!r}")
+            change(f"tie {tie_id[:8]} deleted", [self._written_tie(tie_id, None)])
+
+    def undo(self, *, who: str | None = None) -> str | None:
+        """Take back the last change, or somebody's last one. Returns what it was; None if there is none.
+
+        Raises InputError if what it changed has been changed again since, by somebody else.
+        """
+        return self._turned("done", "undone", "seq DESC", who)
+
+    def redo(self, *, who: str | None = None) -> str | None:
+        """Make again the change that was undone last."""
+        return self._turned("undone", "done", "seq ASC", who)
+
+    # Inside a transaction
+
+    def _turned(self, of: str, to: str, order: str, who: str | None) -> str | None:
+        with self._file.writing():
+            condition, values = ("AND who = ?", (of, who)) if who is not None else ("", (of,))
+            rows = self._file.rows(
+                f"SELECT seq, what, who FROM changes WHERE state = ? {condition} ORDER BY {order} LIMIT 1", *values
+            )
+            if not rows:
+                return None
+            seq, what, author = rows[0]
+            self._file.bump("revision")
+            items = self._file.rows("SELECT kind, id, before, after FROM changed WHERE seq = ?", seq)
+            for kind, key, before, after in items:
+                now, then = (after, before) if of == "done" else (before, after)
+                if kind == "pin":
+                    self._turn_pin(key, now, then, what, author)
+                else:
+                    self._written_tie(key, then)
+            self._file.rows("UPDATE changes SET state = ? WHERE seq = ?", to, seq)
+        return str(what)
+
+    def _turn_pin(self, key: str, now: str | None, then: str | None, what: str, author: str) -> None:
+        held = self._held(key)
+        expected = None if now is None else Pin.from_dict(self._file.json(now))
+        is_there = held is not None and not held.is_deleted
+        if (expected is None and is_there) or (
+            expected is not None and (held is None or _content(held) != _content(expected))
+        ):
+            assert held is not None
+            raise InputError(
+                f"cannot undo {what!r}: pin {held.number} was changed since by {held.modified_by or 'others'}"
+            )
+        target = held if then is None else Pin.from_dict(self._file.json(then))
+        assert target is not None and held is not None
+        is_deleted = then is None or target.is_deleted
+        stamp = max(self._now_ns(), held.modified_unix_ns + 1)
+        self._written(
+            replace(target, number=held.number, is_deleted=is_deleted, modified_unix_ns=stamp, modified_by=author)
+        )
+
+    def _modified(self, pin_id: str, who: str, did: str, change_of: Callable[[Pin], Pin]) -> Pin:
+        with self._changing(who) as change:
+            before = self.pin(pin_id)
+            stamp = max(self._now_ns(), before.modified_unix_ns + 1)  # a later change is later by any clock
+            after = replace(change_of(before), modified_unix_ns=stamp, modified_by=who)
+            Pin.from_dict(after.to_dict())
+            change(f"pin {after.number} {did}", [self._written(after)])
+        return after
+
+    def _newer(self, pin: Pin, *, revive: bool = False) -> Pin | None:
+        """A pin from outside as it is to be written here, with its number if that is free; None if ours is as new."""
+        pin = Pin.from_dict(pin.to_dict())
+        if pin.modified_unix_ns > self._now_ns() + MAX_AHEAD_NS:
+            raise InputError(f"pin {pin.number} by {pin.modified_by!r}: stamped more than a day ahead of this clock")
+        held = self._held(pin.id)
+        if revive and held is not None and held.is_deleted and not pin.is_deleted:
+            # Whoever brings a file in wants what is in it, also what was deleted here since.
+            return replace(pin, number=held.number, modified_unix_ns=max(self._now_ns(), held.modified_unix_ns + 1))
+        if held is not None and _order(pin) <= _order(held):
+            return None
+        if held is not None:
+            return replace(pin, number=held.number)
+        taken = self._file.rows("SELECT 1 FROM pins WHERE number = ?", pin.number)
+        is_free = not taken and 1 <= pin.number < 10**9
+        return pin if is_free else replace(pin, number=self._next_number())
+
+    def _held(self, pin_id: str) -> Pin | None:
+        rows = self._file.rows("SELECT doc FROM pins WHERE id = ?", pin_id)
+        return Pin.from_dict(self._file.json(rows[0][0])) if rows else None
+
+    def _written(self, pin: Pin) -> _Change:
+        rows = self._file.rows("SELECT doc FROM pins WHERE id = ?", pin.id)
+        doc = _text(pin.to_dict())
+        self._file.rows(
+            "INSERT INTO pins VALUES (?, ?, ?, ?) ON CONFLICT (id) DO UPDATE SET "
+            "number = excluded.number, revision = excluded.revision, doc = excluded.doc",
+            pin.id, pin.number, self._file.value("revision"), doc,
+        )  # fmt: skip
+        return "pin", pin.id, rows[0][0] if rows else None, doc
+
+    def _written_tie(self, tie_id: str, doc: str | None) -> _Change:
+        """With this content, or deleted."""
+        rows = self._file.rows("SELECT doc FROM ties WHERE id = ? AND NOT is_deleted", tie_id)
+        self._file.bump("ties_revision")
+        if doc is None:
+            self._file.rows("UPDATE ties SET is_deleted = 1 WHERE id = ?", tie_id)
+        else:
+            self._file.rows(
+                "INSERT INTO ties VALUES (?, 0, ?) ON CONFLICT (id) DO UPDATE SET is_deleted = 0, doc = excluded.doc",
+                tie_id,
+                doc,
+            )
+        return "tie", tie_id, rows[0][0] if rows else None, doc
+
+    def _keep_crop(self, clicks: Sequence[PinClick], crop: bytes | None) -> None:
+        if crop is not None and clicks:
+            self._write_crop(clicks[0].id, crop)
+
+    def _write_crop(self, click_id: str, picture: bytes) -> None:
+        if len(picture) > MAX_CROP_BYTES:
+            raise InputError(f"a crop of {len(picture)} bytes; at most {MAX_CROP_BYTES} are kept")
+        self._file.rows("INSERT OR REPLACE INTO crops VALUES (?, ?)", click_id, picture)
+
+    def _next_number(self) -> int:
+        return int(self._file.rows("SELECT COALESCE(MAX(number), 0) FROM pins")[0][0]) + 1
+
+    def _current(self) -> dict[str, Pin]:
+        """All pins by id, in the order of their numbers, tombstones too; only what has changed is read again."""
+        with self._file.reading():
+            revision = self._file.value("revision")
+            if revision == self._seen:
+                return self._pins
+            rows = self._file.rows("SELECT doc FROM pins WHERE revision > ?", self._seen)
+            fresh = {pin.id: pin for pin in (Pin.from_dict(self._file.json(doc)) for (doc,) in rows)}
+            known = {**self._pins, **fresh}
+            if any(key not in self._pins or self._pins[key].number != pin.number for key, pin in fresh.items()):
+                known = dict(sorted(known.items(), key=lambda item: item[1].number))
+            if not self._file.is_in_transaction:  # nothing is kept that may yet be taken back
+                self._pins, self._seen = known, revision
+            return known
+
+    @contextlib.contextmanager
+    def _changing(self, who: str) -> Iterator[Callable[[str, list[_Change]], None]]:
+        """A transaction that is one change, which can be undone; what was undone before cannot be made again."""
+
+        def change(what: str, items: list[_Change]) -> None:
+            self._file.rows("UPDATE changes SET state = 'dropped' WHERE state = 'undone' AND who = ?", who)
+            ((seq,),) = self._file.rows(
+                "INSERT INTO changes (who, unix_ns, what, state) VALUES (?, ?, ?, 'done') RETURNING seq",
+                who, self._now_ns(), what,
+            )  # fmt: skip
+            for item in items:
+                self._file.rows("INSERT INTO changed VALUES (?, ?, ?, ?, ?)", seq, *item)
+
+        with self._file.writing():
+            self._file.bump("revision")
+            yield change
+
+
+def _text(content: dict[str, Any]) -> str:
+    return json.dumps(content, separators=(",", ":"), allow_nan=False)
+
+
+def _content(pin: Pin) -> dict[str, Any]:
+    """What a person sees of a pin, without who touched it last."""
+    out = pin.to_dict()
+    for name in ("modified_unix_ns", "modified_by", "number"):
+        del out[name]
+    return out
+
+
+def _order(pin: Pin) -> tuple[int, str, str]:
+    """Which of two versions of a pin is the later one: alike on every server."""
+    plain = replace(pin, number=0)
+    return pin.modified_unix_ns, pin.modified_by, _text(plain.to_dict())

@@ -1,0 +1,343 @@
+"""Pins on disk: there before a call returns, undone and redone, shared by threads and processes, stored as given."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from contract.errors import InputError
+from contract.feature_set import SharedErrors
+from ground.pins.model import Category, ClickErrors, Pin, PinClick
+from ground.pins.places import Places
+from ground.pins.store import PinStore
+from ground.pins.ties import TieRefused
+from tests.ground.pins.flights import sightings
+from tests.ground.pins.test_fusion import TARGET
+from tests.ground.pins.test_ties import LANDMARK, tied
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "folder" / "pins.sqlite"
+
+
+def typed(lat_deg: float = -35.0) -> PinClick:
+    return PinClick.entered(lat_deg, 149.0, height_amsl_m=600.0, sigma_m=2.0, who="ann")
+
+
+def clicked(seed: int = 1) -> PinClick:
+    return sightings(np.random.default_rng(seed), np.zeros(1), TARGET[None])[0]
+
+
+def test_a_pin_comes_back_as_it_was_given_from_another_opening(path: Path) -> None:
+    name, note = "<script>alert(1)</script> =1+1 'Ünï' \U0001f525", "a\nb\0c\u202e"
+    with PinStore(path) as store:
+        pin = store.add([clicked()], name=name, note=note, category=Category.PERSON, who="ann", crop=b"\xff\xd8crop")
+        again = store.add_click(pin.id, clicked(2), who="bob")
+    with PinStore(path) as store:
+        (found,) = store.pins()
+        assert json.dumps(found.to_dict()) == json.dumps(again.to_dict())
+        assert (found.name, found.note, found.number, found.category) == (name, note, 1, Category.PERSON)
+        assert (found.who, found.modified_by) == ("ann", "bob")
+        assert store.crop(found.clicks[0].id) == b"\xff\xd8crop"
+        assert store.crop(found.clicks[1].id) is None
+        assert store.by_number(1).id == store.pin(found.id).id == found.id
+
+
+def test_filters(path: Path) -> None:
+    with PinStore(path) as store:
+        store.add([typed()], name="Red tent", category=Category.POI, who="ann")
+        store.add([clicked()], name="smoke", note="by the RED barn", category=Category.FIRE, who="bob")
+        numbers = [
+            [pin.number for pin in found]
+            for found in (
+                store.pins(), store.pins(category=Category.FIRE), store.pins(text="red"), store.pins(who="ann"),
+                store.pins(vehicle="uav-1"), store.pins(text="nothing"), store.pins(since_unix_ns=2**62),
+            )
+        ]  # fmt: skip
+    assert numbers == [[1, 2], [2], [1, 2], [1], [2], [], []]
+
+
+def test_everything_can_be_undone_and_redone(path: Path) -> None:
+    with PinStore(path) as store:
+        pin = store.add([typed()], name="a")
+        store.edit(pin.id, name="b", category=Category.FIRE)
+        store.add_click(pin.id, typed(-35.1))
+        store.remove_click(pin.id, pin.clicks[0].id)
+        store.delete(pin.id)
+        states = [_state(store)]
+        said = []
+        while (what := store.undo()) is not None:
+            said.append(what)
+            states.append(_state(store))
+        assert said == [
+            "pin 1 deleted", "pin 1 lost a click", "pin 1 got a click", "pin 1 edited", "pin 1 added",
+        ]  # fmt: skip
+        assert states == [[], [("b", 1)], [("b", 2)], [("b", 1)], [("a", 1)], []]
+    with PinStore(path) as store:  # also after a restart
+        redone = []
+        while store.redo() is not None:
+            redone.append(_state(store))
+        assert redone == states[-2::-1]
+        assert store.redo() is None
+
+
+def _state(store: PinStore) -> list[tuple[str, int]]:
+    return [(pin.name, len(pin.clicks)) for pin in store.pins()]
+
+
+def test_a_new_change_ends_redoing_and_a_number_is_not_given_twice(path: Path) -> None:
+    with PinStore(path) as store:
+        store.add([typed()], name="a")
+        store.undo()
+        assert store.add([typed()], name="b").number == 2
+        assert store.redo() is None
+        store.delete(store.by_number(2).id)
+        assert store.add([typed()], name="c").number == 3
+
+
+def test_undo_of_ones_own_leaves_what_another_has_changed_since(path: Path) -> None:
+    with PinStore(path) as store:
+        pin = store.add([typed()], name="a", who="ann")
+        store.add([typed()], name="x", who="bob")
+        assert store.undo(who="ann") == "pin 1 added"
+        assert [p.name for p in store.pins()] == ["x"]
+        store.redo(who="ann")
+        store.edit(pin.id, name="by bob", who="bob")
+        with pytest.raises(InputError, match="changed since by bob"):
+            store.undo(who="ann")
+        assert [p.name for p in store.pins()] == ["by bob", "x"]
+
+
+def test_clearing_is_one_change(path: Path) -> None:
+    with PinStore(path) as store:
+        for _ in range(5):
+            store.add([typed()])
+        assert store.clear(who="ann") == 5
+        assert store.pins() == [] and len(store.removed()) == 5
+        store.undo()
+        assert len(store.pins()) == 5
+
+
+_WRITER = """
+import sys
+from ground.pins.model import PinClick
+from ground.pins.store import PinStore
+store = PinStore(sys.argv[1])
+for _ in range(int(sys.argv[2])):
+    pin = store.add([PinClick.entered(1.0, 2.0)], name="n" * 200, crop=b"c" * 5000)
+    print(pin.number, flush=True)
+"""
+
+
+def _writer(path: Path, count: int) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", _WRITER, str(path), str(count)]
+    return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_what_was_answered_survives_kill_9(path: Path) -> None:
+    PinStore(path).close()
+    process = _writer(path, 100_000)
+    assert process.stdout is not None
+    said = [int(process.stdout.readline()) for _ in range(40)]
+    os.kill(process.pid, signal.SIGKILL)
+    said += [int(line) for line in process.communicate()[0].split() if line]
+    with PinStore(path) as store:
+        numbers = [pin.number for pin in store.pins()]
+        assert set(said) <= set(numbers)
+        assert numbers == list(range(1, len(numbers) + 1))
+        assert all(store.crop(pin.clicks[0].id) == b"c" * 5000 for pin in store.pins())
+        assert store.add([typed()]).number == len(numbers) + 1
+
+
+def test_several_processes_and_threads_write_at_once(path: Path) -> None:
+    writers = [_writer(path, 20) for _ in range(2)]
+    with PinStore(path) as store:
+        threads = [threading.Thread(target=lambda: [store.add([typed()]) for _ in range(10)]) for _ in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        for process in writers:
+            out, err = process.communicate(timeout=60)
+            assert process.returncode == 0, err
+            assert len(out.split()) == 20
+        assert [pin.number for pin in store.pins()] == list(range(1, 81))
+        seen = store.revision
+        with PinStore(path) as other:
+            other.edit(other.by_number(7).id, name="seven")
+        assert store.revision > seen
+        assert store.by_number(7).name == "seven"
+
+
+def test_of_two_servers_the_last_writer_wins_on_both(tmp_path: Path) -> None:
+    with PinStore(tmp_path / "a.sqlite") as a, PinStore(tmp_path / "b.sqlite") as b:
+        pin = a.add([clicked()], name="first", who="ann")
+        mine = b.add([typed()], name="other", who="bob")
+        assert b.merge(pin) and not b.merge(pin)
+        assert sorted(p.number for p in b.pins()) == [1, 2]  # number 1 was taken: ours keeps it
+        assert b.by_number(1).id == mine.id
+        # A partition: both change the pin, one of them later.
+        ours, theirs = a.edit(pin.id, name="by ann", who="ann"), b.edit(pin.id, name="by bob", who="bob")
+        assert theirs.modified_unix_ns > ours.modified_unix_ns
+        assert not b.merge(ours) and a.merge(theirs)
+        assert a.pin(pin.id).name == b.pin(pin.id).name == "by bob"
+        b.delete(pin.id, who="bob")
+        (gone,) = b.removed()
+        assert a.merge(gone) and a.pins() == []
+        with pytest.raises(InputError, match="ahead"):
+            a.merge(dataclasses.replace(pin, modified_unix_ns=2**62))
+
+
+def test_ties_are_kept_judged_undone(path: Path) -> None:
+    rng = np.random.default_rng(21)
+    clicks = sightings(rng, np.array([0.0, 1.0]), np.array([TARGET, LANDMARK]))
+    with PinStore(path) as store:
+        pin, places = store.add([clicks[0]]), Places(store)
+        before = places.place(pin)
+        with pytest.raises(TieRefused, match=r"\d+\.\d m"):
+            store.add_tie(tied(clicks[1], LANDMARK + [90.0, 0.0, 0.0], None))
+        assert store.ties() == []
+        tie = store.add_tie(tied(clicks[1], LANDMARK, rng))
+        after = places.place(pin)
+        assert after.ce90_m < 0.9 * before.ce90_m  # type: ignore[union-attr,operator]
+        assert store.undo() is not None
+        assert places.place(pin).ce90_m == before.ce90_m  # type: ignore[union-attr]
+        store.redo()
+    with PinStore(path) as store:
+        assert [t.id for t in store.ties()] == [tie.id]
+        assert Places(store).place(store.pins()[0]).ce90_m == after.ce90_m  # type: ignore[union-attr]
+        store.delete_tie(tie.id)
+        assert store.ties() == []
+
+
+def test_what_was_computed_is_kept_until_something_changes(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with PinStore(path) as store:
+        pin, places = store.add([clicked()]), Places(store)
+        first = places.place(pin)
+        assert places.place(store.pins()[0]) is first
+        assert places.place(store.add_click(pin.id, clicked(2))) is not first
+
+
+@pytest.mark.parametrize("content", [b"no database at all" * 100, b""])
+def test_a_file_of_something_else_is_said_in_a_line(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "f"
+    path.write_bytes(content)
+    if not content:  # an empty file may become one
+        PinStore(path).close()
+        return
+    with pytest.raises(InputError, match="is it a file of pins"):
+        PinStore(path)
+    assert path.read_bytes() == content
+
+
+def test_anothers_database_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "f.sqlite"
+    db = sqlite3.connect(path)
+    db.execute("CREATE TABLE pins (x)")
+    db.commit()
+    db.close()
+    with pytest.raises(InputError, match="something else"):
+        PinStore(path)
+    with pytest.raises(InputError, match=r"f\.sqlite"):
+        PinStore(path / "below")
+
+
+def test_a_damaged_document_is_said_in_a_line(path: Path) -> None:
+    with PinStore(path) as store:
+        store.add([typed()])
+    db = sqlite3.connect(path)
+    db.execute("UPDATE pins SET doc = substr(doc, 1, 40)")
+    db.commit()
+    db.close()
+    with PinStore(path) as store, pytest.raises(InputError, match="damaged"):
+        store.pins()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"id": "../../etc/passwd"}, "id"), ({"number": -1}, "number"), ({"number": True}, "number"),
+        ({"name": 7}, "name"), ({"name": "n" * 201}, "201"), ({"name": "\ud800"}, "name"), ({"category": "x"}, "poi"),
+        ({"clicks": [1]}, "click"), ({"clicks": None}, "clicks"), ({"created_unix_ns": 1e400}, "created"),
+        ({"modified_unix_ns": 2**63}, "modified"), ({"is_deleted": 0}, "is_deleted"),
+    ],
+)  # fmt: skip
+def test_a_pin_that_is_none_is_refused_by_its_field(change: dict[str, object], said: str, path: Path) -> None:
+    with PinStore(path) as store:
+        pin = store.add([clicked()])
+        with pytest.raises(InputError, match=said):
+            Pin.from_dict({**pin.to_dict(), **change})
+
+
+@pytest.mark.parametrize(
+    ("where", "value"),
+    [
+        (("lat_deg",), 91.0), (("lon_deg",), float("nan")), (("u_px",), "1"), (("height_amsl_m",), 1e9),
+        (("covariance_enu_m2",), [[1, 2], [3, 4]]), (("covariance_enu_m2",), np.diag([1.0, 1.0, -1.0]).tolist()),
+        (("errors", "arrays_f64le_base64"), "AAAA"), (("errors", "arrays_f64le_base64"), "?"),
+        (("errors", "arrays_f64le_base64"), None), (("errors", "session"), -1), (("errors", "feature_noise"), 1e9),
+        (("errors",), []),
+    ],
+)  # fmt: skip
+def test_a_click_that_lies_is_refused(where: tuple[str, ...], value: object) -> None:
+    content = clicked().to_dict()
+    *path, last = where
+    inner = content
+    for name in path:
+        inner = inner[name]
+    inner[last] = value
+    with pytest.raises(InputError):
+        PinClick.from_dict(content)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"R_enu_cam": np.zeros((3, 3))}, {"offset_enu_m": np.zeros(3)}, {"common_cov": np.full((9, 9), 1e300)},
+        {"common_cov": -np.eye(9)}, {"pointing_cov_m2": np.triu(np.ones((3, 3)))},
+        {"common_cov": np.full((9, 9), np.nan)}, {"shared": SharedErrors(span_s=(1.0, 0.0))},
+        {"shared": SharedErrors(alignment_sigma=-np.ones(4))}, {"shared": SharedErrors(np.full((9, 13), 1e9))},
+    ],
+)  # fmt: skip
+def test_errors_that_lie_are_refused(change: dict[str, object]) -> None:
+    errors = clicked().errors
+    assert errors is not None
+    lying = dataclasses.replace(errors, **change)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="errors"):
+        ClickErrors.from_dict(lying.to_dict())
+
+
+@pytest.mark.wall_clock
+def test_ten_thousand_pins_and_a_click_stays_quick(path: Path) -> None:
+    """Processor time: what a change and a list of all cost with 10,000 pins there."""
+    import time  # noqa: PLC0415
+
+    one = clicked()
+    with PinStore(path) as store:
+        model = store.add([one])
+        many = [
+            dataclasses.replace(
+                model, id=f"p{k}", number=k, clicks=(dataclasses.replace(PinClick.entered(1.0, 2.0), id=f"c{k}"),)
+            )
+            for k in range(2, 10_001)
+        ]
+        assert store.bring_in(many) == 9_999
+        assert len(store.pins()) == 10_000
+        begun = time.process_time()
+        for _ in range(5):
+            store.add([one])
+            assert len(store.pins()) > 10_000
+        assert (time.process_time() - begun) / 5 < 0.05
