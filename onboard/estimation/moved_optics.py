@@ -16,7 +16,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
+from contract.camera import Camera
 from contract.feature_set import Status
 from contract.rotations import log_so3
 from onboard.estimation.boresight import BORESIGHT, HEADING, OFFSET, STATES, VELOCITY_DELAY
@@ -34,26 +36,51 @@ from onboard.estimation.window_start import grid, starting_points, sweep
 Array = NDArray[np.float64]
 
 MOVED = (Status.STABILISED, Status.ZOOMED)
-ROUNDS = 2  # of shifts: each finds what is left of the one before
-SCALE_ROUNDS = 4
+ROUNDS = 5  # of shifts at most: each finds what is left of the one before
+MOST_STARTS = 4
+SETTLED_PX = 2.0  # rms, of a round that has found nothing new
+SCALE_ROUNDS = 8
+SETTLED_SCALE = 0.002
 LOSS_SIGMAS = 3.0
 STRAINED = 1.3  # times the declared noise, above which a window that is accepted is looked at too
-MAX_COST = 1.5  # a measurement, of pictures that are explained; of noise alone it is less than 1
-LIKELIER = 15.0  # by how much a logarithm of likelihood must grow: pixels' errors are not quite independent
-LIKELIER_SCALE = 60.0  # the same with a scale for every picture: height, too, may err
+MAX_VARIANCE = 3.0  # of pixels, beside what was taken for it, in pictures that are explained
+# By how much a logarithm of likelihood must grow. An attitude that errs exceeds it once in 20 million windows at most,
+# however large the shift is that it suggests: the difference has the mean -d/2 and the variance d, (19.2).
+LIKELIER = 15.0
+FALSE_ALARM = 1e-9  # the same for scales, which are fitted: chi-square of as many degrees of freedom, (19.3)
 LEAST_SCALE = 0.015  # of a zoom that is one: less is what relief and heights leave
+MOST_SCALE = 1.5  # of its logarithm: beyond it features are not the same
+SPREAD = 0.03  # between the first guesses of a window's scales, above which an accepted window is looked at
 BACK = 0.03  # from the first scale, within which a zoom has come back: windows judge again
-HELD_NS = 30_000_000_000  # for which a frame that was seen shifted is still taken to be
+HELD_NS = 30_000_000_000  # for which a frame that was seen shifted, or a lens that zoomed, is still taken to be
 LEAST_JITTER_S = 0.003
+MIN_LEFT = 6.0  # measurements of every picture beyond what is fitted to it, to tell how they fit
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """Costs of the pictures of one window as they are, and shifted back; and how far they were shifted (rms, px)."""
+    """By how much likelier (natural logarithm) the pictures of a window are shifted back, and by how much (rms, px)."""
 
-    as_is: float
-    shifted: float
+    gain: float
     shift_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """Logarithm of each keyframe's scale (K,) beside the first one's, and by how much likelier pictures are with it."""
+
+    log_scale: Array
+    gain: float
+
+    @property
+    def is_zoom(self) -> bool:
+        """Whether they are beyond chance and change as a zoomed lens does: out and back, and not for one picture."""
+        g, least = self.log_scale, 0.5 * float(chdtri(max(len(self.log_scale) - 1, 1), FALSE_ALARM))
+        if not self.gain > least or np.count_nonzero(np.abs(g) > LEAST_SCALE) < 2:
+            return False
+        ends = abs(float(g[-1] - g[0]))
+        there_and_back = 2.0 * float(np.ptp(g)) - ends
+        return float(np.abs(np.diff(g)).sum()) < there_and_back + LEAST_SCALE * len(g)
 
 
 def adjust(request: Request) -> Outcome:
@@ -66,19 +93,25 @@ def adjust(request: Request) -> Outcome:
     outcome = solve_window(request)
     if outcome.status is not Status.POOR_FIT and not (outcome.status is Status.OK and _is_strained(request, outcome)):
         return outcome
-    explanation = explained(request)
+    zoomed_ns = request.noise.zoomed_ns
+    if zoomed_ns and end_ns - zoomed_ns < HELD_NS:
+        noise = replace(request.noise, zoomed_ns=end_ns)
+        reason = (
+            f"the lens zoomed or refocused {(end_ns - zoomed_ns) / 1e9:.0f} s ago, and nothing says that it is back"
+        )
+        return Outcome(Status.ZOOMED, request.keyframes, noise, reason=reason)
+    explanation = explained(replace(request, keyframes=outcome.keyframes))
     excess = _excess(explanation)
-    if outcome.status is Status.POOR_FIT or excess is not None:
-        log_scale, gain = scaled(request)
-        by_shift = 0.0 if explanation is None else explanation.as_is - explanation.shifted
-        if gain > max(LIKELIER_SCALE, by_shift) and np.abs(log_scale).max() > LEAST_SCALE:
-            return _zoomed(request, log_scale)
+    if outcome.status is Status.POOR_FIT or excess is not None or _spreads(request, outcome):
+        found = scaled(request)
+        if found.is_zoom and (explanation is None or found.gain > explanation.gain):
+            return _zoomed(request, found.log_scale)
     return outcome if excess is None else _shifted(request, seen_ns, excess)
 
 
 def _excess(explanation: Explanation | None) -> float | None:
     """How far (px) a window's frame is shifted; None where nothing says that it is."""
-    if explanation is None or explanation.as_is - explanation.shifted < LIKELIER:
+    if explanation is None or explanation.gain < LIKELIER:
         return None
     return explanation.shift_px
 
@@ -89,7 +122,7 @@ def _shifted(request: Request, seen_ns: int, shift_px: float | None) -> Outcome:
     # What it did to the noise says nothing of the next window's.
     noise = replace(request.noise, shifted_ns=seen_ns if shift_px is None else end_ns)
     size = f"{(end_ns - seen_ns) / 1e9:.0f} s ago" if shift_px is None else f"{shift_px:.0f} px rms"
-    reason = f"the frame is shifted from picture to picture (stabilisation), {size}"
+    reason = f"the frame is shifted from picture to picture (stabilisation, a zoom, or rows read late), {size}"
     return Outcome(Status.STABILISED, request.keyframes, noise, reason=reason)
 
 
@@ -100,6 +133,21 @@ def _is_strained(request: Request, outcome: Outcome) -> bool:
     return fails or noise.noise_inflation > STRAINED or noise.jitter_s > STRAINED * declared_s
 
 
+def _spreads(request: Request, outcome: Outcome) -> bool:
+    """Whether features of an accepted window spread, from picture to picture, more than sensors make them."""
+    if outcome.solved is None:
+        return False
+    ground_m = float(np.median(outcome.solved.solution.state.points_enu_m[outcome.solved.good, 2]))
+    found = _picture_to_picture(outcome.keyframes, _by_sensors(request, outcome.keyframes), ground_m)
+    return bool(np.ptp(found) > SPREAD)
+
+
+def _by_sensors(request: Request, keyframes: tuple[Keyframe, ...]) -> Array:
+    """R_cam_enu (K, 3, 3) by attitude, where there is none as it is taken for."""
+    attitudes = [by_attitude(k.nav, request.belief, request.R_body_cam) for k in keyframes]
+    return np.stack([k.R_cam_enu if a is None else a for k, a in zip(keyframes, attitudes, strict=True)])
+
+
 def _followed(request: Request) -> Outcome:
     """A window of which some pictures are known to be scaled: the newest's scale, by all others."""
     if any(k.is_zoom_lost for k in request.keyframes):
@@ -108,10 +156,9 @@ def _followed(request: Request) -> Outcome:
             request, keyframes=tuple(replace(k, log_zoom=0.0, is_zoom_lost=False) for k in request.keyframes)
         )
         outcome = solve_window(plain)
-        if outcome.status is Status.OK:
+        if outcome.status is Status.OK and not _is_strained(plain, outcome):
             return outcome
-    log_scale, _ = scaled(request)
-    return _zoomed(request, log_scale)
+    return _zoomed(request, scaled(request).log_scale)
 
 
 def _zoomed(request: Request, log_scale: Array) -> Outcome:
@@ -120,39 +167,42 @@ def _zoomed(request: Request, log_scale: Array) -> Outcome:
     at_first = np.abs(total) < BACK
     scales = np.where(at_first, 0.0, total).tolist()
     keyframes = tuple(replace(k, log_zoom=z) for k, z in zip(request.keyframes, scales, strict=True))
+    noise = replace(request.noise, zoomed_ns=request.keyframes[-1].nav.stamp_ns)
     if at_first[-1] and not at_first.all():  # it has come back: go on with the pictures since
+        noise = replace(noise, zoomed_ns=0)
         keyframes = keyframes[int(np.flatnonzero(~at_first)[-1]) + 1 :]
     reason = f"the lens has zoomed or refocused: scale {np.exp(total[-1]):.3f}"
-    return Outcome(Status.ZOOMED, keyframes, request.noise, reason=reason)
+    return Outcome(Status.ZOOMED, keyframes, noise, reason=reason)
 
 
-def scaled(request: Request) -> tuple[Array, float]:
-    """Logarithm of each keyframe's scale (K,) beside the first one's, and by how much the cost falls with them. (19.3)
-
-    As they were taken for and 0 where too little is there to adjust.
-    """
+def scaled(request: Request) -> Scales:
+    """The scales that explain a window best; as they were taken for, where too little is there to adjust. (19.3)"""
     keyframes = request.keyframes
-    nothing = np.array([k.log_zoom - keyframes[0].log_zoom for k in keyframes])
+    nothing = Scales(np.array([k.log_zoom - keyframes[0].log_zoom for k in keyframes]), 0.0)
     if len(keyframes) < MIN_KEYFRAMES:
-        return nothing, 0.0
-    attitudes = [by_attitude(k.nav, request.belief, request.R_body_cam) for k in keyframes]
-    R = np.stack([k.R_cam_enu if a is None else a for k, a in zip(keyframes, attitudes, strict=True)])
-    has_attitude = have_attitude(keyframes)
-    first = _adjusted(request, keyframes, R, has_attitude=has_attitude)
+        return nothing
+    R, has_attitude = _by_sensors(request, keyframes), have_attitude(keyframes)
+    first = _settled(request, keyframes, R, has_attitude=has_attitude)
     if first is None:
-        return nothing, 0.0
+        return nothing
     ground_m = float(np.median(first.state.points_enu_m[:, 2]))
-    log_scale, gain = _picture_to_picture(keyframes, R, ground_m), 0.0
-    solution: Solution | None = None
+    log_scale, solution = _picture_to_picture(keyframes, R, ground_m), first
     for _ in range(SCALE_ROUNDS):
+        if np.abs(log_scale).max() > MOST_SCALE:
+            return nothing
         back = tuple(_scaled_back(request, k, float(z)) for k, z in zip(keyframes, log_scale, strict=True))
-        solution = _adjusted(request, back, R, has_attitude=has_attitude)
-        if solution is None:
-            return nothing, 0.0
-        gain = first.cost - solution.cost
-        found = _farther_out(solution, back)
-        log_scale = log_scale + found - found[0]
-    return (log_scale, gain) if _fits(solution) else (nothing, 0.0)
+        again = _adjusted(request, back, R, has_attitude=has_attitude)
+        if again is None:
+            return nothing
+        solution, found = again, _farther_out(again, back)
+        found = found - found[0]
+        if np.abs(found).max() < SETTLED_SCALE:
+            break
+        log_scale = log_scale + found
+    variance = _pixel_variance(solution)
+    if variance is None:
+        return nothing
+    return Scales(log_scale, (first.cost - solution.cost) / variance)
 
 
 def _picture_to_picture(keyframes: tuple[Keyframe, ...], R: Array, ground_m: float) -> Array:
@@ -193,10 +243,13 @@ def _farther_out(solution: Solution, keyframes: tuple[Keyframe, ...]) -> Array:
 
 
 def _scaled_back(request: Request, keyframe: Keyframe, log_scale: float) -> Keyframe:
-    camera, seen = request.camera, keyframe.observation
-    middle = np.array([camera.cx_px, camera.cy_px])
-    uv = middle + (seen.uv_px - middle) * np.exp(-log_scale)
-    return replace(keyframe, observation=observation(camera, seen.ids, uv, seen.moving))
+    grown, camera = float(np.exp(log_scale)), request.camera
+    return _seen_through(replace(camera, fx_px=camera.fx_px * grown, fy_px=camera.fy_px * grown), keyframe)
+
+
+def _seen_through(camera: Camera, keyframe: Keyframe) -> Keyframe:
+    seen = keyframe.observation
+    return replace(keyframe, observation=observation(camera, seen.ids, seen.uv_px, seen.moving))
 
 
 def explained(request: Request) -> Explanation | None:
@@ -204,9 +257,8 @@ def explained(request: Request) -> Explanation | None:
     keyframes = request.keyframes
     if len(keyframes) < MIN_KEYFRAMES or not have_attitude(keyframes):
         return None
-    attitudes = [by_attitude(k.nav, request.belief, request.R_body_cam) for k in keyframes]
-    R = np.stack([a for a in attitudes if a is not None])
-    first = _adjusted(request, keyframes, R)
+    R = _by_sensors(request, keyframes)
+    first = _settled(request, keyframes, np.stack([k.R_cam_enu for k in keyframes]))
     if first is None:
         return None
     solution, shift = first, np.zeros((len(keyframes), 2))
@@ -214,28 +266,38 @@ def explained(request: Request) -> Explanation | None:
         turned = log_so3(solution.state.R_cam_enu @ R.transpose(0, 2, 1))
         # A rotation e moves what lies ahead by (e_y, -e_x); what all pictures have in common is mount and lens.
         found = np.column_stack([turned[:, 1], -turned[:, 0]])
-        shift = shift + found - np.median(found, axis=0)
-        again = _adjusted(request, _shifted_back(request, keyframes, shift), R)
+        found = found - np.median(found, axis=0)
+        if float(np.sqrt(np.mean(np.sum(found**2, axis=1)))) * request.camera.focal_px < SETTLED_PX:
+            break
+        shift = shift + found
+        again = _adjusted(request, _shifted_back(request, keyframes, shift), solution.state.R_cam_enu)
         if again is None:
             return None
         solution = again
     size_px = float(np.sqrt(np.mean(np.sum(shift**2, axis=1)))) * request.camera.focal_px
-    if not _fits(solution):
-        return None
-    return Explanation(_image_cost(first), _image_cost(solution), size_px)
+    variance = _pixel_variance(solution)
+    return None if variance is None else Explanation((_image_cost(first) - _image_cost(solution)) / variance, size_px)
 
 
 def _shifted_back(request: Request, keyframes: tuple[Keyframe, ...], shift: Array) -> tuple[Keyframe, ...]:
-    focal = np.array([request.camera.fx_px, request.camera.fy_px])
+    c = request.camera
     return tuple(
-        replace(
-            k,
-            observation=observation(
-                request.camera, k.observation.ids, k.observation.uv_px - s * focal, k.observation.moving
-            ),
-        )
-        for k, s in zip(keyframes, shift, strict=True)
+        _seen_through(replace(c, cx_px=c.cx_px + c.fx_px * x, cy_px=c.cy_px + c.fy_px * y), k)
+        for k, (x, y) in zip(keyframes, shift.tolist(), strict=True)
     )
+
+
+def _settled(
+    request: Request, keyframes: tuple[Keyframe, ...], R: Array, *, has_attitude: bool = False
+) -> Solution | None:
+    """Adjusted until it stays where it is: a compass may be wrong by more than one adjustment goes."""
+    out = _adjusted(request, keyframes, R, has_attitude=has_attitude)
+    for _ in range(MOST_STARTS):
+        again = None if out is None else _adjusted(request, keyframes, out.state.R_cam_enu, has_attitude=has_attitude)
+        if out is None or again is None or again.cost > out.cost - 1.0:
+            break
+        out = again
+    return out
 
 
 def _adjusted(
@@ -276,11 +338,21 @@ def _adjusted(
     return approximate(problem, state)
 
 
-def _fits(solution: Solution | None) -> bool:
-    """Whether pictures fit at all: what leaves them as wrong as before explains nothing."""
-    if solution is None:
-        return False
-    return _image_cost(solution) < MAX_COST * int(np.count_nonzero(np.isfinite(solution.residual_sigmas)))
+def _pixel_variance(solution: Solution) -> float | None:
+    """Of pixels, beside what was taken for it, at least 1; None where pictures do not fit: that explains nothing.
+
+    Every picture must fit for itself: one that shows something else is no worse off with any scale.
+    """
+    sigmas = solution.residual_sigmas
+    seen, squared = np.isfinite(sigmas), np.square(np.where(np.isfinite(sigmas), sigmas, 0.0))
+    cost = np.where(seen, LOSS_SIGMAS**2 * np.log1p(squared / LOSS_SIGMAS**2), 0.0)
+    points = np.count_nonzero(seen, axis=0)
+    # Of two coordinates each, less a point's three, spread over its pictures, less a pose's six.
+    left = np.sum(np.where(seen, 2.0 - 3.0 / np.maximum(points, 2), 0.0), axis=1) - 6.0
+    enough = left > MIN_LEFT
+    if not enough.all() or float((cost.sum(axis=1) / left).max()) > MAX_VARIANCE:
+        return None
+    return max(float(cost.sum() / left.sum()), 1.0)
 
 
 def _image_cost(solution: Solution) -> float:

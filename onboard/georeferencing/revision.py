@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.feature_set import FeatureSet
 from onboard.estimation.solved_window import Solved
 from onboard.georeferencing.feature_sets import Placed
 
@@ -32,6 +33,7 @@ class Revisions:
 
     def __init__(self) -> None:
         self._pair: tuple[Solved, Solved, bool] | None = None
+        self._radius_m = 0.0  # the least by the newer of that pair, where its rows take another time
 
     def is_needless(self, placed: Placed, now: Solved) -> bool:
         """Whether the picture need not be placed again by `now`."""
@@ -40,7 +42,9 @@ class Revisions:
             return True
         if self._pair is None or self._pair[0] is not before or self._pair[1] is not now:
             self._pair = before, now, are_alike(before, now)
-        return self._pair[2] and is_all_in_reach(placed.feature_set.uv_px, placed.feature_set.camera.size_px)
+            self._radius_m = 0.0 if now.readout_s == before.readout_s else _least_radius_m(now)
+        is_here = self._pair[2] and is_all_in_reach(placed.feature_set.uv_px, placed.feature_set.camera.size_px)
+        return is_here and _rows_move_m(placed.feature_set, now.readout_s - before.readout_s) <= MOVED * self._radius_m
 
 
 def are_alike(before: Solved, now: Solved) -> bool:
@@ -56,6 +60,22 @@ def are_alike(before: Solved, now: Solved) -> bool:
     was_m, is_m = _reaches_m(before, one, stamp_ns), _reaches_m(now, other, stamp_ns)
     is_there = np.all(moved_m < [[MOVED], [RISEN]] * is_m)
     return bool(is_there and np.all(np.abs(was_m[0] - is_m[0]) < WIDENED * is_m[0]))
+
+
+def _least_radius_m(solved: Solved) -> float:
+    rows = np.flatnonzero(solved.good)
+    some = rows[np.linspace(0, len(rows) - 1, min(MOST_POINTS, len(rows))).astype(np.intp)]
+    return float(_reaches_m(solved, some, solved.keyframes[-1].nav.stamp_ns)[0].min())
+
+
+def _rows_move_m(feature_set: FeatureSet, longer_s: float) -> float:
+    """How far over the ground clicks move at most if the rows take so much longer to read: in the corners. (18.4)"""
+    if feature_set.shutter is None or longer_s == 0.0:
+        return 0.0
+    rays, _ = feature_set.camera.unproject(corners_of(feature_set.camera.size_px))
+    w = np.maximum(rays @ feature_set.plane_per_m[[1, 2, 0]], 1e-6)
+    moved = 0.5 * longer_s * feature_set.shutter.image_velocity(rays[:, :2], w)
+    return float((np.linalg.norm(moved, axis=1) / w).max())
 
 
 def _reaches_m(solved: Solved, rows: NDArray[np.intp], stamp_ns: int) -> Array:
@@ -74,5 +94,10 @@ def is_all_in_reach(uv_px: Array, size_px: tuple[int, int]) -> bool:
     hull = cv2.convexHull(uv_px.astype(np.float32))
     reach_px = IN_REACH * float(np.sqrt(cv2.contourArea(hull)))
     # The hull and what is in reach of it are convex: with the corners, the whole picture is in it.
-    corners = [(u, v) for u in (0.0, size_px[0] - 1.0) for v in (0.0, size_px[1] - 1.0)]
-    return all(-cv2.pointPolygonTest(hull, corner, True) < reach_px for corner in corners)
+    corners = corners_of(size_px)
+    return all(-cv2.pointPolygonTest(hull, (u, v), True) < reach_px for u, v in corners.tolist())
+
+
+def corners_of(size_px: tuple[int, int]) -> Array:
+    """The outermost pixels of a picture (4, 2)."""
+    return np.array([(u, v) for u in (0.0, size_px[0] - 1.0) for v in (0.0, size_px[1] - 1.0)])

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ground.locate import MAX_OUTSIDE
+from onboard.estimation.rolling_shutter import Moving
 from onboard.estimation.solved_window import Solved
 from onboard.geometry.plane_homography import Pose
 from onboard.georeferencing.feature_sets import Origin, Picture, Placed, place
@@ -124,3 +125,23 @@ def test_what_counts_as_in_reach_the_ground_answers() -> None:
     assert is_all_in_reach(corners, SIZE_PX)
     # A square of half the picture's height in its middle: its reach ends well before the corners.
     assert not is_all_in_reach(320.0 + 120.0 * (corners / [319.5, 239.5] - 1.0) * [1.0, 0.75], SIZE_PX)
+
+
+def test_rows_that_take_another_time_are_another_answer_where_that_moves_a_corner(placed: Placed) -> None:
+    """By a tenth of the radius, with the points where they were; of a global shutter nothing is to move."""
+    u, v = np.meshgrid(np.linspace(0.0, 639.0, 6), np.linspace(0.0, 479.0, 5))
+    rate, velocity = np.array([0.3, 0.0, 0.0]), np.array([0.0, 20.0, 0.0])
+    moving = Moving(0.03, rate, velocity, velocity, np.zeros(3))
+    one = replace(
+        placed.feature_set,
+        uv_px=np.stack([u.ravel(), v.ravel()], axis=1),
+        shutter=moving.for_ground(np.eye(3), 0.03, 0.0),
+    )
+    held = replace(placed, feature_set=one)
+    range_m = 1.0 / float(one.plane_per_m[0])
+    step_s = MOVED * radius_m(placed.solved) / (0.5 * (0.3 * range_m + 20.0))  # in the middle of the outer rows
+    for share, expected in ((0.3, True), (-0.3, True), (3.0, False), (-3.0, False)):
+        now = replace(placed.solved, readout_s=placed.solved.readout_s + share * step_s)
+        assert Revisions().is_needless(held, now) is expected
+        at_once = replace(placed, feature_set=replace(one, shutter=None))
+        assert Revisions().is_needless(at_once, now) is True
