@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from onboard.estimation.camera_states import COUNT, by_states
+from onboard.estimation.camera_states import COUNT, by_states, readout_s
 from onboard.estimation.factors import (
     HeightModel,
     Layout,
@@ -104,6 +104,7 @@ class _Residuals:
     pull: Array
     cost: float
     by_camera: Array | None  # (K, C, 2, P) how measurements move with the camera's own states
+    by_rate: Array | None  # (K, 3, 2, P) how they move with their pictures' rates
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +122,8 @@ class _Linear:
     by_point: Array  # (K, 3, 2, P)
     by_camera: Array | None  # (K, C, 2, P)
     camera: slice  # its columns
+    by_rate: Array | None  # (K, 3, 2, P)
+    rates: NDArray[np.intp]  # (K, 3) their columns
     columns: NDArray[np.intp]  # of the camera side that the ground depends on
     ground_by_side: Array  # (G, P)
     ground_by_point: Array  # (3, P)
@@ -145,13 +148,15 @@ def evaluate(problem: Problem, state: State, scale: float | None) -> float:
 def _residuals(problem: Problem, xy: Array, state: State, scale: float | None) -> _Residuals:
     weight = problem.weight
     image, predicted, depth = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, xy)
-    by_camera = None
+    by_camera = by_rate = None
     if problem.camera is not None:
         # Where points are predicted, not where they were measured: a larger focal length must not shrink the noise.
         by_camera = by_states(problem.camera, predicted[:, 0], predicted[:, 1])
     if problem.sweep is not None:
-        by_readout = problem.sweep.by_readout(state.R_cam_enu, predicted, depth)
+        by_readout = problem.sweep.by_readout(state.R_cam_enu, predicted, depth, state.rates_rad_s)
         image += problem.sweep.readout_s * by_readout
+        if problem.layout.has_rates:
+            by_rate = (problem.sweep.readout_s + readout_s(state.camera)) * problem.sweep.by_rate(predicted)
         if by_camera is not None and problem.layout.camera_states > COUNT:
             by_camera = np.concatenate([by_camera, -by_readout[:, None]], axis=1)
     if by_camera is not None:
@@ -176,8 +181,15 @@ def _residuals(problem: Problem, xy: Array, state: State, scale: float | None) -
         cost += float(r @ r)
     J = np.concatenate([J for _, J in priors])
     stiffness, pull = J.T @ J, J.T @ np.concatenate([r for r, _ in priors])
+    if problem.sweep is not None and problem.layout.has_rates:
+        columns, weight_s2 = problem.layout.rates.ravel(), problem.sweep.sigma_rate_rad_s**-2
+        off = state.rates_rad_s.ravel()
+        cost += weight_s2 * float(off @ off)
+        stiffness[columns, columns] += weight_s2
+        pull[columns] += weight_s2 * off
+    cost *= 0.5
     return _Residuals(
-        state, image, predicted, depth, behind, squared, robust, ground, stiffness, pull, 0.5 * cost, by_camera
+        state, image, predicted, depth, behind, squared, robust, ground, stiffness, pull, cost, by_camera, by_rate
     )
 
 
@@ -225,6 +237,17 @@ def _linearise(problem: Problem, at: _Residuals) -> _Linear:
         U[: 6 * K, layout.camera] += across.reshape(6 * K, -1)
         U[layout.camera, : 6 * K] += across.reshape(6 * K, -1).T
         bc[layout.camera] += np.einsum("kcn,kn->c", flat_camera, r.reshape(K, 2 * P))
+    by_rate = None
+    if at.by_rate is not None:
+        by_rate = at.by_rate * s[:, None, None]
+        flat_rate = by_rate.reshape(K, 3, 2 * P)
+        views, rates = np.arange(6 * K).reshape(K, 6), layout.rates
+        U[rates[:, :, None], rates[:, None]] += flat_rate @ flat_rate.transpose(0, 2, 1)
+        _add_both(U, views, rates, flat @ flat_rate.transpose(0, 2, 1))
+        if by_camera is not None:
+            own = np.tile(np.arange(layout.size)[layout.camera], (K, 1))
+            _add_both(U, own, rates, by_camera.reshape(K, -1, 2 * P) @ flat_rate.transpose(0, 2, 1))
+        bc[rates] += (flat_rate @ r.reshape(K, 2 * P, 1))[..., 0]
     columns, gs, gp = np.zeros(0, np.intp), np.zeros((0, P)), np.zeros((3, P))
     if at.ground is not None:
         assert problem.ground_weight is not None
@@ -242,7 +265,13 @@ def _linearise(problem: Problem, at: _Residuals) -> _Linear:
         bp += gp * rg
         U[np.ix_(columns, columns)] += gs @ gs.T
         bc[columns] += gs @ rg
-    return _Linear(U, V, bc, bp, J, A, by_camera, layout.camera, columns, gs, gp)
+    return _Linear(U, V, bc, bp, J, A, by_camera, layout.camera, by_rate, layout.rates, columns, gs, gp)
+
+
+def _add_both(U: Array, rows: NDArray[np.intp], columns: NDArray[np.intp], blocks: Array) -> None:
+    """Add blocks (K, A, B) off the diagonal of U, at rows (K, A) and columns (K, B), and their transposes."""
+    U[rows[:, :, None], columns[:, None]] += blocks
+    U[columns[:, :, None], rows[:, None]] += blocks.transpose(0, 2, 1)
 
 
 def _point_factor(V: Array, damping: float) -> tuple[Array, ...]:
@@ -298,6 +327,8 @@ def _reduce(system: _Linear, damping: float) -> Reduced:
     views += J[:, :, None, 1] * A[:, None, 1]
     if system.by_camera is not None:
         Z[system.camera] += np.einsum("kcip,kijp->cjp", system.by_camera, A)
+    if system.by_rate is not None:
+        Z[system.rates] += np.einsum("kcip,kijp->kcjp", system.by_rate, A)
     if len(system.columns):
         Z[system.columns] += system.ground_by_side[:, None] * _forward(factor, system.ground_by_point)
     zb = _forward(factor, system.bp)

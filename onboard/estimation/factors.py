@@ -3,7 +3,8 @@
 The unknowns are laid out by `Layout`: six columns a keyframe (rotation `d`, R_cam_enu <- exp([d]x) R_cam_enu, rad; then
 centre, ENU metres), then what is estimated of the platform (boresight in camera axes, rad; the camera's time offset and
 the delays of position and velocity, s; the heading's error that depends on heading, rad), of the camera itself
-(`camera_states`), and the ground plane (height m at the reference point, slope east, slope north). Points are
+(`camera_states`), the ground plane (height m at the reference point, slope east, slope north), and, where rows are read
+one after the other and nothing measures it, what each picture's angular rate is off by (rad/s, camera axes). Points are
 eliminated and have no column here.
 """
 
@@ -30,6 +31,7 @@ class Layout:
 
     keyframes: int
     camera_states: int = 0
+    has_rates: bool = False  # of the pictures: `Layout.rates`
 
     @property
     def boresight(self) -> slice:
@@ -64,17 +66,23 @@ class Layout:
     @property
     def shared(self) -> slice:
         """Boresight, time offset, delays, heading error, camera and plane."""
-        return slice(6 * self.keyframes, self.size)
+        return slice(6 * self.keyframes, 6 * self.keyframes + 11 + self.camera_states)
 
     @property
     def plane(self) -> slice:
         """Three columns: height (m), slope east, slope north."""
-        return slice(self.size - 3, self.size)
+        first = 6 * self.keyframes + 8 + self.camera_states
+        return slice(first, first + 3)
 
     @property
     def size(self) -> int:
         """All columns."""
-        return 6 * self.keyframes + 11 + self.camera_states
+        return 6 * self.keyframes + 11 + self.camera_states + 3 * self.keyframes * self.has_rates
+
+    @property
+    def rates(self) -> NDArray[np.intp]:
+        """Column numbers (K, 3) of what the pictures' rates are off by, rad/s; (0, 3) where they are measured."""
+        return np.arange(self.shared.stop, self.size).reshape(-1, 3)
 
     def rotation(self, keyframe: int) -> slice:
         """Three columns, rad."""
@@ -107,12 +115,13 @@ class State:
     velocity_delay_s: float = 0.0  # the same of the velocity
     heading_rad: Array = field(default_factory=lambda: np.zeros(2))  # (2,) see `Layout.heading`
     camera: Array = field(default_factory=lambda: np.zeros(0))  # deviations from the camera file, see `Layout.camera`
+    rates_rad_s: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (K, 3) or (0, 3), see `Layout.rates`
 
     def retract(self, dc: Array, dp: Array) -> State:
         """Apply a step: dc (Layout.size,), dp (P, 3)."""
         K = len(self.R_cam_enu)
         pose = dc[: 6 * K].reshape(K, 6)
-        shared = dc[6 * K :]
+        shared, rates = np.split(dc[6 * K :], [11 + len(self.camera)])
         return State(
             exp_so3(pose[:, :3]) @ self.R_cam_enu,
             self.centres_enu_m + pose[:, 3:],
@@ -124,6 +133,7 @@ class State:
             self.velocity_delay_s + float(shared[5]),
             self.heading_rad + shared[6:8],
             self.camera + shared[8:-3],
+            self.rates_rad_s + rates.reshape(-1, 3),
         )
 
     @property

@@ -79,6 +79,19 @@ def _undistorted(camera: Camera, ids: Ids, uv_px: Array, near: Array | None, mov
     return Observation(camera, ids[valid], uv_px[valid], at_once, gain, xy, share, moving)
 
 
+def swept(keyframes: Sequence[Keyframe], rates_cam_rad_s: Array) -> tuple[Keyframe, ...]:
+    """The keyframes with these angular rates (K, 3) while they were read."""
+    out = []
+    for k, rate in zip(keyframes, rates_cam_rad_s, strict=True):
+        seen, moving = k.observation, k.observation.moving
+        if moving is not None:
+            moving = replace(moving, rate_cam_rad_s=rate)
+            xy = seen.raw_xy - moving.readout_s * moving.by_readout(seen.raw_xy, seen.share)
+            seen = replace(seen, xy=xy, moving=moving)
+        out.append(replace(k, observation=seen))
+    return tuple(out)
+
+
 def have_attitude(keyframes: Sequence[Keyframe]) -> bool:
     """Whether the autopilot gave an attitude to every one."""
     return all(k.nav.R_enu_body is not None for k in keyframes)

@@ -23,7 +23,7 @@ from contract.feature_set import Status
 from contract.rotations import log_so3
 from onboard.estimation.boresight import BORESIGHT, HEADING, OFFSET, STATES, VELOCITY_DELAY
 from onboard.estimation.bundle_adjustment import Problem, Solution
-from onboard.estimation.factors import AttitudePrior, Layout, State
+from onboard.estimation.factors import AttitudePrior, State
 from onboard.estimation.keyframe import Keyframe, have_attitude, observation
 from onboard.estimation.second_start import by_attitude
 from onboard.estimation.sensor_factors import sensor_priors
@@ -31,7 +31,7 @@ from onboard.estimation.sensor_groups import FORGOTTEN
 from onboard.estimation.window_acceptance import MIN_POINTS
 from onboard.estimation.window_solver import MIN_KEYFRAMES, Outcome, Request, approximate
 from onboard.estimation.window_solver import adjust as solve_window
-from onboard.estimation.window_start import grid, starting_points, sweep
+from onboard.estimation.window_start import grid, layout_of, starting_points, sweep
 
 Array = NDArray[np.float64]
 
@@ -312,11 +312,12 @@ def _adjusted(
     xy, raw, weight, share = grid(request, ids)
     centres = np.stack([k.nav.position_enu_m for k in keyframes])
     points, reference, plane = starting_points(request, ids, R, centres, xy, weight > 0)
-    belief, layout = request.belief, Layout(len(keyframes), len(request.camera_taken))
+    rows = sweep(request, keyframes, share)
+    belief, layout = request.belief, layout_of(request, keyframes, rows)
     offset_s, late_s, velocity_late_s = belief.mean[OFFSET : VELOCITY_DELAY + 1].tolist()
-    lens = belief.mean[STATES:]
+    lens, off = belief.mean[STATES:], np.zeros(layout.rates.shape)
     boresight, heading = belief.mean[BORESIGHT], belief.mean[HEADING]
-    state = State(R, centres, points, boresight, offset_s, plane, late_s, velocity_late_s, heading, lens)
+    state = State(R, centres, points, boresight, offset_s, plane, late_s, velocity_late_s, heading, lens, off)
     noise, config = request.noise, request.config
     priors = sensor_priors(
         config, request.R_body_cam, list(keyframes), layout, belief, False, noise.jitter_s, noise.factors, request.slope
@@ -333,7 +334,7 @@ def _adjusted(
         float(centres[:, 2].mean() - reference[2]),
         request.camera if layout.camera_states else None,
         request.camera_taken,
-        sweep(request, keyframes, share),
+        rows,
     )
     return approximate(problem, state)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,8 @@ class Resection:
     by_point: Array  # (N, 6, 3): J_view' J_point of each measurement, weighted
     sigmas: Array  # (N,) length of each whitened residual
     inliers: Mask
+    # What is added to the given rate where nothing measures that; information and `by_point` then have three more rows.
+    rate_off_rad_s: Array = field(default_factory=lambda: np.zeros(3))
 
 
 def resect(
@@ -52,34 +54,54 @@ def resect(
     """
     R0, C0 = R_cam_enu, centre_enu_m
     R, C = start or (R0, C0)
+    has_rate = sweep is not None and sweep.sigma_rate_rad_s > 0.0
+    rate_off, settled = np.zeros(3), _SETTLED
+    if sweep is not None and has_rate:
+        prior_sigma = np.concatenate([prior_sigma, np.full(3, sweep.sigma_rate_rad_s)])
+        settled = np.concatenate([_SETTLED, np.full(3, 1e3)])
     prior = 1.0 / prior_sigma**2
     stiff = np.diag(prior)
     for _ in range(steps):
-        A, _, r, _, _ = _whitened(points_enu_m, xy, weight, R, C, scale, sweep)
-        off = np.concatenate([log_so3(R @ R0.T), C - C0])
+        A, _, r, _, _ = _whitened(points_enu_m, xy, weight, R, C, scale, sweep, rate_off)
+        off = np.concatenate([log_so3(R @ R0.T), C - C0, rate_off] if has_rate else [log_so3(R @ R0.T), C - C0])
         step = -solve_small(A @ A.T + stiff, A @ r + prior * off)
-        R, C = exp_so3(step[:3]) @ R, C + step[3:]
+        R, C = exp_so3(step[:3]) @ R, C + step[3:6]
+        rate_off = rate_off + step[6:] if has_rate else rate_off
         # A hundredth of a pixel, a centimetre: far below what the pose is known to.
-        if np.abs(step * _SETTLED).max() < 1.0:
+        if np.abs(step * settled).max() < 1.0:
             break
-    A, B, _, sigmas, used = _whitened(points_enu_m, xy, weight, R, C, scale, sweep)
+    A, B, _, sigmas, used = _whitened(points_enu_m, xy, weight, R, C, scale, sweep, rate_off)
     information = A @ A.T + stiff
-    rows, N = A.reshape(6, 2, -1), len(points_enu_m)
-    by_point = (rows[:, None, 0] * B[:, 0] + rows[:, None, 1] * B[:, 1]).reshape(18, N).T.reshape(N, 6, 3)
-    return Resection(R, C, information, by_point, sigmas, used & (sigmas < 2.0 * scale))
+    n, N = len(A), len(points_enu_m)
+    rows = A.reshape(n, 2, -1)
+    by_point = (rows[:, None, 0] * B[:, 0] + rows[:, None, 1] * B[:, 1]).reshape(3 * n, N).T.reshape(N, n, 3)
+    return Resection(R, C, information, by_point, sigmas, used & (sigmas < 2.0 * scale), rate_off)
 
 
 def _whitened(
-    points: Array, xy: Array, weight: Array, R: Array, C: Array, scale: float, sweep: Sweep | None = None
+    points: Array,
+    xy: Array,
+    weight: Array,
+    R: Array,
+    C: Array,
+    scale: float,
+    sweep: Sweep | None,
+    rate_off: Array,
 ) -> tuple[Array, Array, Array, Array, Mask]:
-    """Rows by the view (6, 2N), by the point (3, 2, N), residual (2N,), sigmas (N,), and which lie ahead (N,)."""
+    """Rows by the view (6, 2N), by the point (3, 2, N), residual (2N,), sigmas (N,), and which lie ahead (N,).
+
+    By the view (9, 2N) where its angular rate is to be found too.
+    """
     residual, predicted, depth = reprojection(R[None], C[None], points, xy.T[None])
     if sweep is not None:
-        residual += sweep.readout_s * sweep.by_readout(R[None], predicted, depth)
+        residual += sweep.readout_s * sweep.by_readout(R[None], predicted, depth, rate_off[None])
     ahead: Mask = depth[0] > 1e-6
     squared = np.where(ahead, (residual[0] ** 2).sum(axis=0) * weight**2, 1e6)
     _, robust = robust_cost(squared, scale)
     s = weight * np.sqrt(robust) * ahead
     by_rotation, by_point = reprojection_jacobians(R[None], predicted, depth, s[None])
-    A = np.concatenate([by_rotation[0], -by_point[0]]).reshape(6, -1)
+    by_view = [by_rotation[0], -by_point[0]]
+    if sweep is not None and sweep.sigma_rate_rad_s:
+        by_view.append(sweep.readout_s * sweep.by_rate(predicted)[0] * s)
+    A = np.concatenate(by_view).reshape(3 * len(by_view), -1)
     return A, by_point[0], (residual[0] * s).reshape(-1), np.sqrt(squared), ahead

@@ -52,13 +52,25 @@ class Sweep:
     share: Array  # (K, P) of the readout at which each measurement's row was exposed, 0 where there is none
     rate_cam_rad_s: Array  # (K, 3)
     velocity_enu_m_s: Array  # (K, 3)
+    sigma_rate_rad_s: float = 0.0  # of rates that nothing measures: they are estimated with the poses; 0: as given
 
-    def by_readout(self, R_cam_enu: Array, predicted: Array, depth: Array) -> Array:
-        """d x / d readout (K, 2, P) of points predicted at (K, 2, P) with `depth` (K, P), by (18.2)."""
+    def by_readout(self, R_cam_enu: Array, predicted: Array, depth: Array, rates_off: Array | None = None) -> Array:
+        """d x / d readout (K, 2, P) of points predicted at (K, 2, P) with `depth` (K, P), by (18.2).
+
+        `rates_off` (K, 3): what is added to the rates.
+        """
         velocity = np.einsum("kij,kj->ik", R_cam_enu, self.velocity_enu_m_s)[:, :, None]
-        rate = self.rate_cam_rad_s.T[:, :, None]
+        rates = self.rate_cam_rad_s if rates_off is None or not len(rates_off) else self.rate_cam_rad_s + rates_off
+        rate = rates.T[:, :, None]
         moved = image_velocity(predicted[:, 0], predicted[:, 1], 1.0 / np.maximum(depth, 1e-6), rate, velocity)
         out: Array = np.stack(moved, axis=1) * self.share[:, None]
+        return out
+
+    def by_rate(self, predicted: Array) -> Array:
+        """d x / d (readout rate) (K, 3, 2, P) of points predicted at (K, 2, P). (18.5)"""
+        x, y = predicted[:, 0], predicted[:, 1]
+        moved = np.stack([x * y, 1.0 + y * y, -1.0 - x * x, -x * y, y, -x], axis=1).reshape(len(x), 3, 2, -1)
+        out: Array = moved * self.share[:, None, None]
         return out
 
 

@@ -21,7 +21,7 @@ from onboard.estimation.factors import AttitudePrior, Layout, Prior, State, Velo
 from onboard.estimation.ground_motion import ground_motion, ground_sigma_m_s
 from onboard.estimation.ground_roughness import effective_sigma_m
 from onboard.estimation.ground_slope import SlopePrior
-from onboard.estimation.keyframe import Ids, Keyframe, have_attitude
+from onboard.estimation.keyframe import Ids, Keyframe, have_attitude, swept
 from onboard.estimation.reobservation import Agreement
 from onboard.estimation.second_start import by_sensors, confirms, is_worth_another, verdict
 from onboard.estimation.sensor_factors import range_prior, sensor_priors
@@ -38,7 +38,7 @@ from onboard.estimation.window_acceptance import (
     by_itself,
     by_memory,
 )
-from onboard.estimation.window_start import grid, oriented, starting_points, sweep, travel_m
+from onboard.estimation.window_start import grid, layout_of, oriented, starting_points, sweep, travel_m
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.terrain_grid import Terrain
 
@@ -185,14 +185,15 @@ def _adjusted(request: Request) -> Outcome:
         return Outcome(status, keyframes, noise, reason="the pictures' rays support no orientation")
     keyframes = start
     rows = sweep(request, keyframes, share)
-    layout = Layout(len(keyframes), len(request.camera_taken))
+    layout = layout_of(request, keyframes, rows)
     R = np.stack([k.R_cam_enu for k in keyframes])
     C = np.stack([k.centre_enu_m for k in keyframes])
     points, reference, plane = starting_points(request, ids, R, C, xy, weight > 0)
     belief = request.belief
     offset_s, late_s, velocity_late_s = belief.mean[OFFSET : VELOCITY_DELAY + 1].tolist()
     platform = belief.mean[BORESIGHT], belief.mean[HEADING], belief.mean[STATES:]
-    state = State(R, C, points, platform[0], offset_s, plane, late_s, velocity_late_s, *platform[1:])
+    off = np.zeros(layout.rates.shape)
+    state = State(R, C, points, platform[0], offset_s, plane, late_s, velocity_late_s, *platform[1:], off)
     ground_weight, terrain = _ground(request, points)
     if terrain is not None:
         reference[2] = 0.0
@@ -266,6 +267,10 @@ def _adjusted(request: Request) -> Outcome:
     adjusted = refine(problem, first, MIN_PIXEL_SIGMA_PX / (used.pixel_sigma_px * used.noise_inflation))
     if adjusted is None:
         return Outcome(Status.POOR_FIT, keyframes, noise, reason="too little is left without outliers")
+    if rows is not None:
+        keyframes = swept(
+            keyframes, rows.rate_cam_rad_s + (adjusted.solution.state.rates_rad_s if layout.has_rates else 0)
+        )
     # Whether sensors contradict the pictures is judged by what earlier windows found, not by this one's own excuse.
     before = sensors(replace(used, factors=request.noise.factors))
     judged = _judged(

@@ -11,6 +11,7 @@ from contract.camera import Camera
 from contract.rotations import exp_so3
 from onboard.estimation import initialisation
 from onboard.estimation.boresight import BORESIGHT
+from onboard.estimation.factors import Layout
 from onboard.estimation.keyframe import Ids, Keyframe, have_attitude, turned
 from onboard.estimation.rolling_shutter import Sweep, rates_between
 from onboard.estimation.window_acceptance import MIN_POINTS
@@ -47,10 +48,7 @@ def grid(request: Request, ids: Ids) -> tuple[Array, Array, Array, Array]:
         known = ids[at] == seen.ids
         xy[k, at[known]], raw[k, at[known]] = seen.xy[known], seen.raw_xy[known]
         share[k, at[known]] = seen.share[known]
-        sigma = request.noise.pixel_sigma_px * seen.gain
-        if seen.moving is not None and seen.moving.sigma_rate_rad_s:
-            sigma = np.hypot(sigma, seen.share * seen.moving.readout_s * seen.moving.sigma_rate_rad_s)
-        weight[k, at[known]] = 1.0 / sigma[known]
+        weight[k, at[known]] = 1.0 / (request.noise.pixel_sigma_px * seen.gain[known])
     return xy, raw, weight, share
 
 
@@ -59,7 +57,8 @@ def sweep(request: Request, keyframes: tuple[Keyframe, ...], share: Array) -> Sw
 
     Without attitudes the poses themselves say how fast the camera turns, from keyframe to keyframe.
     """
-    if keyframes[0].observation.moving is None:
+    moving = [k.observation.moving for k in keyframes if k.observation.moving is not None]
+    if len(moving) < len(keyframes):
         return None
     if have_attitude(keyframes):
         R_body_cam = request.R_body_cam @ exp_so3(request.belief.mean[BORESIGHT])
@@ -67,8 +66,13 @@ def sweep(request: Request, keyframes: tuple[Keyframe, ...], share: Array) -> Sw
     else:
         stamps_s = np.array([(k.nav.stamp_ns - keyframes[0].nav.stamp_ns) / 1e9 for k in keyframes])
         rate = rates_between(stamps_s, np.stack([k.R_cam_enu for k in keyframes]))
-    velocity = [np.zeros(3) if k.nav.velocity_enu_m_s is None else k.nav.velocity_enu_m_s for k in keyframes]
-    return Sweep(request.config.camera.readout_s, share, rate, np.stack(velocity))
+    velocity, sigma_rad_s = np.stack([m.velocity_enu_m_s for m in moving]), max(m.sigma_rate_rad_s for m in moving)
+    return Sweep(request.config.camera.readout_s, share, rate, velocity, sigma_rad_s)
+
+
+def layout_of(request: Request, keyframes: tuple[Keyframe, ...], rows: Sweep | None) -> Layout:
+    """The columns of the window's adjustment."""
+    return Layout(len(keyframes), len(request.camera_taken), rows is not None and rows.sigma_rate_rad_s > 0.0)
 
 
 def oriented(request: Request, xy: Array, seen: Mask) -> tuple[Keyframe, ...] | None:

@@ -115,6 +115,7 @@ class _View:
     gain: Array  # (6, D)
     noise: Array  # (6, 6)
     rows: NDArray[np.intp]  # points of the window that this picture uses
+    rate_cam_rad_s: Array | None = None  # of a picture read row by row
 
 
 def place(
@@ -139,7 +140,10 @@ def place(
         view = _resected_view(solved, seen, rows, known, guess, start)
         if view is None:
             return Status.POOR_FIT
-    picture = replace(picture, readout_s=(solved.readout_s, 0.0))  # it is one of the window's states, if it is unsure
+    if picture.moving is not None and view.rate_cam_rad_s is not None:
+        moving = replace(picture.moving, rate_cam_rad_s=view.rate_cam_rad_s)
+        # The readout is one of the window's states, if it is unsure.
+        picture = replace(picture, moving=moving, readout_s=(solved.readout_s, 0.0))
     made = _by_view(solved, view, picture, window.config.tracking.features, ground_range)
     return made if isinstance(made, Status) else Placed(made, view.pose, solved)
 
@@ -151,7 +155,9 @@ def _keyframe_view(solved: Solved, frame: int, rows: NDArray[np.intp]) -> _View 
     gain = np.zeros((6, solved.layout.size))
     gain[:, 6 * k : 6 * k + 6] = np.eye(6)
     state = solved.solution.state
-    return _View(Pose(state.R_cam_enu[k], state.centres_enu_m[k]), gain, np.zeros((6, 6)), rows)
+    moving = solved.keyframes[k].observation.moving
+    rate = None if moving is None else moving.rate_cam_rad_s
+    return _View(Pose(state.R_cam_enu[k], state.centres_enu_m[k]), gain, np.zeros((6, 6)), rows, rate)
 
 
 def _resected_view(
@@ -169,7 +175,8 @@ def _resected_view(
     sweep = None
     if (m := seen.moving) is not None:
         share = seen.share[known][None]
-        sweep = Sweep(solved.readout_s, share, m.rate_cam_rad_s[None], m.velocity_enu_m_s[None])
+        rate, sigma = m.rate_cam_rad_s, m.sigma_rate_rad_s
+        sweep = Sweep(solved.readout_s, share, rate[None], m.velocity_enu_m_s[None], sigma)
     begin = None if start is None else (start.R_cam_enu, start.centre_enu_m)
     xy = seen.raw_xy[known]
     pose: Resection = resect(points, xy, weight, guess.R_cam_enu, guess.centre_enu_m, prior, start=begin, sweep=sweep)
@@ -177,11 +184,12 @@ def _resected_view(
         return None
     covariance = np.linalg.inv(pose.information)
     used = rows[known][pose.inliers]
-    pull = covariance @ pose.by_point[pose.inliers]  # (N, 6, 3): d pose = -pull d point
+    pull = covariance[:6] @ pose.by_point[pose.inliers]  # (N, 6, 3): d pose = -pull d point
     flat = pull.transpose(1, 0, 2).reshape(6, -1)
     gain = flat @ s.point_gain[used].reshape(flat.shape[1], -1)
-    noise = covariance + (pull @ s.point_covariance[used]).transpose(1, 0, 2).reshape(6, -1) @ flat.T
-    return _View(Pose(pose.R_cam_enu, pose.centre_enu_m), gain, noise, used)
+    noise = covariance[:6, :6] + (pull @ s.point_covariance[used]).transpose(1, 0, 2).reshape(6, -1) @ flat.T
+    turning = None if seen.moving is None else seen.moving.rate_cam_rad_s + pose.rate_off_rad_s
+    return _View(Pose(pose.R_cam_enu, pose.centre_enu_m), gain, noise, used, turning)
 
 
 def _by_view(

@@ -370,15 +370,20 @@ class Navigation:
 
     def body_rate_at(self, stamp_ns: int) -> Array | None:
         """Angular rate (3,), rad/s, axes of `NavState.R_enu_body`: measured, or from attitudes; None if unknown."""
-        return (
-            self._gimbal.rate_at(stamp_ns, self._attitudes, self._gimbal_hypothesis)
-            if self._uses_gimbal
-            else self._attitudes.rate_at(stamp_ns)
-        )
+        if self._uses_gimbal:
+            return self._gimbal.rate_at(stamp_ns, self._attitudes, self._gimbal_hypothesis)
+        return self._attitudes.rate_at(stamp_ns)
 
     def measures_rate(self, stamp_ns: int) -> bool:
         """Whether that rate is measured, and not the difference of attitudes with their noise."""
         return not self._uses_gimbal and self._attitudes.measures_rate(stamp_ns)
+
+    def velocity_at(self, nav: NavState) -> Array:
+        """Velocity (3,), ENU m/s, of a state: measured, else by the positions about it; 0 where nothing tells."""
+        known, bracket = nav.velocity_enu_m_s, self._positions.bracket(nav.stamp_ns)
+        if bracket is None or (known is not None and np.all(np.isfinite(known))):
+            return np.zeros(3) if known is None else known
+        return self._velocity(bracket[0], CLIMB_WINDOW_NS)
 
     def displacement(self, start_ns: int, end_ns: int) -> Array | None:
         """Distance flown (3,), ENU m, from the velocities alone (trapezium rule); None where any is missing."""
@@ -428,14 +433,14 @@ class Navigation:
             above_home = a.height_above_home_m + float(enu[2] - a.enu_m[2])
         return Position(enu, velocity, above_home)
 
-    def _velocity(self, index: int) -> Array:
+    def _velocity(self, index: int, reach_ns: int = 0) -> Array:
         """A fix's velocity (3,); the components it lacks from its neighbours' positions."""
         known = self._positions.values[index].velocity_enu_m_s
         if known is not None and np.all(np.isfinite(known)):
             return known
         # With no velocity at all the slope is that of the fix's neighbours (Catmull-Rom); a climb rate from heights
         # alone needs a longer base, their noise being metres.
-        reach_ns = 0 if known is None else CLIMB_WINDOW_NS
+        reach_ns = reach_ns if known is None else CLIMB_WINDOW_NS
         stamps, values = self._positions.stamps_ns, self._positions.values
         first = min(bisect.bisect_left(stamps, stamps[index] - reach_ns), max(index - 1, 0))
         last = max(bisect.bisect_right(stamps, stamps[index] + reach_ns) - 1, min(index + 1, len(stamps) - 1))

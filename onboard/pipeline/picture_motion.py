@@ -19,7 +19,7 @@ from onboard.vision.klt_tracker import Tracks, fit_homography
 
 Array = NDArray[np.float64]
 
-UNKNOWN_RATE_RAD_S = 0.15  # one sigma of a rate that only keyframes a second apart tell: gusts and turns begin faster
+UNKNOWN_RATE_RAD_S = 0.3  # one sigma of a rate that only keyframes a second apart tell: gusts and turns begin faster
 RATE_S = 0.06 / np.sqrt(2.0)  # a rate that is not measured is the difference of two attitudes so far apart
 
 
@@ -44,7 +44,7 @@ def moving_at(window: Window, navigation: Navigation, nav: NavState) -> Moving |
         rate_cam = rates_between(stamps_s, np.stack([k.R_cam_enu for k in last]))[-1]
     else:
         R_cam_enu = window.R_body_cam.T
-    velocity = np.zeros(3) if nav.velocity_enu_m_s is None else nav.velocity_enu_m_s
+    velocity = navigation.velocity_at(nav)
     plane = _inverse_depth(R_cam_enu, ground_so_far(window, nav), window.position_guess(nav))
     if nav.R_enu_body is None:
         return Moving(window.readout[0], rate_cam, velocity, R_cam_enu @ velocity, plane, UNKNOWN_RATE_RAD_S)
