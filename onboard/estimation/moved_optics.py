@@ -53,6 +53,7 @@ MOST_SCALE = 1.5  # of its logarithm: beyond it features are not the same
 SPREAD = 0.03  # between the first guesses of a window's scales, above which an accepted window is looked at
 BACK = 0.03  # from the first scale, within which a zoom has come back: windows judge again
 HELD_NS = 30_000_000_000  # for which a frame that was seen shifted, or a lens that zoomed, is still taken to be
+LOOK_NS = 2_000_000_000  # between windows that are looked at
 LEAST_JITTER_S = 0.003
 MIN_LEFT = 6.0  # measurements of every picture beyond what is fitted to it, to tell how they fit
 
@@ -88,8 +89,11 @@ def adjust(request: Request) -> Outcome:
     if any(k.log_zoom for k in request.keyframes):
         return _followed(request)
     end_ns, seen_ns = request.keyframes[-1].nav.stamp_ns if request.keyframes else 0, request.noise.shifted_ns
+    is_due = end_ns - request.noise.looked_ns >= LOOK_NS or end_ns < request.noise.looked_ns
     if seen_ns and end_ns - seen_ns < HELD_NS:
-        return _shifted(request, seen_ns, _excess(explained(request)))
+        if not is_due:
+            return _shifted(request, seen_ns, None)
+        return _shifted(_looked(request), seen_ns, _excess(explained(request)))
     outcome = solve_window(request)
     if outcome.status is not Status.POOR_FIT and not (outcome.status is Status.OK and _is_strained(request, outcome)):
         return outcome
@@ -100,6 +104,9 @@ def adjust(request: Request) -> Outcome:
             f"the lens zoomed or refocused {(end_ns - zoomed_ns) / 1e9:.0f} s ago, and nothing says that it is back"
         )
         return Outcome(Status.ZOOMED, request.keyframes, noise, reason=reason)
+    if not is_due:
+        return outcome
+    request, outcome = _looked(request), replace(outcome, noise=replace(outcome.noise, looked_ns=end_ns))
     explanation = explained(replace(request, keyframes=outcome.keyframes))
     excess = _excess(explanation)
     if outcome.status is Status.POOR_FIT or excess is not None or _spreads(request, outcome):
@@ -107,6 +114,11 @@ def adjust(request: Request) -> Outcome:
         if found.is_zoom and (explanation is None or found.gain > explanation.gain):
             return _zoomed(request, found.log_scale)
     return outcome if excess is None else _shifted(request, seen_ns, excess)
+
+
+def _looked(request: Request) -> Request:
+    """The request, once its window has been looked at: that takes longer than solving it, so not every one is."""
+    return replace(request, noise=replace(request.noise, looked_ns=request.keyframes[-1].nav.stamp_ns))
 
 
 def _excess(explanation: Explanation | None) -> float | None:
