@@ -133,6 +133,11 @@ def _parser() -> argparse.ArgumentParser:
     add("--exposure-s", type=float, default=0.002, metavar="S", help="shutter; long ones blur (default 0.002)")
     add("--exposure-swing", type=float, default=1.15, metavar="RATIO", help="brightest over darkest (default 1.15)")
     add("--vignetting", type=float, default=0.15, help="loss of light in the corner (default 0.15)")
+    add("--filed-camera", metavar="JSON", help="the wrong camera file to write (default: the camera as it is)")
+    add("--readout-s", type=float, default=0.0, metavar="S",
+        help="rolling shutter: time to read all rows, negative if the last is first (default 0)")  # fmt: skip
+    add("--stabilised-s", type=float, metavar="S", help="EIS that smooths rotation over so long (default: none)")
+    add("--zoom", type=float, nargs=3, metavar=("FACTOR", "FROM", "TO"), help="zooms in between, s (default: not)")
     add("--format", choices=("png", "jpg"), default="png", help="of the pictures (default png)")
 
     add = parser.add_argument_group("written into config.toml").add_argument
@@ -238,6 +243,10 @@ def session_spec(arguments: list[str]) -> tuple[SessionSpec, argparse.Namespace]
         level_ground=options.level_ground,
         picture_format=options.format,
         seed=options.seed,
+        filed_camera=None if options.filed_camera is None else Camera.from_json(options.filed_camera),
+        readout_s=options.readout_s,
+        stabilised_s=options.stabilised_s,
+        zoom=None if options.zoom is None else tuple(options.zoom),
     )
     return spec, options
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -24,6 +25,8 @@ HAZE_M = 9000.0
 SKY = 0.78
 SUN_ENU = np.array([-0.45, 0.35, 0.82]) / np.linalg.norm([-0.45, 0.35, 0.82])
 MAX_SUB_EXPOSURES = 16
+# Rows (N,) of a picture -> where each looks from: R_enu_cam (N, 3, 3) and centres (N, 3).
+RowPoses = Callable[[Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
@@ -73,11 +76,16 @@ class Renderer:
         r2 = np.sum((grid - [(width - 1) / 2, (height - 1) / 2]) ** 2, axis=-1) / (width**2 + height**2) * 4.0
         self._falloff = (1.0 - sensor.vignetting * r2).astype(np.float32)
 
-    def picture(self, poses: list[Pose], gain: float, frame: int, time_s: float = 0.0) -> Grey:
-        """One picture (H, W) uint8: the mean over `poses` within the exposure, lit by `gain`, with its own noise."""
-        light = self.radiance(poses[0], time_s)
-        for pose in poses[1:]:
-            light = light + self.radiance(pose, time_s)
+    def picture(
+        self, poses: list[Pose], gain: float, frame: int, time_s: float = 0.0, rows: list[RowPoses] | None = None
+    ) -> Grey:
+        """One picture (H, W) uint8: the mean over `poses` within the exposure, lit by `gain`, with its own noise.
+
+        `rows`: for each of the poses those of every row, where they are exposed one after the other.
+        """
+        light = self.radiance(poses[0], time_s, rows[0] if rows else None)
+        for i, pose in enumerate(poses[1:], start=1):
+            light = light + self.radiance(pose, time_s, rows[i] if rows else None)
         light = light * (self._falloff * np.float32(gain / len(poses)))
         # A camera's tone curve: steep in the dark, gentle in the light.
         grey = np.float32(255.0) * np.sqrt(np.clip(light, 0.0, 1.0))
@@ -89,19 +97,27 @@ class Renderer:
             out[self._dark] = 0
         return out
 
-    def radiance(self, pose: Pose, time_s: float = 0.0) -> Image:
-        """Light (H, W), float32, 0 to about 1, reaching an ideal sensor at one instant."""
-        ground_m, shade = self._surface(pose)
-        R = pose.R_enu_cam.astype(np.float32)
+    def radiance(self, pose: Pose, time_s: float = 0.0, rows: RowPoses | None = None) -> Image:
+        """Light (H, W), float32, 0 to about 1, reaching an ideal sensor at one instant, or each row from its own pose.
+
+        `pose` is then that of the middle row.
+        """
+        ground_m, shade = self._surface(pose, rows)
+        R, moved = pose.R_enu_cam.astype(np.float32), np.zeros(3, np.float32)
+        if rows is not None:
+            R_rows, centres = rows(np.arange(self.camera.height_px, dtype=float))
+            # (3, 3, H, 1) and (3, H, 1): every row of pixels has its own.
+            R = R_rows.transpose(1, 2, 0)[..., None].astype(np.float32)
+            moved = (centres - pose.centre_m).T[..., None].astype(np.float32)
         x, y = self._rays_cam[..., 0], self._rays_cam[..., 1]
         down = R[2, 0] * x + R[2, 1] * y + R[2, 2]
-        rise = ground_m - np.float32(pose.centre_m[2])
+        rise = ground_m - np.float32(pose.centre_m[2]) - moved[2]
         seen = (down < -1e-6) & (rise < 0.0)
         depth = np.where(seen, rise / np.where(seen, down, np.float32(-1.0)), np.float32(MAX_DEPTH_M))
         seen &= depth < MAX_DEPTH_M
         np.minimum(depth, np.float32(MAX_DEPTH_M), out=depth)
-        east = (R[0, 0] * x + R[0, 1] * y + R[0, 2]) * depth
-        north = (R[1, 0] * x + R[1, 1] * y + R[1, 2]) * depth
+        east = (R[0, 0] * x + R[0, 1] * y + R[0, 2]) * depth + moved[0]
+        north = (R[1, 0] * x + R[1, 1] * y + R[1, 2]) * depth + moved[1]
         length = np.sqrt(x * x + y * y + np.float32(1.0))
         slant = length / np.maximum(-down, np.float32(0.02))
         footprint = depth * np.float32(1.0 / self.camera.focal_px) * slant ** np.float32(0.75)
@@ -111,14 +127,22 @@ class Renderer:
             light = light * clear + np.float32(SKY) * (np.float32(1.0) - clear)
         return light
 
-    def _surface(self, pose: Pose) -> tuple[Image, Image]:
+    def _surface(self, pose: Pose, rows: RowPoses | None) -> tuple[Image, Image]:
         """Height of the ground each pixel sees (H, W), m, and how sunlit it is.
 
         The height is cast on a lattice and interpolated: unlike depth it is smooth, and on level ground constant.
         """
-        rays = (self._lattice_cam @ pose.R_enu_cam.T).reshape(-1, 3)
-        depth, hit = self.terrain.cast(pose.centre_m, rays, MAX_DEPTH_M)
-        points = pose.centre_m + rays * np.where(hit, depth, 0.0)[:, None]
+        if rows is None:
+            rays = (self._lattice_cam @ pose.R_enu_cam.T).reshape(-1, 3)
+            depth, hit = self.terrain.cast(pose.centre_m, rays, MAX_DEPTH_M)
+            points = pose.centre_m + rays * np.where(hit, depth, 0.0)[:, None]
+        else:
+            R_rows, centres = rows(np.arange(len(self._lattice_cam), dtype=float) * self._stride)
+            rays = self._lattice_cam @ R_rows.transpose(0, 2, 1)
+            cast = [self.terrain.cast(c, r, MAX_DEPTH_M) for c, r in zip(centres, rays, strict=True)]
+            depth, hit = np.stack([d for d, _ in cast]), np.stack([h for _, h in cast]).reshape(-1)
+            points = centres[:, None] + rays * np.where(np.isfinite(depth), depth, 0.0)[..., None]
+            points = np.where(hit[:, None], points.reshape(-1, 3), np.repeat(centres, rays.shape[1], axis=0))
         height = np.where(hit, points[:, 2], 0.0)
         if hit.any():
             height[~hit] = height[hit].min()

@@ -15,11 +15,13 @@ from contract.camera import Camera
 from contract.errors import InputError
 from contract.rotations import exp_so3, mount_rotation
 from simulation.flight import DescribedSpec, Flight, RecordedSpec, described_flight, recorded_flight
-from simulation.renderer import MAX_SUB_EXPOSURES, Renderer, SensorSpec
+from simulation.moved_optics import stabilised, zoomed
+from simulation.renderer import MAX_SUB_EXPOSURES, Renderer, RowPoses, SensorSpec
+from simulation.rows import RowsOf
 from simulation.terrain import Terrain, TerrainSpec
 from simulation.texture import Texture, TextureSpec
 from simulation.trajectory import Pose
-from simulation.truth import Truth
+from simulation.truth import Optics, Truth
 
 Array = NDArray[np.float64]
 
@@ -49,8 +51,14 @@ class SessionSpec:
     clicks_per_frame: int = 12
     picture_format: str = "png"
     seed: int = 0
+    filed_camera: Camera | None = None  # what the camera file says, where that is wrong
+    readout_s: float = 0.0  # of the rows, positive if the first comes first; declared in the configuration
+    stabilised_s: float | None = None  # over which electronic stabilisation smooths rotation; None: there is none
+    zoom: tuple[float, float, float] | None = None  # factor, from and until (s after the first picture)
 
     def __post_init__(self) -> None:
+        if self.filed_camera is not None and self.filed_camera.size_px != self.camera.size_px:
+            raise InputError("session: the camera file must be of pictures of the same size")
         if not 0.0 < self.rate_hz <= 200.0 or not 0.0 < self.seconds <= 3600.0:
             raise InputError("session: the rate must lie within 200 Hz and the length within 3600 s, both above 0")
         if self.picture_format not in ("png", "jpg"):
@@ -85,7 +93,12 @@ def fly(spec: SessionSpec, out_dir: Path | str, progress: Callable[[int, int], N
         raise InputError(f"session: {spec.seconds:g} s at {spec.rate_hz:g} Hz is no picture at all")
     poses = [flight.trajectory.camera_pose(float(t), R_body_cam) for t in time]
     files = [f"{frame:06d}.{spec.picture_format}" for frame in range(len(time))]
-    truth = Truth(spec.camera, terrain, flight.origin, flight.undulation_m, poses, files, flight.epoch_unix_s + time)
+    optics = None
+    if spec.readout_s or spec.stabilised_s is not None or spec.zoom is not None or spec.filed_camera is not None:
+        rows = RowsOf(flight.trajectory, R_body_cam, spec.readout_s)
+        optics = Optics(rows, _cameras(spec, flight, R_body_cam, time), time)
+    unix_time_s = flight.epoch_unix_s + time
+    truth = Truth(spec.camera, terrain, flight.origin, flight.undulation_m, poses, files, unix_time_s, optics)
     _refuse_buried(poses, terrain)
 
     frames = folder / "frames"
@@ -93,7 +106,10 @@ def fly(spec: SessionSpec, out_dir: Path | str, progress: Callable[[int, int], N
     gains = exposure_gains(spec.sensor, time, spec.seed)
     for frame, t in enumerate(time):
         shutter = shutter_poses(flight, R_body_cam, float(t), spec.sensor.exposure_s, spec.camera, terrain)
-        picture = renderer.picture(shutter, float(gains[frame]), frame, float(t))
+        if optics is not None and optics.cameras[frame] != renderer.camera:
+            renderer = Renderer(optics.cameras[frame], terrain, renderer.texture, spec.sensor, spec.seed)
+        rows_of = _row_poses(optics.rows, renderer.camera, float(t), spec, len(shutter)) if optics else None
+        picture = renderer.picture(shutter, float(gains[frame]), frame, float(t), rows_of)
         if not cv2.imwrite(str(frames / files[frame]), picture):
             raise InputError(f"{frames / files[frame]}: the picture cannot be written")
         if progress is not None:
@@ -103,7 +119,7 @@ def fly(spec: SessionSpec, out_dir: Path | str, progress: Callable[[int, int], N
     stamps = truth.unix_time_s + spec.camera_delay_s + spec.stamp_jitter_s * rng.standard_normal(len(time))
     lines = ["file,unix_time_s", *(f"{name},{stamp:.6f}" for name, stamp in zip(files, stamps, strict=True))]
     (folder / "stamps.csv").write_text("\n".join(lines) + "\n")
-    filed = json.loads(spec.camera.to_json())
+    filed = json.loads((spec.filed_camera or spec.camera).to_json())
     del filed["calibration"]  # as most camera files are: nobody knows how right they are
     (folder / "camera.json").write_text(json.dumps(filed, indent=1) + "\n")
     (folder / "telemetry.tlog").write_bytes(flight.telemetry)
@@ -115,7 +131,8 @@ def fly(spec: SessionSpec, out_dir: Path | str, progress: Callable[[int, int], N
 def config_text(spec: SessionSpec) -> str:
     """The configuration that `pc-onboard replay` needs for this session."""
     roll, pitch, yaw = spec.mount_deg
-    return (
+    rows = f"[camera]\nreadout_s = {float(spec.readout_s)!r}\n\n" if spec.readout_s else ""
+    return rows + (
         f"[mount]\nroll_deg = {float(roll)!r}\npitch_deg = {float(pitch)!r}\nyaw_deg = {float(yaw)!r}\n"
         'gimbal = "never"  # these pictures are of a fixed camera, whatever gimbal the recording had\n\n'
         f'[solve]\nattitude = "{spec.attitude}"\n'
@@ -151,6 +168,28 @@ def shutter_poses(
         return [middle]
     offsets = (np.arange(count) + 0.5) / count * exposure_s - half
     return [flight.trajectory.camera_pose(time_s + float(offset), R_body_cam) for offset in offsets]
+
+
+def _cameras(spec: SessionSpec, flight: Flight, R_body_cam: Array, time_s: Array) -> list[Camera]:
+    """The camera of each picture."""
+    if spec.stabilised_s is not None:
+        return stabilised(spec.camera, flight.trajectory, R_body_cam, time_s, spec.stabilised_s)
+    if spec.zoom is not None:
+        factor, from_s, to_s = spec.zoom
+        return zoomed(spec.camera, time_s - time_s[0], factor, from_s, to_s)
+    return [spec.camera] * len(time_s)
+
+
+def _row_poses(rows: RowsOf, camera: Camera, time_s: float, spec: SessionSpec, count: int) -> list[RowPoses] | None:
+    """Of the moments that `shutter_poses` takes; None of a global shutter."""
+    if not spec.readout_s:
+        return None
+    offsets = ((np.arange(count) + 0.5) / count - 0.5) * spec.sensor.exposure_s
+
+    def of(moment_s: float) -> RowPoses:
+        return lambda v_px: rows.poses(camera, moment_s, v_px)
+
+    return [of(time_s + float(offset)) for offset in offsets]
 
 
 def _refuse_buried(poses: list[Pose], terrain: Terrain) -> None:

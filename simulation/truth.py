@@ -14,6 +14,7 @@ from contract.camera import Camera
 from contract.errors import InputError
 from contract.geodesy import LocalFrame
 from contract.rotations import matrix_from_quaternion, quaternion_from_matrix
+from simulation.rows import RowsOf
 from simulation.terrain import Terrain, TerrainSpec
 from simulation.trajectory import Pose, axes_from_local
 
@@ -43,8 +44,20 @@ class GroundPoints:
     is_valid: Mask
 
 
+@dataclass(frozen=True, eq=False)
+class Optics:
+    """How rows are exposed, and the camera and the moment (s after the epoch) of each picture."""
+
+    rows: RowsOf
+    cameras: list[Camera]
+    times_s: Array
+
+
 class Truth:
-    """The poses of a session's pictures over its terrain. `frame` counts pictures in capture order from 0."""
+    """The poses of a session's pictures over its terrain. `frame` counts pictures in capture order from 0.
+
+    `optics`: where rows are exposed one after the other, or the camera is another one in each picture.
+    """
 
     def __init__(
         self,
@@ -55,7 +68,9 @@ class Truth:
         poses: list[Pose],
         files: list[str],
         unix_time_s: ArrayLike,
+        optics: Optics | None = None,
     ) -> None:
+        self.optics = optics
         self.camera, self.terrain, self.origin, self.undulation_m = camera, terrain, origin, undulation_m
         self.poses, self.files = poses, files
         self.unix_time_s = np.asarray(unix_time_s, float)
@@ -67,17 +82,26 @@ class Truth:
         """The ground point each pixel (N, 2) of a picture shows."""
         uv = np.asarray(uv_px, float).reshape(-1, 2)
         pose = self.poses[frame]
-        rays, valid = self.camera.unproject(uv)
-        directions = rays @ pose.R_enu_cam.T
-        depth, hit = self.terrain.cast(pose.centre_m, directions, HORIZON_LIMIT_M)
+        if self.optics is None:
+            rays, valid = self.camera.unproject(uv)
+            centre, directions = pose.centre_m, rays @ pose.R_enu_cam.T
+            depth, hit = self.terrain.cast(centre, directions, HORIZON_LIMIT_M)
+        else:
+            camera, time_s = self.optics.cameras[frame], float(self.optics.times_s[frame])
+            _, valid = camera.unproject(uv)
+            directions, centre = self.optics.rows.rays(camera, time_s, uv)
+            each = [self.terrain.cast(c, d[None], HORIZON_LIMIT_M) for c, d in zip(centre, directions, strict=True)]
+            depth, hit = np.array([d[0] for d, _ in each]), np.array([h[0] for _, h in each], bool)
         valid = valid & hit
-        enu = pose.centre_m + directions * np.where(valid, depth, 0.0)[:, None]
+        enu = centre + directions * np.where(valid, depth, 0.0)[:, None]
         lat, lon, height = self.origin.to_geodetic(enu).T
         return GroundPoints(enu, lat, lon, height - self.undulation_m, height, valid)
 
     def project(self, frame: int, enu_m: ArrayLike) -> tuple[Array, Mask]:
         """Pixels (N, 2) of ENU points (N, 3) in a picture, and whether each is on it, hidden or not."""
-        pose = self.poses[frame]
+        pose, optics = self.poses[frame], self.optics
+        if optics is not None:
+            return optics.rows.pixels(optics.cameras[frame], float(optics.times_s[frame]), np.asarray(enu_m, float))
         return self.camera.project((np.asarray(enu_m, float) - pose.centre_m) @ pose.R_enu_cam)
 
     def sees(self, frame: int, enu_m: ArrayLike, tolerance_m: float = 0.05) -> Mask:
@@ -126,11 +150,16 @@ class Truth:
             "undulation_m": self.undulation_m,
             "terrain": vars(self.terrain.spec),
         }
+        if self.optics is not None:
+            world["moves"] = True
         (folder / "world.json").write_text(json.dumps(world, indent=1) + "\n")
 
     @classmethod
     def load(cls, folder: Path | str) -> Truth:
-        """Read a session written by `simulation.session.fly`; raises InputError naming the file that is wrong."""
+        """Read a session written by `simulation.session.fly`; raises InputError naming the file that is wrong.
+
+        Not one whose rows or optics move, or whose camera file is wrong.
+        """
         folder = Path(folder)
         camera = Camera.from_json(folder / "camera.json")
         try:
@@ -141,6 +170,8 @@ class Truth:
             numbers = np.array([[float(row[column]) for column in TRUTH_COLUMNS[1:]] for row in rows])
             terrain = Terrain(TerrainSpec(**world["terrain"]))
             undulation = float(world["undulation_m"])
+            if "moves" in world:
+                raise ValueError("rows or optics that move are known to `fly` alone, and to truth_clicks.csv")
         except OSError as error:
             raise InputError(f"simulated session {folder}: {error.filename}: {error.strerror}") from error
         except (ValueError, KeyError, TypeError) as error:

@@ -106,9 +106,10 @@ def adjust(request: Request) -> Outcome:
         return Outcome(Status.ZOOMED, request.keyframes, noise, reason=reason)
     if not is_due:
         return outcome
-    request, outcome = _looked(request), replace(outcome, noise=replace(outcome.noise, looked_ns=end_ns))
     explanation = explained(replace(request, keyframes=outcome.keyframes))
     excess = _excess(explanation)
+    if outcome.status is Status.POOR_FIT or (explanation is not None and explanation.gain < -LIKELIER):
+        request, outcome = _looked(request), replace(outcome, noise=replace(outcome.noise, looked_ns=end_ns))
     if outcome.status is Status.POOR_FIT or excess is not None or _spreads(request, outcome):
         found = scaled(request)
         if found.is_zoom and (explanation is None or found.gain > explanation.gain):
@@ -117,7 +118,7 @@ def adjust(request: Request) -> Outcome:
 
 
 def _looked(request: Request) -> Request:
-    """The request, once its window has been looked at: that takes longer than solving it, so not every one is."""
+    """The request, once its window has been looked at in vain: that takes longer than solving it, so not each is."""
     return replace(request, noise=replace(request.noise, looked_ns=request.keyframes[-1].nav.stamp_ns))
 
 
@@ -273,7 +274,7 @@ def explained(request: Request) -> Explanation | None:
     first = _settled(request, keyframes, np.stack([k.R_cam_enu for k in keyframes]))
     if first is None:
         return None
-    solution, shift = first, np.zeros((len(keyframes), 2))
+    solution, best, shift, best_px = first, first, np.zeros((len(keyframes), 2)), 0.0
     for _ in range(ROUNDS):
         turned = log_so3(solution.state.R_cam_enu @ R.transpose(0, 2, 1))
         # A rotation e moves what lies ahead by (e_y, -e_x); what all pictures have in common is mount and lens.
@@ -282,13 +283,15 @@ def explained(request: Request) -> Explanation | None:
         if float(np.sqrt(np.mean(np.sum(found**2, axis=1)))) * request.camera.focal_px < SETTLED_PX:
             break
         shift = shift + found
-        again = _adjusted(request, _shifted_back(request, keyframes, shift), solution.state.R_cam_enu)
+        # Where the frame is what moved, the camera is turned as the autopilot says.
+        again = _adjusted(request, _shifted_back(request, keyframes, shift), R)
         if again is None:
             return None
         solution = again
-    size_px = float(np.sqrt(np.mean(np.sum(shift**2, axis=1)))) * request.camera.focal_px
-    variance = _pixel_variance(solution)
-    return None if variance is None else Explanation((_image_cost(first) - _image_cost(solution)) / variance, size_px)
+        if best is first or _image_cost(again) < _image_cost(best):
+            best, best_px = again, float(np.sqrt(np.mean(np.sum(shift**2, axis=1)))) * request.camera.focal_px
+    variance = _pixel_variance(best)
+    return None if variance is None else Explanation((_image_cost(first) - _image_cost(best)) / variance, best_px)
 
 
 def _shifted_back(request: Request, keyframes: tuple[Keyframe, ...], shift: Array) -> tuple[Keyframe, ...]:

@@ -236,3 +236,35 @@ def test_loading_a_folder_without_truth_names_the_file(tmp_path: Path) -> None:
 
 def test_world_file_is_plain_json(session: Path) -> None:
     assert json.loads((session / "world.json").read_text())["terrain"]["relief_m"] == 20.0
+
+
+@pytest.mark.parametrize("readout_s", [0.06, -0.06])
+def test_rows_are_exposed_one_after_the_other(tmp_path: Path, readout_s: float) -> None:
+    """Flow between pictures is that of truth by rows, and pixels off that of the middle rows' poses alone."""
+    turns = DescribedSpec(PathSpec("turns", speed_m_s=20.0, height_m=120.0, bank_deg=35.0, leg_m=10.0), seed=2)
+    spec = replace(SMALL, flight=turns, seconds=1.0, readout_s=readout_s, seed=2)
+    truth = fly(spec, tmp_path / "rows")
+    by_rows = _flow_error(tmp_path / "rows", truth, 2, 4)
+    assert np.median(np.hypot(*by_rows.T)) < 0.2
+    rays, _ = truth.camera.unproject(uv := np.array([[160.0, 5.0], [160.0, 235.0]]))
+    pose = truth.poses[2]
+    depth, _ = truth.terrain.cast(pose.centre_m, rays @ pose.R_enu_cam.T)
+    at_once = pose.centre_m + rays @ pose.R_enu_cam.T * depth[:, None]
+    off_px = np.linalg.norm(truth.project(2, at_once)[0] - uv, axis=1)
+    assert off_px.min() > 1.0, "this motion would not show"
+    assert tomllib.loads((tmp_path / "rows/config.toml").read_text())["camera"] == {"readout_s": readout_s}
+    with pytest.raises(InputError, match="truth_clicks"):
+        Truth.load(tmp_path / "rows")
+
+
+def test_stabilised_and_zoomed_pictures_are_as_truth_says_and_the_camera_file_may_be_wrong(tmp_path: Path) -> None:
+    filed = replace(LENS, fx_px=1.03 * LENS.fx_px, fy_px=1.03 * LENS.fy_px)
+    turns = DescribedSpec(PathSpec("turns", speed_m_s=20.0, height_m=120.0, bank_deg=35.0, leg_m=10.0), seed=2)
+    spec = replace(SMALL, flight=turns, seconds=1.0, seed=2, filed_camera=filed)
+    for name, moved in (("eis", replace(spec, stabilised_s=0.5)), ("zoom", replace(spec, zoom=(1.2, 0.0, 9.0)))):
+        truth = fly(moved, tmp_path / name)
+        assert np.median(np.hypot(*_flow_error(tmp_path / name, truth, 1, 3).T)) < 0.2
+        assert truth.optics is not None
+        one, other = truth.optics.cameras[1], truth.optics.cameras[3]
+        assert abs(one.cx_px - other.cx_px) + abs(one.cy_px - other.cy_px) + abs(one.fx_px - other.fx_px) > 2.0
+        assert Camera.from_json(tmp_path / name / "camera.json") == filed
