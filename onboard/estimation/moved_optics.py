@@ -47,13 +47,14 @@ MAX_VARIANCE = 3.0  # of pixels, beside what was taken for it, in pictures that 
 # By how much a logarithm of likelihood must grow. An attitude that errs exceeds it once in 20 million windows at most,
 # however large the shift is that it suggests: the difference has the mean -d/2 and the variance d, (19.2).
 LIKELIER = 15.0
+HOPELESS = 100.0  # more of a cost with shifts, or scales, than without: no further round makes up for that
 FALSE_ALARM = 1e-9  # the same for scales, which are fitted: chi-square of as many degrees of freedom, (19.3)
 LEAST_SCALE = 0.015  # of a zoom that is one: less is what relief and heights leave
 MOST_SCALE = 1.5  # of its logarithm: beyond it features are not the same
 SPREAD = 0.03  # between the first guesses of a window's scales, above which an accepted window is looked at
 BACK = 0.03  # from the first scale, within which a zoom has come back: windows judge again
 HELD_NS = 30_000_000_000  # for which a frame that was seen shifted, or a lens that zoomed, is still taken to be
-LOOK_NS = 2_000_000_000  # between windows that are looked at
+LOOK_NS = 4_000_000_000  # until the next window is looked at, after one in vain
 LEAST_JITTER_S = 0.003
 MIN_LEFT = 6.0  # measurements of every picture beyond what is fitted to it, to tell how they fit
 
@@ -106,7 +107,8 @@ def adjust(request: Request) -> Outcome:
         return Outcome(Status.ZOOMED, request.keyframes, noise, reason=reason)
     if not is_due:
         return outcome
-    explanation = explained(replace(request, keyframes=outcome.keyframes))
+    is_solved = outcome.status is Status.OK
+    explanation = explained(replace(request, keyframes=outcome.keyframes), is_solved=is_solved)
     excess = _excess(explanation)
     if outcome.status is Status.POOR_FIT or (explanation is not None and explanation.gain < -LIKELIER):
         request, outcome = _looked(request), replace(outcome, noise=replace(outcome.noise, looked_ns=end_ns))
@@ -207,6 +209,8 @@ def scaled(request: Request) -> Scales:
         again = _adjusted(request, back, R, has_attitude=has_attitude)
         if again is None:
             return nothing
+        if _image_cost(again) - _image_cost(first) > HOPELESS:
+            return nothing
         solution, found = again, _farther_out(again, back)
         found = found - found[0]
         if np.abs(found).max() < SETTLED_SCALE:
@@ -265,13 +269,17 @@ def _seen_through(camera: Camera, keyframe: Keyframe) -> Keyframe:
     return replace(keyframe, observation=observation(camera, seen.ids, seen.uv_px, seen.moving))
 
 
-def explained(request: Request) -> Explanation | None:
-    """Both adjustments of a window; None where there is no attitude or too little to adjust. (19.1), (19.2)"""
+def explained(request: Request, *, is_solved: bool = False) -> Explanation | None:
+    """Both adjustments of a window; None where there is no attitude or too little to adjust. (19.1), (19.2)
+
+    `is_solved`: its keyframes are turned as a solution has them.
+    """
     keyframes = request.keyframes
     if len(keyframes) < MIN_KEYFRAMES or not have_attitude(keyframes):
         return None
     R = _by_sensors(request, keyframes)
-    first = _settled(request, keyframes, np.stack([k.R_cam_enu for k in keyframes]))
+    start = np.stack([k.R_cam_enu for k in keyframes])
+    first = (_adjusted if is_solved else _settled)(request, keyframes, start)
     if first is None:
         return None
     solution, best, shift, best_px = first, first, np.zeros((len(keyframes), 2)), 0.0
@@ -288,6 +296,9 @@ def explained(request: Request) -> Explanation | None:
         if again is None:
             return None
         solution = again
+        if _image_cost(again) - _image_cost(first) > HOPELESS:
+            best = again if best is first else best
+            break
         if best is first or _image_cost(again) < _image_cost(best):
             best, best_px = again, float(np.sqrt(np.mean(np.sum(shift**2, axis=1)))) * request.camera.focal_px
     variance = _pixel_variance(best)

@@ -295,9 +295,9 @@ class Pipeline:
         self._statistics.spend("solve", done.processor_s + trials_s)
         status = self.window.adopt(outcome)
         self._statistics.note_window(self.window.refusal)
-        self._failures = self._failures + 1 if status in (Status.POOR_FIT, *MOVED) else 0
-        if status is Status.OK or self._failures:
-            self._unsolved = status if self._failures else Status.STARTING
+        self._failures = self._failures + 1 if status is Status.POOR_FIT else 0
+        if status in (Status.OK, Status.POOR_FIT, *MOVED):
+            self._unsolved = Status.STARTING if status is Status.OK else status
         solved = self.window.solved
         if status is not Status.OK or solved is None:
             out: list[FeatureSet] = []

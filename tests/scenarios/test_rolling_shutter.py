@@ -1,4 +1,4 @@
-"""A flight whose rows are read in 30 ms, told that they are not: it finds out, and answers as if it had been told."""
+"""Flights whose rows are read one after the other, told so or not, drawn and rendered."""
 
 from __future__ import annotations
 
@@ -8,9 +8,30 @@ from benchmarks.drawn_flight import DrawnFlight, fly
 from benchmarks.rolling_shutter import TOLD, spec_of
 from contract.feature_set import FeatureSet
 from ground.answer import CHI2_2
+from simulation.flight import DescribedSpec
+from simulation.paths import PathSpec
+from simulation.renderer import SensorSpec
+from simulation.session import SessionSpec
+from simulation.telemetry import TelemetrySpec
 from tests.drawn_clicks import chi2_of, located
+from tests.scenarios.flights import CAMERA, CHI2_90, play
+from tests.scenarios.flights import flown as flown_session
 
 AFTER_S = 14.0
+RENDERED = SessionSpec(
+    DescribedSpec(
+        PathSpec("turns", speed_m_s=20.0, height_m=120.0, bank_deg=35.5, leg_m=60.0),
+        TelemetrySpec(velocity_m_s=0.05, white_attitude_deg=0.05, slow_attitude_deg=0.3, attitude_hz=25.0),
+        seed=2,
+    ),
+    seconds=11.0,
+    rate_hz=3.0,
+    camera=CAMERA,
+    sensor=SensorSpec(exposure_s=0.0),
+    readout_s=0.06,
+    clicks_per_frame=8,
+    seed=2,
+)
 
 
 def flown(told: dict[str, float]) -> tuple[list[float], list[float], tuple[float, float], list[FeatureSet]]:
@@ -46,3 +67,17 @@ def test_a_global_shutter_publishes_no_rows() -> None:
     sets, _ = fly(flight)
     assert any(s.is_ok for s in sets.values())
     assert all(s.shutter is None for s in sets.values())
+
+
+def test_rendered_rows_are_tracked_and_answered_as_truth_says() -> None:
+    """Pictures rendered row by row, twice as slow as is usual, through the real tracker in turns of 20 degrees/s."""
+    session = flown_session(RENDERED)
+    found = play(session, ("camera.readout_s", 0.045), ("camera.sigma_readout_s", 0.02))
+    ignored = play(session, ("camera.readout_s", 0.0))
+    assert found.solved > 0.8 and len(found.errors_m) > 150, found.reported
+    assert np.mean(found.chi2 < CHI2_90) > 0.85, found.reported
+    assert np.median(found.errors_m) < 4.0
+    assert ignored.solved < 0.6 or np.median(ignored.errors_m) > 2.0 * np.median(found.errors_m), ignored.reported
+    assert found.pipeline is not None
+    readout_s, sigma_s = found.pipeline.window.readout
+    assert sigma_s < 0.01 and abs(readout_s - RENDERED.readout_s) < 3.0 * sigma_s

@@ -79,6 +79,47 @@ def test_a_picture_between_keyframes_finds_its_pose_through_its_rows() -> None:
     assert missed[1] > 0.5, "this motion would not matter"
 
 
+def test_rates_that_nothing_measures_are_found_with_the_poses() -> None:
+    """Told that no picture turned; each turned by its own rate, which only its rows show."""
+    drawn, sweep, xy = scene(5)
+    layout = replace(drawn.problem.layout, has_rates=True)
+    unknown = replace(sweep, rate_cam_rad_s=np.zeros((8, 3)), sigma_rate_rad_s=0.3)
+    priors = [replace(prior, layout=layout) for prior in drawn.problem.priors]
+    problem = replace(drawn.problem, layout=layout, priors=priors, xy=xy, sweep=unknown)
+    start = first_guess(drawn, drawn.truth.R_cam_enu, drawn.truth.centres_enu_m)
+    solution = solve(
+        problem, replace(start, rates_rad_s=np.zeros((8, 3))), scale=None, max_iterations=60, tolerance=1e-12
+    )
+    known = solve(
+        replace(drawn.problem, xy=xy, sweep=sweep), start, scale=None, max_iterations=60, tolerance=1e-12
+    ).state
+    off = solution.state.rates_rad_s - sweep.rate_cam_rad_s
+    sigma = np.sqrt(np.diag(solution.covariance)[layout.rates])
+    assert np.all(np.abs(off) < 3.0 * sigma)
+    assert np.abs(off).max() < 0.15 * np.abs(sweep.rate_cam_rad_s).max()
+    assert 0.001 < sigma.max() < 0.2
+    missed_m = [np.abs(s.centres_enu_m - drawn.truth.centres_enu_m).max() for s in (solution.state, known)]
+    assert missed_m[0] < missed_m[1] + 1.0
+
+
+def test_a_picture_between_keyframes_finds_its_own_rate_too() -> None:
+    drawn, sweep, xy = scene(7)
+    s, k = drawn.truth, 3
+    seen = drawn.problem.weight[k] > 0
+    rates, share, velocity = sweep.rate_cam_rad_s[k], sweep.share[k : k + 1, seen], sweep.velocity_enu_m_s[k : k + 1]
+    loose, weight = np.array([1.0] * 3 + [100.0] * 3), np.full(np.count_nonzero(seen), 900.0 / 0.3)
+    points, missed = s.points_enu_m[seen], []
+    for sigma_rad_s in (0.3, 0.0):
+        own = Sweep(READOUT_S, share, np.zeros((1, 3)), velocity, sigma_rad_s)
+        found = resect(points, xy[k, seen], weight, s.R_cam_enu[k], s.centres_enu_m[k], loose, sweep=own)
+        missed.append(float(np.linalg.norm(found.centre_enu_m - s.centres_enu_m[k])))
+        assert len(found.information) == (9 if sigma_rad_s else 6)
+        if sigma_rad_s:
+            np.testing.assert_allclose(found.rate_off_rad_s, rates, atol=0.03)
+    assert missed[0] < 0.3
+    assert missed[1] > 3.0 * missed[0], "this motion would not matter"
+
+
 def test_the_residual_changes_with_the_readout_as_its_derivative_says() -> None:
     drawn, sweep, _ = scene(9)
     s = drawn.truth
