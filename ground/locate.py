@@ -185,7 +185,7 @@ class Locator:
         return _Sight(xy, offset, 1.0 / relative, method, by_readout)
 
     def _at_middle_row(self, xy: Array, v_px: float) -> tuple[Array, Array]:
-        """Where what a pixel of this row saw was at the picture's own moment, and d that / d readout. (18.4)"""
+        """Where what a pixel of this row saw was at the picture's own moment, and d that / d readout. (18.5)"""
         s, out, moved = self.feature_set, xy, np.zeros(2)
         if s.shutter is None:
             return out, moved

@@ -296,11 +296,10 @@ def explained(request: Request, *, is_solved: bool = False) -> Explanation | Non
         if again is None:
             return None
         solution = again
-        if _image_cost(again) - _image_cost(first) > HOPELESS:
-            best = again if best is first else best
-            break
         if best is first or _image_cost(again) < _image_cost(best):
             best, best_px = again, float(np.sqrt(np.mean(np.sum(shift**2, axis=1)))) * request.camera.focal_px
+        elif _image_cost(best) - _image_cost(first) > HOPELESS:
+            break
     variance = _pixel_variance(best)
     return None if variance is None else Explanation((_image_cost(first) - _image_cost(best)) / variance, best_px)
 

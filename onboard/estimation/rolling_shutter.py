@@ -67,7 +67,7 @@ class Sweep:
         return out
 
     def by_rate(self, predicted: Array) -> Array:
-        """d x / d (readout rate) (K, 3, 2, P) of points predicted at (K, 2, P). (18.5)"""
+        """d x / d (readout rate) (K, 3, 2, P) of points predicted at (K, 2, P). (18.4)"""
         x, y = predicted[:, 0], predicted[:, 1]
         moved = np.stack([x * y, 1.0 + y * y, -1.0 - x * x, -x * y, y, -x], axis=1).reshape(len(x), 3, 2, -1)
         out: Array = moved * self.share[:, None, None]

@@ -69,7 +69,7 @@ def _least_radius_m(solved: Solved) -> float:
 
 
 def _rows_move_m(feature_set: FeatureSet, longer_s: float) -> float:
-    """How far over the ground clicks move at most if the rows take so much longer to read: in the corners. (18.4)"""
+    """How far over the ground clicks move at most if the rows take so much longer to read: in the corners. (18.5)"""
     if feature_set.shutter is None or longer_s == 0.0:
         return 0.0
     rays, _ = feature_set.camera.unproject(corners_of(feature_set.camera.size_px))
