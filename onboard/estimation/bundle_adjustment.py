@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from onboard.estimation.camera_states import COUNT, by_states, readout_s
+from onboard.estimation.camera_states import COUNT, by_states
 from onboard.estimation.factors import (
     HeightModel,
     Layout,
@@ -153,10 +153,12 @@ def _residuals(problem: Problem, xy: Array, state: State, scale: float | None) -
         # Where points are predicted, not where they were measured: a larger focal length must not shrink the noise.
         by_camera = by_states(problem.camera, predicted[:, 0], predicted[:, 1])
     if problem.sweep is not None:
-        by_readout = problem.sweep.by_readout(state.R_cam_enu, predicted, depth, state.rates_rad_s)
+        by_readout = problem.sweep.by_readout(state.R_cam_enu, predicted, depth)
         image += problem.sweep.readout_s * by_readout
         if problem.layout.has_rates:
-            by_rate = (problem.sweep.readout_s + readout_s(state.camera)) * problem.sweep.by_rate(predicted)
+            by_rate = problem.sweep.by_rate(predicted)
+            image += np.einsum("krip,kr->kip", by_rate, state.rates_rad_s)
+            by_readout = problem.sweep.by_readout(state.R_cam_enu, predicted, depth, turns=False)
         if by_camera is not None and problem.layout.camera_states > COUNT:
             by_camera = np.concatenate([by_camera, -by_readout[:, None]], axis=1)
     if by_camera is not None:

@@ -79,13 +79,13 @@ def _undistorted(camera: Camera, ids: Ids, uv_px: Array, near: Array | None, mov
     return Observation(camera, ids[valid], uv_px[valid], at_once, gain, xy, share, moving)
 
 
-def swept(keyframes: Sequence[Keyframe], rates_cam_rad_s: Array) -> tuple[Keyframe, ...]:
-    """The keyframes with these angular rates (K, 3) while they were read."""
+def swept(keyframes: Sequence[Keyframe], rates_cam_rad_s: Array, readout_s: float) -> tuple[Keyframe, ...]:
+    """The keyframes with these angular rates (K, 3) while they were read in this time."""
     out = []
     for k, rate in zip(keyframes, rates_cam_rad_s, strict=True):
         seen, moving = k.observation, k.observation.moving
         if moving is not None:
-            moving = replace(moving, rate_cam_rad_s=rate)
+            moving = replace(moving, rate_cam_rad_s=rate, readout_s=readout_s)
             xy = seen.raw_xy - moving.readout_s * moving.by_readout(seen.raw_xy, seen.share)
             seen = replace(seen, xy=xy, moving=moving)
         out.append(replace(k, observation=seen))

@@ -94,14 +94,18 @@ def _whitened(
     """
     residual, predicted, depth = reprojection(R[None], C[None], points, xy.T[None])
     if sweep is not None:
-        residual += sweep.readout_s * sweep.by_readout(R[None], predicted, depth, rate_off[None])
+        residual += sweep.readout_s * sweep.by_readout(R[None], predicted, depth)
+    by_rate = None
+    if sweep is not None and sweep.sigma_rate_rad_s:
+        by_rate = sweep.by_rate(predicted)[0]
+        residual += np.einsum("rip,r->ip", by_rate, rate_off)
     ahead: Mask = depth[0] > 1e-6
     squared = np.where(ahead, (residual[0] ** 2).sum(axis=0) * weight**2, 1e6)
     _, robust = robust_cost(squared, scale)
     s = weight * np.sqrt(robust) * ahead
     by_rotation, by_point = reprojection_jacobians(R[None], predicted, depth, s[None])
     by_view = [by_rotation[0], -by_point[0]]
-    if sweep is not None and sweep.sigma_rate_rad_s:
-        by_view.append(sweep.readout_s * sweep.by_rate(predicted)[0] * s)
+    if by_rate is not None:
+        by_view.append(by_rate * s)
     A = np.concatenate(by_view).reshape(3 * len(by_view), -1)
     return A, by_point[0], (residual[0] * s).reshape(-1), np.sqrt(squared), ahead

@@ -16,6 +16,8 @@ from contract.rotations import log_so3
 
 Array = NDArray[np.float64]
 
+LEAST_READOUT_S = 0.005  # travel at 20 m/s moves the outer rows by 5 cm in it
+
 
 @dataclass(frozen=True, eq=False)
 class Moving:
@@ -52,26 +54,37 @@ class Sweep:
     share: Array  # (K, P) of the readout at which each measurement's row was exposed, 0 where there is none
     rate_cam_rad_s: Array  # (K, 3)
     velocity_enu_m_s: Array  # (K, 3)
-    sigma_rate_rad_s: float = 0.0  # of rates that nothing measures: they are estimated with the poses; 0: as given
+    # Of rates that nothing measures: they are estimated with the poses, as what they move in this time; 0: as given.
+    sigma_rate_rad_s: float = 0.0
+    scale_s: float = 0.0
 
-    def by_readout(self, R_cam_enu: Array, predicted: Array, depth: Array, rates_off: Array | None = None) -> Array:
+    def by_readout(self, R_cam_enu: Array, predicted: Array, depth: Array, *, turns: bool = True) -> Array:
         """d x / d readout (K, 2, P) of points predicted at (K, 2, P) with `depth` (K, P), by (18.2).
 
-        `rates_off` (K, 3): what is added to the rates.
+        `turns` False: what travel alone does.
         """
         velocity = np.einsum("kij,kj->ik", R_cam_enu, self.velocity_enu_m_s)[:, :, None]
-        rates = self.rate_cam_rad_s if rates_off is None or not len(rates_off) else self.rate_cam_rad_s + rates_off
-        rate = rates.T[:, :, None]
+        rate = self.rate_cam_rad_s.T[:, :, None] * float(turns)
         moved = image_velocity(predicted[:, 0], predicted[:, 1], 1.0 / np.maximum(depth, 1e-6), rate, velocity)
         out: Array = np.stack(moved, axis=1) * self.share[:, None]
         return out
 
     def by_rate(self, predicted: Array) -> Array:
-        """d x / d (readout rate) (K, 3, 2, P) of points predicted at (K, 2, P). (18.4)"""
+        """d x / d rate (K, 3, 2, P) of points predicted at (K, 2, P), in the time `scale_s`. (18.4)"""
         x, y = predicted[:, 0], predicted[:, 1]
         moved = np.stack([x * y, 1.0 + y * y, -1.0 - x * x, -x * y, y, -x], axis=1).reshape(len(x), 3, 2, -1)
-        out: Array = moved * self.share[:, None, None]
+        out: Array = moved * (self.scale_s * self.share)[:, None, None]
         return out
+
+    def rates_in(self, readout_s: float, off: Array) -> Array:
+        """The rates (K, 3) that move in another readout what these, with `off` (K, 3) found of them, move. (18.4)"""
+        out: Array = (self.readout_s * self.rate_cam_rad_s + self.scale_s * off) / readout_s
+        return out
+
+
+def published_s(readout_s: float, *, has_rates: bool) -> float:
+    """A readout that rates can be stated in: they are estimated as what they move, which no rate does in no time."""
+    return float(np.copysign(max(abs(readout_s), LEAST_READOUT_S), readout_s)) if has_rates else readout_s
 
 
 def rates_between(stamps_s: Array, R_cam_enu: Array) -> Array:

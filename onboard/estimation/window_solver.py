@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.feature_set import Status
 from onboard.config.schema import Config
-from onboard.estimation import camera_states
+from onboard.estimation import camera_states, window_start
 from onboard.estimation.boresight import BORESIGHT, HEADING, OFFSET, STATES, VELOCITY_DELAY, Belief
 from onboard.estimation.bundle_adjustment import Problem, Solution, solve
 from onboard.estimation.factors import AttitudePrior, Layout, Prior, State, VelocityPrior, ground_plane
 from onboard.estimation.ground_motion import ground_motion, ground_sigma_m_s
 from onboard.estimation.ground_roughness import effective_sigma_m
 from onboard.estimation.ground_slope import SlopePrior
-from onboard.estimation.keyframe import Ids, Keyframe, have_attitude, swept
+from onboard.estimation.keyframe import Ids, Keyframe, have_attitude
 from onboard.estimation.reobservation import Agreement
 from onboard.estimation.second_start import by_sensors, confirms, is_worth_another, verdict
 from onboard.estimation.sensor_factors import range_prior, sensor_priors
@@ -38,7 +38,6 @@ from onboard.estimation.window_acceptance import (
     by_itself,
     by_memory,
 )
-from onboard.estimation.window_start import grid, layout_of, oriented, starting_points, sweep, travel_m
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.terrain_grid import Terrain
 
@@ -179,17 +178,17 @@ def _adjusted(request: Request) -> Outcome:
     ids = ids[counts >= 2]
     if len(ids) < MIN_POINTS:
         return Outcome(Status.FEATURELESS, keyframes, noise)
-    xy, raw, weight, share = grid(request, ids)
-    start = oriented(request, xy, weight > 0)
+    xy, raw, weight, share = window_start.grid(request, ids)
+    start = window_start.oriented(request, xy, weight > 0)
     if start is None:
-        status = Status.LOW_PARALLAX if travel_m(keyframes) < 1.0 else Status.POOR_FIT
+        status = Status.LOW_PARALLAX if window_start.travel_m(keyframes) < 1.0 else Status.POOR_FIT
         return Outcome(status, keyframes, noise, reason="the pictures' rays support no orientation")
     keyframes = start
-    rows = sweep(request, keyframes, share)
-    layout = layout_of(request, keyframes, rows)
+    rows = window_start.sweep(request, keyframes, share)
+    layout = window_start.layout_of(request, keyframes, rows)
     R = np.stack([k.R_cam_enu for k in keyframes])
     C = np.stack([k.centre_enu_m for k in keyframes])
-    points, reference, plane = starting_points(request, ids, R, C, xy, weight > 0)
+    points, reference, plane = window_start.starting_points(request, ids, R, C, xy, weight > 0)
     belief = request.belief
     offset_s, late_s, velocity_late_s = belief.mean[OFFSET : VELOCITY_DELAY + 1].tolist()
     platform = belief.mean[BORESIGHT], belief.mean[HEADING], belief.mean[STATES:]
@@ -268,10 +267,7 @@ def _adjusted(request: Request) -> Outcome:
     adjusted = refine(problem, first, MIN_PIXEL_SIGMA_PX / (used.pixel_sigma_px * used.noise_inflation))
     if adjusted is None:
         return Outcome(Status.POOR_FIT, keyframes, noise, reason="too little is left without outliers")
-    if rows is not None:
-        keyframes = swept(
-            keyframes, rows.rate_cam_rad_s + (adjusted.solution.state.rates_rad_s if layout.has_rates else 0)
-        )
+    keyframes = window_start.with_found_rates(request, keyframes, rows, adjusted.solution.state)
     # Whether sensors contradict the pictures is judged by what earlier windows found, not by this one's own excuse.
     before = sensors(replace(used, factors=request.noise.factors))
     judged = _judged(
@@ -379,7 +375,7 @@ def _judged(
     frames = tuple(k.frame for k in keyframes)
     shared = shared_errors(config, priors, s.state, s.covariance)
     camera = camera_states.corrected(request.camera_file, s.state.camera)
-    readout_s = config.camera.readout_s + camera_states.readout_s(s.state.camera)
+    readout_s = window_start.readout_of(request, s.state)
     sigma_p = sigma_px * 1.177
     solved = Solved(
         frames, layout, s, ids, good, plane, sigma_px, sigma_p, keyframes, shared, moving, camera, readout_s

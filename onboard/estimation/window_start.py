@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from contract.rotations import exp_so3
-from onboard.estimation import initialisation
+from onboard.estimation import camera_states, initialisation
 from onboard.estimation.boresight import BORESIGHT
-from onboard.estimation.factors import Layout
-from onboard.estimation.keyframe import Ids, Keyframe, have_attitude, turned
-from onboard.estimation.rolling_shutter import Sweep, rates_between
+from onboard.estimation.factors import Layout, State
+from onboard.estimation.keyframe import Ids, Keyframe, have_attitude, swept, turned
+from onboard.estimation.rolling_shutter import LEAST_READOUT_S, Sweep, published_s, rates_between
 from onboard.estimation.window_acceptance import MIN_POINTS
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.triangulation import on_plane, triangulate
@@ -67,12 +67,30 @@ def sweep(request: Request, keyframes: tuple[Keyframe, ...], share: Array) -> Sw
         stamps_s = np.array([(k.nav.stamp_ns - keyframes[0].nav.stamp_ns) / 1e9 for k in keyframes])
         rate = rates_between(stamps_s, np.stack([k.R_cam_enu for k in keyframes]))
     velocity, sigma_rad_s = np.stack([m.velocity_enu_m_s for m in moving]), max(m.sigma_rate_rad_s for m in moving)
-    return Sweep(request.config.camera.readout_s, share, rate, velocity, sigma_rad_s)
+    camera = request.config.camera
+    scale_s = max(float(np.hypot(camera.readout_s, camera.sigma_readout_s)), LEAST_READOUT_S)
+    return Sweep(camera.readout_s, share, rate, velocity, sigma_rad_s, scale_s)
 
 
 def layout_of(request: Request, keyframes: tuple[Keyframe, ...], rows: Sweep | None) -> Layout:
     """The columns of the window's adjustment."""
     return Layout(len(keyframes), len(request.camera_taken), rows is not None and rows.sigma_rate_rad_s > 0.0)
+
+
+def readout_of(request: Request, state: State) -> float:
+    """How long the rows take by a solution, s."""
+    found_s = request.config.camera.readout_s + camera_states.readout_s(state.camera)
+    return published_s(found_s, has_rates=len(state.rates_rad_s) > 0)
+
+
+def with_found_rates(
+    request: Request, keyframes: tuple[Keyframe, ...], rows: Sweep | None, state: State
+) -> tuple[Keyframe, ...]:
+    """The keyframes with the angular rates that a solution has found of them, where it looked for any."""
+    if rows is None or not len(state.rates_rad_s):
+        return keyframes
+    readout_s = readout_of(request, state)
+    return swept(keyframes, rows.rates_in(readout_s, state.rates_rad_s), readout_s)
 
 
 def oriented(request: Request, xy: Array, seen: Mask) -> tuple[Keyframe, ...] | None:

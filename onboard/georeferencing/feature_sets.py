@@ -175,8 +175,8 @@ def _resected_view(
     sweep = None
     if (m := seen.moving) is not None:
         share = seen.share[known][None]
-        rate, sigma = m.rate_cam_rad_s, m.sigma_rate_rad_s
-        sweep = Sweep(solved.readout_s, share, rate[None], m.velocity_enu_m_s[None], sigma)
+        rate, velocity = m.rate_cam_rad_s[None], m.velocity_enu_m_s[None]
+        sweep = Sweep(solved.readout_s, share, rate, velocity, m.sigma_rate_rad_s, abs(solved.readout_s))
     begin = None if start is None else (start.R_cam_enu, start.centre_enu_m)
     xy = seen.raw_xy[known]
     pose: Resection = resect(points, xy, weight, guess.R_cam_enu, guess.centre_enu_m, prior, start=begin, sweep=sweep)
@@ -188,7 +188,7 @@ def _resected_view(
     flat = pull.transpose(1, 0, 2).reshape(6, -1)
     gain = flat @ s.point_gain[used].reshape(flat.shape[1], -1)
     noise = covariance[:6, :6] + (pull @ s.point_covariance[used]).transpose(1, 0, 2).reshape(6, -1) @ flat.T
-    turning = None if seen.moving is None else seen.moving.rate_cam_rad_s + pose.rate_off_rad_s
+    turning = None if sweep is None else sweep.rates_in(solved.readout_s, pose.rate_off_rad_s[None])[0]
     return _View(Pose(pose.R_cam_enu, pose.centre_enu_m), gain, noise, used, turning)
 
 

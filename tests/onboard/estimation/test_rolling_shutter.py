@@ -83,7 +83,7 @@ def test_rates_that_nothing_measures_are_found_with_the_poses() -> None:
     """Told that no picture turned; each turned by its own rate, which only its rows show."""
     drawn, sweep, xy = scene(5)
     layout = replace(drawn.problem.layout, has_rates=True)
-    unknown = replace(sweep, rate_cam_rad_s=np.zeros((8, 3)), sigma_rate_rad_s=0.3)
+    unknown = replace(sweep, rate_cam_rad_s=np.zeros((8, 3)), sigma_rate_rad_s=0.3, scale_s=READOUT_S)
     priors = [replace(prior, layout=layout) for prior in drawn.problem.priors]
     problem = replace(drawn.problem, layout=layout, priors=priors, xy=xy, sweep=unknown)
     start = first_guess(drawn, drawn.truth.R_cam_enu, drawn.truth.centres_enu_m)
@@ -110,7 +110,7 @@ def test_a_picture_between_keyframes_finds_its_own_rate_too() -> None:
     loose, weight = np.array([1.0] * 3 + [100.0] * 3), np.full(np.count_nonzero(seen), 900.0 / 0.3)
     points, missed = s.points_enu_m[seen], []
     for sigma_rad_s in (0.3, 0.0):
-        own = Sweep(READOUT_S, share, np.zeros((1, 3)), velocity, sigma_rad_s)
+        own = Sweep(READOUT_S, share, np.zeros((1, 3)), velocity, sigma_rad_s, READOUT_S)
         found = resect(points, xy[k, seen], weight, s.R_cam_enu[k], s.centres_enu_m[k], loose, sweep=own)
         missed.append(float(np.linalg.norm(found.centre_enu_m - s.centres_enu_m[k])))
         assert len(found.information) == (9 if sigma_rad_s else 6)
