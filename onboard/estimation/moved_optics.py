@@ -29,7 +29,7 @@ from onboard.estimation.second_start import by_attitude
 from onboard.estimation.sensor_factors import sensor_priors
 from onboard.estimation.sensor_groups import FORGOTTEN
 from onboard.estimation.window_acceptance import MIN_POINTS
-from onboard.estimation.window_solver import MIN_KEYFRAMES, Outcome, Request, approximate
+from onboard.estimation.window_solver import MIN_KEYFRAMES, Noise, Outcome, Request, approximate
 from onboard.estimation.window_solver import adjust as solve_window
 from onboard.estimation.window_start import grid, layout_of, starting_points, sweep
 
@@ -90,11 +90,11 @@ def adjust(request: Request) -> Outcome:
     if any(k.log_zoom for k in request.keyframes):
         return _followed(request)
     end_ns, seen_ns = request.keyframes[-1].nav.stamp_ns if request.keyframes else 0, request.noise.shifted_ns
-    is_due = end_ns - request.noise.looked_ns >= LOOK_NS or end_ns < request.noise.looked_ns
     if seen_ns and end_ns - seen_ns < HELD_NS:
-        if not is_due:
+        if not _is_due(request, Status.OK):
             return _shifted(request, seen_ns, None)
-        return _shifted(_looked(request), seen_ns, _excess(explained(request)))
+        noise = _looked(request.noise, Status.OK, end_ns)
+        return _shifted(replace(request, noise=noise), seen_ns, _excess(explained(request)))
     outcome = solve_window(request)
     if outcome.status is not Status.POOR_FIT and not (outcome.status is Status.OK and _is_strained(request, outcome)):
         return outcome
@@ -105,23 +105,32 @@ def adjust(request: Request) -> Outcome:
             f"the lens zoomed or refocused {(end_ns - zoomed_ns) / 1e9:.0f} s ago, and nothing says that it is back"
         )
         return Outcome(Status.ZOOMED, request.keyframes, noise, reason=reason)
-    if not is_due:
+    if not _is_due(request, outcome.status):
         return outcome
-    is_solved = outcome.status is Status.OK
+    is_solved, zoom = outcome.status is Status.OK, None
     explanation = explained(replace(request, keyframes=outcome.keyframes), is_solved=is_solved)
     excess = _excess(explanation)
-    if outcome.status is Status.POOR_FIT or (explanation is not None and explanation.gain < -LIKELIER):
-        request, outcome = _looked(request), replace(outcome, noise=replace(outcome.noise, looked_ns=end_ns))
-    if outcome.status is Status.POOR_FIT or excess is not None or _spreads(request, outcome):
-        found = scaled(request)
-        if found.is_zoom and (explanation is None or found.gain > explanation.gain):
-            return _zoomed(request, found.log_scale)
-    return outcome if excess is None else _shifted(request, seen_ns, excess)
+    if not is_solved or excess is not None or _spreads(request, outcome):
+        zoom = scaled(request)
+        if zoom.is_zoom and (explanation is None or zoom.gain > explanation.gain):
+            return _zoomed(request, zoom.log_scale)
+    if excess is not None:
+        return _shifted(request, seen_ns, excess)
+    is_neither = explanation.gain < -LIKELIER if explanation is not None else not is_solved
+    if is_neither and (zoom is None or zoom.gain <= 0.0):
+        return replace(outcome, noise=_looked(outcome.noise, outcome.status, end_ns))
+    return outcome
 
 
-def _looked(request: Request) -> Request:
-    """The request, once its window has been looked at in vain: that takes longer than solving it, so not each is."""
-    return replace(request, noise=replace(request.noise, looked_ns=request.keyframes[-1].nav.stamp_ns))
+def _is_due(request: Request, status: Status) -> bool:
+    """Whether a window that was accepted (OK), or refused, is to be looked at: that takes longer than to solve it."""
+    looked_ns = request.noise.looked_ns[0 if status is Status.OK else 1]
+    return not 0 <= request.keyframes[-1].nav.stamp_ns - looked_ns < LOOK_NS
+
+
+def _looked(noise: Noise, status: Status, end_ns: int) -> Noise:
+    accepted_ns, refused_ns = noise.looked_ns
+    return replace(noise, looked_ns=(end_ns, refused_ns) if status is Status.OK else (accepted_ns, end_ns))
 
 
 def _excess(explanation: Explanation | None) -> float | None:
