@@ -46,6 +46,12 @@ BENCHMARKS = (
         ("--recordings", ",".join(STARTS), "--seconds", "150", "--seed", "3"),
         ("--recordings", "plane_clean", "--seconds", "40"),
     ),
+    Benchmark(
+        "rolling_shutter",
+        "Rows read one after the other",
+        (),
+        ("--flights", "1", "--seconds", "75", "--sensors", "full", "--told", "global shutter,0 to 20 ms"),
+    ),
     Benchmark("bundle", "The window solve against GTSAM", (), ("--repeat", "5")),
     Benchmark("tracking", "A tracking step against raw Lucas-Kanade", (), ("--seconds", "3", "--passes", "1")),
     Benchmark("pipeline", "The pipeline at thirty pictures a second", ("--hour", "--profile"), ("--minutes", "1")),
