@@ -87,6 +87,10 @@ class History(Generic[T]):
         """The newest set that answers clicks; the newest refusal if none does; None if there is nothing."""
         return self.newest_answer() or self.newest_picture()
 
+    def ordered(self) -> list[Entry[T]]:
+        """All entries, in capture order."""
+        return self._current.ordered()
+
     def entry(self, frame: int) -> Entry[T] | None:
         """The set of a frame with what belongs to it."""
         return self._current.entries.get(frame)
@@ -137,6 +141,9 @@ class _Session(Generic[T]):
 
     def newest_picture(self) -> Entry[T] | None:
         return self.entries[self._order[-1][1]] if self._order else None
+
+    def ordered(self) -> list[Entry[T]]:
+        return [self.entries[frame] for _, frame in self._order]
 
     def nearest(self, asked_ns: int) -> Entry[T] | None:
         after = bisect_left(self._order, (asked_ns, -1))

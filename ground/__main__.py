@@ -8,16 +8,22 @@ from collections.abc import Sequence
 
 from contract.errors import PointclickError
 from ground import click
+from ground.web import command as web
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit status. argparse itself exits with 2 on wrong arguments."""
     parser = argparse.ArgumentParser(prog="pc-ground", description="Where is the thing in this pixel?")
     commands = parser.add_subparsers(dest="command", required=True)
-    click.add_arguments(commands.add_parser("click", help="a pixel's position on the ground"))
+    adding = commands.add_parser("click", help="a pixel's position on the ground")
+    click.add_arguments(adding)
+    adding.set_defaults(run=click.run)
+    adding = commands.add_parser("web", help="a page with the pictures to click, a map and pins")
+    web.add_arguments(adding)
+    adding.set_defaults(run=web.run)
     args = parser.parse_args([_shielded(a) for a in (sys.argv[1:] if argv is None else argv)])
     try:
-        return click.run(args)
+        return int(args.run(args))
     except PointclickError as error:
         print(f"pc-ground: error: {error}", file=sys.stderr)
         return click.WRONG_USAGE

@@ -6,6 +6,7 @@ import contextlib
 import json
 import threading
 import time
+from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Any
 
@@ -13,7 +14,7 @@ import zenoh
 
 from contract.errors import LinkError, WireError
 from contract.feature_set import FeatureSet, Status
-from contract.history import History
+from contract.history import Entry, History
 from contract.link_config import Tls, link_config
 from contract.topics import ANY_VEHICLE, FEATURES, FRAME_PARAMETER, QUERY, TIME_PARAMETER
 from contract.wire.codec import decode
@@ -95,6 +96,8 @@ class SetCache:
 
     Thread-safe. `unreadable` counts payloads that were no sets; `last_error` is the last one's. A peer session, which
     reconnects by itself, and is opened anew after a silence of RENEW_S: `link_error` says what keeps it from that.
+    `beside`: more key expressions to subscribe to, each with who gets its samples' keys and payloads; `heard` gets every
+    set and its size in bytes. Both are called in zenoh's thread: they must be quick and call nothing of zenoh's.
     Raises LinkError if the link cannot be opened.
     """
 
@@ -106,8 +109,11 @@ class SetCache:
         max_sets: int = 5000,
         *,
         tls: Tls | None = None,
+        beside: Mapping[str, Callable[[str, bytes], None]] | None = None,
+        heard: Callable[[FeatureSet, int], None] | None = None,
     ) -> None:
         self.unreadable = 0
+        self._beside, self._heard = dict(beside or {}), heard
         self.last_error: WireError | None = None
         self._bounds = max_age_s, max_sets
         self._histories: dict[str, History[FeatureSet]] = {}
@@ -120,7 +126,7 @@ class SetCache:
         self._failure: Exception | None = None  # of the last attempt to open the link anew
         self._is_closed = False
         self._session: Any = None
-        self._subscriber: Any = None
+        self._subscribers: list[Any] = []
         self._subscribe()
         self._renewal = WatchedThread("renewal of the link", self._renew_if_silent, RENEWAL_PERIOD_S)
 
@@ -144,6 +150,17 @@ class SetCache:
         """The set captured nearest to a time, within half a second."""
         with self._lock:
             return self._histories[vehicle].nearest(unix_s) if vehicle in self._histories else None
+
+    def entries(self, vehicle: str) -> list[Entry[FeatureSet]]:
+        """The sets of the session that runs, in capture order."""
+        with self._lock:
+            return self._histories[vehicle].ordered() if vehicle in self._histories else []
+
+    def age_of(self, feature_set: FeatureSet) -> float | None:
+        """Seconds since a set's picture was taken; None before any set of its vehicle was heard."""
+        with self._lock:
+            clock = self._clocks.get(feature_set.vehicle)
+            return None if clock is None else clock.age_s(feature_set.capture_unix_ns, time.monotonic_ns())
 
     def age_s(self, vehicle: str) -> float | None:
         """Seconds since the newest picture heard of was taken, whether it answers or not; None before the first.
@@ -188,7 +205,7 @@ class SetCache:
         """Leave the link; what was kept stays readable. A renewal under way closes what it has opened by itself."""
         with self._lock:
             self._is_closed = True
-            session, self._session, self._subscriber = self._session, None, None
+            session, self._session, self._subscribers = self._session, None, []
         self._renewal.close()
         _close(session)
 
@@ -203,13 +220,14 @@ class SetCache:
         endpoint, tls, key = self._ways
         session = _open("peer", endpoint, tls)
         try:
-            subscriber = session.declare_subscriber(key, self._receive)
+            subscribers = [session.declare_subscriber(key, self._receive)]
+            subscribers += [session.declare_subscriber(k, _passing_on(take)) for k, take in self._beside.items()]
         except zenoh.ZError as error:
             _close(session)
             raise LinkError(f"cannot listen to {key} at {endpoint}: {error}") from error
         with self._lock:
             if not self._is_closed:
-                self._session, self._subscriber = session, subscriber
+                self._session, self._subscribers = session, subscribers
                 return
         _close(session)
 
@@ -226,7 +244,7 @@ class SetCache:
                 if is_down and self._failure is not None:
                     raise self._failure  # still so
                 return
-            session, self._session, self._subscriber = self._session, None, None
+            session, self._session, self._subscribers = self._session, None, []
             self._renewed_s = now_s
         _close(session)
         try:
@@ -240,8 +258,9 @@ class SetCache:
     def _receive(self, sample: zenoh.Sample) -> None:
         heard_ns = time.monotonic_ns()
         self._heard_s = heard_ns / 1e9
+        payload = sample.payload.to_bytes()
         try:
-            received = decode(sample.payload.to_bytes())
+            received = decode(payload)
         except WireError as error:
             with self._lock:
                 self.unreadable += 1
@@ -256,6 +275,15 @@ class SetCache:
             if received.session == history.session:  # a late packet of an earlier one says nothing of the time
                 age_s = _seconds(_json(sample.attachment))
                 self._clocks[received.vehicle].heard(received.session, received.capture_unix_ns, age_s, heard_ns)
+        if self._heard is not None:
+            self._heard(received, len(payload))
+
+
+def _passing_on(take: Callable[[str, bytes], None]) -> Callable[[zenoh.Sample], None]:
+    def receive(sample: zenoh.Sample) -> None:
+        take(str(sample.key_expr), sample.payload.to_bytes())
+
+    return receive
 
 
 def _open(mode: str, endpoint: str, tls: Tls | None) -> Any:

@@ -36,10 +36,15 @@ class _Held:
     frame: int
     revision: int
     capture_unix_ns: int
-    is_ok: bool
+    status: Status
     file: int
     start: int
     length: int
+
+    @property
+    def is_ok(self) -> bool:
+        """Whether it answers clicks."""
+        return self.status is Status.OK
 
 
 @dataclass(eq=False)
@@ -87,6 +92,11 @@ class Recording:
     def frames(self, vehicle: str) -> list[int]:
         """The frames of a vehicle that have a set, ascending."""
         return sorted(self._index.sets[vehicle])
+
+    def rows(self, vehicle: str) -> list[tuple[int, int, int, Status]]:
+        """Frame, revision, capture time (Unix ns) and status of every set, in capture order; nothing is decoded."""
+        held = sorted(self._index.sets[vehicle].values(), key=lambda h: (h.capture_unix_ns, h.frame))
+        return [(h.frame, h.revision, h.capture_unix_ns, h.status) for h in held]
 
     def by_frame(self, vehicle: str, frame: int) -> FeatureSet | None:
         """The set of a frame at its latest revision."""
@@ -159,9 +169,8 @@ class Recording:
             sets = self._index.sets.setdefault(vehicle, {})
             held = sets.get(identity.frame)
             if held is None or held.revision <= identity.revision:
-                is_ok = identity.status is Status.OK
                 sets[identity.frame] = _Held(
-                    identity.frame, identity.revision, identity.capture_unix_ns, is_ok, file, start, length
+                    identity.frame, identity.revision, identity.capture_unix_ns, identity.status, file, start, length
                 )
         elif vehicle_name := _frames_vehicle(topic):
             self._index.frames.setdefault(vehicle_name, []).append((file, start, length))
