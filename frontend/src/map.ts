@@ -17,6 +17,7 @@ declare const WORKER_URL: string;
 
 const LAID_PICTURES = 16;
 const PIN_ICON = 28;
+const ABOVE_PICTURES = "footprint-fill"; // the lowest layer that lies on the pictures
 type Feature = { type: "Feature"; id?: number; geometry: { type: string; coordinates: unknown }; properties: Record<string, unknown> };
 
 interface Palette { ground: string; grid: string; major: string; text: string; halo: string }
@@ -50,12 +51,12 @@ export class MapPane {
       fadeDuration: 0,
       canvasContextAttributes: { antialias: true, preserveDrawingBuffer: false },
     });
-    this.map.touchZoomRotate.enable();
+        this.map.touchZoomRotate.enable();
     this.map.addControl(new maplibregl.NavigationControl({ showCompass: true }), "top-right");
     this.map.addControl(new maplibregl.ScaleControl({ unit: "metric" }), "bottom-left");
     this.map.on("dragstart", () => this.follow(false));
     this.map.once("load", () => this.ready(tiles));
-    this.map.on("error", () => { /* a tile that is missing is no reason to stop */ });
+    this.map.on("error", (event) => { console.debug("map", event.error.message); });
     byId("follow").addEventListener("click", () => this.follow(!this.isFollowing));
     byId("fit").addEventListener("click", () => this.fit());
   }
@@ -99,7 +100,6 @@ export class MapPane {
     }
     map.addImage("tie", icon("M12 1v22M1 12h22", "#111", false, true), { pixelRatio: 2 });
     map.addLayer({ id: "grid", type: "line", source: "grid", layout: { visibility: tiles === null ? "visible" : "none" }, paint: { "line-width": 1 } });
-    map.addLayer({ id: "anchor", type: "line", source: "grid", filter: ["==", 1, 2] });
     map.addLayer({ id: "footprint-fill", type: "fill", source: "footprint", paint: { "fill-color": ["get", "colour"], "fill-opacity": 0.06 } });
     map.addLayer({ id: "footprint", type: "line", source: "footprint", paint: { "line-color": ["get", "colour"], "line-width": 2 } });
     map.addLayer({ id: "path", type: "line", source: "path", paint: { "line-color": ["get", "colour"], "line-width": 2, "line-dasharray": [2, 1.5] } });
@@ -191,12 +191,12 @@ export class MapPane {
     const held = this.laid.get(key);
     if (held !== undefined) {
       (this.map.getSource(held.source) as ImageSource).setCoordinates(corners);
-      this.map.moveLayer(held.layer, "anchor");
+      this.map.moveLayer(held.layer, ABOVE_PICTURES);
     } else {
       const name = `picture ${key}`;
       this.map.addSource(name, { type: "image", coordinates: corners });
       (this.map.getSource(name) as ImageSource).updateImage({ image: copied(loaded.image), coordinates: corners });
-      this.map.addLayer({ id: name, type: "raster", source: name, paint: { "raster-fade-duration": 0, "raster-opacity": 0.95 } }, "anchor");
+      this.map.addLayer({ id: name, type: "raster", source: name, paint: { "raster-fade-duration": 0, "raster-opacity": 0.95 } }, ABOVE_PICTURES);
       this.laid.set(key, { source: name, layer: name });
     }
   }
