@@ -185,6 +185,8 @@ class PinClick:
         """
         covariance = None
         if sigma_m is not None:
+            if not (0.0 < sigma_m < 1e6 and (sigma_height_m is None or 0.0 < sigma_height_m < 1e6)):
+                raise InputError(f"a sigma of {sigma_m:g} m (height {sigma_height_m}) must be above 0")
             height = UNKNOWN_HEIGHT_SIGMA_M if sigma_height_m is None else sigma_height_m
             covariance = np.diag([sigma_m**2, sigma_m**2, height**2])
         moment = time.time_ns() if clicked_unix_ns is None else clicked_unix_ns

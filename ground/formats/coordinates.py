@@ -1,0 +1,167 @@
+"""Coordinates in other forms: degrees and minutes, MGRS, UTM, any EPSG system, metres from an origin.
+
+MGRS, UTM and EPSG are the libraries' (extra `geo`: mgrs and pyproj); the rest needs NumPy alone.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+from contract.errors import InputError
+from contract.geodesy import LocalFrame
+from ground.formats.mark import Mark
+
+# In metres, for how many decimals are of use; of degrees, the decimals that 0.1 m takes.
+_MINUTE_DECIMALS, _SECOND_DECIMALS = 5, 3
+
+
+def latlon_text(lat_deg: float, lon_deg: float, form: str = "degrees") -> str:
+    """Both for people: `degrees` (-43.3801234 172.4012345), `minutes` (43 22.80740 S ...) or `seconds`."""
+    if form == "degrees":
+        return f"{lat_deg:.7f} {lon_deg:.7f}"
+    text = {"minutes": _minutes, "seconds": _seconds}[form]
+    return f"{text(lat_deg, 2, 'NS')} {text(lon_deg, 3, 'EW')}"
+
+
+def _minutes(value_deg: float, digits: int, letters: str) -> str:
+    # Rounded first, so that no minute is ever 60.
+    unit = 10**_MINUTE_DECIMALS
+    degrees, rest = divmod(round(abs(value_deg) * 60.0 * unit), 60 * unit)
+    return f"{degrees:0{digits}d}°{rest / unit:0{3 + _MINUTE_DECIMALS}.{_MINUTE_DECIMALS}f}'{letters[value_deg < 0.0]}"
+
+
+def _seconds(value_deg: float, digits: int, letters: str) -> str:
+    unit = 10**_SECOND_DECIMALS
+    degrees, rest = divmod(round(abs(value_deg) * 3600.0 * unit), 3600 * unit)
+    minutes, seconds = divmod(rest, 60 * unit)
+    return (
+        f"{degrees:0{digits}d}°{minutes:02d}'{seconds / unit:0{3 + _SECOND_DECIMALS}.{_SECOND_DECIMALS}f}\""
+        f"{letters[value_deg < 0.0]}"
+    )
+
+
+def mgrs_text(lat_deg: float, lon_deg: float) -> str:
+    """Of the square metre that the point is in, as USNG writes it too (WGS84): 59GMM0123456789; polar squares too."""
+    mgrs = _library("mgrs")
+    try:
+        # Its own rounding takes 60 minutes for what it is given as degrees; a longitude of 180 is one of -180.
+        found = mgrs.MGRS().toMGRS(lat_deg, lon_deg if lon_deg < 180.0 else -180.0, MGRSPrecision=5)
+    except mgrs.core.MGRSError as error:
+        raise InputError(f"no MGRS square at {lat_deg:.6f} {lon_deg:.6f}: {error}") from error
+    return str(found)
+
+
+def utm_text(lat_deg: float, lon_deg: float) -> str:
+    """Zone with its band, easting and northing in metres: 59G 412345.7 5197654.3. Raises InputError at the poles."""
+    if not -80.0 <= lat_deg < 84.0:
+        raise InputError(f"UTM ends at 80 S and 84 N, this is at {lat_deg:.4f}: use mgrs, or --crs EPSG:32661 or 32761")
+    square = mgrs_text(lat_deg, lon_deg)
+    zone = square[:-12]  # 1 or 2 digits and the band, before two letters and ten digits
+    number, band = int(zone[:-1]), zone[-1]
+    found = Projection(f"EPSG:{(32600 if band >= 'N' else 32700) + number}").project(lat_deg, lon_deg)
+    return f"{number}{band} {found.x:.1f} {found.y:.1f}"
+
+
+@dataclass(frozen=True)
+class Projected:
+    """A position in another system, east before north, each with the name that its axis has there."""
+
+    crs: str
+    x: float
+    y: float
+    x_name: str
+    y_name: str
+    is_degrees: bool
+    accuracy_m: float | None  # of the change of datum; None: not known
+
+    @property
+    def text(self) -> str:
+        """Both with their names, to the millimetre."""
+        digits = 9 if self.is_degrees else 3
+        return f"{self.x_name} {self.x:.{digits}f} {self.y_name} {self.y:.{digits}f}"
+
+
+class Grid:
+    """What turns a mark into numbers of another system."""
+
+    name = ""
+
+    def of(self, mark: Mark) -> Projected:
+        """Of a mark with a position."""
+        raise NotImplementedError
+
+
+class LocalGrid(Grid):
+    """Metres east and north of an origin."""
+
+    def __init__(self, lat_deg: float, lon_deg: float) -> None:
+        if not (-90.0 <= lat_deg <= 90.0 and -180.0 <= lon_deg <= 180.0):
+            raise InputError(f"--local {lat_deg:g},{lon_deg:g}: latitude is -90 to 90, longitude -180 to 180")
+        self.name = f"local {lat_deg:.9f},{lon_deg:.9f}"
+        self._at = lat_deg, lon_deg
+
+    def of(self, mark: Mark) -> Projected:
+        """On the level of the mark, so that a metre is one where it lies."""
+        lat, lon = mark.position
+        height = mark.height_ellipsoid_m if mark.height_ellipsoid_m is not None else mark.height_amsl_m or 0.0
+        east, north, _ = (float(c) for c in LocalFrame(*self._at, height).to_enu(lat, lon, height))
+        return Projected(self.name, east, north, "east", "north", False, 0.0)
+
+
+class Projection(Grid):
+    """A coordinate reference system by its code (`EPSG:2193`). Raises InputError for one that pyproj does not know."""
+
+    def __init__(self, code: str) -> None:
+        pyproj = _library("pyproj")
+        try:
+            crs = pyproj.CRS.from_user_input(code)
+        except pyproj.exceptions.CRSError as error:
+            raise InputError(f"--crs {code}: no system that pyproj knows; give a code like EPSG:2193") from error
+        if crs.is_geocentric or len(crs.axis_info) not in (2, 3) or crs.is_vertical:
+            raise InputError(f"--crs {code}: {crs.name} is no system of two horizontal coordinates")
+        self.name = ":".join(crs.to_authority() or ()) or code
+        self.title = crs.name
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that a better way needs a grid: said by `is_best`
+            group = pyproj.transformer.TransformerGroup("EPSG:4326", crs, always_xy=True)
+        if not group.transformers:
+            raise InputError(f"--crs {code}: no way from WGS84 to {crs.name}")
+        self._transformer = group.transformers[0]
+        accuracy = self._transformer.accuracy
+        self.accuracy_m = None if accuracy is None or accuracy < 0.0 else float(accuracy)
+        # A better way that needs a grid file that is not here.
+        self.is_best = bool(group.best_available)
+        # As the system lists its axes, which may be north first; a name without a direction is told by its place.
+        first, second = ((axis.abbrev or axis.name, axis.direction) for axis in crs.axis_info[:2])
+        is_north_first = first[1] in ("north", "south") and second[1] not in ("north", "south")
+        self._x_name, self._y_name = (second[0], first[0]) if is_north_first else (first[0], second[0])
+        self._is_degrees = bool(crs.is_geographic)
+
+    def of(self, mark: Mark) -> Projected:
+        """Of a mark with a position."""
+        return self.project(*mark.position)
+
+    def project(self, lat_deg: float, lon_deg: float) -> Projected:
+        """Raises InputError for a place where the system does not hold."""
+        x, y = (float(c) for c in self._transformer.transform(lon_deg, lat_deg)[:2])
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise InputError(f"{self.name} ({self.title}) does not reach {lat_deg:.6f} {lon_deg:.6f}")
+        return Projected(self.name, x, y, self._x_name, self._y_name, self._is_degrees, self.accuracy_m)
+
+
+def _library(name: str) -> Any:
+    """A package of the extra `geo`."""
+    try:
+        if name == "mgrs":
+            import mgrs  # noqa: PLC0415
+
+            return mgrs
+        import pyproj  # noqa: PLC0415
+        import pyproj.transformer  # noqa: PLC0415
+
+        return pyproj
+    except ImportError as error:
+        raise InputError(f"this needs the package {name}: install it with  pip install 'pointclick[geo]'") from error

@@ -1,0 +1,158 @@
+"""GeoJSON (RFC 7946) out and in. Pins are written whole in a member of their own: they come back without loss.
+
+Longitude comes first, heights are above the WGS84 ellipsoid as the RFC says and are left out where only the height
+above the sea is known. Without a position the geometry is null.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from contract.errors import InputError
+from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
+from ground.formats.coordinates import Grid
+from ground.formats.imported import Imported, entered_pin
+from ground.formats.mark import Mark
+from ground.pins.model import Pin
+
+WHOLE = "pointclick"  # the member with the pin itself
+MAX_FEATURES = 100_000
+
+
+def write(marks: Sequence[Mark], grid: Grid | None = None, crop_of: Callable[[str], bytes | None] | None = None) -> str:
+    """A FeatureCollection, one feature a line. `crop_of` gives the pictures of the pins' clicks, by click id."""
+    features = ",\n".join(json.dumps(_feature(mark, grid, crop_of), allow_nan=False) for mark in marks)
+    return '{"type": "FeatureCollection", "features": [\n' + features + "\n]}\n"
+
+
+def _feature(mark: Mark, grid: Grid | None, crop_of: Callable[[str], bytes | None] | None) -> dict[str, Any]:
+    geometry = None
+    if mark.is_placed:
+        lat, lon = mark.position
+        height = [] if mark.height_ellipsoid_m is None else [round(mark.height_ellipsoid_m, 3)]
+        geometry = {"type": "Point", "coordinates": [round(lon, 9), round(lat, 9), *height]}
+    e = mark.ellipse
+    properties: dict[str, Any] = {
+        "name": mark.name,
+        "number": mark.number,
+        "category": mark.category,
+        "note": mark.note,
+        "who": mark.who,
+        "status": mark.status,
+        "reason": mark.reason,
+        "time": mark.time_text or None,
+        "ce90_m": _rounded(mark.ce90_m),
+        "le90_m": _rounded(mark.le90_m),
+        "ellipse": None
+        if e is None
+        else {
+            "confidence": 0.9,
+            "semi_major_m": _rounded(e.semi_major_m),
+            "semi_minor_m": _rounded(e.semi_minor_m),
+            "azimuth_deg": round(e.azimuth_deg, 2),
+        },
+        "height_ellipsoid_m": _rounded(mark.height_ellipsoid_m),
+        "height_amsl_m": _rounded(mark.height_amsl_m),
+        "vehicle": mark.vehicle,
+        "frame": mark.frame,
+        "u_px": mark.u_px,
+        "v_px": mark.v_px,
+        "method": mark.method,
+        "clicks": mark.clicks,
+        "ties": mark.tied,
+    }
+    if grid is not None and mark.is_placed:
+        p = grid.of(mark)
+        properties |= {"crs": p.crs, "x": p.x, "y": p.y, "x_name": p.x_name, "y_name": p.y_name}
+    out = {"type": "Feature", "id": mark.id, "geometry": geometry, "properties": properties}
+    if mark.pin is not None:
+        out[WHOLE] = {"version": 1, "pin": mark.pin.to_dict(), "crops": _crops(mark.pin, crop_of)}
+    return out
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 3)
+
+
+def _crops(pin: Pin, crop_of: Callable[[str], bytes | None] | None) -> dict[str, str]:
+    if crop_of is None:
+        return {}
+    found = {click.id: crop_of(click.id) for click in pin.clicks}
+    return {key: base64.b64encode(crop).decode("ascii") for key, crop in found.items() if crop is not None}
+
+
+def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
+    """Pins of ours as they were, and others' points as entered positions. Raises InputError for what is no GeoJSON."""
+    try:
+        content = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not GeoJSON ({error})") from error
+    kind = content.get("type") if isinstance(content, dict) else None
+    features = [content] if kind == "Feature" else content.get("features") if kind == "FeatureCollection" else None
+    if not isinstance(features, list):
+        raise InputError("not GeoJSON: a FeatureCollection or a Feature is needed")
+    if len(features) > MAX_FEATURES:
+        raise InputError(f"{len(features)} features; at most {MAX_FEATURES} are read")
+    out = Imported()
+    for index, feature in enumerate(features):
+        if not isinstance(feature, dict):
+            raise InputError(f"feature {index}: not an object")
+        try:
+            whole = feature.get(WHOLE)
+            if isinstance(whole, dict):
+                out.pins.append(Pin.from_dict(whole.get("pin")))
+                out.crops |= _crops_read(whole.get("crops"))
+            else:
+                _take_point(out, feature, who, now_unix_ns)
+        except InputError as error:
+            raise InputError(f"feature {index}: {error}") from error
+    return out
+
+
+def _crops_read(content: object) -> dict[str, bytes]:
+    if not isinstance(content, dict):
+        return {}
+    try:
+        return {str(key): base64.b64decode(str(text), validate=True) for key, text in content.items()}
+    except (binascii.Error, ValueError) as error:
+        raise InputError(f"a crop is not base64 ({error})") from error
+
+
+def _take_point(out: Imported, feature: dict[str, Any], who: str, now_unix_ns: int) -> None:
+    geometry = feature.get("geometry")
+    if not isinstance(geometry, dict) or geometry.get("type") != "Point":
+        out.left_out += 1
+        return
+    coordinates = geometry.get("coordinates")
+    numbers = coordinates if isinstance(coordinates, list) and 2 <= len(coordinates) <= 4 else []
+    if not numbers or not all(isinstance(c, int | float) and not isinstance(c, bool) for c in numbers):
+        raise InputError("coordinates are longitude, latitude and perhaps height")
+    given = feature.get("properties")
+    about: dict[str, Any] = given if isinstance(given, dict) else {}
+    ce90, le90 = _positive(about.get("ce90_m")), _positive(about.get("le90_m"))
+    out.pins.append(
+        entered_pin(
+            lat_deg=float(numbers[1]),
+            lon_deg=float(numbers[0]),
+            height_ellipsoid_m=float(numbers[2]) if len(numbers) > 2 else None,
+            sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
+            sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS,
+            name=about.get("name") or about.get("title"),
+            note=about.get("note") or about.get("description"),
+            category=about.get("category"),
+            who=who,
+            time_text=about.get("time"),
+            now_unix_ns=now_unix_ns,
+        )
+    )
+
+
+def _positive(value: object) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < 1e6:
+        return None
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,101 @@
+"""GPX 1.1 waypoints out and in. Heights are above the sea, as GPX means them.
+
+The accuracy stands in `desc` and in an extension of ours: `hdop` is a ratio of the satellites' geometry, no metres.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+
+from contract.errors import InputError
+from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
+from ground.formats.coordinates import Grid
+from ground.formats.imported import Imported, entered_pin
+from ground.formats.mark import Mark
+from ground.formats.xml_text import child_text, document, element, local_name, parsed
+
+NAMESPACE = "http://www.topografix.com/GPX/1/1"
+OURS = "https://pointclick.invalid/gpx/1"
+
+
+def write(marks: Sequence[Mark], grid: Grid | None = None) -> str:
+    """Waypoints. GPX has none without a position: such marks are named in the file's description."""
+    ET.register_namespace("", NAMESPACE)
+    ET.register_namespace("pc", OURS)
+
+    def tag(name: str) -> str:
+        return f"{{{NAMESPACE}}}{name}"
+
+    root = element(None, tag("gpx"), version="1.1", creator="pointclick")
+    without = [mark for mark in marks if not mark.is_placed]
+    if without:
+        lines = "; ".join(f"{mark.title}: {mark.accuracy_text}" for mark in without)
+        element(element(root, tag("metadata")), tag("desc"), f"without a position: {lines}")
+    for mark in marks:
+        if not mark.is_placed:
+            continue
+        lat, lon = mark.position
+        point = element(root, tag("wpt"), lat=f"{lat:.9f}", lon=f"{lon:.9f}")
+        if mark.height_amsl_m is not None:
+            element(point, tag("ele"), f"{mark.height_amsl_m:.3f}")
+        if mark.time_text:
+            element(point, tag("time"), mark.time_text)
+        element(point, tag("name"), mark.title)
+        element(point, tag("desc"), f"{mark.accuracy_text}{'. ' if mark.note else ''}{mark.note}")
+        element(point, tag("type"), mark.category)
+        more = element(point, tag("extensions"))
+        values: dict[str, object] = {
+            "id": mark.id, "name": mark.name, "note": mark.note, "who": mark.who, "vehicle": mark.vehicle,
+            "ce90_m": _figure(mark.ce90_m), "le90_m": _figure(mark.le90_m),
+            "height_ellipsoid_m": _figure(mark.height_ellipsoid_m),
+        }  # fmt: skip
+        if mark.ellipse is not None:
+            e = mark.ellipse
+            values |= {
+                "semi_major_m": _figure(e.semi_major_m), "semi_minor_m": _figure(e.semi_minor_m),
+                "azimuth_deg": f"{e.azimuth_deg:.2f}",
+            }  # fmt: skip
+        if grid is not None:
+            p = grid.of(mark)
+            values |= {"crs": p.crs, "x": f"{p.x:.9g}", "y": f"{p.y:.9g}"}
+        for name, value in values.items():
+            if value not in (None, ""):
+                element(more, f"{{{OURS}}}{name}", str(value))
+    return document(root)
+
+
+def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
+    """Waypoints; routes and tracks are left out. Raises InputError for what is no GPX."""
+    root = parsed(data, "GPX")
+    if local_name(root) != "gpx":
+        raise InputError(f"not GPX: its root is {local_name(root)[:40]!r}")
+    out = Imported()
+    for point in root:
+        if local_name(point) != "wpt":
+            out.left_out += local_name(point) in ("rte", "trk")
+            continue
+        ours = {local_name(n): n.text or "" for m in point if local_name(m) == "extensions" for n in m}
+        try:
+            lat, lon = float(point.get("lat", "")), float(point.get("lon", ""))
+            text = child_text(point, "ele")
+            height = float(text) if text else None
+            ce90, le90 = (float(ours[key]) if ours.get(key) else None for key in ("ce90_m", "le90_m"))
+        except ValueError as error:
+            raise InputError(f"GPX: waypoint {child_text(point, 'name')[:40]!r}: {error}") from error
+        out.pins.append(
+            entered_pin(
+                lat_deg=lat, lon_deg=lon, height_amsl_m=height,
+                sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
+                sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS,
+                name=ours.get("name", "" if ours else child_text(point, "name")),
+                note=ours.get("note", "" if ours else child_text(point, "desc")),
+                category=child_text(point, "type"), who=who, time_text=child_text(point, "time"),
+                now_unix_ns=now_unix_ns,
+            )
+        )  # fmt: skip
+    return out
+
+
+def _figure(value: float | None) -> str | None:
+    return None if value is None else f"{value:.3f}"

@@ -1,0 +1,66 @@
+"""What a file of places holds, as pins with entered positions."""
+
+from __future__ import annotations
+
+import uuid
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+from ground.pins.model import MAX_NAME, MAX_NOTE, Category, Pin, PinClick
+
+
+@dataclass(eq=False)
+class Imported:
+    """Pins of a file, the crops of their clicks, and how many of its things are no points."""
+
+    pins: list[Pin] = field(default_factory=list)
+    crops: dict[str, bytes] = field(default_factory=dict)
+    left_out: int = 0
+
+
+def entered_pin(
+    *,
+    lat_deg: float,
+    lon_deg: float,
+    height_ellipsoid_m: float | None = None,
+    height_amsl_m: float | None = None,
+    sigma_m: float | None = None,
+    sigma_height_m: float | None = None,
+    name: object = "",
+    note: object = "",
+    category: object = "",
+    who: str = "",
+    time_text: object = "",
+    now_unix_ns: int = 0,
+) -> Pin:
+    """A pin at a place that was not clicked; texts are cut to what is kept. Raises InputError for no such place."""
+    words = {c.value for c in Category}
+    when = unix_ns_of(time_text) if isinstance(time_text, str) else None
+    click = PinClick.entered(
+        lat_deg, lon_deg, height_ellipsoid_m=height_ellipsoid_m, height_amsl_m=height_amsl_m, sigma_m=sigma_m,
+        sigma_height_m=sigma_height_m, who=who, clicked_unix_ns=now_unix_ns if when is None else when,
+    )  # fmt: skip
+    return Pin(
+        uuid.uuid4().hex, 0, _text(name, MAX_NAME), _text(note, MAX_NOTE),
+        Category(category) if isinstance(category, str) and category in words else Category.POI,
+        who, now_unix_ns, now_unix_ns, who, (click,),
+    )  # fmt: skip
+
+
+def unix_ns_of(text: str) -> int | None:
+    """Of an ISO 8601 moment with its offset from UTC; None for what is none, or lies before 1970."""
+    try:
+        moment = datetime.fromisoformat(text.strip().replace("Z", "+00:00"))
+    except ValueError:
+        return None
+    if moment.tzinfo is None:
+        moment = moment.replace(tzinfo=UTC)
+    whole = moment - datetime(1970, 1, 1, tzinfo=UTC)
+    ns = (whole.days * 86_400 + whole.seconds) * 1_000_000_000 + whole.microseconds * 1000
+    return ns if ns >= 0 else None
+
+
+def _text(value: object, most: int) -> str:
+    """A text that can be kept; of another kind, none."""
+    text = value if isinstance(value, str) else ""
+    return text.encode("utf-8", "replace").decode("utf-8")[:most]

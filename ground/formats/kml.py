@@ -1,0 +1,150 @@
+"""KML 2.2 (OGC 07-147r2) out and in. Heights are above the sea, as KML means them; accuracy is in words and data."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+
+from contract.errors import InputError
+from contract.geodesy import LocalFrame
+from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
+from ground.formats.coordinates import Grid
+from ground.formats.imported import Imported, entered_pin
+from ground.formats.mark import Mark
+from ground.formats.xml_text import child_text, document, element, local_name, parsed
+
+NAMESPACE = "http://www.opengis.net/kml/2.2"
+# aabbggrr, as KML has it; a letter beside the colour is in the name of the style.
+_COLOURS = {"person": "ff00a5ff", "vehicle": "ffff901e", "fire": "ff0000ff", "hazard": "ff00ffff", "poi": "ff98fb98"}
+_ELLIPSE_POINTS = 48
+
+
+def write(marks: Sequence[Mark], grid: Grid | None = None) -> str:
+    """A document of placemarks, each with its 90 % ellipse; one without a position has no geometry, and says why."""
+    ET.register_namespace("", NAMESPACE)
+    root = element(None, f"{{{NAMESPACE}}}kml")
+    body = element(root, f"{{{NAMESPACE}}}Document")
+    element(body, f"{{{NAMESPACE}}}name", "pointclick")
+    for category, colour in _COLOURS.items():
+        style = element(body, f"{{{NAMESPACE}}}Style", id=category)
+        element(element(style, f"{{{NAMESPACE}}}IconStyle"), f"{{{NAMESPACE}}}color", colour)
+        element(element(style, f"{{{NAMESPACE}}}LineStyle"), f"{{{NAMESPACE}}}color", colour)
+    for mark in marks:
+        _placemark(body, mark, grid)
+    return document(root)
+
+
+def _placemark(body: ET.Element, mark: Mark, grid: Grid | None) -> None:
+    def tag(name: str) -> str:
+        return f"{{{NAMESPACE}}}{name}"
+
+    place = element(body, tag("Placemark"))
+    element(place, tag("name"), mark.title)
+    # Earth browsers show a description as HTML: the texts of people are shown as texts.
+    lines = [mark.accuracy_text, mark.note, f"{mark.category} {mark.who} {mark.time_text} {mark.vehicle}".strip()]
+    element(place, tag("description"), "<br/>".join(_html(line) for line in lines if line))
+    if mark.time_text:
+        element(element(place, tag("TimeStamp")), tag("when"), mark.time_text)
+    element(place, tag("styleUrl"), f"#{mark.category}")
+    data = element(place, tag("ExtendedData"))
+    values: dict[str, object] = {
+        "id": mark.id, "name": mark.name, "number": mark.number, "category": mark.category, "note": mark.note,
+        "who": mark.who, "status": mark.status, "reason": mark.reason or None, "ce90_m": _figure(mark.ce90_m),
+        "le90_m": _figure(mark.le90_m), "height_ellipsoid_m": _figure(mark.height_ellipsoid_m),
+        "height_amsl_m": _figure(mark.height_amsl_m), "vehicle": mark.vehicle, "frame": mark.frame,
+        "method": mark.method,
+    }  # fmt: skip
+    if mark.ellipse is not None:
+        e = mark.ellipse
+        values |= {
+            "semi_major_m": _figure(e.semi_major_m), "semi_minor_m": _figure(e.semi_minor_m),
+            "azimuth_deg": f"{e.azimuth_deg:.2f}",
+        }  # fmt: skip
+    if grid is not None and mark.is_placed:
+        p = grid.of(mark)
+        values |= {"crs": p.crs, "x": f"{p.x:.9g}", "y": f"{p.y:.9g}"}
+    for name, value in values.items():
+        if value is not None:
+            element(element(data, tag("Data"), name=name), tag("value"), str(value))
+    if not mark.is_placed:
+        return
+    lat, lon = mark.position
+    height = mark.height_amsl_m
+    both = element(place, tag("MultiGeometry")) if mark.ellipse is not None else place
+    point = element(both, tag("Point"))
+    if height is not None:
+        element(point, tag("altitudeMode"), "absolute")
+    element(point, tag("coordinates"), f"{lon:.9f},{lat:.9f}" + ("" if height is None else f",{height:.3f}"))
+    if mark.ellipse is not None:
+        line = element(both, tag("LineString"))
+        element(line, tag("tessellate"), "1")
+        element(line, tag("coordinates"), " ".join(f"{x:.9f},{y:.9f}" for x, y in outline(mark)))
+
+
+def outline(mark: Mark) -> list[tuple[float, float]]:
+    """Longitude and latitude around the 90 % ellipse, closed."""
+    e = mark.ellipse
+    assert e is not None
+    lat, lon = mark.position
+    frame, azimuth = LocalFrame(lat, lon, 0.0), math.radians(e.azimuth_deg)
+    out = []
+    for k in range(_ELLIPSE_POINTS + 1):
+        turn = 2.0 * math.pi * (k % _ELLIPSE_POINTS) / _ELLIPSE_POINTS
+        along, across = e.semi_major_m * math.cos(turn), e.semi_minor_m * math.sin(turn)
+        east = along * math.sin(azimuth) + across * math.cos(azimuth)
+        north = along * math.cos(azimuth) - across * math.sin(azimuth)
+        there = frame.to_geodetic([east, north, 0.0])
+        out.append((float(there[1]), float(there[0])))
+    return out
+
+
+def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
+    """Placemarks with a point. Raises InputError for what is no KML (KMZ is: unpack it)."""
+    if data[:2] == b"PK":
+        raise InputError("a KMZ archive: unpack it, and import the doc.kml in it")
+    root = parsed(data, "KML")
+    if local_name(root) != "kml":
+        raise InputError(f"not KML: its root is {local_name(root)[:40]!r}")
+    out = Imported()
+    for place in root.iter():
+        if local_name(place) != "Placemark":
+            continue
+        point = next((node for node in place.iter() if local_name(node) == "Point"), None)
+        if point is None:
+            out.left_out += 1
+            continue
+        about = _extended(place)
+        numbers = child_text(point, "coordinates").strip().split(",")
+        try:
+            lon, lat = float(numbers[0]), float(numbers[1])
+            has_height = len(numbers) > 2 and child_text(point, "altitudeMode") == "absolute"
+            height = float(numbers[2]) if has_height else None
+            ce90, le90 = (float(about[key]) if about.get(key) else None for key in ("ce90_m", "le90_m"))
+        except (ValueError, IndexError) as error:
+            raise InputError(f"KML: placemark {child_text(place, 'name')[:40]!r}: {error}") from error
+        moment = next((child_text(node, "when") for node in place if local_name(node) == "TimeStamp"), "")
+        out.pins.append(
+            entered_pin(
+                lat_deg=lat, lon_deg=lon, height_amsl_m=height,
+                sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
+                sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS,
+                name=about.get("name", child_text(place, "name")),
+                note=about.get("note", "" if about else child_text(place, "description")),
+                category=about.get("category"), who=who, time_text=moment, now_unix_ns=now_unix_ns,
+            )
+        )  # fmt: skip
+    return out
+
+
+def _extended(place: ET.Element) -> dict[str, str]:
+    nodes = (node for data in place if local_name(data) == "ExtendedData" for node in data)
+    return {node.get("name", ""): child_text(node, "value") for node in nodes if local_name(node) == "Data"}
+
+
+def _figure(value: float | None) -> str | None:
+    return None if value is None else f"{value:.3f}"
+
+
+def _html(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").replace('"', "&quot;")
