@@ -17,6 +17,7 @@ declare const WORKER_URL: string;
 
 const LAID_PICTURES = 16;
 const PIN_ICON = 28;
+const LATER_MS = 60;
 const ABOVE_PICTURES = "footprint-fill"; // the lowest layer that lies on the pictures
 type Feature = { type: "Feature"; id?: number; geometry: { type: string; coordinates: unknown }; properties: Record<string, unknown> };
 
@@ -133,15 +134,15 @@ export class MapPane {
     for (const what of ["shown", "pins", "path"]) this.later(what);
   }
 
-  /** At most once a frame of the screen, however much comes. */
+  /** Together, and after the picture and its answer: those are waited for. */
   private later(what: string): void {
-    if (this.due.size === 0) requestAnimationFrame(() => {
+    if (this.due.size === 0) window.setTimeout(() => requestAnimationFrame(() => {
       const due = this.due;
       this.due = new Set();
       if (due.has("path")) this.drawPath();
       if (due.has("shown")) this.drawShown();
       if (due.has("pins")) this.drawPins();
-    });
+    }), LATER_MS);
     this.due.add(what);
   }
 

@@ -109,6 +109,7 @@ export class Markers {
     held.x = at.x;
     held.y = at.y;
     held.element.style.transform = `translate(${at.x}px, ${at.y}px)`;
+    held.element.classList.toggle("below", at.y < 38);
     held.element.style.visibility = at.x < 0 || at.y < 0 || at.x > pane.width || at.y > pane.height ? "hidden" : "visible";
   }
 

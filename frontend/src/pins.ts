@@ -142,13 +142,13 @@ export class PinList {
     const category = make("select", { "aria-label": "category" }, ...KINDS.map((kind) =>
       make("option", { value: kind.word, selected: kind.word === pin.category }, kind.title)));
     category.addEventListener("change", () => this.actions.edit(pin, { category: category.value }));
-    const crop = make("img", { class: "crop", alt: "the picture around the click", width: "84", height: "84", src: api.cropUrl(pin.id, String(pin.clicks.length)) });
+    const crop = make("img", { class: "crop", alt: "the picture around the click", src: api.cropUrl(pin.id, String(pin.clicks.length)) });
     crop.addEventListener("error", () => crop.classList.add("none"));
     const button = (label: string, title: string, run: () => void, id?: string): HTMLButtonElement =>
       make("button", { type: "button", title, click: run, ...(id === undefined ? {} : { "data-testid": id }) }, label);
     const seen = make("div", { class: "seen" });
     const head = make("div", { class: "card-head" },
-      make("strong", {}, `Pin ${pin.number}`), category,
+      make("strong", {}, `Pin ${pin.number}`), name, category,
       button("Close", "close this card", () => this.state.select(null)));
     const actions = make("div", { class: "buttons" },
       button("Hand off", "coordinate in every format, QR code, print (H)", () => this.actions.handoff(pin), "handoff"),
@@ -157,7 +157,7 @@ export class PinList {
       button("Measure", "distance and bearing to another pin", () => this.listMeasure(pin, seen)),
       button("Delete", "delete; Undo brings it back", () => this.actions.remove(pin)));
     const facts = make("div", { class: "facts" }, make("div", {}, placeText(pin)), make("div", {}, factText(pin)), make("div", { class: "by" }, byText(pin)));
-    return [head, make("div", { class: "card-body" }, crop, make("div", { class: "fields" }, name, note)), facts, actions, seen, ...this.clicks(pin)];
+    return [head, make("div", { class: "card-body" }, crop, note), facts, actions, seen, ...this.clicks(pin)];
   }
 
   private clicks(pin: Pin): Node[] {

@@ -134,15 +134,15 @@ def _on_plane(s: FeatureSet, uv_px: Array) -> tuple[list[list[float]], NDArray[n
 
 
 def _paths(s: FeatureSet, uv_px: Array, earlier: Sequence[FeatureSet]) -> list[list[list[float]]]:
-    """Where each feature was seen in the pictures before, the nearest first; empty for a new one.
+    """Where each feature was seen in the pictures before, the nearest first, without a gap; empty for a new one.
 
     The wire does not number features, so they are told by their ground places, each seen from this picture.
     """
     paths: list[list[list[float]]] = [[] for _ in uv_px]
     here = _ellipsoidal(s)
-    for other in earlier:
+    for before, other in enumerate(earlier):
         if not other.is_ok or not len(other) or not len(uv_px):
-            continue
+            break
         offsets, usable = _ground_places(other)
         there = _ellipsoidal(other)
         moved = here.to_enu(*np.moveaxis(there.to_geodetic(offsets), -1, 0)) @ np.asarray(s.R_enu_cam, float)
@@ -153,6 +153,6 @@ def _paths(s: FeatureSet, uv_px: Array, earlier: Sequence[FeatureSet]) -> list[l
         nearest, back = np.argmin(distance, axis=1), np.argmin(distance, axis=0)
         then_px = other.uv_px[usable]
         for i, j in enumerate(nearest):
-            if back[j] == i and distance[i, j] <= SAME_FEATURE_PX:
+            if back[j] == i and distance[i, j] <= SAME_FEATURE_PX and len(paths[i]) == before:
                 paths[i].append([round(float(then_px[j, 0]), 1), round(float(then_px[j, 1]), 1)])
     return paths
