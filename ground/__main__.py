@@ -1,39 +1,85 @@
-"""`pc-ground`: the light client. What it does lives in the module of each command."""
+"""`pc-ground`: the light client. What it does lives in the module of each command, imported when it is asked for."""
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from contract.errors import PointclickError
-from ground import click
-from ground.web import command as web
+
+PROGRAM = "pc-ground"
+WRONG_USAGE, INTERRUPTED = 2, 130
+
+# By name: the module with add_arguments(parser), run(args) and, perhaps, EXAMPLES; and what it is for. A module is
+# named and not imported: the commands are built on this package, and most of them are not asked for.
+COMMANDS = {
+    "click": ("ground.commands.click", "a pixel's position on the ground"),
+    "watch": ("ground.commands.watch", "a live table of the aircraft"),
+    "measure": ("ground.commands.measure", "distance, bearing and height difference between two pixels"),
+    "pins": ("ground.commands.pins", "keep, list, export and import pins"),
+    "cot": ("ground.commands.cot", "send pins and aircraft to TAK as Cursor on Target"),
+    "accuracy": ("ground.commands.accuracy", "how far clicks on surveyed marks are from them"),
+    "web": ("ground.web.command", "a page with the pictures to click, a map and pins"),
+    "record": ("ground.commands.record", "keep what the link delivers as a recording"),
+    "completion": ("ground.commands.completion", "completion of these commands for a shell"),
+}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit status. argparse itself exits with 2 on wrong arguments."""
-    parser = argparse.ArgumentParser(prog="pc-ground", description="Where is the thing in this pixel?")
-    commands = parser.add_subparsers(dest="command", required=True)
-    adding = commands.add_parser("click", help="a pixel's position on the ground")
-    click.add_arguments(adding)
-    adding.set_defaults(run=click.run)
-    adding = commands.add_parser("web", help="a page with the pictures to click, a map and pins")
-    web.add_arguments(adding)
-    adding.set_defaults(run=web.run)
-    args = parser.parse_args([_shielded(a) for a in (sys.argv[1:] if argv is None else argv)])
+    words = [_shielded(a) for a in (sys.argv[1:] if argv is None else argv)]
+    named = next((word for word in words if not word.startswith("-")), None)
+    parser = parser_of([named] if named in COMMANDS else [])
+    args = parser.parse_args(words)
     try:
-        return int(args.run(args))
+        return int(_module(args.command).run(args))
     except PointclickError as error:
-        print(f"pc-ground: error: {error}", file=sys.stderr)
-        return click.WRONG_USAGE
+        print(f"{PROGRAM}: error: {error}", file=sys.stderr)
+        return WRONG_USAGE
+    except BrokenPipeError:
+        # Whoever read our output has gone, as `head` does; Python must not complain when it flushes at the end.
+        sys.stdout = open("/dev/null", "w", encoding="utf-8")  # noqa: PTH123, SIM115
+        return 1
+    except KeyboardInterrupt:
+        return INTERRUPTED
+
+
+def parser_of(commands: Sequence[str]) -> argparse.ArgumentParser:
+    """The parser with the options of these commands; the others are there by name."""
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM,
+        description="Where is the thing in this pixel?",
+        epilog=f"Each command has examples: {PROGRAM} click --help",
+    )
+    adding = parser.add_subparsers(dest="command", required=True)
+    for name, (_, meaning) in COMMANDS.items():
+        if name not in commands:
+            adding.add_parser(name, help=meaning)
+            continue
+        module = _module(name)
+        command = adding.add_parser(
+            name,
+            help=meaning,
+            description=f"{meaning[0].upper()}{meaning[1:]}.",
+            epilog=getattr(module, "EXAMPLES", None),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.add_arguments(command)
+    return parser
+
+
+def _module(name: str) -> Any:
+    return importlib.import_module(COMMANDS[name][0])
 
 
 def _shielded(argument: str) -> str:
     """A negative number with a space before it, which keeps argparse from taking it (-1e3, -3.) for an option."""
     if argument.startswith("-"):
         try:
-            float(argument)
+            float(argument.split(",", maxsplit=1)[0])
         except ValueError:
             return argument
         return f" {argument}"

@@ -53,7 +53,7 @@ def write(marks: Sequence[Mark], grid: Grid | None = None) -> str:
 
 
 def safe(text: str) -> str:
-    """A text as a cell that no spreadsheet calculates: an apostrophe before a formula's beginning, or before another."""
+    """A text as a cell that no spreadsheet calculates: an apostrophe before a formula, or before another one."""
     begins = text.lstrip(" \u00a0\ufeff").startswith(_FORMULA) or text.startswith(_QUOTE)
     return f"{_QUOTE}{text}" if begins else text
 

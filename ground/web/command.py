@@ -12,9 +12,14 @@ from pathlib import Path
 
 from contract.errors import InputError, PointclickError
 from contract.topics import DEFAULT_ENDPOINT
-from ground.click import add_tls_arguments, tls_of
+from ground.link_options import add_tls_arguments, tls_of
 
 PORT = 8080
+EXAMPLES = """examples:
+  pc-ground web --connect tcp/192.168.1.20:7447            the aircraft on the link, on this machine's own screen
+  pc-ground web --from FLIGHT.mcap --pins search.sqlite    a recorded flight
+  pc-ground web --host 0.0.0.0                             for tablets on this network, with a token and a QR code
+"""
 NEEDED = ("fastapi", "uvicorn", "websockets", "PIL", "segno")
 MIN_TOKEN = 16
 STATIC = Path(__file__).parent / "static"

@@ -11,10 +11,11 @@ from fastapi import APIRouter, HTTPException, Query, Response
 
 from contract.errors import InputError
 from ground.formats.coordinates import Projection, latlon_text, mgrs_text, utm_text
+from ground.formats.documents import FORMATS, write
 from ground.formats.mark import Mark
 from ground.pins.fusion import Vector
 from ground.pins.model import Category, Pin
-from ground.web.desk import Desk
+from ground.web.desk import Desk, NotThere
 
 _TITLES = {
     Category.PERSON: "Person",
@@ -53,6 +54,19 @@ def handoff_router(desk: Desk) -> APIRouter:
         out = io.BytesIO()
         segno.make(geo_uri(mark), error="m").save(out, kind="svg", border=2, scale=4, dark="#000", light="#fff")
         return Response(out.getvalue(), media_type="image/svg+xml")
+
+    @router.get("/export/{kind}", summary=f"All pins as a file: {', '.join(FORMATS)}", response_class=Response)
+    def export(kind: str) -> Response:
+        if kind not in FORMATS:
+            raise NotThere(f"no format {kind[:40]!r}; there is {', '.join(FORMATS)}")
+        marks = [Mark.of_pin(pin, desk.places.place(pin)) for pin in desk.store.pins()]
+        about = FORMATS[kind]
+        name = f"pins{about.suffix}"
+        return Response(
+            write(kind, marks),
+            media_type=about.media_type,
+            headers={"content-disposition": f'attachment; filename="{name}"'},
+        )
 
     return router
 

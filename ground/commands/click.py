@@ -1,0 +1,209 @@
+"""`pc-ground click`: one click, a table of them, or line after line, from a live aircraft or a recording.
+
+Exit status: 0 answered, 3 refused with the reason, 2 wrong usage (a file, an endpoint, an argument). A batch, and
+clicks from standard input, end with 0 once every click was processed: refusals are answers, each with its status.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import re
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+from contract.errors import InputError, PointclickError
+from ground.answer import Answer, Refusal
+from ground.commands import ANSWERED, REFUSED, WRONG_USAGE
+from ground.commands.grids import add_grid_arguments, grid_of
+from ground.commands.sources import Clicker, RecordedSource, Source, add_source_arguments, source_of
+from ground.commands.values import age, file_name, finite, frame_number
+from ground.formats.coordinates import Grid
+from ground.formats.documents import FORMATS, Format
+from ground.formats.mark import Mark
+from ground.formats.table import header
+from ground.freshness import MAX_AGE_S
+from ground.link_options import UsageError
+
+_PICTURE = ("frame", "file")  # the column that says which picture: one of them
+
+EXAMPLES = """\
+examples:
+  pc-ground click 480 120                                    the newest picture of the aircraft on this machine
+  pc-ground click 480 120 --connect tcp/10.0.0.7:7447        over a link
+  pc-ground click 480 120 --frame 14 --from SESSION.mcap     a picture of a recording
+  pc-ground click 480 120 --from SESSION.mcap --format mgrs  as an MGRS square (needs pointclick[geo])
+  pc-ground click --from SESSION.mcap --format kml < clicks.txt > clicks.kml    lines of U V, or FRAME U V
+"""
+
+
+class Click(NamedTuple):
+    """One row of a batch, or one line; the picture by its number in capture order, by its file, or the newest."""
+
+    picture: int | str | None
+    u_px: float
+    v_px: float
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `click`."""
+    parser.add_argument(
+        "u", metavar="U", nargs="?", type=finite, help="pixel column; 0 is the leftmost pixel's centre; "
+        "without U and V lines of `U V` or `FRAME U V` are read from standard input",
+    )  # fmt: skip
+    parser.add_argument("v", metavar="V", nargs="?", type=finite, help="pixel row; 0 is the topmost pixel's centre")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--frame", metavar="N", type=frame_number, help="picture N in capture order, from 0")
+    which.add_argument("--file", metavar="NAME", help="the picture with this file name (from a recording)")
+    which.add_argument("--time", metavar="UNIX_S", type=finite, help="the picture captured nearest, within 0.5 s")
+    which.add_argument(
+        "--batch", metavar="CLICKS.csv", type=Path, help="columns frame,u,v or file,u,v: one JSON line a click"
+    )
+    add_source_arguments(parser)
+    parser.add_argument(
+        "--max-age",
+        metavar="S",
+        type=age,
+        help=f"refuse the newest picture if it is older; inf: never (default {MAX_AGE_S:g}, of a recording inf)",
+    )
+    parser.add_argument("--format", choices=tuple(FORMATS), help="default: text, a batch always json")
+    add_grid_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do it; returns the exit status. Raises PointclickError for wrong usage."""
+    if args.batch is not None:
+        return _run_batch(args)
+    if (args.u is None) != (args.v is None):
+        raise UsageError("click needs U and V, or --batch CLICKS.csv")
+    is_newest = args.frame is None and args.file is None and args.time is None
+    if args.max_age is not None and not is_newest:
+        raise UsageError("--max-age is about the newest picture: leave it out with --frame, --file or --time")
+    if args.u is None:
+        return _run_lines(args)
+    grid = grid_of(args)
+    source = source_of(args)
+    answer, _ = _clicker(source, args).click(args.u, args.v, frame=args.frame, file=args.file, unix_s=args.time)
+    mark = Mark.of_answer(answer, (args.u, args.v))
+    chosen = FORMATS[args.format or "text"]
+    is_refused = isinstance(answer, Refusal)
+    if is_refused and chosen.name not in ("json", "geojson", "csv"):
+        print(answer.to_text(), file=sys.stderr)
+    else:
+        sys.stdout.write(chosen.write([mark], grid))
+    return REFUSED if is_refused else ANSWERED
+
+
+def _clicker(source: Source, args: argparse.Namespace) -> Clicker:
+    is_newest = args.frame is None and args.file is None and args.time is None
+    usual_s = MAX_AGE_S if is_newest and not source.is_recorded else math.inf
+    return Clicker(source, usual_s if args.max_age is None else args.max_age)
+
+
+def _run_batch(args: argparse.Namespace) -> int:
+    if args.u is not None or not args.recording or args.format not in (None, "json") or args.max_age is not None:
+        raise UsageError("--batch goes with --from SESSION.mcap, without U, V and --max-age, and writes JSON")
+    clicks = read_clicks(args.batch)
+    grid = grid_of(args)
+    clicker = Clicker(RecordedSource(args.recording, args.vehicle), math.inf)
+    for click in clicks:
+        mark = Mark.of_answer(_answered(clicker, click), (click.u_px, click.v_px))
+        sys.stdout.write(FORMATS["json"].write([mark], grid))
+    return ANSWERED
+
+
+def _answered(clicker: Clicker, click: Click) -> Answer:
+    frame = click.picture if isinstance(click.picture, int) else None
+    file = click.picture if isinstance(click.picture, str) else None
+    return clicker.click(click.u_px, click.v_px, frame=frame, file=file)[0]
+
+
+def _run_lines(args: argparse.Namespace) -> int:
+    """A click a line of standard input; each is answered at once where the format is lines."""
+    if sys.stdin is None or sys.stdin.isatty():
+        raise UsageError("click needs U and V, or --batch CLICKS.csv, or lines of U V or FRAME U V on standard input")
+    chosen, grid = FORMATS[args.format or "text"], grid_of(args)
+    source = source_of(args)
+    clicker = _clicker(source, args)
+    by_frame = Clicker(source, math.inf)  # --max-age is about the newest picture
+    marks: list[Mark] = []
+    status = ANSWERED
+    if chosen.name == "csv":
+        sys.stdout.write(header(grid))
+    count = 0
+    for number, line in enumerate(sys.stdin, 1):
+        if not line.split("#")[0].strip():
+            continue
+        count += 1
+        try:
+            click = line_click(line)
+            if click.picture is not None and (args.frame is not None or args.file is not None or args.time is not None):
+                raise InputError("a line of FRAME U V goes without --frame, --file and --time")
+            if click.picture is not None:
+                answer = _answered(by_frame, click)
+            else:
+                answer = clicker.click(click.u_px, click.v_px, frame=args.frame, file=args.file, unix_s=args.time)[0]
+            mark = Mark.of_answer(answer, (click.u_px, click.v_px), None if chosen.line is not None else count)
+            marks.append(mark)
+            _tell(chosen, mark, grid)
+        except PointclickError as error:
+            print(f"pc-ground: error: line {number}: {error}", file=sys.stderr)
+            status = WRONG_USAGE
+    if not count:
+        raise UsageError("click needs U and V, or --batch CLICKS.csv, or lines of U V or FRAME U V on standard input")
+    if chosen.line is None and chosen.name != "csv":
+        sys.stdout.write(chosen.write(marks, grid))
+    return status
+
+
+def _tell(chosen: Format, mark: Mark, grid: Grid | None) -> None:
+    """One answer of a stream, where its format does not wait for the last."""
+    if not mark.is_placed and chosen.name not in ("json", "geojson", "csv"):
+        assert mark.answer is not None
+        print(f"{mark.title}: {mark.answer.to_text()}", file=sys.stderr)
+    elif chosen.name == "csv":
+        sys.stdout.write(chosen.write([mark], grid).split("\r\n", 1)[1])
+    elif chosen.line is not None:
+        sys.stdout.write(chosen.write([mark], grid))
+    sys.stdout.flush()
+
+
+def line_click(line: str) -> Click:
+    """`U V` or `FRAME U V`, by blanks or commas; what follows a # is left out. Raises InputError."""
+    words: Iterable[str] = re.split(r"[\s,]+", line.split("#", maxsplit=1)[0].strip())
+    parts = list(words)
+    if len(parts) not in (2, 3):
+        raise InputError(f"{line.strip()[:60]!r} is not U V or FRAME U V")
+    try:
+        picture = frame_number(parts[0]) if len(parts) == 3 else None
+        return Click(picture, finite(parts[-2]), finite(parts[-1]))
+    except argparse.ArgumentTypeError as error:
+        raise InputError(str(error)) from error
+
+
+def read_clicks(path: Path) -> list[Click]:
+    """All rows of a batch, checked before the first is answered. Raises InputError with the line's number."""
+    clicks: list[Click] = []
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            rows = csv.DictReader(stream, skipinitialspace=True, strict=True)
+            header = rows.fieldnames or ()
+            which = next((name for name in _PICTURE if name in header), None)
+            missing = [*([] if which else ["frame or file"]), *(name for name in ("u", "v") if name not in header)]
+            if which is None or missing:
+                raise InputError(f"{path}, line 1: no column {', '.join(missing)}; a batch needs frame,u,v or file,u,v")
+            for row in rows:
+                texts = [row[name] or "" for name in (which, "u", "v")]
+                try:
+                    picture = frame_number(texts[0]) if which == "frame" else file_name(texts[0])
+                    clicks.append(Click(picture, finite(texts[1]), finite(texts[2])))
+                except (ValueError, argparse.ArgumentTypeError) as error:
+                    raise InputError(f"{path}, line {rows.line_num}: {error}") from error
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not a CSV file ({error})") from error
+    return clicks

@@ -1,0 +1,180 @@
+"""Where a command's pictures come from: a live aircraft or a recording, asked alike."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+from contract.feature_set import FeatureSet, Status
+from contract.topics import ANY_VEHICLE, DEFAULT_ENDPOINT, TIME_TOLERANCE_S
+from ground.answer import Answer, Refusal
+from ground.freshness import Later, Reply, aged
+from ground.link_options import UsageError, add_tls_arguments, endpoint_of, tls_of
+from ground.locate import Locator
+from ground.recording import Recording
+
+
+def add_source_arguments(parser: argparse.ArgumentParser) -> None:
+    """`--vehicle`, `--connect`, `--from` and the link's."""
+    parser.add_argument("--vehicle", metavar="ID", help="needed where several answer")
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument("--connect", metavar="ENDPOINT", help=f"zenoh endpoint (default {DEFAULT_ENDPOINT})")
+    source.add_argument(
+        "--from", dest="recording", metavar="SESSION.mcap", type=Path, help="a recorded session, or a folder with one"
+    )
+    add_tls_arguments(parser)
+
+
+class RecordedSource:
+    """Pictures of a recording. Raises PointclickError for one that cannot be read, or for no such vehicle."""
+
+    is_recorded = True
+
+    def __init__(self, path: Path, vehicle: str | None) -> None:
+        self.recording = opened(path)
+        self.vehicle = vehicle_of(vehicle, self.recording.vehicles)
+
+    def reply(self, frame: int | None = None, file: str | None = None, unix_s: float | None = None) -> Reply:
+        """The set of a frame, a file or a time, or the newest; with its age."""
+        recording, vehicle = self.recording, self.vehicle
+        later = None
+        if file is not None:
+            found_frame = self.frame_of(file)
+            if isinstance(found_frame, Refusal):
+                return Reply(found_frame)
+            frame = found_frame
+        # A refused set has no features and so is false: compare with None.
+        if frame is not None:
+            found = recording.by_frame(vehicle, frame)
+            if found is None:
+                return Reply(self._unknown_frame(frame))
+        elif unix_s is not None:
+            found = recording.by_time(vehicle, unix_s)
+            if found is None:
+                detail = f"no picture was taken within {TIME_TOLERANCE_S} s of {unix_s!r}"
+                return Reply(Refusal(Status.UNKNOWN_FRAME, vehicle=vehicle, detail=detail))
+        else:
+            found, latest = recording.newest(vehicle), recording.newest_picture(vehicle)
+            if found is None or latest is None:
+                return Reply(Refusal(Status.STARTING, vehicle=vehicle))
+            if latest.frame != found.frame:
+                later = Later(latest.status, latest.frame, recording.age_s(latest))
+        return Reply(found, recording.age_s(found), later)
+
+    def frame_of(self, picture: int | str) -> int | Refusal:
+        """The number of a picture named by its number or by its file, with folders or without."""
+        if isinstance(picture, int):
+            return picture
+        names = dict.fromkeys((picture, Path(picture).name))
+        found = next((f for n in names if (f := self.recording.frame_of_file(self.vehicle, n)) is not None), None)
+        if found is None:
+            return Refusal(Status.UNKNOWN_FRAME, vehicle=self.vehicle, detail=f"no picture is named {picture!r}")
+        return found
+
+    def _unknown_frame(self, frame: int) -> Refusal:
+        frames = self.recording.frames(self.vehicle)
+        held = f"the recording holds {len(frames)} sets of frames {frames[0]} to {frames[-1]}"
+        detail = f"no set of frame {frame}; {held}"
+        return Refusal(Status.UNKNOWN_FRAME, frame, vehicle=self.vehicle, detail=detail)
+
+
+class LinkSource:
+    """Pictures of a live aircraft: each is asked for when it is wanted. Raises PointclickError."""
+
+    is_recorded = False
+
+    def __init__(self, args: argparse.Namespace) -> None:
+        self._tls = tls_of(args)
+        self._endpoint = endpoint_of(args, self._tls)
+        self._vehicle = args.vehicle
+
+    def reply(self, frame: int | None = None, file: str | None = None, unix_s: float | None = None) -> Reply:
+        """The set of a frame or a time, or the newest; with its age."""
+        if file is not None:
+            raise UsageError(
+                "--file needs --from SESSION.mcap: picture names do not cross the link; use --frame or --time"
+            )
+        from ground.client import inquire  # noqa: PLC0415  zenoh is loaded only where there is a link
+
+        try:
+            replies = inquire(self._endpoint, self._vehicle or ANY_VEHICLE, frame=frame, unix_s=unix_s, tls=self._tls)
+        except ValueError as error:
+            raise UsageError(str(error)) from error
+        reply = replies[vehicle_of(self._vehicle, sorted(replies))]
+        if isinstance(reply.answer, Refusal):
+            return replace(reply, answer=replace(reply.answer, frame=frame))
+        return reply
+
+
+Source = RecordedSource | LinkSource
+
+
+def source_of(args: argparse.Namespace) -> Source:
+    """What `--from` or `--connect` means. Raises PointclickError."""
+    return RecordedSource(args.recording, args.vehicle) if args.recording else LinkSource(args)
+
+
+class Clicker:
+    """Answers clicks on a source's pictures; a set that is clicked again is not solved again."""
+
+    def __init__(self, source: Source, max_age_s: float) -> None:
+        self._source = source
+        self._max_age_s = max_age_s
+        self._solved = lru_cache(maxsize=64)(_solved)
+
+    def click(
+        self,
+        u_px: float,
+        v_px: float,
+        *,
+        frame: int | None = None,
+        file: str | None = None,
+        unix_s: float | None = None,
+    ) -> tuple[Answer, Locator | None]:
+        """The answer, and what gave it, if a set did."""
+        reply = self._source.reply(frame, file, unix_s)
+        found = reply.fresh(self._max_age_s)
+        if isinstance(found, Refusal):
+            return found, None
+        locator = self._solved(_Known(found))
+        return aged(locator.locate((u_px, v_px)), reply.age_s), locator
+
+
+class _Known:
+    """A set by what tells it from others."""
+
+    def __init__(self, feature_set: FeatureSet) -> None:
+        self.feature_set = s = feature_set
+        self._key = s.vehicle, s.session, s.frame, s.revision, s.capture_unix_ns
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Known) and self._key == other._key
+
+
+def _solved(known: _Known) -> Locator:
+    return Locator(known.feature_set)
+
+
+def opened(path: Path) -> Recording:
+    """A recording; what of it is damaged is said on standard error, and the rest is there."""
+    recording = Recording(path)
+    for line in recording.damage:
+        print(f"pc-ground: warning: {line}", file=sys.stderr)
+    return recording
+
+
+def vehicle_of(wanted: str | None, vehicles: list[str]) -> str:
+    """The one that is meant. Raises UsageError."""
+    if wanted is not None:
+        if wanted not in vehicles:
+            raise UsageError(f"no vehicle {wanted!r}; there is {', '.join(vehicles)}")
+        return str(wanted)
+    if len(vehicles) > 1:
+        raise UsageError(f"several vehicles answer: {', '.join(vehicles)}; choose one with --vehicle")
+    return vehicles[0]

@@ -1,0 +1,69 @@
+"""Values of the command line, checked while they are parsed."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+
+def finite(text: str) -> float:
+    """A number that is one."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"{text.strip()!r} is not a finite number")
+    return value
+
+
+def positive(text: str) -> float:
+    """A number above zero."""
+    value = finite(text)
+    if value <= 0.0:
+        raise argparse.ArgumentTypeError(f"{text.strip()!r} is not above 0")
+    return value
+
+
+def age(text: str) -> float:
+    """Seconds, or inf."""
+    value = math.inf if text.strip() == "inf" else finite(text)
+    if value < 0.0:
+        raise argparse.ArgumentTypeError(f"{text.strip()!r} is not an age in seconds")
+    return value
+
+
+def file_name(text: str) -> str:
+    """A name, not empty."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("no file name")
+    return text.strip()
+
+
+def whole(text: str, what: str) -> int:
+    """A whole number from 0 of at most ten digits."""
+    stripped = text.strip()
+    if not (stripped.isascii() and stripped.isdecimal() and len(stripped) <= 10):
+        raise argparse.ArgumentTypeError(f"{stripped!r} is not a {what} number (0, 1, 2, ...)")
+    return int(stripped)
+
+
+def frame_number(text: str) -> int:
+    """A picture's."""
+    return whole(text, "frame")
+
+
+def pin_number(text: str) -> int:
+    """A pin's."""
+    return whole(text, "pin")
+
+
+def origin(text: str) -> tuple[float, float]:
+    """`LAT,LON` in degrees."""
+    parts = text.split(",")
+    if len(parts) != 2:
+        raise argparse.ArgumentTypeError(f"{text.strip()!r} is not LAT,LON in degrees, as in -43.38,172.40")
+    lat, lon = finite(parts[0]), finite(parts[1])
+    if not (-90.0 <= lat <= 90.0 and -180.0 <= lon <= 180.0):
+        raise argparse.ArgumentTypeError(f"{text.strip()!r}: latitude is -90 to 90, longitude -180 to 180")
+    return lat, lon

@@ -1,0 +1,96 @@
+"""Cursor on Target, version 2.0: marks and aircraft as XML events, as TAK programs take them.
+
+`ce` and `le` are 90 % figures and `remarks` say so: the schema's text calls them one sigma, ATAK shows CE90, and
+whoever takes a 90 % figure for one sigma errs on the careful side. What is not known is 9999999, and a mark without a
+position makes no event.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+
+from contract.feature_set import FeatureSet, HeightDatum
+from ground.circular_error import ce90_m, le90_m
+from ground.formats.mark import Mark
+from ground.formats.xml_text import element
+
+UNKNOWN = "9999999.0"
+SPOT = "b-m-p-s-m"
+AIRCRAFT = "a-f-A-M-F-Q"  # friendly, airborne, military-style code for an unmanned aircraft: what TAK draws as a drone
+# Colours of ATAK's spot map, as signed ARGB.
+_COLOURS = {"person": -35072, "vehicle": -16776961, "fire": -65536, "hazard": -256, "poi": -1}
+
+
+def event(mark: Mark, now_unix_ns: int, stale_s: float) -> str | None:
+    """One line of XML; None for a mark without a position: a refusal is never sent as a point."""
+    if not mark.is_placed:
+        return None
+    lat, lon = mark.position
+    root = _event(f"pointclick.{mark.id}", SPOT, "h-g-i-g-o", now_unix_ns, mark.time_unix_ns, stale_s)
+    _point(root, lat, lon, mark.height_ellipsoid_m, mark.ce90_m, mark.le90_m)
+    detail = element(root, "detail")
+    element(detail, "contact", callsign=mark.title[:100])
+    colour = str(_COLOURS.get(mark.category, _COLOURS["poi"]))
+    element(detail, "usericon", iconsetpath=f"COT_MAPPING_SPOTMAP/{SPOT}/{colour}")
+    element(detail, "color", argb=colour)
+    element(
+        detail, "precisionlocation", altsrc="???" if mark.height_ellipsoid_m is None else "CALC", geopointsrc="CALC"
+    )
+    seen = f"seen {mark.time_text}" if mark.time_text else ""
+    parts = [mark.category, _accuracy(mark), mark.note, seen, mark.vehicle, mark.who]
+    element(detail, "remarks", "; ".join(part for part in parts if part))
+    return ET.tostring(root, encoding="unicode")
+
+
+def aircraft_event(s: FeatureSet, now_unix_ns: int, stale_s: float) -> str | None:
+    """Of an aircraft where its picture was taken; None for a set without a position."""
+    if not s.is_ok:
+        return None
+    root = _event(f"pointclick.{s.vehicle}", AIRCRAFT, "m-g", now_unix_ns, s.capture_unix_ns, stale_s)
+    height: float | None = s.camera_height_m
+    if s.height_datum is HeightDatum.AMSL:
+        height = None if math.isnan(s.undulation_m) else s.camera_height_m + s.undulation_m
+    ce, le = ce90_m(s.common_cov[:2, :2]), le90_m(float(np.sqrt(max(s.common_cov[2, 2], 0.0))))
+    _point(root, s.camera_lat_deg, s.camera_lon_deg, height, ce, le)
+    detail = element(root, "detail")
+    element(detail, "contact", callsign=s.vehicle)
+    datum = "AMSL" if s.height_datum is HeightDatum.AMSL else "above the WGS84 ellipsoid"
+    element(
+        detail, "remarks",
+        f"camera of {s.vehicle}; +-{ce:.1f} m (CE90), height {s.camera_height_m:.1f} m {datum} +-{le:.1f} m (LE90)",
+    )  # fmt: skip
+    return ET.tostring(root, encoding="unicode")
+
+
+def _accuracy(mark: Mark) -> str:
+    return "CE90 not known" if mark.ce90_m is None else mark.accuracy_text
+
+
+def _event(uid: str, kind: str, how: str, now_unix_ns: int, start_unix_ns: int | None, stale_s: float) -> ET.Element:
+    now = _time(now_unix_ns)
+    # A picture of an aircraft whose clock is ahead of ours has not begun later than now.
+    start = _time(min(start_unix_ns, now_unix_ns)) if start_unix_ns is not None else now
+    stale = _time(now_unix_ns + round(stale_s * 1e9))
+    return element(None, "event", version="2.0", uid=uid, type=kind, how=how, time=now, start=start, stale=stale)
+
+
+def _point(
+    root: ET.Element, lat_deg: float, lon_deg: float, hae_m: float | None, ce_m: float | None, le_m: float | None
+) -> None:
+    element(
+        root, "point", lat=f"{lat_deg:.9f}", lon=f"{lon_deg:.9f}", hae=_figure(hae_m), ce=_figure(ce_m),
+        le=_figure(le_m if hae_m is not None else None),
+    )  # fmt: skip
+
+
+def _figure(value: float | None) -> str:
+    return UNKNOWN if value is None or not abs(value) < 9_999_999.0 else f"{value:.2f}"
+
+
+def _time(unix_ns: int) -> str:
+    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=min(unix_ns, 2**62) // 1000)
+    return f"{moment:%Y-%m-%dT%H:%M:%S}.{moment.microsecond // 1000:03d}Z"

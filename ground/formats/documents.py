@@ -1,0 +1,158 @@
+"""All formats by name: what `--format` may be, and which file holds what."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from contract.errors import InputError
+from ground.formats import cot, geojson, gpx, kml, table
+from ground.formats.coordinates import Grid, latlon_text, mgrs_text, utm_text
+from ground.formats.imported import Imported
+from ground.formats.mark import Mark
+
+COT_STALE_S = 3600.0
+MAX_IMPORT_BYTES = 500_000_000
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format. `line` writes one mark, where a format is lines; `write` several at once."""
+
+    name: str
+    media_type: str
+    suffix: str
+    write: Callable[[Sequence[Mark], Grid | None], str]
+    line: Callable[[Mark, Grid | None], str | None] | None = None
+
+
+def text_line(mark: Mark, grid: Grid | None = None) -> str:
+    """For people."""
+    if mark.answer is not None and mark.is_placed:
+        rest = mark.answer.to_text()
+        return rest if grid is None else f"{_in(grid, mark)} {rest.partition('  ')[2]}"
+    if mark.answer is not None:
+        return mark.answer.to_text()
+    where = latlon_text(*mark.position) if mark.is_placed else "-"
+    if grid is not None and mark.is_placed:
+        where = _in(grid, mark)
+    name = one_line(mark.name)
+    number = "-" if mark.number is None else mark.number
+    return f"{number}  {mark.category}  {name or '(no name)'}  {where}  {mark.accuracy_text}  {mark.time_text}".rstrip()
+
+
+def json_line(mark: Mark, grid: Grid | None = None) -> str:
+    """One JSON object: of a click its answer's own, with the grid's numbers if there is one."""
+    if mark.answer is not None:
+        base = mark.answer.to_json()
+    else:
+        lat, lon = mark.position if mark.is_placed else (None, None)
+        e = mark.ellipse
+        ellipse = None
+        if e is not None:
+            axes = {"semi_major_m": round(e.semi_major_m, 3), "semi_minor_m": round(e.semi_minor_m, 3)}
+            ellipse = {"confidence": 0.9, **axes, "azimuth_deg": round(e.azimuth_deg, 2)}
+        base = json.dumps(
+            {
+                "status": mark.status, "number": mark.number, "name": mark.name, "category": mark.category,
+                "lat_deg": _rounded(lat, 9), "lon_deg": _rounded(lon, 9),
+                "height_ellipsoid_m": _rounded(mark.height_ellipsoid_m), "height_amsl_m": _rounded(mark.height_amsl_m),
+                "ce90_m": _rounded(mark.ce90_m), "le90_m": _rounded(mark.le90_m), "ellipse": ellipse,
+                "reason": mark.reason, "note": mark.note, "who": mark.who, "vehicle": mark.vehicle,
+                "time_utc": mark.time_text or None, "clicks": mark.clicks, "ties": mark.tied, "id": mark.id,
+            }
+        )  # fmt: skip
+    if grid is None or not mark.is_placed:
+        return base
+    p = grid.of(mark)
+    digits = 9 if p.is_degrees else 3
+    more = {
+        "name": p.crs, "x": round(p.x, digits), "y": round(p.y, digits), "x_axis": p.x_name, "y_axis": p.y_name,
+        "accuracy_m": p.accuracy_m,
+    }  # fmt: skip
+    return f'{base[:-1]}, "crs": {json.dumps(more)}}}'
+
+
+def _coordinate_line(of: Callable[[float, float], str]) -> Callable[[Mark, Grid | None], str | None]:
+    def line(mark: Mark, grid: Grid | None = None) -> str | None:
+        if not mark.is_placed:
+            return None
+        name = "" if mark.number is None else f"  {one_line(mark.title)}"
+        return f"{of(*mark.position)}  {mark.accuracy_text}{name}"
+
+    return line
+
+
+def _cot_line(mark: Mark, grid: Grid | None = None) -> str | None:
+    return cot.event(mark, time.time_ns(), COT_STALE_S)
+
+
+def _lines(line: Callable[[Mark, Grid | None], str | None]) -> Callable[[Sequence[Mark], Grid | None], str]:
+    def write(marks: Sequence[Mark], grid: Grid | None = None) -> str:
+        return "".join(f"{text}\n" for mark in marks if (text := line(mark, grid)) is not None)
+
+    return write
+
+
+def _of_lines(
+    name: str, line: Callable[[Mark, Grid | None], str | None], media_type: str = "text/plain", suffix: str = ".txt"
+) -> Format:
+    return Format(name, media_type, suffix, _lines(line), line)
+
+
+FORMATS: dict[str, Format] = {
+    f.name: f
+    for f in (
+        _of_lines("text", text_line),
+        _of_lines("json", json_line, "application/x-ndjson", ".ndjson"),
+        Format("geojson", "application/geo+json", ".geojson", geojson.write),
+        Format("kml", "application/vnd.google-earth.kml+xml", ".kml", kml.write),
+        Format("gpx", "application/gpx+xml", ".gpx", gpx.write),
+        Format("csv", "text/csv", ".csv", table.write),
+        _of_lines("cot", _cot_line, "application/xml", ".cot"),
+        _of_lines("mgrs", _coordinate_line(mgrs_text)),
+        _of_lines("utm", _coordinate_line(utm_text)),
+        _of_lines("dms", _coordinate_line(lambda lat, lon: latlon_text(lat, lon, "seconds"))),
+        _of_lines("dm", _coordinate_line(lambda lat, lon: latlon_text(lat, lon, "minutes"))),
+    )
+}
+
+_READERS: dict[str, Callable[[bytes, str, int], Imported]] = {
+    "geojson": geojson.read, "kml": kml.read, "gpx": gpx.read, "csv": table.read,
+}  # fmt: skip
+_KINDS = {".geojson": "geojson", ".json": "geojson", ".kml": "kml", ".gpx": "gpx", ".csv": "csv"}
+
+
+def read_pins(path: Path, kind: str | None = None, who: str = "") -> Imported:
+    """The places of a file, whose kind its name says unless it is given. Raises InputError."""
+    chosen = kind or _KINDS.get(path.suffix.lower())
+    if chosen not in _READERS:
+        raise InputError(f"{path}: of which kind? its name should end in {', '.join(_KINDS)}; or give --format")
+    try:
+        if path.stat().st_size > MAX_IMPORT_BYTES:
+            raise InputError(f"{path}: larger than {MAX_IMPORT_BYTES // 1_000_000} MB")
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    try:
+        return _READERS[chosen](data, who, time.time_ns())
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def one_line(text: str) -> str:
+    """A text for a terminal: no line feeds, and nothing that steers it."""
+    return re.sub(r"\s+", " ", "".join(c if c.isprintable() or c.isspace() else "\ufffd" for c in text)).strip()
+
+
+def _in(grid: Grid, mark: Mark) -> str:
+    p = grid.of(mark)
+    return f"{p.text}  {p.crs}"
+
+
+def _rounded(value: float | None, digits: int = 3) -> float | None:
+    return None if value is None else round(value, digits)
