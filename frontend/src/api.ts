@@ -47,8 +47,7 @@ export const api = {
   deletePin: (id: string, who: string) => asked<unknown>(`/api/pins/${part(id)}?who=${part(who)}`, "DELETE"),
   cropUrl: (id: string, version: string) => `/api/pins/${part(id)}/crop?v=${part(version)}`,
   seen: (id: string) => asked<Seen[]>(`/api/pins/${part(id)}/seen`),
-  handoff: (id: string, from: string | null) =>
-    asked<Handoff>(`/api/pins/${part(id)}/handoff${from === null ? "" : `?from=${part(from)}`}`),
+  handoff: (id: string, from: string, crs: string) => asked<Handoff>(`/api/pins/${part(id)}/handoff?from=${part(from)}&crs=${part(crs)}`),
   qrUrl: (id: string) => `/api/pins/${part(id)}/qr.svg`,
   measure: (from: string, to: string) => asked<Record<string, number | string | null>>(`/api/measure?from=${part(from)}&to=${part(to)}`),
   undo: (who: string) => asked<{ undone: string | null }>("/api/undo", "POST", { who }),

@@ -27,9 +27,10 @@ export async function showHandoff(pin: Pin, state: State): Promise<void> {
   const from = make("select", { "aria-label": "bearing and distance from" }, make("option", { value: "" }, "from nowhere"),
     ...[...state.pins.values()].filter((other) => other.id !== pin.id && other.place.status === "ok")
       .sort((a, b) => a.number - b.number).slice(0, 1000).map((other) => make("option", { value: other.id }, `from pin ${other.number} ${other.name}`)));
+  const crs = make("input", { type: "text", maxlength: "40", placeholder: "EPSG:2193", "aria-label": "another coordinate system" });
   const table = make("div", { class: "formats" });
   const fill = async (): Promise<void> => {
-    const said = await api.handoff(pin.id, from.value === "" ? null : from.value);
+    const said = await api.handoff(pin.id, from.value, crs.value.trim());
     table.replaceChildren(...said.texts.map(({ name, title, text }) => {
       const button: HTMLButtonElement = make("button", { type: "button", click: () => void copied(text, button), "aria-label": `copy ${title}` }, "Copy");
       return make("div", { class: "format", "data-format": name }, make("span", { class: "format-name" }, title), make("span", { class: "format-text" }, text), button);
@@ -43,9 +44,9 @@ export async function showHandoff(pin: Pin, state: State): Promise<void> {
   const pictures = make("div", { class: "handoff-pictures" }, crop,
     make("figure", {}, make("img", { class: "qr", alt: "QR code of the position, for a phone's camera", src: `${api.qrUrl(pin.id)}?v=${encodeURIComponent(pin.modified_utc)}` }), make("figcaption", {}, "position for a phone")));
   body.replaceChildren(head, make("div", { class: "handoff-columns" }, table, pictures),
-    make("div", { class: "from no-print" }, make("label", {}, "Bearing and distance ", from)),
+    make("div", { class: "from no-print" }, make("label", {}, "Bearing and distance ", from), make("label", {}, " Other system ", crs)),
     make("h3", {}, "On the radio"), make("p", { id: "readback", class: "readback" }));
-  from.addEventListener("change", () => void fill());
+  for (const field of [from, crs]) field.addEventListener("change", () => void fill());
   dialog.showModal();
   try {
     await fill();

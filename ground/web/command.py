@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import ipaddress
-import os
 import secrets
 import sys
 from pathlib import Path
@@ -54,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="TOKEN",
         nargs="?",
         const="",
-        help="ask browsers for a token; without one given, one is made. Always so on other addresses than this machine's",
+        help="ask browsers for a token; without one given, one is made. Always so on addresses that others reach",
     )
     parser.add_argument("--name", action="append", default=[], metavar="NAME", help="a host name that browsers may use")
     parser.add_argument("--tls-certificate", type=Path, metavar="FILE.pem", help="serve https with this certificate")
@@ -91,12 +90,6 @@ def token_of(args: argparse.Namespace) -> str:
     if len(said) < MIN_TOKEN or not said.isascii() or not said.replace("-", "").replace("_", "").isalnum():
         raise WebError(f"--token must have at least {MIN_TOKEN} letters, digits, - or _; leave it out and one is made")
     return said
-
-
-def default_pins() -> Path:
-    """Where pins are kept unless told otherwise: the user's data folder."""
-    base = os.environ.get("XDG_DATA_HOME") or str(Path.home() / ".local" / "share")
-    return Path(base) / "pointclick" / "pins.sqlite"
 
 
 def link_host(host: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -11,7 +12,7 @@ from fastapi import APIRouter, HTTPException, Query, Response
 
 from contract.errors import InputError
 from ground.formats.coordinates import Projection, latlon_text, mgrs_text, utm_text
-from ground.formats.documents import FORMATS, write
+from ground.formats.documents import FORMATS
 from ground.formats.mark import Mark
 from ground.pins.fusion import Vector
 from ground.pins.model import Category, Pin
@@ -61,21 +62,22 @@ def handoff_router(desk: Desk) -> APIRouter:
             raise NotThere(f"no format {kind[:40]!r}; there is {', '.join(FORMATS)}")
         marks = [Mark.of_pin(pin, desk.places.place(pin)) for pin in desk.store.pins()]
         about = FORMATS[kind]
-        name = f"pins{about.suffix}"
-        return Response(
-            write(kind, marks),
-            media_type=about.media_type,
-            headers={"content-disposition": f'attachment; filename="{name}"'},
-        )
+        headers = {"content-disposition": f'attachment; filename="pins{about.suffix}"'}
+        return Response(about.write(marks, None), media_type=about.media_type, headers=headers)
 
     return router
+
+
+def up(metres: float) -> float:
+    """To a tenth, never smaller than it is: what is said of the accuracy is not surer than what is known."""
+    return math.ceil(metres * 10.0 - 1e-9) / 10.0
 
 
 def geo_uri(mark: Mark) -> str:
     """RFC 5870: the height above the ellipsoid where it is known, and the 90 % radius as its uncertainty."""
     lat, lon = mark.position
     height = "" if mark.height_ellipsoid_m is None else f",{mark.height_ellipsoid_m:.1f}"
-    return f"geo:{lat:.7f},{lon:.7f}{height}" + ("" if mark.ce90_m is None else f";u={mark.ce90_m:.1f}")
+    return f"geo:{lat:.7f},{lon:.7f}{height}" + ("" if mark.ce90_m is None else f";u={up(mark.ce90_m):.1f}")
 
 
 def readback(mark: Mark) -> str:
@@ -112,7 +114,7 @@ def _texts(mark: Mark, crs: str) -> list[dict[str, str]]:
             out.append({"name": name, "title": title, "text": text()})
         except InputError as error:  # no such square at a pole, no such package: the others still hold
             out.append({"name": name, "title": title, "text": f"not to be had: {error}"})
-    radius = "unknown" if mark.ce90_m is None else f"+-{mark.ce90_m:.1f} m (CE90)"
+    radius = "unknown" if mark.ce90_m is None else f"+-{up(mark.ce90_m):.1f} m (CE90)"
     out.append({"name": "accuracy", "title": "Within", "text": radius})
     out.append({"name": "height", "title": "Height", "text": _height(mark)})
     out.append({"name": "time", "title": "Seen at", "text": mark.time_text or "not known"})
@@ -121,7 +123,7 @@ def _texts(mark: Mark, crs: str) -> list[dict[str, str]]:
 
 
 def _height(mark: Mark) -> str:
-    sigma = "" if mark.le90_m is None else f" +-{mark.le90_m:.1f} m (LE90)"
+    sigma = "" if mark.le90_m is None else f" +-{up(mark.le90_m):.1f} m (LE90)"
     if mark.height_amsl_m is not None:
         return f"{mark.height_amsl_m:.1f} m above mean sea level{sigma}"
     if mark.height_ellipsoid_m is not None:

@@ -1,7 +1,7 @@
 """The pictures and statuses of a session's files, found once and read when asked for.
 
-Pictures as `recording.pictures` writes them: channel `pc/<vehicle>/pictures`, each before its frame's event. A file with
-chunks has none here: its sets are read, its pictures not.
+Pictures as `recording.pictures` writes them: channel `pc/<vehicle>/pictures`, each before its frame's event. A file
+with chunks has none here: its sets are read, its pictures not.
 """
 
 from __future__ import annotations

@@ -13,9 +13,10 @@ import uvicorn
 from contract.errors import InputError
 from contract.link_config import Tls
 from contract.topics import DEFAULT_ENDPOINT
+from ground.pins.file import default_path
 from ground.pins.store import PinStore
 from ground.web.app import create_app
-from ground.web.command import STATIC, WebError, default_pins, link_host
+from ground.web.command import STATIC, WebError, link_host
 from ground.web.desk import Desk
 from ground.web.guard import Rules, is_loopback
 from ground.web.recorded import RecordedSource
@@ -33,7 +34,7 @@ def serve(args: argparse.Namespace, token: str, tls: Tls | None) -> int:
     with listening:
         source = _source(args, tls)
         try:
-            pins = args.pins or default_pins()
+            pins = args.pins or default_path()
             if args.pins is None:
                 pins.parent.mkdir(parents=True, exist_ok=True)
             with PinStore(pins) as store:
