@@ -12,7 +12,7 @@ const here = dirname(fileURLToPath(import.meta.url));
 const EXPORTS = [["geojson", "GeoJSON"], ["kml", "KML"], ["gpx", "GPX"], ["csv", "CSV"], ["cot", "CoT"]];
 
 if (process.argv.includes("--tests")) {
-  const out = join(here, "../build/frontend-tests");
+  const out = process.argv[3] ?? join(here, "../build/frontend-tests");
   rmSync(out, { recursive: true, force: true });
   const entryPoints = readdirSync(join(here, "tests")).filter((name) => name.endsWith(".test.ts")).map((name) => join(here, "tests", name));
   await build({ entryPoints, outdir: out, bundle: true, platform: "node", format: "esm", outExtension: { ".js": ".mjs" }, logLevel: "warning" });

@@ -39,6 +39,7 @@ async function clicked(body: ClickBody): Promise<void> {
   const category = again?.category ?? state.options.category, number = again?.number ?? state.nextNumber() + pendingNew;
   if (again === undefined) pendingNew += 1;
   picture.markers.clearRefusals();
+  saySomething(`${kindOf(category).title} ${number}: ...`);
   picture.markers.begin({ key, number, category, vehicle: body.vehicle, session: body.session, frame: body.frame, at: body, text: "", isRefused: false });
   try {
     const who = state.options.who;

@@ -40,13 +40,13 @@ export function contains(picture: Size, at: Pixel): boolean {
   return at.u >= -0.5 && at.v >= -0.5 && at.u <= picture.width - 0.5 && at.v <= picture.height - 0.5;
 }
 
-/** Zoomed by a factor about a point of the pane, which keeps showing the same pixel, as far as the bounds allow. */
-export function zoomed(view: View, factor: number, about: Point, picture: Size, pane: Size): View {
+/** Zoomed by a factor; what was seen at `from` is then seen at `to`, as far as the bounds allow. */
+export function zoomed(view: View, factor: number, from: Point, picture: Size, pane: Size, to: Point = from): View {
   const whole = wholeView(picture, pane).scale;
   const scale = Math.min(Math.max(view.scale * factor, whole), whole * MAX_ZOOM);
   const ratio = scale / view.scale;
   return held(
-    { scale, left: about.x - (about.x - view.left) * ratio, top: about.y - (about.y - view.top) * ratio },
+    { scale, left: to.x - (from.x - view.left) * ratio, top: to.y - (from.y - view.top) * ratio },
     picture,
     pane,
   );

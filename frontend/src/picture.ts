@@ -184,9 +184,8 @@ export class PicturePane {
     const [c, d] = [...this.fingers.values()];
     if (a === undefined || b === undefined || c === undefined || d === undefined) return;
     const was = Math.hypot(a.x - b.x, a.y - b.y), is = Math.hypot(c.x - d.x, c.y - d.y);
-    const mid = { x: (c.x + d.x) / 2, y: (c.y + d.y) / 2 };
-    const moved = panned(this.view, mid.x - (a.x + b.x) / 2, mid.y - (a.y + b.y) / 2, this.picture, this.pane);
-    this.view = zoomed(moved, is / Math.max(was, 1), mid, this.picture, this.pane);
+    const from = { x: (a.x + b.x) / 2, y: (a.y + b.y) / 2 }, to = { x: (c.x + d.x) / 2, y: (c.y + d.y) / 2 };
+    this.view = zoomed(this.view, is / Math.max(was, 1), from, this.picture, this.pane, to);
     this.invalidate();
   }
 
