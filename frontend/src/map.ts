@@ -17,7 +17,7 @@ declare const WORKER_URL: string;
 
 const LAID_PICTURES = 16;
 const PIN_ICON = 28;
-const LATER_MS = 60;
+const LATER_MS = 120, LATEST_MS = 600; // the map is drawn this long after the last change, and after the first one
 const ABOVE_PICTURES = "footprint-fill"; // the lowest layer that lies on the pictures
 type Feature = { type: "Feature"; id?: number; geometry: { type: string; coordinates: unknown }; properties: Record<string, unknown> };
 
@@ -35,6 +35,8 @@ export class MapPane {
   private hasView = false;
   private theme: "day" | "night" = "day";
   private due = new Set<string>();
+  private dueAt = 0;
+  private timer = 0;
   private origin: { lat: number; lon: number } | null = null;
 
   constructor(private readonly state: State, private readonly viewer: Viewer, tiles: Tiles | null) {
@@ -136,14 +138,17 @@ export class MapPane {
 
   /** Together, and after the picture and its answer: those are waited for. */
   private later(what: string): void {
-    if (this.due.size === 0) window.setTimeout(() => requestAnimationFrame(() => {
+    const now = performance.now();
+    if (this.due.size === 0) this.dueAt = now + LATEST_MS;
+    this.due.add(what);
+    window.clearTimeout(this.timer);
+    this.timer = window.setTimeout(() => requestAnimationFrame(() => {
       const due = this.due;
       this.due = new Set();
       if (due.has("path")) this.drawPath();
       if (due.has("shown")) this.drawShown();
       if (due.has("pins")) this.drawPins();
-    }), LATER_MS);
-    this.due.add(what);
+    }), Math.min(LATER_MS, Math.max(this.dueAt - now, 0)));
   }
 
   private set(name: string, features: Feature[]): void {

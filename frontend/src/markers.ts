@@ -8,7 +8,7 @@ import type { State } from "./state.js";
 import type { Category, FrameView, Pin } from "./types.js";
 
 const NEAR_PX = 16;
-const MOST = 400; // in one picture, the newest first
+const MOST = 200; // in one picture, the newest first
 
 interface Spot { readonly key: string; readonly vehicle: string; readonly session: number; readonly frame: number; readonly at: Pixel }
 
@@ -23,7 +23,10 @@ export class Markers {
   private last: [FrameView | null, View, Size] | null = null;
   private readonly bubble = make("div", { class: "bubble", hidden: true });
 
+  private newest: Pin[] | null = null;
+
   constructor(private readonly layer: HTMLElement, private readonly state: State) {
+    state.on(["pins"], () => { this.newest = null; });
     layer.append(this.bubble);
   }
 
@@ -93,9 +96,13 @@ export class Markers {
     if (this.last !== null) this.draw(...this.last);
   }
 
+  /** Sorted anew only when pins have changed: a picture is drawn far more often. */
   private shownPins(): Pin[] {
-    const all = [...this.state.pins.values()];
-    return all.length <= MOST ? all : all.sort((a, b) => b.number - a.number).slice(0, MOST);
+    if (this.newest === null) {
+      const all = [...this.state.pins.values()];
+      this.newest = all.length <= MOST ? all : all.sort((a, b) => b.number - a.number).slice(0, MOST);
+    }
+    return this.newest;
   }
 
   private put(key: string, look: string, at: Point, pane: Size, made: () => HTMLElement): void {

@@ -24,16 +24,20 @@ const SVG = "http://www.w3.org/2000/svg";
 
 export function shapeSvg(kind: Kind, size: number, text = ""): SVGSVGElement {
   const svg = document.createElementNS(SVG, "svg");
-  svg.setAttribute("viewBox", "-1 -1 26 26");
+  svg.setAttribute("viewBox", "-2 -2 28 28");
   svg.setAttribute("width", String(size));
   svg.setAttribute("height", String(size));
   svg.setAttribute("aria-hidden", "true");
-  const path = document.createElementNS(SVG, "path");
-  path.setAttribute("d", kind.path);
-  path.setAttribute("fill", kind.colour);
-  path.setAttribute("stroke", "#fff");
-  path.setAttribute("stroke-width", "1.5");
-  svg.append(path);
+  // A dark edge outside the white one, so that it stands out on any ground.
+  for (const [stroke, width] of [["#000", "4"], ["#fff", "2"]] as const) {
+    const path = document.createElementNS(SVG, "path");
+    path.setAttribute("d", kind.path);
+    path.setAttribute("fill", kind.colour);
+    path.setAttribute("stroke", stroke);
+    path.setAttribute("stroke-width", width);
+    path.setAttribute("stroke-linejoin", "round");
+    svg.append(path);
+  }
   if (text !== "") {
     const label = document.createElementNS(SVG, "text");
     label.setAttribute("x", "12");
