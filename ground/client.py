@@ -96,8 +96,8 @@ class SetCache:
 
     Thread-safe. `unreadable` counts payloads that were no sets; `last_error` is the last one's. A peer session, which
     reconnects by itself, and is opened anew after a silence of RENEW_S: `link_error` says what keeps it from that.
-    `beside`: more key expressions to subscribe to, each with who gets its samples' keys and payloads; `heard` gets
-    every set and its size in bytes. Both are called in zenoh's thread: they must be quick and call nothing of zenoh's.
+    `beside`: more key expressions to subscribe to, each with who gets its samples' keys and payloads; `heard` gets each
+    set and its size in bytes. Both are called in zenoh's thread: they must be quick and call nothing of zenoh's.
     Raises LinkError if the link cannot be opened.
     """
 

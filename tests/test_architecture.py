@@ -54,7 +54,8 @@ IO_PACKAGES = {
     "select", "serial", "signal", "socket", "subprocess", "threading", "tqdm", "zenoh",
 }  # fmt: skip
 IO_ALLOWED = {
-    "ground", "ground.commands", "ground.pins", "onboard", "onboard.camera", "onboard.telemetry", "onboard.link", "onboard.storage", "onboard.replay",
+    "ground", "ground.commands", "ground.pins", "onboard", "onboard.camera", "onboard.telemetry", "onboard.link",
+    "onboard.storage", "onboard.replay",
     "onboard.service", "onboard.commands", "onboard.events", "simulation", "simulation.autopilot", "demo", "benchmarks",
 }  # fmt: skip
 SHIPPED = ("contract", "ground", "onboard")

@@ -81,6 +81,10 @@ def environment(install: Callable[[str], Path]) -> Path:
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return level_session(tmp_path_factory.mktemp("session") / "session.mcap")
+
+
+def level_session(path: Path) -> Path:
     """A recording of one picture: a camera that looks straight down at level ground, on a lattice of features."""
     camera = Camera.from_field_of_view(640, 480, 40.0)
     uv = [(float(u), float(v)) for u in range(40, 640, 80) for v in range(40, 480, 80)]
@@ -92,7 +96,6 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
         uv_px=np.array(uv), inverse_depth_per_m=np.full(len(uv), 1.0 / HEIGHT_M),
         sigma_inverse_depth_per_m=np.full(len(uv), 1e-6),
     )  # fmt: skip
-    path = tmp_path_factory.mktemp("session") / "session.mcap"
     with SessionRecorder(path, "uav") as out:
         out.write_event(Frame(CAPTURE_NS, 0, None, "picture.png"))
         out.write_set(level)
@@ -135,6 +138,32 @@ def test_a_recording_can_be_clicked(environment: Path, session: Path) -> None:
     assert answer["lat_deg"] == pytest.approx(-43.38, abs=1e-7)
     assert answer["lon_deg"] == pytest.approx(172.4, abs=1e-7)
     assert answer["height_amsl_m"] == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize("form", ["text", "geojson", "kml", "gpx", "csv", "cot", "dms", "dm"])
+def test_the_base_writes_every_format_but_projections(environment: Path, session: Path, form: str) -> None:
+    done = run(
+        environment, "pc-ground", "click", 319.5, 239.5, "--frame", 0, "--from", session, "--format", form,
+        "--local", "-43.4,172.4",
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "") and done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "extra"),
+    [
+        (["click", "1", "2", "--format", "mgrs"], "geo"), (["click", "1", "2", "--crs", "EPSG:2193"], "geo"),
+        (["click", "1", "2", "--format", "utm"], "geo"), (["completion", "bash"], "completion"),
+        (["record", "--to", "x", "--seconds", "1", "--connect", "tcp/127.0.0.1:9"], "record"),
+    ],
+)  # fmt: skip
+def test_what_needs_an_extra_says_which(
+    environment: Path, session: Path, arguments: list[str], extra: str, tmp_path: Path
+) -> None:
+    source = ["--from", str(session), "--frame", "0"] if arguments[0] == "click" else []
+    done = run(environment, "pc-ground", *arguments, *source)
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
+    assert f"pip install 'pointclick[{extra}]'" in done.stderr
 
 
 def test_a_link_without_an_aircraft_is_one_clear_line(environment: Path) -> None:
@@ -233,7 +262,64 @@ print(round(float(terrain.height_and_slope(np.zeros((1, 2)))[0][0]), 3))
     assert run_well(environment, "python", "-c", program) == "77.0\n"
 
 
-USES: dict[str, Callable[[Path, Path], None]] = {"onboard": use_onboard, "terrain": use_terrain}
+def clicks(environment: Path, session: Path, *arguments: object) -> str:
+    """The centre of the one picture, through the installed `pc-ground`."""
+    return run_well(environment, "pc-ground", "click", 319.5, 239.5, "--frame", 0, "--from", session, *arguments)
+
+
+def use_geo(environment: Path, folder: Path) -> None:
+    """Squares of MGRS, UTM, and any EPSG system."""
+    session = level_session(folder / "session.mcap")
+    assert clicks(environment, session, "--format", "mgrs").startswith("59GPM13406960")
+    assert clicks(environment, session, "--format", "utm").startswith("59G 613406.")
+    crs = json.loads(clicks(environment, session, "--format", "json", "--crs", "EPSG:2193"))["crs"]
+    assert (crs["x"], crs["y"]) == pytest.approx((1551397.4, 5196810.7), abs=1.0)
+
+
+def use_record(environment: Path, folder: Path) -> None:
+    """What the link delivers is kept; without an aircraft nothing, and it says so."""
+    said = run_well(
+        environment, "pc-ground", "record", "--to", folder / "kept", "--seconds", 0.3, "--connect", "tcp/127.0.0.1:9"
+    )
+    assert "nothing heard yet" in said
+    program = f"""
+from pathlib import Path
+from contract.wire.codec import encode
+from ground.link_recorder import LinkRecorder
+from ground.recording import Recording
+source = Recording({str(level_session(folder / "session.mcap"))!r})
+with LinkRecorder(Path({str(folder / "kept")!r})) as out:
+    out.take("pc/uav/features", encode(source.by_frame("uav", 0)))
+"""
+    run_well(environment, "python", "-c", program)
+    assert json.loads(clicks(environment, folder / "kept", "--format", "json"))["status"] == "ok"
+
+
+def use_plot(environment: Path, folder: Path) -> None:
+    """A picture of errors."""
+    marks = folder / "marks.csv"
+    marks.write_text("frame,u,v,lat_deg,lon_deg\n0,319.5,239.5,-43.38,172.4\n0,330,240,-43.38,172.4\n")
+    run_well(
+        environment, "pc-ground", "accuracy", "--truth", marks, "--from", level_session(folder / "session.mcap"),
+        "--plot", folder / "p.png",
+    )  # fmt: skip
+    assert (folder / "p.png").read_bytes().startswith(b"\x89PNG")
+
+
+def use_completion(environment: Path, folder: Path) -> None:
+    """For each shell."""
+    for shell in ("bash", "zsh", "fish"):
+        assert "measure" in run_well(environment, "pc-ground", "completion", shell)
+
+
+USES: dict[str, Callable[[Path, Path], None]] = {
+    "onboard": use_onboard,
+    "terrain": use_terrain,
+    "geo": use_geo,
+    "record": use_record,
+    "plot": use_plot,
+    "completion": use_completion,
+}
 """What each extra, installed alone, is used for. A new extra gets an entry here."""
 
 

@@ -146,7 +146,7 @@ def _run_lines(args: argparse.Namespace) -> int:
                 answer = _answered(by_frame, click)
             else:
                 answer = clicker.click(click.u_px, click.v_px, frame=args.frame, file=args.file, unix_s=args.time)[0]
-            mark = Mark.of_answer(answer, (click.u_px, click.v_px), None if chosen.line is not None else count)
+            mark = Mark.of_answer(answer, (click.u_px, click.v_px), None if chosen.line is not None else len(marks) + 1)
             marks.append(mark)
             _tell(chosen, mark, grid)
         except PointclickError as error:

@@ -30,7 +30,8 @@ def _minutes(value_deg: float, digits: int, letters: str) -> str:
     # Rounded first, so that no minute is ever 60.
     unit = 10**_MINUTE_DECIMALS
     degrees, rest = divmod(round(abs(value_deg) * 60.0 * unit), 60 * unit)
-    return f"{degrees:0{digits}d}°{rest / unit:0{3 + _MINUTE_DECIMALS}.{_MINUTE_DECIMALS}f}'{letters[value_deg < 0.0]}"
+    minutes = f"{rest / unit:0{3 + _MINUTE_DECIMALS}.{_MINUTE_DECIMALS}f}"
+    return f"{degrees:0{digits}d}°{minutes}'{letters[int(value_deg < 0.0)]}"
 
 
 def _seconds(value_deg: float, digits: int, letters: str) -> str:
@@ -39,7 +40,7 @@ def _seconds(value_deg: float, digits: int, letters: str) -> str:
     minutes, seconds = divmod(rest, 60 * unit)
     return (
         f"{degrees:0{digits}d}°{minutes:02d}'{seconds / unit:0{3 + _SECOND_DECIMALS}.{_SECOND_DECIMALS}f}\""
-        f"{letters[value_deg < 0.0]}"
+        f"{letters[int(value_deg < 0.0)]}"
     )
 
 
@@ -139,6 +140,7 @@ class Projection(Grid):
         is_north_first = first[1] in ("north", "south") and second[1] not in ("north", "south")
         self._x_name, self._y_name = (second[0], first[0]) if is_north_first else (first[0], second[0])
         self._is_degrees = bool(crs.is_geographic)
+        self._area = crs.area_of_use
 
     def of(self, mark: Mark) -> Projected:
         """Of a mark with a position."""
@@ -146,10 +148,22 @@ class Projection(Grid):
 
     def project(self, lat_deg: float, lon_deg: float) -> Projected:
         """Raises InputError for a place where the system does not hold."""
+        if not self._reaches(lat_deg, lon_deg):
+            raise InputError(f"{self.name} ({self.title}) does not reach {lat_deg:.6f} {lon_deg:.6f}")
         x, y = (float(c) for c in self._transformer.transform(lon_deg, lat_deg)[:2])
         if not (math.isfinite(x) and math.isfinite(y)):
             raise InputError(f"{self.name} ({self.title}) does not reach {lat_deg:.6f} {lon_deg:.6f}")
         return Projected(self.name, x, y, self._x_name, self._y_name, self._is_degrees, self.accuracy_m)
+
+    def _reaches(self, lat_deg: float, lon_deg: float) -> bool:
+        """Whether the system was made for this place, or one within a few degrees of there."""
+        if self._area is None:
+            return True
+        west, south, east, north = self._area.bounds
+        width = (east - west) % 360.0 or 360.0
+        margin = 3.0
+        is_between = (lon_deg - west + margin) % 360.0 <= min(width + 2.0 * margin, 360.0)
+        return bool(is_between and south - margin <= lat_deg <= north + margin)
 
 
 def _library(name: str) -> Any:

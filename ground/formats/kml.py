@@ -18,6 +18,7 @@ NAMESPACE = "http://www.opengis.net/kml/2.2"
 # aabbggrr, as KML has it; a letter beside the colour is in the name of the style.
 _COLOURS = {"person": "ff00a5ff", "vehicle": "ffff901e", "fire": "ff0000ff", "hazard": "ff00ffff", "poi": "ff98fb98"}
 _ELLIPSE_POINTS = 48
+ELLIPSES = "90 % ellipses"
 
 
 def write(marks: Sequence[Mark], grid: Grid | None = None) -> str:
@@ -30,9 +31,26 @@ def write(marks: Sequence[Mark], grid: Grid | None = None) -> str:
         style = element(body, f"{{{NAMESPACE}}}Style", id=category)
         element(element(style, f"{{{NAMESPACE}}}IconStyle"), f"{{{NAMESPACE}}}color", colour)
         element(element(style, f"{{{NAMESPACE}}}LineStyle"), f"{{{NAMESPACE}}}color", colour)
+    pins = _folder(body, "pins")
     for mark in marks:
-        _placemark(body, mark, grid)
+        _placemark(pins, mark, grid)
+    # In a folder of their own: readers of points then find points.
+    ellipses = _folder(body, ELLIPSES)
+    for mark in marks:
+        if mark.is_placed and mark.ellipse is not None:
+            place = element(ellipses, f"{{{NAMESPACE}}}Placemark")
+            element(place, f"{{{NAMESPACE}}}name", mark.title)
+            element(place, f"{{{NAMESPACE}}}styleUrl", f"#{mark.category}")
+            line = element(place, f"{{{NAMESPACE}}}LineString")
+            element(line, f"{{{NAMESPACE}}}tessellate", "1")
+            element(line, f"{{{NAMESPACE}}}coordinates", " ".join(f"{x:.9f},{y:.9f}" for x, y in outline(mark)))
     return document(root)
+
+
+def _folder(body: ET.Element, name: str) -> ET.Element:
+    made = element(body, f"{{{NAMESPACE}}}Folder")
+    element(made, f"{{{NAMESPACE}}}name", name)
+    return made
 
 
 def _placemark(body: ET.Element, mark: Mark, grid: Grid | None) -> None:
@@ -49,7 +67,7 @@ def _placemark(body: ET.Element, mark: Mark, grid: Grid | None) -> None:
     element(place, tag("styleUrl"), f"#{mark.category}")
     data = element(place, tag("ExtendedData"))
     values: dict[str, object] = {
-        "id": mark.id, "name": mark.name, "number": mark.number, "category": mark.category, "note": mark.note,
+        "id": mark.id, "pin_name": mark.name, "number": mark.number, "category": mark.category, "note": mark.note,
         "who": mark.who, "status": mark.status, "reason": mark.reason or None, "ce90_m": _figure(mark.ce90_m),
         "le90_m": _figure(mark.le90_m), "height_ellipsoid_m": _figure(mark.height_ellipsoid_m),
         "height_amsl_m": _figure(mark.height_amsl_m), "vehicle": mark.vehicle, "frame": mark.frame,
@@ -71,15 +89,10 @@ def _placemark(body: ET.Element, mark: Mark, grid: Grid | None) -> None:
         return
     lat, lon = mark.position
     height = mark.height_amsl_m
-    both = element(place, tag("MultiGeometry")) if mark.ellipse is not None else place
-    point = element(both, tag("Point"))
+    point = element(place, tag("Point"))
     if height is not None:
         element(point, tag("altitudeMode"), "absolute")
     element(point, tag("coordinates"), f"{lon:.9f},{lat:.9f}" + ("" if height is None else f",{height:.3f}"))
-    if mark.ellipse is not None:
-        line = element(both, tag("LineString"))
-        element(line, tag("tessellate"), "1")
-        element(line, tag("coordinates"), " ".join(f"{x:.9f},{y:.9f}" for x, y in outline(mark)))
 
 
 def outline(mark: Mark) -> list[tuple[float, float]]:
@@ -107,8 +120,9 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
     if local_name(root) != "kml":
         raise InputError(f"not KML: its root is {local_name(root)[:40]!r}")
     out = Imported()
+    ours = {id(p) for f in root.iter() if child_text(f, "name") == ELLIPSES for p in f}
     for place in root.iter():
-        if local_name(place) != "Placemark":
+        if local_name(place) != "Placemark" or id(place) in ours:
             continue
         point = next((node for node in place.iter() if local_name(node) == "Point"), None)
         if point is None:
@@ -129,7 +143,7 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
                 lat_deg=lat, lon_deg=lon, height_amsl_m=height,
                 sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
                 sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS,
-                name=about.get("name", child_text(place, "name")),
+                name=about.get("pin_name", child_text(place, "name")),
                 note=about.get("note", "" if about else child_text(place, "description")),
                 category=about.get("category"), who=who, time_text=moment, now_unix_ns=now_unix_ns,
             )

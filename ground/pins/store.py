@@ -200,7 +200,7 @@ class PinStore:
     def bring_in(self, pins: Sequence[Pin], *, who: str = "", crops: dict[str, bytes] | None = None) -> int:
         """Pins of a file, as one change, those that are here already only if they are newer. Returns how many."""
         with self._changing(who) as change:
-            items = [self._written(taken) for pin in pins if (taken := self._newer(pin)) is not None]
+            items = [self._written(taken) for pin in pins if (taken := self._newer(pin, revive=True)) is not None]
             for click_id, picture in (crops or {}).items():
                 self._write_crop(click_id, picture)
             if items:
@@ -296,12 +296,15 @@ class PinStore:
             change(f"pin {after.number} {did}", [self._written(after)])
         return after
 
-    def _newer(self, pin: Pin) -> Pin | None:
+    def _newer(self, pin: Pin, *, revive: bool = False) -> Pin | None:
         """A pin from outside as it is to be written here, with its number if that is free; None if ours is as new."""
         pin = Pin.from_dict(pin.to_dict())
         if pin.modified_unix_ns > self._now_ns() + MAX_AHEAD_NS:
             raise InputError(f"pin {pin.number} by {pin.modified_by!r}: stamped more than a day ahead of this clock")
         held = self._held(pin.id)
+        if revive and held is not None and held.is_deleted and not pin.is_deleted:
+            # Whoever brings a file in wants what is in it, also what was deleted here since.
+            return replace(pin, number=held.number, modified_unix_ns=max(self._now_ns(), held.modified_unix_ns + 1))
         if held is not None and _order(pin) <= _order(held):
             return None
         if held is not None:

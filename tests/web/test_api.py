@@ -17,6 +17,7 @@ from ground.web.app import create_app
 from ground.web.desk import Desk
 from ground.web.guard import Rules
 from ground.web.recorded import RecordedSource
+from ground.web.tiles import Tiles
 from tests.web.conftest import ROOT, Flown
 
 pytestmark = pytest.mark.xdist_group("web")
@@ -25,11 +26,11 @@ pytestmark = pytest.mark.xdist_group("web")
 class Api:
     """A client of an application in this process."""
 
-    def __init__(self, flown: Flown, pins: Path, rules: Rules | None = None) -> None:
+    def __init__(self, flown: Flown, pins: Path, rules: Rules | None = None, tiles: Tiles | None = None) -> None:
         self.flown = flown
         self.source = RecordedSource(flown.path)
         self.store = PinStore(pins)
-        self.desk = Desk(self.source, self.store, pins.parent)
+        self.desk = Desk(self.source, self.store, pins.parent, tiles)
         self.client = TestClient(create_app(self.desk, rules or Rules()), base_url="http://127.0.0.1:8080")
 
     def click(self, u: float, v: float, frame: int | None = None) -> dict[str, Any]:

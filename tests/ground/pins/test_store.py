@@ -250,7 +250,7 @@ def test_anothers_database_is_left_alone(tmp_path: Path) -> None:
     db.close()
     with pytest.raises(InputError, match="something else"):
         PinStore(path)
-    with pytest.raises(InputError, match="f[.]sqlite"):
+    with pytest.raises(InputError, match=r"f\.sqlite"):
         PinStore(path / "below")
 
 

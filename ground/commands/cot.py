@@ -1,0 +1,115 @@
+"""`pc-ground cot`: pins and aircraft as Cursor on Target, to a TAK server or to everybody on the network."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+from contract.errors import LinkError
+from contract.feature_set import FeatureSet
+from contract.topics import ANY_VEHICLE
+from ground.commands import ANSWERED
+from ground.commands.sources import add_source_arguments, opened
+from ground.commands.values import positive, whole
+from ground.cot_sender import CotSender, Target
+from ground.formats import cot
+from ground.formats.mark import Mark
+from ground.link_options import endpoint_of, tls_of
+from ground.pins.file import default_path
+from ground.pins.places import Places
+from ground.pins.store import PinStore
+
+EXAMPLES = """\
+examples:
+  pc-ground cot --to udp://239.2.3.1:6969                    everybody on the network (ATAK listens there)
+  pc-ground cot --to tcp://10.0.0.5:8087 --once              a TAK server, once
+  pc-ground cot --to tls://tak.example.org:8089 --to-ca ca.pem --to-certificate me.pem --to-key me.key
+  pc-ground cot --to udp://239.2.3.1:6969 --only-pins        without a link to any aircraft
+"""
+STALE_PERIODS = 3.0  # an event that was not said again for so many periods is stale
+LEAST_STALE_S = 30.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `cot`."""
+    parser.add_argument(
+        "--to", metavar="URL", required=True, help="udp://HOST:PORT, tcp://HOST:PORT or tls://HOST:PORT"
+    )
+    parser.add_argument("--to-ca", metavar="FILE.pem", type=Path, help="with tls: the server's authority")
+    parser.add_argument("--to-certificate", metavar="FILE.pem", type=Path, help="with tls: ours")
+    parser.add_argument("--to-key", metavar="FILE.pem", type=Path, help="with tls: its private key")
+    parser.add_argument(
+        "--ttl", metavar="N", type=lambda t: whole(t, "hop"), default=1, help="multicast hops (default 1)"
+    )
+    parser.add_argument("--pins", metavar="FILE", type=Path, help="the file of pins (default: the user's own)")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--only-pins", action="store_true", help="no aircraft, and no link to any")
+    which.add_argument("--only-aircraft", action="store_true", help="no pins")
+    parser.add_argument("--period", metavar="S", type=positive, default=10.0, help="all is said again (default 10)")
+    parser.add_argument("--once", action="store_true", help="say it once and end")
+    add_source_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Send until interrupted, or once. Raises PointclickError for what cannot work from the start."""
+    target = Target.of(args.to, args.to_ca, args.to_certificate, args.to_key, args.ttl)
+    store = None if args.only_aircraft else PinStore(args.pins or default_path())
+    places = None if store is None else Places(store)
+    aircraft = _no_aircraft if args.only_pins else _aircraft(args)
+    stale_s = max(STALE_PERIODS * args.period, LEAST_STALE_S)
+    with CotSender(target) as sender:
+        said = ""
+        while True:
+            now_ns = time.time_ns()
+            marks = [] if store is None or places is None else [Mark.of_pin(p, places.place(p)) for p in store.pins()]
+            sets = aircraft()
+            events = [
+                e
+                for e in (
+                    *(cot.event(mark, now_ns, stale_s) for mark in marks),
+                    *(cot.aircraft_event(s, now_ns, stale_s) for s in sets),
+                )
+                if e is not None
+            ]
+            try:
+                sender.send(events)
+                words = f"{len(events)} events to {args.to}"
+            except LinkError as error:
+                if args.once:
+                    raise
+                words = str(error)  # the next period tries again
+            if words != said:
+                print(f"pc-ground cot: {words}", file=sys.stderr)
+                said = words
+            if args.once:
+                return ANSWERED
+            time.sleep(args.period)
+
+
+def _no_aircraft() -> list[FeatureSet]:
+    return []
+
+
+class _aircraft:  # noqa: N801  called like a function
+    """The newest set of every aircraft that answers, live or of a recording."""
+
+    WAIT_S = 3.0  # for the first, so that `--once` has something to say
+
+    def __init__(self, args: argparse.Namespace) -> None:
+        self._vehicle = args.vehicle
+        self._recording = None if args.recording is None else opened(args.recording)
+        if self._recording is None:
+            from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
+
+            tls = tls_of(args)
+            self._cache = SetCache(endpoint_of(args, tls), args.vehicle or ANY_VEHICLE, tls=tls)
+            until = time.monotonic() + self.WAIT_S
+            while not self._cache.vehicles and time.monotonic() < until:
+                time.sleep(0.05)
+
+    def __call__(self) -> list[FeatureSet]:
+        source = self._cache if self._recording is None else self._recording
+        names = [n for n in source.vehicles if self._vehicle in (None, n)]
+        return [s for s in (source.newest(name) for name in names) if s is not None]

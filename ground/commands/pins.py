@@ -1,0 +1,287 @@
+"""`pc-ground pins`: pins in a file, added by clicks or coordinates, listed, tied, handed on."""
+
+from __future__ import annotations
+
+import argparse
+import getpass
+import math
+import os
+import sys
+from pathlib import Path
+
+from contract.errors import InputError
+from ground.answer import Refusal
+from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
+from ground.commands import ANSWERED, REFUSED
+from ground.commands.grids import add_grid_arguments, grid_of
+from ground.commands.measure import text_of
+from ground.commands.sources import Clicker, add_source_arguments, source_of
+from ground.commands.values import finite, frame_number, origin, pin_number, positive
+from ground.formats import geojson
+from ground.formats.documents import FORMATS, one_line, read_pins, text_line
+from ground.formats.mark import Mark
+from ground.freshness import MAX_AGE_S
+from ground.link_options import UsageError
+from ground.pins.file import default_path
+from ground.pins.fusion import Vector
+from ground.pins.model import Category, Pin, PinClick, category_of
+from ground.pins.places import Places
+from ground.pins.store import PinStore
+from ground.pins.ties import tie_of
+
+EXAMPLES = """\
+examples:
+  pc-ground pins add 480 120 --frame 14 --from SESSION.mcap --name tent --category person
+  pc-ground pins add 466 131 --frame 19 --from SESSION.mcap --to 1      the same thing in another picture
+  pc-ground pins add --at -43.3801,172.4012 --ce90 5 --name gate        a place that is known
+  pc-ground pins list
+  pc-ground pins list --format mgrs --category person                   (needs pointclick[geo])
+  pc-ground pins measure 1 2
+  pc-ground pins tie 300 200 --frame 14 --from SESSION.mcap --place -43.3799,172.4020 --sigma 0.5
+  pc-ground pins export pins.kml
+  pc-ground pins import pins.geojson
+  pc-ground pins undo
+"""
+_KINDS = ("geojson", "kml", "gpx", "csv")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `pins`."""
+    actions = parser.add_subparsers(dest="action", required=True)
+
+    def action(name: str, meaning: str) -> argparse.ArgumentParser:
+        made = actions.add_parser(name, help=meaning, description=f"{meaning[0].upper()}{meaning[1:]}.")
+        made.add_argument("--pins", metavar="FILE", type=Path, help="the file of pins (default: the user's own)")
+        made.add_argument("--who", metavar="NAME", default=_user(), help="who does it (default: the user)")
+        return made
+
+    listing = action("list", "the pins, a line each")
+    listing.add_argument("--format", choices=tuple(FORMATS), default="text")
+    exporting = action("export", "the pins as a file for others")
+    exporting.add_argument(
+        "file", metavar="FILE", nargs="?", type=Path, help="its name says the format; - or none: here"
+    )
+    exporting.add_argument("--format", choices=tuple(FORMATS), help="default: by the file's name, else geojson")
+    for command in (listing, exporting):
+        command.add_argument("--category", choices=[c.value for c in Category], help="only these")
+        command.add_argument("--text", default="", help="only those with this in name or note")
+        add_grid_arguments(command)
+    adding = action("add", "a pin where a pixel shows, or at a coordinate")
+    _add_pixel(adding)
+    adding.add_argument("--at", metavar="LAT,LON", type=origin, help="a coordinate in place of a pixel")
+    adding.add_argument("--ce90", metavar="M", type=positive, help="its accuracy (90 %%); without: not known")
+    adding.add_argument("--height-amsl", metavar="M", type=finite, help="its height above the sea")
+    adding.add_argument("--le90", metavar="M", type=positive, help="that height's accuracy (90 %%)")
+    adding.add_argument("--to", metavar="N", type=pin_number, help="not a new pin: one more sight of pin N")
+    adding.add_argument("--name", default="")
+    adding.add_argument("--note", default="")
+    adding.add_argument("--category", choices=[c.value for c in Category], default=Category.POI.value)
+    editing = action("edit", "change a pin's words")
+    editing.add_argument("number", metavar="N", type=pin_number)
+    for name in ("name", "note"):
+        editing.add_argument(f"--{name}")
+    editing.add_argument("--category", choices=[c.value for c in Category])
+    action("delete", "delete a pin").add_argument("number", metavar="N", type=pin_number)
+    measuring = action("measure", "distance, bearing and height difference between two pins")
+    measuring.add_argument("one", metavar="N", type=pin_number)
+    measuring.add_argument("two", metavar="M", type=pin_number)
+    importing = action("import", "pins of a file; those that are here already only if they are newer")
+    importing.add_argument("file", metavar="FILE", type=Path)
+    importing.add_argument("--format", choices=_KINDS, help="default: by the file's name")
+    tying = action("tie", "a pixel shows a place of known coordinate: correct this flight's pins by it")
+    _add_pixel(tying)
+    tying.add_argument("--place", metavar="LAT,LON", type=origin, required=True, help="surveyed, WGS84")
+    tying.add_argument("--sigma", metavar="M", type=positive, required=True, help="one sigma, along east and north")
+    tying.add_argument("--height", metavar="M", type=finite, help="surveyed height, if there is one")
+    tying.add_argument("--datum", choices=("amsl", "ellipsoid"), default="amsl", help="of that height")
+    tying.add_argument("--sigma-height", metavar="M", type=positive)
+    tying.add_argument("--name", default="")
+    action("ties", "the ties there are")
+    action("clear", "delete all pins (undo brings them back)")
+    action("undo", "take back the last change")
+    action("redo", "make it again")
+
+
+def _add_pixel(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("u", metavar="U", nargs="?", type=finite, help="pixel column")
+    parser.add_argument("v", metavar="V", nargs="?", type=finite, help="pixel row")
+    parser.add_argument("--frame", metavar="N", type=frame_number, help="the picture (default the newest)")
+    add_source_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do it; returns the exit status. Raises PointclickError."""
+    with PinStore(args.pins or default_path()) as store:
+        return _ACTIONS[args.action](store, args)
+
+
+def _marks(store: PinStore, args: argparse.Namespace) -> list[Mark]:
+    places = Places(store)
+    wanted = None if args.category is None else category_of(args.category)
+    return [Mark.of_pin(pin, places.place(pin)) for pin in store.pins(category=wanted, text=args.text)]
+
+
+def _list(store: PinStore, args: argparse.Namespace) -> int:
+    grid = grid_of(args)
+    sys.stdout.write(FORMATS[args.format].write(_marks(store, args), grid))
+    return ANSWERED
+
+
+def _export(store: PinStore, args: argparse.Namespace) -> int:
+    to_file = args.file is not None and str(args.file) != "-"
+    by_name = {f.suffix: f.name for f in FORMATS.values() if f.suffix != ".txt"}
+    name = args.format or (by_name.get(args.file.suffix.lower()) if to_file else "geojson")
+    if name is None:
+        raise UsageError(
+            f"{args.file}: which format? its name may end in {', '.join(sorted(by_name))}; or give --format"
+        )
+    grid, marks = grid_of(args), _marks(store, args)
+    text = geojson.write(marks, grid, store.crop) if name == "geojson" else FORMATS[name].write(marks, grid)
+    if not to_file:
+        sys.stdout.write(text)
+        return ANSWERED
+    # Beside it first: nothing half-written under the name.
+    beside = args.file.with_name(f".{args.file.name}.{os.getpid()}.part")
+    try:
+        beside.write_bytes(text.encode("utf-8"))
+        beside.replace(args.file)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise InputError(f"{args.file}: {error.strerror}") from error
+    left_out = sum(not mark.is_placed for mark in marks)
+    unplaced = f", {left_out} of them without a position" if left_out else ""
+    print(f"{len(marks)} pins in {args.file}{unplaced}")
+    return ANSWERED
+
+
+def _add(store: PinStore, args: argparse.Namespace) -> int:
+    click = _entered(args) if args.at is not None else _clicked(args)
+    if isinstance(click, Refusal):
+        print(click.to_text(), file=sys.stderr)
+        return REFUSED
+    if args.to is not None:
+        if args.name or args.note:
+            raise UsageError("--to adds a sight to a pin: change its words with pins edit")
+        pin = store.add_click(store.by_number(args.to).id, click, who=args.who)
+    else:
+        pin = store.add([click], name=args.name, note=args.note, category=category_of(args.category), who=args.who)
+    _say(store, pin)
+    return ANSWERED
+
+
+def _entered(args: argparse.Namespace) -> PinClick:
+    if args.u is not None:
+        raise UsageError("--at is in place of U and V")
+    return PinClick.entered(
+        *args.at, height_amsl_m=args.height_amsl, sigma_m=None if args.ce90 is None else args.ce90 / CE90_SIGMAS,
+        sigma_height_m=None if args.le90 is None else args.le90 / LE90_SIGMAS, who=args.who,
+    )  # fmt: skip
+
+
+def _clicked(args: argparse.Namespace) -> PinClick | Refusal:
+    if args.u is None or args.v is None:
+        raise UsageError("which place? give U and V of a pixel, or --at LAT,LON")
+    source = source_of(args)
+    clicker = Clicker(source, MAX_AGE_S if args.frame is None and not source.is_recorded else math.inf)
+    answer, locator = clicker.click(args.u, args.v, frame=args.frame)
+    if isinstance(answer, Refusal) or locator is None:
+        assert isinstance(answer, Refusal)
+        return answer
+    return PinClick.of(locator.feature_set, answer, (args.u, args.v), who=args.who, locator=locator)
+
+
+def _say(store: PinStore, pin: Pin) -> None:
+    print(text_line(Mark.of_pin(pin, Places(store).place(pin))))
+
+
+def _edit(store: PinStore, args: argparse.Namespace) -> int:
+    category = None if args.category is None else category_of(args.category)
+    pin = store.edit(store.by_number(args.number).id, who=args.who, name=args.name, note=args.note, category=category)
+    _say(store, pin)
+    return ANSWERED
+
+
+def _delete(store: PinStore, args: argparse.Namespace) -> int:
+    store.delete(store.by_number(args.number).id, who=args.who)
+    print(f"pin {args.number} deleted; pc-ground pins undo brings it back")
+    return ANSWERED
+
+
+def _measure(store: PinStore, args: argparse.Namespace) -> int:
+    found = Places(store).between(store.by_number(args.one), store.by_number(args.two))
+    if not isinstance(found, Vector):
+        print(f"one of the pins has no position: {found.reason}", file=sys.stderr)
+        return REFUSED
+    print(text_of(found))
+    return ANSWERED
+
+
+def _import(store: PinStore, args: argparse.Namespace) -> int:
+    found = read_pins(args.file, args.format, args.who)
+    taken = store.bring_in(found.pins, who=args.who, crops=found.crops)
+    known = len(found.pins) - taken
+    notes = [f"{known} were here already"] if known else []
+    notes += [f"{found.left_out} things that are no points were left out"] if found.left_out else []
+    print(f"{taken} pins imported{''.join(f'; {note}' for note in notes)}")
+    return ANSWERED
+
+
+def _tie(store: PinStore, args: argparse.Namespace) -> int:
+    if args.u is None or args.v is None:
+        raise UsageError("which pixel shows the place? give U and V")
+    source = source_of(args)
+    clicker = Clicker(source, MAX_AGE_S if args.frame is None and not source.is_recorded else math.inf)
+    answer, locator = clicker.click(args.u, args.v, frame=args.frame)
+    if isinstance(answer, Refusal) or locator is None:
+        print(answer.to_text(), file=sys.stderr)
+        return REFUSED
+    tie = tie_of(
+        locator.feature_set, answer, (args.u, args.v), lat_deg=args.place[0], lon_deg=args.place[1],
+        height_m=args.height, datum=args.datum, sigma_m=args.sigma, sigma_height_m=args.sigma_height, name=args.name,
+        who=args.who, locator=locator,
+    )  # fmt: skip
+    store.add_tie(tie, who=args.who)
+    moved = [pin for pin in store.pins() if tie.id in {t.id for t in Places(store).ties_of(pin)}]
+    print(f"tied: {len(moved)} pins of {answer.vehicle} take part; pc-ground pins undo takes it back")
+    return ANSWERED
+
+
+def _ties(store: PinStore, args: argparse.Namespace) -> int:
+    for tie in store.ties():
+        c = tie.click
+        print(
+            f"{tie.id[:8]}  {one_line(tie.name) or '(no name)'}  {tie.lat_deg:.7f} {tie.lon_deg:.7f} "
+            f"+-{tie.sigma_m:g} m  frame {c.frame} of {c.vehicle}, session {c.session}  {one_line(tie.who)}"
+        )
+    return ANSWERED
+
+
+def _clear(store: PinStore, args: argparse.Namespace) -> int:
+    count = store.clear(who=args.who)
+    print(f"{count} pins deleted; pc-ground pins undo brings them back" if count else "there are no pins")
+    return ANSWERED
+
+
+def _undo(store: PinStore, args: argparse.Namespace) -> int:
+    what = store.undo()
+    print("there is nothing to undo" if what is None else f"undone: {what}")
+    return ANSWERED
+
+
+def _redo(store: PinStore, args: argparse.Namespace) -> int:
+    what = store.redo()
+    print("there is nothing to redo" if what is None else f"done again: {what}")
+    return ANSWERED
+
+
+_ACTIONS = {
+    "list": _list, "add": _add, "edit": _edit, "delete": _delete, "measure": _measure, "export": _export,
+    "import": _import, "tie": _tie, "ties": _ties, "clear": _clear, "undo": _undo, "redo": _redo,
+}  # fmt: skip
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # an account without a name
+        return ""

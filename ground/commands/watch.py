@@ -1,0 +1,189 @@
+"""`pc-ground watch`: a line an aircraft, again and again: how it is, how old its picture, how good its answers."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+
+from contract.errors import WireError
+from contract.feature_set import FeatureSet
+from contract.topics import ANY_VEHICLE, STATUS
+from contract.vehicle_status import VehicleStatus, decode_status
+from ground.commands import ANSWERED
+from ground.commands.sources import add_source_arguments, opened
+from ground.commands.values import positive, whole
+from ground.formats.documents import one_line
+from ground.formats.mark import Mark
+from ground.freshness import MAX_AGE_S
+from ground.link_options import endpoint_of, tls_of
+from ground.locate import Locator
+
+EXAMPLES = """\
+examples:
+  pc-ground watch                                     the aircraft on this machine, once a second
+  pc-ground watch --connect tcp/10.0.0.7:7447 --json | jq .ce90_m
+  pc-ground watch --from SESSION.mcap                 how a recording ended
+"""
+RATE_SPAN_S = 5.0
+_COLUMNS = ("vehicle", "state", "age", "rate", "position", "tracks", "CE90", "reason")
+_WIDTHS = (12, 15, 8, 7, 24, 6, 8, 0)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One aircraft at one moment; None where it is not known. CE90 is at the picture's centre."""
+
+    vehicle: str
+    state: str
+    reason: str
+    age_s: float | None
+    rate_hz: float | None
+    lat_deg: float | None
+    lon_deg: float | None
+    height_amsl_m: float | None
+    tracks: int | None
+    ce90_m: float | None
+    frame: int | None
+    cpu_c: float | None
+
+    def to_json(self) -> str:
+        """One line."""
+        digits = {"lat_deg": 7, "lon_deg": 7}
+        return json.dumps({k: round(v, digits.get(k, 3)) if isinstance(v, float) else v for k, v in vars(self).items()})
+
+    def cells(self) -> tuple[str, ...]:
+        """For the table."""
+        return (
+            one_line(self.vehicle), one_line(self.state), "-" if self.age_s is None else _span(self.age_s),
+            "-" if self.rate_hz is None else f"{self.rate_hz:.1f}/s",
+            "-" if self.lat_deg is None else f"{self.lat_deg:.6f} {self.lon_deg:.6f}",
+            "-" if self.tracks is None else str(self.tracks), "-" if self.ce90_m is None else f"{self.ce90_m:.1f} m",
+            one_line(self.reason),
+        )  # fmt: skip
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `watch`."""
+    add_source_arguments(parser)
+    parser.add_argument("--json", action="store_true", help="a JSON object a line instead of a table")
+    parser.add_argument("--period", metavar="S", type=positive, default=1.0, help="between two tables (default 1)")
+    parser.add_argument("--count", metavar="N", type=lambda t: whole(t, "count"), help="end after so many tables")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Until interrupted. Raises PointclickError."""
+    if args.recording is not None:
+        recording = opened(args.recording)
+        names = [args.vehicle] if args.vehicle in recording.vehicles else recording.vehicles
+        _show([_row(name, recording.newest_picture(name), None, 0.0, None) for name in names], args.json, False)
+        return ANSWERED
+    from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
+
+    tls = tls_of(args)
+    vehicle = args.vehicle or ANY_VEHICLE
+    heard = _Heard()
+    cache = SetCache(
+        endpoint_of(args, tls), vehicle, tls=tls, beside={STATUS.key(vehicle): heard.status}, heard=heard.set
+    )
+    is_screen = sys.stdout.isatty() and not args.json
+    with cache:
+        shown = 0
+        while args.count is None or shown < args.count:
+            time.sleep(args.period)
+            rows = []
+            for name in sorted({*cache.vehicles, *heard.states}):
+                reply = cache.reply(name)
+                newest = None
+                if reply is not None and isinstance(reply.answer, FeatureSet):
+                    newest = reply.answer if reply.later is None else cache.by_frame(name, reply.later.frame)
+                rows.append(_row(name, newest, heard.states.get(name), cache.age_s(name), heard.rate_hz(name)))
+            if not rows and not args.json:
+                print(f"nothing heard yet{f': {cache.link_error}' if cache.link_error else ''}", file=sys.stderr)
+            _show(rows, args.json, is_screen)
+            shown += 1
+    return ANSWERED
+
+
+class _Heard:
+    """Status and rates of the vehicles; filled from zenoh's thread."""
+
+    MOST = 1000  # vehicles: a peer may invent names
+
+    def __init__(self) -> None:
+        self.states: dict[str, VehicleStatus] = {}
+        self._times: dict[str, deque[float]] = {}
+        self._lock = threading.Lock()
+
+    def status(self, key: str, payload: bytes) -> None:
+        try:
+            vehicle, status = STATUS.vehicle(key), decode_status(payload)
+        except (ValueError, WireError):
+            return
+        if vehicle in self.states or len(self.states) < self.MOST:
+            self.states[vehicle] = status
+
+    def set(self, feature_set: FeatureSet, size: int) -> None:
+        with self._lock:
+            if feature_set.vehicle in self._times or len(self._times) < self.MOST:
+                self._times.setdefault(feature_set.vehicle, deque(maxlen=1000)).append(time.monotonic())
+
+    def rate_hz(self, vehicle: str) -> float | None:
+        with self._lock:
+            times = list(self._times.get(vehicle, ()))
+        since = time.monotonic() - RATE_SPAN_S
+        return sum(t >= since for t in times) / RATE_SPAN_S if times else None
+
+
+def _row(
+    vehicle: str, newest: FeatureSet | None, status: VehicleStatus | None, age_s: float | None, rate_hz: float | None
+) -> Row:
+    state, reason = ("", "") if status is None else (status.state, status.reason)
+    ce90 = None
+    if newest is not None:
+        c = newest.camera
+        centre = ((c.width_px - 1) / 2.0, (c.height_px - 1) / 2.0)
+        mark = Mark.of_answer(Locator(newest).locate(centre))
+        ce90 = mark.ce90_m
+        state = state or newest.status.value
+        reason = reason or ("" if mark.is_placed else mark.reason)
+    if age_s is not None and age_s > MAX_AGE_S:
+        state, reason = "no link", f"nothing heard for {_span(age_s)}" + (f"; last: {state}" if state else "")
+    is_placed = newest is not None and newest.is_ok
+    height = None
+    if newest is not None and is_placed:
+        known = newest.camera_height_m
+        height = known if newest.height_datum.value == "amsl" else known - newest.undulation_m
+        height = None if height != height else height  # noqa: PLR0124  not a number: the undulation is not known
+    return Row(
+        vehicle, state or "unknown", reason, age_s, rate_hz,
+        newest.camera_lat_deg if newest is not None and is_placed else None,
+        newest.camera_lon_deg if newest is not None and is_placed else None, height,
+        status.tracks if status is not None else len(newest) if newest is not None else None, ce90,
+        None if newest is None else newest.frame, None if status is None else status.cpu_c,
+    )  # fmt: skip
+
+
+def _show(rows: list[Row], as_json: bool, is_screen: bool) -> None:
+    if as_json:
+        for row in rows:
+            print(row.to_json())
+    else:
+        if is_screen:
+            print("\033[H\033[2J", end="")
+        print(_line(_COLUMNS))
+        for row in rows:
+            print(_line(row.cells()))
+    sys.stdout.flush()
+
+
+def _line(cells: tuple[str, ...]) -> str:
+    return " ".join(f"{cell:<{width}}" for cell, width in zip(cells, _WIDTHS, strict=True)).rstrip()
+
+
+def _span(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds < 100.0 else f"{seconds / 60.0:.0f} min"

@@ -1,0 +1,165 @@
+"""Commands on a live link: what was recorded from it answers as the link did; watching; TAK over TLS."""
+
+from __future__ import annotations
+
+import json
+import socket
+import ssl
+import threading
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zenoh
+
+from contract.link_config import link_config
+from contract.topics import FEATURES, STATUS
+from contract.vehicle_status import VehicleStatus, encode_status
+from contract.wire.codec import encode
+from ground.__main__ import main
+from ground.link_recorder import LinkRecorder
+from ground.locate import Locator
+from ground.recording import Recording
+from onboard.link.certificates import make_credentials
+from tests.ground.worlds import build
+from tests.onboard.link.ports import free_endpoint
+
+START_NS = 1_700_000_000_250_000_000
+SETS = [
+    build(np.random.default_rng(k), frame=k, capture_unix_ns=START_NS + k * 250_000_000).feature_set for k in range(8)
+]
+
+
+@pytest.fixture
+def link() -> Iterator[str]:
+    """An aircraft that says its sets again and again, and its status; and somebody who says nonsense."""
+    endpoint = free_endpoint()
+    session = zenoh.open(zenoh.Config.from_json5(link_config("peer", listen=[endpoint])))
+    stop = threading.Event()
+    status = VehicleStatus(START_NS / 1e9, 7, "ok", tracks=77, cpu_c=51.0)
+
+    def publish() -> None:
+        while not stop.is_set():
+            for s in SETS:
+                session.put(FEATURES.key("uav-1"), encode(s))
+            session.put(STATUS.key("uav-1"), encode_status(status))
+            session.put(FEATURES.key("uav-1"), b"PC nonsense")
+            session.put("pc/uav-1/status", b"{" * 50)
+            stop.wait(0.1)
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    yield endpoint
+    stop.set()
+    thread.join()
+    session.close()
+
+
+def test_what_was_recorded_from_the_link_answers_like_the_aircraft(
+    link: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "new" / "folder"
+    assert main(["record", "--to", str(folder), "--seconds", "1.2", "--connect", link]) == 0
+    said = capsys.readouterr().out
+    assert "uav-1-7.001.mcap" in said and "none of ours" in said
+    assert [p.name for p in folder.iterdir()] == ["uav-1-7.001.mcap"]
+    recording = Recording(folder)
+    assert recording.frames("uav-1") == list(range(8)) and not recording.damage
+    for s in SETS:
+        got = recording.by_frame("uav-1", s.frame)
+        assert got is not None and encode(got) == encode(s)
+    assert main(["click", "320", "240", "--frame", "5", "--from", str(folder), "--format", "json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    expected = Locator(SETS[5]).locate((320.0, 240.0))
+    assert answer["lat_deg"] == pytest.approx(expected.lat_deg, abs=1e-6)  # type: ignore[union-attr]
+    # Begun again: another part of the same session, read together with the first.
+    assert main(["record", "--to", str(folder), "--seconds", "0.7", "--connect", link]) == 0
+    assert len(list(folder.iterdir())) == 2 and Recording(folder).frames("uav-1") == list(range(8))
+
+
+def test_a_recording_has_no_name_that_leads_elsewhere(tmp_path: Path) -> None:
+    """Whoever publishes may call himself anything that a key can hold."""
+    with LinkRecorder(tmp_path / "d") as recorder:
+        for vehicle in ("..", "..\\..\\x", "a b;rm -rf ~", "\U0001f525" * 100, ".hidden", "x" * 300):
+            recorder.take(FEATURES.key(vehicle), encode(SETS[0]))
+        recorder.take("pc/../../../etc/features", encode(SETS[0]))
+        recorder.take("elsewhere", b"x")
+        recorder.take("pc/new/other", b"before any session")
+        for k in range(200):  # an invented vehicle each
+            recorder.take(FEATURES.key(f"v{k}"), encode(SETS[0]))
+    found = list((tmp_path / "d").iterdir())
+    assert sorted(tmp_path.iterdir()) == [tmp_path / "d"]
+    assert 40 < len(found) <= 50 and all(p.is_file() and not p.name.startswith(".") for p in found)
+
+
+def test_a_killed_recorder_loses_nothing(tmp_path: Path) -> None:
+    recorder = LinkRecorder(tmp_path)
+    for s in SETS:
+        recorder.take(FEATURES.key("uav-1"), encode(s))
+    assert Recording(tmp_path).frames("uav-1") == list(range(8))  # not closed
+    recorder.__exit__(None, None, None)
+
+
+def test_a_folder_that_cannot_be_used_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("x")
+    assert main(["record", "--to", str(tmp_path / "file" / "below"), "--connect", "tcp/127.0.0.1:9"]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_watching_shows_state_age_rate_position_and_accuracy(link: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["watch", "--json", "--count", "2", "--period", "0.6", "--connect", link]) == 0
+    row = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert (row["vehicle"], row["state"], row["tracks"], row["cpu_c"]) == ("uav-1", "ok", 77, 51.0)
+    assert row["age_s"] < 2.0 and row["rate_hz"] > 2.0 and 1.0 < row["ce90_m"] < 50.0
+    assert row["lat_deg"] == pytest.approx(-35.36, abs=0.01)
+    assert main(["watch", "--count", "1", "--period", "0.6", "--connect", link]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert out[0].split()[:4] == ["vehicle", "state", "age", "rate"] and out[1].startswith("uav-1")
+
+
+def test_lines_are_answered_from_the_link(
+    link: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody answers queries there: one line says so, for each line asked."""
+    import io  # noqa: PLC0415
+
+    monkeypatch.setattr("sys.stdin", io.StringIO("1 2\n"))
+    assert main(["click", "--connect", link]) == 2
+    assert "line 1: no aircraft answers" in capsys.readouterr().err
+
+
+def test_events_reach_a_tak_server_over_tls_and_no_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    make_credentials(tmp_path / "keys", ["server"], [], ["127.0.0.1"], 10.0)
+    server = tmp_path / "keys" / "server"
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(server / "certificate.pem", server / "key.pem")
+    got: list[bytes] = []
+    listener = socket.create_server(("127.0.0.1", 0))
+    listener.settimeout(10.0)
+    port = listener.getsockname()[1]
+
+    def serve() -> None:
+        for _ in range(2):
+            plain, _ = listener.accept()
+            try:
+                with context.wrap_socket(plain, server_side=True) as client:
+                    while part := client.recv(65536):
+                        got.append(part)
+            except (ssl.SSLError, OSError):
+                plain.close()
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    pins = str(tmp_path / "pins.sqlite")
+    main(["pins", "add", "--at", "1,2", "--ce90", "5", "--name", "p", "--pins", pins])
+    capsys.readouterr()
+    send = ["cot", "--to", f"tls://127.0.0.1:{port}", "--once", "--only-pins", "--pins", pins]
+    assert main(send) == 2  # an authority that nobody here knows
+    assert "authority" in capsys.readouterr().err
+    assert main([*send, "--to-ca", str(server / "ca.pem")]) == 0
+    thread.join(10.0)
+    listener.close()
+    (event,) = b"".join(got).splitlines()
+    assert ET.fromstring(event).find("point").get("ce") == "5.00"  # type: ignore[union-attr]
