@@ -22,7 +22,7 @@ GOAL_CLEAN, GOAL_OUTLIERS = 1.10, 1.25
 
 
 def settings() -> dict[str, Setting]:
-    """Rows of the table by name."""
+    """Rows of the table by name; those that add a state add it to "+ attitude + velocity"."""
     seed = Setting(boresight_sigma_deg=0.0)
     level = replace(seed, slope_sigma_deg=0.05)
     attitude = replace(seed, attitude_wander_deg=(0.5, 2.0), boresight_sigma_deg=1.0)
@@ -39,6 +39,20 @@ def settings() -> dict[str, Setting]:
     }
     out = dict(rows)
     out |= {f"{name}, 20 % outliers": replace(setting, outlier_share=0.2) for name, setting in rows.items()}
+    ordinary = replace(velocity, delay_sigma_s=0.1, velocity_delay_sigma_s=0.1)
+    ordinary = replace(ordinary, heading_sigma_deg=2.0, lens_sigma=(0.01, 0.01, 0.01, 0.05, 0.05))
+    out |= {
+        "+ a delay of the position": replace(velocity, delay_sigma_s=0.1),
+        "+ a delay of the velocity": replace(velocity, velocity_delay_sigma_s=0.1),
+        "+ a heading error by heading": replace(velocity, heading_sigma_deg=2.0),
+        "+ an unsure focal length": replace(velocity, lens_sigma=(0.02, 1e-5, 1e-5, 1e-5, 1e-5)),
+        "+ an unsure camera": replace(velocity, lens_sigma=ordinary.lens_sigma),
+        "+ all of these": ordinary,
+        "+ all of these, no attitude, no velocity": replace(
+            ordinary, attitude_wander_deg=None, velocity_sigma_m_s=None, boresight_sigma_deg=0.0
+        ),
+        "+ all of these, 20 % outliers": replace(ordinary, outlier_share=0.2),
+    }
     out |= {
         "white: two views 40 m, level": replace(white, views=2, spacing_m=40.0),
         "white: seed, sloped 1 deg": replace(white, slope_sigma_deg=1.0),

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.camera import Sigma
 from contract.rotations import exp_so3
+from onboard.estimation import camera_states
 from onboard.estimation.bundle_adjustment import Problem, Solution, solve
 from onboard.estimation.factors import (
     AttitudePrior,
@@ -26,6 +29,7 @@ from onboard.estimation.factors import (
     gauss_markov_sqrt_information,
 )
 from onboard.estimation.initialisation import orient
+from onboard.estimation.sensor_factors import cosine_sine_of_heading
 from onboard.estimation.window_solver import MIN_PIXEL_SIGMA_PX, approximate, refine
 from onboard.estimation.window_start import MIN_PARALLAX_RAD, START_SIGMAS
 from onboard.geometry.plane_fit import fit_plane
@@ -36,8 +40,7 @@ from simulation.study_world import CAMERA, HEIGHT_M, R_BODY_CAM, TRAVEL_ENU, nom
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Delays of position and velocity (s) and the heading's error by heading (rad): this study has none of them.
-UNDRAWN_SIGMA = 1e-6
+UNDRAWN_SIGMA = 1e-6  # of delays (s) and of the heading's error by heading (rad) where a setting has none
 OUTLIER_KINDS = ("jump", "drift", "moving")
 
 
@@ -62,6 +65,10 @@ class Setting:
     relief_sigma_m: float = 10.0
     terrain_sigma_m: tuple[float, float] | None = None  # of a known ground: from place to place, and as a whole
     offset_sigma_s: float = 0.01
+    delay_sigma_s: float = 0.0  # of the position
+    velocity_delay_sigma_s: float = 0.0
+    heading_sigma_deg: float = 0.0  # of an error that depends on the heading, each of its two parts
+    lens_sigma: Sigma | None = None  # of what the camera file may be wrong by, as `Camera.sigma`
     outlier_share: float = 0.0
     misaligned: tuple[str, float] | None = None  # axis, rad: the camera turned from the configured mount
     alternating: tuple[str, float] | None = None  # axis, rad: every second view turned
@@ -88,23 +95,43 @@ def draw(setting: Setting, rng: np.random.Generator) -> Flight:
     """Sample truth and measurements."""
     K = setting.views
     stamps = np.arange(K, dtype=np.float64) * float(setting.spacing_m / setting.speed_m_s)
+    (also,) = rng.spawn(1)  # so that what was drawn before these states existed is still drawn
     truth, seen, xy = _scene(setting, stamps, rng)
+    truth, xy = _with_platform(setting, truth, xy, also)
     P = len(truth.points_enu_m)
     sigma = setting.pixel_sigma_px / CAMERA.focal_px
     is_outlier = rng.random(P) < setting.outlier_share
     xy = xy + sigma * rng.standard_normal(xy.shape)
     xy[:, is_outlier] += _slips(setting, truth, stamps, int(is_outlier.sum()), rng)
-    layout = Layout(K)
+    layout = Layout(K, len(truth.camera))
+    lens: dict[str, Any] = {}
+    if setting.lens_sigma is not None:
+        lens = {"camera": CAMERA, "camera_taken": np.zeros(camera_states.COUNT)}
     priors, gps, measured = _sensors(setting, layout, truth, stamps, rng)
     reference = np.array([*(TRAVEL_ENU[:2] * setting.spacing_m * (K - 1) / 2.0), 0.0])
     weight = np.where(seen, 1.0 / sigma, 0.0)
     if setting.terrain_sigma_m is None:
         ground_weight = np.full(P, 1.0 / setting.relief_sigma_m)
-        problem = Problem(layout, xy, weight, priors, reference, ground_weight, clearance_m=HEIGHT_M)
+        problem = Problem(layout, xy, weight, priors, reference, ground_weight, clearance_m=HEIGHT_M, **lens)
     else:
         ground_weight = np.full(P, 1.0 / setting.terrain_sigma_m[0])
-        problem = Problem(layout, xy, weight, priors, reference, ground_weight, terrain=hills())
+        problem = Problem(layout, xy, weight, priors, reference, ground_weight, terrain=hills(), **lens)
     return Flight(setting, problem, truth, gps, measured, is_outlier)
+
+
+def _with_platform(setting: Setting, truth: State, xy: Array, rng: np.random.Generator) -> tuple[State, Array]:
+    """The truth with what its platform is wrong by, and the coordinates (K, P, 2) that the camera file then gives."""
+    lens = np.zeros(0)
+    delay_s, velocity_delay_s = setting.delay_sigma_s, setting.velocity_delay_sigma_s
+    delay_s, velocity_delay_s = (rng.standard_normal(2) * [delay_s, velocity_delay_s]).tolist()
+    heading = np.radians(setting.heading_sigma_deg) * rng.standard_normal(2)
+    if setting.lens_sigma is not None:
+        lens = np.array(setting.lens_sigma) * rng.standard_normal(camera_states.COUNT)
+        true = camera_states.corrected(CAMERA, lens)
+        uv = true.distort(xy) * (true.fx_px, true.fy_px) + (true.cx_px, true.cy_px)
+        xy = CAMERA.unproject(uv)[0][..., :2]
+    made = replace(truth, delay_s=delay_s, velocity_delay_s=velocity_delay_s, heading_rad=heading, camera=lens)
+    return made, xy
 
 
 @cache
@@ -193,7 +220,7 @@ def _sensors(
         _gauss_markov(stamps, setting.gps_white_m[v], setting.gps_wander_m[v], setting.gps_wander_time_s, rng)
         for v in (0, 0, 1)
     ]
-    gps = truth.centres_enu_m - velocity * truth.offset_s + np.stack([e for e, _ in drawn], axis=1)
+    gps = truth.centres_enu_m - velocity * (truth.offset_s + truth.delay_s) + np.stack([e for e, _ in drawn], axis=1)
     priors: list[Prior] = [PositionPrior(layout, gps, velocity, np.stack([w for _, w in drawn]), np.zeros(K))]
     if setting.velocity_sigma_m_s is not None:
         sigma = setting.velocity_sigma_m_s * np.diff(stamps)
@@ -207,7 +234,13 @@ def _sensors(
         turn = [_gauss_markov(stamps, white, w, setting.attitude_wander_time_s, rng) for w in (tilt, tilt, heading)]
         error_cam = np.einsum("kij,kj->ki", truth.R_cam_enu, np.stack([e for e, _ in turn], axis=1))
         measured = truth.R_cam_enu.transpose(0, 2, 1) @ exp_so3(error_cam) @ exp_so3(-truth.boresight_rad)
-        priors.append(AttitudePrior(layout, measured, np.zeros((K, 3)), np.stack([w for _, w in turn]), np.zeros(K)))
+        by_heading = None
+        if setting.heading_sigma_deg:
+            by_heading = np.stack([cosine_sine_of_heading(R @ R_BODY_CAM.T) for R in measured])
+            yaw = (by_heading @ truth.heading_rad)[:, None] * [0.0, 0.0, 1.0]
+            measured = exp_so3(yaw) @ measured
+        whitener = np.stack([w for _, w in turn])
+        priors.append(AttitudePrior(layout, measured, np.zeros((K, 3)), whitener, np.zeros(K), by_heading=by_heading))
     slope = np.tan(np.radians(setting.slope_sigma_deg))
     boresight = max(np.radians(setting.boresight_sigma_deg), 1e-6)
     level = 1e4
@@ -215,7 +248,10 @@ def _sensors(
         setting.terrain_sigma_m is not None
     ):  # the plane is then what the known ground is off by, as onboard.estimation.sensor_factors
         slope, level = 1e-4, setting.terrain_sigma_m[1]
-    sigmas = [boresight] * 3 + [max(setting.offset_sigma_s, 1e-6), *[UNDRAWN_SIGMA] * 4, level, slope, slope]
+    heading = np.radians(setting.heading_sigma_deg)
+    platform = [setting.offset_sigma_s, setting.delay_sigma_s, setting.velocity_delay_sigma_s, heading, heading]
+    platform = [*(max(float(sigma), UNDRAWN_SIGMA) for sigma in platform), *(setting.lens_sigma or ())]
+    sigmas = [boresight] * 3 + [*platform, level, slope, slope]
     priors.append(SharedPrior(layout, np.zeros(len(sigmas)), np.diag(1.0 / np.array(sigmas))))
     return priors, gps, measured
 
@@ -245,7 +281,8 @@ def begin(flight: Flight) -> State | None:
     start = np.array([height - reference[2], *plane[1:]])
     if flight.problem.terrain is not None:
         start = np.zeros(3)
-    return State(R, flight.gps_enu_m, points, np.zeros(3), 0.0, start)
+    lens = np.zeros(len(flight.truth.camera))
+    return State(R, flight.gps_enu_m, points, np.zeros(3), 0.0, start, camera=lens)
 
 
 def estimate(flight: Flight, state: State) -> tuple[Solution, Array]:

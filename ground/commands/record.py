@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     with LinkRecorder(args.to) as recorder:
         with SetCache(endpoint_of(args, tls), vehicle, tls=tls, beside={f"pc/{vehicle}/*": recorder.take}):
             until = None if args.seconds is None else time.monotonic() + args.seconds
-            said_s = 0.0
+            said_s = time.monotonic()
             try:
                 while until is None or time.monotonic() < until:
                     time.sleep(0.2)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.geometry.relative_orientation import rotation_only, start_pair
+from onboard.geometry.relative_orientation import relative_ransac, rotation_only, start_pair
 from onboard.geometry.triangulation import triangulate
 
 Array = NDArray[np.float64]
@@ -17,6 +17,8 @@ Mask = NDArray[np.bool_]
 
 ENOUGH_COMMON = 15
 ENOUGH_KNOWN = 8
+MIN_SUPPORT = 0.5  # of the common features, near their epipolar planes
+MIN_BASELINE_M = 1.0  # below it positions give no direction of travel
 
 
 def orient(xy: Array, seen: Mask, centres_enu_m: Array, R_body_cam: Array, tolerance_rad: float) -> Array | None:
@@ -45,6 +47,22 @@ def orient(xy: Array, seen: Mask, centres_enu_m: Array, R_body_cam: Array, toler
         if rotations is not None:
             return rotations
     return None
+
+
+def follow(rays_before: Array, rays: Array, R_before: Array, travel_enu_m: Array, tolerance_rad: float) -> Array | None:
+    """R_cam_enu of a view from the one before it, whose orientation is known, and the positions of both. (3.4)
+
+    For a view that sees no point whose place is known, as after a quick roll. `rays_before`, `rays` (N, 3): features
+    that both see, third coordinate 1; `travel_enu_m` (3,) between them; `tolerance_rad` is an inlier's epipolar error.
+    None where too few features support any rotation.
+    """
+    if len(rays) < ENOUGH_COMMON:
+        return None
+    start = rotation_only(rays_before, rays)
+    if float(np.linalg.norm(travel_enu_m)) < MIN_BASELINE_M:
+        return start @ R_before
+    Q, inliers = relative_ransac(rays_before, rays, R_before @ travel_enu_m, tolerance_rad, Q=start)
+    return Q @ R_before if np.count_nonzero(inliers) >= MIN_SUPPORT * len(rays) else None
 
 
 def _spread(xy: Array, seen: Mask, centres: Array, oriented: dict[int, Array], known: Mask) -> Array | None:

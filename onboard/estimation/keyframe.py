@@ -39,6 +39,7 @@ class Keyframe:
     R_cam_enu: Array
     centre_enu_m: Array
     flow_disagreement_xy: Array | None = None  # (2,) normalised; `coarse_flow`, since the keyframe before
+    is_oriented: bool = True  # False: nothing has given an orientation yet, and `R_cam_enu` holds the mount's alone
 
 
 def observation(camera: Camera, ids: Ids, uv_px: Array) -> Observation:
@@ -64,5 +65,6 @@ def have_attitude(keyframes: Sequence[Keyframe]) -> bool:
 def turned(keyframes: Sequence[Keyframe], R_cam_enu: Iterable[Array]) -> tuple[Keyframe, ...]:
     """The keyframes with these orientations, at the positions that GPS gives."""
     return tuple(
-        replace(k, R_cam_enu=R, centre_enu_m=k.nav.position_enu_m) for k, R in zip(keyframes, R_cam_enu, strict=True)
+        replace(k, R_cam_enu=R, centre_enu_m=k.nav.position_enu_m, is_oriented=True)
+        for k, R in zip(keyframes, R_cam_enu, strict=True)
     )

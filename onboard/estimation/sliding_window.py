@@ -26,6 +26,7 @@ from onboard.estimation.boresight import (
 )
 from onboard.estimation.camera_states import corrected
 from onboard.estimation.ground_slope import GroundSlope, SlopePrior, SlopeSeen, seen_alone
+from onboard.estimation.initialisation import follow
 from onboard.estimation.keyframe import Keyframe, Observation, seen_with
 from onboard.estimation.rotation_timing import LEAST_SIGMA_S
 from onboard.estimation.second_start import by_attitude
@@ -39,6 +40,7 @@ from onboard.estimation.shared_errors import make_sensor_pose
 from onboard.estimation.solved_window import Solved
 from onboard.estimation.window_acceptance import MIN_POINTS, Memory
 from onboard.estimation.window_solver import Noise, Outcome, Request, adjust
+from onboard.estimation.window_start import start_tolerance_rad
 from onboard.geometry.relative_orientation import rotation_only
 from onboard.geometry.terrain_grid import Terrain
 from onboard.navigation.navigator import NavState
@@ -130,7 +132,10 @@ class Window:
         return nav.position_enu_m + shift
 
     def pose_guess(self, seen: Observation, nav: NavState) -> tuple[Array, Array] | None:
-        """R_cam_enu and centre of a new view: from known points where there are enough, else from the autopilot."""
+        """R_cam_enu and centre of a new view; None where nothing gives an orientation.
+
+        From known points where there are enough, else from the autopilot, else from the newest keyframe.
+        """
         centre = self.position_guess(nav)
         if self.solved is not None:
             rows, known = self.solved.rows(seen.ids)
@@ -139,7 +144,22 @@ class Window:
                 rays = np.concatenate([seen.xy[known], np.ones((np.count_nonzero(known), 1))], axis=1)
                 return rotation_only(directions, rays, GUESS_STEPS), centre
         attitude = self.attitude_guess(nav)
+        if attitude is None:
+            attitude = self._after_newest(seen, centre)
         return None if attitude is None else (attitude, centre)
+
+    def _after_newest(self, seen: Observation, centre_enu_m: Array) -> Array | None:
+        """R_cam_enu from what a view has in common with the newest keyframe, once that is oriented."""
+        newest = self.keyframes[-1] if self.keyframes else None
+        if self.solved is None or newest is None or not newest.is_oriented:
+            return None
+        _, before, now = np.intersect1d(newest.observation.ids, seen.ids, assume_unique=True, return_indices=True)
+        ones = np.ones((len(now), 1))
+        rays_before = np.concatenate([newest.observation.xy[before], ones], axis=1)
+        rays = np.concatenate([seen.xy[now], ones], axis=1)
+        travel_enu_m = centre_enu_m - newest.centre_enu_m
+        tolerance_rad = start_tolerance_rad(self.noise.pixel_sigma_px, self.camera)
+        return follow(rays_before, rays, newest.R_cam_enu, travel_enu_m, tolerance_rad)
 
     def add(
         self,
@@ -157,7 +177,8 @@ class Window:
         R, centre = guess if guess is not None else (self.R_body_cam.T, nav.position_enu_m)
         rate = np.zeros(3) if body_rate_rad_s is None else body_rate_rad_s
         flow_disagreement_xy = None if flow_disagreement_px is None else flow_disagreement_px / self.camera.focal_px
-        self.keyframes.append(Keyframe(frame, seen, nav, rate, *times_s, flown_enu_m, R, centre, flow_disagreement_xy))
+        made = Keyframe(frame, seen, nav, rate, *times_s, flown_enu_m, R, centre, flow_disagreement_xy)
+        self.keyframes.append(replace(made, is_oriented=guess is not None))
         del self.keyframes[: -self.config.solve.keyframes]
 
     def prepare(self) -> Request:

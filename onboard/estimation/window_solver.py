@@ -46,6 +46,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MIN_KEYFRAMES = 3
+MAX_ROTATION_SIGMA_DEG = 20.0  # above it a turn's second order, which no covariance has, is a fifth of its first
+MIN_VIEW_INLIERS = 0.3  # of one picture's measurements; below it nothing ties that picture to the others
 OUTLIER_SIGMAS = 4.0
 # Median length of a residual (of noise of one sigma an axis) of a point seen in so many views, from 2 on: along the
 # travel the point's place and depth have been fitted, across it its place. First: without any fit (Rayleigh).
@@ -329,17 +331,23 @@ def _judged(
     depth = np.abs(
         np.einsum("kj,kpj->kp", s.state.R_cam_enu[:, 2], s.state.points_enu_m - s.state.centres_enu_m[:, None])
     )
+    turn = float(np.degrees(np.sqrt(np.diag(s.covariance)[layout.rotations()].max())))
     depth_m = np.where(kept > 0, depth, np.nan)
     median_depth = float(np.nanmedian(depth_m)) if used else np.nan
     good = np.count_nonzero(kept > 0, axis=0) >= 2
     if used < MIN_INLIERS * seen or np.count_nonzero(good) < MIN_POINTS or not np.isfinite(median_depth):
         return refused(Status.POOR_FIT, f"outliers: {seen - used} of {seen} measurements")
+    left = np.count_nonzero(kept > 0, axis=1) / np.maximum(np.count_nonzero(weight > 0, axis=1), 1)
+    if left.min() < MIN_VIEW_INLIERS:
+        return refused(Status.POOR_FIT, f"a picture has {left.min():.0%} of its features where the others see them")
     if sigma_px > MAX_FIT_SIGMAS * config.solve.pixel_sigma_px * max(1.0, camera.width_px / 640.0):
         return refused(Status.POOR_FIT, f"large residuals: {sigma_px:.1f} px")
     scale = max(fit, 1.0) ** 2
     still = float(np.median(_depth_sigma(s, s.covariance, good, layout))) / median_depth
     if still * np.sqrt(scale) > MAX_DEPTH_SIGMA:
         return refused(Status.LOW_PARALLAX, f"little parallax: depths to {100.0 * still * np.sqrt(scale):.0f} %")
+    if turn > MAX_ROTATION_SIGMA_DEG:
+        return refused(Status.LOW_PARALLAX, f"neither the path nor a sensor tells the heading: to {turn:.0f} degrees")
     moving = ground_motion(
         request.keyframes, priors, s.state, s.covariance, ground_sigma_m_s(request.keyframes, median_depth)
     )

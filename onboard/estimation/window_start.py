@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.camera import Camera
 from onboard.estimation import initialisation
 from onboard.estimation.keyframe import Ids, Keyframe, have_attitude, turned
 from onboard.estimation.window_acceptance import MIN_POINTS
@@ -45,14 +46,21 @@ def grid(request: Request, ids: Ids) -> tuple[Array, Array]:
 def oriented(request: Request, xy: Array, seen: Mask) -> tuple[Keyframe, ...] | None:
     """The keyframes, each with a starting orientation; None if the rays support none."""
     keyframes, camera = request.keyframes, request.camera
-    if request.is_oriented or request.previous is not None or have_attitude(keyframes):
+    if request.is_oriented or have_attitude(keyframes):
+        return keyframes
+    if request.previous is not None and all(k.is_oriented for k in keyframes):
         return keyframes
     centres = np.stack([k.nav.position_enu_m for k in keyframes])
-    sigma_px = request.noise.pixel_sigma_px * max(1.0, camera.width_px / 640.0)
-    rotations = initialisation.orient(xy, seen, centres, request.R_body_cam, START_SIGMAS * sigma_px / camera.focal_px)
+    tolerance_rad = start_tolerance_rad(request.noise.pixel_sigma_px, camera)
+    rotations = initialisation.orient(xy, seen, centres, request.R_body_cam, tolerance_rad)
     if rotations is None:
         return None
     return turned(keyframes, rotations)
+
+
+def start_tolerance_rad(pixel_sigma_px: float, camera: Camera) -> float:
+    """Epipolar error of an inlier at the start."""
+    return START_SIGMAS * pixel_sigma_px * max(1.0, camera.width_px / 640.0) / camera.focal_px
 
 
 def starting_points(

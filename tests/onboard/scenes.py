@@ -51,6 +51,7 @@ class SceneSpec:
     between: int = 1  # pictures between keyframes
     step_s: float = 1.0  # between keyframes
     speed_m_s: float = 20.0
+    climb_m_s: float = 0.0
     height_m: float = 250.0
     heading_deg: float = 30.0
     crab_deg: float = 0.0
@@ -100,11 +101,12 @@ class Path:
     def position_enu_m(self, t: float) -> Array:
         """(3,), over the origin half way."""
         out: Array = self._course * self._spec.speed_m_s * (t - 0.5 * self._length_s)
-        return out + [0.0, 0.0, self._spec.height_m + np.sin(0.3 * t)]
+        climbed_m = self._spec.climb_m_s * (t - 0.5 * self._length_s)
+        return out + [0.0, 0.0, self._spec.height_m + climbed_m + np.sin(0.3 * t)]
 
     def velocity_enu_m_s(self, t: float) -> Array:
         """(3,)."""
-        out: Array = self._course * self._spec.speed_m_s + [0.0, 0.0, 0.3 * np.cos(0.3 * t)]
+        out: Array = self._course * self._spec.speed_m_s + [0.0, 0.0, self._spec.climb_m_s + 0.3 * np.cos(0.3 * t)]
         return out
 
     def R_enu_body(self, t: float) -> Array:

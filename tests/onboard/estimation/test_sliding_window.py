@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from contract.feature_set import Status
 from contract.rotations import log_so3
@@ -161,3 +162,61 @@ def test_a_solution_survives_a_solve_that_fails() -> None:
         window.add(100 + k, empty, scene.navs[int(scene.keys[5])], (0.0, 0.0), None, None)
     assert window.solve() is Status.FEATURELESS
     assert window.solved is before
+
+
+def subset(scene: Scene, k: int, ids: NDArray[np.int64]) -> None:
+    """Picture k sees nothing but these."""
+    seen = scene.observations[k]
+    kept = np.isin(seen.ids, ids)
+    scene.observations[k] = observation(CAMERA, seen.ids[kept], seen.uv_px[kept])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_picture_that_shares_no_known_point_is_oriented_from_the_one_before_it(seed: int) -> None:
+    """As after a quick roll, where no sensor gives attitude: what both see has been seen but once before."""
+    scene = draw(np.random.default_rng(seed), SEED_SENSORS, replace(CALM, points=400))
+    *earlier, newest, last = (int(k) for k in scene.keys)
+    both = np.intersect1d(scene.observations[newest].ids, scene.observations[last].ids)[::2]
+    for k in earlier:
+        subset(scene, k, np.setdiff1d(scene.observations[k].ids, both))
+    subset(scene, last, both)
+    window = Window(SEED_SENSORS, CAMERA)
+    for k in (*earlier, newest):
+        add(window, scene, k)
+    assert window.solve() is Status.OK
+    assert window.solved is not None
+    assert not window.solved.rows(both)[1].any()
+    guess = window.pose_guess(scene.observations[last], scene.navs[last])
+    assert guess is not None
+    turn_deg = np.degrees(np.linalg.norm(log_so3(guess[0] @ scene.R_cam_enu[last].T)))
+    assert 0.0 < turn_deg < 6.0
+    add(window, scene, last)
+    assert window.solve() is Status.OK
+    assert worst_turn_deg(window, scene) < 6.0
+
+
+def test_a_picture_that_fits_nothing_is_not_published_with_those_that_do() -> None:
+    """Its pose would be its position's alone, and the next window would begin from it."""
+    rng = np.random.default_rng(0)
+    scene = draw(rng, SEED_SENSORS, CALM)
+    last = int(scene.keys[-1])
+    seen = scene.observations[last]
+    scene.observations[last] = observation(CAMERA, seen.ids, rng.permutation(seen.uv_px))
+    window = scene.window()
+    assert window.solve() is Status.POOR_FIT
+    assert "a picture has" in window.refusal
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_climb_without_attitude_tells_no_heading_and_the_flight_after_it_does(seed: int) -> None:
+    spec = replace(CALM, height_m=60.0, speed_m_s=0.0, climb_m_s=4.0, error_scale=0.1)
+    scene = draw(np.random.default_rng(seed), SEED_SENSORS, spec)
+    window = scene.window()
+    assert window.solve() is Status.LOW_PARALLAX
+    assert "heading" in window.refusal
+    with_attitude = draw(np.random.default_rng(seed), FULL, spec).window()
+    assert with_attitude.solve() is Status.OK
+    onward = draw(np.random.default_rng(seed), SEED_SENSORS, replace(spec, speed_m_s=6.0, climb_m_s=2.0))
+    window = onward.window()
+    assert window.solve() is Status.OK
+    assert worst_turn_deg(window, onward) < 6.0
