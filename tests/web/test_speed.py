@@ -24,7 +24,8 @@ PRESSES = """async ([count, seed]) => {
   for (let k = 0; k < count; k++) {
     const box = pane.getBoundingClientRect();
     const at = {clientX: box.left + box.width * (0.1 + 0.8 * random()),
-                clientY: box.top + box.height * (0.1 + 0.8 * random()), pointerId: 1, pointerType: 'mouse', button: 0, bubbles: true, cancelable: true};
+                clientY: box.top + box.height * (0.1 + 0.8 * random()),
+      pointerId: 1, pointerType: 'mouse', button: 0, bubbles: true, cancelable: true};
     const began = performance.now();
     pane.dispatchEvent(new PointerEvent('pointerdown', at));
     pane.dispatchEvent(new PointerEvent('pointerup', at));
