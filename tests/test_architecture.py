@@ -55,8 +55,8 @@ IO_PACKAGES = {
     "select", "serial", "signal", "socket", "subprocess", "threading", "tqdm", "zenoh",
 }  # fmt: skip
 IO_ALLOWED = {
-    "ground", "ground.commands", "ground.pins", "ground.web", "onboard", "onboard.camera", "onboard.telemetry", "onboard.link",
-    "onboard.storage", "onboard.replay",
+    "ground", "ground.commands", "ground.pins", "ground.web", "onboard", "onboard.camera", "onboard.telemetry",
+    "onboard.link", "onboard.storage", "onboard.replay",
     "onboard.service", "onboard.commands", "onboard.events", "simulation", "simulation.autopilot", "demo", "benchmarks",
 }  # fmt: skip
 SHIPPED = ("contract", "ground", "onboard")
@@ -198,7 +198,10 @@ def test_the_base_install_needs_numpy_and_zenoh_alone() -> None:
 
 
 def test_nothing_heavy_is_loaded_by_importing_the_ground() -> None:
-    heavy = "{'cv2', 'scipy', 'mavsdk', 'pymavlink', 'mcap', 'pydantic', 'PIL', 'fastapi', 'uvicorn', 'matplotlib', 'onboard', 'simulation'}"
+    heavy = (
+        "{'cv2', 'scipy', 'mavsdk', 'pymavlink', 'mcap', 'pydantic', "
+        "'PIL', 'fastapi', 'uvicorn', 'matplotlib', 'onboard', 'simulation'}"
+    )
     check = f"import sys, ground.__main__, ground.client, ground.web.command; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", check], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
