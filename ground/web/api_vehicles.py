@@ -172,7 +172,9 @@ def _words(report: VehicleReport, found: FeatureSet | None) -> str:
     if not found.is_ok:
         advice = ADVICE[found.status]
         return EXPLANATIONS[found.status] + (f"; {advice}" if advice else "")
-    return "ok" if report.heard_age_s is not None else "recorded"
+    if report.heard_age_s is None:
+        return "recorded"
+    return "ok" if (report.picture_age_s or 0.0) <= STALE_S else "the newest picture is old"
 
 
 def _rounded(value: float | None) -> float | None:

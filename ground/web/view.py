@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 # Features of two pictures within this of each other, once one's ground places are seen from the other, are the same.
 SAME_FEATURE_PX = 4.0
+COMMON_SHIFT_PX = 40.0
 EDGE_POINTS = 12  # of the footprint, along each edge of the picture
 
 
@@ -149,8 +150,14 @@ def _paths(s: FeatureSet, uv_px: Array, earlier: Sequence[FeatureSet]) -> list[l
         ahead = moved[:, 2] > 1e-6
         xy = moved[:, :2] / np.where(ahead, moved[:, 2], 1.0)[:, None]
         seen = s.camera.distort(xy) * (s.camera.fx_px, s.camera.fy_px) + (s.camera.cx_px, s.camera.cy_px)
-        distance = np.where(ahead, np.linalg.norm(uv_px[:, None] - seen[None], axis=-1), np.inf)
-        nearest, back = np.argmin(distance, axis=1), np.argmin(distance, axis=0)
+        # Two sets' positions may differ by more than features lie apart: by what all of them moved, first.
+        for reach_px in (COMMON_SHIFT_PX, SAME_FEATURE_PX):
+            distance = np.where(ahead, np.linalg.norm(uv_px[:, None] - seen[None], axis=-1), np.inf)
+            nearest, back = np.argmin(distance, axis=1), np.argmin(distance, axis=0)
+            pairs = [i for i, j in enumerate(nearest) if back[j] == i and distance[i, j] <= reach_px]
+            if not pairs or reach_px == SAME_FEATURE_PX:
+                break
+            seen = seen + np.median(uv_px[pairs] - seen[nearest[pairs]], axis=0)
         then_px = other.uv_px[usable]
         for i, j in enumerate(nearest):
             if back[j] == i and distance[i, j] <= SAME_FEATURE_PX and len(paths[i]) == before:

@@ -174,7 +174,7 @@ def test_a_refused_click_says_why_and_what_helps_at_the_spot(serve: Serve, opera
     assert anna.by("pin").count() == 0
     # Without a picture, the features of the one before still make one to click.
     anna.show(flown.newest, flown)
-    assert not anna.page.locator(".bubble").is_visible()
+    anna.page.wait_for_selector(".bubble", state="hidden", timeout=3000)
 
 
 def test_what_was_pressed_is_clicked_whatever_happens_before_the_release(
@@ -402,4 +402,5 @@ def test_sigint_ends_the_server_at_once(serve: Serve, operators: Any) -> None:
     server.process.send_signal(signal.SIGINT)
     server.process.wait(8)
     assert time.monotonic() - began_s < 6.0
+    anna.page.close()
     anna.wrong = [line for line in anna.wrong if "ERR_CONNECTION" not in line and "WebSocket" not in line]
