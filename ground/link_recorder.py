@@ -52,8 +52,8 @@ class LinkRecorder:
         """What was recorded so far."""
         with self._lock:
             left = f"; {self._left_out} messages were none of ours" if self._left_out else ""
-            found = ", ".join(sorted(str(f.path) for f in self._files.values())) or "nothing heard yet"
-            return f"{self._messages} messages in {found}{left}"
+            found = ", ".join(sorted(str(f.path) for f in self._files.values()))
+            return (f"{self._messages} messages in {found}" if found else "nothing heard yet") + left
 
     def take(self, key: str, payload: bytes) -> None:
         """One message of the link. What is no message of a vehicle is counted and left out."""

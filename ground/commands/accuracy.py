@@ -209,11 +209,11 @@ def plot(compared: list[Compared], found: Figures, path: Path) -> None:
     for is_inside, marker, label in ((True, "o", "inside its ellipse"), (False, "x", "outside its ellipse")):
         these = [c for c in compared if c.is_inside is is_inside]
         axes.scatter(
-            [c.east_m for c in these], [c.north_m for c in these], marker=marker, label=f"{len(these)} {label}"
+            [c.east_m for c in these], [c.north_m for c in these], s=14, marker=marker, label=f"{len(these)} {label}"
         )
     for radius, style, label in ((found.cep_m, "--", "CEP"), (found.ce90_m, "-", "CE90")):
         axes.add_patch(plt.Circle((0, 0), radius, fill=False, linestyle=style, label=f"{label} {radius:.1f} m"))
-    axes.plot(found.bias_east_m, found.bias_north_m, "+", markersize=14, label="bias")
+    axes.plot(found.bias_east_m, found.bias_north_m, "k+", markersize=16, markeredgewidth=2, zorder=5, label="bias")
     axes.set_aspect("equal", "datalim")
     axes.grid(True)
     axes.set_xlabel("error east, m")

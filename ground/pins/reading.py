@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import math
 import re
 from collections.abc import Callable
@@ -111,12 +112,31 @@ class Reader:
 
     def covariance(self, name: str, size: int) -> Array:
         """Symmetric, no eigenvalue below zero but by rounding."""
-        value = self.array(name, (size, size), 1e15)
-        values = np.linalg.eigvalsh(0.5 * (value + value.T))
+        return self.checked(name, self.array(name, (size, size), 1e15))
+
+    def checked(self, name: str, value: Array) -> Array:
+        """A covariance (N, N), if it is one."""
         scale = float(np.max(np.abs(value), initial=0.0))
-        if not np.allclose(value, value.T, rtol=1e-6, atol=1e-9 * scale) or values[0] < -1e-6 * max(scale, 1e-12):
-            raise self._wrong(name, "a covariance")
+        if not (scale <= 1e15 and float(np.max(np.abs(value - value.T))) <= 1e-6 * scale) or (
+            float(np.linalg.eigvalsh(value)[0]) < -1e-6 * max(scale, 1e-12)
+        ):
+            raise InputError(f"{self._what}: {name} is no covariance")
         return value
+
+    def packed(self, name: str, shapes: dict[str, tuple[int, ...]]) -> dict[str, Array]:
+        """Arrays that were written as one text: base64 of little-endian float64, one after the other; all finite."""
+        value = self.get(name)
+        try:
+            flat = np.frombuffer(base64.b64decode(value, validate=True), "<f8").astype(np.float64)
+        except (ValueError, TypeError) as error:
+            raise self._wrong(name, "base64") from error
+        if len(flat) != sum(math.prod(shape) for shape in shapes.values()) or not np.all(np.isfinite(flat)):
+            raise self._wrong(name, "as many finite numbers as it has to hold")
+        out, begin = {}, 0
+        for key, shape in shapes.items():
+            end = begin + math.prod(shape)
+            out[key], begin = flat[begin:end].reshape(shape), end
+        return out
 
     def _wrong(self, name: str, wanted: str) -> InputError:
         return InputError(f"{self._what}: {name} = {str(self.get(name))[:40]!r} must be {wanted}")

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from contract.errors import InputError
-from ground.pins.model import Category, Pin, PinClick
+from contract.feature_set import SharedErrors
+from ground.pins.model import Category, ClickErrors, Pin, PinClick
 from ground.pins.places import Places
 from ground.pins.store import PinStore
 from ground.pins.ties import TieRefused
@@ -286,10 +287,9 @@ def test_a_pin_that_is_none_is_refused_by_its_field(change: dict[str, object], s
     [
         (("lat_deg",), 91.0), (("lon_deg",), float("nan")), (("u_px",), "1"), (("height_amsl_m",), 1e9),
         (("covariance_enu_m2",), [[1, 2], [3, 4]]), (("covariance_enu_m2",), np.diag([1.0, 1.0, -1.0]).tolist()),
-        (("errors", "R_enu_cam"), np.zeros((3, 3)).tolist()), (("errors", "offset_enu_m"), [0.0, 0.0, 0.0]),
-        (("errors", "by_nuisance"), "x"), (("errors", "span_s"), [1.0, 0.0]),
-        (("errors", "common_cov"), [[1e300] * 9] * 9),
-        (("errors", "pointing_cov_m2"), None), (("errors",), []),
+        (("errors", "arrays_f64le_base64"), "AAAA"), (("errors", "arrays_f64le_base64"), "?"),
+        (("errors", "arrays_f64le_base64"), None), (("errors", "session"), -1), (("errors", "feature_noise"), 1e9),
+        (("errors",), []),
     ],
 )  # fmt: skip
 def test_a_click_that_lies_is_refused(where: tuple[str, ...], value: object) -> None:
@@ -301,6 +301,23 @@ def test_a_click_that_lies_is_refused(where: tuple[str, ...], value: object) -> 
     inner[last] = value
     with pytest.raises(InputError):
         PinClick.from_dict(content)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"R_enu_cam": np.zeros((3, 3))}, {"offset_enu_m": np.zeros(3)}, {"common_cov": np.full((9, 9), 1e300)},
+        {"common_cov": -np.eye(9)}, {"pointing_cov_m2": np.triu(np.ones((3, 3)))},
+        {"common_cov": np.full((9, 9), np.nan)}, {"shared": SharedErrors(span_s=(1.0, 0.0))},
+        {"shared": SharedErrors(alignment_sigma=-np.ones(4))}, {"shared": SharedErrors(np.full((9, 13), 1e9))},
+    ],
+)  # fmt: skip
+def test_errors_that_lie_are_refused(change: dict[str, object]) -> None:
+    errors = clicked().errors
+    assert errors is not None
+    lying = dataclasses.replace(errors, **change)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="errors"):
+        ClickErrors.from_dict(lying.to_dict())
 
 
 def test_ten_thousand_pins_and_a_click_stays_quick(path: Path) -> None:
