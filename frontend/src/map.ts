@@ -17,7 +17,7 @@ declare const WORKER_URL: string;
 
 const LAID_PICTURES = 16;
 const PIN_ICON = 28;
-const LATER_MS = 120, LATEST_MS = 600; // the map is drawn this long after the last change, and after the first one
+const LATER_MS = 120, LATEST_MS = 3000; // the map is drawn this long after the last change, and after the first one
 const ABOVE_PICTURES = "footprint-fill"; // the lowest layer that lies on the pictures
 type Feature = { type: "Feature"; id?: number; geometry: { type: string; coordinates: unknown }; properties: Record<string, unknown> };
 
@@ -35,6 +35,7 @@ export class MapPane {
   private hasView = false;
   private theme: "day" | "night" = "day";
   private due = new Set<string>();
+  private drawnPath: [number, number][] | null = null;
   private dueAt = 0;
   private timer = 0;
   private origin: { lat: number; lon: number } | null = null;
@@ -209,6 +210,8 @@ export class MapPane {
 
   private drawPath(): void {
     const path = this.state.paths.get(this.state.vehicle ?? "") ?? [];
+    if (path === this.drawnPath) return; // a status comes every second, and drawing costs
+    this.drawnPath = path;
     this.set("path", path.length < 2 ? [] : [{ type: "Feature", geometry: { type: "LineString", coordinates: path }, properties: { colour: this.colour() } }]);
   }
 
