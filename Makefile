@@ -8,7 +8,7 @@ INSTALLED := $(VENV)/.installed
 PYTEST_ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-bench lint types pytest fuzz bench clean
+.PHONY: help venv demo test test-bench test-arm64 lint types pytest fuzz bench clean
 
 help:
 	@echo "make demo    a short simulated flight, from pictures to clicked coordinates; pictures in out/demo"
@@ -16,10 +16,11 @@ help:
 	@echo "make web     only build that page (npm)"
 	@echo "make test    lint, types and all tests"
 	@echo "make test-bench  the tests with a real V4L2 camera and a real systemd (docs/test-bench.md; root; 6 minutes to build once)"
+	@echo "make test-arm64  both Debian packages built and run, arm64 under emulation (qemu-user-static; 3 minutes)"
 	@echo "make lint    ruff: rules and format"
 	@echo "make types   mypy --strict"
 	@echo "make pytest  the tests alone (PYTEST_ARGS='-k click' to choose)"
-	@echo "make deb     a Debian package of the aircraft's side, into build/deb (docs/service.md)"
+	@echo "make deb     Debian packages of the aircraft's side, into build/deb (ARCH=arm64 or amd64; docs/service.md)"
 	@echo "make fuzz    a million damaged sets, statuses and recordings for their readers (some minutes)"
 	@echo "make bench   every benchmark, into benchmarks/results.md (an hour; the real flight needs ../shared/data)"
 	@echo "make venv    only set up $(VENV)"
@@ -87,11 +88,17 @@ chromium:
 
 test: lint types pytest
 	@echo "LEFT OUT: tests/bench, with a real V4L2 camera and a real systemd. To run it: make test-bench"
+	@echo "LEFT OUT: tests/arm64, the Debian packages and the other architecture. To run it: make test-arm64"
 
 # Kernel and images are built once and kept in $POINTCLICK_BENCH_CACHE (~/.cache/pointclick-bench).
 test-bench: $(INSTALLED)
 	@$(BIN)/python -m tests.bench build
 	@POINTCLICK_BENCH=1 $(BIN)/python -m pytest tests/bench --durations=0 --durations-min=1 $(BENCH_ARGS)
+
+# Packages of both architectures, built and run; arm64 by qemu's user-mode emulation, without root or binfmt.
+test-arm64: $(INSTALLED)
+	@$(BIN)/python -m tests.arm64
+	@POINTCLICK_ARM64=1 $(BIN)/python -m pytest tests/arm64 -n 2 --dist load --durations=0 --durations-min=5 $(ARM64_ARGS)
 
 lint: $(INSTALLED)
 	@$(BIN)/ruff check .
@@ -126,10 +133,10 @@ bench: $(INSTALLED)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement benchmarks/requirements.txt
 	@$(BIN)/python -m benchmarks
 
-# A Debian package of the aircraft's side, into build/deb; wheels are fetched once.
+# Debian packages of the aircraft's side, into build/deb; wheels are fetched once.
 .PHONY: deb
 deb: web
-	@PYTHON=$(PYTHON) packaging/build-deb.sh build/deb
+	@PYTHON=$(PYTHON) ARCH=$(ARCH) packaging/build-deb.sh build/deb
 
 clean:
 	rm -rf out build $(VENV) *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .cache

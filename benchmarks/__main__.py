@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from benchmarks.autopilots import STARTS
 from benchmarks.machine import describe
 
 HERE = Path(__file__).resolve().parent
@@ -39,9 +40,18 @@ class Benchmark:
 BENCHMARKS = (
     Benchmark("accuracy", "Errors over the Cramer-Rao bound", (), ("--flights", "10")),
     Benchmark("coverage", "Honesty of the stated radius"),
+    Benchmark(
+        "autopilots",
+        "Beside recorded autopilots",
+        ("--recordings", ",".join(STARTS), "--seconds", "150", "--seed", "3"),
+        ("--recordings", "plane_clean", "--seconds", "40"),
+    ),
     Benchmark("bundle", "The window solve against GTSAM", (), ("--repeat", "5")),
     Benchmark("tracking", "A tracking step against raw Lucas-Kanade", (), ("--seconds", "3", "--passes", "1")),
     Benchmark("pipeline", "The pipeline at thirty pictures a second", ("--hour", "--profile"), ("--minutes", "1")),
+    Benchmark("against", "Processor time against an earlier commit", (), ("--turns", "4")),
+    Benchmark("latency", "From exposure to an answer on the ground", (), ("--seconds", "20")),
+    Benchmark("budget", "What a picture costs", ("--instructions",), ("--pictures", "60", "--sizes", "640x480")),
     Benchmark("soak", "An hour in the daemon", ("--minutes", "30"), ("--minutes", "2")),
     Benchmark("wire", "A set on the wire", (), ("--repeat", "20")),
     Benchmark("click", "A click", (), ("--sets", "500", "--clicks", "500", "--runs", "3")),

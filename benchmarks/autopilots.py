@@ -8,7 +8,7 @@ Gauss-Markov error is added to the position, for one flight is only one draw of 
 ground with pixel noise (`drawn_flight`), so that a flight of minutes takes seconds. Printed for every scene: the share
 answered, median and 90 % error beside what the flat ray gives (the autopilot's own pose, the true mount, level ground
 at home's height), the share inside the 90 % ellipse by bank, inside the 99 % ellipse, the worst error over its 90 %
-ellipse, and what was estimated of mount and clocks against the truth.
+ellipse, both medians beyond what the position was off by at that moment, and what was estimated of mount and clocks.
 """
 
 from __future__ import annotations
@@ -213,6 +213,9 @@ class Score:
     semi_m: list[float] = field(default_factory=list)
     bank_deg: list[float] = field(default_factory=list)
     flat_m: list[float] = field(default_factory=list)
+    # The same two without what the position was off by at that moment, which no picture tells.
+    beyond_m: list[float] = field(default_factory=list)
+    flat_beyond_m: list[float] = field(default_factory=list)
     moment_s: list[float] = field(default_factory=list)
     asked: dict[str, int] = field(default_factory=lambda: {"all": 0, "bank": 0})
     answered: dict[str, int] = field(default_factory=lambda: {"all": 0, "bank": 0})
@@ -250,7 +253,7 @@ def judge(scene: Scene, seed: int, warm_s: float = 30.0) -> Score:
             score.refused[reason] = score.refused.get(reason, 0) + len(uv)
             continue
         locator = Locator(decode(encode(s)))
-        flat = _flat(scene, flight, k, uv)
+        flat, off = _flat(scene, flight, k, uv)
         for one, where, ray in zip(uv, truth, flat, strict=True):
             answer = locator.locate(one)
             if not isinstance(answer, Fix):
@@ -269,6 +272,8 @@ def judge(scene: Scene, seed: int, warm_s: float = 30.0) -> Score:
             score.bank_deg.append(float(flight.bank_deg[k]))
             score.moment_s.append(float(t))
             score.flat_m.append(float(np.hypot(*(ray - where)[:2])))
+            score.beyond_m.append(float(np.hypot(*(error - off))))
+            score.flat_beyond_m.append(float(np.hypot(*((ray - where)[:2] - off))))
     alignment = pipeline.window.alignment
     mean, sigma = alignment.belief.mean, pipeline.window.belief.sigma
     score.learned_values = (mean, sigma)
@@ -276,12 +281,14 @@ def judge(scene: Scene, seed: int, warm_s: float = 30.0) -> Score:
         f"{m * 180 / np.pi:+.2f}±{s * 180 / np.pi:.2f}" for m, s in zip(mean[:3], sigma[:3], strict=True)
     )
     score.learned += " deg " + " ".join(f"{m:+.3f}±{s:.3f}" for m, s in zip(mean[3:], sigma[3:], strict=True)) + " s"
-    score.learned += f" | {pipeline.window.noise}"
     return score
 
 
-def _flat(scene: Scene, flight: ReplayedFlight, k: int, uv: Array) -> Array:
-    """Where the pixel's ray from the autopilot's pose through the true mount meets level ground at home's height."""
+def _flat(scene: Scene, flight: ReplayedFlight, k: int, uv: Array) -> tuple[Array, Array]:
+    """Where the pixel's ray from the autopilot's pose through the true mount meets level ground at home's height.
+
+    Also what the autopilot's position is off by at that moment, (2,) east and north.
+    """
     log = _raw(scene.recording)
     t_ns = round((flight.begin_s + flight.times_s[k]) * 1e9)
     p = np.array([np.interp(t_ns, log[0], log[1][:, i]) for i in range(3)])
@@ -291,8 +298,7 @@ def _flat(scene: Scene, flight: ReplayedFlight, k: int, uv: Array) -> Array:
     rays, _ = scene.camera.unproject(uv)
     rays = rays @ (R_ENU_NED @ R_ned_body @ flight.R_body_cam).T
     depth = -p[2] / np.minimum(rays[:, 2], -1e-3)
-    out: Array = p + rays * depth[:, None]
-    return out
+    return p + rays * depth[:, None], (p - flight.centres_enu_m[k])[:2]
 
 
 @functools.lru_cache(maxsize=8)
@@ -373,7 +379,8 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
 
 def report(results: Iterable[tuple[str, Score, float]]) -> None:
     """Print a row for every scene as it comes, and one for each set of sensors."""
-    print(f"{'scene':<38} answ bank | med   90%  | flat med 90% | 0-5  5-15 15-30 >30 | all  in99 worst")
+    columns = "answ bank | med   90%  | flat med 90% | 0-5  5-15 15-30 >30 | all  in99 worst | beyond flat ratio"
+    print(f"{'scene':<38} {columns}")
     pooled: dict[str, list[Score]] = {}
     for name, score, seconds in results:
         print(row(name, [score]), f"{seconds:5.0f} s", score.learned, score.refused, flush=True)
@@ -425,6 +432,7 @@ def row(name: str, scores: list[Score]) -> str:
         return f"{name:<38} nothing"
     asked = {b: sum(s.asked[b] for s in scores) for b in ("all", "bank")}
     answered = {b: sum(s.answered[b] for s in scores) for b in ("all", "bank")}
+    beyond = [np.median(np.concatenate(x)) for x in ([s.beyond_m for s in scores], [s.flat_beyond_m for s in scores])]
     shares = ["   -" if share is None else f"{100 * share:4.0f}" for share in share_inside(scores)]
     answered_bank = 100 * answered["bank"] / max(asked["bank"], 1)
     q = np.quantile
@@ -432,6 +440,7 @@ def row(name: str, scores: list[Score]) -> str:
         f"{name:<38} {100 * answered['all'] / max(asked['all'], 1):4.0f} {answered_bank:4.0f} |"
         f"{q(error, 0.5):5.2f} {q(error, 0.9):6.2f} | {q(flat, 0.5):5.2f} {q(flat, 0.9):6.2f} |{' '.join(shares)} |"
         f" {100 * np.mean(chi2 < CHI2_2):4.0f} {100 * np.mean(chi2 < CHI2_99):5.1f} {ratio.max():5.1f}"
+        f" | {beyond[0]:5.2f} {beyond[1]:5.2f} {beyond[0] / beyond[1]:4.2f}"
     )
 
 

@@ -29,6 +29,7 @@ SIGMA_KEYS = ("fx", "cx", "cy", "k1", "k2")  # of a camera file's calibration, i
 # Where the radial polynomial's slope has fallen this low, a pixel of noise is three in normalised coordinates: the
 # calibration is extrapolating towards its fold and is not used.
 MIN_RADIAL_SLOPE = 0.3
+NEWTON_STEP = 1e-7  # of `unproject`, normalised, at which its square is nothing
 
 
 @dataclass(frozen=True)
@@ -185,15 +186,16 @@ class Camera:
     def distortion_jacobian(self, xy: ArrayLike) -> Array:
         """d distort / d xy, (..., 2, 2), (2.2)."""
         xy = np.asarray(xy, float)
-        x, y = xy[..., 0], xy[..., 1]
-        k1, k2, p1, p2, k3 = self.distortion
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
-        cross = x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
-        xx = radial + x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
-        yy = radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
-        return np.stack([np.stack([xx, cross], axis=-1), np.stack([cross, yy], axis=-1)], axis=-2)
+        _, (xx, yy), cross = self._distorted(xy.reshape(-1, 2).T)
+        return np.stack([xx, cross, cross, yy], axis=-1).reshape(*xy.shape, 2)
+
+    def area_gain(self, xy: Array) -> Array:
+        """How much larger a small area about undistorted coordinates (N, 2) becomes distorted, (N,): (2.2)'s
+        determinant.
+        """
+        _, along, cross = self._distorted(xy.T)
+        out: Array = along[0] * along[1] - cross * cross
+        return out
 
     def project(self, points_cam_m: ArrayLike) -> tuple[Array, Mask]:
         """Points in camera axes (..., 3) -> pixels (..., 2) and whether each is ahead and inside the picture."""
@@ -212,30 +214,57 @@ class Camera:
         inside: Mask = (u >= -0.5) & (v >= -0.5) & (u <= self.width_px - 0.5) & (v <= self.height_px - 0.5)
         return inside
 
-    def unproject(self, uv_px: ArrayLike) -> tuple[Array, Mask]:
+    def unproject(self, uv_px: ArrayLike, near: Array | None = None) -> tuple[Array, Mask]:
         """Pixels (..., 2) -> rays (x, y, 1), (..., 3), and validity. Newton on (2.1) with (2.2); see (2.4).
 
-        An invalid pixel (off the picture, or where the calibration folds) has a finite but meaningless ray.
+        `near` (..., 2): x, y of these rays by nearly the same camera, for Newton to begin at. An invalid pixel (off the
+        picture, or where the calibration folds) has a finite but meaningless ray.
         """
         uv = np.asarray(uv_px, float)
-        target = (uv - (self.cx_px, self.cy_px)) / (self.fx_px, self.fy_px)
-        xy = target.copy()
-        valid = self.contains(uv) & np.all(np.isfinite(uv), axis=-1)
+        xy = (uv - (self.cx_px, self.cy_px)) / (self.fx_px, self.fy_px)
+        valid = self.contains(uv)
         if any(self.distortion):
-            limit = min(self.max_radius, 3.0)
-            for _ in range(12):
-                error = self.distort(xy) - target
-                J = self.distortion_jacobian(xy)
-                det = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
-                det = np.where(np.abs(det) < 0.05, 0.05, det)
-                step_x = (J[..., 1, 1] * error[..., 0] - J[..., 0, 1] * error[..., 1]) / det
-                step_y = (J[..., 0, 0] * error[..., 1] - J[..., 1, 0] * error[..., 0]) / det
-                xy = xy - np.stack([step_x, step_y], axis=-1)
-                radius = np.hypot(xy[..., 0], xy[..., 1])[..., None]
-                xy = np.where(radius > limit, xy * (limit / np.maximum(radius, 1e-12)), xy)
-                if np.max(np.abs(step_x), initial=0.0) + np.max(np.abs(step_y), initial=0.0) < 1e-12:
-                    break
-            error = self.distort(xy) - target
-            valid &= np.hypot(error[..., 0], error[..., 1]) * self.focal_px < 1e-3
-        xy = np.where(np.isfinite(xy), xy, 0.0)
-        return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1), valid
+            target = np.ascontiguousarray(xy.reshape(-1, 2).T)
+            start = target if near is None else np.ascontiguousarray(near.reshape(-1, 2).T)
+            found, converged = self._undistorted(target, start)
+            xy = found.T.reshape(uv.shape)
+            valid &= converged.reshape(valid.shape)
+        rays = np.ones((*uv.shape[:-1], 3))
+        rays[..., :2] = np.where(np.isfinite(xy), xy, 0.0)
+        return rays, valid
+
+    def _undistorted(self, target: Array, start: Array) -> tuple[Array, Mask]:
+        """Rows x, y (2, N) that `distort` takes to `target` (2, N), and whether to a thousandth of a pixel. (2.4)"""
+        limit = min(self.max_radius, 3.0)
+        xy = start
+        for _ in range(12):
+            radius = np.hypot(*xy)
+            if radius.max(initial=0.0) > limit:
+                xy = xy * np.minimum(limit / np.maximum(radius, 1e-12), 1.0)
+            there, along, cross = self._distorted(xy)
+            off = there - target
+            det = along[0] * along[1] - cross * cross
+            det = np.where(np.abs(det) < 0.05, 0.05, det)
+            step = (along[::-1] * off - cross * off[::-1]) / det
+            xy = xy - step
+            # What is left after a step is of the order of its square.
+            if np.abs(step).max(initial=0.0) < NEWTON_STEP:
+                break
+        off = xy + self.displacement(xy) - target
+        return xy, (np.hypot(*off) * self.focal_px < 1e-3) & (np.hypot(*xy) <= limit)
+
+    def _distorted(self, xy: Array) -> tuple[Array, Array, Array]:
+        """(2.1) and (2.2) at once, of rows x, y (2, N): the distorted rows, and d x / d x and d y / d y (2, N) and
+        d x / d y (N,) of the Jacobian, which is symmetric.
+        """
+        k1, k2, p1, p2, k3 = self.distortion
+        squares = xy * xy
+        r2 = squares[0] + squares[1]
+        # The tangential part is 2 (p2 x + p1 y) (x, y) + r2 (p2, p1).
+        tangential = np.array([[p2], [p1]])
+        scale = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)) + 2.0 * (p2 * xy[0] + p1 * xy[1])
+        slope = 2.0 * k1 + r2 * (4.0 * k2 + r2 * (6.0 * k3))
+        there = xy * scale + r2 * tangential
+        along = scale + squares * slope + 4.0 * tangential * xy
+        cross = xy[0] * xy[1] * slope + 2.0 * (p1 * xy[0] + p2 * xy[1])
+        return there, along, cross

@@ -63,6 +63,8 @@ def _exp_of_one(v: Array) -> Array:
 def log_so3(R: ArrayLike) -> Array:
     """Rotation matrices (..., 3, 3) -> rotation vectors (..., 3), rad, length at most pi. Inverse of (1.4)."""
     R = np.asarray(R, float)
+    if R.ndim == 2:
+        return np.array(log_of_one(R.tolist()))
     flat = R.reshape(*R.shape[:-2], 9)
     cosine = 0.5 * (flat[..., 0] + flat[..., 4] + flat[..., 8] - 1.0)
     if np.any(cosine < -0.5):  # near half a turn the sine says too little: by quaternions
@@ -87,7 +89,7 @@ def _log_by_quaternion(R: Array) -> Array:
 def log_of_one(rows: list[list[float]]) -> list[float]:
     """`log_so3` of one matrix in plain numbers: its rows -> the rotation vector, in a tenth of the time.
 
-    By the quaternion at every angle, so that the last bits may differ from `log_so3`'s below 120 degrees.
+    By the quaternion at every angle, so that the last bits may differ from those of many below 120 degrees.
     """
     (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rows
     squares = (1 + r00 + r11 + r22, 1 + r00 - r11 - r22, 1 - r00 + r11 - r22, 1 - r00 - r11 + r22)

@@ -1,9 +1,9 @@
 """`pc-onboard`: the aircraft's commands. Only arguments, exit codes and wiring.
 
 Exit codes: 0 done, 2 wrong usage or unusable input (one line on stderr), 3 the daemon that was asked is not running, or
-a replay solved no picture, 1 `doctor` or `check-config --fly` found something, or the daemon failed and should be
-started anew, 130 interrupted (what was done is kept), 141 whoever reads our output (`head`, say) went away before there
-was a verdict.
+a replay solved no picture, 1 `doctor`, `bench` or `check-config --fly` found something, or the daemon failed and should
+be started anew, 130 interrupted (what was done is kept), 141 whoever reads our output (`head`, say) went away before
+there was a verdict.
 """
 
 from __future__ import annotations
@@ -195,10 +195,42 @@ def parser() -> argparse.ArgumentParser:
     )
     doctor.set_defaults(run=run_doctor)
 
+    _add_bench(commands.add_parser("bench", help="what this computer can do: pictures a second, stages, temperature"))
+
     run = commands.add_parser("run", help="fly: the daemon, as the service starts it")
     run.add_argument("--config", type=Path, default=CONFIG, metavar="FILE", help=f"configuration ({CONFIG})")
     run.set_defaults(run=run_daemon)
     return top
+
+
+def _add_bench(bench: argparse.ArgumentParser) -> None:
+    bench.add_argument(
+        "recording", type=Path, nargs="?", metavar="SESSION.mcap", help="fly this again; without it a flight is made up"
+    )
+    bench.add_argument("--config", type=Path, default=CONFIG, metavar="FILE", help=f"configuration ({CONFIG})")
+    bench.add_argument("--camera", type=Path, metavar="CAMERA.json", help="another camera file than the configured one")
+    bench.add_argument("--size", type=_pair, metavar="WxH", help="without a camera file: picture size (640x480)")
+    bench.add_argument("--rate", type=_rate, metavar="HZ", help="pictures a second wanted (camera.rate_hz)")
+    bench.add_argument("--seconds", type=_seconds, default=30.0, metavar="S", help="how long (30)")
+    bench.add_argument("--frames", type=Path, metavar="DIR", help="given pictures, with the next two as for replay")
+    bench.add_argument("--telemetry", type=Path, metavar="LOG")
+    bench.add_argument("--stamps", type=Path, metavar="STAMPS.csv")
+    bench.add_argument("--format", choices=["text", "json"], default="text", help="json: for programs")
+    bench.set_defaults(run=run_bench)
+
+
+def run_bench(arguments: argparse.Namespace) -> int:
+    """Measure; 1 if the configured camera is more than this computer can do."""
+    from onboard.commands.bench import run  # noqa: PLC0415
+
+    return run(arguments)
+
+
+def _rate(text: str) -> float:
+    rate_hz = _number(text)
+    if not 0.1 <= rate_hz <= 240.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of pictures a second from 0.1 to 240")
+    return rate_hz
 
 
 def _pair(text: str) -> tuple[int, int]:

@@ -1,17 +1,21 @@
 #!/bin/sh
-# A Debian package of the aircraft's side, for Debian 12 on this machine's architecture: pointclick-onboard_VERSION_ARCH.deb.
+# Debian packages of the aircraft's side, for Debian 12: pointclick-onboard_VERSION_ARCH.deb, and beside it
+# pointclick-onboard-terrain_VERSION_ARCH.deb, which adds what reads elevation models (rasterio).
 #
-#   packaging/build-deb.sh OUT_DIR [WHEELS_DIR]
+#   ARCH=amd64|arm64 packaging/build-deb.sh OUT_DIR [WHEELS_DIR]
 #
-# Everything Python that it needs goes into /opt/pointclick, in the versions of requirements.lock; Debian gives python3
-# alone. Wheels are fetched into WHEELS_DIR (OUT_DIR/wheels) once; with them there, nothing is fetched any more.
-# $PYTHON must be of Debian's minor version (3.11): wheels are chosen and bytecode is made with it.
+# Any of the two is built on any machine: wheels are fetched for the target, and nothing of it is run here. ARCH is by
+# default this machine's. Everything Python that it needs goes into /opt/pointclick, in the versions of requirements.lock
+# and without what an aircraft has no use for (slim.py); Debian gives python3 alone. Wheels are fetched into WHEELS_DIR
+# (OUT_DIR/wheels/ARCH) once; with them there, nothing is fetched any more.
+# $PYTHON must be of Debian's minor version (3.11), of whatever architecture: bytecode is made with it.
 set -eu
 
 checkout=$(cd "$(dirname "$0")/.." && pwd)
 mkdir -p "$1"
 out=$(cd "$1" && pwd)
-wheels=${2:-$out/wheels}
+arch=${ARCH:-$(dpkg --print-architecture)}
+wheels=${2:-$out/wheels/$arch}
 python=${PYTHON:-python3}
 minor=3.11
 
@@ -20,10 +24,19 @@ minor=3.11
 command -v dpkg-deb >/dev/null || { echo "build-deb: no dpkg-deb; sudo apt-get install dpkg" >&2; exit 1; }
 
 version=$(sed -n 's/^version = "\(.*\)"/\1/p' "$checkout/pyproject.toml")
-arch=$(dpkg --print-architecture)
+case $arch in
+	amd64) machine=x86_64 ;;
+	arm64) machine=aarch64 ;;
+	*) echo "build-deb: ARCH is $arch; it is amd64 or arm64" >&2; exit 1 ;;
+esac
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 pip() { $python -m pip --disable-pip-version-check --quiet "$@"; }
+# Wheels for the target, whatever runs here: Debian 12 has glibc 2.36.
+target="--implementation cp --python-version $minor --abi cp311 --abi abi3 --abi none --only-binary :all:"
+for glibc in $(seq 36 -1 5); do target="$target --platform manylinux_2_${glibc}_$machine"; done
+target="$target --platform manylinux2014_$machine --platform linux_$machine"
+[ $machine = aarch64 ] || target="$target --platform manylinux2010_$machine --platform manylinux1_$machine"
 
 # The package is built from a copy: a build leaves nothing in the checkout.
 mkdir "$work/source"
@@ -42,7 +55,7 @@ cat "$work/declared" "$checkout/requirements.lock" > "$work/wanted"
 if ! cmp -s "$work/wanted" "$wheels/.complete"; then
 	echo "build-deb: fetching wheels into $wheels"
 	mkdir -p "$wheels"
-	pip download --dest "$wheels" --only-binary :all: --constraint "$checkout/requirements.lock" \
+	pip download --dest "$wheels" $target --constraint "$checkout/requirements.lock" \
 		setuptools --requirement "$work/declared"
 	cp "$work/wanted" "$wheels/.complete"
 fi
@@ -51,17 +64,38 @@ fi
 root=$work/root
 home=$root/opt/pointclick
 site=$home/lib/python$minor/site-packages
-mkdir -p "$home/bin" "$site" "$root/usr/bin" "$root/DEBIAN"
+extra=$work/extra
+extra_site=$extra/opt/pointclick/lib/python$minor/site-packages
+mkdir -p "$home/bin" "$site" "$extra_site" "$root/usr/bin" "$root/DEBIAN" "$extra/DEBIAN"
 printf 'home = /usr/bin\ninclude-system-site-packages = false\nversion = %s\n' "$minor" > "$home/pyvenv.cfg"
 ln -s /usr/bin/python$minor "$home/bin/python3"
 ln -s python3 "$home/bin/python"
 pip wheel --no-deps --no-index --find-links "$wheels" --wheel-dir "$work" "$work/source"
 # By what is declared, not by what lies there: an old wheel is left out, a missing one fails here.
-pip install --no-index --find-links "$wheels" --constraint "$checkout/requirements.lock" --target "$site" --no-compile \
-	--no-warn-conflicts "$(echo "$work"/pointclick-*.whl)[onboard,terrain]"
-rm -rf "$site/bin"
-# Nobody may write there later, so bytecode comes along; found by what the file is, not by when it was written.
-$python -m compileall -q -j 1 --invalidation-mode unchecked-hash -s "$root" "$site" || true
+install_into() {
+	pip install --no-index --find-links "$wheels" --constraint "$checkout/requirements.lock" $target --target "$1" \
+		--no-compile --no-warn-conflicts "$(echo "$work"/pointclick-*.whl)[$2]"
+}
+install_into "$site" onboard
+install_into "$extra_site" terrain
+echo "build-deb: pointclick-onboard-terrain for $arch"
+$python "$checkout/packaging/slim.py" "$extra_site" "$arch" --without "$site"
+echo "build-deb: pointclick-onboard for $arch"
+$python "$checkout/packaging/slim.py" "$site" "$arch"
+# Nobody may write there later, so bytecode comes along; found by what the file is, not by when it was written. Of other
+# people's packages it is all that comes, their sources would be the same once more; but cv2 reads its own.
+for part in "$root" "$extra"; do
+	folder=$part/opt/pointclick/lib/python$minor/site-packages
+	for package in contract ground onboard cv2; do
+		[ ! -d "$folder/$package" ] || mv "$folder/$package" "$work/"
+	done
+	$python -m compileall -q -b -j 0 --invalidation-mode unchecked-hash -s "$part" "$folder"
+	find "$folder" -name '*.py' -delete
+done
+for package in contract ground onboard cv2; do
+	mv "$work/$package" "$site/"
+	$python -m compileall -q -j 0 --invalidation-mode unchecked-hash -s "$root" "$site/$package"
+done
 
 for program in pc-onboard:onboard pc-ground:ground; do
 	printf '#!/bin/sh\nexec /opt/pointclick/bin/python3 -I -m %s "$@"\n' "${program#*:}" > "$root/usr/bin/${program%%:*}"
@@ -86,13 +120,31 @@ Package: pointclick-onboard
 Version: $version
 Architecture: $arch
 Maintainer: pointclick developers <pointclick@localhost>
-Installed-Size: $(du -sk "$root" | cut -f1)
+Installed-Size: $(du -sk --apparent-size "$root" | cut -f1)
 Depends: python3 (>= $minor), python3 (<< 3.12), systemd
+Suggests: pointclick-onboard-terrain
 Section: science
 Priority: optional
 Description: point-and-click target localisation, the aircraft's side
  Takes pictures and the autopilot's position and publishes what the ground needs
  to turn a click on a picture into a coordinate with its uncertainty.
 CONTROL
-dpkg-deb --root-owner-group -Zzstd -z3 --build "$root" "$out/pointclick-onboard_${version}_${arch}.deb" >/dev/null
-echo "$out/pointclick-onboard_${version}_${arch}.deb"
+cat > "$extra/DEBIAN/control" <<CONTROL
+Package: pointclick-onboard-terrain
+Version: $version
+Architecture: $arch
+Maintainer: pointclick developers <pointclick@localhost>
+Installed-Size: $(du -sk --apparent-size "$extra" | cut -f1)
+Depends: pointclick-onboard (= $version)
+Section: science
+Priority: optional
+Description: point-and-click target localisation, elevation models
+ Reads GeoTIFF and SRTM for pointclick-onboard: terrain.path in its configuration.
+CONTROL
+for part in "$extra:pointclick-onboard-terrain" "$root:pointclick-onboard"; do
+	package=$out/${part##*:}_${version}_${arch}.deb
+	dpkg-deb --root-owner-group -Zzstd -z9 --build "${part%:*}" "$package" >/dev/null
+	echo "build-deb: $(($(stat -c %s "$package") / 1000000)) MB, $(($(du -sb "${part%:*}" | cut -f1) / 1000000)) MB installed:" \
+		"$(basename "$package")"
+done
+echo "$package"

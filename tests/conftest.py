@@ -5,9 +5,12 @@ from __future__ import annotations
 import os
 import shutil
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from hypothesis import settings
+
+from tests.flights_folder import FLIGHTS_VARIABLE
 
 # Before anything imports NumPy or OpenCV: several tests run side by side, and one thread each gives the same bytes
 # everywhere.
@@ -45,6 +48,14 @@ def systemd_analyze() -> str:
     if program is None:
         pytest.skip(f"{NO_PROGRAM} systemd-analyze; sudo apt-get install systemd")
     return program
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """One folder for the flights of all workers: the first to need a flight draws it, the others find it."""
+    if not hasattr(config, "workerinput"):
+        folder = TemporaryDirectory(prefix="flights-")
+        os.environ[FLIGHTS_VARIABLE] = folder.name
+        config.add_cleanup(folder.cleanup)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

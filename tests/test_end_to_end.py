@@ -27,6 +27,8 @@ from simulation.session import SessionSpec, fly
 from simulation.terrain import TerrainSpec
 from simulation.truth import Truth
 
+pytestmark = pytest.mark.xdist_group("end to end")  # one worker: what they share is made once
+
 ROOT = Path(__file__).resolve().parents[1]
 FRAMES = 45
 SEED_SENSORS = '[solve]\nattitude = "none"\nvelocity = false\nlevel_ground = true\n'

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import math
 import sys
@@ -17,8 +16,9 @@ from contract.geodesy import LocalFrame
 from ground.accuracy_figures import ASPRS_LEAST_MARKS, Figures, figures
 from ground.answer import CHI2_2, Fix, Refusal
 from ground.commands import ANSWERED, REFUSED
+from ground.commands.picture_rows import read_picture_rows
 from ground.commands.sources import Clicker, RecordedSource, add_source_arguments
-from ground.commands.values import file_name, finite, frame_number
+from ground.commands.values import finite
 from ground.link_options import UsageError
 
 EXAMPLES = """\
@@ -150,46 +150,27 @@ def text(f: Figures, refused: int) -> str:
 
 def read_marks(path: Path) -> list[Surveyed]:
     """All rows, checked. Raises InputError with the line's number."""
-    out: list[Surveyed] = []
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = csv.DictReader(stream, skipinitialspace=True, strict=True)
-            header = rows.fieldnames or ()
-            which = next((name for name in ("frame", "file") if name in header), None)
-            needed = ("u", "v", "lat_deg", "lon_deg")
-            missing = [*([] if which else ["frame or file"]), *(name for name in needed if name not in header)]
-            if which is None or missing:
-                raise InputError(f"{path}, line 1: no column {', '.join(missing)}; see pc-ground accuracy --help")
-            for row in rows:
-                if len(out) >= MAX_MARKS:
-                    raise InputError(f"{path}: more than {MAX_MARKS} marks")
-                try:
-                    out.append(_surveyed(row, which, len(out) + 1))
-                except (ValueError, argparse.ArgumentTypeError) as error:
-                    raise InputError(f"{path}, line {rows.line_num}: {error}") from error
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a CSV file ({error})") from error
+    out = read_picture_rows(
+        path, ("u", "v", "lat_deg", "lon_deg"), _surveyed, "see pc-ground accuracy --help", MAX_MARKS
+    )
     if not out:
         raise InputError(f"{path}: no marks in it")
     return out
 
 
-def _surveyed(row: dict[str, str], which: str, number: int) -> Surveyed:
+def _surveyed(row: dict[str, str], picture: int | str, number: int) -> Surveyed:
     def optional(name: str) -> float | None:
-        cell = (row.get(name) or "").strip()
+        cell = row.get(name, "").strip()
         return finite(cell) if cell else None
 
-    picture = frame_number(row[which] or "") if which == "frame" else file_name(row[which] or "")
-    lat, lon = finite(row["lat_deg"] or ""), finite(row["lon_deg"] or "")
+    lat, lon = finite(row["lat_deg"]), finite(row["lon_deg"])
     if not (-90.0 <= lat <= 90.0 and -180.0 <= lon <= 180.0):
         raise ValueError(f"{lat:g} {lon:g} is no latitude and longitude")
     sigma = optional("sigma_m") or 0.0
     if sigma < 0.0:
         raise ValueError(f"sigma_m {sigma:g} is below 0")
     return Surveyed(
-        (row.get("name") or "").strip() or f"mark {number}", picture, finite(row["u"] or ""), finite(row["v"] or ""),
+        row.get("name", "").strip() or f"mark {number}", picture, finite(row["u"]), finite(row["v"]),
         lat, lon, optional("height_amsl_m"), optional("height_ellipsoid_m"), sigma,
     )  # fmt: skip
 

@@ -7,7 +7,6 @@ clicks from standard input, end with 0 once every click was processed: refusals 
 from __future__ import annotations
 
 import argparse
-import csv
 import math
 import re
 import sys
@@ -19,16 +18,15 @@ from contract.errors import InputError, PointclickError
 from ground.answer import Answer, Refusal
 from ground.commands import ANSWERED, REFUSED, WRONG_USAGE
 from ground.commands.grids import add_grid_arguments, grid_of
+from ground.commands.picture_rows import read_picture_rows
 from ground.commands.sources import Clicker, RecordedSource, Source, add_source_arguments, source_of
-from ground.commands.values import age, file_name, finite, frame_number
+from ground.commands.values import age, finite, frame_number
 from ground.formats.coordinates import Grid
 from ground.formats.documents import FORMATS, Format
 from ground.formats.mark import Mark
 from ground.formats.table import header
 from ground.freshness import MAX_AGE_S
 from ground.link_options import UsageError
-
-_PICTURE = ("frame", "file")  # the column that says which picture: one of them
 
 EXAMPLES = """\
 examples:
@@ -186,24 +184,9 @@ def line_click(line: str) -> Click:
 
 def read_clicks(path: Path) -> list[Click]:
     """All rows of a batch, checked before the first is answered. Raises InputError with the line's number."""
-    clicks: list[Click] = []
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = csv.DictReader(stream, skipinitialspace=True, strict=True)
-            header = rows.fieldnames or ()
-            which = next((name for name in _PICTURE if name in header), None)
-            missing = [*([] if which else ["frame or file"]), *(name for name in ("u", "v") if name not in header)]
-            if which is None or missing:
-                raise InputError(f"{path}, line 1: no column {', '.join(missing)}; a batch needs frame,u,v or file,u,v")
-            for row in rows:
-                texts = [row[name] or "" for name in (which, "u", "v")]
-                try:
-                    picture = frame_number(texts[0]) if which == "frame" else file_name(texts[0])
-                    clicks.append(Click(picture, finite(texts[1]), finite(texts[2])))
-                except (ValueError, argparse.ArgumentTypeError) as error:
-                    raise InputError(f"{path}, line {rows.line_num}: {error}") from error
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a CSV file ({error})") from error
-    return clicks
+    return read_picture_rows(
+        path,
+        ("u", "v"),
+        lambda row, picture, _number: Click(picture, finite(row["u"]), finite(row["v"])),
+        "a batch needs frame,u,v or file,u,v",
+    )

@@ -179,3 +179,21 @@ def _library(name: str) -> Any:
         return pyproj
     except ImportError as error:
         raise InputError(f"this needs the package {name}: install it with  pip install 'pointclick[geo]'") from error
+
+
+def shape_values(mark: Mark, grid: Grid | None) -> dict[str, object]:
+    """A mark's ellipse and its place in another system, by name; empty if it has none."""
+    values: dict[str, object] = {}
+    if mark.ellipse is not None:
+        e = mark.ellipse
+        values |= {"semi_major_m": figure(e.semi_major_m), "semi_minor_m": figure(e.semi_minor_m)}
+        values["azimuth_deg"] = f"{e.azimuth_deg:.2f}"
+    if grid is not None and mark.is_placed:
+        p = grid.of(mark)
+        values |= {"crs": p.crs, "x": f"{p.x:.9g}", "y": f"{p.y:.9g}"}
+    return values
+
+
+def figure(metres: float | None) -> str | None:
+    """To the millimetre; None stays."""
+    return None if metres is None else f"{metres:.3f}"

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from contract.errors import InputError
 from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
-from ground.formats.coordinates import Grid
+from ground.formats.coordinates import Grid, figure, shape_values
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark
 from ground.formats.xml_text import child_text, document, element, local_name, parsed
@@ -47,18 +47,10 @@ def write(marks: Sequence[Mark], grid: Grid | None = None) -> str:
         more = element(point, tag("extensions"))
         values: dict[str, object] = {
             "id": mark.id, "name": mark.name, "note": mark.note, "who": mark.who, "vehicle": mark.vehicle,
-            "ce90_m": _figure(mark.ce90_m), "le90_m": _figure(mark.le90_m),
-            "height_ellipsoid_m": _figure(mark.height_ellipsoid_m),
+            "ce90_m": figure(mark.ce90_m), "le90_m": figure(mark.le90_m),
+            "height_ellipsoid_m": figure(mark.height_ellipsoid_m),
         }  # fmt: skip
-        if mark.ellipse is not None:
-            e = mark.ellipse
-            values |= {
-                "semi_major_m": _figure(e.semi_major_m), "semi_minor_m": _figure(e.semi_minor_m),
-                "azimuth_deg": f"{e.azimuth_deg:.2f}",
-            }  # fmt: skip
-        if grid is not None:
-            p = grid.of(mark)
-            values |= {"crs": p.crs, "x": f"{p.x:.9g}", "y": f"{p.y:.9g}"}
+        values |= shape_values(mark, grid)
         for name, value in values.items():
             if value not in (None, ""):
                 element(more, f"{{{OURS}}}{name}", str(value))
@@ -95,7 +87,3 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
             )
         )  # fmt: skip
     return out
-
-
-def _figure(value: float | None) -> str | None:
-    return None if value is None else f"{value:.3f}"

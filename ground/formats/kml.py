@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from contract.errors import InputError
 from contract.geodesy import LocalFrame
 from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
-from ground.formats.coordinates import Grid
+from ground.formats.coordinates import Grid, figure, shape_values
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark
 from ground.formats.xml_text import child_text, document, element, local_name, parsed
@@ -68,20 +68,12 @@ def _placemark(body: ET.Element, mark: Mark, grid: Grid | None) -> None:
     data = element(place, tag("ExtendedData"))
     values: dict[str, object] = {
         "id": mark.id, "pin_name": mark.name, "number": mark.number, "category": mark.category, "note": mark.note,
-        "who": mark.who, "status": mark.status, "reason": mark.reason or None, "ce90_m": _figure(mark.ce90_m),
-        "le90_m": _figure(mark.le90_m), "height_ellipsoid_m": _figure(mark.height_ellipsoid_m),
-        "height_amsl_m": _figure(mark.height_amsl_m), "vehicle": mark.vehicle, "frame": mark.frame,
+        "who": mark.who, "status": mark.status, "reason": mark.reason or None, "ce90_m": figure(mark.ce90_m),
+        "le90_m": figure(mark.le90_m), "height_ellipsoid_m": figure(mark.height_ellipsoid_m),
+        "height_amsl_m": figure(mark.height_amsl_m), "vehicle": mark.vehicle, "frame": mark.frame,
         "method": mark.method,
     }  # fmt: skip
-    if mark.ellipse is not None:
-        e = mark.ellipse
-        values |= {
-            "semi_major_m": _figure(e.semi_major_m), "semi_minor_m": _figure(e.semi_minor_m),
-            "azimuth_deg": f"{e.azimuth_deg:.2f}",
-        }  # fmt: skip
-    if grid is not None and mark.is_placed:
-        p = grid.of(mark)
-        values |= {"crs": p.crs, "x": f"{p.x:.9g}", "y": f"{p.y:.9g}"}
+    values |= shape_values(mark, grid)
     for name, value in values.items():
         if value is not None:
             element(element(data, tag("Data"), name=name), tag("value"), str(value))
@@ -154,10 +146,6 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
 def _extended(place: ET.Element) -> dict[str, str]:
     nodes = (node for data in place if local_name(data) == "ExtendedData" for node in data)
     return {node.get("name", ""): child_text(node, "value") for node in nodes if local_name(node) == "Data"}
-
-
-def _figure(value: float | None) -> str | None:
-    return None if value is None else f"{value:.3f}"
 
 
 def _html(text: str) -> str:

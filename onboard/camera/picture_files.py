@@ -26,6 +26,7 @@ from onboard.events.types import Frame
 
 PICTURE_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".pnm", ".webp", ".jp2"}
 SIXTEEN_BIT_MODES = {"I;16", "I;16B", "I;16L", "I"}
+WITHOUT_FFMPEG = Path(cv2.__file__).parent / "WITHOUT_FFMPEG"  # there if FFmpeg was left out (packaging/slim.py)
 
 
 class FrameSource(Protocol):
@@ -218,6 +219,11 @@ class Video:
             raise InputError(f"stamps {stamps}: times must increase with the index")
 
     def _open(self) -> cv2.VideoCapture:
+        if WITHOUT_FFMPEG.is_file():  # OpenCV would call what is not there
+            raise InputError(
+                f"frames {self.path}: the Debian package reads no videos; use pip install 'pointclick[onboard]', "
+                "or a folder of pictures"
+            )
         capture = cv2.VideoCapture(str(self.path))
         if not capture.isOpened():
             raise InputError(f"frames {self.path}: not a video that can be decoded")

@@ -2,6 +2,7 @@
 
 Public:
 
+- `bench`: `run`
 - `calibrate`: `run`
 - `cameras`: `run`
 - `check_config`: `run`

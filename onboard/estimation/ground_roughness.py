@@ -20,10 +20,18 @@ ROUGHNESS_RANGES = 3.0 ** np.arange(-3.0, 5.0)  # 1 / correlation length, in 1 /
 MOST_POINTS = 100  # that a window's variogram is estimated from: its cost grows with their cube
 
 
-def plane_and_roughness(H: Array, w: Array, variance: Array) -> tuple[Array, float, float]:
-    """The ground plane (3,) in inverse depth, the relative spread about it, and the variogram's slope."""
+def plane_and_roughness(
+    H: Array, w: Array, variance: Array, ground_range: float | None = None
+) -> tuple[Array, float, float]:
+    """The ground plane (3,) in inverse depth, the relative spread about it, and the variogram's slope.
+
+    `ground_range`: slope over squared spread where it is known of the same ground. It is then not estimated again: how
+    far the ground is alike does not change between pictures that show it.
+    """
     plane, relative = _plane(H, w, variance)
     spread = _spread(relative, variance)
+    if ground_range is not None:
+        return plane, spread, max(ground_range * spread * spread, MIN_ROUGHNESS)
     return plane, spread, _roughness(H, relative, variance, spread)
 
 

@@ -29,7 +29,10 @@ def orient(xy: Array, seen: Mask, centres_enu_m: Array, R_body_cam: Array, toler
     """
     K = len(centres_enu_m)
     common = (seen.astype(int) @ seen.T.astype(int)).astype(float)
-    baseline = np.linalg.norm(centres_enu_m[:, None] - centres_enu_m[None], axis=-1)
+    between = centres_enu_m[:, None] - centres_enu_m[None]
+    # What was climbed tells no heading, and a pair that has hardly anything else would be given any.
+    level2 = np.square(between[..., :2]).sum(axis=-1)
+    baseline = level2 / np.maximum(np.sqrt(level2 + np.square(between[..., 2])), 1e-9)
     score = np.where(common >= ENOUGH_COMMON, baseline * np.sqrt(np.minimum(common, 60.0)), 0.0)
     pairs = sorted(((float(score[i, j]), i, j) for i in range(K) for j in range(i + 1, K)), reverse=True)
     for value, i, j in pairs[:3]:

@@ -17,8 +17,11 @@ Ids = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """One picture's features: ids (N,), pixels, normalised image coordinates `xy` (N, 2), `gain` (N,) of xy per px."""
+    """One picture's features: ids (N,), pixels, and by `camera` normalised image coordinates `xy` (N, 2) and `gain`
+    (N,) of xy per px.
+    """
 
+    camera: Camera
     ids: Ids
     uv_px: Array
     xy: Array
@@ -44,17 +47,21 @@ class Keyframe:
 
 def observation(camera: Camera, ids: Ids, uv_px: Array) -> Observation:
     """Undistort pixels once; those without a ray are left out."""
-    rays, valid = camera.unproject(uv_px)
-    xy = rays[valid, :2]
-    J = camera.distortion_jacobian(xy)
-    det = np.abs(J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0])
-    gain = 1.0 / (camera.focal_px * np.sqrt(np.maximum(det, 0.05)))
-    return Observation(ids[valid], uv_px[valid], xy, gain)
+    return _undistorted(camera, ids, uv_px, None)
 
 
 def seen_with(camera: Camera, seen: Observation) -> Observation:
-    """The same features by another calibration."""
-    return observation(camera, seen.ids, seen.uv_px)
+    """The same features by another calibration, which is nearly that they were seen with."""
+    if camera == seen.camera:
+        return seen
+    return _undistorted(camera, seen.ids, seen.uv_px, seen.xy)
+
+
+def _undistorted(camera: Camera, ids: Ids, uv_px: Array, near: Array | None) -> Observation:
+    rays, valid = camera.unproject(uv_px, near)
+    xy = rays[valid, :2]
+    gain = 1.0 / (camera.focal_px * np.sqrt(np.maximum(np.abs(camera.area_gain(xy)), 0.05)))
+    return Observation(camera, ids[valid], uv_px[valid], xy, gain)
 
 
 def have_attitude(keyframes: Sequence[Keyframe]) -> bool:

@@ -15,6 +15,8 @@ from onboard.geometry.robust import robust_cost
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+_SETTLED = 1.0 / np.array([1e-5] * 3 + [1e-2] * 3)  # one over the step, rad and m, that is nothing any more
+
 
 @dataclass(frozen=True, eq=False)
 class Resection:
@@ -37,13 +39,16 @@ def resect(
     prior_sigma: Array,
     scale: float = 3.0,
     steps: int = 8,
+    start: tuple[Array, Array] | None = None,
 ) -> Resection:
     """Gauss-Newton from a starting pose, which is also the prior with `prior_sigma` (6,): rad (camera axes), m (ENU).
+
+    `start`, rotation and centre, is where to begin if a pose better than the prior's is known.
 
     `points_enu_m` (N, 3), normalised image coordinates `xy` (N, 2), `weight` (N,) 1 / sigma.
     """
     R0, C0 = R_cam_enu, centre_enu_m
-    R, C = R0, C0
+    R, C = start or (R0, C0)
     prior = 1.0 / prior_sigma**2
     stiff = np.diag(prior)
     for _ in range(steps):
@@ -52,7 +57,7 @@ def resect(
         step = -solve_small(A @ A.T + stiff, A @ r + prior * off)
         R, C = exp_so3(step[:3]) @ R, C + step[3:]
         # A hundredth of a pixel, a centimetre: far below what the pose is known to.
-        if float(np.abs(step[:3]).max()) < 1e-5 and float(np.abs(step[3:]).max()) < 1e-2:
+        if np.abs(step * _SETTLED).max() < 1.0:
             break
     A, B, _, sigmas, used = _whitened(points_enu_m, xy, weight, R, C, scale)
     information = A @ A.T + stiff

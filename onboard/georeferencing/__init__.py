@@ -2,6 +2,7 @@
 
 Public:
 
-- `feature_sets`: `Origin`, `Picture`, `georeference`
+- `feature_sets`: `Origin`, `Picture`, `Placed`, `place`
+- `revision`: `Revisions`
 - `surface_sets`: `over_known_ground`
 """

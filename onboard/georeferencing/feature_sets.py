@@ -21,7 +21,9 @@ from onboard.estimation.keyframe import Observation
 from onboard.estimation.resection import Resection, resect
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solved_window import Solved
+from onboard.geometry.linalg import solve_small
 from onboard.geometry.plane_homography import Pose
+from onboard.geometry.robust import middle
 
 Array = NDArray[np.float64]
 
@@ -53,6 +55,23 @@ class Picture:
     origin: Origin
     frame: LocalFrame  # the session's axes, in which poses and covariances are
     undulation_m: float  # ellipsoidal minus AMSL height; nan: unknown
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A picture's set, and the pose (session axes) and solution that it was placed by.
+
+    What places it again, or the next picture, begins where this one ended.
+    """
+
+    feature_set: FeatureSet
+    pose: Pose
+    solved: Solved
+
+    @property
+    def ground_range(self) -> float:
+        """The variogram's slope over the squared spread: one over how far the ground is alike, normalised."""
+        return self.feature_set.roughness / self.feature_set.plane_sigma_relative**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,15 +121,32 @@ def georeference(
 
     `guess` starts the resection of a picture that is no keyframe of the window.
     """
+    placed = place(window, solved, seen, picture, guess)
+    return placed.feature_set if isinstance(placed, Placed) else placed
+
+
+def place(
+    window: Window,
+    solved: Solved,
+    seen: Observation,
+    picture: Picture,
+    guess: Pose,
+    start: Pose | None = None,
+    ground_range: float | None = None,
+) -> Placed | Status:
+    """As `georeference`: `start` is this picture's pose by an earlier solution, `ground_range` that of one
+    that shows the same ground.
+    """
     rows, known = solved.rows(seen.ids)
     if np.count_nonzero(known) < MIN_FEATURES:
         return Status.FEATURELESS
     view = _keyframe_view(solved, picture.origin.frame, rows[known])
     if view is None:
-        view = _resected_view(solved, seen, rows, known, guess)
+        view = _resected_view(solved, seen, rows, known, guess, start)
         if view is None:
             return Status.POOR_FIT
-    return _by_view(solved, view, picture, window.config.tracking.features)
+    made = _by_view(solved, view, picture, window.config.tracking.features, ground_range)
+    return made if isinstance(made, Status) else Placed(made, view.pose, solved)
 
 
 def _keyframe_view(solved: Solved, frame: int, rows: NDArray[np.intp]) -> _View | None:
@@ -124,13 +160,19 @@ def _keyframe_view(solved: Solved, frame: int, rows: NDArray[np.intp]) -> _View 
 
 
 def _resected_view(
-    solved: Solved, seen: Observation, rows: NDArray[np.intp], known: NDArray[np.bool_], guess: Pose
+    solved: Solved,
+    seen: Observation,
+    rows: NDArray[np.intp],
+    known: NDArray[np.bool_],
+    guess: Pose,
+    start: Pose | None,
 ) -> _View | None:
     s = solved.solution
     points = s.state.points_enu_m[rows[known]]
     weight = 1.0 / (solved.pixel_sigma_px * seen.gain[known])
     prior = np.array([ROTATION_PRIOR_RAD] * 3 + [POSITION_PRIOR_M] * 3)
-    pose: Resection = resect(points, seen.xy[known], weight, guess.R_cam_enu, guess.centre_enu_m, prior)
+    begin = None if start is None else (start.R_cam_enu, start.centre_enu_m)
+    pose: Resection = resect(points, seen.xy[known], weight, guess.R_cam_enu, guess.centre_enu_m, prior, start=begin)
     if np.count_nonzero(pose.inliers) < max(MIN_FEATURES, 0.5 * len(points)):
         return None
     covariance = np.linalg.inv(pose.information)
@@ -142,7 +184,9 @@ def _resected_view(
     return _View(Pose(pose.R_cam_enu, pose.centre_enu_m), gain, noise, used)
 
 
-def _by_view(solved: Solved, view: _View, picture: Picture, most: int) -> FeatureSet | Status:
+def _by_view(
+    solved: Solved, view: _View, picture: Picture, most: int, ground_range: float | None
+) -> FeatureSet | Status:
     """The set of a picture whose pose is known, with the `most` features that are known best."""
     s = solved.solution
     R = view.pose.R_cam_enu
@@ -180,18 +224,24 @@ def _by_view(solved: Solved, view: _View, picture: Picture, most: int) -> Featur
     )
     best = np.sort(np.argsort(variance, kind="stable")[:most])
     features = Features(H, uv, 1.0 / z, variance, variance, best)
-    return assemble(picture, view.pose, features, common, shared, DepthSource.PARALLAX)
+    return assemble(picture, view.pose, features, common, shared, DepthSource.PARALLAX, ground_range)
 
 
 def assemble(
-    picture: Picture, pose: Pose, features: Features, common: Array, shared: SharedErrors, source: DepthSource
+    picture: Picture,
+    pose: Pose,
+    features: Features,
+    common: Array,
+    shared: SharedErrors,
+    source: DepthSource,
+    ground_range: float | None = None,
 ) -> FeatureSet:
     """The set of a picture whose errors are known: moved from the session's axes into those at the camera's own place.
 
-    `common` (9, 9) and `shared` in session axes.
+    `common` (9, 9) and `shared` in session axes; `ground_range` as `plane_and_roughness` takes it.
     """
     origin, published, w = picture.origin, features.published, features.inverse_depth_per_m
-    plane, spread, roughness = plane_and_roughness(features.H, w, features.noise)
+    plane, spread, roughness = plane_and_roughness(features.H, w, features.noise, ground_range)
     lat, lon, height = (float(c) for c in picture.frame.to_geodetic(pose.centre_enu_m))
     R_local_session = rotation_enu_ecef(lat, lon) @ picture.frame.R_enu_ecef.T
     lift = np.eye(9)
@@ -230,7 +280,7 @@ def common_states(errors: Linearised, R_enu_cam: Array) -> tuple[Array, Array, A
     H, M, own, covariance = errors.H, errors.M, errors.own, errors.covariance
     weighted = (H / own[:, None]).T
     N = weighted @ H
-    fit = np.linalg.solve(N + 1e-9 * np.trace(N) / 3.0 * np.eye(3), weighted)  # (3, N): modes of d ln w
+    fit = solve_small(N + 1e-9 * N.trace() / 3.0 * np.eye(3), weighted)  # (3, N): modes of d ln w
     to_common = np.zeros((9, 6))
     to_common[:3, 3:] = np.eye(3)
     to_common[3:6, :3] = -R_enu_cam
@@ -255,7 +305,7 @@ def _as_common(errors: Linearised) -> tuple[Array, Array]:
     """
     d, H = errors.directions, errors.H
     z = np.linalg.norm(d, axis=1)
-    scale = float(np.median(z))
+    scale = middle(z)
     G = np.zeros((len(d), 3, 9))
     G[:, :, :3] = np.eye(3)
     G[:, :, 3:6] = -skew(d) / scale  # the angles in units that move a point as far as a metre does
@@ -264,7 +314,7 @@ def _as_common(errors: Linearised) -> tuple[Array, Array]:
     A = (G * weight[:, None, None]).reshape(-1, 9)
     b = (errors.points_by_camera * weight[:, None, None]).reshape(len(A), -1)
     N = A.T @ A
-    T = np.linalg.solve(N + 1e-6 * np.trace(N) / 9.0 * np.eye(9), A.T @ b)
+    T = solve_small(N + 1e-6 * N.trace() / 9.0 * np.eye(9), A.T @ b)
     left = errors.points_by_camera - G @ T
     along = -np.einsum("ni,nic->nc", d, left) / (z * z)[:, None]
     T[3:] /= scale

@@ -25,12 +25,23 @@ class _Attitude:
     rate_body_rad_s: Array | None
 
 
+@dataclass(frozen=True, eq=False)
+class _Interval:
+    """Between two attitudes in a row: the turn (3,), rad, and the rate at its end in the axes of its logarithm."""
+
+    start: _Attitude
+    end: _Attitude
+    turn: Array
+    rate_end: Array | None
+
+
 class Attitudes:
     """Fed in any order; gaps longer than `max_gap_s` are not bridged."""
 
     def __init__(self, max_gap_s: float) -> None:
         self._max_gap_s = max_gap_s
         self._series: Series[_Attitude] = Series()
+        self._last: _Interval | None = None  # the one that was asked for last is mostly asked for again
 
     def insert(self, stamp_ns: int, R_ned_body: Array, rate_body_rad_s: Array | None) -> None:
         """Take one attitude (3, 3) and its rate (3,), rad/s, in body axes, if known."""
@@ -61,14 +72,12 @@ class Attitudes:
             return out
         seconds = (end_ns - start_ns) / 1e9
         s = (moment_ns - start_ns) / 1e9 / seconds
-        whole = log_so3(before.R_ned_body.T @ after.R_ned_body)
-        if before.rate_body_rad_s is None or after.rate_body_rad_s is None:
-            turned = s * whole
+        between = self._between(before, after)
+        if before.rate_body_rad_s is None or between.rate_end is None:
+            turned = s * between.turn
         else:
-            # d exp(v)/dt = exp(v) [rate]x gives dv/dt = Jr^-1(v) rate: (1.5).
-            rate_end = right_jacobian_inverse(whole) @ after.rate_body_rad_s
-            turned = s * s * (3 - 2 * s) * whole
-            turned += seconds * s * (1 - s) * ((1 - s) * before.rate_body_rad_s - s * rate_end)
+            turned = s * s * (3 - 2 * s) * between.turn
+            turned += seconds * s * (1 - s) * ((1 - s) * before.rate_body_rad_s - s * between.rate_end)
         out = before.R_ned_body @ exp_so3(turned)
         return out
 
@@ -86,15 +95,25 @@ class Attitudes:
         a, b = series.values[left], series.values[right]
         seconds = (series.stamps_ns[right] - series.stamps_ns[left]) / 1e9
         s = (moment_ns - series.stamps_ns[left]) / 1e9 / seconds
-        if a.rate_body_rad_s is not None and b.rate_body_rad_s is not None:
-            turned = log_so3(a.R_ned_body.T @ b.R_ned_body)
-            missed = turned - 0.5 * seconds * (a.rate_body_rad_s + right_jacobian_inverse(turned) @ b.rate_body_rad_s)
+        between = self._between(a, b)
+        if a.rate_body_rad_s is not None and between.rate_end is not None:
+            missed = between.turn - 0.5 * seconds * (a.rate_body_rad_s + between.rate_end)
         else:
             missed = np.zeros(3)
             if left > 0 and right + 1 < len(series.values):
                 before, after = self._mean_rate(left - 1), self._mean_rate(right)
                 missed = 0.25 * seconds * (after - before)
         return float(2.0 * s * (1.0 - s) * np.linalg.norm(missed))
+
+    def _between(self, start: _Attitude, end: _Attitude) -> _Interval:
+        last = self._last
+        if last is None or last.start is not start or last.end is not end:
+            turn = log_so3(start.R_ned_body.T @ end.R_ned_body)
+            # d exp(v)/dt = exp(v) [rate]x gives dv/dt = Jr^-1(v) rate: (1.5).
+            rate = end.rate_body_rad_s
+            last = _Interval(start, end, turn, None if rate is None else right_jacobian_inverse(turn) @ rate)
+            self._last = last
+        return last
 
     def interval_s(self, moment_ns: int) -> float:
         """Time between the two attitudes about a moment; infinite where it does not lie between two."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from contract.feature_set import Status
 from onboard.geometry.plane_homography import move
+from onboard.geometry.robust import middle
 from onboard.navigation.navigator import NavState
 from onboard.vision.klt_tracker import PREDICTED_PX, PREDICTED_SHARE, Tracks
 
@@ -83,4 +84,4 @@ class Stillness:
 
 
 def _median(step_px: Array) -> float:
-    return float(np.median(np.linalg.norm(step_px, axis=1)))
+    return middle(np.linalg.norm(step_px, axis=1))

@@ -111,5 +111,5 @@ def carry_over(window: Window, records: list[Record], navigation: Navigation, re
     for record in records:
         nav = renewed[record.frame.index]
         assert nav is not None
-        record.nav, record.R_cam_enu, record.is_settled = nav, None, False
+        record.nav, record.placed, record.is_settled = nav, None, False
     return True

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from numpy import float64
-from numpy.typing import NDArray
-
 from contract.feature_set import Status
 from onboard.estimation.keyframe import Observation
 from onboard.estimation.solver_executor import Promise
 from onboard.events.types import Frame
+from onboard.georeferencing.feature_sets import Placed
 from onboard.navigation.navigator import NavState
-
-Array = NDArray[float64]
 
 
 @dataclass(eq=False)
@@ -27,7 +23,7 @@ class Record:
     status: Status = Status.STARTING
     revision: int = -1
     is_settled: bool = False
-    R_cam_enu: Array | None = None  # of its last set: where the next revision starts
+    placed: Placed | None = None  # as it was last, by the window's own points: where the next revision starts
 
 
 @dataclass(frozen=True, eq=False)

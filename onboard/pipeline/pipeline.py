@@ -25,8 +25,9 @@ from onboard.estimation.keyframe import observation, seen_with
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solver_executor import Inline, Worker, timed_adjust
 from onboard.events.types import Event, Frame
-from onboard.geometry.plane_homography import Pose, move
-from onboard.georeferencing.feature_sets import Origin, Picture, georeference
+from onboard.geometry.plane_homography import move
+from onboard.geometry.robust import middle
+from onboard.georeferencing.feature_sets import Origin, Picture
 from onboard.georeferencing.surface_sets import over_known_ground
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.estimates import found_in_flight
@@ -38,6 +39,7 @@ from onboard.pipeline.mount_selection import MountSelection
 from onboard.pipeline.mount_trial import MountTrials, carry_over
 from onboard.pipeline.offset_watch import OffsetWatch
 from onboard.pipeline.picture_record import Pending, Record
+from onboard.pipeline.placing import Placing
 from onboard.pipeline.shortfall import MIN_OVERLAP, Evidence
 from onboard.pipeline.statistics import RunStatistics, Summary
 from onboard.pipeline.terrain_at_hand import TerrainSource, cut, is_at_hand
@@ -79,6 +81,7 @@ class Pipeline:
         self.mount_selection = MountSelection(camera, self.window.R_body_cam)
         self._offset_watch = OffsetWatch(config, camera, self.window.R_body_cam)
         self._trials = MountTrials(self.mount_selection)
+        self._placing = Placing()
         self.tracks: Tracks | None = None  # of the newest picture, for display
         self._waiting: deque[Frame] = deque()
         self._records: list[Record] = []
@@ -175,7 +178,9 @@ class Pipeline:
         self._misses = 0
         if wants_keyframe(tracks, self.camera.width_px):
             return [*out, *self._make_keyframe(frame, nav, tracks)]
-        record = Record(frame, observation(self.window.camera, tracks.ids, tracks.uv_px), nav, False)
+        solved = self.window.solved
+        camera = self.window.camera if solved is None else solved.camera  # it is placed by what is solved
+        record = Record(frame, observation(camera, tracks.ids, tracks.uv_px), nav, False)
         self._records.append(record)
         return [*out, *self._place([record])]
 
@@ -225,7 +230,7 @@ class Pipeline:
         if nav.mount_hypotheses and self.window.keyframes and plane is not None and len(tracks) >= MIN_TRACKS:
             self.mount_selection.weigh(self.window.keyframes[-1].nav, nav, plane, tracks.keyframe_uv_px, tracks.uv_px)
         if predicted is not None and len(tracks) >= MIN_TRACKS:
-            miss = np.median(np.linalg.norm(move(predicted, tracks.keyframe_uv_px) - tracks.uv_px, axis=1))
+            miss = middle(np.linalg.norm(move(predicted, tracks.keyframe_uv_px) - tracks.uv_px, axis=1))
             if miss > MAX_PREDICTION_MISS * self.camera.focal_px:
                 return self.tracker.nothing()
         return tracks
@@ -326,6 +331,7 @@ class Pipeline:
         out = [*self._adopt(), *self._settle_all()]
         self.window.reset()
         self.tracker.forget()
+        self._placing.forget()
         self._misses = 0
         return out
 
@@ -350,15 +356,16 @@ class Pipeline:
         return out
 
     def _settle(self, records: list[Record]) -> list[FeatureSet]:
-        """The last revision of pictures that the window has seen past."""
-        if self.window.solved is None:
+        """The last revision of pictures that the window has seen past, where it says anything new."""
+        solved = self.window.solved
+        if solved is None:
             return []
         out = []
         for record in records:
             if not record.is_settled:
                 record.is_settled = True
-                result = self._place([record], only_ok=True)
-                out.extend(result)
+                if not self._placing.is_needless(solved, record):
+                    out.extend(self._place([record], only_ok=True))
         return out
 
     def _place(self, records: list[Record], only_ok: bool = False) -> list[FeatureSet]:
@@ -402,17 +409,8 @@ class Pipeline:
         solved = self.window.solved
         if solved is None:
             return self._why_unsolved(record.nav)
-        if record.R_cam_enu is not None:
-            R, centre = record.R_cam_enu, self.window.position_guess(record.nav)
-        else:
-            guess = self.window.pose_guess(record.seen, record.nav)
-            if guess is None:
-                return Status.STARTING
-            R, centre = guess
-        seen = record.seen if solved.camera == self.camera else seen_with(solved.camera, record.seen)
-        result = georeference(self.window, solved, seen, picture, Pose(R, centre))
-        if isinstance(result, FeatureSet):
-            record.R_cam_enu = result.R_enu_cam.T
+        record.seen = seen_with(solved.camera, record.seen)
+        result = self._placing.place(self.window, solved, record, picture)
         return self._why_without_depth(record) if result is Status.FEATURELESS else result
 
     def _why_without_depth(self, record: Record) -> Status:

@@ -13,7 +13,7 @@ from contract.camera import Camera
 from contract.feature_set import Status
 from onboard.config.schema import Config
 from onboard.estimation.window_solver import MIN_KEYFRAMES
-from onboard.geometry.plane_homography import move
+from onboard.geometry.plane_homography import move, pixel_grid
 from onboard.navigation.navigator import NavState
 
 Array = NDArray[np.float64]
@@ -191,6 +191,4 @@ def overlap_share(camera: Camera, predicted: Array | None, travelled_m: float, h
             return None
         across_m = min(camera.size_px) * height_m / camera.focal_px
         return max(1.0 - travelled_m / across_m, 0.0)
-    u, v = (np.linspace(0.0, size - 1.0, n) for size, n in zip(camera.size_px, SHARE_GRID, strict=True))
-    grid = np.stack([c.ravel() for c in np.meshgrid(u, v)], axis=-1)
-    return float(np.mean(camera.contains(move(predicted, grid))))
+    return float(np.mean(camera.contains(move(predicted, pixel_grid(camera.size_px, SHARE_GRID)))))

@@ -3,6 +3,8 @@
 Public:
 
 - `comparison`: `Comparison`
+- `load`: `SHARE`, `WARM_UP`, `Load`, `measure`
+- `made_flight`: `MadeFlight`
 - `photo_telemetry`: `gap_to_join_s`, `height_amsl`, `photo_telemetry`
 - `runner`: `Events`, `Flight`, `replay`, `summary_text`
 """

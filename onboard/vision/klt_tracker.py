@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.geometry.plane_homography import move
-from onboard.geometry.robust import cauchy_weight
+from onboard.geometry.robust import cauchy_weight, middle
 from onboard.vision.coarse_flow import flow_disagreement
 from onboard.vision.contrast_normalisation import SPREAD, Normaliser, Picture, thumbnail
 from onboard.vision.descriptor_matching import Described, describe, motion_between
@@ -163,8 +163,8 @@ class Tracker:
             return False
         predicted_px = move(predicted if self._predicted is None else carried_on, tracks.keyframe_uv_px)
         last = move(self._motion, tracks.keyframe_uv_px)
-        step_px = float(np.median(np.linalg.norm(predicted_px - last, axis=1)))
-        miss_px = float(np.median(np.linalg.norm(predicted_px - tracks.uv_px, axis=1)))
+        step_px = middle(np.linalg.norm(predicted_px - last, axis=1))
+        miss_px = middle(np.linalg.norm(predicted_px - tracks.uv_px, axis=1))
         unsure_px = PREDICTED_SHARE * step_px + PREDICTED_PX * self.width_px / 640.0
         return max(unsure_px, miss_px) < 0.5 * (self._repetition_px or np.inf)
 
@@ -292,7 +292,7 @@ class Tracker:
         spread = np.inf
         for _ in range(ROUNDS):
             miss = fit.solve(weight)
-            before, spread = spread, 1.4826 * float(np.median(miss))
+            before, spread = spread, 1.4826 * middle(miss)
             # Settled: neither outliers nor the spread they are judged by will change any more.
             if spread > 0.9 * before:
                 break

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.geometry.plane_homography import move
+from onboard.geometry.robust import middle
 
 Array = NDArray[np.float64]
 
@@ -43,6 +44,6 @@ def are_inconsistent(motion: Array, at: Array, to: Array, share: float, width_px
     """
     limit_px = MAX_DISPERSION_PX * width_px / 640.0 * min(share, 1.0) ** 2
     miss = np.linalg.norm(to - move(motion, at), axis=1)
-    if float(np.median(miss)) < WORTH_ASKING * limit_px:
+    if middle(miss) < WORTH_ASKING * limit_px:
         return False
     return dispersion_px(motion, at, to) > limit_px

@@ -13,7 +13,7 @@ from tests.bench.image import cache
 from tests.bench.image.root import CHECKOUT, PACKAGES, SUITE, _debian
 
 Shell = Callable[[str], subprocess.CompletedProcess[str]]
-INSTALL = "DEBIAN_FRONTEND=noninteractive dpkg -i /tmp/pointclick-onboard_*.deb"
+INSTALL = "DEBIAN_FRONTEND=noninteractive dpkg -i /tmp/pointclick-onboard_*_amd64.deb"
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def debian(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shell]:
     base = cache.artefact("debian", cache.key_of(SUITE, PACKAGES), _debian)
     subprocess.run(["tar", "-xf", base / "debian.tar", "-C", root], check=True)
     shutil.rmtree(root / "opt" / "pointclick", ignore_errors=True)
-    for package in out.glob("*.deb"):
+    for package in out.glob("pointclick-onboard_*_amd64.deb"):
         shutil.copy(package, root / "tmp")
     subprocess.run(["mount", "-t", "proc", "proc", root / "proc"], check=True)
     subprocess.run(["mount", "--bind", "/dev", root / "dev"], check=True)

@@ -23,6 +23,8 @@ from onboard.events.types import Attitude, Frame, GpsQuality, PositionFix
 from onboard.storage.mcap_writer import SessionRecorder
 from tests.contract.sets import plain_set
 
+pytestmark = pytest.mark.xdist_group("recording")  # one worker: what they share is made once
+
 START_NS = 1_700_000_000_000_000_000
 BASE = plain_set(20)
 CAMERA = BASE.camera

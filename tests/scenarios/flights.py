@@ -6,12 +6,15 @@ Pictures are small and few, so that all scenarios together take a minute or two;
 from __future__ import annotations
 
 import csv
+import fcntl
+import os
 import shutil
 import tomllib
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory, mkdtemp
 
@@ -30,6 +33,7 @@ from onboard.pipeline.pipeline import Pipeline, TerrainSource
 from onboard.replay.runner import Flight, replay
 from onboard.vision.contrast_normalisation import Picture
 from simulation.session import SessionSpec, fly
+from tests.flights_folder import FLIGHTS_VARIABLE
 
 Array = NDArray[np.float64]
 
@@ -96,13 +100,17 @@ class _Sets:
 
 
 _FOLDER = TemporaryDirectory(prefix="scenarios-")
+_SHARED = Path(os.environ.get(FLIGHTS_VARIABLE) or _FOLDER.name)  # by all workers of a run
 
 
 @cache
 def flown(spec: SessionSpec) -> Path:
-    """The session's folder; the same spec is flown once."""
-    folder = Path(_FOLDER.name) / f"{flown.cache_info().misses:03d}"
-    fly(spec, folder)
+    """The session's folder, not to be written to; the same spec is flown once in a run, whichever worker needs it."""
+    folder = _SHARED / sha256(repr(spec).encode()).hexdigest()[:16]
+    with folder.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "world.json").is_file():  # written last
+            fly(spec, folder)
     return folder
 
 

@@ -19,6 +19,8 @@ from onboard.pipeline.estimates import Contradiction
 from simulation.paths import PathSpec
 from tests.drawn_clicks import chi2_of, located
 
+pytestmark = pytest.mark.xdist_group("failing sensors")  # one worker: what they share is made once
+
 CONFIG = parse_config("")
 CAMERA_AND_GPS = replace_section(CONFIG, "solve", attitude="none", velocity=False)
 CHI2_99 = 9.21

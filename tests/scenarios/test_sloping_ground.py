@@ -16,6 +16,8 @@ from onboard.estimation.sensor_factors import level_sigma
 from simulation.paths import PathSpec
 from tests.test_platform_errors import clicks
 
+pytestmark = pytest.mark.xdist_group("sloping ground")  # one worker: what they share is made once
+
 Array = NDArray[np.float64]
 
 CAMERA_AND_GPS = replace_section(parse_config(""), "solve", attitude="none", velocity=False)

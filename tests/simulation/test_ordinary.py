@@ -23,6 +23,8 @@ from simulation.paths import PathSpec, fly_path
 from simulation.telemetry import TelemetrySpec, write_tlog
 from simulation.trajectory import Trajectory
 
+pytestmark = pytest.mark.xdist_group("ordinary")  # one worker: what they share is made once
+
 Array = NDArray[np.float64]
 
 ORIGIN = LocalFrame(-43.38, 172.4, 111.0)

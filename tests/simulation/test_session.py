@@ -23,6 +23,8 @@ from simulation.texture import Texture, TextureSpec
 from simulation.trajectory import Pose, RecordedTruth
 from simulation.truth import Truth
 
+pytestmark = pytest.mark.xdist_group("session")  # one worker: what they share is made once
+
 DATA = Path(__file__).resolve().parent.parent / "data"
 LENS = Camera(320, 240, 440.0, 441.0, 158.7, 121.3, distortion=(-0.18, 0.05, 0.0006, -0.0004, 0.0))
 SMALL = SessionSpec(

@@ -14,6 +14,8 @@ from simulation.paths import PathSpec, fly_path
 from simulation.telemetry import TelemetrySpec, write_tlog
 from simulation.trajectory import Trajectory
 
+pytestmark = pytest.mark.xdist_group("telemetry")  # one worker: what they share is made once
+
 ORIGIN = LocalFrame(-43.38, 172.4, 111.0)
 UNDULATION_M = 11.0
 PERFECT = TelemetrySpec(

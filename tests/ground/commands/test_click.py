@@ -20,6 +20,8 @@ from onboard.events.types import Frame
 from onboard.storage.mcap_writer import SessionRecorder
 from tests.ground.worlds import CAMERA, build
 
+pytestmark = pytest.mark.xdist_group("click")  # one worker: what they share is made once
+
 START_NS = 1_700_000_000_250_000_000
 FIELDS = [
     "status",
@@ -256,7 +258,7 @@ assert not heavy, heavy
 sys.exit(code)
 """
     command = [sys.executable, "-c", script, "click", "300", "240", "--from", session]
-    done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=Path(__file__).parents[3], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "interpolated" in done.stdout
 

@@ -320,6 +320,7 @@ def test_errors_that_lie_are_refused(change: dict[str, object]) -> None:
         ClickErrors.from_dict(lying.to_dict())
 
 
+@pytest.mark.wall_clock
 def test_ten_thousand_pins_and_a_click_stays_quick(path: Path) -> None:
     """Processor time: what a change and a list of all cost with 10,000 pins there."""
     import time  # noqa: PLC0415

@@ -24,6 +24,8 @@ from simulation.session import SessionSpec
 from tests.onboard.photographs import Style, write_photographs
 from tests.scenarios.flights import Outcome, click, flown
 
+pytestmark = pytest.mark.xdist_group("import photos")  # one worker: what they share is made once
+
 CAMERA = Camera.from_field_of_view(400, 300, 70.0)
 PICTURES, APART_S = 16, 2.1
 SURVEY = PathSpec("survey", speed_m_s=9.0, height_m=120.0, wobble_deg=0.3, pitch_deg=0.0, leg_m=100.0, spacing_m=45.0)

@@ -13,6 +13,8 @@ from onboard.estimation.sliding_window import Window
 from onboard.navigation.navigator import GroundRange
 from tests.onboard.scenes import SEED_SENSORS, Scene, SceneSpec, draw
 
+pytestmark = pytest.mark.xdist_group("range finder")  # one worker: what they share is made once
+
 Array = NDArray[np.float64]
 SIGMA_M = 0.5
 SPEC = SceneSpec(relief_sigma_m=0.5, step_s=0.5)

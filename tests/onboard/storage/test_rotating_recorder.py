@@ -41,6 +41,8 @@ from simulation.session import SessionSpec
 from tests.contract.sets import plain_set
 from tests.scenarios.flights import CAMERA, flown
 
+pytestmark = pytest.mark.xdist_group("rotating recorder")  # one worker: what they share is made once
+
 GIGABYTE = 1_000_000_000
 SPEC = SessionSpec(DescribedSpec(PathSpec("straight")), seconds=10.0, rate_hz=3.0, camera=CAMERA)
 ROOT = Path(__file__).parents[3]

@@ -34,6 +34,8 @@ from tests.onboard.telemetry.log_writers import (
     written,
 )  # fmt: skip
 
+pytestmark = pytest.mark.xdist_group("log files")  # one worker: what they share is made once
+
 
 @dataclass(frozen=True)
 class Promise:

@@ -24,6 +24,8 @@ from simulation.flight import RecordedSpec
 from simulation.session import SessionSpec
 from tests.scenarios.flights import Outcome, _Sets, click, flown
 
+pytestmark = pytest.mark.xdist_group("plane log")  # one worker: what they share is made once
+
 TRUTH_CLOCK_S = 1_795_300_000.0  # of boot time 0
 START_S, SECONDS = 60.0, 14.0
 

@@ -1,0 +1,64 @@
+"""A flight through the pipeline, as many pictures at a time as standard input says: for `benchmarks.against` to run.
+
+    python -P benchmarks/flight_in_turns.py FOLDER
+
+It must run with the code of earlier commits too, so it takes from it only what has been there since: the flight, the
+leg out and back, the pipeline, `encode`. A line on standard input is a number of pictures; the answer is a line of
+JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+from benchmarks.flown import Leg, out_and_back
+from contract.camera import Camera
+from contract.wire.codec import encode
+from onboard.config.schema import load_config
+from onboard.events.types import Frame
+from onboard.pipeline.pipeline import Pipeline
+from onboard.replay.runner import Flight
+
+ENDLESS = 1_000_000
+
+
+def read(folder: Path) -> Leg:
+    """A simulated flight, pictures and telemetry between the first picture and the last."""
+    config, camera = load_config(folder / "config.toml"), Camera.from_json(folder / "camera.json")
+    flight = Flight.open(config, camera, folder / "frames", folder / "telemetry.tlog", folder / "stamps.csv")
+    frames = list(flight.frames.frames())
+    first, last = frames[0].stamp_ns, frames[-1].stamp_ns
+    told = sorted(flight.telemetry.events, key=lambda e: e.stamp_ns)
+    return Leg(config, camera, frames, [e for e in told if not isinstance(e, Frame) and first <= e.stamp_ns <= last])
+
+
+def main() -> None:
+    flown = read(Path(sys.argv[1]))
+    pipeline = Pipeline(flown.config, flown.camera)
+    events = out_and_back(flown, ENDLESS)
+    before: dict[str, float] = {}
+    for line in sys.stdin:
+        left = int(line)
+        spent_ns = encode_ns = sets = answered = 0
+        while left > 0:
+            event = next(events)
+            left -= isinstance(event, Frame)
+            began = time.process_time_ns()
+            made = pipeline.handle(event)
+            handled = time.process_time_ns()
+            for s in made:
+                encode(s)
+            done = time.process_time_ns()
+            spent_ns, encode_ns = spent_ns + done - began, encode_ns + done - handled
+            sets, answered = sets + len(made), answered + sum(s.is_ok for s in made)
+        stages = dict(pipeline.summary.stage_seconds)
+        stages_s = {name: s - before.get(name, 0.0) for name, s in stages.items()} | {"encode": encode_ns / 1e9}
+        before = stages
+        print(json.dumps({"cpu_ns": spent_ns, "stages_s": stages_s, "sets": sets, "answered": answered}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""Pictures placed by the window's points, each beginning where an earlier placing ended."""
+
+from __future__ import annotations
+
+from contract.feature_set import FeatureSet, Status
+from onboard.estimation.sliding_window import Window
+from onboard.estimation.solved_window import Solved
+from onboard.geometry.plane_homography import Pose
+from onboard.georeferencing.feature_sets import Picture, Placed, place
+from onboard.georeferencing.revision import Revisions
+from onboard.pipeline.picture_record import Record
+
+NEAR_NS = 100_000_000  # between pictures that show the same ground, turned by less than a resection's own start may be
+
+
+class Placing:
+    """Remembers the newest picture that was placed."""
+
+    def __init__(self) -> None:
+        self._newest: Record | None = None
+        self._revisions = Revisions()
+
+    def forget(self) -> None:
+        """What comes shares nothing with what was."""
+        self._newest = None
+
+    def place(self, window: Window, solved: Solved, record: Record, picture: Picture) -> FeatureSet | Status:
+        """The picture's set by `solved`, or why it has none. `record` remembers how it was placed."""
+        again = record.placed
+        near = again or self._of_newest_before(record)
+        if near is not None:
+            guess = Pose(near.pose.R_cam_enu, window.position_guess(record.nav))
+        else:
+            known = window.pose_guess(record.seen, record.nav)
+            if known is None:
+                return Status.STARTING
+            guess = Pose(*known)
+        # How far the ground is alike is estimated of every keyframe, and taken for known until the next.
+        ground_range = None if near is None or record.is_keyframe else near.ground_range
+        placed = place(window, solved, record.seen, picture, guess, None if again is None else again.pose, ground_range)
+        if isinstance(placed, Status):
+            return placed
+        record.placed = placed
+        if self._newest is None or record.nav.stamp_ns >= self._newest.nav.stamp_ns:
+            self._newest = record
+        return placed.feature_set
+
+    def is_needless(self, solved: Solved, record: Record) -> bool:
+        """Whether clicks on the picture have the answers already that `solved` would give them."""
+        return record.placed is not None and self._revisions.is_needless(record.placed, solved)
+
+    def _of_newest_before(self, record: Record) -> Placed | None:
+        newest = self._newest
+        if newest is None or abs(record.nav.stamp_ns - newest.nav.stamp_ns) > NEAR_NS:
+            return None
+        return newest.placed if newest.nav.stretch == record.nav.stretch else None

@@ -1,0 +1,118 @@
+"""An arm64 Debian 12 in a folder, and its Python run by qemu's user-mode emulation: neither root nor binfmt is needed.
+
+Debian's packages come through an apt configuration of our own, so that nothing of this machine's dpkg is changed; they
+are unpacked with `dpkg -x` and kept in the cache of the test bench (`tests/bench/image/cache.py`).
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.bench.image import cache
+from tests.bench.image.host import BenchError, mirror, run
+
+QEMU = "qemu-aarch64-static"
+QEMU_PACKAGE = "qemu-user-static"
+SUITE = "bookworm"
+WANTED = ("python3.11", "libstdc++6", "libgcc-s1")
+KEYS = Path("/usr/share/keyrings/debian-archive-keyring.gpg")
+CHECKOUT = Path(__file__).resolve().parents[2]
+TESTING = ("hypothesis", "iniconfig", "packaging", "pluggy", "Pygments", "pytest", "sortedcontainers")
+"""What the tests that run under emulation need beside the installation, in the versions of requirements.lock."""
+
+
+def require() -> None:
+    """Install what is missing when root, else say the one command. Raises BenchError."""
+    missing = [QEMU_PACKAGE] if shutil.which(QEMU) is None else []
+    missing += ["debian-archive-keyring"] if not KEYS.exists() else []
+    if not missing:
+        return
+    command = f"apt-get install -y --no-install-recommends {' '.join(missing)}"
+    if shutil.which("apt-get") is None or shutil.which("dpkg-deb") is None:
+        raise BenchError(f"make test-arm64 needs a Debian or Ubuntu with {' '.join(missing)}")
+    if os.geteuid() != 0:
+        raise BenchError(f"make test-arm64 emulates an arm64 processor. Once: sudo {command}   then again")
+    cache.say(f"host: {command}")
+    quiet = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
+    run(["apt-get", "update", "-qq"], env=quiet)
+    run([*command.split(), "-qq"], env=quiet)
+
+
+def sysroot() -> Path:
+    """A folder with Debian's Python 3.11 for arm64 and the libraries that it loads."""
+
+    def build(work: Path) -> None:
+        apt = work / "apt"
+        for folder in ("state/lists/partial", "cache/archives/partial", "etc/preferences.d"):
+            (apt / folder).mkdir(parents=True)
+        (apt / "status").touch()
+        (apt / "etc" / "sources.list").write_text(f"deb [signed-by={KEYS}] {mirror()} {SUITE} main\n")
+        (apt / "apt.conf").write_text(
+            'APT::Architecture "arm64"; APT::Architectures { "arm64"; }; APT::Install-Recommends "false";\n'
+            f'Dir::State "{apt}/state"; Dir::State::status "{apt}/status"; Dir::Cache "{apt}/cache";\n'
+            f'Dir::Etc "{apt}/etc"; Dir::Etc::sourceparts "/dev/null"; Acquire::Languages "none";\n'
+            'APT::Sandbox::User "root"; Debug::NoLocking "true";\n'
+        )
+        env = {**os.environ, "APT_CONFIG": str(apt / "apt.conf")}
+        run(["apt-get", "update", "-qq"], env=env)
+        run(["apt-get", "install", "--download-only", "-y", "-qq", *WANTED], env=env)
+        for package in sorted((apt / "cache" / "archives").glob("*.deb")):
+            run(["dpkg-deb", "-x", package, work / "root"])
+        shutil.rmtree(apt)
+
+    key = cache.key_of(SUITE, *WANTED, Path(__file__).read_bytes())
+    return cache.artefact("arm64-root", key, build) / "root"
+
+
+def testing() -> Path:
+    """A folder with pytest and hypothesis for arm64."""
+    pins = dict(line.split("==") for line in (CHECKOUT / "requirements.lock").read_text().splitlines() if "==" in line)
+    wanted = [f"{name}=={pins[name]}" for name in TESTING]
+
+    def build(work: Path) -> None:
+        platforms = [f"--platform=manylinux_2_{minor}_aarch64" for minor in range(36, 16, -1)]
+        chosen = ["--implementation=cp", "--python-version=3.11", "--abi=cp311", "--abi=abi3", "--abi=none", *platforms]
+        pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps"]
+        run(
+            [
+                *pip,
+                "--only-binary=:all:",
+                *chosen,
+                "--platform=manylinux2014_aarch64",
+                "--target",
+                work / "site",
+                *wanted,
+            ]
+        )
+
+    return cache.artefact("arm64-testing", cache.key_of(*wanted), build) / "site"
+
+
+def build_packages(architecture: str) -> None:
+    """Build the Debian packages of this checkout for an architecture, anew; wheels stay in the cache."""
+    out = _packages(architecture)
+    for old in out.glob("*.deb"):
+        old.unlink()
+    env = {"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "PYTHON": sys.executable, "ARCH": architecture}
+    wheels = cache.folder() / "deb" / "wheels" / architecture
+    done = subprocess.run(
+        [CHECKOUT / "packaging" / "build-deb.sh", out, wheels], env=env, capture_output=True, text=True, check=False
+    )
+    if done.returncode != 0:
+        raise BenchError(f"make deb ARCH={architecture}: {done.stderr[-2000:]}")
+    print("\n".join(line for line in done.stdout.splitlines() if line.startswith(("slim", "build-deb"))), flush=True)
+
+
+def package(architecture: str, name: str = "pointclick-onboard") -> Path:
+    """A package that was built."""
+    (found,) = _packages(architecture).glob(f"{name}_*_{architecture}.deb")
+    return found
+
+
+def _packages(architecture: str) -> Path:
+    """In the checkout: another one's may be built at the same time, and `make clean` takes these away."""
+    return CHECKOUT / "build" / "tested" / architecture
