@@ -45,11 +45,10 @@ async function clicked(body: ClickBody): Promise<void> {
     const who = state.options.who;
     const reply: PinReply = again === undefined ? await api.addPin({ click: body, category, who }) : await api.addClick(again.id, { ...body, who });
     if (reply.pin !== null) {
-      state.pins.set(reply.pin.id, reply.pin);
       picture.markers.done(key);
       say(answer, answerText(reply.pin, reply.answer));
       answer.dataset["kind"] = "ok";
-      state.tell("pins");
+      state.putPin(reply.pin);
     } else {
       const said = reply.answer;
       const text = `${said?.reason ?? said?.status ?? "no answer"}.${said?.advice ? ` What helps: ${said.advice}.` : ""}`;
@@ -100,10 +99,9 @@ async function refreshPins(): Promise<void> {
   isRefreshing = true;
   try {
     const { pins, ties } = await api.pins();
-    state.pins = new Map(pins.map((pin) => [pin.id, pin]));
     state.ties = ties;
+    state.setPins(pins);
     if (state.selected !== null && !state.pins.has(state.selected)) state.select(null);
-    state.tell("pins");
     listTies(state, () => undefined);
   } finally {
     isRefreshing = false;
@@ -118,15 +116,8 @@ function heard(event: ServerEvent): void {
       lengthenPath(event.vehicle);
       state.merge(event.vehicle, event.frames);
       return;
-    case "pin":
-      state.pins.set(event.pin.id, event.pin);
-      state.tell("pins");
-      return;
-    case "pin_deleted":
-      state.pins.delete(event.id);
-      if (state.selected === event.id) state.select(null);
-      state.tell("pins");
-      return;
+    case "pin": state.putPin(event.pin); return;
+    case "pin_deleted": state.dropPin(event.id); return;
     case "pins": void refreshPins(); return;
     case "resync": void refresh(); return;
     case "status":
@@ -290,7 +281,12 @@ async function begin(): Promise<void> {
     saySomething(error instanceof Error ? error.message : String(error), "refused");
   }
   isBegun = true;
-  mapPane = new MapPane(state, viewer, state.server?.tiles ?? null);
+  try {
+    mapPane = new MapPane(state, viewer, state.server?.tiles ?? null);
+  } catch {
+    // Pictures, clicks and pins need no graphics card.
+    byId("no-map").hidden = false;
+  }
   drawOptions();
   document.body.dataset["ready"] = "yes";
 }

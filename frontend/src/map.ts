@@ -11,11 +11,12 @@ import { ellipseRing } from "./projection.js";
 import { AIRCRAFT, KINDS, kindOf } from "./shapes.js";
 import type { State } from "./state.js";
 import type { Viewer } from "./viewer.js";
-import type { FrameView, Pin, PlaceAnswer, Tiles } from "./types.js";
+import type { FrameView, Pin, PlaceAnswer, Tie, Tiles } from "./types.js";
 
 declare const WORKER_URL: string;
 
 const LAID_PICTURES = 16;
+const MOST_ELLIPSES = 500; // of more pins than that only the chosen one has its ellipse drawn
 const PIN_ICON = 28;
 const LATER_MS = 120, LATEST_MS = 3000; // the map is drawn this long after the last change, and after the first one
 const ABOVE_PICTURES = "footprint-fill"; // the lowest layer that lies on the pictures
@@ -36,6 +37,9 @@ export class MapPane {
   private theme: "day" | "night" = "day";
   private due = new Set<string>();
   private drawnPath: [number, number][] | null = null;
+  private drawnTies: Tie[] | null = null;
+  private readonly onMap = new Map<string, MapPin>();
+  private isCrowded = false;
   private dueAt = 0;
   private timer = 0;
   private origin: { lat: number; lon: number } | null = null;
@@ -53,9 +57,9 @@ export class MapPane {
       dragRotate: true,
       attributionControl: tiles === null ? false : { compact: true },
       fadeDuration: 0,
-      canvasContextAttributes: { antialias: true, preserveDrawingBuffer: false },
+      canvasContextAttributes: { antialias: false, preserveDrawingBuffer: false },
     });
-        this.map.touchZoomRotate.enable();
+    this.map.touchZoomRotate.enable();
     this.map.addControl(new maplibregl.NavigationControl({ showCompass: true }), "top-right");
     this.map.addControl(new maplibregl.ScaleControl({ unit: "metric" }), "bottom-left");
     this.map.on("dragstart", () => this.follow(false));
@@ -97,7 +101,7 @@ export class MapPane {
     this.isReady = true;
     const map = this.map;
     for (const name of ["grid", "path", "footprint", "features", "ellipses", "pins", "ties", "craft"]) {
-      map.addSource(name, { type: "geojson", data: collection([]) });
+      map.addSource(name, { type: "geojson", data: collection([]), promoteId: "key" });
     }
     for (const kind of KINDS) for (const isMarked of [false, true]) {
       map.addImage(`${kind.word}${isMarked ? "-marked" : ""}`, icon(kind.path, kind.colour, isMarked), { pixelRatio: 2 });
@@ -216,25 +220,32 @@ export class MapPane {
   }
 
   private drawPins(): void {
-    const pins: Feature[] = [], ellipses: Feature[] = [];
-    const { hovered, selected } = this.state;
-    const isCrowded = this.state.pins.size > 500;
-    for (const pin of this.state.pins.values()) {
-      const isMarked = pin.id === hovered || pin.id === selected;
-      placesOf(pin).forEach((place) => {
-        pins.push({
-          type: "Feature", geometry: { type: "Point", coordinates: [place.lon_deg, place.lat_deg] },
-          properties: { id: pin.id, icon: `${pin.category}${isMarked ? "-marked" : ""}`, label: `${pin.number}${pin.place.status === "ok" ? "" : "!"}`, name: pin.name, order: isMarked ? 1e9 : pin.number },
-        });
-        const e = place.ellipse;
-        if (e !== null && (isMarked || !isCrowded)) {
-          const ring = ellipseRing(place.lat_deg, place.lon_deg, e.semi_major_m, e.semi_minor_m, e.azimuth_deg);
-          ellipses.push({ type: "Feature", geometry: { type: "Polygon", coordinates: [ring] }, properties: { colour: kindOf(pin.category).colour } });
-        }
-      });
+    const { hovered, selected, pins } = this.state;
+    const isCrowded = pins.size > MOST_ELLIPSES;
+    if (isCrowded !== this.isCrowded) this.onMap.clear();
+    this.isCrowded = isCrowded;
+    // Only what has changed goes to the map: a pin is the same object until it changes.
+    const changed: MapPin[] = [], gone: string[] = [];
+    const isAnew = this.onMap.size === 0;
+    for (const pin of pins.values()) {
+      const isMarked = pin.id === hovered || pin.id === selected, held = this.onMap.get(pin.id);
+      if (held !== undefined && held.pin === pin && held.isMarked === isMarked) continue;
+      if (held !== undefined) gone.push(...held.keys);
+      const made = mapPin(pin, isMarked, isMarked || !isCrowded);
+      this.onMap.set(pin.id, made);
+      changed.push(made);
     }
-    this.set("pins", pins);
-    this.set("ellipses", ellipses);
+    for (const [id, held] of this.onMap) if (!pins.has(id)) { gone.push(...held.keys); this.onMap.delete(id); }
+    for (const name of ["pins", "ellipses"] as const) {
+      if (isAnew || changed.length > pins.size / 2) this.set(name, [...this.onMap.values()].flatMap((made) => made[name]));
+      else if (changed.length > 0 || gone.length > 0) {
+        const add = changed.flatMap((made) => made[name]), added = new Set(add.map((feature) => feature.properties["key"]));
+        const remove = gone.filter((key) => !added.has(key));
+        (this.map.getSource(name) as GeoJSONSource).updateData({ add, remove } as unknown as Parameters<GeoJSONSource["updateData"]>[0]);
+      }
+    }
+    if (this.state.ties === this.drawnTies) return;
+    this.drawnTies = this.state.ties;
     this.set("ties", this.state.ties.map((tie) => ({ type: "Feature", geometry: { type: "Point", coordinates: [tie.lon_deg, tie.lat_deg] }, properties: {} })));
   }
 
@@ -260,6 +271,26 @@ export class MapPane {
     const at = this.state.vehicles.findIndex((vehicle) => vehicle.id === this.state.vehicle);
     return AIRCRAFT[Math.max(at, 0) % AIRCRAFT.length]!;
   }
+}
+
+/** What the map has of a pin: one place, or each of those that contradict each other. */
+interface MapPin { readonly pin: Pin; readonly isMarked: boolean; readonly keys: string[]; readonly pins: Feature[]; readonly ellipses: Feature[] }
+
+function mapPin(pin: Pin, isMarked: boolean, hasEllipse: boolean): MapPin {
+  const pins: Feature[] = [], ellipses: Feature[] = [];
+  placesOf(pin).forEach((place, k) => {
+    const key = `${pin.id}/${k}`;
+    pins.push({
+      type: "Feature", geometry: { type: "Point", coordinates: [place.lon_deg, place.lat_deg] },
+      properties: { key, id: pin.id, icon: `${pin.category}${isMarked ? "-marked" : ""}`, label: `${pin.number}${pin.place.status === "ok" ? "" : "!"}`, name: pin.name, order: isMarked ? 1e9 : pin.number },
+    });
+    const e = place.ellipse;
+    if (e !== null && hasEllipse) {
+      const ring = ellipseRing(place.lat_deg, place.lon_deg, e.semi_major_m, e.semi_minor_m, e.azimuth_deg);
+      ellipses.push({ type: "Feature", geometry: { type: "Polygon", coordinates: [ring] }, properties: { key, colour: kindOf(pin.category).colour } });
+    }
+  });
+  return { pin, isMarked, keys: pins.map((feature) => String(feature.properties["key"])), pins, ellipses };
 }
 
 function placesOf(pin: Pin): PlaceAnswer[] {

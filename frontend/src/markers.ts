@@ -15,7 +15,7 @@ interface Spot { readonly key: string; readonly vehicle: string; readonly sessio
 /** A click under way, or refused: it has no pin yet, or never will. */
 export interface Pending extends Spot { readonly number: number; readonly category: Category; text: string; isRefused: boolean }
 
-interface Drawn { element: HTMLElement; look: string; x: number; y: number }
+interface Drawn { element: HTMLElement; look: string; x: number; y: number; isSeen: boolean }
 
 export class Markers {
   private readonly drawn = new Map<string, Drawn>();
@@ -23,10 +23,7 @@ export class Markers {
   private last: [FrameView | null, View, Size] | null = null;
   private readonly bubble = make("div", { class: "bubble", hidden: true });
 
-  private newest: Pin[] | null = null;
-
   constructor(private readonly layer: HTMLElement, private readonly state: State) {
-    state.on(["pins"], () => { this.newest = null; });
     layer.append(this.bubble);
   }
 
@@ -34,13 +31,13 @@ export class Markers {
   begin(pending: Pending): void {
     this.pending.set(pending.key, pending);
     this.hideBubble();
-    this.redraw();
+    if (this.last === null) return;
+    const [frame, view, pane] = this.last;
+    if (frame !== null) this.putPending(pending, frame, view, pane);
   }
 
-  done(key: string): void {
-    this.pending.delete(key);
-    this.redraw();
-  }
+  /** Its pin is drawn in its place with the next frame. */
+  done(key: string): void { this.pending.delete(key); }
 
   /** Only one refusal is shown at a time: at its spot, until the next click. */
   refuse(key: string, text: string): void {
@@ -51,8 +48,9 @@ export class Markers {
   }
 
   clearRefusals(): void {
-    for (const [key, held] of this.pending) if (held.isRefused) this.pending.delete(key);
-    this.redraw();
+    let had = false;
+    for (const [key, held] of this.pending) if (held.isRefused) { this.pending.delete(key); had = true; }
+    if (had) this.redraw();
   }
 
   near(at: Point): string | null {
@@ -70,7 +68,7 @@ export class Markers {
     this.hideBubble();
     if (frame !== null) {
       const size = { width: frame.width_px, height: frame.height_px };
-      for (const pin of this.shownPins()) {
+      for (const pin of this.state.newestFirst().slice(0, MOST)) {
         const at = pixelIn(pin, frame, size);
         if (at === null) continue;
         const isMarked = pin.id === this.state.hovered || pin.id === this.state.selected;
@@ -78,46 +76,43 @@ export class Markers {
         this.put(pin.id, look, toPane(view, at), pane, () => marker(pin.category, String(pin.number), isMarked, pin.place.status === "ok" ? "" : "!"));
         seen.add(pin.id);
       }
-      for (const p of this.pending.values()) {
-        if (p.vehicle !== frame.vehicle || p.session !== frame.session || p.frame !== frame.frame || !contains(size, p.at)) continue;
-        const at = toPane(view, p.at);
-        const look = `${p.category} ${p.number} ${p.isRefused}`;
-        this.put(p.key, look, at, pane, () => (p.isRefused ? refusal() : marker(p.category, String(p.number), true, "")));
-        seen.add(p.key);
-        if (p.isRefused) this.showBubble(p.text, at, pane);
-      }
+      for (const p of this.pending.values()) if (this.putPending(p, frame, view, pane)) seen.add(p.key);
     }
     for (const [key, { element }] of this.drawn) {
       if (!seen.has(key)) { element.remove(); this.drawn.delete(key); }
     }
   }
 
-  private redraw(): void {
-    if (this.last !== null) this.draw(...this.last);
+  private putPending(p: Pending, frame: FrameView, view: View, pane: Size): boolean {
+    const size = { width: frame.width_px, height: frame.height_px };
+    if (p.vehicle !== frame.vehicle || p.session !== frame.session || p.frame !== frame.frame || !contains(size, p.at)) return false;
+    const at = toPane(view, p.at);
+    const look = `${p.category} ${p.number} ${p.isRefused}`;
+    this.put(p.key, look, at, pane, () => (p.isRefused ? refusal() : marker(p.category, String(p.number), true, "")));
+    if (p.isRefused) this.showBubble(p.text, at, pane);
+    return true;
   }
 
-  /** Sorted anew only when pins have changed: a picture is drawn far more often. */
-  private shownPins(): Pin[] {
-    if (this.newest === null) {
-      const all = [...this.state.pins.values()];
-      this.newest = all.length <= MOST ? all : all.sort((a, b) => b.number - a.number).slice(0, MOST);
-    }
-    return this.newest;
+  private redraw(): void {
+    if (this.last !== null) this.draw(...this.last);
   }
 
   private put(key: string, look: string, at: Point, pane: Size, made: () => HTMLElement): void {
     let held = this.drawn.get(key);
     if (held === undefined || held.look !== look) {
       held?.element.remove();
-      held = { element: made(), look, x: 0, y: 0 };
+      held = { element: made(), look, x: NaN, y: NaN, isSeen: true };
       this.layer.append(held.element);
       this.drawn.set(key, held);
     }
-    held.x = at.x;
-    held.y = at.y;
-    held.element.style.transform = `translate(${at.x}px, ${at.y}px)`;
-    held.element.classList.toggle("below", at.y < 38);
-    held.element.style.visibility = at.x < 0 || at.y < 0 || at.x > pane.width || at.y > pane.height ? "hidden" : "visible";
+    // Only what has changed is written: two hundred markers stand still while one is added.
+    if (held.x !== at.x || held.y !== at.y) {
+      held.element.style.transform = `translate(${at.x}px, ${at.y}px)`;
+      held.element.classList.toggle("below", at.y < 38);
+      [held.x, held.y] = [at.x, at.y];
+    }
+    const isSeen = at.x >= 0 && at.y >= 0 && at.x <= pane.width && at.y <= pane.height;
+    if (isSeen !== held.isSeen) { held.element.style.visibility = isSeen ? "visible" : "hidden"; held.isSeen = isSeen; }
   }
 
   private showBubble(text: string, at: Point, pane: Size): void {

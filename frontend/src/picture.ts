@@ -28,6 +28,7 @@ export class PicturePane {
   private readonly fingers = new Map<number, Point>();
   private timer = 0;
   private isDue = false;
+  private isPictureDue = false;
 
   constructor(private readonly state: State, private readonly viewer: Viewer, private readonly onClick: (body: ClickBody) => void) {
     this.markers = new Markers(byId("markers"), state);
@@ -40,7 +41,8 @@ export class PicturePane {
     e.addEventListener("pointerleave", () => state.hover(null));
     e.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
     e.addEventListener("contextmenu", (event) => event.preventDefault());
-    state.on(["shown", "options", "pins", "hover", "selected"], () => this.invalidate());
+    state.on(["shown", "options"], () => this.invalidate());
+    state.on(["pins", "hover", "selected"], () => this.invalidate(false));
     state.on(["shown"], () => this.sized());
     this.fit();
   }
@@ -91,19 +93,21 @@ export class PicturePane {
     this.draw();
   }
 
-  private invalidate(): void {
+  /** Drawn with the next frame of the screen: the pins, and the picture too unless it is as it was. */
+  private invalidate(isPicture = true): void {
+    this.isPictureDue ||= isPicture;
     if (this.isDue) return;
     this.isDue = true;
-    requestAnimationFrame(() => { this.isDue = false; this.draw(); });
+    requestAnimationFrame(() => { this.isDue = false; this.draw(this.isPictureDue); this.isPictureDue = false; });
   }
 
-  private draw(): void {
+  private draw(isPicture = true): void {
     const loaded = this.press?.loaded ?? this.viewer.loaded;
     const ratio = window.devicePixelRatio || 1;
     if (Math.round(this.pane.width * ratio) !== this.canvas.width) { this.fit(); return; }
-    if (loaded !== null) paint(this.canvas, loaded, this.view, this.state.options);
+    if (loaded !== null && isPicture) paint(this.canvas, loaded, this.view, this.state.options);
     this.markers.draw(loaded?.view ?? null, this.view, this.pane);
-    this.drawLoupe();
+    if (isPicture) this.drawLoupe();
   }
 
   private at(event: PointerEvent | WheelEvent): Point {

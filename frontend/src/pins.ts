@@ -27,13 +27,17 @@ export class PinList {
   private readonly card = byId("pin-card");
   private readonly rows = new Map<string, HTMLElement>();
   private readonly hidden = new Set<Category>();
-  private found: Pin[] = [];
+  private found: readonly Pin[] = [];
+  private isDue = false;
+  // Of the list, as it said last: asked for while drawing, the browser would have to lay the whole page out.
+  private height = 0;
+  private top = 0;
   private cardOf = "";
 
   constructor(private readonly state: State, private readonly actions: PinActions) {
-    this.list.addEventListener("scroll", () => this.draw(), { passive: true });
+    this.list.addEventListener("scroll", () => { this.top = this.list.scrollTop; this.draw(); }, { passive: true });
     this.filter.addEventListener("input", () => this.refresh());
-    new ResizeObserver(() => this.draw()).observe(this.list);
+    new ResizeObserver(() => { this.height = this.list.clientHeight; this.draw(); }).observe(this.list);
     for (const kind of KINDS) {
       const button = make("button", { type: "button", class: "chip", "aria-pressed": "true", title: `show ${kind.title.toLowerCase()}s`, "aria-label": `show ${kind.title.toLowerCase()}s` }, shapeSvg(kind, 18));
       button.addEventListener("click", () => {
@@ -44,19 +48,26 @@ export class PinList {
       });
       byId("filter-kinds").append(button);
     }
-    state.on(["pins"], () => this.refresh());
+    state.on(["pins"], () => this.later());
     state.on(["hover", "selected"], () => this.mark());
     state.on(["selected"], () => this.showCard());
     this.refresh();
   }
 
+  /** With the next frame of the screen, however many pins have changed. */
+  private later(): void {
+    if (this.isDue) return;
+    this.isDue = true;
+    requestAnimationFrame(() => { this.isDue = false; this.refresh(); });
+  }
+
   private refresh(): void {
     const wanted = this.filter.value.trim().toLowerCase();
-    this.found = [...this.state.pins.values()]
+    const newest = this.state.newestFirst();
+    this.found = wanted === "" && this.hidden.size === 0 ? newest : newest
       .filter((pin) => !this.hidden.has(pin.category))
-      .filter((pin) => wanted === "" || `${pin.number} ${pin.name} ${pin.note} ${pin.who} ${kindOf(pin.category).title}`.toLowerCase().includes(wanted))
-      .sort((a, b) => b.number - a.number);
-    const all = this.state.pins.size;
+      .filter((pin) => wanted === "" || `${pin.number} ${pin.name} ${pin.note} ${pin.who} ${kindOf(pin.category).title}`.toLowerCase().includes(wanted));
+    const all = newest.length;
     say(byId("pin-count"), this.found.length === all ? String(all) : `${this.found.length} of ${all}`);
     byId("no-pins").hidden = all > 0;
     this.draw();
@@ -65,8 +76,8 @@ export class PinList {
 
   private draw(): void {
     this.body.style.height = `${this.found.length * ROW_PX}px`;
-    const first = Math.max(Math.floor(this.list.scrollTop / ROW_PX) - SPARE, 0);
-    const last = Math.min(Math.ceil((this.list.scrollTop + this.list.clientHeight) / ROW_PX) + SPARE, this.found.length);
+    const first = Math.max(Math.floor(this.top / ROW_PX) - SPARE, 0);
+    const last = Math.min(Math.ceil((this.top + this.height) / ROW_PX) + SPARE, this.found.length);
     const seen = new Set<string>();
     for (let k = first; k < last; k++) {
       const pin = this.found[k]!;

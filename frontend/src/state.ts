@@ -23,7 +23,8 @@ export class State {
   shown: FrameView | null = null;
   isFrozen = false;
   isPlaying = false;
-  pins = new Map<string, Pin>();
+  private readonly held = new Map<string, Pin>();
+  private order: Pin[] | null = null;
   ties: Tie[] = [];
   hovered: string | null = null;
   selected: string | null = null;
@@ -57,6 +58,38 @@ export class State {
     this.tell("frames");
   }
 
+  get pins(): ReadonlyMap<string, Pin> { return this.held; }
+
+  /** All pins, the newest number first. */
+  newestFirst(): readonly Pin[] {
+    this.order ??= [...this.held.values()].sort((a, b) => b.number - a.number);
+    return this.order;
+  }
+
+  setPins(pins: Pin[]): void {
+    this.held.clear();
+    for (const pin of pins) this.held.set(pin.id, pin);
+    this.order = null;
+    this.tell("pins");
+  }
+
+  /** One pin as it is now. What is known already, as a click of one's own that comes again as an event, changes nothing. */
+  putPin(pin: Pin): void {
+    const known = this.held.get(pin.id);
+    if (known !== undefined && JSON.stringify(known) === JSON.stringify(pin)) return;
+    this.held.set(pin.id, pin);
+    if (known === undefined && this.order !== null && (this.order[0]?.number ?? 0) < pin.number) this.order = [pin, ...this.order];
+    else this.order = null;
+    this.tell("pins");
+  }
+
+  dropPin(id: string): void {
+    this.held.delete(id);
+    this.order = null;
+    if (this.selected === id) this.select(null);
+    this.tell("pins");
+  }
+
   hover(pin: string | null): void {
     if (this.hovered !== pin) { this.hovered = pin; this.tell("hover"); }
   }
@@ -80,9 +113,7 @@ export class State {
 
   /** The number the next pin will get, as far as this page knows. */
   nextNumber(): number {
-    let most = 0;
-    for (const pin of this.pins.values()) most = Math.max(most, pin.number);
-    return most + 1;
+    return (this.newestFirst()[0]?.number ?? 0) + 1;
   }
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from typing import Annotated, Any
@@ -11,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from ground.answer import Fix
 from ground.pins.fusion import Vector
-from ground.pins.model import MAX_NAME, MAX_NOTE, MAX_WHO, Category, PinClick
+from ground.pins.model import MAX_NAME, MAX_NOTE, MAX_WHO, Category, Pin, PinClick
 from ground.pins.ties import TieRefused, tie_of
 from ground.web.api_vehicles import ClickBody, answer_json
 from ground.web.clicks import Clicked
@@ -86,20 +87,19 @@ def pins_router(desk: Desk) -> APIRouter:
         text: Annotated[str, Query(max_length=200)] = "",
         vehicle: Annotated[str, Query(max_length=200)] = "",
         who: WhoQuery = "",
-    ) -> dict[str, Any]:
+    ) -> Response:
         found = store.pins(category=category, text=text, vehicle=vehicle, who=who)
-        return {"pins": desk.pins_json(found), "ties": desk.ties_json()}
+        return _json(f'{{"pins":{desk.pins_text(found)},"ties":{json.dumps(desk.ties_json())}}}')
 
     @router.post("/pins", status_code=201, summary="A pin at a click (422 with the reason if it is refused)")
-    def add(body: NewPin, response: Response) -> dict[str, Any]:
+    def add(body: NewPin) -> Response:
         answer: dict[str, Any] | None = None
         if body.click is not None:
             clicked = _clicked(body.click)
             answer = answer_json(clicked.answer.to_json())
             made = desk.pin_click(clicked, body.click.u, body.click.v, body.who)
             if made is None:
-                response.status_code = 422
-                return {"pin": None, "answer": answer}
+                return _reply(None, answer)
         elif body.lat_deg is None or body.lon_deg is None:
             raise HTTPException(422, "a pin needs a click, or lat_deg and lon_deg")
         else:
@@ -110,38 +110,37 @@ def pins_router(desk: Desk) -> APIRouter:
             [made], name=body.name, note=body.note, category=body.category, who=body.who, crop=desk.crop_of(made)
         )
         desk.told(pin)
-        return {"pin": desk.pin_json(pin), "answer": answer}
+        return _reply(pin, answer)
 
     @router.get("/pins/{pin_id}", summary="One pin")
-    def one(pin_id: str) -> dict[str, Any]:
-        return desk.pin_json(desk.pin(pin_id))
+    def one(pin_id: str) -> Response:
+        return _json(desk.pin_text(desk.pin(pin_id)))
 
     @router.post("/pins/{pin_id}/clicks", status_code=201, summary="One more click on the same thing")
-    def add_click(pin_id: str, body: MoreClick, response: Response) -> dict[str, Any]:
+    def add_click(pin_id: str, body: MoreClick) -> Response:
         desk.pin(pin_id)
         clicked = _clicked(body)
         answer = answer_json(clicked.answer.to_json())
         made = desk.pin_click(clicked, body.u, body.v, body.who)
         if made is None:
-            response.status_code = 422
-            return {"pin": None, "answer": answer}
+            return _reply(None, answer)
         pin = store.add_click(pin_id, made, who=body.who, crop=desk.crop_of(made))
         desk.told(pin)
-        return {"pin": desk.pin_json(pin), "answer": answer}
+        return _reply(pin, answer)
 
     @router.delete("/pins/{pin_id}/clicks/{click_id}", summary="Take a click off a pin")
-    def remove_click(pin_id: str, click_id: str, who: WhoQuery = "") -> dict[str, Any]:
+    def remove_click(pin_id: str, click_id: str, who: WhoQuery = "") -> Response:
         desk.pin(pin_id)
         pin = store.remove_click(pin_id, click_id, who=who)
         desk.told(pin)
-        return desk.pin_json(pin)
+        return _json(desk.pin_text(pin))
 
     @router.patch("/pins/{pin_id}", summary="Change name, note or category")
-    def edit(pin_id: str, body: Edit) -> dict[str, Any]:
+    def edit(pin_id: str, body: Edit) -> Response:
         desk.pin(pin_id)
         pin = store.edit(pin_id, who=body.who, name=body.name, note=body.note, category=body.category)
         desk.told(pin)
-        return desk.pin_json(pin)
+        return _json(desk.pin_text(pin))
 
     @router.delete("/pins/{pin_id}", summary="Delete a pin; undo brings it back")
     def delete(pin_id: str, who: WhoQuery = "") -> dict[str, Any]:
@@ -223,4 +222,13 @@ def pins_router(desk: Desk) -> APIRouter:
     def _clicked(body: ClickBody) -> Clicked:
         return desk.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
 
+    def _reply(pin: Pin | None, answer: dict[str, Any] | None) -> Response:
+        """A pin, or why there is none, with the click's answer."""
+        text = "null" if pin is None else desk.pin_text(pin)
+        return _json(f'{{"pin":{text},"answer":{json.dumps(answer)}}}', 422 if pin is None else 201)
+
     return router
+
+
+def _json(text: str, status_code: int = 200) -> Response:
+    return Response(text, status_code, media_type="application/json")

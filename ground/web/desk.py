@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from contract.errors import InputError
 from ground.answer import Fix
+from ground.pins.fusion import Fused
 from ground.pins.model import Pin, PinClick
 from ground.pins.places import Places
 from ground.pins.store import PinStore
 from ground.web.clicks import Clicked, Clicker
-from ground.web.crops import crop
+from ground.web.crops import Cropper
 from ground.web.events import Hub
 from ground.web.pin_json import pin_json, tie_json
 from ground.web.source import Source
@@ -41,16 +43,26 @@ class Desk:
         self.clicker = Clicker(self.source)
         self.places = Places(self.store)
         self.hub = Hub()
+        self._cropper = Cropper()
+        # By the pin's id: the pin and its place as they were, and their JSON.
+        self._texts: dict[str, tuple[Pin, Fused, str]] = {}
         self._revision = self.store.revision
         self._lock = threading.Lock()
 
-    def pin_json(self, pin: Pin) -> dict[str, Any]:
-        """A pin with its place."""
-        return pin_json(pin, self.places.place(pin))
+    def pin_text(self, pin: Pin) -> str:
+        """A pin with its place, as JSON."""
+        return self.pins_text([pin])[1:-1]
 
-    def pins_json(self, pins: Iterable[Pin]) -> list[dict[str, Any]]:
-        """Many."""
-        return [self.pin_json(pin) for pin in pins]
+    def pins_text(self, pins: Sequence[Pin]) -> str:
+        """Many, as a JSON list. Only those that have changed are written anew: there may be ten thousand."""
+        texts = []
+        for pin, place in zip(pins, self.places.of(pins), strict=True):
+            held = self._texts.get(pin.id)
+            if held is None or held[0] is not pin or held[1] is not place:
+                text = json.dumps(pin_json(pin, place), separators=(",", ":"), allow_nan=False)
+                held = self._texts[pin.id] = pin, place, text
+            texts.append(held[2])
+        return f"[{','.join(texts)}]"
 
     def ties_json(self) -> list[dict[str, Any]]:
         """All ties."""
@@ -73,11 +85,16 @@ class Desk:
         """The picture around a click; None where there is no picture."""
         if click.frame is None or click.u_px is None or click.v_px is None:
             return None
-        picture = self.source.picture(click.vehicle, click.session, click.frame)
-        found = self.source.feature_set(click.vehicle, click.session, click.frame)
-        if picture is None or found is None:
+        vehicle, session, frame = key = click.vehicle, click.session, click.frame
+        found = self.source.feature_set(vehicle, session, frame)
+        if found is None:
             return None
-        return crop(picture.content, click.u_px, click.v_px, found.camera.size_px)
+
+        def read() -> bytes | None:
+            picture = self.source.picture(vehicle, session, frame)
+            return None if picture is None else picture.content
+
+        return self._cropper.crop(key, read, click.u_px, click.v_px, found.camera.size_px)
 
     def told(self, *pins: Pin) -> None:
         """Say to all browsers that these pins are as they are now; without any, that all may have changed."""
@@ -85,15 +102,16 @@ class Desk:
             self._revision = self.store.revision
         if pins:
             for pin in pins:
-                self.hub.tell_from_thread({"type": "pin", "pin": self.pin_json(pin)})
+                self.hub.tell_from_thread(f'{{"type":"pin","pin":{self.pin_text(pin)}}}')
         else:
-            self.hub.tell_from_thread({"type": "pins"})
+            self.hub.tell_from_thread('{"type":"pins"}')
 
     def told_deleted(self, pin_id: str) -> None:
         """Say that a pin is gone."""
         with self._lock:
             self._revision = self.store.revision
-        self.hub.tell_from_thread({"type": "pin_deleted", "id": pin_id})
+        self._texts.pop(pin_id, None)
+        self.hub.tell_from_thread(json.dumps({"type": "pin_deleted", "id": pin_id}))
 
     def changed_elsewhere(self) -> bool:
         """Whether another program has changed the pins since this was asked last."""

@@ -37,9 +37,9 @@ class Hub:
         """The browser is gone."""
         self._queues.discard(queue)
 
-    def tell(self, event: dict[str, Any]) -> None:
-        """To every browser."""
-        text = json.dumps(event, separators=(",", ":"))
+    def tell(self, event: dict[str, Any] | str) -> None:
+        """To every browser: an object, or its JSON."""
+        text = event if isinstance(event, str) else json.dumps(event, separators=(",", ":"))
         for queue in self._queues:
             if queue.full():
                 while not queue.empty():
@@ -47,7 +47,7 @@ class Hub:
                 queue.put_nowait(_RESYNC)
             queue.put_nowait(text)
 
-    def tell_from_thread(self, event: dict[str, Any]) -> None:
+    def tell_from_thread(self, event: dict[str, Any] | str) -> None:
         """The same, from a request's thread."""
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self.tell, event)
