@@ -106,6 +106,7 @@ export class PicturePane {
     const ratio = window.devicePixelRatio || 1;
     if (Math.round(this.pane.width * ratio) !== this.canvas.width) { this.fit(); return; }
     if (loaded !== null && isPicture) paint(this.canvas, loaded, this.view, this.state.options);
+    if (isPicture) this.element.dataset["zoom"] = (this.view.scale / wholeView(this.picture, this.pane).scale).toFixed(2);
     this.markers.draw(loaded?.view ?? null, this.view, this.pane);
     if (isPicture) this.drawLoupe();
   }

@@ -9,6 +9,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 
 from PIL import Image
+
 SIDE_SHARE = 0.2  # of the picture's width, that the crop shows
 SIDE_PX = 160
 MAX_PIXELS = 40_000_000

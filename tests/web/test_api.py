@@ -18,7 +18,7 @@ from ground.web.desk import Desk
 from ground.web.guard import Rules
 from ground.web.recorded import RecordedSource
 from ground.web.tiles import Tiles
-from tests.web.conftest import ROOT, Flown
+from tests.web.served import ROOT, Flown
 
 pytestmark = pytest.mark.xdist_group("web")
 

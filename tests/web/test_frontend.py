@@ -14,7 +14,7 @@ import pytest
 from contract.camera import Camera
 from contract.geodesy import LocalFrame
 from contract.rotations import exp_so3
-from tests.web.conftest import ROOT
+from tests.web.served import ROOT
 
 
 def projection_cases(path: Path) -> None:

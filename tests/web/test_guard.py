@@ -13,7 +13,7 @@ from starlette.websockets import WebSocketDisconnect
 from contract.errors import InputError
 from ground.web.guard import Rules, is_loopback
 from ground.web.tiles import open_tiles
-from tests.web.conftest import Flown
+from tests.web.served import Flown
 from tests.web.test_api import Api
 
 pytestmark = pytest.mark.xdist_group("web")

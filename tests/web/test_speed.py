@@ -10,7 +10,7 @@ import pytest
 
 from ground.pins.model import PinClick
 from ground.pins.store import PinStore
-from tests.web.conftest import Flown, Server
+from tests.web.served import Flown, Server
 
 pytestmark = [pytest.mark.wall_clock, pytest.mark.xdist_group("web")]
 
