@@ -16,7 +16,7 @@ import type { FrameView, Pin, PlaceAnswer, Tie, Tiles } from "./types.js";
 declare const WORKER_URL: string;
 
 const LAID_PICTURES = 16;
-const MOST_ELLIPSES = 500; // of more pins than that only the chosen one has its ellipse drawn
+const MOST_DRAWN = 500; // of more pins than that all but the chosen one are dots
 const PIN_ICON = 28;
 const LATER_MS = 120, LATEST_MS = 3000; // the map is drawn this long after the last change, and after the first one
 const ABOVE_PICTURES = "footprint-fill"; // the lowest layer that lies on the pictures
@@ -116,8 +116,9 @@ export class MapPane {
     map.addLayer({ id: "ellipse", type: "line", source: "ellipses", paint: { "line-color": ["get", "colour"], "line-width": 1.5 } });
     map.addLayer({ id: "craft", type: "circle", source: "craft", paint: { "circle-radius": 6, "circle-color": ["get", "colour"], "circle-stroke-color": "#fff", "circle-stroke-width": 2 } });
     map.addLayer({ id: "ties", type: "symbol", source: "ties", layout: { "icon-image": "tie", "icon-allow-overlap": true } });
+    map.addLayer({ id: "dots", type: "circle", source: "pins", filter: ["get", "small"], paint: { "circle-radius": 5, "circle-color": ["get", "colour"], "circle-stroke-color": "#fff", "circle-stroke-width": 1.5 } });
     map.addLayer({
-      id: "pins", type: "symbol", source: "pins",
+      id: "pins", type: "symbol", source: "pins", filter: ["!", ["get", "small"]],
       layout: {
         "icon-image": ["get", "icon"], "icon-allow-overlap": true, "icon-ignore-placement": true, "symbol-sort-key": ["get", "order"],
         "text-field": ["get", "label"], "text-font": ["sans-serif"], "text-size": 11, "text-allow-overlap": true, "text-ignore-placement": true,
@@ -125,14 +126,15 @@ export class MapPane {
       paint: { "text-color": "#ffffff" },
     });
     map.addLayer({
-      id: "names", type: "symbol", source: "pins", filter: ["!=", ["get", "name"], ""],
+      id: "names", type: "symbol", source: "pins", filter: ["all", ["!", ["get", "small"]], ["!=", ["get", "name"], ""]],
       layout: { "text-field": ["get", "name"], "text-font": ["sans-serif"], "text-size": 12, "text-offset": [0, 1.3], "text-anchor": "top", "text-optional": true },
       paint: { "text-halo-width": 1.5 },
     });
     map.on("moveend", () => this.drawGrid());
-    map.on("mousemove", "pins", (event) => { this.state.hover(String(event.features?.[0]?.properties["id"] ?? "")); map.getCanvas().style.cursor = "pointer"; });
-    map.on("mouseleave", "pins", () => { this.state.hover(null); map.getCanvas().style.cursor = ""; });
-    map.on("click", "pins", (event) => this.state.select(String(event.features?.[0]?.properties["id"] ?? "")));
+    const drawn = ["dots", "pins"];
+    map.on("mousemove", drawn, (event) => { this.state.hover(String(event.features?.[0]?.properties["id"] ?? "")); map.getCanvas().style.cursor = "pointer"; });
+    map.on("mouseleave", drawn, () => { this.state.hover(null); map.getCanvas().style.cursor = ""; });
+    map.on("click", drawn, (event) => this.state.select(String(event.features?.[0]?.properties["id"] ?? "")));
     this.paintTheme();
     this.state.on(["shown"], () => this.later("shown"));
     this.state.on(["pins", "hover", "selected"], () => this.later("pins"));
@@ -221,7 +223,7 @@ export class MapPane {
 
   private drawPins(): void {
     const { hovered, selected, pins } = this.state;
-    const isCrowded = pins.size > MOST_ELLIPSES;
+    const isCrowded = pins.size > MOST_DRAWN;
     if (isCrowded !== this.isCrowded) this.onMap.clear();
     this.isCrowded = isCrowded;
     // Only what has changed goes to the map: a pin is the same object until it changes.
@@ -231,7 +233,7 @@ export class MapPane {
       const isMarked = pin.id === hovered || pin.id === selected, held = this.onMap.get(pin.id);
       if (held !== undefined && held.pin === pin && held.isMarked === isMarked) continue;
       if (held !== undefined) gone.push(...held.keys);
-      const made = mapPin(pin, isMarked, isMarked || !isCrowded);
+      const made = mapPin(pin, isMarked, isCrowded && !isMarked);
       this.onMap.set(pin.id, made);
       changed.push(made);
     }
@@ -276,16 +278,16 @@ export class MapPane {
 /** What the map has of a pin: one place, or each of those that contradict each other. */
 interface MapPin { readonly pin: Pin; readonly isMarked: boolean; readonly keys: string[]; readonly pins: Feature[]; readonly ellipses: Feature[] }
 
-function mapPin(pin: Pin, isMarked: boolean, hasEllipse: boolean): MapPin {
+function mapPin(pin: Pin, isMarked: boolean, isSmall: boolean): MapPin {
   const pins: Feature[] = [], ellipses: Feature[] = [];
   placesOf(pin).forEach((place, k) => {
     const key = `${pin.id}/${k}`;
     pins.push({
       type: "Feature", geometry: { type: "Point", coordinates: [place.lon_deg, place.lat_deg] },
-      properties: { key, id: pin.id, icon: `${pin.category}${isMarked ? "-marked" : ""}`, label: `${pin.number}${pin.place.status === "ok" ? "" : "!"}`, name: pin.name, order: isMarked ? 1e9 : pin.number },
+      properties: { key, id: pin.id, small: isSmall, colour: kindOf(pin.category).colour, icon: `${pin.category}${isMarked ? "-marked" : ""}`, label: `${pin.number}${pin.place.status === "ok" ? "" : "!"}`, name: pin.name, order: isMarked ? 1e9 : pin.number },
     });
     const e = place.ellipse;
-    if (e !== null && hasEllipse) {
+    if (e !== null && !isSmall) {
       const ring = ellipseRing(place.lat_deg, place.lon_deg, e.semi_major_m, e.semi_minor_m, e.azimuth_deg);
       ellipses.push({ type: "Feature", geometry: { type: "Polygon", coordinates: [ring] }, properties: { key, colour: kindOf(pin.category).colour } });
     }

@@ -14,10 +14,11 @@ from ground.answer import EXPLANATIONS, Fix
 from ground.circular_error import ce90_m
 from ground.web.advice import ADVICE
 from ground.web.desk import Desk
-from ground.web.source import VehicleReport
+from ground.web.source import FrameRow, VehicleReport
 from ground.web.view import camera_place, frame_view
 
 EARLIER = 6  # pictures that a feature's path reaches back
+NEAR = 64
 STALE_S = 3.0
 LOST_S = 10.0
 MAX_FRAME = 2**32 - 1
@@ -111,7 +112,11 @@ def vehicles_router(desk: Desk) -> APIRouter:
             raise HTTPException(404, f"no vehicle {vehicle[:80]!r}")
 
     def _before(found: FeatureSet) -> list[FeatureSet]:
-        rows = [r for r in source.frames(found.vehicle) if r.capture_unix_ns < found.capture_unix_ns]
+        rows: list[FrameRow] = []
+        for newest in (NEAR, None):  # mostly it is one of the newest, and an hour's pictures are many
+            rows = [r for r in source.frames(found.vehicle, newest) if r.capture_unix_ns < found.capture_unix_ns]
+            if len(rows) >= EARLIER:
+                break
         sets = (source.feature_set(found.vehicle, r.session, r.frame) for r in rows[: -EARLIER - 1 : -1])
         return [s for s in sets if s is not None]
 

@@ -23,6 +23,7 @@ from ground.web.tiles import MbTiles
 
 WATCH_S = 0.04  # between looks at the source: a new picture is told of so soon
 STATUS_S = 1.0
+SPARE_ROWS, MOST_ROWS = 8, 500
 _MEDIA = {
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
@@ -143,12 +144,14 @@ async def _watch(desk: Desk) -> None:
         changed = []
         for vehicle in desk.source.vehicles():
             version = desk.source.version(vehicle)
-            if versions.get(vehicle) != version:
+            before = versions.get(vehicle)
+            if before != version:
                 versions[vehicle] = version
-                changed.append(vehicle)
+                # As many as came since, and some before: of sets that come out of order, or better.
+                changed.append((vehicle, SPARE_ROWS + min(max(version - (before or 0), 0), MOST_ROWS)))
         if len(desk.hub):
-            for vehicle in changed:
-                rows = await asyncio.to_thread(_newest_rows, desk, vehicle)
+            for vehicle, count in changed:
+                rows = await asyncio.to_thread(_newest_rows, desk, vehicle, count)
                 desk.hub.tell({"type": "frames", "vehicle": vehicle, "frames": rows})
             if status_in_s <= 0.0:
                 status_in_s = STATUS_S
@@ -158,8 +161,8 @@ async def _watch(desk: Desk) -> None:
         await asyncio.sleep(WATCH_S)
 
 
-def _newest_rows(desk: Desk, vehicle: str) -> list[dict[str, Any]]:
-    """The last few pictures: what a browser may lack. One that lacks more asks for all."""
+def _newest_rows(desk: Desk, vehicle: str, count: int) -> list[dict[str, Any]]:
+    """The last pictures: what browsers lack."""
     return [
         {
             "session": row.session,
@@ -169,7 +172,7 @@ def _newest_rows(desk: Desk, vehicle: str) -> list[dict[str, Any]]:
             "capture_unix_ns": str(row.capture_unix_ns),
             "has_picture": row.has_picture,
         }
-        for row in desk.source.frames(vehicle)[-8:]
+        for row in desk.source.frames(vehicle, count)
     ]
 
 

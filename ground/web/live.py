@@ -74,14 +74,16 @@ class LiveSource:
         with self._lock:
             return self._heard[vehicle].version if vehicle in self._heard else 0
 
-    def frames(self, vehicle: str) -> list[FrameRow]:
+    def frames(self, vehicle: str, newest: int | None = None) -> list[FrameRow]:
         """What was received of the session that runs."""
         _, cache = self._of(vehicle)
         if cache is None:
             return []
+        entries = cache.entries(vehicle)
         return [
+            # The seam for keyframe pictures of the link: whether one came for (vehicle, session, frame), and `picture`.
             FrameRow(e.item.session, e.frame, e.revision, e.capture_unix_ns, e.status, False)
-            for e in cache.entries(vehicle)
+            for e in (entries if newest is None else entries[-newest:])
         ]
 
     def feature_set(self, vehicle: str, session: int | None, frame: int) -> FeatureSet | None:

@@ -37,12 +37,13 @@ class RecordedSource:
         """Nothing changes."""
         return 0
 
-    def frames(self, vehicle: str) -> list[FrameRow]:
+    def frames(self, vehicle: str, newest: int | None = None) -> list[FrameRow]:
         """Every picture that has a set."""
         session = self._sessions[vehicle]
+        rows = self._recording.rows(vehicle)
         return [
             FrameRow(session, frame, revision, capture_ns, status, self._pictures.has(vehicle, frame))
-            for frame, revision, capture_ns, status in self._recording.rows(vehicle)
+            for frame, revision, capture_ns, status in (rows if newest is None else rows[-newest:])
         ]
 
     def feature_set(self, vehicle: str, session: int | None, frame: int) -> FeatureSet | None:

@@ -56,14 +56,18 @@ class Source(Protocol):
     def version(self, vehicle: str) -> int:
         """A number that grows whenever the pictures or sets of a vehicle change."""
 
-    def frames(self, vehicle: str) -> list[FrameRow]:
-        """The pictures of the session that runs, in capture order."""
+    def frames(self, vehicle: str, newest: int | None = None) -> list[FrameRow]:
+        """The pictures of the session that runs, in capture order; only so many of the newest, if that is said."""
 
     def feature_set(self, vehicle: str, session: int | None, frame: int) -> FeatureSet | None:
         """The set of a picture at its latest revision; None if there is none. No session: the one that runs."""
 
     def picture(self, vehicle: str, session: int | None, frame: int) -> Picture | None:
-        """The picture itself; None if it is not there."""
+        """The picture itself; None if it is not there.
+
+        Whatever pictures come from (the recording, keyframes on the link, a video of the downlink) is asked here and
+        nowhere else, and `FrameRow.has_picture` says whether asking is worth it. It may be asked from several threads.
+        """
 
     def age_s(self, feature_set: FeatureSet) -> float | None:
         """How old a set's picture is now; of a recording, how much older than its newest one."""

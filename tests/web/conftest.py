@@ -96,6 +96,7 @@ def operators(station: Server, chromium: Any, flown: Flown) -> Iterator[Callable
 
     yield another
     for operator in made:
+        operator.clear()
         operator.context.close()
         operator.check()
 

@@ -83,11 +83,9 @@ def test_a_refused_click_says_why_and_what_helps_at_the_spot(anna: Operator, flo
     anna.page.wait_for_selector(".bubble", state="hidden")
 
 
-def test_what_was_pressed_is_clicked_whatever_happens_before_the_release(
-    anna: Operator, operators: Operators, flown: Flown
-) -> None:
+def test_what_was_pressed_is_clicked_whatever_happens_before_the_release(operators: Operators, flown: Flown) -> None:
     """Resized, zoomed, and another picture shown between press and release; at twice the pixels of the screen."""
-    anna = operators(device_scale_factor=2)
+    anna = operators(device_scale_factor=2, has_map=False)
     page = anna.page
     page.mouse.move(*anna.at(250.0, 180.0))
     page.mouse.down()
@@ -127,7 +125,9 @@ def test_what_was_pressed_is_clicked_whatever_happens_before_the_release(
 
 
 def test_two_operators_share_pins_and_a_name_is_only_text(anna: Operator, operators: Operators) -> None:
-    bo = operators()
+    bo = operators(has_map=False)
+    assert bo.page.locator("#no-map").is_visible()
+    assert not anna.page.locator("#no-map").is_visible()
     anna.click(300.0, 200.0)
     bo.page.wait_for_selector("[data-testid=pin]")
     anna.by("pin").first.click()
@@ -167,8 +167,8 @@ def test_a_tie_moves_every_pin_of_the_aircraft(anna: Operator, flown: Flown) -> 
     anna.page.locator("#tie-dialog [data-close]").click()
 
 
-def test_a_tablet_is_used_by_touch(anna: Operator, operators: Operators) -> None:
-    anna = operators(viewport={"width": 800, "height": 1280}, has_touch=True, device_scale_factor=2)
+def test_a_tablet_is_used_by_touch(operators: Operators) -> None:
+    anna = operators(has_map=False, viewport={"width": 800, "height": 1280}, has_touch=True, device_scale_factor=2)
     page = anna.page
     page.touchscreen.tap(*anna.at(220.0, 260.0))
     page.wait_for_selector("[data-testid=pin]")
