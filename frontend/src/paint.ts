@@ -5,7 +5,7 @@ import type { Loaded } from "./viewer.js";
 
 export interface Layers { readonly features: boolean; readonly paths: boolean }
 
-const TRACKED = "#7dd3fc", NEW = "#fde047", EDGE = "rgba(0,0,0,0.75)", PATH = "rgba(125,211,252,0.85)";
+const TRACKED = "#7dd3fc", NEW = "#fde047", EDGE = "rgba(0,0,0,0.75)", PATH = "rgba(125,211,252,0.6)";
 
 export function paint(canvas: HTMLCanvasElement, loaded: Loaded, view: View, layers: Layers): void {
   const context = canvas.getContext("2d", { alpha: false });

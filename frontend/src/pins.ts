@@ -50,7 +50,7 @@ export class PinList {
     }
     state.on(["pins"], () => this.later());
     state.on(["hover", "selected"], () => this.mark());
-    state.on(["selected"], () => this.showCard());
+    state.on(["selected"], () => { this.showCard(); this.reveal(); });
     this.refresh();
   }
 
@@ -131,6 +131,14 @@ export class PinList {
       row.classList.toggle("selected", id === this.state.selected);
       row.setAttribute("aria-selected", String(id === this.state.selected));
     }
+  }
+
+  /** The chosen pin's row in sight, however it was chosen, above the card that has opened. */
+  private reveal(): void {
+    const at = this.found.findIndex((pin) => pin.id === this.state.selected);
+    if (at < 0) return;
+    const height = this.list.clientHeight, top = at * ROW_PX;
+    if (top < this.list.scrollTop || top + ROW_PX > this.list.scrollTop + height) this.list.scrollTop = Math.max(top - (height - ROW_PX) / 2, 0);
   }
 
   private showCard(): void {

@@ -46,6 +46,7 @@ function figures(v: VehicleState): string {
   if (v.sets_hz !== null && !v.is_lost) parts.push(`${v.sets_hz.toFixed(1)} /s, ${v.kbit_s ?? 0} kbit/s`);
   parts.push(`${v.tracks ?? v.features} tracks`);
   if (v.ce90_centre_m !== null) parts.push(`±${radius(v.ce90_centre_m)} at the centre`);
-  if (v.cpu_c !== null) parts.push(`${v.cpu_c.toFixed(0)} °C`);
+  if (v.cpu_c !== null) parts.push(`computer ${v.cpu_c.toFixed(0)} °C`);
+  if (v.recording === true) parts.push("recording");
   return parts.join(" · ");
 }

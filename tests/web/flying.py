@@ -15,6 +15,7 @@ from ground.web.app import create_app
 from ground.web.command import STATIC
 from ground.web.desk import Desk
 from ground.web.guard import Rules
+from ground.web.tiles import Tiles
 from tests.web.drawn import FlyingSource
 from tests.web.served import PATIENCE_S
 
@@ -22,13 +23,13 @@ from tests.web.served import PATIENCE_S
 class Flight:
     """Serves in a thread while it is entered."""
 
-    def __init__(self, pins: Path) -> None:
+    def __init__(self, pins: Path, tiles: Tiles | None = None) -> None:
         self.source = FlyingSource()
         self.store = PinStore(pins)
         self._listening = socket.create_server(("127.0.0.1", 0))
         self.port = int(self._listening.getsockname()[1])
         self.url = f"http://127.0.0.1:{self.port}/"
-        app = create_app(Desk(self.source, self.store, STATIC), Rules())
+        app = create_app(Desk(self.source, self.store, STATIC, tiles), Rules())
         self._server = uvicorn.Server(
             uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1)
         )
