@@ -107,17 +107,25 @@ lint: $(INSTALLED)
 types: $(INSTALLED)
 	@$(BIN)/mypy
 
-# A test reads our unit with the eyes of systemd.
-.PHONY: systemd-analyze
+# $(1) succeeds, or Debian's packages $(2) are installed where we may; else it is said that $(3) will be left out.
+define from_debian
+	@$(1) || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
+		&& apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $(2) >/dev/null; } \
+		|| echo "no $(2): $(3) will be left out"
+endef
+
+# Tests read our unit with the eyes of systemd, and our structures with those of the kernel's own header.
+.PHONY: systemd-analyze c-header
 systemd-analyze:
-	@command -v systemd-analyze >/dev/null || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
-		&& apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends systemd >/dev/null; } \
-		|| echo "no systemd-analyze: the test of the unit will be left out"
+	$(call from_debian,command -v systemd-analyze >/dev/null,systemd,the test of the unit)
+
+c-header:
+	$(call from_debian,{ command -v cc >/dev/null && test -f /usr/include/linux/videodev2.h; },gcc libc6-dev,the test against the C header)
 
 # Three at a time for two cores: some tests wait most of their time. Those that measure real time run after the others,
 # alone. A run without any test (exit code 5) is a lost marker, unless PYTEST_ARGS chose the tests; then one of the two
 # must have some.
-pytest: $(INSTALLED) systemd-analyze chromium web
+pytest: $(INSTALLED) systemd-analyze c-header chromium web
 	@$(BIN)/python -m pytest -m "not wall_clock" -n 3 --dist loadgroup $(PYTEST_ARGS); parallel=$$?; \
 	$(BIN)/python -m pytest -m wall_clock -n 0 $(PYTEST_ARGS); serial=$$?; \
 	case "$$parallel $$serial" in \

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import settings
 
 from tests.flights_folder import FLIGHTS_VARIABLE
+from tests.left_out import LEFT_OUT, NO_PROGRAM
 
 # Before anything imports NumPy or OpenCV: several tests run side by side, and one thread each gives the same bytes
 # everywhere.
@@ -24,8 +25,6 @@ settings.register_profile("pointclick", deadline=None, derandomize=True)
 settings.load_profile("pointclick")
 
 CHECKOUT = Path(__file__).resolve().parents[1]
-LEFT_OUT = "left out: no recordings at"
-NO_PROGRAM = "left out: no program"
 
 
 @pytest.fixture(scope="session")

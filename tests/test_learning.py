@@ -19,8 +19,8 @@ TURNS = PathSpec("turns", leg_m=160.0)
 def test_three_degrees_of_mount_and_a_third_of_a_second_are_recovered(
     boresight_deg: tuple[float, float, float], offset_s: float
 ) -> None:
-    """Four minutes with turns; the sensors' errors are 0.4 of those configured."""
-    spec = DrawnSpec(parse_config(""), TURNS, seconds=240.0, errors=0.4, boresight_deg=boresight_deg, offset_s=offset_s)
+    """Three minutes with turns; the sensors' errors are 0.4 of those configured."""
+    spec = DrawnSpec(parse_config(""), TURNS, 180.0, 2.0, errors=0.4, boresight_deg=boresight_deg, offset_s=offset_s)
     flight = DrawnFlight(spec, 5)
     sets, pipeline = fly(flight)
     belief = pipeline.window.alignment.belief

@@ -61,3 +61,11 @@ def test_chosen_tests_may_all_be_in_one_run(tmp_path: Path, parallel: int, seria
 def test_the_marker_is_registered() -> None:
     options = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
     assert "wall_clock: measures real time; run serially" in options["markers"]
+
+
+@pytest.mark.xdist_group("kept together")
+def test_what_a_group_shares_is_made_by_one_worker(request: pytest.FixtureRequest) -> None:
+    """pytest-xdist keeps a group together by a name it hangs on each test; beside some pytests it silently does not."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        pytest.skip("one worker has every test")
+    assert request.node.nodeid.endswith("@kept together")

@@ -79,7 +79,7 @@ def test_a_lever_arm_that_is_known_leaves_no_bias_and_one_that_is_not_leaves_its
     assert known - ignored == pytest.approx(np.array(LEVER_M), abs=0.05)
 
 
-@pytest.mark.parametrize(("path", "seconds", "after_s"), [(PathSpec(), 24.0, 4.0), (TURNS, 70.0, 40.0)],
+@pytest.mark.parametrize(("path", "seconds", "after_s"), [(PathSpec(), 24.0, 4.0), (TURNS, 60.0, 38.0)],
                          ids=["straight", "after turns"])  # fmt: skip
 @pytest.mark.parametrize("delay_s", [0.15, -0.15])
 def test_a_delay_is_covered_by_the_ellipse(path: PathSpec, seconds: float, after_s: float, delay_s: float) -> None:
@@ -107,9 +107,9 @@ def test_who_takes_the_delay_for_certain_is_wrong_by_it() -> None:
     assert np.mean(inside) < 0.8
 
 
-@pytest.mark.parametrize("heading_error_deg", [(4.0, 0.0), (0.0, -4.0)])
-def test_a_compass_that_errs_by_its_heading_is_recovered_after_turns(heading_error_deg: tuple[float, float]) -> None:
+def test_a_compass_that_errs_by_its_heading_is_recovered_after_turns() -> None:
     """Two minutes over opposite legs and turns: found within three of its sigmas, which have become smaller."""
+    heading_error_deg = (4.0, -4.0)  # by cosine and sine of the heading: from 5.7 to -5.7 within a circle
     spec = DrawnSpec(CONFIG, SURVEY, 150.0, 2.0, errors=0.4, heading_error_deg=heading_error_deg, offset_s=0.0)
     flight = DrawnFlight(spec, 4)
     sets, pipeline = fly(flight)
@@ -117,14 +117,13 @@ def test_a_compass_that_errs_by_its_heading_is_recovered_after_turns(heading_err
     found_deg, sigma_deg = np.degrees(belief.mean[HEADING]), np.degrees(belief.sigma[HEADING])
     assert np.all(np.abs(found_deg - heading_error_deg) < 3.0 * sigma_deg)
     assert sigma_deg.max() < 0.75 * CONFIG.solve.heading_sigma_deg
-    which = int(np.argmax(np.abs(heading_error_deg)))
-    assert abs(found_deg[which] - heading_error_deg[which]) < 2.0, "nothing was learned"
+    assert np.abs(found_deg - heading_error_deg).max() < 2.0, "nothing was learned"
     chi2, _ = clicks(flight, sets, 60.0)
     assert np.mean(chi2 < CHI2_2) > 0.8
 
 
 def test_without_such_an_error_none_is_found() -> None:
-    flight = DrawnFlight(DrawnSpec(CONFIG, SURVEY, 100.0, 2.0, errors=0.4, offset_s=0.0), 4)
+    flight = DrawnFlight(DrawnSpec(CONFIG, SURVEY, 75.0, 2.0, errors=0.4, offset_s=0.0), 4)
     _, pipeline = fly(flight)
     belief = pipeline.window.alignment.belief
     assert np.all(np.abs(belief.mean[HEADING]) < 3.0 * belief.sigma[HEADING])

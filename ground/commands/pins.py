@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from contract.errors import InputError
-from ground.answer import Refusal
+from ground.answer import Answer, Refusal
 from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from ground.commands import ANSWERED, REFUSED
 from ground.commands.grids import add_grid_arguments, grid_of
@@ -22,6 +22,7 @@ from ground.formats.documents import FORMATS, one_line, read_pins, text_line
 from ground.formats.mark import Mark
 from ground.freshness import MAX_AGE_S
 from ground.link_options import UsageError
+from ground.locate import Locator
 from ground.pins.file import default_path
 from ground.pins.fusion import Vector
 from ground.pins.model import Category, Pin, PinClick, category_of
@@ -181,13 +182,18 @@ def _entered(args: argparse.Namespace) -> PinClick:
 def _clicked(args: argparse.Namespace) -> PinClick | Refusal:
     if args.u is None or args.v is None:
         raise UsageError("which place? give U and V of a pixel, or --at LAT,LON")
-    source = source_of(args)
-    clicker = Clicker(source, MAX_AGE_S if args.frame is None and not source.is_recorded else math.inf)
-    answer, locator = clicker.click(args.u, args.v, frame=args.frame)
+    answer, locator = _answered(args)
     if isinstance(answer, Refusal) or locator is None:
         assert isinstance(answer, Refusal)
         return answer
     return PinClick.of(locator.feature_set, answer, (args.u, args.v), who=args.who, locator=locator)
+
+
+def _answered(args: argparse.Namespace) -> tuple[Answer, Locator | None]:
+    """What the pixel shows, in the picture named or the newest, and what gave the answer."""
+    source = source_of(args)
+    clicker = Clicker(source, MAX_AGE_S if args.frame is None and not source.is_recorded else math.inf)
+    return clicker.click(args.u, args.v, frame=args.frame)
 
 
 def _say(store: PinStore, pin: Pin) -> None:
@@ -229,9 +235,7 @@ def _import(store: PinStore, args: argparse.Namespace) -> int:
 def _tie(store: PinStore, args: argparse.Namespace) -> int:
     if args.u is None or args.v is None:
         raise UsageError("which pixel shows the place? give U and V")
-    source = source_of(args)
-    clicker = Clicker(source, MAX_AGE_S if args.frame is None and not source.is_recorded else math.inf)
-    answer, locator = clicker.click(args.u, args.v, frame=args.frame)
+    answer, locator = _answered(args)
     if isinstance(answer, Refusal) or locator is None:
         print(answer.to_text(), file=sys.stderr)
         return REFUSED

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -85,14 +86,14 @@ class Projected:
         return f"{self.x_name} {self.x:.{digits}f} {self.y_name} {self.y:.{digits}f}"
 
 
-class Grid:
+class Grid(ABC):
     """What turns a mark into numbers of another system."""
 
-    name = ""
+    name: str
 
+    @abstractmethod
     def of(self, mark: Mark) -> Projected:
         """Of a mark with a position."""
-        raise NotImplementedError
 
 
 class LocalGrid(Grid):

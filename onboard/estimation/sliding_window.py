@@ -177,8 +177,9 @@ class Window:
         R, centre = guess if guess is not None else (self.R_body_cam.T, nav.position_enu_m)
         rate = np.zeros(3) if body_rate_rad_s is None else body_rate_rad_s
         flow_disagreement_xy = None if flow_disagreement_px is None else flow_disagreement_px / self.camera.focal_px
-        made = Keyframe(frame, seen, nav, rate, *times_s, flown_enu_m, R, centre, flow_disagreement_xy)
-        self.keyframes.append(replace(made, is_oriented=guess is not None))
+        self.keyframes.append(
+            Keyframe(frame, seen, nav, rate, *times_s, flown_enu_m, R, centre, flow_disagreement_xy, guess is not None)
+        )
         del self.keyframes[: -self.config.solve.keyframes]
 
     def prepare(self) -> Request:

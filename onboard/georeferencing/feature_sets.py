@@ -114,17 +114,6 @@ class _View:
     rows: NDArray[np.intp]  # points of the window that this picture uses
 
 
-def georeference(
-    window: Window, solved: Solved, seen: Observation, picture: Picture, guess: Pose
-) -> FeatureSet | Status:
-    """The feature set of one picture, or why it has none.
-
-    `guess` starts the resection of a picture that is no keyframe of the window.
-    """
-    placed = place(window, solved, seen, picture, guess)
-    return placed.feature_set if isinstance(placed, Placed) else placed
-
-
 def place(
     window: Window,
     solved: Solved,
@@ -134,8 +123,10 @@ def place(
     start: Pose | None = None,
     ground_range: float | None = None,
 ) -> Placed | Status:
-    """As `georeference`: `start` is this picture's pose by an earlier solution, `ground_range` that of one
-    that shows the same ground.
+    """The feature set of one picture, or why it has none.
+
+    `guess` starts the resection of a picture that is no keyframe of the window; `start` is this picture's pose by an
+    earlier solution, `ground_range` that of a picture that shows the same ground.
     """
     rows, known = solved.rows(seen.ids)
     if np.count_nonzero(known) < MIN_FEATURES:

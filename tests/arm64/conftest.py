@@ -6,13 +6,11 @@ import os
 
 import pytest
 
+from tests.measured import show_measured
+
 collect_ignore_glob = [] if os.environ.get("POINTCLICK_ARM64") == "1" else ["test_*.py"]
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """What was measured (`record_property`), beside what was held."""
-    measured = [(r.head_line, r.user_properties) for r in terminalreporter.stats.get("passed", []) if r.user_properties]
-    if measured:
-        terminalreporter.section("measured")
-    for name, figures in measured:
-        terminalreporter.line(f"{name}: " + ", ".join(f"{key} {value}" for key, value in figures))
+    """What was measured, beside what was held."""
+    show_measured(terminalreporter)

@@ -7,6 +7,8 @@ from collections.abc import Generator
 
 import pytest
 
+from tests.measured import show_measured
+
 ON_THE_HOST = os.environ.get("POINTCLICK_BENCH") == "1"
 IN_THE_GUEST = os.environ.get("POINTCLICK_IN_GUEST") == "1"
 
@@ -31,9 +33,5 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """What was measured (`record_property`), beside what was held."""
-    measured = [(r.head_line, r.user_properties) for r in terminalreporter.stats.get("passed", []) if r.user_properties]
-    if measured:
-        terminalreporter.section("measured")
-    for name, figures in measured:
-        terminalreporter.line(f"{name}: " + ", ".join(f"{key} {value}" for key, value in figures))
+    """What was measured, beside what was held."""
+    show_measured(terminalreporter)

@@ -16,8 +16,7 @@ from contract.wire.codec import decode, encode
 from ground.__main__ import main
 from ground.answer import Fix, time_utc
 from ground.locate import locate
-from onboard.events.types import Frame
-from onboard.storage.mcap_writer import SessionRecorder
+from tests.ground.recorded import record
 from tests.ground.worlds import CAMERA, build
 
 pytestmark = pytest.mark.xdist_group("click")  # one worker: what they share is made once
@@ -50,12 +49,7 @@ SETS = sets()
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> str:
-    path = tmp_path_factory.mktemp("session") / "s.mcap"
-    with SessionRecorder(path, "uav-1") as out:
-        for s in SETS:
-            out.write_event(Frame(s.capture_unix_ns, s.frame, None, f"picture_{s.frame}.png"))
-            out.write_set(s)
-    return str(path)
+    return record(tmp_path_factory.mktemp("session") / "s.mcap", SETS)
 
 
 @pytest.mark.parametrize(

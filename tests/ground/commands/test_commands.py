@@ -25,8 +25,7 @@ from ground.__main__ import COMMANDS, main
 from ground.accuracy_figures import coverage_interval, figures
 from ground.answer import Fix
 from ground.locate import Locator
-from onboard.events.types import Frame
-from onboard.storage.mcap_writer import SessionRecorder
+from tests.ground.recorded import record
 from tests.ground.worlds import CAMERA, World, build
 
 START_NS = 1_700_000_000_250_000_000
@@ -43,14 +42,8 @@ WORLDS = worlds()
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> str:
-    path = tmp_path_factory.mktemp("session") / "s.mcap"
-    with SessionRecorder(path, "uav-1") as out:
-        for world in WORLDS:
-            s = world.feature_set
-            out.write_event(Frame(s.capture_unix_ns, s.frame, None, f"picture_{s.frame}.png"))
-            out.write_set(s)
-        out.write_set(FeatureSet("uav-1", 7, 12, START_NS + 12 * 10**9, Status.TURNING, CAMERA))
-    return str(path)
+    turning = FeatureSet("uav-1", 7, 12, START_NS + 12 * 10**9, Status.TURNING, CAMERA)
+    return record(tmp_path_factory.mktemp("session") / "s.mcap", [*(world.feature_set for world in WORLDS), turning])
 
 
 @pytest.fixture

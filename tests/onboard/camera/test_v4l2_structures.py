@@ -13,6 +13,7 @@ import pytest
 from contract.errors import ConfigError
 from onboard.camera import v4l2_structures as v4l2
 from onboard.camera.v4l2_device import V4l2Device
+from tests.left_out import NO_PROGRAM
 
 # 64-bit Linux, from the kernel's header by way of a C compiler.
 SIZES = {
@@ -98,9 +99,9 @@ def test_request_numbers_are_the_kernels() -> None:
     assert {name: getattr(v4l2, name) for name in REQUESTS} == REQUESTS
 
 
-@pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler: known sizes are compared all the same")
 @pytest.mark.skipif(
-    not Path("/usr/include/linux/videodev2.h").is_file(), reason="no linux/videodev2.h (linux-libc-dev)"
+    not (shutil.which("cc") and Path("/usr/include/linux/videodev2.h").is_file()),
+    reason=f"{NO_PROGRAM} cc with linux/videodev2.h; sudo apt-get install gcc libc6-dev",
 )
 def test_sizes_offsets_and_numbers_are_those_of_the_c_header(tmp_path: Path) -> None:
     wanted = dict(expected())

@@ -24,7 +24,7 @@ from onboard.estimation.variance_components import VarianceFactors
 from onboard.estimation.window_acceptance import Memory, by_memory
 from onboard.estimation.window_solver import Outcome
 from onboard.geometry.plane_homography import Pose
-from onboard.georeferencing.feature_sets import Origin, Picture, georeference
+from onboard.georeferencing.feature_sets import Origin, Picture, Placed, place
 from simulation.paths import PathSpec
 from tests.onboard.scenes import CAMERA, FRAME, FULL, T0_NS, SceneSpec, draw
 
@@ -220,9 +220,9 @@ def test_the_factor_widens_all_that_is_published_alike() -> None:
     sets = []
     for factor in (1.0, 4.0):
         solved = replace(window.solved, variance_factor=factor)
-        made = georeference(window, solved, scene.observations[key], picture, pose)
-        assert isinstance(made, FeatureSet)
-        sets.append(made)
+        made = place(window, solved, scene.observations[key], picture, pose)
+        assert isinstance(made, Placed)
+        sets.append(made.feature_set)
     stated, wide = sets
     np.testing.assert_allclose(wide.common_cov, 4.0 * stated.common_cov, rtol=1e-9)
     np.testing.assert_allclose(wide.shared.by_nuisance, 2.0 * stated.shared.by_nuisance, rtol=1e-9)

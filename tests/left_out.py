@@ -1,0 +1,4 @@
+"""How a test says that it left itself out: the run's end names it, loudly."""
+
+LEFT_OUT = "left out: no recordings at"
+NO_PROGRAM = "left out: no program"
