@@ -14,7 +14,7 @@ from PIL import Image
 from ground.web.tiles import open_tiles
 from tests.web.conftest import page_is_built
 from tests.web.flying import Flight
-from tests.web.measured import opened
+from tests.web.measured import SMALL, opened
 from tests.web.tile_files import COLOUR, write_mbtiles, write_pmtiles
 
 pytestmark = pytest.mark.xdist_group("web")
@@ -36,7 +36,7 @@ def test_tiles_of_a_file_lie_under_the_map(
     page_is_built()
     write(tmp_path / name)
     with Flight(tmp_path / "pins.sqlite", open_tiles(str(tmp_path / name))) as flight:
-        page = opened(chromium, flight.url)
+        page = opened(chromium, flight.url, SMALL)
         try:
             # Looked at until they are there: a map says nothing when it has drawn.
             share = 0.0
@@ -44,7 +44,7 @@ def test_tiles_of_a_file_lie_under_the_map(
                 share = share_of_tile_colour(page)
                 if share > 0.3:
                     break
-                page.wait_for_timeout(50)
+                page.wait_for_timeout(100)
             assert share > 0.3
         finally:
             page.context.close()

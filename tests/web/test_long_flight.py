@@ -16,7 +16,7 @@ from websockets.asyncio.client import connect
 from tests.web.conftest import page_is_built
 from tests.web.drawn import VEHICLE
 from tests.web.flying import Flight
-from tests.web.measured import grown, opened
+from tests.web.measured import SMALL, grown, opened
 from tests.web.served import PATIENCE_S
 
 pytestmark = pytest.mark.xdist_group("web")
@@ -40,12 +40,14 @@ def fly(flight: Flight, page: Any, first: int, last: int) -> None:
     for count in range(first, last + 1, SEEN_EVERY):
         flight.source.fly_to(count)
         page.wait_for_function(
-            "n => document.querySelector('#frame-label').textContent.startsWith(`picture ${n} `)", arg=count - 1
+            "n => document.querySelector('#frame-label').textContent.startsWith(`picture ${n} `)",
+            arg=count - 1,
+            polling=50,
         )
 
 
 def test_a_page_that_is_open_for_an_hour_of_flight_does_not_grow(flight: Flight, chromium: Any) -> None:
-    page = opened(chromium, flight.url)
+    page = opened(chromium, flight.url, SMALL)
     try:
         fly(flight, page, SEEN_EVERY, WARM)
         before_mb, before_nodes = grown(page)
