@@ -26,7 +26,7 @@ if (process.argv.includes("--tests")) {
   writeFileSync(join(out, workerName), worker);
   const result = await build({
     entryPoints: { main: join(here, "src/main.ts") },
-    outdir: out, entryNames: "[name]-[hash]", bundle: true, minify: true, format: "esm", target: "es2022",
+    outdir: out, entryNames: "[name]-[hash]", chunkNames: "[name]-[hash]", splitting: true, bundle: true, minify: true, format: "esm", target: "es2022",
     define: { WORKER_URL: JSON.stringify(`/${workerName}`) },
     metafile: true, legalComments: "none", logLevel: "warning",
   });
@@ -34,7 +34,7 @@ if (process.argv.includes("--tests")) {
   const exports_ = EXPORTS.map(([word, title]) => `<li><a href="/api/export/${word}" download data-format="${word}">${title}</a></li>`).join("");
   const page = readFileSync(join(here, "src/index.html"), "utf8")
     .replace("{{css}}", names.find((name) => name.endsWith(".css")))
-    .replace("{{js}}", names.find((name) => name.endsWith(".js")))
+    .replace("{{js}}", names.find((name) => /^main-.*\.js$/.test(name)))
     .replace("{{exports}}", exports_);
   writeFileSync(join(out, "index.html"), page);
   cpSync(join(here, "src/icon.svg"), join(out, "icon.svg"));

@@ -5,7 +5,7 @@ import { api, listen, Refused } from "./api.js";
 import { closers, listTies, showHandoff, showTie } from "./dialogs.js";
 import { byId, make, say } from "./dom.js";
 import { age, clock, degrees, radius } from "./format.js";
-import { MapPane } from "./map.js";
+import type { MapPane } from "./map.js";
 import { PicturePane } from "./picture.js";
 import { PinList } from "./pins.js";
 import { KINDS, kindOf, shapeSvg } from "./shapes.js";
@@ -282,13 +282,26 @@ async function begin(): Promise<void> {
   }
   isBegun = true;
   try {
-    mapPane = new MapPane(state, viewer, state.server?.tiles ?? null);
+    await beginMap();
   } catch {
     // Pictures, clicks and pins need no graphics card.
     byId("no-map").hidden = false;
   }
   drawOptions();
   document.body.dataset["ready"] = "yes";
+}
+
+/** Nine tenths of the page's code is the map's: it is fetched beside the first picture, and begun after it. */
+async function beginMap(): Promise<void> {
+  const fetched = import("./map.js");
+  if (state.shown === null && state.rows().length > 0) {
+    await new Promise<void>((done) => {
+      state.on(["shown"], done);
+      window.setTimeout(done, 1000);
+    });
+  }
+  const { MapPane } = await fetched;
+  mapPane = new MapPane(state, viewer, state.server?.tiles ?? null);
 }
 
 void begin();

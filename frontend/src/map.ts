@@ -18,7 +18,9 @@ declare const WORKER_URL: string;
 const LAID_PICTURES = 16;
 const MOST_DRAWN = 500; // of more pins than that all but the chosen one are dots
 const PIN_ICON = 28;
-const LATER_MS = 120, LATEST_MS = 3000; // the map is drawn this long after the last change, and after the first one
+type What = "shown" | "pins" | "path";
+// The map is drawn so long after the last change, and after the first one: pins once the clicking pauses.
+const LATER_MS = 120, LATEST_MS: Record<What, number> = { shown: 500, pins: 10_000, path: 3000 };
 const ABOVE_PICTURES = "footprint-fill"; // the lowest layer that lies on the pictures
 type Feature = { type: "Feature"; id?: number; geometry: { type: string; coordinates: unknown }; properties: Record<string, unknown> };
 
@@ -35,13 +37,11 @@ export class MapPane {
   private isFollowing = true;
   private hasView = false;
   private theme: "day" | "night" = "day";
-  private due = new Set<string>();
+  private readonly waiting = new Map<What, { timer: number; latest: number }>();
   private drawnPath: [number, number][] | null = null;
   private drawnTies: Tie[] | null = null;
   private readonly onMap = new Map<string, MapPin>();
   private isCrowded = false;
-  private dueAt = 0;
-  private timer = 0;
   private origin: { lat: number; lon: number } | null = null;
 
   constructor(private readonly state: State, private readonly viewer: Viewer, tiles: Tiles | null) {
@@ -140,22 +140,21 @@ export class MapPane {
     this.state.on(["pins", "hover", "selected"], () => this.later("pins"));
     this.state.on(["frames", "vehicles"], () => this.later("path"));
     this.state.on(["options"], () => this.later("shown"));
-    for (const what of ["shown", "pins", "path"]) this.later(what);
+    for (const what of ["shown", "pins", "path"] as const) this.later(what);
   }
 
-  /** Together, and after the picture and its answer: those are waited for. */
-  private later(what: string): void {
-    const now = performance.now();
-    if (this.due.size === 0) this.dueAt = now + LATEST_MS;
-    this.due.add(what);
-    window.clearTimeout(this.timer);
-    this.timer = window.setTimeout(() => requestAnimationFrame(() => {
-      const due = this.due;
-      this.due = new Set();
-      if (due.has("path")) this.drawPath();
-      if (due.has("shown")) this.drawShown();
-      if (due.has("pins")) this.drawPins();
-    }), Math.min(LATER_MS, Math.max(this.dueAt - now, 0)));
+  /** After the picture and its answer, which are waited for: once nothing more comes, or at last after a while. */
+  private later(what: What): void {
+    const now = performance.now(), held = this.waiting.get(what);
+    if (held !== undefined) window.clearTimeout(held.timer);
+    const latest = held?.latest ?? now + LATEST_MS[what];
+    const timer = window.setTimeout(() => requestAnimationFrame(() => {
+      this.waiting.delete(what);
+      if (what === "path") this.drawPath();
+      else if (what === "shown") this.drawShown();
+      else this.drawPins();
+    }), Math.min(LATER_MS, Math.max(latest - now, 0)));
+    this.waiting.set(what, { timer, latest });
   }
 
   private set(name: string, features: Feature[]): void {
