@@ -57,7 +57,7 @@ def _key(e: ClickErrors) -> bytes:
     )  # fmt: skip
     digest = hashlib.blake2b(f"{e.session} {e.capture_unix_ns} {numbers!r}".encode(), digest_size=16)
     for array in (e.R_enu_cam, e.common_cov, said.by_nuisance, said.alignment_sigma):
-        digest.update(np.ascontiguousarray(array, np.float64))
+        digest.update(np.asarray(array, np.float64).tobytes())
     return digest.digest()
 
 
