@@ -22,7 +22,7 @@ from tests.web.served import PATIENCE_S
 pytestmark = pytest.mark.xdist_group("web")
 
 HOUR = 3600  # pictures, one a second
-SEEN_EVERY = 60  # the page shows one in so many
+SEEN_EVERY = 120  # the page shows one in so many
 WARM = 2400
 TABLETS = 50
 
