@@ -24,6 +24,7 @@ from onboard.config.schema import Config, to_toml
 from onboard.events.session_clock import SessionClock
 from onboard.events.sink import Sink
 from onboard.events.source import Source
+from onboard.link.picture_sender import PictureSender
 from onboard.link.publisher import Publisher
 from onboard.pipeline.pipeline import Pipeline
 from onboard.service import journal
@@ -90,6 +91,10 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
         sinks: list[Sink] = [link]
         threads = [solver.thread, link.thread]
         reporters: list[Reporter] = [partial(_send, link)]
+        if config.picture.enabled:
+            pictures = PictureSender(config.picture, link)
+            sinks.append(pictures)
+            threads.append(pictures.thread)
         recording = None
         if config.recording.enabled:
             where = Path(config.recording.folder) if config.recording.folder else folder / "recordings"

@@ -3,6 +3,7 @@
 Public:
 
 - `certificates`: `AUTHORITY`, `make_credentials`
+- `picture_sender`: `PictureSender`
 - `publisher`: `Publisher`
 - `status_query`: `ask`
 """
