@@ -1,7 +1,8 @@
 """Pictures <-> pieces of one packet each, and parity. docs/wire-format.md, section 11.
 
 One packet in ten lost leaves of a picture of six pieces a half. So every group of up to six gets one more piece, the
-exclusive or of them all, from which any one that is lost comes back (benchmarks/picture_loss.py measures both). A stream loses nothing and needs none.
+exclusive or of them all, from which any one that is lost comes back (benchmarks/picture_loss.py measures both). A
+stream loses nothing and needs none.
 """
 
 from __future__ import annotations
