@@ -222,7 +222,7 @@ class Link(Section):
 class PictureConfig(Section):
     """Small pictures of keyframes over the link, for the ground to click on.
 
-    They get what sets, status and replies leave of `link.max_bit_rate`: with sets at 5 Hz, nothing below 36 kbit/s.
+    They get what sets, status and replies leave of `link.max_bit_rate`: with sets at 5 Hz, nothing below 45 kbit/s.
     """
 
     enabled: bool = choice(False, "send them, while a ground asks for them")

@@ -31,8 +31,9 @@ PACKET_BYTES = 1500
 BURST_S = 0.5
 # What status and replies may take at most: at least 0.35 stays for sets.
 STATUS_SHARE, REPLY_SHARE = 0.25, 0.4
-PIECE_SHARE = 0.5  # of the time between two sets, that a packet of a picture may take
-LEAST_PIECE = 400  # bytes, below which its head would be most of it
+PIECE_SHARE = 0.95  # of the time that a set leaves until the next one, that a packet of a picture may take
+LEAST_PIECE = 300  # bytes, below which its head would be most of it
+USUAL_SET = 600  # bytes
 PATIENCE_S = 0.8  # of status and replies, before sets are held back for them
 
 
@@ -117,6 +118,7 @@ class Budget:
         self._left = self._spilt = 0.0  # for pictures, at most a packet; and what had been left when they looked last
         self._free_at_s = now_s  # when a link of just this rate has carried all that was sent
         self._set_at_s: float | None = None
+        self._set_cost = self.cost(Kind.SET, USUAL_SET)  # of the last one
         self._waiting: dict[Kind, tuple[float, int]] = {}  # since when, and how many bytes
         self._background_at_s = now_s
 
@@ -174,7 +176,7 @@ class Budget:
 
     def piece_bytes(self, most: int) -> int:
         """How large a packet of a picture may be, so that there is time for it between two sets."""
-        between = PIECE_SHARE * self.bytes_per_s / self.max_rate_hz / max(self.grounds, 1)
+        between = PIECE_SHARE * (self.bytes_per_s / self.max_rate_hz - self._set_cost) / max(self.grounds, 1)
         return int(min(max(between - MESSAGE_OVERHEAD, LEAST_PIECE), most))
 
     def _others_turn(self, now_s: float) -> bool:
@@ -197,7 +199,7 @@ class Budget:
             return True
         self._all.take(cost, now_s)
         if kind is Kind.SET:
-            self._set_at_s = now_s
+            self._set_at_s, self._set_cost = now_s, cost
         else:
             self._shares[kind].take(cost, now_s)
         return True

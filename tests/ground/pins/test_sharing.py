@@ -174,8 +174,7 @@ def test_ten_thousand_pins_are_caught_up_and_then_nothing_more_is_asked(ann: Pin
     with PinSharing(ann, listen=[endpoint]) as first, PinSharing(bob, connect=[endpoint]) as second:
         assert eventually(lambda: len(bob.everything()) == 10_001 == len(ann.everything()), within_s=240.0)
         spent_s = time.process_time() - began_s
-        print("SPENT", spent_s)
-        assert spent_s < 60.0  # of a processor; measured 4 s
+        assert spent_s < 60.0  # of a processor; measured 5 s
         assert eventually(lambda: first.state.alike == second.state.alike == 1)
         assert second.state.taken == 10_000 and second.state.refused == 0
         revision = ann.revision
@@ -320,7 +319,7 @@ def test_more_pins_than_are_taken_are_refused_and_those_that_are_here_go_on(tmp_
         assert store.merge_all(pins[:5], 20) == (0, []) and store.revision == revision + 1
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=60)
 @given(st.binary(max_size=300), st.recursive(st.none() | st.integers() | st.text(max_size=5), st.lists, max_leaves=20))
 def test_reading_messages_raises_nothing_but_input_errors(junk: bytes, value: object) -> None:
     good = many(1)[0].to_dict()
