@@ -2,23 +2,46 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 
 from contract.topics import ANY_VEHICLE, PICTURE
 from ground.client import SetCache
 from ground.link_pictures import PictureCache
-from onboard.config.schema import PictureConfig
+from onboard.commands.run import open_parts
+from onboard.config.schema import Config, PictureConfig
+from onboard.events.session_clock import SessionClock
 from onboard.events.sink import Sink
 from onboard.events.types import Frame
 from onboard.link.picture_sender import PictureSender
 from onboard.link.publisher import Publisher, Rate
+from tests.contract.sets import plain_set
 from tests.onboard.link.ports import free_endpoint
-from tests.onboard.service.air import take_off
+from tests.onboard.service.air import STRAIGHT, PlayedSource, Work, take_off
+
+
+@pytest.mark.parametrize("is_on", [False, True])
+def test_the_daemon_sends_pictures_if_it_is_told_to(tmp_path: Path, is_on: bool) -> None:
+    (tmp_path / "camera.json").write_text(plain_set().camera.to_json())
+    config = Config.model_validate(
+        {
+            "camera": {"file": str(tmp_path / "camera.json")},
+            "telemetry": {"url": free_endpoint().replace("tcp/", "udpin:")},
+            "link": {"listen": (free_endpoint(),)},
+            "service": {"state_dir": str(tmp_path)},
+            **({"picture": {"enabled": True}} if is_on else {}),
+        }
+    )
+    parts = open_parts(config, open_camera=lambda *_: PlayedSource(SessionClock.start(), [], Work()))  # type: ignore[arg-type]
+    with parts.resources:
+        assert sum(isinstance(sink, PictureSender) for sink in parts.sinks) == is_on
+        assert ("pictures" in [thread.name for thread in parts.threads]) == is_on
 
 
 def test_the_ground_gets_the_right_image_for_the_frame(tmp_path: Path) -> None:
@@ -37,7 +60,7 @@ def test_the_ground_gets_the_right_image_for_the_frame(tmp_path: Path) -> None:
         def sinks() -> Sequence[Sink]:
             return [PictureSender(section, link), link]
 
-        air = take_off(tmp_path, seconds=8.0, sinks=sinks)
+        air = take_off(tmp_path, spec=dataclasses.replace(STRAIGHT, seconds=5.0), sinks=sinks)
         assert air.code == 0 and air.heard is not None
         deadline = time.monotonic() + 30.0
         while not pictures.received and time.monotonic() < deadline:
