@@ -2,6 +2,7 @@
 
 Public:
 
+- `byte_budget`: `left_for_pictures`
 - `certificates`: `AUTHORITY`, `make_credentials`
 - `picture_sender`: `PictureSender`
 - `publisher`: `Publisher`

@@ -37,6 +37,12 @@ USUAL_SET = 600  # bytes
 PATIENCE_S = 0.8  # of status and replies, before sets are held back for them
 
 
+def left_for_pictures(max_bit_rate: float, max_rate_hz: float) -> float:
+    """Bit/s that sets of the usual size at their greatest rate, status and one ground's keep-alives leave."""
+    status_bytes = 300 + MESSAGE_OVERHEAD
+    return max_bit_rate - 8.0 * (max_rate_hz * (USUAL_SET + MESSAGE_OVERHEAD) + status_bytes + GROUND_BYTES_PER_S)
+
+
 class Kind(Enum):
     """What a message is, which decides how much of the budget it may take."""
 

@@ -52,6 +52,7 @@ WARN_AGAIN_S = 10.0
 # Unacknowledged bytes, in seconds of the bit rate and at least so many, above which nothing more is sent: more than a
 # slow radio has under way, and less than a second of its time.
 BACKLOG_S, BACKLOG_BYTES = 1.0, 3000
+ACKNOWLEDGED_S = 0.02  # between looks whether a piece of a picture may follow the one before
 PICTURE_PATIENCE_S = 10.0  # without room for a single piece, after which the rest of a picture is given up
 STREAMS = ("tcp/", "tls/")  # links that lose nothing
 
@@ -279,7 +280,8 @@ class Publisher:
                 self.pictures += not self._pieces
                 status = query = offer = None
             else:
-                return self._wait_s(now_s, status, query, offer, piece)
+                wait_s = self._wait_s(now_s, status, query, offer, piece)
+                return min(wait_s, ACKNOWLEDGED_S) if self._pieces and piece is None else wait_s
         try:
             if status is not None:
                 self._status_publisher.put(status)

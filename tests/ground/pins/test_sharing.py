@@ -19,11 +19,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from contract.errors import InputError, LinkError
-from contract.link_config import MAX_MESSAGE_BYTES, link_config
+from contract.link_config import MAX_MESSAGE_BYTES, Tls, link_config
 from ground.pins import sharing_messages as messages
 from ground.pins.model import Category, Pin, PinClick, new_pin
 from ground.pins.sharing import PinSharing, share_pins
 from ground.pins.store import PinStore
+from onboard.link.certificates import make_credentials
 from tests.ground.pins.test_store import clicked
 from tests.onboard.link.ports import free_endpoint
 
@@ -365,6 +366,23 @@ def test_a_port_in_use_is_said_and_without_endpoints_nothing_is_shared(ann: PinS
     assert first is not None
     with first, pytest.raises(LinkError, match="cannot share pins"):
         share_pins(bob, listen=[endpoint])
+
+
+def test_with_certificates_only_who_has_one_can_change_pins(ann: PinStore, bob: PinStore, tmp_path: Path) -> None:
+    make_credentials(tmp_path / "keys", ["post"], ["bob"], ["127.0.0.1"], 1.0)
+    endpoint = free_endpoint().replace("tcp/", "tls/")
+    post, operator = (Tls.in_folder(tmp_path / "keys" / name) for name in ("post", "bob"))
+    with PinSharing(ann, listen=[endpoint], tls=post) as first:
+        ann.add([typed()], name="secret", who="ann")
+        with PinStore(tmp_path / "eve.sqlite") as eve:
+            eve.add([typed()], name="eve's", who="eve")
+            with (
+                PinSharing(eve, connect=[endpoint.replace("tls/", "tcp/")]) as stranger,
+                PinSharing(bob, connect=[endpoint], tls=operator),
+            ):
+                assert alike(ann, bob) and len(bob.pins()) == 1
+                assert [p.name for p in eve.pins()] == ["eve's"] and stranger.state.servers == 0
+                assert first.state.servers == 1
 
 
 def test_the_command_shares_a_file_that_other_commands_change(ann: PinStore, clock: Clock, tmp_path: Path) -> None:

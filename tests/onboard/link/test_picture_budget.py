@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from onboard.link.byte_budget import BURST_S, PACKET_BYTES, Budget, Kind
+from onboard.link.byte_budget import BURST_S, PACKET_BYTES, Budget, Kind, left_for_pictures
 from tests.onboard.link.virtual import Radio, Sent, flight, run, sets
 
 MIXTURES = {
@@ -78,7 +78,7 @@ def test_pictures_get_most_of_what_is_left_and_no_more(bit_rate: float, least: f
     budget = Budget(bit_rate, 0.2, 5.0, 0.0)
     sent = run(budget, flight(12.0, 10.0), 12.0, 600, 300, piece_bytes=budget.piece_bytes(1250))
     got = 8.0 / 12.0 * sum(s.wire_bytes for s in sent if s.kind is Kind.PICTURE)
-    left = max(bit_rate - 32_000.0, 1000.0)
+    left = max(left_for_pictures(bit_rate, 5.0), 1000.0)
     assert least <= got / left <= most
     assert 55 <= len(sets(sent)) <= 61
 
