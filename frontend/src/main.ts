@@ -122,9 +122,17 @@ function heard(event: ServerEvent): void {
     case "resync": void refresh(); return;
     case "status":
       state.vehicles = event.vehicles;
+      drawNotes(event.sharing, event.damage);
       if (state.vehicle === null && event.vehicles[0] !== undefined) void refresh();
       state.tell("vehicles");
   }
+}
+
+/** How sharing goes, and what of the source cannot be read. */
+function drawNotes(sharing: string, damage: string[]): void {
+  const notes = [...(sharing === "" ? [] : [`shared: ${sharing}`]), ...damage];
+  byId("notes").hidden = notes.length === 0;
+  say(byId("notes"), notes.join("\n"));
 }
 
 /** The path grows by what is shown; the whole of it is asked for now and then. */

@@ -56,7 +56,7 @@ export interface VehicleState {
 
 export interface Tiles { kind: "pmtiles" | "mbtiles" | "template"; url: string; format: string; max_zoom: number; attribution: string }
 
-export interface ServerStatus { source: string; is_live: boolean; damage: string[]; tiles: Tiles | null; vehicles: VehicleState[] }
+export interface ServerStatus { source: string; is_live: boolean; damage: string[]; sharing: string; tiles: Tiles | null; vehicles: VehicleState[] }
 
 export interface ClickAnswer {
   status: string; advice: string; reason?: string; age_s: number | null; method?: string;
@@ -78,4 +78,4 @@ export type ServerEvent =
   | { type: "pin_deleted"; id: string }
   | { type: "pins" }
   | { type: "resync" }
-  | { type: "status"; vehicles: VehicleState[]; damage: string[] };
+  | { type: "status"; vehicles: VehicleState[]; damage: string[]; sharing: string };

@@ -6,6 +6,8 @@ import type { FrameRow, FrameView } from "./types.js";
 
 const KEPT = 60;
 const PLAY_MS = 250;
+// Where only some of the frames have a picture, as those that cross the link: the last one is shown as long as this.
+const PICTURE_NS = 10_000_000_000n;
 
 export interface Loaded { view: FrameView; image: ImageBitmap | null; url: string | null }
 
@@ -37,17 +39,22 @@ export class Viewer {
     this.state.tell("frames");
   }
 
-  /** Show the newest, unless the operator looks at another. A better revision of the one shown is taken over. */
+  /**
+   * Show the newest, or the newest that has a picture if that is not much older, unless the operator looks at another.
+   * A better revision of the one shown is taken over, and its picture when it comes.
+   */
   follow(): void {
     const rows = this.state.rows(), newest = rows.at(-1);
     if (newest === undefined || this.held.size > 0) return;
     const shown = this.state.shown;
     const isOther = shown === null || shown.vehicle !== this.state.vehicle || shown.session !== newest.session;
     if (isOther || !this.state.isFrozen) {
-      this.show(isOther && !newest.status.startsWith("ok") ? rows.findLast((row) => row.status === "ok") ?? newest : newest);
+      const any = isOther && !newest.status.startsWith("ok") ? rows.findLast((row) => row.status === "ok") ?? newest : newest;
+      this.show(withPicture(rows, any));
     } else {
       const same = rows.find((row) => row.frame === shown.frame);
-      if (same !== undefined && same.revision > shown.revision) this.show(same);
+      const hasNews = same !== undefined && (same.revision > shown.revision || (same.has_picture && this.loaded?.url === null));
+      if (hasNews) this.show(same);
     }
   }
 
@@ -118,10 +125,11 @@ export class Viewer {
     this.isLoading = true;
     try {
       for (let row = this.wanted, vehicle = this.state.vehicle; row !== null && vehicle !== null;) {
-        const key = `${vehicle}/${row.session}/${row.frame}/${row.revision}`;
+        const [frame, has]: [string, boolean] = [`${vehicle}/${row.session}/${row.frame}`, row.has_picture];
+        const key = `${frame}/${row.revision}/${has}`;
         let loaded = this.kept.get(key);
         if (loaded === undefined) {
-          loaded = await fetched(vehicle, row, this.kept.get(`${vehicle}/${row.session}/${row.frame}/${row.revision - 1}`));
+          loaded = await fetched(vehicle, row, this.kept.get(`${frame}/${row.revision - 1}/${has}`));
           this.kept.set(key, loaded);
           this.forget();
         }
@@ -150,6 +158,18 @@ export class Viewer {
       if (!isUsed) old.image?.close();
     }
   }
+}
+
+/** The newest row with a picture, if it is hardly older than this one; else this one. */
+function withPicture(rows: FrameRow[], newest: FrameRow): FrameRow {
+  if (newest.has_picture) return newest;
+  const oldest_ns = BigInt(newest.capture_unix_ns) - PICTURE_NS;
+  for (let k = rows.length - 1; k >= 0; k--) {
+    const row = rows[k];
+    if (row === undefined || BigInt(row.capture_unix_ns) < oldest_ns) break;
+    if (row.has_picture && BigInt(row.capture_unix_ns) <= BigInt(newest.capture_unix_ns)) return row;
+  }
+  return newest;
 }
 
 async function fetched(vehicle: string, row: FrameRow, before: Loaded | undefined): Promise<Loaded> {

@@ -101,6 +101,7 @@ def vehicles_router(desk: Desk) -> APIRouter:
             "source": source.name,
             "is_live": source.is_live,
             "damage": source.damage()[:20],
+            "sharing": desk.sharing_words(),
             "up_s": round(time.time() - desk.started_unix_s, 1),
             "browsers": len(desk.hub),
             "tiles": None if desk.tiles is None else desk.tiles.to_dict(),

@@ -178,7 +178,7 @@ def _newest_rows(desk: Desk, vehicle: str, count: int) -> list[dict[str, Any]]:
 
 def _status(desk: Desk) -> dict[str, Any]:
     vehicles = [vehicle_json(desk, name) for name in desk.source.vehicles()]
-    return {"type": "status", "vehicles": vehicles, "damage": desk.source.damage()[:5]}
+    return {"type": "status", "vehicles": vehicles, "damage": desk.source.damage()[:5], "sharing": desk.sharing_words()}
 
 
 def _api_page(schema: dict[str, Any]) -> str:

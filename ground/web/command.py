@@ -17,6 +17,7 @@ PORT = 8080
 EXAMPLES = """examples:
   pc-ground web --connect tcp/192.168.1.20:7447            the aircraft on the link, on this machine's own screen
   pc-ground web --from FLIGHT.mcap --pins search.sqlite    a recorded flight
+  pc-ground web --share-listen tcp/0.0.0.0:7448            share pins: others say --share-connect tcp/THIS:7448
   pc-ground web --host 0.0.0.0                             for tablets on this network, with a token and a QR code
 """
 NEEDED = ("fastapi", "uvicorn", "websockets", "PIL", "segno")
@@ -48,6 +49,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--pins", type=Path, metavar="FILE", help="where pins are kept (default: beside your other data)"
     )
+    for name, meaning in (("listen", "others connect to"), ("connect", "another server shares at")):
+        parser.add_argument(
+            f"--share-{name}",
+            metavar="ENDPOINT",
+            action="append",
+            default=[],
+            help=f"share the pins with other servers: zenoh endpoint that {meaning}; repeatable",
+        )
     parser.add_argument(
         "--token",
         metavar="TOKEN",

@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from contract.errors import InputError
 from ground.answer import Fix
@@ -24,6 +24,9 @@ from ground.web.source import Source
 from ground.web.tiles import Tiles
 from ground.web.view import placed_in
 
+if TYPE_CHECKING:
+    from ground.pins.sharing import PinSharing
+
 
 class NotThere(InputError):
     """Nothing goes by that name."""
@@ -37,6 +40,7 @@ class Desk:
     store: PinStore
     static: Path
     tiles: Tiles | None = None
+    sharing: PinSharing | None = None  # of the pins with other servers
     started_unix_s: float = field(default_factory=time.time)
 
     def __post_init__(self) -> None:
@@ -118,6 +122,10 @@ class Desk:
         with self._lock:
             before, self._revision = self._revision, self.store.revision
             return before != self._revision
+
+    def sharing_words(self) -> str:
+        """How sharing pins with other servers goes; empty where they are not shared."""
+        return "" if self.sharing is None else str(self.sharing.state)
 
     def seen(self, pin: Pin) -> list[dict[str, Any]]:
         """The pictures that show a pin, with where in them, in capture order."""

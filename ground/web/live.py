@@ -1,4 +1,7 @@
-"""Aircraft on the link as a page's source: one session an endpoint, and whatever comes is kept, bounded."""
+"""Aircraft on the link as a page's source: one session an endpoint, and whatever comes is kept, bounded.
+
+An aircraft that may send pictures of its keyframes does so while this listens.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,12 @@ from collections.abc import Sequence
 
 from contract.errors import LinkError, WireError
 from contract.feature_set import FeatureSet
+from contract.history import Entry
 from contract.link_config import Tls
-from contract.topics import ANY_VEHICLE, STATUS
+from contract.topics import ANY_VEHICLE, PICTURE, STATUS
 from contract.vehicle_status import VehicleStatus, decode_status
 from ground.client import SetCache, inquire
+from ground.link_pictures import PictureCache
 from ground.web.source import FrameRow, Picture, VehicleReport
 
 HISTORY_S = 3600.0
@@ -51,6 +56,7 @@ class LiveSource:
         self._heard: dict[str, _Heard] = {}
         self._asked: OrderedDict[tuple[str, int], tuple[float, FeatureSet | None]] = OrderedDict()
         self._caches: dict[str, SetCache] = {}
+        self._pictures = PictureCache()
         with contextlib.ExitStack() as opened:
             for endpoint in endpoints:
                 cache = SetCache(
@@ -58,7 +64,10 @@ class LiveSource:
                     max_age_s=HISTORY_S,
                     max_sets=HISTORY_SETS,
                     tls=tls,
-                    beside={STATUS.key(ANY_VEHICLE): self._note_status},
+                    beside={
+                        STATUS.key(ANY_VEHICLE): self._note_status,
+                        PICTURE.key(ANY_VEHICLE): self._note_picture,
+                    },
                     heard=self._note_set,
                 )
                 self._caches[endpoint] = opened.enter_context(cache)
@@ -70,7 +79,7 @@ class LiveSource:
             return sorted(self._heard)
 
     def version(self, vehicle: str) -> int:
-        """How many sets came."""
+        """Counts sets as they come, and for a picture the sets since its own: so many of the newest rows changed."""
         with self._lock:
             return self._heard[vehicle].version if vehicle in self._heard else 0
 
@@ -80,9 +89,10 @@ class LiveSource:
         if cache is None:
             return []
         entries = cache.entries(vehicle)
+        session = entries[-1].item.session if entries else 0
+        with_picture = self._pictures.frames(vehicle, session)
         return [
-            # The seam for keyframe pictures of the link: whether one came for (vehicle, session, frame), and `picture`.
-            FrameRow(e.item.session, e.frame, e.revision, e.capture_unix_ns, e.status, False)
+            FrameRow(e.item.session, e.frame, e.revision, e.capture_unix_ns, e.status, e.frame in with_picture)
             for e in (entries if newest is None else entries[-newest:])
         ]
 
@@ -97,8 +107,12 @@ class LiveSource:
         return found if found is not None and (session is None or found.session == session) else None
 
     def picture(self, vehicle: str, session: int | None, frame: int) -> Picture | None:
-        """None: only sets cross the link."""
-        return None
+        """That of a keyframe, if it came over the link."""
+        if session is None:
+            entries = self._entries(vehicle)
+            session = entries[-1].item.session if entries else 0
+        found = self._pictures.picture(vehicle, session, frame)
+        return None if found is None else Picture(found.content, found.media_type)
 
     def age_s(self, feature_set: FeatureSet) -> float | None:
         """By when its vehicle's sets were heard."""
@@ -114,7 +128,7 @@ class LiveSource:
         if heard is None:
             return VehicleReport(vehicle, 0, None, None, None, None, None, None)
         sets_hz, bit_rate = heard.rates(now_s)
-        entries = [] if cache is None else cache.entries(vehicle)
+        entries = self._entries(vehicle)
         newest = entries[-1].item if entries else None
         return VehicleReport(
             vehicle,
@@ -136,6 +150,8 @@ class LiveSource:
                 lines.append(f"{endpoint}: {cache.link_error}")
             if cache.unreadable:
                 lines.append(f"{endpoint}: {cache.unreadable} messages were no sets ({cache.last_error})")
+        if self._pictures.unreadable:
+            lines.append(f"{self._pictures.unreadable} messages were no pictures ({self._pictures.last_error})")
         return lines
 
     def close(self) -> None:
@@ -160,6 +176,25 @@ class LiveSource:
                 heard.version += 1
                 heard.at_s = now_s
                 heard.sets.append((now_s, size))
+
+    def _note_picture(self, key: str, payload: bytes) -> None:
+        before = self._pictures.received
+        self._pictures.take(key, payload)
+        if self._pictures.received == before:
+            return
+        vehicle = PICTURE.vehicle(key)
+        picture = self._pictures.newest(vehicle)
+        entries = self._entries(vehicle)
+        since = 0 if picture is None else sum(e.frame >= picture.frame for e in entries)
+        with self._lock:
+            heard = self._known(vehicle)
+            if heard is not None:
+                heard.version += max(since, 1)
+                heard.at_s = time.monotonic()
+
+    def _entries(self, vehicle: str) -> list[Entry[FeatureSet]]:
+        _, cache = self._of(vehicle)
+        return [] if cache is None else cache.entries(vehicle)
 
     def _note_status(self, key: str, payload: bytes) -> None:
         try:

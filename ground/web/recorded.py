@@ -8,6 +8,7 @@ from pathlib import Path
 
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
+from ground.recorded_link_pictures import RecordedLinkPictures
 from ground.recording import Recording
 from ground.web.recorded_pictures import RecordedPictures
 from ground.web.source import FrameRow, Picture, VehicleReport
@@ -24,9 +25,11 @@ class RecordedSource:
         self.name = str(path)
         self._recording = Recording(path)
         self._pictures = RecordedPictures(path)
+        self._link_pictures = RecordedLinkPictures(path)  # of `pc-ground record`
         self._lock = threading.Lock()  # the recording's maps are read by many requests at once
         self._unreadable: list[str] = []
         self._sessions = {vehicle: self._session_of(vehicle) for vehicle in self._recording.vehicles}
+        self._with_picture: dict[str, frozenset[int]] = {}
         self._kept = lru_cache(maxsize=KEPT_SETS)(self._read)
 
     def vehicles(self) -> list[str]:
@@ -41,8 +44,9 @@ class RecordedSource:
         """Every picture that has a set."""
         session = self._sessions[vehicle]
         rows = self._recording.rows(vehicle)
+        came = self._came(vehicle)
         return [
-            FrameRow(session, frame, revision, capture_ns, status, self._pictures.has(vehicle, frame))
+            FrameRow(session, frame, revision, capture_ns, status, frame in came or self._pictures.has(vehicle, frame))
             for frame, revision, capture_ns, status in (rows if newest is None else rows[-newest:])
         ]
 
@@ -54,10 +58,20 @@ class RecordedSource:
             return self._kept(vehicle, frame)
 
     def picture(self, vehicle: str, session: int | None, frame: int) -> Picture | None:
-        """As it was recorded."""
+        """As it was recorded: on board, or as it crossed the link."""
         if vehicle not in self._sessions or (session is not None and session != self._sessions[vehicle]):
             return None
-        return self._pictures.picture(vehicle, frame)
+        found = self._pictures.picture(vehicle, frame)
+        if found is not None:
+            return found
+        came = self._link_pictures.picture(vehicle, self._sessions[vehicle], frame)
+        return None if came is None else Picture(came.content, came.media_type)
+
+    def _came(self, vehicle: str) -> frozenset[int]:
+        """The frames whose picture crossed the link whole."""
+        if vehicle not in self._with_picture:
+            self._with_picture[vehicle] = frozenset(self._link_pictures.frames(vehicle, self._sessions[vehicle]))
+        return self._with_picture[vehicle]
 
     def age_s(self, feature_set: FeatureSet) -> float | None:
         """Against the vehicle's newest picture."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import socket
 import sys
+from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 import segno
@@ -23,6 +25,9 @@ from ground.web.recorded import RecordedSource
 from ground.web.source import Source
 from ground.web.tiles import Tiles, open_tiles
 
+if TYPE_CHECKING:
+    from ground.pins.sharing import PinSharing
+
 SHUTDOWN_S = 2  # for what browsers still ask
 MAX_MESSAGE_BYTES = 4096  # of a WebSocket message from a browser, which says nothing of use
 
@@ -37,12 +42,16 @@ def serve(args: argparse.Namespace, token: str, tls: Tls | None) -> int:
             pins = args.pins or default_path()
             if args.pins is None:
                 pins.parent.mkdir(parents=True, exist_ok=True)
-            with PinStore(pins) as store:
+            with contextlib.ExitStack() as opened:
+                store = opened.enter_context(PinStore(pins))
+                sharing = _sharing(args, tls, store)
+                if sharing is not None:
+                    opened.enter_context(sharing)
                 is_secure = args.tls_certificate is not None
                 rules = _rules(args, token, tiles, is_secure)
                 _announce(args, listening.getsockname()[1], token, is_secure, source, str(pins))
                 config = uvicorn.Config(
-                    create_app(Desk(source, store, STATIC, tiles), rules),
+                    create_app(Desk(source, store, STATIC, tiles, sharing), rules),
                     log_level="warning",
                     access_log=False,
                     ws_max_size=MAX_MESSAGE_BYTES,
@@ -69,6 +78,14 @@ def _source(args: argparse.Namespace, tls: Tls | None) -> Source:
 
     default = DEFAULT_ENDPOINT if tls is None else DEFAULT_ENDPOINT.replace("tcp/", "tls/", 1)
     return LiveSource(args.connect or [default], tls)
+
+
+def _sharing(args: argparse.Namespace, tls: Tls | None, store: PinStore) -> PinSharing | None:
+    if not (args.share_listen or args.share_connect):
+        return None
+    from ground.pins.sharing import share_pins  # noqa: PLC0415  zenoh is loaded only where there is a link
+
+    return share_pins(store, connect=args.share_connect, listen=args.share_listen, tls=tls)
 
 
 def _listen(host: str, port: int) -> socket.socket:
