@@ -19,12 +19,10 @@ from typing import Any
 from contract import recording_format as names
 from contract.errors import InputError, WireError
 from contract.feature_set import FeatureSet, Status
-from contract.mcap_records import CHANNEL, CHUNK, MAGIC, MESSAGE, MESSAGE_HEAD, Damage, Data, records
+from contract.mcap_records import CHANNEL, CHUNK, MAGIC, MESSAGE, MESSAGE_HEAD, Damage, Data, read_channel, records
 from contract.topics import FEATURES, TIME_TOLERANCE_S
 from contract.wire.codec import decode, peek
 
-_CHANNEL_HEAD = struct.Struct("<HH")
-_STRING = struct.Struct("<I")
 _Found = tuple[str, str, int, int]  # topic, encoding, start and length of a message
 _FRAMES_BEFORE, _FRAMES_AFTER = names.FRAMES.split("{vehicle}")
 
@@ -206,7 +204,7 @@ def _messages(data: Data, damaged: Callable[[Damage], None]) -> Iterator[_Found]
             if known:
                 yield *known, start + MESSAGE_HEAD.size, length - MESSAGE_HEAD.size
         elif opcode == CHANNEL:
-            channel, topic, encoding = _channel(bytes(data[start : start + length]))
+            channel, topic, encoding = read_channel(bytes(data[start : start + length]))
             if encoding == names.SET_ENCODING or _frames_vehicle(topic):
                 channels[channel] = topic, encoding
 
@@ -239,18 +237,3 @@ def _frames_vehicle(topic: str) -> str:
     if topic.startswith(_FRAMES_BEFORE) and topic.endswith(_FRAMES_AFTER):
         return topic[len(_FRAMES_BEFORE) : -len(_FRAMES_AFTER)]
     return ""
-
-
-def _channel(record: bytes) -> tuple[int, str, str]:
-    """Id, topic and message encoding of a channel record; empty strings if it is damaged."""
-    try:
-        channel, _ = _CHANNEL_HEAD.unpack_from(record)
-        position, texts = _CHANNEL_HEAD.size, []
-        for _ in range(2):
-            (length,) = _STRING.unpack_from(record, position)
-            position += _STRING.size
-            texts.append(record[position : position + length].decode())
-            position += length
-    except (struct.error, UnicodeDecodeError):
-        return -1, "", ""
-    return channel, texts[0], texts[1]
