@@ -36,6 +36,7 @@ async function clicked(body: ClickBody): Promise<void> {
   const mode = state.mode, again = mode.kind === "again" ? state.pins.get(mode.pin) : undefined;
   state.setMode({ kind: "pin" });
   const key = `click ${++clicks}`;
+  state.clicksUnderWay += 1;
   const category = again?.category ?? state.options.category, number = again?.number ?? state.nextNumber() + pendingNew;
   if (again === undefined) pendingNew += 1;
   picture.markers.clearRefusals();
@@ -60,6 +61,7 @@ async function clicked(body: ClickBody): Promise<void> {
     saySomething(`Not kept: ${text}`, "refused");
     picture.markers.refuse(key, text);
   } finally {
+    state.clicksUnderWay -= 1;
     if (again === undefined) pendingNew -= 1;
   }
 }

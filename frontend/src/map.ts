@@ -149,6 +149,9 @@ export class MapPane {
     if (held !== undefined) window.clearTimeout(held.timer);
     const latest = held?.latest ?? now + LATEST_MS[what];
     const timer = window.setTimeout(() => requestAnimationFrame(() => {
+      if (this.waiting.get(what)?.timer !== timer) return; // changed once more since
+      // Never between a press and its answer: on a slow machine each click would wait for the map of the one before.
+      if (this.state.clicksUnderWay > 0 && performance.now() < latest) { this.later(what); return; }
       this.waiting.delete(what);
       if (what === "path") this.drawPath();
       else if (what === "shown") this.drawShown();

@@ -29,6 +29,7 @@ export class State {
   hovered: string | null = null;
   selected: string | null = null;
   isConnected = false;
+  clicksUnderWay = 0;
   mode: Mode = { kind: "pin" };
   options: Options = stored();
 

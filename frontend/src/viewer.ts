@@ -134,7 +134,8 @@ export class Viewer {
           this.forget();
         }
         // A finger that came down meanwhile keeps what it points at.
-        if (this.held.size === 0 && this.state.vehicle === vehicle) {
+        // What is shown already is not shown again: every release of the pointer asks for the newest.
+        if (loaded !== this.loaded && this.held.size === 0 && this.state.vehicle === vehicle) {
           this.loaded = loaded;
           this.state.shown = loaded.view;
           this.state.tell("shown");
