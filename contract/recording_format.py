@@ -8,6 +8,7 @@ from pathlib import Path
 from contract.errors import InputError
 
 SET_ENCODING = "pointclick"
+PICTURE_ENCODING = "pointclick picture"  # a piece of a picture, as it crossed the link
 METADATA_NAME = "pointclick"
 
 FRAMES = "pc/{vehicle}/frames"

@@ -59,7 +59,15 @@ FEATURES = Topic("pc/{vehicle}/features", "pointclick set, docs/wire-format.md",
 # How the aircraft is, for people and for dashboards: small, once a second.
 STATUS = Topic("pc/{vehicle}/status", "JSON, docs/wire-format.md section 10", 1.0, LATEST_ONLY)
 
-TOPICS: tuple[Topic, ...] = (FEATURES, STATUS)
+# Small images of keyframes, each in several packets; only what sets, status and replies leave of the bit rate.
+PICTURE = Topic(
+    "pc/{vehicle}/picture",
+    "a piece of an image, docs/wire-format.md section 11",
+    100.0,
+    Qos("BEST_EFFORT", "DROP", "DATA_LOW", express=True),
+)
+
+TOPICS: tuple[Topic, ...] = (FEATURES, STATUS, PICTURE)
 
 # Parameters of a query on FEATURES. None: the newest answerable set.
 FRAME_PARAMETER = "frame"

@@ -89,6 +89,7 @@ def _run(out: Path, seconds: float, autopilot: str) -> int:
         *draw_overview(truth, spec.texture, Recording(recording), tracked, spots, clicked, out),
     ]
     _say("Pictures to look at:\n" + "\n".join(f"  {picture}" for picture in pictures))
+    _say(f"The flight on a page, to click its pictures:  make demo-web\n  pc-ground web --from {recording}")
     answered = sum(c.error_m is not None for c in clicked)
     print(f"\n{answered} of {len(clicked)} clicks answered, {time.monotonic() - began:.0f} s in all")
     return 0 if answered == len(clicked) else 1

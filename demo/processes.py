@@ -40,7 +40,7 @@ class Aircraft:
     def __init__(self, flight: Path, recording: Path, speed: float) -> None:
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         config = flight / "config.toml"
-        link = f'\n[link]\nlisten = ["{self.endpoint}"]\n'
+        link = f'\n[link]\nlisten = ["{self.endpoint}"]\n\n[recording]\npictures = "jpeg"  # for make demo-web\n'
         config.write_text(config.read_text() + link)
         options = {
             "config": config,

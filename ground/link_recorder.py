@@ -16,9 +16,10 @@ from typing import IO, Any
 
 from contract import recording_format as names
 from contract.errors import InputError, WireError
-from contract.topics import FEATURES, STATUS
+from contract.topics import FEATURES, PICTURE, STATUS
 from contract.vehicle_status import decode_status
 from contract.wire.codec import peek
+from contract.wire.picture_code import read_piece
 
 MAX_FILES = 50  # at once: a peer may invent vehicles
 SYNC_PERIOD_S = 2.0
@@ -75,6 +76,11 @@ class LinkRecorder:
         elif key == STATUS.key(vehicle):
             status = decode_status(payload)
             session, at_ns, encoding = status.session, max(round(status.unix_s * 1e9), 0), "json"
+        elif key == PICTURE.key(vehicle):
+            whole = read_piece(payload).whole
+            if whole.vehicle != vehicle:
+                raise ValueError(f"a picture of {whole.vehicle!r} on {key}")
+            session, at_ns, encoding = whole.session, whole.capture_unix_ns, names.PICTURE_ENCODING
         else:
             session, at_ns, encoding = self._current.get(vehicle, 0), time.time_ns(), kind
         if not session:

@@ -19,12 +19,10 @@ from typing import Any
 from contract import recording_format as names
 from contract.errors import InputError, WireError
 from contract.feature_set import FeatureSet, Status
-from contract.mcap_records import CHANNEL, CHUNK, MAGIC, MESSAGE, MESSAGE_HEAD, Damage, Data, records
+from contract.mcap_records import CHANNEL, CHUNK, MAGIC, MESSAGE, MESSAGE_HEAD, Damage, Data, read_channel, records
 from contract.topics import FEATURES, TIME_TOLERANCE_S
 from contract.wire.codec import decode, peek
 
-_CHANNEL_HEAD = struct.Struct("<HH")
-_STRING = struct.Struct("<I")
 _Found = tuple[str, str, int, int]  # topic, encoding, start and length of a message
 _FRAMES_BEFORE, _FRAMES_AFTER = names.FRAMES.split("{vehicle}")
 
@@ -36,10 +34,15 @@ class _Held:
     frame: int
     revision: int
     capture_unix_ns: int
-    is_ok: bool
+    status: Status
     file: int
     start: int
     length: int
+
+    @property
+    def is_ok(self) -> bool:
+        """Whether it answers clicks."""
+        return self.status is Status.OK
 
 
 @dataclass(eq=False)
@@ -87,6 +90,11 @@ class Recording:
     def frames(self, vehicle: str) -> list[int]:
         """The frames of a vehicle that have a set, ascending."""
         return sorted(self._index.sets[vehicle])
+
+    def rows(self, vehicle: str) -> list[tuple[int, int, int, Status]]:
+        """Frame, revision, capture time (Unix ns) and status of every set, in capture order; nothing is decoded."""
+        held = sorted(self._index.sets[vehicle].values(), key=lambda h: (h.capture_unix_ns, h.frame))
+        return [(h.frame, h.revision, h.capture_unix_ns, h.status) for h in held]
 
     def by_frame(self, vehicle: str, frame: int) -> FeatureSet | None:
         """The set of a frame at its latest revision."""
@@ -159,9 +167,8 @@ class Recording:
             sets = self._index.sets.setdefault(vehicle, {})
             held = sets.get(identity.frame)
             if held is None or held.revision <= identity.revision:
-                is_ok = identity.status is Status.OK
                 sets[identity.frame] = _Held(
-                    identity.frame, identity.revision, identity.capture_unix_ns, is_ok, file, start, length
+                    identity.frame, identity.revision, identity.capture_unix_ns, identity.status, file, start, length
                 )
         elif vehicle_name := _frames_vehicle(topic):
             self._index.frames.setdefault(vehicle_name, []).append((file, start, length))
@@ -197,7 +204,7 @@ def _messages(data: Data, damaged: Callable[[Damage], None]) -> Iterator[_Found]
             if known:
                 yield *known, start + MESSAGE_HEAD.size, length - MESSAGE_HEAD.size
         elif opcode == CHANNEL:
-            channel, topic, encoding = _channel(bytes(data[start : start + length]))
+            channel, topic, encoding = read_channel(bytes(data[start : start + length]))
             if encoding == names.SET_ENCODING or _frames_vehicle(topic):
                 channels[channel] = topic, encoding
 
@@ -230,18 +237,3 @@ def _frames_vehicle(topic: str) -> str:
     if topic.startswith(_FRAMES_BEFORE) and topic.endswith(_FRAMES_AFTER):
         return topic[len(_FRAMES_BEFORE) : -len(_FRAMES_AFTER)]
     return ""
-
-
-def _channel(record: bytes) -> tuple[int, str, str]:
-    """Id, topic and message encoding of a channel record; empty strings if it is damaged."""
-    try:
-        channel, _ = _CHANNEL_HEAD.unpack_from(record)
-        position, texts = _CHANNEL_HEAD.size, []
-        for _ in range(2):
-            (length,) = _STRING.unpack_from(record, position)
-            position += _STRING.size
-            texts.append(record[position : position + length].decode())
-            position += length
-    except (struct.error, UnicodeDecodeError):
-        return -1, "", ""
-    return channel, texts[0], texts[1]

@@ -22,6 +22,7 @@ ARROWS: dict[str, set[str]] = {
     "ground.pins": {"ground"},
     "ground.formats": {"ground", "ground.pins"},
     "ground.commands": {"ground", "ground.pins", "ground.formats"},
+    "ground.web": {"ground", "ground.pins", "ground.formats"},
     "onboard.events": set(),
     "onboard.config": set(),
     "onboard.camera": {"events", "config"},
@@ -54,8 +55,8 @@ IO_PACKAGES = {
     "select", "serial", "signal", "socket", "subprocess", "threading", "tqdm", "zenoh",
 }  # fmt: skip
 IO_ALLOWED = {
-    "ground", "ground.commands", "ground.pins", "onboard", "onboard.camera", "onboard.telemetry", "onboard.link",
-    "onboard.storage", "onboard.replay",
+    "ground", "ground.commands", "ground.pins", "ground.web", "onboard", "onboard.camera", "onboard.telemetry",
+    "onboard.link", "onboard.storage", "onboard.replay",
     "onboard.service", "onboard.commands", "onboard.events", "simulation", "simulation.autopilot", "demo", "benchmarks",
 }  # fmt: skip
 SHIPPED = ("contract", "ground", "onboard")
@@ -178,21 +179,30 @@ def test_only_packages_that_meet_the_world_know_sockets_threads_and_command_line
 
 
 def test_the_base_install_needs_numpy_and_zenoh_alone() -> None:
-    """`contract` NumPy; `ground` zenoh besides; what an extra brings is imported only where it is used."""
+    """`contract` NumPy; `ground` zenoh besides; what an extra brings is imported only where it is used.
+
+    `ground.web` is that place for the extra `web`: its `command` alone is loaded without it.
+    """
     allowed = {"contract": {"numpy"}, "ground": {"numpy", "zenoh"}}
+    page = {"fastapi", "pydantic", "starlette", "uvicorn", "segno", "PIL"}
     own = {name.split(".")[0] for name in ARROWS}
     found = [
         f"{path_of(m).relative_to(ROOT)} imports {i.module}"
         for m in modules("contract", "ground")
         for i in imports(m)
-        if not i.is_lazy and i.top not in own | set(sys.stdlib_module_names) | allowed[m.split(".")[0]]
+        if not i.is_lazy
+        and i.top not in own | set(sys.stdlib_module_names) | allowed[m.split(".")[0]]
+        and not (package_of(m) == "ground.web" and m != "ground.web.command" and i.top in page)
     ]
     assert not found, "\n".join(found)
 
 
 def test_nothing_heavy_is_loaded_by_importing_the_ground() -> None:
-    heavy = "{'cv2', 'scipy', 'mavsdk', 'pymavlink', 'mcap', 'pydantic', 'PIL', 'matplotlib', 'onboard', 'simulation'}"
-    check = f"import sys, ground.__main__, ground.client; print(sorted({heavy} & set(sys.modules)))"
+    heavy = (
+        "{'cv2', 'scipy', 'mavsdk', 'pymavlink', 'mcap', 'pydantic', "
+        "'PIL', 'fastapi', 'uvicorn', 'matplotlib', 'onboard', 'simulation'}"
+    )
+    check = f"import sys, ground.__main__, ground.client, ground.web.command; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", check], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+import urllib.request
 import zipfile
 from collections.abc import Callable
 from functools import cache
@@ -40,7 +41,7 @@ HEIGHT_M = 120.0
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of what an installation is made of: setuptools leaves its build folder beside it."""
-    ignored = shutil.ignore_patterns(".*", "out", "build", "*.egg-info", "tests", "docs", "__pycache__")
+    ignored = shutil.ignore_patterns(".*", "out", "build", "*.egg-info", "tests", "docs", "frontend", "__pycache__")
     return Path(shutil.copytree(ROOT, tmp_path_factory.mktemp("source") / "pointclick", ignore=ignored))
 
 
@@ -312,6 +313,28 @@ def use_completion(environment: Path, folder: Path) -> None:
         assert "measure" in run_well(environment, "pc-ground", "completion", shell)
 
 
+def use_web(environment: Path, folder: Path) -> None:
+    """The page out of the wheel, and a click through it."""
+    clean = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
+    program = subprocess.Popen(
+        [environment / "pc-ground", "web", "--port", "0", "--from", level_session(folder / "session.mcap"),
+         "--pins", folder / "pins.sqlite"],
+        cwd=environment, env={**clean, "PYTHONUNBUFFERED": "1"}, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        assert program.stdout is not None
+        url = next(line.split()[1] for line in program.stdout if line.startswith("open "))
+        with urllib.request.urlopen(url, timeout=30) as page:
+            assert b'data-testid="picture"' in page.read()
+        body = json.dumps({"vehicle": "uav", "frame": 0, "u": 319.5, "v": 239.5}).encode()
+        asked = urllib.request.Request(f"{url}api/click", body, {"content-type": "application/json"})
+        with urllib.request.urlopen(asked, timeout=30) as answer:
+            assert json.loads(answer.read())["lat_deg"] == pytest.approx(-43.38, abs=1e-7)
+    finally:
+        program.terminate()
+        program.wait(20)
+
+
 USES: dict[str, Callable[[Path, Path], None]] = {
     "onboard": use_onboard,
     "terrain": use_terrain,
@@ -319,11 +342,12 @@ USES: dict[str, Callable[[Path, Path], None]] = {
     "record": use_record,
     "plot": use_plot,
     "completion": use_completion,
+    "web": use_web,
 }
 """What each extra, installed alone, is used for. A new extra gets an entry here."""
 
 
-LIGHT = ("geo", "record", "plot", "completion")
+LIGHT = ("geo", "record", "plot", "completion", "web")
 """Extras of a few packages: laid over the base's environment, without building it again for each."""
 
 

@@ -7,6 +7,7 @@ import getpass
 import math
 import os
 import sys
+import time
 from pathlib import Path
 
 from contract.errors import InputError
@@ -21,7 +22,7 @@ from ground.formats import geojson
 from ground.formats.documents import FORMATS, one_line, read_pins, text_line
 from ground.formats.mark import Mark
 from ground.freshness import MAX_AGE_S
-from ground.link_options import UsageError
+from ground.link_options import UsageError, add_tls_arguments, tls_of
 from ground.locate import Locator
 from ground.pins.file import default_path
 from ground.pins.fusion import Vector
@@ -42,7 +43,10 @@ examples:
   pc-ground pins export pins.kml
   pc-ground pins import pins.geojson
   pc-ground pins undo
+  pc-ground pins share --listen tcp/0.0.0.0:7448                        the other servers then connect to this one
+  pc-ground pins share --connect tcp/10.0.0.5:7448
 """
+SAY_S = 5.0  # between two lines of how sharing goes
 _KINDS = ("geojson", "kml", "gpx", "csv")
 
 
@@ -101,6 +105,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     action("clear", "delete all pins (undo brings them back)")
     action("undo", "take back the last change")
     action("redo", "make it again")
+    sharing = action("share", "share the pins with other servers, until Ctrl-C; each has them all")
+    for name, meaning in (
+        ("listen", "zenoh endpoint that others connect to"),
+        ("connect", "another server's endpoint"),
+    ):
+        sharing.add_argument(
+            f"--{name}", metavar="ENDPOINT", action="append", default=[], help=f"{meaning}; repeatable"
+        )
+    sharing.add_argument("--seconds", metavar="S", type=positive, help="end by itself after so long")
+    add_tls_arguments(sharing)
 
 
 def _add_pixel(parser: argparse.ArgumentParser) -> None:
@@ -278,9 +292,31 @@ def _redo(store: PinStore, args: argparse.Namespace) -> int:
     return ANSWERED
 
 
+def _share(store: PinStore, args: argparse.Namespace) -> int:
+    if not (args.listen or args.connect):
+        raise UsageError("with whom? give --listen ENDPOINT on one server and --connect ENDPOINT on the others")
+    from ground.pins.sharing import PinSharing  # noqa: PLC0415  zenoh is loaded only where there is a link
+
+    with PinSharing(store, connect=args.connect, listen=args.listen, tls=tls_of(args)) as sharing:
+        until = None if args.seconds is None else time.monotonic() + args.seconds
+        said, said_s = "", -math.inf
+        try:
+            while until is None or time.monotonic() < until:
+                time.sleep(0.2)
+                words = str(sharing.state)
+                if words != said and time.monotonic() - said_s > SAY_S:
+                    said, said_s = words, time.monotonic()
+                    print(words, file=sys.stderr)
+        except KeyboardInterrupt:
+            pass
+        print(sharing.state)
+    return ANSWERED
+
+
 _ACTIONS = {
     "list": _list, "add": _add, "edit": _edit, "delete": _delete, "measure": _measure, "export": _export,
     "import": _import, "tie": _tie, "ties": _ties, "clear": _clear, "undo": _undo, "redo": _redo,
+    "share": _share,
 }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Pins: what was clicked, kept, fused, tied to known places. NumPy and the standard library; no zenoh, no web.
+"""Pins: what was clicked, kept, fused, tied to known places, shared. Only `sharing` uses zenoh; nothing the web.
 
 What other packages take from here (all values are frozen dataclasses; heights in metres; times are Unix nanoseconds):
 
@@ -18,6 +18,10 @@ What other packages take from here (all values are frozen dataclasses; heights i
             `crop(click_id) -> bytes | None`, `ties()`, `add_tie(tie, who=)` (raises `TieRefused`),
             `delete_tie(tie_id, who=)`, `merge(pin)` (of another server: last writer wins), `removed()` (tombstones),
             `revision` (an integer that grows with each change of anybody's), `close()`. `file.default_path()`.
+            `everything()` with tombstones, `merge_all(pins, most)` many in one transaction.
+`sharing`   `PinSharing(store, connect=(), listen=(), tls=None)` shares a store with other servers until `close()`:
+            a context manager; `state -> Shared` (counts, and as a text). `share_pins(store, ...)`: the same, or None
+            without an endpoint. Raises LinkError. Ties and crops are not shared.
 `fusion`    `fuse(clicks, ties=()) -> Place | Contradiction`: one position from several clicks of one thing.
             `Place` lat_deg, lon_deg, height_ellipsoid_m, height_amsl_m, covariance_enu_m2 (None: accuracy unknown),
             ellipse, ce90_m, le90_m, sigma_height_m, chi2, freedom, clicks, tied. `Contradiction` chi2, freedom,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 
 from ground.pins.fusion import Contradiction, Fused, Unplaced, Vector, fuse, vector
 from ground.pins.model import Pin, Tie
@@ -20,16 +21,28 @@ class Places:
 
     def place(self, pin: Pin) -> Fused:
         """Where a pin is, or why that cannot be said."""
-        ties = self.ties_of(pin)
-        version = pin.modified_unix_ns, tuple(tie.id for tie in ties)
-        with self._lock:
-            held = self._known.get(pin.id)
-        if held is not None and held[0] == version:
-            return held[1]
-        found = fuse(pin.clicks, ties)
-        with self._lock:
-            self._known[pin.id] = version, found
-        return found
+        return self.of([pin])[0]
+
+    def of(self, pins: Sequence[Pin]) -> list[Fused]:
+        """The same for many: the ties are read once."""
+        by_session: dict[tuple[str, int | None], list[Tie]] = {}
+        for tie in self._store.ties():
+            by_session.setdefault((tie.click.vehicle, tie.click.session), []).append(tie)
+        out = []
+        for pin in pins:
+            ties: list[Tie] = []
+            if by_session:
+                sessions = {(click.vehicle, click.session) for click in pin.clicks if click.errors is not None}
+                ties = [tie for session in by_session if session in sessions for tie in by_session[session]]
+            version = pin.modified_unix_ns, tuple(tie.id for tie in ties)
+            with self._lock:
+                held = self._known.get(pin.id)
+            if held is None or held[0] != version:
+                held = version, fuse(pin.clicks, ties)
+                with self._lock:
+                    self._known[pin.id] = held
+            out.append(held[1])
+        return out
 
     def ties_of(self, pin: Pin) -> list[Tie]:
         """The ties that say something of a pin: those of its clicks' sessions."""

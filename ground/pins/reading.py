@@ -104,7 +104,7 @@ class Reader:
         """Nested lists of this shape, every number within bounds."""
         try:
             value = np.array(self.get(name), dtype=np.float64)
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, OverflowError) as error:
             raise self._wrong(name, f"numbers of shape {shape}") from error
         if value.shape != shape or not np.all((np.abs(value) <= most) & (value >= least)):
             raise self._wrong(name, f"numbers of shape {shape} up to {most:g}")

@@ -2,18 +2,63 @@
 
 from __future__ import annotations
 
+import hashlib
+import threading
+from collections import OrderedDict
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.pins.model import PinClick
+from ground.pins.model import ClickErrors, PinClick
 from ground.two_sets import common_cross_covariance, overlap, position_jacobian, symmetric_root
 
 Array = NDArray[np.float64]
 
 # Clicks, and ties, that are as stated disagree by more than is believed once in so many times.
 CONTRADICTION = 1e-3
+
+# Covariances between two sets that are kept, 700 bytes each: a pin that is clicked once more, and all pins of a picture
+# after a tie, ask for the same ones again.
+KEPT_PAIRS = 20_000
+
+
+class _Pairs:
+    """`common_cross_covariance`, computed once for two sets, known by all that it depends on. Thread-safe."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[tuple[bytes, bytes], Array] = OrderedDict()
+
+    def of(self, one: ClickErrors, one_key: bytes, two: ClickErrors, two_key: bytes) -> Array:
+        """(9, 9)."""
+        key = one_key, two_key
+        with self._lock:
+            held = self._kept.get(key)
+            if held is not None:
+                self._kept.move_to_end(key)
+                return held
+        made = common_cross_covariance(one, two)
+        with self._lock:
+            self._kept[key] = made
+            while len(self._kept) > KEPT_PAIRS:
+                self._kept.popitem(last=False)
+        return made
+
+
+_PAIRS = _Pairs()
+
+
+def _key(e: ClickErrors) -> bytes:
+    """All of a click's set that `common_cross_covariance` reads, in 16 bytes."""
+    said = e.shared
+    numbers = (
+        e.camera_lat_deg, e.camera_lon_deg, e.camera_height_m, said.position_time_s, said.attitude_time_s, *said.span_s,
+    )  # fmt: skip
+    digest = hashlib.blake2b(f"{e.session} {e.capture_unix_ns} {numbers!r}".encode(), digest_size=16)
+    for array in (e.R_enu_cam, e.common_cov, said.by_nuisance, said.alignment_sigma):
+        digest.update(np.asarray(array, np.float64).tobytes())
+    return digest.digest()
 
 
 def joint_covariances(clicks: Sequence[PinClick], spots: Sequence[object]) -> tuple[Array, Array]:
@@ -28,6 +73,7 @@ def joint_covariances(clicks: Sequence[PinClick], spots: Sequence[object]) -> tu
     pointing = np.zeros_like(apart)
     roots = [np.zeros((3, 3)) if c.errors is None else symmetric_root(_rest(c)) for c in clicks]
     Js = [np.zeros((3, 9)) if c.errors is None else position_jacobian(c.errors, c.errors.offset_enu_m) for c in clicks]
+    keys = [b"" if c.errors is None else _key(c.errors) for c in clicks]
     for i, a in enumerate(clicks):
         at = slice(3 * i, 3 * i + 3)
         assert a.covariance_enu_m2 is not None
@@ -39,7 +85,9 @@ def joint_covariances(clicks: Sequence[PinClick], spots: Sequence[object]) -> tu
             if (one := clicks[j].errors) is None or (two := a.errors) is None:
                 continue
             is_one_session = (clicks[j].vehicle, clicks[j].session) == (a.vehicle, a.session)
-            common = Js[j] @ common_cross_covariance(one, two) @ Js[i].T if is_one_session else np.zeros((3, 3))
+            common = np.zeros((3, 3))
+            if is_one_session:
+                common = Js[j] @ _PAIRS.of(one, keys[j], two, keys[i]) @ Js[i].T
             own = np.zeros((3, 3))
             if spots[j] == spots[i]:
                 # What lies between the features is the ground's, whoever looks; their noise, the window's.

@@ -86,6 +86,10 @@ class PinStore:
         """Tombstones, by number: what other servers must hear of."""
         return [pin for pin in self._current().values() if pin.is_deleted]
 
+    def everything(self) -> list[Pin]:
+        """Pins and tombstones of one moment, by number. A pin that has not changed is the same object again."""
+        return list(self._current().values())
+
     def pin(self, pin_id: str) -> Pin:
         """By id. Raises InputError if there is none, or it was deleted."""
         found = self._current().get(pin_id)
@@ -219,6 +223,34 @@ class PinStore:
                 self._written(taken)
         return taken is not None
 
+    def merge_all(self, pins: Sequence[Pin], most: int) -> tuple[int, list[tuple[Pin, str]]]:
+        """`merge` of many, in one transaction. How many changed anything here; and what was refused, and why.
+
+        Pins as `Pin.from_dict` gives them: they are not checked again.
+        `most`: pins and tombstones above which none that is new here is taken.
+        """
+        changed, refused = 0, []
+        with self._file.writing():
+            ((held,),) = self._file.rows("SELECT COUNT(*) FROM pins")
+            for pin in pins:
+                try:
+                    taken = self._newer(pin, is_checked=True)
+                except InputError as error:
+                    refused.append((pin, str(error)))
+                    continue
+                if taken is None:
+                    continue
+                is_new = not self._file.rows("SELECT 1 FROM pins WHERE id = ?", pin.id)
+                if is_new and held >= most:
+                    refused.append((pin, f"there are {held} pins already"))
+                    continue
+                if not changed:
+                    self._file.bump("revision")
+                held += is_new
+                self._written(taken)
+                changed += 1
+        return changed, refused
+
     def add_tie(self, tie: Tie, *, who: str = "") -> Tie:
         """Apply a tie to its session. Raises TieRefused if it disagrees with its click or the ties there are."""
         with self._changing(who) as change:
@@ -296,16 +328,16 @@ class PinStore:
             change(f"pin {after.number} {did}", [self._written(after)])
         return after
 
-    def _newer(self, pin: Pin, *, revive: bool = False) -> Pin | None:
+    def _newer(self, pin: Pin, *, revive: bool = False, is_checked: bool = False) -> Pin | None:
         """A pin from outside as it is to be written here, with its number if that is free; None if ours is as new."""
-        pin = Pin.from_dict(pin.to_dict())
+        pin = pin if is_checked else Pin.from_dict(pin.to_dict())
         if pin.modified_unix_ns > self._now_ns() + MAX_AHEAD_NS:
             raise InputError(f"pin {pin.number} by {pin.modified_by!r}: stamped more than a day ahead of this clock")
         held = self._held(pin.id)
         if revive and held is not None and held.is_deleted and not pin.is_deleted:
             # Whoever brings a file in wants what is in it, also what was deleted here since.
             return replace(pin, number=held.number, modified_unix_ns=max(self._now_ns(), held.modified_unix_ns + 1))
-        if held is not None and _order(pin) <= _order(held):
+        if held is not None and order_of(pin) <= order_of(held):
             return None
         if held is not None:
             return replace(pin, number=held.number)
@@ -398,7 +430,7 @@ def _content(pin: Pin) -> dict[str, Any]:
     return out
 
 
-def _order(pin: Pin) -> tuple[int, str, str]:
+def order_of(pin: Pin) -> tuple[int, str, str]:
     """Which of two versions of a pin is the later one: alike on every server."""
     plain = replace(pin, number=0)
     return pin.modified_unix_ns, pin.modified_by, _text(plain.to_dict())

@@ -20,6 +20,7 @@ from onboard.config.files import load_config_files
 from onboard.config.schema import Config, parse_config, to_toml
 from onboard.events.sink import Sink
 from onboard.events.types import Event
+from onboard.link.picture_sender import PictureSender
 from onboard.link.publisher import Publisher
 from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.comparison import Comparison
@@ -69,7 +70,10 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> tuple[str, bool
             raise InputError(f"recording {arguments.record}: is what is replayed; name another file")
         sinks.append(WholeRecording(arguments.record, config, inputs.config_text, camera, state_json))
     if arguments.publish:
-        sinks.append(Publisher.open(config))
+        link = Publisher.open(config)
+        sinks.append(link)
+        if config.picture.enabled:
+            sinks.append(PictureSender(config.picture, link))
     terminal = sys.stderr if sys.stderr.isatty() else None
     linger_s = arguments.linger if arguments.publish else 0.0
     summary = replay(inputs.flight, pipeline, sinks, arguments.speed, linger_s, terminal, stop)

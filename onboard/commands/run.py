@@ -24,6 +24,8 @@ from onboard.config.schema import Config, to_toml
 from onboard.events.session_clock import SessionClock
 from onboard.events.sink import Sink
 from onboard.events.source import Source
+from onboard.link.byte_budget import left_for_pictures
+from onboard.link.picture_sender import PictureSender
 from onboard.link.publisher import Publisher
 from onboard.pipeline.pipeline import Pipeline
 from onboard.service import journal
@@ -38,6 +40,8 @@ from onboard.storage.alignment_file import StateFile
 from onboard.storage.elevation_files import TerrainFiles
 from onboard.storage.rotating_recorder import Recorded
 from onboard.telemetry.factory import open_telemetry
+
+LEAST_FOR_PICTURES = 10_000.0  # bit/s: a picture of a kilobyte a second
 
 log = logging.getLogger("pointclick")
 
@@ -90,6 +94,15 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
         sinks: list[Sink] = [link]
         threads = [solver.thread, link.thread]
         reporters: list[Reporter] = [partial(_send, link)]
+        if config.picture.enabled:
+            pictures = PictureSender(config.picture, link)
+            if (left := left_for_pictures(config.link.max_bit_rate, config.link.max_rate_hz)) < LEAST_FOR_PICTURES:
+                log.warning(
+                    "pictures: beside %g sets a second link.max_bit_rate = %g leaves %d bit/s: raise it, or lower "
+                    "link.max_rate_hz", config.link.max_rate_hz, config.link.max_bit_rate, max(left, 0.0),
+                )  # fmt: skip
+            sinks.append(pictures)
+            threads.append(pictures.thread)
         recording = None
         if config.recording.enabled:
             where = Path(config.recording.folder) if config.recording.folder else folder / "recordings"

@@ -228,6 +228,19 @@ class Link(Section):
     history_sets: int = quantity(5000, 1, 100000, "", "at most this many of them")
 
 
+class PictureConfig(Section):
+    """Small pictures of keyframes over the link, for the ground to click on.
+
+    They get what sets, status and replies leave of `link.max_bit_rate`: with sets at 5 Hz, nothing below 45 kbit/s.
+    """
+
+    enabled: bool = choice(False, "send them, while a ground asks for them")
+    format: Literal["webp", "jpeg"] = choice("webp", "'webp' (a third of the bytes) or 'jpeg' (a tenth of the time)")
+    max_px: int = quantity(480, 64, 2048, "px", "longer side; larger pictures are made smaller")
+    quality: int = quantity(30, 1, 95, "", "of the compression")
+    rate_hz: float = quantity(0.5, 0.01, 5.0, "Hz", "pictures sent at most")
+
+
 class Recording(Section):
     """What is kept on board: one MCAP file after the other a session."""
 
@@ -263,6 +276,7 @@ class Config(Section):
     range_finder: RangeFinderConfig = RangeFinderConfig()
     telemetry: Telemetry = Telemetry()
     link: Link = Link()
+    picture: PictureConfig = PictureConfig()
     recording: Recording = Recording()
     service: Service = Service()
 

@@ -2,7 +2,9 @@
 
 Public:
 
+- `byte_budget`: `left_for_pictures`
 - `certificates`: `AUTHORITY`, `make_credentials`
+- `picture_sender`: `PictureSender`
 - `publisher`: `Publisher`
 - `status_query`: `ask`
 """

@@ -8,6 +8,9 @@ Overhead on the wire, IP headers and up, measured with zenoh 1.10 (`python -m be
 tcp, 34 over udp, 73 over tls, 82 over quic; beside that 29 (udp) to 130 B/s a ground for keep-alives and
 acknowledgements, 85 to 197 B a reply, and 0.24 (udp), 0.6 (tcp), 1.8 (tls) or 8 kB (quic) for a ground that connects.
 The age beside each set adds 8 B to a message and about 20 B to a reply. Below, the highest of tcp, udp and tls.
+
+Pictures take what nothing else has taken: bytes that came while the budget was full and would have been lost. So sets,
+status and replies go out at the same moments with pictures as without.
 """
 
 from __future__ import annotations
@@ -28,7 +31,16 @@ PACKET_BYTES = 1500
 BURST_S = 0.5
 # What status and replies may take at most: at least 0.35 stays for sets.
 STATUS_SHARE, REPLY_SHARE = 0.25, 0.4
+PIECE_SHARE = 0.95  # of the time that a set leaves until the next one, that a packet of a picture may take
+LEAST_PIECE = 300  # bytes, below which its head would be most of it
+USUAL_SET = 600  # bytes
 PATIENCE_S = 0.8  # of status and replies, before sets are held back for them
+
+
+def left_for_pictures(max_bit_rate: float, max_rate_hz: float) -> float:
+    """Bit/s that sets of the usual size at their greatest rate, status and one ground's keep-alives leave."""
+    status_bytes = 300 + MESSAGE_OVERHEAD
+    return max_bit_rate - 8.0 * (max_rate_hz * (USUAL_SET + MESSAGE_OVERHEAD) + status_bytes + GROUND_BYTES_PER_S)
 
 
 class Kind(Enum):
@@ -37,6 +49,7 @@ class Kind(Enum):
     SET = "set"
     STATUS = "status"
     REPLY = "reply"
+    PICTURE = "picture"
 
 
 class Bucket:
@@ -45,13 +58,23 @@ class Bucket:
     def __init__(self, bytes_per_s: float, depth: float, now_s: float) -> None:
         self.bytes_per_s, self.depth = bytes_per_s, depth
         self._level, self._at_s = depth, now_s
+        self._spilt = 0.0
 
     def level(self, now_s: float) -> float:
         """Bytes that may go now; negative after a charge that could not be refused."""
         if now_s > self._at_s:
-            self._level = min(self._level + (now_s - self._at_s) * self.bytes_per_s, self.depth)
+            self._fill(self._level + (now_s - self._at_s) * self.bytes_per_s)
             self._at_s = now_s
         return self._level
+
+    def spilt(self, now_s: float) -> float:
+        """Bytes that came while it was full, since the beginning. Asking changes nothing, not even by rounding."""
+        came = max(now_s - self._at_s, 0.0) * self.bytes_per_s
+        return self._spilt + max(self._level + came - self.depth, 0.0)
+
+    def _fill(self, level: float) -> None:
+        self._spilt += max(level - self.depth, 0.0)
+        self._level = min(level, self.depth)
 
     def wait_s(self, cost: float, now_s: float) -> float:
         """Seconds until `cost` bytes may go; 0 if they may now."""
@@ -69,15 +92,16 @@ class Bucket:
         """
         came = max(now_s - self._at_s, 0.0) * self.bytes_per_s
         least = min(-self.depth, self._level + came)
-        self._level = min(max(self._level + came - cost, least), self.depth)
+        self._fill(max(self._level + came - cost, least))
         self._at_s = max(now_s, self._at_s)
 
 
 class Budget:
     """All that may be sent, by kind. `grounds` is how many sessions each message goes to, at least 1.
 
-    The cap is never exceeded for long: over any t seconds, rate t + one burst. Within it, status and replies have their
-    shares, and none while sets are behind `min_rate_hz`; sets go out `max_rate_hz` times a second at most.
+    The cap is never exceeded for long: over any t seconds, rate t + one burst, and with pictures one packet more.
+    Within it, status and replies have their shares, and none while sets are behind `min_rate_hz`; sets go out
+    `max_rate_hz` times a second at most.
     """
 
     def __init__(
@@ -97,7 +121,10 @@ class Budget:
             kind: Bucket(share * self.bytes_per_s, max(PACKET_BYTES, BURST_S * share * self.bytes_per_s), now_s)
             for kind, share in ((Kind.STATUS, STATUS_SHARE), (Kind.REPLY, REPLY_SHARE))
         }
+        self._left = self._spilt = 0.0  # for pictures, at most a packet; and what had been left when they looked last
+        self._free_at_s = now_s  # when a link of just this rate has carried all that was sent
         self._set_at_s: float | None = None
+        self._set_cost = self.cost(Kind.SET, USUAL_SET)  # of the last one
         self._waiting: dict[Kind, tuple[float, int]] = {}  # since when, and how many bytes
         self._background_at_s = now_s
 
@@ -126,8 +153,10 @@ class Budget:
 
     def wait_s(self, kind: Kind, payload_bytes: int, now_s: float) -> float:
         """Seconds until a message may go, if nothing else goes before; 0 if it may now; inf while others go first."""
-        self._note_background(now_s)
         cost = self.cost(kind, payload_bytes)
+        if kind is Kind.PICTURE:
+            return self._picture_wait_s(cost, now_s)
+        self._note_background(now_s)
         wait = self._all.wait_s(cost, now_s)
         if kind is Kind.SET:
             if not self.is_behind(now_s) and self._others_turn(now_s):
@@ -138,6 +167,23 @@ class Budget:
         if self.is_behind(now_s):
             return math.inf
         return max(wait, self._shares[kind].wait_s(cost, now_s))
+
+    def _picture_wait_s(self, cost: float, now_s: float) -> float:
+        """As `wait_s`. A piece goes only if the link has carried it before the next set may go."""
+        spilt = self._all.spilt(now_s)
+        self._left = min(self._left + max(spilt - self._spilt, 0.0), PACKET_BYTES)
+        self._spilt = max(spilt, self._spilt)
+        wait = max(min(cost, PACKET_BYTES) - self._left, 0.0) / self.bytes_per_s
+        until_set_s = 0.0 if self._set_at_s is None else self._set_at_s + 1.0 / self.max_rate_hz - now_s
+        if until_set_s <= 0.0:
+            return math.inf if Kind.SET in self._waiting else wait
+        carried_s = max(self._free_at_s - now_s, 0.0) + cost / self.bytes_per_s
+        return wait if carried_s <= until_set_s else max(wait, until_set_s)
+
+    def piece_bytes(self, most: int) -> int:
+        """How large a packet of a picture may be, so that there is time for it between two sets."""
+        between = PIECE_SHARE * (self.bytes_per_s / self.max_rate_hz - self._set_cost) / max(self.grounds, 1)
+        return int(min(max(between - MESSAGE_OVERHEAD, LEAST_PIECE), most))
 
     def _others_turn(self, now_s: float) -> bool:
         """Whether status or a reply has waited long and only want of bytes keeps it: sets would take them for good."""
@@ -152,10 +198,14 @@ class Budget:
         if self.wait_s(kind, payload_bytes, now_s) > 0.0:
             return False
         cost = self.cost(kind, payload_bytes)
-        self._all.take(cost, now_s)
         self._waiting.pop(kind, None)
+        self._free_at_s = max(self._free_at_s, now_s) + cost / self.bytes_per_s
+        if kind is Kind.PICTURE:
+            self._left -= cost
+            return True
+        self._all.take(cost, now_s)
         if kind is Kind.SET:
-            self._set_at_s = now_s
+            self._set_at_s, self._set_cost = now_s, cost
         else:
             self._shares[kind].take(cost, now_s)
         return True

@@ -22,21 +22,24 @@ from contract.errors import LinkError
 from contract.feature_set import FeatureSet, Status
 from contract.history import History
 from contract.link_config import Tls, link_config
+from contract.picture import LinkPicture
 from contract.topics import (
     DEFAULT_ENDPOINT,
     DETAIL_PARAMETER,
     FEATURES,
     FRAME_PARAMETER,
+    PICTURE,
     QUERY,
     STATUS,
     TIME_PARAMETER,
     Topic,
 )
+from contract.wire.picture_code import cut
 from onboard.config.schema import Config
 from onboard.events.supervised_thread import Policy, SupervisedThread
 from onboard.events.types import Event
-from onboard.link.byte_budget import CONNECT_BYTES, SECURE_CONNECT_BYTES, Budget, Kind
-from onboard.link.packet import one_packet
+from onboard.link.byte_budget import CONNECT_BYTES, PACKET_BYTES, SECURE_CONNECT_BYTES, Budget, Kind
+from onboard.link.packet import MAX_PAYLOAD, one_packet
 from onboard.link.reply import Answer, SetClock, answer, refusal
 from onboard.link.set_selection import REPEAT_S, Offer, Selection
 from onboard.link.socket_backlog import Backlog
@@ -49,6 +52,9 @@ WARN_AGAIN_S = 10.0
 # Unacknowledged bytes, in seconds of the bit rate and at least so many, above which nothing more is sent: more than a
 # slow radio has under way, and less than a second of its time.
 BACKLOG_S, BACKLOG_BYTES = 1.0, 3000
+ACKNOWLEDGED_S = 0.02  # between looks whether a piece of a picture may follow the one before
+PICTURE_PATIENCE_S = 10.0  # without room for a single piece, after which the rest of a picture is given up
+STREAMS = ("tcp/", "tls/")  # links that lose nothing
 
 log = logging.getLogger("pointclick")
 
@@ -106,10 +112,14 @@ class Publisher:
         self._backlog, self._most_backlog = Backlog(), max(BACKLOG_S * rate.max_bit_rate / 8.0, BACKLOG_BYTES)
         self._selection: Selection[bytes] = Selection(min(REPEAT_S, 1.0 / rate.min_rate_hz))
         self._queries: deque[_Waiting] = deque()
+        self._pieces: deque[bytes] = deque()  # of the picture under way
+        self._piece_s = -math.inf  # when it came, or one of them went
+        self._needs_parity = not all(e.startswith(STREAMS) for e in (*listen, *connect))
         self._status, self._status_detail = b"", b""
         self._status_waits = False
         self._is_closed = self._has_news = False
         self.sent = 0  # sets put on the link, without those asked for
+        self.pictures = 0  # put on the link to their last piece
         self._warned_s = -math.inf
         self._changed = threading.Condition()
         names = {*allowed, vehicle} if allowed else ()  # the aircraft's own programs may ask it too
@@ -128,6 +138,7 @@ class Publisher:
             raise LinkError(_open_failure(listen, connect, error)) from error
         self._publisher = _declared(self._session, FEATURES, vehicle)
         self._status_publisher = _declared(self._session, STATUS, vehicle)
+        self._picture_publisher = _declared(self._session, PICTURE, vehicle)
         # The variables keep the queryables declared.
         self._queryable = self._session.declare_queryable(self._key, self._asked)
         self._status_queryable = self._session.declare_queryable(self._status_key, self._asked_for_status)
@@ -174,6 +185,28 @@ class Publisher:
             self._status_waits = True
             self._wake()
 
+    def picture_room(self) -> int:
+        """Bytes that a packet of a picture may take; 0 while another is under way, or nobody would receive it."""
+        with self._changed:
+            if self._pieces and time.monotonic() - self._piece_s < PICTURE_PATIENCE_S:
+                return 0
+            room = self._budget.piece_bytes(MAX_PAYLOAD)
+        try:
+            # zenoh 1.10 gives an object here, which its stubs call a bool.
+            return room if getattr(self._picture_publisher.matching_status, "matching", False) else 0
+        except zenoh.ZError:  # the session is being closed
+            return 0
+
+    def send_picture(self, picture: LinkPicture, piece_bytes: int) -> None:
+        """Send a picture in packets of so many bytes, as far as sets, status and replies leave room. Raises ValueError.
+
+        What is left of an earlier one is given up.
+        """
+        pieces = cut(picture, with_parity=self._needs_parity, max_bytes=piece_bytes)
+        with self._changed:
+            self._pieces, self._piece_s = deque(pieces), time.monotonic()
+            self._wake()
+
     def event(self, arrival_ns: int, event: Event) -> None:
         """Events stay on board; their arrivals tell the time by which pictures are aged."""
         with self._changed:
@@ -216,7 +249,8 @@ class Publisher:
         """Send at most one message; seconds until the next may go."""
         info = self._session.info
         grounds = len(info.transports())
-        if self._unacknowledged(info) > self._most_backlog:
+        unacknowledged = self._unacknowledged(info)
+        if unacknowledged > self._most_backlog:
             return HELD_S
         now_s = time.monotonic()
         with self._changed:
@@ -226,20 +260,28 @@ class Publisher:
             offer = self._selection.next(now_s)
             query = self._queries[0] if self._queries else None
             status = self._status if self._status_waits else None
+            # A link with more than a packet under way has no room to spare, whatever its rate is said to be.
+            piece = self._pieces[0] if self._pieces and unacknowledged <= PACKET_BYTES else None
             budget.waits(Kind.SET, len(offer.item) if offer is not None else None, now_s)
             budget.waits(Kind.STATUS, len(status) if status is not None else None, now_s)
             budget.waits(Kind.REPLY, len(query.answer) if query is not None else None, now_s)
             if status is not None and budget.send(Kind.STATUS, len(status), now_s):
                 self._status_waits = False
-                query = offer = None
+                query = offer = piece = None
             elif query is not None and budget.send(Kind.REPLY, len(query.answer), now_s):
                 self._queries.popleft()
-                status = offer = None
+                status = offer = piece = None
             elif offer is not None and budget.send(Kind.SET, len(offer.item), now_s):
                 self._selection.sent(offer, now_s)
-                status = query = None
+                status = query = piece = None
+            elif piece is not None and budget.send(Kind.PICTURE, len(piece), now_s):
+                self._pieces.popleft()
+                self._piece_s = now_s
+                self.pictures += not self._pieces
+                status = query = offer = None
             else:
-                return self._wait_s(now_s, status, query, offer)
+                wait_s = self._wait_s(now_s, status, query, offer, piece)
+                return min(wait_s, ACKNOWLEDGED_S) if self._pieces and piece is None else wait_s
         try:
             if status is not None:
                 self._status_publisher.put(status)
@@ -250,6 +292,8 @@ class Publisher:
                     offer.item, attachment=self._set_clock.said(offer.capture_unix_ns, time.monotonic_ns())
                 )
                 self.sent += 1
+            elif piece is not None:
+                self._picture_publisher.put(piece)
         except (zenoh.ZError, OSError) as error:  # a link that breaks in use mends itself; the next message will do
             self._warn(str(error).split(" at ", maxsplit=1)[0])
         return 0.0
@@ -268,12 +312,20 @@ class Publisher:
             self._warned_s = now_s
             log.warning("link: %s", text)
 
-    def _wait_s(self, now_s: float, status: bytes | None, query: _Waiting | None, offer: Offer[bytes] | None) -> float:
+    def _wait_s(
+        self,
+        now_s: float,
+        status: bytes | None,
+        query: _Waiting | None,
+        offer: Offer[bytes] | None,
+        piece: bytes | None,
+    ) -> float:
         waits = [self._selection.wait_s(now_s) or IDLE_S, IDLE_S]
         for kind, size in (
             (Kind.STATUS, None if status is None else len(status)),
             (Kind.REPLY, None if query is None else len(query.answer)),
             (Kind.SET, None if offer is None else len(offer.item)),
+            (Kind.PICTURE, None if piece is None else len(piece)),
         ):
             if size is not None:
                 waits.append(self._budget.wait_s(kind, size, now_s))

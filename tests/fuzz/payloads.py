@@ -24,11 +24,14 @@ from contract.errors import InputError, WireError
 from contract.feature_set import FeatureSet, Status
 from contract.vehicle_status import VehicleStatus, decode_status, encode_status
 from contract.wire.codec import decode, encode
+from contract.wire.picture_code import cut, read_piece
+from ground.link_pictures import PictureCache
 from ground.locate import Locator
 from ground.recording import Recording
 from onboard.events.types import Attitude, Frame, GpsQuality, PositionFix
 from onboard.storage.mcap_reader import RecordedFlight
 from onboard.storage.mcap_writer import SessionRecorder
+from tests.contract.pictures import small_picture
 from tests.contract.sets import plain_set
 
 MAX_INPUT_BYTES = 12_000
@@ -75,11 +78,11 @@ def damaged(true: bytes, others: list[bytes], rng: random.Random) -> bytes:
     return bytes(data[:MAX_INPUT_BYTES])
 
 
-def sealed(payload: bytes) -> bytes:
-    """A set's payload with its length and checksum put right, so that what is inside is read."""
+def sealed(payload: bytes, length_at: int = 3) -> bytes:
+    """A set's payload, or of a picture, with its length and checksum put right, so that what is inside is read."""
     if len(payload) < 30:
         return payload
-    body = payload[:3] + struct.pack("<H", len(payload) & 0xFFFF) + payload[5:-4]
+    body = payload[:length_at] + struct.pack("<H", len(payload) & 0xFFFF) + payload[length_at + 2 : -4]
     return body + struct.pack("<I", zlib.crc32(body))
 
 
@@ -100,17 +103,22 @@ class Fuzz:
         refused = FeatureSet("uav-1", 1, 2, 3, Status.TURNING, plain_set(1).camera)
         self._sets = [file.read_bytes() for file in sorted(GOLDEN.glob("*.bin"))]
         self._sets += [encode(plain_set(n)) for n in (0, 1, 12, 100)] + [encode(refused)]
+        self._pieces = cut(small_picture(size=3000), with_parity=True)
+        self._pictures = PictureCache()
         reported = VehicleStatus(1.7e9, 7, "ok", "all is well", 12.0, 30.0, 29.0, 77, 0.2, 99, 1, 2, True, 55.0)
         self._statuses = [encode_status(reported), encode_status(VehicleStatus(0.0, 0, "starting")), b'{"v":1}', b"[]"]
         self._recordings = [_a_recording(folder / "true.mcap", features) for features in (3, 12)]
 
     def run(self, count: int) -> Result:
-        """So many inputs: of ten, six sets, three statuses, one recording."""
+        """So many inputs: of ten, six sets, a piece of a picture, two statuses, one recording."""
         for number in range(count):
             kind = number % 10
             if kind < 6:
                 data = damaged(self._rng.choice(self._sets), self._sets, self._rng)
                 self._one("set", sealed(data) if self._rng.random() < 0.8 else data, self._read_set)
+            elif kind < 7:
+                data = damaged(self._rng.choice(self._pieces), self._pieces, self._rng)
+                self._one("picture", sealed(data, 4) if self._rng.random() < 0.8 else data, self._read_piece)
             elif kind < 9:
                 self._one("status", damaged(self._rng.choice(self._statuses), self._statuses, self._rng), _read_status)
             else:
@@ -139,6 +147,14 @@ class Fuzz:
         if found.is_ok and self._rng.random() < 0.02:  # and a click in it, whatever its numbers say
             Locator(found).locate((found.camera.width_px / 2.0, found.camera.height_px / 2.0))
             return "clicked"
+        return "read"
+
+    def _read_piece(self, data: bytes) -> str:
+        self._pictures.take("pc/uav-1/picture", data)
+        try:
+            read_piece(data)
+        except WireError as error:
+            return type(error).__name__
         return "read"
 
     def _read_recording(self, data: bytes) -> str:

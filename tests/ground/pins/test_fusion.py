@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ground.answer import CHI2_2
 from ground.pins.fusion import Contradiction, Place, Unplaced, Vector, fuse, vector
 from ground.pins.model import PinClick
+from ground.two_sets import SetErrors, common_cross_covariance
 from tests.ground.pins.flights import sightings
 from tests.ground.worlds import ORIGIN
 
@@ -144,3 +145,44 @@ def test_a_typed_position_with_a_sigma_takes_part_without_a_height() -> None:
     assert isinstance(alone, Place)
     assert alone.ce90_m == pytest.approx(2.146 * 0.5, abs=1e-3)
     assert alone.le90_m is None and alone.height_amsl_m is None
+
+
+def test_what_two_sets_share_is_computed_once_and_never_taken_for_another_pair(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(77)
+    clicks = sightings(rng, 0.5 * np.arange(6), np.tile(TARGET, (6, 1)))
+    asked = []
+
+    def counted(one: SetErrors, two: SetErrors) -> Array:
+        asked.append(1)
+        return common_cross_covariance(one, two)
+
+    monkeypatch.setattr("ground.pins.shared.common_cross_covariance", counted)
+    first = fuse(clicks[:5])
+    assert len(asked) == 10
+    again = fuse(clicks[:5])
+    assert len(asked) == 10
+    assert isinstance(first, Place) and isinstance(again, Place)
+    assert np.array_equal(first.covariance_enu_m2, again.covariance_enu_m2)  # type: ignore[arg-type]
+    fuse(clicks)
+    assert len(asked) == 15
+    # Whatever of a set its errors rest on makes it another set.
+    one = clicks[4].errors
+    assert one is not None
+    others = [
+        {"session": one.session + 1}, {"capture_unix_ns": one.capture_unix_ns + 1},
+        {"camera_lat_deg": one.camera_lat_deg + 1e-9}, {"camera_lon_deg": one.camera_lon_deg + 1e-9},
+        {"camera_height_m": one.camera_height_m + 1e-3}, {"R_enu_cam": one.R_enu_cam[[1, 0, 2]]},
+        {"common_cov": 1.01 * one.common_cov},
+        *(
+            {"shared": dataclasses.replace(one.shared, **part)}
+            for part in (
+                {"by_nuisance": 0.99 * one.shared.by_nuisance}, {"position_time_s": 50.0}, {"attitude_time_s": 10.0},
+                {"alignment_sigma": 2.0 * one.shared.alignment_sigma}, {"span_s": (-1.0, 1.0)},
+            )
+        ),
+    ]  # fmt: skip
+    for changed in others:
+        before = len(asked)
+        other = dataclasses.replace(clicks[4], errors=dataclasses.replace(one, **changed))
+        fuse([*clicks[:4], other])
+        assert len(asked) == before + 4, changed

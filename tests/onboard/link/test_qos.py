@@ -10,12 +10,13 @@ import zenoh
 
 from contract import topics
 from contract.link_config import link_config
-from contract.topics import FEATURES, QUERY, STATUS, Qos, Topic
+from contract.topics import FEATURES, PICTURE, QUERY, STATUS, Qos, Topic
 from contract.vehicle_status import VehicleStatus, encode_status
 from ground import client
 from ground.freshness import Reply
 from onboard.link import publisher as onboard_publisher
-from onboard.link.publisher import Publisher
+from onboard.link.publisher import Publisher, Rate
+from tests.contract.pictures import small_picture
 from tests.contract.sets import plain_set
 from tests.onboard.link.ports import free_endpoint
 
@@ -38,18 +39,24 @@ def test_what_is_published_has_the_quality_of_the_table(
 ) -> None:
     if changed:
         other = dataclasses.replace(topic, qos=OTHER)
-        monkeypatch.setattr(onboard_publisher, {FEATURES: "FEATURES", STATUS: "STATUS"}[topic], other)
+        monkeypatch.setattr(
+            onboard_publisher, {FEATURES: "FEATURES", STATUS: "STATUS", PICTURE: "PICTURE"}[topic], other
+        )
     endpoint = free_endpoint()
     heard: list[zenoh.Sample] = []
     config = zenoh.Config.from_json5(link_config("client", connect=[endpoint]))
-    with Publisher("uav-1", [endpoint]) as flying, zenoh.open(config) as ground:
+    with Publisher("uav-1", [endpoint], rate=Rate(max_bit_rate=1e6)) as flying, zenoh.open(config) as ground:
         ground.declare_subscriber(topic.key("uav-1"), heard.append)
         deadline = time.monotonic() + 15.0
         while not heard and time.monotonic() < deadline:
             flying.publish(plain_set(10))
             flying.publish_status(encode_status(VehicleStatus(1.7e9, 7, "ok")), b"{}")
+            if room := flying.picture_room():
+                flying.send_picture(small_picture(), room)
             time.sleep(0.05)
-        declared = flying._publisher if topic is FEATURES else flying._status_publisher
+        declared = {
+            FEATURES: flying._publisher, STATUS: flying._status_publisher, PICTURE: flying._picture_publisher,
+        }[topic]  # fmt: skip
         qos = OTHER if changed else topic.qos
         assert of(heard[0]) == expected(qos)
         assert str(declared.reliability) == str(getattr(zenoh.Reliability, qos.reliability))

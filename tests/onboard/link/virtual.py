@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 
-from onboard.link.byte_budget import Budget, Kind
+from onboard.link.byte_budget import PACKET_BYTES, Budget, Kind
 from onboard.link.publisher import BACKLOG_BYTES, BACKLOG_S
 from onboard.link.set_selection import Offer, Selection
 
@@ -86,8 +86,12 @@ def run(
     status_bytes: int = 0,
     replies_hz: float = 0.0,
     radio: Radio | None = None,
+    piece_bytes: int = 0,
 ) -> list[Sent]:
-    """Sets come as given, a status a second, replies as often as asked; all that is sent, and through the radio."""
+    """Sets come as given, a status a second, replies as often as asked; all that is sent, and through the radio.
+
+    With `piece_bytes` there is always a piece of a picture of that size that waits.
+    """
     selection: Selection[str] = Selection()
     sent: list[Sent] = []
     waiting = sorted(offers, key=lambda pair: pair[0])
@@ -116,6 +120,9 @@ def run(
         if chosen is not None and budget.send(Kind.SET, set_bytes, now_s):
             selection.sent(chosen, now_s)
             sent.append(Sent(now_s, Kind.SET, budget.cost(Kind.SET, set_bytes), chosen))
+        is_clear = radio is None or radio.unacknowledged() <= PACKET_BYTES
+        while piece_bytes and is_clear and budget.send(Kind.PICTURE, piece_bytes, now_s):
+            sent.append(Sent(now_s, Kind.PICTURE, budget.cost(Kind.PICTURE, piece_bytes)))
     return sent
 
 

@@ -1,0 +1,100 @@
+"""The page of `pc-ground web` as its operator waits for it, in a real Chromium over this machine's own loopback.
+
+    python -m benchmarks.web [--clicks 500] [--pictures 3600]
+
+Press to answer: from the pointer's press on the picture until the frame of the screen with the answer is done; each
+click is a new pin, on disk with its crop. First page: from the address to the first picture in a browser without a
+cache, after the server's start; the middle of three. Ten thousand pins: the same clicks with as many in the file.
+A long flight: heap and DOM nodes after each third of so many pictures, one a second of flight, of which the page shows
+one in twenty. Chromium draws without a graphics card here, and shares the cores with the server.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from playwright.sync_api import sync_playwright
+
+from benchmarks.machine import describe, load, table, verdict
+from tests.web.drawn import record_drawn
+from tests.web.flying import Flight
+from tests.web.measured import first_page_s, grown, opened, press_to_answer_ms, ten_thousand_pins
+from tests.web.served import ARGUMENTS, CHROMIUM, PATIENCE_S, Server
+
+SEEN_EVERY = 20
+ANSWER_MS, MANY_MS, PAGE_S, PAGE_BYTES, GROWTH_MB, GROWTH_NODES = 50.0, 100.0, 1.0, 3_000_000, 3.0, 200
+
+
+def waits(chromium: Any, folder: Path, clicks: int) -> str:
+    """First page, clicks, and clicks among ten thousand pins."""
+    record_drawn(folder / "drawn.mcap")
+    ten_thousand_pins(folder / "many.sqlite")
+    pages_s: list[float] = []
+    for k in range(3):
+        server = Server("--from", folder / "drawn.mcap", "--pins", folder / f"few{k}.sqlite")
+        took_s, transferred, page = first_page_s(chromium, server)
+        pages_s.append(took_s)
+        if k == 2:
+            few_ms = press_to_answer_ms(page, clicks)
+        page.context.close()
+        server.close()
+    server = Server("--from", folder / "drawn.mcap", "--pins", folder / "many.sqlite")
+    page = opened(chromium, server.url)
+    page.wait_for_function("() => document.querySelector('#pin-count').textContent === '10000'")
+    many_ms = press_to_answer_ms(page, max(clicks // 5, 20))
+    page.context.close()
+    server.close()
+    page_s = statistics.median(pages_s)
+    rows = [
+        ["first page, s", f"{page_s:.2f}", "", f"under {PAGE_S:g}", verdict(page_s < PAGE_S)],
+        ["transferred, MB", f"{transferred / 1e6:.2f}", "", "under 3", verdict(transferred < PAGE_BYTES)],
+    ]
+    for name, ms, goal in (("press to answer, ms", few_ms, ANSWER_MS), ("with 10,000 pins, ms", many_ms, MANY_MS)):
+        p95 = ms[int(0.95 * len(ms))]
+        rows.append([name, f"{statistics.median(ms):.1f}", f"{p95:.1f}", f"95 % under {goal:g}", verdict(p95 < goal)])
+    return table(["", "median", "95 %", "goal", ""], rows)
+
+
+def hour(chromium: Any, folder: Path, pictures: int) -> str:
+    """What an open page has grown by."""
+    found = []
+    with Flight(folder / "hour.sqlite") as flight:
+        page = opened(chromium, flight.url)
+        for third in range(3):
+            for count in range(third * pictures // 3 + SEEN_EVERY, (third + 1) * pictures // 3 + 1, SEEN_EVERY):
+                flight.source.fly_to(count)
+                page.wait_for_function(
+                    "n => document.querySelector('#frame-label').textContent.startsWith(`picture ${n} `)",
+                    arg=count - 1, polling=20, timeout=PATIENCE_S * 1000.0,
+                )  # fmt: skip
+            found.append(grown(page))
+        page.context.close()
+    rows = [[f"{(k + 1) * pictures // 3} pictures", f"{mb:.1f}", str(nodes)] for k, (mb, nodes) in enumerate(found)]
+    (first_mb, first_nodes), (last_mb, last_nodes) = found[0], found[-1]
+    is_bounded = last_mb - first_mb < GROWTH_MB and last_nodes - first_nodes < GROWTH_NODES
+    goal = f"grows by less than {GROWTH_MB:g} MB and {GROWTH_NODES} nodes: {verdict(is_bounded)}"
+    return table(["", "heap, MB", "nodes"], rows) + f"\n\n{goal}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--clicks", type=int, default=500, help="default 500")
+    parser.add_argument("--pictures", type=int, default=3600, help="of the long flight (default 3600: an hour)")
+    args = parser.parse_args()
+    if CHROMIUM is None:
+        raise SystemExit("no chromium: sudo apt-get install chromium")
+    print(f"{describe()}; {load()}\n")
+    with tempfile.TemporaryDirectory(prefix="bench-web-") as folder, sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        print(waits(chromium, Path(folder), args.clicks))
+        print("\n" + hour(chromium, Path(folder), args.pictures))
+        chromium.close()
+    print(f"\n{load()}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,74 @@
+// Requests to the server that served the page, and its events.
+
+import type { ClickBody, FrameRow, FrameView, Handoff, Pin, PinReply, Seen, ServerEvent, ServerStatus, Tie } from "./types.js";
+
+export class Refused extends Error {
+  constructor(readonly status: number, message: string, readonly body: unknown) { super(message); }
+}
+
+async function asked<T>(path: string, method = "GET", body?: unknown, expected: number[] = []): Promise<T> {
+  const init: RequestInit = { method, credentials: "same-origin" };
+  if (body !== undefined) {
+    init.headers = { "content-type": "application/json" };
+    init.body = JSON.stringify(body);
+  }
+  let answer: Response;
+  try {
+    answer = await fetch(path, init);
+  } catch {
+    throw new Refused(0, "the server does not answer; the page goes on trying", null);
+  }
+  const isJson = (answer.headers.get("content-type") ?? "").startsWith("application/json");
+  const said: unknown = isJson ? await answer.json() : await answer.text();
+  if (!answer.ok && !expected.includes(answer.status)) {
+    const detail = isJson && said !== null && typeof said === "object" && "detail" in said ? said.detail : said;
+    throw new Refused(answer.status, typeof detail === "string" ? detail : JSON.stringify(detail), said);
+  }
+  return said as T;
+}
+
+const part = encodeURIComponent;
+const frameUrl = (vehicle: string, session: number, frame: number, what: string): string =>
+  `/api/vehicles/${part(vehicle)}/frames/${frame}/${what}?session=${session}`;
+
+export const api = {
+  status: () => asked<ServerStatus>("/api/status"),
+  frames: (vehicle: string) => asked<FrameRow[]>(`/api/vehicles/${part(vehicle)}/frames`),
+  path: (vehicle: string) => asked<[number, number][]>(`/api/vehicles/${part(vehicle)}/path`),
+  features: (vehicle: string, session: number, frame: number) => asked<FrameView>(frameUrl(vehicle, session, frame, "features")),
+  pictureUrl: (vehicle: string, session: number, frame: number) => frameUrl(vehicle, session, frame, "picture"),
+  pins: () => asked<{ pins: Pin[]; ties: Tie[] }>("/api/pins"),
+  addPin: (body: { click: ClickBody; category: string; who: string }) => asked<PinReply>("/api/pins", "POST", body, [422]),
+  addClick: (id: string, body: ClickBody & { who: string }) => asked<PinReply>(`/api/pins/${part(id)}/clicks`, "POST", body, [422]),
+  removeClick: (id: string, click: string, who: string) =>
+    asked<Pin>(`/api/pins/${part(id)}/clicks/${part(click)}?who=${part(who)}`, "DELETE"),
+  editPin: (id: string, body: { name?: string; note?: string; category?: string; who: string }) =>
+    asked<Pin>(`/api/pins/${part(id)}`, "PATCH", body),
+  deletePin: (id: string, who: string) => asked<unknown>(`/api/pins/${part(id)}?who=${part(who)}`, "DELETE"),
+  cropUrl: (id: string, version: string) => `/api/pins/${part(id)}/crop?v=${part(version)}`,
+  seen: (id: string) => asked<Seen[]>(`/api/pins/${part(id)}/seen`),
+  handoff: (id: string, from: string, crs: string) => asked<Handoff>(`/api/pins/${part(id)}/handoff?from=${part(from)}&crs=${part(crs)}`),
+  qrUrl: (id: string) => `/api/pins/${part(id)}/qr.svg`,
+  measure: (from: string, to: string) => asked<Record<string, number | string | null>>(`/api/measure?from=${part(from)}&to=${part(to)}`),
+  undo: (who: string) => asked<{ undone: string | null }>("/api/undo", "POST", { who }),
+  redo: (who: string) => asked<{ redone: string | null }>("/api/redo", "POST", { who }),
+  addTie: (body: unknown) =>
+    asked<{ tie: Tie | null; reason?: string; answer?: { reason?: string; advice?: string } }>("/api/ties", "POST", body, [409, 422]),
+  deleteTie: (id: string, who: string) => asked<unknown>(`/api/ties/${part(id)}?who=${part(who)}`, "DELETE"),
+};
+
+/** Events from now on; after a gap `onOpen` is called again, and everything must be fetched anew. */
+export function listen(onEvent: (event: ServerEvent) => void, onOpen: () => void, onLost: () => void): void {
+  let pause = 250;
+  const connect = (): void => {
+    const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/api/events`);
+    socket.onopen = () => { pause = 250; onOpen(); };
+    socket.onmessage = (message) => onEvent(JSON.parse(String(message.data)) as ServerEvent);
+    socket.onclose = () => {
+      onLost();
+      setTimeout(connect, pause);
+      pause = Math.min(pause * 2, 4000);
+    };
+  };
+  connect();
+}

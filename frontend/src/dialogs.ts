@@ -1,0 +1,95 @@
+// The hand-off card, the tie and the help.
+
+import { api, Refused } from "./api.js";
+import { byId, make } from "./dom.js";
+import { parseCoordinate } from "./format.js";
+import { kindOf, shapeSvg } from "./shapes.js";
+import type { State } from "./state.js";
+import type { ClickBody, Pin, Tie } from "./types.js";
+
+async function copied(text: string, button: HTMLButtonElement): Promise<void> {
+  try {
+    await navigator.clipboard.writeText(text);
+  } catch {
+    // Without https a browser has no clipboard to write to: the old way.
+    const area = make("textarea", { class: "offscreen" }, text);
+    (button.closest("dialog") ?? document.body).append(area);
+    area.select();
+    document.execCommand("copy");
+    area.remove();
+  }
+  button.textContent = "Copied";
+  setTimeout(() => { button.textContent = "Copy"; }, 1500);
+}
+
+export async function showHandoff(pin: Pin, state: State): Promise<void> {
+  const dialog = byId<HTMLDialogElement>("handoff-dialog"), body = byId("handoff-body");
+  const from = make("select", { "aria-label": "bearing and distance from" }, make("option", { value: "" }, "from nowhere"),
+    ...[...state.pins.values()].filter((other) => other.id !== pin.id && other.place.status === "ok")
+      .sort((a, b) => a.number - b.number).slice(0, 1000).map((other) => make("option", { value: other.id }, `from pin ${other.number} ${other.name}`)));
+  const crs = make("input", { type: "text", maxlength: "40", placeholder: "EPSG:2193", "aria-label": "another coordinate system" });
+  const table = make("div", { class: "formats" });
+  const fill = async (): Promise<void> => {
+    const said = await api.handoff(pin.id, from.value, crs.value.trim());
+    table.replaceChildren(...said.texts.map(({ name, title, text }) => {
+      const button: HTMLButtonElement = make("button", { type: "button", click: () => void copied(text, button), "aria-label": `copy ${title}` }, "Copy");
+      return make("div", { class: "format", "data-format": name }, make("span", { class: "format-name" }, title), make("span", { class: "format-text" }, text), button);
+    }));
+    byId("readback").textContent = said.readback;
+  };
+  const crop = make("img", { class: "crop", alt: "the picture around the click", src: api.cropUrl(pin.id, String(pin.clicks.length)) });
+  crop.addEventListener("error", () => crop.remove());
+  const head = make("div", { class: "handoff-head" }, shapeSvg(kindOf(pin.category), 44, String(pin.number)),
+    make("div", {}, make("h2", {}, pin.name === "" ? `${kindOf(pin.category).title} ${pin.number}` : pin.name), make("p", {}, pin.note)));
+  const pictures = make("div", { class: "handoff-pictures" }, crop,
+    make("figure", {}, make("img", { class: "qr", alt: "QR code of the position, for a phone's camera", src: `${api.qrUrl(pin.id)}?v=${encodeURIComponent(pin.modified_utc)}` }), make("figcaption", {}, "position for a phone")));
+  body.replaceChildren(head, make("div", { class: "handoff-columns" }, table, pictures),
+    make("div", { class: "from no-print" }, make("label", {}, "Bearing and distance ", from), make("label", {}, " Other system ", crs)),
+    make("h3", {}, "On the radio"), make("p", { id: "readback", class: "readback" }));
+  for (const field of [from, crs]) field.addEventListener("change", () => void fill());
+  dialog.showModal();
+  try {
+    await fill();
+  } catch (error) {
+    table.textContent = error instanceof Refused ? error.message : String(error);
+  }
+}
+
+/** Asks for the surveyed coordinate of what was clicked. */
+export function showTie(click: ClickBody, state: State, done: (tie: Tie) => void): void {
+  const dialog = byId<HTMLDialogElement>("tie-dialog"), form = byId<HTMLFormElement>("tie-form"), result = byId("tie-result");
+  form.reset();
+  result.textContent = "";
+  byId("tie-spot").textContent = `pixel ${click.u.toFixed(1)}, ${click.v.toFixed(1)} of picture ${click.frame}`;
+  const value = (name: string): string => (form.elements.namedItem(name) as HTMLInputElement | HTMLSelectElement).value.trim();
+  form.onsubmit = (event) => {
+    event.preventDefault();
+    const place = parseCoordinate(value("place"));
+    if (place === null) { result.textContent = "type latitude and longitude in degrees, as 47.376890, 8.541690"; return; }
+    const height = value("height") === "" ? null : Number(value("height"));
+    result.textContent = "trying ...";
+    api.addTie({
+      click, lat_deg: place.lat, lon_deg: place.lon, sigma_m: Number(value("sigma")), name: value("name"), who: state.options.who,
+      height_m: height, datum: value("datum"), sigma_height_m: height === null ? null : Number(value("sigma-height")),
+    }).then((said) => {
+      if (said.tie !== null) { dialog.close(); done(said.tie); return; }
+      result.textContent = said.reason ?? [said.answer?.reason, said.answer?.advice].filter(Boolean).join("; ");
+    }, (error: unknown) => { result.textContent = error instanceof Refused ? error.message : String(error); });
+  };
+  dialog.showModal();
+}
+
+export function listTies(state: State, removed: () => void): void {
+  const list = byId("tie-list");
+  byId("no-ties").hidden = state.ties.length > 0;
+  list.replaceChildren(...state.ties.map((tie) => make("li", {},
+    `${tie.name === "" ? "tie" : tie.name}: ${tie.lat_deg.toFixed(6)}, ${tie.lon_deg.toFixed(6)} ±${tie.sigma_m} m (1σ), ${tie.vehicle}, picture ${tie.frame} `,
+    make("button", { type: "button", click: () => void api.deleteTie(tie.id, state.options.who).then(removed) }, "Remove"))));
+}
+
+export function closers(): void {
+  for (const button of document.querySelectorAll<HTMLButtonElement>("dialog [data-close]")) {
+    button.addEventListener("click", () => button.closest("dialog")?.close());
+  }
+  byId("print").addEventListener("click", () => window.print());
+}

@@ -1,0 +1,317 @@
+// The page of pc-ground web: puts the panes together.
+
+import "./style.css";
+import { api, listen, Refused } from "./api.js";
+import { closers, listTies, showHandoff, showTie } from "./dialogs.js";
+import { byId, make, say } from "./dom.js";
+import { age, clock, degrees, radius } from "./format.js";
+import type { MapPane } from "./map.js";
+import { PicturePane } from "./picture.js";
+import { PinList } from "./pins.js";
+import { KINDS, kindOf, shapeSvg } from "./shapes.js";
+import { State } from "./state.js";
+import { StatusStrip } from "./strip.js";
+import type { ClickAnswer, ClickBody, Pin, PinReply, ServerEvent } from "./types.js";
+import { Viewer } from "./viewer.js";
+
+const state = new State();
+const viewer = new Viewer(state);
+const answer = byId("answer");
+let clicks = 0;
+let mapPane: MapPane | null = null;
+
+const picture = new PicturePane(state, viewer, (body) => void clicked(body));
+
+function saySomething(text: string, kind: "ok" | "refused" | "note" = "note"): void {
+  answer.dataset["kind"] = kind;
+  answer.textContent = text;
+}
+
+async function clicked(body: ClickBody): Promise<void> {
+  if (state.mode.kind === "tie") {
+    state.setMode({ kind: "pin" });
+    showTie(body, state, (tie) => saySomething(`tied to ${tie.name === "" ? degrees(tie.lat_deg, tie.lon_deg) : tie.name}: all pins of ${tie.vehicle} in this flight moved`));
+    return;
+  }
+  const mode = state.mode, again = mode.kind === "again" ? state.pins.get(mode.pin) : undefined;
+  state.setMode({ kind: "pin" });
+  const key = `click ${++clicks}`;
+  state.clicksUnderWay += 1;
+  const category = again?.category ?? state.options.category, number = again?.number ?? state.nextNumber() + pendingNew;
+  if (again === undefined) pendingNew += 1;
+  picture.markers.clearRefusals();
+  saySomething(`${kindOf(category).title} ${number}: ...`);
+  picture.markers.begin({ key, number, category, vehicle: body.vehicle, session: body.session, frame: body.frame, at: body, text: "", isRefused: false });
+  try {
+    const who = state.options.who;
+    const reply: PinReply = again === undefined ? await api.addPin({ click: body, category, who }) : await api.addClick(again.id, { ...body, who });
+    if (reply.pin !== null) {
+      picture.markers.done(key);
+      say(answer, answerText(reply.pin, reply.answer));
+      answer.dataset["kind"] = "ok";
+      state.putPin(reply.pin);
+    } else {
+      const said = reply.answer;
+      const text = `${said?.reason ?? said?.status ?? "no answer"}.${said?.advice ? ` What helps: ${said.advice}.` : ""}`;
+      saySomething(`Refused: ${text}`, "refused");
+      picture.markers.refuse(key, text);
+    }
+  } catch (error) {
+    const text = error instanceof Refused ? error.message : String(error);
+    saySomething(`Not kept: ${text}`, "refused");
+    picture.markers.refuse(key, text);
+  } finally {
+    state.clicksUnderWay -= 1;
+    if (again === undefined) pendingNew -= 1;
+  }
+}
+let pendingNew = 0;
+
+function answerText(pin: Pin, said: ClickAnswer | null): string {
+  const place = pin.place, name = `${kindOf(pin.category).title} ${pin.number}`;
+  if (place.status !== "ok") return `${name}: ${place.reason}`;
+  const height = place.height_amsl_m !== null ? `${place.height_amsl_m.toFixed(1)} m AMSL`
+    : place.height_ellipsoid_m !== null ? `${place.height_ellipsoid_m.toFixed(1)} m above the ellipsoid` : "height unknown";
+  return `${name}: ${degrees(place.lat_deg, place.lon_deg)}  ±${radius(place.ce90_m)} (CE90)  ${height}` +
+    (said === null ? "" : `  ${said.method ?? ""}, picture ${said.age_s === null ? "of unknown age" : `${age(said.age_s)} old`}`);
+}
+
+async function refresh(): Promise<void> {
+  const status = await api.status();
+  state.server = status;
+  state.vehicles = status.vehicles;
+  if (state.vehicle === null && status.vehicles[0] !== undefined) state.vehicle = status.vehicles[0].id;
+  say(byId("source"), status.is_live ? `live: ${status.source}` : `recording: ${status.source.split("/").at(-1) ?? ""}`);
+  byId("source").title = status.source;
+  document.body.classList.toggle("recorded", !status.is_live);
+  await Promise.all([refreshPins(), ...status.vehicles.map((vehicle) => refreshFrames(vehicle.id))]);
+  state.tell("vehicles");
+}
+
+async function refreshFrames(vehicle: string): Promise<void> {
+  const [rows, path] = await Promise.all([api.frames(vehicle), api.path(vehicle)]);
+  state.frames.set(vehicle, []);
+  state.paths.set(vehicle, path);
+  state.merge(vehicle, rows);
+}
+
+let isRefreshing = false, isRefreshDue = false;
+async function refreshPins(): Promise<void> {
+  if (isRefreshing) { isRefreshDue = true; return; }
+  isRefreshing = true;
+  try {
+    const { pins, ties } = await api.pins();
+    state.ties = ties;
+    state.setPins(pins);
+    if (state.selected !== null && !state.pins.has(state.selected)) state.select(null);
+    listTies(state, () => undefined);
+  } finally {
+    isRefreshing = false;
+    if (isRefreshDue) { isRefreshDue = false; void refreshPins(); }
+  }
+}
+
+function heard(event: ServerEvent): void {
+  switch (event.type) {
+    case "frames":
+      if (!state.vehicles.some((vehicle) => vehicle.id === event.vehicle)) { void refresh(); return; }
+      lengthenPath(event.vehicle);
+      state.merge(event.vehicle, event.frames);
+      return;
+    case "pin": state.putPin(event.pin); return;
+    case "pin_deleted": state.dropPin(event.id); return;
+    case "pins": void refreshPins(); return;
+    case "resync": void refresh(); return;
+    case "status":
+      state.vehicles = event.vehicles;
+      drawNotes(event.sharing, event.damage);
+      if (state.vehicle === null && event.vehicles[0] !== undefined) void refresh();
+      state.tell("vehicles");
+  }
+}
+
+/** How sharing goes, and what of the source cannot be read. */
+function drawNotes(sharing: string, damage: string[]): void {
+  const notes = [...(sharing === "" ? [] : [`shared: ${sharing}`]), ...damage];
+  byId("notes").hidden = notes.length === 0;
+  say(byId("notes"), notes.join("\n"));
+}
+
+/** The path grows by what is shown; the whole of it is asked for now and then. */
+const askedAt = new Map<string, number>();
+function lengthenPath(vehicle: string): void {
+  const now = performance.now();
+  if (now - (askedAt.get(vehicle) ?? -Infinity) < 5000) return;
+  askedAt.set(vehicle, now);
+  api.path(vehicle).then((path) => { state.paths.set(vehicle, path); state.tell("frames"); }, () => undefined);
+}
+
+const timeBar = byId<HTMLInputElement>("time-bar");
+function drawControls(): void {
+  const rows = state.rows(), at = viewer.index();
+  timeBar.max = String(Math.max(rows.length - 1, 0));
+  timeBar.value = String(at);
+  timeBar.disabled = rows.length < 2;
+  const shown = state.shown;
+  const isRefused = shown !== null && shown.status !== "ok";
+  const where = shown === null ? "" : `picture ${shown.frame}  ${clock(shown.capture_unix_ns)}`;
+  say(byId("frame-label"), where);
+  timeBar.setAttribute("aria-valuetext", where);
+  const banner = byId("banner");
+  banner.hidden = !isRefused;
+  say(banner, isRefused ? `This picture cannot be clicked: ${shown.reason}. ${shown.advice === "" ? "" : `What helps: ${shown.advice}.`}` : "");
+  byId("freeze").setAttribute("aria-pressed", String(state.isFrozen));
+  say(byId("freeze-label"), state.isFrozen ? "Frozen" : "Freeze");
+  byId("play").setAttribute("aria-pressed", String(state.isPlaying));
+  say(byId("play-label"), state.isPlaying ? "Pause" : "Play");
+}
+
+function drawMode(): void {
+  const text = state.mode.kind === "tie" ? "Click the known place in the picture (Esc: leave it)"
+    : state.mode.kind === "again" ? `Click the thing of pin ${state.pins.get(state.mode.pin)?.number ?? ""} again (Esc: leave it)` : "";
+  const hint = byId("mode-hint");
+  hint.hidden = text === "";
+  say(hint, text);
+  byId("tie").setAttribute("aria-pressed", String(state.mode.kind === "tie"));
+}
+
+function drawOptions(): void {
+  const { options } = state;
+  const isDark = options.theme === "night" || (options.theme === "auto" && window.matchMedia("(prefers-color-scheme: dark)").matches);
+  document.documentElement.dataset["theme"] = isDark ? "night" : "day";
+  mapPane?.setTheme(isDark ? "night" : "day");
+  for (const [id, on] of [["show-features", options.features], ["show-paths", options.paths], ["show-pictures", options.pictures]] as const) {
+    byId(id).setAttribute("aria-pressed", String(on));
+  }
+  byId<HTMLInputElement>("who").value = options.who;
+  byId<HTMLSelectElement>("theme").value = options.theme;
+  for (const button of byId("kinds").children) button.setAttribute("aria-pressed", String((button as HTMLElement).dataset["kind"] === options.category));
+}
+
+function select(id: string | null): void {
+  const pin = id === null ? undefined : state.pins.get(id);
+  if (pin?.place.status === "ok") mapPane?.goTo(pin.place.lat_deg, pin.place.lon_deg);
+}
+
+async function undo(isRedo: boolean): Promise<void> {
+  try {
+    const said = isRedo ? (await api.redo(state.options.who)).redone : (await api.undo(state.options.who)).undone;
+    saySomething(said === null ? `nothing to ${isRedo ? "do again" : "undo"}` : `${isRedo ? "done again" : "undone"}: ${said}`);
+    await refreshPins();
+  } catch (error) {
+    saySomething(error instanceof Error ? error.message : String(error), "refused");
+  }
+}
+
+function run(what: Promise<unknown>): void {
+  what.catch((error: unknown) => saySomething(error instanceof Error ? error.message : String(error), "refused"));
+}
+
+function wire(): void {
+  for (const kind of KINDS) {
+    byId("kinds").append(make("button", { type: "button", class: "kind", "data-kind": kind.word, title: `the next pin is a ${kind.title.toLowerCase()} (${KINDS.indexOf(kind) + 1})`, click: () => state.set({ category: kind.word }) }, shapeSvg(kind, 20), make("span", {}, kind.word === "poi" ? "Point" : kind.title)));
+  }
+  const press = (id: string, action: () => void): void => byId(id).addEventListener("click", action);
+  press("freeze", () => viewer.freeze(!state.isFrozen));
+  press("step-back", () => viewer.step(-1));
+  press("step-forward", () => viewer.step(1));
+  press("play", () => { if (state.isPlaying) viewer.pause(); else viewer.play(); });
+  press("zoom-in", () => picture.zoom(1.5));
+  press("zoom-out", () => picture.zoom(1 / 1.5));
+  press("show-features", () => state.set({ features: !state.options.features }));
+  press("show-paths", () => state.set({ paths: !state.options.paths }));
+  press("show-pictures", () => state.set({ pictures: !state.options.pictures }));
+  press("undo", () => void undo(false));
+  press("redo", () => void undo(true));
+  press("tie", () => state.setMode(state.mode.kind === "tie" ? { kind: "pin" } : { kind: "tie" }));
+  press("ties", () => { listTies(state, () => undefined); byId<HTMLDialogElement>("ties-dialog").showModal(); });
+  press("export", () => byId<HTMLDialogElement>("export-dialog").showModal());
+  press("help", () => byId<HTMLDialogElement>("help-dialog").showModal());
+  timeBar.addEventListener("input", () => viewer.goTo(Number(timeBar.value)));
+  byId<HTMLInputElement>("who").addEventListener("change", (event) => state.set({ who: (event.target as HTMLInputElement).value.trim() }));
+  byId<HTMLSelectElement>("theme").addEventListener("change", (event) => state.set({ theme: (event.target as HTMLSelectElement).value as "auto" | "day" | "night" }));
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawOptions);
+  closers();
+  document.addEventListener("keydown", keyed);
+  state.on(["shown", "frames"], drawControls);
+  state.on(["options"], drawOptions);
+  state.on(["mode"], drawMode);
+  state.on(["selected"], () => select(state.selected));
+}
+
+function keyed(event: KeyboardEvent): void {
+  const at = event.target;
+  const isTyping = at instanceof HTMLInputElement && at.type !== "range" || at instanceof HTMLTextAreaElement || at instanceof HTMLSelectElement;
+  if (event.key === "Escape" && state.mode.kind !== "pin") { state.setMode({ kind: "pin" }); return; }
+  if (isTyping || event.altKey || document.querySelector("dialog[open]") !== null) return;
+  if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z") { event.preventDefault(); void undo(event.shiftKey); return; }
+  if (event.ctrlKey || event.metaKey) return;
+  const selected = state.selected === null ? undefined : state.pins.get(state.selected);
+  const actions: Record<string, () => void> = {
+    " ": () => viewer.freeze(!state.isFrozen), ArrowLeft: () => viewer.step(-1), ArrowRight: () => viewer.step(1),
+    "+": () => picture.zoom(1.5), "-": () => picture.zoom(1 / 1.5), "0": () => picture.whole(),
+    f: () => state.set({ features: !state.options.features }), p: () => state.set({ paths: !state.options.paths }),
+    "/": () => byId("filter").focus(), "?": () => byId<HTMLDialogElement>("help-dialog").showModal(),
+    u: () => void undo(false), t: () => state.setMode({ kind: "tie" }), h: () => { if (selected !== undefined) run(showHandoff(selected, state)); },
+  };
+  KINDS.forEach((kind, k) => { actions[String(k + 1)] = () => state.set({ category: kind.word }); });
+  // Space presses the button that has the focus; elsewhere it freezes.
+  if (event.key === " " && at instanceof HTMLButtonElement) return;
+  const action = actions[event.key];
+  if (action !== undefined) { event.preventDefault(); action(); }
+}
+
+async function begin(): Promise<void> {
+  new StatusStrip(state, viewer);
+  new PinList(state, {
+    handoff: (pin) => run(showHandoff(pin, state)),
+    open: (vehicle, frame, u, v) => { viewer.open(vehicle, frame); picture.reveal({ u, v }); },
+    remove: (pin) => run(api.deletePin(pin.id, state.options.who).then(() => saySomething(`pin ${pin.number} deleted; Undo brings it back`))),
+    edit: (pin, changed) => run(api.editPin(pin.id, { ...changed, who: state.options.who })),
+    removeClick: (pin, click) => run(api.removeClick(pin.id, click, state.options.who)),
+    goTo: (pin) => { const click = pin.clicks.at(-1); if (click?.frame != null) viewer.open(click.vehicle, click.frame); },
+  });
+  wire();
+  drawOptions();
+  drawControls();
+  let isBegun = false;
+  listen(heard, () => {
+    state.isConnected = true;
+    byId("offline").hidden = true;
+    if (isBegun) run(refresh());
+    state.tell("link");
+  }, () => {
+    state.isConnected = false;
+    byId("offline").hidden = false;
+    state.tell("link");
+  });
+  try {
+    await refresh();
+  } catch (error) {
+    saySomething(error instanceof Error ? error.message : String(error), "refused");
+  }
+  isBegun = true;
+  try {
+    await beginMap();
+  } catch {
+    // Pictures, clicks and pins need no graphics card.
+    byId("no-map").hidden = false;
+  }
+  drawOptions();
+  document.body.dataset["ready"] = "yes";
+}
+
+/** Nine tenths of the page's code is the map's: it is fetched beside the first picture, and begun after it. */
+async function beginMap(): Promise<void> {
+  const fetched = import("./map.js");
+  if (state.shown === null && state.rows().length > 0) {
+    await new Promise<void>((done) => {
+      state.on(["shown"], done);
+      window.setTimeout(done, 1000);
+    });
+  }
+  const { MapPane } = await fetched;
+  mapPane = new MapPane(state, viewer, state.server?.tiles ?? null);
+}
+
+void begin();

@@ -1,0 +1,77 @@
+// A place on the ground -> the pixel that shows it. Pure; the same as contract/geodesy.py and contract/camera.py.
+
+import type { Pixel, Size } from "./mapping.js";
+
+export interface Camera {
+  fx: number; fy: number; cx: number; cy: number;
+  distortion: [number, number, number, number, number];
+  max_radius: number;
+  lat_deg: number; lon_deg: number; height_m: number;
+  R_enu_cam: number[]; // row by row
+}
+
+const A_M = 6378137.0;
+const F = 1.0 / 298.257223563;
+const E2 = F * (2.0 - F);
+const RAD = Math.PI / 180.0;
+
+type Vector = [number, number, number];
+
+export function ecef(latDeg: number, lonDeg: number, heightM: number): Vector {
+  const sinLat = Math.sin(latDeg * RAD), cosLat = Math.cos(latDeg * RAD);
+  const normal = A_M / Math.sqrt(1.0 - E2 * sinLat * sinLat);
+  const across = (normal + heightM) * cosLat;
+  return [across * Math.cos(lonDeg * RAD), across * Math.sin(lonDeg * RAD), (normal * (1.0 - E2) + heightM) * sinLat];
+}
+
+/** East, north, up of a place (m) in the axes at another. */
+export function enu(from: { lat_deg: number; lon_deg: number; height_m: number }, lat: number, lon: number, height: number): Vector {
+  const a = ecef(from.lat_deg, from.lon_deg, from.height_m), b = ecef(lat, lon, height);
+  const d: Vector = [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
+  const sl = Math.sin(from.lat_deg * RAD), cl = Math.cos(from.lat_deg * RAD);
+  const so = Math.sin(from.lon_deg * RAD), co = Math.cos(from.lon_deg * RAD);
+  return [
+    -so * d[0] + co * d[1],
+    -sl * co * d[0] - sl * so * d[1] + cl * d[2],
+    cl * co * d[0] + cl * so * d[1] + sl * d[2],
+  ];
+}
+
+/** The pixel of a place; null where the picture does not show it. `height` above the ellipsoid, as the camera's. */
+export function pixelOf(camera: Camera, size: Size, lat: number, lon: number, height: number): Pixel | null {
+  const e = enu(camera, lat, lon, height), R = camera.R_enu_cam;
+  const cam: Vector = [0, 0, 0];
+  for (let column = 0; column < 3; column++) {
+    cam[column] = R[column]! * e[0] + R[3 + column]! * e[1] + R[6 + column]! * e[2];
+  }
+  if (cam[2] <= 1e-6) return null;
+  const x = cam[0] / cam[2], y = cam[1] / cam[2];
+  if (Math.hypot(x, y) > camera.max_radius) return null;
+  const [k1, k2, p1, p2, k3] = camera.distortion;
+  const r2 = x * x + y * y;
+  const radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+  const u = camera.cx + camera.fx * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x));
+  const v = camera.cy + camera.fy * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y);
+  return u >= -0.5 && v >= -0.5 && u <= size.width - 0.5 && v <= size.height - 0.5 ? { u, v } : null;
+}
+
+/** A place east and north of another, within some kilometres (m): for drawing on the map. */
+export function offset(lat: number, lon: number, east: number, north: number): [number, number] {
+  const sinLat = Math.sin(lat * RAD);
+  const w2 = 1.0 - E2 * sinLat * sinLat;
+  const meridian = A_M * (1.0 - E2) / (w2 * Math.sqrt(w2));
+  const parallel = A_M / Math.sqrt(w2) * Math.cos(lat * RAD);
+  return [lon + east / parallel / RAD, lat + north / meridian / RAD];
+}
+
+/** Outline of an error ellipse, as longitude and latitude, closed. */
+export function ellipseRing(lat: number, lon: number, major: number, minor: number, azimuthDeg: number, points = 36): [number, number][] {
+  const ring: [number, number][] = [];
+  const sin = Math.sin(azimuthDeg * RAD), cos = Math.cos(azimuthDeg * RAD);
+  for (let k = 0; k <= points; k++) {
+    const t = (k % points) * 2.0 * Math.PI / points;
+    const along = major * Math.cos(t), across = minor * Math.sin(t);
+    ring.push(offset(lat, lon, along * sin + across * cos, along * cos - across * sin));
+  }
+  return ring;
+}

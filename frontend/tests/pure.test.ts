@@ -1,0 +1,138 @@
+// The pure modules: mapping under resize, zoom and any size, projection against Python's, grid, formats.
+
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { test } from "node:test";
+import { contains, fitted, panned, resized, toPane, toPixel, wholeView, zoomed, MAX_ZOOM, type View } from "../src/mapping.js";
+import { ellipseRing, enu, offset, pixelOf, type Camera } from "../src/projection.js";
+import { gridLines, gridStep } from "../src/grid.js";
+import { age, parseCoordinate, radius } from "../src/format.js";
+
+const PICTURE = { width: 640, height: 480 };
+
+/** The same numbers every run. */
+function* numbers(): Generator<number> {
+  for (let state = 12345; ; ) { state = (state * 1103515245 + 12345) % 2147483648; yield state / 2147483648; }
+}
+
+function near(one: number, two: number, within: number): void {
+  assert.ok(Math.abs(one - two) <= within, `${one} is not ${two}`);
+}
+
+test("a pixel's centre lies half a scaled pixel inside the picture", () => {
+  const view = wholeView(PICTURE, { width: 1280, height: 960 });
+  assert.deepEqual(toPane(view, { u: 0, v: 0 }), { x: 1, y: 1 });
+  assert.deepEqual(toPixel(view, { x: 0, y: 0 }), { u: -0.5, v: -0.5 });
+  assert.deepEqual(toPixel(view, { x: 1280, y: 960 }), { u: 639.5, v: 479.5 });
+});
+
+test("whatever is zoomed, moved and resized, a point of the pane and its pixel stay together", () => {
+  const random = numbers(), next = (): number => random.next().value as number;
+  for (let run = 0; run < 300; run++) {
+    let pane = fitted(PICTURE, { width: 200 + 1800 * next(), height: 200 + 1000 * next() });
+    let view: View = wholeView(PICTURE, pane);
+    for (let k = 0; k < 12; k++) {
+      const at = { x: pane.width * next(), y: pane.height * next() };
+      const before = toPixel(view, at), whole = wholeView(PICTURE, pane).scale;
+      if (k % 3 === 0) {
+        const factor = Math.exp(2 * next() - 0.6);
+        view = zoomed(view, factor, at, PICTURE, pane);
+        // Where nothing was held back, the pixel under the pointer is the same.
+        if (factor > 1 && view.scale < whole * MAX_ZOOM) {
+          near(toPixel(view, at).u, before.u, 1e-6);
+          near(toPixel(view, at).v, before.v, 1e-6);
+        }
+      } else if (k % 3 === 1) {
+        view = panned(view, 300 * (next() - 0.5), 300 * (next() - 0.5), PICTURE, pane);
+      } else {
+        const after = fitted(PICTURE, { width: 200 + 1800 * next(), height: 200 + 1000 * next() });
+        const zoom = view.scale / whole;
+        view = resized(view, PICTURE, pane, after);
+        pane = after;
+        near(view.scale / wholeView(PICTURE, pane).scale, zoom, 1e-9);
+      }
+      const there = toPane(view, toPixel(view, at));
+      near(there.x, at.x, 1e-9 * pane.width);
+      near(there.y, at.y, 1e-9 * pane.height);
+      // No border is shown where there is picture, and the zoom keeps its bounds.
+      assert.ok(view.left <= 1e-6 && view.left + PICTURE.width * view.scale >= pane.width - 1e-6);
+      assert.ok(view.top <= 1e-6 && view.top + PICTURE.height * view.scale >= pane.height - 1e-6);
+      const zoom = view.scale / wholeView(PICTURE, pane).scale;
+      assert.ok(zoom >= 1 - 1e-9 && zoom <= MAX_ZOOM + 1e-9);
+    }
+  }
+});
+
+test("two fingers take what lies between them along", () => {
+  const pane = { width: 640, height: 480 };
+  const view = zoomed(wholeView(PICTURE, pane), 3, { x: 300, y: 200 }, PICTURE, pane, { x: 320, y: 240 });
+  near(toPixel(view, { x: 320, y: 240 }).u, 299.5, 1e-9);
+  near(toPixel(view, { x: 320, y: 240 }).v, 199.5, 1e-9);
+});
+
+test("the border belongs to the picture, half a pixel outside its centres", () => {
+  assert.ok(contains(PICTURE, { u: -0.5, v: 479.5 }));
+  assert.ok(!contains(PICTURE, { u: -0.51, v: 0 }));
+  assert.ok(!contains(PICTURE, { u: 0, v: 479.51 }));
+});
+
+test("places are seen where Python sees them", () => {
+  const cases = JSON.parse(readFileSync(process.env["PROJECTION_CASES"]!, "utf8")) as {
+    camera: Camera; width: number; height: number; lat: number; lon: number; height_m: number; enu: number[]; uv: [number, number] | null;
+  }[];
+  assert.ok(cases.length >= 100);
+  let seen = 0;
+  for (const c of cases) {
+    enu(c.camera, c.lat, c.lon, c.height_m).forEach((value, k) => near(value, c.enu[k]!, 1e-6));
+    const uv = pixelOf(c.camera, { width: c.width, height: c.height }, c.lat, c.lon, c.height_m);
+    assert.equal(uv === null, c.uv === null);
+    if (uv !== null && c.uv !== null) { near(uv.u, c.uv[0], 1e-6); near(uv.v, c.uv[1], 1e-6); seen += 1; }
+  }
+  assert.ok(seen > cases.length / 4 && seen < cases.length);
+});
+
+test("an ellipse has its axes where they are said to be", () => {
+  const camera = { lat_deg: 47, lon_deg: 8, height_m: 0 };
+  const ring = ellipseRing(47, 8, 20, 5, 30, 72);
+  assert.deepEqual(ring[0], ring.at(-1));
+  const away = ring.map(([lon, lat]) => enu(camera, lat, lon, 0));
+  const far = away.map(([e, n]) => Math.hypot(e, n));
+  near(Math.max(...far), 20, 0.01);
+  near(Math.min(...far), 5, 0.01);
+  const [e, n] = away[far.indexOf(Math.max(...far))]!;
+  near(((Math.atan2(e, n) * 180 / Math.PI) + 180) % 180, 30, 0.1);
+});
+
+test("the grid has whole metres and covers the view", () => {
+  assert.equal(gridStep(1000), 100);
+  assert.equal(gridStep(1200), 200);
+  assert.equal(gridStep(30), 5);
+  const origin = { lat: -43, lon: 172 };
+  const [east, north] = offset(-43, 172, 400, 250);
+  const { step, lines } = gridLines(origin, [172, -43, east, north]);
+  assert.equal(step, 50);
+  assert.ok(lines.length >= 15 && lines.length <= 24);
+  for (const line of lines) {
+    assert.equal(line.metres % step, 0);
+    for (const [lon, lat] of line.ends) {
+      const [e, n] = enu({ lat_deg: -43, lon_deg: 172, height_m: 0 }, lat, lon, 0);
+      assert.ok([e, n].some((value) => Math.abs(value - line.metres) < 0.1));
+    }
+  }
+});
+
+test("a radius is never said to be smaller than it is", () => {
+  for (const [metres, text] of [[3.21, "3.3 m"], [3.2, "3.2 m"], [9.95, "10.0 m"], [12.01, "13 m"], [999.5, "1000 m"], [1501, "1.6 km"]] as const) {
+    assert.equal(radius(metres), text);
+  }
+  assert.equal(radius(null), "unknown");
+  assert.equal(age(null), "age unknown");
+  assert.equal(age(75), "75 s");
+});
+
+test("coordinates are taken as they are pasted, and nothing else is", () => {
+  assert.deepEqual(parseCoordinate("47.376890, 8.541690"), { lat: 47.37689, lon: 8.54169 });
+  assert.deepEqual(parseCoordinate("-43.38 172.4"), { lat: -43.38, lon: 172.4 });
+  assert.deepEqual(parseCoordinate("geo:-43.38,172.4,115.2"), { lat: -43.38, lon: 172.4 });
+  for (const text of ["", "47.4", "91, 8", "8, 181", "north 5", "4x, 5"]) assert.equal(parseCoordinate(text), null);
+});

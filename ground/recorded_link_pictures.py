@@ -1,0 +1,98 @@
+"""The pictures that `pc-ground record` kept of a link: pieces as they came, joined when a picture is asked for."""
+
+from __future__ import annotations
+
+import mmap
+from pathlib import Path
+
+from contract import recording_format as names
+from contract.errors import InputError, WireError
+from contract.mcap_records import CHANNEL, MAGIC, MESSAGE, MESSAGE_HEAD, Data, read_channel, records
+from contract.picture import LinkPicture
+from contract.topics import PICTURE
+from contract.wire.picture_code import Whole, join, read_piece
+from ground.link_pictures import Identity
+
+_Place = tuple[int, int, int]  # file, start, length
+
+
+class RecordedLinkPictures:
+    """Indexed once over all files of a session; `path` as for `ground.recording.Recording`. Raises InputError.
+
+    Damaged stretches are passed over: `Recording` names them. A file with chunks, which we do not write, has none here.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self._data: list[Data] = []
+        self._found: dict[Identity, dict[Whole, dict[int, _Place]]] = {}
+        for file, part in enumerate(names.session_files(Path(path))):
+            data = _mapped(part)
+            self._data.append(data)
+            self._index(file, data)
+
+    def picture(self, vehicle: str, session: int, frame: int) -> LinkPicture | None:
+        """The picture of a frame; None if it is not there, or not whole."""
+        for whole, places in reversed(self._found.get((vehicle, session, frame), {}).items()):
+            try:
+                pieces = {number: read_piece(self._bytes(place)).content for number, place in places.items()}
+                found = join(whole, pieces)
+            except WireError:
+                continue
+            if found is not None:
+                return found
+        return None
+
+    def frames(self, vehicle: str, session: int) -> set[int]:
+        """The frames of whose picture enough is there."""
+        return {
+            frame
+            for (name, of, frame), wholes in self._found.items()
+            if (name, of) == (vehicle, session) and any(_is_enough(whole, places) for whole, places in wholes.items())
+        }
+
+    def _bytes(self, place: _Place) -> bytes:
+        file, start, length = place
+        return bytes(self._data[file][start : start + length])
+
+    def _index(self, file: int, data: Data) -> None:
+        channels: dict[int, str] = {}
+        for opcode, start, length in records(data, lambda _: None):
+            if opcode == CHANNEL:
+                channel, topic, encoding = read_channel(bytes(data[start : start + length]))
+                if encoding == names.PICTURE_ENCODING:
+                    channels[channel] = topic
+            elif opcode == MESSAGE and (data[start] | data[start + 1] << 8) in channels:
+                topic = channels[data[start] | data[start + 1] << 8]
+                self._note(topic, (file, start + MESSAGE_HEAD.size, length - MESSAGE_HEAD.size))
+
+    def _note(self, topic: str, place: _Place) -> None:
+        try:
+            piece = read_piece(self._bytes(place))
+            if PICTURE.vehicle(topic) != piece.whole.vehicle:
+                return
+        except (WireError, ValueError):
+            return
+        w = piece.whole
+        wholes = self._found.setdefault((w.vehicle, w.session, w.frame), {})
+        wholes.setdefault(w, {})[piece.number] = place
+
+
+def _is_enough(whole: Whole, places: dict[int, _Place]) -> bool:
+    """Whether at most one piece of each group is missing, and then its parity is there."""
+    if not whole.groups:
+        return len(places) == whole.pieces
+    for group in range(whole.groups):
+        missing = sum(i not in places for i in range(group, whole.pieces, whole.groups))
+        if missing > 1 or (missing and whole.pieces + group not in places):
+            return False
+    return True
+
+
+def _mapped(path: Path) -> Data:
+    try:
+        with path.open("rb") as stream:
+            if stream.read(len(MAGIC)) != MAGIC:
+                return b""  # `Recording` says so
+            return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+    except OSError as error:
+        raise InputError(f"recording {path}: {error.strerror}") from error

@@ -1,0 +1,234 @@
+"""Pins: made of clicks, edited, undone, measured; and ties to known places."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from typing import Annotated, Any
+
+from fastapi import APIRouter, HTTPException, Query, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from ground.answer import Fix
+from ground.pins.fusion import Vector
+from ground.pins.model import MAX_NAME, MAX_NOTE, MAX_WHO, Category, Pin, PinClick
+from ground.pins.ties import TieRefused, tie_of
+from ground.web.api_vehicles import ClickBody, answer_json
+from ground.web.clicks import Clicked
+from ground.web.desk import Desk
+from ground.web.pin_json import tie_json, vector_json
+
+
+class NewPin(BaseModel):
+    """A pin at a click, or at a coordinate that was entered."""
+
+    model_config = ConfigDict(extra="forbid")
+    click: ClickBody | None = None
+    lat_deg: float | None = Field(default=None, ge=-90, le=90)
+    lon_deg: float | None = Field(default=None, ge=-180, le=180)
+    height_amsl_m: float | None = Field(default=None, ge=-1000, le=100_000)
+    sigma_m: float | None = Field(default=None, gt=0, le=100_000)
+    name: str = Field(default="", max_length=MAX_NAME)
+    note: str = Field(default="", max_length=MAX_NOTE)
+    category: Category = Category.POI
+    who: str = Field(default="", max_length=MAX_WHO)
+
+
+class MoreClick(ClickBody):
+    """One more click on a pin's thing."""
+
+    who: str = Field(default="", max_length=MAX_WHO)
+
+
+class Edit(BaseModel):
+    """What is to change; what is left out stays."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str | None = Field(default=None, max_length=MAX_NAME)
+    note: str | None = Field(default=None, max_length=MAX_NOTE)
+    category: Category | None = None
+    who: str = Field(default="", max_length=MAX_WHO)
+
+
+class NewTie(BaseModel):
+    """A click on a place whose coordinate is known, WGS84. Sigmas are one sigma."""
+
+    model_config = ConfigDict(extra="forbid")
+    click: ClickBody
+    lat_deg: float = Field(ge=-90, le=90)
+    lon_deg: float = Field(ge=-180, le=180)
+    height_m: float | None = Field(default=None, ge=-1000, le=100_000)
+    datum: str = Field(default="amsl", pattern="^(amsl|ellipsoid)$")
+    sigma_m: float = Field(gt=0, le=1000)
+    sigma_height_m: float | None = Field(default=None, gt=0, le=1000)
+    name: str = Field(default="", max_length=MAX_NAME)
+    who: str = Field(default="", max_length=MAX_WHO)
+
+
+class Who(BaseModel):
+    """Whose change it is."""
+
+    model_config = ConfigDict(extra="forbid")
+    who: str = Field(default="", max_length=MAX_WHO)
+
+
+WhoQuery = Annotated[str, Query(max_length=MAX_WHO)]
+
+
+def pins_router(desk: Desk) -> APIRouter:
+    """Routes below /api."""
+    router = APIRouter(tags=["pins"])
+    store = desk.store
+
+    @router.get("/pins", summary="All pins, or those that a filter leaves")
+    def pins(
+        category: Category | None = None,
+        text: Annotated[str, Query(max_length=200)] = "",
+        vehicle: Annotated[str, Query(max_length=200)] = "",
+        who: WhoQuery = "",
+    ) -> Response:
+        found = store.pins(category=category, text=text, vehicle=vehicle, who=who)
+        return _json(f'{{"pins":{desk.pins_text(found)},"ties":{json.dumps(desk.ties_json())}}}')
+
+    @router.post("/pins", status_code=201, summary="A pin at a click (422 with the reason if it is refused)")
+    def add(body: NewPin) -> Response:
+        answer: dict[str, Any] | None = None
+        if body.click is not None:
+            clicked = _clicked(body.click)
+            answer = answer_json(clicked.answer.to_json())
+            made = desk.pin_click(clicked, body.click.u, body.click.v, body.who)
+            if made is None:
+                return _reply(None, answer)
+        elif body.lat_deg is None or body.lon_deg is None:
+            raise HTTPException(422, "a pin needs a click, or lat_deg and lon_deg")
+        else:
+            made = PinClick.entered(
+                body.lat_deg, body.lon_deg, height_amsl_m=body.height_amsl_m, sigma_m=body.sigma_m, who=body.who
+            )
+        pin = store.add(
+            [made], name=body.name, note=body.note, category=body.category, who=body.who, crop=desk.crop_of(made)
+        )
+        desk.told(pin)
+        return _reply(pin, answer)
+
+    @router.get("/pins/{pin_id}", summary="One pin")
+    def one(pin_id: str) -> Response:
+        return _json(desk.pin_text(desk.pin(pin_id)))
+
+    @router.post("/pins/{pin_id}/clicks", status_code=201, summary="One more click on the same thing")
+    def add_click(pin_id: str, body: MoreClick) -> Response:
+        desk.pin(pin_id)
+        clicked = _clicked(body)
+        answer = answer_json(clicked.answer.to_json())
+        made = desk.pin_click(clicked, body.u, body.v, body.who)
+        if made is None:
+            return _reply(None, answer)
+        pin = store.add_click(pin_id, made, who=body.who, crop=desk.crop_of(made))
+        desk.told(pin)
+        return _reply(pin, answer)
+
+    @router.delete("/pins/{pin_id}/clicks/{click_id}", summary="Take a click off a pin")
+    def remove_click(pin_id: str, click_id: str, who: WhoQuery = "") -> Response:
+        desk.pin(pin_id)
+        pin = store.remove_click(pin_id, click_id, who=who)
+        desk.told(pin)
+        return _json(desk.pin_text(pin))
+
+    @router.patch("/pins/{pin_id}", summary="Change name, note or category")
+    def edit(pin_id: str, body: Edit) -> Response:
+        desk.pin(pin_id)
+        pin = store.edit(pin_id, who=body.who, name=body.name, note=body.note, category=body.category)
+        desk.told(pin)
+        return _json(desk.pin_text(pin))
+
+    @router.delete("/pins/{pin_id}", summary="Delete a pin; undo brings it back")
+    def delete(pin_id: str, who: WhoQuery = "") -> dict[str, Any]:
+        desk.pin(pin_id)
+        store.delete(pin_id, who=who)
+        desk.told_deleted(pin_id)
+        return {"deleted": pin_id}
+
+    @router.get("/pins/{pin_id}/crop", summary="The picture around its newest click", response_class=Response)
+    def crop(pin_id: str) -> Response:
+        for click in reversed(desk.pin(pin_id).clicks):
+            content = store.crop(click.id)
+            if content is not None:
+                return Response(content, media_type="image/webp")
+        raise HTTPException(404, "no picture was kept with this pin")
+
+    @router.get("/pins/{pin_id}/seen", summary="The pictures that show it, and where in them")
+    def seen(pin_id: str) -> list[dict[str, Any]]:
+        return desk.seen(desk.pin(pin_id))
+
+    @router.get("/measure", summary="Distance and bearing from one pin to another, with their own sigmas")
+    def measure(first: Annotated[str, Query(alias="from")], to: str) -> dict[str, Any]:
+        found = desk.places.between(desk.pin(first), desk.pin(to))
+        return vector_json(found) if isinstance(found, Vector) else {"status": "no_place", "reason": found.reason}
+
+    @router.post("/undo", summary="Take back one's own last change")
+    def undo(body: Who) -> dict[str, str | None]:
+        said = store.undo(who=body.who)
+        desk.told()
+        return {"undone": said}
+
+    @router.post("/redo", summary="Make it again")
+    def redo(body: Who) -> dict[str, str | None]:
+        said = store.redo(who=body.who)
+        desk.told()
+        return {"redone": said}
+
+    @router.get("/ties", summary="All ties")
+    def ties() -> list[dict[str, Any]]:
+        return desk.ties_json()
+
+    @router.post("/ties", status_code=201, summary="Tie a click to a surveyed place (409 with the figure if refused)")
+    def add_tie(body: NewTie, response: Response) -> dict[str, Any]:
+        clicked = _clicked(body.click)
+        if clicked.feature_set is None or not isinstance(clicked.answer, Fix):
+            response.status_code = 422
+            return {"tie": None, "answer": answer_json(clicked.answer.to_json())}
+        tie = tie_of(
+            clicked.feature_set,
+            clicked.answer,
+            (body.click.u, body.click.v),
+            lat_deg=body.lat_deg,
+            lon_deg=body.lon_deg,
+            height_m=body.height_m,
+            datum=body.datum,
+            sigma_m=body.sigma_m,
+            sigma_height_m=body.sigma_height_m,
+            name=body.name,
+            who=body.who,
+            created_unix_ns=time.time_ns(),
+            locator=clicked.locator,
+        )
+        try:
+            store.add_tie(tie, who=body.who)
+        except TieRefused as refused:
+            response.status_code = 409
+            j = refused.judgement
+            allowed = j.allowed_m if math.isfinite(j.allowed_m) else None
+            return {"tie": None, "reason": str(refused), "misses_m": j.misses_m, "allowed_m": allowed}
+        desk.told()
+        return {"tie": tie_json(tie)}
+
+    @router.delete("/ties/{tie_id}", summary="Delete a tie: pins are where they were without it")
+    def delete_tie(tie_id: str, who: WhoQuery = "") -> dict[str, Any]:
+        store.delete_tie(tie_id, who=who)
+        desk.told()
+        return {"deleted": tie_id}
+
+    def _clicked(body: ClickBody) -> Clicked:
+        return desk.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
+
+    def _reply(pin: Pin | None, answer: dict[str, Any] | None) -> Response:
+        """A pin, or why there is none, with the click's answer."""
+        text = "null" if pin is None else desk.pin_text(pin)
+        return _json(f'{{"pin":{text},"answer":{json.dumps(answer)}}}', 422 if pin is None else 201)
+
+    return router
+
+
+def _json(text: str, status_code: int = 200) -> Response:
+    return Response(text, status_code, media_type="application/json")

@@ -1,0 +1,194 @@
+"""Vehicles, their pictures and what is drawn on them, and clicks."""
+
+from __future__ import annotations
+
+import json
+import time
+from typing import Annotated, Any
+
+from fastapi import APIRouter, HTTPException, Path, Query, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from contract.feature_set import FeatureSet
+from ground.answer import EXPLANATIONS, Fix
+from ground.circular_error import ce90_m
+from ground.web.advice import ADVICE
+from ground.web.desk import Desk
+from ground.web.source import FrameRow, VehicleReport
+from ground.web.view import camera_place, frame_view
+
+EARLIER = 6  # pictures that a feature's path reaches back
+NEAR = 64
+STALE_S = 3.0
+LOST_S = 10.0
+MAX_FRAME = 2**32 - 1
+
+Frame = Annotated[int, Path(ge=0, le=MAX_FRAME)]
+Session = Annotated[
+    int | None, Query(ge=0, le=2**63 - 1, description="the aircraft's session; default: that which runs")
+]
+
+
+class ClickBody(BaseModel):
+    """One pixel of one picture. Pixel (0, 0) is the centre of the camera's top left pixel."""
+
+    model_config = ConfigDict(extra="forbid")
+    vehicle: str = Field(max_length=200)
+    frame: int = Field(ge=0, le=MAX_FRAME)
+    u: float = Field(ge=-1e6, le=1e6, allow_inf_nan=False)
+    v: float = Field(ge=-1e6, le=1e6, allow_inf_nan=False)
+    session: int | None = Field(default=None, ge=0, le=2**63 - 1)
+
+
+def vehicles_router(desk: Desk) -> APIRouter:
+    """Routes below /api."""
+    router = APIRouter(tags=["pictures and clicks"])
+    source = desk.source
+
+    @router.get("/vehicles", summary="All vehicles and how they are")
+    def vehicles() -> list[dict[str, Any]]:
+        return [vehicle_json(desk, name) for name in source.vehicles()]
+
+    @router.get("/vehicles/{vehicle}/frames", summary="The pictures that can be asked for, in capture order")
+    def frames(vehicle: str) -> list[dict[str, Any]]:
+        _known(vehicle)
+        return [
+            {
+                "session": row.session,
+                "frame": row.frame,
+                "revision": row.revision,
+                "status": row.status.value,
+                "capture_unix_ns": str(row.capture_unix_ns),
+                "has_picture": row.has_picture,
+            }
+            for row in source.frames(vehicle)
+        ]
+
+    @router.get("/vehicles/{vehicle}/frames/{frame}/picture", summary="A picture", response_class=Response)
+    def picture(vehicle: str, frame: Frame, session: Session = None) -> Response:
+        _known(vehicle)
+        found = source.picture(vehicle, session, frame)
+        if found is None:
+            raise HTTPException(404, "this picture is not there")
+        # A picture of a session never changes.
+        return Response(found.content, media_type=found.media_type, headers={"cache-control": "private, max-age=3600"})
+
+    @router.get("/vehicles/{vehicle}/frames/{frame}/features", summary="What is drawn on a picture, and its camera")
+    def features(vehicle: str, frame: Frame, session: Session = None) -> dict[str, Any]:
+        _known(vehicle)
+        found = source.feature_set(vehicle, session, frame)
+        if found is None:
+            raise HTTPException(404, "no set of this picture is there")
+        return frame_view(found, _before(found), source.age_s(found), desk.clicker.locator(found))
+
+    @router.get("/vehicles/{vehicle}/path", summary="Where the camera was, picture by picture")
+    def path(vehicle: str, most: Annotated[int, Query(ge=2, le=5000)] = 1000) -> list[list[float]]:
+        _known(vehicle)
+        rows = [row for row in source.frames(vehicle) if row.status.value == "ok"]
+        step = max(1, -(-len(rows) // most))
+        kept = rows[::-1][::step][::-1]
+        places = (source.feature_set(vehicle, row.session, row.frame) for row in kept)
+        return [place for s in places if s is not None and (place := camera_place(s)) is not None]
+
+    @router.post("/click", summary="A pixel's position on the ground, as pc-ground click --format json writes it")
+    def click(body: ClickBody) -> Response:
+        clicked = desk.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
+        return Response(clicked.answer.to_json(), media_type="application/json")
+
+    @router.get("/status", summary="How the server and all vehicles are")
+    def status() -> dict[str, Any]:
+        return {
+            "source": source.name,
+            "is_live": source.is_live,
+            "damage": source.damage()[:20],
+            "sharing": desk.sharing_words(),
+            "up_s": round(time.time() - desk.started_unix_s, 1),
+            "browsers": len(desk.hub),
+            "tiles": None if desk.tiles is None else desk.tiles.to_dict(),
+            "vehicles": [vehicle_json(desk, name) for name in source.vehicles()],
+        }
+
+    def _known(vehicle: str) -> None:
+        if vehicle not in source.vehicles():
+            raise HTTPException(404, f"no vehicle {vehicle[:80]!r}")
+
+    def _before(found: FeatureSet) -> list[FeatureSet]:
+        rows: list[FrameRow] = []
+        for newest in (NEAR, None):  # mostly it is one of the newest, and an hour's pictures are many
+            rows = [r for r in source.frames(found.vehicle, newest) if r.capture_unix_ns < found.capture_unix_ns]
+            if len(rows) >= EARLIER:
+                break
+        sets = (source.feature_set(found.vehicle, r.session, r.frame) for r in rows[: -EARLIER - 1 : -1])
+        return [s for s in sets if s is not None]
+
+    return router
+
+
+def vehicle_json(desk: Desk, vehicle: str) -> dict[str, Any]:
+    """A row of the status strip."""
+    report = desk.source.report(vehicle)
+    said = report.status
+    found = None
+    if report.newest_frame is not None:
+        found = desk.source.feature_set(vehicle, report.session, report.newest_frame)
+    centre_m = None
+    if found is not None and found.is_ok:
+        c = found.camera
+        answer = desk.clicker.locator(found).locate((0.5 * (c.width_px - 1), 0.5 * (c.height_px - 1)))
+        centre_m = round(ce90_m(answer.covariance_enu_m2[:2, :2]), 1) if isinstance(answer, Fix) else None
+    return {
+        "id": vehicle,
+        "session": report.session,
+        "is_live": desk.source.is_live,
+        "frame": report.newest_frame,
+        "state": _state(report, found),
+        "words": _words(report, found),
+        "is_lost": report.heard_age_s is not None and report.heard_age_s > LOST_S,
+        "picture_age_s": _rounded(report.picture_age_s),
+        "heard_age_s": _rounded(report.heard_age_s),
+        "sets_hz": _rounded(report.sets_hz),
+        "kbit_s": None if report.bit_rate is None else round(report.bit_rate / 1000.0, 1),
+        "features": 0 if found is None else len(found),
+        "tracks": None if said is None else said.tracks,
+        "ce90_centre_m": centre_m,
+        "cpu_c": None if said is None else said.cpu_c,
+        "recording": None if said is None else said.recording,
+        "trouble": report.trouble,
+    }
+
+
+def _state(report: VehicleReport, found: FeatureSet | None) -> str:
+    """well, warning or lost: the page's colour and sign."""
+    if report.heard_age_s is not None and report.heard_age_s > LOST_S:
+        return "lost"
+    is_old = report.heard_age_s is not None and (report.picture_age_s or 0.0) > STALE_S
+    is_well = report.status is None or report.status.state in ("ok", "at rest")
+    return "well" if is_well and not is_old and found is not None and found.is_ok else "warning"
+
+
+def _words(report: VehicleReport, found: FeatureSet | None) -> str:
+    """How the vehicle is, for people."""
+    if report.heard_age_s is not None and report.heard_age_s > LOST_S:
+        return f"nothing heard for {report.heard_age_s:.0f} s"
+    said = report.status
+    if said is not None and said.state != "ok":
+        return f"{said.state}: {said.reason}" if said.reason else said.state
+    if found is None:
+        return "no picture yet"
+    if not found.is_ok:
+        advice = ADVICE[found.status]
+        return EXPLANATIONS[found.status] + (f"; {advice}" if advice else "")
+    if report.heard_age_s is None:
+        return "recorded"
+    return "ok" if (report.picture_age_s or 0.0) <= STALE_S else "the newest picture is old"
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 1)
+
+
+def answer_json(text: str) -> dict[str, Any]:
+    """A click's JSON line as an object, with what would help beside it."""
+    said: dict[str, Any] = json.loads(text)
+    said["advice"] = next((ADVICE[s] for s in ADVICE if s.value == said["status"]), "")
+    return said

@@ -1,0 +1,126 @@
+"""`pc-ground web`: serve the page. What needs the extra `web` is imported when it runs."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import ipaddress
+import secrets
+import sys
+from pathlib import Path
+
+from contract.errors import InputError, PointclickError
+from contract.topics import DEFAULT_ENDPOINT
+from ground.link_options import add_tls_arguments, tls_of
+
+PORT = 8080
+EXAMPLES = """examples:
+  pc-ground web --connect tcp/192.168.1.20:7447            the aircraft on the link, on this machine's own screen
+  pc-ground web --from FLIGHT.mcap --pins search.sqlite    a recorded flight
+  pc-ground web --share-listen tcp/0.0.0.0:7448            share pins: others say --share-connect tcp/THIS:7448
+  pc-ground web --host 0.0.0.0                             for tablets on this network, with a token and a QR code
+"""
+NEEDED = ("fastapi", "uvicorn", "websockets", "PIL", "segno")
+MIN_TOKEN = 16
+STATIC = Path(__file__).parent / "static"
+
+
+class WebError(PointclickError):
+    """The server cannot be started as it was asked."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `web`."""
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument(
+        "--connect",
+        metavar="ENDPOINT",
+        action="append",
+        help=f"zenoh endpoint, may be given several times (default {DEFAULT_ENDPOINT})",
+    )
+    source.add_argument("--from", dest="recording", metavar="SESSION.mcap|DIR", type=Path, help="a recorded session")
+    add_tls_arguments(parser)
+    parser.add_argument(
+        "--host", default="127.0.0.1", metavar="ADDRESS", help="address to serve on (default 127.0.0.1)"
+    )
+    parser.add_argument(
+        "--port", type=_port, default=PORT, metavar="N", help=f"port to serve on (default {PORT}; 0: any)"
+    )
+    parser.add_argument(
+        "--pins", type=Path, metavar="FILE", help="where pins are kept (default: beside your other data)"
+    )
+    for name, meaning in (("listen", "others connect to"), ("connect", "another server shares at")):
+        parser.add_argument(
+            f"--share-{name}",
+            metavar="ENDPOINT",
+            action="append",
+            default=[],
+            help=f"share the pins with other servers: zenoh endpoint that {meaning}; repeatable",
+        )
+    parser.add_argument(
+        "--token",
+        metavar="TOKEN",
+        nargs="?",
+        const="",
+        help="ask browsers for a token; without one given, one is made. Always so on addresses that others reach",
+    )
+    parser.add_argument("--name", action="append", default=[], metavar="NAME", help="a host name that browsers may use")
+    parser.add_argument("--tls-certificate", type=Path, metavar="FILE.pem", help="serve https with this certificate")
+    parser.add_argument("--tls-key", type=Path, metavar="FILE.pem", help="and this private key")
+    parser.add_argument("--tiles", metavar="FILE|URL", help="base map: FILE.pmtiles, FILE.mbtiles or a URL")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until it is told to end. Raises PointclickError before anything is served."""
+    missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
+    if missing:
+        raise WebError(f"the page needs {', '.join(missing)}: pip install 'pointclick[web]'")
+    if not (STATIC / "index.html").is_file():
+        raise WebError(f"the page is not in {STATIC}: this is a checkout in which it was never built; run make web")
+    if (args.tls_certificate is None) != (args.tls_key is None):
+        raise WebError("--tls-certificate and --tls-key go together")
+    for file in (args.tls_certificate, args.tls_key):
+        if file is not None and not file.is_file():
+            raise InputError(f"{file}: there is no such file")
+    from ground.web.serve import serve  # noqa: PLC0415  the extra `web` is needed from here on
+
+    return serve(args, token_of(args), tls_of(args))
+
+
+def token_of(args: argparse.Namespace) -> str:
+    """The token that is asked for; empty for none. Raises WebError for one that could be guessed."""
+    from ground.web.guard import is_loopback  # noqa: PLC0415
+
+    said: str | None = args.token
+    if said is None:
+        return "" if is_loopback(args.host) else secrets.token_urlsafe(18)
+    if said == "":
+        return secrets.token_urlsafe(18)
+    if len(said) < MIN_TOKEN or not said.isascii() or not said.replace("-", "").replace("_", "").isalnum():
+        raise WebError(f"--token must have at least {MIN_TOKEN} letters, digits, - or _; leave it out and one is made")
+    return said
+
+
+def link_host(host: str) -> str:
+    """The address that goes into a link: of all addresses, the one that leads out."""
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return host
+    if not address.is_unspecified:
+        return f"[{host}]" if address.version == 6 else host
+    import socket  # noqa: PLC0415
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # nothing is sent: the system only chooses the way
+            return str(probe.getsockname()[0])
+        except OSError:
+            print("pc-ground: warning: this machine has no address that others reach", file=sys.stderr)
+            return "127.0.0.1"
+
+
+def _port(text: str) -> int:
+    if not text.isdecimal() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a port (0 to 65535)")
+    return int(text)

@@ -1,0 +1,154 @@
+"""What all requests share: the source, the pins and who is told of changes."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from contract.errors import InputError
+from ground.answer import Fix
+from ground.pins.fusion import Fused
+from ground.pins.model import Pin, PinClick
+from ground.pins.places import Places
+from ground.pins.store import PinStore
+from ground.web.clicks import Clicked, Clicker
+from ground.web.crops import Cropper
+from ground.web.events import Hub
+from ground.web.pin_json import pin_json, tie_json
+from ground.web.source import Source
+from ground.web.tiles import Tiles
+from ground.web.view import placed_in
+
+if TYPE_CHECKING:
+    from ground.pins.sharing import PinSharing
+
+
+class NotThere(InputError):
+    """Nothing goes by that name."""
+
+
+@dataclass(eq=False)
+class Desk:
+    """One server's state. Its methods are called in the threads of requests."""
+
+    source: Source
+    store: PinStore
+    static: Path
+    tiles: Tiles | None = None
+    sharing: PinSharing | None = None  # of the pins with other servers
+    started_unix_s: float = field(default_factory=time.time)
+
+    def __post_init__(self) -> None:
+        self.clicker = Clicker(self.source)
+        self.places = Places(self.store)
+        self.hub = Hub()
+        self._cropper = Cropper()
+        # By the pin's id: the pin and its place as they were, and their JSON.
+        self._texts: dict[str, tuple[Pin, Fused, str]] = {}
+        self._revision = self.store.revision
+        self._lock = threading.Lock()
+
+    def pin_text(self, pin: Pin) -> str:
+        """A pin with its place, as JSON."""
+        return self.pins_text([pin])[1:-1]
+
+    def pins_text(self, pins: Sequence[Pin]) -> str:
+        """Many, as a JSON list. Only those that have changed are written anew: there may be ten thousand."""
+        texts = []
+        for pin, place in zip(pins, self.places.of(pins), strict=True):
+            held = self._texts.get(pin.id)
+            if held is None or held[0] is not pin or held[1] is not place:
+                text = json.dumps(pin_json(pin, place), separators=(",", ":"), allow_nan=False)
+                held = self._texts[pin.id] = pin, place, text
+            texts.append(held[2])
+        return f"[{','.join(texts)}]"
+
+    def ties_json(self) -> list[dict[str, Any]]:
+        """All ties."""
+        return [tie_json(tie) for tie in self.store.ties()]
+
+    def pin(self, pin_id: str) -> Pin:
+        """Raises NotThere if there is none."""
+        try:
+            return self.store.pin(pin_id)
+        except InputError as error:
+            raise NotThere(str(error)) from error
+
+    def pin_click(self, clicked: Clicked, u_px: float, v_px: float, who: str) -> PinClick | None:
+        """What a pin keeps of an answered click; None of a refusal."""
+        if clicked.feature_set is None or not isinstance(clicked.answer, Fix):
+            return None
+        return PinClick.of(clicked.feature_set, clicked.answer, (u_px, v_px), who=who, locator=clicked.locator)
+
+    def crop_of(self, click: PinClick) -> bytes | None:
+        """The picture around a click; None where there is no picture."""
+        if click.frame is None or click.u_px is None or click.v_px is None:
+            return None
+        vehicle, session, frame = key = click.vehicle, click.session, click.frame
+        found = self.source.feature_set(vehicle, session, frame)
+        if found is None:
+            return None
+
+        def read() -> bytes | None:
+            picture = self.source.picture(vehicle, session, frame)
+            return None if picture is None else picture.content
+
+        return self._cropper.crop(key, read, click.u_px, click.v_px, found.camera.size_px)
+
+    def told(self, *pins: Pin) -> None:
+        """Say to all browsers that these pins are as they are now; without any, that all may have changed."""
+        with self._lock:
+            self._revision = self.store.revision
+        if pins:
+            for pin in pins:
+                self.hub.tell_from_thread(f'{{"type":"pin","pin":{self.pin_text(pin)}}}')
+        else:
+            self.hub.tell_from_thread('{"type":"pins"}')
+
+    def told_deleted(self, pin_id: str) -> None:
+        """Say that a pin is gone."""
+        with self._lock:
+            self._revision = self.store.revision
+        self._texts.pop(pin_id, None)
+        self.hub.tell_from_thread(json.dumps({"type": "pin_deleted", "id": pin_id}))
+
+    def changed_elsewhere(self) -> bool:
+        """Whether another program has changed the pins since this was asked last."""
+        with self._lock:
+            before, self._revision = self._revision, self.store.revision
+            return before != self._revision
+
+    def sharing_words(self) -> str:
+        """How sharing pins with other servers goes; empty where they are not shared."""
+        return "" if self.sharing is None else str(self.sharing.state)
+
+    def seen(self, pin: Pin) -> list[dict[str, Any]]:
+        """The pictures that show a pin, with where in them, in capture order."""
+        where = pin_json(pin, self.places.place(pin))["place"]
+        height = where.get("height_ellipsoid_m")
+        height = where.get("height_amsl_m") if height is None else height
+        rows: list[dict[str, Any]] = []
+        if where["status"] != "ok":
+            return rows
+        for vehicle in self.source.vehicles():
+            for row in self.source.frames(vehicle):
+                found = self.source.feature_set(vehicle, row.session, row.frame) if row.status.value == "ok" else None
+                uv = None if found is None else placed_in(found, where["lat_deg"], where["lon_deg"], height)
+                if uv is not None:
+                    rows.append(
+                        {
+                            "vehicle": vehicle,
+                            "session": row.session,
+                            "frame": row.frame,
+                            "capture_unix_ns": str(row.capture_unix_ns),
+                            "u_px": round(uv[0], 2),
+                            "v_px": round(uv[1], 2),
+                            "has_picture": row.has_picture,
+                        }
+                    )
+        return rows

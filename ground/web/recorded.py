@@ -1,0 +1,108 @@
+"""A recorded session as a page's source: the sets of `ground.recording` and the pictures beside them."""
+
+from __future__ import annotations
+
+import threading
+from functools import lru_cache
+from pathlib import Path
+
+from contract.errors import InputError
+from contract.feature_set import FeatureSet
+from ground.recorded_link_pictures import RecordedLinkPictures
+from ground.recording import Recording
+from ground.web.recorded_pictures import RecordedPictures
+from ground.web.source import FrameRow, Picture, VehicleReport
+
+KEPT_SETS = 256
+
+
+class RecordedSource:
+    """Raises InputError for what is no recording."""
+
+    is_live = False
+
+    def __init__(self, path: Path) -> None:
+        self.name = str(path)
+        self._recording = Recording(path)
+        self._pictures = RecordedPictures(path)
+        self._link_pictures = RecordedLinkPictures(path)  # of `pc-ground record`
+        self._lock = threading.Lock()  # the recording's maps are read by many requests at once
+        self._unreadable: list[str] = []
+        self._sessions = {vehicle: self._session_of(vehicle) for vehicle in self._recording.vehicles}
+        self._with_picture: dict[str, frozenset[int]] = {}
+        self._kept = lru_cache(maxsize=KEPT_SETS)(self._read)
+
+    def vehicles(self) -> list[str]:
+        """Who published, sorted."""
+        return self._recording.vehicles
+
+    def version(self, vehicle: str) -> int:
+        """Nothing changes."""
+        return 0
+
+    def frames(self, vehicle: str, newest: int | None = None) -> list[FrameRow]:
+        """Every picture that has a set."""
+        session = self._sessions[vehicle]
+        rows = self._recording.rows(vehicle)
+        came = self._came(vehicle)
+        return [
+            FrameRow(session, frame, revision, capture_ns, status, frame in came or self._pictures.has(vehicle, frame))
+            for frame, revision, capture_ns, status in (rows if newest is None else rows[-newest:])
+        ]
+
+    def feature_set(self, vehicle: str, session: int | None, frame: int) -> FeatureSet | None:
+        """As of the recording; a set that is damaged is as none, and `damage` says so."""
+        if vehicle not in self._sessions or (session is not None and session != self._sessions[vehicle]):
+            return None
+        with self._lock:
+            return self._kept(vehicle, frame)
+
+    def picture(self, vehicle: str, session: int | None, frame: int) -> Picture | None:
+        """As it was recorded: on board, or as it crossed the link."""
+        if vehicle not in self._sessions or (session is not None and session != self._sessions[vehicle]):
+            return None
+        found = self._pictures.picture(vehicle, frame)
+        if found is not None:
+            return found
+        came = self._link_pictures.picture(vehicle, self._sessions[vehicle], frame)
+        return None if came is None else Picture(came.content, came.media_type)
+
+    def _came(self, vehicle: str) -> frozenset[int]:
+        """The frames whose picture crossed the link whole."""
+        if vehicle not in self._with_picture:
+            self._with_picture[vehicle] = frozenset(self._link_pictures.frames(vehicle, self._sessions[vehicle]))
+        return self._with_picture[vehicle]
+
+    def age_s(self, feature_set: FeatureSet) -> float | None:
+        """Against the vehicle's newest picture."""
+        return self._recording.age_s(feature_set)
+
+    def report(self, vehicle: str) -> VehicleReport:
+        """Where the recording ends."""
+        rows = self._recording.rows(vehicle)
+        newest = max(rows, key=lambda row: row[2])
+        status = self._pictures.status(vehicle)
+        return VehicleReport(vehicle, self._sessions[vehicle], newest[0], 0.0, None, None, None, status)
+
+    def damage(self) -> list[str]:
+        """Where a file is damaged, and the sets that cannot be read."""
+        return [*self._recording.damage, *self._unreadable]
+
+    def close(self) -> None:
+        """The files are let go of with the object."""
+
+    def _session_of(self, vehicle: str) -> int:
+        """All sets of a recording are of one session."""
+        for frame in self._recording.frames(vehicle):
+            found = self._read(vehicle, frame)
+            if found is not None:
+                return found.session
+        raise InputError(f"recording {self.name}: no set of {vehicle} can be read")
+
+    def _read(self, vehicle: str, frame: int) -> FeatureSet | None:
+        try:
+            return self._recording.by_frame(vehicle, frame)
+        except InputError as error:
+            if len(self._unreadable) < 100:
+                self._unreadable.append(str(error))
+            return None

@@ -1,0 +1,127 @@
+"""Open the source and the pins, say where the page is, and serve it until SIGINT or SIGTERM."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import socket
+import sys
+from typing import TYPE_CHECKING
+from urllib.parse import quote
+
+import segno
+import uvicorn
+
+from contract.errors import InputError
+from contract.link_config import Tls
+from contract.topics import DEFAULT_ENDPOINT
+from ground.pins.file import default_path
+from ground.pins.store import PinStore
+from ground.web.app import create_app
+from ground.web.command import STATIC, WebError, link_host
+from ground.web.desk import Desk
+from ground.web.guard import Rules, is_loopback
+from ground.web.recorded import RecordedSource
+from ground.web.source import Source
+from ground.web.tiles import Tiles, open_tiles
+
+if TYPE_CHECKING:
+    from ground.pins.sharing import PinSharing
+
+SHUTDOWN_S = 2  # for what browsers still ask
+MAX_MESSAGE_BYTES = 4096  # of a WebSocket message from a browser, which says nothing of use
+
+
+def serve(args: argparse.Namespace, token: str, tls: Tls | None) -> int:
+    """Until it is told to end. Raises PointclickError before anything is served."""
+    tiles = None if args.tiles is None else open_tiles(args.tiles)
+    listening = _listen(args.host, args.port)
+    with listening:
+        source = _source(args, tls)
+        try:
+            pins = args.pins or default_path()
+            if args.pins is None:
+                pins.parent.mkdir(parents=True, exist_ok=True)
+            with contextlib.ExitStack() as opened:
+                store = opened.enter_context(PinStore(pins))
+                sharing = _sharing(args, tls, store)
+                if sharing is not None:
+                    opened.enter_context(sharing)
+                is_secure = args.tls_certificate is not None
+                rules = _rules(args, token, tiles, is_secure)
+                _announce(args, listening.getsockname()[1], token, is_secure, source, str(pins))
+                config = uvicorn.Config(
+                    create_app(Desk(source, store, STATIC, tiles, sharing), rules),
+                    log_level="warning",
+                    access_log=False,
+                    ws_max_size=MAX_MESSAGE_BYTES,
+                    ws_ping_interval=5.0,
+                    ws_ping_timeout=10.0,
+                    timeout_graceful_shutdown=SHUTDOWN_S,
+                    ssl_certfile=args.tls_certificate,
+                    ssl_keyfile=args.tls_key,
+                    server_header=False,
+                )
+                uvicorn.Server(config).run(sockets=[listening])
+        finally:
+            source.close()
+    return 0
+
+
+def _source(args: argparse.Namespace, tls: Tls | None) -> Source:
+    if args.recording is not None:
+        source = RecordedSource(args.recording)
+        for line in source.damage():
+            print(f"pc-ground: warning: {line}", file=sys.stderr)
+        return source
+    from ground.web.live import LiveSource  # noqa: PLC0415  zenoh is loaded only where there is a link
+
+    default = DEFAULT_ENDPOINT if tls is None else DEFAULT_ENDPOINT.replace("tcp/", "tls/", 1)
+    return LiveSource(args.connect or [default], tls)
+
+
+def _sharing(args: argparse.Namespace, tls: Tls | None, store: PinStore) -> PinSharing | None:
+    if not (args.share_listen or args.share_connect):
+        return None
+    from ground.pins.sharing import share_pins  # noqa: PLC0415  zenoh is loaded only where there is a link
+
+    return share_pins(store, connect=args.share_connect, listen=args.share_listen, tls=tls)
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    """The socket, before anything else, so that a port in use is said in one line."""
+    try:
+        (family, kind, protocol, _, address), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    except OSError as error:
+        raise InputError(f"--host {host}: {error.strerror}") from error
+    listening = socket.socket(family, kind, protocol)
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind(address)
+        listening.listen(100)
+    except OSError as error:
+        listening.close()
+        raise WebError(f"cannot serve on {host} port {port}: {error.strerror}; choose another with --port") from error
+    return listening
+
+
+def _rules(args: argparse.Namespace, token: str, tiles: Tiles | None, is_secure: bool) -> Rules:
+    names = {name.lower().rstrip(".") for name in args.name}
+    return Rules(token, frozenset(names), "" if tiles is None else tiles.origin, is_secure)
+
+
+def _announce(args: argparse.Namespace, port: int, token: str, is_secure: bool, source: Source, pins: str) -> None:
+    """Where the page is: once, on standard output, with a code for the tablet's camera where others may reach it."""
+    scheme = "https" if is_secure else "http"
+    host = args.name[0] if args.name else link_host(args.host)
+    link = f"{scheme}://{host}:{port}/" + (f"?token={quote(token)}" if token else "")
+    print(f"pc-ground web: {source.name}; pins in {pins}")
+    print(f"open {link}", flush=True)
+    if not is_loopback(args.host):
+        segno.make(link, error="m").terminal(out=sys.stdout, compact=True, border=2)
+        if not is_secure:
+            print(
+                "NO TLS: whoever listens on this network reads the token and the pins "
+                "(--tls-certificate and --tls-key encrypt)"
+            )
+    print("end it with Ctrl-C", flush=True)

@@ -1,0 +1,82 @@
+"""Where a page's pictures and sets come from: one interface for what is heard and for what was recorded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from contract.feature_set import FeatureSet, Status
+from contract.vehicle_status import VehicleStatus
+
+
+@dataclass(frozen=True)
+class FrameRow:
+    """One picture of which a set is there, by what a list of pictures needs."""
+
+    session: int
+    frame: int
+    revision: int
+    capture_unix_ns: int
+    status: Status
+    has_picture: bool
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An encoded picture and its media type; of any size, for a click is scaled to the camera's."""
+
+    content: bytes
+    media_type: str
+
+
+@dataclass(frozen=True)
+class VehicleReport:
+    """How a vehicle is. Ages are in seconds, None where nothing was heard; of a recording they count from its end."""
+
+    vehicle: str
+    session: int
+    newest_frame: int | None
+    picture_age_s: float | None  # since the newest picture heard of was taken
+    heard_age_s: float | None  # since anything was heard
+    sets_hz: float | None  # received of late; None: not a link
+    bit_rate: float | None  # payload received of late, bit/s
+    status: VehicleStatus | None  # its own word, the newest
+    trouble: str = ""  # what is wrong at this end
+
+
+class Source(Protocol):
+    """Thread-safe. Vehicles are named as on the link."""
+
+    is_live: bool
+    name: str  # for people: endpoints, or the recording's path
+
+    def vehicles(self) -> list[str]:
+        """Who is there, sorted."""
+
+    def version(self, vehicle: str) -> int:
+        """A number that grows whenever the pictures or sets of a vehicle change."""
+
+    def frames(self, vehicle: str, newest: int | None = None) -> list[FrameRow]:
+        """The pictures of the session that runs, in capture order; only so many of the newest, if that is said."""
+
+    def feature_set(self, vehicle: str, session: int | None, frame: int) -> FeatureSet | None:
+        """The set of a picture at its latest revision; None if there is none. No session: the one that runs."""
+
+    def picture(self, vehicle: str, session: int | None, frame: int) -> Picture | None:
+        """The picture itself; None if it is not there.
+
+        Whatever pictures come from (the recording, keyframes on the link, a video of the downlink) is asked here and
+        nowhere else, and `FrameRow.has_picture` says whether asking is worth it. It may be asked from several threads.
+        """
+
+    def age_s(self, feature_set: FeatureSet) -> float | None:
+        """How old a set's picture is now; of a recording, how much older than its newest one."""
+
+    def report(self, vehicle: str) -> VehicleReport:
+        """How a vehicle is."""
+
+    def damage(self) -> list[str]:
+        """What could not be read, a line each."""
+
+    def close(self) -> None:
+        """Let go of links and files."""

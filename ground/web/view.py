@@ -1,0 +1,165 @@
+"""What a page draws of a set: its camera, its features with their ground places and paths, the footprint. No I/O.
+
+The camera goes along so that the page itself can draw a pin in any picture; `placed_in` is the same on this side, for
+finding the pictures that show a place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.feature_set import FeatureSet, HeightDatum
+from contract.geodesy import LocalFrame
+from ground.answer import EXPLANATIONS, Fix, time_utc
+from ground.circular_error import ce90_m
+from ground.locate import MIN_PLANE_SHARE, Locator
+from ground.web.advice import ADVICE
+
+Array = NDArray[np.float64]
+
+# Features of two pictures within this of each other, once one's ground places are seen from the other, are the same.
+SAME_FEATURE_PX = 4.0
+COMMON_SHIFT_PX = 40.0
+EDGE_POINTS = 12  # of the footprint, along each edge of the picture
+
+
+def frame_view(s: FeatureSet, earlier: Sequence[FeatureSet], age_s: float | None, locator: Locator) -> dict[str, Any]:
+    """Everything about one picture but the picture, ready for JSON. `earlier`: sets before it, the nearest first."""
+    out: dict[str, Any] = {
+        "vehicle": s.vehicle,
+        "session": s.session,
+        "frame": s.frame,
+        "revision": s.revision,
+        "status": s.status.value,
+        "reason": EXPLANATIONS[s.status],
+        "advice": ADVICE[s.status],
+        "time_utc": time_utc(s.capture_unix_ns),
+        "capture_unix_ns": str(s.capture_unix_ns),
+        "age_s": None if age_s is None else round(age_s, 3),
+        "width_px": s.camera.width_px,
+        "height_px": s.camera.height_px,
+        "camera": None,
+        "features": {"uv": [], "lonlat": [], "paths": []},
+        "footprint": [],
+        "corners": None,
+        "ce90_centre_m": None,
+    }
+    if not s.is_ok:
+        return out
+    c, frame = s.camera, _ellipsoidal(s)
+    out["camera"] = {
+        "fx": c.fx_px,
+        "fy": c.fy_px,
+        "cx": c.cx_px,
+        "cy": c.cy_px,
+        "distortion": list(c.distortion),
+        "max_radius": min(c.max_radius, 1e3),
+        "lat_deg": s.camera_lat_deg,
+        "lon_deg": s.camera_lon_deg,
+        "height_m": s.camera_height_m + _shift_m(s),
+        "R_enu_cam": np.asarray(s.R_enu_cam, float).ravel().tolist(),
+    }
+    ground, usable = _ground_places(s)
+    places = frame.to_geodetic(ground)
+    out["features"] = {
+        "uv": np.round(s.uv_px[usable], 2).tolist(),
+        "lonlat": np.round(places[:, [1, 0]], 8).tolist(),
+        "paths": _paths(s, s.uv_px[usable], earlier),
+    }
+    out["footprint"], out["corners"] = footprint(s)
+    answer = locator.locate((0.5 * (c.width_px - 1), 0.5 * (c.height_px - 1)))
+    if isinstance(answer, Fix):
+        out["ce90_centre_m"] = round(ce90_m(answer.covariance_enu_m2[:2, :2]), 1)
+    return out
+
+
+def footprint(s: FeatureSet) -> tuple[list[list[float]], list[list[float]] | None]:
+    """Outline of the picture on its ground plane as longitude, latitude, closed, without what lies at or above the
+    horizon; and the ground under its four corners from the top left clockwise, if all are ground.
+    """
+    w, h = s.camera.width_px - 0.5, s.camera.height_px - 0.5
+    corner_px = np.array([[-0.5, -0.5], [w, -0.5], [w, h], [-0.5, h]])
+    t = np.arange(EDGE_POINTS)[:, None] / EDGE_POINTS
+    edge_px = np.concatenate([a + t * (b - a) for a, b in zip(corner_px, np.roll(corner_px, -1, axis=0), strict=True)])
+    outline, ok = _on_plane(s, edge_px)
+    corners, corners_ok = _on_plane(s, corner_px)
+    ring = [p for p, good in zip(outline, ok, strict=True) if good]
+    return ([*ring, ring[0]] if len(ring) >= 3 else []), (corners if bool(np.all(corners_ok)) else None)
+
+
+def placed_in(s: FeatureSet, lat_deg: float, lon_deg: float, height_ellipsoid_m: float | None) -> list[float] | None:
+    """The pixel that shows a place in a set's picture; None where it is not on it, or its height is not known."""
+    if not s.is_ok or height_ellipsoid_m is None:
+        return None
+    enu_m = _ellipsoidal(s).to_enu(lat_deg, lon_deg, height_ellipsoid_m)
+    uv, seen = s.camera.project(enu_m @ np.asarray(s.R_enu_cam, float))
+    return [float(uv[0]), float(uv[1])] if bool(seen) else None
+
+
+def camera_place(s: FeatureSet) -> list[float] | None:
+    """Longitude, latitude of a set's camera; None if it has no pose."""
+    return [round(s.camera_lon_deg, 8), round(s.camera_lat_deg, 8)] if s.is_ok else None
+
+
+def _shift_m(s: FeatureSet) -> float:
+    """From the set's datum to the ellipsoid, as `ground.locate` takes it: nothing where that is not known."""
+    known = s.height_datum is HeightDatum.AMSL and not np.isnan(s.undulation_m)
+    return float(s.undulation_m) if known else 0.0
+
+
+def _ellipsoidal(s: FeatureSet) -> LocalFrame:
+    return LocalFrame(s.camera_lat_deg, s.camera_lon_deg, s.camera_height_m + _shift_m(s))
+
+
+def _ground_places(s: FeatureSet) -> tuple[Array, NDArray[np.bool_]]:
+    """Offsets of the usable features from the camera (M, 3), ENU m, and which those are (N,)."""
+    rays, valid = s.camera.unproject(s.uv_px)
+    usable = valid & (s.inverse_depth_per_m > 0.0)
+    offsets: Array = (rays[usable] / s.inverse_depth_per_m[usable, None]) @ np.asarray(s.R_enu_cam, float).T
+    return offsets, usable
+
+
+def _on_plane(s: FeatureSet, uv_px: Array) -> tuple[list[list[float]], NDArray[np.bool_]]:
+    rays, valid = s.camera.unproject(uv_px)
+    plane = s.plane_per_m[0] + rays[:, :2] @ s.plane_per_m[1:]
+    own = s.plane_per_m[0] + s.camera.unproject(s.uv_px)[0][:, :2] @ s.plane_per_m[1:]
+    floor = MIN_PLANE_SHARE * max(float(np.max(own, initial=0.0)), float(s.plane_per_m[0]))
+    ok = valid & (plane > max(floor, 1e-9))
+    offsets = (rays / np.where(ok, plane, 1.0)[:, None]) @ np.asarray(s.R_enu_cam, float).T
+    places = _ellipsoidal(s).to_geodetic(offsets)
+    return np.round(places[:, [1, 0]], 8).tolist(), ok
+
+
+def _paths(s: FeatureSet, uv_px: Array, earlier: Sequence[FeatureSet]) -> list[list[list[float]]]:
+    """Where each feature was seen in the pictures before, the nearest first, without a gap; empty for a new one.
+
+    The wire does not number features, so they are told by their ground places, each seen from this picture.
+    """
+    paths: list[list[list[float]]] = [[] for _ in uv_px]
+    here = _ellipsoidal(s)
+    for before, other in enumerate(earlier):
+        if not other.is_ok or not len(other) or not len(uv_px):
+            break
+        offsets, usable = _ground_places(other)
+        there = _ellipsoidal(other)
+        moved = here.to_enu(*np.moveaxis(there.to_geodetic(offsets), -1, 0)) @ np.asarray(s.R_enu_cam, float)
+        ahead = moved[:, 2] > 1e-6
+        xy = moved[:, :2] / np.where(ahead, moved[:, 2], 1.0)[:, None]
+        seen = s.camera.distort(xy) * (s.camera.fx_px, s.camera.fy_px) + (s.camera.cx_px, s.camera.cy_px)
+        # Two sets' positions may differ by more than features lie apart: by what all of them moved, first.
+        for reach_px in (COMMON_SHIFT_PX, SAME_FEATURE_PX):
+            distance = np.where(ahead, np.linalg.norm(uv_px[:, None] - seen[None], axis=-1), np.inf)
+            nearest, back = np.argmin(distance, axis=1), np.argmin(distance, axis=0)
+            pairs = [i for i, j in enumerate(nearest) if back[j] == i and distance[i, j] <= reach_px]
+            if not pairs or reach_px == SAME_FEATURE_PX:
+                break
+            seen = seen + np.median(uv_px[pairs] - seen[nearest[pairs]], axis=0)
+        then_px = other.uv_px[usable]
+        for i, j in enumerate(nearest):
+            if back[j] == i and distance[i, j] <= SAME_FEATURE_PX and len(paths[i]) == before:
+                paths[i].append([round(float(then_px[j, 0]), 1), round(float(then_px[j, 1]), 1)])
+    return paths

@@ -1,0 +1,107 @@
+"""One flight, one server and one real Chromium for all tests of the page. Without Chromium: left out, loudly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ground.web.command import STATIC
+from tests.web.browsing import Operator
+from tests.web.served import ARGUMENTS, CHROMIUM, Flown, Server, record
+
+NO_PROGRAM = "left out: no program"  # as in tests/conftest.py, which says so at the end of a run
+
+
+@pytest.fixture(scope="session")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Flown:
+    """A recorded session with pictures."""
+    return record(tmp_path_factory.mktemp("flown"))
+
+
+@pytest.fixture
+def serve(flown: Flown, tmp_path: Path) -> Iterator[Callable[..., Server]]:
+    """Starts servers of a test's own on the flight; pins go into the test's folder."""
+    page_is_built()
+    running: list[Server] = []
+
+    def start(*arguments: object, pins: str = "pins.sqlite") -> Server:
+        running.append(Server("--from", flown.path, "--pins", tmp_path / pins, *arguments))
+        return running[-1]
+
+    yield start
+    for server in running:
+        server.close()
+
+
+@pytest.fixture(scope="session")
+def station(flown: Flown, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """One server for all tests that do not need another; what they leave behind is cleared by `anna`."""
+    page_is_built()
+    server = Server("--from", flown.path, "--pins", tmp_path_factory.mktemp("station") / "pins.sqlite")
+    yield server
+    server.close()
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Any]:
+    """One real browser for all tests."""
+    if CHROMIUM is None:
+        pytest.skip(f"{NO_PROGRAM} chromium; sudo apt-get install chromium")
+    from playwright.sync_api import sync_playwright  # noqa: PLC0415
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="session")
+def first_operator() -> Iterator[list[Operator]]:
+    """Whoever sits at the station from test to test, if anybody."""
+    held: list[Operator] = []
+    yield held
+    for operator in held:
+        operator.context.close()
+
+
+@pytest.fixture
+def anna(station: Server, chromium: Any, flown: Flown, first_operator: list[Operator]) -> Iterator[Operator]:
+    """The station's operator before the newest picture that answers, without pins; one page serves all tests."""
+    if not first_operator:
+        first_operator.append(Operator(chromium, station))
+    (operator,) = first_operator
+    operator.show(flown.newest, flown)
+    yield operator
+    try:
+        operator.tidy()
+    except BaseException:
+        operator.context.close()
+        first_operator.clear()
+        raise
+    operator.check()
+
+
+@pytest.fixture
+def operators(station: Server, chromium: Any, flown: Flown) -> Iterator[Callable[..., Operator]]:
+    """More of them, with browsers of their own."""
+    made: list[Operator] = []
+
+    def another(server: Server = station, **context: Any) -> Operator:
+        made.append(Operator(chromium, server, **context))
+        made[-1].show(flown.newest, flown)
+        return made[-1]
+
+    yield another
+    for operator in made:
+        operator.clear()
+        operator.context.close()
+        operator.check()
+
+
+def page_is_built() -> None:
+    """Or the test fails."""
+    if not (STATIC / "index.html").is_file():
+        pytest.fail("the page was not built: make web")

@@ -1,0 +1,113 @@
+"""A long flight for little: sets as a camera makes them that looks down on its way north, and drawn pictures."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.feature_set import FeatureSet, Status
+from contract.vehicle_status import VehicleStatus
+from ground.web.source import FrameRow, Picture, VehicleReport
+from onboard.events.types import Frame
+from onboard.storage.mcap_writer import SessionRecorder
+from tests.contract.sets import plain_set
+
+VEHICLE = "uav-1"
+STEP_S = 1.0
+STEP_DEG = 5.0 / 111_320.0  # on its way north, from picture to picture
+DOWN = np.diag([1.0, -1.0, -1.0])
+
+
+def drawn_set(frame: int) -> FeatureSet:
+    """The set of one picture."""
+    first = plain_set(120, seed=frame % 50)
+    return replace(
+        first,
+        vehicle=VEHICLE,
+        frame=frame,
+        revision=0,
+        capture_unix_ns=first.capture_unix_ns + round(frame * STEP_S * 1e9),
+        camera_lat_deg=first.camera_lat_deg + frame * STEP_DEG,
+        R_enu_cam=DOWN,
+    )
+
+
+@lru_cache(maxsize=50)
+def drawn_picture(seed: int) -> NDArray[np.uint8]:
+    """Something to look at, grey, 640 x 480."""
+    coarse = np.random.default_rng(seed).integers(40, 220, (12, 16), dtype=np.uint8)
+    return np.asarray(cv2.resize(coarse, (640, 480), interpolation=cv2.INTER_CUBIC), np.uint8)
+
+
+def record_drawn(path: Path, pictures: int = 12) -> None:
+    """A recording of the first pictures, with them."""
+    with SessionRecorder(path, VEHICLE, pictures="jpeg") as out:
+        for frame in range(pictures):
+            made = drawn_set(frame)
+            out.write_event(Frame(made.capture_unix_ns, frame, drawn_picture(frame)))
+            out.write_set(made)
+
+
+class FlyingSource:
+    """An aircraft on a link, as fast as a test wants: `fly_to` is how many pictures have come. Serves `Source`."""
+
+    is_live = True
+    name = "a drawn flight"
+
+    def __init__(self) -> None:
+        self._count = 1
+        self._lock = threading.Lock()
+        self._first = drawn_set(0)
+        self._encoded = [cv2.imencode(".jpg", drawn_picture(seed))[1].tobytes() for seed in range(50)]
+
+    def fly_to(self, count: int) -> None:
+        """So many pictures have come."""
+        with self._lock:
+            self._count = count
+
+    def vehicles(self) -> list[str]:
+        """One."""
+        return [VEHICLE]
+
+    def version(self, vehicle: str) -> int:
+        """How many came."""
+        return self._count
+
+    def frames(self, vehicle: str, newest: int | None = None) -> list[FrameRow]:
+        """All of them."""
+        first = self._first
+        step_ns = round(STEP_S * 1e9)
+        return [
+            FrameRow(first.session, k, 0, first.capture_unix_ns + k * step_ns, Status.OK, True)
+            for k in range(0 if newest is None else max(self._count - newest, 0), self._count)
+        ]
+
+    def feature_set(self, vehicle: str, session: int | None, frame: int) -> FeatureSet | None:
+        """Drawn when asked for."""
+        return drawn_set(frame) if frame < self._count else None
+
+    def picture(self, vehicle: str, session: int | None, frame: int) -> Picture | None:
+        """One of fifty."""
+        return Picture(self._encoded[frame % 50], "image/jpeg") if frame < self._count else None
+
+    def age_s(self, feature_set: FeatureSet) -> float | None:
+        """Against the newest."""
+        return (self._count - 1 - feature_set.frame) * STEP_S
+
+    def report(self, vehicle: str) -> VehicleReport:
+        """Well."""
+        status = VehicleStatus(0.0, self._first.session, "ok", tracks=120, cpu_c=61.0)
+        return VehicleReport(vehicle, self._first.session, self._count - 1, 0.1, 0.1, 1.0, 9000.0, status)
+
+    def damage(self) -> list[str]:
+        """None."""
+        return []
+
+    def close(self) -> None:
+        """Nothing is held."""

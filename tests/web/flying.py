@@ -1,0 +1,49 @@
+"""A flight in fast motion before a server of this process: pictures come as a test says."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from pathlib import Path
+from types import TracebackType
+
+import uvicorn
+
+from ground.pins.store import PinStore
+from ground.web.app import create_app
+from ground.web.command import STATIC
+from ground.web.desk import Desk
+from ground.web.guard import Rules
+from ground.web.tiles import Tiles
+from tests.web.drawn import FlyingSource
+from tests.web.served import PATIENCE_S
+
+
+class Flight:
+    """Serves in a thread while it is entered."""
+
+    def __init__(self, pins: Path, tiles: Tiles | None = None) -> None:
+        self.source = FlyingSource()
+        self.store = PinStore(pins)
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self.port = int(self._listening.getsockname()[1])
+        self.url = f"http://127.0.0.1:{self.port}/"
+        app = create_app(Desk(self.source, self.store, STATIC, tiles), Rules())
+        self._server = uvicorn.Server(
+            uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1)
+        )
+        self._thread = threading.Thread(target=self._server.run, kwargs={"sockets": [self._listening]}, daemon=True)
+
+    def __enter__(self) -> Flight:
+        self._thread.start()
+        until_s = time.monotonic() + PATIENCE_S
+        while not self._server.started:
+            assert time.monotonic() < until_s, "the server did not start"
+            time.sleep(0.01)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._server.should_exit = True
+        self._thread.join(PATIENCE_S)
+        self.store.close()

@@ -1,0 +1,133 @@
+"""A short flight with pictures, and servers on it as their user starts them."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+from contract.feature_set import FeatureSet, Status
+from ground.recording import Recording
+from onboard.storage.mcap_writer import SessionRecorder
+from simulation.flight import DescribedSpec
+from simulation.ordinary import ordinary
+from simulation.paths import PathSpec
+from simulation.session import SessionSpec, fly
+from simulation.terrain import TerrainSpec
+
+ROOT = Path(__file__).resolve().parents[2]
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+# Chromium in a machine without a screen or a graphics card, that calls nobody.
+ARGUMENTS = [
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+]  # fmt: skip
+PATIENCE_S = 60.0  # for what takes a second where nothing else runs
+
+
+class Flown:
+    """A recorded session with pictures, and what a test needs to know of it."""
+
+    def __init__(self, path: Path, refused: int) -> None:
+        self.path = path
+        self.refused = refused  # the frame that answers nothing
+        self.recording = Recording(path)
+        (self.vehicle,) = self.recording.vehicles
+        self.frames = self.recording.frames(self.vehicle)
+
+    @property
+    def newest(self) -> int:
+        """The last frame that answers."""
+        found = self.recording.newest(self.vehicle)
+        assert found is not None
+        return found.frame
+
+
+def record(folder: Path) -> Flown:
+    """Some seconds over simulated ground, four pictures a second, into a folder; and one more picture that refuses."""
+    flight = folder / "flight"
+    spec = SessionSpec(
+        DescribedSpec(PathSpec("turns", leg_m=150.0), ordinary(3), seed=3),
+        seconds=4.5,
+        rate_hz=4.0,
+        mount_deg=(0.0, -90.0, -90.0),
+        terrain=TerrainSpec(relief_m=20.0, wavelength_m=250.0),
+        level_ground=True,
+    )
+    fly(spec, flight)
+    config = flight / "config.toml"
+    config.write_text(config.read_text() + '\n[recording]\npictures = "jpeg"\n')
+    first = folder / "parts" / "flight.001.mcap"
+    first.parent.mkdir()
+    done = subprocess.run(
+        [sys.executable, "-m", "onboard", "replay", "--config", config, "--frames", flight / "frames",
+         "--telemetry", flight / "telemetry.tlog", "--camera", flight / "camera.json",
+         "--stamps", flight / "stamps.csv", "--record", first],
+        capture_output=True, text=True, check=False, cwd=ROOT, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    recording = Recording(first)
+    (vehicle,) = recording.vehicles
+    last = recording.newest_picture(vehicle)
+    assert last is not None
+    refused = FeatureSet(
+        vehicle, last.session, last.frame + 1, last.capture_unix_ns + 250_000_000, Status.TURNING, last.camera
+    )
+    with SessionRecorder(folder / "parts" / "flight.002.mcap", vehicle, part=2) as out:
+        out.write_set(refused)
+    return Flown(first, refused.frame)
+
+
+class Server:
+    """`pc-ground web` as its user starts it."""
+
+    def __init__(self, *arguments: object, port: int = 0) -> None:
+        self.arguments = arguments
+        self.start(port)
+
+    def start(self, port: int = 0) -> None:
+        """With the same arguments, perhaps once more."""
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "ground", "web", "--port", str(port), *map(str, self.arguments)],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment, cwd=ROOT,
+        )  # fmt: skip
+        self.said = ""
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.said += line
+            if found := re.match(r"open (\S+)", line):
+                self.url = found[1]
+            if "Ctrl-C" in line:
+                break
+        else:
+            raise AssertionError(f"the server did not start: {self.said}")
+        # Whatever it says later is read, or it would wait for a reader.
+        threading.Thread(target=self.process.stdout.read, daemon=True).start()
+        found = re.search(r":(\d+)/", self.url)
+        assert found is not None
+        self.port = int(found[1])
+
+    @property
+    def local(self) -> str:
+        """Its address on this machine."""
+        return f"http://127.0.0.1:{self.port}/"
+
+    def kill(self) -> None:
+        """As a power cut ends it."""
+        self.process.kill()
+        self.process.wait(PATIENCE_S)
+
+    def close(self) -> None:
+        """As its user ends it."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            try:
+                self.process.wait(PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                self.kill()

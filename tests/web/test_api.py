@@ -1,0 +1,286 @@
+"""The HTTP API: the same answers as the command line, pins on disk, ties, and what is refused."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+from ground.pins.store import PinStore
+from ground.web.app import create_app
+from ground.web.desk import Desk
+from ground.web.guard import Rules
+from ground.web.recorded import RecordedSource
+from ground.web.tiles import Tiles
+from tests.web.served import ROOT, Flown
+
+pytestmark = pytest.mark.xdist_group("web")
+
+
+class Api:
+    """A client of an application in this process."""
+
+    def __init__(self, flown: Flown, pins: Path, rules: Rules | None = None, tiles: Tiles | None = None) -> None:
+        self.flown = flown
+        self.source = RecordedSource(flown.path)
+        self.store = PinStore(pins)
+        self.desk = Desk(self.source, self.store, pins.parent, tiles)
+        self.client = TestClient(create_app(self.desk, rules or Rules()), base_url="http://127.0.0.1:8080")
+
+    def click(self, u: float, v: float, frame: int | None = None) -> dict[str, Any]:
+        """The body of a click."""
+        return {
+            "vehicle": self.flown.vehicle, "frame": self.flown.newest if frame is None else frame, "u": u, "v": v,
+        }  # fmt: skip
+
+    def pin(self, u: float, v: float, frame: int | None = None, **more: Any) -> dict[str, Any]:
+        """A pin that must be answered."""
+        made = self.client.post("/api/pins", json={"click": self.click(u, v, frame), **more})
+        assert made.status_code == 201, made.text
+        pin: dict[str, Any] = made.json()["pin"]
+        return pin
+
+
+@pytest.fixture
+def api(flown: Flown, tmp_path: Path) -> Iterator[Api]:
+    made = Api(flown, tmp_path / "pins.sqlite")
+    with made.client:
+        yield made
+    made.store.close()
+
+
+def test_a_click_is_answered_as_on_the_command_line(api: Api, flown: Flown) -> None:
+    for u, v, frame in ((320.0, 240.0, flown.newest), (100.25, 400.5, flown.newest - 5), (5.0, 5.0, flown.refused)):
+        said = api.client.post("/api/click", json=api.click(u, v, frame))
+        command = [sys.executable, "-m", "ground", "click", str(u), str(v), "--frame", str(frame)]
+        done = subprocess.run(
+            [*command, "--from", flown.path, "--format", "json"],
+            capture_output=True, text=True, check=False, cwd=ROOT, timeout=60,
+        )  # fmt: skip
+        assert said.status_code == 200
+        assert said.text == done.stdout.strip()
+    assert json.loads(said.text)["status"] == "turning"
+
+
+def test_a_click_on_a_picture_that_is_not_there_says_so(api: Api) -> None:
+    said = api.client.post("/api/click", json=api.click(320, 240, 100_000)).json()
+    assert said["status"] == "unknown_frame"
+    assert "no set of this picture" in said["reason"]
+    other = {**api.click(320, 240), "session": 1}
+    assert "started anew" in api.client.post("/api/click", json=other).json()["reason"]
+    other = {**api.click(320, 240), "vehicle": "<b>"}
+    assert api.client.post("/api/click", json=other).json()["status"] == "unknown_frame"
+
+
+@pytest.mark.parametrize("body", [{}, {"vehicle": "uav"}, {"vehicle": "uav", "frame": -1, "u": 1, "v": 1}, [], 7])
+def test_a_body_that_is_none_is_refused(api: Api, body: Any) -> None:
+    assert api.client.post("/api/click", json=body).status_code == 422
+
+
+def test_pictures_and_their_features_are_served(api: Api, flown: Flown) -> None:
+    (vehicle,) = api.client.get("/api/vehicles").json()
+    assert vehicle["id"] == flown.vehicle
+    rows = api.client.get(f"/api/vehicles/{flown.vehicle}/frames").json()
+    assert [row["frame"] for row in rows] == [*flown.frames]
+    assert [row["has_picture"] for row in rows] == [frame != flown.refused for frame in flown.frames]
+    frame = f"/api/vehicles/{flown.vehicle}/frames/{flown.newest}"
+    picture = api.client.get(f"{frame}/picture")
+    assert picture.headers["content-type"] == "image/jpeg"
+    assert picture.content.startswith(b"\xff\xd8\xff")
+    found = flown.recording.by_frame(flown.vehicle, flown.newest)
+    assert found is not None
+    view = api.client.get(f"{frame}/features").json()
+    assert len(view["features"]["uv"]) == len(found)
+    tracked = sum(bool(path) for path in view["features"]["paths"])
+    assert 0.5 * len(found) < tracked <= len(found)
+    assert len(view["corners"]) == 4
+    refused = api.client.get(f"/api/vehicles/{flown.vehicle}/frames/{flown.refused}/features").json()
+    assert (refused["status"], refused["camera"]) == ("turning", None)
+    assert refused["advice"]
+    assert api.client.get(f"/api/vehicles/{flown.vehicle}/frames/{flown.refused}/picture").status_code == 404
+    assert api.client.get("/api/vehicles/nobody/frames").status_code == 404
+
+
+def test_a_feature_is_seen_where_its_ground_place_was(api: Api, flown: Flown) -> None:
+    """A path's earlier pixel is the same place: what was clicked there then lies where it lies now."""
+    frame = flown.newest
+    view = api.client.get(f"/api/vehicles/{flown.vehicle}/frames/{frame}/features").json()
+    checked = 0
+    for (u, v), path in zip(view["features"]["uv"], view["features"]["paths"], strict=True):
+        if len(path) < 4 or not (100 < u < 540 and 100 < v < 380):
+            continue
+        now = api.client.post("/api/click", json=api.click(u, v, frame)).json()
+        then = api.client.post("/api/click", json=api.click(*path[0], frame - 1)).json()
+        if now["status"] == then["status"] == "ok":
+            assert now["lat_deg"] == pytest.approx(then["lat_deg"], abs=3e-5)
+            assert now["lon_deg"] == pytest.approx(then["lon_deg"], abs=4e-5)
+            checked += 1
+    assert checked >= 5
+
+
+def test_a_pin_is_on_disk_with_its_crop_before_it_is_answered(api: Api, tmp_path: Path) -> None:
+    pin = api.pin(300.5, 200.25, name="tent", category="person", who="anna")
+    with PinStore(tmp_path / "pins.sqlite") as other:
+        (kept,) = other.pins()
+        assert (kept.id, kept.name, kept.who, kept.category.value) == (pin["id"], "tent", "anna", "person")
+        crop = other.crop(kept.clicks[0].id)
+    assert crop is not None
+    assert crop[8:12] == b"WEBP"
+    assert api.client.get(f"/api/pins/{pin['id']}/crop").content == crop
+    assert pin["place"]["status"] == "ok"
+    assert 0.1 < pin["place"]["ce90_m"] < 50.0
+
+
+def test_a_refused_click_makes_no_pin_and_says_what_would_help(api: Api, flown: Flown) -> None:
+    said = api.client.post("/api/pins", json={"click": api.click(320, 240, flown.refused)})
+    assert said.status_code == 422
+    answer = said.json()["answer"]
+    assert (said.json()["pin"], answer["status"]) == (None, "turning")
+    assert "before or after the turn" in answer["advice"]
+    assert api.client.get("/api/pins").json()["pins"] == []
+
+
+def test_pins_are_edited_deleted_and_brought_back(api: Api) -> None:
+    pin = api.pin(320, 240, who="anna")
+    url = f"/api/pins/{pin['id']}"
+    edited = api.client.patch(url, json={"name": "car", "note": "red", "category": "vehicle", "who": "anna"}).json()
+    assert (edited["name"], edited["note"], edited["category"]) == ("car", "red", "vehicle")
+    assert api.client.delete(url, params={"who": "anna"}).status_code == 200
+    assert api.client.get(url).status_code == 404
+    assert api.client.post("/api/undo", json={"who": "anna"}).json()["undone"]
+    assert api.client.get(url).json()["name"] == "car"
+    assert api.client.post("/api/undo", json={"who": "nobody"}).json()["undone"] is None
+    assert api.client.delete("/api/pins/none").status_code == 404
+
+
+def test_pins_are_filtered(api: Api) -> None:
+    api.pin(300, 200, name="Tent by the creek", category="person", who="anna")
+    api.pin(340, 250, name="car", category="vehicle", who="bo")
+
+    def found(**filters: str) -> list[str]:
+        return [pin["name"] for pin in api.client.get("/api/pins", params=filters).json()["pins"]]
+
+    assert found(text="CREEK") == ["Tent by the creek"]
+    assert found(category="vehicle") == ["car"]
+    assert found(who="anna") == ["Tent by the creek"]
+    assert len(found()) == 2
+
+
+def test_a_pin_clicked_again_is_surer_and_one_clicked_elsewhere_contradicts_itself(api: Api, flown: Flown) -> None:
+    pin = api.pin(320, 240, flown.newest - 4)
+    place = pin["place"]
+    seen = {row["frame"]: row for row in api.client.get(f"/api/pins/{pin['id']}/seen").json()}
+    assert seen[flown.newest - 4]["u_px"] == pytest.approx(320.0, abs=0.05)
+    assert flown.newest in seen
+    row = seen[flown.newest]
+    body = {**api.click(row["u_px"], row["v_px"], flown.newest), "who": "anna"}
+    again = api.client.post(f"/api/pins/{pin['id']}/clicks", json=body).json()["pin"]
+    assert again["place"]["clicks"] == 2
+    assert again["place"]["ce90_m"] < place["ce90_m"]
+    assert again["place"]["lat_deg"] == pytest.approx(place["lat_deg"], abs=2e-5)
+    elsewhere = {**api.click(60, 60, flown.newest)}
+    wrong = api.client.post(f"/api/pins/{pin['id']}/clicks", json=elsewhere).json()["pin"]
+    assert wrong["place"]["status"] == "contradiction"
+    assert len(wrong["place"]["answers"]) == 3
+    url = f"/api/pins/{pin['id']}/clicks/{wrong['clicks'][-1]['id']}"
+    assert api.client.delete(url).json()["place"]["status"] == "ok"
+
+
+def test_distance_between_two_pins_is_surer_than_either(api: Api) -> None:
+    one, two = api.pin(300, 200), api.pin(360, 240)
+    said = api.client.get("/api/measure", params={"from": one["id"], "to": two["id"]}).json()
+    assert said["status"] == "ok"
+    assert 5.0 < said["distance_m"] < 60.0
+    assert said["sigma_distance_m"] < 0.5 * one["place"]["ce90_m"]
+
+
+def test_a_tie_moves_all_pins_of_its_flight_and_is_taken_back(api: Api, flown: Flown) -> None:
+    pins = [api.pin(200, 150), api.pin(420, 330, flown.newest - 8)]
+    said = api.client.post("/api/click", json=api.click(320, 240)).json()
+    north_deg = 3.0 / 111_320.0
+    tie = {
+        "click": api.click(320, 240), "lat_deg": said["lat_deg"] + north_deg, "lon_deg": said["lon_deg"],
+        "sigma_m": 0.3, "name": "bridge",
+    }  # fmt: skip
+    made = api.client.post("/api/ties", json=tie)
+    assert made.status_code == 201, made.text
+    moved = {pin["id"]: pin["place"] for pin in api.client.get("/api/pins").json()["pins"]}
+    for pin in pins:
+        place = moved[pin["id"]]
+        assert place["tied"] == 1
+        assert 0.5 * north_deg < place["lat_deg"] - pin["place"]["lat_deg"] < 1.5 * north_deg
+        assert place["ce90_m"] < pin["place"]["ce90_m"]
+    far = {**tie, "lat_deg": said["lat_deg"] + 400.0 / 111_320.0, "name": "elsewhere"}
+    refused = api.client.post("/api/ties", json=far)
+    assert refused.status_code == 409
+    assert 300 < refused.json()["misses_m"] < 500
+    assert "would still be believed" in refused.json()["reason"]
+    assert api.client.delete(f"/api/ties/{made.json()['tie']['id']}").status_code == 200
+    back = {pin["id"]: pin["place"] for pin in api.client.get("/api/pins").json()["pins"]}
+    for pin in pins:
+        assert back[pin["id"]]["lat_deg"] == pytest.approx(pin["place"]["lat_deg"], abs=1e-9)
+
+
+def test_a_pin_is_handed_off_in_every_format(api: Api) -> None:
+    pin, other = api.pin(320, 240, name="<script>alert(1)</script>"), api.pin(360, 300)
+    url = f"/api/pins/{pin['id']}/handoff"
+    said = api.client.get(url, params={"from": other["id"], "crs": "EPSG:2193"}).json()
+    texts = {row["name"]: row["text"] for row in said["texts"]}
+    lat, lon = pin["place"]["lat_deg"], pin["place"]["lon_deg"]
+    assert texts["degrees"] == f"{lat:.7f} {lon:.7f}"
+    assert texts["geo"].startswith(f"geo:{lat:.7f},{lon:.7f},")
+    assert texts["mgrs"].startswith("59GMM") or texts["mgrs"].startswith("59G")
+    assert "deg true" in texts["bearing"]
+    assert "N" in texts["crs"]
+    assert "Read back" in said["readback"]
+    code = api.client.get(f"/api/pins/{pin['id']}/qr.svg")
+    assert code.headers["content-type"] == "image/svg+xml"
+    assert code.content.startswith(b"<?xml") or code.content.startswith(b"<svg")
+
+
+def test_browsers_hear_of_each_others_pins(api: Api) -> None:
+    host = {"host": "127.0.0.1:8080"}
+    with (
+        api.client.websocket_connect("/api/events", headers=host) as one,
+        api.client.websocket_connect("/api/events", headers=host) as two,
+    ):
+        pin = api.pin(320, 240)
+        for socket in (one, two):
+            event = next(e for e in iter(socket.receive_json, None) if e["type"] == "pin")
+            assert event["pin"]["id"] == pin["id"]
+        api.client.delete(f"/api/pins/{pin['id']}")
+        event = next(e for e in iter(two.receive_json, None) if e["type"] == "pin_deleted")
+        assert event["id"] == pin["id"]
+
+
+def test_a_browser_that_does_not_read_is_told_to_begin_anew(api: Api) -> None:
+    async def flood() -> list[str]:
+        queue = api.desk.hub.join()
+        assert queue is not None
+        for k in range(1000):
+            api.desk.hub.tell({"type": "pins", "k": k})
+        held = [json.loads(queue.get_nowait())["type"] for _ in range(queue.qsize())]
+        api.desk.hub.leave(queue)
+        return held
+
+    with ThreadPoolExecutor(1) as thread:  # a browser that is open has a loop of its own in this one
+        held = thread.submit(asyncio.run, flood()).result()
+    assert len(held) <= 200
+    assert held[0] == "resync"
+
+
+def test_the_api_documents_itself_without_another_origin(api: Api) -> None:
+    paths = api.client.get("/api/openapi.json").json()["paths"]
+    assert {"/api/vehicles", "/api/click", "/api/pins", "/api/ties", "/api/status"} <= set(paths)
+    page = api.client.get("/api").text
+    assert "/api/click" in page
+    assert "http://" not in page
+    assert "https://" not in page

@@ -1,0 +1,74 @@
+"""A live aircraft as a page's source: what it publishes is there, is clicked, and grows old."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable
+
+import pytest
+
+from contract.vehicle_status import VehicleStatus, encode_status
+from ground.answer import Fix
+from ground.locate import Locator
+from ground.web.clicks import Clicker
+from ground.web.live import LiveSource
+from onboard.link.publisher import Publisher, Rate
+from tests.web.served import PATIENCE_S, Flown
+
+pytestmark = pytest.mark.xdist_group("web")
+
+
+def wait_for(there: Callable[[], bool], what: str) -> None:
+    end_s = time.monotonic() + PATIENCE_S
+    while not there():
+        assert time.monotonic() < end_s, f"never came: {what}"
+        time.sleep(0.05)
+
+
+def test_sets_that_are_published_are_clicked_and_a_silent_aircraft_grows_old(flown: Flown) -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    publisher = Publisher(flown.vehicle, listen=[endpoint], rate=Rate(1e6, 1.0, 30.0))
+    source = LiveSource([endpoint])
+    try:
+        sets = [s for f in flown.frames[-6:-1] if (s := flown.recording.by_frame(flown.vehicle, f)) is not None]
+        first, *middle, last = [s for s in sets if s.is_ok]
+
+        def heard_of_one() -> bool:
+            publisher.publish(last)  # the listener may come a little after the link
+            return source.vehicles() == [flown.vehicle]
+
+        wait_for(heard_of_one, "the first set")
+        version = source.version(flown.vehicle)
+        publisher.publish_status(
+            encode_status(VehicleStatus(last.capture_unix_ns / 1e9, last.session, "degraded", "clock", tracks=41)), b""
+        )
+        wait_for(lambda: source.report(flown.vehicle).status is not None, "the status")
+        report = source.report(flown.vehicle)
+        assert report.status is not None
+        assert (report.status.state, report.status.tracks, report.session) == ("degraded", 41, last.session)
+        assert report.newest_frame == last.frame
+        assert source.version(flown.vehicle) >= version
+        (row,) = source.frames(flown.vehicle)
+        assert (row.frame, row.session, row.has_picture) == (last.frame, last.session, False)
+        clicked = Clicker(source).click(flown.vehicle, last.session, last.frame, 320.0, 240.0)
+        expected = Locator(last).locate((320.0, 240.0))
+        assert isinstance(clicked.answer, Fix)
+        assert isinstance(expected, Fix)
+        assert clicked.answer.lat_deg == pytest.approx(expected.lat_deg, abs=1e-6)
+        # One that did not come is asked for; one of another session is refused, not mixed up.
+        publisher.publish(first)
+        assert source.feature_set(flown.vehicle, last.session, first.frame) is not None
+        refused = Clicker(source).click(flown.vehicle, last.session - 1, last.frame, 320.0, 240.0)
+        assert "started anew" in refused.answer.reason  # type: ignore[union-attr]
+        assert source.feature_set(flown.vehicle, None, 1_000_000) is None
+        before_s = source.report(flown.vehicle).picture_age_s
+        publisher.close()
+        assert before_s is not None
+        wait_for(lambda: (source.report(flown.vehicle).picture_age_s or 0.0) >= before_s + 0.5, "half a second")
+        assert len(middle) >= 1
+    finally:
+        source.close()
+        publisher.close()
