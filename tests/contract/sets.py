@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
@@ -84,7 +85,7 @@ def feature_sets(draw: st.DrawFn) -> FeatureSet:
     k1, k2, p1, p2, k3 = distortion
     camera = Camera(width, height, 1.1 * width, 1.2 * width, 0.49 * width, 0.52 * height, (k1, k2, p1, p2, k3))
     status = draw(st.sampled_from([Status.OK, Status.OK, Status.OK, Status.TURNING, Status.OUTSIDE_CALIBRATION]))
-    identity = {
+    identity: dict[str, Any] = {
         "vehicle": draw(st.text(min_size=1, max_size=8)),
         "session": draw(st.integers(0, 2**32 - 1)),
         "frame": draw(st.integers(0, 2**32 - 1)),
@@ -101,9 +102,11 @@ def feature_sets(draw: st.DrawFn) -> FeatureSet:
     fresh = random_covariance(rng, draw(st.sampled_from([1, 2, 5, 9, 20])), sigmas)
     in_sigmas = rng.normal(size=(COMMON_STATES, NUISANCES)) * draw(st.sampled_from([0.0, 0.1, 3.0, 30.0]))
     in_sigmas *= rng.uniform(size=NUISANCES) > draw(st.sampled_from([0.0, 0.5]))
+    position_time_s, attitude_time_s = 10.0 ** rng.uniform(-3.0, 3.0, 2) * rng.integers(0, 2, 2)
     shared = SharedErrors(
         sigmas[:, None] * in_sigmas,
-        *(10.0 ** rng.uniform(-3.0, 3.0, 2) * rng.integers(0, 2, 2)).tolist(),
+        float(position_time_s),
+        float(attitude_time_s),
         10.0 ** rng.uniform(-6.0, 1.0, 4) * rng.integers(0, 2, 4),
         (draw(st.floats(-400.0, 400.0)), draw(st.floats(-400.0, 400.0))),
     )
