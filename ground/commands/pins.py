@@ -17,6 +17,7 @@ from ground.commands import ANSWERED, REFUSED
 from ground.commands.grids import add_grid_arguments, grid_of
 from ground.commands.measure import text_of
 from ground.commands.sources import Clicker, add_source_arguments, source_of
+from ground.commands.until_ended import until_ended
 from ground.commands.values import finite, frame_number, origin, pin_number, positive
 from ground.formats import geojson
 from ground.formats.documents import FORMATS, one_line, read_pins, text_line
@@ -300,15 +301,13 @@ def _share(store: PinStore, args: argparse.Namespace) -> int:
     with PinSharing(store, connect=args.connect, listen=args.listen, tls=tls_of(args)) as sharing:
         until = None if args.seconds is None else time.monotonic() + args.seconds
         said, said_s = "", -math.inf
-        try:
+        with until_ended():
             while until is None or time.monotonic() < until:
                 time.sleep(0.2)
                 words = str(sharing.state)
                 if words != said and time.monotonic() - said_s > SAY_S:
                     said, said_s = words, time.monotonic()
                     print(words, file=sys.stderr)
-        except KeyboardInterrupt:
-            pass
         print(sharing.state)
     return ANSWERED
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from contract.topics import ANY_VEHICLE
 from ground.commands import ANSWERED
 from ground.commands.sources import add_source_arguments
+from ground.commands.until_ended import until_ended
 from ground.commands.values import positive
 from ground.link_options import UsageError, endpoint_of, tls_of
 
@@ -41,14 +42,12 @@ def run(args: argparse.Namespace) -> int:
         with SetCache(endpoint_of(args, tls), vehicle, tls=tls, beside={f"pc/{vehicle}/*": recorder.take}):
             until = None if args.seconds is None else time.monotonic() + args.seconds
             said_s = time.monotonic()
-            try:
+            with until_ended():
                 while until is None or time.monotonic() < until:
                     time.sleep(0.2)
                     recorder.sync()
                     if time.monotonic() - said_s > 60.0:
                         said_s = time.monotonic()
                         print(f"pc-ground record: {recorder.words}", file=sys.stderr)
-            except KeyboardInterrupt:
-                pass
         print(recorder.words)
     return ANSWERED

@@ -29,7 +29,7 @@ from onboard.estimation.second_start import by_attitude
 from onboard.estimation.sensor_factors import sensor_priors
 from onboard.estimation.sensor_groups import FORGOTTEN
 from onboard.estimation.window_acceptance import MIN_POINTS
-from onboard.estimation.window_solver import MIN_KEYFRAMES, Noise, Outcome, Request, approximate
+from onboard.estimation.window_solver import GROUND_MOVES, MIN_KEYFRAMES, Noise, Outcome, Request, approximate
 from onboard.estimation.window_solver import adjust as solve_window
 from onboard.estimation.window_start import grid, layout_of, starting_points, sweep
 
@@ -96,6 +96,9 @@ def adjust(request: Request) -> Outcome:
         noise = _looked(request.noise, Status.OK, end_ns)
         return _shifted(replace(request, noise=noise), seen_ns, _excess(explained(request)))
     outcome = solve_window(request)
+    # A surface that flows explains itself, and the attitude of what may not carry the camera says nothing of its lens.
+    if outcome.reason == GROUND_MOVES or request.is_carrier_open:
+        return outcome
     if outcome.status is not Status.POOR_FIT and not (outcome.status is Status.OK and _is_strained(request, outcome)):
         return outcome
     zoomed_ns = request.noise.zoomed_ns

@@ -191,7 +191,7 @@ class Window:
         self.keyframes.append(replace(made, log_zoom=zoom[0], is_zoom_lost=zoom[1]))
         del self.keyframes[: -self.config.solve.keyframes]
 
-    def prepare(self) -> Request:
+    def prepare(self, *, is_carrier_open: bool = False) -> Request:
         """The window as it stands, for `window_solver.adjust`; nothing done to the window later changes it."""
         self._see_with_belief()  # which may have been restored from the state directory
         start_ns = self.keyframes[0].nav.stamp_ns if self.keyframes else 0
@@ -208,6 +208,7 @@ class Window:
             self.noise,
             self._slope_prior(start_ns),
             self.memory,
+            is_carrier_open,
         )
         return self._request
 

@@ -44,6 +44,7 @@ from onboard.geometry.terrain_grid import Terrain
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+GROUND_MOVES = "the ground moves"
 MIN_KEYFRAMES = 3
 MAX_ROTATION_SIGMA_DEG = 20.0  # above it a turn's second order, which no covariance has, is a fifth of its first
 MIN_VIEW_INLIERS = 0.3  # of one picture's measurements; below it nothing ties that picture to the others
@@ -94,6 +95,7 @@ class Request:
     noise: Noise
     slope: SlopePrior | None = None  # of the ground where the window is; None: as configured
     memory: Memory = field(default_factory=Memory)
+    is_carrier_open: bool = False  # it is not known yet whether mount or gimbal carries the camera
     is_oriented: bool = False  # the keyframes' orientations are a start, whatever they came from
 
 
@@ -360,7 +362,7 @@ def _judged(
     covariance = s.covariance + moving.covariance(moving.epoch_ns)
     if float(np.median(_depth_sigma(s, covariance, good, layout))) / median_depth > MAX_DEPTH_SIGMA:
         # coarse and fine flow disagree too much to know the scale: water
-        return refused(Status.POOR_FIT, "the ground moves")
+        return refused(Status.POOR_FIT, GROUND_MOVES)
     against = by_itself(config, camera, request.keyframes, request.terrain, s, layout, kept, good, before)
     if against is not None:
         return refused(against.status, against.reason)

@@ -89,7 +89,7 @@ def _request(window: Window, reading: MountHypothesis) -> Request | None:
             return None
         keyframes.append(replace(keyframe, nav=nav, R_cam_enu=R, centre_enu_m=nav.position_enu_m))
     noise = Noise(window.config.solve.pixel_sigma_px, window.config.camera.sigma_jitter_s)
-    return replace(window.prepare(), keyframes=tuple(keyframes), previous=None, noise=noise)
+    return replace(window.prepare(is_carrier_open=True), keyframes=tuple(keyframes), previous=None, noise=noise)
 
 
 def carry_over(window: Window, records: list[Record], navigation: Navigation, reading: MountHypothesis) -> bool:

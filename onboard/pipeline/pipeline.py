@@ -278,7 +278,9 @@ class Pipeline:
         self._statistics.keyframes += 1
         record = Record(frame, seen, nav, True)
         self._records.append(record)
-        promise = self.worker.submit(timed_adjust, self.window.prepare())
+        promise = self.worker.submit(
+            timed_adjust, self.window.prepare(is_carrier_open=self.mount_selection.is_open(nav))
+        )
         self._trials.begin(self.window, self.worker, self.navigation)
         self._pending = Pending(promise, record, reason, self._now_ns + ADOPTION_NS)
         if reason is None:

@@ -392,7 +392,11 @@ def test_the_command_shares_a_file_that_other_commands_change(ann: PinStore, clo
     with PinSharing(ann, listen=[endpoint]):
         ann.add([typed()], name="from ann", who="ann")
         sharing = subprocess.Popen(
-            [*command, "share", "--connect", endpoint, "--pins", file], cwd=ROOT, stdout=subprocess.PIPE, text=True
+            # As a script's background has it: SIGINT ignored from the start.
+            ["sh", "-c", "trap '' INT; exec \"$@\"", "sh", *command, "share", "--connect", endpoint, "--pins", file],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            text=True,
         )
         with PinStore(file) as bob:
             try:
