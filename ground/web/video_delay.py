@@ -71,11 +71,10 @@ def nearest_within(times_s: Array, target_s: float, interval_s: float) -> int | 
     return k if abs(times_s[k] - target_s) <= 0.5 * interval_s + TOLERANCE_S else None
 
 
-def is_ahead(times_s: Array, corners: Array, k: int, interval_s: float) -> bool:
-    """Whether no frame near a chosen one, but its neighbours, is clearly the better one."""
-    away_s = np.abs(times_s - times_s[k])
-    others = corners[(away_s > 1.5 * interval_s + TOLERANCE_S) & (away_s <= NEAR_S)]
-    return not len(others) or float(np.max(others)) - corners[k] < CLEAR
+def is_ahead(times_s: Array, corners: Array, k: int) -> bool:
+    """Whether no frame near a chosen one is clearly the better one."""
+    near = corners[np.abs(times_s - times_s[k]) <= NEAR_S]
+    return float(np.max(near)) - corners[k] < CLEAR
 
 
 @dataclass(frozen=True)

@@ -167,15 +167,15 @@ class FileFootage:
         for time_s, image in self._frames():
             near_frames.append((time_s, corner_strength(image)))
             while waiting and waiting[0][1] + NEAR_S < time_s:
-                self._judge(*waiting.pop(0), near_frames, interval_s)
+                self._judge(*waiting.pop(0), near_frames)
             # What the next set in line does not look back to is not kept.
             keep_s = (waiting[0][1] if waiting else time_s) - NEAR_S
             near_frames = [pair for pair in near_frames if pair[0] >= keep_s]
         while waiting and not self._stop.is_set():
-            self._judge(*waiting.pop(0), near_frames, interval_s)
+            self._judge(*waiting.pop(0), near_frames)
         self.version += len(self._rows)
 
-    def _judge(self, row: FrameRow, time_s: float, near: list[tuple[float, Any]], interval_s: float) -> None:
+    def _judge(self, row: FrameRow, time_s: float, near: list[tuple[float, Any]]) -> None:
         found = self._set(row)
         near = [pair for pair in near if abs(pair[0] - time_s) <= NEAR_S]
         k = next((k for k, pair in enumerate(near) if abs(pair[0] - time_s) < SAME_S), None)
@@ -183,9 +183,7 @@ class FileFootage:
             return
         camera_px = found.camera.size_px
         corners = np.array([corners_at(strength, found.uv_px, camera_px) for _, strength in near])
-        if is_seen(near[k][1], found.uv_px, camera_px) and is_ahead(
-            np.array([at_s for at_s, _ in near]), corners, k, interval_s
-        ):
+        if is_seen(near[k][1], found.uv_px, camera_px) and is_ahead(np.array([at_s for at_s, _ in near]), corners, k):
             self._times_s[row.session, row.frame] = time_s
         else:
             self._refused += 1

@@ -85,10 +85,10 @@ def without_login(source: str) -> str:
 
 def open_video(source: str) -> Any:
     """A `cv2.VideoCapture` of a file, an address or /dev/videoN. Raises InputError for what cannot be opened."""
-    os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")  # its own words on standard error help nobody
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its own words on standard error help nobody
     import cv2  # noqa: PLC0415  the extra `video`
 
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     if is_file(source) and not Path(source).is_file():
         raise InputError(f"--video {source}: there is no such file")
     grabber = _GRABBER.fullmatch(source)

@@ -211,7 +211,7 @@ class LiveFootage:
             if is_it:
                 near = range(max(0, k - 30), min(len(frames), k + 31))
                 corners = np.array([corners_at(frames[j].strength, found.uv_px, camera_px) for j in near])
-                is_it = is_ahead(times_s[near.start : near.stop], corners, k - near.start, interval_s)
+                is_it = is_ahead(times_s[near.start : near.stop], corners, k - near.start)
             self._shown.append(is_it)
             if is_it:
                 self._keep(key, frames[k].jpeg, count)
