@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from contract.errors import InputError
 
-MAX_FRAMES, MAX_BYTES = 600, 96_000_000
+MAX_FRAMES, MAX_BYTES = 600, 160_000_000
 MAX_SIDE_PX = 1280  # a larger frame is kept smaller
 QUALITY = 80
-STRENGTH_WIDTH_PX = 400
-STRENGTH_UNIT = 31.0  # steps of a standard deviation
+STRENGTH_WIDTH_PX = 640  # at most
+STRENGTH_UNIT = 20.0  # steps of a standard deviation
+AROUND_PX = 25  # what a corner is compared with: forest is all corners, and a meadow has some too
 TIMEOUT_MS = 8000
 _GRABBER = re.compile(r"/dev/video(\d+)")
 _LOGIN = re.compile(r"(?<=://)[^/@]*@")
@@ -30,8 +31,8 @@ _LOGIN = re.compile(r"(?<=://)[^/@]*@")
 
 @dataclass(frozen=True, eq=False)
 class VideoFrame:
-    """One frame. `strength` is how much of a corner each place is, of a reduced picture, against the whole frame:
-    the corner response's logarithm with mean 0 and standard deviation STRENGTH_UNIT, so that light does not matter.
+    """One frame. `strength` is how much more of a corner each place of a reduced picture is than those around it:
+    of the whole frame mean 0, standard deviation STRENGTH_UNIT.
     """
 
     time_s: float  # of the video's clock: arrival on the ground's monotonic one, or since a file's beginning
@@ -125,14 +126,15 @@ def retrieved(capture: Any) -> NDArray[np.uint8] | None:
 
 
 def corner_strength(image: NDArray[np.uint8]) -> NDArray[np.int8]:
-    """`VideoFrame.strength` of a picture: STRENGTH_WIDTH_PX wide, its rows in proportion."""
+    """`VideoFrame.strength` of a picture: STRENGTH_WIDTH_PX wide or as the picture is, its rows in proportion."""
     import cv2  # noqa: PLC0415
 
     height, width = image.shape[:2]
-    size = STRENGTH_WIDTH_PX, max(round(height * STRENGTH_WIDTH_PX / width), 8)
-    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    columns = min(STRENGTH_WIDTH_PX, width)
+    small = cv2.resize(image, (columns, max(round(height * columns / width), 8)), interpolation=cv2.INTER_AREA)
     grey = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY) if small.ndim == 3 else small
-    response = np.log(np.maximum(cv2.cornerMinEigenVal(grey, 3), 0.0) + 1e-7)
+    contrast = np.sqrt(np.maximum(cv2.cornerMinEigenVal(grey, 3), 0.0))
+    response = contrast / (cv2.blur(contrast, (AROUND_PX, AROUND_PX)) + 1e-4)
     mean, deviation = (float(x[0, 0]) for x in cv2.meanStdDev(response))
     if deviation < 1e-3:
         return np.zeros(response.shape, np.int8)  # one colour

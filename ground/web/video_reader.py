@@ -20,7 +20,7 @@ from ground.web.video_frames import (
     without_login,
 )
 
-MAX_HZ = 30.0  # of a faster video frames are dropped
+MAX_HZ = 20.0  # of a faster video frames are dropped
 FIRST_RETRY_S, MAX_RETRY_S = 1.0, 30.0
 CLOCK_FRAMES = 300
 LATE_S = 0.1
