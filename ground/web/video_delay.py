@@ -74,7 +74,7 @@ def nearest_within(times_s: Array, target_s: float, interval_s: float) -> int | 
 def is_ahead(times_s: Array, corners: Array, k: int) -> bool:
     """Whether no frame near a chosen one is clearly the better one."""
     near = corners[np.abs(times_s - times_s[k]) <= NEAR_S]
-    return float(np.max(near)) - corners[k] < CLEAR
+    return float(np.max(near)) - float(corners[k]) < CLEAR
 
 
 @dataclass(frozen=True)

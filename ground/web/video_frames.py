@@ -138,7 +138,7 @@ def corner_strength(image: NDArray[np.uint8]) -> NDArray[np.int8]:
     mean, deviation = (float(x[0, 0]) for x in cv2.meanStdDev(response))
     if deviation < 1e-3:
         return np.zeros(response.shape, np.int8)  # one colour
-    return np.clip((response - mean) * (STRENGTH_UNIT / deviation), -127, 127).astype(np.int8)
+    return np.asarray(np.clip((response - mean) * (STRENGTH_UNIT / deviation), -127, 127), np.int8)
 
 
 def to_jpeg(image: NDArray[np.uint8]) -> bytes:

@@ -71,17 +71,19 @@ class VideoReader:
 
     def _run(self) -> None:
         wait_s = self._retry_s[0]
-        capture = self._capture
+        capture, self._capture = self._capture, None
         while not self._stop.is_set():
+            what = "is not there"
             if capture is not None:
+                what = "ended or broke off"
                 try:
-                    came = self._read(capture)
+                    if self._read(capture):
+                        wait_s = self._retry_s[0]
+                except Exception as error:  # OpenCV's own: a stream may hold anything, and may go on after it
+                    what = f"broke off ({str(error).strip()[:200] or type(error).__name__})"
                 finally:
                     capture.release()
-                if came:
-                    wait_s = self._retry_s[0]
-            self.trouble = f"{self.name}: {'ended or broke off' if capture is not None else 'is not there'}"
-            self.trouble += f"; opened again in {wait_s:.0f} s"
+            self.trouble = f"{self.name}: {what}; opened again in {wait_s:.0f} s"
             if self._stop.wait(wait_s):
                 return
             wait_s = min(2.0 * wait_s, self._retry_s[1])

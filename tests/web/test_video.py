@@ -12,7 +12,10 @@ import pytest
 
 from contract.errors import InputError
 from ground.__main__ import main
+from ground.pins.store import PinStore
 from ground.web import command
+from ground.web.api_vehicles import vehicles_router
+from ground.web.desk import Desk
 from ground.web.recorded import RecordedSource
 from ground.web.video_delay import DelayEstimate, best_time_s, is_seen
 from ground.web.video_file import FileFootage
@@ -82,6 +85,21 @@ def test_the_delay_of_a_recorded_flight_is_found_and_each_set_gets_its_own_frame
     assert source.picture(VEHICLE, SESSION + 1, 5) is None
     assert source.version(VEHICLE) > flight.version(VEHICLE)
     assert source.damage() == notes
+    source.close()
+
+
+def test_a_browser_keeps_no_frame_of_a_video(video: Path, tmp_path: Path) -> None:
+    """Started anew with another delay, the same address is another frame."""
+    flight = DrawnFlight(SETS)
+    flight.own_picture = 3
+    footage = FileFootage(str(video), flight, VEHICLE, DELAY_S)
+    finished(footage)
+    source = WithVideo(flight, footage)
+    with PinStore(tmp_path / "pins.sqlite") as store:
+        router = vehicles_router(Desk(source, store, tmp_path))
+        (ask,) = (r.endpoint for r in router.routes if getattr(r, "path", "").endswith("/{frame}/picture"))
+        assert ask(VEHICLE, 3, None).headers["cache-control"] == "private, max-age=3600"
+        assert ask(VEHICLE, 4, None).headers["cache-control"] == "no-store"
     source.close()
 
 
