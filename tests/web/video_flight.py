@@ -24,7 +24,7 @@ SIZE_PX = (400, 300)  # of the video; the camera's is 640 x 480
 @lru_cache(maxsize=4)
 def ground_of(place: int) -> NDArray[np.uint8]:
     """As seen from above, grey."""
-    noise = np.random.default_rng(place).normal(0.0, 1.0, (700, 3200)).astype(np.float32)
+    noise = np.random.default_rng(place).normal(0.0, 1.0, (700, 4300)).astype(np.float32)
     soft = cv2.GaussianBlur(noise, (0, 0), 3.0) + 3.0 * cv2.GaussianBlur(noise, (0, 0), 12.0)
     return np.asarray(cv2.normalize(soft, None, 20, 235, cv2.NORM_MINMAX), np.uint8)
 
