@@ -335,6 +335,13 @@ def use_web(environment: Path, folder: Path) -> None:
         program.wait(20)
 
 
+def use_video(environment: Path, folder: Path) -> None:
+    """A video is read; the page is another extra's."""
+    program = ROOT / "tests" / "web" / "read_a_video.py"
+    assert run_well(environment, "python", program, folder / "v.avi") == "(64, 48)\n"
+    assert "'pointclick[web]'" in run(environment, "pc-ground", "web", "--video", folder / "v.avi").stderr
+
+
 USES: dict[str, Callable[[Path, Path], None]] = {
     "onboard": use_onboard,
     "terrain": use_terrain,
@@ -343,11 +350,12 @@ USES: dict[str, Callable[[Path, Path], None]] = {
     "plot": use_plot,
     "completion": use_completion,
     "web": use_web,
+    "video": use_video,
 }
 """What each extra, installed alone, is used for. A new extra gets an entry here."""
 
 
-LIGHT = ("geo", "record", "plot", "completion", "web")
+LIGHT = ("geo", "record", "plot", "completion", "web", "video")
 """Extras of a few packages: laid over the base's environment, without building it again for each."""
 
 

@@ -70,8 +70,9 @@ def vehicles_router(desk: Desk) -> APIRouter:
         found = source.picture(vehicle, session, frame)
         if found is None:
             raise HTTPException(404, "this picture is not there")
-        # A picture of a session never changes.
-        return Response(found.content, media_type=found.media_type, headers={"cache-control": "private, max-age=3600"})
+        # A picture of a session never changes; a frame of a video may be another once its delay is known better.
+        kept = "private, max-age=3600" if found.is_lasting else "no-store"
+        return Response(found.content, media_type=found.media_type, headers={"cache-control": kept})
 
     @router.get("/vehicles/{vehicle}/frames/{frame}/features", summary="What is drawn on a picture, and its camera")
     def features(vehicle: str, frame: Frame, session: Session = None) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import ipaddress
+import math
 import secrets
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ PORT = 8080
 EXAMPLES = """examples:
   pc-ground web --connect tcp/192.168.1.20:7447            the aircraft on the link, on this machine's own screen
   pc-ground web --from FLIGHT.mcap --pins search.sqlite    a recorded flight
+  pc-ground web --connect tcp/10.0.0.7:7447 --video rtsp://10.0.0.9/live    with the downlink's video as pictures
   pc-ground web --share-listen tcp/0.0.0.0:7448            share pins: others say --share-connect tcp/THIS:7448
   pc-ground web --host 0.0.0.0                             for tablets on this network, with a token and a QR code
 """
@@ -40,6 +42,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     source.add_argument("--from", dest="recording", metavar="SESSION.mcap|DIR", type=Path, help="a recorded session")
     add_tls_arguments(parser)
+    parser.add_argument(
+        "--video",
+        metavar="SOURCE",
+        help="pictures from a video of the downlink: FILE, rtsp://..., http://..., /dev/videoN",
+    )
+    parser.add_argument("--video-vehicle", metavar="NAME", help="whose video it is (default: the only vehicle's)")
+    parser.add_argument(
+        "--video-delay",
+        type=_seconds,
+        metavar="S",
+        help="by which it is late (of a recording: how far into the file its first picture is); default: measured",
+    )
     parser.add_argument(
         "--host", default="127.0.0.1", metavar="ADDRESS", help="address to serve on (default 127.0.0.1)"
     )
@@ -75,6 +89,10 @@ def run(args: argparse.Namespace) -> int:
     missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
     if missing:
         raise WebError(f"the page needs {', '.join(missing)}: pip install 'pointclick[web]'")
+    if args.video is None and (args.video_vehicle is not None or args.video_delay is not None):
+        raise WebError("--video-vehicle and --video-delay go with --video")
+    if args.video is not None and importlib.util.find_spec("cv2") is None:
+        raise WebError("--video needs opencv-python-headless: pip install 'pointclick[web,video]'")
     if not (STATIC / "index.html").is_file():
         raise WebError(f"the page is not in {STATIC}: this is a checkout in which it was never built; run make web")
     if (args.tls_certificate is None) != (args.tls_key is None):
@@ -124,3 +142,13 @@ def _port(text: str) -> int:
     if not text.isdecimal() or int(text) > 65535:
         raise argparse.ArgumentTypeError(f"{text!r} is not a port (0 to 65535)")
     return int(text)
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) < 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds")
+    return value

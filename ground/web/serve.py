@@ -73,11 +73,37 @@ def _source(args: argparse.Namespace, tls: Tls | None) -> Source:
         source = RecordedSource(args.recording)
         for line in source.damage():
             print(f"pc-ground: warning: {line}", file=sys.stderr)
-        return source
+        return source if args.video is None else _with_recorded_video(source, args)
     from ground.web.live import LiveSource  # noqa: PLC0415  zenoh is loaded only where there is a link
 
     default = DEFAULT_ENDPOINT if tls is None else DEFAULT_ENDPOINT.replace("tcp/", "tls/", 1)
-    return LiveSource(args.connect or [default], tls)
+    live = LiveSource(args.connect or [default], tls)
+    return live if args.video is None else _with_live_video(live, args)
+
+
+def _with_recorded_video(source: Source, args: argparse.Namespace) -> Source:
+    """A recording with the pictures of a video file. Raises InputError for a file or a vehicle that is not there."""
+    from ground.web.video_file import FileFootage  # noqa: PLC0415  with the extra `video`
+    from ground.web.video_frames import is_file  # noqa: PLC0415
+    from ground.web.with_video import WithVideo  # noqa: PLC0415
+
+    there = source.vehicles()
+    if not is_file(args.video):
+        raise InputError("--video of a recording must be a file")
+    if args.video_vehicle not in (*there, None) or (args.video_vehicle is None and len(there) > 1):
+        raise InputError(f"--video-vehicle must be one of {', '.join(there)}")
+    return WithVideo(source, FileFootage(args.video, source, args.video_vehicle or there[0], args.video_delay))
+
+
+def _with_live_video(live: Source, args: argparse.Namespace) -> Source:
+    from ground.web.video_live import LiveFootage  # noqa: PLC0415
+    from ground.web.with_video import WithVideo  # noqa: PLC0415
+
+    try:
+        return WithVideo(live, LiveFootage(args.video, live, args.video_vehicle, args.video_delay))
+    except BaseException:
+        live.close()
+        raise
 
 
 def _sharing(args: argparse.Namespace, tls: Tls | None, store: PinStore) -> PinSharing | None:

@@ -27,6 +27,7 @@ class Picture:
 
     content: bytes
     media_type: str
+    is_lasting: bool = True  # the same whenever it is asked for again; a video's frame is another with another delay
 
 
 @dataclass(frozen=True)

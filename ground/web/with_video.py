@@ -1,0 +1,100 @@
+"""A source with a video of the operator's own downlink: its frames are the pictures of sets that came without one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Protocol
+
+from contract.feature_set import FeatureSet
+from ground.web.source import FrameRow, Picture, Source, VehicleReport
+
+MAX_ASPECT_ERROR = 0.01  # 854 x 480 is called 16:9
+
+
+class Footage(Protocol):
+    """A video whose frames were found for sets. Thread-safe."""
+
+    vehicle: str  # whose it is; "" until that is known
+    version: int  # grows by how many of the newest rows may have changed
+
+    def has(self, session: int, frame: int) -> bool:
+        """Whether a set has a frame of the video."""
+
+    def picture(self, session: int, frame: int) -> bytes | None:
+        """It, as JPEG."""
+
+    def notes(self) -> list[str]:
+        """How it goes, for people."""
+
+    def close(self) -> None:
+        """Let go of the video."""
+
+
+class WithVideo:
+    """Serves `Source`. What the other source has itself, off the link or recorded, goes before the video."""
+
+    def __init__(self, inner: Source, footage: Footage) -> None:
+        self._inner = inner
+        self._footage = footage
+        self.is_live = inner.is_live
+        self.name = inner.name
+
+    def vehicles(self) -> list[str]:
+        """The other's."""
+        return self._inner.vehicles()
+
+    def version(self, vehicle: str) -> int:
+        """The other's, and what the video brought."""
+        return self._inner.version(vehicle) + (self._footage.version if vehicle == self._footage.vehicle else 0)
+
+    def frames(self, vehicle: str, newest: int | None = None) -> list[FrameRow]:
+        """The other's, with what the video shows."""
+        rows = self._inner.frames(vehicle, newest)
+        if vehicle != self._footage.vehicle:
+            return rows
+        has = self._footage.has
+        return [row if row.has_picture or not has(row.session, row.frame) else _with_picture(row) for row in rows]
+
+    def feature_set(self, vehicle: str, session: int | None, frame: int) -> FeatureSet | None:
+        """The other's."""
+        return self._inner.feature_set(vehicle, session, frame)
+
+    def picture(self, vehicle: str, session: int | None, frame: int) -> Picture | None:
+        """The other's; else the frame of the video."""
+        found = self._inner.picture(vehicle, session, frame)
+        if found is not None or vehicle != self._footage.vehicle:
+            return found
+        if session is None:
+            rows = self._inner.frames(vehicle, 1)
+            session = rows[-1].session if rows else 0
+        content = self._footage.picture(session, frame)
+        return None if content is None else Picture(content, "image/jpeg", is_lasting=False)
+
+    def age_s(self, feature_set: FeatureSet) -> float | None:
+        """The other's."""
+        return self._inner.age_s(feature_set)
+
+    def report(self, vehicle: str) -> VehicleReport:
+        """The other's."""
+        return self._inner.report(vehicle)
+
+    def damage(self) -> list[str]:
+        """How the video goes, and the other's."""
+        return [*self._footage.notes(), *self._inner.damage()]
+
+    def close(self) -> None:
+        """Both."""
+        self._footage.close()
+        self._inner.close()
+
+
+def aspect_trouble(video_size_px: tuple[int, int], camera_size_px: tuple[int, int]) -> str:
+    """Why a video cannot be the camera's pictures, by its shape; empty if it can."""
+    (w, h), (cw, ch) = video_size_px, camera_size_px
+    if abs(w * ch / (h * cw) - 1.0) <= MAX_ASPECT_ERROR:
+        return ""
+    return f"it is {w} x {h}, the camera's pictures are {cw} x {ch}: cut or stretched, it shows other pixels"
+
+
+def _with_picture(row: FrameRow) -> FrameRow:
+    return replace(row, has_picture=True)
