@@ -85,7 +85,7 @@ def test_a_lever_arm_that_is_known_leaves_no_bias_and_one_that_is_not_leaves_its
 def test_a_delay_is_covered_by_the_ellipse(path: PathSpec, seconds: float, after_s: float, delay_s: float) -> None:
     """Three metres along the track that no straight leg shows: held by the ellipse, and not by one without end."""
     inside, wide = [], []
-    for seed in range(3):
+    for seed in range(2):
         flight = DrawnFlight(DrawnSpec(CONFIG, path, seconds, 2.0, errors=0.5, delay_s=delay_s, offset_s=0.0), seed)
         sets, _ = fly(flight)
         chi2, semi_m = clicks(flight, sets, after_s)
