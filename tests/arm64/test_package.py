@@ -112,13 +112,16 @@ def test_it_is_slim(here: Installation, record_property: Callable[[str, object],
 
 
 def test_every_module_of_ours_can_be_imported(here: Installation) -> None:
-    """And what they import only when it is asked for; the camera's structures are the kernel's on both."""
+    """And what they import only when it is asked for; the camera's structures are the kernel's on both.
+
+    But the page's server, which is the ground's (extra `web`): here it says in one line what it lacks.
+    """
     program = """
 import importlib, pkgutil
 import contract, ground, onboard
 names = [m.name for p in (contract, ground, onboard) for m in pkgutil.walk_packages(p.__path__, p.__name__ + ".")]
 for name in names:
-    if not name.endswith("__main__"):
+    if not name.endswith("__main__") and (not name.startswith("ground.web.") or name == "ground.web.command"):
         importlib.import_module(name)
 import cryptography.x509, mavsdk, mavsdk.plugins.mavlink_direct, mcap.reader, pyulog, zenoh
 from PIL import features
@@ -134,6 +137,10 @@ print(len(names), *sorted(f"{n}={value}" for n, value in vars(v).items() if n.is
     here_too = {f"{n}={value}" for n, value in vars(v4l2_structures).items() if n.isupper() and isinstance(value, int)}
     assert set(constants) == here_too
     assert len([c for c in constants if c.startswith(("QUERYCAP=", "DQBUF=", "S_FMT="))]) == 3
+    page = here("-m", "ground", "web")
+    assert page.returncode != 0
+    assert page.stderr.strip().endswith("pip install 'pointclick[web]'")
+    assert len(page.stderr.strip().splitlines()) == 1
 
 
 def test_everything_that_people_do_with_it_works(installed: Callable[[str], Installation], tmp_path: Path) -> None:
