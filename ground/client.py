@@ -109,7 +109,7 @@ class SetCache:
         max_sets: int = 5000,
         *,
         tls: Tls | None = None,
-        beside: Mapping[str, Callable[[str, bytes], None]] | None = None,
+        beside: Mapping[str, Callable[[str, bytes], object]] | None = None,
         heard: Callable[[FeatureSet, int], None] | None = None,
     ) -> None:
         self.unreadable = 0
@@ -279,7 +279,7 @@ class SetCache:
             self._heard(received, len(payload))
 
 
-def _passing_on(take: Callable[[str, bytes], None]) -> Callable[[zenoh.Sample], None]:
+def _passing_on(take: Callable[[str, bytes], object]) -> Callable[[zenoh.Sample], None]:
     def receive(sample: zenoh.Sample) -> None:
         take(str(sample.key_expr), sample.payload.to_bytes())
 

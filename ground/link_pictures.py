@@ -83,8 +83,8 @@ class PictureCache:
         with self._lock:
             return self._assembly.incomplete
 
-    def take(self, key: str, payload: bytes) -> None:
-        """One message of the link; what is no piece of a picture of the key's vehicle is counted."""
+    def take(self, key: str, payload: bytes) -> LinkPicture | None:
+        """One message of the link, and the picture it completes; what is no piece of one of the vehicle's counts."""
         try:
             piece = read_piece(payload)
             if PICTURE.vehicle(key) != piece.whole.vehicle:
@@ -97,16 +97,13 @@ class PictureCache:
             with self._lock:
                 self.unreadable += 1
                 self.last_error = error
+            return None
+        return found
 
     def picture(self, vehicle: str, session: int, frame: int) -> LinkPicture | None:
         """The picture of a frame; None if it did not come, or came too long ago."""
         with self._lock:
             return self._pictures.get((vehicle, session, frame))
-
-    def newest(self, vehicle: str) -> LinkPicture | None:
-        """The picture of a vehicle that came last."""
-        with self._lock:
-            return next((p for p in reversed(self._pictures.values()) if p.vehicle == vehicle), None)
 
     def frames(self, vehicle: str, session: int) -> set[int]:
         """The frames whose picture is here."""

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import mmap
 from pathlib import Path
 
 from contract import recording_format as names
-from contract.errors import InputError, WireError
-from contract.mcap_records import CHANNEL, MAGIC, MESSAGE, MESSAGE_HEAD, Data, read_channel, records
+from contract.errors import WireError
+from contract.mcap_records import CHANNEL, MESSAGE, MESSAGE_HEAD, Data, mapped, read_channel, records
 from contract.picture import LinkPicture
 from contract.topics import PICTURE
 from contract.wire.picture_code import Whole, join, read_piece
@@ -26,7 +25,7 @@ class RecordedLinkPictures:
         self._data: list[Data] = []
         self._found: dict[Identity, dict[Whole, dict[int, _Place]]] = {}
         for file, part in enumerate(names.session_files(Path(path))):
-            data = _mapped(part)
+            data = mapped(part)  # `Recording` says what is none
             self._data.append(data)
             self._index(file, data)
 
@@ -86,13 +85,3 @@ def _is_enough(whole: Whole, places: dict[int, _Place]) -> bool:
         if missing > 1 or (missing and whole.pieces + group not in places):
             return False
     return True
-
-
-def _mapped(path: Path) -> Data:
-    try:
-        with path.open("rb") as stream:
-            if stream.read(len(MAGIC)) != MAGIC:
-                return b""  # `Recording` says so
-            return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
-    except OSError as error:
-        raise InputError(f"recording {path}: {error.strerror}") from error

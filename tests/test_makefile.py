@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -63,9 +64,20 @@ def test_the_marker_is_registered() -> None:
     assert "wall_clock: measures real time; run serially" in options["markers"]
 
 
-@pytest.mark.xdist_group("kept together")
-def test_what_a_group_shares_is_made_by_one_worker(request: pytest.FixtureRequest) -> None:
+def test_what_a_group_shares_is_made_by_one_worker(tmp_path: Path) -> None:
     """pytest-xdist keeps a group together by a name it hangs on each test; beside some pytests it silently does not."""
-    if "PYTEST_XDIST_WORKER" not in os.environ:
-        pytest.skip("one worker has every test")
-    assert request.node.nodeid.endswith("@kept together")
+    (tmp_path / "test_of_a_group.py").write_text(
+        'import pytest\n\n\n@pytest.mark.xdist_group("kept together")\ndef test_it(request):\n'
+        '    assert request.node.nodeid.endswith("@kept together")\n'
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-n", "1", "--dist", "loadgroup", "-p", "no:cacheprovider"],
+        cwd=tmp_path,
+        env={k: v for k, v in os.environ.items() if not k.startswith("PYTEST")},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "1 passed" in done.stdout

@@ -52,17 +52,7 @@ def vehicles_router(desk: Desk) -> APIRouter:
     @router.get("/vehicles/{vehicle}/frames", summary="The pictures that can be asked for, in capture order")
     def frames(vehicle: str) -> list[dict[str, Any]]:
         _known(vehicle)
-        return [
-            {
-                "session": row.session,
-                "frame": row.frame,
-                "revision": row.revision,
-                "status": row.status.value,
-                "capture_unix_ns": str(row.capture_unix_ns),
-                "has_picture": row.has_picture,
-            }
-            for row in source.frames(vehicle)
-        ]
+        return [row_json(row) for row in source.frames(vehicle)]
 
     @router.get("/vehicles/{vehicle}/frames/{frame}/picture", summary="A picture", response_class=Response)
     def picture(vehicle: str, frame: Frame, session: Session = None) -> Response:
@@ -123,6 +113,18 @@ def vehicles_router(desk: Desk) -> APIRouter:
         return [s for s in sets if s is not None]
 
     return router
+
+
+def row_json(row: FrameRow) -> dict[str, Any]:
+    """A row of the list of pictures."""
+    return {
+        "session": row.session,
+        "frame": row.frame,
+        "revision": row.revision,
+        "status": row.status.value,
+        "capture_unix_ns": str(row.capture_unix_ns),
+        "has_picture": row.has_picture,
+    }
 
 
 def vehicle_json(desk: Desk, vehicle: str) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from starlette.types import ASGIApp
 
 from contract.errors import PointclickError
 from ground.web.api_pins import pins_router
-from ground.web.api_vehicles import vehicle_json, vehicles_router
+from ground.web.api_vehicles import row_json, vehicle_json, vehicles_router
 from ground.web.desk import Desk, NotThere
 from ground.web.guard import Guard, Rules
 from ground.web.handoff import handoff_router
@@ -163,17 +163,7 @@ async def _watch(desk: Desk) -> None:
 
 def _newest_rows(desk: Desk, vehicle: str, count: int) -> list[dict[str, Any]]:
     """The last pictures: what browsers lack."""
-    return [
-        {
-            "session": row.session,
-            "frame": row.frame,
-            "revision": row.revision,
-            "status": row.status.value,
-            "capture_unix_ns": str(row.capture_unix_ns),
-            "has_picture": row.has_picture,
-        }
-        for row in desk.source.frames(vehicle, count)
-    ]
+    return [row_json(row) for row in desk.source.frames(vehicle, count)]
 
 
 def _status(desk: Desk) -> dict[str, Any]:

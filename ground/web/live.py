@@ -178,16 +178,12 @@ class LiveSource:
                 heard.sets.append((now_s, size))
 
     def _note_picture(self, key: str, payload: bytes) -> None:
-        before = self._pictures.received
-        self._pictures.take(key, payload)
-        if self._pictures.received == before:
+        picture = self._pictures.take(key, payload)
+        if picture is None:
             return
-        vehicle = PICTURE.vehicle(key)
-        picture = self._pictures.newest(vehicle)
-        entries = self._entries(vehicle)
-        since = 0 if picture is None else sum(e.frame >= picture.frame for e in entries)
+        since = sum(e.frame >= picture.frame for e in self._entries(picture.vehicle))
         with self._lock:
-            heard = self._known(vehicle)
+            heard = self._known(picture.vehicle)
             if heard is not None:
                 heard.version += max(since, 1)
                 heard.at_s = time.monotonic()

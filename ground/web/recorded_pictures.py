@@ -9,20 +9,17 @@ from __future__ import annotations
 import base64
 import binascii
 import json
-import mmap
-import struct
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from contract import recording_format as names
 from contract.errors import WireError
-from contract.mcap_records import CHANNEL, MAGIC, MESSAGE, MESSAGE_HEAD, Data, records
+from contract.mcap_records import CHANNEL, MESSAGE, MESSAGE_HEAD, Data, mapped, read_channel, records
 from contract.topics import STATUS
 from contract.vehicle_status import VehicleStatus, decode_status
 from ground.web.source import Picture
 
-_HEAD = struct.Struct("<HH")
 # Signatures of what a browser shows; what a recording calls a picture and is none is not handed to one.
 _SIGNATURES = ((b"\xff\xd8\xff", "image/jpeg"), (b"\x89PNG\r\n\x1a\n", "image/png"))
 
@@ -48,7 +45,7 @@ class RecordedPictures:
         self._data: list[Data] = []
         self._vehicles: dict[str, _Vehicle] = {}
         for file, part in enumerate(names.session_files(path)):
-            data = _mapped(part)
+            data = mapped(part)
             self._data.append(data)
             self._index(file, data)
 
@@ -86,7 +83,7 @@ class RecordedPictures:
         channels: dict[int, tuple[str, str]] = {}  # kind, vehicle
         for opcode, start, length in records(data, lambda _: None):
             if opcode == CHANNEL:
-                number, topic = _channel(bytes(data[start : start + length]))
+                number, topic, _ = read_channel(bytes(data[start : start + length]))
                 kind = _kind(topic)
                 if kind is not None:
                     channels[number] = kind
@@ -130,22 +127,6 @@ def _kind(topic: str) -> tuple[str, str] | None:
         if topic.startswith(before) and topic.endswith(after) and len(topic) > len(before) + len(after):
             return kind, topic[len(before) : len(topic) - len(after)]
     return None
-
-
-def _channel(record: bytes) -> tuple[int, str]:
-    try:
-        number, _ = _HEAD.unpack_from(record)
-        (length,) = struct.unpack_from("<I", record, _HEAD.size)
-        return number, record[_HEAD.size + 4 : _HEAD.size + 4 + length].decode()
-    except (struct.error, UnicodeDecodeError):
-        return -1, ""
-
-
-def _mapped(path: Path) -> Data:
-    with path.open("rb") as stream:
-        if stream.read(len(MAGIC)) != MAGIC:
-            return b""
-        return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
 
 
 def _object(content: bytes) -> dict[str, Any]:

@@ -35,36 +35,29 @@ MAX_MESSAGE_BYTES = 4096  # of a WebSocket message from a browser, which says no
 def serve(args: argparse.Namespace, token: str, tls: Tls | None) -> int:
     """Until it is told to end. Raises PointclickError before anything is served."""
     tiles = None if args.tiles is None else open_tiles(args.tiles)
-    listening = _listen(args.host, args.port)
-    with listening:
-        source = _source(args, tls)
-        try:
-            pins = args.pins or default_path()
-            if args.pins is None:
-                pins.parent.mkdir(parents=True, exist_ok=True)
-            with contextlib.ExitStack() as opened:
-                store = opened.enter_context(PinStore(pins))
-                sharing = _sharing(args, tls, store)
-                if sharing is not None:
-                    opened.enter_context(sharing)
-                is_secure = args.tls_certificate is not None
-                rules = _rules(args, token, tiles, is_secure)
-                _announce(args, listening.getsockname()[1], token, is_secure, source, str(pins))
-                config = uvicorn.Config(
-                    create_app(Desk(source, store, STATIC, tiles, sharing), rules),
-                    log_level="warning",
-                    access_log=False,
-                    ws_max_size=MAX_MESSAGE_BYTES,
-                    ws_ping_interval=5.0,
-                    ws_ping_timeout=10.0,
-                    timeout_graceful_shutdown=SHUTDOWN_S,
-                    ssl_certfile=args.tls_certificate,
-                    ssl_keyfile=args.tls_key,
-                    server_header=False,
-                )
-                uvicorn.Server(config).run(sockets=[listening])
-        finally:
-            source.close()
+    is_secure = args.tls_certificate is not None
+    with contextlib.ExitStack() as opened:
+        listening = opened.enter_context(_listen(args.host, args.port))
+        source = opened.enter_context(contextlib.closing(_source(args, tls)))
+        pins = args.pins or default_path()
+        store = opened.enter_context(PinStore(pins))
+        sharing = _sharing(args, tls, store)
+        if sharing is not None:
+            opened.enter_context(sharing)
+        _announce(args, listening.getsockname()[1], token, is_secure, source, str(pins))
+        config = uvicorn.Config(
+            create_app(Desk(source, store, STATIC, tiles, sharing), _rules(args, token, tiles, is_secure)),
+            log_level="warning",
+            access_log=False,
+            ws_max_size=MAX_MESSAGE_BYTES,
+            ws_ping_interval=5.0,
+            ws_ping_timeout=10.0,
+            timeout_graceful_shutdown=SHUTDOWN_S,
+            ssl_certfile=args.tls_certificate,
+            ssl_keyfile=args.tls_key,
+            server_header=False,
+        )
+        uvicorn.Server(config).run(sockets=[listening])
     return 0
 
 

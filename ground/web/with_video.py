@@ -53,7 +53,7 @@ class WithVideo:
         if vehicle != self._footage.vehicle:
             return rows
         has = self._footage.has
-        return [row if row.has_picture or not has(row.session, row.frame) else _with_picture(row) for row in rows]
+        return [replace(row, has_picture=row.has_picture or has(row.session, row.frame)) for row in rows]
 
     def feature_set(self, vehicle: str, session: int | None, frame: int) -> FeatureSet | None:
         """The other's."""
@@ -94,7 +94,3 @@ def aspect_trouble(video_size_px: tuple[int, int], camera_size_px: tuple[int, in
     if abs(w * ch / (h * cw) - 1.0) <= MAX_ASPECT_ERROR:
         return ""
     return f"it is {w} x {h}, the camera's pictures are {cw} x {ch}: cut or stretched, it shows other pixels"
-
-
-def _with_picture(row: FrameRow) -> FrameRow:
-    return replace(row, has_picture=True)

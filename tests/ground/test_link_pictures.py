@@ -25,13 +25,15 @@ def test_pictures_are_given_by_vehicle_session_and_frame_also_with_pieces_of_sev
     pictures = [small_picture(frame, size) for frame, size in ((1, 900), (2, 5000), (3, 12_000))]
     pieces = [piece for picture in pictures for piece in cut(picture, with_parity=True)]
     random.Random(1).shuffle(pieces)
-    for piece in pieces:
-        cache.take(KEY, piece)
+    completed = [found for piece in pieces if (found := cache.take(KEY, piece)) is not None]
+    assert sorted(found.frame for found in completed) == [1, 2, 3] and {id(found) for found in completed} == {
+        id(cache.picture("uav-1", SESSION, frame)) for frame in (1, 2, 3)
+    }
     assert cache.frames("uav-1", SESSION) == {1, 2, 3} and cache.received == 3
     for picture in pictures:
         assert cache.picture("uav-1", SESSION, picture.frame) == picture
     assert cache.picture("uav-1", SESSION + 1, 1) is None and cache.picture("uav-2", SESSION, 1) is None
-    assert cache.newest("uav-1") is not None and cache.newest("uav-2") is None
+    assert cache.frames("uav-2", SESSION) == set()
     assert cache.unreadable == 0 and cache.incomplete == 0
 
 

@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 
 from ground.web.command import STATIC
+from tests.left_out import NO_PROGRAM
 from tests.web.browsing import Operator
 from tests.web.served import ARGUMENTS, CHROMIUM, Flown, Server, record
-
-NO_PROGRAM = "left out: no program"  # as in tests/conftest.py, which says so at the end of a run
 
 
 @pytest.fixture(scope="session")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,17 +18,12 @@ from ground.pins.store import PinStore
 from ground.web.live import LiveSource
 from ground.web.recorded import RecordedSource
 from onboard.link.publisher import Publisher, Rate
+from tests.onboard.link.ports import free_endpoint
 from tests.web.browsing import Operator
 from tests.web.served import Flown, Server
 from tests.web.test_live import wait_for
 
 pytestmark = pytest.mark.xdist_group("web")
-
-
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def sets_and_picture(flown: Flown) -> tuple[list[FeatureSet], LinkPicture]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import time
 from collections.abc import Callable
 
@@ -14,6 +13,7 @@ from ground.locate import Locator
 from ground.web.clicks import Clicker
 from ground.web.live import LiveSource
 from onboard.link.publisher import Publisher, Rate
+from tests.onboard.link.ports import free_endpoint
 from tests.web.served import PATIENCE_S, Flown
 
 pytestmark = pytest.mark.xdist_group("web")
@@ -27,9 +27,7 @@ def wait_for(there: Callable[[], bool], what: str) -> None:
 
 
 def test_sets_that_are_published_are_clicked_and_a_silent_aircraft_grows_old(flown: Flown) -> None:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    endpoint = free_endpoint()
     publisher = Publisher(flown.vehicle, listen=[endpoint], rate=Rate(1e6, 1.0, 30.0))
     source = LiveSource([endpoint])
     try:
