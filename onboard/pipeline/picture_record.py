@@ -23,6 +23,7 @@ class Record:
     status: Status = Status.STARTING
     revision: int = -1
     is_settled: bool = False
+    is_for_later: bool = False  # its only set is the one that it is settled with
     placed: Placed | None = None  # as it was last, by the window's own points: where the next revision starts
 
 

@@ -2,7 +2,8 @@
 
 A picture waits until telemetry on both sides of its exposure has arrived, is tracked against the last keyframe,
 becomes a keyframe itself when enough has moved, and gets a feature set: at once if the window has structure for it,
-otherwise with the first solve that has; and once more, as a later revision, when the window has seen past it.
+otherwise with the first solve that has; and once more, as a later revision, when the window has seen past it. Pictures
+that come faster than sets can be sent get theirs only then, but for the newest (`first_placing`).
 
 A window solve never holds up tracking: a worker does it, and its outcome is adopted at a time that the data define, so
 that the same events give the same sets however fast the worker is.
@@ -32,6 +33,7 @@ from onboard.georeferencing.feature_sets import Origin, Picture
 from onboard.georeferencing.surface_sets import over_known_ground
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.estimates import found_in_flight
+from onboard.pipeline.first_placing import FirstPlacing
 from onboard.pipeline.frozen_frames import Staleness, Stillness
 from onboard.pipeline.keyframe_choice import wants_keyframe
 from onboard.pipeline.keyframe_navigation import look_up_again
@@ -42,7 +44,7 @@ from onboard.pipeline.offset_watch import OffsetWatch
 from onboard.pipeline.picture_motion import as_read, seen_at
 from onboard.pipeline.picture_record import Pending, Record
 from onboard.pipeline.placing import Placing
-from onboard.pipeline.shortfall import MIN_OVERLAP, Evidence
+from onboard.pipeline.shortfall import MIN_OVERLAP, Evidence, is_standing_still
 from onboard.pipeline.statistics import RunStatistics, Summary
 from onboard.pipeline.terrain_at_hand import TerrainSource, cut, is_at_hand
 from onboard.vision.klt_tracker import MIN_TRACKS, Tracker, Tracks
@@ -55,9 +57,6 @@ MAX_MISSES = 3  # pictures in a row that found too little before a new start
 SLOW_NS = 1_000_000_000  # between pictures, above which one that has lost the keyframe's ground begins anew at once
 MAX_PREDICTION_MISS = 0.15  # rad: tracks this far from telemetry's prediction have locked onto the wrong features
 TURNING_RAD_S = 0.35
-MIN_TRAVEL = 0.03  # of the height above ground: less than this is no parallax
-MIN_TRAVEL_HEIGHT_M = 20.0
-PATIENCE_NS = 3_000_000_000  # before standing still is called that
 PLACED_AN_EVENT = 2  # a solve releases as many pictures as lie between two keyframes: all at once would delay the next
 ADOPTION_NS = 250_000_000  # of data after a keyframe is taken up, until which its solve need not be done
 
@@ -83,7 +82,7 @@ class Pipeline:
         self.mount_selection = MountSelection(camera, self.window.R_body_cam)
         self._offset_watch = OffsetWatch(config, camera, self.window.R_body_cam)
         self._trials = MountTrials(self.mount_selection)
-        self._placing = Placing()
+        self._placing, self._first_placing = Placing(), FirstPlacing(config)
         self.tracks: Tracks | None = None  # of the newest picture, for display
         self._waiting: deque[Frame] = deque()
         self._records: list[Record] = []
@@ -111,16 +110,18 @@ class Pipeline:
         out: list[FeatureSet] = []
         if self._pending is not None and self._now_ns >= self._pending.due_ns:
             out.extend(self._adopt())
-        while self._waiting:
-            frame = self._waiting[0]
-            # The moment that counts is the autopilot's: extrapolating to it would bend what is learned of the offset.
-            moment_ns = frame.stamp_ns + round(self._offset_s * 1e9)
-            is_covered = self.navigation.covers(moment_ns, round(self._delay_s * 1e9))
-            if not is_covered and self._now_ns - frame.stamp_ns < MAX_WAIT_NS + self.navigation.behind_ns:
-                break
+        while self._waiting and self._is_ready(self._waiting[0]):
             out.extend(self._process(self._waiting.popleft()))
         out.extend(self._catch_up())
         return out
+
+    def _is_ready(self, frame: Frame) -> bool:
+        """Whether telemetry on both sides of a picture has arrived, or is waited for no longer."""
+        # The moment that counts is the autopilot's: extrapolating to it would bend what is learned of the offset.
+        moment_ns = frame.stamp_ns + round(self._offset_s * 1e9)
+        waited_ns = self._now_ns - frame.stamp_ns
+        is_covered = self.navigation.covers(moment_ns, round(self._delay_s * 1e9))
+        return is_covered or waited_ns >= MAX_WAIT_NS + self.navigation.behind_ns
 
     def finish(self) -> list[FeatureSet]:
         """The end of the data: place what still waits, and settle what the window holds."""
@@ -183,7 +184,12 @@ class Pipeline:
         camera = (self.window.solved or self.window).camera  # it is placed by what is solved
         record = Record(frame, seen_at(self.window, camera, self.navigation, nav, tracks), nav, False)
         self._records.append(record)
-        return [*out, *self._place([record])]
+        has_newer = bool(self._waiting) and self._is_ready(self._waiting[0])
+        record.is_for_later = self.window.solved is not None and self._first_placing.may_wait(frame.stamp_ns, has_newer)
+        if not record.is_for_later:
+            out.extend(self._place([record]))
+            self._first_placing.note(frame.stamp_ns, record.status is Status.OK)
+        return out
 
     def _part_from_last(self, nav: NavState) -> list[FeatureSet]:
         """Begin anew where this picture and the one before it may not be in one window."""
@@ -319,7 +325,7 @@ class Pipeline:
             return [*out, self._refuse_record(record, pending.reason or reported)]
         self._statistics.reprojections_px.append(solved.reprojection_px)
         out = self._place([record])
-        self._unplaced = deque(r for r in self._records if r.status is not Status.OK)
+        self._unplaced = deque(r for r in self._records if r.status is not Status.OK and not r.is_for_later)
         middle = len(solved.frames) - 1 - self.config.solve.keyframes // 2
         if middle >= 0:
             limit = solved.frames[middle]
@@ -360,15 +366,13 @@ class Pipeline:
 
     def _settle(self, records: list[Record]) -> list[FeatureSet]:
         """The last revision of pictures that the window has seen past, where it says anything new."""
-        solved = self.window.solved
-        if solved is None:
-            return []
-        out = []
+        solved, out = self.window.solved, []
         for record in records:
-            if not record.is_settled:
+            is_first = record.is_for_later and record.revision < 0
+            if not record.is_settled and (solved is not None or is_first):
                 record.is_settled = True
-                if not self._placing.is_needless(solved, record):
-                    out.extend(self._place([record], only_ok=True))
+                if is_first or solved is None or not self._placing.is_needless(solved, record):
+                    out.extend(self._place([record], only_ok=not is_first))
         return out
 
     def _place(self, records: list[Record], only_ok: bool = False) -> list[FeatureSet]:
@@ -427,12 +431,8 @@ class Pipeline:
 
     def _why_unsolved(self, nav: NavState, first: NavState | None = None) -> Status:
         """Starting, or standing still since `first`, the window's first by default: no parallax will come of that."""
-        if first is None:
-            first = self.window.keyframes[0].nav if self.window.keyframes else nav
-        height_m = max(nav.height_above_home_m or 0.0, MIN_TRAVEL_HEIGHT_M)
-        travelled_m = float(np.linalg.norm(nav.position_enu_m - first.position_enu_m))
-        still = nav.stamp_ns - first.stamp_ns > PATIENCE_NS and travelled_m < MIN_TRAVEL * height_m
-        return Status.LOW_PARALLAX if still else self._unsolved
+        first = first or next((k.nav for k in self.window.keyframes), nav)
+        return Status.LOW_PARALLAX if is_standing_still(first, nav) else self._unsolved
 
     def _over_known_ground(self, nav: NavState, picture: Picture) -> FeatureSet | None:
         if self.mount_selection.is_open(nav) or self._unsolved in MOVED:

@@ -14,20 +14,21 @@ NEAR_NS = 100_000_000  # between pictures that show the same ground, turned by l
 
 
 class Placing:
-    """Remembers the newest picture that was placed."""
+    """Remembers the newest picture that was placed, and the last one: one of long ago may have been settled since."""
 
     def __init__(self) -> None:
         self._newest: Record | None = None
+        self._last: Record | None = None
         self._revisions = Revisions()
 
     def forget(self) -> None:
         """What comes shares nothing with what was."""
-        self._newest = None
+        self._newest = self._last = None
 
     def place(self, window: Window, solved: Solved, record: Record, picture: Picture) -> FeatureSet | Status:
         """The picture's set by `solved`, or why it has none. `record` remembers how it was placed."""
         again = record.placed
-        near = again or self._of_newest_before(record)
+        near = again or self._near(record)
         if near is not None:
             guess = Pose(near.pose.R_cam_enu, window.position_guess(record.nav))
         else:
@@ -40,7 +41,7 @@ class Placing:
         placed = place(window, solved, record.seen, picture, guess, None if again is None else again.pose, ground_range)
         if isinstance(placed, Status):
             return placed
-        record.placed = placed
+        record.placed, self._last = placed, record
         if self._newest is None or record.nav.stamp_ns >= self._newest.nav.stamp_ns:
             self._newest = record
         return placed.feature_set
@@ -49,8 +50,9 @@ class Placing:
         """Whether clicks on the picture have the answers already that `solved` would give them."""
         return record.placed is not None and self._revisions.is_needless(record.placed, solved)
 
-    def _of_newest_before(self, record: Record) -> Placed | None:
-        newest = self._newest
-        if newest is None or abs(record.nav.stamp_ns - newest.nav.stamp_ns) > NEAR_NS:
-            return None
-        return newest.placed if newest.nav.stretch == record.nav.stretch else None
+    def _near(self, record: Record) -> Placed | None:
+        """As a picture that was taken shortly before or after this one was placed."""
+        for other in (self._last, self._newest):
+            if other is not None and abs(record.nav.stamp_ns - other.nav.stamp_ns) <= NEAR_NS:
+                return other.placed if other.nav.stretch == record.nav.stretch else None
+        return None

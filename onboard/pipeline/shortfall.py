@@ -24,6 +24,9 @@ MIN_OVERLAP = 0.25  # rendered flights: answered in full at 0.27 of the picture 
 MIN_SPAN = 0.1  # of the height above ground, flown during a window: less is no parallax
 MIN_LASTING_S = 5.0  # of a flight that is said to have stood still: a shorter one is too short
 SHARE_GRID = (16, 12)
+MIN_TRAVEL = 0.03  # of the height above ground: less than this is no parallax
+MIN_TRAVEL_HEIGHT_M = 20.0
+PATIENCE_S = 3.0  # before standing still is called that
 
 
 class Break(Enum):
@@ -201,3 +204,10 @@ def overlap_share(camera: Camera, predicted: Array | None, travelled_m: float, h
         across_m = min(camera.size_px) * height_m / camera.focal_px
         return max(1.0 - travelled_m / across_m, 0.0)
     return float(np.mean(camera.contains(move(predicted, pixel_grid(camera.size_px, SHARE_GRID)))))
+
+
+def is_standing_still(first: NavState, nav: NavState) -> bool:
+    """Whether too little was flown between two states for parallax, for so long that it will not come by itself."""
+    height_m = max(nav.height_above_home_m or 0.0, MIN_TRAVEL_HEIGHT_M)
+    travelled_m = float(np.linalg.norm(nav.position_enu_m - first.position_enu_m))
+    return nav.stamp_ns - first.stamp_ns > PATIENCE_S * 1e9 and travelled_m < MIN_TRAVEL * height_m

@@ -48,7 +48,7 @@ class LiveRates:
         with self._lock:
             self._made_ns, self.session = now_ns, output.session
             before = self._pictures.get(output.frame)
-            if before is None and output.frame <= self.frame:
+            if before is None and output.frame <= self.frame and output.revision:
                 return  # a last revision of a picture long counted
             if output.is_ok and (before is None or before.status is not Status.OK):
                 self._answered_ns.append(now_ns)
