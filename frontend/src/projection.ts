@@ -1,4 +1,5 @@
-// A place on the ground -> the pixel that shows it. Pure; the same as contract/geodesy.py and contract/camera.py.
+// A place on the ground -> the pixel that shows it. Pure; the same as contract/geodesy.py, contract/camera.py and
+// contract/rolling_shutter.py.
 
 import type { Pixel, Size } from "./mapping.js";
 
@@ -8,12 +9,17 @@ export interface Camera {
   max_radius: number;
   lat_deg: number; lon_deg: number; height_m: number;
   R_enu_cam: number[]; // row by row
+  shutter: Shutter | null;
 }
+
+/** How the camera moved while the picture's rows were read, and how long that took; null: all rows at once. */
+export interface Shutter { readout_s: number; rate_rad_s: Vector; velocity_m_s: Vector }
 
 const A_M = 6378137.0;
 const F = 1.0 / 298.257223563;
 const E2 = F * (2.0 - F);
 const RAD = Math.PI / 180.0;
+const SHUTTER_STEPS = 2; // as in ground/locate.py
 
 type Vector = [number, number, number];
 
@@ -45,14 +51,39 @@ export function pixelOf(camera: Camera, size: Size, lat: number, lon: number, he
     cam[column] = R[column]! * e[0] + R[3 + column]! * e[1] + R[6 + column]! * e[2];
   }
   if (cam[2] <= 1e-6) return null;
-  const x = cam[0] / cam[2], y = cam[1] / cam[2];
+  const x = cam[0] / cam[2], y = cam[1] / cam[2], shutter = camera.shutter;
+  let at = distorted(camera, x, y);
+  if (shutter !== null) {
+    // Each row sees the place when its turn comes: (18.5) of docs/mathematics.md, from place to pixel.
+    const [dx, dy] = imageVelocity(shutter, x, y, 1.0 / cam[2]);
+    for (let step = 0; step < SHUTTER_STEPS && at !== null; step++) {
+      const late = shutter.readout_s * (at.v - 0.5 * (size.height - 1)) / size.height;
+      at = distorted(camera, x + late * dx, y + late * dy);
+    }
+  }
+  const isSeen = at !== null && at.u >= -0.5 && at.v >= -0.5 && at.u <= size.width - 0.5 && at.v <= size.height - 0.5;
+  return isSeen ? at : null;
+}
+
+/** Normalised image coordinates -> pixel; null beyond what the distortion describes. */
+function distorted(camera: Camera, x: number, y: number): Pixel | null {
   if (Math.hypot(x, y) > camera.max_radius) return null;
   const [k1, k2, p1, p2, k3] = camera.distortion;
   const r2 = x * x + y * y;
   const radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-  const u = camera.cx + camera.fx * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x));
-  const v = camera.cy + camera.fy * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y);
-  return u >= -0.5 && v >= -0.5 && u <= size.width - 0.5 && v <= size.height - 0.5 ? { u, v } : null;
+  return {
+    u: camera.cx + camera.fx * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)),
+    v: camera.cy + camera.fy * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y),
+  };
+}
+
+/** How a point that stands still moves over the picture, normalised, 1/s. (18.2) */
+function imageVelocity({ rate_rad_s: [rx, ry, rz], velocity_m_s: [vx, vy, vz] }: Shutter, x: number, y: number, inverseDepth: number): [number, number] {
+  const across = rx * y - ry * x;
+  return [
+    across * x - ry + rz * y + inverseDepth * (x * vz - vx),
+    across * y + rx - rz * x + inverseDepth * (y * vz - vy),
+  ];
 }
 
 /** A place east and north of another, within some kilometres (m): for drawing on the map. */

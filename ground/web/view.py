@@ -51,8 +51,25 @@ def frame_view(s: FeatureSet, earlier: Sequence[FeatureSet], age_s: float | None
     }
     if not s.is_ok:
         return out
-    c, frame = s.camera, _ellipsoidal(s)
-    out["camera"] = {
+    out["camera"] = camera_view(s)
+    ground, usable = _ground_places(s)
+    places = _ellipsoidal(s).to_geodetic(ground)
+    out["features"] = {
+        "uv": np.round(s.uv_px[usable], 2).tolist(),
+        "lonlat": np.round(places[:, [1, 0]], 8).tolist(),
+        "paths": _paths(s, s.uv_px[usable], earlier),
+    }
+    out["footprint"], out["corners"] = footprint(s)
+    answer = locator.locate((0.5 * (s.camera.width_px - 1), 0.5 * (s.camera.height_px - 1)))
+    if isinstance(answer, Fix):
+        out["ce90_centre_m"] = round(ce90_m(answer.covariance_enu_m2[:2, :2]), 1)
+    return out
+
+
+def camera_view(s: FeatureSet) -> dict[str, Any]:
+    """The camera of a set with a pose, and how it moved while its rows were read: what `placed_in` needs of it."""
+    c, shutter = s.camera, s.shutter
+    return {
         "fx": c.fx_px,
         "fy": c.fy_px,
         "cx": c.cx_px,
@@ -63,19 +80,14 @@ def frame_view(s: FeatureSet, earlier: Sequence[FeatureSet], age_s: float | None
         "lon_deg": s.camera_lon_deg,
         "height_m": s.camera_height_m + _shift_m(s),
         "R_enu_cam": np.asarray(s.R_enu_cam, float).ravel().tolist(),
+        "shutter": None
+        if shutter is None
+        else {
+            "readout_s": shutter.readout_s,
+            "rate_rad_s": np.asarray(shutter.rate_cam_rad_s, float).tolist(),
+            "velocity_m_s": np.asarray(shutter.velocity_cam_m_s, float).tolist(),
+        },
     }
-    ground, usable = _ground_places(s)
-    places = frame.to_geodetic(ground)
-    out["features"] = {
-        "uv": np.round(s.uv_px[usable], 2).tolist(),
-        "lonlat": np.round(places[:, [1, 0]], 8).tolist(),
-        "paths": _paths(s, s.uv_px[usable], earlier),
-    }
-    out["footprint"], out["corners"] = footprint(s)
-    answer = locator.locate((0.5 * (c.width_px - 1), 0.5 * (c.height_px - 1)))
-    if isinstance(answer, Fix):
-        out["ce90_centre_m"] = round(ce90_m(answer.covariance_enu_m2[:2, :2]), 1)
-    return out
 
 
 def footprint(s: FeatureSet) -> tuple[list[list[float]], list[list[float]] | None]:

@@ -6,40 +6,48 @@ import json
 import os
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from contract.camera import Camera
+from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
+from contract.rolling_shutter import RollingShutter
 from contract.rotations import exp_so3
+from ground.web.view import camera_view, placed_in
 from tests.web.served import ROOT
 
 
 def projection_cases(path: Path) -> None:
-    """Places about cameras of all attitudes, with where they are seen."""
+    """Places about cameras of all attitudes, every other read row by row in a turn, with where they are seen."""
     rng = np.random.default_rng(5)
-    cases = []
-    for _ in range(200):
+    cases, moved_px = [], []
+    for k in range(200):
         k1, k2 = rng.uniform(-0.15, 0.02), rng.uniform(-0.02, 0.02)
         camera = Camera(640, 480, 700.0, 690.0, 322.0, 239.0, (k1, k2, 0.001, -0.002, 0.0))
-        frame = LocalFrame(rng.uniform(-80, 80), rng.uniform(-180, 180), rng.uniform(0, 900))
+        lat, lon, height_m = rng.uniform([-80.0, -180.0, 0.0], [80.0, 180.0, 900.0]).tolist()
         R = np.diag([1.0, -1.0, -1.0]) @ exp_so3(rng.normal(0.0, 0.15, 3))
-        place = frame.to_geodetic(rng.uniform([-120, -120, -300], [120, 120, -200]))
-        enu = frame.to_enu(*place)
-        uv, seen = camera.project(enu @ R)
+        at_once = FeatureSet(
+            "uav-1", 1, k, 1, Status.OK, camera, camera_lat_deg=lat, camera_lon_deg=lon, camera_height_m=height_m,
+            undulation_m=0.0, R_enu_cam=R,
+        )  # fmt: skip
+        shutter = RollingShutter(rng.choice([-0.03, 0.03]), rng.normal(0.0, 0.3, 3), rng.normal(0.0, 10.0, 3))
+        s = replace(at_once, shutter=shutter if k % 2 else None)
+        frame = LocalFrame(lat, lon, height_m)
+        place = [float(c) for c in frame.to_geodetic(rng.uniform([-120, -120, -300], [120, 120, -200]))]
+        uv, uv_at_once = placed_in(s, *place), placed_in(at_once, *place)
+        if k % 2 and uv is not None and uv_at_once is not None:
+            moved_px.append(float(np.hypot(*np.subtract(uv, uv_at_once))))
         cases.append(
             {
-                "camera": {
-                    "fx": camera.fx_px, "fy": camera.fy_px, "cx": camera.cx_px, "cy": camera.cy_px,
-                    "distortion": camera.distortion, "max_radius": camera.max_radius, "lat_deg": frame.lat_deg,
-                    "lon_deg": frame.lon_deg, "height_m": frame.height_m, "R_enu_cam": R.ravel().tolist(),
-                },
-                "width": 640, "height": 480, "lat": place[0], "lon": place[1], "height_m": place[2],
-                "enu": enu.tolist(), "uv": uv.tolist() if bool(seen) else None,
+                "camera": camera_view(s), "width": 640, "height": 480, "lat": place[0], "lon": place[1],
+                "height_m": place[2], "enu": frame.to_enu(*place).tolist(), "uv": uv,
             }
         )  # fmt: skip
+    assert max(moved_px) > 3.0
     path.write_text(json.dumps(cases))
 
 
