@@ -347,7 +347,7 @@ def solve(
     scale: float | None = 3.0,
     max_iterations: int = 25,
     tolerance: float = 1e-6,
-    damping: float = 1e-5,
+    damping: float = 1e-8,
 ) -> Solution:
     """Minimise (6.1) from `state`. `scale` is the Cauchy loss's, in sigmas; None for plain least squares.
 

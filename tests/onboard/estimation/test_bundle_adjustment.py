@@ -78,6 +78,25 @@ def test_with_the_robust_loss_a_window_as_the_daemon_solves_it_also_gets_there()
     assert np.abs(second.state.centres_enu_m - drawn.truth.centres_enu_m).max() < 0.01
 
 
+@pytest.mark.parametrize("attitude", [True, False])
+def test_a_window_that_is_nearly_solved_needs_four_steps_also_where_something_is_hardly_known(attitude: bool) -> None:
+    """Of GPS alone the roll is known to degrees: damped by its large diagonal it would creep along for dozens."""
+    firsts, away = [], []
+    for seed in range(300, 312):
+        drawn = bundle_problem(np.random.default_rng(seed), 8, 70, attitude=attitude)
+        start = first_guess(drawn, drawn.truth.R_cam_enu, drawn.truth.centres_enu_m)
+        first = solve(drawn.problem, start, scale=3.0, tolerance=1e-4)
+        second = solve(drawn.problem, first.state, scale=6.0, tolerance=1e-6)
+        ended = solve(drawn.problem, first.state, scale=6.0, max_iterations=200, tolerance=1e-13)
+        assert second.converged and ended.converged
+        assert 2 <= second.iterations <= 5
+        e = error_of(second.state, ended.state)
+        firsts.append(first.iterations)
+        away.append(float(np.sqrt(e @ np.linalg.solve(ended.covariance, e))))
+    assert np.mean(firsts) < 7.0
+    assert max(away) < 0.005
+
+
 def test_covariance_is_the_scatter_of_the_errors() -> None:
     """Normalised squared errors of the poses, of what they share and of the points, and the cost, are chi-square."""
     runs, layout = 120, Layout(6)
