@@ -14,16 +14,16 @@ NEAR_NS = 100_000_000  # between pictures that show the same ground, turned by l
 
 
 class Placing:
-    """Remembers the newest picture that was placed, and the last one: one of long ago may have been settled since."""
+    """Remembers the newest picture that was placed, and the last one that was placed when it was not the newest."""
 
     def __init__(self) -> None:
         self._newest: Record | None = None
-        self._last: Record | None = None
+        self._settled: Record | None = None
         self._revisions = Revisions()
 
     def forget(self) -> None:
         """What comes shares nothing with what was."""
-        self._newest = self._last = None
+        self._newest = self._settled = None
 
     def place(self, window: Window, solved: Solved, record: Record, picture: Picture) -> FeatureSet | Status:
         """The picture's set by `solved`, or why it has none. `record` remembers how it was placed."""
@@ -41,9 +41,11 @@ class Placing:
         placed = place(window, solved, record.seen, picture, guess, None if again is None else again.pose, ground_range)
         if isinstance(placed, Status):
             return placed
-        record.placed, self._last = placed, record
+        record.placed = placed
         if self._newest is None or record.nav.stamp_ns >= self._newest.nav.stamp_ns:
             self._newest = record
+        else:
+            self._settled = record
         return placed.feature_set
 
     def is_needless(self, solved: Solved, record: Record) -> bool:
@@ -52,7 +54,7 @@ class Placing:
 
     def _near(self, record: Record) -> Placed | None:
         """As a picture that was taken shortly before or after this one was placed."""
-        for other in (self._last, self._newest):
+        for other in (self._settled, self._newest):
             if other is not None and abs(record.nav.stamp_ns - other.nav.stamp_ns) <= NEAR_NS:
                 return other.placed if other.nav.stretch == record.nav.stretch else None
         return None
