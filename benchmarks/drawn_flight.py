@@ -21,9 +21,10 @@ from contract.rotations import R_ENU_NED, exp_so3, log_so3, mount_rotation, quat
 from onboard.config.schema import Config
 from onboard.estimation.sensor_factors import DYNAMIC_TIME_S, TERRAIN_SLOPE_SIGMA, cosine_sine_of_heading
 from onboard.events.types import Attitude, Event, Frame, GpsQuality, PositionFix
+from onboard.geometry.plane_homography import fit_homography
 from onboard.geometry.terrain_grid import Terrain
 from onboard.pipeline.pipeline import Pipeline
-from onboard.vision.klt_tracker import Tracker, Tracks, fit_homography
+from onboard.vision.klt_tracker import Tracker, Tracks
 from simulation.paths import PathSpec, fly_path
 from simulation.rows import RowsOf
 from simulation.trajectory import Trajectory

@@ -5,7 +5,8 @@ Public:
 - `linalg`: `precision_beyond`, `solve_positive`, `solve_small`
 - `plane_fit`: `fit_plane`
 - `relative_orientation`: `relative_ransac`, `rotation_only`, `start_pair`
-- `plane_homography`: `Pose`, `move`, `pixel_grid`, `predict_homography`, `predict_pixels`
+- `plane_homography`: `HomographyFit`, `Pose`, `fit_homography`, `move`, `pixel_grid`, `predict_homography`,
+  `predict_pixels`
 - `robust`: `middle`, `robust_cost`, `cauchy_weight`, `irls`
 - `terrain_grid`: `Terrain`
 - `triangulation`: `on_plane`, `triangulate`

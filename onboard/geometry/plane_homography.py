@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,11 +54,8 @@ def predict_homography(camera: Camera, first: Pose, second: Pose, plane: Array) 
     moved, valid = _over_plane(camera, rays, has_ray, first, second, plane)
     if np.count_nonzero(valid) < 12:
         return None
-    H, _ = cv2.findHomography(grid[valid], moved[valid], 0)
-    if H is None or not np.all(np.isfinite(H)):
-        return None
-    out: Array = np.asarray(H, np.float64)
-    return out
+    H = fit_homography(grid[valid], moved[valid], np.ones(np.count_nonzero(valid)))
+    return H if np.all(np.isfinite(H)) else None
 
 
 @lru_cache(maxsize=8)
@@ -83,3 +79,47 @@ def move(H: Array, uv_px: Array) -> Array:
     p = uv_px @ H[:, :2].T + H[:, 2]
     out: Array = p[:, :2] / p[:, 2:]
     return out
+
+
+class HomographyFit:
+    """Weighted least squares homographies through the same pairs of pixels, `at` (N, 2) -> `to` (N, 2), N >= 4."""
+
+    def __init__(self, at: Array, to: Array) -> None:
+        self._centre, self._scale = at.mean(axis=0), max(float(np.ptp(at)), 1.0)
+        n = len(at)
+        p = (at - self._centre) / self._scale
+        self._q = (to - self._centre) / self._scale
+        self._p1 = np.ones((n, 3))
+        self._p1[:, :2] = p
+        self._A = np.zeros((2, n, 8))
+        self._A[0, :, :3] = self._A[1, :, 3:6] = self._p1
+        np.multiply(-self._q.T[:, :, None], p, out=self._A[:, :, 6:])
+        self._h = np.eye(3)
+
+    def solve(self, weight: Array) -> Array:
+        """One linear step, scaled; returns the distance (N,), px, that each pair misses by."""
+        A = self._A.reshape(-1, 8)
+        AW = (self._A * weight[:, None]).reshape(-1, 8)
+        h = np.linalg.solve(AW.T @ A + 1e-9 * np.eye(8), AW.T @ self._q.T.ravel())
+        self._h = np.append(h, 1.0).reshape(3, 3)
+        moved = self._p1 @ self._h.T
+        miss = moved[:, :2] / moved[:, 2:] - self._q
+        out: Array = np.hypot(miss[:, 0], miss[:, 1]) * self._scale
+        return out
+
+    @property
+    def H(self) -> Array:
+        """The last solution (3, 3), in pixels."""
+        (u, v), s = self._centre, self._scale
+        to_unit = np.array([[1 / s, 0, -u / s], [0, 1 / s, -v / s], [0, 0, 1.0]])
+        from_unit = np.array([[s, 0, u], [0, s, v], [0, 0, 1.0]])
+        out: Array = from_unit @ self._h @ to_unit
+        out /= out[2, 2]
+        return out
+
+
+def fit_homography(at: Array, to: Array, weight: Array) -> Array:
+    """Weighted least squares homography (3, 3), pixels `at` (N, 2) -> `to` (N, 2), N >= 4. One linear step, scaled."""
+    fit = HomographyFit(at, to)
+    fit.solve(weight)
+    return fit.H

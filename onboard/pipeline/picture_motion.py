@@ -12,10 +12,10 @@ from onboard.estimation.boresight import BORESIGHT, OFFSET
 from onboard.estimation.keyframe import Observation, observation
 from onboard.estimation.rolling_shutter import Moving, rates_between
 from onboard.estimation.sliding_window import Window
-from onboard.geometry.plane_homography import move
+from onboard.geometry.plane_homography import fit_homography, move
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.motion_prediction import ground_so_far
-from onboard.vision.klt_tracker import Tracks, fit_homography
+from onboard.vision.klt_tracker import Tracks
 
 Array = NDArray[np.float64]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from contract.feature_set import Status
@@ -17,7 +18,7 @@ class Record:
     """A picture that the window can still place, or place better."""
 
     frame: Frame
-    seen: Observation
+    seen_when_asked: Observation | Callable[[], Observation]  # features are undistorted when the picture is placed
     nav: NavState
     is_keyframe: bool
     status: Status = Status.STARTING
@@ -25,6 +26,17 @@ class Record:
     is_settled: bool = False
     is_for_later: bool = False  # its only set is the one that it is settled with
     placed: Placed | None = None  # as it was last, by the window's own points: where the next revision starts
+
+    @property
+    def seen(self) -> Observation:
+        """What the picture saw."""
+        if not isinstance(self.seen_when_asked, Observation):
+            self.seen_when_asked = self.seen_when_asked()
+        return self.seen_when_asked
+
+    @seen.setter
+    def seen(self, seen: Observation) -> None:
+        self.seen_when_asked = seen
 
 
 @dataclass(frozen=True, eq=False)

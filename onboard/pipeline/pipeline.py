@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
 from onboard.config.schema import Config
 from onboard.estimation.boresight import DELAY, OFFSET
-from onboard.estimation.keyframe import seen_with
+from onboard.estimation.keyframe import Observation, seen_with
 from onboard.estimation.moved_optics import MOVED
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solver_executor import Inline, Worker, timed_adjust
@@ -181,8 +182,7 @@ class Pipeline:
         self._misses = 0
         if wants_keyframe(tracks, self.camera.width_px):
             return [*out, *self._make_keyframe(frame, nav, tracks)]
-        camera = (self.window.solved or self.window).camera  # it is placed by what is solved
-        record = Record(frame, seen_at(self.window, camera, self.navigation, nav, tracks), nav, False)
+        record = Record(frame, partial(self._seen, nav, tracks), nav, False)
         self._records.append(record)
         has_newer = bool(self._waiting) and self._is_ready(self._waiting[0])
         record.is_for_later = self.window.solved is not None and self._first_placing.may_wait(frame.stamp_ns, has_newer)
@@ -403,13 +403,18 @@ class Pipeline:
         camera = (solved or self.window).camera
         picture = Picture(camera, origin, frame, record.nav.undulation_m, record.seen.moving, self.window.readout)
         result = self._by_structure(record, picture)
-        if isinstance(result, Status):
-            over = self._over_known_ground(record.nav, picture)
+        # Where the carrier is open or the optics have moved, nothing says where the camera looks, or only the attitude.
+        if isinstance(result, Status) and not (self.mount_selection.is_open(record.nav) or self._unsolved in MOVED):
+            over = over_known_ground(self.config, self.window, record.nav, picture)
             result = result if over is None else over
         if isinstance(result, FeatureSet):
             record.status, record.revision = Status.OK, result.revision
             self._statistics.note(record.frame.index, Status.OK)
         return result
+
+    def _seen(self, nav: NavState, tracks: Tracks) -> Observation:
+        """What a picture saw, by the calibration that it is placed by."""
+        return seen_at(self.window, (self.window.solved or self.window).camera, self.navigation, nav, tracks)
 
     def _by_structure(self, record: Record, picture: Picture) -> FeatureSet | Status:
         """From the window's own points; the reason why not otherwise."""
@@ -433,11 +438,6 @@ class Pipeline:
         """Starting, or standing still since `first`, the window's first by default: no parallax will come of that."""
         first = first or next((k.nav for k in self.window.keyframes), nav)
         return Status.LOW_PARALLAX if is_standing_still(first, nav) else self._unsolved
-
-    def _over_known_ground(self, nav: NavState, picture: Picture) -> FeatureSet | None:
-        if self.mount_selection.is_open(nav) or self._unsolved in MOVED:
-            return None  # nothing but the attitude says where the camera looks, or not even that
-        return over_known_ground(self.config, self.window, nav, picture)
 
     def _refuse_record(self, record: Record, status: Status) -> FeatureSet:
         record.status = status

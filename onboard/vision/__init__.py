@@ -2,5 +2,5 @@
 
 Public:
 
-- `klt_tracker`: `MIN_TRACKS`, `PREDICTED_PX`, `PREDICTED_SHARE`, `Tracker`, `Tracks`, `fit_homography`
+- `klt_tracker`: `MIN_TRACKS`, `PREDICTED_PX`, `PREDICTED_SHARE`, `Tracker`, `Tracks`
 """

@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.geometry.plane_homography import move
+from onboard.geometry.plane_homography import HomographyFit, move
 from onboard.geometry.robust import cauchy_weight, middle
 from onboard.vision.coarse_flow import flow_disagreement
 from onboard.vision.contrast_normalisation import SPREAD, Normaliser, Picture, thumbnail
@@ -287,7 +287,7 @@ class Tracker:
         Rough ground moves tracks off it smoothly; the gate is therefore relative to the others, never under GATE_PX.
         """
         floor = GATE_PX * self.width_px / 640.0
-        fit = _HomographyFit(at, to)
+        fit = HomographyFit(at, to)
         weight = np.ones(len(at))
         spread = np.inf
         for _ in range(ROUNDS):
@@ -359,50 +359,6 @@ def _contrast(picture: Picture, uv: Array) -> Array:
     columns = np.clip(at[:, 0, None] + reach, 0, width - 1)
     out: Array = picture[rows[:, :, None], columns[:, None, :]].std(axis=(1, 2))
     return out
-
-
-class _HomographyFit:
-    """Weighted least squares homographies through the same pairs of pixels, `at` (N, 2) -> `to` (N, 2), N >= 4."""
-
-    def __init__(self, at: Array, to: Array) -> None:
-        self._centre, self._scale = at.mean(axis=0), max(float(np.ptp(at)), 1.0)
-        n = len(at)
-        p = (at - self._centre) / self._scale
-        self._q = (to - self._centre) / self._scale
-        self._p1 = np.ones((n, 3))
-        self._p1[:, :2] = p
-        self._A = np.zeros((2, n, 8))
-        self._A[0, :, :3] = self._A[1, :, 3:6] = self._p1
-        np.multiply(-self._q.T[:, :, None], p, out=self._A[:, :, 6:])
-        self._h = np.eye(3)
-
-    def solve(self, weight: Array) -> Array:
-        """One linear step, scaled; returns the distance (N,), px, that each pair misses by."""
-        A = self._A.reshape(-1, 8)
-        AW = (self._A * weight[:, None]).reshape(-1, 8)
-        h = np.linalg.solve(AW.T @ A + 1e-9 * np.eye(8), AW.T @ self._q.T.ravel())
-        self._h = np.append(h, 1.0).reshape(3, 3)
-        moved = self._p1 @ self._h.T
-        miss = moved[:, :2] / moved[:, 2:] - self._q
-        out: Array = np.hypot(miss[:, 0], miss[:, 1]) * self._scale
-        return out
-
-    @property
-    def H(self) -> Array:
-        """The last solution (3, 3), in pixels."""
-        (u, v), s = self._centre, self._scale
-        to_unit = np.array([[1 / s, 0, -u / s], [0, 1 / s, -v / s], [0, 0, 1.0]])
-        from_unit = np.array([[s, 0, u], [0, s, v], [0, 0, 1.0]])
-        out: Array = from_unit @ self._h @ to_unit
-        out /= out[2, 2]
-        return out
-
-
-def fit_homography(at: Array, to: Array, weight: Array) -> Array:
-    """Weighted least squares homography (3, 3), pixels `at` (N, 2) -> `to` (N, 2), N >= 4. One linear step, scaled."""
-    fit = _HomographyFit(at, to)
-    fit.solve(weight)
-    return fit.H
 
 
 def _turn(H: Array, width_px: int, height_px: int) -> float:

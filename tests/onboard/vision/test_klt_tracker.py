@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.rotations import R_ENU_NED, matrix_from_euler, mount_rotation
 from onboard.geometry import plane_homography
+from onboard.geometry.plane_homography import fit_homography
 from onboard.vision.contrast_normalisation import Picture, prepare
-from onboard.vision.klt_tracker import Tracker, Tracks, fit_homography
+from onboard.vision.klt_tracker import Tracker, Tracks
 from simulation.renderer import Renderer, SensorSpec
 from simulation.terrain import Terrain, TerrainSpec
 from simulation.texture import Texture, TextureSpec
