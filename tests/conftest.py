@@ -50,10 +50,16 @@ def systemd_analyze() -> str:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """One folder for the flights of all workers: the first to need a flight draws it, the others find it."""
+    """One folder for the flights of all workers: the first to need a flight draws it, the others find it.
+
+    So it is with the ground they fly over, for programs that tests start, too.
+    """
     if not hasattr(config, "workerinput"):
+        from simulation.kept_drawings import FOLDER_VARIABLE  # noqa: PLC0415  NumPy, not before the variables above
+
         folder = TemporaryDirectory(prefix="flights-")
         os.environ[FLIGHTS_VARIABLE] = folder.name
+        os.environ[FOLDER_VARIABLE] = str(Path(folder.name) / "drawings")
         config.add_cleanup(folder.cleanup)
 
 
