@@ -97,9 +97,7 @@ class Tile:
             limit = np.float32(30000.0)  # cv2.remap keeps whole texels in 16 bits; only haze lies further out
             columns = _wrapped(np.clip(u[at] * scale, -limit, limit), picture.shape[1])
             rows = _wrapped(np.clip(v[at] * scale, -limit, limit), picture.shape[0])
-            total[at] += weight[at] * cv2.remap(
-                picture, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP
-            )
+            total[at] += weight[at] * cv2.remap(picture, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
 
 
 def _wrapped(texels: Image, size: int) -> Image:

@@ -168,7 +168,9 @@ def test_a_ground_that_asks_gets_the_right_picture_for_the_frame_and_one_that_do
             assert eventually(lambda: flying.picture_room() > 0)
 
             def arrived(number: int) -> bool:
-                flying.publish(a_set(number))  # again: only the newest goes, and it may have gone before it was asked for
+                flying.publish(
+                    a_set(number)
+                )  # again: only the newest goes, and it may have gone before it was asked for
                 return number in pictures.frames("uav-1", BASE.session) and cache.by_frame("uav-1", number) is not None
 
             for number in (10, 20, 30):

@@ -336,9 +336,7 @@ PROMPT = "[gps]\nlatency_s = 0.0\n[mount]\ngimbal = 'never'"
 
 
 @together
-@pytest.mark.parametrize(
-    ("settings", "low_m", "high_m"), [(PROMPT, 0.5, 1.0), ("[gps]\nlatency_s = 0.04", 0.01, 0.1)]
-)
+@pytest.mark.parametrize(("settings", "low_m", "high_m"), [(PROMPT, 0.5, 1.0), ("[gps]\nlatency_s = 0.04", 0.01, 0.1)])
 def test_recorded_positions_follow_the_truth(shared_data: Path, settings: str, low_m: float, high_m: float) -> None:
     answers, truth = replayed(shared_data, "plane_clean", settings, every=10)
     states = [got for _, got in answers if isinstance(got, NavState)]
