@@ -125,9 +125,11 @@ chromium:
 
 # Three at a time for two cores: some tests wait most of their time. Those that measure real time run after the others,
 # alone. A run without any test (exit code 5) is a lost marker, unless PYTEST_ARGS chose the tests; then one of the two
-# must have some.
+# must have some. The flights that one has drawn are the other's too.
 pytest: $(INSTALLED) systemd-analyze c-header chromium web
-	@$(BIN)/python -m pytest -m "not wall_clock" -n 3 --dist loadgroup $(PYTEST_ARGS); parallel=$$?; \
+	@POINTCLICK_TEST_FLIGHTS=$$(mktemp -d) || exit 1; export POINTCLICK_TEST_FLIGHTS; \
+	trap 'rm -rf "$$POINTCLICK_TEST_FLIGHTS"' EXIT; \
+	$(BIN)/python -m pytest -m "not wall_clock" -n 3 --dist loadgroup $(PYTEST_ARGS); parallel=$$?; \
 	$(BIN)/python -m pytest -m wall_clock -n 0 $(PYTEST_ARGS); serial=$$?; \
 	case "$$parallel $$serial" in \
 		"0 0") ;; \
