@@ -6,6 +6,8 @@ BIN := $(VENV)/bin
 LOCKED := $(VENV)/.locked
 INSTALLED := $(VENV)/.installed
 PYTEST_ARGS ?=
+# Where this is set, every program that a test starts would compile all modules again, and so would pytest.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help venv demo test test-bench test-arm64 lint types pytest fuzz bench clean
