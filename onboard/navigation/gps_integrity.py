@@ -123,7 +123,8 @@ class GpsIntegrity:
         seconds = (end_ns - start_ns) / 1e9
         if seconds > gps.max_gap_s:
             return
-        velocities = [np.nan_to_num(v) for v in (before.velocity_enu_m_s, after.velocity_enu_m_s) if v is not None]
+        both = (before.velocity_enu_m_s, after.velocity_enu_m_s)
+        velocities = [v if np.isfinite(v).all() else np.nan_to_num(v) for v in both if v is not None]
         if velocities:
             predicted = np.mean(velocities, axis=0) * seconds
         elif index > 1:

@@ -169,8 +169,10 @@ class Navigation:
         velocity = None
         if fix.velocity_ned_m_s is not None:
             R_frame_here = self.frame.R_enu_ecef @ rotation_enu_ecef(fix.lat_deg, fix.lon_deg).T
-            velocity = R_frame_here @ (R_ENU_NED @ np.nan_to_num(fix.velocity_ned_m_s, nan=0.0))
-            if not np.isfinite(fix.velocity_ned_m_s[2]):
+            said = np.array(fix.velocity_ned_m_s)
+            is_whole = bool(np.isfinite(said).all())
+            velocity = R_frame_here @ (R_ENU_NED @ (said if is_whole else np.nan_to_num(said, nan=0.0)))
+            if not is_whole and not np.isfinite(said[2]):
                 velocity[2] = np.nan
         position = Position(self._enu(fix), velocity, fix.height_above_home_m)
         index = self._positions.insert(fix.stamp_ns - self._latency_ns, position)
