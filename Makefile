@@ -130,7 +130,7 @@ chromium:
 # must have some. The flights that one has drawn are the other's too.
 pytest: $(INSTALLED) systemd-analyze c-header chromium web
 	@POINTCLICK_TEST_FLIGHTS=$$(mktemp -d) || exit 1; export POINTCLICK_TEST_FLIGHTS; \
-	trap 'rm -rf "$$POINTCLICK_TEST_FLIGHTS"' EXIT; \
+	trap 'rm -rf "$$POINTCLICK_TEST_FLIGHTS"' EXIT; trap 'exit 130' INT TERM; \
 	$(BIN)/python -m pytest -m "not wall_clock" -n 3 --dist loadgroup $(PYTEST_ARGS); parallel=$$?; \
 	$(BIN)/python -m pytest -m wall_clock -n 0 $(PYTEST_ARGS); serial=$$?; \
 	case "$$parallel $$serial" in \
