@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from onboard.config.schema import Config
 from onboard.events.types import FilterStatus, GpsQuality
-from onboard.navigation.position_doubt import ALIKE_SIGMAS, Position, PositionDoubt, Slip, slip_at
+from onboard.navigation.position_doubt import ALIKE_SIGMAS, Position, PositionDoubt, Slip, finite, slip_at
 from onboard.navigation.time_series import MEMORY_NS, Series
 
 Array = NDArray[np.float64]
@@ -124,7 +124,7 @@ class GpsIntegrity:
         if seconds > gps.max_gap_s:
             return
         both = (before.velocity_enu_m_s, after.velocity_enu_m_s)
-        velocities = [v if np.isfinite(v).all() else np.nan_to_num(v) for v in both if v is not None]
+        velocities = [finite(v) for v in both if v is not None]
         if velocities:
             predicted = np.mean(velocities, axis=0) * seconds
         elif index > 1:

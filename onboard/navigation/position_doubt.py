@@ -51,6 +51,11 @@ class Slip:
     dispersion_m: float = 0.0
 
 
+def finite(velocity_m_s: Array) -> Array:
+    """A velocity (3,) with 0 where a component is not known."""
+    return velocity_m_s if np.isfinite(velocity_m_s).all() else np.nan_to_num(velocity_m_s, nan=0.0)
+
+
 def slip_at(positions: Series[Position], moment_ns: int, max_gap_s: float) -> Slip:
     """A line through positions minus integrated velocities over two seconds about a moment.
 
