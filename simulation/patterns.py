@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 import scipy.fft
@@ -17,16 +19,23 @@ COUNTRY_SIZE = 1024
 def periodic_noise(rng: np.random.Generator, size: int, shortest: float, longest: float, slope: float) -> Image:
     """Noise of unit variance with wavelengths `shortest` to `longest` texels; amplitude ~ wavelength**slope."""
     spectrum = scipy.fft.rfft2(rng.standard_normal((size, size), dtype=np.float32))
+    spectrum *= _gain(size, shortest, longest, slope)
+    noise: Image = scipy.fft.irfft2(spectrum, s=(size, size)).astype(np.float32, copy=False)
+    noise /= np.float32(noise.std())
+    return noise
+
+
+@lru_cache(maxsize=2)
+def _gain(size: int, shortest: float, longest: float, slope: float) -> Image:
+    """Amplitude of each frequency of `periodic_noise`, (size, size / 2 + 1). Grain asks for the same two by turns."""
     fy = np.fft.fftfreq(size).astype(np.float32)[:, None]
     fx = np.fft.rfftfreq(size).astype(np.float32)[None, :]
     frequency = np.hypot(fx, fy)
     frequency[0, 0] = 1.0
-    gain = frequency ** np.float32(-slope - 1.0)
+    gain: Image = frequency ** np.float32(-slope - 1.0)
     gain *= np.exp(-((frequency * np.float32(shortest / 1.5)) ** 4)) * (1.0 - np.exp(-((frequency * longest) ** 2)))
     gain[0, 0] = 0.0
-    noise: Image = scipy.fft.irfft2(spectrum * gain, s=(size, size)).astype(np.float32)
-    noise /= np.float32(noise.std())
-    return noise
+    return gain
 
 
 def draw_grain(rng: np.random.Generator) -> Image:
@@ -49,13 +58,13 @@ def _periodic_regions(rng: np.random.Generator, size: int, count: int) -> NDArra
     wrapped = np.pad(marks, pad, mode="wrap")
     _, label = cv2.distanceTransformWithLabels(wrapped, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     names = np.zeros(int(label.max()) + 1, np.int32)
-    zero = wrapped == 0
-    names[label[zero]] = np.pad(number, pad, mode="wrap")[zero]
-    regions: NDArray[np.int32] = names[label][pad : pad + size, pad : pad + size]
+    rows, columns = np.nonzero(wrapped == 0)
+    names[label[rows, columns]] = number[(rows - pad) % size, (columns - pad) % size]
+    regions: NDArray[np.int32] = names[label[pad : pad + size, pad : pad + size]]
     bend_x = periodic_noise(rng, size, 60.0, 600.0, 1.2) * 5.0 + np.arange(size, dtype=np.float32)[None, :]
     bend_y = periodic_noise(rng, size, 60.0, 600.0, 1.2) * 5.0 + np.arange(size, dtype=np.float32)[:, None]
-    columns, rows = np.rint(bend_x).astype(np.int64) % size, np.rint(bend_y).astype(np.int64) % size
-    bent: NDArray[np.int32] = regions[rows, columns]
+    x, y = np.rint(bend_x).astype(np.int64) % size, np.rint(bend_y).astype(np.int64) % size
+    bent: NDArray[np.int32] = regions[y, x]
     return bent
 
 

@@ -50,11 +50,19 @@ def systemd_analyze() -> str:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """One folder for the flights of all workers: the first to need a flight draws it, the others find it."""
+    """One folder for the flights of all workers: the first to need a flight draws it, the others find it.
+
+    So it is with the ground they fly over, for programs that tests start, too. `make pytest` names a folder for both of
+    its runs.
+    """
     if not hasattr(config, "workerinput"):
-        folder = TemporaryDirectory(prefix="flights-")
-        os.environ[FLIGHTS_VARIABLE] = folder.name
-        config.add_cleanup(folder.cleanup)
+        from simulation.kept_drawings import FOLDER_VARIABLE  # noqa: PLC0415  NumPy, not before the variables above
+
+        if not os.environ.get(FLIGHTS_VARIABLE):
+            folder = TemporaryDirectory(prefix="flights-")
+            os.environ[FLIGHTS_VARIABLE] = folder.name
+            config.add_cleanup(folder.cleanup)
+        os.environ[FOLDER_VARIABLE] = str(Path(os.environ[FLIGHTS_VARIABLE]) / "drawings")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

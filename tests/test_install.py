@@ -13,7 +13,6 @@ import tomllib
 import urllib.request
 import zipfile
 from collections.abc import Callable
-from functools import cache
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
@@ -29,9 +28,9 @@ from onboard.storage.mcap_writer import SessionRecorder
 from simulation.flight import RecordedSpec
 from simulation.session import SessionSpec, fly
 from simulation.terrain import TerrainSpec
+from tests.installed import ROOT, built, laid_over
 
 pytestmark = pytest.mark.xdist_group("install")  # one worker: each environment is built once
-ROOT = Path(__file__).resolve().parents[1]
 SHIPPED = ("contract", "ground", "onboard")
 AIRCRAFT_ONLY = ("cv2", "scipy", "mavsdk", "pymavlink", "serial", "mcap", "pydantic", "PIL", "tqdm")
 CAPTURE_NS = 1_700_000_000_000_000_000
@@ -55,29 +54,15 @@ def wheel(source: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def install(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Gives the folder of programs of a new environment: the wheel with one extra ("" for none) and nothing else."""
-
-    @cache
-    def installed(extra: str) -> Path:
-        folder = tmp_path_factory.mktemp(extra or "base") / "venv"
-        built(sys.executable, "-m", "venv", folder)
-        pip = [folder / "bin" / "python", "-m", "pip", "install", "--no-compile", "--disable-pip-version-check"]
-        built(*pip, "--quiet", "--constraint", ROOT / "requirements.lock", f"{wheel}[{extra}]" if extra else wheel)
-        return folder / "bin"
-
-    return installed
-
-
-def built(*command: object) -> None:
-    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False, timeout=300)
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
-@pytest.fixture(scope="module")
-def environment(install: Callable[[str], Path]) -> Path:
-    """The ground's: base dependencies and nothing else."""
-    return install("")
+def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of programs of the ground's environment: the wheel, its dependencies by pip, and nothing else."""
+    folder = tmp_path_factory.mktemp("base") / "venv"
+    built(sys.executable, "-m", "venv", "--without-pip", folder)
+    built(
+        sys.executable, "-m", "pip", "--python", folder / "bin" / "python", "install", "--no-compile",
+        "--disable-pip-version-check", "--quiet", "--constraint", ROOT / "requirements.lock", wheel,
+    )  # fmt: skip
+    return folder / "bin"
 
 
 @pytest.fixture(scope="module")
@@ -355,39 +340,19 @@ USES: dict[str, Callable[[Path, Path], None]] = {
 """What each extra, installed alone, is used for. A new extra gets an entry here."""
 
 
-LIGHT = ("geo", "record", "plot", "completion", "web", "video")
-"""Extras of a few packages: laid over the base's environment, without building it again for each."""
-
-
-def laid_over(base: Path, extra: str, folder: Path) -> Path:
-    """A new environment that sees the base's packages and, besides, what the extra declares and nothing else."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    built(sys.executable, "-m", "venv", "--without-pip", folder)
-    (packages,) = (folder / "lib").glob("python3*/site-packages")
-    (beneath,) = (base.parent / "lib").glob("python3*/site-packages")
-    (packages / "base.pth").write_text(f"{beneath}\n")
-    built(
-        base / "python", "-m", "pip", "install", "--no-compile", "--disable-pip-version-check", "--quiet",
-        "--constraint", ROOT / "requirements.lock", "--target", packages, *project["optional-dependencies"][extra],
-    )  # fmt: skip
-    for name in ("pc-ground", "pc-onboard"):
-        script = (base / name).read_text().splitlines(keepends=True)
-        (folder / "bin" / name).write_text("".join([f"#!{folder}/bin/python\n", *script[1:]]))
-        (folder / "bin" / name).chmod(0o755)
-    return folder / "bin"
-
-
 def test_every_extra_for_users_is_tried() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     assert set(USES) == set(extras) - {"dev"}
 
 
 @pytest.mark.parametrize("extra", sorted(USES))
-def test_an_extra_installed_alone_does_its_work(extra: str, install: Callable[[str], Path], tmp_path: Path) -> None:
-    environment = laid_over(install(""), extra, tmp_path / "venv") if extra in LIGHT else install(extra)
-    for command in commands(environment, "pc-ground") if extra not in LIGHT else ():
+def test_an_extra_installed_alone_does_its_work(extra: str, environment: Path, tmp_path: Path) -> None:
+    USES[extra](laid_over(environment, extra, tmp_path / "venv"), tmp_path)
+
+
+def test_every_command_of_the_ground_has_its_help_with_the_base_alone(environment: Path) -> None:
+    for command in commands(environment, "pc-ground"):
         assert f"pc-ground {command}" in run_well(environment, "pc-ground", command, "--help")
-    USES[extra](environment, tmp_path)
 
 
 def test_the_wheel_holds_what_ships_and_nothing_else(source: Path, wheel: Path) -> None:

@@ -13,7 +13,9 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def make_pytest(folder: Path, parallel: int, serial: int, arguments: str = "") -> tuple[int, list[str], str]:
+def make_pytest(
+    folder: Path, parallel: int, serial: int, arguments: str = "", target: str = "pytest", types: int = 0
+) -> tuple[int, list[str], str]:
     """`make pytest` with a pytest that ends with these codes: make's own code, the two calls, what was said."""
     programs = folder / "venv" / "bin"
     programs.mkdir(parents=True)
@@ -21,13 +23,14 @@ def make_pytest(folder: Path, parallel: int, serial: int, arguments: str = "") -
     fake = (
         f'#!/bin/sh\necho "$@" >> {calls}\ncase "$*" in *"not wall_clock"*) exit {parallel};; *) exit {serial};; esac\n'
     )
-    for name, text in {"python": fake, "systemd-analyze": "#!/bin/sh\n"}.items():
+    others = {"systemd-analyze": "#!/bin/sh\n", "ruff": "#!/bin/sh\n", "mypy": f"#!/bin/sh\nexit {types}\n"}
+    for name, text in {"python": fake, **others}.items():
         (programs / name).write_text(text)
         (programs / name).chmod(0o755)
     for stamp in (".locked", ".installed"):  # newer than the lock: nothing to install
         (folder / "venv" / stamp).touch()
     done = subprocess.run(
-        ["make", "pytest", f"VENV={folder / 'venv'}", f"PYTEST_ARGS={arguments}"],
+        ["make", target, f"VENV={folder / 'venv'}", f"PYTEST_ARGS={arguments}"],
         cwd=ROOT,
         env={"PATH": f"{programs}:{os.environ['PATH']}"},
         capture_output=True,
@@ -50,6 +53,16 @@ def test_a_failure_or_an_empty_run_fails(tmp_path: Path, parallel: int, serial: 
     assert code != 0
     assert len(calls) == 2  # a failure in one does not hide what the other finds
     assert ("marker wall_clock lost" in said) == ({parallel, serial} == {0, 5})
+
+
+@pytest.mark.parametrize(("types", "parallel", "is_well"), [(0, 0, True), (1, 0, False), (0, 1, False), (1, 1, False)])
+def test_types_are_checked_beside_the_tests_and_either_fails(
+    tmp_path: Path, types: int, parallel: int, is_well: bool
+) -> None:
+    code, calls, said = make_pytest(tmp_path, parallel, 0, target="test", types=types)
+    assert (code == 0) is is_well
+    assert len(calls) == 2
+    assert ("make types failed" in said) == bool(types)
 
 
 @pytest.mark.parametrize(("parallel", "serial", "is_well"), [(0, 5, True), (5, 0, True), (5, 5, False), (1, 5, False)])

@@ -110,7 +110,7 @@ def test_who_takes_the_delay_for_certain_is_wrong_by_it() -> None:
 def test_a_compass_that_errs_by_its_heading_is_recovered_after_turns() -> None:
     """Two minutes over opposite legs and turns: found within three of its sigmas, which have become smaller."""
     heading_error_deg = (4.0, -4.0)  # by cosine and sine of the heading: from 5.7 to -5.7 within a circle
-    spec = DrawnSpec(CONFIG, SURVEY, 150.0, 2.0, errors=0.4, heading_error_deg=heading_error_deg, offset_s=0.0)
+    spec = DrawnSpec(CONFIG, SURVEY, 120.0, 2.0, errors=0.4, heading_error_deg=heading_error_deg, offset_s=0.0)
     flight = DrawnFlight(spec, 4)
     sets, pipeline = fly(flight)
     belief = pipeline.window.alignment.belief

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from onboard.config.schema import Config
 from onboard.events.types import FilterStatus, GpsQuality
-from onboard.navigation.position_doubt import ALIKE_SIGMAS, Position, PositionDoubt, Slip, slip_at
+from onboard.navigation.position_doubt import ALIKE_SIGMAS, Position, PositionDoubt, Slip, finite, slip_at
 from onboard.navigation.time_series import MEMORY_NS, Series
 
 Array = NDArray[np.float64]
@@ -123,7 +123,8 @@ class GpsIntegrity:
         seconds = (end_ns - start_ns) / 1e9
         if seconds > gps.max_gap_s:
             return
-        velocities = [np.nan_to_num(v) for v in (before.velocity_enu_m_s, after.velocity_enu_m_s) if v is not None]
+        both = (before.velocity_enu_m_s, after.velocity_enu_m_s)
+        velocities = [finite(v) for v in both if v is not None]
         if velocities:
             predicted = np.mean(velocities, axis=0) * seconds
         elif index > 1:

@@ -26,7 +26,7 @@ from onboard.events.types import Attitude, FilterStatus, GimbalAttitude, GpsQual
 from onboard.navigation.attitude_interpolation import Attitudes
 from onboard.navigation.gimbal import Gimbal, MountHypothesis
 from onboard.navigation.gps_integrity import NOTHING_YET, RECOVERING, GpsIntegrity
-from onboard.navigation.position_doubt import Position
+from onboard.navigation.position_doubt import Position, finite
 from onboard.navigation.time_series import Series
 
 Array = NDArray[np.float64]
@@ -169,7 +169,7 @@ class Navigation:
         velocity = None
         if fix.velocity_ned_m_s is not None:
             R_frame_here = self.frame.R_enu_ecef @ rotation_enu_ecef(fix.lat_deg, fix.lon_deg).T
-            velocity = R_frame_here @ (R_ENU_NED @ np.nan_to_num(fix.velocity_ned_m_s, nan=0.0))
+            velocity = R_frame_here @ (R_ENU_NED @ finite(np.array(fix.velocity_ned_m_s)))
             if not np.isfinite(fix.velocity_ned_m_s[2]):
                 velocity[2] = np.nan
         position = Position(self._enu(fix), velocity, fix.height_above_home_m)

@@ -51,6 +51,11 @@ class Slip:
     dispersion_m: float = 0.0
 
 
+def finite(velocity_m_s: Array) -> Array:
+    """A velocity (3,) with 0 where a component is not known."""
+    return velocity_m_s if np.isfinite(velocity_m_s).all() else np.nan_to_num(velocity_m_s, nan=0.0)
+
+
 def slip_at(positions: Series[Position], moment_ns: int, max_gap_s: float) -> Slip:
     """A line through positions minus integrated velocities over two seconds about a moment.
 
@@ -66,16 +71,18 @@ def slip_at(positions: Series[Position], moment_ns: int, max_gap_s: float) -> Sl
     if len(known) < len(velocities):
         return Slip()
     seconds = (np.array(stamps[first : last + 1]) - stamps[first]) / 1e9
-    if np.diff(seconds).max() > max_gap_s:
+    apart_s = seconds[1:] - seconds[:-1]
+    if apart_s.max() > max_gap_s:
         return Slip()
     v = np.array(known)
     flown = np.zeros_like(v)
-    np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(seconds)[:, None], axis=0, out=flown[1:])
+    np.cumsum(0.5 * (v[1:] + v[:-1]) * apart_s[:, None], axis=0, out=flown[1:])
     strayed = np.array([p.enu_m[:2] for p in positions.values[first : last + 1]]) - flown
+    strayed -= strayed.mean(axis=0)
     t = seconds - seconds.mean()
     span = float(t @ t)
-    slope = t @ (strayed - strayed.mean(axis=0)) / span
-    miss = strayed - strayed.mean(axis=0) - t[:, None] * slope
+    slope = t @ strayed / span
+    miss = strayed - t[:, None] * slope
     freedom = len(t) - 2
     dispersion_m = float(np.sqrt(np.sum(miss**2) / (2 * freedom))) if freedom >= MIN_DISPERSION_FREEDOM else 0.0
     surely = float(np.linalg.norm(slope)) - 3.0 * dispersion_m / np.sqrt(span)

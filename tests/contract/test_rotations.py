@@ -40,6 +40,13 @@ def test_one_rotation_vector_is_turned_into_the_same_matrix_alone_as_among_other
     np.testing.assert_allclose(exp_so3(v), exp_so3(np.stack([v, -v]))[0], rtol=0.0, atol=2e-16)
 
 
+@given(
+    st.tuples(*[st.floats(-1e3, 1e3, allow_subnormal=False)] * 4).map(np.array).filter(lambda q: np.abs(q).max() > 1e-3)
+)
+def test_one_quaternion_gives_the_same_matrix_alone_as_among_others(q: Array) -> None:
+    np.testing.assert_array_equal(matrix_from_quaternion(q), matrix_from_quaternion(np.stack([q, -q]))[0])
+
+
 @given(rotation_vectors())
 def test_one_matrix_has_the_same_rotation_vector_in_plain_numbers(v: Array) -> None:
     np.testing.assert_allclose(log_of_one(exp_so3(v).tolist()), log_so3(exp_so3(v)), rtol=1e-12, atol=1e-14)

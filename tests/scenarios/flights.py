@@ -164,8 +164,9 @@ def click(folder: Path, sets: dict[int, FeatureSet], pipeline: Pipeline | None) 
             frame = int(row["frame"])
             if frame not in sets:
                 continue
-            locator = locators.setdefault(frame, Locator(sets[frame]))
-            answer = locator.locate((float(row["u"]), float(row["v"])))
+            if frame not in locators:
+                locators[frame] = Locator(sets[frame])
+            answer = locators[frame].locate((float(row["u"]), float(row["v"])))
             if not isinstance(answer, Fix):
                 refusals[answer.status] += 1
                 continue

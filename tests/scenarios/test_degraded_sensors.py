@@ -139,7 +139,7 @@ def test_stamps_that_begin_to_be_late_are_carried_by_the_answers_and_are_over_wh
 
 def test_without_its_evidence_the_same_flight_is_wrong() -> None:
     """So the test above can fail: stamps as late, and nobody says so."""
-    flight = SpoiltFlight(FAST, 1, late_stamps(has_evidence=False))
+    flight = SpoiltFlight(replace(FAST, seconds=LATE_TO_S + 2.0), 1, late_stamps(has_evidence=False))
     sets, _ = fly(flight)
     assert ask(flight, sets).inside_99(LATE_FROM_S, LATE_TO_S) < 0.9
 
@@ -165,9 +165,11 @@ def glitch(shift_m: float, until_s: float = GLITCH_TO_S, pull_s: float = 2.0) ->
     return spoil
 
 
-@pytest.mark.parametrize(("until_s", "seed"), [(GLITCH_TO_S, 1), (1e9, 1)], ids=["back", "stays"])
-def test_a_glitch_too_small_to_be_refused_stays_in_the_radius(until_s: float, seed: int) -> None:
-    flight = SpoiltFlight(SPEC, seed, glitch(GLITCH_M, until_s))
+@pytest.mark.parametrize(
+    ("until_s", "seconds", "seed"), [(GLITCH_TO_S, 100.0, 1), (1e9, 75.0, 1)], ids=["back", "stays"]
+)
+def test_a_glitch_too_small_to_be_refused_stays_in_the_radius(until_s: float, seconds: float, seed: int) -> None:
+    flight = SpoiltFlight(replace(SPEC, seconds=seconds), seed, glitch(GLITCH_M, until_s))
     sets, _ = fly(flight)
     asked = ask(flight, sets)
     assert asked.inside_99() >= 0.97

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -24,6 +25,17 @@ class Pose:
     middle_cam_m: tuple[float, float, float]
 
 
+@lru_cache(maxsize=2)
+def _rays(camera: Camera) -> Array:
+    """Of every fine pixel; a second of work for a lens with distortion."""
+    width, height = camera.size_px
+    offsets = (np.arange(_FINE) + 0.5) / _FINE - 0.5
+    u = (np.arange(width)[:, None] + offsets).ravel()
+    v = (np.arange(height)[:, None] + offsets).ravel()
+    rays: Array = camera.unproject(np.stack(np.meshgrid(u, v), axis=-1))[0]
+    return rays
+
+
 class Photographer:
     """Renders one board through one camera."""
 
@@ -31,11 +43,7 @@ class Photographer:
         self.camera, self.board = camera, board
         self.rng = np.random.default_rng(seed)
         self._texture = np.pad(board.picture(_SQUARE_PX), _SQUARE_PX, constant_values=235)
-        width, height = camera.size_px
-        offsets = (np.arange(_FINE) + 0.5) / _FINE - 0.5
-        u = (np.arange(width)[:, None] + offsets).ravel()
-        v = (np.arange(height)[:, None] + offsets).ravel()
-        self._rays, _ = camera.unproject(np.stack(np.meshgrid(u, v), axis=-1))
+        self._rays = _rays(camera)
 
     def photograph(self, pose: Pose, noise: float = 2.0) -> NDArray[np.uint8]:
         """One picture (H, W)."""

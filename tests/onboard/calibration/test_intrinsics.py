@@ -51,7 +51,7 @@ def direction_errors_px(camera: Camera, truth: Camera = TRUTH) -> NDArray[np.flo
 def photograph(board: Board, poses: list[Pose], folder: Path) -> None:
     photographer = Photographer(TRUTH, board)
     for number, pose in enumerate(poses):
-        Image.fromarray(photographer.photograph(pose)).save(folder / f"{number:02d}.png")
+        Image.fromarray(photographer.photograph(pose)).save(folder / f"{number:02d}.png", compress_level=1)
 
 
 @pytest.mark.parametrize(

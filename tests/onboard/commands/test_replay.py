@@ -117,6 +117,7 @@ def test_what_leaves_the_pipeline_reaches_every_sink_in_order(session: Path) -> 
     assert one.sets == two.sets
 
 
+@pytest.mark.wall_clock
 def test_real_time_takes_real_time(session: Path) -> None:
     began = time.monotonic()
     replay(opened(session), Recorder(), speed=4.0)  # type: ignore[arg-type]

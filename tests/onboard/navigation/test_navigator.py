@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from onboard.config.schema import Config, parse_config
 from onboard.events.types import Attitude, GpsQuality, PositionFix, RangeFinder
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.navigation.time_series import MEMORY_NS
+from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.tlog_reader import read_tlog
 
 Array = NDArray[np.float64]
@@ -302,11 +304,21 @@ def test_a_clock_set_back_starts_afresh() -> None:
     assert isinstance(navigation.state_at(ns(-3595.0)), NavState)
 
 
+together = pytest.mark.xdist_group("recorded navigation")  # one worker: the logs are read once
+
+
+@cache
+def recorded(path: Path) -> TelemetryLog:
+    return read_tlog(path)
+
+
+@cache
 def replayed(
-    shared_data: Path, name: str, config: Config, every: int
+    shared_data: Path, name: str, settings: str, every: int
 ) -> tuple[list[tuple[float, NavState | Status]], Array]:
     """State at every n-th row of the truth, asked as the data come in, and the truth's rows."""
-    log = read_tlog(shared_data / "sitl" / f"{name}.tlog")
+    config = parse_config(settings)
+    log = recorded(shared_data / "sitl" / f"{name}.tlog")
     truth = np.genfromtxt(shared_data / "sitl" / f"{name}.truth.csv", delimiter=",", skip_header=1)
     truth = truth[truth[:, 3] > 180.0][::every]
     navigation, answers, row = Navigation(config), [], 0
@@ -320,19 +332,22 @@ def replayed(
     return answers, np.column_stack([truth[:row], enu])
 
 
-@pytest.mark.parametrize(
-    ("settings", "low_m", "high_m"), [("[gps]\nlatency_s = 0.0", 0.5, 1.0), ("[gps]\nlatency_s = 0.04", 0.01, 0.1)]
-)
+PROMPT = "[gps]\nlatency_s = 0.0\n[mount]\ngimbal = 'never'"
+
+
+@together
+@pytest.mark.parametrize(("settings", "low_m", "high_m"), [(PROMPT, 0.5, 1.0), ("[gps]\nlatency_s = 0.04", 0.01, 0.1)])
 def test_recorded_positions_follow_the_truth(shared_data: Path, settings: str, low_m: float, high_m: float) -> None:
-    answers, truth = replayed(shared_data, "plane_clean", parse_config(settings), every=10)
+    answers, truth = replayed(shared_data, "plane_clean", settings, every=10)
     states = [got for _, got in answers if isinstance(got, NavState)]
     assert len(states) == len(answers)
     errors = np.linalg.norm(np.array([s.position_enu_m for s in states])[:, :2] - truth[:, 7:9], axis=1)
     assert low_m < np.median(errors) < high_m
 
 
+@together
 def test_recorded_attitudes_follow_the_truth(shared_data: Path) -> None:
-    answers, truth = replayed(shared_data, "plane_clean", parse_config("[mount]\ngimbal = 'never'"), every=10)
+    answers, truth = replayed(shared_data, "plane_clean", PROMPT, every=10)
     errors = []
     for (_, got), row in zip(answers, truth, strict=True):
         assert isinstance(got, NavState)
@@ -345,7 +360,7 @@ def test_recorded_attitudes_follow_the_truth(shared_data: Path) -> None:
 
 
 def test_lost_and_jammed_gps_is_refused_and_nothing_far_off_is_answered(shared_data: Path) -> None:
-    answers, truth = replayed(shared_data, "plane_gps_outage", Config(), every=5)
+    answers, truth = replayed(shared_data, "plane_gps_outage", "", every=5)
     off, on, jammed, free = 1795217179.211, 1795217199.217, 1795217269.226, 1795217289.208
     worst = 0.0
     for (t, got), row in zip(answers, truth, strict=True):

@@ -1,0 +1,36 @@
+"""Drawings that several processes need, drawn by the first and read by the others, where an environment variable says.
+
+Land takes four seconds to draw, which is more than many a short flight over it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.float32]
+
+# A folder, of one checkout's programs only: a drawing is known by its name, not by the code that drew it.
+FOLDER_VARIABLE = "POINTCLICK_DRAWINGS"
+
+
+def kept(name: str, draw: Callable[[], list[Image]]) -> list[Image]:
+    """What `draw` gives: pictures, float32, any shapes. Without a folder it is drawn each time."""
+    folder = os.environ.get(FOLDER_VARIABLE)
+    if not folder:
+        return draw()
+    path = Path(folder) / f"{name}.npz"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not path.is_file():
+            half = path.with_suffix(".half.npz")
+            np.savez(half, *draw())
+            half.replace(path)  # whole or not at all
+    with np.load(path) as found:
+        return [np.asarray(found[f"arr_{i}"], np.float32) for i in range(len(found))]

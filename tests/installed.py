@@ -1,0 +1,73 @@
+"""Environments of an installation's own, without unpacking again what pip has unpacked here."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterable
+from importlib.metadata import Distribution, distribution
+from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def built(*command: object) -> None:
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def needed(requirements: Iterable[str]) -> dict[str, Distribution]:
+    """What pip would install for these: every distribution by its name, at a version that will do."""
+    found: dict[str, Distribution] = {}
+    done: set[str] = set()
+    waiting = [Requirement(line) for line in requirements]
+    while waiting:
+        wanted = waiting.pop()
+        if str(wanted) in done:
+            continue
+        done.add(str(wanted))
+        name = canonicalize_name(wanted.name)
+        found[name] = there = distribution(name)  # of this environment, which is the lock's
+        assert wanted.specifier.contains(there.version, prereleases=True), wanted
+        for line in there.requires or ():
+            further = Requirement(line)
+            if further.marker is None or any(further.marker.evaluate({"extra": e}) for e in ("", *wanted.extras)):
+                waiting.append(further)
+    return found
+
+
+def laid_over(base: Path, extra: str, folder: Path) -> Path:
+    """A new environment that sees the base's packages and, besides, what the extra declares and nothing else.
+
+    The files are those that pip has installed here, of the same versions: to unpack them again takes a minute of the
+    processor's.
+    """
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    built(sys.executable, "-m", "venv", "--without-pip", folder)
+    (packages,) = (folder / "lib").glob("python3*/site-packages")
+    (beneath,) = (base.parent / "lib").glob("python3*/site-packages")
+    (packages / "base.pth").write_text(f"{beneath}\n")
+    below = needed(project["dependencies"])
+    for name, there in needed(project["optional-dependencies"][extra]).items():
+        for file in () if name in below else there.files or ():
+            if ".." not in file.parts and there.locate_file(file).exists():  # type: ignore[attr-defined]
+                (packages / file).parent.mkdir(parents=True, exist_ok=True)
+                share(Path(str(there.locate_file(file))), packages / file)
+    for name in ("pc-ground", "pc-onboard"):
+        script = (base / name).read_text().splitlines(keepends=True)
+        (folder / "bin" / name).write_text("".join([f"#!{folder}/bin/python\n", *script[1:]]))
+        (folder / "bin" / name).chmod(0o755)
+    return folder / "bin"
+
+
+def share(file: Path, also: Path) -> None:
+    """Another name of a file, or a copy on another disk."""
+    try:
+        also.hardlink_to(file)
+    except OSError:
+        shutil.copy2(file, also)
