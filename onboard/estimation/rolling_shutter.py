@@ -6,7 +6,7 @@ picture by its image velocity since, which follows from the vehicle's rate and v
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +57,9 @@ class Sweep:
     # Of rates that nothing measures: they are estimated with the poses, as what they move in this time; 0: as given.
     sigma_rate_rad_s: float = 0.0
     scale_s: float = 0.0
+    # Of pictures that vibrate while they are read: swings (K,) in the time of the readout, and one sigma of an angle.
+    cycles: Array | None = None
+    sigma_wave_rad: float = 0.0
 
     def by_readout(self, R_cam_enu: Array, predicted: Array, depth: Array, *, turns: bool = True) -> Array:
         """d x / d readout (K, 2, P) of points predicted at (K, 2, P) with `depth` (K, P), by (18.2).
@@ -71,15 +74,33 @@ class Sweep:
 
     def by_rate(self, predicted: Array) -> Array:
         """d x / d rate (K, 3, 2, P) of points predicted at (K, 2, P), in the time `scale_s`. (18.4)"""
-        x, y = predicted[:, 0], predicted[:, 1]
-        moved = np.stack([x * y, 1.0 + y * y, -1.0 - x * x, -x * y, y, -x], axis=1).reshape(len(x), 3, 2, -1)
-        out: Array = moved * (self.scale_s * self.share)[:, None, None]
+        out: Array = _by_turn(predicted) * (self.scale_s * self.share)[:, None, None]
         return out
+
+    def by_wave(self, predicted: Array) -> Array:
+        """d x / d wave (K, 6, 2, P) of points predicted at (K, 2, P): about three axes by the cosine, then the sine
+        of what `cycles` swings have come to in the row. (18.6)
+        """
+        assert self.cycles is not None
+        phase, moved = 2.0 * np.pi * self.cycles[:, None] * self.share, _by_turn(predicted)
+        waves = (np.cos(phase)[:, None, None], np.sin(phase)[:, None, None])
+        return np.concatenate([moved * wave for wave in waves], axis=1)
+
+    def vibrating(self, cycles: Array, sigma_rad: float) -> Sweep:
+        """The same with so many swings (K,) in each picture, by angles of one sigma."""
+        return replace(self, cycles=cycles, sigma_wave_rad=sigma_rad)
 
     def rates_in(self, readout_s: float, off: Array) -> Array:
         """The rates (K, 3) that move in another readout what these, with `off` (K, 3) found of them, move. (18.4)"""
         out: Array = (self.readout_s * self.rate_cam_rad_s + self.scale_s * off) / readout_s
         return out
+
+
+def _by_turn(predicted: Array) -> Array:
+    """d x / d turn (K, 3, 2, P) of points predicted at (K, 2, P), as (18.2) has it for a rate."""
+    x, y = predicted[:, 0], predicted[:, 1]
+    out: Array = np.stack([x * y, 1.0 + y * y, -1.0 - x * x, -x * y, y, -x], axis=1).reshape(len(x), 3, 2, -1)
+    return out
 
 
 def published_s(readout_s: float, *, has_rates: bool) -> float:
