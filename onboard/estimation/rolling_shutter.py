@@ -32,7 +32,7 @@ class Moving:
     velocity_enu_m_s: Array
     velocity_cam_m_s: Array
     plane_per_m: Array
-    sigma_rate_rad_s: float = 0.0  # of a rate that is the difference of attitudes; 0: it is measured
+    sigma_rate_rad_s: float = 0.0  # of a rate that is joined or the difference of attitudes; 0: as good as measured
 
     def by_readout(self, xy: Array, share: Array) -> Array:
         """d place / d readout (N, 2) of places (N, 2) seen in rows of these shares (N,), over the assumed ground."""
