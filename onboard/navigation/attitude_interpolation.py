@@ -17,9 +17,8 @@ from onboard.navigation.time_series import Series
 Array = NDArray[np.float64]
 
 RATE_WINDOW_NS = 60_000_000
-RATES_ABOUT = 4  # measured rates before a moment, and after it, by which it is judged how well they can be joined
+RATES_ABOUT = 20  # measured rates before a moment, and after it, by which it is judged how well they can be joined
 LEAST_RATES = 5  # for a miss over two gaps on both sides
-TOLD_RAD_S = 0.005  # a picture's features tell its rate no better, (18.4)
 FOLLOWED = 0.2  # of the turning itself: rates so near to it take no more than its square, 4 %, off a readout found by them
 
 
@@ -143,7 +142,7 @@ class Attitudes:
         they are not measured. `jitter_s`: one sigma of the moment.
 
         Each measured rate is foretold by its neighbours, and by theirs: the two misses say how an error grows with the
-        gap, and so what it is over the gap that is bridged. 0 where that is as good as nothing.
+        gap, and so what it is over the gap that is bridged. 0 where that is little beside the turning itself.
         """
         if not self.measures_rate(moment_ns):
             return None
@@ -159,7 +158,7 @@ class Attitudes:
         changes = np.diff(rates, axis=0) / np.diff(stamps_s)[:, None]
         sigma = float(np.hypot(missed, jitter_s * np.sqrt(np.mean(changes**2))))
         turning = float(np.sqrt(np.mean(rates**2)))
-        return sigma if sigma > max(TOLD_RAD_S, FOLLOWED * turning) else 0.0
+        return sigma if sigma > FOLLOWED * turning else 0.0
 
     def rate_at(self, stamp_ns: int) -> Array | None:
         """Angular rate (3,), rad/s, body axes: measured, else from attitudes 60 ms apart; None if unknown."""
