@@ -78,7 +78,8 @@ class Layout:
     @property
     def size(self) -> int:
         """All columns."""
-        return self.shared.stop + (3 * self.has_rates + 6 * self.has_waves) * self.keyframes
+        each = 6 + 3 * self.has_rates + 6 * self.has_waves
+        return each * self.keyframes + 11 + self.camera_states
 
     @property
     def rates(self) -> NDArray[np.intp]:

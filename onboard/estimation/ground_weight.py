@@ -1,4 +1,4 @@
-"""How closely a window's points are held to the ground: as rough as declared, as it is seen to be, or as terrain says."""
+"""How closely a window's points are held to the ground: as declared, as seen, or as terrain says."""
 
 from __future__ import annotations
 

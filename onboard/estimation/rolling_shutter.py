@@ -6,6 +6,7 @@ picture by its image velocity since, which follows from the vehicle's rate and v
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +17,8 @@ from contract.rotations import log_so3
 
 Array = NDArray[np.float64]
 
+# Of the turning itself: measured rates so near to it take no more than its square, 4 %, off a readout found by them.
+FOLLOWED = 0.2
 LEAST_READOUT_S = 0.005  # travel at 20 m/s moves the outer rows by 5 cm in it
 
 
@@ -32,7 +35,8 @@ class Moving:
     velocity_enu_m_s: Array
     velocity_cam_m_s: Array
     plane_per_m: Array
-    sigma_rate_rad_s: float = 0.0  # of a rate that is joined or the difference of attitudes; 0: as good as measured
+    sigma_rate_rad_s: float = 0.0  # of a rate joined from measured ones, or the difference of attitudes; 0: nothing
+    is_measured: bool = True  # that rate, if perhaps too rarely
 
     def by_readout(self, xy: Array, share: Array) -> Array:
         """d place / d readout (N, 2) of places (N, 2) seen in rows of these shares (N,), over the assumed ground."""
@@ -94,6 +98,15 @@ class Sweep:
         """The rates (K, 3) that move in another readout what these, with `off` (K, 3) found of them, move. (18.4)"""
         out: Array = (self.readout_s * self.rate_cam_rad_s + self.scale_s * off) / readout_s
         return out
+
+
+def sigma_of_rates(moving: Sequence[Moving], rates_cam_rad_s: Array) -> float:
+    """One sigma (rad/s) of the rates (K, 3) of a window's pictures; 0 where they are taken as they are."""
+    sigmas = np.array([m.sigma_rate_rad_s for m in moving])
+    if all(m.is_measured for m in moving):
+        sigma, turning = np.sqrt(np.mean(sigmas**2)), np.sqrt(np.mean(rates_cam_rad_s**2))
+        return float(sigma) if sigma > FOLLOWED * turning else 0.0
+    return float(sigmas.max())
 
 
 def _by_turn(predicted: Array) -> Array:

@@ -15,7 +15,7 @@ from onboard.estimation.bundle_adjustment import Problem, Solution, image_residu
 
 Array = NDArray[np.float64]
 
-# Swings in the time of a readout: fewer are poses' and rates' to follow, more than twenty no hundred features tell apart.
+# Swings in the time of a readout: fewer are for poses and rates to follow, more than twenty no features tell apart.
 CYCLES = np.arange(2.0, 20.0, 0.125)
 DRIFT = 0.75  # swings by which one picture's may differ from the window's: engines change their speed
 # One-sided, of the normal distribution: one window in a million shows a wave as large by chance, at one place of the

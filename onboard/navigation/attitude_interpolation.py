@@ -19,7 +19,6 @@ Array = NDArray[np.float64]
 RATE_WINDOW_NS = 60_000_000
 RATES_ABOUT = 20  # measured rates before a moment, and after it, by which it is judged how well they can be joined
 LEAST_RATES = 5  # for a miss over two gaps on both sides
-FOLLOWED = 0.2  # of the turning itself: rates so near to it take no more than its square, 4 %, off a readout found by them
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +141,7 @@ class Attitudes:
         they are not measured. `jitter_s`: one sigma of the moment.
 
         Each measured rate is foretold by its neighbours, and by theirs: the two misses say how an error grows with the
-        gap, and so what it is over the gap that is bridged. 0 where that is little beside the turning itself.
+        gap, and so what it is over the gap that is bridged. 0 where too few are held to say.
         """
         if not self.measures_rate(moment_ns):
             return None
@@ -156,9 +155,7 @@ class Attitudes:
         near, far = (_missed(stamps_s, rates, gap) for gap in (1, 2))
         missed = near * min(1.0, near / far) if far > 0.0 else 0.0
         changes = np.diff(rates, axis=0) / np.diff(stamps_s)[:, None]
-        sigma = float(np.hypot(missed, jitter_s * np.sqrt(np.mean(changes**2))))
-        turning = float(np.sqrt(np.mean(rates**2)))
-        return sigma if sigma > FOLLOWED * turning else 0.0
+        return float(np.hypot(missed, jitter_s * np.sqrt(np.mean(changes**2))))
 
     def rate_at(self, stamp_ns: int) -> Array | None:
         """Angular rate (3,), rad/s, body axes: measured, else from attitudes 60 ms apart; None if unknown."""
@@ -185,7 +182,7 @@ class Attitudes:
 
 
 def _missed(stamps_s: Array, rates: Array, gap: int) -> float:
-    """Root of the mean square by which rates (N, 3) at times (N,) miss the line through those `gap` before and after."""
+    """Root of the mean square by which rates (N, 3) at times (N,) miss the line from `gap` before to `gap` after."""
     before, own, after = slice(None, -2 * gap), slice(gap, -gap), slice(2 * gap, None)
     share = (stamps_s[own] - stamps_s[before]) / (stamps_s[after] - stamps_s[before])
     foretold = rates[before] + share[:, None] * (rates[after] - rates[before])
