@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 
 # Swings in the time of a readout: fewer are for poses and rates to follow, more than twenty no features tell apart.
 CYCLES = np.arange(2.0, 20.0, 0.125)
+ROWS = 256  # bands that a picture's rows are gathered into: thirteen to the shortest wave
+_PHASE = 2.0 * np.pi * CYCLES[:, None] * ((np.arange(ROWS) + 0.5) / ROWS - 0.5)
+_TABLE, _TABLE_TWICE = np.exp(1j * _PHASE), np.exp(2j * _PHASE)
 DRIFT = 0.75  # swings by which one picture's may differ from the window's: engines change their speed
 # One-sided, of the normal distribution: one window in a million shows a wave as large by chance, at one place of the
 # search; it is searched at some twenty places that do not depend on each other.
@@ -38,11 +41,14 @@ def found(residual: Array, weight: Array, share: Array) -> Waves | None:
     """
     K = len(residual)
     squared = weight**2
-    phase = 2.0 * np.pi * CYCLES[:, None, None] * share
-    C, S = np.cos(phase), np.sin(phase)
-    cc, cs, ss = (np.einsum("gkp,kp->gk", wave, squared) for wave in (C * C, C * S, S * S))
-    pull = residual * squared[:, None]
-    bc, bs = (np.einsum("gkp,kip->gki", wave, pull) for wave in (C, S))
+    # Gathered by rows, a few hundred of them, all sums over features become one product with a table of waves.
+    row = np.clip(((share + 0.5) * ROWS).astype(np.intp), 0, ROWS - 1) + ROWS * np.arange(K)[:, None]
+    summed = (squared, squared * residual[:, 0], squared * residual[:, 1])
+    held, *pull = (np.bincount(row.ravel(), each.ravel(), K * ROWS).reshape(K, ROWS) for each in summed)
+    total, twice = held.sum(axis=1)[None], _TABLE_TWICE @ held.T
+    cc, ss, cs = 0.5 * (total + twice.real), 0.5 * (total - twice.real), 0.5 * twice.imag
+    along = np.stack([_TABLE @ each.T for each in pull], axis=2)  # (G, K, 2)
+    bc, bs = along.real, along.imag
     determinant = np.maximum(cc * ss - cs * cs, 1e-9 * (cc * ss + 1e-12))[:, :, None]
     a = (ss[:, :, None] * bc - cs[:, :, None] * bs) / determinant
     b = (cc[:, :, None] * bs - cs[:, :, None] * bc) / determinant
@@ -50,16 +56,15 @@ def found(residual: Array, weight: Array, share: Array) -> Waves | None:
     together = gain.sum(axis=1)
     best = int(np.argmax(together))
     freedom = 2 * np.count_nonzero(weight) - 4 * K
-    left = float((pull * residual).sum() - together[best])
+    left = float((squared[:, None] * residual**2).sum() - together[best])
     if freedom <= 4 * K or left <= 0.0:
         return None
     if together[best] * freedom / left < _chi_square(4 * K, CERTAIN):
         return None
     near = np.abs(CYCLES - CYCLES[best]) <= DRIFT
     own = np.argmax(np.where(near[:, None], gain, -np.inf), axis=0)
-    k = np.arange(K)
-    sigma_rad = float(np.sqrt(np.mean([a[own, k] ** 2, b[own, k] ** 2])))
-    return Waves(CYCLES[own], sigma_rad)
+    # A wave of one sigma along each axis, in cosine and sine, takes off twice its square for each feature.
+    return Waves(CYCLES[own], float(np.sqrt(gain[own, np.arange(K)].sum() / (2.0 * squared.sum()))))
 
 
 def seen(problem: Problem, solution: Solution) -> Waves | None:
