@@ -41,6 +41,12 @@ def found(residual: Array, weight: Array, share: Array) -> Waves | None:
     """
     K = len(residual)
     squared = weight**2
+    # Wrong rates and accelerations bend rows too, once: what a cubic of the row can be is no vibration.
+    powers = np.stack([share**i for i in range(4)])
+    normal = np.einsum("ikp,jkp,kp->kij", powers, powers, squared)
+    normal += 1e-9 * np.eye(4) * (1e-12 + np.trace(normal, axis1=1, axis2=2))[:, None, None]
+    bent = np.linalg.solve(normal, np.einsum("ikp,kap,kp->kia", powers, residual, squared))
+    residual = residual - np.einsum("ikp,kia->kap", powers, bent)
     # Gathered by rows, a few hundred of them, all sums over features become one product with a table of waves.
     row = np.clip(((share + 0.5) * ROWS).astype(np.intp), 0, ROWS - 1) + ROWS * np.arange(K)[:, None]
     summed = (squared, squared * residual[:, 0], squared * residual[:, 1])
@@ -55,7 +61,7 @@ def found(residual: Array, weight: Array, share: Array) -> Waves | None:
     gain = (a * bc + b * bs).sum(axis=2)  # (G, K) by how much the sum of squares falls
     together = gain.sum(axis=1)
     best = int(np.argmax(together))
-    freedom = 2 * np.count_nonzero(weight) - 4 * K
+    freedom = 2 * np.count_nonzero(weight) - 12 * K
     left = float((squared[:, None] * residual**2).sum() - together[best])
     if freedom <= 4 * K or left <= 0.0:
         return None

@@ -64,6 +64,17 @@ def test_none_is_imagined_in_noise(seed: int) -> None:
     assert row_waves.seen(problem, solved(seed, problem)) is None
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_wrong_rates_are_no_vibration(seed: int) -> None:
+    """The log says that no picture turned; all turned by up to 20 degrees a second."""
+    problem, sweep, _ = vibrating(seed, 0.0)
+    wrong = replace(problem, sweep=replace(sweep, rate_cam_rad_s=np.zeros((8, 3))))
+    solution = solved(seed, wrong)
+    left_px = np.median(np.abs(image_residuals(wrong, solution.state)[:, 0][wrong.weight > 0])) * CAMERA.focal_px
+    assert left_px > 0.4, "these rates would not matter"
+    assert row_waves.seen(wrong, solution) is None
+
+
 def test_waves_of_the_row_are_found_with_the_poses_and_what_is_left_is_the_noise() -> None:
     left_px, off, missed_m = [], [], []
     for seed in (1, 2, 3):
