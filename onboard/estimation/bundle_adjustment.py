@@ -104,7 +104,7 @@ class _Residuals:
     pull: Array
     cost: float
     by_camera: Array | None  # (K, C, 2, P) how measurements move with the camera's own states
-    by_rate: Array | None  # (K, 3, 2, P) how they move with their pictures' rates
+    by_rate: Array | None  # (K, M, 2, P) how they move with their pictures' rates and waves
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +122,8 @@ class _Linear:
     by_point: Array  # (K, 3, 2, P)
     by_camera: Array | None  # (K, C, 2, P)
     camera: slice  # its columns
-    by_rate: Array | None  # (K, 3, 2, P)
-    rates: NDArray[np.intp]  # (K, 3) their columns
+    by_rate: Array | None  # (K, M, 2, P)
+    rates: NDArray[np.intp]  # (K, M) their columns
     columns: NDArray[np.intp]  # of the camera side that the ground depends on
     ground_by_side: Array  # (G, P)
     ground_by_point: Array  # (3, P)
@@ -145,6 +145,11 @@ def evaluate(problem: Problem, state: State, scale: float | None) -> float:
     return _residuals(problem, np.ascontiguousarray(problem.xy.transpose(0, 2, 1)), state, scale).cost
 
 
+def image_residuals(problem: Problem, state: State) -> Array:
+    """Predicted minus measured image coordinates (K, 2, P), normalised; anything where a point is not seen."""
+    return _residuals(problem, np.ascontiguousarray(problem.xy.transpose(0, 2, 1)), state, None).image
+
+
 def _residuals(problem: Problem, xy: Array, state: State, scale: float | None) -> _Residuals:
     weight = problem.weight
     image, predicted, depth = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, xy)
@@ -155,9 +160,13 @@ def _residuals(problem: Problem, xy: Array, state: State, scale: float | None) -
     if problem.sweep is not None:
         by_readout = problem.sweep.by_readout(state.R_cam_enu, predicted, depth)
         image += problem.sweep.readout_s * by_readout
+        if problem.layout.has_waves:
+            by_rate = problem.sweep.by_wave(predicted)
+            image += np.einsum("krip,kr->kip", by_rate, state.waves_rad)
         if problem.layout.has_rates:
-            by_rate = problem.sweep.by_rate(predicted)
+            by_waves, by_rate = by_rate, problem.sweep.by_rate(predicted)
             image += np.einsum("krip,kr->kip", by_rate, state.rates_rad_s)
+            by_rate = by_rate if by_waves is None else np.concatenate([by_rate, by_waves], axis=1)
             by_readout = problem.sweep.by_readout(state.R_cam_enu, predicted, depth, turns=False)
         if by_camera is not None and problem.layout.camera_states > COUNT:
             by_camera = np.concatenate([by_camera, -by_readout[:, None]], axis=1)
@@ -183,12 +192,15 @@ def _residuals(problem: Problem, xy: Array, state: State, scale: float | None) -
         cost += float(r @ r)
     J = np.concatenate([J for _, J in priors])
     stiffness, pull = J.T @ J, J.T @ np.concatenate([r for r, _ in priors])
-    if problem.sweep is not None and problem.layout.has_rates:
-        columns, weight_s2 = problem.layout.rates.ravel(), problem.sweep.sigma_rate_rad_s**-2
-        off = state.rates_rad_s.ravel()
-        cost += weight_s2 * float(off @ off)
-        stiffness[columns, columns] += weight_s2
-        pull[columns] += weight_s2 * off
+    if problem.sweep is not None:
+        for columns, off, sigma in (
+            (problem.layout.rates.ravel(), state.rates_rad_s.ravel(), problem.sweep.sigma_rate_rad_s),
+            (problem.layout.waves.ravel(), state.waves_rad.ravel(), problem.sweep.sigma_wave_rad),
+        ):
+            if len(columns):
+                cost += sigma**-2 * float(off @ off)
+                stiffness[columns, columns] += sigma**-2
+                pull[columns] += sigma**-2 * off
     cost *= 0.5
     return _Residuals(
         state, image, predicted, depth, behind, squared, robust, ground, stiffness, pull, cost, by_camera, by_rate
@@ -242,8 +254,8 @@ def _linearise(problem: Problem, at: _Residuals) -> _Linear:
     by_rate = None
     if at.by_rate is not None:
         by_rate = at.by_rate * s[:, None, None]
-        flat_rate = by_rate.reshape(K, 3, 2 * P)
-        views, rates = np.arange(6 * K).reshape(K, 6), layout.rates
+        flat_rate = by_rate.reshape(K, -1, 2 * P)
+        views, rates = np.arange(6 * K).reshape(K, 6), layout.by_picture
         U[rates[:, :, None], rates[:, None]] += flat_rate @ flat_rate.transpose(0, 2, 1)
         _add_both(U, views, rates, flat @ flat_rate.transpose(0, 2, 1))
         if by_camera is not None:
@@ -267,7 +279,7 @@ def _linearise(problem: Problem, at: _Residuals) -> _Linear:
         bp += gp * rg
         U[np.ix_(columns, columns)] += gs @ gs.T
         bc[columns] += gs @ rg
-    return _Linear(U, V, bc, bp, J, A, by_camera, layout.camera, by_rate, layout.rates, columns, gs, gp)
+    return _Linear(U, V, bc, bp, J, A, by_camera, layout.camera, by_rate, layout.by_picture, columns, gs, gp)
 
 
 def _add_both(U: Array, rows: NDArray[np.intp], columns: NDArray[np.intp], blocks: Array) -> None:

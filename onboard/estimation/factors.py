@@ -32,6 +32,7 @@ class Layout:
     keyframes: int
     camera_states: int = 0
     has_rates: bool = False  # of the pictures: `Layout.rates`
+    has_waves: bool = False  # likewise: `Layout.waves`
 
     @property
     def boresight(self) -> slice:
@@ -77,12 +78,25 @@ class Layout:
     @property
     def size(self) -> int:
         """All columns."""
-        return 6 * self.keyframes + 11 + self.camera_states + 3 * self.keyframes * self.has_rates
+        each = 6 + 3 * self.has_rates + 6 * self.has_waves
+        return each * self.keyframes + 11 + self.camera_states
 
     @property
     def rates(self) -> NDArray[np.intp]:
         """Column numbers (K, 3) of what the pictures' rates are off by, rad/s; (0, 3) where they are measured."""
-        return np.arange(self.shared.stop, self.size).reshape(-1, 3)
+        first = self.shared.stop
+        return np.arange(first, first + 3 * self.keyframes * self.has_rates).reshape(-1, 3)
+
+    @property
+    def waves(self) -> NDArray[np.intp]:
+        """Column numbers (K, 6) of what the pictures' rows swing by, rad; (0, 6) where they are not seen to."""
+        return np.arange(self.size - 6 * self.keyframes * self.has_waves, self.size).reshape(-1, 6)
+
+    @property
+    def by_picture(self) -> NDArray[np.intp]:
+        """Column numbers (K, M) of rates and waves together; (0, 0) without either."""
+        found = [c for c in (self.rates, self.waves) if len(c)]
+        return np.concatenate(found, axis=1) if found else np.zeros((0, 0), np.intp)
 
     def rotation(self, keyframe: int) -> slice:
         """Three columns, rad."""
@@ -116,12 +130,14 @@ class State:
     heading_rad: Array = field(default_factory=lambda: np.zeros(2))  # (2,) see `Layout.heading`
     camera: Array = field(default_factory=lambda: np.zeros(0))  # deviations from the camera file, see `Layout.camera`
     rates_rad_s: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (K, 3) or (0, 3), see `Layout.rates`
+    waves_rad: Array = field(default_factory=lambda: np.zeros((0, 6)))  # (K, 6) or (0, 6), see `Layout.waves`
 
     def retract(self, dc: Array, dp: Array) -> State:
         """Apply a step: dc (Layout.size,), dp (P, 3)."""
         K = len(self.R_cam_enu)
         pose = dc[: 6 * K].reshape(K, 6)
-        shared, rates = np.split(dc[6 * K :], [11 + len(self.camera)])
+        end = 11 + len(self.camera)
+        shared, rates, waves = np.split(dc[6 * K :], [end, end + self.rates_rad_s.size])
         return State(
             exp_so3(pose[:, :3]) @ self.R_cam_enu,
             self.centres_enu_m + pose[:, 3:],
@@ -134,6 +150,7 @@ class State:
             self.heading_rad + shared[6:8],
             self.camera + shared[8:-3],
             self.rates_rad_s + rates.reshape(-1, 3),
+            self.waves_rad + waves.reshape(-1, 6),
         )
 
     @property

@@ -6,7 +6,8 @@ picture by its image velocity since, which follows from the vehicle's rate and v
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from contract.rotations import log_so3
 
 Array = NDArray[np.float64]
 
+# Of the turning itself: measured rates so near to it take no more than its square, 4 %, off a readout found by them.
+FOLLOWED = 0.2
 LEAST_READOUT_S = 0.005  # travel at 20 m/s moves the outer rows by 5 cm in it
 
 
@@ -32,7 +35,8 @@ class Moving:
     velocity_enu_m_s: Array
     velocity_cam_m_s: Array
     plane_per_m: Array
-    sigma_rate_rad_s: float = 0.0  # of a rate that is the difference of attitudes; 0: it is measured
+    sigma_rate_rad_s: float = 0.0  # of a rate joined from measured ones, or the difference of attitudes; 0: nothing
+    is_measured: bool = True  # that rate, if perhaps too rarely
 
     def by_readout(self, xy: Array, share: Array) -> Array:
         """d place / d readout (N, 2) of places (N, 2) seen in rows of these shares (N,), over the assumed ground."""
@@ -57,6 +61,9 @@ class Sweep:
     # Of rates that nothing measures: they are estimated with the poses, as what they move in this time; 0: as given.
     sigma_rate_rad_s: float = 0.0
     scale_s: float = 0.0
+    # Of pictures that vibrate while they are read: swings (K,) in the time of the readout, and one sigma of an angle.
+    cycles: Array | None = None
+    sigma_wave_rad: float = 0.0
 
     def by_readout(self, R_cam_enu: Array, predicted: Array, depth: Array, *, turns: bool = True) -> Array:
         """d x / d readout (K, 2, P) of points predicted at (K, 2, P) with `depth` (K, P), by (18.2).
@@ -71,15 +78,42 @@ class Sweep:
 
     def by_rate(self, predicted: Array) -> Array:
         """d x / d rate (K, 3, 2, P) of points predicted at (K, 2, P), in the time `scale_s`. (18.4)"""
-        x, y = predicted[:, 0], predicted[:, 1]
-        moved = np.stack([x * y, 1.0 + y * y, -1.0 - x * x, -x * y, y, -x], axis=1).reshape(len(x), 3, 2, -1)
-        out: Array = moved * (self.scale_s * self.share)[:, None, None]
+        out: Array = _by_turn(predicted) * (self.scale_s * self.share)[:, None, None]
         return out
+
+    def by_wave(self, predicted: Array) -> Array:
+        """d x / d wave (K, 6, 2, P) of points predicted at (K, 2, P): about three axes by the cosine, then the sine
+        of what `cycles` swings have come to in the row. (18.6)
+        """
+        assert self.cycles is not None
+        phase, moved = 2.0 * np.pi * self.cycles[:, None] * self.share, _by_turn(predicted)
+        waves = (np.cos(phase)[:, None, None], np.sin(phase)[:, None, None])
+        return np.concatenate([moved * wave for wave in waves], axis=1)
+
+    def vibrating(self, cycles: Array, sigma_rad: float) -> Sweep:
+        """The same with so many swings (K,) in each picture, by angles of one sigma."""
+        return replace(self, cycles=cycles, sigma_wave_rad=sigma_rad)
 
     def rates_in(self, readout_s: float, off: Array) -> Array:
         """The rates (K, 3) that move in another readout what these, with `off` (K, 3) found of them, move. (18.4)"""
         out: Array = (self.readout_s * self.rate_cam_rad_s + self.scale_s * off) / readout_s
         return out
+
+
+def sigma_of_rates(moving: Sequence[Moving], rates_cam_rad_s: Array) -> float:
+    """One sigma (rad/s) of the rates (K, 3) of a window's pictures; 0 where they are taken as they are."""
+    sigmas = np.array([m.sigma_rate_rad_s for m in moving])
+    if all(m.is_measured for m in moving):
+        sigma, turning = np.sqrt(np.mean(sigmas**2)), np.sqrt(np.mean(rates_cam_rad_s**2))
+        return float(sigma) if sigma > FOLLOWED * turning else 0.0
+    return float(sigmas.max())
+
+
+def _by_turn(predicted: Array) -> Array:
+    """d x / d turn (K, 3, 2, P) of points predicted at (K, 2, P), as (18.2) has it for a rate."""
+    x, y = predicted[:, 0], predicted[:, 1]
+    out: Array = np.stack([x * y, 1.0 + y * y, -1.0 - x * x, -x * y, y, -x], axis=1).reshape(len(x), 3, 2, -1)
+    return out
 
 
 def published_s(readout_s: float, *, has_rates: bool) -> float:

@@ -278,7 +278,7 @@ class Window:
         covariance[OFFSET, OFFSET] += LEAST_SIGMA_S**2
         before = self.alignment.prior_for(start)
         solved_under = with_delays_held_open(self.config, self._solved_under or before)
-        if any(k.observation.moving is not None and k.observation.moving.sigma_rate_rad_s for k in self.keyframes):
+        if layout.has_rates:
             mean, covariance = without_readout(mean, covariance, solved_under.mean, solved_under.covariance)
         mean, covariance = under_another_prior(mean, covariance, solved_under, before)
         self.alignment.offer(start, end, mean, covariance)

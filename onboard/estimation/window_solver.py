@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.feature_set import Status
 from onboard.config.schema import Config
-from onboard.estimation import camera_states, window_start
+from onboard.estimation import camera_states, ground_weight, row_waves, window_start
 from onboard.estimation.boresight import BORESIGHT, HEADING, OFFSET, STATES, VELOCITY_DELAY, Belief
 from onboard.estimation.bundle_adjustment import Problem, Solution, solve
-from onboard.estimation.factors import AttitudePrior, Layout, Prior, State, VelocityPrior, ground_plane
+from onboard.estimation.factors import AttitudePrior, Layout, Prior, State, VelocityPrior
 from onboard.estimation.ground_motion import ground_motion, ground_sigma_m_s
-from onboard.estimation.ground_roughness import effective_sigma_m
 from onboard.estimation.ground_slope import SlopePrior
 from onboard.estimation.keyframe import Ids, Keyframe, have_attitude
 from onboard.estimation.reobservation import Agreement
@@ -53,11 +52,11 @@ OUTLIER_SIGMAS = 4.0
 # travel the point's place and depth have been fitted, across it its place. First: without any fit (Rayleigh).
 MEDIAN_LENGTH = np.array([1.1774, np.inf, 0.4769, 0.7833, 0.9085, 0.9732, 1.0112, 1.0373, 1.0560, 1.0713, 1.0816])
 MIN_PIXEL_SIGMA_PX = 0.08  # tracks have common errors, larger than their residuals show
-MIN_STRAY_M = 0.3
 WEIGHING_ROUNDS = 5
 TOLERATED_RMS = 1.3  # of velocity's and attitude's whitened residuals
 MAX_JITTER_S = 0.02
 MAX_NOISE_INFLATION = 2.0
+WAVE_ROUNDS = 2
 MIN_CHANGE = 0.3  # of a variance's logarithm, by which it must change to weigh a window anew
 
 
@@ -132,11 +131,11 @@ def refine(problem: Problem, first: Solution, least_own: float) -> Adjusted | No
 
     None where too little is left to estimate the noise from.
     """
-    sigmas = first.residual_sigmas
-    kept = np.where(sigmas > OUTLIER_SIGMAS * max(fit_of(sigmas), 1.0), 0.0, problem.weight)
+    sigmas, states = first.residual_sigmas, view_states(problem.layout)
+    kept = np.where(sigmas > OUTLIER_SIGMAS * max(fit_of(sigmas, states), 1.0), 0.0, problem.weight)
     kept[:, np.count_nonzero(kept > 0, axis=0) < 2] = 0.0
     # The window's own noise, not the flight's so far, is what its covariances must be built on.
-    own = fit_of(np.where(kept > 0, sigmas, np.nan))
+    own = fit_of(np.where(kept > 0, sigmas, np.nan), states)
     if not np.isfinite(own):
         return None
     own = max(own, least_own)
@@ -196,15 +195,15 @@ def _adjusted(request: Request) -> Outcome:
     platform = belief.mean[BORESIGHT], belief.mean[HEADING], belief.mean[STATES:]
     off = np.zeros(layout.rates.shape)
     state = State(R, C, points, platform[0], offset_s, plane, late_s, velocity_late_s, *platform[1:], off)
-    ground_weight, terrain = _ground(request, points)
+    hold, terrain = ground_weight.weight_and_terrain(request, points)
     if terrain is not None:
         reference[2] = 0.0
         state = replace(state, plane=np.zeros(3))
     clearance_m = None if terrain is not None else float(C[:, 2].mean() - reference[2])
-    strays_m = _strays_m(request, points - reference, state.plane, terrain)
+    strays_m = ground_weight.strays_m(request, points - reference, state.plane, terrain)
     ranged = range_prior(list(keyframes), layout, reference, state.plane, strays_m, terrain)
     if ranged is not None:  # what it measures is the plane: the points must be held to that as closely as they lie
-        ground_weight = np.full(len(points), 1.0 / strays_m)
+        hold = np.full(len(points), 1.0 / strays_m)
 
     def sensors(noise: Noise) -> list[Prior]:
         found = sensor_priors(
@@ -228,7 +227,7 @@ def _adjusted(request: Request) -> Outcome:
             weight / noise.noise_inflation,
             priors,
             reference,
-            ground_weight,
+            hold,
             terrain,
             clearance_m,
             request.camera if layout.camera_states else None,
@@ -265,7 +264,15 @@ def _adjusted(request: Request) -> Outcome:
         if not again:
             break
         problem, priors, first = weighed(noise, first.state)
-    problem = replace(problem, ground_weight=_alike(problem, first, ground_weight))
+    for _ in range(WAVE_ROUNDS * (rows is not None)):  # the second time with what the first made of poses and points
+        waves = row_waves.seen(problem, first)
+        if waves is None or rows is None:
+            break
+        rows, layout = rows.vibrating(waves.cycles, waves.sigma_rad), replace(layout, has_waves=True)
+        if ranged is not None:
+            ranged = replace(ranged, layout=layout)
+        problem, priors, first = weighed(used, replace(first.state, waves_rad=np.zeros(layout.waves.shape)))
+    problem = replace(problem, ground_weight=ground_weight.alike(problem, first, hold))
     adjusted = refine(problem, first, MIN_PIXEL_SIGMA_PX / (used.pixel_sigma_px * used.noise_inflation))
     if adjusted is None:
         return Outcome(Status.POOR_FIT, keyframes, noise, reason="too little is left without outliers")
@@ -334,7 +341,7 @@ def _judged(
         return Outcome(status, request.keyframes, noise, reason=reason)
 
     seen, used = np.count_nonzero(weight > 0), np.count_nonzero(kept > 0)
-    fit = fit_of(s.residual_sigmas)
+    fit = fit_of(s.residual_sigmas, view_states(layout))
     sigma_px = noise.pixel_sigma_px * noise.noise_inflation * own * fit
     depth = np.abs(
         np.einsum("kj,kpj->kp", s.state.R_cam_enu[:, 2], s.state.points_enu_m - s.state.centres_enu_m[:, None])
@@ -379,8 +386,10 @@ def _judged(
     camera = camera_states.corrected(request.camera_file, s.state.camera)
     readout_s = window_start.readout_of(request, s.state)
     sigma_p = sigma_px * 1.177
+    # A picture between keyframes vibrates too, and nobody knows how: to it that is noise.
+    unknown_px = float(np.hypot(sigma_px, camera.focal_px * row_waves.swing_rad(s.state.waves_rad)))
     solved = Solved(
-        frames, layout, s, ids, good, plane, sigma_px, sigma_p, keyframes, shared, moving, camera, readout_s
+        frames, layout, s, ids, good, plane, unknown_px, sigma_p, keyframes, shared, moving, camera, readout_s
     )
     agreed = request.memory.compared(solved)
     remembered = by_memory(config, request.memory, solved, agreed)
@@ -389,7 +398,12 @@ def _judged(
     return Outcome(Status.OK, keyframes, noise, solved, agreed=agreed)
 
 
-def fit_of(sigmas: Array) -> float:
+def view_states(layout: Layout) -> int:
+    """How many states each picture has that its own features tell."""
+    return 6 + 6 * layout.has_waves
+
+
+def fit_of(sigmas: Array, view_states: int = 6) -> float:
     """Robust one sigma per axis of whitened residual lengths (K, P): their median over what it should be. (6.11)
 
     Residuals are smaller than the noise by the degrees of freedom fitted: of a point seen twice, three out of four.
@@ -404,36 +418,7 @@ def fit_of(sigmas: Array) -> float:
     expected = np.where(seen <= last, MEDIAN_LENGTH[np.minimum(seen, last)], many)
     ratio = (sigmas / expected)[known & several]
     left = float(np.sum(2 * seen[several] - 3))
-    return float(np.median(ratio) * np.sqrt(left / max(left - 6 * len(sigmas), 0.2 * left)))
-
-
-def _ground(request: Request, points: Array) -> tuple[Array, Terrain | None]:
-    """1 / sigma of the ground under each point (P,), and the terrain if it is known under all of them."""
-    if request.terrain is not None:
-        height, _ = request.terrain.height_and_slope(points[:, :2])
-        if np.all(np.isfinite(height)):
-            return np.full(len(points), 1.0 / request.config.terrain.sigma_m), request.terrain
-    return np.full(len(points), 1.0 / max(request.config.solve.relief_sigma_m, 1e-3)), None
-
-
-def _alike(problem: Problem, first: Solution, ground_weight: Array) -> Array:
-    """1 / sigma (P,) of the ground under each point, for correlated deviations: no more than `ground_weight`. (5.13)"""
-    s = first.state
-    height, _, _ = ground_plane(s.points_enu_m, problem.reference_enu_m, s.plane, problem.terrain)
-    seen = np.isfinite(height) & (np.count_nonzero(problem.weight > 0, axis=0) >= 2)
-    offset = (s.points_enu_m - problem.reference_enu_m)[seen, :2]
-    clearance_m = float((s.centres_enu_m[:, 2]).mean() - np.median(s.points_enu_m[seen, 2]))
-    sigma_m = effective_sigma_m(offset, height[seen], first.point_covariance[seen, 2, 2], clearance_m)
-    return np.minimum(ground_weight, 1.0 / max(sigma_m, 1e-3))
-
-
-def _strays_m(request: Request, offset: Array, plane: Array, terrain: Terrain | None) -> float:
-    """One sigma (m) of the ground about the plane, by the points themselves, or as declared of the terrain."""
-    if terrain is not None:
-        return request.config.terrain.sigma_m
-    above = offset[:, 2] - plane[0] - offset[:, :2] @ plane[1:]
-    measured = 1.4826 * float(np.median(np.abs(above - np.median(above))))
-    return min(max(measured, MIN_STRAY_M), max(request.config.solve.relief_sigma_m, MIN_STRAY_M))
+    return float(np.median(ratio) * np.sqrt(left / max(left - view_states * len(sigmas), 0.2 * left)))
 
 
 def _depth_sigma(s: Solution, covariance: Array, good: Mask, layout: Layout) -> Array:

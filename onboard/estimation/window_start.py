@@ -13,7 +13,7 @@ from onboard.estimation import camera_states, initialisation
 from onboard.estimation.boresight import BORESIGHT
 from onboard.estimation.factors import Layout, State
 from onboard.estimation.keyframe import Ids, Keyframe, have_attitude, swept, turned
-from onboard.estimation.rolling_shutter import LEAST_READOUT_S, Sweep, published_s, rates_between
+from onboard.estimation.rolling_shutter import LEAST_READOUT_S, Sweep, published_s, rates_between, sigma_of_rates
 from onboard.estimation.window_acceptance import MIN_POINTS
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.triangulation import on_plane, triangulate
@@ -66,7 +66,7 @@ def sweep(request: Request, keyframes: tuple[Keyframe, ...], share: Array) -> Sw
     else:
         stamps_s = np.array([(k.nav.stamp_ns - keyframes[0].nav.stamp_ns) / 1e9 for k in keyframes])
         rate = rates_between(stamps_s, np.stack([k.R_cam_enu for k in keyframes]))
-    velocity, sigma_rad_s = np.stack([m.velocity_enu_m_s for m in moving]), max(m.sigma_rate_rad_s for m in moving)
+    velocity, sigma_rad_s = np.stack([m.velocity_enu_m_s for m in moving]), sigma_of_rates(moving, rate)
     camera = request.config.camera
     scale_s = max(float(np.hypot(camera.readout_s, camera.sigma_readout_s)), LEAST_READOUT_S)
     return Sweep(camera.readout_s, share, rate, velocity, sigma_rad_s, scale_s)

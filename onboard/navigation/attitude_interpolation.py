@@ -17,6 +17,8 @@ from onboard.navigation.time_series import Series
 Array = NDArray[np.float64]
 
 RATE_WINDOW_NS = 60_000_000
+RATES_ABOUT = 20  # measured rates before a moment, and after it, by which it is judged how well they can be joined
+LEAST_RATES = 5  # for a miss over two gaps on both sides
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +136,27 @@ class Attitudes:
         bracket = self._series.bracket(stamp_ns)
         return bracket is not None and all(self._series.values[i].rate_body_rad_s is not None for i in bracket)
 
+    def rate_sigma_at(self, moment_ns: int, jitter_s: float) -> float | None:
+        """One sigma (rad/s, of each axis) of what a rate joined from measured ones may be off by, (1.8); None where
+        they are not measured. `jitter_s`: one sigma of the moment.
+
+        Each measured rate is foretold by its neighbours, and by theirs: the two misses say how an error grows with the
+        gap, and so what it is over the gap that is bridged. 0 where too few are held to say.
+        """
+        if not self.measures_rate(moment_ns):
+            return None
+        left, right = self._series.bracket(moment_ns) or (0, 0)
+        first, end = max(left - RATES_ABOUT + 1, 0), right + RATES_ABOUT
+        about = [a.rate_body_rad_s for a in self._series.values[first:end]]
+        rates = np.array([r for r in about if r is not None])
+        if left == right or len(rates) < len(about) or len(rates) < LEAST_RATES:
+            return 0.0
+        stamps_s = (np.array(self._series.stamps_ns[first:end]) - moment_ns) / 1e9
+        near, far = (_missed(stamps_s, rates, gap) for gap in (1, 2))
+        missed = near * min(1.0, near / far) if far > 0.0 else 0.0
+        changes = np.diff(rates, axis=0) / np.diff(stamps_s)[:, None]
+        return float(np.hypot(missed, jitter_s * np.sqrt(np.mean(changes**2))))
+
     def rate_at(self, stamp_ns: int) -> Array | None:
         """Angular rate (3,), rad/s, body axes: measured, else from attitudes 60 ms apart; None if unknown."""
         series = self._series
@@ -156,3 +179,11 @@ class Attitudes:
             return a + share * (b - a)
         rate: Array = log_so3(series.values[left].R_ned_body.T @ series.values[right].R_ned_body) / seconds
         return rate
+
+
+def _missed(stamps_s: Array, rates: Array, gap: int) -> float:
+    """Root of the mean square by which rates (N, 3) at times (N,) miss the line from `gap` before to `gap` after."""
+    before, own, after = slice(None, -2 * gap), slice(gap, -gap), slice(2 * gap, None)
+    share = (stamps_s[own] - stamps_s[before]) / (stamps_s[after] - stamps_s[before])
+    foretold = rates[before] + share[:, None] * (rates[after] - rates[before])
+    return float(np.sqrt(np.mean((rates[own] - foretold) ** 2)))

@@ -374,9 +374,9 @@ class Navigation:
             return self._gimbal.rate_at(stamp_ns, self._attitudes, self._gimbal_hypothesis)
         return self._attitudes.rate_at(stamp_ns)
 
-    def measures_rate(self, stamp_ns: int) -> bool:
-        """Whether that rate is measured, and not the difference of attitudes with their noise."""
-        return not self._uses_gimbal and self._attitudes.measures_rate(stamp_ns)
+    def rate_sigma_at(self, stamp_ns: int, jitter_s: float) -> float | None:
+        """One sigma (rad/s) of that rate, (1.8); None if it is not measured, but the difference of noisy attitudes."""
+        return None if self._uses_gimbal else self._attitudes.rate_sigma_at(stamp_ns, jitter_s)
 
     def velocity_at(self, nav: NavState) -> Array:
         """Velocity (3,), ENU m/s, of a state: measured, else by the positions about it; 0 where nothing tells."""

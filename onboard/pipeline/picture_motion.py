@@ -20,7 +20,7 @@ from onboard.vision.klt_tracker import Tracks
 Array = NDArray[np.float64]
 
 UNKNOWN_RATE_RAD_S = 0.3  # one sigma of a rate that only keyframes a second apart tell: gusts and turns begin faster
-RATE_S = 0.06 / np.sqrt(2.0)  # a rate that is not measured is the difference of two attitudes so far apart
+RATE_S = float(0.06 / np.sqrt(2.0))  # a rate that is not measured is the difference of two attitudes so far apart
 
 
 def moving_at(window: Window, navigation: Navigation, nav: NavState) -> Moving | None:
@@ -49,10 +49,13 @@ def moving_at(window: Window, navigation: Navigation, nav: NavState) -> Moving |
     if nav.R_enu_body is None:
         return Moving(window.readout[0], rate_cam, velocity, R_cam_enu @ velocity, plane, UNKNOWN_RATE_RAD_S)
     at_ns = nav.stamp_ns + round(float(belief.mean[OFFSET]) * 1e9)
-    noisy = (
-        0.0 if navigation.measures_rate(at_ns) else np.radians(window.config.solve.attitude_white_sigma_deg) / RATE_S
-    )
-    return Moving(window.readout[0], rate_cam, velocity, R_cam_enu @ velocity, plane, float(noisy))
+    noisy = navigation.rate_sigma_at(at_ns, window.config.camera.sigma_jitter_s)
+    is_measured = noisy is not None
+    if noisy is None:
+        noisy = float(np.radians(window.config.solve.attitude_white_sigma_deg)) / RATE_S
+    elif noisy * 0.5 * np.hypot(*window.readout) * window.camera.focal_px < window.noise.pixel_sigma_px:
+        noisy = 0.0  # not even the outermost row is moved by more than its features' own noise
+    return Moving(window.readout[0], rate_cam, velocity, R_cam_enu @ velocity, plane, noisy, is_measured)
 
 
 def _inverse_depth(R_cam_enu: Array, plane: Array | None, centre_enu_m: Array) -> Array:

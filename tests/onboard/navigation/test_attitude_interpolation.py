@@ -53,3 +53,49 @@ def test_quick_attitudes_are_believed_as_they_are(with_rates: bool) -> None:
 def test_at_a_message_itself_nothing_is_added() -> None:
     attitudes = heard(1.0, True)
     assert attitudes.sigma_at(8_000_000_000) == 0.0
+
+
+def gusty(rate_hz: float, bandwidth_hz: float, gyro_rad_s: float = 0.0) -> tuple[Attitudes, np.ndarray, np.ndarray]:
+    """Attitudes with the rates (about the roll axis) of a vehicle in gusts, and those at 100 Hz: times (s), rates."""
+    rng = np.random.default_rng(2)
+    times = np.arange(0.0, 120.0, 0.01)
+    step = np.exp(-2.0 * np.pi * bandwidth_hz * 0.01)
+    push, rates = rng.standard_normal((len(times), 3)), np.zeros((len(times), 3))
+    for _ in range(2):  # a low pass of second order: gusts, and an airframe that does not follow them at once
+        for k in range(1, len(times)):
+            rates[k] = step * rates[k - 1] + (1.0 - step) * push[k]
+        push = rates.copy()
+    rates *= np.radians(15.0) / rates.std()
+    attitudes = Attitudes(max_gap_s=5.0)
+    every = round(100.0 / rate_hz)
+    for k in range(0, len(times), every):
+        attitudes.insert(round(times[k] * 1e9), np.eye(3), rates[k] + gyro_rad_s * rng.standard_normal(3))
+    return attitudes, times, rates
+
+
+# Followed well, just about, and hardly at all.
+@pytest.mark.parametrize("rate_hz", [25.0, 10.0, 3.3, 1.0])
+def test_rates_that_come_too_rarely_say_how_far_they_are_off(rate_hz: float) -> None:
+    attitudes, times, rates = gusty(rate_hz, 0.5)
+    about = np.flatnonzero((times > 40.0) & (times < 80.0))[::7]
+    found = [attitudes.rate_at(round(times[k] * 1e9)) for k in about]
+    sigmas = [attitudes.rate_sigma_at(round(times[k] * 1e9), 0.0) for k in about]
+    assert None not in sigmas
+    stated = float(np.sqrt(np.mean(np.square(sigmas))))
+    true = float(np.sqrt(np.mean(np.square(np.array(found) - rates[about]))))
+    assert 0.7 < stated / true < 2.3
+    assert true < np.radians(2.0) if rate_hz > 5.0 else true > np.radians(2.0)
+
+
+def test_a_rate_at_the_wrong_moment_is_a_wrong_rate() -> None:
+    attitudes, _, rates = gusty(25.0, 0.5)
+    sigmas = [attitudes.rate_sigma_at(round(t * 1e9), 0.1) for t in np.arange(40.0, 80.0, 0.1)]
+    change = float(np.sqrt(np.mean(np.square(np.diff(rates[::4], axis=0) / 0.04))))
+    assert np.sqrt(np.mean(np.square(np.array(sigmas, float)))) == pytest.approx(0.1 * change, rel=0.3)
+
+
+def test_attitudes_without_rates_measure_none() -> None:
+    assert heard(10.0, with_rates=False).rate_sigma_at(round(8.03e9), 0.0) is None
+    smooth = heard(10.0, with_rates=True).rate_sigma_at(round(8.03e9), 0.0)
+    assert smooth is not None
+    assert 0.0 < smooth < np.radians(0.5)
