@@ -83,6 +83,10 @@ def adjust(request: Request) -> Outcome:
             return zoom.refused(before, scales.log_scale)
     if excess is not None:
         return _shifted(before, seen_ns, excess)
+    # Without attitudes nothing but the pictures themselves would tell a lens from the ground's shape.
+    own = zoom.by_itself(before) if have_attitude(request.keyframes) else None
+    if own is not None and own.is_off:
+        return zoom.off_by(before, own)
     is_neither = explanation.gain < -LIKELIER if explanation is not None else not is_solved
     if is_neither and (scales is None or scales.gain <= 0.0):
         outcome = replace(outcome, noise=_looked(outcome.noise, outcome.status, end_ns))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from onboard.estimation.boresight import BORESIGHT, HEADING, OFFSET, STATES, VELOCITY_DELAY
 from onboard.estimation.bundle_adjustment import Problem, Solution
-from onboard.estimation.factors import AttitudePrior, State
+from onboard.estimation.factors import AttitudePrior, Layout, Prior, State, VelocityPrior
 from onboard.estimation.keyframe import Keyframe, observation
 from onboard.estimation.second_start import by_attitude
 from onboard.estimation.sensor_factors import sensor_priors
@@ -64,15 +64,12 @@ def adjusted(
     centres = np.stack([k.nav.position_enu_m for k in keyframes])
     points, reference, plane = starting_points(request, ids, R, centres, xy, weight > 0)
     rows = sweep(request, keyframes, share)
-    belief, layout = request.belief, layout_of(request, keyframes, rows)
+    belief, layout, noise, config = request.belief, layout_of(request, keyframes, rows), request.noise, request.config
     offset_s, late_s, velocity_late_s = belief.mean[OFFSET : VELOCITY_DELAY + 1].tolist()
     lens, off = belief.mean[STATES:], np.zeros(layout.rates.shape)
     boresight, heading = belief.mean[BORESIGHT], belief.mean[HEADING]
     state = State(R, centres, points, boresight, offset_s, plane, late_s, velocity_late_s, heading, lens, off)
-    noise, config = request.noise, request.config
-    priors = sensor_priors(
-        config, request.R_body_cam, list(keyframes), layout, belief, False, noise.jitter_s, noise.factors, request.slope
-    )
+    priors = sensors(request, layout)
     ground = np.full(len(points), 1.0 / max(config.solve.relief_sigma_m, 1e-3))
     problem = Problem(
         layout,
@@ -88,6 +85,20 @@ def adjusted(
         rows,
     )
     return approximate(problem, state)
+
+
+def sensors(request: Request, layout: Layout) -> list[Prior]:
+    """What the sensors say of the request's keyframes."""
+    keyframes, noise = list(request.keyframes), request.noise
+    taken = request.belief, False, noise.jitter_s, noise.factors, request.slope
+    return sensor_priors(request.config, request.R_body_cam, keyframes, layout, *taken)
+
+
+def sensors_rms(request: Request, solution: Solution) -> float:
+    """Of the velocities' and attitudes' whitened residuals, whichever is the larger; 0 where there is neither."""
+    layout = Layout(len(request.keyframes), len(request.camera_taken), len(solution.state.rates_rad_s) > 0)
+    told = [p for p in sensors(request, layout) if isinstance(p, AttitudePrior | VelocityPrior)]
+    return max((float(np.sqrt(np.mean(p.evaluate(solution.state)[0] ** 2))) for p in told), default=0.0)
 
 
 def pixel_variance(solution: Solution) -> float | None:

@@ -18,9 +18,17 @@ from onboard.estimation.boresight import STATES
 from onboard.estimation.bundle_adjustment import Solution
 from onboard.estimation.camera_states import COUNT
 from onboard.estimation.keyframe import Keyframe, have_attitude
-from onboard.estimation.optics_hypotheses import adjusted, by_sensors, image_cost, pixel_variance, seen_through, settled
+from onboard.estimation.optics_hypotheses import (
+    adjusted,
+    by_sensors,
+    image_cost,
+    pixel_variance,
+    seen_through,
+    sensors_rms,
+    settled,
+)
 from onboard.estimation.window_acceptance import MIN_POINTS
-from onboard.estimation.window_solver import MIN_KEYFRAMES, Outcome, Request
+from onboard.estimation.window_solver import MIN_KEYFRAMES, TOLERATED_RMS, Outcome, Request
 from onboard.estimation.window_solver import adjust as solve_window
 
 Array = NDArray[np.float64]
@@ -33,7 +41,11 @@ LEAST_SCALE = 0.015  # of a zoom that is one: less is what relief and heights le
 MOST_SCALE = 1.5  # of its logarithm: beyond it features are not the same
 BACK = 0.02  # from the camera file's scale, within which a zoom has come back: windows judge again
 NEWEST = 3  # pictures that must say so
-SURE = 2.0  # sigmas
+SURE = 3.0  # sigmas
+LIKELIER = 15.0  # a logarithm of likelihood: as of shifted frames, (19.2)
+MOST_OPEN = 0.035  # one sigma of a scale's logarithm, above which a window says nothing of it
+KNOWN = 0.015  # one sigma, below which a window's own scale is what pictures are taken to have
+STEP, LARGE_STEP = 0.008, 0.4  # of a scale from picture to picture, and of the largest: less is not the lens
 OPEN_SCALE = 0.3  # one sigma of the scale's logarithm, where nothing is believed of it
 CERTAIN = 1e-6  # the same of what a camera file is sure of
 
@@ -62,6 +74,20 @@ class OwnScale:
 
     log_scale: float
     sigma: float
+    is_explained: bool  # with it, sensors and pictures agree: it is what parted them
+
+    def is_back_from(self, log_scale: float) -> bool:
+        """Whether it is what was believed, and not what it was seen at (the logarithm of that), beyond doubt. (19.4)"""
+        if self.sigma > MOST_OPEN or abs(self.log_scale) > SURE * self.sigma:
+            return False
+        away = (self.log_scale - log_scale) / self.sigma
+        return 0.5 * (away**2 - (self.log_scale / self.sigma) ** 2) > LIKELIER
+
+    @property
+    def is_off(self) -> bool:
+        """Whether it is not, beyond chance, and that alone is what is wrong."""
+        beyond = 0.5 * (self.log_scale / self.sigma) ** 2 > 0.5 * float(chdtri(1, FALSE_ALARM))
+        return self.is_explained and beyond and abs(self.log_scale) > LEAST_SCALE
 
 
 def followed(request: Request) -> Outcome:
@@ -70,15 +96,28 @@ def followed(request: Request) -> Outcome:
     Where the features that tied it to those before the zoom are lost, only the window by itself can say that it is as
     the camera is on file.
     """
-    if not any(k.is_zoom_lost for k in request.keyframes):
-        return refused(request, scaled(request).log_scale)
-    plain = replace(request, keyframes=tuple(replace(k, log_zoom=0.0, is_zoom_lost=False) for k in request.keyframes))
-    found = by_itself(plain)
-    if found is not None and abs(found.log_scale) + SURE * found.sigma < BACK:
-        return solve_window(replace(plain, noise=replace(request.noise, zoomed_ns=0)))
-    noise = replace(request.noise, zoomed_ns=request.keyframes[-1].nav.stamp_ns)
+    keyframes, is_lost = request.keyframes, any(k.is_zoom_lost for k in request.keyframes)
+    noise = replace(request.noise, zoomed_ns=keyframes[-1].nav.stamp_ns)
+    if is_lost or all(k.log_zoom for k in keyframes):
+        plain = tuple(replace(k, log_zoom=0.0, is_zoom_lost=False) for k in keyframes)
+        found = by_itself(replace(request, keyframes=plain))
+        if found is not None and found.is_back_from(keyframes[-1].log_zoom):
+            return solve_window(replace(request, keyframes=plain, noise=replace(noise, zoomed_ns=0)))
+        if found is not None and found.is_off and found.sigma < KNOWN:
+            keyframes = tuple(replace(k, log_zoom=found.log_scale) for k in keyframes)
+    if not is_lost:
+        return refused(replace(request, keyframes=keyframes), scaled(request).log_scale)
     reason = "the lens had zoomed or refocused when its pictures were lost, and nothing says that it is back"
-    return Outcome(Status.ZOOMED, request.keyframes, noise, reason=reason)
+    return Outcome(Status.ZOOMED, keyframes, noise, reason=reason)
+
+
+def off_by(request: Request, found: OwnScale) -> Outcome:
+    """Refused, for all pictures of the window are scaled alike: the zoom was over before them, or not seen."""
+    end_ns = request.keyframes[-1].nav.stamp_ns
+    lost = tuple(replace(k, log_zoom=found.log_scale, is_zoom_lost=True) for k in request.keyframes)
+    grown, sigma = float(np.exp(found.log_scale)), found.sigma
+    reason = f"the lens has zoomed or refocused, or its file is wrong: scale {grown:.3f} +- {sigma:.3f} throughout"
+    return Outcome(Status.ZOOMED, lost, replace(request.noise, zoomed_ns=end_ns), reason=reason)
 
 
 def refused(request: Request, log_scale: Array) -> Outcome:
@@ -138,13 +177,15 @@ def by_itself(request: Request) -> OwnScale | None:
         return None
     column = 6 * len(keyframes) + STATES
     sigma2 = float(solution.covariance[column, column]) * variance
-    return OwnScale(float(solution.state.camera[0] - mean[STATES]), float(np.sqrt(sigma2 + own)))
+    is_explained = sensors_rms(request, solution) < TOLERATED_RMS
+    return OwnScale(float(solution.state.camera[0] - mean[STATES]), float(np.sqrt(sigma2 + own)), is_explained)
 
 
 def scaled(request: Request) -> Scales:
     """The scales that explain a window best; as they were taken for, where too little is there to adjust. (19.3)"""
     keyframes = request.keyframes
-    nothing = Scales(np.array([k.log_zoom - keyframes[0].log_zoom for k in keyframes]), 0.0)
+    known = np.array([k.log_zoom for k in keyframes])
+    nothing = Scales(known - known[0], 0.0)
     if len(keyframes) < MIN_KEYFRAMES:
         return nothing
     R, has_attitude = by_sensors(request, keyframes), have_attitude(keyframes)
@@ -152,25 +193,39 @@ def scaled(request: Request) -> Scales:
     if first is None:
         return nothing
     ground_m = float(np.median(first.state.points_enu_m[:, 2]))
-    log_scale, solution = picture_to_picture(keyframes, R, ground_m), first
+    anything = np.tril(np.ones((len(keyframes), len(keyframes))))[:, 1:]
+    free = _fitted(request, R, first, picture_to_picture(keyframes, R, ground_m), anything)
+    if free is None or not free.gain > 0.0:  # what explains less than no change is none
+        return nothing if free is None else replace(nothing, gain=free.gain)
+    # A slow drift of all scales is much like a climb, and found slowly. A lens is moved at once, and then rests.
+    steps = np.abs(np.diff(free.log_scale))
+    moved = anything[:, steps > max(STEP, LARGE_STEP * float(steps.max()))]
+    stepped = _fitted(request, R, first, moved @ _share(moved, free.log_scale), moved) if moved.size else None
+    return stepped if stepped is not None and stepped.gain > free.gain - len(steps) else free
+
+
+def _share(steps: Array, log_scale: Array) -> Array:
+    """What each step (S,) of scales (K,) that only change by `steps` (K, S) is, in least squares, a constant aside."""
+    design = np.column_stack([np.ones(len(steps)), steps])
+    return np.asarray(np.linalg.lstsq(design, log_scale, rcond=None)[0][1:], np.float64)
+
+
+def _fitted(request: Request, R: Array, first: Solution, log_scale: Array, steps: Array) -> Scales | None:
+    """Scales (K,) that change by `steps` (K, S) alone, from a first guess; None where they explain nothing."""
+    keyframes, has_attitude, solution = request.keyframes, have_attitude(request.keyframes), first
     for _ in range(SCALE_ROUNDS):
         if np.abs(log_scale).max() > MOST_SCALE:
-            return nothing
+            return None
         back = tuple(_scaled_back(request, k, float(z)) for k, z in zip(keyframes, log_scale, strict=True))
         again = adjusted(request, back, R, has_attitude=has_attitude)
-        if again is None:
-            return nothing
-        if image_cost(again) - image_cost(first) > HOPELESS:
-            return nothing
-        solution, found = again, _farther_out(again, back)
-        found = found - found[0]
+        if again is None or image_cost(again) - image_cost(first) > HOPELESS:
+            return None
+        solution, found = again, steps @ _share(steps, _farther_out(again, back))
         if np.abs(found).max() < SETTLED_SCALE:
             break
         log_scale = log_scale + found
     variance = pixel_variance(solution)
-    if variance is None:
-        return nothing
-    return Scales(log_scale, (first.cost - solution.cost) / variance)
+    return None if variance is None else Scales(log_scale, (first.cost - solution.cost) / variance)
 
 
 def picture_to_picture(keyframes: tuple[Keyframe, ...], R: Array, ground_m: float) -> Array:
