@@ -88,7 +88,8 @@ def adjust(request: Request) -> Outcome:
     if own is not None and own.is_off:
         return zoom.off_by(before, own)
     is_neither = explanation.gain < -LIKELIER if explanation is not None else not is_solved
-    if is_neither and (scales is None or scales.gain <= 0.0):
+    is_in_vain = (scales is None or scales.gain <= 0.0) and (own is None or not own.is_beyond_chance)
+    if is_neither and is_in_vain:
         outcome = replace(outcome, noise=_looked(outcome.noise, outcome.status, end_ns))
     return _noted(outcome, end_ns)
 

@@ -7,6 +7,7 @@ keyframe's scale follows by the others', until it has visibly come back, or unti
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,9 +33,13 @@ from onboard.estimation.window_solver import MIN_KEYFRAMES, TOLERATED_RMS, Outco
 from onboard.estimation.window_solver import adjust as solve_window
 
 Array = NDArray[np.float64]
+Scaled = tuple[Keyframe, ...]
 
 SCALE_ROUNDS = 8
 SETTLED_SCALE = 0.002
+STEP_ROUNDS = 6
+SHOWN, LEAST_SHOWN = 0.05, 0.005  # of what a scale is off by, in the features: at first, and at least
+LONGEST = 0.05  # change of a step's size in one round
 FALSE_ALARM = 1e-9  # that a zoom is found where there is none: chi-square of as many degrees of freedom, (19.3)
 HOPELESS = 100.0  # more of a cost with scales than without: no further round makes up for that
 LEAST_SCALE = 0.015  # of a zoom that is one: less is what relief and heights leave
@@ -84,10 +89,14 @@ class OwnScale:
         return 0.5 * (away**2 - (self.log_scale / self.sigma) ** 2) > LIKELIER
 
     @property
+    def is_beyond_chance(self) -> bool:
+        """Whether it is not what was believed, or something else is wrong."""
+        return (self.log_scale / self.sigma) ** 2 > float(chdtri(1, FALSE_ALARM)) and abs(self.log_scale) > LEAST_SCALE
+
+    @property
     def is_off(self) -> bool:
         """Whether it is not, beyond chance, and that alone is what is wrong."""
-        beyond = 0.5 * (self.log_scale / self.sigma) ** 2 > 0.5 * float(chdtri(1, FALSE_ALARM))
-        return self.is_explained and beyond and abs(self.log_scale) > LEAST_SCALE
+        return self.is_explained and self.is_beyond_chance
 
 
 def followed(request: Request) -> Outcome:
@@ -105,8 +114,9 @@ def followed(request: Request) -> Outcome:
             return solve_window(replace(request, keyframes=plain, noise=replace(noise, zoomed_ns=0)))
         if found is not None and found.is_off and found.sigma < KNOWN:
             keyframes = tuple(replace(k, log_zoom=found.log_scale) for k in keyframes)
+            return Outcome(Status.ZOOMED, keyframes, noise, reason=_reason(found.log_scale))
     if not is_lost:
-        return refused(replace(request, keyframes=keyframes), scaled(request).log_scale)
+        return refused(request, scaled(request).log_scale)
     reason = "the lens had zoomed or refocused when its pictures were lost, and nothing says that it is back"
     return Outcome(Status.ZOOMED, keyframes, noise, reason=reason)
 
@@ -124,7 +134,7 @@ def refused(request: Request, log_scale: Array) -> Outcome:
     """A window whose pictures are scaled so (K,) beside its first one, which are then followed, or have come back."""
     total = followed_by(np.array([k.log_zoom for k in request.keyframes]), log_scale)
     noise = replace(request.noise, zoomed_ns=request.keyframes[-1].nav.stamp_ns)
-    reason = f"the lens has zoomed or refocused: scale {np.exp(total[-1]):.3f}"
+    reason = _reason(float(total[-1]))
     if has_come_back(total):  # go on with the pictures since
         since = int(np.flatnonzero(np.abs(total) >= BACK)[-1]) + 1
         keyframes = tuple(replace(k, log_zoom=0.0) for k in request.keyframes[since:])
@@ -133,6 +143,10 @@ def refused(request: Request, log_scale: Array) -> Outcome:
     scales = np.where(np.maximum.accumulate(np.abs(total)) < BACK, 0.0, total).tolist()
     keyframes = tuple(replace(k, log_zoom=z) for k, z in zip(request.keyframes, scales, strict=True))
     return Outcome(Status.ZOOMED, keyframes, noise, reason=reason)
+
+
+def _reason(log_scale: float) -> str:
+    return f"the lens has zoomed or refocused: scale {np.exp(log_scale):.3f}"
 
 
 def followed_by(known: Array, log_scale: Array) -> Array:
@@ -193,39 +207,111 @@ def scaled(request: Request) -> Scales:
     if first is None:
         return nothing
     ground_m = float(np.median(first.state.points_enu_m[:, 2]))
-    anything = np.tril(np.ones((len(keyframes), len(keyframes))))[:, 1:]
-    free = _fitted(request, R, first, picture_to_picture(keyframes, R, ground_m), anything)
-    if free is None or not free.gain > 0.0:  # what explains less than no change is none
-        return nothing if free is None else replace(nothing, gain=free.gain)
-    # A slow drift of all scales is much like a climb, and found slowly. A lens is moved at once, and then rests.
-    steps = np.abs(np.diff(free.log_scale))
-    moved = anything[:, steps > max(STEP, LARGE_STEP * float(steps.max()))]
-    stepped = _fitted(request, R, first, moved @ _share(moved, free.log_scale), moved) if moved.size else None
-    return stepped if stepped is not None and stepped.gain > free.gain - len(steps) else free
+    free = _free(request, R, first, picture_to_picture(keyframes, R, ground_m))
+    every = np.tril(np.ones((len(keyframes), len(keyframes))))[:, 1:]
+    if free is not None and free.gain > 0.0:
+        # A slow drift of all scales is much like a climb, and found slowly. A lens is moved at once, and then rests.
+        sizes = np.abs(np.diff(free.log_scale))
+        stepped = _stepped(request, R, first, free.log_scale, every[:, sizes > max(STEP, LARGE_STEP * sizes.max())])
+    else:
+        stepped = _stepped(request, R, first, np.zeros(len(keyframes)), _likeliest(first, keyframes, every))
+    if stepped is None and free is None:
+        return nothing
+    least = -np.inf if free is None else free.gain - len(keyframes)
+    best = stepped if stepped is not None and stepped.gain > least else free
+    assert best is not None
+    return best if best.gain > 0.0 else replace(nothing, gain=best.gain)  # what explains less than no change is none
 
 
-def _share(steps: Array, log_scale: Array) -> Array:
-    """What each step (S,) of scales (K,) that only change by `steps` (K, S) is, in least squares, a constant aside."""
-    design = np.column_stack([np.ones(len(steps)), steps])
-    return np.asarray(np.linalg.lstsq(design, log_scale, rcond=None)[0][1:], np.float64)
+def _likeliest(first: Solution, keyframes: Scaled, steps: Array) -> Array:
+    """The one of the steps (K, S) that explains most, by the slope of the cost where there is none: (K, 1)."""
+    gradient, weight = _radially(first, keyframes)
+    score = (steps.T @ gradient) ** 2 / np.sum(steps * weight[:, None], axis=0)
+    return steps[:, [int(np.argmax(score))]]
 
 
-def _fitted(request: Request, R: Array, first: Solution, log_scale: Array, steps: Array) -> Scales | None:
-    """Scales (K,) that change by `steps` (K, S) alone, from a first guess; None where they explain nothing."""
-    keyframes, has_attitude, solution = request.keyframes, have_attitude(request.keyframes), first
+def _scaled_by(request: Request, R: Array, first: Solution, log_scale: Array) -> tuple[Solution, Scaled] | None:
+    """The window adjusted with pictures scaled back by these (K,), and those pictures; None if that makes it worse."""
+    if np.abs(log_scale).max() > MOST_SCALE:
+        return None
+    back = tuple(_scaled_back(request, k, float(z)) for k, z in zip(request.keyframes, log_scale, strict=True))
+    solution = adjusted(request, back, R, has_attitude=have_attitude(request.keyframes))
+    if solution is None or image_cost(solution) - image_cost(first) > HOPELESS:
+        return None
+    return solution, back
+
+
+def _explains(first: Solution, solution: Solution, log_scale: Array) -> Scales | None:
+    variance = pixel_variance(solution)
+    return None if variance is None else Scales(log_scale, (first.cost - solution.cost) / variance)
+
+
+def _free(request: Request, R: Array, first: Solution, log_scale: Array) -> Scales | None:
+    """Scales (K,) of each picture by itself, from a first guess; None where they explain nothing."""
+    solution = first
     for _ in range(SCALE_ROUNDS):
-        if np.abs(log_scale).max() > MOST_SCALE:
+        made = _scaled_by(request, R, first, log_scale)
+        if made is None:
             return None
-        back = tuple(_scaled_back(request, k, float(z)) for k, z in zip(keyframes, log_scale, strict=True))
-        again = adjusted(request, back, R, has_attitude=has_attitude)
-        if again is None or image_cost(again) - image_cost(first) > HOPELESS:
-            return None
-        solution, found = again, steps @ _share(steps, _farther_out(again, back))
+        solution, back = made
+        found = _farther_out(solution, back)
+        found = found - found[0]
         if np.abs(found).max() < SETTLED_SCALE:
             break
         log_scale = log_scale + found
-    variance = pixel_variance(solution)
-    return None if variance is None else Scales(log_scale, (first.cost - solution.cost) / variance)
+    return _explains(first, solution, log_scale)
+
+
+def _stepped(request: Request, R: Array, first: Solution, log_scale: Array, steps: Array) -> Scales | None:
+    """Scales (K,) that change only by `steps` (K, S), where they fit best; None where they explain nothing. (19.4)
+
+    Of what a step is off by, heights take most and leave features a share of some hundredths. The share is what the
+    features lie off less by after a step's size was changed.
+    """
+    if not steps.size:
+        return None
+    design = np.column_stack([np.ones(len(steps)), steps])
+    sizes = np.asarray(np.linalg.lstsq(design, log_scale, rcond=None)[0][1:], np.float64)
+    was: tuple[Array, Array] | None = None  # what was found, and by what sizes were changed for it
+    best: Scales | None = None
+    for _ in range(STEP_ROUNDS):
+        made = _scaled_by(request, R, first, steps @ sizes)
+        if made is None:
+            break
+        scales = _explains(first, made[0], steps @ sizes)
+        best = scales if best is None or (scales is not None and scales.gain > best.gain) else best
+        gradient, weight = _radially(*made)
+        found = np.asarray(np.linalg.solve((steps.T * weight) @ steps, steps.T @ gradient), np.float64)
+        share = SHOWN
+        if was is not None:
+            share = float(np.clip((was[0] - found) @ was[1] / (was[1] @ was[1]), LEAST_SHOWN, 1.0))
+        moved = np.clip(found / share, -LONGEST, LONGEST)
+        if np.abs(moved).max() < SETTLED_SCALE:
+            break
+        was, sizes = (found, moved), sizes + moved
+    return best
+
+
+def _predicted(solution: Solution, keyframes: Scaled) -> Iterator[tuple[Array, Array, Array]]:
+    """Of each picture's known features: predicted and seen (N, 2), and the weight (N,) that the loss left them."""
+    s = solution.state
+    ids, counts = np.unique(np.concatenate([k.observation.ids for k in keyframes]), return_counts=True)
+    ids = ids[counts >= 2]
+    for i, k in enumerate(keyframes):
+        at = np.minimum(np.searchsorted(ids, k.observation.ids), len(ids) - 1)
+        known = ids[at] == k.observation.ids
+        p = (s.points_enu_m[at[known]] - s.centres_enu_m[i]) @ s.R_cam_enu[i].T
+        seen, gain = k.observation.xy[known], k.observation.gain[known]
+        yield p[:, :2] / np.maximum(p[:, 2:], 1e-6), seen, solution.robust_weight[i, at[known]] / gain**2
+
+
+def _radially(solution: Solution, keyframes: Scaled) -> tuple[Array, Array]:
+    """What the cost falls by with each picture's scale (K,), and how fast that changes; all else stays."""
+    gradient, weight = np.zeros(len(keyframes)), np.zeros(len(keyframes))
+    for i, (predicted, seen, w) in enumerate(_predicted(solution, keyframes)):
+        gradient[i] = float(np.sum(w * np.sum((seen - predicted) * seen, axis=1)))
+        weight[i] = float(np.sum(w * np.sum(seen**2, axis=1)))
+    return gradient, np.maximum(weight, 1e-9)
 
 
 def picture_to_picture(keyframes: tuple[Keyframe, ...], R: Array, ground_m: float) -> Array:
@@ -246,21 +332,15 @@ def picture_to_picture(keyframes: tuple[Keyframe, ...], R: Array, ground_m: floa
     return out
 
 
-def _farther_out(solution: Solution, keyframes: tuple[Keyframe, ...]) -> Array:
+def _farther_out(solution: Solution, keyframes: Scaled) -> Array:
     """By what logarithm (K,) each picture's features lie farther out than they are predicted: median over them."""
-    s, out = solution.state, np.zeros(len(keyframes))
-    ids, counts = np.unique(np.concatenate([k.observation.ids for k in keyframes]), return_counts=True)
-    ids = ids[counts >= 2]
-    for i, k in enumerate(keyframes):
-        at = np.minimum(np.searchsorted(ids, k.observation.ids), len(ids) - 1)
-        known = ids[at] == k.observation.ids
-        p = (s.points_enu_m[at[known]] - s.centres_enu_m[i]) @ s.R_cam_enu[i].T
-        predicted, seen = p[:, :2] / np.maximum(p[:, 2:], 1e-6), k.observation.xy[known]
+    out = np.zeros(len(keyframes))
+    for i, (predicted, seen, _) in enumerate(_predicted(solution, keyframes)):
         # About the middles of both, for a rotation is no scale.
-        predicted, seen = predicted - np.median(predicted, axis=0), seen - np.median(seen, axis=0)
-        far = np.linalg.norm(predicted, axis=1) > np.median(np.linalg.norm(predicted, axis=1))
+        where, to = predicted - np.median(predicted, axis=0), seen - np.median(seen, axis=0)
+        far = np.linalg.norm(where, axis=1) > np.median(np.linalg.norm(where, axis=1))
         if np.count_nonzero(far) >= 3:
-            ratio = np.sum(seen[far] * predicted[far], axis=1) / np.sum(predicted[far] ** 2, axis=1)
+            ratio = np.sum(to[far] * where[far], axis=1) / np.sum(where[far] ** 2, axis=1)
             out[i] = float(np.log(max(np.median(ratio), 0.1)))
     return out
 
