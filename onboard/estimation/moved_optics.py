@@ -1,4 +1,4 @@
-"""Optics that moved from picture to picture: electronic stabilisation, and zoom or refocus. (19.1) to (19.3)
+"""Optics that moved from picture to picture: electronic stabilisation, and zoom or refocus. (19.1), (19.2)
 
 A frame that follows the smoothed rotation moves the principal point from picture to picture. Seen as the rotation that
 it hides it contradicts the attitude, as an attitude that errs does. The two differ in perspective: a shift moves all of
@@ -6,8 +6,7 @@ a picture alike, a rotation its corners more. So a window that is strained is ad
 is, and with every picture shifted back by as much as its orientation differs from the autopilot's. If the attitude
 erred the second is the worse one, by perspective alone; if the frame was shifted it is the better one.
 
-A lens that zooms scales pictures as a change of height would, which contradicts positions. So a refused window is
-adjusted once more with every picture scaled back to the first by as much as its features lie off radially.
+A zoom (`zoom`) is looked for in the same windows, and the likelier of the two names the refusal.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""A lens that zoomed or refocused: how each picture of a window is scaled, and how that is followed. (19.3), (19.4)
+"""A lens that zoomed or refocused: how pictures are scaled, and how that is followed. (19.3) to (19.6)
 
 A zoom scales pictures as a change of height would, which contradicts positions. So a window is adjusted once more with
-every picture scaled back to the first by as much as its features lie off radially. Once a zoom was seen each new
-keyframe's scale follows by the others', until it has visibly come back, or until the window by itself says so.
+every picture scaled back to the first by as much as its features lie off radially, and that as steps of the lens. Once
+a zoom was seen each new keyframe's scale follows by the others', until it has visibly come back, or until the window by
+itself says so: turns are seen through the lens as it is.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ class OwnScale:
     is_explained: bool  # with it, sensors and pictures agree: it is what parted them
 
     def is_back_from(self, log_scale: float) -> bool:
-        """Whether it is what was believed, and not what it was seen at (the logarithm of that), beyond doubt. (19.4)"""
+        """Whether it is what was believed, and not what it was seen at (the logarithm of that), beyond doubt. (19.6)"""
         if self.sigma > MOST_OPEN or abs(self.log_scale) > SURE * self.sigma:
             return False
         away = (self.log_scale - log_scale) / self.sigma
@@ -169,7 +170,7 @@ def has_come_back(total: Array) -> bool:
 def by_itself(request: Request) -> OwnScale | None:
     """The scale that all pictures of a window have in common, as rotations and attitudes tell it; None if they cannot.
 
-    The focal length is adjusted with a prior that says nothing. (19.4)
+    The focal length is adjusted with a prior that says nothing. (19.5)
     """
     belief = request.belief
     mean, covariance, taken = belief.mean, belief.covariance, request.camera_taken

@@ -65,7 +65,7 @@ def drawn(path: PathSpec, seconds: float, zoom: tuple[float, float, float, float
 def test_a_small_zoom_in_a_turn_is_refused_for_as_long_as_it_lasts() -> None:
     """5 % that were over within the turn: 110 of 135 pictures after it were answered, by up to 17 m at 90 %."""
     path = PathSpec("turns", speed_m_s=20.0, height_m=150.0, bank_deg=35.5, leg_m=160.0)
-    told = drawn(path, 34.0, (1.05, 11.5, 99.0, 0.3))
+    told = drawn(path, 24.0, (1.05, 11.5, 99.0, 0.3))
     before = Counter(status for t, status in told if 3.0 < t < 11.0)
     after = Counter(status for t, status in told if t > 13.5)
     assert before[Status.OK] > 0.9 * before.total(), before
@@ -74,8 +74,8 @@ def test_a_small_zoom_in_a_turn_is_refused_for_as_long_as_it_lasts() -> None:
 
 
 def test_a_zoom_that_comes_back_is_answered_again() -> None:
-    told = drawn(PathSpec("straight", speed_m_s=20.0, height_m=150.0), 32.0, (1.1, 9.0, 15.0, 0.5))
-    zoomed = Counter(status for t, status in told if 10.5 < t < 14.5)
-    after = Counter(status for t, status in told if t > 26.0)
+    told = drawn(PathSpec("straight", speed_m_s=20.0, height_m=150.0), 21.0, (1.1, 6.0, 10.0, 0.5))
+    zoomed = Counter(status for t, status in told if 7.5 < t < 9.5)
+    after = Counter(status for t, status in told if t > 15.0)
     assert zoomed[Status.ZOOMED] > 0.8 * zoomed.total() and not zoomed[Status.OK], zoomed
     assert after[Status.OK] > 0.9 * after.total(), after
