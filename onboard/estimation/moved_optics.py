@@ -34,6 +34,7 @@ STRAINED = 1.3  # times the declared noise, above which a window that is accepte
 # By how much a logarithm of likelihood must grow. An attitude that errs exceeds it once in 20 million windows at most,
 # however large the shift is that it suggests: the difference has the mean -d/2 and the variance d, (19.2).
 LIKELIER = 15.0
+DOUBTED = float(np.log(1000.0))  # likelier than this by chance once in 10,000 strained windows: not sure, not believed
 HOPELESS = 100.0  # more of a cost with shifts than without: no further round makes up for that
 SPREAD = 0.03  # between the first guesses of a window's scales, above which an accepted window is looked at
 HELD_NS = 30_000_000_000  # for which a frame that was seen shifted, or a lens that zoomed, is still taken to be
@@ -62,7 +63,9 @@ def adjust(request: Request) -> Outcome:
     # A surface that flows explains itself, and the attitude of what may not carry the camera says nothing of its lens.
     if outcome.reason == GROUND_MOVES or request.is_carrier_open:
         return outcome
-    if outcome.status is not Status.POOR_FIT and not (outcome.status is Status.OK and _is_strained(request, outcome)):
+    # A window that no earlier one confirms is looked at too: three pictures of a turn may well hide a shift.
+    is_looked_at = not request.memory.windows or _is_strained(request, outcome)
+    if outcome.status is not Status.POOR_FIT and not (outcome.status is Status.OK and is_looked_at):
         return _noted(outcome, end_ns)
     zoomed_ns = request.noise.zoomed_ns
     if zoomed_ns and end_ns - zoomed_ns < HELD_NS:
@@ -86,6 +89,10 @@ def adjust(request: Request) -> Outcome:
     own = zoom.by_itself(before) if have_attitude(request.keyframes) else None
     if own is not None and own.is_off:
         return zoom.off_by(before, own)
+    if is_solved and explanation is not None and explanation.gain > DOUBTED:
+        return _doubted(before, f"a frame shifted by {explanation.shift_px:.0f} px rms explains the pictures better")
+    if is_solved and scales is not None and scales.is_newest_alone:
+        return _doubted(before, f"the newest picture seems scaled by {np.exp(scales.log_scale[-1]):.3f}")
     is_neither = explanation.gain < -LIKELIER if explanation is not None else not is_solved
     is_in_vain = (scales is None or scales.gain <= 0.0) and (own is None or not own.is_beyond_chance)
     if is_neither and is_in_vain:
@@ -155,6 +162,11 @@ def _shifted(request: Request, seen_ns: int, shift_px: float | None) -> Outcome:
     size = f"{(end_ns - seen_ns) / 1e9:.0f} s ago" if shift_px is None else f"{shift_px:.0f} px rms"
     reason = f"the frame is shifted from picture to picture (stabilisation, a zoom, or rows read late), {size}"
     return Outcome(Status.STABILISED, request.keyframes, noise, reason=reason)
+
+
+def _doubted(request: Request, why: str) -> Outcome:
+    """Not sure enough to say that the optics moved, and far from sure that they did not."""
+    return Outcome(Status.POOR_FIT, request.keyframes, request.noise, reason=why)
 
 
 def _is_strained(request: Request, outcome: Outcome) -> bool:

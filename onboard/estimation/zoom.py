@@ -66,12 +66,22 @@ class Scales:
     @property
     def is_zoom(self) -> bool:
         """Whether they are beyond chance and change as a zoomed lens does: out and back, and not for one picture."""
-        g, least = self.log_scale, 0.5 * float(chdtri(max(len(self.log_scale) - 1, 1), FALSE_ALARM))
-        if not self.gain > least or np.count_nonzero(np.abs(g) > LEAST_SCALE) < 2:
+        g = self.log_scale
+        if not self._is_beyond_chance or np.count_nonzero(np.abs(g) > LEAST_SCALE) < 2:
             return False
         ends = abs(float(g[-1] - g[0]))
         there_and_back = 2.0 * float(np.ptp(g)) - ends
         return float(np.abs(np.diff(g)).sum()) < there_and_back + LEAST_SCALE * len(g)
+
+    @property
+    def is_newest_alone(self) -> bool:
+        """Whether, beyond chance, the newest picture is scaled and no other: a zoom that begins, or one odd picture."""
+        scaled = np.abs(self.log_scale) > LEAST_SCALE
+        return bool(self._is_beyond_chance and scaled[-1] and np.count_nonzero(scaled) == 1)
+
+    @property
+    def _is_beyond_chance(self) -> bool:
+        return self.gain > 0.5 * float(chdtri(max(len(self.log_scale) - 1, 1), FALSE_ALARM))
 
 
 @dataclass(frozen=True)

@@ -186,3 +186,15 @@ def test_scales_are_found_as_steps_of_the_lens_and_not_as_a_slow_drift() -> None
     assert found.is_zoom
     np.testing.assert_allclose(found.log_scale[:FROM], 0.0, atol=1e-9)
     np.testing.assert_allclose(found.log_scale[FROM:], 0.05, atol=0.01)
+
+
+def test_a_zoom_that_begins_with_the_newest_picture_is_not_answered() -> None:
+    """One picture is not enough to call it a zoom; it was answered, with more noise."""
+    request = window_of(4)
+    camera, last = request.camera, request.keyframes[-1]
+    middle = np.array([camera.cx_px, camera.cy_px])
+    uv = middle + (last.observation.uv_px - middle) * 1.05
+    spoilt = replace(last, observation=observation(camera, last.observation.ids, uv))
+    outcome = adjust(replace(request, keyframes=(*request.keyframes[:-1], spoilt)))
+    assert outcome.status is Status.POOR_FIT
+    assert outcome.noise.noise_inflation == request.noise.noise_inflation
