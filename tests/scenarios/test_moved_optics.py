@@ -74,8 +74,8 @@ def test_a_small_zoom_in_a_turn_is_refused_for_as_long_as_it_lasts() -> None:
 
 
 def test_a_zoom_that_comes_back_is_answered_again() -> None:
-    told = drawn(PathSpec("straight", speed_m_s=20.0, height_m=150.0), 21.0, (1.1, 6.0, 10.0, 0.5))
-    zoomed = Counter(status for t, status in told if 7.5 < t < 9.5)
-    after = Counter(status for t, status in told if t > 15.0)
+    told = drawn(PathSpec("straight", speed_m_s=20.0, height_m=150.0), 32.0, (1.1, 9.0, 15.0, 0.5))
+    zoomed = Counter(status for t, status in told if 10.5 < t < 14.5)
+    after = Counter(status for t, status in told if t > 26.0)
     assert zoomed[Status.ZOOMED] > 0.8 * zoomed.total() and not zoomed[Status.OK], zoomed
     assert after[Status.OK] > 0.9 * after.total(), after
