@@ -64,7 +64,8 @@ def adjust(request: Request) -> Outcome:
     if outcome.reason == GROUND_MOVES or request.is_carrier_open:
         return outcome
     # A window that no earlier one confirms is looked at too: three pictures of a turn may well hide a shift.
-    is_looked_at = not request.memory.windows or _is_strained(request, outcome)
+    is_strained = _is_strained(request, outcome)
+    is_looked_at = not request.memory.windows or is_strained
     if outcome.status is not Status.POOR_FIT and not (outcome.status is Status.OK and is_looked_at):
         return _noted(outcome, end_ns)
     zoomed_ns = request.noise.zoomed_ns
@@ -83,7 +84,7 @@ def adjust(request: Request) -> Outcome:
         scales = zoom.scaled(before)
         if scales.is_zoom and (explanation is None or scales.gain > explanation.gain):
             return zoom.refused(before, scales.log_scale)
-    if excess is not None:
+    if excess is not None and (is_strained or not is_solved):
         return _shifted(before, seen_ns, excess)
     # Without attitudes nothing but the pictures themselves would tell a lens from the ground's shape.
     own = zoom.by_itself(before) if have_attitude(request.keyframes) else None
