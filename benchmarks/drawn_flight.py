@@ -25,6 +25,7 @@ from onboard.geometry.plane_homography import fit_homography
 from onboard.geometry.terrain_grid import Terrain
 from onboard.pipeline.pipeline import Pipeline
 from onboard.vision.klt_tracker import Tracker, Tracks
+from simulation.moved_optics import stabilised, zoomed
 from simulation.paths import PathSpec, fly_path
 from simulation.rows import RowsOf
 from simulation.trajectory import Trajectory
@@ -70,6 +71,9 @@ class DrawnSpec:
     camera_file: Camera | None = None  # what the pipeline is told; None: the truth
     readout_s: float = 0.0  # of the rows, as it is, whatever is configured
     gyro_sigma_deg_s: float | None = None  # of the rates sent with attitudes; None: attitudes come without
+    stabilised_s: float | None = None  # over which electronic stabilisation smooths rotation; None: there is none
+    margin: float = 0.1  # by which that may shift a frame either way, of the picture's width
+    zoom: tuple[float, float, float, float] | None = None  # factor, from and until (s), for how long each ramp (s)
 
 
 class Ground:
@@ -132,6 +136,7 @@ class DrawnFlight:
         R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg) @ exp_so3(self.boresight_rad)
         self.times_s = np.arange(round(spec.seconds * spec.rate_hz)) / spec.rate_hz
         self._rows = RowsOf(self.trajectory, R_body_cam, spec.readout_s, np.array(spec.lever_arm_m))
+        self.cameras = self._cameras(R_body_cam)
         poses = [self.trajectory.camera_pose(float(t), R_body_cam) for t in self.times_s]
         self.R_enu_cam = np.stack([p.R_enu_cam for p in poses])
         lever_enu_m = self.trajectory.R_enu_body(self.times_s) @ np.array(spec.lever_arm_m)
@@ -139,14 +144,24 @@ class DrawnFlight:
         self.terrain_error_m = e * config.terrain.sigma_datum_m * float(rng.standard_normal())
         self.terrain_tilt = e * TERRAIN_SLOPE_SIGMA * rng.standard_normal(2)
 
+    def _cameras(self, R_body_cam: Array) -> list[Camera]:
+        """The camera as it is at each picture."""
+        spec = self.spec
+        if spec.stabilised_s is not None:
+            moved = self.trajectory, R_body_cam, self.times_s, spec.stabilised_s, spec.margin
+            return stabilised(spec.camera, *moved)
+        if spec.zoom is not None:
+            return zoomed(spec.camera, self.times_s, *spec.zoom)
+        return [spec.camera] * len(self.times_s)
+
     def ground_points(self, frame: int, uv_px: Array) -> Array:
         """The ground (N, 3) that pixels (N, 2) of a picture show."""
-        rays, centres = self._rows.rays(self.spec.camera, float(self.times_s[frame]), uv_px)
+        rays, centres = self._rows.rays(self.cameras[frame], float(self.times_s[frame]), uv_px)
         return self.ground.meet(centres, rays)
 
     def pixels(self, frame: int, points: Array) -> tuple[Array, Mask]:
         """Pixels (N, 2) of points (N, 3) in a picture, and whether they are on it."""
-        return self._rows.pixels(self.spec.camera, float(self.times_s[frame]), points)
+        return self._rows.pixels(self.cameras[frame], float(self.times_s[frame]), points)
 
     def events(self) -> Iterator[Event]:
         """Telemetry and pictures, in order of time; a picture's image holds nothing but its own number."""

@@ -72,6 +72,7 @@ class Noise:
     shifted_ns: int = 0  # stamp of the newest window whose frame was seen to be shifted: `moved_optics`
     zoomed_ns: int = 0  # the same of a zoom
     looked_ns: tuple[int, int] = (0, 0)  # the same of ones accepted, and refused, that neither explains
+    past: tuple[tuple[int, float, float], ...] = ()  # of earlier windows: end, jitter, inflation: `moved_optics`
 
     def factors_at(self, start_ns: int) -> VarianceFactors:
         """The sensors' variances for a window that begins then, those of failing sensors as they fade."""
