@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
+from onboard.geometry.linalg import solve_small
 
 Array = NDArray[np.float64]
 
@@ -100,7 +101,9 @@ class HomographyFit:
         """One linear step, scaled; returns the distance (N,), px, that each pair misses by."""
         A = self._A.reshape(-1, 8)
         AW = (self._A * weight[:, None]).reshape(-1, 8)
-        h = np.linalg.solve(AW.T @ A + 1e-9 * np.eye(8), AW.T @ self._q.T.ravel())
+        N = AW.T @ A
+        N.flat[::9] += 1e-9
+        h = solve_small(N, AW.T @ self._q.T.ravel())
         self._h = np.append(h, 1.0).reshape(3, 3)
         moved = self._p1 @ self._h.T
         miss = moved[:, :2] / moved[:, 2:] - self._q
