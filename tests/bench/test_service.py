@@ -77,7 +77,7 @@ def test_an_unplugged_camera_is_said_and_taken_up_again_under_another_name(
     lost, _ = flying.wait_for("camera lost", is_lost, 10.0)
     after_s = _noticed_after_s(flying.machine.journal())
     record_property("camera lost after", f"{after_s:.1f} s")
-    assert after_s < 2.0
+    assert -1.0 < after_s < 2.0
     assert re.search("unplugged|not there|not among", lost["status"]["reason"])
     time.sleep(2.0)
     assert is_lost(flying.report())
@@ -92,11 +92,14 @@ def test_an_unplugged_camera_is_said_and_taken_up_again_under_another_name(
 
 
 def _noticed_after_s(journal: str) -> float:
-    """From the kernel's line of the camera that is gone to the service's, by the guest's own clock."""
+    """From the kernel's line of the camera that is gone to the service's, by the guest's own clock.
+
+    Negative where the service was faster: the driver tells those who read before it writes its line.
+    """
     lines = journal.splitlines()
-    gone = max(n for n, line in enumerate(lines) if "unregistering video" in line)
-    said = next(line for line in lines[gone:] if "state: camera lost" in line)
-    begun_s, said_s = (float(line[1:].split("]", 1)[0]) for line in (lines[gone], said))
+    gone = [line for line in lines if "unregistering video" in line][-1]
+    said = [line for line in lines if re.search("state: camera lost: .*(unplugged|not there|not among)", line)][-1]
+    begun_s, said_s = (float(line[1:].split("]", 1)[0]) for line in (gone, said))
     return said_s - begun_s
 
 
