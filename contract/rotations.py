@@ -6,6 +6,7 @@ Rotations are `R_dst_src`, arrays (..., 3, 3) that take components in `src` to c
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -151,29 +152,23 @@ def matrix_from_quaternion(q_wxyz: ArrayLike) -> Array:
     if q.ndim == 1 and q.any():
         return _matrix_of_one(q)
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    w, x, y, z = np.moveaxis(q, -1, 0)
-    return np.stack(
-        [
-            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=-1),
-            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=-1),
-            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1),
-        ],
-        axis=-2,
-    )
+    return np.stack([np.stack(row, axis=-1) for row in _rows_of_unit(*np.moveaxis(q, -1, 0))], axis=-2)
 
 
 def _matrix_of_one(q: Array) -> Array:
     """`matrix_from_quaternion` of one quaternion (4,), not zero, the same to the last bit in a tenth of the time."""
     w, x, y, z = q.tolist()
     length = math.sqrt(w * w + x * x + y * y + z * z)
-    w, x, y, z = w / length, x / length, y / length, z / length
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return np.array(_rows_of_unit(w / length, x / length, y / length, z / length))
+
+
+def _rows_of_unit(w: Any, x: Any, y: Any, z: Any) -> list[list[Any]]:
+    """The matrix of quaternions of length one: its entries, numbers or arrays as the four are."""
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
 
 
 def matrix_from_euler(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Array:

@@ -20,7 +20,16 @@ from contract.feature_set import Status
 from contract.rotations import log_so3
 from onboard.estimation import zoom
 from onboard.estimation.keyframe import Keyframe, have_attitude
-from onboard.estimation.optics_hypotheses import adjusted, by_sensors, image_cost, pixel_variance, seen_through, settled
+from onboard.estimation.optics_hypotheses import (
+    HOPELESS,
+    LIKELIER,
+    adjusted,
+    by_sensors,
+    image_cost,
+    pixel_variance,
+    seen_through,
+    settled,
+)
 from onboard.estimation.sensor_groups import FORGOTTEN
 from onboard.estimation.window_solver import GROUND_MOVES, MIN_KEYFRAMES, Noise, Outcome, Request
 from onboard.estimation.window_solver import adjust as solve_window
@@ -31,11 +40,7 @@ MOVED = (Status.STABILISED, Status.ZOOMED)
 ROUNDS = 5  # of shifts at most: each finds what is left of the one before
 SETTLED_PX = 2.0  # rms, of a round that has found nothing new
 STRAINED = 1.3  # times the declared noise, above which a window that is accepted is looked at too
-# By how much a logarithm of likelihood must grow. An attitude that errs exceeds it once in 20 million windows at most,
-# however large the shift is that it suggests: the difference has the mean -d/2 and the variance d, (19.2).
-LIKELIER = 15.0
 DOUBTED = float(np.log(1000.0))  # likelier than this by chance once in 10,000 strained windows: not sure, not believed
-HOPELESS = 100.0  # more of a cost with shifts than without: no further round makes up for that
 SPREAD = 0.03  # between the first guesses of a window's scales, above which an accepted window is looked at
 HELD_NS = 30_000_000_000  # for which a frame that was seen shifted, or a lens that zoomed, is still taken to be
 LOOK_NS = 4_000_000_000  # until the next window is looked at, after one in vain

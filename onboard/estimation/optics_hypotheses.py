@@ -20,6 +20,10 @@ from onboard.estimation.window_start import grid, layout_of, starting_points, sw
 
 Array = NDArray[np.float64]
 
+# By how much a logarithm of likelihood must grow. An attitude that errs exceeds it once in 20 million windows at most,
+# however large the shift is that it suggests: the difference has the mean -d/2 and the variance d, (19.2).
+LIKELIER = 15.0
+HOPELESS = 100.0  # more of a cost with what is supposed than without: no further round makes up for that
 MOST_STARTS = 4
 LOSS_SIGMAS = 3.0
 MAX_VARIANCE = 3.0  # of pixels, beside what was taken for it, in pictures that are explained

@@ -19,8 +19,11 @@ from contract.feature_set import Status
 from onboard.estimation.boresight import STATES
 from onboard.estimation.bundle_adjustment import Solution
 from onboard.estimation.camera_states import COUNT
+from onboard.estimation.factors import Layout
 from onboard.estimation.keyframe import Keyframe, have_attitude
 from onboard.estimation.optics_hypotheses import (
+    HOPELESS,
+    LIKELIER,
     adjusted,
     by_sensors,
     image_cost,
@@ -42,13 +45,11 @@ STEP_ROUNDS = 6
 SHOWN, LEAST_SHOWN = 0.05, 0.005  # of what a scale is off by, in the features: at first, and at least
 LONGEST = 0.05  # change of a step's size in one round
 FALSE_ALARM = 1e-9  # that a zoom is found where there is none: chi-square of as many degrees of freedom, (19.3)
-HOPELESS = 100.0  # more of a cost with scales than without: no further round makes up for that
 LEAST_SCALE = 0.015  # of a zoom that is one: less is what relief and heights leave
 MOST_SCALE = 1.5  # of its logarithm: beyond it features are not the same
 BACK = 0.02  # from the camera file's scale, within which a zoom has come back: windows judge again
 NEWEST = 3  # pictures that must say so
 SURE = 3.0  # sigmas
-LIKELIER = 15.0  # a logarithm of likelihood: as of shifted frames, (19.2)
 MOST_OPEN = 0.035  # one sigma of a scale's logarithm, above which a window says nothing of it
 KNOWN = 0.015  # one sigma, below which a window's own scale is what pictures are taken to have
 STEP, LARGE_STEP = 0.008, 0.4  # of a scale from picture to picture, and of the largest: less is not the lens
@@ -200,7 +201,7 @@ def by_itself(request: Request) -> OwnScale | None:
     variance = None if solution is None else pixel_variance(solution)
     if solution is None or variance is None:
         return None
-    column = 6 * len(keyframes) + STATES
+    column = Layout(len(keyframes), COUNT).camera.start  # of the focal length
     sigma2 = float(solution.covariance[column, column]) * variance
     is_explained = sensors_rms(request, solution) < TOLERATED_RMS
     return OwnScale(float(solution.state.camera[0] - mean[STATES]), float(np.sqrt(sigma2 + own)), is_explained)

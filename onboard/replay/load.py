@@ -10,10 +10,12 @@ import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from contract.camera import Camera
+from contract.feature_set import FeatureSet
 from contract.wire.codec import encode
 from onboard.config.schema import Config
 from onboard.events.types import Event, Frame
@@ -75,16 +77,11 @@ def _measure(pipeline: Pipeline, events: Iterable[tuple[int, Event]], is_over: C
     spent_ns = encoding_ns = free_ns = 0
     encoding_before_ns, stages_before = 0, dict[str, float]()
     for moment_ns, event in events:
-        began = time.thread_time_ns()
-        sets = pipeline.handle(event)
-        handled = time.thread_time_ns()
-        for s in sets:
-            encode(s)
-        ended = time.thread_time_ns()
-        encoding_ns += ended - handled
-        spent_ns += ended - began
-        free_ns = max(free_ns, moment_ns) + ended - began
-        if sets and len(stamps_ns) > WARM_UP:
+        has_sets, took_ns, of_it_encoding_ns = _timed(partial(pipeline.handle, event))
+        encoding_ns += of_it_encoding_ns
+        spent_ns += took_ns
+        free_ns = max(free_ns, moment_ns) + took_ns
+        if has_sets and len(stamps_ns) > WARM_UP:
             lags_ms.append((free_ns - moment_ns) / 1e6)
         if isinstance(event, Frame):
             stamps_ns.append(event.stamp_ns)
@@ -95,13 +92,8 @@ def _measure(pipeline: Pipeline, events: Iterable[tuple[int, Event]], is_over: C
             if is_over(len(stamps_ns)):
                 break
     # What still waits to be placed belongs to the pictures that were flown, not to the last of them.
-    began = time.thread_time_ns()
-    sets = pipeline.finish()
-    handled = time.thread_time_ns()
-    for s in sets:
-        encode(s)
-    ended = time.thread_time_ns()
-    encoding_ns += ended - handled
+    _, finish_ns, of_it_encoding_ns = _timed(pipeline.finish)
+    encoding_ns += of_it_encoding_ns
     summary = pipeline.summary
     pictures = len(stamps_ns) - WARM_UP if len(stamps_ns) > WARM_UP else len(stamps_ns)
     counted = costs_ms[-pictures:] if pictures else []
@@ -111,7 +103,7 @@ def _measure(pipeline: Pipeline, events: Iterable[tuple[int, Event]], is_over: C
     }
     stages["encode"] = (encoding_ns - encoding_before_ns) / 1e6 / per
     in_this_thread = sum(ms for name, ms in stages.items() if name != "solve")
-    stages["other"] = max((sum(counted) + (ended - began) / 1e6) / per - in_this_thread, 0.0)
+    stages["other"] = max((sum(counted) + finish_ns / 1e6) / per - in_this_thread, 0.0)
     quarter = max(len(counted) // 4, 1)
     return Load(
         len(stamps_ns),
@@ -123,6 +115,17 @@ def _measure(pipeline: Pipeline, events: Iterable[tuple[int, Event]], is_over: C
         float(np.mean(counted[:quarter])) if counted else 0.0,
         float(np.mean(counted[-quarter:])) if counted else 0.0,
     )
+
+
+def _timed(make: Callable[[], list[FeatureSet]]) -> tuple[bool, int, int]:
+    """Make sets and encode them: whether there were any, what both took this thread, ns, and encoding alone."""
+    began = time.thread_time_ns()
+    sets = make()
+    made = time.thread_time_ns()
+    for s in sets:
+        encode(s)
+    ended = time.thread_time_ns()
+    return bool(sets), ended - began, ended - made
 
 
 def _quantile(values: list[float], share: float) -> float:

@@ -10,7 +10,8 @@ import pytest
 from contract.feature_set import Status
 from contract.rotations import exp_so3
 from onboard.estimation.keyframe import Keyframe, observation
-from onboard.estimation.moved_optics import LIKELIER, adjust, explained
+from onboard.estimation.moved_optics import adjust, explained
+from onboard.estimation.optics_hypotheses import LIKELIER
 from onboard.estimation.window_solver import Request
 from onboard.estimation.zoom import Scales, by_itself, followed_by, has_come_back, scaled
 from tests.onboard.scenes import draw

@@ -35,6 +35,23 @@ def slow_link(brisk: Session) -> Session:
     return replace(brisk, config=brisk.config + f"\n[link]\nmax_rate_hz = {MAX_RATE_HZ}\n")
 
 
+@pytest.fixture(scope="module")
+def slow_sets(slow_link: Session) -> list[FeatureSet]:
+    return slow_link.run()
+
+
+@pytest.fixture(scope="module")
+def fast(brisk: Session) -> dict[int, list[FeatureSet]]:
+    """The sets of each picture, the link being fast enough for all of them."""
+    return by_frame(brisk.run())
+
+
+@pytest.fixture(scope="module")
+def slow(slow_sets: list[FeatureSet]) -> dict[int, list[FeatureSet]]:
+    """The same where it is slow."""
+    return by_frame(slow_sets)
+
+
 def by_frame(sets: list[FeatureSet]) -> dict[int, list[FeatureSet]]:
     out: dict[int, list[FeatureSet]] = defaultdict(list)
     for s in sets:
@@ -42,8 +59,9 @@ def by_frame(sets: list[FeatureSet]) -> dict[int, list[FeatureSet]]:
     return out
 
 
-def test_every_picture_has_a_set_in_the_end_and_those_that_waited_one_alone(brisk: Session, slow_link: Session) -> None:
-    fast, slow = by_frame(brisk.run()), by_frame(slow_link.run())
+def test_every_picture_has_a_set_in_the_end_and_those_that_waited_one_alone(
+    brisk: Session, fast: dict[int, list[FeatureSet]], slow: dict[int, list[FeatureSet]]
+) -> None:
     assert sorted(slow) == sorted(fast) == list(range(len(brisk.truth)))
     assert {f for f, sets in slow.items() if sets[-1].is_ok} >= {f for f, sets in fast.items() if sets[-1].is_ok}
     waited = [f for f, sets in slow.items() if len(sets) < len(fast[f])]
@@ -53,9 +71,10 @@ def test_every_picture_has_a_set_in_the_end_and_those_that_waited_one_alone(bris
         assert only.revision == 0 and not only.is_keyframe
 
 
-def test_what_waited_is_answered_as_well_as_what_was_placed_twice(brisk: Session, slow_link: Session) -> None:
+def test_what_waited_is_answered_as_well_as_what_was_placed_twice(
+    fast: dict[int, list[FeatureSet]], slow: dict[int, list[FeatureSet]]
+) -> None:
     """The same ground to a tenth of the radius: both were placed last by the same windows."""
-    fast, slow = by_frame(brisk.run()), by_frame(slow_link.run())
     compared = 0
     for f in (f for f, sets in slow.items() if len(sets) < len(fast[f])):
         for uv in CLICKS:
@@ -82,8 +101,8 @@ def test_the_newest_set_is_never_older_than_the_link_asks(slow_link: Session) ->
     assert 0.1 < max(ages_s) < INTERVAL_NS / 1e9 + 0.35
 
 
-def test_two_runs_give_the_same_bytes(slow_link: Session) -> None:
-    assert [encode(s) for s in slow_link.run()] == [encode(s) for s in slow_link.run()]
+def test_two_runs_give_the_same_bytes(slow_link: Session, slow_sets: list[FeatureSet]) -> None:
+    assert [encode(s) for s in slow_link.run()] == [encode(s) for s in slow_sets]
 
 
 def test_what_waits_when_navigation_is_lost_is_placed_before_all_is_forgotten(slow_link: Session) -> None:
