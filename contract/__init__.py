@@ -1,1 +1,4 @@
-"""What aircraft and ground agree on: geometry, feature set, wire format. Python and NumPy, no I/O, no clock."""
+"""What aircraft and ground agree on: geometry, feature set, wire format. Python and NumPy, no I/O.
+
+No thread and no clock but in `supervised_thread`.
+"""

@@ -2,7 +2,7 @@
 
 Pixel (0, 0) is the centre of the top-left pixel; the camera looks along +z with x to the right and y down. Equations
 (2.1) to (2.4) of docs/mathematics.md. A fitted distortion polynomial need not be invertible over the whole picture
-(it may fold back before the corner): such pixels have no ray, and `unproject` says so instead of inventing one.
+(it may fold back before the corner): such pixels have no ray, and `unproject` marks them invalid.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Sigma = tuple[float, float, float, float, float]
 
-# What a camera file that does not say so may be wrong about: see `Camera.sigma`. A lens of the same type and a data
+# What a camera file without sigmas may be wrong about: see `Camera.sigma`. A lens of the same type and a data
 # sheet give the focal length to some per cent, and k1 and k2 to about this.
 UNKNOWN_SIGMA = (0.02, 0.01, 0.01, 0.05, 0.05)
 SIGMA_KEYS = ("fx", "cx", "cy", "k1", "k2")  # of a camera file's calibration, in the order of `Camera.sigma`
@@ -52,7 +52,7 @@ class Camera:
     sigma: ClassVar[Sigma] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self, stated_sigma: Sigma | None) -> None:
-        """Keep the sigmas beside the fields, for they are no part of what the camera is."""
+        """Keep the sigmas separate from the fields, because they are no part of what the camera is."""
         if stated_sigma is not None:
             object.__setattr__(self, "sigma", stated_sigma)
 
@@ -183,12 +183,6 @@ class Camera:
         out += tangential * r2
         return out
 
-    def distortion_jacobian(self, xy: ArrayLike) -> Array:
-        """d distort / d xy, (..., 2, 2), (2.2)."""
-        xy = np.asarray(xy, float)
-        _, (xx, yy), cross = self._distorted(xy.reshape(-1, 2).T)
-        return np.stack([xx, cross, cross, yy], axis=-1).reshape(*xy.shape, 2)
-
     def area_gain(self, xy: Array) -> Array:
         """How much larger a small area about undistorted coordinates (N, 2) becomes distorted, (N,): (2.2)'s
         determinant.
@@ -208,7 +202,7 @@ class Camera:
         return uv, usable & self.contains(uv)
 
     def contains(self, uv_px: ArrayLike) -> Mask:
-        """Whether pixels (..., 2) lie on the picture, its half-pixel border included."""
+        """Whether pixels (..., 2) are inside the picture, its half-pixel border included."""
         uv = np.asarray(uv_px, float)
         u, v = uv[..., 0], uv[..., 1]
         inside: Mask = (u >= -0.5) & (v >= -0.5) & (u <= self.width_px - 0.5) & (v <= self.height_px - 0.5)

@@ -1,6 +1,6 @@
-"""How alike the slow errors of two windows are, by when their pictures were taken. Equation (9.13).
+"""How correlated the slow errors of two windows are, by when their pictures were taken. Equation (9.13).
 
-Ground and aircraft both compare what two windows of a flight say, and must know alike what these have in common.
+Ground and aircraft both compare the results of two windows of a flight, and must agree on what these have in common.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""The exception tree. Messages carry the offending value and say what to do instead.
+"""The exception tree. Messages carry the offending value and what to do instead.
 
 PointclickError
 ├── ConfigError            a configuration key or value is wrong
 ├── InputError             a file, a picture, a log or a recording cannot be used
-├── LinkError              the link cannot be opened, or nobody answers on it
+├── LinkError              the link cannot be opened, or there is no answer on it
 └── WireError              a payload is not a feature set this version can read
     ├── CorruptPayload     checksum or content is inconsistent
-    ├── TruncatedPayload   shorter than its own header says
+    ├── TruncatedPayload   shorter than its own header states
     └── NewerPayload       written by a newer, incompatible version
 
 Expected geometric failure (too little parallax, a click at the sky) is a value, a `Status`, never an exception.
@@ -28,7 +28,7 @@ class InputError(PointclickError):
 
 
 class LinkError(PointclickError):
-    """The link cannot be opened, or nobody answers on it."""
+    """The link cannot be opened, or there is no answer on it."""
 
 
 class WireError(PointclickError):
@@ -40,7 +40,7 @@ class CorruptPayload(WireError):
 
 
 class TruncatedPayload(WireError):
-    """Shorter than its own header says."""
+    """Shorter than its own header states."""
 
 
 class NewerPayload(WireError):

@@ -13,9 +13,9 @@ T = TypeVar("T")
 
 # Sets in a row of a session that is not plainly a new one, before it is taken for the one that runs. A session's number
 # is the clock's second at its beginning, so a lower one is nearly always a late packet; after so many it is an aircraft
-# whose clock was set back before it started anew.
+# whose clock was set back before it restarted.
 IN_A_ROW = 5
-MAX_SESSIONS = 2  # whose sets are kept: of the one that runs and of the one heard last beside it
+MAX_SESSIONS = 2  # whose sets are kept: of the one that runs and of the last other one received
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,9 @@ class Entry(Generic[T]):
 class History(Generic[T]):
     """Items (payloads, sets) by frame and by capture time. Ages are counted between captures: it has no clock.
 
-    All that is handed out is of one session, the one that runs. It is the highest ever heard of, so that packets of an
+    All that is returned is of one session, the one that runs. It is the highest ever received, so that packets of an
     earlier one that come late change nothing; but IN_A_ROW sets of another make that the one that runs, with all of its
-    sets that were heard.
+    sets that were received.
     """
 
     def __init__(self, max_age_s: float = 600.0, max_sets: int = 5000) -> None:
@@ -58,16 +58,21 @@ class History(Generic[T]):
         """Number of the session that runs; None before the first set."""
         return None if self._current.number < 0 else self._current.number
 
-    def add(self, feature_set: FeatureSet, item: T) -> None:
-        """Keep a set; a revision older than the one held is dropped."""
+    def add(self, feature_set: FeatureSet, item: T, *, is_running: bool = True) -> None:
+        """Keep a set; a revision older than the one held is dropped.
+
+        `is_running` False: it did not come by itself just now, so it does not show which session runs, except by being
+        of a higher one.
+        """
         s = feature_set
-        self._in_a_row = self._in_a_row + 1 if s.session == self._last else 1
-        self._last = s.session
+        if is_running:
+            self._in_a_row = self._in_a_row + 1 if s.session == self._last else 1
+            self._last = s.session
         session = self._sessions.get(s.session)
         if session is None:
             session = self._sessions[s.session] = _Session(s.session)
         session.add(Entry(s.frame, s.revision, s.capture_unix_ns, s.status, item), self.max_age_s, self.max_sets)
-        if s.session > self._highest or self._in_a_row >= IN_A_ROW:
+        if s.session > self._highest or (is_running and self._in_a_row >= IN_A_ROW):
             self._current = session
         self._highest = max(self._highest, s.session)
         if len(self._sessions) > MAX_SESSIONS:

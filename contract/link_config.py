@@ -11,7 +11,7 @@ from typing import Any
 from contract.errors import LinkError
 
 OPEN_TIMEOUT_MS = 2000
-# Far above whatever we send: a peer that sends more is not heard with it, and does not fill our memory.
+# Far above all that we send: a larger message is dropped, and does not fill our memory.
 MAX_MESSAGE_BYTES = 2_000_000
 SECURE = ("tls/", "quic/")
 CA_FILE, CERTIFICATE_FILE, KEY_FILE = "ca.pem", "certificate.pem", "key.pem"
@@ -19,7 +19,7 @@ CA_FILE, CERTIFICATE_FILE, KEY_FILE = "ca.pem", "certificate.pem", "key.pem"
 
 @dataclass(frozen=True)
 class Tls:
-    """Files (PEM) of one end: the authority both trust, its own certificate and its private key."""
+    """Files (PEM) of one end: the authority that both accept, its own certificate and its private key."""
 
     ca: str
     certificate: str
@@ -43,7 +43,7 @@ class Tls:
 
     @classmethod
     def in_folder(cls, folder: Path | str) -> Tls:
-        """The three files of a folder as `pc-onboard make-credentials` leaves it. Raises LinkError."""
+        """The three files of a folder as `pc-onboard make-credentials` writes it. Raises LinkError."""
         place = Path(folder)
         found = cls.of(place / CA_FILE, place / CERTIFICATE_FILE, place / KEY_FILE)
         assert found is not None
@@ -62,7 +62,7 @@ def link_config(
 ) -> str:
     """Text for `zenoh.Config.from_json5`.
 
-    A "peer" goes on without those it connects to and tries them again every 0.5 to 1 s, for good; a "client" tries
+    A "peer" goes on without those it connects to and tries them again every 0.5 to 1 s, without end; a "client" tries
     once and fails at once. With `tls` both ends must show a certificate of its authority, and no other kind of endpoint
     is taken: LinkError. An aircraft takes subscriptions and queries and nothing else from others; with `tls`, of those
     whose certificate's common name is in `allowed`, if any are named.

@@ -2,7 +2,7 @@
 
 Source: the MCAP specification, version 0 (mcap.dev/spec). A file may be cut off anywhere (a killed process, a lost
 disk): that is its end and no damage. A record whose length or opcode cannot be is followed by a search for the next
-place from which records follow one another; what lies between is said.
+place from which records follow one another; what is between is reported.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def records(data: Data, damaged: Callable[[Damage], None]) -> Iterator[Record]:
         is_whole = after <= end and least[opcode] <= length < _MAX_LENGTH
         has_next = is_whole and after + head <= end
         next_opcode, next_length = unpack(data, after) if has_next else (0, 0)
-        # Whoever takes a damaged record for the end of the data loses all that comes after it.
+        # A reader that takes a damaged record for the end of the data loses all that comes after it.
         if is_whole and (
             (opcode == DATA_END and length != least[DATA_END]) or (is_closed and end - head < after < end)
         ):

@@ -1,6 +1,6 @@
 """A small picture of a keyframe, as it crosses the link: a compressed image and which feature set it belongs to.
 
-What came from elsewhere goes to a browser's decoder, so an image is what its first bytes say, of the size they say, or
+What came from elsewhere goes to a browser's decoder, so an image has the format and size that its first bytes state, or
 it is none. A click on it is one on the camera's picture: u = (u' + 0.5) width / width' - 0.5, v likewise.
 """
 
@@ -57,7 +57,7 @@ class LinkPicture:
 
 
 def image_size(content: bytes) -> tuple[ImageFormat, int, int]:
-    """Format, width and height (px) that an image's own head says. Raises CorruptPayload if it is neither kind."""
+    """Format, width and height (px) that an image's own head states. Raises CorruptPayload if it is neither kind."""
     if content[:4] == b"RIFF" and content[8:12] == b"WEBP":
         size = _webp_size(content)
         if size is not None:
@@ -94,13 +94,13 @@ def _jpeg_size(content: bytes) -> tuple[int, int] | None:
 
 
 def checked(picture: LinkPicture) -> LinkPicture:
-    """The picture, if its image is of the format and size that it is said to be. Raises CorruptPayload."""
+    """The picture, if its image is of the format and size that it is declared to be. Raises CorruptPayload."""
     if not 0 < len(picture.content) <= MAX_BYTES:
         raise CorruptPayload(f"a picture of {len(picture.content)} bytes; 1 to {MAX_BYTES} are taken")
     found = image_size(picture.content)
-    said = picture.format, picture.width_px, picture.height_px
-    if found != said:
-        raise CorruptPayload(f"a picture that says {_words(*said)} holds {_words(*found)}")
+    declared = picture.format, picture.width_px, picture.height_px
+    if found != declared:
+        raise CorruptPayload(f"a picture declared as {_words(*declared)} holds {_words(*found)}")
     if not (0 < picture.width_px <= MAX_SIDE_PX and 0 < picture.height_px <= MAX_SIDE_PX):
         raise CorruptPayload(f"a picture of {picture.width_px}x{picture.height_px} px; at most {MAX_SIDE_PX} a side")
     return picture

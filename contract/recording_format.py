@@ -20,7 +20,7 @@ FILTERS = "pc/{vehicle}/filter"
 GIMBALS = "pc/{vehicle}/gimbal"
 RANGES = "pc/{vehicle}/range"
 GAPS = "pc/{vehicle}/gaps"
-# For viewers alone, as schemas that Foxglove knows.
+# For viewers alone, as schemas that Foxglove supports.
 VIEW_VEHICLE = "pc/{vehicle}/view/vehicle"
 VIEW_CAMERA = "pc/{vehicle}/view/camera"
 VIEW_FEATURES = "pc/{vehicle}/view/features"
@@ -54,15 +54,15 @@ def session_parts(names: list[str], one: str) -> list[str]:
 def session_files(path: Path) -> list[Path]:
     """All files of the session that a file belongs to, or of the one session in a folder, in order.
 
-    Raises InputError for a folder without a session, or with several. A file that is not there is handed back: opening
-    it says why.
+    Raises InputError for a folder without a session, or with several. A file that is not there is returned: opening
+    the message gives the reason.
     """
     if not path.is_dir():
         try:
-            beside = [file.name for file in path.parent.iterdir()]
+            siblings = [file.name for file in path.parent.iterdir()]
         except OSError:
             return [path]
-        return [path.with_name(name) for name in session_parts(beside, path.name)]
+        return [path.with_name(name) for name in session_parts(siblings, path.name)]
     found = sorted(file.name for file in path.iterdir() if split_part(file.name))
     sessions = sorted({split[0] for name in found if (split := split_part(name))})
     if not sessions:

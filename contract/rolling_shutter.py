@@ -46,7 +46,7 @@ def image_velocity(
     rate: Sequence[Array] | Array,
     velocity: Sequence[Array] | Array,
 ) -> tuple[Array, Array]:
-    """d x / dt and d y / dt (1/s) of normalised image coordinates of points that stand still. (18.2)
+    """d x / dt and d y / dt (1/s) of normalised image coordinates of points that do not move. (18.2)
 
     `rate` (rad/s) and `velocity` (m/s) are three numbers each, camera axes, or three arrays that broadcast with x.
     """

@@ -46,6 +46,27 @@ def exp_so3(v: ArrayLike) -> Array:
     return out
 
 
+def exp_of_plain(x: float, y: float, z: float) -> list[list[float]]:
+    """`exp_so3` of one vector in plain numbers: the matrix's rows, in a fifth of the time. (1.4)
+
+    Its last bits may differ from those of `exp_so3`.
+    """
+    angle2 = x * x + y * y + z * z
+    if angle2 < 1e-8:
+        a, b = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
+    else:
+        angle = math.sqrt(angle2)
+        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle2
+    c = 1.0 - b * angle2
+    bx, by, bz = b * x, b * y, b * z
+    ax, ay, az = a * x, a * y, a * z
+    return [
+        [c + bx * x, bx * y - az, bx * z + ay],
+        [bx * y + az, c + by * y, by * z - ax],
+        [bx * z - ay, by * z + ax, c + bz * z],
+    ]
+
+
 def _exp_of_one(v: Array) -> Array:
     """`exp_so3` of one vector (3,), the same to the last bit in a third of the time."""
     x, y, z = v.tolist()
@@ -68,7 +89,7 @@ def log_so3(R: ArrayLike) -> Array:
         return np.array(log_of_one(R.tolist()))
     flat = R.reshape(*R.shape[:-2], 9)
     cosine = 0.5 * (flat[..., 0] + flat[..., 4] + flat[..., 8] - 1.0)
-    if np.any(cosine < -0.5):  # near half a turn the sine says too little: by quaternions
+    if np.any(cosine < -0.5):  # near half a turn the sine is too small: by quaternions
         return _log_by_quaternion(R)
     out = flat @ _UNSKEW
     sine = np.sqrt((out * out).sum(axis=-1))

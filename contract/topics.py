@@ -26,7 +26,7 @@ class Qos:
 
 @dataclass(frozen=True)
 class Topic:
-    """One key and what travels on it. `max_rate_hz` is a promise to the link, not a measured rate."""
+    """One key and what travels on it. `max_rate_hz` is a limit that the sender keeps, not a measured rate."""
 
     template: str
     payload: str
@@ -48,9 +48,9 @@ class Topic:
         return name
 
 
-# A message is small, stands alone and is soon followed by a newer one: never wait for an old one to get through.
+# A message is small, complete in itself and is soon followed by a newer one: never wait for an old one to get through.
 LATEST_ONLY = Qos("BEST_EFFORT", "DROP", "DATA", express=True)
-# Of a query and its answer, both said once: they wait for their turn, and zenoh sends them again if they are lost. It
+# Of a query and its answer, both sent once: they wait in the queue, and zenoh sends them again if they are lost. It
 # gives the answer the quality of its query.
 QUERY = Qos("RELIABLE", "BLOCK", "DATA", express=False)
 
@@ -72,7 +72,7 @@ TOPICS: tuple[Topic, ...] = (FEATURES, STATUS, PICTURE)
 # Parameters of a query on FEATURES. None: the newest answerable set.
 FRAME_PARAMETER = "frame"
 TIME_PARAMETER = "time"
-# Parameter of a query on STATUS: whatever else the daemon knows of itself, for `pc-onboard doctor`.
+# Parameter of a query on STATUS: all other state of the daemon, for `pc-onboard doctor`.
 DETAIL_PARAMETER = "detail"
-# How far a picture's capture may lie from the `time` asked for.
+# How far a picture's capture may be from the `time` asked for.
 TIME_TOLERANCE_S = 0.5

@@ -1,13 +1,14 @@
 """How the aircraft's side is, once a second: a small JSON object. docs/wire-format.md, section 10.
 
-Written for people and dashboards, so text; a reader passes over keys it does not know, and keys may be added.
+Written for people and dashboards, so text; a reader ignores unknown keys, and keys may be added.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 from contract.errors import CorruptPayload, NewerPayload
@@ -16,6 +17,8 @@ VERSION = 1
 MAX_BYTES = 300
 MAX_STATE = 24
 MAX_REASON = 50
+MAX_SHARES = 3
+MAX_CODE = 12
 
 
 @dataclass(frozen=True)
@@ -32,10 +35,18 @@ class VehicleStatus:
     frame: int = -1  # newest picture that has a set; -1 before the first
     delay_s: float = 0.0  # from its capture to its set
     tracks: int = 0
-    dropped: int = 0  # pictures, for want of time
+    dropped: int = 0  # pictures, because time was short
     lost: int = 0  # pictures, by the camera
     recording: bool = False
     cpu_c: float | None = None  # its temperature
+    # Of a click's variance in the middle of the newest picture, per cent by code (`contract.error_sources`); the
+    # largest, or none while they are not known.
+    shares: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def fractions(self) -> dict[str, float]:
+        """The shares from 0 to 1, the largest first."""
+        return {code: share / 100.0 for code, share in sorted(self.shares.items(), key=lambda item: -item[1])}
 
 
 def encode_status(status: VehicleStatus) -> bytes:
@@ -44,11 +55,18 @@ def encode_status(status: VehicleStatus) -> bytes:
     for key, digits in (("unix_s", 3), ("up_s", 0), ("camera_hz", 1), ("ok_hz", 1), ("delay_s", 3)):
         content[key] = _number(content[key], digits)
     content["state"], content["reason"] = status.state[:MAX_STATE], _plain(status.reason)[:MAX_REASON]
+    if status.shares:
+        content["shares"] = dict(list(status.shares.items())[:MAX_SHARES])
+    else:
+        del content["shares"]
     if status.cpu_c is None:
         del content["cpu_c"]
     else:
         content["cpu_c"] = _number(status.cpu_c, 0)
     payload = json.dumps(content, separators=(",", ":"), allow_nan=False).encode("ascii")
+    if len(payload) > MAX_BYTES and status.shares:  # a reason is worth more
+        fewer = dict(list(status.shares.items())[: min(len(status.shares), MAX_SHARES) - 1])
+        return encode_status(replace(status, shares=fewer))
     if len(payload) > MAX_BYTES and content["reason"]:  # only after months of counting
         shorter = content["reason"][: max(len(content["reason"]) - (len(payload) - MAX_BYTES), 0)]
         return encode_status(replace(status, reason=shorter))
@@ -68,7 +86,7 @@ def _plain(text: str) -> str:
 
 
 def decode_status(payload: bytes) -> VehicleStatus:
-    """Raises NewerPayload for a later major version and CorruptPayload for whatever else is not a status."""
+    """Raises NewerPayload for a later major version and CorruptPayload for anything else that is not a status."""
     if len(payload) > 4 * MAX_BYTES:
         raise CorruptPayload(f"a status of {len(payload)} bytes; at most {4 * MAX_BYTES} are read")
     try:
@@ -90,18 +108,30 @@ def decode_status(payload: bytes) -> VehicleStatus:
     for name, value in values.items():
         if not _fits(value, known[name]):
             raise CorruptPayload(f"status with {name} = {str(value)[:40]!r}, which is not {known[name]}")
+    _check_sizes(values)
+    return VehicleStatus(**values)
+
+
+def _check_sizes(values: Mapping[str, Any]) -> None:
     if len(values["state"]) > MAX_STATE or len(values.get("reason", "")) > MAX_REASON:
         raise CorruptPayload("status with a state or reason too long")
+    if len(values.get("shares", {})) > MAX_SHARES:
+        raise CorruptPayload(f"status with more than {MAX_SHARES} shares")
     if not all(text.isprintable() for text in (values["state"], values.get("reason", ""))):
         raise CorruptPayload("status with a state or reason that cannot be printed")
-    return VehicleStatus(**values)
 
 
 def _is_whole(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
+def _is_share(code: str, share: object) -> bool:
+    return 0 < len(code) <= MAX_CODE and code.isascii() and code.isalnum() and _is_whole(share) and 0 <= share <= 100  # type: ignore[operator]
+
+
 def _fits(value: object, kind: str) -> bool:
+    if kind.startswith("Mapping"):
+        return isinstance(value, dict) and all(_is_share(code, share) for code, share in value.items())
     if kind == "str":
         return isinstance(value, str)
     if kind == "bool":

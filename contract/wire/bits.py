@@ -15,11 +15,11 @@ Ints = NDArray[np.int64]
 Bits = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-MAX_WIDTH = 44  # bits; wider values mean a sigma absurdly small beside its depth
-SHORT = 16  # bits of a number in `short_to_bits`, at most
+MAX_WIDTH = 44  # bits; wider values mean a sigma absurdly small relative to its depth
+SHORT = 16  # bits a number that `fixed_to_bits` is quicker with
 _WORD = 63  # bits of neighbouring columns that are put together before they are taken apart into bits
 # Which of a 16-bit number's bits are its k lowest, most significant bit first.
-LOWEST: Mask = np.arange(SHORT)[None, :] >= SHORT - np.arange(SHORT)[:, None]
+LOWEST: Mask = np.arange(SHORT)[None, :] >= SHORT - np.arange(SHORT + 1)[:, None]
 
 
 def zigzag(signed: Ints) -> Ints:
@@ -34,15 +34,12 @@ def unzigzag(unsigned: Ints) -> Ints:
     return out
 
 
-def rice_parameters(columns: Ints) -> list[int]:
-    """Of each of the columns (C, N), numbers >= 0: the parameter of the fewest bits, the smallest of equals.
+def rice_parameter(total: int, count: int) -> int:
+    """The parameter for `count` numbers >= 0 of that sum: the bits of half their mean.
 
-    Beyond the bits of the largest number a parameter costs a bit a number more for nothing, so none is tried.
+    Of numbers with a geometric distribution no other takes fewer bits, or next to none do (Kiely 2004).
     """
-    ks = np.arange(min(int(columns.max(initial=0)).bit_length() + 1, MAX_WIDTH))[:, None]
-    cost = np.add.reduce(columns >> ks[:, :, None], axis=2) + columns.shape[1] * ks
-    out: list[int] = cost.argmin(axis=0).tolist()
-    return out
+    return min((total // (2 * count)).bit_length(), MAX_WIDTH - 1)
 
 
 def _words(widths: list[int]) -> list[tuple[list[int], int]]:
@@ -57,20 +54,8 @@ def _words(widths: list[int]) -> list[tuple[list[int], int]]:
     return out
 
 
-def fixed_to_bits(columns: list[tuple[Ints, int]]) -> Bits:
-    """Columns of (values (N,), width) -> bits (N * sum of widths,), row by row, most significant bit first."""
-    rest = iter(columns)
-    rows = []
-    for widths, total in _words([width for _, width in columns]):
-        word, _ = next(rest)
-        for width in widths[1:]:
-            word = word << width | next(rest)[0]
-        rows.append(np.unpackbits(word.astype(">i8").view(np.uint8)).reshape(-1, 64)[:, 64 - total :])
-    return (rows[0] if len(rows) == 1 else np.concatenate(rows, axis=1)).ravel()
-
-
 def bits_to_fixed(bits: Bits, widths: list[int]) -> list[Ints]:
-    """Inverse of `fixed_to_bits`; the number of rows follows from the number of bits."""
+    """Rows of neighbouring fields of `widths` bits -> columns; the number of rows follows from the number of bits."""
     table = bits.reshape(-1, sum(widths))
     out: list[Ints] = []
     start = 0
@@ -85,17 +70,29 @@ def bits_to_fixed(bits: Bits, widths: list[int]) -> list[Ints]:
     return out
 
 
-def short_to_bits(values: Ints, ks: Ints) -> Bits:
-    """The k (N,) lowest bits of values (N,) below 2^16, k below 16, one after the other."""
-    out: Bits = np.unpackbits(values.astype(">u2").view(np.uint8)).reshape(-1, SHORT)[LOWEST.take(ks, axis=0)]
+def fixed_to_bits(values: Ints, ks: Ints) -> Bits:
+    """The k (N,) lowest bits of values (N,), one after the other, most significant first."""
+    if np.maximum.reduce(ks, initial=0) <= SHORT:
+        table = np.unpackbits(values.astype(">u2").view(np.uint8)).reshape(-1, SHORT)
+        return table[LOWEST.take(ks, axis=0)]
+    table = np.unpackbits(values.astype(">u8").view(np.uint8)).reshape(-1, 64)
+    return table[np.arange(64) >= 64 - ks[:, None]]
+
+
+def windows(payload: bytes, position: int, first: int, ks: Ints) -> Ints:
+    """Inverse of `fixed_to_bits`: numbers of k (N,) bits each, from bit `first` behind byte `position` on.
+
+    k is up to 57; the payload holds that many bits.
+    """
+    held = payload[position:] + bytes(8)
+    every = np.ndarray(len(held) - 7, ">u8", held, strides=(1,))  # the eight bytes from each byte on
+    ends = ks.cumsum()
+    ends += first
+    starts = ends - ks
+    words = every.take(starts >> 3).astype(np.uint64)
+    words <<= (starts & 7).view(np.uint64)
+    out: Ints = (words >> (64 - ks).view(np.uint64)).view(np.int64)
     return out
-
-
-def bits_to_short(bits: Bits, ks: Ints) -> Ints:
-    """Inverse of `short_to_bits`: bits (sum of ks,) -> values (N,)."""
-    table = np.zeros((len(ks), SHORT), np.uint8)
-    table[LOWEST.take(ks, axis=0)] = bits
-    return np.packbits(table.ravel()).view(">u2").astype(np.int64)
 
 
 def with_unary(fixed: list[Bits], quotients: Ints) -> bytes:

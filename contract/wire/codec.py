@@ -1,6 +1,6 @@
 """FeatureSet <-> bytes. docs/wire-format.md is the specification; section numbers below are its own.
 
-`encode` sorts features by quantised row; what `decode` returns encodes to the same bytes again.
+`encode` writes version 4.0 and sorts features by row; what `decode` returns encodes to the same bytes again.
 """
 
 from __future__ import annotations
@@ -11,31 +11,25 @@ import zlib
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from contract.camera import Camera
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
-from contract.feature_set import DepthSource, FeatureSet, HeightDatum, Status
-from contract.rolling_shutter import RollingShutter
-from contract.rotations import exp_so3, log_of_one
+from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, HeightDatum, Status
+from contract.wire import version_2
 from contract.wire.byte_cursor import ByteCursor
-from contract.wire.common_code import decode_common, encode_common
+from contract.wire.common_code import common_from_numbers, common_numbers, shared_codes, shared_from_codes
 from contract.wire.covariance_code import sigma_code, sigma_from_code
-from contract.wire.feature_code import decode_features, encode_features
-
-Array = NDArray[np.float64]
+from contract.wire.feature_code import feature_numbers, features_from_numbers
+from contract.wire.geometry_code import decode_shutter, encode_shutter, pose_from_numbers, pose_numbers
+from contract.wire.number_code import decode_numbers, encode_numbers
 
 MAGIC = b"PC"
-MAJOR, MINOR = 2, 1
-STATUSES_OF_FIRST = 16  # that version 2.0 knows; those after it are written as 2.1
-# A set whose rows were not exposed at once: a reader that knows nothing of that would give wrong places, so it refuses.
-ROLLING_MAJOR = 3
+MAJOR, MINOR = 4, 0
+# Refused sets have neither pose nor features and stay what older readers know: version 2.0, or 2.1 with a newer status.
+REFUSED_MAJOR, REFUSED_MINOR = 2, 1
+STATUSES_OF_FIRST = 16  # that version 2.0 has
+ROLLING_MAJOR = 3  # version 2 with a rolling shutter
+NEWEST_MINOR = {REFUSED_MAJOR: REFUSED_MINOR, ROLLING_MAJOR: 0, MAJOR: MINOR}  # of each major version that is read
 MAX_VEHICLE_BYTES = 32
-# What a set is to take where that depends on the step of its shared errors: to so many features, and beyond.
-MANY_FEATURES = 100
-MOST_BYTES = 600
-PACKET_BYTES = 1200
 
 # Section 2: magic, version, length, flags, status, session, frame, revision, capture time, vehicle's length.
 _HEAD = struct.Struct("<2sBHBBIIHQB")
@@ -43,22 +37,15 @@ _CAMERA = struct.Struct("<HH4f")
 _DISTORTION = struct.Struct("<5f")
 _NINE = struct.Struct("<9f")  # both: focal lengths, principal point, distortion
 _CRC = struct.Struct("<I")
-# Section 4: integers of 5, 4 and 3 bytes are written apart; then the plane, its spread and roughness.
-_PLANE = struct.Struct("<3fHH")
+# Section 4: latitude, longitude, height, undulation, rotation; plane, its spread, roughness; sigmas of the fresh
+# states; correlation times, alignment, span; number of features and their smallest sigma.
+_GEOMETRY = struct.Struct(f"<IbIbiHb{3 * 'Hb'}3fHH{COMMON_STATES}H6H2hBH")
+_POSE, _FRESH, _SHARED = 16, slice(18, 18 + COMMON_STATES), slice(18 + COMMON_STATES, -2)
 
-_KEYFRAME, _ELLIPSOID, _UNDULATION, _DISTORTED, _GEOMETRY = 1, 2, 4, 8, 64
-# Section 4.5: readout, its sigma, angular rate, velocity.
-_SHUTTER = struct.Struct("<fH6h")
+_KEYFRAME, _ELLIPSOID, _UNDULATION, _DISTORTED, _POSED, _ROLLING = 1, 2, 4, 8, 64, 128
 _SOURCE_SHIFT, _SOURCE_MASK = 4, 3
 _SOURCES = tuple(DepthSource)
 _STATUSES = tuple(Status)
-
-DEGREE_STEPS = 10**9  # a degree
-METRE_STEPS = 1000  # a metre
-ROTATION_STEP = math.pi / (2**23 - 1)
-RATE_STEPS = 2000  # a rad/s
-VELOCITY_STEPS = 100  # a m/s
-MAX_READOUT_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -79,7 +66,7 @@ def peek(payload: bytes) -> Identity:
 
 
 def encode(feature_set: FeatureSet) -> bytes:
-    """A set's payload. Raises ValueError saying which field cannot be written and why.
+    """A set's payload. Raises ValueError that states which field cannot be written and why.
 
     A set whose status is not OK travels without its pose and covariances; it must have no features.
     """
@@ -97,24 +84,21 @@ def encode(feature_set: FeatureSet) -> bytes:
             raise ValueError(f"{name} must be between 0 and {256**bytes_ - 1}, not {value}")
     camera = _rounded(s.camera)
     flags = _KEYFRAME * s.is_keyframe | _DISTORTED * any(camera.distortion)
+    version = REFUSED_MAJOR << 4 | (REFUSED_MINOR if s.status.code >= STATUSES_OF_FIRST else 0)
     body = vehicle + _encode_camera(camera)
     if s.is_ok:
-        flags |= _GEOMETRY | (_ELLIPSOID if s.height_datum is HeightDatum.ELLIPSOID else 0)
+        version = MAJOR << 4 | MINOR
+        flags |= _POSED | (_ELLIPSOID if s.height_datum is HeightDatum.ELLIPSOID else 0)
         flags |= _SOURCES.index(s.depth_source) << _SOURCE_SHIFT
         flags |= 0 if math.isnan(s.undulation_m) else _UNDULATION
-        body += _encode_geometry(s) + (b"" if s.shutter is None else _encode_shutter(s.shutter))
-        features = encode_features(s, camera)
-        most = MOST_BYTES if len(s) <= MANY_FEATURES else PACKET_BYTES
-        room = most - _HEAD.size - len(body) - len(features) - _CRC.size
-        body += encode_common(s.common_cov, s.shared, room) + features
+        flags |= 0 if s.shutter is None else _ROLLING
+        body += _encode_geometry(s, camera)
     elif len(s):
         raise ValueError(f"a set with status {s.status.value!r} carries no features, this one has {len(s)}")
-    length = _HEAD.size + len(body) + _CRC.size
-    is_rolling = s.is_ok and s.shutter is not None
     head = _HEAD.pack(
         MAGIC,
-        ROLLING_MAJOR << 4 if is_rolling else MAJOR << 4 | (MINOR if s.status.code >= STATUSES_OF_FIRST else 0),
-        length,
+        version,
+        _HEAD.size + len(body) + _CRC.size,
         flags,
         s.status.code,
         s.session,
@@ -133,7 +117,7 @@ def decode(payload: bytes) -> FeatureSet:
     if len(payload) < length:
         raise TruncatedPayload(f"payload has {len(payload)} of {length} bytes")
     if len(payload) > length:
-        raise CorruptPayload(f"payload has {len(payload)} bytes where its header says {length}")
+        raise CorruptPayload(f"payload has {len(payload)} bytes where its header states {length}")
     if zlib.crc32(payload[: -_CRC.size]) != _CRC.unpack(payload[-_CRC.size :])[0]:
         raise CorruptPayload("checksum does not match")
     cursor = ByteCursor(payload, _HEAD.size, length - _CRC.size)
@@ -144,16 +128,14 @@ def decode(payload: bytes) -> FeatureSet:
     if not 1 <= vehicle_bytes <= MAX_VEHICLE_BYTES:
         raise CorruptPayload(f"vehicle name of {vehicle_bytes} bytes")
     camera = _decode_camera(cursor, bool(flags & _DISTORTED))
-    geometry: dict[str, Any] = {}
-    if flags & _GEOMETRY:
-        geometry = _decode_geometry(cursor, flags, is_rolling=version >> 4 == ROLLING_MAJOR)
-        geometry |= decode_features(cursor, camera, geometry["plane_per_m"])
-    if version & 15 <= (MINOR if version >> 4 == MAJOR else 0) and cursor.position != cursor.end:
+    major, minor = version >> 4, version & 15
+    geometry = _decode_geometry(cursor, camera, flags, major) if flags & _POSED else {}
+    if minor <= NEWEST_MINOR[major] and cursor.position != cursor.end:
         raise CorruptPayload(f"{cursor.end - cursor.position} bytes are left over")
     status = _status(status_code)
-    if version >> 4 == ROLLING_MAJOR and not geometry:
-        raise CorruptPayload("a refused set has no rows to tell apart")
-    if (status is Status.OK) != bool(flags & _GEOMETRY):
+    if major > REFUSED_MAJOR and not geometry:
+        raise CorruptPayload(f"a refused set in version {major}")
+    if (status is Status.OK) != bool(geometry):
         raise CorruptPayload(f"status {status.value!r} with{'' if geometry else 'out'} a pose")
     return FeatureSet(
         vehicle=vehicle,
@@ -173,14 +155,14 @@ def _read_head(payload: bytes) -> tuple[Any, ...]:
         raise CorruptPayload(f"payload starts with {payload[:2]!r}, not {MAGIC!r}")
     if len(payload) < 3:
         raise TruncatedPayload(f"payload has {len(payload)} bytes")
-    if not MAJOR <= (major := payload[2] >> 4) <= ROLLING_MAJOR:
-        read = f"payload has version {major}.{payload[2] & 15}, this program reads {MAJOR}.x and {ROLLING_MAJOR}.x"
+    if (major := payload[2] >> 4) not in NEWEST_MINOR:
+        read = f"payload has version {major}.{payload[2] & 15}, this program reads {REFUSED_MAJOR}.x to {MAJOR}.x"
         raise NewerPayload(f"{read}: update it") if major > MAJOR else CorruptPayload(read)
     if len(payload) < _HEAD.size:
         raise TruncatedPayload(f"payload has {len(payload)} bytes, its head alone takes {_HEAD.size}")
     head = _HEAD.unpack_from(payload)
     if head[2] < _HEAD.size + _CRC.size:
-        raise CorruptPayload(f"payload says it is {head[2]} bytes long, which is less than its head")
+        raise CorruptPayload(f"payload states a length of {head[2]} bytes, which is less than its head")
     return head
 
 
@@ -190,16 +172,8 @@ def _status(code: int) -> Status:
     return _STATUSES[code]
 
 
-def _signed(name: str, value: float, steps: int, count: int) -> bytes:
-    """`value` in so many steps a unit, as a signed integer of `count` bytes."""
-    limit = 256**count // 2 - 1
-    if not (math.isfinite(value) and abs(value) * steps < limit):
-        raise ValueError(f"{name} must be within {limit / steps:.6g} either way, not {value!r}")
-    return round(value * steps).to_bytes(count, "little", signed=True)
-
-
 def _rounded(camera: Camera) -> Camera:
-    """The camera as its receiver will know it. Raises ValueError if it is none."""
+    """The camera as its receiver will decode it. Raises ValueError if it is none."""
     if not (1 <= camera.width_px <= 65535 and 1 <= camera.height_px <= 65535):
         raise ValueError(f"picture size {camera.size_px} must be between 1 and 65535")
     numbers = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion)
@@ -226,106 +200,39 @@ def _decode_camera(cursor: ByteCursor, distorted: bool) -> Camera:
     return Camera(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
 
 
-def _rotation_steps(R: Array) -> list[int]:
-    """Rotation vector in steps, of length below pi so that its logarithm is itself again (section 4.2)."""
-    rows = R.tolist()
-    if R.shape != (3, 3) or not _is_rotation(rows):
-        raise ValueError(f"R_enu_cam is not a rotation: {rows}")
-    v = [x / ROTATION_STEP for x in log_of_one(rows)]
-    limit = math.pi * (1.0 - 1e-9) / ROTATION_STEP
-    steps = [round(x) for x in v]
-    if math.hypot(*steps) > limit:
-        steps = [int(x) for x in v]
-    if math.hypot(*steps) > limit:
-        longest = max(range(3), key=lambda i: abs(steps[i]))
-        steps[longest] -= 1 if steps[longest] > 0 else -1
-    return steps
+def _encode_geometry(s: FeatureSet, camera: Camera) -> bytes:
+    pose = pose_numbers(s)
+    spread = sigma_code(s.plane_sigma_relative, "plane_sigma_relative"), sigma_code(s.roughness, "roughness")
+    sigmas, common = common_numbers(s.common_cov, s.shared)
+    base, columns = feature_numbers(s, camera)
+    fixed = _GEOMETRY.pack(*pose, *spread, *sigmas, *shared_codes(s.shared), columns.shape[1], base)
+    return fixed + (b"" if s.shutter is None else encode_shutter(s.shutter)) + encode_numbers(common, columns)
 
 
-def _is_rotation(rows: list[list[float]]) -> bool:
-    """Whether rows are of length one, at right angles to each other, and right-handed."""
-    (a, b, c), (d, e, f), (g, h, i) = rows
-    off = (
-        a * a + b * b + c * c - 1.0,
-        d * d + e * e + f * f - 1.0,
-        g * g + h * h + i * i - 1.0,
-        a * d + b * e + c * f,
-        a * g + b * h + c * i,
-        d * g + e * h + f * i,
-    )
-    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    return all(abs(x) < 1e-6 for x in off) and determinant > 0.0
-
-
-def _encode_geometry(s: FeatureSet) -> bytes:
-    """All but the common errors."""
-    if not (abs(s.camera_lat_deg) <= 90.0 and abs(s.camera_lon_deg) <= 180.0):
-        raise ValueError(f"camera position {s.camera_lat_deg!r}, {s.camera_lon_deg!r} is not a latitude and longitude")
-    parts = [
-        _signed("camera_lat_deg", s.camera_lat_deg, DEGREE_STEPS, 5),
-        _signed("camera_lon_deg", s.camera_lon_deg, DEGREE_STEPS, 5),
-        _signed("camera_height_m", s.camera_height_m, METRE_STEPS, 4),
-    ]
-    if not math.isnan(s.undulation_m):
-        parts.append(_signed("undulation_m", s.undulation_m, METRE_STEPS, 3))
-    parts += [n.to_bytes(3, "little", signed=True) for n in _rotation_steps(np.asarray(s.R_enu_cam, float))]
-    plane = np.asarray(s.plane_per_m, float).tolist()
-    if np.shape(plane) != (3,) or not all(abs(x) <= 3e38 for x in plane):
-        raise ValueError(f"plane_per_m must be three finite numbers, not {plane}")
-    spread = sigma_code(s.plane_sigma_relative, "plane_sigma_relative")
-    parts.append(_PLANE.pack(*plane, spread, sigma_code(s.roughness, "roughness")))
-    return b"".join(parts)
-
-
-def _encode_shutter(shutter: RollingShutter) -> bytes:
-    if not abs(shutter.readout_s) <= MAX_READOUT_S:
-        raise ValueError(f"readout_s must be within {MAX_READOUT_S:g} either way, not {shutter.readout_s!r}")
-    steps = []
-    for name, values, scale in (
-        ("rate_cam_rad_s", shutter.rate_cam_rad_s, RATE_STEPS),
-        ("velocity_cam_m_s", shutter.velocity_cam_m_s, VELOCITY_STEPS),
-    ):
-        numbers = np.asarray(values, float).tolist()
-        if np.shape(numbers) != (3,) or not all(abs(x) * scale <= 32767.0 for x in numbers):
-            raise ValueError(f"{name} must be three numbers within {32767 / scale:g} either way, not {numbers}")
-        steps += [round(x * scale) for x in numbers]
-    return _SHUTTER.pack(shutter.readout_s, sigma_code(shutter.sigma_readout_s, "sigma_readout_s"), *steps)
-
-
-def _decode_shutter(cursor: ByteCursor) -> RollingShutter:
-    readout_s, sigma, *steps = cursor.unpack(_SHUTTER)
-    if not abs(readout_s) <= MAX_READOUT_S:
-        raise CorruptPayload(f"a readout of {readout_s} s")
-    rate, velocity = np.array(steps[:3]) / RATE_STEPS, np.array(steps[3:]) / VELOCITY_STEPS
-    return RollingShutter(readout_s, rate, velocity, sigma_from_code(sigma))
-
-
-def _decode_geometry(cursor: ByteCursor, flags: int, *, is_rolling: bool) -> dict[str, Any]:
-    lat, lon = cursor.signed(5) / DEGREE_STEPS, cursor.signed(5) / DEGREE_STEPS
-    if abs(lat) > 90.0 or abs(lon) > 180.0:
-        raise CorruptPayload(f"camera position {lat}, {lon} is not a latitude and longitude")
-    height = cursor.signed(4) / METRE_STEPS
-    undulation = cursor.signed(3) / METRE_STEPS if flags & _UNDULATION else math.nan
-    steps = [cursor.signed(3) for _ in range(3)]
-    if math.hypot(*steps) * ROTATION_STEP > math.pi:
-        raise CorruptPayload(f"rotation vector {steps} is longer than half a turn")
-    *plane, spread, roughness = cursor.unpack(_PLANE)
-    if not all(map(math.isfinite, plane)):
-        raise CorruptPayload("the ground plane is not finite")
+def _decode_geometry(cursor: ByteCursor, camera: Camera, flags: int, major: int) -> dict[str, Any]:
+    """The fields of a FeatureSet behind its camera."""
     source = flags >> _SOURCE_SHIFT & _SOURCE_MASK
     if source >= len(_SOURCES):
         raise CorruptPayload(f"depth source {source} means nothing")
-    shutter = _decode_shutter(cursor) if is_rolling else None
-    return {
-        "camera_lat_deg": lat,
-        "camera_lon_deg": lon,
-        "camera_height_m": height,
+    out: dict[str, Any] = {
         "height_datum": HeightDatum.ELLIPSOID if flags & _ELLIPSOID else HeightDatum.AMSL,
-        "undulation_m": undulation,
-        "R_enu_cam": exp_so3(np.array(steps, float) * ROTATION_STEP),
         "depth_source": _SOURCES[source],
-        "plane_per_m": np.array(plane),
-        "plane_sigma_relative": sigma_from_code(spread),
-        "roughness": sigma_from_code(roughness),
-        "shutter": shutter,
-    } | decode_common(cursor)
+    }
+    has_undulation = bool(flags & _UNDULATION)
+    if major < MAJOR:
+        is_rolling = major == ROLLING_MAJOR
+        return out | version_2.decode_geometry(cursor, camera, has_undulation=has_undulation, is_rolling=is_rolling)
+    fixed = cursor.unpack(_GEOMETRY)
+    spread, roughness = fixed[_POSE : _POSE + 2]
+    count, base = fixed[-2:]
+    out |= pose_from_numbers(fixed[:_POSE], has_undulation=has_undulation)
+    out["plane_sigma_relative"], out["roughness"] = sigma_from_code(spread), sigma_from_code(roughness)
+    out["shutter"] = decode_shutter(cursor) if flags & _ROLLING else None
+    numbers, columns = decode_numbers(cursor, count)
+    common = common_from_numbers(list(fixed[_FRESH]), numbers)
+    out |= shared_from_codes(common.pop("by_nuisance"), fixed[_SHARED]) | common
+    if count:
+        out |= features_from_numbers(camera, list(fixed[_POSE - 3 : _POSE]), base, columns)
+    elif base:
+        raise CorruptPayload("a smallest sigma of no features")
+    return out

@@ -1,12 +1,13 @@
-"""The features of a set <-> bits: sections 5 and 6 of docs/wire-format.md.
+"""The features of a set <-> numbers: sections 5 and 6 of docs/wire-format.md.
 
-Pixels on a grid, sorted by row; inverse depth as what is left of the ground plane's prediction, in steps of the set's
-smallest sigma; sigmas in logarithmic steps.
+The pixel that a feature lies in, counted row by row; inverse depth as what is left of the ground plane's prediction, in
+steps of the feature's own sigma; sigmas in logarithmic steps.
 """
 
 from __future__ import annotations
 
-import struct
+import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -16,49 +17,24 @@ from contract.camera import Camera
 from contract.errors import CorruptPayload
 from contract.feature_set import FeatureSet
 from contract.wire import bits
-from contract.wire.byte_cursor import ByteCursor
 from contract.wire.covariance_code import MAX_SIGMA_CODE, SIGMA_FLOOR, SIGMA_UNIT, sigma_code, sigma_from_code
 
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 MAX_FEATURES = 255
-_FEATURES = struct.Struct("<HBBB")
-
-PIXEL_STEPS = 4  # a pixel
-SIGMA_STEPS = 80  # units of SIGMA_UNIT between two feature sigmas: 4.9 %
-DEPTH_STEPS = 3  # to the smallest sigma, whose variance rounding so raises by under 1 %
+SIGMA_STEPS = 128  # units of SIGMA_UNIT between two feature sigmas: 8 %
+DEPTH_STEPS = 3  # to a feature's own sigma, whose variance rounding so raises by under 1 %
 MAX_DEPTH_STEPS = 2**40
 MAX_UNDISTORTION = 0.5  # of normalised image coordinates
+LEAST_TERM = 2.0**-20  # of the series that undoes distortion
 
 
-def _u_width(camera: Camera) -> int:
-    return (camera.width_px * PIXEL_STEPS).bit_length()
+def feature_numbers(s: FeatureSet, camera: Camera) -> tuple[int, Ints]:
+    """Sigma code of the smallest sigma (0 if there are no features), and three rows (3, n) of numbers >= 0.
 
-
-def _plane_inverse_depth(camera: Camera, plane_per_m: list[float], uv_px: Array) -> Array:
-    """What the plane predicts at pixels (2, N), rows u and v: the reference both sides code inverse depths against.
-
-    Three fixed steps undo the distortion well enough to predict, cheaply and alike on both sides; what they leave is
-    part of the residual. Where they run away (a calibration that folds) the distorted coordinates have to do.
+    `camera` is the set's own as its receiver will decode it. Raises ValueError.
     """
-    a, b, c = plane_per_m
-    target = np.empty_like(uv_px)
-    with np.errstate(all="ignore"):
-        np.divide(uv_px[0] - camera.cx_px, camera.fx_px, out=target[0])
-        np.divide(uv_px[1] - camera.cy_px, camera.fy_px, out=target[1])
-        xy = target
-        if any(camera.distortion):
-            for _ in range(3):
-                xy = target - camera.displacement(xy)
-            moved = np.abs(xy - target)
-            if not moved.max() < MAX_UNDISTORTION:
-                xy = np.where(np.maximum(moved[0], moved[1]) < MAX_UNDISTORTION, xy, target)
-        predicted: Array = a + (xy[0] * b + xy[1] * c)
-    return predicted
-
-
-def encode_features(s: FeatureSet, camera: Camera) -> bytes:
-    """Section 5 of a payload; `camera` is the set's own as its receiver will know it. Raises ValueError."""
     n = len(s)
     uv, w = np.asarray(s.uv_px, float), np.asarray(s.inverse_depth_per_m, float)
     sigma = np.asarray(s.sigma_inverse_depth_per_m, float)
@@ -67,82 +43,144 @@ def encode_features(s: FeatureSet, camera: Camera) -> bytes:
     if uv.shape != (n, 2) or w.shape != (n,) or sigma.shape != (n,):
         raise ValueError(f"feature columns disagree: uv_px {uv.shape}, inverse depth {w.shape}, sigma {sigma.shape}")
     if not n:
-        return b"\0"
-    least = float(sigma.min())
-    if not (least >= SIGMA_FLOOR and sigma.max() < 1e3):
+        return 0, np.zeros((3, 0), np.int64)
+    least = float(np.minimum.reduce(sigma))
+    if not (least >= SIGMA_FLOOR and np.maximum.reduce(sigma) < 1e3):
         raise ValueError(f"sigma_inverse_depth_per_m must be between {SIGMA_FLOOR} and 1000: {sigma.tolist()}")
-    steps = np.rint((uv.T + 0.5) * PIXEL_STEPS)
-    order = steps[1].argsort(kind="stable")
-    steps = steps.take(order, axis=1)
-    u_steps, v_steps = steps
-    # Where the rounded ones are all within, so is what they are rounded from; at the edge, and beyond, ask.
-    most_u, most_v = camera.width_px * PIXEL_STEPS, camera.height_px * PIXEL_STEPS
-    if not (u_steps.min() > 0 and u_steps.max() < most_u and v_steps[0] > 0 and v_steps[-1] < most_v):
-        inside = camera.contains(uv)
-        if not inside.all():
-            raise ValueError(f"feature {int(np.argmin(inside))} is off the picture")
-    w, sigma = w.take(order), sigma.take(order)
+    cells, at = _cells(camera, uv)
+    order = cells.argsort(kind="stable")
     base = sigma_code(least)
     smallest = sigma_from_code(base)
-    # The receiver knows the plane rounded to float32; predict with that, as with its camera.
-    plane = np.asarray(s.plane_per_m, np.float32).tolist()
-    residual = (w - _plane_inverse_depth(camera, plane, steps / PIXEL_STEPS - 0.5)) * (DEPTH_STEPS / smallest)
-    if not np.abs(residual).max() <= MAX_DEPTH_STEPS or smallest < 1e-11 * np.abs(w).max():
-        if not np.isfinite(w).all():
-            first = int(np.argmin(np.isfinite(s.inverse_depth_per_m)))
-            raise ValueError(f"inverse_depth_per_m of feature {first} is not finite")
-        raise ValueError(f"the smallest sigma {smallest:.3g} 1/m is too small beside the inverse depths to be coded")
-    columns = np.empty((3, n), np.int64)
-    columns[0, 0] = v_steps[0]
-    columns[0, 1:] = v_steps[1:] - v_steps[:-1]
-    columns[1] = bits.zigzag(np.rint(residual).astype(np.int64))
     # Rounding may have made the smallest sigma greater than itself.
-    columns[2] = np.maximum(np.rint(np.log(sigma / smallest) / (SIGMA_UNIT * SIGMA_STEPS)), 0.0)
-    ks = bits.rice_parameters(columns)
-    quotients = columns >> np.array(ks)[:, None]
-    lows = [(column & ((1 << k) - 1), k) for column, k in zip(columns, ks, strict=True)]
-    fixed = bits.fixed_to_bits([(u_steps.astype(np.int64), _u_width(camera)), *lows])
-    return bytes([n]) + _FEATURES.pack(base, *ks) + bits.with_unary([fixed], quotients.ravel())
+    levels = np.maximum(np.rint(np.log(sigma / smallest) * (1.0 / (SIGMA_UNIT * SIGMA_STEPS))), 0.0)
+    # The receiver has the plane rounded to float32; predict with that, as with its camera.
+    plane = np.asarray(s.plane_per_m, np.float32).tolist()
+    # Off the plane at the feature's own place: it is moved to the middle of its pixel along the plane.
+    residual = (w - _plane_inverse_depth(camera, plane, at)) / (_sigmas(smallest, levels) * (1.0 / DEPTH_STEPS))
+    off, deepest = np.maximum.reduce(np.abs([residual, w]), axis=1).tolist()
+    if not off <= MAX_DEPTH_STEPS or smallest < 1e-11 * deepest:
+        if not np.isfinite(w).all():
+            raise ValueError(f"inverse_depth_per_m of feature {int(np.argmin(np.isfinite(w)))} is not finite")
+        raise ValueError(
+            f"the smallest sigma {smallest:.3g} 1/m is too small relative to the inverse depths to be coded"
+        )
+    columns = np.empty((3, n), np.int64)
+    columns[0] = cells
+    columns[1] = np.rint(residual)
+    columns[2] = levels
+    columns = columns.take(order, axis=1)
+    columns[0, 1:] -= columns[0, :-1].copy()
+    columns[1] = bits.zigzag(columns[1])
+    return base, columns
 
 
-def decode_features(cursor: ByteCursor, camera: Camera, plane_per_m: Array) -> dict[str, Any]:
+def features_from_numbers(camera: Camera, plane_per_m: list[float], base: int, columns: Ints) -> dict[str, Any]:
     """The feature columns of a FeatureSet, in the order of the wire. Raises CorruptPayload."""
-    n = cursor.take(1)[0]
-    if not n:
-        return {}
-    base, *ks = cursor.unpack(_FEATURES)
-    if max(ks) >= bits.MAX_WIDTH or base == 0:
-        raise CorruptPayload(f"feature codes are {ks} bits wide, smallest sigma {base}")
-    widths = [_u_width(camera), *ks]
-    stream = np.unpackbits(np.frombuffer(cursor.payload, np.uint8, cursor.end - cursor.position, cursor.position))
-    fixed_bits = n * sum(widths)
-    unary = bits.bits_to_unary(stream[fixed_bits:], 3 * n)
-    if unary is None:
-        raise CorruptPayload(f"{n} features do not fit into the {len(stream) // 8} bytes that are there")
-    quotients, unary_bits = unary
-    used = fixed_bits + unary_bits
-    if stream[used : -(-used // 8) * 8].any():
-        raise CorruptPayload("padding bits are not zero")
-    cursor.take(-(-used // 8))
-    u_steps, *lows = bits.bits_to_fixed(stream[:fixed_bits], widths)
-    numbers = (quotients.reshape(3, n) << np.array(ks)[:, None]) + np.array(lows)
-    rows, residual, sigma_steps = numbers
-    v_steps = np.minimum(rows, 2**32).cumsum()
+    if base == 0:
+        raise CorruptPayload("the smallest sigma is 0")
+    apart, residual, levels = columns
+    cells = apart.cumsum()
+    farthest, largest, highest = np.maximum.reduce(columns, axis=1).tolist()
+    pixels = camera.width_px * camera.height_px
     if (
-        u_steps.max() > camera.width_px * PIXEL_STEPS
-        or v_steps[-1] > camera.height_px * PIXEL_STEPS
-        or residual.max() > 2 * MAX_DEPTH_STEPS
-        or sigma_steps.max() > (MAX_SIGMA_CODE - base) // SIGMA_STEPS
+        farthest >= pixels  # so that 255 of them cannot overflow either
+        or cells[-1] >= pixels
+        or largest > 2 * MAX_DEPTH_STEPS
+        or highest > (MAX_SIGMA_CODE - base) // SIGMA_STEPS
     ):
         raise CorruptPayload("a feature lies off the picture or beyond what can be written")
-    uv_px = np.array([u_steps, v_steps]) / PIXEL_STEPS - 0.5
-    smallest = sigma_from_code(base)
-    predicted = _plane_inverse_depth(camera, plane_per_m.tolist(), uv_px)
-    inverse_depth = predicted + bits.unzigzag(residual) * (smallest / DEPTH_STEPS)
-    if not np.isfinite(inverse_depth).all():
+    at = np.empty((2, len(cells)))
+    v = cells // camera.width_px
+    at[1] = v
+    v *= camera.width_px
+    cells -= v
+    at[0] = cells
+    sigma = _sigmas(sigma_from_code(base), levels)
+    inverse_depth = _plane_inverse_depth(camera, plane_per_m, at) + bits.unzigzag(residual) * (
+        sigma * (1.0 / DEPTH_STEPS)
+    )
+    if not math.isfinite(np.add.reduce(inverse_depth)):
         raise CorruptPayload("the plane has no finite inverse depth at a feature")
-    return {
-        "uv_px": np.ascontiguousarray(uv_px.T),
-        "inverse_depth_per_m": inverse_depth,
-        "sigma_inverse_depth_per_m": smallest * np.exp(SIGMA_UNIT * SIGMA_STEPS * sigma_steps),
-    }
+    return {"uv_px": at.T.copy(), "inverse_depth_per_m": inverse_depth, "sigma_inverse_depth_per_m": sigma}
+
+
+def _cells(camera: Camera, uv_px: Array) -> tuple[Ints, Array]:
+    """Of features (N, 2): the pixels they lie in, counted row by row (N,), and where they are, rows (2, N)."""
+    at = np.ascontiguousarray(uv_px.T)
+    u, v = cell = np.floor(at + 0.5)
+    most_u, most_v = np.maximum.reduce(cell, axis=1).tolist()
+    # At the edge, and beyond, ask.
+    if not (np.minimum.reduce(cell, axis=None) >= 0 and most_u < camera.width_px and most_v < camera.height_px):
+        inside = camera.contains(uv_px)
+        if not inside.all():
+            raise ValueError(f"feature {int(np.argmin(inside))} is off the picture")
+        last = np.array([[camera.width_px - 1.0], [camera.height_px - 1.0]])
+        u, v = np.minimum(np.maximum(cell, 0.0), last)
+    return (v * camera.width_px + u).astype(np.int64), at
+
+
+def _sigmas(smallest: float, levels: NDArray[Any]) -> Array:
+    out: Array = smallest * np.exp(SIGMA_UNIT * SIGMA_STEPS * levels)
+    return out
+
+
+def _plane_inverse_depth(camera: Camera, plane_per_m: list[float], uv_px: Array) -> Array:
+    """What the plane predicts at pixels (2, N), rows u and v: the reference both sides code inverse depths against.
+
+    A series undoes the distortion well enough to predict, cheaply and identically on both sides; the rest is part of
+    the residual. Where it diverges (a calibration that folds) the distorted coordinates have to do.
+    """
+    a, b, c = plane_per_m
+    _, _, p1, p2, _ = camera.distortion
+    with np.errstate(all="ignore"):
+        x = (uv_px[0] - camera.cx_px) * (1.0 / camera.fx_px)
+        y = (uv_px[1] - camera.cy_px) * (1.0 / camera.fy_px)
+        if p1 or p2:
+            across, r2 = 2.0 * (p2 * x + p1 * y), x * x + y * y
+            x, y = x - (across * x + p2 * r2), y - (across * y + p1 * r2)
+        along: Array = x * b
+        along += y * c
+        terms, is_small = _undistortion(camera)
+        if terms:
+            x *= x
+            y *= y
+            x += y
+            along += along * _stretch(x, terms, is_small)
+        along += a
+    return along
+
+
+@lru_cache(maxsize=64)
+def _undistortion(camera: Camera) -> tuple[list[float], bool]:
+    """Coefficients of r^2, r^4, ... by which distorted coordinates grow to undo the radial distortion, and whether
+    that is surely less than `MAX_UNDISTORTION`.
+
+    The first four terms of the series that inverts (2.1) without its tangential part (Drap and Lefevre 2016), less the
+    last ones that are next to nothing in the farthest corner.
+    """
+    k1, k2, _, _, k3 = camera.distortion
+    k11 = k1 * k1
+    terms = [
+        -k1,
+        3.0 * k11 - k2,
+        k1 * (8.0 * k2 - 12.0 * k11) - k3,
+        55.0 * k11 * (k11 - k2) + 5.0 * k2 * k2 + 10.0 * k1 * k3,
+    ]
+    x = max(camera.cx_px + 0.5, camera.width_px - 0.5 - camera.cx_px) / camera.fx_px
+    y = max(camera.cy_px + 0.5, camera.height_px - 0.5 - camera.cy_px) / camera.fy_px
+    r2 = x * x + y * y
+    sizes = [abs(term) * r2 * r2**i for i, term in enumerate(terms)]
+    while sizes and sizes[-1] < LEAST_TERM:
+        sizes.pop()
+    return terms[: len(sizes)], sum(sizes) * math.sqrt(r2) < MAX_UNDISTORTION
+
+
+def _stretch(r2: Array, terms: list[float], is_small: bool) -> Array:
+    """The series at squared radii (N,): 0 where that moves them by more than `MAX_UNDISTORTION`."""
+    out: Array = r2 * terms[-1]
+    for term in terms[-2::-1]:
+        out += term
+        out *= r2
+    if not is_small:
+        out = np.where(out * out * r2 < MAX_UNDISTORTION**2, out, 0.0)
+    return out

@@ -30,7 +30,7 @@ _FORMATS = {kind.code: kind for kind in ImageFormat}
 
 @dataclass(frozen=True)
 class Whole:
-    """What every piece of a picture says of it: alike in all of them, so pieces are put together by it."""
+    """What every piece of a picture states of the whole: the same in all of them, so pieces are put together by it."""
 
     vehicle: str
     session: int
@@ -71,7 +71,7 @@ def groups_of(pieces: int) -> int:
 def cut(picture: LinkPicture, *, with_parity: bool, max_bytes: int = PACKET_BYTES) -> list[bytes]:
     """A picture's packets, in the order to send them. Raises ValueError for a field that cannot be written.
 
-    Parities come last: whoever has all pieces before need not wait for them.
+    Parities come last: a receiver that has all pieces before need not wait for them.
     """
     p = picture
     vehicle = p.vehicle.encode()
@@ -116,6 +116,20 @@ def read_piece(payload: bytes) -> Piece:
     magic, version, code, length, session, frame, capture, width, height, size, checksum, number, pieces, named = (
         _HEAD.unpack_from(payload)
     )
+    _check_envelope(payload, magic, version, length)
+    if code not in _FORMATS:
+        raise NewerPayload(f"image format {code} is not known to this program")
+    vehicle, content = _named_content(payload, named)
+    if not 1 <= size <= MAX_BYTES or not 1 <= pieces <= size or number >= pieces + groups_of(pieces):
+        raise CorruptPayload(f"piece {number} of {pieces} of a picture of {size} bytes")
+    whole = Whole(vehicle, session, frame, capture, width, height, _FORMATS[code], size, checksum, pieces)
+    if len(content) != _length_of(whole, number):
+        raise CorruptPayload(f"piece {number} of {pieces} has {len(content)} bytes, not {_length_of(whole, number)}")
+    return Piece(whole, number, content)
+
+
+def _check_envelope(payload: bytes, magic: bytes, version: int, length: int) -> None:
+    """Magic, version, length and checksum are as they must be."""
     if magic != MAGIC:
         raise CorruptPayload(f"begins with {magic!r}, not {MAGIC!r}")
     if version >> 4 > MAJOR:
@@ -125,31 +139,26 @@ def read_piece(payload: bytes) -> Piece:
     if len(payload) < length:
         raise TruncatedPayload(f"a piece of a picture has {len(payload)} of {length} bytes")
     if len(payload) > length:
-        raise CorruptPayload(f"a piece of a picture has {len(payload)} bytes where its head says {length}")
+        raise CorruptPayload(f"a piece of a picture has {len(payload)} bytes where its head states {length}")
     if zlib.crc32(payload[: -_CRC.size]) != _CRC.unpack(payload[-_CRC.size :])[0]:
         raise CorruptPayload("checksum does not match")
-    if code not in _FORMATS:
-        raise NewerPayload(f"image format {code} is not known to this program")
+
+
+def _named_content(payload: bytes, named: int) -> tuple[str, bytes]:
+    """The vehicle's name, of `named` bytes, and what follows it up to the checksum."""
     begin = _HEAD.size + named
-    if not 1 <= named <= MAX_VEHICLE_BYTES or begin > length - _CRC.size:
+    if not 1 <= named <= MAX_VEHICLE_BYTES or begin > len(payload) - _CRC.size:
         raise CorruptPayload(f"vehicle name of {named} bytes")
     try:
-        vehicle = payload[_HEAD.size : begin].decode()
+        return payload[_HEAD.size : begin].decode(), payload[begin : -_CRC.size]
     except UnicodeDecodeError as error:
         raise CorruptPayload(f"vehicle name is not UTF-8: {error}") from error
-    if not 1 <= size <= MAX_BYTES or not 1 <= pieces <= size or number >= pieces + groups_of(pieces):
-        raise CorruptPayload(f"piece {number} of {pieces} of a picture of {size} bytes")
-    whole = Whole(vehicle, session, frame, capture, width, height, _FORMATS[code], size, checksum, pieces)
-    content = payload[begin : -_CRC.size]
-    if len(content) != _length_of(whole, number):
-        raise CorruptPayload(f"piece {number} of {pieces} has {len(content)} bytes, not {_length_of(whole, number)}")
-    return Piece(whole, number, content)
 
 
 def join(whole: Whole, pieces: dict[int, bytes]) -> LinkPicture | None:
     """The picture of the pieces that came, by number; None while too many are missing.
 
-    Raises CorruptPayload if they do not make the picture that they promise.
+    Raises CorruptPayload if they do not make the picture that they state.
     """
     contents = dict(pieces)
     for group in range(whole.groups):

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from contract.error_sources import Cause
 from contract.errors import CorruptPayload, NewerPayload, WireError
 from contract.vehicle_status import MAX_BYTES, MAX_REASON, VehicleStatus, decode_status, encode_status
 
@@ -32,6 +33,7 @@ STATUSES = st.builds(
     lost=COUNTS,
     recording=st.booleans(),
     cpu_c=st.none() | st.floats(-60, 150),
+    shares=st.dictionaries(st.sampled_from(list(Cause)).map(str), st.integers(0, 100), max_size=3),
 )
 
 
@@ -46,6 +48,28 @@ def test_a_status_comes_back_as_it_was() -> None:
 
 def test_a_usual_status_is_well_under_its_bound() -> None:
     assert 100 < len(encode_status(FLYING)) < 230
+    budget = replace(FLYING, shares={"attitude": 55, "gpsnoise": 21, "mount": 15})
+    assert len(encode_status(budget)) - len(encode_status(FLYING)) < 60
+    assert decode_status(encode_status(budget)).fractions == {"attitude": 0.55, "gpsnoise": 0.21, "mount": 0.15}
+
+
+def test_a_long_reason_is_worth_more_than_shares() -> None:
+    full = replace(
+        FLYING, reason="x" * MAX_REASON, shares={"attitude": 55, "gpsnoise": 21, "mount": 15}, dropped=10**9, lost=10**9
+    )
+    back = decode_status(encode_status(full))
+    assert back.reason == full.reason and len(back.shares) < 3
+    assert list(back.shares) == ["attitude", "gpsnoise"][: len(back.shares)]
+
+
+@pytest.mark.parametrize(
+    "shares",
+    [[], "mount", {"mount": 1.5}, {"mount": 101}, {"mount": -1}, {"mount": True}, {"": 5}, {"a b": 5}, {"x" * 13: 5},
+     {"a": 1, "b": 1, "c": 1, "d": 1}],
+)  # fmt: skip
+def test_shares_that_cannot_be_are_refused(shares: object) -> None:
+    with pytest.raises(CorruptPayload, match="shares"):
+        decode_status(changed(shares=shares))
 
 
 @given(STATUSES)
@@ -76,7 +100,7 @@ def test_unknown_keys_are_passed_over_and_known_ones_may_be_absent() -> None:
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(VehicleStatus)])
-@pytest.mark.parametrize("value", [[], {}, float("inf"), 2**80])
+@pytest.mark.parametrize("value", [[], {"x": []}, float("inf"), 2**80])
 def test_a_wrong_type_is_refused_by_name(name: str, value: object) -> None:
     with pytest.raises(CorruptPayload, match=name):
         decode_status(changed(**{name: value}))

@@ -1,0 +1,29 @@
+"""What would make a radius smaller, in a line for an operator."""
+
+from __future__ import annotations
+
+import pytest
+
+from contract.error_sources import ABOUT, Cause, in_a_line
+from contract.vehicle_status import MAX_CODE
+
+
+@pytest.mark.parametrize(
+    ("shares", "line"),
+    [
+        ({"mount": 0.6, "gps": 0.21}, "mostly the camera's mount (60 %): fly one circle"),
+        ({"gps": 0.38}, "most from the GPS (38 %): click the same thing again minutes later"),
+        ({"gps": 0.12}, "many small causes, none above 12 %"),
+        ({"moonlight": 0.7}, "mostly moonlight (70 %)"),  # of a later version
+        ({}, ""),
+    ],
+)
+def test_the_largest_cause_and_one_thing_to_do(shares: dict[str, float], line: str) -> None:
+    assert in_a_line(shares) == line
+
+
+def test_every_cause_has_words_and_a_code_that_a_status_takes() -> None:
+    assert set(ABOUT) == set(Cause)
+    assert len({about.name for about in ABOUT.values()}) == len(Cause)
+    for code in Cause:
+        assert len(code) <= MAX_CODE and code.isalnum()
