@@ -1,9 +1,9 @@
 """What a navigation filter does to position, velocity and attitude beyond noise, as recordings of real ones show it.
 
-A filter whose GPS delay is not what it believes lags along its path (a turn it keeps in time, by its inertial
+A filter whose GPS delay is not what it assumes lags along its path (a turn it keeps in time, by its inertial
 sensors) and its velocity lags by less; its level is trimmed wrong and tilts with acceleration; its heading is wrong by
 an amount that depends on the heading (soft and hard iron) and drifts; its velocity's error grows with acceleration; it
-follows a GPS glitch. `simulation.ordinary` draws all of these as they were measured.
+follows a GPS glitch. `simulation.ordinary` samples all of these as they were measured.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class AutopilotErrors:
 
 
 class ErringFilter:
-    """The errors along one flight; the same seed errs alike."""
+    """The errors along one flight; the same seed gives the same errors."""
 
     def __init__(self, errors: AutopilotErrors, trajectory: Trajectory, seed: int) -> None:
         self._errors, self._trajectory = errors, trajectory

@@ -1,6 +1,6 @@
 """A flight: true motion and its telemetry, on one clock.
 
-A recorded flight takes both from a recording (`NAME.truth.csv` beside `NAME.tlog`); a described one (`paths`) has its
+A recorded flight takes both from a recording (`NAME.truth.csv` next to `NAME.tlog`); a described one (`paths`) has its
 motion computed and its telemetry written by `telemetry`.
 """
 
@@ -21,7 +21,7 @@ from simulation.telemetry import TelemetrySpec, write_tlog
 from simulation.trajectory import RecordedTruth, Trajectory
 
 ROOT = Path(__file__).resolve().parent.parent
-RECORDINGS = (ROOT / "tests" / "data", ROOT.parent / "shared" / "data" / "sitl")
+RECORDINGS = (ROOT / "tests" / "data", *(ROOT.parent / "shared" / "data" / folder for folder in ("sitl", "px4")))
 SMOOTHING_MARGIN_S = 1.0
 
 
@@ -68,7 +68,7 @@ class DescribedSpec:
 
 
 def find_recording(name: str) -> tuple[Path, Path]:
-    """Paths of the log and the truth of a recording; raises InputError saying where it looked."""
+    """Paths of the log and the truth of a recording; raises InputError that states where it looked."""
     stem = name
     for ending in (".truth.csv", ".tlog"):
         stem = stem.removesuffix(ending)

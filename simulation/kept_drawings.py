@@ -1,6 +1,6 @@
-"""Drawings that several processes need, drawn by the first and read by the others, where an environment variable says.
+"""Images that several processes need: the first generates them, the others read them from a folder.
 
-Land takes four seconds to draw, which is more than many a short flight over it.
+Land takes four seconds to generate, longer than many short flights over it. An environment variable names the folder.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 Image = NDArray[np.float32]
 
-# A folder, of one checkout's programs only: a drawing is known by its name, not by the code that drew it.
+# A folder, of one checkout's programs only: an image is identified by its name, not by the code that generated it.
 FOLDER_VARIABLE = "POINTCLICK_DRAWINGS"
 
 
 def kept(name: str, draw: Callable[[], list[Image]]) -> list[Image]:
-    """What `draw` gives: pictures, float32, any shapes. Without a folder it is drawn each time."""
+    """What `draw` gives: pictures, float32, any shapes. Without a folder it is generated each time."""
     folder = os.environ.get(FOLDER_VARIABLE)
     if not folder:
         return draw()

@@ -1,8 +1,8 @@
-"""The preset "ordinary": telemetry with the errors of ordinary autopilots, each drawn from its own distribution.
+"""The preset "ordinary": telemetry with the errors of ordinary autopilots, each sampled from its own distribution.
 
 The distributions hold what was measured of recorded flights (`../shared/data/sitl`, and others of the same software):
 
-| error | drawn | measured |
+| error | sampled | measured |
 |---|---|---|
 | position's lag | normal, 0.10 s, at most 0.25 | -0.22 to +0.19 s; five recordings -0.03, 0.03, 0.04, 0.05, 0.15 |
 | velocity's lag | 0.4 to 0.7 of position's | 0.41 to 0.71 |
@@ -13,7 +13,7 @@ The distributions hold what was measured of recorded flights (`../shared/data/si
 | heading, constant; drift | normal, 0.5 deg; log-uniform, 0.2 to 2 deg | -0.4 to 0.8; 0.2 to 2.4 |
 | velocity, level | uniform, 0.06 to 0.25 m/s | 0.05 to 0.26 |
 | velocity by acceleration | uniform, 0.01 to 0.12 m/s per m/s2 | 0.01 to 0.13 |
-| GPS wander | log-uniform, 0.5 to 2.5 m, 30 to 120 s; 1.6 times up | 0.8 to 1.5 m, 60 s |
+| GPS, correlated error | log-uniform, 0.5 to 2.5 m, 30 to 120 s; 1.6 times up | 0.8 to 1.5 m, 60 s |
 | GPS glitch, on three flights of ten | 5 to 35 m for 8 to 25 s | 33 m for 12 s, 8 m for 20 s |
 | rates | attitude 2 to 50 Hz, position 2 to 10, receiver 2 to 10 | 3.3, 3.7 and 4.0 on a real flight |
 """
@@ -41,7 +41,7 @@ GPS_HZ = (2.0, 4.0, 5.0, 5.0, 10.0)
 
 
 def ordinary(seed: int) -> TelemetrySpec:
-    """One autopilot, its errors drawn; the same seed is the same autopilot."""
+    """One autopilot with sampled errors; the same seed is the same autopilot."""
     rng = np.random.default_rng([seed, 607])
 
     def log_uniform(low: float, high: float) -> float:

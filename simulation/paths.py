@@ -29,7 +29,7 @@ class PathSpec:
     """Motion over the ground. `crab_deg`: the nose points this much right of the direction of travel.
 
     `wobble_deg` is one sigma of roll and pitch and twice that of yaw; never more than three sigmas.
-    `waypoints_m` (east, north) pairs serve the kind "waypoints"; the last leg is flown on for ever.
+    `waypoints_m` (east, north) pairs serve the kind "waypoints"; the last leg continues for ever.
     """
 
     kind: str = "straight"

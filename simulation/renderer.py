@@ -149,7 +149,7 @@ class Renderer:
         slope = self.terrain.slope(points[:, 0], points[:, 1])
         normal = np.concatenate([-slope, np.ones((len(slope), 1))], axis=1)
         shade = (normal @ SUN_ENU) / np.linalg.norm(normal, axis=1) / SUN_ENU[2]
-        # Roofs and crowns differ from the ground beside them, each a little from the next.
+        # Roofs and tree crowns differ from the ground next to them, each a little from the next.
         lift = self.terrain.obstacle_m(points[:, 0], points[:, 1])
         shade = shade * np.where(lift > 0.0, 0.55 + 0.25 * np.modf(lift * 3.7)[0] + 0.05 * lift, 1.0)
         shape = self._lattice_cam.shape[:2]

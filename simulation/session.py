@@ -51,7 +51,7 @@ class SessionSpec:
     clicks_per_frame: int = 12
     picture_format: str = "png"
     seed: int = 0
-    filed_camera: Camera | None = None  # what the camera file says, where that is wrong
+    filed_camera: Camera | None = None  # what the camera file states, where that is wrong
     readout_s: float = 0.0  # of the rows, positive if the first comes first; declared in the configuration
     stabilised_s: float | None = None  # over which electronic stabilisation smooths rotation; None: there is none
     zoom: tuple[float, float, float] | None = None  # factor, from and until (s after the first picture)
@@ -78,7 +78,7 @@ def fly(spec: SessionSpec, out_dir: Path | str, progress: Callable[[int, int], N
     """Write the session into `out_dir` (made if absent) and return its truth.
 
     `progress` is called with pictures done and pictures to do.
-    Raises InputError before anything is written if the spec cannot be flown or `out_dir` already holds a session.
+    Raises InputError before anything is written if the spec cannot be simulated or `out_dir` already holds a session.
     """
     folder = Path(out_dir)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -120,7 +120,7 @@ def fly(spec: SessionSpec, out_dir: Path | str, progress: Callable[[int, int], N
     lines = ["file,unix_time_s", *(f"{name},{stamp:.6f}" for name, stamp in zip(files, stamps, strict=True))]
     (folder / "stamps.csv").write_text("\n".join(lines) + "\n")
     filed = json.loads((spec.filed_camera or spec.camera).to_json())
-    del filed["calibration"]  # as most camera files are: nobody knows how right they are
+    del filed["calibration"]  # as in most camera files: it is not known how right they are
     (folder / "camera.json").write_text(json.dumps(filed, indent=1) + "\n")
     (folder / "telemetry.tlog").write_bytes(flight.telemetry)
     (folder / "config.toml").write_text(config_text(spec))

@@ -90,13 +90,13 @@ def sensor_sets() -> dict[str, Setting]:
     base = Setting(
         pixel_sigma_px=WINDOW_PIXEL_PX,
         gps_white_m=(WINDOW_GPS_M, WINDOW_GPS_M),
-        gps_wander_m=(0.0, 0.0),
+        gps_correlated_m=(0.0, 0.0),
         slope_sigma_deg=0.05,
         relief_sigma_m=1.0,
         boresight_sigma_deg=0.0,
         offset_sigma_s=0.0,
     )
-    attitude = replace(base, attitude_wander_deg=(0.0, 0.0), attitude_white_deg=1.0)
+    attitude = replace(base, attitude_correlated_deg=(0.0, 0.0), attitude_white_deg=1.0)
     return {
         "2 views, 40 m": replace(base, views=2, spacing_m=40.0),
         "5 views, 80 m": replace(base, views=5),

@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 from contract.rotations import exp_so3
 from onboard.estimation.bundle_adjustment import Problem, Solution, solve
 from onboard.estimation.factors import Layout, PositionPrior, SharedPrior, State
-from onboard.geometry.plane_fit import fit_plane, level, roll_from_plane
+from onboard.estimation.platform_states import STATES
+from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.relative_orientation import small_angle, travel_aligned
 from onboard.geometry.triangulation import triangulate
 from simulation.study_world import CAMERA, R_BODY_CAM, unit_depth
 
 Array = NDArray[np.float64]
 
-CONVERGED = 300  # iterations; it has stopped by itself long before
+CONVERGED = 300  # iterations; it has stopped long before
 # With two views the GPS residuals only fix what the pictures leave open (position, direction and scale: six numbers,
 # six measurements), so these weights change the way to the optimum and not the optimum.
 WEIGHT_SIGMA_PX = 0.3
@@ -40,7 +41,7 @@ def start(uv_px: Array, gps_enu_m: Array, steps: int = 1) -> State:
         Q = exp_so3(small_angle(rays[0], rays[1], Q, t_cam1)) @ Q
     R = np.stack([first, Q @ first])
     points = triangulate(R, gps_enu_m, xy, np.ones(xy.shape[:2], bool)).points_enu_m
-    return State(R, gps_enu_m, points, np.zeros(3), 0.0, np.zeros(3))
+    return State(R, gps_enu_m, points, np.zeros(STATES), np.zeros(3))
 
 
 def problem(uv_px: Array, gps_enu_m: Array) -> Problem:
@@ -79,3 +80,19 @@ def errors(uv_px: Array, gps_enu_m: Array, truth_enu_m: Array, iterations: tuple
         state = begin if count == 0 else adjusted(uv_px, gps_enu_m, begin, count).state
         out.append(float(np.linalg.norm(levelled(state) - truth_enu_m, axis=1).mean()))
     return out
+
+
+def roll_from_plane(plane: Array, travel_enu: Array) -> float:
+    """The ground's slope across the line of flight, as an angle about it (rad). Equation (8.2)."""
+    along = travel_enu[:2] / max(float(np.linalg.norm(travel_enu[:2])), 1e-12)
+    return float(np.arctan(plane[1:] @ np.array([-along[1], along[0]])))
+
+
+def level(R_cam_enu: Array, pivot_enu_m: Array, travel_enu: Array, roll_rad: float) -> tuple[Array, Array]:
+    """Turn the scene about the line of flight so that a slope of `roll_rad` across it vanishes. Equation (8.3).
+
+    Returns the turned R_cam_enu (K, 3, 3) and the rotation (3, 3) that takes a point X to pivot + R (X - pivot).
+    """
+    axis = travel_enu / max(float(np.linalg.norm(travel_enu)), 1e-12)
+    R = exp_so3(-roll_rad * axis)
+    return R_cam_enu @ R.T, R

@@ -1,4 +1,4 @@
-"""Windows of many views with truth: every error is drawn from exactly the model that the solver's priors state.
+"""Windows of many views with truth: every error is sampled from exactly the model that the solver's priors state.
 
 The scene is the seed's flight made longer: 250 m over ground that is a plane with roughness, 640x480 over 40 degrees, a
 view every 20 m, features that enter and leave the picture. Serves the study's own figures and
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from contract.camera import Sigma
 from contract.rotations import exp_so3
 from onboard.estimation import camera_states
-from onboard.estimation.bundle_adjustment import Problem, Solution, solve
+from onboard.estimation.bundle_adjustment import Problem, Solution, parallax_of, solve
 from onboard.estimation.factors import (
     AttitudePrior,
     Layout,
@@ -29,8 +29,10 @@ from onboard.estimation.factors import (
     gauss_markov_sqrt_information,
 )
 from onboard.estimation.initialisation import orient
+from onboard.estimation.platform_states import BORESIGHT, DELAY, HEADING, OFFSET, STATES
 from onboard.estimation.sensor_factors import cosine_sine_of_heading
-from onboard.estimation.window_solver import MIN_PIXEL_SIGMA_PX, approximate, refine
+from onboard.estimation.window_problem import approximate
+from onboard.estimation.window_solver import MIN_PIXEL_SIGMA_PX, refine
 from onboard.estimation.window_start import MIN_PARALLAX_RAD, START_SIGMAS
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.terrain_grid import Terrain
@@ -54,11 +56,11 @@ class Setting:
     features_per_view: int = 95
     pixel_sigma_px: float = 0.3
     gps_white_m: tuple[float, float] = (0.3, 0.45)  # horizontal, vertical
-    gps_wander_m: tuple[float, float] = (1.5, 2.5)
-    gps_wander_time_s: float = 60.0
-    attitude_wander_deg: tuple[float, float] | None = None  # roll and pitch, heading
+    gps_correlated_m: tuple[float, float] = (1.5, 2.5)
+    gps_correlation_time_s: float = 60.0
+    attitude_correlated_deg: tuple[float, float] | None = None  # roll and pitch, heading
     attitude_white_deg: float = 0.1
-    attitude_wander_time_s: float = 20.0
+    attitude_correlation_time_s: float = 20.0
     boresight_sigma_deg: float = 1.0
     velocity_sigma_m_s: float | None = None
     slope_sigma_deg: float = 2.0
@@ -95,7 +97,7 @@ def draw(setting: Setting, rng: np.random.Generator) -> Flight:
     """Sample truth and measurements."""
     K = setting.views
     stamps = np.arange(K, dtype=np.float64) * float(setting.spacing_m / setting.speed_m_s)
-    (also,) = rng.spawn(1)  # so that what was drawn before these states existed is still drawn
+    (also,) = rng.spawn(1)  # so that what was sampled before these states existed is still the same
     truth, seen, xy = _scene(setting, stamps, rng)
     truth, xy = _with_platform(setting, truth, xy, also)
     P = len(truth.points_enu_m)
@@ -112,7 +114,8 @@ def draw(setting: Setting, rng: np.random.Generator) -> Flight:
     weight = np.where(seen, 1.0 / sigma, 0.0)
     if setting.terrain_sigma_m is None:
         ground_weight = np.full(P, 1.0 / setting.relief_sigma_m)
-        problem = Problem(layout, xy, weight, priors, reference, ground_weight, clearance_m=HEIGHT_M, **lens)
+        parallax = parallax_of(gps, HEIGHT_M)
+        problem = Problem(layout, xy, weight, priors, reference, ground_weight, parallax=parallax, **lens)
     else:
         ground_weight = np.full(P, 1.0 / setting.terrain_sigma_m[0])
         problem = Problem(layout, xy, weight, priors, reference, ground_weight, terrain=hills(), **lens)
@@ -130,7 +133,8 @@ def _with_platform(setting: Setting, truth: State, xy: Array, rng: np.random.Gen
         true = camera_states.corrected(CAMERA, lens)
         uv = true.distort(xy) * (true.fx_px, true.fy_px) + (true.cx_px, true.cy_px)
         xy = CAMERA.unproject(uv)[0][..., :2]
-    made = replace(truth, delay_s=delay_s, velocity_delay_s=velocity_delay_s, heading_rad=heading, camera=lens)
+    platform = [*truth.platform[: OFFSET + 1], delay_s, velocity_delay_s, *heading, *lens]
+    made = replace(truth, platform=np.array(platform))
     return made, xy
 
 
@@ -188,7 +192,8 @@ def _scene(setting: Setting, stamps: Array, rng: np.random.Generator) -> tuple[S
     uv, inside = project(R, centres, points)
     keep = np.count_nonzero(inside, axis=0) >= 2
     plane = np.array([level_m, *slopes])
-    return State(R, centres, points[keep], boresight, offset, plane), inside[:, keep], unit_depth(uv[:, keep])
+    platform = np.array([*boresight, offset, 0.0, 0.0, 0.0, 0.0])
+    return State(R, centres, points[keep], platform, plane), inside[:, keep], unit_depth(uv[:, keep])
 
 
 def _slips(setting: Setting, truth: State, stamps: Array, count: int, rng: np.random.Generator) -> Array:
@@ -213,31 +218,34 @@ def _slips(setting: Setting, truth: State, stamps: Array, count: int, rng: np.ra
 def _sensors(
     setting: Setting, layout: Layout, truth: State, stamps: Array, rng: np.random.Generator
 ) -> tuple[list[Prior], Array, Array | None]:
-    """Priors with drawn measurements; the GPS positions (K, 3); the measured R_enu_cam (K, 3, 3) or None."""
+    """Priors with sampled measurements; the GPS positions (K, 3); the measured R_enu_cam (K, 3, 3) or None."""
     K = layout.keyframes
     velocity = np.tile(TRAVEL_ENU * setting.speed_m_s, (K, 1))
     drawn = [
-        _gauss_markov(stamps, setting.gps_white_m[v], setting.gps_wander_m[v], setting.gps_wander_time_s, rng)
+        _gauss_markov(stamps, setting.gps_white_m[v], setting.gps_correlated_m[v], setting.gps_correlation_time_s, rng)
         for v in (0, 0, 1)
     ]
-    gps = truth.centres_enu_m - velocity * (truth.offset_s + truth.delay_s) + np.stack([e for e, _ in drawn], axis=1)
+    late_s = truth.platform[OFFSET] + truth.platform[DELAY]
+    gps = truth.centres_enu_m - velocity * late_s + np.stack([e for e, _ in drawn], axis=1)
     priors: list[Prior] = [PositionPrior(layout, gps, velocity, np.stack([w for _, w in drawn]), np.zeros(K))]
     if setting.velocity_sigma_m_s is not None:
         sigma = setting.velocity_sigma_m_s * np.diff(stamps)
         flown = np.diff(truth.centres_enu_m, axis=0) + sigma[:, None] * rng.standard_normal((K - 1, 3))
         whitener = np.stack([np.diag(1.0 / sigma)] * 3)
-        priors.append(VelocityPrior(layout, flown, whitener, np.diff(velocity, axis=0), np.zeros(K - 1)))
+        priors.append(VelocityPrior(layout, flown, np.diff(velocity, axis=0), whitener, np.zeros(K - 1)))
     measured = None
-    if setting.attitude_wander_deg is not None:
-        tilt, heading = np.radians(setting.attitude_wander_deg)
+    if setting.attitude_correlated_deg is not None:
+        tilt, heading = np.radians(setting.attitude_correlated_deg)
         white = np.radians(setting.attitude_white_deg)
-        turn = [_gauss_markov(stamps, white, w, setting.attitude_wander_time_s, rng) for w in (tilt, tilt, heading)]
+        turn = [
+            _gauss_markov(stamps, white, w, setting.attitude_correlation_time_s, rng) for w in (tilt, tilt, heading)
+        ]
         error_cam = np.einsum("kij,kj->ki", truth.R_cam_enu, np.stack([e for e, _ in turn], axis=1))
-        measured = truth.R_cam_enu.transpose(0, 2, 1) @ exp_so3(error_cam) @ exp_so3(-truth.boresight_rad)
+        measured = truth.R_cam_enu.transpose(0, 2, 1) @ exp_so3(error_cam) @ exp_so3(-truth.platform[BORESIGHT])
         by_heading = None
         if setting.heading_sigma_deg:
             by_heading = np.stack([cosine_sine_of_heading(R @ R_BODY_CAM.T) for R in measured])
-            yaw = (by_heading @ truth.heading_rad)[:, None] * [0.0, 0.0, 1.0]
+            yaw = (by_heading @ truth.platform[HEADING])[:, None] * [0.0, 0.0, 1.0]
             measured = exp_so3(yaw) @ measured
         whitener = np.stack([w for _, w in turn])
         priors.append(AttitudePrior(layout, measured, np.zeros((K, 3)), whitener, np.zeros(K), by_heading=by_heading))
@@ -282,14 +290,14 @@ def begin(flight: Flight) -> State | None:
     if flight.problem.terrain is not None:
         start = np.zeros(3)
     lens = np.zeros(len(flight.truth.camera))
-    return State(R, flight.gps_enu_m, points, np.zeros(3), 0.0, start, camera=lens)
+    return State(R, flight.gps_enu_m, points, np.append(np.zeros(STATES), lens), start)
 
 
 def estimate(flight: Flight, state: State) -> tuple[Solution, Array]:
     """The two solves of `window_solver`, and the weights (K, P) kept; ValueError if all was cut as outliers."""
     problem = flight.problem
     least = MIN_PIXEL_SIGMA_PX / max(flight.setting.pixel_sigma_px, MIN_PIXEL_SIGMA_PX)
-    adjusted = refine(problem, approximate(problem, state), least)
+    adjusted = refine(problem, approximate(problem, state), least, CAMERA)
     if adjusted is None:
         raise ValueError("nothing of the flight is left to solve")
     return adjusted.solution, adjusted.kept

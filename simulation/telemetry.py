@@ -30,9 +30,9 @@ RATE_STEP_S = 0.01
 class TelemetrySpec:
     """Rates in Hz, errors in one sigma. `attitude_message`: "euler" (ATTITUDE), "quaternion" or "both".
 
-    `position_age_s`: GLOBAL_POSITION_INT tells where the vehicle was this long before its stamp; `gps_age_s` likewise.
-    By default the errors are those that the configuration declares; `errors` are a navigation filter's on top, and
-    `simulation.ordinary` draws both as ordinary autopilots have them.
+    `position_age_s`: GLOBAL_POSITION_INT reports where the vehicle was this long before its stamp; `gps_age_s`
+    likewise. By default the errors are those that the configuration declares; `errors` are a navigation filter's on
+    top, and `simulation.ordinary` samples both as ordinary autopilots have them.
     """
 
     position_hz: float = 10.0
@@ -77,7 +77,7 @@ def write_tlog(
     ground_amsl_m = origin.height_m - undulation_m
 
     def instants(rate_hz: float) -> Array:
-        # The autopilot stamps in whole milliseconds, and those are the instants it tells of.
+        # The autopilot stamps in whole milliseconds, and those are the instants its messages are for.
         out: Array = np.round(np.arange(start, end, 1.0 / rate_hz) if rate_hz > 0 else np.zeros(0), 3)
         return out
 

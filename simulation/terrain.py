@@ -106,7 +106,7 @@ class Terrain:
         return z
 
     def obstacle_m(self, x_m: ArrayLike, y_m: ArrayLike) -> Array:
-        """Height of the obstacle above the hills at a place, metres; 0 beside obstacles."""
+        """Height of the obstacle above the hills at a place, metres; 0 outside obstacles."""
         x, y = np.asarray(x_m, float), np.asarray(y_m, float)
         if not self.has_obstacles:
             return np.zeros(np.broadcast(x, y).shape)
@@ -179,7 +179,8 @@ class Terrain:
             out: Array = p[:, 2] - self.height_m(p[:, 0], p[:, 1])
             return out
 
-        # A third of the narrowest obstacle, a twelfth of a hill: what a step passes over is a corner just grazed.
+        # A third of the narrowest obstacle, a twelfth of a hill: what a step misses is only a corner that the ray
+        # barely touches.
         step_m = 0.07 * self.spec.obstacle_cell_m if self.has_obstacles else self.spec.wavelength_m / 12.0
         travel_m = (far - near) * np.hypot(rays[:, 0], rays[:, 1])
         steps = int(np.clip(np.ceil(np.max(travel_m, initial=0.0) / step_m), 1, MAX_MARCH_STEPS))

@@ -1,4 +1,4 @@
-"""What the ground looks like: a brightness at every ground point, drawn from a seed, that does not repeat.
+"""What the ground looks like: a brightness at every ground point, generated from a seed, that does not repeat.
 
 Periodic pictures of incommensurate periods and bearings are added: grain at two sizes (grass and stones), land (fields,
 hedges, tracks, shrubs) and country (broad patches of hundreds of metres). Each is kept as an image pyramid and

@@ -105,7 +105,7 @@ class Truth:
         return self.camera.project((np.asarray(enu_m, float) - pose.centre_m) @ pose.R_enu_cam)
 
     def sees(self, frame: int, enu_m: ArrayLike, tolerance_m: float = 0.05) -> Mask:
-        """Whether ground points (N, 3) are on a picture and in plain sight, no hill or wall between."""
+        """Whether ground points (N, 3) are on a picture and visible, with no hill or wall between."""
         points = np.asarray(enu_m, float)
         _, on_picture = self.project(frame, points)
         rays = points - self.poses[frame].centre_m

@@ -21,9 +21,9 @@ from simulation.autopilot.styles import STYLES, Rates
 from simulation.autopilot.transports import open_wire
 
 IDLE_S = 0.02
-FRESH_BOOT_NS = 1_500_000_000  # how long after its boot a rebooted autopilot is first heard
+FRESH_BOOT_NS = 1_500_000_000  # how long after its boot a rebooted autopilot first sends
 FIRST_QUESTION_NS = 2_000_000_000  # after a boot: its own first TIMESYNC
-KEEP = 50_000  # messages remembered for whoever asks
+KEEP = 50_000  # messages kept for later queries
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class FakeAutopilot:
         self.getting_ready_s = getting_ready_s
         self.system = flight.system if system is None else system
         self.sent: deque[tuple[int, Any]] = deque(maxlen=KEEP)  # (index of the boot, message as sent)
-        self.heard: deque[Any] = deque(maxlen=KEEP)  # what the other end has said
+        self.heard: deque[Any] = deque(maxlen=KEEP)  # what the other end has sent
         self.counts: Counter[str] = Counter()
         self._messages = [as_px4(m) for m in flight.messages] if style == "px4" else flight.messages
         self._everything = everything
@@ -114,7 +114,7 @@ class FakeAutopilot:
         self._late: list[tuple[int, int, bytes | None, bytes | None]] = []  # (due, order, to send, to take in)
         self._order = itertools.count()
         self._silent_until_ns = 0
-        self._mission_computer_ns: int | None = None  # when it was heard last
+        self._mission_computer_ns: int | None = None  # when it was last received
         self._next = 0
         self._next_beat_ns = self._next_question_ns = 0
         self._stop = threading.Event()
@@ -161,7 +161,7 @@ class FakeAutopilot:
         return [message for message in list(self.heard) if message.get_type() == name]
 
     def mute(self, seconds: float) -> None:
-        """Say nothing and hear nothing for a while; the flight goes on."""
+        """Send nothing and receive nothing for a while; the flight continues."""
         self._orders.append(("mute", seconds))
 
     def reboot(self, seconds: float = 1.0) -> None:
@@ -235,7 +235,7 @@ class FakeAutopilot:
                 self._pass_until(FRESH_BOOT_NS - shift)
 
     def _skip(self, now: int) -> None:
-        """What is not said while silent is never said."""
+        """What is not sent while silent is never sent."""
         if now >= self._boots[-1].monotonic_ns:
             self._pass_until(self._boot_ns(now) - self._boots[-1].shift_ns)
             while self._begins_again():

@@ -1,6 +1,6 @@
 """The autopilot's end of a wire: UDP, TCP, or a pseudo terminal in place of a serial line. Never blocks.
 
-What nobody takes is lost, as on a UART: a full buffer drops the packet.
+What has no receiver is lost, as on a UART: a full buffer drops the packet.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Wire(Protocol):
     url: str  # what the other end opens
 
     def send(self, packet: bytes) -> None:
-        """Hand out one packet; dropped where nobody takes it."""
+        """Pass on one packet; dropped where there is no receiver."""
 
     def receive(self, timeout_s: float) -> bytes:
         """What has come in, waiting at most that long for it; empty if nothing has."""
@@ -196,7 +196,7 @@ class _Pty:
     def plug(self) -> None:
         if self._master is not None:
             return
-        # The slave is held open too, or the master reads an error for as long as nobody has opened it.
+        # The slave is held open too, or the master reads an error for as long as no program has opened it.
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)

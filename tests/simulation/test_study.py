@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from onboard.estimation.bundle_adjustment import parallax_of
 from onboard.estimation.factors import State
+from onboard.estimation.platform_states import STATES
 from onboard.geometry.relative_orientation import epipolar_error, refine_direction, start_pair
 from onboard.geometry.triangulation import triangulate
 from simulation import study, study_seed
@@ -88,7 +90,7 @@ def test_onboards_start_reaches_a_centimetre_within_fifteen_iterations(
     R = np.stack([pair.first, pair.second])
     xy = unit_depth(scene.uv_px)
     points = triangulate(R, centres, xy, np.ones(xy.shape[:2], bool)).points_enu_m
-    begun = State(R, centres, points, np.zeros(3), 0.0, np.zeros(3))
+    begun = State(R, centres, points, np.zeros(STATES), np.zeros(3))
     state = study_seed.adjusted(scene.uv_px, centres, begun, 15).state
     assert np.linalg.norm(study_seed.levelled(state) - scene.points_enu_m, axis=1).mean() < 0.01
 
@@ -114,7 +116,7 @@ def test_gps_noise_scales_the_scene_and_pixels_matter_less() -> None:
 
 
 def test_the_bound_is_the_inverse_of_a_numerical_fisher_information() -> None:
-    setting = Setting(views=3, features_per_view=6, attitude_wander_deg=(0.5, 2.0), velocity_sigma_m_s=0.1)
+    setting = Setting(views=3, features_per_view=6, attitude_correlated_deg=(0.5, 2.0), velocity_sigma_m_s=0.1)
     flight = draw(setting, np.random.default_rng(3))
     problem, truth, size = flight.problem, flight.truth, flight.problem.layout.size
     P = len(truth.points_enu_m)
@@ -126,7 +128,9 @@ def test_the_bound_is_the_inverse_of_a_numerical_fisher_information() -> None:
         offset = state.points_enu_m - problem.reference_enu_m
         height = offset[:, 2] - state.plane[0] - offset[:, :2] @ state.plane[1:]
         clearance = state.centres_enu_m[:, 2].mean() - problem.reference_enu_m[2] - state.plane[0]
-        height *= HEIGHT_M / clearance  # relief counts relative to the height flown at
+        # relief counts by what a metre of it moves in the pictures: (5.9)
+        assert problem.parallax is not None
+        height *= parallax_of(state.centres_enu_m, float(clearance)) / problem.parallax
         priors = [prior.evaluate(state)[0] for prior in problem.priors]
         return np.concatenate([image, height / setting.relief_sigma_m, *priors])
 
@@ -145,7 +149,7 @@ def test_the_bound_is_the_inverse_of_a_numerical_fisher_information() -> None:
 
 
 def test_a_flight_with_every_sensor_is_estimated_near_its_bound() -> None:
-    setting = Setting(attitude_wander_deg=(0.5, 2.0), velocity_sigma_m_s=0.1, outlier_share=0.2)
+    setting = Setting(attitude_correlated_deg=(0.5, 2.0), velocity_sigma_m_s=0.1, outlier_share=0.2)
     squared, bounds = [], []
     for seed in range(6):
         flight = draw(setting, np.random.default_rng(seed))
