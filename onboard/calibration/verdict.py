@@ -82,7 +82,7 @@ def judge(fit: Fit | None, dropped: list[View], size_px: tuple[int, int], found:
         complaints.append(f"too few views ({used}): take at least {LEAST_VIEWS}, better {LEAST_VIEWS * 2}")
     focal_share = max(fit.sigmas["fx"] / fit.camera.fx_px, fit.sigmas["fy"] / fit.camera.fy_px)
     if tilts := lacking_tilts(fit):
-        extent = "cannot be told from the distance" if focal_share > FOCAL_SIGMA else "is uncertain"
+        extent = "cannot be distinguished from the distance" if focal_share > FOCAL_SIGMA else "is uncertain"
         complaints.append(
             f"too few tilts: the focal length {extent} (one sigma {focal_share:.2%}) "
             f"while boards face the camera: lean the board 20 to 40 degrees {' and '.join(tilts)}"

@@ -1,16 +1,20 @@
-"""Pictures with their capture times: a V4L2 device, files, or a played recording. Sources handle device faults
-themselves.
+"""Pictures with their capture times: a V4L2 device, a helper program (RTSP, libcamera, GStreamer, one's own), files, or
+a played recording. Sources handle device faults themselves.
 
 Public:
 
 - `discovery`: `device_paths`, `stable_names`
-- `factory`: `open_camera`
-- `file_stamps`: `spread_within_seconds`
+- `factory`: `open_camera`, `open_device`
+- `file_stamps`: `spread_within_seconds`, `stamp_from_name`
 - `format_negotiation`: `sizes_text`
+- `helper_launch`: `helper_launch`, `libcamera_names`, `unable`
+- `photo_lens`: `FULL_FRAME_DIAGONAL_MM`
 - `photo_metadata`: `Focal`, `PhotoMetadata`, `read_photo`
 - `picture_files`: `FrameSource`, `PICTURE_SUFFIXES`, `open_frames`, `read_grey`
+- `picture_mask`: `read_mask`
 - `playback`: `PREFIX`
 - `pixel_formats`: `DECODERS`, `UNDECODABLE`
-- `v4l2_camera`: `V4l2Camera`
+- `rig_bands`: `one_band`
+- `video_times`: `creation_ns`, `frame_times_s`, `rate_text`
 - `v4l2_device`: `Control`, `Device`, `Sizes`, `V4l2Device`
 """

@@ -1,7 +1,8 @@
 """From a driver's buffers to Frames: which time, which were lost, which are worth looking at. No device, no clock.
 
-A picture goes on with no image when it is damaged, and when it repeats the one before to the last bit: a sensor's noise
-never does, so a repeat is an old picture under a new time stamp, the one thing that must not be georeferenced.
+A picture is passed on with no image when it is damaged, and when it repeats the one before to the last bit: a sensor's
+noise never does, so a repeat is an old picture under a new time stamp, the one thing that must not be georeferenced.
+A repeat that was compressed again differs a little: it is one if next to nothing changed beside what lately did.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from onboard.camera import v4l2_structures as v4l2
@@ -25,13 +27,16 @@ FUTURE_NS = 5_000_000
 RATE_WINDOW = 60
 RATE_SLACK = 0.8
 BAD_IN_A_ROW = 5
+CHANGES, FEWEST_CHANGES = 30, 10  # pictures whose change is remembered, and that must have been seen to compare with
+MOVING_QUANTILE = 0.8  # of changes: also where two pictures of three are repeats, it is one between pictures
+STILL_SHARE = 0.2  # of that: two encodings of a picture differ by 0.03 of it, at most 0.3 where a key frame begins
 
 
 @dataclass
 class Counts:
     """Since the camera was first opened."""
 
-    pictures: int = 0  # handed out, those without an image included
+    pictures: int = 0  # passed on, those without an image included
     lost: int = 0  # gaps in the driver's numbers
     skipped: int = 0  # taken too late, or under a time that cannot be
     damaged: int = 0
@@ -40,11 +45,21 @@ class Counts:
 
 
 class Pictures:
-    """Judges the buffers of one camera; `restart` whenever its stream begins anew."""
+    """Judges the buffers of one camera; `restart` whenever its stream begins again."""
 
-    def __init__(self, clock: SessionClock, latency_s: float, size_px: tuple[int, int], rate_hz: float) -> None:
+    def __init__(
+        self,
+        clock: SessionClock,
+        latency_s: float,
+        size_px: tuple[int, int],
+        rate_hz: float,
+        stale_ns: int = STALE_NS,
+        numbered_by: str = "driver",
+        is_compressed: bool = False,
+    ) -> None:
         self.counts = Counts()
         self._clock, self._size_px, self._rate_hz = clock, size_px, rate_hz
+        self._stale_ns, self._numbered_by, self._is_compressed = stale_ns, numbered_by, is_compressed
         self._latency_ns = round(latency_s * 1e9)
         self._consistency = StampConsistency()  # over restarts: the same camera
         self._last_stamp_ns: int | None = None  # over restarts: stamps never run backwards
@@ -54,6 +69,7 @@ class Pictures:
         self._sequence: int | None = None
         self._is_numbered = True
         self._last: Grey | None = None
+        self._changes: deque[float] = deque(maxlen=CHANGES)  # mean difference of one picture to the next, grey levels
         self._stamps_ns: deque[int] = deque(maxlen=RATE_WINDOW)
         self._same_since_ns: int | None = None
         self._is_blank = False
@@ -64,7 +80,7 @@ class Pictures:
         self._stale_in_a_row = 0
 
     def restart(self) -> None:
-        """The stream begins anew: numbers and repeats start over, counts and stamps go on."""
+        """The stream begins again: numbers and repeats start at zero, counts and stamps continue."""
         self._begin()
 
     def take(self, buffer: Buffer, format_: Granted, now_ns: int, has_waited: bool) -> Frame | None:
@@ -92,20 +108,20 @@ class Pictures:
         if self._sequence is not None:
             step = (sequence - self._sequence) % 2**32
             self._is_numbered = step != 0
-            if 0 < step < 2**31:  # else the driver has begun to count anew
+            if 0 < step < 2**31:  # else the driver has begun to count again
                 self.counts.lost += step - 1
         self._sequence = sequence
 
     def _capture_time(self, buffer: Buffer, now_ns: int, has_waited: bool) -> int | None:
         """CLOCK_MONOTONIC of the exposure as the driver has it, of the arrival if need be, None if neither is."""
         age_ns = now_ns - buffer.stamp_ns
-        is_plausible = -FUTURE_NS <= age_ns <= STALE_NS
+        is_plausible = -FUTURE_NS <= age_ns <= self._stale_ns
         is_at_start = buffer.flags & v4l2.BUF_FLAG_TSTAMP_SRC_MASK == v4l2.BUF_FLAG_TSTAMP_SRC_SOE
         self._source = "start" if is_at_start else "end"
         if buffer.flags & v4l2.BUF_FLAG_TIMESTAMP_MASK == v4l2.BUF_FLAG_TIMESTAMP_MONOTONIC:
             self._uses_arrival = False
             self._ahead_ns = max(-age_ns, 0) if age_ns < -FUTURE_NS else 0
-            is_stale = age_ns > STALE_NS
+            is_stale = age_ns > self._stale_ns
             self._stale_in_a_row = self._stale_in_a_row + 1 if is_stale else 0
             return None if is_stale else buffer.stamp_ns
         self._uses_arrival = not is_plausible
@@ -124,13 +140,23 @@ class Pictures:
         last, self._last = self._last, image
         self._is_blank = bool(image.min() == image.max())
         # A sample first: nearly every picture already differs there.
-        if last is None or self._is_blank or np.any(last[::16, ::16] != image[::16, ::16]) or np.any(last != image):
+        if last is None or self._is_blank or not self._repeats(last, image):
             self._same_since_ns = None
             return image
         self.counts.repeated += 1
         if self._same_since_ns is None:
             self._same_since_ns = now_ns
         return None
+
+    def _repeats(self, last: Grey, image: Grey) -> bool:
+        if not self._is_compressed:
+            return not (np.any(last[::16, ::16] != image[::16, ::16]) or np.any(last != image))
+        change = float(cv2.norm(last[::4, ::4], image[::4, ::4], cv2.NORM_L1)) / last[::4, ::4].size
+        self._changes.append(change)
+        if change == 0.0:
+            return bool(np.all(last == image))
+        usual = float(np.quantile(self._changes, MOVING_QUANTILE)) if len(self._changes) >= FEWEST_CHANGES else 0.0
+        return change < STILL_SHARE * usual
 
     def frozen_s(self, now_ns: int) -> float:
         """For how long the same picture has come again and again."""
@@ -145,7 +171,7 @@ class Pictures:
 
     @property
     def stamped_at(self) -> str:
-        """What the driver says its stamps are: the 'start' or the 'end' of the picture; '' before the first."""
+        """What the driver reports its stamps to be: the 'start' or the 'end' of the picture; '' before the first."""
         return self._source
 
     def complaints(self) -> list[str]:
@@ -156,15 +182,14 @@ class Pictures:
         if self._ahead_ns:
             found.append(f"stamps lie {self._ahead_ns / 1e6:.0f} ms in the future: calibrate camera.latency_s")
         if self._stale_in_a_row > BAD_IN_A_ROW:
-            found.append("every picture is older than half a second: none is used")
+            found.append(f"every picture is older than {self._stale_ns / 1e9:g} s: none is used")
         if not self._is_numbered:
-            found.append("the driver does not number its pictures: lost ones cannot be counted")
+            found.append(f"the {self._numbered_by} does not number its pictures: lost ones cannot be counted")
         if self._damaged_in_a_row >= BAD_IN_A_ROW:
             found.append(f"the last {self._damaged_in_a_row} pictures are damaged")
         if self._is_blank:
             found.append("the picture is a single grey value: lens covered, or exposure far off")
         if len(self._stamps_ns) == RATE_WINDOW and self.rate_hz < RATE_SLACK * self._rate_hz:
-            found.append(
-                f"{self.rate_hz:.1f} of {self._rate_hz:g} pictures a second: exposure too long, or bus too slow"
-            )
+            why = ": exposure too long, or bus too slow" if self._numbered_by == "driver" else ""
+            found.append(f"{self.rate_hz:.1f} of {self._rate_hz:g} pictures a second{why}")
         return found

@@ -60,8 +60,8 @@ def stamp_from_name(name: str) -> int | None:
 def stamp_from_exif(image: Image.Image, whole_seconds: bool = False) -> int | None:
     """DateTimeOriginal with SubSecTimeOriginal -> Unix ns, or None.
 
-    OffsetTimeOriginal is honoured; without it the time is taken as UTC. Whole seconds alone are no capture time unless
-    `whole_seconds` says that they may be: at 20 m/s they are up to 20 m wrong.
+    OffsetTimeOriginal is used; without it the time is taken as UTC. Whole seconds alone are no capture time unless
+    `whole_seconds` specifies that they may be: at 20 m/s they are up to 20 m wrong.
     """
     stamp_ns, is_whole = exif_moment(dict(image.getexif().get_ifd(ExifTags.IFD.Exif)))
     return None if is_whole and not whole_seconds else stamp_ns

@@ -1,4 +1,4 @@
-"""Which of a device's formats to take, and what to say when it has none that fits."""
+"""Which of a device's formats to take, and what to report when it has none that fits."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def offer(device: Device) -> str:
 
 
 def sizes_text(sizes: Sizes) -> str:
-    """'320x240, 640x480', '16x16 to 1920x1080', or nothing where the driver does not say."""
+    """'320x240, 640x480', '16x16 to 1920x1080', or nothing where the driver does not report it."""
     if sizes.discrete_px:
         shown = ", ".join(f"{w}x{h}" for w, h in sizes.discrete_px[:_SHOWN])
         return shown + (f" and {len(sizes.discrete_px) - _SHOWN} more" if len(sizes.discrete_px) > _SHOWN else "")

@@ -1,54 +1,44 @@
-"""What a photograph says of itself: EXIF, and the XMP that drones add (DJI's names, in any namespace).
+"""What a photograph states about itself: EXIF, and the XMP that drones add (DJI's names, Pix4D's, which MicaSense,
+Parrot and senseFly write, Parrot's and Skydio's own).
 
-Read with Pillow, which decodes the pictures anyway; XMP is XML, read by the standard library from its root element
-on, before which alone a document type could stand.
+Read with Pillow, which decodes the pictures anyway.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from xml.etree import ElementTree
 
+import numpy as np
 from PIL import ExifTags, Image
 
 from contract.errors import InputError
+from contract.rotations import euler_from_matrix, matrix_from_euler
 from onboard.camera.file_stamps import exif_moment
+from onboard.camera.photo_lens import Focal, focal_of, number
 from onboard.camera.pixel_formats import UNDECODABLE
+from onboard.camera.xmp_packet import read_xmp
 
-FULL_FRAME_DIAGONAL_MM = 43.2666
-MM_OF_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # FocalPlaneResolutionUnit
-# One sigma of a focal length, as a share. DJI's dewarping data come from a calibration of the very lens, its
-# "calibrated" focal length is the design's; a focal length in mm is rounded and leaves out what focusing changes;
-# its equivalent to 35 mm film is a whole number, and makers differ in what they hold equal (diagonal or width).
-SIGMA_DEWARP, SIGMA_DESIGN, SIGMA_MM, SIGMA_EQUIVALENT = 0.003, 0.015, 0.02, 0.03
+__all__ = ["Focal", "PhotoMetadata", "read_photo"]
+
+RTK_FLAGS = {"34", "50"}  # DJI's RtkFlag: float, fixed
+MIN_READOUT_S, MAX_READOUT_S = 1e-3, 0.2  # of a whole picture
 
 Angles = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Focal:
-    """A focal length in pixels, its one sigma, and where it is from; with principal point and distortion if known."""
-
-    fx_px: float
-    fy_px: float
-    sigma_px: float
-    source: str
-    centre_px: tuple[float, float] | None = None
-    distortion: tuple[float, float, float, float, float] | None = None  # OpenCV's k1, k2, p1, p2, k3
-
-
-@dataclass(frozen=True)
 class PhotoMetadata:
-    """One photograph's own words; None where it does not say. Angles are roll, pitch, yaw against north-east-down."""
+    """What one photograph states; None where it does not. Angles are roll, pitch, yaw against north-east-down."""
 
     name: str
     size_px: tuple[int, int]
     model: str
-    stamp_ns: int | None  # UTC, as far as the photograph tells
+    stamp_ns: int | None  # UTC, as far as the photograph states it
     stamp_is_whole_s: bool  # to the second only, the fraction cut off
     lat_deg: float | None
     lon_deg: float | None
@@ -61,6 +51,9 @@ class PhotoMetadata:
     body_deg: Angles | None
     velocity_ne_m_s: tuple[float, float] | None
     focal: Focal | None
+    height_is_barometric: bool = False  # a height in the standard atmosphere, as drones without RTK write it
+    readout_s: float | None = None  # of a rolling shutter, all rows
+    band: tuple[int, str] | None = None  # of a rig of cameras that expose together: number and name
 
 
 def read_photo(path: Path) -> PhotoMetadata:
@@ -70,68 +63,39 @@ def read_photo(path: Path) -> PhotoMetadata:
             exif = image.getexif()
             details = dict(exif.get_ifd(ExifTags.IFD.Exif))
             gps = dict(exif.get_ifd(ExifTags.IFD.GPSInfo))
-            xmp = _xmp(image)
+            packet = image.info.get("xmp", b"") or exif.get(ExifTags.Base.XMLPacket, b"")
+            xmp = read_xmp(packet.encode() if isinstance(packet, str) else bytes(packet))
             size_px = image.size
     except UNDECODABLE as error:
         why = " ".join(str(error).split()).replace(str(path), path.name)
         raise InputError(f"photograph {path}: cannot be read ({why})") from error
+    make, kind = (str(exif.get(tag, "")).strip("\0 ") for tag in (ExifTags.Base.Make, ExifTags.Base.Model))
+    model = f"{make} {kind}".strip()
     stamp_ns, is_whole_s = _stamp(details, xmp)
     lat_deg, lon_deg = _place(gps, xmp)
-    height_m = _number(xmp.get("AbsoluteAltitude"))
-    is_ellipsoidal = height_m is not None and xmp.get("AltitudeType") == "RtkAlt"
-    if height_m is None:
-        height_m, is_ellipsoidal = _gps_height(gps)
-    sides = [_number(xmp.get(name)) for name in ("RtkStdLat", "RtkStdLon")]
-    horizontal_m = _norm(sides[0], sides[1])
-    north, east = _number(xmp.get("FlightXSpeed")), _number(xmp.get("FlightYSpeed"))
+    height_m, is_ellipsoidal, is_barometric = _height(gps, xmp, make)
+    north, east = number(xmp.get("FlightXSpeed")), number(xmp.get("FlightYSpeed"))
     return PhotoMetadata(
         path.name,
         size_px,
-        " ".join(str(exif.get(tag, "")).strip("\0 ") for tag in (ExifTags.Base.Make, ExifTags.Base.Model)).strip(),
+        model,
         stamp_ns,
         is_whole_s,
         lat_deg,
         lon_deg,
         height_m,
         is_ellipsoidal,
-        _number(xmp.get("RelativeAltitude")),
-        horizontal_m or _number(gps.get(ExifTags.GPS.GPSHPositioningError)) or None,
-        _number(xmp.get("RtkStdHgt")) or None,
-        _angles(xmp, "Gimbal"),
-        _angles(xmp, "Flight"),
+        number(xmp.get("RelativeAltitude")),
+        _sigma_horizontal(gps, xmp),
+        _first(xmp, "RtkStdHgt", "Camera:GPSZAccuracy", "GpsVerticalAccuracy"),
+        _camera_angles(xmp, make),
+        _angles(xmp, "Flight{}Degree", "Drone{}Degree", "VehicleOrientationNED/{}"),
         None if north is None or east is None else (north, east),
-        _focal(details, xmp, size_px),
+        focal_of(details, xmp, size_px, model),
+        height_is_barometric=is_barometric,
+        readout_s=_readout(xmp, size_px),
+        band=_band(xmp),
     )
-
-
-def _xmp(image: Image.Image) -> dict[str, str]:
-    """Attributes and elements by their names without namespace."""
-    packet = image.info.get("xmp", b"")
-    packet = packet.encode() if isinstance(packet, str) else packet
-    start, end = packet.find(b"<x:xmpmeta"), packet.rfind(b"</x:xmpmeta>")
-    if start < 0 or end < 0:
-        return {}
-    try:
-        root = ElementTree.fromstring(packet[start : end + len(b"</x:xmpmeta>")])
-    except ElementTree.ParseError:
-        return {}
-    found: dict[str, str] = {}
-    for node in root.iter():
-        if node.text and node.text.strip():
-            found[node.tag.rpartition("}")[2]] = node.text.strip()
-        found |= {name.rpartition("}")[2]: value.strip() for name, value in node.attrib.items()}
-    return found
-
-
-def _number(value: object) -> float | None:
-    """A finite number, or None. EXIF's ratios may be 0/0."""
-    if value is None or isinstance(value, bytes):
-        return None
-    try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, ZeroDivisionError):
-        return None
-    return number if math.isfinite(number) else None
 
 
 def _norm(a: float | None, b: float | None) -> float | None:
@@ -139,7 +103,18 @@ def _norm(a: float | None, b: float | None) -> float | None:
     return None if a is None or b is None else math.hypot(a, b) / math.sqrt(2.0)
 
 
-def _stamp(details: dict[int, object], xmp: dict[str, str]) -> tuple[int | None, bool]:
+def _first(xmp: Mapping[str, str], *names: str) -> float | None:
+    """The first of these that is a number other than 0."""
+    return next((value for name in names if (value := number(xmp.get(name)))), None)
+
+
+def _sigma_horizontal(gps: Mapping[int, object], xmp: Mapping[str, str]) -> float | None:
+    rtk = _norm(number(xmp.get("RtkStdLat")), number(xmp.get("RtkStdLon")))
+    said = rtk or _first(xmp, "Camera:GPSXYAccuracy", "GpsHorizontalAccuracy")
+    return said or number(gps.get(ExifTags.GPS.GPSHPositioningError)) or None
+
+
+def _stamp(details: dict[int, object], xmp: Mapping[str, str]) -> tuple[int | None, bool]:
     """The exposure (Unix ns) and whether it is cut to the second: the XMP's UTC, else EXIF's."""
     utc = re.fullmatch(r"(\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?Z?", xmp.get("UTCAtExposure", ""))
     if utc is not None:
@@ -151,10 +126,10 @@ def _stamp(details: dict[int, object], xmp: dict[str, str]) -> tuple[int | None,
     return exif_moment(details)
 
 
-def _place(gps: dict[int, object], xmp: dict[str, str]) -> tuple[float | None, float | None]:
+def _place(gps: Mapping[int, object], xmp: Mapping[str, str]) -> tuple[float | None, float | None]:
     """Latitude and longitude in degrees; DJI's XMP has more digits than its EXIF, and one letter too many."""
-    lat = _number(xmp.get("GpsLatitude", xmp.get("Latitude")))
-    lon = _number(xmp.get("GpsLongitude", xmp.get("GpsLongtitude", xmp.get("Longitude"))))
+    lat = number(xmp.get("GpsLatitude", xmp.get("Latitude")))
+    lon = number(xmp.get("GpsLongitude", xmp.get("GpsLongtitude", xmp.get("Longitude"))))
     if lat is None or lon is None:
         lat = _sexagesimal(gps.get(ExifTags.GPS.GPSLatitude), gps.get(ExifTags.GPS.GPSLatitudeRef), "S")
         lon = _sexagesimal(gps.get(ExifTags.GPS.GPSLongitude), gps.get(ExifTags.GPS.GPSLongitudeRef), "W")
@@ -165,52 +140,72 @@ def _place(gps: dict[int, object], xmp: dict[str, str]) -> tuple[float | None, f
 def _sexagesimal(value: object, reference: object, negative: str) -> float | None:
     if not isinstance(value, tuple | list) or len(value) != 3:
         return None
-    degrees, minutes, seconds = (_number(part) for part in value)
+    degrees, minutes, seconds = (number(part) for part in value)
     if degrees is None or minutes is None or seconds is None:
         return None
     angle = degrees + minutes / 60.0 + seconds / 3600.0
     return -angle if str(reference).strip("\0 ").upper() == negative else angle
 
 
-def _gps_height(gps: dict[int, object]) -> tuple[float | None, bool]:
+def _height(gps: Mapping[int, object], xmp: Mapping[str, str], make: str) -> tuple[float | None, bool, bool]:
+    """The height, whether it counts from the ellipsoid, and whether it is a barometer's.
+
+    DJI's RTK counts from the ellipsoid, which newer aircraft state (AltitudeType) and the Phantom 4 RTK does not; so
+    does Skydio always, and Pix4D's namespace states it.
+    """
+    height_m, kind = number(xmp.get("AbsoluteAltitude")), xmp.get("AltitudeType", "")
+    gps_height_m, is_ellipsoidal = _gps_height(gps)
+    is_ellipsoidal |= "ellips" in xmp.get("Camera:VertCS", "").lower() or make == "Skydio"
+    if height_m is None:
+        return gps_height_m, is_ellipsoidal and gps_height_m is not None, make == "DJI" and not is_ellipsoidal
+    has_rtk = xmp.get("RtkFlag", "").strip() in RTK_FLAGS or bool(number(xmp.get("RtkStdHgt")))
+    is_rtk = kind == "RtkAlt" or (not kind and has_rtk)
+    is_from_ellipsoid = is_rtk or make == "Skydio"
+    return height_m, is_from_ellipsoid, not is_from_ellipsoid and kind != "GpsFusionAlt"
+
+
+def _gps_height(gps: Mapping[int, object]) -> tuple[float | None, bool]:
     """EXIF's altitude, and whether it counts from the ellipsoid (EXIF 3: references 2 and 3)."""
-    height_m, reference = _number(gps.get(ExifTags.GPS.GPSAltitude)), gps.get(ExifTags.GPS.GPSAltitudeRef, 0)
+    height_m, reference = number(gps.get(ExifTags.GPS.GPSAltitude)), gps.get(ExifTags.GPS.GPSAltitudeRef, 0)
     code = reference[0] if isinstance(reference, bytes) and reference else reference
     if height_m is not None and code in (1, 3):
         height_m = -height_m
     return height_m, code in (2, 3)
 
 
-def _angles(xmp: dict[str, str], who: str) -> Angles | None:
-    roll, pitch, yaw = (_number(xmp.get(f"{who}{angle}Degree")) for angle in ("Roll", "Pitch", "Yaw"))
-    return None if roll is None or pitch is None or yaw is None else (roll, pitch, yaw)
-
-
-def _focal(details: dict[int, object], xmp: dict[str, str], size_px: tuple[int, int]) -> Focal | None:
-    """The best of what the photograph says of its lens."""
-    dewarp = [_number(part) for part in xmp.get("DewarpData", "").rpartition(";")[2].split(",")]
-    if len(dewarp) == 9 and None not in dewarp:
-        fx, fy, cx, cy, *rest = (float(part) for part in dewarp if part is not None)
-        k1, k2, p1, p2, k3 = rest
-        middle = ((size_px[0] - 1) / 2.0, (size_px[1] - 1) / 2.0)
-        if min(fx, fy) > 0.0:
-            centre = middle[0] + cx, middle[1] + cy
-            if xmp.get("DewarpFlag", "0").strip() == "1":  # the picture has been straightened already
-                k1 = k2 = p1 = p2 = k3 = 0.0
-            return Focal(fx, fy, SIGMA_DEWARP * fx, "DewarpData", centre, (k1, k2, p1, p2, k3))
-    design = _number(xmp.get("CalibratedFocalLength"))
-    if design is not None and design > 0.1 * max(size_px):  # older firmware gives it in mm
-        return Focal(design, design, SIGMA_DESIGN * design, "CalibratedFocalLength")
-    focal_mm = _number(details.get(ExifTags.Base.FocalLength))
-    resolution = _number(details.get(ExifTags.Base.FocalPlaneXResolution))
-    unit = MM_OF_UNIT.get(int(_number(details.get(ExifTags.Base.FocalPlaneResolutionUnit)) or 2))
-    if focal_mm and resolution and unit:
-        focal_px = focal_mm * resolution / unit
-        if 0.2 * max(size_px) < focal_px < 50.0 * max(size_px):
-            return Focal(focal_px, focal_px, SIGMA_MM * focal_px, "FocalLength and FocalPlaneXResolution")
-    equivalent_mm = _number(details.get(ExifTags.Base.FocalLengthIn35mmFilm))
-    if equivalent_mm:
-        focal_px = equivalent_mm / FULL_FRAME_DIAGONAL_MM * math.hypot(*size_px)
-        sigma = math.hypot(SIGMA_EQUIVALENT, 1.0 / 12.0**0.5 / equivalent_mm) * focal_px
-        return Focal(focal_px, focal_px, sigma, "FocalLengthIn35mmFilm")
+def _angles(xmp: Mapping[str, str], *patterns: str) -> Angles | None:
+    for pattern in patterns:
+        roll, pitch, yaw = (number(xmp.get(pattern.format(angle))) for angle in ("Roll", "Pitch", "Yaw"))
+        if roll is not None and pitch is not None and yaw is not None:
+            return roll, pitch, yaw
     return None
+
+
+def _camera_angles(xmp: Mapping[str, str], make: str) -> Angles | None:
+    """Of the optical axis, pitch -90 looking down: DJI's, Parrot's and Skydio's names as they are, Pix4D's turned."""
+    said = _angles(xmp, "Gimbal{}Degree", "Camera{}Degree", "CameraOrientationNED/{}")
+    if said is not None:
+        return said
+    nadir = _angles(xmp, "Camera:{}")
+    if nadir is None:
+        return None
+    # Pix4D counts from looking straight down with the picture's top to the north; senseFly has roll the other way.
+    roll, pitch, yaw = nadir if make.lower() != "sensefly" else (-nadir[0], *nadir[1:])
+    R_ned_camera = matrix_from_euler(*np.radians([roll, pitch, yaw])) @ matrix_from_euler(0.0, -math.pi / 2.0, 0.0)
+    roll, pitch, yaw = np.degrees(euler_from_matrix(R_ned_camera)).tolist()
+    return roll, pitch, yaw
+
+
+def _readout(xmp: Mapping[str, str], size_px: tuple[int, int]) -> float | None:
+    """Of all rows, by the time of one, in the only unit of s, ms, us, ns that makes a picture possible."""
+    line = number(xmp.get("Camera:LineReadoutTime"))
+    if not line or line < 0.0:
+        return None
+    in_s = (line * size_px[1] * unit_s for unit_s in (1.0, 1e-3, 1e-6, 1e-9))
+    return next((readout_s for readout_s in in_s if MIN_READOUT_S < readout_s < MAX_READOUT_S), None)
+
+
+def _band(xmp: Mapping[str, str]) -> tuple[int, str] | None:
+    """Which camera of a rig, if the picture states that it is of one."""
+    index = number(xmp.get("Camera:RigCameraIndex"))
+    return None if index is None else (int(index), xmp.get("Camera:BandName", ""))

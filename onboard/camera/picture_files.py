@@ -1,13 +1,15 @@
 """Frames from a folder of pictures or a video, in capture order, decoded one at a time.
 
 Everything that can be known without decoding (names, sizes, stamps) is checked when the source is opened. Pictures are
-decoded by Pillow because it refuses a cut-off file where OpenCV would hand out a half-grey picture; orientation tags
+decoded by Pillow because it refuses a cut-off file where OpenCV would return a half-grey picture; orientation tags
 are ignored, a camera's calibration being in its sensor's own axes.
 """
 
 from __future__ import annotations
 
+import bisect
 import itertools
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,10 +24,12 @@ from contract.camera import Camera
 from contract.errors import InputError
 from onboard.camera.file_stamps import read_stamps, spread_within_seconds, stamp_from_exif, stamp_from_name
 from onboard.camera.pixel_formats import UNDECODABLE, reduce_16_bit
+from onboard.camera.video_times import dropped_note, frame_times_s
 from onboard.events.types import Frame
 
 PICTURE_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".pnm", ".webp", ".jp2"}
 SIXTEEN_BIT_MODES = {"I;16", "I;16B", "I;16L", "I"}
+SAME_S = 5e-4  # of two times of one frame
 WITHOUT_FFMPEG = Path(cv2.__file__).parent / "WITHOUT_FFMPEG"  # there if FFmpeg was left out (packaging/slim.py)
 
 
@@ -40,6 +44,10 @@ class FrameSource(Protocol):
     def names(self) -> list[str]:
         """What each frame is called, in the same order."""
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the operator should know of how they were read, one line each."""
+
     def frames(self) -> Iterator[Frame]:
         """Each picture in capture order; raises InputError at one that cannot be decoded or has another size."""
 
@@ -51,22 +59,24 @@ def open_frames(
     latency_s: float = 0.0,
     whole_seconds: bool = False,
     epoch_ns: int | None = None,
+    max_rate_hz: float = math.inf,
+    in_colour: bool = False,
 ) -> FrameSource:
     """Open a folder of pictures or a video; `latency_s` is taken off every stamp to give mid-exposure.
 
     `whole_seconds`: EXIF times cut to the second may serve. `epoch_ns`: when a video without `stamps` began, whatever
-    its name says.
+    its name states. `max_rate_hz`: pictures closer together are left out. `in_colour`: frames have their colours too.
 
     Raises InputError, one line, if it is missing or empty, of another size than the camera, or has no capture times.
     """
     path = Path(path)
     if path.is_dir():
-        return PictureFolder(path, camera, stamps, latency_s, whole_seconds)
+        return PictureFolder(path, camera, stamps, latency_s, whole_seconds, max_rate_hz, in_colour)
     if not path.exists():
         raise InputError(f"frames {path}: no such folder or video")
     if path.suffix.lower() in PICTURE_SUFFIXES:
         raise InputError(f"frames {path}: a single picture; name the folder it is in, or a video")
-    return Video(path, camera, stamps, latency_s, epoch_ns)
+    return Video(path, camera, stamps, latency_s, epoch_ns, max_rate_hz, in_colour)
 
 
 def _check_size(what: str, size_px: tuple[int, int], camera: Camera) -> None:
@@ -93,13 +103,29 @@ def _in_capture_order(where: object, stamped: list[_Stamped]) -> list[_Stamped]:
     return ordered
 
 
+def _thinned(stamped: list[_Stamped], max_rate_hz: float) -> list[_Stamped]:
+    """In order of time; of those closer together than the rate allows the first. A tenth less is no closer."""
+    out: list[_Stamped] = []
+    for item in stamped:
+        if not out or (item.stamp_ns - out[-1].stamp_ns) / 1e9 >= 0.9 / max_rate_hz:
+            out.append(item)
+    return out
+
+
 class PictureFolder:
     """The pictures of one folder (not of its subfolders)."""
 
     def __init__(
-        self, folder: Path, camera: Camera, stamps: Path | str | None, latency_s: float, whole_seconds: bool = False
+        self,
+        folder: Path,
+        camera: Camera,
+        stamps: Path | str | None,
+        latency_s: float,
+        whole_seconds: bool = False,
+        max_rate_hz: float = math.inf,
+        in_colour: bool = False,
     ) -> None:
-        self.folder, self.camera, self._whole_seconds = folder, camera, whole_seconds
+        self.folder, self.camera, self._whole_seconds, self._in_colour = folder, camera, whole_seconds, in_colour
         names = sorted(
             entry.name for entry in folder.iterdir() if entry.suffix.lower() in PICTURE_SUFFIXES and entry.is_file()
         )
@@ -108,9 +134,8 @@ class PictureFolder:
         exif = self._whole_in_order(names, [self._check_header(name) for name in names])
         found = self._from_csv(names, stamps) if stamps is not None else self._from_pictures(names, exif)
         late_ns = round(latency_s * 1e9)
-        self._stamped = _in_capture_order(
-            folder, [_Stamped(stamp - late_ns, name) for name, stamp in zip(names, found, strict=True)]
-        )
+        stamped = [_Stamped(stamp - late_ns, name) for name, stamp in zip(names, found, strict=True)]
+        self._stamped = _thinned(_in_capture_order(folder, stamped), max_rate_hz)
 
     def _check_header(self, name: str) -> int | None:
         """Check a picture's size; returns its EXIF capture time, if it has one."""
@@ -173,14 +198,20 @@ class PictureFolder:
         """File names in capture order."""
         return [item.name for item in self._stamped]
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """None: each picture has its own time."""
+        return ()
+
     def frames(self) -> Iterator[Frame]:
         """Decode and yield each picture; raises InputError at one that cannot be decoded."""
         for index, item in enumerate(self._stamped):
             try:
                 image = read_grey(self.folder / item.name)
+                colour = read_colour(self.folder / item.name) if self._in_colour else None
             except UNDECODABLE as error:
                 raise self._undecodable(item.name, error) from error
-            yield Frame(item.stamp_ns, index, image, item.name)
+            yield Frame(item.stamp_ns, index, image, item.name, colour=colour)
 
 
 def read_grey(path: Path) -> NDArray[np.uint8]:
@@ -192,8 +223,16 @@ def read_grey(path: Path) -> NDArray[np.uint8]:
         return np.array(image.convert("L"), np.uint8)
 
 
+def read_colour(path: Path) -> NDArray[np.uint8] | None:
+    """A picture file's colours, blue first (H, W, 3), in the sensor's axes as `read_grey`; None if it has none."""
+    with Image.open(path) as image:
+        if image.mode not in ("RGB", "RGBA", "CMYK", "P"):
+            return None
+        return np.ascontiguousarray(np.array(image.convert("RGB"), np.uint8)[:, :, ::-1])
+
+
 class Video:
-    """A video file; its stamps come from a CSV by index, or from the time in its name and its own frame times."""
+    """A video file; its stamps come from a CSV by index, or from when it began and its container's own frame times."""
 
     def __init__(
         self,
@@ -202,8 +241,10 @@ class Video:
         stamps: Path | str | None,
         latency_s: float,
         epoch_ns: int | None = None,
+        max_rate_hz: float = math.inf,
+        in_colour: bool = False,
     ) -> None:
-        self.path, self.camera = path, camera
+        self.path, self.camera, self._in_colour = path, camera, in_colour
         capture = self._open()
         size = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
         count, rate_hz = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), capture.get(cv2.CAP_PROP_FPS)
@@ -211,17 +252,21 @@ class Video:
         _check_size(f"frames {path}", size, camera)
         if count < 1:
             raise InputError(f"frames {path}: the video does not say how many frames it has; remux it")
-        found = self._from_csv(count, stamps) if stamps is not None else self._from_rate(count, rate_hz, epoch_ns)
+        self.notes: tuple[str, ...] = ()
+        self._times_s = frame_times_s(path)  # the container's own, if it has any
+        count = len(self._times_s) or count
+        found = self._from_csv(count, stamps) if stamps is not None else self._from_container(count, rate_hz, epoch_ns)
         late_ns = round(latency_s * 1e9)
-        names = [f"{path.name}#{index}" for index in range(count)]
-        self._stamped = [_Stamped(stamp - late_ns, name) for stamp, name in zip(found, names, strict=True)]
-        if _in_capture_order(path, self._stamped) != self._stamped:
+        names = [f"{path.name}#{index}" for index in range(len(found))]
+        stamped = [_Stamped(stamp - late_ns, name) for stamp, name in zip(found, names, strict=True)]
+        if _in_capture_order(path, stamped) != stamped:
             raise InputError(f"stamps {stamps}: times must increase with the index")
+        self._all, self._stamped = stamped, _thinned(stamped, max_rate_hz)
 
     def _open(self) -> cv2.VideoCapture:
         if WITHOUT_FFMPEG.is_file():  # OpenCV would call what is not there
             raise InputError(
-                f"frames {self.path}: the Debian package reads no videos; use pip install 'pointclick[onboard]', "
+                f"frames {self.path}: the Debian package reads no videos; install from the sources (README), "
                 "or a folder of pictures"
             )
         capture = cv2.VideoCapture(str(self.path))
@@ -242,10 +287,17 @@ class Video:
             raise InputError(f"stamps {path}: no stamp for index {found.index(None)} of {count} frames")
         return [stamp for stamp in found if stamp is not None]
 
-    def _from_rate(self, count: int, rate_hz: float, epoch_ns: int | None) -> list[int]:
+    def _from_container(self, count: int, rate_hz: float, epoch_ns: int | None) -> list[int]:
         start_ns = stamp_from_name(self.path.name) if epoch_ns is None else epoch_ns
         if start_ns is None or not 0.01 < rate_hz < 1000.0:
             raise InputError(f"frames {self.path}: no capture times: give --stamps with index,unix_time_s")
+        if self._times_s:
+            self.notes = tuple(filter(None, [dropped_note(self._times_s)]))
+            return [start_ns + round((time_s - self._times_s[0]) * 1e9) for time_s in self._times_s]
+        self.notes = (
+            f"{self.path.name} has no frame times of its own: its frames are taken {rate_hz:g} times a second, which "
+            "is wrong where any was dropped; if so, give --stamps",
+        )
         return [start_ns + round(index / rate_hz * 1e9) for index in range(count)]
 
     @property
@@ -259,15 +311,39 @@ class Video:
         return [item.name for item in self._stamped]
 
     def frames(self) -> Iterator[Frame]:
-        """Decode and yield each picture; raises InputError where the video ends too early."""
-        capture = self._open()
+        """Decode and yield each picture; raises InputError where the video ends too early.
+
+        By the container's times a frame that the decoder leaves out has no picture, and moves no other's stamp.
+        """
+        numbers = {item.name: number for number, item in enumerate(self._stamped)}
+        last = self._all.index(self._stamped[-1])
+        capture, index = self._open(), 0
         try:
-            for index, item in enumerate(self._stamped):
-                got, picture = capture.read()
-                if not got or picture is None:
-                    raise InputError(f"frames {self.path}: frame {index} of {len(self._stamped)} cannot be decoded")
-                grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
-                _check_size(f"frames {self.path}: frame {index}", (grey.shape[1], grey.shape[0]), self.camera)
-                yield Frame(item.stamp_ns, index, np.asarray(grey, np.uint8), item.name)
+            while index <= last:
+                if not capture.grab():
+                    raise InputError(f"frames {self.path}: frame {index} of {len(self._all)} cannot be decoded")
+                shown = self._place_of(float(capture.get(cv2.CAP_PROP_POS_MSEC)) / 1e3, index)
+                for item in self._all[index:shown]:
+                    if item.name in numbers:
+                        yield Frame(item.stamp_ns, numbers[item.name], None, item.name)
+                item, index = self._all[shown], shown + 1
+                if item.name in numbers:
+                    yield self._frame(capture, item, numbers[item.name])
         finally:
             capture.release()
+
+    def _frame(self, capture: cv2.VideoCapture, item: _Stamped, number: int) -> Frame:
+        """The frame that was grabbed last, decoded."""
+        got, picture = capture.retrieve()
+        if not got or picture is None:
+            raise InputError(f"frames {self.path}: {item.name} of {len(self._all)} frames cannot be decoded")
+        grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
+        _check_size(f"frames {self.path}: {item.name}", (grey.shape[1], grey.shape[0]), self.camera)
+        colour = np.asarray(picture, np.uint8) if self._in_colour and picture.ndim == 3 else None
+        return Frame(item.stamp_ns, number, np.asarray(grey, np.uint8), item.name, colour=colour)
+
+    def _place_of(self, time_s: float, due: int) -> int:
+        """Which frame has a container's time: the one that is due, or a later one of exactly that time."""
+        place = bisect.bisect_left(self._times_s, time_s - SAME_S)
+        is_there = place < len(self._times_s) and abs(self._times_s[place] - time_s) < SAME_S
+        return max(place, due) if is_there else due

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
@@ -53,9 +54,44 @@ def _grey8(data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey |
     return _lines(data, size_px, line_bytes, size_px[0])
 
 
+_CROSS = np.array([[0, 0.25, 0], [0.25, 0, 0.25], [0, 0.25, 0]], np.float32)
+
+
+def _bayer(first_is_green: bool) -> Callable[[bytearray, tuple[int, int], int], Grey | None]:
+    """Raw colours of 8 bits: green as it is, and the mean of the four greens around a red or blue pixel."""
+
+    def decode(data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | None:
+        lines = _grey8(data, size_px, line_bytes)
+        if lines is None:
+            return None
+        raw = np.ascontiguousarray(lines)
+        around = np.asarray(cv2.filter2D(raw, -1, _CROSS, borderType=cv2.BORDER_REFLECT_101), np.uint8)
+        grey = raw.copy()
+        column = int(first_is_green)  # of the first pixel of the first row that is not green
+        grey[0::2, column::2] = around[0::2, column::2]
+        grey[1::2, 1 - column :: 2] = around[1::2, 1 - column :: 2]
+        return grey
+
+    return decode
+
+
+def _uyvy(data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | None:
+    lines = _lines(data, size_px, line_bytes, 2 * size_px[0])
+    return None if lines is None else lines[:, 1::2]
+
+
 def _yuyv(data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | None:
     lines = _lines(data, size_px, line_bytes, 2 * size_px[0])
     return None if lines is None else lines[:, ::2]
+
+
+def _yu12(data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | None:
+    """Planes one after the other: luma, then two of a quarter of its pixels with half its stride."""
+    width, height = size_px
+    stride = max(line_bytes, width)
+    if len(data) < stride * height + 2 * (stride // 2) * (height // 2) - (stride - width):
+        return None
+    return _grey8(data, size_px, line_bytes)
 
 
 def _nv12(data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | None:
@@ -87,6 +123,14 @@ DECODERS: dict[str, Callable[[bytearray, tuple[int, int], int], Grey | None]] = 
     "NV12": _nv12,
     "MJPG": _mjpg,
     "Y16": _y16,
+    "UYVY": _uyvy,
+    "YU12": _yu12,
+    "Y10": _y16,
+    "Y12": _y16,
+    "GRBG": _bayer(first_is_green=True),
+    "GBRG": _bayer(first_is_green=True),
+    "RGGB": _bayer(first_is_green=False),
+    "BA81": _bayer(first_is_green=False),
 }
 """Formats we can read, the cheapest and truest first."""
 

@@ -1,8 +1,8 @@
 """A camera that is a folder of pictures or a video, played in real time: `camera.device = "replay:FOLDER"`.
 
 For tests and benches without a camera. Where stamps lie ahead on the session's clock, those pictures come at their own
-stamps and the earlier ones are gone, so that an autopilot played beside it keeps step, even over a restart. Otherwise
-the first comes at once and the others as long after it as they were taken.
+stamps and the earlier ones are gone, so that an autopilot played at the same time stays in step, even over a restart.
+Otherwise the first comes at once and the others as long after it as they were taken.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ STAMPS = "stamps.csv"
 
 
 class PlayedCamera:
-    """`path` is a folder or a video, with `stamps.csv` in or beside it if need be. Raises InputError if unusable."""
+    """`path` is a folder or a video, with `stamps.csv` in it or next to it if needed. Raises InputError if unusable."""
 
     def __init__(self, path: Path | str, camera: Camera, clock: SessionClock, latency_s: float = 0.0) -> None:
         self._path, self._clock = Path(path), clock

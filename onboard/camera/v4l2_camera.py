@@ -41,7 +41,7 @@ _WORDS = {
 
 
 class _Absent(Exception):
-    """There is no camera to open just now; the text says why."""
+    """There is no camera to open at present; the text states why."""
 
 
 @dataclass
@@ -74,7 +74,7 @@ class V4l2Camera:
         self._open_device, self._now_ns, self._paths, self._identify = open_device, now_ns, paths, identify
         self._pictures = Pictures(clock, config.latency_s, camera.size_px, config.rate_hz)
         self._known: Identity | None = None
-        self._others: set[str] = set()  # bus places of other cameras: not ours, however alike
+        self._others: set[str] = set()  # bus places of other cameras: not ours, even if of the same type
         self._stream: _Stream | None = None
         self._absence = "not opened yet"
         self._has_failed = False  # since it was first opened, or its last picture: it is not starting any more
@@ -125,7 +125,7 @@ class V4l2Camera:
             return False
         was_starved = now_ns - asked_ns > (TICK_S + STARVED_S) * 1e9
         if not stream.has_picture:
-            # Some drivers set their controls anew when the stream begins.
+            # Some drivers set their controls again when the stream begins.
             stream.complaints += stream.lock.check()
             stream.has_picture = True
             self._has_failed = self._sends_nothing = False

@@ -1,7 +1,7 @@
 """A V4L2 device: the ioctls the camera needs, each as one method in plain numbers.
 
-What a driver says is handed on as numbers and text, never mapped to a closed list: drivers have controls, formats and
-flags newer than this program. Every method raises OSError with the driver's errno; what that means is decided by
+What a driver reports is passed on as numbers and text, never mapped to a closed list: drivers have controls, formats
+and flags newer than this program. Every method raises OSError with the driver's errno; what that means is decided by
 `v4l2_camera`. Structures and requests: `v4l2_structures`.
 
 Single-plane and multi-plane drivers (the latter with one plane, as camera pipelines of many small computers have) look
@@ -30,7 +30,7 @@ _MAX_LISTED = 1024  # entries of any list: a driver that never ends one must not
 
 @dataclass(frozen=True)
 class Card:
-    """Who a device says it is."""
+    """Who a device reports to be."""
 
     driver: str
     card: str
@@ -49,7 +49,7 @@ class Sizes:
 
     @property
     def is_known(self) -> bool:
-        """Some drivers do not say."""
+        """Some drivers do not report it."""
         return bool(self.discrete_px) or self.most_px != (0, 0)
 
     def has(self, size_px: tuple[int, int]) -> bool:
@@ -91,7 +91,7 @@ class Buffer:
     """A filled buffer, copied out of the driver's memory."""
 
     data: bytearray
-    stamp_ns: int  # on the clock that `flags` says
+    stamp_ns: int  # on the clock that `flags` specifies
     sequence: int
     flags: int
     has_waited: bool  # it was there before we came for it
@@ -308,7 +308,7 @@ class V4l2Device:
         self._ioctl(request, several)
 
     def _blank(self, index: int) -> tuple[Any, Any]:
-        """A buffer to ask with, and its one plane, which must be kept alive (None for single-plane drivers)."""
+        """A buffer to ask with, and its one plane, which must be kept (None for single-plane drivers)."""
         buffer = v4l2.Buffer()
         buffer.type, buffer.memory, buffer.index = self._type, v4l2.MEMORY_MMAP, index
         plane = None
@@ -350,10 +350,10 @@ class V4l2Device:
             return None
         buffer, planes = self._blank(0)
         try:
-            self._ioctl(v4l2.DQBUF, buffer)  # after POLLERR this says what is wrong
+            self._ioctl(v4l2.DQBUF, buffer)  # after POLLERR this raises the cause
         except BlockingIOError as error:
             if events[0][1] & (select.POLLERR | select.POLLHUP):
-                raise OSError(errno.EIO, "the stream has ended") from error  # or we should ask for ever
+                raise OSError(errno.EIO, "the stream has ended") from error  # or we would ask for ever
             return None
         start, used = 0, int(buffer.bytesused)
         if planes is not None:
@@ -388,7 +388,7 @@ def _code(fourcc: str) -> int:
 
 
 def _fourcc(code: int) -> str:
-    # The highest bit says big-endian; it is no letter.
+    # The highest bit means big-endian; it is no letter.
     return (code & 0x7FFFFFFF).to_bytes(4, "little").decode("latin-1").rstrip() + ("-BE" if code >> 31 else "")
 
 

@@ -2,10 +2,10 @@
 
 Source: "Video for Linux API" in the kernel's userspace-api documentation (Function Reference; `videodev2.h` itself is
 offered under the BSD licence too). Names of structures follow the kernel's, in capitals; names of fields are its own,
-so that the documentation reads beside the code and a test can compare both with the C header of the machine.
+so that the documentation and the code can be compared and a test can compare both with the C header of the machine.
 
 The layout is that of 64-bit Linux, the same on x86-64 and aarch64: pointers, `long` and `time_t` have 8 bytes.
-`refuse_other_layouts` says so where it is not.
+`refuse_other_layouts` raises where it is not.
 """
 
 from __future__ import annotations

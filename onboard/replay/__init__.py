@@ -5,6 +5,6 @@ Public:
 - `comparison`: `Comparison`
 - `load`: `SHARE`, `WARM_UP`, `Load`, `measure`
 - `made_flight`: `MadeFlight`
-- `photo_telemetry`: `gap_to_join_s`, `height_amsl`, `photo_telemetry`
-- `runner`: `Events`, `Flight`, `replay`, `summary_text`
+- `photo_telemetry`: `datum_sigma_m`, `gap_to_join_s`, `height_amsl`, `photo_telemetry`
+- `runner`: `Events`, `Flight`, `check_overlap`, `replay`, `summary_text`
 """

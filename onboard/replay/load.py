@@ -36,7 +36,7 @@ class Load:
     pictures: int  # that were counted: without the first
     seconds: float  # of flight
     stage_ms: dict[str, float]
-    lag_ms: tuple[float, float]  # p50 and p95 from an event's arrival to its sets' bytes, at the rate it was flown
+    lag_ms: tuple[float, float]  # p50 and p95 from an event's arrival to its sets' bytes, at the rate of the replay
     early_ms: float  # a picture, in the first quarter ...
     late_ms: float  # ... and in the last: a processor that gets hot slows down
 
@@ -49,11 +49,6 @@ class Load:
     def rate_hz(self) -> float:
         """Pictures a second of the flight."""
         return self.pictures / self.seconds if self.seconds else 0.0
-
-    @property
-    def core_share(self) -> float:
-        """Of one core at the rate flown."""
-        return self.rate_hz * self.picture_ms / 1e3
 
     @property
     def sustainable_hz(self) -> float:
@@ -91,7 +86,7 @@ def _measure(pipeline: Pipeline, events: Iterable[tuple[int, Event]], is_over: C
                 encoding_before_ns, stages_before = encoding_ns, pipeline.summary.stage_seconds
             if is_over(len(stamps_ns)):
                 break
-    # What still waits to be placed belongs to the pictures that were flown, not to the last of them.
+    # What still waits to be placed belongs to the pictures that were replayed, not to the last of them.
     _, finish_ns, of_it_encoding_ns = _timed(pipeline.finish)
     encoding_ns += of_it_encoding_ns
     summary = pipeline.summary

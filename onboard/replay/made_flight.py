@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 HEIGHT_M, SPEED_M_S = 120.0, 20.0
 PLACE = LocalFrame(46.5, 8.0, 0.0)
 EPOCH_NS = 1_790_000_000_000_000_000
-TELEMETRY_DELAY_NS = 40_000_000  # messages arrive this long after what they tell of
+TELEMETRY_DELAY_NS = 40_000_000  # messages arrive this long after what they report
 LEAD_S = 2.0  # of telemetry before the first picture
 ROLL_RAD, PITCH_RAD = 0.05, 0.035  # of a gentle sway
 MOUNT_DEG = (0.0, -90.0, -90.0)
@@ -57,19 +57,19 @@ class MadeFlight:
     def events(self) -> Iterator[tuple[int, Event]]:
         """Everything in order of arrival, with that time (Unix ns)."""
         waiting = self._telemetry()
-        moment_ns, said = next(waiting)
+        moment_ns, message = next(waiting)
         period_s = 1.0 / self.config.camera.rate_hz
         index = 0
         while True:
             stamp_ns = EPOCH_NS + round(index * period_s * 1e9)
             while moment_ns <= stamp_ns:
-                yield moment_ns, said
-                moment_ns, said = next(waiting)
+                yield moment_ns, message
+                moment_ns, message = next(waiting)
             yield stamp_ns, Frame(stamp_ns, index, self._picture(index, index * period_s))
             index += 1
 
     def _telemetry(self) -> Iterator[tuple[int, NavEvent]]:
-        """Attitude, position and the receiver's word, each at its configured rate, with arrival times in order."""
+        """Attitude, position and the receiver's report, each at its configured rate, with arrival times in order."""
         attitude_hz, position_hz = self.config.telemetry.attitude_rate_hz, self.config.telemetry.position_rate_hz
         tick = 0
         every = max(round(attitude_hz / position_hz), 1)
@@ -116,7 +116,7 @@ def texture(size: int) -> NDArray[np.uint8]:
     for texels in OCTAVES:
         coarse = rng.standard_normal((size // texels, size // texels)).astype(np.float32)
         margin = 2 * texels
-        wrapped = np.pad(coarse, 2, mode="wrap")  # so that the plane goes on without a seam where the texture ends
+        wrapped = np.pad(coarse, 2, mode="wrap")  # so that the plane continues without a seam where the texture ends
         fine = cv2.resize(wrapped, None, fx=texels, fy=texels, interpolation=cv2.INTER_CUBIC)
         out += np.float32(texels**0.5) * fine[margin:-margin, margin:-margin]
     out *= 45.0 / float(out.std())

@@ -1,20 +1,22 @@
-"""Telemetry out of the pictures themselves: each says where it was taken and, if a drone took it, where it looked.
+"""Telemetry out of the pictures themselves: each states where it was taken and, if a drone took it, where it looked.
 
-A position here belongs to its picture whatever the clock says, so even times cut to the second will do.
+A position here belongs to its picture whatever its clock, so even times cut to the second will do.
 """
 
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 from contract.errors import InputError
 from onboard.camera.photo_metadata import PhotoMetadata
 from onboard.config.schema import Config
 from onboard.events.types import Attitude, GimbalAttitude, GpsQuality, PositionFix
+from onboard.telemetry.srt_reader import SIGMA_PRESSURE_HEIGHT_M
 from onboard.telemetry.telemetry_log import TelemetryLog, quaternion, vouched
 
-# Heights of drones without RTK come from a barometer and an unsaid geoid; with RTK from the ellipsoid, which lies
-# within tens of metres of the sea in most places.
+# A receiver's height counts from an unsaid geoid; with RTK from the ellipsoid, which lies within tens of metres of the
+# sea in most places. A drone's barometer gives a height in the standard atmosphere, see `srt_reader`.
 SIGMA_AMSL_M, SIGMA_GEOID_M = 20.0, 40.0
 MAX_GAP_S = 10.0  # what the configuration takes
 STEP_S = 0.1  # in what is asked for, so that it reads well
@@ -30,7 +32,7 @@ def photo_telemetry(photos: list[PhotoMetadata], stamps_ns: list[int], undulatio
         more = f" and {len(without) - 1} more" if len(without) > 1 else ""
         raise InputError(
             f"telemetry exif: no GPS position with a height in {without[0]}{more}; "
-            "give a log of the flight instead: --telemetry FILE"
+            "give a log of the flight instead (.bin, .tlog, .ulg, .srt, .csv)"
         )
     is_timed = not any(photo.stamp_is_whole_s for photo in photos)
     pairs = list(zip(photos, stamps_ns, strict=True))
@@ -40,8 +42,18 @@ def photo_telemetry(photos: list[PhotoMetadata], stamps_ns: list[int], undulatio
         if photo.body_deg is not None:
             events.append(Attitude(stamp_ns, quaternion(photo.body_deg)))
         if photo.gimbal_deg is not None:
-            events.append(GimbalAttitude(stamp_ns, quaternion(photo.gimbal_deg), "earth"))
-    return TelemetryLog.by_stamp(events)
+            events.append(GimbalAttitude(stamp_ns, quaternion(photo.gimbal_deg), "earth", is_of_camera=True))
+    return replace(TelemetryLog.by_stamp(events), notes=_height_notes(photos, undulation_m))
+
+
+def _height_notes(photos: list[PhotoMetadata], undulation_m: float | None) -> tuple[str, ...]:
+    """What the operator should know of heights whose origin is not known."""
+    unsure_m = max((datum_sigma_m(photo, undulation_m) or 0.0 for photo in photos), default=0.0)
+    if not unsure_m:
+        return ()
+    if any(photo.height_is_ellipsoidal for photo in photos):
+        return (f"heights count from the ellipsoid, +-{unsure_m:.0f} m as a whole: set gps.undulation_m",)
+    return (f"heights are a barometer's, +-{unsure_m:.0f} m as a whole: an elevation model (terrain.path) finds them",)
 
 
 def check_gaps(config: Config, stamps_ns: list[int]) -> None:
@@ -49,7 +61,7 @@ def check_gaps(config: Config, stamps_ns: list[int]) -> None:
     apart_s = _usual_s(stamps_ns)
     if min(config.gps.max_gap_s, config.telemetry.max_attitude_gap_s) < min(apart_s, MAX_GAP_S):
         raise InputError(
-            f"telemetry exif: the pictures alone say where they were, {apart_s:.1f} s apart: set gps.max_gap_s and "
+            f"telemetry exif: the pictures alone state where they were, {apart_s:.1f} s apart: set gps.max_gap_s and "
             f"telemetry.max_attitude_gap_s to {gap_to_join_s(stamps_ns):.1f}, as `pc-onboard import-photos` does"
         )
 
@@ -67,13 +79,20 @@ def gap_to_join_s(stamps_ns: list[int]) -> float:
 
 
 def height_amsl(photo: PhotoMetadata, undulation_m: float | None) -> tuple[float, float | None]:
-    """A photograph's height above sea level and its one sigma, m."""
+    """A photograph's height above sea level and its one sigma, m, without that of where it counts from."""
     assert photo.height_amsl_m is not None
     if photo.height_is_ellipsoidal:
-        if undulation_m is None:
-            return photo.height_amsl_m, SIGMA_GEOID_M
-        return photo.height_amsl_m - undulation_m, photo.sigma_vertical_m
+        return photo.height_amsl_m - (undulation_m or 0.0), photo.sigma_vertical_m
+    if photo.height_is_barometric:
+        return photo.height_amsl_m, None
     return photo.height_amsl_m, photo.sigma_vertical_m or SIGMA_AMSL_M
+
+
+def datum_sigma_m(photo: PhotoMetadata, undulation_m: float | None) -> float | None:
+    """One sigma of where a photograph's height counts from, the same error in all of them; None if that is known."""
+    if photo.height_is_ellipsoidal:
+        return SIGMA_GEOID_M if undulation_m is None else None
+    return SIGMA_PRESSURE_HEIGHT_M if photo.height_is_barometric else None
 
 
 def _position(photo: PhotoMetadata, stamp_ns: int, is_timed: bool, undulation_m: float | None) -> PositionFix:
@@ -87,5 +106,7 @@ def _position(photo: PhotoMetadata, stamp_ns: int, is_timed: bool, undulation_m:
 
 def _claim(photo: PhotoMetadata, undulation_m: float | None) -> GpsQuality:
     return GpsQuality(
-        0, 3, None, photo.sigma_horizontal_m, height_amsl(photo, undulation_m)[1], undulation_m=undulation_m
+        *(0, 3, None, photo.sigma_horizontal_m, height_amsl(photo, undulation_m)[1]),
+        undulation_m=undulation_m,
+        sigma_datum_m=datum_sigma_m(photo, undulation_m),
     )

@@ -6,6 +6,7 @@ pipeline one by one, and what comes out goes to the sinks. Nothing here changes 
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -26,15 +27,17 @@ from onboard.config.schema import Config
 from onboard.events.sink import Sink
 from onboard.events.types import Event, Frame
 from onboard.pipeline.estimates import as_rows
+from onboard.replay.digital_zoom import at_one_zoom
 from onboard.replay.photo_telemetry import check_gaps, photo_telemetry
 from onboard.telemetry.log_files import read_log
+from onboard.telemetry.srt_axis_order import Order
 from onboard.telemetry.telemetry_log import TelemetryLog
 
 if TYPE_CHECKING:
     from onboard.pipeline.pipeline import Pipeline
     from onboard.pipeline.statistics import Summary
 
-EXIF = "exif"  # in place of a log: the pictures' own words
+EXIF = "exif"  # in place of a log: what the pictures themselves state
 WHOLE_SECOND_SIGMA_S = 0.25  # of a stamp, from which on one cut to the second is no worse: evenly within it is 0.29
 # Telemetry this long before the first and after the last picture takes part: enough for a receiver's state to be known
 # and for the last exposure to be bracketed, whatever the length of the log.
@@ -43,6 +46,7 @@ TAIL_NS = 5_000_000_000
 PACE_LEAD_NS = 1_000_000_000
 # Pictures may lie this far outside of the telemetry and still be interpolated or extrapolated.
 OVERLAP_SLACK_NS = 300_000_000
+QUARTER_NS, MAX_QUARTERS = 900_000_000_000, 56  # of an hour; zones go to 14 h
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,7 @@ class Flight:
 
     frames: FrameSource
     telemetry: TelemetryLog
+    camera: Camera  # that the pictures were taken with: as given, but for a digital zoom that the log states
     behind_ns: int = 0  # how far positions lag behind their stamps
 
     @classmethod
@@ -62,39 +67,47 @@ class Flight:
         telemetry: Path | str,
         stamps: Path | str | None,
         home_amsl_m: float | None = None,
+        gps_order: Order | None = None,
+        boot_unix_s: float | None = None,
+        max_rate_hz: float = math.inf,
     ) -> Flight:
         """Open both inputs; raises InputError, one line, if either is unusable or they do not overlap in time.
 
-        `telemetry` is a log, or the word "exif": what the pictures themselves say. `home_amsl_m`: see `read_log`.
+        `telemetry` is a log, or the word "exif": what the pictures themselves state. `home_amsl_m`, `gps_order`,
+        `boot_unix_s`: see `read_log`. `max_rate_hz`: pictures closer together are left out.
         """
         if str(telemetry) == EXIF:
-            return cls._of_photos(config, camera, frames, stamps)
+            return cls._of_photos(config, camera, frames, stamps, max_rate_hz)
         whole = config.camera.sigma_jitter_s >= WHOLE_SECOND_SIGMA_S
-        log = read_log(telemetry, config.telemetry.clock, home_amsl_m)
-        source = open_frames(frames, camera, stamps, config.camera.latency_s, whole, log.video_epoch_ns)
-        first, last = source.stamps_ns[0], source.stamps_ns[-1]
-        begin, end = log.span_ns
-        if last < begin - OVERLAP_SLACK_NS or first > end + OVERLAP_SLACK_NS:
-            raise InputError(
-                f"pictures and telemetry do not overlap: pictures {_utc(first)} to {_utc(last)}, "
-                f"telemetry {_utc(begin)} to {_utc(end)}"
-            )
-        return cls(source, log, max(round(config.gps.latency_s * 1e9), 0))
+        log = read_log(telemetry, config.telemetry.clock, home_amsl_m, gps_order, boot_unix_s)
+        latency_s, in_colour = config.camera.latency_s, config.recording.pictures == "jpeg"
+        source = open_frames(frames, camera, stamps, latency_s, whole, log.video_epoch_ns, max_rate_hz, in_colour)
+        camera, source = at_one_zoom(camera, source, log.digital_zoom)
+        check_overlap(source.stamps_ns, log)
+        return cls(source, log, camera, max(round(config.gps.latency_s * 1e9), 0))
 
     @classmethod
-    def _of_photos(cls, config: Config, camera: Camera, frames: Path | str, stamps: Path | str | None) -> Flight:
+    def _of_photos(
+        cls, config: Config, camera: Camera, frames: Path | str, stamps: Path | str | None, max_rate_hz: float
+    ) -> Flight:
         folder = Path(frames)
         if folder.is_file():
             raise InputError(f"telemetry exif: {folder} is a video; pictures in a folder have EXIF")
-        source = open_frames(frames, camera, stamps, config.camera.latency_s, whole_seconds=True)
+        in_colour = config.recording.pictures == "jpeg"
+        source = open_frames(frames, camera, stamps, config.camera.latency_s, True, None, max_rate_hz, in_colour)
         check_gaps(config, source.stamps_ns)
         photos = [read_photo(folder / name) for name in source.names]
-        return cls(source, photo_telemetry(photos, source.stamps_ns, config.gps.undulation_m))
+        return cls(source, photo_telemetry(photos, source.stamps_ns, config.gps.undulation_m), camera)
 
     @property
     def stamps_ns(self) -> Sequence[int]:
         """Of the pictures."""
         return self.frames.stamps_ns
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the operator should know of how the inputs were read, one line each."""
+        return (*self.telemetry.notes, *self.frames.notes)
 
     def events(self) -> Iterator[tuple[int, Event]]:
         """Everything in the order in which it would have arrived, with that time (Unix ns)."""
@@ -205,6 +218,26 @@ def summary_text(summary: Summary) -> str:
         rows += [("nothing solved", summary.shortfall.reason), ("what to do", summary.shortfall.remedy)]
     width = max(len(name) for name, _ in rows)
     return "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
+
+
+def check_overlap(stamps_ns: Sequence[int], log: TelemetryLog) -> None:
+    """Raise InputError if a log does not cover the time of the pictures; its line states how far apart they are."""
+    (first, last), (begin, end) = (min(stamps_ns), max(stamps_ns)), log.span_ns
+    if last >= begin - OVERLAP_SLACK_NS and first <= end + OVERLAP_SLACK_NS:
+        return
+    # A camera's clock that shows a local time is off by whole quarters of an hour.
+    quarters = round((first + last - begin - end) / 2 / QUARTER_NS)
+    shift_ns = quarters * QUARTER_NS
+    is_local = 0 < abs(quarters) <= MAX_QUARTERS and begin <= first - shift_ns and last - shift_ns <= end
+    raise InputError(
+        f"pictures and telemetry do not overlap: pictures {_utc(first)} to {_utc(last)}, "
+        f"telemetry {_utc(begin)} to {_utc(end)}"
+        + (
+            f"; if the camera's clock showed a local time: import with --utc-offset {quarters / 4:g}"
+            if is_local
+            else ""
+        )
+    )
 
 
 def _utc(stamp_ns: int) -> str:

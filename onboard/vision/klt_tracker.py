@@ -8,7 +8,7 @@ Shi and Tomasi 1994; Bouguet's pyramidal LK. Two things differ from following pi
   motion, by phase correlation of thumbnails, or by matched descriptors if all that fails. Where that motion turns or
   scales, the picture is warped back first, because LK compares patches by translation alone.
 
-A track is accepted if LK converged, its patch looks alike (LK's own error on the normalised picture) and its motion
+A track is accepted if LK converged, its patch looks the same (LK's own error on the normalised picture) and its motion
 agrees with its neighbours'. Where the dispersion of all tracks is too large, none is accepted (`track_consistency`).
 
 At high picture rates a cheaper search comes first: if the last motion, extrapolated, predicted the last picture well,
@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 WINDOW_PX = 21
 LEVELS = 3
 BORDER_PX = 8.0
-# Mean absolute difference of two unlike patches is about 1.1 times their standard deviation; of two alike at
+# Mean absolute difference of two unlike patches is about 1.1 times their standard deviation; of two equal ones at
 # correlation 0.75 half that. It is taken of the patch itself: mere noise is less than the texture aimed at.
 MAX_DIFFERENCE = 0.56
 MIN_QUALITY = 0.01
@@ -94,7 +94,15 @@ class Tracker:
         self._hann: NDArray[np.float32] | None = None
         self._normalise = Normaliser(size_px)
         self._repetition_px: float | None = None  # at which the keyframe repeats itself, if it does
+        self._burned_in: NDArray[np.bool_] | None = None  # (H, W) what is no ground
+        self._usable: NDArray[np.bool_] | None = None  # (H, W) pixels whose whole window is ground
         self.flow_disagreement_px: Array | None = None  # (2,) `coarse_flow` since the keyframe before the present one
+
+    def leave_out(self, burned_in: NDArray[np.bool_]) -> None:
+        """Take no feature where (H, W) something is burned into every picture, nor where a window would hold it."""
+        self._burned_in = burned_in
+        window = np.ones((WINDOW_PX, WINDOW_PX), np.uint8)
+        self._usable = np.asarray(cv2.dilate(burned_in.astype(np.uint8), window)) == 0
 
     @property
     def has_keyframe(self) -> bool:
@@ -108,7 +116,7 @@ class Tracker:
 
     def track(self, image: Picture, predicted: Array | None) -> Tracks:
         """Look for the keyframe's features in a grey picture (H, W). `predicted`: H (3, 3) from keyframe, or None."""
-        self._current = self._normalise(image)
+        self._current = self._normalised(image)
         if self._picture is None or not len(self._ids):
             return self.nothing()
         carried_on = self._carry_on(predicted)
@@ -138,6 +146,13 @@ class Tracker:
             self._step = best.motion @ np.linalg.inv(self._motion)
             self._motion, self._predicted = best.motion, predicted
         return best
+
+    def _normalised(self, image: Picture) -> Picture:
+        """With nothing where something is burned in: what stands still there would be taken for the ground's motion."""
+        out = self._normalise(image)
+        if self._burned_in is not None:
+            out[self._burned_in] = 128
+        return out
 
     def _relocate(self) -> Tracks:
         """Track from the motion that matched descriptors give; tried last, because it costs most."""
@@ -202,7 +217,7 @@ class Tracker:
         return self._ids, self._uv
 
     def forget(self) -> None:
-        """Drop the keyframe: the next picture starts anew."""
+        """Drop the keyframe: the next picture starts again."""
         self._picture = self._thumbnail = self._described = None
         self._ids, self._uv = np.zeros(0, np.int64), np.zeros((0, 2))
         self._motion, self._step = np.eye(3), np.eye(3)
@@ -304,6 +319,8 @@ class Tracker:
         out: NDArray[np.bool_] = (
             (u > BORDER_PX) & (v > BORDER_PX) & (u < self.width_px - BORDER_PX) & (v < self.height_px - BORDER_PX)
         )
+        if self._usable is not None:
+            out[out] = self._usable[np.rint(v[out]).astype(np.intp), np.rint(u[out]).astype(np.intp)]
         return out
 
     def _detect(self, taken: Array, wanted: int) -> Array:
@@ -313,6 +330,8 @@ class Tracker:
         mask = np.full((self.height_px, self.width_px), 0, np.uint8)
         b = int(BORDER_PX) + 2
         mask[b:-b, b:-b] = 255
+        if self._usable is not None:
+            mask[~self._usable] = 0
         radius = int(self.min_distance_px)
         for u, v in taken:
             cv2.circle(mask, (round(float(u)), round(float(v))), radius, 0, -1)

@@ -1,10 +1,10 @@
 """Track residual dispersion: distinguishes features of the ground from artefacts of rounding or compression.
 
 A blurred picture without noise shows contour lines of rounded brightness in place of texture, and strong compression
-shows blocks. After normalisation both look like the ground's own detail, and their patches are alike: the tracker finds
-some again, pixels from where they belong, and the patches' differences do not show it. Comparison with neighbouring
-tracks does: heights off the ground plane move neighbours by nearly the same amount, and where roofs stand next to
-streets, along one direction only. What remains across that direction is the tracks' own error.
+shows blocks. After normalisation both look like the ground's own detail, and their patches look the same: the tracker
+finds some again, pixels from where they belong, and the patches' differences do not show it. Comparison with
+neighbouring tracks does: heights off the ground plane move neighbours by nearly the same amount, and where roofs stand
+next to streets, along one direction only. What remains across that direction is the tracks' own error.
 """
 
 from __future__ import annotations

@@ -157,3 +157,21 @@ def test_images_do_not_share_memory() -> None:
     first, second = (frame.image for frame in frames if frame is not None)
     assert first is not None and second is not None
     assert not np.shares_memory(first, second)
+
+
+def test_of_a_compressed_stream_a_picture_that_hardly_changes_while_others_do_is_a_repeat() -> None:
+    rng = np.random.default_rng(2)
+    width, height = SIZE_PX
+    ground = rng.integers(0, 255, (height, width + 400), np.uint8)
+    pictures = Pictures(CLOCK, 0.0, SIZE_PX, 30.0, is_compressed=True)
+
+    def shown(number: int, at: int) -> bool:
+        noisy = ground[:, at : at + width].astype(int) + rng.integers(-2, 3, (height, width))
+        frame = offer(pictures, number, data=bytearray(np.clip(noisy, 0, 255).astype(np.uint8).tobytes()))
+        return frame is not None and frame.image is not None
+
+    moving = [shown(k, 2 * k) for k in range(30)]
+    assert all(moving)
+    assert [shown(30 + k, 60 + 2 * (k // 3)) for k in range(60)] == [k % 3 == 0 for k in range(60)]  # ten of thirty
+    # An aircraft that stops: nothing but noise changes, and after a second that is what is usual.
+    assert sum(shown(100 + k, 100) for k in range(90)) > 50

@@ -33,13 +33,19 @@ def packed(fourcc: str, padding: int = 0) -> tuple[bytearray, int]:
     if fourcc == "YUYV":
         pairs = np.stack([GREY, RNG.integers(0, 255, GREY.shape, np.uint8)], axis=-1).reshape(HEIGHT, 2 * WIDTH)
         return padded(pairs, 2 * WIDTH + padding), 2 * WIDTH + padding
+    if fourcc == "UYVY":
+        pairs = np.stack([RNG.integers(0, 255, GREY.shape, np.uint8), GREY], axis=-1).reshape(HEIGHT, 2 * WIDTH)
+        return padded(pairs, 2 * WIDTH + padding), 2 * WIDTH + padding
+    if fourcc == "YU12":
+        colours = RNG.integers(0, 255, (WIDTH + padding) // 2 * HEIGHT, np.uint8).tobytes()
+        return padded(GREY, WIDTH + padding) + colours, WIDTH + padding
     assert fourcc == "NV12"
     colour = RNG.integers(0, 255, (HEIGHT // 2, WIDTH), np.uint8)
     return padded(np.concatenate([GREY, colour]), WIDTH + padding), WIDTH + padding
 
 
 @pytest.mark.parametrize("padding", [0, 32])
-@pytest.mark.parametrize("fourcc", ["GREY", "YUYV", "NV12"])
+@pytest.mark.parametrize("fourcc", ["GREY", "YUYV", "NV12", "UYVY", "YU12"])
 def test_luma_is_read_exactly_whatever_the_stride(fourcc: str, padding: int) -> None:
     data, line_bytes = packed(fourcc, padding)
     grey = to_grey(fourcc, data, SIZE_PX, line_bytes)
@@ -49,7 +55,7 @@ def test_luma_is_read_exactly_whatever_the_stride(fourcc: str, padding: int) -> 
         np.testing.assert_array_equal(to_grey(fourcc, data, SIZE_PX, 0), GREY)  # a driver that gives no stride
 
 
-@pytest.mark.parametrize("fourcc", ["GREY", "YUYV", "NV12"])
+@pytest.mark.parametrize("fourcc", ["GREY", "YUYV", "NV12", "UYVY", "YU12"])
 def test_a_short_buffer_is_no_picture(fourcc: str) -> None:
     data, line_bytes = packed(fourcc)
     assert to_grey(fourcc, data[:-2], SIZE_PX, line_bytes) is None
@@ -127,3 +133,25 @@ def test_hot_spots_do_not_darken_the_rest() -> None:
     scene = np.full((HEIGHT, WIDTH), 7000, np.uint16) + RNG.integers(0, 300, (HEIGHT, WIDTH)).astype(np.uint16)
     scene[0, :4] = 16383
     assert reduce_16_bit(scene).std() > 50
+
+
+@pytest.mark.parametrize("fourcc", ["GRBG", "GBRG", "RGGB", "BA81"])
+@pytest.mark.parametrize("padding", [0, 32])
+def test_of_raw_colours_green_is_taken_and_its_mean_where_there_is_none(fourcc: str, padding: int) -> None:
+    rows = {"GRBG": ("GR", "BG"), "GBRG": ("GB", "RG"), "RGGB": ("RG", "GB"), "BA81": ("BG", "GR")}[fourcc]
+    green = np.array([[rows[y % 2][x % 2] == "G" for x in range(WIDTH)] for y in range(HEIGHT)])
+    scene = np.add.outer(2 * np.arange(HEIGHT), np.arange(WIDTH)).astype(np.uint8)  # linear: means are exact
+    raw = np.where(green, scene, RNG.integers(0, 255, scene.shape, np.uint8)).astype(np.uint8)
+    grey = to_grey(fourcc, padded(raw, WIDTH + padding), SIZE_PX, WIDTH + padding)
+    assert grey is not None
+    np.testing.assert_array_equal(grey[green], scene[green])
+    np.testing.assert_allclose(grey[1:-1, 1:-1].astype(int), scene[1:-1, 1:-1].astype(int), atol=1)
+    assert to_grey(fourcc, padded(raw, WIDTH)[:-1], SIZE_PX, WIDTH) is None
+
+
+@pytest.mark.parametrize(("fourcc", "bits"), [("Y10", 10), ("Y12", 12), ("Y16", 16)])
+def test_of_deep_greys_the_pictures_own_range_is_shown(fourcc: str, bits: int) -> None:
+    deep = (SMOOTH.astype(np.uint16) << (bits - 8)).astype("<u2")
+    grey = to_grey(fourcc, bytearray(deep.tobytes()), SIZE_PX, 0)
+    assert grey is not None
+    assert np.corrcoef(grey.ravel(), SMOOTH.ravel())[0, 1] > 0.999 and np.ptp(grey) > 250

@@ -1,0 +1,108 @@
+"""`camera.device` -> the helper program that gives its pictures, and how it is started."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+from contract.errors import ConfigError
+from onboard.camera.helper_camera import Launch
+from onboard.config.schema import CameraConfig
+
+EXEC, GST, LIBCAMERA, RTSP = "exec:", "gst:", "libcamera:", ("rtsp://", "rtspt://", "rtspu://", "rtsps://")
+SYSTEM_PYTHON = "/usr/bin/python3"  # Debian's, which has GStreamer's bindings
+ASK_S = 20.0  # GStreamer looks through all its plugins when it is asked for the first time
+HELPER = Path(__file__).with_name("gstreamer_helper.py")
+_PASSWORD = re.compile(r"(?<=//)[^/@\s]*@")
+
+
+def helper_launch(config: CameraConfig, size_px: tuple[int, int]) -> Launch | None:
+    """The program for a device that needs one; None for V4L2. Raises ConfigError where its form is wrong.
+
+    A program of the user's own gets size and rate in its environment.
+    """
+    device = config.device
+    if device.startswith(EXEC):
+        return _own_program(device.removeprefix(EXEC), size_px, config.rate_hz)
+    asked: dict[str, Any] = {"width": size_px[0], "height": size_px[1], "rate_hz": config.rate_hz}
+    asked["utc"] = config.stream_clock == "utc"
+    if device.startswith(RTSP):
+        return gstreamer_launch({"kind": "rtsp", "location": device, **asked}, without_password(device))
+    if device.startswith(LIBCAMERA):
+        asked |= {"camera": device.removeprefix(LIBCAMERA), "exposure_us": config.exposure_us}
+        return gstreamer_launch({"kind": "libcamera", **asked}, device)
+    if device.startswith(GST):
+        pipeline = device.removeprefix(GST).strip()
+        if not pipeline:
+            raise ConfigError(f"camera.device: {GST} needs a pipeline, as {GST}v4l2src ! image/jpeg ! jpegdec")
+        return gstreamer_launch({"kind": "gst", "pipeline": pipeline, **asked}, without_password(device))
+    if re.match(r"[a-z]+:", device):
+        raise ConfigError(
+            f"camera.device = {device!r} is none of /dev/NAME, {LIBCAMERA}ID, rtsp://HOST/PATH, {GST}PIPELINE, "
+            f"{EXEC}COMMAND, replay:FOLDER"
+        )
+    return None
+
+
+def without_password(text: str) -> str:
+    """For people and logs: no user and no password of a URL."""
+    return _PASSWORD.sub("", text)
+
+
+def gstreamer_launch(spec: dict[str, Any], name: str) -> Launch:
+    """Our own helper with something to open; what is to be opened, which may hold a password, goes by its input."""
+    environment = {}
+    if "STATE_DIRECTORY" in os.environ:  # a service has no home where GStreamer would keep what it knows of its plugins
+        environment["GST_REGISTRY"] = str(Path(os.environ["STATE_DIRECTORY"]) / "gstreamer-registry.bin")
+    command = (SYSTEM_PYTHON, "-I", str(HELPER))
+    return Launch(name, command, json.dumps(spec).encode(), environment, is_compressed=spec["kind"] != "libcamera")
+
+
+def unable(launch: Launch) -> str:
+    """Why a helper cannot be started, or cannot open things of that kind; empty if it can. Nothing is opened."""
+    if launch.command[:1] != (SYSTEM_PYTHON,) or str(HELPER) not in launch.command:
+        return "" if shutil.which(launch.command[0]) else f"{launch.command[0]}: no such program"
+    return _ask({**json.loads(launch.stdin), "is_check": True})[1]
+
+
+def libcamera_names() -> tuple[list[str], str]:
+    """The IDs of libcamera's cameras, and why they could not be listed (empty if they could)."""
+    text, why = _ask({"kind": "list"})
+    return ([] if why else [str(name) for name in json.loads(text)]), why
+
+
+def _ask(spec: dict[str, Any]) -> tuple[str, str]:
+    """What our helper answers, and why it does not."""
+    launch = gstreamer_launch(spec, "")
+    try:
+        done = subprocess.run(
+            launch.command,
+            input=launch.stdin,
+            capture_output=True,
+            env={**os.environ, **launch.environment},
+            timeout=ASK_S,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return "", f"{SYSTEM_PYTHON}: {getattr(error, 'strerror', '') or 'does not answer'}"
+    lines = done.stderr.decode("utf-8", "replace").strip().splitlines()
+    why = "" if done.returncode == 0 else (lines[-1] if lines else f"ended with exit status {done.returncode}")
+    return done.stdout.decode("utf-8", "replace"), why
+
+
+def _own_program(text: str, size_px: tuple[int, int], rate_hz: float) -> Launch:
+    try:
+        command = shlex.split(text)
+    except ValueError as error:
+        raise ConfigError(f"camera.device: {EXEC}{text}: {error}") from error
+    if not command:
+        raise ConfigError(f"camera.device: {EXEC} needs a command, as exec:/usr/local/bin/my-camera --gain 3")
+    width, height = size_px
+    asked = {"POINTCLICK_WIDTH": f"{width}", "POINTCLICK_HEIGHT": f"{height}", "POINTCLICK_RATE_HZ": f"{rate_hz:g}"}
+    return Launch(f"{EXEC}{command[0]}", tuple(command), environment=asked)

@@ -1,0 +1,290 @@
+"""Our helper with the real GStreamer: RTSP from a real server, any pipeline; and what it reports where it cannot."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from onboard.camera.frame_protocol import FrameReader, Origin
+from onboard.camera.gstreamer_helper import MISB, Stamps, nal_units, precision_time_ns
+from onboard.camera.helper_launch import (
+    HELPER,
+    SYSTEM_PYTHON,
+    helper_launch,
+    libcamera_names,
+    unable,
+    without_password,
+)  # fmt: skip
+from onboard.config.schema import CameraConfig
+from onboard.events.session_clock import SessionClock
+from onboard.events.source import State
+from tests.left_out import NO_PROGRAM
+from tests.onboard.camera import test_helper_camera
+from tests.onboard.camera.test_helper_camera import CLOCK, Running, running
+from tests.rtsp import PACKAGES, RtspServer, drifting_ground, is_installed, number_of
+from tests.rtsp_times import escaped, sei_unit
+
+SIZE_PX = (320, 240)
+RATE_HZ = 30.0
+DELAY_S, JITTER_S = 0.15, 0.03
+START_S = 15.0  # at most, of GStreamer, a connection, an encoder, a key frame and the least delay on a loaded machine
+
+
+@pytest.fixture(scope="session")
+def gstreamer() -> None:
+    if not is_installed():
+        pytest.skip(f"{NO_PROGRAM} gstreamer; sudo apt-get install {PACKAGES}")
+
+
+@pytest.fixture(scope="module")
+def pictures() -> list[np.ndarray]:
+    return drifting_ground(300, SIZE_PX)
+
+
+def off_ms(camera: Running, captured_ns: dict[int, int], after: int = 0) -> np.ndarray:
+    """How far stamps lie behind the true capture times, by the numbers in the pictures."""
+    rows = [
+        (frame.stamp_ns - CLOCK.offset_ns - captured_ns[number_of(frame.image)]) / 1e6
+        for _, frame in camera.frames[after:]
+        if frame.image is not None
+    ]
+    return np.array(rows)
+
+
+@pytest.mark.usefixtures("gstreamer")
+@pytest.mark.parametrize(
+    ("scheme", "keys", "origin"),
+    [
+        ("rtspt", {"codec": "H264"}, "time stamps of the stream"),
+        ("rtspu", {"codec": "H264", "sei": True, "sei_ahead_s": 7.0}, "capture times in the video (MISB 0604)"),
+        ("rtspu", {"codec": "H265", "sei": True, "sei_ahead_s": -3.0}, "capture times in the video (MISB 0604)"),
+    ],
+)
+def test_stamps_of_a_stream_lack_its_jitter_and_keep_its_least_delay(
+    tmp_path: Path, pictures: list[np.ndarray], scheme: str, keys: dict[str, object], origin: str
+) -> None:
+    with (
+        RtspServer(tmp_path, pictures, RATE_HZ, delay_s=DELAY_S, jitter_s=JITTER_S, **keys) as server,
+        running(server.url(scheme), size_px=SIZE_PX, latency_s=0.0) as camera,
+    ):
+        camera.wait_for_pictures(60, START_S + 2.0)
+        health = camera.wait_for(State.OK, f"320x240, {origin}", START_S)
+        camera.stop.set()
+        camera.thread.join(3.0)
+        (captured_ns,) = server.stop()
+    assert 5.0 < health.figures["stamp_sigma_ms"] < 80.0
+    late_ms = off_ms(camera, captured_ns)
+    # Arrivals jitter by 60 ms; stamps differ by nothing but how the least delay is found ever better.
+    assert np.ptp(late_ms) < 20.0 and np.median(np.abs(np.diff(late_ms))) < 0.5
+    assert 1e3 * (DELAY_S - JITTER_S) - 5.0 < late_ms[-1] < 1e3 * DELAY_S + 40.0
+
+
+@pytest.mark.usefixtures("gstreamer")
+@pytest.mark.parametrize("bit_rate", [300_000, 2_000_000])
+def test_repeats_in_a_compressed_stream_have_no_image(
+    tmp_path: Path, pictures: list[np.ndarray], bit_rate: int
+) -> None:
+    """A camera of 15 Hz in a stream of 30: each picture comes twice, the second time compressed anew."""
+    twice = [picture for picture in pictures for _ in range(2)]
+    with (
+        RtspServer(tmp_path, twice, RATE_HZ, bit_rate=bit_rate) as server,
+        running(server.url("rtspt"), size_px=SIZE_PX, frozen_after_s=30.0) as camera,
+    ):
+        camera.wait_for_pictures(60, START_S + 3.0)
+        figures = camera.source.health().figures
+    handed_out = [number_of(frame.image) for _, frame in camera.frames[15:] if frame.image is not None]
+    seen = set(handed_out)
+    assert len(seen) >= 0.95 * (max(seen) - min(seen) + 1)  # hardly any picture is lost for it
+    assert len(handed_out) < 1.25 * len(seen) and figures["repeated"] > 0.35 * figures["pictures"]
+
+
+@pytest.mark.wall_clock
+@pytest.mark.usefixtures("gstreamer")
+def test_a_server_that_goes_and_comes_back(tmp_path: Path, pictures: list[np.ndarray]) -> None:
+    with RtspServer(tmp_path, pictures, RATE_HZ) as server, running(server.url(), size_px=SIZE_PX) as camera:
+        camera.wait_for_pictures(10, START_S)
+        port = server.port
+        server.stop()
+        camera.wait_for(State.LOST, "", 2.0)
+        with RtspServer(tmp_path, pictures, RATE_HZ, port=port):
+            camera.wait_for_pictures(5, 3.0)
+            camera.wait_for(State.OK, "", START_S)
+
+
+@pytest.mark.wall_clock
+@pytest.mark.usefixtures("gstreamer")
+def test_a_decoder_that_is_killed_takes_nothing_with_it(tmp_path: Path, pictures: list[np.ndarray]) -> None:
+    with RtspServer(tmp_path, pictures, RATE_HZ) as server, running(server.url(), size_px=SIZE_PX) as camera:
+        camera.wait_for_pictures(10, START_S)
+        assert test_helper_camera.shared_memory(test_helper_camera.group_of(camera)) == []
+        os.kill(test_helper_camera.group_of(camera), signal.SIGKILL)
+        camera.wait_for(State.LOST, "ended by SIGKILL", 2.0)
+        camera.wait_for_pictures(5, 3.0)
+
+
+@pytest.mark.usefixtures("gstreamer")
+def test_a_trusted_utc_gives_the_capture_time_itself(
+    tmp_path: Path, pictures: list[np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ours = SessionClock.start()
+    monkeypatch.setattr(test_helper_camera, "CLOCK", ours)
+    with (
+        RtspServer(tmp_path, pictures, RATE_HZ, delay_s=DELAY_S, jitter_s=JITTER_S, sei=True) as server,
+        running(server.url(), size_px=SIZE_PX, stream_clock="utc") as camera,
+    ):
+        camera.wait_for_pictures(30, START_S)
+        camera.wait_for(State.OK, "the sender's UTC, taken for ours", START_S)
+        camera.stop.set()
+        camera.thread.join(3.0)
+        (captured_ns,) = server.stop()
+    late_ms = [
+        (frame.stamp_ns - ours.offset_ns - captured_ns[number_of(frame.image)]) / 1e6
+        for _, frame in camera.frames
+        if frame.image is not None
+    ]
+    assert np.abs(late_ms).max() < 2.0
+
+
+@pytest.mark.usefixtures("gstreamer")
+def test_a_utc_that_is_off_gives_no_picture_and_says_by_how_much(tmp_path: Path, pictures: list[np.ndarray]) -> None:
+    with (
+        RtspServer(tmp_path, pictures, RATE_HZ, sei=True) as server,
+        running(server.url(), size_px=SIZE_PX, stream_clock="utc") as camera,  # CLOCK is years off
+    ):
+        camera.wait_for(State.DEGRADED, "s off ours, and no picture is used: set both clocks, or", START_S)
+        assert camera.frames == []
+
+
+@pytest.mark.usefixtures("gstreamer")
+def test_any_pipeline_up_to_raw_video_and_another_size_in_mid_stream() -> None:
+    pipeline = (
+        "concat name=c videotestsrc pattern=snow num-buffers=45 ! video/x-raw,width=320,height=240,framerate=30/1 ! c. "
+        "videotestsrc pattern=snow num-buffers=45 ! video/x-raw,width=160,height=120,framerate=30/1 ! c. "
+        "c. ! jpegenc ! jpegdec"
+    )
+    with running(f"gst:{pipeline}", size_px=SIZE_PX) as camera:
+        camera.wait_for_pictures(10, START_S)
+        image = camera.frames[-1][1].image
+        assert image is not None and image.shape == (240, 320) and image.std() > 20.0
+        camera.wait_for(State.DEGRADED, "pictures are 160x120, the camera file is for 320x240", 3.0)
+        camera.wait_for(State.LOST, "the stream has ended", 3.0)
+
+
+@pytest.mark.usefixtures("gstreamer")
+@pytest.mark.parametrize(
+    ("device", "why"),
+    [
+        ("gst:videotestsrc ! nosuchdecoder", 'no element "nosuchdecoder": it is in none of Debian\'s usual packages'),
+        ("gst:videotestsrc ! avdec_nosuch", "sudo apt-get install gstreamer1.0-libav"),
+        ("gst:videotestsrc ! !", "no pipeline: syntax error"),
+    ],
+)
+def test_a_pipeline_that_can_never_work_is_refused_in_one_line(device: str, why: str) -> None:
+    with running(device, size_px=SIZE_PX) as camera:
+        camera.thread.join(START_S)
+    assert why in str(camera.error) and "\n" not in str(camera.error)
+
+
+@pytest.mark.usefixtures("gstreamer")
+@pytest.mark.parametrize(
+    ("device", "why"),
+    [
+        ("rtsp://anna:secret@127.0.0.1:1/live", "rtsp://127.0.0.1:1/live: "),
+        ("libcamera:no-such-camera", "libcamera:no-such-camera: "),
+    ],
+)
+def test_what_may_come_later_is_waited_for(device: str, why: str) -> None:
+    with running(device, size_px=SIZE_PX) as camera:
+        health = camera.wait_for(State.LOST, why, START_S)
+        time.sleep(1.0)
+        assert camera.source.health().state is State.LOST
+    assert "secret" not in health.detail and len(health.detail) > len(why) + 10
+
+
+@pytest.mark.usefixtures("gstreamer")
+def test_it_is_known_before_a_flight_whether_a_source_can_be_opened() -> None:
+    def unable_at(device: str) -> str:
+        launch = helper_launch(CameraConfig.model_validate({"device": device}), SIZE_PX)
+        assert launch is not None
+        return unable(launch)
+
+    for device in ("rtsp://127.0.0.1:1/live", "libcamera:", "gst:videotestsrc", "exec:/usr/bin/env camera"):
+        assert unable_at(device) == ""
+    assert "sudo apt-get install gstreamer1.0-libav" in unable_at("gst:videotestsrc ! avdec_nosuch")
+    assert unable_at("exec:/no/such/program") == "/no/such/program: no such program"
+    assert libcamera_names()[1] == ""
+
+
+def test_without_gstreamer_it_is_said_what_to_install() -> None:
+    done = subprocess.run(  # this Python has no bindings
+        [sys.executable, "-I", str(HELPER)], input=b'{"kind": "list"}', capture_output=True, check=False
+    )
+    assert done.returncode == 2
+    assert b"GStreamer is not installed: sudo apt-get install python3-gi gir1.2-gstreamer-1.0" in done.stderr
+
+
+@pytest.mark.usefixtures("gstreamer")
+def test_it_runs_where_no_memory_may_be_written_and_executed() -> None:
+    """As under MemoryDenyWriteExecute= of our unit."""
+    spec = {"kind": "gst", "pipeline": "videotestsrc num-buffers=5 ! video/x-raw,format=YUY2", "width": 1, "height": 1}
+    done = subprocess.run(
+        [SYSTEM_PYTHON, "-I", str(HELPER)],
+        input=json.dumps(spec).encode(),
+        capture_output=True,
+        check=False,
+        timeout=20.0,
+        preexec_fn=lambda: ctypes.CDLL(None).prctl(65, 1, 0, 0, 0),  # PR_SET_MDWE, PR_MDWE_REFUSE_EXEC_GAIN
+    )
+    frames = list(FrameReader().feed(done.stdout))
+    assert [header.sequence for header, _ in frames] == [1, 2, 3, 4, 5], done.stderr
+    assert frames[0][0].origin is Origin.MEDIA and frames[0][0].width_px == 320
+
+
+@pytest.mark.parametrize("is_h265", [False, True])
+@given(unix_us=st.integers(0, 2**64 - 1), before=st.binary(max_size=60), after=st.binary(max_size=60))
+def test_a_capture_time_is_found_in_whatever_surrounds_it(
+    is_h265: bool, unix_us: int, before: bytes, after: bytes
+) -> None:
+    parameters = b"\x00\x00\x00\x01" + (b"\x40\x01" if is_h265 else b"\x67") + escaped(before) + b"\x80"
+    picture = b"\x00\x00\x01" + (b"\x26\x01" if is_h265 else b"\x65") + escaped(after) + b"\x80"
+    stream = parameters + sei_unit(unix_us, is_h265) + picture
+    assert precision_time_ns(stream, is_h265) == unix_us * 1000
+    units = list(nal_units(stream, True))
+    assert len(units) == 3
+    in_lengths = b"".join(len(unit).to_bytes(4, "big") + unit for unit in units)
+    assert precision_time_ns(in_lengths, is_h265, False) == unix_us * 1000
+
+
+@given(st.binary(max_size=200), st.booleans(), st.booleans(), st.sampled_from(sorted(MISB)))
+def test_no_access_unit_makes_the_reader_fail(data: bytes, is_h265: bool, is_byte_stream: bool, key: bytes) -> None:
+    for mangled in (data, data + key, data[:50] + key + data[50:], b"\x00\x00\x01\x06\x05\xff" + data + key):
+        found = precision_time_ns(mangled, is_h265, is_byte_stream)
+        assert found is None or found >= 0
+
+
+def test_a_kind_of_stamp_is_used_once_it_comes_with_every_picture() -> None:
+    stamps = Stamps(is_utc_trusted=True)
+    sei, rtcp, media, arrival = Origin.SEI, Origin.RTCP, Origin.MEDIA, Origin.ARRIVAL
+    assert stamps.choose({media: 1}) == media
+    assert [stamps.choose({sei: 1, media: 1}) for _ in range(20)] == [media] * 14 + [sei] * 6
+    assert stamps.choose({media: 1, rtcp: 1}) == media  # one without the time of the SEI
+    assert [stamps.choose({rtcp: 1, media: 1}) for _ in range(20)] == [media] * 13 + [rtcp] * 7
+    assert stamps.choose({}) == arrival
+    assert Stamps(is_utc_trusted=False).choose({rtcp: 1, media: 1}) == media
+
+
+def test_no_password_is_shown() -> None:
+    assert without_password("rtsp://a:b@cam/live") == "rtsp://cam/live"
+    shown = without_password("gst:rtspsrc location=rtsp://anna:secret@10.0.0.2:554/live ! rtph264depay")
+    assert shown == "gst:rtspsrc location=rtsp://10.0.0.2:554/live ! rtph264depay"
