@@ -3,11 +3,12 @@ published.
 
 Public:
 
-- `boresight`: `Alignment`, `Belief`, `Unconfirmed`, `BORESIGHT`, `OFFSET`, `DELAY`
-- `ground_roughness`: `plane_and_roughness`
+- `boresight`: `Alignment`, `Belief`, `Unconfirmed`
+- `error_budget`: the sources' names, `sources`
+- `ground_roughness`: `distances`, `plane_and_roughness`
 - `keyframe`: `Ids`, `Keyframe`, `Observation`, `observation`, `seen_with`
-- `camera_states`: `READOUT`
 - `moved_optics`: `MOVED`
+- `platform_states`: `QUANTITIES`, `present`, `BORESIGHT`, `OFFSET`, `DELAY`, the sources' names
 - `reobservation`: `RelativeVariance`
 - `resection`: `Resection`, `resect`
 - `rolling_shutter`: `Moving`, `Sweep`, `rates_between`
@@ -17,7 +18,8 @@ Public:
 - `sliding_window`: `Window`
 - `solved_window`: `Solved`
 - `solver_executor`: `Inline`, `Promise`, `Worker`, `timed_adjust`
-- `variance_components`: `VarianceFactors`, `NAMES`, `TILT`, `HEADING`, `TILT_WHITE`, `HEADING_WHITE`,
-  `VELOCITY`, `POSITION`
-- `window_solver`: `MIN_KEYFRAMES`, `Noise`, `Outcome`, `Request`
+- `sensor_table`: `PARTS`, `configured`
+- `variance_components`: `VarianceFactors`
+- `window_problem`: `MIN_KEYFRAMES`
+- `window_request`: `Noise`, `Outcome`, `Request`
 """

@@ -19,40 +19,23 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.errors import InputError
 from onboard.estimation import camera_states
-from onboard.geometry.linalg import precision_beyond
+from onboard.estimation.information import Information, with_own_variance
+from onboard.estimation.platform_states import BORESIGHT, DELAY, HEADING, OFFSET, STATES, VELOCITY_DELAY, WALK
 
 Array = NDArray[np.float64]
 
-# Boresight about camera x, y, z (rad), time offset, delay of position, of velocity (s), heading error by heading (rad);
-# after them the camera's own, see `camera_states`, if its file states how wrong it may be.
-STATES = 8
-BORESIGHT, OFFSET, DELAY, VELOCITY_DELAY, HEADING = slice(0, 3), 3, 4, 5, slice(6, 8)
-# What a mount and a clock may do by themselves, one sigma after a minute: a random walk.
-BORESIGHT_WALK_RAD = np.radians(0.03)
-OFFSET_WALK_S = 0.002
-DELAY_WALK_S = 0.005
-HEADING_WALK_RAD = np.radians(0.1)
-CAMERA_WALK = (
-    1e-4,
-    1e-4,
-    1e-4,
-    3e-4,
-    3e-4,
-    1e-5,
-)  # a lens that warms up or cools down, in the units of `camera_states`
 MEMORY_ESTIMATES = 8
 TOO_SURE = 2.0  # times the declared sigma that data may claim
 AGREEMENT_PRIOR = 2.0  # windows that agree with their covariances, assumed before any has been seen
 OUTSIDE = 4.0  # sigmas from what was believed, beyond which a value is adopted only once something confirms it
 AGREE = 3.0  # sigmas of their difference, within which two values confirm each other
 MIN_SHARPER = 0.5  # of the sigma believed: rotations less sure say nothing that windows of the same pictures did not
-MIN_TOLD = 1e-6  # of the given precision: less is rounding
 MIN_GAIN = 0.02  # of a variance: a window that says less of a state is no evidence on it
 
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Mean (B,) and covariance (B, B) in the order of STATES, from data up to `end_ns`.
+    """Mean (B,) and covariance (B, B) in the order of `platform_states`, from data up to `end_ns`.
 
     `end_ns` 0 is the belief before take-off.
     """
@@ -76,10 +59,9 @@ class Belief:
         return Belief(self.end_ns, self.mean, wider, self.given)
 
     def aged(self, stamp_ns: int) -> Belief:
-        """The same belief some time later."""
+        """The same belief some time later. Equation (10.1)."""
         minutes = max(stamp_ns - self.end_ns, 0) / 60e9 if self.end_ns else 0.0
-        platform = [BORESIGHT_WALK_RAD] * 3 + [OFFSET_WALK_S, DELAY_WALK_S, DELAY_WALK_S] + [HEADING_WALK_RAD] * 2
-        walk = np.array([*platform, *CAMERA_WALK[: len(self.mean) - STATES]])
+        walk = WALK[: len(self.mean)]
         return Belief(self.end_ns, self.mean, self.covariance + np.diag(walk**2 * minutes), self.given)
 
 
@@ -118,6 +100,7 @@ class Alignment:
         tiny = 1e-12
         of_camera = camera_states.first_sigmas(camera, readout[1])
         self._camera, self._readout_s = camera if of_camera else None, readout[0]
+        self._camera_file = camera
         sigmas = [mount_sigma_rad] * 3 + [offset_sigma_s, delay_sigma_s, delay_sigma_s] + [heading_sigma_rad] * 2
         sigmas += list(of_camera)
         first = np.diag(np.square(sigmas) + tiny)
@@ -177,6 +160,20 @@ class Alignment:
             return False
         return bool(np.all(np.abs(mean - held.mean)[outside] <= AGREE * np.hypot(sigma, held.sigma)[outside]))
 
+    def lens_moved(self, sigma: float) -> None:
+        """The focal length has changed by about `sigma` (of its logarithm): it is as unsure as that from now on.
+
+        A camera that was taken as its file has it gets states of its own.
+        """
+        if self._camera is None and self._camera_file is not None:
+            self._camera, count = self._camera_file, camera_states.COUNT
+            self._estimates = [_with_certain_camera(e, count) for e in self._estimates]
+            self._squares, self._counts = np.pad(self._squares, (0, count)), np.pad(self._counts, (0, count))
+            self.unconfirmed = None
+        wider = np.zeros(len(self.belief.mean))
+        wider[STATES + camera_states.FOCAL_LENGTH] = sigma**2
+        self._estimates = [replace(e, covariance=e.covariance + np.diag(wider)) for e in self._estimates]
+
     def hear(self, end_ns: int, offset_s: float, sigma_s: float) -> bool:
         """Take a time offset that rotations alone have shown, from pictures up to `end_ns`. (10.7)
 
@@ -207,10 +204,8 @@ class Alignment:
     def _begin_from(self, offset_s: float, sigma_s: float, known: Belief | None = None) -> None:
         """Forget windows' posteriors: they rest on another offset. What rotations say is what windows begin with."""
         first = self._estimates[0] if known is None else known
-        mean, covariance = first.mean.copy(), first.covariance.copy()
+        mean, covariance = first.mean.copy(), with_own_variance(first.covariance, OFFSET, sigma_s**2)
         mean[OFFSET] = offset_s
-        covariance[OFFSET, :] = covariance[:, OFFSET] = 0.0
-        covariance[OFFSET, OFFSET] = sigma_s**2
         self._estimates = [Belief(0, mean, covariance)] * 2  # a first prior, and one update
         self._squares, self._counts = np.zeros(len(mean)), np.zeros(len(mean))
         self._window_end_ns, self._heard, self.unconfirmed = 0, None, None
@@ -232,12 +227,10 @@ class Alignment:
         disagreement = self.disagreement
         if np.all(disagreement == 1.0):
             return mean, covariance
-        values, basis, pull = _alone(mean, covariance, before)
+        own = Information.gained(mean, covariance, before.mean, before.covariance)
         # Along each direction that the window tells of, by how far windows disagree about what lies in it.
-        apart = np.square(basis * before.sigma[:, None]).T @ np.square(disagreement)
-        own = (basis * (values / apart)) @ basis.T
-        wider = np.linalg.inv(np.linalg.inv(before.covariance) + own)
-        return before.mean + wider @ (basis @ (pull / apart)), 0.5 * (wider + wider.T)
+        apart = np.square(own.directions * before.sigma[:, None]).T @ np.square(disagreement)
+        return own.weakened(apart).upon(before.mean, before.covariance)
 
     def to_json(self) -> str:
         """The newest belief, for the state directory."""
@@ -247,7 +240,7 @@ class Alignment:
             camera["camera"] = camera_states.as_numbers(self._camera, newest.mean[STATES:], self._readout_s)
         return json.dumps(
             {
-                "boresight_rad": newest.mean[:3].tolist(),
+                "boresight_rad": newest.mean[BORESIGHT].tolist(),
                 "offset_s": float(newest.mean[OFFSET]),
                 "delay_s": float(newest.mean[DELAY]),
                 "velocity_delay_s": float(newest.mean[VELOCITY_DELAY]),
@@ -298,6 +291,14 @@ def _outside(believed: Belief, mean: Array, factor: Array | float = 1.0) -> NDAr
     return out
 
 
+def _with_certain_camera(belief: Belief, count: int) -> Belief:
+    """The belief with so many states of the camera, which are known to be 0."""
+    covariance = np.pad(belief.covariance, (0, count))
+    covariance[STATES:, STATES:] = camera_states.CERTAIN**2 * np.eye(count)
+    given = None if belief.given is None else np.pad(belief.given, (0, count), constant_values=camera_states.CERTAIN**2)
+    return Belief(belief.end_ns, np.pad(belief.mean, (0, count)), covariance, given)
+
+
 def _with_offset(belief: Belief, offset_s: float, sigma_s: float) -> Belief:
     """A belief and one measurement of its time offset. (10.7)"""
     gain = belief.covariance[:, OFFSET] / (belief.covariance[OFFSET, OFFSET] + sigma_s**2)
@@ -312,23 +313,8 @@ def under_another_prior(mean: Array, covariance: Array, given: Belief, prior: Be
     What the window itself says, the precision C^-1 - given^-1 about its own mean, is put upon the other prior, which
     may be tighter (no delay held open) or newer (rotations have told the offset meanwhile).
     """
-    values, basis, pull = _alone(mean, covariance, given)
-    alone = (basis * values) @ basis.T
-    out = np.linalg.inv(np.linalg.inv(prior.covariance) + alone)
-    return prior.mean + out @ (basis @ pull + alone @ (given.mean - prior.mean)), 0.5 * (out + out.T)
-
-
-def _alone(mean: Array, covariance: Array, given: Belief) -> tuple[Array, Array, Array]:
-    """What a window itself says, its posterior less the belief it was solved under, by independent directions (D,).
-
-    Returns their precisions in units of what was given (D,), the directions as columns (B, D), such that the window's
-    precision is `basis @ diag(values) @ basis.T`, and its pull on the given mean is `basis @ pull` (D,).
-    """
-    scale, precision = given.sigma, np.linalg.inv(covariance)
-    values, basis = precision_beyond(precision, np.linalg.inv(given.covariance), scale)
-    tells = values > MIN_TOLD  # a posterior may have been widened after the solve: there it says nothing
-    basis = basis[:, tells]
-    return values[tells], basis, (basis * np.square(scale)[:, None]).T @ (precision @ (mean - given.mean))
+    gained = Information.gained(mean, covariance, given.mean, given.covariance)
+    return gained.upon(prior.mean, prior.covariance)
 
 
 def _with_prior_reweighed(estimate: Belief, first: Belief) -> Belief:

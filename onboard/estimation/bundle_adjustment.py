@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from onboard.estimation.camera_states import COUNT, by_states
 from onboard.estimation.factors import (
     HeightModel,
     Layout,
@@ -25,6 +24,7 @@ from onboard.estimation.factors import (
     reprojection,
     reprojection_jacobians,
 )
+from onboard.estimation.image_blocks import ImageBlock, blocks_of
 from onboard.estimation.rolling_shutter import Sweep
 from onboard.geometry.linalg import solve_positive
 from onboard.geometry.robust import robust_cost
@@ -46,14 +46,26 @@ class Problem:
     reference_enu_m: Array = field(default_factory=lambda: np.zeros(3))  # the plane's reference point
     ground_weight: Array | None = None  # (P,) 1 / sigma of the ground (1/m), or None for no plane under the points
     terrain: HeightModel | None = None  # what the plane's heights are counted from, if the ground is known
-    # The ground's sigma is relative to the height flown at, and `ground_weight` holds at this height; None: it is in
-    # metres. In metres least squares shrink the whole scene, because a smaller one lies nearer the plane: see (5.9).
-    clearance_m: float | None = None
+    # The ground's sigma is relative to what a metre of height moves in the pictures, and `ground_weight` holds where
+    # that is this (1/m, `parallax_of`); None: it is in metres. In metres least squares prefer whatever takes the points
+    # nearer to the plane, a smaller scene or a larger focal length: see (5.9).
+    parallax: float | None = None
     # The camera that `xy` was made with, and its own states (C,) in that, where they are estimated: (15.2).
     camera: Camera | None = None
     camera_taken: Array = field(default_factory=lambda: np.zeros(0))
     # Where `xy` is what each picture's rows saw, one after the other; None: all at once. (18.3)
     sweep: Sweep | None = None
+
+    @cached_property
+    def blocks(self) -> tuple[ImageBlock, ...]:
+        """States that move image coordinates."""
+        return blocks_of(self.layout, self.camera, self.camera_taken, self.sweep)
+
+    @cached_property
+    def columns(self) -> NDArray[np.intp]:
+        """Column numbers (K, 6 + M) of everything that moves the image coordinates of a picture but its points."""
+        views = np.arange(6 * self.layout.keyframes).reshape(-1, 6)
+        return np.concatenate([views, *(block.columns for block in self.blocks)], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +93,14 @@ class Solution:
         return np.ascontiguousarray(_backward(self.reduced.factor, self.reduced.Z).transpose(2, 1, 0))
 
     @cached_property
+    def ground_pull(self) -> Array:
+        """(D, P): what one sigma of the ground's deviation under each point adds to the reduced right side. (20.4)"""
+        r = self.reduced
+        out: Array = -np.einsum("djp,jp->dp", r.Z, _forward(r.factor, r.ground_by_point))
+        out[r.columns] += r.ground_by_side
+        return out
+
+    @cached_property
     def point_covariance(self) -> Array:
         """(P, 3, 3) of the points given the camera side."""
         factor = self.reduced.factor
@@ -103,8 +123,7 @@ class _Residuals:
     stiffness: Array
     pull: Array
     cost: float
-    by_camera: Array | None  # (K, C, 2, P) how measurements move with the camera's own states
-    by_rate: Array | None  # (K, M, 2, P) how they move with their pictures' rates and waves
+    by_block: Array | None  # (K, M, 2, P) how image coordinates move with the states of all blocks
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,12 +137,9 @@ class _Linear:
     V: Array  # (3, 3, P)
     bc: Array  # (D,)
     bp: Array  # (3, P)
-    by_view: Array  # (K, 6, 2, P)
+    by_view: Array  # (K, 6 + M, 2, P)
     by_point: Array  # (K, 3, 2, P)
-    by_camera: Array | None  # (K, C, 2, P)
-    camera: slice  # its columns
-    by_rate: Array | None  # (K, M, 2, P)
-    rates: NDArray[np.intp]  # (K, M) their columns
+    views: NDArray[np.intp]  # (K, 6 + M) columns of the camera side, `Problem.columns`
     columns: NDArray[np.intp]  # of the camera side that the ground depends on
     ground_by_side: Array  # (G, P)
     ground_by_point: Array  # (3, P)
@@ -138,6 +154,9 @@ class Reduced:
     Z: Array  # (D, 3, P)
     zb: Array  # (3, P) L^-1 bp
     factor: tuple[Array, ...]
+    columns: NDArray[np.intp]  # of the camera side that the ground depends on
+    ground_by_side: Array  # (G, P) whitened
+    ground_by_point: Array  # (3, P)
 
 
 def evaluate(problem: Problem, state: State, scale: float | None) -> float:
@@ -153,25 +172,12 @@ def image_residuals(problem: Problem, state: State) -> Array:
 def _residuals(problem: Problem, xy: Array, state: State, scale: float | None) -> _Residuals:
     weight = problem.weight
     image, predicted, depth = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, xy)
-    by_camera = by_rate = None
-    if problem.camera is not None:
-        # Where points are predicted, not where they were measured: a larger focal length must not shrink the noise.
-        by_camera = by_states(problem.camera, predicted[:, 0], predicted[:, 1])
     if problem.sweep is not None:
-        by_readout = problem.sweep.by_readout(state.R_cam_enu, predicted, depth)
-        image += problem.sweep.readout_s * by_readout
-        if problem.layout.has_waves:
-            by_rate = problem.sweep.by_wave(predicted)
-            image += np.einsum("krip,kr->kip", by_rate, state.waves_rad)
-        if problem.layout.has_rates:
-            by_waves, by_rate = by_rate, problem.sweep.by_rate(predicted)
-            image += np.einsum("krip,kr->kip", by_rate, state.rates_rad_s)
-            by_rate = by_rate if by_waves is None else np.concatenate([by_rate, by_waves], axis=1)
-            by_readout = problem.sweep.by_readout(state.R_cam_enu, predicted, depth, turns=False)
-        if by_camera is not None and problem.layout.camera_states > COUNT:
-            by_camera = np.concatenate([by_camera, -by_readout[:, None]], axis=1)
-    if by_camera is not None:
-        image -= np.einsum("kcip,c->kip", by_camera, state.camera - problem.camera_taken)
+        image += problem.sweep.readout_s * problem.sweep.by_readout(state.R_cam_enu, predicted, depth)
+    by_block = None
+    if problem.blocks:
+        by_block = np.concatenate([b.jacobian(state, predicted, depth) for b in problem.blocks], axis=1)
+        image += np.einsum("kmip,km->kip", by_block, np.concatenate([b.values(state) for b in problem.blocks], axis=1))
     squared = image[:, 0] ** 2
     squared += image[:, 1] ** 2
     squared *= weight
@@ -183,7 +189,7 @@ def _residuals(problem: Problem, xy: Array, state: State, scale: float | None) -
     ground = None
     if problem.ground_weight is not None:
         r, by_point, by_plane = ground_plane(state.points_enu_m, problem.reference_enu_m, state.plane, problem.terrain)
-        r = r * (problem.ground_weight * _shrink(problem, state))
+        r = r * (problem.ground_weight * _seen_larger(problem, state))
         ground_loss, ground_robust = robust_cost(r * r, scale)
         cost += float(ground_loss.sum())
         ground = (r, by_point, by_plane, ground_robust)
@@ -192,29 +198,45 @@ def _residuals(problem: Problem, xy: Array, state: State, scale: float | None) -
         cost += float(r @ r)
     J = np.concatenate([J for _, J in priors])
     stiffness, pull = J.T @ J, J.T @ np.concatenate([r for r, _ in priors])
-    if problem.sweep is not None:
-        for columns, off, sigma in (
-            (problem.layout.rates.ravel(), state.rates_rad_s.ravel(), problem.sweep.sigma_rate_rad_s),
-            (problem.layout.waves.ravel(), state.waves_rad.ravel(), problem.sweep.sigma_wave_rad),
-        ):
-            if len(columns):
-                cost += sigma**-2 * float(off @ off)
-                stiffness[columns, columns] += sigma**-2
-                pull[columns] += sigma**-2 * off
+    for block in problem.blocks:
+        if block.sigma is not None:
+            columns, values = block.columns.ravel(), block.values(state).ravel()
+            cost += block.sigma**-2 * float(values @ values)
+            stiffness[columns, columns] += block.sigma**-2
+            pull[columns] += block.sigma**-2 * values
     cost *= 0.5
-    return _Residuals(
-        state, image, predicted, depth, behind, squared, robust, ground, stiffness, pull, cost, by_camera, by_rate
-    )
+    return _Residuals(state, image, predicted, depth, behind, squared, robust, ground, stiffness, pull, cost, by_block)
 
 
 def _clearance(problem: Problem, state: State) -> float:
     """Mean height (m) of the views over the plane at its reference point."""
-    return float(state.centres_enu_m[:, 2].mean() - problem.reference_enu_m[2] - state.plane[0])
+    return max(float(state.centres_enu_m[:, 2].mean() - problem.reference_enu_m[2] - state.plane[0]), 1.0)
 
 
-def _shrink(problem: Problem, state: State) -> float:
-    """The factor on the ground residuals' weight at this height, 1 at problem.clearance_m."""
-    return 1.0 if problem.clearance_m is None else problem.clearance_m / max(_clearance(problem, state), 1.0)
+def parallax_of(centres_enu_m: Array, clearance_m: float) -> float:
+    """How much (rad/m, about) a metre of height moves in pictures from views (K, 3) this high above ground. (5.9)"""
+    span = centres_enu_m - centres_enu_m.mean(axis=0)
+    return float(np.sqrt(np.mean(np.sum(span**2, axis=1)))) / max(clearance_m, 1.0) ** 2
+
+
+def _seen_larger(problem: Problem, state: State) -> float:
+    """The factor on the ground residuals' weight: how much more a metre of height moves than at problem.parallax."""
+    if problem.parallax is None:
+        return 1.0
+    grown = float(np.exp(state.camera[0])) if len(state.camera) else 1.0
+    return grown * parallax_of(state.centres_enu_m, _clearance(problem, state)) / problem.parallax
+
+
+def _by_seen_larger(problem: Problem, state: State) -> tuple[NDArray[np.intp], Array]:
+    """Columns (G,) that the logarithm of that factor depends on, and its derivatives (G,)."""
+    layout, centres = problem.layout, state.centres_enu_m
+    span, K = centres - centres.mean(axis=0), len(centres)
+    by_centre = span / max(float(np.sum(span**2)), 1e-12)
+    by_centre[:, 2] -= 2.0 / (K * _clearance(problem, state))
+    columns, by = [layout.centres().ravel()], [by_centre.ravel()]
+    if layout.camera_states:
+        columns, by = [*columns, np.array([layout.camera.start])], [*by, np.ones(1)]
+    return np.concatenate(columns), np.concatenate(by)
 
 
 def _linearise(problem: Problem, at: _Residuals) -> _Linear:
@@ -224,17 +246,16 @@ def _linearise(problem: Problem, at: _Residuals) -> _Linear:
     s = problem.weight * np.sqrt(at.robust)
     s[at.behind] = 0.0
     B, A = reprojection_jacobians(at.state.R_cam_enu, at.predicted, at.depth, s)
-    J = np.empty((K, 6, 2, P))
+    J = np.empty((K, problem.columns.shape[1], 2, P))
     J[:, :3] = B
-    np.negative(A, out=J[:, 3:])
+    np.negative(A, out=J[:, 3:6])
+    if at.by_block is not None:
+        np.multiply(at.by_block, s[:, None, None], out=J[:, 6:])
     r = at.image * s[:, None]
-    flat = J.reshape(K, 6, 2 * P)
-    blocks = flat @ flat.transpose(0, 2, 1)
-    U = at.stiffness.copy()
-    each = np.arange(K)
-    U[: 6 * K, : 6 * K].reshape(K, 6, K, 6)[each, :, each] += blocks
-    bc = at.pull.copy()
-    bc[: 6 * K] += (flat @ r.reshape(K, 2 * P, 1)).reshape(-1)
+    flat, views = J.reshape(K, -1, 2 * P), problem.columns
+    U, bc = at.stiffness.copy(), at.pull.copy()
+    np.add.at(U, (views[:, :, None], views[:, None]), flat @ flat.transpose(0, 2, 1))
+    np.add.at(bc, views, (flat @ r.reshape(K, 2 * P, 1))[..., 0])
     rows = A.transpose(1, 0, 2, 3).reshape(3, 2 * K, P)
     V = np.empty((3, 3, P))
     for i in range(3):
@@ -242,50 +263,24 @@ def _linearise(problem: Problem, at: _Residuals) -> _Linear:
             np.einsum("kp,kp->p", rows[i], rows[j], out=V[i, j])
             V[j, i] = V[i, j]
     bp = np.einsum("ikp,kp->ip", rows, r.reshape(2 * K, P))
-    by_camera = None
-    if at.by_camera is not None:
-        by_camera = at.by_camera * -s[:, None, None]
-        flat_camera = by_camera.reshape(K, layout.camera_states, 2 * P)
-        U[layout.camera, layout.camera] += np.einsum("kcn,kdn->cd", flat_camera, flat_camera)
-        across = flat @ flat_camera.transpose(0, 2, 1)  # (K, 6, C)
-        U[: 6 * K, layout.camera] += across.reshape(6 * K, -1)
-        U[layout.camera, : 6 * K] += across.reshape(6 * K, -1).T
-        bc[layout.camera] += np.einsum("kcn,kn->c", flat_camera, r.reshape(K, 2 * P))
-    by_rate = None
-    if at.by_rate is not None:
-        by_rate = at.by_rate * s[:, None, None]
-        flat_rate = by_rate.reshape(K, -1, 2 * P)
-        views, rates = np.arange(6 * K).reshape(K, 6), layout.by_picture
-        U[rates[:, :, None], rates[:, None]] += flat_rate @ flat_rate.transpose(0, 2, 1)
-        _add_both(U, views, rates, flat @ flat_rate.transpose(0, 2, 1))
-        if by_camera is not None:
-            own = np.tile(np.arange(layout.size)[layout.camera], (K, 1))
-            _add_both(U, own, rates, by_camera.reshape(K, -1, 2 * P) @ flat_rate.transpose(0, 2, 1))
-        bc[rates] += (flat_rate @ r.reshape(K, 2 * P, 1))[..., 0]
     columns, gs, gp = np.zeros(0, np.intp), np.zeros((0, P)), np.zeros((3, P))
     if at.ground is not None:
         assert problem.ground_weight is not None
         rg, by_point, by_plane, robust = at.ground
         root = np.sqrt(robust)
-        w = problem.ground_weight * root * _shrink(problem, at.state)
+        w = problem.ground_weight * root * _seen_larger(problem, at.state)
         gp, gs, rg = by_point.T * w, by_plane.T * w, rg * root
         columns = np.arange(layout.size)[layout.plane]
-        if problem.clearance_m is not None:
-            grown = rg / _clearance(problem, at.state)  # the ground's sigma grows with the distance to it
-            gs[0] += grown
-            gs = np.concatenate([gs, np.tile(-grown / K, (K, 1))])
-            columns = np.concatenate([columns, layout.centres()[:, 2]])
+        if problem.parallax is not None:
+            gs[0] += 2.0 * rg / _clearance(problem, at.state)
+            more, by_more = _by_seen_larger(problem, at.state)
+            gs = np.concatenate([gs, by_more[:, None] * rg])
+            columns = np.concatenate([columns, more])
         V += gp[:, None] * gp[None]
         bp += gp * rg
         U[np.ix_(columns, columns)] += gs @ gs.T
         bc[columns] += gs @ rg
-    return _Linear(U, V, bc, bp, J, A, by_camera, layout.camera, by_rate, layout.by_picture, columns, gs, gp)
-
-
-def _add_both(U: Array, rows: NDArray[np.intp], columns: NDArray[np.intp], blocks: Array) -> None:
-    """Add blocks (K, A, B) off the diagonal of U, at rows (K, A) and columns (K, B), and their transposes."""
-    U[rows[:, :, None], columns[:, None]] += blocks
-    U[columns[:, :, None], rows[:, None]] += blocks.transpose(0, 2, 1)
+    return _Linear(U, V, bc, bp, J, A, views, columns, gs, gp)
 
 
 def _point_factor(V: Array, damping: float) -> tuple[Array, ...]:
@@ -337,19 +332,18 @@ def _reduce(system: _Linear, damping: float) -> Reduced:
     A = _forward(factor, system.by_point.transpose(0, 2, 1, 3))
     Z = np.zeros((D, 3, P))
     views = Z[: 6 * K].reshape(K, 6, 3, P)
-    np.multiply(J[:, :, None, 0], A[:, None, 0], out=views)
-    views += J[:, :, None, 1] * A[:, None, 1]
-    if system.by_camera is not None:
-        Z[system.camera] += np.einsum("kcip,kijp->cjp", system.by_camera, A)
-    if system.by_rate is not None:
-        Z[system.rates] += np.einsum("kcip,kijp->kcjp", system.by_rate, A)
+    np.multiply(J[:, :6, None, 0], A[:, None, 0], out=views)
+    views += J[:, :6, None, 1] * A[:, None, 1]
+    for k in range(K * (J.shape[1] > 6)):  # pictures share some of these columns
+        Z[system.views[k, 6:]] += np.einsum("mip,ijp->mjp", J[k, 6:], A[k])
     if len(system.columns):
         Z[system.columns] += system.ground_by_side[:, None] * _forward(factor, system.ground_by_point)
     zb = _forward(factor, system.bp)
     flat = Z.reshape(D, -1)
     S = system.U - flat @ flat.T
     S.flat[:: D + 1] += damping * system.U.diagonal()
-    return Reduced(S, system.bc - flat @ zb.reshape(-1), Z, zb, factor)
+    ground = system.columns, system.ground_by_side, system.ground_by_point
+    return Reduced(S, system.bc - flat @ zb.reshape(-1), Z, zb, factor, *ground)
 
 
 def solve(

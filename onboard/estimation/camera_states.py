@@ -1,8 +1,9 @@
 """What a camera file may be wrong about: focal length, principal point, radial distortion, estimated in flight.
 
 Five states, each counted from the camera file: the focal length's relative error, the principal point's shift (in focal
-lengths, x and y), and what k1 and k2 are larger by. Equation (15.2) of docs/mathematics.md. A sixth, where it is not
-known for sure, is what the readout of the rows takes longer than `camera.readout_s` says (s), see `rolling_shutter`.
+lengths, x and y), and what k1 and k2 are larger by. Equations (15.1) and (15.2) of docs/mathematics.md. A sixth, where
+it is not known for sure, is what the readout of the rows takes longer than `camera.readout_s` says (s), see
+`rolling_shutter`.
 """
 
 from __future__ import annotations
@@ -13,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
+from onboard.estimation.information import with_own_variance
+from onboard.estimation.platform_states import STATES
 
 Array = NDArray[np.float64]
 
-NAMES = ("focal_length", "principal_point_x", "principal_point_y", "k1", "k2")
-COUNT = len(NAMES)
+FOCAL_LENGTH, K1, COUNT = 0, 3, 5  # focal length, principal point (x, y), k1, k2
+CERTAIN = 1e-6  # one sigma of a state that is taken to be 0
 READOUT = COUNT  # where that state is, if it is one
-PLATFORM = 8  # states before those of the camera: `boresight.STATES`
 MIN_DETERMINANT = 0.05  # of the distortion's Jacobian: where it folds over, nothing is measured
 
 
@@ -57,12 +59,10 @@ def without_readout(mean: Array, covariance: Array, given: Array, given_covarian
 
     `mean` (B,), `covariance` (B, B); the states of the platform come before those of the camera.
     """
-    if len(mean) <= PLATFORM + READOUT:
+    if len(mean) <= STATES + READOUT:
         return mean, covariance
-    mean, covariance = mean.copy(), covariance.copy()
-    covariance[-1], covariance[:, -1] = 0.0, 0.0
-    mean[-1], covariance[-1, -1] = given[-1], given_covariance[-1, -1]
-    return mean, covariance
+    covariance = with_own_variance(covariance, -1, given_covariance[-1, -1])
+    return np.append(mean[:-1], given[-1]), covariance
 
 
 def taken(states: Array) -> Array:
@@ -101,6 +101,17 @@ def by_states(camera: Camera, x: Array, y: Array) -> Array:
     out[:, :, 1] = (xx[:, None] * out[:, :, 1] - cross[:, None] * out[:, :, 0]) / det[:, None]
     out[:, :, 0] = moved_x
     return out
+
+
+def seen_through(camera_file: Camera, camera: Camera, states: Array, xy: Array) -> tuple[Camera, Array, Array]:
+    """The camera with these states, what `taken` makes of them, and the coordinates xy (..., 2) of `camera` by it.
+
+    (15.2) is the first order of a camera's errors. Without attitude the principal point and the lens trade with the
+    poses, so that what the second order leaves, a fifth of a pixel at a hundredth of the focal length, moves them.
+    """
+    better = corrected(camera_file, states)
+    uv = camera.distort(xy) * (camera.fx_px, camera.fy_px) + (camera.cx_px, camera.cy_px)
+    return better, taken(states), better.unproject(uv, xy)[0][..., :2]
 
 
 def as_numbers(camera: Camera, states: Array, configured_s: float = 0.0) -> dict[str, float]:

@@ -1,28 +1,32 @@
 """Whitened residuals with analytic Jacobians, one plain function each. Equations: docs/mathematics.md, section 5.
 
 The unknowns are laid out by `Layout`: six columns a keyframe (rotation `d`, R_cam_enu <- exp([d]x) R_cam_enu, rad; then
-centre, ENU metres), then what is estimated of the platform (boresight in camera axes, rad; the camera's time offset and
-the delays of position and velocity, s; the heading's error that depends on heading, rad), of the camera itself
-(`camera_states`), the ground plane (height m at the reference point, slope east, slope north), and, where rows are read
-one after the other and nothing measures it, what each picture's angular rate is off by (rad/s, camera axes). Points are
-eliminated and have no column here.
+centre, ENU metres), then what is estimated of the platform and of its camera (`platform_states`), the ground plane
+(height m at the reference point, slope east, slope north), and each picture's own image states (`image_blocks`),
+picture by picture. Points are eliminated and have no column here.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from contract.rotations import exp_so3, log_so3, right_jacobian_inverse, skew
-
-if TYPE_CHECKING:
-    from onboard.estimation.variance_components import Parts
+from onboard.estimation.platform_states import BORESIGHT, DELAY, HEADING, OFFSET, PLANE, STATES, VELOCITY_DELAY
 
 Array = NDArray[np.float64]
+# The covariance of one sensor's errors by axis: each maps a part's name to its (n, n), as the window weighs it.
+Parts = tuple[Mapping[str, Array], Mapping[str, Array], Mapping[str, Array]]
+
+# A picture's own image states, by block: what its angular rate is off by (rad/s, camera axes), the cosines and sines
+# that its rows swing by (rad), how far its frame is shifted (focal lengths), by what logarithm its lens is longer.
+RATES, WAVES, SHIFT, ZOOM = "rates", "waves", "shift", "zoom"
+OWN_STATES = {RATES: 3, WAVES: 6, SHIFT: 2, ZOOM: 1}
 
 
 @dataclass(frozen=True)
@@ -31,72 +35,55 @@ class Layout:
 
     keyframes: int
     camera_states: int = 0
-    has_rates: bool = False  # of the pictures: `Layout.rates`
-    has_waves: bool = False  # likewise: `Layout.waves`
-
-    @property
-    def boresight(self) -> slice:
-        """Three columns, rad, camera axes."""
-        return slice(6 * self.keyframes, 6 * self.keyframes + 3)
-
-    @property
-    def offset(self) -> int:
-        """One column, s: the camera's stamps are early by this much."""
-        return 6 * self.keyframes + 3
-
-    @property
-    def delay(self) -> int:
-        """One column, s: the position is older than its stamp by this much more than configured."""
-        return 6 * self.keyframes + 4
-
-    @property
-    def velocity_delay(self) -> int:
-        """One column, s: the same of the velocity."""
-        return 6 * self.keyframes + 5
-
-    @property
-    def heading(self) -> slice:
-        """Two columns, rad: the heading's error is their product with the cosine and the sine of the heading."""
-        return slice(6 * self.keyframes + 6, 6 * self.keyframes + 8)
-
-    @property
-    def camera(self) -> slice:
-        """The camera's own, in the order of `camera_states.NAMES`; none where the camera is taken as it is."""
-        return slice(6 * self.keyframes + 8, 6 * self.keyframes + 8 + self.camera_states)
+    blocks: tuple[str, ...] = ()  # of each picture's own image states: keys of `OWN_STATES`
 
     @property
     def shared(self) -> slice:
-        """Boresight, time offset, delays, heading error, camera and plane."""
-        return slice(6 * self.keyframes, 6 * self.keyframes + 11 + self.camera_states)
+        """What all pictures share: the platform's and the camera's states (`platform_states`), and the plane's."""
+        first = 6 * self.keyframes
+        return slice(first, first + STATES + self.camera_states + PLANE)
+
+    @property
+    def platform(self) -> slice:
+        """The platform's and the camera's states, in the order of `platform_states`."""
+        return slice(self.shared.start, self.shared.stop - PLANE)
+
+    @property
+    def camera(self) -> slice:
+        """The camera's own; none where the camera is taken as it is."""
+        return slice(self.platform.start + STATES, self.platform.stop)
 
     @property
     def plane(self) -> slice:
         """Three columns: height (m), slope east, slope north."""
-        first = 6 * self.keyframes + 8 + self.camera_states
-        return slice(first, first + 3)
+        return slice(self.platform.stop, self.shared.stop)
 
     @property
     def size(self) -> int:
         """All columns."""
-        each = 6 + 3 * self.has_rates + 6 * self.has_waves
-        return each * self.keyframes + 11 + self.camera_states
+        shared: int = self.shared.stop
+        return shared + self.keyframes * self.own
 
     @property
-    def rates(self) -> NDArray[np.intp]:
-        """Column numbers (K, 3) of what the pictures' rates are off by, rad/s; (0, 3) where they are measured."""
-        first = self.shared.stop
-        return np.arange(first, first + 3 * self.keyframes * self.has_rates).reshape(-1, 3)
-
-    @property
-    def waves(self) -> NDArray[np.intp]:
-        """Column numbers (K, 6) of what the pictures' rows swing by, rad; (0, 6) where they are not seen to."""
-        return np.arange(self.size - 6 * self.keyframes * self.has_waves, self.size).reshape(-1, 6)
+    def own(self) -> int:
+        """How many image states each picture has."""
+        return sum(OWN_STATES[name] for name in self.blocks)
 
     @property
     def by_picture(self) -> NDArray[np.intp]:
-        """Column numbers (K, M) of rates and waves together; (0, 0) without either."""
-        found = [c for c in (self.rates, self.waves) if len(c)]
-        return np.concatenate(found, axis=1) if found else np.zeros((0, 0), np.intp)
+        """Column numbers (K, M) of the pictures' own image states."""
+        return np.arange(self.shared.stop, self.size).reshape(self.keyframes, self.own)
+
+    def part(self, block: str) -> slice:
+        """Which of a picture's own image states are a block's; an empty slice where there is no such block."""
+        if block not in self.blocks:
+            return slice(0, 0)
+        first = sum(OWN_STATES[name] for name in self.blocks[: self.blocks.index(block)])
+        return slice(first, first + OWN_STATES[block])
+
+    def with_block(self, block: str) -> Layout:
+        """The same with one more block, after the others."""
+        return replace(self, blocks=(*self.blocks, block))
 
     def rotation(self, keyframe: int) -> slice:
         """Three columns, rad."""
@@ -122,42 +109,33 @@ class State:
     R_cam_enu: Array  # (K, 3, 3)
     centres_enu_m: Array  # (K, 3)
     points_enu_m: Array  # (P, 3)
-    boresight_rad: Array  # (3,)
-    offset_s: float
+    platform: Array  # (8 + camera states,) in the order of `platform_states`
     plane: Array  # (3,) height m, slope east, slope north, about the reference point
-    delay_s: float = 0.0  # the position is older than its stamp by this much more than configured
-    velocity_delay_s: float = 0.0  # the same of the velocity
-    heading_rad: Array = field(default_factory=lambda: np.zeros(2))  # (2,) see `Layout.heading`
-    camera: Array = field(default_factory=lambda: np.zeros(0))  # deviations from the camera file, see `Layout.camera`
-    rates_rad_s: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (K, 3) or (0, 3), see `Layout.rates`
-    waves_rad: Array = field(default_factory=lambda: np.zeros((0, 6)))  # (K, 6) or (0, 6), see `Layout.waves`
+    own: Array = field(default_factory=lambda: np.zeros((0, 0)))  # (K, M) image states, see `Layout.by_picture`
+
+    @property
+    def camera(self) -> Array:
+        """Deviations from the camera file, see `camera_states`."""
+        return self.platform[STATES:]
 
     def retract(self, dc: Array, dp: Array) -> State:
         """Apply a step: dc (Layout.size,), dp (P, 3)."""
-        K = len(self.R_cam_enu)
-        pose = dc[: 6 * K].reshape(K, 6)
-        end = 11 + len(self.camera)
-        shared, rates, waves = np.split(dc[6 * K :], [end, end + self.rates_rad_s.size])
+        K, shared = len(self.R_cam_enu), len(self.platform)
+        pose, platform, plane, own = np.split(dc, np.cumsum([6 * K, shared, PLANE]))
+        pose = pose.reshape(K, 6)
         return State(
             exp_so3(pose[:, :3]) @ self.R_cam_enu,
             self.centres_enu_m + pose[:, 3:],
             self.points_enu_m + dp,
-            self.boresight_rad + shared[:3],
-            self.offset_s + float(shared[3]),
-            self.plane + shared[-3:],
-            self.delay_s + float(shared[4]),
-            self.velocity_delay_s + float(shared[5]),
-            self.heading_rad + shared[6:8],
-            self.camera + shared[8:-3],
-            self.rates_rad_s + rates.reshape(-1, 3),
-            self.waves_rad + waves.reshape(-1, 6),
+            self.platform + platform,
+            self.plane + plane,
+            self.own + own.reshape(self.own.shape),
         )
 
-    @property
-    def platform(self) -> Array:
-        """(8 + camera states,) what is estimated of the platform, in the order of `boresight.STATES`."""
-        times_s = [self.offset_s, self.delay_s, self.velocity_delay_s]
-        return np.concatenate([self.boresight_rad, times_s, self.heading_rad, self.camera])
+    def with_block(self, layout: Layout, block: str) -> State:
+        """The same with a block's states at zero; `layout` has the block last."""
+        others = self.own[:, : layout.own - OWN_STATES[block]]
+        return replace(self, own=np.pad(others, ((0, 0), (0, OWN_STATES[block]))))
 
     def antennas_enu_m(self, lever_cam_m: Array) -> tuple[Array, Array]:
         """Where the autopilot's reference points are (K, 3), and their derivative by the views' rotation (K, 3, 3).
@@ -236,89 +214,82 @@ def lasting_sigma(stamps_s: Array, sigma_gauss_markov: float, time_constant_s: f
 
 
 @dataclass(frozen=True, eq=False)
-class PositionPrior:
-    """Positions with Gauss-Markov and white error, moved along the velocity by time offset and delay. (5.4)"""
+class PathPrior:
+    """What telemetry measures of the path: n linear functions of the K places where the autopilot's reference point is.
+
+    They move by `moved_m_s` with time offset and delay.
+    """
 
     layout: Layout
-    measured_enu_m: Array  # (K, 3)
-    velocity_enu_m_s: Array  # (K, 3)
-    whitener: Array  # (3, K, K): east, north, up
-    offset_s: Array  # (K,) time offset plus delay at which each was taken
-    lasting: Array = field(default_factory=lambda: np.zeros(3))  # one sigma (m) of what all K share, (9.11)
+    measured_enu_m: Array  # (n, 3)
+    moved_m_s: Array  # (n, 3)
+    whitener: Array  # (3, n, n): east, north, up
+    offset_s: Array  # (n,) time offset plus delay at which each was taken
+    lasting: Array = field(default_factory=lambda: np.zeros(3))  # one sigma (m) of what all share, (9.11)
     lever_cam_m: Array = field(default_factory=lambda: np.zeros(3))  # from the autopilot's reference point
     parts: Parts | None = None  # of the covariance that `whitener` whitens
+    delay: ClassVar[int]  # which of the platform's states it is late by
+
+    @staticmethod
+    def of_places(places: Array) -> Array:
+        """What it measures (n, ...) of places (K, ...)."""
+        raise NotImplementedError
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
-        """Residual (3K,), Jacobian (3K, D)."""
+        """Residual (3n,), Jacobian (3n, D)."""
         at, by_rotation = state.antennas_enu_m(self.lever_cam_m)
-        moved_s = state.offset_s + state.delay_s - self.offset_s
-        error = at - self.measured_enu_m - self.velocity_enu_m_s * moved_s[:, None]
+        moved_s = state.platform[OFFSET] + state.platform[self.delay] - self.offset_s
+        error = self.of_places(at) - self.measured_enu_m - self.moved_m_s * moved_s[:, None]
         J = self._jacobian
         if self.lever_cam_m.any():
             J = J.copy()
-            for axis in range(3):
-                columns = self.layout.rotations()
-                J.reshape(3, len(error), -1)[axis][:, columns] += (
-                    self.whitener[axis][:, :, None] * by_rotation[None, :, axis]
-                )
+            columns = self.layout.rotations()
+            for axis, rows in enumerate(J.reshape(3, len(error), -1)):
+                rows[:, columns] += self._by_place[axis][:, :, None] * by_rotation[None, :, axis]
         return np.matmul(self.whitener, error.T[:, :, None]).reshape(-1), J
 
     @cached_property
+    def _by_place(self) -> Array:
+        """(3, n, K) of whitened rows, by each place's own axis."""
+        out: Array = self.whitener @ self.of_places(np.eye(self.layout.keyframes))
+        return out
+
+    @cached_property
     def _jacobian(self) -> Array:
-        K = self.layout.keyframes
-        J = np.zeros((3, K, self.layout.size))
+        J = np.zeros((3, len(self.measured_enu_m), self.layout.size))
         columns = self.layout.centres()
         for axis in range(3):
-            J[axis][:, columns[:, axis]] = self.whitener[axis]
-            by_time = -self.whitener[axis] @ self.velocity_enu_m_s[:, axis]
-            J[axis][:, self.layout.offset] = J[axis][:, self.layout.delay] = by_time
-        return J.reshape(3 * K, -1)
+            J[axis][:, columns[:, axis]] = self._by_place[axis]
+            by_time = -self.whitener[axis] @ self.moved_m_s[:, axis]
+            J[axis][:, self.layout.platform][:, [OFFSET, self.delay]] = by_time[:, None]
+        return J.reshape(-1, self.layout.size)
 
 
-@dataclass(frozen=True, eq=False)
-class VelocityPrior:
+class PositionPrior(PathPrior):
+    """Positions with Gauss-Markov and white error, moved along the velocity by time offset and delay. (5.4)"""
+
+    delay = DELAY
+
+    @staticmethod
+    def of_places(places: Array) -> Array:
+        """The places themselves."""
+        return places
+
+
+class VelocityPrior(PathPrior):
     """Displacements between consecutive keyframes from integrated velocity. Equation (5.6).
 
     Its error is a white part, a Gauss-Markov part and a delay of the velocity's own: a navigation filter that is told
     a wrong GPS delay has its position behind by all of it and its velocity by a part. In a turn the displacement
-    changes when the interval moves by time offset and delay.
+    changes when the interval moves by time offset and delay: by the velocity that it gains.
     """
 
-    layout: Layout
-    displacement_enu_m: Array  # (K - 1, 3)
-    whitener: Array  # (3, K - 1, K - 1): east, north, up
-    gained_m_s: Array  # (K - 1, 3) velocity at the interval's end less that at its beginning
-    offset_s: Array  # (K - 1,) time offset plus the velocity's delay at which each was taken
-    lever_cam_m: Array = field(default_factory=lambda: np.zeros(3))  # from the autopilot's reference point
-    parts: Parts | None = None  # of the covariance that `whitener` whitens
+    delay = VELOCITY_DELAY
 
-    def evaluate(self, state: State) -> tuple[Array, Array]:
-        """Residual (3 (K - 1),), Jacobian (3 (K - 1), D)."""
-        at, by_rotation = state.antennas_enu_m(self.lever_cam_m)
-        later = self.gained_m_s * (state.offset_s + state.velocity_delay_s - self.offset_s)[:, None]
-        error = at[1:] - at[:-1] - self.displacement_enu_m - later
-        J = self._jacobian
-        if self.lever_cam_m.any():
-            J = J.copy()
-            rows = J.reshape(3, len(error), -1)
-            columns = self.layout.rotations()
-            for axis in range(3):
-                w = self.whitener[axis][:, :, None]
-                rows[axis][:, columns[1:]] += w * by_rotation[None, 1:, axis]
-                rows[axis][:, columns[:-1]] -= w * by_rotation[None, :-1, axis]
-        return np.matmul(self.whitener, error.T[:, :, None]).reshape(-1), J
-
-    @cached_property
-    def _jacobian(self) -> Array:
-        n = self.layout.keyframes - 1
-        J = np.zeros((3, n, self.layout.size))
-        columns = self.layout.centres()
-        for axis in range(3):
-            J[axis][:, columns[1:, axis]] += self.whitener[axis]
-            J[axis][:, columns[:-1, axis]] -= self.whitener[axis]
-            by_time = -self.whitener[axis] @ self.gained_m_s[:, axis]
-            J[axis][:, self.layout.offset] = J[axis][:, self.layout.velocity_delay] = by_time
-        return J.reshape(3 * n, -1)
+    @staticmethod
+    def of_places(places: Array) -> Array:
+        """From each to the next."""
+        return np.diff(places, axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,16 +308,17 @@ class AttitudePrior:
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3K,), Jacobian (3K, D)."""
         K = self.layout.keyframes
-        turned = self.body_rate_cam_rad_s * (state.offset_s - self.offset_s)[:, None]
-        both = exp_so3(np.concatenate([turned, state.boresight_rad[None]]))  # one call: this is the inner loop
+        boresight_rad = state.platform[None, BORESIGHT]
+        turned = self.body_rate_cam_rad_s * (state.platform[OFFSET] - self.offset_s)[:, None]
+        both = exp_so3(np.concatenate([turned, boresight_rad]))  # one call: this is the inner loop
         turn, tilt = both[:-1], both[-1]
         R_enu_cam = self.R_enu_cam_measured @ turn @ tilt
         if self.by_heading is not None:
-            about_up = -(self.by_heading @ state.heading_rad)[:, None] * np.array([0.0, 0.0, 1.0])
+            about_up = -(self.by_heading @ state.platform[HEADING])[:, None] * np.array([0.0, 0.0, 1.0])
             R_enu_cam = exp_so3(about_up) @ R_enu_cam
         # In camera axes: log(R_cam_enu R_enu_cam). Its derivatives: Jl^-1 = Jr^-1(-e) on the left, Jr^-1 on the right.
         error_cam = log_so3(state.R_cam_enu @ R_enu_cam)
-        inverses = right_jacobian_inverse(np.concatenate([error_cam, state.boresight_rad[None]]))
+        inverses = right_jacobian_inverse(np.concatenate([error_cam, boresight_rad]))
         right = inverses[:-1]
         R_out = self.R_enu_cam_measured
         inner = R_out @ right
@@ -359,11 +331,12 @@ class AttitudePrior:
         J = np.zeros((3, K, self.layout.size))
         by_view = J[:, :, : 6 * K].reshape(3, K, K, 6)
         by_view[..., :3] = self.whitener[..., None] * by_rotation.transpose(1, 0, 2)[:, None]
-        J[:, :, self.layout.boresight] = self.whitener @ by_boresight.transpose(1, 0, 2)
-        J[:, :, self.layout.offset] = (self.whitener @ by_offset.transpose(1, 0, 2))[..., 0]
+        by_platform = J[:, :, self.layout.platform]
+        by_platform[:, :, BORESIGHT] = self.whitener @ by_boresight.transpose(1, 0, 2)
+        by_platform[:, :, OFFSET] = (self.whitener @ by_offset.transpose(1, 0, 2))[..., 0]
         if self.by_heading is not None:
             by_yaw = -inner @ R_enu_cam[:, 2, :, None] * self.by_heading[:, None, :]
-            J[:, :, self.layout.heading] = self.whitener @ by_yaw.transpose(1, 0, 2)
+            by_platform[:, :, HEADING] = self.whitener @ by_yaw.transpose(1, 0, 2)
         return residual.reshape(-1), J.reshape(3 * K, -1)
 
 

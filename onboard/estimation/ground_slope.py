@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.estimation.boresight import BORESIGHT
 from onboard.estimation.factors import SharedPrior
-from onboard.geometry.linalg import precision_beyond
+from onboard.estimation.information import Information, with_own_variance
+from onboard.estimation.platform_states import BORESIGHT
 
 Array = NDArray[np.float64]
 
@@ -122,20 +122,11 @@ def seen_alone(prior: SharedPrior, shared: Array, covariance: Array) -> tuple[Ar
     assumed of the slope, and nothing of the mount: its error is the same in all windows, and across a straight track
     it would be taken for the ground's slope.
     """
-    given = prior.whitener.T @ prior.whitener
-    posterior = np.linalg.inv(covariance)
-    values, directions = precision_beyond(posterior, given, 1.0 / np.sqrt(np.diag(given)))
-    by_data = (directions * np.maximum(values, 0.0)) @ directions.T
-    pull = posterior @ shared - given @ prior.mean
-    loose = np.linalg.inv(given)
-    loose[BORESIGHT, :] = loose[:, BORESIGHT] = 0.0
-    loose[BORESIGHT, BORESIGHT] = NO_MOUNT_PRIOR_RAD**2 * np.eye(3)
+    given: Array = np.asarray(np.linalg.inv(prior.whitener.T @ prior.whitener), np.float64)
     slope = slice(len(shared) - 2, len(shared))
-    loose[slope, :] = loose[:, slope] = 0.0
-    loose[slope, slope] = NO_SLOPE_PRIOR**2 * np.eye(2)
-    before = np.linalg.inv(loose)
+    loose = with_own_variance(given, BORESIGHT, NO_MOUNT_PRIOR_RAD**2)
     mean = prior.mean.copy()
     mean[slope] = 0.0
-    alone = np.linalg.inv(by_data + before)
-    estimate = alone @ (pull + before @ mean)
-    return estimate[slope], 0.5 * (alone[slope, slope] + alone[slope, slope].T)
+    gained = Information.gained(shared, covariance, prior.mean, given)
+    estimate, alone = gained.upon(mean, with_own_variance(loose, slope, NO_SLOPE_PRIOR**2))
+    return estimate[slope], alone[slope, slope]

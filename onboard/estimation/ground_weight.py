@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.config.schema import Config
 from onboard.estimation.bundle_adjustment import Problem, Solution
 from onboard.estimation.factors import ground_plane
 from onboard.estimation.ground_roughness import effective_sigma_m
+from onboard.estimation.window_request import Request
 from onboard.geometry.terrain_grid import Terrain
-
-if TYPE_CHECKING:
-    from onboard.estimation.window_solver import Request
 
 Array = NDArray[np.float64]
 
@@ -26,7 +23,12 @@ def weight_and_terrain(request: Request, points: Array) -> tuple[Array, Terrain 
         height, _ = request.terrain.height_and_slope(points[:, :2])
         if np.all(np.isfinite(height)):
             return np.full(len(points), 1.0 / request.config.terrain.sigma_m), request.terrain
-    return np.full(len(points), 1.0 / max(request.config.solve.relief_sigma_m, 1e-3)), None
+    return np.full(len(points), as_declared(request.config)), None
+
+
+def as_declared(config: Config) -> float:
+    """1 / sigma (1/m) of ground of which nothing is known but its roughness."""
+    return 1.0 / max(config.solve.ground_roughness_sigma_m, 1e-3)
 
 
 def alike(problem: Problem, first: Solution, ground_weight: Array) -> Array:
@@ -46,4 +48,4 @@ def strays_m(request: Request, offset: Array, plane: Array, terrain: Terrain | N
         return request.config.terrain.sigma_m
     above = offset[:, 2] - plane[0] - offset[:, :2] @ plane[1:]
     measured = 1.4826 * float(np.median(np.abs(above - np.median(above))))
-    return min(max(measured, MIN_STRAY_M), max(request.config.solve.relief_sigma_m, MIN_STRAY_M))
+    return min(max(measured, MIN_STRAY_M), max(request.config.solve.ground_roughness_sigma_m, MIN_STRAY_M))

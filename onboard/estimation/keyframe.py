@@ -50,8 +50,6 @@ class Keyframe:
     R_cam_enu: Array
     centre_enu_m: Array
     flow_disagreement_xy: Array | None = None  # (2,) normalised; `coarse_flow`, since the keyframe before
-    log_zoom: float = 0.0  # logarithm of its scale beside the camera file's, once a zoom was seen
-    is_zoom_lost: bool = False  # the features that it was followed by are gone: it is what it was then
     is_oriented: bool = True  # False: nothing has given an orientation yet, and `R_cam_enu` holds the mount's alone
 
 

@@ -1,12 +1,10 @@
-"""Optics that moved from picture to picture: electronic stabilisation, and zoom or refocus. (19.1), (19.2)
+"""Optics that changed between the pictures of a window: zoom or refocus, and a stabilised frame. (19.2) to (19.5)
 
-A frame that follows the smoothed rotation moves the principal point from picture to picture. Seen as the rotation that
-it hides it contradicts the attitude, as an attitude that errs does. The two differ in perspective: a shift moves all of
-a picture alike, a rotation its corners more. So a window that is strained is adjusted twice without any attitude: as it
-is, and with every picture shifted back by as much as its orientation differs from the autopilot's. If the attitude
-erred the second is the worse one, by perspective alone; if the frame was shifted it is the better one.
-
-A zoom (`zoom`) is looked for in the same windows, and the likelier of the two names the refusal.
+Each is a hypothesis: the window's first adjustment again with one more image block. Twice the fall of the cost is held
+against what chance makes of as many states. The same fall is found for the sensors, each set aside in turn, because one
+of them that errs may be explained by optics as well; the explanation with the largest excess is the cause. What all
+pictures of a window share (focal length, k1) is open under every hypothesis: a camera file that is wrong is no zoom. So
+are rates and vibration of rows read one after the other, declared or not: they scale and shear each picture by itself.
 """
 
 from __future__ import annotations
@@ -15,220 +13,245 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from contract.feature_set import Status
-from contract.rotations import log_so3
-from onboard.estimation import zoom
-from onboard.estimation.keyframe import Keyframe, have_attitude
-from onboard.estimation.optics_hypotheses import (
-    HOPELESS,
-    LIKELIER,
-    adjusted,
-    by_sensors,
-    image_cost,
-    pixel_variance,
-    seen_through,
-    settled,
-)
-from onboard.estimation.sensor_groups import FORGOTTEN
-from onboard.estimation.window_solver import GROUND_MOVES, MIN_KEYFRAMES, Noise, Outcome, Request
-from onboard.estimation.window_solver import adjust as solve_window
+from contract.rotations import exp_so3, log_so3
+from onboard.estimation import ground_weight, row_waves, window_problem
+from onboard.estimation.bundle_adjustment import Solution, solve
+from onboard.estimation.camera_states import CERTAIN, COUNT, FOCAL_LENGTH, K1
+from onboard.estimation.factors import OWN_STATES, RATES, SHIFT, WAVES, ZOOM, State
+from onboard.estimation.information import with_own_variance
+from onboard.estimation.keyframe import have_attitude
+from onboard.estimation.platform_states import STATES
+from onboard.estimation.second_start import by_attitude
+from onboard.estimation.sensor_groups import contradictions, innovations
+from onboard.estimation.sensor_table import HEADING, TILT
+from onboard.estimation.window_problem import WindowProblem
+from onboard.estimation.window_request import Noise, Request, Weighed
 
 Array = NDArray[np.float64]
 
 MOVED = (Status.STABILISED, Status.ZOOMED)
-ROUNDS = 5  # of shifts at most: each finds what is left of the one before
-SETTLED_PX = 2.0  # rms, of a round that has found nothing new
-STRAINED = 1.3  # times the declared noise, above which a window that is accepted is looked at too
-DOUBTED = float(np.log(1000.0))  # likelier than this by chance once in 10,000 strained windows: not sure, not believed
-SPREAD = 0.03  # between the first guesses of a window's scales, above which an accepted window is looked at
-HELD_NS = 30_000_000_000  # for which a frame that was seen shifted, or a lens that zoomed, is still taken to be
-LOOK_NS = 4_000_000_000  # until the next window is looked at, after one in vain
-LEAST_JITTER_S = 0.003
-PAST = 24  # windows whose noise is remembered: a few more than one window's keyframes
+FALSE_ALARM = 1e-9  # that chance makes as much of a hypothesis
+SET_ASIDE = 1e6  # on the variance of a sensor that is supposed to say nothing
+OPEN_LENS = {FOCAL_LENGTH: 0.3, K1: 0.1}  # one sigma of what all pictures share, under every hypothesis
+LOSS_SIGMAS = 3.0
+MOST_STARTS = 4
+MAX_VARIANCE = 3.0  # of pixels, above which a hypothesis leaves too much to explain anything
+ATTITUDE = "attitude"
 
 
 @dataclass(frozen=True)
-class Explanation:
-    """By how much likelier (natural logarithm) the pictures of a window are shifted back, and by how much (rms, px)."""
+class Excess:
+    """Twice the fall of the cost under a hypothesis (in variances of the pixels), and how many states it frees."""
 
     gain: float
-    shift_px: float
+    freedom: int
+    variance: float  # of the pixels under the hypothesis, in the one they were weighted by; at least 1
+
+    @property
+    def is_beyond_chance(self) -> bool:
+        """Whether so many states of nothing would not fall by as much."""
+        return self.gain > float(chdtri(self.freedom, FALSE_ALARM))
+
+    @property
+    def evidence(self) -> float:
+        """What is left of the gain after what chance is expected to make of it."""
+        return self.gain - self.freedom
+
+    def beside(self, evidence: float) -> Excess:
+        """What is left of it where something else explains as much as this."""
+        return replace(self, gain=self.gain - max(evidence, 0.0))
 
 
-def adjust(request: Request) -> Outcome:
-    """Solve a window; where it is strained or refused, see whether moved optics are why, and refuse it so."""
-    before = _undisturbed(request)
-    if any(k.log_zoom for k in request.keyframes):
-        return zoom.followed(before)
-    end_ns, seen_ns = request.keyframes[-1].nav.stamp_ns if request.keyframes else 0, request.noise.shifted_ns
-    if seen_ns and end_ns - seen_ns < HELD_NS:
-        return _still_shifted(before, seen_ns)
-    outcome = solve_window(request)
-    # A surface that flows explains itself, and the attitude of what may not carry the camera says nothing of its lens.
-    if outcome.reason == GROUND_MOVES or request.is_carrier_open:
-        return outcome
-    # A window that no earlier one confirms is looked at too: three pictures of a turn may well hide a shift.
-    is_strained = _is_strained(request, outcome)
-    is_looked_at = not request.memory.windows or is_strained
-    if outcome.status is not Status.POOR_FIT and not (outcome.status is Status.OK and is_looked_at):
-        return _noted(outcome, end_ns)
-    zoomed_ns = request.noise.zoomed_ns
-    if zoomed_ns and end_ns - zoomed_ns < HELD_NS:
-        noise = replace(request.noise, zoomed_ns=end_ns)
-        reason = (
-            f"the lens zoomed or refocused {(end_ns - zoomed_ns) / 1e9:.0f} s ago, and nothing says that it is back"
-        )
-        return Outcome(Status.ZOOMED, request.keyframes, noise, reason=reason)
-    if not _is_due(request, outcome.status):
-        return _noted(outcome, end_ns)
-    is_solved, scales = outcome.status is Status.OK, None
-    explanation = explained(replace(before, keyframes=outcome.keyframes), is_solved=is_solved)
-    excess = _excess(explanation)
-    if not is_solved or excess is not None or _spreads(request, outcome):
-        scales = zoom.scaled(before)
-        if scales.is_zoom and (explanation is None or scales.gain > explanation.gain):
-            return zoom.refused(before, scales.log_scale)
-    if excess is not None and (is_strained or not is_solved):
-        return _shifted(before, seen_ns, excess)
-    # Without attitudes nothing but the pictures themselves would tell a lens from the ground's shape.
-    own = zoom.by_itself(before) if have_attitude(request.keyframes) else None
-    if own is not None and own.is_off:
-        return zoom.off_by(before, own)
-    if is_solved and explanation is not None and explanation.gain > DOUBTED:
-        return _doubted(before, f"a frame shifted by {explanation.shift_px:.0f} px rms explains the pictures better")
-    if is_solved and scales is not None and scales.is_newest_alone:
-        return _doubted(before, f"the newest picture seems scaled by {np.exp(scales.log_scale[-1]):.3f}")
-    is_neither = explanation.gain < -LIKELIER if explanation is not None else not is_solved
-    is_in_vain = (scales is None or scales.gain <= 0.0) and (own is None or not own.is_beyond_chance)
-    if is_neither and is_in_vain:
-        outcome = replace(outcome, noise=_looked(outcome.noise, outcome.status, end_ns))
-    return _noted(outcome, end_ns)
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What the optics did in a window: status and reason of its refusal."""
+
+    status: Status
+    reason: str
+    lens_moved: float = 0.0  # by about so much of the focal length's logarithm
 
 
-def _still_shifted(request: Request, seen_ns: int) -> Outcome:
-    """A window after ones whose frames were shifted until `seen_ns`: refused, and now and then looked at again."""
-    if not _is_due(request, Status.OK):
-        return _shifted(request, seen_ns, None)
-    explanation = explained(request)
-    # A zoom shifts what lies off the middle, and before enough pictures have it only that may have been seen.
-    scales = zoom.scaled(request)
-    if scales.is_zoom and (explanation is None or scales.gain > explanation.gain):
-        noise = replace(request.noise, shifted_ns=0)
-        return zoom.refused(replace(request, noise=noise), scales.log_scale)
-    noise = _looked(request.noise, Status.OK, request.keyframes[-1].nav.stamp_ns)
-    return _shifted(replace(request, noise=noise), seen_ns, _excess(explanation))
-
-
-def _noted(outcome: Outcome, end_ns: int) -> Outcome:
-    """With the noise that a window leaves written down, for later ones that share no picture with it."""
-    noise = outcome.noise
-    past = (*noise.past, (end_ns, noise.jitter_s, noise.noise_inflation))[-PAST:]
-    return replace(outcome, noise=replace(noise, past=past))
-
-
-def _undisturbed(request: Request) -> Request:
-    """With the noise as it was found without any picture of this window.
-
-    Optics that move make windows noisier, step by step, and what the first pictures of it did to the noise would excuse
-    the next.
-    """
-    noise, start_ns = request.noise, request.keyframes[0].nav.stamp_ns if request.keyframes else 0
-    earlier = [known for known in noise.past if known[0] < start_ns]
-    if not earlier:
-        return request
-    _, jitter_s, inflation = earlier[-1]
-    jitter_s, inflation = min(jitter_s, noise.jitter_s), min(inflation, noise.noise_inflation)
-    return replace(request, noise=replace(noise, jitter_s=jitter_s, noise_inflation=inflation))
-
-
-def _is_due(request: Request, status: Status) -> bool:
-    """Whether a window that was accepted (OK), or refused, is to be looked at: that takes longer than to solve it."""
-    looked_ns = request.noise.looked_ns[0 if status is Status.OK else 1]
-    return not 0 <= request.keyframes[-1].nav.stamp_ns - looked_ns < LOOK_NS
-
-
-def _looked(noise: Noise, status: Status, end_ns: int) -> Noise:
-    accepted_ns, refused_ns = noise.looked_ns
-    return replace(noise, looked_ns=(end_ns, refused_ns) if status is Status.OK else (accepted_ns, end_ns))
-
-
-def _excess(explanation: Explanation | None) -> float | None:
-    """How far (px) a window's frame is shifted; None where nothing says that it is."""
-    if explanation is None or explanation.gain < LIKELIER:
+def found(window: WindowProblem, weighed: Weighed) -> Change | None:
+    """What changed between the pictures of a window; None if nothing did. `weighed` is its first adjustment."""
+    groups, has_attitude = weighed.noise.factors.groups, have_attitude(window.keyframes)
+    s = weighed.solution
+    against = contradictions(innovations(weighed.priors, s.state, s.covariance, groups, has_attitude))
+    is_turned = has_attitude and any(i.group in (TILT, HEADING) for i in against)
+    each, common = zoom_scores(window, weighed)
+    is_file_doubted = common.is_beyond_chance and not window.layout.camera_states
+    if not is_turned and not is_file_doubted and not each.is_beyond_chance:
         return None
-    return explanation.shift_px
-
-
-def _shifted(request: Request, seen_ns: int, shift_px: float | None) -> Outcome:
-    """Refused; `shift_px` None: for what was seen of windows until `seen_ns`, for video is not stabilised by turns."""
-    end_ns = request.keyframes[-1].nav.stamp_ns
-    # What it did to the noise says nothing of the next window's.
-    noise = replace(request.noise, shifted_ns=seen_ns if shift_px is None else end_ns)
-    size = f"{(end_ns - seen_ns) / 1e9:.0f} s ago" if shift_px is None else f"{shift_px:.0f} px rms"
-    reason = f"the frame is shifted from picture to picture (stabilisation, a zoom, or rows read late), {size}"
-    return Outcome(Status.STABILISED, request.keyframes, noise, reason=reason)
-
-
-def _doubted(request: Request, why: str) -> Outcome:
-    """Not sure enough to say that the optics moved, and far from sure that they did not."""
-    return Outcome(Status.POOR_FIT, request.keyframes, request.noise, reason=why)
-
-
-def _is_strained(request: Request, outcome: Outcome) -> bool:
-    """Whether a window that is accepted needed more noise than declared, or a sensor left out."""
-    noise, declared_s = outcome.noise, max(request.config.camera.sigma_jitter_s, LEAST_JITTER_S)
-    fails = any(f.at(request.keyframes[-1].nav.stamp_ns) > FORGOTTEN for f in noise.failing.failures.values())
-    return fails or noise.noise_inflation > STRAINED or noise.jitter_s > STRAINED * declared_s
-
-
-def _spreads(request: Request, outcome: Outcome) -> bool:
-    """Whether features of an accepted window spread, from picture to picture, more than sensors make them."""
-    if outcome.solved is None:
-        return False
-    ground_m = float(np.median(outcome.solved.solution.state.points_enu_m[outcome.solved.good, 2]))
-    found = zoom.picture_to_picture(outcome.keyframes, by_sensors(request, outcome.keyframes), ground_m)
-    return bool(np.ptp(found) > SPREAD)
-
-
-def explained(request: Request, *, is_solved: bool = False) -> Explanation | None:
-    """Both adjustments of a window; None where there is no attitude or too little to adjust. (19.1), (19.2)
-
-    `is_solved`: its keyframes are turned as a solution has them.
-    """
-    keyframes = request.keyframes
-    if len(keyframes) < MIN_KEYFRAMES or not have_attitude(keyframes):
+    hypotheses = Hypotheses(window, weighed)
+    excess = {ZOOM: hypotheses.with_block(ZOOM)}
+    if has_attitude:
+        excess |= {ATTITUDE: hypotheses.without_attitude(), SHIFT: hypotheses.with_block(SHIFT)}
+    cause = max(excess, key=lambda name: excess[name].evidence)
+    if cause == SHIFT:
+        excess[ATTITUDE] = max(excess[ATTITUDE], hypotheses.turned_instead(), key=lambda e: e.gain)
+        cause = max(excess, key=lambda name: excess[name].evidence)
+    next_best = max((e.evidence for name, e in excess.items() if name != cause), default=0.0)
+    is_sure = excess[cause].beside(next_best).is_beyond_chance and excess[cause].variance < MAX_VARIANCE
+    if cause == ZOOM and is_sure:
+        moved = hypotheses.zoomed_by
+        reason = f"the lens zoomed or refocused: by {np.expm1(moved):.1%} within the window"
+        return Change(Status.ZOOMED, reason, moved)
+    # A frame that is shifted to hide a rotation contradicts the attitude; one that does not has hidden nothing.
+    if cause == SHIFT and is_sure and is_turned:
+        return Change(Status.STABILISED, "the frame is shifted from picture to picture (stabilisation)")
+    # A lens that stopped elsewhere than its file has it, and whose file admits no error: nothing else refuses that.
+    if not is_file_doubted:
         return None
-    R = by_sensors(request, keyframes)
-    start = np.stack([k.R_cam_enu for k in keyframes])
-    first = (adjusted if is_solved else settled)(request, keyframes, start)
-    if first is None:
-        return None
-    solution, best, shift, best_px = first, first, np.zeros((len(keyframes), 2)), 0.0
-    for _ in range(ROUNDS):
-        turned = log_so3(solution.state.R_cam_enu @ R.transpose(0, 2, 1))
-        # A rotation e moves what lies ahead by (e_y, -e_x); what all pictures have in common is mount and lens.
-        found = np.column_stack([turned[:, 1], -turned[:, 0]])
-        found = found - np.median(found, axis=0)
-        if float(np.sqrt(np.mean(np.sum(found**2, axis=1)))) * request.camera.focal_px < SETTLED_PX:
+    lens, log_focal = hypotheses.lens()
+    if lens.is_beyond_chance and lens.evidence > max(excess[cause].evidence, hypotheses.rows.evidence):
+        reason = f"the focal length is {np.expm1(log_focal):+.1%} off the camera file, which states it without error"
+        return Change(Status.POOR_FIT, reason)
+    return None
+
+
+def zoom_scores(window: WindowProblem, weighed: Weighed) -> tuple[Excess, Excess]:
+    """What focal lengths that part pictures, and one that all share, promise to explain: by the first step. (19.4)"""
+    tried = window.with_block(ZOOM)
+    state = weighed.solution.state.with_block(tried.layout, ZOOM)
+    step = solve(tried.problem(weighed.noise), state, max_iterations=0)
+    columns = tried.layout.by_picture[:, -1]
+    moved = step.covariance[columns] @ step.reduced.right
+    information = np.linalg.pinv(step.covariance[np.ix_(columns, columns)], hermitian=True)
+    pull = information @ moved
+    shared = float(pull.sum() ** 2 / information.sum())
+    gains = float(moved @ pull) - shared, shared
+    each, common = (excess_of(g, weighed.solution, n) for g, n in zip(gains, (_freedom(window, ZOOM), 1), strict=True))
+    return each, common
+
+
+def excess_of(gain: float, solution: Solution, freedom: int) -> Excess:
+    """A gain in variances of the solution's pixels."""
+    variance = pixel_variance(solution)
+    return Excess(gain / variance, freedom, variance)
+
+
+def _freedom(window: WindowProblem, block: str) -> int:
+    """States of a block that tell pictures from each other."""
+    return OWN_STATES[block] * (window.layout.keyframes - 1)
+
+
+class Hypotheses:
+    """One window adjusted under several of them, all with the same open lens and the same open rows."""
+
+    def __init__(self, window: WindowProblem, weighed: Weighed) -> None:
+        asked = replace(window.request, keyframes=window.keyframes, is_oriented=True)
+        stated = window_problem.from_request(with_open_lens(asked))
+        assert isinstance(stated, WindowProblem)
+        # A sensor that was found to fail may have been innocent.
+        noise = replace(weighed.noise, factors=replace(weighed.noise.factors, groups={}))
+        # Nor do hills contradict the pictures, whose points all lie above or below a plane together.
+        hold = ground_weight.alike(weighed.problem, weighed.solution, stated.hold)
+        stated = replace(stated, hold=hold)
+        self._closed, self._first = replace(window, hold=hold), weighed.solution
+        self._noise, self._lens = noise, settled(stated, noise, stated.state)
+        self._window, self._none = with_open_rows(stated, noise, self._lens)
+        self._turned: Solution | None = None  # with the attitude set aside
+        self._shifted: State | None = None
+        self.zoomed_by = 0.0  # from the shortest to the longest focal length, of the logarithm
+
+    def lens(self) -> tuple[Excess, float]:
+        """What the open lens explains that the camera file's does not, and the logarithm of its focal length."""
+        gain = 2.0 * (settled(self._closed, self._noise, self._first.state).cost - self._lens.cost)
+        return excess_of(gain, self._lens, len(OPEN_LENS)), float(self._lens.state.camera[FOCAL_LENGTH])
+
+    @property
+    def rows(self) -> Excess:
+        """What the rows' own states explain beside the lens."""
+        layout = self._window.layout
+        return excess_of(2.0 * (self._lens.cost - self._none.cost), self._none, layout.own * layout.keyframes)
+
+    def without_attitude(self, state: State | None = None) -> Excess:
+        """What attitudes explain by being wrong; `state`: to begin from."""
+        factors = replace(self._noise.factors, groups=dict.fromkeys((TILT, HEADING), SET_ASIDE))
+        self._turned = settled(self._window, replace(self._noise, factors=factors), state or self._none.state)
+        return self._excess(self._turned, 3 * self._window.layout.keyframes)
+
+    def turned_instead(self) -> Excess:
+        """The same, begun where shifts have led, each taken for the rotation that moves a picture's middle as far."""
+        assert self._shifted is not None
+        x, y = self._shifted.own[:, -2:].T
+        R = exp_so3(np.column_stack([-y, x, np.zeros(len(x))])) @ self._shifted.R_cam_enu
+        return self.without_attitude(replace(self._shifted, R_cam_enu=R, own=self._none.state.own))
+
+    def with_block(self, block: str) -> Excess:
+        """What a block of image states explains."""
+        tried = self._window.with_block(block)
+        state = self._none.state.with_block(tried.layout, block)
+        if block == SHIFT and self._turned is not None:
+            state = self._hiding(self._turned.state, state)
+        solution = settled(tried, self._noise, state)
+        if block == ZOOM:
+            self.zoomed_by = float(np.ptp(solution.state.own[:, -1]))
+        else:
+            self._shifted = solution.state
+        return self._excess(solution, _freedom(self._window, block))
+
+    def _hiding(self, turned: State, state: State) -> State:
+        """A start for shifts: the frames hide by how much the pictures' rotations part from the attitudes'. (19.5)"""
+        request = self._window.request
+        attitudes = [by_attitude(k.nav, request.belief, request.R_body_cam) for k in self._window.keyframes]
+        R = np.stack([a for a in attitudes if a is not None])
+        hidden = log_so3(turned.R_cam_enu @ R.transpose(0, 2, 1))
+        own = state.own.copy()
+        own[:, -2:] = np.column_stack([hidden[:, 1], -hidden[:, 0]]) - [hidden[0, 1], -hidden[0, 0]]
+        return replace(turned, R_cam_enu=R, own=own)
+
+    def _excess(self, solution: Solution, freedom: int) -> Excess:
+        return excess_of(2.0 * (self._none.cost - solution.cost), solution, freedom)
+
+
+def settled(window: WindowProblem, noise: Noise, state: State) -> Solution:
+    """Adjusted until it stays where it is: attitudes may be wrong by more than one adjustment goes."""
+    solution = window.weighed(noise, state).solution
+    for _ in range(MOST_STARTS):
+        again = window.weighed(noise, solution.state).solution
+        if again.cost > solution.cost - 1.0:
             break
-        shift = shift + found
-        # Where the frame is what moved, the camera is turned as the autopilot says.
-        again = adjusted(request, _shifted_back(request, keyframes, shift), R)
-        if again is None:
-            return None
         solution = again
-        if best is first or image_cost(again) < image_cost(best):
-            best, best_px = again, float(np.sqrt(np.mean(np.sum(shift**2, axis=1)))) * request.camera.focal_px
-        elif image_cost(best) - image_cost(first) > HOPELESS:
-            break
-    variance = pixel_variance(best)
-    return None if variance is None else Explanation((image_cost(first) - image_cost(best)) / variance, best_px)
+    return solution
 
 
-def _shifted_back(request: Request, keyframes: tuple[Keyframe, ...], shift: Array) -> tuple[Keyframe, ...]:
-    c = request.camera
-    return tuple(
-        seen_through(replace(c, cx_px=c.cx_px + c.fx_px * x, cy_px=c.cy_px + c.fy_px * y), k)
-        for k, (x, y) in zip(keyframes, shift.tolist(), strict=True)
-    )
+def with_open_rows(window: WindowProblem, noise: Noise, solution: Solution) -> tuple[WindowProblem, Solution]:
+    """The window with its rows read one after the other, by rates and waves that nothing measures, and its solution.
+
+    `solution` is the window's own. Rows that nobody declared, or that vibrate, scale and shear each picture by itself.
+    """
+    rates = window.with_rows_in_turn()
+    state = solution.state if rates.layout == window.layout else solution.state.with_block(rates.layout, RATES)
+    solution = settled(rates, noise, state)
+    waves = row_waves.seen(rates.problem(noise), solution)
+    if waves is None:
+        return rates, solution
+    vibrating = rates.vibrating(waves)
+    return vibrating, settled(vibrating, noise, solution.state.with_block(vibrating.layout, WAVES))
+
+
+def with_open_lens(request: Request) -> Request:
+    """The request with focal length and k1 open, whatever the camera file claims."""
+    belief, taken = request.belief, request.camera_taken
+    mean, covariance = belief.mean, belief.covariance
+    if len(mean) == STATES:
+        mean, taken = np.concatenate([mean, np.zeros(COUNT)]), np.zeros(COUNT)
+        covariance = np.diag(np.full(len(mean), CERTAIN**2))
+        covariance[:STATES, :STATES] = belief.covariance
+    for state, sigma in OPEN_LENS.items():
+        covariance = with_own_variance(covariance, STATES + state, sigma**2)
+    return replace(request, belief=replace(belief, mean=mean, covariance=covariance), camera_taken=taken)
+
+
+def pixel_variance(solution: Solution) -> float:
+    """Of pixels, relative to what they were weighted by, at least 1: robust cost per measurement that is left over."""
+    sigmas = solution.residual_sigmas
+    seen = np.isfinite(sigmas)
+    cost = LOSS_SIGMAS**2 * np.log1p(np.square(sigmas[seen]) / LOSS_SIGMAS**2)
+    # Of two coordinates each, less a point's three and a pose's six.
+    left = 2 * int(np.count_nonzero(seen)) - 3 * seen.shape[1] - 6 * len(seen)
+    variance: float = max(float(cost.sum()) / max(left, 1), 1.0)
+    return variance

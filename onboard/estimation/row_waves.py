@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.bundle_adjustment import Problem, Solution, image_residuals
+from onboard.estimation.factors import WAVES
 
 Array = NDArray[np.float64]
 
@@ -76,16 +77,17 @@ def found(residual: Array, weight: Array, share: Array) -> Waves | None:
 def seen(problem: Problem, solution: Solution) -> Waves | None:
     """The same in a solution's residuals, with what it has made a wave of; its rows must have been read in turn."""
     assert problem.sweep is not None
-    still = replace(solution.state, waves_rad=np.zeros_like(solution.state.waves_rad))
+    still = replace(solution.state, own=solution.state.own.copy())
+    still.own[:, problem.layout.part(WAVES)] = 0.0
     weight = problem.weight * np.sqrt(solution.robust_weight)
     residual = np.where(weight[:, None] > 0.0, image_residuals(problem, still), 0.0)
     return found(residual, weight, problem.sweep.share)
 
 
 def swing_rad(waves_rad: Array) -> float:
-    """One sigma (rad) by which waves (K, 6) move features along x or y; 0 for none (0, 6)."""
+    """One sigma (rad) by which waves (K, 6) move features along x or y; 0 for none (K, 0)."""
     across = waves_rad.reshape(-1, 2, 3)[:, :, :2]  # about the axis the camera looks along they move little
-    return float(np.sqrt(np.mean(across**2))) if len(waves_rad) else 0.0
+    return float(np.sqrt(np.mean(across**2))) if waves_rad.size else 0.0
 
 
 def _chi_square(freedom: int, z: float) -> float:

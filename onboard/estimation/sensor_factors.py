@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from onboard.config.schema import Config
-from onboard.estimation.boresight import DELAY, VELOCITY_DELAY, Belief
+from onboard.estimation.boresight import Belief
 from onboard.estimation.factors import (
     AttitudePrior,
     HeightModel,
     Layout,
+    Parts,
     PositionPrior,
     Prior,
     RangePrior,
@@ -26,16 +28,9 @@ from onboard.estimation.factors import (
 )
 from onboard.estimation.ground_slope import NO_SLOPE_PRIOR, SlopePrior
 from onboard.estimation.keyframe import Keyframe, have_attitude
-from onboard.estimation.variance_components import (
-    HEADING,
-    HEADING_WHITE,
-    POSITION,
-    TILT,
-    TILT_WHITE,
-    VELOCITY,
-    Parts,
-    VarianceFactors,
-)
+from onboard.estimation.platform_states import DELAY, PLANE, VELOCITY_DELAY
+from onboard.estimation.sensor_table import BY_NAME, HEADING, POSITION, TILT, VELOCITY, Sensor, declared
+from onboard.estimation.variance_components import VarianceFactors
 
 Array = NDArray[np.float64]
 
@@ -46,7 +41,6 @@ GRAVITY_M_S2 = 9.81
 ECHO_SIGMAS = 4.0
 DYNAMIC_TIME_S = 3.0  # that a navigation filter takes to forget what acceleration did to it
 UNKNOWN_M = 1e5  # one sigma of a displacement of which nothing is known
-VELOCITY_TIME_S = 8.0  # a navigation filter takes so long to correct a velocity
 TERRAIN_SLOPE_SIGMA = 0.005  # of an elevation model over a window's few hundred metres: neighbours err alike
 
 
@@ -113,6 +107,32 @@ def lever_cam_m(config: Config, R_body_cam: Array) -> Array:
     return out
 
 
+@dataclass(frozen=True, eq=False)
+class _Errors:
+    """One sensor's errors on one axis in a window: the whitener (n, n) of their covariance, and its estimated parts."""
+
+    whitener: Array
+    parts: dict[str, Array]
+
+
+def _errors(factors: VarianceFactors, sensor: Sensor, parts: Mapping[str, Array], fixed: Array) -> _Errors:
+    """Of (5.5): the parts (n, n) by name, as declared, and what is `fixed` (n, n).
+
+    Each part counts by its estimated variance; all of it by the sensor's group, which says nothing of its parts while
+    it fails.
+    """
+    estimated = {name: factors.of(name) * Q for name, Q in parts.items()}
+    failing = factors.group_sigma(sensor.name)
+    whole = sum(estimated.values(), fixed)
+    return _Errors(whitener_of(failing**2 * whole), estimated if failing == 1.0 else {})
+
+
+def _both(errors: list[_Errors]) -> tuple[Array, Parts]:
+    """Whiteners (3, n, n) and parts of three axes."""
+    one, two, three = (e.parts for e in errors)
+    return np.stack([e.whitener for e in errors]), (one, two, three)
+
+
 def _position(
     config: Config,
     R_body_cam: Array,
@@ -121,31 +141,38 @@ def _position(
     factors: VarianceFactors,
     jitter_s: float,
 ) -> PositionPrior:
-    gps, stamps, velocities = config.gps, _stamps_s(keyframes), _velocities(keyframes)
-    failing = factors.group_sigma(POSITION)
-    grow = failing * factors.sigma(POSITION)
-    horizontal = grow * max(k.nav.sigma_horizontal_m for k in keyframes)
-    vertical = grow * max(k.nav.sigma_vertical_m for k in keyframes)
+    sensor, stamps, velocities = BY_NAME[POSITION], _stamps_s(keyframes), _velocities(keyframes)
+    horizontal = max(k.nav.sigma_horizontal_m for k in keyframes)
+    slow_m = np.array([horizontal, horizontal, max(k.nav.sigma_vertical_m for k in keyframes)])
     white_m = np.array([k.nav.sigma_white_m for k in keyframes])
-    slow_m = np.array([horizontal, horizontal, vertical])
+    datum_m = np.array([0.0, 0.0, max(k.nav.sigma_datum_m for k in keyframes)])
     moved_m = 0.5 * DYNAMIC_TIME_S * _dynamic_m_s(config, keyframes)
-    dynamic = np.outer(moved_m, moved_m) * gauss_markov_covariance(stamps, 1.0, DYNAMIC_TIME_S)
-    parts, whitener = [], []
+    in_turns = np.outer(moved_m, moved_m) * gauss_markov_covariance(stamps, 1.0, DYNAMIC_TIME_S)
+    errors = []
     for axis, share in enumerate((1.0, 1.0, 1.5)):
-        slow = gauss_markov_covariance(stamps, slow_m[axis], gps.wander_time_s)
-        white = np.diag((white_m * share) ** 2 + (jitter_s * velocities[:, axis]) ** 2)
-        parts.append({POSITION: slow} if failing == 1.0 else {})
-        whitener.append(whitener_of(slow + failing**2 * (white + dynamic)))
+        declared_parts = {
+            sensor.name: gauss_markov_covariance(stamps, slow_m[axis], sensor.time_s(config)),
+            sensor.white: np.diag((share * white_m) ** 2),
+        }
+        fixed = in_turns + np.diag((jitter_s * velocities[:, axis]) ** 2) + datum_m[axis] ** 2
+        errors.append(_errors(factors, sensor, declared_parts, fixed))
+    whitener, parts = _both(errors)
+    grown_m = slow_m * factors.sigma(POSITION) * factors.group_sigma(POSITION)
     return PositionPrior(
         layout,
         np.stack([k.nav.position_enu_m for k in keyframes]),
         velocities,
-        np.stack(whitener),
+        whitener,
         _taken_s(keyframes),
-        np.array([lasting_sigma(stamps, s, gps.wander_time_s) for s in slow_m]),
+        np.hypot([lasting_sigma(stamps, s, sensor.time_s(config)) for s in grown_m], datum_m),
         lever_cam_m(config, R_body_cam),
-        Parts((parts[0], parts[1], parts[2])),
+        parts,
     )
+
+
+def velocity_sigma_m_s(config: Config, keyframes: Sequence[Keyframe]) -> float:
+    """One sigma of the velocity's Gauss-Markov error as declared: no less than receiver or filter claim."""
+    return max(config.gps.sigma_velocity_correlated_m_s, *(k.nav.sigma_velocity_m_s for k in keyframes))
 
 
 def _velocity(
@@ -164,28 +191,30 @@ def _velocity(
     stamps, velocities = _stamps_s(keyframes), _velocities(keyframes)
     speed = np.linalg.norm(velocities, axis=1)
     dt = np.maximum(np.diff(stamps), 0.05)
-    # The declared error lasts about a second: over longer intervals it averages. What is found beyond it lasts.
-    declared = config.gps.sigma_velocity_m_s
-    own = (declared * np.sqrt(dt * np.minimum(dt, 1.0))) ** 2 + (jitter_s * np.hypot(speed[1:], speed[:-1])) ** 2
+    # The white error lasts about a second: over longer intervals it averages.
+    white_m = config.gps.sigma_velocity_m_s * np.sqrt(dt * np.minimum(dt, 1.0))
     middle = 0.5 * (stamps[1:] + stamps[:-1])
-    slow = factors.scale(VELOCITY) * np.outer(dt, dt) * gauss_markov_covariance(middle, declared, VELOCITY_TIME_S)
     erring = _dynamic_m_s(config, keyframes)
     erring = dt * np.maximum(erring[1:], erring[:-1])
-    dynamic = np.outer(erring, erring) * gauss_markov_covariance(middle, 1.0, DYNAMIC_TIME_S)
     # An interval over a gap of the telemetry says nothing; those about it do.
-    whitener = whitener_of(np.diag(np.where(known, own, UNKNOWN_M**2)) + slow + dynamic)
-    failing = factors.group_sigma(VELOCITY)
-    whitener = whitener / failing
-    part = {VELOCITY: slow} if failing == 1.0 else {}
+    unknown = np.where(known, (jitter_s * np.hypot(speed[1:], speed[:-1])) ** 2, UNKNOWN_M**2)
+    slow_m = dt * velocity_sigma_m_s(config, keyframes)
+    sensor = BY_NAME[VELOCITY]
+    declared_parts = {
+        sensor.name: np.outer(slow_m, slow_m) * gauss_markov_covariance(middle, 1.0, sensor.time_s(config)),
+        sensor.white: np.diag(white_m**2),
+    }
+    fixed = np.diag(unknown) + np.outer(erring, erring) * gauss_markov_covariance(middle, 1.0, DYNAMIC_TIME_S)
+    whitener, parts = _both([_errors(factors, sensor, declared_parts, fixed)] * 3)
     return [
         VelocityPrior(
             layout,
             np.array(flown),
-            np.stack([whitener] * 3),
             np.diff(velocities, axis=0),
+            whitener,
             np.array([k.nav_offset_s for k in keyframes])[1:],
-            lever_cam_m(config, R_body_cam),
-            Parts((part, part, part)),
+            lever_cam_m=lever_cam_m(config, R_body_cam),
+            parts=parts,
         )
     ]
 
@@ -198,34 +227,30 @@ def _attitude(
     factors: VarianceFactors,
     jitter_s: float,
 ) -> list[Prior]:
-    stamps, velocities, solve_ = _stamps_s(keyframes), _velocities(keyframes), config.solve
+    stamps, velocities = _stamps_s(keyframes), _velocities(keyframes)
     offsets = np.array([k.nav_offset_s for k in keyframes])
     if have_attitude(keyframes):
         R_enu_cam = np.stack([k.nav.R_enu_body @ R_body_cam for k in keyframes if k.nav.R_enu_body is not None])
         rates = np.stack([k.body_rate_rad_s for k in keyframes]) @ R_body_cam
         turning = np.einsum("kij,kj->ki", R_enu_cam, rates)
-        tilt, heading = attitude_sigmas(config, factors)
-        tilt_white = np.radians(solve_.attitude_white_sigma_deg) * factors.sigma(TILT_WHITE)
-        heading_white = np.radians(solve_.heading_white_sigma_deg) * factors.sigma(HEADING_WHITE)
-        tilt_white, heading_white = tilt_white * factors.group_sigma(TILT), heading_white * factors.group_sigma(HEADING)
-        axes = ((TILT, tilt, TILT_WHITE, tilt_white),) * 2 + ((HEADING, heading, HEADING_WHITE, heading_white),)
         between = np.array([k.nav.attitude_sigma_rad for k in keyframes])
-        parts, whitener = [], []
-        for axis, (name, sigma, white_name, white_sigma) in enumerate(axes):
-            slow = gauss_markov_covariance(stamps, sigma, solve_.attitude_wander_time_s)
-            white = white_sigma**2 * np.eye(len(stamps))
-            own = np.hypot(between, jitter_s * turning[:, axis]) * factors.group_sigma(name)
-            parts.append({name: slow, white_name: white} if factors.group_sigma(name) == 1.0 else {})
-            whitener.append(whitener_of(slow + white + np.diag(own**2)))
-        lasting = np.array([lasting_sigma(stamps, s, solve_.attitude_wander_time_s) for s in (tilt, tilt, heading)])
-        measured = Parts((parts[0], parts[1], parts[2]))
+        errors, shared = [], []
+        for axis, name in enumerate((TILT, TILT, HEADING)):
+            sensor, fixed = BY_NAME[name], np.diag(between**2 + (jitter_s * turning[:, axis]) ** 2)
+            declared_parts = {
+                sensor.name: gauss_markov_covariance(stamps, declared(config, sensor.name), sensor.time_s(config)),
+                sensor.white: declared(config, sensor.white) ** 2 * np.eye(len(stamps)),
+            }
+            errors.append(_errors(factors, sensor, declared_parts, fixed))
+            shared.append(lasting_sigma(stamps, attitude_sigma(config, factors, name), sensor.time_s(config)))
+        whitener, parts = _both(errors)
         bodies = np.stack([k.nav.R_enu_body for k in keyframes if k.nav.R_enu_body is not None])
         by_heading = cosine_sine_of_heading(bodies)
-        return [AttitudePrior(layout, R_enu_cam, rates, np.stack(whitener), offsets, lasting, by_heading, measured)]
+        return [AttitudePrior(layout, R_enu_cam, rates, whitener, offsets, np.array(shared), by_heading, parts)]
     coordinated = _coordinated(R_body_cam, stamps, velocities)
     if coordinated is None:
         return []
-    time_s = config.gps.wander_time_s
+    time_s = config.gps.correlation_time_s
     loose = gauss_markov_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, PATH_SIGMA_RAD, time_s)
     heading_of_path = gauss_markov_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, 2 * PATH_SIGMA_RAD, time_s)
     still = np.zeros((layout.keyframes, 3))
@@ -240,12 +265,9 @@ def cosine_sine_of_heading(R_enu_body: Array) -> Array:
     return out
 
 
-def attitude_sigmas(config: Config, factors: VarianceFactors) -> tuple[float, float]:
-    """One sigma (rad) of the Gauss-Markov part of roll and pitch, and of heading, as estimated so far."""
-    solve_ = config.solve
-    tilt = np.radians(solve_.attitude_sigma_deg) * factors.sigma(TILT) * factors.group_sigma(TILT)
-    heading = np.radians(solve_.heading_sigma_deg) * factors.sigma(HEADING) * factors.group_sigma(HEADING)
-    return float(tilt), float(heading)
+def attitude_sigma(config: Config, factors: VarianceFactors, name: str) -> float:
+    """One sigma (rad) of the Gauss-Markov part of TILT or of HEADING, as estimated so far."""
+    return declared(config, name) * factors.sigma(name) * factors.group_sigma(name)
 
 
 def range_prior(
@@ -327,7 +349,7 @@ def shared_prior(
     height_m = 1e4
     if has_terrain:  # the plane is then what the terrain model is off by, as a whole
         slope, height_m = SlopePrior(covariance=TERRAIN_SLOPE_SIGMA**2 * np.eye(2)), config.terrain.sigma_datum_m + 1e-3
-    whitener = np.zeros((shared + 3, shared + 3))
+    whitener = np.zeros((shared + PLANE, shared + PLANE))
     whitener[:shared, :shared] = np.linalg.inv(np.linalg.cholesky(covariance))
     whitener[shared, shared] = 1.0 / height_m
     whitener[shared + 1 :, shared + 1 :] = slope.whitener

@@ -14,15 +14,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
+from scipy.special import chdtri, fdtri
 
 from onboard.estimation.factors import AttitudePrior, PositionPrior, Prior, State, VelocityPrior
-from onboard.estimation.variance_components import HEADING, POSITION, TILT, VELOCITY
+from onboard.estimation.sensor_table import BY_NAME, SENSORS
 
 Array = NDArray[np.float64]
 
-GROUPS = (POSITION, VELOCITY, TILT, HEADING)
-MAY_FAIL = (TILT, HEADING)
 FALSE_ALARM = 1e-6  # share of consistent windows in which a group is held to fail
 # Share of a residual's variance that the fit leaves: where the others know a tenth of what the sensor knows, or less,
 # they do not contradict it, and what remains there is the solver's tolerance.
@@ -30,8 +28,6 @@ LEAST_REDUNDANCY = 0.01
 LEFT_OUT = 9.0  # times the variance that makes a failing group consistent: what it says is not to be averaged with
 FADING_S = 20.0  # after its last failure, in which a group's added variance falls to a third
 FORGOTTEN = 1.5  # factor on a variance, below which a failure is over
-AXES = {POSITION: slice(0, 3), VELOCITY: slice(0, 3), TILT: slice(0, 2), HEADING: slice(2, 3)}
-SENSOR = {POSITION: PositionPrior, VELOCITY: VelocityPrior, TILT: AttitudePrior, HEADING: AttitudePrior}
 
 
 @dataclass(frozen=True)
@@ -77,57 +73,74 @@ class Failing:
         return Failing(kept, {n: self.windows.get(n, 0) + (n in failed) for n in {**self.windows, **failed}})
 
 
+def _limit(states: int, count: float = np.inf) -> float:
+    """What so many squares of one sigma exceed once in 1 / FALSE_ALARM, the variance known by so many measurements."""
+    if not np.isfinite(count):
+        return float(chdtri(states, FALSE_ALARM))
+    return states / float(fdtri(count, states, FALSE_ALARM))  # F's upper quantile
+
+
 @dataclass(frozen=True, eq=False)
 class Innovation:
     """What one group says of a window beyond all the others, whitened by the group's own errors. Equation (13.3).
 
     `residual` (n,); `predicted` (n, n), the covariance that the others leave it; `constant` (n, m) a constant error of
-    each of its m axes.
+    each of its m axes. `count`: effective measurements that the group's own variance is known by.
     """
 
     group: str
     residual: Array
     predicted: Array
     constant: Array
+    count: float = np.inf
 
-    def excess(self, variance: float = 1.0) -> float:
-        """Above 1: the group contradicts the others, even with its variance times `variance`. Equation (13.4)."""
+    def excess(self) -> float:
+        """Above 1: the group contradicts the others, even with the largest variance that it may have. (13.4)"""
+        return max(t / _limit(states, self.count) for t, states in self._statistics(1.0))
+
+    def _statistics(self, variance: float) -> tuple[tuple[float, int], tuple[float, int]]:
+        """The squares of (13.4) with the group's variance times `variance`, and their degrees of freedom."""
         n, m = self.constant.shape
         factor = np.linalg.cholesky(self.predicted + variance * np.eye(n))
         half = np.linalg.solve(factor, np.column_stack([self.residual, self.constant]))
         of_constant = half[:, 1:]
         pull = of_constant.T @ half[:, 0]
         by_constant = float(pull @ np.linalg.solve(of_constant.T @ of_constant, pull))
-        return max(
-            float(half[:, 0] @ half[:, 0]) / float(chdtri(n, FALSE_ALARM)), by_constant / float(chdtri(m, FALSE_ALARM))
-        )
+        return (float(half[:, 0] @ half[:, 0]), n), (by_constant, m)
 
     def consistent_variance(self) -> float:
         """The least factor on its variance with which the group is as near to the others as errors usually are."""
         low, high = 0.0, 14.0  # of its logarithm
-        usual = self.constant.shape[0] / float(chdtri(self.constant.shape[0], FALSE_ALARM))
+        usual = self.constant.shape[0] / _limit(self.constant.shape[0])
         while high - low > 0.1:
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if self.excess(float(np.exp(middle))) > usual else (low, middle)
+            found = max(t / _limit(states) for t, states in self._statistics(float(np.exp(middle))))
+            low, high = (middle, high) if found > usual else (low, middle)
         return float(np.exp(high))
 
 
 def innovations(
-    priors: list[Prior], state: State, covariance: Array, factors: Mapping[str, float], has_attitude: bool
+    priors: list[Prior],
+    state: State,
+    covariance: Array,
+    factors: Mapping[str, float],
+    has_attitude: bool,
+    known_by: Callable[[str], float] = lambda name: np.inf,
 ) -> list[Innovation]:
     """Each group's, from a solution that holds all residuals; `covariance` (D, D) is the camera side's.
 
     `factors`: those on the groups' variances that the whiteners already hold: what is held against the others are
-    the variances without them. `has_attitude`: an attitude was measured.
+    the variances without them. `has_attitude`: an attitude was measured. `known_by`: how many effective measurements
+    each group's variance was estimated from, by its name.
     """
     out = []
-    for group in GROUPS:
+    for sensor in SENSORS:
         for prior in priors:
             if not isinstance(prior, PositionPrior | VelocityPrior | AttitudePrior):
                 continue
-            if not isinstance(prior, SENSOR[group]) or (isinstance(prior, AttitudePrior) and not has_attitude):
+            if not isinstance(prior, sensor.residual) or (isinstance(prior, AttitudePrior) and not has_attitude):
                 continue
-            axes, n, sigma = AXES[group], prior.whitener.shape[1], np.sqrt(factors.get(group, 1.0))
+            axes, n, sigma = sensor.axes, prior.whitener.shape[1], np.sqrt(factors.get(sensor.name, 1.0))
             r, J = prior.evaluate(state)
             r = r.reshape(3, n)[axes].ravel()
             J = J.reshape(3, n, -1)[axes].reshape(len(r), -1)
@@ -139,7 +152,11 @@ def innovations(
             values = np.clip(values, LEAST_REDUNDANCY, 1.0)
             without = (vectors * (told / values)) @ vectors.T
             predicted = (vectors * (1.0 / values - 1.0)) @ vectors.T
-            out.append(Innovation(group, sigma * (without @ r), sigma**2 * predicted, sigma * constant))
+            out.append(
+                Innovation(
+                    sensor.name, sigma * (without @ r), sigma**2 * predicted, sigma * constant, known_by(sensor.name)
+                )
+            )
     return out
 
 
@@ -171,11 +188,11 @@ def failing_groups(
                 factors[i.group] = max(factors[i.group], LEFT_OUT * i.consistent_variance())
         trials = []
         for i in against:
-            if i.group in factors or i.group not in MAY_FAIL:
+            if i.group in factors or not BY_NAME[i.group].may_fail:
                 continue
             trial = {**factors, i.group: LEFT_OUT * i.consistent_variance()}
             left = solve(trial)
-            others = max((j.excess() for j in left if j.group not in MAY_FAIL), default=0.0)
+            others = max((j.excess() for j in left if not BY_NAME[j.group].may_fail), default=0.0)
             if others <= 1.0:
                 rest = max((j.excess() for j in left if j.group not in trial), default=0.0)
                 trials.append((rest, i.group, trial, left))

@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 
 from contract.feature_set import ALIGNMENT, ATTITUDE, GROUND, NUISANCES, POSITION, SharedErrors
 from onboard.config.schema import Config
-from onboard.estimation.boresight import BORESIGHT, DELAY, HEADING, OFFSET, VELOCITY_DELAY, Belief
+from onboard.estimation import sensor_table
+from onboard.estimation.boresight import Belief
 from onboard.estimation.factors import AttitudePrior, PositionPrior, Prior, SharedPrior, State
-from onboard.estimation.sensor_factors import attitude_sigmas, cosine_sine_of_heading
+from onboard.estimation.platform_states import BORESIGHT, DELAY, HEADING, OFFSET, PLANE, VELOCITY_DELAY
+from onboard.estimation.sensor_factors import attitude_sigma, cosine_sine_of_heading
 from onboard.estimation.sensor_pose import SensorPose
-from onboard.estimation.variance_components import HEADING_WHITE, TILT_WHITE, VarianceFactors
+from onboard.estimation.sensor_table import BY_NAME, TILT, declared
+from onboard.estimation.variance_components import VarianceFactors
 from onboard.navigation.navigator import NavState
 
 Array = NDArray[np.float64]
@@ -29,7 +32,7 @@ def shared_errors(config: Config, priors: list[Prior], state: State, covariance:
     covariance @ J' v, (9.12).
     """
     gains = np.zeros((len(covariance), NUISANCES))
-    alignment_sigma = np.zeros(4)
+    alignment_sigma = np.zeros(OFFSET + 1)
     for prior in priors:
         if isinstance(prior, PositionPrior | AttitudePrior):
             where, sign = (POSITION, 1.0) if isinstance(prior, PositionPrior) else (ATTITUDE, -1.0)
@@ -48,10 +51,10 @@ def shared_errors(config: Config, priors: list[Prior], state: State, covariance:
             rotations = prior.layout.rotations()
             turned = np.stack([turns[rotations[:, axis]].mean(axis=0) for axis in range(3)])
             gains[:, ATTITUDE.stop - 1] = _one_of(turns, turned)
-            gains[:, GROUND] = by_prior[:, -3:]
-            alignment_sigma = 1.0 / np.diag(prior.whitener)[:4]
-    attitude_time_s = config.solve.attitude_wander_time_s
-    return SharedErrors(gains, config.gps.wander_time_s, attitude_time_s, alignment_sigma)
+            gains[:, GROUND] = by_prior[:, -PLANE:]
+            alignment_sigma = 1.0 / np.diag(prior.whitener)[: OFFSET + 1]
+    attitude_time_s = config.solve.attitude_correlation_time_s
+    return SharedErrors(gains, config.gps.correlation_time_s, attitude_time_s, alignment_sigma)
 
 
 def _one_of(errors: Array, moved: Array) -> Array:
@@ -81,24 +84,27 @@ def make_sensor_pose(
     """
     solve, gps = config.solve, config.gps
     speed = np.zeros(3) if nav.velocity_enu_m_s is None else nav.velocity_enu_m_s
-    tilt, heading = attitude_sigmas(config, factors)
+    tilt, heading = (attitude_sigma(config, factors, name) for name in (TILT, sensor_table.HEADING))
     factor = np.linalg.cholesky(belief.covariance)
     if nav.R_enu_body is not None:
         heading = float(np.hypot(heading, np.linalg.norm(cosine_sine_of_heading(nav.R_enu_body) @ factor[HEADING])))
     by_nuisance = np.zeros((7, NUISANCES))
-    by_nuisance[:3, POSITION] = np.diag([nav.sigma_horizontal_m, nav.sigma_horizontal_m, nav.sigma_vertical_m])
+    vertical_m = float(np.hypot(nav.sigma_vertical_m, nav.sigma_datum_m))
+    by_nuisance[:3, POSITION] = np.diag([nav.sigma_horizontal_m, nav.sigma_horizontal_m, vertical_m])
     by_nuisance[3:6, ATTITUDE] = np.diag([tilt, tilt, heading])
     late_s = float(np.linalg.norm(np.append(factor[OFFSET] + factor[DELAY], gps.sigma_latency_s)))
-    by_nuisance[3:6, ALIGNMENT.start : ALIGNMENT.stop - 1] = R_cam_enu.T @ factor[BORESIGHT, :3]
+    by_nuisance[3:6, ALIGNMENT.start : ALIGNMENT.stop - 1] = R_cam_enu.T @ factor[BORESIGHT, BORESIGHT]
     by_nuisance[:3, ALIGNMENT.stop - 1] = speed * late_s
     jitter_s, rate_rad_s = stamp_error
     white = np.zeros(7)
     white[:3] = nav.sigma_white_m * np.array([1.0, 1.0, 1.5])
-    white[3:5] = np.radians(solve.attitude_white_sigma_deg) * factors.sigma(TILT_WHITE)
-    white[5] = np.radians(solve.heading_white_sigma_deg) * factors.sigma(HEADING_WHITE)
+    whites = [BY_NAME[name].white for name in (TILT, TILT, sensor_table.HEADING)]
+    white[3:6] = [declared(config, w) * factors.sigma(w) for w in whites]
     white[3:6] = np.hypot(white[3:6], rate_rad_s * jitter_s)
     own = np.diag(white**2)
     own[:3, :3] += jitter_s**2 * np.outer(speed, speed)  # (5.11)
-    shared = SharedErrors(by_nuisance, gps.wander_time_s, solve.attitude_wander_time_s, np.diag(factor)[:4].copy())
+    shared = SharedErrors(
+        by_nuisance, gps.correlation_time_s, solve.attitude_correlation_time_s, np.diag(factor)[: OFFSET + 1].copy()
+    )
     centre = nav.position_enu_m + R_cam_enu.T @ lever_cam_m
     return SensorPose(R_cam_enu, centre, own, shared)

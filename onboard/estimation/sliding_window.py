@@ -16,19 +16,14 @@ from contract.camera import Camera, Sigma
 from contract.feature_set import Status
 from contract.rotations import mount_rotation
 from onboard.config.schema import Config
-from onboard.estimation.boresight import (
-    DELAY,
-    OFFSET,
-    STATES,
-    Alignment,
-    Belief,
-    under_another_prior,
-)
+from onboard.estimation.boresight import Alignment, Belief, under_another_prior
 from onboard.estimation.camera_states import corrected, readout_s, taken, without_readout
+from onboard.estimation.factors import RATES
 from onboard.estimation.ground_slope import GroundSlope, SlopePrior, SlopeSeen, seen_alone
 from onboard.estimation.initialisation import follow
 from onboard.estimation.keyframe import Keyframe, Observation, seen_with
-from onboard.estimation.moved_optics import MOVED, adjust
+from onboard.estimation.moved_optics import MOVED
+from onboard.estimation.platform_states import DELAY, OFFSET, STATES
 from onboard.estimation.rotation_timing import LEAST_SIGMA_S
 from onboard.estimation.second_start import by_attitude
 from onboard.estimation.sensor_factors import (
@@ -40,7 +35,8 @@ from onboard.estimation.sensor_pose import SensorPose
 from onboard.estimation.shared_errors import make_sensor_pose
 from onboard.estimation.solved_window import Solved
 from onboard.estimation.window_acceptance import MIN_POINTS, Memory
-from onboard.estimation.window_solver import Noise, Outcome, Request
+from onboard.estimation.window_request import Noise, Outcome, Request
+from onboard.estimation.window_solver import adjust
 from onboard.estimation.window_start import start_tolerance_rad
 from onboard.geometry.relative_orientation import rotation_only
 from onboard.geometry.terrain_grid import Terrain
@@ -71,7 +67,7 @@ class Window:
         self.alignment = Alignment(
             np.radians(mount.sigma_deg),
             config.camera.sigma_latency_s,
-            config.solve.attitude_wander_time_s,
+            config.solve.attitude_correlation_time_s,
             config.gps.sigma_latency_s,
             np.radians(config.solve.heading_sigma_deg),
             camera,
@@ -81,7 +77,6 @@ class Window:
         self.lever_body_m = np.array(mount.lever_arm_m)
         self.ground_slope = GroundSlope(level_sigma(config))
         self._request: Request | None = None  # the newest
-        self._zoom = (0.0, False)  # of the next keyframe, where there is none before it: see `Keyframe`
         self._solved_under: Belief | None = None  # the belief that `solved` began with
 
     @property
@@ -91,8 +86,6 @@ class Window:
 
     def reset(self) -> None:
         """Forget keyframes and structure: nothing links what comes to what was."""
-        if self.keyframes:
-            self._zoom = self.keyframes[-1].log_zoom, self.keyframes[-1].log_zoom != 0.0
         self.keyframes.clear()
         self.solved = None
         self.memory = self.memory.without_windows()
@@ -106,7 +99,6 @@ class Window:
         newest = self.keyframes[-1]
         self.reset()
         times_s = newest.nav_offset_s, newest.nav_delay_s
-        self._zoom = newest.log_zoom, newest.is_zoom_lost
         self.add(newest.frame, newest.observation, newest.nav, times_s, newest.body_rate_rad_s, None)
 
     def attitude_guess(self, nav: NavState) -> Array | None:
@@ -183,12 +175,10 @@ class Window:
         R, centre = guess if guess is not None else (self.R_body_cam.T, nav.position_enu_m)
         rate = np.zeros(3) if body_rate_rad_s is None else body_rate_rad_s
         flow_disagreement_xy = None if flow_disagreement_px is None else flow_disagreement_px / self.camera.focal_px
-        last = self.keyframes[-1] if self.keyframes else None
-        zoom = self._zoom if last is None else (last.log_zoom, last.is_zoom_lost)
         made = Keyframe(
             frame, seen, nav, rate, *times_s, flown_enu_m, R, centre, flow_disagreement_xy, guess is not None
         )
-        self.keyframes.append(replace(made, log_zoom=zoom[0], is_zoom_lost=zoom[1]))
+        self.keyframes.append(made)
         del self.keyframes[: -self.config.solve.keyframes]
 
     def prepare(self, *, is_carrier_open: bool = False) -> Request:
@@ -232,9 +222,11 @@ class Window:
         self.refusal = outcome.reason
         if outcome.status in MOVED:
             self.solved = None  # what it places is placed through optics that it knows nothing of
+        if outcome.lens_moved:
+            self.alignment.lens_moved(outcome.lens_moved)
         found = outcome.rejected if outcome.solved is None else outcome.solved
         if found is not None:
-            self.memory = self.memory.after(self.config, found, outcome.agreed, outcome.solved is not None)
+            self.memory = self.memory.after(found, outcome.agreed, outcome.solved is not None)
         if outcome.solved is not None:
             self._solved_under = None if self._request is None else self._request.belief
             self.solved = self.memory.windows[-1]
@@ -266,8 +258,7 @@ class Window:
         s, layout = solved.solution, solved.layout
         if self.keyframes[0].nav.R_enu_body is None or any(k.nav.stamp_sigma_s for k in self.keyframes):
             return  # what stamps are off by for a while is no property of the platform
-        shared = slice(layout.boresight.start, layout.plane.start)
-        mean = s.state.platform
+        mean, shared = s.state.platform, layout.platform
         start, end = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
         covariance = solved.covariance_at((start + end) // 2)[shared, shared].copy()
         # The offset's effect is linearised where the navigation state was interpolated; in a turn its estimate is off
@@ -278,7 +269,7 @@ class Window:
         covariance[OFFSET, OFFSET] += LEAST_SIGMA_S**2
         before = self.alignment.prior_for(start)
         solved_under = with_delays_held_open(self.config, self._solved_under or before)
-        if layout.has_rates:
+        if RATES in layout.blocks:
             mean, covariance = without_readout(mean, covariance, solved_under.mean, solved_under.covariance)
         mean, covariance = under_another_prior(mean, covariance, solved_under, before)
         self.alignment.offer(start, end, mean, covariance)

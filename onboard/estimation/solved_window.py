@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.feature_set import SharedErrors
 from onboard.estimation.bundle_adjustment import Solution
-from onboard.estimation.factors import Layout
+from onboard.estimation.factors import Layout, Prior
 from onboard.estimation.ground_motion import GroundMotion
 from onboard.estimation.keyframe import Ids, Keyframe
 
@@ -36,6 +36,7 @@ class Solved:
     camera: Camera  # with its own states as solved
     readout_s: float = 0.0  # likewise
     variance_factor: float = 1.0  # on every variance that is published of it, (16.4)
+    priors: tuple[Prior, ...] = ()  # that the solution was weighted by: where its errors come from, (20.1)
 
     @property
     def span_s(self) -> tuple[float, float]:

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from onboard.estimation.moved_optics import adjust
-from onboard.estimation.window_solver import Outcome, Request
+from onboard.estimation.window_request import Outcome, Request
+from onboard.estimation.window_solver import adjust
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,9 @@
 """How large the sensors' errors are, estimated from the flight's own residuals. Section 13 of docs/mathematics.md.
 
-Every sensor's covariance is a sum of parts (a Gauss-Markov and a white part, for tilt, heading, velocity and position),
-each a known correlation times an unknown variance. After a window is solved, each part's share of the residuals is
+Every sensor's covariance is a sum of parts (a Gauss-Markov and a white part, `sensor_table`), each a known correlation
+times an unknown variance. After a window is solved, each part's share of the residuals is
 compared with what that part should have left in them, (13.1), which is Helmert's estimate of variance components. The
-configuration's sigmas are where it starts and its floors; there is no ceiling.
+configuration's sigmas are where it starts. Only what a receiver or filter claims of its own errors is a floor as well.
 """
 
 from __future__ import annotations
@@ -15,23 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.estimation.factors import AttitudePrior, PositionPrior, Prior, State, VelocityPrior
+from onboard.estimation.sensor_table import CLAIMED
 
 Array = NDArray[np.float64]
 
-TILT, HEADING, TILT_WHITE, HEADING_WHITE = "tilt", "heading", "tilt_white", "heading_white"
-VELOCITY, POSITION = "velocity", "position"
-NAMES = (TILT, HEADING, TILT_WHITE, HEADING_WHITE, VELOCITY, POSITION)
 # Effective measurements that the configured sigma counts for: after so many of its own the flight has as much to say.
 PRIOR_COUNT = 10.0
-VELOCITY_SLOW_SHARE = 0.05  # of the declared variance, in the lasting part where nothing more has been found
 MEMORY_S = 240.0  # over which what was seen is forgotten: compasses and winds change
-
-
-@dataclass(frozen=True)
-class Parts:
-    """The covariance of one sensor's errors by axis: `matrices[axis]` maps a part's name to its (n, n), as believed."""
-
-    matrices: tuple[Mapping[str, Array], Mapping[str, Array], Mapping[str, Array]]
 
 
 @dataclass(frozen=True)
@@ -56,16 +46,14 @@ class VarianceFactors:
         return float(np.sqrt(self.groups.get(group, 1.0)))
 
     def of(self, name: str) -> float:
-        """The factor on one part's variance, at least 1."""
-        if name == VELOCITY:  # the declared part and the lasting one together
-            return 1.0 - VELOCITY_SLOW_SHARE + self.scale(name)
-        return self.scale(name)
-
-    def scale(self, name: str) -> float:
-        """What a part is scaled by. A velocity's lasting part begins at a small share of the declared one."""
-        least = VELOCITY_SLOW_SHARE if name == VELOCITY else 1.0
+        """The factor on one part's variance; at least 1 where the sensor claims its own errors. (13.2)"""
         found, expected = self.found.get(name, 0.0), self.expected.get(name, 0.0)
-        return max((PRIOR_COUNT * least + found) / (PRIOR_COUNT + expected), least)
+        factor = (PRIOR_COUNT + found) / (PRIOR_COUNT + expected)
+        return max(factor, 1.0) if name in CLAIMED else factor
+
+    def known_by(self, name: str) -> float:
+        """Effective measurements that a part's variance is known by: what the configured one counts for, and more."""
+        return PRIOR_COUNT + self.expected.get(name, 0.0)
 
     def sigma(self, name: str) -> float:
         """The factor on one part's sigma."""
@@ -96,7 +84,7 @@ def evidence_of(priors: list[Prior], state: State, covariance: Array, used: Vari
         residual, J = prior.evaluate(state)
         n = prior.whitener.shape[1]
         r, J = residual.reshape(3, n), J.reshape(3, n, -1)
-        for axis, parts in enumerate(prior.parts.matrices):
+        for axis, parts in enumerate(prior.parts):
             W = prior.whitener[axis]
             weighted = W.T @ r[axis]
             # C^-1 (C - J P J') C^-1: what is left of each residual after the fit.
@@ -104,4 +92,4 @@ def evidence_of(priors: list[Prior], state: State, covariance: Array, used: Vari
             for name, Q in parts.items():
                 found[name] = found.get(name, 0.0) + float(weighted @ Q @ weighted)
                 expected[name] = expected.get(name, 0.0) + max(float(np.sum(Q * left)), 0.0)
-    return Evidence({n: v * used.scale(n) for n, v in found.items()}, expected)
+    return Evidence({n: v * used.of(n) for n, v in found.items()}, expected)

@@ -1,8 +1,8 @@
 """Whether an adjusted window may be believed: each test by itself, in sigmas, with its reason in words.
 
 `by_itself` looks at one window: its depths, sensors, the known ground. `by_memory` holds it against what earlier
-windows of the flight found: the same points again, (16.3), and the ground's height and gradient, (16.5). A window that
-fails is refused, and the reason goes to the statistics and the log.
+windows of the flight found of the same points, (16.3). A window that fails is refused, and the reason goes to the
+statistics and the log.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from contract.camera import Camera
 from contract.feature_set import Status
 from onboard.config.schema import Config
 from onboard.estimation.bundle_adjustment import Solution
-from onboard.estimation.factors import Layout, Prior, SharedPrior
-from onboard.estimation.ground_memory import GroundMemory, GroundPatch, Home
-from onboard.estimation.keyframe import Keyframe
+from onboard.estimation.factors import AttitudePrior, Layout, Prior, SharedPrior
+from onboard.estimation.keyframe import Keyframe, have_attitude
 from onboard.estimation.reobservation import Agreement, RelativeVariance, agreement
+from onboard.estimation.sensor_factors import velocity_sigma_m_s
 from onboard.estimation.solved_window import Solved
 from onboard.geometry.terrain_grid import Terrain
 
@@ -42,7 +42,6 @@ SCALE_SIGMAS = 5.0
 LASTING_VELOCITY_M_S = 1.5
 # Of chi-square with 7 degrees of freedom: exceeded once in 1e5 comparisons.
 MAX_AGREEMENT = 35.0
-HOME_UNCERTAIN_M = 500.0  # from where the session began to home
 REMEMBERED = 14  # windows: a few more than the keyframes of one, so that one without a common picture is among them
 
 
@@ -56,15 +55,14 @@ class Refusal:
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """What a flight's published windows leave for judging the next: the newest of them, the ground, their honesty."""
+    """What a flight's published windows leave for judging the next: the newest of them, and their honesty."""
 
     windows: tuple[Solved, ...] = ()
-    ground: GroundMemory = field(default_factory=GroundMemory)
     relative: RelativeVariance = field(default_factory=RelativeVariance)
 
     def without_windows(self) -> Memory:
         """After a new start: no point of earlier windows is seen again."""
-        return Memory((), self.ground, self.relative)
+        return Memory((), self.relative)
 
     def compared(self, solved: Solved) -> Agreement | None:
         """The window against the newest that has no picture in common with it."""
@@ -73,17 +71,14 @@ class Memory:
         earlier = next(apart, None)
         return None if earlier is None else agreement(earlier, solved)
 
-    def after(self, config: Config, solved: Solved, agreed: Agreement | None, is_believed: bool) -> Memory:
-        """With one more window; of one that is not believed only the disagreement is kept, and what ground it saw."""
+    def after(self, solved: Solved, agreed: Agreement | None, is_believed: bool) -> Memory:
+        """With one more window; of one that is not accepted only the disagreement is kept."""
         stamp_ns, share = solved.keyframes[-1].nav.stamp_ns, 1.0 / len(solved.keyframes)
         relative = self.relative if agreed is None else self.relative.with_agreement(agreed, stamp_ns, share)
-        solved = replace(solved, variance_factor=solved.variance_factor * relative.factor)
-        patch = GroundPatch.of(solved)
         if not is_believed:
-            return Memory(self.windows, self.ground.contradicted(patch), relative)
-        solve = config.solve
-        ground = self.ground.with_patch(patch, solve.level_ground_sigma_deg, solve.relief_sigma_m)
-        return Memory((*self.windows, solved)[-REMEMBERED:], ground, relative)
+            return Memory(self.windows, relative)
+        solved = replace(solved, variance_factor=solved.variance_factor * relative.factor)
+        return Memory((*self.windows, solved)[-REMEMBERED:], relative)
 
 
 def by_itself(
@@ -122,12 +117,14 @@ def by_itself(
             )
         rms = float(np.sqrt(np.mean(r * r)))
         if rms > MAX_PRIOR_SIGMAS:
-            return Refusal(Status.POOR_FIT, f"{name} contradicts the pictures: {rms:.1f} sigmas rms")
+            by_path = isinstance(prior, AttitudePrior) and not have_attitude(keyframes)
+            what = "no aircraft flies this path so tilted" if by_path else f"{name} contradicts the pictures"
+            return Refusal(Status.POOR_FIT, f"{what}: {rms:.1f} sigmas rms")
     return _by_terrain(config, terrain, s, good) or _by_distance(config, keyframes, s, layout)
 
 
 def _by_terrain(config: Config, terrain: Terrain | None, s: Solution, good: Mask) -> Refusal | None:
-    """The points' height over the terrain model, where it is known. Equation (16.6)."""
+    """The points' height over the terrain model, where it is known. Equations (16.5), (16.6)."""
     if terrain is None:
         return None
     points = s.state.points_enu_m[good]
@@ -154,7 +151,7 @@ def _by_distance(config: Config, keyframes: Sequence[Keyframe], s: Solution, lay
     ends = np.zeros((3, layout.size))
     ends[:, layout.centre(layout.keyframes - 1)] = np.eye(3)
     ends[:, layout.centre(0)] -= np.eye(3)
-    lasting_m = max(LASTING_VELOCITY_M_S, config.gps.sigma_velocity_m_s) * seconds
+    lasting_m = max(LASTING_VELOCITY_M_S, velocity_sigma_m_s(config, keyframes)) * seconds
     covariance = ends @ s.covariance @ ends.T + np.eye(3) * lasting_m**2
     miss = by_pictures - by_velocity
     chi2 = float(miss @ np.linalg.solve(covariance, miss))
@@ -167,7 +164,7 @@ def _by_distance(config: Config, keyframes: Sequence[Keyframe], s: Solution, lay
     return None
 
 
-def by_memory(config: Config, memory: Memory, solved: Solved, agreed: Agreement | None) -> Refusal | None:
+def by_memory(memory: Memory, agreed: Agreement | None) -> Refusal | None:
     """What earlier windows say against this one; None if nothing does."""
     if agreed is not None and agreed.chi2 > MAX_AGREEMENT * memory.relative.factor:
         return Refusal(
@@ -175,17 +172,4 @@ def by_memory(config: Config, memory: Memory, solved: Solved, agreed: Agreement 
             f"points seen again are elsewhere: {agreed.points} of them by {agreed.shift_m:.1f} m, "
             f"chi-square {agreed.chi2:.0f}, at most {MAX_AGREEMENT * memory.relative.factor:.0f}",
         )
-    solve, solved = config.solve, replace(solved, variance_factor=solved.variance_factor * memory.relative.factor)
-    against = memory.ground.contradiction(
-        GroundPatch.of(solved), solve.level_ground_sigma_deg, solve.relief_sigma_m, _home(config, solved)
-    )
-    return None if against is None else Refusal(Status.POOR_FIT, against)
-
-
-def _home(config: Config, solved: Solved) -> Home | None:
-    """Home's level, by the newest keyframe; home lies near where the session's axes have their origin."""
-    nav = solved.keyframes[-1].nav
-    if nav.height_above_home_m is None:
-        return None
-    distance_m = float(np.linalg.norm(nav.position_enu_m[:2])) + HOME_UNCERTAIN_M
-    return Home(float(nav.position_enu_m[2]) - nav.height_above_home_m, config.solve.home_level_sigma_m, distance_m)
+    return None

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
+from contract.rolling_shutter import row_share
 from contract.rotations import exp_so3
 from onboard.estimation import camera_states, initialisation
-from onboard.estimation.boresight import BORESIGHT
-from onboard.estimation.factors import Layout, State
+from onboard.estimation.factors import RATES, Layout, State
 from onboard.estimation.keyframe import Ids, Keyframe, have_attitude, swept, turned
+from onboard.estimation.platform_states import BORESIGHT
 from onboard.estimation.rolling_shutter import LEAST_READOUT_S, Sweep, published_s, rates_between, sigma_of_rates
 from onboard.estimation.window_acceptance import MIN_POINTS
+from onboard.estimation.window_request import Request
 from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.triangulation import on_plane, triangulate
-
-if TYPE_CHECKING:
-    from onboard.estimation.window_solver import Request
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -52,6 +49,16 @@ def grid(request: Request, ids: Ids) -> tuple[Array, Array, Array, Array]:
     return xy, raw, weight, share
 
 
+def row_shares(keyframes: tuple[Keyframe, ...], ids: Ids) -> Array:
+    """The share (K, P) of a readout at which each measurement's row is exposed, if rows are read in turn. (18.1)"""
+    share = np.zeros((len(keyframes), len(ids)))
+    for k, keyframe in enumerate(keyframes):
+        seen = keyframe.observation
+        _, at, of = np.intersect1d(ids, seen.ids, return_indices=True)
+        share[k, at] = row_share(seen.uv_px[of, 1], seen.camera.height_px)
+    return share
+
+
 def sweep(request: Request, keyframes: tuple[Keyframe, ...], share: Array) -> Sweep | None:
     """How the keyframes' rows move, by their navigation as it is now; None where all rows are exposed at once.
 
@@ -74,23 +81,24 @@ def sweep(request: Request, keyframes: tuple[Keyframe, ...], share: Array) -> Sw
 
 def layout_of(request: Request, keyframes: tuple[Keyframe, ...], rows: Sweep | None) -> Layout:
     """The columns of the window's adjustment."""
-    return Layout(len(keyframes), len(request.camera_taken), rows is not None and rows.sigma_rate_rad_s > 0.0)
+    has_rates = rows is not None and rows.sigma_rate_rad_s > 0.0
+    return Layout(len(keyframes), len(request.camera_taken), (RATES,) * has_rates)
 
 
-def readout_of(request: Request, state: State) -> float:
+def readout_of(request: Request, layout: Layout, state: State) -> float:
     """How long the rows take by a solution, s."""
     found_s = request.config.camera.readout_s + camera_states.readout_s(state.camera)
-    return published_s(found_s, has_rates=len(state.rates_rad_s) > 0)
+    return published_s(found_s, has_rates=RATES in layout.blocks)
 
 
 def with_found_rates(
-    request: Request, keyframes: tuple[Keyframe, ...], rows: Sweep | None, state: State
+    request: Request, keyframes: tuple[Keyframe, ...], layout: Layout, rows: Sweep | None, state: State
 ) -> tuple[Keyframe, ...]:
     """The keyframes with the angular rates that a solution has found of them, where it looked for any."""
-    if rows is None or not len(state.rates_rad_s):
+    if rows is None or RATES not in layout.blocks:
         return keyframes
-    readout_s = readout_of(request, state)
-    return swept(keyframes, rows.rates_in(readout_s, state.rates_rad_s), readout_s)
+    readout_s = readout_of(request, layout, state)
+    return swept(keyframes, rows.rates_in(readout_s, state.own[:, layout.part(RATES)]), readout_s)
 
 
 def oriented(request: Request, xy: Array, seen: Mask) -> tuple[Keyframe, ...] | None:

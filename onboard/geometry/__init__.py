@@ -2,7 +2,8 @@
 
 Public:
 
-- `linalg`: `precision_beyond`, `solve_positive`, `solve_small`
+- `linalg`: `solve_positive`, `solve_small`
+- `planar_ambiguity`: `mirrored`
 - `plane_fit`: `fit_plane`
 - `relative_orientation`: `relative_ransac`, `rotation_only`, `start_pair`
 - `plane_homography`: `HomographyFit`, `Pose`, `fit_homography`, `move`, `pixel_grid`, `predict_homography`,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
@@ -34,14 +32,3 @@ def solve_positive(S: Array, right: Array) -> Array | None:
         return None
     out: Array = x * (scale if right.ndim == 1 else scale[:, None])
     return out
-
-
-def precision_beyond(posterior: NDArray[Any], given: NDArray[Any], scale: Array) -> tuple[Array, Array]:
-    """What one precision (N, N) holds beyond another, by independent directions.
-
-    Returns values (N,), and directions as the columns of (N, N), so that the difference is
-    `directions @ diag(values) @ directions.T`. `scale` (N,): a usual size of each state. Units differ by orders of
-    magnitude, and what is rounding in one must not look like data in another.
-    """
-    values, vectors = np.linalg.eigh((posterior - given) * np.outer(scale, scale))
-    return values, vectors / scale[:, None]

@@ -1,11 +1,10 @@
-"""The ground plane under the points, and the roll that makes it level across the line of flight. Seed, section 2.3."""
+"""The ground plane under the points. Seed, section 2.3."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from contract.rotations import exp_so3
 from onboard.geometry.robust import irls
 
 Array = NDArray[np.float64]
@@ -37,19 +36,3 @@ def fit_plane(points_enu_m: Array, weight: Array | None = None) -> tuple[Array, 
     plane, miss = irls(fit, base, lambda miss: (miss / max(2.0 * spread(miss), 1e-9)) ** 2)
     slope = plane[1:] / scale
     return np.array([plane[0] - slope @ centre, *slope]), spread(miss)
-
-
-def roll_from_plane(plane: Array, travel_enu: Array) -> float:
-    """The ground's slope across the line of flight, as an angle about it (rad). Equation (8.2)."""
-    along = travel_enu[:2] / max(float(np.linalg.norm(travel_enu[:2])), 1e-12)
-    return float(np.arctan(plane[1:] @ np.array([-along[1], along[0]])))
-
-
-def level(R_cam_enu: Array, pivot_enu_m: Array, travel_enu: Array, roll_rad: float) -> tuple[Array, Array]:
-    """Turn the scene about the line of flight so that a slope of `roll_rad` across it vanishes. Equation (8.3).
-
-    Returns the turned R_cam_enu (K, 3, 3) and the rotation (3, 3) that takes a point X to pivot + R (X - pivot).
-    """
-    axis = travel_enu / max(float(np.linalg.norm(travel_enu)), 1e-12)
-    R = exp_so3(-roll_rad * axis)
-    return R_cam_enu @ R.T, R

@@ -24,7 +24,7 @@ def triangulate(R_cam_enu: Array, centres_enu_m: Array, xy: Array, seen: Mask) -
     """Least squares intersection of rays: minimises the squared distances to all of a point's rays, (4.3).
 
     `R_cam_enu` (K, 3, 3), `centres_enu_m` (K, 3), `xy` (K, P, 2) normalised image coordinates, `seen` (K, P). A point
-    without parallax comes out somewhere along its rays; its parallax says so.
+    without parallax comes out somewhere along its rays; its parallax shows it.
     """
     rays = np.concatenate([xy, np.ones((*xy.shape[:2], 1))], axis=-1)
     d = np.einsum("kpi,kij->kpj", rays, R_cam_enu)

@@ -2,6 +2,7 @@
 
 Public:
 
+- `click_budget`: `Budget`, `click_budget`
 - `feature_sets`: `Origin`, `Picture`, `Placed`, `place`
 - `revision`: `Revisions`
 - `surface_sets`: `over_known_ground`

@@ -64,16 +64,18 @@ class Picture:
 class Placed:
     """A picture's set, and the pose (session axes) and solution that it was placed by.
 
-    What places it again, or the next picture, begins where this one ended.
+    What places it again, or the next picture, begins where this one ended. `by_state` (9, D): how the nine common
+    states, session axes, move with the solution's camera side, T of (9.3).
     """
 
     feature_set: FeatureSet
     pose: Pose
     solved: Solved
+    by_state: Array
 
     @property
     def ground_range(self) -> float:
-        """The variogram's slope over the squared spread: one over how far the ground is alike, normalised."""
+        """The variogram's slope over the squared spread: one over the correlation length of the ground, normalised."""
         return self.feature_set.roughness / self.feature_set.plane_sigma_relative**2
 
 
@@ -145,7 +147,7 @@ def place(
         # The readout is one of the window's states, if it is unsure.
         picture = replace(picture, moving=moving, readout_s=(solved.readout_s, 0.0))
     made = _by_view(solved, view, picture, window.config.tracking.features, ground_range)
-    return made if isinstance(made, Status) else Placed(made, view.pose, solved)
+    return made if isinstance(made, Status) else Placed(made[0], view.pose, solved, made[1])
 
 
 def _keyframe_view(solved: Solved, frame: int, rows: NDArray[np.intp]) -> _View | None:
@@ -194,8 +196,8 @@ def _resected_view(
 
 def _by_view(
     solved: Solved, view: _View, picture: Picture, most: int, ground_range: float | None
-) -> FeatureSet | Status:
-    """The set of a picture whose pose is known, with the `most` features that are known best."""
+) -> tuple[FeatureSet, Array] | Status:
+    """The set of a picture whose pose is known, with the `most` features that are known best, and T of (9.3)."""
     s = solved.solution
     R = view.pose.R_cam_enu
     p = (s.state.points_enu_m[view.rows] - view.pose.centre_enu_m) @ R.T
@@ -224,7 +226,7 @@ def _by_view(
     moved = -s.point_gain[rows][:, :, columns]
     errors = Linearised(covariance, view.gain, view.noise, H, M, by_pose, own, columns, directions, moved)
     common, variance, T = common_states(errors, R.T)
-    factor = solved.variance_factor  # what points seen again say of all of these, (16.4)
+    factor = solved.variance_factor  # what reobserved points show of all of these, (16.4)
     common, variance = factor * common, factor * variance
     span_s = tuple((solved.keyframes[k].nav.stamp_ns - capture_unix_ns) / 1e9 for k in (0, -1))
     shared = replace(
@@ -232,7 +234,7 @@ def _by_view(
     )
     best = np.sort(np.argsort(variance, kind="stable")[:most])
     features = Features(H, uv, 1.0 / z, variance, variance, best)
-    return assemble(picture, view.pose, features, common, shared, DepthSource.PARALLAX, ground_range)
+    return assemble(picture, view.pose, features, common, shared, DepthSource.PARALLAX, ground_range), T
 
 
 def assemble(

@@ -67,7 +67,7 @@ def over_known_ground(config: Config, window: Window, nav: NavState, picture: Pi
         # The beam hits one place; the ground about it lies as far off as it is rough.
         cast = level_cast(float(sensor_pose.centre_enu_m[2] + ranged.vector_enu_m[2]))
         surface = Surface(cast, 0.0, DepthSource.PLANE)
-        over = sensor_pose.over_ranged_ground(float(np.hypot(ranged.sigma_m, config.solve.relief_sigma_m)))
+        over = sensor_pose.over_ranged_ground(float(np.hypot(ranged.sigma_m, config.solve.ground_roughness_sigma_m)))
     elif config.solve.home_level and nav.height_above_home_m is not None:
         cast = level_cast(float(nav.position_enu_m[2]) - nav.height_above_home_m)
         surface = Surface(cast, 0.0, DepthSource.PLANE)

@@ -54,6 +54,11 @@ class Attitudes:
         """When attitudes are held, sorted."""
         return self._series.stamps_ns
 
+    @property
+    def spacing_ns(self) -> int:
+        """The longest of the last intervals between attitudes that may be joined; 0 for fewer than two."""
+        return self._series.spacing_ns(self._max_gap_s)
+
     def forget(self) -> None:
         """The clock has stepped: nothing held can be compared any more."""
         self._series = Series()
@@ -86,8 +91,8 @@ class Attitudes:
     def sigma_at(self, moment_ns: int) -> float:
         """One sigma (rad) of what `at` may be off by because attitudes come more slowly than the vehicle turns. (1.7)
 
-        Between two attitudes their own rates say how far the vehicle should have turned; by how much it turned
-        otherwise, the motion has changed in between. Without rates the neighbouring intervals say it.
+        Between two attitudes their own rates determine how far the vehicle should have turned; by how much it turned
+        differently, the motion has changed in between. Without rates the neighbouring intervals determine it.
         """
         series = self._series
         bracket = series.bracket(moment_ns)
@@ -140,8 +145,8 @@ class Attitudes:
         """One sigma (rad/s, of each axis) of what a rate joined from measured ones may be off by, (1.8); None where
         they are not measured. `jitter_s`: one sigma of the moment.
 
-        Each measured rate is foretold by its neighbours, and by theirs: the two misses say how an error grows with the
-        gap, and so what it is over the gap that is bridged. 0 where too few are held to say.
+        Each measured rate is predicted from its neighbours, and from theirs: the two misses show how an error grows
+        with the gap, and so what it is over the gap that is bridged. 0 where too few are held.
         """
         if not self.measures_rate(moment_ns):
             return None

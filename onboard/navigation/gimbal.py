@@ -22,17 +22,17 @@ Array = NDArray[np.float64]
 
 
 class MountHypothesis(Enum):
-    """A reading of what carries the camera."""
+    """A hypothesis of what the camera is mounted on."""
 
     MOUNT = "mount"  # fixed to the vehicle
-    GIMBAL = "gimbal"  # as the message's flags say
+    GIMBAL = "gimbal"  # as the message's flags specify
     JOINTS = "joints"  # the same numbers as joint angles, counted from the vehicle's body
 
 
 class Gimbal:
-    """Fed with a gimbal's attitudes; with the vehicle's beside it where the gimbal counts its yaw from the nose.
+    """Fed with a gimbal's attitudes, and with the vehicle's where the gimbal counts its yaw from the nose.
 
-    Once a gimbal has spoken its silence is a gap, never a return to the fixed mount: it hangs anywhere.
+    Once a gimbal has sent, its silence is a gap, never a return to the fixed mount: its attitude is then unknown.
     """
 
     def __init__(self, config: Config) -> None:
@@ -40,9 +40,21 @@ class Gimbal:
         self._R_body_gimbal = matrix_from_euler(*np.radians([mount.roll_deg, mount.pitch_deg, mount.yaw_deg]))
         self._attitudes = Attitudes(config.telemetry.max_attitude_gap_s)
         self._from_nose = False
+        self._setting, self._is_of_camera = mount.gimbal, False
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether its attitude is the camera's without asking the pictures."""
+        return self._setting == "always" or (self._setting == "auto" and self._is_of_camera)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it has sent messages and the pictures must determine what they mean, if anything."""
+        return self._setting == "auto" and not self._is_of_camera and bool(self.stamps_ns)
 
     def insert(self, event: GimbalAttitude) -> None:
         """Take one attitude. One that counts from elsewhere than those before it replaces them."""
+        self._is_of_camera = event.is_of_camera
         from_nose = event.reference == "vehicle"
         if from_nose != self._from_nose:
             self._attitudes.forget()

@@ -1,6 +1,6 @@
-"""Whether a position may be believed, and how far: receiver, the autopilot's filter, and position against velocity.
+"""Whether a position is accepted, and with what sigma: receiver, autopilot's filter, position against velocity.
 
-GPS is believed until the messages say otherwise: a lost or silent fix, a jump that the velocity does not explain, or a
+GPS is accepted until the messages contradict it: a lost or silent fix, a jump that the velocity does not explain, or a
 filter that slips (moves its position against its own velocity, as it does while it corrects an error) refuses every
 moment from then until it has settled again. Slip is measured over two seconds: at most 0.3 m/s in recorded clean
 flights, 0.65 m/s in the real one; 1 to 4 m/s while jammed and for the ten seconds of recovery in which the receiver's
@@ -40,7 +40,7 @@ RECOVERING = "recovering"
 
 
 class GpsIntegrity:
-    """Fed with positions, receiver and filter reports; says of any moment whether its position may be believed."""
+    """Fed with positions, receiver and filter reports; determines for any moment whether its position is accepted."""
 
     def __init__(self, config: Config) -> None:
         self._config, self._gps = config, config.gps
@@ -68,10 +68,10 @@ class GpsIntegrity:
     # ------------------------------------------------------------------ before there is a frame
 
     def first_belief(self, first_ns: int, now_ns: int) -> tuple[int | None, str]:
-        """Since when positions may be believed with data up to `now_ns`, or None and why they may not.
+        """Since when positions may be accepted with data up to `now_ns`, or None and why they may not.
 
         `first_ns`: stamp of the first position. Receiver and filter are waited for: a filter without a fix reports a
-        place that it remembers, and its own word may come later than that place.
+        place that it remembers, and its own report may come later than that place.
         """
         unfit_ns = 0
         for said_ns, is_fit, why in self._last_words():
@@ -146,7 +146,7 @@ class GpsIntegrity:
     # ------------------------------------------------------------------ what is asked
 
     def fault_at(self, moment_ns: int, slip: Slip) -> str:
-        """Why a position at a moment is not believed; empty if it is. `slip`: `slip_at` the same moment."""
+        """Why a position at a moment is not accepted; empty if it is. `slip`: `slip_at` the same moment."""
         why = self._receiver_fault(moment_ns) or self._filter_fault(moment_ns)
         if why:
             return why
@@ -163,7 +163,7 @@ class GpsIntegrity:
         before_ns = next_ns = start_ns
         for stamp_ns in stamps[bisect.bisect_right(stamps, start_ns) : bisect.bisect_left(stamps, end_ns)]:
             if stamp_ns - before_ns > self._gps.max_gap_s * 1e9:
-                # The receiver's own word comes later than the first position after a gap.
+                # The receiver's own report comes later than the first position after a gap.
                 next_ns = stamp_ns + round(self._gps.quality_timeout_s * 1e9)
             before_ns = stamp_ns
             if stamp_ns >= next_ns:
@@ -188,17 +188,25 @@ class GpsIntegrity:
 
     def claims(self, moment_ns: int) -> tuple[float, float]:
         """The receiver's worst claim of the last two seconds (when jammed it alternates), bounded below."""
-        gps = self._gps
-        last = bisect.bisect_right(self.quality.stamps_ns, moment_ns)
-        first = bisect.bisect_left(self.quality.stamps_ns, moment_ns - CLAIM_WINDOW_NS)
-        claims = self.quality.values[min(first, max(last - 1, 0)) : last]
+        gps, claims = self._gps, _recent(self.quality, moment_ns)
         return (
-            max([gps.sigma_wander_horizontal_m, *(c.sigma_horizontal_m for c in claims if c.sigma_horizontal_m)]),
-            max([gps.sigma_wander_vertical_m, *(c.sigma_vertical_m for c in claims if c.sigma_vertical_m)]),
+            max([gps.sigma_correlated_horizontal_m, *(c.sigma_horizontal_m for c in claims if c.sigma_horizontal_m)]),
+            max([gps.sigma_correlated_vertical_m, *(c.sigma_vertical_m for c in claims if c.sigma_vertical_m)]),
         )
 
+    def velocity_claim_m_s(self, moment_ns: int) -> float:
+        """One sigma of the velocity, the worst that receiver or filter claimed in the last two seconds; 0: neither."""
+        claims = [c.sigma_velocity_m_s for c in _recent(self.quality, moment_ns)]
+        claims += [c.sigma_velocity_m_s for c in _recent(self.filter, moment_ns)]
+        return max((c for c in claims if c is not None), default=0.0)
+
+    def datum_sigma_m(self, moment_ns: int) -> float:
+        """One sigma (m) of where the log's heights count from, as far as the log reported it until a moment."""
+        last = self.quality.last_until(moment_ns)
+        return 0.0 if last is None else self.quality.values[last].sigma_datum_m or 0.0
+
     def _was_unfit(self, start_ns: int, end_ns: int, moved_m: float) -> bool:
-        """Whether receiver or filter owned up to an error as large as `moved_m` shortly before or in a stretch of time.
+        """Whether receiver or filter reported an error as large as `moved_m` shortly before or in a stretch of time.
 
         The position that follows then corrects what was known to be wrong.
         """
@@ -222,7 +230,7 @@ class GpsIntegrity:
             return "" if self.quality.values[0].fix_type > UNUSABLE_FIX else none
         if moment_ns - stamps[last] > gps.quality_timeout_s * 1e9:
             return f"the receiver has been silent for more than {gps.quality_timeout_s:g} s"
-        # The message after an exposure tells of the moment before it too.
+        # The message after an exposure also holds for the moment before it.
         after = min(last + 1, len(stamps) - 1)
         if stamps[after] - moment_ns > gps.quality_timeout_s * 1e9:
             after = last
@@ -237,7 +245,7 @@ class GpsIntegrity:
         return RECOVERING if has_fix[-1] else none
 
     def _filter_fault(self, moment_ns: int) -> str:
-        """The autopilot's filter believes its position and its GPS, and has since `recovery_s` ago; or never spoke.
+        """The autopilot's filter accepts its position and its GPS, and has since `recovery_s` ago; or never reported.
 
         Between two reports the later one counts as well; a bad one stands until a good one comes.
         """
@@ -261,6 +269,13 @@ class GpsIntegrity:
 
 def _last_unfit_ns(stamps_ns: list[int], fit: list[bool]) -> int:
     return next((stamp for stamp, good in zip(reversed(stamps_ns), reversed(fit), strict=True) if not good), 0)
+
+
+def _recent(series: Series[T], moment_ns: int) -> list[T]:
+    """Reports of the last two seconds until a moment; where there are none, the last one before them."""
+    last = bisect.bisect_right(series.stamps_ns, moment_ns)
+    first = bisect.bisect_left(series.stamps_ns, moment_ns - CLAIM_WINDOW_NS)
+    return series.values[min(first, max(last - 1, 0)) : last]
 
 
 def _between(series: Series[T], start_ns: int, end_ns: int) -> list[T]:

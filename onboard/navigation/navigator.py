@@ -2,11 +2,11 @@
 
 Positions are joined by cubic Hermite pieces whose slopes are the filter's own velocities; attitudes likewise with the
 gyros' rates (a recorded flight thinned to 3.3 Hz is then 0.06 deg off at the 95th percentile, where rotation at
-constant rate is 0.50 deg off), else by rotation at constant rate. Whether a position is believed is judged by
+constant rate is 0.50 deg off), else by rotation at constant rate. Whether a position is accepted is determined by
 `gps_integrity`.
 
-The local frame lies where the first believed position is, and moves to a believed position that is far from it: what
-an autopilot reports before its receiver has a fix is no place (ArduPilot sends 0.0003 N 0.0001 W).
+The local frame lies where the first accepted position is, and moves to an accepted position that is far from it: what
+an autopilot reports before its receiver has a fix is not a position (ArduPilot sends 0.0003 N 0.0001 W).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ MAX_ATTITUDE_INTERVAL_S = 0.35  # an aircraft rolls in within a second: less tha
 
 @dataclass(frozen=True, eq=False)
 class GroundRange:
-    """What the range finder says: the vector (3,), ENU m, from vehicle to ground, and one sigma along it."""
+    """What the range finder measures: the vector (3,), ENU m, from vehicle to ground, and one sigma along it."""
 
     vector_enu_m: Array
     sigma_m: float
@@ -84,7 +84,9 @@ class NavState:
     mount_hypotheses: Mapping[MountHypothesis, Array] = field(default_factory=dict)
     stretch: int = 0
     stamp_sigma_s: float = 0.0
+    sigma_datum_m: float = 0.0  # of all heights as a whole: where the log counts them from
     attitude_sigma_rad: float = 0.0  # of the attitude, because its messages come more slowly than the vehicle turns
+    sigma_velocity_m_s: float = 0.0  # of the velocity, as the receiver or the filter claims; 0: neither does
 
 
 class Navigation:
@@ -93,63 +95,66 @@ class Navigation:
     def __init__(self, config: Config) -> None:
         self.config = config
         self.frame: LocalFrame | None = None
-        self.reason = NOTHING_YET  # why no position is believed just now, for people; empty when one is
+        self.reason = NOTHING_YET  # why no position is accepted at present, for people; empty when one is
         self._fixes: Series[PositionFix] = Series()  # as they came; those of `_positions`, or all before a frame is
         self._positions: Series[Position] = Series()
         self._integrity = GpsIntegrity(config)
         self._moves = 0  # of the frame
         self._attitudes = Attitudes(config.telemetry.max_attitude_gap_s)
-        self._gimbal = Gimbal(config)
-        # Which reading of mount and gimbal is believed; `mount.gimbal` "auto" leaves it to whoever sees pictures.
-        self.mount_hypothesis = MountHypothesis.GIMBAL if config.mount.gimbal == "always" else MountHypothesis.MOUNT
+        self.gimbal = Gimbal(config)
+        # Which hypothesis of mount and gimbal is accepted; where that is open, the part that sees pictures decides.
+        self.mount_hypothesis = MountHypothesis.GIMBAL if self.gimbal.is_certain else MountHypothesis.MOUNT
         self._ranges: Series[RangeFinder] = Series()
         self._undulation_m = float("nan") if config.gps.undulation_m is None else config.gps.undulation_m
         self._latency_ns = round(config.gps.latency_s * 1e9)
 
     def add(self, event: NavEvent) -> None:
         """Take one event; events with a stamp already held are ignored."""
-        held: Series[PositionFix] | Attitudes | Gimbal | Series[GpsQuality] | Series[RangeFinder] | Series[FilterStatus]
-        if isinstance(event, PositionFix):
-            held = self._fixes
-        elif isinstance(event, GpsQuality):
-            held = self._integrity.quality
-        elif isinstance(event, Attitude):
-            held = self._attitudes
-        elif isinstance(event, GimbalAttitude):
-            held = self._gimbal
-        elif isinstance(event, RangeFinder):
-            held = self._ranges
-        else:
-            held = self._integrity.filter
-        if held.stamps_ns and event.stamp_ns < held.stamps_ns[-1] - CLOCK_STEP_NS:
+        held = self._stamps_of(event)
+        if held and event.stamp_ns < held[-1] - CLOCK_STEP_NS:
             self._forget()
-        if isinstance(event, PositionFix):
-            self._add_position(event)
-        elif isinstance(event, GpsQuality):
-            self._integrity.note_quality(event)
-            if event.undulation_m is not None:
-                self._undulation_m = event.undulation_m
-        elif isinstance(event, Attitude):
-            rate = None if event.rate_body_rad_s is None else np.array(event.rate_body_rad_s)
-            self._attitudes.insert(event.stamp_ns, matrix_from_quaternion(event.q_ned_body), rate)
-        elif isinstance(event, GimbalAttitude):
-            self._gimbal.insert(event)
-        elif isinstance(event, RangeFinder):
-            self._ranges.insert(event.stamp_ns, event)
-        else:
-            self._integrity.note_filter(event)
+        self._insert_event(event)
         if isinstance(event, PositionFix | GpsQuality | FilterStatus):
             if self.frame is None:
                 self._place_frame(event.stamp_ns)
             if not isinstance(event, PositionFix):
                 self._judge_now()
 
+    def _stamps_of(self, event: NavEvent) -> list[int]:
+        """The stamps that are held of events of this kind."""
+        return {
+            PositionFix: self._fixes.stamps_ns,
+            GpsQuality: self._integrity.quality.stamps_ns,
+            Attitude: self._attitudes.stamps_ns,
+            GimbalAttitude: self.gimbal.stamps_ns,
+            RangeFinder: self._ranges.stamps_ns,
+            FilterStatus: self._integrity.filter.stamps_ns,
+        }[type(event)]
+
+    def _insert_event(self, event: NavEvent) -> None:
+        match event:
+            case PositionFix():
+                self._add_position(event)
+            case GpsQuality():
+                self._integrity.note_quality(event)
+                if event.undulation_m is not None:
+                    self._undulation_m = event.undulation_m
+            case Attitude():
+                rate = None if event.rate_body_rad_s is None else np.array(event.rate_body_rad_s)
+                self._attitudes.insert(event.stamp_ns, matrix_from_quaternion(event.q_ned_body), rate)
+            case GimbalAttitude():
+                self.gimbal.insert(event)
+            case RangeFinder():
+                self._ranges.insert(event.stamp_ns, event)
+            case _:
+                self._integrity.note_filter(event)
+
     def _forget(self) -> None:
         self._fixes, self._positions, self._ranges = Series(), Series(), Series()
         self._integrity.forget()
         self._integrity.positions = self._positions
         self._attitudes.forget()
-        self._gimbal.forget()
+        self.gimbal.forget()
 
     def _add_position(self, fix: PositionFix) -> None:
         if self._fixes.insert(fix.stamp_ns, fix) is None or self.frame is None:
@@ -178,7 +183,7 @@ class Navigation:
             self._integrity.note_position(index)
 
     def _place_frame(self, now_ns: int) -> None:
-        """Put the frame where the first believed position is, once one is."""
+        """Put the frame where the first accepted position is, once there is one."""
         if not self._fixes.stamps_ns:
             return
         since_ns, self.reason = self._integrity.first_belief(self._fixes.stamps_ns[0], now_ns)
@@ -191,13 +196,13 @@ class Navigation:
         newest = believed[-1]
         self.frame = LocalFrame(newest.lat_deg, newest.lon_deg, newest.height_amsl_m)
         near = [fix for fix in believed if np.linalg.norm(self._enu(fix)) <= FRAME_REACH_M]
-        # What came before may be held against the newest only as far as it can have been flown since.
+        # What came before may be compared with the newest only as far as the aircraft can have flown since.
         first = near[0]
         self.frame = LocalFrame(first.lat_deg, first.lon_deg, first.height_amsl_m)
         self._hold(near)
 
     def _move_frame(self, fix: PositionFix) -> None:
-        """The frame's origin to a believed position far from it; what pictures still wait for is kept if it is near."""
+        """Move the origin to an accepted position far from it; what pictures still wait for is kept if it is near."""
         recent = [f for f in self._fixes.values if abs(f.stamp_ns - fix.stamp_ns) <= KEPT_NS]
         self.frame = LocalFrame(fix.lat_deg, fix.lon_deg, fix.height_amsl_m)
         self._moves += 1
@@ -225,7 +230,7 @@ class Navigation:
         """
         needed: list[list[int]] = []
         if self._wants_attitude:
-            needed += self._gimbal.needed(self._attitudes) if self._uses_gimbal else [self._attitudes.stamps_ns]
+            needed += self.gimbal.needed(self._attitudes) if self._uses_gimbal else [self._attitudes.stamps_ns]
         positions, moment_ns = self._positions.stamps_ns, stamp_ns + delay_ns
         return bool(positions and positions[0] <= moment_ns <= positions[-1]) and all(
             stamps and stamps[0] <= stamp_ns <= stamps[-1] for stamps in needed
@@ -238,22 +243,24 @@ class Navigation:
 
     @property
     def behind_ns(self) -> int:
-        """How long after a moment its position comes, beyond what any autopilot's takes."""
-        return max(self._latency_ns, 0)
+        """How long after a moment what it is joined by comes, beyond what any link takes: latency and spacing."""
+        positions_ns = self._positions.spacing_ns(self.config.gps.max_gap_s) + max(self._latency_ns, 0)
+        return max(positions_ns, self._attitudes.spacing_ns)
 
     @property
     def heard(self) -> tuple[bool, bool]:
         """Whether there are attitudes of the vehicle, and of a gimbal, that may be used."""
         if self.config.solve.attitude == "none":
             return False, False
-        return bool(self._attitudes.stamps_ns), self.config.mount.gimbal != "never" and bool(self._gimbal.stamps_ns)
+        return bool(self._attitudes.stamps_ns), self.config.mount.gimbal != "never" and bool(self.gimbal.stamps_ns)
 
     @property
     def _uses_gimbal(self) -> bool:
         """Whether the camera's attitude is the gimbal's."""
-        if self.config.mount.gimbal == "never" or not self._gimbal.stamps_ns:
+        if self.config.mount.gimbal == "never" or not self.gimbal.stamps_ns:
             return False
-        return self.mount_hypothesis is not MountHypothesis.MOUNT or not self._attitudes.stamps_ns
+        is_chosen = self.gimbal.is_certain or self.mount_hypothesis is not MountHypothesis.MOUNT
+        return is_chosen or not self._attitudes.stamps_ns
 
     @property
     def _gimbal_hypothesis(self) -> MountHypothesis:
@@ -262,17 +269,15 @@ class Navigation:
     def _attitude_at(self, moment_ns: int) -> Array | Status:
         """R_ned_body as the mount sees it: with a gimbal, of the body that would carry a fixed camera the same way."""
         if self._uses_gimbal:
-            return self._gimbal.at(moment_ns, self._attitudes, self._gimbal_hypothesis)
+            return self.gimbal.at(moment_ns, self._attitudes, self._gimbal_hypothesis)
         return self._attitudes.at(moment_ns)
 
     def _mount_hypotheses_at(self, moment_ns: int, R_frame_ned: Array) -> dict[MountHypothesis, Array]:
-        """R_enu_body by every reading, where more than one is possible."""
-        if self.config.mount.gimbal != "auto" or not (self._gimbal.stamps_ns and self._attitudes.stamps_ns):
+        """R_enu_body by every hypothesis, where more than one is possible; the mount first, for where others agree."""
+        if not (self.gimbal.is_open and self._attitudes.stamps_ns):
             return {}
-        found = {
-            MountHypothesis.MOUNT: self._attitudes.at(moment_ns)
-        }  # first: where another says the same, the mount it is
-        found |= {c: self._gimbal.at(moment_ns, self._attitudes, c) for c in self._gimbal.readings}
+        found = {MountHypothesis.MOUNT: self._attitudes.at(moment_ns)}
+        found |= {c: self.gimbal.at(moment_ns, self._attitudes, c) for c in self.gimbal.readings}
         return {c: R_frame_ned @ R for c, R in found.items() if not isinstance(R, Status)}
 
     def state_at(
@@ -282,7 +287,7 @@ class Navigation:
 
         Position and velocity are looked up `delay_s` later: they are older than their stamps.
 
-        STARTING before the first data, UNSYNCHRONISED in a gap or past the end, NO_GPS where GPS is not believed.
+        STARTING before the first data, UNSYNCHRONISED in a gap or past the end, NO_GPS where GPS is not accepted.
         """
         moment_ns = stamp_ns + round(offset_s * 1e9)
         if self.frame is None or not self._positions.stamps_ns:
@@ -296,20 +301,17 @@ class Navigation:
             return Status.NO_GPS
         R_enu_body, mount_hypotheses = None, {}
         if self._wants_attitude:
-            R_ned_body = self._attitude_at(moment_ns)
+            R_ned_body, R_frame_ned = self._attitude_at(moment_ns), self._R_frame_ned(position.enu_m)
             if isinstance(R_ned_body, Status):
                 return R_ned_body
-            R_frame_ned = self._R_frame_ned(position.enu_m)
             R_enu_body = R_frame_ned @ R_ned_body
             mount_hypotheses = self._mount_hypotheses_at(moment_ns, R_frame_ned)
-        sigma_horizontal_m, sigma_vertical_m = self._integrity.sigmas(moment_ns)
         return NavState(
             stamp_ns,
             position.enu_m,
             position.velocity_enu_m_s,
             R_enu_body,
-            sigma_horizontal_m,
-            sigma_vertical_m,
+            *self._integrity.sigmas(moment_ns),
             max(self.config.gps.sigma_white_m, min(slip.dispersion_m, MAX_DISPERSION_M)),
             self._undulation_m,
             position.height_above_home_m,
@@ -317,11 +319,13 @@ class Navigation:
             mount_hypotheses,
             self._moves + self._integrity.stretch_at(moment_ns),
             stamp_sigma_s,
+            self._integrity.datum_sigma_m(moment_ns),
             0.0 if R_enu_body is None or self._uses_gimbal else self._attitudes.sigma_at(moment_ns),
+            self._integrity.velocity_claim_m_s(moment_ns),
         )
 
     def was_believed(self, start_ns: int, end_ns: int) -> bool:
-        """Whether no position between two moments was refused; a gap in telemetry alone says nothing against them."""
+        """Whether no position between two moments was refused; a gap in telemetry alone is no reason to refuse them."""
         return self._integrity.was_believed(start_ns, end_ns)
 
     def _range_at(self, moment_ns: int, position_enu_m: Array) -> GroundRange | None:
@@ -350,7 +354,7 @@ class Navigation:
         return out
 
     def motion_at(self, moment_ns: int) -> Motion | None:
-        """How the vehicle moved, whether or not its position is believed; None with a gimbal, and wherever attitudes
+        """How the vehicle moved, whether or not its position is accepted; None with a gimbal, and wherever attitudes
         or velocities are not there on both sides, or attitudes come too slowly to follow a roll.
         """
         if not self._wants_attitude or self._uses_gimbal or self.frame is None:
@@ -363,15 +367,15 @@ class Navigation:
         a, b = self._positions.values[left], self._positions.values[right]
         if isinstance(R_ned_body, Status) or left == right or a.velocity_enu_m_s is None or b.velocity_enu_m_s is None:
             return None
-        first_ns, last_ns = self._positions.stamps_ns[left], self._positions.stamps_ns[right]
-        share = (moment_ns - first_ns) / (last_ns - first_ns)
+        stamps_ns = self._positions.stamps_ns
+        share = (moment_ns - stamps_ns[left]) / (stamps_ns[right] - stamps_ns[left])
         velocity = (1 - share) * self._velocity(left) + share * self._velocity(right)
         return Motion(self._R_frame_ned(a.enu_m) @ R_ned_body, velocity, self._attitudes.sigma_at(moment_ns))
 
     def body_rate_at(self, stamp_ns: int) -> Array | None:
         """Angular rate (3,), rad/s, axes of `NavState.R_enu_body`: measured, or from attitudes; None if unknown."""
         if self._uses_gimbal:
-            return self._gimbal.rate_at(stamp_ns, self._attitudes, self._gimbal_hypothesis)
+            return self.gimbal.rate_at(stamp_ns, self._attitudes, self._gimbal_hypothesis)
         return self._attitudes.rate_at(stamp_ns)
 
     def rate_sigma_at(self, stamp_ns: int, jitter_s: float) -> float | None:
@@ -379,7 +383,7 @@ class Navigation:
         return None if self._uses_gimbal else self._attitudes.rate_sigma_at(stamp_ns, jitter_s)
 
     def velocity_at(self, nav: NavState) -> Array:
-        """Velocity (3,), ENU m/s, of a state: measured, else by the positions about it; 0 where nothing tells."""
+        """Velocity (3,), ENU m/s, of a state: measured, else by the positions about it; 0 where nothing is known."""
         known, bracket = nav.velocity_enu_m_s, self._positions.bracket(nav.stamp_ns)
         if bracket is None or (known is not None and np.all(np.isfinite(known))):
             return np.zeros(3) if known is None else known
@@ -403,9 +407,8 @@ class Navigation:
 
     def _velocity_at(self, moment_ns: int) -> Array | None:
         position = self._position_at(moment_ns)
-        if isinstance(position, Status) or position.velocity_enu_m_s is None:
-            return None
-        return position.velocity_enu_m_s if np.all(np.isfinite(position.velocity_enu_m_s)) else None
+        velocity = None if isinstance(position, Status) else position.velocity_enu_m_s
+        return velocity if velocity is not None and np.all(np.isfinite(velocity)) else None
 
     def _position_at(self, moment_ns: int) -> Position | Status:
         series = self._positions

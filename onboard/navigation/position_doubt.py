@@ -1,10 +1,10 @@
 """How far a position may be off because it once moved against its own velocity and nothing has explained it since.
 
-A filter that is led astray moves its position without the velocity that would bring it there; so does one that finds
-back. Which of the two a single such jump was, telemetry cannot say: before or after it the position is wrong by as much
-as it jumped. So what jumped is added up as a vector and kept in the sigma for as long as it takes. It is explained by
-a jump back, by a receiver or filter that had owned up to having no position, or by being no more than the Gauss-Markov
-error that is believed anyway; what is left then decays with that error's correlation time.
+A filter that is misled moves its position without the velocity that would bring it there; so does one that
+recovers. Which of the two a single such jump was cannot be determined from telemetry: before or after it the position
+is wrong by as much as it jumped. So what jumped is added up as a vector and kept in the sigma for as long as it takes.
+It is explained by a jump back, by a receiver or filter that had reported that it has no position, or by being no more
+than the Gauss-Markov error that is assumed anyway; what is left then decays with that error's correlation time.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ MIN_DISPERSION_FREEDOM = 4
 EPISODE_SHARE = 0.5
 ALIKE_SIGMAS = 2.0  # of the Gauss-Markov error: a jump no larger may as well be that
 EXPLAINED_SHARE = 0.25  # of the largest jump that may be left after the jump back
-# A filter takes part of a correction into its velocity, which is integrated here as flown. Critically damped, position
-# alone moves by 2/e of the correction at most.
+# A filter takes part of a correction into its velocity, which is integrated here as real motion. Critically damped,
+# position alone moves by 2/e of the correction at most.
 SHARED_WITH_VELOCITY = 0.5 * float(np.e)
 MAX_ENTRIES = 200
 
@@ -45,7 +45,7 @@ class Position:
 
 @dataclass(frozen=True)
 class Slip:
-    """How fast the filter surely moves its position sideways of its own velocity, and the dispersion about that (m)."""
+    """How fast the filter certainly moves its position sideways of its velocity, and the dispersion about that (m)."""
 
     surely_m_s: float = 0.0
     dispersion_m: float = 0.0
@@ -107,35 +107,35 @@ class _Entry:
 
 @dataclass(eq=False)
 class _Episode:
-    """Slip under way since a stamp: what had strayed before it, and how far it strayed from there at most."""
+    """Slip under way since a stamp: the drift before it, and how far it drifted from there at most."""
 
     start_ns: int
     before_m: Array
     is_sure: bool = False
     most_m: float = 0.0
-    sigma_m: float = 0.0  # the largest Gauss-Markov sigma believed meanwhile
+    sigma_m: float = 0.0  # the largest Gauss-Markov sigma assumed meanwhile
 
 
 class PositionDoubt:
-    """Fed with every newest position; says how far positions may be off for jumps that nothing has explained."""
+    """Fed with every newest position; returns how far positions may be off after jumps that nothing has explained."""
 
     def __init__(self, config: Config, was_unfit: Callable[[int, int, float], bool]) -> None:
-        """`was_unfit(start_ns, end_ns, moved_m)`: whether receiver or filter had owned up to such an error."""
+        """`was_unfit(start_ns, end_ns, moved_m)`: whether receiver or filter had reported such an error."""
         self._gps, self._was_unfit = config.gps, was_unfit
         self._entries: list[_Entry] = [_Entry(0, np.zeros(3), np.zeros(2), 0)]
         self._is_suspected = False  # the newest entry is of an episode under way
         self.begin()
 
     def begin(self) -> None:
-        """Positions begin anew, in another frame perhaps: nothing links them to those before but the doubt itself."""
+        """Positions begin again, in another frame perhaps: nothing links them to those before but the doubt itself."""
         self._strayed: deque[tuple[int, Array]] = deque()  # (3,) position less integrated velocity, lately
         self._last: Position | None = None
         self._episode: _Episode | None = None
         self._largest_m = float(np.linalg.norm(self._entries[-1].unexplained_m))
 
     def at(self, moment_ns: int) -> Array:
-        """One sigma (m), horizontal and vertical, to be added to what is believed of a position anyway."""
-        return self._entry(moment_ns).at(moment_ns, self._gps.wander_time_s)
+        """One sigma (m), horizontal and vertical, to be added to what is assumed of a position anyway."""
+        return self._entry(moment_ns).at(moment_ns, self._gps.correlation_time_s)
 
     def stretch_at(self, moment_ns: int) -> int:
         """Counts the jumps that ended until a moment: positions on both sides of one cannot be compared."""
@@ -145,14 +145,14 @@ class PositionDoubt:
         return next((e for e in reversed(self._entries) if e.stamp_ns <= moment_ns), self._entries[0])
 
     def append(self, positions: Series[Position], sigma_m: float) -> None:
-        """The newest position has come; `sigma_m`: the Gauss-Markov error believed with it, horizontal."""
+        """The newest position has come; `sigma_m`: the Gauss-Markov error assumed for it, horizontal."""
         stamp_ns, now = positions.stamps_ns[-1], positions.values[-1]
         before, self._last = self._last, now
         is_linked = before is not None and bool(self._strayed)
         if is_linked and (stamp_ns - self._strayed[-1][0]) / 1e9 > self._gps.max_gap_s:
             is_linked = False
         if before is None or not is_linked or before.velocity_enu_m_s is None or now.velocity_enu_m_s is None:
-            # Over a gap, or without velocities, nothing can be said of a jump.
+            # Over a gap, or without velocities, nothing is known about a jump.
             self._strayed = deque([(stamp_ns, np.zeros(3))])
             self._episode = None
             return
@@ -205,7 +205,7 @@ class PositionDoubt:
         last = self._settled()
         if episode.most_m <= ALIKE_SIGMAS * episode.sigma_m:
             return
-        lasting = last.at(episode.start_ns, self._gps.wander_time_s)
+        lasting = last.at(episode.start_ns, self._gps.correlation_time_s)
         doubt = np.array([lasting[0] / SHARED_WITH_VELOCITY + episode.most_m, 0.0, lasting[1]])
         self._put(_Entry(episode.start_ns, doubt, np.zeros(2), last.stretch))
         self._is_suspected = True
@@ -226,7 +226,7 @@ class PositionDoubt:
             return  # too little to doubt a position for; but enough to explain a jump that it undoes
         self._largest_m = max(self._largest_m, left_m)
         stretch = last.stretch + (size_m > ALIKE_SIGMAS * sigma_m)
-        decaying = _decayed(last, end_ns, self._gps.wander_time_s)
+        decaying = _decayed(last, end_ns, self._gps.correlation_time_s)
         if is_sure and left_m > before_m and self._was_unfit(start_ns, end_ns, size_m):
             total = last.unexplained_m
         elif left_m <= max(ALIKE_SIGMAS * sigma_m, EXPLAINED_SHARE * self._largest_m):

@@ -1,8 +1,9 @@
-"""Values by time: what telemetry has said in the last two minutes, sorted."""
+"""Values by time: what telemetry has reported in the last two minutes, sorted."""
 
 from __future__ import annotations
 
 import bisect
+import itertools
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
@@ -11,7 +12,15 @@ from contract.feature_set import Status
 MEMORY_NS = 120_000_000_000
 MAX_EXTRAPOLATION_NS = 300_000_000
 
+RECENT = 8  # values whose spacing is that of the next
+
 T = TypeVar("T")
+
+
+def longest_spacing_ns(stamps_ns: list[int], max_gap_s: float) -> int:
+    """The longest of the last intervals between stamps that is no longer than `max_gap_s`; 0 for fewer than two."""
+    recent = [later - earlier for earlier, later in itertools.pairwise(stamps_ns[-RECENT:])]
+    return max((gap_ns for gap_ns in recent if gap_ns <= max_gap_s * 1e9), default=0)
 
 
 @dataclass
@@ -55,6 +64,10 @@ class Series(Generic[T]):
         left, right = bracket
         too_long = (self.stamps_ns[right] - self.stamps_ns[left]) / 1e9 > max_gap_s
         return Status.UNSYNCHRONISED if too_long else bracket
+
+    def spacing_ns(self, max_gap_s: float) -> int:
+        """The longest of the last intervals between values that may be joined; 0 for fewer than two values."""
+        return longest_spacing_ns(self.stamps_ns, max_gap_s)
 
     def last_until(self, stamp_ns: int) -> int | None:
         """Index of the newest value not after a stamp."""

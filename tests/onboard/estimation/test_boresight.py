@@ -11,21 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from contract.errors import InputError
-from onboard.estimation.boresight import (
-    BORESIGHT_WALK_RAD,
-    DELAY,
-    DELAY_WALK_S,
-    HEADING,
-    HEADING_WALK_RAD,
-    MEMORY_ESTIMATES,
-    OFFSET,
-    OFFSET_WALK_S,
-    STATES,
-    VELOCITY_DELAY,
-    Alignment,
-    Belief,
-    under_another_prior,
-)
+from onboard.estimation.boresight import MEMORY_ESTIMATES, Alignment, Belief, under_another_prior
+from onboard.estimation.platform_states import DELAY, OFFSET, STATES, VELOCITY_DELAY, WALK
 
 T0_NS = 1_795_217_000_000_000_000
 SPACING_S = 20.0
@@ -94,10 +81,8 @@ def test_a_posterior_ages_as_a_random_walk() -> None:
     fresh, old = a.prior_for(at(10.0)), a.prior_for(at(10.0 + 4 * 60.0))
     assert np.allclose(fresh.covariance, COVARIANCE)
     grown = np.diag(old.covariance - COVARIANCE)
-    assert np.sqrt(grown[:3]) == pytest.approx(2.0 * BORESIGHT_WALK_RAD)
-    assert np.sqrt(grown[OFFSET]) == pytest.approx(2.0 * OFFSET_WALK_S)
-    assert np.sqrt(grown[[DELAY, VELOCITY_DELAY]]) == pytest.approx(2.0 * DELAY_WALK_S)
-    assert np.sqrt(grown[HEADING]) == pytest.approx(2.0 * HEADING_WALK_RAD)
+    assert np.sqrt(grown) == pytest.approx(2.0 * WALK[:STATES])
+    assert np.degrees(WALK[:3]) == pytest.approx(0.03), "a mount stays where it is"
 
 
 def test_a_belief_survives_the_state_directory_wider_than_before() -> None:
@@ -199,7 +184,7 @@ def windows_of(a: Alignment, scatter: float, seed: int, windows: int = 20) -> tu
 
 def sigma_of_all(scatter: float = 1.0, windows: int = 20) -> np.ndarray:
     """One sigma that the same windows come to in a filter, with the same random walks, that knows how they scatter."""
-    walk = np.array([BORESIGHT_WALK_RAD] * 3 + [OFFSET_WALK_S] + [DELAY_WALK_S] * 2 + [HEADING_WALK_RAD] * 2)
+    walk = WALK[:STATES]
     variance = FIRST**2
     for k in range(windows):
         variance = 1.0 / (1.0 / (variance + (walk**2 * (20.0 / 60.0) if k else 0.0)) + (scatter * 0.2 * FIRST) ** -2)

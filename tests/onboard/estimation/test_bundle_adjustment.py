@@ -13,8 +13,9 @@ from contract.rotations import exp_so3
 from onboard.estimation.bundle_adjustment import Problem, evaluate, solve
 from onboard.estimation.camera_states import by_states
 from onboard.estimation.factors import Layout, State, ground_plane, reprojection
-from onboard.geometry.plane_fit import fit_plane, level, roll_from_plane
+from onboard.geometry.plane_fit import fit_plane
 from onboard.geometry.robust import robust_cost
+from simulation.study_seed import level, roll_from_plane
 from tests.onboard.scenes import Drawn, bundle_problem, error_of, first_guess
 
 Array = NDArray[np.float64]

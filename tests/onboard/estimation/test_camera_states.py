@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from contract.camera import UNKNOWN_SIGMA, Camera
-from onboard.estimation.boresight import STATES, Alignment
+from onboard.estimation.boresight import Alignment
 from onboard.estimation.bundle_adjustment import solve
 from onboard.estimation.camera_states import COUNT, as_numbers, by_states, corrected, from_numbers
+from onboard.estimation.platform_states import STATES
 from tests.onboard.scenes import bundle_problem, first_guess
 
 PLAIN = Camera.from_field_of_view(640, 480, 40.0)

@@ -24,6 +24,7 @@ from onboard.estimation.factors import (
     reprojection,
     reprojection_jacobians,
 )
+from onboard.estimation.platform_states import BORESIGHT, DELAY, HEADING, OFFSET, STATES, VELOCITY_DELAY
 from tests.onboard.scenes import bundle_problem
 
 Array = NDArray[np.float64]
@@ -65,7 +66,7 @@ def position_prior(rng: np.random.Generator) -> PositionPrior:
 def velocity_prior(rng: np.random.Generator) -> VelocityPrior:
     gained = 5.0 * rng.standard_normal((K - 1, 3))
     return VelocityPrior(
-        Layout(K), 20.0 * rng.standard_normal((K - 1, 3)), whitener(rng)[:, 1:, 1:], gained, rng.normal(0.0, 0.1, K - 1)
+        Layout(K), 20.0 * rng.standard_normal((K - 1, 3)), gained, whitener(rng)[:, 1:, 1:], rng.normal(0.0, 0.1, K - 1)
     )
 
 
@@ -143,12 +144,17 @@ COLUMNS = {
 def test_a_prior_has_columns_of_the_states_it_depends_on_and_of_no_other(kind: str) -> None:
     """Left out of a Jacobian and of the residual alike, a state would pass the differences above."""
     rng, layout = np.random.default_rng(7), Layout(K)
+    columns = np.arange(layout.size)
+    platform = {
+        "boresight": BORESIGHT, "offset": [OFFSET], "delay": [DELAY], "velocity_delay": [VELOCITY_DELAY],
+        "heading": HEADING,
+    }  # fmt: skip
     _, jacobian = PRIORS[kind](rng).evaluate(drawn_state(rng))
     whole = {
         "rotations": layout.rotations().ravel(),
         "centres": layout.centres().ravel(),
-        **{name: np.r_[getattr(layout, name)] for name in ("boresight", "offset", "delay", "velocity_delay")},
-        **{name: np.r_[getattr(layout, name)] for name in ("heading", "plane")},
+        **{name: columns[layout.platform][at] for name, at in platform.items()},
+        "plane": columns[layout.plane],
     }
     assert sorted(np.concatenate(list(whole.values()))) == list(range(layout.size))
     assert {name for name, columns in whole.items() if jacobian[:, columns].any()} == COLUMNS[kind]
@@ -159,11 +165,11 @@ def test_the_attitude_jacobian_is_tested_where_its_terms_differ() -> None:
     rng = np.random.default_rng(0)
     prior, state = attitude_prior(rng), drawn_state(rng)
     assert isinstance(prior, AttitudePrior)
-    turn = exp_so3(prior.body_rate_cam_rad_s * (state.offset_s - prior.offset_s)[:, None])
-    error = log_so3(state.R_cam_enu @ prior.R_enu_cam_measured @ turn @ exp_so3(state.boresight_rad))
+    turn = exp_so3(prior.body_rate_cam_rad_s * (state.platform[OFFSET] - prior.offset_s)[:, None])
+    error = log_so3(state.R_cam_enu @ prior.R_enu_cam_measured @ turn @ exp_so3(state.platform[BORESIGHT]))
     assert np.linalg.norm(error, axis=1).min() > 0.1
-    assert np.linalg.norm(state.boresight_rad) > 0.05
-    assert np.abs(state.offset_s - prior.offset_s).max() > 0.05
+    assert np.linalg.norm(state.platform[BORESIGHT]) > 0.05
+    assert np.abs(state.platform[OFFSET] - prior.offset_s).max() > 0.05
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -249,7 +255,8 @@ def test_the_time_offset_moves_positions_along_the_velocity() -> None:
     velocity = np.array([[20.0, 0.0, 0.0]])
     prior = PositionPrior(layout, np.zeros((1, 3)), velocity, np.ones((3, 1, 1)), np.zeros(1))
     R = np.eye(3)[None]
-    state = State(R, np.array([[2.0, 0.0, 0.0]]), np.zeros((0, 3)), np.zeros(3), 0.1, np.zeros(3))
+    early = 0.1 * (np.arange(STATES) == OFFSET)
+    state = State(R, np.array([[2.0, 0.0, 0.0]]), np.zeros((0, 3)), early, np.zeros(3))
     assert prior.evaluate(state)[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
     # A position that was asked for at the offset needs no move any more.
     asked = PositionPrior(layout, np.array([[2.0, 0.0, 0.0]]), velocity, np.ones((3, 1, 1)), np.array([0.1]))
@@ -260,11 +267,10 @@ def test_a_delay_of_the_position_moves_it_as_the_time_offset_does_and_that_of_th
     """A position 0.1 s older than its stamp at 20 m/s east lies 2 m west of the camera."""
     velocity = np.array([[20.0, 0.0, 0.0]])
     prior = PositionPrior(Layout(1), np.zeros((1, 3)), velocity, np.ones((3, 1, 1)), np.zeros(1))
-    base = State(
-        np.eye(3)[None], np.array([[2.0, 0.0, 0.0]]), np.zeros((0, 3)), np.zeros(3), 0.0, np.zeros(3), delay_s=0.1
-    )
+    late = 0.1 * (np.arange(STATES) == DELAY)
+    base = State(np.eye(3)[None], np.array([[2.0, 0.0, 0.0]]), np.zeros((0, 3)), late, np.zeros(3))
     assert prior.evaluate(base)[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
-    velocity_late = replace(base, delay_s=0.0, velocity_delay_s=0.1)
+    velocity_late = replace(base, platform=np.roll(late, VELOCITY_DELAY - DELAY))
     assert prior.evaluate(velocity_late)[0] == pytest.approx([2.0, 0.0, 0.0], abs=1e-12)
 
 
@@ -274,7 +280,7 @@ def test_the_lever_arm_turns_with_the_camera() -> None:
     prior = PositionPrior(
         Layout(1), np.array([[-0.5, 0.0, 0.0]]), np.zeros((1, 3)), np.ones((3, 1, 1)), np.zeros(1), lever_cam_m=ahead
     )
-    state = State(np.eye(3)[None], np.zeros((1, 3)), np.zeros((0, 3)), np.zeros(3), 0.0, np.zeros(3))
+    state = State(np.eye(3)[None], np.zeros((1, 3)), np.zeros((0, 3)), np.zeros(STATES), np.zeros(3))
     assert prior.evaluate(state)[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
     about = replace(state, R_cam_enu=exp_so3(np.array([[0.0, 0.0, np.pi]])))
     assert prior.evaluate(about)[0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-9)
@@ -289,11 +295,11 @@ def test_a_heading_error_by_heading_turns_each_picture_by_its_own_heading() -> N
         Layout(3), measured, np.zeros((3, 3)), np.stack([np.eye(3)] * 3), np.zeros(3), by_heading=by_heading
     )
     state = State(
-        R_enu_cam.transpose(0, 2, 1), np.zeros((3, 3)), np.zeros((0, 3)), np.zeros(3), 0.0, np.zeros(3),
-        heading_rad=np.array([0.02, 0.0]),
+        R_enu_cam.transpose(0, 2, 1), np.zeros((3, 3)), np.zeros((0, 3)),
+        0.02 * (np.arange(STATES) == HEADING.start), np.zeros(3),
     )  # fmt: skip
     assert prior.evaluate(state)[0] == pytest.approx(0.0, abs=1e-9)
-    believed = prior.evaluate(replace(state, heading_rad=np.zeros(2)))[0].reshape(3, 3)
+    believed = prior.evaluate(replace(state, platform=np.zeros(STATES)))[0].reshape(3, 3)
     assert believed[2] == pytest.approx([0.02, -0.02, 0.0], abs=1e-5)
 
 
@@ -303,7 +309,7 @@ def test_the_attitude_error_is_expressed_about_east_north_up() -> None:
     R_enu_cam = exp_so3(rng.standard_normal((2, 3)))
     prior = AttitudePrior(Layout(2), R_enu_cam, np.zeros((2, 3)), np.stack([np.eye(2)] * 3), np.zeros(2))
     turned = exp_so3(np.array([0.0, 0.0, 0.01])) @ R_enu_cam
-    state = State(turned.transpose(0, 2, 1), np.zeros((2, 3)), np.zeros((0, 3)), np.zeros(3), 0.0, np.zeros(3))
+    state = State(turned.transpose(0, 2, 1), np.zeros((2, 3)), np.zeros((0, 3)), np.zeros(STATES), np.zeros(3))
     residual = prior.evaluate(state)[0].reshape(3, 2)
     assert residual[2] == pytest.approx([-0.01, -0.01], abs=1e-6)
     assert residual[:2] == pytest.approx(0.0, abs=1e-6)
@@ -318,12 +324,8 @@ def test_retraction_composes_as_the_error_says() -> None:
     assert turn == pytest.approx(step[Layout(K).rotations()], abs=1e-12)
     assert moved.centres_enu_m - state.centres_enu_m == pytest.approx(step[Layout(K).centres()], abs=1e-12)
     assert moved.points_enu_m - state.points_enu_m == pytest.approx(1.0)
-    assert moved.boresight_rad - state.boresight_rad == pytest.approx(step[Layout(K).boresight])
-    assert moved.offset_s - state.offset_s == pytest.approx(step[Layout(K).offset])
+    assert moved.platform - state.platform == pytest.approx(step[Layout(K).platform])
     assert moved.plane - state.plane == pytest.approx(step[Layout(K).plane])
-    assert moved.delay_s - state.delay_s == pytest.approx(step[Layout(K).delay])
-    assert moved.velocity_delay_s - state.velocity_delay_s == pytest.approx(step[Layout(K).velocity_delay])
-    assert moved.heading_rad - state.heading_rad == pytest.approx(step[Layout(K).heading])
     together = np.concatenate([moved.platform - state.platform, moved.plane - state.plane])
     assert together == pytest.approx(step[Layout(K).shared])
 
@@ -332,7 +334,7 @@ def test_a_range_measures_the_height_over_the_plane_where_its_beam_ends() -> Non
     """A camera 100 m over a slope of 10 %, beam forward-down: the plane is 4 m higher where the beam ends."""
     prior = RangePrior(Layout(1), np.array([0]), np.array([[40.0, 0.0, -96.0]]), np.array([2.0]), np.zeros(3))
     centres = np.array([[0.0, 0.0, 100.0]])
-    state = State(np.eye(3)[None], centres, np.zeros((0, 3)), np.zeros(3), 0.0, np.array([0.0, 0.1, 0.0]))
+    state = State(np.eye(3)[None], centres, np.zeros((0, 3)), np.zeros(STATES), np.array([0.0, 0.1, 0.0]))
     assert prior.evaluate(state)[0] == pytest.approx([0.0], abs=1e-12)
     higher = replace(state, centres_enu_m=centres + [0.0, 0.0, 3.0])
     assert prior.evaluate(higher)[0] == pytest.approx([1.5], abs=1e-12)

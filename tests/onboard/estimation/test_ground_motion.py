@@ -11,7 +11,8 @@ import pytest
 from onboard.estimation.ground_motion import MOTION_PER_SLIP, ground_motion, ground_sigma_m_s
 from onboard.estimation.keyframe import Keyframe
 from onboard.estimation.sensor_factors import sensor_priors
-from onboard.estimation.window_solver import Request, adjust
+from onboard.estimation.window_request import Request
+from onboard.estimation.window_solver import adjust
 from onboard.vision.coarse_flow import flow_disagreement
 from onboard.vision.contrast_normalisation import Picture, prepare
 from onboard.vision.klt_tracker import Tracker

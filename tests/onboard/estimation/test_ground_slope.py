@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from onboard.config.schema import parse_config
-from onboard.estimation.boresight import BORESIGHT, STATES
 from onboard.estimation.factors import Layout, SharedPrior
 from onboard.estimation.ground_slope import GroundSlope, SlopeSeen, seen_alone
+from onboard.estimation.platform_states import BORESIGHT, STATES
 from onboard.estimation.sensor_factors import level_sigma
 
 Array = NDArray[np.float64]

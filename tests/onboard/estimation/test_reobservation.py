@@ -24,7 +24,7 @@ from onboard.estimation.sliding_window import Window
 from onboard.estimation.solved_window import Solved
 from onboard.estimation.variance_components import VarianceFactors
 from onboard.estimation.window_acceptance import Memory, by_memory
-from onboard.estimation.window_solver import Outcome
+from onboard.estimation.window_request import Outcome
 from onboard.geometry.plane_homography import Pose
 from onboard.georeferencing.feature_sets import Origin, Picture, Placed, place
 from simulation.paths import PathSpec
@@ -90,7 +90,12 @@ def boldly(config: Config, times: float) -> Config:
         heading_sigma_deg=solve.heading_sigma_deg / times,
         heading_white_sigma_deg=solve.heading_white_sigma_deg / times,
     )
-    return replace_section(config, "gps", sigma_velocity_m_s=gps.sigma_velocity_m_s / times)
+    return replace_section(
+        config,
+        "gps",
+        sigma_velocity_m_s=gps.sigma_velocity_m_s / times,
+        sigma_velocity_correlated_m_s=gps.sigma_velocity_correlated_m_s / times,
+    )
 
 
 def test_where_sensors_are_bolder_than_true_the_factor_rises_and_relative_errors_are_held(
@@ -174,7 +179,7 @@ def test_a_window_that_lies_elsewhere_turned_or_scaled_disagrees_and_is_refused(
     memory = Memory((earlier,))
     true = memory.compared(later)
     assert true is not None and true.chi2 < 20.0
-    assert by_memory(DECLARED, memory, later, true) is None
+    assert by_memory(memory, true) is None
     for wrong in (
         moved(later, (60.0, 0.0, 0.0)),
         moved(later, (0.0, 0.0, 60.0)),
@@ -183,7 +188,7 @@ def test_a_window_that_lies_elsewhere_turned_or_scaled_disagrees_and_is_refused(
     ):
         found = memory.compared(wrong)
         assert found is not None and found.chi2 > 35.0
-        refusal = by_memory(DECLARED, memory, wrong, found)
+        refusal = by_memory(memory, found)
         assert refusal is not None and refusal.status is Status.POOR_FIT
         assert "points seen again" in refusal.reason
 

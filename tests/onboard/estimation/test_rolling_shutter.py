@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from contract.camera import UNKNOWN_SIGMA, Camera
 from contract.rotations import exp_so3
-from onboard.estimation.boresight import STATES, Alignment, Belief
+from onboard.estimation.boresight import Alignment, Belief
 from onboard.estimation.bundle_adjustment import solve
 from onboard.estimation.camera_states import READOUT, as_numbers, from_numbers
+from onboard.estimation.factors import RATES
 from onboard.estimation.keyframe import observation, seen_with
+from onboard.estimation.platform_states import STATES
 from onboard.estimation.resection import resect
 from onboard.estimation.rolling_shutter import Moving, Sweep, rates_between
 from onboard.pipeline.estimates import as_rows, estimates_of, unconfirmed_of
@@ -82,19 +84,17 @@ def test_a_picture_between_keyframes_finds_its_pose_through_its_rows() -> None:
 def test_rates_that_nothing_measures_are_found_with_the_poses() -> None:
     """Told that no picture turned; each turned by its own rate, which only its rows show."""
     drawn, sweep, xy = scene(5)
-    layout = replace(drawn.problem.layout, has_rates=True)
+    layout = drawn.problem.layout.with_block(RATES)
     unknown = replace(sweep, rate_cam_rad_s=np.zeros((8, 3)), sigma_rate_rad_s=0.3, scale_s=READOUT_S)
     priors = [replace(prior, layout=layout) for prior in drawn.problem.priors]
     problem = replace(drawn.problem, layout=layout, priors=priors, xy=xy, sweep=unknown)
     start = first_guess(drawn, drawn.truth.R_cam_enu, drawn.truth.centres_enu_m)
-    solution = solve(
-        problem, replace(start, rates_rad_s=np.zeros((8, 3))), scale=None, max_iterations=60, tolerance=1e-12
-    )
+    solution = solve(problem, replace(start, own=np.zeros((8, 3))), scale=None, max_iterations=60, tolerance=1e-12)
     known = solve(
         replace(drawn.problem, xy=xy, sweep=sweep), start, scale=None, max_iterations=60, tolerance=1e-12
     ).state
-    off = solution.state.rates_rad_s - sweep.rate_cam_rad_s
-    sigma = np.sqrt(np.diag(solution.covariance)[layout.rates])
+    off = solution.state.own - sweep.rate_cam_rad_s
+    sigma = np.sqrt(np.diag(solution.covariance)[layout.by_picture])
     assert np.all(np.abs(off) < 3.0 * sigma)
     assert np.abs(off).max() < 0.15 * np.abs(sweep.rate_cam_rad_s).max()
     assert 0.001 < sigma.max() < 0.2
@@ -197,7 +197,7 @@ def test_the_readout_is_reported_beside_the_camera_where_it_is_estimated() -> No
     mean[-1] = -0.0042
     found = estimates_of(Belief(1, mean, unsure.covariance))
     assert [(e.name, e.unit) for e in found][-1] == ("readout_error", "seconds")
-    assert ("readout", "-4.2 +-20.0 ms beside camera.readout_s") in as_rows(found, ())
+    assert ("readout", "-4.2 +-20.0 ms off camera.readout_s") in as_rows(found, ())
 
 
 def test_what_is_not_confirmed_of_an_unsure_camera_is_said_too() -> None:

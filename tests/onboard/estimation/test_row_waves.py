@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from onboard.estimation import row_waves
 from onboard.estimation.bundle_adjustment import Problem, Solution, image_residuals, solve
+from onboard.estimation.factors import WAVES
 from onboard.estimation.rolling_shutter import Sweep
 from tests.onboard.estimation.test_rolling_shutter import CAMERA, scene
 from tests.onboard.scenes import first_guess
@@ -35,7 +36,7 @@ def vibrating(seed: int, swing_px: float) -> tuple[Problem, Sweep, Array]:
 
 def with_waves(problem: Problem) -> Problem:
     """The same with their states."""
-    layout = replace(problem.layout, has_waves=True)
+    layout = problem.layout.with_block(WAVES)
     return replace(problem, layout=layout, priors=[replace(p, layout=layout) for p in problem.priors])
 
 
@@ -43,7 +44,7 @@ def solved(seed: int, problem: Problem) -> Solution:
     """From a rough start."""
     drawn, _, _ = scene(seed)
     start = first_guess(drawn, drawn.truth.R_cam_enu, drawn.truth.centres_enu_m)
-    start = replace(start, waves_rad=np.zeros(problem.layout.waves.shape))
+    start = replace(start, own=np.zeros(problem.layout.by_picture.shape))
     return solve(problem, start, scale=None, max_iterations=60, tolerance=1e-9)
 
 
@@ -86,10 +87,10 @@ def test_waves_of_the_row_are_found_with_the_poses_and_what_is_left_is_the_noise
             seen = np.broadcast_to((problem.weight > 0)[:, None], residual.shape)
             left_px.append(float(np.sqrt(np.mean(residual[seen] ** 2))) * CAMERA.focal_px)
             missed_m.append(float(np.abs(solution.state.points_enu_m - drawn.truth.points_enu_m).mean()))
-            if layout.has_waves:
-                sigma = np.sqrt(np.diag(solution.covariance)[layout.waves])
+            if WAVES in layout.blocks:
+                sigma = np.sqrt(np.diag(solution.covariance)[layout.by_picture])
                 across = [0, 1, 3, 4]
-                off.append(((solution.state.waves_rad - waves) / sigma)[:, across])
+                off.append(((solution.state.own - waves) / sigma)[:, across])
                 assert sigma[:, across].max() < 0.7 * 1.5 / CAMERA.focal_px, "the pictures tell them"
     without, found = left_px[::2], left_px[1::2]
     assert max(found) < 0.31
@@ -102,7 +103,7 @@ def test_the_residual_changes_with_the_waves_as_its_derivative_says() -> None:
     problem, sweep, _ = vibrating(4, 1.5)
     drawn, _, _ = scene(4)
     problem = with_waves(problem)
-    start = replace(drawn.truth, waves_rad=np.zeros((8, 6)))
+    start = replace(drawn.truth, own=np.zeros((8, 6)))
     R, C, X = start.R_cam_enu, start.centres_enu_m, start.points_enu_m
     p = np.einsum("kij,kpj->kpi", R, X[None] - C[:, None])
     by_wave = sweep.by_wave((p[..., :2] / p[..., 2:]).transpose(0, 2, 1))
@@ -110,7 +111,7 @@ def test_the_residual_changes_with_the_waves_as_its_derivative_says() -> None:
     for i in range(6):
         waves = np.zeros((8, 6))
         waves[:, i] = step
-        change = image_residuals(problem, replace(start, waves_rad=waves)) - image_residuals(problem, start)
+        change = image_residuals(problem, replace(start, own=waves)) - image_residuals(problem, start)
         np.testing.assert_allclose(change / step, by_wave[:, i], atol=1e-6)
 
 

@@ -9,9 +9,10 @@ import pytest
 
 from contract.rotations import exp_so3, log_so3, mount_rotation
 from onboard.config.schema import Config, parse_config
-from onboard.estimation.boresight import DELAY, STATES, VELOCITY_DELAY, Belief
+from onboard.estimation.boresight import Belief
 from onboard.estimation.factors import AttitudePrior, Layout, PositionPrior, Prior, SharedPrior, State, VelocityPrior
 from onboard.estimation.keyframe import Keyframe
+from onboard.estimation.platform_states import DELAY, STATES, VELOCITY_DELAY
 from onboard.estimation.sensor_factors import sensor_priors
 from onboard.estimation.variance_components import VarianceFactors
 from tests.onboard.scenes import FULL, Scene, SceneSpec, draw
@@ -48,8 +49,8 @@ def priors_of(
 def truth_of(scene: Scene) -> State:
     keys = scene.keys
     return State(
-        scene.R_cam_enu[keys], scene.centres_enu_m[keys], scene.points_enu_m, scene.boresight_rad, scene.offset_s,
-        np.zeros(3),
+        scene.R_cam_enu[keys], scene.centres_enu_m[keys], scene.points_enu_m,
+        np.array([*scene.boresight_rad, scene.offset_s, 0.0, 0.0, 0.0, 0.0]), np.zeros(3),
     )  # fmt: skip
 
 
@@ -83,6 +84,18 @@ def test_velocity_takes_part_only_where_asked_for_and_known(scene: Scene) -> Non
     assert np.linalg.norm(said[1] @ elsewhere) > 0.8 * np.linalg.norm(said[0] @ elsewhere)
     first = [replace(keyframes[0], flown_enu_m=None), *keyframes[1:]]
     assert VelocityPrior in priors_of(FULL, first)
+
+
+@pytest.mark.parametrize("claim_m_s", [0.0, 0.4])
+def test_a_constant_error_of_velocity_weighs_as_much_as_the_receiver_claims(scene: Scene, claim_m_s: float) -> None:
+    """Chi-square of a velocity that is off by 0.4 m/s all along: a few where so much is claimed, hundreds where not."""
+    keyframes = [replace(k, nav=replace(k.nav, sigma_velocity_m_s=claim_m_s)) for k in keyframes_of(scene)]
+    prior = priors_of(FULL, keyframes)[VelocityPrior]
+    assert isinstance(prior, VelocityPrior)
+    stamps_s = np.array([k.nav.stamp_ns for k in keyframes]) / 1e9
+    whitened = prior.whitener[0] @ (0.4 * np.diff(stamps_s))
+    chi2 = float(whitened @ whitened)
+    assert (0.5 < chi2 < 3.0) if claim_m_s else chi2 > 30.0
 
 
 def test_without_attitude_a_weak_belief_in_level_flight_along_the_path_stands_in(scene: Scene) -> None:

@@ -19,24 +19,25 @@ from onboard.estimation.factors import (
     gauss_markov_covariance,
     whitener_of,
 )
+from onboard.estimation.platform_states import STATES
 from onboard.estimation.sensor_groups import (
     FADING_S,
     FALSE_ALARM,
-    GROUPS,
-    MAY_FAIL,
     Failing,
     Innovation,
     contradictions,
     failing_groups,
     innovations,
 )
-from onboard.estimation.variance_components import HEADING, POSITION, TILT, VELOCITY
+from onboard.estimation.sensor_table import HEADING, POSITION, SENSORS, TILT, VELOCITY
 
 Array = NDArray[np.float64]
+GROUPS = tuple(s.name for s in SENSORS)
+MAY_FAIL = tuple(s.name for s in SENSORS if s.may_fail)
 K = 10
 LAYOUT = Layout(K)
 STAMPS_S = np.arange(K) * 1.0
-STATE = State(np.stack([np.eye(3)] * K), np.zeros((K, 3)), np.zeros((0, 3)), np.zeros(3), 0.0, np.zeros(3))
+STATE = State(np.stack([np.eye(3)] * K), np.zeros((K, 3)), np.zeros((0, 3)), np.zeros(STATES), np.zeros(3))
 SIGMA = {POSITION: 1.5, VELOCITY: 0.1, TILT: 0.01, HEADING: 0.035}
 SECOND_NS = 1_000_000_000
 HALF = np.repeat([0.0, 1.0], K // 2)
@@ -90,7 +91,7 @@ class Window:
         return [
             PositionPrior(LAYOUT, self._errors[POSITION], still, np.stack([whitener(POSITION, K)] * 3), np.zeros(K)),
             VelocityPrior(
-                LAYOUT, self._errors[VELOCITY], np.stack([whitener(VELOCITY, K - 1)] * 3), still[1:], np.zeros(K - 1)
+                LAYOUT, self._errors[VELOCITY], still[1:], np.stack([whitener(VELOCITY, K - 1)] * 3), np.zeros(K - 1)
             ),
             AttitudePrior(LAYOUT, exp_so3(self._turned), still, attitude, np.zeros(K)),
         ]
@@ -186,3 +187,19 @@ def test_the_quantile_is_that_of_one_false_alarm_in_a_million() -> None:
     one = Innovation(TILT, np.array([4.8, 0.0]), np.zeros((2, 2)), np.ones((2, 1)))
     assert one.excess() < 1.0 < Innovation(TILT, np.array([5.3, 0.0]), np.zeros((2, 2)), np.ones((2, 1))).excess()
     assert one.consistent_variance() >= 1.0
+
+
+def test_a_variance_known_by_few_measurements_is_contradicted_by_larger_errors_only() -> None:
+    """Errors of a variance known by so few measurements raise no more alarms than those of a known one."""
+    rng, count, n = np.random.default_rng(5), 10.0, 8
+    constant: Array = np.kron(np.eye(2), np.ones((n // 2, 1))).astype(np.float64)
+    alarms = {count: 0, np.inf: 0}
+    for _ in range(2000):
+        residual: Array = rng.standard_normal(n) * float(np.sqrt(count / rng.chisquare(count)))
+        for known_by in alarms:
+            found = Innovation(TILT, residual, np.zeros((n, n)), constant, known_by)
+            alarms[known_by] += found.excess() > 1.0
+    assert alarms[count] <= 1
+    assert alarms[np.inf] >= 2
+    gross = Innovation(TILT, np.full(n, 12.0), np.zeros((n, n)), constant, count)
+    assert gross.excess() > 1.0

@@ -133,6 +133,7 @@ def test_nine_of_ten_clicks_lie_inside_the_ellipse_with_the_full_sensor_set() ->
         assert 4.0 < np.median(s.major_m) < 14.0
 
 
+@pytest.mark.long
 def test_nine_of_ten_clicks_lie_inside_the_ellipse_over_hills() -> None:
     for s in study(FULL, SceneSpec(relief_sigma_m=3.0), WORLDS, first_seed=1000):
         assert s.refused == 0
@@ -152,6 +153,7 @@ def test_with_the_seeds_sensors_the_ellipse_is_wide_and_holds_what_it_says() -> 
     assert 3.0 < np.median(s.error_m) < 12.0
 
 
+@pytest.mark.long
 def test_an_ellipse_that_is_believed_too_small_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sensors with errors twice as large as configured: clicks leave their ellipses, or the window is refused.
 
@@ -198,8 +200,8 @@ def test_a_set_says_what_picture_it_is() -> None:
     assert s.is_keyframe
     assert s.undulation_m == UNDULATION_M
     assert (s.shared.position_time_s, s.shared.attitude_time_s) == (
-        FULL.gps.wander_time_s,
-        FULL.solve.attitude_wander_time_s,
+        FULL.gps.correlation_time_s,
+        FULL.solve.attitude_correlation_time_s,
     )
     fresh = s.common_cov - s.shared.by_nuisance @ s.shared.by_nuisance.T
     sigma = np.sqrt(np.diag(s.common_cov))

@@ -33,7 +33,9 @@ def R_ned_cam(t: float) -> Array:
     return matrix_from_euler(0.0, 0.0, heading(t)) @ gimbal_from_nose(t) @ mount_rotation(0.0, 0.0, 0.0)
 
 
-def flown(reference: str, until_s: float = 3.0, config: Config = CONFIG, vehicle: bool = True) -> Navigation:
+def flown(
+    reference: str, until_s: float = 3.0, config: Config = CONFIG, vehicle: bool = True, own: bool = False
+) -> Navigation:
     navigation = Navigation(config)
     for t in np.arange(0.0, 3.0, 0.1):
         stamp_ns = T0 + round(t * 1e9)
@@ -46,7 +48,7 @@ def flown(reference: str, until_s: float = 3.0, config: Config = CONFIG, vehicle
             R = matrix_from_euler(0.0, 0.0, heading(t)) @ R
         if t < until_s:
             q = tuple(quaternion_from_matrix(R).tolist())
-            navigation.add(GimbalAttitude(stamp_ns, q, "earth" if reference == "earth" else "vehicle"))
+            navigation.add(GimbalAttitude(stamp_ns, q, "earth" if reference == "earth" else "vehicle", own))
     return navigation
 
 
@@ -61,6 +63,23 @@ def camera_miss_deg(state: NavState | Status, t: float) -> float:
 @pytest.mark.parametrize("t", [0.5, 1.23, 2.75])
 def test_the_camera_looks_where_the_gimbal_points_whatever_the_mount_says(reference: str, t: float) -> None:
     assert camera_miss_deg(flown(reference).state_at(T0 + round(t * 1e9)), t) < 0.05
+
+
+def test_angles_that_the_camera_itself_wrote_leave_nothing_open() -> None:
+    """Of subtitles and photographs: with 'auto' the same as with 'always', from the first picture on."""
+    auto, never = (
+        parse_config(
+            f"[mount]\ngimbal = '{setting}'\nroll_deg = 2.0\npitch_deg = -60.0\nyaw_deg = 15.0\n[gps]\nlatency_s = 0.0"
+        )
+        for setting in ("auto", "never")
+    )
+    state = flown("earth", config=auto, own=True).state_at(T0 + 500_000_000)
+    assert camera_miss_deg(state, 0.5) < 0.05
+    assert isinstance(state, NavState) and not state.mount_hypotheses
+    # What an autopilot passes on may be of another camera, or of none: the pictures decide.
+    other = flown("earth", config=auto).state_at(T0 + 500_000_000)
+    assert isinstance(other, NavState) and len(other.mount_hypotheses) == 2 and camera_miss_deg(other, 0.5) > 5.0
+    assert camera_miss_deg(flown("earth", config=never, own=True).state_at(T0 + 500_000_000), 0.5) > 5.0
 
 
 def test_a_gimbal_against_the_earth_needs_no_attitude_of_the_vehicle() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from contract.feature_set import Status
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, log_so3, matrix_from_euler, quaternion_from_matrix
 from onboard.config.schema import Config, parse_config
-from onboard.events.types import Attitude, GpsQuality, PositionFix, RangeFinder
+from onboard.events.types import Attitude, FilterStatus, GpsQuality, PositionFix, RangeFinder
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.navigation.time_series import MEMORY_NS
 from onboard.telemetry.telemetry_log import TelemetryLog
@@ -163,11 +164,21 @@ def test_attitude_is_withheld_when_the_sensor_set_has_none() -> None:
 
 def test_the_receiver_may_claim_more_than_the_configuration_but_not_less() -> None:
     navigation = flown(seconds=13.0)
-    assert state(navigation, 10.0).sigma_horizontal_m == PLAIN.gps.sigma_wander_horizontal_m
+    assert state(navigation, 10.0).sigma_horizontal_m == PLAIN.gps.sigma_correlated_horizontal_m
     navigation.add(quality(10.05, sigma_m=40.0))
     assert state(navigation, 10.1).sigma_horizontal_m == 40.0
     assert state(navigation, 11.9).sigma_vertical_m == 40.0  # a jammed receiver alternates
-    assert state(navigation, 12.5).sigma_horizontal_m == PLAIN.gps.sigma_wander_horizontal_m
+    assert state(navigation, 12.5).sigma_horizontal_m == PLAIN.gps.sigma_correlated_horizontal_m
+
+
+def test_a_velocity_is_known_no_better_than_receiver_or_filter_claims() -> None:
+    navigation = flown(seconds=13.0)
+    assert state(navigation, 9.0).sigma_velocity_m_s == 0.2
+    navigation.add(replace(quality(10.05), sigma_velocity_m_s=0.6))
+    assert state(navigation, 11.9).sigma_velocity_m_s == 0.6  # the worst of two seconds, as of positions
+    assert state(navigation, 12.5).sigma_velocity_m_s == 0.2
+    navigation.add(FilterStatus(ns(12.6), has_position=True, is_glitching=False, sigma_velocity_m_s=0.9))
+    assert state(navigation, 12.8).sigma_velocity_m_s == 0.9
 
 
 def test_the_undulation_is_the_receiver_s_or_the_configuration_s() -> None:

@@ -1,0 +1,54 @@
+"""What a window itself adds to what was known of some states: subtracted from a posterior, weakened, added to a prior.
+
+By independent directions in units of what was known: states' units differ by orders of magnitude, and what is rounding
+in one must not look like data in another. A direction of which the window says nothing is none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LEAST = 1e-6  # of the given precision: less is rounding
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """Of B states in D directions: the precision is `directions @ diag(precisions) @ directions.T`."""
+
+    mean: Array  # (B,) that was known before
+    precisions: Array  # (D,)
+    directions: Array  # (B, D)
+    pull: Array  # (D,) on that mean, along the directions
+
+    @classmethod
+    def gained(cls, mean: Array, covariance: Array, known: Array, known_covariance: Array) -> Information:
+        """A posterior's, mean (B,) and covariance (B, B), less the prior that it was found under."""
+        scale, precision = np.sqrt(np.diag(known_covariance)), np.linalg.inv(covariance)
+        beyond = (precision - np.linalg.inv(known_covariance)) * np.outer(scale, scale)
+        values, basis = np.linalg.eigh(beyond)
+        tells = values > LEAST  # a posterior may have been widened after the solve: there it says nothing
+        basis = (basis / scale[:, None])[:, tells]
+        return cls(known, values[tells], basis, (basis * np.square(scale)[:, None]).T @ (precision @ (mean - known)))
+
+    def weakened(self, variance: Array) -> Information:
+        """The same with the variance of each direction times so much (D,)."""
+        return replace(self, precisions=self.precisions / variance, pull=self.pull / variance)
+
+    def upon(self, mean: Array, covariance: Array) -> tuple[Array, Array]:
+        """The posterior, mean (B,) and covariance (B, B), that follows from another prior."""
+        alone = (self.directions * self.precisions) @ self.directions.T
+        out = np.linalg.inv(np.linalg.inv(covariance) + alone)
+        return mean + out @ (self.directions @ self.pull + alone @ (self.mean - mean)), 0.5 * (out + out.T)
+
+
+def with_own_variance(covariance: Array, states: slice | int, variance: float) -> Array:
+    """A covariance (B, B) with some states independent of all others, each of this variance."""
+    out, at = covariance.copy(), np.arange(len(covariance))[states]
+    out[at], out[:, at] = 0.0, 0.0
+    out[at, at] = variance
+    return out

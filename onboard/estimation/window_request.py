@@ -1,0 +1,85 @@
+"""What a window's adjustment is asked and what it answers: the flight's noise, the request, the outcome."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from contract.feature_set import Status
+from onboard.config.schema import Config
+from onboard.estimation.boresight import Belief
+from onboard.estimation.bundle_adjustment import Problem, Solution
+from onboard.estimation.factors import Prior
+from onboard.estimation.ground_slope import SlopePrior
+from onboard.estimation.keyframe import Keyframe
+from onboard.estimation.reobservation import Agreement
+from onboard.estimation.sensor_groups import Failing
+from onboard.estimation.solved_window import Solved
+from onboard.estimation.variance_components import VarianceFactors
+from onboard.estimation.window_acceptance import Memory
+from onboard.geometry.terrain_grid import Terrain
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The flight's own noise as estimated so far; every window is weighted by it and updates it a little."""
+
+    pixel_sigma_px: float
+    jitter_s: float
+    noise_inflation: float = 1.0  # times the sigma that the tracks' own residuals show
+    factors: VarianceFactors = field(default_factory=VarianceFactors)
+    failing: Failing = field(default_factory=Failing)  # sensors that contradict the others
+
+    def factors_at(self, start_ns: int) -> VarianceFactors:
+        """The sensors' variances for a window that begins then, those of failing sensors as they fade."""
+        return replace(self.factors, groups=self.failing.factors(start_ns))
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """A window as it stands, with the priors of the sensors and of the tracking noise so far."""
+
+    config: Config
+    camera: Camera  # that the keyframes' observations were made with
+    camera_file: Camera
+    camera_taken: Array  # the states that part the two, (C,)
+    R_body_cam: Array
+    keyframes: tuple[Keyframe, ...]
+    previous: Solved | None
+    terrain: Terrain | None
+    belief: Belief  # of boresight and time offset, for a window that begins where this one does
+    noise: Noise
+    slope: SlopePrior | None = None  # of the ground where the window is; None: as configured
+    memory: Memory = field(default_factory=Memory)
+    is_carrier_open: bool = False  # it is not known yet whether mount or gimbal carries the camera
+    is_oriented: bool = False  # the keyframes' orientations are a start, whatever they came from
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """The first solve of a window, its problem, and the noise that it was weighted by."""
+
+    noise: Noise
+    problem: Problem
+    priors: list[Prior]
+    solution: Solution
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """The result of a request: OK and `solved`, or the reason why there is none; and the noise as estimated anew."""
+
+    status: Status
+    keyframes: tuple[Keyframe, ...]
+    noise: Noise
+    solved: Solved | None = None
+    reason: str = ""  # why not, in words
+    weighed: Weighed | None = None  # its first solve, which others are compared with
+    rejected: Solved | None = None  # a solution that only earlier windows speak against
+    agreed: Agreement | None = None  # with an earlier window that shares points and no picture
+    lens_moved: float = 0.0  # by about so much of the focal length's logarithm within the window
