@@ -12,16 +12,29 @@ import argparse
 import contextlib
 import math
 import os
-import re
-import select
 import signal
 import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NoReturn
+from typing import TypeAlias
 
 from contract.errors import InputError, PointclickError
+from onboard.argument_parser import (
+    Parser,
+    Version,
+    days,
+    drop_output,
+    finite,
+    hours,
+    is_output_lost,
+    is_reader_gone,
+    moment,
+    pair,
+    rate,
+    seconds,
+    speed,
+)
 
 PROGRAM = "pc-onboard"
 CONFIG = Path("/etc/pointclick/config.toml")
@@ -37,61 +50,41 @@ REPLAY_EXAMPLES = """examples:
 IMPORT_EXAMPLE = """example:
   pc-onboard import-photos /media/card/DCIM/100MEDIA --out survey-0612
 """
+VIDEO_EXAMPLE = """example:
+  pc-onboard import-video DJI_0042.MP4 --out flight-42 --set camera.fov_deg=72
+"""
 AsWritten = argparse.RawDescriptionHelpFormatter
-
-
-class Parser(argparse.ArgumentParser):
-    """Wrong usage is one line, as every other error."""
-
-    def error(self, message: str) -> NoReturn:
-        """Print the line and exit with 2."""
-        self.exit(2, f"{PROGRAM}: error: {message} (see {self.prog} --help)\n")
-
-
-def _number(text: str) -> float:
-    """A number; NaN, which is in no range, where it is none."""
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
-
-
-def _speed(text: str) -> float | None:
-    """'max' -> None; a positive number, how many times as fast as it was flown."""
-    if text == "max":
-        return None
-    speed = _number(text)
-    if not 0.0 < speed <= 1000.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is neither 'max' nor a number above 0, at most 1000")
-    return speed
-
-
-def _finite(text: str) -> float:
-    number = _number(text)
-    if not math.isfinite(number):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
-    return number
-
-
-def _seconds(text: str) -> float:
-    seconds = _number(text)
-    if not 0.0 <= seconds <= 86400.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds from 0 to 86400")
-    return seconds
-
-
-def _days(text: str) -> float:
-    days = _number(text)
-    if not 0.0 < days <= 36500.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of days above 0, at most 36500")
-    return days
+Commands: TypeAlias = "argparse._SubParsersAction[Parser]"
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     top = Parser(prog=PROGRAM, description="Pictures and position in, georeferenced feature sets out.")
+    top.add_argument("--version", action=Version, nargs=0, help="print the version and exit")
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
+    _add_replay(commands)
+    _add_imports(commands)
+    cameras = commands.add_parser("cameras", help="list cameras, their formats and controls")
+    cameras.add_argument("--json", action="store_true", help="for programs")
+    cameras.set_defaults(run=run_cameras)
+
+    _add_calibrate(commands.add_parser("calibrate", help="make a camera file from pictures of a board"))
+
+    _add_checks(commands)
+    _add_make_credentials(
+        commands.add_parser("make-credentials", help="certificates for an encrypted link (docs/link.md)")
+    )
+
+    _add_bench(commands.add_parser("bench", help="what this computer can do: pictures a second, stages, temperature"))
+
+    run = commands.add_parser("run", help="fly: the daemon, as the service starts it")
+    run.add_argument("--config", type=Path, default=CONFIG, metavar="FILE", help=f"configuration ({CONFIG})")
+    run.set_defaults(run=run_daemon)
+    return top
+
+
+def _add_replay(commands: Commands) -> None:
     replay = commands.add_parser(
         "replay", help="run a recorded flight through the pipeline", epilog=REPLAY_EXAMPLES, formatter_class=AsWritten
     )
@@ -117,9 +110,20 @@ def parser() -> argparse.ArgumentParser:
     )
     replay.add_argument(
         "--home-amsl-m",
-        type=_finite,
+        type=finite,
         metavar="M",
         help="how high above sea level the take-off was, for a .srt that counts heights from there",
+    )
+    replay.add_argument(
+        "--gps-order",
+        choices=("lat-lon", "lon-lat"),
+        help="which number of GPS(a, b) in a .srt is the latitude, where nothing in it tells",
+    )
+    replay.add_argument(
+        "--time-offset",
+        type=finite,
+        metavar="S",
+        help="Unix time at the autopilot's boot, for a .ulg without UTC; 0: the pictures' stamps count from it too",
     )
     replay.add_argument("--camera", type=Path, metavar="CAMERA.json", help="intrinsics and distortion")
     replay.add_argument(
@@ -127,6 +131,9 @@ def parser() -> argparse.ArgumentParser:
         type=Path,
         metavar="STAMPS.csv",
         help="capture times: file,unix_time_s (a video: index,unix_time_s); else EXIF, else the file names",
+    )
+    replay.add_argument(
+        "--rate", type=rate, default=math.inf, metavar="HZ", help="pictures a second at most; the others are left out"
     )
     replay.add_argument("--record", type=Path, metavar="SESSION.mcap", help="write events and feature sets")
     replay.add_argument(
@@ -137,13 +144,16 @@ def parser() -> argparse.ArgumentParser:
     )
     replay.add_argument("--publish", action="store_true", help="put feature sets on the link")
     replay.add_argument(
-        "--speed", type=_speed, default=None, metavar="1|max", help="real time, or as fast as it goes (max)"
+        "--speed", type=speed, default=None, metavar="1|max", help="real time, or as fast as it goes (max)"
     )
     replay.add_argument(
-        "--linger", type=_seconds, default=0.0, metavar="S", help="seconds to go on answering on the link afterwards"
+        "--linger", type=seconds, default=0.0, metavar="S", help="seconds to go on answering on the link afterwards"
     )
+    replay.add_argument("--budget", action="store_true", help="where a click's error comes from; what makes it smaller")
     replay.set_defaults(run=run_replay)
 
+
+def _add_imports(commands: Commands) -> None:
     photos = commands.add_parser(
         "import-photos",
         help="make a flight for replay of a folder of survey photographs",
@@ -153,28 +163,30 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=AsWritten,
     )
     photos.add_argument("folder", type=Path, metavar="DIR", help="the photographs, of one camera and one flight")
-    photos.add_argument("--out", type=Path, required=True, metavar="FLIGHT", help="folder to write; new or empty")
-    photos.add_argument(
-        "--telemetry", type=Path, metavar="LOG", help="a log of the flight, in place of what the pictures say"
-    )
     photos.add_argument("--copy", action="store_true", help="copy the pictures; else they are linked to")
+    _add_importing(photos)
     photos.set_defaults(run=run_import_photos)
 
-    cameras = commands.add_parser("cameras", help="list cameras, their formats and controls")
-    cameras.add_argument("--json", action="store_true", help="for programs")
-    cameras.set_defaults(run=run_cameras)
+    video = commands.add_parser(
+        "import-video",
+        help="make a flight for replay of a video and the log of its flight",
+        description="Frame times, camera file and mount of a video, by what it and the log beside it say; prints what "
+        "it assumed, and how to replay it.",
+        epilog=VIDEO_EXAMPLE,
+        formatter_class=AsWritten,
+    )
+    video.add_argument("video", type=Path, metavar="VIDEO", help="a video file, as the camera wrote it")
+    video.add_argument("--start", type=moment, metavar="TIME", help="when it began, in UTC, as 2026-06-12T10:15:23.4Z")
+    _add_importing(video)
+    video.set_defaults(run=run_import_video)
 
-    _add_calibrate(commands.add_parser("calibrate", help="make a camera file from pictures of a board"))
 
+def _add_checks(commands: Commands) -> None:
     status = commands.add_parser("status", help="how the running daemon is")
     status.add_argument("--config", type=Path, default=CONFIG, metavar="FILE", help=f"its configuration ({CONFIG})")
     status.add_argument("--vehicle", metavar="NAME", help="another vehicle than the configured one")
     status.add_argument("--json", action="store_true", help="everything it knows of itself")
     status.set_defaults(run=run_status)
-
-    _add_make_credentials(
-        commands.add_parser("make-credentials", help="certificates for an encrypted link (docs/link.md)")
-    )
 
     check = commands.add_parser("check-config", help="check a configuration file and the config.d beside it")
     check.add_argument("file", type=Path, metavar="FILE", nargs="?", default=CONFIG)
@@ -186,21 +198,15 @@ def parser() -> argparse.ArgumentParser:
     doctor = commands.add_parser("doctor", help="before take-off: is everything well?")
     doctor.add_argument("--config", type=Path, default=CONFIG, metavar="FILE", help=f"configuration ({CONFIG})")
     doctor.add_argument("--json", action="store_true", help="for programs")
+    doctor.add_argument("--explain", action="store_true", help="below each line what it means, and what to do")
     doctor.add_argument(
         "--seconds",
-        type=_seconds,
+        type=seconds,
         default=8.0,
         metavar="S",
         help="without a daemon: longest look at camera and telemetry",
     )
     doctor.set_defaults(run=run_doctor)
-
-    _add_bench(commands.add_parser("bench", help="what this computer can do: pictures a second, stages, temperature"))
-
-    run = commands.add_parser("run", help="fly: the daemon, as the service starts it")
-    run.add_argument("--config", type=Path, default=CONFIG, metavar="FILE", help=f"configuration ({CONFIG})")
-    run.set_defaults(run=run_daemon)
-    return top
 
 
 def _add_bench(bench: argparse.ArgumentParser) -> None:
@@ -209,9 +215,9 @@ def _add_bench(bench: argparse.ArgumentParser) -> None:
     )
     bench.add_argument("--config", type=Path, default=CONFIG, metavar="FILE", help=f"configuration ({CONFIG})")
     bench.add_argument("--camera", type=Path, metavar="CAMERA.json", help="another camera file than the configured one")
-    bench.add_argument("--size", type=_pair, metavar="WxH", help="without a camera file: picture size (640x480)")
-    bench.add_argument("--rate", type=_rate, metavar="HZ", help="pictures a second wanted (camera.rate_hz)")
-    bench.add_argument("--seconds", type=_seconds, default=30.0, metavar="S", help="how long (30)")
+    bench.add_argument("--size", type=pair, metavar="WxH", help="without a camera file: picture size (640x480)")
+    bench.add_argument("--rate", type=rate, metavar="HZ", help="pictures a second wanted (camera.rate_hz)")
+    bench.add_argument("--seconds", type=seconds, default=30.0, metavar="S", help="how long (30)")
     bench.add_argument("--frames", type=Path, metavar="DIR", help="given pictures, with the next two as for replay")
     bench.add_argument("--telemetry", type=Path, metavar="LOG")
     bench.add_argument("--stamps", type=Path, metavar="STAMPS.csv")
@@ -226,21 +232,6 @@ def run_bench(arguments: argparse.Namespace) -> int:
     return run(arguments)
 
 
-def _rate(text: str) -> float:
-    rate_hz = _number(text)
-    if not 0.1 <= rate_hz <= 240.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of pictures a second from 0.1 to 240")
-    return rate_hz
-
-
-def _pair(text: str) -> tuple[int, int]:
-    """'640x480' -> (640, 480)."""
-    found = re.fullmatch(r"([1-9]\d{0,5})[xX]([1-9]\d{0,5})", text)
-    if found is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is not two whole numbers as in 640x480")
-    return int(found[1]), int(found[2])
-
-
 def _add_calibrate(calibrate: argparse.ArgumentParser) -> None:
     calibrate.add_argument("--out", type=Path, metavar="CAMERA.json", help="the camera file to write")
     calibrate.add_argument("--pictures", type=Path, metavar="DIR", help="pictures of the board")
@@ -248,15 +239,15 @@ def _add_calibrate(calibrate: argparse.ArgumentParser) -> None:
         "--from", dest="from_session", type=Path, metavar="SESSION.mcap", help="no board: what a recorded flight found"
     )
     calibrate.add_argument("--device", metavar="/dev/videoN", help="or: watch this camera")
-    calibrate.add_argument("--size", type=_pair, metavar="WxH", help="with --device: picture size, as it will be flown")
+    calibrate.add_argument("--size", type=pair, metavar="WxH", help="with --device: picture size, as it will be flown")
     calibrate.add_argument(
         "--format", default="auto", choices=["auto", "GREY", "YUYV", "NV12", "MJPG", "Y16"], help="with --device"
     )
     calibrate.add_argument("--views", type=int, default=25, metavar="N", help="with --device: views to collect (25)")
-    calibrate.add_argument("--seconds", type=_seconds, default=300.0, metavar="S", help="with --device: at most (300)")
+    calibrate.add_argument("--seconds", type=seconds, default=300.0, metavar="S", help="with --device: at most (300)")
     calibrate.add_argument("--save", type=Path, metavar="DIR", help="with --device: keep the pictures")
     calibrate.add_argument("--board", default="charuco", choices=["charuco", "checkerboard"], help="kind of board")
-    calibrate.add_argument("--squares", type=_pair, default=(7, 10), metavar="CxR", help="squares of the board (7x10)")
+    calibrate.add_argument("--squares", type=pair, default=(7, 10), metavar="CxR", help="squares of the board (7x10)")
     calibrate.add_argument("--square-mm", type=float, default=25.0, metavar="MM", help="a square, as measured (25)")
     calibrate.add_argument("--marker-mm", type=float, metavar="MM", help="a ChArUco marker (0.74 of a square)")
     calibrate.add_argument("--dictionary", default="5X5_100", metavar="NAME", help="of the markers (5X5_100)")
@@ -293,7 +284,7 @@ def _add_make_credentials(credentials: argparse.ArgumentParser) -> None:
         metavar="HOST",
         help="where the aircraft is reached; its name and this machine are always among them",
     )
-    credentials.add_argument("--days", type=_days, default=365.0, metavar="N", help="valid for so long (365)")
+    credentials.add_argument("--days", type=days, default=365.0, metavar="N", help="valid for so long (365)")
     credentials.set_defaults(run=run_make_credentials)
 
 
@@ -308,6 +299,32 @@ def run_make_credentials(arguments: argparse.Namespace) -> int:
         print(folder)
     print(f"{arguments.folder / AUTHORITY} (signs new ones: keep it off the aircraft and away from others)")
     return 0
+
+
+def _add_importing(command: argparse.ArgumentParser) -> None:
+    """What both imports take."""
+    command.add_argument("--out", type=Path, required=True, metavar="FLIGHT", help="folder to write; new or empty")
+    command.add_argument(
+        "--telemetry", type=Path, metavar="LOG", help="the log of the flight; else one beside, or what photographs say"
+    )
+    command.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="a configuration key (mount.pitch_deg=-45), camera.fov_deg or camera.file, not guessed; repeatable",
+    )
+    command.add_argument(
+        "--utc-offset", type=hours, default=0.0, metavar="H", help="the camera's clock is so many hours ahead of UTC"
+    )
+    command.add_argument("--home-amsl-m", type=finite, metavar="M", help="as for replay")
+
+
+def run_import_video(arguments: argparse.Namespace) -> int:
+    """Make a flight of a video and say what was assumed."""
+    from onboard.commands import import_video  # noqa: PLC0415
+
+    return import_video.run(arguments)
 
 
 def run_import_photos(arguments: argparse.Namespace) -> int:
@@ -401,21 +418,15 @@ def main(argv: list[str] | None = None) -> int:
         finally:
             sys.stdout.flush()  # here, where it can be told, and not by the interpreter on its way out
     except BrokenPipeError:
-        if not _is_reader_gone():
+        if not is_reader_gone():
             raise
+    except OSError as error:
+        if not is_output_lost(error):
+            raise
+        drop_output()
+        print(f"{PROGRAM}: error: the output cannot be written: {error.strerror}", file=sys.stderr)
+        code = 2
     return code
-
-
-def _is_reader_gone() -> bool:
-    """Whether nobody reads our output any more; what it still holds is dropped then."""
-    output = select.poll()
-    output.register(sys.stdout.fileno(), 0)
-    if not output.poll(0):
-        return False
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, sys.stdout.fileno())
-    os.close(nowhere)
-    return True
 
 
 def _run(argv: list[str] | None) -> int:
@@ -431,7 +442,7 @@ def _run(argv: list[str] | None) -> int:
             raise
         # The ground's installation has this command too, but not what it runs on.
         print(
-            f"{PROGRAM}: error: {error.name} is not installed: on the aircraft, pip install 'pointclick[onboard]'",
+            f"{PROGRAM}: error: {error.name} is not installed: install pointclick with its extra [onboard] (README)",
             file=sys.stderr,
         )
         return 2

@@ -8,6 +8,7 @@ Public:
 - `check_config`: `run`
 - `doctor`
 - `import_photos`: `run`
+- `import_video`: `run`
 - `replay`: `run`
 - `run`
 - `status`

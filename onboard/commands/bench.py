@@ -1,4 +1,4 @@
-"""`pc-onboard bench`: what this computer can do. A flight is made up, or one that was recorded is flown again.
+"""`pc-onboard bench`: what this computer can do. A flight is simulated, or a recorded one is replayed.
 
 Exit code 0: the configured camera is within what it can do; 1: it is not, or nothing was solved.
 """
@@ -84,7 +84,7 @@ def _flight(arguments: argparse.Namespace) -> tuple[Config, Camera, Iterable[tup
         if arguments.telemetry is None or named is None:
             raise InputError("bench --frames needs --telemetry and --camera too")
         flight = Flight.open(config, named_camera(named), arguments.frames, arguments.telemetry, arguments.stamps)
-        return config, named_camera(named), flight.events()
+        return config, flight.camera, flight.events()
     width, height = arguments.size or (640, 480)
     camera = Camera.from_field_of_view(width, height, FIELD_OF_VIEW_DEG)
     if named is not None:
@@ -148,7 +148,7 @@ def report(load: Load, config: Config, camera: Camera, wanted_hz: float, watch: 
 
 
 def _memory_mb() -> tuple[float | None, float | None]:
-    """The computer's memory, and what of it is available; None where the kernel does not say."""
+    """The computer's memory, and what of it is available; None where the kernel does not report it."""
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
     except OSError:

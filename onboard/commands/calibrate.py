@@ -8,7 +8,6 @@ import json
 import os
 import queue
 import sys
-import threading
 import time
 from pathlib import Path
 from typing import Self
@@ -19,12 +18,13 @@ from PIL import Image
 
 from contract.camera import Camera
 from contract.errors import ConfigError, InputError
+from contract.supervised_thread import Policy, SupervisedThread
 from onboard.calibration.board import Board, Grey
 from onboard.calibration.intrinsics import PARAMETERS, Fit, View, calibrate
 from onboard.calibration.verdict import Verdict, bare_places, coverage_picture, judge, report
+from onboard.camera.factory import open_device
 from onboard.camera.picture_files import PICTURE_SUFFIXES, read_grey
 from onboard.camera.pixel_formats import UNDECODABLE
-from onboard.camera.v4l2_camera import V4l2Camera
 from onboard.config.schema import CameraConfig
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import State
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def conclude(views: list[View], size_px: tuple[int, int], out: Path, coverage: Path | None, accept: bool) -> int:
-    """Fit, say, draw, and write if it is good."""
+    """Fit, report, draw, and write if it is good."""
     result = calibrate(views, size_px)
     fit, dropped = (None, []) if result is None else result
     verdict = judge(fit, dropped, size_px, len(views))
@@ -92,7 +92,7 @@ def conclude(views: list[View], size_px: tuple[int, int], out: Path, coverage: P
 
 
 def camera_file(fit: Fit, verdict: Verdict) -> str:
-    """The camera file: what `Camera.from_json` reads, and beside it how good it is."""
+    """The camera file: what `Camera.from_json` reads, and in addition how good it is."""
     known = json.loads(fit.camera.to_json())
     known["calibration"] = {
         "verdict": str(verdict),
@@ -213,29 +213,24 @@ class Live:
     """The camera in a thread of its own, and its newest picture."""
 
     def __init__(self, device: str, size_px: tuple[int, int], format_: str) -> None:
-        self.camera = V4l2Camera(
+        self.camera = open_device(
             CameraConfig.model_validate({"device": device, "format": format_}),
             Camera.from_field_of_view(*size_px, 60.0),
             SessionClock.start(),
         )
         self._newest: queue.Queue[Frame] = queue.Queue(1)
-        self._stop = threading.Event()
-        self._refusal: ConfigError | None = None
-        self._thread = threading.Thread(target=self._work)
+        # Without its pictures there is nothing to calibrate: what ends it ends the command.
+        self._thread = SupervisedThread(
+            "camera", lambda stop: self.camera.run(self._emit, stop), Policy.END, late_after_s=None
+        )
 
     def __enter__(self) -> Self:
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._stop.set()
+        self._thread.end()
         self._thread.join()
-
-    def _work(self) -> None:
-        try:
-            self.camera.run(self._emit, self._stop)
-        except ConfigError as error:
-            self._refusal = error
 
     def _emit(self, _: int, event: object) -> None:
         if isinstance(event, Frame) and event.image is not None:
@@ -244,12 +239,12 @@ class Live:
             self._newest.put(event)
 
     def picture(self) -> Frame | None:
-        """The newest picture not had yet; None if none came in half a second. Raises the camera's ConfigError."""
+        """The newest picture not had yet; None if none came in half a second. Raises whatever ended the camera."""
         try:
             return self._newest.get(timeout=0.5)
         except queue.Empty:
-            if self._refusal is not None:
-                raise self._refusal from None
+            if self._thread.has_failed:
+                raise self._thread.error or InputError("the camera has ended; start again") from None
             return None
 
 
@@ -274,7 +269,7 @@ def views_of_device(board: Board, arguments: argparse.Namespace) -> list[View]:
 
 
 def _kept(kept: list[View], image: Grey, arguments: argparse.Namespace) -> None:
-    """Say so, and what is missing still."""
+    """Report that, and what is still missing."""
     bare = bare_places(kept, arguments.size)
     print(f"{len(kept)}/{arguments.views}" + (f"; nothing yet at {', '.join(bare[:3])}" if bare else ""), flush=True)
     if arguments.save is not None:

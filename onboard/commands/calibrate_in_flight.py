@@ -18,11 +18,11 @@ from onboard.commands.replay import recorded_flight
 from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.runner import replay
 
-FOUND = 0.7  # of a sigma, at most, that a flight must leave for its word to be worth a file
+FOUND = 0.7  # of a sigma, at most, that a flight must leave for its estimate to be worth a file
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fly the session again and write what became of its camera; 0: written, 1: the flight says too little of it.
+    """Replay the session and write the camera that was estimated; 0: written, 1: the flight determines it too poorly.
 
     A camera that is taken as it is (its file states sigmas of nothing) is taken for a lens known by its type.
     """

@@ -1,4 +1,4 @@
-"""`pc-onboard cameras`: every V4L2 camera of this computer, what it can do and how it is set."""
+"""`pc-onboard cameras`: every camera of this computer, what it can do, how it is set, and how it is configured."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 
 from onboard.camera.discovery import device_paths, stable_names
 from onboard.camera.format_negotiation import sizes_text
+from onboard.camera.helper_launch import libcamera_names
 from onboard.camera.pixel_formats import DECODERS
 from onboard.camera.v4l2_device import Control, Device, Sizes, V4l2Device
 
@@ -30,15 +31,22 @@ def run(arguments: argparse.Namespace) -> int:
                     cameras.append(describe(path, device))
         except OSError as error:
             refused.append(f"{path}: {error.strerror}")
+    names, unlisted = libcamera_names()
+    cameras += [
+        {"device": f"libcamera:{name}", "names": [], "line": device_line(f"libcamera:{name}")} for name in names
+    ]
     listed = json.dumps(cameras, indent=1) if arguments.json else "\n\n".join(text(camera) for camera in cameras)
     try:
         print(listed, end="\n" if listed else "", flush=True)
-    except BrokenPipeError:  # the reader, `head` say, has seen enough
+    except BrokenPipeError:  # the reader, for example `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     for line in refused:
         print(line, file=sys.stderr)
+    if unlisted:
+        print(f"libcamera's cameras are not listed: {unlisted}", file=sys.stderr)
     if not cameras:
-        print("no camera: no V4L2 capture device under /dev/video*", file=sys.stderr)
+        of_both = "" if unlisted else ", and none of libcamera's"
+        print(f"no camera: no V4L2 capture device under /dev/video*{of_both}", file=sys.stderr)
     return 0 if cameras else 1
 
 
@@ -47,6 +55,7 @@ def describe(path: str, device: Device) -> dict[str, Any]:
     card = device.card()
     return {
         "device": path,
+        "line": device_line(stable_name(path)),
         "names": [name for names in stable_names(path).values() for name in names],
         "driver": card.driver,
         "card": card.card,
@@ -54,6 +63,17 @@ def describe(path: str, device: Device) -> dict[str, Any]:
         "formats": [_format(device, fourcc) for fourcc in device.formats()],
         "controls": [_control(device, control) for control in device.controls() if control.kind in _WITH_A_VALUE],
     }
+
+
+def stable_name(path: str) -> str:
+    """The name of a V4L2 device that stays when another one is plugged in; its path if it has none."""
+    names = stable_names(path)
+    return next((name for kind in ("by-id", "by-path") for name in sorted(names.get(kind, ()))), path)
+
+
+def device_line(device: str) -> str:
+    """What to write under [camera] in the configuration."""
+    return f"device = {json.dumps(device)}"
 
 
 def _format(device: Device, fourcc: str) -> dict[str, Any]:
@@ -75,7 +95,7 @@ def _control(device: Device, control: Control) -> dict[str, Any]:
     if not control.flags & _WRITE_ONLY:
         try:
             value = device.get_control(control)
-        except OSError:  # some cannot be read just now: said as unknown
+        except OSError:  # some cannot be read at present: reported as unknown
             value = None
     return {
         "name": control.name,
@@ -92,7 +112,9 @@ def _control(device: Device, control: Control) -> dict[str, Any]:
 
 def text(camera: dict[str, Any]) -> str:
     """The same for people. Formats that cannot be used are named only."""
-    lines = [f"{camera['device']}  {camera['card']}  ({camera['driver']}, {camera['bus']})"]
+    if "card" not in camera:
+        return f"{camera['device']}\n  {camera['line']}"
+    lines = [f"{camera['device']}  {camera['card']}  ({camera['driver']}, {camera['bus']})", f"  {camera['line']}"]
     lines += [f"  also {name}" for name in camera["names"]]
     for entry in camera["formats"]:
         if not entry["usable"]:
@@ -102,6 +124,8 @@ def text(camera: dict[str, Any]) -> str:
             shape = entry.get("range", shape)
             rates = ", ".join(f"{rate:g}" for rate in size["rates_hz"])
             lines.append(f"  {entry['format']}  {shape:<12} {rates + ' Hz' if rates else ''}".rstrip())
+    if not any(entry["usable"] for entry in camera["formats"]):
+        lines.append("  no format of ours: a sensor without its processor, perhaps one of libcamera's below")
     others = [entry["format"] for entry in camera["formats"] if not entry["usable"]]
     if others:
         lines.append(f"  not used: {' '.join(others)}")

@@ -12,6 +12,9 @@ import stat
 from dataclasses import dataclass
 from pathlib import Path
 
+from contract.camera import Camera
+from onboard.camera.factory import open_camera
+from onboard.camera.helper_launch import helper_launch, unable
 from onboard.camera.playback import PREFIX
 from onboard.camera.v4l2_device import V4l2Device
 from onboard.config.files import config_files, load_camera, load_config_files
@@ -57,20 +60,26 @@ def look(config: Config) -> list[Named]:
     Raises PointclickError for what no waiting mends.
     """
     camera = load_camera(config)
-    open_telemetry(config, SessionClock.start())  # opens nothing yet, but refuses what can never work
+    open_telemetry(config, SessionClock.start())  # opens nothing yet, but refuses what can never work, as `run` does
     width, height = camera.size_px
     return [
         Named("camera.file", str(config.camera.file), True, f"{width} x {height}"),
-        _camera(config.camera.device),
+        _camera(config, camera),
         _telemetry(config.telemetry.url),
     ]
 
 
-def _camera(device: str) -> Named:
+def _camera(config: Config, camera: Camera) -> Named:
+    device = config.camera.device
     if device.startswith(PREFIX):
-        is_there = Path(device.removeprefix(PREFIX)).exists()
-        text = "recorded pictures" if is_there else "no such file or folder"
-        return Named("camera.device", device, is_there, text)
+        if not Path(device.removeprefix(PREFIX)).exists():
+            return Named("camera.device", device, False, "no such file or folder")
+        open_camera(config, camera, SessionClock.start())  # as `run` does: raises for what cannot be played
+        return Named("camera.device", device, True, "recorded pictures")
+    launch = helper_launch(config.camera, camera.size_px)
+    if launch is not None:
+        why = unable(launch)
+        return Named("camera.device", launch.name, not why, why or "its program is there; pictures come with `run`")
     try:
         opened = V4l2Device(device)
     except OSError as error:

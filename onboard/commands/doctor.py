@@ -15,8 +15,10 @@ from typing import TextIO
 from contract.camera import Camera
 from contract.errors import PointclickError
 from contract.link_config import Tls
+from contract.supervised_thread import in_a_line
 from contract.vehicle_status import VehicleStatus
 from onboard.camera.factory import open_camera
+from onboard.commands.line_meaning import MEANING
 from onboard.commands.preflight import Line, Surroundings, diagnose
 from onboard.config.files import load_camera, load_config_files, state_folder
 from onboard.config.schema import Config
@@ -47,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         alone = "the daemon does not run: looked at what can be seen without it; position and answers were not judged"
         print("the daemon runs and was asked" if is_running else alone)
-        print(text(lines, is_coloured(sys.stdout)))
+        print(text(lines, is_coloured(sys.stdout), arguments.explain))
     return 0 if all(line.is_good for line in lines) else 1
 
 
@@ -56,14 +58,15 @@ def is_coloured(stream: TextIO, environment: Mapping[str, str] = os.environ) -> 
     return stream.isatty() and not environment.get("NO_COLOR")
 
 
-def text(lines: list[Line], coloured: bool) -> str:
-    """One line each; what is not well is marked in words too."""
-    out = []
+def text(lines: list[Line], coloured: bool, explained: bool = False) -> str:
+    """One line each; what is not well is marked in words too. `explained`: below it, what it means and what to do."""
+    out, width = [], max(len(line.name) for line in lines) + 1
     for line in lines:
         mark = "ok " if line.is_good else "BAD"
         if coloured:
             mark = f"{GREEN if line.is_good else RED}{mark}{PLAIN}"
-        out.append(f"{mark} {line.name:<12}{line.text}")
+        out.append(f"{mark} {line.name:<{width}}{line.text}")
+        out += [f"    {' ' * width}{sentence}" for sentence in MEANING[line.name]] if explained else []
     return "\n".join(out)
 
 
@@ -143,6 +146,8 @@ class Look:
             source.run(self._take, stop)
         except PointclickError as error:
             self._errors[name] = " ".join(str(error).split())
+        except Exception as error:  # what it is, is the finding
+            self._errors[name] = f"failed ({in_a_line(error)})"
 
     def _take(self, arrival_ns: int, event: Event) -> None:
         if isinstance(event, Frame) and event.image is not None:

@@ -6,27 +6,37 @@ import argparse
 import csv
 import io
 import itertools
-import json
 import math
 import shutil
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 
-from contract.camera import Camera
 from contract.errors import InputError
 from contract.geodesy import LocalFrame
-from onboard.camera.file_stamps import spread_within_seconds
+from onboard.camera.file_stamps import spread_within_seconds, stamp_from_name
 from onboard.camera.photo_metadata import Focal, PhotoMetadata, read_photo
 from onboard.camera.picture_files import PICTURE_SUFFIXES
-from onboard.config.schema import parse_config
-from onboard.replay.photo_telemetry import gap_to_join_s, height_amsl, photo_telemetry
+from onboard.camera.rig_bands import one_band
+from onboard.commands.imported_flight import (
+    SIGMA_GIMBAL_DEG,
+    SIGMA_MOUNT_DEG,
+    ImportedFlight,
+    Row,
+    check_out,
+    log_beside,
+    mount_by_log,
+    optics_of,
+    rolling_shutter,
+    settings_of,
+)
+from onboard.replay.photo_telemetry import datum_sigma_m, gap_to_join_s, height_amsl, photo_telemetry
+from onboard.replay.runner import check_overlap
 from onboard.telemetry.log_files import read_log
+from onboard.telemetry.telemetry_log import TelemetryLog
 
 MIN_PHOTOS = 3
-# One sigma of what nobody says: where the optical axis meets a sensor (share of its width), how straight a lens for
-# mapping draws (k1 of lenses as they are sold: within some hundredths), how level a gimbal holds, how well a camera is
-# screwed below an aircraft.
-SIGMA_CENTRE, SIGMA_K1, SIGMA_GIMBAL_DEG, SIGMA_MOUNT_DEG = 0.01, 0.03, 1.0, 5.0
+SIGMA_READOUT_S = 0.003  # of a line's time that a picture states, times its rows
 SIGMA_TAG_S = 0.1  # of the moment of a tagged position: receivers give five to ten a second
 WHOLE_SECOND_S = 0.29  # evenly within a second
 TURNED_BACK = 2.0  # steps that two legs in opposite directions differ by
@@ -36,54 +46,80 @@ ANGLE_FIELDS = (
     *("roll_deg", "pitch_deg", "yaw_deg"),
     *("gimbal_roll_deg", "gimbal_pitch_deg", "gimbal_yaw_deg"),
 )
-OTHER_FIELDS = ("velocity_north_m_s", "velocity_east_m_s", "sigma_horizontal_m", "sigma_vertical_m")
+OTHER_FIELDS = (
+    *("velocity_north_m_s", "velocity_east_m_s", "sigma_horizontal_m", "sigma_vertical_m"),
+    "sigma_datum_m",
+)
+
+
+@dataclass(frozen=True)
+class _Times:
+    """The photographs' capture times, in order, and where they are from."""
+
+    stamps_ns: list[int]
+    is_whole: bool  # cut to the second
+    source: str
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Make the flight and print what was assumed. Everything is read and checked before anything is written."""
-    photos = _photos(arguments.folder)
+    settings = settings_of(arguments.set)
+    photos, rig = one_band(_photos(arguments.folder))
     out: Path = arguments.out
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out} is not an empty folder; name a new one")
-    if not out.parent.is_dir():
-        raise InputError(f"{out}: no such folder as {out.parent}")
-    photos, stamps_ns, is_whole = _in_order(photos)
-    focal = _focal(photos)
-    camera = _camera(photos[0], focal)
-    own = None if arguments.telemetry is not None else photo_telemetry(photos, stamps_ns, None)
-    if arguments.telemetry is not None:
-        read_log(arguments.telemetry)
-    config, assumed = _config(photos, stamps_ns, is_whole, own is not None)
-    parse_config(config)
+    check_out(out)
+    photos, times = _in_order(photos, arguments.utc_offset)
+    optics = optics_of(photos[0].size_px, _focal(photos), arguments.folder, settings)
+    log_path, log = _log(arguments, photos, times)
+    sections, assumed = _by_photos(photos, times) if log is None else _by_log(log, times)
+    if photos[0].readout_s is not None:
+        readout = {"readout_s": f"{photos[0].readout_s:.4f}", "sigma_readout_s": f"{SIGMA_READOUT_S}"}
+        sections.setdefault("camera", {}).update(readout)
+    elif not optics.is_known:
+        assumed.append(rolling_shutter(sections))
     frames = out / "frames"
-    frames.mkdir(parents=True)
-    for photo in photos:
-        _place(arguments.folder / photo.name, frames / photo.name, arguments.copy)
-    stamp_rows = [f"{photo.name},{stamp / 1e9:.6f}" for photo, stamp in zip(photos, stamps_ns, strict=True)]
-    (out / "stamps.csv").write_text("\n".join(["file,unix_time_s", *stamp_rows]) + "\n")
-    (out / "camera.json").write_text(_camera_file(camera, focal))
-    (out / "config.toml").write_text(config)
-    telemetry = arguments.telemetry
-    if telemetry is None:
-        telemetry = out / "telemetry.csv"
-        telemetry.write_text(_telemetry_table(photos, stamps_ns, is_whole))
+    flight = ImportedFlight(
+        out, frames, log_path or out / "telemetry.csv", optics,
+        ["file,unix_time_s", *(f"{p.name},{t / 1e9:.6f}" for p, t in zip(photos, times.stamps_ns, strict=True))],
+        sections,
+    )  # fmt: skip
     where = "copied" if arguments.copy else f"links to {arguments.folder.resolve()}"
-    rows = [
+    flight.rows = [
         ("pictures", f"{len(photos)} of {photos[0].model or 'an unnamed camera'}, {where}"),
-        ("times", _times_text(stamps_ns, is_whole)),
-        ("camera", _camera_text(camera, focal)),
+        *([("band", rig)] if rig else []),
+        ("times", _times_text(times)),
+        ("camera", optics.text),
+        *([("log", str(log_path))] if log_path is not None else []),
         *assumed,
     ]
-    width = max(len(name) for name, _ in rows)
-    print("\n".join(f"{name:<{width}}  {text}" for name, text in rows))
-    print(
-        f"written: {out}; what was assumed is in its config.toml and camera.json, to be changed where you know better"
-    )
-    print(
-        f"pc-onboard replay --config {out / 'config.toml'} --frames {frames} --telemetry {telemetry} "
-        f"--camera {out / 'camera.json'} --stamps {out / 'stamps.csv'} --record {out / 'session.mcap'}"
-    )
+    flight.write(settings)
+    frames.mkdir()
+    for photo in photos:
+        _place(arguments.folder / photo.name, frames / photo.name, arguments.copy)
+    if log is None:
+        flight.telemetry.write_text(_telemetry_table(photos, times))
+    flight.say()
     return 0
+
+
+def _log(
+    arguments: argparse.Namespace, photos: list[PhotoMetadata], times: _Times
+) -> tuple[Path | None, TelemetryLog | None]:
+    """The log that was named; else none if the pictures state where they were; else one next to them."""
+    path: Path | None = arguments.telemetry
+    if path is None:
+        if any(photo.lat_deg is not None for photo in photos):
+            photo_telemetry(photos, times.stamps_ns, None)  # whether it is complete
+            return None, None
+        for folder in (arguments.folder, arguments.folder.resolve().parent):
+            path = path or log_beside(folder)
+    if path is None:
+        raise InputError(
+            f"{arguments.folder}: no GPS position with a height in {photos[0].name} and the others, and no log beside "
+            "them: give a log of the flight (.bin, .tlog, .ulg, .srt, .csv)"
+        )
+    log = read_log(path, home_amsl_m=arguments.home_amsl_m)
+    check_overlap(times.stamps_ns, log)
+    return path, log
 
 
 def _photos(folder: Path) -> list[PhotoMetadata]:
@@ -106,99 +142,77 @@ def _photos(folder: Path) -> list[PhotoMetadata]:
     return photos
 
 
-def _in_order(photos: list[PhotoMetadata]) -> tuple[list[PhotoMetadata], list[int], bool]:
-    """By capture time, each with its own; True if the times are cut to the second."""
-    for photo in photos:
-        if photo.stamp_ns is None:
-            raise InputError(
-                f"photograph {photo.name}: no DateTimeOriginal in its EXIF; give pictures as they were taken"
-            )
-    is_whole = any(photo.stamp_is_whole_s for photo in photos)
-    ordered = sorted(photos, key=lambda photo: (photo.stamp_ns or 0, photo.name))
-    stamps = [photo.stamp_ns or 0 for photo in ordered]
+def _in_order(photos: list[PhotoMetadata], utc_offset_h: float) -> tuple[list[PhotoMetadata], _Times]:
+    """By capture time: EXIF's if all have one, else that in the names. Times cut to the second are spread within it."""
+    stamps, source = [photo.stamp_ns for photo in photos], "EXIF"
+    if all(stamp is None for stamp in stamps):
+        stamps, source = [stamp_from_name(photo.name) for photo in photos], "the names"
+    known = [stamp - round(utc_offset_h * 3600e9) for stamp in stamps if stamp is not None]
+    if len(known) < len(photos):
+        without = photos[stamps.index(None)].name
+        raise InputError(
+            f"photograph {without}: no DateTimeOriginal in its EXIF and no UTC time in its name; "
+            "give pictures as they were taken"
+        )
+    is_whole = all(stamp % 1_000_000_000 == 0 for stamp in known)
+    is_whole |= source == "EXIF" and any(photo.stamp_is_whole_s for photo in photos)
+    pairs = sorted(zip(known, photos, strict=True), key=lambda pair: (pair[0], pair[1].name))
+    ordered, found = [photo for _, photo in pairs], [stamp for stamp, _ in pairs]
     if is_whole:
-        return ordered, spread_within_seconds([stamp - stamp % 1_000_000_000 for stamp in stamps]), True
-    for (a, one), (b, other) in itertools.pairwise(zip(stamps, ordered, strict=True)):
+        return ordered, _Times(spread_within_seconds([t - t % 1_000_000_000 for t in found]), True, source)
+    for (a, one), (b, other) in itertools.pairwise(pairs):
         if a == b:
             raise InputError(f"photographs {one.name} and {other.name} have the same capture time; remove the copy")
-    return ordered, stamps, False
+    return ordered, _Times(found, False, source)
 
 
-def _focal(photos: list[PhotoMetadata]) -> Focal:
+def _focal(photos: list[PhotoMetadata]) -> Focal | None:
+    """What all state about their lens; None where none states anything."""
     known = [photo.focal for photo in photos if photo.focal is not None]
+    if not known:
+        return None
     if len(known) < len(photos):
         raise InputError(
             f"photograph {next(p.name for p in photos if p.focal is None)}: no focal length in EXIF (FocalLength with "
-            "FocalPlaneXResolution, or FocalLengthIn35mmFilm); calibrate the camera: pc-onboard calibrate"
+            "FocalPlaneXResolution, or FocalLengthIn35mmFilm), unlike the others; keep one camera's together"
         )
     if max(f.fx_px for f in known) > 1.01 * min(f.fx_px for f in known):
         raise InputError("the photographs' focal lengths differ by more than 1 %: it was zoomed; a flight has one")
     return known[0]
 
 
-def _camera(photo: PhotoMetadata, focal: Focal) -> Camera:
-    width, height = photo.size_px
-    cx, cy = focal.centre_px or ((width - 1) / 2.0, (height - 1) / 2.0)
-    return Camera(width, height, focal.fx_px, focal.fy_px, cx, cy, focal.distortion or (0.0, 0.0, 0.0, 0.0, 0.0))
+def _by_log(log: TelemetryLog, times: _Times) -> tuple[dict[str, dict[str, str]], list[Row]]:
+    """The configuration with a log of the flight, and what it assumes."""
+    sections, mount = mount_by_log(log)
+    if times.is_whole:
+        sections["camera"] = {"latency_s": "-0.5", "sigma_jitter_s": f"{WHOLE_SECOND_S}"}
+    return sections, [mount]
 
 
-def _camera_file(camera: Camera, focal: Focal) -> str:
-    """The camera file, with sigmas where `pc-onboard calibrate` has them."""
-    is_calibrated = focal.distortion is not None
-    centre_px = focal.sigma_px if is_calibrated else SIGMA_CENTRE * camera.width_px
-    sigma = {"fx": focal.sigma_px, "fy": focal.sigma_px, "cx": centre_px, "cy": centre_px}
-    k1 = 0.1 * SIGMA_K1 if is_calibrated else SIGMA_K1
-    sigma |= {"k1": k1, "k2": k1, "p1": 0.1 * k1, "p2": 0.1 * k1, "k3": k1}
-    known = json.loads(camera.to_json())
-    known["calibration"] = {
-        "verdict": f"guessed from EXIF ({focal.source}), not calibrated",
-        "sigma": {name: float(f"{value:.3g}") for name, value in sigma.items()},
-    }
-    return json.dumps(known, indent=1) + "\n"
-
-
-def _camera_text(camera: Camera, focal: Focal) -> str:
-    lens = "distortion as the picture says" if focal.distortion is not None else "no distortion known, taken as none"
-    return (
-        f"focal length {focal.fx_px:.0f} +-{focal.sigma_px:.0f} px from {focal.source}, "
-        f"{camera.width_px} x {camera.height_px}, {lens}"
-    )
-
-
-def _config(
-    photos: list[PhotoMetadata], stamps_ns: list[int], is_whole: bool, by_photos: bool
-) -> tuple[str, list[tuple[str, str]]]:
-    """The configuration's text, and what it assumes."""
-    sections: dict[str, list[str]] = {"mount": ["pitch_deg = -90.0"], "camera": [], "solve": [], "gps": []}
-    assumed: list[tuple[str, str]] = []
-    has_gimbal = by_photos and all(photo.gimbal_deg is not None for photo in photos)
-    has_body = by_photos and all(photo.body_deg is not None for photo in photos)
-    if has_gimbal:
-        sections["mount"] += ['gimbal = "always"', f"sigma_deg = {SIGMA_GIMBAL_DEG}"]
-        assumed.append(("mount", f"the gimbal's angles as the pictures say, +-{SIGMA_GIMBAL_DEG:g} deg"))
-    elif has_body or not by_photos:
-        sections["mount"] += [f"sigma_deg = {SIGMA_MOUNT_DEG}"]
-        assumed.append(("mount", f"fixed, straight down, top towards the nose, +-{SIGMA_MOUNT_DEG:g} deg"))
+def _by_photos(photos: list[PhotoMetadata], times: _Times) -> tuple[dict[str, dict[str, str]], list[Row]]:
+    """The configuration where the pictures alone state where they were, and what it assumes."""
+    gap_s = gap_to_join_s(times.stamps_ns)
+    mount, solve, gps = {"pitch_deg": "-90.0"}, {}, {}
+    if all(photo.gimbal_deg is not None for photo in photos):
+        mount |= {"gimbal": '"always"', "sigma_deg": f"{SIGMA_GIMBAL_DEG}"}
+        how = f"the gimbal's angles as the pictures say, +-{SIGMA_GIMBAL_DEG:g} deg"
+    elif all(photo.body_deg is not None for photo in photos):
+        mount["sigma_deg"] = f"{SIGMA_MOUNT_DEG}"
+        how = f"fixed, straight down, top towards the nose, +-{SIGMA_MOUNT_DEG:g} deg"
     else:
-        sections["mount"] += [f"sigma_deg = {SIGMA_MOUNT_DEG}"]
-        sections["solve"] += ['attitude = "none"', "level_ground = true"]
-        assumed.append(("mount", "no angles in the pictures: looking straight down, over ground level on average"))
-    if by_photos:
-        gap_s = gap_to_join_s(stamps_ns)
-        sections["telemetry"] = [f"max_attitude_gap_s = {gap_s}"]
-        sections["gps"] += [f"max_gap_s = {max(gap_s, 1.5)}", "latency_s = 0.0", f"sigma_latency_s = {SIGMA_TAG_S}"]
-        sections["gps"].append(f"glitch_m = {_turn_m(photos):.0f}.0")
-        sections["camera"] += [f"sigma_latency_s = {WITHIN_S}"]
-        assumed.append(("positions", _positions_text(photos)))
-        horizontal = [photo.sigma_horizontal_m for photo in photos if photo.sigma_horizontal_m is not None]
-        if len(horizontal) == len(photos):
-            sections["gps"].append(f"sigma_wander_horizontal_m = {max(horizontal):.3f}")
-    elif is_whole:
-        sections["camera"] += ["latency_s = -0.5", f"sigma_jitter_s = {WHOLE_SECOND_S}"]
-    lines = ["# Made by `pc-onboard import-photos`; what is not here is the default (config.toml of the sources)."]
-    for name, keys in sections.items():
-        lines += ["", f"[{name}]", *keys] if keys else []
-    return "\n".join(lines) + "\n", assumed
+        mount["sigma_deg"] = f"{SIGMA_MOUNT_DEG}"
+        solve = {"attitude": '"none"', "level_ground": "true"}
+        how = "no angles in the pictures: looking straight down, over ground level on average"
+    gps = {"max_gap_s": f"{max(gap_s, 1.5)}", "latency_s": "0.0", "sigma_latency_s": f"{SIGMA_TAG_S}"}
+    gps["glitch_m"] = f"{_turn_m(photos):.0f}.0"
+    horizontal = [photo.sigma_horizontal_m for photo in photos if photo.sigma_horizontal_m is not None]
+    if len(horizontal) == len(photos):
+        gps["sigma_correlated_horizontal_m"] = f"{max(horizontal):.3f}"
+    sections = {
+        "mount": mount, "camera": {"sigma_latency_s": f"{WITHIN_S}"}, "solve": solve, "gps": gps,
+        "telemetry": {"max_attitude_gap_s": f"{gap_s}"},
+    }  # fmt: skip
+    return sections, [("mount", how), ("positions", _positions_text(photos))]
 
 
 def _turn_m(photos: list[PhotoMetadata]) -> float:
@@ -210,30 +224,31 @@ def _turn_m(photos: list[PhotoMetadata]) -> float:
 
 
 def _positions_text(photos: list[PhotoMetadata]) -> str:
-    height_sigma_m = max(height_amsl(photo, None)[1] or 0.0 for photo in photos)
+    height_sigma_m = max(math.hypot(height_amsl(p, None)[1] or 0.0, datum_sigma_m(p, None) or 0.0) for p in photos)
     said = [photo.sigma_horizontal_m for photo in photos if photo.sigma_horizontal_m is not None]
     accuracy = f"+-{max(said):.2g} m as they say" if said else "+-1.5 m assumed"
     what = "from the ellipsoid (set gps.undulation_m)" if photos[0].height_is_ellipsoidal else "above sea level"
-    return f"each picture's own, {accuracy}; heights {what}, +-{height_sigma_m:.2g} m"
+    what += " by barometer" if photos[0].height_is_barometric else ""
+    return f"each picture's own, {accuracy}; heights {what}, +-{height_sigma_m:.3g} m"
 
 
-def _times_text(stamps_ns: list[int], is_whole: bool) -> str:
-    apart_s = sorted((b - a) / 1e9 for a, b in itertools.pairwise(stamps_ns))
-    cut = "cut to the second, evenly spread within it" if is_whole else "EXIF's, with fractions of a second"
-    return f"{cut}; {apart_s[len(apart_s) // 2]:.1f} s apart; without a zone taken as UTC"
+def _times_text(times: _Times) -> str:
+    apart_s = sorted((b - a) / 1e9 for a, b in itertools.pairwise(times.stamps_ns))
+    cut = "cut to the second, evenly spread within it" if times.is_whole else "with fractions of a second"
+    return f"of {times.source}, {cut}; {apart_s[len(apart_s) // 2]:.1f} s apart; without a zone taken as UTC"
 
 
-def _telemetry_table(photos: list[PhotoMetadata], stamps_ns: list[int], is_whole: bool) -> str:
+def _telemetry_table(photos: list[PhotoMetadata], times: _Times) -> str:
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow([*POSITION_FIELDS, *ANGLE_FIELDS, *OTHER_FIELDS])
-    for photo, stamp_ns in zip(photos, stamps_ns, strict=True):
+    for photo, stamp_ns in zip(photos, times.stamps_ns, strict=True):
         height_m, sigma_m = height_amsl(photo, None)
-        velocity = (None, None) if is_whole or photo.velocity_ne_m_s is None else photo.velocity_ne_m_s
+        velocity = (None, None) if times.is_whole or photo.velocity_ne_m_s is None else photo.velocity_ne_m_s
         cells: list[object] = [f"{stamp_ns / 1e9:.6f}", f"{photo.lat_deg:.9f}", f"{photo.lon_deg:.9f}"]
         cells += [f"{height_m:.3f}", photo.above_home_m]
         cells += [*(photo.body_deg or (None,) * 3), *(photo.gimbal_deg or (None,) * 3), *velocity]
-        table.writerow([*cells, photo.sigma_horizontal_m, sigma_m])
+        table.writerow([*cells, photo.sigma_horizontal_m, sigma_m, datum_sigma_m(photo, None)])
     return text.getvalue()
 
 

@@ -1,22 +1,22 @@
 """Before take-off: one line for each thing that a good flight needs, from a report of the daemon's.
 
 Two kinds of lines. Those of `vehicle_state.Subject` only show what the daemon itself has judged, so that the state and
-the doctor agree. The others hold what is seen against limits for take-off (rates, exposure, time sync, mount, disk),
-that are stricter than what a flight needs to go on. The same lines whether a running daemon was asked or
-`doctor` looked for itself, who then knows of camera, telemetry and receiver alone. No line is good for want of knowing:
-what nobody can tell is said to be unknown, and counts as bad where a flight depends on it.
+the doctor agree. The others compare what is seen with limits for take-off (rates, exposure, time sync, mount, disk),
+that are stricter than what a flight needs to continue. The same lines whether a running daemon was asked or
+`doctor` looked itself, which then knows only camera, telemetry and receiver. What is unknown
+is never good: what cannot be determined is reported as unknown, and counts as bad where a flight depends on it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from contract.camera import Camera
 from onboard.config.schema import Config
 from onboard.events.source import SourceStatus
-from onboard.pipeline.estimates import BORESIGHT, RELATIVE_VARIANCE, larger_than_declared, not_adopted, said_of
+from onboard.pipeline.estimates import BORESIGHT, RELATIVE_VARIANCE, TIME_OFFSET, larger_than_declared, not_adopted
 from onboard.service.reports import Report
 from onboard.service.vehicle_state import Subject, VehicleState
 
@@ -24,6 +24,7 @@ RATE_SHARE = 0.8  # of the rate asked for
 MIN_ATTITUDE_HZ = 10.0
 MIN_POSITION_HZ = 2.0
 MAX_CLOCK_SIGMA_MS = 20.0  # 20 m/s over 20 ms are 0.4 m
+MAX_STAMP_SIGMA_MS = 100.0  # by arrivals it is how late they usually are, which says more of the link than of a stamp
 MAX_ROUND_TRIP_MS = 100.0
 MAX_VARIANCE_FACTOR = 4.0  # ellipses are then twice as long as sensors and pictures explain
 BORESIGHT_SIGMAS = 3.0
@@ -58,18 +59,20 @@ SEEN_ALONE = (Subject.CAMERA, Subject.TELEMETRY, Subject.GPS)
 
 def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]:
     """All lines, in the order in which one would look."""
-    judged = {s: _judged(report, s) for s in Subject if around.is_running or s in SEEN_ALONE}
+    seen = [s for s in Subject if s is not Subject.SENSORS and (around.is_running or s in SEEN_ALONE)]
+    judged = {s: _judged(report, s) for s in seen}
     lines = [
         judged.pop(Subject.CAMERA),
         _rate(config, report),
+        _stamps(config, report),
         _exposure(config, report),
         judged.pop(Subject.TELEMETRY),
         _rates(report),
         _time_sync(config, report),
         *judged.values(),
+        *([_sensors(report), _radius(report)] if around.is_running else []),
         _mount(config, report),
         _relative_errors(report),
-        _sensors(report),
         _calibration(around.camera),
         Line("link", not around.link, around.link or f"open, {', '.join((*config.link.listen, *config.link.connect))}"),
         _disk(config, around.free_mb),
@@ -79,16 +82,16 @@ def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]
 
 
 def _sensors(report: Report) -> Line:
-    against, larger = said_of(report.contradictions), larger_than_declared(report.sensor_errors)
-    doubted = not_adopted(report.unconfirmed)
-    said = "; ".join(text for text in (against, larger) if text) or "no error found larger than configured"
+    judged, doubted = _judged(report, Subject.SENSORS), not_adopted(report.unconfirmed)
+    said = "; ".join(text for text in (judged.text, larger_than_declared(report.sensor_errors)) if text)
+    said = said or "no error found larger than configured"
     if doubted:
         said += f"; found but not confirmed, and not used: {doubted}"
-    return Line("sensors", not against, said)
+    return replace(judged, text=said)
 
 
 def _state_line(report: Report) -> Line:
-    """As `pc-onboard status` has it; the lines below say the same, thing by thing."""
+    """As `pc-onboard status` has it; the lines below report the same, one by one."""
     status = report.status
     is_well = status.state in {state.value for state in VehicleState if state.is_well}
     return Line("state", is_well, f"{status.state}: {status.reason}" if status.reason else status.state)
@@ -120,6 +123,7 @@ _WELL: dict[Subject, Callable[[Report], str]] = {
     Subject.ANSWERS: _answers,
     Subject.LOAD: lambda report: f"keeps up, {report.status.dropped} pictures dropped so far",
     Subject.RECORDING: lambda report: "on" if report.recording.is_on else "off, as configured",
+    Subject.SENSORS: lambda report: "",
     Subject.THREADS: lambda report: ", ".join(thread.name for thread in report.threads) or "none but its own",
 }
 
@@ -129,6 +133,19 @@ def _rate(config: Config, report: Report) -> Line:
     lost = report.camera.figures.get("lost", 0.0)
     text = f"{rate_hz:.1f} of {asked_hz:g} pictures a second" + (f", {lost:.0f} lost" if lost else "")
     return Line("rate", rate_hz >= RATE_SHARE * asked_hz, text)
+
+
+def _stamps(config: Config, report: Report) -> Line:
+    """How well pictures are timed: each against the others, and all against the autopilot."""
+    sigma_ms, camera = report.camera.figures.get("stamp_sigma_ms"), config.camera
+    each = "" if sigma_ms is None else f"each picture's time +-{sigma_ms:.1f} ms; "
+    learned = report.estimate(TIME_OFFSET)
+    if learned is None:
+        prior = f"{camera.latency_s:.3f} +-{camera.sigma_latency_s:.3f} s late by camera.latency_s"
+        common = f"{prior}, nothing learned yet: turns show it"
+    else:
+        common = f"learned in flight: {learned.values[0]:+.3f} +-{learned.sigmas[0]:.3f} s beside camera.latency_s"
+    return Line("stamps", sigma_ms is None or sigma_ms <= MAX_STAMP_SIGMA_MS, each + common)
 
 
 def _exposure(config: Config, report: Report) -> Line:
@@ -195,6 +212,14 @@ def _relative_errors(report: Report) -> Line:
     value = factor.values[0]
     how = f"variance {value:.2f} +-{factor.sigmas[0]:.2f} of what was stated, by points seen again"
     return Line("relative errors", value < MAX_VARIANCE_FACTOR, how)
+
+
+def _radius(report: Report) -> Line:
+    """No radius is bad: `solve` refuses those that are too long. The line is what would make it smaller."""
+    budget = report.budget
+    if budget is None:
+        return Line("radius", True, "no picture has been placed in the last half minute")
+    return Line("radius", True, f"90 % within {budget.semi_major_m:.1f} m in the picture's middle; {budget.advice}")
 
 
 def _calibration(camera: Camera | str) -> Line:

@@ -6,7 +6,9 @@ import argparse
 import contextlib
 import sys
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -16,12 +18,15 @@ import cv2
 from contract.camera import Camera
 from contract.errors import ConfigError, InputError
 from contract.feature_set import FeatureSet
+from contract.vehicle_status import VehicleStatus, encode_status
+from onboard.camera.picture_mask import read_mask
 from onboard.config.files import load_config_files
 from onboard.config.schema import Config, parse_config, to_toml
 from onboard.events.sink import Sink
 from onboard.events.types import Event
 from onboard.link.picture_sender import PictureSender
 from onboard.link.publisher import Publisher
+from onboard.pipeline.error_budgets import BudgetWatch, NewestBudget, budget_text
 from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.comparison import Comparison
 from onboard.replay.runner import Events, Flight, replay, summary_text
@@ -54,13 +59,15 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> tuple[str, bool
     inputs = _open_recording(arguments) if arguments.recording else _open_files(arguments)
     config, camera = inputs.config, inputs.camera
     terrain = None if config.terrain.path is None else TerrainFiles(config.terrain.path, config.terrain.datum)
-    pipeline = Pipeline(config, camera, terrain)
+    pipeline = Pipeline(config, camera, terrain, burned_in=read_mask(config.camera.mask, camera.size_px))
     state_json = inputs.state_json
     if state is not None:
         state_json = state.text()
         state.restore(pipeline.window.alignment)
     elif state_json:
         pipeline.window.alignment.restore(state_json)
+    watch, newest = BudgetWatch(pipeline.window.R_body_cam), NewestBudget()
+    pipeline.placing.watches += [newest, watch] if arguments.budget else [newest]
     sinks: list[Sink] = []
     comparison = None if inputs.recorded is None else Comparison(inputs.recorded)
     if comparison is not None:
@@ -68,7 +75,9 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> tuple[str, bool
     if arguments.record is not None:
         if inputs.recorded is not None and arguments.record.resolve() in [p.resolve() for p in inputs.recorded.paths]:
             raise InputError(f"recording {arguments.record}: is what is replayed; name another file")
-        sinks.append(WholeRecording(arguments.record, config, inputs.config_text, camera, state_json))
+        whole = WholeRecording(arguments.record, config, inputs.config_text, camera, state_json)
+        whole.at_its_end = partial(_last_status, pipeline, newest)
+        sinks.append(whole)
     if arguments.publish:
         link = Publisher.open(config)
         sinks.append(link)
@@ -80,6 +89,8 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> tuple[str, bool
     if state is not None:
         state.keep(pipeline.window.alignment)
     text = summary_text(summary)
+    if arguments.budget:
+        text += f"\n{budget_text(watch.budgets())}"
     if comparison is not None and inputs.recorded is not None and not stop.is_set():
         text += f"\nas recorded: {comparison}"
         text += "".join(f"\nnot exactly the same flight: {why}" for why in inputs.recorded.caveats)
@@ -97,8 +108,16 @@ def _open_files(arguments: argparse.Namespace) -> _Inputs:
     camera = Camera.from_json(arguments.camera)
     if arguments.record is not None:
         _check_place(arguments.record)
-    flight = Flight.open(config, camera, arguments.frames, arguments.telemetry, arguments.stamps, arguments.home_amsl_m)
-    return _Inputs(config, config_text, camera, "", flight, None)
+    flight = Flight.open(
+        *(config, camera, arguments.frames, arguments.telemetry, arguments.stamps),
+        home_amsl_m=arguments.home_amsl_m,
+        gps_order=arguments.gps_order,
+        boot_unix_s=arguments.time_offset,
+        max_rate_hz=arguments.rate,
+    )
+    for note in flight.notes:
+        print(f"note: {note}", file=sys.stderr)
+    return _Inputs(config, config_text, flight.camera, "", flight, None)
 
 
 def _open_recording(arguments: argparse.Namespace) -> _Inputs:
@@ -135,10 +154,21 @@ def _check_place(path: Path) -> None:
         raise InputError(f"recording {path}: is a folder; name a file")
 
 
-class WholeRecording:
-    """A recording written beside its name and moved there only when all went well.
+def _last_status(pipeline: Pipeline, newest: NewestBudget) -> VehicleStatus | None:
+    """How the flight was at its end, for the error budget that is in it; None if no picture was placed."""
+    if newest.newest is None:
+        return None
+    s = newest.newest.feature_set
+    budget = newest.at(s.capture_unix_ns)
+    tracks = 0 if pipeline.tracks is None else len(pipeline.tracks)
+    shares = {} if budget is None else budget.percent
+    return VehicleStatus(s.capture_unix_ns / 1e9, s.session, "ok", frame=s.frame, tracks=tracks, shares=shares)
 
-    An error at the five-hundredth picture so leaves nothing behind, and an earlier recording of that name as it was.
+
+class WholeRecording:
+    """A recording written under a temporary name and moved to its own only when all went well.
+
+    So an error at the five-hundredth picture leaves nothing behind, and an earlier recording of that name as it was.
     Raises InputError if it cannot be written.
     """
 
@@ -154,6 +184,7 @@ class WholeRecording:
             state_json=state_json,
             pictures=config.recording.pictures,
         )
+        self.at_its_end: Callable[[], VehicleStatus | None] = lambda: None
 
     def __enter__(self) -> Self:
         return self
@@ -162,6 +193,9 @@ class WholeRecording:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
+            status = self.at_its_end() if kind is None else None
+            if status is not None:
+                self._recorder.write_status(round(status.unix_s * 1e9), encode_status(status))
             self._recorder.close()
             if kind is None:
                 self._part.replace(self._path)

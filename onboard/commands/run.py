@@ -19,6 +19,7 @@ from contract.camera import Camera
 from contract.errors import ConfigError, InputError, PointclickError
 from contract.vehicle_status import encode_status
 from onboard.camera.factory import open_camera
+from onboard.camera.picture_mask import read_mask
 from onboard.config.files import load_camera, load_config_files, state_folder
 from onboard.config.schema import Config, to_toml
 from onboard.events.session_clock import SessionClock
@@ -47,7 +48,7 @@ log = logging.getLogger("pointclick")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fly by a configuration until told to stop. Returns the exit code; ends the process if a thread hangs."""
+    """Fly by a configuration until asked to stop. Returns the exit code; ends the process if a thread hangs."""
     journal.set_up()
     faulthandler.enable()  # a watchdog's SIGABRT leaves every thread's stack in the journal
     cv2.setNumThreads(1)
@@ -84,7 +85,8 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
     with ExitStack() as opened:
         solver = SolverThread()
         opened.callback(solver.close)
-        pipeline = Pipeline(config, camera, terrain, solver)
+        burned_in = read_mask(config.camera.mask, camera.size_px)
+        pipeline = Pipeline(config, camera, terrain, solver, burned_in)
         state = StateFile(folder / "alignment.json")
         complaint = restore(state, pipeline)
         if complaint:

@@ -8,12 +8,11 @@ import sys
 from pathlib import Path
 
 from contract.link_config import Tls
+from contract.supervised_thread import ThreadReport
 from onboard.config.files import load_config_files
 from onboard.config.schema import Config
 from onboard.events.source import SourceStatus
-from onboard.events.supervised_thread import ThreadReport
 from onboard.link.status_query import ask
-from onboard.pipeline.estimates import said_of
 from onboard.service.reports import Report
 
 NOT_RUNNING = 3
@@ -56,9 +55,6 @@ def text(report: Report) -> str:
         ("recording", "on" if report.recording.is_on else report.recording.fault or "off"),
         ("threads", ", ".join(_thread(thread) for thread in report.threads)),
     ]
-    against = said_of(report.contradictions)
-    if against:
-        rows.append(("sensors", against))
     if status.cpu_c is not None:
         rows.append(("processor", f"{status.cpu_c:.0f} deg C"))
     return "\n".join(f"{name:<11}{value}".rstrip() for name, value in rows)

@@ -1,14 +1,13 @@
-"""A configuration in several files: `config.toml`, then `config.d/*.toml` beside it by name; later ones win."""
+"""A configuration in several files: `config.toml`, then `config.d/*.toml` next to it by name; later ones win."""
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
 from contract.camera import Camera
 from contract.errors import ConfigError
-from onboard.config.schema import Config, load_config
+from onboard.config.schema import Config, load_table
 
 FOLDER = "config.d"
 
@@ -22,8 +21,8 @@ def load_config_files(path: Path | str) -> Config:
     """Read them all. Raises ConfigError, one line that names the file at fault, the key, and what would be right."""
     merged: dict[str, dict[str, Any]] = {}
     for file in config_files(Path(path)):
-        load_config(file)  # each must be valid by itself, so that the message names it
-        for section, keys in tomllib.loads(file.read_text(encoding="utf-8")).items():
+        table, _ = load_table(file)  # each must be valid by itself, so that the message names it
+        for section, keys in table.items():
             merged.setdefault(section, {}).update(keys)
     return Config.model_validate(merged)
 

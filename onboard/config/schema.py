@@ -15,10 +15,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 from contract.errors import ConfigError
+from onboard.config.renamed_keys import with_present_names
 
 
 def quantity(default: float | None, low: float, high: float, unit: str, meaning: str) -> Any:
@@ -67,14 +68,35 @@ class Mount(Section):
     )
 
 
+NETWORK_PRIOR_S = (0.5, 0.29)  # mean and one sigma of a delay anywhere between 0 and 1 s
+LOCAL_PRIOR_S = (0.0, 0.1)
+LOCAL_ELEMENTS = ("v4l2src", "libcamerasrc", "nvarguscamerasrc", "nvv4l2camerasrc")
+
+
+def delay_prior(device: str, is_utc: bool = False) -> dict[str, float]:
+    """`latency_s` and `sigma_latency_s` of a camera of which nothing is stated, by the form of `camera.device`.
+
+    Where nobody knows how long the sender's encoder and the link take, the delay may be anything up to a second.
+    """
+    is_network = device.startswith("rtsp") or (
+        device.startswith("gst:") and not any(element in device for element in LOCAL_ELEMENTS)
+    )
+    latency_s, sigma_s = NETWORK_PRIOR_S if is_network and not is_utc else LOCAL_PRIOR_S
+    return {"latency_s": latency_s, "sigma_latency_s": sigma_s}
+
+
 class CameraConfig(Section):
     """The camera: where it is, how it is set, its clock. Its optics are in the camera file."""
 
-    device: str = choice("/dev/video0", "V4L2 device, better a name under /dev/v4l/by-id or by-path")
-    file: str | None = choice(None, "camera file (optics), as `pc-onboard calibrate` writes it")
-    format: Literal["auto", "GREY", "YUYV", "NV12", "MJPG", "Y16"] = choice(
-        "auto", "pixel format; 'auto' takes the first of these that has size and rate"
+    device: str = choice(
+        "/dev/video0",
+        "V4L2 device, better a name under /dev/v4l/by-id or by-path; libcamera: or libcamera:ID; rtsp://HOST/PATH; "
+        "gst:PIPELINE up to raw video; exec:COMMAND of your own (docs/camera.md)",
     )
+    file: str | None = choice(None, "camera file (optics), as `pc-onboard calibrate` writes it")
+    format: Literal[
+        "auto", "GREY", "YUYV", "NV12", "MJPG", "Y16", "UYVY", "YU12", "Y10", "Y12", "GRBG", "RGGB", "GBRG", "BA81"
+    ] = choice("auto", "pixel format of a V4L2 device; 'auto' takes the first of these that has size and rate")
     rate_hz: float = quantity(30.0, 0.1, 240.0, "Hz", "pictures asked of the device")
     exposure_us: float | None = quantity(None, 1.0, 1e6, "us", "fixed exposure; left to the camera if not set")
     gain: float | None = quantity(
@@ -82,11 +104,25 @@ class CameraConfig(Section):
     )
     focus: float | None = quantity(None, 0.0, 1e6, "", "fixed focus, in the driver's units; untouched if not set")
     white_balance_k: float | None = quantity(None, 1000.0, 20000.0, "K", "fixed white balance; untouched if not set")
+    mask: str | None = choice(
+        None, "PNG of the picture's size, black where a display or a frame is burned in; features are taken elsewhere"
+    )
     lost_after_s: float = quantity(1.5, 0.1, 60.0, "s", "time without a picture that counts as camera lost")
     frozen_after_s: float = quantity(1.0, 0.1, 60.0, "s", "time with the same picture that counts as camera frozen")
 
-    latency_s: float = quantity(0.0, -5.0, 5.0, "s", "capture stamp minus true mid-exposure")
-    sigma_latency_s: float = quantity(0.1, 0.0, 2.0, "s", "one sigma of the camera-to-autopilot time offset")
+    latency_s: float = quantity(
+        None, -5.0, 5.0, "s", "capture stamp minus true mid-exposure; if not set 0, of a network stream 0.5"
+    )
+    sigma_latency_s: float = quantity(
+        None,
+        0.0,
+        2.0,
+        "s",
+        "one sigma of the camera-to-autopilot time offset; if not set 0.1, of a network stream 0.29 (0 to 1 s)",
+    )
+    stream_clock: Literal["own", "utc"] = choice(
+        "own", "capture times in a stream: of the sender's 'own' clock, or 'utc' where GPS or NTP sets both ends"
+    )
     sigma_jitter_s: float = quantity(
         0.003, 0.0, 1.0, "s", "least one sigma of a single stamp, 0.3 where it is cut to the second; estimated upwards"
     )
@@ -94,6 +130,16 @@ class CameraConfig(Section):
         0.0, -0.2, 0.2, "s", "rolling shutter: time in which all rows are read, negative if the last is first; 0: none"
     )
     sigma_readout_s: float = quantity(0.0, 0.0, 0.1, "s", "one sigma of that; above 0 it is estimated in flight")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _delay_by_source(cls, given: Any) -> Any:
+        """What is not stated of the delay, by where pictures come from."""
+        if not isinstance(given, dict):
+            return given
+        device, clock = given.get("device"), given.get("stream_clock")
+        prior = delay_prior(device if isinstance(device, str) else "", clock == "utc")
+        return {**given, **{key: value for key, value in prior.items() if given.get(key) is None}}
 
     @property
     def is_rolling(self) -> bool:
@@ -127,9 +173,11 @@ class Solve(Section):
     # In the real flight of the tests roll and pitch vary by 0.3 deg from picture to picture, heading by 1 deg.
     attitude_white_sigma_deg: float = quantity(0.15, 0.001, 45.0, "deg", "one sigma of roll and pitch, the white part")
     heading_white_sigma_deg: float = quantity(0.6, 0.001, 45.0, "deg", "one sigma of heading, the white part")
-    attitude_wander_time_s: float = quantity(20.0, 0.1, 10000.0, "s", "correlation time of the Gauss-Markov part")
+    attitude_correlation_time_s: float = quantity(20.0, 0.1, 10000.0, "s", "correlation time of the Gauss-Markov part")
     level_ground_sigma_deg: float = quantity(3.5, 0.01, 45.0, "deg", "one sigma of the mean ground's slope")
-    relief_sigma_m: float = quantity(10.0, 0.0, 1000.0, "m", "ground roughness: one sigma about its mean plane")
+    ground_roughness_sigma_m: float = quantity(
+        10.0, 0.0, 1000.0, "m", "ground roughness: one sigma about its mean plane"
+    )
     home_level: bool = choice(False, "without parallax and terrain, answer over level ground at home's height")
     home_level_sigma_m: float = quantity(10.0, 0.1, 1000.0, "m", "one sigma of that ground's height")
 
@@ -150,14 +198,22 @@ class Gps(Section):
     latency_s: float = quantity(0.04, -1.0, 5.0, "s", "age of a position at its own time stamp")
     sigma_latency_s: float = quantity(0.1, 0.0, 5.0, "s", "one sigma of that age; it is estimated in flight")
     sigma_white_m: float = quantity(0.3, 0.001, 100.0, "m", "one sigma of a position, the white part")
-    sigma_wander_horizontal_m: float = quantity(
+    sigma_correlated_horizontal_m: float = quantity(
         1.5, 0.0, 1000.0, "m", "least one sigma of the Gauss-Markov part, horizontal; the receiver may claim more"
     )
-    sigma_wander_vertical_m: float = quantity(
+    sigma_correlated_vertical_m: float = quantity(
         2.5, 0.0, 1000.0, "m", "least one sigma of the Gauss-Markov part, vertical; the receiver may claim more"
     )
-    wander_time_s: float = quantity(60.0, 1.0, 100000.0, "s", "correlation time of the Gauss-Markov part")
-    sigma_velocity_m_s: float = quantity(0.1, 0.001, 100.0, "m/s", "one sigma of velocity")
+    correlation_time_s: float = quantity(60.0, 1.0, 100000.0, "s", "correlation time of the Gauss-Markov part")
+    sigma_velocity_m_s: float = quantity(0.1, 0.001, 100.0, "m/s", "one sigma of velocity, the white part")
+    # ArduPilot 4.7 against the simulator's truth: 0.01 to 0.05 m/s in calm flight, 0.3 in wind with poor inertial
+    # sensors; PX4 1.17 0.3 m/s, correlated over 6 s.
+    sigma_velocity_correlated_m_s: float = quantity(
+        0.02, 0.0, 100.0, "m/s", "least one sigma of velocity, the Gauss-Markov part; the receiver may claim more"
+    )
+    velocity_correlation_time_s: float = quantity(
+        8.0, 0.1, 1000.0, "s", "correlation time of velocity's Gauss-Markov part"
+    )
     max_gap_s: float = quantity(1.5, 0.1, 10.0, "s", "longest gap between positions that is interpolated")
     quality_timeout_s: float = quantity(2.0, 0.5, 60.0, "s", "silence of the receiver that counts as no GPS")
     recovery_s: float = quantity(1.0, 0.0, 60.0, "s", "time without answers after the fix is back")
@@ -194,10 +250,10 @@ class Telemetry(Section):
     backend: Literal["pymavlink", "mavsdk"] = choice("pymavlink", "library that speaks MAVLink")
     attitude_rate_hz: float = quantity(50.0, 1.0, 400.0, "Hz", "attitude asked of the autopilot, which may give less")
     position_rate_hz: float = quantity(10.0, 1.0, 50.0, "Hz", "position asked of the autopilot, which may give less")
-    system: int = quantity(0, 0, 255, "", "the vehicle's MAVLink system number; 0: the first autopilot heard")
+    system: int = quantity(0, 0, 255, "", "the vehicle's MAVLink system number; 0: the first autopilot received")
     component: int = quantity(191, 1, 255, "", "our MAVLink component number in the vehicle's system")
     signing_key: str | None = choice(None, "file with a MAVLink 2 signing key (32 bytes, raw or 64 hex digits)")
-    log: str | None = choice(None, "folder to write what the link says into, as .tlog files; none if not set")
+    log: str | None = choice(None, "folder for the link's messages as .tlog files; none if not set")
     lost_after_s: float = quantity(2.0, 0.2, 60.0, "s", "silence that counts as telemetry lost")
     clock: Literal["auto", "constant", "drift"] = choice(
         "auto",
@@ -283,9 +339,14 @@ class Config(Section):
 
 def load_config(path: Path | str) -> Config:
     """Read a TOML file; raises ConfigError with one line that names the file, the key and what would be right."""
+    return load_table(path)[1]
+
+
+def load_table(path: Path | str) -> tuple[dict[str, Any], Config]:
+    """A TOML file's table, keys under their present names, and the Config that it is; raises ConfigError."""
     try:
-        text = Path(path).read_bytes().decode("utf-8")
-        return parse_config(text)
+        table = parse_table(Path(path).read_bytes().decode("utf-8"))
+        return table, validated(table)
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: {error.strerror}; write one (every key has a default) or name another") from error
     except OSError as error:
@@ -298,10 +359,19 @@ def load_config(path: Path | str) -> Config:
 
 def parse_config(text: str) -> Config:
     """TOML text -> Config; raises ConfigError with one line that names the key and what would be right."""
+    return validated(parse_table(text))
+
+
+def parse_table(text: str) -> dict[str, Any]:
+    """TOML text -> its table, renamed keys under their present names; raises ConfigError."""
     try:
-        table = tomllib.loads(text)
+        return with_present_names(tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"not TOML: {' '.join(str(error).split())}") from error
+
+
+def validated(table: dict[str, Any]) -> Config:
+    """A table under present names -> Config; raises ConfigError with one line."""
     try:
         return Config.model_validate(table)
     except ValidationError as error:
@@ -394,7 +464,13 @@ def to_toml(config: Config) -> str:
     lines = []
     for name, model in _sections():
         section, default = getattr(config, name), model()
-        keys = [key for key in model.model_fields if getattr(section, key) != getattr(default, key)]
+        # What is the default of a V4L2 device is none of a network stream: stated, whatever it is.
+        stated = name == "camera" and delay_prior(config.camera.device) != delay_prior("")
+        keys = [
+            key
+            for key in model.model_fields
+            if getattr(section, key) != getattr(default, key) or (stated and key in delay_prior(""))
+        ]
         if keys:
             lines += [f"[{name}]", *(f"{key} = {_literal(getattr(section, key))}" for key in keys), ""]
     return "\n".join(lines)

@@ -5,7 +5,6 @@ Public:
 - `session_clock`: `SessionClock`
 - `sink`: `Sink`
 - `source`: `Emit`, `Severity`, `Source`, `SourceStatus`, `State`, `Stop`, `TelemetrySource`
-- `supervised_thread`: `Policy`, `SupervisedThread`, `ThreadReport`, `ThreadState`
 - `types`: `Attitude`, `Event`, `FilterStatus`, `Frame`, `GimbalAttitude`, `GpsQuality`, `NavEvent`, `PositionFix`,
   `RangeFinder`
 """

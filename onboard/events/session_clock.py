@@ -24,7 +24,7 @@ class SessionClock:
         return cls(unix_ns - (before + time.monotonic_ns()) // 2)
 
     def from_monotonic_ns(self, monotonic_ns: int) -> int:
-        """A reading of CLOCK_MONOTONIC on the session's clock."""
+        """A value of CLOCK_MONOTONIC on the session's clock."""
         return monotonic_ns + self.offset_ns
 
     def now_ns(self) -> int:

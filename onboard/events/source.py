@@ -1,8 +1,8 @@
 """What the daemon asks of everything that yields events: cameras, autopilots, receivers.
 
-A source is run in a thread of its own until it is told to stop. Whatever the field does to it (unplugged, silent,
-garbage, back under another name) is its own business: it reopens for good, says how it is, and raises only for what a
-configuration can never make work (`ConfigError`, `InputError`).
+A source is run in a thread of its own until it is stopped. Whatever the field does to it (unplugged, silent,
+garbage, back under another name) is its own business: it reopens for good, reports its state, and raises only for what
+a configuration can never make work (`ConfigError`, `InputError`).
 """
 
 from __future__ import annotations
@@ -12,20 +12,13 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
 
+from contract.supervised_thread import Stop
 from onboard.events.types import Event
+
+__all__ = ["Emit", "Severity", "Source", "SourceStatus", "State", "Stop", "TelemetrySource"]
 
 Emit = Callable[[int, Event], None]
 """Takes the arrival time (Unix ns of the session's clock) and the event. Never blocks for long."""
-
-
-class Stop(Protocol):
-    """The part of `threading.Event` that a source needs."""
-
-    def is_set(self) -> bool:
-        """Whether to come to an end."""
-
-    def wait(self, timeout: float | None = None) -> bool:
-        """Sleep until it is set or `timeout` seconds have passed; returns whether it is set."""
 
 
 class State(Enum):
@@ -33,9 +26,9 @@ class State(Enum):
 
     STARTING = "starting"
     OK = "ok"
-    DEGRADED = "degraded"  # it works, but not as asked: `detail` says what is missing
+    DEGRADED = "degraded"  # it works, but not as asked: `detail` states what is missing
     LOST = "lost"
-    FROZEN = "frozen"  # it comes, but says the same again and again
+    FROZEN = "frozen"  # it comes, but repeats itself
 
 
 class Severity(Enum):

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 class Frame:
     """One picture, grey (H, W) uint8. `index` counts pictures in capture order from 0; `image` None: undecodable.
 
-    `stamp_sigma_s`: one sigma of the stamp beyond what the configuration says of it, where the source sees that its
-    stamps have changed; an error common to all pictures that have it.
+    `stamp_sigma_s`: one sigma of the stamp beyond what the configuration states, where the source sees that its
+    stamps have changed; an error common to all pictures that have it. `colour`: the same in colour, blue first
+    (H, W, 3), where a recording is to show it; nothing is measured in it.
     """
 
     stamp_ns: int
@@ -25,6 +26,7 @@ class Frame:
     image: NDArray[np.uint8] | None
     name: str = ""
     stamp_sigma_s: float = 0.0
+    colour: NDArray[np.uint8] | None = None
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,10 @@ class PositionFix:
 
 @dataclass(frozen=True)
 class GpsQuality:
-    """What the receiver says of itself; None where it does not. `undulation_m` = ellipsoidal minus AMSL height."""
+    """What the receiver reports of itself; None where it does not. `undulation_m` = ellipsoidal minus AMSL height.
+
+    `sigma_datum_m`: one sigma of where a log's heights count from, one error of all of them.
+    """
 
     stamp_ns: int
     fix_type: int  # MAVLink GPS_FIX_TYPE: 0-1 none, 2 two-dimensional, 3 and up usable
@@ -50,6 +55,7 @@ class GpsQuality:
     sigma_vertical_m: float | None = None
     sigma_velocity_m_s: float | None = None
     undulation_m: float | None = None
+    sigma_datum_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -63,12 +69,13 @@ class Attitude:
 
 @dataclass(frozen=True)
 class FilterStatus:
-    """What the autopilot's navigation filter says of itself (EKF_STATUS_REPORT, ESTIMATOR_STATUS)."""
+    """What the autopilot's navigation filter reports of itself (EKF_STATUS_REPORT, ESTIMATOR_STATUS)."""
 
     stamp_ns: int
-    has_position: bool  # horizontal position is believed absolute
+    has_position: bool  # horizontal position is absolute by its own estimate
     is_glitching: bool  # the filter calls the GPS a glitch
     is_at_rest: bool = False  # it holds the position constant, believing position and velocity: standing on the ground
+    sigma_velocity_m_s: float | None = None  # of its velocity, the larger of horizontal and vertical, where it says
 
 
 @dataclass(frozen=True)
@@ -76,12 +83,14 @@ class GimbalAttitude:
     """A stabilised camera's attitude: quaternion w, x, y, z of R_ref_gimbal, gimbal axes forward-right-down.
 
     `reference` "vehicle": roll and pitch against the horizon, yaw against the nose; "earth": all three against
-    north-east-down. It replaces the fixed mount while it comes.
+    north-east-down. It replaces the fixed mount while it comes. `is_of_camera`: it was written by the very camera that
+    took the pictures, so that nothing is open about what carries it.
     """
 
     stamp_ns: int
     q_ref_gimbal: tuple[float, float, float, float]
     reference: Literal["vehicle", "earth"]
+    is_of_camera: bool = False
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ A radio's queue cannot be seen from here, and a queue that fills is delay that s
 drop). Everything counts: sets, status, replies, and what zenoh, TLS, TCP and IP add.
 
 Overhead on the wire, IP headers and up, measured with zenoh 1.10 (`python -m benchmarks.link`): 55 B a message over
-tcp, 34 over udp, 73 over tls, 82 over quic; beside that 29 (udp) to 130 B/s a ground for keep-alives and
+tcp, 34 over udp, 73 over tls, 82 over quic; in addition 29 (udp) to 130 B/s a ground for keep-alives and
 acknowledgements, 85 to 197 B a reply, and 0.24 (udp), 0.6 (tcp), 1.8 (tls) or 8 kB (quic) for a ground that connects.
-The age beside each set adds 8 B to a message and about 20 B to a reply. Below, the highest of tcp, udp and tls.
+The age sent with each set adds 8 B to a message and about 20 B to a reply. Below, the highest of tcp, udp and tls.
 
 Pictures take what nothing else has taken: bytes that came while the budget was full and would have been lost. So sets,
 status and replies go out at the same moments with pictures as without.
@@ -49,6 +49,7 @@ class Kind(Enum):
     SET = "set"
     STATUS = "status"
     REPLY = "reply"
+    REPORT = "report"  # a reply as well, but a large one that no flight depends on: the daemon's own detailed report
     PICTURE = "picture"
 
 
@@ -100,8 +101,8 @@ class Budget:
     """All that may be sent, by kind. `grounds` is how many sessions each message goes to, at least 1.
 
     The cap is never exceeded for long: over any t seconds, rate t + one burst, and with pictures one packet more.
-    Within it, status and replies have their shares, and none while sets are behind `min_rate_hz`; sets go out
-    `max_rate_hz` times a second at most.
+    Within it, status and replies have their shares (reports what replies leave of theirs), and none while sets are
+    behind `min_rate_hz`; sets go out `max_rate_hz` times a second at most.
     """
 
     def __init__(
@@ -119,7 +120,7 @@ class Budget:
         self._all = Bucket(self.bytes_per_s, max(PACKET_BYTES, BURST_S * self.bytes_per_s), now_s)
         self._shares = {
             kind: Bucket(share * self.bytes_per_s, max(PACKET_BYTES, BURST_S * share * self.bytes_per_s), now_s)
-            for kind, share in ((Kind.STATUS, STATUS_SHARE), (Kind.REPLY, REPLY_SHARE))
+            for kind, share in ((Kind.STATUS, STATUS_SHARE), (Kind.REPLY, REPLY_SHARE), (Kind.REPORT, REPLY_SHARE))
         }
         self._left = self._spilt = 0.0  # for pictures, at most a packet; and what had been left when they looked last
         self._free_at_s = now_s  # when a link of just this rate has carried all that was sent
@@ -130,12 +131,12 @@ class Budget:
 
     def cost(self, kind: Kind, payload_bytes: int) -> float:
         """Bytes on the wire, to every ground; a reply goes to one."""
-        if kind is Kind.REPLY:
+        if kind in (Kind.REPLY, Kind.REPORT):
             return payload_bytes + REPLY_OVERHEAD
         return (payload_bytes + MESSAGE_OVERHEAD) * max(self.grounds, 1)
 
     def waits(self, kind: Kind, payload_bytes: int | None, now_s: float) -> None:
-        """Say what waits to be sent, None for nothing: who has waited long goes before who has not."""
+        """Pass what waits to be sent, None for nothing: what has waited long goes before what has not."""
         if payload_bytes is None:
             self._waiting.pop(kind, None)
         else:
@@ -208,6 +209,8 @@ class Budget:
             self._set_at_s, self._set_cost = now_s, cost
         else:
             self._shares[kind].take(cost, now_s)
+            if kind is Kind.REPLY:  # both have one share; a report may exhaust it for other reports, never for replies
+                self._shares[Kind.REPORT].take(cost, now_s)
         return True
 
     def connected(self, grounds: int, now_s: float) -> None:

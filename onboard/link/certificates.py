@@ -1,7 +1,7 @@
 """Certificates for an encrypted link: a private authority, one certificate an aircraft, one a person on the ground.
 
 The authority's key signs and does nothing else; it never belongs on the aircraft. An aircraft's certificate may be
-served and shown; a person's only shown, so that nobody on the ground can pass for an aircraft.
+served and shown; a person's only shown, so that no one on the ground can act as an aircraft.
 """
 
 from __future__ import annotations

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from contract.feature_set import FeatureSet
 from contract.picture import ImageFormat, LinkPicture
+from contract.supervised_thread import Policy, SupervisedThread
 from onboard.config.schema import PictureConfig
-from onboard.events.supervised_thread import Policy, SupervisedThread
 from onboard.events.types import Event, Frame
 
-# Pictures wait here for their set, which tells whether they are keyframes: so many bytes, the last few in any case.
+# Pictures wait here for their set, which states whether they are keyframes: so many bytes, the last few in any case.
 HELD_BYTES, HELD_FRAMES = 32_000_000, 4
 IDLE_S = 0.25
 LOOK_S = 0.1  # between looks whether the link has room again
@@ -44,7 +44,7 @@ class PictureLink(Protocol):
 
 
 def small_image(image: NDArray[np.uint8], section: PictureConfig) -> tuple[bytes, int, int]:
-    """A grey picture (H, W) compressed as the section says; and width and height, px."""
+    """A grey picture (H, W) compressed as the section specifies; and width and height, px."""
     scale = section.max_px / max(image.shape)
     if scale < 1.0:
         height, width = (max(round(side * scale), 1) for side in image.shape)

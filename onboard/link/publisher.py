@@ -11,7 +11,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -23,6 +23,7 @@ from contract.feature_set import FeatureSet, Status
 from contract.history import History
 from contract.link_config import Tls, link_config
 from contract.picture import LinkPicture
+from contract.supervised_thread import Policy, SupervisedThread
 from contract.topics import (
     DEFAULT_ENDPOINT,
     DETAIL_PARAMETER,
@@ -36,7 +37,6 @@ from contract.topics import (
 )
 from contract.wire.picture_code import cut
 from onboard.config.schema import Config
-from onboard.events.supervised_thread import Policy, SupervisedThread
 from onboard.events.types import Event
 from onboard.link.byte_budget import CONNECT_BYTES, PACKET_BYTES, SECURE_CONNECT_BYTES, Budget, Kind
 from onboard.link.packet import MAX_PAYLOAD, one_packet
@@ -45,6 +45,7 @@ from onboard.link.set_selection import REPEAT_S, Offer, Selection
 from onboard.link.socket_backlog import Backlog
 
 MAX_WAITING_QUERIES = 16
+REPLIES = (Kind.REPLY, Kind.REPORT)  # the first is answered first
 QUERY_PATIENCE_S = 2.8  # the ground waits 3 s; an answer after that is a waste
 IDLE_S = 0.25
 HELD_S = 0.05
@@ -53,7 +54,7 @@ WARN_AGAIN_S = 10.0
 # slow radio has under way, and less than a second of its time.
 BACKLOG_S, BACKLOG_BYTES = 1.0, 3000
 ACKNOWLEDGED_S = 0.02  # between looks whether a piece of a picture may follow the one before
-PICTURE_PATIENCE_S = 10.0  # without room for a single piece, after which the rest of a picture is given up
+PICTURE_PATIENCE_S = 10.0  # without room for a single piece, after which the rest of a picture is dropped
 STREAMS = ("tcp/", "tls/")  # links that lose nothing
 
 log = logging.getLogger("pointclick")
@@ -76,13 +77,14 @@ class _Waiting:
     key: str
     answer: Answer
     since_s: float
+    kind: Kind
 
 
 class Publisher:
     """Publishes one vehicle's sets and status, and answers queries on the same keys. A Sink (`onboard.replay.runner`).
 
     For the daemon: `Publisher.open(config)` is one of the sinks; hand each encoded status to `publish_status`. Sets may
-    be handed over as fast as they are made: the newest and most useful go out, all are kept for queries. Replies count
+    be passed on as fast as they are made: the newest and most useful go out, all are kept for queries. Replies count
     against the same bit rate; a query that cannot be answered in time gets nothing.
 
     A peer without a router. `listen` and `connect` are zenoh endpoints, `scouting` turns multicast discovery on.
@@ -136,18 +138,22 @@ class Publisher:
             self._session = zenoh.open(zenoh.Config.from_json5(config))
         except zenoh.ZError as error:
             raise LinkError(_open_failure(listen, connect, error)) from error
-        self._publisher = _declared(self._session, FEATURES, vehicle)
-        self._status_publisher = _declared(self._session, STATUS, vehicle)
-        self._picture_publisher = _declared(self._session, PICTURE, vehicle)
-        # The variables keep the queryables declared.
-        self._queryable = self._session.declare_queryable(self._key, self._asked)
-        self._status_queryable = self._session.declare_queryable(self._status_key, self._asked_for_status)
+        try:
+            self._publisher = _declared(self._session, FEATURES, vehicle)
+            self._status_publisher = _declared(self._session, STATUS, vehicle)
+            self._picture_publisher = _declared(self._session, PICTURE, vehicle)
+            # The variables keep the queryables declared.
+            self._queryable = self._session.declare_queryable(self._key, self._asked)
+            self._status_queryable = self._session.declare_queryable(self._status_key, self._asked_for_status)
+        except zenoh.ZError as error:
+            self._session.close()  # type: ignore[no-untyped-call]
+            raise LinkError(f"cannot publish as {vehicle!r}: {_first_clause(error)}; try again") from error
         self.thread = SupervisedThread("link", self._run, Policy.RESTART)
         self.thread.start()
 
     @classmethod
     def open(cls, config: Config) -> Self:
-        """As the sections `vehicle` and `link` say. Raises LinkError."""
+        """As the sections `vehicle` and `link` specify. Raises LinkError."""
         link = config.link
         return cls(
             config.vehicle.id,
@@ -186,7 +192,7 @@ class Publisher:
             self._wake()
 
     def picture_room(self) -> int:
-        """Bytes that a packet of a picture may take; 0 while another is under way, or nobody would receive it."""
+        """Bytes that a packet of a picture may take; 0 while another is being sent, or there is no receiver."""
         with self._changed:
             if self._pieces and time.monotonic() - self._piece_s < PICTURE_PATIENCE_S:
                 return 0
@@ -200,7 +206,7 @@ class Publisher:
     def send_picture(self, picture: LinkPicture, piece_bytes: int) -> None:
         """Send a picture in packets of so many bytes, as far as sets, status and replies leave room. Raises ValueError.
 
-        What is left of an earlier one is given up.
+        What is left of an earlier one is dropped.
         """
         pieces = cut(picture, with_parity=self._needs_parity, max_bytes=piece_bytes)
         with self._changed:
@@ -208,7 +214,7 @@ class Publisher:
             self._wake()
 
     def event(self, arrival_ns: int, event: Event) -> None:
-        """Events stay on board; their arrivals tell the time by which pictures are aged."""
+        """Events stay on board; their arrivals give the time from which the age of pictures is computed."""
         with self._changed:
             self._set_clock.arrived(arrival_ns, time.monotonic_ns())
 
@@ -258,29 +264,31 @@ class Publisher:
             budget.connected(grounds, now_s)
             self._forget_old_queries(now_s)
             offer = self._selection.next(now_s)
-            query = self._queries[0] if self._queries else None
+            first = {kind: next((q for q in self._queries if q.kind is kind), None) for kind in REPLIES}
+            query: _Waiting | None = None
             status = self._status if self._status_waits else None
-            # A link with more than a packet under way has no room to spare, whatever its rate is said to be.
+            # A link with more than a packet under way has no room to spare, whatever rate is assumed.
             piece = self._pieces[0] if self._pieces and unacknowledged <= PACKET_BYTES else None
             budget.waits(Kind.SET, len(offer.item) if offer is not None else None, now_s)
             budget.waits(Kind.STATUS, len(status) if status is not None else None, now_s)
-            budget.waits(Kind.REPLY, len(query.answer) if query is not None else None, now_s)
+            for kind, asked in first.items():
+                budget.waits(kind, len(asked.answer) if asked is not None else None, now_s)
             if status is not None and budget.send(Kind.STATUS, len(status), now_s):
                 self._status_waits = False
-                query = offer = piece = None
-            elif query is not None and budget.send(Kind.REPLY, len(query.answer), now_s):
-                self._queries.popleft()
+                offer = piece = None
+            elif (query := _sendable(first, budget, now_s)) is not None:
+                self._queries.remove(query)
                 status = offer = piece = None
             elif offer is not None and budget.send(Kind.SET, len(offer.item), now_s):
                 self._selection.sent(offer, now_s)
-                status = query = piece = None
+                status = piece = None
             elif piece is not None and budget.send(Kind.PICTURE, len(piece), now_s):
                 self._pieces.popleft()
                 self._piece_s = now_s
                 self.pictures += not self._pieces
-                status = query = offer = None
+                status = offer = None
             else:
-                wait_s = self._wait_s(now_s, status, query, offer, piece)
+                wait_s = self._wait_s(now_s, status, first, offer, piece)
                 return min(wait_s, ACKNOWLEDGED_S) if self._pieces and piece is None else wait_s
         try:
             if status is not None:
@@ -295,7 +303,7 @@ class Publisher:
             elif piece is not None:
                 self._picture_publisher.put(piece)
         except (zenoh.ZError, OSError) as error:  # a link that breaks in use mends itself; the next message will do
-            self._warn(str(error).split(" at ", maxsplit=1)[0])
+            self._warn(_first_clause(error))
         return 0.0
 
     def _unacknowledged(self, info: zenoh.SessionInfo) -> int:
@@ -316,14 +324,14 @@ class Publisher:
         self,
         now_s: float,
         status: bytes | None,
-        query: _Waiting | None,
+        first: Mapping[Kind, _Waiting | None],
         offer: Offer[bytes] | None,
         piece: bytes | None,
     ) -> float:
         waits = [self._selection.wait_s(now_s) or IDLE_S, IDLE_S]
         for kind, size in (
             (Kind.STATUS, None if status is None else len(status)),
-            (Kind.REPLY, None if query is None else len(query.answer)),
+            *((kind, None if asked is None else len(asked.answer)) for kind, asked in first.items()),
             (Kind.SET, None if offer is None else len(offer.item)),
             (Kind.PICTURE, None if piece is None else len(piece)),
         ):
@@ -341,21 +349,30 @@ class Publisher:
         with self._changed:
             now_ns = time.monotonic_ns()
             found = answer(self._history, frame, unix_s, self._vehicle, self._status, self._set_clock, now_ns)
-        self._wait_to_answer(query, self._key, found)
+        self._wait_to_answer(query, self._key, found, Kind.REPLY)
 
     def _asked_for_status(self, query: zenoh.Query) -> None:
+        is_detailed = DETAIL_PARAMETER in query.parameters
         with self._changed:
-            payload = self._status_detail if DETAIL_PARAMETER in query.parameters else self._status
+            payload = self._status_detail if is_detailed else self._status
         found = Answer(payload) if payload else refusal(Status.STARTING, self._vehicle)
-        self._wait_to_answer(query, self._status_key, found)
+        self._wait_to_answer(query, self._status_key, found, Kind.REPORT if is_detailed else Kind.REPLY)
 
-    def _wait_to_answer(self, query: zenoh.Query, key: str, found: Answer) -> None:
+    def _wait_to_answer(self, query: zenoh.Query, key: str, found: Answer, kind: Kind) -> None:
         with self._changed:
             if len(self._queries) < MAX_WAITING_QUERIES and not self._is_closed:
-                self._queries.append(_Waiting(query, key, found, time.monotonic()))
+                self._queries.append(_Waiting(query, key, found, time.monotonic(), kind))
                 self._wake()
                 return
         query.drop()  # type: ignore[no-untyped-call]
+
+
+def _sendable(first: Mapping[Kind, _Waiting | None], budget: Budget, now_s: float) -> _Waiting | None:
+    """The query that is answered now, and paid for: a click before a report, which is several times as large."""
+    for kind, asked in first.items():
+        if asked is not None and budget.send(kind, len(asked.answer), now_s):
+            return asked
+    return None
 
 
 def _reply(waiting: _Waiting) -> None:
@@ -385,4 +402,9 @@ def _open_failure(listen: Sequence[str], connect: Sequence[str], error: zenoh.ZE
     named = [e for e in (*listen, *connect) if e in text or e.split("/")[-1] in text] or [*listen, *connect]
     if "in use" in text:
         return f"cannot listen on {', '.join(named)}: the port is already in use"
-    return f"cannot open the link at {', '.join(named)}: {text.split(' at ', maxsplit=1)[0]}"
+    return f"cannot open the link at {', '.join(named)}: {_first_clause(error)}"
+
+
+def _first_clause(error: Exception) -> str:
+    """zenoh's long messages name the places in its source."""
+    return str(error).split(" at ", maxsplit=1)[0]

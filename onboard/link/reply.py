@@ -1,4 +1,4 @@
-"""What a query is answered with: a set or a refusal, and beside it how old that is and why there is nothing newer.
+"""What a query is answered with: a set or a refusal, and with it how old that is and why there is nothing newer.
 
 Pure logic, time is passed in. docs/wire-format.md, section 8.
 """
@@ -34,7 +34,7 @@ class Answer:
 class SetClock:
     """The clock of the capture times at any moment, from what has been seen of it: CLOCK_MONOTONIC plus a constant.
 
-    Nothing arrives before it happened, so each event's arrival says what the time was at least; the greatest difference
+    Nothing arrives before it happened, so each event's arrival gives a lower bound of the time; the greatest difference
     counts. Without events the captures of the sets stand in, which come later by what a solution takes.
     """
 
@@ -95,7 +95,7 @@ def answer(
 
 
 def refusal(status: Status, vehicle: str, now: VehicleStatus | None = None) -> Answer:
-    """Why there is no set, with the daemon's own state where that says more."""
+    """Why there is no set, with the daemon's own state where that states more."""
     return Answer(_json({"status": status.value, "vehicle": vehicle} | _said(now)), is_error=True)
 
 
@@ -105,7 +105,7 @@ def _aged(entry: Entry[bytes], clock: SetClock, monotonic_ns: int) -> dict[str, 
 
 
 def _said(now: VehicleStatus | None) -> dict[str, object]:
-    """The daemon's state, if there is anything to say."""
+    """The daemon's state, if there is anything to report."""
     return {} if now is None or now.state == WELL else {"state": now.state, "reason": now.reason}
 
 

@@ -95,7 +95,7 @@ class Selection(Generic[T]):
         return self._repeated if wait_s is not None and wait_s <= 0.0 else None
 
     def wait_s(self, now_s: float) -> float | None:
-        """Seconds until the newest is due to be said again; None: there is none, or others are waiting."""
+        """Seconds until the newest is due to be sent again; None: there is none, or others are waiting."""
         if self.waiting or self._repeated is None or self._fresh_at_s is None:
             return None
         return max(self._fresh_at_s + self._repeat_s - now_s, 0.0)
@@ -150,7 +150,7 @@ class Selection(Generic[T]):
 
 
 def _precedes(held: Offer[T], new: Offer[T]) -> bool:
-    """Whether `new` is what a ground that heard nothing should hear first: answers before refusals, then the newest."""
+    """Whether a ground that has nothing should receive `new` first: answers before refusals, then the newest."""
     if held.is_ok != new.is_ok:
         lead = new.capture_unix_ns - held.capture_unix_ns
         return lead > -ANSWER_LEAD_NS if new.is_ok else lead > ANSWER_LEAD_NS

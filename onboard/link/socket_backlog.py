@@ -2,7 +2,7 @@
 
 A stream (tcp, tls) keeps what it could not deliver and delivers it first when the link is back, however old. After a
 cut of 9 s a link of 40 kbit/s took more than 12 s to bring the newest set; 2.8 s since sending waits while much is
-unacknowledged. Linux tells how much is (SIOCOUTQ, tcp(7)). Datagrams are never held; other systems never tell.
+unacknowledged. Linux reports how much is (SIOCOUTQ, tcp(7)). Datagrams are never held; other systems do not report it.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def _descriptor(peer: str) -> int | None:
 
 
 def _peer_of(descriptor: int) -> tuple[str, int] | None:
-    """Whom a descriptor is connected to; None if it is no such socket. It stays its owner's and stays open."""
+    """The address a descriptor is connected to; None if it is no such socket. It stays its owner's and stays open."""
     try:
         stream = socket.socket(fileno=descriptor)
     except OSError as error:

@@ -11,9 +11,9 @@ import zenoh
 from contract.link_config import Tls, link_config
 from contract.topics import DETAIL_PARAMETER, STATUS
 
-TIMEOUT_S = 3.0  # a daemon gives up a reply that found no room on the link after 2.8 s
+TIMEOUT_S = 3.0  # a daemon drops a reply that found no room on the link after 2.8 s
 PATIENCE_S = 8.0  # reports are large: at 32 kbit/s, the room that replies have is enough for one in two seconds
-_AT_ONCE_S = 1.0  # whoever has no such vehicle says so sooner
+_AT_ONCE_S = 1.0  # a server without such a vehicle answers sooner
 _EVERYWHERE = re.compile(r"/(0\.0\.0\.0|\[::\]):")
 
 
@@ -23,9 +23,9 @@ def local_endpoints(listen: Sequence[str]) -> list[str]:
 
 
 def ask(vehicle: str, listen: Sequence[str], tls: Tls | None = None) -> bytes | None:
-    """The daemon's detailed report as it sends it (`onboard.service.reports`); None if nobody answers.
+    """The daemon's detailed report as it sends it (`onboard.service.reports`); None without an answer.
 
-    With `tls`, its own: the daemon lets whoever shows its certificate ask it.
+    With `tls`, its own: the daemon answers any program that shows its certificate.
     """
     for endpoint in local_endpoints(listen):
         try:
@@ -41,7 +41,7 @@ def ask(vehicle: str, listen: Sequence[str], tls: Tls | None = None) -> bytes | 
 
 
 def _asked(session: zenoh.Session, question: str) -> bytes | None:
-    """Asks again while somebody is there who only did not find the time."""
+    """Asks again while the daemon is there and only had no time to answer."""
     end_s = time.monotonic() + PATIENCE_S
     while (begin_s := time.monotonic()) < end_s:
         for reply in session.get(question, timeout=TIMEOUT_S):

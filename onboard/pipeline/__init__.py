@@ -2,8 +2,9 @@
 
 Public:
 
-- `estimates`: `BORESIGHT`, `RELATIVE_VARIANCE`, `Contradiction`, `Estimate`, `SensorError`, `as_rows`,
-  `larger_than_declared`, `not_adopted`, `said_of`
+- `error_budgets`: `Budget`, `BudgetWatch`, `NewestBudget`, `budget_text`
+- `estimates`: `BORESIGHT`, `RELATIVE_VARIANCE`, `TIME_OFFSET`, `Contradiction`, `Estimate`, `SensorError`,
+  `as_rows`, `larger_than_declared`, `not_adopted`, `said_of`
 - `pipeline`: `Pipeline`
 - `statistics`: `Summary`
 """

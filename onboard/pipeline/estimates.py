@@ -9,43 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from onboard.config.schema import Config
-from onboard.estimation import boresight
 from onboard.estimation.boresight import Belief, Unconfirmed
-from onboard.estimation.camera_states import READOUT as READOUT_AT
+from onboard.estimation.platform_states import QUANTITIES, present
 from onboard.estimation.reobservation import RelativeVariance
 from onboard.estimation.sensor_groups import FORGOTTEN, Failing
+from onboard.estimation.sensor_table import PARTS, configured
 from onboard.estimation.sliding_window import Window
-from onboard.estimation.variance_components import (
-    HEADING,
-    HEADING_WHITE,
-    NAMES,
-    POSITION,
-    TILT,
-    TILT_WHITE,
-    VELOCITY,
-    VarianceFactors,
-)
+from onboard.estimation.variance_components import VarianceFactors
 
-BORESIGHT, TIME_OFFSET = "boresight", "camera_time_offset"
-POSITION_DELAY, VELOCITY_DELAY = "position_delay", "velocity_delay"
-HEADING_ERROR = "heading_error_by_heading"
-RELATIVE_VARIANCE = "relative_variance_factor"
-FOCAL_LENGTH, PRINCIPAL_POINT, DISTORTION = "focal_length_error", "principal_point_error", "radial_distortion_error"
-READOUT = "readout_error"
-STATES: tuple[tuple[str, str, slice | int], ...] = (
-    (BORESIGHT, "radians", boresight.BORESIGHT),
-    (TIME_OFFSET, "seconds", boresight.OFFSET),
-    (POSITION_DELAY, "seconds", boresight.DELAY),
-    (VELOCITY_DELAY, "seconds", boresight.VELOCITY_DELAY),
-    (HEADING_ERROR, "radians", boresight.HEADING),
-)
-# The camera's own, where its file says that it may be wrong; ratios are in focal lengths.
-CAMERA_STATES = (
-    (FOCAL_LENGTH, "ratio", slice(boresight.STATES, boresight.STATES + 1)),
-    (PRINCIPAL_POINT, "ratio", slice(boresight.STATES + 1, boresight.STATES + 3)),
-    (DISTORTION, "ratio", slice(boresight.STATES + 3, boresight.STATES + 5)),
-)
-READOUT_STATE = ((READOUT, "seconds", boresight.STATES + READOUT_AT),)  # where `camera.readout_s` is unsure
+BORESIGHT, TIME_OFFSET, RELATIVE_VARIANCE = "boresight", "camera_time_offset", "relative_variance_factor"
 SHOWN = 1.1  # times the declared sigma: less is not worth a line
 
 
@@ -61,10 +33,10 @@ class Estimate:
 
 @dataclass(frozen=True)
 class SensorError:
-    """One sigma of one part of the sensors' errors: as estimated in flight, and as configured, which is the least."""
+    """One sigma of one part of the sensors' errors: as estimated in flight, and as configured."""
 
-    name: str  # one of `variance_components.NAMES`
-    unit: str  # deg, m/s, m
+    name: str  # one of `sensor_table.PARTS`
+    unit: str  # deg, m/s, m, s
     sigma: float
     declared: float
 
@@ -120,23 +92,16 @@ def estimates_of(belief: Belief | None) -> tuple[Estimate, ...]:
         return ()
     mean, sigma = belief.mean, belief.sigma
     return tuple(
-        Estimate(name, unit, tuple(np.atleast_1d(mean[at]).tolist()), tuple(np.atleast_1d(sigma[at]).tolist()))
-        for name, unit, at in _states_of(len(mean))
+        Estimate(q.name, q.unit, tuple(mean[at].tolist()), tuple(sigma[at].tolist())) for q, at in present(len(mean))
     )
 
 
-def _states_of(count: int) -> tuple[tuple[str, str, slice | int], ...]:
-    """The states of a belief of so many numbers."""
-    has_lens, has_readout = count > boresight.STATES, count > boresight.STATES + READOUT_AT
-    return *STATES, *(CAMERA_STATES if has_lens else ()), *(READOUT_STATE if has_readout else ())
-
-
 def unconfirmed_of(found: Unconfirmed | None) -> tuple[Estimate, ...]:
-    """What was found too far from what was believed to be adopted before anything confirms it; empty if nothing was."""
+    """What was found too far from the prior to be adopted before anything confirms it; empty if nothing was."""
     if found is None:
         return ()
     every = estimates_of(Belief(found.end_ns, found.mean, np.diag(np.square(found.sigma))))
-    outside = [bool(np.any(found.outside[at])) for _, _, at in _states_of(len(found.mean))]
+    outside = [bool(np.any(found.outside[at])) for _, at in present(len(found.mean))]
     return tuple(e for e, is_outside in zip(every, outside, strict=True) if is_outside)
 
 
@@ -156,17 +121,12 @@ def relative_variance_of(relative: RelativeVariance) -> tuple[Estimate, ...]:
 
 
 def sensor_errors(config: Config, factors: VarianceFactors) -> tuple[SensorError, ...]:
-    """Every part in the order of NAMES."""
-    solve, gps = config.solve, config.gps
-    declared = {
-        TILT: (solve.attitude_sigma_deg, "deg"),
-        HEADING: (solve.heading_sigma_deg, "deg"),
-        TILT_WHITE: (solve.attitude_white_sigma_deg, "deg"),
-        HEADING_WHITE: (solve.heading_white_sigma_deg, "deg"),
-        VELOCITY: (gps.sigma_velocity_m_s, "m/s"),
-        POSITION: (gps.sigma_wander_horizontal_m, "m"),
-    }
-    return tuple(SensorError(n, declared[n][1], declared[n][0] * factors.sigma(n), declared[n][0]) for n in NAMES)
+    """Every part in the order of `sensor_table.PARTS`."""
+    out = []
+    for name, (key, unit) in PARTS.items():
+        declared = configured(config, key)
+        out.append(SensorError(name, unit, declared * factors.sigma(name), declared))
+    return tuple(out)
 
 
 def larger_than_declared(errors: Iterable[SensorError]) -> str:
@@ -203,17 +163,21 @@ def as_rows(
     return [*rows, *((name, text) for name, text in others if text)]
 
 
-_ROW_NAMES = {
-    BORESIGHT: "boresight",
-    TIME_OFFSET: "time offset",
-    POSITION_DELAY: "position delay",
-    VELOCITY_DELAY: "velocity delay",
-    HEADING_ERROR: "heading error",
-    FOCAL_LENGTH: "focal length",
-    PRINCIPAL_POINT: "principal point",
-    DISTORTION: "distortion",
-    READOUT: "readout",
-    RELATIVE_VARIANCE: "relative errors",
+_ROW_NAMES = {**{q.name: q.label for q in QUANTITIES}, RELATIVE_VARIANCE: "relative errors"}
+
+
+# How each is written: a factor, decimals, and the words about its components.
+_DELAY = (1.0, 3, "{} s off gps.latency_s")
+_TEXTS: dict[str, tuple[float, int, str]] = {
+    BORESIGHT: (math.degrees(1.0), 2, "x {}, y {}, z {} deg, camera axes"),
+    "camera_time_offset": (1.0, 3, "{} s, camera to autopilot"),
+    "position_delay": _DELAY,
+    "velocity_delay": _DELAY,
+    "heading_error_by_heading": (math.degrees(1.0), 2, "{} deg times cos heading, {} deg times sin heading"),
+    "focal_length_error": (100.0, 2, "{} % off the camera file"),
+    "principal_point_error": (100.0, 2, "x {}, y {} % of the focal length off the camera file"),
+    "radial_distortion_error": (1.0, 3, "k1 {}, k2 {} off the camera file"),
+    "readout_error": (1e3, 1, "{} ms off camera.readout_s"),
 }
 
 
@@ -221,20 +185,5 @@ def _text(estimate: Estimate) -> str:
     pairs = list(zip(estimate.values, estimate.sigmas, strict=True))
     if estimate.name == RELATIVE_VARIANCE:
         return f"variance {pairs[0][0]:.2f} +-{pairs[0][1]:.2f} of what was stated, by points seen again"
-    degrees = [f"{math.degrees(m):+.2f} +-{math.degrees(s):.2f}" for m, s in pairs]
-    if estimate.name == BORESIGHT:
-        return f"x {degrees[0]}, y {degrees[1]}, z {degrees[2]} deg, camera axes"
-    if estimate.name == HEADING_ERROR:
-        return f"{degrees[0]} deg times cos heading, {degrees[1]} deg times sin heading"
-    if estimate.name == FOCAL_LENGTH:
-        return f"{100 * pairs[0][0]:+.2f} +-{100 * pairs[0][1]:.2f} % beside the camera file"
-    if estimate.name == PRINCIPAL_POINT:
-        x, y = (f"{100 * m:+.2f} +-{100 * s:.2f}" for m, s in pairs)
-        return f"x {x}, y {y} % of the focal length beside the camera file"
-    if estimate.name == DISTORTION:
-        k1, k2 = (f"{m:+.3f} +-{s:.3f}" for m, s in pairs)
-        return f"k1 {k1}, k2 {k2} beside the camera file"
-    if estimate.name == READOUT:
-        return f"{1e3 * pairs[0][0]:+.1f} +-{1e3 * pairs[0][1]:.1f} ms beside camera.readout_s"
-    seconds = f"{pairs[0][0]:+.3f} +-{pairs[0][1]:.3f} s"
-    return f"{seconds}, camera to autopilot" if estimate.name == TIME_OFFSET else f"{seconds} beside gps.latency_s"
+    factor, decimals, words = _TEXTS[estimate.name]
+    return words.format(*(f"{factor * m:+.{decimals}f} +-{factor * s:.{decimals}f}" for m, s in pairs))

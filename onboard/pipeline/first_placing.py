@@ -1,7 +1,7 @@
 """Which pictures get a set at once: those that could be sent.
 
 The link takes a few sets a second, and of those that wait for their turn the newest. Where the camera is faster, most
-pictures would be placed for nobody, and once more when the window has seen past them. They are placed only then: once,
+pictures would be placed without use, and again when the window is past them. They are placed only then: once,
 and as well as they ever are.
 """
 

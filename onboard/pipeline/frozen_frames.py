@@ -1,8 +1,8 @@
 """A camera that gives an old picture as new, though the aircraft has moved.
 
-The same to the last bit: no sensor gives the same noise twice. Or encoded anew, so that bits differ: then nothing in it
-has moved where telemetry predicts that all must have. Believed, such a picture places the camera where it was when it
-was taken.
+The same to the last bit: no sensor gives the same noise twice. Or encoded again, so that bits differ: then nothing in
+it has moved where telemetry predicts that all must have. If accepted, such a picture places the camera where it was
+when it was taken.
 """
 
 from __future__ import annotations
@@ -39,12 +39,13 @@ class Staleness:
     ) -> bool:
         """Whether a picture (H, W) is an old one, seen from elsewhere.
 
-        `state_at` looks the older picture's state up anew: the time offset may have been learned since, and states by
+        `state_at` looks the older picture's state up again: the time offset may have been learned since, and states by
         different offsets differ though nothing has moved.
         """
         before = self._nav
         if before is None or self._image is None or not np.array_equal(image, self._image) or not np.ptp(image):
-            # A picture of one single grey (black, white, a lens cap) is old or new alike: it has nothing to follow.
+            # A picture of one single grey (black, white, a lens cap) looks the same whether old or new: it has nothing
+            # to follow.
             self._image, self._nav = image, nav
             return False
         looked_up = before if state_at is None else state_at(before.stamp_ns)
@@ -69,7 +70,7 @@ class Stillness:
         self._ids, self._uv, self._predicted, self._stamp_ns = ids, uv_px, np.eye(3), stamp_ns
 
     def is_old(self, tracks: Tracks, predicted: Array, stamp_ns: int) -> bool:
-        """Whether `tracks` stand still though `predicted` (3, 3), from the keyframe, says they cannot."""
+        """Whether `tracks` stand still though `predicted` (3, 3), from the keyframe, shows that they cannot."""
         _, here, there = np.intersect1d(tracks.ids, self._ids, assume_unique=True, return_indices=True)
         at, to = tracks.keyframe_uv_px[here], tracks.uv_px[here]
         if not len(here) or _median(to - self._uv[there]) > STILL_PX * self._px:

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from contract.feature_set import Status
-from onboard.estimation.boresight import DELAY, OFFSET
 from onboard.estimation.keyframe import Keyframe
+from onboard.estimation.platform_states import DELAY, OFFSET
 from onboard.estimation.sliding_window import Window
 from onboard.navigation.navigator import Navigation
 

@@ -1,4 +1,4 @@
-"""Keyframe -> next picture by telemetry alone: where the window and the autopilot say that features will be."""
+"""Keyframe -> next picture by telemetry alone: where features will be by the window and the autopilot."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def predict_motion(window: Window, was_nav: NavState, nav: NavState) -> Array | 
 def what_parts(was: NavState, now: NavState, navigation: Navigation, offset_ns: int) -> Break | None:
     """Why no window may hold both: navigation was lost in between, position or stamps jumped, or too long ago.
 
-    Pictures that come slowly are no outage: in between, navigation had believed positions. `offset_ns`: camera to
+    Pictures that come slowly are no outage: in between, navigation had accepted positions. `offset_ns`: camera to
     autopilot.
     """
     apart_ns = now.stamp_ns - was.stamp_ns

@@ -48,26 +48,28 @@ class MountSelection:
         return self.verdict is None and _differ(nav.mount_hypotheses)
 
     def carrier(self, navigation: Navigation) -> str:
-        """What is believed to carry the camera, and why, in words."""
+        """What the camera is assumed to be mounted on, and why, in words."""
         has_vehicle, has_gimbal = navigation.heard
         if not has_gimbal:
             return "fixed mount" if has_vehicle else "unknown: no attitude is used"
         if not has_vehicle:
-            return "gimbal, as no attitude of the vehicle is heard"
+            return "gimbal, as no attitude of the vehicle is received"
         if navigation.config.mount.gimbal == "always":
             return 'gimbal, as mount.gimbal = "always" says'
+        if navigation.gimbal.is_certain:
+            return "gimbal, as the camera wrote its angles itself"
         if self.verdict is None:
-            return f"{WORDS[navigation.mount_hypothesis]}; the pictures have not told it from the gimbal's messages"
+            return f"{WORDS[navigation.mount_hypothesis]}; not yet confirmed by the pictures"
         return f"{WORDS[self.verdict]}, as the pictures show"
 
     def may_be(self, mount_hypothesis: MountHypothesis) -> bool:
-        """Whether the pictures' motion does not speak against a hypothesis by as much as would decide for another."""
+        """Whether the pictures' motion contradicts a hypothesis by less than would decide for another."""
         least = min(self._scores.values(), default=0.0)
         return self._scores.get(mount_hypothesis, 0.0) - least <= LEAD
 
     def weigh(self, was: NavState, now: NavState, plane: Array, from_px: Array, to_px: Array) -> None:
         """Take the tracks (N, 2) from keyframe `was` to picture `now`; `plane` (3,): ground height at the ENU origin
-        and its slopes. Does nothing where the hypotheses are alike.
+        and its slopes. Does nothing where the hypotheses are the same.
         """
         if not _differ(now.mount_hypotheses) or not len(from_px):
             return

@@ -1,9 +1,9 @@
-"""Mount hypotheses tried on whole windows, while pictures alone have not told them apart.
+"""Mount hypotheses tried on whole windows, while pictures alone have not distinguished them.
 
-Seldom pictures of a camera that a gimbal holds level under a leaning aircraft move as the fixed mount would have them
-too, nearly: their motion alone does not tell which is true, but a window's solve with the wrong attitudes contradicts
-its positions. So where the believed reading is refused, the window is solved once more by every other; one that fits
-alone, several keyframes in a row, is believed. What was seen meanwhile is kept: only the attitudes are exchanged.
+Pictures that come rarely, of a camera that a gimbal holds level under a leaning aircraft, move nearly as with a fixed
+mount: their motion alone does not determine which is true, but a window's solve with the wrong attitudes contradicts
+its positions. So where the accepted hypothesis is refused, the window is solved again by every other; one that alone
+fits, several keyframes in a row, is accepted. What was seen meanwhile is kept: only the attitudes are exchanged.
 """
 
 from __future__ import annotations
@@ -14,43 +14,45 @@ from dataclasses import replace
 from contract.feature_set import Status
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solver_executor import Promise, Worker, timed_adjust
-from onboard.estimation.window_solver import Noise, Outcome, Request
+from onboard.estimation.window_request import Noise, Outcome, Request
 from onboard.navigation.gimbal import MountHypothesis
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.mount_selection import MountSelection, unlike
 from onboard.pipeline.picture_record import Record
 
-WINS = 2  # solves in a row that only one other reading fits
+WINS = 2  # solves in a row that only one other hypothesis fits
 
 
 class MountTrials:
-    """Solves by the readings that are not believed, beside those by the one that is."""
+    """Solves by the hypotheses that are not accepted, in addition to those by the one that is."""
 
     def __init__(self, selection: MountSelection) -> None:
         self._selection = selection
         self._running: dict[MountHypothesis, Promise] = {}
+        self._noise: dict[MountHypothesis, Noise] = {}  # as earlier windows have found it by each hypothesis
         self._leader: MountHypothesis | None = None
         self._wins = 0
 
     def begin(self, window: Window, worker: Worker, navigation: Navigation) -> None:
-        """Submit what the newest request comes to by other readings, if that is open and nothing is solved yet."""
+        """Submit the newest request by the other hypotheses, if that is open and nothing is solved yet."""
         self._running = {}
         if window.solved is not None or not self._selection.is_open(window.keyframes[-1].nav):
             return
         believed = navigation.mount_hypothesis
         for reading, R in window.keyframes[-1].nav.mount_hypotheses.items():
             own = window.keyframes[-1].nav.mount_hypotheses.get(believed)
-            request = None if own is None or not unlike(R, own) else _request(window, reading)
+            request = None if own is None or not unlike(R, own) else _request(window, reading, self._noise.get(reading))
             if request is not None:
                 self._running[reading] = worker.submit(timed_adjust, request)
 
     def judged(
         self, outcome: Outcome, window: Window, records: list[Record], navigation: Navigation
     ) -> tuple[Outcome, float]:
-        """The outcome to go on with, and the processor time of trials. Where it is another reading's, that one is
-        believed from now on, and window and records hold it.
+        """The outcome to continue with, and the processor time of trials. Where it is another hypothesis's, that one is
+        accepted from now on, and window and records hold it.
         """
         done = {reading: promise.result() for reading, promise in self._running.items()}
+        self._noise |= {reading: each.outcome.noise for reading, each in done.items()}
         spent_s = sum(each.processor_s for each in done.values())
         self._running = {}
         fitting = [reading for reading, each in done.items() if each.outcome.status is Status.OK]
@@ -69,31 +71,33 @@ class MountTrials:
 
 
 def _are_alike(outcome: Outcome, readings: list[MountHypothesis]) -> bool:
-    """Whether the readings that fit mean the same."""
+    """Whether the hypotheses that fit mean the same."""
     held = outcome.keyframes[-1].nav.mount_hypotheses
     return not any(unlike(held[readings[0]], held[other]) for other in readings[1:])
 
 
 def with_reading(nav: NavState, reading: MountHypothesis) -> NavState | None:
-    """The state with another reading's attitude; None if it has none."""
+    """The state with another hypothesis's attitude; None if it has none."""
     R = nav.mount_hypotheses.get(reading)
     return None if R is None else replace(nav, R_enu_body=R, attitude_sigma_rad=0.0)
 
 
-def _request(window: Window, reading: MountHypothesis) -> Request | None:
-    """The window's newest request as it would be by another reading, as if it were the first."""
+def _request(window: Window, reading: MountHypothesis, noise: Noise | None = None) -> Request | None:
+    """The window's newest request as it would be by another hypothesis: with the noise of its earlier windows, or
+    as if it were the first.
+    """
     navs = [with_reading(keyframe.nav, reading) for keyframe in window.keyframes]
     keyframes = []
     for keyframe, nav in zip(window.keyframes, navs, strict=True):
         if nav is None or (R := window.attitude_guess(nav)) is None:
             return None
         keyframes.append(replace(keyframe, nav=nav, R_cam_enu=R, centre_enu_m=nav.position_enu_m))
-    noise = Noise(window.config.solve.pixel_sigma_px, window.config.camera.sigma_jitter_s)
+    noise = noise or Noise(window.config.solve.pixel_sigma_px, window.config.camera.sigma_jitter_s)
     return replace(window.prepare(is_carrier_open=True), keyframes=tuple(keyframes), previous=None, noise=noise)
 
 
 def carry_over(window: Window, records: list[Record], navigation: Navigation, reading: MountHypothesis) -> bool:
-    """Exchange the attitudes of all that a window and its pictures hold for another reading's, and believe that one.
+    """Exchange the attitudes of all that a window and its pictures hold for another hypothesis's, and accept that one.
 
     What was solved by the old one is forgotten. False, with nothing exchanged, where any of them has no such attitude.
     """

@@ -1,4 +1,4 @@
-"""Gathers what pictures and attitudes say of the camera's time offset; asks `rotation_timing` when there is news."""
+"""Gathers what pictures and attitudes show of the camera's time offset; asks `rotation_timing` when there is news."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from onboard.config.schema import Config
-from onboard.estimation.boresight import BORESIGHT, OFFSET, Belief
+from onboard.estimation.boresight import Belief
 from onboard.estimation.keyframe import Ids
+from onboard.estimation.platform_states import BORESIGHT, OFFSET
 from onboard.estimation.rotation_timing import FEATURES, REACH_S, Course, Pair, Timing, timing
 from onboard.navigation.navigator import Motion, Navigation
 
 Array = NDArray[np.float64]
 
-STEP_NS = 50_000_000  # of the attitudes that pairs are held against
+STEP_NS = 50_000_000  # of the attitudes that pairs are compared with
 MARGIN_NS = 100_000_000
 REACH_STEPS = (round(REACH_S * 1e9) + MARGIN_NS) // STEP_NS + 1
 LEAST_APART_NS, MOST_APART_NS = 200_000_000, 1_500_000_000  # of the pictures of a pair
 MIN_COMMON = 16
 MEMORY_NS = 60_000_000_000
-MOST_PAIRS = 40  # the newest that tell something
-MIN_CHANGE_RAD_S = 0.08  # of the angular rate: 0.1 s of it is then half a degree, as much as an attitude errs
+MOST_PAIRS = 40  # the newest that are informative
+MIN_CHANGE_RAD_S = 0.08  # of the angular rate: 0.1 s of it is then half a degree, as much as an attitude is off
 MAX_WAIT_NS = 3_000_000_000  # for attitudes on both sides
 NEWS, NEWS_NS = 3, 2_500_000_000  # pairs, and time, after which the estimate is made again
 RELAXED, RELAXED_NS = 10, 10_000_000_000  # the same once the offset is known well
@@ -48,7 +49,7 @@ class OffsetWatch:
         self._asked_ns = 0
 
     def forget(self) -> None:
-        """Begin with new pairs: those so far have had their say, or the clock has changed."""
+        """Begin with new pairs: those so far have been used, or the clock has changed."""
         self._waiting.clear()
         self._pairs.clear()
         self._motions.clear()
@@ -69,7 +70,7 @@ class OffsetWatch:
             self._waiting.append(self._pair(last[0], stamp_ns, last[2][one[chosen]], uv_px[other[chosen]]))
 
     def estimate(self, navigation: Navigation, belief: Belief, now_ns: int) -> Timing | None:
-        """What turns so far say of the offset; None while there is no news, or where they do not single one out."""
+        """The offset by the turns so far; None while there is no news, or where they do not determine one."""
         if self._centre_s is None or abs(belief.mean[OFFSET] - self._centre_s) > RECENTRE_S:
             self.forget()
             self._centre_s = float(belief.mean[OFFSET])

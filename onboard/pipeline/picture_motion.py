@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.rolling_shutter import row_share
 from contract.rotations import exp_so3
-from onboard.estimation.boresight import BORESIGHT, OFFSET
 from onboard.estimation.keyframe import Observation, observation
+from onboard.estimation.platform_states import BORESIGHT, OFFSET
 from onboard.estimation.rolling_shutter import Moving, rates_between
 from onboard.estimation.sliding_window import Window
 from onboard.geometry.plane_homography import fit_homography, move
@@ -19,7 +19,7 @@ from onboard.vision.klt_tracker import Tracks
 
 Array = NDArray[np.float64]
 
-UNKNOWN_RATE_RAD_S = 0.3  # one sigma of a rate that only keyframes a second apart tell: gusts and turns begin faster
+UNKNOWN_RATE_RAD_S = 0.3  # one sigma of a rate known only from keyframes a second apart: gusts and turns begin faster
 RATE_S = float(0.06 / np.sqrt(2.0))  # a rate that is not measured is the difference of two attitudes so far apart
 
 

@@ -41,7 +41,7 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class Pending:
-    """A window solve under way for a new keyframe; `reason`: why the pictures before it were given up, if they were."""
+    """A window solve under way for a new keyframe; `reason`: why the pictures before it were dropped, if they were."""
 
     promise: Promise
     record: Record

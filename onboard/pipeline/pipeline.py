@@ -22,9 +22,9 @@ from contract.camera import Camera
 from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
 from onboard.config.schema import Config
-from onboard.estimation.boresight import DELAY, OFFSET
 from onboard.estimation.keyframe import Observation, seen_with
 from onboard.estimation.moved_optics import MOVED
+from onboard.estimation.platform_states import DELAY, OFFSET
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solver_executor import Inline, Worker, timed_adjust
 from onboard.events.types import Event, Frame
@@ -45,17 +45,19 @@ from onboard.pipeline.offset_watch import OffsetWatch
 from onboard.pipeline.picture_motion import as_read, seen_at
 from onboard.pipeline.picture_record import Pending, Record
 from onboard.pipeline.placing import Placing
+from onboard.pipeline.record_book import RecordBook
 from onboard.pipeline.shortfall import MIN_OVERLAP, Evidence, is_standing_still
 from onboard.pipeline.statistics import RunStatistics, Summary
 from onboard.pipeline.terrain_at_hand import TerrainSource, cut, is_at_hand
-from onboard.vision.klt_tracker import MIN_TRACKS, Tracker, Tracks
+from onboard.vision.klt_tracker import MIN_TRACKS, Tracks
+from onboard.vision.reduced_tracker import tracker_for
 
 Array = NDArray[np.float64]
 
 MAX_WAIT_NS = 1_500_000_000  # for telemetry to catch up with a picture
 MAX_FAILURES = 4  # window solves in a row without a result before a new start
 MAX_MISSES = 3  # pictures in a row that found too little before a new start
-SLOW_NS = 1_000_000_000  # between pictures, above which one that has lost the keyframe's ground begins anew at once
+SLOW_NS = 1_000_000_000  # between pictures, above which one that has lost the keyframe's ground begins again at once
 MAX_PREDICTION_MISS = 0.15  # rad: tracks this far from telemetry's prediction have locked onto the wrong features
 TURNING_RAD_S = 0.35
 PLACED_AN_EVENT = 2  # a solve releases as many pictures as lie between two keyframes: all at once would delay the next
@@ -71,31 +73,32 @@ class Pipeline:
         camera: Camera,
         terrain: TerrainSource | None = None,
         worker: Worker | None = None,
+        burned_in: NDArray[np.bool_] | None = None,
     ) -> None:
-        """`worker` solves the windows; by default this thread does, at once."""
+        """`worker` solves the windows; by default this thread does, at once. `burned_in` (H, W): where no ground is."""
         self.terrain = terrain
         self.worker: Worker = Inline() if worker is None else worker
         self.config = config
         self.camera = camera
         self.navigation = Navigation(config)
-        self.tracker = Tracker(camera.size_px, config.tracking.features, config.tracking.min_distance_px)
+        self.tracker = tracker_for(camera.size_px, config.tracking.features, config.tracking.min_distance_px)
+        if burned_in is not None:
+            self.tracker.leave_out(burned_in)
         self.window = Window(config, camera)
         self.mount_selection = MountSelection(camera, self.window.R_body_cam)
         self._offset_watch = OffsetWatch(config, camera, self.window.R_body_cam)
         self._trials = MountTrials(self.mount_selection)
-        self._placing, self._first_placing = Placing(), FirstPlacing(config)
+        self.placing, self._first_placing = Placing(), FirstPlacing(config)
         self.tracks: Tracks | None = None  # of the newest picture, for display
         self._waiting: deque[Frame] = deque()
-        self._records: list[Record] = []
-        self._settling: deque[Record] = deque()
-        self._unplaced: deque[Record] = deque()
+        self._book = RecordBook()
         self._pending: Pending | None = None
         self._now_ns = 0  # stamp of the newest event
         self._session: int | None = None
         self._staleness, self._stillness = Staleness(), Stillness(camera.width_px)
         self._misses = self._failures = 0
         self._overlap = 1.0  # of the newest picture with the newest keyframe, as telemetry predicts it
-        self._unsolved = Status.STARTING  # why there is no solution yet: POOR_FIT once windows were refused for it
+        self._unsolved = Status.STARTING  # why there is no solution yet: as the last window was refused
         self._last_nav: NavState | None = None
         self._frame: LocalFrame | None = None  # the navigation frame that the window's states are in
         self._statistics = RunStatistics(Evidence(config))
@@ -108,9 +111,8 @@ class Pipeline:
         else:
             with self._statistics.timed("navigation"):
                 self.navigation.add(event)
-        out: list[FeatureSet] = []
-        if self._pending is not None and self._now_ns >= self._pending.due_ns:
-            out.extend(self._adopt())
+        is_due = self._pending is not None and self._now_ns >= self._pending.due_ns
+        out = self._adopt() if is_due else []
         while self._waiting and self._is_ready(self._waiting[0]):
             out.extend(self._process(self._waiting.popleft()))
         out.extend(self._catch_up())
@@ -145,17 +147,10 @@ class Pipeline:
             self._session = (frame.stamp_ns // 1_000_000_000) & 0xFFFFFFFF
         if frame.image is None:
             return [self._refuse(frame, Status.BAD_PICTURE)]
-        out: list[FeatureSet] = []
-        if (reading := self.mount_selection.verdict) and reading is not self.navigation.mount_hypothesis:
-            out.extend(self._adopt())
-            if not carry_over(self.window, self._records, self.navigation, reading):
-                out.extend(self._restart())
-        with self._statistics.timed("navigation"):
-            nav = self._state_at(frame.stamp_ns, frame.stamp_sigma_s)
-        if nav is Status.NO_GPS:
-            self._statistics.evidence.navigation = self.navigation.reason
-        if isinstance(nav, Status) or self._staleness.is_stale(frame.image, nav, self._state_at):
-            return [*out, self._refuse(frame, nav if isinstance(nav, Status) else Status.BAD_PICTURE)]
+        out = self._follow_mount()
+        nav = self._navigated(frame)
+        if isinstance(nav, Status):
+            return [*out, self._refuse(frame, nav)]
         out.extend(self._part_from_last(nav))
         if self._frame is not self.navigation.frame:
             self._frame, self.window.terrain = self.navigation.frame, None
@@ -167,32 +162,57 @@ class Pipeline:
             tracks = self._track(frame, nav)
         if isinstance(tracks, Status):
             return [*out, self._refuse(frame, tracks)]
+        return [*out, *self._take_tracks(frame, nav, tracks, is_slow)]
+
+    def _follow_mount(self) -> list[FeatureSet]:
+        """Go over to the mount hypothesis that the pictures have selected, if that is another."""
+        hypothesis = self.mount_selection.verdict
+        if not hypothesis or hypothesis is self.navigation.mount_hypothesis:
+            return []
+        out = self._adopt()
+        if not carry_over(self.window, self._book.records, self.navigation, hypothesis):
+            out.extend(self._restart())
+        return out
+
+    def _navigated(self, frame: Frame) -> NavState | Status:
+        """Where the aircraft was, or why the picture cannot be used."""
+        assert frame.image is not None
+        with self._statistics.timed("navigation"):
+            nav = self._state_at(frame.stamp_ns, frame.stamp_sigma_s)
+        if nav is Status.NO_GPS:
+            self._statistics.evidence.navigation = self.navigation.reason
+        if isinstance(nav, Status):
+            return nav
+        return Status.BAD_PICTURE if self._staleness.is_stale(frame.image, nav, self._state_at) else nav
+
+    def _take_tracks(self, frame: Frame, nav: NavState, tracks: Tracks | None, is_slow: bool) -> list[FeatureSet]:
+        """A tracked picture becomes a keyframe, is placed now or later, or is refused because of too few tracks."""
         self.tracks = tracks
         if tracks is None:
             # The first picture of a stretch: nothing to track against yet.
-            return [*out, *self._make_keyframe(frame, nav, self.tracker.nothing())]
+            return self._make_keyframe(frame, nav, self.tracker.nothing())
         self._statistics.track_counts[len(tracks)] += 1
         if len(tracks) < MIN_TRACKS:
             self._misses += 1
             reason = Status.TURNING if self._is_turning(frame) else Status.FEATURELESS
             if self._misses >= MAX_MISSES or (is_slow and self._overlap < MIN_OVERLAP):
-                out.extend(self._restart())
-                return [*out, *self._make_keyframe(frame, nav, self.tracker.nothing(), reason)]
-            return [*out, self._refuse(frame, reason)]
+                return [*self._restart(), *self._make_keyframe(frame, nav, self.tracker.nothing(), reason)]
+            return [self._refuse(frame, reason)]
         self._misses = 0
         if wants_keyframe(tracks, self.camera.width_px):
-            return [*out, *self._make_keyframe(frame, nav, tracks)]
+            return self._make_keyframe(frame, nav, tracks)
         record = Record(frame, partial(self._seen, nav, tracks), nav, False)
-        self._records.append(record)
+        self._book.add(record)
         has_newer = bool(self._waiting) and self._is_ready(self._waiting[0])
         record.is_for_later = self.window.solved is not None and self._first_placing.may_wait(frame.stamp_ns, has_newer)
-        if not record.is_for_later:
-            out.extend(self._place([record]))
-            self._first_placing.note(frame.stamp_ns, record.status is Status.OK)
+        if record.is_for_later:
+            return []
+        out = self._place([record])
+        self._first_placing.note(frame.stamp_ns, record.status is Status.OK)
         return out
 
     def _part_from_last(self, nav: NavState) -> list[FeatureSet]:
-        """Begin anew where this picture and the one before it may not be in one window."""
+        """Begin again where this picture and the one before it may not be in one window."""
         last, evidence, why = self._last_nav, self._statistics.evidence, None
         if last is not None:
             why = what_parts(last, nav, self.navigation, round(self._offset_s * 1e9))
@@ -214,7 +234,7 @@ class Pipeline:
         return self.navigation.state_at(stamp_ns, self._offset_s, stamp_sigma_s, self._delay_s)
 
     def _know_terrain(self, nav: NavState) -> None:
-        """Keep the terrain around the aircraft at hand, cut anew when it nears the edge of what is held."""
+        """Keep the terrain around the aircraft ready, cut again when it comes near the edge of what is held."""
         if self.terrain is not None and self._frame is not None and not is_at_hand(self.window.terrain, nav):
             with self._statistics.timed("terrain"):
                 self.window.terrain = cut(self.terrain, self._frame, nav)
@@ -222,7 +242,7 @@ class Pipeline:
     def _track(self, frame: Frame, nav: NavState) -> Tracks | Status | None:
         """Features found again; None if there was nothing to look for, a status if the picture is not to be used."""
         assert frame.image is not None
-        # While it is open what carries the camera, the pictures must be heard without its prejudice.
+        # While it is open what the camera is mounted on, the pictures must be tracked without a prediction by it.
         predicted = None if self.mount_selection.is_open(nav) else self._predict(nav)
         was = self.window.keyframes[-1].nav if self.window.keyframes else None
         self._overlap = self._statistics.evidence.note_overlap(self.camera, predicted, was, nav)
@@ -242,7 +262,7 @@ class Pipeline:
         return tracks
 
     def _learn_offset(self, nav: NavState, tracks: Tracks) -> None:
-        """What rotations alone say of the time offset: heard before tracks are held against a prediction by it."""
+        """The time offset by rotations alone: used before tracks are compared with a prediction by it."""
         if nav.R_enu_body is None or nav.stamp_sigma_s or self.mount_selection.is_open(nav):
             return  # what stamps are off by for a while is no property of the platform
         watch, alignment = self._offset_watch, self.window.alignment
@@ -273,17 +293,18 @@ class Pipeline:
         self._stillness.begin(ids, uv, frame.stamp_ns)
         look_up_again(self.window, self.navigation)
         seen = seen_at(self.window, self.window.camera, self.navigation, nav, replace(tracks, ids=ids, uv_px=uv))
-        offset_s, delay_s = self._offset_s, self._delay_s
-        offset_ns = round(offset_s * 1e9)
+        offset_ns = round(self._offset_s * 1e9)
         flown = None
         if self.window.keyframes:
             since_ns = self.window.keyframes[-1].nav.stamp_ns
             flown = self.navigation.displacement(since_ns + offset_ns, frame.stamp_ns + offset_ns)
         rate = self.navigation.body_rate_at(frame.stamp_ns + offset_ns)
-        self.window.add(frame.index, seen, nav, (offset_s, delay_s), rate, flown, self.tracker.flow_disagreement_px)
+        self.window.add(
+            frame.index, seen, nav, (self._offset_s, self._delay_s), rate, flown, self.tracker.flow_disagreement_px
+        )
         self._statistics.keyframes += 1
         record = Record(frame, seen, nav, True)
-        self._records.append(record)
+        self._book.add(record)
         promise = self.worker.submit(
             timed_adjust, self.window.prepare(is_carrier_open=self.mount_selection.is_open(nav))
         )
@@ -299,24 +320,21 @@ class Pipeline:
         if pending is None:
             return []
         done, record = pending.promise.result(), pending.record
-        outcome, trials_s = self._trials.judged(done.outcome, self.window, self._records, self.navigation)
+        outcome, trials_s = self._trials.judged(done.outcome, self.window, self._book.records, self.navigation)
         self._statistics.spend("solve", done.processor_s + trials_s)
         status = self.window.adopt(outcome)
         self._statistics.note_window(self.window.refusal)
         self._failures = self._failures + 1 if status is Status.POOR_FIT else 0
-        if status in (Status.OK, Status.POOR_FIT, *MOVED):
+        if status in (Status.OK, Status.POOR_FIT, Status.LOW_PARALLAX, *MOVED):
             self._unsolved = Status.STARTING if status is Status.OK else status
         solved = self.window.solved
         if status is not Status.OK or solved is None:
             out: list[FeatureSet] = []
             if self._failures >= MAX_FAILURES:
                 # What the window holds does not fit together: begin again with this keyframe alone.
-                later = [r for r in self._records if r.frame.index > record.frame.index]
-                self._records = [r for r in self._records if r.frame.index < record.frame.index]
-                out = self._settle_all()
+                out = self._settle(self._book.take_before(record))
                 self.window.begin_again()
                 self._failures = 0
-                self._records = [record, *later]
             if record.status is Status.OK:
                 return out
             reported = self._unsolved if status is Status.STARTING else status
@@ -325,22 +343,15 @@ class Pipeline:
             return [*out, self._refuse_record(record, pending.reason or reported)]
         self._statistics.reprojections_px.append(solved.reprojection_px)
         out = self._place([record])
-        self._unplaced = deque(r for r in self._records if r.status is not Status.OK and not r.is_for_later)
-        middle = len(solved.frames) - 1 - self.config.solve.keyframes // 2
-        if middle >= 0:
-            limit = solved.frames[middle]
-            queued = set(map(id, self._settling))
-            passed = [r for r in self._records if r.frame.index <= limit and not r.is_settled]
-            self._settling.extend(r for r in passed if id(r) not in queued)
-        self._records = [r for r in self._records if r.frame.index > solved.frames[0] or not r.is_settled]
+        self._book.queue(solved.frames, self.config.solve.keyframes // 2)
         return out
 
     def _restart(self) -> list[FeatureSet]:
-        """Begin anew: what the window could place is settled first."""
+        """Begin again: what the window could place is settled first."""
         out = [*self._adopt(), *self._settle_all()]
         self.window.reset()
         self.tracker.forget()
-        self._placing.forget()
+        self.placing.forget()
         self._misses = 0
         return out
 
@@ -348,30 +359,26 @@ class Pipeline:
         """A few of the pictures that a solve allows to be placed, or placed for good: the newest that have no set."""
         out: list[FeatureSet] = []
         for _ in range(PLACED_AN_EVENT):
-            if self._unplaced:
-                record = self._unplaced.pop()
+            if self._book.unplaced:
+                record = self._book.unplaced.pop()
                 if record.status is not Status.OK:
                     out.extend(self._place([record]))
-            elif self._settling:
-                out.extend(self._settle([self._settling.popleft()]))
+            elif self._book.settling:
+                out.extend(self._settle([self._book.settling.popleft()]))
         return out
 
     def _settle_all(self) -> list[FeatureSet]:
         """The last revision of all that the window holds, which is then forgotten."""
-        out = self._settle(self._records)
-        self._records = []
-        self._settling.clear()
-        self._unplaced.clear()
-        return out
+        return self._settle(self._book.take_all())
 
     def _settle(self, records: list[Record]) -> list[FeatureSet]:
-        """The last revision of pictures that the window has seen past, where it says anything new."""
+        """The last revision of pictures that the window has seen past, where it holds anything new."""
         solved, out = self.window.solved, []
         for record in records:
             is_first = record.is_for_later and record.revision < 0
             if not record.is_settled and (solved is not None or is_first):
                 record.is_settled = True
-                if is_first or solved is None or not self._placing.is_needless(solved, record):
+                if is_first or solved is None or not self.placing.is_needless(solved, record):
                     out.extend(self._place([record], only_ok=not is_first))
         return out
 
@@ -391,19 +398,14 @@ class Pipeline:
         frame = self._frame
         if frame is None or self._session is None:
             return Status.STARTING
-        origin = Origin(
-            self.config.vehicle.id,
-            self._session,
-            record.frame.index,
-            record.frame.stamp_ns,
-            min(record.revision + 1, 255),
-            record.is_keyframe,
-        )
+        index, stamp_ns, revision = record.frame.index, record.frame.stamp_ns, min(record.revision + 1, 255)
+        origin = Origin(self.config.vehicle.id, self._session, index, stamp_ns, revision, record.is_keyframe)
         solved = self.window.solved
         camera = (solved or self.window).camera
         picture = Picture(camera, origin, frame, record.nav.undulation_m, record.seen.moving, self.window.readout)
         result = self._by_structure(record, picture)
-        # Where the carrier is open or the optics have moved, nothing says where the camera looks, or only the attitude.
+        # Where the mount is open or the optics have moved, nothing determines where the camera looks, or only the
+        # attitude.
         if isinstance(result, Status) and not (self.mount_selection.is_open(record.nav) or self._unsolved in MOVED):
             over = over_known_ground(self.config, self.window, record.nav, picture)
             result = result if over is None else over
@@ -422,7 +424,7 @@ class Pipeline:
         if solved is None:
             return self._why_unsolved(record.nav)
         record.seen = seen_with(solved.camera, record.seen, solved.readout_s)
-        result = self._placing.place(self.window, solved, record, picture)
+        result = self.placing.place(self.window, solved, record, picture)
         return self._why_without_depth(record) if result is Status.FEATURELESS else result
 
     def _why_without_depth(self, record: Record) -> Status:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from contract.feature_set import FeatureSet, Status
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solved_window import Solved
@@ -20,6 +22,7 @@ class Placing:
         self._newest: Record | None = None
         self._settled: Record | None = None
         self._revisions = Revisions()
+        self.watches: list[Callable[[Placed], None]] = []  # shown every picture as it is placed
 
     def forget(self) -> None:
         """What comes shares nothing with what was."""
@@ -36,12 +39,15 @@ class Placing:
             if known is None:
                 return Status.STARTING
             guess = Pose(*known)
-        # How far the ground is alike is estimated of every keyframe, and taken for known until the next.
+        # The distance over which the ground is correlated is estimated at every keyframe, and taken as known until the
+        # next.
         ground_range = None if near is None or record.is_keyframe else near.ground_range
         placed = place(window, solved, record.seen, picture, guess, None if again is None else again.pose, ground_range)
         if isinstance(placed, Status):
             return placed
         record.placed = placed
+        for watch in self.watches:
+            watch(placed)
         if self._newest is None or record.nav.stamp_ns >= self._newest.nav.stamp_ns:
             self._newest = record
         else:

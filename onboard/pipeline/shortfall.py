@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.feature_set import Status
 from onboard.config.schema import Config
-from onboard.estimation.window_solver import MIN_KEYFRAMES
+from onboard.estimation.window_problem import MIN_KEYFRAMES
 from onboard.geometry.plane_homography import move, pixel_grid
 from onboard.navigation.navigator import NavState
 
@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 MAX_APART_S = 12.0  # between pictures: ten of them, a window, span what navigation remembers
 REMEMBERED_STEPS = 1000
 MIN_OVERLAP = 0.25  # rendered flights: answered in full at 0.27 of the picture in common, not at all at 0.17
-MIN_SPAN = 0.1  # of the height above ground, flown during a window: less is no parallax
-MIN_LASTING_S = 5.0  # of a flight that is said to have stood still: a shorter one is too short
+MIN_SPAN = 0.1  # of the height above ground, travelled during a window: less is no parallax
+MIN_LASTING_S = 5.0  # of a flight that is reported to have stood still: a shorter one is too short
 SHARE_GRID = (16, 12)
 MIN_TRAVEL = 0.03  # of the height above ground: less than this is no parallax
 MIN_TRAVEL_HEIGHT_M = 20.0
@@ -55,8 +55,8 @@ class Evidence:
     overlap: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=REMEMBERED_STEPS))
     breaks: Counter[Break] = field(default_factory=Counter)
     has_attitude: bool = False
-    navigation: str = ""  # why the position was not believed, the last time it was not
-    span_m: float = 0.0  # the farthest flown within one window
+    navigation: str = ""  # why the position was not accepted, the last time it was not
+    span_m: float = 0.0  # the farthest travelled within one window
     height_m: float = float("nan")  # above home, the last known
     _first_enu_m: Array | None = None
 
@@ -207,7 +207,11 @@ def overlap_share(camera: Camera, predicted: Array | None, travelled_m: float, h
 
 
 def is_standing_still(first: NavState, nav: NavState) -> bool:
-    """Whether too little was flown between two states for parallax, for so long that it will not come by itself."""
+    """Whether two states are too close to each other for parallax, for so long that it will not come by itself.
+
+    By the mean speed: in a hover wind and receiver move the position by metres, but on the whole nowhere.
+    """
+    lasted_s = (nav.stamp_ns - first.stamp_ns) / 1e9
     height_m = max(nav.height_above_home_m or 0.0, MIN_TRAVEL_HEIGHT_M)
     travelled_m = float(np.linalg.norm(nav.position_enu_m - first.position_enu_m))
-    return nav.stamp_ns - first.stamp_ns > PATIENCE_S * 1e9 and travelled_m < MIN_TRAVEL * height_m
+    return lasted_s > PATIENCE_S and travelled_m / lasted_s < MIN_TRAVEL * height_m / PATIENCE_S

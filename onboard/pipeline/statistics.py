@@ -30,10 +30,10 @@ class Summary:
     median_tracks: float = 0.0
     reprojection_px: float = 0.0
     estimates: tuple[Estimate, ...] = ()  # of the platform; empty before the first update
-    sensor_errors: tuple[SensorError, ...] = ()  # how large they are, as estimated beside what is configured
-    unconfirmed: tuple[Estimate, ...] = ()  # found, but too far from what was believed to be adopted by itself
+    sensor_errors: tuple[SensorError, ...] = ()  # how large they are, as estimated and as configured
+    unconfirmed: tuple[Estimate, ...] = ()  # found, but too far from the prior to be adopted by itself
     contradictions: tuple[Contradiction, ...] = ()  # sensors that contradict the others, or did
-    carrier: str = ""  # what was believed to carry the camera
+    carrier: str = ""  # what the camera was assumed to be mounted on
     stage_seconds: dict[str, float] = field(default_factory=dict)
 
 

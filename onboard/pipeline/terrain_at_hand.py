@@ -1,4 +1,4 @@
-"""The terrain around the aircraft: where it comes from, and when it is cut anew."""
+"""The terrain around the aircraft: where it comes from, and when it is cut again."""
 
 from __future__ import annotations
 

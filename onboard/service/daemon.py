@@ -1,7 +1,8 @@
-"""The daemon: begins a session, watches over it, ends it. Lifecycle, orders and words to the outside; no work itself.
+"""The daemon: begins a session, watches over it, ends it. Lifecycle, orders and messages; no work itself.
 
-What the field does to a camera or a link is their own business. A thread that fails or hangs is not: the daemon ends,
-with the reason in the log and an exit code that is not zero, and the service manager starts it anew within a second.
+A camera or a link that fails in the field is handled by its own part. A thread that fails or hangs is not: the daemon
+ends, with the reason in the log and an exit code that is not zero, and the service manager starts it again within a
+second.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from onboard.service.vehicle_state import Overall, VehicleState, is_alive, overa
 
 TICK_S = 0.25
 REPORT_NS = 1_000_000_000
-SAY_NS = 3_000_000_000  # the pilot's screen is small: a state must be new for so long since the last one said
+SAY_NS = 3_000_000_000  # the pilot's screen is small: a state must be new for so long since the last one reported
 FINISH_S = 5.0
 HUNG_S = 30.0  # without a service manager's watchdog, the daemon ends itself
 
@@ -36,7 +37,7 @@ _LEVELS = {
 
 
 class Order(enum.Enum):
-    """What the daemon can be told."""
+    """What the daemon can be asked to do."""
 
     STOP = enum.auto()
     RELOAD = enum.auto()
@@ -90,7 +91,7 @@ class Daemon:
         self._said_ns = self._reported_ns = 0
 
     def run(self) -> int:
-        """Fly until told to stop; the exit code. Raises PointclickError if it cannot begin, and only then.
+        """Fly until asked to stop; the exit code. Raises PointclickError if it cannot begin, and only then.
 
         Whatever happens after the beginning, a reload that finds no way on among it, is 1: the manager tries again.
         """
@@ -153,7 +154,7 @@ class Daemon:
                 reporter(report)
 
     def _tell(self, state: Overall, now_ns: int) -> None:
-        """The log and the service manager hear of each change at once, the pilot no more often than can be read."""
+        """The log and the service manager get each change at once, the pilot no more often than can be read."""
         if self._overall is None or state.state is not self._overall.state:
             log.log(_LEVELS[severity(state.state)], "state: %s", state)
         self._overall = state
@@ -163,7 +164,7 @@ class Daemon:
             self._said, self._said_ns = state.state, now_ns
 
     def _reload(self) -> bool:
-        """Whether the flight goes on, with the new configuration or with the old."""
+        """Whether the flight continues, with the new configuration or with the old."""
         self._notifier.reloading()
         try:
             config = self._load()

@@ -21,7 +21,7 @@ def cpu_temperature_c(thermal: Path = THERMAL) -> float | None:
 
 
 def free_mb(folder: Path) -> float | None:
-    """Free space on the disk of a folder, or of the nearest parent that exists, MB; None if nobody can tell."""
+    """Free space on the disk of a folder, or of the nearest parent that exists, MB; None if it is not known."""
     for place in (folder, *folder.parents):
         try:
             return shutil.disk_usage(place).free / 1e6

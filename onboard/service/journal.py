@@ -30,7 +30,7 @@ def is_journal(stream: TextIO, environment: Mapping[str, str] = os.environ) -> b
 
 
 def set_up(stream: TextIO = sys.stdout, environment: Mapping[str, str] = os.environ) -> None:
-    """Everything of this project from INFO up, others' warnings; times only where nobody else writes them."""
+    """Everything of this project from INFO up, others' warnings; times only where nothing else writes them."""
     handler = logging.StreamHandler(stream)
     if is_journal(stream, environment):
         handler.setFormatter(_JournalFormatter("%(message)s"))

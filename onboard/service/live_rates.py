@@ -1,4 +1,4 @@
-"""What the sources and the pipeline have been doing of late: rates, delays, what became of the newest pictures.
+"""What the sources and the pipeline did in the last seconds: rates, delays, what became of the newest pictures.
 
 Written by the source's and the pipeline's threads, read by the daemon's. All moments are on the session's clock.
 """
@@ -44,7 +44,7 @@ class LiveRates:
             _forget(self._came_ns, now_ns)
 
     def set_made(self, output: FeatureSet, now_ns: int) -> None:
-        """The pipeline has made a set, maybe anew."""
+        """The pipeline has made a set, or a new revision of one."""
         with self._lock:
             self._made_ns, self.session = now_ns, output.session
             before = self._pictures.get(output.frame)

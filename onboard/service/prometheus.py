@@ -23,14 +23,14 @@ from prometheus_client.core import (
 from prometheus_client.exposition import ThreadingWSGIServer
 
 from contract.errors import ConfigError, LinkError
+from contract.supervised_thread import Policy, SupervisedThread, ThreadState
 from onboard.events.source import SourceStatus, State
-from onboard.events.supervised_thread import Policy, SupervisedThread, ThreadState
 from onboard.pipeline.estimates import Estimate
 from onboard.service.reports import Report
 from onboard.service.vehicle_state import Subject, VehicleState
 
 POLL_S = 0.5
-REQUEST_S = 5.0  # a client that says nothing for so long is let go
+REQUEST_S = 5.0  # a client that sends nothing for so long is disconnected
 # The end of a figure's name -> the base unit, and what a figure is to be multiplied by.
 _UNITS = {
     "_hz": ("hertz", 1.0),
@@ -253,6 +253,6 @@ class _Server6(_Server):
 
 
 def _listen(host: str, port: int, registry: CollectorRegistry) -> _Server:
-    """Raises OSError, also for a name that nobody knows."""
+    """Raises OSError, also for a name that is not known."""
     app = make_wsgi_app(registry)
     return make_server(host, port, app, _Server6 if ":" in host else _Server, _Handler)

@@ -1,7 +1,7 @@
 """What the daemon reports of itself once a second: one typed report that `status`, `doctor` and Prometheus share.
 
 Asked for over the link it travels as JSON (docs/wire-format.md, section 10, `detail`). A reader takes keys it does not
-know for news of a later version and passes over them; what an earlier version did not say has the default below.
+know as those of a later version and ignores them; what an earlier version did not send has the default below.
 """
 
 from __future__ import annotations
@@ -15,15 +15,16 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from contract.errors import LinkError
+from contract.supervised_thread import ThreadReport
 from contract.vehicle_status import VehicleStatus
 from onboard.events.source import SourceStatus
-from onboard.events.supervised_thread import ThreadReport
 from onboard.events.types import GpsQuality
+from onboard.pipeline.error_budgets import Budget
 from onboard.pipeline.estimates import Contradiction, Estimate, SensorError
 from onboard.pipeline.statistics import Summary
 from onboard.service.vehicle_state import Finding, GpsReport
 
-BLACK, WHITE = 2, 253  # grey levels up to which and from which a pixel tells nothing any more
+BLACK, WHITE = 2, 253  # grey levels up to which and from which a pixel holds no information
 EVERY = 8  # pixels looked at for the brightness, in both directions
 
 
@@ -61,7 +62,7 @@ class PictureCounts:
 
 
 def gps_report(quality: GpsQuality | None, now_ns: int) -> GpsReport | None:
-    """The receiver's newest word and how old it is at `now_ns` (session clock); None before the first."""
+    """The receiver's newest report and how old it is at `now_ns` (session clock); None before the first."""
     q = quality
     if q is None:
         return None
@@ -103,7 +104,8 @@ class Report:
     threads: tuple[ThreadReport, ...] = ()
     recording: RecordingReport = RecordingReport()
     clock: ClockReport = ClockReport()
-    unconfirmed: tuple[Estimate, ...] = ()  # found, but too far from what was believed to be adopted by itself
+    unconfirmed: tuple[Estimate, ...] = ()  # found, but too far from the prior to be adopted by itself
+    budget: Budget | None = None  # of a click in the middle of the newest picture; None while it is not known
 
     def estimate(self, name: str) -> Estimate | None:
         """One of the estimates; None while there is none of that name."""

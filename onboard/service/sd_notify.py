@@ -1,4 +1,4 @@
-"""Words to systemd: sd_notify(3) in the standard library. Without systemd every word goes nowhere."""
+"""Messages to systemd: sd_notify(3) in the standard library. Without systemd every message is lost."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 
 class Notifier:
-    """Tells the service manager how we are. A manager that does not listen is no reason to stop flying."""
+    """Reports our state to the service manager. A manager that does not listen is no reason to stop."""
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         self._address = environment.get("NOTIFY_SOCKET", "")
@@ -36,7 +36,7 @@ class Notifier:
             self._send(f"STATUS={line}")
 
     def feed_watchdog(self) -> None:
-        """We live. Left out for longer than `watchdog_s`, the manager ends us and starts us anew."""
+        """Report that we are alive. After more than `watchdog_s` without it the manager ends us and starts us again."""
         if self.watchdog_s is not None:
             self._send("WATCHDOG=1")
 

@@ -17,13 +17,15 @@ from typing import Protocol
 
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
+from contract.supervised_thread import Policy, SupervisedThread, ThreadReport
 from contract.vehicle_status import VehicleStatus
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.sink import Sink
 from onboard.events.source import Source, TelemetrySource
-from onboard.events.supervised_thread import Policy, SupervisedThread, ThreadReport
 from onboard.events.types import Event, Frame, GpsQuality
+from onboard.pipeline.error_budgets import NewestBudget
+from onboard.pipeline.estimates import said_of
 from onboard.pipeline.pipeline import Pipeline
 from onboard.pipeline.statistics import Summary
 from onboard.service.event_queue import EventQueue
@@ -55,7 +57,7 @@ Reporter = Callable[[Report], None]
 
 
 class RecordingSink(Sink, Protocol):
-    """A sink that may be unable to go on, and says so instead of raising."""
+    """A sink that may be unable to continue, and reports that instead of raising."""
 
     @property
     def fault(self) -> str:
@@ -107,6 +109,8 @@ class Session:
         self._snapshot_at_ns = self._looked_ns = 0
         self._summary = Summary()
         self._tracks = 0
+        self._budget = NewestBudget()
+        parts.pipeline.placing.watches.append(self._budget)
         self._gps: GpsQuality | None = None
         self._standstill = Standstill(config.gps)
         self._brightness: Brightness | None = None
@@ -155,7 +159,7 @@ class Session:
             self.parts.resources.close()
         except InputError as error:
             log.error("%s", error)
-        except Exception:  # closing goes on past it; it may not cost the exit code or what the daemon does next
+        except Exception:  # closing continues after it; it must not change the exit code or what the daemon does next
             log.exception("something could not be closed")
         else:
             return True
@@ -168,7 +172,7 @@ class Session:
         self.keep_learned()
 
     def keep_learned(self) -> bool:
-        """Write what was learned since the last time; if that fails, say so, and it is tried again the next time."""
+        """Write what was learned since the last time; if that fails, report it, and it is tried again the next time."""
         learned = self._learned
         if learned is None or learned == self._kept or self.parts.state is None:
             return True
@@ -195,12 +199,13 @@ class Session:
             position_fault=self.parts.pipeline.navigation.reason,
             is_at_rest=self._standstill.is_at_rest,
             threads=self.threads(),
+            contradiction=said_of(self._summary.contradictions),
         )
 
     def report(self) -> Report:
         """Everything the session knows of itself."""
         now_ns, inputs, rates, summary = self.clock.now_ns(), self.inputs(), self.live_rates, self._summary
-        state = overall(inputs)
+        state, budget = overall(inputs), self._budget.at(now_ns)
         is_recording = self.parts.recording is not None and not inputs.recording_fault
         status = VehicleStatus(
             unix_s=now_ns / 1e9,
@@ -217,6 +222,7 @@ class Session:
             lost=round(inputs.camera.figures.get("lost", 0.0)),
             recording=is_recording,
             cpu_c=self.parts.temperature_c(),
+            shares={} if budget is None else budget.percent,
         )
         return Report(
             status,
@@ -233,6 +239,7 @@ class Session:
             RecordingReport(is_recording, inputs.recording_fault),
             ClockReport(self.clock.host_step_s()),
             summary.unconfirmed,
+            budget,
         )
 
     def _run_camera(self, thread: SupervisedThread) -> None:

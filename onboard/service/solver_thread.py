@@ -7,7 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
-from onboard.events.supervised_thread import Policy, SupervisedThread
+from contract.supervised_thread import Policy, SupervisedThread
 
 IDLE_S = 0.5
 LATE_S = 10.0  # a window takes some tenths of a second

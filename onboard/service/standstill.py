@@ -1,6 +1,6 @@
 """Whether the aircraft stands on the ground: then it is no fault that pictures show no motion.
 
-PX4 says so itself (FilterStatus). Others are taken to stand where their velocity is nothing but its own noise for as
+PX4 reports it itself (FilterStatus). Others are taken to stand where their velocity is nothing but its own noise for as
 long as the pipeline waits before it calls that standing still, at the height of home as far as that is known.
 """
 
@@ -20,7 +20,7 @@ class Standstill:
 
     def __init__(self, gps: Gps) -> None:
         self._max_speed_m_s = SIGMAS * gps.sigma_velocity_m_s
-        self._max_height_m = SIGMAS * gps.sigma_wander_vertical_m
+        self._max_height_m = SIGMAS * gps.sigma_correlated_vertical_m
         self._still_since_ns: int | None = None
         self._newest_ns = 0
         self._is_held = False

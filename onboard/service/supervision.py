@@ -1,13 +1,13 @@
 """All threads of a session seen together: how each is, whether one failed or hangs, whether the watchdog may be fed.
 
-The type itself is `onboard.events.supervised_thread`: sinks have threads too, and may not import the service.
+The type itself is `contract.supervised_thread`: sinks have threads too, and may not import the service.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from onboard.events.supervised_thread import Policy, SupervisedThread, ThreadReport, ThreadState
+from contract.supervised_thread import Policy, SupervisedThread, ThreadReport, ThreadState
 
 __all__ = ["Supervisor", "ThreadReport", "ThreadState"]
 
@@ -24,14 +24,14 @@ class Supervisor:
 
     @property
     def failure(self) -> tuple[str, BaseException | None] | None:
-        """A thread without which the service cannot go on and that has ended, with its error if there was one."""
+        """A thread without which the service cannot continue and that has ended, with its error if there was one."""
         for thread in self._vital():
             if thread.has_failed:
                 return thread.name, thread.error
         return None
 
     def hung(self, after_s: float) -> str:
-        """The name of a thread without which the service cannot go on, silent for `after_s`; empty if none is."""
+        """The name of a thread without which the service cannot continue, silent for `after_s`; empty if none is."""
         for thread in self._vital():
             if thread.is_late and thread.heartbeat_age_s > after_s:
                 return thread.name
@@ -39,7 +39,7 @@ class Supervisor:
 
     @property
     def is_alive(self) -> bool:
-        """Whether every thread without which the service cannot go on has been heard from in time."""
+        """Whether every thread without which the service cannot continue has reported in time."""
         return not any(thread.is_late or thread.has_failed for thread in self._vital())
 
     def _vital(self) -> list[SupervisedThread]:

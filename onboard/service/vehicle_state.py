@@ -1,8 +1,8 @@
-"""How the aircraft's side is: a pure function of what its parts say. The one place where that is judged.
+"""The state of the aircraft's side: a pure function of what its parts report. The only place where it is determined.
 
 `judge` lists everything that is not well, in the order in which one thing causes the next; the state is the first of
-the list, and `pc-onboard doctor` prints the whole of it, so that the two cannot disagree. docs/faults.md says what each
-state means and what ends it.
+the list, and `pc-onboard doctor` prints the whole of it, so that the two cannot disagree. docs/faults.md specifies
+what each state means and what ends it.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from enum import Enum
 
 from contract.feature_set import Status
+from contract.supervised_thread import ThreadReport
 from onboard.events.source import Severity, SourceStatus, State
-from onboard.events.supervised_thread import ThreadReport
 
 STUCK_S = 4.0  # one event never takes this long
 SILENT_S = 3.0  # without a picture though the camera calls itself well
@@ -62,11 +62,12 @@ class Subject(Enum):
     LOAD = "load"
     RECORDING = "recording"
     THREADS = "threads"
+    SENSORS = "sensors"
 
 
 @dataclass(frozen=True)
 class GpsReport:
-    """What the receiver says of itself, and how old that is."""
+    """What the receiver reports about itself, and how old that is."""
 
     fix_type: int  # MAVLink GPS_FIX_TYPE: 0-1 none, 2 two-dimensional, 3 and up usable
     age_s: float
@@ -83,19 +84,20 @@ class GpsReport:
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the parts say just now."""
+    """What the parts report at present."""
 
     camera: SourceStatus
     telemetry: SourceStatus
     picture_age_s: float | None  # since the last picture came; None before the first
     busy_s: float  # how long the pipeline has been at one event; 0 when it waits
     outcome: Status | None  # of the newest pictures; None while there are none
-    gps: GpsReport | None = None  # None before the receiver's first word
-    position_fault: str = ""  # why the navigation does not believe the position; empty when it does
-    is_at_rest: bool = False  # the autopilot or the positions say that the aircraft stands still
+    gps: GpsReport | None = None  # None before the receiver's first report
+    position_fault: str = ""  # why the navigation does not accept the position; empty when it does
+    is_at_rest: bool = False  # the autopilot or the positions show that the aircraft stands still
     is_shedding: bool = False  # pictures were dropped a moment ago
     recording_fault: str = ""  # why nothing is recorded; empty when all is well or none is wanted
     threads: tuple[ThreadReport, ...] = ()
+    contradiction: str = ""  # which sensor contradicts the others at present; empty when none does
 
 
 @dataclass(frozen=True)
@@ -132,9 +134,9 @@ _REFUSALS: dict[Status, tuple[VehicleState, str]] = {
     Status.ZOOMED: (VehicleState.POOR_FIT, "the lens has zoomed or refocused"),
     Status.UNCERTAIN: (VehicleState.POOR_FIT, "too uncertain to answer"),
 }
-# What pictures come to on the ground, where the camera may look at grass from a hand's breadth: no fault before flight.
+# The result of pictures on the ground, where the camera may look at grass from 10 cm: no fault before flight.
 _OF_REST = (Status.STARTING, Status.LOW_PARALLAX, Status.FEATURELESS)
-# What a position that is not believed makes of the state, by what the newest pictures came to; else there is no GPS.
+# The state while the position is not accepted, by the result of the newest pictures; else there is no GPS.
 _OF_POSITION: dict[Status | None, VehicleState] = {
     Status.OK: VehicleState.DEGRADED,
     Status.STARTING: VehicleState.STARTING,
@@ -159,7 +161,7 @@ def overall(inputs: Inputs) -> Overall:
 
 
 def source_findings(camera: SourceStatus, telemetry: SourceStatus) -> tuple[Finding, ...]:
-    """What the two sources say of themselves."""
+    """What the two sources report about themselves."""
     found = []
     if camera.state is State.LOST:
         found.append(Finding(Subject.CAMERA, VehicleState.CAMERA_LOST, camera.detail))
@@ -178,7 +180,7 @@ def source_findings(camera: SourceStatus, telemetry: SourceStatus) -> tuple[Find
 
 
 def gps_findings(gps: GpsReport | None) -> tuple[Finding, ...]:
-    """What the receiver says of itself, as the state has it when nothing worse is the matter."""
+    """What the receiver reports about itself, as the state holds it when nothing worse is wrong."""
     if gps is None:
         return (Finding(Subject.GPS, VehicleState.DEGRADED, "gps: the receiver has said nothing"),)
     if gps.fix_type < MIN_FIX_TYPE:
@@ -203,7 +205,7 @@ def _stopped(inputs: Inputs) -> Iterator[Finding]:
 
 
 def _position(inputs: Inputs) -> Iterator[Finding]:
-    """What receiver and navigation say of the position."""
+    """What receiver and navigation report about the position."""
     yield from gps_findings(inputs.gps)
     if inputs.position_fault:
         # Answers that flow all the same carry the doubt in their radius; before the first one may still be waited for.
@@ -232,6 +234,8 @@ def _beside(inputs: Inputs) -> Iterator[Finding]:
         if not thread.is_well:
             why = f" ({thread.last_error})" if thread.last_error else ""
             yield Finding(Subject.THREADS, VehicleState.DEGRADED, f"{thread.name}: {thread.state.value}{why}")
+    if inputs.contradiction:
+        yield Finding(Subject.SENSORS, VehicleState.DEGRADED, f"sensors: {inputs.contradiction}")
 
 
 def severity(state: VehicleState) -> Severity:
@@ -242,7 +246,7 @@ def severity(state: VehicleState) -> Severity:
 
 
 def is_alive(inputs: Inputs) -> bool:
-    """Whether the watchdog may be fed: the pipeline moves, and pictures flow or the camera says why they do not."""
+    """Whether the watchdog may be fed: the pipeline moves, and pictures flow or the camera reports why they do not."""
     if inputs.busy_s > STUCK_S:
         return False
     if inputs.camera.state in (State.LOST, State.FROZEN, State.STARTING):

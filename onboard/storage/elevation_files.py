@@ -34,8 +34,8 @@ class TerrainFiles:
             from rasterio.warp import transform  # noqa: PLC0415
         except ImportError as error:
             raise ConfigError(
-                "terrain.path is set, but rasterio is not installed: pip install pointclick[terrain], or of the Debian "
-                "package: apt-get install pointclick-onboard-terrain"
+                "terrain.path is set, but rasterio is not installed: install with the extra [terrain] (README), "
+                "or of the Debian package: apt-get install pointclick-onboard-terrain"
             ) from error
         self._transform = transform
         self.datum = datum

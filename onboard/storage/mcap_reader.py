@@ -6,6 +6,7 @@ Every part of the session in order, each up to where it ends or was cut off, pas
 from __future__ import annotations
 
 import base64
+import contextlib
 import functools
 import io
 import json
@@ -64,7 +65,7 @@ class RecordedFlight:
     formats: Counter[str] = field(default_factory=Counter)  # in which they were recorded
     counts: Counter[str] = field(default_factory=Counter)  # records by channel, the vehicle's name left out
     gaps: list[Path] = field(default_factory=list)  # parts before which something is missing
-    dropped: dict[Path, list[Gap]] = field(default_factory=dict)  # what the recorder says that it left out
+    dropped: dict[Path, list[Gap]] = field(default_factory=dict)  # what the recorder reports to have left out
 
     damaged: dict[Path, list[Damage]] = field(default_factory=dict)  # stretches that cannot be read
     lost: dict[Path, Counter[str]] = field(default_factory=dict)  # what they held, by channel, so far as is known
@@ -79,7 +80,7 @@ class RecordedFlight:
         for file in files:
             flight = _look_through(file, flight)
         if flight is None:
-            raise InputError(f"recording {', '.join(map(str, files))}: ends before it says what it is")
+            raise InputError(f"recording {', '.join(map(str, files))}: ends before its metadata")
         flight.paths = files
         if not flight.stamps_ns or flight.formats["none"] == len(flight.stamps_ns):
             raise InputError(
@@ -125,33 +126,19 @@ class RecordedFlight:
         read: set[str] = set()
         errors: dict[str, InputError] = {}
         for path in self.paths:
-            picture: tuple[int, bytes] | None = None
-            is_damaged = False
+            part = _PartEvents(self)
             for record in _records(path):
                 if not isinstance(record, tuple):
-                    is_damaged = is_damaged or isinstance(record, Damage)
+                    part.is_damaged = part.is_damaged or isinstance(record, Damage)
                     continue
                 channel, message = record
-                kind, name = _kind(channel.topic, self.vehicle), _name(channel.topic, self.vehicle)
-                event: Event | None = None
+                name = _name(channel.topic, self.vehicle)
                 try:
-                    if kind == names.PICTURES:
-                        picture = message.publish_time, message.data
-                    elif kind == names.FRAMES:
-                        frame, as_recorded = frame_event(message.data, None)
-                        if as_recorded in ("png", "jpeg"):
-                            if picture is None or picture[0] != frame.stamp_ns:
-                                if is_damaged:
-                                    continue  # its picture was in a stretch that cannot be read
-                                raise InputError(f"frame {frame.index} without its picture")
-                            frame, _ = frame_event(message.data, _decoded(picture[1], self.camera))
-                        if as_recorded != "none":
-                            event = frame
-                    elif kind in NAV_EVENTS:
-                        event = nav_event(NAV_EVENTS[kind], message.data)
+                    event = part.event(_kind(channel.topic, self.vehicle), message)
                 except InputError as error:
                     errors.setdefault(name, InputError(f"recording {path}: {error}"))
                     self.unreadable.setdefault(path, Counter())[name] += 1
+                    continue
                 if event is not None:
                     read.add(name)
                     yield message.log_time, event
@@ -180,48 +167,94 @@ def _note_lost(flight: RecordedFlight, path: Path, name: str, count: int) -> Non
     flight.lost.setdefault(path, Counter())[name] += count
 
 
+class _PartEvents:
+    """The events of one file of a session, message by message; a frame takes the picture before it."""
+
+    def __init__(self, flight: RecordedFlight) -> None:
+        self.is_damaged = False  # so far
+        self._flight = flight
+        self._picture: tuple[int, bytes] | None = None
+
+    def event(self, kind: str, message: Message) -> Event | None:
+        """The event that a message holds, if it holds one. Raises InputError for content that cannot be read."""
+        if kind == names.PICTURES:
+            self._picture = message.publish_time, message.data
+        elif kind == names.FRAMES:
+            return self._frame(message.data)
+        elif kind in NAV_EVENTS:
+            return nav_event(NAV_EVENTS[kind], message.data)
+        return None
+
+    def _frame(self, data: bytes) -> Event | None:
+        frame, as_recorded = frame_event(data, None)
+        if as_recorded not in ("png", "jpeg"):
+            return None if as_recorded == "none" else frame
+        if self._picture is None or self._picture[0] != frame.stamp_ns:
+            if self.is_damaged:
+                return None  # its picture was in a stretch that cannot be read
+            raise InputError(f"frame {frame.index} without its picture")
+        return frame_event(data, _decoded(self._picture[1], self._flight.camera))[0]
+
+
 def _look_through(path: Path, flight: RecordedFlight | None) -> RecordedFlight | None:
     """Add a part to what is known of its session; None while that is nothing."""
     has_begun = False
     picture_ns: int | None = None
     for record in _records(path):
         if isinstance(record, Damage | Lost):
-            if flight is None:
-                raise InputError(f"recording {path}: damaged before it says what it is")
-            if isinstance(record, Damage):
-                flight.damaged.setdefault(path, []).append(record)
-            else:
-                _note_lost(flight, path, _name(record.topic, flight.vehicle), record.count)
+            _note_damage(flight, path, record)
         elif isinstance(record, Metadata) and record.name == names.METADATA_NAME:
-            said = record.metadata
-            if flight is None:
-                flight = _begin(path, said)
-            elif said.get("vehicle") != flight.vehicle:
-                raise InputError(f"recording {path}: of vehicle {said.get('vehicle')!r}, not {flight.vehicle!r}")
-            if said.get("complete") == "no" and not has_begun:
-                flight.gaps.append(path)
+            flight = _with_metadata(flight, path, record.metadata, has_begun)
             has_begun = True  # further metadata of a part repeat it after a gap, which has a record of its own
         elif isinstance(record, tuple):
-            channel, message = record
             if flight is None:
-                raise InputError(f"recording {path}: says nothing of its camera and configuration")
-            kind = _kind(channel.topic, flight.vehicle)
-            flight.counts[_name(channel.topic, flight.vehicle)] += 1
-            if kind == names.PICTURES:
-                picture_ns = message.publish_time
-            if kind == names.GAPS:
-                flight.dropped.setdefault(path, []).append(Gap.from_json(message.data))
-            if kind == names.FRAMES:
-                try:
-                    frame, as_recorded = frame_event(message.data, None)
-                except InputError:
-                    continue  # `events` counts it
-                if path in flight.damaged and as_recorded in ("png", "jpeg") and picture_ns != frame.stamp_ns:
-                    _note_lost(flight, path, "frames without their pictures", 1)
-                    continue
+                raise InputError(f"recording {path}: has no metadata of camera and configuration")
+            channel, message = record
+            picture_ns = _count(flight, path, channel, message, picture_ns)
+    return flight
+
+
+def _note_damage(flight: RecordedFlight | None, path: Path, record: Damage | Lost) -> None:
+    if flight is None:
+        raise InputError(f"recording {path}: damaged before its metadata")
+    if isinstance(record, Damage):
+        flight.damaged.setdefault(path, []).append(record)
+    else:
+        _note_lost(flight, path, _name(record.topic, flight.vehicle), record.count)
+
+
+def _with_metadata(
+    flight: RecordedFlight | None, path: Path, metadata: dict[str, str], has_begun: bool
+) -> RecordedFlight:
+    """The flight with what a part's own metadata state; begun by them if it is None."""
+    if flight is None:
+        flight = _begin(path, metadata)
+    elif metadata.get("vehicle") != flight.vehicle:
+        raise InputError(f"recording {path}: of vehicle {metadata.get('vehicle')!r}, not {flight.vehicle!r}")
+    if metadata.get("complete") == "no" and not has_begun:
+        flight.gaps.append(path)
+    return flight
+
+
+def _count(
+    flight: RecordedFlight, path: Path, channel: Channel, message: Message, picture_ns: int | None
+) -> int | None:
+    """Count a message of a part; returns the stamp of the newest picture. `events` counts what cannot be read."""
+    kind = _kind(channel.topic, flight.vehicle)
+    flight.counts[_name(channel.topic, flight.vehicle)] += 1
+    if kind == names.PICTURES:
+        picture_ns = message.publish_time
+    if kind == names.GAPS:
+        flight.dropped.setdefault(path, []).append(Gap.from_json(message.data))
+    if kind == names.FRAMES:
+        with contextlib.suppress(InputError):
+            frame, as_recorded = frame_event(message.data, None)
+            if path in flight.damaged and as_recorded in ("png", "jpeg") and picture_ns != frame.stamp_ns:
+                _note_lost(flight, path, "frames without their pictures", 1)
+            else:
                 flight.stamps_ns.append(frame.stamp_ns)
                 flight.formats[as_recorded] += 1
-    return flight
+    return picture_ns
 
 
 def _in_words(gaps: list[Gap]) -> str:
@@ -230,12 +263,17 @@ def _in_words(gaps: list[Gap]) -> str:
     return f"{str(whole) or 'records'}, {places}: {whole.reason}"
 
 
-def _begin(path: Path, said: dict[str, str]) -> RecordedFlight:
-    if not said.get("camera"):
+def _begin(path: Path, metadata: dict[str, str]) -> RecordedFlight:
+    if not metadata.get("camera"):
         raise InputError(f"recording {path}: without the camera's optics")
-    camera = Camera.from_text(said["camera"], f"recording {path}: camera")
+    camera = Camera.from_text(metadata["camera"], f"recording {path}: camera")
     return RecordedFlight(
-        [], said.get("vehicle", ""), said.get("config", ""), camera, said.get("state", ""), said.get("version", "")
+        [],
+        metadata.get("vehicle", ""),
+        metadata.get("config", ""),
+        camera,
+        metadata.get("state", ""),
+        metadata.get("version", ""),
     )
 
 

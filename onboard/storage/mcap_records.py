@@ -1,8 +1,8 @@
 """What the records of an MCAP file hold, one after the other, past a stretch that cannot be read.
 
-`contract.mcap_records` finds the records by opcode and length. Here they are read, and those beside a damage doubted:
-there a length may be what is wrong, so that the last record before it and the first after it count only if their
-content is readable and their channel is known. What a damage cost is counted by the messages' numbers.
+`contract.mcap_records` finds the records by opcode and length. Here they are read, those next to a damage with more
+checks: there a length may be what is wrong, so that the last record before it and the first after it count only if
+their content is readable and their channel is known. What a damage cost is counted by the messages' numbers.
 """
 
 from __future__ import annotations
@@ -110,12 +110,12 @@ class _Walk:
 
     def _items(self) -> Iterator[_Content | Damage]:
         """Records and damages in the order of the file; a record that cannot be read is a damage too."""
-        said: list[Damage] = []
-        for record in records(self._data, said.append):
-            yield from said
-            said.clear()
+        found: list[Damage] = []
+        for record in records(self._data, found.append):
+            yield from found
+            found.clear()
             yield self._read(record)
-        yield from said
+        yield from found
 
     def _read(self, record: Record) -> _Content | Damage:
         opcode, start, length = record

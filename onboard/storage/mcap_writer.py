@@ -37,7 +37,7 @@ _STATUS_SCHEMA = _GAP_SCHEMA = '{"type":"object"}'
 
 
 def encode_picture(image: NDArray[np.uint8], pictures: str) -> tuple[bytes, str]:
-    """A grey picture (H, W) as `recording.pictures` asks, and the format's name; empty for "none"."""
+    """A picture (H, W) or, as JPEG, (H, W, 3) as `recording.pictures` asks, and the format; empty for "none"."""
     if pictures == "none":
         return b"", ""
     if pictures == "jpeg":
@@ -53,7 +53,7 @@ class SessionRecorder:
 
     The file appears with the first thing written, so that input which is refused before leaves nothing behind.
     `state_json` is what had been learned when the session began; `part` counts the session's files from 1, and
-    `is_complete` says that nothing is missing since its beginning: with these a replay knows what it has.
+    `is_complete` states that nothing is missing since its beginning: with these a replay knows what it has.
     Raises InputError where the file cannot be created or written.
     """
 
@@ -106,7 +106,8 @@ class SessionRecorder:
         arrival_ns = event.stamp_ns if arrival_ns is None else arrival_ns
         kind = ""
         if isinstance(event, Frame) and event.image is not None:
-            encoded, kind = encode_picture(event.image, self._pictures)
+            shown = event.image if event.colour is None or self._pictures != "jpeg" else event.colour
+            encoded, kind = encode_picture(shown, self._pictures)
             if encoded:
                 message = foxglove_schemas.picture(event.stamp_ns, encoded, kind)
                 self._view(names.PICTURES, foxglove_schemas.PICTURE, event.stamp_ns, lambda: message)
@@ -181,7 +182,7 @@ class SessionRecorder:
             raise self._failure(error) from error
         finally:
             stream, self._stream, self._writer = self._stream, None, None
-            with contextlib.suppress(OSError):  # the same again that the flush above has said
+            with contextlib.suppress(OSError):  # the same error as of the flush above
                 stream.close()
 
     def abandon(self) -> None:

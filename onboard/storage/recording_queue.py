@@ -1,4 +1,4 @@
-"""What waits for the disk, and what it could not take: a bounded queue that never holds up whoever fills it.
+"""What waits for the disk, and what it could not take: a bounded queue that never blocks its writers.
 
 A disk that stalls must cost records and nothing else. When the queue is full what comes is dropped at once and counted;
 the count stands in the queue where the records would have stood, and is written in their place.
@@ -100,7 +100,7 @@ class RecordingQueue:
         self.dropped = 0
 
     def put(self, entry: Entry) -> bool:
-        """Take it, or drop it and say False; at once."""
+        """Take it, or drop it and return False; at once."""
         with self._changed:
             if len(self._waiting) >= self._max_entries or self._bytes + entry.size > self._max_bytes:
                 gap = entry.missing("the disk did not keep up")

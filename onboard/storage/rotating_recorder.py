@@ -25,10 +25,10 @@ from contract import recording_format as names
 from contract.camera import Camera
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
+from contract.supervised_thread import Policy, SupervisedThread, ThreadState
 from contract.wire.codec import encode
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
-from onboard.events.supervised_thread import Policy, SupervisedThread, ThreadState
 from onboard.events.types import Event, Frame
 from onboard.storage.mcap_writer import SessionRecorder
 from onboard.storage.recording_queue import Entry, Gap, RecordingQueue
@@ -39,7 +39,7 @@ STEADY_S = 60.0  # a file that fails earlier than this after a failure failed of
 REPEAT_S = 60.0  # between lines of the log about one thing
 MAX_WAITING = 4096
 MAX_WAITING_BYTES = 64_000_000  # of pictures, not yet compressed
-BEHIND_S = 2.0  # after the last drop, until the disk is said to keep up again
+BEHIND_S = 2.0  # after the last drop, until the disk is reported to keep up again
 LATE_S = 10.0  # in one write: the disk hangs
 CLOSE_SILENT_S, CLOSE_S = 3.0, 8.0  # at the end: with a disk that takes nothing more, and with one that is slow
 MEGABYTE = 1_000_000
@@ -68,7 +68,7 @@ class NoRoom(InputError):
 
 
 class Recorded:
-    """Writes `FOLDER/YYYYmmddTHHMMSSZ-VEHICLE.001.mcap`, then `.002.mcap` and so on, as the section `recording` says.
+    """Writes `FOLDER/YYYYmmddTHHMMSSZ-VEHICLE.001.mcap`, then `.002.mcap` and so on, as `recording` specifies.
 
     For the daemon: one of the sinks, entered before the first event; `status` takes each encoded status, from any
     thread. `state_json` is the state file's text as the session began with it: without it a replay would begin with
@@ -187,7 +187,9 @@ class Recorded:
         except NoRoom as error:
             self._give_up(error, self._retry_s)
             self._finish_file()
-        except Exception as error:  # a bug in a writer must cost the file and not the thread: status would not say so
+        except (
+            Exception
+        ) as error:  # a bug in a writer must cost the file and not the thread: status would not report it
             if not isinstance(error, InputError):
                 log.error("the recording failed", exc_info=error)
             # A file that failed again so soon is the same fault: each try leaves a small file behind.
@@ -226,7 +228,7 @@ class Recorded:
         now_s = self._now_s()
         if now_s - self._failed_s < self._pause_s:
             return None
-        with contextlib.suppress(OSError):  # the check says it better
+        with contextlib.suppress(OSError):  # the check reports it better
             self._folder.mkdir(parents=True, exist_ok=True)
         self._check_room()
         if not self._session:

@@ -3,7 +3,10 @@ themselves.
 
 Public:
 
+- `arrivals`: `Arrivals`
 - `factory`: `open_telemetry`
 - `log_files`: `read_log`
+- `srt_axis_order`: `Order`
+- `srt_reader`: `SIGMA_PRESSURE_HEIGHT_M`
 - `telemetry_log`: `TelemetryLog`, `quaternion`, `vouched`
 """

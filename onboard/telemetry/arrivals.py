@@ -9,7 +9,7 @@ from onboard.telemetry.boot_clock import BootClock, Mode
 
 NS_PER_S = 1_000_000_000
 MEMORY_NS = 120 * NS_PER_S
-SHORT_MEMORY_NS = 24 * NS_PER_S  # long enough for `BootClock` to tell a drift from a queue
+SHORT_MEMORY_NS = 24 * NS_PER_S  # long enough for `BootClock` to distinguish a drift from a queue
 BIN_NS = NS_PER_S
 RECENT_BINS = 10
 NEAREST_BINS = 3
@@ -65,7 +65,7 @@ class Arrivals:
         """Offset (ns) and drift at a boot time, and one sigma (ns) as far as arrivals show it.
 
         The sigma holds how far the last seconds' least offsets lie from the line, and how late messages usually are.
-        A delay that all of them have alike cannot be seen.
+        A delay that is the same for all of them cannot be detected.
         """
         chosen = self._long
         miss = self._miss_ns(chosen)

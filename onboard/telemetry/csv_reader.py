@@ -17,7 +17,7 @@ VELOCITY = ("velocity_north_m_s", "velocity_east_m_s", "velocity_down_m_s")
 ATTITUDE = ("roll_deg", "pitch_deg", "yaw_deg")
 RATE = ("rate_x_rad_s", "rate_y_rad_s", "rate_z_rad_s")
 GIMBAL = ("gimbal_roll_deg", "gimbal_pitch_deg", "gimbal_yaw_deg")
-SIGMAS = ("sigma_horizontal_m", "sigma_vertical_m", "sigma_velocity_m_s")
+SIGMAS = ("sigma_horizontal_m", "sigma_vertical_m", "sigma_velocity_m_s", "sigma_datum_m")
 OTHERS = ("height_above_home_m", "fix_type", "satellites", "undulation_m", "range_down_m")
 COLUMNS = ("unix_time_s", *POSITION, *VELOCITY, *ATTITUDE, *RATE, *GIMBAL, *SIGMAS, *OTHERS)
 NEEDED = ("unix_time_s", *POSITION)
@@ -112,7 +112,7 @@ def _position(stamp_ns: int, row: Row) -> PositionFix:
 
 def _claim(stamp_ns: int, row: Row) -> GpsQuality:
     satellites = row.get("satellites")
-    horizontal_m, vertical_m, velocity_m_s = (row.get(name) or None for name in SIGMAS)
+    horizontal_m, vertical_m, velocity_m_s, datum_m = (row.get(name) or None for name in SIGMAS)
     return GpsQuality(
         stamp_ns,
         int(row.get("fix_type", 3)),
@@ -121,6 +121,7 @@ def _claim(stamp_ns: int, row: Row) -> GpsQuality:
         vertical_m,
         velocity_m_s,
         row.get("undulation_m"),
+        datum_m,
     )
 
 
@@ -130,7 +131,7 @@ def _others(stamp_ns: int, row: Row) -> list[NavEvent]:
         rate = (row[RATE[0]], row[RATE[1]], row[RATE[2]]) if RATE[0] in row else None
         out.append(Attitude(stamp_ns, _quaternion(row, ATTITUDE), rate))
     if GIMBAL[0] in row:
-        out.append(GimbalAttitude(stamp_ns, _quaternion(row, GIMBAL), "earth"))
+        out.append(GimbalAttitude(stamp_ns, _quaternion(row, GIMBAL), "earth", is_of_camera=True))
     if row.get("range_down_m", 0.0) > 0.0:
         out.append(RangeFinder(stamp_ns, row["range_down_m"], DOWN))
     return out

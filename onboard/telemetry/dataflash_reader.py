@@ -1,6 +1,7 @@
 """ArduPilot's own log (DataFlash, .bin) -> events. Its filter's outputs serve as the same autopilot's MAVLink messages
 do: POS as GLOBAL_POSITION_INT (its velocity from XKF1 or NKF1), ATT as ATTITUDE, GPS and GPA as GPS_RAW_INT, XKF4 as
-EKF_STATUS_REPORT, MNT as the gimbal's attitude, RFND as DISTANCE_SENSOR.
+EKF_STATUS_REPORT, MNT as the gimbal's attitude, RFND as DISTANCE_SENSOR. Logs from before `TimeUS` (2014 to spring
+2015) have milliseconds, the first filter (EKF1, EKF4) and often no POS.
 
 A simulator's log also holds the truth (SIM, SIM2): never read here.
 """
@@ -22,7 +23,7 @@ from pymavlink import DFReader
 from contract.errors import InputError
 from onboard.events.types import Attitude, FilterStatus, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
 from onboard.telemetry.boot_clock import Mode
-from onboard.telemetry.gps_time import GpsClock, receiver_lag_s, unix_ns_of_gps
+from onboard.telemetry.gps_time import LAG_S, GpsClock, receiver_lag_s, unix_ns_of_gps
 from onboard.telemetry.mavlink_events import FROZEN_GPS_NS, sensor_direction
 from onboard.telemetry.telemetry_log import TelemetryLog, quaternions
 
@@ -35,16 +36,19 @@ FIELDS = {
     "POS": ("Lat", "Lng", "Alt", "RelHomeAlt"),
     "ATT": ("Roll", "Pitch", "Yaw"),
     "IMU": ("GyrX", "GyrY", "GyrZ"),
-    "KF1": ("VN", "VE", "VD", "GX", "GY", "GZ"),
+    "KF1": ("VN", "VE", "VD", "GX", "GY", "GZ", "PN", "PE", "PD"),
     "KF4": ("SS",),
     "RFND": ("Dist", "Orient", "Stat"),
     "MNT": ("Roll", "Pitch", "YawB"),
 }
+# What a field was called before, in the order in which the names are looked for.
+FORMERLY = {"GMS": ("GPSTimeMS", "TimeMS"), "GWk": ("Week",), "RelHomeAlt": ("RelAlt",)}
 METRES_A_DEGREE = 111_320.0
 FAST, FAST_US = {"IMU", "KF1", "KF4"}, 3000  # may be logged at a loop's rate, of which no more than this is used
 STRAY_US = 5_000_000  # a stamp this far from its neighbours' is damaged
 MAX_GAP_S = 0.3  # over which velocities and rates are interpolated
-REPORT_US = 200_000  # the filter's flags come at its own rate: handed on when they change, and this often
+MAX_ORIGIN_M = 15.0  # that the receiver's track may lie about the first filter's, where that one stands for POS
+REPORT_US = 200_000  # the filter's flags come at its own rate: passed on when they change, and this often
 GOOD_RANGE = 4  # RFND.Stat
 WITHOUT_FIX = 3  # GPS.Status below this one
 # nav_filter_status, the bits of XKF4.SS.
@@ -90,7 +94,9 @@ def read_dataflash(path: Path | str, clock: Mode = "auto") -> TelemetryLog:
     for boot_ns, unix_ns in fixed:
         gps_clock.add(boot_ns, unix_ns)
     if not gps_clock.is_set:
-        raise InputError(f"telemetry {path}: no GPS time in it (GPS with a 3D fix), so its moments cannot be told")
+        raise InputError(f"telemetry {path}: {_why_no_time(gps)}")
+    if not len(tables["POS"]):
+        tables["POS"] = _first_filter_positions(tables["KF1"], gps)
     gps_clock.lag_s = _lag_s(gps, tables["POS"], gps_clock)
     events: list[NavEvent] = [
         *_positions(tables, gps_clock),
@@ -107,7 +113,7 @@ def read_dataflash(path: Path | str, clock: Mode = "auto") -> TelemetryLog:
 
 def _tables(path: Path | str) -> dict[str, _Table]:
     rows: dict[str, list[tuple[float, ...]]] = defaultdict(list)
-    # What the library makes of damage it prints; what it makes of strange files it raises, in many ways.
+    # The library prints messages about damage; for unknown files it raises errors of many kinds.
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         try:
             with DFReader.DFReader_binary(str(path)) as log:
@@ -121,7 +127,7 @@ def _tables(path: Path | str) -> dict[str, _Table]:
                         primary = getattr(message, "PI", primary)
                     if name is not None and _is_used(message, name, primary):
                         held = rows[name]
-                        boot_us = _number(message, "TimeUS")
+                        boot_us = _boot_us(message)
                         if name not in FAST or not held or not 0.0 <= boot_us - held[-1][0] < FAST_US:
                             held.append((boot_us, *(_number(message, field) for field in FIELDS[name])))
         except Exception as error:
@@ -131,10 +137,12 @@ def _tables(path: Path | str) -> dict[str, _Table]:
 
 
 def _filter_of(log: Any) -> str:
-    """The navigation filter that flew: "XKF" (the third) or "NKF" (the second)."""
+    """The navigation filter that flew: "XKF" (the third), "NKF" (the second) or "EKF" (the first)."""
     first = log.recv_match(type="ATT")
     log.rewind()
     names = log.name_to_id
+    if "EKF1" in names and "XKF1" not in names and "NKF1" not in names:
+        return "EKF"
     if getattr(first, "AEKF", 0) == 2 or "XKF1" not in names:
         return "NKF"
     return "XKF"
@@ -149,9 +157,49 @@ def _is_used(message: Any, name: str, primary: int) -> bool:
     return name == "RFND" or getattr(message, "I", 0) == 0
 
 
+def _boot_us(message: Any) -> float:
+    """Time since the start. Before `TimeUS` it was `TimeMS`, but in GPS, whose `TimeMS` was GPS time, `T`."""
+    boot_ms = _number(message, "T" if message.get_type() == "GPS" and hasattr(message, "T") else "TimeMS")
+    return _number(message, "TimeUS") if hasattr(message, "TimeUS") else 1000.0 * boot_ms
+
+
 def _number(message: Any, field: str) -> float:
-    value = getattr(message, field, math.nan)
+    names = (field, *FORMERLY.get(field, ()))
+    value = next((getattr(message, name) for name in names if hasattr(message, name)), math.nan)
     return float(value) if isinstance(value, int | float) else math.nan
+
+
+def _why_no_time(gps: _Table) -> str:
+    if not len(gps):
+        return (
+            "no GPS message with a time in it: logs from before 2014 have none, and without a receiver none is written"
+        )
+    if not np.any(gps.values[:, 0] >= WITHOUT_FIX):
+        return "its receiver never had a 3D fix, so its moments cannot be told; give the log of a flight with one"
+    return "its GPS messages have a fix but no GPS week, so its moments cannot be told; give the flight's .tlog"
+
+
+def _first_filter_positions(filtered: _Table, gps: _Table) -> _Table:
+    """POS out of the first filter's metres from its origin, which the receiver's track gives; empty if it does not.
+
+    The heights above home count from that origin, which is set where the vehicle is armed.
+    """
+    none = _Table(np.zeros(0, np.int64), np.zeros((0, 4)))
+    fixed = gps.values[:, 0] >= WITHOUT_FIX
+    moved = filtered.at(gps.boot_us[fixed] - round(1e6 * LAG_S), slice(6, 9))
+    known = np.isfinite(moved).all(axis=1)
+    if known.sum() < 10:
+        return none
+    fixes, moved = gps.values[fixed][known, 4:7], moved[known]
+    metres = METRES_A_DEGREE * np.array([1.0, math.cos(math.radians(float(fixes[0, 0])))])
+    origins = np.column_stack([fixes[:, :2] - moved[:, :2] / metres, fixes[:, 2] + moved[:, 2]])
+    origin = np.median(origins, axis=0)
+    off_m = np.abs((origins - origin) * np.append(metres, 1.0))
+    if np.median(off_m.max(axis=1)) > MAX_ORIGIN_M:
+        return none
+    ned = filtered.values[:, 6:9]
+    places = np.column_stack([origin[:2] + ned[:, :2] / metres, origin[2] - ned[:, 2], -ned[:, 2]])
+    return _Table(filtered.boot_us, places)
 
 
 def _table(rows: list[tuple[float, ...]], width: int) -> _Table:

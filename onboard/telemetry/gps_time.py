@@ -1,4 +1,4 @@
-"""Boot time -> Unix time by what a receiver said of GPS time, for logs that no link and no other clock has stamped.
+"""Boot time -> Unix time by the GPS time that a receiver reported, for logs that have no stamps of another clock.
 
 A report of a fix is logged later than the fix was true, never earlier: as with messages over a link, the least delayed
 report gives the offset but for the least delay. That delay, 0.05 to 0.2 s, is the receiver's own; it is estimated from
@@ -38,7 +38,8 @@ class GpsClock:
     """Boot time -> Unix time. Feed all reports first."""
 
     def __init__(self, mode: Mode) -> None:
-        # A crystal drifts by 0.1 s in an hour at 30 ppm: too little to tell from a link's queues, but no link is here.
+        # A crystal drifts by 0.1 s in an hour at 30 ppm: too little to distinguish from a link's queues, but no link
+        # is here.
         self._clock = BootClock("drift" if mode == "auto" else mode)
         self._origin_ns: int | None = None
         self.lag_s = 0.0
@@ -71,8 +72,8 @@ def receiver_lag_s(reported_s: Array, receiver_ne_m: Array, filter_s: Array, fil
     """How long after it was true a receiver's fix is reported: its track (N, 2) at the boot times `reported_s` (N,)
     against the filter's (M, 2) at `filter_s` (M,), both north, east in metres about one place.
 
-    Least squares for the lag and a constant offset of both tracks, beside what is usual. The estimate keeps to what is
-    usual where nothing was flown, or only straight on.
+    Least squares for the lag and a constant offset of both tracks, with a prior at the usual values. The estimate
+    stays at what is usual where the aircraft did not move, or flew only straight on.
     """
     lag = LAG_S
     if len(filter_s) < 10:

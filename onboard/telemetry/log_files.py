@@ -1,4 +1,4 @@
-"""A recorded log of any known kind -> its events. The kind is told by what the file holds, not by its name."""
+"""A recorded log of any known kind -> its events. The kind is determined by the file's content, not by its name."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from contract.errors import InputError
 from onboard.telemetry import csv_reader, dataflash_reader, srt_reader, ulog_reader
 from onboard.telemetry.boot_clock import Mode
+from onboard.telemetry.srt_axis_order import Order
 from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.tlog_reader import read_tlog
 
@@ -22,12 +23,42 @@ FOREIGN = (
 )
 
 
-def read_log(path: Path | str, clock: Mode = "auto", home_amsl_m: float | None = None) -> TelemetryLog:
+def read_log(
+    path: Path | str,
+    clock: Mode = "auto",
+    home_amsl_m: float | None = None,
+    gps_order: Order | None = None,
+    boot_unix_s: float | None = None,
+) -> TelemetryLog:
     """Read a whole log. `clock` maps boot time (.tlog, .bin, .ulg); `home_amsl_m` is the take-off's height above sea
-    level, for what only tells heights above it (.srt).
+    level, for a log that only holds heights above it (.srt); `gps_order` which number of its `GPS(a, b)` is the
+    latitude; `boot_unix_s` Unix time at the boot, for a .ulg that has none.
 
     Raises InputError, one line, for a file that is missing, empty, of no known kind, damaged or without positions.
     """
+    head = _head(path)
+    if boot_unix_s is not None and not head.startswith(ulog_reader.MAGIC):
+        raise InputError(f"telemetry {path}: its moments are known; --time-offset is for a PX4 .ulg without UTC")
+    if head.startswith(dataflash_reader.MAGIC):
+        return dataflash_reader.read_dataflash(path, clock)
+    if head.startswith(ulog_reader.MAGIC):
+        return ulog_reader.read_ulog(path, clock, boot_unix_s)
+    if csv_reader.looks_like_table(head):
+        return csv_reader.read_csv(path)
+    if srt_reader.looks_like_subtitles(head):
+        return srt_reader.read_srt(path, home_amsl_m, gps_order)
+    if _is_text(head):
+        raise InputError(f"telemetry {path}: text of no known kind; known are {KINDS}. A table needs a header line")
+    try:
+        return read_tlog(path, clock)
+    except InputError as error:
+        if "not a MAVLink telemetry log" in str(error):
+            raise InputError(f"telemetry {path}: not a log of a known kind; known are {KINDS}") from error
+        raise
+
+
+def _head(path: Path | str) -> bytes:
+    """The file's first bytes, which are not those of something that no log is."""
     try:
         with Path(path).open("rb") as stream:
             head = stream.read(HEAD_BYTES)
@@ -38,22 +69,7 @@ def read_log(path: Path | str, clock: Mode = "auto", home_amsl_m: float | None =
     for start, what in FOREIGN:
         if head.startswith(start):
             raise InputError(f"telemetry {path}: is {what}")
-    if head.startswith(dataflash_reader.MAGIC):
-        return dataflash_reader.read_dataflash(path, clock)
-    if head.startswith(ulog_reader.MAGIC):
-        return ulog_reader.read_ulog(path, clock)
-    if csv_reader.looks_like_table(head):
-        return csv_reader.read_csv(path)
-    if srt_reader.looks_like_subtitles(head):
-        return srt_reader.read_srt(path, home_amsl_m)
-    if _is_text(head):
-        raise InputError(f"telemetry {path}: text of no known kind; known are {KINDS}. A table needs a header line")
-    try:
-        return read_tlog(path, clock)
-    except InputError as error:
-        if "not a MAVLink telemetry log" in str(error):
-            raise InputError(f"telemetry {path}: not a log of a known kind; known are {KINDS}") from error
-        raise
+    return head
 
 
 def _is_text(head: bytes) -> bool:

@@ -14,7 +14,7 @@ from onboard.events.types import Attitude, FilterStatus, GimbalAttitude, GpsQual
 
 AUTOPILOT_COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 
-# What events are made of, and what says whose and when.
+# The messages that events are made of, and those that specify sender and time.
 WANTED = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
@@ -48,7 +48,7 @@ NO_SIGNAL = 1  # of signal_quality, per cent; 0 is unknown
 
 @dataclass(frozen=True)
 class Sources:
-    """Which message serves where an autopilot sends two that say the same."""
+    """Which message serves where an autopilot sends two with the same content."""
 
     position: str = "GLOBAL_POSITION_INT"  # or GPS_RAW_INT
     attitude: str = "ATTITUDE"  # or ATTITUDE_QUATERNION
@@ -90,7 +90,7 @@ class MessageToEvent:
         event: NavEvent | None = None
         if name in UNSTAMPED:
             # GPS_RAW_INT's stamp stands still with the receiver and the filters' reports have none to go by, so when
-            # they were said is taken from the boot stamp before them.
+            # they were sent is taken from the boot stamp before them.
             now_ns = arrival_ns if self._latest_boot_ns is None else to_host_ns(self._latest_boot_ns)
             if name != "GPS_RAW_INT":
                 return [_filter_status(message, now_ns)]
@@ -204,8 +204,8 @@ def _filter_status(message: Any, stamp_ns: int) -> FilterStatus:
     glitch = mavlink.EKF_GPS_GLITCHING if is_ardupilot else mavlink.ESTIMATOR_GPS_GLITCH
     has_position = bool(flags & mavlink.EKF_POS_HORIZ_ABS)
     is_held = bool(flags & mavlink.EKF_CONST_POS_MODE)
-    # Held at a constant position for want of any, a filter calls that absolute too. PX4 holds it whenever it stands
-    # still, with GNSS fused and position and velocity good.
+    # A filter held at a constant position because it has none reports that as absolute too. PX4 holds it whenever it
+    # stands still, with GNSS fused and position and velocity good.
     is_at_rest = is_held and not is_ardupilot and flags & AT_REST == AT_REST
     if (is_held and not is_at_rest) or (is_ardupilot and flags & mavlink.EKF_UNINITIALIZED):
         has_position = False
@@ -248,7 +248,7 @@ def sensor_direction(orientation: int, quaternion: tuple[float, ...] = ()) -> tu
     entry = mavlink.enums["MAV_SENSOR_ORIENTATION"].get(orientation)
     if entry is None or not entry.name.startswith(ROTATION):
         return None
-    # The name says it all: ROLL_90_PITCH_68_YAW_293. Roll turns about the direction itself.
+    # The name holds the angles: ROLL_90_PITCH_68_YAW_293. Roll turns about the direction itself.
     words = entry.name.removeprefix(ROTATION).split("_")
     angles = dict(zip(words[::2], words[1::2], strict=False))
     pitch, yaw = (math.radians(float(angles.get(axis, 0.0))) for axis in ("PITCH", "YAW"))

@@ -1,9 +1,10 @@
 """Bytes of a line -> MAVLink messages, whatever else is on it. pymavlink checks and decodes; the framing is ours.
 
 pymavlink's own parser drops a whole supposed packet where a checksum fails, and real packets with it that follow a
-stray start byte; here only that byte is given up. Nor do complete packets wait until as much has come as stray bytes
-promise: where nothing says that those begin a packet (no packet of their sender was heard), what is complete counts.
-Where a known sender seems to go on, the rest is awaited: a packet may carry others, which are none of this line.
+false start byte; here only that byte is dropped. Nor do complete packets wait for the length that false start bytes
+announce: where nothing shows that those begin a packet (no packet of their sender was received), complete packets
+count. Where a known sender seems to continue, the rest is awaited: a packet may hold others, which do not belong to
+this line.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """One autopilot: messages in, events out, and messages to be sent. No link, no thread, no clock.
 
-The vehicle is the one the configuration names, else the first whose autopilot is heard, and it stays that one: what
-others say on the same line is never taken for it.
+The vehicle is the one the configuration names, else the first whose autopilot is received, and it stays that one: what
+others send on the same line is never taken for it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from onboard.config.schema import Config
 from onboard.events.source import Severity, SourceStatus, State
-from onboard.events.types import Attitude, NavEvent, PositionFix
+from onboard.events.types import NavEvent, PositionFix
 from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT, MessageToEvent, Sources, boot_ns_of
 from onboard.telemetry.message_rates import RateRequests
 from onboard.telemetry.timesync import LinkClock
@@ -34,7 +34,7 @@ MAX_CLOCK_SIGMA_MS = 20.0  # as the doctor's: 0.4 m at 20 m/s
 
 
 class Autopilot:
-    """What has been heard of the autopilot. `hear` and `due` are called by one thread; `health` by any."""
+    """What has been received from the autopilot. `hear` and `due` are called by one thread; `health` by any."""
 
     def __init__(self, config: Config) -> None:
         self.config = config.telemetry
@@ -48,7 +48,6 @@ class Autopilot:
         self._first_ns: int | None = None
         self._heard_ns: int | None = None
         self._position_ns: int | None = None
-        self._has_attitude = False
         self._newest_boot_ns = 0
         self._boot_moved_ns = 0
         self._next_beat_ns = self._next_timesync_ns = self._next_text_ns = 0
@@ -62,7 +61,7 @@ class Autopilot:
     # --- in ---
 
     def hear(self, message: Any, arrival_ns: int) -> list[NavEvent]:
-        """One message off the line, whoever sent it -> the events it carries."""
+        """One message from the line, of any sender -> the events it holds."""
         name, system, component = message.get_type(), message.get_srcSystem(), message.get_srcComponent()
         if component != AUTOPILOT_COMPONENT:
             return []
@@ -95,7 +94,7 @@ class Autopilot:
         self.rates.seen(message.get_type())
 
     def _is_for_us(self, message: Any) -> bool:
-        """MAVLink 1 acknowledgements name nobody: 0."""
+        """MAVLink 1 acknowledgements name no receiver: 0."""
         return message.target_system in (0, self.system) and message.target_component in (0, self.config.component)
 
     def _timesync(self, message: Any, arrival_ns: int) -> None:
@@ -119,8 +118,6 @@ class Autopilot:
         for event in events:
             if isinstance(event, PositionFix):
                 self._position_ns = arrival_ns
-            elif isinstance(event, Attitude):
-                self._has_attitude = True
         return events
 
     def _rebooted(self, arrival_ns: int) -> None:
@@ -151,7 +148,7 @@ class Autopilot:
     # --- out ---
 
     def due(self, now_ns: int, speaks_first: bool = False) -> list[Any]:
-        """What is to be sent now. `speaks_first`: the other end answers only whom it has heard."""
+        """What is to be sent now. `speaks_first`: the other end answers only senders it has received from."""
         if self.system is None and not speaks_first:
             return []
         out: list[Any] = []
@@ -176,14 +173,14 @@ class Autopilot:
 
     def _heartbeat(self, state: int) -> Any:
         # PX4 takes any component of the type "onboard controller" for its mission computer, and sends the pilot a
-        # critical warning when its heartbeats cease, whatever the last one said. The vehicle does not depend on us: to
-        # PX4, and before the autopilot is known, we are a generic component, whose silence it does not report.
+        # critical warning when its heartbeats cease, whatever the last one reported. The vehicle does not depend on
+        # us: to PX4, and before the autopilot is known, we are a generic component, whose silence it does not report.
         is_other = self._kind in (mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_INVALID)
         kind = mavlink.MAV_TYPE_GENERIC if is_other else mavlink.MAV_TYPE_ONBOARD_CONTROLLER
         return mavlink.MAVLink_heartbeat_message(kind, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, state, 3)
 
     def farewell(self) -> Any:
-        """The last message of a session: a HEARTBEAT that says we power off."""
+        """The last message of a session: a HEARTBEAT that reports that we power off."""
         return self._heartbeat(mavlink.MAV_STATE_POWEROFF)
 
     def say(self, severity: Severity, text: str) -> None:

@@ -91,7 +91,7 @@ class PymavlinkEnd:
         return self._gaps.lost[system, AUTOPILOT_COMPONENT]
 
     def complaint(self) -> str:
-        """Wrong keys and wrong baud rates both mean that no message comes: say which it is."""
+        """Wrong keys and wrong baud rates both mean that no message comes: report which it is."""
         signing = self._mav.signing
         refused = signing.badsig_count if self._is_signing else 0
         if refused and not signing.goodsig_count:
@@ -199,5 +199,5 @@ class LiveTelemetry:
         return replace(health, figures=figures)
 
     def say(self, severity: Severity, text: str) -> None:
-        """As STATUSTEXT, which ground stations show and speak."""
+        """As STATUSTEXT, which ground stations show and read aloud."""
         self._autopilot.say(severity, text)

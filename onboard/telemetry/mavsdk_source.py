@@ -78,7 +78,7 @@ class MavsdkEnd:
         """Through mavlink_direct; before the vehicle is known, nothing is. Raises OSError where the wire is broken."""
         name = message.get_type()
         if self._direct is None or name == "HEARTBEAT":
-            # The other end may send only to an address it has heard from.
+            # The other end may send only to an address it has received from.
             if self._mavsdk is None and self._wire is not None:
                 self._wire.write(bytes(message.pack(mavlink.MAVLink(None, self.system, self._component))))
             return

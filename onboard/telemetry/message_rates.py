@@ -1,11 +1,11 @@
 """Which messages are asked of the autopilot, and how often: one request at a time, lower where it is denied.
 
 An acknowledgement names the command and not the message, so that two requests under way could not be distinguished.
-What was granted is watched: a message that comes too seldom is asked for again, and everything after a reboot, a lost
+What was granted is watched: a message that comes too rarely is requested again, and everything after a reboot, a lost
 link, or when the autopilot becomes ready.
 
 ArduPilot sends a message at most at 0.8 of its loop rate, and warns the pilot of each request above that. So its loop
-rate is asked for first, and nothing beyond it; where it does not say, no more than every ArduPilot can.
+rate is asked for first, and nothing beyond it; where it does not report it, no more than every ArduPilot can.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def _falling(rate_hz: float, lowest_hz: float) -> tuple[float, ...]:
 
 @dataclass
 class RateRequests:
-    """Requests of rates to one autopilot, and its answers. Owns no link and no clock: `due` says what to send now."""
+    """Requests of rates to one autopilot, and its answers. Owns no link and no clock; `due` is what to send now."""
 
     config: Config
     wants: list[_Want] = field(init=False)
@@ -106,7 +106,7 @@ class RateRequests:
     _unanswered: int = 0
     _watch_ns: int | None = None
     _is_ardupilot: bool = True
-    _loop_hz: float | None = None  # ArduPilot's, once it has said
+    _loop_hz: float | None = None  # ArduPilot's, once it has reported it
     _loop_tries: int = 0
     _loop_asked_ns: int = 0
 
@@ -138,7 +138,7 @@ class RateRequests:
     def heartbeat(self, status: int, autopilot: int) -> None:
         """Take the autopilot's own heartbeat: whether it can be asked, whether it is ready, and what it is.
 
-        PX4 says "uninitialised" until it has a position, and grants rates all the same; one that is booting or
+        PX4 reports "uninitialised" until it has a position, and grants rates all the same; one that is booting or
         calibrating may forget what it granted. What was asked before it was ready is asked again when it is.
         """
         is_ready = status >= mavlink.MAV_STATE_STANDBY
@@ -165,7 +165,7 @@ class RateRequests:
                 self._asking = None if self._asking is want else self._asking
 
     def restart(self) -> None:
-        """Ask for everything anew: the autopilot has rebooted, or the link was lost and with it what it granted."""
+        """Ask for everything again: the autopilot has rebooted, or the link was lost and with it what it granted."""
         self.is_ready = self.can_be_asked = False
         self._loop_hz = None
         self._loop_tries = 0

@@ -1,6 +1,6 @@
 """A plain GPS receiver on a serial line: NMEA sentences -> positions and quality. `telemetry.url = "nmea:DEVICE:BAUD"`.
 
-Sentences of one epoch come in a burst, in an order of the receiver's own; an epoch is handed out when everything that
+Sentences of one epoch come in a burst, in an order of the receiver's own; an epoch is passed on when everything that
 came in the epochs before has come, when the line falls silent after a burst, or when the next epoch begins.
 
 Stamps: a sentence's time of day, unwrapped at midnight, is a clock like an autopilot's boot clock and is mapped to ours
@@ -33,7 +33,7 @@ KINDS = {"GGA", "RMC", "GST", "VTG"}
 QUIET_NS = 150_000_000
 READ_S = 0.05
 REOPEN_S = 0.5
-MAX_LINE = 256  # the standard says 82; receivers with more digits exceed it
+MAX_LINE = 256  # the standard specifies 82; receivers with more digits exceed it
 MEMORY_NS = 120 * NS_PER_S
 LATE_NS = 700_000_000  # arrivals this late, several in a row, mean that the receiver has set its clock back
 MAX_LATE = 4
@@ -130,7 +130,7 @@ class NmeaReceiver:
             return []
         if epoch.day_ns == self._day_ns:
             self._kinds[-1] |= kinds
-            return []  # more of an epoch that was handed out, or a receiver that stands still
+            return []  # more of an epoch that was passed on, or a receiver that stands still
         self._kinds.append(kinds)
         self.epochs += 1
         stamp_ns = self._stamp(epoch)
@@ -167,7 +167,7 @@ def _events(sentences: dict[str, Any], stamp_ns: int, receiver: NmeaReceiver) ->
     if gga is not None:
         fix_type = FIX_TYPES.get(int(_number(gga, "quality") or 0), NO_FIX)
     elif rmc is not None and getattr(rmc, "status", "") == "A":
-        fix_type = 2  # it says where, but not how high
+        fix_type = 2  # it reports the place, but not the height
     mode = getattr(rmc, "posMode", "") if rmc is not None else ""
     if rmc is not None and (getattr(rmc, "status", "V") != "A" or mode in ("N", "E", "M", "S")):
         fix_type = NO_FIX

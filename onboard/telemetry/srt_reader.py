@@ -1,9 +1,11 @@
-"""DJI's subtitles (.SRT), written beside a video -> events. Several dialects:
+"""DJI's subtitles (.SRT), written together with a video -> events. Several dialects:
 
     [latitude: 47.1] [longitude: 8.2] [rel_alt: 30.1 abs_alt: 501.3] [gb_yaw: 12.0 gb_pitch: -90.0 gb_roll: 0.0]
     [latitude : 47.1] [longtitude : 8.2] [altitude: 501.3]                 (the letter too many is DJI's)
     [Drone: Yaw:1.9, Pitch:-3.1, Roll:1.5] [Gimbal: Yaw:10.0, Pitch:-45.0, Roll:0.0]
     GPS(8.2,47.1,14) BAROMETER:30.1                                        (longitude first; 14 satellites)
+    GPS(47.1,8.2,0.0M) BAROMETER:30.1M                                     (latitude first: `srt_axis_order`)
+    GPS(E: 8.2, N: 47.1, 501.3m)                                           (Autel)
     GPS (8.2, 47.1, 14), D 24.1m, H 30.1m, H.S 3.0m/s, F.PRY (-4.0°, 0.3°, 12.1°), G.PRY (-90.0°, 0.0°, 12.3°)
 
 A subtitle's own time is the video's, so pictures of the same video need no other clock. Dates are the camera's local
@@ -19,6 +21,14 @@ from pathlib import Path
 
 from contract.errors import InputError
 from onboard.events.types import Attitude, GimbalAttitude, GpsQuality, NavEvent, PositionFix
+from onboard.telemetry.srt_axis_order import (
+    MAX_SATELLITES,
+    METRES_A_DEGREE,
+    WORDS,
+    Order,
+    UnlabelledPlace,
+    axis_order,
+)
 from onboard.telemetry.telemetry_log import TelemetryLog, quaternion, vouched
 
 _NUMBER = r"([+-]?\d+(?:\.\d+)?)"
@@ -27,25 +37,34 @@ _DATE = re.compile(
     r"(?<!\d)(\d{4})[-./](\d{1,2})[-./](\d{1,2})[ T]+(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{3})(?:[.,](\d{3}))?)?"
 )
 _NAMED = re.compile(rf"([A-Za-z_]+)\s*:\s*{_NUMBER}")
-_TRIPLE = re.compile(rf"(?<![A-Z.])GPS\s*\(\s*{_NUMBER}\s*,\s*{_NUMBER}\s*(?:,\s*{_NUMBER}M?\s*)?\)", re.IGNORECASE)
+_TRIPLE = r"\s*\(\s*{n}\s*,\s*{n}\s*(?:,\s*({n}\s*M?)\s*)?\)".replace("{n}", _NUMBER)
+_GPS, _HOME = (re.compile(rf"(?<![A-Z.])(?:{name}){_TRIPLE}", re.IGNORECASE) for name in ("GPS|RTK", "HOME"))
+_LETTERED = re.compile(
+    rf"(?<![A-Z.])GPS\s*\(\s*([EWNS]):\s*{_NUMBER}\s*,\s*([EWNS]):\s*{_NUMBER}\s*(?:,\s*{_NUMBER}m)?", re.I
+)
+_FROM_HOME = re.compile(rf"(?<![\w.])D\s*[= ]\s*{_NUMBER}\s*m\b")
+_SPEED = re.compile(rf"(?<![\w.])(?:H\.S\s+|Hs:\s*){_NUMBER}")
+_DZOOM, _EIS = re.compile(rf"\bDZOOM\s+{_NUMBER}"), re.compile(r"\beis\s*:\s*(\w+)")
 _ABOVE_HOME = re.compile(rf"(?:\bHb?[\s:]\s*|BAROMETER\s*[:(]\s*){_NUMBER}")
 _ANGLES = re.compile(rf"\b([FG])\.PRY\s*\(\s*{_NUMBER}\D*?,\s*{_NUMBER}\D*?,\s*{_NUMBER}\D*?\)")
 _TURNED = re.compile(rf"\b(Drone|Gimbal)\s*:\s*Yaw\s*:\s*{_NUMBER},?\s*Pitch\s*:\s*{_NUMBER},?\s*Roll\s*:\s*{_NUMBER}")
 _TAG = re.compile(r"<[^>]*>")
-# A position stands still between the receiver's own: only the subtitle in which it moved says when. One that hovers is
-# repeated this often.
+# A position stands still between the receiver's own: only the subtitle in which it moved has its time. One that hovers
+# is repeated this often.
 STANDING_NS = 1_000_000_000
 EMPTY_EPOCH_NS = 946_684_800_000_000_000  # of a log without any date: 2000-01-01
-# `abs_alt` comes from a barometer and an unsaid geoid: tens of metres off between models and days. `altitude` counts
-# from the sea on some models and from the take-off on others, and nothing says which.
-SIGMA_AMSL_M, SIGMA_UNSAID_M = 20.0, 300.0
-MAX_SATELLITES = 60  # a larger number in that place is a height
-METRES_A_DEGREE = 111_320.0
+# `abs_alt` is a height in the standard atmosphere on many models: it differs from the true one as the day's pressure
+# does from 1013 hPa, by 8.3 m a hPa, and a sea-level pressure has a sigma of about 12 hPa. It is the same error for a
+# whole flight. `altitude` counts from the sea on some models and from the take-off on others, and nothing specifies
+# which.
+SIGMA_PRESSURE_HEIGHT_M, SIGMA_UNSAID_M = 100.0, 300.0
+EIS_OFF = {"close", "closed", "off", "none", "0"}
+DZOOM_SCALE, MAX_DZOOM = 10_000.0, 100.0  # older models write 10000 for 1.0
 
 
 @dataclass(frozen=True)
 class _Subtitle:
-    """What one says; `at_ns` on the video's own time."""
+    """The content of one subtitle; `at_ns` on the video's own time."""
 
     at_ns: int
     taken_ns: int | None
@@ -55,7 +74,10 @@ class _Subtitle:
     height_amsl_m: float | None = None
     altitude_m: float | None = None  # above the sea, or above the take-off
     above_home_m: float | None = None
+    unlabelled: UnlabelledPlace | None = None
     satellites: int | None = None
+    dzoom: float | None = None  # by how much the picture was enlarged digitally
+    eis: str = ""
     gimbal_deg: tuple[float, float, float] | None = None  # roll, pitch, yaw against north-east-down
     body_deg: tuple[float, float, float] | None = None
 
@@ -65,17 +87,20 @@ def looks_like_subtitles(head: bytes) -> bool:
     return _INTERVAL.search(head.decode("utf-8", "replace")) is not None
 
 
-def read_srt(path: Path | str, home_amsl_m: float | None = None) -> TelemetryLog:
-    """Read a file of subtitles. `home_amsl_m` is the take-off's height above sea level, for dialects that only say how
-    high above it the aircraft was.
+def read_srt(path: Path | str, home_amsl_m: float | None = None, gps_order: Order | None = None) -> TelemetryLog:
+    """Read a file of subtitles. `home_amsl_m`: the take-off's height above sea level, for dialects that only state how
+    high above it the aircraft was; `gps_order` what `GPS(a, b)` means, for those that do not specify it.
 
-    Raises InputError, one line, for a file without positions or without heights.
+    Raises InputError, one line, for a file without positions or without heights, or whose order is not known.
     """
     try:
         text = Path(path).read_bytes().decode("utf-8-sig", "replace")
     except OSError as error:
         raise InputError(f"telemetry {path}: {error.strerror}") from error
-    subtitles = _subtitles(text)
+    try:
+        subtitles, notes = _ordered(_subtitles(text), gps_order)
+    except InputError as error:
+        raise InputError(f"telemetry {path}: {error}") from error
     placed = [s for s in subtitles if s.lat_deg is not None]
     if not placed:
         raise InputError(
@@ -95,7 +120,12 @@ def read_srt(path: Path | str, home_amsl_m: float | None = None) -> TelemetryLog
     events = vouched(positions, claims)
     for subtitle in subtitles:
         events += _attitudes(subtitle, epoch_ns)
-    return replace(TelemetryLog.by_stamp(events), video_epoch_ns=epoch_ns)
+    return replace(
+        TelemetryLog.by_stamp(events),
+        video_epoch_ns=epoch_ns,
+        notes=(*notes, *_stabilisation_note(subtitles), *_height_note(claims)),
+        digital_zoom=_zoom_steps(subtitles, epoch_ns),
+    )
 
 
 def _subtitles(text: str) -> list[_Subtitle]:
@@ -114,28 +144,124 @@ def _subtitle(at_ns: int, text: str) -> _Subtitle:
     named = {name.lower(): value for name, value in _NAMED.findall(text)}
     number = {name: float(value) for name, value in named.items()}
     latitude, longitude = named.get("latitude"), named.get("longitude", named.get("longtitude"))
-    above, satellites = number.get("rel_alt"), None
-    if latitude is None and (triple := _TRIPLE.search(text)) is not None:
-        longitude, latitude, last = triple.groups()
-        satellites = None if last is None or "." in last or int(last) > MAX_SATELLITES else int(last)
+    altitude = number.get("altitude")
+    if latitude is None and (letters := _LETTERED.search(text)) is not None:
+        latitude, longitude = _by_letters(letters)
+        altitude = None if letters[5] is None else float(letters[5])
+    unlabelled = _unlabelled(at_ns, text) if latitude is None else None
+    above = number.get("rel_alt")
     if above is None and (height := _ABOVE_HOME.search(text)) is not None:
         above = float(height[1])
     place = _place(latitude, longitude)
     angles = {kind: (float(r), float(p), float(y)) for kind, p, r, y in _ANGLES.findall(text)}
     angles |= {kind[0]: (float(r), float(p), float(y)) for kind, y, p, r in _TURNED.findall(text)}
+    eis = _EIS.search(text)
     return _Subtitle(
         at_ns,
         _date_ns(text),
         lat_deg=None if place is None else place[0],
         lon_deg=None if place is None else place[1],
-        decimals=min(len((part or "").partition(".")[2]) for part in (latitude, longitude)),
+        decimals=_decimals(latitude, longitude) if unlabelled is None else unlabelled.decimals,
         height_amsl_m=number.get("abs_alt"),
-        altitude_m=number.get("altitude"),
+        altitude_m=altitude,
         above_home_m=above,
-        satellites=satellites,
+        unlabelled=unlabelled,
+        satellites=None if unlabelled is None else _satellites(unlabelled.third),
+        dzoom=_dzoom(number.get("dzoom_ratio"), text),
+        eis="" if eis is None else eis[1].lower(),
         gimbal_deg=_named_angles(number, "gb") or angles.get("G"),
         body_deg=_named_angles(number, "drone") or angles.get("F") or angles.get("D"),
     )
+
+
+def _by_letters(letters: re.Match[str]) -> tuple[str | None, str | None]:
+    """Latitude and longitude of `GPS(E: 8.2, N: 47.1)`."""
+    signed = {
+        "lat" if letter.upper() in "NS" else "lon": ("-" if letter.upper() in "SW" else "") + number.lstrip("+")
+        for letter, number in (letters.group(1, 2), letters.group(3, 4))
+    }
+    return signed.get("lat"), signed.get("lon")
+
+
+def _unlabelled(at_ns: int, text: str) -> UnlabelledPlace | None:
+    gps = _GPS.search(text)
+    if gps is None:
+        return None
+    home, from_home, speed = _HOME.search(text), _FROM_HOME.search(text), _SPEED.search(text)
+    return UnlabelledPlace(
+        at_ns,
+        float(gps[1]),
+        float(gps[2]),
+        _decimals(gps[1], gps[2]),
+        (gps[3] or "").strip(),
+        "BAROMETER(" in text,
+        None if home is None else (float(home[1]), float(home[2])),
+        None if from_home is None else float(from_home[1]),
+        None if speed is None else float(speed[1]),
+    )
+
+
+def _decimals(*numbers: str | None) -> int:
+    return min(len((number or "").partition(".")[2]) for number in numbers)
+
+
+def _satellites(third: str) -> int | None:
+    return int(third) if third.isdecimal() and int(third) <= MAX_SATELLITES else None
+
+
+def _dzoom(ratio: float | None, text: str) -> float | None:
+    if ratio is None:
+        bare = _DZOOM.search(text)
+        ratio = None if bare is None else float(bare[1])
+    if ratio is not None and ratio >= 0.1 * DZOOM_SCALE:
+        ratio /= DZOOM_SCALE
+    return ratio if ratio is not None and 1.0 <= ratio <= MAX_DZOOM else None
+
+
+def _ordered(subtitles: list[_Subtitle], stated: Order | None) -> tuple[list[_Subtitle], list[str]]:
+    """With the places of `GPS(a, b)` in their order, and how that was found."""
+    unlabelled = [s.unlabelled for s in subtitles if s.unlabelled is not None]
+    unlabelled = [place for place in unlabelled if (place.first, place.second) != (0.0, 0.0)]
+    if not unlabelled:
+        return subtitles, []
+    order, why = axis_order(unlabelled, stated)
+    out = []
+    for s in subtitles:
+        if s.unlabelled is not None:
+            pair = str(s.unlabelled.first), str(s.unlabelled.second)
+            place = _place(*(pair if order == "lat-lon" else pair[::-1]))
+            s = s if place is None else replace(s, lat_deg=place[0], lon_deg=place[1])  # noqa: PLW2901
+        out.append(s)
+    return out, [f"GPS(a, b) of the subtitles is read as {WORDS[order]}: {why}"]
+
+
+def _stabilisation_note(subtitles: list[_Subtitle]) -> list[str]:
+    on = {s.eis for s in subtitles} - EIS_OFF - {""}
+    if not on:
+        return []
+    return [
+        f"electronic stabilisation was on (eis: {', '.join(sorted(on))}): it shifts pictures by what it hides of the "
+        "camera's motion, and those are refused as stabilised; switch it off before the next flight"
+    ]
+
+
+def _height_note(claims: list[GpsQuality]) -> list[str]:
+    datum_m = max((claim.sigma_datum_m or 0.0 for claim in claims), default=0.0)
+    if not datum_m:
+        return []
+    return [
+        f"heights above sea level are +-{datum_m:.0f} m as a whole (barometer); say how high the take-off was: "
+        "--home-amsl-m M"
+    ]
+
+
+def _zoom_steps(subtitles: list[_Subtitle], epoch_ns: int) -> tuple[tuple[int, float], ...]:
+    """When the digital zoom became what."""
+    out: list[tuple[int, float]] = []
+    for s in subtitles:
+        if s.dzoom is not None and (not out or out[-1][1] != s.dzoom):
+            out.append((epoch_ns + s.at_ns, s.dzoom))
+    return tuple(out)
 
 
 def _place(latitude: str | None, longitude: str | None) -> tuple[float, float] | None:
@@ -179,7 +305,7 @@ def _positions(
     claims: list[GpsQuality] = []
     for subtitle in placed:
         stamp_ns = epoch_ns + subtitle.at_ns
-        amsl_m, above_m, sigma_m = _height(subtitle, home_amsl_m)
+        amsl_m, above_m, datum_m = _height(subtitle, home_amsl_m)
         if amsl_m is None or subtitle.lat_deg is None or subtitle.lon_deg is None:
             continue
         fix = PositionFix(stamp_ns, subtitle.lat_deg, subtitle.lon_deg, amsl_m, None, above_m)
@@ -190,18 +316,18 @@ def _positions(
                 continue
         positions.append(fix)
         step_m = METRES_A_DEGREE * 10.0**-subtitle.decimals
-        claims.append(GpsQuality(stamp_ns, 3, subtitle.satellites, step_m / 12.0**0.5, sigma_m))
+        claims.append(GpsQuality(stamp_ns, 3, subtitle.satellites, step_m / 12.0**0.5, sigma_datum_m=datum_m))
     return positions, claims
 
 
 def _height(subtitle: _Subtitle, home_amsl_m: float | None) -> tuple[float | None, float | None, float | None]:
-    """Above sea level, above the take-off, and one sigma of the former, where the configuration cannot know it."""
+    """Above sea level, above the take-off, and one sigma of where the former counts from, if that is not known."""
     above_m = subtitle.above_home_m
     if home_amsl_m is not None:
         above_m = subtitle.altitude_m if above_m is None else above_m
         return (None, None, None) if above_m is None else (home_amsl_m + above_m, above_m, None)
     if subtitle.height_amsl_m is not None:
-        return subtitle.height_amsl_m, above_m, SIGMA_AMSL_M
+        return subtitle.height_amsl_m, above_m, SIGMA_PRESSURE_HEIGHT_M
     return subtitle.altitude_m, above_m, SIGMA_UNSAID_M
 
 
@@ -211,5 +337,5 @@ def _attitudes(subtitle: _Subtitle, epoch_ns: int) -> list[NavEvent]:
     if subtitle.body_deg is not None:
         out.append(Attitude(stamp_ns, quaternion(subtitle.body_deg)))
     if subtitle.gimbal_deg is not None:
-        out.append(GimbalAttitude(stamp_ns, quaternion(subtitle.gimbal_deg), "earth"))
+        out.append(GimbalAttitude(stamp_ns, quaternion(subtitle.gimbal_deg), "earth", is_of_camera=True))
     return out

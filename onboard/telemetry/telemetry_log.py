@@ -25,7 +25,9 @@ class TelemetryLog:
     """Events in order of arrival, each with its arrival time (ns, same length).
 
     `system` is the vehicle's MAVLink system number, 0 where the format has none; `boot_segments` how often its clock
-    began. `video_epoch_ns`: when the video began that the log was written beside, if it was written beside one.
+    began. `video_epoch_ns`: when the video began that the log was written with, if it was written with one.
+    `digital_zoom`: from which moment on the camera enlarged its pictures, and how often. `notes`: what the operator
+    should know of how the log was read, one line each.
     """
 
     events: list[NavEvent]
@@ -33,10 +35,12 @@ class TelemetryLog:
     system: int = 0
     boot_segments: int = 1
     video_epoch_ns: int | None = None
+    digital_zoom: tuple[tuple[int, float], ...] = ()
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def by_stamp(cls, events: Iterable[NavEvent], boot_segments: int = 1) -> TelemetryLog:
-        """Of a log that no link has delayed: what it says is there when it is true. Events of one moment keep their
+        """Of a log that no link has delayed: each value arrives when it is true. Events of one moment keep their
         order.
         """
         ordered = sorted(events, key=lambda event: event.stamp_ns)
@@ -52,7 +56,7 @@ class TelemetryLog:
 def vouched(positions: list[PositionFix], claims: list[GpsQuality]) -> list[NavEvent]:
     """Positions (in order of time) of a file that has no receiver's and no filter's reports, with such as it implies.
 
-    Whoever wrote a position into the file had a fix then. `claims` are what the file says of its accuracy, one a
+    A position in the file means that there was a fix then. `claims` are what the file states about its accuracy, one a
     position, with any stamp; each is repeated until the next position, as a receiver would.
     """
     first_ns, last_ns = positions[0].stamp_ns, positions[-1].stamp_ns

@@ -5,8 +5,8 @@ half its round trip, whatever the delays (12.1). Offset and drift follow all exc
 (`clock_filter`) that weighs each by what its round trip has over the least one, and estimates how fast the drift itself
 changes: a crystal's hardly does, a simulator's by thousandths within seconds. Every stamp has a sigma.
 
-Stamps follow the estimate without ever running backwards: where the estimate moves, the clock handed out catches up at
-a bounded rate; only a reboot, which starts the boot clock again, makes it jump.
+Stamps follow the estimate without ever running backwards: where the estimate moves, the clock that is used catches up
+at a bounded rate; only a reboot, which starts the boot clock again, makes it jump.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MAX_ROUND_TRIP_NS = 2 * NS_PER_S
 FLOOR_NS = 100_000.0  # of an exchange's error: scheduling, reading the clocks
 TOLERANCE_NS = 2_000_000.0  # beyond half its round trip, before an exchange contradicts the line
 MAX_CONTRADICTIONS = 3
-FEW = 16  # exchanges, while the least round trip is still falling: all are weighed anew with each
+FEW = 16  # exchanges, while the least round trip is still falling: all are weighted again with each
 DISAGREEMENT_NS = 1.5 * NS_PER_S  # between TIMESYNC and the newest arrivals: it is of another clock
 STALE_NS = 5 * NS_PER_S  # without an exchange, before arrivals may serve better
 FIRST_EXCHANGES = 3
@@ -161,7 +161,7 @@ class _Piece:
     gap_ns: float
 
     def gap(self, boot_ns: int) -> float:
-        """How far (ns) the clock handed out is from its target at a boot time."""
+        """How far (ns) the clock that is used is from its target at a boot time."""
         closed = SLEW * max(boot_ns - self.start_ns, 0)
         return math.copysign(max(abs(self.gap_ns) - closed, 0.0), self.gap_ns)
 
@@ -218,7 +218,7 @@ class LinkClock:
         self._note_figures()
 
     def is_known(self, now_ns: int) -> bool:
-        """Whether stamps may be handed out: after a few exchanges, or after a while of whatever came."""
+        """Whether stamps may be used: after a few exchanges, or after some time of any messages."""
         return self._arrivals.segments > 0 and (
             self.sync.exchanges >= FIRST_EXCHANGES or now_ns - self._began_ns >= HOLD_NS
         )

@@ -88,7 +88,7 @@ def _without_stray_stamps(messages: list[tuple[int, Any]]) -> list[tuple[int, An
 
 
 def _autopilot_system(messages: list[tuple[int, Any]]) -> int:
-    """The system whose autopilot says most, of those with a heartbeat if any has one: others pass by on the line."""
+    """The system whose autopilot sends most, of those with a heartbeat if any has one: others share the same line."""
     autopilots = [m for _, m in messages if m.get_srcComponent() == AUTOPILOT_COMPONENT]
     beating = {
         m.get_srcSystem()

@@ -1,4 +1,4 @@
-"""What the link says, written as it comes into a telemetry log that any ground station reads."""
+"""The link's messages, written as they come into a telemetry log that any ground station reads."""
 
 from __future__ import annotations
 

@@ -25,14 +25,14 @@ SCHEMES = "serial:/dev/NAME:BAUD, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PO
 class Wire(Protocol):
     """An open wire."""
 
-    speaks_first: bool  # the other end sends only to an address it has heard from
-    may_die_silently: bool  # it can be dead without an error: to be opened anew after long silence
+    speaks_first: bool  # the other end sends only to an address it has received from
+    may_die_silently: bool  # it can be dead without an error: to be opened again after long silence
 
     def read(self, timeout_s: float) -> bytes:
         """What has come in, waiting at most that long; empty if nothing has. Raises OSError when broken."""
 
     def write(self, data: bytes) -> None:
-        """Send; what nobody takes is lost. Raises OSError when broken."""
+        """Send; what has no receiver is lost. Raises OSError when broken."""
 
     def confirm(self) -> None:
         """What was read last came from the vehicle: answers go there."""
@@ -162,7 +162,7 @@ class _Udp:
             return b""
         try:
             data, self._last = self._socket.recvfrom(65536)
-        except (BlockingIOError, ConnectionRefusedError):  # nobody there yet
+        except (BlockingIOError, ConnectionRefusedError):  # no receiver yet
             return b""
         return data
 

@@ -53,7 +53,7 @@ class _Topic:
         data = data or {"timestamp": np.zeros(0)}
         stamps = np.asarray(data["timestamp"], np.int64)
         sampled = np.asarray(data.get("timestamp_sample", np.zeros(len(stamps))), np.int64)
-        # When it was true, where the log says so.
+        # The time for which it holds, where the log states it.
         boot_us = np.where(sampled > 0, np.minimum(sampled, stamps), stamps)
         order = np.argsort(boot_us, kind="stable")
         self.boot_us: NDArray[np.int64] = boot_us[order]
@@ -92,10 +92,12 @@ class _Topic:
         return out
 
 
-def read_ulog(path: Path | str, clock: Mode = "auto") -> TelemetryLog:
+def read_ulog(path: Path | str, clock: Mode = "auto", boot_unix_s: float | None = None) -> TelemetryLog:
     """Read a whole log, stamped on Unix time by the receiver's. A cut end is passed over.
 
-    Raises InputError, one line, for a file that is no log, or has no UTC or no position, and where pyulog is missing.
+    `boot_unix_s` is the Unix time (s) at the autopilot's boot, for a log without UTC, as PX4's simulator writes it.
+    Raises InputError, one line, for a file that is no log, or has no position, or has no UTC without `boot_unix_s` or
+    UTC with it, and where pyulog is missing.
     """
     topics = _topics(path)
     gps = topics["vehicle_gps_position"]
@@ -105,14 +107,22 @@ def read_ulog(path: Path | str, clock: Mode = "auto") -> TelemetryLog:
     gps_clock = GpsClock(clock)
     for boot_us, unix_us in zip(gps.boot_us[fixed].tolist(), utc_us[fixed].tolist(), strict=True):
         gps_clock.add(boot_us * 1000, int(unix_us) * 1000)
-    if not gps_clock.is_set:
-        raise InputError(f"telemetry {path}: no UTC in it (vehicle_gps_position), so its moments cannot be told")
-    gps_clock.lag_s = _lag_s(gps, fixed, utc_us, topics["vehicle_global_position"], gps_clock)
+    if gps_clock.is_set and boot_unix_s is not None:
+        raise InputError(f"telemetry {path}: has UTC (vehicle_gps_position); leave --time-offset out")
+    if gps_clock.is_set:
+        gps_clock.lag_s = _lag_s(gps, fixed, utc_us, topics["vehicle_global_position"], gps_clock)
+    elif boot_unix_s is not None:
+        gps_clock.add(0, round(boot_unix_s * 1e9))
+    else:
+        raise InputError(
+            f"telemetry {path}: no UTC in it (vehicle_gps_position); give the Unix time at its boot, --time-offset S, "
+            "or --time-offset 0 where the pictures' stamps count from the boot too"
+        )
     events: list[NavEvent] = [
         *_positions(topics, gps, gps_clock),
         *_attitudes(topics, gps_clock),
         *_qualities(gps, gps_clock),
-        *_filter_statuses(topics["estimator_status"], gps_clock),
+        *_filter_statuses(topics["estimator_status"], topics["vehicle_local_position"], gps_clock),
         *_gimbal(topics["gimbal_device_attitude_status"], gps_clock),
         *_ranges(topics["distance_sensor"], gps_clock),
     ]
@@ -258,10 +268,12 @@ def _qualities(gps: _Topic, clock: GpsClock) -> list[NavEvent]:
     return out
 
 
-def _filter_statuses(topic: _Topic, clock: GpsClock) -> list[NavEvent]:
+def _filter_statuses(topic: _Topic, local: _Topic, clock: GpsClock) -> list[NavEvent]:
+    claims = local.at(topic.boot_us, local.columns("evh", "evv")).max(axis=1)
     out: list[NavEvent] = []
     said, said_us = -1, 0
-    for us, value in zip(topic.boot_us.tolist(), topic.column("solution_status_flags").tolist(), strict=True):
+    flags_of = topic.column("solution_status_flags").tolist()
+    for us, value, claim in zip(topic.boot_us.tolist(), flags_of, claims.tolist(), strict=True):
         if not math.isfinite(value):
             continue
         flags = int(value)
@@ -278,6 +290,7 @@ def _filter_statuses(topic: _Topic, clock: GpsClock) -> list[NavEvent]:
                 has_position and (not is_held or is_at_rest),
                 bool(flags & mavlink.ESTIMATOR_GPS_GLITCH),
                 is_at_rest,
+                claim if math.isfinite(claim) and claim > 0.0 else None,
             )
         )
     return out

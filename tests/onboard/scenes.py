@@ -28,6 +28,7 @@ from onboard.estimation.factors import (
     gauss_markov_sqrt_information,
 )
 from onboard.estimation.keyframe import Observation, observation
+from onboard.estimation.platform_states import BORESIGHT, DELAY, HEADING, OFFSET, STATES, VELOCITY_DELAY
 from onboard.estimation.sensor_factors import cosine_sine_of_heading
 from onboard.estimation.sliding_window import Window
 from onboard.geometry.triangulation import triangulate
@@ -209,11 +210,11 @@ def draw(
     white = e * gps.sigma_white_m
     position_error = np.stack(
         [
-            gauss_markov(rng, times, white * grow, e * sigma, gps.wander_time_s)
+            gauss_markov(rng, times, white * grow, e * sigma, gps.correlation_time_s)
             for sigma, grow in (
-                (gps.sigma_wander_horizontal_m, 1.0),
-                (gps.sigma_wander_horizontal_m, 1.0),
-                (gps.sigma_wander_vertical_m, 1.5),
+                (gps.sigma_correlated_horizontal_m, 1.0),
+                (gps.sigma_correlated_horizontal_m, 1.0),
+                (gps.sigma_correlated_vertical_m, 1.5),
             )
         ],
         axis=1,
@@ -225,7 +226,7 @@ def draw(
                 times,
                 e * np.radians(solve.attitude_white_sigma_deg),
                 e * np.radians(sigma_deg),
-                solve.attitude_wander_time_s,
+                solve.attitude_correlation_time_s,
             )
             for sigma_deg in (solve.attitude_sigma_deg, solve.attitude_sigma_deg, solve.heading_sigma_deg)
         ],
@@ -243,8 +244,8 @@ def draw(
                 path.position_enu_m(stamp - delay) - position_error[f],
                 path.velocity_enu_m_s(stamp - velocity_delay),
                 exp_so3(tilt[f] + [0.0, 0.0, yaw]) @ R_enu_body if has_attitude else None,
-                gps.sigma_wander_horizontal_m,
-                gps.sigma_wander_vertical_m,
+                gps.sigma_correlated_horizontal_m,
+                gps.sigma_correlated_vertical_m,
                 gps.sigma_white_m,
                 11.0,
                 None,
@@ -311,10 +312,7 @@ def bundle_problem(
     seen = (np.abs(xy[..., 0]) < 0.45) & (np.abs(xy[..., 1]) < 0.4)
     often = np.count_nonzero(seen, axis=0) >= 2
     xy, seen, ground, P = xy[:, often], seen[:, often], ground[often], int(np.count_nonzero(often))
-    times_s = shared[3:6].tolist()
-    truth = State(
-        R_cam_enu, centres, ground, shared[:3], times_s[0], plane, times_s[1], times_s[2], shared[6:8], shared[8:-3]
-    )
+    truth = State(R_cam_enu, centres, ground, shared[:-3], plane)
     sigma = 0.3 / 900.0
     if lens is not None:  # what the lens as filed makes of pixels that the true one took
         true_lens = camera_states.corrected(lens, truth.camera)
@@ -330,7 +328,7 @@ def bundle_problem(
     priors: list[Prior] = [
         PositionPrior(
             layout,
-            antennas - velocities * (truth.offset_s + truth.delay_s) - error,
+            antennas - velocities * (truth.platform[OFFSET] + truth.platform[DELAY]) - error,
             velocities,
             np.stack([gauss_markov_sqrt_information(stamps, white, slow, tau)] * 3),
             np.zeros(K),
@@ -339,22 +337,22 @@ def bundle_problem(
         VelocityPrior(
             layout,
             np.diff(antennas, axis=0)
-            - gained * truth.velocity_delay_s
+            - gained * truth.platform[VELOCITY_DELAY]
             + noise * 0.15 * rng.standard_normal((K - 1, 3)),
-            np.stack([np.eye(K - 1) / 0.15] * 3),
             gained,
-            np.full(K - 1, truth.offset_s),
-            np.array(lever_cam_m),
+            np.stack([np.eye(K - 1) / 0.15] * 3),
+            np.full(K - 1, truth.platform[OFFSET]),
+            lever_cam_m=np.array(lever_cam_m),
         ),
         SharedPrior(layout, np.zeros(len(sigma_shared)), np.diag(1.0 / sigma_shared)),
     ]
     if attitude:
         white, slow = 0.004, 0.017
         tilt = np.stack([gauss_markov(rng, stamps, white, slow, tau) for _ in range(3)], axis=1) * noise
-        turn = exp_so3(rates * truth.offset_s) @ exp_so3(truth.boresight_rad)
+        turn = exp_so3(rates * truth.platform[OFFSET]) @ exp_so3(truth.platform[BORESIGHT])
         bearing = rng.uniform(0.0, 2.0 * np.pi, K)
         by_heading = np.column_stack([np.cos(bearing), np.sin(bearing)])
-        about_up = (by_heading @ truth.heading_rad)[:, None] * [0.0, 0.0, 1.0]
+        about_up = (by_heading @ truth.platform[HEADING])[:, None] * [0.0, 0.0, 1.0]
         measured = exp_so3(about_up) @ exp_so3(tilt) @ R_cam_enu.transpose(0, 2, 1) @ turn.transpose(0, 2, 1)
         priors.append(
             AttitudePrior(
@@ -376,7 +374,7 @@ def first_guess(drawn: Drawn, R_cam_enu: Array, centres_enu_m: Array) -> State:
     problem = drawn.problem
     points = triangulate(R_cam_enu, centres_enu_m, problem.xy, problem.weight > 0).points_enu_m
     lens = np.zeros(problem.layout.camera_states)
-    return State(R_cam_enu, centres_enu_m, points, np.zeros(3), 0.0, np.zeros(3), camera=lens)
+    return State(R_cam_enu, centres_enu_m, points, np.append(np.zeros(STATES), lens), np.zeros(3))
 
 
 def error_of(state: State, truth: State) -> Array:

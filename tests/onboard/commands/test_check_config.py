@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from contract.camera import Camera
 from onboard.__main__ import main
@@ -91,9 +92,21 @@ def test_of_the_network_it_says_that_nobody_can_know(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], url: str
 ) -> None:
     (tmp_path / "frames").mkdir()
+    Image.new("L", (640, 480)).save(tmp_path / "frames" / "20260612T101523.25Z.png")
     code, lines = checked(written(tmp_path, f"replay:{tmp_path / 'frames'}", url), capsys)
     assert (code, lines[2].endswith("recorded pictures")) == (0, True)
     assert "cannot be known" in lines[3]
+
+
+def test_pictures_that_run_would_refuse_are_refused_here(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "frames").mkdir()
+    for size, said in ((None, "no picture in it"), ((64, 48), "the camera file says 640 x 480")):
+        if size is not None:
+            Image.new("L", size).save(tmp_path / "frames" / "20260612T101523.25Z.png")
+        file = written(tmp_path, f"replay:{tmp_path / 'frames'}", "udpin:127.0.0.1:14550")
+        assert main(["check-config", "--fly", str(file)]) == 2
+        complaint = capsys.readouterr().err
+        assert said in complaint and complaint.count("\n") == 1
 
 
 def test_a_file_is_no_serial_line_and_recorded_pictures_must_be_there(

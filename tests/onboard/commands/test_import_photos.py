@@ -22,6 +22,7 @@ from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from tests.onboard.photographs import Style, write_photographs
+from tests.own_flights import write_named_photographs
 from tests.scenarios.flights import Outcome, click, flown
 
 pytestmark = pytest.mark.xdist_group("import photos")  # one worker: what they share is made once
@@ -82,7 +83,13 @@ def test_it_says_what_it_assumed_and_writes_it_down(
 ) -> None:
     flight = imported(session, tmp_path, Style(whole_seconds=True))
     said = capsys.readouterr().out
-    for words in ("16 of DJI FC7303", "cut to the second", "from CalibratedFocalLength", "gimbal's angles", "+-20 m"):
+    for words in (
+        "16 of DJI FC7303",
+        "cut to the second",
+        "from CalibratedFocalLength",
+        "gimbal's angles",
+        "barometer, +-100 m",
+    ):
         assert words in said, said
     camera, raw = Camera.from_json(flight / "camera.json"), json.loads((flight / "camera.json").read_text())
     assert camera.fx_px == pytest.approx(CAMERA.fx_px, rel=1e-6) and camera.size_px == CAMERA.size_px
@@ -198,6 +205,47 @@ def test_a_folder_that_is_not_there_or_a_place_that_is_taken(
     (tmp_path / "empty").mkdir()
     assert main(["import-photos", str(tmp_path / "empty"), "--out", str(tmp_path / "flight")]) == 2
     assert "0 pictures in it; at least 3" in capsys.readouterr().err
+
+
+def test_pictures_named_by_utc_are_a_flight_with_the_log_and_the_camera_file_beside_them(
+    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Such a folder was refused for want of EXIF, though `replay` took it."""
+    real = shared_data / "cmac_2018"
+    assert main(["import-photos", str(real / "frames"), "--out", str(tmp_path / "flight")]) == 0
+    said = capsys.readouterr().out
+    assert "18 of" in said and "of the names, with fractions" in said and "cmac_2018/telemetry.tlog" in said
+    assert Camera.from_json(tmp_path / "flight" / "camera.json") == Camera.from_json(real / "camera.json")
+    stamps = (tmp_path / "flight" / "stamps.csv").read_text().splitlines()
+    assert stamps[1] == "2018080501004480Z.jpg,1533430844.800000" and len(stamps) == 19
+
+
+def test_a_camera_of_which_nothing_is_known_and_a_log_in_the_folder(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_named_photographs(session, tmp_path / "photos")
+    assert main(["import-photos", str(tmp_path / "photos"), "--out", str(tmp_path / "flight")]) == 0
+    outcome = replayed(session, tmp_path / "flight", capsys)
+    assert outcome.solved >= 0.8, outcome.reported
+    assert outcome.inside_99 >= 0.97, outcome.reported
+
+
+def test_a_clock_that_showed_a_local_time_is_named_and_corrected(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_photographs(session, tmp_path / "photos", Style(gps=False, angles=False, focal="plane"))
+    log = tmp_path / "later.csv"
+    with (session / "truth.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    first_s, last_s = (float(rows[k]["unix_time_s"]) - 5.5 * 3600.0 for k in (0, -1))
+    lines = ["unix_time_s,lat_deg,lon_deg,height_amsl_m"]
+    lines += [f"{t:.1f},{rows[0]['lat_deg']},{rows[0]['lon_deg']},200" for t in np.arange(first_s - 60, last_s + 60)]
+    log.write_text("\n".join(lines))
+    command = ["import-photos", str(tmp_path / "photos"), "--telemetry", str(log), "--out", str(tmp_path / "flight")]
+    assert main(command) == 2
+    err = capsys.readouterr().err
+    assert "do not overlap" in err and "--utc-offset 5.5" in err and err.count("\n") == 1
+    assert main([*command, "--utc-offset", "5.5"]) == 0
 
 
 # ---------------------------------------------------------------- single photographs

@@ -9,11 +9,22 @@ from hypothesis import given
 
 from contract.camera import Camera
 from contract.feature_set import Status
+from contract.supervised_thread import ThreadReport, ThreadState
+from onboard.commands import doctor
+from onboard.commands.line_meaning import MEANING
 from onboard.commands.preflight import Surroundings, diagnose
 from onboard.config.schema import Config
 from onboard.events.source import SourceStatus, State
-from onboard.events.supervised_thread import ThreadReport, ThreadState
-from onboard.pipeline.estimates import BORESIGHT, RELATIVE_VARIANCE, Contradiction, Estimate, SensorError
+from onboard.georeferencing.click_budget import Budget
+from onboard.pipeline.estimates import (
+    BORESIGHT,
+    RELATIVE_VARIANCE,
+    TIME_OFFSET,
+    Contradiction,
+    Estimate,
+    SensorError,
+    said_of,
+)
 from onboard.service.reports import Report
 from onboard.service.vehicle_state import AT_REST, Inputs, Subject, overall
 from tests.onboard.service.reported import WELL as WELL_INPUTS
@@ -42,15 +53,24 @@ def red(report: Report, around: Surroundings = AROUND) -> list[str]:
 
 def test_before_a_good_flight_all_is_green() -> None:
     assert verdicts(WELL) == dict.fromkeys(
-        ["state", "camera", "rate", "exposure", "telemetry", "rates", "time sync", "pipeline", "gps", "position",
-         "answers", "load", "recording", "threads", "mount", "relative errors", "sensors",
-             "calibration", "link", "disk",
-         "processor"], True,
+        ["state", "camera", "rate", "stamps", "exposure", "telemetry", "rates", "time sync", "pipeline", "gps",
+         "position", "answers", "load", "recording", "threads", "mount", "relative errors", "sensors", "radius",
+         "calibration", "link", "disk", "processor"], True,
     )  # fmt: skip
     assert text(WELL, "exposure") == "fixed at 2000 us, mean grey 120 of 255"
     assert text(WELL, "time sync") == "+-0.9 ms, round trip 2.5 ms"
     assert text(WELL, "calibration") == "640 x 480, 40 deg wide"
     assert text(WELL, "gps") == "fix type 3, 14 satellites, +-0.8 m"
+
+
+def test_how_well_pictures_are_timed_is_said_and_amiss_where_it_is_poor() -> None:
+    assert text(WELL, "stamps") == "0.000 +-0.100 s late by camera.latency_s, nothing learned yet: turns show it"
+    said = "each picture's time +-31.0 ms; 0.000 +-0.100 s late"
+    assert text(figures("camera", stamp_sigma_ms=31.0), "stamps").startswith(said)
+    assert red(figures("camera", stamp_sigma_ms=31.0)) == []
+    assert red(figures("camera", stamp_sigma_ms=140.0)) == ["stamps"]
+    learned = replace(WELL, estimates=(Estimate(TIME_OFFSET, "seconds", (-0.213,), (0.008,)),))
+    assert text(learned, "stamps") == "learned in flight: -0.213 +-0.008 s beside camera.latency_s"
 
 
 def test_a_clock_known_by_arrival_alone_is_not_called_unknown() -> None:
@@ -168,6 +188,19 @@ def test_without_a_daemon_nothing_is_said_of_what_only_it_can_know() -> None:
     assert {"camera", "telemetry", "gps"} < lines.keys()
 
 
+def test_what_would_make_a_radius_smaller_is_a_line_that_is_never_bad() -> None:
+    report = replace(WELL, budget=Budget(6.2, {"mount": 0.6, "gps": 0.21, "pixels": 0.19}))
+    assert verdicts(report)["radius"] and verdicts(WELL)["radius"]
+    line = text(report, "radius")
+    assert line.startswith(
+        "90 % within 6.2 m in the picture's middle; mount 60 %, GPS, correlated 21 %: fly one circle"
+    )
+    assert line.endswith("(without it 3.9 m)")
+    assert "no picture has been placed" in text(WELL, "radius")
+    assert Report.from_json(report.to_json()).budget == report.budget
+    assert "radius" not in verdicts(WELL, replace(AROUND, is_running=False))
+
+
 def test_a_boresight_within_its_prior_is_well() -> None:
     report = replace(WELL, estimates=(Estimate(BORESIGHT, "radians", (0.01, 0.01, 0.0), (0.002,) * 3),))
     assert verdicts(report)["mount"]
@@ -206,8 +239,22 @@ def test_what_was_found_and_not_confirmed_is_named() -> None:
 
 
 def test_a_sensor_that_contradicts_the_others_is_not_well_while_it_does() -> None:
+    """The state and the doctor's line say the same. It was `ok` with a red line and exit 1."""
     wrong, over = Contradiction("tilt", 12.0, 9.0, 8), Contradiction("velocity", 1.0, 3.0, 4)
-    report = replace(WELL, contradictions=(wrong, over))
-    assert not verdicts(report)["sensors"]
-    assert text(report, "sensors") == "tilt contradicts the other sensors for 9 s and counts with 12 times its sigma"
-    assert verdicts(replace(WELL, contradictions=(over,)))["sensors"]
+    report = report_of(replace(WELL_INPUTS, contradiction=said_of((wrong, over))))
+    said = "tilt contradicts the other sensors for 9 s and counts with 12 times its sigma"
+    assert red(report) == ["state", "sensors"]
+    assert text(report, "sensors") == said
+    assert text(report, "state") == f"degraded: sensors: {said}"
+    assert red(report_of(replace(WELL_INPUTS, contradiction=said_of((over,))))) == []
+
+
+def test_every_line_is_explained_and_no_name_runs_into_its_text() -> None:
+    lines = diagnose(CONFIG, WELL, AROUND)
+    assert {line.name for line in lines} == set(MEANING)
+    for explained in (False, True):
+        said = doctor.text(lines, False, explained).splitlines()
+        assert len(said) == len(lines) * (3 if explained else 1)
+    for line, words in zip(lines, doctor.text(lines, False).splitlines(), strict=True):
+        assert f" {line.name} " in words
+    assert all("If bad" in meaning[1] for meaning in MEANING.values())

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from contract.supervised_thread import ThreadReport, ThreadState
 from contract.vehicle_status import VehicleStatus, encode_status
 from onboard.__main__ import main
 from onboard.events.source import SourceStatus, State
-from onboard.events.supervised_thread import ThreadReport, ThreadState
 from onboard.link.publisher import Publisher
 from onboard.link.status_query import ask, local_endpoints
 from onboard.service.reports import RecordingReport, Report

@@ -15,11 +15,11 @@ import zenoh
 from contract.errors import LinkError
 from contract.feature_set import FeatureSet, Status
 from contract.link_config import link_config
+from contract.supervised_thread import ThreadState
 from contract.wire.codec import decode, encode
 from ground.__main__ import main
 from ground.answer import Fix, Refusal
 from ground.client import SetCache, ask
-from onboard.events.supervised_thread import ThreadState
 from onboard.link.publisher import Publisher, Rate
 from onboard.link.socket_backlog import Backlog
 from tests.contract.sets import plain_set
@@ -183,6 +183,33 @@ def test_an_impossible_endpoint_and_vehicle_are_named(endpoint: str) -> None:
         Publisher("uav-1", ["carrier pigeon"])
     with pytest.raises(ValueError, match="uav/1"):
         Publisher("uav/1", [endpoint])
+
+
+@pytest.mark.parametrize("works", range(5))
+def test_a_declaration_that_fails_leaves_no_session_and_is_one_error(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch, works: int
+) -> None:
+    """Of three publishers and two queryables the first so many can be declared."""
+
+    class Session:
+        declared, is_closed = 0, False
+
+        def declare(self, *_: object, **__: object) -> object:
+            if self.declared == works:
+                raise zenoh.ZError("out of memory at /zenoh/src/net/routing/mod.rs:11")
+            self.declared += 1
+            return object()
+
+        declare_publisher = declare_queryable = declare
+
+        def close(self) -> None:
+            self.is_closed = True
+
+    session = Session()
+    monkeypatch.setattr(zenoh, "open", lambda _: session)
+    with pytest.raises(LinkError, match="cannot publish as 'uav-1': out of memory; try again"):
+        Publisher("uav-1", [endpoint])
+    assert session.is_closed
 
 
 def test_nobody_there_and_nobody_answering_are_told_apart(publisher: Publisher, endpoint: str) -> None:

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from onboard.config.schema import parse_config
-from onboard.estimation.boresight import OFFSET, STATES, Belief, Unconfirmed
+from onboard.estimation.boresight import Belief, Unconfirmed
+from onboard.estimation.platform_states import OFFSET, STATES
 from onboard.estimation.reobservation import RelativeVariance
 from onboard.estimation.sensor_groups import Failing
-from onboard.estimation.variance_components import NAMES, Evidence, VarianceFactors
+from onboard.estimation.sensor_table import PARTS
+from onboard.estimation.variance_components import Evidence, VarianceFactors
 from onboard.pipeline.estimates import (
     Contradiction,
     as_rows,
@@ -46,12 +48,15 @@ def test_every_state_is_reported_once_with_its_unit_and_sigma() -> None:
 
 def test_sensor_errors_are_the_configured_ones_times_what_was_found() -> None:
     errors = {e.name: e for e in sensor_errors(CONFIG, FOUND)}
-    assert tuple(errors) == NAMES
+    assert tuple(errors) == tuple(PARTS)
     assert errors["heading"].declared == CONFIG.solve.heading_sigma_deg
     assert errors["heading"].sigma == pytest.approx(2.0 * CONFIG.solve.heading_sigma_deg, rel=0.01)
-    assert errors["tilt"].sigma == errors["tilt"].declared == CONFIG.solve.attitude_sigma_deg
-    assert errors["velocity"].declared == CONFIG.gps.sigma_velocity_m_s
-    assert errors["position"].declared == CONFIG.gps.sigma_wander_horizontal_m
+    assert errors["tilt"].declared == CONFIG.solve.attitude_sigma_deg
+    assert errors["tilt"].sigma == pytest.approx(np.sqrt(15.0 / 20.0) * CONFIG.solve.attitude_sigma_deg)
+    assert errors["velocity"].sigma == errors["velocity"].declared == CONFIG.gps.sigma_velocity_correlated_m_s
+    assert errors["velocity"].declared == CONFIG.gps.sigma_velocity_correlated_m_s
+    assert errors["velocity_white"].declared == CONFIG.gps.sigma_velocity_m_s
+    assert errors["position"].declared == CONFIG.gps.sigma_correlated_horizontal_m
 
 
 def test_the_summary_has_a_row_for_each_and_names_a_sensor_only_where_it_is_worse() -> None:
@@ -59,8 +64,8 @@ def test_the_summary_has_a_row_for_each_and_names_a_sensor_only_where_it_is_wors
     assert rows == {
         "boresight": "x +0.50 +-0.10, y -1.00 +-0.20, z +2.00 +-0.30 deg, camera axes",
         "time offset": "+0.120 +-0.010 s, camera to autopilot",
-        "position delay": "-0.030 +-0.020 s beside gps.latency_s",
-        "velocity delay": "+0.040 +-0.050 s beside gps.latency_s",
+        "position delay": "-0.030 +-0.020 s off gps.latency_s",
+        "velocity delay": "+0.040 +-0.050 s off gps.latency_s",
         "heading error": "+4.00 +-0.50 deg times cos heading, -1.00 +-0.60 deg times sin heading",
         "sensor errors": "heading 4 deg, declared 2",
     }

@@ -20,7 +20,7 @@ from ground.answer import Fix
 from ground.locate import Locator
 from onboard.config.schema import parse_config
 from onboard.estimation.solver_executor import Done, Promise, Worker
-from onboard.estimation.window_solver import Request
+from onboard.estimation.window_request import Request
 from onboard.events.types import Attitude, Event, Frame, GpsQuality, PositionFix
 from onboard.georeferencing.revision import MOVED, WIDENED
 from onboard.pipeline.pipeline import ADOPTION_NS, Pipeline

@@ -8,9 +8,9 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
 from contract.feature_set import Status
+from contract.supervised_thread import ThreadReport, ThreadState
 from contract.vehicle_status import VehicleStatus
 from onboard.events.source import SourceStatus, State
-from onboard.events.supervised_thread import ThreadReport, ThreadState
 from onboard.service.reports import Brightness, RecordingReport, Report
 from onboard.service.vehicle_state import GpsReport, Inputs, judge, overall
 
@@ -42,10 +42,11 @@ def inputs() -> st.SearchStrategy[Inputs]:
         st.booleans(),
         st.sampled_from(["", "disk full"]),
         st.lists(threads, max_size=2).map(tuple),
+        st.sampled_from(["", "tilt contradicts the other sensors"]),
     )
     # Anything at all is never well: most findings must be seen alone too.
     names = ["camera", "telemetry", "picture_age_s", "busy_s", "outcome", "gps", "position_fault", "is_at_rest",
-             "is_shedding", "recording_fault", "threads"]  # fmt: skip
+             "is_shedding", "recording_fault", "threads", "contradiction"]  # fmt: skip
     few = st.lists(st.sampled_from(names), max_size=2)
     return anything | st.builds(lambda a, n: replace(WELL, **{name: getattr(a, name) for name in n}), anything, few)
 

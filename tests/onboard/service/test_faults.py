@@ -140,6 +140,7 @@ def test_telemetry_gone_for_ten_seconds(tmp_path: Path) -> None:
     assert Status.OK not in statuses, statuses
 
 
+@pytest.mark.long
 def test_telemetry_gone_for_a_minute(tmp_path: Path) -> None:
     def cut(event: Event, t_s: float) -> Event | None:
         return None if 10.0 <= t_s < 70.0 else event

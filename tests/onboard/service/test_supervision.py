@@ -13,9 +13,9 @@ import pytest
 
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
+from contract.supervised_thread import Policy, SupervisedThread, ThreadState
 from onboard.config.schema import Config
 from onboard.events.sink import Sink
-from onboard.events.supervised_thread import Policy, SupervisedThread, ThreadState
 from onboard.events.types import Event
 from onboard.service.daemon import Order
 from onboard.service.session import Parts

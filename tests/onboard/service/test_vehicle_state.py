@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 
 from contract.feature_set import Status
+from contract.supervised_thread import ThreadReport, ThreadState
 from contract.vehicle_status import MAX_STATE
 from onboard.events.source import Severity, SourceStatus, State
-from onboard.events.supervised_thread import ThreadReport, ThreadState
 from onboard.service.vehicle_state import (
     AT_REST,
     SILENT_S,

@@ -15,8 +15,8 @@ import pytest
 from mcap.reader import make_reader
 
 from contract.errors import InputError
+from contract.supervised_thread import ThreadState
 from ground.recording import Recording
-from onboard.events.supervised_thread import ThreadState
 from onboard.events.types import Frame, GpsQuality
 from onboard.storage.mcap_reader import RecordedFlight
 from onboard.storage.mcap_writer import SessionRecorder

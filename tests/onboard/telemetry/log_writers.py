@@ -195,7 +195,7 @@ TOPICS: dict[str, tuple[tuple[str, str], ...]] = {
 }  # fmt: skip
 
 
-def _ulog_rows(gimbal: bool) -> Iterator[tuple[float, str, tuple[float, ...]]]:
+def _ulog_rows(gimbal: bool, has_utc: bool) -> Iterator[tuple[float, str, tuple[float, ...]]]:
     for m in moments(50):
         yield m.t, "vehicle_attitude", m.q
         yield m.t, "vehicle_angular_velocity", (m.roll_rate, 0.0, 0.0)
@@ -205,7 +205,7 @@ def _ulog_rows(gimbal: bool) -> Iterator[tuple[float, str, tuple[float, ...]]]:
         if gimbal:
             yield m.t, "gimbal_device_attitude_status", (*_quaternion(0.0, -90.0, 40.0), 64)  # yaw against north
     for m in moments(5):
-        height, utc = HOME_M + ABOVE_M, round((T0_S + m.t) * 1e6)
+        height, utc = HOME_M + ABOVE_M, round((T0_S + m.t) * 1e6) if has_utc else 0
         gps = m.lat, LON, height, height + 11.0, utc, 0.4, 0.6, 0.1, 3, 12
         yield m.t + GPS_LAG_S, "vehicle_gps_position", gps
         yield m.t, "estimator_status", (0b11_0011_1111,)
@@ -216,9 +216,9 @@ def _quaternion(*euler_deg: float) -> tuple[float, ...]:
     return tuple(quaternion_from_matrix(matrix_from_euler(*np.radians(euler_deg))).tolist())
 
 
-def ulog(gimbal: bool = False) -> bytes:
+def ulog(gimbal: bool = False, has_utc: bool = True) -> bytes:
     """Put together from the file format's documentation, and written by pyulog's own writer."""
-    rows = sorted(_ulog_rows(gimbal), key=lambda row: row[0])
+    rows = sorted(_ulog_rows(gimbal, has_utc), key=lambda row: row[0])
     used = [name for name in TOPICS if any(row[1] == name for row in rows)]
 
     def message(kind: str, body: bytes) -> bytes:

@@ -19,6 +19,7 @@ from onboard.telemetry.log_files import read_log
 from onboard.telemetry.telemetry_log import TelemetryLog
 from tests.onboard.telemetry.log_writers import (
     ABOVE_M,
+    BOOT_S,
     HOME_M,
     LAT,
     LON,
@@ -250,6 +251,31 @@ def test_gimbal_range_and_lost_fix_of_a_dataflash_log(tmp_path: Path) -> None:
     assert any(s.has_position and s.is_glitching for s in states) and not states[-1].has_position
 
 
+def test_px4_s_own_log_without_utc_is_read_with_the_time_of_its_boot(tmp_path: Path) -> None:
+    """As PX4's simulator writes it: by the Unix time at boot, or on the pictures' own clock if that counts from it."""
+    path, with_utc = tmp_path / "flight.ulg", tmp_path / "utc.ulg"
+    path.write_bytes(ulog(has_utc=False))
+    with_utc.write_bytes(ulog())
+    with pytest.raises(InputError, match=r"no UTC in it .* --time-offset S, or --time-offset 0 where"):
+        read_log(path)
+    read, known = read_log(path, boot_unix_s=T0_S - BOOT_S), read_log(with_utc)
+    assert len(read.events) == len(known.events)
+    for kind in (PositionFix, Attitude, GpsQuality):
+        mine, theirs = of(read, kind), of(known, kind)
+        late_s = [(a.stamp_ns - b.stamp_ns) / 1e9 for a, b in zip(mine, theirs, strict=True)]
+        assert np.abs(late_s).max() < 0.002
+    at_boot = read_log(path, boot_unix_s=0.0)
+    assert at_boot.span_ns[0] / 1e9 == pytest.approx(BOOT_S, abs=0.3)
+
+
+def test_a_log_that_has_its_time_takes_no_other(tmp_path: Path) -> None:
+    (tmp_path / "utc.ulg").write_bytes(ulog())
+    with pytest.raises(InputError, match=r"has UTC .* leave --time-offset out"):
+        read_log(tmp_path / "utc.ulg", boot_unix_s=0.0)
+    with pytest.raises(InputError, match=r"--time-offset is for a PX4 \.ulg without UTC"):
+        read_log(written(tmp_path, "tlog"), boot_unix_s=0.0)
+
+
 def test_an_earth_fixed_gimbal_of_a_px4_log(tmp_path: Path) -> None:
     path = tmp_path / "flight.ulg"
     path.write_bytes(ulog(gimbal=True))
@@ -268,12 +294,12 @@ DIALECTS = {
     "mavic 3": (
         '<font size="28">FrameCnt: 1, DiffTime: 33ms\n2023-05-12 12:01:02.345\n[iso: 100] [latitude: 48.1] '
         "[longitude: 11.5] [rel_alt: 1.300 abs_alt: 212.345] [gb_yaw: -12.3 gb_pitch: -90.0 gb_roll: 0.0] </font>",
-        (48.1, 11.5, 212.345, 1.3, 20.0), (0.0, -90.0, -12.3),
+        (48.1, 11.5, 212.345, 1.3, 100.0), (0.0, -90.0, -12.3),
     ),
     "matrice": (
         "SrtCnt : 1, DiffTime : 33ms\n2024-06-01 09:00:00.000\n[latitude: 41.3] [longitude: -81.3] "
         "[rel_alt: 50.6 abs_alt: 300] [Drone: Yaw:1.9, Pitch:-3.1, Roll:1.5] [Gimbal: Yaw:10.0, Pitch:-45.0, Roll:0.0]",
-        (41.3, -81.3, 300.0, 50.6, 20.0), (0.0, -45.0, 10.0),
+        (41.3, -81.3, 300.0, 50.6, 100.0), (0.0, -45.0, 10.0),
     ),
 }  # fmt: skip
 BARE = {
@@ -293,7 +319,7 @@ def test_dialects_of_dji_s_subtitles(tmp_path: Path, dialect: str) -> None:
     log = read_log(path)
     (fix,) = of(log, PositionFix)
     assert (fix.lat_deg, fix.lon_deg, fix.height_amsl_m, fix.height_above_home_m) == (lat, lon, amsl, above)
-    assert of(log, GpsQuality)[0].sigma_vertical_m == sigma
+    assert of(log, GpsQuality)[0].sigma_datum_m == sigma
     gimbal = of(log, GimbalAttitude)
     assert bool(gimbal) is (gimbal_deg is not None)
     if gimbal_deg is not None:

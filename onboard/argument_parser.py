@@ -1,0 +1,131 @@
+"""The parser of `pc-onboard`: wrong usage in one line, values checked while they are parsed, lost output recognised."""
+
+from __future__ import annotations
+
+import argparse
+import errno
+import math
+import os
+import re
+import select
+import sys
+from datetime import UTC, datetime
+from typing import NoReturn
+
+
+class Parser(argparse.ArgumentParser):
+    """Wrong usage is one line, as every other error."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the line and exit with 2."""
+        self.exit(2, f"{self.prog.split()[0]}: error: {message} (see {self.prog} --help)\n")
+
+
+class Version(argparse.Action):
+    """`--version`, looked up only when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        """Print it and exit."""
+        from contract.version import version_line  # noqa: PLC0415
+
+        print(version_line(parser.prog))
+        parser.exit(0)
+
+
+def is_output_lost(error: OSError) -> bool:
+    """Whether an error is of writing to a full or broken standard output: files of ours have names in their errors."""
+    return error.filename is None and error.errno in (errno.ENOSPC, errno.EIO, errno.EDQUOT, errno.EFBIG)
+
+
+def is_reader_gone() -> bool:
+    """Whether nobody reads our output any more; what it still holds is dropped then."""
+    output = select.poll()
+    output.register(sys.stdout.fileno(), 0)
+    if not output.poll(0):
+        return False
+    drop_output()
+    return True
+
+
+def drop_output() -> None:
+    """What is still to be written goes nowhere."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
+
+
+def number_or_nan(text: str) -> float:
+    """A number; NaN, which is in no range, where it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def speed(text: str) -> float | None:
+    """'max' -> None; a positive number, how many times as fast as it was flown."""
+    if text == "max":
+        return None
+    speed = number_or_nan(text)
+    if not 0.0 < speed <= 1000.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither 'max' nor a number above 0, at most 1000")
+    return speed
+
+
+def finite(text: str) -> float:
+    """A number that is one."""
+    number = number_or_nan(text)
+    if not math.isfinite(number):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
+    return number
+
+
+def seconds(text: str) -> float:
+    """At most a day."""
+    seconds = number_or_nan(text)
+    if not 0.0 <= seconds <= 86400.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds from 0 to 86400")
+    return seconds
+
+
+def days(text: str) -> float:
+    """At most a century."""
+    days = number_or_nan(text)
+    if not 0.0 < days <= 36500.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of days above 0, at most 36500")
+    return days
+
+
+def rate(text: str) -> float:
+    """Pictures a second."""
+    rate_hz = number_or_nan(text)
+    if not 0.1 <= rate_hz <= 240.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of pictures a second from 0.1 to 240")
+    return rate_hz
+
+
+def pair(text: str) -> tuple[int, int]:
+    """'640x480' -> (640, 480)."""
+    found = re.fullmatch(r"([1-9]\d{0,5})[xX]([1-9]\d{0,5})", text)
+    if found is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not two whole numbers as in 640x480")
+    return int(found[1]), int(found[2])
+
+
+def hours(text: str) -> float:
+    """Of a clock against UTC."""
+    hours = number_or_nan(text)
+    if not -15.0 <= hours <= 15.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of hours from -15 to 15")
+    return hours
+
+
+def moment(text: str) -> int:
+    """ISO 8601, UTC without a zone -> Unix ns."""
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is no time as 2026-06-12T10:15:23.4Z") from error
+    moment = moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)
+    since = moment - datetime(1970, 1, 1, tzinfo=UTC)
+    return (since.days * 86_400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000

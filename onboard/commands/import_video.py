@@ -1,0 +1,139 @@
+"""What `pc-onboard import-video` does: a video and the log of its flight become a flight that `replay` reads."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import cv2
+
+from contract.errors import InputError
+from onboard.camera.file_stamps import stamp_from_name
+from onboard.camera.photo_lens import FULL_FRAME_DIAGONAL_MM
+from onboard.camera.photo_metadata import Focal
+from onboard.camera.video_times import creation_ns, frame_times_s, rate_text
+from onboard.commands.imported_flight import (
+    LOG_SUFFIXES,
+    ImportedFlight,
+    check_out,
+    log_beside,
+    mount_by_log,
+    optics_of,
+    rolling_shutter,
+    settings_of,
+)
+from onboard.replay.runner import check_overlap
+from onboard.telemetry.log_files import read_log
+from onboard.telemetry.telemetry_log import TelemetryLog
+
+RATE_HZ = 5.0  # pictures taken out of a faster video: enough for the window, and for a person to look through
+SIGMA_BEGAN_S = 1.0  # of a beginning that a file gives to the second
+# A video's frame is the sensor's whole width or a part as high as it is wide; the equivalent holds for a photograph.
+# Between both interpretations, and to either.
+SIGMA_VIDEO_EQUIVALENT = 0.06
+_FOCAL = re.compile(r"\[focal_len\s*:\s*(\d+(?:\.\d+)?)\]", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class _Beginning:
+    """When the video began, the source of that, and one sigma where it is a guess."""
+
+    unix_ns: int
+    source: str
+    is_rough: bool
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Make the flight and print what was assumed. Everything is read and checked before anything is written."""
+    video: Path = arguments.video
+    settings = settings_of(arguments.set)
+    check_out(arguments.out)
+    size_px = _size(video)
+    log_path = arguments.telemetry or log_beside(video.parent, video.stem)
+    if log_path is None:
+        raise InputError(
+            f"{video}: no log of the flight beside it ({', '.join(LOG_SUFFIXES)}): name one. A DJI drone writes one "
+            "with 'Video Subtitles' on"
+        )
+    log = read_log(log_path, home_amsl_m=arguments.home_amsl_m)
+    times_s = frame_times_s(video)
+    if not times_s:
+        raise InputError(f"{video}: no time stamps on its frames: give replay --stamps with index,unix_time_s")
+    began = _beginning(video, log, arguments)
+    stamps_ns = [began.unix_ns + round(time_s * 1e9) for time_s in times_s]
+    check_overlap(stamps_ns, log)
+    optics = optics_of(size_px, _focal(log_path, size_px), video.parent, settings)
+    sections, mount = mount_by_log(log)
+    if began.is_rough:  # cut to the second: half of one late on average
+        sections["camera"] = {"latency_s": "-0.5", "sigma_latency_s": f"{SIGMA_BEGAN_S}"}
+    rows = rolling_shutter(sections)
+    flight = ImportedFlight(arguments.out, video, log_path, optics, ["index,unix_time_s"], sections)
+    flight.stamps += [f"{index},{stamp / 1e9:.6f}" for index, stamp in enumerate(stamps_ns)]
+    is_thinned = (len(times_s) - 1) / max(times_s[-1], 1e-3) > 1.1 * RATE_HZ
+    flight.rows = [
+        ("video", f"{len(times_s)} frames, {rate_text(times_s)}" + f", {RATE_HZ:g} of them taken" * is_thinned),
+        ("times", f"the frames' own, from {_utc(began.unix_ns)}: {began.source}"),
+        ("camera", optics.text),
+        ("log", f"{log_path}"),
+        mount,
+        rows,
+    ]
+    flight.replay = ["--rate", f"{RATE_HZ:g}"] if is_thinned else []
+    if arguments.home_amsl_m is not None:
+        flight.replay += ["--home-amsl-m", f"{arguments.home_amsl_m:g}"]
+    flight.write(settings)
+    flight.say()
+    return 0
+
+
+def _size(video: Path) -> tuple[int, int]:
+    if not video.is_file():
+        raise InputError(f"{video}: no such video")
+    capture = cv2.VideoCapture(str(video))
+    try:
+        size_px = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+    finally:
+        capture.release()
+    if min(size_px) < 1:
+        raise InputError(f"{video}: not a video that can be decoded")
+    return size_px
+
+
+def _beginning(video: Path, log: TelemetryLog, arguments: argparse.Namespace) -> _Beginning:
+    """Of subtitles their own, else as it was given, in the name, or in the file. Raises InputError."""
+    if log.video_epoch_ns is not None:
+        return _Beginning(log.video_epoch_ns, "as the subtitles count", False)
+    if arguments.start is not None:
+        return _Beginning(arguments.start, "as given", False)
+    offset_ns = round(arguments.utc_offset * 3600e9)
+    for found, source in ((stamp_from_name(video.name), "its name"), (creation_ns(video), "the file's creation time")):
+        if found is not None:
+            is_rough = found % 1_000_000_000 == 0
+            how = ", to the second (+-1 s, estimated in flight)" if is_rough else ""
+            return _Beginning(found - offset_ns, f"{source}{how}, taken as UTC; else give --start", is_rough)
+    raise InputError(f"{video}: nothing says when it began: give --start, in UTC, as 2026-06-12T10:15:23.4Z")
+
+
+def _focal(log: Path, size_px: tuple[int, int]) -> Focal | None:
+    """The focal length that DJI's subtitles name, equivalent to 35 mm film (older ones in tenths of a millimetre)."""
+    if log.suffix.lower() != ".srt":
+        return None
+    with log.open("rb") as stream:
+        found = _FOCAL.search(stream.read(4096).decode("utf-8", "replace"))
+    if found is None:
+        return None
+    equivalent_mm = float(found[1]) / (1.0 if float(found[1]) < 100.0 or "." in found[1] else 10.0)
+    if not 10.0 <= equivalent_mm <= 500.0:
+        return None
+    width, height = size_px
+    by_diagonal = equivalent_mm / FULL_FRAME_DIAGONAL_MM * (width**2 + height**2) ** 0.5
+    by_width = equivalent_mm / 36.0 * width
+    focal_px = 0.5 * (by_diagonal + by_width)
+    return Focal(focal_px, focal_px, SIGMA_VIDEO_EQUIVALENT * focal_px, f"focal_len {equivalent_mm:g} mm in {log.name}")
+
+
+def _utc(unix_ns: int) -> str:
+    return datetime.fromtimestamp(unix_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S.%f")[:-3] + " UTC"

@@ -1,0 +1,111 @@
+"""The error budgets of a flight: of a click now, and in level flight and in a bank after one, three and ten minutes."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.error_sources import ABOUT, Cause
+from onboard.georeferencing.click_budget import Budget, click_budget
+from onboard.georeferencing.feature_sets import Placed
+
+__all__ = ["Budget", "BudgetWatch", "NewestBudget", "budget_text"]
+
+Array = NDArray[np.float64]
+
+MINUTES = (1.0, 3.0, 10.0)
+LEVEL_DEG, BANKED_DEG = 10.0, 20.0
+LEAST_SHOWN = 0.005  # share of a variance
+EVERY_NS = 10_000_000_000  # between two budgets of a running flight: shares change with turns, not with pictures
+OLD_NS = 30_000_000_000  # a budget of pictures longer ago is none of now
+
+
+class NewestBudget:
+    """Shown every picture as it is placed, in the pipeline's thread; asked in another for the budget of a click now."""
+
+    def __init__(self) -> None:
+        self._newest: Placed | None = None
+        self._computed: Placed | None = None
+        self._budget: Budget | None = None
+
+    def __call__(self, placed: Placed) -> None:
+        """Take a picture; no work."""
+        if self._newest is None or placed.feature_set.capture_unix_ns >= self._newest.feature_set.capture_unix_ns:
+            self._newest = placed
+
+    @property
+    def newest(self) -> Placed | None:
+        """The newest picture that was placed."""
+        return self._newest
+
+    def at(self, now_ns: int) -> Budget | None:
+        """Of a click in the middle of the newest picture, after `EVERY_NS` again; None without a new picture."""
+        newest, computed = self._newest, self._computed
+        if newest is None or now_ns - newest.feature_set.capture_unix_ns > OLD_NS:
+            return None
+        stamp_ns = newest.feature_set.capture_unix_ns
+        if computed is None or stamp_ns - computed.feature_set.capture_unix_ns >= EVERY_NS:
+            self._computed, self._budget = newest, self._of(newest)
+        return self._budget
+
+    @staticmethod
+    def _of(placed: Placed) -> Budget | None:
+        """None where the window's numbers cannot be split: it is an advice, and must not end a flight."""
+        try:
+            budget = click_budget(placed)
+        except np.linalg.LinAlgError:
+            return None
+        return budget if np.all(np.isfinite([budget.semi_major_m, *budget.shares.values()])) else None
+
+
+class BudgetWatch:
+    """Shown every picture as it is placed; keeps the first of each kind, as it was placed last."""
+
+    def __init__(self, R_body_cam: Array) -> None:
+        self._R_body_cam = R_body_cam
+        self._first_ns = 0
+        self._kept: dict[tuple[float, str], Placed] = {}
+
+    def __call__(self, placed: Placed) -> None:
+        """Take a picture; one that was kept before is replaced by its later revision."""
+        s = placed.feature_set
+        self._first_ns = self._first_ns or s.capture_unix_ns
+        minutes = (s.capture_unix_ns - self._first_ns) / 60e9
+        begun = [start for start, end in pairwise((*MINUTES, np.inf)) if start <= minutes < end]
+        kind = self._kind(placed)
+        if not begun or not kind:
+            return
+        held = self._kept.setdefault((begun[0], kind), placed)
+        if held.feature_set.frame == s.frame:
+            self._kept[begun[0], kind] = placed
+
+    def _kind(self, placed: Placed) -> str:
+        down = (placed.pose.R_cam_enu.T @ self._R_body_cam.T)[2, 2]
+        bank_deg = np.degrees(np.arccos(np.clip(-down, -1.0, 1.0)))
+        return "level" if bank_deg < LEVEL_DEG else "bank" if bank_deg > BANKED_DEG else ""
+
+    def budgets(self) -> dict[str, Budget]:
+        """A budget of a click in the middle of each picture that was kept, by what it is of."""
+        kept = sorted(self._kept.items(), key=lambda item: (item[0][0], item[0][1] != "level"))
+        return {f"minute {minute:.0f}, {kind}": click_budget(placed) for (minute, kind), placed in kept}
+
+
+def budget_text(budgets: dict[str, Budget]) -> str:
+    """A table of shares, a column a budget, and one line of advice for each."""
+    if not budgets:
+        return f"error budget: no picture was placed after minute {MINUTES[0]:.0f}"
+    codes = sorted(
+        {n for b in budgets.values() for n, share in b.shares.items() if share >= LEAST_SHOWN},
+        key=lambda n: -max(b.shares.get(n, 0.0) for b in budgets.values()),
+    )
+    names = {code: ABOUT[Cause(code)].name for code in codes}
+    width = max(len(n) for n in (*names.values(), "90 % ellipse, semi-axis"))
+    lines = [f"{'error budget of a click':<{width}}" + "".join(f"{title:>18}" for title in budgets)]
+    axes = "".join(f"{f'{b.semi_major_m:.1f} m':>18}" for b in budgets.values())
+    lines.append(f"{'90 % ellipse, semi-axis':<{width}}{axes}")
+    for code, name in names.items():
+        shares = "".join(f"{f'{100.0 * b.shares.get(code, 0.0):.0f} %':>18}" for b in budgets.values())
+        lines.append(f"{name:<{width}}{shares}")
+    return "\n".join([*lines, *(f"{title}: {b.advice}" for title, b in budgets.items())])

@@ -1,0 +1,55 @@
+"""A camera that ends with any error is seen by the commands that watch it: it is raised, or stands in the report."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import pytest
+
+from contract.camera import Camera
+from contract.errors import ConfigError, InputError
+from onboard.camera.v4l2_camera import V4l2Camera
+from onboard.commands.calibrate import Live
+from onboard.commands.doctor import Look
+from onboard.config.schema import parse_config
+from onboard.events.source import Emit, Stop
+
+ERRORS = [
+    ConfigError("no such format"),
+    InputError("not a camera"),
+    OSError(5, "Input/output error"),
+    ValueError("a bug"),
+]
+
+
+def ends_with(error: Exception) -> Callable[[V4l2Camera, Emit, Stop], None]:
+    def run(camera: V4l2Camera, emit: Emit, stop: Stop) -> None:
+        raise error
+
+    return run
+
+
+@pytest.mark.parametrize("error", ERRORS, ids=repr)
+def test_calibration_ends_with_what_ended_the_camera(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(V4l2Camera, "run", ends_with(error))
+    with Live("/dev/video0", (640, 480), "auto") as live, pytest.raises(type(error), match=str(error.args[-1])):
+        until_s = time.monotonic() + 10.0
+        while time.monotonic() < until_s:
+            live.picture()
+
+
+def test_calibration_ends_with_a_camera_that_just_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(V4l2Camera, "run", lambda *_: None)
+    with Live("/dev/video0", (640, 480), "auto") as live, pytest.raises(InputError, match="the camera has ended"):
+        until_s = time.monotonic() + 10.0
+        while time.monotonic() < until_s:
+            live.picture()
+
+
+@pytest.mark.parametrize("error", ERRORS, ids=repr)
+def test_the_doctor_s_report_names_what_ended_the_camera(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(V4l2Camera, "run", ends_with(error))
+    config = parse_config('[camera]\ndevice = "/dev/video0"\n[telemetry]\nurl = "udpin:127.0.0.1:0"\n')
+    report = Look(config, Camera.from_field_of_view(640, 480, 60.0)).report(0.3)
+    assert report.camera is not None and str(error.args[-1]) in report.camera.detail

@@ -1,0 +1,190 @@
+"""A video and the log of its flight become a flight: frame times, beginning, lens and mount, listed and settable."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from datetime import UTC, datetime
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from contract.camera import Camera
+from onboard.__main__ import main
+from onboard.camera.picture_files import open_frames
+from onboard.camera.video_times import creation_ns, frame_times_s, rate_text
+from onboard.commands.imported_flight import UNKNOWN, optics_of
+from onboard.config.files import load_config_files
+from tests.onboard.telemetry.log_writers import written
+from tests.own_flights import set_creation, vary_rate
+
+CAMERA = Camera.from_field_of_view(64, 48, 60.0)
+BEGAN = datetime(2026, 6, 12, 10, 15, 23, tzinfo=UTC)
+
+
+def clip(path: Path, frames: int = 20, rate_hz: float = 10.0) -> Path:
+    """A video in which every frame is brighter than the one before, reddish."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), rate_hz, (64, 48))  # type: ignore[attr-defined]
+    assert writer.isOpened()
+    for index in range(frames):
+        writer.write(np.full((48, 64, 3), (0, 5 * index, 60 + 8 * index), np.uint8))
+    writer.release()
+    return path
+
+
+def test_a_variable_frame_rate_is_taken_as_it_is(tmp_path: Path) -> None:
+    video = clip(tmp_path / "20260612T101523Z.mp4", 6)
+    even = frame_times_s(video)
+    assert np.allclose(even, 0.1 * np.arange(6), atol=1e-3) and rate_text(even) == "10 frames a second"
+    tick_s = 0.1 / 1024  # of the file that OpenCV writes
+    apart = [1024, 2048, 512, 512, 1536, 512]  # together as before: an edit list ends the file
+    vary_rate(video, apart)
+    times = frame_times_s(video)
+    assert np.allclose(times, tick_s * np.cumsum([0, *apart[:-1]]), atol=2e-3)
+    assert "variable" in rate_text(times)
+    stamps = open_frames(video, CAMERA).stamps_ns
+    assert np.allclose((np.array(stamps) - stamps[0]) / 1e9, times, atol=1e-6)
+
+
+def test_a_faster_video_is_thinned_and_its_frames_keep_their_own_pictures_and_colours(tmp_path: Path) -> None:
+    video = clip(tmp_path / "20260612T101523Z.mp4")
+    whole = list(open_frames(video, CAMERA).frames())
+    thin = list(open_frames(video, CAMERA, max_rate_hz=5.0, in_colour=True).frames())
+    assert [frame.name for frame in thin] == [frame.name for frame in whole[::2]]
+    assert [frame.index for frame in thin] == list(range(10))
+    for frame, same in zip(thin, whole[::2], strict=True):
+        assert frame.stamp_ns == same.stamp_ns and same.colour is None
+        assert frame.image is not None and np.array_equal(frame.image, same.image)
+        assert frame.colour is not None and frame.colour[20, 20, 2] > frame.colour[20, 20, 0] + 40
+
+
+def test_when_a_file_says_that_it_began(tmp_path: Path) -> None:
+    video = clip(tmp_path / "clip.mp4")
+    assert creation_ns(video) is None  # OpenCV writes none
+    set_creation(video, BEGAN)
+    assert creation_ns(video) == int(BEGAN.timestamp()) * 10**9
+    (tmp_path / "no.mp4").write_bytes(b"\0\0\0\0moov" + bytes(50))
+    assert creation_ns(tmp_path / "no.mp4") is None
+    assert frame_times_s(tmp_path / "no.mp4") == []
+
+
+def table(folder: Path, began_s: float = BEGAN.timestamp(), seconds: int = 60) -> Path:
+    rows = ["unix_time_s,lat_deg,lon_deg,height_amsl_m"]
+    rows += [f"{began_s + k},{-43.38 + 1e-5 * k:.7f},172.4,200.0" for k in range(-10, seconds)]
+    (folder / "flight.csv").write_text("\n".join(rows))
+    return folder / "flight.csv"
+
+
+def imported(folder: Path, *arguments: object) -> int:
+    return main(["import-video", *map(str, arguments), "--out", str(folder / "flight")])
+
+
+def test_it_lists_what_it_took_and_what_was_set_goes_before_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table(tmp_path)
+    video = clip(tmp_path / "20260612T101525Z.mp4")
+    settings = ("--set", "mount.pitch_deg=-45", "--set", "camera.fov_deg=80", "--set", "recording.pictures=jpeg")
+    assert imported(tmp_path, video, *settings) == 0
+    said = capsys.readouterr().out
+    for words in (
+        "20 frames, 10 frames a second, 5 of them taken",
+        "its name, to the second",
+        "80 deg wide",
+        "flight.csv",
+    ):
+        assert words in said, said
+    assert said.splitlines()[-1].startswith("pc-onboard replay ") and said.splitlines()[-1].endswith("--rate 5")
+    config = load_config_files(tmp_path / "flight" / "config.toml")
+    assert (config.mount.pitch_deg, config.recording.pictures, config.solve.attitude) == (-45.0, "jpeg", "none")
+    assert (config.camera.latency_s, config.camera.sigma_latency_s) == (-0.5, 1.0)
+    assert config.camera.sigma_readout_s > 0.0  # such cameras read row by row
+    with (tmp_path / "flight" / "stamps.csv").open(newline="") as stream:
+        stamps = [float(row["unix_time_s"]) for row in csv.DictReader(stream)]
+    assert len(stamps) == 20 and stamps[0] == BEGAN.timestamp() + 2.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "began_s"),
+    [
+        (("--start", "2026-06-12T10:15:30.25Z"), 7.25), (("--start", "2026-06-12T12:15:30+02:00"), 7.0),
+        (("--utc-offset", "2"), 1.0),
+    ],
+)  # fmt: skip
+def test_when_it_began_may_be_said(tmp_path: Path, arguments: tuple[str, ...], began_s: float) -> None:
+    log = table(tmp_path)
+    video = clip(tmp_path / "20260612T121524Z.mp4")  # a local time
+    assert imported(tmp_path, video, "--telemetry", log, *arguments) == 0
+    first = (tmp_path / "flight" / "stamps.csv").read_text().splitlines()[1]
+    assert float(first.split(",")[1]) == BEGAN.timestamp() + began_s
+
+
+def no_log(folder: Path) -> list[object]:
+    (folder / "flight.csv").unlink()
+    return []
+
+
+def local_time(folder: Path) -> list[object]:
+    shutil.move(folder / "20260612T101525Z.mp4", folder / "20260612T121525Z.mp4")
+    return []
+
+
+def no_moment(folder: Path) -> list[object]:
+    shutil.move(folder / "20260612T101525Z.mp4", folder / "clip.mp4")
+    return []
+
+
+def other_camera(folder: Path) -> list[object]:
+    (folder / "camera.json").write_text(Camera.from_field_of_view(640, 480, 40.0).to_json())
+    return []
+
+
+def two_logs(folder: Path) -> list[object]:
+    shutil.copyfile(folder / "flight.csv", folder / "other.csv")
+    return []
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (no_log, "no log of the flight beside it"), (local_time, "--utc-offset 2"), (no_moment, "give --start"),
+        (other_camera, "camera.json is for 640 x 480, the pictures are 64 x 48"),
+        (lambda folder: ["--set", "camera.fov_deg=wide"], "5 to 150"),
+        (lambda folder: ["--set", "mount.pich_deg=1"], "mount.pitch_deg"),
+        (lambda folder: ["--set", "mount"], "SECTION.KEY=VALUE"),
+        (lambda folder: ["--telemetry", folder / "none.bin"], "No such file"),
+        (two_logs, "several logs"),
+    ],
+)  # fmt: skip
+def test_what_is_missing_or_wrong_is_one_line_and_nothing_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], spoil: object, said: str
+) -> None:
+    table(tmp_path)
+    clip(tmp_path / "20260612T101525Z.mp4")
+    arguments = spoil(tmp_path)  # type: ignore[operator]
+    (video,) = tmp_path.glob("*.mp4")
+    assert imported(tmp_path, video, *arguments) == 2
+    complaint = capsys.readouterr().err
+    assert said in complaint and complaint.count("\n") == 1
+    assert not (tmp_path / "flight").exists()
+
+
+def test_angles_in_the_log_say_how_the_camera_is_held(tmp_path: Path) -> None:
+    video = clip(tmp_path / "clip.mp4")
+    for kind, gimbal, attitude in (("srt", "always", "autopilot"), ("tlog", "auto", "autopilot")):
+        log = written(tmp_path, kind)
+        out = tmp_path / kind
+        start = () if kind == "srt" else ("--start", "2026-11-20T23:23:25Z")
+        assert main(["import-video", str(video), "--telemetry", str(log), "--out", str(out), *start]) == 0
+        config = load_config_files(out / "config.toml")
+        assert (config.mount.gimbal, config.solve.attitude) == (gimbal, attitude), kind
+
+
+def test_a_lens_of_which_nothing_is_known_is_wide_and_open(tmp_path: Path) -> None:
+    optics = optics_of((1640, 1232), None, tmp_path / "photos", {})
+    assert not optics.is_known and optics.text.startswith(UNKNOWN) and "camera.fov_deg" in optics.text
+    (tmp_path / "camera.json").write_text(optics.file_text)
+    read = Camera.from_json(tmp_path / "camera.json")
+    assert read.sigma[0] == pytest.approx(0.2, rel=0.01) and read.sigma[3] == pytest.approx(0.1)
