@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
+import os
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 from contract.errors import PointclickError
 
@@ -16,6 +18,8 @@ WRONG_USAGE, INTERRUPTED = 2, 130
 # By name: the module with add_arguments(parser), run(args) and, perhaps, EXAMPLES; and what it is for. A module is
 # named and not imported: the commands are built on this package, and most of them are not asked for.
 COMMANDS = {
+    "open": ("ground.web.open_command", "your own flight in the browser: video and log, photographs, or a session"),
+    "live": ("ground.web.live_command", "the downlink's video and the radio's telemetry, on this machine"),
     "click": ("ground.commands.click", "a pixel's position on the ground"),
     "watch": ("ground.commands.watch", "a live table of the aircraft"),
     "measure": ("ground.commands.measure", "distance, bearing and height difference between two pixels"),
@@ -28,8 +32,44 @@ COMMANDS = {
 }
 
 
+class Parser(argparse.ArgumentParser):
+    """Wrong usage is one line, as every other error."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the line and exit with 2."""
+        self.exit(WRONG_USAGE, f"{PROGRAM}: error: {' '.join(message.split())} (see {self.prog} --help)\n")
+
+
+class Version(argparse.Action):
+    """`--version`, looked up only when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        """Print it and exit."""
+        from contract.version import version_line  # noqa: PLC0415
+
+        print(version_line(PROGRAM))
+        parser.exit(0)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command; returns its exit status. argparse itself exits with 2 on wrong arguments."""
+    """Run a command; returns its exit status. Wrong arguments exit with 2."""
+    try:
+        try:
+            return _run(argv)
+        finally:
+            sys.stdout.flush()  # here, where an error can be reported, and not by the interpreter at its end
+    except BrokenPipeError:
+        _drop_output()  # the reader has closed the pipe, as `head` does
+        return 1
+    except OSError as error:
+        if not _is_output_lost(error):
+            raise
+        _drop_output()
+        print(f"{PROGRAM}: error: the output cannot be written: {error.strerror}", file=sys.stderr)
+        return WRONG_USAGE
+
+
+def _run(argv: Sequence[str] | None) -> int:
     words = [_shielded(a) for a in (sys.argv[1:] if argv is None else argv)]
     named = next((word for word in words if not word.startswith("-")), None)
     parser = parser_of([named] if named in COMMANDS else [])
@@ -39,21 +79,30 @@ def main(argv: Sequence[str] | None = None) -> int:
     except PointclickError as error:
         print(f"{PROGRAM}: error: {error}", file=sys.stderr)
         return WRONG_USAGE
-    except BrokenPipeError:
-        # Whoever read our output has gone, as `head` does; Python must not complain when it flushes at the end.
-        sys.stdout = open("/dev/null", "w", encoding="utf-8")  # noqa: PTH123, SIM115
-        return 1
     except KeyboardInterrupt:
         return INTERRUPTED
 
 
+def _is_output_lost(error: OSError) -> bool:
+    """Whether an error is of writing to a full or broken standard output: files of ours have names in their errors."""
+    return error.filename is None and error.errno in (errno.ENOSPC, errno.EIO, errno.EDQUOT, errno.EFBIG)
+
+
+def _drop_output() -> None:
+    """What is still to be written goes nowhere: Python must not complain when it flushes at the end."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
+
+
 def parser_of(commands: Sequence[str]) -> argparse.ArgumentParser:
     """The parser with the options of these commands; the others are there by name."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog=PROGRAM,
         description="Where is the thing in this pixel?",
         epilog=f"Each command has examples: {PROGRAM} click --help",
     )
+    parser.add_argument("--version", action=Version, nargs=0, help="print the version and exit")
     adding = parser.add_subparsers(dest="command", required=True)
     for name, (_, meaning) in COMMANDS.items():
         if name not in commands:

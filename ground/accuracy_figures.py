@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 NSSDA_RADIAL = 2.4477  # 95 % of a circular normal error, in its RMSE along one axis
 NSSDA_HEIGHT = 1.9600
 ASPRS_LEAST_MARKS = 30
-LEAST_MARKS = 10  # below, an interval that says nothing: 90 % of 9 is nothing one can tell from 70 %
+LEAST_MARKS = 10  # with fewer the interval is useless: 90 % of 9 is not different enough from 70 %
 STATED = 0.9
 
 
@@ -47,7 +47,7 @@ class Figures:
 
 
 def figures(error_en_m: Array, error_up_m: Array, inside: list[bool], survey_sigma_m: Array) -> Figures:
-    """Of answers less truth (N, 2), heights (M,) where known, whether each ellipse held, the survey's sigmas (N,)."""
+    """Of answers minus truth (N, 2), heights (M,) where known, whether each ellipse held, the survey's sigmas (N,)."""
     n = len(error_en_m)
     east, north = (float(v) for v in np.sqrt(np.mean(error_en_m**2, axis=0)))
     radial = np.linalg.norm(error_en_m, axis=1)

@@ -24,7 +24,8 @@ from ground.locate import Locator
 from ground.watched_thread import WatchedThread
 
 ANSWER_TIMEOUT_S = 3.0
-# Of silence, after which a listener begins anew: more than a short cut, less than a coordinator's patience.
+# Time without a message after which a listener opens the link again: longer than a short break, shorter than the time
+# for which a coordinator waits.
 RENEW_S = 8.0
 RENEWAL_PERIOD_S = 0.5
 FIRST_RETRY_S = 1.0  # after a renewal that failed; twice as long each time, at most RENEW_S
@@ -40,11 +41,11 @@ def inquire(
 ) -> dict[str, Reply]:
     """What each vehicle at an endpoint answers: its set of a frame or a time, or its newest one, or a refusal.
 
-    With the age that the picture had at most when the reply came: what the aircraft says by its own clock when it is
+    With the age that the picture had at most when the reply came: what the aircraft states by its own clock when it is
     asked, and the time that the question took from here and back.
 
     A client session: it opens in milliseconds where a peer waits half a second for others to show up. Raises LinkError
-    if nobody is there or nobody answers, WireError for a set this version cannot read.
+    if there is no vehicle or none answers, WireError for a set this version cannot read.
     """
     parameters = ""
     if frame is not None:
@@ -52,29 +53,35 @@ def inquire(
     elif unix_s is not None:
         parameters = f"?{TIME_PARAMETER}={unix_s!r}"
     key = FEATURES.key(vehicle)
-    answers: dict[str, Reply] = {}
     session = _open("client", endpoint, tls)
     try:
-        asked_s = time.monotonic()
-        replies = session.get(
-            key + parameters,
-            target=zenoh.QueryTarget.ALL,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            timeout=ANSWER_TIMEOUT_S,
-            congestion_control=getattr(zenoh.CongestionControl, QUERY.congestion_control),
-            priority=getattr(zenoh.Priority, QUERY.priority),
-            express=QUERY.express,
-        )
-        for reply in replies:
-            took_s = time.monotonic() - asked_s
-            answer = _refusal(reply.err) if reply.ok is None else _answered(reply.ok)
-            if answer is not None and answer.answer.vehicle is not None:
-                answers[answer.answer.vehicle] = answer.later_by(took_s)
+        answers = _replies(session, key + parameters)
     finally:
         session.close()
     if not answers:
         who = "no aircraft answers" if vehicle == ANY_VEHICLE else f"aircraft {vehicle!r} does not answer"
         raise LinkError(f"{who} at {endpoint} (asked for {key})")
+    return answers
+
+
+def _replies(session: Any, selector: str) -> dict[str, Reply]:
+    """Each vehicle's answer to a question; its age includes the time that the question took. Raises WireError."""
+    answers: dict[str, Reply] = {}
+    asked_s = time.monotonic()
+    replies = session.get(
+        selector,
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+        timeout=ANSWER_TIMEOUT_S,
+        congestion_control=getattr(zenoh.CongestionControl, QUERY.congestion_control),
+        priority=getattr(zenoh.Priority, QUERY.priority),
+        express=QUERY.express,
+    )
+    for reply in replies:
+        took_s = time.monotonic() - asked_s
+        answer = _refusal(reply.err) if reply.ok is None else _answered(reply.ok)
+        if answer is not None and answer.answer.vehicle is not None:
+            answers[answer.answer.vehicle] = answer.later_by(took_s)
     return answers
 
 
@@ -95,10 +102,10 @@ class SetCache:
     """Subscribes to the sets of one or all vehicles and keeps the last ones, by vehicle, frame and time.
 
     Thread-safe. `unreadable` counts payloads that were no sets; `last_error` is the last one's. A peer session, which
-    reconnects by itself, and is opened anew after a silence of RENEW_S: `link_error` says what keeps it from that.
-    `beside`: more key expressions to subscribe to, each with who gets its samples' keys and payloads; `heard` gets each
-    set and its size in bytes. Both are called in zenoh's thread: they must be quick and call nothing of zenoh's.
-    Raises LinkError if the link cannot be opened.
+    reconnects by itself, and is opened again after RENEW_S without a message: `link_error` states what prevents that.
+    `beside`: more key expressions to subscribe to, each with the function that gets its samples' keys and payloads;
+    `heard` gets each set and its size in bytes. Both are called in zenoh's thread: they must be quick and call nothing
+    of zenoh's. Raises LinkError if the link cannot be opened.
     """
 
     def __init__(
@@ -123,7 +130,7 @@ class SetCache:
         self._ways = endpoint, tls, FEATURES.key(vehicle)
         self._heard_s = self._renewed_s = time.monotonic()
         self._retry_s = FIRST_RETRY_S
-        self._failure: Exception | None = None  # of the last attempt to open the link anew
+        self._failure: Exception | None = None  # of the last attempt to open the link again
         self._is_closed = False
         self._session: Any = None
         self._subscribers: list[Any] = []
@@ -132,7 +139,7 @@ class SetCache:
 
     @property
     def vehicles(self) -> list[str]:
-        """Who was heard, sorted."""
+        """The vehicles of which something was received, sorted."""
         with self._lock:
             return sorted(self._histories)
 
@@ -157,17 +164,17 @@ class SetCache:
             return self._histories[vehicle].ordered() if vehicle in self._histories else []
 
     def age_of(self, feature_set: FeatureSet) -> float | None:
-        """Seconds since a set's picture was taken; None before any set of its vehicle was heard."""
+        """Seconds since a set's picture was taken; None before any set of its vehicle was received."""
         with self._lock:
             clock = self._clocks.get(feature_set.vehicle)
             return None if clock is None else clock.age_s(feature_set.capture_unix_ns, time.monotonic_ns())
 
     def age_s(self, vehicle: str) -> float | None:
-        """Seconds since the newest picture heard of was taken, whether it answers or not; None before the first.
+        """Seconds since the newest known picture was taken, whether it answers or not; None before the first.
 
-        This and not the link's own idea of being up says whether what is shown is old: a session outlives a cut by its
-        lease, and a set may be said again. It needs no clock in common with the aircraft, which says how old a set was
-        when it was sent; what the fastest set took on its way is not in it.
+        This, and not the link's own state, determines whether what is shown is old: a session outlives a break by its
+        lease, and a set may be sent again. It needs no clock in common with the aircraft, which states how old a set
+        was when it was sent; what the fastest set took on its way is not in it.
         """
         reply = self.reply(vehicle)
         return None if reply is None else reply.age_s if reply.later is None else reply.later.age_s
@@ -178,7 +185,7 @@ class SetCache:
         `Reply.fresh` makes a refusal of it where that is too old to be what is seen now.
         """
         with self._lock:
-            if vehicle not in self._histories:
+            if vehicle not in self._clocks:
                 return None
             history, clock, now_ns = self._histories[vehicle], self._clocks[vehicle], time.monotonic_ns()
             found, latest = history.newest_entry(), history.newest_picture()
@@ -188,10 +195,33 @@ class SetCache:
                 later = Later(latest.status, latest.frame, clock.age_s(latest.capture_unix_ns, now_ns))
             return Reply(found.item, clock.age_s(found.capture_unix_ns, now_ns), later)
 
+    def bring_in(self, feature_set: FeatureSet) -> None:
+        """Keep a set of an earlier run, or one that was asked for: it gives no information on the aircraft's clock."""
+        with self._lock:
+            history = self._histories.setdefault(feature_set.vehicle, History(*self._bounds))
+            history.add(feature_set, feature_set, is_running=False)
+
+    def ask_at(self, vehicle: str, unix_s: float) -> FeatureSet | None:
+        """The aircraft's set captured nearest to a time, over the session that listens; None if it has none.
+
+        Raises LinkError if it does not answer, WireError for a set this version cannot read.
+        """
+        with self._lock:
+            session = self._session
+        if session is None:
+            raise LinkError(f"the link to {self._ways[0]} is down")
+        try:
+            reply = _replies(session, f"{FEATURES.key(vehicle)}?{TIME_PARAMETER}={unix_s!r}").get(vehicle)
+        except zenoh.ZError as error:
+            raise LinkError(f"cannot ask {vehicle!r}: {error}") from error
+        if reply is None:
+            raise LinkError(f"aircraft {vehicle!r} does not answer")
+        return reply.answer if isinstance(reply.answer, FeatureSet) else None
+
     @property
     def link_error(self) -> str:
-        """Why the link cannot be opened anew just now, in a line; empty if nothing is known against it."""
-        return self._renewal.error
+        """Why the link cannot be opened again now, in a line; empty if no reason is known."""
+        return self._renewal.trouble
 
     def locator(self, feature_set: FeatureSet) -> Locator:
         """A Locator of a set, the last one of each vehicle kept: repeated clicks on one picture are solved once."""
@@ -216,7 +246,7 @@ class SetCache:
         self.close()
 
     def _subscribe(self) -> None:
-        """Open a session in place of the one there is none of. Raises LinkError."""
+        """Open a session where there is none. Raises LinkError."""
         endpoint, tls, key = self._ways
         session = _open("peer", endpoint, tls)
         try:
@@ -232,7 +262,7 @@ class SetCache:
         _close(session)
 
     def _renew_if_silent(self) -> None:
-        """Begin anew after a long silence: over udp a subscription that was lost on its way is never said again.
+        """Begin again after a long time without messages: over udp a subscription that was lost is never sent again.
 
         Raises LinkError, and is called again.
         """
@@ -267,12 +297,10 @@ class SetCache:
                 self.last_error = error
             return
         with self._lock:
-            if received.vehicle not in self._histories:
-                self._histories[received.vehicle] = History(*self._bounds)
-                self._clocks[received.vehicle] = AircraftClock()
-            history = self._histories[received.vehicle]
+            history = self._histories.setdefault(received.vehicle, History(*self._bounds))
+            self._clocks.setdefault(received.vehicle, AircraftClock())
             history.add(received, received)
-            if received.session == history.session:  # a late packet of an earlier one says nothing of the time
+            if received.session == history.session:  # a late packet of an earlier one gives no information on the time
                 age_s = _seconds(_json(sample.attachment))
                 self._clocks[received.vehicle].heard(received.session, received.capture_unix_ns, age_s, heard_ns)
         if self._heard is not None:
@@ -306,14 +334,14 @@ def _close(session: Any) -> None:
 
 
 def _answered(sample: zenoh.Sample) -> Reply:
-    """A set, and what its attachment says of it. Raises WireError for a set that cannot be read."""
+    """A set, and what its attachment states of it. Raises WireError for a set that cannot be read."""
     found = decode(sample.payload.to_bytes())
     about = _object(sample.attachment)
     return Reply(found, _seconds(about.get("age_s")), _later(about.get("newest")), *_said(about))
 
 
 def _refusal(error: zenoh.ReplyError | None) -> Reply | None:
-    """What a queryable said instead of a set; None if it is not one of ours."""
+    """What a queryable answered instead of a set; None if it is not one of ours."""
     about = _object(None if error is None else error.payload)
     try:
         status, vehicle = Status(about["status"]), str(about["vehicle"])
@@ -326,7 +354,7 @@ def _refusal(error: zenoh.ReplyError | None) -> Reply | None:
 
 
 def _json(content: zenoh.ZBytes | None) -> object:
-    """None for what is no JSON: nobody has to say anything beside a set."""
+    """None for what is no JSON: an attachment to a set is optional."""
     try:
         return None if content is None else json.loads(content.to_bytes())
     except (ValueError, RecursionError):
@@ -334,7 +362,7 @@ def _json(content: zenoh.ZBytes | None) -> object:
 
 
 def _object(content: zenoh.ZBytes | None) -> dict[str, Any]:
-    """A JSON object; empty for whatever is none."""
+    """A JSON object; empty for anything else."""
     said = _json(content)
     return said if isinstance(said, dict) else {}
 

@@ -34,7 +34,7 @@ class Target:
     def of(
         cls, url: str, ca: Path | None = None, certificate: Path | None = None, key: Path | None = None, ttl: int = 1
     ) -> Target:
-        """From a URL. Raises InputError that says what one looks like."""
+        """From a URL. Raises InputError that shows what a valid one looks like."""
         wanted = "write udp://239.2.3.1:6969, tcp://HOST:8087 or tls://HOST:8089"
         try:
             parts = urlsplit(url)
@@ -74,7 +74,7 @@ class CotSender:
             raise LinkError(f"cannot send to {self._name}: {error.strerror or error}") from error
 
     def close(self) -> None:
-        """Leave."""
+        """Close the connection."""
         if self._socket is not None:
             with contextlib.suppress(OSError):
                 self._socket.close()

@@ -28,7 +28,7 @@ class Later:
 class Reply:
     """A set or a refusal with its picture's age (None: not known), and what explains that there is nothing newer.
 
-    `state` and `reason` are the daemon's own, empty if it is well or did not say.
+    `state` and `reason` are the daemon's own, empty if it is well or did not report them.
     """
 
     answer: FeatureSet | Refusal
@@ -73,13 +73,13 @@ class Reply:
 
 
 class AircraftClock:
-    """Ages of an aircraft's pictures by the ground's monotonic clock, from when its sets were heard.
+    """Ages of an aircraft's pictures by the ground's monotonic clock, from when its sets were received.
 
-    A set heard at h of a picture that was a old when it was sent was captured at h - a at the latest; the least
+    A set received at h, of a picture of age a when it was sent, was captured at h - a at the latest; the least
     difference to its stamp is that of the set that came fastest, and what others took longer counts as their age.
     """
 
-    # How fast two crystals may run apart: what was heard long ago says no more than this about now.
+    # Largest rate at which two clocks' crystals drift apart: it limits what an old message can state about now.
     DRIFT = 100e-6
 
     def __init__(self) -> None:
@@ -88,7 +88,7 @@ class AircraftClock:
         self._noted_ns = 0
 
     def heard(self, session: int, capture_unix_ns: int, age_s: float | None, heard_ns: int) -> None:
-        """A set came; `age_s` is what its sender says of its picture."""
+        """A set came; `age_s` is the age of its picture as its sender states it."""
         offset_ns = heard_ns - round((age_s or 0.0) * 1e9) - capture_unix_ns
         if session != self._session or offset_ns < self._offset_at(heard_ns):
             self._session, self._offset_ns, self._noted_ns = session, offset_ns, heard_ns
@@ -102,5 +102,5 @@ class AircraftClock:
 
 
 def aged(answer: Answer, age_s: float | None) -> Answer:
-    """An answer that says how old its picture is."""
+    """An answer with the age of its picture."""
     return replace(answer, age_s=age_s)

@@ -2,9 +2,9 @@
 
 What is interpolated is r = w / w_plane - 1 over unit-depth coordinates (x, y): zero on flat ground but for a linear
 trend, which is what noise left in the plane's fit (docs/mathematics.md section 9; Cressie 1993, section 3.4). Each
-feature's own variance is its nugget, so neighbours average their noise away instead of handing it on, as the three
-corners of a Delaunay triangle do; and kriging knows the variance of what it says, from the distance to the features and
-the ground's roughness. Delaunay interpolation was the first design: tests/ground/test_kriging.py compares both.
+feature's own variance is its nugget, so neighbours average their noise away instead of passing it on, as the three
+corners of a Delaunay triangle do; and kriging gives the variance of its prediction, from the distance to the features
+and the ground's roughness. Delaunay interpolation was the first design: tests/ground/test_kriging.py compares both.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ MIN_TREND_FEATURES = 6
 # matters where the features leave a direction of the trend undetermined.
 TREND_SIGMA = 1.0
 LEAST_HALF = 32  # rows; below, one call of NumPy is faster
-SURFACE_NUGGET = 1e-8  # of a feature that lies on a surface known beforehand
+SURFACE_NUGGET = 1e-8  # of a feature that is on a surface known before
 
 
 class Kriging:
@@ -29,8 +29,8 @@ class Kriging:
     `roughness` is the slope of the ground's variogram at distance zero, `sill_sigma` the one sigma it levels off at:
     gamma(d) = s^2 (1 - exp(-roughness d / s^2)). Everything that does not depend on the click is solved here, once.
 
-    `is_surface`: the features are not measured but lie on a surface known beforehand. They say exactly where that is;
-    the ground strays from it by at least `nugget`, at a click as at the feature next to it, and no average makes that
+    `is_surface`: the features are not measured but are on a surface known before. They give exactly where that is;
+    the ground differs from it by at least `nugget`, at a click as at the feature next to it, and no average makes that
     less.
     """
 
@@ -87,7 +87,7 @@ class Kriging:
 
     def _covariance(self, distance: Array) -> Array:
         if self._sill == 0.0 or self._slope == 0.0:
-            # A ground without roughness may still lie off the plane as a whole: that is common to all of it.
+            # A ground without roughness may still be off the plane as a whole: that is common to all of it.
             return np.full_like(distance, self._sill)
         return self._sill * np.exp(-(self._slope / self._sill) * distance)
 
@@ -108,7 +108,7 @@ def _whitening(covariance: Array) -> Array:
 
 
 def _inverse_of_lower(factor: Array) -> Array:
-    """The inverse of a lower-triangular matrix by halves: NumPy has no solve that knows of the zeros."""
+    """The inverse of a lower-triangular matrix by halves: NumPy has no solve that uses the zeros."""
     n = len(factor)
     if n <= LEAST_HALF:
         return np.asarray(np.tril(np.linalg.inv(factor)), np.float64)

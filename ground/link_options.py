@@ -1,4 +1,4 @@
-"""The options of a link to aircraft, alike for every command that has one."""
+"""The options of a link to aircraft, the same for every command that has one."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Pictures that cross the link in pieces: put together, and the last ones kept by vehicle, session and frame.
 
-Bounded whatever comes: in pictures, in bytes, and in pieces of pictures that never become whole.
+Always bounded: in pictures, in bytes, and in pieces of pictures that never become complete.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Assembly:
 class PictureCache:
     """The last pictures of all vehicles. Thread-safe; `take` may be called from zenoh's thread.
 
-    For `SetCache`: `beside={PICTURE.key(vehicle): cache.take}`. An aircraft sends pictures only while somebody
+    For `SetCache`: `beside={PICTURE.key(vehicle): cache.take}`. An aircraft sends pictures only while a client
     subscribes to them.
     """
 

@@ -1,7 +1,7 @@
 """What crosses the link, as MCAP files: one for each session of each vehicle, readable by `Recording`.
 
-Without chunks, and each message is handed to the system at once: a killed process loses nothing. A file's name is made
-of the vehicle's and the session's, cleaned: whoever publishes may call himself anything.
+Without chunks, and each message is passed to the system at once: a killed process loses nothing. A file's name is made
+of the vehicle's and the session's, cleaned: a publisher may use any name.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class LinkRecorder:
             import mcap.writer  # noqa: F401, PLC0415  of the extra `record`
         except ImportError as error:
             raise InputError(
-                "this needs the package mcap: install it with  pip install 'pointclick[record]'"
+                "this needs the package mcap: install pointclick with its extra [record] (README)"
             ) from error
         self._folder = folder
         try:
@@ -104,7 +104,7 @@ class LinkRecorder:
         return path
 
     def sync(self) -> None:
-        """Now and then: what was written, on the disk. Raises InputError if writing failed."""
+        """From time to time: put what was written on the disk. Raises InputError if writing failed."""
         with self._lock:
             if self._failure is not None:
                 raise self._failure

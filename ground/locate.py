@@ -7,8 +7,8 @@ To first order, with the nine common states of contract/feature_set.py and the c
     J = [ I,  -[r / w]x,  -(r / w) (1, x, y) ]                                              (3 x 9)
 
 so that cov X = J S J' + (r / w)(r / w)' var e; towards the horizon terms of higher order widen it, (9.17). Between two
-clicks the common states cancel through J1 - J2, and kriging gives the covariance of e1 with e2. Between two sets:
-ground/two_sets.py. Section 9 of docs/mathematics.md.
+clicks the common states cancel through J1 - J2, (9.10), and kriging gives the covariance of e1 with e2. Between two
+sets: ground/two_sets.py. Section 9 of docs/mathematics.md.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ MIN_PLANE_SHARE = 0.02
 MIN_FEATURES = 3
 # A click whose inverse depth is less than this many sigmas from zero may as well be infinitely far.
 MIN_INVERSE_DEPTH_SIGMAS = 3.0
-# The longest semi-major axis (90 %) that is still an answer, as a share of the range.
-MAX_ELLIPSE_SHARE = 0.5
+# The longest semi-major axis (90 %) that is still an answer, as a share of the height above ground: (9.18).
+MAX_ELLIPSE_SHARE = 0.3
 SHUTTER_STEPS = 2  # of the place that a pixel of another row than the middle has: the second moves it by microns
 
 
@@ -74,6 +74,8 @@ class Locator:
         plane = s.plane_per_m[0] + xy @ s.plane_per_m[1:]
         reach = max(float(np.max(plane, initial=0.0)), float(s.plane_per_m[0]))
         self._plane_floor = MIN_PLANE_SHARE * reach
+        # Of the camera above the ground plane p'(X, Y, Z) = 1, at right angles to it: also over a mountainside.
+        self._height_m = 1.0 / max(float(np.linalg.norm(s.plane_per_m)), 1e-9)
         usable = valid & (plane > self._plane_floor) & (s.sigma_inverse_depth_per_m > 0.0)
         xy, plane = xy[usable], plane[usable]
         self._has_ground = reach > 0.0 and (
@@ -95,6 +97,7 @@ class Locator:
         shift = s.undulation_m if known and not self._is_ellipsoidal else 0.0
         self._frame = LocalFrame(s.camera_lat_deg, s.camera_lon_deg, s.camera_height_m + shift)
         self._datum_shift_m = shift
+        self._newest: tuple[tuple[float, float], _Sight | Status] | None = None
 
     def locate(self, uv_px: ArrayLike) -> Answer:
         """A pixel (2,) -> Fix or Refusal."""
@@ -103,7 +106,7 @@ class Locator:
             return self._refusal(sight)
         covariance = self._covariance([sight])
         ellipse = Ellipse.from_covariance(covariance[:2, :2])
-        if not ellipse.semi_major_m <= MAX_ELLIPSE_SHARE * float(np.linalg.norm(sight.offset_enu_m)):
+        if not ellipse.semi_major_m <= MAX_ELLIPSE_SHARE * self._height_m:
             return self._refusal(Status.UNCERTAIN)
         s = self.feature_set
         lat, lon, height = (float(c) for c in self._frame.to_geodetic(sight.offset_enu_m))
@@ -155,6 +158,13 @@ class Locator:
         return Refusal(status, s.frame, s.capture_unix_ns, s.vehicle)
 
     def _sight(self, uv_px: Array) -> _Sight | Status:
+        """A click's, and of the newest click once: a pin asks for its answer and then for the parts of its error."""
+        key, newest = (float(uv_px[0]), float(uv_px[1])), self._newest
+        if newest is None or newest[0] != key:
+            newest = self._newest = key, self._found(uv_px)
+        return newest[1]
+
+    def _found(self, uv_px: Array) -> _Sight | Status:
         s = self.feature_set
         if not s.is_ok:
             return s.status
@@ -219,14 +229,14 @@ class Locator:
 
 
 def _curvature(by_cause: Array, by_depth: Array, causes: Array) -> Array:
-    """What a linear covariance of M clicks lacks (3 M, 3 M), where ln w is not known well. Equation (9.17).
+    """What a linear covariance of M clicks lacks (3 M, 3 M), where ln w is not known well. Equations (9.16), (9.17).
 
     `by_cause` (3 M, N) moves the positions, `by_depth` (M, N) u = d ln w; `causes` (N, N) is the covariance of both.
     Never negative: an answer is not made surer.
     """
     turned = by_cause.copy()
     turned[:, :3] = 0.0  # dC is not divided by anything
-    u = np.repeat(by_depth, 3, axis=0)  # each click's u beside each of its coordinates
+    u = np.repeat(by_depth, 3, axis=0)  # each click's u for each of its coordinates
     by_u, by_turned = causes @ u.T, causes @ turned.T
     uu, vu, vv = u @ by_u, turned @ by_u, turned @ by_turned
     own = np.diag(uu)  # var u

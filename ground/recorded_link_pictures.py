@@ -25,7 +25,7 @@ class RecordedLinkPictures:
         self._data: list[Data] = []
         self._found: dict[Identity, dict[Whole, dict[int, _Place]]] = {}
         for file, part in enumerate(names.session_files(Path(path))):
-            data = mapped(part)  # `Recording` says what is none
+            data = mapped(part)  # `Recording` reports a file that is no recording
             self._data.append(data)
             self._index(file, data)
 

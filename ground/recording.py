@@ -29,7 +29,7 @@ _FRAMES_BEFORE, _FRAMES_AFTER = names.FRAMES.split("{vehicle}")
 
 @dataclass(frozen=True)
 class _Held:
-    """Where the latest revision of one frame's set lies."""
+    """Where the latest revision of one frame's set is in the files."""
 
     frame: int
     revision: int
@@ -56,8 +56,8 @@ class _Index:
 class Recording:
     """The sets of a session, indexed once. Raises InputError for what is no recording of this project.
 
-    `path` is any of the session's files, or a folder that holds one session. `damage` says, a line each, where a file
-    is damaged so that records are missing; a file that ends early is not.
+    `path` is any of the session's files, or a folder that holds one session. `damage` reports, a line each, where a
+    file is damaged so that records are missing; a file that ends early is not.
     """
 
     def __init__(self, path: Path | str) -> None:

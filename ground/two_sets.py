@@ -1,6 +1,6 @@
-"""The vector between clicks of two sets of one session: how much of their errors is one and the same.
+"""The vector between clicks of two sets of one session: how much of their errors is the same.
 
-Each set says how the slow errors act on its nine common states, one column of F for each nuisance parameter. Two sets
+Each set states how the slow errors act on its nine common states, one column of F for each nuisance parameter. Two sets
 share these as far as they last, so with their correlations P the common states' covariance between sets a and b is
 
     X = F_a P F_b' + fresh
@@ -75,7 +75,7 @@ def common_cross_covariance(one: SetErrors, two: SetErrors) -> Array:
     R1, R2 = one.common_cov - F1 @ F1.T, two.common_cov - F2 @ F2.T
     M = _transport(one, two)
     moved = M @ R1 @ M.T
-    # Symmetric roots, in units of both sets' own sigmas: what errs alike is taken to err together.
+    # Symmetric roots, in units of both sets' own sigmas: equal errors are taken as fully correlated.
     scale = np.sqrt(np.maximum(np.diag(moved) * np.diag(R2), 0.0) ** 0.5)
     scale = np.where(scale > 0.0, scale, 1.0)
     both = (

@@ -49,7 +49,7 @@ class Surveyed:
 
 @dataclass(frozen=True)
 class Compared:
-    """One mark's click, answered: answer less truth, metres; and how many of its ellipses' radii that is."""
+    """One mark's click, answered: answer minus truth, metres; and how many of its ellipses' radii that is."""
 
     mark: Surveyed
     east_m: float
@@ -107,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def compare(mark: Surveyed, fix: Fix) -> Compared:
-    """Answer less truth. The survey's own error counts with the answer's."""
+    """Answer minus truth. The survey's own error counts with the answer's."""
     pairs = ((fix.height_ellipsoid_m, mark.height_ellipsoid_m), (fix.height_amsl_m, mark.height_amsl_m))
     up = next((a - b for a, b in pairs if a is not None and b is not None), None)
     level = fix.height_ellipsoid_m if fix.height_ellipsoid_m is not None else fix.height_amsl_m or 0.0
@@ -184,7 +184,7 @@ def plot(compared: list[Compared], found: Figures, path: Path) -> None:
         import matplotlib.pyplot as plt  # noqa: PLC0415
     except ImportError as error:
         raise InputError(
-            "this needs the package matplotlib: install it with  pip install 'pointclick[plot]'"
+            "this needs the package matplotlib: install pointclick with its extra [plot] (README)"
         ) from error
     figure, axes = plt.subplots(figsize=(6, 6))
     for is_inside, marker, label in ((True, "o", "inside its ellipse"), (False, "x", "outside its ellipse")):

@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
         import shtab  # noqa: PLC0415
     except ImportError as error:
         raise InputError(
-            "this needs the package shtab: install it with  pip install 'pointclick[completion]'"
+            "this needs the package shtab: install pointclick with its extra [completion] (README)"
         ) from error
     program = importlib.import_module("ground.__main__")  # by name: it is built on this package
     print(shtab.complete(program.parser_of(list(program.COMMANDS)), shell=args.shell))

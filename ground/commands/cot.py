@@ -1,4 +1,4 @@
-"""`pc-ground cot`: pins and aircraft as Cursor on Target, to a TAK server or to everybody on the network."""
+"""`pc-ground cot`: pins and aircraft as Cursor on Target, to a TAK server or to all programs on the network."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ground.cot_sender import CotSender, Target
 from ground.formats import cot
 from ground.formats.mark import Mark
 from ground.link_options import endpoint_of, tls_of
-from ground.pins.file import default_path
+from ground.pins.file import chosen_path
 from ground.pins.places import Places
 from ground.pins.store import PinStore
 
@@ -28,7 +28,7 @@ examples:
   pc-ground cot --to tls://tak.example.org:8089 --to-ca ca.pem --to-certificate me.pem --to-key me.key
   pc-ground cot --to udp://239.2.3.1:6969 --only-pins        without a link to any aircraft
 """
-STALE_PERIODS = 3.0  # an event that was not said again for so many periods is stale
+STALE_PERIODS = 3.0  # an event that was not sent again for so many periods is stale
 LEAST_STALE_S = 30.0
 
 
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Send until interrupted, or once. Raises PointclickError for what cannot work from the start."""
     target = Target.of(args.to, args.to_ca, args.to_certificate, args.to_key, args.ttl)
-    store = None if args.only_aircraft else PinStore(args.pins or default_path())
+    store = None if args.only_aircraft else PinStore(chosen_path(args.pins))
     places = None if store is None else Places(store)
     aircraft = _no_aircraft if args.only_pins else _aircraft(args)
     stale_s = max(STALE_PERIODS * args.period, LEAST_STALE_S)
@@ -95,7 +95,7 @@ def _no_aircraft() -> list[FeatureSet]:
 class _aircraft:  # noqa: N801  called like a function
     """The newest set of every aircraft that answers, live or of a recording."""
 
-    WAIT_S = 3.0  # for the first, so that `--once` has something to say
+    WAIT_S = 3.0  # for the first, so that `--once` has something to send
 
     def __init__(self, args: argparse.Namespace) -> None:
         self._vehicle = args.vehicle

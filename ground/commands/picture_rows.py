@@ -1,4 +1,4 @@
-"""CSV files whose rows say which picture: `frame`, or a photograph's `file`."""
+"""CSV files whose rows state which picture: `frame`, or a photograph's `file`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ground.commands.values import file_name, frame_number
 
 T = TypeVar("T")
 Made = Callable[[dict[str, str], int | str, int], T]
-PICTURE = ("frame", "file")  # the column that says which: one of them
+PICTURE = ("frame", "file")  # the column that states which: one of them
 
 
 def read_picture_rows(
@@ -21,7 +21,7 @@ def read_picture_rows(
 ) -> list[T]:
     """All rows, checked before the first is used, each as `made` of its cells, its picture and its number from 1.
 
-    `hint` ends what is said of a missing column. Raises InputError with the line's number.
+    `hint` ends the message on a missing column. Raises InputError with the line's number.
     """
     out: list[T] = []
     try:

@@ -1,4 +1,4 @@
-"""`pc-ground pins`: pins in a file, added by clicks or coordinates, listed, tied, handed on."""
+"""`pc-ground pins`: pins in a file, added by clicks or coordinates, listed, tied, passed on."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from ground.commands.sources import Clicker, add_source_arguments, source_of
 from ground.commands.until_ended import until_ended
 from ground.commands.values import finite, frame_number, origin, pin_number, positive
 from ground.formats import geojson
-from ground.formats.documents import FORMATS, one_line, read_pins, text_line
+from ground.formats.documents import FORMATS, IMPORTED, one_line, read_pins, text_line
 from ground.formats.mark import Mark
 from ground.freshness import MAX_AGE_S
 from ground.link_options import UsageError, add_tls_arguments, tls_of
 from ground.locate import Locator
-from ground.pins.file import default_path
+from ground.pins.file import chosen_path
 from ground.pins.fusion import Vector
 from ground.pins.model import Category, Pin, PinClick, category_of
 from ground.pins.places import Places
@@ -35,7 +35,7 @@ from ground.pins.ties import tie_of
 EXAMPLES = """\
 examples:
   pc-ground pins add 480 120 --frame 14 --from SESSION.mcap --name tent --category person
-  pc-ground pins add 466 131 --frame 19 --from SESSION.mcap --to 1      the same thing in another picture
+  pc-ground pins add 286 140 --frame 19 --from SESSION.mcap --to 1      the same thing in another picture
   pc-ground pins add --at -43.3801,172.4012 --ce90 5 --name gate        a place that is known
   pc-ground pins list
   pc-ground pins list --format mgrs --category person                   (needs pointclick[geo])
@@ -48,17 +48,16 @@ examples:
   pc-ground pins share --connect tcp/10.0.0.5:7448
 """
 SAY_S = 5.0  # between two lines of how sharing goes
-_KINDS = ("geojson", "kml", "gpx", "csv")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `pins`."""
+    _add_whose(parser, None, _user())
     actions = parser.add_subparsers(dest="action", required=True)
 
     def action(name: str, meaning: str) -> argparse.ArgumentParser:
         made = actions.add_parser(name, help=meaning, description=f"{meaning[0].upper()}{meaning[1:]}.")
-        made.add_argument("--pins", metavar="FILE", type=Path, help="the file of pins (default: the user's own)")
-        made.add_argument("--who", metavar="NAME", default=_user(), help="who does it (default: the user)")
+        _add_whose(made, argparse.SUPPRESS, argparse.SUPPRESS)  # what is given before the action's name is kept
         return made
 
     listing = action("list", "the pins, a line each")
@@ -93,7 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     measuring.add_argument("two", metavar="M", type=pin_number)
     importing = action("import", "pins of a file; those that are here already only if they are newer")
     importing.add_argument("file", metavar="FILE", type=Path)
-    importing.add_argument("--format", choices=_KINDS, help="default: by the file's name")
+    importing.add_argument("--format", choices=IMPORTED, help="default: by the file's name")
     tying = action("tie", "a pixel shows a place of known coordinate: correct this flight's pins by it")
     _add_pixel(tying)
     tying.add_argument("--place", metavar="LAT,LON", type=origin, required=True, help="surveyed, WGS84")
@@ -118,6 +117,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_tls_arguments(sharing)
 
 
+def _add_whose(parser: argparse.ArgumentParser, pins: str | None, who: str) -> None:
+    """Before the action's name or after it."""
+    parser.add_argument(
+        "--pins", metavar="FILE", type=Path, default=pins, help="the file of pins (default: the user's own)"
+    )
+    parser.add_argument("--who", metavar="NAME", default=who, help="who does it (default: the user)")
+
+
 def _add_pixel(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("u", metavar="U", nargs="?", type=finite, help="pixel column")
     parser.add_argument("v", metavar="V", nargs="?", type=finite, help="pixel row")
@@ -127,7 +134,9 @@ def _add_pixel(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Do it; returns the exit status. Raises PointclickError."""
-    with PinStore(args.pins or default_path()) as store:
+    if args.pins is not None and args.action in _READING and not args.pins.is_file():
+        raise InputError(f"{args.pins}: there is no such file of pins; pins add and pins import make one")
+    with PinStore(chosen_path(args.pins)) as store:
         return _ACTIONS[args.action](store, args)
 
 
@@ -156,7 +165,7 @@ def _export(store: PinStore, args: argparse.Namespace) -> int:
     if not to_file:
         sys.stdout.write(text)
         return ANSWERED
-    # Beside it first: nothing half-written under the name.
+    # First a file next to it: nothing half-written has the name.
     beside = args.file.with_name(f".{args.file.name}.{os.getpid()}.part")
     try:
         beside.write_bytes(text.encode("utf-8"))
@@ -317,6 +326,10 @@ _ACTIONS = {
     "import": _import, "tie": _tie, "ties": _ties, "clear": _clear, "undo": _undo, "redo": _redo,
     "share": _share,
 }  # fmt: skip
+
+
+# What changes nothing: a named file must be there.
+_READING = ("list", "export", "measure", "ties")
 
 
 def _user() -> str:

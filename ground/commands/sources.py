@@ -1,4 +1,4 @@
-"""Where a command's pictures come from: a live aircraft or a recording, asked alike."""
+"""Where a command's pictures come from: a live aircraft or a recording, asked in the same way."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ class Clicker:
 
 
 class _Known:
-    """A set by what tells it from others."""
+    """The values that identify a set."""
 
     def __init__(self, feature_set: FeatureSet) -> None:
         self.feature_set = s = feature_set
@@ -162,7 +162,7 @@ def _solved(known: _Known) -> Locator:
 
 
 def opened(path: Path) -> Recording:
-    """A recording; what of it is damaged is said on standard error, and the rest is there."""
+    """A recording; damaged parts are reported on standard error, and the rest is there."""
     recording = Recording(path)
     for line in recording.damage:
         print(f"pc-ground: warning: {line}", file=sys.stderr)

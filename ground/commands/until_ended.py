@@ -1,4 +1,4 @@
-"""Commands that go on until they are told to end."""
+"""Commands that run until a signal ends them."""
 
 from __future__ import annotations
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import argparse
 import math
 
+from contract.errors import InputError
+from ground.formats.coordinate_text import read_coordinate
+
 
 def finite(text: str) -> float:
     """A number that is one."""
@@ -59,11 +62,9 @@ def pin_number(text: str) -> int:
 
 
 def origin(text: str) -> tuple[float, float]:
-    """`LAT,LON` in degrees."""
-    parts = text.split(",")
-    if len(parts) != 2:
-        raise argparse.ArgumentTypeError(f"{text.strip()!r} is not LAT,LON in degrees, as in -43.38,172.40")
-    lat, lon = finite(parts[0]), finite(parts[1])
-    if not (-90.0 <= lat <= 90.0 and -180.0 <= lon <= 180.0):
-        raise argparse.ArgumentTypeError(f"{text.strip()!r}: latitude is -90 to 90, longitude -180 to 180")
-    return lat, lon
+    """A coordinate in any form that `read_coordinate` takes: latitude and longitude in degrees."""
+    try:
+        place = read_coordinate(text)
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+    return place.lat_deg, place.lon_deg

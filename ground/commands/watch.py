@@ -10,6 +10,7 @@ import time
 from collections import deque
 from dataclasses import dataclass
 
+from contract.error_sources import in_a_line
 from contract.errors import WireError
 from contract.feature_set import FeatureSet
 from contract.topics import ANY_VEHICLE, STATUS
@@ -50,6 +51,7 @@ class Row:
     ce90_m: float | None
     frame: int | None
     cpu_c: float | None
+    radius: str = ""  # what the ellipse is mostly from, and what would make it smaller; empty: not known
 
     def to_json(self) -> str:
         """One line."""
@@ -63,7 +65,7 @@ class Row:
             "-" if self.rate_hz is None else f"{self.rate_hz:.1f}/s",
             "-" if self.lat_deg is None else f"{self.lat_deg:.6f} {self.lon_deg:.6f}",
             "-" if self.tracks is None else str(self.tracks), "-" if self.ce90_m is None else f"{self.ce90_m:.1f} m",
-            one_line(self.reason),
+            one_line("; ".join(text for text in (self.reason, self.radius) if text)),
         )  # fmt: skip
 
 
@@ -165,6 +167,7 @@ def _row(
         newest.camera_lon_deg if newest is not None and is_placed else None, height,
         status.tracks if status is not None else len(newest) if newest is not None else None, ce90,
         None if newest is None else newest.frame, None if status is None else status.cpu_c,
+        "" if status is None or not is_placed else in_a_line(status.fractions),
     )  # fmt: skip
 
 

@@ -15,39 +15,43 @@ from contract.errors import InputError
 from contract.geodesy import LocalFrame
 from ground.formats.mark import Mark
 
-# In metres, for how many decimals are of use; of degrees, the decimals that 0.1 m takes.
-_MINUTE_DECIMALS, _SECOND_DECIMALS = 5, 3
+_DECIMALS = {"degrees": 7, "minutes": 5, "seconds": 3}
 
 
-def latlon_text(lat_deg: float, lon_deg: float, form: str = "degrees") -> str:
-    """Both for people: `degrees` (-43.3801234 172.4012345), `minutes` (43 22.80740 S ...) or `seconds`."""
+def latlon_text(lat_deg: float, lon_deg: float, form: str = "degrees", decimals: int | None = None) -> str:
+    """Both for people: `degrees` (-43.3801234 172.4012345), `minutes` (43 22.80740 S ...) or `seconds`.
+
+    `decimals` of the last unit; default: those that 0.1 m takes, or less.
+    """
+    places = _DECIMALS[form] if decimals is None else decimals
     if form == "degrees":
-        return f"{lat_deg:.7f} {lon_deg:.7f}"
+        return f"{lat_deg:.{places}f} {lon_deg:.{places}f}"
     text = {"minutes": _minutes, "seconds": _seconds}[form]
-    return f"{text(lat_deg, 2, 'NS')} {text(lon_deg, 3, 'EW')}"
+    return f"{text(lat_deg, 2, 'NS', places)} {text(lon_deg, 3, 'EW', places)}"
 
 
-def _minutes(value_deg: float, digits: int, letters: str) -> str:
+def _minutes(value_deg: float, digits: int, letters: str, decimals: int) -> str:
     # Rounded first, so that no minute is ever 60.
-    unit = 10**_MINUTE_DECIMALS
+    unit = 10**decimals
     degrees, rest = divmod(round(abs(value_deg) * 60.0 * unit), 60 * unit)
-    minutes = f"{rest / unit:0{3 + _MINUTE_DECIMALS}.{_MINUTE_DECIMALS}f}"
-    return f"{degrees:0{digits}d}°{minutes}'{letters[int(value_deg < 0.0)]}"
+    return f"{degrees:0{digits}d}°{_padded(rest / unit, decimals)}'{letters[int(value_deg < 0.0)]}"
 
 
-def _seconds(value_deg: float, digits: int, letters: str) -> str:
-    unit = 10**_SECOND_DECIMALS
+def _seconds(value_deg: float, digits: int, letters: str, decimals: int) -> str:
+    unit = 10**decimals
     degrees, rest = divmod(round(abs(value_deg) * 3600.0 * unit), 3600 * unit)
     minutes, seconds = divmod(rest, 60 * unit)
-    return (
-        f"{degrees:0{digits}d}°{minutes:02d}'{seconds / unit:0{3 + _SECOND_DECIMALS}.{_SECOND_DECIMALS}f}\""
-        f"{letters[int(value_deg < 0.0)]}"
-    )
+    return f"{degrees:0{digits}d}°{minutes:02d}'{_padded(seconds / unit, decimals)}\"{letters[int(value_deg < 0.0)]}"
+
+
+def _padded(value: float, decimals: int) -> str:
+    """Two digits before the point."""
+    return f"{value:0{3 + decimals if decimals else 2}.{decimals}f}"
 
 
 def mgrs_text(lat_deg: float, lon_deg: float) -> str:
     """Of the square metre that the point is in, as USNG writes it too (WGS84): 59GMM0123456789; polar squares too."""
-    mgrs = _library("mgrs")
+    mgrs = library("mgrs")
     try:
         # Its own rounding takes 60 minutes for what it is given as degrees; a longitude of 180 is one of -180.
         found = mgrs.MGRS().toMGRS(lat_deg, lon_deg if lon_deg < 180.0 else -180.0, MGRSPrecision=5)
@@ -56,7 +60,7 @@ def mgrs_text(lat_deg: float, lon_deg: float) -> str:
     return str(found)
 
 
-def utm_text(lat_deg: float, lon_deg: float) -> str:
+def utm_text(lat_deg: float, lon_deg: float, decimals: int = 1) -> str:
     """Zone with its band, easting and northing in metres: 59G 412345.7 5197654.3. Raises InputError at the poles."""
     if not -80.0 <= lat_deg < 84.0:
         raise InputError(f"UTM ends at 80 S and 84 N, this is at {lat_deg:.4f}: use mgrs, or --crs EPSG:32661 or 32761")
@@ -64,7 +68,17 @@ def utm_text(lat_deg: float, lon_deg: float) -> str:
     zone = square[:-12]  # 1 or 2 digits and the band, before two letters and ten digits
     number, band = int(zone[:-1]), zone[-1]
     found = Projection(f"EPSG:{(32600 if band >= 'N' else 32700) + number}").project(lat_deg, lon_deg)
-    return f"{number}{band} {found.x:.1f} {found.y:.1f}"
+    return f"{number}{band} {found.x:.{decimals}f} {found.y:.{decimals}f}"
+
+
+def utm_to_latlon(zone: int, is_north: bool, easting_m: float, northing_m: float) -> tuple[float, float]:
+    """WGS84 degrees of a place in a UTM zone. Raises InputError for one that the projection does not hold."""
+    pyproj = library("pyproj")
+    code = f"EPSG:{(32600 if is_north else 32700) + zone}"
+    lon, lat = pyproj.Transformer.from_crs(code, "EPSG:4326", always_xy=True).transform(easting_m, northing_m)
+    if not (math.isfinite(lat) and math.isfinite(lon)):
+        raise InputError(f"UTM zone {zone} does not reach {easting_m:.0f} {northing_m:.0f}")
+    return float(lat), float(lon)
 
 
 @dataclass(frozen=True)
@@ -106,7 +120,7 @@ class LocalGrid(Grid):
         self._at = lat_deg, lon_deg
 
     def of(self, mark: Mark) -> Projected:
-        """On the level of the mark, so that a metre is one where it lies."""
+        """At the height of the mark, so that a metre is a metre there."""
         lat, lon = mark.position
         height = mark.height_ellipsoid_m if mark.height_ellipsoid_m is not None else mark.height_amsl_m or 0.0
         east, north, _ = (float(c) for c in LocalFrame(*self._at, height).to_enu(lat, lon, height))
@@ -114,10 +128,10 @@ class LocalGrid(Grid):
 
 
 class Projection(Grid):
-    """A coordinate reference system by its code (`EPSG:2193`). Raises InputError for one that pyproj does not know."""
+    """A coordinate reference system by its code (`EPSG:2193`). Raises InputError for one that is not in pyproj."""
 
     def __init__(self, code: str) -> None:
-        pyproj = _library("pyproj")
+        pyproj = library("pyproj")
         try:
             crs = pyproj.CRS.from_user_input(code)
         except pyproj.exceptions.CRSError as error:
@@ -127,7 +141,7 @@ class Projection(Grid):
         self.name = ":".join(crs.to_authority() or ()) or code
         self.title = crs.name
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that a better way needs a grid: said by `is_best`
+            warnings.simplefilter("ignore")  # that a better way needs a grid: `is_best` reports it
             group = pyproj.transformer.TransformerGroup("EPSG:4326", crs, always_xy=True)
         if not group.transformers:
             raise InputError(f"--crs {code}: no way from WGS84 to {crs.name}")
@@ -136,7 +150,7 @@ class Projection(Grid):
         self.accuracy_m = None if accuracy is None or accuracy < 0.0 else float(accuracy)
         # A better way that needs a grid file that is not here.
         self.is_best = bool(group.best_available)
-        # As the system lists its axes, which may be north first; a name without a direction is told by its place.
+        # As the system lists its axes, which may be north first; a name without a direction is known by its position.
         first, second = ((axis.abbrev or axis.name, axis.direction) for axis in crs.axis_info[:2])
         is_north_first = first[1] in ("north", "south") and second[1] not in ("north", "south")
         self._x_name, self._y_name = (second[0], first[0]) if is_north_first else (first[0], second[0])
@@ -167,7 +181,7 @@ class Projection(Grid):
         return bool(is_between and south - margin <= lat_deg <= north + margin)
 
 
-def _library(name: str) -> Any:
+def library(name: str) -> Any:
     """A package of the extra `geo`."""
     try:
         if name == "mgrs":
@@ -179,7 +193,7 @@ def _library(name: str) -> Any:
 
         return pyproj
     except ImportError as error:
-        raise InputError(f"this needs the package {name}: install it with  pip install 'pointclick[geo]'") from error
+        raise InputError(f"this needs the package {name}: install pointclick with its extra [geo] (README)") from error
 
 
 def shape_values(mark: Mark, grid: Grid | None) -> dict[str, object]:

@@ -1,26 +1,33 @@
-"""Cursor on Target, version 2.0: marks and aircraft as XML events, as TAK programs take them.
+"""Cursor on Target, version 2.0: marks and aircraft as XML events, as TAK programs take them; markers read back.
 
-`ce` and `le` are 90 % figures and `remarks` say so: the schema's text calls them one sigma, ATAK shows CE90, and
-whoever takes a 90 % figure for one sigma errs on the careful side. What is not known is 9999999, and a mark without a
-position makes no event.
+`ce` and `le` are 90 % figures and `remarks` state so: the schema's text calls them one sigma, ATAK shows CE90, and
+a reader that takes a 90 % figure for one sigma is off on the safe side. What is not known is 9999999, and a mark
+without a position makes no event.
 """
 
 from __future__ import annotations
 
 import math
+import re
 import xml.etree.ElementTree as ET
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
+from contract.errors import InputError
 from contract.feature_set import FeatureSet, HeightDatum
-from ground.circular_error import ce90_m, le90_m
+from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS, ce90_m, le90_m
+from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark
-from ground.formats.xml_text import element
+from ground.formats.xml_text import element, local_name, parsed
+from ground.pins.model import Pin
 
 UNKNOWN = "9999999.0"
 SPOT = "b-m-p-s-m"
-AIRCRAFT = "a-f-A-M-F-Q"  # friendly, airborne, military-style code for an unmanned aircraft: what TAK draws as a drone
+_MARKER = re.compile(r"b-m-p(-|$)|b-r-|b-a-o-|a-.-[GSU]")  # points, casualties, emergencies, things on ground or water
+_DECLARATION = re.compile(r"<\?xml[^>]*\?>")
+AIRCRAFT = "a-f-A-M-F-Q"  # friendly, airborne, military-style code for an unmanned aircraft: what TAK shows as a drone
+OURS = "__pointclick"  # a pin's own fields; programs ignore details that are unknown to them
 # Colours of ATAK's spot map, as signed ARGB.
 _COLOURS = {"person": -35072, "vehicle": -16776961, "fire": -65536, "hazard": -256, "poi": -1}
 
@@ -43,6 +50,7 @@ def event(mark: Mark, now_unix_ns: int, stale_s: float) -> str | None:
     seen = f"seen {mark.time_text}" if mark.time_text else ""
     parts = [mark.category, _accuracy(mark), mark.note, seen, mark.vehicle, mark.who]
     element(detail, "remarks", "; ".join(part for part in parts if part))
+    element(detail, OURS, name=mark.name, note=mark.note, category=mark.category)
     return ET.tostring(root, encoding="unicode")
 
 
@@ -64,6 +72,52 @@ def aircraft_event(s: FeatureSet, now_unix_ns: int, stale_s: float) -> str | Non
         f"camera of {s.vehicle}; +-{ce:.1f} m (CE90), height {s.camera_height_m:.1f} m {datum} +-{le:.1f} m (LE90)",
     )  # fmt: skip
     return ET.tostring(root, encoding="unicode")
+
+
+def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
+    """Markers of one event or many, one after the other or below a root. Raises InputError for what is no event.
+
+    Aircraft, drawings, chat and what else is no place on the ground are left out.
+    """
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"not Cursor on Target in UTF-8 ({error})") from error
+    root = parsed(f"<events>{_DECLARATION.sub('', text)}</events>".encode(), "Cursor on Target")
+    events = [node for node in root.iter() if local_name(node) == "event"]
+    if not events:
+        raise InputError("not Cursor on Target: no event in it")
+    out = Imported()
+    for found in events:
+        if _MARKER.match(found.get("type", "")) is None:
+            out.left_out += 1
+            continue
+        try:
+            out.pins.append(_pin(found, who, now_unix_ns))
+        except (ValueError, InputError) as error:
+            raise InputError(f"event {found.get('uid', '')[:40]!r}: {error}") from error
+    return out
+
+
+def _pin(found: ET.Element, who: str, now_unix_ns: int) -> Pin:
+    """A marker's. Raises ValueError for what is no number, InputError for no place."""
+    parts = {local_name(node): node for node in found.iter()}
+    if "point" not in parts:
+        raise InputError("no point in it")
+    point = parts["point"]
+    hae, ce, le = (_known(float(point.get(key, UNKNOWN))) for key in ("hae", "ce", "le"))
+    ours, contact, remarks = (parts.get(name, ET.Element(name)) for name in (OURS, "contact", "remarks"))
+    return entered_pin(
+        lat_deg=float(point.get("lat", "")), lon_deg=float(point.get("lon", "")), height_ellipsoid_m=hae,
+        sigma_m=None if ce is None else ce / CE90_SIGMAS, sigma_height_m=None if le is None else le / LE90_SIGMAS,
+        name=ours.get("name", contact.get("callsign")), note=ours.get("note", remarks.text),
+        category=ours.get("category"), who=who, time_text=found.get("start", ""), now_unix_ns=now_unix_ns,
+    )  # fmt: skip
+
+
+def _known(value: float) -> float | None:
+    """A height or an accuracy; None for the number that means unknown, and for 0, which other programs write for it."""
+    return value if 0.0 < abs(value) < 9_999_999.0 else None
 
 
 def _accuracy(mark: Mark) -> str:

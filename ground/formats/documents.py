@@ -122,26 +122,34 @@ FORMATS: dict[str, Format] = {
 }
 
 _READERS: dict[str, Callable[[bytes, str, int], Imported]] = {
-    "geojson": geojson.read, "kml": kml.read, "gpx": gpx.read, "csv": table.read,
+    "geojson": geojson.read, "kml": kml.read, "gpx": gpx.read, "csv": table.read, "cot": cot.read,
 }  # fmt: skip
-_KINDS = {".geojson": "geojson", ".json": "geojson", ".kml": "kml", ".gpx": "gpx", ".csv": "csv"}
+IMPORTED = tuple(_READERS)
+_KINDS = {
+    ".geojson": "geojson", ".json": "geojson", ".kml": "kml", ".gpx": "gpx", ".csv": "csv", ".tsv": "csv",
+    ".cot": "cot", ".xml": "cot",
+}  # fmt: skip
 
 
 def read_pins(path: Path, kind: str | None = None, who: str = "") -> Imported:
-    """The places of a file, whose kind its name says unless it is given. Raises InputError."""
-    chosen = kind or _KINDS.get(path.suffix.lower())
-    if chosen not in _READERS:
-        raise InputError(f"{path}: of which kind? its name should end in {', '.join(_KINDS)}; or give --format")
+    """The places of a file, whose kind is known from its name unless it is given. Raises InputError."""
     try:
         if path.stat().st_size > MAX_IMPORT_BYTES:
             raise InputError(f"{path}: larger than {MAX_IMPORT_BYTES // 1_000_000} MB")
-        data = path.read_bytes()
+        return read_pins_of(str(path), path.read_bytes(), kind, who)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
+
+
+def read_pins_of(name: str, data: bytes, kind: str | None = None, who: str = "") -> Imported:
+    """The same of a file's name and content, as a browser sends them. Raises InputError, which names the file."""
+    chosen = kind or _KINDS.get(Path(name).suffix.lower())
+    if chosen not in _READERS:
+        raise InputError(f"{name}: of which kind? its name should end in {', '.join(_KINDS)}; or give --format")
     try:
         return _READERS[chosen](data, who, time.time_ns())
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"{name}: {error}") from error
 
 
 def one_line(text: str) -> str:

@@ -1,6 +1,6 @@
 """GeoJSON (RFC 7946) out and in. Pins are written whole in a member of their own: they come back without loss.
 
-Longitude comes first, heights are above the WGS84 ellipsoid as the RFC says and are left out where only the height
+Longitude comes first, heights are above the WGS84 ellipsoid as the RFC specifies and are left out where only the height
 above the sea is known. Without a position the geometry is null.
 """
 

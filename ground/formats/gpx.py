@@ -1,6 +1,6 @@
 """GPX 1.1 waypoints out and in. Heights are above the sea, as GPX means them.
 
-The accuracy stands in `desc` and in an extension of ours: `hdop` is a ratio of the satellites' geometry, no metres.
+The accuracy is in `desc` and in an extension of ours: `hdop` is a ratio of the satellites' geometry, no metres.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ def entered_pin(
     when = unix_ns_of(time_text) if isinstance(time_text, str) else None
     click = PinClick.entered(
         lat_deg, lon_deg, height_ellipsoid_m=height_ellipsoid_m, height_amsl_m=height_amsl_m, sigma_m=sigma_m,
-        sigma_height_m=sigma_height_m, who=who, clicked_unix_ns=now_unix_ns if when is None else when,
+        sigma_height_m=sigma_height_m, who=who, clicked_unix_ns=now_unix_ns, seen_unix_ns=when,
     )  # fmt: skip
     return Pin(
         uuid.uuid4().hex, 0, _text(name, MAX_NAME), _text(note, MAX_NOTE),
@@ -48,7 +48,7 @@ def entered_pin(
 
 
 def unix_ns_of(text: str) -> int | None:
-    """Of an ISO 8601 moment with its offset from UTC; None for what is none, or lies before 1970."""
+    """Of an ISO 8601 moment with its offset from UTC; None for any other text, or a moment before 1970."""
     try:
         moment = datetime.fromisoformat(text.strip().replace("Z", "+00:00"))
     except ValueError:

@@ -15,14 +15,14 @@ from ground.formats.mark import Mark
 from ground.formats.xml_text import child_text, document, element, local_name, parsed
 
 NAMESPACE = "http://www.opengis.net/kml/2.2"
-# aabbggrr, as KML has it; a letter beside the colour is in the name of the style.
+# aabbggrr, as in KML; a letter next to the colour is in the name of the style.
 _COLOURS = {"person": "ff00a5ff", "vehicle": "ffff901e", "fire": "ff0000ff", "hazard": "ff00ffff", "poi": "ff98fb98"}
 _ELLIPSE_POINTS = 48
 ELLIPSES = "90 % ellipses"
 
 
 def write(marks: Sequence[Mark], grid: Grid | None = None) -> str:
-    """A document of placemarks, each with its 90 % ellipse; one without a position has no geometry, and says why."""
+    """A document of placemarks, each with its 90 % ellipse; one without a position has no geometry, and states why."""
     ET.register_namespace("", NAMESPACE)
     root = element(None, f"{{{NAMESPACE}}}kml")
     body = element(root, f"{{{NAMESPACE}}}Document")
@@ -112,11 +112,12 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
     if local_name(root) != "kml":
         raise InputError(f"not KML: its root is {local_name(root)[:40]!r}")
     out = Imported()
-    ours = {id(p) for f in root.iter() if child_text(f, "name") == ELLIPSES for p in f}
-    for place in root.iter():
+    nodes = [node for node in root.iter() if local_name(node) in ("Folder", "Placemark")]
+    ours = {id(p) for f in nodes if local_name(f) == "Folder" and child_text(f, "name") == ELLIPSES for p in f}
+    for place in nodes:
         if local_name(place) != "Placemark" or id(place) in ours:
             continue
-        point = next((node for node in place.iter() if local_name(node) == "Point"), None)
+        point = _point(place)
         if point is None:
             out.left_out += 1
             continue
@@ -141,6 +142,12 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
             )
         )  # fmt: skip
     return out
+
+
+def _point(place: ET.Element) -> ET.Element | None:
+    """Its own, or one deeper, as in a MultiGeometry."""
+    own = next((node for node in place if local_name(node) == "Point"), None)
+    return next((node for node in place.iter() if local_name(node) == "Point"), None) if own is None else own
 
 
 def _extended(place: ET.Element) -> dict[str, str]:

@@ -16,7 +16,7 @@ CONTRADICTING = "contradicting"
 
 @dataclass(frozen=True, eq=False)
 class Mark:
-    """One thing to hand on. Without a position (`lat_deg` None) `status` and `reason` say why.
+    """One thing to pass on. Without a position (`lat_deg` None) `status` and `reason` state why.
 
     Accuracies are None where they are not known: 90 % ellipse and circle, 90 % of the height, one sigma of it.
     """
@@ -37,7 +37,7 @@ class Mark:
     ce90_m: float | None = None
     le90_m: float | None = None
     sigma_height_m: float | None = None
-    time_unix_ns: int | None = None  # when the picture was taken; of a pin, its newest
+    time_unix_ns: int | None = None  # when it was seen last: its newest picture's time
     modified_unix_ns: int | None = None
     vehicle: str = ""
     frame: int | None = None
@@ -115,11 +115,10 @@ class Mark:
     def of_pin(cls, pin: Pin, place: Fused) -> Mark:
         """Of a pin and where it is by now (`Places.place`)."""
         newest = max(pin.clicks, key=lambda c: c.capture_unix_ns or c.clicked_unix_ns, default=None)
-        when = None if newest is None else newest.capture_unix_ns or newest.clicked_unix_ns
         vehicles = sorted({click.vehicle for click in pin.clicks if click.vehicle})
         words = {
             "number": pin.number, "note": pin.note, "category": pin.category.value, "who": pin.who,
-            "time_unix_ns": when, "modified_unix_ns": pin.modified_unix_ns, "vehicle": " ".join(vehicles),
+            "time_unix_ns": pin.seen_unix_ns, "modified_unix_ns": pin.modified_unix_ns, "vehicle": " ".join(vehicles),
             "method": "" if newest is None else newest.method, "clicks": len(pin.clicks), "pin": pin,
         }  # fmt: skip
         name = pin.name

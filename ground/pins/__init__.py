@@ -13,11 +13,12 @@ What other packages take from here (all values are frozen dataclasses; heights i
             `add(clicks, name=, note=, category=, who=, crop=) -> Pin`, `add_click(pin_id, click, who=, crop=)`,
             `remove_click(pin_id, click_id, who=)`, `edit(pin_id, who=, name=, note=, category=)`,
             `delete(pin_id, who=)`, `clear(who=)`, `bring_in(pins, who=, crops=)` (a file's, as one change),
-            `undo(who=) -> str | None` and `redo(who=)` (what was undone in words; None: nothing),
+            `undo(who=) -> str | None` and `redo(who=)` (a description of what was undone; None: nothing),
             `pins(category=, text=, vehicle=, who=, since_unix_ns=) -> list[Pin]`, `pin(pin_id)`, `by_number(number)`,
             `crop(click_id) -> bytes | None`, `ties()`, `add_tie(tie, who=)` (raises `TieRefused`),
             `delete_tie(tie_id, who=)`, `merge(pin)` (of another server: last writer wins), `removed()` (tombstones),
-            `revision` (an integer that grows with each change of anybody's), `close()`. `file.default_path()`.
+            `revision` (an integer that grows with each change by any user), `close()`. `file.default_path()`,
+            `file.chosen_path(named)`.
             `everything()` with tombstones, `merge_all(pins, most)` many in one transaction.
 `sharing`   `PinSharing(store, connect=(), listen=(), tls=None)` shares a store with other servers until `close()`:
             a context manager; `state -> Shared` (counts, and as a text). `share_pins(store, ...)`: the same, or None

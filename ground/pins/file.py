@@ -7,7 +7,7 @@ import json
 import os
 import sqlite3
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -40,10 +40,17 @@ def default_path() -> Path:
     return (Path(base) if base else Path.home() / ".local" / "share") / "pointclick" / "pins.sqlite"
 
 
+def chosen_path(named: Path | None) -> Path:
+    """The file that was named, whose folder must be there, or the user's own. Raises InputError."""
+    if named is not None and not named.parent.is_dir():
+        raise InputError(f"pins {named}: there is no folder {named.parent}")
+    return named or default_path()
+
+
 class PinFile:
     """One connection, which threads take in turn. A transaction is on disk when `writing` is left.
 
-    Raises InputError for a file that is none of ours, and for whatever the disk or another process keeps from us.
+    Raises InputError for a file that is not one of ours, and for any error of the disk or a lock of another process.
     """
 
     def __init__(self, path: Path) -> None:
@@ -75,7 +82,7 @@ class PinFile:
             raise InputError(f"pins {self.path}: of version {version}; this program reads {SCHEMA_VERSION}")
 
     def close(self) -> None:
-        """Leave the file; no call after this."""
+        """Close the file; no call after this."""
         with self._lock:
             if self._db is not None:
                 self._db.close()
@@ -83,15 +90,22 @@ class PinFile:
 
     @property
     def is_in_transaction(self) -> bool:
-        """Whether what is read now may yet be taken back."""
+        """Whether what is read now may still be rolled back."""
         return self._db is not None and self._db.in_transaction
 
     def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
-        """What a statement gives."""
+        """The rows that a statement gives."""
         with self._lock, self._told():
             if self._db is None:
                 raise InputError(f"pins {self.path}: closed")
             return self._db.execute(statement, values).fetchall()
+
+    def each(self, statement: str, rows: Iterable[tuple[object, ...]]) -> None:
+        """One statement for each of many rows of values."""
+        with self._lock, self._told():
+            if self._db is None:
+                raise InputError(f"pins {self.path}: closed")
+            self._db.executemany(statement, rows)
 
     def value(self, key: str) -> int:
         """One number of the file's own."""

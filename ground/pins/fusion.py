@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from contract.geodesy import LocalFrame
 from ground.answer import Ellipse
-from ground.chi_square import exceeded_with, limit
+from ground.chi_square import exceeded_with
 from ground.circular_error import ce90_m, le90_m
 from ground.pins.model import UNKNOWN_HEIGHT_SIGMA_M, PinClick, Tie
 from ground.pins.shared import CONTRADICTION
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Where a pin is. Heights are None where no click knows them; everything of accuracy where none knows it.
+    """Where a pin is. Heights are None where no click has one; every accuracy where no click has one.
 
     `clicks`: how many the position rests on. `chi2` of `freedom` degrees: how well they agree; 0 of 0 for one click.
     `tied`: how many ties took part.
@@ -77,9 +77,8 @@ class Contradiction:
     def reason(self) -> str:
         """One line."""
         return (
-            f"its {len(self.answers)} clicks contradict each other: up to {self.apart_m:.1f} m apart, "
-            f"chi-square {self.chi2:.1f} of {self.freedom}, and at most {limit(CONTRADICTION, self.freedom):.1f} is "
-            "believed"
+            f"its {len(self.answers)} clicks contradict each other: they are up to {self.apart_m:.1f} m apart, "
+            "more than their errors explain; remove the wrong one, or make two pins"
         )
 
 
@@ -92,7 +91,7 @@ class Unplaced:
 
 @dataclass(frozen=True, eq=False)
 class Vector:
-    """From one place to another: what a person asks of two of them. Each with one sigma; None where not known."""
+    """From one place to another: what a user needs of two places. Each with one sigma; None where not known."""
 
     distance_m: float
     bearing_deg: float  # clockwise from north, in [0, 360)
@@ -186,7 +185,7 @@ def between(a: Place, b: Place, covariance_enu_m2: Array | None) -> Vector:
     )
     level = LocalFrame(a.lat_deg, a.lon_deg, 0.0 if heights is None else 0.5 * sum(heights))
     d = level.to_enu(b.lat_deg, b.lon_deg, level.height_m)
-    # Both on one level: the chord lies below the horizon by its sagitta alone.
+    # Both on one level: the chord is below the horizon by its sagitta alone.
     distance = float(np.linalg.norm(d))
     bearing = math.degrees(math.atan2(float(d[0]), float(d[1]))) % 360.0
     rise = None if heights is None else heights[1] - heights[0]
@@ -218,7 +217,7 @@ def _adjusted(
 def _least_squares(y: Array, C: Array) -> tuple[Array, float]:
     """Weights (3, 3 N) of the best linear unbiased estimate, and chi-square of what is left. (17.2), (17.3)
 
-    C as if what clicks add by themselves were not alike: the weights then do not rest on how alike it is.
+    C as if the clicks' own errors were not correlated: the weights then do not depend on their correlation.
     """
     n = len(y) // 3
     A = np.tile(np.eye(3), (n, 1))

@@ -47,7 +47,7 @@ class Category(Enum):
 
 @dataclass(frozen=True, eq=False)
 class ClickErrors:
-    """Of a click's set, what says how its errors go with those of other clicks. Serves `two_sets.SetErrors`."""
+    """The part of a click's set that gives its correlation with other clicks' errors. Serves `two_sets.SetErrors`."""
 
     session: int
     capture_unix_ns: int
@@ -129,7 +129,7 @@ class PinClick:
     """One position of a pin: a click with its answer; or one that was entered, which has no picture.
 
     Heights are None where they are not known, the covariance where the accuracy is not. `covariance_enu_m2` is the
-    answer's, without the pointing error.
+    answer's, without the pointing error. `capture_unix_ns`: when the thing was seen; None where that is not known.
     """
 
     lat_deg: float
@@ -183,8 +183,11 @@ class PinClick:
         sigma_height_m: float | None = None,
         who: str = "",
         clicked_unix_ns: int | None = None,
+        seen_unix_ns: int | None = None,
     ) -> PinClick:
         """A position that was typed or read from a file. `sigma_m` along east and along north; None: not known.
+
+        `clicked_unix_ns`: when it was entered (default: now). `seen_unix_ns`: when the thing was seen, if known.
 
         Raises InputError for a coordinate that cannot be.
         """
@@ -194,9 +197,18 @@ class PinClick:
                 raise InputError(f"a sigma of {sigma_m:g} m (height {sigma_height_m}) must be above 0")
             height = UNKNOWN_HEIGHT_SIGMA_M if sigma_height_m is None else sigma_height_m
             covariance = np.diag([sigma_m**2, sigma_m**2, height**2])
-        moment = time.time_ns() if clicked_unix_ns is None else clicked_unix_ns
-        made = cls(lat_deg, lon_deg, height_ellipsoid_m, height_amsl_m, covariance, who, moment, ENTERED)
-        return cls.from_dict(made.to_dict())  # checked
+        named = {
+            "lat_deg": lat_deg, "lon_deg": lon_deg, "height_ellipsoid_m": height_ellipsoid_m,
+            "height_amsl_m": height_amsl_m, "who": who, "capture_unix_ns": seen_unix_ns,
+            "clicked_unix_ns": time.time_ns() if clicked_unix_ns is None else clicked_unix_ns,
+        }  # fmt: skip
+        r = Reader(named, "click")
+        return cls(
+            r.latitude("lat_deg"), r.longitude("lon_deg"),
+            r.maybe("height_ellipsoid_m", r.height), r.maybe("height_amsl_m", r.height), covariance,
+            r.text("who", MAX_WHO), r.whole("clicked_unix_ns"), ENTERED,
+            capture_unix_ns=r.maybe("capture_unix_ns", r.whole),
+        )  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
         """JSON objects and lists."""
@@ -240,7 +252,7 @@ UNKNOWN_HEIGHT_SIGMA_M = 1e4  # of an entered position whose height's accuracy i
 
 @dataclass(frozen=True, eq=False)
 class Pin:
-    """A thing that was found. Its number is the store's, its id everybody's."""
+    """A thing that was found. Its number is valid in one store, its id in all."""
 
     id: str
     number: int
@@ -253,6 +265,11 @@ class Pin:
     modified_by: str
     clicks: tuple[PinClick, ...] = ()
     is_deleted: bool = False
+
+    @property
+    def seen_unix_ns(self) -> int | None:
+        """When the thing was seen last; None where no click states a time."""
+        return max((c.capture_unix_ns for c in self.clicks if c.capture_unix_ns is not None), default=None)
 
     def to_dict(self) -> dict[str, Any]:
         """JSON objects and lists."""

@@ -1,4 +1,4 @@
-"""Where the pins of a store are by now: fused, tied, computed once for each version of a pin and of the ties."""
+"""Where the pins of a store are now: fused, tied, computed once for each version of a pin and of the ties."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import threading
 from collections.abc import Sequence
 
 from ground.pins.fusion import Contradiction, Fused, Unplaced, Vector, fuse, vector
-from ground.pins.model import Pin, Tie
+from ground.pins.model import Pin, PinClick, Tie
 from ground.pins.store import PinStore
 
 
@@ -20,7 +20,7 @@ class Places:
         self._known: dict[str, tuple[tuple[int, tuple[str, ...]], Fused]] = {}
 
     def place(self, pin: Pin) -> Fused:
-        """Where a pin is, or why that cannot be said."""
+        """Where a pin is, or why that is not known."""
         return self.of([pin])[0]
 
     def of(self, pins: Sequence[Pin]) -> list[Fused]:
@@ -44,9 +44,20 @@ class Places:
             out.append(held[1])
         return out
 
+    def with_click(self, pin: Pin, click: PinClick) -> Fused:
+        """Where a pin would be with one more click."""
+        return self.of_clicks([*pin.clicks, click])
+
+    def of_clicks(self, clicks: Sequence[PinClick]) -> Fused:
+        """Where clicks of one thing that are no pin yet place it, as if they were one."""
+        return fuse(clicks, self._ties_of(clicks))
+
     def ties_of(self, pin: Pin) -> list[Tie]:
-        """The ties that say something of a pin: those of its clicks' sessions."""
-        sessions = {(click.vehicle, click.session) for click in pin.clicks if click.errors is not None}
+        """The ties that apply to a pin: those of its clicks' sessions."""
+        return self._ties_of(pin.clicks)
+
+    def _ties_of(self, clicks: Sequence[PinClick]) -> list[Tie]:
+        sessions = {(click.vehicle, click.session) for click in clicks if click.errors is not None}
         return [tie for tie in self._store.ties() if (tie.click.vehicle, tie.click.session) in sessions]
 
     def between(self, one: Pin, two: Pin) -> Vector | Contradiction | Unplaced:

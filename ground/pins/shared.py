@@ -1,4 +1,4 @@
-"""How the errors of clicks go together: their joint covariance. Equation (17.1) of docs/mathematics.md."""
+"""How the errors of clicks are correlated: their joint covariance. Equation (17.1) of docs/mathematics.md."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ground.two_sets import common_cross_covariance, overlap, position_jacobian,
 
 Array = NDArray[np.float64]
 
-# Clicks, and ties, that are as stated disagree by more than is believed once in so many times.
+# Clicks and ties with correct sigmas disagree by more than the accepted limit once in so many times.
 CONTRADICTION = 1e-3
 
 # Covariances between two sets that are kept, 700 bytes each: a pin that is clicked once more, and all pins of a picture
@@ -24,7 +24,7 @@ KEPT_PAIRS = 20_000
 
 
 class _Pairs:
-    """`common_cross_covariance`, computed once for two sets, known by all that it depends on. Thread-safe."""
+    """`common_cross_covariance`, computed once for two sets, with all that it depends on as the key. Thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -62,10 +62,11 @@ def _key(e: ClickErrors) -> bytes:
 
 
 def joint_covariances(clicks: Sequence[PinClick], spots: Sequence[object]) -> tuple[Array, Array]:
-    """(3 N, 3 N) twice, m^2, east, north, up, of N clicks with a covariance; `spots` says which are of the same thing.
+    """(3 N, 3 N) twice, m^2, east, north, up, of N clicks with a covariance; `spots`: which are of one thing.
 
-    What clicks of one thing add by themselves may be alike in them or not: as if it were not, then as if it were. With
-    the pointing errors, which nobody shares. What rounding and the approximations of (9.15) make negative is zero.
+    The own errors of clicks of one thing may be correlated or not: first as if they were not, then as if they were.
+    With the pointing errors, which no two clicks share. What rounding and the approximations of (9.15) make negative
+    is zero.
     """
     n = len(clicks)
     apart = np.zeros((3 * n, 3 * n))
@@ -90,7 +91,8 @@ def joint_covariances(clicks: Sequence[PinClick], spots: Sequence[object]) -> tu
                 common = Js[j] @ _PAIRS.of(one, keys[j], two, keys[i]) @ Js[i].T
             own = np.zeros((3, 3))
             if spots[j] == spots[i]:
-                # What lies between the features is the ground's, whoever looks; their noise, the window's.
+                # The error between the features belongs to the ground, for every observer; the features' noise to the
+                # window.
                 by_depth = one.between_features * two.between_features
                 if is_one_session:
                     by_depth += overlap(one, two) * one.feature_noise * two.feature_noise

@@ -1,11 +1,11 @@
 """Pins shared by several ground servers over zenoh: the last writer wins, by time and then by name, on all of them.
 
-Each server says once a second how many pins it has, and a digest of them; and every change at once, also one that it
-has heard of from others, so that all hear who are connected in any way. Where digests stay unlike (a late joiner, a
-partition that has healed, a message lost) a server asks the other what it has and for what it has not: nothing depends
-on any single message. Only what `PinStore.merge_all` takes gets in.
+Each server sends once a second how many pins it has, and a digest of them; and every change at once, also one that it
+has received from others, so that all servers that are connected in any way get it. Where digests stay different (a
+late joiner, a partition that has healed, a message lost) a server asks the other what it has and for what it has not:
+nothing depends on any single message. Only what `PinStore.merge_all` takes gets in.
 
-Whoever may connect may write: on another network than one's own, certificates say who may (docs/link.md).
+Every server that can connect can write: on a network that is not your own, use certificates (docs/link.md).
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from ground.watched_thread import WatchedThread
 
 MAX_PINS = 100_000  # tombstones too, above which no new ones are taken from others
 MAX_SERVERS = 64  # a peer may invent them
-MAX_WAITING, MAX_WAITING_BYTES = 2000, 16_000_000  # changes heard and not yet merged
+MAX_WAITING, MAX_WAITING_BYTES = 2000, 16_000_000  # changes received and not yet merged
 MAX_QUESTIONS = 16
 MAX_ANSWER_BYTES = 8_000_000
 MAX_REFUSED = 10_000  # versions that are not asked for again
-PUSHED = 50  # changes at once that are said one by one; for more, as when catching up, others ask
+PUSHED = 50  # changes at once that are sent one by one; for more, as after a break, other servers ask
 TURN_S = 0.05
 BEAT_S = 1.0
-FORGET_S = 10.0  # a server that has said nothing for so long is gone
+FORGET_S = 10.0  # a server that has sent nothing for so long is gone
 SETTLE_S = 2.5  # digests of servers known to each other may differ so long: a change is on its way
 FORGIVE_S = 3600.0  # after which refused versions are asked for again: a clock may have been set
 AGAIN_S = 60.0  # between questions to a server whose difference was not resolved, and of which nothing has changed
@@ -50,17 +50,17 @@ ANSWER_S = 10.0
 class Shared:
     """How sharing is. Counts are since its beginning."""
 
-    servers: int  # heard of late
+    servers: int  # received from recently
     alike: int  # of these, with the same pins as here
     pins: int  # here, tombstones too
     taken: int  # changes of others
-    said: int  # changes said to others
+    said: int  # changes sent to others
     refused: int  # pins of others that cannot be taken
     unreadable: int  # messages that were none
-    dropped: int  # messages for want of room; they are asked for later
+    dropped: int  # messages, because the buffer was full; they are asked for later
     clock_s: float  # by how much the worst of the other clocks differs from this one
     last_refusal: str
-    trouble: str  # what keeps a thread from its work
+    trouble: str  # why a thread cannot do its work
 
     def __str__(self) -> str:
         parts = [f"{self.servers} other servers, {self.alike} with the same {self.pins} pins"]
@@ -75,7 +75,7 @@ class Shared:
 
 @dataclass(eq=False)
 class _Server:
-    """Another server, as it is heard."""
+    """Another server, as its messages describe it."""
 
     said: Said
     heard_s: float
@@ -89,7 +89,7 @@ class _Server:
 class PinSharing:
     """Shares a store until closed. Raises LinkError if the link cannot be opened.
 
-    `listen` and `connect` are zenoh endpoints. The store may be changed meanwhile by anybody, other processes too.
+    `listen` and `connect` are zenoh endpoints. The store may be changed at the same time, also by other processes.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class PinSharing:
         self._known: dict[str, tuple[Pin, bytes]] = {}  # all pins here with their versions, as of `_revision`
         self._digest, self._revision = 0, -1
         self._refused: OrderedDict[tuple[str, bytes], None] = OrderedDict()
-        self._refused_s = time.monotonic()  # when they were forgotten last
+        self._refused_s = time.monotonic()  # when they were cleared last
         self._counts = dict.fromkeys(("taken", "said", "refused", "unreadable", "dropped"), 0)
         self._last_refusal = ""
         self._beat_s = -BEAT_S
@@ -136,17 +136,17 @@ class PinSharing:
 
     @property
     def state(self) -> Shared:
-        """How it is."""
+        """The current state."""
         with self._lock:
             servers = list(self._servers.values())
             return Shared(
                 len(servers), sum(s.said.digest == self._digest for s in servers), len(self._known),
                 **self._counts, clock_s=max((s.ahead_s for s in servers), key=abs, default=0.0),
-                last_refusal=self._last_refusal, trouble="; ".join(t.error for t in self._threads if t.error),
+                last_refusal=self._last_refusal, trouble="; ".join(t.trouble for t in self._threads if t.trouble),
             )  # fmt: skip
 
     def close(self) -> None:
-        """Share no more; the store stays open."""
+        """Stop sharing; the store stays open."""
         with self._lock:
             self._is_closed = True
         for thread in self._threads:
@@ -160,7 +160,7 @@ class PinSharing:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close()
 
-    # In zenoh's threads: nothing but taking in
+    # In zenoh's threads: only put messages into the buffer
 
     def _heard(self, sample: zenoh.Sample) -> None:
         try:
@@ -299,7 +299,7 @@ class PinSharing:
             left = MAX_ANSWER_BYTES
             for name in names:
                 if name in known and left > 0:
-                    with contextlib.suppress(InputError):  # too large to be shared, which `_serve` says
+                    with contextlib.suppress(InputError):  # too large to be shared, which `_serve` reports
                         payload = messages.pin_to_bytes(known[name][0])
                         left -= len(payload)
                         query.reply(key, payload)
@@ -307,7 +307,7 @@ class PinSharing:
     # In the thread that asks
 
     def _catch_up(self) -> None:
-        """Ask one server whose pins stay unlike ours."""
+        """Ask one server whose pins stay different from ours."""
         server = self._most_unlike()
         if server is None:
             return
@@ -339,7 +339,7 @@ class PinSharing:
         return None
 
     def _wanted(self, server: str) -> list[str]:
-        """Ids of the pins that a server has otherwise than we, but for versions refused before."""
+        """Ids of the pins that differ between a server and this one, except versions refused before."""
         with self._lock:
             if time.monotonic() - self._refused_s > FORGIVE_S:
                 self._refused.clear()
@@ -392,5 +392,5 @@ class PinSharing:
 def share_pins(
     store: PinStore, *, connect: Sequence[str] = (), listen: Sequence[str] = (), tls: Tls | None = None
 ) -> PinSharing | None:
-    """Share a store, or None without an endpoint: for a server that may be told of one. Raises LinkError."""
+    """Share a store, or None without an endpoint: for a server whose options may name one. Raises LinkError."""
     return PinSharing(store, connect=connect, listen=listen, tls=tls) if connect or listen else None

@@ -1,6 +1,6 @@
-"""What ground servers say to each other of their pins: bytes <-> values, nothing believed unchecked. No clock, no link.
+"""What ground servers send to each other of their pins: bytes <-> values, all of them checked. No clock, no link.
 
-docs/wire-format.md, section 12. Whatever is not as written there is an InputError.
+docs/wire-format.md, section 12. Anything that is not as specified there is an InputError.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _IDENTITY = re.compile(rb"[0-9A-Za-z_-]{1,64}")
 
 @dataclass(frozen=True)
 class Said:
-    """What a server says of itself, once a second. `digest` is alike where all pins are alike."""
+    """What a server reports of itself, once a second. `digest` is the same where all pins are the same."""
 
     server: str
     pins: int  # tombstones too
@@ -78,7 +78,7 @@ def pin_from_bytes(payload: bytes) -> Pin:
 
 
 def version_of(pin: Pin) -> bytes:
-    """A few bytes by which versions of a pin are told apart. Its number, each server's own, is not in them."""
+    """A few bytes that identify a version of a pin. Its number, each server's own, is not in them."""
     return hashlib.blake2b(repr(order_of(pin)).encode(), digest_size=VERSION_BYTES).digest()
 
 

@@ -1,8 +1,8 @@
 """Pins and ties in an SQLite file: on disk before a call returns, undone and redone, shared by threads and processes.
 
 Each change is one transaction with what was there before and after, so that undoing is writing back. Nothing is ever
-removed from the file: a deleted pin stays as a tombstone, which other servers must hear of, and its number is not given
-again, because somebody may have said it on the radio.
+removed from the file: a deleted pin stays as a tombstone, which other servers must receive, and its number is not given
+again, because it may have been passed on by radio.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ from ground.pins.model import Category, Pin, PinClick, Tie, check_texts, new_pin
 from ground.pins.ties import TieRefused, judge
 
 MAX_CROP_BYTES = 2_000_000
-# A pin from another server may be stamped so much later than now: clocks differ, but one that lies would win for good.
+# A pin from another server may be at most this far ahead of now: clocks differ, but one far ahead would always win.
 MAX_AHEAD_NS = 86_400_000_000_000
+MAX_NUMBER = 10**9  # that are given again as they came in a file or from another server
 
 _Change = tuple[str, str, str | None, str | None]  # "pin" or "tie", id, before and after as JSON
 
@@ -31,7 +32,7 @@ _Change = tuple[str, str, str | None, str | None]  # "pin" or "tie", id, before 
 class PinStore:
     """A file of pins. Every method may be called from any thread. Raises InputError for what cannot be stored or found.
 
-    `revision` grows with each change of anybody's, in this process or another.
+    `revision` grows with each change by any user, in this process or another.
     """
 
     def __init__(self, path: Path | str, *, now_ns: Callable[[], int] = time.time_ns) -> None:
@@ -40,10 +41,11 @@ class PinStore:
         self._file = PinFile(self.path)
         self._pins: dict[str, Pin] = {}  # tombstones too, by number, as of revision `_seen`
         self._seen = 0
+        self._written_texts: dict[str, Pin] = {}  # of the last change
         self._ties: tuple[int, list[Tie]] = (-1, [])
 
     def close(self) -> None:
-        """Leave the file; what was written is on disk already."""
+        """Close the file; what was written is on disk already."""
         self._file.close()
 
     def __enter__(self) -> PinStore:
@@ -81,10 +83,6 @@ class PinStore:
             and (not who or pin.who == who)
             and pin.created_unix_ns >= since_unix_ns
         ]
-
-    def removed(self) -> list[Pin]:
-        """Tombstones, by number: what other servers must hear of."""
-        return [pin for pin in self._current().values() if pin.is_deleted]
 
     def everything(self) -> list[Pin]:
         """Pins and tombstones of one moment, by number. A pin that has not changed is the same object again."""
@@ -137,13 +135,13 @@ class PinStore:
         """A new pin with the next number; `crop` is of its first click. On disk when this returns."""
         with self._changing(who) as change:
             made = new_pin(self._next_number(), tuple(clicks), name, note, category, who, self._now_ns())
-            Pin.from_dict(made.to_dict())  # whatever could not be read back is not written
+            Pin.from_dict(made.to_dict())  # what could not be read back is not written
             self._keep_crop(made.clicks[:1], crop)
             change(f"pin {made.number} added", [self._written(made)])
         return made
 
     def add_click(self, pin_id: str, click: PinClick, *, who: str = "", crop: bytes | None = None) -> Pin:
-        """The same thing seen once more."""
+        """Add one more click on the same thing."""
 
         def more(pin: Pin) -> Pin:
             self._keep_crop((click,), crop)
@@ -152,7 +150,7 @@ class PinStore:
         return self._modified(pin_id, who, "got a click", more)
 
     def remove_click(self, pin_id: str, click_id: str, *, who: str = "") -> Pin:
-        """Without one of its clicks. Raises InputError if it is none of them, or the only one."""
+        """Remove one of its clicks. Raises InputError if it is none of them, or the only one."""
 
         def fewer(pin: Pin) -> Pin:
             left = tuple(click for click in pin.clicks if click.id != click_id)
@@ -173,7 +171,7 @@ class PinStore:
         note: str | None = None,
         category: Category | None = None,
     ) -> Pin:
-        """Other words; what is None stays."""
+        """Change texts or category; what is None stays the same."""
 
         def edited(pin: Pin) -> Pin:
             return check_texts(
@@ -204,49 +202,54 @@ class PinStore:
     def bring_in(self, pins: Sequence[Pin], *, who: str = "", crops: dict[str, bytes] | None = None) -> int:
         """Pins of a file, as one change, those that are here already only if they are newer. Returns how many."""
         with self._changing(who) as change:
-            items = [self._written(taken) for pin in pins if (taken := self._newer(pin, revive=True)) is not None]
+            held = dict(self._current())
+            numbers = {pin.number for pin in held.values()}
+            highest = max(numbers, default=0)
+            taken: dict[str, Pin] = {}
+            for pin in pins:
+                was = held.get(pin.id)
+                new = self._newer(Pin.from_dict(pin.to_dict()), was, revive=True)
+                if new is None:
+                    continue
+                if was is None and (new.number in numbers or not 1 <= new.number < MAX_NUMBER):
+                    new = replace(new, number=highest + 1)
+                highest = max(highest, new.number)
+                numbers.add(new.number)
+                held[new.id] = taken[new.id] = new
+            items = self._written_all(list(taken.values()))
             for click_id, picture in (crops or {}).items():
                 self._write_crop(click_id, picture)
             if items:
                 change(f"{len(items)} pins imported", items)
         return len(items)
 
-    def merge(self, pin: Pin) -> bool:
-        """A pin of another server, deleted ones too: the last writer wins, by time and then by name.
-
-        Returns whether anything changed. Not undone by anybody here. Raises InputError for a time far ahead of ours.
-        """
-        with self._file.writing():
-            taken = self._newer(pin)
-            if taken is not None:
-                self._file.bump("revision")
-                self._written(taken)
-        return taken is not None
-
     def merge_all(self, pins: Sequence[Pin], most: int) -> tuple[int, list[tuple[Pin, str]]]:
-        """`merge` of many, in one transaction. How many changed anything here; and what was refused, and why.
+        """Pins of another server, deleted ones too, in one transaction: the last writer wins, by time and then by name.
 
-        Pins as `Pin.from_dict` gives them: they are not checked again.
+        How many changed anything here; and what was refused, and why: a time far ahead of ours, or too many pins. Not
+        undone by any user here. Pins as `Pin.from_dict` gives them: they are not checked again.
         `most`: pins and tombstones above which none that is new here is taken.
         """
         changed, refused = 0, []
         with self._file.writing():
             ((held,),) = self._file.rows("SELECT COUNT(*) FROM pins")
             for pin in pins:
+                was = self._held(pin.id)
                 try:
-                    taken = self._newer(pin, is_checked=True)
+                    taken = self._newer(pin, was)
                 except InputError as error:
                     refused.append((pin, str(error)))
                     continue
                 if taken is None:
                     continue
-                is_new = not self._file.rows("SELECT 1 FROM pins WHERE id = ?", pin.id)
-                if is_new and held >= most:
+                if was is None and held >= most:
                     refused.append((pin, f"there are {held} pins already"))
                     continue
+                if was is None and not self._is_free(taken.number):
+                    taken = replace(taken, number=self._next_number())
                 if not changed:
                     self._file.bump("revision")
-                held += is_new
+                held += was is None
                 self._written(taken)
                 changed += 1
         return changed, refused
@@ -268,9 +271,9 @@ class PinStore:
             change(f"tie {tie_id[:8]} deleted", [self._written_tie(tie_id, None)])
 
     def undo(self, *, who: str | None = None) -> str | None:
-        """Take back the last change, or somebody's last one. Returns what it was; None if there is none.
+        """Take back the last change, or the last one of a user. Returns what it was; None if there is none.
 
-        Raises InputError if what it changed has been changed again since, by somebody else.
+        Raises InputError if what it changed has been changed again since, by another user.
         """
         return self._turned("done", "undone", "seq DESC", who)
 
@@ -328,36 +331,44 @@ class PinStore:
             change(f"pin {after.number} {did}", [self._written(after)])
         return after
 
-    def _newer(self, pin: Pin, *, revive: bool = False, is_checked: bool = False) -> Pin | None:
-        """A pin from outside as it is to be written here, with its number if that is free; None if ours is as new."""
-        pin = pin if is_checked else Pin.from_dict(pin.to_dict())
+    def _newer(self, pin: Pin, held: Pin | None, *, revive: bool = False) -> Pin | None:
+        """A pin from outside as it is to be written over `held`, ours of that id; None if ours is as new.
+
+        It keeps our number; of a pin that is new here the number may be taken.
+        """
         if pin.modified_unix_ns > self._now_ns() + MAX_AHEAD_NS:
             raise InputError(f"pin {pin.number} by {pin.modified_by!r}: stamped more than a day ahead of this clock")
-        held = self._held(pin.id)
         if revive and held is not None and held.is_deleted and not pin.is_deleted:
-            # Whoever brings a file in wants what is in it, also what was deleted here since.
+            # A user who imports a file wants what is in it, also what was deleted here since.
             return replace(pin, number=held.number, modified_unix_ns=max(self._now_ns(), held.modified_unix_ns + 1))
         if held is not None and order_of(pin) <= order_of(held):
             return None
-        if held is not None:
-            return replace(pin, number=held.number)
-        taken = self._file.rows("SELECT 1 FROM pins WHERE number = ?", pin.number)
-        is_free = not taken and 1 <= pin.number < 10**9
-        return pin if is_free else replace(pin, number=self._next_number())
+        return pin if held is None else replace(pin, number=held.number)
+
+    def _is_free(self, number: int) -> bool:
+        return 1 <= number < MAX_NUMBER and not self._file.rows("SELECT 1 FROM pins WHERE number = ?", number)
 
     def _held(self, pin_id: str) -> Pin | None:
         rows = self._file.rows("SELECT doc FROM pins WHERE id = ?", pin_id)
         return Pin.from_dict(self._file.json(rows[0][0])) if rows else None
 
     def _written(self, pin: Pin) -> _Change:
-        rows = self._file.rows("SELECT doc FROM pins WHERE id = ?", pin.id)
-        doc = _text(pin.to_dict())
-        self._file.rows(
+        (item,) = self._written_all([pin])
+        return item
+
+    def _written_all(self, pins: Sequence[Pin]) -> list[_Change]:
+        """Of different ids."""
+        revision = self._file.value("revision")
+        before = {p.id: self._file.rows("SELECT doc FROM pins WHERE id = ?", p.id) for p in pins}
+        docs = [_text(pin.to_dict()) for pin in pins]
+        self._file.each(
             "INSERT INTO pins VALUES (?, ?, ?, ?) ON CONFLICT (id) DO UPDATE SET "
             "number = excluded.number, revision = excluded.revision, doc = excluded.doc",
-            pin.id, pin.number, self._file.value("revision"), doc,
-        )  # fmt: skip
-        return "pin", pin.id, rows[0][0] if rows else None, doc
+            [(pin.id, pin.number, revision, doc) for pin, doc in zip(pins, docs, strict=True)],
+        )
+        self._written_texts = dict(zip(docs, pins, strict=True))
+        old = [rows[0][0] if (rows := before[pin.id]) else None for pin in pins]
+        return [("pin", pin.id, was, doc) for pin, was, doc in zip(pins, old, docs, strict=True)]
 
     def _written_tie(self, tie_id: str, doc: str | None) -> _Change:
         """With this content, or deleted."""
@@ -392,11 +403,14 @@ class PinStore:
             if revision == self._seen:
                 return self._pins
             rows = self._file.rows("SELECT doc FROM pins WHERE revision > ?", self._seen)
-            fresh = {pin.id: pin for pin in (Pin.from_dict(self._file.json(doc)) for (doc,) in rows)}
+            # A text that was written here just now need not be read to know what it says.
+            texts = self._written_texts
+            read = (texts[doc] if doc in texts else Pin.from_dict(self._file.json(doc)) for (doc,) in rows)
+            fresh = {pin.id: pin for pin in read}
             known = {**self._pins, **fresh}
             if any(key not in self._pins or self._pins[key].number != pin.number for key, pin in fresh.items()):
                 known = dict(sorted(known.items(), key=lambda item: item[1].number))
-            if not self._file.is_in_transaction:  # nothing is kept that may yet be taken back
+            if not self._file.is_in_transaction:  # nothing is kept that may still be rolled back
                 self._pins, self._seen = known, revision
             return known
 
@@ -410,8 +424,7 @@ class PinStore:
                 "INSERT INTO changes (who, unix_ns, what, state) VALUES (?, ?, ?, 'done') RETURNING seq",
                 who, self._now_ns(), what,
             )  # fmt: skip
-            for item in items:
-                self._file.rows("INSERT INTO changed VALUES (?, ?, ?, ?, ?)", seq, *item)
+            self._file.each("INSERT INTO changed VALUES (?, ?, ?, ?, ?)", [(seq, *item) for item in items])
 
         with self._file.writing():
             self._file.bump("revision")
@@ -423,7 +436,7 @@ def _text(content: dict[str, Any]) -> str:
 
 
 def _content(pin: Pin) -> dict[str, Any]:
-    """What a person sees of a pin, without who touched it last."""
+    """What a user sees of a pin, without the user who changed it last."""
     out = pin.to_dict()
     for name in ("modified_unix_ns", "modified_by", "number"):
         del out[name]
@@ -431,6 +444,6 @@ def _content(pin: Pin) -> dict[str, Any]:
 
 
 def order_of(pin: Pin) -> tuple[int, str, str]:
-    """Which of two versions of a pin is the later one: alike on every server."""
+    """Which of two versions of a pin is the later one: the same on every server."""
     plain = replace(pin, number=0)
     return pin.modified_unix_ns, pin.modified_by, _text(plain.to_dict())

@@ -1,6 +1,6 @@
-"""Ties to known places: a session's slow errors, estimated where they can be seen, taken out elsewhere.
+"""Ties to known places: a session's slow errors, estimated where they can be measured, removed elsewhere.
 
-A tie's click errs by what its answer says beside the surveyed coordinate. As far as other clicks of the session share
+The error of a tie's click is its answer minus the surveyed coordinate. As far as other clicks of the session share
 that error, by (9.13) to (9.15), earlier or later, it is conditioned on all ties together. Equations (17.4), (17.5).
 """
 
@@ -26,12 +26,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Judgement:
-    """How a tie agrees with what its click says of itself and with the ties before it."""
+    """How a tie agrees with the accuracy that its click states and with the ties before it."""
 
     chi2: float
     freedom: int
     misses_m: float  # what is left between click and surveyed place, horizontally, after the earlier ties
-    allowed_m: float  # how much of that would still have been believed
+    allowed_m: float  # how much of that would still have been accepted
     misses_height_m: float | None
 
     @property
@@ -47,9 +47,8 @@ class TieRefused(InputError):
         height = "" if judgement.misses_height_m is None else f" and {judgement.misses_height_m:+.1f} m in height"
         super().__init__(
             f"tie refused: the click misses the surveyed place by {judgement.misses_m:.1f} m{height}, and "
-            f"{judgement.allowed_m:.1f} m that way would still be believed (chi-square {judgement.chi2:.1f} of "
-            f"{judgement.freedom}, at most {limit(CONTRADICTION, judgement.freedom):.1f}): is it the same place, and "
-            "its coordinate in WGS84?"
+            f"{judgement.allowed_m:.1f} m that way would still be believed: is it the same place, and its coordinate "
+            "in WGS84?"
         )
         self.judgement = judgement
 
@@ -85,7 +84,7 @@ def judge(tie: Tie, earlier: Sequence[Tie]) -> Judgement:
     shift, C = condition([tie.click], [_place(tie)], before)
     rows = _rows(tie)
     d = _difference(tie) - shift[rows]
-    # A place that was tied before has one survey error, which is in `shift` as far as it could be told.
+    # A place that was tied before has one survey error, which is in `shift` as far as it could be estimated.
     V = C[0][np.ix_(rows, rows)] + _survey(tie)[np.ix_(rows, rows)]
     chi2 = float(d @ np.linalg.solve(V, d))
     freedom = len(rows)
@@ -97,7 +96,7 @@ def judge(tie: Tie, earlier: Sequence[Tie]) -> Judgement:
 def condition(
     clicks: Sequence[PinClick], spots: Sequence[object], ties: Sequence[Tie]
 ) -> tuple[Array, tuple[Array, Array]]:
-    """What to take off the clicks' positions (3 N,), and the joint covariances (3 N, 3 N) that are left. (17.4)
+    """What to subtract from the clicks' positions (3 N,), and the joint covariances (3 N, 3 N) that are left. (17.4)
 
     Two of them, as in `shared.joint_covariances`.
     """
@@ -113,21 +112,21 @@ def condition(
             if k == m or _place(one) == _place(other):
                 survey[3 * k : 3 * k + 3, 3 * m : 3 * m + 3] = np.sqrt(_survey(one) * _survey(other))
     S = survey[np.ix_(rows - n, rows - n)]
-    # The gain as if nothing of the clicks' own were alike, and what is left of either by that gain.
+    # The gain as if the clicks' own errors were not correlated, and what is left of both covariances with that gain.
     gain = np.linalg.solve(both[0][np.ix_(rows, rows)] + S, both[0][rows, :n]).T
     left = [_left(C[:n, :n], C[rows, :n], C[np.ix_(rows, rows)] + S, gain) for C in both]
     return gain @ d, (left[0], left[1])
 
 
 def _left(C: Array, cross: Array, V: Array, gain: Array) -> Array:
-    """Covariance of what is left when `gain` times what the ties say is taken off."""
+    """Covariance of what is left when `gain` times the ties' measured errors is subtracted."""
     off = gain @ cross
     out: Array = C - off - off.T + gain @ V @ gain.T
     return out
 
 
 def _difference(tie: Tie) -> Array:
-    """The click's answer less the surveyed place, east, north and, where it is known, up."""
+    """The click's answer minus the surveyed place, east, north and, where it is known, up."""
     c = tie.click
     known = c.height_amsl_m if tie.datum == "amsl" else c.height_ellipsoid_m
     height = known if known is not None else c.height_amsl_m if c.height_amsl_m is not None else c.height_ellipsoid_m

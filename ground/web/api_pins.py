@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import math
 import time
+from datetime import datetime
 from typing import Annotated, Any
 
 from fastapi import APIRouter, HTTPException, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from ground.answer import Fix
+from ground.formats.imported import unix_ns_of
 from ground.pins.fusion import Vector
 from ground.pins.model import MAX_NAME, MAX_NOTE, MAX_WHO, Category, Pin, PinClick
 from ground.pins.ties import TieRefused, tie_of
@@ -29,6 +31,7 @@ class NewPin(BaseModel):
     lon_deg: float | None = Field(default=None, ge=-180, le=180)
     height_amsl_m: float | None = Field(default=None, ge=-1000, le=100_000)
     sigma_m: float | None = Field(default=None, gt=0, le=100_000)
+    seen_utc: datetime | None = None  # when it was seen, if that is known; of a click the picture gives it
     name: str = Field(default="", max_length=MAX_NAME)
     note: str = Field(default="", max_length=MAX_NOTE)
     category: Category = Category.POI
@@ -36,9 +39,10 @@ class NewPin(BaseModel):
 
 
 class MoreClick(ClickBody):
-    """One more click on a pin's thing."""
+    """One more click on a pin's thing. `anyway`: add it even if it contradicts the others."""
 
     who: str = Field(default="", max_length=MAX_WHO)
+    anyway: bool = False
 
 
 class Edit(BaseModel):
@@ -88,8 +92,10 @@ def pins_router(desk: Desk) -> APIRouter:
         vehicle: Annotated[str, Query(max_length=200)] = "",
         who: WhoQuery = "",
     ) -> Response:
+        revision = store.revision  # before they are read: the pins are at least as new
         found = store.pins(category=category, text=text, vehicle=vehicle, who=who)
-        return _json(f'{{"pins":{desk.pins_text(found)},"ties":{json.dumps(desk.ties_json())}}}')
+        texts, ties = desk.pins_text(found), json.dumps(desk.ties_json())
+        return _json(f'{{"revision":{revision},"pins":{texts},"ties":{ties}}}')
 
     @router.post("/pins", status_code=201, summary="A pin at a click (422 with the reason if it is refused)")
     def add(body: NewPin) -> Response:
@@ -103,50 +109,62 @@ def pins_router(desk: Desk) -> APIRouter:
         elif body.lat_deg is None or body.lon_deg is None:
             raise HTTPException(422, "a pin needs a click, or lat_deg and lon_deg")
         else:
+            seen_unix_ns = None if body.seen_utc is None else unix_ns_of(body.seen_utc.isoformat())
             made = PinClick.entered(
-                body.lat_deg, body.lon_deg, height_amsl_m=body.height_amsl_m, sigma_m=body.sigma_m, who=body.who
-            )
+                body.lat_deg, body.lon_deg, height_amsl_m=body.height_amsl_m, sigma_m=body.sigma_m, who=body.who,
+                seen_unix_ns=seen_unix_ns,
+            )  # fmt: skip
         pin = store.add(
             [made], name=body.name, note=body.note, category=body.category, who=body.who, crop=desk.crop_of(made)
         )
-        desk.told(pin)
+        desk.changed(pin.id)
         return _reply(pin, answer)
 
     @router.get("/pins/{pin_id}", summary="One pin")
     def one(pin_id: str) -> Response:
-        return _json(desk.pin_text(desk.pin(pin_id)))
+        return _json(desk.pin_text(pin_id))
 
-    @router.post("/pins/{pin_id}/clicks", status_code=201, summary="One more click on the same thing")
+    @router.post(
+        "/pins/{pin_id}/clicks",
+        status_code=201,
+        summary="One more click on the same thing (409 with the distance if it contradicts the others)",
+    )
     def add_click(pin_id: str, body: MoreClick) -> Response:
-        desk.pin(pin_id)
+        pin = desk.pin(pin_id)
         clicked = _clicked(body)
         answer = answer_json(clicked.answer.to_json())
         made = desk.pin_click(clicked, body.u, body.v, body.who)
         if made is None:
             return _reply(None, answer)
+        if not body.anyway and (apart_m := desk.contradicts(pin, made)) is not None:
+            reason = (
+                f"this click is {apart_m:.0f} m from pin {pin.number}, more than the errors of both explain: "
+                "it is another thing, or beside the mark"
+            )
+            return _json(json.dumps({"pin": None, "answer": answer, "apart_m": apart_m, "reason": reason}), 409)
         pin = store.add_click(pin_id, made, who=body.who, crop=desk.crop_of(made))
-        desk.told(pin)
+        desk.changed(pin.id)
         return _reply(pin, answer)
 
     @router.delete("/pins/{pin_id}/clicks/{click_id}", summary="Take a click off a pin")
     def remove_click(pin_id: str, click_id: str, who: WhoQuery = "") -> Response:
         desk.pin(pin_id)
         pin = store.remove_click(pin_id, click_id, who=who)
-        desk.told(pin)
-        return _json(desk.pin_text(pin))
+        desk.changed(pin.id)
+        return _json(desk.pin_text(pin.id))
 
     @router.patch("/pins/{pin_id}", summary="Change name, note or category")
     def edit(pin_id: str, body: Edit) -> Response:
         desk.pin(pin_id)
         pin = store.edit(pin_id, who=body.who, name=body.name, note=body.note, category=body.category)
-        desk.told(pin)
-        return _json(desk.pin_text(pin))
+        desk.changed(pin.id)
+        return _json(desk.pin_text(pin.id))
 
     @router.delete("/pins/{pin_id}", summary="Delete a pin; undo brings it back")
     def delete(pin_id: str, who: WhoQuery = "") -> dict[str, Any]:
         desk.pin(pin_id)
         store.delete(pin_id, who=who)
-        desk.told_deleted(pin_id)
+        desk.changed(pin_id)
         return {"deleted": pin_id}
 
     @router.get("/pins/{pin_id}/crop", summary="The picture around its newest click", response_class=Response)
@@ -169,13 +187,15 @@ def pins_router(desk: Desk) -> APIRouter:
     @router.post("/undo", summary="Take back one's own last change")
     def undo(body: Who) -> dict[str, str | None]:
         said = store.undo(who=body.who)
-        desk.told()
+        if said is not None:
+            desk.changed()
         return {"undone": said}
 
     @router.post("/redo", summary="Make it again")
     def redo(body: Who) -> dict[str, str | None]:
         said = store.redo(who=body.who)
-        desk.told()
+        if said is not None:
+            desk.changed()
         return {"redone": said}
 
     @router.get("/ties", summary="All ties")
@@ -210,13 +230,13 @@ def pins_router(desk: Desk) -> APIRouter:
             j = refused.judgement
             allowed = j.allowed_m if math.isfinite(j.allowed_m) else None
             return {"tie": None, "reason": str(refused), "misses_m": j.misses_m, "allowed_m": allowed}
-        desk.told()
+        desk.changed()
         return {"tie": tie_json(tie)}
 
     @router.delete("/ties/{tie_id}", summary="Delete a tie: pins are where they were without it")
     def delete_tie(tie_id: str, who: WhoQuery = "") -> dict[str, Any]:
         store.delete_tie(tie_id, who=who)
-        desk.told()
+        desk.changed()
         return {"deleted": tie_id}
 
     def _clicked(body: ClickBody) -> Clicked:
@@ -224,8 +244,11 @@ def pins_router(desk: Desk) -> APIRouter:
 
     def _reply(pin: Pin | None, answer: dict[str, Any] | None) -> Response:
         """A pin, or why there is none, with the click's answer."""
-        text = "null" if pin is None else desk.pin_text(pin)
-        return _json(f'{{"pin":{text},"answer":{json.dumps(answer)}}}', 422 if pin is None else 201)
+        revision = store.revision
+        text = "null" if pin is None else desk.pin_text(pin.id)
+        return _json(
+            f'{{"revision":{revision},"pin":{text},"answer":{json.dumps(answer)}}}', 422 if pin is None else 201
+        )
 
     return router
 

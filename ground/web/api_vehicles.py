@@ -1,4 +1,4 @@
-"""Vehicles, their pictures and what is drawn on them, and clicks."""
+"""Vehicles, their pictures and what the page draws on them, and clicks."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ from typing import Annotated, Any
 from fastapi import APIRouter, HTTPException, Path, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from contract.error_sources import in_a_line
 from contract.feature_set import FeatureSet
 from ground.answer import EXPLANATIONS, Fix
 from ground.circular_error import ce90_m
+from ground.pins.fusion import Place
 from ground.web.advice import ADVICE
 from ground.web.desk import Desk
+from ground.web.pin_json import place_json
 from ground.web.source import FrameRow, VehicleReport
 from ground.web.view import camera_place, frame_view
 
@@ -86,12 +89,22 @@ def vehicles_router(desk: Desk) -> APIRouter:
         clicked = desk.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
         return Response(clicked.answer.to_json(), media_type="application/json")
 
+    @router.post("/place", summary="Where a pin at a pixel would be, ties applied, and how sure; nothing is kept")
+    def place(body: ClickBody) -> dict[str, Any]:
+        clicked = desk.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
+        made = desk.pin_click(clicked, body.u, body.v, "")
+        found = None if made is None else desk.places.of_clicks([made])
+        if isinstance(found, Place) and made is not None:
+            return {"status": "ok", "method": made.method, **place_json(found)}
+        return answer_json(clicked.answer.to_json())
+
     @router.get("/status", summary="How the server and all vehicles are")
     def status() -> dict[str, Any]:
         return {
             "source": source.name,
             "is_live": source.is_live,
             "damage": source.damage()[:20],
+            "no_pictures": source.no_pictures(),
             "sharing": desk.sharing_words(),
             "up_s": round(time.time() - desk.started_unix_s, 1),
             "browsers": len(desk.hub),
@@ -105,7 +118,7 @@ def vehicles_router(desk: Desk) -> APIRouter:
 
     def _before(found: FeatureSet) -> list[FeatureSet]:
         rows: list[FrameRow] = []
-        for newest in (NEAR, None):  # mostly it is one of the newest, and an hour's pictures are many
+        for newest in (NEAR, None):  # mostly it is one of the newest, and an hour has many pictures
             rows = [r for r in source.frames(found.vehicle, newest) if r.capture_unix_ns < found.capture_unix_ns]
             if len(rows) >= EARLIER:
                 break
@@ -148,6 +161,8 @@ def vehicle_json(desk: Desk, vehicle: str) -> dict[str, Any]:
         "words": _words(report, found),
         "is_lost": report.heard_age_s is not None and report.heard_age_s > LOST_S,
         "picture_age_s": _rounded(report.picture_age_s),
+        "clock_unix_ns": _clock(report, found),
+        "place": None if found is None else camera_place(found),
         "heard_age_s": _rounded(report.heard_age_s),
         "sets_hz": _rounded(report.sets_hz),
         "kbit_s": None if report.bit_rate is None else round(report.bit_rate / 1000.0, 1),
@@ -157,6 +172,7 @@ def vehicle_json(desk: Desk, vehicle: str) -> dict[str, Any]:
         "cpu_c": None if said is None else said.cpu_c,
         "recording": None if said is None else said.recording,
         "trouble": report.trouble,
+        "radius": "" if said is None else in_a_line(said.fractions),
     }
 
 
@@ -167,6 +183,13 @@ def _state(report: VehicleReport, found: FeatureSet | None) -> str:
     is_old = report.heard_age_s is not None and (report.picture_age_s or 0.0) > STALE_S
     is_well = report.status is None or report.status.state in ("ok", "at rest")
     return "well" if is_well and not is_old and found is not None and found.is_ok else "warning"
+
+
+def _clock(report: VehicleReport, found: FeatureSet | None) -> str | None:
+    """What the aircraft's clock, by which captures are stamped, shows now: a picture's age is the difference."""
+    if found is None or report.picture_age_s is None:
+        return None
+    return str(found.capture_unix_ns + round(report.picture_age_s * 1e9))
 
 
 def _words(report: VehicleReport, found: FeatureSet | None) -> str:
@@ -191,7 +214,7 @@ def _rounded(value: float | None) -> float | None:
 
 
 def answer_json(text: str) -> dict[str, Any]:
-    """A click's JSON line as an object, with what would help beside it."""
+    """A click's JSON line as an object, with advice added."""
     said: dict[str, Any] = json.loads(text)
     said["advice"] = next((ADVICE[s] for s in ADVICE if s.value == said["status"]), "")
     return said

@@ -10,20 +10,20 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 from fastapi import FastAPI, HTTPException, Request, Response, WebSocket, WebSocketDisconnect
+from fastapi.exceptions import RequestValidationError
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, PlainTextResponse
 from starlette.types import ASGIApp
 
 from contract.errors import PointclickError
+from ground.web.api_import import import_router
 from ground.web.api_pins import pins_router
-from ground.web.api_vehicles import row_json, vehicle_json, vehicles_router
+from ground.web.api_vehicles import vehicles_router
 from ground.web.desk import Desk, NotThere
 from ground.web.guard import Guard, Rules
 from ground.web.handoff import handoff_router
 from ground.web.tiles import MbTiles
+from ground.web.watch import Watch
 
-WATCH_S = 0.04  # between looks at the source: a new picture is told of so soon
-STATUS_S = 1.0
-SPARE_ROWS, MOST_ROWS = 8, 500
 _MEDIA = {
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
@@ -35,16 +35,14 @@ _ASSET = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*")
 
 
 def create_app(desk: Desk, rules: Rules) -> ASGIApp:
-    """An ASGI application. The desk stays the caller's to close."""
+    """An ASGI application. The caller closes the server context."""
 
     @contextlib.asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
         desk.hub.start()
-        watching = asyncio.create_task(_watch(desk))
+        watch = Watch(desk)
         yield
-        watching.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await watching
+        await asyncio.to_thread(watch.close)
 
     app = FastAPI(
         title="pointclick ground station",
@@ -55,12 +53,16 @@ def create_app(desk: Desk, rules: Rules) -> ASGIApp:
         openapi_url="/api/openapi.json",
         description="Pictures, clicks and pins. Angles in degrees (WGS84), lengths in metres, times in UTC.",
     )
-    for router in (vehicles_router(desk), pins_router(desk), handoff_router(desk)):
+    for router in (vehicles_router(desk), pins_router(desk), handoff_router(desk), import_router(desk)):
         app.include_router(router, prefix="/api")
 
     @app.exception_handler(PointclickError)
     async def refused(_: Request, error: PointclickError) -> JSONResponse:
         return JSONResponse({"detail": str(error)}, status_code=404 if isinstance(error, NotThere) else 422)
+
+    @app.exception_handler(RequestValidationError)
+    async def no_such_body(_: Request, error: RequestValidationError) -> JSONResponse:
+        return JSONResponse({"detail": _in_a_line(error)}, status_code=422)
 
     @app.websocket("/api/events")
     async def events(socket: WebSocket) -> None:
@@ -74,17 +76,23 @@ def create_app(desk: Desk, rules: Rules) -> ASGIApp:
             while True:
                 await socket.send_text(await queue.get())
 
-        sending = asyncio.create_task(send())
-        try:
+        async def receive() -> None:
             while True:
                 await socket.receive_text()
-        except (WebSocketDisconnect, RuntimeError):
-            pass
+
+        # One that ends, for any reason, ends the other: the browser notices and connects again.
+        both = asyncio.create_task(send()), asyncio.create_task(receive())
+        try:
+            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
         finally:
             desk.hub.leave(queue)
-            sending.cancel()
-            with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
-                await sending
+            for task in both:
+                task.cancel()
+            await asyncio.wait(both)
+        for task in both:
+            error = None if task.cancelled() else task.exception()
+            if error is not None and not isinstance(error, (WebSocketDisconnect, RuntimeError)):
+                raise error
 
     @app.get("/api", include_in_schema=False)
     def about() -> HTMLResponse:
@@ -98,7 +106,7 @@ def create_app(desk: Desk, rules: Rules) -> ASGIApp:
         file = desk.static / name
         if _ASSET.fullmatch(name) is None or not file.is_file():
             return PlainTextResponse("there is nothing here\n", status_code=404)
-        # Every build names its files anew but for the page itself.
+        # Every build gives its files new names, except the page itself.
         is_named_by_content = re.search(r"-[A-Z0-9]{8}\.", name) is not None
         headers = {"cache-control": "public, max-age=31536000, immutable" if is_named_by_content else "no-cache"}
         media = _MEDIA.get(file.suffix, "application/octet-stream")
@@ -110,6 +118,17 @@ def create_app(desk: Desk, rules: Rules) -> ASGIApp:
         return FileResponse(file, media_type=media, headers=headers)
 
     return Guard(app, rules)
+
+
+def _in_a_line(error: RequestValidationError) -> str:
+    """What is wrong with a request: which field, and why, without what was sent."""
+    wrong = error.errors()
+    if wrong[0]["type"] == "json_invalid":
+        return "the body is no JSON"
+    where = ".".join(str(part) for part in wrong[0]["loc"] if part not in ("body", "query", "path"))
+    more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
+    text = f"{where[:80]}: {wrong[0]['msg']}{more}" if where else f"{wrong[0]['msg']}{more}"
+    return text.encode("ascii", "replace").decode()
 
 
 def _add_tiles(app: FastAPI, desk: Desk) -> None:
@@ -133,42 +152,6 @@ def _add_tiles(app: FastAPI, desk: Desk) -> None:
                 raise HTTPException(404, "no tile there")
             headers = {"content-encoding": "gzip"} if found[1] else {}
             return Response(found[0], media_type=file.media_type, headers=headers)
-
-
-async def _watch(desk: Desk) -> None:
-    """Tell browsers of new pictures at once, and of everybody's state once a second."""
-    versions: dict[str, int] = {}
-    status_in_s = 0.0
-    while True:
-        status_in_s -= WATCH_S
-        changed = []
-        for vehicle in desk.source.vehicles():
-            version = desk.source.version(vehicle)
-            before = versions.get(vehicle)
-            if before != version:
-                versions[vehicle] = version
-                # As many as came since, and some before: of sets that come out of order, or better.
-                changed.append((vehicle, SPARE_ROWS + min(max(version - (before or 0), 0), MOST_ROWS)))
-        if len(desk.hub):
-            for vehicle, count in changed:
-                rows = await asyncio.to_thread(_newest_rows, desk, vehicle, count)
-                desk.hub.tell({"type": "frames", "vehicle": vehicle, "frames": rows})
-            if status_in_s <= 0.0:
-                status_in_s = STATUS_S
-                if await asyncio.to_thread(desk.changed_elsewhere):
-                    desk.hub.tell({"type": "pins"})
-                desk.hub.tell(await asyncio.to_thread(_status, desk))
-        await asyncio.sleep(WATCH_S)
-
-
-def _newest_rows(desk: Desk, vehicle: str, count: int) -> list[dict[str, Any]]:
-    """The last pictures: what browsers lack."""
-    return [row_json(row) for row in desk.source.frames(vehicle, count)]
-
-
-def _status(desk: Desk) -> dict[str, Any]:
-    vehicles = [vehicle_json(desk, name) for name in desk.source.vehicles()]
-    return {"type": "status", "vehicles": vehicles, "damage": desk.source.damage()[:5], "sharing": desk.sharing_words()}
 
 
 def _api_page(schema: dict[str, Any]) -> str:

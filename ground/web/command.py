@@ -22,7 +22,7 @@ EXAMPLES = """examples:
   pc-ground web --share-listen tcp/0.0.0.0:7448            share pins: others say --share-connect tcp/THIS:7448
   pc-ground web --host 0.0.0.0                             for tablets on this network, with a token and a QR code
 """
-NEEDED = ("fastapi", "uvicorn", "websockets", "PIL", "segno")
+NEEDED = ("fastapi", "uvicorn", "websockets", "PIL", "segno", "mcap")
 MIN_TOKEN = 16
 STATIC = Path(__file__).parent / "static"
 
@@ -57,12 +57,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--host", default="127.0.0.1", metavar="ADDRESS", help="address to serve on (default 127.0.0.1)"
     )
+    add_page_arguments(parser)
+    parser.set_defaults(port=PORT)
+    parser.add_argument("--browser", action="store_true", help="open the page in this machine's browser")
     parser.add_argument(
-        "--port", type=_port, default=PORT, metavar="N", help=f"port to serve on (default {PORT}; 0: any)"
+        "--journal",
+        type=Path,
+        metavar="DIR",
+        help="where what crosses the link is kept, so that a restart forgets nothing (default: beside the pins)",
     )
-    parser.add_argument(
-        "--pins", type=Path, metavar="FILE", help="where pins are kept (default: beside your other data)"
-    )
+    parser.add_argument("--no-journal", action="store_true", help="keep nothing of the link")
     for name, meaning in (("listen", "others connect to"), ("connect", "another server shares at")):
         parser.add_argument(
             f"--share-{name}",
@@ -81,20 +85,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--name", action="append", default=[], metavar="NAME", help="a host name that browsers may use")
     parser.add_argument("--tls-certificate", type=Path, metavar="FILE.pem", help="serve https with this certificate")
     parser.add_argument("--tls-key", type=Path, metavar="FILE.pem", help="and this private key")
+
+
+def add_page_arguments(parser: argparse.ArgumentParser) -> None:
+    """What `open` takes too."""
+    parser.add_argument("--port", type=_port, metavar="N", help=f"port to serve on (default {PORT}; 0: any)")
+    parser.add_argument(
+        "--pins", type=Path, metavar="FILE", help="where pins are kept (default: beside your other data)"
+    )
     parser.add_argument("--tiles", metavar="FILE|URL", help="base map: FILE.pmtiles, FILE.mbtiles or a URL")
 
 
-def run(args: argparse.Namespace) -> int:
-    """Serve until it is told to end. Raises PointclickError before anything is served."""
+def check_installed() -> None:
+    """Raise WebError if the page cannot be served here, with what to install."""
     missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
     if missing:
-        raise WebError(f"the page needs {', '.join(missing)}: pip install 'pointclick[web]'")
+        raise WebError(
+            f"the page needs {', '.join(missing)}: install pointclick with its extra [web] or [open] (README)"
+        )
+    if not (STATIC / "index.html").is_file():
+        raise WebError(
+            f"the page is not in {STATIC}: it was not built; run make web in the checkout, and install again"
+        )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until a signal ends it. Raises PointclickError before anything is served."""
+    check_installed()
     if args.video is None and (args.video_vehicle is not None or args.video_delay is not None):
         raise WebError("--video-vehicle and --video-delay go with --video")
+    if args.recording is not None and args.journal is not None:
+        raise WebError("--journal is for a live link: a recording is one already")
     if args.video is not None and importlib.util.find_spec("cv2") is None:
-        raise WebError("--video needs opencv-python-headless: pip install 'pointclick[web,video]'")
-    if not (STATIC / "index.html").is_file():
-        raise WebError(f"the page is not in {STATIC}: this is a checkout in which it was never built; run make web")
+        raise WebError("--video needs opencv-python-headless: install pointclick with its extra [video] too (README)")
     if (args.tls_certificate is None) != (args.tls_key is None):
         raise WebError("--tls-certificate and --tls-key go together")
     for file in (args.tls_certificate, args.tls_key):
@@ -106,7 +129,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def token_of(args: argparse.Namespace) -> str:
-    """The token that is asked for; empty for none. Raises WebError for one that could be guessed."""
+    """The token that is asked for; empty for none. Raises WebError for one that is easy to guess."""
     from ground.web.guard import is_loopback  # noqa: PLC0415
 
     said: str | None = args.token

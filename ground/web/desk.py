@@ -1,4 +1,4 @@
-"""What all requests share: the source, the pins and who is told of changes."""
+"""What all requests share, the server context: the source, the pins and who gets events of changes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from contract.errors import InputError
 from ground.answer import Fix
-from ground.pins.fusion import Fused
+from ground.pins.fusion import Contradiction, Fused, Place, between
 from ground.pins.model import Pin, PinClick
 from ground.pins.places import Places
 from ground.pins.store import PinStore
@@ -53,12 +53,12 @@ class Desk:
         self._revision = self.store.revision
         self._lock = threading.Lock()
 
-    def pin_text(self, pin: Pin) -> str:
-        """A pin with its place, as JSON."""
-        return self.pins_text([pin])[1:-1]
+    def pin_text(self, pin_id: str) -> str:
+        """A pin with its place as it is now, as JSON. Raises NotThere if there is none."""
+        return self.pins_text([self.pin(pin_id)])[1:-1]
 
     def pins_text(self, pins: Sequence[Pin]) -> str:
-        """Many, as a JSON list. Only those that have changed are written anew: there may be ten thousand."""
+        """Many, as a JSON list. Only those that have changed are written again: there may be ten thousand."""
         texts = []
         for pin, place in zip(pins, self.places.of(pins), strict=True):
             held = self._texts.get(pin.id)
@@ -85,6 +85,14 @@ class Desk:
             return None
         return PinClick.of(clicked.feature_set, clicked.answer, (u_px, v_px), who=who, locator=clicked.locator)
 
+    def contradicts(self, pin: Pin, click: PinClick) -> float | None:
+        """Distance (m) of a click from a pin that would have no place with it; None if it fits."""
+        before, after = self.places.place(pin), self.places.with_click(pin, click)
+        alone = self.places.of_clicks([click])
+        if not (isinstance(before, Place) and isinstance(alone, Place) and isinstance(after, Contradiction)):
+            return None
+        return between(before, alone, None).distance_m
+
     def crop_of(self, click: PinClick) -> bytes | None:
         """The picture around a click; None where there is no picture."""
         if click.frame is None or click.u_px is None or click.v_px is None:
@@ -100,25 +108,27 @@ class Desk:
 
         return self._cropper.crop(key, read, click.u_px, click.v_px, found.camera.size_px)
 
-    def told(self, *pins: Pin) -> None:
-        """Say to all browsers that these pins are as they are now; without any, that all may have changed."""
-        with self._lock:
-            self._revision = self.store.revision
-        if pins:
-            for pin in pins:
-                self.hub.tell_from_thread(f'{{"type":"pin","pin":{self.pin_text(pin)}}}')
-        else:
-            self.hub.tell_from_thread('{"type":"pins"}')
+    def changed(self, pin_id: str | None = None) -> None:
+        """One change was made here: report to all browsers the pin as it is now, or that any may have changed.
 
-    def told_deleted(self, pin_id: str) -> None:
-        """Say that a pin is gone."""
+        Events of concurrent changes may leave in any order. So each has the store's revision, read before the pin: an
+        event with a higher one is at least as new, and the page takes no older one after it.
+        """
         with self._lock:
-            self._revision = self.store.revision
-        self._texts.pop(pin_id, None)
-        self.hub.tell_from_thread(json.dumps({"type": "pin_deleted", "id": pin_id}))
+            self._revision += 1
+        if pin_id is None:
+            self.hub.tell_from_thread('{"type":"pins"}')
+            return
+        revision = self.store.revision
+        try:
+            event = f'{{"type":"pin","revision":{revision},"pin":{self.pin_text(pin_id)}}}'
+        except NotThere:
+            self._texts.pop(pin_id, None)
+            event = json.dumps({"type": "pin_deleted", "revision": revision, "id": pin_id})
+        self.hub.tell_from_thread(event)
 
     def changed_elsewhere(self) -> bool:
-        """Whether another program has changed the pins since this was asked last."""
+        """Whether anything but requests here has changed the pins since this was asked last. Raises InputError."""
         with self._lock:
             before, self._revision = self._revision, self.store.revision
             return before != self._revision

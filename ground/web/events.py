@@ -1,4 +1,4 @@
-"""What browsers are told as it happens: one bounded queue each; one that does not keep up is told to fetch anew."""
+"""Events sent to browsers at once: one bounded queue each; one that does not keep up must fetch everything again."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Hub:
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def start(self) -> None:
-        """Remember the running loop."""
+        """Store the running loop."""
         self._loop = asyncio.get_running_loop()
 
     def __len__(self) -> int:
@@ -39,7 +39,7 @@ class Hub:
 
     def tell(self, event: dict[str, Any] | str) -> None:
         """To every browser: an object, or its JSON."""
-        text = event if isinstance(event, str) else json.dumps(event, separators=(",", ":"))
+        text = _text(event)
         for queue in self._queues:
             if queue.full():
                 while not queue.empty():
@@ -48,6 +48,10 @@ class Hub:
             queue.put_nowait(text)
 
     def tell_from_thread(self, event: dict[str, Any] | str) -> None:
-        """The same, from a request's thread."""
+        """The same, from any thread."""
         if self._loop is not None and not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self.tell, event)
+            self._loop.call_soon_threadsafe(self.tell, _text(event))
+
+
+def _text(event: dict[str, Any] | str) -> str:
+    return event if isinstance(event, str) else json.dumps(event, separators=(",", ":"))

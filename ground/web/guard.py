@@ -19,12 +19,13 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 COOKIE = "pointclick_token"
 MAX_BODY_BYTES = 4_000_000
+IMPORT_PATH, MAX_IMPORT_BYTES = "/api/import", 200_000_000  # ten thousand pins with their pictures
 _HOST = re.compile(r"^(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9._-]+)(?::(\d{1,5}))?$")
 
 
 @dataclass(frozen=True)
 class Rules:
-    """`token` empty: none is asked for. `names`: host names that are allowed beside addresses and localhost.
+    """`token` empty: none is asked for. `names`: host names that are allowed in addition to addresses and localhost.
 
     `tile_origin`: the one other origin that the page may load from, the base map's; empty for none.
     """
@@ -44,7 +45,7 @@ class Rules:
         )
 
     def allows_host(self, header: str) -> bool:
-        """Whether a Host header names this server and not somebody's name for it."""
+        """Whether a Host header has an allowed name of this server, not another name that leads to it."""
         found = _HOST.match(header)
         if found is None:
             return False
@@ -73,7 +74,7 @@ class Guard:
         ]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass on what may be."""
+        """Pass on a request that is allowed."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -102,8 +103,9 @@ class Guard:
         if headers.get("sec-fetch-site", "none") == "cross-site" and not (is_navigation and scope["method"] == "GET"):
             return 403, "requests from other sites are refused"
         length = headers.get("content-length", "0")
-        if not length.isdecimal() or int(length) > MAX_BODY_BYTES:
-            return 413, f"at most {MAX_BODY_BYTES} bytes"
+        most = MAX_IMPORT_BYTES if scope["path"] == IMPORT_PATH else MAX_BODY_BYTES
+        if not length.isdecimal() or int(length) > most:
+            return 413, f"at most {most} bytes"
         # A body without a length could be endless, and no client of ours sends one.
         if "transfer-encoding" in headers:
             return 411, "say the body's length"

@@ -7,13 +7,14 @@ import math
 from collections.abc import Callable
 from typing import Annotated, Any
 
-import segno
 from fastapi import APIRouter, HTTPException, Query, Response
 
 from contract.errors import InputError
-from ground.formats.coordinates import Projection, latlon_text, mgrs_text, utm_text
+from ground.answer import time_utc
+from ground.formats.coordinates import Projection
 from ground.formats.documents import FORMATS
 from ground.formats.mark import Mark
+from ground.formats.rounded import decimals, rounded_text, spoken_mgrs
 from ground.pins.fusion import Vector
 from ground.pins.model import Category, Pin
 from ground.web.desk import Desk, NotThere
@@ -24,6 +25,13 @@ _TITLES = {
     Category.FIRE: "Fire",
     Category.HAZARD: "Hazard",
     Category.POI: "Point of interest",
+}
+_FORMS = {
+    "degrees": "Degrees",
+    "minutes": "Degrees, minutes",
+    "seconds": "Deg, min, sec",
+    "mgrs": "MGRS / USNG",
+    "utm": "UTM",
 }
 
 
@@ -52,6 +60,8 @@ def handoff_router(desk: Desk) -> APIRouter:
         mark = Mark.of_pin(pin, desk.places.place(pin))
         if not mark.is_placed:
             raise HTTPException(409, f"pin {pin.number} has no position to hand on: {mark.reason}")
+        import segno  # noqa: PLC0415  no page waits for it
+
         out = io.BytesIO()
         segno.make(geo_uri(mark), error="m").save(out, kind="svg", border=2, scale=4, dark="#000", light="#fff")
         return Response(out.getvalue(), media_type="image/svg+xml")
@@ -69,7 +79,7 @@ def handoff_router(desk: Desk) -> APIRouter:
 
 
 def up(metres: float) -> float:
-    """To a tenth, never smaller than it is: what is said of the accuracy is not surer than what is known."""
+    """To a tenth, never smaller than it is: the stated accuracy is never better than the known one."""
     return math.ceil(metres * 10.0 - 1e-9) / 10.0
 
 
@@ -81,31 +91,34 @@ def geo_uri(mark: Mark) -> str:
 
 
 def readback(mark: Mark) -> str:
-    """What is said over the radio: short groups, digits apart, nothing that the ear could miss."""
+    """The text to read over the radio: short groups, single digits, hard to misunderstand."""
     lat, lon = mark.position
-    radius = "unknown" if mark.ce90_m is None else f"{-(-mark.ce90_m // 1):.0f} metres, 90 percent"
     lines = [f"{_TITLES[Category(mark.category)]}, number {mark.number}{f', {mark.name}' if mark.name else ''}."]
+    if square := spoken_mgrs(lat, lon, mark.ce90_m):
+        lines.append(f"M G R S: {square}.")
+    places = min(decimals("degrees", mark.ce90_m), 5)
     for word, value, letters in (("Latitude", lat, ("North", "South")), ("Longitude", lon, ("East", "West"))):
-        whole, _, rest = f"{abs(value):.5f}".partition(".")
-        groups = f"{' '.join(whole)} decimal {' '.join(rest[:3])}, {' '.join(rest[3:])}"
-        lines.append(f"{word}: {letters[value < 0.0]} {groups}.")
-    lines.append(f"Within {radius}." if mark.ce90_m is not None else "Accuracy unknown.")
+        whole, _, rest = f"{abs(value):.{places}f}".partition(".")
+        groups = ", ".join(" ".join(rest[k : k + 3]) for k in range(0, len(rest), 3))
+        lines.append(f"{word}: {letters[value < 0.0]} {' '.join(whole)} decimal {groups}.")
+    within = None if mark.ce90_m is None else -(-mark.ce90_m // 1)
+    lines.append("Accuracy unknown." if within is None else f"90 percent within {within:.0f} metres.")
     if mark.height_amsl_m is not None:
         lines.append(f"Height {mark.height_amsl_m:.0f} metres above sea level.")
     if mark.time_text:
         lines.append(f"Seen at {mark.time_text[11:16].replace(':', ' ')} U T C. Read back.")
+    else:
+        lines.append("Time of sighting unknown. Read back.")
     return "\n".join(lines)
 
 
 def _texts(mark: Mark, crs: str) -> list[dict[str, str]]:
     lat, lon = mark.position
-    made: list[tuple[str, str, Callable[[], str]]] = [
-        ("degrees", "Degrees", lambda: latlon_text(lat, lon, "degrees")),
-        ("minutes", "Degrees, minutes", lambda: latlon_text(lat, lon, "minutes")),
-        ("seconds", "Deg, min, sec", lambda: latlon_text(lat, lon, "seconds")),
-        ("mgrs", "MGRS / USNG", lambda: mgrs_text(lat, lon)),
-        ("utm", "UTM", lambda: utm_text(lat, lon)),
-    ]
+
+    def text_in(form: str) -> Callable[[], str]:
+        return lambda: rounded_text(form, lat, lon, mark.ce90_m)
+
+    made = [(name, title, text_in(name)) for name, title in _FORMS.items()]
     if crs:
         made.append(("crs", crs, lambda: Projection(crs).of(mark).text))
     out = []
@@ -114,21 +127,33 @@ def _texts(mark: Mark, crs: str) -> list[dict[str, str]]:
             out.append({"name": name, "title": title, "text": text()})
         except InputError as error:  # no such square at a pole, no such package: the others still hold
             out.append({"name": name, "title": title, "text": f"not to be had: {error}"})
-    radius = "unknown" if mark.ce90_m is None else f"+-{up(mark.ce90_m):.1f} m (CE90)"
-    out.append({"name": "accuracy", "title": "Within", "text": radius})
+    radius = "unknown" if mark.ce90_m is None else f"{up(mark.ce90_m):.1f} m"
+    out.append({"name": "accuracy", "title": "90 % within", "text": radius})
     out.append({"name": "height", "title": "Height", "text": _height(mark)})
-    out.append({"name": "time", "title": "Seen at", "text": mark.time_text or "not known"})
+    out.append({"name": "time", "title": "Seen at", "text": _moment(mark.time_text) or "not known"})
+    out.append({"name": "author", "title": "Marked by", "text": _author(mark)})
     out.append({"name": "geo", "title": "geo: link", "text": geo_uri(mark)})
     return out
 
 
 def _height(mark: Mark) -> str:
-    sigma = "" if mark.le90_m is None else f" +-{up(mark.le90_m):.1f} m (LE90)"
+    sure = "" if mark.le90_m is None else f", 90 % within {up(mark.le90_m):.1f} m"
+    digits = 1 if mark.le90_m is not None and mark.le90_m < 2.0 else 0
     if mark.height_amsl_m is not None:
-        return f"{mark.height_amsl_m:.1f} m above mean sea level{sigma}"
+        return f"{mark.height_amsl_m:.{digits}f} m above sea level{sure}"
     if mark.height_ellipsoid_m is not None:
-        return f"{mark.height_ellipsoid_m:.1f} m above the WGS84 ellipsoid{sigma}"
+        return f"{mark.height_ellipsoid_m:.{digits}f} m above the WGS84 ellipsoid{sure}"
     return "not known"
+
+
+def _moment(text: str) -> str:
+    return f"{text[:19].replace('T', ' ')} UTC" if text else ""
+
+
+def _author(mark: Mark) -> str:
+    """Who, and when that was: another moment than that of the sighting."""
+    made = "" if mark.pin is None else _moment(time_utc(mark.pin.created_unix_ns))
+    return ", ".join(part for part in (mark.who or "no name given", made) if part)
 
 
 def _bearing(desk: Desk, first: Pin, pin: Pin) -> dict[str, str]:

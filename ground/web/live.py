@@ -1,4 +1,4 @@
-"""Aircraft on the link as a page's source: one session an endpoint, and whatever comes is kept, bounded.
+"""Aircraft on the link as a page's source: one session for each endpoint; all that comes is kept, bounded.
 
 An aircraft that may send pictures of its keyframes does so while this listens.
 """
@@ -8,25 +8,34 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
+from bisect import bisect_left
 from collections import OrderedDict, deque
 from collections.abc import Sequence
+from pathlib import Path
 
+from contract import recording_format as names
 from contract.errors import LinkError, WireError
 from contract.feature_set import FeatureSet
 from contract.history import Entry
 from contract.link_config import Tls
+from contract.supervised_thread import Policy, SupervisedThread
 from contract.topics import ANY_VEHICLE, PICTURE, STATUS
 from contract.vehicle_status import VehicleStatus, decode_status
+from contract.wire.codec import decode
 from ground.client import SetCache, inquire
 from ground.link_pictures import PictureCache
+from ground.web.journal import Journal
+from ground.web.refill import Refill
 from ground.web.source import FrameRow, Picture, VehicleReport
 
 HISTORY_S = 3600.0
 HISTORY_SETS = 20_000
 RATE_SPAN_S = 10.0
+KEPT_KEYS = "pc/*/*"  # of the journal: all that any vehicle sends
 MAX_VEHICLES = 64  # of which anything is kept: a peer may publish under any number of names
 ASKED_KEPT = 64  # sets that were asked for, since they had not come by themselves
 ASK_AGAIN_S = 2.0
+SILENT_SETS = 30  # without a picture among them, before it is reported
 
 
 class _Heard:
@@ -45,11 +54,15 @@ class _Heard:
 
 
 class LiveSource:
-    """Listens at every endpoint. Raises LinkError if one cannot be opened."""
+    """Listens at every endpoint. Raises LinkError if one cannot be opened, InputError for a journal that cannot be.
+
+    `journal`: a folder in which what crosses the link is kept, and from which the last hour is read at the start. What
+    an aircraft still has of the minutes before is asked for.
+    """
 
     is_live = True
 
-    def __init__(self, endpoints: Sequence[str], tls: Tls | None = None) -> None:
+    def __init__(self, endpoints: Sequence[str], tls: Tls | None = None, journal: Path | None = None) -> None:
         self.name = ", ".join(endpoints)
         self._tls = tls
         self._lock = threading.Lock()
@@ -57,6 +70,8 @@ class LiveSource:
         self._asked: OrderedDict[tuple[str, int], tuple[float, FeatureSet | None]] = OrderedDict()
         self._caches: dict[str, SetCache] = {}
         self._pictures = PictureCache()
+        self._journal = None if journal is None else Journal(journal)
+        keep = {} if self._journal is None else {KEPT_KEYS: self._journal.take}
         with contextlib.ExitStack() as opened:
             for endpoint in endpoints:
                 cache = SetCache(
@@ -67,14 +82,19 @@ class LiveSource:
                     beside={
                         STATUS.key(ANY_VEHICLE): self._note_status,
                         PICTURE.key(ANY_VEHICLE): self._note_picture,
+                        **keep,
                     },
                     heard=self._note_set,
                 )
                 self._caches[endpoint] = opened.enter_context(cache)
             opened.pop_all()
+        # Without what it takes from there the page goes on.
+        self._reading = SupervisedThread("reading the journal", self._read_journal, Policy.DEGRADE, late_after_s=None)
+        self._reading.start()
+        self._refill = Refill(self.vehicles, self._newest, self._has, self._ask_at)
 
     def vehicles(self) -> list[str]:
-        """Who was heard."""
+        """The vehicles of which something was received."""
         with self._lock:
             return sorted(self._heard)
 
@@ -115,12 +135,12 @@ class LiveSource:
         return None if found is None else Picture(found.content, found.media_type)
 
     def age_s(self, feature_set: FeatureSet) -> float | None:
-        """By when its vehicle's sets were heard."""
+        """From when its vehicle's sets were received."""
         _, cache = self._of(feature_set.vehicle)
         return None if cache is None else cache.age_of(feature_set)
 
     def report(self, vehicle: str) -> VehicleReport:
-        """How a vehicle is, as it says and as it is heard."""
+        """How a vehicle is, as it reports and as it is received."""
         _, cache = self._of(vehicle)
         now_s = time.monotonic()
         with self._lock:
@@ -143,24 +163,93 @@ class LiveSource:
         )
 
     def damage(self) -> list[str]:
-        """Links that cannot be opened anew, and how much came that was no set."""
+        """Links that cannot be opened again, and how much came that was no set."""
         lines = []
         for endpoint, cache in self._caches.items():
             if cache.link_error:
                 lines.append(f"{endpoint}: {cache.link_error}")
             if cache.unreadable:
                 lines.append(f"{endpoint}: {cache.unreadable} messages were no sets ({cache.last_error})")
+        if self._journal is not None and self._journal.error:
+            lines.append(self._journal.error)
+        if not self._reading.report().is_well:
+            lines.append(f"the journal of the link could not be read: {self._reading.report().last_error}")
         if self._pictures.unreadable:
             lines.append(f"{self._pictures.unreadable} messages were no pictures ({self._pictures.last_error})")
         return lines
 
+    def no_pictures(self) -> str:
+        """Where sets have come for a while and no picture among them."""
+        rows = [row for vehicle in self.vehicles() for row in self.frames(vehicle, SILENT_SETS)]
+        if len(rows) < SILENT_SETS or any(row.has_picture for row in rows):
+            return ""
+        return (
+            "no pictures come over the link: set picture.enabled = true on the aircraft, or give this machine the "
+            "downlink's video with --video"
+        )
+
     def close(self) -> None:
         """Leave every link."""
+        self._refill.close()
+        if self._journal is not None:
+            self._journal.close()
         for cache in self._caches.values():
             cache.close()
 
+    def _read_journal(self, thread: SupervisedThread) -> None:
+        """What earlier runs of this server received in the last hour, the newest file first."""
+        for _, age_s, messages in () if self._journal is None else self._journal.recent(HISTORY_S):
+            counts: dict[str, int] = {}
+            for key, encoding, payload in messages:
+                if encoding == names.PICTURE_ENCODING:
+                    self._pictures.take(key, payload)
+                    continue
+                try:
+                    found = decode(payload)
+                except WireError:
+                    continue
+                for cache in self._caches.values():  # the endpoint at which it will be received is not known yet
+                    cache.bring_in(found)
+                counts[found.vehicle] = counts.get(found.vehicle, 0) + 1
+            for vehicle, count in counts.items():
+                self._brought(vehicle, count, age_s)
+        thread.end()  # finished
+
+    def _brought(self, vehicle: str, count: int, age_s: float) -> None:
+        """So many sets of before are there now; the vehicle was last received at least that long ago."""
+        with self._lock:
+            is_new = vehicle not in self._heard
+            heard = self._known(vehicle)
+            if heard is not None:
+                heard.version += count
+                heard.at_s = time.monotonic() - age_s if is_new else heard.at_s
+
+    def _newest(self, vehicle: str) -> tuple[int, float] | None:
+        entries = self._entries(vehicle)
+        age_s = None if not entries else self.age_s(entries[-1].item)
+        # What was read of the journal is no sign that the aircraft is there.
+        return None if age_s is None else (entries[-1].item.session, entries[-1].capture_unix_ns / 1e9)
+
+    def _has(self, vehicle: str, unix_s: float, within_s: float) -> bool:
+        entries = self._entries(vehicle)
+        at = bisect_left(entries, (unix_s - within_s) * 1e9, key=lambda entry: entry.capture_unix_ns)
+        return at < len(entries) and entries[at].capture_unix_ns <= (unix_s + within_s) * 1e9
+
+    def _ask_at(self, vehicle: str, unix_s: float) -> FeatureSet | None:
+        _, cache = self._of(vehicle)
+        try:
+            found = None if cache is None else cache.ask_at(vehicle, unix_s)
+        except (LinkError, WireError):
+            return None
+        if found is not None and cache is not None:
+            cache.bring_in(found)
+            since = sum(entry.frame >= found.frame for entry in self._entries(vehicle))
+            with self._lock:
+                self._heard[vehicle].version += max(since, 1)
+        return found
+
     def _of(self, vehicle: str) -> tuple[str, SetCache | None]:
-        """The endpoint at which a vehicle is heard best, and its sets."""
+        """The endpoint at which a vehicle is received best, and its sets."""
         with_it = [(e, c) for e, c in self._caches.items() if vehicle in c.vehicles]
         return (
             max(with_it, key=lambda pair: len(pair[1].entries(vehicle)))

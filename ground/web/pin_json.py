@@ -19,6 +19,7 @@ def pin_json(pin: Pin, fused: Fused) -> dict[str, Any]:
         "category": pin.category.value,
         "who": pin.who,
         "created_utc": time_utc(pin.created_unix_ns),
+        "seen_utc": None if pin.seen_unix_ns is None else time_utc(pin.seen_unix_ns),
         "modified_utc": time_utc(pin.modified_unix_ns),
         "modified_by": pin.modified_by,
         "clicks": [_click(click) for click in pin.clicks],
@@ -77,14 +78,15 @@ def _click(click: PinClick) -> dict[str, Any]:
 
 def _fused(fused: Fused) -> dict[str, Any]:
     if isinstance(fused, Place):
-        return {"status": "ok", **_place(fused)}
+        return {"status": "ok", **place_json(fused)}
     if isinstance(fused, Contradiction):
-        answers = [_place(answer) for answer in fused.answers]
+        answers = [place_json(answer) for answer in fused.answers]
         return {"status": "contradiction", "reason": fused.reason, "answers": answers}
     return {"status": "unplaced", "reason": fused.reason}
 
 
-def _place(place: Place) -> dict[str, Any]:
+def place_json(place: Place) -> dict[str, Any]:
+    """Where something is, and how sure."""
     return {
         "lat_deg": place.lat_deg,
         "lon_deg": place.lon_deg,

@@ -1,4 +1,4 @@
-"""A recorded session as a page's source: the sets of `ground.recording` and the pictures beside them."""
+"""A recorded session as a page's source: the sets of `ground.recording` and the pictures stored with them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class RecordedSource:
         self._kept = lru_cache(maxsize=KEPT_SETS)(self._read)
 
     def vehicles(self) -> list[str]:
-        """Who published, sorted."""
+        """The vehicles that published, sorted."""
         return self._recording.vehicles
 
     def version(self, vehicle: str) -> int:
@@ -51,7 +51,7 @@ class RecordedSource:
         ]
 
     def feature_set(self, vehicle: str, session: int | None, frame: int) -> FeatureSet | None:
-        """As of the recording; a set that is damaged is as none, and `damage` says so."""
+        """As of the recording; a damaged set counts as none, and `damage` reports it."""
         if vehicle not in self._sessions or (session is not None and session != self._sessions[vehicle]):
             return None
         with self._lock:
@@ -88,8 +88,17 @@ class RecordedSource:
         """Where a file is damaged, and the sets that cannot be read."""
         return [*self._recording.damage, *self._unreadable]
 
+    def no_pictures(self) -> str:
+        """A recording has them or not."""
+        if any(self._pictures.has_any(vehicle) or self._came(vehicle) for vehicle in self.vehicles()):
+            return ""
+        return (
+            'the recording holds no pictures (recording.pictures = "none"): give the video of the flight by --video, '
+            "or open the video or the photographs: pc-ground open FILE"
+        )
+
     def close(self) -> None:
-        """The files are let go of with the object."""
+        """The files are closed with the object."""
 
     def _session_of(self, vehicle: str) -> int:
         """All sets of a recording are of one session."""

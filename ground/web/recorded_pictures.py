@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import binascii
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from contract.topics import STATUS
 from contract.vehicle_status import VehicleStatus, decode_status
 from ground.web.source import Picture
 
-# Signatures of what a browser shows; what a recording calls a picture and is none is not handed to one.
+# Signatures of what a browser shows; what a recording calls a picture and is none is not sent to one.
 _SIGNATURES = ((b"\xff\xd8\xff", "image/jpeg"), (b"\x89PNG\r\n\x1a\n", "image/png"))
 
 
@@ -44,6 +44,7 @@ class RecordedPictures:
     def __init__(self, path: Path) -> None:
         self._data: list[Data] = []
         self._vehicles: dict[str, _Vehicle] = {}
+        self._last: dict[str, VehicleStatus | None] = {}
         for file, part in enumerate(names.session_files(path)):
             data = mapped(part)
             self._data.append(data)
@@ -53,6 +54,11 @@ class RecordedPictures:
         """Whether a frame's picture is there."""
         known = self._vehicles.get(vehicle)
         return known is not None and frame in known.by_frame
+
+    def has_any(self, vehicle: str) -> bool:
+        """Whether any picture of a vehicle is there."""
+        known = self._vehicles.get(vehicle)
+        return known is not None and bool(known.by_frame)
 
     def picture(self, vehicle: str, frame: int) -> Picture | None:
         """A frame's picture; None if it is not there or damaged."""
@@ -70,14 +76,22 @@ class RecordedPictures:
         return None if media_type is None else Picture(encoded, media_type)
 
     def status(self, vehicle: str) -> VehicleStatus | None:
-        """The last status of a vehicle that can be read."""
-        known = self._vehicles.get(vehicle)
+        """The last status of a vehicle that can be read, with the last error budget that any of them has."""
+        if vehicle not in self._last:
+            self._last[vehicle] = self._last_status(vehicle)
+        return self._last[vehicle]
+
+    def _last_status(self, vehicle: str) -> VehicleStatus | None:
+        known, last = self._vehicles.get(vehicle), None
         for file, start, length in reversed([] if known is None else known.statuses):
             try:
-                return decode_status(bytes(self._data[file][start : start + length]))
+                status = decode_status(bytes(self._data[file][start : start + length]))
             except WireError:
                 continue
-        return None
+            last = last or status
+            if status.shares:
+                return replace(last, shares=status.shares)
+        return last
 
     def _index(self, file: int, data: Data) -> None:
         channels: dict[int, tuple[str, str]] = {}  # kind, vehicle

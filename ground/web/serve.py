@@ -1,4 +1,4 @@
-"""Open the source and the pins, say where the page is, and serve it until SIGINT or SIGTERM."""
+"""Open the source and the pins, print where the page is, and serve it until SIGINT or SIGTERM."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ import sys
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-import segno
 import uvicorn
 
 from contract.errors import InputError
 from contract.link_config import Tls
 from contract.topics import DEFAULT_ENDPOINT
-from ground.pins.file import default_path
+from ground.pins.file import chosen_path
 from ground.pins.store import PinStore
 from ground.web.app import create_app
+from ground.web.browser import open_in_browser
 from ground.web.command import STATIC, WebError, link_host
 from ground.web.desk import Desk
+from ground.web.gate import BACKLOG, gate_for_this_process, gated, protocol_of, quiet_logs
 from ground.web.guard import Rules, is_loopback
 from ground.web.recorded import RecordedSource
 from ground.web.source import Source
@@ -29,24 +30,33 @@ if TYPE_CHECKING:
     from ground.pins.sharing import PinSharing
 
 SHUTDOWN_S = 2  # for what browsers still ask
-MAX_MESSAGE_BYTES = 4096  # of a WebSocket message from a browser, which says nothing of use
+MAX_MESSAGE_BYTES = 4096  # of a WebSocket message from a browser, which contains nothing that we use
 
 
 def serve(args: argparse.Namespace, token: str, tls: Tls | None) -> int:
-    """Until it is told to end. Raises PointclickError before anything is served."""
+    """Until a signal ends it. Raises PointclickError before anything is served."""
     tiles = None if args.tiles is None else open_tiles(args.tiles)
     is_secure = args.tls_certificate is not None
     with contextlib.ExitStack() as opened:
         listening = opened.enter_context(_listen(args.host, args.port))
         source = opened.enter_context(contextlib.closing(_source(args, tls)))
-        pins = args.pins or default_path()
+        pins = chosen_path(args.pins)
         store = opened.enter_context(PinStore(pins))
         sharing = _sharing(args, tls, store)
         if sharing is not None:
             opened.enter_context(sharing)
-        _announce(args, listening.getsockname()[1], token, is_secure, source, str(pins))
+        gate = gate_for_this_process()
+
+        async def sweep() -> None:
+            gate.sweep()
+
         config = uvicorn.Config(
             create_app(Desk(source, store, STATIC, tiles, sharing), _rules(args, token, tiles, is_secure)),
+            http=protocol_of(gate),
+            loop="asyncio",  # whose sockets the gate can be asked for
+            backlog=BACKLOG,
+            callback_notify=sweep,
+            timeout_notify=1,
             log_level="warning",
             access_log=False,
             ws_max_size=MAX_MESSAGE_BYTES,
@@ -57,7 +67,10 @@ def serve(args: argparse.Namespace, token: str, tls: Tls | None) -> int:
             ssl_keyfile=args.tls_key,
             server_header=False,
         )
-        uvicorn.Server(config).run(sockets=[listening])
+        config.load()  # what it imports now no page waits for
+        quiet_logs()
+        _announce(args, listening.getsockname()[1], token, is_secure, source, str(pins))
+        uvicorn.Server(config).run(sockets=[gated(listening, gate)])
     return 0
 
 
@@ -66,11 +79,17 @@ def _source(args: argparse.Namespace, tls: Tls | None) -> Source:
         source = RecordedSource(args.recording)
         for line in source.damage():
             print(f"pc-ground: warning: {line}", file=sys.stderr)
-        return source if args.video is None else _with_recorded_video(source, args)
+        if args.video is not None:
+            return _with_recorded_video(source, args)
+        if source.no_pictures():
+            print(f"pc-ground: warning: {source.no_pictures()}", file=sys.stderr)
+        return source
     from ground.web.live import LiveSource  # noqa: PLC0415  zenoh is loaded only where there is a link
 
     default = DEFAULT_ENDPOINT if tls is None else DEFAULT_ENDPOINT.replace("tcp/", "tls/", 1)
-    live = LiveSource(args.connect or [default], tls)
+    pins = chosen_path(args.pins)
+    journal = None if args.no_journal else args.journal or pins.with_suffix(".link")
+    live = LiveSource(args.connect or [default], tls, journal)
     return live if args.video is None else _with_live_video(live, args)
 
 
@@ -108,7 +127,7 @@ def _sharing(args: argparse.Namespace, tls: Tls | None, store: PinStore) -> PinS
 
 
 def _listen(host: str, port: int) -> socket.socket:
-    """The socket, before anything else, so that a port in use is said in one line."""
+    """The socket, before anything else, so that a port in use is reported in one line."""
     try:
         (family, kind, protocol, _, address), *_ = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     except OSError as error:
@@ -117,7 +136,7 @@ def _listen(host: str, port: int) -> socket.socket:
     try:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind(address)
-        listening.listen(100)
+        listening.listen(BACKLOG)
     except OSError as error:
         listening.close()
         raise WebError(f"cannot serve on {host} port {port}: {error.strerror}; choose another with --port") from error
@@ -137,10 +156,14 @@ def _announce(args: argparse.Namespace, port: int, token: str, is_secure: bool, 
     print(f"pc-ground web: {source.name}; pins in {pins}")
     print(f"open {link}", flush=True)
     if not is_loopback(args.host):
+        import segno  # noqa: PLC0415  no page waits for it
+
         segno.make(link, error="m").terminal(out=sys.stdout, compact=True, border=2)
         if not is_secure:
             print(
                 "NO TLS: whoever listens on this network reads the token and the pins "
                 "(--tls-certificate and --tls-key encrypt)"
             )
+    if args.browser:
+        open_in_browser(link)
     print("end it with Ctrl-C", flush=True)

@@ -1,4 +1,4 @@
-"""Where a page's pictures and sets come from: one interface for what is heard and for what was recorded."""
+"""Where a page's pictures and sets come from: one interface for what is received and for what was recorded."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ class Picture:
 
 @dataclass(frozen=True)
 class VehicleReport:
-    """How a vehicle is. Ages are in seconds, None where nothing was heard; of a recording they count from its end."""
+    """State of a vehicle. Ages are in seconds, None if nothing was received; in a recording they count from its end."""
 
     vehicle: str
     session: int
     newest_frame: int | None
-    picture_age_s: float | None  # since the newest picture heard of was taken
-    heard_age_s: float | None  # since anything was heard
-    sets_hz: float | None  # received of late; None: not a link
-    bit_rate: float | None  # payload received of late, bit/s
-    status: VehicleStatus | None  # its own word, the newest
+    picture_age_s: float | None  # since the newest known picture was taken
+    heard_age_s: float | None  # since anything was received
+    sets_hz: float | None  # received recently; None: not a link
+    bit_rate: float | None  # payload received recently, bit/s
+    status: VehicleStatus | None  # its own report, the newest
     trouble: str = ""  # what is wrong at this end
 
 
@@ -58,7 +58,7 @@ class Source(Protocol):
         """A number that grows whenever the pictures or sets of a vehicle change."""
 
     def frames(self, vehicle: str, newest: int | None = None) -> list[FrameRow]:
-        """The pictures of the session that runs, in capture order; only so many of the newest, if that is said."""
+        """The pictures of the session that runs, in capture order; only so many of the newest, if a number is given."""
 
     def feature_set(self, vehicle: str, session: int | None, frame: int) -> FeatureSet | None:
         """The set of a picture at its latest revision; None if there is none. No session: the one that runs."""
@@ -66,8 +66,8 @@ class Source(Protocol):
     def picture(self, vehicle: str, session: int | None, frame: int) -> Picture | None:
         """The picture itself; None if it is not there.
 
-        Whatever pictures come from (the recording, keyframes on the link, a video of the downlink) is asked here and
-        nowhere else, and `FrameRow.has_picture` says whether asking is worth it. It may be asked from several threads.
+        Every source of pictures (the recording, keyframes on the link, a video of the downlink) is asked here and
+        nowhere else, and `FrameRow.has_picture` states whether to ask. It may be asked from several threads.
         """
 
     def age_s(self, feature_set: FeatureSet) -> float | None:
@@ -79,5 +79,8 @@ class Source(Protocol):
     def damage(self) -> list[str]:
         """What could not be read, a line each."""
 
+    def no_pictures(self) -> str:
+        """Why the page has no picture to show, and what helps; empty where it has some, or may get some yet."""
+
     def close(self) -> None:
-        """Let go of links and files."""
+        """Close links and files."""

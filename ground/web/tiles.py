@@ -1,8 +1,11 @@
-"""The base map: a PMTiles or MBTiles file of the operator's own, or somebody's tiles by URL."""
+"""The base map: a PMTiles or MBTiles file of the operator's own, or tiles from a URL."""
 
 from __future__ import annotations
 
+import contextlib
+import math
 import sqlite3
+import struct
 import threading
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,12 +23,19 @@ _MEDIA = {
     "webp": "image/webp",
     "pbf": "application/x-protobuf",
 }
-_PMTILES_TYPE_AT, _VECTOR = 99, 1  # of the header's byte that says what tiles are
+_PMTILES_TYPE_AT, _VECTOR = 99, 1  # of the header's byte that specifies the tiles' type
+_PMTILES_ZOOMS_AT = 100  # two bytes; then west, south, east, north as little-endian 1e-7 degrees
+_MERCATOR_LAT = 85.051129  # where the square map of the world ends
+Bounds = tuple[float, float, float, float]
+"""West, south, east, north, in degrees."""
 
 
 @dataclass(frozen=True)
 class Tiles:
-    """Where tiles come from. `kind`: pmtiles, mbtiles, template (a URL with {z}, {x} and {y})."""
+    """Where tiles come from. `kind`: pmtiles, mbtiles, tilejson, template (a URL with {z}, {x} and {y}).
+
+    Of a URL the page itself reads zooms and bounds; a template has none.
+    """
 
     kind: str
     path: Path | None
@@ -34,22 +44,25 @@ class Tiles:
     format: str = ""  # of MBTiles: png, jpg, webp, pbf
     max_zoom: int = 0
     attribution: str = ""
+    min_zoom: int = 0
+    bounds: Bounds | None = None  # of what there are tiles of; None: not known here
 
     def to_dict(self) -> dict[str, Any]:
         """For the page."""
         return {
             "kind": self.kind, "url": self.url, "format": self.format, "max_zoom": self.max_zoom,
-            "attribution": self.attribution,
+            "attribution": self.attribution, "min_zoom": self.min_zoom, "bounds": self.bounds,
         }  # fmt: skip
 
 
 def open_tiles(said: str) -> Tiles:
-    """As the option says. Raises InputError for a file that holds no tiles, before anything is served."""
+    """As the option specifies. Raises InputError for a file that holds no tiles, before anything is served."""
     if said.startswith(("http://", "https://")):
-        kind = "pmtiles" if said.split("?", maxsplit=1)[0].endswith(".pmtiles") else "template"
+        ending = Path(said.split("?", maxsplit=1)[0]).suffix
+        kind = {".pmtiles": "pmtiles", ".json": "tilejson"}.get(ending, "template")
         if kind == "template" and not all(f"{{{axis}}}" in said for axis in "zxy"):
-            raise InputError(f"tiles {said}: a URL must end with .pmtiles or hold {{z}}, {{x}} and {{y}}")
-        return Tiles(kind, None, said, origin_of(said), "pbf" if kind == "pmtiles" else "")
+            raise InputError(f"tiles {said}: a URL must end with .pmtiles or .json, or hold {{z}}, {{x}} and {{y}}")
+        return Tiles(kind, None, said, origin_of(said))
     path = Path(said)
     try:
         with path.open("rb") as stream:
@@ -57,24 +70,62 @@ def open_tiles(said: str) -> Tiles:
     except OSError as error:
         raise InputError(f"tiles {said}: {error.strerror}") from error
     if start.startswith(PMTILES_MAGIC):
-        is_vector = len(start) > _PMTILES_TYPE_AT and start[_PMTILES_TYPE_AT] == _VECTOR
-        return Tiles("pmtiles", path, "/tiles/base.pmtiles", "", "pbf" if is_vector else "")
+        return _pmtiles(path, start)
     if start.startswith(b"SQLite format 3\x00"):
         return _mbtiles(path)
     raise InputError(f"tiles {said}: neither a PMTiles nor an MBTiles file")
 
 
+def _pmtiles(path: Path, header: bytes) -> Tiles:
+    if len(header) < 127:
+        raise InputError(f"tiles {path}: ends within its header")
+    least, most = header[_PMTILES_ZOOMS_AT], header[_PMTILES_ZOOMS_AT + 1]
+    corners = (n / 1e7 for n in struct.unpack_from("<4i", header, _PMTILES_ZOOMS_AT + 2))
+    kind = "pbf" if header[_PMTILES_TYPE_AT] == _VECTOR else ""
+    return Tiles("pmtiles", path, "/tiles/base.pmtiles", "", kind, most, "", least, _bounds(*corners))
+
+
 def _mbtiles(path: Path) -> Tiles:
     try:
-        with sqlite3.connect(f"file:{path}?mode=ro", uri=True) as base:
+        with contextlib.closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True)) as base:
             about = dict(base.execute("SELECT name, value FROM metadata").fetchall())
-            (deepest,) = base.execute("SELECT max(zoom_level) FROM tiles").fetchone()
+            ((most,),) = base.execute("SELECT max(zoom_level) FROM tiles")
+            ((least,),) = base.execute("SELECT min(zoom_level) FROM tiles")
+            edges_of = "min(tile_column), max(tile_column), min(tile_row), max(tile_row)"
+            (edges,) = base.execute(f"SELECT {edges_of} FROM tiles WHERE zoom_level = ?", (least,))
     except sqlite3.Error as error:
         raise InputError(f"tiles {path}: not an MBTiles file ({error})") from error
-    if deepest is None:
+    if most is None:
         raise InputError(f"tiles {path}: holds no tiles")
     kind = str(about.get("format", "png"))
-    return Tiles("mbtiles", path, "/tiles/{z}/{x}/{y}", "", kind, int(deepest), str(about.get("attribution", ""))[:300])
+    bounds = _said_bounds(str(about.get("bounds", ""))) or _tiles_bounds(int(least), *edges)
+    text = str(about.get("attribution", ""))[:300]
+    return Tiles("mbtiles", path, "/tiles/{z}/{x}/{y}", "", kind, int(most), text, int(least), bounds)
+
+
+def _said_bounds(text: str) -> Bounds | None:
+    """As the metadata have them: west,south,east,north."""
+    try:
+        west, south, east, north = (float(part) for part in text.split(","))
+    except ValueError:
+        return None
+    return _bounds(west, south, east, north)
+
+
+def _bounds(west: float, south: float, east: float, north: float) -> Bounds | None:
+    """None for what cannot be the bounds of a map; some writers leave them at nothing, or go beyond the poles."""
+    is_possible = -180.0 <= west < east <= 180.0 and -90.0 <= south < north <= 90.0
+    return (west, max(south, -_MERCATOR_LAT), east, min(north, _MERCATOR_LAT)) if is_possible else None
+
+
+def _tiles_bounds(zoom: int, west: int, east: int, south: int, north: int) -> Bounds | None:
+    """Of columns and rows, which count from the south."""
+    n = float(1 << zoom)
+
+    def latitude(row: int) -> float:
+        return math.degrees(math.atan(math.sinh(math.pi * (2.0 * row / n - 1.0))))
+
+    return _bounds(360.0 * west / n - 180.0, latitude(south), 360.0 * (east + 1) / n - 180.0, latitude(north + 1))
 
 
 class MbTiles:

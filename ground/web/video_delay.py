@@ -1,8 +1,8 @@
 """By how much a video's clock is ahead of the sets' capture times, and whether a frame is a set's picture. NumPy only.
 
-A set says where in its picture corners were tracked. The frame that shows its picture has corners at these pixels, and
-others have not: neither frames of another time, nor the same frame some pixels beside. All measures are in standard
-deviations of a mean over as many places of the frame taken at random.
+A set states where in its picture corners were tracked. The frame that shows its picture has corners at these pixels,
+and others have not: neither frames of another time, nor the same frame shifted by some pixels. All measures are in
+standard deviations of a mean over as many places of the frame taken at random.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ NEAR_S = 0.7  # frames within this of the best one may look like it: the aircraf
 MIN_RIVALS = 5
 MIN_VOTES = 8
 MAX_VOTES = 31
-MAX_DISAGREE = 3  # votes in a row after which those before are forgotten
-TOLERANCE_S = 0.01  # of arrivals: what frames come earlier or later than their own interval says
+MAX_DISAGREE = 3  # votes in a row after which those before are dropped
+TOLERANCE_S = 0.01  # of arrivals: how much earlier or later than their own interval frames come
 _RING = BESIDE_PX * np.array([[np.cos(a), np.sin(a)] for a in np.arange(8) * np.pi / 4])
 
 
@@ -35,7 +35,7 @@ def corners_at(strength: NDArray[np.int8], uv_px: Array, camera_size_px: tuple[i
 
 
 def is_seen(strength: NDArray[np.int8], uv_px: Array, camera_size_px: tuple[int, int]) -> bool:
-    """Whether a frame has its corners at a set's pixels, and not as well all of them some pixels beside."""
+    """Whether a frame has its corners at a set's pixels, and clearly fewer when all pixels are shifted a little."""
     places = _places(strength, uv_px, camera_size_px)
     here = _mean_at(strength, places)
     return here >= CLEAR and here - max(_mean_at(strength, places + step) for step in _RING) >= CLEAR
@@ -87,17 +87,17 @@ class Delay:
 
 
 class DelayEstimate:
-    """The median of what the last pictures say. Not for use by several threads."""
+    """The median of the last pictures' delays. Not for use by several threads."""
 
     def __init__(self, most: int = MAX_VOTES) -> None:
         self._votes: deque[float] = deque(maxlen=most)
 
     def vote(self, vote_s: float) -> None:
-        """What one picture says, in any order."""
+        """The delay of one picture, in any order."""
         self._votes.append(vote_s)
 
     def take(self, vote_s: float, interval_s: float) -> None:
-        """What the next picture says. Some in a row that contradict all before are believed: it was cut."""
+        """The delay of the next picture. Some in a row that contradict all before are accepted: the video was cut."""
         self.vote(vote_s)
         said = self.said()
         last = list(self._votes)[-MAX_DISAGREE:]

@@ -1,4 +1,4 @@
-"""The frames of a video file for the sets of a recording: read once for the delay, once to match, then sought in.
+"""The frames of a video file for the sets of a recording: read for the delay, then to match, then frame by frame.
 
 The file's own time stamps are its clock, from its beginning; capture times count from the recording's first picture.
 So the delay is how far into the file that picture is, negative if the file was begun later.
@@ -15,6 +15,7 @@ import numpy as np
 
 from contract.errors import InputError
 from contract.feature_set import FeatureSet, Status
+from contract.supervised_thread import Policy, SupervisedThread
 from ground.web.source import FrameRow, Source
 from ground.web.video_delay import (
     MIN_FEATURES,
@@ -58,7 +59,8 @@ class FileFootage:
         self._note = f"{self._name} is being read"
         self._refused = 0
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="video-file", daemon=True)
+        # A video without what it takes from the file is no reason to begin again: the page goes on without.
+        self._thread = SupervisedThread("search in the video", self._run, Policy.DEGRADE, late_after_s=None)
         self._thread.start()
 
     def has(self, session: int, frame: int) -> bool:
@@ -87,25 +89,25 @@ class FileFootage:
 
     def notes(self) -> list[str]:
         """The file, its delay, and pictures that were left out."""
-        lines = [self._note]
+        report = self._thread.report()
+        lines = [self._note if report.is_well else f"{self._name}: stopped by {report.last_error}"]
         if self._refused:
             lines.append(f"{self._refused} of its frames do not show their sets' features: left out")
         return [f"video: {line}" for line in lines]
 
     def close(self) -> None:
-        """Ends the reading."""
+        """Stops reading the file."""
         self._stop.set()
         self._thread.join(5.0)
         with self._seeking:
             self._capture.release()
 
-    def _run(self) -> None:
+    def _run(self, thread: SupervisedThread) -> None:
         try:
             self._measure_and_match()
         except InputError as error:
             self._note = str(error)
-        except Exception as error:  # the page goes on without, and says so
-            self._note = f"stopped by {type(error).__name__}: {error}"
+        thread.end()  # finished
 
     def _measure_and_match(self) -> None:
         step = max(len(self._rows) / ASKED, 1.0)
@@ -205,7 +207,7 @@ class FileFootage:
             capture.release()
 
     def _read_at(self, time_s: float) -> bytes | None:
-        """The frame of that stamp and no other: sought a little before, or else read from the beginning."""
+        """The frame of that stamp and no other: by a seek to a little before, or else read from the beginning."""
         for start_s in (max(time_s - SEEK_BEFORE_S, 0.0), 0.0):
             self._capture.release()
             self._capture = open_video(self._source)

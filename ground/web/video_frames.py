@@ -67,7 +67,7 @@ class Ring:
                 self._bytes -= self._frames.popleft().size
 
     def restart(self) -> None:
-        """The video was opened anew."""
+        """The video was opened again."""
         with self._lock:
             self._frames.clear()
             self._bytes = 0
@@ -80,13 +80,13 @@ class Ring:
 
 
 def without_login(source: str) -> str:
-    """A video's name for people: what is before the @ of an address is nobody's business."""
+    """A video's name for people: what is before the @ of an address may hold a password."""
     return _LOGIN.sub("", source)
 
 
 def open_video(source: str) -> Any:
     """A `cv2.VideoCapture` of a file, an address or /dev/videoN. Raises InputError for what cannot be opened."""
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its own words on standard error help nobody
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its own messages on standard error do not help
     import cv2  # noqa: PLC0415  the extra `video`
 
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)

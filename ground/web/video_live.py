@@ -1,7 +1,7 @@
 """The frames of a video that runs, for the sets that come over the link.
 
-The video's clock is the ground's monotonic one at arrival, the sets' is the aircraft's; the two need not agree, since
-what parts them is measured together with the delay. A frame becomes a set's picture only if it shows corners where the
+The video's clock is the ground's monotonic one at arrival, the sets' is the aircraft's; the two need not agree, because
+their difference is measured together with the delay. A frame becomes a set's picture only if it shows corners where the
 set has its features: a stall, a cut or another camera must not put a click on a picture that is not the set's.
 """
 
@@ -14,6 +14,7 @@ from collections import OrderedDict, deque
 import numpy as np
 
 from contract.feature_set import FeatureSet, Status
+from ground.watched_thread import WatchedThread
 from ground.web.source import FrameRow, Source
 from ground.web.video_delay import (
     MIN_FEATURES,
@@ -34,8 +35,8 @@ from ground.web.with_video import aspect_trouble
 
 SEARCHED_S = (-1.0, 5.0)  # delays against the picture's age as the page gives it
 PERIOD_S = 0.1
-NEWEST = 300  # sets that are looked at
-VOTE_EVERY_S = 0.3  # of capture: pictures that follow at once say the same
+NEWEST = 300  # sets that are used
+VOTE_EVERY_S = 0.3  # of capture: pictures that follow at once give the same
 MAX_PICTURES, MAX_BYTES = 1000, 96_000_000
 RECENT = 20
 
@@ -75,9 +76,7 @@ class LiveFootage:
         self._trouble = ""
         self._ring = Ring()
         self._reader = VideoReader(source, self._ring)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="video-match", daemon=True)
-        self._thread.start()
+        self._thread = WatchedThread("matching of the video", self._look, PERIOD_S)
 
     def has(self, session: int, frame: int) -> bool:
         """Whether its frame was found, and is kept."""
@@ -91,7 +90,7 @@ class LiveFootage:
 
     def notes(self) -> list[str]:
         """The video, its delay, and pictures that were left out."""
-        lines = [self._reader.trouble, self._trouble or self._note]
+        lines = [self._reader.trouble, self._thread.trouble or self._trouble or self._note]
         shown = list(self._shown)
         if not all(shown):
             lines.append(f"{shown.count(False)} of the last {len(shown)} pictures do not show their features: left out")
@@ -99,17 +98,8 @@ class LiveFootage:
 
     def close(self) -> None:
         """Ends both threads."""
-        self._stop.set()
-        self._thread.join(5.0)
+        self._thread.close()
         self._reader.close()
-
-    def _run(self) -> None:
-        while not self._stop.wait(PERIOD_S):
-            try:
-                self._look()
-            except Exception as error:  # the page goes on without, and says so
-                self._trouble = f"stopped by {type(error).__name__}: {error}"
-                return
 
     def _look(self) -> None:
         vehicle = self._vehicle_now()
@@ -159,7 +149,7 @@ class LiveFootage:
         return found if found is not None and found.is_ok and len(found) >= MIN_FEATURES else None
 
     def _vote(self, rows: list[FrameRow], frames: list[VideoFrame], times_s: Array, interval_s: float) -> None:
-        """One set that has not been asked: of its time all frames that may be its own have come."""
+        """Vote with one set that was not used yet and of whose time all possible frames have come."""
         assert self._ahead_s is not None
         for row in rows:
             capture_s = self._since(row.capture_unix_ns)

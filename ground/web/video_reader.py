@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from contract.errors import InputError
+from contract.supervised_thread import Policy, Stop, SupervisedThread
 from ground.web.video_frames import (
     Ring,
     is_file,
@@ -27,9 +27,9 @@ LATE_S = 0.1
 
 
 class FrameClock:
-    """When frames left the air, from when they arrived and from the stream's own stamps: a network that holds frames
-    back and then delivers several at once does not make them later. Stamps that do not go with the ground's clock are
-    not used.
+    """When frames were sent, from when they arrived and from the stream's own stamps: a network that holds frames
+    back and then delivers several at once does not make them later. Stamps that do not agree with the ground's clock
+    are not used.
     """
 
     def __init__(self) -> None:
@@ -39,7 +39,7 @@ class FrameClock:
 
     def time_s(self, arrival_s: float, stamp_s: float) -> float:
         """On the ground's clock; grows from frame to frame."""
-        if stamp_s <= self._stamp_s:  # none, or begun anew
+        if stamp_s <= self._stamp_s:  # none, or begun again
             self._last.clear()
         self._stamp_s = stamp_s
         self._last.append((arrival_s, arrival_s - stamp_s))
@@ -55,36 +55,42 @@ class VideoReader:
 
     def __init__(self, source: str, ring: Ring, retry_s: tuple[float, float] = (FIRST_RETRY_S, MAX_RETRY_S)) -> None:
         self.name = without_login(source)
-        self.trouble = ""  # why nothing comes, for people
+        self._trouble = ""
         self._source = source
         self._ring = ring
         self._retry_s = retry_s
-        self._stop = threading.Event()
         self._capture: Any = open_video(source)
-        self._thread = threading.Thread(target=self._run, name="video", daemon=True)
+        # A read may take as long as its own time limit, and gives no heartbeat during that time.
+        self._thread = SupervisedThread("reader of the video", self._run, Policy.RESTART, late_after_s=None)
         self._thread.start()
 
+    @property
+    def trouble(self) -> str:
+        """Why no frames come, as a text for users; empty if nothing is wrong."""
+        report = self._thread.report()
+        return self._trouble if report.is_well else f"{self.name}: {report.last_error}; it is begun again"
+
     def close(self) -> None:
-        """A read that hangs is left to its time limit."""
-        self._stop.set()
+        """A read that hangs ends at its time limit."""
+        self._thread.end()
         self._thread.join(2.0)
 
-    def _run(self) -> None:
+    def _run(self, stop: Stop) -> None:
         wait_s = self._retry_s[0]
         capture, self._capture = self._capture, None
-        while not self._stop.is_set():
+        while not stop.is_set():
             what = "is not there"
             if capture is not None:
                 what = "ended or broke off"
                 try:
-                    if self._read(capture):
+                    if self._read(capture, stop):
                         wait_s = self._retry_s[0]
                 except Exception as error:  # OpenCV's own: a stream may hold anything, and may go on after it
                     what = f"broke off ({str(error).strip()[:200] or type(error).__name__})"
                 finally:
                     capture.release()
-            self.trouble = f"{self.name}: {what}; opened again in {wait_s:.0f} s"
-            if self._stop.wait(wait_s):
+            self._trouble = f"{self.name}: {what}; opened again in {wait_s:.0f} s"
+            if stop.wait(wait_s):
                 return
             wait_s = min(2.0 * wait_s, self._retry_s[1])
             try:
@@ -92,14 +98,14 @@ class VideoReader:
             except InputError:
                 capture = None
 
-    def _read(self, capture: Any) -> bool:
-        """Until it ends; whether anything came."""
+    def _read(self, capture: Any, stop: Stop) -> bool:
+        """Read until the video ends; returns whether any frame came."""
         self._ring.restart()
         clock, start_s, kept_s = FrameClock(), time.monotonic(), -np.inf
         came = False
-        while not self._stop.is_set() and capture.grab():
+        while not stop.is_set() and capture.grab():
             stamp_s = position_s(capture)
-            if is_file(self._source) and self._stop.wait(max(start_s + stamp_s - time.monotonic(), 0.0)):
+            if is_file(self._source) and stop.wait(max(start_s + stamp_s - time.monotonic(), 0.0)):
                 break
             arrival_s = time.monotonic()
             at_s = clock.time_s(arrival_s, stamp_s)
@@ -110,5 +116,5 @@ class VideoReader:
                 continue
             kept_s = at_s
             self._ring.put(kept_frame(image, at_s))
-            came, self.trouble = True, ""
+            came, self._trouble = True, ""
         return came

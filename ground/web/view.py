@@ -1,4 +1,4 @@
-"""What a page draws of a set: its camera, its features with their ground places and paths, the footprint. No I/O.
+"""What a page shows of a set: its camera, its features with their ground places and paths, the footprint. No I/O.
 
 The camera goes along so that the page itself can draw a pin in any picture; `placed_in` is the same on this side, for
 finding the pictures that show a place.
@@ -29,7 +29,7 @@ EDGE_POINTS = 12  # of the footprint, along each edge of the picture
 
 
 def frame_view(s: FeatureSet, earlier: Sequence[FeatureSet], age_s: float | None, locator: Locator) -> dict[str, Any]:
-    """Everything about one picture but the picture, ready for JSON. `earlier`: sets before it, the nearest first."""
+    """All data of one picture except its image, ready for JSON. `earlier`: sets before it, the nearest first."""
     out: dict[str, Any] = {
         "vehicle": s.vehicle,
         "session": s.session,
@@ -91,7 +91,7 @@ def camera_view(s: FeatureSet) -> dict[str, Any]:
 
 
 def footprint(s: FeatureSet) -> tuple[list[list[float]], list[list[float]] | None]:
-    """Outline of the picture on its ground plane as longitude, latitude, closed, without what lies at or above the
+    """Outline of the picture on its ground plane as longitude, latitude, closed, without what is at or above the
     horizon; and the ground under its four corners from the top left clockwise, if all are ground.
     """
     w, h = s.camera.width_px - 0.5, s.camera.height_px - 0.5
@@ -125,7 +125,7 @@ def camera_place(s: FeatureSet) -> list[float] | None:
 
 
 def _shift_m(s: FeatureSet) -> float:
-    """From the set's datum to the ellipsoid, as `ground.locate` takes it: nothing where that is not known."""
+    """From the set's datum to the ellipsoid, as `ground.locate` takes it: zero where that is not known."""
     known = s.height_datum is HeightDatum.AMSL and not np.isnan(s.undulation_m)
     return float(s.undulation_m) if known else 0.0
 
@@ -156,7 +156,7 @@ def _on_plane(s: FeatureSet, uv_px: Array) -> tuple[list[list[float]], NDArray[n
 def _paths(s: FeatureSet, uv_px: Array, earlier: Sequence[FeatureSet]) -> list[list[list[float]]]:
     """Where each feature was seen in the pictures before, the nearest first, without a gap; empty for a new one.
 
-    The wire does not number features, so they are told by their ground places, each seen from this picture.
+    The wire does not number features, so they are identified by their ground places, each seen from this picture.
     """
     paths: list[list[list[float]]] = [[] for _ in uv_px]
     here = _ellipsoidal(s)
@@ -169,7 +169,8 @@ def _paths(s: FeatureSet, uv_px: Array, earlier: Sequence[FeatureSet]) -> list[l
         ahead = moved[:, 2] > 1e-6
         xy = moved[:, :2] / np.where(ahead, moved[:, 2], 1.0)[:, None]
         seen = s.camera.distort(xy) * (s.camera.fx_px, s.camera.fy_px) + (s.camera.cx_px, s.camera.cy_px)
-        # Two sets' positions may differ by more than features lie apart: by what all of them moved, first.
+        # Two sets' positions may differ by more than the distance between features: first remove the shift of all of
+        # them.
         for reach_px in (COMMON_SHIFT_PX, SAME_FEATURE_PX):
             distance = np.where(ahead, np.linalg.norm(uv_px[:, None] - seen[None], axis=-1), np.inf)
             nearest, back = np.argmin(distance, axis=1), np.argmin(distance, axis=0)

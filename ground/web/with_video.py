@@ -21,17 +21,17 @@ class Footage(Protocol):
         """Whether a set has a frame of the video."""
 
     def picture(self, session: int, frame: int) -> bytes | None:
-        """It, as JPEG."""
+        """That frame, as JPEG."""
 
     def notes(self) -> list[str]:
-        """How it goes, for people."""
+        """The video's state, as a text for users."""
 
     def close(self) -> None:
-        """Let go of the video."""
+        """Close the video."""
 
 
 class WithVideo:
-    """Serves `Source`. What the other source has itself, off the link or recorded, goes before the video."""
+    """Serves `Source`. What the other source has itself, from the link or recorded, is preferred to the video."""
 
     def __init__(self, inner: Source, footage: Footage) -> None:
         self._inner = inner
@@ -44,7 +44,7 @@ class WithVideo:
         return self._inner.vehicles()
 
     def version(self, vehicle: str) -> int:
-        """The other's, and what the video brought."""
+        """The other source's, and the video's."""
         return self._inner.version(vehicle) + (self._footage.version if vehicle == self._footage.vehicle else 0)
 
     def frames(self, vehicle: str, newest: int | None = None) -> list[FrameRow]:
@@ -79,8 +79,12 @@ class WithVideo:
         return self._inner.report(vehicle)
 
     def damage(self) -> list[str]:
-        """How the video goes, and the other's."""
+        """The video's state, and the other source's notes."""
         return [*self._footage.notes(), *self._inner.damage()]
+
+    def no_pictures(self) -> str:
+        """Always empty: the video's frames may still come, and its notes report the progress."""
+        return ""
 
     def close(self) -> None:
         """Both."""

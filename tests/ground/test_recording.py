@@ -145,7 +145,7 @@ def test_a_file_cut_anywhere_is_read_up_to_the_cut(session: Path, data: st.DataO
     try:
         recording = Recording(cut)
     except InputError:
-        assert length < content.index(b"PC\x20") + len(encode(a_set(0)))
+        assert length < content.index(b"PC\x40") + len(encode(a_set(0)))
         return
     frames = recording.frames("uav-1")
     assert frames == list(range(len(frames)))
@@ -191,7 +191,7 @@ def long_session(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[t
     path = tmp_path_factory.mktemp("long") / "session.mcap"
     places = write_long(path)
     content = path.read_bytes()
-    of_sets = [i for i, (at, _) in enumerate(places) if content[at] == 5 and content[at + 31 : at + 34] == b"PC\x20"]
+    of_sets = [i for i, (at, _) in enumerate(places) if content[at] == 5 and content[at + 31 : at + 34] == b"PC\x40"]
     assert len(of_sets) == 100
     return path, places, of_sets
 

@@ -129,14 +129,14 @@ def test_a_watched_thread_outlives_anything_and_says_so() -> None:
     seen: list[str] = []
 
     def work() -> None:
-        seen.append(watched.error if seen else "")
+        seen.append(watched.trouble if seen else "")
         error = raised.pop(0) if raised else None
         if error is not None:
             raise error
 
     watched = WatchedThread("a worker", work, 0.01)
     assert eventually(lambda: len(seen) > 4)
-    assert seen[:5] == ["", "out", "KeyboardInterrupt", "two lines", ""] and watched.error == ""
+    assert seen[:5] == ["", "out", "KeyboardInterrupt", "two lines", ""] and watched.trouble == ""
     assert watched.close()
 
 
@@ -144,7 +144,7 @@ def test_a_watched_thread_that_hangs_is_said_and_does_not_hold_up_its_end(monkey
     monkeypatch.setattr(WatchedThread, "HUNG_S", 0.05)
     release = threading.Event()
     watched = WatchedThread("a worker", lambda: release.wait(20.0) and None, 0.01)
-    assert eventually(lambda: "a worker has been at one attempt for" in watched.error)
+    assert eventually(lambda: "a worker has been at one attempt for" in watched.trouble)
     assert not watched.close(within_s=0.05)
     release.set()
     assert watched.close()

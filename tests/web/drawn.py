@@ -55,12 +55,17 @@ def record_drawn(path: Path, pictures: int = 12) -> None:
 
 
 class FlyingSource:
-    """An aircraft on a link, as fast as a test wants: `fly_to` is how many pictures have come. Serves `Source`."""
+    """Aircraft on a link, as fast as a test wants: `fly_to` is how many pictures have come of each. Serves `Source`.
+
+    `silent_s`: for how long nothing has been received of all of them.
+    """
 
     is_live = True
     name = "a drawn flight"
 
-    def __init__(self) -> None:
+    def __init__(self, aircraft: int = 1) -> None:
+        self._names = [f"uav-{k}" for k in range(1, aircraft + 1)]
+        self.silent_s = 0.1
         self._count = 1
         self._lock = threading.Lock()
         self._first = drawn_set(0)
@@ -72,8 +77,8 @@ class FlyingSource:
             self._count = count
 
     def vehicles(self) -> list[str]:
-        """One."""
-        return [VEHICLE]
+        """As many as were asked for."""
+        return sorted(self._names)
 
     def version(self, vehicle: str) -> int:
         """How many came."""
@@ -90,7 +95,10 @@ class FlyingSource:
 
     def feature_set(self, vehicle: str, session: int | None, frame: int) -> FeatureSet | None:
         """Drawn when asked for."""
-        return drawn_set(frame) if frame < self._count else None
+        if frame >= self._count:
+            return None
+        made, beside = drawn_set(frame), int(vehicle.rpartition("-")[2]) - 1
+        return replace(made, vehicle=vehicle, camera_lon_deg=made.camera_lon_deg + 4e-4 * beside)
 
     def picture(self, vehicle: str, session: int | None, frame: int) -> Picture | None:
         """One of fifty."""
@@ -98,12 +106,18 @@ class FlyingSource:
 
     def age_s(self, feature_set: FeatureSet) -> float | None:
         """Against the newest."""
-        return (self._count - 1 - feature_set.frame) * STEP_S
+        return (self._count - 1 - feature_set.frame) * STEP_S + self.silent_s
 
     def report(self, vehicle: str) -> VehicleReport:
         """Well."""
-        status = VehicleStatus(0.0, self._first.session, "ok", tracks=120, cpu_c=61.0)
-        return VehicleReport(vehicle, self._first.session, self._count - 1, 0.1, 0.1, 1.0, 9000.0, status)
+        shares = {"mount": 60, "gps": 21}
+        status = VehicleStatus(0.0, self._first.session, "ok", tracks=120, cpu_c=61.0, shares=shares)
+        return VehicleReport(
+            vehicle, self._first.session, self._count - 1, self.silent_s, self.silent_s, 1.0, 9000.0, status
+        )
+
+    def no_pictures(self) -> str:
+        return ""
 
     def damage(self) -> list[str]:
         """None."""

@@ -23,13 +23,14 @@ from tests.web.served import PATIENCE_S
 class Flight:
     """Serves in a thread while it is entered."""
 
-    def __init__(self, pins: Path, tiles: Tiles | None = None) -> None:
-        self.source = FlyingSource()
+    def __init__(self, pins: Path, tiles: Tiles | None = None, aircraft: int = 1) -> None:
+        self.source = FlyingSource(aircraft)
         self.store = PinStore(pins)
         self._listening = socket.create_server(("127.0.0.1", 0))
         self.port = int(self._listening.getsockname()[1])
         self.url = f"http://127.0.0.1:{self.port}/"
-        app = create_app(Desk(self.source, self.store, STATIC, tiles), Rules())
+        rules = Rules(tile_origin="" if tiles is None else tiles.origin)
+        app = create_app(Desk(self.source, self.store, STATIC, tiles), rules)
         self._server = uvicorn.Server(
             uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1)
         )

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import time
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from PIL import Image
 
 from ground.pins.model import PinClick
 from ground.pins.store import PinStore
@@ -21,7 +25,8 @@ _PRESSES = """async ([count, seed]) => {
     const box = pane.getBoundingClientRect();
     const at = {clientX: box.left + box.width * (0.1 + 0.8 * random()),
                 clientY: box.top + box.height * (0.1 + 0.8 * random()),
-      pointerId: 1, pointerType: 'mouse', button: 0, bubbles: true, cancelable: true};
+      pointerId: 1, pointerType: 'mouse', button: 0, bubbles: true, cancelable: true,
+      shiftKey: true};  // on a pin too it is a new one
     const began = performance.now();
     pane.dispatchEvent(new PointerEvent('pointerdown', at));
     pane.dispatchEvent(new PointerEvent('pointerup', at));
@@ -44,13 +49,14 @@ LAPTOP = (1280, 800)
 SMALL = (800, 520)  # of half the pixels: drawing them is most of what a page costs here
 
 
-def opened(chromium: Any, url: str, size_px: tuple[int, int] = LAPTOP) -> Any:
-    """A page that shows a picture."""
+def opened(chromium: Any, url: str, size_px: tuple[int, int] = LAPTOP, *, has_picture: bool = True) -> Any:
+    """A page that shows a picture, if there is one."""
     page = chromium.new_context(viewport={"width": size_px[0], "height": size_px[1]}).new_page()
     page.set_default_timeout(PATIENCE_S * 1000.0)
     page.goto(url)
     page.wait_for_selector("body[data-ready]")
-    page.wait_for_selector("#no-picture", state="hidden")
+    if has_picture:
+        page.wait_for_selector("#no-picture", state="hidden")
     return page
 
 
@@ -77,19 +83,25 @@ def first_page_s(chromium: Any, server: Server) -> tuple[float, int, Any]:
     return took_s, transferred, page
 
 
-def ten_thousand_pins(path: Path) -> None:
-    """Entered ones, about the drawn flight's first picture."""
+def ten_thousand_pins(path: Path, step_deg: float = 1e-6) -> None:
+    """Entered ones, a hundred by a hundred, about the drawn flight's first picture."""
     found = drawn_set(0)
     with PinStore(path) as store:
         one = store.add([PinClick.entered(found.camera_lat_deg, found.camera_lon_deg, sigma_m=3.0)])
         many = []
         for k in range(9_999):
-            place = found.camera_lat_deg + 1e-6 * (k % 100), found.camera_lon_deg + 1e-6 * (k // 100)
+            place = found.camera_lat_deg + step_deg * (k % 100), found.camera_lon_deg + step_deg * (k // 100)
             click = PinClick.entered(*place, sigma_m=3.0)
             many.append(
                 type(one).from_dict({**one.to_dict(), "id": click.id, "number": k + 2, "clicks": [click.to_dict()]})
             )
         assert store.bring_in(many) == 9_999
+
+
+def share_of(element: Any, colour: tuple[int, int, int]) -> float:
+    """Of an element's pixels, those of a colour, or nearly so."""
+    pixels = np.asarray(Image.open(io.BytesIO(element.screenshot())).convert("RGB"), float)
+    return float(np.mean(np.max(np.abs(pixels - colour), axis=2) < 12.0))
 
 
 def grown(page: Any) -> tuple[float, int]:

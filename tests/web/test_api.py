@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
+from ground.formats.rounded import decimals
 from ground.pins.store import PinStore
 from ground.web.app import create_app
 from ground.web.desk import Desk
@@ -83,6 +85,54 @@ def test_a_click_on_a_picture_that_is_not_there_says_so(api: Api) -> None:
 @pytest.mark.parametrize("body", [{}, {"vehicle": "uav"}, {"vehicle": "uav", "frame": -1, "u": 1, "v": 1}, [], 7])
 def test_a_body_that_is_none_is_refused(api: Api, body: Any) -> None:
     assert api.client.post("/api/click", json=body).status_code == 422
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b'{"lat_deg": NaN, "lon_deg": 1}', b'{"lat_deg": 1e999, "lon_deg": 1}', b'{"lat_deg": 1, "lon_deg": -Infinity}',
+        b'{"lat_deg": 1, "lon_deg": 1, "name": "\\ud800"}', b'{"lat_deg": 1, "lon_deg": 1, "who": "\\udfff"}',
+        b'{"lat_deg": 1, "lon_deg": 1, "\\ud800": 1}', b'{"lat_deg": 1, "lon_deg": 1, "sigma_m": NaN}', b"{",
+    ],
+)  # fmt: skip
+def test_what_is_no_number_or_no_text_is_refused_in_a_line(api: Api, body: bytes) -> None:
+    said = api.client.post("/api/pins", content=body, headers={"content-type": "application/json"})
+    assert said.status_code == 422
+    detail = said.json()["detail"]
+    assert isinstance(detail, str)
+    assert 5 < len(detail) < 200
+    assert "\n" not in detail
+    assert api.client.get("/api/pins").json()["pins"] == []
+
+
+def test_a_typed_pin_was_seen_when_somebody_says_so_and_not_when_it_was_typed(api: Api) -> None:
+    typed = {"lat_deg": -43.38, "lon_deg": 172.4, "sigma_m": 5.0}
+    pin = api.client.post("/api/pins", json=typed).json()["pin"]
+    assert pin["seen_utc"] is None
+    said = api.client.get(f"/api/pins/{pin['id']}/handoff").json()
+    assert {row["name"]: row["text"] for row in said["texts"]}["time"] == "not known"
+    assert "Time of sighting unknown" in said["readback"]
+    assert ",," in api.client.get("/api/export/csv").text.splitlines()[1]
+    known = api.client.post("/api/pins", json={**typed, "seen_utc": "2026-05-01T21:03:00Z"}).json()["pin"]
+    assert known["seen_utc"] == "2026-05-01T21:03:00.000000Z"
+    said = api.client.get(f"/api/pins/{known['id']}/handoff").json()
+    assert "Seen at 21 03 U T C" in said["readback"]
+
+
+def test_the_place_under_the_cursor_is_that_of_the_pin_a_click_would_make(api: Api, flown: Flown) -> None:
+    said = api.client.post("/api/place", json=api.click(300.5, 200.25)).json()
+    place = api.pin(300.5, 200.25)["place"]
+    assert {name: said[name] for name in place} == place
+    assert said["method"] == "interpolated"
+    refused = api.client.post("/api/place", json=api.click(320, 240, flown.refused)).json()
+    assert (refused["status"], bool(refused["advice"])) == ("turning", True)
+    assert len(api.client.get("/api/pins").json()["pins"]) == 1
+
+
+def test_what_would_make_a_radius_smaller_is_in_a_recordings_state(api: Api, flown: Flown) -> None:
+    """The recording's last status has it, by the replay that made it."""
+    (vehicle,) = api.client.get("/api/vehicles").json()
+    assert re.fullmatch(r"(mostly|most from) [^()]+ \(\d+ %\): .{8,}", vehicle["radius"]), vehicle["radius"]
 
 
 def test_pictures_and_their_features_are_served(api: Api, flown: Flown) -> None:
@@ -187,8 +237,15 @@ def test_a_pin_clicked_again_is_surer_and_one_clicked_elsewhere_contradicts_itse
     assert again["place"]["ce90_m"] < place["ce90_m"]
     assert again["place"]["lat_deg"] == pytest.approx(place["lat_deg"], abs=2e-5)
     elsewhere = {**api.click(60, 60, flown.newest)}
-    wrong = api.client.post(f"/api/pins/{pin['id']}/clicks", json=elsewhere).json()["pin"]
+    refused = api.client.post(f"/api/pins/{pin['id']}/clicks", json=elsewhere)
+    assert refused.status_code == 409
+    assert 10.0 < refused.json()["apart_m"] < 200.0
+    assert f"m from pin {pin['number']}" in refused.json()["reason"]
+    kept = api.client.get(f"/api/pins/{pin['id']}").json()
+    assert (kept["place"], len(kept["clicks"])) == (again["place"], 2)
+    wrong = api.client.post(f"/api/pins/{pin['id']}/clicks", json={**elsewhere, "anyway": True}).json()["pin"]
     assert wrong["place"]["status"] == "contradiction"
+    assert "chi" not in wrong["place"]["reason"]
     assert len(wrong["place"]["answers"]) == 3
     url = f"/api/pins/{pin['id']}/clicks/{wrong['clicks'][-1]['id']}"
     assert api.client.delete(url).json()["place"]["status"] == "ok"
@@ -235,9 +292,14 @@ def test_a_pin_is_handed_off_in_every_format(api: Api) -> None:
     said = api.client.get(url, params={"from": other["id"], "crs": "EPSG:2193"}).json()
     texts = {row["name"]: row["text"] for row in said["texts"]}
     lat, lon = pin["place"]["lat_deg"], pin["place"]["lon_deg"]
-    assert texts["degrees"] == f"{lat:.7f} {lon:.7f}"
+    assert 0.5 < pin["place"]["ce90_m"] < 10.0
+    places = decimals("degrees", pin["place"]["ce90_m"])
+    assert texts["degrees"] == f"{lat:.{places}f} {lon:.{places}f}"
     assert texts["geo"].startswith(f"geo:{lat:.7f},{lon:.7f},")
-    assert texts["mgrs"].startswith("59GMM") or texts["mgrs"].startswith("59G")
+    assert re.fullmatch(r"\d\d[A-Z] [A-Z]{2} \d{5} \d{5}", texts["mgrs"])
+    assert "M G R S: " in said["readback"]
+    assert texts["author"].startswith("no name given, ")
+    assert texts["time"] == pin["seen_utc"][:19].replace("T", " ") + " UTC"
     assert "deg true" in texts["bearing"]
     assert "N" in texts["crs"]
     assert "Read back" in said["readback"]

@@ -13,13 +13,13 @@ import pytest
 from contract.errors import InputError
 from ground.__main__ import main
 from ground.pins.store import PinStore
-from ground.web import command
+from ground.web import command, video_reader
 from ground.web.api_vehicles import vehicles_router
 from ground.web.desk import Desk
 from ground.web.recorded import RecordedSource
 from ground.web.video_delay import DelayEstimate, best_time_s, is_seen
 from ground.web.video_file import FileFootage
-from ground.web.video_frames import Ring, VideoFrame, corner_strength, without_login
+from ground.web.video_frames import Ring, VideoFrame, corner_strength, open_video, without_login
 from ground.web.video_live import LiveFootage
 from ground.web.video_reader import FrameClock, VideoReader
 from ground.web.with_video import WithVideo
@@ -177,6 +177,63 @@ def test_a_video_that_ends_is_opened_again_and_the_notes_say_how_it_goes(tmp_pat
         reader.close()
 
 
+@pytest.fixture
+def video_file(tmp_path: Path) -> Path:
+    return write_video(tmp_path / "v.avi", 0.0, 0.5)
+
+
+def test_a_fault_while_matching_is_noted_and_does_not_end_the_matching(
+    video_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flight = DrawnFlight(SETS)
+    looks: list[str] = []
+
+    def version(vehicle: str) -> int:
+        looks.append(vehicle)
+        if len(looks) < 4:
+            raise RuntimeError("a fault of ours")
+        return 0
+
+    monkeypatch.setattr(flight, "version", version)
+    footage = LiveFootage(str(video_file), flight, VEHICLE, None)
+    try:
+        wait_for(lambda: any("a fault of ours" in note for note in footage.notes()), "the note")
+        wait_for(lambda: len(looks) > 5 and not any("a fault" in note for note in footage.notes()), "going on")
+    finally:
+        footage.close()
+
+
+def test_a_fault_in_the_reader_is_noted_and_the_video_opened_again(
+    video_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ring = Ring()
+    opened: list[str] = []
+
+    def failing(source: str) -> object:
+        opened.append(source)
+        if len(opened) == 2:
+            raise RuntimeError("a fault of ours")
+        return open_video(source)
+
+    monkeypatch.setattr(video_reader, "open_video", failing)
+    reader = VideoReader(str(video_file), ring, (0.02, 0.1))
+    try:
+        wait_for(lambda: "a fault of ours" in reader.trouble, "the note")
+        before = ring.epoch
+        wait_for(lambda: ring.epoch > before and reader.trouble == "", "frames again")
+    finally:
+        reader.close()
+
+
+def test_a_fault_in_the_search_of_a_file_is_noted(video_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError("a fault of ours")
+
+    monkeypatch.setattr(FileFootage, "_frames", fail)
+    (note,) = finished(FileFootage(str(video_file), DrawnFlight(SETS), VEHICLE, None))
+    assert note == f"video: {video_file}: stopped by RuntimeError: a fault of ours"
+
+
 def test_the_ring_is_bounded_in_frames_and_bytes() -> None:
     made = [VideoFrame(float(k), (4, 4), np.zeros((2, 2), np.int8), bytes(96)) for k in range(50)]
     few, small = Ring(max_frames=10), Ring(max_bytes=1000)
@@ -265,11 +322,14 @@ def one_line(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return said
 
 
-def test_without_opencv_the_extra_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_opencv_the_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "index.html").touch()
     there = command.importlib.util.find_spec
     monkeypatch.setattr(command.importlib.util, "find_spec", lambda name: None if name == "cv2" else there(name))
-    monkeypatch.setattr(command, "STATIC", Path(__file__).parent)
-    assert "pip install 'pointclick[web,video]'" in one_line(capsys, "--video", "rtsp://127.0.0.1/")
+    monkeypatch.setattr(command, "STATIC", tmp_path)
+    assert "with its extra [video]" in one_line(capsys, "--video", "rtsp://127.0.0.1/")
 
 
 @pytest.mark.parametrize(

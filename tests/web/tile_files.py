@@ -11,6 +11,7 @@ from pathlib import Path
 from PIL import Image, ImageDraw
 
 COLOUR = (230, 120, 20)
+REGION = (148.710938, -43.834527, 149.414062, -43.325178)  # west, south, east, north: two by two tiles of zoom 10
 DEEPEST = 4  # the page shows these tiles larger where it is closer
 
 
@@ -23,24 +24,44 @@ def drawn_tile() -> bytes:
     return out.getvalue()
 
 
+def write_region(path: Path) -> None:
+    """Tiles of REGION in the zooms 10 to 12, and of nothing else, as the name's ending says."""
+    if path.suffix == ".pmtiles":
+        _write_pmtiles(path, 10, 12, REGION)
+        return
+    tiles = []
+    for z in (10, 11, 12):
+        side = 1 << (z - 10)  # of a tile of zoom 10, in tiles of this one
+        tiles += [(z, x, y) for x in range(935 * side, 937 * side) for y in range(373 * side, 375 * side)]
+    _write_mbtiles(path, {}, tiles)
+
+
 def write_mbtiles(path: Path) -> None:
-    """MBTiles 1.3."""
+    """MBTiles 1.3 of the whole world."""
+    about = {"minzoom": "0", "maxzoom": str(DEEPEST), "attribution": "<b>us</b>"}
+    _write_mbtiles(path, about, [(z, x, y) for z in range(DEEPEST + 1) for x in range(1 << z) for y in range(1 << z)])
+
+
+def _write_mbtiles(path: Path, more: dict[str, str], tiles: list[tuple[int, int, int]]) -> None:
     with sqlite3.connect(path) as base:
         base.execute("CREATE TABLE metadata (name TEXT, value TEXT)")
         base.execute("CREATE TABLE tiles (zoom_level INTEGER, tile_column INTEGER, tile_row INTEGER, tile_data BLOB)")
-        about = {"name": "drawn", "format": "png", "minzoom": "0", "maxzoom": str(DEEPEST), "attribution": "<b>us</b>"}
-        base.executemany("INSERT INTO metadata VALUES (?, ?)", about.items())
+        base.executemany("INSERT INTO metadata VALUES (?, ?)", {"name": "drawn", "format": "png", **more}.items())
         tile = drawn_tile()
-        rows = ((z, x, y, tile) for z in range(DEEPEST + 1) for x in range(1 << z) for y in range(1 << z))
-        base.executemany("INSERT INTO tiles VALUES (?, ?, ?, ?)", rows)
+        base.executemany("INSERT INTO tiles VALUES (?, ?, ?, ?)", ((*at, tile) for at in tiles))
 
 
 def write_pmtiles(path: Path) -> None:
-    """PMTiles 3 with one entry that runs through all tiles; nothing compressed."""
+    """PMTiles 3 of the whole world."""
+    _write_pmtiles(path, 0, DEEPEST, (-180.0, -85.0, 180.0, 85.0))
+
+
+def _write_pmtiles(path: Path, least: int, most: int, bounds: tuple[float, float, float, float]) -> None:
+    """With one entry that runs through all tiles of the zooms; nothing compressed."""
     tile = drawn_tile()
-    count = sum(4**z for z in range(DEEPEST + 1))
-    # One directory entry: tile id 0, run length, tile length, offset + 1.
-    root = b"".join(_varint(number) for number in (1, 0, count, len(tile), 1))
+    first, count = sum(4**z for z in range(least)), sum(4**z for z in range(least, most + 1))
+    # One directory entry: the first tile's id, run length, tile length, offset + 1.
+    root = b"".join(_varint(number) for number in (1, first, count, len(tile), 1))
     metadata = json.dumps({"name": "drawn"}).encode()
     root_at = 127
     metadata_at = root_at + len(root)
@@ -48,7 +69,7 @@ def write_pmtiles(path: Path) -> None:
     head = b"PMTiles" + struct.pack(
         "<B11Q6B4iB2i",
         3, root_at, len(root), metadata_at, len(metadata), leaves_at, 0, tile_at, len(tile), count, 1, 1,
-        1, 1, 1, 2, 0, DEEPEST, -1_800_000_000, -850_000_000, 1_800_000_000, 850_000_000, 2, 0, 0,
+        1, 1, 1, 2, least, most, *(round(degrees * 1e7) for degrees in bounds), least, 0, 0,
     )  # fmt: skip
     assert len(head) == root_at
     path.write_bytes(head + root + metadata + tile)

@@ -127,6 +127,9 @@ class DrawnFlight:
     def report(self, vehicle: str) -> VehicleReport:
         return VehicleReport(vehicle, 0, None, None, None, None, None, None)
 
+    def no_pictures(self) -> str:
+        return ""
+
     def damage(self) -> list[str]:
         return []
 

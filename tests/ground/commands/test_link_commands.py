@@ -38,7 +38,7 @@ def link() -> Iterator[str]:
     endpoint = free_endpoint()
     session = zenoh.open(zenoh.Config.from_json5(link_config("peer", listen=[endpoint])))
     stop = threading.Event()
-    status = VehicleStatus(START_NS / 1e9, 7, "ok", tracks=77, cpu_c=51.0)
+    status = VehicleStatus(START_NS / 1e9, 7, "ok", tracks=77, cpu_c=51.0, shares={"mount": 60, "gps": 21})
 
     def publish() -> None:
         while not stop.is_set():
@@ -112,11 +112,13 @@ def test_watching_shows_state_age_rate_position_and_accuracy(link: str, capsys: 
     assert main(["watch", "--json", "--count", "2", "--period", "0.6", "--connect", link]) == 0
     row = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert (row["vehicle"], row["state"], row["tracks"], row["cpu_c"]) == ("uav-1", "ok", 77, 51.0)
+    assert row["radius"] == "mostly the camera's mount (60 %): fly one circle"
     assert row["age_s"] < 2.0 and row["rate_hz"] > 2.0 and 1.0 < row["ce90_m"] < 50.0
     assert row["lat_deg"] == pytest.approx(-35.36, abs=0.01)
     assert main(["watch", "--count", "1", "--period", "0.6", "--connect", link]) == 0
     out = capsys.readouterr().out.splitlines()
     assert out[0].split()[:4] == ["vehicle", "state", "age", "rate"] and out[1].startswith("uav-1")
+    assert out[1].endswith("fly one circle")
 
 
 def test_lines_are_answered_from_the_link(
@@ -153,7 +155,7 @@ def test_events_reach_a_tak_server_over_tls_and_no_other(tmp_path: Path, capsys:
     thread = threading.Thread(target=serve)
     thread.start()
     pins = str(tmp_path / "pins.sqlite")
-    main(["pins", "add", "--at", "1,2", "--ce90", "5", "--name", "p", "--pins", pins])
+    main(["pins", "add", "--at", "1.0,2.0", "--ce90", "5", "--name", "p", "--pins", pins])
     capsys.readouterr()
     send = ["cot", "--to", f"tls://127.0.0.1:{port}", "--once", "--only-pins", "--pins", pins]
     assert main(send) == 2  # an authority that nobody here knows

@@ -121,12 +121,23 @@ def test_undo_of_ones_own_leaves_what_another_has_changed_since(path: Path) -> N
         assert [p.name for p in store.pins()] == ["by bob", "x"]
 
 
+def removed(store: PinStore) -> list[Pin]:
+    return [pin for pin in store.everything() if pin.is_deleted]
+
+
+def merge(store: PinStore, pin: Pin) -> bool:
+    """Whether another server's pin changes anything here."""
+    changed, refused = store.merge_all([pin], most=10)
+    assert not refused
+    return bool(changed)
+
+
 def test_clearing_is_one_change(path: Path) -> None:
     with PinStore(path) as store:
         for _ in range(5):
             store.add([typed()])
         assert store.clear(who="ann") == 5
-        assert store.pins() == [] and len(store.removed()) == 5
+        assert store.pins() == [] and len(removed(store)) == 5
         store.undo()
         assert len(store.pins()) == 5
 
@@ -186,19 +197,19 @@ def test_of_two_servers_the_last_writer_wins_on_both(tmp_path: Path) -> None:
     with PinStore(tmp_path / "a.sqlite") as a, PinStore(tmp_path / "b.sqlite") as b:
         pin = a.add([clicked()], name="first", who="ann")
         mine = b.add([typed()], name="other", who="bob")
-        assert b.merge(pin) and not b.merge(pin)
+        assert merge(b, pin) and not merge(b, pin)
         assert sorted(p.number for p in b.pins()) == [1, 2]  # number 1 was taken: ours keeps it
         assert b.by_number(1).id == mine.id
         # A partition: both change the pin, one of them later.
         ours, theirs = a.edit(pin.id, name="by ann", who="ann"), b.edit(pin.id, name="by bob", who="bob")
         assert theirs.modified_unix_ns > ours.modified_unix_ns
-        assert not b.merge(ours) and a.merge(theirs)
+        assert not merge(b, ours) and merge(a, theirs)
         assert a.pin(pin.id).name == b.pin(pin.id).name == "by bob"
         b.delete(pin.id, who="bob")
-        (gone,) = b.removed()
-        assert a.merge(gone) and a.pins() == []
-        with pytest.raises(InputError, match="ahead"):
-            a.merge(dataclasses.replace(pin, modified_unix_ns=2**62))
+        (gone,) = removed(b)
+        assert merge(a, gone) and a.pins() == []
+        changed, ((_, why),) = a.merge_all([dataclasses.replace(pin, modified_unix_ns=2**62)], most=10)
+        assert changed == 0 and "ahead" in why
 
 
 def test_ties_are_kept_judged_undone(path: Path) -> None:
@@ -343,3 +354,24 @@ def test_ten_thousand_pins_and_a_click_stays_quick(path: Path) -> None:
             assert len(store.pins()) > 10_000
             spent_s.append(time.thread_time() - begun)
         assert min(spent_s) < 0.05  # in any of them the collector of garbage may have its turn
+
+
+def test_pins_of_a_file_get_free_numbers_and_the_later_of_two_with_one_id(path: Path) -> None:
+    def of_a_file(pin_id: str, number: int, name: str, modified_ns: int = 5) -> Pin:
+        click = dataclasses.replace(typed(), id=f"c{pin_id}")
+        return Pin(pin_id, number, name, "", Category.POI, "ann", 5, modified_ns, "ann", (click,))
+
+    with PinStore(path) as store:
+        here = store.add([typed()], name="here")
+        found = [
+            of_a_file("a", 1, "taken"), of_a_file("b", 0, "none"), of_a_file("c", 7, "free"),
+            of_a_file("c", 9, "later", 6), of_a_file("b", 3, "as old"),
+        ]  # fmt: skip
+        assert store.bring_in(found) == 3
+        assert {p.name: p.number for p in store.pins()} == {"here": 1, "taken": 2, "none": 3, "later": 7}
+        assert store.bring_in(found) == 0 and store.undo() == "3 pins imported"
+        assert [p.id for p in store.pins()] == [here.id]
+        assert store.bring_in(found[:1]) == 1 and {p.name: p.number for p in store.pins()} == {"here": 1, "taken": 2}
+        with pytest.raises(InputError, match="note"):
+            store.bring_in([dataclasses.replace(found[0], id="d", note="n" * 20_000)])
+        assert len(store.pins()) == 2

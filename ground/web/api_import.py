@@ -1,0 +1,57 @@
+"""Places from elsewhere: a coordinate that was typed, and files of places."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Request
+from starlette.concurrency import run_in_threadpool
+
+from contract.errors import InputError
+from ground.formats.coordinate_text import read_coordinate
+from ground.formats.documents import read_pins_of
+from ground.formats.rounded import rounded_text
+from ground.pins.model import MAX_WHO
+from ground.web.desk import Desk
+
+
+def import_router(desk: Desk) -> APIRouter:
+    """Routes below /api."""
+    router = APIRouter(tags=["places from elsewhere"])
+
+    @router.get("/coordinate", summary="A typed coordinate in degrees (422 with the reason if it has none, or two)")
+    def coordinate(text: Annotated[str, Query(max_length=1000)]) -> dict[str, Any]:
+        found = read_coordinate(text)
+        return {
+            "lat_deg": found.lat_deg,
+            "lon_deg": found.lon_deg,
+            "form": found.form,
+            "texts": {name: _text(name, found.lat_deg, found.lon_deg) for name in ("degrees", "mgrs")},
+        }
+
+    @router.post("/import", summary="Pins of a file, which is the body: GeoJSON, KML, GPX, CSV or CoT, by its name")
+    async def bring_in(
+        request: Request,
+        name: Annotated[str, Query(min_length=1, max_length=300)],
+        who: Annotated[str, Query(max_length=MAX_WHO)] = "",
+    ) -> dict[str, int]:
+        data = await request.body()
+        return await run_in_threadpool(_import, desk, name, data, who)
+
+    return router
+
+
+def _import(desk: Desk, name: str, data: bytes, who: str) -> dict[str, int]:
+    found = read_pins_of(name, data, who=who)
+    count = desk.store.bring_in(found.pins, who=who, crops=found.crops)
+    if count:
+        desk.changed()
+    return {"imported": count, "known": len(found.pins) - count, "left_out": found.left_out}
+
+
+def _text(form: str, lat_deg: float, lon_deg: float) -> str:
+    """In another form, for the eye to check; empty where it has none, as UTM at a pole."""
+    try:
+        return rounded_text(form, lat_deg, lon_deg, None)
+    except InputError:
+        return ""

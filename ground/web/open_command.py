@@ -1,0 +1,177 @@
+"""`pc-ground open`: the user's own flight in the browser: a video with its log, a folder of photographs, or a session.
+
+`pc-onboard`, a program of its own, makes a flight of pictures and log, and replays it; here it is only started.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import shlex
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from contract.errors import InputError
+from ground.pins.file import default_path
+from ground.web import command as web
+
+EXAMPLES = """examples:
+  pc-ground open DJI_0042.MP4                        with DJI_0042.SRT beside it, or the only log in the folder
+  pc-ground open GX010042.MP4 00000042.BIN --set camera.fov_deg=69 --set mount.pitch_deg=-45
+  pc-ground open PHOTOS/                             by the positions in the photographs, or a log beside them
+  pc-ground open SESSION.mcap
+
+A flight is replayed once: opened again, it is there at once. What was guessed of camera and mount is listed; --set
+replaces it.
+"""
+SESSION = ".mcap"
+PICTURES = "recording.pictures"
+UNKNOWN = "NOT KNOWN"  # in the list that an import prints, of values that were assumed with a wide sigma
+DONE, NOTHING_SOLVED = 0, 3
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `open`."""
+    parser.add_argument("input", metavar="VIDEO|PHOTOS/|SESSION.mcap", type=Path, help="what was recorded")
+    parser.add_argument(
+        "log",
+        metavar="LOG",
+        type=Path,
+        nargs="?",
+        help="the flight's log: .srt, .bin, .tlog, .ulg, .csv (a session: its video)",
+    )
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE",
+        help="camera.fov_deg, camera.file or a configuration key such as mount.pitch_deg, not guessed; repeatable",
+    )  # fmt: skip
+    parser.add_argument("--start", metavar="TIME", help="when the video began, in UTC, as 2026-06-12T10:15:23.4Z")
+    parser.add_argument("--utc-offset", metavar="H", help="the camera's clock is so many hours ahead of UTC")
+    parser.add_argument("--home-amsl-m", metavar="M", help="the take-off's height above the sea, for a .srt without it")
+    parser.add_argument("--out", metavar="FLIGHT", type=Path, help="folder for the flight (default: with your pins)")
+    parser.add_argument("--no-browser", action="store_true", help="only say where the page is")
+    web.add_page_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay what must be replayed, then serve the page until a signal ends it. Raises PointclickError."""
+    web.check_installed()
+    if not args.input.exists():
+        raise InputError(f"{args.input}: no such file or folder")
+    if is_session(args.input):
+        session, video = args.input, args.log
+    else:
+        code, session = _replayed(args)
+        if code != DONE:
+            return code
+        video = None
+    return web.run(_as_web(args, session, video))
+
+
+def is_session(path: Path) -> bool:
+    """A recording, or a folder with one."""
+    return path.suffix.lower() == SESSION or (path.is_dir() and any(path.glob(f"*{SESSION}")))
+
+
+def _replayed(args: argparse.Namespace) -> tuple[int, Path]:
+    """The session of pictures and a log, made now unless it is there; and `pc-onboard`'s exit status."""
+    importing = _import_words(args)
+    folder = args.out or default_path().parent / "flights" / _name(args, importing)
+    session = folder / f"session{SESSION}"
+    if args.out is None and session.is_file():
+        print(f"{args.input}: replayed before, {folder}")
+        return DONE, session
+    if args.out is None:
+        shutil.rmtree(folder, ignore_errors=True)  # of an attempt that was broken off
+        folder.parent.mkdir(parents=True, exist_ok=True)
+    program = pc_onboard()
+    made = _output([program, *importing, "--out", str(folder)])
+    if made.returncode != DONE:
+        return made.returncode, session
+    *said, replay = made.stdout.rstrip("\n").split("\n")
+    print("\n".join(said), flush=True)
+    flown = _output([program, *shlex.split(replay)[1:]])
+    lines = flown.stdout.rstrip("\n").split("\n")
+    print("\n".join(line for line in lines if not line.startswith("time, ")), flush=True)
+    if flown.returncode == NOTHING_SOLVED:
+        guess = "; of the camera nothing is known: give --set camera.fov_deg=DEGREES" if UNKNOWN in made.stdout else ""
+        print(f"no picture was solved: there is nothing to click{guess}", file=sys.stderr)
+    if flown.returncode != DONE and args.out is None:
+        session.unlink(missing_ok=True)  # the next attempt begins again
+    return flown.returncode, session
+
+
+def _import_words(args: argparse.Namespace) -> list[str]:
+    """`pc-onboard`'s command that makes the flight, without the folder to write."""
+    words = ["import-photos" if args.input.is_dir() else "import-video", str(args.input.resolve())]
+    if args.log is not None:
+        words += ["--telemetry", str(args.log.resolve())]
+    if not any(text.startswith(f"{PICTURES}=") for text in args.set):
+        words += ["--set", f"{PICTURES}=jpeg"]
+    words += [word for text in args.set for word in ("--set", text)]
+    if args.start is not None:
+        if args.input.is_dir():
+            raise InputError("--start is of a video; photographs have their times in EXIF or name")
+        words += ["--start", args.start]
+    for name in ("utc_offset", "home_amsl_m"):
+        value = getattr(args, name)
+        words += [] if value is None else [f"--{name.replace('_', '-')}={value}"]
+    return words
+
+
+def _name(args: argparse.Namespace, importing: Sequence[str]) -> str:
+    """Of the flight's folder: another for other files or settings."""
+    files = [args.input, *([args.log] if args.log is not None else [])]
+    if args.input.is_dir():
+        files += sorted(args.input.iterdir())
+    elif args.log is None:
+        files += sorted(args.input.resolve().parent.iterdir())
+    stats = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in files if path.is_file()]
+    digest = hashlib.sha256(repr((importing, stats)).encode()).hexdigest()
+    return f"{args.input.resolve().stem}-{digest[:8]}"
+
+
+def pc_onboard() -> str:
+    """The program of this installation, else of the path. Raises InputError if it is nowhere."""
+    beside = Path(sys.executable).with_name("pc-onboard")
+    found = str(beside) if os.access(beside, os.X_OK) else shutil.which("pc-onboard")
+    if found is None:
+        raise InputError("pc-onboard is not installed here: install pointclick with [open] or [live]")
+    return found
+
+
+def _output(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    """Run to its end; its errors and its progress bar go where ours do."""
+    try:
+        return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+    except OSError as error:
+        raise InputError(f"{command[0]}: {error.strerror}") from error
+
+
+def _as_web(args: argparse.Namespace, session: Path, video: Path | None) -> argparse.Namespace:
+    """The options of `pc-ground web` for this page."""
+    parser = argparse.ArgumentParser()
+    web.add_arguments(parser)
+    words = ["--from", str(session), "--port", str(free_port(args.port))]
+    words += [] if args.pins is None else ["--pins", str(args.pins)]
+    words += [] if args.tiles is None else ["--tiles", args.tiles]
+    words += [] if video is None else ["--video", str(video)]
+    words += [] if args.no_browser else ["--browser"]
+    return parser.parse_args(words)
+
+
+def free_port(asked: int | None) -> int:
+    """As it was asked; else the page's own, or any where that is taken."""
+    if asked is not None:
+        return asked
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", web.PORT))
+        except OSError:
+            return 0
+    return web.PORT

@@ -1,0 +1,75 @@
+"""Reports new pictures to browsers at once, and all vehicles' state and the pins once a second."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from contract.errors import PointclickError
+from ground.watched_thread import WatchedThread
+from ground.web.api_vehicles import row_json, vehicle_json
+from ground.web.desk import Desk
+
+PICTURES_S = 0.04  # between checks of the source: a new picture is reported within this time
+STATUS_S = 1.0
+SPARE_ROWS, MOST_ROWS = 8, 500
+
+
+class Watch:
+    """Two threads, so that a fault of one leaves the other's events; what is wrong with them is in the status."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        self._versions: dict[str, int] = {}  # of each vehicle's pictures, as browsers have them
+        self._threads = (
+            WatchedThread("watch of the pictures", self._tell_pictures, PICTURES_S),
+            WatchedThread("watch of state and pins", self._tell_status, STATUS_S),
+        )
+
+    def close(self) -> None:
+        """End both."""
+        for thread in self._threads:
+            thread.close()
+
+    def _tell_pictures(self) -> None:
+        failure: Exception | None = None
+        for vehicle in self._desk.source.vehicles():
+            try:
+                self._tell_pictures_of(vehicle)
+            except Exception as error:  # first report the other vehicles' pictures
+                failure = error
+        if failure is not None:
+            raise failure
+
+    def _tell_pictures_of(self, vehicle: str) -> None:
+        desk = self._desk
+        version, before = desk.source.version(vehicle), self._versions.get(vehicle)
+        if version == before:
+            return
+        if version - (before or version) > MOST_ROWS:
+            desk.hub.tell_from_thread({"type": "resync"})  # a journal was read: browsers ask for all of it
+        elif len(desk.hub):
+            # As many as came since, and some before: sets may come out of order, or in a better revision.
+            count = SPARE_ROWS + min(max(version - (before or 0), 0), MOST_ROWS)
+            rows = [row_json(row) for row in desk.source.frames(vehicle, count)]
+            desk.hub.tell_from_thread({"type": "frames", "vehicle": vehicle, "frames": rows})
+        self._versions[vehicle] = version
+
+    def _tell_status(self) -> None:
+        desk = self._desk
+        if not len(desk.hub):
+            return
+        damage = [thread.trouble for thread in self._threads if thread.trouble]
+        try:
+            if desk.changed_elsewhere():
+                desk.hub.tell_from_thread({"type": "pins"})
+        except PointclickError as error:  # the state is reported all the same
+            damage.append(str(error))
+        no_pictures = desk.source.no_pictures()
+        notes = [no_pictures] if no_pictures else []
+        status: dict[str, Any] = {
+            "type": "status",
+            "vehicles": [vehicle_json(desk, name) for name in desk.source.vehicles()],
+            "damage": [*notes, *damage, *desk.source.damage()][:5],
+            "sharing": desk.sharing_words(),
+        }
+        desk.hub.tell_from_thread(status)

@@ -1,0 +1,88 @@
+"""What a person at the terminal mistypes: one line, no traceback, and nothing made that was not asked for."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ground.__main__ import COMMANDS, main
+
+PIN = ("pins", "add", "--at", "-43.38,172.40", "--name", "gate")
+
+
+@pytest.mark.parametrize("program", ["ground", "onboard"])
+def test_both_programs_say_their_version(program: str) -> None:
+    done = subprocess.run([sys.executable, "-m", program, "--version"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith(f"pc-{program} ") and done.stdout.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["pins", "lst"], ["nothing"], ["click", "x", "1"], ["web", "--port", "70000"], ["pins", "delete", "-1"],
+        ["pins", "add", "--at", "-43,38"], ["pins", "list", "--format", "pdf"], ["open"], [],
+        ["pins", "tie", "1", "2", "--place", "-43.38,172.40", "--sigma", "0"],
+    ],
+)  # fmt: skip
+def test_wrong_usage_is_one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    complaint = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert complaint.startswith("pc-ground: error: ") and complaint.count("\n") == 1 and "--help" in complaint
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_a_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([command, "--help"])
+    assert ended.value.code == 0 and "usage: pc-ground" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+@pytest.mark.parametrize("command", [["ground", "pins", "list"], ["onboard", "check-config"]])
+def test_a_full_disk_below_the_output_is_one_line(tmp_path: Path, command: list[str]) -> None:
+    config, pins = tmp_path / "config.toml", tmp_path / "pins.sqlite"
+    config.write_text("")
+    assert main([*PIN, "--pins", str(pins)]) == 0
+    more = ["--pins", str(pins)] if command[0] == "ground" else [str(config)]
+    for buffered in ("", "1"):
+        with Path("/dev/full").open("w") as full:
+            done = subprocess.run(
+                [sys.executable, "-m", *command, *more], stdout=full, stderr=subprocess.PIPE, text=True, check=False,
+                env={**os.environ, "PYTHONUNBUFFERED": buffered},
+            )  # fmt: skip
+        assert done.returncode == 2 and done.stderr.count("\n") == 1
+        assert "the output cannot be written: No space left" in done.stderr
+
+
+def test_the_file_of_pins_may_be_named_before_the_action_or_after(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pins = str(tmp_path / "pins.sqlite")
+    assert main(["pins", "--pins", pins, "--who", "ann", *PIN[1:]]) == 0
+    assert main(["pins", "--pins", pins, "list", "--format", "json"]) == 0
+    said = capsys.readouterr().out
+    assert '"gate"' in said and '"who": "ann"' in said
+    assert main(["pins", "list", "--pins", pins]) == 0
+    assert "gate" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "action", [["list"], ["export"], ["ties"], ["measure", "1", "2"], ["undo"], ["clear"], [*PIN[1:]]]
+)
+def test_a_file_of_pins_that_cannot_be_there_is_not_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], action: list[str]
+) -> None:
+    assert main(["pins", *action, "--pins", str(tmp_path / "none" / "x.sqlite")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1 and list(tmp_path.iterdir()) == []
+
+
+def test_what_only_reads_makes_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["pins", "list", "--pins", str(tmp_path / "mistyped.sqlite")]) == 2
+    assert "there is no such file of pins" in capsys.readouterr().err and list(tmp_path.iterdir()) == []

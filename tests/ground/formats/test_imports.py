@@ -1,0 +1,125 @@
+"""Files of other programs as pins: tables as spreadsheets write them, Cursor on Target from TAK."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+from pathlib import Path
+
+import pytest
+
+from contract.errors import InputError
+from ground.formats import cot, table
+from ground.formats.documents import IMPORTED, read_pins, read_pins_of
+from ground.formats.imported import Imported
+from ground.formats.mark import Mark
+from ground.pins.fusion import fuse
+from tests.ground.formats.test_formats import NOW_NS, marks
+
+
+def places(found: Imported) -> list[tuple[str, float, float]]:
+    return [(pin.name, pin.clicks[0].lat_deg, pin.clicks[0].lon_deg) for pin in found.pins]
+
+
+ROW = "Hütte,-43.38,172.40\r\n"
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        ("name,lat,lon\r\n" + ROW).encode(),
+        ("Name,Latitude,Longitude\n" + ROW).encode("utf-8-sig"),
+        ("name,latitude,longitude\n" + ROW).encode("latin-1"),
+        ("name;lat;lon\nHütte;-43,38;172,40\n").encode("cp1252"),
+        ("name;lat;lon\nHütte;-43.38;172.40\n;;\n").encode(),
+        ("name\tlat_deg\tlon_deg\nHütte\t-43.38\t172.40\n").encode("utf-16"),
+        ("title;LON;LAT\nHütte;172°24'0\"E;43°22'48\"S\n").encode(),
+        ('label,lng,lat\n"Hütte",172.4,-43.38\n').encode(),
+        ("lat,lon,name,lat_deg,lon_deg\n1,2,Hütte,-43.38,172.40\n").encode(),
+    ],
+)
+def test_a_table_of_any_usual_kind_gives_the_same_place(data: bytes) -> None:
+    ((name, lat, lon),) = places(table.read(data))
+    assert (name, lat, lon) == ("Hütte", pytest.approx(-43.38), pytest.approx(172.40))
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"name,x,y\n1,2,3\n", "lat and lon"), (b"", "lat and lon"), (b"lat;lon\n1;x\n", "line 2"),
+        (b"lat;lon\n1,5;\n", "line 2"), (b"lat,lon\n91,0\n", "line 2"), (b"lat,lon\nnan,0\n", "line 2"),
+        (b"lat,lon,ce90_m\n1,2,wide\n", "ce90_m"), (b'lat,lon\n"1,2\n', "CSV"),
+    ],
+)  # fmt: skip
+def test_a_table_that_cannot_be_read_names_its_line(data: bytes, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        table.read(data)
+
+
+def test_our_own_events_come_back_with_name_place_and_accuracy(tmp_path: Path) -> None:
+    given = [mark for mark in marks("zelt & =1", "by the barn") if mark.is_placed]
+    path = tmp_path / "pins.cot"
+    path.write_text("".join(f"{cot.event(mark, NOW_NS, 60.0)}\n" for mark in given), encoding="utf-8")
+    found = read_pins(path)
+    assert found.left_out == 0 and len(found.pins) == len(given) == 2
+    for pin, mark in zip(found.pins, given, strict=True):
+        back = Mark.of_pin(pin, fuse(pin.clicks))
+        assert (pin.name, pin.note, pin.category.value) == ("zelt & =1", "by the barn", mark.category)
+        assert (back.lat_deg, back.lon_deg) == pytest.approx((mark.lat_deg, mark.lon_deg), abs=2e-9)
+        assert (back.ce90_m is None) == (mark.ce90_m is None)
+        if mark.ce90_m is not None:
+            assert back.ce90_m == pytest.approx(mark.ce90_m, abs=0.01)
+            assert back.height_ellipsoid_m == pytest.approx(mark.height_ellipsoid_m, abs=0.01)
+
+
+TAK = """<?xml version="1.0" encoding="UTF-8" standalone="yes"?>
+<event version="2.0" uid="a1" type="a-u-G" time="2026-01-02T03:04:05Z" start="2026-01-02T03:04:05Z" how="h-g-i-g-o">
+<point lat="-43.38" lon="172.40" hae="9999999.0" ce="9999999.0" le="9999999.0"/>
+<detail><contact callsign="U.2.030405"/><remarks>tracks here</remarks></detail></event>"""
+
+
+def test_a_marker_of_tak_is_a_pin_and_aircraft_and_chat_are_not() -> None:
+    others = "".join(
+        TAK.replace('type="a-u-G"', f'type="{kind}"') for kind in ("a-f-A-M-F-Q", "b-t-f", "u-d-f", "t-x-c-t")
+    )
+    found = read_pins_of("from atak.xml", (TAK + others).encode("utf-8-sig"), who="ann")
+    (pin,) = found.pins
+    assert found.left_out == 4 and (pin.name, pin.note, pin.who) == ("U.2.030405", "tracks here", "ann")
+    place = Mark.of_pin(pin, fuse(pin.clicks))
+    assert (place.lat_deg, place.lon_deg, place.ce90_m, place.height_ellipsoid_m) == (-43.38, 172.40, None, None)
+    assert place.time_text.startswith("2026-01-02T03:04:05")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "x", "<a/>", TAK.replace("-43.38", "north"), TAK.replace("-43.38", "91"), TAK.replace("<point", "<spot"),
+        '<!DOCTYPE e [<!ENTITY a "b">]>' + TAK, TAK[:-9], "\xff",
+    ],
+)  # fmt: skip
+def test_what_is_no_event_is_said_in_a_line(text: str) -> None:
+    with pytest.raises(InputError, match=r"x\.cot") as caught:
+        read_pins_of("x.cot", text.encode("latin-1"))
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_browser_s_file_is_read_by_its_name_or_the_kind_that_was_chosen() -> None:
+    data = ("name,lat,lon\n" + ROW).encode()
+    assert places(read_pins_of("places.csv", data)) == places(read_pins_of("places.txt", data, "csv"))
+    assert set(IMPORTED) == {"geojson", "kml", "gpx", "csv", "cot"}
+    with pytest.raises(InputError, match=r"places\.txt"):
+        read_pins_of("places.txt", data)
+
+
+def test_a_document_leaves_the_collector_of_garbage_as_it_was() -> None:
+    assert gc.isenabled()
+    for content in (b"<kml/>", b"<kml>"):
+        with contextlib.suppress(InputError):
+            read_pins_of("a.kml", content)
+        assert gc.isenabled()
+    gc.disable()
+    try:
+        read_pins_of("a.kml", b"<kml/>")
+        assert not gc.isenabled()
+    finally:
+        gc.enable()

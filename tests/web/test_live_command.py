@@ -1,0 +1,197 @@
+"""`pc-ground live`: one command beside a downlink and a telemetry radio, until a click is answered on the page."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from simulation.flight import DescribedSpec
+from simulation.ordinary import ordinary
+from simulation.paths import PathSpec
+from simulation.session import SessionSpec
+from simulation.terrain import TerrainSpec
+from tests.left_out import NO_PROGRAM
+from tests.rtsp import PACKAGES, is_installed
+from tests.scenarios.flights import flown
+from tests.streamed_flight import StreamedFlight
+from tests.web.browsing import Operator
+from tests.web.conftest import page_is_built
+from tests.web.served import ROOT
+
+RATE_HZ = 6.0
+START_S = 30.0  # two programs, GStreamer and a browser on a loaded machine
+TO_CLICK_S = 15.0  # of flight
+
+
+class Live:
+    """`pc-ground live` as its user starts it."""
+
+    def __init__(self, home: Path, *arguments: object) -> None:
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_DATA_HOME": str(home), "PYTHONUNBUFFERED": "1"}
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "ground", "live", *map(str, arguments), "--no-browser", "--port", "0"],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment, cwd=ROOT,
+        )  # fmt: skip
+        self.said, self.url = "", ""
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.said += line
+            if found := re.match(r"open (http\S+)", line):
+                self.url = found[1]
+            if "Ctrl-C" in line:
+                self.reader = threading.Thread(target=self._read, daemon=True)
+                self.reader.start()
+                return
+        self.process.wait(START_S)
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.said += line
+
+    @property
+    def local(self) -> str:
+        """What `Operator` asks the server at."""
+        return self.url
+
+    def onboard(self) -> list[int]:
+        """The aircraft's programs that it has started."""
+        listed = subprocess.run(
+            ["ps", "-o", "pid=", "--ppid", str(self.process.pid)], capture_output=True, text=True, check=False
+        )
+        return [int(word) for word in listed.stdout.split()]
+
+    def end(self, number: signal.Signals) -> int:
+        self.process.send_signal(number)
+        return self.process.wait(20.0)
+
+
+def free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture(scope="module")
+def session() -> Path:
+    """Thirty seconds of turns in real time."""
+    return flown(
+        SessionSpec(
+            DescribedSpec(PathSpec("turns", leg_m=120.0), ordinary(3), seed=3),
+            seconds=30.0,
+            rate_hz=RATE_HZ,
+            terrain=TerrainSpec(relief_m=20.0, wavelength_m=250.0),
+        )
+    )
+
+
+@pytest.fixture
+def flight(session: Path, tmp_path: Path) -> Iterator[tuple[StreamedFlight, list[object]]]:
+    if not is_installed():
+        pytest.skip(f"{NO_PROGRAM} gstreamer; sudo apt-get install {PACKAGES}")
+    page_is_built()
+    port = free_udp_port()
+    with StreamedFlight(session, tmp_path, RATE_HZ, port, delay_s=0.2, jitter_s=0.03, bit_rate=4_000_000) as streamed:
+        camera = ["--camera", streamed.server.url("rtspt"), "--camera-file", session / "camera.json"]
+        yield streamed, [*camera, "--telemetry", f"udpin:127.0.0.1:{port}", "--set", f"camera.rate_hz={RATE_HZ}"]
+
+
+def is_gone(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+@pytest.mark.wall_clock
+def test_from_one_command_to_an_answered_click_and_both_programs_end(
+    flight: tuple[StreamedFlight, list[object]], tmp_path: Path, chromium: Any
+) -> None:
+    streamed, arguments = flight
+    live = Live(tmp_path / "home", *arguments)
+    try:
+        assert live.url, live.said
+        began_ns = streamed.server.wait_for_client(START_S)
+        assert began_ns is not None, live.said
+        operator = Operator(chromium, live, has_map=False)  # type: ignore[arg-type]
+        deadline = began_ns / 1e9 + TO_CLICK_S
+        while not _answered(operator):
+            assert time.monotonic() < deadline, operator.ask("api/status")
+            time.sleep(0.3)
+        operator.context.close()
+        (onboard,) = live.onboard()
+        assert live.end(signal.SIGINT) == 130
+    finally:
+        live.process.kill()
+    assert is_gone(onboard)
+    log = tmp_path / "home" / "pointclick" / "live" / "onboard.log"
+    assert "the daemon failed" not in log.read_text()
+
+
+def _answered(operator: Operator) -> bool:
+    """Whether the newest picture that can be clicked gives a place in its middle."""
+    vehicles = operator.ask("api/status")["vehicles"]
+    if not vehicles:
+        return False
+    rows = operator.ask(f"api/vehicles/{vehicles[0]['id']}/frames")
+    good = [row for row in rows if row["status"] == "ok" and row["has_picture"]]
+    if not good:
+        return False
+    operator.click(320, 240)
+    place = operator.newest_pin()["place"]
+    return bool(place["status"] == "ok" and place["ce90_m"] < 60.0)
+
+
+@pytest.mark.wall_clock
+def test_each_program_ends_with_the_other(flight: tuple[StreamedFlight, list[object]], tmp_path: Path) -> None:
+    _, arguments = flight
+    live = Live(tmp_path / "home", *arguments)
+    try:
+        (onboard,) = live.onboard()
+        os.kill(onboard, signal.SIGKILL)
+        assert live.process.wait(10.0) == 2
+        live.reader.join(5.0)
+        assert "pc-ground: error: pc-onboard has ended" in live.said.splitlines()[-1]
+        again = Live(tmp_path / "home", *arguments)
+        (onboard,) = again.onboard()
+        again.process.kill()
+        deadline = time.monotonic() + 15.0
+        while not is_gone(onboard):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+    finally:
+        live.process.kill()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (("--camera", "foo:bar"), "camera.device = 'foo:bar' is none of /dev/NAME, libcamera:ID, rtsp://HOST/PATH"),
+        (("--set", "mount.pich_deg=3"), "unknown key 'mount.pich_deg'; did you mean 'mount.pitch_deg'?"),
+        (("--set", "mount"), "--set mount: it is KEY=VALUE, as mount.pitch_deg=-45"),
+        (("--camera-file", "none.json"), "none.json: no such file; pc-onboard calibrate makes one"),
+    ],
+)
+def test_what_cannot_work_is_said_in_one_line(tmp_path: Path, arguments: tuple[str, ...], why: str) -> None:
+    page_is_built()
+    camera = tmp_path / "camera.json"
+    camera.write_text(json.dumps({"width_px": 1}))
+    from contract.camera import Camera  # noqa: PLC0415
+
+    camera.write_text(Camera.from_field_of_view(320, 240, 60.0).to_json())
+    usual = ["--camera", "rtsp://127.0.0.1:1/x", "--telemetry", "udpin:127.0.0.1:0", "--camera-file", camera]
+    live = Live(tmp_path / "home", *usual, *arguments)
+    assert live.process.returncode == 2
+    assert why in live.said and live.said.startswith("pc-ground: error: ") and live.said.count("\n") == 1

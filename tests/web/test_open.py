@@ -1,0 +1,209 @@
+"""`pc-ground open`: a pilot's own flight in one command, until its first click is answered in a real browser."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from simulation.flight import DescribedSpec
+from simulation.ordinary import ordinary
+from simulation.paths import PathSpec
+from simulation.session import SessionSpec
+from simulation.terrain import TerrainSpec
+from tests.own_flights import write_named_photographs, write_video
+from tests.scenarios.flights import flown
+from tests.web.browsing import Operator
+from tests.web.conftest import page_is_built
+from tests.web.served import PATIENCE_S, ROOT
+
+pytestmark = pytest.mark.xdist_group("open")  # one worker: the flight is drawn once
+LIMIT_S = 60.0  # of processor time, from the command to the page
+
+
+class Opened:
+    """`pc-ground open` as its user starts it, until the page is there or it ends."""
+
+    def __init__(self, home: Path, *arguments: object) -> None:
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_DATA_HOME": str(home), "PYTHONUNBUFFERED": "1"}
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "ground", "open", *map(str, arguments), "--no-browser", "--port", "0"],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment, cwd=ROOT,
+        )  # fmt: skip
+        self.said, self.url = "", ""
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.said += line
+            if found := re.match(r"open (http\S+)", line):
+                self.url = found[1]
+            if "Ctrl-C" in line:
+                threading.Thread(target=self.process.stdout.read, daemon=True).start()
+                return
+        self.process.wait(PATIENCE_S)
+
+    @property
+    def local(self) -> str:
+        """What `Operator` asks the server at."""
+        return self.url
+
+    def close(self) -> None:
+        """As Ctrl-C does."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            self.process.wait(PATIENCE_S)
+
+
+@pytest.fixture(scope="module")
+def session() -> Path:
+    """Sixteen seconds of turns, three pictures a second."""
+    path = PathSpec("turns", leg_m=120.0)
+    return flown(
+        SessionSpec(
+            DescribedSpec(path, ordinary(3), seed=3),
+            seconds=16.0,
+            rate_hz=3.0,
+            terrain=TerrainSpec(relief_m=20.0, wavelength_m=250.0),
+        )
+    )
+
+
+@pytest.fixture
+def opened(tmp_path: Path) -> Iterator[Callable[..., Opened]]:
+    """Opens a flight; its folder of data is the test's own."""
+    page_is_built()
+    running: list[Opened] = []
+
+    def start(*arguments: object) -> Opened:
+        running.append(Opened(tmp_path / "home", *arguments))
+        return running[-1]
+
+    yield start
+    for each in running:
+        each.close()
+
+
+def photographs(session: Path, folder: Path) -> list[object]:
+    write_named_photographs(session, folder / "photos")
+    return [folder / "photos", "--set", f"camera.file={session / 'camera.json'}"]
+
+
+def video(session: Path, folder: Path) -> list[object]:
+    write_video(session, folder / "DJI_0042.MP4")
+    return [folder / "DJI_0042.MP4"]
+
+
+@pytest.mark.parametrize("made", [photographs, video])
+def test_one_command_from_the_card_to_an_answered_click(
+    session: Path, tmp_path: Path, opened: Callable[..., Opened], chromium: Any, made: Callable[..., list[object]]
+) -> None:
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    arguments = made(session, tmp_path)
+    first = opened(*arguments)
+    assert first.url, first.said
+    for words in ("camera", "mount", "log", "--set", "solved"):
+        assert words in first.said
+    _answers(chromium, first)
+    first.close()
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert after.ru_utime - before.ru_utime < LIMIT_S
+    again = opened(*arguments)  # without a replay; and a session is opened as it is
+    assert "replayed before" in again.said
+    (recorded,) = (tmp_path / "home").rglob("session.mcap")
+    third = opened(recorded)
+    _answers(chromium, third)
+
+
+def _answers(chromium: Any, server: Opened) -> None:
+    """The page has the pictures, and a click in the middle of one that is solved has a coordinate."""
+    operator = Operator(chromium, server, has_map=False)  # type: ignore[arg-type]
+    try:
+        rows = operator.ask(f"api/vehicles/{operator.ask('api/status')['vehicles'][0]['id']}/frames")
+        assert all(row["has_picture"] for row in rows)
+        operator.click(320, 240)
+        place = operator.newest_pin()["place"]
+        assert place["status"] == "ok" and place["ce90_m"] < 60.0
+        operator.clear()
+        operator.check()
+    finally:
+        operator.context.close()
+
+
+def test_a_session_without_pictures_says_why_and_what_helps(
+    session: Path, tmp_path: Path, opened: Callable[..., Opened]
+) -> None:
+    write_named_photographs(session, tmp_path / "photos")
+    camera = f"camera.file={session / 'camera.json'}"
+    bare = opened(tmp_path / "photos", "--set", camera, "--set", "recording.pictures=none")
+    assert "holds no pictures" in bare.said and "--video" in bare.said
+    with urllib.request.urlopen(f"{bare.url}api/status", timeout=PATIENCE_S) as said:
+        assert "--video" in json.load(said)["no_pictures"]
+
+
+def no_log(session: Path, folder: Path) -> list[object]:
+    write_video(session, folder / "clip.mp4", subtitles=False)
+    return [folder / "clip.mp4"]
+
+
+def another_day_s_log(session: Path, folder: Path) -> list[object]:
+    write_named_photographs(session, folder / "photos")
+    log = folder / "photos" / "flight.tlog"
+    log.unlink()
+    with (session / "truth.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    table = ["unix_time_s,lat_deg,lon_deg,height_amsl_m"]
+    table += [f"{float(r['unix_time_s']) + 86400.0},{r['lat_deg']},{r['lon_deg']},{r['height_amsl_m']}" for r in rows]
+    (folder / "other.csv").write_text("\n".join(table))
+    return [folder / "photos", folder / "other.csv"]
+
+
+def nothing_says_where(session: Path, folder: Path) -> list[object]:
+    write_named_photographs(session, folder / "photos")
+    (folder / "photos" / "flight.tlog").unlink()
+    return [folder / "photos"]
+
+
+def two_logs(session: Path, folder: Path) -> list[object]:
+    write_video(session, folder / "clip.mp4", subtitles=False)
+    for name in ("a.tlog", "b.tlog"):
+        (folder / name).write_bytes(b"x")
+    return [folder / "clip.mp4"]
+
+
+def no_beginning(session: Path, folder: Path) -> list[object]:
+    return [*no_log(session, folder), session / "telemetry.tlog"]
+
+
+def not_there(session: Path, folder: Path) -> list[object]:
+    return [folder / "nothing.mp4"]
+
+
+def wrong_setting(session: Path, folder: Path) -> list[object]:
+    return [*video(session, folder), "--set", "mount.pich_deg=-45"]
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (no_log, "no log of the flight beside it"), (another_day_s_log, "do not overlap"),
+        (nothing_says_where, "no GPS position with a height"), (two_logs, "several logs"),
+        (no_beginning, "when it began: give --start"), (not_there, "no such file"), (wrong_setting, "mount.pitch_deg"),
+    ],
+)  # fmt: skip
+def test_what_is_missing_is_said_in_a_line(
+    session: Path, tmp_path: Path, opened: Callable[..., Opened], made: Callable[..., list[object]], said: str
+) -> None:
+    ended = opened(*made(session, tmp_path))
+    assert ended.process.returncode == 2 and said in ended.said, ended.said
+    assert ended.said.count("\n") == 1, ended.said
