@@ -1,6 +1,6 @@
 // Requests to the server that served the page, and its events.
 
-import type { ClickBody, FrameRow, FrameView, Handoff, Pin, PinReply, Seen, ServerEvent, ServerStatus, Tie } from "./types.js";
+import type { ClickBody, CoordinateSaid, FrameRow, FrameView, Handoff, Pin, PinReply, PlaceSaid, Seen, ServerEvent, ServerStatus, Tie } from "./types.js";
 
 export class Refused extends Error {
   constructor(readonly status: number, message: string, readonly body: unknown) { super(message); }
@@ -9,8 +9,8 @@ export class Refused extends Error {
 async function asked<T>(path: string, method = "GET", body?: unknown, expected: number[] = []): Promise<T> {
   const init: RequestInit = { method, credentials: "same-origin" };
   if (body !== undefined) {
-    init.headers = { "content-type": "application/json" };
-    init.body = JSON.stringify(body);
+    init.headers = { "content-type": body instanceof Blob ? "application/octet-stream" : "application/json" };
+    init.body = body instanceof Blob ? body : JSON.stringify(body);
   }
   let answer: Response;
   try {
@@ -37,9 +37,15 @@ export const api = {
   path: (vehicle: string) => asked<[number, number][]>(`/api/vehicles/${part(vehicle)}/path`),
   features: (vehicle: string, session: number, frame: number) => asked<FrameView>(frameUrl(vehicle, session, frame, "features")),
   pictureUrl: (vehicle: string, session: number, frame: number) => frameUrl(vehicle, session, frame, "picture"),
-  pins: () => asked<{ pins: Pin[]; ties: Tie[] }>("/api/pins"),
+  pins: () => asked<{ pins: Pin[]; ties: Tie[]; revision: number }>("/api/pins"),
   addPin: (body: { click: ClickBody; category: string; who: string }) => asked<PinReply>("/api/pins", "POST", body, [422]),
-  addClick: (id: string, body: ClickBody & { who: string }) => asked<PinReply>(`/api/pins/${part(id)}/clicks`, "POST", body, [422]),
+  addClick: (id: string, body: ClickBody & { who: string; anyway?: boolean }) => asked<PinReply>(`/api/pins/${part(id)}/clicks`, "POST", body, [409, 422]),
+  typedPin: (body: { lat_deg: number; lon_deg: number; sigma_m?: number; seen_utc?: string; name: string; category: string; who: string }) =>
+    asked<PinReply>("/api/pins", "POST", body),
+  place: (body: ClickBody) => asked<PlaceSaid>("/api/place", "POST", body),
+  coordinate: (text: string) => asked<CoordinateSaid>(`/api/coordinate?text=${part(text)}`),
+  importFile: (file: File, who: string) =>
+    asked<{ imported: number; known: number; left_out: number }>(`/api/import?name=${part(file.name)}&who=${part(who)}`, "POST", file),
   removeClick: (id: string, click: string, who: string) =>
     asked<Pin>(`/api/pins/${part(id)}/clicks/${part(click)}?who=${part(who)}`, "DELETE"),
   editPin: (id: string, body: { name?: string; note?: string; category?: string; who: string }) =>
@@ -57,7 +63,7 @@ export const api = {
   deleteTie: (id: string, who: string) => asked<unknown>(`/api/ties/${part(id)}?who=${part(who)}`, "DELETE"),
 };
 
-/** Events from now on; after a gap `onOpen` is called again, and everything must be fetched anew. */
+/** Events from now on; after a gap `onOpen` is called again, and everything must be fetched again. */
 export function listen(onEvent: (event: ServerEvent) => void, onOpen: () => void, onLost: () => void): void {
   let pause = 250;
   const connect = (): void => {

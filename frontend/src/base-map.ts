@@ -1,25 +1,52 @@
 // The operator's own tiles as a source and layers. Vector tiles of any schema: areas, lines and points, without names.
 
 import type { LayerSpecification, SourceSpecification } from "maplibre-gl";
+import { PMTiles } from "pmtiles";
 import type { Tiles } from "./types.js";
+
+export type Bounds = [number, number, number, number];
+
+/** `bounds` and `minZoom`: where there are tiles, as far as that is known. */
+export interface BaseMap { source: SourceSpecification; layers: LayerSpecification[]; bounds: Bounds | null; minZoom: number; archive: PMTiles | null }
 
 const VECTOR_LAYERS = ["earth", "landcover", "landuse", "natural", "water", "waterway", "park", "boundaries", "boundary", "roads", "transportation", "transit", "buildings", "building"];
 const WATER = /^water/, GREEN = /^(landcover|landuse|natural|park)$/, BUILT = /^building/, ROADS = /^(roads|transportation|transit)$/;
+const MVT = 1;
 
-export function baseSource(tiles: Tiles): SourceSpecification {
-  const isVector = tiles.format === "pbf";
+/** Reads the description at a URL. Throws where it cannot be read. */
+export async function baseMap(tiles: Tiles): Promise<BaseMap> {
   const common = tiles.attribution === "" ? {} : { attribution: plain(tiles.attribution) };
   if (tiles.kind === "pmtiles") {
-    const url = `pmtiles://${new URL(tiles.url, location.href).href}`;
-    return tiles.format === "pbf" ? { type: "vector", url, ...common } : { type: "raster", url, tileSize: 256, ...common };
+    const url = new URL(tiles.url, location.href).href, archive = new PMTiles(url);
+    const header = await archive.getHeader();
+    return made({ url: `pmtiles://${url}`, ...common }, header.tileType === MVT, known([header.minLon, header.minLat, header.maxLon, header.maxLat]), header.minZoom, archive);
   }
-  const zoom = tiles.max_zoom > 0 ? { maxzoom: tiles.max_zoom } : {};
+  if (tiles.kind === "tilejson") {
+    const answer = await fetch(tiles.url);
+    if (!answer.ok) throw new Error(`${tiles.url}: ${answer.status}`);
+    const said = await answer.json() as { tiles: string[]; minzoom?: number; maxzoom?: number; bounds?: Bounds; attribution?: string; vector_layers?: unknown };
+    const zooms = { minzoom: said.minzoom ?? 0, ...(said.maxzoom === undefined ? {} : { maxzoom: said.maxzoom }) };
+    const bounds = said.bounds === undefined ? null : known(said.bounds);
+    const source = { tiles: said.tiles, ...zooms, ...(bounds === null ? {} : { bounds }), ...(said.attribution === undefined ? {} : { attribution: plain(said.attribution) }) };
+    return made(source, said.vector_layers !== undefined, bounds, zooms.minzoom, null);
+  }
+  const zooms = { ...(tiles.max_zoom > 0 ? { maxzoom: tiles.max_zoom } : {}), minzoom: tiles.min_zoom, ...(tiles.bounds === null ? {} : { bounds: tiles.bounds }) };
   const url = tiles.kind === "mbtiles" ? `${location.origin}${tiles.url}` : tiles.url;
-  return isVector ? { type: "vector", tiles: [url], ...zoom, ...common } : { type: "raster", tiles: [url], tileSize: 256, ...zoom, ...common };
+  return made({ tiles: [url], ...zooms, ...common }, tiles.format === "pbf", tiles.bounds, tiles.min_zoom, null);
 }
 
-export function baseLayers(tiles: Tiles): LayerSpecification[] {
-  if (tiles.format !== "pbf") return [{ id: "base", type: "raster", source: "base" }];
+function made(source: object, isVector: boolean, bounds: Bounds | null, minZoom: number, archive: PMTiles | null): BaseMap {
+  const full = (isVector ? { type: "vector", ...source } : { type: "raster", tileSize: 256, ...source }) as SourceSpecification;
+  return { source: full, layers: isVector ? vectorLayers() : [{ id: "base", type: "raster", source: "base" }], bounds, minZoom, archive };
+}
+
+/** Bounds that are usable; some writers leave them empty. */
+function known(bounds: Bounds): Bounds | null {
+  const [west, south, east, north] = bounds;
+  return west < east && south < north ? [west, Math.max(south, -85), east, Math.min(north, 85)] : null;
+}
+
+function vectorLayers(): LayerSpecification[] {
   return VECTOR_LAYERS.flatMap((name): LayerSpecification[] => {
     const fill = WATER.test(name) ? "#a9c7de" : GREEN.test(name) ? "#cfdcc4" : BUILT.test(name) ? "#c9bfb4" : "#e6e3dc";
     const line = WATER.test(name) ? "#7ba6c6" : ROADS.test(name) ? "#8b8f96" : "#b5b5b5";

@@ -2,7 +2,9 @@
 
 import { api, Refused } from "./api.js";
 import { byId, make } from "./dom.js";
-import { parseCoordinate } from "./format.js";
+import { CoordinateField } from "./adding.js";
+import { degrees, moment, within } from "./format.js";
+import type { MapPane } from "./map.js";
 import { kindOf, shapeSvg } from "./shapes.js";
 import type { State } from "./state.js";
 import type { ClickBody, Pin, Tie } from "./types.js";
@@ -22,7 +24,7 @@ async function copied(text: string, button: HTMLButtonElement): Promise<void> {
   setTimeout(() => { button.textContent = "Copy"; }, 1500);
 }
 
-export async function showHandoff(pin: Pin, state: State): Promise<void> {
+export async function showHandoff(pin: Pin, state: State, map: MapPane | null): Promise<void> {
   const dialog = byId<HTMLDialogElement>("handoff-dialog"), body = byId("handoff-body");
   const from = make("select", { "aria-label": "bearing and distance from" }, make("option", { value: "" }, "from nowhere"),
     ...[...state.pins.values()].filter((other) => other.id !== pin.id && other.place.status === "ok")
@@ -40,12 +42,13 @@ export async function showHandoff(pin: Pin, state: State): Promise<void> {
   const crop = make("img", { class: "crop", alt: "the picture around the click", src: api.cropUrl(pin.id, String(pin.clicks.length)) });
   crop.addEventListener("error", () => crop.remove());
   const head = make("div", { class: "handoff-head" }, shapeSvg(kindOf(pin.category), 44, String(pin.number)),
-    make("div", {}, make("h2", {}, pin.name === "" ? `${kindOf(pin.category).title} ${pin.number}` : pin.name), make("p", {}, pin.note)));
+    make("div", {}, make("h2", {}, pin.name === "" ? `${kindOf(pin.category).title} ${pin.number}` : pin.name), make("p", {}, pin.note),
+      make("p", { class: "only-print" }, `printed ${moment(new Date().toISOString())} by ${state.options.who === "" ? "no name given" : state.options.who}; pointclick, ${state.server?.source ?? ""}`)));
   const pictures = make("div", { class: "handoff-pictures" }, crop,
     make("figure", {}, make("img", { class: "qr", alt: "QR code of the position, for a phone's camera", src: `${api.qrUrl(pin.id)}?v=${encodeURIComponent(pin.modified_utc)}` }), make("figcaption", {}, "position for a phone")));
   body.replaceChildren(head, make("div", { class: "handoff-columns" }, table, pictures),
     make("div", { class: "from no-print" }, make("label", {}, "Bearing and distance ", from), make("label", {}, " Other system ", crs)),
-    make("h3", {}, "On the radio"), make("p", { id: "readback", class: "readback" }));
+    make("h3", {}, "On the radio"), make("p", { id: "readback", class: "readback" }), mapOf(pin, map));
   for (const field of [from, crs]) field.addEventListener("change", () => void fill());
   dialog.showModal();
   try {
@@ -55,23 +58,38 @@ export async function showHandoff(pin: Pin, state: State): Promise<void> {
   }
 }
 
+let tieField: CoordinateField | null = null;
+
+/** The map about a pin, north up, with what the operator sees on it; nothing where there is no map. */
+function mapOf(pin: Pin, map: MapPane | null): HTMLElement {
+  const figure = make("figure", { class: "handoff-map", hidden: true });
+  if (map === null || pin.place.status !== "ok") return figure;
+  const { lat_deg, lon_deg, ce90_m } = pin.place;
+  void map.snapshot(lat_deg, lon_deg, Math.max(6 * (ce90_m ?? 20), 60)).then((drawn) => {
+    if (drawn === null) return;
+    figure.append(make("img", { src: drawn, alt: `map about pin ${pin.number}, north up` }), make("figcaption", {}, `pin ${pin.number}, north up; its ellipse: ${within(ce90_m)}`));
+    figure.hidden = false;
+  }, () => undefined);
+  return figure;
+}
+
 /** Asks for the surveyed coordinate of what was clicked. */
 export function showTie(click: ClickBody, state: State, done: (tie: Tie) => void): void {
   const dialog = byId<HTMLDialogElement>("tie-dialog"), form = byId<HTMLFormElement>("tie-form"), result = byId("tie-result");
   form.reset();
-  result.textContent = "";
+  tieField ??= new CoordinateField(form.elements.namedItem("place") as HTMLInputElement, byId("tie-echo"));
+  const field = tieField;
+  byId("tie-echo").textContent = result.textContent = "";
   byId("tie-spot").textContent = `pixel ${click.u.toFixed(1)}, ${click.v.toFixed(1)} of picture ${click.frame}`;
   const value = (name: string): string => (form.elements.namedItem(name) as HTMLInputElement | HTMLSelectElement).value.trim();
   form.onsubmit = (event) => {
     event.preventDefault();
-    const place = parseCoordinate(value("place"));
-    if (place === null) { result.textContent = "type latitude and longitude in degrees, as 47.376890, 8.541690"; return; }
     const height = value("height") === "" ? null : Number(value("height"));
     result.textContent = "trying ...";
-    api.addTie({
-      click, lat_deg: place.lat, lon_deg: place.lon, sigma_m: Number(value("sigma")), name: value("name"), who: state.options.who,
+    field.read().then((place) => api.addTie({
+      click, lat_deg: place.lat_deg, lon_deg: place.lon_deg, sigma_m: Number(value("sigma")), name: value("name"), who: state.options.who,
       height_m: height, datum: value("datum"), sigma_height_m: height === null ? null : Number(value("sigma-height")),
-    }).then((said) => {
+    })).then((said) => {
       if (said.tie !== null) { dialog.close(); done(said.tie); return; }
       result.textContent = said.reason ?? [said.answer?.reason, said.answer?.advice].filter(Boolean).join("; ");
     }, (error: unknown) => { result.textContent = error instanceof Refused ? error.message : String(error); });
@@ -83,7 +101,7 @@ export function listTies(state: State, removed: () => void): void {
   const list = byId("tie-list");
   byId("no-ties").hidden = state.ties.length > 0;
   list.replaceChildren(...state.ties.map((tie) => make("li", {},
-    `${tie.name === "" ? "tie" : tie.name}: ${tie.lat_deg.toFixed(6)}, ${tie.lon_deg.toFixed(6)} ±${tie.sigma_m} m (1σ), ${tie.vehicle}, picture ${tie.frame} `,
+    `${tie.name === "" ? "known place" : tie.name}: ${degrees(tie.lat_deg, tie.lon_deg, tie.sigma_m)} ±${tie.sigma_m} m (1σ), ${tie.vehicle}, picture ${tie.frame} `,
     make("button", { type: "button", click: () => void api.deleteTie(tie.id, state.options.who).then(removed) }, "Remove"))));
 }
 

@@ -1,10 +1,58 @@
 // Numbers and times as people read them.
 
-export function degrees(lat: number, lon: number): string {
-  return `${lat.toFixed(6)}, ${lon.toFixed(6)}`;
+// As ground/formats/rounded.py: rounding moves a place by at most this share of its 90 % radius.
+const SHARE = 0.2, UNKNOWN_M = 5, METRES_A_DEGREE = 111_700, MOST_DECIMALS = 7;
+
+/** Latitude and longitude to as many digits as the 90 % radius gives meaning to. */
+export function degrees(lat: number, lon: number, ce90: number | null): string {
+  const places = decimals(ce90);
+  return `${lat.toFixed(places)}, ${lon.toFixed(places)}`;
 }
 
-/** "3.2 m", "12 m", "1.4 km": rounded up, for a radius may be said larger than it is and not smaller. */
+export function decimals(ce90: number | null): number {
+  const allowed = SHARE * (ce90 ?? UNKNOWN_M);
+  let places = 0;
+  while (places < MOST_DECIMALS && Math.SQRT1_2 * METRES_A_DEGREE * 10 ** -places > allowed) places += 1;
+  return places;
+}
+
+/** How sure a place is, in words. */
+export function within(ce90: number | null): string {
+  return ce90 === null ? "accuracy unknown" : `90 % within ${radius(ce90)}`;
+}
+
+/** With a capital letter. */
+export function sentence(text: string): string {
+  return `${text.charAt(0).toUpperCase()}${text.slice(1)}`;
+}
+
+export const WITHIN_TITLE = "with 90 % certainty the place lies within this radius (CE90)";
+
+/** Height of a place, in words; with how sure it is, if that is wanted. */
+export function heightText(place: { height_amsl_m: number | null; height_ellipsoid_m: number | null; le90_m: number | null }): string {
+  const height = place.height_amsl_m ?? place.height_ellipsoid_m;
+  if (height === null) return "height unknown";
+  const digits = place.le90_m !== null && place.le90_m < 2 ? 1 : 0;
+  return `${height.toFixed(digits)} m above ${place.height_amsl_m !== null ? "sea level" : "the ellipsoid"}`;
+}
+
+/** How a place came about: the word, and what it means. */
+export function methodWords(method: string): [string, string] {
+  switch (method) {
+    case "interpolated": return ["measured", "between ground points that were measured from several pictures"];
+    case "plane": return ["beyond what was measured", "on the ground plane through the measured points, outside of them"];
+    case "terrain": return ["from terrain", "where the line of sight meets the terrain model"];
+    case "entered": return ["typed", "a coordinate that was typed or imported"];
+    default: return [method, ""];
+  }
+}
+
+/** A grid's step: 0.5 m, 200 m, 1 km. */
+export function stepText(metres: number): string {
+  return metres < 1000 ? `${Number(metres.toPrecision(3))} m` : `${Number((metres / 1000).toPrecision(3))} km`;
+}
+
+/** "3.2 m", "12 m", "1.4 km": rounded up, because a radius may be stated larger than it is, never smaller. */
 export function radius(metres: number | null): string {
   if (metres === null) return "unknown";
   if (metres < 10) return `${(Math.ceil(metres * 10 - 1e-9) / 10).toFixed(1)} m`;
@@ -29,10 +77,7 @@ export function clock(unixNs: string): string {
   return `${new Date(ms).toISOString().slice(11, 21)} UTC`;
 }
 
-/** Latitude and longitude out of what somebody typed or pasted; null where it is none. */
-export function parseCoordinate(text: string): { lat: number; lon: number } | null {
-  const numbers = text.replace(/^geo:/i, "").split(/[\s,;]+/).filter((part) => part !== "").map(Number);
-  const [lat, lon] = numbers;
-  if (numbers.length < 2 || lat === undefined || lon === undefined || !numbers.every(Number.isFinite)) return null;
-  return Math.abs(lat) <= 90 && Math.abs(lon) <= 180 ? { lat, lon } : null;
+/** Day and time in UTC of an ISO moment, to the second. */
+export function moment(iso: string): string {
+  return `${iso.slice(0, 19).replace("T", " ")} UTC`;
 }

@@ -1,85 +1,35 @@
 // The page of pc-ground web: puts the panes together.
 
 import "./style.css";
-import { api, listen, Refused } from "./api.js";
-import { closers, listTies, showHandoff, showTie } from "./dialogs.js";
+import { api, listen } from "./api.js";
+import { wireAdding } from "./adding.js";
+import { AgeBadge } from "./badge.js";
+import { Clicking } from "./clicking.js";
+import { closers, listTies, showHandoff } from "./dialogs.js";
 import { byId, make, say } from "./dom.js";
-import { age, clock, degrees, radius } from "./format.js";
+import { clock } from "./format.js";
 import type { MapPane } from "./map.js";
 import { PicturePane } from "./picture.js";
 import { PinList } from "./pins.js";
-import { KINDS, kindOf, shapeSvg } from "./shapes.js";
-import { State } from "./state.js";
+import { Readout } from "./readout.js";
+import { KINDS, shapeSvg } from "./shapes.js";
+import { State, type Peek } from "./state.js";
 import { StatusStrip } from "./strip.js";
-import type { ClickAnswer, ClickBody, Pin, PinReply, ServerEvent } from "./types.js";
+import type { Pin, ServerEvent } from "./types.js";
 import { Viewer } from "./viewer.js";
 
 const state = new State();
 const viewer = new Viewer(state);
-const answer = byId("answer");
-let clicks = 0;
 let mapPane: MapPane | null = null;
 
-const picture = new PicturePane(state, viewer, (body) => void clicked(body));
-
-function saySomething(text: string, kind: "ok" | "refused" | "note" = "note"): void {
-  answer.dataset["kind"] = kind;
-  answer.textContent = text;
-}
-
-async function clicked(body: ClickBody): Promise<void> {
-  if (state.mode.kind === "tie") {
-    state.setMode({ kind: "pin" });
-    showTie(body, state, (tie) => saySomething(`tied to ${tie.name === "" ? degrees(tie.lat_deg, tie.lon_deg) : tie.name}: all pins of ${tie.vehicle} in this flight moved`));
-    return;
-  }
-  const mode = state.mode, again = mode.kind === "again" ? state.pins.get(mode.pin) : undefined;
-  state.setMode({ kind: "pin" });
-  const key = `click ${++clicks}`;
-  state.clicksUnderWay += 1;
-  const category = again?.category ?? state.options.category, number = again?.number ?? state.nextNumber() + pendingNew;
-  if (again === undefined) pendingNew += 1;
-  picture.markers.clearRefusals();
-  saySomething(`${kindOf(category).title} ${number}: ...`);
-  picture.markers.begin({ key, number, category, vehicle: body.vehicle, session: body.session, frame: body.frame, at: body, text: "", isRefused: false });
-  try {
-    const who = state.options.who;
-    const reply: PinReply = again === undefined ? await api.addPin({ click: body, category, who }) : await api.addClick(again.id, { ...body, who });
-    if (reply.pin !== null) {
-      picture.markers.done(key);
-      say(answer, answerText(reply.pin, reply.answer));
-      answer.dataset["kind"] = "ok";
-      state.putPin(reply.pin);
-    } else {
-      const said = reply.answer;
-      const text = `${said?.reason ?? said?.status ?? "no answer"}.${said?.advice ? ` What helps: ${said.advice}.` : ""}`;
-      saySomething(`Refused: ${text}`, "refused");
-      picture.markers.refuse(key, text);
-    }
-  } catch (error) {
-    const text = error instanceof Refused ? error.message : String(error);
-    saySomething(`Not kept: ${text}`, "refused");
-    picture.markers.refuse(key, text);
-  } finally {
-    state.clicksUnderWay -= 1;
-    if (again === undefined) pendingNew -= 1;
-  }
-}
-let pendingNew = 0;
-
-function answerText(pin: Pin, said: ClickAnswer | null): string {
-  const place = pin.place, name = `${kindOf(pin.category).title} ${pin.number}`;
-  if (place.status !== "ok") return `${name}: ${place.reason}`;
-  const height = place.height_amsl_m !== null ? `${place.height_amsl_m.toFixed(1)} m AMSL`
-    : place.height_ellipsoid_m !== null ? `${place.height_ellipsoid_m.toFixed(1)} m above the ellipsoid` : "height unknown";
-  return `${name}: ${degrees(place.lat_deg, place.lon_deg)}  ±${radius(place.ce90_m)} (CE90)  ${height}` +
-    (said === null ? "" : `  ${said.method ?? ""}, picture ${said.age_s === null ? "of unknown age" : `${age(said.age_s)} old`}`);
-}
+const clicking = new Clicking(state);
+const picture = new PicturePane(state, viewer, new Readout(state), (body) => void clicking.clicked(body, picture));
+const saySomething = (text: string, kind: "ok" | "refused" | "note" = "note"): void => clicking.say(text, kind);
 
 async function refresh(): Promise<void> {
   const status = await api.status();
   state.server = status;
-  state.vehicles = status.vehicles;
+  state.setVehicles(status.vehicles);
   if (state.vehicle === null && status.vehicles[0] !== undefined) state.vehicle = status.vehicles[0].id;
   say(byId("source"), status.is_live ? `live: ${status.source}` : `recording: ${status.source.split("/").at(-1) ?? ""}`);
   byId("source").title = status.source;
@@ -100,9 +50,9 @@ async function refreshPins(): Promise<void> {
   if (isRefreshing) { isRefreshDue = true; return; }
   isRefreshing = true;
   try {
-    const { pins, ties } = await api.pins();
+    const { pins, ties, revision } = await api.pins();
     state.ties = ties;
-    state.setPins(pins);
+    state.setPins(pins, revision);
     if (state.selected !== null && !state.pins.has(state.selected)) state.select(null);
     listTies(state, () => undefined);
   } finally {
@@ -118,26 +68,26 @@ function heard(event: ServerEvent): void {
       lengthenPath(event.vehicle);
       state.merge(event.vehicle, event.frames);
       return;
-    case "pin": state.putPin(event.pin); return;
-    case "pin_deleted": state.dropPin(event.id); return;
+    case "pin": state.putPin(event.pin, event.revision); return;
+    case "pin_deleted": state.dropPin(event.id, event.revision); return;
     case "pins": void refreshPins(); return;
     case "resync": void refresh(); return;
     case "status":
-      state.vehicles = event.vehicles;
+      state.setVehicles(event.vehicles);
       drawNotes(event.sharing, event.damage);
       if (state.vehicle === null && event.vehicles[0] !== undefined) void refresh();
       state.tell("vehicles");
   }
 }
 
-/** How sharing goes, and what of the source cannot be read. */
+/** The state of sharing, and what of the source cannot be read. */
 function drawNotes(sharing: string, damage: string[]): void {
   const notes = [...(sharing === "" ? [] : [`shared: ${sharing}`]), ...damage];
   byId("notes").hidden = notes.length === 0;
   say(byId("notes"), notes.join("\n"));
 }
 
-/** The path grows by what is shown; the whole of it is asked for now and then. */
+/** The path grows by what is shown; the whole of it is asked for from time to time. */
 const askedAt = new Map<string, number>();
 function lengthenPath(vehicle: string): void {
   const now = performance.now();
@@ -167,7 +117,7 @@ function drawControls(): void {
 }
 
 function drawMode(): void {
-  const text = state.mode.kind === "tie" ? "Click the known place in the picture (Esc: leave it)"
+  const text = state.mode.kind === "tie" ? "Click a place in the picture whose coordinate is known (Esc: leave it)"
     : state.mode.kind === "again" ? `Click the thing of pin ${state.pins.get(state.mode.pin)?.number ?? ""} again (Esc: leave it)` : "";
   const hint = byId("mode-hint");
   hint.hidden = text === "";
@@ -180,7 +130,7 @@ function drawOptions(): void {
   const isDark = options.theme === "night" || (options.theme === "auto" && window.matchMedia("(prefers-color-scheme: dark)").matches);
   document.documentElement.dataset["theme"] = isDark ? "night" : "day";
   mapPane?.setTheme(isDark ? "night" : "day");
-  for (const [id, on] of [["show-features", options.features], ["show-paths", options.paths], ["show-pictures", options.pictures]] as const) {
+  for (const [id, on] of [["show-features", state.peeks.has("features")], ["show-paths", state.peeks.has("paths")], ["show-pictures", options.pictures]] as const) {
     byId(id).setAttribute("aria-pressed", String(on));
   }
   byId<HTMLInputElement>("who").value = options.who;
@@ -188,7 +138,18 @@ function drawOptions(): void {
   for (const button of byId("kinds").children) button.setAttribute("aria-pressed", String((button as HTMLElement).dataset["kind"] === options.category));
 }
 
+/** Which of map and pins a phone shows under the picture. */
+function showTab(tab: string): void {
+  document.body.dataset["tab"] = tab;
+  for (const one of ["map", "pins"]) byId(`tab-${one}`).setAttribute("aria-pressed", String(one === tab));
+  mapPane?.resize();
+}
+
+function handOff(pin: Pin): void { run(showHandoff(pin, state, mapPane)); }
+
 function select(id: string | null): void {
+  document.body.classList.toggle("has-card", id !== null);
+  if (id !== null) showTab("pins");
   const pin = id === null ? undefined : state.pins.get(id);
   if (pin?.place.status === "ok") mapPane?.goTo(pin.place.lat_deg, pin.place.lon_deg);
 }
@@ -218,8 +179,9 @@ function wire(): void {
   press("play", () => { if (state.isPlaying) viewer.pause(); else viewer.play(); });
   press("zoom-in", () => picture.zoom(1.5));
   press("zoom-out", () => picture.zoom(1 / 1.5));
-  press("show-features", () => state.set({ features: !state.options.features }));
-  press("show-paths", () => state.set({ paths: !state.options.paths }));
+  for (const what of ["features", "paths"] as Peek[]) press(`show-${what}`, () => state.peek(what));
+  for (const tab of ["map", "pins"]) press(`tab-${tab}`, () => showTab(tab));
+  press("more", () => byId("more").setAttribute("aria-expanded", String(document.body.classList.toggle("more"))));
   press("show-pictures", () => state.set({ pictures: !state.options.pictures }));
   press("undo", () => void undo(false));
   press("redo", () => void undo(true));
@@ -232,6 +194,8 @@ function wire(): void {
   byId<HTMLSelectElement>("theme").addEventListener("change", (event) => state.set({ theme: (event.target as HTMLSelectElement).value as "auto" | "day" | "night" }));
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawOptions);
   closers();
+  wireAdding(state, (words) => saySomething(words));
+  showTab("pins");
   document.addEventListener("keydown", keyed);
   state.on(["shown", "frames"], drawControls);
   state.on(["options"], drawOptions);
@@ -246,13 +210,14 @@ function keyed(event: KeyboardEvent): void {
   if (isTyping || event.altKey || document.querySelector("dialog[open]") !== null) return;
   if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z") { event.preventDefault(); void undo(event.shiftKey); return; }
   if (event.ctrlKey || event.metaKey) return;
+  if (picture.key(event.key.length === 1 ? event.key.toLowerCase() : event.key, event.shiftKey)) { event.preventDefault(); return; }
   const selected = state.selected === null ? undefined : state.pins.get(state.selected);
   const actions: Record<string, () => void> = {
     " ": () => viewer.freeze(!state.isFrozen), ArrowLeft: () => viewer.step(-1), ArrowRight: () => viewer.step(1),
     "+": () => picture.zoom(1.5), "-": () => picture.zoom(1 / 1.5), "0": () => picture.whole(),
-    f: () => state.set({ features: !state.options.features }), p: () => state.set({ paths: !state.options.paths }),
+    f: () => state.peek("features"), p: () => state.peek("paths"),
     "/": () => byId("filter").focus(), "?": () => byId<HTMLDialogElement>("help-dialog").showModal(),
-    u: () => void undo(false), t: () => state.setMode({ kind: "tie" }), h: () => { if (selected !== undefined) run(showHandoff(selected, state)); },
+    u: () => void undo(false), t: () => state.setMode({ kind: "tie" }), h: () => { if (selected !== undefined) handOff(selected); },
   };
   KINDS.forEach((kind, k) => { actions[String(k + 1)] = () => state.set({ category: kind.word }); });
   // Space presses the button that has the focus; elsewhere it freezes.
@@ -263,8 +228,9 @@ function keyed(event: KeyboardEvent): void {
 
 async function begin(): Promise<void> {
   new StatusStrip(state, viewer);
+  new AgeBadge(state);
   new PinList(state, {
-    handoff: (pin) => run(showHandoff(pin, state)),
+    handoff: handOff,
     open: (vehicle, frame, u, v) => { viewer.open(vehicle, frame); picture.reveal({ u, v }); },
     remove: (pin) => run(api.deletePin(pin.id, state.options.who).then(() => saySomething(`pin ${pin.number} deleted; Undo brings it back`))),
     edit: (pin, changed) => run(api.editPin(pin.id, { ...changed, who: state.options.who })),
@@ -278,6 +244,7 @@ async function begin(): Promise<void> {
   listen(heard, () => {
     state.isConnected = true;
     byId("offline").hidden = true;
+    state.forgetRevisions();
     if (isBegun) run(refresh());
     state.tell("link");
   }, () => {
@@ -301,7 +268,7 @@ async function begin(): Promise<void> {
   document.body.dataset["ready"] = "yes";
 }
 
-/** Nine tenths of the page's code is the map's: it is fetched beside the first picture, and begun after it. */
+/** Nine tenths of the page's code is the map's: it is fetched with the first picture, and started after it. */
 async function beginMap(): Promise<void> {
   const fetched = import("./map.js");
   if (state.shown === null && state.rows().length > 0) {
@@ -310,8 +277,9 @@ async function beginMap(): Promise<void> {
       window.setTimeout(done, 1000);
     });
   }
-  const { MapPane } = await fetched;
-  mapPane = new MapPane(state, viewer, state.server?.tiles ?? null);
+  const { MapPane, baseMap } = await fetched, tiles = state.server?.tiles ?? null;
+  const base = tiles === null ? null : await baseMap(tiles).catch((error: unknown) => { saySomething(`no base map: ${String(error)}`, "refused"); return null; });
+  mapPane = new MapPane(state, viewer, base);
 }
 
 void begin();

@@ -1,34 +1,32 @@
-// The map pane: works with no tiles at all; grid, flight path, footprint, features, pictures on the ground, pins and ties.
+// The map pane: works with no tiles at all; grid, flight paths, footprint, features, pictures on the ground, pins and ties.
 
 import * as maplibregl from "maplibre-gl";
-import type { GeoJSONSource, ImageSource, Map as MapLibreMap, StyleSpecification } from "maplibre-gl";
+import type { GeoJSONSource, ImageSource, Map as MapLibreMap } from "maplibre-gl";
 import { Protocol } from "pmtiles";
-import { baseLayers, baseSource } from "./base-map.js";
+import type { BaseMap } from "./base-map.js";
 import { byId, say } from "./dom.js";
 import { gridLines } from "./grid.js";
-import { distance } from "./format.js";
-import { ellipseRing } from "./projection.js";
-import { AIRCRAFT, KINDS, kindOf } from "./shapes.js";
+import { degrees, stepText } from "./format.js";
+import { ABOVE_PICTURES, addLayers, collection, emptyStyle, paintTheme, PIN_LAYERS, type SourceName } from "./map-layers.js";
+import { dotsOf, mapPin, placesOf, type Feature, type MapPin } from "./map-pins.js";
+import { AIRCRAFT } from "./shapes.js";
 import type { State } from "./state.js";
 import type { Viewer } from "./viewer.js";
-import type { FrameView, Pin, PlaceAnswer, Tie, Tiles } from "./types.js";
+import type { FrameView, Pin, Tie } from "./types.js";
+
+export { baseMap } from "./base-map.js";
 
 declare const WORKER_URL: string;
 
 const LAID_PICTURES = 16;
-const MOST_DRAWN = 500; // of more pins than that all but the chosen one are dots
-const PIN_ICON = 28;
+const MOST_DRAWN = 500; // with more pins in view than this all but the chosen one are dots
+const VIEW_STORED = "pointclick.view";
+const REST_MS = 600; // between two drawings of the same: pictures may come faster than a map is worth drawing
+const ASIDE = 0.15; // of the map's smaller side
+const SNAPSHOT_MS = 2500; // that a picture of the map waits for tiles
 type What = "shown" | "pins" | "path";
-// The map is drawn so long after the last change, and after the first one: pins once the clicking pauses.
+// Delays of drawing the map after the last change, and after the first one: pins once the clicking pauses.
 const LATER_MS = 120, LATEST_MS: Record<What, number> = { shown: 500, pins: 10_000, path: 3000 };
-const ABOVE_PICTURES = "footprint-fill"; // the lowest layer that lies on the pictures
-type Feature = { type: "Feature"; id?: number; geometry: { type: string; coordinates: unknown }; properties: Record<string, unknown> };
-
-interface Palette { ground: string; grid: string; major: string; text: string; halo: string }
-const PALETTES: Record<"day" | "night", Palette> = {
-  day: { ground: "#eef1f4", grid: "#d3dae2", major: "#aab6c4", text: "#1b2530", halo: "#ffffff" },
-  night: { ground: "#10161d", grid: "#202c38", major: "#36475a", text: "#e6edf3", halo: "#000000" },
-};
 
 export class MapPane {
   private readonly map: MapLibreMap;
@@ -37,25 +35,32 @@ export class MapPane {
   private isFollowing = true;
   private hasView = false;
   private theme: "day" | "night" = "day";
+  private readonly drawnAt = new Map<What, number>();
   private readonly waiting = new Map<What, { timer: number; latest: number }>();
-  private drawnPath: [number, number][] | null = null;
+  private drawnPaths: unknown[] = [];
   private drawnTies: Tie[] | null = null;
   private readonly onMap = new Map<string, MapPin>();
-  private isCrowded = false;
+  private dots: ReadonlyMap<string, Pin> = new Map();
+  private drawnCount = 0;
+  private isSnapshot = false;
   private origin: { lat: number; lon: number } | null = null;
 
-  constructor(private readonly state: State, private readonly viewer: Viewer, tiles: Tiles | null) {
+  constructor(private readonly state: State, private readonly viewer: Viewer, private readonly base: BaseMap | null) {
     maplibregl.setWorkerUrl(WORKER_URL);
-    if (tiles?.kind === "pmtiles") maplibregl.addProtocol("pmtiles", new Protocol().tile);
+    if (base !== null && base.archive !== null) {
+      const protocol = new Protocol();
+      protocol.add(base.archive);
+      maplibregl.addProtocol("pmtiles", protocol.tile);
+    }
     this.map = new maplibregl.Map({
       container: byId("map"),
-      style: emptyStyle(tiles),
+      style: emptyStyle(base),
       center: [0, 0],
       zoom: 1,
       maxZoom: 24,
       maxPitch: 0,
       dragRotate: true,
-      attributionControl: tiles === null ? false : { compact: true },
+      attributionControl: base === null ? false : { compact: true },
       fadeDuration: 0,
       canvasContextAttributes: { antialias: false, preserveDrawingBuffer: false },
     });
@@ -63,20 +68,21 @@ export class MapPane {
     this.map.addControl(new maplibregl.NavigationControl({ showCompass: true }), "top-right");
     this.map.addControl(new maplibregl.ScaleControl({ unit: "metric" }), "bottom-left");
     this.map.on("dragstart", () => this.follow(false));
-    this.map.once("load", () => this.ready(tiles));
+    this.map.once("load", () => this.ready());
     this.map.on("error", (event) => { console.debug("map", event.error.message); });
+    this.begin();
     byId("follow").addEventListener("click", () => this.follow(!this.isFollowing));
     byId("fit").addEventListener("click", () => this.fit());
   }
 
   setTheme(theme: "day" | "night"): void {
     this.theme = theme;
-    if (this.isReady) this.paintTheme();
+    if (this.isReady) paintTheme(this.map, this.theme);
   }
 
   resize(): void { this.map.resize(); }
 
-  /** Bring a place into sight. */
+  /** Bring a place into view. */
   goTo(lat: number, lon: number): void {
     this.follow(false);
     if (!this.map.getBounds().contains([lon, lat])) this.map.easeTo({ center: [lon, lat], duration: 300 });
@@ -97,50 +103,72 @@ export class MapPane {
     if (!bounds.isEmpty()) this.map.fitBounds(bounds, { padding: 50, maxZoom: 20, duration: 300 });
   }
 
-  private ready(tiles: Tiles | null): void {
+  /** Until the first picture: where there are tiles, else what was looked at last. */
+  private begin(): void {
+    if (this.base?.bounds != null) {
+      this.map.fitBounds(this.base.bounds, { padding: 20, duration: 0 });
+      if (this.map.getZoom() < this.base.minZoom) this.map.setZoom(this.base.minZoom);
+      return;
+    }
+    try {
+      const [lon, lat, zoom] = JSON.parse(localStorage.getItem(VIEW_STORED) ?? "[]") as number[];
+      if (lon !== undefined && lat !== undefined && zoom !== undefined) this.map.jumpTo({ center: [lon, lat], zoom });
+    } catch { /* the world, then */ }
+  }
+
+  private ready(): void {
     this.isReady = true;
     const map = this.map;
-    for (const name of ["grid", "path", "footprint", "features", "ellipses", "pins", "ties", "craft"]) {
-      map.addSource(name, { type: "geojson", data: collection([]), promoteId: "key" });
-    }
-    for (const kind of KINDS) for (const isMarked of [false, true]) {
-      map.addImage(`${kind.word}${isMarked ? "-marked" : ""}`, icon(kind.path, kind.colour, isMarked), { pixelRatio: 2 });
-    }
-    map.addImage("tie", icon("M12 1v22M1 12h22", "#111", false, true), { pixelRatio: 2 });
-    map.addLayer({ id: "grid", type: "line", source: "grid", layout: { visibility: tiles === null ? "visible" : "none" }, paint: { "line-width": 1 } });
-    map.addLayer({ id: "footprint-fill", type: "fill", source: "footprint", paint: { "fill-color": ["get", "colour"], "fill-opacity": 0.06 } });
-    map.addLayer({ id: "footprint", type: "line", source: "footprint", paint: { "line-color": ["get", "colour"], "line-width": 2 } });
-    map.addLayer({ id: "path", type: "line", source: "path", paint: { "line-color": ["get", "colour"], "line-width": 2, "line-dasharray": [2, 1.5] } });
-    map.addLayer({ id: "features", type: "circle", source: "features", paint: { "circle-radius": 2.5, "circle-color": "#7dd3fc", "circle-stroke-color": "#0b2545", "circle-stroke-width": 1 } });
-    map.addLayer({ id: "ellipse-fill", type: "fill", source: "ellipses", paint: { "fill-color": ["get", "colour"], "fill-opacity": 0.16 } });
-    map.addLayer({ id: "ellipse", type: "line", source: "ellipses", paint: { "line-color": ["get", "colour"], "line-width": 1.5 } });
-    map.addLayer({ id: "craft", type: "circle", source: "craft", paint: { "circle-radius": 6, "circle-color": ["get", "colour"], "circle-stroke-color": "#fff", "circle-stroke-width": 2 } });
-    map.addLayer({ id: "ties", type: "symbol", source: "ties", layout: { "icon-image": "tie", "icon-allow-overlap": true } });
-    map.addLayer({ id: "dots", type: "circle", source: "pins", filter: ["get", "small"], paint: { "circle-radius": 5, "circle-color": ["get", "colour"], "circle-stroke-color": "#fff", "circle-stroke-width": 1.5 } });
-    map.addLayer({
-      id: "pins", type: "symbol", source: "pins", filter: ["!", ["get", "small"]],
-      layout: {
-        "icon-image": ["get", "icon"], "icon-allow-overlap": true, "icon-ignore-placement": true, "symbol-sort-key": ["get", "order"],
-        "text-field": ["get", "label"], "text-font": ["sans-serif"], "text-size": 11, "text-allow-overlap": true, "text-ignore-placement": true,
-      },
-      paint: { "text-color": "#ffffff" },
+    addLayers(map, this.base);
+    map.on("moveend", () => this.moved());
+    map.on("render", () => {
+      const drawn = String(this.drawnCount), element = byId("map"); // what a test may wait for
+      if (element.dataset["pins"] !== drawn && map.isSourceLoaded("pins") && map.isSourceLoaded("dots")) element.dataset["pins"] = drawn;
     });
-    map.addLayer({
-      id: "names", type: "symbol", source: "pins", filter: ["all", ["!", ["get", "small"]], ["!=", ["get", "name"], ""]],
-      layout: { "text-field": ["get", "name"], "text-font": ["sans-serif"], "text-size": 12, "text-offset": [0, 1.3], "text-anchor": "top", "text-optional": true },
-      paint: { "text-halo-width": 1.5 },
-    });
-    map.on("moveend", () => this.drawGrid());
-    const drawn = ["dots", "pins"];
+    map.on("mousemove", (event) => say(byId("map-cursor"), degrees(event.lngLat.lat, event.lngLat.lng, null)));
+    map.on("mouseout", () => say(byId("map-cursor"), ""));
+    const drawn = PIN_LAYERS;
     map.on("mousemove", drawn, (event) => { this.state.hover(String(event.features?.[0]?.properties["id"] ?? "")); map.getCanvas().style.cursor = "pointer"; });
     map.on("mouseleave", drawn, () => { this.state.hover(null); map.getCanvas().style.cursor = ""; });
     map.on("click", drawn, (event) => this.state.select(String(event.features?.[0]?.properties["id"] ?? "")));
-    this.paintTheme();
+    paintTheme(this.map, this.theme);
     this.state.on(["shown"], () => this.later("shown"));
     this.state.on(["pins", "hover", "selected"], () => this.later("pins"));
     this.state.on(["frames", "vehicles"], () => this.later("path"));
     this.state.on(["options"], () => this.later("shown"));
     for (const what of ["shown", "pins", "path"] as const) this.later(what);
+  }
+
+  private moved(): void {
+    if (this.isSnapshot) return;
+    this.drawGrid();
+    // Of very many pins those that have come into view are drawn complete, if they are few enough.
+    if (this.state.pins.size > MOST_DRAWN) this.later("pins");
+    const { lng, lat } = this.map.getCenter();
+    try {
+      localStorage.setItem(VIEW_STORED, JSON.stringify([lng, lat, this.map.getZoom()]));
+    } catch { /* a private window keeps nothing */ }
+  }
+
+  /** A picture of the map about a place, north up, some times its radius wide; null if there is no map. */
+  async snapshot(lat: number, lon: number, radiusM: number): Promise<string | null> {
+    if (!this.isReady || this.isSnapshot) return null;
+    const map = this.map, before = { center: map.getCenter(), zoom: map.getZoom(), bearing: map.getBearing() };
+    this.isSnapshot = true;
+    paintTheme(map, "day"); // it is printed
+    try {
+      const metres = 40_075_017 * Math.cos(lat * Math.PI / 180) / 512, side = Math.min(map.getCanvas().clientWidth, map.getCanvas().clientHeight);
+      map.jumpTo({ center: [lon, lat], zoom: Math.min(Math.log2(metres * side / (2 * radiusM)), 19), bearing: 0 });
+      this.drawGrid();
+      await new Promise<void>((done) => { map.once("idle", () => done()); window.setTimeout(done, SNAPSHOT_MS); });
+      map.redraw();
+      return map.getCanvas().toDataURL("image/png");
+    } finally {
+      map.jumpTo(before);
+      this.isSnapshot = false;
+      paintTheme(map, this.theme);
+      this.drawGrid();
+    }
   }
 
   /** After the picture and its answer, which are waited for: once nothing more comes, or at last after a while. */
@@ -153,14 +181,15 @@ export class MapPane {
       // Never between a press and its answer: on a slow machine each click would wait for the map of the one before.
       if (this.state.clicksUnderWay > 0 && performance.now() < latest) { this.later(what); return; }
       this.waiting.delete(what);
-      if (what === "path") this.drawPath();
+      this.drawnAt.set(what, performance.now());
+      if (what === "path") this.drawPaths();
       else if (what === "shown") this.drawShown();
       else this.drawPins();
-    }), Math.min(LATER_MS, Math.max(latest - now, 0)));
+    }), Math.max(Math.min(LATER_MS, latest - now), (this.drawnAt.get(what) ?? -REST_MS) + REST_MS - now, 0));
     this.waiting.set(what, { timer, latest });
   }
 
-  private set(name: string, features: Feature[]): void {
+  private set(name: SourceName, features: Feature[]): void {
     (this.map.getSource(name) as GeoJSONSource).setData(collection(features));
   }
 
@@ -169,26 +198,32 @@ export class MapPane {
     const isDrawn = shown !== null && shown.camera !== null;
     const properties = { colour: this.colour() };
     this.set("footprint", isDrawn && shown.footprint.length > 3 ? [{ type: "Feature", geometry: { type: "Polygon", coordinates: [shown.footprint] }, properties }] : []);
-    this.set("features", isDrawn && this.state.options.features ? shown.features.lonlat.map((at) => ({ type: "Feature", geometry: { type: "Point", coordinates: at }, properties: {} })) : []);
-    this.set("craft", isDrawn && shown.camera !== null ? [{ type: "Feature", geometry: { type: "Point", coordinates: [shown.camera.lon_deg, shown.camera.lat_deg] }, properties }] : []);
+    this.set("features", isDrawn && this.state.peeks.has("features") ? shown.features.lonlat.map((at) => ({ type: "Feature", geometry: { type: "Point", coordinates: at }, properties: {} })) : []);
+    this.drawCraft();
     this.lay();
     if (this.isFollowing || !this.hasView) this.centre(shown);
     if (this.origin === null) this.drawGrid();
   }
 
   private centre(shown: FrameView | null): void {
-    if (shown === null || shown.footprint.length < 3) return;
+    if (shown === null || shown.footprint.length < 3 || this.isSnapshot) return;
     const bounds = new maplibregl.LngLatBounds();
     for (const place of shown.footprint) bounds.extend(place);
     if (!this.hasView) {
       this.hasView = true;
       this.map.fitBounds(bounds, { padding: { top: 60, bottom: 60, left: 60, right: 60 }, maxZoom: 21, duration: 0 });
-    } else if (this.isFollowing) {
+    } else if (this.isFollowing && this.isAside(bounds.getCenter())) {
       this.map.easeTo({ center: bounds.getCenter(), duration: 250 });
     }
   }
 
-  /** The last pictures as they lie on the ground, the one that is shown on top. */
+  /** Whether a place has left the middle of the map. If it moved with each picture, the map would never be still. */
+  private isAside(place: maplibregl.LngLat): boolean {
+    const { clientWidth: width, clientHeight: height } = this.map.getCanvas(), at = this.map.project(place);
+    return Math.hypot(at.x - width / 2, at.y - height / 2) > ASIDE * Math.min(width, height);
+  }
+
+  /** The last pictures in their places on the ground, the one that is shown on top. */
   private lay(): void {
     const loaded = this.viewer.loaded;
     const isOn = this.state.options.pictures;
@@ -216,41 +251,93 @@ export class MapPane {
     }
   }
 
-  private drawPath(): void {
-    const path = this.state.paths.get(this.state.vehicle ?? "") ?? [];
-    if (path === this.drawnPath) return; // a status comes every second, and drawing costs
-    this.drawnPath = path;
-    this.set("path", path.length < 2 ? [] : [{ type: "Feature", geometry: { type: "LineString", coordinates: path }, properties: { colour: this.colour() } }]);
+  /** All aircraft; the chosen one where the picture that is shown was taken, and strong. */
+  private drawCraft(): void {
+    const { shown, vehicle: chosen, vehicles } = this.state;
+    const craft = vehicles.flatMap((vehicle, k): Feature[] => {
+      const isChosen = vehicle.id === chosen, camera = isChosen && shown?.vehicle === chosen ? shown.camera : null;
+      const at = camera !== null ? [camera.lon_deg, camera.lat_deg] : vehicle.place;
+      return at === null ? [] : [{
+        type: "Feature", geometry: { type: "Point", coordinates: at },
+        properties: { colour: AIRCRAFT[k % AIRCRAFT.length], chosen: isChosen, name: vehicles.length > 1 ? vehicle.id : "" },
+      }];
+    });
+    this.set("craft", craft);
+  }
+
+  private drawPaths(): void {
+    this.drawCraft();
+    const { vehicle: chosen, vehicles, paths } = this.state;
+    const drawn = [chosen, ...vehicles.map((vehicle) => paths.get(vehicle.id))];
+    if (drawn.length === this.drawnPaths.length && drawn.every((one, k) => one === this.drawnPaths[k])) return; // a status comes every second, and drawing costs
+    this.drawnPaths = drawn;
+    this.set("path", vehicles.flatMap((vehicle, k): Feature[] => {
+      const path = paths.get(vehicle.id) ?? [];
+      return path.length < 2 ? [] : [{ type: "Feature", geometry: { type: "LineString", coordinates: path }, properties: { colour: AIRCRAFT[k % AIRCRAFT.length], chosen: vehicle.id === chosen } }];
+    }));
+  }
+
+  /** The pins that are drawn complete: all; or of very many those in view, if few enough, and the chosen one. */
+  private wholePins(isCrowded: boolean): readonly Pin[] {
+    const { pins, hovered, selected } = this.state;
+    if (!isCrowded) return [...pins.values()];
+    const bounds = this.map.getBounds(), seen = new Map<string, Pin>();
+    for (const pin of pins.values()) {
+      if (placesOf(pin).some((place) => bounds.contains([place.lon_deg, place.lat_deg]))) seen.set(pin.id, pin);
+      if (seen.size > MOST_DRAWN) { seen.clear(); break; }
+    }
+    for (const id of [hovered, selected]) {
+      const pin = id === null ? undefined : pins.get(id);
+      if (pin !== undefined) seen.set(pin.id, pin);
+    }
+    return [...seen.values()];
   }
 
   private drawPins(): void {
-    const { hovered, selected, pins } = this.state;
-    const isCrowded = pins.size > MOST_DRAWN;
-    if (isCrowded !== this.isCrowded) this.onMap.clear();
-    this.isCrowded = isCrowded;
+    const { hovered, selected, pins } = this.state, isCrowded = pins.size > MOST_DRAWN;
+    this.drawDots(isCrowded);
     // Only what has changed goes to the map: a pin is the same object until it changes.
-    const changed: MapPin[] = [], gone: string[] = [];
+    const changed: MapPin[] = [], gone: string[] = [], whole = new Set<string>();
     const isAnew = this.onMap.size === 0;
-    for (const pin of pins.values()) {
+    for (const pin of this.wholePins(isCrowded)) {
+      whole.add(pin.id);
       const isMarked = pin.id === hovered || pin.id === selected, held = this.onMap.get(pin.id);
       if (held !== undefined && held.pin === pin && held.isMarked === isMarked) continue;
       if (held !== undefined) gone.push(...held.keys);
-      const made = mapPin(pin, isMarked, isCrowded && !isMarked);
+      const made = mapPin(pin, isMarked);
       this.onMap.set(pin.id, made);
       changed.push(made);
     }
-    for (const [id, held] of this.onMap) if (!pins.has(id)) { gone.push(...held.keys); this.onMap.delete(id); }
+    for (const [id, held] of this.onMap) if (!whole.has(id)) { gone.push(...held.keys); this.onMap.delete(id); }
     for (const name of ["pins", "ellipses"] as const) {
-      if (isAnew || changed.length > pins.size / 2) this.set(name, [...this.onMap.values()].flatMap((made) => made[name]));
+      if (isAnew || changed.length > this.onMap.size / 2) this.set(name, [...this.onMap.values()].flatMap((made) => made[name]));
       else if (changed.length > 0 || gone.length > 0) {
         const add = changed.flatMap((made) => made[name]), added = new Set(add.map((feature) => feature.properties["key"]));
-        const remove = gone.filter((key) => !added.has(key));
-        (this.map.getSource(name) as GeoJSONSource).updateData({ add, remove } as unknown as Parameters<GeoJSONSource["updateData"]>[0]);
+        this.update(name, add, gone.filter((key) => !added.has(key)));
       }
     }
+    this.drawnCount = pins.size;
     if (this.state.ties === this.drawnTies) return;
     this.drawnTies = this.state.ties;
     this.set("ties", this.state.ties.map((tie) => ({ type: "Feature", geometry: { type: "Point", coordinates: [tie.lon_deg, tie.lat_deg] }, properties: {} })));
+  }
+
+  /** Very many pins as dots. They have a source of their own: which one is pointed at changes nothing in it. */
+  private drawDots(isCrowded: boolean): void {
+    const pins = isCrowded ? this.state.pins : new Map<string, Pin>();
+    const changed = [...pins.values()].filter((pin) => this.dots.get(pin.id) !== pin);
+    const gone = [...this.dots.values()].filter((pin) => pins.get(pin.id) !== pin).flatMap((pin) => dotsOf(pin).map((dot) => String(dot.properties["key"])));
+    if (changed.length === 0 && gone.length === 0) return;
+    this.dots = new Map(pins);
+    if (changed.length > pins.size / 2 || pins.size === 0) this.set("dots", [...pins.values()].flatMap(dotsOf));
+    else {
+      const add = changed.flatMap(dotsOf), added = new Set(add.map((feature) => feature.properties["key"]));
+      this.update("dots", add, gone.filter((key) => !added.has(key)));
+    }
+  }
+
+  private update(name: SourceName, add: Feature[], remove: string[]): void {
+    (this.map.getSource(name) as GeoJSONSource).updateData({ add, remove } as unknown as Parameters<GeoJSONSource["updateData"]>[0]);
   }
 
   private drawGrid(): void {
@@ -259,16 +346,8 @@ export class MapPane {
     const bounds = this.map.getBounds();
     if (this.origin === null || this.map.getZoom() < 8) { this.set("grid", []); say(byId("grid-step"), ""); return; }
     const { step, lines } = gridLines(this.origin, [bounds.getWest(), bounds.getSouth(), bounds.getEast(), bounds.getNorth()]);
-    say(byId("grid-step"), `grid ${distance(step).replace(".0", "")}`);
+    say(byId("grid-step"), `grid ${stepText(step)}`);
     this.set("grid", lines.map((line) => ({ type: "Feature", geometry: { type: "LineString", coordinates: line.ends }, properties: { major: line.isMajor } })));
-  }
-
-  private paintTheme(): void {
-    const p = PALETTES[this.theme], map = this.map;
-    map.setPaintProperty("background", "background-color", p.ground);
-    map.setPaintProperty("grid", "line-color", ["case", ["get", "major"], p.major, p.grid]);
-    map.setPaintProperty("names", "text-color", p.text);
-    map.setPaintProperty("names", "text-halo-color", p.halo);
   }
 
   private colour(): string {
@@ -277,44 +356,7 @@ export class MapPane {
   }
 }
 
-/** What the map has of a pin: one place, or each of those that contradict each other. */
-interface MapPin { readonly pin: Pin; readonly isMarked: boolean; readonly keys: string[]; readonly pins: Feature[]; readonly ellipses: Feature[] }
-
-function mapPin(pin: Pin, isMarked: boolean, isSmall: boolean): MapPin {
-  const pins: Feature[] = [], ellipses: Feature[] = [];
-  placesOf(pin).forEach((place, k) => {
-    const key = `${pin.id}/${k}`;
-    pins.push({
-      type: "Feature", geometry: { type: "Point", coordinates: [place.lon_deg, place.lat_deg] },
-      properties: { key, id: pin.id, small: isSmall, colour: kindOf(pin.category).colour, icon: `${pin.category}${isMarked ? "-marked" : ""}`, label: `${pin.number}${pin.place.status === "ok" ? "" : "!"}`, name: pin.name, order: isMarked ? 1e9 : pin.number },
-    });
-    const e = place.ellipse;
-    if (e !== null && !isSmall) {
-      const ring = ellipseRing(place.lat_deg, place.lon_deg, e.semi_major_m, e.semi_minor_m, e.azimuth_deg);
-      ellipses.push({ type: "Feature", geometry: { type: "Polygon", coordinates: [ring] }, properties: { key, colour: kindOf(pin.category).colour } });
-    }
-  });
-  return { pin, isMarked, keys: pins.map((feature) => String(feature.properties["key"])), pins, ellipses };
-}
-
-function placesOf(pin: Pin): PlaceAnswer[] {
-  return pin.place.status === "ok" ? [pin.place] : pin.place.status === "contradiction" ? pin.place.answers : [];
-}
-
-function collection(features: Feature[]): Parameters<GeoJSONSource["setData"]>[0] {
-  return { type: "FeatureCollection", features } as unknown as Parameters<GeoJSONSource["setData"]>[0];
-}
-
-function emptyStyle(tiles: Tiles | null): StyleSpecification {
-  const style: StyleSpecification = { version: 8, sources: {}, layers: [{ id: "background", type: "background", paint: { "background-color": "#eef1f4" } }] };
-  if (tiles !== null) {
-    style.sources["base"] = baseSource(tiles);
-    style.layers.push(...baseLayers(tiles));
-  }
-  return style;
-}
-
-/** The map keeps a copy: the viewer closes its pictures when it forgets them. */
+/** The map keeps a copy: the viewer closes its pictures when it drops them. */
 function copied(image: ImageBitmap): HTMLCanvasElement {
   const canvas = document.createElement("canvas");
   const scale = Math.min(1, 640 / image.width);
@@ -322,28 +364,4 @@ function copied(image: ImageBitmap): HTMLCanvasElement {
   canvas.height = Math.max(Math.round(image.height * scale), 1);
   canvas.getContext("2d")?.drawImage(image, 0, 0, canvas.width, canvas.height);
   return canvas;
-}
-
-function icon(path: string, colour: string, isMarked: boolean, isLine = false): ImageData {
-  const side = (isMarked ? 1.3 : 1) * PIN_ICON * 2;
-  const canvas = document.createElement("canvas");
-  canvas.width = canvas.height = Math.round(side);
-  const context = canvas.getContext("2d")!;
-  context.scale(canvas.width / 28, canvas.height / 28);
-  context.translate(2, 2);
-  const shape = new Path2D(path);
-  context.lineJoin = "round";
-  context.strokeStyle = isMarked ? "#000" : "#fff";
-  context.lineWidth = isMarked || isLine ? 4 : 2.5;
-  context.stroke(shape);
-  if (isLine) {
-    context.strokeStyle = colour;
-    context.lineWidth = 2;
-    context.stroke(shape);
-  } else {
-    if (isMarked) { context.strokeStyle = "#fff"; context.lineWidth = 2; context.stroke(shape); }
-    context.fillStyle = colour;
-    context.fill(shape);
-  }
-  return context.getImageData(0, 0, canvas.width, canvas.height);
 }

@@ -7,7 +7,8 @@ import { kindOf, shapeSvg } from "./shapes.js";
 import type { State } from "./state.js";
 import type { Category, FrameView, Pin } from "./types.js";
 
-const NEAR_PX = 16;
+const SPOT_PX = { mouse: 7, touch: 16 }, SHAPE_PX = { mouse: 11, touch: 14 }; // how far a press may be from it
+const SHAPE_ABOVE_PX = 18, BELOW_UNDER_PX = 30; // a pin's shape is drawn so far above its spot; near the top, below
 const MOST = 200; // in one picture, the newest first
 
 interface Spot { readonly key: string; readonly vehicle: string; readonly session: number; readonly frame: number; readonly at: Pixel }
@@ -53,11 +54,15 @@ export class Markers {
     if (had) this.redraw();
   }
 
-  near(at: Point): string | null {
-    let best: string | null = null, least = NEAR_PX;
-    for (const [key, { x, y }] of this.drawn) {
-      const far = Math.hypot(x - at.x, y - at.y);
-      if (far < least && this.state.pins.has(key)) { least = far; best = key; }
+  /** The pin whose spot or shape is pressed; null if there is none. */
+  near(at: Point, isTouch: boolean): string | null {
+    const kind = isTouch ? "touch" : "mouse";
+    let best: string | null = null, least = 1;
+    for (const [key, { x, y, isSeen }] of this.drawn) {
+      if (!isSeen || !this.state.pins.has(key)) continue;
+      const shapeY = y < BELOW_UNDER_PX ? y + SHAPE_ABOVE_PX : y - SHAPE_ABOVE_PX;
+      const far = Math.min(Math.hypot(x - at.x, y - at.y) / SPOT_PX[kind], Math.hypot(x - at.x, shapeY - at.y) / SHAPE_PX[kind]);
+      if (far < least) { least = far; best = key; }
     }
     return best;
   }
@@ -105,10 +110,10 @@ export class Markers {
       this.layer.append(held.element);
       this.drawn.set(key, held);
     }
-    // Only what has changed is written: two hundred markers stand still while one is added.
+    // Only what has changed is written: two hundred markers stay as they are while one is added.
     if (held.x !== at.x || held.y !== at.y) {
       held.element.style.transform = `translate(${at.x}px, ${at.y}px)`;
-      held.element.classList.toggle("below", at.y < 38);
+      held.element.classList.toggle("below", at.y < BELOW_UNDER_PX);
       [held.x, held.y] = [at.x, at.y];
     }
     const isSeen = at.x >= 0 && at.y >= 0 && at.x <= pane.width && at.y <= pane.height;
@@ -146,7 +151,7 @@ export function pixelIn(pin: Pin, frame: FrameView, size: Size): Pixel | null {
 function marker(category: Category, number: string, isMarked: boolean, flag: string): HTMLElement {
   const kind = kindOf(category);
   const element = make("div", { class: `marker${isMarked ? " marked" : ""}`, "data-testid": "picture-pin", "data-number": number });
-  element.append(make("i", { class: "spot" }), shapeSvg(kind, 26, number));
+  element.append(make("i", { class: "spot" }), shapeSvg(kind, 20, number));
   if (flag !== "") element.append(make("b", { class: "flag" }, flag));
   return element;
 }

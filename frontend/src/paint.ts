@@ -1,9 +1,10 @@
 // Draws a picture and what belongs to it on a canvas.
 
 import { toPane, type View } from "./mapping.js";
+import type { Peek } from "./state.js";
 import type { Loaded } from "./viewer.js";
 
-export interface Layers { readonly features: boolean; readonly paths: boolean }
+export type Layers = ReadonlyMap<Peek, unknown>;
 
 const TRACKED = "#7dd3fc", NEW = "#fde047", EDGE = "rgba(0,0,0,0.75)", PATH = "rgba(125,211,252,0.6)";
 
@@ -23,11 +24,11 @@ export function paint(canvas: HTMLCanvasElement, loaded: Loaded, view: View, lay
   } else {
     constellation(context, loaded, view, w, h);
   }
-  if (layers.paths && image !== null || image === null) paths(context, loaded, view);
-  if (layers.features || image === null) features(context, loaded, view, image === null);
+  if (layers.has("paths") || image === null) paths(context, loaded, view);
+  if (layers.has("features") || image === null) features(context, loaded, view, image === null);
 }
 
-/** Without a picture: the camera's field with a grid to hold on to, so that the features make a picture to click. */
+/** Without a picture: the camera's field of view with a grid, so that the user can click among the features. */
 function constellation(context: CanvasRenderingContext2D, loaded: Loaded, view: View, w: number, h: number): void {
   context.fillStyle = "#17222e";
   context.fillRect(view.left, view.top, w, h);

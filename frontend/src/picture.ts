@@ -7,12 +7,17 @@ import { Markers } from "./markers.js";
 import type { State } from "./state.js";
 import type { Viewer, Loaded } from "./viewer.js";
 import type { ClickBody } from "./types.js";
+import type { Readout } from "./readout.js";
 
+const STEP_PX = 10, FINE_PX = 1; // of the crosshair, on the screen
 const SLACK_PX = 6; // a mouse that moves further than this drags
 const HOLD_MS = 180; // a finger that stays this long gets a loupe, and aims until it is lifted
 const LOUPE_ZOOM = 3;
 
 interface Press { readonly id: number; readonly from: Point; readonly loaded: Loaded; aim: Pixel; isDrag: boolean; isAim: boolean; last: Point; readonly isTouch: boolean }
+
+/** Where to the crosshair goes. */
+const ARROWS: Record<string, Point> = { ArrowLeft: { x: -1, y: 0 }, ArrowRight: { x: 1, y: 0 }, ArrowUp: { x: 0, y: -1 }, ArrowDown: { x: 0, y: 1 } };
 
 export class PicturePane {
   readonly element = byId("picture");
@@ -29,8 +34,13 @@ export class PicturePane {
   private timer = 0;
   private isDue = false;
   private isPictureDue = false;
+  private cross: Pixel | null = null;
+  private readonly crosshair = byId("crosshair");
 
-  constructor(private readonly state: State, private readonly viewer: Viewer, private readonly onClick: (body: ClickBody) => void) {
+  constructor(
+    private readonly state: State, private readonly viewer: Viewer, private readonly readout: Readout,
+    private readonly onClick: (body: ClickBody) => void,
+  ) {
     this.markers = new Markers(byId("markers"), state);
     new ResizeObserver(() => this.fit()).observe(this.stage);
     const e = this.element;
@@ -38,7 +48,7 @@ export class PicturePane {
     e.addEventListener("pointermove", (event) => this.move(event));
     e.addEventListener("pointerup", (event) => this.up(event));
     e.addEventListener("pointercancel", (event) => this.cancel(event.pointerId));
-    e.addEventListener("pointerleave", () => state.hover(null));
+    e.addEventListener("pointerleave", () => { state.hover(null); if (this.cross === null) readout.point(null); });
     e.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
     e.addEventListener("contextmenu", (event) => event.preventDefault());
     state.on(["shown", "options"], () => this.invalidate());
@@ -57,7 +67,52 @@ export class PicturePane {
     this.invalidate();
   }
 
-  /** Make sure a pixel is in sight. */
+  /** A press of a key, which may be for the crosshair; returns whether it was. */
+  key(name: string, isFine: boolean): boolean {
+    const loaded = this.viewer.loaded;
+    if (loaded === null) return false;
+    if (this.cross === null) {
+      if (name !== "c" && !(name === "Enter" && document.activeElement === this.element)) return false;
+      this.aimAt(toPixel(this.view, { x: this.pane.width / 2, y: this.pane.height / 2 }));
+      return true;
+    }
+    const arrow = ARROWS[name];
+    if (arrow !== undefined) {
+      const by = isFine ? FINE_PX : STEP_PX, from = toPane(this.view, this.cross);
+      const to = { x: Math.min(Math.max(from.x + by * arrow.x, 0), this.pane.width), y: Math.min(Math.max(from.y + by * arrow.y, 0), this.pane.height) };
+      const at = toPixel(this.view, to);
+      if (contains(this.picture, at)) this.aimAt(at);
+    } else if (name === "Enter") this.onClick(this.body(loaded, this.cross));
+    else if (name === "Escape" || name === "c") this.aimAt(null);
+    else return false;
+    return true;
+  }
+
+  private aimAt(at: Pixel | null): void {
+    this.cross = at;
+    this.drawCrosshair();
+    this.pointAt(at);
+  }
+
+  private drawCrosshair(): void {
+    this.crosshair.hidden = this.cross === null;
+    if (this.cross === null) return;
+    const p = toPane(this.view, this.cross);
+    this.crosshair.style.transform = `translate(${p.x}px, ${p.y}px)`;
+  }
+
+  private body(loaded: Loaded, at: Pixel): ClickBody {
+    const { vehicle, session, frame } = loaded.view;
+    return { vehicle, session, frame, u: at.u, v: at.v };
+  }
+
+  /** Ask for the place of a pixel of what is drawn. */
+  private pointAt(at: Pixel | null): void {
+    const loaded = this.press?.loaded ?? this.viewer.loaded;
+    this.readout.point(at === null || loaded === null || !contains(this.picture, at) ? null : this.body(loaded, at));
+  }
+
+  /** Make sure a pixel is in view. */
   reveal(at: Pixel): void {
     const p = toPane(this.view, at);
     if (p.x < 0 || p.y < 0 || p.x > this.pane.width || p.y > this.pane.height) {
@@ -105,15 +160,16 @@ export class PicturePane {
     const loaded = this.press?.loaded ?? this.viewer.loaded;
     const ratio = window.devicePixelRatio || 1;
     if (Math.round(this.pane.width * ratio) !== this.canvas.width) { this.fit(); return; }
-    if (loaded !== null && isPicture) paint(this.canvas, loaded, this.view, this.state.options);
+    if (loaded !== null && isPicture) paint(this.canvas, loaded, this.view, this.state.peeks);
     if (isPicture) this.element.dataset["zoom"] = (this.view.scale / wholeView(this.picture, this.pane).scale).toFixed(2);
     this.markers.draw(loaded?.view ?? null, this.view, this.pane);
-    if (isPicture) this.drawLoupe();
+    if (isPicture) { this.drawLoupe(); this.drawCrosshair(); }
+    if (this.cross !== null && loaded !== null && isPicture) this.pointAt(this.cross);
   }
 
   private at(event: PointerEvent | WheelEvent): Point {
     const box = this.element.getBoundingClientRect();
-    // The box's border is none of the pane, and a page that is zoomed has another size than it says.
+    // The box's border is no part of the pane, and a zoomed page has another size than it reports.
     return { x: (event.clientX - box.left) * this.pane.width / box.width, y: (event.clientY - box.top) * this.pane.height / box.height };
   }
 
@@ -129,7 +185,14 @@ export class PicturePane {
     this.viewer.hold(this);
     const isTouch = event.pointerType !== "mouse";
     this.press = { id: event.pointerId, from: at, last: at, loaded, aim: toPixel(this.view, at), isDrag: false, isAim: false, isTouch };
-    if (isTouch) this.timer = window.setTimeout(() => { if (this.press !== null) { this.press.isAim = true; this.drawLoupe(); } }, HOLD_MS);
+    if (isTouch) this.timer = window.setTimeout(() => { this.startAim(); }, HOLD_MS);
+  }
+
+  private startAim(): void {
+    if (this.press === null || this.press.isDrag) return;
+    this.press.isAim = true;
+    this.drawLoupe();
+    this.pointAt(this.press.aim);
   }
 
   private move(event: PointerEvent): void {
@@ -138,18 +201,22 @@ export class PicturePane {
     if (this.fingers.size === 2 && before !== undefined) { this.pinch(event.pointerId, at); return; }
     if (before !== undefined) this.fingers.set(event.pointerId, at);
     if (press === null || press.id !== event.pointerId) {
-      if (event.pointerType === "mouse") this.state.hover(this.markers.near(at));
+      if (event.pointerType !== "mouse") return;
+      const near = this.markers.near(at, false);
+      this.state.hover(near);
+      if (this.cross === null) this.pointAt(toPixel(this.view, at));
       return;
     }
     const isFar = Math.hypot(at.x - press.from.x, at.y - press.from.y) > SLACK_PX;
-    if (press.isTouch) {
-      // A finger that moves aims: the loupe shows what lies under it.
-      if (isFar) press.isAim = true;
+    if (press.isAim) {
+      // A finger that was held aims: the loupe shows what is under it.
       press.aim = toPixel(this.view, at);
       press.last = at;
-      if (press.isAim) this.drawLoupe();
+      this.drawLoupe();
+      this.pointAt(press.aim);
       return;
     }
+    // One that moves at once swipes: it moves a zoomed picture, and clicks nothing.
     if (isFar) press.isDrag = true;
     if (press.isDrag) {
       this.view = panned(this.view, at.x - press.last.x, at.y - press.last.y, this.picture, this.pane);
@@ -163,12 +230,14 @@ export class PicturePane {
     const press = this.press;
     if (press === null || press.id !== event.pointerId) return;
     // The pixel and the picture of the press: what came, grew or moved since does not change what was meant.
-    const { aim, loaded, isDrag } = press;
+    const { aim, loaded, isDrag, isAim } = press;
     this.abandon();
     const size = { width: loaded.view.width_px, height: loaded.view.height_px };
     if (isDrag || !contains(size, aim)) return;
-    const { vehicle, session, frame } = loaded.view;
-    this.onClick({ vehicle, session, frame, u: aim.u, v: aim.v });
+    // On a pin that is drawn there a click chooses it; aimed with the loupe, or with the Shift key, it makes another.
+    const known = this.state.mode.kind === "pin" && !isAim && !event.shiftKey ? this.markers.near(press.from, press.isTouch) : null;
+    if (known !== null) this.state.select(known);
+    else this.onClick(this.body(loaded, aim));
   }
 
   private cancel(id: number): void {
@@ -180,6 +249,7 @@ export class PicturePane {
     window.clearTimeout(this.timer);
     this.press = null;
     this.loupe.hidden = true;
+    if (this.cross === null) this.readout.point(null);
     this.viewer.release(this);
   }
 
@@ -201,7 +271,7 @@ export class PicturePane {
     this.invalidate();
   }
 
-  /** What lies under the finger, larger and beside it. */
+  /** What is under the finger, larger and next to it. */
   private drawLoupe(): void {
     const press = this.press;
     this.loupe.hidden = press === null || !press.isAim;
@@ -211,7 +281,7 @@ export class PicturePane {
     this.loupe.width = this.loupe.height = Math.round(side * ratio);
     const scale = this.view.scale * LOUPE_ZOOM;
     const view = { scale, left: side / 2 - (press.aim.u + 0.5) * scale, top: side / 2 - (press.aim.v + 0.5) * scale };
-    paint(this.loupe, press.loaded, view, this.state.options);
+    paint(this.loupe, press.loaded, view, this.state.peeks);
     const context = this.loupe.getContext("2d");
     if (context !== null) {
       for (const [colour, width] of [["#000", 3], ["#fff", 1]] as const) {

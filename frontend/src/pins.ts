@@ -1,14 +1,14 @@
 // The list of pins, and the card of the one that is chosen. Rows have one height and lie where they belong: ten thousand
-// cost no more than those in sight, and nothing moves by itself when one is added.
+// cost no more than those in view, and nothing moves by itself when one is added.
 
 import { api } from "./api.js";
 import { byId, make, say } from "./dom.js";
-import { degrees, distance, radius } from "./format.js";
+import { degrees, distance, heightText, methodWords, moment, radius, sentence, within, WITHIN_TITLE } from "./format.js";
 import { KINDS, kindOf, shapeSvg } from "./shapes.js";
 import type { State } from "./state.js";
 import type { Category, Pin } from "./types.js";
 
-const ROW_PX = 56;
+const ROW_PX = 44;
 const SPARE = 4;
 
 export interface PinActions {
@@ -29,7 +29,7 @@ export class PinList {
   private readonly hidden = new Set<Category>();
   private found: readonly Pin[] = [];
   private isDue = false;
-  // Of the list, as it said last: asked for while drawing, the browser would have to lay the whole page out.
+  // Of the list, as last reported: asked for while drawing, the browser would have to lay the whole page out.
   private height = 0;
   private top = 0;
   private cardOf = "";
@@ -133,7 +133,7 @@ export class PinList {
     }
   }
 
-  /** The chosen pin's row in sight, however it was chosen, above the card that has opened. */
+  /** Bring the chosen pin's row into view, however it was chosen, above the card that has opened. */
   private reveal(): void {
     const at = this.found.findIndex((pin) => pin.id === this.state.selected);
     if (at < 0) return;
@@ -147,7 +147,7 @@ export class PinList {
     if (pin === undefined) { this.cardOf = ""; this.card.replaceChildren(); return; }
     const version = `${pin.id} ${pin.modified_utc} ${JSON.stringify(pin.place)}`;
     if (version === this.cardOf) return;
-    // Somebody who types keeps the field; what others changed is there once it is left.
+    // A user who types keeps the field; others' changes appear when the user leaves it.
     if (this.cardOf.startsWith(pin.id) && this.card.contains(document.activeElement) && document.activeElement instanceof HTMLInputElement) return;
     this.cardOf = version;
     this.card.replaceChildren(...this.content(pin));
@@ -156,7 +156,7 @@ export class PinList {
   private content(pin: Pin): Node[] {
     const name = make("input", { type: "text", value: pin.name, maxlength: "200", placeholder: "name", "aria-label": "name" });
     name.addEventListener("change", () => this.actions.edit(pin, { name: name.value }));
-    const note = make("textarea", { rows: "2", maxlength: "10000", placeholder: "note", "aria-label": "note" }, pin.note);
+    const note = make("textarea", { rows: "1", maxlength: "10000", placeholder: "note", "aria-label": "note" }, pin.note);
     note.addEventListener("change", () => this.actions.edit(pin, { note: note.value }));
     const category = make("select", { "aria-label": "category" }, ...KINDS.map((kind) =>
       make("option", { value: kind.word, selected: kind.word === pin.category }, kind.title)));
@@ -166,28 +166,43 @@ export class PinList {
     const button = (label: string, title: string, run: () => void, id?: string): HTMLButtonElement =>
       make("button", { type: "button", title, click: run, ...(id === undefined ? {} : { "data-testid": id }) }, label);
     const seen = make("div", { class: "seen" });
-    const head = make("div", { class: "card-head" },
-      make("strong", {}, `Pin ${pin.number}`), name, category,
-      button("Close", "close this card", () => this.state.select(null)));
-    const actions = make("div", { class: "buttons" },
+    const close = button("×", "close this card", () => this.state.select(null));
+    close.setAttribute("aria-label", "close this card");
+    const head = make("div", { class: "card-head" }, make("strong", {}, `Pin ${pin.number}`), name, category, close);
+    const last = pin.clicks.at(-1);
+    const again = button("Click again", "click the same thing in another picture: the pin becomes surer", () => this.state.setMode({ kind: "again", pin: pin.id }));
+    const remove = button("Delete", "delete; Undo brings it back", () => this.actions.remove(pin));
+    // A pin without a place cannot be passed on, and no distance to it can be measured.
+    const actions = make("div", { class: "buttons" }, ...(pin.place.status === "ok" ? [
       button("Hand off", "coordinate in every format, QR code, print (H)", () => this.actions.handoff(pin), "handoff"),
-      button("Click again", "click the same thing in another picture: the pin becomes surer", () => this.state.setMode({ kind: "again", pin: pin.id })),
+      again,
       button("Seen in", "the pictures that show it", () => void this.listSeen(pin, seen)),
       button("Measure", "distance and bearing to another pin", () => this.listMeasure(pin, seen)),
-      button("Delete", "delete; Undo brings it back", () => this.actions.remove(pin)));
-    const facts = make("div", { class: "facts" }, make("div", {}, placeText(pin)), make("div", {}, factText(pin)), make("div", { class: "by" }, byText(pin)));
-    return [head, make("div", { class: "card-body" }, crop, note), facts, actions, seen, ...this.clicks(pin)];
+    ] : [
+      again, ...(last === undefined ? [] : [button("Remove last click", "the pin is then where its other clicks put it", () => this.actions.removeClick(pin, last.id), "remove-last")]),
+    ]), remove);
+    const method = methodWords(last?.method ?? "")[1];
+    const facts = make("div", { class: "facts" }, make("div", { class: "place" }, placeText(pin)), ...(pin.place.status === "ok" ? [make("div", { title: `${WITHIN_TITLE}; ${method}` }, factText(pin)), ...this.smaller(pin)] : []), make("div", { class: "by" }, byText(pin)));
+    return [head, make("div", { class: "card-body" }, crop, make("div", { class: "card-words" }, facts, note)), actions, seen, ...this.clicks(pin)];
+  }
+
+  /** What a radius is mostly from, and what would make it smaller: of a flight that still runs, or of a recording's end. */
+  private smaller(pin: Pin): Node[] {
+    const last = pin.clicks.at(-1), flies = this.state.vehicles.find((v) => v.id === last?.vehicle && v.session === last.session);
+    if (flies === undefined || flies.radius === "") return [];
+    return [make("div", { class: "smaller", "data-testid": "smaller", title: "where the radius comes from at the newest picture, and what would make it smaller" }, sentence(flies.radius))];
   }
 
   private clicks(pin: Pin): Node[] {
     if (pin.clicks.length < 2) return [];
     return [make("ul", { class: "clicks" }, ...pin.clicks.map((click) => make("li", {},
-      `${click.frame === null ? "entered" : `picture ${click.frame}`}${click.who === "" ? "" : ` by ${click.who}`}`,
+      `${click.frame === null ? "typed" : `picture ${click.frame}`}${click.who === "" ? "" : ` by ${click.who}`}`,
       make("button", { type: "button", "aria-label": `remove this click`, click: () => this.actions.removeClick(pin, click.id) }, "Remove"))))];
   }
 
   private async listSeen(pin: Pin, into: HTMLElement): Promise<void> {
     into.textContent = "looking through the pictures ...";
+    into.scrollIntoView({ block: "nearest" });
     const seen = await api.seen(pin.id);
     into.replaceChildren(seen.length === 0 ? "no picture shows it" : `${seen.length} pictures show it:`);
     const step = Math.max(1, Math.ceil(seen.length / 40));
@@ -195,6 +210,7 @@ export class PinList {
       const { vehicle, frame, u_px, v_px } = seen[k]!;
       into.append(make("button", { type: "button", class: "frame", click: () => this.actions.open(vehicle, frame, u_px, v_px) }, String(frame)));
     }
+    into.scrollIntoView({ block: "nearest" });
   }
 
   private listMeasure(pin: Pin, into: HTMLElement): void {
@@ -208,6 +224,8 @@ export class PinList {
       api.measure(pin.id, choice.value).then((said) => { result.textContent = measureText(said); }, (error: unknown) => { result.textContent = String(error); });
     });
     into.replaceChildren(choice, " ", result);
+    into.scrollIntoView({ block: "nearest" });
+    choice.focus({ preventScroll: true });
   }
 }
 
@@ -222,23 +240,24 @@ function measureText(said: Record<string, number | string | null>): string {
 }
 
 export function placeText(pin: Pin): string {
-  return pin.place.status === "ok" ? degrees(pin.place.lat_deg, pin.place.lon_deg) : pin.place.reason;
+  return pin.place.status === "ok" ? degrees(pin.place.lat_deg, pin.place.lon_deg, pin.place.ce90_m) : pin.place.reason;
 }
 
 export function sureText(pin: Pin): string {
-  if (pin.place.status === "ok") return pin.place.ce90_m === null ? "accuracy unknown" : `±${radius(pin.place.ce90_m)}`;
+  if (pin.place.status === "ok") return pin.place.ce90_m === null ? "accuracy unknown" : radius(pin.place.ce90_m);
   return pin.place.status === "contradiction" ? "contradicts itself" : "no place";
 }
 
 function factText(pin: Pin): string {
   const place = pin.place;
   if (place.status !== "ok") return "";
-  const height = place.height_amsl_m !== null ? `${place.height_amsl_m.toFixed(1)} m AMSL`
-    : place.height_ellipsoid_m !== null ? `${place.height_ellipsoid_m.toFixed(1)} m above the ellipsoid` : "height unknown";
-  const sure = place.ce90_m === null ? "accuracy unknown" : `±${radius(place.ce90_m)} (CE90)`;
-  return `${sure}, ${height}${place.le90_m === null ? "" : ` ±${radius(place.le90_m)}`}, ${place.clicks} click${place.clicks === 1 ? "" : "s"}${place.tied > 0 ? `, ${place.tied} tie${place.tied === 1 ? "" : "s"}` : ""}`;
+  const method = methodWords(pin.clicks.at(-1)?.method ?? "")[0];
+  return `${within(place.ce90_m)}, ${heightText(place)}${place.le90_m === null ? "" : `, 90 % within ${radius(place.le90_m)}`}; ${method}, ` +
+    `${place.clicks} click${place.clicks === 1 ? "" : "s"}${place.tied > 0 ? `, ${place.tied} known place${place.tied === 1 ? "" : "s"}` : ""}`;
 }
 
+/** When it was seen, and who marked it: the click itself may be much later. */
 function byText(pin: Pin): string {
-  return `${pin.who === "" ? "" : `${pin.who}, `}${pin.created_utc.slice(0, 19).replace("T", " ")} UTC`;
+  const seen = pin.seen_utc === null ? "time of sighting unknown" : `seen ${moment(pin.seen_utc)}`;
+  return `${seen}${pin.who === "" ? "" : `, marked by ${pin.who}`}`;
 }

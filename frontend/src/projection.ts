@@ -54,7 +54,7 @@ export function pixelOf(camera: Camera, size: Size, lat: number, lon: number, he
   const x = cam[0] / cam[2], y = cam[1] / cam[2], shutter = camera.shutter;
   let at = distorted(camera, x, y);
   if (shutter !== null) {
-    // Each row sees the place when its turn comes: (18.5) of docs/mathematics.md, from place to pixel.
+    // Each row sees the place at its own moment of exposure: (18.5) of docs/mathematics.md, from place to pixel.
     const [dx, dy] = imageVelocity(shutter, x, y, 1.0 / cam[2]);
     for (let step = 0; step < SHUTTER_STEPS && at !== null; step++) {
       const late = shutter.readout_s * (at.v - 0.5 * (size.height - 1)) / size.height;
@@ -77,7 +77,7 @@ function distorted(camera: Camera, x: number, y: number): Pixel | null {
   };
 }
 
-/** How a point that stands still moves over the picture, normalised, 1/s. (18.2) */
+/** How a point that does not move on the ground moves over the picture, normalised, 1/s. (18.2) */
 function imageVelocity({ rate_rad_s: [rx, ry, rz], velocity_m_s: [vx, vy, vz] }: Shutter, x: number, y: number, inverseDepth: number): [number, number] {
   const across = rx * y - ry * x;
   return [

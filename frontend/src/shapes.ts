@@ -28,7 +28,7 @@ export function shapeSvg(kind: Kind, size: number, text = ""): SVGSVGElement {
   svg.setAttribute("width", String(size));
   svg.setAttribute("height", String(size));
   svg.setAttribute("aria-hidden", "true");
-  // A dark edge outside the white one, so that it stands out on any ground.
+  // A dark edge outside the white one, so that it is visible on any ground.
   for (const [stroke, width] of [["#000", "4"], ["#fff", "2"]] as const) {
     const path = document.createElementNS(SVG, "path");
     path.setAttribute("d", kind.path);

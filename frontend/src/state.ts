@@ -1,4 +1,4 @@
-// What the page knows, in one place, and who is told when it changes.
+// The page's state, in one place, and the functions that are called when it changes.
 
 import type { Category, FrameRow, FrameView, Pin, ServerStatus, Tie, VehicleState } from "./types.js";
 
@@ -7,16 +7,21 @@ export type Topic = "vehicles" | "frames" | "shown" | "pins" | "hover" | "select
 /** What the next click in the picture is for. */
 export type Mode = { kind: "pin" } | { kind: "again"; pin: string } | { kind: "tie" };
 
+/** What is drawn over the picture for a few seconds when asked for: it hides what is looked for. */
+export type Peek = "features" | "paths";
+
 export interface Options {
-  features: boolean; paths: boolean; pictures: boolean; theme: "auto" | "day" | "night"; who: string; category: Category;
+  pictures: boolean; theme: "auto" | "day" | "night"; who: string; category: Category;
 }
 
 const STORED = "pointclick.options";
-const DEFAULTS: Options = { features: true, paths: true, pictures: true, theme: "auto", who: "", category: "poi" };
+const PEEK_MS = 6000;
+const DEFAULTS: Options = { pictures: true, theme: "auto", who: "", category: "poi" };
 
 export class State {
   server: ServerStatus | null = null;
   vehicles: VehicleState[] = [];
+  vehiclesAt = 0; // by performance.now(), when they were received
   vehicle: string | null = null;
   readonly frames = new Map<string, FrameRow[]>();
   readonly paths = new Map<string, [number, number][]>();
@@ -24,6 +29,8 @@ export class State {
   isFrozen = false;
   isPlaying = false;
   private readonly held = new Map<string, Pin>();
+  // By id, deleted ones too: the revision of the server's pins at which each was read. Events and replies may overtake each other.
+  private readonly revisions = new Map<string, number>();
   private order: Pin[] | null = null;
   ties: Tie[] = [];
   hovered: string | null = null;
@@ -33,6 +40,7 @@ export class State {
   mode: Mode = { kind: "pin" };
   options: Options = stored();
 
+  readonly peeks = new Map<Peek, number>();
   private readonly listeners = new Map<Topic, (() => void)[]>();
 
   on(topics: Topic[], listener: () => void): void {
@@ -48,7 +56,7 @@ export class State {
     return this.vehicle === null ? [] : this.frames.get(this.vehicle) ?? [];
   }
 
-  /** Take rows that came: those of a session heard of first begin anew. */
+  /** Take rows that came: those of a new session begin a new list. */
   merge(vehicle: string, rows: FrameRow[]): void {
     const held = this.frames.get(vehicle) ?? [];
     const session = rows.at(-1)?.session;
@@ -67,15 +75,28 @@ export class State {
     return this.order;
   }
 
-  setPins(pins: Pin[]): void {
-    this.held.clear();
-    for (const pin of pins) this.held.set(pin.id, pin);
+  /** All pins as read at a revision, but for those of which something newer is known. */
+  setPins(pins: Pin[], revision: number): void {
+    const read = new Map(pins.map((pin) => [pin.id, pin]));
+    for (const id of this.held.keys()) if (!read.has(id) && this.isNews(id, revision)) this.held.delete(id);
+    for (const [id, pin] of read) if (this.isNews(id, revision)) this.held.set(id, pin);
     this.order = null;
     this.tell("pins");
   }
 
+  /** Another server may answer from now on, whose revisions have another start. */
+  forgetRevisions(): void { this.revisions.clear(); }
+
+  /** Whether nothing newer is known of a pin; stores the revision if so. */
+  private isNews(id: string, revision: number): boolean {
+    if (revision < (this.revisions.get(id) ?? revision)) return false;
+    this.revisions.set(id, revision);
+    return true;
+  }
+
   /** One pin as it is now. What is known already, as a click of one's own that comes again as an event, changes nothing. */
-  putPin(pin: Pin): void {
+  putPin(pin: Pin, revision: number): void {
+    if (!this.isNews(pin.id, revision)) return;
     const known = this.held.get(pin.id);
     if (known !== undefined && JSON.stringify(known) === JSON.stringify(pin)) return;
     this.held.set(pin.id, pin);
@@ -84,7 +105,8 @@ export class State {
     this.tell("pins");
   }
 
-  dropPin(id: string): void {
+  dropPin(id: string, revision: number): void {
+    if (!this.isNews(id, revision)) return;
     this.held.delete(id);
     this.order = null;
     if (this.selected === id) this.select(null);
@@ -97,6 +119,20 @@ export class State {
 
   select(pin: string | null): void {
     if (this.selected !== pin) { this.selected = pin; this.tell("selected"); }
+  }
+
+  /** Draw it for a few seconds; if it is drawn already, remove it. */
+  peek(what: Peek): void {
+    const timer = this.peeks.get(what);
+    window.clearTimeout(timer);
+    if (timer !== undefined) this.peeks.delete(what);
+    else this.peeks.set(what, window.setTimeout(() => { this.peeks.delete(what); this.tell("options"); }, PEEK_MS));
+    this.tell("options");
+  }
+
+  setVehicles(vehicles: VehicleState[]): void {
+    this.vehicles = vehicles.sort((a, b) => a.id.localeCompare(b.id, "en", { numeric: true }));
+    this.vehiclesAt = performance.now();
   }
 
   setMode(mode: Mode): void {
@@ -112,7 +148,7 @@ export class State {
     this.tell("options");
   }
 
-  /** The number the next pin will get, as far as this page knows. */
+  /** The number the next pin will get, as far as this page has the data. */
   nextNumber(): number {
     return (this.newestFirst()[0]?.number ?? 0) + 1;
   }

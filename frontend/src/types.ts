@@ -1,4 +1,4 @@
-// What the server says. Kept beside ground/web/{api_vehicles,api_pins,pin_json,view}.py.
+// What the server sends. Must match ground/web/{api_vehicles,api_pins,pin_json,view}.py.
 
 import type { Camera } from "./projection.js";
 
@@ -38,7 +38,7 @@ export interface PinClick {
 
 export interface Pin {
   id: string; number: number; name: string; note: string; category: Category; who: string;
-  created_utc: string; modified_utc: string; modified_by: string; clicks: PinClick[]; place: Place;
+  created_utc: string; seen_utc: string | null; modified_utc: string; modified_by: string; clicks: PinClick[]; place: Place;
 }
 
 export interface Tie {
@@ -51,10 +51,15 @@ export interface VehicleState {
   state: "well" | "warning" | "lost"; words: string; is_lost: boolean;
   picture_age_s: number | null; heard_age_s: number | null; sets_hz: number | null; kbit_s: number | null;
   features: number; tracks: number | null; ce90_centre_m: number | null; cpu_c: number | null;
+  clock_unix_ns: string | null; place: [number, number] | null;
   recording: boolean | null; trouble: string;
+  radius: string; // what the ellipse is mostly from, and what would make it smaller; empty: not known
 }
 
-export interface Tiles { kind: "pmtiles" | "mbtiles" | "template"; url: string; format: string; max_zoom: number; attribution: string }
+export interface Tiles {
+  kind: "pmtiles" | "mbtiles" | "tilejson" | "template"; url: string; format: string; attribution: string;
+  min_zoom: number; max_zoom: number; bounds: [number, number, number, number] | null;
+}
 
 export interface ServerStatus { source: string; is_live: boolean; damage: string[]; sharing: string; tiles: Tiles | null; vehicles: VehicleState[] }
 
@@ -62,7 +67,13 @@ export interface ClickAnswer {
   status: string; advice: string; reason?: string; age_s: number | null; method?: string;
 }
 
-export interface PinReply { pin: Pin | null; answer: ClickAnswer | null }
+/** `apart_m` and `reason`: of a click that contradicts the pin it was meant for, and was not added. */
+export interface PinReply { revision: number; pin: Pin | null; answer: ClickAnswer | null; apart_m?: number; reason?: string }
+
+/** What a pin at a pixel would be. */
+export type PlaceSaid = { status: "ok"; method: string } & PlaceAnswer | { status: "refused"; reason?: string };
+
+export interface CoordinateSaid { lat_deg: number; lon_deg: number; form: string; texts: Record<string, string> }
 
 export interface Seen {
   vehicle: string; session: number; frame: number; capture_unix_ns: string; u_px: number; v_px: number; has_picture: boolean;
@@ -74,8 +85,8 @@ export interface ClickBody { vehicle: string; session: number; frame: number; u:
 
 export type ServerEvent =
   | { type: "frames"; vehicle: string; frames: FrameRow[] }
-  | { type: "pin"; pin: Pin }
-  | { type: "pin_deleted"; id: string }
+  | { type: "pin"; revision: number; pin: Pin }
+  | { type: "pin_deleted"; revision: number; id: string }
   | { type: "pins" }
   | { type: "resync" }
   | { type: "status"; vehicles: VehicleState[]; damage: string[]; sharing: string };

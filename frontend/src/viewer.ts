@@ -133,7 +133,7 @@ export class Viewer {
           this.kept.set(key, loaded);
           this.forget();
         }
-        // A finger that came down meanwhile keeps what it points at.
+        // If a finger has touched the picture in the meantime, that picture stays.
         // What is shown already is not shown again: every release of the pointer asks for the newest.
         if (loaded !== this.loaded && this.held.size === 0 && this.state.vehicle === vehicle) {
           this.loaded = loaded;
@@ -144,7 +144,7 @@ export class Viewer {
         [row, vehicle] = [this.wanted, this.state.vehicle];
       }
     } catch {
-      // The server is away, or the picture is gone: what is shown stays, and the next event tries again.
+      // The server does not answer, or the picture is gone: what is shown stays, and the next event tries again.
     } finally {
       this.isLoading = false;
     }

@@ -6,7 +6,9 @@ import { test } from "node:test";
 import { contains, fitted, panned, resized, toPane, toPixel, wholeView, zoomed, MAX_ZOOM, type View } from "../src/mapping.js";
 import { ellipseRing, enu, offset, pixelOf, type Camera } from "../src/projection.js";
 import { gridLines, gridStep } from "../src/grid.js";
-import { age, parseCoordinate, radius } from "../src/format.js";
+import { age, decimals, degrees, methodWords, radius, stepText, within } from "../src/format.js";
+import { State } from "../src/state.js";
+import type { Pin } from "../src/types.js";
 
 const PICTURE = { width: 640, height: 480 };
 
@@ -130,9 +132,60 @@ test("a radius is never said to be smaller than it is", () => {
   assert.equal(age(75), "75 s");
 });
 
-test("coordinates are taken as they are pasted, and nothing else is", () => {
-  assert.deepEqual(parseCoordinate("47.376890, 8.541690"), { lat: 47.37689, lon: 8.54169 });
-  assert.deepEqual(parseCoordinate("-43.38 172.4"), { lat: -43.38, lon: 172.4 });
-  assert.deepEqual(parseCoordinate("geo:-43.38,172.4,115.2"), { lat: -43.38, lon: 172.4 });
-  for (const text of ["", "47.4", "91, 8", "8, 181", "north 5", "4x, 5"]) assert.equal(parseCoordinate(text), null);
+test("a grid's step is said as it is", () => {
+  for (const [metres, text] of [[0.5, "0.5 m"], [10, "10 m"], [200, "200 m"], [1000, "1 km"], [2000, "2 km"], [10_000, "10 km"], [100_000, "100 km"]] as const) {
+    assert.equal(stepText(metres), text);
+  }
+});
+
+test("a coordinate has the digits that its radius gives meaning to, as the server writes it", () => {
+  for (const [ce90, places] of [[null, 5], [0.5, 6], [3.2, 6], [6, 5], [30, 5], [80, 4], [700, 3]] as const) assert.equal(decimals(ce90), places);
+  assert.equal(degrees(-43.38012345, 172.40123456, 6), "-43.38012, 172.40123");
+  assert.equal(within(3.21), "90 % within 3.3 m");
+  assert.equal(methodWords("interpolated")[0], "measured");
+  assert.equal(methodWords("terrain")[0], "from terrain");
+});
+
+function pin(id: string, name: string): Pin {
+  return {
+    id, number: 1, name, note: "", category: "poi", who: "", created_utc: "", seen_utc: null, modified_utc: "", modified_by: "", clicks: [],
+    place: { status: "unplaced", reason: "" },
+  };
+}
+
+test("an older state of a pin that comes later changes nothing: as an event, as a reply, in the list of all", () => {
+  const state = new State(), name = (): string | undefined => state.pins.get("a")?.name;
+  state.putPin(pin("a", "later"), 7);
+  state.putPin(pin("a", "earlier"), 6);
+  assert.equal(name(), "later");
+  state.setPins([pin("a", "earlier"), pin("b", "another")], 6);
+  assert.equal(name(), "later");
+  assert.equal(state.pins.get("b")?.name, "another");
+  state.setPins([], 6);
+  assert.deepEqual([...state.pins.keys()], ["a"]);
+  state.putPin(pin("a", "the same revision, read later"), 7);
+  assert.equal(name(), "the same revision, read later");
+  state.setPins([pin("a", "newest")], 8);
+  assert.equal(name(), "newest");
+});
+
+test("a deleted pin does not come back with what was read before, and does with what was read after", () => {
+  const state = new State();
+  state.putPin(pin("a", "a pin"), 3);
+  state.dropPin("a", 5);
+  state.putPin(pin("a", "a pin"), 4);
+  state.setPins([pin("a", "a pin")], 4);
+  assert.equal(state.pins.size, 0);
+  state.setPins([pin("a", "brought back")], 6);
+  assert.equal(state.pins.size, 1);
+  state.dropPin("a", 5);
+  assert.equal(state.pins.size, 1);
+});
+
+test("after the connection was lost another server's revisions count", () => {
+  const state = new State();
+  state.putPin(pin("a", "of the old file"), 900);
+  state.forgetRevisions();
+  state.setPins([pin("b", "of the new file")], 2);
+  assert.deepEqual([...state.pins.keys()], ["b"]);
 });

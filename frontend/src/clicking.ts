@@ -1,0 +1,91 @@
+// What a click in the picture does: a pin, one more click on a pin, or a known place; and the message about it.
+
+import { api, Refused } from "./api.js";
+import { showTie } from "./dialogs.js";
+import { byId, make, say } from "./dom.js";
+import { age, degrees, heightText, methodWords, within, WITHIN_TITLE } from "./format.js";
+import type { PicturePane } from "./picture.js";
+import { kindOf } from "./shapes.js";
+import type { State } from "./state.js";
+import type { ClickAnswer, ClickBody, Pin, PinReply } from "./types.js";
+
+export class Clicking {
+  private readonly answer = byId("answer");
+  private count = 0;
+  private pendingNew = 0;
+
+  constructor(private readonly state: State) {}
+
+  say(text: string, kind: "ok" | "refused" | "note" = "note"): void {
+    this.answer.dataset["kind"] = kind;
+    this.answer.title = "";
+    this.answer.textContent = text;
+  }
+
+  async clicked(body: ClickBody, picture: PicturePane): Promise<void> {
+    const { state } = this, mode = state.mode;
+    state.setMode({ kind: "pin" });
+    if (mode.kind === "tie") {
+      showTie(body, state, (tie) => this.say(`known place ${tie.name === "" ? degrees(tie.lat_deg, tie.lon_deg, tie.sigma_m) : tie.name}: all pins of ${tie.vehicle} in this flight moved`));
+      return;
+    }
+    const again = mode.kind === "again" ? state.pins.get(mode.pin) : undefined;
+    await this.make(body, picture, again, false);
+  }
+
+  private async make(body: ClickBody, picture: PicturePane, again: Pin | undefined, anyway: boolean): Promise<void> {
+    const { state } = this, key = `click ${++this.count}`, who = state.options.who;
+    state.clicksUnderWay += 1;
+    const category = again?.category ?? state.options.category, number = again?.number ?? state.nextNumber() + this.pendingNew;
+    if (again === undefined) this.pendingNew += 1;
+    picture.markers.clearRefusals();
+    this.say(`${kindOf(category).title} ${number}: ...`);
+    picture.markers.begin({ key, number, category, vehicle: body.vehicle, session: body.session, frame: body.frame, at: body, text: "", isRefused: false });
+    try {
+      const reply: PinReply = again === undefined ? await api.addPin({ click: body, category, who }) : await api.addClick(again.id, { ...body, who, anyway });
+      if (reply.pin !== null) {
+        picture.markers.done(key);
+        this.sayPin(reply.pin, reply.answer);
+        state.putPin(reply.pin, reply.revision);
+      } else if (reply.apart_m !== undefined && again !== undefined) {
+        picture.markers.refuse(key, reply.reason ?? "");
+        this.offer(reply.apart_m, body, picture, again);
+      } else {
+        const said = reply.answer;
+        const text = `${said?.reason ?? said?.status ?? "no answer"}.${said?.advice ? ` What helps: ${said.advice}.` : ""}`;
+        this.say(`Refused: ${text}`, "refused");
+        picture.markers.refuse(key, text);
+      }
+    } catch (error) {
+      const text = error instanceof Refused ? error.message : String(error);
+      this.say(`Not kept: ${text}`, "refused");
+      picture.markers.refuse(key, text);
+    } finally {
+      state.clicksUnderWay -= 1;
+      if (again === undefined) this.pendingNew -= 1;
+    }
+  }
+
+  private sayPin(pin: Pin, said: ClickAnswer | null): void {
+    say(this.answer, answerText(pin, said));
+    this.answer.title = `${WITHIN_TITLE}; ${methodWords(said?.method ?? "")[1]}`;
+    this.answer.dataset["kind"] = "ok";
+  }
+
+  /** A click that contradicts its pin was not added: the pin is where it was, and the operator decides on the click. */
+  private offer(apart: number, body: ClickBody, picture: PicturePane, again: Pin): void {
+    this.say(`Not added: ${apart.toFixed(0)} m from pin ${again.number}.`, "refused");
+    const button = (label: string, run: () => void): HTMLButtonElement => make("button", { type: "button", click: run }, label);
+    this.answer.append(
+      button("Make it a new pin", () => void this.make(body, picture, undefined, false)),
+      button("Add it anyway", () => void this.make(body, picture, again, true)),
+      button("Remove last click", () => { picture.markers.clearRefusals(); this.say(`pin ${again.number} is as it was`); }));
+  }
+}
+
+function answerText(pin: Pin, said: ClickAnswer | null): string {
+  const place = pin.place, name = `${kindOf(pin.category).title} ${pin.number}`;
+  if (place.status !== "ok") return `${name}: ${place.reason}`;
+  return `${name}: ${degrees(place.lat_deg, place.lon_deg, place.ce90_m)}  ${within(place.ce90_m)}  ${heightText(place)}` +
+    (said === null ? "" : `  ${methodWords(said.method ?? "")[0]}, picture ${said.age_s === null ? "of unknown age" : `${age(said.age_s)} old`}`);
+}
