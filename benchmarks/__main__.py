@@ -2,8 +2,9 @@
 
     python -m benchmarks [--only NAME ...] [--quick] [--out benchmarks/results.md]
 
-Each runs as a process of its own, so that none meets another's memory or threads. With `--only`, sections of other
-benchmarks stay in the file as they are. Exit code 1 if one could not be measured; the file then says which and why.
+Each runs as a process of its own, so that none is affected by another's memory or threads. With `--only`, sections of
+other benchmarks stay in the file as they are. Exit code 1 if one could not be measured; the file then states which and
+why.
 """
 
 from __future__ import annotations
@@ -47,6 +48,9 @@ BENCHMARKS = (
         ("--recordings", "plane_clean", "--seconds", "40"),
     ),
     Benchmark(
+        "ablation", "What each mechanism buys", (), ("--mechanisms", "row waves", "--draws", "2", "--flights", "own")
+    ),
+    Benchmark(
         "rolling_shutter",
         "Rows read one after the other",
         (),
@@ -69,9 +73,18 @@ BENCHMARKS = (
         ("--pictures", "200", "--kinds", "udp"),
         ("--pictures", "20", "--kinds", "udp", "--sizes", "6000"),
     ),
+    Benchmark("picture_size", "What a small picture takes", (), ("--most", "2")),
     Benchmark("recording", "What recording costs", (), ("--seconds", "5")),
+    Benchmark(
+        "sources",
+        "Pictures from a network stream",
+        (),
+        ("--seconds", "10", "--streams", "1000:0.15", "--seeds", "2"),
+    ),
     Benchmark("real_flight", "The real flight"),
 )
+# Programs of this folder that a benchmark starts.
+STARTED = {"flight_in_turns": "against", "latency_daemon": "latency", "soak_daemon": "soak"}
 
 
 def measured(benchmark: Benchmark, quick: bool) -> tuple[str, bool]:
@@ -98,6 +111,7 @@ def one_thread() -> dict[str, str]:
 def section(benchmark: Benchmark, ran: str, said: str) -> str:
     """Markdown: what a program printed, tables of its own kept as tables."""
     parts = []
+    said = said.replace(f"{HERE.parent}/", "")  # results name no folder of the machine
     for block in re.split(r"\n{2,}", said):
         is_table = block.lstrip().startswith("|")
         parts.append(block if is_table else f"```\n{block}\n```")
@@ -111,6 +125,9 @@ def merge(old: str, new: dict[str, str]) -> str:
     head = (
         "# Measured\n\nWritten by `make bench`; each section names its machine. Processor time unless it says\n"
         "otherwise; what is compared is run in turn in one process, and medians are shown.\n"
+        "Every benchmark has a section; one alone: `python -m benchmarks --only NAME`. By hand, with other arguments\n"
+        "than `make bench` gives: `python -m benchmarks.soak --minutes 60`, `benchmarks.accuracy --flights 1000`,\n"
+        "`benchmarks.autopilots --faults ... --mounts ...`, `benchmarks.picture_size FOLDER`.\n"
     )
     known = [sections[b.title].rstrip() + "\n" for b in BENCHMARKS if b.title in sections]
     return "\n".join([head, *known])

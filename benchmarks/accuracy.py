@@ -3,9 +3,10 @@
     python -m benchmarks.accuracy [--flights 200] [--seed 0] [--rows TEXT]
 
 A flight is 250 m over the ground, 40 degrees, 640x480, 0.3 px, ten views over 180 m; GPS error is a Gauss-Markov part
-(1.5 m horizontal, 2.5 m vertical, 60 s) and a white part (0.3 m). Truth is drawn from the very model that the priors
-state, so the bound from the Fisher information is the bound of these flights. Outliers: a fifth of the tracks jump,
-drift or follow a vehicle; errors count over the right tracks, and the bound is that of one who knows which those are.
+(1.5 m horizontal, 2.5 m vertical, 60 s) and a white part (0.3 m). Truth is sampled from exactly the model that the
+priors state, so the bound from the Fisher information is the bound of these flights. Outliers: a fifth of the tracks
+jump, drift or follow a vehicle; errors count over the right tracks, and the bound is that of one who knows which those
+are.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ def settings() -> dict[str, Setting]:
     """Rows of the table by name; those that add a state add it to "+ attitude + velocity"."""
     seed = Setting(boresight_sigma_deg=0.0)
     level = replace(seed, slope_sigma_deg=0.05)
-    attitude = replace(seed, attitude_wander_deg=(0.5, 2.0), boresight_sigma_deg=1.0)
+    attitude = replace(seed, attitude_correlated_deg=(0.5, 2.0), boresight_sigma_deg=1.0)
     velocity = replace(attitude, velocity_sigma_m_s=0.1)
     terrain = replace(velocity, terrain_sigma_m=(2.0, 2.0))
-    white = replace(level, gps_white_m=(1.0, 1.0), gps_wander_m=(0.0, 0.0), offset_sigma_s=0.0)
-    white_attitude = replace(white, attitude_wander_deg=(0.0, 0.0), attitude_white_deg=1.0, slope_sigma_deg=1.0)
+    white = replace(level, gps_white_m=(1.0, 1.0), gps_correlated_m=(0.0, 0.0), offset_sigma_s=0.0)
+    white_attitude = replace(white, attitude_correlated_deg=(0.0, 0.0), attitude_white_deg=1.0, slope_sigma_deg=1.0)
     rows = {
         "seed, ground sloped 2 deg": seed,
         "seed, ground level": level,
@@ -49,7 +50,7 @@ def settings() -> dict[str, Setting]:
         "+ an unsure camera": replace(velocity, lens_sigma=ordinary.lens_sigma),
         "+ all of these": ordinary,
         "+ all of these, no attitude, no velocity": replace(
-            ordinary, attitude_wander_deg=None, velocity_sigma_m_s=None, boresight_sigma_deg=0.0
+            ordinary, attitude_correlated_deg=None, velocity_sigma_m_s=None, boresight_sigma_deg=0.0
         ),
         "+ all of these, 20 % outliers": replace(ordinary, outlier_share=0.2),
     }

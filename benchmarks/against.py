@@ -3,7 +3,7 @@
     python -m benchmarks.against [--base 16dc944] [--turns 40] [--pictures 60] [--flight FOLDER]
 
 Two processes fly the same pictures, one with this checkout's code and one with the commit's (`git archive`, into a
-temporary folder), and take turns of a few seconds of flight: what else the machine does meets both alike. Counted is
+temporary folder), and take turns of a few seconds of flight: other load of the machine affects both equally. Counted is
 the processor time from an event to the bytes of its sets, window solves included (`benchmarks.flight_in_turns`). Every
 turn gives one ratio; printed are their median and their range. The first turns, with no window yet, do not count.
 """
@@ -90,7 +90,7 @@ def unpacked(commit: str, folder: Path) -> Path:
 
 
 def compare(base: Path, flight: Path, turns: int, pictures: int) -> tuple[list[Turn], list[Turn]]:
-    """Turns of the base's code and of this checkout's, each beside its pair."""
+    """Turns of the base's code and of this checkout's, each with its pair."""
     flying = Flying(base, flight), Flying(CHECKOUT, flight)
     flown: tuple[list[Turn], list[Turn]] = ([], [])
     try:
@@ -147,7 +147,7 @@ def main() -> None:
     args = parser.parse_args()
     flight = args.flight
     if flight is None:
-        leg()  # drawn, if it is not there yet
+        leg()  # generated, if it is not there yet
         flight = CACHE / "leg_14s_30hz"
     print(f"{describe()}; {load()}\n")
     with tempfile.TemporaryDirectory(prefix="pointclick-") as folder:

@@ -1,14 +1,17 @@
-"""Answers beside real autopilot software: recorded telemetry, drawn ground, truth known.
+"""Answers with real autopilot software: recorded telemetry, simulated ground, truth known.
 
     python -m benchmarks.autopilots [--recordings plane_clean,...] [--mounts nadir,...] [--sensors full,...]
                                     [--faults none,...] [--seconds 200] [--draws 1] [--seed 0]
 
-Position, velocity and attitude are what ArduPilot sent, with all of its errors, none of which we chose; a drawn
-Gauss-Markov error is added to the position, for one flight is only one draw of its GPS. Features are points of drawn
-ground with pixel noise (`drawn_flight`), so that a flight of minutes takes seconds. Printed for every scene: the share
-answered, median and 90 % error beside what the flat ray gives (the autopilot's own pose, the true mount, level ground
-at home's height), the share inside the 90 % ellipse by bank, inside the 99 % ellipse, the worst error over its 90 %
-ellipse, both medians beyond what the position was off by at that moment, and what was estimated of mount and clocks.
+Position, velocity and attitude are what ArduPilot sent, with all of its errors, none of which we chose; a sampled
+Gauss-Markov error is added to the position, for one flight is only one sample of its GPS. Features are points of
+simulated ground with pixel noise (`drawn_flight`), so that a flight of minutes takes seconds. Printed for every scene:
+the share answered, median and 90 % error next to what the flat ray gives (the autopilot's own pose, the true
+mount, level ground at home's height), the share inside the 90 % ellipse by bank, inside the 99 % ellipse, the worst
+error over its 90 % ellipse, both medians beyond what the position was off by at that moment, and what was estimated of
+mount and clocks; then, of the same clicks, sharpness (`click_score`) and coverage by bank and by minute of flight, and
+which part of the goal (sharpness 0.85 to 1.1 pooled, 0.7 to 1.15 for each flight after its first minute, coverage 85
+to 96 %) is missed.
 """
 
 from __future__ import annotations
@@ -25,16 +28,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.click_score import FLIGHT_GOAL, POOLED_GOAL, Score, add, clicks, row, sharpness_header, sharpness_row
 from benchmarks.drawn_flight import DrawnTracker, Ground, Mask, Valley, replace_section
+from benchmarks.machine import describe
 from benchmarks.platform_faults import BELIEVED, FAULTS, LENS
 from benchmarks.sensor_faults import Disturbance, disturbed
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, matrix_from_quaternion, mount_rotation
-from contract.wire.codec import decode, encode
-from ground.answer import CHI2_2, Fix
-from ground.locate import Locator
 from onboard.config.schema import Config, parse_config
 from onboard.events.types import Attitude, Event, Frame, PositionFix
 from onboard.pipeline.pipeline import Pipeline
@@ -48,17 +50,21 @@ from simulation.trajectory import RecordedTruth, Trajectory
 
 Array = NDArray[np.float64]
 
-GROUND_AMSL_M = 100.0
 MAX_RANGE = 12.0  # of a feature, in heights above ground: farther ones have no texture of their own
-BANKS_DEG = (0.0, 5.0, 15.0, 30.0, 180.0)
-CHI2_99 = -2.0 * np.log(0.01)
 LEAD_NS, TAIL_NS = 30_000_000_000, 3_000_000_000
 CLICKS = 3
+GROUND_AMSL_M = {"quad": 489.4}
+HOME_AMSL_M = 100.0  # of all others
+
+
+def ground_amsl_m(name: str) -> float:
+    """The level of the ground under a recording."""
+    return GROUND_AMSL_M.get(name, HOME_AMSL_M)
 
 
 @dataclass(frozen=True)
 class Scene:
-    """One recorded flight as it is flown again. Angles and offsets are the truth; the configuration knows none."""
+    """One recorded flight as it is replayed. Angles and offsets are the truth; the configuration knows none."""
 
     recording: str
     config: Config
@@ -77,8 +83,8 @@ class Scene:
     pixel_sigma_px: float = 0.3
     outlier_share: float = 0.03
     camera: Camera = field(default_factory=lambda: LENS)
-    camera_file: Camera | None = None  # what the daemon is told; None: the truth, as known for sure
-    readout_s: float = 0.0  # of the rows, as it is; the configuration may say something else
+    camera_file: Camera | None = None  # what is passed to the daemon; None: the truth, as known for sure
+    readout_s: float = 0.0  # of the rows, as it is; the configuration may specify something else
     stabilised_s: float | None = None  # over which electronic stabilisation smooths rotation; None: there is none
     zoom: tuple[float, float, float] | None = None  # factor, from and until (s)
 
@@ -91,7 +97,7 @@ def recording(name: str) -> tuple[TelemetryLog, RecordedTruth]:
 
 
 class ReplayedFlight:
-    """Recorded telemetry with features of drawn ground; offers `DrawnTracker` what `DrawnFlight` does."""
+    """Recorded telemetry with features of simulated ground; offers `DrawnTracker` what `DrawnFlight` does."""
 
     def __init__(self, scene: Scene, seed: int) -> None:
         self.spec = scene
@@ -100,7 +106,7 @@ class ReplayedFlight:
         self._log = log
         first = float(truth.unix_time_s[0])
         self.begin_s = first + scene.start_s
-        self.place = LocalFrame(float(truth.lat_deg[0]), float(truth.lon_deg[0]), GROUND_AMSL_M)
+        self.place = LocalFrame(float(truth.lat_deg[0]), float(truth.lon_deg[0]), ground_amsl_m(scene.recording))
         end_s = min(self.begin_s + scene.seconds, float(truth.unix_time_s[-1]) - 1.0)
         self.trajectory: Trajectory = truth.trajectory(self.place, self.begin_s, 0.0)
         self.times_s = np.arange(0.0, end_s - self.begin_s, 1.0 / scene.rate_hz)
@@ -165,7 +171,7 @@ def _cameras(scene: Scene, trajectory: Trajectory, R_body_cam: Array, times_s: A
 
 
 class Wander:
-    """A Gauss-Markov error of 60 s, drawn once a second, added to positions; 1.6 times as large vertically."""
+    """A Gauss-Markov error of 60 s, sampled once a second, added to positions; 1.6 times as large vertically."""
 
     def __init__(self, rng: np.random.Generator, place: LocalFrame, begin_ns: int, end_ns: int, sigma_m: float) -> None:
         self._place, self._begin_ns = place, begin_ns
@@ -194,7 +200,7 @@ class Wander:
 
 
 class ReplayedTracker(DrawnTracker):
-    """As drawn, but no feature where the picture shows no ground."""
+    """As simulated, but no feature where the picture shows no ground."""
 
     def promote(self, tracks: Tracks) -> tuple[NDArray[np.int64], Array]:
         """The last picture becomes the keyframe; what showed no ground is no feature."""
@@ -206,27 +212,6 @@ class ReplayedTracker(DrawnTracker):
         return self._ids, self._uv
 
 
-@dataclass
-class Score:
-    """What one scene says, one entry a click."""
-
-    chi2: list[float] = field(default_factory=list)
-    error_m: list[float] = field(default_factory=list)
-    ratio: list[float] = field(default_factory=list)
-    semi_m: list[float] = field(default_factory=list)
-    bank_deg: list[float] = field(default_factory=list)
-    flat_m: list[float] = field(default_factory=list)
-    # The same two without what the position was off by at that moment, which no picture tells.
-    beyond_m: list[float] = field(default_factory=list)
-    flat_beyond_m: list[float] = field(default_factory=list)
-    moment_s: list[float] = field(default_factory=list)
-    asked: dict[str, int] = field(default_factory=lambda: {"all": 0, "bank": 0})
-    answered: dict[str, int] = field(default_factory=lambda: {"all": 0, "bank": 0})
-    refused: dict[str, int] = field(default_factory=dict)
-    learned: str = ""
-    learned_values: tuple[Array, Array] | None = None
-
-
 def judge(scene: Scene, seed: int, warm_s: float = 30.0) -> Score:
     """Fly the scene and ask `CLICKS` clicks of every picture after `warm_s`."""
     flight = ReplayedFlight(scene, seed)
@@ -236,47 +221,16 @@ def judge(scene: Scene, seed: int, warm_s: float = 30.0) -> Score:
     for event in flight.events():
         sets.update({out.frame: out for out in pipeline.handle(event)})
     sets.update({out.frame: out for out in pipeline.finish()})
-    score = Score()
-    rng = np.random.default_rng([seed, 912])
-    for k, t in enumerate(flight.times_s):
-        if t < warm_s:
-            continue
-        uv = rng.uniform(0.05, 0.95, (CLICKS, 2)) * (np.array(scene.camera.size_px) - 1)
-        truth = flight.ground_points(k, uv)
-        good = np.isfinite(truth).all(axis=1)
-        uv, truth = uv[good], truth[good]
-        if not len(uv):
-            continue
-        bins = ["all"] + (["bank"] if flight.bank_deg[k] > 30.0 else [])
-        for b in bins:
-            score.asked[b] += len(uv)
-        s = sets.get(k)
-        if s is None or not s.is_ok:
-            reason = "none" if s is None else s.status.value
-            score.refused[reason] = score.refused.get(reason, 0) + len(uv)
-            continue
-        locator = Locator(decode(encode(s)))
-        flat, off = _flat(scene, flight, k, uv)
-        for one, where, ray in zip(uv, truth, flat, strict=True):
-            answer = locator.locate(one)
-            if not isinstance(answer, Fix):
-                score.refused["click " + answer.status.value] = score.refused.get("click " + answer.status.value, 0) + 1
-                continue
-            for b in bins:
-                score.answered[b] += 1
-            assert answer.height_amsl_m is not None
-            error = (flight.place.to_enu(answer.lat_deg, answer.lon_deg, answer.height_amsl_m) - where)[:2]
-            C = answer.covariance_enu_m2[:2, :2]
-            chi2 = float(error @ np.linalg.solve(C, error))
-            score.chi2.append(chi2)
-            score.ratio.append(float(np.sqrt(chi2 / CHI2_2)))
-            score.error_m.append(float(np.hypot(*error)))
-            score.semi_m.append(answer.ellipse.semi_major_m)
-            score.bank_deg.append(float(flight.bank_deg[k]))
-            score.moment_s.append(float(t))
-            score.flat_m.append(float(np.hypot(*(ray - where)[:2])))
+    spent = pipeline.summary.stage_seconds
+    score = Score(processor_s=sum(seconds for stage, seconds in spent.items() if stage != "tracking"))
+    for click in clicks(flight, sets, scene.camera.size_px, CLICKS, warm_s, seed):
+        if add(score, flight, click):
+            error = click.error_m(flight.place)
+            ray, off = _flat(scene, flight, click.frame, click.uv_px[None])
+            by_ray = (ray[0] - click.where_m)[:2]
+            score.flat_m.append(float(np.hypot(*by_ray)))
             score.beyond_m.append(float(np.hypot(*(error - off))))
-            score.flat_beyond_m.append(float(np.hypot(*((ray - where)[:2] - off))))
+            score.flat_beyond_m.append(float(np.hypot(*(by_ray - off))))
     alignment = pipeline.window.alignment
     mean, sigma = alignment.belief.mean, pipeline.window.belief.sigma
     score.learned_values = (mean, sigma)
@@ -307,7 +261,7 @@ def _flat(scene: Scene, flight: ReplayedFlight, k: int, uv: Array) -> tuple[Arra
 @functools.lru_cache(maxsize=8)
 def _raw(name: str) -> tuple[Array, Array, Array, Array]:
     log, truth = recording(name)
-    place = LocalFrame(float(truth.lat_deg[0]), float(truth.lon_deg[0]), GROUND_AMSL_M)
+    place = LocalFrame(float(truth.lat_deg[0]), float(truth.lon_deg[0]), ground_amsl_m(name))
     fixes = sorted((e for e in log.events if isinstance(e, PositionFix)), key=lambda e: e.stamp_ns)
     attitudes = sorted((e for e in log.events if isinstance(e, Attitude)), key=lambda e: e.stamp_ns)
     return (
@@ -332,6 +286,8 @@ STARTS = {
     "plane_breeze": 45.0,
     "plane_log": 40.0,
     "copter_survey": 30.0,
+    "qp_transition": 0.0,
+    "quad": 10.0,
 }
 Job = tuple[str, Scene, int]
 
@@ -359,14 +315,21 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
 
 def report(results: Iterable[tuple[str, Score, float]]) -> None:
     """Print a row for every scene as it comes, and one for each set of sensors."""
+    print(f"{describe()}\n")
     columns = "answ bank | med   90%  | flat med 90% | 0-5  5-15 15-30 >30 | all  in99 worst | beyond flat ratio"
     print(f"{'scene':<38} {columns}")
+    scenes: dict[str, list[Score]] = {}
     pooled: dict[str, list[Score]] = {}
     for name, score, seconds in results:
         print(row(name, [score]), f"{seconds:5.0f} s", score.learned, score.refused, flush=True)
-        pooled.setdefault(name.split()[2], []).append(score)
-    for sensors, scores in pooled.items():
-        print(row(f"pooled {sensors}", scores))
+        scenes.setdefault(name, []).append(score)
+        pooled.setdefault(f"pooled {name.split()[2]}", []).append(score)
+    for name, scores in pooled.items():
+        print(row(name, scores))
+    print(f"\n{sharpness_header()}")
+    for group, goal in ((scenes, FLIGHT_GOAL), (pooled, POOLED_GOAL)):
+        for name, scores in group.items():
+            print(sharpness_row(name, scores, goal))
 
 
 def main() -> None:
@@ -389,39 +352,6 @@ def main() -> None:
         return
     with multiprocessing.get_context("fork").Pool(args.jobs) as pool:
         report(pool.imap(_work, jobs))
-
-
-def share_inside(scores: list[Score]) -> list[float | None]:
-    """Share of errors inside the 90 % ellipse in each bin of bank; None where hardly any were asked."""
-    chi2 = np.concatenate([s.chi2 for s in scores])
-    bank = np.concatenate([s.bank_deg for s in scores])
-    out: list[float | None] = []
-    for low, high in itertools.pairwise(BANKS_DEG):
-        here = (bank >= low) & (bank < high)
-        out.append(float(np.mean(chi2[here] < CHI2_2)) if here.sum() > 5 else None)
-    return out
-
-
-def row(name: str, scores: list[Score]) -> str:
-    """One line of the table."""
-    chi2 = np.concatenate([s.chi2 for s in scores])
-    error = np.concatenate([s.error_m for s in scores])
-    flat = np.concatenate([s.flat_m for s in scores])
-    ratio = np.concatenate([s.ratio for s in scores])
-    if not len(chi2):
-        return f"{name:<38} nothing"
-    asked = {b: sum(s.asked[b] for s in scores) for b in ("all", "bank")}
-    answered = {b: sum(s.answered[b] for s in scores) for b in ("all", "bank")}
-    beyond = [np.median(np.concatenate(x)) for x in ([s.beyond_m for s in scores], [s.flat_beyond_m for s in scores])]
-    shares = ["   -" if share is None else f"{100 * share:4.0f}" for share in share_inside(scores)]
-    answered_bank = 100 * answered["bank"] / max(asked["bank"], 1)
-    q = np.quantile
-    return (
-        f"{name:<38} {100 * answered['all'] / max(asked['all'], 1):4.0f} {answered_bank:4.0f} |"
-        f"{q(error, 0.5):5.2f} {q(error, 0.9):6.2f} | {q(flat, 0.5):5.2f} {q(flat, 0.9):6.2f} |{' '.join(shares)} |"
-        f" {100 * np.mean(chi2 < CHI2_2):4.0f} {100 * np.mean(chi2 < CHI2_99):5.1f} {ratio.max():5.1f}"
-        f" | {beyond[0]:5.2f} {beyond[1]:5.2f} {beyond[0] / beyond[1]:4.2f}"
-    )
 
 
 if __name__ == "__main__":

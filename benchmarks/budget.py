@@ -4,8 +4,8 @@ the same picture, and in instructions.
     python -m benchmarks.budget [--pictures 240] [--sizes 640x480 ...] [--features 100 ...] [--instructions]
 
 The flight is the one that `pc-onboard bench` makes up. Raw LK is `cv2.calcOpticalFlowPyrLK` of consecutive pictures at
-100 points on a lattice, window 21, three levels, timed at every picture between the pipeline's calls, so that both meet
-the same machine. `--instructions` runs twice under valgrind, once with more pictures, and divides the difference of
+100 points on a lattice, window 21, three levels, timed at every picture between the pipeline's calls, so that both have
+the same conditions. `--instructions` runs twice under valgrind, once with more pictures, and divides the difference of
 the instructions by that of the pictures: start and imports fall out. By stage they are not counted: perf has no
 counters in a virtual machine, and valgrind does not see Python's functions.
 """
@@ -76,7 +76,7 @@ def prepared(size_px: tuple[int, int], features: int) -> tuple[MadeFlight, Camer
 
 
 def flown(size_px: tuple[int, int], features: int, pictures: int) -> tuple[Load, float, float]:
-    """A flight's load, the median of raw LK, us, and this process's memory at the end, MB (with the drawn ground)."""
+    """A flight's load, the median of raw LK, us, and this process's memory at the end, MB (with simulated ground)."""
     made, camera = prepared(size_px, features)
     lk = RawLk(camera)
     found = measure(made.config, camera, lk.between(made.events()), lambda n: n >= pictures)

@@ -46,8 +46,8 @@ def numbers(views: int, points: int, seed: int = 1) -> tuple[Problem, State]:
         spacing_m=8.0 if views >= 10 else 80.0 / views,  # short enough for points to stay in the picture
         features_per_view=3 * points,
         gps_white_m=(GPS_SIGMA_M, GPS_SIGMA_M),
-        gps_wander_m=(0.0, 0.0),
-        attitude_wander_deg=(0.0, 0.0),
+        gps_correlated_m=(0.0, 0.0),
+        attitude_correlated_deg=(0.0, 0.0),
         attitude_white_deg=float(np.degrees(ATTITUDE_SIGMA_RAD)),
         boresight_sigma_deg=0.0,
         offset_sigma_s=0.0,
@@ -154,7 +154,7 @@ def compare(repeat: int) -> None:
     def ours_again() -> object:
         return _with_covariances(solve(problem, start, scale=None, tolerance=1e-5))
 
-    # In turns, so that both meet the same load.
+    # In turns, so that both have the same load.
     pairs = [(best_of(1, theirs), best_of(1, ours_again)) for _ in range(3 * repeat)]
     theirs_ms, ours_ms = (min(column) for column in zip(*pairs, strict=True))
     print(f"{VIEWS} views, {problem.weight.shape[1]} points, {np.count_nonzero(problem.weight)} observations")

@@ -1,4 +1,4 @@
-"""Is the stated 90 % ellipse right? Share of true errors inside it, over flights drawn from the configured errors.
+"""Is the stated 90 % ellipse right? Share of true errors inside it, over flights sampled from the configured errors.
 
     python -m benchmarks.coverage [--flights 100] [--seed 0] [--rows TEXT]
 
@@ -40,7 +40,7 @@ FAR_S = 6.0
 
 @dataclass
 class Counts:
-    """What one flight says: squared normalised errors, and a few errors in metres."""
+    """What one flight gives: squared normalised errors, and a few errors in metres."""
 
     clicks: list[float] = field(default_factory=list)  # chi-square, 2
     one_set: list[float] = field(default_factory=list)

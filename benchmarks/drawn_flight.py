@@ -1,7 +1,7 @@
-"""Flights without pictures: events and feature tracks drawn from the errors that the configuration declares.
+"""Flights without pictures: events and feature tracks sampled from the errors that the configuration declares.
 
 Everything of the onboard side runs as it does in the air but for the tracker, which looks up where points of the ground
-really are and adds noise. Every error is drawn from the prior that the window has for it, so whatever the stated
+really are and adds noise. Every error is sampled from the prior that the window has for it, so whatever the stated
 covariances miss comes from the estimator and not from the simulation.
 """
 
@@ -45,7 +45,7 @@ POSITION_HZ, ATTITUDE_HZ, QUALITY_HZ = 10.0, 20.0, 2.0
 WAVES = 16
 TERRAIN_NODE_M = 20.0
 GYRO_STEP_S = 0.01
-LEAST_SEEN = 6  # features, below which no motion can be told
+LEAST_SEEN = 6  # features, below which no motion can be determined
 
 
 @dataclass(frozen=True)
@@ -62,13 +62,13 @@ class DrawnSpec:
     errors: float = 1.0
     outlier_share: float = 0.0
     has_terrain: bool = False
-    boresight_deg: tuple[float, float, float] | None = None  # as it is; None: drawn from the configured prior
+    boresight_deg: tuple[float, float, float] | None = None  # as it is; None: sampled from the configured prior
     offset_s: float | None = None
     delay_s: float | None = None  # of position and velocity beyond `gps.latency_s`
     heading_error_deg: tuple[float, float] = (0.0, 0.0)  # times the cosine and the sine of the heading
     lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # as it is, whatever is configured
     camera: Camera = field(default_factory=lambda: Camera.from_field_of_view(640, 480, 40.0))
-    camera_file: Camera | None = None  # what the pipeline is told; None: the truth
+    camera_file: Camera | None = None  # what is passed to the pipeline; None: the truth
     readout_s: float = 0.0  # of the rows, as it is, whatever is configured
     gyro_sigma_deg_s: float | None = None  # of the rates sent with attitudes; None: attitudes come without
     stabilised_s: float | None = None  # over which electronic stabilisation smooths rotation; None: there is none
@@ -114,10 +114,11 @@ class Valley(Ground):
 
 
 class DrawnFlight:
-    """The truth of one flight and the events that tell of it."""
+    """The truth of one flight and the events that report it."""
 
     def __init__(self, spec: DrawnSpec, seed: int) -> None:
         self.spec = spec
+        self.seed = seed
         self.rng = rng = np.random.default_rng([seed, 909])
         config, e = spec.config, spec.errors
         self.trajectory: Trajectory = fly_path(spec.path, spec.seconds, seed)
@@ -139,7 +140,9 @@ class DrawnFlight:
         self.cameras = self._cameras(R_body_cam)
         poses = [self.trajectory.camera_pose(float(t), R_body_cam) for t in self.times_s]
         self.R_enu_cam = np.stack([p.R_enu_cam for p in poses])
-        lever_enu_m = self.trajectory.R_enu_body(self.times_s) @ np.array(spec.lever_arm_m)
+        R_enu_body = self.trajectory.R_enu_body(self.times_s)
+        self.place, self.bank_deg = PLACE, np.degrees(np.arccos(np.clip(-R_enu_body[:, 2, 2], -1.0, 1.0)))
+        lever_enu_m = R_enu_body @ np.array(spec.lever_arm_m)
         self.centres_enu_m = np.stack([p.centre_m for p in poses]) + lever_enu_m
         self.terrain_error_m = e * config.terrain.sigma_datum_m * float(rng.standard_normal())
         self.terrain_tilt = e * TERRAIN_SLOPE_SIGMA * rng.standard_normal(2)
@@ -175,10 +178,12 @@ class DrawnFlight:
     def _instants(self, rate_hz: float) -> Array:
         return np.arange(-LEAD_S, self.spec.seconds + LEAD_S, 1.0 / rate_hz)
 
-    def _error(self, time: Array, sigma: float, time_constant_s: float) -> Array:
+    def _error(
+        self, time: Array, sigma: float, time_constant_s: float, rng: np.random.Generator | None = None
+    ) -> Array:
         """One axis (N,) of an Ornstein-Uhlenbeck error at evenly spaced times."""
         keep = float(np.exp(-(time[1] - time[0]) / time_constant_s))
-        draws = self.rng.standard_normal(len(time))
+        draws = (rng or self.rng).standard_normal(len(time))
         out = np.empty(len(time))
         state = draws[0]
         for k, push in enumerate(draws):
@@ -188,15 +193,26 @@ class DrawnFlight:
 
     def _positions(self) -> list[PositionFix]:
         gps, time = self.spec.config.gps, self._instants(POSITION_HZ)
-        sigma_m = (gps.sigma_wander_horizontal_m, gps.sigma_wander_horizontal_m, gps.sigma_wander_vertical_m)
+        sigma_m = (
+            gps.sigma_correlated_horizontal_m,
+            gps.sigma_correlated_horizontal_m,
+            gps.sigma_correlated_vertical_m,
+        )
         white = (gps.sigma_white_m, gps.sigma_white_m, 1.5 * gps.sigma_white_m)
         error = [
-            self._error(time, slow, gps.wander_time_s) + self._error(time, fast, WHITE_TIME_S)
+            self._error(time, slow, gps.correlation_time_s) + self._error(time, fast, WHITE_TIME_S)
             for slow, fast in zip(sigma_m, white, strict=True)
         ]
         late = time - self.delay_s
+        # Of a generator of its own, so that all other errors of a seed are what they were without this part.
+        slow_rng = np.random.default_rng([self.seed, 910])
         velocity = self.trajectory.velocity_enu_m_s(late) + np.stack(
-            [self._error(time, gps.sigma_velocity_m_s, VELOCITY_TIME_S) for _ in range(3)], axis=1
+            [
+                self._error(time, gps.sigma_velocity_m_s, VELOCITY_TIME_S)
+                + self._error(time, gps.sigma_velocity_correlated_m_s, gps.velocity_correlation_time_s, slow_rng)
+                for _ in range(3)
+            ],
+            axis=1,
         )
         # What acceleration does to a navigation filter, (5.16).
         gained = np.linalg.norm(np.gradient(self.trajectory.velocity_enu_m_s(time), time, axis=0), axis=1)
@@ -219,7 +235,7 @@ class DrawnFlight:
         fast = (solve.attitude_white_sigma_deg, solve.attitude_white_sigma_deg, solve.heading_white_sigma_deg)
         error = np.stack(
             [
-                self._error(time, np.radians(gauss_markov_deg), solve.attitude_wander_time_s)
+                self._error(time, np.radians(gauss_markov_deg), solve.attitude_correlation_time_s)
                 + self._error(time, np.radians(white), WHITE_TIME_S)
                 for gauss_markov_deg, white in zip(slow, fast, strict=True)
             ],
@@ -245,18 +261,18 @@ class DrawnFlight:
         east, north = np.meshgrid(axis, axis)
         places = np.stack([east, north], axis=-1)
         height = self.ground.height_m(places) + self.terrain_error_m + places @ self.terrain_tilt
-        # Between nodes the mean of four errs less than each: on average over places the variance is as configured.
+        # Between nodes the mean of four is off less than each: on average over places the variance is as configured.
         node_sigma_m = 1.5 * self.spec.config.terrain.sigma_m
         rough = self.spec.errors * node_sigma_m * self.rng.standard_normal(height.shape)
         return Terrain(float(axis[0]), float(axis[0]), TERRAIN_NODE_M, height + rough)
 
 
 class Seen(Protocol):
-    """What a drawn tracker needs to know of how a flight is seen."""
+    """What a simulated tracker needs to know of how a flight is seen."""
 
     @property
     def config(self) -> Config:
-        """The configuration that is flown."""
+        """The configuration of the flight."""
 
     @property
     def camera(self) -> Camera:
@@ -272,7 +288,7 @@ class Seen(Protocol):
 
 
 class FlightInSight(Protocol):
-    """A flight of which a drawn tracker can look up what its pictures show."""
+    """A flight of which a simulated tracker can look up what its pictures show."""
 
     rng: np.random.Generator
 
@@ -288,7 +304,7 @@ class FlightInSight(Protocol):
 
 
 class DrawnTracker(Tracker):
-    """Features that are points of the drawn ground, found again wherever they are visible, with white pixel noise."""
+    """Features that are points of the simulated ground, found again wherever visible, with white pixel noise."""
 
     def __init__(self, flight: FlightInSight) -> None:
         spec = flight.spec
@@ -305,7 +321,7 @@ class DrawnTracker(Tracker):
         return self._key
 
     def track(self, image: NDArray[np.uint8], predicted: Array | None) -> Tracks:
-        """Every feature of the keyframe that this picture sees; nothing where too few are in sight."""
+        """Every feature of the keyframe that this picture sees; nothing where too few are visible."""
         self._frame = int(image.view(np.uint16)[0, 0])
         if not self._key or not len(self._ids):
             return self.nothing()
@@ -341,7 +357,7 @@ class DrawnTracker(Tracker):
         return self._ids, self._uv
 
     def forget(self) -> None:
-        """The next picture starts anew."""
+        """The next picture starts again."""
         super().forget()
         self._key = False
 

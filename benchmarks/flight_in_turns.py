@@ -1,4 +1,4 @@
-"""A flight through the pipeline, as many pictures at a time as standard input says: for `benchmarks.against` to run.
+"""A flight through the pipeline, as many pictures at a time as standard input asks for; run by `benchmarks.against`.
 
     python -P benchmarks/flight_in_turns.py FOLDER
 

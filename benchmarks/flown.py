@@ -1,6 +1,6 @@
 """A short simulated flight at thirty pictures a second, and as long a flight as asked for made of it.
 
-The leg is flown out and back: pictures and the recorded autopilot's own telemetry run forwards, then backwards with
+The leg is replayed out and back: pictures and the recorded autopilot's own telemetry run forwards, then backwards with
 velocities and turning rates reversed, and so on. What the pipeline sees is consistent, and never ends.
 """
 
@@ -25,12 +25,12 @@ from simulation.session import SessionSpec, fly
 RECORDING = Path(__file__).resolve().parents[1] / "tests" / "data" / "plane_turn"
 START_S = 2.0  # into the recording: 25 s of it are straight
 CACHE = Path(__file__).resolve().parents[1] / "out" / "bench"
-TELEMETRY_DELAY_NS = 40_000_000  # messages reach the pipeline this long after what they tell of
+TELEMETRY_DELAY_NS = 40_000_000  # messages reach the pipeline this long after the moment they report
 
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """A flown leg in memory: pictures and telemetry in order of their stamps."""
+    """A simulated leg in memory: pictures and telemetry in order of their stamps."""
 
     config: Config
     camera: Camera
@@ -43,14 +43,20 @@ class Leg:
         return [f.image for f in self.frames if f.image is not None]
 
 
-def leg(seconds: float = 14.0, rate_hz: float = 30.0, cache: Path = CACHE) -> Leg:
-    """A straight leg of the recorded plane 250 m up, drawn once and then kept in `cache`."""
+def leg_folder(seconds: float = 14.0, rate_hz: float = 30.0, cache: Path = CACHE) -> Path:
+    """The files of a straight leg of the recorded plane 250 m up, generated once and then kept in `cache`."""
     folder = cache / f"leg_{seconds:g}s_{rate_hz:g}hz"
     if not (folder / "world.json").is_file():  # written last
         if folder.exists():
             raise FileExistsError(f"{folder} is half a flight; remove it")
         flight = RecordedSpec(str(RECORDING), START_S, whole_log=True)
         fly(SessionSpec(flight, seconds=seconds, rate_hz=rate_hz), folder)
+    return folder
+
+
+def leg(seconds: float = 14.0, rate_hz: float = 30.0, cache: Path = CACHE) -> Leg:
+    """That leg in memory."""
+    folder = leg_folder(seconds, rate_hz, cache)
     config = load_config(folder / "config.toml")
     camera = Camera.from_json(folder / "camera.json")
     recorded = Flight.open(config, camera, folder / "frames", folder / "telemetry.tlog", folder / "stamps.csv")
@@ -91,7 +97,7 @@ def out_and_back(flown: Leg, frames: int) -> Iterator[Event]:
 
 
 def _at(event: NavEvent, stamp_ns: int, is_back: bool) -> NavEvent:
-    """The same at another moment, flown the other way if `is_back`."""
+    """The same at another moment, in the other direction if `is_back`."""
     if is_back and isinstance(event, PositionFix) and event.velocity_ned_m_s is not None:
         north, east, down = event.velocity_ned_m_s
         return replace(event, stamp_ns=stamp_ns, velocity_ned_m_s=(-north, -east, -down))

@@ -7,7 +7,7 @@ over UDP (the recorded one; its rates are printed), sets over loopback zenoh wit
 process is autopilot and ground: it decodes each set as it comes and answers a click at the picture's middle. Counted is
 every set that brings a newer picture than the ground has; what the link sends in between, better sets of older
 pictures, is not, nor are the first seconds, before the window has a solution. Parts: `taken up` is until the pipeline's
-thread has the picture (it is handed over at its exposure: nothing of a camera's driver is in here); `waits for
+thread has the picture (it is passed on at its exposure: nothing of a camera's driver is in here); `waits for
 telemetry` until the message comes that covers its exposure; `made` is tracking and placing it and those that waited
 with it; `budget` is from its set to the link's turn (by the age that goes with a set, to 10 ms); `transport` what zenoh
 and the loopback take; `answered` decoding, and the click. A machine that is busy with other things delays all of them:

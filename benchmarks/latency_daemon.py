@@ -52,7 +52,7 @@ class Plan:
 
     @property
     def begin(self) -> Path:
-        """The file that says when the first picture is due, ns of CLOCK_MONOTONIC."""
+        """The file that states when the first picture is due, ns of CLOCK_MONOTONIC."""
         return Path(self.folder) / "begin"
 
     @property
@@ -68,7 +68,7 @@ class Plan:
 
 
 class PlayedLeg:
-    """The leg's pictures out and back, each handed over when it was taken."""
+    """The leg's pictures out and back, each passed on when it was taken."""
 
     def __init__(self, flown: Leg, clock: SessionClock, begin_ns: int) -> None:
         self._flown, self._clock, self._begin_ns = flown, clock, begin_ns

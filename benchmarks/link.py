@@ -31,7 +31,7 @@ from onboard.link.certificates import make_credentials
 PORT = 17447
 SIZES = (60, 600, 1250)
 RATE_HZ = 5.0
-AGE, REPLY_AGE = b"0.35", b'{"age_s":0.351}'  # as goes beside each set
+AGE, REPLY_AGE = b"0.35", b'{"age_s":0.351}'  # as sent with each set
 ETH_P_IP, PACKET_OUTGOING = 0x0800, 4
 
 

@@ -46,7 +46,7 @@ def _processor() -> str:
 def interleaved_us(
     runs: Mapping[str, Callable[[], object]], repeat: int, clock: Callable[[], int] = time.process_time_ns
 ) -> dict[str, float]:
-    """Median microseconds of each run, the runs taken in turn so that all meet the same machine.
+    """Median microseconds of each run, the runs taken in turn so that all run on the machine in the same state.
 
     `clock` counts nanoseconds; the default is processor time, which others on the machine do not lengthen by waiting.
     """

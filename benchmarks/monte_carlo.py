@@ -1,4 +1,4 @@
-"""Monte Carlo over drawn flights: errors over the Cramer-Rao bound, NEES and coverage, one row a kind of flight."""
+"""Monte Carlo over simulated flights: errors over the Cramer-Rao bound, NEES and coverage, one row a kind of flight."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Row:
     spread: float  # one sigma of rmse / bound from the finite number of flights
     shape_rmse_m: float  # after the features' common shift is taken out of each flight
     shape_bound_m: float
-    against_best: float  # rmse over that of least squares begun at the truth, on the same draws: free of their luck
+    against_best: float  # rmse over that of least squares begun at the truth, on the same samples
     pose_nees: float  # newest view, 6 expected
     point_nees: float  # median flight's mean over its features, 3 expected of the mean
     coverage_90: float  # share of features inside their stated horizontal ellipse
@@ -49,7 +49,7 @@ class _Trial:
 
 
 def run(setting: Setting, flights: int, seed: int = 0) -> Row:
-    """Fly `flights` drawn flights. The same seed draws the same flights."""
+    """Simulate `flights` flights. The same seed gives the same flights."""
     trials: list[_Trial] = []
     no_start = failed = 0
     for number in range(flights):

@@ -135,7 +135,7 @@ def declared(session: zenoh.Session, topic: Topic) -> zenoh.Publisher:
 
 
 def is_heard(publisher: zenoh.Publisher) -> bool:
-    """Whether somebody subscribes to it."""
+    """Whether it has a subscriber."""
     return bool(getattr(publisher.matching_status, "matching", False))
 
 
@@ -160,7 +160,7 @@ def is_whole(came: dict[int, float], needed: int) -> bool:
 
 
 def measure(kind: str, loss: float, bit_rate: float, pictures: int, size: int) -> list[str]:
-    """Rows of the table: each way to send pictures of this size, with sets besides."""
+    """Rows of the table: each way to send pictures of this size, with sets in addition."""
     near, far = socket.socketpair()
     command = ["unshare", "--net", sys.executable, "-m", "benchmarks.picture_loss"]
     ground = subprocess.Popen(

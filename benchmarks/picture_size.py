@@ -1,4 +1,9 @@
-"""`python -m benchmarks.picture_size FOLDER`: what keyframes of a folder of pictures take on the link, and to make."""
+"""What keyframes of a folder of pictures take on the link, and to make.
+
+    python -m benchmarks.picture_size [FOLDER]
+
+Without a folder: the simulated leg of the other benchmarks (`flown`); photographs have more to compress.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from benchmarks.flown import leg_folder
 from onboard.config.schema import PictureConfig
 from onboard.link.picture_sender import small_image
 
@@ -17,17 +23,18 @@ FORMATS = ("webp", "jpeg")
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--most", type=int, default=10, help="pictures, spread over the folder")
     parser.add_argument("--qualities", type=int, nargs="+", default=[30])
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
-    files = sorted(f for f in arguments.folder.iterdir() if f.suffix.lower() in (".jpg", ".jpeg", ".png"))
+    folder = leg_folder() / "frames" if arguments.folder is None else arguments.folder
+    files = sorted(f for f in folder.iterdir() if f.suffix.lower() in (".jpg", ".jpeg", ".png"))
     chosen = files[:: max(len(files) // arguments.most, 1)][: arguments.most]
     images = [i.astype(np.uint8) for f in chosen if (i := cv2.imread(str(f), cv2.IMREAD_GRAYSCALE)) is not None]
     if not images:
-        parser.error(f"{arguments.folder}: no pictures in it")
+        parser.error(f"{folder}: no pictures in it")
     print(f"{len(images)} pictures of {images[0].shape[1]}x{images[0].shape[0]} px; bytes, and processor time each\n")
     print(f"| longer side, quality | {' | '.join(FORMATS)} |\n|---|{'---|' * len(FORMATS)}")
     for max_px in (320, 480, 640):

@@ -2,7 +2,7 @@
 
     python -m benchmarks.pipeline [--minutes 4 | --hour] [--profile]
 
-A straight leg of the recorded plane is flown out and back for as long as asked (benchmarks.flown), faster than real
+A straight leg of the recorded plane is replayed out and back for as long as asked (benchmarks.flown), faster than real
 time, as the daemon does it: one thread tracks, another solves windows. Counted is everything from an event to the bytes
 of its feature sets, window solves included; not the camera's driver, not the link. Times of calls and lags are the
 tracking thread's own processor time: every event is taken to arrive when it would live, and waits until the events
@@ -30,7 +30,7 @@ import numpy as np
 from benchmarks.flown import TELEMETRY_DELAY_NS, Leg, leg, out_and_back
 from contract.wire.codec import encode
 from onboard.estimation.solver_executor import Done, Promise
-from onboard.estimation.window_solver import Request
+from onboard.estimation.window_request import Request
 from onboard.events.types import Frame
 from onboard.pipeline.pipeline import ADOPTION_NS, Pipeline
 
@@ -146,7 +146,7 @@ def hot_spots(flown: Leg, frames: int, count: int = 18) -> str:
 
 
 def report(flown: Leg, frames: int) -> str:
-    """Fly and tell."""
+    """Replay and report."""
     run = fly(flown, frames)
     lines = [
         f"{frames} pictures ({frames / RATE_HZ:.0f} s of flight), {run.solved} solved, {run.sets} sets of "

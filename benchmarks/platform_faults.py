@@ -1,4 +1,4 @@
-"""What is wrong, by name, with the platform of a flight in `benchmarks.autopilots`, and what the daemon is told."""
+"""Faults, by name, of the platform of a flight in `benchmarks.autopilots`, and what is passed to the daemon."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FAULTS: dict[str, dict[str, Any]] = {
     "late": {"stamps_late_s": 0.2, "mount_error_deg": (2.0, 1.5, 0.0)},
     "1hz": {"attitude_hz": 1.0},
     "slope": {"slope_deg": 9.8},
-    # The camera file says nothing of its errors: it is right all the same, or 3 % and 0.1 wrong.
+    # The camera file states nothing about its errors: it is right all the same, or 3 % and 0.1 wrong.
     "unsure lens": {"camera_file": replace(LENS, stated_sigma=UNKNOWN_SIGMA)},
     "wrong lens": {
         "camera_file": replace(
@@ -26,7 +26,7 @@ FAULTS: dict[str, dict[str, Any]] = {
             stated_sigma=UNKNOWN_SIGMA,
         )
     },
-    # Rows read in 30 ms: as the configuration says, to 20 ms, for sure; and said to be a global shutter, wrongly.
+    # Rows read in 30 ms: as the configuration states, to 20 ms, for sure; and stated to be a global shutter, wrongly.
     **{f"rolling{how}": {"readout_s": 0.03} for how in ("", " unsure", " found", " ignored")},
     # Electronic stabilisation that smooths over half a second, and over two; a lens that zooms and comes back.
     "stabilised": {"stabilised_s": 0.5},
@@ -41,7 +41,7 @@ FAULTS: dict[str, dict[str, Any]] = {
 }
 
 
-# What the daemon is told of the rows, where that is not a global shutter.
+# What is passed to the daemon about the rows, where that is not a global shutter.
 BELIEVED: dict[str, dict[str, float]] = {
     "rolling": {"readout_s": 0.03},
     "rolling unsure": {"readout_s": 0.03, "sigma_readout_s": 0.02},

@@ -2,16 +2,17 @@
 
     python -m benchmarks.rolling_shutter [--flights 24] [--seconds 66] [--height 150] [--sensors full,gps] [--told A,B]
 
-Drawn flights with turns, beside the same flights with a global shutter and the right file. A flight's clicks share its
-slow errors and are one draw of them, so there are many flights, and only the pictures after one minute are clicked, all
-over the picture. Everything is drawn as it is declared. The autopilot's age of positions is known to 20 ms: by the
-default of 100 ms its filter would err by 0.7 m/s in these turns, (5.16), and position and velocity, drawn apart, would
-contradict each other as they do while a receiver is jammed, which is refused and widens every later answer.
+Simulated flights with turns, compared with the same flights with a global shutter and the right file. A flight's
+clicks share its slow errors and are one sample of them, so there are many flights, and only the pictures after one
+minute are clicked, all over the picture. Everything is sampled as it is declared. The autopilot's age of positions is
+known to 20 ms: with the default of 100 ms its filter would be off by 0.7 m/s in these turns, (5.16), and position and
+velocity, sampled separately, would contradict each other as they do while a receiver is jammed, which is refused and
+widens every later answer.
 
-Printed for each row: median and 90 % error, the median beside that of the first row, the share inside the 90 % ellipse
-with one sigma of it between flights, the mean of squared errors over what was claimed (1 if honest), the share
-answered, the readout that was found with its sigma, averaged over flights, and processor time without tracking, beside
-the first row's. Goal: 85 to 96 % inside, ratio at most 1.3.
+Printed for each row: median and 90 % error, the median relative to that of the first row, the share inside the 90 %
+ellipse with one sigma of it between flights, the mean of squared errors over what was claimed (1 if honest), the share
+answered, the readout that was found with its sigma, averaged over flights, and processor time without tracking,
+relative to the first row's. Goal: 85 to 96 % inside, ratio at most 1.3.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ Array = NDArray[np.float64]
 
 READOUT_S = 0.03
 GLOBAL = "global shutter"
-RIGHT_TO_S = 0.02  # of the age of positions, as declared and drawn
+RIGHT_TO_S = 0.02  # of the age of positions, as declared and sampled
 # One sigma of the camera file's focal length, principal point, k1 and k2: it is off by the first and the fourth.
 FILE_SIGMA = (0.03, 0.002, 0.002, 0.1, 0.01)
 WRONG_FILE, UNSURE_FILE = "wrong file", "right file, unsure"
@@ -65,7 +66,7 @@ class Result:
 
     @property
     def inside(self) -> tuple[float, float]:
-        """The share inside the 90 % ellipse, a flight as one draw, and one sigma of it."""
+        """The share inside the 90 % ellipse, a flight as one sample, and one sigma of it."""
         shares = [float(np.mean(np.array(chi2) < CHI2_2)) for chi2 in self.chi2 if chi2]
         return float(np.mean(shares)), float(np.std(shares) / np.sqrt(len(shares)))
 
@@ -74,7 +75,7 @@ SENSORS: dict[str, dict[str, Any]] = {"full": {}, "gps": {"attitude": "none", "v
 
 
 def spec_of(told: dict[str, float], seconds: float, height_m: float, sensors: str = "full") -> DrawnSpec:
-    """The flight, told so of its rows."""
+    """The flight, with this configuration of its rows."""
     config = replace_section(parse_config(""), "camera", **told)
     config = replace_section(config, "solve", **SENSORS[sensors])
     config = replace_section(config, "gps", sigma_latency_s=RIGHT_TO_S)

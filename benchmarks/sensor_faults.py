@@ -1,4 +1,4 @@
-"""Recorded telemetry with one sensor gone wrong for a while: what it says then, and when.
+"""Recorded telemetry with one faulty sensor for some time: what it reports then, and when.
 
 A disturbance changes messages of its sensor from a moment on for some seconds; everything else stays as recorded.
 """
@@ -14,6 +14,7 @@ from contract.rotations import exp_so3, matrix_from_quaternion, quaternion_from_
 from onboard.events.types import Attitude, Event, PositionFix
 
 TILT, HEADING, VELOCITY, POSITION, ATTITUDE_TIME = "tilt", "heading", "velocity", "position", "attitude_time"
+DRAG = "drag"
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,8 @@ class Disturbance:
     """One sensor wrong by `size` for `seconds` from `begin_s` after the flight's begin.
 
     `sensor`: TILT (deg, about north and so about roll and pitch by turns), HEADING (deg), VELOCITY (m/s, towards
-    north-east), POSITION (m, towards the east, velocity right), ATTITUDE_TIME (s, attitude older than its stamp).
+    north-east), POSITION (m, towards the east, velocity right), DRAG (m/s, the same growing, as a spoofed receiver's),
+    ATTITUDE_TIME (s, attitude older than its stamp).
     """
 
     sensor: str
@@ -39,6 +41,7 @@ EVERY_MINUTE = {
     "compass-flip": _each_minute(HEADING, 15.0, 40.0),
     "velocity-wrong": _each_minute(VELOCITY, 10.0, 3.0),
     "position-jump": _each_minute(POSITION, 15.0, 20.0),
+    "position-drag": _each_minute(DRAG, 15.0, 2.0),
     "attitude-late": _each_minute(ATTITUDE_TIME, 20.0, 0.5),
 }
 
@@ -48,11 +51,11 @@ def disturbed(event: Event, begin_ns: int, disturbances: tuple[Disturbance, ...]
     for d in disturbances:
         after_s = (event.stamp_ns - begin_ns) / 1e9 - d.begin_s
         if 0.0 <= after_s < d.seconds:
-            event = _by(d, event, place)
+            event = _by(d, event, place, after_s)
     return event
 
 
-def _by(d: Disturbance, event: Event, place: LocalFrame) -> Event:
+def _by(d: Disturbance, event: Event, place: LocalFrame, after_s: float) -> Event:
     if isinstance(event, Attitude):
         if d.sensor in (TILT, HEADING):
             axis = np.array([1.0, 0.0, 0.0] if d.sensor == TILT else [0.0, 0.0, 1.0])
@@ -65,8 +68,9 @@ def _by(d: Disturbance, event: Event, place: LocalFrame) -> Event:
         if d.sensor == VELOCITY and event.velocity_ned_m_s is not None:
             north, east, down = event.velocity_ned_m_s
             return replace(event, velocity_ned_m_s=(north + d.size * 0.8, east + d.size * 0.6, down))
-        if d.sensor == POSITION:
-            p = place.to_enu(event.lat_deg, event.lon_deg, event.height_amsl_m) + [d.size, 0.0, 0.0]
+        if d.sensor in (POSITION, DRAG):
+            moved_m = d.size if d.sensor == POSITION else d.size * after_s
+            p = place.to_enu(event.lat_deg, event.lon_deg, event.height_amsl_m) + [moved_m, 0.0, 0.0]
             lat, lon, height = (float(c) for c in place.to_geodetic(p))
             return replace(event, lat_deg=lat, lon_deg=lon, height_amsl_m=height)
     return event

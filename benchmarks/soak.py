@@ -5,7 +5,7 @@
 A process flies the daemon (benchmarks.soak_daemon) with a camera at thirty 640x480 pictures a second, out and back over
 one leg, and an autopilot over UDP; this one is autopilot, ground and service manager (benchmarks.soak_world). Sets and
 status go over loopback zenoh, a ground listens and asks, the recording rotates. The flight's clock runs as fast as no
-picture has to wait for long: that factor is stated, and seconds are seconds of flight unless they say "wall". Every ten
+picture has to wait for long: that factor is stated, and seconds are seconds of flight unless marked "wall". Every ten
 minutes, unless calm, telemetry is cut for 5 s, the camera is lost for 20 s and the GPS for 15 s: leaks hide in
 recoveries. Exit code 1 if a verdict fails.
 """
@@ -42,7 +42,7 @@ from simulation.autopilot.flight import Flight
 ROOT = Path(__file__).resolve().parents[1]
 TOP_SPEED = 12.0
 START_S, PATIENCE_S, END_S = 60.0, 120.0, 30.0  # wall: to begin, between two minutes of flight, to end
-LAST_QUESTION_S = 10.0  # before the end: nobody answers after it
+LAST_QUESTION_S = 10.0  # before the end: there is no answer after it
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 Say = Callable[[str], None]
 
@@ -101,7 +101,7 @@ def _around(
     out: Soak,
     say: Say,
 ) -> None:
-    """Be the world until the daemon ends by itself, and look at it every minute."""
+    """Simulate the surroundings until the daemon ends by itself, and check it every minute."""
     log = Flight.read(_folder(plan) / "telemetry.tlog")
     ground = Ground(plan.endpoint, flown.config.vehicle.id)
     cuts = list(faults.cut)
@@ -170,7 +170,7 @@ def _folder(plan: Plan) -> Path:
 
 
 def _begun(plan: Plan, process: subprocess.Popen[str], manager: ServiceManager, log: list[str]) -> int:
-    """When the first picture is due, once the daemon says that it is ready."""
+    """When the first picture is due, once the daemon reports that it is ready."""
     deadline = time.monotonic() + START_S
     while not (plan.begin.exists() and manager.counts["READY=1"]):
         if process.poll() is not None or time.monotonic() > deadline:

@@ -1,7 +1,7 @@
 """A clock for a flight that runs as fast as the machine can fly it, and slower where it cannot keep up.
 
-The daemon's process owns it and tells the others by a small file: flight time is linear in CLOCK_MONOTONIC, which all
-processes share, from one change of speed to the next.
+The daemon's process owns it and passes it to the others by a small file: flight time is linear in CLOCK_MONOTONIC,
+which all processes share, from one change of speed to the next.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Pace:
 
 
 class Governor:
-    """Keeps the pace, and the file that tells it. The camera's thread governs; any may ask.
+    """Keeps the pace, and the file that holds it. The camera's thread governs; any may ask.
 
     A process that others keep from running for a moment would find that moment's pictures all due at once, several
     times as many as in real time: so the flight waits for its camera. How much time that took shows in the factor, and

@@ -74,12 +74,12 @@ class Plan:
 
     @property
     def clock(self) -> Path:
-        """The file that tells the flight's clock."""
+        """The file that holds the flight's clock."""
         return Path(self.folder) / "clock"
 
     @property
     def begin(self) -> Path:
-        """The file that says when the first picture is due, Unix ns of the flight's clock."""
+        """The file that states when the first picture is due, Unix ns of the flight's clock."""
         return Path(self.folder) / "begin"
 
     @property
@@ -157,7 +157,7 @@ class Camera:
         return self._counted.pictures - self._counted.taken - self._counted.dropped
 
     def health(self) -> SourceStatus:
-        """Lost while unplugged, as a real one says within two seconds."""
+        """Lost while unplugged, as a real one reports within two seconds."""
         if self._came_ns is None:
             return SourceStatus(State.STARTING)
         is_silent = self._clock.now_ns() - self._came_ns > LOST_AFTER_NS
@@ -196,7 +196,7 @@ class Watch:
             counted.delays_s.append((self._clock.now_ns() - output.capture_unix_ns) / 1e9)
 
     def report(self, report: Report) -> None:
-        """What the daemon says of itself."""
+        """What the daemon reports about itself."""
         self._counted.dropped = report.status.dropped
 
     def _write(self) -> None:

@@ -1,4 +1,4 @@
-"""What a soak must show: figures minute by minute, and what is to be held against them."""
+"""What a soak must show: figures minute by minute, and the limits they are compared with."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Minute:
 
 @dataclass
 class Soak:
-    """What came of it."""
+    """The result."""
 
     faults: Faults
     minutes: list[Minute] = field(default_factory=list)

@@ -1,6 +1,6 @@
 """What is around the daemon of a soak: an autopilot over UDP, a ground that listens and asks, a service manager.
 
-All live by the flight's clock as the daemon's process tells it (benchmarks.soak_clock).
+All use the flight's clock as the daemon's process passes it (benchmarks.soak_clock).
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def out_and_back(log: Flight, flown: Leg) -> Flight:
 
 
 def _at(message: Any, boot_ns: int, is_back: bool) -> Any:
-    """A copy said at another boot time, on the way back with motion reversed."""
+    """A copy sent at another boot time, on the way back with motion reversed."""
     out = copy.copy(message)
     if hasattr(out, "time_boot_ms"):
         out.time_boot_ms = boot_ns // 1_000_000
@@ -85,7 +85,7 @@ def _at(message: Any, boot_ns: int, is_back: bool) -> Any:
 
 
 class GpsLoss:
-    """Takes the GPS away for some stretches of the flight: no fix, and a filter that says so."""
+    """Takes the GPS away for some stretches of the flight: no fix, and a filter that reports it."""
 
     def __init__(self, begin_ns: int, spans: Spans) -> None:
         self._begin_ns, self._spans = begin_ns, spans
@@ -103,7 +103,7 @@ class GpsLoss:
 
 
 class ServiceManager:
-    """The other end of NOTIFY_SOCKET: what the daemon says, and the longest it fed no watchdog, by flight and wall."""
+    """The other end of NOTIFY_SOCKET: the daemon's reports, and the longest pause of its watchdog, flight and wall."""
 
     def __init__(self, path: Path, clock: ToldClock) -> None:
         self.path, self._clock = path, clock

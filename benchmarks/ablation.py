@@ -1,0 +1,158 @@
+"""What each mechanism of the estimator buys: every one off in turn, on the flights it exists for and on ordinary ones.
+
+    python -m benchmarks.ablation [--mechanisms "row waves,zoom"] [--draws 6] [--flights "own,ordinary"]
+
+Recorded telemetry of real autopilot software over simulated ground and simulated flights; features are points of the
+ground with pixel noise, so nothing is rendered and nothing tracked. A mechanism is switched off from here
+(`mechanisms`): the product has no such switch. A draw's seed gives the same telemetry, ground and noise with and
+without it, so the two are compared draw by draw. Printed for every mechanism and flight: with everything on, the means
+over the draws of the share of clicks answered, of the median and the 90 % error (m), of the share inside the 90 %
+ellipse, of sharpness (`click_score`) and of the worst error over its own ellipse; then what switching the mechanism off
+changes, as the mean of the paired differences and its standard error (errors in per cent of what they are with
+everything on, shares in points). Then, for each mechanism, what is worse and what is better without it beyond the 95 %
+interval of its draws (Student's t).
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from contextlib import AbstractContextManager, nullcontext
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from benchmarks.ablation_scenes import ORDINARY, ORDINARY_SECONDS, Trial, own
+from benchmarks.click_score import Score, clicks, scored
+from benchmarks.machine import describe
+from benchmarks.mechanisms import MECHANISMS
+from contract.feature_set import FeatureSet
+from onboard.pipeline.pipeline import Pipeline
+
+Array = NDArray[np.float64]
+
+CLICKS, WARM_S = 4, 20.0
+FIGURES = ("answered", "median", "90 %", "inside", "sharpness", "worst")
+COLUMNS = ("answered", "median m", "90 % m", "inside", "sharpness", "worst")
+UNITS = (" points", " %", " %", " points", "", "")
+
+
+def fly(trial: Trial, seed: int) -> Score:
+    """One flight through the pipeline, and its clicks."""
+    flight = trial.flight(seed)
+    spec = flight.spec
+    pipeline = Pipeline(spec.config, spec.camera_file or spec.camera, None)
+    pipeline.tracker = trial.tracker(flight)
+    sets: dict[int, FeatureSet] = {}
+    for event in flight.events():
+        sets.update({out.frame: out for out in pipeline.handle(event)})
+    sets.update({out.frame: out for out in pipeline.finish()})
+    score = scored(flight, clicks(flight, sets, spec.camera.size_px, CLICKS, WARM_S, seed))
+    spent = pipeline.summary.stage_seconds
+    score.processor_s = sum(seconds for stage, seconds in spent.items() if stage != "tracking")
+    return score
+
+
+def figures(score: Score) -> Array:
+    """One draw's `FIGURES` (6,); nan where nothing was answered."""
+    answered = score.answered["all"] / max(score.asked["all"], 1)
+    if not score.error_m:
+        return np.array([answered, *[np.nan] * 5])
+    median, ninth = np.quantile(score.error_m, [0.5, 0.9])
+    ratio = np.array(score.ratio)
+    return np.array([answered, median, ninth, np.mean(ratio < 1.0), np.quantile(ratio, 0.9), ratio.max()])
+
+
+def flown(trial: Trial, draws: int, how: AbstractContextManager[None]) -> tuple[Array, float]:
+    """Figures (N, 6) of some draws of a flight, and the estimator's mean processor time (s)."""
+    with how:
+        scores = [fly(trial, trial.seed + draw) for draw in range(draws)]
+    return np.stack([figures(score) for score in scores]), float(np.mean([score.processor_s for score in scores]))
+
+
+def differences(on: Array, off: Array) -> Array:
+    """(N, 6) what switching off changes in each draw: shares in points, errors in per cent of their mean."""
+    scale = np.array([0.01, *np.nanmean(on[:, 1:3], axis=0) / 100.0, 0.01, 1.0, 1.0])
+    out: Array = (off - on) / scale
+    return out
+
+
+def _judged(f: Array) -> Array:
+    """(N, 6) how bad figures (N, 6) are: coverage and sharpness by how far from right, whichever way."""
+    off_right = np.abs(np.log2(np.maximum(f[:, 4], 1e-3)))
+    out: Array = np.stack([-f[:, 0], f[:, 1], f[:, 2], np.abs(f[:, 3] - 0.9), off_right, f[:, 5]], axis=1)
+    return out
+
+
+def change(name: str, on: Array, off: Array) -> tuple[list[str], list[str]]:
+    """What is worse without a mechanism on a flight, and what is better, beyond the interval of the draws, in words."""
+    worse: list[str] = []
+    better: list[str] = []
+    judged, steps = _judged(off) - _judged(on), differences(on, off)
+    interval = float(student.ppf(0.975, len(on) - 1))
+    for figure, unit, bad, step in zip(FIGURES, UNITS, judged.T, steps.T, strict=True):
+        mean, error = _mean_and_error(bad)
+        if not np.isfinite(mean):
+            worse.append(f"{name}: {figure} none")
+        elif abs(mean) > max(interval * error, 1e-9):
+            changed, least = _mean_and_error(step)
+            text = f"{name}: {figure} {changed:+.2g} ± {least:.1g}{unit}"
+            (worse if mean > 0.0 else better).append(text)
+    return worse, better
+
+
+def _mean_and_error(values: Array) -> tuple[float, float]:
+    return float(np.mean(values)), float(np.std(values, ddof=1) / np.sqrt(len(values)))
+
+
+def row(name: str, flight: str, on: tuple[Array, float], off: tuple[Array, float]) -> str:
+    """A row of the table."""
+    answered, median, ninth, inside, sharpness, worst = np.nanmean(on[0], axis=0)
+    steps = differences(on[0], off[0])
+    changes = ["{:+.1f} ± {:.1f}".format(*_mean_and_error(step)) for step in steps[:, :4].T]
+    changes += ["{:+.2f} ± {:.2f}".format(*_mean_and_error(step)) for step in steps[:, 4:].T]
+    means = f"{100 * answered:.0f} % | {median:.2f} | {ninth:.2f} | {100 * inside:.0f} % | {sharpness:.2f}"
+    return f"| {name} | {flight} | {means} | {worst:.1f} | {' | '.join(changes)} | {on[1]:.1f} -> {off[1]:.1f} |"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--mechanisms", default=",".join(m.name for m in MECHANISMS))
+    parser.add_argument("--draws", type=int, default=4, help="of every flight; at least two")
+    parser.add_argument("--flights", default="own,ordinary", help="own, ordinary, or both")
+    args = parser.parse_args()
+    if args.draws < 2:
+        parser.error("--draws: at least two, or nothing shows their scatter")
+    asked, kinds = args.mechanisms.split(","), args.flights.split(",")
+    by_mechanism, began = own(), time.process_time()
+    print(f"{describe()}\n")
+    print(f"{args.draws} draws; ordinary: {'; '.join(t.name for t in ORDINARY)}; {ORDINARY_SECONDS:.0f} s each.\n")
+    columns = "answered | median m | 90 % m | inside | sharpness | worst | " + " | ".join(
+        f"change of {f}" for f in FIGURES
+    )
+    print(f"| mechanism off | flight | {columns} | processor s |\n|---|---|{'---:|' * 13}", flush=True)
+    known: dict[str, tuple[Array, float]] = {}
+    verdicts: dict[str, tuple[list[str], list[str]]] = {}
+    for mechanism in sorted((m for m in MECHANISMS if m.name in asked), key=lambda m: asked.index(m.name)):
+        trials = (by_mechanism[mechanism.name] if "own" in kinds else ()) + (ORDINARY if "ordinary" in kinds else ())
+        worse, better = verdicts.setdefault(mechanism.name, ([], []))
+        for trial in trials:
+            if trial.name not in known:
+                known[trial.name] = flown(trial, args.draws, nullcontext())
+            off = flown(trial, args.draws, mechanism.off())
+            print(row(mechanism.name, trial.name, known[trial.name], off), flush=True)
+            more_worse, more_better = change(trial.name, known[trial.name][0], off[0])
+            worse.extend(more_worse)
+            better.extend(more_better)
+    neutral = {m.name: m.neutral for m in MECHANISMS}
+    print("\n| mechanism | off means | worse without it | better without it |\n|---|---|---|---|")
+    for name, (worse, better) in verdicts.items():
+        print(f"| {name} | {neutral[name]} | {'; '.join(worse) or 'nothing'} | {'; '.join(better) or 'nothing'} |")
+    idle = [name for name, (worse, _) in verdicts.items() if not worse]
+    print(f"\nShows nothing: {', '.join(idle) or 'none'}. Processor time of all: {time.process_time() - began:.0f} s")
+
+
+if __name__ == "__main__":
+    main()

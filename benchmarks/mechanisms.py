@@ -1,0 +1,154 @@
+"""Every named mechanism of the estimator, and how the benchmark switches it off: by its neutral value, from outside.
+
+The product has no such switch. Each entry replaces one or two functions by what they give where the mechanism has
+no effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+from unittest import mock
+
+import numpy as np
+
+from onboard.estimation import (
+    boresight,
+    camera_states,
+    ground_roughness,
+    ground_slope,
+    ground_weight,
+    moved_optics,
+    row_waves,
+    variance_components,
+    window_acceptance,
+    window_solver,
+)
+from onboard.navigation import gps_integrity, position_doubt
+from onboard.pipeline import mount_trial, offset_watch
+
+Replacement = tuple[Any, str, Any]  # module or class, name, neutral value
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """Its name, what it is replaced by, in words, and the replacements."""
+
+    name: str
+    neutral: str
+    replacements: tuple[Replacement, ...]
+
+    @contextmanager
+    def off(self) -> Iterator[None]:
+        """While it lasts the estimator runs without it."""
+        with ExitStack() as stack:
+            for owner, name, value in self.replacements:
+                stack.enter_context(mock.patch.object(owner, name, value))
+            yield
+
+
+def gives(value: Any) -> Callable[..., Any]:
+    """A function of anything that gives this."""
+    return lambda *_args, **_kwargs: value
+
+
+def _held(found: Any, solve: Any, held: Any) -> tuple[dict[str, float], set[str]]:
+    return dict(held), set()
+
+
+def _untouched(self: Any, evidence: Any, stamp_ns: int, weight: float = 1.0) -> Any:
+    return replace(self, stamp_ns=stamp_ns)
+
+
+def _as_it_is(estimate: Any, first: Any) -> Any:
+    return estimate
+
+
+def _as_claimed(self: Any, before: Any, mean: Any, covariance: Any) -> Any:
+    return mean, covariance
+
+
+def _level(self: Any, start_ns: int, place_enu_m: Any) -> ground_slope.SlopePrior:
+    return ground_slope.SlopePrior(np.zeros(2), self.sigma**2 * np.eye(2))
+
+
+def _one_range(H: Any, relative: Any, variance: Any, spread: float) -> float:
+    return max(spread * spread, ground_roughness.MIN_ROUGHNESS)
+
+
+def _declared(problem: Any, first: Any, ground_weight: Any) -> Any:
+    return ground_weight
+
+
+def _no_zoom(window: Any, weighed: Any) -> tuple[moved_optics.Excess, moved_optics.Excess]:
+    nothing = moved_optics.Excess(0.0, 1, 1.0)
+    return nothing, nothing
+
+
+MECHANISMS = (
+    Mechanism(
+        "rotation timing",
+        "no time offset by rotations: windows alone find it",
+        ((offset_watch.OffsetWatch, "estimate", gives(None)),),
+    ),
+    Mechanism("row waves", "no vibration is looked for in rolling rows", ((row_waves, "seen", gives(None)),)),
+    Mechanism("camera states", "the camera file is exact", ((camera_states, "first_sigmas", gives(())),)),
+    Mechanism(
+        "variance components",
+        "sensors' variances stay as configured",
+        ((variance_components.VarianceFactors, "with_evidence", _untouched),),
+    ),
+    Mechanism(
+        "re-estimated prior",
+        "the first prior of mount, clock and lens keeps its declared sigma, (6.12)",
+        ((boresight, "_with_prior_reweighed", _as_it_is),),
+    ),
+    Mechanism(
+        "disagreeing windows",
+        "a window counts for what its covariance claims, (6.13)",
+        ((boresight.Alignment, "_agreed", _as_claimed),),
+    ),
+    Mechanism("sensor groups", "no sensor is found to fail", ((window_solver, "failing_groups", _held),)),
+    Mechanism(
+        "ground slope",
+        "level ground of the configured sigma everywhere",
+        ((ground_slope.GroundSlope, "prior_for", _level),),
+    ),
+    Mechanism(
+        "ground roughness",
+        "correlated over one focal length of the picture, always",
+        ((ground_roughness, "_roughness", _one_range),),
+    ),
+    Mechanism("ground weight", "points are held to the ground as configured", ((ground_weight, "alike", _declared),)),
+    Mechanism("second start", "every window is solved from one start", ((window_solver, "other_starts", gives(())),)),
+    Mechanism(
+        "reobservation",
+        "windows are not compared by points seen again",
+        ((window_acceptance.Memory, "compared", gives(None)),),
+    ),
+    Mechanism("ground motion", "the ground stands still", ((window_solver, "ground_sigma_m_s", gives(0.0)),)),
+    Mechanism(
+        "zoom",
+        "no zoom is looked for",
+        ((moved_optics, "zoom_scores", _no_zoom),),
+    ),
+    Mechanism(
+        "moved optics",
+        "neither stabilisation nor zoom is looked for",
+        ((moved_optics, "found", gives(None)),),
+    ),
+    Mechanism(
+        "mount trial", "pictures alone tell gimbal and mount", ((mount_trial.MountTrials, "begin", gives(None)),)
+    ),
+    Mechanism("position doubt", "a jump leaves no doubt", ((position_doubt.PositionDoubt, "at", gives(np.zeros(2))),)),
+    Mechanism(
+        "slip test",
+        "position is not held against velocity",
+        (
+            (gps_integrity, "slip_at", gives(position_doubt.Slip())),
+            (position_doubt, "slip_at", gives(position_doubt.Slip())),
+        ),
+    ),
+)
