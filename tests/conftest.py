@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -55,6 +58,8 @@ def pytest_configure(config: pytest.Config) -> None:
     So it is with the ground they fly over, for programs that tests start, too. `make pytest` names a folder for both of
     its runs.
     """
+    if "not long" in config.option.markexpr:
+        config.pluginmanager.register(LongTests(config))
     if not hasattr(config, "workerinput"):
         from simulation.kept_drawings import FOLDER_VARIABLE  # noqa: PLC0415  NumPy, not before the variables above
 
@@ -68,6 +73,33 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Those beside this file come first, for the longest are among them: one that began last would end alone."""
     items.sort(key=lambda item: item.path.parent != Path(__file__).parent)
+
+
+class LongTests:
+    """How many tests marked `long` a run leaves out, by file. Of workers the first reports: each collects all tests."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+        self._left_out: Counter[str] = Counter()
+
+    def pytest_deselected(self, items: Sequence[pytest.Item]) -> None:
+        long = [item for item in items if item.get_closest_marker("long")]
+        self._left_out.update(str(item.path.relative_to(CHECKOUT)) for item in long)
+
+    def pytest_sessionfinish(self) -> None:
+        if hasattr(self._config, "workeroutput"):
+            self._config.workeroutput["long"] = dict(self._left_out)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: Any) -> None:
+        self._left_out = self._left_out or Counter(getattr(node, "workeroutput", {}).get("long", {}))
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        if self._left_out:
+            terminalreporter.section(f"{self._left_out.total()} LONG TESTS LEFT OUT", sep="!", red=True, bold=True)
+            terminalreporter.line("To run them: make test-long")
+            for file, count in sorted(self._left_out.items()):
+                terminalreporter.line(f"  {file}: {count}")
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -11,8 +11,10 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from tests import module_map
+
 ROOT = Path(__file__).resolve().parents[1]
-MAX_LINES = 450
+MAX_LINES = 600  # what belongs together stays together; functions are kept short by ruff
 
 # Every package -> the packages that it may import. `contract` may be imported by all. Read top to bottom as data flows.
 ARROWS: dict[str, set[str]] = {
@@ -25,7 +27,7 @@ ARROWS: dict[str, set[str]] = {
     "ground.web": {"ground", "ground.pins", "ground.formats"},
     "onboard.events": set(),
     "onboard.config": set(),
-    "onboard.camera": {"events", "config"},
+    "onboard.camera": {"events", "config", "telemetry"},
     "onboard.telemetry": {"events", "config"},
     "onboard.navigation": {"events", "config"},
     "onboard.geometry": set(),
@@ -59,6 +61,8 @@ IO_ALLOWED = {
     "onboard.link", "onboard.storage", "onboard.replay",
     "onboard.service", "onboard.commands", "onboard.events", "simulation", "simulation.autopilot", "demo", "benchmarks",
 }  # fmt: skip
+# One kind of thread for both sides, neither of which may import the other.
+IO_MODULES = {"contract.supervised_thread"}
 SHIPPED = ("contract", "ground", "onboard")
 
 
@@ -173,7 +177,7 @@ def test_only_packages_that_meet_the_world_know_sockets_threads_and_command_line
         f"{path_of(m).relative_to(ROOT)} imports {i.module}: {package_of(m)} is not in IO_ALLOWED"
         for m in EVERY
         for i in imports(m)
-        if i.top in IO_PACKAGES and package_of(m) not in IO_ALLOWED
+        if i.top in IO_PACKAGES and package_of(m) not in IO_ALLOWED and m not in IO_MODULES
     ]
     assert not found, "\n".join(found)
 
@@ -232,15 +236,18 @@ def test_what_packages_take_from_each_other_is_public() -> None:
     assert not found, "\n".join(found)
 
 
-def test_every_module_is_on_the_map() -> None:
-    """docs/architecture.md names each module of the shipped packages in the row of its own package."""
+def test_the_page_of_modules_is_what_the_docstrings_say() -> None:
+    """docs/modules.md is generated; every module has a first sentence to stand in it."""
+    assert module_map.PAGE.read_text(encoding="utf-8") == module_map.page(ARROWS, SHIPPED), (
+        "docs/modules.md is out of date: python -m tests.module_map"
+    )
+    silent = [line for line in module_map.PAGE.read_text(encoding="utf-8").splitlines() if line.endswith("|  |")]
+    assert not silent, "no docstring: " + ", ".join(silent)
+
+
+def test_every_package_is_in_the_architecture() -> None:
+    """docs/architecture.md has a row for each package that ships."""
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    missing = []
-    for module in modules(*SHIPPED):
-        package, _, name = module.rpartition(".")
-        if module in ARROWS or name == "__main__":
-            continue
-        rows = [line for line in text.splitlines() if line.startswith(f"| `{package.replace('.', '/')}/`")]
-        if not any(re.search(rf"`{name}`", row) for row in rows):
-            missing.append(f"`{name}` is not in the row of `{package.replace('.', '/')}/`")
-    assert not missing, "\n".join(missing)
+    rows = set(re.findall(r"^\| `([\w/]+)/` \|", text, re.MULTILINE))
+    packages = {p.replace(".", "/") for p in ARROWS if p.split(".")[0] in SHIPPED}
+    assert rows >= packages | {"frontend"}, packages - rows

@@ -4,17 +4,34 @@ from __future__ import annotations
 
 import re
 import time
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks import against, autopilots, click, latency, machine, pipeline, tracking, wire
-from benchmarks.__main__ import BENCHMARKS, merge, section
+from benchmarks import (
+    ablation,
+    ablation_scenes,
+    against,
+    autopilots,
+    click,
+    click_score,
+    latency,
+    machine,
+    pipeline,
+    tracking,
+    wire,
+)
+from benchmarks.__main__ import BENCHMARKS, RESULTS, STARTED, merge, section
 from benchmarks.flown import Leg, leg, out_and_back, sets_of
+from benchmarks.mechanisms import MECHANISMS
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
+from contract.wire.codec import decode, encode
+from ground.answer import Fix
+from ground.locate import Locator
 from onboard.config.schema import parse_config
 from onboard.events.types import Frame, PositionFix
 from tests.contract.sets import plain_set
@@ -116,8 +133,9 @@ def test_every_format_carries_the_same_set(sets: list[FeatureSet]) -> None:
                 s.status,
                 (640, 480),
             )
-            order, back = np.argsort(s.uv_px[:, 0]), np.argsort(got.uv_px[:, 0])
-            assert np.allclose(got.uv_px[back], s.uv_px[order], atol=0.3), name
+            # Ours sends the whole pixel that a feature lies in, at its middle, row by row.
+            apart_px = np.abs(got.uv_px[:, None] - s.uv_px[None]).max(axis=2)
+            assert len(got) == len(s) and apart_px.min(axis=0).max() <= 0.51, name
             assert np.allclose(np.sort(got.inverse_depth_per_m), np.sort(s.inverse_depth_per_m), rtol=0.02), name
             assert np.allclose(got.R_enu_cam, s.R_enu_cam, atol=1e-5), name
     exact = formats["JSON"].decode(formats["JSON"].encode(sets[0]))
@@ -128,7 +146,25 @@ def test_the_wire_names_each_format(sets: list[FeatureSet]) -> None:
     said = wire.report(sets[:3], 2)
     assert "3 sets of 40 features" in said
     # Forty are not the hundred that the goal speaks of, however few bytes they take.
-    assert "goal 600 for 100): NOT reached" in said
+    assert "goal 480 for 100): NOT reached" in said
+
+
+def test_a_hundred_measured_features_take_480_bytes_and_answer_as_before_rounding(flown: Leg) -> None:
+    """Rounding moves a click by a small part of its ellipse, and makes that 1 % longer or shorter for nearly all."""
+    sets = sets_of(flown, 100)
+    sizes = [len(encode(s)) for s in sets]
+    assert len(sets) >= 5 and 440 <= np.median(sizes) <= 480
+    rng = np.random.default_rng(0)
+    moved, grown = [], []
+    for s in sets:
+        before, after = Locator(s), Locator(decode(encode(s)))
+        for uv in rng.uniform([40.0, 40.0], [600.0, 440.0], (12, 2)):
+            want, got = before.locate(uv), after.locate(uv)
+            assert isinstance(want, Fix) and isinstance(got, Fix)
+            moved.append(np.linalg.norm(got.offset_enu_m - want.offset_enu_m) / want.ellipse.semi_major_m)
+            grown.append(abs(got.ellipse.semi_major_m / want.ellipse.semi_major_m - 1.0))
+    assert 0.0 < max(moved) < 0.002
+    assert 0.0 < np.percentile(grown, 95.0) < 0.01 and max(grown) < 0.02
 
 
 @pytest.mark.wall_clock  # a cache shared with other workers slows one of the two more
@@ -151,9 +187,8 @@ def test_a_set_is_written_and_read_in_less_than_zlib_and_json_take() -> None:
             times.append(time.process_time_ns())
             taken["write", i].append(times[1] - times[0])
             taken["read", i].append(times[2] - times[1])
-    # Of reading the ratio is 0.68 with one Python 3.11 and 0.81 with Debian's, whose json reads a quarter faster.
-    for way, most in (("write", wire.GOAL_RATIO), ("read", 0.95)):
-        assert 0.05 < min(taken[way, 0]) / min(taken[way, 1]) < most, way
+    for way in ("write", "read"):
+        assert 0.05 < min(taken[way, 0]) / min(taken[way, 1]) < wire.GOAL_RATIO, way
 
 
 def test_clicks_are_taken_from_memory_a_recording_and_a_peer(sets: list[FeatureSet]) -> None:
@@ -200,12 +235,84 @@ def test_every_benchmark_in_the_list_is_a_program(name: str) -> None:
     assert '__name__ == "__main__"' in text
 
 
+def test_every_program_of_the_folder_has_a_section_or_is_started_by_one() -> None:
+    folder = Path(machine.__file__).parent
+    programs = {f.stem for f in folder.glob("*.py") if '__name__ == "__main__"' in f.read_text(encoding="utf-8")}
+    assert programs - {"__main__"} == {b.module for b in BENCHMARKS} | set(STARTED)
+    assert set(STARTED.values()) <= {b.module for b in BENCHMARKS}
+
+
+def test_results_name_no_folder_of_a_machine() -> None:
+    text = RESULTS.read_text(encoding="utf-8")
+    assert not re.findall(r"(?<![\w.])/(?:tmp|home|root|work|mnt|var|usr)/\S+", text)
+    assert str(RESULTS.parent) not in section(BENCHMARKS[0], "ran", f"{RESULTS.parent}/out/growth.png")
+
+
+def test_every_mechanism_can_be_switched_off_and_is_on_again() -> None:
+    """Each has a flight of its own, and what it replaces is there: a rename breaks this test and not the figures."""
+    assert {m.name for m in MECHANISMS} == set(ablation_scenes.own())
+    for mechanism in MECHANISMS:
+        before = [getattr(owner, name) for owner, name, _ in mechanism.replacements]
+        with mechanism.off():
+            now = [getattr(owner, name) for owner, name, _ in mechanism.replacements]
+            assert all(a is not b for a, b in zip(before, now, strict=True)), mechanism.name
+        assert [getattr(owner, name) for owner, name, _ in mechanism.replacements] == before
+
+
+@pytest.mark.long
+def test_what_a_mechanism_buys_is_seen_on_its_own_flight() -> None:
+    """Rows that vibrate, with and without the waves: sharper with them."""
+    trial = ablation_scenes.own()["row waves"][0]
+    mechanism = next(m for m in MECHANISMS if m.name == "row waves")
+    (on,), (off,) = (ablation.flown(trial, 1, how)[0] for how in (nullcontext(), mechanism.off()))
+    column = ablation.FIGURES.index("90 %")
+    assert off[column] > 1.1 * on[column]
+
+
+def test_a_difference_counts_once_it_exceeds_the_scatter_of_its_draws() -> None:
+    on = np.tile([0.9, 4.0, 9.0, 0.9, 1.0, 1.2], (5, 1))
+    assert ablation.change("a", on, on) == ([], [])
+    off = on.copy()
+    off[:, 1] += [0.5, 0.6, 0.4, 0.5, 0.5]  # all worse by about as much
+    off[:, 2] += [3.0, -3.0, 2.0, -2.0, 0.1]  # scatter alone
+    off[:, 4] += [0.4, 0.5, 0.4, 0.3, 0.4]  # too small an ellipse
+    worse, better = ablation.change("a", on, off)
+    assert [text.split(" ")[1] for text in worse] == ["median", "sharpness"]
+    assert not better
+    worse, better = ablation.change("a", off, on)
+    assert not worse
+    assert [text.split(" ")[1] for text in better] == ["median", "sharpness"]
+    cells = ablation.row("a", "b", (on, 1.0), (off, 2.0)).strip("| ").split(" | ")
+    assert len(cells) == 2 + len(ablation.COLUMNS) + len(ablation.FIGURES) + 1
+
+
+def test_sharpness_is_one_for_errors_as_stated_and_half_for_ellipses_twice_too_wide() -> None:
+    rng = np.random.default_rng(0)
+    score = click_score.Score()
+    for _ in range(4000):
+        ratio = float(np.linalg.norm(rng.standard_normal(2)) / np.sqrt(-2.0 * np.log(0.1)))
+        score.ratio.append(ratio)
+        score.chi2.append(-2.0 * np.log(0.1) * ratio**2)
+        score.error_m.append(ratio)
+        score.semi_m.append(1.0)
+        score.bank_deg.append(float(rng.choice([2.0, 40.0])))
+        score.moment_s.append(float(rng.uniform(0.0, 200.0)))
+    late = click_score.after_first_minute([score])
+    assert late is not None and late.sharpness == pytest.approx(1.0, abs=0.03)
+    assert late.coverage == pytest.approx(0.9, abs=0.02)
+    assert [b is None for b in click_score.sharpness_by_bank([score])] == [False, True, True, False]
+    assert "reached" in click_score.sharpness_row("as stated", [score], click_score.POOLED_GOAL)
+    score.ratio = [0.5 * r for r in score.ratio]
+    wide = click_score.sharpness_row("twice too wide", [score], click_score.POOLED_GOAL)
+    assert "missed: sharpness 0.50; coverage 100" in wide
+
+
 def test_beside_a_recorded_autopilot_the_ellipses_hold_in_every_bank() -> None:
     """Forty seconds of ArduPilot's own telemetry, level and in a turn of 58 degrees of bank, over drawn ground."""
     recording = Path(__file__).parent / "data" / "plane_turn"
     scene = autopilots.Scene(str(recording), parse_config(""), start_s=10.0, seconds=40.0)
     score = autopilots.judge(scene, seed=0, warm_s=10.0)
-    shares = autopilots.share_inside([score])
+    shares = click_score.share_inside([score])
     assert all(share is not None and share >= 0.85 for share in shares), shares
     assert max(score.ratio) < 3.0
     assert score.answered["all"] > 0.6 * score.asked["all"] > 60.0
@@ -213,5 +320,5 @@ def test_beside_a_recorded_autopilot_the_ellipses_hold_in_every_bank() -> None:
     assert np.median(score.error_m) < 6.0
     # Not held by being wide: what is claimed is of the size of what is wrong.
     assert np.median(score.semi_m) < 25.0
-    assert "pooled" in autopilots.row("pooled full", [score])
+    assert "pooled" in click_score.row("pooled full", [score])
     assert score.learned_values is not None and len(score.learned_values[0]) == 8

@@ -12,6 +12,8 @@ import pytest
 from benchmarks.coverage import Counts, judge, rows
 from ground.answer import CHI2_2
 
+pytestmark = pytest.mark.long
+
 FLIGHTS = 16
 
 

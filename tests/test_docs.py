@@ -6,7 +6,8 @@ import re
 from pathlib import Path
 
 from contract.feature_set import Status
-from onboard.config.schema import key_table
+from demo.__main__ import HEADER, head_text, row_text
+from onboard.config.renamed_keys import RENAMED
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -35,9 +36,20 @@ def test_every_refusal_has_one_row_in_the_readme() -> None:
     assert sorted(rows) == sorted(status.value for status in Status if status is not Status.OK)
 
 
-def test_the_keys_with_older_words_are_keys() -> None:
-    """The glossary explains them for as long as the configuration has them, and no longer."""
-    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8").partition("## Keys with older words")[2]
-    named = set(re.findall(r"`(\w+\.\w+)`", text))
-    older = {key for key in key_table() if re.search(r"wander|relief|slip", key)}
-    assert named == older
+def test_the_glossary_has_every_renamed_key() -> None:
+    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8").partition("## Renamed keys")[2]
+    rows = [re.findall(r"`(\w+\.\w+)`", row) for row in text.splitlines() if row.startswith("| `")]
+    halves = [(names[: len(names) // 2], names[len(names) // 2 :]) for names in rows]
+    assert {old: new for olds, news in halves for old, new in zip(olds, news, strict=True)} == RENAMED
+
+
+def test_the_readme_shows_the_demo_s_table_as_the_demo_prints_it() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert text.count(HEADER) == 1
+    rows = text.partition(f"{HEADER}\n")[2].partition("```")[0].splitlines()
+    assert len(rows) >= 2
+    for row in rows:
+        spot, *numbers = re.findall(r"^\s*\w+|-?\d+(?:\.\d+)?", row)
+        frame, u, v, lat, lon, height, radius, error = map(float, numbers)
+        head = head_text(spot.strip(), int(frame), int(u), int(v))
+        assert row == row_text(head, (lat, lon, height), radius, error)

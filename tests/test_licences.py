@@ -1,4 +1,4 @@
-"""The README's tables of dependencies and licences are what the installed packages say; none is under the GPL."""
+"""The tables of docs/licences.md are what the installed packages state; none is under the GPL."""
 
 from __future__ import annotations
 
@@ -53,20 +53,19 @@ def licence(name: str) -> str:
 
 
 def tables() -> tuple[dict[str, str], dict[str, str]]:
-    """Package -> licence: the README's table of what runs, and its table of what only development needs."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    section = text.partition("\n## Licences\n")[2].partition("\n## ")[0]
-    runs, _, develops = section.partition("Only for development")
+    """Package -> licence: the table of what runs, and the table of what only development needs."""
+    text = (ROOT / "docs" / "licences.md").read_text(encoding="utf-8")
+    runs, _, develops = text.partition("Only for development")
     read = [{name: said for name, said in ROW.findall(part) if name != "package"} for part in (runs, develops)]
     return read[0], read[1]
 
 
-def test_the_readme_names_every_package_that_runs_with_its_licence() -> None:
+def test_the_page_names_every_package_that_runs_with_its_licence() -> None:
     wanted = {name: licence(name) for name in flying()}
     assert tables()[0] == wanted, "\n".join(f"| {name} | {wanted[name]} |" for name in sorted(wanted))
 
 
-def test_the_readme_names_every_package_of_development_with_its_licence() -> None:
+def test_the_page_names_every_package_of_development_with_its_licence() -> None:
     wanted = {name: licence(name) for name in locked() - flying()}
     assert tables()[1] == wanted, "\n".join(f"| {name} | {wanted[name]} |" for name in sorted(wanted))
 
@@ -97,6 +96,6 @@ def test_the_gpl_is_known_by_its_names(words: str, is_gpl: bool) -> None:
     assert bool(GPL.search(words)) is is_gpl
 
 
-def test_the_readme_says_whose_choice_the_projects_own_licence_is() -> None:
-    section = (ROOT / "README.md").read_text(encoding="utf-8").partition("\n## Licences\n")[2]
-    assert "still to be chosen by its owner" in " ".join(section.split())
+def test_the_pages_say_whose_choice_the_projects_own_licence_is() -> None:
+    for page in ("README.md", "docs/licences.md"):
+        assert "still to be chosen by its owner" in " ".join((ROOT / page).read_text(encoding="utf-8").split())

@@ -20,8 +20,10 @@ def make_pytest(
     programs = folder / "venv" / "bin"
     programs.mkdir(parents=True)
     calls = folder / "calls"
+    # Whatever else make runs with it, such as the page's build where that is missing, is well and not counted.
     fake = (
-        f'#!/bin/sh\necho "$@" >> {calls}\ncase "$*" in *"not wall_clock"*) exit {parallel};; *) exit {serial};; esac\n'
+        f'#!/bin/sh\ncase "$*" in "-m pytest"*) echo "$@" >> {calls};; *) exit 0;; esac\n'
+        f'case "$*" in *"not wall_clock"*) exit {parallel};; *) exit {serial};; esac\n'
     )
     others = {"systemd-analyze": "#!/bin/sh\n", "ruff": "#!/bin/sh\n", "mypy": f"#!/bin/sh\nexit {types}\n"}
     for name, text in {"python": fake, **others}.items():
@@ -38,13 +40,53 @@ def make_pytest(
         check=False,
         timeout=30,
     )
-    return done.returncode, calls.read_text().splitlines(), done.stderr
+    return done.returncode, calls.read_text().splitlines(), done.stdout + done.stderr
 
 
 def test_real_time_is_measured_alone(tmp_path: Path) -> None:
     code, calls, _ = make_pytest(tmp_path, 0, 0)
     assert code == 0
-    assert calls == ["-m pytest -m not wall_clock -n 3 --dist loadgroup", "-m pytest -m wall_clock -n 0"]
+    assert calls == [
+        "-m pytest -m not long and not wall_clock -n 3 --dist loadgroup --durations=30",
+        "-m pytest -m not long and wall_clock -n 0 --durations=30",
+    ]
+
+
+def test_the_long_tests_have_a_run_of_their_own_that_needs_none_of_real_time(tmp_path: Path) -> None:
+    code, calls, _ = make_pytest(tmp_path, 0, 5, target="test-long")
+    assert code == 0
+    assert calls == [
+        "-m pytest -m long and not wall_clock -n 3 --dist loadgroup --durations=30",
+        "-m pytest -m long and wall_clock -n 0 --durations=30",
+    ]
+
+
+@pytest.mark.parametrize(("parallel", "serial"), [(1, 0), (0, 1), (5, 0), (5, 5)])
+def test_a_failure_or_a_lost_marker_fails_the_long_run(tmp_path: Path, parallel: int, serial: int) -> None:
+    assert make_pytest(tmp_path, parallel, serial, target="test-long")[0] != 0
+
+
+def test_make_test_reports_the_long_tests_that_it_leaves_out(tmp_path: Path) -> None:
+    assert "LEFT OUT: the tests marked long" in make_pytest(tmp_path, 0, 0, target="test")[2]
+
+
+@pytest.mark.parametrize("workers", ["0", "2"])
+def test_a_run_names_the_files_whose_long_tests_it_leaves_out(workers: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-n", workers, "-m", "not long", "tests/test_coverage.py"],
+        cwd=ROOT,
+        env={k: v for k, v in os.environ.items() if not k.startswith("PYTEST")},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert "LONG TESTS LEFT OUT" in done.stdout
+    assert "test_coverage.py: 2" in done.stdout
+
+
+def test_what_runs_on_a_submission_includes_the_long_tests() -> None:
+    assert {"make test", "make test-long"} <= set((ROOT / ".ci" / "run").read_text().splitlines())
 
 
 @pytest.mark.parametrize(("parallel", "serial"), [(1, 0), (0, 1), (5, 0), (0, 5), (5, 5), (2, 5), (5, 2)])
@@ -52,7 +94,7 @@ def test_a_failure_or_an_empty_run_fails(tmp_path: Path, parallel: int, serial: 
     code, calls, said = make_pytest(tmp_path, parallel, serial)
     assert code != 0
     assert len(calls) == 2  # a failure in one does not hide what the other finds
-    assert ("marker wall_clock lost" in said) == ({parallel, serial} == {0, 5})
+    assert ("is a marker lost" in said) == ({parallel, serial} == {0, 5})
 
 
 @pytest.mark.parametrize(("types", "parallel", "is_well"), [(0, 0, True), (1, 0, False), (0, 1, False), (1, 1, False)])
@@ -72,9 +114,9 @@ def test_chosen_tests_may_all_be_in_one_run(tmp_path: Path, parallel: int, seria
     assert all(call.endswith("-k click or terrain") for call in calls)
 
 
-def test_the_marker_is_registered() -> None:
+def test_the_markers_are_registered() -> None:
     options = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
-    assert "wall_clock: measures real time; run serially" in options["markers"]
+    assert {line.split(":")[0] for line in options["markers"]} == {"wall_clock", "long"}
 
 
 def test_what_a_group_shares_is_made_by_one_worker(tmp_path: Path) -> None:

@@ -8,17 +8,23 @@ from __future__ import annotations
 import ctypes
 import importlib
 import os
+import platform
+import re
 import shutil
 import subprocess
 import sys
+import zlib
 from importlib.metadata import distribution
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+from lief import ELF
 
+from onboard.camera.gstreamer_helper import BASE, PACKAGES
 from tests.arm64 import emulation
 from tests.bench.image.host import BenchError
+from tests.left_out import NO_PROGRAM
 
 PACKAGING = Path(__file__).resolve().parents[1] / "packaging"
 
@@ -32,35 +38,82 @@ def load(name: str) -> ModuleType:
         sys.path.remove(str(PACKAGING))
 
 
-elf, slim = load("elf"), load("slim")
+slim = load("slim")
+OWN = "arm64" if platform.machine() == "aarch64" else "amd64"
 
 
 def library(package: str, pattern: str) -> Path:
     return next(Path(str(distribution(package).locate_file(""))).glob(pattern))
 
 
-def test_what_only_debuggers_read_goes_and_all_that_is_loaded_stays(tmp_path: Path) -> None:
-    raw = library("zstandard", "zstandard/backend_c.*.so").read_bytes()
-    small = elf.without_debugging(raw)
-    assert len(small) < 0.5 * len(raw)
-    before = [s for s in elf.segments(raw) if s.kind == elf.PT_LOAD]
-    after = [s for s in elf.segments(small) if s.kind == elf.PT_LOAD]
-    assert len(before) == len(after) > 1
-    for a, b in zip(before[1:], after[1:], strict=True):  # the first holds the headers, which say where the rest is
-        assert raw[a.offset : a.offset + a.in_file] == small[b.offset : b.offset + b.in_file]
-        assert (a.address, a.in_memory, a.flags) == (b.address, b.in_memory, b.flags)
-        assert b.offset % b.align == b.address % b.align
-    (tmp_path / "small.so").write_bytes(small)
-    assert ctypes.CDLL(str(tmp_path / "small.so")).PyInit_backend_c is not None
+@pytest.fixture
+def zstandard(tmp_path: Path) -> Path:
+    """A copy of a library with much that only debuggers read, alone in a folder."""
+    (tmp_path / "site").mkdir()
+    return Path(shutil.copy(library("zstandard", "zstandard/backend_c.*.so"), tmp_path / "site" / "small.so"))
 
 
-def test_a_file_whose_headers_are_not_loaded_is_left_alone() -> None:
-    raw = bytearray(library("zstandard", "zstandard/backend_c.*.so").read_bytes())
-    for index, segment in enumerate(elf.segments(bytes(raw))):
-        if segment.kind == elf.PT_LOAD and segment.offset == 0:
-            raw[64 + index * 56] = 0
-    with pytest.raises(elf.ElfError):
-        elf.without_debugging(bytes(raw))
+@pytest.fixture
+def strip_program() -> str:
+    program = slim.stripper(OWN)
+    if program is None:
+        pytest.skip(f"{NO_PROGRAM} strip for {OWN}; sudo apt-get install binutils")
+    return str(program)
+
+
+def test_what_only_debuggers_read_goes_and_all_that_is_loaded_stays(zstandard: Path, strip_program: str) -> None:
+    before, size = ELF.parse(zstandard), zstandard.stat().st_size
+    slim.strip(zstandard.parent, strip_program)
+    after = ELF.parse(zstandard)
+    assert before is not None and after is not None
+    assert zstandard.stat().st_size < 0.5 * size
+    assert slim.loads_as(before, after)
+    assert ctypes.CDLL(str(zstandard)).PyInit_backend_c is not None
+    assert [path.name for path in zstandard.parent.iterdir()] == ["small.so"]
+
+
+@pytest.mark.parametrize("spoil", ["offset", "content", "nothing is written"])
+def test_of_a_library_that_would_not_load_as_before_only_what_is_not_loaded_becomes_zeros(
+    zstandard: Path, tmp_path: Path, spoil: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Some tools move a segment to where no page begins, which the loader refuses."""
+    raw = zstandard.read_bytes()
+    found = ELF.parse(zstandard)
+    assert found is not None
+    spoilt = bytearray(raw)
+    index = [s.type == ELF.Segment.TYPE.LOAD and s.file_offset > 0 for s in found.segments].index(True)
+    if spoil == "offset":
+        at = 64 + 56 * index + 8
+        spoilt[at : at + 8] = (found.segments[index].file_offset + 8).to_bytes(8, "little")
+    else:
+        text = next(section for section in found.sections if section.name == ".text")
+        spoilt[text.file_offset + 100] ^= 1
+    (tmp_path / "spoilt.so").write_bytes(spoilt)
+    program = tmp_path / "strip"
+    program.write_text("#!/bin/sh\n" + ("exit 1\n" if "nothing" in spoil else f'cp {tmp_path}/spoilt.so "$3"\n'))
+    program.chmod(0o755)
+    slim.strip(zstandard.parent, str(program))
+    assert "small.so keeps its length: it would not load as before" in capsys.readouterr().out
+    assert zstandard.stat().st_size == len(raw)
+    assert len(zlib.compress(zstandard.read_bytes(), 1)) < 0.5 * len(zlib.compress(raw, 1))
+    after = ELF.parse(zstandard)
+    assert after is not None and slim.loads_as(found, after)
+    assert ctypes.CDLL(str(zstandard)).PyInit_backend_c is not None
+    assert [path.name for path in zstandard.parent.iterdir()] == ["small.so"]
+
+
+def test_a_machine_whose_strip_does_not_know_the_architecture_is_told_the_command(
+    zstandard: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(slim.shutil, "which", lambda program: None)
+    assert slim.main([str(zstandard.parent), OWN]) == 1
+    assert f"no strip for {OWN}; sudo apt-get install binutils-multiarch" in capsys.readouterr().err
+
+
+def needed(path: Path) -> list[str]:
+    found = ELF.parse(path)
+    assert found is not None
+    return [str(name) for name in found.libraries]
 
 
 def test_opencv_does_without_ffmpeg(tmp_path: Path) -> None:
@@ -72,9 +125,9 @@ def test_opencv_does_without_ffmpeg(tmp_path: Path) -> None:
     for path in (module.parent.parent / libraries.name).iterdir():
         (libraries / path.name).symlink_to(path)
     (folder / module.name).write_bytes(module.read_bytes())
-    asked = elf.Dynamic(module.read_bytes()).needed
+    asked = needed(module)
     assert slim.unlink_video(tmp_path)
-    now = elf.Dynamic((folder / module.name).read_bytes()).needed
+    now = needed(folder / module.name)
     assert now == [name for name in asked if not name.startswith(slim.FFMPEG)]
     assert len(asked) - len(now) == 4
     for path in libraries.glob("lib*"):
@@ -101,17 +154,15 @@ print(cv2.__file__)
 def test_another_architectures_libraries_and_requirements_are_refused(tmp_path: Path) -> None:
     site = tmp_path / "site"
     (site / "thing-1.dist-info").mkdir(parents=True)
-    raw = library("zstandard", "zstandard/backend_c.*.so").read_bytes()
-    own = next(name for name, number in elf.MACHINES.items() if number == elf.machine(raw))
-    other = next(name for name in elf.MACHINES if name != own)
-    (site / "thing.so").write_bytes(raw)
-    assert slim.foreign(site, own) == []
+    other = next(name for name in slim.MACHINES if name != OWN)
+    shutil.copy(library("zstandard", "zstandard/backend_c.*.so"), site / "thing.so")
+    assert slim.foreign(site, OWN) == []
     assert slim.main([str(site), other]) == 1
     metadata = site / "thing-1.dist-info" / "METADATA"
     metadata.write_text("Requires-Dist: more; extra == 'x' and platform_machine == 'aarch64'\n")
     assert slim.conditions(site) == []
     metadata.write_text("Requires-Dist: more; platform_machine == 'aarch64'\n")
-    assert slim.main([str(site), own]) == 1
+    assert slim.main([str(site), OWN]) == 1
 
 
 def test_an_addition_holds_nothing_that_is_there_already(tmp_path: Path) -> None:
@@ -136,3 +187,12 @@ def test_a_host_without_an_emulator_is_told_the_one_command(monkeypatch: pytest.
     have.clear()
     with pytest.raises(BenchError, match=r"a Debian or Ubuntu with qemu-user-static"):
         emulation.require()
+
+
+def test_the_package_recommends_what_the_helper_says_to_install() -> None:
+    script = (PACKAGING / "build-deb.sh").read_text()
+    recommended = re.search(r'^gstreamer="(.*?)"$', script, re.MULTILINE | re.DOTALL)
+    suggested = re.search(r"^Suggests: (.*)$", script, re.MULTILINE)
+    assert recommended is not None and suggested is not None and "Recommends: $gstreamer" in script
+    named = {name.split()[0] for part in (recommended[1], suggested[1]) for name in re.split(r",\s*", part)}
+    assert {*PACKAGES, *BASE.split()} <= named

@@ -56,6 +56,7 @@ def run(minutes: int, **last: float) -> Soak:
     )
 
 
+@pytest.mark.long
 def test_a_minute_through_every_fault_passes(flown: Leg, cache: Path, tmp_path: Path) -> None:
     """Camera, telemetry and GPS are lost and come back; the daemon says so, is well again, and ends cleanly."""
     faults = Faults(unplugged=((14.0, 5.0),), cut=((26.0, 5.0),), no_gps=((38.0, 8.0),))

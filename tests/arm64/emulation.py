@@ -17,6 +17,7 @@ from tests.bench.image.host import BenchError, mirror, run
 
 QEMU = "qemu-aarch64-static"
 QEMU_PACKAGE = "qemu-user-static"
+STRIP_PACKAGE = "binutils-multiarch"
 SUITE = "bookworm"
 WANTED = ("python3.11", "libstdc++6", "libgcc-s1")
 KEYS = Path("/usr/share/keyrings/debian-archive-keyring.gpg")
@@ -29,6 +30,7 @@ def require() -> None:
     """Install what is missing when root, else say the one command. Raises BenchError."""
     missing = [QEMU_PACKAGE] if shutil.which(QEMU) is None else []
     missing += ["debian-archive-keyring"] if not KEYS.exists() else []
+    missing += [STRIP_PACKAGE] if not _strips_both() else []
     if not missing:
         return
     command = f"apt-get install -y --no-install-recommends {' '.join(missing)}"
@@ -40,6 +42,14 @@ def require() -> None:
     quiet = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
     run(["apt-get", "update", "-qq"], env=quiet)
     run([*command.split(), "-qq"], env=quiet)
+
+
+def _strips_both() -> bool:
+    """Whether `strip` reads the libraries of both architectures, as packaging/slim.py needs it to."""
+    if shutil.which("strip") is None:
+        return False
+    said = subprocess.run(["strip", "--help"], capture_output=True, text=True, check=False).stdout.split()
+    return {"elf64-x86-64", "elf64-littleaarch64"} <= set(said)
 
 
 def sysroot() -> Path:

@@ -28,8 +28,9 @@ from contract.geodesy import LocalFrame
 from ground.answer import Fix
 from ground.locate import Locator
 from onboard.config.schema import Config
-from onboard.events.types import Event
-from onboard.pipeline.pipeline import Pipeline, TerrainSource
+from onboard.events.types import Event, Frame
+from onboard.pipeline.pipeline import Pipeline
+from onboard.pipeline.terrain_at_hand import TerrainSource
 from onboard.replay.runner import Flight, replay
 from onboard.vision.contrast_normalisation import Picture
 from simulation.session import SessionSpec, fly
@@ -65,8 +66,13 @@ class Outcome:
 
     @property
     def inside_99(self) -> float:
-        """Share of answered clicks whose truth lies inside the 99 % ellipse; 1 if none was answered."""
-        return float(np.mean(self.chi2 < CHI2_99)) if len(self.chi2) else 1.0
+        """Share of answered clicks whose truth lies inside the 99 % ellipse; the test fails where none was answered."""
+        assert len(self.chi2), f"nothing was answered: {self.reported}"
+        return float(np.mean(self.chi2 < CHI2_99))
+
+    def is_honest(self, share: float = 0.97) -> bool:
+        """Whether so many answered clicks lie inside, for scenes in which all may rightly be refused."""
+        return not len(self.chi2) or self.inside_99 >= share
 
     @property
     def reported(self) -> str:
@@ -145,7 +151,7 @@ def play(
     if spoil is not None:
         first_ns, log = flight.frames.stamps_ns[0], flight.telemetry
         spoilt = ((t, spoil(e, (e.stamp_ns - first_ns) / 1e9)) for t, e in zip(log.arrival_ns, log.events, strict=True))
-        kept = [(t, e) for t, e in spoilt if e is not None]
+        kept = [(t, e) for t, e in spoilt if e is not None and not isinstance(e, Frame)]
         log = replace(log, arrival_ns=[t for t, _ in kept], events=[e for _, e in kept])
         flight = replace(flight, telemetry=log)
     pipeline, sink = Pipeline(config, camera, terrain), _Sets()

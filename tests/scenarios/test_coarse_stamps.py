@@ -46,7 +46,7 @@ def cut_to_the_second(folder: Path) -> Path:
     return copy
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_declared_stamps_of_a_second_are_answered_with_a_radius_that_holds(seed: int) -> None:
     folder = cut_to_the_second(survey(seed))
     declared, silent = play(folder, *WHOLE_SECONDS), play(folder)

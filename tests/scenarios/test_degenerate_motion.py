@@ -9,6 +9,7 @@ import pytest
 
 from contract.feature_set import Status
 from contract.geodesy import LocalFrame
+from onboard.estimation.sliding_window import Window
 from onboard.events.types import Event, GpsQuality
 from onboard.geometry.terrain_grid import Terrain
 from simulation.flight import DescribedSpec
@@ -44,6 +45,25 @@ def test_standing_still_has_no_parallax(spec: SessionSpec) -> None:
     refuses(play(flown(spec)), Status.LOW_PARALLAX)
 
 
+def test_a_hover_is_low_parallax_and_stays_so() -> None:
+    """Low, where wind and receiver move the position by a tenth of the height: it was `starting` again and again."""
+    low = replace(HOVER, flight=DescribedSpec(PathSpec("hover", height_m=20.0)), seconds=14.0)
+    outcome = play(flown(low))
+    statuses = [outcome.sets[k].status for k in sorted(outcome.sets)]
+    begin = statuses.index(Status.LOW_PARALLAX)
+    assert begin <= 10, outcome.reported
+    assert set(statuses[:begin]) == {Status.STARTING} and set(statuses[begin:]) == {Status.LOW_PARALLAX}, statuses
+
+
+def test_pictures_after_a_window_without_parallax_have_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between keyframes too, however far telemetry says that it has flown."""
+    monkeypatch.setattr(Window, "adopt", lambda window, outcome: Status.LOW_PARALLAX)
+    outcome = play(flown(LEG))
+    statuses = [outcome.sets[k].status for k in sorted(outcome.sets)]
+    assert Status.STARTING not in statuses[statuses.index(Status.LOW_PARALLAX) :], statuses
+    assert statuses.count(Status.LOW_PARALLAX) > 0.7 * len(statuses), statuses
+
+
 @pytest.mark.parametrize("style", ["water", "sea"])
 def test_waves_under_a_hover_are_no_parallax(style: str) -> None:
     """What moves in the pictures is the ground, not the aircraft: never a depth.
@@ -62,11 +82,11 @@ def test_waves_under_a_hover_are_no_parallax(style: str) -> None:
 def test_standing_still_over_known_terrain_is_answered(spec: SessionSpec) -> None:
     """The same with an elevation model: OK by method terrain, but for the picture's rim outside the outermost rays.
 
-    While it turns, features move and a window is solved on the terrain's heights alone, called interpolated.
+    While it turns, features move, but a window has no parallax of its own: terrain gives its depths and not its tilt.
     """
     outcome = play(flown(spec), terrain=LevelTerrain())
     holds(outcome, max_median_m=5.0)
-    assert outcome.methods["terrain" if spec is HOVER else "interpolated"] > 0.7 * outcome.methods.total()
+    assert outcome.methods["terrain"] > 0.7 * outcome.methods.total()
 
 
 def test_standing_still_over_level_ground_is_answered_where_allowed() -> None:
@@ -107,12 +127,13 @@ def test_a_log_without_attitude_is_solved_by_the_seeds_sensors() -> None:
     assert np.median(outcome.semi_m) > np.median(play(flown(LEG), level).semi_m)
 
 
-def test_a_log_without_attitude_over_ground_of_unknown_slope_is_wide() -> None:
-    """As before, but the ground may slope: nothing tells roll. The ellipse says so."""
+def test_a_log_without_attitude_over_ground_of_unknown_slope_is_solved_and_too_wide_to_answer() -> None:
+    """As before, but the ground may slope: nothing shows roll. The pictures have sets, whose ellipses are too long."""
     silent = replace(LEG, flight=DescribedSpec(PathSpec("straight"), TelemetrySpec(attitude_hz=0.0)))
     outcome = play(flown(silent))
-    assert outcome.inside_99 >= 0.97, outcome.reported
-    assert not len(outcome.semi_m) or np.median(outcome.semi_m) > 40.0, outcome.reported
+    assert outcome.solved > 0.7, outcome.reported
+    assert outcome.is_honest(), outcome.reported
+    assert outcome.refusals[Status.UNCERTAIN] > 0.9 * (len(outcome.chi2) + outcome.refusals.total()), outcome.reported
 
 
 def test_late_stamps_widen_but_hold() -> None:
@@ -136,6 +157,7 @@ def test_an_outage_of_gps_is_refused_and_recovers_by_itself() -> None:
     assert outcome.inside_99 >= 0.97, outcome.reported
 
 
+@pytest.mark.long
 def test_boresight_and_time_offset_are_learned_in_turns() -> None:
     """Mount 3 degrees off and stamps 0.3 s late, undeclared: found to 0.3 degrees and 0.03 s. OK throughout."""
     good = TelemetrySpec(slow_attitude_deg=0.2, slow_horizontal_m=0.8)

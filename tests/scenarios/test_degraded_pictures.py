@@ -90,9 +90,14 @@ CASES = {
 }
 
 
+# Milder than another that is answered, or worse than another that is refused.
+CLEAR = {"blur of 2", "blur of 20", "blur of 2, large", "blur of 20, large", "10 px of motion", "20 px of motion"}
+NAMES = [pytest.param(name, marks=pytest.mark.long) if name in CLEAR else name for name in CASES]
+
+
 def holds(outcome: Outcome, spoilt: range, verdict: str, may_miss: int) -> None:
     """The truth is inside, and the spoilt pictures are answered or refused as they should be."""
-    assert outcome.inside_99 >= 0.97, outcome.reported
+    assert outcome.is_honest(), outcome.reported
     statuses = [outcome.sets[frame].status for frame in spoilt]
     answered = statuses.count(Status.OK)
     if verdict is ANSWERED:
@@ -103,14 +108,14 @@ def holds(outcome: Outcome, spoilt: range, verdict: str, may_miss: int) -> None:
         assert statuses.count(Status.FEATURELESS) > 0.7 * len(spoilt), outcome.reported
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", NAMES)
 def test_spoilt_from_the_start(name: str) -> None:
     case = CASES[name]
     outcome = play(retouched(flown(case.spec), case.change))
     holds(outcome, range(len(outcome.sets)), case.verdict, may_miss=2)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", NAMES)
 def test_spoilt_in_mid_flight(name: str) -> None:
     """A third of the flight. Two pictures are lost where sharp ones are no match for spoilt ones; then again after."""
     case = CASES[name]
@@ -121,7 +126,8 @@ def test_spoilt_in_mid_flight(name: str) -> None:
     holds(outcome, spoilt, case.verdict, may_miss=3)
     for stretch in (range(spoilt.start), spoilt, range(spoilt.stop, count)):
         part = click(folder, {frame: outcome.sets[frame] for frame in stretch}, None)
-        assert part.inside_99 >= 0.97, part.reported
+        may_be_none = stretch == spoilt and case.verdict is not ANSWERED
+        assert part.is_honest() if may_be_none else part.inside_99 >= 0.97, part.reported
     sharp = [outcome.sets[frame].status for frame in range(count) if frame not in spoilt]
     assert sharp.count(Status.OK) >= len(sharp) - 3, outcome.reported
 

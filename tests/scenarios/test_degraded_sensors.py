@@ -98,7 +98,7 @@ def ask(flight: DrawnFlight, sets: dict[int, FeatureSet]) -> Asked:
 
 # Sensors so good, at a speed so high, that 150 ms of flight are many sigmas of all else.
 SHARP = parse_config(
-    "[gps]\nsigma_wander_horizontal_m = 0.5\nsigma_wander_vertical_m = 0.8\nsigma_latency_s = 0.005\n"
+    "[gps]\nsigma_correlated_horizontal_m = 0.5\nsigma_correlated_vertical_m = 0.8\nsigma_latency_s = 0.005\n"
     "[solve]\nattitude_sigma_deg = 0.2\nheading_sigma_deg = 0.5\n[camera]\nsigma_latency_s = 0.01\n"
     "[mount]\nsigma_deg = 0.3"
 )
@@ -137,6 +137,7 @@ def test_stamps_that_begin_to_be_late_are_carried_by_the_answers_and_are_over_wh
     assert abs(pipeline.window.alignment.belief.mean[3] - flight.offset_s) < 0.03
 
 
+@pytest.mark.long
 def test_without_its_evidence_the_same_flight_is_wrong() -> None:
     """So the test above can fail: stamps as late, and nobody says so."""
     flight = SpoiltFlight(replace(FAST, seconds=LATE_TO_S + 2.0), 1, late_stamps(has_evidence=False))
@@ -166,7 +167,11 @@ def glitch(shift_m: float, until_s: float = GLITCH_TO_S, pull_s: float = 2.0) ->
 
 
 @pytest.mark.parametrize(
-    ("until_s", "seconds", "seed"), [(GLITCH_TO_S, 100.0, 1), (1e9, 75.0, 1)], ids=["back", "stays"]
+    ("until_s", "seconds", "seed"),
+    [
+        pytest.param(GLITCH_TO_S, 100.0, 1, id="back"),
+        pytest.param(1e9, 75.0, 1, id="stays", marks=pytest.mark.long),
+    ],
 )
 def test_a_glitch_too_small_to_be_refused_stays_in_the_radius(until_s: float, seconds: float, seed: int) -> None:
     flight = SpoiltFlight(replace(SPEC, seconds=seconds), seed, glitch(GLITCH_M, until_s))

@@ -1,81 +1,249 @@
-"""Stabilised video beside recorded telemetry is refused with its own reason, and nothing else is."""
+"""Stabilised video and zooms are refused while they last, with their own reasons, and nothing else is."""
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from benchmarks.autopilots import ReplayedFlight, ReplayedTracker, Scene
-from benchmarks.drawn_flight import DrawnFlight, DrawnSpec, fly
+from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, DrawnTracker
 from benchmarks.platform_faults import FAULTS
+from contract.camera import UNKNOWN_SIGMA, Camera
 from contract.feature_set import FeatureSet, Status
 from contract.wire.codec import decode, encode
+from ground.locate import Fix, Locator
 from onboard.config.schema import parse_config
+from onboard.estimation.solver_executor import Done, Inline, Promise
+from onboard.estimation.window_request import Request
+from onboard.events.types import Event, Frame, PositionFix
 from onboard.pipeline.pipeline import Pipeline
+from onboard.replay.runner import Flight
 from simulation.paths import PathSpec
 
 MOVED = {Status.STABILISED, Status.ZOOMED}
+CHI_SQUARE_90 = 4.605  # of two degrees of freedom
+LENS = Camera.from_field_of_view(640, 480, 40.0)
+TURNS = PathSpec("turns", speed_m_s=20.0, height_m=150.0, bank_deg=35.5, leg_m=160.0)
+STRAIGHT = PathSpec("straight", speed_m_s=20.0, height_m=150.0)
 
 
-def flown(recording: str, start_s: float, seconds: float, **fault: Any) -> dict[int, FeatureSet]:
-    """The last set of every picture, two a second."""
-    scene = replace(Scene(recording, parse_config(""), start_s, seconds), **fault)
-    flight = ReplayedFlight(scene, 0)
-    pipeline = Pipeline(scene.config, scene.camera_file or scene.camera)
-    pipeline.tracker = ReplayedTracker(flight)
+@dataclass
+class Watched(Inline):
+    """Keeps the newest picture and the status of every window that is solved."""
+
+    windows: list[tuple[int, Status]] = field(default_factory=list)
+
+    def submit(self, fn: Any, request: Request, /) -> Promise:
+        promise = super().submit(fn, request)
+        done: Done = promise.result()
+        if request.keyframes:
+            self.windows.append((request.keyframes[-1].frame, done.outcome.status))
+        return promise
+
+
+@dataclass
+class Flown:
+    """What became of a flight: windows and pictures by when their picture was taken, and how far clicks are off."""
+
+    times_s: Any
+    windows: list[tuple[int, Status]]
+    sets: dict[int, FeatureSet]
+    pipeline: Pipeline
+    errors: dict[int, list[float]]  # by picture, in semi-axes of the 90 % ellipse
+
+    def windows_in(self, begin_s: float, end_s: float) -> Counter[Status]:
+        return Counter(status for k, status in self.windows if begin_s <= self.times_s[k] < end_s)
+
+    def pictures_in(self, begin_s: float, end_s: float) -> Counter[Status]:
+        return Counter(s.status for k, s in self.sets.items() if begin_s <= self.times_s[k] < end_s)
+
+    def errors_in(self, begin_s: float, end_s: float) -> list[float]:
+        return [e for k, found in self.errors.items() if begin_s <= self.times_s[k] < end_s for e in found]
+
+    @property
+    def statuses(self) -> Counter[Status]:
+        return Counter(status for _, status in self.windows)
+
+
+def flown(
+    flight: ReplayedFlight | DrawnFlight, file: Camera | None = None, events: Iterator[Event] | None = None
+) -> Flown:
+    """All of a flight's windows, and three clicks in the last set of every picture."""
+    worker, spec = Watched(), flight.spec
+    pipeline = Pipeline(spec.config, file or spec.camera_file or spec.camera, worker=worker)
+    pipeline.tracker = ReplayedTracker(flight) if isinstance(flight, ReplayedFlight) else DrawnTracker(flight)
     sets: dict[int, FeatureSet] = {}
-    for event in flight.events():
+    for event in flight.events() if events is None else events:
         sets.update({out.frame: out for out in pipeline.handle(event)})
     sets.update({out.frame: out for out in pipeline.finish()})
-    return sets
+    place = flight.place if isinstance(flight, ReplayedFlight) else PLACE
+    errors = {k: list(_clicks(flight, s, place)) for k, s in sets.items() if s.is_ok}
+    return Flown(flight.times_s, worker.windows, sets, pipeline, errors)
 
 
-def counted(sets: dict[int, FeatureSet], frames: range) -> Counter[Status]:
-    return Counter(sets[k].status for k in frames if k in sets)
+def _clicks(flight: Any, out: FeatureSet, place: Any) -> Iterator[float]:
+    uv = np.array([[120.0, 100.0], [330.0, 250.0], [560.0, 400.0]])
+    locator = Locator(decode(encode(out)))
+    for pixel, truth in zip(uv, flight.ground_points(out.frame, uv), strict=True):
+        answer = locator.locate(pixel)
+        if isinstance(answer, Fix) and np.isfinite(truth).all():
+            error = (place.to_enu(answer.lat_deg, answer.lon_deg, answer.height_amsl_m) - truth)[:2]
+            chi2 = float(error @ np.linalg.solve(answer.covariance_enu_m2[:2, :2], error))
+            yield float(np.sqrt(chi2 / CHI_SQUARE_90))
 
 
-def test_stabilised_video_is_refused_as_such_once_it_hides_a_turn() -> None:
-    """The recording flies straight for 20 s, where nothing is hidden and answers are right."""
-    sets = flown("plane_turn", 4.0, 36.0, stabilised_s=0.5)
-    before, turning = counted(sets, range(10, 40)), counted(sets, range(52, 72))
+def recorded(recording: str, start_s: float, seconds: float, config: str = "", **fault: Any) -> ReplayedFlight:
+    return ReplayedFlight(replace(Scene(recording, parse_config(config), start_s, seconds), **fault), 0)
+
+
+def drawn(path: PathSpec, seconds: float, seed: int = 0, **changes: Any) -> DrawnFlight:
+    return DrawnFlight(DrawnSpec(parse_config(""), path, seconds, 2.0, **{"relief_sigma_m": 2.0, **changes}), seed)
+
+
+def test_stabilised_video_is_refused_as_such_while_it_hides_a_turn() -> None:
+    """The recording flies straight for 20 s, where nothing is hidden and answers are right, as they are afterwards."""
+    found = flown(recorded("plane_turn", 4.0, 36.0, stabilised_s=0.5))
+    before, turning = found.windows_in(5.0, 20.0), found.windows_in(26.0, 35.0)
     assert before[Status.OK] > 0.9 * before.total(), before
     assert turning[Status.STABILISED] > 0.8 * turning.total() and not turning[Status.OK], turning
-    assert not any(s.status is Status.ZOOMED for s in sets.values())
-    refused = next(s for s in sets.values() if s.status is Status.STABILISED)
+    assert Status.ZOOMED not in found.statuses
+    assert max(found.errors_in(0.0, 40.0)) < 2.0
+    refused = next(s for s in found.sets.values() if s.status is Status.STABILISED)
     assert encode(refused)[2] == 0x21 and decode(encode(refused)).status is Status.STABILISED
 
 
-@pytest.mark.parametrize("fault", ["wrong lens", "compass-flip"])
+@pytest.mark.parametrize("fault", ["wrong lens", "compass-flip", "tilt-jump", "none"])
 def test_other_faults_are_not_taken_for_moved_optics(fault: str) -> None:
-    statuses = counted(flown("plane_turn", 12.0, 26.0, **FAULTS[fault]), range(52))
+    found = flown(recorded("plane_turn", 12.0, 26.0, **FAULTS[fault]))
+    assert not MOVED & set(found.statuses), found.statuses
+    assert found.statuses[Status.OK] > 0.5 * found.statuses.total(), found.statuses
+
+
+def test_a_camera_mounted_askew_is_not_taken_for_moved_optics_without_attitude() -> None:
+    """87 of 300 pictures were called zoomed; nothing but the pictures tells the mount."""
+    config = '[solve]\nattitude = "none"\nvelocity = false'
+    found = flown(recorded("plane_turn", 4.0, 36.0, config, mount_error_deg=(3.0, 0.0, 0.0)))
+    assert not MOVED & set(found.statuses), found.statuses
+    assert found.statuses[Status.OK] > 0.7 * found.statuses.total(), found.statuses
+
+
+def test_stamps_that_jump_back_in_flight_are_not_taken_for_moved_optics() -> None:
+    """By 150 ms: attitudes and positions are then those of another moment."""
+    flight = recorded("plane_wind_noise", 60.0, 40.0)
+
+    def events() -> Iterator[Event]:
+        for event in flight.events():
+            is_late = isinstance(event, Frame) and flight.times_s[event.index] > 14.0
+            yield replace(event, stamp_ns=event.stamp_ns - 150_000_000) if is_late else event
+
+    found = flown(flight, events=events())
+    assert not MOVED & set(found.statuses), found.statuses
+    assert found.statuses[Status.OK] > 0.6 * found.statuses.total(), found.statuses
+
+
+@pytest.mark.parametrize("file", [LENS, replace(LENS, stated_sigma=UNKNOWN_SIGMA)])
+@pytest.mark.parametrize(("path", "zoom"), [(TURNS, (1.05, 11.5, 99.0, 0.3)), (STRAIGHT, (1.1, 9.0, 18.0, 0.5))])
+def test_a_zoom_is_refused_while_it_lasts_and_answered_rightly_afterwards(
+    path: PathSpec, zoom: tuple[float, float, float, float], file: Camera
+) -> None:
+    """A lens that stays where it stopped is a lens like any other: its focal length is found anew."""
+    found = flown(drawn(path, 32.0, zoom=zoom), file)
+    before, during, after = (
+        found.windows_in(a, b) for a, b in ((2.0, 9.0), (zoom[1] + 1.0, zoom[1] + 5.0), (26.0, 32.0))
+    )
+    assert before[Status.OK] > 0.8 * before.total(), before
+    assert during[Status.ZOOMED] > 0.9 * during.total() and not during[Status.OK], during
+    assert after[Status.OK] > 0.9 * (after.total() - after[Status.STARTING]) > 0.0, after
+    errors = found.errors_in(2.0, 32.0)
+    assert max(errors) < 1.5, max(errors)
+    pictures = found.pictures_in(26.0, 32.0)
+    has_gps = pictures.total() - pictures[Status.NO_GPS]
+    assert pictures[Status.OK] >= 0.5 * has_gps > 0.0 and not MOVED & set(pictures), pictures
+
+
+def drifting(events: Iterator[Event], metres: float) -> Iterator[Event]:
+    """The same with the receiver's height off by ever more, within 15 s."""
+    first_ns: int | None = None
+    for event in events:
+        first_ns = event.stamp_ns if first_ns is None else first_ns
+        share = float(np.clip(((event.stamp_ns - first_ns) / 1e9 - 15.0) / 15.0, 0.0, 1.0))
+        yield (
+            replace(event, height_amsl_m=event.height_amsl_m + metres * share)
+            if isinstance(event, PositionFix)
+            else event
+        )
+
+
+def fixed_lens(path: PathSpec, seed: int, seconds: float = 40.0) -> Flown:
+    """A file that is up to 5 % off, hills, and a height that drifts by 3 m."""
+    rng = np.random.default_rng([seed, 77])
+    grown = 1.0 + rng.uniform(-0.05, 0.05)
+    file = replace(LENS, fx_px=LENS.fx_px * grown, fy_px=LENS.fy_px * grown, stated_sigma=UNKNOWN_SIGMA)
+    flight = drawn(path, seconds, seed, relief_sigma_m=rng.uniform(2.0, 25.0))
+    return flown(flight, file, drifting(flight.events(), 3.0 * float(rng.choice([-1.0, 1.0]))))
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_a_fixed_lens_with_a_wrong_file_over_hills_is_no_zoom(seed: int) -> None:
+    found = fixed_lens(TURNS, seed, 25.0)
+    assert not MOVED & set(found.statuses), found.statuses
+    # A turn may begin the window again, which then has too few pictures at first.
+    assert found.statuses[Status.OK] > 0.7 * (found.statuses.total() - found.statuses[Status.STARTING]), found.statuses
+    assert found.statuses[Status.OK] > 0.5 * found.statuses.total(), found.statuses
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["turns", "orbit", "straight", "hover"])
+def test_no_drawn_flight_with_a_fixed_lens_is_called_zoomed_or_stabilised(kind: str) -> None:
+    path = {"turns": TURNS, "straight": STRAIGHT, "hover": PathSpec("hover", height_m=60.0)}.get(
+        kind, PathSpec("orbit", speed_m_s=18.0, height_m=120.0, radius_m=150.0)
+    )
+    for seed in range(20):
+        found = fixed_lens(path, seed)
+        assert not MOVED & set(found.statuses), (seed, found.statuses)
+
+
+@pytest.mark.parametrize("off", [0.0, pytest.param(0.05, marks=pytest.mark.long)])
+def test_photographs_of_a_fixed_lens_are_solved_and_none_is_called_zoomed(shared_data: Path, off: float) -> None:
+    """14 of 50 were refused as zoomed, the last fifteen among them; a file that is 5 % off is found to be.
+
+    Some windows lie near the bound of what was known before; which of them pass it depends on the processor's rounding.
+    """
+    data = shared_data / "caliterra"
+    filed = Camera.from_json(data / "camera.json")
+    file = replace(filed, fx_px=filed.fx_px * (1 + off), fy_px=filed.fy_px * (1 + off), stated_sigma=UNKNOWN_SIGMA)
+    config = parse_config((data / "config.toml").read_text())
+    flight = Flight.open(config, file, data / "frames", data / "telemetry.tlog", data / "stamps.csv")
+    worker = Watched()
+    pipeline, sets = Pipeline(config, file, worker=worker), dict[int, FeatureSet]()
+    for _, event in flight.events():
+        sets.update({out.frame: out for out in pipeline.handle(event)})
+    sets.update({out.frame: out for out in pipeline.finish()})
+    statuses = Counter(s.status for s in sets.values())
+    assert statuses.total() == 50 and statuses[Status.OK] >= 46, statuses
+    assert not MOVED & {*statuses, *(status for _, status in worker.windows)}
+    belief = pipeline.window.belief
+    focal = len(belief.mean) - len(pipeline.window.camera_taken)
+    assert abs(belief.mean[focal] + np.log1p(off)) < 2.0 * belief.sigma[focal]
+
+
+@pytest.mark.parametrize("readout_s", [0.0, 0.0466])
+def test_rows_read_in_turn_on_a_vibrating_aircraft_are_no_zoom(shared_data: Path, readout_s: float) -> None:
+    """A fixed lens, read in 46.6 ms: two windows were called zoomed where that is not declared."""
+    data = shared_data / "cmac_2018"
+    config, file = parse_config(f"[camera]\nreadout_s = {readout_s}"), Camera.from_json(data / "camera.json")
+    flight = Flight.open(config, file, data / "frames", data / "telemetry.tlog", None)
+    worker = Watched()
+    pipeline = Pipeline(config, file, worker=worker)
+    for _, event in flight.events():
+        pipeline.handle(event)
+    pipeline.finish()
+    statuses = Counter(status for _, status in worker.windows)
     assert not MOVED & set(statuses), statuses
-    assert statuses[Status.OK] > 0.5 * statuses.total(), statuses
-
-
-def drawn(path: PathSpec, seconds: float, zoom: tuple[float, float, float, float]) -> list[tuple[float, Status]]:
-    """When each picture of a flight with a zoom was taken, and what became of it."""
-    flight = DrawnFlight(DrawnSpec(parse_config(""), path, seconds, relief_sigma_m=2.0, zoom=zoom), 0)
-    sets, _ = fly(flight)
-    return [(float(t), sets[k].status) for k, t in enumerate(flight.times_s) if k in sets]
-
-
-def test_a_small_zoom_in_a_turn_is_refused_for_as_long_as_it_lasts() -> None:
-    """5 % that were over within the turn: 110 of 135 pictures after it were answered, by up to 17 m at 90 %."""
-    path = PathSpec("turns", speed_m_s=20.0, height_m=150.0, bank_deg=35.5, leg_m=160.0)
-    told = drawn(path, 24.0, (1.05, 11.5, 99.0, 0.3))
-    before = Counter(status for t, status in told if 3.0 < t < 11.0)
-    after = Counter(status for t, status in told if t > 13.5)
-    assert before[Status.OK] > 0.9 * before.total(), before
-    assert not after[Status.OK], after
-    assert after[Status.ZOOMED] > 0.75 * after.total(), after
-
-
-def test_a_zoom_that_comes_back_is_answered_again() -> None:
-    told = drawn(PathSpec("straight", speed_m_s=20.0, height_m=150.0), 32.0, (1.1, 9.0, 15.0, 0.5))
-    zoomed = Counter(status for t, status in told if 10.5 < t < 14.5)
-    after = Counter(status for t, status in told if t > 26.0)
-    assert zoomed[Status.ZOOMED] > 0.8 * zoomed.total() and not zoomed[Status.OK], zoomed
-    assert after[Status.OK] > 0.9 * after.total(), after
+    assert statuses[Status.OK] > 0.7 * (statuses.total() - statuses[Status.STARTING]), statuses

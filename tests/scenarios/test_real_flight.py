@@ -8,6 +8,7 @@ import numpy as np
 
 from contract.camera import Camera
 from onboard.config.schema import parse_config
+from onboard.estimation.factors import WAVES
 from onboard.events.types import Frame
 from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.runner import Flight
@@ -29,8 +30,11 @@ def test_a_real_flight_told_of_its_rows_leaves_less_than_a_pixel(shared_data: Pa
         if isinstance(event, Frame) and event.index == LAST:
             break
         solved = pipeline.window.solved
-        if solved is not None and solved.layout.has_waves:
-            swings.append(np.sqrt(np.mean(solved.solution.state.waves_rad[:, [0, 1, 3, 4]] ** 2)) * camera.focal_px)
+        if solved is not None and WAVES in solved.layout.blocks:
+            swings.append(
+                np.sqrt(np.mean(solved.solution.state.own[:, solved.layout.part(WAVES)][:, [0, 1, 3, 4]] ** 2))
+                * camera.focal_px
+            )
     pipeline.finish()
     summary = pipeline.summary
     assert summary.solved >= LAST - 1
