@@ -12,6 +12,8 @@ import sys
 from datetime import UTC, datetime
 from typing import NoReturn
 
+ABOVE_0 = math.ulp(0.0)
+
 
 class Parser(argparse.ArgumentParser):
     """Wrong usage is one line, as every other error."""
@@ -62,14 +64,19 @@ def number_or_nan(text: str) -> float:
         return math.nan
 
 
+def within(text: str, low: float, high: float, what: str) -> float:
+    """A number from `low` to `high`; `what` ends the sentence that begins with the text and "is"."""
+    number = number_or_nan(text)
+    if not low <= number <= high:
+        raise argparse.ArgumentTypeError(f"{text!r} is {what}")
+    return number
+
+
 def speed(text: str) -> float | None:
     """'max' -> None; a positive number, how many times as fast as it was flown."""
     if text == "max":
         return None
-    speed = number_or_nan(text)
-    if not 0.0 < speed <= 1000.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is neither 'max' nor a number above 0, at most 1000")
-    return speed
+    return within(text, ABOVE_0, 1000.0, "neither 'max' nor a number above 0, at most 1000")
 
 
 def finite(text: str) -> float:
@@ -82,26 +89,17 @@ def finite(text: str) -> float:
 
 def seconds(text: str) -> float:
     """At most a day."""
-    seconds = number_or_nan(text)
-    if not 0.0 <= seconds <= 86400.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds from 0 to 86400")
-    return seconds
+    return within(text, 0.0, 86400.0, "no number of seconds from 0 to 86400")
 
 
 def days(text: str) -> float:
     """At most a century."""
-    days = number_or_nan(text)
-    if not 0.0 < days <= 36500.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of days above 0, at most 36500")
-    return days
+    return within(text, ABOVE_0, 36500.0, "no number of days above 0, at most 36500")
 
 
 def rate(text: str) -> float:
     """Pictures a second."""
-    rate_hz = number_or_nan(text)
-    if not 0.1 <= rate_hz <= 240.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of pictures a second from 0.1 to 240")
-    return rate_hz
+    return within(text, 0.1, 240.0, "no number of pictures a second from 0.1 to 240")
 
 
 def pair(text: str) -> tuple[int, int]:
@@ -114,10 +112,7 @@ def pair(text: str) -> tuple[int, int]:
 
 def hours(text: str) -> float:
     """Of a clock against UTC."""
-    hours = number_or_nan(text)
-    if not -15.0 <= hours <= 15.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of hours from -15 to 15")
-    return hours
+    return within(text, -15.0, 15.0, "no number of hours from -15 to 15")
 
 
 def moment(text: str) -> int:

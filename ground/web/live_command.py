@@ -25,7 +25,7 @@ from contract.errors import InputError
 from contract.tied_process import tied
 from ground.pins.file import default_path
 from ground.web import command as web
-from ground.web.open_command import free_port, pc_onboard
+from ground.web import opened_page
 
 EXAMPLES = """examples:
   pc-ground live --camera rtsp://192.168.144.25:8554/main.264 --telemetry udpin:0.0.0.0:14550 --camera-file camera.json
@@ -62,8 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--state", metavar="DIR", type=Path, help="where what is learned and recordings stay (default: with your pins)"
     )
-    parser.add_argument("--no-browser", action="store_true", help="only print where the page is")
-    web.add_page_arguments(parser)
+    opened_page.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -74,13 +73,13 @@ def run(args: argparse.Namespace) -> int:
     folder = args.state or default_path().parent / "live"
     port = _unused_port()
     config = _write_config(args, folder, port)
-    program = pc_onboard()
+    program = opened_page.pc_onboard()
     _check(program, config)
     signal.signal(signal.SIGTERM, _interrupt)  # so that what follows is ended in order
     with _onboard(program, config, folder / "onboard.log", port) as onboard:
         print(f"pc-onboard runs; its log: {folder / 'onboard.log'}", flush=True)
         try:
-            web.run(_as_web(args, port))
+            web.run(opened_page.web_options(args, ["--connect", f"tcp/127.0.0.1:{port}"]))
         except KeyboardInterrupt:
             if onboard.poll() is None:
                 raise
@@ -192,14 +191,3 @@ def _unused_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
-
-
-def _as_web(args: argparse.Namespace, port: int) -> argparse.Namespace:
-    """The options of `pc-ground web` for this page."""
-    parser = argparse.ArgumentParser()
-    web.add_arguments(parser)
-    words = ["--connect", f"tcp/127.0.0.1:{port}", "--port", str(free_port(args.port))]
-    words += [] if args.pins is None else ["--pins", str(args.pins)]
-    words += [] if args.tiles is None else ["--tiles", args.tiles]
-    words += [] if args.no_browser else ["--browser"]
-    return parser.parse_args(words)

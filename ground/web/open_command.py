@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import os
 import shlex
 import shutil
-import socket
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -19,6 +17,7 @@ from pathlib import Path
 from contract.errors import InputError
 from ground.pins.file import default_path
 from ground.web import command as web
+from ground.web import opened_page
 
 EXAMPLES = """examples:
   pc-ground open DJI_0042.MP4                        with DJI_0042.SRT beside it, or the only log in the folder
@@ -53,8 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--utc-offset", metavar="H", help="the camera's clock is so many hours ahead of UTC")
     parser.add_argument("--home-amsl-m", metavar="M", help="the take-off's height above the sea, for a .srt without it")
     parser.add_argument("--out", metavar="FLIGHT", type=Path, help="folder for the flight (default: with your pins)")
-    parser.add_argument("--no-browser", action="store_true", help="only say where the page is")
-    web.add_page_arguments(parser)
+    opened_page.add_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -69,7 +67,8 @@ def run(args: argparse.Namespace) -> int:
         if code != DONE:
             return code
         video = None
-    return web.run(_as_web(args, session, video))
+    shown = ["--from", str(session), *([] if video is None else ["--video", str(video)])]
+    return web.run(opened_page.web_options(args, shown))
 
 
 def is_session(path: Path) -> bool:
@@ -88,7 +87,7 @@ def _replayed(args: argparse.Namespace) -> tuple[int, Path]:
     if args.out is None:
         shutil.rmtree(folder, ignore_errors=True)  # of an attempt that was broken off
         folder.parent.mkdir(parents=True, exist_ok=True)
-    program = pc_onboard()
+    program = opened_page.pc_onboard()
     made = _output([program, *importing, "--out", str(folder)])
     if made.returncode != DONE:
         return made.returncode, session
@@ -135,43 +134,9 @@ def _name(args: argparse.Namespace, importing: Sequence[str]) -> str:
     return f"{args.input.resolve().stem}-{digest[:8]}"
 
 
-def pc_onboard() -> str:
-    """The program of this installation, else of the path. Raises InputError if it is nowhere."""
-    beside = Path(sys.executable).with_name("pc-onboard")
-    found = str(beside) if os.access(beside, os.X_OK) else shutil.which("pc-onboard")
-    if found is None:
-        raise InputError("pc-onboard is not installed here: install pointclick with [open] or [live]")
-    return found
-
-
 def _output(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
     """Run to its end; its errors and its progress bar go where ours do."""
     try:
         return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
     except OSError as error:
         raise InputError(f"{command[0]}: {error.strerror}") from error
-
-
-def _as_web(args: argparse.Namespace, session: Path, video: Path | None) -> argparse.Namespace:
-    """The options of `pc-ground web` for this page."""
-    parser = argparse.ArgumentParser()
-    web.add_arguments(parser)
-    words = ["--from", str(session), "--port", str(free_port(args.port))]
-    words += [] if args.pins is None else ["--pins", str(args.pins)]
-    words += [] if args.tiles is None else ["--tiles", args.tiles]
-    words += [] if video is None else ["--video", str(video)]
-    words += [] if args.no_browser else ["--browser"]
-    return parser.parse_args(words)
-
-
-def free_port(asked: int | None) -> int:
-    """As it was asked; else the page's own, or any where that is taken."""
-    if asked is not None:
-        return asked
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(("127.0.0.1", web.PORT))
-        except OSError:
-            return 0
-    return web.PORT

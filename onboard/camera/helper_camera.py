@@ -12,6 +12,7 @@ from contract.errors import ConfigError
 from contract.tied_process import NOT_THERE
 from onboard.camera import v4l2_structures as v4l2
 from onboard.camera.buffer_decoder import Pictures
+from onboard.camera.camera_health import figures, patience_s, stopped
 from onboard.camera.frame_protocol import FrameReader, Header, Origin, middle_ns
 from onboard.camera.helper_process import HelperProcess
 from onboard.camera.sender_clock import SenderClock
@@ -23,7 +24,6 @@ from onboard.events.source import Emit, SourceStatus, State, Stop
 TICK_S = 0.1
 RETRY_S = (0.2, 0.4, 0.8)  # after so many helpers in a row that ended without a picture
 FIRST_PICTURE_S = 10.0  # a server may send a key frame every some seconds, and decoders begin with one
-PERIODS = 3.0
 STALE_NS = 1_000_000_000
 BAD_IN_A_ROW = 5
 NEVER_WORKS = 2
@@ -137,7 +137,7 @@ class HelperCamera:
             self._garbage += stream.reader.skipped_bytes - skipped
             self._garbage_ns = now_ns
         silent_s = (now_ns - self._last_ns) / 1e9
-        if silent_s <= (self._patience_s() if stream.has_picture else FIRST_PICTURE_S):
+        if silent_s <= (patience_s(self._config) if stream.has_picture else FIRST_PICTURE_S):
             return True
         self._absence = f"{self._launch.name}: {self._silence(stream, silent_s)}"
         return False
@@ -176,9 +176,6 @@ class HelperCamera:
             self._delay_ms = (arrival_ns - frame.stamp_ns) / 1e6
             emit(arrival_ns, frame)
 
-    def _patience_s(self) -> float:
-        return max(self._config.lost_after_s, PERIODS / self._config.rate_hz)
-
     @staticmethod
     def _silence(stream: _Stream, silent_s: float) -> str:
         """Why nothing comes of a helper that runs."""
@@ -193,7 +190,7 @@ class HelperCamera:
     def health(self) -> SourceStatus:
         """How the camera is, judged now."""
         stream, now_ns = self._stream, self._now_ns()
-        figures, name = self._figures(), self._launch.name
+        shown, name = self._figures(), self._launch.name
         silent_s = (now_ns - self._last_ns) / 1e9
         if stream is None or not stream.has_picture:
             starting = not self._has_begun or (
@@ -202,17 +199,15 @@ class HelperCamera:
             why = self._absence
             if starting or (stream is not None and why.startswith("not started")):
                 why = f"{name}: waiting for its first picture"
-            return SourceStatus(State.STARTING if starting else State.LOST, why, figures)
-        if silent_s > self._patience_s():
-            return SourceStatus(State.LOST, f"{name}: no picture for {silent_s:.1f} s", figures)
-        frozen_s = self._pictures.frozen_s(now_ns)
-        if frozen_s >= self._config.frozen_after_s:
-            return SourceStatus(State.FROZEN, f"{name}: the same picture for {frozen_s:.1f} s", figures)
+            return SourceStatus(State.STARTING if starting else State.LOST, why, shown)
+        at_rest = stopped(name, silent_s, self._pictures.frozen_s(now_ns), self._config, shown)
+        if at_rest is not None:
+            return at_rest
         if self._stamps.is_settling:
-            return SourceStatus(State.STARTING, f"{name}: finding the least delay of its pictures", figures)
+            return SourceStatus(State.STARTING, f"{name}: finding the least delay of its pictures", shown)
         complaints = self._complaints(stream, now_ns)
         what = f"{name}: {stream.size_px[0]}x{stream.size_px[1]}, {self.stamps_text()}"
-        return SourceStatus(State.DEGRADED if complaints else State.OK, "; ".join(complaints) or what, figures)
+        return SourceStatus(State.DEGRADED if complaints else State.OK, "; ".join(complaints) or what, shown)
 
     def stamps_text(self) -> str:
         """Where stamps come from, how they are mapped to our clock, and how well each is known."""
@@ -237,16 +232,9 @@ class HelperCamera:
         return found
 
     def _figures(self) -> dict[str, float]:
-        counts, sigma_s = self._pictures.counts, self._stamps.sigma_s
+        sigma_s = self._stamps.sigma_s
         return {
-            "rate_hz": self._pictures.rate_hz if self._stream else 0.0,
-            "delay_ms": self._delay_ms,
-            "pictures": counts.pictures,
-            "lost": counts.lost,
-            "skipped": counts.skipped,
-            "damaged": counts.damaged,
-            "repeated": counts.repeated,
-            "reopened": counts.reopened,
+            **figures(self._pictures, self._delay_ms, self._stream is not None),
             "garbage_bytes": self._garbage,
             **({} if sigma_s is None else {"stamp_sigma_ms": 1e3 * sigma_s}),
         }

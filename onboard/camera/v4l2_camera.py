@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from contract.camera import Camera
 from contract.errors import ConfigError
 from onboard.camera.buffer_decoder import Pictures
+from onboard.camera.camera_health import figures, patience_s, stopped
 from onboard.camera.control_lock import Lock, Wanted
 from onboard.camera.discovery import Identity, candidates, identity, same_camera
 from onboard.camera.format_negotiation import ENOUGH, choose_format
@@ -23,8 +24,6 @@ TICK_S = 0.2
 RETRY_S = 0.25
 FIRST_PICTURE_S = 5.0
 """Some cameras take seconds to their first picture."""
-PERIODS = 3.0
-"""At low rates so many periods without a picture, if that is more than `lost_after_s`, count as lost."""
 STARVED_S = 0.05
 """A wait this much longer than asked: this process did not run, and the buffer there now has waited in the queue."""
 SENDS_NOTHING = "opens but sends no picture"
@@ -116,7 +115,7 @@ class V4l2Camera:
         now_ns = self._now_ns()
         if buffer is None:
             silent_s = (now_ns - self._last_ns) / 1e9
-            if silent_s <= (self._patience_s() if stream.has_picture else FIRST_PICTURE_S):
+            if silent_s <= (patience_s(self._config) if stream.has_picture else FIRST_PICTURE_S):
                 return True
             if stream.has_picture:
                 self._fail(f"{stream.path}: no picture for {silent_s:.1f} s")
@@ -136,9 +135,6 @@ class V4l2Camera:
             self._delay_ms = (arrival_ns - frame.stamp_ns) / 1e6
             emit(arrival_ns, frame)
         return True
-
-    def _patience_s(self) -> float:
-        return max(self._config.lost_after_s, PERIODS / self._config.rate_hz)
 
     def _open(self) -> _Stream:
         """Find the camera, set it and begin."""
@@ -223,11 +219,11 @@ class V4l2Camera:
     def health(self) -> SourceStatus:
         """How the camera is. Judged now, not when the last picture came: a hanging driver is seen too."""
         stream, now_ns = self._stream, self._now_ns()
-        figures = self._figures()
+        shown = figures(self._pictures, self._delay_ms, stream is not None)
         silent_s = (now_ns - self._last_ns) / 1e9
         if stream is None or not stream.has_picture:
             waited_s = (now_ns - self._begun_ns) / 1e9
-            starting = not self._has_begun or (self._known is None and waited_s < self._patience_s())
+            starting = not self._has_begun or (self._known is None and waited_s < patience_s(self._config))
             if stream is not None and self._pictures.counts.pictures == 0:
                 starting = silent_s < FIRST_PICTURE_S and not self._has_failed
             # A camera that opens and sends nothing is opened again and again: one state and one reason all the while.
@@ -235,31 +231,16 @@ class V4l2Camera:
             if stream is not None:
                 sends_nothing = self._sends_nothing or silent_s >= FIRST_PICTURE_S
                 why = f"{stream.path}: {SENDS_NOTHING if sends_nothing else 'waiting for its first picture'}"
-            return SourceStatus(State.STARTING if starting else State.LOST, why, figures)
-        if silent_s > self._patience_s():
-            return SourceStatus(State.LOST, f"{stream.path}: no picture for {silent_s:.1f} s", figures)
+            return SourceStatus(State.STARTING if starting else State.LOST, why, shown)
+        at_rest = stopped(stream.path, silent_s, self._pictures.frozen_s(now_ns), self._config, shown)
+        if at_rest is not None:
+            return at_rest
         what = (
             f"{stream.path}: {stream.format.width_px}x{stream.format.height_px} {stream.format.fourcc}, "
             f"stamped at its {self._pictures.stamped_at}"
         )
-        frozen_s = self._pictures.frozen_s(now_ns)
-        if frozen_s >= self._config.frozen_after_s:
-            return SourceStatus(State.FROZEN, f"{stream.path}: the same picture for {frozen_s:.1f} s", figures)
         complaints = stream.complaints + self._pictures.complaints()
-        return SourceStatus(State.DEGRADED if complaints else State.OK, "; ".join(complaints) or what, figures)
-
-    def _figures(self) -> dict[str, float]:
-        counts = self._pictures.counts
-        return {
-            "rate_hz": self._pictures.rate_hz if self._stream else 0.0,
-            "delay_ms": self._delay_ms,
-            "pictures": counts.pictures,
-            "lost": counts.lost,
-            "skipped": counts.skipped,
-            "damaged": counts.damaged,
-            "repeated": counts.repeated,
-            "reopened": counts.reopened,
-        }
+        return SourceStatus(State.DEGRADED if complaints else State.OK, "; ".join(complaints) or what, shown)
 
 
 def _words(error: OSError) -> str:

@@ -8,6 +8,7 @@ picture by picture. Points are eliminated and have no column here.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -214,7 +215,7 @@ def lasting_sigma(stamps_s: Array, sigma_gauss_markov: float, time_constant_s: f
 
 
 @dataclass(frozen=True, eq=False)
-class PathPrior:
+class PathPrior(ABC):
     """What telemetry measures of the path: n linear functions of the K places where the autopilot's reference point is.
 
     They move by `moved_m_s` with time offset and delay.
@@ -231,9 +232,9 @@ class PathPrior:
     delay: ClassVar[int]  # which of the platform's states it is late by
 
     @staticmethod
+    @abstractmethod
     def of_places(places: Array) -> Array:
         """What it measures (n, ...) of places (K, ...)."""
-        raise NotImplementedError
 
     def evaluate(self, state: State) -> tuple[Array, Array]:
         """Residual (3n,), Jacobian (3n, D)."""

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from ground.__main__ import COMMANDS, main
+from tests.left_out import NO_PROGRAM
 
 PIN = ("pins", "add", "--at", "-43.38,172.40", "--name", "gate")
 
@@ -44,7 +45,7 @@ def test_every_command_has_a_help(command: str, capsys: pytest.CaptureFixture[st
     assert ended.value.code == 0 and "usage: pc-ground" in capsys.readouterr().out
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason=f"{NO_PROGRAM} /dev/full here")
 @pytest.mark.parametrize("command", [["ground", "pins", "list"], ["onboard", "check-config"]])
 def test_a_full_disk_below_the_output_is_one_line(tmp_path: Path, command: list[str]) -> None:
     config, pins = tmp_path / "config.toml", tmp_path / "pins.sqlite"

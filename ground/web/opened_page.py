@@ -1,0 +1,53 @@
+"""What `pc-ground open` and `live` share: `pc-onboard` as a program of its own, and a page that opens by itself."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import socket
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from contract.errors import InputError
+from ground.web import command as web
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The page's options, and that no browser is to be opened."""
+    parser.add_argument("--no-browser", action="store_true", help="only print where the page is")
+    web.add_page_arguments(parser)
+
+
+def web_options(args: argparse.Namespace, shown: Sequence[str]) -> argparse.Namespace:
+    """The options of `pc-ground web` for this page; `shown` are the words that say of what."""
+    parser = argparse.ArgumentParser()
+    web.add_arguments(parser)
+    words = [*shown, "--port", str(_free_port(args.port))]
+    words += [] if args.pins is None else ["--pins", str(args.pins)]
+    words += [] if args.tiles is None else ["--tiles", args.tiles]
+    words += [] if args.no_browser else ["--browser"]
+    return parser.parse_args(words)
+
+
+def _free_port(asked: int | None) -> int:
+    """As it was asked; else the page's own, or any where that is taken."""
+    if asked is not None:
+        return asked
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", web.PORT))
+        except OSError:
+            return 0
+    return web.PORT
+
+
+def pc_onboard() -> str:
+    """The program of this installation, else of the path. Raises InputError if it is nowhere."""
+    beside = Path(sys.executable).with_name("pc-onboard")
+    found = str(beside) if os.access(beside, os.X_OK) else shutil.which("pc-onboard")
+    if found is None:
+        raise InputError("pc-onboard is not installed here: install pointclick with [open] or [live]")
+    return found
