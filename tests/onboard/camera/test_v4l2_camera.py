@@ -11,6 +11,7 @@ import pytest
 from contract.camera import Camera
 from contract.errors import ConfigError
 from onboard.camera import v4l2_structures as v4l2
+from onboard.camera.camera_health import patience_s
 from onboard.camera.discovery import Identity
 from onboard.camera.format_negotiation import choose_format
 from onboard.camera.v4l2_camera import V4l2Camera
@@ -320,6 +321,5 @@ def test_before_it_runs_it_is_starting() -> None:
 
 
 def test_a_slow_camera_is_not_lost_between_two_pictures() -> None:
-    world = World(video0=Plugged(OURS))
-    assert live(world, rate_hz=0.5)._patience_s() == pytest.approx(6.0)
-    assert live(world, rate_hz=30.0)._patience_s() == pytest.approx(1.5)
+    assert patience_s(CameraConfig(lost_after_s=1.5, rate_hz=0.5)) == pytest.approx(6.0)
+    assert patience_s(CameraConfig(lost_after_s=1.5, rate_hz=30.0)) == pytest.approx(1.5)
