@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +22,10 @@ from tests.left_out import LEFT_OUT, NO_PROGRAM
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
     os.environ[variable] = "1"
 os.environ["OPENCV_OPENCL_RUNTIME"] = "disabled"
+
+# What a shell without job control starts in the background ignores SIGINT, and so would the programs that tests interrupt.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # An example's time says how loaded the machine is; what must be quick has a test of its own. The same examples every
 # run: a change is judged by itself and not by what chance found; `--hypothesis-profile=default` looks further.

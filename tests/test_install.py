@@ -360,12 +360,15 @@ def use_live(programs: Path, folder: Path) -> None:
     ) as program:  # fmt: skip
         assert program.stdout is not None
         said = ""
-        for line in program.stdout:
-            said += line
-            if "Ctrl-C" in line:
-                break
-        program.send_signal(signal.SIGINT)
-        assert program.wait(20) == 130, said
+        try:
+            for line in program.stdout:
+                said += line
+                if "Ctrl-C" in line:
+                    break
+            program.send_signal(signal.SIGINT)
+            assert program.wait(20) == 130, said
+        finally:
+            program.kill()
     assert "pc-onboard runs" in said
 
 
