@@ -23,7 +23,7 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "
     os.environ[variable] = "1"
 os.environ["OPENCV_OPENCL_RUNTIME"] = "disabled"
 
-# What a shell without job control starts in the background ignores SIGINT, and so would the programs that tests interrupt.
+# What a shell without job control starts in the background ignores SIGINT, as would programs that tests interrupt.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
