@@ -160,7 +160,7 @@ def in_a_line(shares: Mapping[str, float]) -> str:
     if share < LEAST_SHARE:
         return f"many small causes, none above {percent}"
     about = ABOUT.get(Cause(code)) if code in Cause.__members__.values() else None
-    how = "mostly" if share >= MOST else "most from"
+    how = "mostly" if share >= MOST else "mainly"
     if about is None:
         return f"{how} {code} ({percent})"
     return f"{how} {about.words} ({percent}): {about.advice}"

@@ -12,7 +12,7 @@ from contract.vehicle_status import MAX_CODE
     ("shares", "line"),
     [
         ({"mount": 0.6, "gps": 0.21}, "mostly the camera's mount (60 %): fly one circle"),
-        ({"gps": 0.38}, "most from the GPS (38 %): click the same thing again minutes later"),
+        ({"gps": 0.38}, "mainly the GPS (38 %): click the same thing again minutes later"),
         ({"gps": 0.12}, "many small causes, none above 12 %"),
         ({"moonlight": 0.7}, "mostly moonlight (70 %)"),  # of a later version
         ({}, ""),

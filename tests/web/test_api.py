@@ -132,7 +132,7 @@ def test_the_place_under_the_cursor_is_that_of_the_pin_a_click_would_make(api: A
 def test_what_would_make_a_radius_smaller_is_in_a_recordings_state(api: Api, flown: Flown) -> None:
     """The recording's last status has it, by the replay that made it."""
     (vehicle,) = api.client.get("/api/vehicles").json()
-    assert re.fullmatch(r"(mostly|most from) [^()]+ \(\d+ %\): .{8,}", vehicle["radius"]), vehicle["radius"]
+    assert re.fullmatch(r"(mostly|mainly) [^()]+ \(\d+ %\): .{8,}", vehicle["radius"]), vehicle["radius"]
 
 
 def test_pictures_and_their_features_are_served(api: Api, flown: Flown) -> None:
