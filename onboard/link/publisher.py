@@ -11,8 +11,9 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from types import TracebackType
 from typing import Self
 
@@ -78,6 +79,15 @@ class _Waiting:
     answer: Answer
     since_s: float
     kind: Kind
+
+
+@dataclass(frozen=True)
+class _Message:
+    """What could go now: its bytes, what changes once it may go, and how it is put on the link, outside of the lock."""
+
+    size: int
+    gone: Callable[[], object]
+    put: Callable[[], object]
 
 
 class Publisher:
@@ -263,48 +273,56 @@ class Publisher:
             budget = self._budget
             budget.connected(grounds, now_s)
             self._forget_old_queries(now_s)
-            offer = self._selection.next(now_s)
-            first = {kind: next((q for q in self._queries if q.kind is kind), None) for kind in REPLIES}
-            query: _Waiting | None = None
-            status = self._status if self._status_waits else None
             # A link with more than a packet under way has no room to spare, whatever rate is assumed.
-            piece = self._pieces[0] if self._pieces and unacknowledged <= PACKET_BYTES else None
-            budget.waits(Kind.SET, len(offer.item) if offer is not None else None, now_s)
-            budget.waits(Kind.STATUS, len(status) if status is not None else None, now_s)
-            for kind, asked in first.items():
-                budget.waits(kind, len(asked.answer) if asked is not None else None, now_s)
-            if status is not None and budget.send(Kind.STATUS, len(status), now_s):
-                self._status_waits = False
-                offer = piece = None
-            elif (query := _sendable(first, budget, now_s)) is not None:
-                self._queries.remove(query)
-                status = offer = piece = None
-            elif offer is not None and budget.send(Kind.SET, len(offer.item), now_s):
-                self._selection.sent(offer, now_s)
-                status = piece = None
-            elif piece is not None and budget.send(Kind.PICTURE, len(piece), now_s):
-                self._pieces.popleft()
-                self._piece_s = now_s
-                self.pictures += not self._pieces
-                status = offer = None
-            else:
-                wait_s = self._wait_s(now_s, status, first, offer, piece)
-                return min(wait_s, ACKNOWLEDGED_S) if self._pieces and piece is None else wait_s
+            messages = self._messages(now_s, has_room=unacknowledged <= PACKET_BYTES)
+            for kind in Kind:
+                budget.waits(kind, messages[kind].size if kind in messages else None, now_s)
+            message = next((m for kind, m in messages.items() if budget.send(kind, m.size, now_s)), None)
+            if message is None:
+                waits = [budget.wait_s(kind, m.size, now_s) for kind, m in messages.items()]
+                if self._pieces and Kind.PICTURE not in messages:
+                    waits.append(ACKNOWLEDGED_S)
+                return max(min([self._selection.wait_s(now_s) or IDLE_S, IDLE_S, *waits]), 0.001)
+            message.gone()
         try:
-            if status is not None:
-                self._status_publisher.put(status)
-            elif query is not None:
-                _reply(query)
-            elif offer is not None:
-                self._publisher.put(
-                    offer.item, attachment=self._set_clock.said(offer.capture_unix_ns, time.monotonic_ns())
-                )
-                self.sent += 1
-            elif piece is not None:
-                self._picture_publisher.put(piece)
+            message.put()
         except (zenoh.ZError, OSError) as error:  # a link that breaks in use mends itself; the next message will do
             self._warn(_first_clause(error))
         return 0.0
+
+    def _messages(self, now_s: float, *, has_room: bool) -> dict[Kind, _Message]:
+        """What could go now, first what goes first: a click before a report, which is several times as large."""
+        found: dict[Kind, _Message] = {}
+        if self._status_waits:
+            status = self._status
+            found[Kind.STATUS] = _Message(len(status), self._status_gone, partial(self._status_publisher.put, status))
+        for kind in REPLIES:
+            asked = next((query for query in self._queries if query.kind is kind), None)
+            if asked is not None:
+                found[kind] = _Message(len(asked.answer), partial(self._queries.remove, asked), partial(_reply, asked))
+        older = self._selection.next_of_rest(now_s) if has_room else None
+        for kind, offer in ((Kind.SET, self._selection.next(now_s)), (Kind.OLDER, older)):
+            if offer is not None:
+                gone = partial(self._selection.sent, offer, now_s)
+                found[kind] = _Message(len(offer.item), gone, partial(self._put_set, offer))
+        if self._pieces and has_room:
+            piece = self._pieces[0]
+            gone = partial(self._piece_gone, now_s)
+            found[Kind.PICTURE] = _Message(len(piece), gone, partial(self._picture_publisher.put, piece))
+        return found
+
+    def _status_gone(self) -> None:
+        self._status_waits = False
+
+    def _piece_gone(self, now_s: float) -> None:
+        self._pieces.popleft()
+        self._piece_s = now_s
+        self.pictures += not self._pieces
+
+    def _put_set(self, offer: Offer[bytes]) -> None:
+        age = self._set_clock.said(offer.capture_unix_ns, time.monotonic_ns())
+        self._publisher.put(offer.item, attachment=age)
+        self.sent += 1
 
     def _unacknowledged(self, info: zenoh.SessionInfo) -> int:
         """Bytes under way; 0 where it cannot be known, as where no descriptor is left to look with."""
@@ -319,25 +337,6 @@ class Publisher:
         if now_s - self._warned_s >= WARN_AGAIN_S:
             self._warned_s = now_s
             log.warning("link: %s", text)
-
-    def _wait_s(
-        self,
-        now_s: float,
-        status: bytes | None,
-        first: Mapping[Kind, _Waiting | None],
-        offer: Offer[bytes] | None,
-        piece: bytes | None,
-    ) -> float:
-        waits = [self._selection.wait_s(now_s) or IDLE_S, IDLE_S]
-        for kind, size in (
-            (Kind.STATUS, None if status is None else len(status)),
-            *((kind, None if asked is None else len(asked.answer)) for kind, asked in first.items()),
-            (Kind.SET, None if offer is None else len(offer.item)),
-            (Kind.PICTURE, None if piece is None else len(piece)),
-        ):
-            if size is not None:
-                waits.append(self._budget.wait_s(kind, size, now_s))
-        return max(min(waits), 0.001)
 
     def _forget_old_queries(self, now_s: float) -> None:
         while self._queries and now_s - self._queries[0].since_s > QUERY_PATIENCE_S:
@@ -365,14 +364,6 @@ class Publisher:
                 self._wake()
                 return
         query.drop()  # type: ignore[no-untyped-call]
-
-
-def _sendable(first: Mapping[Kind, _Waiting | None], budget: Budget, now_s: float) -> _Waiting | None:
-    """The query that is answered now, and paid for: a click before a report, which is several times as large."""
-    for kind, asked in first.items():
-        if asked is not None and budget.send(kind, len(asked.answer), now_s):
-            return asked
-    return None
 
 
 def _reply(waiting: _Waiting) -> None:
