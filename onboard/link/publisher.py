@@ -26,6 +26,7 @@ from contract.link_config import Tls, link_config
 from contract.picture import LinkPicture
 from contract.supervised_thread import Policy, SupervisedThread
 from contract.topics import (
+    ANSWER_TIMEOUT_S,
     DEFAULT_ENDPOINT,
     DETAIL_PARAMETER,
     FEATURES,
@@ -34,20 +35,23 @@ from contract.topics import (
     QUERY,
     STATUS,
     TIME_PARAMETER,
+    WAIT_PARAMETER,
     Topic,
 )
 from contract.wire.picture_code import cut
 from onboard.config.schema import Config
-from onboard.events.types import Event
+from onboard.events.types import Event, Frame
 from onboard.link.byte_budget import CONNECT_BYTES, PACKET_BYTES, SECURE_CONNECT_BYTES, Budget, Kind
 from onboard.link.packet import MAX_PAYLOAD, one_packet
-from onboard.link.reply import Answer, SetClock, answer, refusal
+from onboard.link.pending_pictures import PendingPictures
+from onboard.link.reply import Answer, Question, SetClock, answer, not_placed, patience_s, refusal
 from onboard.link.set_selection import REPEAT_S, Offer, Selection
 from onboard.link.socket_backlog import Backlog
 
 MAX_WAITING_QUERIES = 16
 REPLIES = (Kind.REPLY, Kind.REPORT)  # the first is answered first
-QUERY_PATIENCE_S = 2.8  # the ground waits 3 s; an answer after that is a waste
+ANSWER_MARGIN_S = 0.2  # before the ground waits no longer: an answer after that is a waste
+PENDING_MARGIN_S = 0.5  # of which the rest is for the refusal of a picture that has no set by then
 IDLE_S = 0.25
 HELD_S = 0.05
 WARN_AGAIN_S = 10.0
@@ -77,8 +81,18 @@ class _Waiting:
     query: zenoh.Query
     key: str
     answer: Answer
-    since_s: float
+    until_s: float  # the ground waits for it
     kind: Kind
+
+
+@dataclass(frozen=True, eq=False)
+class _Parked:
+    """A query for a picture whose set is being made."""
+
+    query: zenoh.Query
+    asked: Question
+    frame: int
+    until_s: float
 
 
 @dataclass(frozen=True)
@@ -124,6 +138,8 @@ class Publisher:
         self._backlog, self._most_backlog = Backlog(), max(BACKLOG_S * rate.max_bit_rate / 8.0, BACKLOG_BYTES)
         self._selection: Selection[bytes] = Selection(min(REPEAT_S, 1.0 / rate.min_rate_hz))
         self._queries: deque[_Waiting] = deque()
+        self._parked: list[_Parked] = []
+        self._pending = PendingPictures()
         self._pieces: deque[bytes] = deque()  # of the picture under way
         self._piece_s = -math.inf  # when it came, or one of them went
         self._needs_parity = not all(e.startswith(STREAMS) for e in (*listen, *connect))
@@ -191,6 +207,7 @@ class Publisher:
             self._history.add(s, packet)
             self._set_clock.captured(s.session, s.capture_unix_ns, time.monotonic_ns())
             self._selection.offer(offer)
+            self._pending.made(s.frame)
             self._wake()
         return packet
 
@@ -224,8 +241,11 @@ class Publisher:
             self._wake()
 
     def event(self, arrival_ns: int, event: Event) -> None:
-        """Events stay on board; their arrivals give the time from which the age of pictures is computed."""
+        """Events stay on board: their arrivals give the time from which the age of pictures is computed, and pictures
+        that were taken are worth waiting for."""
         with self._changed:
+            if isinstance(event, Frame):
+                self._pending.taken(event.index, event.stamp_ns)
             self._set_clock.arrived(arrival_ns, time.monotonic_ns())
 
     def feature_set(self, output: FeatureSet) -> None:
@@ -339,28 +359,46 @@ class Publisher:
             log.warning("link: %s", text)
 
     def _forget_old_queries(self, now_s: float) -> None:
-        while self._queries and now_s - self._queries[0].since_s > QUERY_PATIENCE_S:
-            self._queries.popleft().query.drop()  # type: ignore[no-untyped-call]
+        """Those whose ground waits no longer; and what was asked before its set was made is answered now."""
+        for waiting in [w for w in self._queries if now_s > w.until_s - ANSWER_MARGIN_S]:
+            self._queries.remove(waiting)
+            waiting.query.drop()  # type: ignore[no-untyped-call]
+        for parked in self._parked:
+            is_made, is_late = parked.frame not in self._pending, now_s > parked.until_s - PENDING_MARGIN_S
+            if is_made or is_late:
+                found = self._answer(parked.asked) if is_made else not_placed(self._vehicle, parked.frame)
+                self._queries.append(_Waiting(parked.query, self._key, found, parked.until_s, Kind.REPLY))
+        queued = {id(waiting.query) for waiting in self._queries}
+        self._parked = [parked for parked in self._parked if id(parked.query) not in queued]
+
+    def _answer(self, asked: Question) -> Answer:
+        return answer(self._history, asked, self._vehicle, self._status, self._set_clock)
 
     def _asked(self, query: zenoh.Query) -> None:
         """A set, or a Status and whose it is. A queryable that raised would look like an absent one."""
-        frame, unix_s = query.parameters.get(FRAME_PARAMETER), query.parameters.get(TIME_PARAMETER)
+        parameters = query.parameters
+        asked = Question(parameters.get(FRAME_PARAMETER), parameters.get(TIME_PARAMETER), time.monotonic_ns())
+        until_s = time.monotonic() + patience_s(parameters.get(WAIT_PARAMETER))
         with self._changed:
-            now_ns = time.monotonic_ns()
-            found = answer(self._history, frame, unix_s, self._vehicle, self._status, self._set_clock, now_ns)
-        self._wait_to_answer(query, self._key, found, Kind.REPLY)
+            frame = asked.pending(self._history, self._pending)
+            if frame is not None and len(self._parked) < MAX_WAITING_QUERIES and not self._is_closed:
+                self._parked.append(_Parked(query, asked, frame, until_s))
+                return
+            found = self._answer(asked)
+        self._wait_to_answer(query, self._key, found, Kind.REPLY, until_s)
 
     def _asked_for_status(self, query: zenoh.Query) -> None:
         is_detailed = DETAIL_PARAMETER in query.parameters
         with self._changed:
             payload = self._status_detail if is_detailed else self._status
         found = Answer(payload) if payload else refusal(Status.STARTING, self._vehicle)
-        self._wait_to_answer(query, self._status_key, found, Kind.REPORT if is_detailed else Kind.REPLY)
+        kind = Kind.REPORT if is_detailed else Kind.REPLY
+        self._wait_to_answer(query, self._status_key, found, kind, time.monotonic() + ANSWER_TIMEOUT_S)
 
-    def _wait_to_answer(self, query: zenoh.Query, key: str, found: Answer, kind: Kind) -> None:
+    def _wait_to_answer(self, query: zenoh.Query, key: str, found: Answer, kind: Kind, until_s: float) -> None:
         with self._changed:
             if len(self._queries) < MAX_WAITING_QUERIES and not self._is_closed:
-                self._queries.append(_Waiting(query, key, found, time.monotonic(), kind))
+                self._queries.append(_Waiting(query, key, found, until_s, kind))
                 self._wake()
                 return
         query.drop()  # type: ignore[no-untyped-call]
