@@ -12,10 +12,12 @@ from typing import Any
 
 import zenoh
 
+from contract.answer import EXPLANATIONS, Refusal
 from contract.errors import LinkError, WireError
 from contract.feature_set import FeatureSet, Status
 from contract.history import Entry, History
 from contract.link_config import Tls, link_config
+from contract.locate import Locator
 from contract.topics import (
     ANSWER_TIMEOUT_S,
     ANY_VEHICLE,
@@ -26,9 +28,7 @@ from contract.topics import (
     WAIT_PARAMETER,
 )
 from contract.wire.codec import decode
-from ground.answer import EXPLANATIONS, Refusal
 from ground.freshness import AircraftClock, Later, Reply
-from ground.locate import Locator
 from ground.watched_thread import WatchedThread
 
 PICTURE_TIMEOUT_S = 8.0  # of a picture asked for by its number or its time, which may have no set yet

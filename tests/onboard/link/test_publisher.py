@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 import zenoh
 
+from contract.answer import Fix, Refusal
 from contract.errors import LinkError
 from contract.feature_set import FeatureSet, Status
 from contract.link_config import link_config
 from contract.supervised_thread import ThreadState
 from contract.wire.codec import decode, encode
 from ground.__main__ import main
-from ground.answer import Fix, Refusal
 from ground.client import SetCache, ask
 from onboard.events.types import Frame
 from onboard.link.publisher import Publisher, Rate
