@@ -28,7 +28,7 @@ import numpy as np
 
 from benchmarks.flown import leg, sets_of
 from contract.feature_set import FeatureSet
-from ground.locate import Locator
+from contract.locate import Locator
 from onboard.link.publisher import Publisher, Rate
 from onboard.storage.mcap_writer import SessionRecorder
 

@@ -14,11 +14,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.answer import CHI2_2, Fix
 from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
+from contract.locate import Locator
 from contract.wire.codec import decode, encode
-from ground.answer import CHI2_2, Fix
-from ground.locate import Locator
 
 Array = NDArray[np.float64]
 

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, fly, replace_section
 from benchmarks.machine import describe
+from contract.answer import CHI2_2, Fix
 from contract.feature_set import FeatureSet
 from contract.geodesy import rotation_enu_ecef
+from contract.locate import Locator
 from contract.rotations import log_so3
 from contract.wire.codec import decode, encode
-from ground.answer import CHI2_2, Fix
-from ground.locate import Locator
 from ground.two_sets import difference_covariance
 from onboard.config.schema import Config, parse_config
 from simulation.paths import PathSpec

@@ -38,11 +38,11 @@ from numpy.typing import NDArray
 from benchmarks.flown import CACHE, leg
 from benchmarks.latency_daemon import Plan
 from benchmarks.soak_world import out_and_back
+from contract.answer import Fix
 from contract.link_config import link_config
+from contract.locate import locate
 from contract.topics import FEATURES
 from contract.wire.codec import decode
-from ground.answer import Fix
-from ground.locate import locate
 from simulation.autopilot.fake import FakeAutopilot
 from simulation.autopilot.flight import Flight
 

@@ -25,10 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, fly, replace_section
+from contract.answer import CHI2_2, Fix
 from contract.camera import Camera
+from contract.locate import Locator
 from contract.wire.codec import decode, encode
-from ground.answer import CHI2_2, Fix
-from ground.locate import Locator
 from onboard.config.schema import parse_config
 from simulation.paths import PathSpec
 

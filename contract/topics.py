@@ -72,6 +72,10 @@ TOPICS: tuple[Topic, ...] = (FEATURES, STATUS, PICTURE)
 # Parameters of a query on FEATURES. None: the newest answerable set.
 FRAME_PARAMETER = "frame"
 TIME_PARAMETER = "time"
+# With either of them: how many seconds the ground waits for the answer, if not ANSWER_TIMEOUT_S. A picture that was
+# taken and has no set yet is answered when it has one.
+WAIT_PARAMETER = "wait"
+ANSWER_TIMEOUT_S = 3.0
 # Parameter of a query on STATUS: all other state of the daemon, for `pc-onboard doctor`.
 DETAIL_PARAMETER = "detail"
 # How far a picture's capture may be from the `time` asked for.

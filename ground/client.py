@@ -12,18 +12,26 @@ from typing import Any
 
 import zenoh
 
+from contract.answer import EXPLANATIONS, Refusal
 from contract.errors import LinkError, WireError
 from contract.feature_set import FeatureSet, Status
 from contract.history import Entry, History
 from contract.link_config import Tls, link_config
-from contract.topics import ANY_VEHICLE, FEATURES, FRAME_PARAMETER, QUERY, TIME_PARAMETER
+from contract.locate import Locator
+from contract.topics import (
+    ANSWER_TIMEOUT_S,
+    ANY_VEHICLE,
+    FEATURES,
+    FRAME_PARAMETER,
+    QUERY,
+    TIME_PARAMETER,
+    WAIT_PARAMETER,
+)
 from contract.wire.codec import decode
-from ground.answer import EXPLANATIONS, Refusal
 from ground.freshness import AircraftClock, Later, Reply
-from ground.locate import Locator
 from ground.watched_thread import WatchedThread
 
-ANSWER_TIMEOUT_S = 3.0
+PICTURE_TIMEOUT_S = 8.0  # of a picture asked for by its number or its time, which may have no set yet
 # Time without a message after which a listener opens the link again: longer than a short break, shorter than the time
 # for which a coordinator waits.
 RENEW_S = 8.0
@@ -41,21 +49,21 @@ def inquire(
 ) -> dict[str, Reply]:
     """What each vehicle at an endpoint answers: its set of a frame or a time, or its newest one, or a refusal.
 
+    A picture whose set is still being made is waited for, up to PICTURE_TIMEOUT_S.
     With the age that the picture had at most when the reply came: what the aircraft states by its own clock when it is
     asked, and the time that the question took from here and back.
 
     A client session: it opens in milliseconds where a peer waits half a second for others to show up. Raises LinkError
     if there is no vehicle or none answers, WireError for a set this version cannot read.
     """
-    parameters = ""
-    if frame is not None:
-        parameters = f"?{FRAME_PARAMETER}={frame}"
-    elif unix_s is not None:
-        parameters = f"?{TIME_PARAMETER}={unix_s!r}"
+    parameters, timeout_s = "", ANSWER_TIMEOUT_S
+    if frame is not None or unix_s is not None:
+        which = f"{FRAME_PARAMETER}={frame}" if frame is not None else f"{TIME_PARAMETER}={unix_s!r}"
+        parameters, timeout_s = f"?{which};{WAIT_PARAMETER}={PICTURE_TIMEOUT_S:g}", PICTURE_TIMEOUT_S
     key = FEATURES.key(vehicle)
     session = _open("client", endpoint, tls)
     try:
-        answers = _replies(session, key + parameters)
+        answers = _replies(session, key + parameters, timeout_s)
     finally:
         session.close()
     if not answers:
@@ -64,7 +72,7 @@ def inquire(
     return answers
 
 
-def _replies(session: Any, selector: str) -> dict[str, Reply]:
+def _replies(session: Any, selector: str, timeout_s: float = ANSWER_TIMEOUT_S) -> dict[str, Reply]:
     """Each vehicle's answer to a question; its age includes the time that the question took. Raises WireError."""
     answers: dict[str, Reply] = {}
     asked_s = time.monotonic()
@@ -72,7 +80,7 @@ def _replies(session: Any, selector: str) -> dict[str, Reply]:
         selector,
         target=zenoh.QueryTarget.ALL,
         consolidation=zenoh.ConsolidationMode.NONE,
-        timeout=ANSWER_TIMEOUT_S,
+        timeout=timeout_s,
         congestion_control=getattr(zenoh.CongestionControl, QUERY.congestion_control),
         priority=getattr(zenoh.Priority, QUERY.priority),
         express=QUERY.express,

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from contract.answer import EXPLANATIONS, Answer, Refusal
 from contract.feature_set import FeatureSet, Status
-from ground.answer import EXPLANATIONS, Answer, Refusal
 
 MAX_AGE_S = 3.0  # of the newest picture, by default: at 24 m/s the aircraft is 70 m further by then
 

@@ -17,11 +17,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.answer import Fix
 from contract.error_correlation import LEAST_SPAN_S, Span, slow_error_correlations
 from contract.feature_set import COMMON_STATES, FeatureSet, SharedErrors
 from contract.geodesy import LocalFrame
 from contract.rotations import skew
-from ground.answer import Fix
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.drawn_flight import PLACE, DrawnFlight
+from contract.answer import Fix
 from contract.feature_set import FeatureSet
+from contract.locate import Locator
 from contract.wire.codec import decode, encode
-from ground.answer import Fix
-from ground.locate import Locator
 
 Array = NDArray[np.float64]
 

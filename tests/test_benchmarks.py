@@ -27,11 +27,11 @@ from benchmarks import (
 from benchmarks.__main__ import BENCHMARKS, RESULTS, STARTED, merge, section
 from benchmarks.flown import Leg, leg, out_and_back, sets_of
 from benchmarks.mechanisms import MECHANISMS
+from contract.answer import Fix
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
+from contract.locate import Locator
 from contract.wire.codec import decode, encode
-from ground.answer import Fix
-from ground.locate import Locator
 from onboard.config.schema import parse_config
 from onboard.events.types import Frame, PositionFix
 from tests.contract.sets import plain_set

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.coverage import Counts, judge, rows
-from ground.answer import CHI2_2
+from contract.answer import CHI2_2
 
 pytestmark = pytest.mark.long
 

@@ -9,9 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, fly, replace_section
+from contract.answer import CHI2_2
 from contract.camera import UNKNOWN_SIGMA, Camera
 from contract.feature_set import FeatureSet
-from ground.answer import CHI2_2
 from onboard.config.schema import Config, parse_config
 from onboard.estimation.boresight import Belief
 from onboard.estimation.platform_states import HEADING, OFFSET, STATES

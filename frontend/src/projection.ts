@@ -19,7 +19,7 @@ const A_M = 6378137.0;
 const F = 1.0 / 298.257223563;
 const E2 = F * (2.0 - F);
 const RAD = Math.PI / 180.0;
-const SHUTTER_STEPS = 2; // as in ground/locate.py
+const SHUTTER_STEPS = 2; // as in contract/locate.py
 
 type Vector = [number, number, number];
 

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from contract.answer import CHI2_2, Fix, Refusal
 from contract.errors import InputError
 from contract.geodesy import LocalFrame
 from ground.accuracy_figures import ASPRS_LEAST_MARKS, Figures, figures
-from ground.answer import CHI2_2, Fix, Refusal
 from ground.commands import ANSWERED, REFUSED
 from ground.commands.picture_rows import read_picture_rows
 from ground.commands.sources import Clicker, RecordedSource, add_source_arguments

@@ -14,8 +14,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
+from contract.answer import Answer, Refusal
 from contract.errors import InputError, PointclickError
-from ground.answer import Answer, Refusal
 from ground.commands import ANSWERED, REFUSED, WRONG_USAGE
 from ground.commands.grids import add_grid_arguments, grid_of
 from ground.commands.picture_rows import read_picture_rows

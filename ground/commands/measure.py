@@ -7,13 +7,13 @@ import json
 import math
 import sys
 
-from ground.answer import Fix, Refusal
+from contract.answer import Fix, Refusal
+from contract.locate import Locator
 from ground.commands import ANSWERED, REFUSED
 from ground.commands.sources import Clicker, add_source_arguments, source_of
 from ground.commands.values import age, finite, frame_number
 from ground.freshness import MAX_AGE_S
 from ground.link_options import UsageError
-from ground.locate import Locator
 from ground.pins.fusion import Place, Vector, between
 from ground.two_sets import difference_covariance
 

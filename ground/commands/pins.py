@@ -10,8 +10,9 @@ import sys
 import time
 from pathlib import Path
 
+from contract.answer import Answer, Refusal
 from contract.errors import InputError
-from ground.answer import Answer, Refusal
+from contract.locate import Locator
 from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from ground.commands import ANSWERED, REFUSED
 from ground.commands.grids import add_grid_arguments, grid_of
@@ -24,7 +25,6 @@ from ground.formats.documents import FORMATS, IMPORTED, one_line, read_pins, tex
 from ground.formats.mark import Mark
 from ground.freshness import MAX_AGE_S
 from ground.link_options import UsageError, add_tls_arguments, tls_of
-from ground.locate import Locator
 from ground.pins.file import chosen_path
 from ground.pins.fusion import Vector
 from ground.pins.model import Category, Pin, PinClick, category_of

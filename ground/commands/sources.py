@@ -8,12 +8,12 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
+from contract.answer import Answer, Refusal
 from contract.feature_set import FeatureSet, Status
+from contract.locate import Locator
 from contract.topics import ANY_VEHICLE, DEFAULT_ENDPOINT, TIME_TOLERANCE_S
-from ground.answer import Answer, Refusal
 from ground.freshness import Later, Reply, aged
 from ground.link_options import UsageError, add_tls_arguments, endpoint_of, tls_of
-from ground.locate import Locator
 from ground.recording import Recording
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from contract.error_sources import in_a_line
 from contract.errors import WireError
 from contract.feature_set import FeatureSet
+from contract.locate import Locator
 from contract.topics import ANY_VEHICLE, STATUS
 from contract.vehicle_status import VehicleStatus, decode_status
 from ground.commands import ANSWERED
@@ -22,7 +23,6 @@ from ground.formats.documents import one_line
 from ground.formats.mark import Mark
 from ground.freshness import MAX_AGE_S
 from ground.link_options import endpoint_of, tls_of
-from ground.locate import Locator
 
 EXAMPLES = """\
 examples:

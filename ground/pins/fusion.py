@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.answer import Ellipse
 from contract.geodesy import LocalFrame
-from ground.answer import Ellipse
 from ground.chi_square import exceeded_with
 from ground.circular_error import ce90_m, le90_m
 from ground.pins.model import UNKNOWN_HEIGHT_SIGMA_M, PinClick, Tie

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from contract.answer import Fix
 from contract.errors import InputError
 from contract.feature_set import FeatureSet, SharedErrors
-from ground.answer import Fix
-from ground.locate import Locator
+from contract.locate import Locator
 from ground.pins.reading import Reader
 
 Array = NDArray[np.float64]

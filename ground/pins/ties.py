@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from contract.answer import Fix
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
-from ground.answer import Fix
+from contract.locate import Locator
 from ground.chi_square import exceeded_with, limit
-from ground.locate import Locator
 from ground.pins.model import POINTING_PX, PinClick, Tie
 from ground.pins.shared import CONTRADICTION, joint_covariances
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, HTTPException, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from ground.answer import Fix
+from contract.answer import Fix
 from ground.formats.imported import unix_ns_of
 from ground.pins.fusion import Vector
 from ground.pins.model import MAX_NAME, MAX_NOTE, MAX_WHO, Category, Pin, PinClick

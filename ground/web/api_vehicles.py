@@ -9,9 +9,9 @@ from typing import Annotated, Any
 from fastapi import APIRouter, HTTPException, Path, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from contract.answer import EXPLANATIONS, Fix
 from contract.error_sources import in_a_line
 from contract.feature_set import FeatureSet
-from ground.answer import EXPLANATIONS, Fix
 from ground.circular_error import ce90_m
 from ground.pins.fusion import Place
 from ground.web.advice import ADVICE

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from contract.answer import Answer, Refusal
 from contract.feature_set import FeatureSet, Status
-from ground.answer import Answer, Refusal
+from contract.locate import Locator
 from ground.freshness import aged
-from ground.locate import Locator
 from ground.web.source import Source
 
 KEPT_LOCATORS = 64

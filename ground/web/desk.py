@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from contract.answer import Fix
 from contract.errors import InputError
-from ground.answer import Fix
 from ground.pins.fusion import Contradiction, Fused, Place, between
 from ground.pins.model import Pin, PinClick
 from ground.pins.places import Places

@@ -9,8 +9,8 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, HTTPException, Query, Response
 
+from contract.answer import time_utc
 from contract.errors import InputError
-from ground.answer import time_utc
 from ground.formats.coordinates import Projection
 from ground.formats.documents import FORMATS
 from ground.formats.mark import Mark

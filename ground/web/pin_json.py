@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ground.answer import Ellipse, time_utc
+from contract.answer import Ellipse, time_utc
 from ground.pins.fusion import Contradiction, Fused, Place, Vector
 from ground.pins.model import Pin, PinClick, Tie
 

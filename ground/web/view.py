@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.answer import EXPLANATIONS, Fix, time_utc
 from contract.feature_set import FeatureSet, HeightDatum
 from contract.geodesy import LocalFrame
+from contract.locate import MIN_PLANE_SHARE, SHUTTER_STEPS, Locator
 from contract.rolling_shutter import row_share
-from ground.answer import EXPLANATIONS, Fix, time_utc
 from ground.circular_error import ce90_m
-from ground.locate import MIN_PLANE_SHARE, SHUTTER_STEPS, Locator
 from ground.web.advice import ADVICE
 
 Array = NDArray[np.float64]
@@ -125,7 +125,7 @@ def camera_place(s: FeatureSet) -> list[float] | None:
 
 
 def _shift_m(s: FeatureSet) -> float:
-    """From the set's datum to the ellipsoid, as `ground.locate` takes it: zero where that is not known."""
+    """From the set's datum to the ellipsoid, as `contract.locate` takes it: zero where that is not known."""
     known = s.height_datum is HeightDatum.AMSL and not np.isnan(s.undulation_m)
     return float(s.undulation_m) if known else 0.0
 

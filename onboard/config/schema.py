@@ -273,7 +273,9 @@ class Link(Section):
         32000.0, 4000.0, 1e9, "bit/s", "all that is sent keeps below this, link overhead included"
     )
     min_rate_hz: float = quantity(0.2, 0.01, 30.0, "Hz", "feature sets sent at least, while there are any")
-    max_rate_hz: float = quantity(5.0, 0.01, 30.0, "Hz", "feature sets sent at most")
+    max_rate_hz: float = quantity(
+        5.0, 0.01, 30.0, "Hz", "new pictures' feature sets sent at most; older ones' half as often"
+    )
     ca: str | None = choice(None, "TLS: certificate of the authority that both ends trust")
     certificate: str | None = choice(None, "TLS: this aircraft's certificate")
     key: str | None = choice(None, "TLS: this aircraft's private key")

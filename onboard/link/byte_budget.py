@@ -31,26 +31,33 @@ PACKET_BYTES = 1500
 BURST_S = 0.5
 # What status and replies may take at most: at least 0.35 stays for sets.
 STATUS_SHARE, REPLY_SHARE = 0.25, 0.4
+# What older pictures' sets may take from new ones; else they go in what those leave. So many for each new one at most.
+OLDER_SHARE, OLDER_A_NEW = 0.1, 0.5
 PIECE_SHARE = 0.95  # of the time that a set leaves until the next one, that a packet of a picture may take
 LEAST_PIECE = 300  # bytes, below which its head would be most of it
 USUAL_SET = 600  # bytes
-PATIENCE_S = 0.8  # of status and replies, before sets are held back for them
 
 
 def left_for_pictures(max_bit_rate: float, max_rate_hz: float) -> float:
     """Bit/s that sets of the usual size at their greatest rate, status and one ground's keep-alives leave."""
     status_bytes = 300 + MESSAGE_OVERHEAD
-    return max_bit_rate - 8.0 * (max_rate_hz * (USUAL_SET + MESSAGE_OVERHEAD) + status_bytes + GROUND_BYTES_PER_S)
+    sets_hz = (1.0 + OLDER_A_NEW) * max_rate_hz
+    return max_bit_rate - 8.0 * (sets_hz * (USUAL_SET + MESSAGE_OVERHEAD) + status_bytes + GROUND_BYTES_PER_S)
 
 
 class Kind(Enum):
     """What a message is, which decides how much of the budget it may take."""
 
-    SET = "set"
+    SET = "set"  # of a new picture
+    OLDER = "older"  # of a picture that is not the newest any more
     STATUS = "status"
     REPLY = "reply"
     REPORT = "report"  # a reply as well, but a large one that no flight depends on: the daemon's own detailed report
     PICTURE = "picture"
+
+
+# How long each waits for bytes before new sets are held back for it. An older set has waited for its small share.
+PATIENCE_S = {Kind.STATUS: 0.8, Kind.REPLY: 0.8, Kind.REPORT: 0.8, Kind.OLDER: 0.0}
 
 
 class Bucket:
@@ -102,7 +109,8 @@ class Budget:
 
     The cap is never exceeded for long: over any t seconds, rate t + one burst, and with pictures one packet more.
     Within it, status and replies have their shares (reports what replies leave of theirs), and none while sets are
-    behind `min_rate_hz`; sets go out `max_rate_hz` times a second at most.
+    behind `min_rate_hz`; new pictures' sets go out `max_rate_hz` times a second at most. Sets of older pictures go
+    when the next new one still finds its bytes, half as often at most; where new ones take all, in a share of theirs.
     """
 
     def __init__(
@@ -120,12 +128,19 @@ class Budget:
         self._all = Bucket(self.bytes_per_s, max(PACKET_BYTES, BURST_S * self.bytes_per_s), now_s)
         self._shares = {
             kind: Bucket(share * self.bytes_per_s, max(PACKET_BYTES, BURST_S * share * self.bytes_per_s), now_s)
-            for kind, share in ((Kind.STATUS, STATUS_SHARE), (Kind.REPLY, REPLY_SHARE), (Kind.REPORT, REPLY_SHARE))
+            for kind, share in (
+                (Kind.STATUS, STATUS_SHARE),
+                (Kind.REPLY, REPLY_SHARE),
+                (Kind.REPORT, REPLY_SHARE),
+                (Kind.OLDER, OLDER_SHARE),
+            )
         }
         self._left = self._spilt = 0.0  # for pictures, at most a packet; and what had been left when they looked last
         self._free_at_s = now_s  # when a link of just this rate has carried all that was sent
         self._set_at_s: float | None = None
+        self._set_due_s = now_s  # before it no new set goes; one that came late may be made up for once
         self._set_cost = self.cost(Kind.SET, USUAL_SET)  # of the last one
+        self._older_due_s = now_s
         self._waiting: dict[Kind, tuple[float, int]] = {}  # since when, and how many bytes
         self._background_at_s = now_s
 
@@ -162,12 +177,22 @@ class Budget:
         if kind is Kind.SET:
             if not self.is_behind(now_s) and self._others_turn(now_s):
                 return math.inf
-            if self._set_at_s is not None:
-                wait = max(wait, self._set_at_s + 1.0 / self.max_rate_hz - now_s)
-            return max(wait, 0.0)
+            return max(wait, self._until_set_s(now_s))
         if self.is_behind(now_s):
             return math.inf
+        if kind is Kind.OLDER:
+            return max(wait, self._older_wait_s(cost, now_s))
         return max(wait, self._shares[kind].wait_s(cost, now_s))
+
+    def _until_set_s(self, now_s: float) -> float:
+        """Seconds until the next new picture's set may go, by their greatest rate."""
+        return max(self._set_due_s - now_s, 0.0)
+
+    def _older_wait_s(self, cost: float, now_s: float) -> float:
+        """As `wait_s`: until it takes nothing from the next new set, or its own share has the bytes."""
+        comes = self._until_set_s(now_s) * self.bytes_per_s
+        spare_s = self._all.wait_s(cost + max(self._set_cost - comes, 0.0), now_s)
+        return max(self._older_due_s - now_s, min(spare_s, self._shares[Kind.OLDER].wait_s(cost, now_s)))
 
     def _picture_wait_s(self, cost: float, now_s: float) -> float:
         """As `wait_s`. A piece goes only if the link has carried it before the next set may go."""
@@ -175,7 +200,7 @@ class Budget:
         self._left = min(self._left + max(spilt - self._spilt, 0.0), PACKET_BYTES)
         self._spilt = max(spilt, self._spilt)
         wait = max(min(cost, PACKET_BYTES) - self._left, 0.0) / self.bytes_per_s
-        until_set_s = 0.0 if self._set_at_s is None else self._set_at_s + 1.0 / self.max_rate_hz - now_s
+        until_set_s = self._until_set_s(now_s)
         if until_set_s <= 0.0:
             return math.inf if Kind.SET in self._waiting else wait
         carried_s = max(self._free_at_s - now_s, 0.0) + cost / self.bytes_per_s
@@ -187,9 +212,10 @@ class Budget:
         return int(min(max(between - MESSAGE_OVERHEAD, LEAST_PIECE), most))
 
     def _others_turn(self, now_s: float) -> bool:
-        """Whether status or a reply has waited long and only want of bytes keeps it: sets would take them for good."""
+        """Whether something with a share has waited long and only want of bytes keeps it: new sets would take all."""
         return any(
-            now_s - since_s >= PATIENCE_S and share.wait_s(self.cost(kind, payload_bytes), now_s) <= 0.0
+            now_s >= max(since_s + PATIENCE_S[kind], self._older_due_s if kind is Kind.OLDER else since_s)
+            and share.wait_s(self.cost(kind, payload_bytes), now_s) <= 0.0
             for kind, share in self._shares.items()
             for since_s, payload_bytes in [self._waiting.get(kind, (math.inf, 0))]
         )
@@ -207,6 +233,11 @@ class Budget:
         self._all.take(cost, now_s)
         if kind is Kind.SET:
             self._set_at_s, self._set_cost = now_s, cost
+            interval_s = 1.0 / self.max_rate_hz
+            self._set_due_s = max(self._set_due_s, now_s - interval_s) + interval_s
+        elif kind is Kind.OLDER:
+            self._older_due_s = now_s + 1.0 / (OLDER_A_NEW * self.max_rate_hz)
+            self._shares[kind].owe(cost, now_s)  # of which most was left over: no debt grows of that
         else:
             self._shares[kind].take(cost, now_s)
             if kind is Kind.REPLY:  # both have one share; a report may exhaust it for other reports, never for replies

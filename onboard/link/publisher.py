@@ -11,8 +11,9 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from types import TracebackType
 from typing import Self
 
@@ -25,6 +26,7 @@ from contract.link_config import Tls, link_config
 from contract.picture import LinkPicture
 from contract.supervised_thread import Policy, SupervisedThread
 from contract.topics import (
+    ANSWER_TIMEOUT_S,
     DEFAULT_ENDPOINT,
     DETAIL_PARAMETER,
     FEATURES,
@@ -33,20 +35,23 @@ from contract.topics import (
     QUERY,
     STATUS,
     TIME_PARAMETER,
+    WAIT_PARAMETER,
     Topic,
 )
 from contract.wire.picture_code import cut
 from onboard.config.schema import Config
-from onboard.events.types import Event
+from onboard.events.types import Event, Frame
 from onboard.link.byte_budget import CONNECT_BYTES, PACKET_BYTES, SECURE_CONNECT_BYTES, Budget, Kind
 from onboard.link.packet import MAX_PAYLOAD, one_packet
-from onboard.link.reply import Answer, SetClock, answer, refusal
+from onboard.link.pending_pictures import PendingPictures
+from onboard.link.reply import Answer, Question, SetClock, answer, not_placed, patience_s, refusal
 from onboard.link.set_selection import REPEAT_S, Offer, Selection
 from onboard.link.socket_backlog import Backlog
 
 MAX_WAITING_QUERIES = 16
 REPLIES = (Kind.REPLY, Kind.REPORT)  # the first is answered first
-QUERY_PATIENCE_S = 2.8  # the ground waits 3 s; an answer after that is a waste
+ANSWER_MARGIN_S = 0.2  # before the ground waits no longer: an answer after that is a waste
+PENDING_MARGIN_S = 0.5  # of which the rest is for the refusal of a picture that has no set by then
 IDLE_S = 0.25
 HELD_S = 0.05
 WARN_AGAIN_S = 10.0
@@ -76,8 +81,27 @@ class _Waiting:
     query: zenoh.Query
     key: str
     answer: Answer
-    since_s: float
+    until_s: float  # the ground waits for it
     kind: Kind
+
+
+@dataclass(frozen=True, eq=False)
+class _Parked:
+    """A query for a picture whose set is being made."""
+
+    query: zenoh.Query
+    asked: Question
+    frame: int
+    until_s: float
+
+
+@dataclass(frozen=True)
+class _Message:
+    """What could go now: its bytes, what changes once it may go, and how it is put on the link, outside of the lock."""
+
+    size: int
+    gone: Callable[[], object]
+    put: Callable[[], object]
 
 
 class Publisher:
@@ -114,6 +138,8 @@ class Publisher:
         self._backlog, self._most_backlog = Backlog(), max(BACKLOG_S * rate.max_bit_rate / 8.0, BACKLOG_BYTES)
         self._selection: Selection[bytes] = Selection(min(REPEAT_S, 1.0 / rate.min_rate_hz))
         self._queries: deque[_Waiting] = deque()
+        self._parked: list[_Parked] = []
+        self._pending = PendingPictures()
         self._pieces: deque[bytes] = deque()  # of the picture under way
         self._piece_s = -math.inf  # when it came, or one of them went
         self._needs_parity = not all(e.startswith(STREAMS) for e in (*listen, *connect))
@@ -181,6 +207,7 @@ class Publisher:
             self._history.add(s, packet)
             self._set_clock.captured(s.session, s.capture_unix_ns, time.monotonic_ns())
             self._selection.offer(offer)
+            self._pending.made(s.frame)
             self._wake()
         return packet
 
@@ -214,8 +241,11 @@ class Publisher:
             self._wake()
 
     def event(self, arrival_ns: int, event: Event) -> None:
-        """Events stay on board; their arrivals give the time from which the age of pictures is computed."""
+        """Events stay on board: their arrivals give the time from which the age of pictures is computed, and pictures
+        that were taken are worth waiting for."""
         with self._changed:
+            if isinstance(event, Frame):
+                self._pending.taken(event.index, event.stamp_ns)
             self._set_clock.arrived(arrival_ns, time.monotonic_ns())
 
     def feature_set(self, output: FeatureSet) -> None:
@@ -263,48 +293,56 @@ class Publisher:
             budget = self._budget
             budget.connected(grounds, now_s)
             self._forget_old_queries(now_s)
-            offer = self._selection.next(now_s)
-            first = {kind: next((q for q in self._queries if q.kind is kind), None) for kind in REPLIES}
-            query: _Waiting | None = None
-            status = self._status if self._status_waits else None
             # A link with more than a packet under way has no room to spare, whatever rate is assumed.
-            piece = self._pieces[0] if self._pieces and unacknowledged <= PACKET_BYTES else None
-            budget.waits(Kind.SET, len(offer.item) if offer is not None else None, now_s)
-            budget.waits(Kind.STATUS, len(status) if status is not None else None, now_s)
-            for kind, asked in first.items():
-                budget.waits(kind, len(asked.answer) if asked is not None else None, now_s)
-            if status is not None and budget.send(Kind.STATUS, len(status), now_s):
-                self._status_waits = False
-                offer = piece = None
-            elif (query := _sendable(first, budget, now_s)) is not None:
-                self._queries.remove(query)
-                status = offer = piece = None
-            elif offer is not None and budget.send(Kind.SET, len(offer.item), now_s):
-                self._selection.sent(offer, now_s)
-                status = piece = None
-            elif piece is not None and budget.send(Kind.PICTURE, len(piece), now_s):
-                self._pieces.popleft()
-                self._piece_s = now_s
-                self.pictures += not self._pieces
-                status = offer = None
-            else:
-                wait_s = self._wait_s(now_s, status, first, offer, piece)
-                return min(wait_s, ACKNOWLEDGED_S) if self._pieces and piece is None else wait_s
+            messages = self._messages(now_s, has_room=unacknowledged <= PACKET_BYTES)
+            for kind in Kind:
+                budget.waits(kind, messages[kind].size if kind in messages else None, now_s)
+            message = next((m for kind, m in messages.items() if budget.send(kind, m.size, now_s)), None)
+            if message is None:
+                waits = [budget.wait_s(kind, m.size, now_s) for kind, m in messages.items()]
+                if self._pieces and Kind.PICTURE not in messages:
+                    waits.append(ACKNOWLEDGED_S)
+                return max(min([self._selection.wait_s(now_s) or IDLE_S, IDLE_S, *waits]), 0.001)
+            message.gone()
         try:
-            if status is not None:
-                self._status_publisher.put(status)
-            elif query is not None:
-                _reply(query)
-            elif offer is not None:
-                self._publisher.put(
-                    offer.item, attachment=self._set_clock.said(offer.capture_unix_ns, time.monotonic_ns())
-                )
-                self.sent += 1
-            elif piece is not None:
-                self._picture_publisher.put(piece)
+            message.put()
         except (zenoh.ZError, OSError) as error:  # a link that breaks in use mends itself; the next message will do
             self._warn(_first_clause(error))
         return 0.0
+
+    def _messages(self, now_s: float, *, has_room: bool) -> dict[Kind, _Message]:
+        """What could go now, first what goes first: a click before a report, which is several times as large."""
+        found: dict[Kind, _Message] = {}
+        if self._status_waits:
+            status = self._status
+            found[Kind.STATUS] = _Message(len(status), self._status_gone, partial(self._status_publisher.put, status))
+        for kind in REPLIES:
+            asked = next((query for query in self._queries if query.kind is kind), None)
+            if asked is not None:
+                found[kind] = _Message(len(asked.answer), partial(self._queries.remove, asked), partial(_reply, asked))
+        older = self._selection.next_of_rest(now_s) if has_room else None
+        for kind, offer in ((Kind.SET, self._selection.next(now_s)), (Kind.OLDER, older)):
+            if offer is not None:
+                gone = partial(self._selection.sent, offer, now_s)
+                found[kind] = _Message(len(offer.item), gone, partial(self._put_set, offer))
+        if self._pieces and has_room:
+            piece = self._pieces[0]
+            gone = partial(self._piece_gone, now_s)
+            found[Kind.PICTURE] = _Message(len(piece), gone, partial(self._picture_publisher.put, piece))
+        return found
+
+    def _status_gone(self) -> None:
+        self._status_waits = False
+
+    def _piece_gone(self, now_s: float) -> None:
+        self._pieces.popleft()
+        self._piece_s = now_s
+        self.pictures += not self._pieces
+
+    def _put_set(self, offer: Offer[bytes]) -> None:
+        age = self._set_clock.said(offer.capture_unix_ns, time.monotonic_ns())
+        self._publisher.put(offer.item, attachment=age)
+        self.sent += 1
 
     def _unacknowledged(self, info: zenoh.SessionInfo) -> int:
         """Bytes under way; 0 where it cannot be known, as where no descriptor is left to look with."""
@@ -320,59 +358,50 @@ class Publisher:
             self._warned_s = now_s
             log.warning("link: %s", text)
 
-    def _wait_s(
-        self,
-        now_s: float,
-        status: bytes | None,
-        first: Mapping[Kind, _Waiting | None],
-        offer: Offer[bytes] | None,
-        piece: bytes | None,
-    ) -> float:
-        waits = [self._selection.wait_s(now_s) or IDLE_S, IDLE_S]
-        for kind, size in (
-            (Kind.STATUS, None if status is None else len(status)),
-            *((kind, None if asked is None else len(asked.answer)) for kind, asked in first.items()),
-            (Kind.SET, None if offer is None else len(offer.item)),
-            (Kind.PICTURE, None if piece is None else len(piece)),
-        ):
-            if size is not None:
-                waits.append(self._budget.wait_s(kind, size, now_s))
-        return max(min(waits), 0.001)
-
     def _forget_old_queries(self, now_s: float) -> None:
-        while self._queries and now_s - self._queries[0].since_s > QUERY_PATIENCE_S:
-            self._queries.popleft().query.drop()  # type: ignore[no-untyped-call]
+        """Those whose ground waits no longer; and what was asked before its set was made is answered now."""
+        for waiting in [w for w in self._queries if now_s > w.until_s - ANSWER_MARGIN_S]:
+            self._queries.remove(waiting)
+            waiting.query.drop()  # type: ignore[no-untyped-call]
+        for parked in self._parked:
+            is_made, is_late = parked.frame not in self._pending, now_s > parked.until_s - PENDING_MARGIN_S
+            if is_made or is_late:
+                found = self._answer(parked.asked) if is_made else not_placed(self._vehicle, parked.frame)
+                self._queries.append(_Waiting(parked.query, self._key, found, parked.until_s, Kind.REPLY))
+        queued = {id(waiting.query) for waiting in self._queries}
+        self._parked = [parked for parked in self._parked if id(parked.query) not in queued]
+
+    def _answer(self, asked: Question) -> Answer:
+        return answer(self._history, asked, self._vehicle, self._status, self._set_clock)
 
     def _asked(self, query: zenoh.Query) -> None:
         """A set, or a Status and whose it is. A queryable that raised would look like an absent one."""
-        frame, unix_s = query.parameters.get(FRAME_PARAMETER), query.parameters.get(TIME_PARAMETER)
+        parameters = query.parameters
+        asked = Question(parameters.get(FRAME_PARAMETER), parameters.get(TIME_PARAMETER), time.monotonic_ns())
+        until_s = time.monotonic() + patience_s(parameters.get(WAIT_PARAMETER))
         with self._changed:
-            now_ns = time.monotonic_ns()
-            found = answer(self._history, frame, unix_s, self._vehicle, self._status, self._set_clock, now_ns)
-        self._wait_to_answer(query, self._key, found, Kind.REPLY)
+            frame = asked.pending(self._history, self._pending)
+            if frame is not None and len(self._parked) < MAX_WAITING_QUERIES and not self._is_closed:
+                self._parked.append(_Parked(query, asked, frame, until_s))
+                return
+            found = self._answer(asked)
+        self._wait_to_answer(query, self._key, found, Kind.REPLY, until_s)
 
     def _asked_for_status(self, query: zenoh.Query) -> None:
         is_detailed = DETAIL_PARAMETER in query.parameters
         with self._changed:
             payload = self._status_detail if is_detailed else self._status
         found = Answer(payload) if payload else refusal(Status.STARTING, self._vehicle)
-        self._wait_to_answer(query, self._status_key, found, Kind.REPORT if is_detailed else Kind.REPLY)
+        kind = Kind.REPORT if is_detailed else Kind.REPLY
+        self._wait_to_answer(query, self._status_key, found, kind, time.monotonic() + ANSWER_TIMEOUT_S)
 
-    def _wait_to_answer(self, query: zenoh.Query, key: str, found: Answer, kind: Kind) -> None:
+    def _wait_to_answer(self, query: zenoh.Query, key: str, found: Answer, kind: Kind, until_s: float) -> None:
         with self._changed:
             if len(self._queries) < MAX_WAITING_QUERIES and not self._is_closed:
-                self._queries.append(_Waiting(query, key, found, time.monotonic(), kind))
+                self._queries.append(_Waiting(query, key, found, until_s, kind))
                 self._wake()
                 return
         query.drop()  # type: ignore[no-untyped-call]
-
-
-def _sendable(first: Mapping[Kind, _Waiting | None], budget: Budget, now_s: float) -> _Waiting | None:
-    """The query that is answered now, and paid for: a click before a report, which is several times as large."""
-    for kind, asked in first.items():
-        if asked is not None and budget.send(kind, len(asked.answer), now_s):
-            return asked
-    return None
 
 
 def _reply(waiting: _Waiting) -> None:

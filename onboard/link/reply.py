@@ -12,9 +12,13 @@ from dataclasses import dataclass
 from contract.errors import WireError
 from contract.feature_set import Status
 from contract.history import Entry, History
+from contract.topics import ANSWER_TIMEOUT_S
 from contract.vehicle_status import VehicleStatus, decode_status
+from onboard.link.pending_pictures import PendingPictures
 
 WELL = "ok"
+MOST_PATIENCE_S = 30.0
+PENDING = "placing pictures"
 # States of the daemon in which a missing first set is the camera's fault.
 CAMERA_STATES = ("camera lost", "camera silent", "camera frozen")
 
@@ -29,6 +33,37 @@ class Answer:
 
     def __len__(self) -> int:
         return len(self.payload) + len(self.about)
+
+
+@dataclass(frozen=True)
+class Question:
+    """A query's parameters as they came, and CLOCK_MONOTONIC (ns) when it did: ages are those of then."""
+
+    frame: str | None
+    unix_s: str | None
+    monotonic_ns: int
+
+    @property
+    def frame_number(self) -> int | None:
+        """The picture asked for by its number; None without one, and for what is none."""
+        text = self.frame
+        is_number = text is not None and text.isascii() and text.isdecimal() and len(text) <= 10
+        return int(text) if is_number and text is not None else None
+
+    @property
+    def time_s(self) -> float | None:
+        """The time asked for; None without one, and for what is none."""
+        unix_s = math.nan if self.unix_s is None else _number(self.unix_s)
+        return unix_s if math.isfinite(unix_s) else None
+
+    def pending(self, history: History[bytes], pictures: PendingPictures) -> int | None:
+        """The picture that is asked for, if it was taken and has no set yet, nor another in its place has."""
+        if self.frame is not None:
+            frame = self.frame_number
+            return frame if frame is not None and frame in pictures else None
+        if self.time_s is None or history.nearest_entry(self.time_s) is not None:
+            return None
+        return pictures.nearest(self.time_s)
 
 
 class SetClock:
@@ -63,24 +98,15 @@ class SetClock:
         return None if age_s is None else f"{age_s:.2f}".encode()
 
 
-def answer(
-    history: History[bytes],
-    frame: str | None,
-    unix_s: str | None,
-    vehicle: str,
-    status: bytes,
-    clock: SetClock,
-    monotonic_ns: int,
-) -> Answer:
-    """The answer to a query with the parameters `frame` or `time`, or neither. `status` is the last one's encoding."""
+def answer(history: History[bytes], asked: Question, vehicle: str, status: bytes, clock: SetClock) -> Answer:
+    """The answer to a query. `status` is the last one's encoding."""
     now = _state(status)
     later: Entry[bytes] | None = None
     found: Entry[bytes] | None = None
-    if frame is not None:
-        found = history.entry(int(frame)) if frame.isascii() and frame.isdecimal() and len(frame) <= 10 else None
-    elif unix_s is not None:
-        asked_s = _number(unix_s)
-        found = history.nearest_entry(asked_s) if math.isfinite(asked_s) else None
+    if asked.frame is not None:
+        found = None if asked.frame_number is None else history.entry(asked.frame_number)
+    elif asked.unix_s is not None:
+        found = None if asked.time_s is None else history.nearest_entry(asked.time_s)
     else:
         found, later = history.newest_entry(), history.newest_picture()
         if found is None:
@@ -88,10 +114,22 @@ def answer(
             return refusal(Status.CAMERA_LOST if is_blind else Status.STARTING, vehicle, now)
     if found is None:
         return refusal(Status.UNKNOWN_FRAME, vehicle)
-    about = _aged(found, clock, monotonic_ns)
+    about = _aged(found, clock, asked.monotonic_ns)
     if later is not None and later is not found:
-        about["newest"] = {"frame": later.frame, "status": later.status.value} | _aged(later, clock, monotonic_ns)
+        about["newest"] = {"frame": later.frame, "status": later.status.value} | _aged(later, clock, asked.monotonic_ns)
     return Answer(found.item, _json(about | _said(now)))
+
+
+def not_placed(vehicle: str, frame: int) -> Answer:
+    """The refusal of a picture that still has no set when its ground waits no longer."""
+    said: dict[str, object] = {"status": Status.UNKNOWN_FRAME.value, "vehicle": vehicle, "state": PENDING}
+    return Answer(_json(said | {"reason": f"picture {frame} has no set yet: ask again"}), is_error=True)
+
+
+def patience_s(said: str | None) -> float:
+    """How long a ground waits for its answer, s, as it says itself; not for good."""
+    seconds = math.nan if said is None else _number(said)
+    return min(max(seconds, 0.0), MOST_PATIENCE_S) if math.isfinite(seconds) else ANSWER_TIMEOUT_S
 
 
 def refusal(status: Status, vehicle: str, now: VehicleStatus | None = None) -> Answer:

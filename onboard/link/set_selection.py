@@ -1,4 +1,8 @@
-"""Which set goes out next, when not all can. Pure logic, time is passed in."""
+"""Which set goes out next, when not all can. Pure logic, time is passed in.
+
+There are two queues. Of new pictures only the newest waits, for the next moment. The rest, better revisions of older
+pictures and pictures that were overtaken before their turn came, goes in bytes that new pictures leave.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +14,13 @@ T = TypeVar("T", bound=Hashable)
 
 # With nothing newer, the newest set is sent again after this: it may have been sent into a link that was cut.
 REPEAT_S = 2.0
-# Better revisions of older pictures wait until the newest picture is not older than this on the ground.
+# Older pictures wait until the newest picture is not older than this on the ground.
 FRESH_S = 1.0
 # Refusals give way to a set that answers and is at most this much older.
 ANSWER_LEAD_NS = 1_000_000_000
 # Pictures older than this are only answered when asked for.
 MEMORY_NS = 15_000_000_000
-MAX_REVISED = 512
+MAX_REST = 512
 
 
 @dataclass(frozen=True)
@@ -33,10 +37,11 @@ class Offer(Generic[T]):
 
 
 class Selection(Generic[T]):
-    """Which set goes next. The newest that answers first; between two of those, the best revision of an older picture.
+    """Which set goes next: `next` of the newest pictures, the newest that answers first; `next_of_rest` of older ones.
 
-    Revisions go keyframes first, then where on the time line least has been sent, so that what the ground holds is
-    spread evenly. What is not chosen is not lost: it answers queries from the history.
+    Of the rest keyframes go first, then revisions, for an overtaken picture is soon revised; then pictures of which the
+    ground has nothing, and those where on the time line least has been sent, so that what the ground holds is spread
+    evenly. What is not chosen is not lost: it answers queries from the history.
     """
 
     def __init__(self, repeat_s: float = REPEAT_S) -> None:
@@ -47,18 +52,18 @@ class Selection(Generic[T]):
     def _begin(self) -> None:
         self._answer: Offer[T] | None = None  # the newest that answers, unsent
         self._refusal: Offer[T] | None = None  # the newest that does not, unsent
-        self._revised: dict[int, Offer[T]] = {}  # of older pictures, by frame, unsent
-        self._revised_ns: list[int] = []  # captures of the revisions that were sent
+        self._rest: dict[int, Offer[T]] = {}  # of older pictures, by frame, unsent
+        self._known_ns: dict[int, int] = {}  # captures of the answers that were sent, by frame
+        self._rest_ns: list[int] = []  # captures of the rest that was sent
         self._repeated: Offer[T] | None = None  # the newest of all
         self._newest_ns = 0
         self._sent_ns = self._sent_answer_ns = 0  # newest capture sent, and of those that answer
         self._fresh_at_s: float | None = None
-        self._turn_of_revised = False
 
     @property
     def waiting(self) -> bool:
         """Whether there is a set that was never sent."""
-        return self._answer is not None or self._refusal is not None or bool(self._revised)
+        return self._answer is not None or self._refusal is not None or bool(self._rest)
 
     def offer(self, offered: Offer[T]) -> None:
         """Take a set; one of a new session puts all others away."""
@@ -74,25 +79,25 @@ class Selection(Generic[T]):
             if o.capture_unix_ns >= newest_ns and not (o.revision and o.capture_unix_ns == self._sent_ns):
                 self._refusal = o
         elif self._is_fresh(o):
-            displaced, self._answer = self._answer, o
-            if displaced is not None and displaced.frame != o.frame and displaced.revision:
-                self._revised[displaced.frame] = displaced
-        elif o.revision:
-            known = self._revised.get(o.frame)
-            if known is None or known.revision <= o.revision:
-                self._revised[o.frame] = o
+            overtaken, self._answer = self._answer, o
+            if overtaken is not None and overtaken.frame != o.frame:
+                self._keep_for_later(overtaken)
+        elif o.revision or o.frame not in self._known_ns:
+            self._keep_for_later(o)
         self._forget()
 
     def next(self, now_s: float) -> Offer[T] | None:
-        """What should go out now; the same again until `sent`. None: nothing is worth sending yet."""
+        """The newest picture's set, or again what was the newest; the same until `sent`. None: nothing new is there."""
         fresh = self._fresh()
-        is_fresh_enough = self._fresh_at_s is not None and now_s - self._fresh_at_s < FRESH_S
-        if self._revised and (fresh is None or (self._turn_of_revised and is_fresh_enough)):
-            return self._best_revised()
         if fresh is not None:
             return fresh
         wait_s = self.wait_s(now_s)
         return self._repeated if wait_s is not None and wait_s <= 0.0 else None
+
+    def next_of_rest(self, now_s: float) -> Offer[T] | None:
+        """The older picture's set that is worth most; None also while the newest on the ground is too old for that."""
+        is_fresh_enough = self._fresh_at_s is not None and now_s - self._fresh_at_s < FRESH_S
+        return self._best_of_rest() if self._rest and (is_fresh_enough or self._fresh() is None) else None
 
     def wait_s(self, now_s: float) -> float | None:
         """Seconds until the newest is due to be sent again; None: there is none, or others are waiting."""
@@ -103,21 +108,25 @@ class Selection(Generic[T]):
     def sent(self, offered: Offer[T], now_s: float) -> None:
         """It went out."""
         o = offered
-        self._turn_of_revised = o.capture_unix_ns >= self._sent_ns
-        if self._turn_of_revised or o is self._repeated:
+        if o.capture_unix_ns >= self._sent_ns or o is self._repeated:
             self._fresh_at_s = now_s
         self._sent_ns = max(self._sent_ns, o.capture_unix_ns)
         if o.is_ok:
             self._sent_answer_ns = max(self._sent_answer_ns, o.capture_unix_ns)
-            if o.revision:
-                self._revised_ns.append(o.capture_unix_ns)
-            held = self._revised.get(o.frame)
+            self._known_ns[o.frame] = o.capture_unix_ns
+            held = self._rest.get(o.frame)
             if held is not None and held.revision <= o.revision:
-                del self._revised[o.frame]
+                del self._rest[o.frame]
+                self._rest_ns.append(o.capture_unix_ns)
         if self._answer is o:
             self._answer = None
         if self._refusal is not None and self._refusal.capture_unix_ns <= self._sent_ns:
             self._refusal = None
+
+    def _keep_for_later(self, o: Offer[T]) -> None:
+        held = self._rest.get(o.frame)
+        if held is None or held.revision <= o.revision:
+            self._rest[o.frame] = o
 
     def _is_fresh(self, o: Offer[T]) -> bool:
         if o.capture_unix_ns < self._sent_answer_ns:
@@ -131,22 +140,23 @@ class Selection(Generic[T]):
             return answer or refusal
         return refusal if refusal.capture_unix_ns - answer.capture_unix_ns > ANSWER_LEAD_NS else answer
 
-    def _best_revised(self) -> Offer[T]:
-        def worth(o: Offer[T]) -> tuple[bool, int, int]:
-            gap = min((abs(o.capture_unix_ns - at) for at in self._revised_ns), default=MEMORY_NS)
-            return o.is_keyframe, gap, o.capture_unix_ns
+    def _best_of_rest(self) -> Offer[T]:
+        def worth(o: Offer[T]) -> tuple[bool, bool, bool, int, int]:
+            gap = min((abs(o.capture_unix_ns - at) for at in self._rest_ns), default=MEMORY_NS)
+            return o.is_keyframe, o.revision > 0, o.frame not in self._known_ns, gap, o.capture_unix_ns
 
-        return max(self._revised.values(), key=worth)
+        return max(self._rest.values(), key=worth)
 
     def _forget(self) -> None:
         oldest = self._newest_ns - MEMORY_NS
-        old = [frame for frame, o in self._revised.items() if o.capture_unix_ns < oldest]
-        surplus = len(self._revised) - len(old) - MAX_REVISED
+        old = [frame for frame, o in self._rest.items() if o.capture_unix_ns < oldest]
+        surplus = len(self._rest) - len(old) - MAX_REST
         for frame in old:
-            del self._revised[frame]
-        for frame in sorted(self._revised)[: max(surplus, 0)]:
-            del self._revised[frame]
-        self._revised_ns = [at for at in self._revised_ns if at >= oldest]
+            del self._rest[frame]
+        for frame in sorted(self._rest)[: max(surplus, 0)]:
+            del self._rest[frame]
+        self._rest_ns = [at for at in self._rest_ns if at >= oldest]
+        self._known_ns = {frame: at for frame, at in self._known_ns.items() if at >= oldest}
 
 
 def _precedes(held: Offer[T], new: Offer[T]) -> bool:

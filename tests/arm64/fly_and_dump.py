@@ -19,7 +19,7 @@ import numpy as np
 
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
-from ground.locate import locate
+from contract.locate import locate
 from onboard.config.files import load_config_files
 from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.runner import Flight

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from contract.geodesy import LocalFrame
-from ground.locate import locate
+from contract.locate import locate
 from ground.recording import Recording
 from onboard.camera import v4l2_structures
 from simulation.flight import RecordedSpec

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from contract.answer import Ellipse, Fix
 from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
-from ground.answer import Ellipse, Fix
 from ground.client import SetCache
 from tests.bench import flight as flights
 from tests.bench.cameras import LOOPBACK

@@ -22,11 +22,11 @@ import numpy as np
 
 from contract.errors import InputError, WireError
 from contract.feature_set import FeatureSet, Status
+from contract.locate import Locator
 from contract.vehicle_status import VehicleStatus, decode_status, encode_status
 from contract.wire.codec import decode, encode
 from contract.wire.picture_code import cut, read_piece
 from ground.link_pictures import PictureCache
-from ground.locate import Locator
 from ground.recording import Recording
 from onboard.events.types import Attitude, Frame, GpsQuality, PositionFix
 from onboard.storage.mcap_reader import RecordedFlight

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from contract.answer import Fix
 from contract.camera import Camera
 from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, Status
 from contract.geodesy import LocalFrame
+from contract.locate import Locator
 from contract.rolling_shutter import RollingShutter, row_share
 from contract.rotations import exp_so3
 from contract.wire.codec import decode, encode
-from ground.answer import Fix
-from ground.locate import Locator
 from ground.web.view import placed_in
 
 Array = NDArray[np.float64]

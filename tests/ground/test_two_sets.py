@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from contract.answer import CHI2_2, Fix
 from contract.feature_set import ALIGNMENT, ATTITUDE, GROUND, NUISANCES, POSITION, FeatureSet, SharedErrors
-from ground.answer import CHI2_2, Fix
-from ground.locate import Locator
+from contract.locate import Locator
 from ground.two_sets import common_cross_covariance, difference_covariance, nuisance_correlations
 from tests.ground.worlds import Errors, World, build
 

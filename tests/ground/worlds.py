@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.answer import Fix
 from contract.camera import Camera
 from contract.feature_set import NUISANCES, FeatureSet, HeightDatum, SharedErrors, Status
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, matrix_from_euler, mount_rotation
-from ground.answer import Fix
 
 Array = NDArray[np.float64]
 

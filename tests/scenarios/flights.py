@@ -22,11 +22,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.answer import Fix
 from contract.camera import Camera
 from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
-from ground.answer import Fix
-from ground.locate import Locator
+from contract.locate import Locator
 from onboard.config.schema import Config
 from onboard.events.types import Event, Frame
 from onboard.pipeline.pipeline import Pipeline

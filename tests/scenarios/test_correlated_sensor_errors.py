@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.drawn_flight import EPOCH_NS, DrawnFlight, DrawnSpec, fly
+from contract.answer import CHI2_2
 from contract.rotations import R_ENU_NED, exp_so3, matrix_from_euler, matrix_from_quaternion, quaternion_from_matrix
-from ground.answer import CHI2_2
 from onboard.config.schema import parse_config
 from onboard.events.types import Attitude, Event, GpsQuality, PositionFix
 from simulation.paths import PathSpec

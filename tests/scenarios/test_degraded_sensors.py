@@ -14,9 +14,9 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.drawn_flight import EPOCH_NS, PLACE, DrawnFlight, DrawnSpec, fly
+from contract.answer import Fix
 from contract.feature_set import FeatureSet, Status
-from ground.answer import Fix
-from ground.locate import Locator
+from contract.locate import Locator
 from onboard.camera.stamp_consistency import StampConsistency
 from onboard.config.schema import parse_config
 from onboard.events.types import Event, Frame, GpsQuality, PositionFix

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from benchmarks.drawn_flight import EPOCH_NS, PLACE, DrawnFlight, DrawnSpec, fly, replace_section
 from benchmarks.sensor_faults import ATTITUDE_TIME, HEADING, POSITION, TILT, VELOCITY, Disturbance, disturbed
-from ground.answer import CHI2_2
+from contract.answer import CHI2_2
 from onboard.config.schema import parse_config
 from onboard.events.types import Event
 from onboard.pipeline.estimates import Contradiction

@@ -16,8 +16,8 @@ from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, DrawnTracker
 from benchmarks.platform_faults import FAULTS
 from contract.camera import UNKNOWN_SIGMA, Camera
 from contract.feature_set import FeatureSet, Status
+from contract.locate import Fix, Locator
 from contract.wire.codec import decode, encode
-from ground.locate import Fix, Locator
 from onboard.config.schema import parse_config
 from onboard.estimation.solver_executor import Done, Inline, Promise
 from onboard.estimation.window_request import Request

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.drawn_flight import DrawnFlight, DrawnSpec, fly, replace_section
-from ground.answer import CHI2_2
+from contract.answer import CHI2_2
 from onboard.config.schema import parse_config
 from onboard.estimation.ground_slope import SlopePrior
 from onboard.estimation.sensor_factors import level_sigma

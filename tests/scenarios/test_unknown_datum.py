@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, fly
-from ground.answer import Fix
-from ground.locate import Locator
+from contract.answer import Fix
+from contract.locate import Locator
 from onboard.config.schema import parse_config
 from onboard.events.types import Event, GpsQuality, PositionFix
 from simulation.paths import PathSpec

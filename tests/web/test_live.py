@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import pytest
 
+from contract.answer import Fix
+from contract.locate import Locator
 from contract.vehicle_status import VehicleStatus, encode_status
-from ground.answer import Fix
-from ground.locate import Locator
 from ground.web.clicks import Clicker
 from ground.web.live import LiveSource
 from onboard.link.publisher import Publisher, Rate

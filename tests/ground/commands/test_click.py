@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from contract.answer import Fix, time_utc
 from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
+from contract.locate import locate
 from contract.wire.codec import decode, encode
 from ground.__main__ import main
-from ground.answer import Fix, time_utc
-from ground.locate import locate
 from tests.ground.recorded import record
 from tests.ground.worlds import CAMERA, build
 

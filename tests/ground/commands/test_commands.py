@@ -18,13 +18,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from contract.answer import Fix
 from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
+from contract.locate import Locator
 from contract.wire.codec import decode, encode
 from ground.__main__ import COMMANDS, main
 from ground.accuracy_figures import coverage_interval, figures
-from ground.answer import Fix
-from ground.locate import Locator
 from tests.ground.recorded import record
 from tests.ground.worlds import CAMERA, World, build
 

@@ -15,12 +15,12 @@ import pytest
 import zenoh
 
 from contract.link_config import link_config
+from contract.locate import Locator
 from contract.topics import FEATURES, STATUS
 from contract.vehicle_status import VehicleStatus, encode_status
 from contract.wire.codec import encode
 from ground.__main__ import main
 from ground.link_recorder import LinkRecorder
-from ground.locate import Locator
 from ground.recording import Recording
 from onboard.link.certificates import make_credentials
 from tests.ground.worlds import build

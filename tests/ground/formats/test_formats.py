@@ -20,9 +20,9 @@ import pyproj
 import pytest
 import takproto
 
+from contract.answer import Ellipse, Refusal
 from contract.errors import InputError
 from contract.feature_set import Status
-from ground.answer import Ellipse, Refusal
 from ground.formats import cot, geojson, gpx, kml, table
 from ground.formats.coordinates import LocalGrid, Projection, latlon_text, mgrs_text, utm_text
 from ground.formats.documents import FORMATS, json_line, read_pins, text_line

@@ -8,9 +8,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.answer import Fix
 from contract.feature_set import ALIGNMENT, ATTITUDE, GROUND, NUISANCES, POSITION, SharedErrors
-from ground.answer import Fix
-from ground.locate import Locator
+from contract.locate import Locator
 from ground.pins.model import PinClick
 from tests.ground.worlds import ORIGIN, Errors, build
 

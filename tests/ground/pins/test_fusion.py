@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ground.answer import CHI2_2
+from contract.answer import CHI2_2
 from ground.pins.fusion import Contradiction, Place, Unplaced, Vector, fuse, vector
 from ground.pins.model import PinClick
 from ground.two_sets import SetErrors, common_cross_covariance

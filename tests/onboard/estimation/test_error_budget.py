@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.drawn_flight import DrawnFlight, DrawnSpec, DrawnTracker
+from contract.answer import Fix
 from contract.error_sources import ABOUT, Cause
+from contract.locate import Locator
 from contract.rotations import exp_so3, log_so3
 from contract.wire.codec import decode, encode
-from ground.answer import Fix
-from ground.locate import Locator
 from onboard.config.schema import parse_config
 from onboard.estimation import window_solver
 from onboard.estimation.bundle_adjustment import Problem, solve

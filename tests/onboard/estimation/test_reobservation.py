@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, fly, replace_section
+from contract.answer import CHI2_2, Fix
 from contract.feature_set import FeatureSet, Status
+from contract.locate import Locator
 from contract.rotations import exp_so3
-from ground.answer import CHI2_2, Fix
-from ground.locate import Locator
 from ground.two_sets import difference_covariance
 from onboard.config.schema import Config, parse_config
 from onboard.estimation import sliding_window

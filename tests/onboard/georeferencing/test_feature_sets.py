@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from contract.answer import CHI2_2, Fix
 from contract.feature_set import FeatureSet, Status
+from contract.locate import Locator
 from contract.rotations import log_so3
 from contract.wire.codec import decode, encode
-from ground.answer import CHI2_2, Fix
-from ground.locate import Locator
 from onboard.config.schema import Config
 from onboard.estimation import variance_components
 from onboard.estimation.keyframe import observation

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ground.locate import MAX_OUTSIDE
+from contract.locate import MAX_OUTSIDE
 from onboard.estimation.rolling_shutter import Moving
 from onboard.estimation.solved_window import Solved
 from onboard.geometry.plane_homography import Pose

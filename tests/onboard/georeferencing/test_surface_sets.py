@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from contract.answer import CHI2_2, Fix
 from contract.camera import Camera
 from contract.feature_set import ATTITUDE, NUISANCES, POSITION, DepthSource, FeatureSet, SharedErrors, Status
 from contract.geodesy import LocalFrame
+from contract.locate import Locator
 from contract.rotations import R_ENU_NED, exp_so3, matrix_from_euler, mount_rotation
-from ground.answer import CHI2_2, Fix
-from ground.locate import Locator
 from onboard.estimation.sensor_pose import SensorPose
 from onboard.geometry.terrain_grid import Terrain
 from onboard.georeferencing.feature_sets import Origin, Picture

@@ -7,19 +7,21 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 import zenoh
 
+from contract.answer import Fix, Refusal
 from contract.errors import LinkError
 from contract.feature_set import FeatureSet, Status
 from contract.link_config import link_config
 from contract.supervised_thread import ThreadState
 from contract.wire.codec import decode, encode
 from ground.__main__ import main
-from ground.answer import Fix, Refusal
 from ground.client import SetCache, ask
+from onboard.events.types import Frame
 from onboard.link.publisher import Publisher, Rate
 from onboard.link.socket_backlog import Backlog
 from tests.contract.sets import plain_set
@@ -89,6 +91,36 @@ def test_a_query_for_a_frame_or_a_time_gets_that_set(publisher: Publisher, endpo
     assert refused(ask(endpoint, frame=99)) is Status.UNKNOWN_FRAME
     assert got(ask(endpoint, unix_s=START_NS / 1e9 + 2.4)).frame == 2
     assert refused(ask(endpoint, unix_s=START_NS / 1e9 + 5.6)) is Status.UNKNOWN_FRAME
+
+
+def test_a_picture_whose_set_is_being_made_is_answered_when_it_is_there(publisher: Publisher, endpoint: str) -> None:
+    publisher.publish(a_set(0))
+    for frame in (1, 2, 3):
+        publisher.event(START_NS + frame * 10**9, Frame(START_NS + frame * 10**9, frame, None))
+    with ThreadPoolExecutor() as pool:
+        by_number = pool.submit(ask, endpoint, frame=1)
+        by_time = pool.submit(ask, endpoint, unix_s=START_NS / 1e9 + 2.1)
+        assert eventually(lambda: len(publisher._parked) == 2)
+        publisher.publish(a_set(3))
+        assert refused(ask(endpoint, frame=99)) is Status.UNKNOWN_FRAME  # never taken: nothing to wait for
+        assert not by_number.done() and not by_time.done()
+        publisher.publish(a_set(2, status=Status.TURNING))
+        publisher.publish(a_set(1))
+        assert got(by_number.result(10.0)).frame == 1
+        assert got(by_time.result(10.0)).status is Status.TURNING
+
+
+def test_a_picture_that_gets_no_set_while_its_ground_waits_is_refused_with_the_reason(
+    publisher: Publisher, endpoint: str
+) -> None:
+    publisher.event(START_NS, Frame(START_NS, 4, None))
+    with zenoh.open(zenoh.Config.from_json5(link_config("client", connect=[endpoint]))) as session:
+        began_s = time.monotonic()
+        replies = list(session.get("pc/uav-1/features?frame=4;wait=1.5", timeout=10.0))
+        took_s = time.monotonic() - began_s
+    (said,) = [json.loads(reply.err.payload.to_bytes()) for reply in replies if reply.err]
+    assert (said["status"], said["state"]) == ("unknown_frame", "placing pictures") and "picture 4" in said["reason"]
+    assert 0.9 <= took_s < 5.0
 
 
 def test_a_later_revision_replaces_the_earlier_and_not_the_other_way(publisher: Publisher, endpoint: str) -> None:

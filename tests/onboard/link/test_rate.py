@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import itertools
+import random
+from functools import partial
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from onboard.link.byte_budget import BURST_S, CONNECT_BYTES, PACKET_BYTES, Budget, Kind
+from onboard.link.byte_budget import BURST_S, CONNECT_BYTES, OLDER_SHARE, PACKET_BYTES, Budget, Kind
 from onboard.link.set_selection import Offer, Selection
-from tests.onboard.link.virtual import START_NS, Radio, an_offer, flight, run, sets
+from tests.onboard.link.virtual import START_NS, Delivered, Radio, an_offer, flight, run, sets
 
 
 @settings(deadline=None, max_examples=25)
@@ -63,10 +65,68 @@ def test_sets_come_at_least_at_the_least_rate_where_the_budget_allows_it(
 
 
 def test_the_usual_link_carries_the_greatest_rate_and_a_slow_one_less() -> None:
-    usual = sets(run(Budget(32000.0, 0.2, 5.0, 0.0), flight(20.0), 20.0, 600, 300))
-    assert 85 <= len(usual) <= 101
+    usual = run(Budget(32000.0, 0.2, 5.0, 0.0), flight(20.0), 20.0, 600, 300)
+    assert 85 <= sum(s.kind is Kind.SET for s in usual) <= 101
     slow = sets(run(Budget(8000.0, 0.2, 5.0, 0.0), flight(20.0), 20.0, 600, 300))
     assert 12 <= len(slow) <= 26
+
+
+@pytest.mark.parametrize(
+    ("camera_hz", "bit_rate", "reached", "revised", "p95_s"),
+    [
+        (5.0, 32_000.0, (0.99, 1.0), (0.15, 0.35), 0.1),  # the defaults
+        (5.0, 64_000.0, (0.99, 1.0), (0.40, 0.55), 0.1),
+        (2.0, 32_000.0, (0.99, 1.0), (0.95, 1.0), 0.1),
+    ],
+)
+def test_the_newest_pictures_set_goes_at_once_and_the_rest_as_the_rate_allows(
+    camera_hz: float, bit_rate: float, reached: tuple[float, float], revised: tuple[float, float], p95_s: float
+) -> None:
+    """While new pictures and revisions took turns, of 5 a second at 32 kbit/s 74 % came, those in up to 3.3 s."""
+    offers = flight(60.0, camera_hz)
+    found = Delivered.of(offers, run(Budget(bit_rate, 0.2, 5.0, 0.0), offers, 60.0, 480, 300), 44.0)
+    assert reached[0] <= found.reached <= reached[1]
+    assert revised[0] <= found.revised <= revised[1]
+    assert found.wait_s(0.5) <= 0.1 and found.wait_s(0.95) <= p95_s
+
+
+def test_of_a_faster_camera_the_newest_go_at_once_at_the_greatest_rate_and_others_besides() -> None:
+    offers = flight(60.0, 10.0)
+    sent = run(Budget(32000.0, 0.2, 5.0, 0.0), offers, 60.0, 480, 300)
+    newest = Delivered.of(offers, [s for s in sent if s.kind is Kind.SET], 44.0)
+    assert 0.48 <= newest.reached <= 0.51 and newest.wait_s(0.95) <= 0.1
+    assert 0.54 <= Delivered.of(offers, sent, 44.0).reached <= 0.65
+
+
+def test_sets_that_are_made_unevenly_reach_the_ground_all_the_same() -> None:
+    """Telemetry and solves hold some back by a quarter of a second."""
+    offers = flight(60.0, 5.0, made_s=partial(random.Random(3).uniform, 0.05, 0.3))
+    found = Delivered.of(offers, run(Budget(32000.0, 0.2, 5.0, 0.0), offers, 60.0, 480, 300), 44.0)
+    assert found.reached >= 0.98 and 0.15 <= found.revised <= 0.35
+    assert found.wait_s(0.5) <= 0.1 and found.wait_s(0.95) <= 0.5
+
+
+@pytest.mark.parametrize("bit_rate", [8_000.0, 16_000.0])
+def test_where_new_pictures_take_all_older_ones_still_get_their_share(bit_rate: float) -> None:
+    sent = run(Budget(bit_rate, 0.2, 5.0, 0.0), flight(120.0, 10.0), 120.0, 480, 300)
+    older = sum(s.wire_bytes for s in sent if s.kind is Kind.OLDER) / 120.0
+    assert 0.3 * OLDER_SHARE <= older / (bit_rate / 8.0) <= 1.2 * OLDER_SHARE
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    max_bit_rate=st.floats(8000.0, 500_000.0),
+    max_rate_hz=st.floats(0.2, 30.0),
+    rate_hz=st.sampled_from([1.0, 10.0, 30.0]),
+    window_s=st.floats(0.1, 8.0),
+)
+def test_no_window_of_time_has_more_new_sets_than_the_greatest_rate_nor_half_as_many_older_ones(
+    max_bit_rate: float, max_rate_hz: float, rate_hz: float, window_s: float
+) -> None:
+    sent = run(Budget(max_bit_rate, 0.2, max_rate_hz, 0.0), flight(10.0, rate_hz), 10.0, 480, 300)
+    for kind, most in ((Kind.SET, window_s * max_rate_hz + 2.0), (Kind.OLDER, 0.5 * window_s * max_rate_hz + 1.0)):
+        times = [s.at_s for s in sent if s.kind is kind]
+        assert all(sum(began <= at <= began + window_s for at in times) <= most + 1e-6 for began in times)
 
 
 def test_replies_do_not_silence_sets_and_are_not_silenced_by_them() -> None:
@@ -109,13 +169,13 @@ def test_the_ground_is_never_without_the_newest_picture_for_long() -> None:
 
 
 def test_revisions_of_keyframes_go_first_and_lie_evenly_in_time() -> None:
-    sent = sets(run(Budget(32000.0, 0.2, 5.0, 0.0), flight(20.0), 20.0))
+    sent = sets(run(Budget(64000.0, 0.2, 5.0, 0.0), flight(20.0), 20.0))
     revised = [offer for _, offer in sent if offer.revision]
     keyframes = [offer for offer in revised if offer.is_keyframe]
     assert len(revised) >= 35 and len(keyframes) >= 0.9 * len(revised)
     times = sorted(offer.capture_unix_ns for offer in keyframes)
     gaps_s = [(later - earlier) / 1e9 for earlier, later in itertools.pairwise(times)]
-    assert max(gaps_s) <= 2.0  # keyframes lie 0.33 s apart, every second one goes
+    assert max(gaps_s) <= 2.0  # keyframes lie 0.33 s apart, four of five go
 
 
 def test_with_nothing_new_the_newest_is_said_again_every_two_seconds() -> None:
@@ -151,7 +211,37 @@ def test_a_picture_placed_late_is_still_the_newest_that_answers() -> None:
     chosen = selection.next(1.0)
     assert chosen is not None and (chosen.frame, chosen.revision) == (4, 1)
     selection.sent(chosen, 1.0)
-    assert [selection.next(1.1).frame] == [0]  # type: ignore[union-attr]  farthest from what was sent
+    assert selection.next(1.1) is None
+    rest = selection.next_of_rest(1.1)
+    assert rest is not None and rest.revision == 1 and rest.frame != 4
+
+
+def test_a_picture_overtaken_before_its_turn_waits_with_the_older_ones_and_not_in_place_of_its_revision() -> None:
+    selection: Selection[str] = Selection()
+    for frame in range(3):
+        selection.offer(an_offer(frame, frame / 10.0))
+    newest = selection.next(0.3)
+    assert newest is not None and newest.frame == 2
+    selection.sent(newest, 0.3)
+    selection.offer(an_offer(0, 0.0, revision=1))
+    found = []
+    while (rest := selection.next_of_rest(0.4)) is not None:
+        found.append(rest.item)
+        selection.sent(rest, 0.4)
+    assert found == ["0.1", "1.0"]
+
+
+def test_while_the_newest_on_the_ground_is_old_older_pictures_wait_for_one_that_waits_too() -> None:
+    selection: Selection[str] = Selection()
+    selection.offer(an_offer(1, 1.0))
+    selection.offer(an_offer(0, 0.0, revision=1))
+    chosen = selection.next(0.0)
+    assert chosen is not None
+    selection.sent(chosen, 0.0)
+    assert selection.next_of_rest(5.0) is not None  # nothing newer is there
+    selection.offer(an_offer(3, 3.0))
+    assert selection.next_of_rest(0.9) is not None
+    assert selection.next_of_rest(1.1) is None
 
 
 def test_a_later_revision_replaces_the_earlier_while_both_wait() -> None:
@@ -184,11 +274,11 @@ def test_any_order_of_offers_is_survived_and_memory_stays_bounded(
     for count, (frame, revision, is_ok, is_keyframe) in enumerate(offers):
         now_s += 0.03
         selection.offer(an_offer(frame, frame / 30.0, revision, is_ok, is_keyframe))
-        if count % 3 == 0 and (chosen := selection.next(now_s)) is not None:
+        if count % 3 == 0 and (chosen := selection.next(now_s) or selection.next_of_rest(now_s)) is not None:
             selection.sent(chosen, now_s)
     for _ in range(len(offers) + 2):
         now_s += 0.1
-        if (chosen := selection.next(now_s)) is not None:
+        if (chosen := selection.next(now_s) or selection.next_of_rest(now_s)) is not None:
             selection.sent(chosen, now_s)
     assert not selection.waiting
 
@@ -220,8 +310,8 @@ def test_after_a_cut_the_newest_picture_is_there_within_a_second_or_two(
     run(Budget(32000.0, 0.2, 5.0, 0.0), flight(cut_s + 20.0, 10.0), cut_s + 20.0, 600, 300, radio=radio)
     assert max(radio.ages_s(1.0, 10.0)) < 0.8
     assert max(radio.ages_s(10.0, 10.0 + cut_s)) > cut_s - 0.8
-    assert max(radio.ages_s(10.0 + cut_s + 1.0, cut_s + 20.0)) < 1.5
-    assert max(radio.ages_s(10.0 + cut_s + 2.5, cut_s + 20.0)) < 0.8
+    assert max(radio.ages_s(10.0 + cut_s + 1.1, cut_s + 20.0)) < 1.5
+    assert max(radio.ages_s(10.0 + cut_s + 2.5, cut_s + 20.0)) < 0.9
 
 
 def test_without_holding_back_a_cut_would_be_paid_for_long_after(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from onboard.link.byte_budget import PACKET_BYTES, Budget, Kind
@@ -107,7 +108,10 @@ def run(
             radio.advance(now_s)
             if radio.unacknowledged() > max(BACKLOG_S * budget.bytes_per_s, BACKLOG_BYTES):
                 continue
-        budget.waits(Kind.SET, set_bytes if selection.waiting else None, now_s)
+        is_clear = radio is None or radio.unacknowledged() <= PACKET_BYTES
+        chosen, older = selection.next(now_s), selection.next_of_rest(now_s) if is_clear else None
+        budget.waits(Kind.SET, set_bytes if chosen is not None else None, now_s)
+        budget.waits(Kind.OLDER, set_bytes if older is not None else None, now_s)
         budget.waits(Kind.STATUS, status_bytes if status_bytes and now_s >= status_due else None, now_s)
         budget.waits(Kind.REPLY, set_bytes if replies_hz and now_s >= replies_due else None, now_s)
         if status_bytes and now_s >= status_due and budget.send(Kind.STATUS, status_bytes, now_s):
@@ -116,26 +120,55 @@ def run(
         if replies_hz and now_s >= replies_due and budget.send(Kind.REPLY, set_bytes, now_s):
             sent.append(Sent(now_s, Kind.REPLY, budget.cost(Kind.REPLY, set_bytes)))
             replies_due = now_s + 1.0 / replies_hz
-        chosen = selection.next(now_s)
-        if chosen is not None and budget.send(Kind.SET, set_bytes, now_s):
-            selection.sent(chosen, now_s)
-            sent.append(Sent(now_s, Kind.SET, budget.cost(Kind.SET, set_bytes), chosen))
-        is_clear = radio is None or radio.unacknowledged() <= PACKET_BYTES
+        for kind, offer in ((Kind.SET, chosen), (Kind.OLDER, older)):
+            if offer is not None and budget.send(kind, set_bytes, now_s):
+                selection.sent(offer, now_s)
+                sent.append(Sent(now_s, kind, budget.cost(kind, set_bytes), offer))
         while piece_bytes and is_clear and budget.send(Kind.PICTURE, piece_bytes, now_s):
             sent.append(Sent(now_s, Kind.PICTURE, budget.cost(Kind.PICTURE, piece_bytes)))
     return sent
 
 
-def flight(duration_s: float, rate_hz: float = 30.0, revised_after_s: float = 3.0) -> list[tuple[float, Offer[str]]]:
-    """Every picture at once, and again when the window has seen past it; every tenth is a keyframe."""
+def flight(
+    duration_s: float, rate_hz: float = 30.0, revised_after_s: float = 3.0, made_s: Callable[[], float] = lambda: 0.05
+) -> list[tuple[float, Offer[str]]]:
+    """Every picture after `made_s`, and again when the window has seen past it; every tenth is a keyframe."""
     offers: list[tuple[float, Offer[str]]] = []
     for frame in range(round(duration_s * rate_hz)):
         at_s = frame / rate_hz
         key = frame % 10 == 0
-        offers.append((at_s + 0.05, an_offer(frame, at_s, is_keyframe=key)))
+        offers.append((at_s + made_s(), an_offer(frame, at_s, is_keyframe=key)))
         offers.append((at_s + revised_after_s, an_offer(frame, at_s, 1, is_keyframe=key)))
     return offers
 
 
 def sets(sent: list[Sent]) -> list[tuple[float, Offer[str]]]:
     return [(s.at_s, s.offer) for s in sent if s.offer is not None]
+
+
+@dataclass(frozen=True)
+class Delivered:
+    """What became of the pictures of a run: the share that was ever sent, or sent as a revision; and first waits, s."""
+
+    reached: float
+    revised: float
+    waits_s: list[float]  # sorted; from a picture's first set to its first sending
+
+    @classmethod
+    def of(cls, offers: list[tuple[float, Offer[str]]], sent: list[Sent], until_s: float) -> Delivered:
+        """Of the pictures whose first set was made before `until_s`: later ones may still be sent."""
+        made: dict[int, float] = {}
+        for at_s, offer in offers:
+            made[offer.frame] = min(made.get(offer.frame, at_s), at_s)
+        first = {offer.frame: at_s for at_s, offer in reversed(sets(sent))}
+        counted = [frame for frame, at_s in made.items() if at_s < until_s]
+        revised = {offer.frame for _, offer in sets(sent) if offer.revision}
+        return cls(
+            sum(frame in first for frame in counted) / len(counted),
+            sum(frame in revised for frame in counted) / len(counted),
+            sorted(first[frame] - made[frame] for frame in counted if frame in first),
+        )
+
+    def wait_s(self, quantile: float) -> float:
+        """That quantile of the first waits."""
+        return self.waits_s[round(quantile * (len(self.waits_s) - 1))]

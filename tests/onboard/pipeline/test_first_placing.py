@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from contract.answer import Fix
 from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
+from contract.locate import Locator
 from contract.wire.codec import encode
-from ground.answer import Fix
-from ground.locate import Locator
 from onboard.config.schema import parse_config
 from onboard.events.types import Frame
 from onboard.pipeline.first_placing import PLACED_A_SET, FirstPlacing

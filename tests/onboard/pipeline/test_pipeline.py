@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 import pytest
 
+from contract.answer import Fix
 from contract.camera import Camera
 from contract.feature_set import FeatureSet, Status
 from contract.geodesy import LocalFrame
+from contract.locate import Locator
 from contract.wire.codec import encode
-from ground.answer import Fix
-from ground.locate import Locator
 from onboard.config.schema import parse_config
 from onboard.estimation.solver_executor import Done, Promise, Worker
 from onboard.estimation.window_request import Request

@@ -18,7 +18,7 @@ from PIL import Image
 
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
-from ground.locate import Locator
+from contract.locate import Locator
 from onboard.events.types import (
     Attitude,
     FilterStatus,

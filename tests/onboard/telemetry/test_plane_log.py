@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from pymavlink import DFReader
 
+from contract.answer import Fix
 from contract.camera import Camera
 from contract.geodesy import LocalFrame
+from contract.locate import Locator
 from contract.rotations import log_so3, matrix_from_euler, matrix_from_quaternion
-from ground.answer import Fix
-from ground.locate import Locator
 from onboard.config.schema import Config
 from onboard.events.types import Attitude, NavEvent, PositionFix
 from onboard.pipeline.pipeline import Pipeline

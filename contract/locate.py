@@ -19,12 +19,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from contract.answer import Answer, Ellipse, Fix, Refusal
 from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, HeightDatum, Status
 from contract.geodesy import LocalFrame
+from contract.kriging import Kriging, convex_hull, distance_outside, hull_area
 from contract.rolling_shutter import row_share
 from contract.rotations import skew
-from ground.answer import Answer, Ellipse, Fix, Refusal
-from ground.kriging import Kriging, convex_hull, distance_outside, hull_area
 
 Array = NDArray[np.float64]
 

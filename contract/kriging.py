@@ -4,7 +4,7 @@ What is interpolated is r = w / w_plane - 1 over unit-depth coordinates (x, y): 
 trend, which is what noise left in the plane's fit (docs/mathematics.md section 9; Cressie 1993, section 3.4). Each
 feature's own variance is its nugget, so neighbours average their noise away instead of passing it on, as the three
 corners of a Delaunay triangle do; and kriging gives the variance of its prediction, from the distance to the features
-and the ground's roughness. Delaunay interpolation was the first design: tests/ground/test_kriging.py compares both.
+and the ground's roughness. Delaunay interpolation was the first design: tests/contract/test_kriging.py compares both.
 """
 
 from __future__ import annotations

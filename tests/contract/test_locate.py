@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from contract.answer import CHI2_2, Ellipse, Fix, Refusal
 from contract.camera import Camera
 from contract.feature_set import DepthSource, FeatureSet, HeightDatum, Status
+from contract.locate import Locator, locate
 from contract.wire.codec import decode, encode
-from ground.answer import CHI2_2, Ellipse, Fix, Refusal
-from ground.locate import Locator, locate
 from tests.contract.sets import feature_sets
 from tests.ground.worlds import CAMERA, ORIGIN, Errors, build
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import ConvexHull
 
-from ground.kriging import Kriging, convex_hull, distance_outside, hull_area
+from contract.kriging import Kriging, convex_hull, distance_outside, hull_area
 
 Array = NDArray[np.float64]
 
