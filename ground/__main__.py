@@ -27,6 +27,7 @@ COMMANDS = {
     "cot": ("ground.commands.cot", "send pins and aircraft to TAK as Cursor on Target"),
     "accuracy": ("ground.commands.accuracy", "how far clicks on surveyed marks are from them"),
     "web": ("ground.web.command", "a page with the pictures to click, a map and pins"),
+    "router": ("ground.commands.router", "a router for many aircraft and people, with certificates and rights"),
     "record": ("ground.commands.record", "keep what the link delivers as a recording"),
     "completion": ("ground.commands.completion", "completion of these commands for a shell"),
 }
