@@ -14,6 +14,8 @@ OPEN_TIMEOUT_MS = 2000
 # Far above all that we send: a larger message is dropped, and does not fill our memory.
 MAX_MESSAGE_BYTES = 2_000_000
 SECURE = ("tls/", "quic/")
+# Peers of one region are not relayed to each other by a router: grounds are of another than aircraft.
+GROUND_REGION = "ground"
 CA_FILE, CERTIFICATE_FILE, KEY_FILE = "ca.pem", "certificate.pem", "key.pem"
 
 
@@ -104,6 +106,8 @@ def link_config(
         "scouting": {"multicast": {"enabled": scouting}},
         "transport": {"unicast": {"open_timeout": OPEN_TIMEOUT_MS}, "link": link},
     }
+    if mode == "peer" and not is_aircraft:
+        config["region_name"] = GROUND_REGION
     if is_aircraft:
         config["access_control"] = _access(allowed if tls is not None else ())
     return json.dumps(config)
@@ -117,14 +121,14 @@ def _access(allowed: Sequence[str]) -> dict[str, Any]:
             "id": "subscribe and query",
             "permission": "allow",
             "flows": ["ingress"],
-            "messages": ["declare_subscriber", "query"],
+            "messages": ["declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query"],
             "key_exprs": keys,
         },
         {
             "id": "receive",
             "permission": "allow",
             "flows": ["egress"],
-            "messages": ["put", "reply", "declare_queryable"],
+            "messages": ["put", "reply", "declare_queryable", "liveliness_token"],
             "key_exprs": keys,
         },
     ]

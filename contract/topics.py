@@ -69,6 +69,18 @@ PICTURE = Topic(
 
 TOPICS: tuple[Topic, ...] = (FEATURES, STATUS, PICTURE)
 
+# A liveliness token, there as long as the aircraft is: who is there is known without a message of anybody's.
+ALIVE = Topic("pc/{vehicle}/alive", "none", 0.0, QUERY)
+
+# Of ground servers that share pins: pc/pins/<server>/<what>.
+PINS = "pc/pins"
+
+
+def of_vehicle(vehicle: str) -> str:
+    """All keys of one vehicle, or of all with ANY_VEHICLE. Raises ValueError for a name no key can hold."""
+    return Topic("pc/{vehicle}/*", "any", 0.0, LATEST_ONLY).key(vehicle)
+
+
 # Parameters of a query on FEATURES. None: the newest answerable set.
 FRAME_PARAMETER = "frame"
 TIME_PARAMETER = "time"

@@ -29,6 +29,7 @@ from contract.topics import (
 )
 from contract.wire.codec import decode
 from ground.freshness import AircraftClock, Later, Reply
+from ground.presence import is_through_router, vehicles_there
 from ground.watched_thread import WatchedThread
 
 PICTURE_TIMEOUT_S = 8.0  # of a picture asked for by its number or its time, which may have no set yet
@@ -46,12 +47,15 @@ def inquire(
     frame: int | None = None,
     unix_s: float | None = None,
     tls: Tls | None = None,
+    is_sole: bool = False,
 ) -> dict[str, Reply]:
     """What each vehicle at an endpoint answers: its set of a frame or a time, or its newest one, or a refusal.
 
     A picture whose set is still being made is waited for, up to PICTURE_TIMEOUT_S.
     With the age that the picture had at most when the reply came: what the aircraft states by its own clock when it is
     asked, and the time that the question took from here and back.
+
+    `is_sole`: an answer of one aircraft is wanted. Where a router knows of several, none of them is asked for nothing.
 
     A client session: it opens in milliseconds where a peer waits half a second for others to show up. Raises LinkError
     if there is no vehicle or none answers, WireError for a set this version cannot read.
@@ -61,8 +65,15 @@ def inquire(
         which = f"{FRAME_PARAMETER}={frame}" if frame is not None else f"{TIME_PARAMETER}={unix_s!r}"
         parameters, timeout_s = f"?{which};{WAIT_PARAMETER}={PICTURE_TIMEOUT_S:g}", PICTURE_TIMEOUT_S
     key = FEATURES.key(vehicle)
-    session = _open("client", endpoint, tls)
+    session = open_link("client", endpoint, tls)
     try:
+        if (
+            is_sole
+            and vehicle == ANY_VEHICLE
+            and is_through_router(session)
+            and len(there := vehicles_there(session)) > 1
+        ):
+            raise LinkError(f"several aircraft are at {endpoint}: {', '.join(there)}; choose one with --vehicle")
         answers = _replies(session, key + parameters, timeout_s)
     finally:
         session.close()
@@ -256,7 +267,7 @@ class SetCache:
     def _subscribe(self) -> None:
         """Open a session where there is none. Raises LinkError."""
         endpoint, tls, key = self._ways
-        session = _open("peer", endpoint, tls)
+        session = open_link("peer", endpoint, tls)
         try:
             subscribers = [session.declare_subscriber(key, self._receive)]
             subscribers += [session.declare_subscriber(k, _passing_on(take)) for k, take in self._beside.items()]
@@ -322,7 +333,8 @@ def _passing_on(take: Callable[[str, bytes], object]) -> Callable[[zenoh.Sample]
     return receive
 
 
-def _open(mode: str, endpoint: str, tls: Tls | None) -> Any:
+def open_link(mode: str, endpoint: str, tls: Tls | None) -> Any:
+    """A session of zenoh's. Raises LinkError."""
     try:
         return zenoh.open(zenoh.Config.from_json5(link_config(mode, connect=[endpoint], tls=tls)))
     except zenoh.ZError as error:

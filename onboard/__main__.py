@@ -16,6 +16,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
 
@@ -275,14 +276,17 @@ def _add_make_credentials(credentials: argparse.ArgumentParser) -> None:
     credentials.add_argument(
         "--vehicle", action="append", default=[], metavar="NAME", help="an aircraft: its vehicle.id"
     )
-    credentials.add_argument("--operator", action="append", default=[], metavar="NAME", help="someone who flies it")
+    credentials.add_argument(
+        "--operator", action="append", default=[], metavar="NAME", help="someone who clicks and keeps pins"
+    )
     credentials.add_argument("--viewer", action="append", default=[], metavar="NAME", help="someone who looks on")
+    credentials.add_argument("--router", metavar="NAME", help="the ground station's router (pc-ground router)")
     credentials.add_argument(
         "--address",
         action="append",
         default=[],
         metavar="HOST",
-        help="where the aircraft is reached; its name and this machine are always among them",
+        help="where the router, or without one the aircraft, is reached; name and loopback are always among them",
     )
     credentials.add_argument("--days", type=days, default=365.0, metavar="N", help="valid for so long (365)")
     credentials.set_defaults(run=run_make_credentials)
@@ -290,14 +294,26 @@ def _add_make_credentials(credentials: argparse.ArgumentParser) -> None:
 
 def run_make_credentials(arguments: argparse.Namespace) -> int:
     """Issue certificates and say where they are."""
+    from contract.fleet import FLEET_FILE, Fleet, read_fleet  # noqa: PLC0415
     from onboard.link.certificates import AUTHORITY, make_credentials  # noqa: PLC0415
 
     vehicles, people = arguments.vehicle, [*arguments.operator, *arguments.viewer]
-    if not vehicles and not people:
-        raise InputError("whom for? name at least one --vehicle, --operator or --viewer")
-    for folder in make_credentials(arguments.folder, vehicles, people, arguments.address, arguments.days):
+    routers = [] if arguments.router is None else [arguments.router]
+    if not vehicles and not people and not routers:
+        raise InputError("whom for? name at least one --vehicle, --operator, --viewer or --router")
+    place = arguments.folder / FLEET_FILE
+    listed = read_fleet(place) if place.exists() else Fleet()
+    operators = tuple(arguments.operator)
+    listed = replace(listed, router=arguments.router or listed.router).with_more(
+        aircraft=tuple(vehicles), operators=operators, viewers=tuple(arguments.viewer), pins=operators
+    )
+    for folder in make_credentials(
+        arguments.folder, vehicles, people, arguments.address, arguments.days, routers=routers
+    ):
         print(folder)
+    listed.write(place)
     print(f"{arguments.folder / AUTHORITY} (signs new ones: keep it off the aircraft and away from others)")
+    print(f"{place} (who may do what: for pc-ground router --config)")
     return 0
 
 

@@ -1,6 +1,7 @@
 // One tile for each aircraft: how it is in words, how old what is seen is, how the link is. Of many the tiles are small.
 
 import { byId, make, say } from "./dom.js";
+import { GROUPS, groupTitle, isWanted, MANY } from "./fleet.js";
 import { age, sentence, within } from "./format.js";
 import { AIRCRAFT } from "./shapes.js";
 import type { State } from "./state.js";
@@ -13,14 +14,24 @@ const FEW = 2; // of more than that only the chosen one has its figures
 export class StatusStrip {
   private readonly strip = byId("status-strip");
   private readonly tiles = new Map<string, HTMLButtonElement>();
+  private readonly find = byId<HTMLInputElement>("find-aircraft");
+  private readonly titles = GROUPS.map((group) => make("span", { class: "group", "data-group": group }));
 
   constructor(private readonly state: State, private readonly viewer: Viewer) {
+    this.strip.append(...this.titles);
+    this.find.addEventListener("input", () => this.draw());
     state.on(["vehicles", "link"], () => this.draw());
   }
 
   private draw(): void {
     const { vehicles } = this.state;
     this.strip.classList.toggle("many", vehicles.length > FEW);
+    const isGrouped = vehicles.length > MANY, text = isGrouped ? this.find.value.trim() : "";
+    this.find.hidden = !isGrouped;
+    this.titles.forEach((title, k) => {
+      say(title, isGrouped ? groupTitle(GROUPS[k]!, vehicles, text) : "");
+      title.style.order = String(2 * k);
+    });
     vehicles.forEach((vehicle, k) => {
       let tile = this.tiles.get(vehicle.id);
       if (tile === undefined) {
@@ -33,6 +44,8 @@ export class StatusStrip {
       }
       const isUnsure = vehicle.is_live && !this.state.isConnected, isChosen = vehicle.id === this.state.vehicle;
       const words = isUnsure ? "server not reached" : vehicle.words, isShort = vehicles.length > FEW && !isChosen;
+      tile.hidden = !isChosen && !isWanted(vehicle, text);
+      tile.style.order = isGrouped && !isChosen ? String(2 * GROUPS.indexOf(vehicle.state) + 1) : "";
       tile.dataset["state"] = isUnsure ? "lost" : vehicle.state;
       tile.setAttribute("aria-pressed", String(isChosen));
       say(tile.children[1] as HTMLElement, SIGNS[isUnsure ? "lost" : vehicle.state]);

@@ -5,10 +5,11 @@ import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { contains, fitted, panned, resized, toPane, toPixel, wholeView, zoomed, MAX_ZOOM, type View } from "../src/mapping.js";
 import { ellipseRing, enu, offset, pixelOf, type Camera } from "../src/projection.js";
+import { groupTitle, isWanted } from "../src/fleet.js";
 import { gridLines, gridStep } from "../src/grid.js";
 import { age, decimals, degrees, methodWords, radius, stepText, within } from "../src/format.js";
 import { State } from "../src/state.js";
-import type { Pin } from "../src/types.js";
+import type { Pin, VehicleState } from "../src/types.js";
 
 const PICTURE = { width: 640, height: 480 };
 
@@ -20,6 +21,22 @@ function* numbers(): Generator<number> {
 function near(one: number, two: number, within: number): void {
   assert.ok(Math.abs(one - two) <= within, `${one} is not ${two}`);
 }
+
+test("of many aircraft those that are wanted are found by name, state or trouble, and the groups count them", () => {
+  const fleet = Array.from({ length: 30 }, (_, k) => ({
+    id: `uav-${k}`, state: k < 3 ? "lost" : k < 8 ? "warning" : "well", words: k === 4 ? "no GPS" : "ok", trouble: "",
+  })) as VehicleState[];
+  const found = (text: string): string[] => fleet.filter((one) => isWanted(one, text)).map((one) => one.id);
+  assert.equal(found("").length, 30);
+  assert.deepEqual(found("UAV-2"), ["uav-2", ...Array.from({ length: 10 }, (_, k) => `uav-${20 + k}`)]);
+  assert.deepEqual(found("no gps"), ["uav-4"]);
+  assert.deepEqual(found("lost uav-1"), ["uav-1"]);
+  assert.deepEqual(found("nothing like it"), []);
+  assert.equal(groupTitle("lost", fleet, ""), "3 lost");
+  assert.equal(groupTitle("warning", fleet, "gps"), "1 of 5 with a warning");
+  assert.equal(groupTitle("well", fleet, "gps"), "0 of 22 well");
+  assert.equal(groupTitle("lost", fleet.slice(3), ""), "");
+});
 
 test("a pixel's centre lies half a scaled pixel inside the picture", () => {
   const view = wholeView(PICTURE, { width: 1280, height: 960 });

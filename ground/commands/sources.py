@@ -100,7 +100,14 @@ class LinkSource:
         from ground.client import inquire  # noqa: PLC0415  zenoh is loaded only where there is a link
 
         try:
-            replies = inquire(self._endpoint, self._vehicle or ANY_VEHICLE, frame=frame, unix_s=unix_s, tls=self._tls)
+            replies = inquire(
+                self._endpoint,
+                self._vehicle or ANY_VEHICLE,
+                frame=frame,
+                unix_s=unix_s,
+                tls=self._tls,
+                is_sole=self._vehicle is None,
+            )
         except ValueError as error:
             raise UsageError(str(error)) from error
         reply = replies[vehicle_of(self._vehicle, sorted(replies))]

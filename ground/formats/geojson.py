@@ -31,6 +31,14 @@ def write(marks: Sequence[Mark], grid: Grid | None = None, crop_of: Callable[[st
 
 
 def _feature(mark: Mark, grid: Grid | None, crop_of: Callable[[str], bytes | None] | None) -> dict[str, Any]:
+    out = feature(mark, grid)
+    if mark.pin is not None:
+        out[WHOLE] = {"version": 1, "pin": mark.pin.to_dict(), "crops": _crops(mark.pin, crop_of)}
+    return out
+
+
+def feature(mark: Mark, grid: Grid | None = None) -> dict[str, Any]:
+    """A mark as others read it, without the pin itself."""
     geometry = None
     if mark.is_placed:
         lat, lon = mark.position
@@ -69,10 +77,7 @@ def _feature(mark: Mark, grid: Grid | None, crop_of: Callable[[str], bytes | Non
     if grid is not None and mark.is_placed:
         p = grid.of(mark)
         properties |= {"crs": p.crs, "x": p.x, "y": p.y, "x_name": p.x_name, "y_name": p.y_name}
-    out = {"type": "Feature", "id": mark.id, "geometry": geometry, "properties": properties}
-    if mark.pin is not None:
-        out[WHOLE] = {"version": 1, "pin": mark.pin.to_dict(), "crops": _crops(mark.pin, crop_of)}
-    return out
+    return {"type": "Feature", "id": mark.id, "geometry": geometry, "properties": properties}
 
 
 def _rounded(value: float | None) -> float | None:

@@ -111,7 +111,7 @@ class PinSharing:
         self._beat_s = -BEAT_S
         self._is_closed = False
         self._look()
-        config = link_config("peer", listen=listen, connect=connect, tls=tls)
+        config = link_config("router", listen=listen, connect=connect, tls=tls)
         try:
             self._session: Any = zenoh.open(zenoh.Config.from_json5(config))
         except zenoh.ZError as error:

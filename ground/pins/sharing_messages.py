@@ -13,12 +13,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from contract.errors import InputError
+from contract.topics import PINS
 from ground.pins.model import Pin
 from ground.pins.reading import Reader
 from ground.pins.store import order_of
 
 VERSION = 1
-PREFIX = "pc/pins"
+PREFIX = PINS
 MAX_PIN_BYTES = 1_000_000  # some 270 clicks
 MAX_SAID_BYTES = 500
 MAX_ASKED = 100  # pins in one question

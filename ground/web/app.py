@@ -21,6 +21,7 @@ from ground.web.api_vehicles import vehicles_router
 from ground.web.desk import Desk, NotThere
 from ground.web.guard import Guard, Rules
 from ground.web.handoff import handoff_router
+from ground.web.ogc import ogc_router
 from ground.web.tiles import MbTiles
 from ground.web.watch import Watch
 
@@ -55,6 +56,8 @@ def create_app(desk: Desk, rules: Rules) -> ASGIApp:
     )
     for router in (vehicles_router(desk), pins_router(desk), handoff_router(desk), import_router(desk)):
         app.include_router(router, prefix="/api")
+
+    app.include_router(ogc_router(desk), prefix="/ogc")
 
     @app.exception_handler(PointclickError)
     async def refused(_: Request, error: PointclickError) -> JSONResponse:

@@ -148,7 +148,7 @@ class Guard:
         await send({"type": "http.response.body", "body": body})
 
     def _with_headers(self, scope: Scope, send: Send) -> Send:
-        is_api = str(scope["path"]).startswith("/api/")
+        is_api = str(scope["path"]).startswith(("/api/", "/ogc"))
 
         async def sending(message: Message) -> None:
             if message["type"] == "http.response.start":

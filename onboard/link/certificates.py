@@ -20,13 +20,13 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from contract.errors import InputError
+from contract.fleet import NAME
 from contract.link_config import CA_FILE, CERTIFICATE_FILE, KEY_FILE
 
 AUTHORITY = "authority"
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 # Clocks differ, an aircraft's without a fix most of all.
 BACKDATED = timedelta(days=1)
-_NAME = re.compile(r"[A-Za-z0-9_.-]{1,32}")
 
 
 @dataclass(frozen=True)
@@ -83,20 +83,20 @@ class Authority:
         *,
         days: float,
         addresses: Sequence[str] = (),
-        is_aircraft: bool = False,
+        serves: bool = False,
         now: datetime | None = None,
     ) -> None:
         """Write the folder of an aircraft or a person: `ca.pem`, `certificate.pem`, `key.pem`. Raises InputError.
 
-        `name` becomes the common name; `addresses` are where an aircraft is reached, IP addresses or host names.
+        `name` becomes the common name; `addresses` are where one that `serves` is reached, IP addresses or host names.
         """
-        if not _NAME.fullmatch(name):
+        if not NAME.fullmatch(name):
             raise InputError(f"name {name!r} must be 1 to 32 letters, digits, '_', '.' or '-'")
         now = now or datetime.now(UTC)
         end = min(now + timedelta(days=days), self.certificate.not_valid_after_utc)
         key = ec.generate_private_key(ec.SECP256R1())
-        uses = [ExtendedKeyUsageOID.CLIENT_AUTH] + [ExtendedKeyUsageOID.SERVER_AUTH] * is_aircraft
-        names = dict.fromkeys((name, *addresses, *LOOPBACK) if is_aircraft else (name,))
+        uses = [ExtendedKeyUsageOID.CLIENT_AUTH] + [ExtendedKeyUsageOID.SERVER_AUTH] * serves
+        names = dict.fromkeys((name, *addresses, *LOOPBACK) if serves else (name,))
         issuer = self.certificate.extensions.get_extension_for_class(x509.SubjectKeyIdentifier).value
         certificate = (
             x509.CertificateBuilder()
@@ -117,18 +117,24 @@ class Authority:
 
 
 def make_credentials(
-    folder: Path, vehicles: Sequence[str], people: Sequence[str], addresses: Sequence[str], days: float
+    folder: Path,
+    vehicles: Sequence[str],
+    people: Sequence[str],
+    addresses: Sequence[str],
+    days: float,
+    routers: Sequence[str] = (),
 ) -> list[Path]:
     """One folder for each of them under `folder`, signed by the authority there or a new one; returns those folders.
 
+    `addresses` are where the routers are reached or, without any, the aircraft: none of these may pass for a router.
     Raises InputError if a name is given twice, is no name, or has a folder already: a certificate in use is not
     replaced by a slip of the pen.
     """
-    everyone = [*vehicles, *people]
+    everyone = [*routers, *vehicles, *people]
     for name in everyone:
         if everyone.count(name) > 1 or name == AUTHORITY:
             raise InputError(f"name {name!r} can stand for one certificate only")
-        if not _NAME.fullmatch(name):
+        if not NAME.fullmatch(name):
             raise InputError(f"name {name!r} must be 1 to 32 letters, digits, '_', '.' or '-'")
         if (folder / name).exists():
             raise InputError(f"{folder / name} exists: remove it to issue {name!r} a new certificate")
@@ -140,10 +146,9 @@ def make_credentials(
         authority = Authority.create(days=max(days, 3650.0))
         authority.save(folder / AUTHORITY)
     for name in everyone:
-        is_aircraft = name in vehicles
-        authority.issue(
-            name, folder / name, days=days, addresses=addresses if is_aircraft else (), is_aircraft=is_aircraft
-        )
+        serves = name in vehicles or name in routers
+        reached = addresses if name in (routers or vehicles) else ()
+        authority.issue(name, folder / name, days=days, addresses=reached, serves=serves)
     return [folder / name for name in everyone]
 
 

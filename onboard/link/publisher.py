@@ -26,6 +26,7 @@ from contract.link_config import Tls, link_config
 from contract.picture import LinkPicture
 from contract.supervised_thread import Policy, SupervisedThread
 from contract.topics import (
+    ALIVE,
     ANSWER_TIMEOUT_S,
     DEFAULT_ENDPOINT,
     DETAIL_PARAMETER,
@@ -168,9 +169,10 @@ class Publisher:
             self._publisher = _declared(self._session, FEATURES, vehicle)
             self._status_publisher = _declared(self._session, STATUS, vehicle)
             self._picture_publisher = _declared(self._session, PICTURE, vehicle)
-            # The variables keep the queryables declared.
+            # The variables keep queryables and token declared.
             self._queryable = self._session.declare_queryable(self._key, self._asked)
             self._status_queryable = self._session.declare_queryable(self._status_key, self._asked_for_status)
+            self._alive = self._session.liveliness().declare_token(ALIVE.key(vehicle))
         except zenoh.ZError as error:
             self._session.close()  # type: ignore[no-untyped-call]
             raise LinkError(f"cannot publish as {vehicle!r}: {_first_clause(error)}; try again") from error

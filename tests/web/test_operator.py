@@ -399,3 +399,22 @@ def test_axe_finds_nothing_on_a_phone_and_in_the_new_dialog(operators: Operators
     anna.page.keyboard.press("c")
     anna.page.wait_for_selector("#readout:not([hidden])")
     assert anna.page.evaluate(run) == []
+
+
+def test_of_dozens_of_aircraft_one_is_found_by_what_is_typed_and_they_stand_in_groups(
+    tmp_path: Path, chromium: Any
+) -> None:
+    page_is_built()
+    with Flight(tmp_path / "pins.sqlite", aircraft=24) as flight:
+        flight.source.fly_to(2)
+        page = opened(chromium, flight.url)
+        shown = page.locator("#status-strip .craft:visible")
+        page.wait_for_function("() => document.querySelectorAll('#status-strip .craft').length === 24")
+        groups = page.locator("#status-strip .group:visible")
+        assert shown.count() == 24 and sum(int(text.split()[0]) for text in groups.all_inner_texts()) == 24
+        page.get_by_label("find aircraft").fill("uav-17")
+        page.wait_for_function("() => [...document.querySelectorAll('.craft')].filter(t => !t.hidden).length === 2")
+        assert "uav-17" in shown.all_inner_texts()[1] and shown.nth(0).get_attribute("aria-pressed") == "true"
+        shown.nth(1).click()
+        page.wait_for_function("() => document.querySelector('[data-vehicle=uav-17]').ariaPressed === 'true'")
+        page.context.close()

@@ -1,0 +1,149 @@
+"""Who is there: through a router with dozens of aircraft, and on a link to one; nobody is asked for it."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+
+import pytest
+import zenoh
+
+from contract.link_config import link_config
+from contract.topics import ALIVE, ANY_VEHICLE, FEATURES, STATUS
+from contract.vehicle_status import VehicleStatus, encode_status
+from ground.__main__ import main
+from ground.client import open_link
+from ground.presence import Presence, vehicles_there
+from onboard.link.publisher import Publisher
+from tests.onboard.link.ports import free_endpoint
+from tests.onboard.link.test_access import WIDE
+from tests.onboard.link.test_publisher import a_set, eventually
+
+MANY = 24
+
+
+class Aircraft:
+    """Of a fleet, as light as can be: a token, a status when it is told to, and a count of what it is asked."""
+
+    def __init__(self, name: str, endpoint: str) -> None:
+        self.name, self.asked = name, 0
+        self.session = zenoh.open(zenoh.Config.from_json5(link_config("client", connect=[endpoint], is_aircraft=True)))
+        self.queryables = [self.session.declare_queryable(t.key(name), self._count) for t in (FEATURES, STATUS)]
+        self.token = self.session.liveliness().declare_token(ALIVE.key(name))
+
+    def say(self, state: str) -> None:
+        self.session.put(STATUS.key(self.name), encode_status(VehicleStatus(1.7e9, 7, state, reason="why", ok_hz=2.0)))
+
+    def _count(self, query: zenoh.Query) -> None:
+        self.asked += 1
+        query.drop()  # type: ignore[no-untyped-call]
+
+
+@pytest.fixture
+def router() -> Iterator[str]:
+    """A router without certificates: what may be done is tested elsewhere."""
+    from ground.router import REGIONS  # noqa: PLC0415
+
+    endpoint = free_endpoint()
+    config = json.loads(link_config("router", listen=[endpoint]))
+    config["gateway"] = {"south": [{"filters": [region]} for region in REGIONS]}
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(config))):
+        yield endpoint
+
+
+@pytest.fixture
+def fleet(router: str) -> Iterator[list[Aircraft]]:
+    with ExitStack() as opened:
+        fleet = [Aircraft(f"uav-{k:02d}", router) for k in range(MANY)]
+        for aircraft in fleet:
+            opened.enter_context(aircraft.session)
+        yield fleet
+
+
+def rows(text: str) -> dict[str, dict[str, object]]:
+    return {row["vehicle"]: row for row in map(json.loads, text.splitlines())}
+
+
+def test_dozens_of_aircraft_are_listed_and_none_of_them_is_asked(
+    router: str, fleet: list[Aircraft], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with open_link("client", router, None) as session:
+        assert eventually(lambda: len(vehicles_there(session)) == MANY)
+    began_s = time.monotonic()
+    assert main(["vehicles", "--connect", router, "--json", "--wait", "0.5"]) == 0
+    assert time.monotonic() - began_s < 2.0
+    listed = rows(capsys.readouterr().out)
+    assert list(listed) == [a.name for a in fleet]
+    assert all(row["link"] == "up" and row["last_seen_s"] is None for row in listed.values())
+    assert [a.asked for a in fleet] == [0] * MANY
+
+
+def test_state_and_age_come_from_what_is_sent_anyway_and_who_goes_is_gone(router: str, fleet: list[Aircraft]) -> None:
+    with open_link("client", router, None) as session:
+        presence = Presence(session)
+        assert eventually(lambda: len(presence.now()) == MANY)
+
+        def heard(name: str, state: str) -> bool:
+            fleet[3].say(state)
+            (one,) = (p for p in presence.now() if p.vehicle == name)
+            return one.status is not None and one.status.state == state
+
+        assert eventually(lambda: heard("uav-03", "no_gps"))
+        (one,) = (p for p in presence.now() if p.vehicle == "uav-03")
+        assert one.is_there and one.status_age_s is not None and 0.0 <= one.status_age_s < 2.0
+        fleet[3].session.close()  # type: ignore[no-untyped-call]
+        assert eventually(lambda: [p.vehicle for p in presence.now() if not p.is_there] == ["uav-03"])
+        assert "uav-03" not in vehicles_there(session)
+    assert [a.asked for a in fleet] == [0] * MANY
+
+
+def test_a_click_that_names_no_aircraft_among_many_asks_nobody(
+    router: str, fleet: list[Aircraft], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with open_link("client", router, None) as session:
+        assert eventually(lambda: len(vehicles_there(session)) == MANY)
+    assert main(["click", "320", "240", "--connect", router]) == 2
+    assert "several aircraft are at" in (said := capsys.readouterr().err) and "--vehicle" in said and "uav-07" in said
+    assert [a.asked for a in fleet] == [0] * MANY
+    assert main(["click", "320", "240", "--connect", router, "--vehicle", "uav-07"]) == 2  # which answers nothing here
+    assert [a.asked for a in fleet] == [int(a.name == "uav-07") for a in fleet]
+
+
+def test_the_only_aircraft_behind_a_router_needs_no_name(router: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with Publisher("uav-1", [], [router], rate=WIDE) as publisher:
+        publisher.publish(a_set(3))
+        with open_link("client", router, None) as session:
+            assert eventually(lambda: vehicles_there(session) == ["uav-1"])
+        click = ["click", "320", "240", "--connect", router, "--max-age", "inf", "--format", "json"]
+        assert main(click) == 0
+        assert json.loads(capsys.readouterr().out)["frame"] == 3
+
+
+def test_a_table_is_for_people_and_an_aircraft_of_an_earlier_version_is_there_as_long_as_it_is_heard(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    endpoint = free_endpoint()
+    assert main(["vehicles", "--connect", endpoint]) == 2
+    assert "nobody listens" in capsys.readouterr().err
+    with zenoh.open(zenoh.Config.from_json5(link_config("peer", listen=[endpoint]))) as old:
+        assert main(["vehicles", "--connect", endpoint, "--wait", "0.3"]) == 1
+        assert "no aircraft is there" in capsys.readouterr().err
+        state = encode_status(VehicleStatus(1.7e9, 7, "no_gps", reason="fix lost", ok_hz=0.5))
+        with open_link("client", endpoint, None) as session:
+            presence = Presence(session)
+
+            def heard() -> bool:
+                old.put(STATUS.key("old-1"), state)
+                return [p.is_there for p in presence.now()] == [True]
+
+            assert eventually(heard)
+    with Publisher("uav-1", [endpoint], rate=WIDE) as publisher:
+        publisher.publish_status(state, b"{}")
+        with open_link("client", endpoint, None) as session:
+            assert eventually(lambda: vehicles_there(session) == ["uav-1"])
+            assert not [r for r in session.get(ALIVE.key(ANY_VEHICLE), timeout=0.5) if r.ok]
+        assert main(["vehicles", "--connect", endpoint, "--wait", "0.3"]) == 0
+        heads, row = capsys.readouterr().out.splitlines()
+        assert heads.split()[:3] == ["vehicle", "link", "state"] and row.split()[:2] == ["uav-1", "up"]

@@ -1,0 +1,316 @@
+"""The ground station's router with real certificates and sessions on loopback: who hears, asks and publishes what."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from contract.errors import InputError, LinkError
+from contract.fleet import FLEET_FILE, Fleet, read_fleet
+from contract.link_config import Tls, link_config
+from contract.topics import ALIVE, FEATURES, STATUS
+from contract.wire.codec import encode
+from ground.__main__ import main
+from ground.client import SetCache, ask
+from ground.commands.router import ListOfFile
+from ground.pins.sharing import PinSharing
+from ground.pins.store import PinStore
+from ground.router import Router, router_config
+from onboard.__main__ import main as onboard_main
+from onboard.link.publisher import Publisher
+from tests.ground.pins.test_store import clicked
+from tests.onboard.link.ports import free_endpoint
+from tests.onboard.link.test_access import WIDE, session
+from tests.onboard.link.test_publisher import a_set, eventually
+
+ROOT = Path(__file__).resolve().parents[2]
+ROUTER = (sys.executable, "-m", "ground", "router")
+
+
+@dataclass(frozen=True)
+class Station:
+    """A router with its list, and everybody's certificates."""
+
+    keys: Path
+    endpoint: str
+    router: Router
+
+    def tls(self, name: str) -> Tls:
+        return Tls.in_folder(self.keys / name)
+
+    def aircraft(self, name: str) -> Publisher:
+        return Publisher(name, [], [self.endpoint], rate=WIDE, tls=self.tls(name))
+
+    def session(self, name: str, mode: str = "client") -> zenoh.Session:
+        return session(self.endpoint, self.tls(name), mode)
+
+    def cache(self, name: str) -> SetCache:
+        return SetCache(self.endpoint, tls=self.tls(name))
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("keys")
+    words = ["--router", "base", "--vehicle", "uav-1", "--vehicle", "uav-2", "--operator", "anna", "--operator", "cleo"]
+    assert onboard_main(["make-credentials", str(folder), *words, "--viewer", "ben"]) == 0
+    assert onboard_main(["make-credentials", str(folder), "--viewer", "former"]) == 0
+    fleet = read_fleet(folder / FLEET_FILE)
+    assert fleet.router == "base" and fleet.aircraft == ("uav-1", "uav-2") and fleet.viewers == ("ben", "former")
+    assert fleet.operators == fleet.pins == ("anna", "cleo")
+    replace(fleet, viewers=("ben",)).write(folder / FLEET_FILE)
+    return folder
+
+
+@pytest.fixture
+def station(keys: Path) -> Iterator[Station]:
+    endpoint = free_endpoint().replace("tcp/", "tls/")
+    fleet = replace(read_fleet(keys / FLEET_FILE), listen=(endpoint,))
+    with Router(fleet, keys) as router:
+        yield Station(keys, endpoint, router)
+
+
+@contextlib.contextmanager
+def ended(program: subprocess.Popen[bytes]) -> Iterator[None]:
+    """A program that is ended, properly, at the end."""
+    try:
+        yield
+        assert program.poll() is None
+    finally:
+        program.terminate()
+        status = program.wait(10.0)
+    assert status == 0
+
+
+def is_heard(cache: SetCache, publisher: Publisher, vehicle: str, frame: int) -> bool:
+    """Whether a set arrives that is published until it does."""
+
+    def again() -> bool:
+        publisher.publish(a_set(frame, vehicle=vehicle))
+        return cache.by_frame(vehicle, frame) is not None
+
+    return eventually(again)
+
+
+def test_operators_hear_and_ask_and_viewers_only_hear(station: Station) -> None:
+    with station.aircraft("uav-1") as first, station.aircraft("uav-2") as second:
+        for who in ("anna", "ben"):
+            with station.cache(who) as cache:
+                assert is_heard(cache, first, "uav-1", 3) and is_heard(cache, second, "uav-2", 5)
+        answers = ask(station.endpoint, tls=station.tls("anna"))
+        assert {name: answer.frame for name, answer in answers.items()} == {"uav-1": 3, "uav-2": 5}
+        with pytest.raises(LinkError, match="no aircraft answers"):
+            ask(station.endpoint, tls=station.tls("ben"))
+
+
+def test_an_aircraft_that_publishes_under_another_s_name_is_not_heard(station: Station) -> None:
+    status: list[bytes] = []
+    with (
+        station.aircraft("uav-1") as true,
+        station.session("uav-2") as liar,
+        station.session("anna") as listener,
+        station.cache("anna") as cache,
+    ):
+        listener.declare_subscriber("pc/*/status", lambda sample: status.append(sample.payload.to_bytes()))
+        liar.declare_queryable(FEATURES.key("uav-1"), lambda q: q.reply(FEATURES.key("uav-1"), encode(a_set(99))))
+        liar.liveliness().declare_token(ALIVE.key("uav-3"))
+        assert is_heard(cache, true, "uav-1", 3)
+        heard_of_itself = 0
+        for frame in range(10):
+            liar.put(FEATURES.key("uav-1"), encode(a_set(99)))
+            liar.put(STATUS.key("uav-1"), b"a lie")
+            liar.delete(FEATURES.key("uav-1"))
+            liar.put(STATUS.key("uav-2"), b"its own")
+            time.sleep(0.05)
+            heard_of_itself = status.count(b"its own")
+            true.publish(a_set(10 + frame))
+        assert eventually(lambda: cache.by_frame("uav-1", 19) is not None)
+        assert heard_of_itself >= 5 and b"a lie" not in status
+        assert cache.by_frame("uav-1", 99) is None and cache.unreadable == 0
+        answer = ask(station.endpoint, "uav-1", tls=station.tls("anna"))["uav-1"]
+        assert answer.frame == 19
+        tokens = {str(reply.ok.key_expr) for reply in listener.liveliness().get(ALIVE.key("*")) if reply.ok}
+        assert tokens == {ALIVE.key("uav-1")}
+
+
+@pytest.mark.parametrize("who", ["anna", "ben", "uav-2"])
+def test_people_and_other_aircraft_publish_nothing_of_an_aircraft_s(station: Station, who: str) -> None:
+    with station.aircraft("uav-1") as true, station.session(who) as other, station.cache("anna") as cache:
+        assert is_heard(cache, true, "uav-1", 3)
+        for _ in range(10):
+            other.put(FEATURES.key("uav-1"), encode(a_set(99)))
+            other.put(FEATURES.key("uav-9"), encode(a_set(99, vehicle="uav-9")))
+            time.sleep(0.03)
+        assert is_heard(cache, true, "uav-1", 4)
+        assert cache.by_frame("uav-1", 99) is None and cache.vehicles == ["uav-1"]
+
+
+def test_an_aircraft_neither_hears_nor_asks_another(station: Station) -> None:
+    heard: list[str] = []
+    with station.aircraft("uav-1") as true, station.session("uav-2") as curious, station.cache("anna") as cache:
+        curious.declare_subscriber("pc/**", lambda sample: heard.append(str(sample.key_expr)))
+        assert is_heard(cache, true, "uav-1", 3)
+        assert is_heard(cache, true, "uav-1", 4)
+        assert heard == [] and [r for r in curious.get(FEATURES.key("uav-1"), timeout=1.0) if r.ok] == []
+
+
+def test_a_name_that_was_taken_from_the_list_hears_nothing(station: Station) -> None:
+    """Its certificate is still the authority's: the list is what revokes."""
+    with station.aircraft("uav-1") as true, station.cache("former") as cache, station.cache("anna") as friend:
+        assert is_heard(friend, true, "uav-1", 3) and is_heard(friend, true, "uav-1", 4)
+        assert cache.vehicles == []
+        with pytest.raises(LinkError, match="no aircraft answers"):
+            ask(station.endpoint, tls=station.tls("former"))
+
+
+def test_a_stranger_cannot_connect(station: Station, tmp_path: Path) -> None:
+    assert onboard_main(["make-credentials", str(tmp_path), "--operator", "anna"]) == 0
+    own = tmp_path / "anna"
+    impostor = Tls(str(station.keys / "anna" / "ca.pem"), str(own / "certificate.pem"), str(own / "key.pem"))
+    with station.aircraft("uav-1") as true, station.cache("anna") as friend:
+        assert is_heard(friend, true, "uav-1", 3)
+        with pytest.raises(LinkError):
+            ask(station.endpoint, tls=impostor)
+        with pytest.raises(LinkError):
+            ask(station.endpoint.replace("tls/", "tcp/"))
+        assert "uav-1" in ask(station.endpoint, tls=station.tls("anna"))
+
+
+def test_pins_are_shared_by_those_who_may_and_by_nobody_else(station: Station, tmp_path: Path) -> None:
+    with contextlib.ExitStack() as opened:
+        stores = {name: opened.enter_context(PinStore(tmp_path / f"{name}.sqlite")) for name in ("anna", "cleo", "ben")}
+        for name, store in stores.items():
+            opened.enter_context(PinSharing(store, connect=[station.endpoint], tls=station.tls(name)))
+        stores["ben"].add([clicked()], name="not to be heard", who="ben")
+        pin = stores["anna"].add([clicked()], name="tent", who="anna")
+        assert eventually(lambda: [p.name for p in stores["cleo"].pins()] == ["tent"])
+        stores["cleo"].edit(pin.id, name="red tent", who="cleo")
+        assert eventually(lambda: [p.name for p in stores["anna"].pins()] == ["red tent"])
+        assert [p.name for p in stores["ben"].pins()] == ["not to be heard"]
+
+
+def test_one_more_aircraft_is_added_while_all_others_run_on(keys: Path, tmp_path: Path) -> None:
+    """The command as it runs: the list is written by make-credentials, and nobody but the router does anything."""
+    keys = Path(shutil.copytree(keys, tmp_path / "keys"))
+    endpoint = free_endpoint().replace("tcp/", "tls/")
+    config = keys / FLEET_FILE
+    tls = {name: Tls.in_folder(keys / name) for name in ("uav-1", "anna")}
+    said = tmp_path / "said"
+    with (
+        said.open("w") as file,
+        ended(subprocess.Popen([*ROUTER, "--config", str(config), "--listen", endpoint], cwd=ROOT, stderr=file)),
+        Publisher("uav-1", [], [endpoint], rate=WIDE, tls=tls["uav-1"]) as first,
+        SetCache(endpoint, tls=tls["anna"]) as cache,
+    ):
+        assert is_heard(cache, first, "uav-1", 3)
+        assert onboard_main(["make-credentials", str(keys), "--vehicle", "late"]) == 0
+        with Publisher("late", [], [endpoint], rate=WIDE, tls=Tls.in_folder(keys / "late")) as late:
+            assert is_heard(cache, late, "late", 5)
+            assert is_heard(cache, first, "uav-1", 6)
+        config.write_text("aircraft = 3\n")
+        assert eventually(lambda: "the list from before stays" in said.read_text())
+        assert is_heard(cache, first, "uav-1", 7)
+
+
+def test_a_list_that_cannot_be_leaves_the_router_with_the_one_before(station: Station) -> None:
+    with station.aircraft("uav-1") as true, station.cache("anna") as cache:
+        assert is_heard(cache, true, "uav-1", 3)
+        with pytest.raises(LinkError, match=r"no certificate .*/none: pc-onboard make-credentials .* --router none"):
+            station.router.replace(replace(station.router.fleet, router="none"))
+        with pytest.raises(LinkError, match=r"tcp/127\.0\.0\.1:7447 is not encrypted"):
+            station.router.replace(replace(station.router.fleet, listen=("tcp/127.0.0.1:7447",)))
+        with pytest.raises(LinkError, match=r"cannot listen at tls/192\.0\.2\.1:7447"):
+            station.router.replace(replace(station.router.fleet, listen=("tls/192.0.2.1:7447",)))
+        assert is_heard(cache, true, "uav-1", 4)
+
+
+def test_sets_are_thinned_for_each_aircraft_by_itself(station: Station) -> None:
+    station.router.replace(replace(station.router.fleet, sets_hz=2.0))
+    heard: list[str] = []
+    with station.session("uav-1") as one, station.session("uav-2") as two, station.session("anna") as anna:
+        anna.declare_subscriber(FEATURES.key("*"), lambda sample: heard.append(str(sample.key_expr)))
+        time.sleep(0.5)
+        for _ in range(40):
+            one.put(FEATURES.key("uav-1"), b"1")
+            two.put(FEATURES.key("uav-2"), b"2")
+            one.put(STATUS.key("uav-1"), b"s")
+            time.sleep(0.05)
+        for name in ("uav-1", "uav-2"):
+            assert 2 <= heard.count(FEATURES.key(name)) <= 6
+
+
+def test_what_is_printed_for_zenohd_is_the_router_s_own_configuration(
+    keys: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(keys.parent)
+    relative = Path(keys.name) / FLEET_FILE
+    assert main(["router", "--config", str(relative), "--print-zenohd-config"]) == 0
+    text = capsys.readouterr().out
+    assert zenoh.Config.from_json5(text).get_json("mode") == '"router"'
+    printed = json.loads(text)
+    assert printed == router_config(read_fleet(relative), keys)
+    for name, path in printed["transport"]["link"]["tls"].items():
+        if name.endswith(("certificate", "key")):
+            assert Path(path).is_absolute() and Path(path).is_file()
+    assert printed["access_control"]["default_permission"] == "deny"
+    assert all(subject["cert_common_names"] for subject in printed["access_control"]["subjects"])
+
+
+def test_the_list_is_read_again_only_when_the_file_is_another(tmp_path: Path) -> None:
+    path = tmp_path / FLEET_FILE
+    Fleet(aircraft=("a",)).write(path)
+    listed = ListOfFile(path, ["tls/127.0.0.1:1"])
+    assert listed.read() == Fleet(aircraft=("a",), listen=("tls/127.0.0.1:1",))
+    assert listed.changed() is None
+    Fleet(aircraft=("a", "b")).write(path)
+    fleet = listed.changed()
+    assert fleet is not None and fleet.aircraft == ("a", "b") and listed.changed() is None
+    path.unlink()
+    with pytest.raises(InputError, match="No such file"):
+        listed.changed()
+    assert listed.changed() is None
+
+
+def test_an_aircraft_s_certificate_does_not_serve_where_the_router_is_reached(tmp_path: Path) -> None:
+    words = ["--router", "base", "--vehicle", "uav-1", "--operator", "anna", "--address", "127.0.0.2"]
+    assert onboard_main(["make-credentials", str(tmp_path), *words]) == 0
+    endpoint = free_endpoint().replace("tcp/127.0.0.1", "tls/127.0.0.2")
+    anna = Tls.in_folder(tmp_path / "anna")
+    with Publisher("uav-1", [endpoint], rate=WIDE, tls=Tls.in_folder(tmp_path / "uav-1")) as impostor:
+        impostor.publish(a_set(3))
+        with pytest.raises(LinkError):
+            ask(endpoint, tls=anna)
+    fleet = replace(read_fleet(tmp_path / FLEET_FILE), listen=(endpoint,))
+    with Router(fleet, tmp_path), Publisher("uav-1", [], [endpoint], tls=Tls.in_folder(tmp_path / "uav-1")) as true:
+        true.publish(a_set(4))
+        assert eventually(lambda: "uav-1" in _answers(endpoint, anna))
+
+
+def _answers(endpoint: str, tls: Tls) -> list[str]:
+    try:
+        return list(ask(endpoint, tls=tls))
+    except LinkError:
+        return []
+
+
+def test_a_router_needs_its_list_and_a_free_port(
+    tmp_path: Path, station: Station, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["router", "--config", str(tmp_path / "none.toml")]) == 2
+    assert "none.toml: No such file" in capsys.readouterr().err
+    with (
+        pytest.raises(LinkError, match="the router cannot listen at tls/127"),
+        Router(station.router.fleet, station.keys),
+    ):
+        pass
+    plain = json.loads(link_config("router", listen=[station.endpoint.replace("tls/", "tcp/")]))
+    assert "region_name" not in plain and "access_control" not in plain
