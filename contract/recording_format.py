@@ -19,6 +19,7 @@ ATTITUDES = "pc/{vehicle}/attitude"
 FILTERS = "pc/{vehicle}/filter"
 GIMBALS = "pc/{vehicle}/gimbal"
 RANGES = "pc/{vehicle}/range"
+ZOOMS = "pc/{vehicle}/zoom"
 GAPS = "pc/{vehicle}/gaps"
 # For viewers alone, as schemas that Foxglove supports.
 VIEW_VEHICLE = "pc/{vehicle}/view/vehicle"

@@ -62,6 +62,24 @@ class Mount(Section):
         "auto",
         "a gimbal's attitude replaces the angles above: 'auto' (if the pictures confirm it), 'always', 'never'",
     )
+    gimbal_component: int = quantity(
+        0,
+        0,
+        255,
+        "",
+        "whose attitude is the camera's: a gimbal's MAVLink component (154, 171 to 175), or 1, the "
+        "autopilot for it; 0: the gimbal's own before the autopilot's",
+    )
+    gimbal_url: str | None = choice(
+        None, "a gimbal that speaks its maker's protocol: siyi:HOST:PORT, such as siyi:192.168.144.25:37260"
+    )
+    gimbal_yaw_sigma_deg: float = quantity(
+        0.0,
+        0.0,
+        45.0,
+        "deg",
+        "one sigma of a gimbal's yaw as a whole, where its zero is off or drifts; found by each window",
+    )
     sigma_deg: float = quantity(1.0, 0.0, 45.0, "deg", "one sigma of the mount angles above")
     lever_arm_m: tuple[float, float, float] = choice(
         (0.0, 0.0, 0.0), "from the autopilot's reference point to the camera: forward, right, down, m"

@@ -234,6 +234,8 @@ def _attitude(
         rates = np.stack([k.body_rate_rad_s for k in keyframes]) @ R_body_cam
         turning = np.einsum("kij,kj->ki", R_enu_cam, rates)
         between = np.array([k.nav.attitude_sigma_rad for k in keyframes])
+        # A gimbal's yaw that counts from nowhere is off by one angle, a state of each window. (5.18)
+        zero = np.array([k.nav.yaw_sigma_rad for k in keyframes])
         errors, shared = [], []
         for axis, name in enumerate((TILT, TILT, HEADING)):
             sensor, fixed = BY_NAME[name], np.diag(between**2 + (jitter_s * turning[:, axis]) ** 2)
@@ -241,8 +243,10 @@ def _attitude(
                 sensor.name: gauss_markov_covariance(stamps, declared(config, sensor.name), sensor.time_s(config)),
                 sensor.white: declared(config, sensor.white) ** 2 * np.eye(len(stamps)),
             }
-            errors.append(_errors(factors, sensor, declared_parts, fixed))
-            shared.append(lasting_sigma(stamps, attitude_sigma(config, factors, name), sensor.time_s(config)))
+            own_zero = zero if name == HEADING else np.zeros_like(zero)
+            errors.append(_errors(factors, sensor, declared_parts, fixed + np.outer(own_zero, own_zero)))
+            slow = lasting_sigma(stamps, attitude_sigma(config, factors, name), sensor.time_s(config))
+            shared.append(float(np.hypot(slow, own_zero.mean())))
         whitener, parts = _both(errors)
         bodies = np.stack([k.nav.R_enu_body for k in keyframes if k.nav.R_enu_body is not None])
         by_heading = cosine_sine_of_heading(bodies)

@@ -87,7 +87,8 @@ def make_sensor_pose(
     tilt, heading = (attitude_sigma(config, factors, name) for name in (TILT, sensor_table.HEADING))
     factor = np.linalg.cholesky(belief.covariance)
     if nav.R_enu_body is not None:
-        heading = float(np.hypot(heading, np.linalg.norm(cosine_sine_of_heading(nav.R_enu_body) @ factor[HEADING])))
+        by_heading = float(np.linalg.norm(cosine_sine_of_heading(nav.R_enu_body) @ factor[HEADING]))
+        heading = float(np.hypot(np.hypot(heading, by_heading), nav.yaw_sigma_rad))
     by_nuisance = np.zeros((7, NUISANCES))
     vertical_m = float(np.hypot(nav.sigma_vertical_m, nav.sigma_datum_m))
     by_nuisance[:3, POSITION] = np.diag([nav.sigma_horizontal_m, nav.sigma_horizontal_m, vertical_m])

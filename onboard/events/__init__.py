@@ -6,5 +6,5 @@ Public:
 - `sink`: `Sink`
 - `source`: `Emit`, `Severity`, `Source`, `SourceStatus`, `State`, `Stop`, `TelemetrySource`
 - `types`: `Attitude`, `Event`, `FilterStatus`, `Frame`, `GimbalAttitude`, `GpsQuality`, `NavEvent`, `PositionFix`,
-  `RangeFinder`
+  `RangeFinder`, `Zoom`
 """

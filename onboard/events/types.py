@@ -103,5 +103,16 @@ class RangeFinder:
     sigma_m: float | None = None
 
 
-NavEvent = PositionFix | GpsQuality | Attitude | FilterStatus | GimbalAttitude | RangeFinder
+@dataclass(frozen=True)
+class Zoom:
+    """How far the lens is zoomed in, as somebody tells: how many "times" the widest view is enlarged, "percent" of the
+    way from the widest to the longest, the focal length of the full picture in pixels, or its horizontal field of view.
+    """
+
+    stamp_ns: int
+    value: float
+    unit: Literal["times", "percent", "focal_px", "hfov_deg"]
+
+
+NavEvent = PositionFix | GpsQuality | Attitude | FilterStatus | GimbalAttitude | RangeFinder | Zoom
 Event = Frame | NavEvent

@@ -22,7 +22,16 @@ from contract.feature_set import Status
 from contract.geodesy import LocalFrame, rotation_enu_ecef
 from contract.rotations import R_ENU_NED, matrix_from_quaternion
 from onboard.config.schema import Config
-from onboard.events.types import Attitude, FilterStatus, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
+from onboard.events.types import (
+    Attitude,
+    FilterStatus,
+    GimbalAttitude,
+    GpsQuality,
+    NavEvent,
+    PositionFix,
+    RangeFinder,
+    Zoom,
+)
 from onboard.navigation.attitude_interpolation import Attitudes
 from onboard.navigation.gimbal import Gimbal, MountHypothesis
 from onboard.navigation.gps_integrity import NOTHING_YET, RECOVERING, GpsIntegrity
@@ -86,6 +95,7 @@ class NavState:
     stamp_sigma_s: float = 0.0
     sigma_datum_m: float = 0.0  # of all heights as a whole: where the log counts them from
     attitude_sigma_rad: float = 0.0  # of the attitude, because its messages come more slowly than the vehicle turns
+    yaw_sigma_rad: float = 0.0  # of the yaw as a whole, where a gimbal's counts from nowhere
     sigma_velocity_m_s: float = 0.0  # of the velocity, as the receiver or the filter claims; 0: neither does
 
 
@@ -107,9 +117,12 @@ class Navigation:
         self._ranges: Series[RangeFinder] = Series()
         self._undulation_m = float("nan") if config.gps.undulation_m is None else config.gps.undulation_m
         self._latency_ns = round(config.gps.latency_s * 1e9)
+        self._yaw_sigma_rad = float(np.radians(config.mount.gimbal_yaw_sigma_deg))
 
     def add(self, event: NavEvent) -> None:
-        """Take one event; events with a stamp already held are ignored."""
+        """Take one event; events with a stamp already held are ignored, and so is what the lens does."""
+        if isinstance(event, Zoom):
+            return
         held = self._stamps_of(event)
         if held and event.stamp_ns < held[-1] - CLOCK_STEP_NS:
             self._forget()
@@ -146,7 +159,7 @@ class Navigation:
                 self.gimbal.insert(event)
             case RangeFinder():
                 self._ranges.insert(event.stamp_ns, event)
-            case _:
+            case FilterStatus():
                 self._integrity.note_filter(event)
 
     def _forget(self) -> None:
@@ -321,6 +334,7 @@ class Navigation:
             stamp_sigma_s,
             self._integrity.datum_sigma_m(moment_ns),
             0.0 if R_enu_body is None or self._uses_gimbal else self._attitudes.sigma_at(moment_ns),
+            self._yaw_sigma_rad if R_enu_body is not None and self._uses_gimbal else 0.0,
             self._integrity.velocity_claim_m_s(moment_ns),
         )
 

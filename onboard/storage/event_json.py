@@ -23,6 +23,7 @@ from onboard.events.types import (
     NavEvent,
     PositionFix,
     RangeFinder,
+    Zoom,
 )
 
 CHANNELS: dict[type[Event], str] = {
@@ -33,6 +34,7 @@ CHANNELS: dict[type[Event], str] = {
     FilterStatus: names.FILTERS,
     GimbalAttitude: names.GIMBALS,
     RangeFinder: names.RANGES,
+    Zoom: names.ZOOMS,
 }
 NAV_EVENTS: dict[str, type[NavEvent]] = {t: kind for kind, t in CHANNELS.items() if kind is not Frame}  # type: ignore[misc]
 

@@ -11,15 +11,24 @@ from onboard.events.source import TelemetrySource
 from onboard.telemetry.mavlink_source import LiveTelemetry, PymavlinkEnd
 from onboard.telemetry.nmea_source import NmeaTelemetry
 from onboard.telemetry.signing import read_key
+from onboard.telemetry.siyi_source import SiyiGimbal, WithGimbal, siyi_address
 from onboard.telemetry.tlog_playback import PlayedTelemetry
 from onboard.telemetry.transports import Address
 
 
 def open_telemetry(config: Config, clock: SessionClock) -> TelemetrySource:
-    """The source of `telemetry.url`; nothing is opened before it runs.
+    """The source of `telemetry.url`, with that of `mount.gimbal_url` if there is one; nothing is opened before it runs.
 
     Raises ConfigError, one line, for what can never work: an unknown kind of url, a missing log, a bad key.
     """
+    source = _open_autopilot(config, clock)
+    if config.mount.gimbal_url is None or config.mount.gimbal == "never":
+        return source
+    gimbal = SiyiGimbal(clock, siyi_address(config.mount.gimbal_url), config.telemetry.lost_after_s)
+    return WithGimbal(source, gimbal)
+
+
+def _open_autopilot(config: Config, clock: SessionClock) -> TelemetrySource:
     telemetry = config.telemetry
     scheme, _, rest = telemetry.url.partition(":")
     if scheme == "tlog":

@@ -29,10 +29,11 @@ def read_log(
     home_amsl_m: float | None = None,
     gps_order: Order | None = None,
     boot_unix_s: float | None = None,
+    gimbal: int = 0,
 ) -> TelemetryLog:
     """Read a whole log. `clock` maps boot time (.tlog, .bin, .ulg); `home_amsl_m` is the take-off's height above sea
     level, for a log that only holds heights above it (.srt); `gps_order` which number of its `GPS(a, b)` is the
-    latitude; `boot_unix_s` Unix time at the boot, for a .ulg that has none.
+    latitude; `boot_unix_s` Unix time at the boot, for a .ulg that has none; `gimbal` as `mount.gimbal_component`.
 
     Raises InputError, one line, for a file that is missing, empty, of no known kind, damaged or without positions.
     """
@@ -50,7 +51,7 @@ def read_log(
     if _is_text(head):
         raise InputError(f"telemetry {path}: text of no known kind; known are {KINDS}. A table needs a header line")
     try:
-        return read_tlog(path, clock)
+        return read_tlog(path, clock, gimbal)
     except InputError as error:
         if "not a MAVLink telemetry log" in str(error):
             raise InputError(f"telemetry {path}: not a log of a known kind; known are {KINDS}") from error

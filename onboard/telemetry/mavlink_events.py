@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -25,6 +25,7 @@ WANTED = {
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
     mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS,
+    mavlink.MAVLINK_MSG_ID_MOUNT_ORIENTATION,
     mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR,
 }
 
@@ -103,8 +104,8 @@ class MessageToEvent:
             event = _filter_position(message, to_host_ns(boot_ns))
         elif name == self.sources.attitude:
             event = _attitude(message, to_host_ns(boot_ns))
-        elif name == "GIMBAL_DEVICE_ATTITUDE_STATUS":
-            event = _gimbal(message, to_host_ns(boot_ns))
+        elif name in GIMBAL_EVENTS:
+            event = GIMBAL_EVENTS[name](message, to_host_ns(boot_ns))
         elif name == "DISTANCE_SENSOR":
             event = _range(message, to_host_ns(boot_ns))
         return [] if event is None else [event]
@@ -222,6 +223,21 @@ def _gimbal(message: Any, stamp_ns: int) -> GimbalAttitude | None:
     in_vehicle = flags & mavlink.GIMBAL_DEVICE_FLAGS_YAW_IN_VEHICLE_FRAME or not flags & earth
     w, x, y, z = (part / norm for part in message.q)
     return GimbalAttitude(stamp_ns, (w, x, y, z), "vehicle" if in_vehicle else "earth")
+
+
+def _mount_orientation(message: Any, stamp_ns: int) -> GimbalAttitude | None:
+    """Degrees: roll and pitch against the horizon, yaw against the nose, or else against north."""
+    reference: Literal["vehicle", "earth"] = "vehicle" if math.isfinite(message.yaw) else "earth"
+    yaw = message.yaw if reference == "vehicle" else message.yaw_absolute
+    q = _quaternion_from_euler(math.radians(message.roll), math.radians(message.pitch), math.radians(yaw))
+    return GimbalAttitude(stamp_ns, q, reference) if math.isfinite(q[0]) else None
+
+
+# What is made of a gimbal's messages; the first is the newer one.
+GIMBAL_EVENTS: dict[str, Callable[[Any, int], GimbalAttitude | None]] = {
+    "GIMBAL_DEVICE_ATTITUDE_STATUS": _gimbal,
+    "MOUNT_ORIENTATION": _mount_orientation,
+}
 
 
 def _range(message: Any, stamp_ns: int) -> RangeFinder | None:

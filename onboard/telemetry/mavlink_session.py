@@ -13,7 +13,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from onboard.config.schema import Config
 from onboard.events.source import Severity, SourceStatus, State
-from onboard.events.types import NavEvent, PositionFix
+from onboard.events.types import GimbalAttitude, NavEvent, PositionFix
+from onboard.telemetry.gimbal_senders import Gimbals, is_heard
 from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT, MessageToEvent, Sources, boot_ns_of
 from onboard.telemetry.message_rates import RateRequests
 from onboard.telemetry.timesync import LinkClock
@@ -41,6 +42,7 @@ class Autopilot:
         self.system: int | None = config.telemetry.system or None
         self.clock = LinkClock(config.telemetry.clock)
         self.rates = RateRequests(config)
+        self.gimbals = Gimbals(config.telemetry.clock, config.mount.gimbal_component)
         self.reboots = 0
         self.others: set[int] = set()  # other vehicles on the line
         self._converter = MessageToEvent(Sources())
@@ -63,6 +65,8 @@ class Autopilot:
     def hear(self, message: Any, arrival_ns: int) -> list[NavEvent]:
         """One message from the line, of any sender -> the events it holds."""
         name, system, component = message.get_type(), message.get_srcSystem(), message.get_srcComponent()
+        if is_heard(message, self.gimbals.wanted):
+            return [*self.gimbals.hear(message, arrival_ns)] if system == self.system else []
         if component != AUTOPILOT_COMPONENT:
             return []
         if name == "HEARTBEAT" and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
@@ -115,6 +119,8 @@ class Autopilot:
             return []
         self._converter.sources = self._best_sources(arrival_ns)
         events = self._converter.convert(message, arrival_ns, self.clock.to_host_ns)
+        if any(isinstance(event, GimbalAttitude) for event in events):
+            return events if self.gimbals.choice.takes(message, arrival_ns) else []
         for event in events:
             if isinstance(event, PositionFix):
                 self._position_ns = arrival_ns
@@ -165,6 +171,7 @@ class Autopilot:
             self._next_timesync_ns = now_ns + (TIMESYNC_NS if relaxed else HURRIED_TIMESYNC_NS)
             self._asked += 1
             self._pending.append(now_ns)
+            self.gimbals.asked(now_ns)
             out.append(mavlink.MAVLink_timesync_message(0, now_ns))
         if self._texts and now_ns >= self._next_text_ns:
             self._next_text_ns = now_ns + TEXT_NS
@@ -207,6 +214,7 @@ class Autopilot:
         figures = {
             **self.rates.figures(),
             **self.clock.figures(),
+            **self.gimbals.figures(),
             "reboots": float(self.reboots),
         }
         heard_ns, position_ns = self._heard_ns, self._position_ns
@@ -223,7 +231,7 @@ class Autopilot:
             return SourceStatus(State.STARTING, "the autopilot gives no position yet", figures)
         if now_ns - position_ns > limit_ns:
             return SourceStatus(State.LOST, f"no position for {(now_ns - position_ns) / 1e9:.0f} s", figures)
-        complaint = self._complaint()
+        complaint = self._complaint() or self.gimbals.complaint(now_ns, self.config.lost_after_s)
         return SourceStatus(State.DEGRADED if complaint else State.OK, complaint, figures)
 
     def _complaint(self) -> str:

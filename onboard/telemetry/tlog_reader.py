@@ -7,6 +7,7 @@ that garbage between packets costs only itself; packets are checked and decoded 
 from __future__ import annotations
 
 import functools
+import heapq
 import itertools
 import struct
 from collections import Counter
@@ -20,43 +21,65 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from contract.errors import InputError
 from onboard.events.types import NavEvent, PositionFix
 from onboard.telemetry.boot_clock import BootClock, Mode
-from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT, WANTED, MessageToEvent, Sources, boot_ns_of
+from onboard.telemetry.gimbal_senders import GIMBAL_COMPONENTS, GimbalChoice
+from onboard.telemetry.mavlink_events import (
+    AUTOPILOT_COMPONENT,
+    GIMBAL_EVENTS,
+    WANTED,
+    MessageToEvent,
+    Sources,
+    boot_ns_of,
+)
 from onboard.telemetry.telemetry_log import TelemetryLog
 
 STRAY_NS = 5_000_000_000
 
 
-def read_tlog(path: Path | str, clock: Mode = "auto") -> TelemetryLog:
-    """Read a whole telemetry log, every event stamped on the log's clock by its least-delayed messages.
+def read_tlog(path: Path | str, clock: Mode = "auto", gimbal: int = 0) -> TelemetryLog:
+    """Read a whole telemetry log, every event stamped on the log's clock by its sender's least-delayed messages.
 
-    Only the autopilot's component of the system with most of its heartbeats is read. Damaged stretches and a cut end
-    are passed over. Raises InputError, one line, for a file that is missing, empty, not a log, or without positions.
+    Only the autopilot's component of the system with most of its heartbeats is read, and that system's gimbals; of
+    several, or where `gimbal` is not 0, one (`gimbal_senders`). Damaged stretches and a cut end are passed over. Raises
+    InputError, one line, for a file that is missing, empty, not a log, or without positions.
     """
-    own, system = log_messages(path)
+    heard, system = log_messages(path)
+    own = [(t, m) for t, m in heard if m.get_srcComponent() == AUTOPILOT_COMPONENT]
     sources = Sources.by_counts(Counter(message.get_type() for _, message in own))
+    found, segments = _events(own, sources, clock)
+    of_gimbals = []
+    if not any(isinstance(event, PositionFix) for _, event, _ in found):
+        raise InputError(
+            f"telemetry {path}: system {system} sends no position (GLOBAL_POSITION_INT, or GPS_RAW_INT with a 3D fix)"
+        )
+    for component in sorted({m.get_srcComponent() for _, m in heard} & GIMBAL_COMPONENTS):
+        speaks = [(t, m) for t, m in heard if m.get_srcComponent() == component and m.get_type() in GIMBAL_EVENTS]
+        of_gimbals.append(_events(speaks, sources, clock)[0])
+    choice = GimbalChoice(gimbal)
+    merged = heapq.merge(found, *of_gimbals, key=lambda each: each[0])
+    kept = [(t, e) for t, e, message in merged if message.get_type() not in GIMBAL_EVENTS or choice.takes(message, t)]
+    return TelemetryLog([e for _, e in kept], [t for t, _ in kept], system, segments)
+
+
+def _events(own: list[tuple[int, Any]], sources: Sources, clock: Mode) -> tuple[list[tuple[int, NavEvent, Any]], int]:
+    """(arrival, event, its message) of one component's messages, by a clock of its own, and how often that began."""
     boot_clock = BootClock(clock)
     segments: list[int] = []
     for arrival_ns, message in own:
         boot_ns = boot_ns_of(message)
-        segments.append(boot_clock.add(boot_ns, arrival_ns) if boot_ns is not None else (segments or [0])[-1])
-    events: list[NavEvent] = []
-    arrivals: list[int] = []
+        segments.append(boot_clock.add(boot_ns, arrival_ns) if boot_ns else (segments or [0])[-1])
+    out: list[tuple[int, NavEvent, Any]] = []
     for segment, group in itertools.groupby(zip(segments, own, strict=True), key=lambda pair: pair[0]):
         converter = MessageToEvent(sources)  # a new one after a reboot: it remembers boot stamps
         to_host_ns = functools.partial(boot_clock.to_host_ns, segment=segment)
         for _, (arrival_ns, message) in group:
-            new = converter.convert(message, arrival_ns, to_host_ns)
-            events += new
-            arrivals += [arrival_ns] * len(new)
-    if not any(isinstance(event, PositionFix) for event in events):
-        raise InputError(
-            f"telemetry {path}: system {system} sends no position (GLOBAL_POSITION_INT, or GPS_RAW_INT with a 3D fix)"
-        )
-    return TelemetryLog(events, arrivals, system, boot_clock.segments)
+            is_unset = boot_ns_of(message) == 0  # some gimbals do not fill the stamp in
+            moment = (lambda _, at=arrival_ns: at) if is_unset else to_host_ns
+            out += [(arrival_ns, event, message) for event in converter.convert(message, arrival_ns, moment)]
+    return out, boot_clock.segments
 
 
 def log_messages(path: Path | str) -> tuple[list[tuple[int, Any]], int]:
-    """(arrival ns, message) of a log's autopilot, in order, and its system number.
+    """(arrival ns, message) of a log's autopilot and its gimbals, in order, and its system number.
 
     The system with most autopilot heartbeats is read. Raises InputError, one line, for a file that is missing, empty or
     not a log.
@@ -73,7 +96,8 @@ def log_messages(path: Path | str) -> tuple[list[tuple[int, Any]], int]:
             f"telemetry {path}: not a MAVLink telemetry log (.tlog): no packet of an autopilot found in it"
         )
     system = _autopilot_system(messages)
-    own = [(t, m) for t, m in messages if m.get_srcSystem() == system and m.get_srcComponent() == AUTOPILOT_COMPONENT]
+    speakers = GIMBAL_COMPONENTS | {AUTOPILOT_COMPONENT}
+    own = [(t, m) for t, m in messages if m.get_srcSystem() == system and m.get_srcComponent() in speakers]
     return own, system
 
 

@@ -28,6 +28,7 @@ from onboard.events.types import (
     NavEvent,
     PositionFix,
     RangeFinder,
+    Zoom,
 )
 from onboard.storage import foxglove_schemas
 from onboard.storage.event_json import CHANNELS, NAV_EVENTS, event_json, event_schema, frame_event, nav_event
@@ -45,6 +46,7 @@ EVENTS = st.one_of(
     st.builds(FilterStatus, STAMPS, st.booleans(), st.booleans()),
     st.builds(GimbalAttitude, STAMPS, FOUR, st.sampled_from(["vehicle", "earth"])),
     st.builds(RangeFinder, STAMPS, NUMBERS, THREE, MAYBE),
+    st.builds(Zoom, STAMPS, NUMBERS, st.sampled_from(["times", "percent", "focal_px", "hfov_deg"])),
 )
 
 

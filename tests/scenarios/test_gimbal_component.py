@@ -1,0 +1,126 @@
+"""A flight whose camera hangs in a gimbal that speaks for itself: from component 154, on a boot clock of its own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from benchmarks.ablation_scenes import SURVEY, GimbalFlight
+from benchmarks.drawn_flight import EPOCH_NS, DrawnSpec
+from contract.feature_set import Status
+from contract.rotations import matrix_from_euler, matrix_from_quaternion, quaternion_from_matrix
+from onboard.config.schema import Config, parse_config
+from onboard.events.types import Attitude, Event, Frame, GimbalAttitude, GpsQuality, PositionFix
+from onboard.navigation.gimbal import MountHypothesis
+from onboard.telemetry.mavlink_session import Autopilot
+from tests.scenarios.test_moved_optics import Flown, flown
+
+S = 1_000_000_000
+SECONDS = 30.0
+LATE_S = {1: 0.006, 154: 0.012}  # of the link, by component
+BOOT_S = {1: 100.0, 154: 7.5}  # what the clocks read when the first picture is taken
+RATE = {1: 1.0 + 20e-6, 154: 1.0 - 150e-6}
+
+
+def survey(config: str = "", seed: int = 3) -> GimbalFlight:
+    spec = DrawnSpec(parse_config(config), replace(SURVEY, kind="turns", leg_m=150.0), SECONDS, 2.0, offset_s=0.0)
+    return GimbalFlight(spec, seed)
+
+
+def as_message(event: Event, boot_ms: int) -> Any:
+    """What an autopilot or a gimbal sends of an event."""
+    match event:
+        case Attitude():
+            return mavlink.MAVLink_attitude_quaternion_message(boot_ms, *event.q_ned_body, 0.0, 0.0, 0.0)
+        case GimbalAttitude():
+            nan, flags = math.nan, 32 if event.reference == "vehicle" else 64
+            q = list(event.q_ref_gimbal)
+            return mavlink.MAVLink_gimbal_device_attitude_status_message(0, 0, boot_ms, flags, q, nan, nan, nan, 0)
+        case PositionFix():
+            assert event.velocity_ned_m_s is not None
+            return mavlink.MAVLink_global_position_int_message(
+                boot_ms, round(event.lat_deg * 1e7), round(event.lon_deg * 1e7), round(event.height_amsl_m * 1e3),
+                round((event.height_above_home_m or 0.0) * 1e3), *(round(v * 100) for v in event.velocity_ned_m_s), 0,
+            )  # fmt: skip
+        case GpsQuality():
+            return mavlink.MAVLink_gps_raw_int_message(
+                boot_ms * 1000, 4, -433_800_000, 1_724_000_000, 1000, 100, 100, 0, 0, 12
+            )
+    raise AssertionError(event)
+
+
+def over_the_line(flight: GimbalFlight, config: Config, component: int = 154) -> Iterator[Event]:
+    """Telemetry as it is heard off a line, on our clock again; pictures as they are."""
+    autopilot = Autopilot(config)
+    arriving = []
+    for event in flight.events():
+        sender = component if isinstance(event, GimbalAttitude) else 1
+        boot_s = BOOT_S[sender] + (event.stamp_ns - EPOCH_NS) / S * RATE[sender]
+        late_s = 0.0 if isinstance(event, Frame) else LATE_S[sender]
+        arriving.append((event.stamp_ns + round(late_s * S), sender, round(boot_s * 1000), event))
+    heartbeat = mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
+    heartbeat._header = mavlink.MAVLink_header(heartbeat.id, srcSystem=1, srcComponent=1)
+    autopilot.hear(heartbeat, arriving[0][0])
+    for arrival_ns, sender, boot_ms, event in sorted(arriving, key=lambda each: each[0]):
+        if isinstance(event, Frame):
+            yield event
+            continue
+        message = as_message(event, boot_ms)
+        message._header = mavlink.MAVLink_header(message.id, srcSystem=1, srcComponent=sender)
+        yield from autopilot.hear(message, arrival_ns)
+
+
+def answered(found: Flown) -> tuple[float, list[float]]:
+    pictures, errors = found.pictures_in(3.0, SECONDS), found.errors_in(3.0, SECONDS)
+    return pictures[Status.OK] / pictures.total(), errors
+
+
+def test_a_gimbal_on_a_clock_of_its_own_serves_like_one_that_the_autopilot_passes_on() -> None:
+    """Both clocks begin at other times and drift apart."""
+    config = parse_config("[mount]\ngimbal = 'always'")
+    share, errors = answered(flown(survey(), events=over_the_line(survey(), config)))
+    passed_on, theirs = answered(flown(survey(), events=over_the_line(survey(), config, 1)))
+    assert share > 0.8 and share > passed_on - 0.1, (share, passed_on)
+    assert max(errors) < 2.0 and np.median(errors) < 1.3 * np.median(theirs) + 0.1, (errors, theirs)
+
+
+def test_auto_finds_that_it_carries_the_camera() -> None:
+    found = flown(survey(), events=over_the_line(survey(), parse_config("")))
+    assert found.pipeline.mount_selection.verdict is MountHypothesis.GIMBAL
+    share, errors = answered(found)
+    assert share > 0.7 and max(errors) < 2.0, (share, max(errors))
+
+
+def with_yaw_zero(events: Iterator[Event], zero_deg: float, drift_deg_s: float) -> Iterator[Event]:
+    """A gimbal whose yaw counts from elsewhere than the nose, and wanders."""
+    for event in events:
+        if isinstance(event, GimbalAttitude):
+            yaw = math.radians(zero_deg + drift_deg_s * (event.stamp_ns - EPOCH_NS) / S)
+            R = matrix_from_euler(0.0, 0.0, yaw) @ matrix_from_quaternion(event.q_ref_gimbal)
+            w, x, y, z = quaternion_from_matrix(R).tolist()
+            event = replace(event, q_ref_gimbal=(w, x, y, z))  # noqa: PLW2901
+        yield event
+
+
+@pytest.mark.parametrize(("zero_deg", "drift_deg_s", "sigma_deg"), [(12.0, 0.0, 15.0), (-45.0, 0.5, 45.0)])
+def test_a_yaw_whose_zero_is_off_and_drifts_is_found_by_each_window(
+    zero_deg: float, drift_deg_s: float, sigma_deg: float
+) -> None:
+    declared = survey(f"[mount]\ngimbal = 'always'\ngimbal_yaw_sigma_deg = {sigma_deg}")
+    share, errors = answered(flown(declared, events=with_yaw_zero(declared.events(), zero_deg, drift_deg_s)))
+    assert share > 0.8, share
+    assert max(errors) < 1.5 and np.mean(np.array(errors) <= 1.0) > 0.85, sorted(errors)[-5:]
+    true, exact = answered(flown(declared, events=declared.events()))
+    assert share >= true - 0.1 and np.median(errors) < 1.5 * np.median(exact) + 0.1, (share, true)
+
+
+def test_an_undeclared_yaw_zero_of_45_degrees_is_refused() -> None:
+    silent = survey("[mount]\ngimbal = 'always'")
+    share, errors = answered(flown(silent, events=with_yaw_zero(silent.events(), 45.0, 0.0)))
+    assert share < 0.1 and not errors, (share, errors)
