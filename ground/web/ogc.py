@@ -12,7 +12,7 @@ from urllib.parse import quote, urlencode
 from fastapi import APIRouter, Request
 from fastapi.responses import JSONResponse
 
-from ground.answer import time_utc
+from contract.answer import time_utc
 from ground.formats import geojson
 from ground.formats.mark import Mark
 from ground.web.desk import Desk, NotThere
