@@ -61,15 +61,19 @@ class Reply:
         found = self.answer
         if isinstance(found, Refusal) or math.isinf(max_age_s):
             return found
-        if self.age_s is None:
-            age = "of unknown age (is the aircraft's software older than this?)"
-        elif self.age_s > max_age_s:
-            age = f"{self.age_s:.1f} s old, more than {max_age_s:g} s"
-        else:
+        age = too_old(self.age_s, max_age_s)
+        if not age:
             return found
         what = "the newest picture that can be clicked" if found.is_ok else f"the newest picture ({found.status.value})"
         detail = f"{what} is {age}: {self.why}"
         return Refusal(Status.STALE, found.frame, found.capture_unix_ns, found.vehicle, detail, self.age_s)
+
+
+def too_old(age_s: float | None, max_age_s: float) -> str:
+    """How old a picture is if that is too old, for people; empty if it is not."""
+    if age_s is None:
+        return "of unknown age (is the aircraft's software older than this?)"
+    return f"{age_s:.1f} s old, more than {max_age_s:g} s" if age_s > max_age_s else ""
 
 
 class AircraftClock:

@@ -144,6 +144,7 @@ def test_the_base_writes_every_format_but_projections(environment: Path, session
         (["click", "1", "2", "--format", "mgrs"], "geo"), (["click", "1", "2", "--crs", "EPSG:2193"], "geo"),
         (["click", "1", "2", "--format", "utm"], "geo"), (["completion", "bash"], "completion"),
         (["record", "--to", "x", "--seconds", "1", "--connect", "tcp/127.0.0.1:9"], "record"),
+        (["click", "1", "2", "--connect", "mavlink:udpin:127.0.0.1:14551"], "mavlink"),
     ],
 )  # fmt: skip
 def test_what_needs_an_extra_says_which(
@@ -344,6 +345,15 @@ def use_open(programs: Path, folder: Path) -> None:
     assert "no log beside them" in done.stderr
 
 
+def use_mavlink(programs: Path, folder: Path) -> None:
+    """A click asked of nobody: the library is there, and what is wrong is said."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        radio = f"mavlink:udpin:127.0.0.1:{probe.getsockname()[1]}"
+    done = run(programs, "pc-ground", "click", 1, 2, "--connect", radio)
+    assert (done.returncode, done.stdout) == (2, "") and "no autopilot was received" in done.stderr, done.stderr
+
+
 def use_live(programs: Path, folder: Path) -> None:
     """Daemon and page on one machine, with a camera that needs nothing but the system's Python."""
     camera = folder / "camera.json"
@@ -377,6 +387,7 @@ USES: dict[str, Callable[[Path, Path], None]] = {
     "terrain": use_terrain,
     "geo": use_geo,
     "record": use_record,
+    "mavlink": use_mavlink,
     "plot": use_plot,
     "completion": use_completion,
     "web": use_web,

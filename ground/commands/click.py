@@ -10,7 +10,8 @@ import argparse
 import math
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,23 +20,29 @@ from contract.errors import InputError, PointclickError
 from ground.commands import ANSWERED, REFUSED, WRONG_USAGE
 from ground.commands.grids import add_grid_arguments, grid_of
 from ground.commands.picture_rows import read_picture_rows
-from ground.commands.sources import Clicker, RecordedSource, Source, add_source_arguments, source_of
+from ground.commands.sources import AskedClicker, Clicker, RecordedSource, add_source_arguments, source_of
 from ground.commands.values import age, finite, frame_number
 from ground.formats.coordinates import Grid
 from ground.formats.documents import FORMATS, Format
 from ground.formats.mark import Mark
 from ground.formats.table import header
 from ground.freshness import MAX_AGE_S
-from ground.link_options import UsageError
+from ground.link_options import UsageError, tls_of
+from ground.mavlink_endpoint import SCHEME, MavlinkEndpoint
+from ground.mavlink_link import MavlinkLink
 
 EXAMPLES = """\
 examples:
   pc-ground click 480 120                                    the newest picture of the aircraft on this machine
   pc-ground click 480 120 --connect tcp/10.0.0.7:7447        over a link
+  pc-ground click 480 120 --connect mavlink:udpin:0.0.0.0:14551    through the autopilot's radio (docs/link.md)
   pc-ground click 480 120 --frame 14 --from SESSION.mcap     a picture of a recording
   pc-ground click 480 120 --from SESSION.mcap --format mgrs  as an MGRS square (needs pointclick[geo])
   pc-ground click --from SESSION.mcap --format kml < clicks.txt > clicks.kml    lines of U V, or FRAME U V
 """
+
+
+AnyClicker = Clicker | AskedClicker
 
 
 class Click(NamedTuple):
@@ -83,8 +90,8 @@ def run(args: argparse.Namespace) -> int:
     if args.u is None:
         return _run_lines(args)
     grid = grid_of(args)
-    source = source_of(args)
-    answer, _ = _clicker(source, args).click(args.u, args.v, frame=args.frame, file=args.file, unix_s=args.time)
+    with _clickers(args) as (clicker, _):
+        answer, _ = clicker.click(args.u, args.v, frame=args.frame, file=args.file, unix_s=args.time)
     mark = Mark.of_answer(answer, (args.u, args.v))
     chosen = FORMATS[args.format or "text"]
     is_refused = isinstance(answer, Refusal)
@@ -95,10 +102,23 @@ def run(args: argparse.Namespace) -> int:
     return REFUSED if is_refused else ANSWERED
 
 
-def _clicker(source: Source, args: argparse.Namespace) -> Clicker:
+@contextmanager
+def _clickers(args: argparse.Namespace) -> Iterator[tuple[AnyClicker, AnyClicker]]:
+    """For clicks on the picture that the options mean, and for those that name their own. Raises PointclickError.
+
+    --max-age is about the newest picture.
+    """
     is_newest = args.frame is None and args.file is None and args.time is None
-    usual_s = MAX_AGE_S if is_newest and not source.is_recorded else math.inf
-    return Clicker(source, usual_s if args.max_age is None else args.max_age)
+    usual_s = MAX_AGE_S if is_newest and not args.recording else math.inf
+    max_age_s = usual_s if args.max_age is None else args.max_age
+    if args.connect and args.connect.startswith(SCHEME):
+        if tls_of(args) is not None:
+            raise UsageError("--credentials are for zenoh: leave them out with mavlink:...")
+        with MavlinkLink(MavlinkEndpoint.parse(args.connect)) as link:
+            yield AskedClicker(link, args.vehicle, max_age_s), AskedClicker(link, args.vehicle, math.inf)
+    else:
+        source = source_of(args)
+        yield Clicker(source, max_age_s), Clicker(source, math.inf)
 
 
 def _run_batch(args: argparse.Namespace) -> int:
@@ -113,7 +133,7 @@ def _run_batch(args: argparse.Namespace) -> int:
     return ANSWERED
 
 
-def _answered(clicker: Clicker, click: Click) -> Answer:
+def _answered(clicker: AnyClicker, click: Click) -> Answer:
     frame = click.picture if isinstance(click.picture, int) else None
     file = click.picture if isinstance(click.picture, str) else None
     return clicker.click(click.u_px, click.v_px, frame=frame, file=file)[0]
@@ -124,9 +144,13 @@ def _run_lines(args: argparse.Namespace) -> int:
     if sys.stdin is None or sys.stdin.isatty():
         raise UsageError("click needs U and V, or --batch CLICKS.csv, or lines of U V or FRAME U V on standard input")
     chosen, grid = FORMATS[args.format or "text"], grid_of(args)
-    source = source_of(args)
-    clicker = _clicker(source, args)
-    by_frame = Clicker(source, math.inf)  # --max-age is about the newest picture
+    with _clickers(args) as (clicker, by_frame):
+        return _answer_lines(args, chosen, grid, clicker, by_frame)
+
+
+def _answer_lines(
+    args: argparse.Namespace, chosen: Format, grid: Grid | None, clicker: AnyClicker, by_frame: AnyClicker
+) -> int:
     marks: list[Mark] = []
     status = ANSWERED
     if chosen.name == "csv":

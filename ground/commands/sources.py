@@ -3,25 +3,34 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Protocol
 
 from contract.answer import Answer, Refusal
 from contract.feature_set import FeatureSet, Status
 from contract.locate import Locator
 from contract.topics import ANY_VEHICLE, DEFAULT_ENDPOINT, TIME_TOLERANCE_S
-from ground.freshness import Later, Reply, aged
+from contract.wire.click_code import cut_name
+from ground.freshness import Later, Reply, aged, too_old
 from ground.link_options import UsageError, add_tls_arguments, endpoint_of, tls_of
 from ground.recording import Recording
+
+NO_NAMES = "--file needs --from SESSION.mcap: picture names do not cross the link; use --frame or --time"
 
 
 def add_source_arguments(parser: argparse.ArgumentParser) -> None:
     """`--vehicle`, `--connect`, `--from` and the link's."""
     parser.add_argument("--vehicle", metavar="ID", help="needed where several answer")
     source = parser.add_mutually_exclusive_group()
-    source.add_argument("--connect", metavar="ENDPOINT", help=f"zenoh endpoint (default {DEFAULT_ENDPOINT})")
+    source.add_argument(
+        "--connect",
+        metavar="ENDPOINT",
+        help=f"zenoh endpoint (default {DEFAULT_ENDPOINT}), or mavlink:udpin:HOST:PORT for click",
+    )
     source.add_argument(
         "--from", dest="recording", metavar="SESSION.mcap", type=Path, help="a recorded session, or a folder with one"
     )
@@ -94,9 +103,7 @@ class LinkSource:
     def reply(self, frame: int | None = None, file: str | None = None, unix_s: float | None = None) -> Reply:
         """The set of a frame or a time, or the newest; with its age."""
         if file is not None:
-            raise UsageError(
-                "--file needs --from SESSION.mcap: picture names do not cross the link; use --frame or --time"
-            )
+            raise UsageError(NO_NAMES)
         from ground.client import inquire  # noqa: PLC0415  zenoh is loaded only where there is a link
 
         try:
@@ -148,6 +155,44 @@ class Clicker:
             return found, None
         locator = self._solved(_Known(found))
         return aged(locator.locate((u_px, v_px)), reply.age_s), locator
+
+
+class AnsweringLink(Protocol):
+    """A link over which the aircraft answers clicks itself."""
+
+    def ask(self, u_px: float, v_px: float, *, frame: int | None = None, capture_unix_ns: int | None = None) -> Answer:
+        """The answer to a click. Raises PointclickError."""
+
+
+class AskedClicker:
+    """Has clicks answered on board, through the autopilot's radio. Raises PointclickError."""
+
+    def __init__(self, link: AnsweringLink, vehicle: str | None, max_age_s: float) -> None:
+        self._link, self._vehicle, self._max_age_s = link, vehicle, max_age_s
+
+    def click(
+        self,
+        u_px: float,
+        v_px: float,
+        *,
+        frame: int | None = None,
+        file: str | None = None,
+        unix_s: float | None = None,
+    ) -> tuple[Answer, None]:
+        """As `Clicker.click`, without what gave it."""
+        if file is not None:
+            raise UsageError(NO_NAMES)
+        answer = self._link.ask(
+            u_px, v_px, frame=frame, capture_unix_ns=None if unix_s is None else round(unix_s * 1e9)
+        )
+        if self._vehicle is not None:  # of a long name an answer has the beginning
+            vehicle_of(cut_name(self._vehicle), [answer.vehicle or ""])
+            answer = replace(answer, vehicle=self._vehicle)
+        age = "" if math.isinf(self._max_age_s) else too_old(answer.age_s, self._max_age_s)
+        if isinstance(answer, Refusal) or not age:
+            return answer, None
+        detail = f"the newest picture that can be clicked is {age}"
+        return Refusal(Status.STALE, answer.frame, answer.capture_unix_ns, answer.vehicle, detail, answer.age_s), None
 
 
 class _Known:

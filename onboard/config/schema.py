@@ -300,6 +300,12 @@ class Link(Section):
     allowed: tuple[str, ...] = choice(
         (), "TLS: common names of the certificates that may listen and ask; empty: every one of the authority's"
     )
+    mavlink: bool = choice(
+        False, "answer clicks through the autopilot's own radio too (pc-ground click --connect mavlink:...)"
+    )
+    mavlink_bit_rate: float = quantity(
+        4800.0, 200.0, 1e6, "bit/s", "all that is sent through the autopilot keeps below this, MAVLink's bytes included"
+    )
     history_s: float = quantity(600.0, 1.0, 86400.0, "s", "feature sets this young are kept to answer queries")
     history_sets: int = quantity(5000, 1, 100000, "", "at most this many of them")
 

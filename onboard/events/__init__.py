@@ -5,6 +5,7 @@ Public:
 - `session_clock`: `SessionClock`
 - `sink`: `Sink`
 - `source`: `Emit`, `Severity`, `Source`, `SourceStatus`, `State`, `Stop`, `TelemetrySource`
+- `tunnel`: `Peer`, `TunnelEnd`
 - `types`: `Attitude`, `Event`, `FilterStatus`, `Frame`, `GimbalAttitude`, `GpsQuality`, `NavEvent`, `PositionFix`,
   `RangeFinder`, `Zoom`
 """

@@ -4,6 +4,7 @@ Public:
 
 - `byte_budget`: `left_for_pictures`
 - `certificates`: `AUTHORITY`, `make_credentials`
+- `click_desk`: `ClickDesk`
 - `picture_sender`: `PictureSender`
 - `publisher`: `Publisher`
 - `status_query`: `ask`

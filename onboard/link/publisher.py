@@ -220,6 +220,11 @@ class Publisher:
             self._status_waits = True
             self._wake()
 
+    def look_up(self, asked: Question) -> Answer | None:
+        """What a query gets, for those that come by another way; None: the picture's set is still being made."""
+        with self._changed:
+            return None if asked.pending(self._history, self._pending) is not None else self._answer(asked)
+
     def picture_room(self) -> int:
         """Bytes that a packet of a picture may take; 0 while another is being sent, or there is no receiver."""
         with self._changed:

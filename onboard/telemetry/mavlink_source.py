@@ -12,8 +12,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import Emit, Severity, SourceStatus, State, Stop
+from onboard.events.tunnel import TunnelEnd
 from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT
 from onboard.telemetry.mavlink_framing import Framer, SequenceGaps
+from onboard.telemetry.mavlink_passage import Passage
 from onboard.telemetry.mavlink_session import Autopilot
 from onboard.telemetry.signing import keep_time, sign
 from onboard.telemetry.tlog_writer import TlogWriter
@@ -107,12 +109,20 @@ class PymavlinkEnd:
 class LiveTelemetry:
     """A telemetry source over a wire. See `onboard.events.source.TelemetrySource`."""
 
-    def __init__(self, config: Config, clock: SessionClock, address: Address, make_end: Callable[[], End]) -> None:
+    def __init__(
+        self,
+        config: Config,
+        clock: SessionClock,
+        address: Address,
+        make_end: Callable[[], End],
+        tunnel: TunnelEnd | None = None,
+    ) -> None:
         self._config = config
         self._clock = clock
         self._address = address
         self._make_end = make_end
         self._autopilot = Autopilot(config)
+        self._passage = None if tunnel is None else Passage(config, tunnel)
         self._log = (
             TlogWriter(config.telemetry.log, config.recording.keep_free_mb)
             if config.telemetry.log is not None
@@ -168,9 +178,14 @@ class LiveTelemetry:
                     self._log.write(arrival_ns, bytes(message.get_msgbuf()))
                 for event in autopilot.hear(message, arrival_ns):
                     emit(arrival_ns, event)
+                if self._passage is not None:
+                    self._passage.hear(message, autopilot.system)
             end.system = autopilot.system or end.system
             for message in autopilot.due(clock.now_ns(), wire.speaks_first or self._is_signed):
                 end.send(message)
+            if self._passage is not None and autopilot.system is not None:
+                for message in self._passage.due(now_ns, autopilot.system):
+                    end.send(message)
             self._complaint = end.complaint()
             self._lost = end.lost(autopilot.system) if autopilot.system is not None else None
             if wire.may_die_silently and now_ns - heard_ns > HUNG_NS:

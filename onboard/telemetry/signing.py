@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from contract.errors import ConfigError
+from contract.signing_key import signing_key
 
-KEY_LENGTH = 32
 EPOCH_S = 1_420_070_400  # signatures count ten microseconds since 2015
 LINK = 1
 
@@ -19,15 +19,10 @@ def read_key(path: str) -> bytes:
         data = Path(path).read_bytes()
     except OSError as error:
         raise ConfigError(f"telemetry.signing_key {path}: {error.strerror}") from error
-    if len(data) == KEY_LENGTH:
-        return data
     try:
-        key = bytes.fromhex(data.decode("ascii").strip())
-    except ValueError:
-        key = b""
-    if len(key) != KEY_LENGTH:
-        raise ConfigError(f"telemetry.signing_key {path}: not a key of {KEY_LENGTH} bytes, raw or in hexadecimal")
-    return key
+        return signing_key(data)
+    except ValueError as error:
+        raise ConfigError(f"telemetry.signing_key {path}: {error}") from error
 
 
 def sign(end: Any, key: bytes) -> None:

@@ -1,0 +1,132 @@
+"""Clicks over MAVLink: asked of the aircraft through its autopilot's radio, and answered on board."""
+
+from __future__ import annotations
+
+import random
+import time
+from types import TracebackType
+from typing import Any, Self
+
+from contract.answer import Answer
+from contract.errors import InputError, LinkError
+from contract.wire.click_code import MAX_NUMBER, TUNNEL_TYPE, ClickQuestion, TurnedAway, encode_question
+from ground.click_asking import Asking
+from ground.mavlink_endpoint import MavlinkEndpoint, masking
+
+LOOK_S = 0.05
+BEAT_S = 5.0  # between heartbeats: they teach the autopilot where we are, and cost 168 bits each
+FIND_S = 10.0  # for a heartbeat of the vehicle
+TUNNEL_BYTES = 128
+CHUNK = 4096
+
+
+class MavlinkLink:
+    """Opened at once. Raises InputError without the library, LinkError where the endpoint cannot be opened."""
+
+    def __init__(self, endpoint: MavlinkEndpoint) -> None:
+        try:
+            from pymavlink import mavutil  # noqa: PLC0415  of the extra `mavlink`
+            from pymavlink.dialects.v20 import ardupilotmega as dialect  # noqa: PLC0415
+        except ImportError as error:
+            raise InputError(
+                "this needs the package pymavlink: install pointclick with its extra [mavlink] (README)"
+            ) from error
+        self._endpoint, self._dialect = endpoint, dialect
+        e = endpoint
+        self._place = f"{e.kind}:{e.host}:{e.port}"
+        try:
+            if e.kind == "serial":
+                self._wire: Any = mavutil.mavlink_connection(e.host, baud=e.port)
+            else:
+                self._wire = mavutil.mavlink_connection(self._place)
+        except (OSError, ImportError) as error:
+            raise LinkError(f"cannot open {self._place}: {error}") from error
+        self._mav: Any = dialect.MAVLink(None, srcSystem=e.system, srcComponent=e.component)
+        self._mav.robust_parsing = True
+        self._wire.mav = self._mav
+        if e.key is not None:
+            self._wire.setup_signing(e.key)
+        self._vehicles: set[int] = set() if e.vehicle is None else {e.vehicle}
+        self._number = random.randrange(MAX_NUMBER + 1)  # so that a new program's questions are not an old one's
+        self._beat_s = -BEAT_S
+
+    def ask(self, u_px: float, v_px: float, *, frame: int | None = None, capture_unix_ns: int | None = None) -> Answer:
+        """The answer to a click. Raises LinkError where none comes, or the aircraft turns us away."""
+        self._number = (self._number + 1) % (MAX_NUMBER + 1)
+        question = ClickQuestion(self._number, u_px, v_px, frame, capture_unix_ns)
+        vehicle = self._find_vehicle()
+        asking = Asking(question, time.monotonic())
+        while not asking.is_over(time.monotonic()):
+            self._beat()
+            if asking.is_due(time.monotonic()):
+                self._send(vehicle, encode_question(question))
+            for message in self._received():
+                if message.get_type() != "TUNNEL" or message.payload_type != TUNNEL_TYPE:
+                    continue
+                if (message.target_system, message.target_component, message.get_srcSystem()) == (
+                    self._endpoint.system,
+                    self._endpoint.component,
+                    vehicle,
+                ):
+                    found = asking.take(bytes(message.payload[: message.payload_length]), time.monotonic())
+                    if isinstance(found, TurnedAway):
+                        raise LinkError(masking(self._endpoint.system, found.low, found.high))
+                    if found is not None:
+                        return found
+        raise LinkError(
+            f"vehicle {vehicle} does not answer clicks: does pc-onboard run there with link.mavlink = true and "
+            f"telemetry.component {self._endpoint.companion}, and does the autopilot forward to this link?"
+        )
+
+    def close(self) -> None:
+        """The end of it."""
+        self._wire.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def _find_vehicle(self) -> int:
+        """The vehicle that is asked. Raises LinkError if there is none, or several."""
+        until_s = time.monotonic() + FIND_S
+        while not self._vehicles and time.monotonic() < until_s:
+            self._received()
+        if not self._vehicles:
+            raise LinkError(f"no autopilot was received at {self._place} within {FIND_S:g} s")
+        if len(self._vehicles) > 1 and self._endpoint.vehicle is None:
+            named = ", ".join(map(str, sorted(self._vehicles)))
+            raise LinkError(f"several vehicles are received: {named}; choose one with ?vehicle={min(self._vehicles)}")
+        return self._endpoint.vehicle or min(self._vehicles)
+
+    def _received(self) -> list[Any]:
+        """Messages that came within a moment; autopilots among them are remembered."""
+        self._wire.select(LOOK_S)
+        try:
+            data = self._wire.recv(CHUNK)
+        except OSError as error:
+            raise LinkError(f"{self._place}: {error.strerror or error}") from error
+        found = (self._mav.parse_buffer(data) or []) if data else []
+        for message in found:
+            if message.get_type() == "HEARTBEAT" and message.autopilot != self._dialect.MAV_AUTOPILOT_INVALID:
+                self._vehicles.add(message.get_srcSystem())
+        return list(found)
+
+    def _beat(self) -> None:
+        """Not as a ground station: an autopilot may take any heartbeat of one for its own."""
+        if time.monotonic() - self._beat_s >= BEAT_S:
+            self._beat_s = time.monotonic()
+            d = self._dialect
+            kind, autopilot, state = d.MAV_TYPE_ONBOARD_CONTROLLER, d.MAV_AUTOPILOT_INVALID, d.MAV_STATE_ACTIVE
+            self._write(d.MAVLink_heartbeat_message(kind, autopilot, 0, 0, state, 3))
+
+    def _send(self, vehicle: int, payload: bytes) -> None:
+        padded = list(payload.ljust(TUNNEL_BYTES, b"\0"))
+        to = vehicle, self._endpoint.companion
+        self._write(self._dialect.MAVLink_tunnel_message(*to, TUNNEL_TYPE, len(payload), padded))
+
+    def _write(self, message: Any) -> None:
+        packet = message.pack(self._mav)
+        self._mav.seq = (self._mav.seq + 1) % 256
+        self._wire.write(bytes(packet))

@@ -1,0 +1,180 @@
+"""Clicks that come through the autopilot, answered on board: for a radio on which no set gets to the ground.
+
+Questions are computed in a thread of their own, so that telemetry's never waits. A question that is sent again gets the
+same answer again, and all answers keep below a bit rate of their own.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections import OrderedDict, deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Self
+
+from contract.answer import Answer as ClickedAnswer
+from contract.answer import Refusal
+from contract.errors import WireError
+from contract.feature_set import Status
+from contract.locate import Locator
+from contract.supervised_thread import Policy, SupervisedThread
+from contract.wire import click_code, codec
+from contract.wire.click_code import ClickAnswer, ClickQuestion, TurnedAway
+from onboard.config.schema import Config
+from onboard.events.tunnel import Peer
+from onboard.link.byte_budget import Bucket
+from onboard.link.reply import Answer, Question
+
+TUNNEL_OVERHEAD, SIGNATURE = 17, 13  # bytes on the wire beside a payload
+BURST_S = 0.5
+MAX_WAITING = 8  # questions, and answers
+MAX_KEPT = 32  # answers, to be sent again
+# Of the time that an answer takes at our bit rate: asked again sooner, it is under way and not lost.
+UNDER_WAY = 1.5
+IDLE_S = 0.5
+GROUND_STATIONS = 255, 255  # as autopilots have it unless they say otherwise
+
+
+class ClickDesk:
+    """A `TunnelEnd` that answers clicks. `look_up` finds a picture's set as for a query over the link; None: not yet.
+
+    `now_ns` is CLOCK_MONOTONIC.
+    """
+
+    def __init__(
+        self,
+        vehicle: str,
+        look_up: Callable[[Question], Answer | None],
+        max_bit_rate: float,
+        *,
+        is_signed: bool = False,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._vehicle, self._look_up, self._now_ns = vehicle, look_up, now_ns
+        self._overhead = TUNNEL_OVERHEAD + is_signed * SIGNATURE
+        depth = max(BURST_S * max_bit_rate / 8.0, click_code.MAX_ANSWER_BYTES + self._overhead)
+        self._bucket = Bucket(max_bit_rate / 8.0, depth, now_ns() / 1e9)
+        self._ground_stations = GROUND_STATIONS
+        self._asked: deque[tuple[Peer, ClickQuestion, int]] = deque()
+        self._ready: deque[tuple[Peer, bytes]] = deque()
+        self._kept: OrderedDict[tuple[Peer, int], bytes] = OrderedDict()
+        self._gone_s: OrderedDict[bytes, float] = OrderedDict()  # when the last answers were sent
+        self._locator: tuple[bytes, Locator] | None = None  # of the last set
+        self.answered = 0
+        self._changed = threading.Condition()
+        self.thread = SupervisedThread("clicks", self._run, Policy.RESTART)
+
+    @classmethod
+    def open(cls, config: Config, look_up: Callable[[Question], Answer | None]) -> Self:
+        """As the configuration specifies, with its thread running."""
+        is_signed = config.telemetry.signing_key is not None
+        desk = cls(config.vehicle.id, look_up, config.link.mavlink_bit_rate, is_signed=is_signed)
+        desk.thread.start()
+        return desk
+
+    def close(self) -> None:
+        """No more answers."""
+        self.thread.end()
+        with self._changed:
+            self._changed.notify()
+        self.thread.join(5.0)
+
+    def know_ground_stations(self, low: int, high: int) -> None:
+        """Grounds with such a system number are turned away: they would hide a lost ground station."""
+        with self._changed:
+            self._ground_stations = low, high
+
+    def hear(self, ground: Peer, payload: bytes) -> None:
+        """A packet from a ground; what is no question is passed over."""
+        try:
+            question = click_code.decode(payload)
+        except WireError:
+            return
+        if not isinstance(question, ClickQuestion):
+            return
+        with self._changed:
+            low, high = self._ground_stations
+            known = self._kept.get((ground, question.number))
+            if low <= ground.system <= high:
+                self._send(ground, click_code.encode_answer(TurnedAway(question.number, low, high)))
+            elif known is not None:
+                if not self._is_under_way(known):
+                    self._send(ground, known)
+            elif not any(asked[:2] == (ground, question) for asked in self._asked) and len(self._asked) < MAX_WAITING:
+                self._asked.append((ground, question, self._now_ns()))
+                self._changed.notify()
+
+    def due(self) -> list[tuple[Peer, bytes]]:
+        """Answers that may go now, the bit rate paid."""
+        out: list[tuple[Peer, bytes]] = []
+        with self._changed:
+            now_s = self._now_ns() / 1e9
+            while self._ready:
+                cost = len(self._ready[0][1]) + self._overhead
+                if self._bucket.wait_s(cost, now_s) > 0.0:
+                    break
+                self._bucket.take(cost, now_s)
+                out.append(self._ready.popleft())
+                self._gone_s[out[-1][1]] = now_s
+                while len(self._gone_s) > MAX_KEPT:
+                    self._gone_s.popitem(last=False)
+        return out
+
+    def work(self) -> bool:
+        """Answer one question; whether there was one."""
+        with self._changed:
+            if not self._asked:
+                return False
+            ground, question, at_ns = self._asked[0]
+        try:
+            answer = self._answer(question, at_ns)
+            payload = None if answer is None else click_code.encode_answer(ClickAnswer(question.number, answer))
+        finally:
+            with self._changed:
+                self._asked.popleft()
+        if payload is None:
+            return True  # its set is being made: the ground asks again
+        with self._changed:
+            self._kept[ground, question.number] = payload
+            while len(self._kept) > MAX_KEPT:
+                self._kept.popitem(last=False)
+            self._send(ground, payload)
+            self.answered += 1
+        return True
+
+    def _send(self, ground: Peer, payload: bytes) -> None:
+        """Once at a time, however often it is asked for meanwhile."""
+        if (ground, payload) not in self._ready and len(self._ready) < MAX_WAITING:
+            self._ready.append((ground, payload))
+
+    def _is_under_way(self, payload: bytes) -> bool:
+        gone_s = self._gone_s.get(payload)
+        takes_s = (len(payload) + self._overhead) / self._bucket.bytes_per_s
+        return gone_s is not None and self._now_ns() / 1e9 - gone_s < UNDER_WAY * takes_s
+
+    def _answer(self, question: ClickQuestion, at_ns: int) -> ClickedAnswer | None:
+        frame = None if question.frame is None else str(question.frame)
+        unix_s = None if question.capture_unix_ns is None else repr(question.capture_unix_ns / 1e9)
+        found = self._look_up(Question(frame, unix_s, at_ns))
+        if found is None:
+            return None
+        about = json.loads(found.about or b"{}")
+        if found.is_error:
+            said = json.loads(found.payload)
+            state = ": ".join(str(said[key]) for key in ("state", "reason") if said.get(key))
+            return Refusal(Status(said["status"]), question.frame, vehicle=self._vehicle, detail=state)
+        if self._locator is None or self._locator[0] != found.payload:
+            self._locator = found.payload, Locator(codec.decode(found.payload))
+        answer = self._locator[1].locate((question.u_px, question.v_px))
+        return replace(answer, age_s=about.get("age_s"))
+
+    def _run(self, thread: SupervisedThread) -> None:
+        while not thread.is_set():
+            thread.beat()
+            while self.work():
+                thread.beat()
+            with self._changed:
+                if not self._asked:
+                    self._changed.wait(IDLE_S)

@@ -1,0 +1,49 @@
+"""Which MAVLink system numbers an autopilot takes for its ground stations. No link, no thread.
+
+ArduPilot declares its ground station lost when no packet of these numbers comes any more. A program on the ground that
+sends under one of them hides that loss, so their range is asked for, and other programs stay out of it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT
+
+LOW, HIGH, OLD = "MAV_GCS_SYSID", "MAV_GCS_SYSID_HI", "SYSID_MYGCS"  # ArduPilot's parameters; the last before 4.7
+AGAIN_NS = 2_000_000_000
+MAX_TRIES = 5
+USUAL = 255
+
+
+class GroundStations:
+    """Asks the autopilot for its parameters, some times each, and remembers what it said."""
+
+    def __init__(self) -> None:
+        self._values: dict[str, int] = {}
+        self._tries, self._due_ns = 0, 0
+
+    @property
+    def range(self) -> tuple[int, int]:
+        """The lowest and the highest number; 255 and 255 until the autopilot says otherwise."""
+        low = self._values.get(LOW, self._values.get(OLD, USUAL))
+        return low, max(low, self._values.get(HIGH, 0))
+
+    def hear(self, message: Any) -> None:
+        """A PARAM_VALUE of the autopilot."""
+        if message.param_id in (LOW, HIGH, OLD) and 0 <= message.param_value <= USUAL:
+            self._values[message.param_id] = int(message.param_value)
+
+    def due(self, now_ns: int, system: int) -> list[Any]:
+        """Requests for what is not known yet."""
+        is_known = LOW in self._values and HIGH in self._values
+        if is_known or self._tries >= MAX_TRIES or now_ns < self._due_ns:
+            return []
+        self._tries, self._due_ns = self._tries + 1, now_ns + AGAIN_NS
+        wanted = [name for name in (LOW, HIGH, OLD) if name not in self._values]
+        return [
+            mavlink.MAVLink_param_request_read_message(system, AUTOPILOT_COMPONENT, name.encode(), -1)
+            for name in wanted
+        ]

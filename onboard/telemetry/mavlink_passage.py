@@ -1,0 +1,52 @@
+"""What passes through the autopilot to grounds behind its radio, in MAVLink's TUNNEL. No link, no thread.
+
+Always addressed to one ground's system and component: a broadcast TUNNEL floods every link of the autopilot.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from contract.wire.click_code import TUNNEL_TYPE
+from onboard.config.schema import Config
+from onboard.events.tunnel import Peer, TunnelEnd
+from onboard.telemetry.ground_stations import GroundStations
+from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT
+
+TUNNEL_BYTES = 128  # of its payload's field
+
+
+class Passage:
+    """Between messages of the line and a `TunnelEnd`."""
+
+    def __init__(self, config: Config, tunnel: TunnelEnd) -> None:
+        self._component, self._tunnel = config.telemetry.component, tunnel
+        self._ground_stations = GroundStations()
+
+    def hear(self, message: Any, system: int | None) -> None:
+        """One message from the line; `system`: the vehicle's number, as far as it is known."""
+        name = message.get_type()
+        if name == "TUNNEL" and message.payload_type == TUNNEL_TYPE:
+            if (message.target_system, message.target_component) == (system, self._component):
+                ground = Peer(message.get_srcSystem(), message.get_srcComponent())
+                self._tunnel.hear(ground, bytes(message.payload[: message.payload_length]))
+        elif name == "PARAM_VALUE" and (message.get_srcSystem(), message.get_srcComponent()) == (
+            system,
+            AUTOPILOT_COMPONENT,
+        ):
+            self._ground_stations.hear(message)
+            self._tunnel.know_ground_stations(*self._ground_stations.range)
+
+    def due(self, now_ns: int, system: int) -> list[Any]:
+        """Messages to be sent now."""
+        return self._ground_stations.due(now_ns, system) + [
+            tunnelled(ground.system, ground.component, payload) for ground, payload in self._tunnel.due()
+        ]
+
+
+def tunnelled(system: int, component: int, payload: bytes) -> Any:
+    """A TUNNEL of ours to one system and component."""
+    padded = list(payload.ljust(TUNNEL_BYTES, b"\0"))
+    return mavlink.MAVLink_tunnel_message(system, component, TUNNEL_TYPE, len(payload), padded)

@@ -1,0 +1,87 @@
+"""`--connect mavlink:...`: what may be written, and which system numbers are refused."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from contract.answer import Answer, Refusal
+from contract.feature_set import Status
+from ground.commands.sources import AskedClicker
+from ground.link_options import UsageError
+from ground.mavlink_endpoint import MavlinkEndpoint
+from tests.contract.test_click_code import FIX
+
+
+def test_the_usual_and_everything_said() -> None:
+    assert MavlinkEndpoint.parse("mavlink:udpin:0.0.0.0:14551") == MavlinkEndpoint("udpin", "0.0.0.0", 14551)
+    assert MavlinkEndpoint.parse(
+        "mavlink:serial:/dev/ttyUSB0:57600?system=200&component=26&vehicle=3&companion=192&ground_stations=250-255"
+    ) == MavlinkEndpoint("serial", "/dev/ttyUSB0", 57600, 200, 26, 3, 192)
+
+
+@pytest.mark.parametrize(
+    ("options", "is_refused"),
+    [
+        ("system=255", True),
+        ("system=254", False),
+        ("system=250&ground_stations=250-255", True),
+        ("system=249&ground_stations=250-255", False),
+        ("ground_stations=240-250", True),  # ours without another word
+        ("system=255&ground_stations=250", False),
+    ],
+)
+def test_a_ground_station_s_number_is_refused_with_what_it_would_hide(options: str, is_refused: bool) -> None:
+    text = f"mavlink:udpin:0.0.0.0:14551?{options}"
+    if not is_refused:
+        assert MavlinkEndpoint.parse(text).kind == "udpin"
+        return
+    with pytest.raises(UsageError, match="would not notice that its ground station is lost"):
+        MavlinkEndpoint.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("mavlink:udpin:14551", "is none of"),
+        ("mavlink:carrier:pigeon:1", "is none of"),
+        ("mavlink:udpin:0.0.0.0:x", "is none of"),
+        ("mavlink:udpin:0.0.0.0:14551?sytem=3", "sytem"),
+        ("mavlink:udpin:0.0.0.0:14551?system=0", "no number from 1 to 255"),
+        ("mavlink:udpin:0.0.0.0:14551?vehicle=x", "no number from 1 to 255"),
+    ],
+)
+def test_what_cannot_be_read_is_one_line(text: str, said: str) -> None:
+    with pytest.raises(UsageError, match=said) as raised:
+        MavlinkEndpoint.parse(text)
+    assert "\n" not in str(raised.value)
+
+
+class Link:
+    """Answers as it is told to."""
+
+    def __init__(self, answer: Answer) -> None:
+        self.answer = answer
+
+    def ask(self, u_px: float, v_px: float, *, frame: int | None = None, capture_unix_ns: int | None = None) -> Answer:
+        return self.answer
+
+
+def clicked(answer: Answer, vehicle: str | None = None, max_age_s: float = 3.0) -> Answer:
+    return AskedClicker(Link(answer), vehicle, max_age_s).click(1.0, 2.0)[0]
+
+
+def test_an_answer_that_is_too_old_is_refused_as_over_the_link() -> None:
+    assert clicked(FIX) is FIX
+    old = clicked(FIX, max_age_s=0.1)
+    assert isinstance(old, Refusal) and old.status is Status.STALE and "0.4 s old" in old.reason
+    assert clicked(FIX, max_age_s=math.inf) is FIX
+    turning = Refusal(Status.TURNING, vehicle="uav-1")
+    assert clicked(turning) is turning
+
+
+def test_the_vehicle_that_answers_must_be_the_one_that_is_meant() -> None:
+    assert clicked(FIX, "uav-1").vehicle == "uav-1"
+    with pytest.raises(UsageError, match="no vehicle 'uav-2'"):
+        clicked(FIX, "uav-2")

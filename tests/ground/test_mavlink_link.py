@@ -1,0 +1,160 @@
+"""The ground's end of clicks over MAVLink, with an aircraft's end in the same process, over real sockets."""
+
+from __future__ import annotations
+
+import dataclasses
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from contract.answer import Fix, Refusal
+from contract.errors import LinkError
+from contract.feature_set import Status
+from contract.wire.codec import encode
+from ground import mavlink_link
+from ground.mavlink_endpoint import MavlinkEndpoint
+from ground.mavlink_link import MavlinkLink
+from onboard.config.schema import parse_config
+from onboard.link.click_desk import ClickDesk
+from onboard.link.reply import Answer, Question
+from onboard.telemetry.mavlink_passage import Passage
+from onboard.telemetry.mavlink_source import PymavlinkEnd
+from tests.contract.sets import plain_set
+
+PAYLOAD = encode(dataclasses.replace(plain_set(60), frame=7))
+KEY = bytes(range(32))
+
+
+class Wire:
+    """Datagrams to one port, as the telemetry's wire."""
+
+    def __init__(self, port: int) -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.connect(("127.0.0.1", port))
+        self.socket.settimeout(0.02)
+
+    def write(self, data: bytes) -> None:
+        try:
+            self.socket.send(data)
+        except OSError:  # the ground is not there yet, or no more
+            return
+
+    def read(self) -> bytes:
+        try:
+            return self.socket.recv(4096)
+        except OSError:
+            return b""
+
+
+class Aircraft:
+    """Autopilot and companion computer in one: heartbeats of the one, answers of the other."""
+
+    def __init__(self, port: int, key: bytes | None = None, system: int = 3) -> None:
+        config = parse_config(f"[telemetry]\nsystem = {system}\n")
+        self.desk = ClickDesk("uav-1", self._look_up, 1e5)
+        self.wire, self.system = Wire(port), system
+        self.end, self.autopilot = PymavlinkEnd(config, key), PymavlinkEnd(config, key)
+        self.autopilot._mav.srcComponent = 1
+        self.end.attach(self.wire)  # type: ignore[arg-type]
+        self.autopilot.attach(self.wire)  # type: ignore[arg-type]
+        self.passage = Passage(config, self.desk)
+        self.heard: list[str] = []
+        self.stop = threading.Event()
+
+    @staticmethod
+    def _look_up(asked: Question) -> Answer | None:
+        return Answer(PAYLOAD, b'{"age_s":0.25}')
+
+    def run(self) -> None:
+        beat_s = 0.0
+        while not self.stop.is_set():
+            if time.monotonic() - beat_s > 0.2:
+                beat_s = time.monotonic()
+                self.autopilot.send(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3))
+            for _, message in self.end.take(self.wire.read(), 0):
+                self.heard.append(message.get_type())
+                self.passage.hear(message, self.system)
+            self.desk.work()
+            for message in self.passage.due(0, self.system):
+                self.end.send(message)
+
+
+@contextmanager
+def flying(key: bytes | None = None, *systems: int) -> Iterator[tuple[str, list[Aircraft]]]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = int(probe.getsockname()[1])
+    aircraft = [Aircraft(port, key, system) for system in systems or (3,)]
+    threads = [threading.Thread(target=a.run, daemon=True) for a in aircraft]
+    for thread in threads:
+        thread.start()
+    try:
+        yield f"mavlink:udpin:127.0.0.1:{port}", aircraft
+    finally:
+        for a, thread in zip(aircraft, threads, strict=True):
+            a.stop.set()
+            thread.join(5.0)
+            a.wire.socket.close()
+
+
+def test_clicks_are_answered_one_after_the_other_over_one_link() -> None:
+    with flying() as (radio, (aircraft,)), MavlinkLink(MavlinkEndpoint.parse(radio)) as link:
+        first, second = link.ask(320.0, 240.0), link.ask(-5.0, 240.0)
+        assert isinstance(first, Fix) and (first.vehicle, first.frame) == ("uav-1", 7)
+        assert first.age_s is not None and 0.25 <= first.age_s < 3.0
+        assert isinstance(second, Refusal) and second.status is Status.OUTSIDE
+        assert "HEARTBEAT" in aircraft.heard  # by which the autopilot learns where we are
+
+
+def test_with_a_key_both_ends_sign_and_without_it_nothing_is_answered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mavlink_link, "FIND_S", 1.0)
+    (tmp_path / "key").write_text(KEY.hex())
+    with flying(KEY) as (radio, (aircraft,)):
+        with MavlinkLink(MavlinkEndpoint.parse(f"{radio}?key={tmp_path / 'key'}")) as link:
+            assert isinstance(link.ask(320.0, 240.0), Fix)
+        aircraft.heard.clear()
+        monkeypatch.setattr("ground.click_asking.GIVE_UP_S", 1.0)
+        unsigned = MavlinkEndpoint.parse(f"{radio}?vehicle=3")
+        with MavlinkLink(unsigned) as link, pytest.raises(LinkError, match="does not answer clicks"):
+            link.ask(320.0, 240.0)
+        assert aircraft.heard == []
+
+
+def test_several_vehicles_must_be_told_apart() -> None:
+    with flying(None, 3, 4) as (radio, aircraft):
+        with MavlinkLink(MavlinkEndpoint.parse(f"{radio}?vehicle=4")) as link:
+            assert isinstance(link.ask(320.0, 240.0), Fix)
+        assert "TUNNEL" in aircraft[1].heard
+        with MavlinkLink(MavlinkEndpoint.parse(radio)) as link:
+            until_s = time.monotonic() + 5.0
+            while len(link._vehicles) < 2 and time.monotonic() < until_s:
+                link._received()
+            with pytest.raises(LinkError, match="several vehicles are received: 3, 4"):
+                link.ask(320.0, 240.0)
+
+
+def test_a_ground_that_is_turned_away_says_what_it_would_have_hidden() -> None:
+    with flying() as (radio, (aircraft,)), MavlinkLink(MavlinkEndpoint.parse(f"{radio}?system=250")) as link:
+        aircraft.desk.know_ground_stations(250, 255)
+        with pytest.raises(LinkError, match="MAV_GCS_SYSID 250 to 255"):
+            link.ask(320.0, 240.0)
+
+
+def test_nobody_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mavlink_link, "FIND_S", 0.2)
+    with flying() as (radio, (aircraft,)):
+        aircraft.stop.set()
+        time.sleep(0.3)
+        with (
+            MavlinkLink(MavlinkEndpoint.parse(radio)) as link,
+            pytest.raises(LinkError, match="no autopilot was received"),
+        ):
+            link.ask(320.0, 240.0)

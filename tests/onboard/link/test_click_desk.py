@@ -1,0 +1,188 @@
+"""Clicks through the autopilot's radio in virtual time: how soon they are answered, and what that costs others."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import random
+from collections import deque
+
+import pytest
+
+from contract.answer import Fix, Refusal
+from contract.feature_set import Status
+from contract.locate import locate
+from contract.wire.click_code import ClickAnswer, ClickQuestion, TurnedAway, decode, encode_question
+from contract.wire.codec import decode as decode_set
+from contract.wire.codec import encode
+from ground.click_asking import Asking
+from onboard.events.tunnel import Peer
+from onboard.link.click_desk import MAX_WAITING, TUNNEL_OVERHEAD, ClickDesk
+from onboard.link.reply import Answer, Question
+from tests.contract.sets import plain_set
+from tests.onboard.link.pipe import HEARTBEAT_BYTES, Way, own_stream
+
+SET = decode_set(encode(dataclasses.replace(plain_set(60), frame=7)))
+PAYLOAD = encode(SET)
+GROUND = Peer(245, 25)
+UV = (320.0, 240.0)
+STEP_S = 0.01
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def ns(self) -> int:
+        return round(self.now_s * 1e9)
+
+
+def look_up(asked: Question) -> Answer | None:
+    if asked.frame not in (None, "7"):
+        return Answer(json.dumps({"status": "unknown_frame", "vehicle": "uav-1"}).encode(), is_error=True)
+    return Answer(PAYLOAD, b'{"age_s":0.25}')
+
+
+def a_desk(clock: Clock, bit_rate: float = 4800.0, asked: list[Question] | None = None) -> ClickDesk:
+    def noted(question: Question) -> Answer | None:
+        if asked is not None:
+            asked.append(question)
+        return look_up(question)
+
+    return ClickDesk("uav-1", noted, bit_rate, now_ns=clock.ns)
+
+
+def answered(desk: ClickDesk, question: ClickQuestion, ground: Peer = GROUND) -> list[ClickAnswer | TurnedAway]:
+    desk.hear(ground, encode_question(question))
+    while desk.work():
+        pass
+    found = [decode(payload) for to, payload in desk.due() if to == ground]
+    return [f for f in found if not isinstance(f, ClickQuestion)]
+
+
+def test_an_answer_is_that_of_the_set_with_the_age_it_had_when_the_question_came() -> None:
+    (found,) = answered(a_desk(Clock()), ClickQuestion(5, *UV))
+    expected = locate(SET, UV)
+    assert isinstance(found, ClickAnswer) and isinstance(found.answer, Fix) and isinstance(expected, Fix)
+    assert abs(found.answer.lat_deg - expected.lat_deg) <= 1e-9 and abs(found.answer.lon_deg - expected.lon_deg) <= 1e-9
+    assert found.answer.ellipse.semi_major_m == pytest.approx(expected.ellipse.semi_major_m, rel=1e-3)
+    assert (found.number, found.answer.frame, found.answer.age_s) == (5, 7, 0.25)
+
+
+def test_what_the_aircraft_has_not_is_refused_and_what_is_being_made_is_not_answered_yet() -> None:
+    clock = Clock()
+    (unknown,) = answered(a_desk(clock), ClickQuestion(5, *UV, frame=8))
+    assert isinstance(unknown, ClickAnswer) and isinstance(unknown.answer, Refusal)
+    assert (unknown.answer.status, unknown.answer.frame) == (Status.UNKNOWN_FRAME, 8)
+    made: list[Answer] = []
+    desk = ClickDesk("uav-1", lambda _: made[0] if made else None, 4800.0, now_ns=clock.ns)
+    assert answered(desk, ClickQuestion(6, *UV, frame=7)) == []
+    made.append(Answer(PAYLOAD))
+    (late,) = answered(desk, ClickQuestion(6, *UV, frame=7))
+    assert isinstance(late, ClickAnswer) and isinstance(late.answer, Fix)
+
+
+def test_a_question_that_is_sent_again_gets_the_same_answer_and_is_computed_once() -> None:
+    clock, asked = Clock(), list[Question]()
+    desk = a_desk(clock, asked=asked)
+    first = answered(desk, ClickQuestion(5, *UV))
+    clock.now_s = 3.0
+    again = answered(desk, ClickQuestion(5, *UV))
+    assert answered(desk, ClickQuestion(5, *UV)) == []  # that answer is still under way
+    assert len(asked) == 1
+    assert isinstance(first[0], ClickAnswer) and isinstance(again[0], ClickAnswer)
+    assert first[0].answer.age_s == again[0].answer.age_s == 0.25
+    answered(desk, ClickQuestion(5, *UV), Peer(246, 25))  # another ground's question of the same number
+    assert len(asked) == 2
+
+
+@pytest.mark.parametrize(("system", "is_turned_away"), [(249, False), (250, True), (255, True)])
+def test_a_ground_station_s_system_number_is_turned_away(system: int, is_turned_away: bool) -> None:
+    desk = a_desk(Clock())
+    desk.know_ground_stations(250, 255)
+    (found,) = answered(desk, ClickQuestion(5, *UV), Peer(system, 25))
+    assert isinstance(found, TurnedAway) == is_turned_away
+    if isinstance(found, TurnedAway):
+        assert (found.low, found.high) == (250, 255)
+
+
+def test_a_flood_of_questions_is_bounded_and_never_above_the_bit_rate() -> None:
+    clock = Clock()
+    desk = a_desk(clock, 4800.0)
+    sent: deque[tuple[float, int]] = deque()
+    for number in range(2000):
+        clock.now_s += 0.005
+        desk.hear(GROUND, encode_question(ClickQuestion(number, *UV)))
+        desk.hear(GROUND, b"\x11garbage")
+        desk.work()
+        out = desk.due()
+        assert len(out) <= MAX_WAITING
+        sent += [(clock.now_s, len(payload) + TUNNEL_OVERHEAD) for _, payload in out]
+    for began_s, _ in list(sent):
+        carried = sum(size for at_s, size in sent if began_s <= at_s <= began_s + 2.0)
+        assert carried <= 2.0 * 600.0 + 300.0 + 77.0
+    assert sum(size for _, size in sent) >= 0.9 * 600.0 * 10.0
+
+
+def waits_s(
+    bit_rate: float, clicks: int, loss: float = 0.0, delay_s: float = 0.1, share: float = 0.6, seconds: float = 900.0
+) -> tuple[list[float], Way[bytes]]:
+    """How long each of so many clicks, a while after one another, waits for its answer; and the way down."""
+    clock, chance = Clock(), random.Random(4)
+    desk = a_desk(clock, 0.4 * bit_rate if bit_rate > 1000.0 else bit_rate)
+    up: Way[bytes] = Way(bit_rate, loss, delay_s, 0.05, seed=1)
+    down: Way[bytes] = Way(bit_rate, loss, delay_s, 0.05, seed=2)
+    stream = deque(own_stream(bit_rate, share, seconds))
+    found: list[float] = []
+    asking, began_s, beat_s = None, 0.0, 0.0
+    next_s = 1.0
+    while len(found) < clicks and clock.now_s < seconds - 1.0:
+        now_s = clock.now_s = clock.now_s + STEP_S
+        while stream and stream[0][0] <= now_s:
+            down.put_own(now_s, stream.popleft()[1])
+        if asking is None and now_s >= next_s:
+            asking, began_s = Asking(ClickQuestion(len(found), *UV), now_s), now_s
+        if asking is not None and asking.is_due(now_s):
+            up.put(now_s, 20 + TUNNEL_OVERHEAD, encode_question(asking.question))
+        if now_s >= beat_s:
+            up.put(now_s, HEARTBEAT_BYTES, b"")
+            beat_s = now_s + 5.0
+        for payload in up.arrived(now_s):
+            desk.hear(GROUND, payload)
+        while desk.work():
+            pass
+        for _, payload in desk.due():
+            down.put(now_s, len(payload) + TUNNEL_OVERHEAD, payload)
+        for payload in down.arrived(now_s):
+            if asking is not None and asking.take(payload, now_s) is not None:
+                found.append(now_s - began_s)
+                asking, next_s = None, now_s + chance.uniform(0.5, 3.0)
+    return sorted(found), down
+
+
+@pytest.mark.parametrize(
+    ("bit_rate", "share", "loss", "most_s"),
+    [
+        (400.0, 0.42, 0.0, 4.0),  # nothing beside but the autopilot's heartbeat
+        (400.0, 0.42, 0.1, 6.0),
+        (4800.0, 0.6, 0.1, 4.0),
+        (57_600.0, 0.65, 0.1, 4.0),
+    ],
+)
+def test_a_click_is_answered_within_seconds_on_the_thinnest_radio(
+    bit_rate: float, share: float, loss: float, most_s: float
+) -> None:
+    waits, _ = waits_s(bit_rate, 100, loss, share=share)
+    assert len(waits) == 100
+    assert waits[94] <= most_s
+    assert waits[0] >= 8.0 * (37 + 60) / bit_rate  # and no sooner than its bytes take
+
+
+def test_the_autopilots_own_messages_are_hardly_later_for_the_answers_between_them() -> None:
+    _, busy = waits_s(57_600.0, 60, share=0.65, seconds=150.0)
+    _, alone = waits_s(57_600.0, 0, share=0.65, seconds=0.0)
+    for at_s, size in own_stream(57_600.0, 0.65, 150.0):
+        alone.put_own(at_s, size)
+    later = [one - other for one, other in zip(busy.own_waits_s, alone.own_waits_s, strict=False)]
+    assert len(later) > 2000 and len(busy.carried) >= 60
+    assert 0.005 < max(later) <= 0.05

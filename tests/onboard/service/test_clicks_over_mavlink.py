@@ -1,0 +1,65 @@
+"""`pc-ground click` through the autopilot's radio: a daemon, a router by the autopilot's rules, and the ground."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+from contract.wire.click_code import TUNNEL_TYPE
+from tests.onboard.link.mavlink_router import Line, Router, Udp
+from tests.onboard.service.air import STRAIGHT
+from tests.onboard.service.process import ROOT, aircraft
+from tests.scenarios.flights import CAMERA
+
+
+def free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def pc_ground(*arguments: object, lines: str = "") -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "ground", *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, input=lines, capture_output=True, text=True, check=False, timeout=60)
+
+
+def test_a_click_is_answered_through_the_autopilot_as_over_the_link(tmp_path: Path) -> None:
+    onboard, ground, other = (free_udp_port() for _ in range(3))
+    radio, uv = f"mavlink:udpin:127.0.0.1:{ground}", (CAMERA.width_px // 2, CAMERA.height_px // 2)
+    with aircraft(tmp_path, STRAIGHT) as plane:
+        text = plane.config.read_text().replace(f'"{plane.autopilot.url}"', f'"udpin:127.0.0.1:{onboard}"')
+        plane.config.write_text(text.replace("[link]", "[link]\nmavlink = true"))
+        with Router(Line(plane.autopilot.url), Udp(onboard), Udp(ground), Udp(other)) as router:
+            plane.start()
+            plane.wait_for("ok")
+            newest = pc_ground("click", *uv, "--connect", radio, "--format", "json")
+            answer = json.loads(newest.stdout)
+            frame = answer["frame"]
+            clicks = f"{frame} {uv[0]} {uv[1]}\n999999 1 1\n{frame} 9999 1\n"
+            lines = pc_ground("click", "--connect", radio, "--format", "json", lines=clicks)
+            expected = json.loads(
+                pc_ground("click", *uv, "--frame", frame, "--connect", plane.endpoint, "--format", "json").stdout
+            )
+            masked = pc_ground("click", *uv, "--connect", f"{radio}?system=255&ground_stations=250")
+            passed = list(router.passed)
+            plane.signal(signal.SIGTERM)
+            assert plane.ended() == 0
+    assert newest.returncode == 0 and 0.0 < answer["age_s"] < 3.0
+    again, unknown, outside = (json.loads(line) for line in lines.stdout.splitlines())
+    for key in ("lat_deg", "lon_deg"):
+        assert abs(again[key] - expected[key]) < 2e-9
+    assert abs(again["height_amsl_m"] - expected["height_amsl_m"]) <= 0.002
+    for axis in ("semi_major_m", "semi_minor_m"):
+        assert abs(again["ellipse"][axis] / expected["ellipse"][axis] - 1.0) < 0.002
+    assert [again[key] for key in ("frame", "vehicle", "method")] == [frame, "uav", expected["method"]]
+    assert (unknown["status"], unknown["frame"], outside["status"]) == ("unknown_frame", 999999, "outside")
+    assert masked.returncode == 2 and "MAV_GCS_SYSID 255 to 255" in masked.stderr  # said by the aircraft itself
+    tunnels = [(message, to) for message, _, to in passed if message.get_type() == "TUNNEL"]
+    assert len(tunnels) >= 10
+    for message, to in tunnels:  # each to one link, short, and of our kind
+        assert message.payload_type == TUNNEL_TYPE and to in ([1], [2])
+        assert message.payload_length <= (24 if to == [1] else 60)

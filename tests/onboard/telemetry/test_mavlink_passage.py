@@ -1,0 +1,108 @@
+"""What passes through the autopilot, to whom, and which ground stations the autopilot has."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from contract.errors import ConfigError
+from contract.wire.click_code import MAX_ANSWER_BYTES, TUNNEL_TYPE
+from onboard.config.schema import parse_config
+from onboard.events.session_clock import SessionClock
+from onboard.events.tunnel import Peer
+from onboard.telemetry.factory import open_telemetry
+from onboard.telemetry.ground_stations import MAX_TRIES
+from onboard.telemetry.mavlink_passage import Passage, tunnelled
+
+SYSTEM, COMPONENT = 7, 191
+SECOND_NS = 1_000_000_000
+
+
+class Tunnel:
+    def __init__(self) -> None:
+        self.heard: list[tuple[Peer, bytes]] = []
+        self.ready: list[tuple[Peer, bytes]] = []
+        self.ground_stations = (255, 255)
+
+    def hear(self, ground: Peer, payload: bytes) -> None:
+        self.heard.append((ground, payload))
+
+    def due(self) -> list[tuple[Peer, bytes]]:
+        out, self.ready = self.ready, []
+        return out
+
+    def know_ground_stations(self, low: int, high: int) -> None:
+        self.ground_stations = low, high
+
+
+@pytest.fixture
+def tunnel() -> Tunnel:
+    return Tunnel()
+
+
+@pytest.fixture
+def passage(tunnel: Tunnel) -> Passage:
+    return Passage(parse_config("[telemetry]\ncomponent = 191\n"), tunnel)
+
+
+def received(message: Any, system: int = 245, component: int = 25) -> Any:
+    """A message as it comes over the wire, from such a sender."""
+    packet = message.pack(mavlink.MAVLink(None, system, component))
+    (found,) = mavlink.MAVLink(None).parse_buffer(packet)
+    return found
+
+
+def parameter(name: str, value: float) -> Any:
+    return received(mavlink.MAVLink_param_value_message(name.encode(), value, 9, 1, 0), SYSTEM, 1)
+
+
+@pytest.mark.parametrize("payload", [b"\x11click", b"\x00", bytes(24), b"x" * 128])
+def test_a_packet_for_us_is_passed_on_whole_with_its_sender(passage: Passage, tunnel: Tunnel, payload: bytes) -> None:
+    passage.hear(received(tunnelled(SYSTEM, COMPONENT, payload)), SYSTEM)
+    assert tunnel.heard == [(Peer(245, 25), payload)]
+
+
+def test_what_is_for_others_or_of_another_kind_is_passed_over(passage: Passage, tunnel: Tunnel) -> None:
+    other_kind = mavlink.MAVLink_tunnel_message(SYSTEM, COMPONENT, TUNNEL_TYPE + 1, 1, [1] + [0] * 127)
+    others = [tunnelled(SYSTEM, 1, b"x"), tunnelled(8, COMPONENT, b"x"), tunnelled(0, 0, b"x"), other_kind]
+    for message in others:
+        passage.hear(received(message), SYSTEM)
+    passage.hear(received(tunnelled(SYSTEM, COMPONENT, b"x")), None)
+    assert tunnel.heard == []
+
+
+def test_what_is_sent_is_addressed_to_one_ground_and_short_on_the_wire(passage: Passage, tunnel: Tunnel) -> None:
+    tunnel.ready = [(Peer(245, 25), b"y" * MAX_ANSWER_BYTES)]
+    (sent,) = [m for m in passage.due(0, SYSTEM) if m.get_type() == "TUNNEL"]
+    packet = sent.pack(mavlink.MAVLink(None, SYSTEM, COMPONENT))
+    assert (sent.target_system, sent.target_component, len(packet)) == (245, 25, MAX_ANSWER_BYTES + 17)
+
+
+def test_the_ground_stations_numbers_are_asked_of_the_autopilot_until_they_are_known(
+    passage: Passage, tunnel: Tunnel
+) -> None:
+    asked = [m.param_id for m in passage.due(0, SYSTEM)]
+    assert asked == ["MAV_GCS_SYSID", "MAV_GCS_SYSID_HI", "SYSID_MYGCS"]
+    assert passage.due(SECOND_NS, SYSTEM) == []
+    passage.hear(parameter("MAV_GCS_SYSID", 240.0), SYSTEM)
+    assert tunnel.ground_stations == (240, 240)
+    passage.hear(parameter("MAV_GCS_SYSID_HI", 250.0), SYSTEM)
+    assert tunnel.ground_stations == (240, 250)
+    assert passage.due(60 * SECOND_NS, SYSTEM) == []
+
+
+def test_an_older_autopilot_has_one_ground_station_and_is_not_asked_for_ever(passage: Passage, tunnel: Tunnel) -> None:
+    passage.hear(parameter("SYSID_MYGCS", 252.0), SYSTEM)
+    assert tunnel.ground_stations == (252, 252)
+    passage.hear(parameter("SYSID_MYGCS", 1.0), SYSTEM + 1)  # not our vehicle's
+    assert tunnel.ground_stations == (252, 252)
+    asked = sum(bool(passage.due(at_s * SECOND_NS, SYSTEM)) for at_s in range(100))
+    assert asked == MAX_TRIES
+
+
+@pytest.mark.parametrize("text", ['url = "nmea:/dev/ttyUSB0:9600"', 'backend = "mavsdk"'])
+def test_without_an_autopilot_to_pass_through_it_is_said(tunnel: Tunnel, text: str) -> None:
+    with pytest.raises(ConfigError, match=r"link\.mavlink needs a live autopilot"):
+        open_telemetry(parse_config(f"[telemetry]\n{text}\n"), SessionClock.start(), tunnel)
