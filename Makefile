@@ -152,6 +152,12 @@ c-header:
 chromium:
 	$(call from_debian,command -v chromium >/dev/null,chromium,the tests of the page in a browser)
 
+# A server of pins, which the tests start themselves.
+POSTGRESQL := $(shell sed -n 's/^PACKAGES = "\(.*\)"/\1/p' tests/postgres.py)
+.PHONY: postgresql
+postgresql:
+	$(call from_debian,$(BIN)/python -m tests.postgres,$(POSTGRESQL),the tests of pins in PostgreSQL)
+
 # The system's Python with GStreamer's bindings, and a server that plays pictures by RTSP.
 GSTREAMER := $(shell sed -n '/^PACKAGES = (/,/^)/p' tests/rtsp.py | grep -o '"[^"]*"' | tr -d '"' | tr '\n' ' ')
 gstreamer:
@@ -173,11 +179,11 @@ define run_tests
 endef
 
 # An empty run is a lost marker, unless PYTEST_ARGS chose the tests; then one of the two must have some.
-pytest: $(INSTALLED) systemd-analyze c-header chromium gstreamer web
+pytest: $(INSTALLED) systemd-analyze c-header chromium gstreamer postgresql web
 	$(call run_tests,not long,"0 0" $(if $(PYTEST_ARGS),| "0 5" | "5 0"))
 
 # Many drawn flights, for a share or an error that one flight cannot show, and soaks.
-test-long: $(INSTALLED) systemd-analyze c-header chromium gstreamer web
+test-long: $(INSTALLED) systemd-analyze c-header chromium gstreamer postgresql web
 	$(call run_tests,long,"0 0" | "0 5" $(if $(PYTEST_ARGS),| "5 0"))
 
 fuzz: $(INSTALLED)

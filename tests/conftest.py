@@ -6,7 +6,7 @@ import os
 import shutil
 import signal
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+from tests import postgres
 from tests.flights_folder import FLIGHTS_VARIABLE
 from tests.left_out import LEFT_OUT, NO_PROGRAM
 
@@ -55,6 +56,15 @@ def systemd_analyze() -> str:
     if program is None:
         pytest.skip(f"{NO_PROGRAM} systemd-analyze; sudo apt-get install systemd")
     return program
+
+
+@pytest.fixture(scope="session")
+def postgresql() -> Iterator[postgres.Server]:
+    """A real server. `make test` installs it where it may; else the run's end says what was not tested."""
+    if postgres.programs() is None:
+        pytest.skip(f"{NO_PROGRAM} postgres; sudo apt-get install {postgres.PACKAGES}")
+    with postgres.running() as server:
+        yield server
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -31,7 +31,9 @@ from onboard.storage.mcap_writer import SessionRecorder
 from simulation.flight import RecordedSpec
 from simulation.session import SessionSpec, fly
 from simulation.terrain import TerrainSpec
+from tests import postgres
 from tests.installed import ROOT, built, laid_over
+from tests.left_out import NO_PROGRAM
 
 pytestmark = pytest.mark.xdist_group("install")  # one worker: each environment is built once
 SHIPPED = ("contract", "ground", "onboard")
@@ -382,10 +384,21 @@ def use_live(programs: Path, folder: Path) -> None:
     assert "pc-onboard runs" in said
 
 
+def use_postgresql(environment: Path, folder: Path) -> None:
+    """Pins in a real server."""
+    if postgres.programs() is None:
+        pytest.skip(f"{NO_PROGRAM} postgres; sudo apt-get install {postgres.PACKAGES}")
+    with postgres.running() as server:
+        at = ["--store", server.database()]
+        run_well(environment, "pc-ground", "pins", "add", "--at=-35.0,149.0", "--name", "tent", *at)
+        assert "tent" in run_well(environment, "pc-ground", "pins", "list", *at)
+
+
 USES: dict[str, Callable[[Path, Path], None]] = {
     "onboard": use_onboard,
     "terrain": use_terrain,
     "geo": use_geo,
+    "postgresql": use_postgresql,
     "record": use_record,
     "mavlink": use_mavlink,
     "plot": use_plot,

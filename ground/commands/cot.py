@@ -17,7 +17,7 @@ from ground.cot_sender import CotSender, Target
 from ground.formats import cot
 from ground.formats.mark import Mark
 from ground.link_options import endpoint_of, tls_of
-from ground.pins.file import chosen_path
+from ground.pins.file import chosen_store
 from ground.pins.places import Places
 from ground.pins.store import PinStore
 
@@ -44,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--ttl", metavar="N", type=lambda t: whole(t, "hop"), default=1, help="multicast hops (default 1)"
     )
     parser.add_argument("--pins", metavar="FILE", type=Path, help="the file of pins (default: the user's own)")
+    parser.add_argument("--store", metavar="URL", help="or a server: postgresql://USER@HOST/DATABASE")
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--only-pins", action="store_true", help="no aircraft, and no link to any")
     which.add_argument("--only-aircraft", action="store_true", help="no pins")
@@ -55,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Send until interrupted, or once. Raises PointclickError for what cannot work from the start."""
     target = Target.of(args.to, args.to_ca, args.to_certificate, args.to_key, args.ttl)
-    store = None if args.only_aircraft else PinStore(chosen_path(args.pins))
+    store = None if args.only_aircraft else PinStore(chosen_store(args.pins, args.store))
     places = None if store is None else Places(store)
     aircraft = _no_aircraft if args.only_pins else _aircraft(args)
     stale_s = max(STALE_PERIODS * args.period, LEAST_STALE_S)

@@ -25,7 +25,7 @@ from ground.formats.documents import FORMATS, IMPORTED, one_line, read_pins, tex
 from ground.formats.mark import Mark
 from ground.freshness import MAX_AGE_S
 from ground.link_options import UsageError, add_tls_arguments, tls_of
-from ground.pins.file import chosen_path
+from ground.pins.file import chosen_store
 from ground.pins.fusion import Vector
 from ground.pins.model import Category, Pin, PinClick, category_of
 from ground.pins.places import Places
@@ -52,12 +52,12 @@ SAY_S = 5.0  # between two lines of how sharing goes
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `pins`."""
-    _add_whose(parser, None, _user())
+    _add_whose(parser, None, None, _user())
     actions = parser.add_subparsers(dest="action", required=True)
 
     def action(name: str, meaning: str) -> argparse.ArgumentParser:
         made = actions.add_parser(name, help=meaning, description=f"{meaning[0].upper()}{meaning[1:]}.")
-        _add_whose(made, argparse.SUPPRESS, argparse.SUPPRESS)  # what is given before the action's name is kept
+        _add_whose(made, *[argparse.SUPPRESS] * 3)  # what is given before the action's name is kept
         return made
 
     listing = action("list", "the pins, a line each")
@@ -117,11 +117,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_tls_arguments(sharing)
 
 
-def _add_whose(parser: argparse.ArgumentParser, pins: str | None, who: str) -> None:
+def _add_whose(parser: argparse.ArgumentParser, pins: str | None, store: str | None, who: str) -> None:
     """Before the action's name or after it."""
     parser.add_argument(
         "--pins", metavar="FILE", type=Path, default=pins, help="the file of pins (default: the user's own)"
     )
+    parser.add_argument("--store", metavar="URL", default=store, help="or a server: postgresql://USER@HOST/DATABASE")
     parser.add_argument("--who", metavar="NAME", default=who, help="who does it (default: the user)")
 
 
@@ -136,7 +137,7 @@ def run(args: argparse.Namespace) -> int:
     """Do it; returns the exit status. Raises PointclickError."""
     if args.pins is not None and args.action in _READING and not args.pins.is_file():
         raise InputError(f"{args.pins}: there is no such file of pins; pins add and pins import make one")
-    with PinStore(chosen_path(args.pins)) as store:
+    with PinStore(chosen_store(args.pins, args.store)) as store:
         return _ACTIONS[args.action](store, args)
 
 

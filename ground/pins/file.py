@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import sqlite3
-import threading
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from contract.errors import InputError
+from ground.pins.postgresql import is_url
+from ground.pins.tables import BEGINNING, PinTables
 
-SCHEMA_VERSION = 1
 BUSY_TIMEOUT_S = 10.0  # for another process's transaction
 
 _SCHEMA = """
@@ -31,7 +30,6 @@ CREATE TABLE IF NOT EXISTS changed (
     seq INTEGER NOT NULL, kind TEXT NOT NULL, id TEXT NOT NULL, before TEXT, after TEXT);
 CREATE INDEX IF NOT EXISTS changed_by_seq ON changed (seq);
 """
-_BEGINNING = {"schema": SCHEMA_VERSION, "revision": 0, "ties_revision": 0}
 
 
 def default_path() -> Path:
@@ -47,15 +45,24 @@ def chosen_path(named: Path | None) -> Path:
     return named or default_path()
 
 
-class PinFile:
-    """One connection, which threads take in turn. A transaction is on disk when `writing` is left.
+def chosen_store(named: Path | None, url: str | None) -> Path | str:
+    """The database that was named, or the file as `chosen_path`. Raises InputError."""
+    if url is None:
+        return chosen_path(named)
+    if named is not None:
+        raise InputError("--pins and --store each say where pins are kept: give one of them")
+    if not is_url(url):
+        raise InputError("--store must be postgresql://USER@HOST/DATABASE; a file is named with --pins")
+    return url
 
-    Raises InputError for a file that is not one of ours, and for any error of the disk or a lock of another process.
-    """
+
+class PinFile(PinTables):
+    """A file. Raises InputError if it is none of ours, and for any error of the disk or of another process's lock."""
+
+    begin = "BEGIN IMMEDIATE"
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self._lock = threading.RLock()
+        super().__init__(str(path))
         self._db: sqlite3.Connection | None = None
         with self._told():
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -70,16 +77,15 @@ class PinFile:
         if self.rows("SELECT name FROM sqlite_master WHERE type = 'table'") and not self.rows(
             "SELECT name FROM sqlite_master WHERE name = 'changed'"
         ):
-            raise InputError(f"pins {self.path}: a database of something else; name another file")
+            raise InputError(f"pins {self.name}: a database of something else; name another file")
         self.rows("PRAGMA journal_mode = WAL")
         self.rows("PRAGMA synchronous = FULL")
         with self.writing():
             for statement in _SCHEMA.split(";\n"):
                 self.rows(statement)
-            for key, value in _BEGINNING.items():
+            for key, value in BEGINNING.items():
                 self.rows("INSERT OR IGNORE INTO meta VALUES (?, ?)", key, value)
-        if (version := self.value("schema")) != SCHEMA_VERSION:
-            raise InputError(f"pins {self.path}: of version {version}; this program reads {SCHEMA_VERSION}")
+        self.check_version()
 
     def close(self) -> None:
         """Close the file; no call after this."""
@@ -97,57 +103,23 @@ class PinFile:
         """The rows that a statement gives."""
         with self._lock, self._told():
             if self._db is None:
-                raise InputError(f"pins {self.path}: closed")
+                raise InputError(f"pins {self.name}: closed")
             return self._db.execute(statement, values).fetchall()
 
     def each(self, statement: str, rows: Iterable[tuple[object, ...]]) -> None:
         """One statement for each of many rows of values."""
         with self._lock, self._told():
             if self._db is None:
-                raise InputError(f"pins {self.path}: closed")
+                raise InputError(f"pins {self.name}: closed")
             self._db.executemany(statement, rows)
-
-    def value(self, key: str) -> int:
-        """One number of the file's own."""
-        return int(self.rows("SELECT value FROM meta WHERE key = ?", key)[0][0])
-
-    def bump(self, key: str) -> None:
-        """One more."""
-        self.rows("UPDATE meta SET value = value + 1 WHERE key = ?", key)
-
-    @contextlib.contextmanager
-    def reading(self) -> Iterator[None]:
-        """No other thread in between."""
-        with self._lock:
-            yield
-
-    @contextlib.contextmanager
-    def writing(self) -> Iterator[None]:
-        """A transaction: on disk at its end, or nothing of it."""
-        with self._lock:
-            self.rows("BEGIN IMMEDIATE")
-            try:
-                yield
-                self.rows("COMMIT")
-            except BaseException:
-                if self.is_in_transaction:
-                    self.rows("ROLLBACK")
-                raise
-
-    def json(self, text: str) -> Any:
-        """A document of the file's."""
-        try:
-            return json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"pins {self.path}: damaged ({error})") from error
 
     @contextlib.contextmanager
     def _told(self) -> Iterator[None]:
         try:
             yield
         except sqlite3.OperationalError as error:
-            raise InputError(f"pins {self.path}: {error}") from error
+            raise InputError(f"pins {self.name}: {error}") from error
         except sqlite3.DatabaseError as error:
-            raise InputError(f"pins {self.path}: {error}; is it a file of pins?") from error
+            raise InputError(f"pins {self.name}: {error}; is it a file of pins?") from error
         except OSError as error:
-            raise InputError(f"pins {self.path}: {error.strerror}") from error
+            raise InputError(f"pins {self.name}: {error.strerror}") from error

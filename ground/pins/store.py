@@ -1,4 +1,4 @@
-"""Pins and ties in an SQLite file: on disk before a call returns, undone and redone, shared by threads and processes.
+"""Pins and ties in a database: on disk before a call returns, undone and redone, shared by threads and processes.
 
 Each change is one transaction with what was there before and after, so that undoing is writing back. Nothing is ever
 removed from the file: a deleted pin stays as a tombstone, which other servers must receive, and its number is not given
@@ -19,6 +19,8 @@ from typing import Any
 from contract.errors import InputError
 from ground.pins.file import PinFile
 from ground.pins.model import Category, Pin, PinClick, Tie, check_texts, new_pin
+from ground.pins.postgresql import PinDatabase, is_url
+from ground.pins.tables import PinTables
 from ground.pins.ties import TieRefused, judge
 
 MAX_CROP_BYTES = 2_000_000
@@ -30,15 +32,16 @@ _Change = tuple[str, str, str | None, str | None]  # "pin" or "tie", id, before 
 
 
 class PinStore:
-    """A file of pins. Every method may be called from any thread. Raises InputError for what cannot be stored or found.
+    """A file of pins, or a PostgreSQL database by its URL. Every method may be called from any thread.
+
+    Raises InputError for what cannot be stored or found.
 
     `revision` grows with each change by any user, in this process or another.
     """
 
     def __init__(self, path: Path | str, *, now_ns: Callable[[], int] = time.time_ns) -> None:
-        self.path = Path(path)
         self._now_ns = now_ns
-        self._file = PinFile(self.path)
+        self._file: PinTables = PinDatabase(str(path)) if is_url(str(path)) else PinFile(Path(path))
         self._pins: dict[str, Pin] = {}  # tombstones too, by number, as of revision `_seen`
         self._seen = 0
         self._written_texts: dict[str, Pin] = {}  # of the last change
@@ -55,6 +58,11 @@ class PinStore:
         self.close()
 
     # Reading
+
+    @property
+    def name(self) -> str:
+        """Where the pins are, for people: a path, or a URL without its password."""
+        return self._file.name
 
     @property
     def revision(self) -> int:
@@ -114,7 +122,7 @@ class PinStore:
             revision = self._file.value("ties_revision")
             if self._ties[0] == revision:
                 return list(self._ties[1])
-            rows = self._file.rows("SELECT doc FROM ties WHERE NOT is_deleted ORDER BY rowid")
+            rows = self._file.rows("SELECT doc FROM ties WHERE is_deleted = 0 ORDER BY rowid")
             found = [Tie.from_dict(self._file.json(doc)) for (doc,) in rows]
             if not self._file.is_in_transaction:
                 self._ties = revision, found
@@ -372,7 +380,7 @@ class PinStore:
 
     def _written_tie(self, tie_id: str, doc: str | None) -> _Change:
         """With this content, or deleted."""
-        rows = self._file.rows("SELECT doc FROM ties WHERE id = ? AND NOT is_deleted", tie_id)
+        rows = self._file.rows("SELECT doc FROM ties WHERE id = ? AND is_deleted = 0", tie_id)
         self._file.bump("ties_revision")
         if doc is None:
             self._file.rows("UPDATE ties SET is_deleted = 1 WHERE id = ?", tie_id)
@@ -391,7 +399,11 @@ class PinStore:
     def _write_crop(self, click_id: str, picture: bytes) -> None:
         if len(picture) > MAX_CROP_BYTES:
             raise InputError(f"a crop of {len(picture)} bytes; at most {MAX_CROP_BYTES} are kept")
-        self._file.rows("INSERT OR REPLACE INTO crops VALUES (?, ?)", click_id, picture)
+        self._file.rows(
+            "INSERT INTO crops VALUES (?, ?) ON CONFLICT (click) DO UPDATE SET picture = excluded.picture",
+            click_id,
+            picture,
+        )
 
     def _next_number(self) -> int:
         return int(self._file.rows("SELECT COALESCE(MAX(number), 0) FROM pins")[0][0]) + 1

@@ -59,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_page_arguments(parser)
     parser.set_defaults(port=PORT)
+    parser.add_argument("--store", metavar="URL", help="pins in a PostgreSQL server: postgresql://USER@HOST/DATABASE")
     parser.add_argument("--browser", action="store_true", help="open the page in this machine's browser")
     parser.add_argument(
         "--journal",

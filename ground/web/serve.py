@@ -14,7 +14,7 @@ import uvicorn
 from contract.errors import InputError
 from contract.link_config import Tls
 from contract.topics import DEFAULT_ENDPOINT
-from ground.pins.file import chosen_path
+from ground.pins.file import chosen_path, chosen_store
 from ground.pins.store import PinStore
 from ground.web.app import create_app
 from ground.web.browser import open_in_browser
@@ -40,8 +40,7 @@ def serve(args: argparse.Namespace, token: str, tls: Tls | None) -> int:
     with contextlib.ExitStack() as opened:
         listening = opened.enter_context(_listen(args.host, args.port))
         source = opened.enter_context(contextlib.closing(_source(args, tls)))
-        pins = chosen_path(args.pins)
-        store = opened.enter_context(PinStore(pins))
+        store = opened.enter_context(PinStore(chosen_store(args.pins, args.store)))
         sharing = _sharing(args, tls, store)
         if sharing is not None:
             opened.enter_context(sharing)
@@ -69,7 +68,7 @@ def serve(args: argparse.Namespace, token: str, tls: Tls | None) -> int:
         )
         config.load()  # what it imports now no page waits for
         quiet_logs()
-        _announce(args, listening.getsockname()[1], token, is_secure, source, str(pins))
+        _announce(args, listening.getsockname()[1], token, is_secure, source, store.name)
         uvicorn.Server(config).run(sockets=[gated(listening, gate)])
     return 0
 
@@ -87,7 +86,7 @@ def _source(args: argparse.Namespace, tls: Tls | None) -> Source:
     from ground.web.live import LiveSource  # noqa: PLC0415  zenoh is loaded only where there is a link
 
     default = DEFAULT_ENDPOINT if tls is None else DEFAULT_ENDPOINT.replace("tcp/", "tls/", 1)
-    pins = chosen_path(args.pins)
+    pins = chosen_path(args.pins)  # also where the pins themselves are in a database
     journal = None if args.no_journal else args.journal or pins.with_suffix(".link")
     live = LiveSource(args.connect or [default], tls, journal)
     return live if args.video is None else _with_live_video(live, args)

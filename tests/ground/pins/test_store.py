@@ -21,6 +21,7 @@ from ground.pins.model import Category, ClickErrors, Pin, PinClick
 from ground.pins.places import Places
 from ground.pins.store import PinStore
 from ground.pins.ties import TieRefused
+from tests import postgres
 from tests.ground.pins.flights import sightings
 from tests.ground.pins.test_fusion import TARGET
 from tests.ground.pins.test_ties import LANDMARK, tied
@@ -29,8 +30,17 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
+def file(tmp_path: Path) -> Path:
     return tmp_path / "folder" / "pins.sqlite"
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def path(request: pytest.FixtureRequest, tmp_path: Path) -> Path | str:
+    """Where a store is kept: all that holds of the one database holds of the other."""
+    if request.param == "sqlite":
+        return tmp_path / "folder" / "pins.sqlite"
+    server: postgres.Server = request.getfixturevalue("postgresql")
+    return server.database()
 
 
 def typed(lat_deg: float = -35.0) -> PinClick:
@@ -41,7 +51,7 @@ def clicked(seed: int = 1) -> PinClick:
     return sightings(np.random.default_rng(seed), np.zeros(1), TARGET[None])[0]
 
 
-def test_a_pin_comes_back_as_it_was_given_from_another_opening(path: Path) -> None:
+def test_a_pin_comes_back_as_it_was_given_from_another_opening(path: Path | str) -> None:
     name, note = "<script>alert(1)</script> =1+1 'Ünï' \U0001f525", "a\nb\0c\u202e"
     with PinStore(path) as store:
         pin = store.add([clicked()], name=name, note=note, category=Category.PERSON, who="ann", crop=b"\xff\xd8crop")
@@ -56,7 +66,7 @@ def test_a_pin_comes_back_as_it_was_given_from_another_opening(path: Path) -> No
         assert store.by_number(1).id == store.pin(found.id).id == found.id
 
 
-def test_filters(path: Path) -> None:
+def test_filters(path: Path | str) -> None:
     with PinStore(path) as store:
         store.add([typed()], name="Red tent", category=Category.POI, who="ann")
         store.add([clicked()], name="smoke", note="by the RED barn", category=Category.FIRE, who="bob")
@@ -70,7 +80,7 @@ def test_filters(path: Path) -> None:
     assert numbers == [[1, 2], [2], [1, 2], [1], [2], [], []]
 
 
-def test_everything_can_be_undone_and_redone(path: Path) -> None:
+def test_everything_can_be_undone_and_redone(path: Path | str) -> None:
     with PinStore(path) as store:
         pin = store.add([typed()], name="a")
         store.edit(pin.id, name="b", category=Category.FIRE)
@@ -98,7 +108,7 @@ def _state(store: PinStore) -> list[tuple[str, int]]:
     return [(pin.name, len(pin.clicks)) for pin in store.pins()]
 
 
-def test_a_new_change_ends_redoing_and_a_number_is_not_given_twice(path: Path) -> None:
+def test_a_new_change_ends_redoing_and_a_number_is_not_given_twice(path: Path | str) -> None:
     with PinStore(path) as store:
         store.add([typed()], name="a")
         store.undo()
@@ -108,7 +118,7 @@ def test_a_new_change_ends_redoing_and_a_number_is_not_given_twice(path: Path) -
         assert store.add([typed()], name="c").number == 3
 
 
-def test_undo_of_ones_own_leaves_what_another_has_changed_since(path: Path) -> None:
+def test_undo_of_ones_own_leaves_what_another_has_changed_since(path: Path | str) -> None:
     with PinStore(path) as store:
         pin = store.add([typed()], name="a", who="ann")
         store.add([typed()], name="x", who="bob")
@@ -132,7 +142,7 @@ def merge(store: PinStore, pin: Pin) -> bool:
     return bool(changed)
 
 
-def test_clearing_is_one_change(path: Path) -> None:
+def test_clearing_is_one_change(path: Path | str) -> None:
     with PinStore(path) as store:
         for _ in range(5):
             store.add([typed()])
@@ -153,12 +163,12 @@ for _ in range(int(sys.argv[2])):
 """
 
 
-def _writer(path: Path, count: int) -> subprocess.Popen[str]:
+def _writer(path: Path | str, count: int) -> subprocess.Popen[str]:
     command = [sys.executable, "-c", _WRITER, str(path), str(count)]
     return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def test_what_was_answered_survives_kill_9(path: Path) -> None:
+def test_what_was_answered_survives_kill_9(path: Path | str) -> None:
     PinStore(path).close()
     process = _writer(path, 100_000)
     assert process.stdout is not None
@@ -173,7 +183,7 @@ def test_what_was_answered_survives_kill_9(path: Path) -> None:
         assert store.add([typed()]).number == len(numbers) + 1
 
 
-def test_several_processes_and_threads_write_at_once(path: Path) -> None:
+def test_several_processes_and_threads_write_at_once(path: Path | str) -> None:
     writers = [_writer(path, 20) for _ in range(2)]
     with PinStore(path) as store:
         threads = [threading.Thread(target=lambda: [store.add([typed()]) for _ in range(10)]) for _ in range(4)]
@@ -193,8 +203,8 @@ def test_several_processes_and_threads_write_at_once(path: Path) -> None:
         assert store.by_number(7).name == "seven"
 
 
-def test_of_two_servers_the_last_writer_wins_on_both(tmp_path: Path) -> None:
-    with PinStore(tmp_path / "a.sqlite") as a, PinStore(tmp_path / "b.sqlite") as b:
+def test_of_two_servers_the_last_writer_wins_on_both(path: Path | str, tmp_path: Path) -> None:
+    with PinStore(path) as a, PinStore(tmp_path / "b.sqlite") as b:
         pin = a.add([clicked()], name="first", who="ann")
         mine = b.add([typed()], name="other", who="bob")
         assert merge(b, pin) and not merge(b, pin)
@@ -212,7 +222,7 @@ def test_of_two_servers_the_last_writer_wins_on_both(tmp_path: Path) -> None:
         assert changed == 0 and "ahead" in why
 
 
-def test_ties_are_kept_judged_undone(path: Path) -> None:
+def test_ties_are_kept_judged_undone(path: Path | str) -> None:
     rng = np.random.default_rng(21)
     clicks = sightings(rng, np.array([0.0, 1.0]), np.array([TARGET, LANDMARK]))
     with PinStore(path) as store:
@@ -234,7 +244,7 @@ def test_ties_are_kept_judged_undone(path: Path) -> None:
         assert store.ties() == []
 
 
-def test_what_was_computed_is_kept_until_something_changes(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_was_computed_is_kept_until_something_changes(path: Path | str, monkeypatch: pytest.MonkeyPatch) -> None:
     with PinStore(path) as store:
         pin, places = store.add([clicked()]), Places(store)
         first = places.place(pin)
@@ -266,14 +276,14 @@ def test_anothers_database_is_left_alone(tmp_path: Path) -> None:
         PinStore(path / "below")
 
 
-def test_a_damaged_document_is_said_in_a_line(path: Path) -> None:
-    with PinStore(path) as store:
+def test_a_damaged_document_is_said_in_a_line(file: Path) -> None:
+    with PinStore(file) as store:
         store.add([typed()])
-    db = sqlite3.connect(path)
+    db = sqlite3.connect(file)
     db.execute("UPDATE pins SET doc = substr(doc, 1, 40)")
     db.commit()
     db.close()
-    with PinStore(path) as store, pytest.raises(InputError, match="damaged"):
+    with PinStore(file) as store, pytest.raises(InputError, match="damaged"):
         store.pins()
 
 
@@ -286,7 +296,7 @@ def test_a_damaged_document_is_said_in_a_line(path: Path) -> None:
         ({"modified_unix_ns": 2**63}, "modified"), ({"is_deleted": 0}, "is_deleted"),
     ],
 )  # fmt: skip
-def test_a_pin_that_is_none_is_refused_by_its_field(change: dict[str, object], said: str, path: Path) -> None:
+def test_a_pin_that_is_none_is_refused_by_its_field(change: dict[str, object], said: str, path: Path | str) -> None:
     with PinStore(path) as store:
         pin = store.add([clicked()])
         with pytest.raises(InputError, match=said):
@@ -332,12 +342,12 @@ def test_errors_that_lie_are_refused(change: dict[str, object]) -> None:
 
 
 @pytest.mark.wall_clock
-def test_ten_thousand_pins_and_a_click_stays_quick(path: Path) -> None:
+def test_ten_thousand_pins_and_a_click_stays_quick(file: Path) -> None:
     """This thread's processor time: what a change and a list of all cost with 10,000 pins there."""
     import time  # noqa: PLC0415
 
     one = clicked()
-    with PinStore(path) as store:
+    with PinStore(file) as store:
         model = store.add([one])
         many = [
             dataclasses.replace(
@@ -356,7 +366,7 @@ def test_ten_thousand_pins_and_a_click_stays_quick(path: Path) -> None:
         assert min(spent_s) < 0.05  # in any of them the collector of garbage may have its turn
 
 
-def test_pins_of_a_file_get_free_numbers_and_the_later_of_two_with_one_id(path: Path) -> None:
+def test_pins_of_a_file_get_free_numbers_and_the_later_of_two_with_one_id(path: Path | str) -> None:
     def of_a_file(pin_id: str, number: int, name: str, modified_ns: int = 5) -> Pin:
         click = dataclasses.replace(typed(), id=f"c{pin_id}")
         return Pin(pin_id, number, name, "", Category.POI, "ann", 5, modified_ns, "ann", (click,))
