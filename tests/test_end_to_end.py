@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import shutil
 import signal
 import socket
@@ -297,11 +298,25 @@ def test_bad_input_is_one_line_exit_2_and_nothing_half_written(
     assert os.listdir(out) == []  # noqa: PTH208  hidden files too
 
 
+def clicks_in(text: str) -> dict[str, list[float]]:
+    """The demo's table: spot, frame and pixel -> height, radius and true error, metres; coordinates in their metres."""
+    row = r"^  ([A-D] +\d+ +\d+, +\d+) +(-?[\d.]+) +(-?[\d.]+) +(\d+) m +([\d.]+) m +([\d.]+) m$"
+    return {
+        key: [float(lat) * 111_000.0, float(lon) * 81_000.0, float(height) / 5.0, float(radius), float(error)]
+        for key, lat, lon, height, radius, error in re.findall(row, text, re.MULTILINE)
+    }
+
+
 def test_the_demo_runs(tmp_path: Path) -> None:
     out = tmp_path / "demo"
     done = run("demo", "--out", out)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "8 of 8 clicks answered" in done.stdout
+    shown = clicks_in((ROOT / "README.md").read_text())
+    printed = clicks_in(done.stdout)
+    assert len(shown) == 2 and shown.keys() <= printed.keys()
+    for key, figures in shown.items():  # but for the last digits, which processors round differently
+        assert printed[key] == pytest.approx(figures, rel=0.0, abs=0.25)
     drawn = sorted(path.name for path in out.iterdir() if path.suffix in (".png", ".jpg"))
     assert drawn == ["map.png", "overview.jpg", "tracks_1_frames.png", "tracks_2_features.png", "tracks_3_paths.png"]
 
