@@ -15,6 +15,7 @@ from onboard.events.types import Event, Frame, PositionFix
 from simulation.paths import PathSpec
 
 PATH = PathSpec("turns", leg_m=250.0)
+SECONDS = 26.0
 
 
 class SparseFlight(DrawnFlight):
@@ -44,9 +45,9 @@ def test_a_picture_waits_for_the_position_that_it_is_joined_by(every_s: float, l
         f"[gps]\nlatency_s = {late_s}\nsigma_latency_s = 0.05\nmax_gap_s = {every_s + 0.5}\nglitch_m = 50.0\n"
         f"quality_timeout_s = {every_s + 1.0}\n"
     )
-    flight = SparseFlight(DrawnSpec(config, PATH, seconds=40.0, rate_hz=5.0), 3, every_s, late_s)
+    flight = SparseFlight(DrawnSpec(config, PATH, seconds=SECONDS, rate_hz=5.0), 3, every_s, late_s)
     sets, _ = fly(flight)
-    inside = {frame: s for frame, s in sets.items() if frame < 5 * (40.0 - every_s - late_s) - 5}
+    inside = {frame: s for frame, s in sets.items() if frame < 5 * (SECONDS - every_s - late_s) - 5}
     statuses = Counter(s.status for s in inside.values())
     assert statuses[Status.UNSYNCHRONISED] == 0, statuses
     assert statuses[Status.OK] > 0.8 * len(inside), statuses
@@ -56,10 +57,10 @@ def test_in_a_gap_that_is_not_joined_pictures_are_refused_and_those_before_it_ar
     config = parse_config(
         "[gps]\nlatency_s = 2.5\nsigma_latency_s = 0.05\nmax_gap_s = 2.5\nglitch_m = 50.0\nquality_timeout_s = 6.0\n"
     )
-    flight = SparseFlight(DrawnSpec(config, PATH, seconds=60.0, rate_hz=2.0), 3, 2.0, 2.5, without=15)
+    flight = SparseFlight(DrawnSpec(config, PATH, seconds=36.0, rate_hz=2.0), 3, 2.0, 2.5, without=9)
     sets, _ = fly(flight)
     # One position is missing: only pictures within those four seconds have none near enough on both sides.
-    refused = [frame / 2.0 for frame, s in sets.items() if s.status is Status.UNSYNCHRONISED and frame < 100]
+    refused = [frame / 2.0 for frame, s in sets.items() if s.status is Status.UNSYNCHRONISED and frame < 56]
     assert 3.0 <= max(refused) - min(refused) <= 4.0 and len(refused) <= 9, refused
 
 
