@@ -27,7 +27,7 @@ import zenoh
 
 from contract.link_config import link_config
 from contract.topics import FEATURES, PICTURE, Topic
-from contract.wire.picture_code import groups_of
+from contract.wire.parity import groups_of
 
 PORT = 17448
 AIRCRAFT, GROUND = "10.77.0.1", "10.77.0.2"

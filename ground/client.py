@@ -29,6 +29,8 @@ from contract.topics import (
 )
 from contract.wire.codec import decode
 from ground.freshness import AircraftClock, Later, Reply
+from ground.mavlink_endpoint import SCHEME, MavlinkEndpoint
+from ground.mavlink_sets import MavlinkSets
 from ground.presence import is_through_router, vehicles_there
 from ground.watched_thread import WatchedThread
 
@@ -65,6 +67,8 @@ def inquire(
         which = f"{FRAME_PARAMETER}={frame}" if frame is not None else f"{TIME_PARAMETER}={unix_s!r}"
         parameters, timeout_s = f"?{which};{WAIT_PARAMETER}={PICTURE_TIMEOUT_S:g}", PICTURE_TIMEOUT_S
     key = FEATURES.key(vehicle)
+    if endpoint.startswith(SCHEME):
+        raise LinkError("single pictures cannot be asked for through the autopilot's radio; it answers pc-ground click")
     session = open_link("client", endpoint, tls)
     try:
         if (
@@ -229,6 +233,8 @@ class SetCache:
             session = self._session
         if session is None:
             raise LinkError(f"the link to {self._ways[0]} is down")
+        if isinstance(session, MavlinkSets):
+            raise LinkError("single pictures cannot be asked for through the autopilot's radio")
         try:
             reply = _replies(session, f"{FEATURES.key(vehicle)}?{TIME_PARAMETER}={unix_s!r}").get(vehicle)
         except zenoh.ZError as error:
@@ -240,7 +246,8 @@ class SetCache:
     @property
     def link_error(self) -> str:
         """Why the link cannot be opened again now, in a line; empty if no reason is known."""
-        return self._renewal.trouble
+        session = self._session
+        return self._renewal.trouble or (session.trouble if isinstance(session, MavlinkSets) else "")
 
     def locator(self, feature_set: FeatureSet) -> Locator:
         """A Locator of a set, the last one of each vehicle kept: repeated clicks on one picture are solved once."""
@@ -267,6 +274,9 @@ class SetCache:
     def _subscribe(self) -> None:
         """Open a session where there is none. Raises LinkError."""
         endpoint, tls, key = self._ways
+        if endpoint.startswith(SCHEME):
+            self._begin(MavlinkSets(MavlinkEndpoint.parse(endpoint), self._take_from_radio, self._note_heard), [])
+            return
         session = open_link("peer", endpoint, tls)
         try:
             subscribers = [session.declare_subscriber(key, self._receive)]
@@ -274,6 +284,9 @@ class SetCache:
         except zenoh.ZError as error:
             _close(session)
             raise LinkError(f"cannot listen to {key} at {endpoint}: {error}") from error
+        self._begin(session, subscribers)
+
+    def _begin(self, session: Any, subscribers: list[Any]) -> None:
         with self._lock:
             if not self._is_closed:
                 self._session, self._subscribers = session, subscribers
@@ -305,25 +318,48 @@ class SetCache:
         self._failure, self._retry_s = None, FIRST_RETRY_S
 
     def _receive(self, sample: zenoh.Sample) -> None:
-        heard_ns = time.monotonic_ns()
-        self._heard_s = heard_ns / 1e9
+        self._note_heard()
         payload = sample.payload.to_bytes()
+        received = self._read(payload)
+        if received is not None:
+            self._keep(received, len(payload), _seconds(_json(sample.attachment)))
+
+    def _take_from_radio(self, payload: bytes, age_s: float | None) -> None:
+        """What came without a key gets the one that its vehicle's name makes."""
+        received = self._read(payload)
+        if received is None:
+            return
+        key = zenoh.KeyExpr(FEATURES.template.format(vehicle=received.vehicle))
+        if key.intersects(zenoh.KeyExpr(self._ways[2])):
+            self._keep(received, len(payload), age_s)
+        for wanted, take in self._beside.items():
+            if key.intersects(zenoh.KeyExpr(wanted)):
+                take(str(key), payload)
+
+    def _note_heard(self) -> None:
+        self._heard_s = time.monotonic()
+
+    def _read(self, payload: bytes) -> FeatureSet | None:
+        """A set; None, and counted, for what cannot be read."""
         try:
-            received = decode(payload)
+            return decode(payload)
         except WireError as error:
             with self._lock:
                 self.unreadable += 1
                 self.last_error = error
-            return
+            return None
+
+    def _keep(self, received: FeatureSet, size: int, age_s: float | None) -> None:
+        """A set that came now, and its picture's age when it was sent."""
+        heard_ns = time.monotonic_ns()
         with self._lock:
             history = self._histories.setdefault(received.vehicle, History(*self._bounds))
             self._clocks.setdefault(received.vehicle, AircraftClock())
             history.add(received, received)
             if received.session == history.session:  # a late packet of an earlier one gives no information on the time
-                age_s = _seconds(_json(sample.attachment))
                 self._clocks[received.vehicle].heard(received.session, received.capture_unix_ns, age_s, heard_ns)
         if self._heard is not None:
-            self._heard(received, len(payload))
+            self._heard(received, size)
 
 
 def _passing_on(take: Callable[[str, bytes], object]) -> Callable[[zenoh.Sample], None]:

@@ -36,12 +36,7 @@ def tls_of(args: argparse.Namespace) -> Tls | None:
 
 
 def endpoint_of(args: argparse.Namespace, tls: Tls | None) -> str:
-    """What is to be connected to: `--connect`, or the default, encrypted if there are certificates.
-
-    Raises UsageError for an endpoint that carries no sets.
-    """
-    if args.connect and args.connect.startswith("mavlink:"):
-        raise UsageError("this needs whole sets, and mavlink:... carries clicks and their answers: pc-ground click")
+    """What is to be connected to: `--connect`, or the default, encrypted if there are certificates."""
     if args.connect:
         return str(args.connect)
     return DEFAULT_ENDPOINT if tls is None else DEFAULT_ENDPOINT.replace("tcp/", "tls/", 1)

@@ -1,4 +1,4 @@
-"""Clicks over MAVLink: asked of the aircraft through its autopilot's radio, and answered on board."""
+"""A link through autopilots' radio: packets of ours in MAVLink TUNNEL; and clicks, which are answered on board."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class MavlinkLink:
         self._wire.mav = self._mav
         if e.key is not None:
             self._wire.setup_signing(e.key)
-        self._vehicles: set[int] = set() if e.vehicle is None else {e.vehicle}
+        self._vehicles: set[int] = set()
         self._number = random.randrange(MAX_NUMBER + 1)  # so that a new program's questions are not an old one's
         self._beat_s = -BEAT_S
 
@@ -57,22 +57,16 @@ class MavlinkLink:
         vehicle = self._find_vehicle()
         asking = Asking(question, time.monotonic())
         while not asking.is_over(time.monotonic()):
-            self._beat()
+            if time.monotonic() - self._beat_s >= BEAT_S:
+                self.beat()
             if asking.is_due(time.monotonic()):
-                self._send(vehicle, encode_question(question))
-            for message in self._received():
-                if message.get_type() != "TUNNEL" or message.payload_type != TUNNEL_TYPE:
-                    continue
-                if (message.target_system, message.target_component, message.get_srcSystem()) == (
-                    self._endpoint.system,
-                    self._endpoint.component,
-                    vehicle,
-                ):
-                    found = asking.take(bytes(message.payload[: message.payload_length]), time.monotonic())
-                    if isinstance(found, TurnedAway):
-                        raise LinkError(masking(self._endpoint.system, found.low, found.high))
-                    if found is not None:
-                        return found
+                self.send(vehicle, encode_question(question))
+            for sender, payload in self.received():
+                found = asking.take(payload, time.monotonic()) if sender == vehicle else None
+                if isinstance(found, TurnedAway):
+                    raise LinkError(masking(self._endpoint.system, found.low, found.high))
+                if found is not None:
+                    return found
         raise LinkError(
             f"vehicle {vehicle} does not answer clicks: does pc-onboard run there with link.mavlink = true and "
             f"telemetry.component {self._endpoint.companion}, and does the autopilot forward to this link?"
@@ -91,37 +85,46 @@ class MavlinkLink:
     def _find_vehicle(self) -> int:
         """The vehicle that is asked. Raises LinkError if there is none, or several."""
         until_s = time.monotonic() + FIND_S
-        while not self._vehicles and time.monotonic() < until_s:
-            self._received()
-        if not self._vehicles:
+        while not self.vehicles and time.monotonic() < until_s:
+            self.received()
+        if not self.vehicles:
             raise LinkError(f"no autopilot was received at {self._place} within {FIND_S:g} s")
-        if len(self._vehicles) > 1 and self._endpoint.vehicle is None:
-            named = ", ".join(map(str, sorted(self._vehicles)))
-            raise LinkError(f"several vehicles are received: {named}; choose one with ?vehicle={min(self._vehicles)}")
-        return self._endpoint.vehicle or min(self._vehicles)
+        if len(self.vehicles) > 1:
+            named = ", ".join(map(str, self.vehicles))
+            raise LinkError(f"several vehicles are received: {named}; choose one with ?vehicle={self.vehicles[0]}")
+        return self.vehicles[0]
 
-    def _received(self) -> list[Any]:
-        """Messages that came within a moment; autopilots among them are remembered."""
+    @property
+    def vehicles(self) -> list[int]:
+        """The one that was chosen, or all whose autopilot was received, by their system numbers."""
+        return sorted(self._vehicles) if self._endpoint.vehicle is None else [self._endpoint.vehicle]
+
+    def received(self) -> list[tuple[int, bytes]]:
+        """What came for us within a moment, with the system that sent it. Raises LinkError."""
         self._wire.select(LOOK_S)
         try:
             data = self._wire.recv(CHUNK)
         except OSError as error:
             raise LinkError(f"{self._place}: {error.strerror or error}") from error
-        found = (self._mav.parse_buffer(data) or []) if data else []
-        for message in found:
-            if message.get_type() == "HEARTBEAT" and message.autopilot != self._dialect.MAV_AUTOPILOT_INVALID:
+        out = []
+        ours = TUNNEL_TYPE, self._endpoint.system, self._endpoint.component
+        for message in (self._mav.parse_buffer(data) or []) if data else []:
+            name = message.get_type()
+            if name == "HEARTBEAT" and message.autopilot != self._dialect.MAV_AUTOPILOT_INVALID:
                 self._vehicles.add(message.get_srcSystem())
-        return list(found)
+            elif name == "TUNNEL" and (message.payload_type, message.target_system, message.target_component) == ours:
+                out.append((message.get_srcSystem(), bytes(message.payload[: message.payload_length])))
+        return out
 
-    def _beat(self) -> None:
-        """Not as a ground station: an autopilot may take any heartbeat of one for its own."""
-        if time.monotonic() - self._beat_s >= BEAT_S:
-            self._beat_s = time.monotonic()
-            d = self._dialect
-            kind, autopilot, state = d.MAV_TYPE_ONBOARD_CONTROLLER, d.MAV_AUTOPILOT_INVALID, d.MAV_STATE_ACTIVE
-            self._write(d.MAVLink_heartbeat_message(kind, autopilot, 0, 0, state, 3))
+    def beat(self) -> None:
+        """Say where we are. Not as a ground station: an autopilot may take any heartbeat of one for its own."""
+        self._beat_s = time.monotonic()
+        d = self._dialect
+        kind, autopilot, state = d.MAV_TYPE_ONBOARD_CONTROLLER, d.MAV_AUTOPILOT_INVALID, d.MAV_STATE_ACTIVE
+        self._write(d.MAVLink_heartbeat_message(kind, autopilot, 0, 0, state, 3))
 
-    def _send(self, vehicle: int, payload: bytes) -> None:
+    def send(self, vehicle: int, payload: bytes) -> None:
+        """To a vehicle's companion computer, never to all."""
         padded = list(payload.ljust(TUNNEL_BYTES, b"\0"))
         to = vehicle, self._endpoint.companion
         self._write(self._dialect.MAVLink_tunnel_message(*to, TUNNEL_TYPE, len(payload), padded))

@@ -146,7 +146,7 @@ def test_the_base_writes_every_format_but_projections(environment: Path, session
         (["click", "1", "2", "--format", "mgrs"], "geo"), (["click", "1", "2", "--crs", "EPSG:2193"], "geo"),
         (["click", "1", "2", "--format", "utm"], "geo"), (["completion", "bash"], "completion"),
         (["record", "--to", "x", "--seconds", "1", "--connect", "tcp/127.0.0.1:9"], "record"),
-        (["click", "1", "2", "--connect", "mavlink:udpin:127.0.0.1:14551"], "mavlink"),
+        (["watch", "--connect", "mavlink:udpin:127.0.0.1:14551"], "mavlink"),
     ],
 )  # fmt: skip
 def test_what_needs_an_extra_says_which(

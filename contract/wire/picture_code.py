@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 from contract.picture import MAX_BYTES, ImageFormat, LinkPicture, checked
 from contract.wire.codec import MAX_VEHICLE_BYTES
+from contract.wire.parity import groups_of, joined, length_of, parities, pieces_of, share_of
 
 MAGIC = b"PP"
 MAJOR, MINOR = 1, 0
 PACKET_BYTES = 1250  # as a set's: within one packet on every kind of link
-GROUP = 6  # pieces that share a parity
 MAX_PIECES = 255
 
 # Magic, version, format, length of this payload, session, frame, capture time, width, height, the image's bytes, its
@@ -46,7 +46,7 @@ class Whole:
     @property
     def share(self) -> int:
         """Bytes of a piece; the last may have fewer."""
-        return -(-self.bytes // self.pieces)
+        return share_of(self.bytes, self.pieces)
 
     @property
     def groups(self) -> int:
@@ -61,11 +61,6 @@ class Piece:
     whole: Whole
     number: int
     content: bytes
-
-
-def groups_of(pieces: int) -> int:
-    """Groups of so many pieces; a single one needs no parity: it may as well be sent again."""
-    return -(-pieces // GROUP) if pieces > 1 else 0
 
 
 def cut(picture: LinkPicture, *, with_parity: bool, max_bytes: int = PACKET_BYTES) -> list[bytes]:
@@ -92,9 +87,9 @@ def cut(picture: LinkPicture, *, with_parity: bool, max_bytes: int = PACKET_BYTE
         p.vehicle, p.session, p.frame, p.capture_unix_ns, p.width_px, p.height_px, p.format, len(p.content),
         zlib.crc32(p.content), pieces,
     )  # fmt: skip
-    contents = [p.content[i * whole.share : (i + 1) * whole.share] for i in range(pieces)]
+    contents = pieces_of(p.content, pieces)
     if with_parity:
-        contents += [_parity(contents[g :: whole.groups], whole.share) for g in range(whole.groups)]
+        contents += parities(contents)
     return [_packed(whole, vehicle, number, content) for number, content in enumerate(contents)]
 
 
@@ -123,8 +118,10 @@ def read_piece(payload: bytes) -> Piece:
     if not 1 <= size <= MAX_BYTES or not 1 <= pieces <= size or number >= pieces + groups_of(pieces):
         raise CorruptPayload(f"piece {number} of {pieces} of a picture of {size} bytes")
     whole = Whole(vehicle, session, frame, capture, width, height, _FORMATS[code], size, checksum, pieces)
-    if len(content) != _length_of(whole, number):
-        raise CorruptPayload(f"piece {number} of {pieces} has {len(content)} bytes, not {_length_of(whole, number)}")
+    if len(content) != length_of(whole.bytes, whole.pieces, number):
+        raise CorruptPayload(
+            f"piece {number} of {pieces} has {len(content)} bytes, not {length_of(whole.bytes, whole.pieces, number)}"
+        )
     return Piece(whole, number, content)
 
 
@@ -160,34 +157,12 @@ def join(whole: Whole, pieces: dict[int, bytes]) -> LinkPicture | None:
 
     Raises CorruptPayload if they do not make the picture that they state.
     """
-    contents = dict(pieces)
-    for group in range(whole.groups):
-        members = range(group, whole.pieces, whole.groups)
-        missing = [i for i in members if i not in contents]
-        parity = contents.get(whole.pieces + group)
-        if len(missing) == 1 and parity is not None:
-            known = [contents[i] for i in members if i in contents]
-            contents[missing[0]] = _parity([*known, parity], whole.share)[: _length_of(whole, missing[0])]
-    if any(i not in contents for i in range(whole.pieces)):
+    content = joined(whole.bytes, whole.pieces, pieces)
+    if content is None:
         return None
-    content = b"".join(contents[i] for i in range(whole.pieces))
     if zlib.crc32(content) != whole.checksum:
         raise CorruptPayload("the pieces of a picture do not belong together")
     w = whole
     return checked(
         LinkPicture(w.vehicle, w.session, w.frame, w.capture_unix_ns, w.width_px, w.height_px, w.format, content)
     )
-
-
-def _length_of(whole: Whole, number: int) -> int:
-    if number >= whole.pieces:
-        return whole.share
-    return max(min(whole.share, whole.bytes - number * whole.share), 0)
-
-
-def _parity(contents: list[bytes], share: int) -> bytes:
-    """The exclusive or of contents, shorter ones with zeros behind."""
-    total = 0
-    for content in contents:
-        total ^= int.from_bytes(content.ljust(share, b"\0"), "little")
-    return total.to_bytes(share, "little")

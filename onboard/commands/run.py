@@ -25,8 +25,8 @@ from onboard.config.schema import Config, to_toml
 from onboard.events.session_clock import SessionClock
 from onboard.events.sink import Sink
 from onboard.events.source import Source
+from onboard.link.autopilot_radio import AutopilotRadio
 from onboard.link.byte_budget import left_for_pictures
-from onboard.link.click_desk import ClickDesk
 from onboard.link.picture_sender import PictureSender
 from onboard.link.publisher import Publisher
 from onboard.pipeline.pipeline import Pipeline
@@ -97,11 +97,11 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
         sinks: list[Sink] = [link]
         threads = [solver.thread, link.thread]
         reporters: list[Reporter] = [partial(_send, link)]
-        desk = None
+        radio = None
         if config.link.mavlink:
-            desk = ClickDesk.open(config, link.look_up)
-            opened.callback(desk.close)
-            threads.append(desk.thread)
+            radio = AutopilotRadio.open(config, link)
+            opened.callback(radio.close)
+            threads.append(radio.thread)
         if config.picture.enabled:
             pictures = PictureSender(config.picture, link)
             if (left := left_for_pictures(config.link.max_bit_rate, config.link.max_rate_hz)) < LEAST_FOR_PICTURES:
@@ -125,7 +125,7 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
         parts = Parts(
             clock=clock,
             camera=open_camera(config, camera, clock),
-            telemetry=open_telemetry(config, clock, desk),
+            telemetry=open_telemetry(config, clock, radio),
             pipeline=pipeline,
             sinks=sinks,
             recording=recording,

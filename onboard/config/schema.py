@@ -301,7 +301,7 @@ class Link(Section):
         (), "TLS: common names of the certificates that may listen and ask; empty: every one of the authority's"
     )
     mavlink: bool = choice(
-        False, "answer clicks through the autopilot's own radio too (pc-ground click --connect mavlink:...)"
+        False, "answer clicks and send sets through the autopilot's own radio too (pc-ground --connect mavlink:...)"
     )
     mavlink_bit_rate: float = quantity(
         4800.0, 200.0, 1e6, "bit/s", "all that is sent through the autopilot keeps below this, MAVLink's bytes included"

@@ -1,10 +1,10 @@
-"""Sets, status and replies over zenoh within a bit rate; certificates.
+"""Sets, status and replies over zenoh within a bit rate, clicks and sets through the autopilot's radio; certificates.
 
 Public:
 
+- `autopilot_radio`: `AutopilotRadio`
 - `byte_budget`: `left_for_pictures`
 - `certificates`: `AUTHORITY`, `make_credentials`
-- `click_desk`: `ClickDesk`
 - `picture_sender`: `PictureSender`
 - `publisher`: `Publisher`
 - `status_query`: `ask`

@@ -12,7 +12,6 @@ import time
 from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Self
 
 from contract.answer import Answer as ClickedAnswer
 from contract.answer import Refusal
@@ -21,42 +20,35 @@ from contract.feature_set import Status
 from contract.locate import Locator
 from contract.supervised_thread import Policy, SupervisedThread
 from contract.wire import click_code, codec
-from contract.wire.click_code import ClickAnswer, ClickQuestion, TurnedAway
-from onboard.config.schema import Config
+from contract.wire.click_code import ClickAnswer, ClickQuestion
 from onboard.events.tunnel import Peer
 from onboard.link.byte_budget import Bucket
 from onboard.link.reply import Answer, Question
 
-TUNNEL_OVERHEAD, SIGNATURE = 17, 13  # bytes on the wire beside a payload
-BURST_S = 0.5
 MAX_WAITING = 8  # questions, and answers
 MAX_KEPT = 32  # answers, to be sent again
 # Of the time that an answer takes at our bit rate: asked again sooner, it is under way and not lost.
 UNDER_WAY = 1.5
 IDLE_S = 0.5
-GROUND_STATIONS = 255, 255  # as autopilots have it unless they say otherwise
 
 
 class ClickDesk:
-    """A `TunnelEnd` that answers clicks. `look_up` finds a picture's set as for a query over the link; None: not yet.
+    """Answers clicks. `look_up` finds a picture's set as for a query over the link; None: not yet.
 
-    `now_ns` is CLOCK_MONOTONIC.
+    `overhead`: bytes on the wire beside a payload. `bucket` is shared with all that goes this way; `now_ns` is
+    CLOCK_MONOTONIC.
     """
 
     def __init__(
         self,
         vehicle: str,
         look_up: Callable[[Question], Answer | None],
-        max_bit_rate: float,
-        *,
-        is_signed: bool = False,
+        overhead: int,
+        bucket: Bucket,
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._vehicle, self._look_up, self._now_ns = vehicle, look_up, now_ns
-        self._overhead = TUNNEL_OVERHEAD + is_signed * SIGNATURE
-        depth = max(BURST_S * max_bit_rate / 8.0, click_code.MAX_ANSWER_BYTES + self._overhead)
-        self._bucket = Bucket(max_bit_rate / 8.0, depth, now_ns() / 1e9)
-        self._ground_stations = GROUND_STATIONS
+        self._overhead, self._bucket = overhead, bucket
         self._asked: deque[tuple[Peer, ClickQuestion, int]] = deque()
         self._ready: deque[tuple[Peer, bytes]] = deque()
         self._kept: OrderedDict[tuple[Peer, int], bytes] = OrderedDict()
@@ -66,25 +58,12 @@ class ClickDesk:
         self._changed = threading.Condition()
         self.thread = SupervisedThread("clicks", self._run, Policy.RESTART)
 
-    @classmethod
-    def open(cls, config: Config, look_up: Callable[[Question], Answer | None]) -> Self:
-        """As the configuration specifies, with its thread running."""
-        is_signed = config.telemetry.signing_key is not None
-        desk = cls(config.vehicle.id, look_up, config.link.mavlink_bit_rate, is_signed=is_signed)
-        desk.thread.start()
-        return desk
-
     def close(self) -> None:
         """No more answers."""
         self.thread.end()
         with self._changed:
             self._changed.notify()
         self.thread.join(5.0)
-
-    def know_ground_stations(self, low: int, high: int) -> None:
-        """Grounds with such a system number are turned away: they would hide a lost ground station."""
-        with self._changed:
-            self._ground_stations = low, high
 
     def hear(self, ground: Peer, payload: bytes) -> None:
         """A packet from a ground; what is no question is passed over."""
@@ -95,11 +74,8 @@ class ClickDesk:
         if not isinstance(question, ClickQuestion):
             return
         with self._changed:
-            low, high = self._ground_stations
             known = self._kept.get((ground, question.number))
-            if low <= ground.system <= high:
-                self._send(ground, click_code.encode_answer(TurnedAway(question.number, low, high)))
-            elif known is not None:
+            if known is not None:
                 if not self._is_under_way(known):
                     self._send(ground, known)
             elif not any(asked[:2] == (ground, question) for asked in self._asked) and len(self._asked) < MAX_WAITING:

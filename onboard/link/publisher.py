@@ -147,6 +147,7 @@ class Publisher:
         self._status, self._status_detail = b"", b""
         self._status_waits = False
         self._is_closed = self._has_news = False
+        self.watches: list[Callable[[Offer[bytes]], None]] = []  # shown every set as it is made
         self.sent = 0  # sets put on the link, without those asked for
         self.pictures = 0  # put on the link to their last piece
         self._warned_s = -math.inf
@@ -211,6 +212,8 @@ class Publisher:
             self._selection.offer(offer)
             self._pending.made(s.frame)
             self._wake()
+        for watch in self.watches:
+            watch(offer)
         return packet
 
     def publish_status(self, payload: bytes, detail: bytes) -> None:
@@ -224,6 +227,11 @@ class Publisher:
         """What a query gets, for those that come by another way; None: the picture's set is still being made."""
         with self._changed:
             return None if asked.pending(self._history, self._pending) is not None else self._answer(asked)
+
+    def age_s(self, capture_unix_ns: int) -> float | None:
+        """How long ago a picture was taken; None while nothing is known of the clock."""
+        with self._changed:
+            return self._set_clock.age_s(capture_unix_ns, time.monotonic_ns())
 
     def picture_room(self) -> int:
         """Bytes that a packet of a picture may take; 0 while another is being sent, or there is no receiver."""

@@ -100,8 +100,8 @@ class Selection(Generic[T]):
         return self._best_of_rest() if self._rest and (is_fresh_enough or self._fresh() is None) else None
 
     def wait_s(self, now_s: float) -> float | None:
-        """Seconds until the newest is due to be sent again; None: there is none, or others are waiting."""
-        if self.waiting or self._repeated is None or self._fresh_at_s is None:
+        """Seconds until the newest is due to be sent again; None: there is none, or a new one waits."""
+        if self._fresh() is not None or self._repeated is None or self._fresh_at_s is None:
             return None
         return max(self._fresh_at_s + self._repeat_s - now_s, 0.0)
 

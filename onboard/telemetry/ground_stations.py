@@ -14,15 +14,19 @@ from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT
 
 LOW, HIGH, OLD = "MAV_GCS_SYSID", "MAV_GCS_SYSID_HI", "SYSID_MYGCS"  # ArduPilot's parameters; the last before 4.7
 AGAIN_NS = 2_000_000_000
-MAX_TRIES = 5
+MAX_TRIES, OLD_AFTER = 5, 2
 USUAL = 255
 
 
 class GroundStations:
-    """Asks the autopilot for its parameters, some times each, and remembers what it said."""
+    """Asks an ArduPilot for its parameters, some times each, and remembers what it said.
+
+    PX4 knows its ground stations by the type of their heartbeat, and reports each unknown parameter to the pilot.
+    """
 
     def __init__(self) -> None:
         self._values: dict[str, int] = {}
+        self._is_asked = False
         self._tries, self._due_ns = 0, 0
 
     @property
@@ -31,18 +35,23 @@ class GroundStations:
         low = self._values.get(LOW, self._values.get(OLD, USUAL))
         return low, max(low, self._values.get(HIGH, 0))
 
-    def hear(self, message: Any) -> None:
-        """A PARAM_VALUE of the autopilot."""
-        if message.param_id in (LOW, HIGH, OLD) and 0 <= message.param_value <= USUAL:
+    def hear(self, message: Any) -> bool:
+        """A HEARTBEAT or a PARAM_VALUE of the autopilot; whether `range` may be another now."""
+        if message.get_type() == "HEARTBEAT":
+            self._is_asked = message.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+        elif message.param_id in (LOW, HIGH, OLD) and 0 <= message.param_value <= USUAL:
             self._values[message.param_id] = int(message.param_value)
+            return True
+        return False
 
     def due(self, now_ns: int, system: int) -> list[Any]:
-        """Requests for what is not known yet."""
-        is_known = LOW in self._values and HIGH in self._values
-        if is_known or self._tries >= MAX_TRIES or now_ns < self._due_ns:
+        """Requests for what is not known yet; for the older name where the newer is not answered."""
+        is_known = (LOW in self._values and HIGH in self._values) or OLD in self._values
+        if is_known or not self._is_asked or self._tries >= MAX_TRIES or now_ns < self._due_ns:
             return []
         self._tries, self._due_ns = self._tries + 1, now_ns + AGAIN_NS
-        wanted = [name for name in (LOW, HIGH, OLD) if name not in self._values]
+        is_old = self._tries > OLD_AFTER and LOW not in self._values
+        wanted = [name for name in (LOW, HIGH, *([OLD] if is_old else [])) if name not in self._values]
         return [
             mavlink.MAVLink_param_request_read_message(system, AUTOPILOT_COMPONENT, name.encode(), -1)
             for name in wanted

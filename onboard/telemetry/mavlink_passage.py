@@ -32,12 +32,10 @@ class Passage:
             if (message.target_system, message.target_component) == (system, self._component):
                 ground = Peer(message.get_srcSystem(), message.get_srcComponent())
                 self._tunnel.hear(ground, bytes(message.payload[: message.payload_length]))
-        elif name == "PARAM_VALUE" and (message.get_srcSystem(), message.get_srcComponent()) == (
-            system,
-            AUTOPILOT_COMPONENT,
-        ):
-            self._ground_stations.hear(message)
-            self._tunnel.know_ground_stations(*self._ground_stations.range)
+        elif name in ("HEARTBEAT", "PARAM_VALUE"):
+            is_autopilot = (message.get_srcSystem(), message.get_srcComponent()) == (system, AUTOPILOT_COMPONENT)
+            if is_autopilot and self._ground_stations.hear(message):
+                self._tunnel.know_ground_stations(*self._ground_stations.range)
 
     def due(self, now_ns: int, system: int) -> list[Any]:
         """Messages to be sent now."""

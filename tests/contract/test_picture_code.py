@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload, WireError
 from contract.picture import MAX_BYTES, ImageFormat, LinkPicture, image_size
-from contract.wire.picture_code import cut, groups_of, join, read_piece
+from contract.wire.parity import groups_of
+from contract.wire.picture_code import cut, join, read_piece
 from tests.contract.pictures import START_NS, pictures, small_picture, webp_of
 
 GOLDEN = json.loads((Path(__file__).parent / "golden" / "picture.json").read_text())

@@ -24,8 +24,20 @@ from contract.errors import InputError, WireError
 from contract.feature_set import FeatureSet, Status
 from contract.locate import Locator
 from contract.vehicle_status import VehicleStatus, decode_status, encode_status
+from contract.wire.click_code import ClickAnswer, ClickQuestion, TurnedAway, encode_answer, encode_question
+from contract.wire.click_code import decode as read_packet
 from contract.wire.codec import decode, encode
 from contract.wire.picture_code import cut, read_piece
+from contract.wire.set_pieces import (
+    ReceiverReport,
+    SetAssembly,
+    SetPiece,
+    cut_set,
+    encode_piece,
+    encode_report,
+    read_report,
+)
+from contract.wire.set_pieces import read_piece as read_set_piece
 from ground.link_pictures import PictureCache
 from ground.recording import Recording
 from onboard.events.types import Attitude, Frame, GpsQuality, PositionFix
@@ -105,12 +117,18 @@ class Fuzz:
         self._sets += [encode(plain_set(n)) for n in (0, 1, 12, 100)] + [encode(refused)]
         self._pieces = cut(small_picture(size=3000), with_parity=True)
         self._pictures = PictureCache()
+        answer = Locator(plain_set(100)).locate((320.0, 240.0))
+        self._packets = [encode_question(ClickQuestion(7, 320.0, 240.0, frame=3)), encode_report(ReceiverReport(9, 8))]
+        self._packets += [encode_answer(a) for a in (ClickAnswer(7, answer), TurnedAway(7, 250, 255))]
+        self._packets += [encode_piece(SetPiece(i, 1, *p)) for i, p in enumerate(cut_set(self._sets[-1], 0.5, 101))]
+        self._assembly = SetAssembly()
         reported = VehicleStatus(1.7e9, 7, "ok", "all is well", 12.0, 30.0, 29.0, 77, 0.2, 99, 1, 2, True, 55.0)
         self._statuses = [encode_status(reported), encode_status(VehicleStatus(0.0, 0, "starting")), b'{"v":1}', b"[]"]
         self._recordings = [_a_recording(folder / "true.mcap", features) for features in (3, 12)]
 
     def run(self, count: int) -> Result:
-        """So many inputs: of ten, six sets, a piece of a picture, two statuses, one recording."""
+        """So many inputs: of ten, six sets, and a piece of a picture, a packet of the autopilot's radio, a status and a
+        recording."""
         for number in range(count):
             kind = number % 10
             if kind < 6:
@@ -119,6 +137,9 @@ class Fuzz:
             elif kind < 7:
                 data = damaged(self._rng.choice(self._pieces), self._pieces, self._rng)
                 self._one("picture", sealed(data, 4) if self._rng.random() < 0.8 else data, self._read_piece)
+            elif kind < 8:
+                data = damaged(self._rng.choice(self._packets), self._packets, self._rng)
+                self._one("packet", data, self._read_packet)
             elif kind < 9:
                 self._one("status", damaged(self._rng.choice(self._statuses), self._statuses, self._rng), _read_status)
             else:
@@ -153,6 +174,18 @@ class Fuzz:
         self._pictures.take("pc/uav-1/picture", data)
         try:
             read_piece(data)
+        except WireError as error:
+            return type(error).__name__
+        return "read"
+
+    def _read_packet(self, data: bytes) -> str:
+        read_report(data)
+        try:
+            piece = read_set_piece(data)
+            if piece is None:
+                read_packet(data)
+            else:
+                self._assembly.take(piece)
         except WireError as error:
             return type(error).__name__
         return "read"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import socket
 import threading
 import time
@@ -18,11 +19,15 @@ from contract.errors import LinkError
 from contract.feature_set import Status
 from contract.wire.codec import encode
 from ground import mavlink_link
+from ground.__main__ import main
+from ground.client import SetCache, inquire
 from ground.mavlink_endpoint import MavlinkEndpoint
 from ground.mavlink_link import MavlinkLink
+from ground.recording import Recording
 from onboard.config.schema import parse_config
-from onboard.link.click_desk import ClickDesk
+from onboard.link.autopilot_radio import AutopilotRadio
 from onboard.link.reply import Answer, Question
+from onboard.link.set_selection import Offer
 from onboard.telemetry.mavlink_passage import Passage
 from onboard.telemetry.mavlink_source import PymavlinkEnd
 from tests.contract.sets import plain_set
@@ -57,13 +62,13 @@ class Aircraft:
 
     def __init__(self, port: int, key: bytes | None = None, system: int = 3) -> None:
         config = parse_config(f"[telemetry]\nsystem = {system}\n")
-        self.desk = ClickDesk("uav-1", self._look_up, 1e5)
+        self.radio = AutopilotRadio("uav-1", self._look_up, lambda _: 0.25, 1e5, is_signed=key is not None)
         self.wire, self.system = Wire(port), system
         self.end, self.autopilot = PymavlinkEnd(config, key), PymavlinkEnd(config, key)
         self.autopilot._mav.srcComponent = 1
         self.end.attach(self.wire)  # type: ignore[arg-type]
         self.autopilot.attach(self.wire)  # type: ignore[arg-type]
-        self.passage = Passage(config, self.desk)
+        self.passage = Passage(config, self.radio)
         self.heard: list[str] = []
         self.stop = threading.Event()
 
@@ -80,7 +85,7 @@ class Aircraft:
             for _, message in self.end.take(self.wire.read(), 0):
                 self.heard.append(message.get_type())
                 self.passage.hear(message, self.system)
-            self.desk.work()
+            self.radio.desk.work()
             for message in self.passage.due(0, self.system):
                 self.end.send(message)
 
@@ -135,15 +140,15 @@ def test_several_vehicles_must_be_told_apart() -> None:
         assert "TUNNEL" in aircraft[1].heard
         with MavlinkLink(MavlinkEndpoint.parse(radio)) as link:
             until_s = time.monotonic() + 5.0
-            while len(link._vehicles) < 2 and time.monotonic() < until_s:
-                link._received()
+            while len(link.vehicles) < 2 and time.monotonic() < until_s:
+                link.received()
             with pytest.raises(LinkError, match="several vehicles are received: 3, 4"):
                 link.ask(320.0, 240.0)
 
 
 def test_a_ground_that_is_turned_away_says_what_it_would_have_hidden() -> None:
     with flying() as (radio, (aircraft,)), MavlinkLink(MavlinkEndpoint.parse(f"{radio}?system=250")) as link:
-        aircraft.desk.know_ground_stations(250, 255)
+        aircraft.radio.know_ground_stations(250, 255)
         with pytest.raises(LinkError, match="MAV_GCS_SYSID 250 to 255"):
             link.ask(320.0, 240.0)
 
@@ -158,3 +163,53 @@ def test_nobody_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
             pytest.raises(LinkError, match="no autopilot was received"),
         ):
             link.ask(320.0, 240.0)
+
+
+def a_set(frame: int) -> Offer[bytes]:
+    stamp_ns = 1_700_000_000_000_000_000 + frame * 10**9
+    made = dataclasses.replace(plain_set(100), frame=frame, capture_unix_ns=stamp_ns)
+    return Offer(made.session, frame, 0, stamp_ns, True, False, encode(made))
+
+
+def test_watch_and_record_show_and_keep_the_sets_that_come_in_pieces(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with flying() as (radio, (aircraft,)):
+        for frame in range(3):
+            aircraft.radio.feed.offer(a_set(frame))
+        assert main(["record", "--to", str(tmp_path), "--seconds", "4", "--connect", radio]) == 0
+        aircraft.radio.feed.offer(a_set(3))
+        capsys.readouterr()
+        assert main(["watch", "--connect", radio, "--json", "--count", "10", "--period", "0.4"]) == 0
+        rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    recording = Recording(tmp_path)
+    (vehicle,) = recording.vehicles
+    assert 2 in recording.frames(vehicle)
+    kept = recording.by_frame(vehicle, 2)
+    assert kept is not None and encode(kept) == a_set(2).item
+    assert rows and rows[-1]["vehicle"] == vehicle and rows[-1]["frame"] == 3
+    assert rows[-1]["age_s"] is not None and 0.25 <= rows[-1]["age_s"] < 6.0
+
+
+def test_another_vehicles_sets_are_left_out_and_what_needs_single_pictures_says_so() -> None:
+    with flying() as (radio, (aircraft,)), SetCache(radio, "uav-9") as cache:
+        aircraft.radio.feed.offer(a_set(0))
+        until_s = time.monotonic() + 10.0
+        while not aircraft.radio.feed.sent and time.monotonic() < until_s:
+            time.sleep(0.05)
+        time.sleep(0.3)
+        assert aircraft.radio.feed.sent == 1 and cache.vehicles == [] and cache.unreadable == 0
+        with pytest.raises(LinkError, match="single pictures"):
+            cache.ask_at("uav-1", 0.0)
+    with pytest.raises(LinkError, match="it answers pc-ground click"):
+        inquire(radio)
+
+
+def test_a_listener_that_is_turned_away_says_why() -> None:
+    with flying() as (radio, (aircraft,)):
+        aircraft.radio.know_ground_stations(250, 255)
+        with SetCache(f"{radio}?system=250") as cache:
+            until_s = time.monotonic() + 10.0
+            while not cache.link_error and time.monotonic() < until_s:
+                time.sleep(0.02)
+            assert "MAV_GCS_SYSID 250 to 255" in cache.link_error

@@ -12,12 +12,14 @@ import pytest
 from contract.answer import Fix, Refusal
 from contract.feature_set import Status
 from contract.locate import locate
-from contract.wire.click_code import ClickAnswer, ClickQuestion, TurnedAway, decode, encode_question
+from contract.wire.click_code import ClickAnswer, ClickQuestion, decode, encode_question
 from contract.wire.codec import decode as decode_set
 from contract.wire.codec import encode
 from ground.click_asking import Asking
 from onboard.events.tunnel import Peer
-from onboard.link.click_desk import MAX_WAITING, TUNNEL_OVERHEAD, ClickDesk
+from onboard.link.autopilot_radio import OVERHEAD
+from onboard.link.byte_budget import Bucket
+from onboard.link.click_desk import MAX_WAITING, ClickDesk
 from onboard.link.reply import Answer, Question
 from tests.contract.sets import plain_set
 from tests.onboard.link.pipe import HEARTBEAT_BYTES, Way, own_stream
@@ -43,21 +45,25 @@ def look_up(asked: Question) -> Answer | None:
     return Answer(PAYLOAD, b'{"age_s":0.25}')
 
 
+def a_bucket(bit_rate: float = 4800.0) -> Bucket:
+    return Bucket(bit_rate / 8.0, max(bit_rate / 16.0, 118.0), 0.0)
+
+
 def a_desk(clock: Clock, bit_rate: float = 4800.0, asked: list[Question] | None = None) -> ClickDesk:
     def noted(question: Question) -> Answer | None:
         if asked is not None:
             asked.append(question)
         return look_up(question)
 
-    return ClickDesk("uav-1", noted, bit_rate, now_ns=clock.ns)
+    return ClickDesk("uav-1", noted, OVERHEAD, a_bucket(bit_rate), clock.ns)
 
 
-def answered(desk: ClickDesk, question: ClickQuestion, ground: Peer = GROUND) -> list[ClickAnswer | TurnedAway]:
+def answered(desk: ClickDesk, question: ClickQuestion, ground: Peer = GROUND) -> list[ClickAnswer]:
     desk.hear(ground, encode_question(question))
     while desk.work():
         pass
     found = [decode(payload) for to, payload in desk.due() if to == ground]
-    return [f for f in found if not isinstance(f, ClickQuestion)]
+    return [f for f in found if isinstance(f, ClickAnswer)]
 
 
 def test_an_answer_is_that_of_the_set_with_the_age_it_had_when_the_question_came() -> None:
@@ -75,7 +81,7 @@ def test_what_the_aircraft_has_not_is_refused_and_what_is_being_made_is_not_answ
     assert isinstance(unknown, ClickAnswer) and isinstance(unknown.answer, Refusal)
     assert (unknown.answer.status, unknown.answer.frame) == (Status.UNKNOWN_FRAME, 8)
     made: list[Answer] = []
-    desk = ClickDesk("uav-1", lambda _: made[0] if made else None, 4800.0, now_ns=clock.ns)
+    desk = ClickDesk("uav-1", lambda _: made[0] if made else None, OVERHEAD, a_bucket(), clock.ns)
     assert answered(desk, ClickQuestion(6, *UV, frame=7)) == []
     made.append(Answer(PAYLOAD))
     (late,) = answered(desk, ClickQuestion(6, *UV, frame=7))
@@ -96,16 +102,6 @@ def test_a_question_that_is_sent_again_gets_the_same_answer_and_is_computed_once
     assert len(asked) == 2
 
 
-@pytest.mark.parametrize(("system", "is_turned_away"), [(249, False), (250, True), (255, True)])
-def test_a_ground_station_s_system_number_is_turned_away(system: int, is_turned_away: bool) -> None:
-    desk = a_desk(Clock())
-    desk.know_ground_stations(250, 255)
-    (found,) = answered(desk, ClickQuestion(5, *UV), Peer(system, 25))
-    assert isinstance(found, TurnedAway) == is_turned_away
-    if isinstance(found, TurnedAway):
-        assert (found.low, found.high) == (250, 255)
-
-
 def test_a_flood_of_questions_is_bounded_and_never_above_the_bit_rate() -> None:
     clock = Clock()
     desk = a_desk(clock, 4800.0)
@@ -117,7 +113,7 @@ def test_a_flood_of_questions_is_bounded_and_never_above_the_bit_rate() -> None:
         desk.work()
         out = desk.due()
         assert len(out) <= MAX_WAITING
-        sent += [(clock.now_s, len(payload) + TUNNEL_OVERHEAD) for _, payload in out]
+        sent += [(clock.now_s, len(payload) + OVERHEAD) for _, payload in out]
     for began_s, _ in list(sent):
         carried = sum(size for at_s, size in sent if began_s <= at_s <= began_s + 2.0)
         assert carried <= 2.0 * 600.0 + 300.0 + 77.0
@@ -143,7 +139,7 @@ def waits_s(
         if asking is None and now_s >= next_s:
             asking, began_s = Asking(ClickQuestion(len(found), *UV), now_s), now_s
         if asking is not None and asking.is_due(now_s):
-            up.put(now_s, 20 + TUNNEL_OVERHEAD, encode_question(asking.question))
+            up.put(now_s, 20 + OVERHEAD, encode_question(asking.question))
         if now_s >= beat_s:
             up.put(now_s, HEARTBEAT_BYTES, b"")
             beat_s = now_s + 5.0
@@ -152,7 +148,7 @@ def waits_s(
         while desk.work():
             pass
         for _, payload in desk.due():
-            down.put(now_s, len(payload) + TUNNEL_OVERHEAD, payload)
+            down.put(now_s, len(payload) + OVERHEAD, payload)
         for payload in down.arrived(now_s):
             if asking is not None and asking.take(payload, now_s) is not None:
                 found.append(now_s - began_s)

@@ -184,6 +184,15 @@ def test_with_nothing_new_the_newest_is_said_again_every_two_seconds() -> None:
     assert 10 <= len(sent) <= 11
 
 
+def test_with_nothing_new_the_newest_is_said_again_between_older_ones_too() -> None:
+    """A camera that stops leaves many older pictures that were overtaken; the newest may have gone into a cut."""
+    sent = run(Budget(32000.0, 0.2, 5.0, 0.0), flight(10.0, 10.0), 20.0, 480)
+    again = [s.at_s for s in sent if s.kind is Kind.SET and s.at_s > 10.5]
+    older = [s.at_s for s in sent if s.kind is Kind.OLDER and s.at_s > 10.5]
+    assert 4 <= len(again) <= 6 and max(b - a for a, b in itertools.pairwise(again)) < 2.5
+    assert len(older) >= 15
+
+
 def test_before_the_first_set_nothing_is_sent() -> None:
     assert run(Budget(32000.0, 0.2, 5.0, 0.0), [], 5.0) == []
 
@@ -278,8 +287,9 @@ def test_any_order_of_offers_is_survived_and_memory_stays_bounded(
             selection.sent(chosen, now_s)
     for _ in range(len(offers) + 2):
         now_s += 0.1
-        if (chosen := selection.next(now_s) or selection.next_of_rest(now_s)) is not None:
-            selection.sent(chosen, now_s)
+        for chosen in (selection.next(now_s), selection.next_of_rest(now_s)):
+            if chosen is not None:
+                selection.sent(chosen, now_s)
     assert not selection.waiting
 
 

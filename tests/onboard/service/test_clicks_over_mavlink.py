@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 from contract.wire.click_code import TUNNEL_TYPE
+from ground.recording import Recording
 from tests.onboard.link.mavlink_router import Line, Router, Udp
 from tests.onboard.service.air import STRAIGHT
 from tests.onboard.service.process import ROOT, aircraft
@@ -27,6 +28,10 @@ def pc_ground(*arguments: object, lines: str = "") -> subprocess.CompletedProces
     return subprocess.run(command, cwd=ROOT, input=lines, capture_output=True, text=True, check=False, timeout=60)
 
 
+def started(*arguments: object) -> subprocess.Popen[bytes]:
+    return subprocess.Popen([sys.executable, "-m", "ground", *map(str, arguments)], cwd=ROOT)
+
+
 def test_a_click_is_answered_through_the_autopilot_as_over_the_link(tmp_path: Path) -> None:
     onboard, ground, other = (free_udp_port() for _ in range(3))
     radio, uv = f"mavlink:udpin:127.0.0.1:{ground}", (CAMERA.width_px // 2, CAMERA.height_px // 2)
@@ -36,6 +41,8 @@ def test_a_click_is_answered_through_the_autopilot_as_over_the_link(tmp_path: Pa
         with Router(Line(plane.autopilot.url), Udp(onboard), Udp(ground), Udp(other)) as router:
             plane.start()
             plane.wait_for("ok")
+            command = ["record", "--to", tmp_path / "kept", "--seconds", 12, "--connect"]
+            listener = started(*command, f"mavlink:udpin:127.0.0.1:{other}?system=246")
             newest = pc_ground("click", *uv, "--connect", radio, "--format", "json")
             answer = json.loads(newest.stdout)
             frame = answer["frame"]
@@ -45,6 +52,7 @@ def test_a_click_is_answered_through_the_autopilot_as_over_the_link(tmp_path: Pa
                 pc_ground("click", *uv, "--frame", frame, "--connect", plane.endpoint, "--format", "json").stdout
             )
             masked = pc_ground("click", *uv, "--connect", f"{radio}?system=255&ground_stations=250")
+            assert listener.wait(30.0) == 0
             passed = list(router.passed)
             plane.signal(signal.SIGTERM)
             assert plane.ended() == 0
@@ -61,5 +69,12 @@ def test_a_click_is_answered_through_the_autopilot_as_over_the_link(tmp_path: Pa
     tunnels = [(message, to) for message, _, to in passed if message.get_type() == "TUNNEL"]
     assert len(tunnels) >= 10
     for message, to in tunnels:  # each to one link, short, and of our kind
-        assert message.payload_type == TUNNEL_TYPE and to in ([1], [2])
-        assert message.payload_length <= (24 if to == [1] else 60)
+        assert message.payload_type == TUNNEL_TYPE and to in ([1], [2], [3])
+        assert message.payload_length <= {1: 24, 2: 60, 3: 101}[to[0]]
+    kept, own = Recording(tmp_path / "kept"), Recording(plane.recordings[0])
+    frames = kept.frames("uav")
+    assert 4 <= len(frames) <= 12  # in 12 s of 4.8 kbit/s
+    for frame in frames:
+        one, other_set = kept.by_frame("uav", frame), own.by_frame("uav", frame)
+        assert one is not None and other_set is not None
+        assert one.revision <= other_set.revision and one.capture_unix_ns == other_set.capture_unix_ns

@@ -80,26 +80,43 @@ def test_what_is_sent_is_addressed_to_one_ground_and_short_on_the_wire(passage: 
     assert (sent.target_system, sent.target_component, len(packet)) == (245, 25, MAX_ANSWER_BYTES + 17)
 
 
+def beat(passage: Passage, autopilot: int = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA) -> None:
+    passage.hear(received(mavlink.MAVLink_heartbeat_message(2, autopilot, 0, 0, 4, 3), SYSTEM, 1), SYSTEM)
+
+
+def asked(passage: Passage, at_s: int) -> list[str]:
+    return [m.param_id for m in passage.due(at_s * SECOND_NS, SYSTEM)]
+
+
 def test_the_ground_stations_numbers_are_asked_of_the_autopilot_until_they_are_known(
     passage: Passage, tunnel: Tunnel
 ) -> None:
-    asked = [m.param_id for m in passage.due(0, SYSTEM)]
-    assert asked == ["MAV_GCS_SYSID", "MAV_GCS_SYSID_HI", "SYSID_MYGCS"]
-    assert passage.due(SECOND_NS, SYSTEM) == []
+    assert asked(passage, 0) == []  # not before it is known to be an ArduPilot
+    beat(passage)
+    assert asked(passage, 0) == ["MAV_GCS_SYSID", "MAV_GCS_SYSID_HI"]
+    assert asked(passage, 1) == []
     passage.hear(parameter("MAV_GCS_SYSID", 240.0), SYSTEM)
     assert tunnel.ground_stations == (240, 240)
+    assert asked(passage, 3) == ["MAV_GCS_SYSID_HI"]
     passage.hear(parameter("MAV_GCS_SYSID_HI", 250.0), SYSTEM)
     assert tunnel.ground_stations == (240, 250)
-    assert passage.due(60 * SECOND_NS, SYSTEM) == []
+    assert asked(passage, 60) == []
 
 
-def test_an_older_autopilot_has_one_ground_station_and_is_not_asked_for_ever(passage: Passage, tunnel: Tunnel) -> None:
+def test_an_older_autopilot_is_asked_by_the_older_name_and_none_for_ever(passage: Passage, tunnel: Tunnel) -> None:
+    beat(passage)
+    found = [names for at_s in range(100) if (names := asked(passage, at_s))]
+    assert len(found) == MAX_TRIES
+    assert all("SYSID_MYGCS" not in names for names in found[:2]) and all("SYSID_MYGCS" in names for names in found[2:])
     passage.hear(parameter("SYSID_MYGCS", 252.0), SYSTEM)
     assert tunnel.ground_stations == (252, 252)
     passage.hear(parameter("SYSID_MYGCS", 1.0), SYSTEM + 1)  # not our vehicle's
     assert tunnel.ground_stations == (252, 252)
-    asked = sum(bool(passage.due(at_s * SECOND_NS, SYSTEM)) for at_s in range(100))
-    assert asked == MAX_TRIES
+
+
+def test_px4_is_asked_for_no_parameter_it_would_report_to_its_pilot(passage: Passage) -> None:
+    beat(passage, mavlink.MAV_AUTOPILOT_PX4)
+    assert [asked(passage, at_s) for at_s in range(100)] == [[]] * 100
 
 
 @pytest.mark.parametrize("text", ['url = "nmea:/dev/ttyUSB0:9600"', 'backend = "mavsdk"'])

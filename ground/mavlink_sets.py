@@ -1,0 +1,82 @@
+"""Feature sets that come through autopilots' radio: asked for with reports, put together, handed on."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+
+from contract.errors import LinkError, WireError
+from contract.wire.click_code import TurnedAway, decode
+from contract.wire.set_pieces import SetAssembly, encode_report, read_piece
+from ground.mavlink_endpoint import MavlinkEndpoint, masking
+from ground.mavlink_link import MavlinkLink
+from ground.watched_thread import WatchedThread
+
+REPORT_S = 2.0
+REOPEN_S = 1.0
+
+
+class MavlinkSets:
+    """Listens in a thread of its own, and opens a link that broke again. Raises LinkError if it cannot be opened.
+
+    `take` gets each set and the age its picture had when it was sent (s, or None), `heard` is called for whatever
+    comes: both in that thread.
+    """
+
+    def __init__(
+        self, endpoint: MavlinkEndpoint, take: Callable[[bytes, float | None], None], heard: Callable[[], None]
+    ) -> None:
+        self._endpoint, self._take, self._heard = endpoint, take, heard
+        self._link: MavlinkLink | None = MavlinkLink(endpoint)
+        self._assemblies: dict[int, SetAssembly] = {}
+        self._report_s = -REPORT_S
+        self._thread = WatchedThread("sets over MAVLink", self._work, 0.0)
+
+    @property
+    def trouble(self) -> str:
+        """What keeps sets from coming, in a line; empty if nothing is known to."""
+        return self._thread.trouble
+
+    def close(self) -> None:
+        """No more sets."""
+        self._thread.close()
+        if self._link is not None:
+            self._link.close()
+
+    def _work(self) -> None:
+        if self._link is None:
+            self._thread.wait(REOPEN_S)
+            self._link = MavlinkLink(self._endpoint)
+        try:
+            self._listen(self._link)
+        except LinkError:
+            with contextlib.suppress(OSError):
+                self._link.close()
+            self._link = None
+            raise
+
+    def _listen(self, link: MavlinkLink) -> None:
+        """What came within a moment, and a report to every vehicle from time to time. Raises LinkError."""
+        for vehicle, payload in link.received():
+            self._heard()
+            self._hear(vehicle, payload)
+        if time.monotonic() - self._report_s >= REPORT_S:
+            self._report_s = time.monotonic()
+            link.beat()
+            for vehicle in link.vehicles:
+                link.send(vehicle, encode_report(self._assemblies.setdefault(vehicle, SetAssembly()).report))
+
+    def _hear(self, vehicle: int, payload: bytes) -> None:
+        try:
+            piece = read_piece(payload)
+            if piece is not None:
+                whole = self._assemblies.setdefault(vehicle, SetAssembly()).take(piece)
+                if whole is not None:
+                    self._take(*whole)
+                return
+            said = decode(payload)
+        except WireError:
+            return
+        if isinstance(said, TurnedAway):
+            raise LinkError(masking(self._endpoint.system, said.low, said.high))

@@ -1,0 +1,94 @@
+"""Sets through the autopilot's radio, in pieces, to the one ground that asks for them. Thread-safe; nothing waits."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+
+from contract.wire.set_pieces import MAX_WIRE_BYTES, PIECE_HEAD, SetPiece, cut_set, encode_piece, read_report
+from onboard.events.tunnel import Peer
+from onboard.link.byte_budget import Bucket
+from onboard.link.rate_follower import RateFollower
+from onboard.link.set_selection import Offer, Selection
+
+REPEAT_S = 10.0  # a picture that is still the newest
+
+
+class SetFeed:
+    """Sets are offered as they are made; the newest goes whole before the next is chosen.
+
+    `overhead`: bytes on the wire beside a payload. `bucket` is shared with all that goes this way. `age_s` gives a
+    picture's age by its capture time.
+    """
+
+    def __init__(
+        self,
+        max_bit_rate: float,
+        overhead: int,
+        bucket: Bucket,
+        age_s: Callable[[int], float | None],
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._overhead, self._bucket, self._age_s, self._now_ns = overhead, bucket, age_s, now_ns
+        self._follower = RateFollower(max_bit_rate)
+        self._own = Bucket(max_bit_rate / 8.0, MAX_WIRE_BYTES, now_ns() / 1e9)
+        self._selection: Selection[bytes] = Selection(REPEAT_S)
+        self._ground: Peer | None = None
+        self._pieces: deque[tuple[int, int, int, bytes]] = deque()
+        self._packet = self._of = 0
+        self._lock = threading.Lock()
+        self.sent = 0  # sets, to their last piece
+
+    def offer(self, offered: Offer[bytes]) -> None:
+        """A set that was made."""
+        with self._lock:
+            self._selection.offer(offered)
+
+    def hear(self, ground: Peer, payload: bytes) -> None:
+        """A ground's report: it wants sets. Another's is passed over while one listens."""
+        report = read_report(payload)
+        if report is None:
+            return
+        with self._lock:
+            now_s = self._now_ns() / 1e9
+            if self._follower.bit_rate(now_s) == 0.0:
+                self._ground = ground
+                self._pieces.clear()
+            if ground == self._ground:
+                self._follower.heard(report, now_s)
+
+    def due(self) -> list[tuple[Peer, bytes]]:
+        """Packets that may go now."""
+        out: list[tuple[Peer, bytes]] = []
+        with self._lock:
+            now_s = self._now_ns() / 1e9
+            rate = self._follower.bit_rate(now_s)
+            self._own.level(now_s)  # what came at the rate until now
+            self._own.bytes_per_s = max(rate, 1.0) / 8.0
+            while rate > 0.0 and self._ground is not None and self._choose(now_s):
+                cost = len(self._pieces[0][3]) + PIECE_HEAD + self._overhead
+                if max(self._own.wait_s(cost, now_s), self._bucket.wait_s(cost, now_s)) > 0.0:
+                    break
+                self._own.take(cost, now_s)
+                self._bucket.take(cost, now_s)
+                number, pieces, size, content = self._pieces.popleft()
+                self._packet = (self._packet + 1) % 65536
+                piece = SetPiece(self._packet, self._of, number, pieces, size, content)
+                out.append((self._ground, encode_piece(piece)))
+                self.sent += not self._pieces
+        return out
+
+    def _choose(self, now_s: float) -> bool:
+        """Whether there is a piece to be sent; of the next set if there is none of the last."""
+        if self._pieces:
+            return True
+        offer = self._selection.next(now_s) or self._selection.next_of_rest(now_s)
+        if offer is None:
+            return False
+        self._selection.sent(offer, now_s)
+        self._of = (self._of + 1) % 256
+        room = MAX_WIRE_BYTES - self._overhead
+        self._pieces.extend(cut_set(offer.item, self._age_s(offer.capture_unix_ns), room))
+        return True
