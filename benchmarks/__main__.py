@@ -66,6 +66,7 @@ BENCHMARKS = (
     Benchmark("wire", "A set on the wire", (), ("--repeat", "20")),
     Benchmark("click", "A click", (), ("--sets", "500", "--clicks", "500", "--runs", "3")),
     Benchmark("web", "The page", (), ("--clicks", "100", "--pictures", "600")),
+    Benchmark("fleet", "Many aircraft at one router", (), ("--aircraft", "10", "--operators", "5", "--seconds", "8")),
     Benchmark("link", "What the link adds", (), ("--seconds", "1")),
     Benchmark(
         "picture_loss",
@@ -84,7 +85,7 @@ BENCHMARKS = (
     Benchmark("real_flight", "The real flight"),
 )
 # Programs of this folder that a benchmark starts.
-STARTED = {"flight_in_turns": "against", "latency_daemon": "latency", "soak_daemon": "soak"}
+STARTED = {"flight_in_turns": "against", "latency_daemon": "latency", "soak_daemon": "soak", "fleet_side": "fleet"}
 
 
 def measured(benchmark: Benchmark, quick: bool) -> tuple[str, bool]:

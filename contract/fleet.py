@@ -13,18 +13,19 @@ from contract.errors import InputError
 from contract.topics import DEFAULT_ENDPOINT
 
 FLEET_FILE = "fleet.toml"
-ROLES = ("aircraft", "operators", "viewers", "pins")
+ROLES = ("aircraft", "operators", "viewers", "stations", "pins")
 NAME = re.compile(r"[A-Za-z0-9_.-]{1,32}")
 MAX_BYTES = 1_000_000  # of the file: some 30,000 names
 
 _MEANINGS = {
     "router": "the router's own certificate: a folder beside this file",
     "listen": "zenoh endpoints that aircraft and people connect to: tls/ADDRESS:PORT or quic/ADDRESS:PORT",
-    "connect": "zenoh endpoints of other stations' routers",
+    "connect": "zenoh endpoints of other stations' routers; one of two connects to the other",
     "sets_hz": "feature sets of each aircraft to each who listens, a second at most; 0: all",
     "aircraft": "each publishes under its own name, and nothing else",
     "operators": "read and ask",
     "viewers": "only read",
+    "stations": "the routers of other stations: trusted with all that they pass on of their own aircraft and people",
     "pins": "ground servers and people who share pins (pc-ground web --share-connect); also an operator or viewer",
 }
 
@@ -40,6 +41,7 @@ class Fleet:
     aircraft: tuple[str, ...] = ()
     operators: tuple[str, ...] = ()
     viewers: tuple[str, ...] = ()
+    stations: tuple[str, ...] = ()
     pins: tuple[str, ...] = ()
 
     def with_more(self, **names: tuple[str, ...]) -> Fleet:
@@ -96,7 +98,7 @@ def checked(fleet: Fleet, where: str) -> Fleet:
                 raise InputError(f"{where}: {role}: name {name!r} must be 1 to 32 letters, digits, '_', '.' or '-'")
             if role != "pins" and name in seen:
                 raise InputError(f"{where}: {name!r} is named twice, under {seen[name]} and {role}")
-            if role == "pins" and seen.get(name) in ("router", "aircraft"):
+            if role == "pins" and seen.get(name) in ("router", "aircraft", "stations"):
                 raise InputError(f"{where}: {name!r} cannot share pins: it stands under {seen[name]} too")
             seen.setdefault(name, role)
     return fleet

@@ -20,6 +20,16 @@ from contract.topics import ANY_VEHICLE, FEATURES, PINS, of_vehicle
 
 EVERY_AIRCRAFT = of_vehicle(ANY_VEHICLE)
 EVERY_PIN = f"{PINS}/*/*"
+EVERY_MESSAGE = (
+    "put",
+    "declare_subscriber",
+    "query",
+    "reply",
+    "declare_queryable",
+    "liveliness_token",
+    "liveliness_query",
+    "declare_liveliness_subscriber",
+)
 # Between regions everything is relayed, and within one nothing: aircraft never hear each other.
 REGIONS: list[dict[str, list[str]]] = [
     {"modes": ["client"]},
@@ -67,6 +77,9 @@ def _rights(fleet: Fleet) -> dict[str, Any]:
             "key_exprs": [EVERY_PIN],
         },
     ]
+    rules.append(
+        {**rules[-1], "id": "relay", "messages": list(EVERY_MESSAGE), "key_exprs": [EVERY_AIRCRAFT, EVERY_PIN]}
+    )
     subjects: list[dict[str, Any]] = []
     policies: list[dict[str, Any]] = []
 
@@ -81,6 +94,7 @@ def _rights(fleet: Fleet) -> dict[str, Any]:
         may(f"aircraft {name}", (name,), [own, "be asked"])
     may("operators", fleet.operators, ["read", "be sent", "ask", "be answered"])
     may("viewers", fleet.viewers, ["read", "be sent"])
+    may("stations", fleet.stations, ["relay"])
     may("pins", fleet.pins, ["share pins"])
     return {
         "enabled": True,

@@ -18,6 +18,7 @@ from benchmarks import (
     autopilots,
     click,
     click_score,
+    fleet,
     latency,
     machine,
     pipeline,
@@ -240,6 +241,23 @@ def test_every_program_of_the_folder_has_a_section_or_is_started_by_one() -> Non
     programs = {f.stem for f in folder.glob("*.py") if '__name__ == "__main__"' in f.read_text(encoding="utf-8")}
     assert programs - {"__main__"} == {b.module for b in BENCHMARKS} | set(STARTED)
     assert set(STARTED.values()) <= {b.module for b in BENCHMARKS}
+
+
+def test_a_fleet_s_losses_are_those_of_the_phase_and_its_newest_sets_are_counted_from_the_restart() -> None:
+    second = 10**9
+    phase = fleet.Phase("all well", 10 * second, 20 * second, 1.0, 40.0)
+    # Two aircraft (the second one flaps), a set each second; two operators, of whom the second one misses one set.
+    said = np.array([(0, k, t, t * second, t * second) for k in (1, 2) for t in range(5, 25)])
+    heard = np.array(
+        [(o, k, t, t * second, t * second + o * 2_000_000) for o in (1, 2) for k in (1, 2) for t in range(5, 25)]
+    )
+    heard = np.concatenate([heard, heard[:40] + (0, 0, 0, 0, second)])  # sent again: the first time counts
+    heard = heard[~((heard[:, 0] == 2) & (heard[:, 2] == 12))]
+    loss, ms = fleet.lost_and_late(phase, said, heard, 2, flapping=2)
+    assert loss == pytest.approx(1 / 18) and len(ms) == 17  # nine seconds of ten are counted
+    assert sorted(set(np.round(ms, 6))) == [2.0, 4.0]
+    assert fleet.newest_within_s(heard, 20 * second, 2, 2) == pytest.approx(0.004)
+    assert fleet.newest_within_s(heard, 20 * second, 3, 2) == float("inf")
 
 
 def test_results_name_no_folder_of_a_machine() -> None:

@@ -27,7 +27,7 @@ def test_a_list_that_is_written_is_read_back_as_it_was(names: list[str], listen:
     third = len(others) // 3
     aircraft, operators, viewers = others[:third], others[third : 2 * third], others[2 * third :]
     fleet = Fleet(
-        router, tuple(listen), (), sets_hz, tuple(aircraft), tuple(operators), tuple(viewers), tuple(operators)
+        router, tuple(listen), (), sets_hz, tuple(aircraft), tuple(operators), tuple(viewers), pins=tuple(operators)
     )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "fleet.toml"

@@ -221,6 +221,34 @@ def test_one_more_aircraft_is_added_while_all_others_run_on(keys: Path, tmp_path
         assert is_heard(cache, first, "uav-1", 7)
 
 
+def test_two_stations_relay_each_other_s_aircraft_and_each_keeps_its_own_rights(keys: Path, station: Station) -> None:
+    """Of one authority: the second station is connected to the first, and each has the other on its list."""
+    here = Path(shutil.copytree(keys, keys.with_name(f"{keys.name}-east"), dirs_exist_ok=True))
+    if not (here / "east").is_dir():
+        assert onboard_main(["make-credentials", str(here), "--router", "east", "--operator", "eva"]) == 0
+    endpoint = free_endpoint().replace("tcp/", "tls/")
+    east = Fleet("east", (endpoint,), (station.endpoint,), aircraft=("uav-2",), operators=("eva",), stations=("base",))
+    station.router.replace(replace(station.router.fleet, aircraft=("uav-1",), stations=("east",)))
+    with (
+        Router(east, here),
+        station.aircraft("uav-1") as west,
+        Publisher("uav-2", [], [endpoint], rate=WIDE, tls=station.tls("uav-2")) as eastern,
+        station.cache("anna") as anna,
+        SetCache(endpoint, tls=Tls.in_folder(here / "eva")) as eva,
+        session(endpoint, station.tls("uav-2")) as liar,
+    ):
+        for cache in (anna, eva):
+            assert is_heard(cache, west, "uav-1", 3) and is_heard(cache, eastern, "uav-2", 5)
+        answers = ask(endpoint, tls=Tls.in_folder(here / "eva"))
+        assert {name: answer.frame for name, answer in answers.items()} == {"uav-1": 3, "uav-2": 5}
+        with pytest.raises(LinkError, match="no aircraft answers"):  # not on the list of the east
+            ask(endpoint, tls=station.tls("anna"))
+        for _ in range(10):
+            liar.put(FEATURES.key("uav-1"), encode(a_set(99)))
+            time.sleep(0.03)
+        assert is_heard(anna, west, "uav-1", 4) and anna.by_frame("uav-1", 99) is None
+
+
 def test_a_list_that_cannot_be_leaves_the_router_with_the_one_before(station: Station) -> None:
     with station.aircraft("uav-1") as true, station.cache("anna") as cache:
         assert is_heard(cache, true, "uav-1", 3)
