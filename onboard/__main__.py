@@ -236,6 +236,16 @@ def _add_calibrate(calibrate: argparse.ArgumentParser) -> None:
     calibrate.add_argument("--out", type=Path, metavar="CAMERA.json", help="the camera file to write")
     calibrate.add_argument("--pictures", type=Path, metavar="DIR", help="pictures of the board")
     calibrate.add_argument(
+        "--zoom",
+        action="append",
+        default=[],
+        metavar="POSITION=DIR",
+        help="a zoom lens: pictures at each zoom position",
+    )
+    calibrate.add_argument(
+        "--zoom-unit", choices=("times", "percent"), default="times", help="what positions count (times the widest)"
+    )
+    calibrate.add_argument(
         "--from", dest="from_session", type=Path, metavar="SESSION.mcap", help="no board: what a recorded flight found"
     )
     calibrate.add_argument("--device", metavar="/dev/videoN", help="or: watch this camera")
@@ -265,6 +275,10 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
         from onboard.commands.calibrate_in_flight import run as run_in_flight  # noqa: PLC0415
 
         return run_in_flight(arguments)
+    if arguments.zoom:
+        from onboard.commands.calibrate_zoom import run as run_zoom  # noqa: PLC0415
+
+        return run_zoom(arguments)
     from onboard.commands.calibrate import run  # noqa: PLC0415
 
     return run(arguments)
