@@ -23,7 +23,9 @@ from contract.errors import InputError, PointclickError
 from onboard.argument_parser import (
     Parser,
     Version,
+    angles,
     days,
+    degrees_wide,
     drop_output,
     finite,
     hours,
@@ -68,6 +70,10 @@ def parser() -> argparse.ArgumentParser:
     cameras = commands.add_parser("cameras", help="list cameras, their formats and controls")
     cameras.add_argument("--json", action="store_true", help="for programs")
     cameras.set_defaults(run=run_cameras)
+
+    _add_setup(
+        commands.add_parser("setup", help="a configuration for this aircraft: found out, or asked for, and checked")
+    )
 
     _add_calibrate(commands.add_parser("calibrate", help="make a camera file from pictures of a board"))
 
@@ -179,6 +185,43 @@ def _add_imports(commands: Commands) -> None:
     video.add_argument("--start", type=moment, metavar="TIME", help="when it began, in UTC, as 2026-06-12T10:15:23.4Z")
     _add_importing(video)
     video.set_defaults(run=run_import_video)
+
+
+def _add_setup(setup: argparse.ArgumentParser) -> None:
+    setup.add_argument(
+        "--out", type=Path, default=CONFIG, metavar="FILE", help=f"the configuration to write ({CONFIG})"
+    )
+    setup.add_argument("--force", action="store_true", help="replace one that is there")
+    setup.add_argument("--yes", action="store_true", help="ask nothing: take what is given, and what is found")
+    setup.add_argument("--vehicle", default="uav", metavar="NAME", help="vehicle.id (uav)")
+    setup.add_argument(
+        "--camera", metavar="DEVICE", help="camera.device; without it the computer's cameras are offered"
+    )
+    setup.add_argument("--size", type=pair, metavar="WxH", help="picture size")
+    setup.add_argument("--camera-file", type=Path, metavar="CAMERA.json", help="a calibrated lens")
+    setup.add_argument(
+        "--fov-deg", type=degrees_wide, metavar="DEG", help="else how much it sees from left to right, degrees"
+    )
+    setup.add_argument(
+        "--telemetry", metavar="URL", help="telemetry.url; without it serial and UDP ports are listened to"
+    )
+    setup.add_argument(
+        "--mount", type=angles, metavar="ROLL,PITCH,YAW", help="how the camera sits, degrees: 0,-90,0 looks down"
+    )
+    setup.add_argument(
+        "--first-flight",
+        type=Path,
+        metavar="SESSION.mcap",
+        help="the configuration of a recorded flight (with pictures), the camera sitting as its pictures show",
+    )
+    setup.set_defaults(run=run_setup)
+
+
+def run_setup(arguments: argparse.Namespace) -> int:
+    """Find out, ask, write and check; 1 if the doctor finds something."""
+    from onboard.commands.setup import run  # noqa: PLC0415
+
+    return run(arguments)
 
 
 def _add_checks(commands: Commands) -> None:
