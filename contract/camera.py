@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contract.errors import InputError
+from contract.zoom_table import ZoomTable
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -37,8 +38,8 @@ class Camera:
     """Intrinsics in pixels; `distortion` is OpenCV's k1, k2, p1, p2, k3.
 
     `sigma`: one sigma of the focal length (relative), of the principal point (x, y, in focal lengths), of k1 and of k2.
-    It is no part of what the camera is: two cameras are equal without it, `replace` drops it and the wire does not
-    carry it.
+    `zoom`: what the lens becomes at other zoom positions. Both are no part of what the camera is: two cameras are equal
+    without them, `replace` drops them and the wire does not carry them.
     """
 
     width_px: int
@@ -49,12 +50,16 @@ class Camera:
     cy_px: float
     distortion: tuple[float, float, float, float, float] = field(default=(0.0, 0.0, 0.0, 0.0, 0.0))
     stated_sigma: InitVar[Sigma | None] = None  # none: the camera is taken as it is
+    stated_zoom: InitVar[ZoomTable | None] = None
     sigma: ClassVar[Sigma] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    zoom: ClassVar[ZoomTable | None] = None
 
-    def __post_init__(self, stated_sigma: Sigma | None) -> None:
-        """Keep the sigmas separate from the fields, because they are no part of what the camera is."""
+    def __post_init__(self, stated_sigma: Sigma | None, stated_zoom: ZoomTable | None) -> None:
+        """Keep sigmas and zoom separate from the fields, because they are no part of what the camera is."""
         if stated_sigma is not None:
             object.__setattr__(self, "sigma", stated_sigma)
+        if stated_zoom is not None:
+            object.__setattr__(self, "zoom", stated_zoom)
 
     @classmethod
     def from_field_of_view(cls, width_px: int, height_px: int, hfov_deg: float) -> Camera:
@@ -100,11 +105,14 @@ class Camera:
             raise InputError(f"{what}: sigmas must be finite and not negative")
         k1, k2, p1, p2, k3 = coefficients
         fx, fy, cx, cy = numbers
-        camera = cls(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3), UNKNOWN_SIGMA)
+        zoom = None if raw.get("zoom") is None else ZoomTable.from_json(raw["zoom"], what)
+        camera = cls(width, height, fx, fy, cx, cy, (k1, k2, p1, p2, k3), UNKNOWN_SIGMA, zoom)
         if sigmas is None:
             return camera
         f = camera.focal_px
-        return replace(camera, stated_sigma=(sigmas[0] / fx, sigmas[1] / f, sigmas[2] / f, sigmas[3], sigmas[4]))
+        return replace(
+            camera, stated_zoom=zoom, stated_sigma=(sigmas[0] / fx, sigmas[1] / f, sigmas[2] / f, sigmas[3], sigmas[4])
+        )
 
     def to_json(self) -> str:
         """The camera file's text; `from_json` reads it back exactly."""
@@ -118,6 +126,7 @@ class Camera:
                 "cy_px": self.cy_px,
                 "distortion_opencv_k1_k2_p1_p2_k3": list(self.distortion),
                 "calibration": {"sigma": dict(zip(SIGMA_KEYS, self._sigma_as_written(), strict=True))},
+                **({} if self.zoom is None else {"zoom": self.zoom.to_json()}),
             },
             indent=1,
         )
@@ -125,6 +134,25 @@ class Camera:
     def _sigma_as_written(self) -> list[float]:
         units = (self.fx_px, self.focal_px, self.focal_px, 1.0, 1.0)
         return [s * unit for s, unit in zip(self.sigma, units, strict=True)]
+
+    def zoomed(self, log_focal: float) -> Camera:
+        """The same camera with another focal length (the logarithm of its geometric mean, px), as its zoom has it.
+
+        The sigma of the principal point stays what it is in pixels. Without a zoom table only the focal length changes.
+        """
+        grown = float(np.exp(log_focal)) / self.focal_px
+        cx, cy, k1 = (self.cx_px, self.cy_px, self.distortion[0]) if self.zoom is None else self.zoom.at(log_focal)
+        f, x, y, s1, s2 = self.sigma
+        return replace(
+            self,
+            fx_px=self.fx_px * grown,
+            fy_px=self.fy_px * grown,
+            cx_px=cx,
+            cy_px=cy,
+            distortion=(k1, *self.distortion[1:]),
+            stated_sigma=(f, x / grown, y / grown, s1, s2),
+            stated_zoom=self.zoom,
+        )
 
     @property
     def size_px(self) -> tuple[int, int]:

@@ -24,7 +24,9 @@ from contract.errors import InputError, PointclickError
 from onboard.argument_parser import (
     Parser,
     Version,
+    angles,
     days,
+    degrees_wide,
     drop_output,
     finite,
     hours,
@@ -69,6 +71,10 @@ def parser() -> argparse.ArgumentParser:
     cameras = commands.add_parser("cameras", help="list cameras, their formats and controls")
     cameras.add_argument("--json", action="store_true", help="for programs")
     cameras.set_defaults(run=run_cameras)
+
+    _add_setup(
+        commands.add_parser("setup", help="a configuration for this aircraft: found out, or asked for, and checked")
+    )
 
     _add_calibrate(commands.add_parser("calibrate", help="make a camera file from pictures of a board"))
 
@@ -182,6 +188,43 @@ def _add_imports(commands: Commands) -> None:
     video.set_defaults(run=run_import_video)
 
 
+def _add_setup(setup: argparse.ArgumentParser) -> None:
+    setup.add_argument(
+        "--out", type=Path, default=CONFIG, metavar="FILE", help=f"the configuration to write ({CONFIG})"
+    )
+    setup.add_argument("--force", action="store_true", help="replace one that is there")
+    setup.add_argument("--yes", action="store_true", help="ask nothing: take what is given, and what is found")
+    setup.add_argument("--vehicle", default="uav", metavar="NAME", help="vehicle.id (uav)")
+    setup.add_argument(
+        "--camera", metavar="DEVICE", help="camera.device; without it the computer's cameras are offered"
+    )
+    setup.add_argument("--size", type=pair, metavar="WxH", help="picture size")
+    setup.add_argument("--camera-file", type=Path, metavar="CAMERA.json", help="a calibrated lens")
+    setup.add_argument(
+        "--fov-deg", type=degrees_wide, metavar="DEG", help="else how much it sees from left to right, degrees"
+    )
+    setup.add_argument(
+        "--telemetry", metavar="URL", help="telemetry.url; without it serial and UDP ports are listened to"
+    )
+    setup.add_argument(
+        "--mount", type=angles, metavar="ROLL,PITCH,YAW", help="how the camera sits, degrees: 0,-90,0 looks down"
+    )
+    setup.add_argument(
+        "--first-flight",
+        type=Path,
+        metavar="SESSION.mcap",
+        help="the configuration of a recorded flight (with pictures), the camera sitting as its pictures show",
+    )
+    setup.set_defaults(run=run_setup)
+
+
+def run_setup(arguments: argparse.Namespace) -> int:
+    """Find out, ask, write and check; 1 if the doctor finds something."""
+    from onboard.commands.setup import run  # noqa: PLC0415
+
+    return run(arguments)
+
+
 def _add_checks(commands: Commands) -> None:
     status = commands.add_parser("status", help="how the running daemon is")
     status.add_argument("--config", type=Path, default=CONFIG, metavar="FILE", help=f"its configuration ({CONFIG})")
@@ -237,6 +280,16 @@ def _add_calibrate(calibrate: argparse.ArgumentParser) -> None:
     calibrate.add_argument("--out", type=Path, metavar="CAMERA.json", help="the camera file to write")
     calibrate.add_argument("--pictures", type=Path, metavar="DIR", help="pictures of the board")
     calibrate.add_argument(
+        "--zoom",
+        action="append",
+        default=[],
+        metavar="POSITION=DIR",
+        help="a zoom lens: pictures at each zoom position",
+    )
+    calibrate.add_argument(
+        "--zoom-unit", choices=("times", "percent"), default="times", help="what positions count (times the widest)"
+    )
+    calibrate.add_argument(
         "--from", dest="from_session", type=Path, metavar="SESSION.mcap", help="no board: what a recorded flight found"
     )
     calibrate.add_argument("--device", metavar="/dev/videoN", help="or: watch this camera")
@@ -266,6 +319,10 @@ def run_calibrate(arguments: argparse.Namespace) -> int:
         from onboard.commands.calibrate_in_flight import run as run_in_flight  # noqa: PLC0415
 
         return run_in_flight(arguments)
+    if arguments.zoom:
+        from onboard.commands.calibrate_zoom import run as run_zoom  # noqa: PLC0415
+
+        return run_zoom(arguments)
     from onboard.commands.calibrate import run  # noqa: PLC0415
 
     return run(arguments)

@@ -110,6 +110,19 @@ def pair(text: str) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
+def degrees_wide(text: str) -> float:
+    """Of a field of view."""
+    return within(text, 5.0, 150.0, "no field of view from 5 to 150 degrees")
+
+
+def angles(text: str) -> tuple[float, float, float]:
+    """'0,-90,0' -> roll, pitch, yaw, degrees."""
+    found = [number_or_nan(part) for part in text.split(",")]
+    if len(found) != 3 or not all(map(math.isfinite, found)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not ROLL,PITCH,YAW in degrees, as 0,-90,0")
+    return found[0], found[1], found[2]
+
+
 def hours(text: str) -> float:
     """Of a clock against UTC."""
     return within(text, -15.0, 15.0, "no number of hours from -15 to 15")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 from contract.camera import Camera
 from contract.errors import ConfigError
@@ -13,13 +15,14 @@ from contract.tied_process import NOT_THERE
 from onboard.camera import v4l2_structures as v4l2
 from onboard.camera.buffer_decoder import Pictures
 from onboard.camera.camera_health import figures, patience_s, stopped
-from onboard.camera.frame_protocol import FrameReader, Header, Origin, middle_ns
+from onboard.camera.frame_protocol import FrameReader, GimbalFrame, Header, Origin, middle_ns
 from onboard.camera.helper_process import HelperProcess
 from onboard.camera.sender_clock import SenderClock
 from onboard.camera.v4l2_device import Buffer, Granted
 from onboard.config.schema import CameraConfig
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import Emit, SourceStatus, State, Stop
+from onboard.events.types import GimbalAttitude, Zoom
 
 TICK_S = 0.1
 RETRY_S = (0.2, 0.4, 0.8)  # after so many helpers in a row that ended without a picture
@@ -48,6 +51,18 @@ class Launch:
     stdin: bytes = b""
     environment: Mapping[str, str] = field(default_factory=dict)
     is_compressed: bool = False  # its pictures may have been compressed: a repeat of one may differ from it
+
+
+def _of_lens_and_gimbal(header: Header, stamp_ns: int) -> Iterator[GimbalAttitude | Zoom]:
+    """What a frame's header tells of the lens and of the gimbal that carries it."""
+    if math.isfinite(header.focal_px):
+        yield Zoom(stamp_ns, header.focal_px, "focal_px")
+    elif math.isfinite(header.zoom):
+        yield Zoom(stamp_ns, header.zoom, "times")
+    if header.gimbal_frame is not GimbalFrame.NONE and 0.5 < math.hypot(*header.gimbal) < 2.0:
+        w, x, y, z = (part / math.hypot(*header.gimbal) for part in header.gimbal)
+        reference: Literal["vehicle", "earth"] = "earth" if header.gimbal_frame is GimbalFrame.EARTH else "vehicle"
+        yield GimbalAttitude(stamp_ns, (w, x, y, z), reference, is_of_camera=True)
 
 
 @dataclass
@@ -174,6 +189,8 @@ class HelperCamera:
         if frame is not None:
             arrival_ns = self._clock.from_monotonic_ns(now_ns)
             self._delay_ms = (arrival_ns - frame.stamp_ns) / 1e6
+            for event in _of_lens_and_gimbal(header, frame.stamp_ns):
+                emit(arrival_ns, event)
             emit(arrival_ns, frame)
 
     @staticmethod

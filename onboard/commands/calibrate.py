@@ -41,15 +41,7 @@ NEW_SHARE = 0.03
 
 def run(arguments: argparse.Namespace) -> int:
     """Print a board, or calibrate; 0: good and written, 1: not good, nothing written unless `--accept`."""
-    columns, rows = arguments.squares
-    board = Board(
-        arguments.board,
-        columns,
-        rows,
-        arguments.square_mm / 1000.0,
-        (arguments.marker_mm or 0.74 * arguments.square_mm) / 1000.0,
-        arguments.dictionary,
-    )
+    board = board_of(arguments)
     if arguments.print_board is not None:
         print_board(board, arguments.print_board)
         if arguments.pictures is None and arguments.device is None:
@@ -60,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
     if arguments.out is None:
         raise ConfigError("calibrate: name the camera file to write: --out CAMERA.json")
-    _check_writable(arguments.out)
+    check_writable(arguments.out)
     if arguments.pictures is not None:
         views, size_px = views_of_folder(board, arguments.pictures)
     else:
@@ -70,6 +62,19 @@ def run(arguments: argparse.Namespace) -> int:
             )
         views, size_px = views_of_device(board, arguments), arguments.size
     return conclude(views, size_px, arguments.out, arguments.coverage, arguments.accept)
+
+
+def board_of(arguments: argparse.Namespace) -> Board:
+    """The board that the arguments describe."""
+    columns, rows = arguments.squares
+    return Board(
+        arguments.board,
+        columns,
+        rows,
+        arguments.square_mm / 1000.0,
+        (arguments.marker_mm or 0.74 * arguments.square_mm) / 1000.0,
+        arguments.dictionary,
+    )
 
 
 def conclude(views: list[View], size_px: tuple[int, int], out: Path, coverage: Path | None, accept: bool) -> int:
@@ -105,7 +110,7 @@ def camera_file(fit: Fit, verdict: Verdict) -> str:
     return json.dumps(known, indent=1) + "\n"
 
 
-def _check_writable(path: Path) -> None:
+def check_writable(path: Path) -> None:
     """Before half an hour of holding boards."""
     folder = path.parent
     if not folder.is_dir() or not os.access(folder, os.W_OK) or path.is_dir():

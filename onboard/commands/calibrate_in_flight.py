@@ -32,6 +32,8 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.out.parent.is_dir():
         raise InputError(f"{arguments.out}: no such folder as {arguments.out.parent}")
     config, filed, flight = recorded_flight(arguments.from_session)
+    if filed.zoom is not None:
+        raise InputError("calibrate: the camera file has a zoom table, and a flight tells of one lens: use --pictures")
     if not any(filed.sigma):
         filed = replace(filed, stated_sigma=UNKNOWN_SIGMA)
     pipeline = Pipeline(config, filed)

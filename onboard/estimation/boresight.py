@@ -30,6 +30,7 @@ AGREEMENT_PRIOR = 2.0  # windows that agree with their covariances, assumed befo
 OUTSIDE = 4.0  # sigmas from what was believed, beyond which a value is adopted only once something confirms it
 AGREE = 3.0  # sigmas of their difference, within which two values confirm each other
 MIN_SHARPER = 0.5  # of the sigma believed: rotations less sure say nothing that windows of the same pictures did not
+ZOOM_REACH = 0.3  # of the focal length's logarithm, over which a zoom table's errors are alike
 MIN_GAIN = 0.02  # of a variance: a window that says less of a state is no evidence on it
 
 
@@ -173,6 +174,36 @@ class Alignment:
         wider = np.zeros(len(self.belief.mean))
         wider[STATES + camera_states.FOCAL_LENGTH] = sigma**2
         self._estimates = [replace(e, covariance=e.covariance + np.diag(wider)) for e in self._estimates]
+
+    def lens_changed(self, camera: Camera, sigma: float) -> None:
+        """The lens has been zoomed to this camera from the one that counted so far; `sigma` is how well that is told.
+
+        What was found of the file's errors holds the less the farther the lens has gone. (21.2)
+        """
+        before = self._camera_file
+        assert before is not None
+        if self._camera is None:
+            self.lens_moved(0.0)
+        apart = abs(float(np.log(camera.focal_px / before.focal_px)))
+        kept, wider = float(np.exp(-apart / ZOOM_REACH)), before.focal_px / camera.focal_px
+        scale = np.ones(len(self.belief.mean))
+        scale[STATES : STATES + camera_states.COUNT] = kept * np.array([1.0, wider, wider, 1.0, 1.0])
+        own = np.zeros(len(scale))
+        own[STATES : STATES + camera_states.COUNT] = np.square(camera.sigma)
+        told = np.where(np.arange(len(scale)) == STATES + camera_states.FOCAL_LENGTH, sigma**2, 0.0)
+        first = self._estimates[0].covariance.copy()
+        lens = slice(STATES, STATES + camera_states.COUNT)
+        first[lens, lens] = np.diag((own + told + camera_states.CERTAIN**2)[lens])
+        new = []
+        for e in self._estimates[1:]:
+            covariance = scale[:, None] * e.covariance * scale + np.diag((1.0 - kept**2) * own + told)
+            most = np.where(own > 0.0, (own + told) / np.diag(covariance), 1.0)
+            least = np.sqrt(np.minimum(most, 1.0))  # steps to and fro add no error of their own
+            given = None if e.given is None else np.where(own > 0.0, own + told, e.given)
+            new.append(Belief(e.end_ns, scale * e.mean, least[:, None] * covariance * least, given))
+        begin = self._estimates[0]
+        self._estimates = [Belief(begin.end_ns, scale * begin.mean, first, begin.given), *new]
+        self._camera_file, self.unconfirmed = camera, None
 
     def hear(self, end_ns: int, offset_s: float, sigma_s: float) -> bool:
         """Take a time offset that rotations alone have shown, from pictures up to `end_ns`. (10.7)

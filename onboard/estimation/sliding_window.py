@@ -90,6 +90,14 @@ class Window:
         self.solved = None
         self.memory = self.memory.without_windows()
 
+    def change_lens(self, camera: Camera, sigma: float) -> None:
+        """Begin again behind a lens that has been zoomed to `camera`, told to one `sigma` of its focal length."""
+        self.reset()
+        self.alignment.lens_changed(camera, sigma)
+        self.camera_file = camera
+        states = self.alignment.belief.mean[STATES:]
+        self.camera_taken, self.camera = states.copy(), corrected(camera, states)
+
     def forget_solutions(self) -> None:
         """Forget what was solved, and what later windows are compared with; the keyframes stay."""
         self.solved, self.memory = None, Memory()

@@ -107,11 +107,13 @@ class RangeFinder:
 class Zoom:
     """How far the lens is zoomed in, as somebody tells: how many "times" the widest view is enlarged, "percent" of the
     way from the widest to the longest, the focal length of the full picture in pixels, or its horizontal field of view.
+    `step`: the smallest difference that can be told.
     """
 
     stamp_ns: int
     value: float
     unit: Literal["times", "percent", "focal_px", "hfov_deg"]
+    step: float = 0.0
 
 
 NavEvent = PositionFix | GpsQuality | Attitude | FilterStatus | GimbalAttitude | RangeFinder | Zoom

@@ -5,6 +5,7 @@ Public:
 - `error_budgets`: `Budget`, `BudgetWatch`, `NewestBudget`, `budget_text`
 - `estimates`: `BORESIGHT`, `RELATIVE_VARIANCE`, `TIME_OFFSET`, `Contradiction`, `Estimate`, `SensorError`,
   `as_rows`, `larger_than_declared`, `not_adopted`, `said_of`
+- `mount_search`: `MountSearch`
 - `pipeline`: `Pipeline`
 - `statistics`: `Summary`
 """

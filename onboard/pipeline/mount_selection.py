@@ -62,6 +62,10 @@ class MountSelection:
             return f"{WORDS[navigation.mount_hypothesis]}; not yet confirmed by the pictures"
         return f"{WORDS[self.verdict]}, as the pictures show"
 
+    def change_lens(self, camera: Camera) -> None:
+        """Take pixels by another lens from now on."""
+        self._camera = camera
+
     def may_be(self, mount_hypothesis: MountHypothesis) -> bool:
         """Whether the pictures' motion contradicts a hypothesis by less than would decide for another."""
         least = min(self._scores.values(), default=0.0)

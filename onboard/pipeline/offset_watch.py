@@ -55,6 +55,10 @@ class OffsetWatch:
         self._motions.clear()
         self._centre_s, self._news = None, 0
 
+    def change_lens(self, camera: Camera) -> None:
+        """Take pixels by another lens from now on; pairs of rays stay what they are."""
+        self._camera, self._last = camera, None
+
     def note(self, stamp_ns: int, ids: Ids, uv_px: Array) -> None:
         """Take a picture's features: ids (N,), pixels (N, 2)."""
         last = self._last

@@ -27,7 +27,7 @@ from onboard.estimation.moved_optics import MOVED
 from onboard.estimation.platform_states import DELAY, OFFSET
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.solver_executor import Inline, Worker, timed_adjust
-from onboard.events.types import Event, Frame
+from onboard.events.types import Event, Frame, Zoom
 from onboard.geometry.plane_homography import move
 from onboard.geometry.robust import middle
 from onboard.georeferencing.feature_sets import Origin, Picture
@@ -38,6 +38,7 @@ from onboard.pipeline.first_placing import FirstPlacing
 from onboard.pipeline.frozen_frames import Staleness, Stillness
 from onboard.pipeline.keyframe_choice import wants_keyframe
 from onboard.pipeline.keyframe_navigation import look_up_again
+from onboard.pipeline.lens_doubt import LensDoubt
 from onboard.pipeline.motion_prediction import ground_so_far, predict_motion, what_parts
 from onboard.pipeline.mount_selection import MountSelection
 from onboard.pipeline.mount_trial import MountTrials, carry_over
@@ -49,6 +50,7 @@ from onboard.pipeline.record_book import RecordBook
 from onboard.pipeline.shortfall import MIN_OVERLAP, Evidence, is_standing_still
 from onboard.pipeline.statistics import RunStatistics, Summary
 from onboard.pipeline.terrain_at_hand import TerrainSource, cut, is_at_hand
+from onboard.pipeline.zoom_following import ZoomFollowing
 from onboard.vision.klt_tracker import MIN_TRACKS, Tracks
 from onboard.vision.reduced_tracker import tracker_for
 
@@ -86,6 +88,8 @@ class Pipeline:
             self.tracker.leave_out(burned_in)
         self.window = Window(config, camera)
         self.mount_selection = MountSelection(camera, self.window.R_body_cam)
+        self._lens_doubt = LensDoubt()
+        self.zoom = ZoomFollowing(camera, config.camera.sigma_zoom)
         self._offset_watch = OffsetWatch(config, camera, self.window.R_body_cam)
         self._trials = MountTrials(self.mount_selection)
         self.placing, self._first_placing = Placing(), FirstPlacing(config)
@@ -108,6 +112,8 @@ class Pipeline:
         self._now_ns = event.stamp_ns
         if isinstance(event, Frame):
             self._waiting.append(event)
+        elif isinstance(event, Zoom):
+            self.zoom.note(event)
         else:
             with self._statistics.timed("navigation"):
                 self.navigation.add(event)
@@ -147,7 +153,9 @@ class Pipeline:
             self._session = (frame.stamp_ns // 1_000_000_000) & 0xFFFFFFFF
         if frame.image is None:
             return [self._refuse(frame, Status.BAD_PICTURE)]
-        out = self._follow_mount()
+        out = [*self._follow_mount(), *self._follow_zoom(frame.stamp_ns)]
+        if self.zoom.is_moving(frame.stamp_ns):
+            return [*out, self._refuse(frame, Status.ZOOMED)]
         nav = self._navigated(frame)
         if isinstance(nav, Status):
             return [*out, self._refuse(frame, nav)]
@@ -155,6 +163,7 @@ class Pipeline:
         if self._frame is not self.navigation.frame:
             self._frame, self.window.terrain = self.navigation.frame, None
             self.window.ground_slope.forget()
+            self._lens_doubt.forget_ground()
         is_slow = self._last_nav is not None and nav.stamp_ns - self._last_nav.stamp_ns > SLOW_NS
         self._last_nav = nav
         self._know_terrain(nav)
@@ -173,6 +182,31 @@ class Pipeline:
         if not carry_over(self.window, self._book.records, self.navigation, hypothesis):
             out.extend(self._restart())
         return out
+
+    def _follow_zoom(self, stamp_ns: int) -> list[FeatureSet]:
+        """Leave behind what was seen before the lens moved, and begin again with the camera that it has become."""
+        out: list[FeatureSet] = []
+        if self.zoom.is_moving(stamp_ns) and self.window.keyframes:
+            out = self._forget_zoomed(self.zoom.suspect_since_ns)
+        stands = self.zoom.stands(stamp_ns)
+        if stands is not None:
+            camera, sigma = stands
+            out += self._restart()
+            self.window.change_lens(camera, sigma)
+            self._lens_doubt.settle()
+            self.camera = self.window.camera
+            self._offset_watch.change_lens(self.camera)
+            self.mount_selection.change_lens(self.camera)
+        return out
+
+    def _forget_zoomed(self, since_ns: int) -> list[FeatureSet]:
+        """Settle what was taken before the lens moved; what was taken since is refused, whatever was said of it."""
+        out = self._adopt()
+        zoomed = [r for r in self._book.records if r.frame.stamp_ns >= since_ns]
+        self._book.records = [r for r in self._book.records if r.frame.stamp_ns < since_ns]
+        if self.window.keyframes[-1].nav.stamp_ns >= since_ns:
+            self.window.solved = None  # it has seen the zoom: what it places is placed wrongly
+        return [*out, *self._restart(), *(self._refuse_record(r, Status.ZOOMED) for r in zoomed)]
 
     def _navigated(self, frame: Frame) -> NavState | Status:
         """Where the aircraft was, or why the picture cannot be used."""
@@ -196,9 +230,12 @@ class Pipeline:
             self._misses += 1
             reason = Status.TURNING if self._is_turning(frame) else Status.FEATURELESS
             if self._misses >= MAX_MISSES or (is_slow and self._overlap < MIN_OVERLAP):
-                return [*self._restart(), *self._make_keyframe(frame, nav, self.tracker.nothing(), reason)]
+                out = self._restart()  # which still adopts a window of before
+                self._lens_doubt.lost(frame.stamp_ns, self._overlap)
+                return [*out, *self._make_keyframe(frame, nav, self.tracker.nothing(), reason)]
             return [self._refuse(frame, reason)]
         self._misses = 0
+        self._lens_doubt.tracked(len(tracks), tracks.offered)
         if wants_keyframe(tracks, self.camera.width_px):
             return self._make_keyframe(frame, nav, tracks)
         record = Record(frame, partial(self._seen, nav, tracks), nav, False)
@@ -322,6 +359,8 @@ class Pipeline:
         done, record = pending.promise.result(), pending.record
         outcome, trials_s = self._trials.judged(done.outcome, self.window, self._book.records, self.navigation)
         self._statistics.spend("solve", done.processor_s + trials_s)
+        if outcome.solved is not None and self._lens_doubt.denies(outcome.solved):
+            outcome = replace(outcome, status=Status.ZOOMED, solved=None, reason=self._lens_doubt.reason)
         status = self.window.adopt(outcome)
         self._statistics.note_window(self.window.refusal)
         self._failures = self._failures + 1 if status is Status.POOR_FIT else 0
@@ -406,7 +445,8 @@ class Pipeline:
         result = self._by_structure(record, picture)
         # Where the mount is open or the optics have moved, nothing determines where the camera looks, or only the
         # attitude.
-        if isinstance(result, Status) and not (self.mount_selection.is_open(record.nav) or self._unsolved in MOVED):
+        is_moved = self._unsolved in MOVED or self._lens_doubt.is_open
+        if isinstance(result, Status) and not (self.mount_selection.is_open(record.nav) or is_moved):
             over = over_known_ground(self.config, self.window, record.nav, picture)
             result = result if over is None else over
         if isinstance(result, FeatureSet):

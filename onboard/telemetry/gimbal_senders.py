@@ -1,4 +1,4 @@
-"""Gimbals that speak for themselves: whose attitude is the camera's, and on which clock.
+"""Gimbals and cameras that speak for themselves: whose attitude and zoom are the camera's, and on which clock.
 
 A gimbal's attitude may come several times over one line: from the gimbal's own component, with a boot clock of its own,
 from the autopilot that passes it on, and in two kinds of message. One of them counts: the gimbal's own before the
@@ -13,23 +13,27 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from onboard.events.types import GimbalAttitude
+from onboard.events.types import GimbalAttitude, Zoom
 from onboard.telemetry.boot_clock import Mode
-from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT, GIMBAL_EVENTS, boot_ns_of
+from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT, GIMBAL_EVENTS, ZOOM_EVENTS, boot_ns_of
 from onboard.telemetry.timesync import LinkClock
 
 GIMBAL_COMPONENTS = frozenset(
     [mavlink.MAV_COMP_ID_GIMBAL, *(getattr(mavlink, f"MAV_COMP_ID_GIMBAL{i}") for i in range(2, 7))]
 )
+CAMERA_COMPONENTS = frozenset(
+    [mavlink.MAV_COMP_ID_CAMERA, *(getattr(mavlink, f"MAV_COMP_ID_CAMERA{i}") for i in range(2, 7))]
+)
+PAYLOADS = GIMBAL_COMPONENTS | CAMERA_COMPONENTS
 SILENT_NS = 2_000_000_000  # after which another sender's attitude is taken
 MAX_PENDING = 32
 MESSAGES = tuple(GIMBAL_EVENTS)  # the better first
 
 
 def is_heard(message: Any, wanted: int) -> bool:
-    """Whether a message is a gimbal's own: of its component, which is the `wanted` one if that is not 0."""
+    """Whether a message is a camera's or a gimbal's own: of its component; gimbals of the `wanted` one if not 0."""
     component = message.get_srcComponent()
-    return component in GIMBAL_COMPONENTS and wanted in (0, component)
+    return component in CAMERA_COMPONENTS or (component in GIMBAL_COMPONENTS and wanted in (0, component))
 
 
 @dataclass
@@ -61,15 +65,15 @@ class GimbalChoice:
 
 @dataclass
 class _Gimbal:
-    """One component: its clock, and the newest boot stamp."""
+    """One component: its clock, and the newest message with its boot stamp."""
 
     clock: LinkClock
-    newest_boot_ns: int = -1
+    newest: tuple[str, int] | None = None
 
 
 @dataclass
 class Gimbals:
-    """All gimbals of one vehicle on a live line. No link, no thread, no clock of its own."""
+    """All gimbals and cameras of one vehicle on a live line. No link, no thread, no clock of its own."""
 
     mode: Mode
     wanted: int = 0
@@ -84,18 +88,23 @@ class Gimbals:
         """A TIMESYNC request has left: everyone on the line may answer it, each from a clock of its own."""
         self._asked.append(sent_ns)
 
-    def hear(self, message: Any, arrival_ns: int) -> list[GimbalAttitude]:
-        """A message of a gimbal's own component -> its attitude on our clock, if it holds one that counts."""
+    def hear(self, message: Any, arrival_ns: int) -> list[GimbalAttitude | Zoom]:
+        """A message of their own component -> attitude or zoom on our clock, if it holds one that counts."""
         component, name = message.get_srcComponent(), message.get_type()
         gimbal = self._by_component.setdefault(component, _Gimbal(LinkClock(self.mode)))
         if name == "TIMESYNC":
             if message.tc1 != 0 and message.ts1 in self._asked:
                 gimbal.clock.exchanged(message.ts1, message.tc1, arrival_ns)
             return []
-        if name not in GIMBAL_EVENTS:
+        if name not in GIMBAL_EVENTS and name not in ZOOM_EVENTS:
             return []
         stamp_ns = self._stamp(gimbal, message, arrival_ns)
-        event = None if stamp_ns is None else GIMBAL_EVENTS[name](message, stamp_ns)
+        if stamp_ns is None:
+            return []
+        if name in ZOOM_EVENTS:
+            zoom = ZOOM_EVENTS[name](message, stamp_ns)
+            return [] if zoom is None else [zoom]
+        event = GIMBAL_EVENTS[name](message, stamp_ns)
         return [] if event is None or not self.choice.takes(message, arrival_ns) else [event]
 
     @staticmethod
@@ -105,10 +114,11 @@ class Gimbals:
         if not boot_ns:
             return arrival_ns  # it does not fill the stamp in
         if gimbal.clock.arrived(boot_ns, arrival_ns):
-            gimbal.newest_boot_ns = -1
-        if boot_ns == gimbal.newest_boot_ns or not gimbal.clock.is_known(arrival_ns):
+            gimbal.newest = None
+        this = message.get_type(), boot_ns
+        if this == gimbal.newest or not gimbal.clock.is_known(arrival_ns):
             return None
-        gimbal.newest_boot_ns = boot_ns
+        gimbal.newest = this
         return gimbal.clock.to_host_ns(boot_ns)
 
     def figures(self) -> dict[str, float]:

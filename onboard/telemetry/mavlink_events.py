@@ -10,7 +10,16 @@ from typing import Any, Literal
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from onboard.events.types import Attitude, FilterStatus, GimbalAttitude, GpsQuality, NavEvent, PositionFix, RangeFinder
+from onboard.events.types import (
+    Attitude,
+    FilterStatus,
+    GimbalAttitude,
+    GpsQuality,
+    NavEvent,
+    PositionFix,
+    RangeFinder,
+    Zoom,
+)
 
 AUTOPILOT_COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 
@@ -26,6 +35,8 @@ WANTED = {
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS,
     mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS,
     mavlink.MAVLINK_MSG_ID_MOUNT_ORIENTATION,
+    mavlink.MAVLINK_MSG_ID_CAMERA_SETTINGS,
+    mavlink.MAVLINK_MSG_ID_CAMERA_FOV_STATUS,
     mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR,
 }
 
@@ -106,6 +117,8 @@ class MessageToEvent:
             event = _attitude(message, to_host_ns(boot_ns))
         elif name in GIMBAL_EVENTS:
             event = GIMBAL_EVENTS[name](message, to_host_ns(boot_ns))
+        elif name in ZOOM_EVENTS:
+            event = ZOOM_EVENTS[name](message, to_host_ns(boot_ns))
         elif name == "DISTANCE_SENSOR":
             event = _range(message, to_host_ns(boot_ns))
         return [] if event is None else [event]
@@ -237,6 +250,17 @@ def _mount_orientation(message: Any, stamp_ns: int) -> GimbalAttitude | None:
 GIMBAL_EVENTS: dict[str, Callable[[Any, int], GimbalAttitude | None]] = {
     "GIMBAL_DEVICE_ATTITUDE_STATUS": _gimbal,
     "MOUNT_ORIENTATION": _mount_orientation,
+}
+
+
+def _zoom(value: float, stamp_ns: int, unit: Literal["percent", "hfov_deg"]) -> Zoom | None:
+    return Zoom(stamp_ns, value, unit) if math.isfinite(value) else None
+
+
+# What is made of a camera's messages; a value that is not known is NaN.
+ZOOM_EVENTS: dict[str, Callable[[Any, int], Zoom | None]] = {
+    "CAMERA_FOV_STATUS": lambda message, stamp_ns: _zoom(message.hfov, stamp_ns, "hfov_deg"),
+    "CAMERA_SETTINGS": lambda message, stamp_ns: _zoom(message.zoomLevel, stamp_ns, "percent"),
 }
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 START = b"\x55\x66"
 ATTITUDE, ZOOM = 0x0D, 0x18  # commands: how the gimbal is turned, and how often the camera enlarges
+ZOOM_STEP = 0.1
 MAX_DATA = 256  # the longest documented message has less
 NEEDS_ANSWER = 1
 

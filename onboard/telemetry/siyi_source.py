@@ -15,7 +15,16 @@ from contract.supervised_thread import Policy, SupervisedThread
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import Emit, Severity, SourceStatus, State, Stop, TelemetrySource
 from onboard.events.types import GimbalAttitude, Zoom
-from onboard.telemetry.siyi_protocol import ATTITUDE, ZOOM, Packet, PacketReader, attitude_deg, encode, zoom_times
+from onboard.telemetry.siyi_protocol import (
+    ATTITUDE,
+    ZOOM,
+    ZOOM_STEP,
+    Packet,
+    PacketReader,
+    attitude_deg,
+    encode,
+    zoom_times,
+)
 from onboard.telemetry.telemetry_log import quaternion
 from onboard.telemetry.transports import Address
 
@@ -74,7 +83,7 @@ class SiyiAnswers:
                 self.heard_ns, self.round_trip_ns = now_ns, now_ns - asked_ns
                 out.append(GimbalAttitude(stamp_ns, quaternion(angles), "vehicle"))
             elif times is not None:
-                out.append(Zoom(stamp_ns, times, "times"))
+                out.append(Zoom(stamp_ns, times, "times", ZOOM_STEP))
         return out
 
 

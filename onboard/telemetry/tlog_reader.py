@@ -21,26 +21,28 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from contract.errors import InputError
 from onboard.events.types import NavEvent, PositionFix
 from onboard.telemetry.boot_clock import BootClock, Mode
-from onboard.telemetry.gimbal_senders import GIMBAL_COMPONENTS, GimbalChoice
+from onboard.telemetry.gimbal_senders import PAYLOADS, GimbalChoice
 from onboard.telemetry.mavlink_events import (
     AUTOPILOT_COMPONENT,
     GIMBAL_EVENTS,
     WANTED,
+    ZOOM_EVENTS,
     MessageToEvent,
     Sources,
     boot_ns_of,
 )
 from onboard.telemetry.telemetry_log import TelemetryLog
 
+SPOKEN = {*GIMBAL_EVENTS, *ZOOM_EVENTS}  # by gimbals and cameras for themselves
 STRAY_NS = 5_000_000_000
 
 
 def read_tlog(path: Path | str, clock: Mode = "auto", gimbal: int = 0) -> TelemetryLog:
     """Read a whole telemetry log, every event stamped on the log's clock by its sender's least-delayed messages.
 
-    Only the autopilot's component of the system with most of its heartbeats is read, and that system's gimbals; of
-    several, or where `gimbal` is not 0, one (`gimbal_senders`). Damaged stretches and a cut end are passed over. Raises
-    InputError, one line, for a file that is missing, empty, not a log, or without positions.
+    Only the autopilot's component of the system with most of its heartbeats is read, and that system's gimbals and
+    cameras; of several gimbals, or where `gimbal` is not 0, one (`gimbal_senders`). Damaged stretches and a cut end are
+    passed over. Raises InputError, one line, for a file that is missing, empty, not a log, or without positions.
     """
     heard, system = log_messages(path)
     own = [(t, m) for t, m in heard if m.get_srcComponent() == AUTOPILOT_COMPONENT]
@@ -51,8 +53,8 @@ def read_tlog(path: Path | str, clock: Mode = "auto", gimbal: int = 0) -> Teleme
         raise InputError(
             f"telemetry {path}: system {system} sends no position (GLOBAL_POSITION_INT, or GPS_RAW_INT with a 3D fix)"
         )
-    for component in sorted({m.get_srcComponent() for _, m in heard} & GIMBAL_COMPONENTS):
-        speaks = [(t, m) for t, m in heard if m.get_srcComponent() == component and m.get_type() in GIMBAL_EVENTS]
+    for component in sorted({m.get_srcComponent() for _, m in heard} & PAYLOADS):
+        speaks = [(t, m) for t, m in heard if m.get_srcComponent() == component and m.get_type() in SPOKEN]
         of_gimbals.append(_events(speaks, sources, clock)[0])
     choice = GimbalChoice(gimbal)
     merged = heapq.merge(found, *of_gimbals, key=lambda each: each[0])
@@ -96,7 +98,7 @@ def log_messages(path: Path | str) -> tuple[list[tuple[int, Any]], int]:
             f"telemetry {path}: not a MAVLink telemetry log (.tlog): no packet of an autopilot found in it"
         )
     system = _autopilot_system(messages)
-    speakers = GIMBAL_COMPONENTS | {AUTOPILOT_COMPONENT}
+    speakers = PAYLOADS | {AUTOPILOT_COMPONENT}
     own = [(t, m) for t, m in messages if m.get_srcSystem() == system and m.get_srcComponent() in speakers]
     return own, system
 

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +20,12 @@ import pytest
 from contract.camera import Camera
 from contract.errors import ConfigError
 from onboard.camera.factory import open_camera
-from onboard.camera.helper_camera import HelperCamera
+from onboard.camera.frame_protocol import NAN, GimbalFrame, Header
+from onboard.camera.helper_camera import HelperCamera, _of_lens_and_gimbal
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import SourceStatus, State
-from onboard.events.types import Event, Frame
+from onboard.events.types import Event, Frame, GimbalAttitude, Zoom
 
 CHECKOUT = Path(__file__).resolve().parents[3]
 SCRIPTED = [sys.executable, "-m", "tests.onboard.camera.scripted_helper"]
@@ -290,3 +292,16 @@ def test_the_example_for_own_cameras_gives_pictures() -> None:
     arrival_ns, frame = camera.frames[10]
     # The end of the first row's exposure of 4 ms: its middle was 2 ms before.
     assert 1_900_000 <= arrival_ns - frame.stamp_ns < 200_000_000
+
+
+def test_zoom_focal_length_and_gimbal_of_a_header_are_events_of_its_picture_s_time() -> None:
+    nothing = Header(64, 48, 5, 1)
+    assert list(_of_lens_and_gimbal(nothing, 7)) == []
+    assert list(_of_lens_and_gimbal(replace(nothing, zoom=2.5), 7)) == [Zoom(7, 2.5, "times")]
+    assert list(_of_lens_and_gimbal(replace(nothing, zoom=2.5, focal_px=900.0), 7)) == [Zoom(7, 900.0, "focal_px")]
+    turned = replace(nothing, gimbal=(0.0, 2.0**0.5, 0.0, 0.0), gimbal_frame=GimbalFrame.EARTH)
+    (event,) = _of_lens_and_gimbal(turned, 7)
+    assert event == GimbalAttitude(7, (0.0, 1.0, 0.0, 0.0), "earth", is_of_camera=True)
+    for bad in ((NAN, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)):
+        assert list(_of_lens_and_gimbal(replace(turned, gimbal=bad), 7)) == []
+    assert list(_of_lens_and_gimbal(replace(turned, gimbal_frame=GimbalFrame.NONE), 7)) == []

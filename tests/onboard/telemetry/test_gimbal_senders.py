@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from contract.rotations import matrix_from_euler, matrix_from_quaternion, quaternion_from_matrix
 from onboard.config.schema import parse_config
 from onboard.events.source import State
-from onboard.events.types import GimbalAttitude
+from onboard.events.types import GimbalAttitude, Zoom
 from onboard.telemetry.mavlink_framing import Framer, SequenceGaps
 from onboard.telemetry.mavlink_session import Autopilot
 from onboard.telemetry.tlog_reader import read_tlog
@@ -240,3 +240,40 @@ def _records(data: bytes) -> list[bytes]:
         out.append(data[at:end])
         at = end
     return out
+
+
+def settings(boot_ms: int, zoom: float) -> Any:
+    return mavlink.MAVLink_camera_settings_message(boot_ms, 0, zoom, math.nan)
+
+
+def fov(boot_ms: int, hfov_deg: float) -> Any:
+    return mavlink.MAVLink_camera_fov_status_message(
+        boot_ms, 0, 0, 0, 0, 0, 0, [1.0, 0.0, 0.0, 0.0], hfov_deg, math.nan
+    )
+
+
+@pytest.mark.parametrize("component", [1, 100, 105, 154])
+def test_a_camera_s_zoom_is_heard_on_its_own_clock_and_nan_is_none(component: int) -> None:
+    boot = (lambda t: 60_000 + round(t * 1000)) if component == 1 else own
+    got = Line().run(
+        6.0, lambda t: [(component, settings(boot(t), 40.0 if t < 5.0 else math.nan)), (component, fov(boot(t), 31.5))]
+    )
+    told = {(e.value, e.unit) for e in got if isinstance(e, Zoom)}
+    assert told == {(40.0, "percent"), (31.5, "hfov_deg")}
+    for unit, last_s in (("percent", 4.96), ("hfov_deg", 5.96)):
+        newest = max(e.stamp_ns for e in got if isinstance(e, Zoom) and e.unit == unit)
+        assert abs(newest - (EPOCH + round(last_s * S))) < 6 * MS
+
+
+def test_a_log_s_zoom_is_read_too(tmp_path: Path) -> None:
+    log = logged_flight(4.0)
+    log.data += b"".join(_camera_record(0.5 * k) for k in range(8))
+    log.data = b"".join(sorted(_records(log.data), key=lambda r: struct.unpack(">Q", r[:8])[0]))
+    zooms = [e for e in read_tlog(log.save(tmp_path)).events if isinstance(e, Zoom)]
+    assert [e.value for e in zooms] == [25.0] * 8
+
+
+def _camera_record(moment_s: float) -> bytes:
+    packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=100)
+    stamp_us = 1_795_217_000_000_000 + round((moment_s + 0.01) * 1e6)
+    return struct.pack(">Q", stamp_us) + settings(own(moment_s), 25.0).pack(packer)

@@ -1,0 +1,307 @@
+"""`pc-onboard setup`: a configuration for this aircraft, found out where that can be and asked for where it cannot.
+
+Every answer can be given as an option, and then nothing is asked: without a terminal, or with --yes, what is neither
+given nor the only one found is an error in one line. Nothing is written before everything is known.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from contract.camera import Camera
+from contract.errors import ConfigError, InputError
+from contract.rotations import log_so3, mount_rotation
+from onboard.camera.discovery import device_paths
+from onboard.camera.helper_launch import libcamera_names
+from onboard.camera.known_lenses import GIVEN_SIGMA, STATED_SIGMA, first_camera_file, known_lens
+from onboard.camera.pixel_formats import DECODERS
+from onboard.camera.v4l2_device import V4l2Device
+from onboard.commands import doctor
+from onboard.commands.calibrate import write
+from onboard.commands.cameras import stable_name
+from onboard.commands.questions import Terminal
+from onboard.commands.replay import recorded_flight
+from onboard.config.schema import Config, to_toml
+from onboard.pipeline.mount_search import MountSearch
+from onboard.telemetry.autopilot_search import Heard, candidates, is_slow, listen
+
+MOUNTS = {  # roll, pitch, yaw, as `mount.*_deg`
+    "down": (0.0, -90.0, 0.0),
+    "down, the picture's top to the right": (0.0, -90.0, 90.0),
+    "down, the picture's top to the tail": (0.0, -90.0, 180.0),
+    "down, the picture's top to the left": (0.0, -90.0, -90.0),
+    "forward and down by 45 degrees": (0.0, -45.0, 0.0),
+    "forward": (0.0, 0.0, 0.0),
+}
+BEST_WIDTH_PX = 1280  # the largest picture that a Pi follows at full rate
+SLOW_RATES = {"attitude_rate_hz": 20.0, "position_rate_hz": 5.0}
+NONE_FOUND = "another: rtsp://..., gst:PIPELINE, exec:COMMAND or a device"
+DOCTOR_S = 8.0
+SAME_MOUNT_DEG = 30.0  # between the configured mount and the one that was found, which has right angles
+
+
+@dataclass(frozen=True)
+class Found:
+    """A camera of this computer: what to write, what it calls itself, and its picture sizes (empty: not known)."""
+
+    device: str
+    name: str
+    sizes_px: tuple[tuple[int, int], ...] = ()
+
+    def __str__(self) -> str:
+        return f"{self.device}  {self.name}"
+
+
+def v4l2_cameras() -> list[Found]:
+    """All that can be opened and captures in a format that we read, and libcamera's."""
+    out = []
+    for path in device_paths():
+        try:
+            with V4l2Device(path) as device:
+                if device.card().can_capture:
+                    formats = [device.sizes(f) for f in device.formats() if f in DECODERS]
+                    sizes = {size for f in formats for size in (*f.discrete_px, f.most_px) if size != (0, 0)}
+                    out.append(Found(stable_name(path), device.card().card, tuple(sorted(sizes))))
+        except OSError:
+            continue
+    names, _ = libcamera_names()
+    return out + [Found(f"libcamera:{name}", name) for name in names]
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What is looked at; tests have their own."""
+
+    cameras: Callable[[], list[Found]] = v4l2_cameras
+    wires: Callable[[], list[str]] = field(default=lambda: list(candidates()))
+    listen: Callable[[str], Heard | None] = listen
+    check: Callable[[argparse.Namespace], int] = doctor.run
+
+
+def run(arguments: argparse.Namespace, terminal: Terminal | None = None, around: Surroundings | None = None) -> int:
+    """Find out, ask, write and check; the doctor's exit code. Raises ConfigError and InputError before writing."""
+    around = around or Surroundings()
+    if terminal is None and not arguments.yes and sys.stdin.isatty():
+        terminal = Terminal()
+    config_path, camera_path = arguments.out, arguments.out.with_name("camera.json")
+    _check_free(config_path, arguments.force)
+    left: list[str] = []
+    if arguments.first_flight is not None:
+        return _finish(config_path, to_toml(_with_found_mount(arguments.first_flight)), left, around)
+    camera = _camera(arguments, terminal, around)
+    camera_file, text = _camera_file(arguments, terminal, camera, camera_path, left)
+    telemetry = _telemetry(arguments, terminal, around, left)
+    mount = _mount(arguments, terminal, left)
+    keys = {
+        "vehicle": {"id": arguments.vehicle},
+        "mount": dict(zip(("roll_deg", "pitch_deg", "yaw_deg"), mount, strict=True)),
+        "camera": {"device": camera.device, "file": str(camera_file)},
+        "telemetry": {"url": telemetry, **(SLOW_RATES if is_slow(telemetry) else {})},
+    }
+    written = to_toml(_checked(keys))
+    if text is not None:
+        _check_free(camera_file, arguments.force)
+        write(camera_file, text.encode())
+        print(f"written: {camera_file}")
+    return _finish(config_path, written, left, around)
+
+
+def _with_found_mount(session: Path) -> Config:
+    """The configuration that a session was flown with, its camera sitting as the pictures show. Raises InputError."""
+    config, camera, flight = recorded_flight(session)
+    ranking = MountSearch(config, camera).ranking(flight.events())
+    said = ", ".join(
+        f"{'/'.join(f'{a:g}' for a in angles)} ({cost:.0f})"
+        for angles, cost in zip(ranking.order[:3], ranking.costs[:3], strict=True)
+    )
+    print(f"roll/pitch/yaw by how far {ranking.pictures} pictures contradict them: {said}")
+    if ranking.decided is None:
+        raise InputError(f"{session}: the pictures do not tell how the camera sits: fly with turns, above 10 m")
+    mount = dict(zip(("roll_deg", "pitch_deg", "yaw_deg"), ranking.decided, strict=True))
+    declared = config.mount.roll_deg, config.mount.pitch_deg, config.mount.yaw_deg
+    apart_rad = np.linalg.norm(log_so3(mount_rotation(*declared).T @ mount_rotation(*ranking.decided)))
+    if apart_rad < np.radians(SAME_MOUNT_DEG):
+        print("the configured mount is confirmed, and kept")
+        return config
+    return config.model_copy(update={"mount": config.mount.model_copy(update=mount)})
+
+
+def _finish(config_path: Path, written: str, left: list[str], around: Surroundings) -> int:
+    """Write the configuration, have the doctor look, say what is left."""
+    _write_config(config_path, "# Made by `pc-onboard setup`.\n" + written, has_password="@" in written)
+    print(f"written: {config_path}\n")
+    code = around.check(argparse.Namespace(config=config_path, seconds=DOCTOR_S, json=False, explain=False))
+    _say_what_is_left(config_path, left)
+    return code
+
+
+def _write_config(path: Path, text: str, *, has_password: bool) -> None:
+    """With owner and mode of the file that it replaces; a new one with a password is nobody else's to read."""
+    was = path.stat() if path.exists() else None
+    write(path, text.encode())
+    if was is not None:
+        path.chmod(was.st_mode & 0o777)
+        os.chown(path, was.st_uid, was.st_gid)
+    elif has_password:
+        path.chmod(0o600)
+
+
+def _check_free(path: Path, force: bool) -> None:
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: no such folder as {path.parent}")
+    if path.exists() and not force:
+        raise InputError(f"{path} is there already and is kept; --force replaces it")
+
+
+def _checked(keys: dict[str, dict[str, Any]]) -> Config:
+    """Raises ConfigError, one line that names the key at fault."""
+    try:
+        return Config.model_validate(keys)
+    except ValueError as error:
+        raise ConfigError(f"setup: {' '.join(str(error).split())}") from error
+
+
+def _camera(arguments: argparse.Namespace, terminal: Terminal | None, around: Surroundings) -> Found:
+    found = around.cameras()
+    if arguments.camera is not None:
+        return next((f for f in found if f.device == arguments.camera), Found(arguments.camera, arguments.camera))
+    if terminal is None:
+        if len(found) == 1:
+            return found[0]
+        which = "no camera found" if not found else f"several cameras: {', '.join(f.device for f in found)}"
+        raise ConfigError(f"setup: {which}; name one: --camera DEVICE (`pc-onboard cameras`)")
+    terminal.show("Camera:" if found else "Camera: none found on this computer.")
+    at = terminal.choose("which", [*map(str, found), NONE_FOUND]) if found else len(found)
+    if at < len(found):
+        return found[at]
+    device = terminal.ask("camera.device", _not_empty)
+    return Found(device, device)
+
+
+def _camera_file(
+    arguments: argparse.Namespace, terminal: Terminal | None, camera: Found, path: Path, left: list[str]
+) -> tuple[Path, str | None]:
+    """Where the camera file is, and its text if it is to be written."""
+    if arguments.camera_file is not None:
+        Camera.from_json(arguments.camera_file)
+        return arguments.camera_file.resolve(), None
+    size_px, lens = _size(arguments, terminal, camera), known_lens(camera.name)
+    hfov_deg, source, sigma = arguments.fov_deg, "a stated field of view", GIVEN_SIGMA
+    if hfov_deg is None and lens is not None:
+        hfov_deg, source, sigma = lens.hfov_deg, f"the data sheet of {lens.name}", STATED_SIGMA
+        if terminal is not None:
+            terminal.show(f"Lens: {lens.name}, {hfov_deg:.1f} degrees from left to right.")
+    if hfov_deg is None:
+        if terminal is None:
+            raise ConfigError(
+                "setup: the lens is not known: --camera-file CAMERA.json, or --fov-deg DEGREES (horizontal)"
+            )
+        hfov_deg = terminal.ask("field of view from left to right, degrees", fov, "60")
+    left.append(
+        f"calibrate the lens, whose field of view ({hfov_deg:.0f} deg, +-{100 * sigma:.0f} %) is only a beginning: "
+        f"pc-onboard calibrate --device '{camera.device}' --size {size_px[0]}x{size_px[1]} --out {path}, or fly with "
+        f"turns and climbs and: pc-onboard calibrate --from SESSION.mcap --out {path}"
+    )
+    return path.resolve(), first_camera_file(size_px, hfov_deg, source, sigma)
+
+
+def _size(arguments: argparse.Namespace, terminal: Terminal | None, camera: Found) -> tuple[int, int]:
+    if arguments.size is not None:
+        width, height = arguments.size
+        return width, height
+    usable = [size for size in camera.sizes_px if size[0] <= BEST_WIDTH_PX] or list(camera.sizes_px)
+    best = max(usable, default=None)
+    if terminal is None:
+        if best is None:
+            raise ConfigError(f"setup: the picture size of {camera.device} is not known: --size WxH")
+        return best
+    return terminal.ask("picture size", size_of, "1280x720" if best is None else f"{best[0]}x{best[1]}")
+
+
+def _telemetry(arguments: argparse.Namespace, terminal: Terminal | None, around: Surroundings, left: list[str]) -> str:
+    if arguments.telemetry is not None:
+        return str(arguments.telemetry)
+    heard: list[Heard] = []
+    for url in around.wires():
+        if not any(url.rpartition(":")[0] == h.url.rpartition(":")[0] for h in heard):  # one rate of a port
+            print(f"listening: {url}", flush=True)
+            found = around.listen(url)
+            heard += [found] if found is not None else []
+    if len(heard) == 1:
+        print(f"Autopilot: {heard[0].kind}, system {heard[0].system}, on {heard[0].url}")
+        url = heard[0].url
+    elif terminal is not None and heard:
+        terminal.show("Autopilots:")
+        url = heard[terminal.choose("which", [f"{h.url}  {h.kind}, system {h.system}" for h in heard])].url
+    elif terminal is not None:
+        terminal.show("Autopilot: none heard. Is it powered, and MAVLink 2 on its port?")
+        url = terminal.ask("telemetry.url", _not_empty, "udpin:0.0.0.0:14550")
+        left.append(f"nothing was heard on {url}: look at the autopilot's port and baud rate (docs/telemetry.md)")
+    else:
+        which = "no autopilot heard" if not heard else f"several autopilots: {', '.join(h.url for h in heard)}"
+        raise ConfigError(f"setup: {which}; name its line: --telemetry serial:/dev/ttyAMA0:921600")
+    if is_slow(url):
+        left.append(f"{url} is slow: attitude is asked for at 20 Hz; 230400 baud or more carry all of it")
+    return url
+
+
+def _mount(arguments: argparse.Namespace, terminal: Terminal | None, left: list[str]) -> tuple[float, float, float]:
+    if arguments.mount is not None:
+        roll, pitch, yaw = arguments.mount
+        return roll, pitch, yaw
+    names = list(MOUNTS)
+    at = 0
+    if terminal is not None:
+        terminal.show("The camera looks (the picture's top is towards the nose, if nothing else is said):")
+        at = terminal.choose("how", names)
+    else:
+        left.append(
+            "the camera is taken to look down, the picture's top to the nose: --mount ROLL,PITCH,YAW says otherwise"
+        )
+    left.append(
+        "fly a minute with turns, `recording.pictures` on; then `pc-onboard setup --force --first-flight SESSION.mcap` "
+        "confirms how the camera sits, or corrects it"
+    )
+    return MOUNTS[names[at]]
+
+
+def _say_what_is_left(config: Path, left: list[str]) -> None:
+    print("\nLeft to do:")
+    for number, what in enumerate(
+        [*left, f"start it: pc-onboard run --config {config} (as a service: docs/service.md)"], 1
+    ):
+        print(f"  {number}. {what}")
+
+
+def _not_empty(line: str) -> str:
+    if not line:
+        raise ValueError("it cannot be empty")
+    return line
+
+
+def fov(line: str) -> float:
+    """A horizontal field of view, degrees; raises ValueError."""
+    try:
+        value = float(line)
+    except ValueError:
+        value = math.nan
+    if not 5.0 <= value <= 150.0:
+        raise ValueError("degrees from 5 to 150")
+    return value
+
+
+def size_of(line: str) -> tuple[int, int]:
+    """A picture size as in 1280x720; raises ValueError."""
+    width, _, height = line.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and min(int(width), int(height)) >= 16):
+        raise ValueError("a size as in 1280x720")
+    return int(width), int(height)

@@ -1,0 +1,122 @@
+"""Which of the 24 ways that a camera can sit in a vehicle, right-angled to its axes, a flight's pictures confirm.
+
+Each way predicts, from the vehicle's own motion over level ground, where a keyframe's features come to lie in the next
+pictures; the one that is right predicts them, up to how far the camera sits askew. As in `mount_selection`, with the
+features found without any prediction.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from contract.rotations import mount_rotation
+from onboard.config.schema import Config
+from onboard.events.types import Event, Frame
+from onboard.geometry.plane_homography import Pose, predict_pixels
+from onboard.navigation.navigator import Navigation, NavState
+from onboard.pipeline.keyframe_choice import wants_keyframe
+from onboard.vision.klt_tracker import MIN_TRACKS, Tracks
+from onboard.vision.reduced_tracker import tracker_for
+
+Array = NDArray[np.float64]
+Angles = tuple[float, float, float]
+
+ORIENTATIONS: tuple[Angles, ...] = (
+    *((0.0, pitch, yaw) for pitch in (-90.0, 90.0) for yaw in (0.0, 90.0, 180.0, -90.0)),
+    *((roll, 0.0, yaw) for roll in (0.0, 90.0, 180.0, -90.0) for yaw in (0.0, 90.0, 180.0, -90.0)),
+)
+SIGMA_RAD = 0.03  # of a predicted feature: the mount is askew by some degrees, the attitude and its time are off
+SIGMA_SHARE = 0.25  # of how far it moved: height above ground, and askew again
+MOST = 9.0  # largest cost that one picture adds
+LEAD = 40.0  # by which the best must be ahead of the next
+MIN_SEEN = 0.5  # share of features that the right way must have a prediction for
+MIN_FLOW = 0.02  # of the picture's width: less motion tells nothing
+MIN_HEIGHT_M, MIN_SPEED_M_S = 10.0, 3.0
+MOST_PICTURES = 240  # that count
+WAITING = 100  # pictures that may wait for telemetry
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Orientations by rising cost, and how many pictures they rest on."""
+
+    order: tuple[Angles, ...]
+    costs: tuple[float, ...]
+    pictures: int
+
+    @property
+    def decided(self) -> Angles | None:
+        """The one that is clearly ahead; None if none is."""
+        return self.order[0] if self.pictures and self.costs[1] - self.costs[0] > LEAD else None
+
+
+class MountSearch:
+    """Fed with a flight's events in order of arrival; `camera` as its file has it."""
+
+    def __init__(self, config: Config, camera: Camera) -> None:
+        mount = config.mount.model_copy(update={"gimbal": "never"})
+        self._navigation = Navigation(config.model_copy(update={"mount": mount}))
+        self._camera = camera
+        self._tracker = tracker_for(camera.size_px, config.tracking.features, config.tracking.min_distance_px)
+        self._waiting: deque[Frame] = deque(maxlen=WAITING)
+        self._keyframe: NavState | None = None
+        self._costs = np.zeros(len(ORIENTATIONS))
+        self._turns = [mount_rotation(*angles) for angles in ORIENTATIONS]
+        self.pictures = 0
+
+    def ranking(self, events: Iterable[tuple[int, Event]]) -> Ranking:
+        """Look at as many pictures as it takes."""
+        for _, event in events:
+            if isinstance(event, Frame):
+                self._waiting.append(event)
+            else:
+                self._navigation.add(event)
+            while self._waiting and self._navigation.covers(self._waiting[0].stamp_ns):
+                self._take(self._waiting.popleft())
+            if self.pictures >= MOST_PICTURES:
+                break
+        order = np.argsort(self._costs, kind="stable")
+        return Ranking(
+            tuple(ORIENTATIONS[i] for i in order), tuple(float(self._costs[i]) for i in order), self.pictures
+        )
+
+    def _take(self, frame: Frame) -> None:
+        nav = self._navigation.state_at(frame.stamp_ns)
+        if frame.image is None or not isinstance(nav, NavState) or not _is_flying(nav):
+            return
+        tracks = self._tracker.track(frame.image, None)
+        if self._keyframe is not None and len(tracks) >= MIN_TRACKS:
+            self._weigh(self._keyframe, nav, tracks)
+            if not wants_keyframe(tracks, self._camera.width_px):
+                return
+        self._tracker.promote(self._tracker.nothing() if self._keyframe is None else tracks)
+        self._keyframe = nav
+
+    def _weigh(self, was: NavState, now: NavState, tracks: Tracks) -> None:
+        flow_px = float(np.median(np.linalg.norm(tracks.uv_px - tracks.keyframe_uv_px, axis=1)))
+        if flow_px < MIN_FLOW * self._camera.width_px:
+            return
+        assert was.height_above_home_m is not None
+        plane = np.array([was.position_enu_m[2] - was.height_above_home_m, 0.0, 0.0])
+        sigma_px = SIGMA_RAD * self._camera.focal_px + SIGMA_SHARE * flow_px
+        self.pictures += 1
+        for i, R_body_cam in enumerate(self._turns):
+            first, second = (Pose((n.R_enu_body @ R_body_cam).T, n.position_enu_m) for n in (was, now))  # type: ignore[operator]
+            predicted_px, known = predict_pixels(self._camera, tracks.keyframe_uv_px, first, second, plane)
+            cost = MOST
+            if np.count_nonzero(known) >= MIN_SEEN * len(tracks):
+                miss_px = float(np.median(np.linalg.norm(predicted_px[known] - tracks.uv_px[known], axis=1)))
+                cost = min((miss_px / sigma_px) ** 2, MOST)
+            self._costs[i] += cost
+
+
+def _is_flying(nav: NavState) -> bool:
+    if nav.R_enu_body is None or nav.velocity_enu_m_s is None or nav.height_above_home_m is None:
+        return False
+    return nav.height_above_home_m > MIN_HEIGHT_M and float(np.linalg.norm(nav.velocity_enu_m_s)) > MIN_SPEED_M_S

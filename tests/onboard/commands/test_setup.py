@@ -1,0 +1,259 @@
+"""`pc-onboard setup`: with flags and with a fake terminal; wrong answers, nothing there, an existing file, Ctrl-C."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import socket
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from contract.camera import Camera
+from contract.errors import ConfigError, InputError
+from onboard import __main__ as program
+from onboard.camera.known_lenses import known_lens
+from onboard.commands import setup
+from onboard.commands.questions import MOST_TRIES, Terminal
+from onboard.commands.setup import Found, Surroundings
+from onboard.config.files import load_config_files
+from onboard.telemetry.autopilot_search import Heard, candidates, listen
+from simulation.autopilot.fake import FakeAutopilot
+from tests.onboard.telemetry.listening import FLIGHT
+
+PI = Found("libcamera:/base/soc/i2c0mux/i2c@1/imx219@10", "/base/soc/i2c0mux/i2c@1/imx219@10")
+WEBCAM = Found("/dev/v4l/by-id/usb-046d-index0", "HD Pro Webcam C920", ((640, 480), (1280, 720), (1920, 1080)))
+BARE = Found("/dev/video2", "USB grabber", ((720, 576),))
+SERIAL = Heard("serial:/dev/ttyAMA0:921600", "ArduPilot", 1)
+SLOW = Heard("serial:/dev/ttyUSB0:57600", "PX4", 3)
+
+
+class Around:
+    """A computer with these cameras and autopilots, and a doctor who finds nothing."""
+
+    def __init__(self, cameras: list[Found], heard: list[Heard]) -> None:
+        self.listened: list[str] = []
+        self.checked: list[Path] = []
+        self.heard = {h.url: h for h in heard}
+        urls = ["udpin:0.0.0.0:14550", *(h.url for h in heard), "serial:/dev/ttyAMA0:115200"]
+        self.around = Surroundings(lambda: cameras, lambda: urls, self.listen, self.check)
+
+    def listen(self, url: str) -> Heard | None:
+        self.listened.append(url)
+        return self.heard.get(url)
+
+    def check(self, arguments: argparse.Namespace) -> int:
+        self.checked.append(arguments.config)
+        return 0
+
+
+class Typed:
+    """A terminal at which these lines are typed; an exception among them is raised."""
+
+    def __init__(self, *lines: str | BaseException) -> None:
+        self.lines: Iterator[str | BaseException] = iter(lines)
+        self.shown: list[str] = []
+        self.terminal = Terminal(self.read, self.shown.append)
+
+    def read(self, prompt: str) -> str:
+        self.shown.append(prompt)
+        line = next(self.lines, EOFError())
+        if isinstance(line, BaseException):
+            raise line
+        return line
+
+
+def arguments(out: Path, *words: str) -> argparse.Namespace:
+    return program.parser().parse_args(["setup", "--out", str(out), *words])
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    return tmp_path / "config.toml"
+
+
+def test_where_everything_is_found_nothing_is_asked(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    around = Around([WEBCAM], [SERIAL])
+    assert setup.run(arguments(out, "--yes"), None, around.around) == 0
+    config = load_config_files(out)
+    camera = Camera.from_json(out.with_name("camera.json"))
+    assert (config.camera.device, config.telemetry.url) == (WEBCAM.device, SERIAL.url)
+    assert config.camera.file == str(out.with_name("camera.json").resolve())
+    assert (config.mount.roll_deg, config.mount.pitch_deg, config.mount.yaw_deg) == (0.0, -90.0, 0.0)
+    assert camera.size_px == (1280, 720) and camera.sigma[0] == pytest.approx(0.05)
+    assert 2.0 * math.degrees(math.atan(640 / camera.fx_px)) == pytest.approx(70.4, abs=0.1)
+    assert around.checked == [out]
+    assert "serial:/dev/ttyAMA0:115200" not in around.listened  # that port has been heard at another rate
+    said = capsys.readouterr().out
+    for words in ("calibrate --device", "calibrate --from", "--mount ROLL,PITCH,YAW", f"run --config {out}"):
+        assert words in said
+
+
+def test_flags_alone_say_everything_and_nothing_is_looked_for(out: Path, tmp_path: Path) -> None:
+    lens = tmp_path / "mine.json"
+    lens.write_text(Camera.from_field_of_view(640, 480, 50.0).to_json())
+    around = Around([], [])
+    words = ["--yes", "--camera", "rtsp://me:secret@10.0.0.2/live", "--camera-file", str(lens), "--mount", "0,-45,90"]
+    words += ["--telemetry", "serial:/dev/ttyS1:57600", "--vehicle", "kea"]
+    assert setup.run(arguments(out, *words), None, around.around) == 0
+    config = load_config_files(out)
+    assert config.vehicle.id == "kea" and config.camera.device == "rtsp://me:secret@10.0.0.2/live"
+    assert config.camera.file == str(lens.resolve()) and not out.with_name("camera.json").exists()
+    assert (config.mount.pitch_deg, config.mount.yaw_deg) == (-45.0, 90.0)
+    assert (config.telemetry.attitude_rate_hz, config.telemetry.position_rate_hz) == (20.0, 5.0)
+    assert config.camera.sigma_latency_s == pytest.approx(0.29)  # of a network stream, stated
+    assert not around.listened and out.stat().st_mode & 0o077 == 0  # it holds a password
+
+
+def test_what_is_several_is_asked_and_wrong_answers_are_asked_again(out: Path) -> None:
+    typed = Typed("7", "one", "2", "wide", "1e9", "640x480", "200", "80", "3", "2", "")
+    around = Around([PI, BARE], [SERIAL, SLOW])
+    assert setup.run(arguments(out), typed.terminal, around.around) == 0
+    # 7, one: no such camera; wide, 1e9: no size; 200: no field of view; 3: no such autopilot.
+    config, camera = load_config_files(out), Camera.from_json(out.with_name("camera.json"))
+    assert config.camera.device == BARE.device and config.telemetry.url == SLOW.url
+    assert camera.size_px == (640, 480) and camera.sigma[0] == pytest.approx(0.1)
+    assert 2.0 * math.degrees(math.atan(320 / camera.fx_px)) == pytest.approx(80.0)
+    assert config.mount.pitch_deg == -90.0
+    told = [line for line in typed.shown if line.startswith("  ") and not line.lstrip()[0].isdigit()]
+    assert len(told) == 6, told
+    assert "  a number from 1 to 3" in told and "  a size as in 1280x720" in told and "  degrees from 5 to 150" in told
+
+
+def test_empty_lines_take_what_is_shown(out: Path) -> None:
+    around = Around([PI, WEBCAM], [SERIAL])
+    assert setup.run(arguments(out), Typed("", "", "", "").terminal, around.around) == 0
+    config = load_config_files(out)
+    assert config.camera.device == PI.device and Camera.from_json(out.with_name("camera.json")).size_px == (1280, 720)
+
+
+def test_without_camera_and_autopilot_a_person_may_name_them(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    typed = Typed("", "gst:videotestsrc", "640x480", "62", "", "5")
+    assert setup.run(arguments(out), typed.terminal, Around([], []).around) == 0
+    config = load_config_files(out)
+    assert (config.camera.device, config.telemetry.url) == ("gst:videotestsrc", "udpin:0.0.0.0:14550")
+    assert config.mount.pitch_deg == -45.0
+    assert "  it cannot be empty" in typed.shown
+    assert "nothing was heard on udpin:0.0.0.0:14550" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("cameras", "heard", "message"),
+    [
+        ([], [SERIAL], "no camera found; name one: --camera"),
+        ([WEBCAM, BARE], [SERIAL], "several cameras"),
+        ([BARE], [SERIAL], "--fov-deg"),
+        ([PI], [SERIAL], "--size"),
+        ([WEBCAM], [], "no autopilot heard"),
+        ([WEBCAM], [SERIAL, SLOW], "several autopilots"),
+    ],
+)
+def test_without_anybody_to_ask_what_is_open_is_one_line_and_nothing_is_written(
+    out: Path, cameras: list[Found], heard: list[Heard], message: str
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        setup.run(arguments(out, "--yes"), None, Around(cameras, heard).around)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+    assert not list(out.parent.iterdir())
+
+
+@pytest.mark.parametrize("which", ["config.toml", "camera.json"])
+def test_what_is_there_is_kept_unless_forced(out: Path, which: str) -> None:
+    there = out.with_name(which)
+    there.write_text("# mine\n")
+    there.chmod(0o640)
+    around = Around([WEBCAM], [SERIAL])
+    with pytest.raises(InputError, match="--force replaces it"):
+        setup.run(arguments(out, "--yes"), None, around.around)
+    assert there.read_text() == "# mine\n" and [p.name for p in out.parent.iterdir()] == [which]
+    assert setup.run(arguments(out, "--yes", "--force"), None, around.around) == 0
+    assert there.read_text() != "# mine\n" and (which != "config.toml" or there.stat().st_mode & 0o777 == 0o640)
+    assert load_config_files(out).camera.device == WEBCAM.device
+
+
+def test_a_person_who_leaves_leaves_nothing_behind(out: Path) -> None:
+    for stop, caught in ((KeyboardInterrupt(), KeyboardInterrupt), (EOFError(), ConfigError)):
+        typed = Typed("1", "1280x720", stop)
+        with pytest.raises(caught):
+            setup.run(arguments(out), typed.terminal, Around([BARE], [SERIAL]).around)
+        assert not list(out.parent.iterdir())
+    typed = Typed(*["nonsense"] * 20)
+    with pytest.raises(ConfigError, match=f"in {MOST_TRIES} tries"):
+        setup.run(arguments(out), typed.terminal, Around([PI, BARE], [SERIAL]).around)
+
+
+def test_ctrl_c_ends_the_program_with_130(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(setup, "run", interrupted)
+    assert program.main(["setup", "--out", str(out)]) == 130
+
+
+def test_a_key_that_cannot_be_is_named_before_anything_is_written(out: Path) -> None:
+    with pytest.raises(ConfigError, match="vehicle"):
+        setup.run(arguments(out, "--yes", "--vehicle", "two words"), None, Around([WEBCAM], [SERIAL]).around)
+    with pytest.raises(InputError, match="no such folder"):
+        setup.run(arguments(out.parent / "none" / "c.toml", "--yes"), None, Around([WEBCAM], [SERIAL]).around)
+    assert not list(out.parent.iterdir())
+
+
+def test_the_doctor_s_verdict_is_the_exit_code(out: Path) -> None:
+    around = replace(Around([WEBCAM], [SERIAL]).around, check=lambda _: 1)
+    assert setup.run(arguments(out, "--yes"), None, around) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--mount", "down"], "ROLL,PITCH,YAW"),
+        (["--mount", "0,-90"], "ROLL,PITCH,YAW"),
+        (["--mount", "0,nan,0"], "ROLL,PITCH,YAW"),
+        (["--fov-deg", "200"], "field of view"),
+        (["--size", "big"], "640x480"),
+    ],
+)
+def test_flags_that_are_no_values_are_usage(
+    out: Path, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        arguments(out, *words)
+    assert ended.value.code == 2 and message in capsys.readouterr().err
+
+
+def test_lenses_are_known_by_what_drivers_call_them() -> None:
+    found = {name: known_lens(name) for name in ("imx219 10-0010", "HD Pro Webcam C920", "imx477", "Integrated Camera")}
+    assert [None if lens is None else round(lens.hfov_deg, 1) for lens in found.values()] == [62.2, 70.4, None, None]
+
+
+def test_serial_ports_are_tried_under_their_lasting_names(tmp_path: Path) -> None:
+    (tmp_path / "serial" / "by-id").mkdir(parents=True)
+    for name in ("ttyACM0", "ttyAMA0", "null"):
+        (tmp_path / name).touch()
+    (tmp_path / "serial" / "by-id" / "usb-Holybro-if00").symlink_to(tmp_path / "ttyACM0")
+    urls = list(candidates(tmp_path))
+    ports = [url.split(":")[1] for url in urls if url.startswith("serial")]
+    assert {Path(port).name for port in ports} == {"usb-Holybro-if00", "ttyAMA0"}
+    assert urls[0] == "udpin:0.0.0.0:14550" and f"serial:{tmp_path / 'ttyAMA0'}:57600" in urls
+
+
+@pytest.mark.wall_clock
+@pytest.mark.parametrize(("style", "kind"), [("ardupilot", "ArduPilot"), ("px4", "PX4")])
+def test_an_autopilot_is_heard_on_a_serial_line_by_its_heartbeat(style: str, kind: str) -> None:
+    with FakeAutopilot(FLIGHT, "pty", style=style, system=7) as autopilot:
+        assert listen(autopilot.url, 10.0) == Heard(autopilot.url, kind, 7)
+
+
+def test_silence_others_and_a_wire_that_is_not_there_are_none(tmp_path: Path) -> None:
+    assert listen(f"serial:{tmp_path / 'none'}:57600", 0.1) is None
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    gcs = mavlink.MAVLink_heartbeat_message(6, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for _ in range(3):
+            sender.sendto(gcs.pack(mavlink.MAVLink(None, 255, 190)), ("127.0.0.1", port))
+        assert listen(f"udpin:127.0.0.1:{port}", 0.3) is None

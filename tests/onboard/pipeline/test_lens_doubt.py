@@ -1,0 +1,60 @@
+"""A lens that nobody has seen zoom: doubted after a sudden loss, until the ground is as deep as it was."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from onboard.pipeline.lens_doubt import OUTDATED_NS, LensDoubt
+
+S = 1_000_000_000
+
+
+def window(moment_s: float, depth_m: float, up_m: float = 250.0) -> Any:
+    """What of a solved window counts here: where the camera is, and the points."""
+    points = np.array([[0.0, 0.0, up_m - depth_m + d] for d in (-3.0, 0.0, 4.0)])
+    newest = SimpleNamespace(centre_enu_m=np.array([0.0, 0.0, up_m]), nav=SimpleNamespace(stamp_ns=round(moment_s * S)))
+    return SimpleNamespace(keyframes=(newest,), solution=SimpleNamespace(state=SimpleNamespace(points_enu_m=points)))
+
+
+def flown(held: float = 0.9, overlap: float = 0.9) -> LensDoubt:
+    """A window at 200 m, good tracking, and then nothing any more at 10 s."""
+    doubt = LensDoubt()
+    assert not doubt.denies(window(9.0, 200.0))
+    doubt.tracked(round(100 * held), 100)
+    doubt.tracked(3, 100)  # one picture in the middle of the zoom
+    doubt.lost(10 * S, overlap)
+    return doubt
+
+
+def test_a_ground_that_looks_six_times_as_near_is_a_zoom_for_as_long_as_it_does() -> None:
+    doubt = flown()
+    assert doubt.is_open
+    for moment_s in (12.0, 20.0, 200.0):
+        assert doubt.denies(window(moment_s, 33.0)) and doubt.is_open
+    assert "6.1 times as near" in doubt.reason
+    assert not doubt.denies(window(201.0, 190.0)) and not doubt.is_open
+
+
+def test_a_ground_as_high_as_before_settles_it_however_high_the_aircraft_is() -> None:
+    doubt = flown()
+    assert not doubt.denies(window(12.0, 550.0, up_m=620.0)) and not doubt.is_open  # it has climbed
+    assert not doubt.denies(window(13.0, 33.0))  # nothing was lost since
+
+
+def test_what_fades_or_leaves_the_picture_is_no_zoom() -> None:
+    for doubt in (flown(held=0.3), flown(overlap=0.3)):
+        assert not doubt.is_open and not doubt.denies(window(12.0, 33.0))
+
+
+def test_a_window_long_after_has_other_ground_and_being_told_ends_it() -> None:
+    later = flown()
+    assert not later.denies(window(10.1 + OUTDATED_NS / S, 33.0)) and not later.is_open
+    elsewhere = flown()
+    elsewhere.forget_ground()
+    assert not elsewhere.denies(window(12.0, 33.0))
+    told = flown()
+    told.settle()
+    assert not told.denies(window(12.0, 33.0))

@@ -1,0 +1,117 @@
+"""A zoom from 1x to 6x, level and in turns of 45 degrees: followed where it is told, refused where nobody tells."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from contract.feature_set import Status
+from simulation.paths import PathSpec
+from tests.scenarios.test_moved_optics import Flown, flown
+from tests.scenarios.zoom_flights import (
+    LEVEL,
+    TURNS,
+    Profile,
+    Telling,
+    ZoomFlight,
+    magnification_error,
+    told,
+    zoom_flight,
+)
+
+STEP: Profile = ((0.0, 1.0), (10.0, 1.0), (10.3, 6.0), (28.0, 6.0))
+RAMP: Profile = ((0.0, 1.0), (8.0, 1.0), (12.0, 6.0), (28.0, 6.0))
+UNSEEN = (Status.NO_GPS, Status.TURNING)  # pictures that nothing of the lens keeps from being answered
+
+
+@dataclass
+class Followed:
+    """A flight of a told zoom, and what came of it."""
+
+    flight: ZoomFlight
+    found: Flown
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Of all answers, in semi-axes of their 90 % ellipses."""
+        return np.array([error for errors in self.found.errors.values() for error in errors])
+
+    def waited_s(self) -> list[float]:
+        """From each end of a zoom to the first answer, pictures without GPS and in too fast a turn left out."""
+        times, out = self.flight.times_s, []
+        for _, end_s in self.flight.moves():
+            later = [(times[k], s) for k, s in sorted(self.found.sets.items()) if times[k] > end_s]
+            first_s = next((t for t, s in later if s.is_ok), math.inf)
+            blind = sum(s.status in UNSEEN for t, s in later if t < first_s)
+            out.append(float(first_s - end_s - blind / self.flight.spec.rate_hz))
+        return out
+
+    def focal_error(self) -> float:
+        """Of the last answered picture, as a share."""
+        k, newest = max((k, s) for k, s in self.found.sets.items() if s.is_ok)
+        return magnification_error(newest.camera.focal_px, self.flight, float(self.flight.times_s[k]))
+
+    def answered_while_moving(self) -> int:
+        return sum(s.is_ok for k, s in self.found.sets.items() if not self.flight.stands(k))
+
+
+def followed(path: PathSpec, profile: Profile, telling: Telling | None, seed: int = 0) -> Followed:
+    flight = zoom_flight(path, profile, seed)
+    events = flight.events() if telling is None else told(flight, telling)
+    return Followed(flight, flown(flight, flight.camera_file(), events))
+
+
+def check(result: Followed) -> None:
+    assert max(result.waited_s()) <= 2.0, result.waited_s()
+    assert result.focal_error() < 0.015, result.focal_error()
+    assert not result.answered_while_moving()
+    assert max(result.errors) < 2.0 and np.mean(result.errors <= 1.0) > 0.8, sorted(result.errors)[-5:]
+    statuses = result.found.pictures_in(13.0, 28.0)
+    seen = statuses.total() - sum(statuses[s] for s in UNSEEN)
+    assert statuses[Status.OK] > 0.8 * seen > 0, statuses
+
+
+def test_a_step_that_is_told_in_time_is_answered_again_within_two_seconds() -> None:
+    check(followed(LEVEL, STEP, Telling()))
+
+
+def test_a_ramp_in_turns_told_late_in_steps_with_gaps_and_nonsense_is_followed() -> None:
+    check(followed(TURNS, RAMP, Telling(0.3, 0.1, lost=0.2, bad=(math.nan, -1.0, 1e9))))
+
+
+def test_a_fast_zoom_that_nobody_tells_of_is_refused() -> None:
+    """Before, 6 to 21 pictures were answered with a sixth of the focal length, up to 3.5 ellipses off."""
+    for seed in (0, 2):
+        result = followed(LEVEL, STEP, None, seed)
+        statuses = result.found.pictures_in(10.3, 28.0)
+        assert not statuses[Status.OK] and max(result.errors) < 2.0, statuses
+        assert result.found.pictures_in(2.0, 9.9)[Status.OK] > 20
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("telling", [Telling(), Telling(0.3), Telling(0.1, 0.1)], ids=["in time", "late", "steps"])
+def test_draws_of_told_zooms_are_answered_soon_and_as_surely_as_they_say(telling: Telling) -> None:
+    errors, focal, waited = [], [], []
+    for seed in range(3):
+        for path in (LEVEL, TURNS):
+            for profile in (STEP, RAMP):
+                result = followed(path, profile, telling, seed)
+                errors += result.errors.tolist()
+                focal.append(result.focal_error())
+                waited += result.waited_s()
+                assert not result.answered_while_moving()
+    assert max(errors) < 3.0 and np.mean(np.array(errors) <= 1.0) >= 0.85, sorted(errors)[-5:]
+    assert np.mean(np.array(focal) < 0.01) > 0.8 and max(focal) < 0.02, focal
+    assert max(waited) <= 2.5 and np.median(waited) <= 1.0, waited
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("path", [LEVEL, TURNS], ids=["level", "turns"])
+@pytest.mark.parametrize("profile", [STEP, RAMP], ids=["step", "ramp"])
+def test_no_draw_of_a_zoom_that_nobody_tells_of_is_answered_wrongly(path: PathSpec, profile: Profile) -> None:
+    for seed in range(20):
+        result = followed(path, profile, None, seed)
+        assert max(result.errors) < 3.0, (seed, max(result.errors))
