@@ -80,7 +80,7 @@ def test_failed_attempts_do_not_end_the_renewal_and_are_said_until_one_goes_well
     monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
     opener = Opener(FakeSession(), error, error, error)
-    monkeypatch.setattr(client, "_open", opener)
+    monkeypatch.setattr(client, "open_link", opener)
     with SetCache("tcp/nowhere") as cache:
         assert cache.link_error == ""
         assert eventually(lambda: "no route" in cache.link_error)
@@ -91,7 +91,7 @@ def test_failed_attempts_do_not_end_the_renewal_and_are_said_until_one_goes_well
 def test_a_session_that_cannot_be_closed_or_listened_on_is_left_for_a_new_one(monkeypatch: pytest.MonkeyPatch) -> None:
     deaf = FakeSession(listen_error=zenoh.ZError("deaf"))
     opener = Opener(FakeSession(close_error=zenoh.ZError("gone")), deaf)
-    monkeypatch.setattr(client, "_open", opener)
+    monkeypatch.setattr(client, "open_link", opener)
     with SetCache("tcp/nowhere") as cache:
         assert eventually(lambda: len(opener.opened) >= 3 and cache.link_error == "")
     assert deaf.is_closed and all(session.is_closed for session in opener.opened)
@@ -99,7 +99,7 @@ def test_a_session_that_cannot_be_closed_or_listened_on_is_left_for_a_new_one(mo
 
 def test_closing_while_a_renewal_opens_leaves_no_session_behind(monkeypatch: pytest.MonkeyPatch) -> None:
     opener = Opener()
-    monkeypatch.setattr(client, "_open", opener)
+    monkeypatch.setattr(client, "open_link", opener)
     cache = SetCache("tcp/nowhere")
     opener.gate.clear()
     assert opener.waiting.wait(10.0)
@@ -118,7 +118,7 @@ def test_closing_while_a_renewal_opens_leaves_no_session_behind(monkeypatch: pyt
 
 def test_a_first_attempt_that_fails_is_the_callers(monkeypatch: pytest.MonkeyPatch) -> None:
     deaf = FakeSession(listen_error=zenoh.ZError("deaf"))
-    monkeypatch.setattr(client, "_open", Opener(deaf))
+    monkeypatch.setattr(client, "open_link", Opener(deaf))
     with pytest.raises(LinkError, match="deaf"):
         SetCache("tcp/nowhere")
     assert deaf.is_closed
