@@ -284,7 +284,7 @@ def test_two_vehicles_at_one_endpoint_must_be_told_apart(endpoint: str, capsys: 
 
         assert eventually(both)
         assert main(["click", "320", "240", "--connect", endpoint]) == 2
-        assert "several aircraft are at" in capsys.readouterr().err
+        assert ": uav-1, uav-2; choose one with --vehicle" in capsys.readouterr().err
         options = ["--vehicle", "uav-2", "--max-age", "60", "--format", "json"]
         assert main(["click", "320", "240", "--connect", endpoint, *options]) == 0
         assert json.loads(capsys.readouterr().out)["frame"] == 4
