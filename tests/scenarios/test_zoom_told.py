@@ -104,6 +104,7 @@ def test_draws_of_told_zooms_are_answered_soon_and_as_surely_as_they_say(telling
                 waited += result.waited_s()
                 assert not result.answered_while_moving()
     assert max(errors) < 3.0 and np.mean(np.array(errors) <= 1.0) >= 0.85, sorted(errors)[-5:]
+    assert 0.15 < np.median(errors) < 0.7, np.median(errors)  # nor are the ellipses needlessly large
     assert np.mean(np.array(focal) < 0.01) > 0.8 and max(focal) < 0.02, focal
     assert max(waited) <= 2.5 and np.median(waited) <= 1.0, waited
 

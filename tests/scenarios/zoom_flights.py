@@ -92,7 +92,7 @@ def told(flight: ZoomFlight, telling: Telling) -> Iterator[Event]:
     if telling.step:
         times = np.round(times / telling.step) * telling.step
     reports = [
-        Zoom(EPOCH_NS + round((t + telling.late_s * 0.0) * 1e9), value, "times", telling.step)
+        Zoom(EPOCH_NS + round(t * 1e9), value, "times", telling.step)
         for t, value in zip(moments, times.tolist(), strict=True)
         if rng.uniform() >= telling.lost
     ]
@@ -103,7 +103,7 @@ def told(flight: ZoomFlight, telling: Telling) -> Iterator[Event]:
 def zoom_flight(path: PathSpec, profile: Profile, seed: int = 0, seconds: float | None = None) -> ZoomFlight:
     """A flight with four pictures a second."""
     spec = ZoomSpec(
-        parse_config(""), path, seconds or profile[-1][0], 4.0, relief_sigma_m=3.0, offset_s=0.0, camera=WIDE,
+        parse_config(""), path, seconds or profile[-1][0], 4.0, relief_sigma_m=3.0, camera=WIDE,
         profile=profile,
     )  # fmt: skip
     return ZoomFlight(spec, seed)
