@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="a JSON object a line instead of a table")
     parser.add_argument("--follow", action="store_true", help="go on: a line whenever one comes, goes or changes state")
     parser.add_argument(
-        "--wait", metavar="S", type=positive, default=2.5, help="for the states of all, sent once a second (%(default)g)"
+        "--wait", metavar="S", type=positive, default=2.5, help="for the states, sent once a second (%(default)g)"
     )
 
 
