@@ -9,7 +9,7 @@ What other packages take from here (all values are frozen dataclasses; heights i
             `Pin` id, number, name, note, category, who, created_unix_ns, modified_unix_ns, modified_by, clicks.
             `Tie` a click on a known place, and its surveyed coordinate with sigmas.
             Each has `to_dict()` (JSON, without loss) and `from_dict()` (raises InputError on what is no such thing).
-`store`     `PinStore(path)` a file (SQLite) or a URL (PostgreSQL); on disk before a call returns; several threads and processes.
+`store`     `PinStore(path)` SQLite, or a URL of PostgreSQL; on disk before a call returns; several threads, processes.
             `add(clicks, name=, note=, category=, who=, crop=) -> Pin`, `add_click(pin_id, click, who=, crop=)`,
             `remove_click(pin_id, click_id, who=)`, `edit(pin_id, who=, name=, note=, category=)`,
             `delete(pin_id, who=)`, `clear(who=)`, `bring_in(pins, who=, crops=)` (a file's, as one change),
