@@ -113,6 +113,36 @@ def link_config(
     return json.dumps(config)
 
 
+EVERY_MESSAGE = (
+    "put",
+    "declare_subscriber",
+    "query",
+    "reply",
+    "declare_queryable",
+    "liveliness_token",
+    "liveliness_query",
+    "declare_liveliness_subscriber",
+)
+
+
+def passing_only(key: str) -> dict[str, Any]:
+    """Zenoh's access control of a session that lets nothing pass but one key expression's, to and from anybody."""
+    rule = {
+        "id": "pass",
+        "permission": "allow",
+        "flows": ["ingress", "egress"],
+        "messages": list(EVERY_MESSAGE),
+        "key_exprs": [key],
+    }
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": [rule],
+        "subjects": [{"id": "all"}],
+        "policies": [{"rules": ["pass"], "subjects": ["all"]}],
+    }
+
+
 def _access(allowed: Sequence[str]) -> dict[str, Any]:
     """Others may subscribe and query, and nothing else: no sample, reply or queryable of theirs is let through."""
     keys = ["pc/**"]

@@ -15,21 +15,11 @@ import zenoh
 
 from contract.errors import LinkError
 from contract.fleet import Fleet
-from contract.link_config import GROUND_REGION, Tls, link_config
+from contract.link_config import EVERY_MESSAGE, GROUND_REGION, Tls, link_config
 from contract.topics import ANY_VEHICLE, FEATURES, PINS, of_vehicle
 
 EVERY_AIRCRAFT = of_vehicle(ANY_VEHICLE)
 EVERY_PIN = f"{PINS}/*/*"
-EVERY_MESSAGE = (
-    "put",
-    "declare_subscriber",
-    "query",
-    "reply",
-    "declare_queryable",
-    "liveliness_token",
-    "liveliness_query",
-    "declare_liveliness_subscriber",
-)
 # Between regions everything is relayed, and within one nothing: aircraft never hear each other.
 REGIONS: list[dict[str, list[str]]] = [
     {"modes": ["client"]},

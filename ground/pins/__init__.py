@@ -9,7 +9,7 @@ What other packages take from here (all values are frozen dataclasses; heights i
             `Pin` id, number, name, note, category, who, created_unix_ns, modified_unix_ns, modified_by, clicks.
             `Tie` a click on a known place, and its surveyed coordinate with sigmas.
             Each has `to_dict()` (JSON, without loss) and `from_dict()` (raises InputError on what is no such thing).
-`store`     `PinStore(path)` SQLite; on disk before a call returns; several threads and processes.
+`store`     `PinStore(path)` SQLite, or a URL of PostgreSQL; on disk before a call returns; several threads, processes.
             `add(clicks, name=, note=, category=, who=, crop=) -> Pin`, `add_click(pin_id, click, who=, crop=)`,
             `remove_click(pin_id, click_id, who=)`, `edit(pin_id, who=, name=, note=, category=)`,
             `delete(pin_id, who=)`, `clear(who=)`, `bring_in(pins, who=, crops=)` (a file's, as one change),
@@ -18,7 +18,7 @@ What other packages take from here (all values are frozen dataclasses; heights i
             `crop(click_id) -> bytes | None`, `ties()`, `add_tie(tie, who=)` (raises `TieRefused`),
             `delete_tie(tie_id, who=)`, `merge(pin)` (of another server: last writer wins), `removed()` (tombstones),
             `revision` (an integer that grows with each change by any user), `close()`. `file.default_path()`,
-            `file.chosen_path(named)`.
+            `file.chosen_path(named)`, `file.chosen_store(named, url)`.
             `everything()` with tombstones, `merge_all(pins, most)` many in one transaction.
 `sharing`   `PinSharing(store, connect=(), listen=(), tls=None)` shares a store with other servers until `close()`:
             a context manager; `state -> Shared` (counts, and as a text). `share_pins(store, ...)`: the same, or None

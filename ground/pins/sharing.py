@@ -11,6 +11,7 @@ Every server that can connect can write: on a network that is not your own, use 
 from __future__ import annotations
 
 import contextlib
+import json
 import threading
 import time
 import uuid
@@ -23,7 +24,7 @@ from typing import Any
 import zenoh
 
 from contract.errors import InputError, LinkError
-from contract.link_config import Tls, link_config
+from contract.link_config import Tls, link_config, passing_only
 from ground.pins import sharing_messages as messages
 from ground.pins.model import Pin
 from ground.pins.sharing_messages import PREFIX, Said
@@ -111,9 +112,11 @@ class PinSharing:
         self._beat_s = -BEAT_S
         self._is_closed = False
         self._look()
-        config = link_config("router", listen=listen, connect=connect, tls=tls)
+        # A router among routers, so that all servers hear each other; it relays nothing but pins, to nobody.
+        config = json.loads(link_config("router", listen=listen, connect=connect, tls=tls))
+        config["access_control"] = passing_only(f"{PREFIX}/**")
         try:
-            self._session: Any = zenoh.open(zenoh.Config.from_json5(config))
+            self._session: Any = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
         except zenoh.ZError as error:
             reason = str(error).split(" at ", maxsplit=1)[0]
             raise LinkError(f"cannot share pins at {', '.join((*listen, *connect))}: {reason}") from error

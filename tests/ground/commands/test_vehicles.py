@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 import zenoh
@@ -13,8 +15,11 @@ import zenoh
 from contract.link_config import link_config
 from contract.topics import ALIVE, ANY_VEHICLE, FEATURES, STATUS
 from contract.vehicle_status import VehicleStatus, encode_status
+from contract.wire.codec import encode
 from ground.__main__ import main
-from ground.client import open_link
+from ground.client import SetCache, open_link
+from ground.pins.sharing import PinSharing
+from ground.pins.store import PinStore
 from ground.presence import Presence, vehicles_there
 from onboard.link.publisher import Publisher
 from tests.onboard.link.ports import free_endpoint
@@ -109,6 +114,55 @@ def test_a_click_that_names_no_aircraft_among_many_asks_nobody(
     assert [a.asked for a in fleet] == [0] * MANY
     assert main(["click", "320", "240", "--connect", router, "--vehicle", "uav-07"]) == 2  # which answers nothing here
     assert [a.asked for a in fleet] == [int(a.name == "uav-07") for a in fleet]
+
+
+def test_a_server_that_shares_pins_through_the_router_relays_no_aircraft(router: str, tmp_path: Path) -> None:
+    """Who reaches that server only has the rights of that server: to its pins."""
+    endpoint, heard, near = free_endpoint(), [], []
+    with (
+        Publisher("uav-1", [], [router], rate=WIDE) as publisher,
+        PinStore(tmp_path / "pins.sqlite") as store,
+        PinSharing(store, listen=[endpoint], connect=[router]),
+        open_link("client", endpoint, None) as stranger,
+        open_link("client", endpoint, None) as liar,
+        open_link("client", router, None) as friend,
+    ):
+        stranger.declare_subscriber("pc/*/features", heard.append)
+        stranger.declare_subscriber("pc/pins/*/said", near.append)
+        with SetCache(router) as cache:
+
+            def hears() -> bool:
+                publisher.publish(a_set(3))
+                return cache.by_frame("uav-1", 3) is not None and bool(near)
+
+            assert eventually(hears) and vehicles_there(friend) == ["uav-1"]
+            for _ in range(10):
+                liar.put(FEATURES.key("uav-1"), encode(a_set(99)))
+                publisher.publish(a_set(4))
+                time.sleep(0.03)
+            assert eventually(lambda: cache.by_frame("uav-1", 4) is not None)
+            assert heard == [] and vehicles_there(stranger) == [] and cache.by_frame("uav-1", 99) is None
+
+
+def test_watch_shows_dozens(router: str, fleet: list[Aircraft], capsys: pytest.CaptureFixture[str]) -> None:
+    stop = threading.Event()
+
+    def fly() -> None:
+        while not stop.wait(0.1):
+            for aircraft in fleet:
+                aircraft.session.put(FEATURES.key(aircraft.name), encode(a_set(3, vehicle=aircraft.name)))
+                aircraft.say("ok")
+
+    flying = threading.Thread(target=fly)
+    flying.start()
+    try:
+        assert main(["watch", "--connect", router, "--json", "--count", "1", "--period", "3"]) == 0
+    finally:
+        stop.set()
+        flying.join()
+    shown = rows(capsys.readouterr().out)
+    assert list(shown) == [a.name for a in fleet]
+    assert all(row["ce90_m"] is not None and row["frame"] == 3 for row in shown.values())
 
 
 def test_the_only_aircraft_behind_a_router_needs_no_name(router: str, capsys: pytest.CaptureFixture[str]) -> None:
