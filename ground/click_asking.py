@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from contract.answer import Answer
 from contract.errors import WireError
-from contract.wire.click_code import ClickAnswer, ClickQuestion, TurnedAway, decode
+from contract.wire.click_code import ClickAnswer, ClickQuestion, TurnedAway, decode, encode_question
 
 # A question and its answer take 2.4 s of 400 bit/s: a lost one is asked again after that. And once sooner: on a faster
 # radio it is lost by then, and on a thin one the way up is free.
@@ -15,7 +15,7 @@ GIVE_UP_S = 20.0
 
 
 class Asking:
-    """One question. Its answer's age counts from when it was first asked: the aircraft answers what it heard first."""
+    """One question. Sent again it states how long ago the click was made, and means the picture of then."""
 
     def __init__(self, question: ClickQuestion, now_s: float) -> None:
         self.question = question
@@ -32,11 +32,15 @@ class Asking:
             self._due_s = self._began_s + ASK_AGAIN_S * (waited_s // ASK_AGAIN_S + 1.0)
         return True
 
+    def packet(self, now_s: float) -> bytes:
+        """The question as it is sent now."""
+        return encode_question(replace(self.question, waited_s=now_s - self._began_s))
+
     def is_over(self, now_s: float) -> bool:
         """Whether no answer is to be expected any more."""
         return now_s - self._began_s >= GIVE_UP_S
 
-    def take(self, payload: bytes, now_s: float) -> Answer | TurnedAway | None:
+    def take(self, payload: bytes) -> Answer | TurnedAway | None:
         """What a packet answers to this question; None if it is about another, or cannot be read."""
         try:
             found = decode(payload)
@@ -44,7 +48,4 @@ class Asking:
             return None
         if isinstance(found, ClickQuestion) or found.number != self.question.number:
             return None
-        if not isinstance(found, ClickAnswer):
-            return found
-        age_s = found.answer.age_s
-        return replace(found.answer, age_s=None if age_s is None else age_s + now_s - self._began_s)
+        return found.answer if isinstance(found, ClickAnswer) else found

@@ -9,7 +9,7 @@ from typing import Any, Self
 
 from contract.answer import Answer
 from contract.errors import InputError, LinkError
-from contract.wire.click_code import MAX_NUMBER, TUNNEL_TYPE, ClickQuestion, TurnedAway, encode_question
+from contract.wire.click_code import MAX_NUMBER, TUNNEL_TYPE, ClickQuestion, TurnedAway
 from ground.click_asking import Asking
 from ground.mavlink_endpoint import MavlinkEndpoint, masking
 
@@ -51,7 +51,10 @@ class MavlinkLink:
         self._beat_s = -BEAT_S
 
     def ask(self, u_px: float, v_px: float, *, frame: int | None = None, capture_unix_ns: int | None = None) -> Answer:
-        """The answer to a click. Raises LinkError where none comes, or the aircraft turns us away."""
+        """The answer to a click, its age that of when the click was made.
+
+        Raises LinkError where none comes, or the aircraft turns us away.
+        """
         self._number = (self._number + 1) % (MAX_NUMBER + 1)
         question = ClickQuestion(self._number, u_px, v_px, frame, capture_unix_ns)
         vehicle = self._find_vehicle()
@@ -60,9 +63,9 @@ class MavlinkLink:
             if time.monotonic() - self._beat_s >= BEAT_S:
                 self.beat()
             if asking.is_due(time.monotonic()):
-                self.send(vehicle, encode_question(question))
+                self.send(vehicle, asking.packet(time.monotonic()))
             for sender, payload in self.received():
-                found = asking.take(payload, time.monotonic()) if sender == vehicle else None
+                found = asking.take(payload) if sender == vehicle else None
                 if isinstance(found, TurnedAway):
                     raise LinkError(masking(self._endpoint.system, found.low, found.high))
                 if found is not None:

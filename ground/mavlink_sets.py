@@ -61,7 +61,7 @@ class MavlinkSets:
         for vehicle, payload in link.received():
             self._heard()
             self._hear(vehicle, payload)
-        if time.monotonic() - self._report_s >= REPORT_S:
+        if link.vehicles and time.monotonic() - self._report_s >= REPORT_S:
             self._report_s = time.monotonic()
             link.beat()
             for vehicle in link.vehicles:

@@ -41,7 +41,8 @@ _FIX = struct.Struct("<5s5si3sHHHHbb3s3s3s")
 
 @dataclass(frozen=True)
 class ClickQuestion:
-    """A click that asks for its answer: pixel, and the picture by its number, its time, or (neither) the newest.
+    """A click that asks for its answer: pixel, and the picture by its number, its time, or (neither) the newest. The
+    click was made `waited_s` ago, and means the picture of then.
 
     `number` is the ground's own, 0 to 65535: a question that is sent again has the same, and so has its answer.
     """
@@ -51,11 +52,12 @@ class ClickQuestion:
     v_px: float
     frame: int | None = None
     capture_unix_ns: int | None = None
+    waited_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class ClickAnswer:
-    """The answer to question `number`. Ages in it are those of when the question came to the aircraft."""
+    """The answer to question `number`. Its age is the picture's when the click was made, but for the question's way."""
 
     number: int
     answer: Answer
@@ -79,7 +81,7 @@ def encode_question(question: ClickQuestion) -> bytes:
     q = question
     if not (math.isfinite(q.u_px) and math.isfinite(q.v_px)):
         raise ValueError(f"a pixel of {q.u_px!r}, {q.v_px!r}")
-    which, value = NEWEST, 0
+    which, value = NEWEST, round(q.waited_s * 1000.0)
     if q.frame is not None:
         which, value = BY_FRAME, q.frame
     elif q.capture_unix_ns is not None:
@@ -190,9 +192,10 @@ def _whole(data: bytes, *, signed: bool = False) -> int:
 
 def _read_question(payload: bytes) -> ClickQuestion:
     _, number, which, value, u_px, v_px = _QUESTION.unpack(payload)
-    if which > BY_TIME or not (math.isfinite(u_px) and math.isfinite(v_px)):
+    if which > BY_TIME or value < 0 or not (math.isfinite(u_px) and math.isfinite(v_px)):
         raise CorruptPayload(f"question {number} for {u_px!r}, {v_px!r} of kind {which}")
-    return ClickQuestion(number, u_px, v_px, value if which == BY_FRAME else None, value if which == BY_TIME else None)
+    frame, time_ns = (value if which == kind else None for kind in (BY_FRAME, BY_TIME))
+    return ClickQuestion(number, u_px, v_px, frame, time_ns, value / 1000.0 if which == NEWEST else 0.0)
 
 
 def _read_turned_away(payload: bytes) -> TurnedAway:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+import time
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
-from contract.answer import Answer, Refusal
+from contract.answer import EXPLANATIONS, Answer, Refusal
 from contract.feature_set import FeatureSet, Status
 from contract.locate import Locator
 from contract.topics import ANY_VEHICLE, DEFAULT_ENDPOINT, TIME_TOLERANCE_S
@@ -161,7 +162,7 @@ class AnsweringLink(Protocol):
     """A link over which the aircraft answers clicks itself."""
 
     def ask(self, u_px: float, v_px: float, *, frame: int | None = None, capture_unix_ns: int | None = None) -> Answer:
-        """The answer to a click. Raises PointclickError."""
+        """The answer to a click, its age that of when the click was made. Raises PointclickError."""
 
 
 class AskedClicker:
@@ -182,17 +183,23 @@ class AskedClicker:
         """As `Clicker.click`, without what gave it."""
         if file is not None:
             raise UsageError(NO_NAMES)
+        began_s = time.monotonic()
         answer = self._link.ask(
             u_px, v_px, frame=frame, capture_unix_ns=None if unix_s is None else round(unix_s * 1e9)
         )
         if self._vehicle is not None:  # of a long name an answer has the beginning
             vehicle_of(cut_name(self._vehicle), [answer.vehicle or ""])
             answer = replace(answer, vehicle=self._vehicle)
+        # What counts is how old the picture was when it was clicked, and not how long a thin radio took to answer.
         age = "" if math.isinf(self._max_age_s) else too_old(answer.age_s, self._max_age_s)
-        if isinstance(answer, Refusal) or not age:
-            return answer, None
+        now_age_s = None if answer.age_s is None else answer.age_s + time.monotonic() - began_s
+        if isinstance(answer, Refusal):
+            said = f"{EXPLANATIONS[answer.status]}; the aircraft says: {answer.detail}" if answer.detail else ""
+            return replace(answer, age_s=now_age_s, detail=said), None
+        if not age:
+            return replace(answer, age_s=now_age_s), None
         detail = f"the newest picture that can be clicked is {age}"
-        return Refusal(Status.STALE, answer.frame, answer.capture_unix_ns, answer.vehicle, detail, answer.age_s), None
+        return Refusal(Status.STALE, answer.frame, answer.capture_unix_ns, answer.vehicle, detail, now_age_s), None
 
 
 class _Known:

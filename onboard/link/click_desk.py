@@ -78,9 +78,12 @@ class ClickDesk:
             if known is not None:
                 if not self._is_under_way(known):
                     self._send(ground, known)
-            elif not any(asked[:2] == (ground, question) for asked in self._asked) and len(self._asked) < MAX_WAITING:
+            elif not self._is_waiting(ground, question.number) and len(self._asked) < MAX_WAITING:
                 self._asked.append((ground, question, self._now_ns()))
                 self._changed.notify()
+
+    def _is_waiting(self, ground: Peer, number: int) -> bool:
+        return any((asked[0], asked[1].number) == (ground, number) for asked in self._asked)
 
     def due(self) -> list[tuple[Peer, bytes]]:
         """Answers that may go now, the bit rate paid."""
@@ -131,9 +134,7 @@ class ClickDesk:
         return gone_s is not None and self._now_ns() / 1e9 - gone_s < UNDER_WAY * takes_s
 
     def _answer(self, question: ClickQuestion, at_ns: int) -> ClickedAnswer | None:
-        frame = None if question.frame is None else str(question.frame)
-        unix_s = None if question.capture_unix_ns is None else repr(question.capture_unix_ns / 1e9)
-        found = self._look_up(Question(frame, unix_s, at_ns))
+        found = self._found(question, at_ns)
         if found is None:
             return None
         about = json.loads(found.about or b"{}")
@@ -144,7 +145,21 @@ class ClickDesk:
         if self._locator is None or self._locator[0] != found.payload:
             self._locator = found.payload, Locator(codec.decode(found.payload))
         answer = self._locator[1].locate((question.u_px, question.v_px))
-        return replace(answer, age_s=about.get("age_s"))
+        age_s = about.get("age_s")
+        return replace(answer, age_s=None if age_s is None else max(age_s - question.waited_s, 0.0))
+
+    def _found(self, question: ClickQuestion, at_ns: int) -> Answer | None:
+        """As for a query; a question for the newest that comes late means the picture captured nearest to the click."""
+        frame = None if question.frame is None else str(question.frame)
+        unix_s = None if question.capture_unix_ns is None else repr(question.capture_unix_ns / 1e9)
+        found = self._look_up(Question(frame, unix_s, at_ns))
+        if not question.waited_s or found is None or found.is_error or frame is not None or unix_s is not None:
+            return found
+        age_s = json.loads(found.about or b"{}").get("age_s")
+        if age_s is None or age_s >= question.waited_s:
+            return found  # nothing newer has come since
+        clicked_s = codec.peek(found.payload).capture_unix_ns / 1e9 + age_s - question.waited_s
+        return self._look_up(Question(None, repr(clicked_s), at_ns))
 
     def _run(self, thread: SupervisedThread) -> None:
         while not thread.is_set():

@@ -54,7 +54,8 @@ def fix_of(payload: bytes) -> Fix:
 def test_a_question_is_read_back_from_24_bytes_or_fewer(
     number: int, u_px: float, v_px: float, frame: int | None, time_ns: int | None
 ) -> None:
-    question = ClickQuestion(number, u_px, v_px, frame, time_ns if frame is None else None)
+    waited_s = 2.9 if frame is None and time_ns is None else 0.0
+    question = ClickQuestion(number, u_px, v_px, frame, time_ns if frame is None else None, waited_s)
     payload = encode_question(question)
     assert len(payload) <= MAX_QUESTION_BYTES
     assert decode(payload) == question

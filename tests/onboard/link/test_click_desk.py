@@ -102,6 +102,25 @@ def test_a_question_that_is_sent_again_gets_the_same_answer_and_is_computed_once
     assert len(asked) == 2
 
 
+@pytest.mark.parametrize(("waited_s", "frame"), [(0.0, 9), (0.2, 9), (0.6, 8), (1.2, 7)])
+def test_a_question_that_comes_late_means_the_picture_of_when_it_was_clicked(waited_s: float, frame: int) -> None:
+    """Pictures 0.4 s apart, the newest 0.3 s old."""
+    made = {
+        n: dataclasses.replace(SET, frame=n, capture_unix_ns=SET.capture_unix_ns + n * 400_000_000) for n in range(10)
+    }
+
+    def of_a_flight(asked: Question) -> Answer | None:
+        found = made[9]
+        if asked.time_s is not None:
+            found = min(made.values(), key=lambda s: abs(s.capture_unix_ns / 1e9 - (asked.time_s or 0.0)))
+        return Answer(encode(found), json.dumps({"age_s": 0.3 + 0.4 * (9 - found.frame)}).encode())
+
+    desk = ClickDesk("uav-1", of_a_flight, OVERHEAD, a_bucket(), Clock().ns)
+    (found,) = answered(desk, ClickQuestion(5, *UV, waited_s=waited_s))
+    assert isinstance(found.answer, Fix) and found.answer.frame == frame
+    assert found.answer.age_s == pytest.approx(max(0.3 + 0.4 * (9 - frame) - waited_s, 0.0), abs=0.01)
+
+
 def test_a_flood_of_questions_is_bounded_and_never_above_the_bit_rate() -> None:
     clock = Clock()
     desk = a_desk(clock, 4800.0)
@@ -139,7 +158,7 @@ def waits_s(
         if asking is None and now_s >= next_s:
             asking, began_s = Asking(ClickQuestion(len(found), *UV), now_s), now_s
         if asking is not None and asking.is_due(now_s):
-            up.put(now_s, 20 + OVERHEAD, encode_question(asking.question))
+            up.put(now_s, 20 + OVERHEAD, asking.packet(now_s))
         if now_s >= beat_s:
             up.put(now_s, HEARTBEAT_BYTES, b"")
             beat_s = now_s + 5.0
@@ -150,7 +169,7 @@ def waits_s(
         for _, payload in desk.due():
             down.put(now_s, len(payload) + OVERHEAD, payload)
         for payload in down.arrived(now_s):
-            if asking is not None and asking.take(payload, now_s) is not None:
+            if asking is not None and asking.take(payload) is not None:
                 found.append(now_s - began_s)
                 asking, next_s = None, now_s + chance.uniform(0.5, 3.0)
     return sorted(found), down
