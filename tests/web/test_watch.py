@@ -191,7 +191,7 @@ def test_a_change_elsewhere_is_not_lost_behind_one_s_own(desk: Desk, events: lis
     desk.changed(pin_id)
     assert not desk.changed_elsewhere()
     desk.store.edit(pin_id, name="here")
-    with PinStore(desk.store.path) as other:
+    with PinStore(desk.store.name) as other:
         a_pin(other)
     desk.changed(pin_id)
     assert desk.changed_elsewhere()
