@@ -17,7 +17,7 @@ from ground.formats.xml_text import child_text, document, element, local_name, p
 NAMESPACE = "http://www.opengis.net/kml/2.2"
 # aabbggrr, as in KML; a letter next to the colour is in the name of the style.
 _COLOURS = {"person": "ff00a5ff", "vehicle": "ffff901e", "fire": "ff0000ff", "hazard": "ff00ffff", "poi": "ff98fb98"}
-_ELLIPSE_POINTS = 48
+_ELLIPSE_POINTS = 32
 ELLIPSES = "90 % ellipses"
 
 
@@ -43,7 +43,7 @@ def write(marks: Sequence[Mark], grid: Grid | None = None) -> str:
             element(place, f"{{{NAMESPACE}}}styleUrl", f"#{mark.category}")
             line = element(place, f"{{{NAMESPACE}}}LineString")
             element(line, f"{{{NAMESPACE}}}tessellate", "1")
-            element(line, f"{{{NAMESPACE}}}coordinates", " ".join(f"{x:.9f},{y:.9f}" for x, y in outline(mark)))
+            element(line, f"{{{NAMESPACE}}}coordinates", " ".join(f"{x:.7f},{y:.7f}" for x, y in outline(mark)))
     return document(root)
 
 
