@@ -67,6 +67,7 @@ BENCHMARKS = (
     Benchmark("click", "A click", (), ("--sets", "500", "--clicks", "500", "--runs", "3")),
     Benchmark("web", "The page", (), ("--clicks", "100", "--pictures", "600")),
     Benchmark("fleet", "Many aircraft at one router", (), ("--aircraft", "10", "--operators", "5", "--seconds", "8")),
+    Benchmark("radio", "Clicks through an autopilot's radio"),
     Benchmark("link", "What the link adds", (), ("--seconds", "1")),
     Benchmark(
         "picture_loss",
