@@ -8,7 +8,6 @@ import os
 import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tomllib
@@ -34,6 +33,7 @@ from simulation.terrain import TerrainSpec
 from tests import postgres
 from tests.installed import ROOT, built, laid_over
 from tests.left_out import NO_PROGRAM
+from tests.onboard.link.ports import free_udp_port
 
 pytestmark = pytest.mark.xdist_group("install")  # one worker: each environment is built once
 SHIPPED = ("contract", "ground", "onboard")
@@ -349,9 +349,7 @@ def use_open(programs: Path, folder: Path) -> None:
 
 def use_mavlink(programs: Path, folder: Path) -> None:
     """A click asked of nobody: the library is there, and what is wrong is said."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        radio = f"mavlink:udpin:127.0.0.1:{probe.getsockname()[1]}"
+    radio = f"mavlink:udpin:127.0.0.1:{free_udp_port()}"
     done = run(programs, "pc-ground", "click", 1, 2, "--connect", radio)
     assert (done.returncode, done.stdout) == (2, "") and "no autopilot was received" in done.stderr, done.stderr
 
@@ -361,9 +359,7 @@ def use_live(programs: Path, folder: Path) -> None:
     camera = folder / "camera.json"
     camera.write_text(Camera.from_field_of_view(64, 48, 60.0).to_json())
     own = f"exec:/usr/bin/python3 -I {ROOT / 'examples' / 'own_camera.py'}"
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        radio = f"udpin:127.0.0.1:{probe.getsockname()[1]}"
+    radio = f"udpin:127.0.0.1:{free_udp_port()}"
     words = ["live", "--camera", own, "--telemetry", radio, "--camera-file", camera]
     with subprocess.Popen(
         [programs / "pc-ground", *words, "--no-browser", "--port", "0"],

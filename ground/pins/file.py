@@ -67,11 +67,7 @@ class PinFile(PinTables):
         with self._told():
             path.parent.mkdir(parents=True, exist_ok=True)
             self._db = sqlite3.connect(path, timeout=BUSY_TIMEOUT_S, check_same_thread=False, isolation_level=None)
-        try:
-            self._begin()
-        except BaseException:
-            self.close()
-            raise
+        self._prepare()
 
     def _begin(self) -> None:
         if self.rows("SELECT name FROM sqlite_master WHERE type = 'table'") and not self.rows(

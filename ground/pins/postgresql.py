@@ -53,11 +53,7 @@ class PinDatabase(PinTables):
             raise InputError(f"pins {self.name}: install pointclick with its extra [postgresql]") from error
         self._db: Any = None
         self._is_closed = False
-        try:
-            self._begin()
-        except BaseException:
-            self.close()
-            raise
+        self._prepare()
 
     def _begin(self) -> None:
         if not self.rows(

@@ -28,6 +28,18 @@ class PinTables(abc.ABC):
         self.name = name
         self._lock = threading.RLock()
 
+    def _prepare(self) -> None:
+        """Begin, or close and raise."""
+        try:
+            self._begin()
+        except BaseException:
+            self.close()
+            raise
+
+    @abc.abstractmethod
+    def _begin(self) -> None:
+        """Make the tables where there are none, and check those that are there."""
+
     @abc.abstractmethod
     def close(self) -> None:
         """Close the connection; no call after this."""

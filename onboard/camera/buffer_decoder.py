@@ -58,6 +58,7 @@ class Pictures:
         is_compressed: bool = False,
     ) -> None:
         self.counts = Counts()
+        self.delay_ms = 0.0  # of the newest picture, from its stamp until it was taken
         self._clock, self._size_px, self._rate_hz = clock, size_px, rate_hz
         self._stale_ns, self._numbered_by, self._is_compressed = stale_ns, numbered_by, is_compressed
         self._latency_ns = round(latency_s * 1e9)
@@ -95,6 +96,7 @@ class Pictures:
             self.counts.skipped += 1
             return None
         self._last_stamp_ns = stamp_ns
+        self.delay_ms = (self._clock.from_monotonic_ns(now_ns) - stamp_ns) / 1e6
         self._stamps_ns.append(stamp_ns)
         image = None if buffer.flags & v4l2.BUF_FLAG_ERROR else to_grey(
             format_.fourcc, buffer.data, self._size_px, format_.bytes_per_line

@@ -15,12 +15,12 @@ def patience_s(config: CameraConfig) -> float:
     return max(config.lost_after_s, PERIODS / config.rate_hz)
 
 
-def figures(pictures: Pictures, delay_ms: float, is_open: bool) -> dict[str, float]:
+def figures(pictures: Pictures, is_open: bool) -> dict[str, float]:
     """Rate and delay of the newest pictures, and counts since the camera was first opened."""
     counts = pictures.counts
     return {
         "rate_hz": pictures.rate_hz if is_open else 0.0,
-        "delay_ms": delay_ms,
+        "delay_ms": pictures.delay_ms,
         "pictures": counts.pictures,
         "lost": counts.lost,
         "skipped": counts.skipped,

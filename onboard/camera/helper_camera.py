@@ -101,7 +101,6 @@ class HelperCamera:
         self._unusable_in_a_row = 0
         self._begun_ns = self._last_ns = now_ns()
         self._has_begun = False
-        self._delay_ms = 0.0
 
     def run(self, emit: Emit, stop: Stop) -> None:
         """Emit pictures until `stop`; raises ConfigError if the helper, at first, reports that it can never work."""
@@ -188,7 +187,6 @@ class HelperCamera:
         self._unusable_in_a_row = self._unusable_in_a_row + 1 if frame is None else 0
         if frame is not None:
             arrival_ns = self._clock.from_monotonic_ns(now_ns)
-            self._delay_ms = (arrival_ns - frame.stamp_ns) / 1e6
             for event in _of_lens_and_gimbal(header, frame.stamp_ns):
                 emit(arrival_ns, event)
             emit(arrival_ns, frame)
@@ -251,7 +249,7 @@ class HelperCamera:
     def _figures(self) -> dict[str, float]:
         sigma_s = self._stamps.sigma_s
         return {
-            **figures(self._pictures, self._delay_ms, self._stream is not None),
+            **figures(self._pictures, self._stream is not None),
             "garbage_bytes": self._garbage,
             **({} if sigma_s is None else {"stamp_sigma_ms": 1e3 * sigma_s}),
         }

@@ -80,7 +80,6 @@ class V4l2Camera:
         self._sends_nothing = False  # the last opening ended without a single picture
         self._begun_ns = self._last_ns = now_ns()
         self._has_begun = False
-        self._delay_ms = 0.0
 
     def run(self, emit: Emit, stop: Stop) -> None:
         """Emit pictures until `stop`; raises ConfigError if the device, at its first opening, cannot give them."""
@@ -132,7 +131,6 @@ class V4l2Camera:
         frame = self._pictures.take(buffer, stream.format, now_ns, was_starved)
         if frame is not None:
             arrival_ns = self._clock.from_monotonic_ns(now_ns)
-            self._delay_ms = (arrival_ns - frame.stamp_ns) / 1e6
             emit(arrival_ns, frame)
         return True
 
@@ -219,7 +217,7 @@ class V4l2Camera:
     def health(self) -> SourceStatus:
         """How the camera is. Judged now, not when the last picture came: a hanging driver is seen too."""
         stream, now_ns = self._stream, self._now_ns()
-        shown = figures(self._pictures, self._delay_ms, stream is not None)
+        shown = figures(self._pictures, stream is not None)
         silent_s = (now_ns - self._last_ns) / 1e9
         if stream is None or not stream.has_picture:
             waited_s = (now_ns - self._begun_ns) / 1e9

@@ -31,6 +31,7 @@ from onboard.link.set_selection import Offer
 from onboard.telemetry.mavlink_passage import Passage
 from onboard.telemetry.mavlink_source import PymavlinkEnd
 from tests.contract.sets import plain_set
+from tests.onboard.link.ports import free_udp_port
 
 PAYLOAD = encode(dataclasses.replace(plain_set(60), frame=7))
 KEY = bytes(range(32))
@@ -92,9 +93,7 @@ class Aircraft:
 
 @contextmanager
 def flying(key: bytes | None = None, *systems: int) -> Iterator[tuple[str, list[Aircraft]]]:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
+    port = free_udp_port()
     aircraft = [Aircraft(port, key, system) for system in systems or (3,)]
     threads = [threading.Thread(target=a.run, daemon=True) for a in aircraft]
     for thread in threads:

@@ -83,6 +83,50 @@ def record(folder: Path) -> Flown:
     return Flown(first, refused.frame)
 
 
+class PageProgram:
+    """A command of `pc-ground` that serves the page, as its user starts it, until the page is there or it ends."""
+
+    ends_within_s = PATIENCE_S  # of a signal, or of its last line
+
+    def __init__(self, *words: object, home: Path | None = None) -> None:
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+        if home is not None:
+            environment["XDG_DATA_HOME"] = str(home)
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "ground", *map(str, words)],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment, cwd=ROOT,
+        )  # fmt: skip
+        self.said, self.url = "", ""
+        self.is_served = False  # whether the page was there
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.said += line
+            if found := re.match(r"open (http\S+)", line):
+                self.url = found[1]
+            if "Ctrl-C" in line:
+                self.is_served = True
+                # Whatever it says later is read, or it would wait for a reader.
+                self.reader = threading.Thread(target=self._read, daemon=True)
+                self.reader.start()
+                return
+        self.process.wait(self.ends_within_s)
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.said += line
+
+    @property
+    def local(self) -> str:
+        """What `Operator` asks the server at."""
+        return self.url
+
+    def end(self, number: signal.Signals = signal.SIGINT) -> int:
+        """A signal, and its exit status then."""
+        self.process.send_signal(number)
+        return self.process.wait(self.ends_within_s)
+
+
 class Server:
     """`pc-ground web` as its user starts it."""
 
@@ -92,23 +136,10 @@ class Server:
 
     def start(self, port: int = 0) -> None:
         """With the same arguments, perhaps once more."""
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "ground", "web", "--port", str(port), *map(str, self.arguments)],
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment, cwd=ROOT,
-        )  # fmt: skip
-        self.said = ""
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            self.said += line
-            if found := re.match(r"open (\S+)", line):
-                self.url = found[1]
-            if "Ctrl-C" in line:
-                break
-        else:
-            raise AssertionError(f"the server did not start: {self.said}")
-        # Whatever it says later is read, or it would wait for a reader.
-        threading.Thread(target=self.process.stdout.read, daemon=True).start()
+        program = PageProgram("web", "--port", port, *self.arguments)
+        if not program.is_served:
+            raise AssertionError(f"the server did not start: {program.said}")
+        self.process, self.said, self.url = program.process, program.said, program.url
         found = re.search(r":(\d+)/", self.url)
         assert found is not None
         self.port = int(found[1])

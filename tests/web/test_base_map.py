@@ -23,6 +23,17 @@ pytestmark = pytest.mark.xdist_group("web")
 LOOKS = 200
 
 
+def share_drawn(page: Any) -> float:
+    """Of the map's pixels, those of the tiles, looked at until they are there: a map says nothing when it has drawn."""
+    share = 0.0
+    for _ in range(LOOKS):
+        share = share_of(page.get_by_test_id("map"), COLOUR)
+        if share > 0.3:
+            break
+        page.wait_for_timeout(100)
+    return share
+
+
 @pytest.mark.parametrize(("name", "write"), [("base.mbtiles", write_mbtiles), ("base.pmtiles", write_pmtiles)])
 def test_tiles_of_a_file_lie_under_the_map(
     tmp_path: Path, chromium: Any, name: str, write: Callable[[Path], None]
@@ -32,14 +43,7 @@ def test_tiles_of_a_file_lie_under_the_map(
     with Flight(tmp_path / "pins.sqlite", open_tiles(str(tmp_path / name))) as flight:
         page = opened(chromium, flight.url, SMALL)
         try:
-            # Looked at until they are there: a map says nothing when it has drawn.
-            share = 0.0
-            for _ in range(LOOKS):
-                share = share_of(page.get_by_test_id("map"), COLOUR)
-                if share > 0.3:
-                    break
-                page.wait_for_timeout(100)
-            assert share > 0.3
+            assert share_drawn(page) > 0.3
         finally:
             page.context.close()
 
@@ -106,12 +110,6 @@ def test_tiles_of_a_region_are_in_sight_before_any_aircraft_is(
     with Flight(tmp_path / "pins.sqlite", tiles, aircraft=0) as flight:
         page = opened(chromium, flight.url, SMALL, has_picture=False)
         try:
-            share = 0.0
-            for _ in range(LOOKS):
-                share = share_of(page.get_by_test_id("map"), COLOUR)
-                if share > 0.3:
-                    break
-                page.wait_for_timeout(100)
-            assert share > 0.3
+            assert share_drawn(page) > 0.3
         finally:
             page.context.close()

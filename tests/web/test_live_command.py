@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import signal
-import socket
 import subprocess
-import sys
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,48 +19,26 @@ from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
 from tests.left_out import NO_PROGRAM
+from tests.onboard.link.ports import free_udp_port
 from tests.rtsp import PACKAGES, is_installed
 from tests.scenarios.flights import flown
 from tests.streamed_flight import StreamedFlight
 from tests.web.browsing import Operator
 from tests.web.conftest import page_is_built
-from tests.web.served import ROOT
+from tests.web.served import PageProgram
 
 RATE_HZ = 6.0
 START_S = 30.0  # two programs, GStreamer and a browser on a loaded machine
 TO_CLICK_S = 15.0  # of flight
 
 
-class Live:
-    """`pc-ground live` as its user starts it."""
+class Live(PageProgram):
+    """`pc-ground live`."""
+
+    ends_within_s = 20.0
 
     def __init__(self, home: Path, *arguments: object) -> None:
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_DATA_HOME": str(home), "PYTHONUNBUFFERED": "1"}
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "ground", "live", *map(str, arguments), "--no-browser", "--port", "0"],
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment, cwd=ROOT,
-        )  # fmt: skip
-        self.said, self.url = "", ""
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            self.said += line
-            if found := re.match(r"open (http\S+)", line):
-                self.url = found[1]
-            if "Ctrl-C" in line:
-                self.reader = threading.Thread(target=self._read, daemon=True)
-                self.reader.start()
-                return
-        self.process.wait(START_S)
-
-    def _read(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            self.said += line
-
-    @property
-    def local(self) -> str:
-        """What `Operator` asks the server at."""
-        return self.url
+        super().__init__("live", *arguments, "--no-browser", "--port", "0", home=home)
 
     def onboard(self) -> list[int]:
         """The aircraft's programs that it has started."""
@@ -72,16 +46,6 @@ class Live:
             ["ps", "-o", "pid=", "--ppid", str(self.process.pid)], capture_output=True, text=True, check=False
         )
         return [int(word) for word in listed.stdout.split()]
-
-    def end(self, number: signal.Signals) -> int:
-        self.process.send_signal(number)
-        return self.process.wait(20.0)
-
-
-def free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @pytest.fixture(scope="module")

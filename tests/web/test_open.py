@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-import os
-import re
 import resource
-import signal
-import subprocess
-import sys
-import threading
 import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -27,42 +21,22 @@ from tests.own_flights import write_named_photographs, write_video
 from tests.scenarios.flights import flown
 from tests.web.browsing import Operator
 from tests.web.conftest import page_is_built
-from tests.web.served import PATIENCE_S, ROOT
+from tests.web.served import PATIENCE_S, PageProgram
 
 pytestmark = pytest.mark.xdist_group("open")  # one worker: the flight is drawn once
 LIMIT_S = 60.0  # of processor time, from the command to the page
 
 
-class Opened:
-    """`pc-ground open` as its user starts it, until the page is there or it ends."""
+class Opened(PageProgram):
+    """`pc-ground open`."""
 
     def __init__(self, home: Path, *arguments: object) -> None:
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_DATA_HOME": str(home), "PYTHONUNBUFFERED": "1"}
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "ground", "open", *map(str, arguments), "--no-browser", "--port", "0"],
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment, cwd=ROOT,
-        )  # fmt: skip
-        self.said, self.url = "", ""
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            self.said += line
-            if found := re.match(r"open (http\S+)", line):
-                self.url = found[1]
-            if "Ctrl-C" in line:
-                threading.Thread(target=self.process.stdout.read, daemon=True).start()
-                return
-        self.process.wait(PATIENCE_S)
-
-    @property
-    def local(self) -> str:
-        """What `Operator` asks the server at."""
-        return self.url
+        super().__init__("open", *arguments, "--no-browser", "--port", "0", home=home)
 
     def close(self) -> None:
         """As Ctrl-C does."""
         if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
-            self.process.wait(PATIENCE_S)
+            self.end()
 
 
 @pytest.fixture(scope="module")

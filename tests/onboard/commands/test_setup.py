@@ -22,6 +22,7 @@ from onboard.commands.setup import Found, Surroundings
 from onboard.config.files import load_config_files
 from onboard.telemetry.autopilot_search import Heard, candidates, listen
 from simulation.autopilot.fake import FakeAutopilot
+from tests.onboard.link.ports import free_udp_port
 from tests.onboard.telemetry.listening import FLIGHT
 
 PI = Found("libcamera:/base/soc/i2c0mux/i2c@1/imx219@10", "/base/soc/i2c0mux/i2c@1/imx219@10")
@@ -249,9 +250,7 @@ def test_an_autopilot_is_heard_on_a_serial_line_by_its_heartbeat(style: str, kin
 
 def test_silence_others_and_a_wire_that_is_not_there_are_none(tmp_path: Path) -> None:
     assert listen(f"serial:{tmp_path / 'none'}:57600", 0.1) is None
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_udp_port()
     gcs = mavlink.MAVLink_heartbeat_message(6, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for _ in range(3):

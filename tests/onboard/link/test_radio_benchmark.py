@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 import shlex
-import socket
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from tests.onboard.link.ports import free_udp_port
 
 ROOT = Path(__file__).resolve().parents[3]
 LOG = ROOT / "tests" / "data" / "plane_turn.tlog"
@@ -27,13 +28,7 @@ def test_without_an_autopilot_it_says_that_nothing_was_measured() -> None:
 
 @pytest.mark.wall_clock
 def test_clicks_through_an_autopilot_are_counted_and_its_own_messages_timed() -> None:
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as two,
-    ):
-        one.bind(("127.0.0.1", 0))
-        two.bind(("127.0.0.1", 0))
-        onboard, ground = one.getsockname()[1], two.getsockname()[1]
+    onboard, ground = free_udp_port(), free_udp_port()
     module = "tests.onboard.link.forwarding_autopilot"
     autopilot = shlex.join([sys.executable, "-m", module, str(LOG), str(onboard), str(ground)])
     done = benchmark(

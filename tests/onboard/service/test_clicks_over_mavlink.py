@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -12,15 +11,10 @@ from pathlib import Path
 from contract.wire.click_code import TUNNEL_TYPE
 from ground.recording import Recording
 from tests.onboard.link.mavlink_router import Line, Router, Udp
+from tests.onboard.link.ports import free_udp_port
 from tests.onboard.service.air import STRAIGHT
 from tests.onboard.service.process import ROOT, aircraft
 from tests.scenarios.flights import CAMERA
-
-
-def free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def pc_ground(*arguments: object, lines: str = "") -> subprocess.CompletedProcess[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import socket
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -18,6 +17,7 @@ from onboard.events.source import State
 from onboard.events.types import Attitude, FilterStatus, GpsQuality, NavEvent, PositionFix
 from onboard.telemetry.tlog_reader import read_tlog
 from simulation.autopilot.fake import FakeAutopilot
+from tests.onboard.link.ports import free_udp_port
 from tests.onboard.telemetry.listening import FLIGHT, Listening, config_for, content, errors_ms, expected, listening
 
 pytestmark = pytest.mark.wall_clock
@@ -51,12 +51,6 @@ class Flown:
         return [event for _, event in self.heard.got]  # type: ignore[misc]
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("logs")
@@ -72,7 +66,7 @@ def flown(folder: Path) -> Iterator[dict[str, Flown]]:
             autopilot = stack.enter_context(
                 FakeAutopilot(
                     FLIGHT,
-                    url.format(free=free_port()),
+                    url.format(free=free_udp_port()),
                     style=style,
                     drift=DRIFT,
                     system=number + 1,

@@ -31,6 +31,7 @@ from onboard.telemetry.siyi_protocol import (
     zoom_times,
 )
 from onboard.telemetry.siyi_source import SiyiAnswers, SiyiGimbal, WithGimbal, siyi_address
+from tests.onboard.link.ports import free_udp_port
 from tests.onboard.telemetry.listening import Listening
 
 MS = 1_000_000
@@ -150,7 +151,7 @@ def flown() -> Iterator[tuple[FakeGimbal, Listening]]:
     gimbal = FakeGimbal()
     config = parse_config(
         f"[mount]\ngimbal_url = 'siyi:127.0.0.1:{gimbal.port}'\n[telemetry]\nurl = 'udpin:127.0.0.1:0'\n"
-        "lost_after_s = 0.4".replace("127.0.0.1:0'", f"127.0.0.1:{_free_port()}'")
+        "lost_after_s = 0.4".replace("127.0.0.1:0'", f"127.0.0.1:{free_udp_port()}'")
     )
     clock = SessionClock.start()
     heard = Listening(open_telemetry(config, clock), clock)
@@ -166,12 +167,6 @@ def flown() -> Iterator[tuple[FakeGimbal, Listening]]:
             thread.join(10.0)
         gimbal.socket.close()
         assert not any(t.is_alive() for t in threads) and not heard.faults
-
-
-def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @pytest.mark.wall_clock
