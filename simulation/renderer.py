@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from contract.errors import InputError
+from simulation.movers import Movers
 from simulation.terrain import Terrain
 from simulation.texture import Texture
 from simulation.trajectory import Pose
@@ -53,9 +54,17 @@ class SensorSpec:
 class Renderer:
     """Draws what a camera sees. Keeps the camera's rays; every picture is a function of its pose, time and seed."""
 
-    def __init__(self, camera: Camera, terrain: Terrain, texture: Texture, sensor: SensorSpec, seed: int = 0) -> None:
+    def __init__(
+        self,
+        camera: Camera,
+        terrain: Terrain,
+        texture: Texture,
+        sensor: SensorSpec,
+        seed: int = 0,
+        movers: Movers | None = None,
+    ) -> None:
         self.camera, self.terrain, self.texture, self.sensor = camera, terrain, texture, sensor
-        self._seed = seed
+        self._seed, self._movers = seed, movers
         width, height = camera.size_px
         grid = np.stack(np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float)), axis=-1)
         rays, valid = camera.unproject(grid)
@@ -122,6 +131,8 @@ class Renderer:
         slant = length / np.maximum(-down, np.float32(0.02))
         footprint = depth * np.float32(1.0 / self.camera.focal_px) * slant ** np.float32(0.75)
         light = self.texture.albedo(pose.centre_m[:2], east, north, footprint, time_s) * shade
+        if self._movers is not None:
+            self._movers.paint(light, pose, east, north, footprint, time_s)
         if not seen.all() or float(depth.max()) > 0.15 * HAZE_M:
             clear = np.exp(-depth * length * np.float32(1.0 / HAZE_M)) * seen
             light = light * clear + np.float32(SKY) * (np.float32(1.0) - clear)

@@ -16,6 +16,7 @@ from contract.errors import InputError
 from contract.rotations import exp_so3, mount_rotation
 from simulation.flight import DescribedSpec, Flight, RecordedSpec, described_flight, recorded_flight
 from simulation.moved_optics import stabilised, zoomed
+from simulation.movers import Movers, MoverSpec
 from simulation.renderer import MAX_SUB_EXPOSURES, Renderer, RowPoses, SensorSpec
 from simulation.rows import RowsOf
 from simulation.terrain import Terrain, TerrainSpec
@@ -55,6 +56,7 @@ class SessionSpec:
     readout_s: float = 0.0  # of the rows, positive if the first comes first; declared in the configuration
     stabilised_s: float | None = None  # over which electronic stabilisation smooths rotation; None: there is none
     zoom: tuple[float, float, float] | None = None  # factor, from and until (s after the first picture)
+    movers: tuple[MoverSpec, ...] = ()
 
     def __post_init__(self) -> None:
         if self.filed_camera is not None and self.filed_camera.size_px != self.camera.size_px:
@@ -86,7 +88,8 @@ def fly(spec: SessionSpec, out_dir: Path | str, progress: Callable[[int, int], N
     flight = make_flight(spec)
     R_body_cam = mount_rotation(*spec.mount_deg) @ exp_so3(np.radians(spec.boresight_deg))
     terrain = Terrain(spec.terrain)
-    renderer = Renderer(spec.camera, terrain, Texture(spec.texture), spec.sensor, spec.seed)
+    movers = Movers(spec.movers, flight.start_s) if spec.movers else None
+    renderer = Renderer(spec.camera, terrain, Texture(spec.texture), spec.sensor, spec.seed, movers)
 
     time = flight.start_s + np.arange(round(spec.seconds * spec.rate_hz)) / spec.rate_hz
     if not len(time):
@@ -107,7 +110,7 @@ def fly(spec: SessionSpec, out_dir: Path | str, progress: Callable[[int, int], N
     for frame, t in enumerate(time):
         shutter = shutter_poses(flight, R_body_cam, float(t), spec.sensor.exposure_s, spec.camera, terrain)
         if optics is not None and optics.cameras[frame] != renderer.camera:
-            renderer = Renderer(optics.cameras[frame], terrain, renderer.texture, spec.sensor, spec.seed)
+            renderer = Renderer(optics.cameras[frame], terrain, renderer.texture, spec.sensor, spec.seed, movers)
         rows_of = _row_poses(optics.rows, renderer.camera, float(t), spec, len(shutter)) if optics else None
         picture = renderer.picture(shutter, float(gains[frame]), frame, float(t), rows_of)
         if not cv2.imwrite(str(frames / files[frame]), picture):

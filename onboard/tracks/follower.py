@@ -1,0 +1,287 @@
+"""One thing followed from picture to picture, against the ground's own motion. (21.6) to (21.9)
+
+Two things speak for a place: it looks as the thing did (correlation), and something is there that was not there before
+(`backdrop`). A person from 120 m is four pixels: features of its own it has none, and a window about it is mostly
+ground. A thing at rest shows no difference and goes with the ground.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.geometry.plane_homography import move
+from onboard.tracks.backdrop import Patch, cut, difference
+from onboard.tracks.ground_steps import Pictures, Seen
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+LEAST_SIZE_PX, USUAL_SIZE_PX, MOST_SIZE_PX = 3.0, 9.0, 48.0
+MOST_REACH_PX = 40  # that a thing is looked for about where it should be
+FASTEST_M_S, ACCELERATION_M_S2 = 25.0, 2.5  # one sigma, of people and cars
+USUAL_M_PX = 0.15  # on the ground, where no set says better
+CLICK_SIGMA_PX, CLICK_REACH_PX = 1.5, 10.0
+SURE_DIFFERENCE, SURE_LIKENESS, LEAST_LIKENESS = 0.35, 0.8, 0.3
+LOST_AFTER_S = 2.0
+OLD_S = 1.0  # age of the older of the two looks that are remembered
+PRIOR_WEIGHT = 0.04
+# Where nothing has changed by more than so much, and the thing looks elsewhere better by at most so much, it stands.
+UNCHANGED, STILL_LIKENESS, STILL_SIGMA_PX = 0.1, 0.05, 0.3
+
+
+class Reason(Enum):
+    """Why a thing is not seen. The order is the wire code: it grows at its end only."""
+
+    NONE = ""
+    HIDDEN = "hidden"  # it is not where it should be
+    OFF_PICTURE = "off_picture"
+    NO_GROUND = "no_ground"  # the ground's motion could not be found
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """Where a thing is in a picture (2,), px, one sigma of it, its size, and whether it was seen there or why not."""
+
+    seen: Seen
+    uv_px: Array
+    sigma_px: float
+    size_px: float
+    reason: Reason = Reason.NONE
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether it was found."""
+        return self.reason is Reason.NONE
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """What the thing looked like: a patch about its place, and what that picture's ground has turned to since."""
+
+    stamp_ns: int
+    patch: Patch
+    uv_px: Array
+    turned: Array  # (2, 2): pixels then -> now
+
+    def warped(self, half: int) -> Image:
+        """The thing as it should look now, (2 half + 1) squared, about its middle."""
+        back = np.linalg.inv(self.turned)
+        middle = self.uv_px - self.patch.corner
+        M = np.column_stack([back, middle - back @ np.array([half, half])])
+        size = 2 * half + 1
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        out = cv2.warpAffine(self.patch.image, M, (size, size), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(out, np.float32)
+
+
+class Follower:
+    """Follows one thing; `begin` at the clicked picture, `follow` through those that come after it, in order."""
+
+    def __init__(self, pictures: Pictures, clicked: Seen, uv_px: Array, m_px: float | None = None) -> None:
+        self._pictures = pictures
+        self._m_px = m_px or USUAL_M_PX
+        self._seen = clicked
+        self._size = USUAL_SIZE_PX
+        self._uv = np.asarray(uv_px, float)
+        self._find_size()
+        fastest = FASTEST_M_S / 2.0 / self._m_px
+        self._velocity = np.zeros(2)  # against the ground, px/s
+        self._cov = np.diag([CLICK_SIGMA_PX**2] * 2 + [fastest**2] * 2)
+        self._looks: list[_Look] = []
+        self._rest: Array | None = None  # where it is if it has stood since it was last seen to move
+        self._last_seen_ns = clicked.stamp_ns
+        self._rest = self._uv.copy()
+        self._remember()
+
+    @property
+    def has_look(self) -> bool:
+        """Whether there was anything to be followed: a click at the very border has none."""
+        return bool(self._looks)
+
+    def is_lost(self, seen: Seen) -> bool:
+        """Whether it has not been seen for so long that it is given up."""
+        return seen.stamp_ns - self._last_seen_ns > LOST_AFTER_S * 1e9
+
+    def follow(self, seen: Seen) -> Sight:
+        """Look for it in the next picture."""
+        H = self._pictures.between(self._seen, seen)
+        dt = (seen.stamp_ns - self._seen.stamp_ns) * 1e-9
+        self._seen = seen
+        if H is None:
+            return self._unseen(Reason.NO_GROUND)
+        self._predict(H, dt)
+        height, width = seen.image.shape
+        if not (0.0 <= self._uv[0] <= width - 1.0 and 0.0 <= self._uv[1] <= height - 1.0):
+            return self._unseen(Reason.OFF_PICTURE)
+        reach = self._reach()
+        half = self._half()
+        patch = cut(seen, self._uv, reach + half + 6)
+        if patch is None:
+            return self._unseen(Reason.OFF_PICTURE)
+        changed = difference(self._pictures, seen, patch)
+        found = self._best(patch, changed, reach, half)
+        if found is None:
+            return self._unseen(Reason.HIDDEN)
+        uv, sigma = found
+        is_still = uv is self._rest
+        self._update(uv, sigma)
+        if not is_still:
+            self._rest = self._uv.copy()
+        self._last_seen_ns = seen.stamp_ns
+        self._remember()
+        return Sight(seen, uv, sigma, self._size)
+
+    def _unseen(self, reason: Reason) -> Sight:
+        sigma = float(np.sqrt(0.5 * np.trace(self._cov[:2, :2])))
+        return Sight(self._seen, self._uv.copy(), sigma, self._size, reason)
+
+    def _predict(self, H: Array, dt: float) -> None:
+        """(21.6): with the ground, and on with its own velocity."""
+        near = move(H, self._uv + np.array([[0.0, 0.0], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]]))
+        J = np.stack([near[1] - near[2], near[3] - near[4]], axis=1)
+        if self._rest is not None:
+            self._rest = move(H, self._rest[None])[0]
+        self._velocity = J @ self._velocity
+        self._uv = near[0] + self._velocity * dt
+        F = np.block([[J, dt * J], [np.zeros((2, 2)), J]])
+        q = (ACCELERATION_M_S2 / self._m_px) ** 2
+        Q = np.kron(np.array([[dt**4 / 4.0, dt**3 / 2.0], [dt**3 / 2.0, dt**2]]), q * np.eye(2))
+        self._cov = F @ self._cov @ F.T + Q + np.diag([0.01, 0.01, 0.0, 0.0])
+        self._looks = [replace(look, turned=J @ look.turned) for look in self._looks]
+
+    def _update(self, uv: Array, sigma: float) -> None:
+        gain = self._cov[:, :2] @ np.linalg.inv(self._cov[:2, :2] + sigma**2 * np.eye(2))
+        change = gain @ (uv - self._uv)
+        self._uv, self._velocity = self._uv + change[:2], self._velocity + change[2:]
+        left = np.eye(4) - gain @ np.eye(4)[:2]
+        self._cov = left @ self._cov @ left.T + sigma**2 * gain @ gain.T
+
+    def _reach(self) -> int:
+        sigma = float(np.sqrt(np.linalg.eigvalsh(self._cov[:2, :2])[-1]))
+        return int(np.clip(np.ceil(3.0 * sigma + 1.0), 3, MOST_REACH_PX))
+
+    def _half(self) -> int:
+        return int(np.clip(np.ceil(0.75 * self._size), 3, 30))
+
+    def _best(self, patch: Patch, changed: Image | None, reach: int, half: int) -> tuple[Array, float] | None:
+        """(21.7): the likeliest place in the picture and its one sigma; None if it is seen nowhere."""
+        middle = (patch.image.shape[0] - 1) // 2
+        search = patch.image[middle - reach - half : middle + reach + half + 1, middle - reach - half : middle + reach + half + 1]
+        likeness = self._likeness(search, half)
+        steps = np.arange(-reach, reach + 1, dtype=float)
+        place = np.stack(np.meshgrid(steps, steps), axis=-1) + patch.corner + middle
+        off = place - self._uv
+        far = np.einsum("ijk,kl,ijl->ij", off, np.linalg.inv(self._cov[:2, :2] + 0.25 * np.eye(2)), off)
+        score = likeness - PRIOR_WEIGHT * far
+        here = None
+        if changed is not None:
+            cover = cv2.GaussianBlur(changed, (0, 0), max(0.3 * self._size, 0.8))
+            here = np.clip(1.6 * cover[middle - reach : middle + reach + 1, middle - reach : middle + reach + 1], 0.0, 1.0)
+            score = score + here
+        j, i = np.unravel_index(int(np.argmax(score)), score.shape)
+        like, differs = float(likeness[j, i]), 0.0 if here is None else float(here[j, i])
+        if here is not None and (still := self._still(likeness, here, place[0, 0], like)) is not None:
+            return still, STILL_SIGMA_PX
+        if not (like >= SURE_LIKENESS or (differs >= SURE_DIFFERENCE and like >= LEAST_LIKENESS)):
+            return None
+        alike, sigma = place[j, i] + _peak(likeness, int(i), int(j)), 0.3 + 2.0 * (1.0 - like)
+        if changed is None or differs < SURE_DIFFERENCE:
+            return alike, sigma
+        centre, spread = self._centred(changed, np.array([i, j]) - reach + middle, patch)
+        share = sigma**2 / (sigma**2 + spread**2)
+        return alike + share * (centre - alike), sigma * spread / float(np.hypot(sigma, spread))
+
+    def _still(self, likeness: Image, here: Image, first: Array, best: float) -> Array | None:
+        """(21.9): where it stood, if nothing there has changed and it looks no better elsewhere; None if it moves."""
+        if self._rest is None:
+            return None
+        i, j = (int(n) for n in np.rint(self._rest - first))
+        if not (0 <= j < likeness.shape[0] and 0 <= i < likeness.shape[1]):
+            return None
+        like = float(likeness[j, i])
+        stands = here[j, i] < UNCHANGED and like >= max(SURE_LIKENESS, best - STILL_LIKENESS)
+        return self._rest if stands else None
+
+    def _likeness(self, search: Image, half: int) -> Image:
+        """Correlation of the thing's looks with every place, the mean of both; 0 where there is nothing to compare."""
+        size = 2 * half + 1
+        axis = np.arange(size) - half
+        soft = np.exp(-0.5 * (axis / max(0.45 * self._size, 1.2)) ** 2)
+        mask = np.outer(soft, soft).astype(np.float32)
+        mask /= mask.sum()
+        whole = [cv2.filter2D(part, cv2.CV_32F, mask)[half:-half, half:-half] for part in (search, search * search)]
+        spread = np.sqrt(np.maximum(whole[1] - whole[0] ** 2, 0.25))
+        maps = []
+        for look in self._looks:
+            wanted = look.warped(half)
+            wanted = wanted - float((mask * wanted).sum())
+            size_of_it = np.sqrt(max(float((mask * wanted * wanted).sum()), 0.25))
+            maps.append(cv2.filter2D(search, cv2.CV_32F, mask * wanted)[half:-half, half:-half] / (spread * size_of_it))
+        out: Image = np.mean(maps, axis=0)
+        return out
+
+    def _centred(self, changed: Image, at: Array, patch: Patch) -> tuple[Array, float]:
+        """(21.8): the middle of what differs and one sigma of it, px; and the thing's size by its area."""
+        rows, columns = np.mgrid[: changed.shape[0], : changed.shape[1]]
+        centre = at.astype(float)
+        for _ in range(3):
+            near = np.maximum(np.abs(rows - centre[1]), np.abs(columns - centre[0])) <= max(0.8 * self._size, 2.5)
+            weight = changed * near
+            total = float(weight.sum())
+            if total < 1.0:
+                break
+            centre = np.array([(weight * columns).sum(), (weight * rows).sum()]) / total
+        area = float((changed * near).sum())
+        self._size += 0.15 * (float(np.clip(1.15 * np.sqrt(area), LEAST_SIZE_PX, MOST_SIZE_PX)) - self._size)
+        return centre + patch.corner, 0.08 * self._size
+
+    def _remember(self) -> None:
+        """What it looks like now, beside what it looked like OLD_S ago."""
+        half = self._half()
+        patch = cut(self._seen, self._uv, int(1.5 * half) + 2)
+        if patch is None:
+            return
+        new = _Look(self._seen.stamp_ns, patch, self._uv.copy(), np.eye(2))
+        old = [look for look in self._looks if new.stamp_ns - look.stamp_ns >= OLD_S * 1e9]
+        if not self._looks:
+            self._looks = [new]
+        elif len(self._looks) == 1 or old[:1] == self._looks[:1]:
+            self._looks = [self._looks[-1], new]
+        else:
+            self._looks = [self._looks[0], new]
+
+    def _find_size(self) -> None:
+        """From what differs about the click, if the thing has been moving: its middle and how large it is."""
+        patch = cut(self._seen, self._uv, int(MOST_SIZE_PX))
+        changed = None if patch is None else difference(self._pictures, self._seen, patch)
+        if patch is None or changed is None:
+            return
+        sure = cv2.morphologyEx((changed > 0.3).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+        count, _, stats, middles = cv2.connectedComponentsWithStats(sure)
+        for k in sorted(range(1, count), key=lambda k: -stats[k, cv2.CC_STAT_AREA]):
+            left, top, width, height, area = stats[k]
+            uv = self._uv - patch.corner
+            outside = np.maximum(np.maximum([left, top] - uv, uv - [left + width - 1, top + height - 1]), 0.0)
+            if area >= 5 and max(width, height) <= 1.5 * MOST_SIZE_PX and np.hypot(*outside) <= 3.0:
+                self._size = float(np.clip(1.15 * np.sqrt(area), LEAST_SIZE_PX, MOST_SIZE_PX))
+                if np.hypot(*(middles[k] - uv)) <= max(CLICK_REACH_PX, 0.5 * self._size):
+                    self._uv = middles[k] + patch.corner
+                return
+
+
+def _peak(values: Image, i: int, j: int) -> Array:
+    """How far from (i, j) a parabola through its neighbours has its peak, px."""
+    out = np.zeros(2)
+    for axis, (one, two) in enumerate((((j, i - 1), (j, i + 1)), ((j - 1, i), (j + 1, i)))):
+        if min(*one, *two) < 0 or two[0] >= values.shape[0] or two[1] >= values.shape[1]:
+            continue
+        a, b, c = float(values[one]), float(values[j, i]), float(values[two])
+        bend = a - 2.0 * b + c
+        if bend < -1e-6:
+            out[axis] = float(np.clip(0.5 * (a - c) / bend, -0.5, 0.5))
+    return out
