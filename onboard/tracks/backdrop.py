@@ -1,4 +1,4 @@
-"""What lies behind a thing: the same ground in earlier pictures, when the thing was elsewhere. (21.3) to (21.5)"""
+"""What lies behind a thing: the same ground in earlier pictures, when the thing was elsewhere. (22.3) to (22.5)"""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def earlier(pictures: Pictures, seen: Seen) -> list[Seen]:
 
 
 def difference(pictures: Pictures, seen: Seen, patch: Patch) -> Image | None:
-    """How surely each pixel of a patch (S, S) shows something that was not there before, 0 to 1. (21.5)
+    """How surely each pixel of a patch (S, S) shows something that was not there before, 0 to 1. (22.5)
 
     None without at least two earlier pictures of the same ground.
     """
@@ -100,7 +100,7 @@ def _warped(other: Seen, M: Array, size: int) -> Image:
 
 
 def _fit(image: Image, behind: Image) -> tuple[Array, float, float]:
-    """(21.4): the shift (px) of `behind`, its gain and lift, that bring it onto `image`, whatever covers a part."""
+    """(22.4): the shift (px) of `behind`, its gain and lift, that bring it onto `image`, whatever covers a part."""
     b = behind[1:-1:STRIDE, 1:-1:STRIDE].ravel()
     dx = 0.5 * (behind[1:-1:STRIDE, 2::STRIDE] - behind[1:-1:STRIDE, :-2:STRIDE]).ravel()
     dy = 0.5 * (behind[2::STRIDE, 1:-1:STRIDE] - behind[:-2:STRIDE, 1:-1:STRIDE]).ravel()

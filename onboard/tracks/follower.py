@@ -1,4 +1,4 @@
-"""One thing followed from picture to picture, against the ground's own motion. (21.6) to (21.9)
+"""One thing followed from picture to picture, against the ground's own motion. (22.6) to (22.9)
 
 Two things speak for a place: it looks as the thing did (correlation), and something is there that was not there before
 (`backdrop`). A person from 120 m is four pixels: features of its own it has none, and a window about it is mostly
@@ -8,12 +8,12 @@ ground. A thing at rest shows no difference and goes with the ground.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.track import Unseen
 from onboard.geometry.plane_homography import move
 from onboard.tracks.backdrop import Patch, cut, difference
 from onboard.tracks.ground_steps import Pictures, Seen
@@ -34,15 +34,6 @@ PRIOR_WEIGHT = 0.04
 UNCHANGED, STILL_LIKENESS, STILL_SIGMA_PX = 0.1, 0.05, 0.3
 
 
-class Reason(Enum):
-    """Why a thing is not seen. The order is the wire code: it grows at its end only."""
-
-    NONE = ""
-    HIDDEN = "hidden"  # it is not where it should be
-    OFF_PICTURE = "off_picture"
-    NO_GROUND = "no_ground"  # the ground's motion could not be found
-
-
 @dataclass(frozen=True, eq=False)
 class Sight:
     """Where a thing is in a picture (2,), px, one sigma of it, its size, and whether it was seen there or why not."""
@@ -51,12 +42,12 @@ class Sight:
     uv_px: Array
     sigma_px: float
     size_px: float
-    reason: Reason = Reason.NONE
+    unseen: Unseen = Unseen.NONE
 
     @property
     def is_seen(self) -> bool:
         """Whether it was found."""
-        return self.reason is Reason.NONE
+        return self.unseen is Unseen.NONE
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +90,16 @@ class Follower:
         self._remember()
 
     @property
+    def uv_px(self) -> Array:
+        """Where it is taken to be (2,)."""
+        return self._uv
+
+    @property
+    def size_px(self) -> float:
+        """How large it is taken to be."""
+        return self._size
+
+    @property
     def has_look(self) -> bool:
         """Whether there was anything to be followed: a click at the very border has none."""
         return bool(self._looks)
@@ -113,20 +114,20 @@ class Follower:
         dt = (seen.stamp_ns - self._seen.stamp_ns) * 1e-9
         self._seen = seen
         if H is None:
-            return self._unseen(Reason.NO_GROUND)
+            return self._unseen(Unseen.NO_GROUND)
         self._predict(H, dt)
         height, width = seen.image.shape
         if not (0.0 <= self._uv[0] <= width - 1.0 and 0.0 <= self._uv[1] <= height - 1.0):
-            return self._unseen(Reason.OFF_PICTURE)
+            return self._unseen(Unseen.OFF_PICTURE)
         reach = self._reach()
         half = self._half()
         patch = cut(seen, self._uv, reach + half + 6)
         if patch is None:
-            return self._unseen(Reason.OFF_PICTURE)
+            return self._unseen(Unseen.OFF_PICTURE)
         changed = difference(self._pictures, seen, patch)
         found = self._best(patch, changed, reach, half)
         if found is None:
-            return self._unseen(Reason.HIDDEN)
+            return self._unseen(Unseen.HIDDEN)
         uv, sigma = found
         is_still = uv is self._rest
         self._update(uv, sigma)
@@ -136,12 +137,12 @@ class Follower:
         self._remember()
         return Sight(seen, uv, sigma, self._size)
 
-    def _unseen(self, reason: Reason) -> Sight:
+    def _unseen(self, unseen: Unseen) -> Sight:
         sigma = float(np.sqrt(0.5 * np.trace(self._cov[:2, :2])))
-        return Sight(self._seen, self._uv.copy(), sigma, self._size, reason)
+        return Sight(self._seen, self._uv.copy(), sigma, self._size, unseen)
 
     def _predict(self, H: Array, dt: float) -> None:
-        """(21.6): with the ground, and on with its own velocity."""
+        """(22.6): with the ground, and on with its own velocity."""
         near = move(H, self._uv + np.array([[0.0, 0.0], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]]))
         J = np.stack([near[1] - near[2], near[3] - near[4]], axis=1)
         if self._rest is not None:
@@ -169,7 +170,7 @@ class Follower:
         return int(np.clip(np.ceil(0.75 * self._size), 3, 30))
 
     def _best(self, patch: Patch, changed: Image | None, reach: int, half: int) -> tuple[Array, float] | None:
-        """(21.7): the likeliest place in the picture and its one sigma; None if it is seen nowhere."""
+        """(22.7): the likeliest place in the picture and its one sigma; None if it is seen nowhere."""
         middle = (patch.image.shape[0] - 1) // 2
         search = patch.image[middle - reach - half : middle + reach + half + 1, middle - reach - half : middle + reach + half + 1]
         likeness = self._likeness(search, half)
@@ -197,7 +198,7 @@ class Follower:
         return alike + share * (centre - alike), sigma * spread / float(np.hypot(sigma, spread))
 
     def _still(self, likeness: Image, here: Image, first: Array, best: float) -> Array | None:
-        """(21.9): where it stood, if nothing there has changed and it looks no better elsewhere; None if it moves."""
+        """(22.9): where it stood, if nothing there has changed and it looks no better elsewhere; None if it moves."""
         if self._rest is None:
             return None
         i, j = (int(n) for n in np.rint(self._rest - first))
@@ -226,7 +227,7 @@ class Follower:
         return out
 
     def _centred(self, changed: Image, at: Array, patch: Patch) -> tuple[Array, float]:
-        """(21.8): the middle of what differs and one sigma of it, px; and the thing's size by its area."""
+        """(22.8): the middle of what differs and one sigma of it, px; and the thing's size by its area."""
         rows, columns = np.mgrid[: changed.shape[0], : changed.shape[1]]
         centre = at.astype(float)
         for _ in range(3):

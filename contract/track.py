@@ -1,0 +1,205 @@
+"""A thing that is followed: what is asked of the aircraft, and what it reports of each. docs/wire-format.md, section 14."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+from contract.answer import CONFIDENCE, EXPLANATIONS, Ellipse, time_utc
+from contract.errors import InputError
+from contract.feature_set import Status
+
+MOST_TRACKS = 8
+MOST_PX = 65535.0
+
+
+class TrackState(Enum):
+    """How a track is. Values are the words users see; order, the wire code."""
+
+    FOLLOWED = "followed"
+    COASTING = "coasting"  # not seen; where it is follows from how it moved
+    LOST = "lost"  # not seen for too long: the track has ended
+
+
+class Unseen(Enum):
+    """Why a thing is not seen. Values are the words users see; order, the wire code."""
+
+    NONE = ""
+    HIDDEN = "hidden"  # it is not where it should be
+    OFF_PICTURE = "off the picture"
+    NO_GROUND = "ground not followed"  # how the ground moves could not be seen
+    NO_PICTURE = "no picture"  # none has come for a while
+
+
+@dataclass(frozen=True)
+class Course:
+    """How a thing moves over the ground: m/s, and degrees clockwise from north; one sigma of each.
+
+    A thing at rest has no course: both its figures are None.
+    """
+
+    speed_m_s: float
+    sigma_speed_m_s: float
+    course_deg: float | None = None
+    sigma_course_deg: float | None = None
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether it is not at rest."""
+        return self.course_deg is not None
+
+
+@dataclass(frozen=True)
+class TrackPlace:
+    """Where it is: degrees, metres above mean sea level or the ellipsoid (None: not known), its 90 % ellipse."""
+
+    lat_deg: float
+    lon_deg: float
+    height_amsl_m: float | None
+    height_ellipsoid_m: float | None
+    ellipse: Ellipse
+    sigma_height_m: float
+
+
+@dataclass(frozen=True)
+class TrackReport:
+    """A track at a picture: `u_px`, `v_px` the thing's middle there, `size_px` how large it is.
+
+    Without a place `status` states why, in the words of a refused click; without a course nothing is known of it yet.
+    """
+
+    number: int
+    state: TrackState
+    unseen: Unseen
+    session: int
+    frame: int
+    capture_unix_ns: int
+    u_px: float
+    v_px: float
+    size_px: float
+    status: Status = Status.STARTING
+    place: TrackPlace | None = None
+    course: Course | None = None
+    vehicle: str = ""
+
+    def to_json(self) -> str:
+        """One line."""
+        p, c = self.place, self.course
+        content: dict[str, object] = {
+            "track": self.number, "state": self.state.value, "unseen": self.unseen.value or None,
+            "vehicle": self.vehicle or None, "frame": self.frame, "time_utc": time_utc(self.capture_unix_ns),
+            "u": round(self.u_px, 2), "v": round(self.v_px, 2), "size_px": round(self.size_px, 1),
+            "status": self.status.value,
+        }  # fmt: skip
+        if p is not None:
+            e = p.ellipse
+            content |= {
+                "lat_deg": round(p.lat_deg, 9), "lon_deg": round(p.lon_deg, 9),
+                "height_amsl_m": _rounded(p.height_amsl_m), "height_ellipsoid_m": _rounded(p.height_ellipsoid_m),
+                "ellipse": {
+                    "confidence": CONFIDENCE, "semi_major_m": _rounded(e.semi_major_m),
+                    "semi_minor_m": _rounded(e.semi_minor_m), "azimuth_deg": round(e.azimuth_deg, 2),
+                },
+                "sigma_height_m": _rounded(p.sigma_height_m),
+            }  # fmt: skip
+        if c is not None:
+            content |= {
+                "is_moving": c.is_moving, "speed_m_s": _rounded(c.speed_m_s),
+                "sigma_speed_m_s": _rounded(c.sigma_speed_m_s), "course_deg": _rounded(c.course_deg),
+                "sigma_course_deg": _rounded(c.sigma_course_deg),
+            }  # fmt: skip
+        return json.dumps(content)
+
+    def to_text(self) -> str:
+        """One line for people."""
+        p, state = self.place, self.state.value + (f" ({self.unseen.value})" if self.unseen.value else "")
+        if p is None:
+            where = f"{self.status.value}: {EXPLANATIONS[self.status]}"
+        else:
+            e = p.ellipse
+            where = (
+                f"{p.lat_deg:.7f} {p.lon_deg:.7f}  {CONFIDENCE:.0%} ellipse {e.semi_major_m:.1f} x "
+                f"{e.semi_minor_m:.1f} m at {e.azimuth_deg:.0f} deg"
+            )
+        return f"track {self.number} {state}  {where}  {self.course_text}  at {time_utc(self.capture_unix_ns)}"
+
+    @property
+    def course_text(self) -> str:
+        """How it moves, in words."""
+        c = self.course
+        if c is None:
+            return "speed not known"
+        if c.course_deg is None or c.sigma_course_deg is None:
+            return f"at rest (+-{c.sigma_speed_m_s:.2f} m/s)"
+        return (
+            f"{c.speed_m_s:.1f} +-{c.sigma_speed_m_s:.1f} m/s towards {c.course_deg:.0f} +-{c.sigma_course_deg:.0f} deg"
+        )
+
+
+@dataclass(frozen=True)
+class StartTrack:
+    """Follow what is at a pixel of a picture; `frame` None: the newest."""
+
+    u_px: float
+    v_px: float
+    frame: int | None = None
+
+
+@dataclass(frozen=True)
+class StopTrack:
+    """Follow it no longer."""
+
+    number: int
+
+
+@dataclass(frozen=True)
+class ListTracks:
+    """Which tracks there are."""
+
+
+TrackRequest = StartTrack | StopTrack | ListTracks
+
+
+def parameters_of(request: TrackRequest) -> str:
+    """A request as a query's parameters."""
+    if isinstance(request, StartTrack):
+        frame = "" if request.frame is None else f";frame={request.frame}"
+        return f"u={request.u_px!r};v={request.v_px!r}{frame}"
+    return f"stop={request.number}" if isinstance(request, StopTrack) else ""
+
+
+def read_request(parameters: Mapping[str, str]) -> TrackRequest:
+    """What a query asks for. Raises InputError in one line for what is no request."""
+    given = set(parameters)
+    if not given:
+        return ListTracks()
+    if given == {"stop"}:
+        return StopTrack(_whole(parameters["stop"], "stop", 255))
+    if given not in ({"u", "v"}, {"u", "v", "frame"}):
+        raise InputError("a track is asked for with u, v and perhaps frame; ended with stop; listed without parameters")
+    frame = parameters.get("frame")
+    u, v = (_pixel(parameters[key], key) for key in ("u", "v"))
+    return StartTrack(u, v, None if frame is None else _whole(frame, "frame", 2**32 - 1))
+
+
+def _whole(text: str, what: str, most: int) -> int:
+    if not (text.isascii() and text.isdecimal() and len(text) <= 10 and int(text) <= most):
+        raise InputError(f"{what}: not a whole number from 0 to {most}")
+    return int(text)
+
+
+def _pixel(text: str, what: str) -> float:
+    try:
+        value = float(text) if len(text) <= 32 else math.nan
+    except ValueError:
+        value = math.nan
+    if not -0.5 <= value <= MOST_PX:
+        raise InputError(f"{what}: not a pixel")
+    return value
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 3)

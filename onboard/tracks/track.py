@@ -1,0 +1,161 @@
+"""One track: a thing followed in the pictures, and what that says of it on the ground."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.answer import Ellipse, Fix
+from contract.feature_set import Status
+from contract.geodesy import LocalFrame
+from contract.locate import MAX_ELLIPSE_SHARE, Locator
+from contract.track import Course, TrackPlace, TrackReport, TrackState, Unseen
+from onboard.geometry.plane_homography import move
+from onboard.tracks.follower import Follower, Sight
+from onboard.tracks.ground_steps import Pictures, Seen
+from onboard.tracks.plane_filter import Motion, PlaneFilter
+
+Array = NDArray[np.float64]
+
+LANDMARK_S = 2.0  # after which the ground that ways count from is chosen anew
+STRETCH_S = 0.5  # age of a landmark from which on the way from it says how poses stretch it
+EDGE_SHARE = 0.08  # of the picture's size: a landmark so near to its edge is chosen anew
+GROUND_SIGMA_PX = 0.1  # of where a landmark is in a picture
+FIRST_SPEED_S = 1.0  # that a thing has been measured for, before its speed is stated
+
+
+class Track:
+    """Begun with a click; fed with every picture that comes after it, each with its set, in order."""
+
+    def __init__(self, number: int, pictures: Pictures, clicked: Seen, uv_px: Array, locator: Locator | None) -> None:
+        self.number = number
+        self._pictures = pictures
+        self.follower = Follower(pictures, clicked, uv_px, _metres_a_pixel(locator, uv_px))
+        self.clicked = clicked
+        self._seen = clicked
+        self._landmark: Array | None = None  # where it is in the newest picture
+        self._landmark_ns = self._filtered_ns = self._first_ns = clicked.stamp_ns
+        self._filter: PlaneFilter | None = None
+        self._fix: tuple[Fix, int] | None = None  # the newest place that a picture gave, and when
+        self._status = Status.STARTING
+        self.state = TrackState.FOLLOWED
+        self._sight = Sight(clicked, self.follower.uv_px, 1.0, 0.0)
+        self._measure(self._sight, locator)
+
+    def take(self, seen: Seen, locator: Locator | None) -> None:
+        """The next picture; `locator` of its set, None if that gives no place."""
+        H = self._pictures.between(self._seen, seen)
+        self._seen = seen
+        if self._landmark is not None:
+            self._landmark = None if H is None else move(H, self._landmark[None])[0]
+        self._sight = self.follower.follow(seen)
+        if self._sight.is_seen:
+            self.state = TrackState.FOLLOWED
+            self._measure(self._sight, locator)
+        else:
+            self.state = TrackState.LOST if self.follower.is_lost(seen) else TrackState.COASTING
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether it has ended."""
+        return self.state is TrackState.LOST
+
+    def motion(self) -> Motion | None:
+        """How it moves; None before anything is known of it."""
+        is_known = self._filtered_ns - self._first_ns >= FIRST_SPEED_S * 1e9
+        return None if self._filter is None or not is_known else self._filter.motion
+
+    def report(self, session: int, vehicle: str) -> TrackReport:
+        """As of the newest picture."""
+        seen, sight, motion = self._seen, self._sight, self.motion()
+        course = None
+        if motion is not None:
+            figures = motion.speed_m_s, motion.sigma_speed_m_s
+            course = Course(*figures, motion.course_deg, motion.sigma_course_deg) if motion.is_moving else Course(*figures)
+        place = self._place(motion)
+        return TrackReport(
+            self.number, self.state, sight.unseen, session, seen.frame, seen.stamp_ns, float(sight.uv_px[0]),
+            float(sight.uv_px[1]), self.follower.size_px, Status.OK if place is not None else self._status, place,
+            course, vehicle,
+        )  # fmt: skip
+
+    def unheard(self, session: int, vehicle: str) -> TrackReport:
+        """As of the newest picture, when none has come for a while."""
+        self.state = TrackState.COASTING if self.state is TrackState.FOLLOWED else self.state
+        if self._sight.unseen is Unseen.NONE:
+            self._sight = Sight(self._seen, self._sight.uv_px, self._sight.sigma_px, 0.0, Unseen.NO_PICTURE)
+        return self.report(session, vehicle)
+
+    def _measure(self, sight: Sight, locator: Locator | None) -> None:
+        """A picture's place and way, (22.10) and (22.11)."""
+        if locator is None:
+            return
+        fix = locator.locate(sight.uv_px)
+        parts = locator.error_parts(sight.uv_px)
+        if not isinstance(fix, Fix) or parts is None:
+            self._status = fix.status
+            return
+        self._fix = fix, sight.seen.stamp_ns
+        offset = fix.offset_enu_m
+        slant = offset[:2] / max(abs(float(offset[2])), 1.0)
+        by_pixel = parts.by_pixel_m[:2]
+        noise = (sight.sigma_px**2 + GROUND_SIGMA_PX**2) * by_pixel @ by_pixel.T + 1e-6 * np.eye(2)
+        now = sight.seen.stamp_ns
+        if self._filter is None:
+            self._filter, self._first_ns, self._filtered_ns = PlaneFilter(slant, noise), now, now
+            self._choose_landmark(sight, None)
+            return
+        dt = (now - self._filtered_ns) * 1e-9
+        self._filter.predict(dt, float(np.sqrt(abs(np.linalg.det(by_pixel)))))
+        self._filtered_ns = now
+        ground = None if self._landmark is None else locator.locate(self._landmark)
+        if not isinstance(ground, Fix) or self._landmark is None:
+            self._filter.forget_place(slant, noise)
+            self._choose_landmark(sight, None)
+            return
+        way = offset[:2] - ground.offset_enu_m[:2]
+        if not self._filter.update(way, slant, noise, dt):
+            return
+        since_s = (now - self._landmark_ns) * 1e-9
+        if since_s >= STRETCH_S:
+            stretch = locator.difference_covariance(sight.uv_px, self._landmark)
+            if stretch is not None:
+                self._filter.stretched(stretch[:2, :2], since_s)
+        if since_s >= LANDMARK_S or self._is_near_edge(self._landmark):
+            self._choose_landmark(sight, way)
+
+    def _choose_landmark(self, sight: Sight, way_m: Array | None) -> None:
+        self._landmark, self._landmark_ns = sight.uv_px.copy(), sight.seen.stamp_ns
+        if way_m is not None and self._filter is not None:
+            self._filter.new_landmark(way_m)
+
+    def _is_near_edge(self, uv_px: Array) -> bool:
+        height, width = self._seen.image.shape
+        share = uv_px / (width - 1.0, height - 1.0)
+        return bool((share < EDGE_SHARE).any() or (share > 1.0 - EDGE_SHARE).any())
+
+    def _place(self, motion: Motion | None) -> TrackPlace | None:
+        """(22.18): the newest picture's place, and on by its velocity since."""
+        if self._fix is None:
+            return None
+        fix, at_ns = self._fix
+        dt = (self._seen.stamp_ns - at_ns) * 1e-9
+        lat, lon, covariance = fix.lat_deg, fix.lon_deg, fix.covariance_enu_m2[:2, :2]
+        if dt > 0.0:
+            if self._filter is None:
+                return None
+            if motion is not None and motion.is_moving:
+                moved = np.array([*(motion.velocity_m_s * dt), 0.0])
+                lat, lon, _ = (float(c) for c in LocalFrame(lat, lon, 0.0).to_geodetic(moved))
+            covariance = covariance + self._filter.ahead(dt)
+        ellipse = Ellipse.from_covariance(covariance)
+        if not ellipse.semi_major_m <= MAX_ELLIPSE_SHARE * max(abs(float(fix.offset_enu_m[2])), 1.0):
+            self._status = Status.UNCERTAIN
+            return None
+        return TrackPlace(lat, lon, fix.height_amsl_m, fix.height_ellipsoid_m, ellipse, fix.sigma_height_m)
+
+
+def _metres_a_pixel(locator: Locator | None, uv_px: Array) -> float | None:
+    """On the ground at a pixel; None without a place."""
+    parts = None if locator is None else locator.error_parts(uv_px)
+    return None if parts is None else float(np.sqrt(abs(np.linalg.det(parts.by_pixel_m[:2]))))

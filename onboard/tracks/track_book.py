@@ -1,0 +1,95 @@
+"""All tracks of a flight, at most so many, over one row of pictures that they share."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from contract.feature_set import FeatureSet
+from contract.locate import Locator
+from contract.track import MOST_TRACKS, TrackReport
+from onboard.events.types import Frame
+from onboard.tracks.ground_steps import Pictures, Seen
+from onboard.tracks.track import Track
+
+SAID_LOST_S = 5.0  # that a lost track is still reported
+SILENT_S = 1.0  # without a picture after which tracks coast
+
+
+class TrackBook:
+    """Fed with every picture that has a set. Without tracks a picture costs nothing but its place in the row."""
+
+    def __init__(self, vehicle: str, pictures: Pictures | None = None) -> None:
+        self._vehicle = vehicle
+        self._pictures = pictures or Pictures()
+        self._tracks: dict[int, Track] = {}
+        self._lost_ns: dict[int, int] = {}
+        self._session = 0
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Of the tracks that have not been lost."""
+        return tuple(n for n, track in self._tracks.items() if not track.is_lost)
+
+    @property
+    def frames(self) -> frozenset[int]:
+        """Of which pictures a track may begin in."""
+        return frozenset(seen.frame for seen in self._pictures)
+
+    def picture(self, frame: Frame, its_set: FeatureSet) -> None:
+        """The next picture; one that is older than the newest, or has no image, is passed over."""
+        newest = max(self.frames, default=-1) if its_set.session == self._session else -1
+        if frame.image is None or frame.index <= newest:
+            return
+        if its_set.session != self._session:
+            self._session = its_set.session
+            self._tracks.clear()
+            self._lost_ns.clear()
+            self._pictures = Pictures()
+        seen = Seen(frame.index, frame.stamp_ns, frame.image, its_set)
+        self._pictures.add(seen)
+        active = [track for track in self._tracks.values() if not track.is_lost]
+        if active:
+            self._pictures.join()
+            locator = _locator(seen)
+            for track in active:
+                track.take(seen, locator)
+        self._forget(seen.stamp_ns)
+
+    def start(self, number: int, uv_px: tuple[float, float], frame: int | None) -> bool:
+        """Follow what is at a pixel of a kept picture, through all those since. Whether there was anything there."""
+        kept = list(self._pictures)
+        clicked = next((seen for seen in kept if seen.frame == frame), None) if frame is not None else kept[-1] if kept else None
+        if clicked is None or len(self.numbers) >= MOST_TRACKS:
+            return False
+        self._pictures.join()
+        track = Track(number, self._pictures, clicked, np.asarray(uv_px, float), _locator(clicked))
+        if not track.follower.has_look:
+            return False
+        for seen in kept[kept.index(clicked) + 1 :]:
+            track.take(seen, _locator(seen))
+        self._tracks[number] = track
+        return True
+
+    def stop(self, number: int) -> bool:
+        """Whether there was such a track."""
+        self._lost_ns.pop(number, None)
+        return self._tracks.pop(number, None) is not None
+
+    def reports(self, is_silent: bool = False) -> list[TrackReport]:
+        """Of all tracks; `is_silent`: no picture has come for SILENT_S."""
+        each = ((t.unheard if is_silent else t.report) for t in self._tracks.values())
+        return [of(self._session, self._vehicle) for of in each]
+
+    def _forget(self, now_ns: int) -> None:
+        for number, track in list(self._tracks.items()):
+            if track.is_lost and now_ns - self._lost_ns.setdefault(number, now_ns) > SAID_LOST_S * 1e9:
+                self.stop(number)
+
+
+def _locator(seen: Seen) -> Locator | None:
+    """Of the picture's set, once for all tracks; None where that gives no place."""
+    if seen.its_set is None or not seen.its_set.is_ok:
+        return None
+    if seen.locator is None:
+        seen.locator = Locator(seen.its_set)
+    return seen.locator
