@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from contract.errors import LinkError
+from contract.topics import ANY_VEHICLE, FOLLOW, TOPICS
 
 OPEN_TIMEOUT_MS = 2000
 # Far above all that we send: a larger message is dropped, and does not fill our memory.
@@ -61,13 +62,15 @@ def link_config(
     tls: Tls | None = None,
     is_aircraft: bool = False,
     allowed: Sequence[str] = (),
+    trackers: Sequence[str] = (),
 ) -> str:
     """Text for `zenoh.Config.from_json5`.
 
     A "peer" goes on without those it connects to and tries them again every 0.5 to 1 s, without end; a "client" tries
     once and fails at once. With `tls` both ends must show a certificate of its authority, and no other kind of endpoint
     is taken: LinkError. An aircraft takes subscriptions and queries and nothing else from others; with `tls`, of those
-    whose certificate's common name is in `allowed`, if any are named.
+    whose certificate's common name is in `allowed`, if any are named. Of those, only the `trackers` may begin and end
+    tracks, if any are named.
     """
     is_client = mode == "client"
     # What the system buffers while a link is cut is delay when it is back: a small buffer, and small batches.
@@ -109,7 +112,7 @@ def link_config(
     if mode == "peer" and not is_aircraft:
         config["region_name"] = GROUND_REGION
     if is_aircraft:
-        config["access_control"] = _access(allowed if tls is not None else ())
+        config["access_control"] = _access(allowed, trackers) if tls is not None else _access((), ())
     return json.dumps(config)
 
 
@@ -143,32 +146,37 @@ def passing_only(key: str) -> dict[str, Any]:
     }
 
 
-def _access(allowed: Sequence[str]) -> dict[str, Any]:
+def _access(allowed: Sequence[str], trackers: Sequence[str]) -> dict[str, Any]:
     """Others may subscribe and query, and nothing else: no sample, reply or queryable of theirs is let through."""
-    keys = ["pc/**"]
+    everything, follow = ["pc/**"], [FOLLOW.key(ANY_VEHICLE)]
+    asked = [topic.key(ANY_VEHICLE) for topic in TOPICS] if trackers else everything
+
+    def rule(name: str, flow: str, messages: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:
+        return {"id": name, "permission": "allow", "flows": [flow], "messages": list(messages), "key_exprs": list(keys)}
+
     rules = [
-        {
-            "id": "subscribe and query",
-            "permission": "allow",
-            "flows": ["ingress"],
-            "messages": ["declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query"],
-            "key_exprs": keys,
-        },
-        {
-            "id": "receive",
-            "permission": "allow",
-            "flows": ["egress"],
-            "messages": ["put", "reply", "declare_queryable", "liveliness_token"],
-            "key_exprs": keys,
-        },
+        rule(
+            "subscribe",
+            "ingress",
+            ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"),
+            everything,
+        ),
+        rule("query", "ingress", ("query",), asked),
+        rule("receive", "egress", ("put", "reply", "declare_queryable", "liveliness_token"), everything),
     ]
+    policies = [{"rules": [rule["id"] for rule in rules], "subjects": ["grounds"]}]
     grounds: dict[str, Any] = {"id": "grounds"}
     if allowed:
         grounds["cert_common_names"] = list(allowed)
+    subjects = [grounds]
+    if trackers:
+        rules.append(rule("follow", "ingress", ("query",), follow))
+        subjects.append({"id": "trackers", "cert_common_names": list(trackers)})
+        policies.append({"rules": ["follow"], "subjects": ["trackers"]})
     return {
         "enabled": True,
         "default_permission": "deny",
         "rules": rules,
-        "subjects": [grounds],
-        "policies": [{"rules": [rule["id"] for rule in rules], "subjects": ["grounds"]}],
+        "subjects": subjects,
+        "policies": policies,
     }

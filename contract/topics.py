@@ -67,7 +67,13 @@ PICTURE = Topic(
     Qos("BEST_EFFORT", "DROP", "DATA_LOW", express=True),
 )
 
-TOPICS: tuple[Topic, ...] = (FEATURES, STATUS, PICTURE)
+# Where the things are that are followed: all tracks in one packet.
+TRACKS = Topic("pc/{vehicle}/tracks", "reports of tracks, docs/wire-format.md section 14", 2.0, LATEST_ONLY)
+
+TOPICS: tuple[Topic, ...] = (FEATURES, STATUS, PICTURE, TRACKS)
+
+# Queries alone, which begin and end tracks: a key of its own, so that rights can name it.
+FOLLOW = Topic("pc/{vehicle}/follow", "JSON, docs/wire-format.md section 14", 0.0, QUERY)
 
 # A liveliness token, there as long as the aircraft is: who is there is known without a message of anybody's.
 ALIVE = Topic("pc/{vehicle}/alive", "none", 0.0, QUERY)

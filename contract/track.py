@@ -1,10 +1,9 @@
-"""A thing that is followed: what is asked of the aircraft, and what it reports of each. docs/wire-format.md, section 14."""
+"""A thing that is followed: what the aircraft is asked, and what it reports. docs/wire-format.md, section 14."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
@@ -13,7 +12,8 @@ from contract.errors import InputError
 from contract.feature_set import Status
 
 MOST_TRACKS = 8
-MOST_PX = 65535.0
+MOST_PX = 8190.0  # that a packet holds
+MOST_REQUEST = 200  # characters
 
 
 class TrackState(Enum):
@@ -171,9 +171,15 @@ def parameters_of(request: TrackRequest) -> str:
     return f"stop={request.number}" if isinstance(request, StopTrack) else ""
 
 
-def read_request(parameters: Mapping[str, str]) -> TrackRequest:
-    """What a query asks for. Raises InputError in one line for what is no request."""
+def read_request(text: str) -> TrackRequest:
+    """What a query's parameters ask for. Raises InputError in one line for what is no request."""
+    if len(text) > MOST_REQUEST:
+        raise InputError(f"more than {MOST_REQUEST} characters")
+    pairs = [part.partition("=")[::2] for part in text.split(";") if part]
+    parameters = dict(pairs)
     given = set(parameters)
+    if len(parameters) < len(pairs):
+        raise InputError("something is given twice")
     if not given:
         return ListTracks()
     if given == {"stop"}:
@@ -183,6 +189,11 @@ def read_request(parameters: Mapping[str, str]) -> TrackRequest:
     frame = parameters.get("frame")
     u, v = (_pixel(parameters[key], key) for key in ("u", "v"))
     return StartTrack(u, v, None if frame is None else _whole(frame, "frame", 2**32 - 1))
+
+
+def refused(status: str, reason: str) -> bytes:
+    """The answer to a request that is not done: a word for programs, a sentence for people."""
+    return json.dumps({"status": status, "reason": reason}, separators=(",", ":")).encode()
 
 
 def _whole(text: str, what: str, most: int) -> int:

@@ -81,7 +81,10 @@ class MoverSpec:
 
     def _gone_s(self, time_s: ArrayLike) -> Array:
         """For how long it has moved since the first picture; negative before."""
-        begin, time = min(max(self.from_s, 0.0), self.until_s), np.clip(np.asarray(time_s, float), self.from_s, self.until_s)
+        begin, time = (
+            min(max(self.from_s, 0.0), self.until_s),
+            np.clip(np.asarray(time_s, float), self.from_s, self.until_s),
+        )
         out: Array = time - begin
         return out
 

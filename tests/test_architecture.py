@@ -35,10 +35,11 @@ ARROWS: dict[str, set[str]] = {
     "onboard.estimation": {"geometry", "navigation", "config"},
     "onboard.georeferencing": {"estimation", "geometry", "navigation", "config"},
     "onboard.pipeline": {"georeferencing", "estimation", "vision", "geometry", "navigation", "events", "config"},
+    "onboard.tracks": {"geometry", "events"},
     "onboard.link": {"events", "config"},
     "onboard.storage": {"events", "config", "estimation", "geometry"},
     "onboard.replay": {"pipeline", "camera", "telemetry", "storage", "events", "config"},
-    "onboard.service": {"pipeline", "storage", "events", "config"},
+    "onboard.service": {"pipeline", "tracks", "storage", "events", "config"},
     "onboard.calibration": set(),
     "onboard.commands": {
         "calibration", "camera", "config", "events", "link", "pipeline", "replay", "service", "storage", "telemetry",

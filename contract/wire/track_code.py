@@ -27,7 +27,7 @@ _SPEED = struct.Struct("<HHHH")
 
 
 def encode_track(report: TrackReport) -> bytes:
-    """24, 49 or 57 bytes by what is known (32 with a speed and no place). Raises ValueError for what has no encoding."""
+    """24 bytes, 25 more with a place and 8 with a speed. Raises ValueError for what has no encoding."""
     r, p = report, report.place
     flags = (p is not None) * HAS_PLACE | (r.course is not None) * HAS_SPEED
     if p is not None:
@@ -44,6 +44,22 @@ def encode_track(report: TrackReport) -> bytes:
         raise ValueError(f"track {r.number} has no encoding: {error}") from error
 
 
+def decode_tracks(payload: bytes, vehicle: str = "") -> list[TrackReport]:
+    """Of a message: packets one after the other. Raises as `decode_track`."""
+    out: list[TrackReport] = []
+    while payload:
+        length = _length(payload)
+        out.append(decode_track(payload[:length], vehicle))
+        payload = payload[length:]
+    return out
+
+
+def _length(payload: bytes) -> int:
+    """Of the packet that a message begins with, as far as its head can be read."""
+    flags = payload[3] if len(payload) >= _HEAD.size else 0
+    return _HEAD.size + bool(flags & HAS_PLACE) * _PLACE.size + bool(flags & HAS_SPEED) * _SPEED.size
+
+
 def decode_track(payload: bytes, vehicle: str = "") -> TrackReport:
     """Raises TruncatedPayload, CorruptPayload or NewerPayload, and nothing else."""
     if not payload:
@@ -55,9 +71,11 @@ def decode_track(payload: bytes, vehicle: str = "") -> TrackReport:
     if len(payload) < _HEAD.size:
         raise TruncatedPayload(f"{len(payload)} bytes")
     _, number, state, flags, status, session, frame, time, u, v, size = _HEAD.unpack_from(payload)
-    length = _HEAD.size + bool(flags & HAS_PLACE) * _PLACE.size + bool(flags & HAS_SPEED) * _SPEED.size
+    length = _length(payload)
     if len(payload) != length or flags > 15:
-        raise TruncatedPayload(f"{len(payload)} bytes of {length}") if len(payload) < length else CorruptPayload("flags")
+        raise (
+            TruncatedPayload(f"{len(payload)} bytes of {length}") if len(payload) < length else CorruptPayload("flags")
+        )
     if state >> 4 >= len(_STATES) or state & 15 >= len(_UNSEEN):
         raise CorruptPayload(f"state {state:#x}")
     if status >= len(_STATUSES):

@@ -1,4 +1,4 @@
-"""`pc-ground cot`: pins and aircraft as Cursor on Target, to a TAK server or to all programs on the network."""
+"""`pc-ground cot`: pins, aircraft and what they follow as Cursor on Target, to a TAK server or to everybody."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ from pathlib import Path
 
 from contract.errors import LinkError
 from contract.feature_set import FeatureSet
-from contract.topics import ANY_VEHICLE
+from contract.topics import ANY_VEHICLE, TRACKS
+from contract.track import TrackReport
 from ground.commands import ANSWERED
 from ground.commands.sources import add_source_arguments, opened
 from ground.commands.values import positive, whole
 from ground.cot_sender import CotSender, Target
 from ground.formats import cot
 from ground.formats.mark import Mark
+from ground.heard_tracks import HeardTracks
 from ground.link_options import endpoint_of, tls_of
 from ground.pins.file import chosen_store
 from ground.pins.places import Places
@@ -66,11 +68,13 @@ def run(args: argparse.Namespace) -> int:
             now_ns = time.time_ns()
             marks = [] if store is None or places is None else [Mark.of_pin(p, places.place(p)) for p in store.pins()]
             sets = aircraft()
+            tracks = aircraft.tracks() if isinstance(aircraft, _aircraft) else []
             events = [
                 e
                 for e in (
                     *(cot.event(mark, now_ns, stale_s) for mark in marks),
                     *(cot.aircraft_event(s, now_ns, stale_s) for s in sets),
+                    *(cot.track_event(report, now_ns, stale_s) for report in tracks),
                 )
                 if e is not None
             ]
@@ -100,15 +104,21 @@ class _aircraft:  # noqa: N801  called like a function
 
     def __init__(self, args: argparse.Namespace) -> None:
         self._vehicle = args.vehicle
+        self._heard = HeardTracks()
         self._recording = None if args.recording is None else opened(args.recording)
         if self._recording is None:
             from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
 
-            tls = tls_of(args)
-            self._cache = SetCache(endpoint_of(args, tls), args.vehicle or ANY_VEHICLE, tls=tls)
+            tls, vehicle = tls_of(args), args.vehicle or ANY_VEHICLE
+            beside = {TRACKS.key(vehicle): self._heard.take}
+            self._cache = SetCache(endpoint_of(args, tls), vehicle, tls=tls, beside=beside)
             until = time.monotonic() + self.WAIT_S
             while not self._cache.vehicles and time.monotonic() < until:
                 time.sleep(0.05)
+
+    def tracks(self) -> list[TrackReport]:
+        """The newest report of every track that is being heard."""
+        return self._heard.newest()
 
     def __call__(self) -> list[FeatureSet]:
         source = self._cache if self._recording is None else self._recording

@@ -1,4 +1,4 @@
-"""Cursor on Target, version 2.0: marks and aircraft as XML events, as TAK programs take them; markers read back.
+"""Cursor on Target, version 2.0: marks, aircraft, followed things as XML events, as TAK takes them; markers read back.
 
 `ce` and `le` are 90 % figures and `remarks` state so: the schema's text calls them one sigma, ATAK shows CE90, and
 a reader that takes a 90 % figure for one sigma is off on the safe side. What is not known is 9999999, and a mark
@@ -14,8 +14,10 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
+from contract.answer import CHI2_2
 from contract.errors import InputError
 from contract.feature_set import FeatureSet, HeightDatum
+from contract.track import TrackReport, TrackState
 from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS, ce90_m, le90_m
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark
@@ -27,6 +29,7 @@ SPOT = "b-m-p-s-m"
 _MARKER = re.compile(r"b-m-p(-|$)|b-r-|b-a-o-|a-.-[GSU]")  # points, casualties, emergencies, things on ground or water
 _DECLARATION = re.compile(r"<\?xml[^>]*\?>")
 AIRCRAFT = "a-f-A-M-F-Q"  # friendly, airborne, military-style code for an unmanned aircraft: what TAK shows as a drone
+FOLLOWED = "a-u-G"  # something on the ground of which nobody has said what it is
 OURS = "__pointclick"  # a pin's own fields; programs ignore details that are unknown to them
 # Colours of ATAK's spot map, as signed ARGB.
 _COLOURS = {"person": -35072, "vehicle": -16776961, "fire": -65536, "hazard": -256, "poi": -1}
@@ -71,6 +74,29 @@ def aircraft_event(s: FeatureSet, now_unix_ns: int, stale_s: float) -> str | Non
         detail, "remarks",
         f"camera of {s.vehicle}; +-{ce:.1f} m (CE90), height {s.camera_height_m:.1f} m {datum} +-{le:.1f} m (LE90)",
     )  # fmt: skip
+    return ET.tostring(root, encoding="unicode")
+
+
+def track_event(report: TrackReport, now_unix_ns: int, stale_s: float) -> str | None:
+    """Of a thing that is followed, with its speed and course; None without a place, or once it is lost."""
+    p, c = report.place, report.course
+    if p is None or report.state is TrackState.LOST:
+        return None
+    uid = f"pointclick.{report.vehicle}.{report.session}.track.{report.number}"
+    root = _event(uid, FOLLOWED, "m-r", now_unix_ns, report.capture_unix_ns, stale_s)
+    e = p.ellipse
+    axes = np.diag([e.semi_major_m**2, e.semi_minor_m**2]) / CHI2_2
+    _point(root, p.lat_deg, p.lon_deg, p.height_ellipsoid_m, ce90_m(axes), le90_m(p.sigma_height_m))
+    detail = element(root, "detail")
+    element(detail, "contact", callsign=f"{report.vehicle} track {report.number}"[:100])
+    if c is not None and c.course_deg is not None:
+        element(
+            detail, "track", course=f"{c.course_deg:.1f}", speed=f"{c.speed_m_s:.2f}",
+            eCourse=f"{c.sigma_course_deg:.1f}", eSpeed=f"{c.sigma_speed_m_s:.2f}",
+        )  # fmt: skip
+    elif c is not None:
+        element(detail, "track", speed="0.00", eSpeed=f"{c.sigma_speed_m_s:.2f}")
+    element(detail, "remarks", f"followed by {report.vehicle}: {report.state.value}; {report.course_text}")
     return ET.tostring(root, encoding="unicode")
 
 

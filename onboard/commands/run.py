@@ -38,6 +38,7 @@ from onboard.service.reports import Report
 from onboard.service.sd_notify import Notifier
 from onboard.service.session import Parts, Reporter, restore
 from onboard.service.solver_thread import SolverThread
+from onboard.service.track_thread import TrackThread
 from onboard.storage.alignment_file import StateFile
 from onboard.storage.elevation_files import TerrainFiles
 from onboard.storage.rotating_recorder import Recorded
@@ -111,6 +112,11 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
                 )  # fmt: skip
             sinks.append(pictures)
             threads.append(pictures.thread)
+        if config.tracks.enabled:
+            tracks = TrackThread(config, link.publish_tracks)
+            link.follow = tracks.answer
+            sinks.append(tracks)
+            threads.append(tracks.thread)
         recording = None
         if config.recording.enabled:
             where = Path(config.recording.folder) if config.recording.folder else folder / "recordings"

@@ -303,6 +303,9 @@ class Link(Section):
     allowed: tuple[str, ...] = choice(
         (), "TLS: common names of the certificates that may listen and ask; empty: every one of the authority's"
     )
+    trackers: tuple[str, ...] = choice(
+        (), "TLS: common names of the certificates that may begin and end tracks; empty: all that may ask"
+    )
     mavlink: bool = choice(
         False, "answer clicks and send sets through the autopilot's own radio too (pc-ground --connect mavlink:...)"
     )
@@ -324,6 +327,13 @@ class PictureConfig(Section):
     max_px: int = quantity(480, 64, 2048, "px", "longer side; larger pictures are made smaller")
     quality: int = quantity(30, 1, 95, "", "of the compression")
     rate_hz: float = quantity(0.5, 0.01, 5.0, "Hz", "pictures sent at most")
+
+
+class TracksConfig(Section):
+    """Things that move, followed from a click on (pc-ground track)."""
+
+    enabled: bool = choice(True, "follow what is asked for")
+    keep_mb: float = quantity(48.0, 8.0, 4096.0, "MB", "of pictures kept in memory, so that a click may be seconds old")
 
 
 class Recording(Section):
@@ -362,6 +372,7 @@ class Config(Section):
     telemetry: Telemetry = Telemetry()
     link: Link = Link()
     picture: PictureConfig = PictureConfig()
+    tracks: TracksConfig = TracksConfig()
     recording: Recording = Recording()
     service: Service = Service()
 

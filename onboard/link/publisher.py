@@ -31,14 +31,17 @@ from contract.topics import (
     DEFAULT_ENDPOINT,
     DETAIL_PARAMETER,
     FEATURES,
+    FOLLOW,
     FRAME_PARAMETER,
     PICTURE,
     QUERY,
     STATUS,
     TIME_PARAMETER,
+    TRACKS,
     WAIT_PARAMETER,
     Topic,
 )
+from contract.track import refused
 from contract.wire.picture_code import cut
 from onboard.config.schema import Config
 from onboard.events.types import Event, Frame
@@ -128,8 +131,10 @@ class Publisher:
         rate: Rate | None = None,
         tls: Tls | None = None,
         allowed: Sequence[str] = (),
+        trackers: Sequence[str] = (),
     ) -> None:
         self._key, self._status_key = FEATURES.key(vehicle), STATUS.key(vehicle)
+        self._follow_key = FOLLOW.key(vehicle)
         self._vehicle = vehicle
         self._history: History[bytes] = History(history_s, history_sets)
         self._set_clock = SetClock()
@@ -146,6 +151,9 @@ class Publisher:
         self._needs_parity = not all(e.startswith(STREAMS) for e in (*listen, *connect))
         self._status, self._status_detail = b"", b""
         self._status_waits = False
+        self._tracks: bytes | None = None  # the newest reports, until they have gone
+        # Answers queries that begin, end and list tracks: a payload, and whether it is a refusal.
+        self.follow: Callable[[str], tuple[bytes, bool]] = not_followed
         self._is_closed = self._has_news = False
         self.watches: list[Callable[[Offer[bytes]], None]] = []  # shown every set as it is made
         self.sent = 0  # sets put on the link, without those asked for
@@ -161,6 +169,7 @@ class Publisher:
             tls=tls,
             is_aircraft=True,
             allowed=sorted(names),
+            trackers=trackers,
         )
         try:
             self._session = zenoh.open(zenoh.Config.from_json5(config))
@@ -170,9 +179,11 @@ class Publisher:
             self._publisher = _declared(self._session, FEATURES, vehicle)
             self._status_publisher = _declared(self._session, STATUS, vehicle)
             self._picture_publisher = _declared(self._session, PICTURE, vehicle)
+            self._track_publisher = _declared(self._session, TRACKS, vehicle)
             # The variables keep queryables and token declared.
             self._queryable = self._session.declare_queryable(self._key, self._asked)
             self._status_queryable = self._session.declare_queryable(self._status_key, self._asked_for_status)
+            self._follow_queryable = self._session.declare_queryable(self._follow_key, self._asked_to_follow)
             self._alive = self._session.liveliness().declare_token(ALIVE.key(vehicle))
         except zenoh.ZError as error:
             self._session.close()  # type: ignore[no-untyped-call]
@@ -194,6 +205,7 @@ class Publisher:
             rate=Rate(link.max_bit_rate, link.min_rate_hz, link.max_rate_hz),
             tls=Tls.of(link.ca, link.certificate, link.key),
             allowed=link.allowed,
+            trackers=link.trackers,
         )
 
     def publish(self, feature_set: FeatureSet, payload: bytes | None = None) -> bytes:
@@ -221,6 +233,12 @@ class Publisher:
         with self._changed:
             self._status, self._status_detail = payload, detail
             self._status_waits = True
+            self._wake()
+
+    def publish_tracks(self, payload: bytes) -> None:
+        """Send the reports of all tracks in their turn; earlier ones that still wait are not sent."""
+        with self._changed:
+            self._tracks = payload
             self._wake()
 
     def look_up(self, asked: Question) -> Answer | None:
@@ -335,6 +353,9 @@ class Publisher:
             asked = next((query for query in self._queries if query.kind is kind), None)
             if asked is not None:
                 found[kind] = _Message(len(asked.answer), partial(self._queries.remove, asked), partial(_reply, asked))
+        if self._tracks is not None:
+            tracks = self._tracks
+            found[Kind.TRACK] = _Message(len(tracks), self._tracks_gone, partial(self._track_publisher.put, tracks))
         older = self._selection.next_of_rest(now_s) if has_room else None
         for kind, offer in ((Kind.SET, self._selection.next(now_s)), (Kind.OLDER, older)):
             if offer is not None:
@@ -348,6 +369,9 @@ class Publisher:
 
     def _status_gone(self) -> None:
         self._status_waits = False
+
+    def _tracks_gone(self) -> None:
+        self._tracks = None
 
     def _piece_gone(self, now_s: float) -> None:
         self._pieces.popleft()
@@ -410,6 +434,15 @@ class Publisher:
         kind = Kind.REPORT if is_detailed else Kind.REPLY
         self._wait_to_answer(query, self._status_key, found, kind, time.monotonic() + ANSWER_TIMEOUT_S)
 
+    def _asked_to_follow(self, query: zenoh.Query) -> None:
+        try:
+            asked = str(query.parameters)
+        except ValueError:  # what is no text
+            asked = "?"
+        payload, is_error = self.follow(asked)
+        found = Answer(payload, is_error=is_error)
+        self._wait_to_answer(query, self._follow_key, found, Kind.REPLY, time.monotonic() + ANSWER_TIMEOUT_S)
+
     def _wait_to_answer(self, query: zenoh.Query, key: str, found: Answer, kind: Kind, until_s: float) -> None:
         with self._changed:
             if len(self._queries) < MAX_WAITING_QUERIES and not self._is_closed:
@@ -417,6 +450,11 @@ class Publisher:
                 self._wake()
                 return
         query.drop()  # type: ignore[no-untyped-call]
+
+
+def not_followed(_: str) -> tuple[bytes, bool]:
+    """What an aircraft answers that follows nothing."""
+    return refused("disabled", "this aircraft follows nothing: tracks.enabled is false"), True
 
 
 def _reply(waiting: _Waiting) -> None:

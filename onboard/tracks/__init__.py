@@ -1,1 +1,1 @@
-"""Things that move, followed from a click: in the pictures, then over the ground. Pure logic, time comes with the data."""
+"""Things that move, followed from a click: in the pictures, then over the ground. Time comes with the data."""

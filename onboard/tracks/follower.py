@@ -172,7 +172,9 @@ class Follower:
     def _best(self, patch: Patch, changed: Image | None, reach: int, half: int) -> tuple[Array, float] | None:
         """(22.7): the likeliest place in the picture and its one sigma; None if it is seen nowhere."""
         middle = (patch.image.shape[0] - 1) // 2
-        search = patch.image[middle - reach - half : middle + reach + half + 1, middle - reach - half : middle + reach + half + 1]
+        search = patch.image[
+            middle - reach - half : middle + reach + half + 1, middle - reach - half : middle + reach + half + 1
+        ]
         likeness = self._likeness(search, half)
         steps = np.arange(-reach, reach + 1, dtype=float)
         place = np.stack(np.meshgrid(steps, steps), axis=-1) + patch.corner + middle
@@ -182,7 +184,9 @@ class Follower:
         here = None
         if changed is not None:
             cover = cv2.GaussianBlur(changed, (0, 0), max(0.3 * self._size, 0.8))
-            here = np.clip(1.6 * cover[middle - reach : middle + reach + 1, middle - reach : middle + reach + 1], 0.0, 1.0)
+            here = np.clip(
+                1.6 * cover[middle - reach : middle + reach + 1, middle - reach : middle + reach + 1], 0.0, 1.0
+            )
             score = score + here
         j, i = np.unravel_index(int(np.argmax(score)), score.shape)
         like, differs = float(likeness[j, i]), 0.0 if here is None else float(here[j, i])

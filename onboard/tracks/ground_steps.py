@@ -74,14 +74,18 @@ class Pictures:
     def add(self, seen: Seen) -> None:
         """The newest; one that is not newer begins anew, as after a restart of the camera."""
         if self._seen and seen.frame <= self._seen[-1].frame:
-            self._seen.clear()
-            self._bytes = 0
+            self.clear()
         self._seen.append(seen)
         self._bytes += seen.image.nbytes
         while len(self._seen) > 2 and (
             self._bytes > self._kept_bytes or seen.stamp_ns - self._seen[0].stamp_ns > self._kept_ns
         ):
             self._bytes -= self._seen.popleft().image.nbytes
+
+    def clear(self) -> None:
+        """Keep none."""
+        self._seen.clear()
+        self._bytes = 0
 
     def by_frame(self, frame: int) -> Seen | None:
         """None if it is not kept."""

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Spectral densities of the acceleration, m^2/s^3: a walker going straight, one that does not, a car in traffic, in a bend.
+# Spectral densities of the acceleration, m^2/s^3: a walker who goes straight, one who does not, a car in traffic and in
+# a bend.
 DENSITIES = (0.02, 0.2, 2.0, 20.0)
 FORGET_S = 5.0  # over which it is forgotten how well each has foretold
 FIRST_SPEED_M_S = 12.0  # one sigma, of either component
@@ -99,8 +100,10 @@ class _Kalman:
     def update(self, way_m: Array, slant: Array, noise: Array, kept: float) -> None:
         """`kept`: the share of what was known of its foretelling that is not forgotten. (22.13), (22.14)"""
         off, S, H = self.innovation(way_m, slant, noise)
-        self.log_weight = kept * self.log_weight - 0.5 * float(off @ np.linalg.solve(S, off)) - 0.5 * math.log(
-            float(np.linalg.det(S))
+        self.log_weight = (
+            kept * self.log_weight
+            - 0.5 * float(off @ np.linalg.solve(S, off))
+            - 0.5 * math.log(float(np.linalg.det(S)))
         )
         K = np.linalg.solve(S, H @ self.P).T
         left = np.eye(5) - K @ H
@@ -149,19 +152,20 @@ class PlaneFilter:
             model.P[:2, 4] = model.P[4, :2] = -model.P[4, 4] * slant
 
     def stretched(self, way_cov: Array, since_s: float) -> None:
-        """(22.16): what all pictures' poses have in common does to a velocity: `way_cov` (2, 2) of a way of `since_s`."""
+        """(22.16): what the poses' common errors do to a velocity: `way_cov` (2, 2) is of a way of `since_s`."""
         self._shared = way_cov / since_s**2
 
     def ahead(self, dt: float) -> Array:
         """Covariance (2, 2), m^2, of how far the thing will be from where its velocity takes it in `dt` seconds."""
         density = sum(w * q for w, q in zip(self._weights(), DENSITIES, strict=True))
-        out: Array = self.motion.cov * dt**2 + density * dt**3 / 3.0 * np.eye(2)
+        out: Array = self.motion.cov * dt**2 + float(density) * dt**3 / 3.0 * np.eye(2)
         return out
 
     def _weights(self) -> Array:
         logs = np.array([model.log_weight for model in self._models])
         weights: Array = np.exp(logs - logs.max())
-        return weights / weights.sum()
+        weights /= weights.sum()
+        return weights
 
     @property
     def motion(self) -> Motion:

@@ -71,7 +71,9 @@ class Track:
         course = None
         if motion is not None:
             figures = motion.speed_m_s, motion.sigma_speed_m_s
-            course = Course(*figures, motion.course_deg, motion.sigma_course_deg) if motion.is_moving else Course(*figures)
+            course = (
+                Course(*figures, motion.course_deg, motion.sigma_course_deg) if motion.is_moving else Course(*figures)
+            )
         place = self._place(motion)
         return TrackReport(
             self.number, self.state, sight.unseen, session, seen.frame, seen.stamp_ns, float(sight.uv_px[0]),

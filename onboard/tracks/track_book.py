@@ -44,7 +44,7 @@ class TrackBook:
             self._session = its_set.session
             self._tracks.clear()
             self._lost_ns.clear()
-            self._pictures = Pictures()
+            self._pictures.clear()
         seen = Seen(frame.index, frame.stamp_ns, frame.image, its_set)
         self._pictures.add(seen)
         active = [track for track in self._tracks.values() if not track.is_lost]
@@ -58,7 +58,13 @@ class TrackBook:
     def start(self, number: int, uv_px: tuple[float, float], frame: int | None) -> bool:
         """Follow what is at a pixel of a kept picture, through all those since. Whether there was anything there."""
         kept = list(self._pictures)
-        clicked = next((seen for seen in kept if seen.frame == frame), None) if frame is not None else kept[-1] if kept else None
+        clicked = (
+            next((seen for seen in kept if seen.frame == frame), None)
+            if frame is not None
+            else kept[-1]
+            if kept
+            else None
+        )
         if clicked is None or len(self.numbers) >= MOST_TRACKS:
             return False
         self._pictures.join()

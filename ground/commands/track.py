@@ -1,0 +1,125 @@
+"""`pc-ground track`: what is at a pixel is followed by the aircraft, and each report of it is a line.
+
+Exit status: 0 ended by the user or by the time given, or the thing was lost; 3 refused with the reason; 2 wrong usage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from contract.errors import InputError, LinkError
+from contract.topics import DEFAULT_ENDPOINT
+from contract.track import ListTracks, StartTrack, StopTrack, TrackReport, TrackState
+from ground.commands import ANSWERED, REFUSED
+from ground.commands.until_ended import until_ended
+from ground.commands.values import finite, frame_number, positive, whole
+from ground.formats import track_path
+from ground.link_options import UsageError, add_tls_arguments, endpoint_of, tls_of
+
+if TYPE_CHECKING:
+    from ground.track_link import TrackLink
+
+EXAMPLES = """\
+examples:
+  pc-ground track 480 120 --frame 1234        what is at that pixel of picture 1234, from then on, until Ctrl-C
+  pc-ground track 480 120                     of the newest picture
+  pc-ground track 480 120 --save car.kml      its path with times when it ends (.kml or .geojson)
+  pc-ground track --connect tcp/10.0.0.7:7447 --json    every track of that aircraft, a JSON object a line
+  pc-ground track --list; pc-ground track --stop 3
+"""
+MOST_KEPT = 200_000  # reports for --save: more than a day of one track
+SILENT_S = 10.0  # without a report of a track that was begun
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `track`."""
+    parser.add_argument("u", metavar="U", nargs="?", type=finite, help="pixel column; without U and V: listen to all")
+    parser.add_argument("v", metavar="V", nargs="?", type=finite, help="pixel row")
+    parser.add_argument(
+        "--frame", metavar="N", type=frame_number, help="the picture that was clicked (default: newest)"
+    )
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--list", action="store_true", help="the numbers of all tracks, and end")
+    which.add_argument("--stop", metavar="N", type=lambda t: whole(t, "track"), help="end track N")
+    parser.add_argument("--leave", action="store_true", help="the track goes on when this command ends")
+    parser.add_argument("--seconds", metavar="S", type=positive, help="end after so long")
+    parser.add_argument("--save", metavar="FILE", type=Path, help="write the path at the end: .geojson or .kml")
+    parser.add_argument("--json", action="store_true", help="a JSON object a line")
+    parser.add_argument("--vehicle", metavar="NAME", help="the aircraft, where there are several")
+    parser.add_argument("--connect", metavar="ENDPOINT", help=f"zenoh endpoint (default {DEFAULT_ENDPOINT})")
+    add_tls_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Follow until ended. Raises PointclickError."""
+    if (args.u is None) != (args.v is None):
+        raise UsageError("track needs U and V, or neither to listen")
+    if args.u is None and args.frame is not None:
+        raise UsageError("--frame goes with U and V")
+    if args.u is not None and (args.list or args.stop is not None):
+        raise UsageError("--list and --stop go without U and V")
+    if args.save is not None and args.save.suffix.lower() not in track_path.FORMATS:
+        raise UsageError(f"--save {args.save}: a name that ends with .geojson or .kml")
+    from ground.track_link import TrackLink, TrackRefused  # noqa: PLC0415  zenoh is loaded only where there is a link
+
+    tls = tls_of(args)
+    with TrackLink(endpoint_of(args, tls), args.vehicle, tls) as link:
+        try:
+            if args.list or args.stop is not None:
+                said = link.ask(ListTracks() if args.list else StopTrack(args.stop))
+                print(" ".join(str(number) for number in said.get("tracks", [])))
+                return ANSWERED
+            number = None
+            if args.u is not None:
+                number = int(link.ask(StartTrack(args.u, args.v, args.frame))["track"])
+        except TrackRefused as error:
+            print(error, file=sys.stderr)
+            return REFUSED
+        except (KeyError, TypeError, ValueError) as error:
+            raise LinkError(f"the aircraft's answer cannot be read: {error}") from error
+        kept: list[TrackReport] = []
+        with until_ended():
+            _listen(link, number, args, kept)
+        if number is not None and not args.leave and not (kept and kept[-1].state is TrackState.LOST):
+            _stop(link, number)
+    if args.save is not None:
+        _save(args.save, kept)
+    return ANSWERED
+
+
+def _listen(link: TrackLink, number: int | None, args: argparse.Namespace, kept: list[TrackReport]) -> None:
+    """Print reports until the time is over or the track is lost."""
+    until_s = None if args.seconds is None else time.monotonic() + args.seconds
+    heard_s = time.monotonic()
+    while until_s is None or time.monotonic() < until_s:
+        report = link.next(0.2)
+        if report is None or (number is not None and report.number != number):
+            if number is not None and time.monotonic() - heard_s > SILENT_S:
+                heard_s = time.monotonic()
+                print(f"track {number}: nothing heard for {SILENT_S:.0f} s", file=sys.stderr)
+            continue
+        heard_s = time.monotonic()
+        if args.save is None or len(kept) >= MOST_KEPT:
+            kept[:] = kept[: MOST_KEPT - 1 if args.save else 0]
+        kept.append(report)
+        print(report.to_json() if args.json else report.to_text(), flush=True)
+        if number is not None and report.state is TrackState.LOST:
+            return
+
+
+def _stop(link: TrackLink, number: int) -> None:
+    try:
+        link.ask(StopTrack(number))
+    except LinkError as error:
+        print(f"pc-ground: warning: track {number} goes on: {error}", file=sys.stderr)
+
+
+def _save(path: Path, kept: list[TrackReport]) -> None:
+    try:
+        path.write_text(track_path.write(kept, path.name), encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error

@@ -1,0 +1,44 @@
+"""The newest report of every track, as they are heard beside the sets. Thread-safe."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from contract.errors import WireError
+from contract.topics import TRACKS
+from contract.track import TrackReport
+from contract.wire.track_code import decode_tracks
+
+MOST = 1000  # tracks: a peer may invent vehicles
+SILENT_S = 5.0  # after which a track is no longer there: it is reported twice a second
+
+
+class HeardTracks:
+    """`take` is for a subscription (`SetCache`'s `beside`)."""
+
+    def __init__(self, monotonic_s: Callable[[], float] = time.monotonic) -> None:
+        self._monotonic_s = monotonic_s
+        self._heard: dict[tuple[str, int], tuple[TrackReport, float]] = {}
+        self._lock = threading.Lock()
+
+    def take(self, key: str, payload: bytes) -> None:
+        """A message; what is none of ours is passed over."""
+        try:
+            reports = decode_tracks(payload, TRACKS.vehicle(key))
+        except (ValueError, WireError):
+            return
+        now_s = self._monotonic_s()
+        with self._lock:
+            self._heard = {key: held for key, held in self._heard.items() if now_s - held[1] <= SILENT_S}
+            for report in reports:
+                if len(self._heard) < MOST or (report.vehicle, report.number) in self._heard:
+                    self._heard[report.vehicle, report.number] = report, now_s
+
+    def newest(self) -> list[TrackReport]:
+        """Of the tracks of which something was heard in the last seconds, by vehicle and number."""
+        now_s = self._monotonic_s()
+        with self._lock:
+            held = sorted(self._heard.items(), key=lambda item: item[0])
+            return [report for _, (report, heard_s) in held if now_s - heard_s <= SILENT_S]

@@ -1,0 +1,108 @@
+"""Tracks over the link: begun, ended and listed by a question, heard as they are sent."""
+
+from __future__ import annotations
+
+import json
+import queue
+from types import TracebackType
+from typing import Any
+
+import zenoh
+
+from contract.errors import LinkError, WireError
+from contract.link_config import Tls
+from contract.topics import ANSWER_TIMEOUT_S, FOLLOW, QUERY, TRACKS
+from contract.track import StartTrack, TrackReport, TrackRequest, parameters_of
+from contract.wire.track_code import decode_tracks
+from ground.client import open_link
+from ground.presence import vehicles_there
+
+MOST_WAITING = 1000  # reports that nobody has taken
+TRIES = 3  # a question to begin the same track again is answered with the same track
+
+
+class TrackRefused(LinkError):
+    """The aircraft does not do what was asked; the message is its reason."""
+
+
+class TrackLink:
+    """A session with one aircraft: `vehicle`, or the only one there is. Raises LinkError."""
+
+    def __init__(self, endpoint: str, vehicle: str | None, tls: Tls | None = None) -> None:
+        self._session: Any = open_link("client", endpoint, tls)
+        self._heard: queue.Queue[TrackReport] = queue.Queue(MOST_WAITING)
+        self.unreadable = 0
+        try:
+            self.vehicle = vehicle or self._only_one(endpoint)
+            self._subscriber = self._session.declare_subscriber(TRACKS.key(self.vehicle), self._receive)
+        except (zenoh.ZError, ValueError) as error:
+            self.close()
+            raise LinkError(f"cannot listen to tracks at {endpoint}: {error}") from error
+        except LinkError:
+            self.close()
+            raise
+
+    def ask(self, request: TrackRequest) -> dict[str, Any]:
+        """The aircraft's answer. Raises TrackRefused with its reason, LinkError if it gives none."""
+        parameters = parameters_of(request)
+        selector = FOLLOW.key(self.vehicle) + (f"?{parameters}" if parameters else "")
+        for _ in range(TRIES if isinstance(request, StartTrack) and request.frame is not None else 1):
+            for reply in self._session.get(
+                selector,
+                timeout=ANSWER_TIMEOUT_S,
+                congestion_control=getattr(zenoh.CongestionControl, QUERY.congestion_control),
+                priority=getattr(zenoh.Priority, QUERY.priority),
+                express=QUERY.express,
+            ):
+                said = _object((reply.ok or reply.err).payload.to_bytes())
+                if reply.ok is not None:
+                    return said
+                if "reason" in said:
+                    raise TrackRefused(f"{said.get('status', 'refused')}: {said['reason']}")
+        raise LinkError(f"aircraft {self.vehicle!r} does not answer; may this certificate follow?")
+
+    def next(self, timeout_s: float) -> TrackReport | None:
+        """The next report; None if none came in time."""
+        try:
+            return self._heard.get(timeout=timeout_s)
+        except queue.Empty:
+            return None
+
+    def close(self) -> None:
+        """Leave the link; tracks go on without us."""
+        self._session.close()
+
+    def __enter__(self) -> TrackLink:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def _only_one(self, endpoint: str) -> str:
+        there = vehicles_there(self._session)
+        if len(there) == 1:
+            return there[0]
+        if there:
+            raise LinkError(f"several aircraft are at {endpoint}: {', '.join(there)}; choose one with --vehicle")
+        raise LinkError(f"no aircraft answers at {endpoint}")
+
+    def _receive(self, sample: zenoh.Sample) -> None:
+        """In zenoh's thread."""
+        try:
+            reports = decode_tracks(sample.payload.to_bytes(), TRACKS.vehicle(str(sample.key_expr)))
+        except (WireError, ValueError):
+            self.unreadable += 1
+            return
+        for report in reports:
+            if self._heard.full():
+                self._heard.get_nowait()
+            self._heard.put_nowait(report)
+
+
+def _object(payload: bytes) -> dict[str, Any]:
+    """A JSON object; empty for anything else."""
+    try:
+        said = json.loads(payload)
+    except (ValueError, RecursionError):
+        return {}
+    return {str(key): value for key, value in said.items()} if isinstance(said, dict) else {}
