@@ -23,13 +23,19 @@ Image = NDArray[np.float32]
 
 LEAST_SIZE_PX, USUAL_SIZE_PX, MOST_SIZE_PX = 3.0, 9.0, 48.0
 MOST_REACH_PX = 40  # that a thing is looked for about where it should be
-FASTEST_M_S, ACCELERATION_M_S2 = 25.0, 2.5  # one sigma, of people and cars
+FASTEST_M_S = 25.0
+# One sigma of a thing's acceleration: at rest, and for each m/s that it has, for who is fast turns as soon as who is slow.
+ACCELERATION_M_S2, TURN_RAD_S = 0.6, 0.15
 USUAL_M_PX = 0.15  # on the ground, where no set says better
 CLICK_SIGMA_PX, CLICK_REACH_PX = 1.5, 10.0
 SURE_DIFFERENCE, SURE_LIKENESS, LEAST_LIKENESS = 0.35, 0.8, 0.3
 LOST_AFTER_S = 2.0
 OLD_S = 1.0  # age of the older of the two looks that are remembered
 PRIOR_WEIGHT = 0.04
+# So many times as large as it was: something else is there too, and one sigma of its place is that share of its size.
+MERGED, MERGED_SHARE = 1.2, 0.6
+# One sigma of the middle of what differs, as a share of its size; more of a large thing, which covers itself as it moves.
+SPREAD, LARGE_PX = 0.06, 8.0
 # Where nothing has changed by more than so much, and the thing looks elsewhere better by at most so much, it stands.
 UNCHANGED, STILL_LIKENESS, STILL_SIGMA_PX = 0.1, 0.05, 0.3
 
@@ -134,7 +140,8 @@ class Follower:
         if not is_still:
             self._rest = self._uv.copy()
         self._last_seen_ns = seen.stamp_ns
-        self._remember()
+        if sigma < MERGED_SHARE * self._size:
+            self._remember()
         return Sight(seen, uv, sigma, self._size)
 
     def _unseen(self, unseen: Unseen) -> Sight:
@@ -150,7 +157,7 @@ class Follower:
         self._velocity = J @ self._velocity
         self._uv = near[0] + self._velocity * dt
         F = np.block([[J, dt * J], [np.zeros((2, 2)), J]])
-        q = (ACCELERATION_M_S2 / self._m_px) ** 2
+        q = (ACCELERATION_M_S2 / self._m_px + TURN_RAD_S * float(np.hypot(*self._velocity))) ** 2
         Q = np.kron(np.array([[dt**4 / 4.0, dt**3 / 2.0], [dt**3 / 2.0, dt**2]]), q * np.eye(2))
         self._cov = F @ self._cov @ F.T + Q + np.diag([0.01, 0.01, 0.0, 0.0])
         self._looks = [replace(look, turned=J @ look.turned) for look in self._looks]
@@ -198,6 +205,8 @@ class Follower:
         if changed is None or differs < SURE_DIFFERENCE:
             return alike, sigma
         centre, spread = self._centred(changed, np.array([i, j]) - reach + middle, patch)
+        if spread >= MERGED_SHARE * self._size:
+            return alike, spread
         share = sigma**2 / (sigma**2 + spread**2)
         return alike + share * (centre - alike), sigma * spread / float(np.hypot(sigma, spread))
 
@@ -235,15 +244,18 @@ class Follower:
         rows, columns = np.mgrid[: changed.shape[0], : changed.shape[1]]
         centre = at.astype(float)
         for _ in range(3):
-            near = np.maximum(np.abs(rows - centre[1]), np.abs(columns - centre[0])) <= max(0.8 * self._size, 2.5)
+            near = np.maximum(np.abs(rows - centre[1]), np.abs(columns - centre[0])) <= max(0.65 * self._size, 2.5)
             weight = changed * near
             total = float(weight.sum())
             if total < 1.0:
                 break
             centre = np.array([(weight * columns).sum(), (weight * rows).sum()]) / total
-        area = float((changed * near).sum())
-        self._size += 0.15 * (float(np.clip(1.15 * np.sqrt(area), LEAST_SIZE_PX, MOST_SIZE_PX)) - self._size)
-        return centre + patch.corner, 0.08 * self._size
+        wide = np.maximum(np.abs(rows - centre[1]), np.abs(columns - centre[0])) <= max(1.3 * self._size, 4.0)
+        seen_px = 1.15 * float(np.sqrt((changed * wide).sum()))
+        if seen_px > MERGED * self._size:  # something else has come close: where the thing is in it is not known
+            return centre + patch.corner, MERGED_SHARE * self._size
+        self._size += 0.1 * (float(np.clip(seen_px, LEAST_SIZE_PX, MOST_SIZE_PX)) - self._size)
+        return centre + patch.corner, SPREAD * self._size * (1.0 + self._size / LARGE_PX)
 
     def _remember(self) -> None:
         """What it looks like now, beside what it looked like OLD_S ago."""

@@ -1,0 +1,187 @@
+"""Things followed through whole pictures with truth: where they are, how they move, and when that is not known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from contract.answer import CHI2_2
+from contract.feature_set import Status
+from contract.track import MOST_TRACKS, TrackReport, TrackState, Unseen
+from onboard.tracks.track_book import SAID_LOST_S, TrackBook
+from tests.onboard.tracks.flat_world import PLACE, RATE_HZ, SESSION, Thing, World, at
+
+Watch = Callable[[int, list[TrackReport]], None]
+
+
+def fly(
+    world: World, pictures: range, clicks: dict[int, Thing], *, clicked: int, asked: int | None = None
+) -> tuple[TrackBook, dict[int, dict[int, TrackReport]]]:
+    """Through the pictures; each thing is clicked in picture `clicked`, and asked for after picture `asked`."""
+    book, said = TrackBook("uav-1"), {number: dict[int, TrackReport]() for number in clicks}
+    for number in pictures:
+        book.picture(world.frame(number), world.its_set(number))
+        if number == (clicked if asked is None else asked):
+            for track, thing in clicks.items():
+                u, v = world.pixel(thing, clicked) + np.array([0.7, -0.6])
+                assert book.start(track, (float(u), float(v)), clicked)
+        for report in book.reports():
+            said[report.number][number] = report
+    return book, said
+
+
+def off_px(world: World, thing: Thing, reports: dict[int, TrackReport]) -> float:
+    """The largest error in the pictures in which it is followed."""
+    return max(
+        float(np.hypot(*(world.pixel(thing, n) - (r.u_px, r.v_px))))
+        for n, r in reports.items()
+        if r.state is TrackState.FOLLOWED
+    )
+
+
+@pytest.mark.parametrize("speed", [1.4, 6.0])
+@pytest.mark.parametrize("is_flying", [False, True])
+def test_what_moves_is_given_its_speed_and_course(speed: float, is_flying: bool) -> None:
+    course = math.radians(70.0)
+    velocity = speed * math.sin(course), speed * math.cos(course)
+    walker = Thing(at(-22.0 if speed > 2.0 else -8.0, -6.0, velocity), 1.0)
+    world = World((walker,), camera=at(0.0, 0.0, (0.7 * velocity[0], 0.5 * velocity[1])) if is_flying else at(0.0, 0.0))
+    _, said = fly(world, range(75), {1: walker}, clicked=12)
+    last = said[1][74]
+    assert last.state is TrackState.FOLLOWED and off_px(world, walker, said[1]) < 2.5
+    c = last.course
+    assert c is not None and c.course_deg is not None and c.sigma_course_deg is not None
+    assert abs(c.speed_m_s - speed) < min(0.3, 3.0 * c.sigma_speed_m_s) and 0.005 < c.sigma_speed_m_s < 0.5
+    assert abs(c.course_deg - 70.0) < 8.0 and c.sigma_course_deg < 12.0
+
+
+def test_its_place_is_off_by_what_the_pose_is_off_and_its_speed_is_not() -> None:
+    car = Thing(at(-15.0, 0.0, (5.0, 0.0)), 2.0)
+    world = World((car,))
+    _, said = fly(world, range(60), {1: car}, clicked=15)
+    last = said[1][59]
+    assert last.place is not None and last.course is not None
+    off = PLACE.to_enu(last.place.lat_deg, last.place.lon_deg, 100.0)[:2] - car.place(5.9)
+    assert np.abs(off - [0.8, -0.5]).max() < 0.3  # as `World.its_set` has it
+    assert last.place.ellipse.semi_major_m == pytest.approx(math.sqrt(CHI2_2), rel=0.1)
+    assert abs(last.course.speed_m_s - 5.0) < 0.15
+
+
+def test_what_stands_is_at_rest_and_has_no_course() -> None:
+    parked = Thing(at(3.0, 4.0), 3.0)
+    world = World((parked,), camera=at(-4.0, 0.0, (1.5, 0.0)))
+    _, said = fly(world, range(70), {1: parked}, clicked=12)
+    stated = [r.course for n, r in said[1].items() if r.course is not None]
+    assert len(stated) > 40 and not any(c.is_moving for c in stated)
+    assert stated[-1].sigma_speed_m_s < 0.2 and "at rest" in said[1][69].course_text
+
+
+def test_what_stops_comes_to_rest_and_what_starts_moves_again() -> None:
+    def place(t: float) -> tuple[float, float]:
+        return -8.0 + 1.5 * (min(t, 4.0) + max(t - 9.0, 0.0)), 2.0
+
+    walker = Thing(place, 0.8)
+    world = World((walker,))
+    _, said = fly(world, range(140), {1: walker}, clicked=12)
+    moving = {n: r.course.is_moving for n, r in said[1].items() if r.course is not None}
+    assert moving[38] and not moving[85] and moving[130]
+    assert off_px(world, walker, said[1]) < 4.0
+
+
+def test_a_click_that_is_a_second_old_is_followed_from_its_picture_on() -> None:
+    car = Thing(at(-18.0, 3.0, (6.0, 0.0)), 2.0)
+    world = World((car,))
+    _, said = fly(world, range(50), {1: car}, clicked=15, asked=26)
+    assert min(said[1]) == 26 and off_px(world, car, said[1]) < 2.0
+    assert said[1][26].course is not None  # known already, of the pictures since
+
+
+def test_a_thing_that_hides_is_said_to_coast_within_a_second_and_is_found_again() -> None:
+    walker = Thing(at(-10.0, 0.0, (2.0, 0.0)), 1.0, until_s=4.0, again_s=5.4)
+    world = World((walker,))
+    _, said = fly(world, range(85), {1: walker}, clicked=12)
+    states = {n: r.state for n, r in said[1].items()}
+    hidden = [n for n in range(40, 54) if states[n] is TrackState.COASTING]
+    assert hidden and hidden[0] - 40 < RATE_HZ and said[1][hidden[0]].unseen is Unseen.HIDDEN
+    assert states[65] is TrackState.FOLLOWED
+    last = said[1][84]
+    assert np.hypot(*(world.pixel(walker, 84) - (last.u_px, last.v_px))) < 1.5
+    ellipses = [said[1][n].place for n in (39, hidden[-1])]
+    assert ellipses[0] is not None and ellipses[1] is not None
+    assert ellipses[1].ellipse.semi_major_m > ellipses[0].ellipse.semi_major_m
+
+
+def test_a_thing_that_is_gone_is_lost_and_then_forgotten() -> None:
+    walker = Thing(at(-8.0, 0.0, (2.0, 0.0)), 1.0, until_s=3.5)
+    world = World((walker,))
+    gone_by = 35 + round((2.5 + 1.0 + SAID_LOST_S) * RATE_HZ)
+    book, said = fly(world, range(gone_by + 5), {1: walker}, clicked=12)
+    states = [r.state for r in said[1].values()]
+    assert TrackState.LOST in states and states[-1] is TrackState.LOST
+    assert not book.reports() and not book.numbers
+    first_lost = next(n for n, r in said[1].items() if r.state is TrackState.LOST)
+    assert 20 <= first_lost - 35 <= 35
+
+
+def test_what_leaves_the_picture_is_said_to_have_left_it() -> None:
+    car = Thing(at(5.0, 0.0, (9.0, 0.0)), 2.0)
+    world = World((car,))
+    _, said = fly(world, range(55), {1: car}, clicked=12)
+    assert said[1][40].unseen is Unseen.OFF_PICTURE and said[1][54].state is TrackState.LOST
+
+
+def test_twins_that_cross_keep_their_numbers() -> None:
+    one, two = Thing(at(-9.0, 0.0, (1.8, 0.0)), 1.0), Thing(at(0.0, -9.0, (0.0, 1.8)), 1.0)
+    world = World((one, two))
+    _, said = fly(world, range(95), {1: one, 2: two}, clicked=12)
+    for number, thing in ((1, one), (2, two)):
+        last = said[number][94]
+        assert np.hypot(*(world.pixel(thing, 94) - (last.u_px, last.v_px))) < 2.0
+
+
+def test_an_exposure_that_hunts_is_no_motion() -> None:
+    parked = Thing(at(3.0, 4.0), 2.0)
+    world = World((parked,), gain=lambda t: 1.0 + 0.15 * math.sin(2.0 * t))
+    _, said = fly(world, range(60), {1: parked}, clicked=12)
+    assert said[1][59].state is TrackState.FOLLOWED and off_px(world, parked, said[1]) < 1.5
+    assert not any(r.course.is_moving for r in said[1].values() if r.course is not None)
+
+
+def test_without_sets_that_answer_a_thing_is_followed_and_has_no_place() -> None:
+    car = Thing(at(-10.0, 0.0, (4.0, 0.0)), 2.0)
+    world = World((car,), status=Status.LOW_PARALLAX)
+    _, said = fly(world, range(40), {1: car}, clicked=15)
+    last = said[1][39]
+    assert last.state is TrackState.FOLLOWED and off_px(world, car, said[1]) < 2.0
+    assert last.place is None and last.course is None and last.status is not Status.OK
+
+
+def test_there_are_at_most_eight() -> None:
+    things = {n: Thing(at(-20.0 + 5.0 * n, 3.0), 1.5) for n in range(1, MOST_TRACKS + 1)}
+    world = World(tuple(things.values()))
+    book, said = fly(world, range(20), things, clicked=15)
+    u, v = world.pixel(things[1], 19)
+    assert not book.start(9, (float(u), float(v) + 20.0), 19)
+    assert len(book.numbers) == MOST_TRACKS
+    assert book.stop(1) and not book.stop(1) and book.start(9, (float(u), float(v) + 20.0), 19)
+
+
+def test_another_session_begins_without_tracks() -> None:
+    world = World((Thing(at(0.0, 0.0), 2.0),))
+    book, _ = fly(world, range(20), {1: world.things[0]}, clicked=15)
+    other = world.its_set(0)
+    object.__setattr__(other, "session", SESSION + 1)
+    book.picture(world.frame(0), other)
+    assert not book.reports() and book.frames == {0}
+
+
+def test_pictures_that_stop_coming_are_reported() -> None:
+    world = World((Thing(at(0.0, 0.0), 2.0),))
+    book, _ = fly(world, range(25), {1: world.things[0]}, clicked=15)
+    (report,) = book.reports(is_silent=True)
+    assert (report.state, report.unseen) == (TrackState.COASTING, Unseen.NO_PICTURE)
+    book.picture(world.frame(25), world.its_set(25))
+    assert book.reports()[0].state is TrackState.FOLLOWED
