@@ -24,7 +24,7 @@ Image = NDArray[np.float32]
 LEAST_SIZE_PX, USUAL_SIZE_PX, MOST_SIZE_PX = 3.0, 9.0, 48.0
 MOST_REACH_PX = 40  # that a thing is looked for about where it should be
 FASTEST_M_S = 25.0
-# One sigma of a thing's acceleration: at rest, and for each m/s that it has, for who is fast turns as soon as who is slow.
+# One sigma of a thing's acceleration: at rest, and for each m/s that it has: who is fast turns as soon as who is slow.
 ACCELERATION_M_S2, TURN_RAD_S = 0.6, 0.15
 USUAL_M_PX = 0.15  # on the ground, where no set says better
 CLICK_SIGMA_PX, CLICK_REACH_PX = 1.5, 10.0
@@ -34,7 +34,7 @@ OLD_S = 1.0  # age of the older of the two looks that are remembered
 PRIOR_WEIGHT = 0.04
 # So many times as large as it was: something else is there too, and one sigma of its place is that share of its size.
 MERGED, MERGED_SHARE = 1.2, 0.6
-# One sigma of the middle of what differs, as a share of its size; more of a large thing, which covers itself as it moves.
+# One sigma of the middle of what differs, as a share of its size; more of a large thing, which moves over itself.
 SPREAD, LARGE_PX = 0.06, 8.0
 # Where nothing has changed by more than so much, and the thing looks elsewhere better by at most so much, it stands.
 UNCHANGED, STILL_LIKENESS, STILL_SIGMA_PX = 0.1, 0.05, 0.3

@@ -54,7 +54,9 @@ class World:
 
     def __post_init__(self) -> None:
         rng = np.random.default_rng(self.seed)
-        coarse = cv2.resize(rng.normal(0.0, 22.0, (150, 150)).astype(np.float32), (900, 900), interpolation=cv2.INTER_CUBIC)
+        coarse = cv2.resize(
+            rng.normal(0.0, 22.0, (150, 150)).astype(np.float32), (900, 900), interpolation=cv2.INTER_CUBIC
+        )
         fine = cv2.GaussianBlur(rng.normal(0.0, 28.0, (900, 900)).astype(np.float32), (0, 0), 1.2)
         self._ground = 100.0 + coarse + fine
         self._rng = rng
@@ -72,7 +74,9 @@ class World:
                 continue
             u, v = self.pixel(thing, frame)
             half = 0.5 * thing.size_m / M_PX
-            cover = np.clip(half - np.abs(columns - u) + 0.5, 0.0, 1.0) * np.clip(half - np.abs(rows - v) + 0.5, 0.0, 1.0)
+            cover = np.clip(half - np.abs(columns - u) + 0.5, 0.0, 1.0) * np.clip(
+                half - np.abs(rows - v) + 0.5, 0.0, 1.0
+            )
             spots = 25.0 * np.sign((columns - u) * (rows - v))
             out = out + cover * (thing.grey + spots - out)
         noisy = self.gain(t) * out + self._rng.normal(0.0, 1.5, out.shape)

@@ -162,7 +162,7 @@ def test_without_sets_that_answer_a_thing_is_followed_and_has_no_place() -> None
 def test_there_are_at_most_eight() -> None:
     things = {n: Thing(at(-20.0 + 5.0 * n, 3.0), 1.5) for n in range(1, MOST_TRACKS + 1)}
     world = World(tuple(things.values()))
-    book, said = fly(world, range(20), things, clicked=15)
+    book, _ = fly(world, range(20), things, clicked=15)
     u, v = world.pixel(things[1], 19)
     assert not book.start(9, (float(u), float(v) + 20.0), 19)
     assert len(book.numbers) == MOST_TRACKS

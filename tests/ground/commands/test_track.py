@@ -1,0 +1,166 @@
+"""`pc-ground track`, CoT and files of paths: what is printed and written of followed things."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from contract.track import Course, TrackReport, TrackState
+from contract.wire.track_code import decode_track, encode_track
+from ground.__main__ import main
+from ground.formats import cot, track_path
+from ground.heard_tracks import SILENT_S, HeardTracks
+from onboard.link.publisher import Publisher, Rate
+from tests.contract.test_track_code import REPORT
+from tests.onboard.link.ports import free_endpoint
+
+NOW_NS = 1_700_000_001_000_000_000
+
+
+class Following(threading.Thread):
+    """An aircraft that follows whatever it is asked to, and loses it in its fifth report."""
+
+    def __init__(self, publisher: Publisher) -> None:
+        super().__init__(daemon=True)
+        self.publisher, self.asked, self.ended = publisher, list[str](), threading.Event()
+        publisher.follow = self.follow
+
+    def follow(self, text: str) -> tuple[bytes, bool]:
+        self.asked.append(text)
+        if text.startswith("u=1.0"):
+            return b'{"status": "outside", "reason": "off the picture"}', True
+        return (b'{"track": 3, "frame": 7}' if text.startswith("u=") else b'{"tracks": [3, 5]}'), False
+
+    def run(self) -> None:
+        count = 0
+        while not self.ended.wait(0.05):
+            if any(text.startswith("u=") for text in self.asked):
+                count += 1
+            state = TrackState.LOST if count >= 5 else TrackState.FOLLOWED
+            other = replace(REPORT, number=9, state=TrackState.FOLLOWED)
+            self.publisher.publish_tracks(encode_track(other) + encode_track(replace(REPORT, state=state)))
+
+
+@pytest.fixture
+def aircraft() -> Iterator[tuple[str, Following]]:
+    endpoint = free_endpoint()
+    with Publisher("uav-1", [endpoint], rate=Rate(max_bit_rate=1e7)) as publisher:
+        following = Following(publisher)
+        following.start()
+        yield endpoint, following
+        following.ended.set()
+        following.join(5.0)
+
+
+def test_each_report_is_a_line_until_the_thing_is_lost(
+    aircraft: tuple[str, Following], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    endpoint, following = aircraft
+    path = tmp_path / "car.geojson"
+    assert main(["track", "320", "119.5", "--frame", "7", "--connect", endpoint, "--json", "--save", str(path)]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert following.asked == ["u=320.0;v=119.5;frame=7"]  # lost: there is nothing to stop
+    assert lines[-1]["state"] == "lost" and {line["track"] for line in lines} == {3}
+    assert lines[-1]["speed_m_s"] == pytest.approx(14.98) and lines[-1]["course_deg"] == pytest.approx(271.4, abs=0.01)
+    assert lines[-1]["ellipse"]["semi_major_m"] == pytest.approx(2.5, rel=1e-3)
+    assert json.loads(path.read_text())["features"][-1]["properties"]["track"] == 3
+
+
+def test_what_the_aircraft_refuses_ends_with_its_reason(
+    aircraft: tuple[str, Following], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["track", "1", "1", "--connect", aircraft[0]]) == 3
+    assert capsys.readouterr().err == "outside: off the picture\n"
+
+
+def test_all_tracks_are_listened_to_listed_and_stopped(
+    aircraft: tuple[str, Following], capsys: pytest.CaptureFixture[str]
+) -> None:
+    endpoint, following = aircraft
+    assert main(["track", "--connect", endpoint, "--seconds", "1.5"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("track 9 followed") for line in lines)
+    assert any("15.0 +-0.2 m/s towards 271 +-1 deg" in line for line in lines)
+    assert main(["track", "--list", "--connect", endpoint]) == 0
+    assert main(["track", "--stop", "5", "--connect", endpoint]) == 0
+    assert capsys.readouterr().out == "3 5\n3 5\n"
+    assert following.asked == ["", "stop=5"]
+
+
+def test_ended_by_the_time_given_the_track_is_stopped_or_left(aircraft: tuple[str, Following]) -> None:
+    endpoint, following = aircraft
+    began_s = time.monotonic()
+    assert main(["track", "320", "100", "--connect", endpoint, "--seconds", "0.01"]) == 0
+    assert following.asked[-1] == "stop=3" and time.monotonic() - began_s < 20.0
+    assert main(["track", "320", "100", "--connect", endpoint, "--seconds", "0.01", "--leave"]) == 0
+    assert following.asked[-1].startswith("u=320.0")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["1"], ["--frame", "3"], ["1", "2", "--list"], ["1", "2", "--save", "x.txt"], ["1", "2", "--seconds", "-1"]],
+)
+def test_wrong_usage_is_one_line(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        assert main(["track", *words]) == 2
+    except SystemExit as ended:
+        assert ended.code == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def path_of(name: str) -> str:
+    assert REPORT.place is not None
+    reports: list[TrackReport] = []
+    for k in range(4):
+        place = replace(REPORT.place, lat_deg=REPORT.place.lat_deg + 1e-5 * k)
+        reports.append(replace(REPORT, place=None if k == 2 else place, capture_unix_ns=NOW_NS + k * 500_000_000))
+    return track_path.write(reports, name)
+
+
+def test_a_path_is_a_line_with_times_in_geojson() -> None:
+    features = json.loads(path_of("a.geojson"))["features"]
+    assert [f["geometry"]["type"] for f in features] == ["LineString", "Point", "Point", "Point"]
+    assert len(features[0]["geometry"]["coordinates"]) == len(features[0]["properties"]["times"]) == 3
+    assert features[0]["properties"]["times"][0].startswith("2023-11-14T22:13:21")
+    assert features[1]["geometry"]["coordinates"][:2] == [172.987654321, -43.123456789]
+
+
+def test_a_path_is_a_track_with_times_in_kml() -> None:
+    root = ET.fromstring(path_of("a.KML"))
+    whens = [node.text for node in root.iter() if node.tag.endswith("}when")]
+    places = [node.text for node in root.iter() if node.tag.endswith("}coord")]
+    assert len(whens) == len(places) == 3 and str(places[0]).startswith("172.987654321 -43.123456789")
+
+
+def test_cot_has_speed_and_course_and_of_a_thing_at_rest_no_course() -> None:
+    text = cot.track_event(REPORT, NOW_NS, 30.0)
+    assert text is not None
+    track = ET.fromstring(text).find("detail/track")
+    assert track is not None and (track.get("course"), track.get("speed")) == ("271.4", "14.98")
+    still = cot.track_event(replace(REPORT, course=Course(0.05, 0.1)), NOW_NS, 30.0)
+    assert still is not None
+    track = ET.fromstring(still).find("detail/track")
+    assert track is not None and track.get("course") is None and track.get("speed") == "0.00"
+    point = ET.fromstring(still).find("point")
+    assert point is not None and 2.0 < float(str(point.get("ce"))) < 2.5
+    assert cot.track_event(replace(REPORT, state=TrackState.LOST), NOW_NS, 30.0) is None
+    assert cot.track_event(replace(REPORT, place=None), NOW_NS, 30.0) is None
+
+
+def test_tracks_that_are_no_longer_reported_are_forgotten() -> None:
+    now = [0.0]
+    heard = HeardTracks(lambda: now[0])
+    heard.take("pc/uav-1/tracks", encode_track(REPORT))
+    heard.take("pc/uav-1/tracks", b"\xff\xff")
+    heard.take("no/key", encode_track(REPORT))
+    assert [report.vehicle for report in heard.newest()] == ["uav-1"]
+    assert heard.newest()[0] == decode_track(encode_track(REPORT), "uav-1")
+    now[0] = SILENT_S + 0.1
+    assert not heard.newest()

@@ -1,0 +1,95 @@
+"""Tracks over real zenoh sessions on loopback: asked for, refused, heard; and who may ask, by certificates."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from contract.errors import LinkError
+from contract.link_config import Tls, link_config
+from contract.track import ListTracks, StartTrack, StopTrack
+from contract.wire.track_code import encode_track
+from ground.track_link import TrackLink, TrackRefused
+from onboard.link.byte_budget import Budget, Kind
+from onboard.link.certificates import make_credentials
+from onboard.link.publisher import Publisher, Rate
+from tests.contract.test_track_code import REPORT
+from tests.onboard.link.ports import free_endpoint
+from tests.onboard.link.test_publisher import eventually
+
+WIDE = Rate(max_bit_rate=1e6)
+
+
+def test_a_track_is_asked_for_and_its_reports_are_heard() -> None:
+    endpoint, asked = free_endpoint(), list[str]()
+
+    def follow(text: str) -> tuple[bytes, bool]:
+        asked.append(text)
+        return b'{"track": 3, "frame": 7}', False
+
+    with Publisher("uav-1", [endpoint], rate=WIDE) as flying:
+        flying.follow = follow
+        with TrackLink(endpoint, None) as link:
+            assert link.vehicle == "uav-1"
+            assert link.ask(StartTrack(10.5, 20.25, 7)) == {"track": 3, "frame": 7}
+            assert asked == ["u=10.5;v=20.25;frame=7"]
+            flying.publish_tracks(encode_track(REPORT) * 2)
+            heard = [link.next(15.0), link.next(15.0)]
+            assert all(report is not None and report.to_text() == REPORT.to_text() for report in heard)
+            assert link.next(0.01) is None
+            flying.publish_tracks(b"\xff" * 30)
+            assert eventually(lambda: link.unreadable == 1)
+
+
+def test_a_refusal_has_the_aircrafts_reason() -> None:
+    endpoint = free_endpoint()
+    with Publisher("uav-1", [endpoint], rate=WIDE) as flying, TrackLink(endpoint, "uav-1") as link:
+        with pytest.raises(TrackRefused, match=r"disabled: this aircraft follows nothing: tracks\.enabled is false"):
+            link.ask(ListTracks())
+        flying.follow = lambda _: (json.dumps({"status": "full", "reason": "stop one"}).encode(), True)
+        with pytest.raises(TrackRefused, match="full: stop one"):
+            link.ask(StartTrack(1.0, 2.0))
+
+
+def test_only_the_named_may_follow(tmp_path: Path) -> None:
+    make_credentials(tmp_path, ["uav-1"], ["anna", "ben"], [], 30.0)
+    endpoint = free_endpoint().replace("tcp/", "tls/")
+    tls = {name: Tls.in_folder(tmp_path / name) for name in ("uav-1", "anna", "ben")}
+    with Publisher("uav-1", [endpoint], rate=WIDE, tls=tls["uav-1"], trackers=["anna"]) as flying:
+        flying.follow = lambda text: (json.dumps({"tracks": [len(text)]}).encode(), False)
+        with TrackLink(endpoint, "uav-1", tls["anna"]) as anna, TrackLink(endpoint, "uav-1", tls["ben"]) as ben:
+            assert anna.ask(StopTrack(3)) == {"tracks": [6]}
+            with pytest.raises(LinkError, match="may this certificate follow"):
+                ben.ask(StopTrack(3))
+
+            def is_heard() -> bool:
+                flying.publish_tracks(encode_track(REPORT))
+                return ben.next(0.3) is not None
+
+            assert eventually(is_heard)  # to read is another right
+
+
+def test_without_trackers_the_rights_are_as_they_were() -> None:
+    rules = json.loads(link_config("peer", is_aircraft=True, trackers=["anna"]))["access_control"]
+    assert [rule["key_exprs"] for rule in rules["rules"]] == [["pc/**"]] * 3  # without certificates nobody has a name
+    assert len(rules["subjects"]) == 1
+
+
+def test_reports_of_eight_tracks_leave_sets_their_rate_at_their_bit_rate() -> None:
+    """A minute at 64 kbit/s: five sets a second, and reports of 8 x 57 bytes twice a second."""
+    budget = Budget(64_000.0, 0.2, 5.0, 0.0)
+    sent = dict.fromkeys(Kind, 0)
+    due_set = due_tracks = 0.0
+    for step in range(60_000):
+        now_s = step * 0.001
+        budget.waits(Kind.SET, 600 if now_s >= due_set else None, now_s)
+        budget.waits(Kind.TRACK, 456 if now_s >= due_tracks else None, now_s)
+        if now_s >= due_tracks and budget.send(Kind.TRACK, 456, now_s):
+            sent[Kind.TRACK] += 1
+            due_tracks += 0.5
+        if now_s >= due_set and budget.send(Kind.SET, 600, now_s):
+            sent[Kind.SET] += 1
+            due_set += 0.2
+    assert sent[Kind.SET] >= 290 and 110 <= sent[Kind.TRACK] <= 121

@@ -1,0 +1,159 @@
+"""The thread that follows: requests answered at once, hostile ones refused, reports twice a second by its own clock."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from contract.track import MOST_TRACKS, TrackState, Unseen
+from contract.wire.track_code import MAX_TRACK_BYTES, decode_tracks
+from onboard.config.schema import parse_config
+from onboard.service.track_thread import MAX_HELD, TrackThread
+from onboard.tracks.track_book import TrackBook
+from tests.onboard.tracks.flat_world import Thing, World, at
+
+CONFIG = parse_config('[vehicle]\nid = "uav-1"\n')
+CAR = Thing(at(-10.0, 0.0, (4.0, 0.0)), 2.0)
+
+
+class Flown:
+    """A thread that is never started: its work is done by hand, a clock goes on by a tenth of a second a picture."""
+
+    def __init__(self, world: World | None = None) -> None:
+        self.world = world or World((CAR,))
+        self.now_s = 0.0
+        self.sent: list[bytes] = []
+        self.tracks = TrackThread(CONFIG, self.sent.append, lambda: self.now_s)
+
+    def fly(self, first: int, end: int) -> None:
+        for number in range(first, end):
+            self.now_s += 0.1
+            self.hand_over(number)
+            self.tracks.work()
+
+    def hand_over(self, number: int) -> None:
+        self.tracks.event(0, self.world.frame(number))
+        self.tracks.feature_set(self.world.its_set(number))
+
+    def ask(self, text: str) -> tuple[dict[str, object], bool]:
+        payload, is_error = self.tracks.answer(text)
+        return json.loads(payload), is_error
+
+    def click(self, number: int) -> str:
+        u, v = self.world.pixel(self.world.things[0], number)
+        return f"u={u:.2f};v={v:.2f};frame={number}"
+
+
+def test_a_click_is_answered_at_once_and_reported_twice_a_second() -> None:
+    flown = Flown()
+    flown.fly(0, 16)
+    assert not flown.sent
+    assert flown.ask(flown.click(15)) == ({"track": 1, "frame": 15}, False)
+    flown.fly(16, 46)
+    assert 5 <= len(flown.sent) <= 7  # three seconds
+    (report,) = decode_tracks(flown.sent[-1], "uav-1")
+    assert len(flown.sent[-1]) <= MAX_TRACK_BYTES and report.state is TrackState.FOLLOWED
+    assert report.course is not None and abs(report.course.speed_m_s - 4.0) < 0.4
+    assert flown.ask("") == ({"tracks": [1]}, False)
+    assert flown.ask("stop=1") == ({"tracks": []}, False)
+    said = len(flown.sent)
+    flown.fly(46, 60)
+    assert len(flown.sent) == said
+
+
+def test_the_same_question_again_begins_no_other_track() -> None:
+    flown = Flown()
+    flown.fly(0, 16)
+    assert flown.ask(flown.click(15)) == flown.ask(flown.click(15)) == ({"track": 1, "frame": 15}, False)
+    flown.fly(16, 18)
+    assert flown.ask(flown.click(15))[0]["track"] == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "status"),
+    [
+        ("u=1;v", "bad_request"), ("u=160;v=120;frame=999", "unknown_frame"), ("u=5;v=120;frame=15", "outside"),
+        ("u=160;v=239;frame=15", "outside"), ("stop=9", "unknown_track"), ("\0;=;;=", "bad_request"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_done_is_refused_with_its_reason(text: str, status: str) -> None:
+    flown = Flown()
+    flown.fly(0, 16)
+    said, is_error = flown.ask(text)
+    assert is_error and said["status"] == status and said["reason"]
+    assert flown.ask("") == ({"tracks": []}, False)
+
+
+def test_before_the_first_picture_nothing_can_be_followed() -> None:
+    assert Flown().ask("u=100;v=100")[0]["status"] == "unknown_frame"
+
+
+def test_the_ninth_is_refused_until_one_is_stopped() -> None:
+    flown = Flown()
+    flown.fly(0, 16)
+    for n in range(MOST_TRACKS):
+        assert not flown.ask(f"u={40 + 25 * n};v=100;frame=15")[1]
+    said, is_error = flown.ask("u=160;v=160;frame=15")
+    assert is_error and said["status"] == "full"
+    flown.fly(16, 18)
+    assert flown.ask("u=160;v=160;frame=15")[0]["status"] == "full"
+    assert not flown.ask("stop=3")[1] and not flown.ask("u=160;v=160;frame=15")[1]
+    flown.fly(18, 30)
+    assert max(len(message) for message in flown.sent) <= MOST_TRACKS * MAX_TRACK_BYTES
+    assert len(decode_tracks(flown.sent[-1])) == MOST_TRACKS
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=60)
+@given(st.lists(st.text(max_size=40) | st.text(alphabet="uv=;0159.frametop", max_size=30), max_size=40))
+def test_no_requests_bring_it_down_or_fill_it(texts: list[str]) -> None:
+    flown = QUIET
+    for text in texts:
+        payload, _ = flown.tracks.answer(text)
+        assert len(payload) < 400 and isinstance(json.loads(payload), dict)
+    flown.tracks.work()
+    assert len(json.loads(flown.tracks.answer("")[0])["tracks"]) <= MOST_TRACKS
+
+
+QUIET = Flown()
+QUIET.fly(0, 8)
+
+
+def test_pictures_that_it_cannot_keep_up_with_are_passed_over() -> None:
+    flown = Flown()
+    flown.fly(0, 16)
+    flown.ask(flown.click(15))
+    flown.tracks.work()
+    frame, its_set = flown.world.frame(16), flown.world.its_set(16)
+    for number in range(16, 16 + 3 * MAX_HELD):
+        flown.tracks.event(0, type(frame)(frame.stamp_ns + number, number, frame.image))
+    assert len(flown.tracks._held) <= MAX_HELD
+    del its_set
+    flown.now_s += 2.0
+    flown.tracks.work()
+    (report,) = decode_tracks(flown.sent[-1])
+    assert (report.state, report.unseen) == (TrackState.COASTING, Unseen.NO_PICTURE)
+
+
+def test_a_track_that_brings_the_thread_down_is_not_begun_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    flown = Flown()
+    flown.fly(0, 16)
+    flown.ask(flown.click(15))
+    flown.tracks.work()
+    flown.tracks.thread.error = ValueError("as the supervisor has it when it begins the work again")
+    flown.tracks.thread.end()
+    flown.tracks._run(flown.tracks.thread)
+    assert flown.ask("") == ({"tracks": []}, False)
+    flown.fly(16, 30)
+    assert flown.ask(flown.click(29)) == ({"track": 2, "frame": 29}, False)
+
+
+def test_without_tracks_a_picture_costs_no_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr("onboard.tracks.ground_steps.step", lambda *_: asked.append(1))
+    flown = Flown()
+    flown.fly(0, 20)
+    assert not asked and len(flown.tracks._book.frames) == 20
+    assert isinstance(flown.tracks._book, TrackBook)

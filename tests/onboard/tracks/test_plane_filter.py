@@ -1,0 +1,111 @@
+"""Speed and course with sigmas that hold, errors that all pictures share kept out of averages, and rest as rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from onboard.tracks.plane_filter import Motion, PlaneFilter
+
+NOISE_M = 0.05
+HEIGHT_M, FLIGHT_M_S = 120.0, 15.0
+DT = 0.1
+
+
+def run(
+    rng: np.random.Generator,
+    velocity: np.ndarray,
+    seconds: float = 10.0,
+    *,
+    density: float = 0.0,
+    height_m: float = 0.0,
+) -> tuple[Motion, np.ndarray]:
+    """The filter's motion after so long, and the true velocity then. The camera flies over it at FLIGHT_M_S east."""
+    slant = np.array([-0.3, 0.1])
+    noise = NOISE_M**2 * np.eye(2)
+    place, v = np.zeros(2), velocity.copy()
+    found = PlaneFilter(slant, noise)
+    landmark = place + height_m * slant + NOISE_M * rng.standard_normal(2)
+    for k in range(1, round(seconds / DT) + 1):
+        v = v + np.sqrt(density * DT) * rng.standard_normal(2)
+        place = place + v * DT
+        slant = slant + np.array([-FLIGHT_M_S / HEIGHT_M * DT, 0.0])
+        way = place + height_m * slant + NOISE_M * rng.standard_normal(2) - landmark
+        found.predict(DT, 0.1)
+        assert found.update(way, slant, noise, DT)
+        if k % 20 == 0:
+            found.new_landmark(way)
+            landmark = landmark + way
+    return found.motion, v
+
+
+@pytest.mark.parametrize(("speed", "density"), [(1.4, 0.02), (15.0, 1.0), (0.0, 0.02)])
+def test_errors_of_the_velocity_are_what_its_covariance_says(speed: float, density: float) -> None:
+    inside, squared = 0, []
+    for seed in range(120):
+        rng = np.random.default_rng([seed, 1])
+        motion, true = run(
+            rng, np.array([speed, 0.0]), 6.0, density=density, height_m=0.8 * float(rng.standard_normal())
+        )
+        off = motion.velocity_m_s - true
+        squared.append(float(off @ np.linalg.solve(motion.cov, off)))
+        inside += squared[-1] < 4.605  # 90 %
+    assert 0.84 <= inside / 120 <= 1.0
+    assert 0.7 < float(np.mean(squared)) < 2.6
+
+
+def test_a_walker_is_known_sharply_after_ten_seconds_and_a_car_in_a_bend_is_not_smoothed_away() -> None:
+    motion, _ = run(np.random.default_rng(1), np.array([1.0, 1.0]))
+    assert motion.is_moving and motion.sigma_speed_m_s < 0.2 and motion.sigma_course_deg < 10.0
+    wild, true = run(np.random.default_rng(2), np.array([10.0, 0.0]), density=20.0)
+    assert np.hypot(*(wild.velocity_m_s - true)) < 4.0 and wild.sigma_speed_m_s > 1.5 * motion.sigma_speed_m_s
+
+
+def test_a_thing_at_rest_is_called_moving_once_in_a_hundred_or_less() -> None:
+    called = 0
+    for seed in range(300):
+        rng = np.random.default_rng([seed, 2])
+        called += run(rng, np.zeros(2), 4.0, height_m=0.8 * float(rng.standard_normal()))[0].is_moving
+    assert called <= 3
+    assert run(np.random.default_rng(3), np.array([0.9, 0.0]), 8.0)[0].is_moving
+
+
+def test_what_all_poses_share_is_added_to_a_speed_and_never_averaged() -> None:
+    rng = np.random.default_rng(4)
+    found = PlaneFilter(np.zeros(2), NOISE_M**2 * np.eye(2))
+    sigmas = []
+    for k in range(1, 301):
+        found.predict(DT, 0.1)
+        way = np.array([2.0 * k * DT, 0.0]) + NOISE_M * rng.standard_normal(2)
+        found.update(way, np.zeros(2), NOISE_M**2 * np.eye(2), DT)
+        found.stretched(0.05**2 * np.outer(way, way), k * DT)  # lengths are off by 5 %
+        sigmas.append(found.motion.sigma_speed_m_s)
+    assert sigmas[-1] > 0.1 and sigmas[10] > 1.2 * sigmas[-1]
+    assert found.motion.sigma_speed_m_s == pytest.approx(0.1, rel=0.4)
+
+
+def test_the_height_of_a_thing_is_no_speed_when_the_camera_passes_over_it() -> None:
+    """A mark 1.6 m up seems to move at 0.2 m/s; that is within what is stated, and is not called moving."""
+    motion, _ = run(np.random.default_rng(5), np.zeros(2), height_m=1.6)
+    assert not motion.is_moving and motion.sigma_speed_m_s > 0.05
+
+
+def test_one_measurement_that_cannot_be_is_left_out_and_several_are_believed() -> None:
+    found = PlaneFilter(np.zeros(2), 1e-4 * np.eye(2))
+    for k in range(1, 60):
+        found.predict(DT, 0.1)
+        found.update(np.array([1.0 * k * DT, 0.0]), np.zeros(2), 1e-4 * np.eye(2), DT)
+    found.predict(DT, 0.1)
+    assert not found.update(np.array([60.0, 60.0]), np.zeros(2), 1e-4 * np.eye(2), DT)
+    assert found.motion.speed_m_s == pytest.approx(1.0, abs=0.1)
+    taken = []
+    for _ in range(4):
+        found.predict(DT, 0.1)
+        taken.append(found.update(np.array([60.0, 60.0]), np.zeros(2), 1e-4 * np.eye(2), DT))
+    assert any(taken)
+
+
+def test_what_is_ahead_is_known_worse_the_farther_it_is() -> None:
+    found = PlaneFilter(np.zeros(2), 1e-4 * np.eye(2))
+    near, far = (float(np.trace(found.ahead(dt))) for dt in (0.1, 2.0))
+    assert 0.0 < near < 0.05 * far
