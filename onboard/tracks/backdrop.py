@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.tracks.ground_steps import Pictures, Seen
+from onboard.tracks.ground_steps import Grey, Pictures, Seen
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -17,6 +17,7 @@ AGES_S = (0.4, 0.7, 1.2, 1.9, 3.0)
 SAME_S = 0.15  # pictures closer together than this count as one
 STRIDE, ROUNDS = 4, 2  # of the fit: every so many pixels, so often weighed again
 MISFIT_PX = 0.4  # one sigma of what is left of the misfit between two pictures
+LEAST_SHIFT_PX = 0.08  # for which a layer is drawn again
 LEAST_NOISE = 1.0  # grey levels
 CLEAR, CERTAIN = 2.5, 6.0  # sigmas at which a pixel begins to count as something else, and at which it is
 AROUND = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
@@ -59,61 +60,79 @@ def difference(pictures: Pictures, seen: Seen, patch: Patch) -> Image | None:
 
     None without at least two earlier pictures of the same ground.
     """
-    found = [_aligned(pictures, seen, other, patch) for other in earlier(pictures, seen)]
-    layers = [layer for layer in found if layer is not None]
+    layers = _aligned(pictures, seen, patch)
     if len(layers) < 2:
         return None
-    behind = np.median(np.stack(layers), axis=0) if len(layers) > 2 else layers[-1]
-    off = patch.image - behind
-    noise = max(1.48 * float(np.median(np.abs(off))), LEAST_NOISE)
+    behind = np.median(layers, axis=0) if len(layers) > 2 else layers[-1]
+    off = np.abs(patch.image - behind)
+    noise = max(1.48 * float(np.partition(off, off.size // 2, axis=None)[off.size // 2]), LEAST_NOISE)
     dx, dy = cv2.Sobel(behind, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(behind, cv2.CV_32F, 0, 1, scale=0.125)
     sigma = np.sqrt(noise * noise + MISFIT_PX**2 * (dx * dx + dy * dy))
-    out: Image = np.clip((np.abs(off) / sigma - CLEAR) / (CERTAIN - CLEAR), 0.0, 1.0).astype(np.float32)
+    out: Image = np.clip((off / sigma - CLEAR) / (CERTAIN - CLEAR), 0.0, 1.0)
     return out
 
 
-def _aligned(pictures: Pictures, seen: Seen, other: Seen, patch: Patch) -> Image | None:
-    """The patch's ground in another picture, shifted and brightened to fit; None where that does not show all of it."""
-    H = pictures.between(seen, other)
-    if H is None:
-        return None
+def _aligned(pictures: Pictures, seen: Seen, patch: Patch) -> Image:
+    """The patch's ground in earlier pictures (L, S, S), shifted and brightened to fit; those that show all of it."""
     size = patch.image.shape[0]
-    M = H @ np.array([[1.0, 0.0, patch.corner[0]], [0.0, 1.0, patch.corner[1]], [0.0, 0.0, 1.0]])
-    corners = np.column_stack([(AROUND + 1.0) * 0.5 * (size - 1), np.ones(4)]) @ M.T
-    height, width = other.image.shape
-    if (corners[:, 2] <= 0.0).any():
-        return None
-    at = corners[:, :2] / corners[:, 2:]
-    if (at < 1.0).any() or (at > (width - 2.0, height - 2.0)).any():
-        return None
-    behind = _warped(other, M, size)
-    shift, gain, lift = _fit(patch.image, behind)
-    if np.abs(shift).max() > 0.08:
-        M = M @ np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]], [0.0, 0.0, 1.0]])
-        behind = _warped(other, M, size)
-    return np.asarray(np.float32(gain) * behind + np.float32(lift), np.float32)
+    here = np.array([[1.0, 0.0, patch.corner[0]], [0.0, 1.0, patch.corner[1]], [0.0, 0.0, 1.0]])
+    corners = np.column_stack([(AROUND + 1.0) * 0.5 * (size - 1), np.ones(4)])
+    ways: list[tuple[Seen, Array]] = []
+    for other in earlier(pictures, seen):
+        H = pictures.between(seen, other)
+        if H is None:
+            continue
+        to = corners @ (H @ here).T
+        height, width = other.image.shape
+        if (to[:, 2] <= 0.0).any():
+            continue
+        at = to[:, :2] / to[:, 2:]
+        if (at >= 1.0).all() and (at <= (width - 2.0, height - 2.0)).all():
+            ways.append((other, H @ here))
+    layers = np.zeros((len(ways), size, size), np.float32)
+    if not ways:
+        return layers
+    for layer, (other, M) in zip(layers, ways, strict=True):
+        layer[:] = _warped(other, M, size)
+    shift, gain, lift = _fit(patch.image, layers)
+    for layer, (other, M), by in zip(layers, ways, shift, strict=True):
+        if np.abs(by).max() > LEAST_SHIFT_PX:
+            moved = np.array([[1.0, 0.0, by[0]], [0.0, 1.0, by[1]], [0.0, 0.0, 1.0]])
+            layer[:] = _warped(other, M @ moved, size)
+    layers *= gain[:, None, None].astype(np.float32)
+    layers += lift[:, None, None].astype(np.float32)
+    return layers
 
 
-def _warped(other: Seen, M: Array, size: int) -> Image:
+def _warped(other: Seen, M: Array, size: int) -> Grey:
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpPerspective(other.image, M, (size, size), flags=flags), np.float32)
+    return np.asarray(cv2.warpPerspective(other.image, M, (size, size), flags=flags), np.uint8)
 
 
-def _fit(image: Image, behind: Image) -> tuple[Array, float, float]:
-    """(22.4): the shift (px) of `behind`, its gain and lift, that bring it onto `image`, whatever covers a part."""
-    b = behind[1:-1:STRIDE, 1:-1:STRIDE].ravel()
-    dx = 0.5 * (behind[1:-1:STRIDE, 2::STRIDE] - behind[1:-1:STRIDE, :-2:STRIDE]).ravel()
-    dy = 0.5 * (behind[2::STRIDE, 1:-1:STRIDE] - behind[:-2:STRIDE, 1:-1:STRIDE]).ravel()
-    target = image[1:-1:STRIDE, 1:-1:STRIDE].ravel()
-    middle = float(b.mean())
-    A = np.stack([dx, dy, b - middle, np.ones_like(b)], axis=1).astype(float)
-    off = (target - b).astype(float)
-    x = np.array([0.0, 0.0, 0.0, float(np.median(off))])
+def _fit(image: Image, layers: Image) -> tuple[Array, Array, Array]:
+    """(22.4): shifts (L, 2), px, gains (L,) and lifts (L,) that bring layers (L, S, S) onto an image (S, S) as well as
+    may be, whatever covers a part of it. All at once: each alone is too small to be worth a call of NumPy.
+    """
+    inner = slice(1, -1, STRIDE)
+    before, after = slice(None, -2, STRIDE), slice(2, None, STRIDE)
+    count = len(layers)
+    b = layers[:, inner, inner].reshape(count, -1)
+    A = np.empty((count, 4, b.shape[1]), np.float32)
+    np.subtract(layers[:, inner, after].reshape(count, -1), layers[:, inner, before].reshape(count, -1), out=A[:, 0])
+    np.subtract(layers[:, after, inner].reshape(count, -1), layers[:, before, inner].reshape(count, -1), out=A[:, 1])
+    A[:, :2] *= 0.5
+    middle = b.mean(axis=1)
+    np.subtract(b, middle[:, None], out=A[:, 2])
+    A[:, 3] = 1.0
+    off = image[inner, inner].ravel() - b
+    x = np.zeros((count, 4))
+    x[:, 3] = np.median(off, axis=1)
     for _ in range(ROUNDS):
-        miss = off - A @ x
-        scale = max(1.48 * float(np.median(np.abs(miss))), 0.5)
-        weight = 1.0 / (1.0 + (miss / (2.0 * scale)) ** 2)
-        W = A * weight[:, None]
-        x = np.linalg.solve(W.T @ A + 1e-3 * np.eye(4), W.T @ off)
-    gain = 1.0 + x[2]
-    return np.clip(x[:2] / max(gain, 0.5), -2.0, 2.0), gain, float(x[3] - x[2] * middle)
+        miss = off - np.einsum("lk,lkn->ln", x.astype(np.float32), A)
+        scale = np.maximum(1.48 * np.median(np.abs(miss), axis=1), 0.5)
+        weight = 1.0 / (1.0 + (miss / (2.0 * scale[:, None])) ** 2)
+        W = A * weight[:, None].astype(np.float32)
+        N = (W @ A.transpose(0, 2, 1)).astype(float) + 1e-3 * np.eye(4)
+        x = np.linalg.solve(N, (W @ off[:, :, None].astype(np.float32)).astype(float))[..., 0]
+    gain = 1.0 + x[:, 2]
+    return np.clip(x[:, :2] / np.maximum(gain, 0.5)[:, None], -2.0, 2.0), gain, x[:, 3] - x[:, 2] * middle

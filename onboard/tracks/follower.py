@@ -32,6 +32,7 @@ SURE_DIFFERENCE, SURE_LIKENESS, LEAST_LIKENESS = 0.35, 0.8, 0.3
 LOST_AFTER_S = 2.0
 OLD_S = 1.0  # age of the older of the two looks that are remembered
 PRIOR_WEIGHT = 0.04
+CHAIN_PX2 = 0.01  # variance of a step of the ground, and of what a walking thing does within one
 # So many times as large as it was: something else is there too, and one sigma of its place is that share of its size.
 MERGED, MERGED_SHARE = 1.2, 0.6
 # One sigma of the middle of what differs, as a share of its size; more of a large thing, which moves over itself.
@@ -156,10 +157,16 @@ class Follower:
             self._rest = move(H, self._rest[None])[0]
         self._velocity = J @ self._velocity
         self._uv = near[0] + self._velocity * dt
-        F = np.block([[J, dt * J], [np.zeros((2, 2)), J]])
         q = (ACCELERATION_M_S2 / self._m_px + TURN_RAD_S * float(np.hypot(*self._velocity))) ** 2
-        Q = np.kron(np.array([[dt**4 / 4.0, dt**3 / 2.0], [dt**3 / 2.0, dt**2]]), q * np.eye(2))
-        self._cov = F @ self._cov @ F.T + Q + np.diag([0.01, 0.01, 0.0, 0.0])
+        F = np.zeros((4, 4))
+        F[:2, :2] = F[2:, 2:] = J
+        F[:2, 2:] = dt * J
+        self._cov = F @ self._cov @ F.T
+        for i in (0, 1):
+            self._cov[i, i] += q * dt**4 / 4.0 + CHAIN_PX2
+            self._cov[i, i + 2] += q * dt**3 / 2.0
+            self._cov[i + 2, i] += q * dt**3 / 2.0
+            self._cov[i + 2, i + 2] += q * dt**2
         self._looks = [replace(look, turned=J @ look.turned) for look in self._looks]
 
     def _update(self, uv: Array, sigma: float) -> None:

@@ -69,87 +69,69 @@ class Motion:
         return min(math.degrees(math.sqrt(float(across @ self.cov @ across)) / speed), 180.0)
 
 
-class _Kalman:
-    """One constant of acceleration. State: way from the landmark (2), velocity (2), height above the ground."""
+class PlaneFilter:
+    """Fed with each picture's way (m, east and north) from the landmark to the thing.
 
-    def __init__(self, density: float, slant: Array, noise: Array) -> None:
-        self._q = density
-        self.x = np.zeros(5)
-        self.P = np.diag([0.0, 0.0, FIRST_SPEED_M_S**2, FIRST_SPEED_M_S**2, HEIGHT_SIGMA_M**2])
-        self.P[:2, :2] = noise + HEIGHT_SIGMA_M**2 * np.outer(slant, slant)
-        self.P[:2, 4] = self.P[4, :2] = -(HEIGHT_SIGMA_M**2) * slant
-        self.log_weight = 0.0
+    Of each model the state (5,): way from the landmark (2), velocity (2), height of what is followed above the ground.
+    `slant` (2,) is the horizontal offset from the camera over the height; `noise` (2, 2) what of a way is this
+    picture's own.
+    """
 
-    def predict(self, dt: float, drift_m2: float) -> None:
-        """(22.12)"""
+    def __init__(self, slant: Array, noise: Array) -> None:
+        self._q = np.array(DENSITIES)
+        self._x = np.zeros((len(DENSITIES), 5))
+        self._P = np.zeros((len(DENSITIES), 5, 5))
+        self._P[:, 2, 2] = self._P[:, 3, 3] = FIRST_SPEED_M_S**2
+        self._P[:, 4, 4] = HEIGHT_SIGMA_M**2
+        self._log_weight = np.zeros(len(DENSITIES))
+        self._shared = np.zeros((2, 2))
+        self._missed = 0
+        self.forget_place(slant, noise)
+
+    def predict(self, dt: float, m_px: float) -> None:
+        """`dt` seconds on; `m_px`: metres a pixel on the ground. (22.12)"""
         F = np.eye(5)
         F[0, 2] = F[1, 3] = dt
-        Q = np.zeros((5, 5))
-        Q[:4, :4] = self._q * np.kron(np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]]), np.eye(2))
-        Q[0, 0] += drift_m2 * dt
-        Q[1, 1] += drift_m2 * dt
-        self.x, self.P = F @ self.x, F @ self.P @ F.T + Q
+        self._x = self._x @ F.T
+        self._P = F @ self._P @ F.T
+        for i in (0, 1):
+            self._P[:, i, i] += self._q * dt**3 / 3.0 + (DRIFT_PX * m_px) ** 2 * dt
+            self._P[:, i, i + 2] += self._q * dt**2 / 2.0
+            self._P[:, i + 2, i] += self._q * dt**2 / 2.0
+            self._P[:, i + 2, i + 2] += self._q * dt
 
-    def innovation(self, way_m: Array, slant: Array, noise: Array) -> tuple[Array, Array, Array]:
-        """Of a measurement (22.11): itself, its covariance, and the measurement's matrix (2, 5)."""
+    def update(self, way_m: Array, slant: Array, noise: Array, dt: float) -> bool:
+        """Take a measurement, `dt` after the last. Whether it was believed. (22.11), (22.13), (22.14)"""
         H = np.zeros((2, 5))
         H[0, 0] = H[1, 1] = 1.0
         H[:, 4] = slant
-        return way_m - H @ self.x, H @ self.P @ H.T + noise, H
-
-    def update(self, way_m: Array, slant: Array, noise: Array, kept: float) -> None:
-        """`kept`: the share of what was known of its foretelling that is not forgotten. (22.13), (22.14)"""
-        off, S, H = self.innovation(way_m, slant, noise)
-        self.log_weight = (
-            kept * self.log_weight
-            - 0.5 * float(off @ np.linalg.solve(S, off))
-            - 0.5 * math.log(float(np.linalg.det(S)))
-        )
-        K = np.linalg.solve(S, H @ self.P).T
-        left = np.eye(5) - K @ H
-        self.x, self.P = self.x + K @ off, left @ self.P @ left.T + K @ noise @ K.T
-
-
-class PlaneFilter:
-    """Fed with each picture's way (m, east and north) from the landmark to the thing."""
-
-    def __init__(self, slant: Array, noise: Array) -> None:
-        self._models = [_Kalman(density, slant, noise) for density in DENSITIES]
-        self._shared = np.zeros((2, 2))
-        self._missed = 0
-
-    def predict(self, dt: float, m_px: float) -> None:
-        """`dt` seconds on; `m_px`: metres a pixel on the ground."""
-        for model in self._models:
-            model.predict(dt, (DRIFT_PX * m_px) ** 2)
-
-    def update(self, way_m: Array, slant: Array, noise: Array, dt: float) -> bool:
-        """Take a measurement, `dt` after the last: `slant` (2,) is the horizontal offset from the camera over the
-        height, `noise` (2, 2) what of it is this picture's own. Whether it was believed.
-        """
-        off, S, _ = self._models[-1].innovation(way_m, slant, noise)  # by the one that foretells the least
-        if float(off @ np.linalg.solve(S, off)) > GATE and self._missed < MISSED_IN_A_ROW:
+        off = way_m - self._x @ H.T  # (M, 2)
+        HP = H @ self._P
+        S = HP @ H.T + noise
+        squared = np.einsum("mi,mi->m", off, np.linalg.solve(S, off[..., None])[..., 0])
+        if squared[-1] > GATE and self._missed < MISSED_IN_A_ROW:  # by the one that foretells the least
             self._missed += 1
             return False
         self._missed = 0
-        kept = math.exp(-dt / FORGET_S)
-        for model in self._models:
-            model.update(way_m, slant, noise, kept)
+        self._log_weight = math.exp(-dt / FORGET_S) * self._log_weight - 0.5 * (squared + np.log(np.linalg.det(S)))
+        K = np.linalg.solve(S, HP).transpose(0, 2, 1)
+        left = np.eye(5) - K @ H
+        self._x = self._x + (K @ off[..., None])[..., 0]
+        self._P = left @ self._P @ left.transpose(0, 2, 1) + K @ noise @ K.transpose(0, 2, 1)
         return True
 
     def new_landmark(self, way_m: Array) -> None:
         """(22.15): ways count from where the thing was just seen, `way_m` (2,) from the old landmark."""
-        for model in self._models:
-            model.x[:2] -= way_m
+        self._x[:, :2] -= way_m
 
     def forget_place(self, slant: Array, noise: Array) -> None:
         """As `new_landmark`, where the old one was lost: the way is known no more, the velocity is."""
-        for model in self._models:
-            model.x[:2] = 0.0
-            model.P[:2, :] = 0.0
-            model.P[:, :2] = 0.0
-            model.P[:2, :2] = noise + model.P[4, 4] * np.outer(slant, slant)
-            model.P[:2, 4] = model.P[4, :2] = -model.P[4, 4] * slant
+        height = self._P[:, 4, 4]
+        self._x[:, :2] = 0.0
+        self._P[:, :2, :] = 0.0
+        self._P[:, :, :2] = 0.0
+        self._P[:, :2, :2] = noise + height[:, None, None] * np.outer(slant, slant)
+        self._P[:, :2, 4] = self._P[:, 4, :2] = -height[:, None] * slant
 
     def stretched(self, way_cov: Array, since_s: float) -> None:
         """(22.16): what the poses' common errors do to a velocity: `way_cov` (2, 2) is of a way of `since_s`."""
@@ -157,23 +139,19 @@ class PlaneFilter:
 
     def ahead(self, dt: float) -> Array:
         """Covariance (2, 2), m^2, of how far the thing will be from where its velocity takes it in `dt` seconds."""
-        density = sum(w * q for w, q in zip(self._weights(), DENSITIES, strict=True))
-        out: Array = self.motion.cov * dt**2 + float(density) * dt**3 / 3.0 * np.eye(2)
+        out: Array = self.motion.cov * dt**2 + float(self._weights() @ self._q) * dt**3 / 3.0 * np.eye(2)
         return out
 
     def _weights(self) -> Array:
-        logs = np.array([model.log_weight for model in self._models])
-        weights: Array = np.exp(logs - logs.max())
+        weights: Array = np.exp(self._log_weight - self._log_weight.max())
         weights /= weights.sum()
         return weights
 
     @property
     def motion(self) -> Motion:
         """All models' velocities, by weight."""
-        weights = self._weights()
-        mean = sum(w * m.x[2:4] for w, m in zip(weights, self._models, strict=True))
-        cov = sum(
-            w * (m.P[2:4, 2:4] + np.outer(m.x[2:4] - mean, m.x[2:4] - mean))
-            for w, m in zip(weights, self._models, strict=True)
-        )
-        return Motion(np.asarray(mean, float), np.asarray(cov, float) + self._shared)
+        weights, v = self._weights(), self._x[:, 2:4]
+        mean = weights @ v
+        off = v - mean
+        cov = np.einsum("m,mij->ij", weights, self._P[:, 2:4, 2:4] + off[:, :, None] * off[:, None, :])
+        return Motion(np.asarray(mean, float), np.asarray(cov + self._shared, float))

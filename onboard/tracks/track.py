@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 LANDMARK_S = 2.0  # after which the ground that ways count from is chosen anew
 STRETCH_S = 0.5  # age of a landmark from which on the way from it says how poses stretch it
+SCALE_S = 0.4  # after which it is looked up anew how large a pixel is, and how poses stretch a way
 EDGE_SHARE = 0.08  # of the picture's size: a landmark so near to its edge is chosen anew
 GROUND_SIGMA_PX = 0.1  # of where a landmark is in a picture
 FIRST_SPEED_S = 1.0  # that a thing has been measured for, before its speed is stated
@@ -37,6 +38,8 @@ class Track:
         self._landmark_ns = self._filtered_ns = self._first_ns = clicked.stamp_ns
         self._filter: PlaneFilter | None = None
         self._fix: tuple[Fix, int] | None = None  # the newest place that a picture gave, and when
+        self._by_pixel: tuple[Array, int] | None = None  # metres (2, 2) a pixel on the ground, and when
+        self._stretched_ns = 0
         self._status = Status.STARTING
         self.state = TrackState.FOLLOWED
         self._sight = Sight(clicked, self.follower.uv_px, 1.0, 0.0)
@@ -93,14 +96,18 @@ class Track:
         if locator is None:
             return
         fix = locator.locate(sight.uv_px)
-        parts = locator.error_parts(sight.uv_px)
-        if not isinstance(fix, Fix) or parts is None:
+        if not isinstance(fix, Fix):
             self._status = fix.status
             return
+        if self._by_pixel is None or sight.seen.stamp_ns - self._by_pixel[1] > SCALE_S * 1e9:
+            parts = locator.error_parts(sight.uv_px)
+            if parts is None:
+                return
+            self._by_pixel = parts.by_pixel_m[:2], sight.seen.stamp_ns
         self._fix = fix, sight.seen.stamp_ns
         offset = fix.offset_enu_m
         slant = offset[:2] / max(abs(float(offset[2])), 1.0)
-        by_pixel = parts.by_pixel_m[:2]
+        by_pixel = self._by_pixel[0]
         noise = (sight.sigma_px**2 + GROUND_SIGMA_PX**2) * by_pixel @ by_pixel.T + 1e-6 * np.eye(2)
         now = sight.seen.stamp_ns
         if self._filter is None:
@@ -119,7 +126,8 @@ class Track:
         if not self._filter.update(way, slant, noise, dt):
             return
         since_s = (now - self._landmark_ns) * 1e-9
-        if since_s >= STRETCH_S:
+        if since_s >= STRETCH_S and now - self._stretched_ns > SCALE_S * 1e9:
+            self._stretched_ns = now
             stretch = locator.difference_covariance(sight.uv_px, self._landmark)
             if stretch is not None:
                 self._filter.stretched(stretch[:2, :2], since_s)
