@@ -1,1 +1,7 @@
-"""Things that move, followed from a click: in the pictures, then over the ground. Time comes with the data."""
+"""Things that move, followed from a click: in the pictures, then over the ground. Time comes with the data.
+
+Public:
+
+- `ground_steps`: `Pictures`
+- `track_book`: `TrackBook`
+"""

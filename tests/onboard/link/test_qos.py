@@ -10,7 +10,7 @@ import zenoh
 
 from contract import topics
 from contract.link_config import link_config
-from contract.topics import FEATURES, PICTURE, QUERY, STATUS, Qos, Topic
+from contract.topics import FEATURES, PICTURE, QUERY, STATUS, TRACKS, Qos, Topic
 from contract.vehicle_status import VehicleStatus, encode_status
 from ground import client
 from ground.freshness import Reply
@@ -40,7 +40,9 @@ def test_what_is_published_has_the_quality_of_the_table(
     if changed:
         other = dataclasses.replace(topic, qos=OTHER)
         monkeypatch.setattr(
-            onboard_publisher, {FEATURES: "FEATURES", STATUS: "STATUS", PICTURE: "PICTURE"}[topic], other
+            onboard_publisher,
+            {FEATURES: "FEATURES", STATUS: "STATUS", PICTURE: "PICTURE", TRACKS: "TRACKS"}[topic],
+            other,
         )
     endpoint = free_endpoint()
     heard: list[zenoh.Sample] = []
@@ -51,11 +53,13 @@ def test_what_is_published_has_the_quality_of_the_table(
         while not heard and time.monotonic() < deadline:
             flying.publish(plain_set(10))
             flying.publish_status(encode_status(VehicleStatus(1.7e9, 7, "ok")), b"{}")
+            flying.publish_tracks(b"tracks")
             if room := flying.picture_room():
                 flying.send_picture(small_picture(), room)
             time.sleep(0.05)
         declared = {
             FEATURES: flying._publisher, STATUS: flying._status_publisher, PICTURE: flying._picture_publisher,
+            TRACKS: flying._track_publisher,
         }[topic]  # fmt: skip
         qos = OTHER if changed else topic.qos
         assert of(heard[0]) == expected(qos)
