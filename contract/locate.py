@@ -128,6 +128,14 @@ class Locator:
             covariance_enu_m2=covariance,
         )
 
+    def offset(self, uv_px: ArrayLike) -> Array | Status:
+        """The way (3,) from the camera to a pixel's place, east, north, up, m, without its error; or why there is none.
+
+        A third of the time that `locate` takes.
+        """
+        sight = self._sight(np.asarray(uv_px, float))
+        return sight if isinstance(sight, Status) else sight.offset_enu_m
+
     def difference_covariance(self, uv1_px: ArrayLike, uv2_px: ArrayLike) -> Array | None:
         """Covariance (3, 3), m^2, of the vector between two clicks of this set; None if one has no answer."""
         one, two = self._sight(np.asarray(uv1_px, float)), self._sight(np.asarray(uv2_px, float))

@@ -37,7 +37,8 @@ class Track:
         self._landmark: Array | None = None  # where it is in the newest picture
         self._landmark_ns = self._filtered_ns = self._first_ns = clicked.stamp_ns
         self._filter: PlaneFilter | None = None
-        self._fix: tuple[Fix, int] | None = None  # the newest place that a picture gave, and when
+        # The newest picture that gives a place: what answers, for which pixel, and when it was taken.
+        self._placed: tuple[Locator, Array, int] | None = None
         self._by_pixel: tuple[Array, int] | None = None  # metres (2, 2) a pixel on the ground, and when
         self._stretched_ns = 0
         self._status = Status.STARTING
@@ -95,17 +96,16 @@ class Track:
         """A picture's place and way, (22.10) and (22.11)."""
         if locator is None:
             return
-        fix = locator.locate(sight.uv_px)
-        if not isinstance(fix, Fix):
-            self._status = fix.status
+        offset = locator.offset(sight.uv_px)
+        if isinstance(offset, Status):
+            self._status = offset
             return
         if self._by_pixel is None or sight.seen.stamp_ns - self._by_pixel[1] > SCALE_S * 1e9:
             parts = locator.error_parts(sight.uv_px)
             if parts is None:
                 return
             self._by_pixel = parts.by_pixel_m[:2], sight.seen.stamp_ns
-        self._fix = fix, sight.seen.stamp_ns
-        offset = fix.offset_enu_m
+        self._placed = locator, sight.uv_px, sight.seen.stamp_ns
         slant = offset[:2] / max(abs(float(offset[2])), 1.0)
         by_pixel = self._by_pixel[0]
         noise = (sight.sigma_px**2 + GROUND_SIGMA_PX**2) * by_pixel @ by_pixel.T + 1e-6 * np.eye(2)
@@ -117,12 +117,12 @@ class Track:
         dt = (now - self._filtered_ns) * 1e-9
         self._filter.predict(dt, float(np.sqrt(abs(np.linalg.det(by_pixel)))))
         self._filtered_ns = now
-        ground = None if self._landmark is None else locator.locate(self._landmark)
-        if not isinstance(ground, Fix) or self._landmark is None:
+        ground = Status.OUTSIDE if self._landmark is None else locator.offset(self._landmark)
+        if isinstance(ground, Status) or self._landmark is None:
             self._filter.forget_place(slant, noise)
             self._choose_landmark(sight, None)
             return
-        way = offset[:2] - ground.offset_enu_m[:2]
+        way = offset[:2] - ground[:2]
         if not self._filter.update(way, slant, noise, dt):
             return
         since_s = (now - self._landmark_ns) * 1e-9
@@ -146,9 +146,13 @@ class Track:
 
     def _place(self, motion: Motion | None) -> TrackPlace | None:
         """(22.18): the newest picture's place, and on by its velocity since."""
-        if self._fix is None:
+        if self._placed is None:
             return None
-        fix, at_ns = self._fix
+        locator, uv, at_ns = self._placed
+        fix = locator.locate(uv)
+        if not isinstance(fix, Fix):
+            self._status = fix.status
+            return None
         dt = (self._seen.stamp_ns - at_ns) * 1e-9
         lat, lon, covariance = fix.lat_deg, fix.lon_deg, fix.covariance_enu_m2[:2, :2]
         if dt > 0.0:
