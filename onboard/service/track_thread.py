@@ -25,10 +25,13 @@ from onboard.events.types import Event, Frame
 from onboard.tracks.ground_steps import Pictures
 from onboard.tracks.track_book import TrackBook
 
-MAX_HELD = 64  # pictures that wait for their set, and pictures with a set that wait for this thread
+MAX_HELD = 64  # pictures that wait for their set
+MAX_BEHIND = 4  # pictures with a set that wait for this thread: where it cannot keep up, older ones are passed over
 REPORT_S = 0.5
 SILENT_S = 1.0
 EDGE_PX = 16.0  # a click nearer to the picture's edge has nothing around it to be known by
+REST = 1.0  # of the time that it worked, in which it leaves the processor to others
+MOST_REST_S = 0.2
 LATE_S = 20.0  # a click that is seconds old runs through all pictures since
 
 log = logging.getLogger("pointclick")
@@ -44,15 +47,15 @@ class TrackThread:
         self._kept_bytes = round(config.tracks.keep_mb * 1e6)
         self._book = self._new_book()
         self._held: dict[int, Frame] = {}  # touched by the pipeline's thread alone
-        self._ready: deque[tuple[Frame, FeatureSet]] = deque(maxlen=MAX_HELD)
+        self._ready: deque[tuple[Frame, FeatureSet]] = deque(maxlen=MAX_BEHIND)
         self._orders: deque[StopTrack | tuple[int, StartTrack]] = deque()
         self._active: dict[int, StartTrack] = {}  # tracks that were asked for, by number
+        self._newest = -1, -1  # session and frame of what was handed over last
         self._frames: frozenset[int] = frozenset()
         self._size_px = 0, 0
         self._number = 0
         self._picture_s = self._reported_s = monotonic_s()
         self._changed = threading.Condition()
-        self.spent_s = 0.0  # of a processor
         self.thread = SupervisedThread("tracks", self._run, Policy.RESTART, late_after_s=LATE_S)
 
     def __enter__(self) -> Self:
@@ -73,9 +76,11 @@ class TrackThread:
                 del self._held[next(iter(self._held))]
 
     def feature_set(self, output: FeatureSet) -> None:
-        """A picture's first set: both are this thread's now."""
+        """A picture's first set: both are this thread's now. One that is older than the last is not looked at."""
         frame = self._held.pop(output.frame, None)
-        if frame is not None and frame.stamp_ns == output.capture_unix_ns:
+        identity = output.session, output.frame
+        if frame is not None and identity > self._newest:
+            self._newest = identity
             with self._changed:
                 self._ready.append((frame, output))
                 self._changed.notify()
@@ -132,15 +137,15 @@ class TrackThread:
             with self._changed:
                 if not self._ready and not self._orders:
                     self._changed.wait(max(min(self._reported_s + REPORT_S - self._monotonic_s(), REPORT_S), 0.01))
-            self.work()
+            thread.wait(min(REST * self.work(), MOST_REST_S))
 
-    def work(self) -> None:
-        """Do what waits: orders, pictures, and the reports if they are due."""
+    def work(self) -> float:
+        """Do what waits: orders, pictures, and the reports if they are due. Returns the processor's time, s."""
         began_s = time.thread_time()
         while self._obey() or self._look():
             self.thread.beat()
         self._report()
-        self.spent_s += time.thread_time() - began_s
+        return time.thread_time() - began_s
 
     def _obey(self) -> bool:
         with self._changed:

@@ -58,13 +58,7 @@ class TrackBook:
     def start(self, number: int, uv_px: tuple[float, float], frame: int | None) -> bool:
         """Follow what is at a pixel of a kept picture, through all those since. Whether there was anything there."""
         kept = list(self._pictures)
-        clicked = (
-            next((seen for seen in kept if seen.frame == frame), None)
-            if frame is not None
-            else kept[-1]
-            if kept
-            else None
-        )
+        clicked = self._pictures.by_frame(max(self.frames, default=-1) if frame is None else frame)
         if clicked is None or len(self.numbers) >= MOST_TRACKS:
             return False
         self._pictures.join()

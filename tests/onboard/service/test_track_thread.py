@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from contract.track import MOST_TRACKS, TrackState, Unseen
 from contract.wire.track_code import MAX_TRACK_BYTES, decode_tracks
 from onboard.config.schema import parse_config
-from onboard.service.track_thread import MAX_HELD, TrackThread
+from onboard.service.track_thread import MAX_BEHIND, MAX_HELD, TrackThread
 from onboard.tracks.track_book import TrackBook
 from tests.onboard.tracks.flat_world import Thing, World, at
 
@@ -126,11 +126,15 @@ def test_pictures_that_it_cannot_keep_up_with_are_passed_over() -> None:
     flown.fly(0, 16)
     flown.ask(flown.click(15))
     flown.tracks.work()
-    frame, its_set = flown.world.frame(16), flown.world.its_set(16)
+    frame = flown.world.frame(16)
     for number in range(16, 16 + 3 * MAX_HELD):
         flown.tracks.event(0, type(frame)(frame.stamp_ns + number, number, frame.image))
     assert len(flown.tracks._held) <= MAX_HELD
-    del its_set
+    for number in range(20, 40):  # and of those with a set the newest are looked at
+        flown.hand_over(number)
+    flown.hand_over(25)
+    flown.tracks.work()
+    assert sorted(flown.tracks._frames)[-MAX_BEHIND - 1 :] == [15, *range(40 - MAX_BEHIND, 40)]
     flown.now_s += 2.0
     flown.tracks.work()
     (report,) = decode_tracks(flown.sent[-1])

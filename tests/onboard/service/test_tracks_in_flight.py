@@ -1,0 +1,102 @@
+"""A flight in the daemon while things are followed: asked for over the link, reported on it, and the sets are sent."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from contract.feature_set import FeatureSet
+from contract.track import StartTrack, TrackReport, TrackState
+from ground.track_link import TrackLink
+from onboard.commands.run import open_parts
+from onboard.config.schema import Config
+from onboard.events.session_clock import SessionClock
+from onboard.events.sink import Sink
+from onboard.events.types import Event
+from onboard.link.publisher import Publisher, Rate
+from onboard.service.track_thread import TrackThread
+from tests.contract.sets import plain_set
+from tests.onboard.link.ports import free_endpoint
+from tests.onboard.link.test_publisher import eventually
+from tests.onboard.service.air import STRAIGHT, PlayedSource, Work, take_off
+from tests.onboard.service.test_pictures_in_flight import Passed
+
+CLICKED = 10
+
+
+@pytest.mark.parametrize("is_on", [False, True])
+def test_the_daemon_follows_unless_it_is_told_not_to(tmp_path: Path, is_on: bool) -> None:
+    (tmp_path / "camera.json").write_text(plain_set().camera.to_json())
+    endpoint = free_endpoint()
+    config = Config.model_validate(
+        {
+            "camera": {"file": str(tmp_path / "camera.json")},
+            "telemetry": {"url": free_endpoint().replace("tcp/", "udpin:")},
+            "link": {"listen": (endpoint,)},
+            "service": {"state_dir": str(tmp_path)},
+            "tracks": {"enabled": is_on},
+        }
+    )
+    parts = open_parts(config, open_camera=lambda *_: PlayedSource(SessionClock.start(), [], Work()))  # type: ignore[arg-type]
+    with parts.resources:
+        assert ("tracks" in [thread.name for thread in parts.threads]) == is_on
+        assert any(isinstance(sink, TrackThread) for sink in parts.sinks) == is_on
+        publisher = next(sink for sink in parts.sinks if isinstance(sink, Publisher))
+        assert (b"disabled" in publisher.follow("")[0]) == (not is_on)
+
+
+class Asking:
+    """A sink that clicks in the middle of one picture, after its set has been handed over."""
+
+    def __init__(self, tracks: TrackThread) -> None:
+        self._tracks, self.answer = tracks, b""
+
+    def __enter__(self) -> Asking:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return None
+
+    def event(self, arrival_ns: int, event: Event) -> None:
+        return None
+
+    def feature_set(self, output: FeatureSet) -> None:
+        if output.frame > CLICKED and not self.answer:
+            assert eventually(lambda: CLICKED in self._tracks._frames)
+            self.answer, is_error = self._tracks.answer(f"u=150;v=110;frame={CLICKED}")
+            assert not is_error, self.answer
+
+
+def test_a_spot_of_ground_is_followed_through_a_flight_at_rest(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    heard: list[TrackReport] = []
+    with (
+        Publisher("uav", [endpoint], rate=Rate(1e6)) as link,
+        TrackThread(Config(), link.publish_tracks) as tracks,
+        TrackLink(endpoint, "uav") as ground,
+    ):
+        link.follow = tracks.answer
+        asking = Asking(tracks)
+
+        def sinks() -> Sequence[Sink]:
+            return [Passed(link), Passed(tracks), asking]
+
+        air = take_off(tmp_path, spec=dataclasses.replace(STRAIGHT, seconds=5.0), sinks=sinks)
+        assert air.code == 0 and air.heard is not None and asking.answer == b'{"track":1,"frame":10}'
+
+        def is_told() -> bool:
+            while (report := ground.next(0.05)) is not None:
+                heard.append(report)
+            return bool(heard) and heard[-1].frame > CLICKED + 5
+
+        assert eventually(is_told)
+        assert ground.ask(StartTrack(150.0, 110.0, CLICKED)).get("track") == 1 or heard[-1].state is TrackState.LOST
+    last = heard[-1]
+    assert last.number == 1 and last.place is not None
+    assert not any(report.course.is_moving for report in heard if report.course is not None)
+    by_frame = {s.frame: s for _, s in air.heard.sets}
+    assert last.session == by_frame[CLICKED].session
+    assert abs(last.place.lat_deg - by_frame[CLICKED].camera_lat_deg) < 0.005
