@@ -114,7 +114,7 @@ def _log(
             path = path or log_beside(folder)
     if path is None:
         raise InputError(
-            f"{arguments.folder}: no GPS position with a height in {photos[0].name} and the others, and no log beside "
+            f"{arguments.folder}: no GPS position with a height in {photos[0].name} and the others, and no log next to "
             "them: give a log of the flight (.bin, .tlog, .ulg, .srt, .csv)"
         )
     log = read_log(path, home_amsl_m=arguments.home_amsl_m)
