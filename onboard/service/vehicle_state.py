@@ -186,7 +186,7 @@ def gps_findings(gps: GpsReport | None) -> tuple[Finding, ...]:
     if gps.fix_type < MIN_FIX_TYPE:
         return (Finding(Subject.GPS, VehicleState.NO_GPS, f"no fix ({gps})"),)
     if gps.age_s >= MAX_GPS_AGE_S:
-        return (Finding(Subject.GPS, VehicleState.NO_GPS, f"the receiver is silent for {gps.age_s:.0f} s"),)
+        return (Finding(Subject.GPS, VehicleState.NO_GPS, f"the receiver has been silent for {gps.age_s:.0f} s"),)
     if gps.sigma_horizontal_m is not None and gps.sigma_horizontal_m > MAX_GPS_SIGMA_M:
         return (Finding(Subject.GPS, VehicleState.DEGRADED, f"gps: {gps}"),)
     return ()

@@ -287,7 +287,9 @@ class NmeaTelemetry:
         if heard_ns is None:
             return SourceStatus(State.STARTING, "the receiver has sent nothing yet", figures)
         if now_ns - heard_ns > self._lost_after_ns:
-            return SourceStatus(State.LOST, f"the receiver is silent for {(now_ns - heard_ns) / 1e9:.0f} s", figures)
+            return SourceStatus(
+                State.LOST, f"the receiver has been silent for {(now_ns - heard_ns) / 1e9:.0f} s", figures
+            )
         if epoch_ns is None:
             why = "another baud rate?" if receiver.errors > 20 else "no time yet"
             return SourceStatus(State.STARTING, f"no sentence of use from the receiver: {why}", figures)

@@ -80,7 +80,7 @@ TABLE = [
     (replace(WELL, position_fault="came back unexplained"), VehicleState.DEGRADED, "position: came back unexplained"),
     (replace(WELL, gps=None), VehicleState.DEGRADED, "gps: the receiver has sent nothing"),
     (replace(WELL, gps=replace(GPS, fix_type=1)), VehicleState.NO_GPS, "no fix (fix type 1, 14 satellites, +-0.8 m)"),
-    (replace(WELL, gps=replace(GPS, age_s=4.0)), VehicleState.NO_GPS, "the receiver is silent for 4 s"),
+    (replace(WELL, gps=replace(GPS, age_s=4.0)), VehicleState.NO_GPS, "the receiver has been silent for 4 s"),
     (replace(WELL, gps=replace(GPS, sigma_horizontal_m=12.0)), VehicleState.DEGRADED,
      "gps: fix type 3, 14 satellites, +-12.0 m"),
     (replace(WELL, threads=(ThreadReport("link", ThreadState.FAILED, None, 2, "OSError: gone"),)),
