@@ -139,7 +139,7 @@ def judged(report: Report) -> dict[str, bool]:
 
 
 def test_px4_standing_on_the_ground_is_well() -> None:
-    """It was `no gps: the position is not accepted` with a doctor that was green, as long as it stood."""
+    """It was `no gps: the position is not believed` with a doctor that was green, as long as it stood."""
     seen_so_far = list(reports(told(3, True), 8.0))
     first = next(n for n, report in enumerate(seen_so_far) if report.status.state == "at rest")
     lasting = seen_so_far[first:]
