@@ -7,6 +7,7 @@ does not write but other tools may, is read through the `mcap` package if that i
 
 from __future__ import annotations
 
+import contextlib
 import json
 import mmap
 import struct
@@ -20,8 +21,10 @@ from contract import recording_format as names
 from contract.errors import InputError, WireError
 from contract.feature_set import FeatureSet, Status
 from contract.mcap_records import CHANNEL, CHUNK, MAGIC, MESSAGE, MESSAGE_HEAD, Damage, Data, read_channel, records
-from contract.topics import FEATURES, TIME_TOLERANCE_S
+from contract.topics import FEATURES, TIME_TOLERANCE_S, TRACKS
+from contract.track import TrackReport
 from contract.wire.codec import decode, peek
+from contract.wire.track_code import decode_tracks
 
 _Found = tuple[str, str, int, int]  # topic, encoding, start and length of a message
 _FRAMES_BEFORE, _FRAMES_AFTER = names.FRAMES.split("{vehicle}")
@@ -51,6 +54,7 @@ class _Index:
     frames: dict[str, list[tuple[int, int, int]]] = field(
         default_factory=dict
     )  # by vehicle: file, start, length of frame events
+    tracks: dict[str, list[tuple[int, int, int]]] = field(default_factory=dict)  # likewise, of reports of tracks
 
 
 class Recording:
@@ -122,6 +126,14 @@ class Recording:
             return None
         return self._decoded(held)
 
+    def tracks(self, vehicle: str) -> list[TrackReport]:
+        """What was reported of things that were followed in flight, in that order; what cannot be read is left out."""
+        out: list[TrackReport] = []
+        for file, start, length in self._index.tracks.get(vehicle, []):
+            with contextlib.suppress(WireError):
+                out += decode_tracks(bytes(self._data[file][start : start + length]), vehicle)
+        return out
+
     def frame_of_file(self, vehicle: str, name: str) -> int | None:
         """The frame a picture file of this name was. Raises InputError if the recording holds no names."""
         events = self._index.frames.get(vehicle, [])
@@ -170,6 +182,9 @@ class Recording:
                 sets[identity.frame] = _Held(
                     identity.frame, identity.revision, identity.capture_unix_ns, identity.status, file, start, length
                 )
+        elif encoding == names.TRACK_ENCODING:
+            with contextlib.suppress(ValueError):
+                self._index.tracks.setdefault(TRACKS.vehicle(topic), []).append((file, start, length))
         elif vehicle_name := _frames_vehicle(topic):
             self._index.frames.setdefault(vehicle_name, []).append((file, start, length))
 
@@ -205,7 +220,7 @@ def _messages(data: Data, damaged: Callable[[Damage], None]) -> Iterator[_Found]
                 yield *known, start + MESSAGE_HEAD.size, length - MESSAGE_HEAD.size
         elif opcode == CHANNEL:
             channel, topic, encoding = read_channel(bytes(data[start : start + length]))
-            if encoding == names.SET_ENCODING or _frames_vehicle(topic):
+            if encoding in (names.SET_ENCODING, names.TRACK_ENCODING) or _frames_vehicle(topic):
                 channels[channel] = topic, encoding
 
 

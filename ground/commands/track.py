@@ -15,6 +15,7 @@ from contract.errors import InputError, LinkError
 from contract.topics import DEFAULT_ENDPOINT
 from contract.track import ListTracks, StartTrack, StopTrack, TrackReport, TrackState
 from ground.commands import ANSWERED, REFUSED
+from ground.commands.sources import opened, vehicle_of
 from ground.commands.until_ended import until_ended
 from ground.commands.values import finite, frame_number, positive, whole
 from ground.formats import track_path
@@ -29,6 +30,7 @@ examples:
   pc-ground track 480 120                     of the newest picture
   pc-ground track 480 120 --save car.kml      its path with times when it ends (.kml or .geojson)
   pc-ground track --connect tcp/10.0.0.7:7447 --json    every track of that aircraft, a JSON object a line
+  pc-ground track --from SESSION.mcap --save all.kml     what was followed in a recorded flight
   pc-ground track --list; pc-ground track --stop 3
 """
 MOST_KEPT = 200_000  # reports for --save: more than a day of one track
@@ -50,7 +52,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--save", metavar="FILE", type=Path, help="write the path at the end: .geojson or .kml")
     parser.add_argument("--json", action="store_true", help="a JSON object a line")
     parser.add_argument("--vehicle", metavar="NAME", help="the aircraft, where there are several")
-    parser.add_argument("--connect", metavar="ENDPOINT", help=f"zenoh endpoint (default {DEFAULT_ENDPOINT})")
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument("--connect", metavar="ENDPOINT", help=f"zenoh endpoint (default {DEFAULT_ENDPOINT})")
+    source.add_argument(
+        "--from", dest="recording", metavar="SESSION.mcap", type=Path, help="what was followed in a recorded flight"
+    )
     add_tls_arguments(parser)
 
 
@@ -64,6 +70,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--list and --stop go without U and V")
     if args.save is not None and args.save.suffix.lower() not in track_path.FORMATS:
         raise UsageError(f"--save {args.save}: a name that ends with .geojson or .kml")
+    if args.recording is not None:
+        return _recorded(args)
     from ground.track_link import TrackLink, TrackRefused  # noqa: PLC0415  zenoh is loaded only where there is a link
 
     tls = tls_of(args)
@@ -88,6 +96,22 @@ def run(args: argparse.Namespace) -> int:
             _stop(link, number)
     if args.save is not None:
         _save(args.save, kept)
+    return ANSWERED
+
+
+def _recorded(args: argparse.Namespace) -> int:
+    """Every report of a recording. Raises PointclickError."""
+    if args.u is not None or args.list or args.stop is not None:
+        raise UsageError("--from shows what was followed in flight: without U, V, --list and --stop")
+    recording = opened(args.recording)
+    reports = recording.tracks(vehicle_of(args.vehicle, recording.vehicles))
+    for report in reports:
+        print(report.to_json() if args.json else report.to_text())
+    if args.save is not None:
+        _save(args.save, reports)
+    if not reports:
+        print("nothing was followed in this flight", file=sys.stderr)
+        return REFUSED
     return ANSWERED
 
 

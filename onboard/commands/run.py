@@ -107,13 +107,13 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
             pictures = PictureSender(config.picture, link)
             if (left := left_for_pictures(config.link.max_bit_rate, config.link.max_rate_hz)) < LEAST_FOR_PICTURES:
                 log.warning(
-                    "pictures: beside %g sets a second link.max_bit_rate = %g leaves %d bit/s: raise it, or lower "
+                    "pictures: next to %g sets a second link.max_bit_rate = %g leaves %d bit/s: raise it, or lower "
                     "link.max_rate_hz", config.link.max_rate_hz, config.link.max_bit_rate, max(left, 0.0),
                 )  # fmt: skip
             sinks.append(pictures)
             threads.append(pictures.thread)
         if config.tracks.enabled:
-            tracks = TrackThread(config, link.publish_tracks)
+            tracks = TrackThread(config, [lambda _, payload: link.publish_tracks(payload)])
             link.follow = tracks.answer
             sinks.append(tracks)
             threads.append(tracks.thread)
@@ -122,6 +122,8 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
             where = Path(config.recording.folder) if config.recording.folder else folder / "recordings"
             recording = Recorded(where, config, camera, clock, to_toml(config), "" if complaint else state.text())
             sinks.append(recording)
+            if config.tracks.enabled:
+                tracks.outlets.append(recording.tracks)
             threads.append(recording.thread)
             reporters.append(partial(_record, recording))
         if config.service.prometheus is not None:

@@ -11,7 +11,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Self
 
@@ -34,16 +34,21 @@ REST = 1.0  # of the time that it worked, in which it leaves the processor to ot
 MOST_REST_S = 0.2
 LATE_S = 20.0  # a click that is seconds old runs through all pictures since
 
+Outlet = Callable[[int, bytes], object]
+
 log = logging.getLogger("pointclick")
 
 
 class TrackThread:
-    """A sink of the daemon. `publish` takes the reports of all tracks as one packet; `monotonic_s` is a clock."""
+    """A sink of the daemon. `outlets` take the newest picture's capture time (Unix ns) and the reports of all tracks
+    as one packet; `monotonic_s` is a clock.
+    """
 
     def __init__(
-        self, config: Config, publish: Callable[[bytes], None], monotonic_s: Callable[[], float] = time.monotonic
+        self, config: Config, outlets: Sequence[Outlet] = (), monotonic_s: Callable[[], float] = time.monotonic
     ) -> None:
-        self._vehicle, self._publish, self._monotonic_s = config.vehicle.id, publish, monotonic_s
+        self._vehicle, self._monotonic_s = config.vehicle.id, monotonic_s
+        self.outlets = list(outlets)
         self._kept_bytes = round(config.tracks.keep_mb * 1e6)
         self._book = self._new_book()
         self._held: dict[int, Frame] = {}  # touched by the pipeline's thread alone
@@ -189,7 +194,9 @@ class TrackThread:
         self._reported_s = now_s
         reports = self._book.reports(now_s - self._picture_s > SILENT_S)
         if reports:
-            self._publish(b"".join(self._encoded(report) for report in reports))
+            payload = b"".join(self._encoded(report) for report in reports)
+            for outlet in self.outlets:
+                outlet(max(report.capture_unix_ns for report in reports), payload)
 
     def _encoded(self, report: TrackReport) -> bytes:
         try:

@@ -16,7 +16,7 @@ from typing import Literal
 
 from onboard.storage.mcap_writer import SessionRecorder
 
-Kind = Literal["events", "pictures", "sets", "statuses"]
+Kind = Literal["events", "pictures", "sets", "statuses", "tracks"]
 Write = Callable[[SessionRecorder], None]
 
 
@@ -31,6 +31,7 @@ class Gap:
     pictures: int = 0
     sets: int = 0
     statuses: int = 0
+    tracks: int = 0  # messages of all tracks' reports
 
     def and_then(self, later: Gap) -> Gap:
         """One gap of two with nothing between them; the first reason counts."""
@@ -42,10 +43,11 @@ class Gap:
             self.pictures + later.pictures,
             self.sets + later.sets,
             self.statuses + later.statuses,
+            self.tracks + later.tracks,
         )
 
     def __str__(self) -> str:
-        one, more = ("event", "picture", "set", "status"), typing.get_args(Kind)
+        one, more = ("event", "picture", "set", "status", "report of tracks"), typing.get_args(Kind)
         named = [f"{n} {one[i] if n == 1 else more[i]}" for i, n in enumerate(self.counts) if n]
         return " and ".join([", ".join(named[:-1]), named[-1]] if len(named) > 1 else named)
 
@@ -67,9 +69,9 @@ class Gap:
         )
 
     @property
-    def counts(self) -> tuple[int, int, int, int]:
-        """Events, pictures, sets, statuses."""
-        return self.events, self.pictures, self.sets, self.statuses
+    def counts(self) -> tuple[int, int, int, int, int]:
+        """Events, pictures, sets, statuses, reports of tracks."""
+        return self.events, self.pictures, self.sets, self.statuses, self.tracks
 
 
 @dataclass(frozen=True, eq=False)

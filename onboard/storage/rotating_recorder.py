@@ -152,6 +152,10 @@ class Recorded:
         """Record an encoded status; never waits."""
         self._put(Entry("statuses", stamp_ns, 0, lambda file: file.write_status(stamp_ns, payload)))
 
+    def tracks(self, stamp_ns: int, payload: bytes) -> None:
+        """Record reports of tracks; never waits."""
+        self._put(Entry("tracks", stamp_ns, 0, lambda file: file.write_tracks(stamp_ns, payload)))
+
     def _now_s(self) -> float:
         return self._clock.now_ns() / 1e9
 

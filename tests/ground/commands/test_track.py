@@ -18,6 +18,8 @@ from ground.__main__ import main
 from ground.formats import cot, track_path
 from ground.heard_tracks import SILENT_S, HeardTracks
 from onboard.link.publisher import Publisher, Rate
+from onboard.storage.mcap_writer import SessionRecorder
+from tests.contract.sets import plain_set
 from tests.contract.test_track_code import REPORT
 from tests.onboard.link.ports import free_endpoint
 
@@ -164,3 +166,22 @@ def test_tracks_that_are_no_longer_reported_are_forgotten() -> None:
     assert heard.newest()[0] == decode_track(encode_track(REPORT), "uav-1")
     now[0] = SILENT_S + 0.1
     assert not heard.newest()
+
+
+def test_what_was_followed_is_in_the_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "flight.mcap"
+    with SessionRecorder(path, "uav-1") as file:
+        file.write_set(replace(plain_set(5), vehicle="uav-1"))
+        for k in range(3):
+            moved = replace(REPORT, capture_unix_ns=NOW_NS + k * 500_000_000)
+            file.write_tracks(moved.capture_unix_ns, encode_track(moved) + encode_track(replace(moved, number=4)))
+        file.write_tracks(NOW_NS + 9, b"\xff")
+    assert main(["track", "--from", str(path), "--json", "--save", str(tmp_path / "all.kml")]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [line["track"] for line in lines] == [3, 4] * 3 and {line["vehicle"] for line in lines} == {"uav-1"}
+    assert (tmp_path / "all.kml").read_text().count("<when>") == 6
+    assert main(["track", "1", "2", "--from", str(path)]) == 2
+    with SessionRecorder(tmp_path / "other.mcap", "uav-1") as file:
+        file.write_set(replace(plain_set(5), vehicle="uav-1"))
+    assert main(["track", "--from", str(tmp_path / "other.mcap")]) == 3
+    assert "nothing was followed" in capsys.readouterr().err

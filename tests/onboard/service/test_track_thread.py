@@ -26,7 +26,11 @@ class Flown:
         self.world = world or World((CAR,))
         self.now_s = 0.0
         self.sent: list[bytes] = []
-        self.tracks = TrackThread(CONFIG, self.sent.append, lambda: self.now_s)
+        self.tracks = TrackThread(CONFIG, [self.take], lambda: self.now_s)
+
+    def take(self, stamp_ns: int, payload: bytes) -> None:
+        assert all(report.capture_unix_ns <= stamp_ns for report in decode_tracks(payload))
+        self.sent.append(payload)
 
     def fly(self, first: int, end: int) -> None:
         for number in range(first, end):

@@ -75,7 +75,7 @@ def test_a_spot_of_ground_is_followed_through_a_flight_at_rest(tmp_path: Path) -
     heard: list[TrackReport] = []
     with (
         Publisher("uav", [endpoint], rate=Rate(1e6)) as link,
-        TrackThread(Config(), link.publish_tracks) as tracks,
+        TrackThread(Config(), [lambda _, payload: link.publish_tracks(payload)]) as tracks,
         TrackLink(endpoint, "uav") as ground,
     ):
         link.follow = tracks.answer
