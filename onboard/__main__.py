@@ -25,6 +25,7 @@ from onboard.argument_parser import (
     Parser,
     Version,
     angles,
+    clicked,
     days,
     degrees_wide,
     drop_output,
@@ -155,6 +156,14 @@ def _add_replay(commands: Commands) -> None:
     )
     replay.add_argument(
         "--linger", type=seconds, default=0.0, metavar="S", help="seconds to go on answering on the link afterwards"
+    )
+    replay.add_argument(
+        "--track",
+        type=clicked,
+        action="append",
+        default=[],
+        metavar="FRAME,U,V",
+        help="follow what is at that pixel of that picture, a JSON line twice a second; up to 8 times",
     )
     replay.add_argument("--budget", action="store_true", help="where a click's error comes from; what makes it smaller")
     replay.set_defaults(run=run_replay)

@@ -110,6 +110,14 @@ def pair(text: str) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
+def clicked(text: str) -> tuple[int, float, float]:
+    """'14,480,120.5' -> frame and pixel."""
+    found = re.fullmatch(r"(\d{1,9}),(\d{1,4}(?:\.\d*)?),(\d{1,4}(?:\.\d*)?)", text)
+    if found is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a picture's number and a pixel as in 14,480,120")
+    return int(found[1]), float(found[2]), float(found[3])
+
+
 def degrees_wide(text: str) -> float:
     """Of a field of view."""
     return within(text, 5.0, 150.0, "no field of view from 5 to 150 degrees")

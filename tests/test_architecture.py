@@ -38,7 +38,7 @@ ARROWS: dict[str, set[str]] = {
     "onboard.tracks": {"geometry", "events"},
     "onboard.link": {"events", "config"},
     "onboard.storage": {"events", "config", "estimation", "geometry"},
-    "onboard.replay": {"pipeline", "camera", "telemetry", "storage", "events", "config"},
+    "onboard.replay": {"pipeline", "tracks", "camera", "telemetry", "storage", "events", "config"},
     "onboard.service": {"pipeline", "tracks", "storage", "events", "config"},
     "onboard.calibration": set(),
     "onboard.commands": {

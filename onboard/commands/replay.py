@@ -18,7 +18,9 @@ import cv2
 from contract.camera import Camera
 from contract.errors import ConfigError, InputError
 from contract.feature_set import FeatureSet
+from contract.track import MOST_TRACKS, TrackReport
 from contract.vehicle_status import VehicleStatus, encode_status
+from contract.wire.track_code import encode_track
 from onboard.camera.picture_mask import read_mask
 from onboard.config.files import load_config_files
 from onboard.config.schema import Config, parse_config, to_toml
@@ -29,6 +31,7 @@ from onboard.link.publisher import Publisher
 from onboard.pipeline.error_budgets import BudgetWatch, NewestBudget, budget_text
 from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.comparison import Comparison
+from onboard.replay.followed import Clicked, Followed
 from onboard.replay.runner import Events, Flight, replay, summary_text
 from onboard.storage.alignment_file import StateFile
 from onboard.storage.elevation_files import TerrainFiles
@@ -72,12 +75,15 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> tuple[str, bool
     comparison = None if inputs.recorded is None else Comparison(inputs.recorded)
     if comparison is not None:
         sinks.append(comparison)
+    whole = None
     if arguments.record is not None:
         if inputs.recorded is not None and arguments.record.resolve() in [p.resolve() for p in inputs.recorded.paths]:
             raise InputError(f"recording {arguments.record}: is what is replayed; name another file")
         whole = WholeRecording(arguments.record, config, inputs.config_text, camera, state_json)
         whole.at_its_end = partial(_last_status, pipeline, newest)
         sinks.append(whole)
+    followed = _followed(arguments, config, whole)
+    sinks += [] if followed is None else [followed]
     if arguments.publish:
         link = Publisher.open(config)
         sinks.append(link)
@@ -154,6 +160,24 @@ def _check_place(path: Path) -> None:
         raise InputError(f"recording {path}: is a folder; name a file")
 
 
+def _followed(arguments: argparse.Namespace, config: Config, whole: WholeRecording | None) -> Followed | None:
+    """What follows the things that are clicked with --track; None without any. Raises InputError for too many."""
+    if len(arguments.track) > MOST_TRACKS:
+        raise InputError(f"--track: {MOST_TRACKS} things can be followed at once, not {len(arguments.track)}")
+    outlets = [_print_tracks] if whole is None else [_print_tracks, whole.tracks]
+    clicks = [Clicked(*click) for click in arguments.track]
+    return Followed(config.vehicle.id, clicks, _not_followed, outlets) if clicks else None
+
+
+def _not_followed(click: Clicked) -> None:
+    print(f"note: nothing could be followed at {click.u_px:g} {click.v_px:g} of picture {click.frame}", file=sys.stderr)
+
+
+def _print_tracks(reports: list[TrackReport]) -> None:
+    for report in reports:
+        print(report.to_json(), flush=True)
+
+
 def _last_status(pipeline: Pipeline, newest: NewestBudget) -> VehicleStatus | None:
     """How the flight was at its end, for the error budget that is in it; None if no picture was placed."""
     if newest.newest is None:
@@ -208,6 +232,10 @@ class WholeRecording:
     def event(self, arrival_ns: int, event: Event) -> None:
         """Record an event."""
         self._recorder.write_event(event, arrival_ns)
+
+    def tracks(self, reports: list[TrackReport]) -> None:
+        """Record reports of things that are followed."""
+        self._recorder.write_tracks(reports[0].capture_unix_ns, b"".join(encode_track(report) for report in reports))
 
     def feature_set(self, output: FeatureSet) -> None:
         """Record a set."""

@@ -3,6 +3,7 @@
 Public:
 
 - `comparison`: `Comparison`
+- `followed`: `Clicked`, `Followed`
 - `load`: `SHARE`, `WARM_UP`, `Load`, `measure`
 - `made_flight`: `MadeFlight`
 - `photo_telemetry`: `datum_sigma_m`, `gap_to_join_s`, `height_amsl`, `photo_telemetry`
