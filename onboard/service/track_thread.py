@@ -26,6 +26,7 @@ from onboard.tracks.ground_steps import Pictures
 from onboard.tracks.track_book import TrackBook
 
 MAX_HELD = 64  # pictures that wait for their set
+MAX_ORDERS = 32  # that wait for this thread
 MAX_BEHIND = 4  # pictures with a set that wait for this thread: where it cannot keep up, older ones are passed over
 REPORT_S = 0.5
 SILENT_S = 1.0
@@ -97,6 +98,8 @@ class TrackThread:
         except InputError as error:
             return refused("bad_request", str(error)), True
         with self._changed:
+            if len(self._orders) >= MAX_ORDERS and not isinstance(request, ListTracks):
+                return refused("busy", "too much is asked at once: ask again"), True
             if isinstance(request, StartTrack):
                 return self._start(request)
             if isinstance(request, StopTrack):

@@ -6,11 +6,15 @@ import json
 from pathlib import Path
 
 import pytest
+import zenoh
 
 from contract.errors import LinkError
+from contract.fleet import Fleet
 from contract.link_config import Tls, link_config
+from contract.topics import FOLLOW
 from contract.track import ListTracks, StartTrack, StopTrack
 from contract.wire.track_code import encode_track
+from ground.router import _rights
 from ground.track_link import TrackLink, TrackRefused
 from onboard.link.byte_budget import Budget, Kind
 from onboard.link.certificates import make_credentials
@@ -75,6 +79,23 @@ def test_without_trackers_the_rights_are_as_they_were() -> None:
     rules = json.loads(link_config("peer", is_aircraft=True, trackers=["anna"]))["access_control"]
     assert [rule["key_exprs"] for rule in rules["rules"]] == [["pc/**"]] * 3  # without certificates nobody has a name
     assert len(rules["subjects"]) == 1
+
+
+def test_through_a_router_operators_may_follow_and_viewers_may_not() -> None:
+    rights = _rights(Fleet(aircraft=("uav-1",), operators=("anna",), viewers=("ben",)))
+    by_rule = {rule["id"]: rule for rule in rights["rules"]}
+    allowed = {
+        policy["subjects"][0]: any(
+            "query" in by_rule[rule]["messages"]
+            and "ingress" in by_rule[rule]["flows"]
+            and any(
+                zenoh.KeyExpr(key).includes(zenoh.KeyExpr(FOLLOW.key("uav-1"))) for key in by_rule[rule]["key_exprs"]
+            )
+            for rule in policy["rules"]
+        )
+        for policy in rights["policies"]
+    }
+    assert allowed == {"aircraft uav-1": False, "operators": True, "viewers": False}
 
 
 def test_reports_of_eight_tracks_leave_sets_their_rate_at_their_bit_rate() -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from contract.track import MOST_TRACKS, TrackState, Unseen
 from contract.wire.track_code import MAX_TRACK_BYTES, decode_tracks
 from onboard.config.schema import parse_config
-from onboard.service.track_thread import MAX_BEHIND, MAX_HELD, TrackThread
+from onboard.service.track_thread import MAX_BEHIND, MAX_HELD, MAX_ORDERS, TrackThread
 from onboard.tracks.track_book import TrackBook
 from tests.onboard.tracks.flat_world import Thing, World, at
 
@@ -89,6 +89,15 @@ def test_what_cannot_be_done_is_refused_with_its_reason(text: str, status: str) 
     said, is_error = flown.ask(text)
     assert is_error and said["status"] == status and said["reason"]
     assert flown.ask("") == ({"tracks": []}, False)
+
+
+def test_who_begins_and_ends_tracks_without_end_is_told_to_wait() -> None:
+    flown = Flown()
+    flown.fly(0, 16)
+    said = [flown.ask(flown.click(15) if n % 2 == 0 else f"stop={n // 2 % 255 + 1}") for n in range(3 * MAX_ORDERS)]
+    assert not said[MAX_ORDERS - 1][1] and said[MAX_ORDERS] == (said[-1][0], True) and said[-1][0]["status"] == "busy"
+    flown.tracks.work()
+    assert not flown.ask(flown.click(15))[1]
 
 
 def test_before_the_first_picture_nothing_can_be_followed() -> None:
