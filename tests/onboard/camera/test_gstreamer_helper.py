@@ -31,14 +31,15 @@ from onboard.events.session_clock import SessionClock
 from onboard.events.source import State
 from tests.left_out import NO_PROGRAM
 from tests.onboard.camera import test_helper_camera
-from tests.onboard.camera.test_helper_camera import CLOCK, Running, running
+from tests.onboard.camera.test_helper_camera import BACK_S, CLOCK, REPORTED_S, Running, running
 from tests.rtsp import PACKAGES, RtspServer, drifting_ground, is_installed, number_of
 from tests.rtsp_times import escaped, sei_unit
+from tests.waiting import PATIENCE_S
 
 SIZE_PX = (320, 240)
 RATE_HZ = 30.0
 DELAY_S, JITTER_S = 0.15, 0.03
-START_S = 15.0  # at most, of GStreamer, a connection, an encoder, a key frame and the least delay on a loaded machine
+START_S = PATIENCE_S  # of GStreamer, a connection, an encoder, a key frame and the least delay
 
 
 @pytest.fixture(scope="session")
@@ -78,10 +79,10 @@ def test_stamps_of_a_stream_lack_its_jitter_and_keep_its_least_delay(
         RtspServer(tmp_path, pictures, RATE_HZ, delay_s=DELAY_S, jitter_s=JITTER_S, **keys) as server,
         running(server.url(scheme), size_px=SIZE_PX, latency_s=0.0) as camera,
     ):
-        camera.wait_for_pictures(60, START_S + 2.0)
+        camera.wait_for_pictures(60, START_S)
         health = camera.wait_for(State.OK, f"320x240, {origin}", START_S)
         camera.stop.set()
-        camera.thread.join(3.0)
+        camera.thread.join(PATIENCE_S)
         (captured_ns,) = server.stop()
     assert 5.0 < health.figures["stamp_sigma_ms"] < 80.0
     late_ms = off_ms(camera, captured_ns)
@@ -101,7 +102,7 @@ def test_repeats_in_a_compressed_stream_have_no_image(
         RtspServer(tmp_path, twice, RATE_HZ, bit_rate=bit_rate) as server,
         running(server.url("rtspt"), size_px=SIZE_PX, frozen_after_s=30.0) as camera,
     ):
-        camera.wait_for_pictures(60, START_S + 3.0)
+        camera.wait_for_pictures(60, START_S)
         figures = camera.source.health().figures
     handed_out = [number_of(frame.image) for _, frame in camera.frames[15:] if frame.image is not None]
     seen = set(handed_out)
@@ -116,9 +117,9 @@ def test_a_server_that_goes_and_comes_back(tmp_path: Path, pictures: list[np.nda
         camera.wait_for_pictures(10, START_S)
         port = server.port
         server.stop()
-        camera.wait_for(State.LOST, "", 2.0)
+        camera.wait_for(State.LOST, "", REPORTED_S)
         with RtspServer(tmp_path, pictures, RATE_HZ, port=port):
-            camera.wait_for_pictures(5, 3.0)
+            camera.wait_for_pictures(5, BACK_S + camera.start_s)
             camera.wait_for(State.OK, "", START_S)
 
 
@@ -129,8 +130,8 @@ def test_a_decoder_that_is_killed_takes_nothing_with_it(tmp_path: Path, pictures
         camera.wait_for_pictures(10, START_S)
         assert test_helper_camera.shared_memory(test_helper_camera.group_of(camera)) == []
         os.kill(test_helper_camera.group_of(camera), signal.SIGKILL)
-        camera.wait_for(State.LOST, "ended by SIGKILL", 2.0)
-        camera.wait_for_pictures(5, 3.0)
+        camera.wait_for(State.LOST, "ended by SIGKILL", REPORTED_S)
+        camera.wait_for_pictures(5, BACK_S + camera.start_s)
 
 
 @pytest.mark.usefixtures("gstreamer")
@@ -146,7 +147,7 @@ def test_a_trusted_utc_gives_the_capture_time_itself(
         camera.wait_for_pictures(30, START_S)
         camera.wait_for(State.OK, "the sender's UTC, taken for ours", START_S)
         camera.stop.set()
-        camera.thread.join(3.0)
+        camera.thread.join(PATIENCE_S)
         (captured_ns,) = server.stop()
     late_ms = [
         (frame.stamp_ns - ours.offset_ns - captured_ns[number_of(frame.image)]) / 1e6
@@ -177,8 +178,8 @@ def test_any_pipeline_up_to_raw_video_and_another_size_in_mid_stream() -> None:
         camera.wait_for_pictures(10, START_S)
         image = camera.frames[-1][1].image
         assert image is not None and image.shape == (240, 320) and image.std() > 20.0
-        camera.wait_for(State.DEGRADED, "pictures are 160x120, the camera file is for 320x240", 3.0)
-        camera.wait_for(State.LOST, "the stream has ended", 3.0)
+        camera.wait_for(State.DEGRADED, "pictures are 160x120, the camera file is for 320x240", START_S)
+        camera.wait_for(State.LOST, "the stream has ended", START_S)
 
 
 @pytest.mark.usefixtures("gstreamer")
@@ -243,7 +244,7 @@ def test_it_runs_where_no_memory_may_be_written_and_executed() -> None:
         input=json.dumps(spec).encode(),
         capture_output=True,
         check=False,
-        timeout=20.0,
+        timeout=PATIENCE_S,
         preexec_fn=lambda: ctypes.CDLL(None).prctl(65, 1, 0, 0, 0),  # PR_SET_MDWE, PR_MDWE_REFUSE_EXEC_GAIN
     )
     frames = list(FrameReader().feed(done.stdout))
