@@ -16,8 +16,9 @@ from pathlib import Path
 import pytest
 
 from ground.web.gate import HEADERS_S, Gate, SaidOnce
+from tests.waiting import PATIENCE_S
 from tests.web.conftest import page_is_built
-from tests.web.served import PATIENCE_S, ROOT, Flown
+from tests.web.served import ROOT, Flown
 
 pytestmark = pytest.mark.xdist_group("web")
 

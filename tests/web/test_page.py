@@ -10,8 +10,9 @@ import pytest
 
 from ground.formats.rounded import decimals
 from ground.recording import Recording
+from tests.waiting import PATIENCE_S
 from tests.web.browsing import Operator
-from tests.web.served import PATIENCE_S, ROOT, Flown, Server
+from tests.web.served import ROOT, Flown, Server
 
 pytestmark = pytest.mark.xdist_group("web")
 
