@@ -32,6 +32,7 @@ from onboard.events.source import State
 from tests.left_out import NO_PROGRAM
 from tests.onboard.camera import test_helper_camera
 from tests.onboard.camera.test_helper_camera import BACK_S, CLOCK, REPORTED_S, Running, running
+from tests.onboard.link.ports import free_port
 from tests.rtsp import PACKAGES, RtspServer, drifting_ground, is_installed, number_of
 from tests.rtsp_times import escaped, sei_unit
 from tests.waiting import PATIENCE_S
@@ -84,11 +85,14 @@ def test_stamps_of_a_stream_lack_its_jitter_and_keep_its_least_delay(
         camera.stop.set()
         camera.thread.join(PATIENCE_S)
         (captured_ns,) = server.stop()
-    assert 5.0 < health.figures["stamp_sigma_ms"] < 80.0
     late_ms = off_ms(camera, captured_ns)
-    # Arrivals jitter by 60 ms; stamps differ by nothing but how the least delay is found ever better.
+    came_ms = late_ms + [(at_ns - frame.stamp_ns) / 1e6 for at_ns, frame in camera.frames if frame.image is not None]
+    # Arrivals jitter by 60 ms and by what a busy machine adds or evens out: what is stated is how they came.
+    usual_ms = np.mean([np.mean(some) - np.min(some) for some in np.array_split(came_ms, len(came_ms) // 30)])
+    assert 0.3 * usual_ms - 1.0 < health.figures["stamp_sigma_ms"] < 20.0 + np.ptp(came_ms)
+    # Stamps differ by nothing but how the least delay is found ever better.
     assert np.ptp(late_ms) < 20.0 and np.median(np.abs(np.diff(late_ms))) < 0.5
-    assert 1e3 * (DELAY_S - JITTER_S) - 5.0 < late_ms[-1] < 1e3 * DELAY_S + 40.0
+    assert 1e3 * (DELAY_S - JITTER_S) - 5.0 < late_ms[-1] < max(1e3 * DELAY_S + 40.0, min(came_ms) + 10.0)
 
 
 @pytest.mark.usefixtures("gstreamer")
@@ -113,9 +117,12 @@ def test_repeats_in_a_compressed_stream_have_no_image(
 @pytest.mark.wall_clock
 @pytest.mark.usefixtures("gstreamer")
 def test_a_server_that_goes_and_comes_back(tmp_path: Path, pictures: list[np.ndarray]) -> None:
-    with RtspServer(tmp_path, pictures, RATE_HZ) as server, running(server.url(), size_px=SIZE_PX) as camera:
+    port = free_port()
+    with (
+        RtspServer(tmp_path, pictures, RATE_HZ, port=port) as server,
+        running(server.url(), size_px=SIZE_PX) as camera,
+    ):
         camera.wait_for_pictures(10, START_S)
-        port = server.port
         server.stop()
         camera.wait_for(State.LOST, "", REPORTED_S)
         with RtspServer(tmp_path, pictures, RATE_HZ, port=port):

@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from onboard.events.source import Severity, State
 from onboard.events.types import Attitude, PositionFix
 from simulation.autopilot.fake import FakeAutopilot, Faults
-from tests.onboard.link.ports import free_udp_port
+from tests.onboard.link.ports import free_port, free_udp_port
 from tests.onboard.telemetry.listening import FLIGHT, Listening, config_for, errors_ms, expected, listening
 from tests.waiting import eventually
 
@@ -82,7 +82,7 @@ def test_a_serial_line_is_unplugged_and_comes_back_under_another_name(tmp_path: 
 
 def test_a_tcp_server_that_goes_and_comes_is_found_again() -> None:
     with (
-        FakeAutopilot(FLIGHT, "tcpin:127.0.0.1:0", everything=True) as autopilot,
+        FakeAutopilot(FLIGHT, f"tcpin:127.0.0.1:{free_port()}", everything=True) as autopilot,
         listening(config_for(autopilot.url)) as heard,
     ):
         heard.wait(State.OK)
