@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import logging
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -322,6 +324,37 @@ def test_signals_are_orders_and_interrupt_nothing() -> None:
             signal.pthread_kill(threading.get_ident(), number)  # threads of earlier tests (zenoh's) do not block it
             assert orders.next(PATIENCE_S) is order
     assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == before
+
+
+WAITS_FOR_ORDERS = """
+from onboard.service.daemon import SignalOrders
+with SignalOrders() as orders:
+    print("waits", flush=True)
+    input()
+    print(*(orders.next(0.3) for _ in range(6)), flush=True)
+    print(orders.next(60.0), flush=True)
+"""
+
+
+def test_a_process_that_is_stopped_and_goes_on_was_told_nothing() -> None:
+    """As by a suspend: the daemon ended, for the wait that was over by then gave a signal of a number that is none."""
+    command = [sys.executable, "-c", WAITS_FOR_ORDERS]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None and process.stdout is not None
+        try:
+            assert process.stdout.readline() == "waits\n"
+            process.stdin.write("\n")
+            process.stdin.flush()
+            for _ in range(3):
+                time.sleep(0.1)
+                process.send_signal(signal.SIGSTOP)
+                time.sleep(0.4)
+                process.send_signal(signal.SIGCONT)
+            assert process.stdout.readline() == "None None None None None None\n"
+            process.send_signal(signal.SIGHUP)
+            assert process.stdout.readline() == "Order.RELOAD\n"
+        finally:
+            process.kill()
 
 
 def test_a_flight_gives_answers_a_recording_and_what_was_learned(tmp_path: Path) -> None:
