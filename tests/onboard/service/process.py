@@ -24,7 +24,7 @@ from simulation.autopilot.flight import Flight
 from simulation.session import SessionSpec
 from tests.onboard.link.ports import free_endpoint
 from tests.scenarios.flights import flown
-from tests.waiting import PATIENCE_S
+from tests.waiting import PATIENCE_S, eventually
 
 ROOT = Path(__file__).resolve().parents[3]
 BEGIN_IN_S = 4.0  # the first picture at the earliest: the daemon needs about two seconds to be there
@@ -113,6 +113,12 @@ class Aircraft:
             assert time.monotonic() < deadline, f"no {word} within {within_s} s; log:\n" + "\n".join(self.log[-20:])
             time.sleep(0.05)
         return found
+
+    def stated(self, *words: str, since: int) -> None:
+        """Until the log says after its first `since` lines that the state is one of these, if only for a moment."""
+        assert eventually(lambda: any(f"state: {word}" in line for line in self.log[since:] for word in words)), (
+            f"never {words}; log:\n" + "\n".join(self.log[-20:])
+        )
 
     def wait_for(self, *words: str, within_s: float = PATIENCE_S) -> float:
         """Until the state is one of these; seconds waited."""

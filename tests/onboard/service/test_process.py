@@ -100,8 +100,9 @@ def test_an_autopilot_that_reboots_and_a_line_that_is_pulled(tmp_path: Path) -> 
         plane.start()
         plane.wait_for("ok")
         plane.sleep_until(5.0)
+        before = len(plane.log)
         plane.autopilot.reboot(4.0)
-        plane.wait_for("telemetry lost", "unsynchronised")
+        plane.stated("telemetry lost", "unsynchronised", since=before)
         plane.wait_for("ok")
         assert plane.autopilot.boots == 2
         plane.signal(signal.SIGINT)
@@ -180,7 +181,7 @@ def test_a_disk_that_takes_no_more_stops_the_recording_until_there_is_room(tmp_p
     with aircraft(tmp_path, SPEC) as plane:
         plane.max_file_bytes = 100_000
         plane.start()
-        plane.wait_for("not recording")
+        plane.stated("not recording", since=0)
         plane.wait_for("ok")
         plane.signal(signal.SIGTERM)
         assert plane.ended() == 0
