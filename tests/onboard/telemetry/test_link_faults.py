@@ -176,7 +176,7 @@ def test_a_vehicle_that_is_not_there_is_waited_for() -> None:
         FakeAutopilot(FLIGHT, "udpin:127.0.0.1:0", everything=True) as autopilot,
         listening(config_for(autopilot.url, system=9)) as heard,
     ):
-        heard.until(lambda: heard.source.health().detail == "no autopilot with system number 9 heard yet")
+        heard.until(lambda: heard.source.health().detail == "no autopilot with system number 9 found yet")
         time.sleep(0.5)
         assert heard.source.health().state is State.STARTING
         assert not heard.got
