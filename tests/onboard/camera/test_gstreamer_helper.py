@@ -9,6 +9,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +30,7 @@ from onboard.camera.helper_launch import (
 )  # fmt: skip
 from onboard.config.schema import CameraConfig
 from onboard.events.session_clock import SessionClock
-from onboard.events.source import State
+from onboard.events.source import SourceStatus, State
 from tests.left_out import NO_PROGRAM
 from tests.onboard.camera import test_helper_camera
 from tests.onboard.camera.test_helper_camera import BACK_S, CLOCK, REPORTED_S, Running, running
@@ -64,6 +66,22 @@ def off_ms(camera: Running, captured_ns: dict[int, int], after: int = 0) -> np.n
     return np.array(rows)
 
 
+def one_stream(
+    serving: Callable[[], RtspServer], scheme: str, count: int, words: str, **keys: object
+) -> tuple[Running, SourceStatus, dict[int, int]]:
+    """So many pictures and more of one connection; another is made where the machine stood still until it broke off."""
+    for _ in range(3):
+        with serving() as server, running(server.url(scheme), size_px=SIZE_PX, **keys) as camera:
+            camera.wait_for_pictures(count, START_S)
+            health = camera.wait_for(State.OK, words, START_S)
+            camera.stop.set()
+            camera.thread.join(PATIENCE_S)
+            clients = server.stop()
+        if len(clients) == 1:
+            return camera, health, clients[0]
+    raise AssertionError(f"{len(clients)} connections in the time of one")
+
+
 @pytest.mark.usefixtures("gstreamer")
 @pytest.mark.parametrize(
     ("scheme", "keys", "origin"),
@@ -76,23 +94,16 @@ def off_ms(camera: Running, captured_ns: dict[int, int], after: int = 0) -> np.n
 def test_stamps_of_a_stream_lack_its_jitter_and_keep_its_least_delay(
     tmp_path: Path, pictures: list[np.ndarray], scheme: str, keys: dict[str, object], origin: str
 ) -> None:
-    with (
-        RtspServer(tmp_path, pictures, RATE_HZ, delay_s=DELAY_S, jitter_s=JITTER_S, **keys) as server,
-        running(server.url(scheme), size_px=SIZE_PX, latency_s=0.0) as camera,
-    ):
-        camera.wait_for_pictures(60, START_S)
-        health = camera.wait_for(State.OK, f"320x240, {origin}", START_S)
-        camera.stop.set()
-        camera.thread.join(PATIENCE_S)
-        (captured_ns,) = server.stop()
+    serving = partial(RtspServer, tmp_path, pictures, RATE_HZ, delay_s=DELAY_S, jitter_s=JITTER_S, **keys)
+    camera, health, captured_ns = one_stream(serving, scheme, 60, f"320x240, {origin}", latency_s=0.0)
     late_ms = off_ms(camera, captured_ns)
-    came_ms = late_ms + [(at_ns - frame.stamp_ns) / 1e6 for at_ns, frame in camera.frames if frame.image is not None]
+    waited_ms = np.array([(at_ns - frame.stamp_ns) / 1e6 for at_ns, frame in camera.frames if frame.image is not None])
     # Arrivals jitter by 60 ms and by what a busy machine adds or evens out: what is stated is how they came.
-    usual_ms = np.mean([np.mean(some) - np.min(some) for some in np.array_split(came_ms, len(came_ms) // 30)])
-    assert 0.3 * usual_ms - 1.0 < health.figures["stamp_sigma_ms"] < 20.0 + np.ptp(came_ms)
+    usual_ms = np.mean([np.mean(some) - np.min(some) for some in np.array_split(waited_ms, len(waited_ms) // 30)])
+    assert 0.3 * usual_ms - 1.0 < health.figures["stamp_sigma_ms"] < 20.0 + 1.5 * np.max(waited_ms)
     # Stamps differ by nothing but how the least delay is found ever better.
     assert np.ptp(late_ms) < 20.0 and np.median(np.abs(np.diff(late_ms))) < 0.5
-    assert 1e3 * (DELAY_S - JITTER_S) - 5.0 < late_ms[-1] < max(1e3 * DELAY_S + 40.0, min(came_ms) + 10.0)
+    assert 1e3 * (DELAY_S - JITTER_S) - 5.0 < late_ms[-1] < max(1e3 * DELAY_S + 40.0, min(late_ms + waited_ms) + 10.0)
 
 
 @pytest.mark.usefixtures("gstreamer")
@@ -147,15 +158,9 @@ def test_a_trusted_utc_gives_the_capture_time_itself(
 ) -> None:
     ours = SessionClock.start()
     monkeypatch.setattr(test_helper_camera, "CLOCK", ours)
-    with (
-        RtspServer(tmp_path, pictures, RATE_HZ, delay_s=DELAY_S, jitter_s=JITTER_S, sei=True) as server,
-        running(server.url(), size_px=SIZE_PX, stream_clock="utc") as camera,
-    ):
-        camera.wait_for_pictures(30, START_S)
-        camera.wait_for(State.OK, "the sender's UTC, taken for ours", START_S)
-        camera.stop.set()
-        camera.thread.join(PATIENCE_S)
-        (captured_ns,) = server.stop()
+    serving = partial(RtspServer, tmp_path, pictures, RATE_HZ, delay_s=DELAY_S, jitter_s=JITTER_S, sei=True)
+    words = "the sender's UTC, taken for ours"
+    camera, _, captured_ns = one_stream(serving, "rtsp", 30, words, stream_clock="utc")
     late_ms = [
         (frame.stamp_ns - ours.offset_ns - captured_ns[number_of(frame.image)]) / 1e6
         for _, frame in camera.frames
