@@ -176,7 +176,7 @@ def endpoint(flight: Path) -> Iterator[str]:
     where = free_endpoint()
     config = flight / "live.toml"
     config.write_text(f'{MOUNT}{FULL_SET}\n[link]\nlisten = ["{where}"]\n\n[vehicle]\nid = "kiwi"\n')
-    arguments = [*replay_arguments(flight, config=config, speed=3, linger=300), "--publish"]
+    arguments = [*replay_arguments(flight, config=config, speed=3, linger=3600), "--publish"]
     process = subprocess.Popen(
         command("onboard", *arguments), cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )

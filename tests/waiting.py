@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 PATIENCE_S = 60.0  # for what takes a second where nothing else runs
 LOOK_S = 0.02
+LEAST_STALL_S = 0.05  # a sleep that is longer by less is an ordinary one
 
 
 def eventually(condition: Callable[[], object], within_s: float = PATIENCE_S) -> bool:
@@ -26,20 +27,21 @@ def eventually(condition: Callable[[], object], within_s: float = PATIENCE_S) ->
 
 
 class Stalls:
-    """The longest time for which this thread was held up: what runs beside it was, too, and is excused for as long."""
+    """For how long this thread was held up in all: what runs beside it was, too, and is excused for as long."""
 
     def __init__(self) -> None:
-        self.worst_s = 0.0
+        self.total_s = 0.0
 
     def sleep(self, seconds: float) -> None:
         began_s = time.monotonic()
         time.sleep(seconds)
-        self.worst_s = max(self.worst_s, time.monotonic() - began_s - seconds)
+        held_up_s = time.monotonic() - began_s - seconds
+        self.total_s += held_up_s if held_up_s > LEAST_STALL_S else 0.0
 
 
 def until(condition: Callable[[], object], within_s: float) -> float:
-    """Seconds until it holds, less the longest stall; more than `within_s` if it does not."""
+    """Seconds until it holds, less the stalls; more than `within_s` if it does not."""
     began_s, stalls = time.monotonic(), Stalls()
-    while not condition() and time.monotonic() - began_s - stalls.worst_s <= within_s:
+    while not condition() and time.monotonic() - began_s - stalls.total_s <= within_s:
         stalls.sleep(LOOK_S)
-    return time.monotonic() - began_s - stalls.worst_s
+    return time.monotonic() - began_s - stalls.total_s

@@ -113,12 +113,9 @@ def test_repeats_in_a_compressed_stream_have_no_image(
 ) -> None:
     """A camera of 15 Hz in a stream of 30: each picture comes twice, the second time compressed anew."""
     twice = [picture for picture in pictures for _ in range(2)]
-    with (
-        RtspServer(tmp_path, twice, RATE_HZ, bit_rate=bit_rate) as server,
-        running(server.url("rtspt"), size_px=SIZE_PX, frozen_after_s=30.0) as camera,
-    ):
-        camera.wait_for_pictures(60, START_S)
-        figures = camera.source.health().figures
+    serving = partial(RtspServer, tmp_path, twice, RATE_HZ, bit_rate=bit_rate)
+    camera, health, _ = one_stream(serving, "rtspt", 60, "320x240", frozen_after_s=30.0)
+    figures = health.figures
     handed_out = [number_of(frame.image) for _, frame in camera.frames[15:] if frame.image is not None]
     seen = set(handed_out)
     assert len(seen) >= 0.95 * (max(seen) - min(seen) + 1)  # hardly any picture is lost for it
