@@ -12,7 +12,7 @@ import zenoh
 from contract.errors import LinkError, WireError
 from contract.link_config import Tls
 from contract.topics import ANSWER_TIMEOUT_S, FOLLOW, QUERY, TRACKS
-from contract.track import StartTrack, TrackReport, TrackRequest, parameters_of
+from contract.track import ListTracks, StartTrack, TrackReport, TrackRequest, parameters_of
 from contract.wire.track_code import decode_tracks
 from ground.client import open_link
 from ground.presence import vehicles_there
@@ -46,7 +46,10 @@ class TrackLink:
         """The aircraft's answer. Raises TrackRefused with its reason, LinkError if it gives none."""
         parameters = parameters_of(request)
         selector = FOLLOW.key(self.vehicle) + (f"?{parameters}" if parameters else "")
-        for _ in range(TRIES if isinstance(request, StartTrack) and request.frame is not None else 1):
+        is_same_again = isinstance(request, ListTracks) or (
+            isinstance(request, StartTrack) and request.frame is not None
+        )
+        for _ in range(TRIES if is_same_again else 1):
             for reply in self._session.get(
                 selector,
                 timeout=ANSWER_TIMEOUT_S,

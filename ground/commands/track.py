@@ -49,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     which.add_argument("--stop", metavar="N", type=lambda t: whole(t, "track"), help="end track N")
     parser.add_argument("--leave", action="store_true", help="the track goes on when this command ends")
     parser.add_argument("--seconds", metavar="S", type=positive, help="end after so long")
+    parser.add_argument("--count", metavar="N", type=lambda t: whole(t, "count"), help="end after so many reports")
     parser.add_argument("--save", metavar="FILE", type=Path, help="write the path at the end: .geojson or .kml")
     parser.add_argument("--json", action="store_true", help="a JSON object a line")
     parser.add_argument("--vehicle", metavar="NAME", help="the aircraft, where there are several")
@@ -119,7 +120,8 @@ def _listen(link: TrackLink, number: int | None, args: argparse.Namespace, kept:
     """Print reports until the time is over or the track is lost."""
     until_s = None if args.seconds is None else time.monotonic() + args.seconds
     heard_s = time.monotonic()
-    while until_s is None or time.monotonic() < until_s:
+    count = 0
+    while (until_s is None or time.monotonic() < until_s) and count != args.count:
         report = link.next(0.2)
         if report is None or (number is not None and report.number != number):
             if number is not None and time.monotonic() - heard_s > SILENT_S:
@@ -130,6 +132,7 @@ def _listen(link: TrackLink, number: int | None, args: argparse.Namespace, kept:
         if args.save is None or len(kept) >= MOST_KEPT:
             kept[:] = kept[: MOST_KEPT - 1 if args.save else 0]
         kept.append(report)
+        count += 1
         print(report.to_json() if args.json else report.to_text(), flush=True)
         if number is not None and report.state is TrackState.LOST:
             return

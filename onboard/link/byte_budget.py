@@ -31,7 +31,7 @@ PACKET_BYTES = 1500
 BURST_S = 0.5
 # What status and replies may take at most: without tracks at least 0.35 stays for sets.
 STATUS_SHARE, REPLY_SHARE = 0.25, 0.4
-TRACK_SHARE = 0.2  # of reports of tracks: of one twice a second at 32 kbit/s, of eight at 55
+TRACK_SHARE = 0.2  # of reports of tracks: of one twice a second from 12 kbit/s on, of eight from 45
 # What older pictures' sets may take from new ones; else they go in what those leave. So many for each new one at most.
 OLDER_SHARE, OLDER_A_NEW = 0.1, 0.5
 PIECE_SHARE = 0.95  # of the time that a set leaves until the next one, that a packet of a picture may take

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import threading
-import time
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import replace
@@ -86,7 +85,7 @@ def test_all_tracks_are_listened_to_listed_and_stopped(
     aircraft: tuple[str, Following], capsys: pytest.CaptureFixture[str]
 ) -> None:
     endpoint, following = aircraft
-    assert main(["track", "--connect", endpoint, "--seconds", "1.5"]) == 0
+    assert main(["track", "--connect", endpoint, "--count", "6"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert any(line.startswith("track 9 followed") for line in lines)
     assert any("15.0 +-0.2 m/s towards 271 +-1 deg" in line for line in lines)
@@ -98,9 +97,8 @@ def test_all_tracks_are_listened_to_listed_and_stopped(
 
 def test_ended_by_the_time_given_the_track_is_stopped_or_left(aircraft: tuple[str, Following]) -> None:
     endpoint, following = aircraft
-    began_s = time.monotonic()
     assert main(["track", "320", "100", "--connect", endpoint, "--seconds", "0.01"]) == 0
-    assert following.asked[-1] == "stop=3" and time.monotonic() - began_s < 20.0
+    assert following.asked[-1] == "stop=3"
     assert main(["track", "320", "100", "--connect", endpoint, "--seconds", "0.01", "--leave"]) == 0
     assert following.asked[-1].startswith("u=320.0")
 

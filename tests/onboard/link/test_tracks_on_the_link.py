@@ -20,8 +20,9 @@ from onboard.link.byte_budget import Budget, Kind
 from onboard.link.certificates import make_credentials
 from onboard.link.publisher import Publisher, Rate
 from tests.contract.test_track_code import REPORT
+from tests.onboard.link.asking import answered
 from tests.onboard.link.ports import free_endpoint
-from tests.onboard.link.test_publisher import eventually
+from tests.waiting import eventually
 
 WIDE = Rate(max_bit_rate=1e6)
 
@@ -35,16 +36,21 @@ def test_a_track_is_asked_for_and_its_reports_are_heard() -> None:
 
     with Publisher("uav-1", [endpoint], rate=WIDE) as flying:
         flying.follow = follow
-        with TrackLink(endpoint, None) as link:
+        with answered(lambda: TrackLink(endpoint, None)) as link:
             assert link.vehicle == "uav-1"
-            assert link.ask(StartTrack(10.5, 20.25, 7)) == {"track": 3, "frame": 7}
-            assert asked == ["u=10.5;v=20.25;frame=7"]
-            flying.publish_tracks(encode_track(REPORT) * 2)
-            heard = [link.next(15.0), link.next(15.0)]
-            assert all(report is not None and report.to_text() == REPORT.to_text() for report in heard)
-            assert link.next(0.01) is None
-            flying.publish_tracks(b"\xff" * 30)
-            assert eventually(lambda: link.unreadable == 1)
+            assert answered(lambda: link.ask(StartTrack(10.5, 20.25, 7))) == {"track": 3, "frame": 7}
+            assert set(asked) == {"u=10.5;v=20.25;frame=7"}
+            heard: list[str] = []
+
+            def is_told(payload: bytes) -> bool:
+                flying.publish_tracks(payload)
+                while (report := link.next(0.1)) is not None:
+                    heard.append(report.to_text())
+                return len(heard) >= 2 and len(heard) % 2 == 0
+
+            assert eventually(lambda: is_told(encode_track(REPORT) * 2))
+            assert set(heard) == {REPORT.to_text()} and link.unreadable == 0
+            assert eventually(lambda: is_told(b"\xff" * 30) and link.unreadable > 0)
 
 
 def test_a_refusal_has_the_aircrafts_reason() -> None:
@@ -64,7 +70,7 @@ def test_only_the_named_may_follow(tmp_path: Path) -> None:
     with Publisher("uav-1", [endpoint], rate=WIDE, tls=tls["uav-1"], trackers=["anna"]) as flying:
         flying.follow = lambda text: (json.dumps({"tracks": [len(text)]}).encode(), False)
         with TrackLink(endpoint, "uav-1", tls["anna"]) as anna, TrackLink(endpoint, "uav-1", tls["ben"]) as ben:
-            assert anna.ask(StopTrack(3)) == {"tracks": [6]}
+            assert answered(lambda: anna.ask(StopTrack(3))) == {"tracks": [6]}
             with pytest.raises(LinkError, match="may this certificate follow"):
                 ben.ask(StopTrack(3))
 

@@ -20,9 +20,9 @@ from onboard.link.publisher import Publisher, Rate
 from onboard.service.track_thread import TrackThread
 from tests.contract.sets import plain_set
 from tests.onboard.link.ports import free_endpoint
-from tests.onboard.link.test_publisher import eventually
 from tests.onboard.service.air import STRAIGHT, PlayedSource, Work, take_off
 from tests.onboard.service.test_pictures_in_flight import Passed
+from tests.waiting import eventually
 
 CLICKED = 10
 
