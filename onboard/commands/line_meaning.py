@@ -6,6 +6,7 @@ from onboard.commands.preflight import (
     DARK,
     MAX_CLIPPED,
     MAX_CLOCK_SIGMA_MS,
+    MAX_LEFT_OUT,
     MAX_ROUND_TRIP_MS,
     MAX_STAMP_SIGMA_MS,
     MIN_ATTITUDE_HZ,
@@ -75,6 +76,11 @@ MEANING: dict[str, tuple[str, str]] = {
     "threads": (
         "Whether every part of the daemon runs.",
         "If bad: restart the service, and keep the journal: it has the stack of what stopped.",
+    ),
+    "left out": (
+        "What of the picture holds no features, by camera.mask or because it stands still; "
+        f"up to {100 * MAX_LEFT_OUT:.0f} %.",
+        "If bad: switch the display off, move the camera so that it sees less of the aircraft, or mend camera.mask.",
     ),
     "mount": (
         "The mount's angles, and what the last flights found beside them: no more than three sigma.",

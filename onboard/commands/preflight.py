@@ -29,6 +29,7 @@ MAX_ROUND_TRIP_MS = 100.0
 MAX_VARIANCE_FACTOR = 4.0  # ellipses are then twice as long as sensors and pictures explain
 BORESIGHT_SIGMAS = 3.0
 MAX_CLIPPED = 0.3
+MAX_LEFT_OUT = 0.4  # of the picture
 DARK, BRIGHT = 25.0, 230.0
 HOT_C = 80.0
 
@@ -70,7 +71,7 @@ def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]
         _rates(report),
         _time_sync(config, report),
         *judged.values(),
-        *([_sensors(report), _radius(report)] if around.is_running else []),
+        *([_left_out(report), _sensors(report), _radius(report)] if around.is_running else []),
         _mount(config, report),
         _relative_errors(report),
         _calibration(around.camera),
@@ -191,6 +192,12 @@ def _time_sync(config: Config, report: Report) -> Line:
     text = f"+-{sigma_ms:.1f} ms" + ("" if trip_ms is None else f", round trip {trip_ms:.1f} ms")
     good = sigma_ms <= MAX_CLOCK_SIGMA_MS and (trip_ms is None or trip_ms <= MAX_ROUND_TRIP_MS)
     return Line("time sync", good, text)
+
+
+def _left_out(report: Report) -> Line:
+    """What of the picture is taken for no ground."""
+    left_out = report.pictures.left_out
+    return Line("left out", left_out.masked + left_out.standing <= MAX_LEFT_OUT, str(left_out) or "nothing")
 
 
 def _mount(config: Config, report: Report) -> Line:
