@@ -69,8 +69,8 @@ class Texture:
     def likeness(self, other: Texture) -> Grid:
         """Correlation with another about each cell; with FLOOR in its denominator, near 0 without texture."""
         product = self._gathered(self.small * other.small) - self.mean * other.mean
-        out: Grid = product / np.sqrt((self.variance + FLOOR * FLOOR) * (other.variance + FLOOR * FLOOR))
-        return out
+        scale = np.sqrt((self.variance + FLOOR * FLOOR) * (other.variance + FLOOR * FLOOR))
+        return np.asarray(product / scale, np.float32)
 
 
 @dataclass(frozen=True, eq=False)
