@@ -43,7 +43,7 @@ CODECS = {
         "rtph264depay", "h264parse", ("v4l2h264dec", "nvv4l2decoder", "v4l2slh264dec", "avdec_h264", "openh264dec"),
     ),
     "H265": ("rtph265depay", "h265parse", ("v4l2h265dec", "nvv4l2decoder", "v4l2slh265dec", "avdec_h265")),
-    "JPEG": ("rtpjpegdepay", "", ("jpegdec", "avdec_mjpeg")),
+    "JPEG": ("rtpjpegdepay", "", ("v4l2jpegdec", "jpegdec", "avdec_mjpeg")),
     "MP4V-ES": ("rtpmp4vdepay", "mpeg4videoparse", ("v4l2mpeg4dec", "avdec_mpeg4")),
 }  # fmt: skip
 LUMA = "video/x-raw,format=(string){GRAY8,I420,YV12,NV12,NV21,Y42B,NV16,Y444,GRAY16_LE}"
@@ -139,6 +139,14 @@ def load() -> tuple[Any, Any]:
     return Gst, GstVideo
 
 
+def decoders_at_hand(Gst: Any) -> dict[str, list[str]]:
+    """Of each codec the decoders that are installed, in the order in which they are tried."""
+    return {
+        codec: [name for name in names if Gst.ElementFactory.find(name) is not None]
+        for codec, (_, _, names) in CODECS.items()
+    }
+
+
 class Stamps:
     """Which of the stamps that a stream has are used: the best that every picture has had for a while."""
 
@@ -191,10 +199,16 @@ class Player:
             self.need("libcamerasrc")
         else:
             self.need("rtspsrc")
-            for depay, parse, decoders in CODECS.values():
+            for codec, (depay, parse, _) in CODECS.items():
                 self.need(depay, *([parse] if parse else []))
-                if not any(self.Gst.ElementFactory.find(name) for name in decoders):
-                    self.need(next(name for name in decoders if name.startswith(("avdec", "jpegdec"))))
+                self._decoders_of(codec)
+
+    def _decoders_of(self, codec: str) -> list[str]:
+        """Those that are installed, at least one; raises Hopeless."""
+        found = decoders_at_hand(self.Gst)[codec]
+        if not found:
+            self.need(next(name for name in CODECS[codec][2] if name.startswith(("avdec", "jpegdec"))))
+        return found
 
     def play(self) -> None:
         """Write frames until asked to end; raises Over or Hopeless."""
@@ -344,13 +358,10 @@ class Player:
         Gst = self.Gst
         if codec not in CODECS:
             raise Hopeless(f"video of codec {codec or 'unknown'}: it is one of {', '.join(CODECS)}; else gst:PIPELINE")
-        depay, parse, decoders = CODECS[codec]
+        depay, parse, _ = CODECS[codec]
         self.need(depay, *([parse] if parse else []))
         if not self.decoder:
-            self.decoders = [name for name in decoders if Gst.ElementFactory.find(name) is not None]
-            if not self.decoders:
-                self.need(next(name for name in decoders if name.startswith(("avdec", "jpegdec"))))
-            self.decoder = self.decoders.pop(0)
+            self.decoder, *self.decoders = self._decoders_of(codec)
         made = [Gst.ElementFactory.make(name, None) for name in (depay, parse, self.decoder) if name]
         if codec in {"H264", "H265"}:
             form = Gst.ElementFactory.make("capsfilter", None)
@@ -448,6 +459,9 @@ def main() -> int:
         Gst, GstVideo = load()
         if spec["kind"] == "list":
             os.write(out, json.dumps(cameras(Gst)).encode())
+            return 0
+        if spec["kind"] == "decoders":
+            os.write(out, json.dumps(decoders_at_hand(Gst)).encode())
             return 0
         if spec.get("is_check"):
             Player(Gst, GstVideo, spec, out).check()

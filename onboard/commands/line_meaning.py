@@ -36,6 +36,10 @@ MEANING: dict[str, tuple[str, str]] = {
         f"Mean grey above {DARK:.0f}, and not over {100 * MAX_CLIPPED:.0f} % of the picture black or white.",
         "If bad: take off the lens cap, or set camera.exposure_us and camera.gain for the light of the flight.",
     ),
+    "decoder": (
+        "What decodes a network camera's video, the first that works of those that are installed.",
+        "If bad: it never is: what is missing stands in the line camera. In hardware it costs next to no processor.",
+    ),
     "telemetry": (
         "Whether positions come from the autopilot or receiver.",
         "If bad: check cable, port and baud rate in telemetry.url, and that the autopilot sends MAVLink 2 there.",

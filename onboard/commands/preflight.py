@@ -52,6 +52,7 @@ class Surroundings:
     free_mb: float | None
     temperature_c: float | None
     is_running: bool = True  # the report is a daemon's, which has judged its flight
+    decoders: str = ""  # what decodes the camera's stream; empty where it is none
 
 
 # Of what is judged, that which can be seen without a daemon.
@@ -67,6 +68,7 @@ def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]
         _rate(config, report),
         _stamps(config, report),
         _exposure(config, report),
+        *([Line("decoder", True, around.decoders)] if around.decoders else []),
         judged.pop(Subject.TELEMETRY),
         _rates(report),
         _time_sync(config, report),

@@ -16,11 +16,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from onboard.camera import helper_launch as launching
 from onboard.camera.frame_protocol import FrameReader, Origin
-from onboard.camera.gstreamer_helper import MISB, Stamps, nal_units, precision_time_ns
+from onboard.camera.gstreamer_helper import MISB, Hopeless, Player, Stamps, nal_units, precision_time_ns
 from onboard.camera.helper_launch import (
     HELPER,
     SYSTEM_PYTHON,
+    decoders_text,
     helper_launch,
     libcamera_names,
     unable,
@@ -224,6 +226,79 @@ def test_it_is_known_before_a_flight_whether_a_source_can_be_opened() -> None:
     assert "sudo apt-get install gstreamer1.0-libav" in unable_at("gst:videotestsrc ! avdec_nosuch")
     assert unable_at("exec:/no/such/program") == "/no/such/program: no such program"
     assert libcamera_names()[1] == ""
+
+
+class Installed:
+    """A registry of GStreamer's that has these elements, and makes them by their names."""
+
+    def __init__(self, *names: str) -> None:
+        self.names = {"rtph264depay", "h264parse", "rtph265depay", "h265parse", "capsfilter", "nvvidconv", *names}
+        self.ElementFactory = self.Caps = self
+
+    def find(self, name: str) -> str | None:
+        return name if name in self.names else None
+
+    def make(self, name: str, _: None) -> Made:
+        assert name in self.names
+        return Made(name)
+
+    def from_string(self, text: str) -> str:
+        return text
+
+    def util_set_object_arg(self, element: Made, name: str, value: str) -> None:
+        element.set_property(name, value)
+
+
+class Made:
+    def __init__(self, name: str) -> None:
+        self.name, self.properties = name, dict[str, object]()
+
+    def find_property(self, name: str) -> str:
+        return name
+
+    def set_property(self, name: str, value: object) -> None:
+        self.properties[name] = value
+
+
+@pytest.mark.parametrize(
+    ("codec", "installed", "chain", "then"),
+    [
+        ("H264", ("avdec_h264", "v4l2h264dec"), "rtph264depay h264parse capsfilter v4l2h264dec", ["avdec_h264"]),
+        ("H265", ("nvv4l2decoder", "avdec_h265"), "rtph265depay h265parse capsfilter nvv4l2decoder nvvidconv",
+         ["avdec_h265"]),
+        ("H264", ("openh264dec", "avdec_h264"), "rtph264depay h264parse capsfilter avdec_h264", ["openh264dec"]),
+    ],
+)  # fmt: skip
+def test_a_decoder_in_hardware_is_taken_first_and_others_are_left_to_be_tried(
+    codec: str, installed: tuple[str, ...], chain: str, then: list[str]
+) -> None:
+    player = Player(Installed(*installed), None, {"kind": "rtsp"}, 1)
+    made = player._chain(codec)
+    assert " ".join(element.name for element in made) == chain
+    assert player.decoders == then
+    if player.decoder.startswith("avdec_"):
+        assert made[-1].properties == {"thread-type": "slice"}
+
+
+def test_without_any_decoder_it_is_said_which_package_has_one() -> None:
+    with pytest.raises(Hopeless, match=r"no avdec_h265: sudo apt-get install gstreamer1.0-libav"):
+        Player(Installed("avdec_h264"), None, {"kind": "rtsp"}, 1)._chain("H265")
+
+
+def test_which_decoders_there_are_is_said_before_a_flight(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = {"H264": ["v4l2h264dec", "avdec_h264"], "H265": ["avdec_h265"], "JPEG": []}
+    monkeypatch.setattr(launching, "_ask", lambda spec: (json.dumps(found), ""))
+    said = "H264 by v4l2h264dec (hardware), else avdec_h264; H265 by avdec_h265; JPEG by nothing that is installed"
+    assert decoders_text() == said
+    monkeypatch.setattr(launching, "_ask", lambda spec: ("", "GStreamer is not installed: sudo"))
+    assert decoders_text() == "video of streams is not decoded: GStreamer is not installed: sudo"
+
+
+@pytest.mark.usefixtures("gstreamer")
+def test_this_computers_decoders_are_those_of_its_registry() -> None:
+    said = dict(part.split(" by ") for part in decoders_text().split("; "))
+    assert list(said) == ["H264", "H265", "JPEG", "MP4V-ES"]
+    assert "avdec_h264" in said["H264"] and "avdec_h265" in said["H265"] and "jpegdec" in said["JPEG"]
 
 
 def test_without_gstreamer_it_is_said_what_to_install() -> None:

@@ -74,6 +74,13 @@ def test_how_well_pictures_are_timed_is_said_and_amiss_where_it_is_poor() -> Non
     assert text(learned, "stamps") == "learned in flight: -0.213 +-0.008 s beside camera.latency_s"
 
 
+def test_what_decodes_a_stream_is_said_where_the_camera_is_one() -> None:
+    around = replace(AROUND, decoders="H264 by v4l2h264dec (hardware), else avdec_h264")
+    (line,) = (line for line in diagnose(CONFIG, WELL, around) if line.name == "decoder")
+    assert line.is_good and line.text == around.decoders
+    assert "decoder" not in verdicts(WELL)
+
+
 def test_what_is_left_out_of_the_picture_is_said_with_who_found_it() -> None:
     assert text(WELL, "left out") == "nothing"
     found = replace(WELL, pictures=replace(WELL.pictures, left_out=LeftOut(0.02, 0.113)))
@@ -259,7 +266,7 @@ def test_a_sensor_that_contradicts_the_others_is_not_well_while_it_does() -> Non
 
 
 def test_every_line_is_explained_and_no_name_runs_into_its_text() -> None:
-    lines = diagnose(CONFIG, WELL, AROUND)
+    lines = diagnose(CONFIG, WELL, replace(AROUND, decoders="H264 by avdec_h264"))
     assert {line.name for line in lines} == set(MEANING)
     for explained in (False, True):
         said = doctor.text(lines, False, explained).splitlines()
