@@ -83,6 +83,12 @@ BENCHMARKS = (
         (),
         ("--seconds", "10", "--streams", "1000:0.15", "--seeds", "2"),
     ),
+    Benchmark(
+        "source_codecs",
+        "What compression costs",
+        (),
+        ("--size", "320x240", "--seconds", "12", "--kbit", "500", "--codecs", "H264"),
+    ),
     Benchmark("real_flight", "The real flight"),
 )
 # Programs of this folder that a benchmark starts.

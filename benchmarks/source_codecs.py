@@ -5,7 +5,7 @@
 
 One flight for each seed, with turns over relief, its pictures encoded (OpenH264; x265 at its fastest), sent as RTP
 packets of 1400 bytes of which `--loss` never come (0: as over TCP), and decoded by libav; then the flight is replayed
-with what has come. A picture that the decoder calls damaged, or that never came, has no image, as in flight. Telemetry
+with what has come. A picture that the decoder or our helper calls damaged, or that never came, has no image. Telemetry
 and stamps are the flight's own in every row: what a stream does to times is `benchmarks.sources`.
 
 `--kbit` are those of 30 pictures a second: a flight of fewer gets as many bits a picture, though more has moved between

@@ -5,7 +5,7 @@ On standard input one line of JSON: `frames` (a file of raw grey pictures), `out
 TCP).
 
 Writes the decoded pictures one after the other and prints JSON: `numbers` of those that came undamaged, in their order,
-`damaged` (how many came that the decoder calls damaged), `bytes` of the stream, and `decode_s`, the decoder's
+`damaged` (how many came that our helper calls damaged), `bytes` of the stream, and `decode_s`, the decoder's
 processor time.
 """
 
@@ -15,12 +15,16 @@ import json
 import random
 import resource
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import gi
 
 gi.require_version("Gst", "1.0")
 from gi.repository import Gst  # noqa: E402
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "onboard" / "camera"))
+from gstreamer_helper import Whole  # noqa: E402
 
 # As gimbals and encoders of downlinks send: a key picture every second, no pictures that refer to later ones.
 ENCODERS = {
@@ -31,15 +35,22 @@ ENCODERS = {
     "h265parse config-interval=-1 ! video/x-h265,stream-format=byte-stream,alignment=au",
 }
 SENT = {
-    "H264": ("rtph264pay mtu=1400", "rtph264depay ! h264parse ! avdec_h264 output-corrupt=true"),
-    "H265": ("rtph265pay mtu=1400", "rtph265depay ! h265parse ! avdec_h265 output-corrupt=true"),
+    "H264": ("rtph264pay mtu=1400", "rtph264depay ! h264parse name=parse ! avdec_h264 output-corrupt=true"),
+    "H265": ("rtph265pay mtu=1400", "rtph265depay ! h265parse name=parse ! avdec_h265 output-corrupt=true"),
 }
 
 
-def run(text: str, feed: list[Gst.Buffer], take: str) -> list[Gst.Sample]:
-    """What comes out of a pipeline between `in` and an appsink `out`."""
+def run(text: str, feed: list[Gst.Buffer], look: Callable[[Gst.Buffer], None] | None = None) -> list[Gst.Sample]:
+    """What comes out of a pipeline between `in` and an appsink `out`; `look` at what its parser hands on."""
     pipeline = Gst.parse_launch(text)
-    source, sink = pipeline.get_by_name("in"), pipeline.get_by_name(take)
+    source, sink = pipeline.get_by_name("in"), pipeline.get_by_name("out")
+    if look is not None:
+
+        def passed(_: Gst.Pad, info: Gst.PadProbeInfo) -> Gst.PadProbeReturn:
+            look(info.get_buffer())
+            return Gst.PadProbeReturn.OK
+
+        pipeline.get_by_name("parse").get_static_pad("src").add_probe(Gst.PadProbeType.BUFFER, passed)
     pipeline.set_state(Gst.State.PLAYING)
     out = []
     for buffer in feed:
@@ -75,20 +86,27 @@ def packets(spec: dict) -> list[Gst.Buffer]:
         f"appsrc name=in format=time caps={caps} ! videoconvert ! video/x-raw,format=I420 ! {encoder} ! "
         f"{SENT[spec['codec']][0]} ! appsink name=out sync=false max-buffers=0",
         feed,
-        "out",
     )
     return [sample.get_buffer() for sample in samples]
 
 
-def decoded(spec: dict, sent: list[Gst.Buffer]) -> list[Gst.Sample]:
-    """What the decoder makes of packets."""
-    return run(
+def decoded(spec: dict, sent: list[Gst.Buffer]) -> tuple[list[Gst.Sample], dict[int, bool]]:
+    """What the decoder makes of packets; and by presentation time, whether a picture is whole."""
+    whole, is_whole = Whole(), {}
+
+    def look(buffer: Gst.Buffer) -> None:
+        flags = Gst.BufferFlags
+        is_gap, is_key = buffer.has_flags(flags.DISCONT), not buffer.has_flags(flags.DELTA_UNIT)
+        is_whole[buffer.pts] = whole.see(is_gap, is_key, buffer.pts)
+
+    samples = run(
         "appsrc name=in format=time caps=application/x-rtp,media=video,clock-rate=90000,"
         f"encoding-name={spec['codec']} ! {SENT[spec['codec']][1]} ! video/x-raw,format=I420 ! "
         "appsink name=out sync=false max-buffers=0",
         sent,
-        "out",
+        look,
     )
+    return samples, is_whole
 
 
 def spent_s() -> float:
@@ -100,19 +118,20 @@ def main() -> None:
     spec = json.loads(sys.stdin.readline())
     Gst.init(None)
     all_sent = packets(spec)
+    first_ns = min(packet.pts for packet in all_sent)  # x265enc counts from a thousand hours
     chance = random.Random(spec.get("seed", 1))
     sent = [packet for packet in all_sent if chance.random() >= spec["loss"]]
     began_s = spent_s()
-    samples = decoded(spec, sent)
+    samples, is_whole = decoded(spec, sent)
     decode_s = spent_s() - began_s
     size, numbers, damaged = spec["width"] * spec["height"], [], 0
     with Path(spec["out"]).open("wb") as out:
         for sample in samples:
             buffer = sample.get_buffer()
-            if buffer.has_flags(Gst.BufferFlags.CORRUPTED):
+            if buffer.has_flags(Gst.BufferFlags.CORRUPTED) or not is_whole.get(buffer.pts, True):
                 damaged += 1
                 continue
-            numbers.append(round(buffer.pts * spec["rate_hz"] / Gst.SECOND))
+            numbers.append(round((buffer.pts - first_ns) * spec["rate_hz"] / Gst.SECOND))
             out.write(buffer.extract_dup(0, size))
     stream_bytes = sum(packet.get_size() for packet in all_sent)
     print(json.dumps({"numbers": numbers, "damaged": damaged, "bytes": stream_bytes, "decode_s": decode_s}))

@@ -51,6 +51,7 @@ LOCAL = {"v4l2src": UNKNOWN, "libcamerasrc": FIRST_ROW_END, "nvarguscamerasrc": 
 """Sources on this computer, whose buffers bear the driver's time, and which moment of the exposure that is."""
 JITTER_MS = 100  # for packets that come out of order
 TIMEOUT_US = 3_000_000
+HEALED_NS = 3_000_000_000  # longer than it takes to refresh a picture bit by bit
 HELD = 256  # pictures between parser and decoder, at most
 STEADY = 15  # pictures in a row that must have a kind of stamp before it is used
 NTP_TO_UNIX_NS = 2_208_988_800 * 10**9
@@ -164,6 +165,25 @@ class Stamps:
         return next((origin for origin, row in self._row.items() if row >= enough), ARRIVAL)
 
 
+class Whole:
+    """Which pictures of a stream are whole: none from a gap in it to the next picture that needs no other.
+
+    A decoder puts something in place of what was lost, and goes on: pictures look sharp, and show where the camera was
+    before the gap. A stream without such pictures (intra refresh) is whole again after HEALED_NS.
+    """
+
+    def __init__(self) -> None:
+        self._broken_ns: int | None = None
+
+    def see(self, is_gap: bool, is_key: bool, now_ns: int) -> bool:
+        """Of the next picture, as it comes to the decoder: behind a gap or not, one that needs no other or not."""
+        if is_gap:
+            self._broken_ns = now_ns
+        if is_key or (self._broken_ns is not None and now_ns - self._broken_ns > HEALED_NS):
+            self._broken_ns = None
+        return self._broken_ns is None
+
+
 class Player:
     """One pipeline from its source to frames."""
 
@@ -174,8 +194,9 @@ class Player:
         self.decoder = ""
         self.written = 0
         self.failure = ""  # found by a thread of GStreamer's
-        self._known: dict[int, tuple[int, dict[int, int]]] = {}  # by presentation time: arrival and stamps
+        self._known: dict[int, tuple[int, dict[int, int], bool]] = {}  # by presentation time: arrival, stamps, if whole
         self._stamps = Stamps(bool(spec.get("utc")))
+        self._whole = Whole()
         self._number = 0
         self._last_pts: int | None = None
         self._is_asked_to_end = False
@@ -389,7 +410,9 @@ class Player:
         sei_ns = precision_time_ns(buffer.extract_dup(0, buffer.get_size()), is_h265, is_byte_stream)
         if sei_ns is not None:
             found[SEI] = sei_ns
-        self._known[buffer.pts] = arrival_ns, found
+        flags = self.Gst.BufferFlags
+        is_gap, is_key = buffer.has_flags(flags.DISCONT), not buffer.has_flags(flags.DELTA_UNIT)
+        self._known[buffer.pts] = arrival_ns, found, self._whole.see(is_gap, is_key, arrival_ns)
         while len(self._known) > HELD:
             del self._known[next(iter(self._known))]
         return self.Gst.PadProbeReturn.OK
@@ -404,7 +427,7 @@ class Player:
         if len(luma) < stride * info.height:  # the last row comes without its padding
             luma = luma.ljust(stride * info.height, b"\0")
         pts = buffer.pts if buffer.pts != Gst.CLOCK_TIME_NONE else None
-        arrival_ns, found = self._known.pop(buffer.pts, (now_ns, {}))
+        arrival_ns, found, is_whole = self._known.pop(buffer.pts, (now_ns, {}, True))
         if pts is not None:
             found[MEDIA] = pts
         stamp_ns, clock, moment, origin = now_ns, MONOTONIC, UNKNOWN, ARRIVAL
@@ -415,7 +438,7 @@ class Player:
             if origin in found:
                 stamp_ns, clock = found[origin], SENDER if origin == MEDIA else SENDER_UTC
         self._count(pts, buffer.duration, info)
-        damaged = buffer.has_flags(Gst.BufferFlags.CORRUPTED)
+        damaged = buffer.has_flags(Gst.BufferFlags.CORRUPTED) or not is_whole
         exposure_us = self.spec.get("exposure_us")
         exposure_s = NAN if exposure_us is None or self.spec["kind"] != "libcamera" else exposure_us / 1e6
         fourcc = b"Y16 " if caps.get_structure(0).get_string("format") == "GRAY16_LE" else b"GREY"

@@ -17,8 +17,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from onboard.camera import helper_launch as launching
-from onboard.camera.frame_protocol import FrameReader, Origin
-from onboard.camera.gstreamer_helper import MISB, Hopeless, Player, Stamps, nal_units, precision_time_ns
+from onboard.camera.frame_protocol import FrameReader, Header, Origin
+from onboard.camera.gstreamer_helper import (
+    HEALED_NS,
+    MISB,
+    Hopeless,
+    Player,
+    Stamps,
+    Whole,
+    nal_units,
+    precision_time_ns,
+)
 from onboard.camera.helper_launch import (
     HELPER,
     SYSTEM_PYTHON,
@@ -226,6 +235,56 @@ def test_it_is_known_before_a_flight_whether_a_source_can_be_opened() -> None:
     assert "sudo apt-get install gstreamer1.0-libav" in unable_at("gst:videotestsrc ! avdec_nosuch")
     assert unable_at("exec:/no/such/program") == "/no/such/program: no such program"
     assert libcamera_names()[1] == ""
+
+
+def frames_of(pipeline: str) -> list[tuple[Header, bytes]]:
+    """What our helper writes of a pipeline that ends by itself."""
+    width, height = SIZE_PX
+    spec = {"kind": "gst", "pipeline": pipeline, "width": width, "height": height, "rate_hz": RATE_HZ}
+    command = [SYSTEM_PYTHON, "-I", str(HELPER)]
+    done = subprocess.run(command, input=json.dumps(spec).encode(), capture_output=True, check=False, timeout=60.0)
+    return [(header, bytes(luma)) for header, luma in FrameReader().feed(done.stdout)]
+
+
+@pytest.mark.usefixtures("gstreamer")
+@pytest.mark.parametrize(
+    ("encoder", "codec"),
+    [
+        ("openh264enc gop-size=15 bitrate=2000000", "264"),
+        ("x265enc speed-preset=ultrafast tune=zerolatency key-int-max=15 bitrate=2000", "265"),
+    ],
+)
+def test_no_picture_behind_a_lost_packet_counts_until_one_that_needs_no_other(encoder: str, codec: str) -> None:
+    """The decoder calls them whole. They are sharp, and show where the camera was before the gap."""
+
+    def sent(loss: float) -> str:
+        return (
+            "videotestsrc pattern=smpte75 horizontal-speed=7 num-buffers=150 ! "
+            f"video/x-raw,width={SIZE_PX[0]},height={SIZE_PX[1]},framerate=30/1 ! videoconvert ! {encoder} ! "
+            f"h{codec}parse config-interval=-1 ! rtph{codec}pay mtu=300 ! identity drop-probability={loss} ! "
+            f"rtph{codec}depay ! h{codec}parse ! avdec_h{codec}"
+        )
+
+    true = {header.stamp_ns: luma for header, luma in frames_of(sent(0.0))}
+    assert len(true) == 150
+    came = [(header, luma) for header, luma in frames_of(sent(0.02)) if header.stamp_ns in true]
+    whole = [luma == true[header.stamp_ns] for header, luma in came if not header.is_damaged]
+    damaged = [luma == true[header.stamp_ns] for header, luma in came if header.is_damaged]
+    assert len(whole) > 50 and all(whole)
+    assert len(damaged) > 5 and not all(damaged)
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans(), st.integers(0, 2 * HEALED_NS)), max_size=40))
+def test_a_stream_is_whole_from_a_picture_that_needs_no_other_to_the_next_gap(
+    events: list[tuple[bool, bool, int]],
+) -> None:
+    whole, now_ns, broken_ns = Whole(), 0, None
+    for is_gap, is_key, step_ns in events:
+        now_ns += step_ns
+        broken_ns = now_ns if is_gap else broken_ns
+        is_whole = is_key or broken_ns is None or now_ns - broken_ns > HEALED_NS
+        broken_ns = None if is_whole else broken_ns
+        assert whole.see(is_gap, is_key, now_ns) == is_whole
 
 
 class Installed:
