@@ -2,7 +2,7 @@
 
 Each start takes the next list of acts, separated by `then`; the last list serves for all later starts. Acts:
 `frames:N`, `stall:S`, `garbage:N` bytes, `half` a frame and killed, `back:S` stamps that much earlier, `size:WxH`,
-`say:TEXT` on the error stream, `exit:N`, `child` that never ends, `same:N` the same picture, `epoch:S` the sender's
+`rate:HZ`, `say:TEXT` on the error stream, `exit:N`, `child` that never ends, `same:N` the same picture, `epoch:S` the sender's
 clock with that origin, `again` (the last luma under a new number).
 """
 
@@ -25,6 +25,7 @@ class Writer:
 
     def __init__(self) -> None:
         self.size, self.number, self.back_ns, self.epoch_s = (64, 48), 0, 0, None
+        self.period_s = PERIOD_S
 
     def frame(self, luma: bytes | None = None) -> bytes:
         now_ns = time.monotonic_ns()
@@ -47,7 +48,9 @@ class Writer:
             for _ in range(int(value)):
                 out.write(self.frame(luma))
                 out.flush()
-                time.sleep(PERIOD_S)
+                time.sleep(self.period_s)
+        elif name == "rate":
+            self.period_s = 1.0 / float(value)
         elif name == "stall":
             time.sleep(float(value))
         elif name == "garbage":

@@ -214,6 +214,16 @@ def test_another_size_in_mid_stream_is_no_picture_of_ours(tmp_path: Path) -> Non
         camera.wait_for(State.OK, "64x48", START_S)
 
 
+def test_another_rate_in_mid_stream_is_said_and_costs_no_picture(tmp_path: Path) -> None:
+    acts = "rate:60 frames:70 rate:10 frames:30 rate:60 frames:2000"
+    with running(scripted(tmp_path, acts), rate_hz=30.0) as camera:
+        camera.wait_for(State.OK, "64x48", START_S)
+        camera.wait_for(State.DEGRADED, "of 30 pictures a second", 4.0 * START_S)
+        camera.wait_for(State.OK, "64x48", 4.0 * START_S)
+        stamps_ns = np.array([frame.stamp_ns for _, frame in camera.frames])
+        assert np.all(np.diff(stamps_ns) > 0) and all(frame.image is not None for _, frame in camera.frames)
+
+
 def test_a_picture_that_comes_again_and_again_is_frozen(tmp_path: Path) -> None:
     with running(scripted(tmp_path, "frames:10 same:60 frames:300")) as camera:
         camera.wait_for(State.FROZEN, "the same picture for", 3.0 + START_S)
