@@ -52,7 +52,7 @@ def text(report: Report) -> str:
         *([("left out", str(report.pictures.left_out))] if str(report.pictures.left_out) else []),
         ("camera", _source(report.camera)),
         ("telemetry", _source(report.telemetry)),
-        ("gps", "nothing said" if report.gps is None else str(report.gps)),
+        ("gps", "not reported" if report.gps is None else str(report.gps)),
         ("recording", "on" if report.recording.is_on else report.recording.fault or "off"),
         ("threads", ", ".join(_thread(thread) for thread in report.threads)),
     ]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import enum
 import logging
 import signal
+import time
 from collections.abc import Callable
 from types import TracebackType
 from typing import Protocol, Self
@@ -22,6 +23,7 @@ from onboard.service.session import Parts, Session
 from onboard.service.vehicle_state import Overall, VehicleState, is_alive, overall, severity
 
 TICK_S = 0.25
+LOOK_S = 0.05  # between two looks whether an order has come
 REPORT_NS = 1_000_000_000
 SAY_NS = 3_000_000_000  # the pilot's screen is small: a state must be new for so long since the last one reported
 FINISH_S = 5.0
@@ -67,8 +69,17 @@ class SignalOrders:
 
     def next(self, timeout_s: float) -> Order | None:
         """Wait for one of them."""
-        came = signal.sigtimedwait(self._MEANING, timeout_s)
-        return None if came is None else self._MEANING[signal.Signals(came.si_signo)]
+        end_s = time.monotonic() + timeout_s
+        while True:
+            # Only asked, without a wait: one that is over when a process that was stopped goes on, as after a suspend,
+            # gives any number for a signal (CPython leaves what sigtimedwait did not fill in).
+            came = signal.sigtimedwait(self._MEANING, 0.0)
+            if came is not None:
+                return self._MEANING[signal.Signals(came.si_signo)]
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
+                return None
+            time.sleep(min(left_s, LOOK_S))
 
 
 class Daemon:
@@ -104,7 +115,7 @@ class Daemon:
                 self._finish()
                 return 1
             self._tick()
-        log.info("told to stop")
+        log.info("asked to stop")
         self._notifier.stopping()
         return 0 if self._finish() else 1
 
@@ -137,7 +148,7 @@ class Daemon:
             log.error("the pipeline has been at one event for %.0f s", busy_s)
             return False
         if hung := self._session.supervisor.hung(HUNG_S):
-            log.error("the %s has not been heard from for %.0f s", hung, HUNG_S)
+            log.error("the %s has not reported for %.0f s", hung, HUNG_S)
             return False
         return True
 
@@ -190,18 +201,18 @@ class Daemon:
         log.info("configuration reloaded; a new session begins")
         old = self._config
         if not self._finish():
-            log.error("the old session did not end; a new one cannot begin beside it")
+            log.error("the old session did not end; a new one cannot begin before it has")
             return False
         try:
             self._begin(config)
         except PointclickError as error:
-            log.error("the new configuration cannot be flown, back to the old: %s", " ".join(str(error).split()))
+            log.error("the new configuration cannot be used, back to the old: %s", " ".join(str(error).split()))
         else:
             return True
         try:
             self._begin(old)
         except PointclickError as error:
-            log.error("the old configuration cannot be flown any more: %s", " ".join(str(error).split()))
+            log.error("the old configuration cannot be used any more: %s", " ".join(str(error).split()))
             return False
         return True
 

@@ -19,9 +19,10 @@ from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
 from tests.own_flights import write_named_photographs, write_video
 from tests.scenarios.flights import flown
+from tests.waiting import PATIENCE_S
 from tests.web.browsing import Operator
 from tests.web.conftest import page_is_built
-from tests.web.served import PATIENCE_S, PageProgram
+from tests.web.served import PageProgram
 
 pytestmark = pytest.mark.xdist_group("open")  # one worker: the flight is drawn once
 LIMIT_S = 60.0  # of processor time, from the command to the page
@@ -170,7 +171,7 @@ def wrong_setting(session: Path, folder: Path) -> list[object]:
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        (no_log, "no log of the flight beside it"), (another_day_s_log, "do not overlap"),
+        (no_log, "no log of the flight next to it"), (another_day_s_log, "do not overlap"),
         (nothing_says_where, "no GPS position with a height"), (two_logs, "several logs"),
         (no_beginning, "when it began: give --start"), (not_there, "no such file"), (wrong_setting, "mount.pitch_deg"),
     ],
