@@ -1,8 +1,8 @@
 """The cells of the ground that one picture has surely seen, by its set alone. Section 22 of docs/mathematics.md.
 
 On a lattice of pixels the set answers where the ground is and with which error. A cell's pixel follows from the camera
-and the height that these answers give there; the error, mapped into the picture, says how far inside the picture the
-cell must be to have been in view with 90 % certainty.
+and the height that these answers give there; the error, mapped into the picture, says how far inside of it the cell
+must be to have been in view with 90 % certainty.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Mask = NDArray[np.bool_]
 
 LATTICE = (17, 13)  # pixels that are asked, along u and v
 KNOTS = 25  # places along each side of a picture's ground; between them height and errors are interpolated
-CERTAINTY = 0.9  # that a whole cell was in view
+CERTAINTY = 0.9  # that a cell was in view
 HEIGHT_STEPS = 3  # of a place's height by the pixel that shows it: each divides the error by the ground's steepness
 SETTLED = 0.5  # of a cell, by which the last step may still have moved the ground that is in the picture
 MOST_CELLS = 1_000_000  # of one picture
@@ -64,7 +64,7 @@ def picture_cells(s: FeatureSet, cells: Cells) -> PictureCells:
     at_knots = _ground(s, plane, answers, east_north, cells.cell_m).reshape(-1, len(down), len(across))
     fine = (_tent(rows, down) @ at_knots @ _tent(columns, across).T).reshape(len(at_knots), -1)
     uv, usable = _pixels(s, fine[:3].T)
-    seen = np.flatnonzero(usable & (fine[8] < 1e-9) & (_certainty(uv, s, fine[3:7]) >= CERTAINTY))
+    seen = np.flatnonzero(usable & (fine[8] < 1e-9) & _is_seen(uv, s, fine[3:7]))
     row, column = np.divmod(seen, len(columns))
     return PictureCells(rows[row], columns[column], fine[7, seen])
 
@@ -182,13 +182,17 @@ def _sizes_px(answers: Answers, cell_m: float) -> Array:
     return np.concatenate([sigma, half], axis=1).T
 
 
-def _certainty(uv_px: Array, s: FeatureSet, sizes_px: Array) -> Array:
-    """The probability (N,) that cells whose middles are at pixels (N, 2) were in view as a whole. (22.2)"""
-    out = np.ones(len(uv_px))
+def _is_seen(uv_px: Array, s: FeatureSet, sizes_px: Array) -> Mask:
+    """Which cells (N,), whose middles are at pixels (N, 2), are in the picture as a whole by the pose as it is stated,
+    and with their middles with CERTAINTY by the pose as it may be. (22.2), (22.3)
+    """
+    is_whole, certainty = np.ones(len(uv_px), bool), np.ones(len(uv_px))
     for k, size in enumerate((s.camera.width_px, s.camera.height_px)):
         sigma, half = np.maximum(sizes_px[k], 1e-6), sizes_px[2 + k]
-        low, high = uv_px[:, k] - half + 0.5, size - 0.5 - uv_px[:, k] - half
-        out *= np.maximum(_normal(low / sigma) + _normal(high / sigma) - 1.0, 0.0)
+        low, high = uv_px[:, k] + 0.5, size - 0.5 - uv_px[:, k]
+        is_whole &= np.minimum(low, high) >= half
+        certainty *= np.maximum(_normal(low / sigma) + _normal(high / sigma) - 1.0, 0.0)
+    out: Mask = is_whole & (certainty >= CERTAINTY)
     return out
 
 
@@ -202,7 +206,7 @@ def _normal(x: Array) -> Array:
 
 
 def _gsd(answers: Answers) -> Array:
-    """Metres on the ground from pixel to pixel, in the direction in which they are farthest apart. (22.3)"""
+    """Metres on the ground from pixel to pixel, in the direction in which they are farthest apart. (22.4)"""
     J = answers.by_pixel_m[:, :2]
     a, b, c = (J[:, 0] ** 2).sum(axis=1), (J[:, 0] * J[:, 1]).sum(axis=1), (J[:, 1] ** 2).sum(axis=1)
     return np.asarray(np.sqrt(0.5 * (a + c) + np.sqrt(0.25 * (a - c) ** 2 + b**2)), np.float64)

@@ -63,16 +63,23 @@ class Pictures:
         if len(self._number) > MOST_PICTURES:
             self._drop()
 
-    def showing(self, row: int, column: int) -> list[Shown]:
-        """Those that have seen a cell."""
+    def showing(self, row: int, column: int, most: int) -> list[Shown]:
+        """Those that have seen a cell, in the order of adding; of more than `most` as many evenly chosen ones."""
         runs = self._runs[self._from : self._to]
-        there = runs[runs["row"] == row]
+        there = runs[np.flatnonzero(runs["row"] == row)]
         there = there[(there["first"] <= column) & (column <= there["last"])]
+        if len(there) > most:
+            there = there[np.linspace(0, len(there) - 1, most).round().astype(np.int64)]
         out = []
         for number, gsd_m in zip(there["picture"].tolist(), there["gsd_m"].tolist(), strict=True):
             key, capture_unix_ns = self._about[number]
             out.append(Shown(*key, capture_unix_ns, gsd_m))
         return out
+
+    def capture_unix_ns(self, key: Key) -> int | None:
+        """When a picture was taken; None if it is not among the last."""
+        number = self._number.get(key)
+        return None if number is None else self._about[number][1]
 
     def _drop(self) -> None:
         """The oldest by the order of adding."""

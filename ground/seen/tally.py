@@ -17,7 +17,7 @@ from contract.errors import InputError
 from contract.feature_set import FeatureSet
 from ground.seen.cells import LEAST_CELL_M, MOST_CELL_M, Cells
 from ground.seen.picture_cells import NO_CELLS, PictureCells, TooManyCells, picture_cells
-from ground.seen.pictures import Key, Pictures, Shown
+from ground.seen.pictures import MOST_PICTURES, Key, Pictures, Shown
 
 Index = NDArray[np.int64]
 
@@ -113,26 +113,44 @@ class SeenGround:
             if found is not None:
                 yield at, found
 
-    def showing(self, lat_deg: float, lon_deg: float) -> list[Shown]:
-        """The pictures that have seen the cell of a place, in capture order."""
-        if self.cells is None:
+    def showing(self, lat_deg: float, lon_deg: float, most: int = MOST_PICTURES) -> list[Shown]:
+        """The pictures that have seen the cell of a place, in capture order; of more than `most` evenly chosen ones."""
+        at = self._at(lat_deg, lon_deg)
+        if at is None:
             return []
-        row, column = (int(index) for index in self.cells.at(lat_deg, lon_deg))
-        found = self._pictures.showing(row, column)
-        for pending in self._pending.values():
-            at = np.flatnonzero((pending.cells.row == row) & (pending.cells.column == column))
-            if len(at):
-                found.append(Shown(*pending.key, pending.capture_unix_ns, float(pending.cells.gsd_m[at[0]])))
-        return sorted(found, key=lambda shown: (shown.capture_unix_ns, shown.vehicle))
+        pending = []
+        for held in self._pending.values():
+            found = np.flatnonzero((held.cells.row == at[0]) & (held.cells.column == at[1]))
+            if len(found):
+                pending.append(Shown(*held.key, held.capture_unix_ns, float(held.cells.gsd_m[found[0]])))
+        shown = self._pictures.showing(*at, most) + pending
+        shown.sort(key=lambda one: (one.capture_unix_ns, one.vehicle))
+        if len(shown) <= most:
+            return shown
+        return [shown[k] for k in np.linspace(0, len(shown) - 1, most).round().astype(int)]
+
+    def finest(self, cell: np.void) -> Shown | None:
+        """The picture that has seen a cell most finely; None if it is not kept any more."""
+        vehicle, session = self.sources[cell["by"]]
+        key = vehicle, session, int(cell["frame"])
+        pending = self._pending.get(key)
+        at_ns = self._pictures.capture_unix_ns(key) if pending is None else pending.capture_unix_ns
+        return None if at_ns is None else Shown(vehicle, session, key[2], at_ns, float(cell["gsd_m"]))
 
     def cell(self, lat_deg: float, lon_deg: float) -> np.void | None:
         """The cell of a place, of CELL; None where nothing was seen."""
+        at = self._at(lat_deg, lon_deg)
+        tile = None if at is None else self.tile((at[0] // TILE, at[1] // TILE))
+        if at is None or tile is None:
+            return None
+        found: np.void = tile[at[0] % TILE, at[1] % TILE]
+        return found if found["count"] else None
+
+    def _at(self, lat_deg: float, lon_deg: float) -> tuple[int, int] | None:
         if self.cells is None:
             return None
-        row, column = (int(index) for index in self.cells.at(lat_deg, lon_deg))
-        tile = self.tile((row // TILE, column // TILE))
-        found = None if tile is None else tile[row % TILE, column % TILE]
-        return found if found is not None and found["count"] else None
+        row, column = self.cells.at(lat_deg, lon_deg)
+        return int(row), int(column)
 
     def _cells_of(self, s: FeatureSet) -> PictureCells:
         if not s.is_ok:

@@ -92,11 +92,9 @@ class SeenMap:
     def at(self, lat_deg: float, lon_deg: float) -> dict[str, object]:
         """Which pictures have seen a place: how many, since when, how finely; and some of them by name."""
         with self._lock:
-            shown, cell = self._seen.showing(lat_deg, lon_deg), self._seen.cell(lat_deg, lon_deg)
-            source = None if cell is None else self._seen.sources[cell["by"]]
-        finest = [
-            s for s in shown if cell is not None and (s.vehicle, s.session) == source and s.frame == cell["frame"]
-        ]
+            cell = self._seen.cell(lat_deg, lon_deg)
+            finest = None if cell is None else self._seen.finest(cell)
+            shown = self._seen.showing(lat_deg, lon_deg, LISTED)
         return {
             "lat_deg": lat_deg,
             "lon_deg": lon_deg,
@@ -104,8 +102,8 @@ class SeenMap:
             "first_utc": None if cell is None else time_text(int(cell["first_s"])),
             "last_utc": None if cell is None else time_text(int(cell["last_s"])),
             "gsd_m": None if cell is None else round(float(cell["gsd_m"]), 4),
-            "finest": _row(finest[0]) if finest else None,
-            "pictures": [_row(one) for one in _some(shown)],
+            "finest": None if finest is None else _row(finest),
+            "pictures": [_row(one) for one in shown],
         }
 
     def _now_s(self) -> float:
@@ -142,13 +140,6 @@ def _area_m2(seen: SeenGround) -> float:
         float((tile["count"] > 0).sum(axis=1) @ seen.cells.area_m2(at[0] * TILE + rows))
         for at, tile in seen.all_tiles()
     )
-
-
-def _some(shown: list[Shown]) -> list[Shown]:
-    """At most LISTED of them, the first and the last too."""
-    if len(shown) <= LISTED:
-        return shown
-    return [shown[k] for k in np.linspace(0, len(shown) - 1, LISTED).round().astype(int)]
 
 
 def _row(shown: Shown) -> dict[str, object]:

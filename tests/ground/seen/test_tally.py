@@ -44,6 +44,8 @@ def test_a_cell_knows_how_often_when_and_how_finely_it_was_seen() -> None:
     assert cell["gsd_m"] == pytest.approx(110.0 / CAMERA.fx_px, rel=1e-3)
     assert (cell["frame"], seen.sources[cell["by"]]) == (14, ("uav", 1))
     assert [shown.frame for shown in seen.showing(*MIDDLE)] == [10, 12, 14]
+    finest = seen.finest(cell)
+    assert finest is not None and (finest.frame, finest.capture_unix_ns) == (14, CAPTURE_NS + 14 * 10**9)
     assert seen.showing(*MIDDLE)[1].gsd_m == pytest.approx(130.0 / CAMERA.fx_px, rel=1e-3)
     lat, lon, _ = PLACE.to_geodetic((500.0, 0.0, 0.0))
     assert seen.cell(float(lat), float(lon)) is None and seen.showing(float(lat), float(lon)) == []
@@ -134,7 +136,9 @@ def test_runs_that_are_dropped_make_room_again(monkeypatch: pytest.MonkeyPatch) 
     for k in range(2000):
         held.add(("uav", 1, k), k, found)
     assert len(held._runs) < 10 * 20 * np.ptp(found.row)
-    assert [shown.frame for shown in held.showing(int(found.row[0]), int(found.column[0]))] == list(range(1980, 2000))
+    assert [shown.frame for shown in held.showing(int(found.row[0]), int(found.column[0]), 100)] == list(
+        range(1980, 2000)
+    )
 
 
 def test_pictures_of_several_aircraft_and_sessions_are_told_apart() -> None:
