@@ -21,7 +21,7 @@ CHI2_2 = -2.0 * math.log(1.0 - CONFIDENCE)  # quantile of chi-square with two de
 EXPLANATIONS: dict[Status, str] = {
     Status.OK: "answered",
     Status.STARTING: "the aircraft has no solved picture yet",
-    Status.LOW_PARALLAX: "the aircraft has hardly moved sideways, so depth cannot be seen",
+    Status.LOW_PARALLAX: "the aircraft has hardly moved sideways, so depth cannot be measured",
     Status.OUTSIDE: "the pixel is off the picture or too far from every measured feature",
     Status.ABOVE_HORIZON: "the pixel shows no ground that can be measured: at or above the horizon",
     Status.STALE: "the newest picture is too old",

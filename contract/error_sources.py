@@ -1,4 +1,4 @@
-"""Where a click's error comes from, in words: which source, and what would make it smaller. docs/mathematics.md, 20.
+"""Where a click's error comes from, in words: which source, and what would make it smaller. docs/mathematics-budget.md.
 
 The aircraft computes the shares and sends the codes of the largest ones (docs/wire-format.md, section 10); both sides
 print them from this table.

@@ -18,7 +18,7 @@ NAME = re.compile(r"[A-Za-z0-9_.-]{1,32}")
 MAX_BYTES = 1_000_000  # of the file: some 30,000 names
 
 _MEANINGS = {
-    "router": "the router's own certificate: a folder beside this file",
+    "router": "the router's own certificate: a folder next to this file",
     "listen": "zenoh endpoints that aircraft and people connect to: tls/ADDRESS:PORT or quic/ADDRESS:PORT",
     "connect": "zenoh endpoints of other stations' routers; one of two connects to the other",
     "sets_hz": "feature sets of each aircraft to each who listens, a second at most; 0: all",

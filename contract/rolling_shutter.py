@@ -1,7 +1,7 @@
 """A sensor that reads its rows one after the other: what moves between them, and what a pixel of any row has seen.
 
 A picture has one pose, that of the moment its middle row was exposed. What a row sees earlier or later has moved on the
-picture by then, to first order by its image velocity. Equations (18.1) to (18.5) of docs/mathematics.md.
+picture by then, to first order by its image velocity. Equations (18.1) to (18.5) of docs/mathematics-camera.md.
 """
 
 from __future__ import annotations

@@ -377,7 +377,7 @@ def open_link(mode: str, endpoint: str, tls: Tls | None) -> Any:
         reason = str(error).split(" at ", maxsplit=1)[0]
         if "Unable to connect" in reason:
             raise LinkError(
-                f"nobody listens at {endpoint}: does pc-onboard run there, and does its link.listen open it?"
+                f"nothing listens at {endpoint}: does pc-onboard run there, and does its link.listen open it?"
             ) from error
         raise LinkError(f"cannot open the link to {endpoint}: {reason}") from error
 
@@ -405,7 +405,7 @@ def _refusal(error: zenoh.ReplyError | None) -> Reply | None:
         return None
     state, reason = _said(about)
     said = f"{state}: {reason}" if reason else state
-    detail = f"{EXPLANATIONS[status]}; the aircraft says: {said}" if said else ""
+    detail = f"{EXPLANATIONS[status]}; the aircraft reports: {said}" if said else ""
     return Reply(Refusal(status, vehicle=vehicle, detail=detail), None, None, state, reason)
 
 

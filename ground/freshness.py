@@ -46,7 +46,7 @@ class Reply:
             status = self.later.status
             causes.append(f"frame {self.later.frame}{age} is refused: {status.value}: {EXPLANATIONS[status]}")
         if self.state:
-            causes.append(f"the aircraft says: {self.state}" + (f": {self.reason}" if self.reason else ""))
+            causes.append(f"the aircraft reports: {self.state}" + (f": {self.reason}" if self.reason else ""))
         return "; ".join(causes) or "no newer picture came"
 
     def later_by(self, seconds: float) -> Reply:

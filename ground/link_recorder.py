@@ -54,7 +54,7 @@ class LinkRecorder:
         with self._lock:
             left = f"; {self._left_out} messages were none of ours" if self._left_out else ""
             found = ", ".join(sorted(str(f.path) for f in self._files.values()))
-            return (f"{self._messages} messages in {found}" if found else "nothing heard yet") + left
+            return (f"{self._messages} messages in {found}" if found else "nothing received yet") + left
 
     def take(self, key: str, payload: bytes) -> None:
         """One message of the link. What is no message of a vehicle is counted and left out."""

@@ -113,7 +113,7 @@ def _add_replay(commands: Commands) -> None:
         "--telemetry",
         type=Path,
         metavar="LOG|exif",
-        help="a log: .tlog, ArduPilot .bin, PX4 .ulg, DJI .srt, .csv (docs/telemetry.md); exif: what the pictures say",
+        help="a log: .tlog, ArduPilot .bin, PX4 .ulg, DJI .srt, .csv (docs/telemetry.md); exif: from the pictures",
     )
     replay.add_argument(
         "--home-amsl-m",
@@ -124,7 +124,7 @@ def _add_replay(commands: Commands) -> None:
     replay.add_argument(
         "--gps-order",
         choices=("lat-lon", "lon-lat"),
-        help="which number of GPS(a, b) in a .srt is the latitude, where nothing in it tells",
+        help="which number of GPS(a, b) in a .srt is the latitude, where nothing in it shows which",
     )
     replay.add_argument(
         "--time-offset",
@@ -164,7 +164,7 @@ def _add_imports(commands: Commands) -> None:
     photos = commands.add_parser(
         "import-photos",
         help="make a flight for replay of a folder of survey photographs",
-        description="Stamps, camera file and mount of a folder of photographs, by what their EXIF and XMP say; "
+        description="Stamps, camera file and mount of a folder of photographs, from their EXIF and XMP; "
         "prints what it assumed, and how to replay it.",
         epilog=IMPORT_EXAMPLE,
         formatter_class=AsWritten,
@@ -177,7 +177,7 @@ def _add_imports(commands: Commands) -> None:
     video = commands.add_parser(
         "import-video",
         help="make a flight for replay of a video and the log of its flight",
-        description="Frame times, camera file and mount of a video, by what it and the log beside it say; prints what "
+        description="Frame times, camera file and mount of a video, from the video and the log next to it; prints what "
         "it assumed, and how to replay it.",
         epilog=VIDEO_EXAMPLE,
         formatter_class=AsWritten,
@@ -232,7 +232,7 @@ def _add_checks(commands: Commands) -> None:
     status.add_argument("--json", action="store_true", help="everything it knows of itself")
     status.set_defaults(run=run_status)
 
-    check = commands.add_parser("check-config", help="check a configuration file and the config.d beside it")
+    check = commands.add_parser("check-config", help="check a configuration file and the config.d next to it")
     check.add_argument("file", type=Path, metavar="FILE", nargs="?", default=CONFIG)
     check.add_argument(
         "--fly", action="store_true", help="and whether what it names is there: camera file, camera, telemetry"
@@ -293,7 +293,7 @@ def _add_calibrate(calibrate: argparse.ArgumentParser) -> None:
         "--from", dest="from_session", type=Path, metavar="SESSION.mcap", help="no board: what a recorded flight found"
     )
     calibrate.add_argument("--device", metavar="/dev/videoN", help="or: watch this camera")
-    calibrate.add_argument("--size", type=pair, metavar="WxH", help="with --device: picture size, as it will be flown")
+    calibrate.add_argument("--size", type=pair, metavar="WxH", help="with --device: picture size, as in flight")
     calibrate.add_argument(
         "--format", default="auto", choices=["auto", "GREY", "YUYV", "NV12", "MJPG", "Y16"], help="with --device"
     )
@@ -305,7 +305,7 @@ def _add_calibrate(calibrate: argparse.ArgumentParser) -> None:
     calibrate.add_argument("--square-mm", type=float, default=25.0, metavar="MM", help="a square, as measured (25)")
     calibrate.add_argument("--marker-mm", type=float, metavar="MM", help="a ChArUco marker (0.74 of a square)")
     calibrate.add_argument("--dictionary", default="5X5_100", metavar="NAME", help="of the markers (5X5_100)")
-    calibrate.add_argument("--coverage", type=Path, metavar="FILE.png", help="coverage picture (beside --out)")
+    calibrate.add_argument("--coverage", type=Path, metavar="FILE.png", help="coverage picture (next to --out)")
     calibrate.add_argument("--accept", action="store_true", help="write the camera file against the verdict")
     calibrate.add_argument(
         "--print-board", type=Path, metavar="FILE.pdf", help="write the board for the printer (or .png)"
@@ -378,7 +378,10 @@ def _add_importing(command: argparse.ArgumentParser) -> None:
     """What both imports take."""
     command.add_argument("--out", type=Path, required=True, metavar="FLIGHT", help="folder to write; new or empty")
     command.add_argument(
-        "--telemetry", type=Path, metavar="LOG", help="the log of the flight; else one beside, or what photographs say"
+        "--telemetry",
+        type=Path,
+        metavar="LOG",
+        help="the log of the flight; else one next to the pictures, or what photographs state",
     )
     command.add_argument(
         "--set",

@@ -6,8 +6,8 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-# Sections 12 and 17 have pages of their own.
-DOCUMENTS = [ROOT / "docs" / f"mathematics{part}.md" for part in ("", "-clock", "-pins")]
+# Sections that belong to single programs have pages of their own.
+DOCUMENTS = [ROOT / "docs" / f"mathematics{part}.md" for part in ("", "-budget", "-camera", "-clock", "-pins")]
 FOLDERS = ("contract", "onboard", "ground", "simulation", "benchmarks")
 # A formula's own number ends an indented line; between parentheses nothing but the number.
 DEFINED = re.compile(r"^    .*\s{2,}\(([0-9]+\.[0-9]+)\)$", re.MULTILINE)

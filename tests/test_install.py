@@ -273,7 +273,7 @@ def use_record(environment: Path, folder: Path) -> None:
     said = run_well(
         environment, "pc-ground", "record", "--to", folder / "kept", "--seconds", 0.3, "--connect", "tcp/127.0.0.1:9"
     )
-    assert "nothing heard yet" in said
+    assert "nothing received yet" in said
     program = f"""
 from pathlib import Path
 from contract.wire.codec import encode
@@ -344,7 +344,7 @@ def use_open(programs: Path, folder: Path) -> None:
         env={"PATH": "/usr/bin:/bin", "XDG_DATA_HOME": str(folder / "data")},
     )  # fmt: skip
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
-    assert "no log beside them" in done.stderr
+    assert "no log next to them" in done.stderr
 
 
 def use_mavlink(programs: Path, folder: Path) -> None:

@@ -9,11 +9,12 @@ import { gridLines } from "./grid.js";
 import { degrees, stepText } from "./format.js";
 import { ABOVE_PICTURES, addLayers, collection, emptyStyle, paintTheme, PIN_LAYERS, type SourceName } from "./map-layers.js";
 import { dotsOf, mapPin, placesOf, type Feature, type MapPin } from "./map-pins.js";
+import { DrawingTime } from "./drawing-time.js";
 import { SeenLayer, type OpenSeen } from "./seen.js";
 import { AIRCRAFT } from "./shapes.js";
 import type { State } from "./state.js";
 import type { Viewer } from "./viewer.js";
-import type { FrameView, Pin, Tie } from "./types.js";
+import type { FrameView, Pin } from "./types.js";
 
 export { baseMap } from "./base-map.js";
 
@@ -22,7 +23,9 @@ declare const WORKER_URL: string;
 const LAID_PICTURES = 16;
 const MOST_DRAWN = 500; // with more pins in view than this all but the chosen one are dots
 const VIEW_STORED = "pointclick.view";
-const REST_MS = 600; // between two drawings of the same: pictures may come faster than a map is worth drawing
+// Between two drawings of the same: pictures may come faster than a map is worth drawing. Where drawing takes long, as
+// without a graphics card, the map rests so many times as long, at most this long: what is clicked is the picture.
+const REST_MS = 600, REST_SHARE = 9, LONGEST_REST_MS = 4000;
 const ASIDE = 0.15; // of the map's smaller side
 const SNAPSHOT_MS = 2500; // that a picture of the map waits for tiles
 type What = "shown" | "pins" | "path";
@@ -37,9 +40,10 @@ export class MapPane {
   private hasView = false;
   private theme: "day" | "night" = "day";
   private readonly drawnAt = new Map<What, number>();
+  private readonly drawn = new Map<SourceName, string>();
+  private restsUntil = 0;
   private readonly waiting = new Map<What, { timer: number; latest: number }>();
   private drawnPaths: unknown[] = [];
-  private drawnTies: Tie[] | null = null;
   private readonly onMap = new Map<string, MapPin>();
   private dots: ReadonlyMap<string, Pin> = new Map();
   private drawnCount = 0;
@@ -127,6 +131,10 @@ export class MapPane {
       const drawn = String(this.drawnCount), element = byId("map"); // what a test may wait for
       if (element.dataset["pins"] !== drawn && map.isSourceLoaded("pins") && map.isSourceLoaded("dots")) element.dataset["pins"] = drawn;
     });
+    new DrawingTime(map, (tookMs) => {
+      const now = performance.now();
+      this.restsUntil = Math.min(Math.max(this.restsUntil, now) + REST_SHARE * tookMs, now + LONGEST_REST_MS);
+    });
     map.on("mousemove", (event) => say(byId("map-cursor"), degrees(event.lngLat.lat, event.lngLat.lng, null)));
     map.on("mouseout", () => say(byId("map-cursor"), ""));
     const drawn = PIN_LAYERS;
@@ -181,13 +189,14 @@ export class MapPane {
     const timer = window.setTimeout(() => requestAnimationFrame(() => {
       if (this.waiting.get(what)?.timer !== timer) return; // changed once more since
       // Never between a press and its answer: on a slow machine each click would wait for the map of the one before.
-      if (this.state.clicksUnderWay > 0 && performance.now() < latest) { this.later(what); return; }
+      const isBusy = this.state.clicksUnderWay > 0 && performance.now() < latest;
+      if (isBusy || performance.now() < this.restsUntil) { this.later(what); return; }
       this.waiting.delete(what);
       this.drawnAt.set(what, performance.now());
       if (what === "path") this.drawPaths();
       else if (what === "shown") this.drawShown();
       else this.drawPins();
-    }), Math.max(Math.min(LATER_MS, latest - now), (this.drawnAt.get(what) ?? -REST_MS) + REST_MS - now, 0));
+    }), Math.max(Math.min(LATER_MS, latest - now), (this.drawnAt.get(what) ?? -REST_MS) + REST_MS - now, this.restsUntil - now, 0));
     this.waiting.set(what, { timer, latest });
   }
 
@@ -195,12 +204,20 @@ export class MapPane {
     (this.map.getSource(name) as GeoJSONSource).setData(collection(features));
   }
 
+  /** A few features; the map is drawn only if they are others than before. */
+  private setFew(name: SourceName, features: Feature[]): void {
+    const text = JSON.stringify(features);
+    if (this.drawn.get(name) === text) return;
+    this.drawn.set(name, text);
+    this.set(name, features);
+  }
+
   private drawShown(): void {
     const shown = this.state.shown;
     const isDrawn = shown !== null && shown.camera !== null;
     const properties = { colour: this.colour() };
-    this.set("footprint", isDrawn && shown.footprint.length > 3 ? [{ type: "Feature", geometry: { type: "Polygon", coordinates: [shown.footprint] }, properties }] : []);
-    this.set("features", isDrawn && this.state.peeks.has("features") ? shown.features.lonlat.map((at) => ({ type: "Feature", geometry: { type: "Point", coordinates: at }, properties: {} })) : []);
+    this.setFew("footprint", isDrawn && shown.footprint.length > 3 ? [{ type: "Feature", geometry: { type: "Polygon", coordinates: [shown.footprint] }, properties }] : []);
+    this.setFew("features", isDrawn && this.state.peeks.has("features") ? shown.features.lonlat.map((at) => ({ type: "Feature", geometry: { type: "Point", coordinates: at }, properties: {} })) : []);
     this.drawCraft();
     this.lay();
     if (this.isFollowing || !this.hasView) this.centre(shown);
@@ -264,7 +281,7 @@ export class MapPane {
         properties: { colour: AIRCRAFT[k % AIRCRAFT.length], chosen: isChosen, name: vehicles.length > 1 ? vehicle.id : "" },
       }];
     });
-    this.set("craft", craft);
+    this.setFew("craft", craft);
   }
 
   private drawPaths(): void {
@@ -319,9 +336,7 @@ export class MapPane {
       }
     }
     this.drawnCount = pins.size;
-    if (this.state.ties === this.drawnTies) return;
-    this.drawnTies = this.state.ties;
-    this.set("ties", this.state.ties.map((tie) => ({ type: "Feature", geometry: { type: "Point", coordinates: [tie.lon_deg, tie.lat_deg] }, properties: {} })));
+    this.setFew("ties", this.state.ties.map((tie) => ({ type: "Feature", geometry: { type: "Point", coordinates: [tie.lon_deg, tie.lat_deg] }, properties: {} })));
   }
 
   /** Very many pins as dots. They have a source of their own: which one is pointed at changes nothing in it. */
@@ -346,10 +361,10 @@ export class MapPane {
     const camera = this.state.shown?.camera;
     if (this.origin === null && camera !== null && camera !== undefined) this.origin = { lat: camera.lat_deg, lon: camera.lon_deg };
     const bounds = this.map.getBounds();
-    if (this.origin === null || this.map.getZoom() < 8) { this.set("grid", []); say(byId("grid-step"), ""); return; }
+    if (this.origin === null || this.map.getZoom() < 8) { this.setFew("grid", []); say(byId("grid-step"), ""); return; }
     const { step, lines } = gridLines(this.origin, [bounds.getWest(), bounds.getSouth(), bounds.getEast(), bounds.getNorth()]);
     say(byId("grid-step"), `grid ${stepText(step)}`);
-    this.set("grid", lines.map((line) => ({ type: "Feature", geometry: { type: "LineString", coordinates: line.ends }, properties: { major: line.isMajor } })));
+    this.setFew("grid", lines.map((line) => ({ type: "Feature", geometry: { type: "LineString", coordinates: line.ends }, properties: { major: line.isMajor } })));
   }
 
   private colour(): string {

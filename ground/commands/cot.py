@@ -48,8 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--only-pins", action="store_true", help="no aircraft, and no link to any")
     which.add_argument("--only-aircraft", action="store_true", help="no pins")
-    parser.add_argument("--period", metavar="S", type=positive, default=10.0, help="all is said again (default 10)")
-    parser.add_argument("--once", action="store_true", help="say it once and end")
+    parser.add_argument("--period", metavar="S", type=positive, default=10.0, help="all is sent again (default 10)")
+    parser.add_argument("--once", action="store_true", help="send it once and end")
     add_source_arguments(parser)
 
 

@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     listing.add_argument("--format", choices=tuple(FORMATS), default="text")
     exporting = action("export", "the pins as a file for others")
     exporting.add_argument(
-        "file", metavar="FILE", nargs="?", type=Path, help="its name says the format; - or none: here"
+        "file", metavar="FILE", nargs="?", type=Path, help="its name gives the format; - or none: here"
     )
     exporting.add_argument("--format", choices=tuple(FORMATS), help="default: by the file's name, else geojson")
     for command in (listing, exporting):
@@ -77,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     adding.add_argument("--ce90", metavar="M", type=positive, help="its accuracy (90 %%); without: not known")
     adding.add_argument("--height-amsl", metavar="M", type=finite, help="its height above the sea")
     adding.add_argument("--le90", metavar="M", type=positive, help="that height's accuracy (90 %%)")
-    adding.add_argument("--to", metavar="N", type=pin_number, help="not a new pin: one more sight of pin N")
+    adding.add_argument("--to", metavar="N", type=pin_number, help="not a new pin: one more sighting of pin N")
     adding.add_argument("--name", default="")
     adding.add_argument("--note", default="")
     adding.add_argument("--category", choices=[c.value for c in Category], default=Category.POI.value)
@@ -187,7 +187,7 @@ def _add(store: PinStore, args: argparse.Namespace) -> int:
         return REFUSED
     if args.to is not None:
         if args.name or args.note:
-            raise UsageError("--to adds a sight to a pin: change its words with pins edit")
+            raise UsageError("--to adds a sighting to a pin: change its words with pins edit")
         pin = store.add_click(store.by_number(args.to).id, click, who=args.who)
     else:
         pin = store.add([click], name=args.name, note=args.note, category=category_of(args.category), who=args.who)

@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         type=Path,
         required=True,
-        help=f"who may do what: {FLEET_FILE} beside the certificates (make-credentials); read again when it changes",
+        help=f"who may do what: {FLEET_FILE} next to the certificates (make-credentials); read again when it changes",
     )
     parser.add_argument(
         "--listen", metavar="ENDPOINT", action="append", help="tls/ADDRESS:PORT, in place of the file's; repeatable"

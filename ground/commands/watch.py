@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
                     newest = reply.answer if reply.later is None else cache.by_frame(name, reply.later.frame)
                 rows.append(_row(name, newest, heard.states.get(name), cache.age_s(name), heard.rate_hz(name)))
             if not rows and not args.json:
-                print(f"nothing heard yet{f': {cache.link_error}' if cache.link_error else ''}", file=sys.stderr)
+                print(f"nothing received yet{f': {cache.link_error}' if cache.link_error else ''}", file=sys.stderr)
             _show(rows, args.json, is_screen)
             shown += 1
     return ANSWERED
@@ -154,7 +154,7 @@ def _row(
         state = state or newest.status.value
         reason = reason or ("" if mark.is_placed else mark.reason)
     if age_s is not None and age_s > MAX_AGE_S:
-        state, reason = "no link", f"nothing heard for {_span(age_s)}" + (f"; last: {state}" if state else "")
+        state, reason = "no link", f"nothing received for {_span(age_s)}" + (f"; last: {state}" if state else "")
     is_placed = newest is not None and newest.is_ok
     height = None
     if newest is not None and is_placed:

@@ -19,7 +19,7 @@ from contract.feature_set import FeatureSet, HeightDatum
 from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS, ce90_m, le90_m
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark
-from ground.formats.xml_text import element, local_name, parsed
+from ground.formats.xml_text import element, parsed
 from ground.pins.model import Pin
 
 UNKNOWN = "9999999.0"
@@ -84,7 +84,7 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
     except UnicodeDecodeError as error:
         raise InputError(f"not Cursor on Target in UTF-8 ({error})") from error
     root = parsed(f"<events>{_DECLARATION.sub('', text)}</events>".encode(), "Cursor on Target")
-    events = [node for node in root.iter() if local_name(node) == "event"]
+    events = list(root.iter("event"))
     if not events:
         raise InputError("not Cursor on Target: no event in it")
     out = Imported()
@@ -101,7 +101,7 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
 
 def _pin(found: ET.Element, who: str, now_unix_ns: int) -> Pin:
     """A marker's. Raises ValueError for what is no number, InputError for no place."""
-    parts = {local_name(node): node for node in found.iter()}
+    parts = {node.tag: node for node in found.iter()}
     if "point" not in parts:
         raise InputError("no point in it")
     point = parts["point"]

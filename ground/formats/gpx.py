@@ -13,7 +13,7 @@ from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from ground.formats.coordinates import Grid, figure, shape_values
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark
-from ground.formats.xml_text import child_text, document, element, local_name, parsed
+from ground.formats.xml_text import document, element, parsed
 
 NAMESPACE = "http://www.topografix.com/GPX/1/1"
 OURS = "https://pointclick.invalid/gpx/1"
@@ -60,29 +60,29 @@ def write(marks: Sequence[Mark], grid: Grid | None = None) -> str:
 def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
     """Waypoints; routes and tracks are left out. Raises InputError for what is no GPX."""
     root = parsed(data, "GPX")
-    if local_name(root) != "gpx":
-        raise InputError(f"not GPX: its root is {local_name(root)[:40]!r}")
+    if root.tag != "gpx":
+        raise InputError(f"not GPX: its root is {root.tag[:40]!r}")
     out = Imported()
     for point in root:
-        if local_name(point) != "wpt":
-            out.left_out += local_name(point) in ("rte", "trk")
+        if point.tag != "wpt":
+            out.left_out += point.tag in ("rte", "trk")
             continue
-        ours = {local_name(n): n.text or "" for m in point if local_name(m) == "extensions" for n in m}
+        ours = {n.tag: n.text or "" for m in point.findall("extensions") for n in m}
         try:
             lat, lon = float(point.get("lat", "")), float(point.get("lon", ""))
-            text = child_text(point, "ele")
+            text = point.findtext("ele", "")
             height = float(text) if text else None
             ce90, le90 = (float(ours[key]) if ours.get(key) else None for key in ("ce90_m", "le90_m"))
         except ValueError as error:
-            raise InputError(f"GPX: waypoint {child_text(point, 'name')[:40]!r}: {error}") from error
+            raise InputError(f"GPX: waypoint {point.findtext('name', '')[:40]!r}: {error}") from error
         out.pins.append(
             entered_pin(
                 lat_deg=lat, lon_deg=lon, height_amsl_m=height,
                 sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
                 sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS,
-                name=ours.get("name", "" if ours else child_text(point, "name")),
-                note=ours.get("note", "" if ours else child_text(point, "desc")),
-                category=child_text(point, "type"), who=who, time_text=child_text(point, "time"),
+                name=ours.get("name", "" if ours else point.findtext("name", "")),
+                note=ours.get("note", "" if ours else point.findtext("desc", "")),
+                category=point.findtext("type", ""), who=who, time_text=point.findtext("time", ""),
                 now_unix_ns=now_unix_ns,
             )
         )  # fmt: skip

@@ -12,7 +12,7 @@ from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from ground.formats.coordinates import Grid, figure, shape_values
 from ground.formats.imported import Imported, entered_pin
 from ground.formats.mark import Mark
-from ground.formats.xml_text import child_text, document, element, local_name, parsed
+from ground.formats.xml_text import document, element, parsed
 
 NAMESPACE = "http://www.opengis.net/kml/2.2"
 # aabbggrr, as in KML; a letter next to the colour is in the name of the style.
@@ -109,35 +109,34 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
     if data[:2] == b"PK":
         raise InputError("a KMZ archive: unpack it, and import the doc.kml in it")
     root = parsed(data, "KML")
-    if local_name(root) != "kml":
-        raise InputError(f"not KML: its root is {local_name(root)[:40]!r}")
+    if root.tag != "kml":
+        raise InputError(f"not KML: its root is {root.tag[:40]!r}")
     out = Imported()
-    nodes = [node for node in root.iter() if local_name(node) in ("Folder", "Placemark")]
-    ours = {id(p) for f in nodes if local_name(f) == "Folder" and child_text(f, "name") == ELLIPSES for p in f}
-    for place in nodes:
-        if local_name(place) != "Placemark" or id(place) in ours:
+    ours = {id(p) for folder in root.iter("Folder") if folder.findtext("name") == ELLIPSES for p in folder}
+    for place in root.iter("Placemark"):
+        if id(place) in ours:
             continue
         point = _point(place)
         if point is None:
             out.left_out += 1
             continue
         about = _extended(place)
-        numbers = child_text(point, "coordinates").strip().split(",")
+        numbers = point.findtext("coordinates", "").strip().split(",")
         try:
             lon, lat = float(numbers[0]), float(numbers[1])
-            has_height = len(numbers) > 2 and child_text(point, "altitudeMode") == "absolute"
+            has_height = len(numbers) > 2 and point.findtext("altitudeMode", "") == "absolute"
             height = float(numbers[2]) if has_height else None
             ce90, le90 = (float(about[key]) if about.get(key) else None for key in ("ce90_m", "le90_m"))
         except (ValueError, IndexError) as error:
-            raise InputError(f"KML: placemark {child_text(place, 'name')[:40]!r}: {error}") from error
-        moment = next((child_text(node, "when") for node in place if local_name(node) == "TimeStamp"), "")
+            raise InputError(f"KML: placemark {place.findtext('name', '')[:40]!r}: {error}") from error
+        moment = place.findtext("TimeStamp/when", "")
         out.pins.append(
             entered_pin(
                 lat_deg=lat, lon_deg=lon, height_amsl_m=height,
                 sigma_m=None if ce90 is None else ce90 / CE90_SIGMAS,
                 sigma_height_m=None if le90 is None else le90 / LE90_SIGMAS,
-                name=about.get("pin_name", child_text(place, "name")),
-                note=about.get("note", "" if about else child_text(place, "description")),
+                name=about.get("pin_name", place.findtext("name", "")),
+                note=about.get("note", "" if about else place.findtext("description", "")),
                 category=about.get("category"), who=who, time_text=moment, now_unix_ns=now_unix_ns,
             )
         )  # fmt: skip
@@ -146,13 +145,13 @@ def read(data: bytes, who: str = "", now_unix_ns: int = 0) -> Imported:
 
 def _point(place: ET.Element) -> ET.Element | None:
     """Its own, or one deeper, as in a MultiGeometry."""
-    own = next((node for node in place if local_name(node) == "Point"), None)
-    return next((node for node in place.iter() if local_name(node) == "Point"), None) if own is None else own
+    own = place.find("Point")
+    return next(place.iter("Point"), None) if own is None else own
 
 
 def _extended(place: ET.Element) -> dict[str, str]:
-    nodes = (node for data in place if local_name(data) == "ExtendedData" for node in data)
-    return {node.get("name", ""): child_text(node, "value") for node in nodes if local_name(node) == "Data"}
+    found = (node for data in place.findall("ExtendedData") for node in data.findall("Data"))
+    return {node.get("name", ""): node.findtext("value", "") for node in found}
 
 
 def _html(text: str) -> str:

@@ -39,7 +39,10 @@ def document(root: ET.Element) -> str:
 
 
 def parsed(data: bytes, what: str) -> ET.Element:
-    """The root of a document. Raises InputError for what is none, and for one that declares entities or a DTD."""
+    """The root of a document, its tags without their namespaces: files of places are read whatever theirs is.
+
+    Raises InputError for what is no document, and for one that declares entities or a DTD.
+    """
     if len(data) > MAX_BYTES:
         raise InputError(f"{what}: {len(data)} bytes; at most {MAX_BYTES} are read")
 
@@ -51,7 +54,10 @@ def parsed(data: bytes, what: str) -> ET.Element:
     try:
         _read_head(check, data)
         with _no_collection():
-            return ET.fromstring(data)
+            root = ET.fromstring(data)
+            for node in root.iter():
+                node.tag = _without_namespace(node.tag)
+            return root
     except (ET.ParseError, expat.ExpatError, ValueError, LookupError) as error:
         raise InputError(f"{what}: not XML ({error})") from error
 
@@ -82,16 +88,6 @@ def _no_collection() -> Iterator[None]:
             gc.enable()
 
 
-def local_name(node: ET.Element) -> str:
-    """A tag without its namespace."""
-    return _without_namespace(node.tag) if isinstance(node.tag, str) else ""
-
-
 @lru_cache(maxsize=1024)
 def _without_namespace(tag: str) -> str:
     return tag.rpartition("}")[2]
-
-
-def child_text(node: ET.Element, name: str) -> str:
-    """The text of the first child of this name, in any namespace; empty if there is none."""
-    return next((child.text or "" for child in node if local_name(child) == name), "")

@@ -50,7 +50,7 @@ def chosen_store(named: Path | None, url: str | None) -> Path | str:
     if url is None:
         return chosen_path(named)
     if named is not None:
-        raise InputError("--pins and --store each say where pins are kept: give one of them")
+        raise InputError("--pins and --store each name where pins are kept: give one of them")
     if not is_url(url):
         raise InputError("--store must be postgresql://USER@HOST/DATABASE; a file is named with --pins")
     return url

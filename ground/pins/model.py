@@ -1,7 +1,7 @@
 """A pin, the clicks it consists of, and a tie to a known place: values, and their JSON without loss.
 
 A click keeps what is needed to compare its errors with other clicks' once its feature set is gone: where its camera
-was, and how the session's slow errors act on it (docs/mathematics.md, section 17).
+was, and how the session's slow errors act on it (docs/mathematics-pins.md).
 """
 
 from __future__ import annotations

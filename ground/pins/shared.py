@@ -1,4 +1,4 @@
-"""How the errors of clicks are correlated: their joint covariance. Equation (17.1) of docs/mathematics.md."""
+"""How the errors of clicks are correlated: their joint covariance. Equation (17.1) of docs/mathematics-pins.md."""
 
 from __future__ import annotations
 

@@ -182,7 +182,7 @@ class PinSharing:
 
     def _note(self, server: str, said: Said) -> None:
         if said.server != server:
-            raise InputError("a server that says it is another")
+            raise InputError("a server that claims to be another")
         now_s, ahead_s = time.monotonic(), (said.unix_ns - time.time_ns()) / 1e9
         with self._lock:
             held = self._servers.get(server)
@@ -354,7 +354,7 @@ class PinSharing:
                 if (name not in known or known[name][1] != version) and (name, version) not in refused:
                     wanted[name] = None
                 if len(wanted) > MAX_PINS:
-                    raise InputError(f"a server that says it has more than {MAX_PINS} pins that we have not")
+                    raise InputError(f"a server that claims to have more than {MAX_PINS} pins that we have not")
         return list(wanted)
 
     def _pins_of(self, server: str, asked: bytes) -> list[Pin]:

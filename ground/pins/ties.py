@@ -47,7 +47,7 @@ class TieRefused(InputError):
         height = "" if judgement.misses_height_m is None else f" and {judgement.misses_height_m:+.1f} m in height"
         super().__init__(
             f"tie refused: the click misses the surveyed place by {judgement.misses_m:.1f} m{height}, and "
-            f"{judgement.allowed_m:.1f} m that way would still be believed: is it the same place, and its coordinate "
+            f"{judgement.allowed_m:.1f} m that way would still be accepted: is it the same place, and its coordinate "
             "in WGS84?"
         )
         self.judgement = judgement

@@ -139,7 +139,7 @@ def pins_router(desk: Desk) -> APIRouter:
         if not body.anyway and (apart_m := desk.contradicts(pin, made)) is not None:
             reason = (
                 f"this click is {apart_m:.0f} m from pin {pin.number}, more than the errors of both explain: "
-                "it is another thing, or beside the mark"
+                "it is another thing, or a click that missed it"
             )
             return _json(json.dumps({"pin": None, "answer": answer, "apart_m": apart_m, "reason": reason}), 409)
         pin = store.add_click(pin_id, made, who=body.who, crop=desk.crop_of(made))

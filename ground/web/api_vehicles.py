@@ -67,7 +67,7 @@ def vehicles_router(desk: Desk) -> APIRouter:
         kept = "private, max-age=3600" if found.is_lasting else "no-store"
         return Response(found.content, media_type=found.media_type, headers={"cache-control": kept})
 
-    @router.get("/vehicles/{vehicle}/frames/{frame}/features", summary="What is drawn on a picture, and its camera")
+    @router.get("/vehicles/{vehicle}/frames/{frame}/features", summary="What is shown on a picture, and its camera")
     def features(vehicle: str, frame: Frame, session: Session = None) -> dict[str, Any]:
         _known(vehicle)
         found = source.feature_set(vehicle, session, frame)
@@ -195,7 +195,7 @@ def _clock(report: VehicleReport, found: FeatureSet | None) -> str | None:
 def _words(report: VehicleReport, found: FeatureSet | None) -> str:
     """How the vehicle is, for people."""
     if report.heard_age_s is not None and report.heard_age_s > LOST_S:
-        return f"nothing heard for {report.heard_age_s:.0f} s"
+        return f"nothing received for {report.heard_age_s:.0f} s"
     said = report.status
     if said is not None and said.state != "ok":
         return f"{said.state}: {said.reason}" if said.reason else said.state

@@ -65,5 +65,5 @@ class Clicker:
             return f"no vehicle {vehicle!r} is known here"
         rows = self._source.frames(vehicle)
         if session is not None and rows and rows[-1].session != session:
-            return "the aircraft's software was started anew since this picture: its sets of before are gone"
+            return "the aircraft's software was restarted after this picture: its earlier sets are gone"
         return "no set of this picture is there"

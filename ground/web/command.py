@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--journal",
         type=Path,
         metavar="DIR",
-        help="where what crosses the link is kept, so that a restart forgets nothing (default: beside the pins)",
+        help="where what crosses the link is kept, so that a restart forgets nothing (default: next to the pins)",
     )
     parser.add_argument("--no-journal", action="store_true", help="keep nothing of the link")
     for name, meaning in (("listen", "others connect to"), ("connect", "another server shares at")):
@@ -91,9 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_page_arguments(parser: argparse.ArgumentParser) -> None:
     """What `open` takes too."""
     parser.add_argument("--port", type=_port, metavar="N", help=f"port to serve on (default {PORT}; 0: any)")
-    parser.add_argument(
-        "--pins", type=Path, metavar="FILE", help="where pins are kept (default: beside your other data)"
-    )
+    parser.add_argument("--pins", type=Path, metavar="FILE", help="where pins are kept (default: with your other data)")
     parser.add_argument("--tiles", metavar="FILE|URL", help="base map: FILE.pmtiles, FILE.mbtiles or a URL")
 
 

@@ -108,7 +108,7 @@ class Guard:
             return 413, f"at most {most} bytes"
         # A body without a length could be endless, and no client of ours sends one.
         if "transfer-encoding" in headers:
-            return 411, "say the body's length"
+            return 411, "state the body's length"
         return None
 
     def _has_token(self, headers: dict[str, str]) -> bool:

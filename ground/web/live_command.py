@@ -33,7 +33,7 @@ EXAMPLES = """examples:
   pc-ground live ... --set mount.pitch_deg=-45 --set camera.mask=/home/anna/osd.png
 
 --camera is camera.device and --telemetry is telemetry.url of the aircraft's configuration (config.toml); --set gives
-any other key of it. What is learned in flight, and recordings, stay in a folder beside your pins.
+any other key of it. What is learned in flight, and recordings, stay in a folder next to your pins.
 """
 START_S = 30.0  # until the aircraft's program listens: it imports much, and GStreamer may look through its plugins
 LOG_PREFIX = re.compile(r"^[\d-]+ [\d:,]+ [A-Z]+ +")

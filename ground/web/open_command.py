@@ -20,9 +20,9 @@ from ground.web import command as web
 from ground.web import opened_page
 
 EXAMPLES = """examples:
-  pc-ground open DJI_0042.MP4                        with DJI_0042.SRT beside it, or the only log in the folder
+  pc-ground open DJI_0042.MP4                        with DJI_0042.SRT next to it, or the only log in the folder
   pc-ground open GX010042.MP4 00000042.BIN --set camera.fov_deg=69 --set mount.pitch_deg=-45
-  pc-ground open PHOTOS/                             by the positions in the photographs, or a log beside them
+  pc-ground open PHOTOS/                             by the positions in the photographs, or a log next to them
   pc-ground open SESSION.mcap
 
 A flight is replayed once: opened again, it is there at once. What was guessed of camera and mount is listed; --set

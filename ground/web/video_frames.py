@@ -101,7 +101,9 @@ def open_video(source: str) -> Any:
     if not capture.isOpened():
         capture.release()
         what = (
-            "is it plugged in, and read by nobody else?" if grabber else "is it a video, and does its address answer?"
+            "is it plugged in, and used by no other program?"
+            if grabber
+            else "is it a video, and does its address answer?"
         )
         raise InputError(f"--video {without_login(source)}: cannot be opened; {what}")
     return capture

@@ -138,7 +138,7 @@ class LiveFootage:
             if len(there) == 1:
                 self.vehicle = there[0]
             elif there:
-                self._note = f"whose is it, of {', '.join(there)[:80]}? Start anew with --video-vehicle"
+                self._note = f"whose is it, of {', '.join(there)[:80]}? Start again with --video-vehicle"
         return self.vehicle
 
     def _since(self, capture_unix_ns: int) -> float:

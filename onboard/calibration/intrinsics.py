@@ -2,7 +2,7 @@
 
 OpenCV finds the optimum; views that contradict the others are dropped; of eight distortion models the one with the best
 Bayesian information criterion is kept; covariances are our own, from the Jacobian at the optimum with the boards' poses
-eliminated. (11.1) to (11.3) of docs/mathematics.md.
+eliminated. (11.1) to (11.3) of docs/mathematics-camera.md.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ class Lock:
         elif lines := self._found.get(EXPOSURE_LINES):
             line_us = self._line_time_us(width_px)
             if line_us is None:
-                self.complaints.append(f"exposure {shown}: the driver counts exposure in a unit it does not tell")
+                self.complaints.append(f"exposure {shown}: the driver counts exposure in a unit it does not report")
             else:
                 yield self._within("exposure", lines, exposure_us / line_us, shown)
         else:

@@ -164,7 +164,7 @@ def text(found: dict[str, Any]) -> str:
     memory = f"{found['resident_mb']:.0f} MB"
     if found["memory_mb"] is not None:
         memory += f"; the computer has {found['memory_mb']:.0f} MB, {found['free_memory_mb']:.0f} MB free"
-    heat = "the kernel tells none"
+    heat = "the kernel reports none"
     if found["hottest_c"] is not None:
         heat = f"{found['temperature_c']:.0f} deg C before, {found['hottest_c']:.0f} at most"
     slower = found["slower_at_the_end"]

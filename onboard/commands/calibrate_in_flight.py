@@ -33,7 +33,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"{arguments.out}: no such folder as {arguments.out.parent}")
     config, filed, flight = recorded_flight(arguments.from_session)
     if filed.zoom is not None:
-        raise InputError("calibrate: the camera file has a zoom table, and a flight tells of one lens: use --pictures")
+        raise InputError(
+            "calibrate: the camera file has a zoom table, and a flight shows one lens only: use --pictures"
+        )
     if not any(filed.sigma):
         filed = replace(filed, stated_sigma=UNKNOWN_SIGMA)
     pipeline = Pipeline(config, filed)
@@ -46,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     ):
         print(f"{name:<20}{was:.6g} -> {now:.6g}, one sigma {own:.2g} (before: {before:.2g})")
     if not pipeline.window.alignment.updates or np.all(ratio > FOUND):
-        print(f"{arguments.out} is not written: this flight says too little of its camera; turns and climbs tell most")
+        print(f"{arguments.out} is not written: this flight shows too little of its camera; turns and climbs show most")
         return 1
     _write(arguments.out, replace(camera, stated_sigma=sigma), arguments.from_session)
     print(f"written: {arguments.out}")

@@ -114,7 +114,7 @@ def _log(
             path = path or log_beside(folder)
     if path is None:
         raise InputError(
-            f"{arguments.folder}: no GPS position with a height in {photos[0].name} and the others, and no log beside "
+            f"{arguments.folder}: no GPS position with a height in {photos[0].name} and the others, and no log next to "
             "them: give a log of the flight (.bin, .tlog, .ulg, .srt, .csv)"
         )
     log = read_log(path, home_amsl_m=arguments.home_amsl_m)
@@ -195,7 +195,7 @@ def _by_photos(photos: list[PhotoMetadata], times: _Times) -> tuple[dict[str, di
     mount, solve, gps = {"pitch_deg": "-90.0"}, {}, {}
     if all(photo.gimbal_deg is not None for photo in photos):
         mount |= {"gimbal": '"always"', "sigma_deg": f"{SIGMA_GIMBAL_DEG}"}
-        how = f"the gimbal's angles as the pictures say, +-{SIGMA_GIMBAL_DEG:g} deg"
+        how = f"the gimbal's angles as the pictures state, +-{SIGMA_GIMBAL_DEG:g} deg"
     elif all(photo.body_deg is not None for photo in photos):
         mount["sigma_deg"] = f"{SIGMA_MOUNT_DEG}"
         how = f"fixed, straight down, top towards the nose, +-{SIGMA_MOUNT_DEG:g} deg"
@@ -226,7 +226,7 @@ def _turn_m(photos: list[PhotoMetadata]) -> float:
 def _positions_text(photos: list[PhotoMetadata]) -> str:
     height_sigma_m = max(math.hypot(height_amsl(p, None)[1] or 0.0, datum_sigma_m(p, None) or 0.0) for p in photos)
     said = [photo.sigma_horizontal_m for photo in photos if photo.sigma_horizontal_m is not None]
-    accuracy = f"+-{max(said):.2g} m as they say" if said else "+-1.5 m assumed"
+    accuracy = f"+-{max(said):.2g} m as they state" if said else "+-1.5 m assumed"
     what = "from the ellipsoid (set gps.undulation_m)" if photos[0].height_is_ellipsoidal else "above sea level"
     what += " by barometer" if photos[0].height_is_barometric else ""
     return f"each picture's own, {accuracy}; heights {what}, +-{height_sigma_m:.3g} m"

@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     log_path = arguments.telemetry or log_beside(video.parent, video.stem)
     if log_path is None:
         raise InputError(
-            f"{video}: no log of the flight beside it ({', '.join(LOG_SUFFIXES)}): name one. A DJI drone writes one "
+            f"{video}: no log of the flight next to it ({', '.join(LOG_SUFFIXES)}): name one. A DJI drone writes one "
             "with 'Video Subtitles' on"
         )
     log = read_log(log_path, home_amsl_m=arguments.home_amsl_m)
@@ -114,7 +114,7 @@ def _beginning(video: Path, log: TelemetryLog, arguments: argparse.Namespace) ->
             is_rough = found % 1_000_000_000 == 0
             how = ", to the second (+-1 s, estimated in flight)" if is_rough else ""
             return _Beginning(found - offset_ns, f"{source}{how}, taken as UTC; else give --start", is_rough)
-    raise InputError(f"{video}: nothing says when it began: give --start, in UTC, as 2026-06-12T10:15:23.4Z")
+    raise InputError(f"{video}: nothing states when it began: give --start, in UTC, as 2026-06-12T10:15:23.4Z")
 
 
 def _focal(log: Path, size_px: tuple[int, int]) -> Focal | None:

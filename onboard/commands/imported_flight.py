@@ -177,7 +177,7 @@ def _of_focal(size_px: tuple[int, int], focal: Focal, sigma_k1: float = SIGMA_K1
         "verdict": f"guessed from {focal.source}, not calibrated",
         "sigma": {name: float(f"{value:.3g}") for name, value in sigma.items()},
     }
-    lens = "distortion as the picture says" if is_calibrated else "no distortion known, taken as none"
+    lens = "distortion as the picture states" if is_calibrated else "no distortion known, taken as none"
     text = (
         f"focal length {focal.fx_px:.0f} +-{focal.sigma_px:.0f} px from {focal.source}, {_width_text(camera)}, {lens}"
     )
@@ -218,7 +218,7 @@ def mount_by_log(log: TelemetryLog) -> tuple[dict[str, dict[str, str]], Row]:
     is_of_camera = log.video_epoch_ns is not None or Attitude not in kinds
     if GimbalAttitude in kinds and is_of_camera:
         mount = {"pitch_deg": "-90.0", "gimbal": '"always"', "sigma_deg": f"{SIGMA_GIMBAL_DEG}"}
-        return {"mount": mount}, ("mount", f"the gimbal's angles as the log says, +-{SIGMA_GIMBAL_DEG:g} deg")
+        return {"mount": mount}, ("mount", f"the gimbal's angles as the log states, +-{SIGMA_GIMBAL_DEG:g} deg")
     sections = {"mount": {"pitch_deg": "-90.0", "sigma_deg": f"{SIGMA_MOUNT_DEG}"}}
     if Attitude in kinds:
         how = f"fixed, straight down, top towards the nose, +-{SIGMA_MOUNT_DEG:g} deg"

@@ -17,7 +17,7 @@ from onboard.commands.preflight import (
 MEANING: dict[str, tuple[str, str]] = {
     "state": (
         "The state in a word, as `pc-onboard status` has it: the first finding below that is bad.",
-        "If bad: the line below that is bad too says why; docs/faults.md lists every state.",
+        "If bad: the line below that is bad too gives the reason; docs/faults.md lists every state.",
     ),
     "camera": (
         "Whether pictures come from the configured device.",
@@ -53,7 +53,7 @@ MEANING: dict[str, tuple[str, str]] = {
         "If bad: restart the service; the journal has the reason.",
     ),
     "gps": (
-        "What the receiver says: a 3D fix, and how old.",
+        "What the receiver reports: a 3D fix, and how old.",
         "If bad: give the antenna a free view of the sky, and wait for a fix.",
     ),
     "position": (
@@ -66,7 +66,7 @@ MEANING: dict[str, tuple[str, str]] = {
     ),
     "load": (
         "Whether the computer keeps up with the camera.",
-        "If bad: a lower camera.rate_hz or a smaller picture; `pc-onboard bench` says what this computer can do.",
+        "If bad: a lower camera.rate_hz or a smaller picture; `pc-onboard bench` shows what this computer can do.",
     ),
     "recording": (
         "Whether the session is written to disk.",
@@ -77,7 +77,7 @@ MEANING: dict[str, tuple[str, str]] = {
         "If bad: restart the service, and keep the journal: it has the stack of what stopped.",
     ),
     "mount": (
-        "The mount's angles, and what the last flights found beside them: no more than three sigma.",
+        "The mount's angles, and what the last flights found in addition: no more than three sigma.",
         "If bad: measure the mount again and correct mount.*_deg, or raise mount.sigma_deg.",
     ),
     "relative errors": (
@@ -85,7 +85,7 @@ MEANING: dict[str, tuple[str, str]] = {
         "If bad: something moves that is taken as fixed (mount, lens, clock); compare the lines mount and sensors.",
     ),
     "sensors": (
-        "Sensors that contradict the pictures, or err more than configured.",
+        "Sensors that contradict the pictures, or have larger errors than configured.",
         "If bad: the sensor that is named; its sigma is a key of [gps] or [solve].",
     ),
     "radius": (

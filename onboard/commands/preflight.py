@@ -144,7 +144,9 @@ def _stamps(config: Config, report: Report) -> Line:
         prior = f"{camera.latency_s:.3f} +-{camera.sigma_latency_s:.3f} s late by camera.latency_s"
         common = f"{prior}, nothing learned yet: turns show it"
     else:
-        common = f"learned in flight: {learned.values[0]:+.3f} +-{learned.sigmas[0]:.3f} s beside camera.latency_s"
+        common = (
+            f"learned in flight: {learned.values[0]:+.3f} +-{learned.sigmas[0]:.3f} s in addition to camera.latency_s"
+        )
     return Line("stamps", sigma_ms is None or sigma_ms <= MAX_STAMP_SIGMA_MS, each + common)
 
 
@@ -202,7 +204,7 @@ def _mount(config: Config, report: Report) -> Line:
     off_deg = math.degrees(math.hypot(*learned.values))
     sigma_deg = math.degrees(max(learned.sigmas))
     good = off_deg <= BORESIGHT_SIGMAS * math.hypot(mount.sigma_deg, sigma_deg)
-    return Line("mount", good, f"{how}; learned in flight: {off_deg:.1f} +-{sigma_deg:.1f} deg beside that")
+    return Line("mount", good, f"{how}; learned in flight: {off_deg:.1f} +-{sigma_deg:.1f} deg in addition")
 
 
 def _relative_errors(report: Report) -> Line:
@@ -244,7 +246,7 @@ def _disk(config: Config, free_mb: float | None) -> Line:
 
 def _processor(temperature_c: float | None) -> Line:
     if temperature_c is None:
-        return Line("processor", True, "tells no temperature")
+        return Line("processor", True, "reports no temperature")
     return Line("processor", temperature_c < HOT_C, f"{temperature_c:.0f} deg C")
 
 

@@ -106,7 +106,7 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
             pictures = PictureSender(config.picture, link)
             if (left := left_for_pictures(config.link.max_bit_rate, config.link.max_rate_hz)) < LEAST_FOR_PICTURES:
                 log.warning(
-                    "pictures: beside %g sets a second link.max_bit_rate = %g leaves %d bit/s: raise it, or lower "
+                    "pictures: next to %g sets a second link.max_bit_rate = %g leaves %d bit/s: raise it, or lower "
                     "link.max_rate_hz", config.link.max_rate_hz, config.link.max_bit_rate, max(left, 0.0),
                 )  # fmt: skip
             sinks.append(pictures)

@@ -125,7 +125,7 @@ def _with_found_mount(session: Path) -> Config:
     )
     print(f"roll/pitch/yaw by how far {ranking.pictures} pictures contradict them: {said}")
     if ranking.decided is None:
-        raise InputError(f"{session}: the pictures do not tell how the camera sits: fly with turns, above 10 m")
+        raise InputError(f"{session}: the pictures do not show how the camera is mounted: fly with turns, above 10 m")
     mount = dict(zip(("roll_deg", "pitch_deg", "yaw_deg"), ranking.decided, strict=True))
     declared = config.mount.roll_deg, config.mount.pitch_deg, config.mount.yaw_deg
     apart_rad = np.linalg.norm(log_so3(mount_rotation(*declared).T @ mount_rotation(*ranking.decided)))
@@ -243,11 +243,11 @@ def _telemetry(arguments: argparse.Namespace, terminal: Terminal | None, around:
         terminal.show("Autopilots:")
         url = heard[terminal.choose("which", [f"{h.url}  {h.kind}, system {h.system}" for h in heard])].url
     elif terminal is not None:
-        terminal.show("Autopilot: none heard. Is it powered, and MAVLink 2 on its port?")
+        terminal.show("Autopilot: none found. Is it powered, and MAVLink 2 on its port?")
         url = terminal.ask("telemetry.url", _not_empty, "udpin:0.0.0.0:14550")
-        left.append(f"nothing was heard on {url}: look at the autopilot's port and baud rate (docs/telemetry.md)")
+        left.append(f"nothing was received on {url}: look at the autopilot's port and baud rate (docs/telemetry.md)")
     else:
-        which = "no autopilot heard" if not heard else f"several autopilots: {', '.join(h.url for h in heard)}"
+        which = "no autopilot found" if not heard else f"several autopilots: {', '.join(h.url for h in heard)}"
         raise ConfigError(f"setup: {which}; name its line: --telemetry serial:/dev/ttyAMA0:921600")
     if is_slow(url):
         left.append(f"{url} is slow: attitude is asked for at 20 Hz; 230400 baud or more carry all of it")
@@ -261,11 +261,11 @@ def _mount(arguments: argparse.Namespace, terminal: Terminal | None, left: list[
     names = list(MOUNTS)
     at = 0
     if terminal is not None:
-        terminal.show("The camera looks (the picture's top is towards the nose, if nothing else is said):")
+        terminal.show("The camera looks (the picture's top is towards the nose, unless stated otherwise):")
         at = terminal.choose("how", names)
     else:
         left.append(
-            "the camera is taken to look down, the picture's top to the nose: --mount ROLL,PITCH,YAW says otherwise"
+            "the camera is taken to look down, the picture's top to the nose: --mount ROLL,PITCH,YAW changes that"
         )
     left.append(
         "fly a minute with turns, `recording.pictures` on; then `pc-onboard setup --force --first-flight SESSION.mcap` "

@@ -51,7 +51,7 @@ def text(report: Report) -> str:
         ("tracks", f"{status.tracks}"),
         ("camera", _source(report.camera)),
         ("telemetry", _source(report.telemetry)),
-        ("gps", "nothing said" if report.gps is None else str(report.gps)),
+        ("gps", "not reported" if report.gps is None else str(report.gps)),
         ("recording", "on" if report.recording.is_on else report.recording.fault or "off"),
         ("threads", ", ".join(_thread(thread) for thread in report.threads)),
     ]

@@ -145,7 +145,11 @@ class CameraConfig(Section):
         0.003, 0.0, 1.0, "s", "least one sigma of a single stamp, 0.3 where it is cut to the second; estimated upwards"
     )
     sigma_zoom: float = quantity(
-        0.005, 0.0, 0.2, "", "one sigma of the focal length as a told zoom gives it, as a share: its steps, its errors"
+        0.005,
+        0.0,
+        0.2,
+        "",
+        "one sigma of a reported zoom's focal length, as a share: its steps, its errors",
     )
     readout_s: float = quantity(
         0.0, -0.2, 0.2, "s", "rolling shutter: time in which all rows are read, negative if the last is first; 0: none"

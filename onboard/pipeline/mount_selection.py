@@ -55,7 +55,7 @@ class MountSelection:
         if not has_vehicle:
             return "gimbal, as no attitude of the vehicle is received"
         if navigation.config.mount.gimbal == "always":
-            return 'gimbal, as mount.gimbal = "always" says'
+            return 'gimbal, as mount.gimbal = "always" specifies'
         if navigation.gimbal.is_certain:
             return "gimbal, as the camera wrote its angles itself"
         if self.verdict is None:

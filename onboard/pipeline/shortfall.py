@@ -114,7 +114,7 @@ class Evidence:
         if status is Status.NO_GPS:
             said = f" ({self.navigation})" if self.navigation else ""
             return Shortfall(
-                f"no believed position for {count} pictures{said}",
+                f"no accepted position for {count} pictures{said}",
                 "wait for a fix before the first picture; see GPS_RAW_INT and EKF_STATUS_REPORT in the log",
             )
         return Shortfall(
@@ -170,7 +170,7 @@ class Evidence:
         if worst is Status.LOW_PARALLAX or is_still:
             return Shortfall(
                 f"no parallax: {self.span_m:.0f} m flown at {self.height_m:.0f} m above home",
-                "fly on, or say where the ground is: terrain.path, solve.home_level or a range finder",
+                "fly on, or state where the ground is: terrain.path, solve.home_level or a range finder",
             )
         if not self.has_attitude and self.config.solve.attitude == "autopilot":
             return Shortfall(

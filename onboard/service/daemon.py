@@ -104,7 +104,7 @@ class Daemon:
                 self._finish()
                 return 1
             self._tick()
-        log.info("told to stop")
+        log.info("asked to stop")
         self._notifier.stopping()
         return 0 if self._finish() else 1
 
@@ -137,7 +137,7 @@ class Daemon:
             log.error("the pipeline has been at one event for %.0f s", busy_s)
             return False
         if hung := self._session.supervisor.hung(HUNG_S):
-            log.error("the %s has not been heard from for %.0f s", hung, HUNG_S)
+            log.error("the %s has not reported for %.0f s", hung, HUNG_S)
             return False
         return True
 
@@ -190,18 +190,18 @@ class Daemon:
         log.info("configuration reloaded; a new session begins")
         old = self._config
         if not self._finish():
-            log.error("the old session did not end; a new one cannot begin beside it")
+            log.error("the old session did not end; a new one cannot begin before it has")
             return False
         try:
             self._begin(config)
         except PointclickError as error:
-            log.error("the new configuration cannot be flown, back to the old: %s", " ".join(str(error).split()))
+            log.error("the new configuration cannot be used, back to the old: %s", " ".join(str(error).split()))
         else:
             return True
         try:
             self._begin(old)
         except PointclickError as error:
-            log.error("the old configuration cannot be flown any more: %s", " ".join(str(error).split()))
+            log.error("the old configuration cannot be used any more: %s", " ".join(str(error).split()))
             return False
         return True
 

@@ -180,7 +180,7 @@ def _threads(one: _Labelled, report: Report) -> Iterator[Metric]:
     states = {name: thread.state.value for name, thread in names.items()}
     yield one.state_of_each("thread_state", "1 for the state of a thread that holds", "thread", ThreadState, states)
     ages = {name: t.heartbeat_age_s for name, t in names.items() if t.heartbeat_age_s is not None}
-    yield one.gauges("thread_heartbeat_age", "since a thread was last heard from", "seconds", "thread", ages)
+    yield one.gauges("thread_heartbeat_age", "since a thread last reported", "seconds", "thread", ages)
     restarts = {name: float(thread.restarts) for name, thread in names.items()}
     yield one.counters("thread_restarts", "times that a thread was begun again", "thread", restarts)
 

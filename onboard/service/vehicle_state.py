@@ -123,7 +123,7 @@ class Overall:
 # Why pictures were refused, as a state of the aircraft and in plain words.
 _REFUSALS: dict[Status, tuple[VehicleState, str]] = {
     Status.STARTING: (VehicleState.STARTING, "no position or too little seen yet"),
-    Status.NO_GPS: (VehicleState.NO_GPS, "the position is not believed"),
+    Status.NO_GPS: (VehicleState.NO_GPS, "the position is not accepted"),
     Status.UNSYNCHRONISED: (VehicleState.UNSYNCHRONISED, "no telemetry about the moment of exposure"),
     Status.FEATURELESS: (VehicleState.FEATURELESS, "too little to follow in the pictures"),
     Status.BAD_PICTURE: (VehicleState.BAD_PICTURE, "pictures cannot be used"),
@@ -182,11 +182,11 @@ def source_findings(camera: SourceStatus, telemetry: SourceStatus) -> tuple[Find
 def gps_findings(gps: GpsReport | None) -> tuple[Finding, ...]:
     """What the receiver reports about itself, as the state holds it when nothing worse is wrong."""
     if gps is None:
-        return (Finding(Subject.GPS, VehicleState.DEGRADED, "gps: the receiver has said nothing"),)
+        return (Finding(Subject.GPS, VehicleState.DEGRADED, "gps: the receiver has sent nothing"),)
     if gps.fix_type < MIN_FIX_TYPE:
         return (Finding(Subject.GPS, VehicleState.NO_GPS, f"no fix ({gps})"),)
     if gps.age_s >= MAX_GPS_AGE_S:
-        return (Finding(Subject.GPS, VehicleState.NO_GPS, f"the receiver is silent for {gps.age_s:.0f} s"),)
+        return (Finding(Subject.GPS, VehicleState.NO_GPS, f"the receiver has been silent for {gps.age_s:.0f} s"),)
     if gps.sigma_horizontal_m is not None and gps.sigma_horizontal_m > MAX_GPS_SIGMA_M:
         return (Finding(Subject.GPS, VehicleState.DEGRADED, f"gps: {gps}"),)
     return ()

@@ -175,8 +175,8 @@ def _why_no_time(gps: _Table) -> str:
             "no GPS message with a time in it: logs from before 2014 have none, and without a receiver none is written"
         )
     if not np.any(gps.values[:, 0] >= WITHOUT_FIX):
-        return "its receiver never had a 3D fix, so its moments cannot be told; give the log of a flight with one"
-    return "its GPS messages have a fix but no GPS week, so its moments cannot be told; give the flight's .tlog"
+        return "its receiver never had a 3D fix, so its times cannot be determined; give the log of a flight with one"
+    return "its GPS messages have a fix but no GPS week, so its times cannot be determined; give the flight's .tlog"
 
 
 def _first_filter_positions(filtered: _Table, gps: _Table) -> _Table:

@@ -16,7 +16,7 @@ KINDS = "MAVLink .tlog, ArduPilot DataFlash .bin, PX4 .ulg, DJI .srt, or .csv (d
 # What people take for a log, by how it begins, and what to do.
 FOREIGN = (
     (b"FMT, 128", "a DataFlash log as text (.log): give the .bin that the autopilot wrote"),
-    (b"\xff\xd8\xff", "a picture: for the pictures' own positions say --telemetry exif"),
+    (b"\xff\xd8\xff", "a picture: for the pictures' own positions use --telemetry exif"),
     (b"PK\x03\x04", "a zip archive: unpack it first"),
     (b"\x1f\x8b", "compressed (gzip): unpack it first"),
     (b"\x89MCAP", "a recorded session: give it to replay alone, without --telemetry"),

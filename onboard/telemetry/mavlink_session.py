@@ -221,7 +221,7 @@ class Autopilot:
         limit_ns = self.config.lost_after_s * 1e9
         if heard_ns is None:
             whose = "no autopilot" if self.system is None else f"no autopilot with system number {self.system}"
-            return SourceStatus(State.STARTING, f"{whose} heard yet", figures)
+            return SourceStatus(State.STARTING, f"{whose} found yet", figures)
         silent_ns = now_ns - heard_ns
         if silent_ns > limit_ns:
             return SourceStatus(State.LOST, f"the autopilot is silent for {silent_ns / 1e9:.0f} s", figures)

@@ -189,7 +189,7 @@ class LiveTelemetry:
             self._complaint = end.complaint()
             self._lost = end.lost(autopilot.system) if autopilot.system is not None else None
             if wire.may_die_silently and now_ns - heard_ns > HUNG_NS:
-                self._fault = f"{self._address.place}: silent; opening it anew"
+                self._fault = f"{self._address.place}: silent; opening it again"
                 return
 
     @property

@@ -285,14 +285,16 @@ class NmeaTelemetry:
             return SourceStatus(State.LOST, self._fault, figures)
         heard_ns, epoch_ns = self._heard_ns, self._epoch_ns
         if heard_ns is None:
-            return SourceStatus(State.STARTING, "the receiver has said nothing yet", figures)
+            return SourceStatus(State.STARTING, "the receiver has sent nothing yet", figures)
         if now_ns - heard_ns > self._lost_after_ns:
-            return SourceStatus(State.LOST, f"the receiver is silent for {(now_ns - heard_ns) / 1e9:.0f} s", figures)
+            return SourceStatus(
+                State.LOST, f"the receiver has been silent for {(now_ns - heard_ns) / 1e9:.0f} s", figures
+            )
         if epoch_ns is None:
             why = "another baud rate?" if receiver.errors > 20 else "no time yet"
             return SourceStatus(State.STARTING, f"no sentence of use from the receiver: {why}", figures)
         if now_ns - epoch_ns > self._lost_after_ns:
-            return SourceStatus(State.FROZEN, "the receiver repeats itself or says nothing of use", figures)
+            return SourceStatus(State.FROZEN, "the receiver repeats itself or sends nothing of use", figures)
         if not receiver.has_heights and self._fix_type >= 2:
             return SourceStatus(State.DEGRADED, "no heights: the receiver must send GGA", figures)
         if not self._has_position:

@@ -64,13 +64,13 @@ def axis_order(places: list[UnlabelledPlace], stated: Order | None) -> tuple[Ord
     measured, by_format = _by_distances(places), _by_format(places)
     if measured is None and by_format is None:
         raise InputError(
-            "GPS(a, b) without labels in a format of no known model, and nothing else says which number is the "
-            "latitude; say it: --gps-order lat-lon or --gps-order lon-lat"
+            "GPS(a, b) without labels in a format of no known model, and nothing else shows which number is the "
+            "latitude; state it: --gps-order lat-lon or --gps-order lon-lat"
         )
     if measured is not None and by_format is not None and measured[0] != by_format[0]:
         raise InputError(
             f"GPS(a, b) contradicts itself: {WORDS[by_format[0]]} by {by_format[1]}, but {WORDS[measured[0]]} by "
-            f"{measured[1]}; say which is right: --gps-order lat-lon or --gps-order lon-lat"
+            f"{measured[1]}; state which is right: --gps-order lat-lon or --gps-order lon-lat"
         )
     reasons = [found for found in (by_format, measured) if found is not None]
     return reasons[0][0], "by " + " and by ".join(why for _, why in reasons)

@@ -111,7 +111,7 @@ def read_srt(path: Path | str, home_amsl_m: float | None = None, gps_order: Orde
         raise InputError(f"telemetry {path}: positions without any height in its subtitles; give another log")
     if home_amsl_m is None and not has_amsl:
         raise InputError(
-            f"telemetry {path}: heights above the take-off only; say how high that is above sea level: --home-amsl-m M"
+            f"telemetry {path}: heights above the take-off only; state its height above sea level: --home-amsl-m M"
         )
     epoch_ns = _epoch_ns(subtitles)
     positions, claims = _positions(placed, epoch_ns, home_amsl_m)
@@ -250,7 +250,7 @@ def _height_note(claims: list[GpsQuality]) -> list[str]:
     if not datum_m:
         return []
     return [
-        f"heights above sea level are +-{datum_m:.0f} m as a whole (barometer); say how high the take-off was: "
+        f"heights above sea level are +-{datum_m:.0f} m as a whole (barometer); state how high the take-off was: "
         "--home-amsl-m M"
     ]
 

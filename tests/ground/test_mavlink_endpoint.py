@@ -83,7 +83,7 @@ def test_an_answer_that_is_too_old_is_refused_as_over_the_link() -> None:
     assert isinstance(turning, Refusal) and turning.reason == "the aircraft was turning too fast"
     starting = clicked(Refusal(Status.STARTING, vehicle="uav-1", detail="no gps: no fix"))
     assert starting.status is Status.STARTING and isinstance(starting, Refusal)
-    assert starting.reason == "the aircraft has no solved picture yet; the aircraft says: no gps: no fix"
+    assert starting.reason == "the aircraft has no solved picture yet; the aircraft reports: no gps: no fix"
 
 
 def test_a_thin_radios_own_delay_makes_no_picture_stale(monkeypatch: pytest.MonkeyPatch) -> None:

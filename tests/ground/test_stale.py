@@ -97,7 +97,7 @@ def test_a_fresh_picture_is_answered_with_its_age(aircraft: Aircraft, click: Cli
 
 
 LOST = [
-    (Status.NO_GPS, "no gps", "the position is not believed", "frame 19, 0.", "no_gps: there was no usable GPS"),
+    (Status.NO_GPS, "no gps", "the position is not accepted", "frame 19, 0.", "no_gps: there was no usable GPS"),
     (Status.UNSYNCHRONISED, "telemetry lost", "nothing for 25 s", "frame 19, 0.", "unsynchronised: picture and"),
     (None, "camera lost", "no such device", "camera lost", "no such device"),
     (None, "", "", "no newer picture came", ""),
@@ -157,7 +157,7 @@ def test_before_the_first_set_the_aircraft_says_what_is_missing(
         aircraft.says(state, "for a reason")
     code, answer = click()
     assert code == 3 and answer["status"] == status and answer["age_s"] is None
-    assert (f"the aircraft says: {state}: for a reason" in answer["reason"]) == bool(state)
+    assert (f"the aircraft reports: {state}: for a reason" in answer["reason"]) == bool(state)
 
 
 def test_an_aircraft_that_says_no_age_is_not_taken_for_fresh(endpoint: str, click: Click) -> None:

@@ -152,7 +152,7 @@ def test_the_summary_says_what_carried_the_camera_and_why() -> None:
     alone = played(folder, "auto", only_the_gimbal).pipeline
     none = played(folder, "auto", lambda e, t: []).pipeline
     assert always is not None and never is not None and alone is not None and none is not None
-    assert always.summary.carrier == 'gimbal, as mount.gimbal = "always" says'
+    assert always.summary.carrier == 'gimbal, as mount.gimbal = "always" specifies'
     assert never.summary.carrier == "fixed mount"
     assert alone.summary.carrier == "gimbal, as no attitude of the vehicle is received"
     assert none.summary.carrier == "unknown: no attitude is used"

@@ -114,7 +114,7 @@ def test_other_reasons_are_named(capsys: pytest.CaptureFixture[str]) -> None:
     def unfixed(event: Event, t: float) -> Event:
         return replace(event, fix_type=1) if isinstance(event, GpsQuality) else event
 
-    assert "no believed position" in why(play(flown(survey(1.0)), spoil=unfixed))
+    assert "no accepted position" in why(play(flown(survey(1.0)), spoil=unfixed))
     assert "too short: " in why(play(flown(survey(0.1, 20))))
     assert main(_arguments(flown(survey(0.1, 20)))) == 3
     out = capsys.readouterr().out

@@ -77,7 +77,7 @@ def test_a_click_on_a_picture_that_is_not_there_says_so(api: Api) -> None:
     assert said["status"] == "unknown_frame"
     assert "no set of this picture" in said["reason"]
     other = {**api.click(320, 240), "session": 1}
-    assert "started anew" in api.client.post("/api/click", json=other).json()["reason"]
+    assert "restarted" in api.client.post("/api/click", json=other).json()["reason"]
     other = {**api.click(320, 240), "vehicle": "<b>"}
     assert api.client.post("/api/click", json=other).json()["status"] == "unknown_frame"
 
@@ -279,7 +279,7 @@ def test_a_tie_moves_all_pins_of_its_flight_and_is_taken_back(api: Api, flown: F
     refused = api.client.post("/api/ties", json=far)
     assert refused.status_code == 409
     assert 300 < refused.json()["misses_m"] < 500
-    assert "would still be believed" in refused.json()["reason"]
+    assert "would still be accepted" in refused.json()["reason"]
     assert api.client.delete(f"/api/ties/{made.json()['tie']['id']}").status_code == 200
     back = {pin["id"]: pin["place"] for pin in api.client.get("/api/pins").json()["pins"]}
     for pin in pins:

@@ -60,7 +60,7 @@ def test_sets_that_are_published_are_clicked_and_a_silent_aircraft_grows_old(flo
         publisher.publish(first)
         assert source.feature_set(flown.vehicle, last.session, first.frame) is not None
         refused = Clicker(source).click(flown.vehicle, last.session - 1, last.frame, 320.0, 240.0)
-        assert "started anew" in refused.answer.reason  # type: ignore[union-attr]
+        assert "restarted" in refused.answer.reason  # type: ignore[union-attr]
         assert source.feature_set(flown.vehicle, None, 1_000_000) is None
         before_s = source.report(flown.vehicle).picture_age_s
         publisher.close()

@@ -170,7 +170,7 @@ def wrong_setting(session: Path, folder: Path) -> list[object]:
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        (no_log, "no log of the flight beside it"), (another_day_s_log, "do not overlap"),
+        (no_log, "no log of the flight next to it"), (another_day_s_log, "do not overlap"),
         (nothing_says_where, "no GPS position with a height"), (two_logs, "several logs"),
         (no_beginning, "when it began: give --start"), (not_there, "no such file"), (wrong_setting, "mount.pitch_deg"),
     ],

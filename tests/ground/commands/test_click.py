@@ -127,7 +127,7 @@ def test_a_refusal_exits_with_three_and_its_reason(
         (["click", "1", "2", "--frame", "1", "--time", "3"], "not allowed with"),
         (["click", "1", "2", "--from", "/nowhere/s.mcap"], "/nowhere/s.mcap: No such file"),
         (["click", "1", "2", "--file", "x.png"], "needs --from"),
-        (["click", "1", "2", "--connect", "tcp/127.0.0.1:9"], "nobody listens at tcp/127.0.0.1:9"),
+        (["click", "1", "2", "--connect", "tcp/127.0.0.1:9"], "nothing listens at tcp/127.0.0.1:9"),
         (["click", "1", "2", "--connect", "carrier pigeon"], "carrier pigeon"),
         (["click", "1", "2", "--vehicle", "a/b"], "without any of"),
         (["click", "--batch", "x.csv"], "--from"),

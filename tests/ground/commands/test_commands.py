@@ -222,7 +222,7 @@ def test_a_tie_on_the_command_line(session: str, pins: str, capsys: pytest.Captu
     after = json.loads(run(capsys, "pins", "list", "--format", "json", "--pins", pins)[1])
     assert after["ties"] == 1 and after["ce90_m"] < 0.8 * before["ce90_m"]
     status, _, err = run(capsys, *tie, "--place", f"{lat + 0.01:.9f},{lon:.9f}")
-    assert status == 2 and "tie refused" in err and "would still be believed" in err
+    assert status == 2 and "tie refused" in err and "would still be accepted" in err
     assert len(run(capsys, "pins", "ties", "--pins", pins)[1].splitlines()) == 1
 
 

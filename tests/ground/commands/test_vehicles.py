@@ -180,7 +180,7 @@ def test_a_table_is_for_people_and_an_aircraft_of_an_earlier_version_is_there_as
 ) -> None:
     endpoint = free_endpoint()
     assert main(["vehicles", "--connect", endpoint]) == 2
-    assert "nobody listens" in capsys.readouterr().err
+    assert "nothing listens" in capsys.readouterr().err
     with zenoh.open(zenoh.Config.from_json5(link_config("peer", listen=[endpoint]))) as old:
         assert main(["vehicles", "--connect", endpoint, "--wait", "0.3"]) == 1
         assert "no aircraft is there" in capsys.readouterr().err

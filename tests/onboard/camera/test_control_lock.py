@@ -135,7 +135,7 @@ def test_a_sensor_that_counts_lines_is_set_in_microseconds() -> None:
     # A line takes (640 + 160) / 40 MHz = 20 us.
     assert device.camera.writes == [("exposure", 100), ("analogue gain", 32)]
     assert Lock(driver(sensor[:1]), Wanted(exposure_us=2000.0), 640).complaints == [
-        "exposure 2000 us: the driver counts exposure in a unit it does not tell"
+        "exposure 2000 us: the driver counts exposure in a unit it does not report"
     ]
 
 

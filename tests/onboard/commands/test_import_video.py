@@ -149,7 +149,7 @@ def two_logs(folder: Path) -> list[object]:
 @pytest.mark.parametrize(
     ("spoil", "said"),
     [
-        (no_log, "no log of the flight beside it"), (local_time, "--utc-offset 2"), (no_moment, "give --start"),
+        (no_log, "no log of the flight next to it"), (local_time, "--utc-offset 2"), (no_moment, "give --start"),
         (other_camera, "camera.json is for 640 x 480, the pictures are 64 x 48"),
         (lambda folder: ["--set", "camera.fov_deg=wide"], "5 to 150"),
         (lambda folder: ["--set", "mount.pich_deg=1"], "mount.pitch_deg"),

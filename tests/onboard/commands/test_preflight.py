@@ -70,7 +70,7 @@ def test_how_well_pictures_are_timed_is_said_and_amiss_where_it_is_poor() -> Non
     assert red(figures("camera", stamp_sigma_ms=31.0)) == []
     assert red(figures("camera", stamp_sigma_ms=140.0)) == ["stamps"]
     learned = replace(WELL, estimates=(Estimate(TIME_OFFSET, "seconds", (-0.213,), (0.008,)),))
-    assert text(learned, "stamps") == "learned in flight: -0.213 +-0.008 s beside camera.latency_s"
+    assert text(learned, "stamps") == "learned in flight: -0.213 +-0.008 s in addition to camera.latency_s"
 
 
 def test_a_clock_known_by_arrival_alone_is_not_called_unknown() -> None:

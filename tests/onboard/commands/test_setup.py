@@ -138,7 +138,7 @@ def test_without_camera_and_autopilot_a_person_may_name_them(out: Path, capsys: 
     assert (config.camera.device, config.telemetry.url) == ("gst:videotestsrc", "udpin:0.0.0.0:14550")
     assert config.mount.pitch_deg == -45.0
     assert "  it cannot be empty" in typed.shown
-    assert "nothing was heard on udpin:0.0.0.0:14550" in capsys.readouterr().out
+    assert "nothing was received on udpin:0.0.0.0:14550" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_without_camera_and_autopilot_a_person_may_name_them(out: Path, capsys: 
         ([WEBCAM, BARE], [SERIAL], "several cameras"),
         ([BARE], [SERIAL], "--fov-deg"),
         ([PI], [SERIAL], "--size"),
-        ([WEBCAM], [], "no autopilot heard"),
+        ([WEBCAM], [], "no autopilot found"),
         ([WEBCAM], [SERIAL, SLOW], "several autopilots"),
     ],
 )

@@ -67,7 +67,7 @@ def test_a_daemon_flies_answers_for_itself_and_ends_whole(tmp_path: Path) -> Non
         assert solved_since_the_first(outcome) > 0.9, outcome.reported
         assert outcome.inside_99 > 0.97, outcome.reported
         assert json.loads((tmp_path / "state" / "alignment.json").read_text())
-    assert [line.split(maxsplit=3)[-1] for line in plane.log[-1:]] == ["told to stop"]
+    assert [line.split(maxsplit=3)[-1] for line in plane.log[-1:]] == ["asked to stop"]
     assert pc_onboard("status", "--config", plane.config).returncode == 3
 
 

@@ -103,7 +103,7 @@ def test_a_hanging_source_ends_a_daemon_without_a_watchdog(
         rig.camera.is_deaf = True  # and so it is found, whenever it asked last
         assert rig.ended() == 1
         rig.camera.is_deaf = False
-    assert "the camera has not been heard from" in caplog.text
+    assert "the camera has not reported" in caplog.text
 
 
 @pytest.mark.parametrize("policy", [Policy.RESTART, Policy.DEGRADE])
@@ -169,7 +169,7 @@ def test_a_reload_while_a_source_hangs_ends_with_1_and_raises_nothing(
         hanging.is_deaf = False
     assert rig.error is None
     assert len(rig.opened) == 1
-    assert "camera did not end" in caplog.text and "cannot begin beside it" in caplog.text
+    assert "camera did not end" in caplog.text and "cannot begin before it has" in caplog.text
 
 
 def test_a_reload_after_which_nothing_can_be_opened_ends_with_1(caplog: pytest.LogCaptureFixture) -> None:
@@ -187,7 +187,7 @@ def test_a_reload_after_which_nothing_can_be_opened_ends_with_1(caplog: pytest.L
         assert rig.ended() == 1
     assert rig.error is None
     assert "back to the old: camera file missing, 2" in caplog.text
-    assert "the old configuration cannot be flown any more: camera file missing, 3" in caplog.text
+    assert "the old configuration cannot be used any more: camera file missing, 3" in caplog.text
 
 
 # Fault 15.

@@ -173,7 +173,7 @@ def test_a_vehicle_that_is_not_there_is_waited_for() -> None:
     ):
         time.sleep(0.8)
         assert heard.source.health().state is State.STARTING
-        assert heard.source.health().detail == "no autopilot with system number 9 heard yet"
+        assert heard.source.health().detail == "no autopilot with system number 9 found yet"
         assert not heard.got
 
 

@@ -188,7 +188,7 @@ def line() -> Iterator[tuple[int, str]]:
 def test_on_a_serial_line_it_comes_goes_stands_still_and_returns(line: tuple[int, str]) -> None:
     master, url = line
     with listening(config_for(url)) as heard:
-        heard.until(lambda: heard.source.health().detail == "the receiver has said nothing yet")
+        heard.until(lambda: heard.source.health().detail == "the receiver has sent nothing yet")
         t = NOON
 
         def send(state: State) -> None:
