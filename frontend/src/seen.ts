@@ -13,7 +13,7 @@ const COLOURS = ["#fde725", "#5ec962", "#21918c", "#3b528b", "#440154"];
 const WORDS = { age: ["under 1", "1 to 5", "5 to 20", "20 to 60", "over 60"], count: ["20 or more", "5 to 19", "2 to 4", "1"] };
 const NAME = "seen";
 const ABOVE = "path"; // the lowest layer that is drawn over it
-const LOOK_MS = 2000; // between two questions of how it stands
+const LOOK_MS = 5000, COUNTING_MS = 2000; // between two questions of how it stands
 type By = "age" | "count";
 
 /** Open a picture at the place it shows. */
@@ -65,14 +65,16 @@ export class SeenLayer {
   private async look(): Promise<void> {
     window.clearTimeout(this.timer);
     const turn = ++this.asked;
+    let pause = LOOK_MS;
     try {
       const now = await api.seenState();
+      if (now.ahead > 0) pause = COUNTING_MS;
       if (!this.isOn || turn !== this.asked) return;
       say(this.sum, sumText(now));
       this.sum.dataset["ahead"] = String(now.ahead); // what a test may wait for
       this.draw(now);
     } catch { /* the page says that the server does not answer */ }
-    if (this.isOn && turn === this.asked) this.timer = window.setTimeout(() => void this.look(), LOOK_MS);
+    if (this.isOn && turn === this.asked) this.timer = window.setTimeout(() => void this.look(), pause);
   }
 
   private draw(now: SeenState): void {

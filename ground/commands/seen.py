@@ -88,16 +88,14 @@ def summary(seen: SeenGround, found: Coverage) -> list[str]:
     low, middle, high = found.gsd_m
     sources = ", ".join(sorted({vehicle for vehicle, _ in seen.sources}))
     lines = [
-        f"seen: {_area(found.seen_m2)} in {seen.pictures} pictures of {sources}, "
+        f"seen: {_area(found.seen_m2)} in {seen.pictures} picture{_s(seen.pictures)} of {sources}, "
         f"{time_text(found.first_s)} to {time_text(found.last_s)}, cells of {found.cells.cell_m:g} m",
         f"seen in one picture only: {_share(found.once_m2, found.seen_m2)}",
         f"ground sample distance: {low:.3g} to {high:.3g} m, median {middle:.3g} m",
     ]
     which = "convex hull of what was seen" if found.is_hull else "as given"
     share, count = _share(found.seen_of_searched_m2, found.searched_m2), len(found.gaps)
-    lines.append(
-        f"searched area ({which}): {_area(found.searched_m2)}, seen {share}, {count} gap{'' if count == 1 else 's'}"
-    )
+    lines.append(f"searched area ({which}): {_area(found.searched_m2)}, seen {share}, {count} gap{_s(count)}")
     for number, gap in enumerate(found.gaps[:GAPS_SAID], 1):
         lines.append(f"gap {number}: {_area(gap.area_m2)} about {gap.lat_deg:.6f}, {gap.lon_deg:.6f}")
     return lines
@@ -143,6 +141,10 @@ def _live(args: argparse.Namespace) -> Iterator[FeatureSet]:
                     until = time.monotonic() + args.seconds
                 yield came.popleft()
             time.sleep(0.1)
+
+
+def _s(count: int) -> str:
+    return "" if count == 1 else "s"
 
 
 def _area(m2: float) -> str:
