@@ -118,11 +118,7 @@ class SeenGround:
         at = self._at(lat_deg, lon_deg)
         if at is None:
             return []
-        pending = []
-        for held in self._pending.values():
-            found = np.flatnonzero((held.cells.row == at[0]) & (held.cells.column == at[1]))
-            if len(found):
-                pending.append(Shown(*held.key, held.capture_unix_ns, float(held.cells.gsd_m[found[0]])))
+        pending = [Shown(*held.key, held.capture_unix_ns, float(gsd_m[0])) for held, gsd_m in self._pending_at(*at)]
         shown = self._pictures.showing(*at, most) + pending
         shown.sort(key=lambda one: (one.capture_unix_ns, one.vehicle))
         if len(shown) <= most:
@@ -140,11 +136,25 @@ class SeenGround:
     def cell(self, lat_deg: float, lon_deg: float) -> np.void | None:
         """The cell of a place, of CELL; None where nothing was seen."""
         at = self._at(lat_deg, lon_deg)
-        tile = None if at is None else self.tile((at[0] // TILE, at[1] // TILE))
-        if at is None or tile is None:
+        if at is None:
             return None
-        found: np.void = tile[at[0] % TILE, at[1] % TILE]
+        tile = self._tiles.get((at[0] // TILE, at[1] // TILE))
+        one = _empty(1) if tile is None else tile[at[0] % TILE, at[1] % TILE].reshape(1, 1).copy()
+        nothing = np.zeros(1, np.int64)
+        for held, gsd_m in self._pending_at(*at):
+            self._count(one, ((nothing, nothing), gsd_m), held)
+        found: np.void = one[0, 0]
         return found if found["count"] else None
+
+    def _pending_at(self, row: int, column: int) -> Iterator[tuple[_Pending, NDArray[np.float64]]]:
+        """The pending pictures that have seen a cell, each with its ground sample distance there (1,)."""
+        at, where = (row // TILE, column // TILE), (row % TILE, column % TILE)
+        for held in self._pending.values():
+            if at in held.parts:
+                (rows, columns), gsd_m = held.parts[at]
+                found = np.flatnonzero((rows == where[0]) & (columns == where[1]))
+                if len(found):
+                    yield held, gsd_m[found]
 
     def _at(self, lat_deg: float, lon_deg: float) -> tuple[int, int] | None:
         if self.cells is None:
@@ -207,8 +217,8 @@ def round_cell_m(wanted_m: float) -> float:
     return float(max(d for d in DIGITS if d * power <= wanted_m) * power)
 
 
-def _empty() -> Tile:
-    tile = np.zeros((TILE, TILE), CELL)
+def _empty(side: int = TILE) -> Tile:
+    tile = np.zeros((side, side), CELL)
     tile["gsd_m"] = np.inf
     return tile
 
