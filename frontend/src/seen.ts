@@ -68,7 +68,7 @@ export class SeenLayer {
     let pause = LOOK_MS;
     try {
       const now = await api.seenState();
-      if (now.ahead > 0) pause = COUNTING_MS;
+      if (now.ahead !== 0) pause = COUNTING_MS;
       if (!this.isOn || turn !== this.asked) return;
       say(this.sum, sumText(now));
       this.sum.dataset["ahead"] = String(now.ahead); // what a test may wait for
@@ -92,7 +92,7 @@ export class SeenLayer {
   private clicked(event: MapMouseEvent): void {
     if (!this.isOn || this.map.queryRenderedFeatures(event.point, { layers: PIN_LAYERS }).length > 0) return;
     const { lat, lng: lon } = event.lngLat;
-    api.seenAt(lat, lon).then((said) => this.list(said), (error: unknown) => { this.found.textContent = error instanceof Error ? error.message : String(error); });
+    api.seenAt(lat, lon).then((said) => { this.list(said); this.found.scrollIntoView({ block: "nearest" }); }, (error: unknown) => { this.found.textContent = error instanceof Error ? error.message : String(error); });
   }
 
   private list(said: SeenAt): void {
@@ -115,7 +115,8 @@ function sumText(now: SeenState): string {
   const area = now.area_m2 >= 1e5 ? `${(now.area_m2 / 1e6).toFixed(2)} km²` : `${(now.area_m2 / 1e4).toFixed(2)} ha`;
   const parts = [`${area} in ${now.pictures} pictures`];
   if (now.cell_m !== null) parts.push(`cells of ${now.cell_m}\u00a0m`);
-  if (now.ahead > 0) parts.push(`${now.ahead} pictures still to be counted`);
+  if (now.ahead === null) parts.push("counting begins");
+  else if (now.ahead > 0) parts.push(`${now.ahead} pictures still to be counted`);
   if (now.left_out > 0) parts.push(`${now.left_out} pictures reach too far to be counted`);
   if (now.is_full) parts.push("too large a ground: the part seen longest ago is no longer shown");
   if (now.trouble !== "") parts.push(now.trouble);

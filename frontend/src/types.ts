@@ -92,7 +92,7 @@ export type ServerEvent =
   | { type: "status"; vehicles: VehicleState[]; damage: string[]; sharing: string };
 
 export interface SeenState {
-  version: number; cell_m: number | null; area_m2: number; pictures: number; ahead: number;
+  version: number; cell_m: number | null; area_m2: number; pictures: number; ahead: number | null;
   is_live: boolean; left_out: number; is_full: boolean; trouble: string;
 }
 

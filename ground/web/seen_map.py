@@ -32,6 +32,7 @@ class SeenMap:
         self._versions: dict[str, int] = {}
         self._known: dict[str, dict[tuple[int, int], int]] = {}  # by vehicle: session and frame -> revision
         self._ahead: list[tuple[str, FrameRow]] = []  # to be counted, from its end on
+        self._has_looked = False
         self._newest = (0, 0.0)  # of all: capture, and by the monotonic clock when it was noticed
         self._area = (-1, 0.0, 0.0)  # version, when computed, m2
 
@@ -57,6 +58,7 @@ class SeenMap:
         """Look for news, and count for a while."""
         for vehicle in self._source.vehicles():
             self._take_news(vehicle)
+        self._has_looked = True
         until_s = time.monotonic() + within_s
         while self._ahead and time.monotonic() < until_s:
             vehicle, row = self._ahead.pop()
@@ -77,7 +79,7 @@ class SeenMap:
                 "cell_m": None if seen.cells is None else seen.cells.cell_m,
                 "area_m2": round(m2, 1),
                 "pictures": seen.pictures,
-                "ahead": len(self._ahead),
+                "ahead": len(self._ahead) if self._has_looked else None,
                 "is_live": self._source.is_live,
                 "left_out": seen.too_large,
                 "is_full": seen.dropped_tiles > 0,

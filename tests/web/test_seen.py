@@ -115,7 +115,7 @@ class ManySets:
 def test_pictures_are_counted_as_they_come_and_revised_as_they_are_revised() -> None:
     source = ManySets()
     seen = SeenMap(source)
-    assert seen.state()["pictures"] == 0
+    assert (seen.state()["pictures"], seen.state()["ahead"]) == (0, None)
     source.put(*(level_set(k, east_m=4.0 * k, sigma_m=3.0) for k in range(10)))
     seen.count(60.0)
     first = seen.state()
