@@ -10,7 +10,6 @@ the wall clock: interpreter, imports, looking the picture up, decoding, kriging,
 from __future__ import annotations
 
 import argparse
-import socket
 import statistics
 import subprocess
 import sys
@@ -31,6 +30,7 @@ from contract.feature_set import FeatureSet
 from contract.locate import Locator
 from onboard.link.publisher import Publisher, Rate
 from onboard.storage.mcap_writer import SessionRecorder
+from tests.onboard.link.ports import free_endpoint
 
 GOAL_CACHED_MS, GOAL_COLD_S = 1.0, 0.5
 PERIOD_NS = 1_000_000_000 // 30
@@ -95,9 +95,7 @@ def record(path: Path, sets: Sequence[FeatureSet], count: int) -> None:
 @contextmanager
 def peer(recording: Path) -> Iterator[str]:
     """A process that publishes the sets of a recording and answers queries; its endpoint."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    endpoint = free_endpoint()
     command = [sys.executable, "-m", "benchmarks.click", "--serve", str(recording), endpoint]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.PIPE, text=True) as served:
         assert served.stdout is not None and served.stdin is not None

@@ -19,7 +19,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import socket
 import subprocess
 import sys
 import tempfile
@@ -45,6 +44,7 @@ from contract.topics import FEATURES
 from contract.wire.codec import decode
 from simulation.autopilot.fake import FakeAutopilot
 from simulation.autopilot.flight import Flight
+from tests.onboard.link.ports import free_endpoint, free_udp_port
 
 Array = NDArray[np.float64]
 
@@ -113,7 +113,7 @@ def fly(seconds: float, bit_rate: float, leg_s: float = LEG_S, rate_hz: float = 
     flown = leg(leg_s, rate_hz, cache)
     log = Flight.read(cache / f"leg_{leg_s:g}s_{rate_hz:g}hz" / "telemetry.tlog")
     with tempfile.TemporaryDirectory(prefix="pointclick-") as folder:
-        endpoint, port = f"tcp/127.0.0.1:{_free_port(socket.SOCK_STREAM)}", _free_port(socket.SOCK_DGRAM)
+        endpoint, port = free_endpoint(), free_udp_port()
         plan = Plan(folder, endpoint, port, seconds, bit_rate, leg_s, rate_hz, str(cache))
         command = [sys.executable, "-m", "benchmarks.latency_daemon", str(plan.write())]
         with subprocess.Popen(
@@ -172,12 +172,6 @@ def _begun(plan: Plan, daemon: subprocess.Popen[str]) -> int:
             return int(plan.begin.read_text())
         time.sleep(0.02)
     raise RuntimeError(f"the daemon did not begin: {daemon.stderr.read() if daemon.stderr else ''}")
-
-
-def _free_port(kind: socket.SocketKind) -> int:
-    with socket.socket(socket.AF_INET, kind) as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
 
 
 def report(bit_rate: float, run: Run) -> str:

@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import socket
 import subprocess
 import sys
 import tempfile
@@ -38,6 +37,7 @@ from benchmarks.soak_world import GpsLoss, Ground, ServiceManager, out_and_back,
 from contract.topics import FEATURES
 from simulation.autopilot.fake import FakeAutopilot
 from simulation.autopilot.flight import Flight
+from tests.onboard.link.ports import free_endpoint, free_udp_port
 
 ROOT = Path(__file__).resolve().parents[1]
 TOP_SPEED = 12.0
@@ -62,7 +62,7 @@ def soak(
 ) -> Soak:
     """Fly it, everything that is written below `where`. Raises RuntimeError if the daemon does not begin."""
     out = Soak(faults)
-    endpoint, port = f"tcp/127.0.0.1:{_free_port(socket.SOCK_STREAM)}", _free_port(socket.SOCK_DGRAM)
+    endpoint, port = free_endpoint(), free_udp_port()
     plan = Plan(
         str(where), endpoint, port, minutes, top_speed, rotate_mb, leg_seconds, rate_hz, str(cache), faults.unplugged
     )
@@ -182,12 +182,6 @@ def _begun(plan: Plan, process: subprocess.Popen[str], manager: ServiceManager, 
 def _read(process: subprocess.Popen[str], lines: list[str]) -> None:
     assert process.stdout is not None
     lines.extend(line.rstrip("\n") for line in process.stdout)
-
-
-def _free_port(kind: socket.SocketKind) -> int:
-    with socket.socket(socket.AF_INET, kind) as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
 
 
 def recorded_sets(folder: Path, vehicle: str) -> int:

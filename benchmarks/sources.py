@@ -16,7 +16,6 @@ and the share answered. A flight's clicks share its slow errors: one flight is o
 from __future__ import annotations
 
 import argparse
-import socket
 import threading
 import time
 import tomllib
@@ -46,6 +45,7 @@ from simulation.ordinary import ordinary
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
+from tests.onboard.link.ports import free_udp_port
 from tests.rtsp import is_installed, number_of
 from tests.scenarios.flights import CHI2_90, Outcome, click, flown, play
 from tests.streamed_flight import StreamedFlight, write_mask
@@ -168,12 +168,6 @@ def cells(outcomes: Sequence[Outcome]) -> str:
     return f"{middle:.2f} m | {most:.2f} m | {inside:.0f} % | {shares}"
 
 
-def unused_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def main(argv: Sequence[str] | None = None) -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -228,7 +222,7 @@ def stream_config(path: Path, folder: Path) -> Config:
     table = tomllib.loads(path.read_text())
     mask = write_mask(folder / "mask.png", SIZE_PX)
     table["camera"] = {"device": "rtsp://127.0.0.1/flight", "rate_hz": RATE_HZ, "mask": str(mask)}
-    table["telemetry"] = {"url": f"udpin:127.0.0.1:{unused_port()}"}
+    table["telemetry"] = {"url": f"udpin:127.0.0.1:{free_udp_port()}"}
     return Config.model_validate(table)
 
 

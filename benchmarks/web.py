@@ -31,10 +31,11 @@ from ground.formats.documents import FORMATS
 from ground.formats.mark import Mark
 from ground.pins.places import Places
 from ground.pins.store import PinStore
+from tests.waiting import PATIENCE_S
 from tests.web.drawn import VEHICLE, record_drawn
 from tests.web.flying import Flight
 from tests.web.measured import first_page_s, grown, opened, press_to_answer_ms, share_of, ten_thousand_pins
-from tests.web.served import ARGUMENTS, CHROMIUM, PATIENCE_S, Server
+from tests.web.served import ARGUMENTS, CHROMIUM, Server
 
 SEEN_EVERY = 20
 ANSWER_MS, MANY_MS, PAGE_S, PAGE_BYTES, GROWTH_MB, GROWTH_NODES = 50.0, 100.0, 1.0, 3_000_000, 3.0, 200

@@ -15,7 +15,7 @@ from typing import Any, Self
 
 from contract.errors import InputError
 
-PATIENCE_S = 20.0  # for an answer: the picture may still have to be flown
+PATIENCE_S = 60.0  # for an answer: the picture may still have to be flown, on whatever machine
 LANDING_S = 60.0
 
 

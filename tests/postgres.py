@@ -17,6 +17,8 @@ import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
+from tests.waiting import PATIENCE_S
+
 PACKAGES = "postgresql"
 USER = "postgres"  # of the system, whom root starts the server as: it refuses to run as root
 
@@ -48,7 +50,7 @@ class Server:
              "-c", "listen_addresses=", "-c", "fsync=off"],
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=self._folder,
         )  # fmt: skip
-        until_s = time.monotonic() + 30.0
+        until_s = time.monotonic() + PATIENCE_S
         while subprocess.run([self._programs / "pg_isready", "-q", "-h", self._folder], check=False).returncode != 0:
             assert self._process.poll() is None and time.monotonic() < until_s
             time.sleep(0.05)
@@ -56,7 +58,7 @@ class Server:
     def stop(self) -> None:
         """At once: clients are hung up on."""
         self._process.send_signal(2)
-        self._process.wait(30.0)
+        self._process.wait(PATIENCE_S)
 
     def database(self) -> str:
         """A new one's URL."""

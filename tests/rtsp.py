@@ -15,6 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.waiting import PATIENCE_S
+
 SYSTEM_PYTHON = "/usr/bin/python3"
 SERVER = Path(__file__).with_name("rtsp_server.py")
 MARK_PX, BITS = 16, 12
@@ -104,8 +106,8 @@ class RtspServer:
         """End it: capture times (CLOCK_MONOTONIC, ns) by number, for each of its clients in turn."""
         assert self._process.stdin is not None and self._process.stdout is not None
         self._process.stdin.close()
-        self._process.wait(5.0)
-        self._reader.join(5.0)
+        self._process.wait(PATIENCE_S)
+        self._reader.join(PATIENCE_S)
         self._process.stdout.close()
         return self.clients
 
@@ -117,7 +119,7 @@ class RtspServer:
     ) -> None:
         if self._process.poll() is None:
             self._process.kill()
-        self._process.wait(5.0)
+        self._process.wait(PATIENCE_S)
 
 
 if __name__ == "__main__":

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.rtsp import BITS, MARK_PX, RtspServer, marked
-
-LATE_S = 20.0  # for a client to come
+from tests.waiting import PATIENCE_S
 
 
 def telemetry_of(session: Path) -> list[tuple[float, bytes]]:
@@ -65,7 +64,7 @@ class StreamedFlight:
         self._thread = threading.Thread(target=self._send, daemon=True)
 
     def _send(self) -> None:
-        began_ns = self.server.wait_for_client(LATE_S)
+        began_ns = self.server.wait_for_client(PATIENCE_S)
         if began_ns is None:
             return
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as radio:
@@ -85,5 +84,5 @@ class StreamedFlight:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._ended.set()
-        self._thread.join(5.0)
+        self._thread.join(PATIENCE_S)
         self.server.__exit__(kind, error, trace)

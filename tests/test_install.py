@@ -335,7 +335,7 @@ def use_web(environment: Path, folder: Path) -> None:
             assert json.loads(answer.read())["lat_deg"] == pytest.approx(-43.38, abs=1e-7)
     finally:
         program.terminate()
-        program.wait(20)
+        program.wait(60)
 
 
 def use_video(environment: Path, folder: Path) -> None:
@@ -386,7 +386,7 @@ def use_live(programs: Path, folder: Path) -> None:
                 if "Ctrl-C" in line:
                     break
             program.send_signal(signal.SIGINT)
-            assert program.wait(20) == 130, said
+            assert program.wait(60) == 130, said
         finally:
             program.kill()
     assert "pc-onboard runs" in said

@@ -10,6 +10,7 @@ from __future__ import annotations
 import enum
 import logging
 import signal
+import time
 from collections.abc import Callable
 from types import TracebackType
 from typing import Protocol, Self
@@ -22,6 +23,7 @@ from onboard.service.session import Parts, Session
 from onboard.service.vehicle_state import Overall, VehicleState, is_alive, overall, severity
 
 TICK_S = 0.25
+LOOK_S = 0.05  # between two looks whether an order has come
 REPORT_NS = 1_000_000_000
 SAY_NS = 3_000_000_000  # the pilot's screen is small: a state must be new for so long since the last one reported
 FINISH_S = 5.0
@@ -67,8 +69,17 @@ class SignalOrders:
 
     def next(self, timeout_s: float) -> Order | None:
         """Wait for one of them."""
-        came = signal.sigtimedwait(self._MEANING, timeout_s)
-        return None if came is None else self._MEANING[signal.Signals(came.si_signo)]
+        end_s = time.monotonic() + timeout_s
+        while True:
+            # Only asked, without a wait: one that is over when a process that was stopped goes on, as after a suspend,
+            # gives any number for a signal (CPython leaves what sigtimedwait did not fill in).
+            came = signal.sigtimedwait(self._MEANING, 0.0)
+            if came is not None:
+                return self._MEANING[signal.Signals(came.si_signo)]
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
+                return None
+            time.sleep(min(left_s, LOOK_S))
 
 
 class Daemon:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Callable
 
 import pytest
 
 from contract.supervised_thread import LONGEST_PAUSE_S, Policy, SupervisedThread, ThreadState
+from tests.waiting import PATIENCE_S, eventually
 
 
 class Time:
@@ -38,7 +38,7 @@ class Time:
 def run(work: Callable[[SupervisedThread], None], policy: Policy, clock: Time) -> SupervisedThread:
     thread = SupervisedThread("worker", work, policy, stop=clock, monotonic_s=clock.now_s)
     thread.start()
-    assert thread.join(10.0)
+    assert thread.join(PATIENCE_S)
     return thread
 
 
@@ -77,11 +77,9 @@ def test_a_failure_after_a_good_while_is_a_new_one() -> None:
 def test_a_thread_asked_to_end_while_it_waits_for_its_restart_ends() -> None:
     thread = SupervisedThread("worker", _fail, Policy.RESTART)
     thread.start()
-    deadline = time.monotonic() + 5.0
-    while thread.report().state is not ThreadState.RESTARTING and time.monotonic() < deadline:
-        time.sleep(0.001)
+    assert eventually(lambda: thread.report().state is ThreadState.RESTARTING)
     thread.end()
-    assert thread.join(5.0)
+    assert thread.join(PATIENCE_S)
     assert thread.report().state is ThreadState.ENDED
 
 
@@ -120,10 +118,10 @@ class Steps:
 
     def stand(self) -> None:
         self.reached.release()
-        assert self.go_on.acquire(timeout=10.0)
+        assert self.go_on.acquire(timeout=PATIENCE_S)
 
     def next(self) -> None:
-        assert self.reached.acquire(timeout=10.0)
+        assert self.reached.acquire(timeout=PATIENCE_S)
 
 
 def test_a_thread_is_late_when_it_was_not_heard_from_and_not_while_it_waits_for_its_end() -> None:
@@ -149,13 +147,11 @@ def test_a_thread_is_late_when_it_was_not_heard_from_and_not_while_it_waits_for_
     steps.next()
     assert thread.report().state is ThreadState.RUNNING and thread.report().heartbeat_age_s == 0.0
     steps.go_on.release()
-    deadline = time.monotonic() + 10.0
     clock.s += 1000.0
-    while thread.is_late and time.monotonic() < deadline:  # until it has come to `wait`
-        time.sleep(0.001)
+    assert eventually(lambda: not thread.is_late)  # once it has come to `wait`
     assert thread.report().state is ThreadState.RUNNING
     stop.set()
-    assert thread.join(10.0)
+    assert thread.join(PATIENCE_S)
 
 
 def test_a_thread_without_a_heartbeat_is_never_late() -> None:
@@ -169,4 +165,4 @@ def test_a_thread_without_a_heartbeat_is_never_late() -> None:
     assert (thread.report().state, thread.report().heartbeat_age_s) == (ThreadState.RUNNING, None)
     thread.end()
     steps.go_on.release()
-    assert thread.join(10.0)
+    assert thread.join(PATIENCE_S)

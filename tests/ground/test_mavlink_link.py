@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -32,6 +33,7 @@ from onboard.telemetry.mavlink_passage import Passage
 from onboard.telemetry.mavlink_source import PymavlinkEnd
 from tests.contract.sets import plain_set
 from tests.onboard.link.ports import free_udp_port
+from tests.waiting import PATIENCE_S, eventually
 
 PAYLOAD = encode(dataclasses.replace(plain_set(60), frame=7))
 KEY = bytes(range(32))
@@ -71,7 +73,7 @@ class Aircraft:
         self.autopilot.attach(self.wire)  # type: ignore[arg-type]
         self.passage = Passage(config, self.radio)
         self.heard: list[str] = []
-        self.stop = threading.Event()
+        self.stop, self.has_ended = threading.Event(), threading.Event()
 
     @staticmethod
     def _look_up(asked: Question) -> Answer | None:
@@ -89,6 +91,7 @@ class Aircraft:
             self.radio.desk.work()
             for message in self.passage.due(0, self.system):
                 self.end.send(message)
+        self.has_ended.set()
 
 
 @contextmanager
@@ -103,15 +106,16 @@ def flying(key: bytes | None = None, *systems: int) -> Iterator[tuple[str, list[
     finally:
         for a, thread in zip(aircraft, threads, strict=True):
             a.stop.set()
-            thread.join(5.0)
+            thread.join(PATIENCE_S)
             a.wire.socket.close()
 
 
 def test_clicks_are_answered_one_after_the_other_over_one_link() -> None:
     with flying() as (radio, (aircraft,)), MavlinkLink(MavlinkEndpoint.parse(radio)) as link:
+        began_s = time.monotonic()
         first, second = link.ask(320.0, 240.0), link.ask(-5.0, 240.0)
         assert isinstance(first, Fix) and (first.vehicle, first.frame) == ("uav-1", 7)
-        assert first.age_s is not None and 0.25 <= first.age_s < 3.0
+        assert first.age_s is not None and 0.25 <= first.age_s < 0.25 + time.monotonic() - began_s + 0.5
         assert isinstance(second, Refusal) and second.status is Status.OUTSIDE
         assert "HEARTBEAT" in aircraft.heard  # by which the autopilot learns where we are
 
@@ -119,12 +123,13 @@ def test_clicks_are_answered_one_after_the_other_over_one_link() -> None:
 def test_with_a_key_both_ends_sign_and_without_it_nothing_is_answered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mavlink_link, "FIND_S", 1.0)
     (tmp_path / "key").write_text(KEY.hex())
+    with (
+        flying(KEY) as (radio, _),
+        MavlinkLink(MavlinkEndpoint.parse(f"{radio}?key={tmp_path / 'key'}")) as link,
+    ):
+        assert isinstance(link.ask(320.0, 240.0), Fix)
     with flying(KEY) as (radio, (aircraft,)):
-        with MavlinkLink(MavlinkEndpoint.parse(f"{radio}?key={tmp_path / 'key'}")) as link:
-            assert isinstance(link.ask(320.0, 240.0), Fix)
-        aircraft.heard.clear()
         monkeypatch.setattr("ground.click_asking.GIVE_UP_S", 1.0)
         unsigned = MavlinkEndpoint.parse(f"{radio}?vehicle=3")
         with MavlinkLink(unsigned) as link, pytest.raises(LinkError, match="does not answer clicks"):
@@ -138,9 +143,7 @@ def test_several_vehicles_must_be_told_apart() -> None:
             assert isinstance(link.ask(320.0, 240.0), Fix)
         assert "TUNNEL" in aircraft[1].heard
         with MavlinkLink(MavlinkEndpoint.parse(radio)) as link:
-            until_s = time.monotonic() + 5.0
-            while len(link.vehicles) < 2 and time.monotonic() < until_s:
-                link.received()
+            assert eventually(lambda: link.received() is not None and len(link.vehicles) == 2)
             with pytest.raises(LinkError, match="several vehicles are received: 3, 4"):
                 link.ask(320.0, 240.0)
 
@@ -156,7 +159,7 @@ def test_nobody_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mavlink_link, "FIND_S", 0.2)
     with flying() as (radio, (aircraft,)):
         aircraft.stop.set()
-        time.sleep(0.3)
+        assert aircraft.has_ended.wait(PATIENCE_S)
         with (
             MavlinkLink(MavlinkEndpoint.parse(radio)) as link,
             pytest.raises(LinkError, match="no autopilot was received"),
@@ -176,28 +179,40 @@ def test_watch_and_record_show_and_keep_the_sets_that_come_in_pieces(
     with flying() as (radio, (aircraft,)):
         for frame in range(3):
             aircraft.radio.feed.offer(a_set(frame))
-        assert main(["record", "--to", str(tmp_path), "--seconds", "8", "--connect", radio]) == 0
+
+        def is_kept() -> bool:
+            """In eight seconds, or in the next eight where a busy machine's were too short."""
+            assert main(["record", "--to", str(tmp_path), "--seconds", "8", "--connect", radio]) == 0
+            vehicles = Recording(tmp_path).vehicles if any(tmp_path.iterdir()) else []
+            return any(2 in Recording(tmp_path).frames(vehicle) for vehicle in vehicles)
+
+        assert eventually(is_kept)
         aircraft.radio.feed.offer(a_set(3))
-        capsys.readouterr()
-        assert main(["watch", "--connect", radio, "--json", "--count", "8", "--period", "1"]) == 0
-        rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        rows: list[dict[str, Any]] = []
+        began_s = time.monotonic()
+
+        def is_shown() -> bool:
+            capsys.readouterr()
+            assert main(["watch", "--connect", radio, "--json", "--count", "8", "--period", "1"]) == 0
+            rows.extend(json.loads(line) for line in capsys.readouterr().out.splitlines())
+            return bool(rows) and rows[-1]["frame"] == 3
+
+        assert eventually(is_shown), rows
+        took_s = time.monotonic() - began_s
     recording = Recording(tmp_path)
     (vehicle,) = recording.vehicles
-    assert 2 in recording.frames(vehicle)
     kept = recording.by_frame(vehicle, 2)
     assert kept is not None and encode(kept) == a_set(2).item
-    assert rows and rows[-1]["vehicle"] == vehicle and rows[-1]["frame"] == 3
-    assert rows[-1]["age_s"] is not None and 0.25 <= rows[-1]["age_s"] < 9.0
+    assert rows[-1]["vehicle"] == vehicle
+    assert rows[-1]["age_s"] is not None and 0.25 <= rows[-1]["age_s"] < 0.25 + took_s
 
 
 def test_another_vehicles_sets_are_left_out_and_what_needs_single_pictures_says_so() -> None:
     with flying() as (radio, (aircraft,)), SetCache(radio, "uav-9") as cache:
         aircraft.radio.feed.offer(a_set(0))
-        until_s = time.monotonic() + 10.0
-        while not aircraft.radio.feed.sent and time.monotonic() < until_s:
-            time.sleep(0.05)
+        assert eventually(lambda: aircraft.radio.feed.sent)
         time.sleep(0.3)
-        assert aircraft.radio.feed.sent == 1 and cache.vehicles == [] and cache.unreadable == 0
+        assert aircraft.radio.feed.sent >= 1 and cache.vehicles == [] and cache.unreadable == 0
         with pytest.raises(LinkError, match="single pictures"):
             cache.ask_at("uav-1", 0.0)
     with pytest.raises(LinkError, match="it answers pc-ground click"):
@@ -208,7 +223,4 @@ def test_a_listener_that_is_turned_away_says_why() -> None:
     with flying() as (radio, (aircraft,)):
         aircraft.radio.know_ground_stations(250, 255)
         with SetCache(f"{radio}?system=250") as cache:
-            until_s = time.monotonic() + 10.0
-            while not cache.link_error and time.monotonic() < until_s:
-                time.sleep(0.02)
-            assert "MAV_GCS_SYSID 250 to 255" in cache.link_error
+            assert eventually(lambda: "MAV_GCS_SYSID 250 to 255" in cache.link_error)

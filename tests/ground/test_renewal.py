@@ -13,6 +13,7 @@ from contract.errors import LinkError
 from ground import client
 from ground.client import SetCache
 from ground.watched_thread import WatchedThread
+from tests.waiting import PATIENCE_S, eventually
 
 
 class FakeSession:
@@ -38,6 +39,7 @@ class Opener:
 
     def __init__(self, *results: FakeSession | Exception) -> None:
         self._results = list(results)
+        self.fault: Exception | None = None  # while it lasts
         self.opened: list[FakeSession] = []
         self.attempts = 0
         self.gate = threading.Event()
@@ -48,21 +50,14 @@ class Opener:
         self.attempts += 1
         if not self.gate.is_set():
             self.waiting.set()
-            assert self.gate.wait(20.0)
+            assert self.gate.wait(PATIENCE_S)
+        if self.fault is not None:
+            raise self.fault
         result = self._results.pop(0) if self._results else FakeSession()
         if isinstance(result, Exception):
             raise result
         self.opened.append(result)
         return result
-
-
-def eventually(condition: Callable[[], bool], within_s: float = 10.0) -> bool:
-    deadline = time.monotonic() + within_s
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.005)
-    return True
 
 
 @pytest.fixture(autouse=True)
@@ -79,12 +74,17 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_failed_attempts_do_not_end_the_renewal_and_are_said_until_one_goes_well(
     monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    opener = Opener(FakeSession(), error, error, error)
+    opener = Opener(FakeSession())
     monkeypatch.setattr(client, "open_link", opener)
     with SetCache("tcp/nowhere") as cache:
         assert cache.link_error == ""
+        opener.fault = error
         assert eventually(lambda: "no route" in cache.link_error)
-        assert eventually(lambda: opener.attempts >= 5 and cache.link_error == "")
+        failed = opener.attempts
+        assert eventually(lambda: opener.attempts >= failed + 3)
+        assert "no route" in cache.link_error
+        opener.fault = None
+        assert eventually(lambda: len(opener.opened) >= 2 and cache.link_error == "")
     assert all(session.is_closed for session in opener.opened)
 
 
@@ -102,12 +102,12 @@ def test_closing_while_a_renewal_opens_leaves_no_session_behind(monkeypatch: pyt
     monkeypatch.setattr(client, "open_link", opener)
     cache = SetCache("tcp/nowhere")
     opener.gate.clear()
-    assert opener.waiting.wait(10.0)
+    assert opener.waiting.wait(PATIENCE_S)
     closing = threading.Thread(target=cache.close)
     closing.start()
     time.sleep(0.05)
     opener.gate.set()
-    closing.join(10.0)
+    closing.join(PATIENCE_S)
     assert not closing.is_alive()
     attempts = opener.attempts
     time.sleep(0.1)
@@ -127,14 +127,17 @@ def test_a_first_attempt_that_fails_is_the_callers(monkeypatch: pytest.MonkeyPat
 def test_a_watched_thread_outlives_anything_and_says_so() -> None:
     raised: list[BaseException | None] = [SystemExit("out"), KeyboardInterrupt(), ValueError("two\nlines"), None]
     seen: list[str] = []
+    is_there = threading.Event()
 
     def work() -> None:
+        is_there.wait(PATIENCE_S)
         seen.append(watched.trouble if seen else "")
         error = raised.pop(0) if raised else None
         if error is not None:
             raise error
 
     watched = WatchedThread("a worker", work, 0.01)
+    is_there.set()
     assert eventually(lambda: len(seen) > 4)
     assert seen[:5] == ["", "out", "KeyboardInterrupt", "two lines", ""] and watched.trouble == ""
     assert watched.close()
@@ -143,7 +146,7 @@ def test_a_watched_thread_outlives_anything_and_says_so() -> None:
 def test_a_watched_thread_that_hangs_is_said_and_does_not_hold_up_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(WatchedThread, "HUNG_S", 0.05)
     release = threading.Event()
-    watched = WatchedThread("a worker", lambda: release.wait(20.0) and None, 0.01)
+    watched = WatchedThread("a worker", lambda: release.wait(PATIENCE_S) and None, 0.01)
     assert eventually(lambda: "a worker has been at one attempt for" in watched.trouble)
     assert not watched.close(within_s=0.05)
     release.set()

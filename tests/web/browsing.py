@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from tests.web.served import PATIENCE_S, Flown, Server
+from tests.waiting import PATIENCE_S
+from tests.web.served import Flown, Server
 
 LAPTOP = {"width": 1280, "height": 800}
 # A browser without WebGL, as on a machine whose graphics driver is barred. Half of what a page costs here is its map.

@@ -10,6 +10,7 @@ import pytest
 
 from ground.web.command import STATIC
 from tests.left_out import NO_PROGRAM
+from tests.onboard.link.ports import free_port
 from tests.web.browsing import Operator
 from tests.web.served import ARGUMENTS, CHROMIUM, Flown, Server, record
 
@@ -39,7 +40,10 @@ def serve(flown: Flown, tmp_path: Path) -> Iterator[Callable[..., Server]]:
 def station(flown: Flown, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """One server for all tests that do not need another; what they leave behind is cleared by `anna`."""
     page_is_built()
-    server = Server("--from", flown.path, "--pins", tmp_path_factory.mktemp("station") / "pins.sqlite")
+    # It is started again at its port, which nobody else may have been given by then.
+    server = Server(
+        "--from", flown.path, "--pins", tmp_path_factory.mktemp("station") / "pins.sqlite", port=free_port()
+    )
     yield server
     server.close()
 

@@ -16,8 +16,8 @@ from ground.web.command import STATIC
 from ground.web.desk import Desk
 from ground.web.guard import Rules
 from ground.web.tiles import Tiles
+from tests.waiting import PATIENCE_S
 from tests.web.drawn import FlyingSource
-from tests.web.served import PATIENCE_S
 
 
 class Flight:

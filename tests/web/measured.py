@@ -12,8 +12,9 @@ from PIL import Image
 
 from ground.pins.model import PinClick
 from ground.pins.store import PinStore
+from tests.waiting import PATIENCE_S
 from tests.web.drawn import drawn_set
-from tests.web.served import PATIENCE_S, Server
+from tests.web.served import Server
 
 # Presses as the browser delivers them; the clock stops when the frame with the answer is done.
 _PRESSES = """async ([count, seed]) => {

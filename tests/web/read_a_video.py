@@ -19,7 +19,7 @@ if __name__ == "__main__":
     out.release()
     ring = Ring()
     reader = VideoReader(path, ring)
-    end_s = time.monotonic() + 30.0
+    end_s = time.monotonic() + 60.0
     while not ring.frames()[1] and time.monotonic() < end_s:
         time.sleep(0.01)
     print(ring.frames()[1][0].size_px)

@@ -19,6 +19,7 @@ from simulation.ordinary import ordinary
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec, fly
 from simulation.terrain import TerrainSpec
+from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -27,7 +28,6 @@ ARGUMENTS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
 ]  # fmt: skip
-PATIENCE_S = 60.0  # for what takes a second where nothing else runs
 
 
 class Flown:

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from ground.web.tiles import open_tiles
+from tests.waiting import eventually
 from tests.web.conftest import page_is_built
 from tests.web.flying import Flight
 from tests.web.measured import SMALL, opened, share_of
@@ -20,17 +21,18 @@ from tests.web.tile_files import COLOUR, REGION, drawn_tile, write_mbtiles, writ
 
 pytestmark = pytest.mark.xdist_group("web")
 
-LOOKS = 200
-
 
 def share_drawn(page: Any) -> float:
     """Of the map's pixels, those of the tiles, looked at until they are there: a map says nothing when it has drawn."""
     share = 0.0
-    for _ in range(LOOKS):
-        share = share_of(page.get_by_test_id("map"), COLOUR)
-        if share > 0.3:
-            break
+
+    def is_drawn() -> bool:
+        nonlocal share
         page.wait_for_timeout(100)
+        share = share_of(page.get_by_test_id("map"), COLOUR)
+        return share > 0.3
+
+    eventually(is_drawn)
     return share
 
 

@@ -16,8 +16,9 @@ from pathlib import Path
 import pytest
 
 from ground.web.gate import HEADERS_S, Gate, SaidOnce
+from tests.waiting import PATIENCE_S
 from tests.web.conftest import page_is_built
-from tests.web.served import PATIENCE_S, ROOT, Flown
+from tests.web.served import ROOT, Flown
 
 pytestmark = pytest.mark.xdist_group("web")
 
@@ -83,7 +84,7 @@ def test_a_thousand_half_open_connections_leave_the_page_answering(flown: Flown,
             resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
     print(f"\n{answered} answers among {len(held.sockets)} half-open connections, at worst after {worst_s:.3f} s")
     assert len(held.sockets) == HALF_OPEN
-    assert worst_s < 5.0  # goal: 1, where nothing else runs
+    assert worst_s < 0.8 * HEADERS_S  # none waits for the time limit of others; goal: 1, where nothing else runs
     assert descriptors < 900
     said = [line for line in log.read_text().splitlines() if "closed" in line or "rror" in line]
     assert len(said) == 1, said

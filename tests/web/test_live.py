@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import pytest
@@ -14,16 +13,14 @@ from ground.web.clicks import Clicker
 from ground.web.live import LiveSource
 from onboard.link.publisher import Publisher, Rate
 from tests.onboard.link.ports import free_endpoint
-from tests.web.served import PATIENCE_S, Flown
+from tests.waiting import eventually
+from tests.web.served import Flown
 
 pytestmark = pytest.mark.xdist_group("web")
 
 
-def wait_for(there: Callable[[], bool], what: str) -> None:
-    end_s = time.monotonic() + PATIENCE_S
-    while not there():
-        assert time.monotonic() < end_s, f"never came: {what}"
-        time.sleep(0.05)
+def wait_for(there: Callable[[], object], what: str) -> None:
+    assert eventually(there), f"never came: {what}"
 
 
 def test_sets_that_are_published_are_clicked_and_a_silent_aircraft_grows_old(flown: Flown) -> None:
@@ -40,10 +37,13 @@ def test_sets_that_are_published_are_clicked_and_a_silent_aircraft_grows_old(flo
 
         wait_for(heard_of_one, "the first set")
         version = source.version(flown.vehicle)
-        publisher.publish_status(
-            encode_status(VehicleStatus(last.capture_unix_ns / 1e9, last.session, "degraded", "clock", tracks=41)), b""
-        )
-        wait_for(lambda: source.report(flown.vehicle).status is not None, "the status")
+        said = encode_status(VehicleStatus(last.capture_unix_ns / 1e9, last.session, "degraded", "clock", tracks=41))
+
+        def is_reported() -> bool:
+            publisher.publish_status(said, b"")  # once a second in flight: one may be lost
+            return source.report(flown.vehicle).status is not None
+
+        wait_for(is_reported, "the status")
         report = source.report(flown.vehicle)
         assert report.status is not None
         assert (report.status.state, report.status.tracks, report.session) == ("degraded", 41, last.session)
@@ -58,7 +58,7 @@ def test_sets_that_are_published_are_clicked_and_a_silent_aircraft_grows_old(flo
         assert clicked.answer.lat_deg == pytest.approx(expected.lat_deg, abs=1e-6)
         # One that did not come is asked for; one of another session is refused, not mixed up.
         publisher.publish(first)
-        assert source.feature_set(flown.vehicle, last.session, first.frame) is not None
+        wait_for(lambda: source.feature_set(flown.vehicle, last.session, first.frame) is not None, "what is asked for")
         refused = Clicker(source).click(flown.vehicle, last.session - 1, last.frame, 320.0, 240.0)
         assert "restarted" in refused.answer.reason  # type: ignore[union-attr]
         assert source.feature_set(flown.vehicle, None, 1_000_000) is None

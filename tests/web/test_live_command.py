@@ -23,19 +23,18 @@ from tests.onboard.link.ports import free_udp_port
 from tests.rtsp import PACKAGES, is_installed
 from tests.scenarios.flights import flown
 from tests.streamed_flight import StreamedFlight
+from tests.waiting import PATIENCE_S, eventually
 from tests.web.browsing import Operator
 from tests.web.conftest import page_is_built
 from tests.web.served import PageProgram
 
 RATE_HZ = 6.0
-START_S = 30.0  # two programs, GStreamer and a browser on a loaded machine
+START_S = PATIENCE_S  # two programs, GStreamer and a browser on a loaded machine
 TO_CLICK_S = 15.0  # of flight
 
 
 class Live(PageProgram):
     """`pc-ground live`."""
-
-    ends_within_s = 20.0
 
     def __init__(self, home: Path, *arguments: object) -> None:
         super().__init__("live", *arguments, "--no-browser", "--port", "0", home=home)
@@ -125,16 +124,13 @@ def test_each_program_ends_with_the_other(flight: tuple[StreamedFlight, list[obj
     try:
         (onboard,) = live.onboard()
         os.kill(onboard, signal.SIGKILL)
-        assert live.process.wait(10.0) == 2
-        live.reader.join(5.0)
+        assert live.process.wait(PATIENCE_S) == 2
+        live.reader.join(PATIENCE_S)
         assert "pc-ground: error: pc-onboard has ended" in live.said.splitlines()[-1]
         again = Live(tmp_path / "home", *arguments)
         (onboard,) = again.onboard()
         again.process.kill()
-        deadline = time.monotonic() + 15.0
-        while not is_gone(onboard):
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        assert eventually(lambda: is_gone(onboard))
     finally:
         live.process.kill()
 

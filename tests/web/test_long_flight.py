@@ -13,11 +13,11 @@ import httpx2
 import pytest
 from websockets.asyncio.client import connect
 
+from tests.waiting import PATIENCE_S
 from tests.web.conftest import page_is_built
 from tests.web.drawn import VEHICLE
 from tests.web.flying import Flight
 from tests.web.measured import SMALL, grown, opened
-from tests.web.served import PATIENCE_S
 
 pytestmark = pytest.mark.xdist_group("web")
 

@@ -19,9 +19,10 @@ from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
 from tests.own_flights import write_named_photographs, write_video
 from tests.scenarios.flights import flown
+from tests.waiting import PATIENCE_S
 from tests.web.browsing import Operator
 from tests.web.conftest import page_is_built
-from tests.web.served import PATIENCE_S, PageProgram
+from tests.web.served import PageProgram
 
 pytestmark = pytest.mark.xdist_group("open")  # one worker: the flight is drawn once
 LIMIT_S = 60.0  # of processor time, from the command to the page

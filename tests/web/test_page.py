@@ -10,8 +10,9 @@ import pytest
 
 from ground.formats.rounded import decimals
 from ground.recording import Recording
+from tests.waiting import PATIENCE_S
 from tests.web.browsing import Operator
-from tests.web.served import PATIENCE_S, ROOT, Flown, Server
+from tests.web.served import ROOT, Flown, Server
 
 pytestmark = pytest.mark.xdist_group("web")
 
@@ -167,7 +168,7 @@ def test_a_tie_moves_every_pin_of_the_aircraft(anna: Operator, flown: Flown) -> 
     anna.page.mouse.click(*anna.at(320.0, 240.0))
     anna.page.locator("#tie-form [name=place]").fill(f"{where['lat_deg'] + 5e-3:.7f}, {where['lon_deg']:.7f}")
     anna.page.locator("#tie-form button[type=submit]").click()
-    anna.page.wait_for_function("() => document.querySelector('#tie-result').textContent.includes('still be believed')")
+    anna.page.wait_for_function("() => document.querySelector('#tie-result').textContent.includes('still be accepted')")
     anna.page.locator("#tie-dialog [data-close]").click()
 
 

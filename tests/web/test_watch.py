@@ -20,9 +20,9 @@ from ground.web.app import create_app
 from ground.web.desk import Desk
 from ground.web.guard import Rules
 from ground.web.source import FrameRow
+from tests.waiting import PATIENCE_S
 from tests.web.drawn import VEHICLE, FlyingSource
 
-PATIENCE_S = 20.0
 OTHER = "uav-2"
 
 

@@ -27,6 +27,7 @@ from ground.__main__ import COMMANDS, main
 from ground.accuracy_figures import coverage_interval, figures
 from tests.ground.recorded import record
 from tests.ground.worlds import CAMERA, World, build
+from tests.waiting import PATIENCE_S
 
 START_NS = 1_700_000_000_250_000_000
 ROOT = Path(__file__).resolve().parents[3]
@@ -236,12 +237,13 @@ class Listener:
         self.data = b""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM if kind == "udp" else socket.SOCK_STREAM)
         self._socket.bind(("127.0.0.1", 0))
-        self._socket.settimeout(10.0)
+        self._socket.settimeout(PATIENCE_S)
+        self.url = f"{kind}://127.0.0.1:{self._socket.getsockname()[1]}"
+        self._thread = threading.Thread(target=self._take_tcp)
+        self._take = self._take_udp if kind == "udp" else self._thread.join
         if kind == "tcp":
             self._socket.listen()
-        self.url = f"{kind}://127.0.0.1:{self._socket.getsockname()[1]}"
-        self._thread = threading.Thread(target=self._take_udp if kind == "udp" else self._take_tcp)
-        self._thread.start()
+            self._thread.start()
 
     def _take_tcp(self) -> None:
         client, _ = self._socket.accept()
@@ -250,13 +252,15 @@ class Listener:
         client.close()
 
     def _take_udp(self) -> None:
-        self._socket.settimeout(1.5)
-        with contextlib.suppress(TimeoutError):
+        """What has been sent: it is all there, for on one machine datagrams have no way to go."""
+        self._socket.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
             while True:
                 self.data += self._socket.recv(65536) + b"\n"
 
     def lines(self) -> list[bytes]:
-        self._thread.join(10.0)
+        """Once the client has ended."""
+        self._take()
         self._socket.close()
         return self.data.splitlines()
 

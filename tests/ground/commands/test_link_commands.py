@@ -9,6 +9,7 @@ import threading
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from onboard.link.certificates import make_credentials
 from onboard.storage.mcap_writer import SessionRecorder
 from tests.ground.worlds import build
 from tests.onboard.link.ports import free_endpoint
+from tests.waiting import PATIENCE_S, eventually
 
 START_NS = 1_700_000_000_250_000_000
 SETS = [
@@ -61,10 +63,19 @@ def link() -> Iterator[str]:
 def test_what_was_recorded_from_the_link_answers_like_the_aircraft(
     link: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = tmp_path / "new" / "folder"
-    assert main(["record", "--to", str(folder), "--seconds", "1.2", "--connect", link]) == 0
-    said = capsys.readouterr().out
-    assert "uav-1-7.001.mcap" in said and "none of ours" in said
+    tries = iter(range(1000))
+    folder, said = tmp_path, ""
+
+    def is_all_there() -> bool:
+        """In little more than a second; into another folder, where a busy machine heard less by then."""
+        nonlocal folder, said
+        folder = tmp_path / f"new {next(tries)}" / "folder"
+        assert main(["record", "--to", str(folder), "--seconds", "1.2", "--connect", link]) == 0
+        said = capsys.readouterr().out
+        return "none of ours" in said and any(folder.iterdir()) and len(Recording(folder).frames("uav-1")) == len(SETS)
+
+    assert eventually(is_all_there)
+    assert "uav-1-7.001.mcap" in said
     assert [p.name for p in folder.iterdir()] == ["uav-1-7.001.mcap"]
     recording = Recording(folder)
     assert recording.frames("uav-1") == list(range(8)) and not recording.damage
@@ -76,7 +87,8 @@ def test_what_was_recorded_from_the_link_answers_like_the_aircraft(
     expected = Locator(SETS[5]).locate((320.0, 240.0))
     assert answer["lat_deg"] == pytest.approx(expected.lat_deg, abs=1e-6)  # type: ignore[union-attr]
     # Begun again: another part of the same session, read together with the first.
-    assert main(["record", "--to", str(folder), "--seconds", "0.7", "--connect", link]) == 0
+    again = ["record", "--to", str(folder), "--seconds", "0.7", "--connect", link]
+    assert eventually(lambda: main(again) == 0 and len(list(folder.iterdir())) > 1)
     assert len(list(folder.iterdir())) == 2 and Recording(folder).frames("uav-1") == list(range(8))
 
 
@@ -110,16 +122,29 @@ def test_a_folder_that_cannot_be_used_is_said(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_watching_shows_state_age_rate_position_and_accuracy(link: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["watch", "--json", "--count", "2", "--period", "0.6", "--connect", link]) == 0
-    row = json.loads(capsys.readouterr().out.splitlines()[-1])
+    rows: list[dict[str, Any]] = []
+
+    def is_shown() -> bool:
+        """In the second of two tables, or once more where a busy machine heard too little by then."""
+        assert main(["watch", "--json", "--count", "2", "--period", "0.6", "--connect", link]) == 0
+        rows.extend(json.loads(line) for line in capsys.readouterr().out.splitlines())
+        return bool(rows) and rows[-1]["state"] == "ok" and rows[-1]["age_s"] < 2.0 and rows[-1]["rate_hz"] > 2.0
+
+    assert eventually(is_shown), rows
+    row = rows[-1]
     assert (row["vehicle"], row["state"], row["tracks"], row["cpu_c"]) == ("uav-1", "ok", 77, 51.0)
     assert row["radius"] == "mostly the camera's mount (60 %): fly one circle"
-    assert row["age_s"] < 2.0 and row["rate_hz"] > 2.0 and 1.0 < row["ce90_m"] < 50.0
+    assert 1.0 < row["ce90_m"] < 50.0
     assert row["lat_deg"] == pytest.approx(-35.36, abs=0.01)
-    assert main(["watch", "--count", "1", "--period", "0.6", "--connect", link]) == 0
-    out = capsys.readouterr().out.splitlines()
+    out: list[str] = []
+
+    def is_a_table() -> bool:
+        assert main(["watch", "--count", "1", "--period", "0.6", "--connect", link]) == 0
+        out[:] = capsys.readouterr().out.splitlines()
+        return len(out) > 1 and out[1].endswith("fly one circle")
+
+    assert eventually(is_a_table), out
     assert out[0].split()[:4] == ["vehicle", "state", "age", "rate"] and out[1].startswith("uav-1")
-    assert out[1].endswith("fly one circle")
 
 
 def test_what_was_seen_is_counted_from_the_link(link: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -141,9 +166,12 @@ def test_lines_are_answered_from_the_link(
     """Nobody answers queries there: one line says so, for each line asked."""
     import io  # noqa: PLC0415
 
-    monkeypatch.setattr("sys.stdin", io.StringIO("1 2\n"))
-    assert main(["click", "--connect", link]) == 2
-    assert "line 1: no aircraft answers" in capsys.readouterr().err
+    def is_said() -> bool:
+        monkeypatch.setattr("sys.stdin", io.StringIO("1 2\n"))
+        assert main(["click", "--connect", link]) == 2
+        return "line 1: no aircraft answers" in capsys.readouterr().err
+
+    assert eventually(is_said)
 
 
 def test_events_reach_a_tak_server_over_tls_and_no_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -153,7 +181,7 @@ def test_events_reach_a_tak_server_over_tls_and_no_other(tmp_path: Path, capsys:
     context.load_cert_chain(server / "certificate.pem", server / "key.pem")
     got: list[bytes] = []
     listener = socket.create_server(("127.0.0.1", 0))
-    listener.settimeout(10.0)
+    listener.settimeout(PATIENCE_S)
     port = listener.getsockname()[1]
 
     def serve() -> None:
@@ -175,7 +203,7 @@ def test_events_reach_a_tak_server_over_tls_and_no_other(tmp_path: Path, capsys:
     assert main(send) == 2  # an authority that nobody here knows
     assert "authority" in capsys.readouterr().err
     assert main([*send, "--to-ca", str(server / "ca.pem")]) == 0
-    thread.join(10.0)
+    thread.join(PATIENCE_S)
     listener.close()
     (event,) = b"".join(got).splitlines()
     assert ET.fromstring(event).find("point").get("ce") == "5.00"  # type: ignore[union-attr]

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +27,7 @@ from ground.pins.store import PinStore
 from onboard.link.certificates import make_credentials
 from tests.ground.pins.test_store import clicked
 from tests.onboard.link.ports import free_endpoint
+from tests.waiting import eventually
 
 ROOT = Path(__file__).resolve().parents[3]
 NOW_NS = 1_700_000_000_000_000_000
@@ -74,15 +75,6 @@ def many(count: int) -> list[Pin]:
 def content(store: PinStore) -> dict[str, str]:
     """All of a store but the numbers, which are each store's own."""
     return {p.id: json.dumps(dataclasses.replace(p, number=0).to_dict()) for p in store.everything()}
-
-
-def eventually(condition: Callable[[], bool], within_s: float = 60.0) -> bool:
-    deadline = time.monotonic() + within_s
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.02)
-    return True
 
 
 def alike(*stores: PinStore) -> bool:

@@ -3,7 +3,7 @@
 Each start takes the next list of acts, separated by `then`; the last list serves for all later starts. Acts:
 `frames:N`, `stall:S`, `garbage:N` bytes, `half` a frame and killed, `back:S` stamps that much earlier, `size:WxH`,
 `say:TEXT` on the error stream, `exit:N`, `child` that never ends, `same:N` the same picture, `epoch:S` the sender's
-clock with that origin, `again` (the last luma under a new number).
+clock with that origin. `@NAME` in the place of a number: until there is a file of that name beside STARTS.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 from onboard.camera.frame_protocol import Clock, Header, Moment, Origin, encode
@@ -23,7 +24,8 @@ PERIOD_S = 1.0 / 30.0
 class Writer:
     """Writes frames of noise at 30 Hz."""
 
-    def __init__(self) -> None:
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
         self.size, self.number, self.back_ns, self.epoch_s = (64, 48), 0, 0, None
 
     def frame(self, luma: bytes | None = None) -> bytes:
@@ -39,15 +41,23 @@ class Writer:
         self.number += 1
         return encode(header, os.urandom(width * height) if luma is None else luma)
 
+    def while_not(self, name: str) -> Iterator[None]:
+        """Until the file is there."""
+        while not (self.folder / name[1:]).exists():
+            yield
+
     def act(self, act: str) -> None:
         name, _, value = act.partition(":")
         out = sys.stdout.buffer
         if name in {"frames", "same"}:
             luma = None if name == "frames" else bytes(range(64)) * 48
-            for _ in range(int(value)):
+            for _ in self.while_not(value) if value.startswith("@") else range(int(value)):
                 out.write(self.frame(luma))
                 out.flush()
                 time.sleep(PERIOD_S)
+        elif name == "stall" and value.startswith("@"):
+            for _ in self.while_not(value):
+                time.sleep(0.01)
         elif name == "stall":
             time.sleep(float(value))
         elif name == "garbage":
@@ -79,7 +89,7 @@ def main() -> None:
     number = int(starts.read_text()) if starts.exists() else 0
     starts.write_text(str(number + 1))
     lists = " ".join(sys.argv[2:]).split(" then ")
-    writer = Writer()
+    writer = Writer(starts.parent)
     for act in lists[min(number, len(lists) - 1)].split():
         writer.act(act)
 

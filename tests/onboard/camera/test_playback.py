@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +27,26 @@ def folder(where: Path, begin_s: float) -> Path:
     return where
 
 
-def played(where: Path, seconds: float) -> tuple[PlayedCamera, list[tuple[int, Frame]]]:
-    source = PlayedCamera(where, CAMERA, SessionClock.start())
+class Time(SessionClock):
+    """A clock, and an event to stop by, on which waiting takes no time: each wait moves the clock on."""
+
+    def __init__(self) -> None:
+        super().__init__(0)
+        self.at_ns = 1_700_000_000_000_000_000
+
+    def now_ns(self) -> int:
+        return self.at_ns
+
+    def is_set(self) -> bool:
+        return False
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self.at_ns += round((timeout or 0.0) * 1e9)
+        return timeout is None
+
+
+def played(where: Path, clock: Time) -> tuple[PlayedCamera, list[tuple[int, Frame]]]:
+    source = PlayedCamera(where, CAMERA, clock)
     assert source.health().state is State.STARTING
     out: list[tuple[int, Frame]] = []
 
@@ -39,30 +55,28 @@ def played(where: Path, seconds: float) -> tuple[PlayedCamera, list[tuple[int, F
         assert source.health().state is State.OK
         out.append((arrival_ns, event))
 
-    stop = threading.Event()
-    thread = threading.Thread(target=source.run, args=(emit, stop))
-    thread.start()
-    time.sleep(seconds)
-    stop.set()
-    thread.join(1.0)
-    assert not thread.is_alive()
+    source.run(emit, clock)
     return source, out
 
 
 def test_pictures_of_long_ago_come_now_as_far_apart_as_they_were(tmp_path: Path) -> None:
-    source, out = played(folder(tmp_path, 1_600_000_000.0), 1.0)
+    clock = Time()
+    began_ns = clock.now_ns()
+    source, out = played(folder(tmp_path, 1_600_000_000.0), clock)
     assert [frame.index for _, frame in out] == [0, 1, 2, 3, 4]
     assert np.diff([frame.stamp_ns for _, frame in out]) == pytest.approx([1e8] * 4)
-    assert abs(out[0][1].stamp_ns / 1e9 - time.time()) < 5.0
-    assert all(0 <= arrival_ns - frame.stamp_ns < 3e8 for arrival_ns, frame in out)
+    assert out[0][1].stamp_ns == began_ns
+    assert all(0 <= arrival_ns - frame.stamp_ns < 1e6 for arrival_ns, frame in out)
     assert source.health().state is State.LOST
 
 
 def test_pictures_ahead_come_at_their_own_stamps_and_those_gone_by_do_not(tmp_path: Path) -> None:
-    begin_s = time.time() - 0.15
-    _, out = played(folder(tmp_path, begin_s), 0.8)
-    assert [frame.index for _, frame in out] in ([2, 3, 4], [3, 4])
-    for _, frame in out:
+    clock = Time()
+    begin_s = clock.now_ns() / 1e9 - 0.15
+    _, out = played(folder(tmp_path, begin_s), clock)
+    assert [frame.index for _, frame in out] == [2, 3, 4]
+    for arrival_ns, frame in out:
+        assert 0 <= arrival_ns - frame.stamp_ns < 1e6
         assert frame.stamp_ns / 1e9 == pytest.approx(begin_s + 0.1 * frame.index, abs=1e-3)
         assert frame.image is not None and frame.image[0, 0] == 10 * frame.index
 

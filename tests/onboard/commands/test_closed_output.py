@@ -15,6 +15,7 @@ from onboard.config.schema import default_toml
 from onboard.link.publisher import Publisher
 from tests.onboard.commands.test_status import REPORT, STATUS
 from tests.onboard.link.ports import free_endpoint
+from tests.waiting import PATIENCE_S, eventually
 
 
 def to_nobody(*arguments: object, buffered: bool = True) -> subprocess.CompletedProcess[str]:
@@ -26,7 +27,13 @@ def to_nobody(*arguments: object, buffered: bool = True) -> subprocess.Completed
     os.close(reader)
     try:
         return subprocess.run(
-            command, stdout=writer, stderr=subprocess.PIPE, text=True, timeout=60.0, check=False, env=environment
+            command,
+            stdout=writer,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=2.0 * PATIENCE_S,
+            check=False,
+            env=environment,
         )
     finally:
         os.close(writer)
@@ -39,8 +46,16 @@ def test_status_ends_without_a_word(tmp_path: Path, buffered: bool, code: int) -
     (tmp_path / "config.toml").write_text(f'[vehicle]\nid = "kiwi"\n[link]\nlisten = ["{endpoint}"]\n')
     with Publisher("kiwi", (endpoint,)) as publisher:
         publisher.publish_status(encode_status(STATUS), REPORT.to_json())
-        done = to_nobody("status", "--config", tmp_path / "config.toml", buffered=buffered)
-    assert (done.stderr, done.returncode) == ("", code)
+        not_running, said = 3, []
+
+        def is_answered() -> bool:
+            """Asked again where a busy machine was too slow to answer."""
+            done = to_nobody("status", "--config", tmp_path / "config.toml", buffered=buffered)
+            said.append((done.stderr, done.returncode))
+            return done.returncode != not_running
+
+        assert eventually(is_answered)
+    assert said[-1] == ("", code)
 
 
 def test_help_and_other_commands_do_too(tmp_path: Path) -> None:

@@ -245,7 +245,7 @@ def test_serial_ports_are_tried_under_their_lasting_names(tmp_path: Path) -> Non
 @pytest.mark.parametrize(("style", "kind"), [("ardupilot", "ArduPilot"), ("px4", "PX4")])
 def test_an_autopilot_is_heard_on_a_serial_line_by_its_heartbeat(style: str, kind: str) -> None:
     with FakeAutopilot(FLIGHT, "pty", style=style, system=7) as autopilot:
-        assert listen(autopilot.url, 10.0) == Heard(autopilot.url, kind, 7)
+        assert listen(autopilot.url, 60.0) == Heard(autopilot.url, kind, 7)
 
 
 def test_silence_others_and_a_wire_that_is_not_there_are_none(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from onboard.service.reports import RecordingReport, Report
 from onboard.service.vehicle_state import Finding, Subject, VehicleState
 from tests.contract.sets import plain_set
 from tests.onboard.link.ports import free_endpoint
+from tests.waiting import eventually
 
 STATUS = VehicleStatus(1.7e9, 7, "camera lost", "unplugged", 4000.0, 0.0, 0.0, 300, 0.125, 97, 12, 3, True, 61.0)
 REPORT = Report(
@@ -44,8 +45,13 @@ def test_a_running_daemon_is_told_of(config: tuple[str, Path], capsys: pytest.Ca
     endpoint, file = config
     with Publisher("kiwi", (endpoint,)) as publisher:
         publisher.publish_status(encode_status(STATUS), REPORT.to_json())
-        assert main(["status", "--config", str(file)]) == 0
-        first, second, *rest = capsys.readouterr().out.splitlines()
+
+        def status(*more: str) -> str:
+            """What it says of a daemon that is there; asked again where a busy machine was too slow to answer."""
+            assert eventually(lambda: capsys.readouterr() and main(["status", "--config", str(file), *more]) == 0)
+            return capsys.readouterr().out
+
+        first, second, *rest = status().splitlines()
         assert second.strip() == "not recording: disk full"
         lines = dict(line.split(maxsplit=1) for line in (first, *rest))
         assert lines["state"] == "camera lost: unplugged"
@@ -54,8 +60,7 @@ def test_a_running_daemon_is_told_of(config: tuple[str, Path], capsys: pytest.Ca
         assert lines["threads"] == "link restarting, begun again 2 times (OSError: gone)"
         assert lines["recording"] == "disk full"
         assert lines["processor"] == "61 deg C"
-        assert main(["status", "--config", str(file), "--json"]) == 0
-        assert json.loads(capsys.readouterr().out) == json.loads(REPORT.to_json())
+        assert json.loads(status("--json")) == json.loads(REPORT.to_json())
         assert main(["status", "--config", str(file), "--vehicle", "weka"]) == 3
 
 
@@ -66,7 +71,7 @@ def test_a_long_report_is_given_again_and_again_beside_a_flights_sets(config: tu
         for number in range(3):
             publisher.publish(replace(plain_set(), vehicle="kiwi", frame=number))
             publisher.publish_status(encode_status(STATUS), long)
-            assert main(["status", "--config", str(config[1])]) == 0
+            assert eventually(lambda: main(["status", "--config", str(config[1])]) == 0)
 
 
 def test_nobody_there_is_one_line_and_an_exit_code(
@@ -79,8 +84,8 @@ def test_nobody_there_is_one_line_and_an_exit_code(
 def test_a_report_that_is_none_is_one_line(config: tuple[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
     with Publisher("kiwi", (config[0],)) as publisher:
         publisher.publish_status(encode_status(STATUS), b'{"status": 5}')
-        assert ask("kiwi", [config[0]]) == b'{"status": 5}'
-        assert main(["status", "--config", str(config[1])]) == 2
+        assert eventually(lambda: ask("kiwi", [config[0]]) == b'{"status": 5}')
+        assert eventually(lambda: capsys.readouterr() and main(["status", "--config", str(config[1])]) == 2)
     out, complaint = capsys.readouterr()
     assert (out, complaint.count("\n")) == ("", 1)
     assert "another version" in complaint

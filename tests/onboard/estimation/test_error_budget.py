@@ -278,9 +278,12 @@ def test_a_window_that_cannot_be_split_ends_no_flight(flown: Flown) -> None:
 
 
 def test_a_budget_costs_a_thousandth_of_a_core(flown: Flown) -> None:
-    spent_s = []
-    for placed in flown.placed * 3:
-        begun = time.thread_time()
-        click_budget(placed)
-        spent_s.append(time.thread_time() - begun)
-    assert np.median(spent_s) / (EVERY_NS / 1e9) < 0.001 * 5  # others use the machine too
+    least_s = []
+    for placed in flown.placed:
+        spent_s = []
+        for _ in range(3):
+            begun = time.thread_time()
+            click_budget(placed)
+            spent_s.append(time.thread_time() - begun)
+        least_s.append(min(spent_s))
+    assert np.median(least_s) / (EVERY_NS / 1e9) < 0.001 * 5  # of a slower machine's

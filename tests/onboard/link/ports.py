@@ -1,15 +1,35 @@
-"""Free ports of the loopback interface."""
+"""Ports of the loopback interface that nobody has, and that nobody is given before the test takes them.
 
+The system gives whoever names no port one of its own range. These lie below it, each is given once, and where the next
+one is looked for differs from process to process.
+"""
+
+import random
 import socket
+
+FIRST, LAST = 20_000, 32_000  # below net.ipv4.ip_local_port_range, above what services listen at
+_given: set[int] = set()
+_chance = random.SystemRandom()
+
+
+def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
+    """Of 127.0.0.1."""
+    while True:
+        port = _chance.randrange(FIRST, LAST)
+        if port in _given:
+            continue
+        with socket.socket(socket.AF_INET, kind) as probe:
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+        _given.add(port)
+        return port
 
 
 def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_port()}"
 
 
 def free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    return free_port(socket.SOCK_DGRAM)

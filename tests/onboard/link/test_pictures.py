@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import threading
 import time
-from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -24,6 +23,7 @@ from onboard.link.publisher import Publisher, Rate
 from tests.contract.sets import plain_set
 from tests.onboard.link.ports import free_endpoint
 from tests.onboard.link.thin import ThinLink
+from tests.waiting import eventually
 
 BASE = plain_set(60)
 START_NS = 1_700_000_000_000_000_000
@@ -60,15 +60,6 @@ class Taken:
         assert piece_bytes == self.room
         self.threads.add(threading.current_thread().name)
         self.pictures.append(picture)
-
-
-def eventually(condition: Callable[[], bool], within_s: float = 30.0) -> bool:
-    deadline = time.monotonic() + within_s
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.01)
-    return True
 
 
 def fly(sender: PictureSender, numbers: range, keyframe_every: int = 5, delay: int = 2) -> None:

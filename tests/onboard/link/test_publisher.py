@@ -6,7 +6,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -23,9 +23,12 @@ from ground.__main__ import main
 from ground.client import SetCache, ask
 from onboard.events.types import Frame
 from onboard.link.publisher import Publisher, Rate
+from onboard.link.reply import MOST_PATIENCE_S
 from onboard.link.socket_backlog import Backlog
 from tests.contract.sets import plain_set
+from tests.onboard.link.asking import asked
 from tests.onboard.link.ports import free_endpoint
+from tests.waiting import PATIENCE_S, eventually
 
 START_NS = 1_700_000_000_000_000_000
 BASE = plain_set(100)
@@ -37,15 +40,6 @@ def a_set(frame: int, revision: int = 0, status: Status = Status.OK, vehicle: st
     if status is Status.OK:
         return dataclasses.replace(BASE, frame=frame, revision=revision, capture_unix_ns=stamp_ns, vehicle=vehicle)
     return FeatureSet(vehicle, BASE.session, frame, stamp_ns, status, BASE.camera, revision)
-
-
-def eventually(condition: Callable[[], bool], within_s: float = 10.0) -> bool:
-    deadline = time.monotonic() + within_s
-    while time.monotonic() < deadline:
-        if condition():
-            return True
-        time.sleep(0.02)
-    return False
 
 
 @pytest.fixture
@@ -72,13 +66,13 @@ def refused(answers: dict[str, FeatureSet | Refusal], vehicle: str = "uav-1") ->
 
 
 def test_a_query_without_parameters_gets_the_newest_set_that_answers(publisher: Publisher, endpoint: str) -> None:
-    assert refused(ask(endpoint)) is Status.STARTING
+    assert refused(asked(endpoint)) is Status.STARTING
     publisher.publish(a_set(0, status=Status.LOW_PARALLAX))
-    assert got(ask(endpoint)).status is Status.LOW_PARALLAX
+    assert got(asked(endpoint)).status is Status.LOW_PARALLAX
     publisher.publish(a_set(1))
     publisher.publish(a_set(2))
     publisher.publish(a_set(3, status=Status.TURNING))
-    newest = got(ask(endpoint, "uav-1"))
+    newest = got(asked(endpoint, "uav-1"))
     assert newest.frame == 2 and encode(newest) == encode(a_set(2))
 
 
@@ -86,28 +80,31 @@ def test_a_query_for_a_frame_or_a_time_gets_that_set(publisher: Publisher, endpo
     for frame in range(5):
         publisher.publish(a_set(frame))
     publisher.publish(a_set(5, status=Status.TURNING))
-    assert got(ask(endpoint, frame=1)).frame == 1
-    assert got(ask(endpoint, frame=5)).status is Status.TURNING
-    assert refused(ask(endpoint, frame=99)) is Status.UNKNOWN_FRAME
-    assert got(ask(endpoint, unix_s=START_NS / 1e9 + 2.4)).frame == 2
-    assert refused(ask(endpoint, unix_s=START_NS / 1e9 + 5.6)) is Status.UNKNOWN_FRAME
+    assert got(asked(endpoint, frame=1)).frame == 1
+    assert got(asked(endpoint, frame=5)).status is Status.TURNING
+    assert refused(asked(endpoint, frame=99)) is Status.UNKNOWN_FRAME
+    assert got(asked(endpoint, unix_s=START_NS / 1e9 + 2.4)).frame == 2
+    assert refused(asked(endpoint, unix_s=START_NS / 1e9 + 5.6)) is Status.UNKNOWN_FRAME
 
 
-def test_a_picture_whose_set_is_being_made_is_answered_when_it_is_there(publisher: Publisher, endpoint: str) -> None:
+def test_a_picture_whose_set_is_being_made_is_answered_when_it_is_there(
+    publisher: Publisher, endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     publisher.publish(a_set(0))
     for frame in (1, 2, 3):
         publisher.event(START_NS + frame * 10**9, Frame(START_NS + frame * 10**9, frame, None))
+    monkeypatch.setattr("ground.client.PICTURE_TIMEOUT_S", MOST_PATIENCE_S)
     with ThreadPoolExecutor() as pool:
         by_number = pool.submit(ask, endpoint, frame=1)
         by_time = pool.submit(ask, endpoint, unix_s=START_NS / 1e9 + 2.1)
         assert eventually(lambda: len(publisher._parked) == 2)
         publisher.publish(a_set(3))
-        assert refused(ask(endpoint, frame=99)) is Status.UNKNOWN_FRAME  # never taken: nothing to wait for
+        assert refused(asked(endpoint, frame=99)) is Status.UNKNOWN_FRAME  # never taken: nothing to wait for
         assert not by_number.done() and not by_time.done()
         publisher.publish(a_set(2, status=Status.TURNING))
         publisher.publish(a_set(1))
-        assert got(by_number.result(10.0)).frame == 1
-        assert got(by_time.result(10.0)).status is Status.TURNING
+        assert got(by_number.result(PATIENCE_S)).frame == 1
+        assert got(by_time.result(PATIENCE_S)).status is Status.TURNING
 
 
 def test_a_picture_that_gets_no_set_while_its_ground_waits_is_refused_with_the_reason(
@@ -115,19 +112,28 @@ def test_a_picture_that_gets_no_set_while_its_ground_waits_is_refused_with_the_r
 ) -> None:
     publisher.event(START_NS, Frame(START_NS, 4, None))
     with zenoh.open(zenoh.Config.from_json5(link_config("client", connect=[endpoint]))) as session:
-        began_s = time.monotonic()
-        replies = list(session.get("pc/uav-1/features?frame=4;wait=1.5", timeout=10.0))
-        took_s = time.monotonic() - began_s
-    (said,) = [json.loads(reply.err.payload.to_bytes()) for reply in replies if reply.err]
+        refusals: list[dict[str, str]] = []
+        took_s: list[float] = []
+
+        def is_refused() -> bool:
+            """Asked again where the refusal found no time to go."""
+            began_s = time.monotonic()
+            replies = list(session.get("pc/uav-1/features?frame=4;wait=1.5", timeout=10.0))
+            took_s.append(time.monotonic() - began_s)
+            refusals.extend(json.loads(reply.err.payload.to_bytes()) for reply in replies if reply.err)
+            return bool(refusals)
+
+        assert eventually(is_refused)
+    (said,) = refusals
     assert (said["status"], said["state"]) == ("unknown_frame", "placing pictures") and "picture 4" in said["reason"]
-    assert 0.9 <= took_s < 5.0
+    assert 0.9 <= took_s[-1] < 10.0  # said while it was waited for, and not before most of that time
 
 
 def test_a_later_revision_replaces_the_earlier_and_not_the_other_way(publisher: Publisher, endpoint: str) -> None:
     publisher.publish(a_set(0, revision=0))
     publisher.publish(a_set(0, revision=2))
     publisher.publish(a_set(0, revision=1))
-    assert got(ask(endpoint, frame=0)).revision == 2
+    assert got(asked(endpoint, frame=0)).revision == 2
 
 
 @pytest.mark.parametrize(
@@ -139,10 +145,17 @@ def test_a_senseless_query_is_refused_and_the_next_one_answered(
 ) -> None:
     publisher.publish(a_set(0))
     config = {"mode": "client", "connect": {"endpoints": [endpoint]}}
-    with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
+    said: list[str] = []
+
+    def is_refused() -> bool:
         replies = list(session.get(f"pc/uav-1/features?{parameters}", timeout=5.0))
-    assert [json.loads(r.err.payload.to_bytes())["status"] for r in replies if r.err] == ["unknown_frame"]
-    assert got(ask(endpoint)).frame == 0
+        said[:] = [json.loads(r.err.payload.to_bytes())["status"] for r in replies if r.err]
+        return bool(said)
+
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(config))) as session:
+        assert eventually(is_refused)
+    assert said == ["unknown_frame"]
+    assert got(asked(endpoint)).frame == 0
 
 
 def test_a_subscriber_caches_sets_by_vehicle_frame_and_time(publisher: Publisher, endpoint: str) -> None:
@@ -198,7 +211,7 @@ def test_a_subscriber_may_come_first_and_the_aircraft_later(endpoint: str) -> No
             publisher.publish(a_set(0))
             return cache.newest("uav-1") is not None
 
-        assert eventually(heard, 20.0)
+        assert eventually(heard)
 
 
 def test_a_port_in_use_is_named(endpoint: str) -> None:
@@ -258,7 +271,7 @@ def test_a_listener_that_says_nothing_is_given_up() -> None:
         began = time.monotonic()
         with pytest.raises(LinkError, match="nothing listens"):
             ask(f"tcp/127.0.0.1:{silent.getsockname()[1]}")
-        assert time.monotonic() - began < 6.0
+        assert time.monotonic() - began < PATIENCE_S  # and not when it likes; after two seconds where nothing else runs
 
 
 def test_another_vehicles_set_is_not_published(publisher: Publisher) -> None:
@@ -283,11 +296,14 @@ def test_two_vehicles_at_one_endpoint_must_be_told_apart(endpoint: str, capsys: 
                 return False
 
         assert eventually(both)
-        assert main(["click", "320", "240", "--connect", endpoint]) == 2
-        assert ": uav-1, uav-2; choose one with --vehicle" in capsys.readouterr().err
-        options = ["--vehicle", "uav-2", "--max-age", "60", "--format", "json"]
-        assert main(["click", "320", "240", "--connect", endpoint, *options]) == 0
-        assert json.loads(capsys.readouterr().out)["frame"] == 4
+
+        def click(*options: str) -> tuple[int, str, str]:
+            code = main(["click", "320", "240", "--connect", endpoint, *options])
+            return code, *capsys.readouterr()
+
+        assert eventually(lambda: (said := click())[0] == 2 and ": uav-1, uav-2; choose one with --vehicle" in said[2])
+        options = ["--vehicle", "uav-2", "--max-age", "inf", "--format", "json"]
+        assert eventually(lambda: (said := click(*options))[0] == 0 and json.loads(said[1])["frame"] == 4)
 
 
 def test_the_age_of_the_newest_picture_grows_while_only_old_ones_come(publisher: Publisher, endpoint: str) -> None:
@@ -302,8 +318,8 @@ def test_the_age_of_the_newest_picture_grows_while_only_old_ones_come(publisher:
         age_s = cache.age_s("uav-1")
         assert age_s is not None and 0.4 <= age_s <= time.monotonic() - begun_at + 0.5
         renewed_at = time.monotonic()
-        publisher.publish(a_set(25))  # its stamp is further ahead than the waits took: its way is the fastest known
-        assert eventually(lambda: cache.by_frame("uav-1", 25) is not None)
+        publisher.publish(a_set(500))  # its stamp is further ahead than the waits took: its way is the fastest known
+        assert eventually(lambda: cache.by_frame("uav-1", 500) is not None)
         age_s = cache.age_s("uav-1")
         assert age_s is not None and age_s <= time.monotonic() - renewed_at + 0.3
 
@@ -316,12 +332,18 @@ def test_a_live_click_in_its_own_process_answers_and_refuses(publisher: Publishe
         done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=Path(__file__).parents[3])
         return done.returncode, done.stdout, done.stderr
 
-    code, out, _ = click("--format", "json", "--max-age", "60")  # a loaded machine may take its time
-    expected = decode(encode(a_set(7)))
-    assert code == 0
-    assert json.loads(out)["frame"] == 7 and json.loads(out)["vehicle"] == expected.vehicle
-    code, out, _ = click("--frame", "8", "--format", "json")
-    assert code == 3 and json.loads(out)["status"] == "unknown_frame" and json.loads(out)["frame"] == 8
+    def answer(expected: int, *arguments: str) -> dict[str, object]:
+        """Asked again where the link took too long: a loaded machine's may."""
+        said: list[tuple[int, str, str]] = []
+        assert eventually(lambda: said.append(click(*arguments, "--format", "json")) or said[-1][0] != 2)
+        assert said[-1][0] == expected, said[-1]
+        found: dict[str, object] = json.loads(said[-1][1])
+        return found
+
+    first = answer(0, "--max-age", "inf")
+    assert (first["frame"], first["vehicle"]) == (7, decode(encode(a_set(7))).vehicle)
+    unknown = answer(3, "--frame", "8")
+    assert (unknown["status"], unknown["frame"]) == ("unknown_frame", 8)
     code, out, err = click("--file", "x.png")
     assert (code, out) == (2, "") and "--frame or --time" in err
 
@@ -342,7 +364,7 @@ def test_an_error_in_the_links_thread_costs_a_moment_and_not_the_link(
     monkeypatch.setattr(Publisher, "_send_one", fail)
     assert eventually(lambda: publisher.thread.report().restarts == 2)
     publisher.publish(a_set(3))
-    assert got(ask(endpoint)).frame == 3
+    assert got(asked(endpoint)).frame == 3
     report = publisher.thread.report()
     assert (report.state, report.restarts) == (ThreadState.RUNNING, 2) and str(error) in report.last_error
 

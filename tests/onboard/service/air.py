@@ -111,8 +111,10 @@ class QueueOrders:
 
     def __init__(self) -> None:
         self.queue: queue.Queue[Order] = queue.Queue()
+        self.asked = 0  # turns of the daemon that began
 
     def next(self, timeout_s: float) -> Order | None:
+        self.asked += 1
         try:
             return self.queue.get(timeout=timeout_s)
         except queue.Empty:

@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 from contract.vehicle_status import VehicleStatus
@@ -23,9 +24,19 @@ from simulation.autopilot.flight import Flight
 from simulation.session import SessionSpec
 from tests.onboard.link.ports import free_endpoint
 from tests.scenarios.flights import flown
+from tests.waiting import PATIENCE_S, eventually
 
 ROOT = Path(__file__).resolve().parents[3]
-BEGIN_IN_S = 4.0  # the first picture: the daemon needs about two seconds to be there
+BEGIN_IN_S = 4.0  # the first picture at the earliest: the daemon needs about two seconds to be there
+
+
+@cache
+def begin_in_s() -> float:
+    """Seconds to the first picture: twice what a program of ours takes here to load, and what a daemon does besides."""
+    began_s = time.monotonic()
+    command = [sys.executable, "-c", "import onboard.commands.run, onboard.link.publisher, onboard.pipeline.pipeline"]
+    subprocess.run(command, cwd=ROOT, check=True)
+    return max(BEGIN_IN_S, 2.0 + 2.0 * (time.monotonic() - began_s))
 
 
 @dataclass
@@ -74,9 +85,10 @@ class Aircraft:
         assert self.process is not None
         self.process.send_signal(number)
 
-    def ended(self, within_s: float = 15.0) -> int:
+    def ended(self) -> int:
+        """Its exit code; a kill is what the service manager does where it has not ended within TimeoutStopSec."""
         assert self.process is not None
-        return self.process.wait(within_s)
+        return self.process.wait(PATIENCE_S)
 
     def report(self) -> Report | None:
         answer = ask("uav", [self.endpoint])
@@ -86,7 +98,7 @@ class Aircraft:
         report = self.report()
         return None if report is None else report.status
 
-    def said_since(self, unix_s: float, within_s: float = 30.0) -> VehicleStatus:
+    def said_since(self, unix_s: float, within_s: float = PATIENCE_S) -> VehicleStatus:
         """The first status said at or after a moment of the daemon's clock."""
         deadline = time.monotonic() + within_s
         while (seen := self.status()) is None or seen.unix_s < unix_s:
@@ -94,7 +106,7 @@ class Aircraft:
             time.sleep(0.1)
         return seen
 
-    def logged(self, word: str, within_s: float = 30.0) -> list[str]:
+    def logged(self, word: str, within_s: float = PATIENCE_S) -> list[str]:
         """The lines of the log with a word in them, once there is one."""
         deadline = time.monotonic() + within_s
         while not (found := [line for line in self.log if word in line]):
@@ -102,7 +114,13 @@ class Aircraft:
             time.sleep(0.05)
         return found
 
-    def wait_for(self, *words: str, within_s: float = 30.0) -> float:
+    def stated(self, *words: str, since: int) -> None:
+        """Until the log says after its first `since` lines that the state is one of these, if only for a moment."""
+        assert eventually(lambda: any(f"state: {word}" in line for line in self.log[since:] for word in words)), (
+            f"never {words}; log:\n" + "\n".join(self.log[-20:])
+        )
+
+    def wait_for(self, *words: str, within_s: float = PATIENCE_S) -> float:
         """Until the state is one of these; seconds waited."""
         began, seen = time.monotonic(), None
         while time.monotonic() - began < within_s:
@@ -130,9 +148,10 @@ def aircraft(where: Path, spec: SessionSpec, config: str = "", style: str = "ard
     first_s = float(rows[0]["unix_time_s"])
     log = Flight.read(folder / "telemetry.tlog")
     # Recorded Unix time -> boot time -> the host's monotonic clock, so that pictures and telemetry keep step.
+    until_first_s = begin_in_s()
     offset_s = time.time() - time.monotonic()
-    begin_mono_s = time.monotonic() + BEGIN_IN_S
-    lead_s = min(BEGIN_IN_S - 0.5, first_s - log.log_offset_ns / 1e9 - log.due_ns[0] / 1e9)
+    begin_mono_s = time.monotonic() + until_first_s
+    lead_s = min(until_first_s - 0.5, first_s - log.log_offset_ns / 1e9 - log.due_ns[0] / 1e9)
     begin_s = first_s - lead_s - log.log_offset_ns / 1e9 - log.due_ns[0] / 1e9
     at_ns = round((begin_mono_s - lead_s) * 1e9)
     shift_s = begin_mono_s + offset_s - first_s

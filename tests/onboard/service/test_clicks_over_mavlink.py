@@ -15,11 +15,14 @@ from tests.onboard.link.ports import free_udp_port
 from tests.onboard.service.air import STRAIGHT
 from tests.onboard.service.process import ROOT, aircraft
 from tests.scenarios.flights import CAMERA
+from tests.waiting import PATIENCE_S
 
 
 def pc_ground(*arguments: object, lines: str = "") -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "ground", *map(str, arguments)]
-    return subprocess.run(command, cwd=ROOT, input=lines, capture_output=True, text=True, check=False, timeout=60)
+    return subprocess.run(
+        command, cwd=ROOT, input=lines, capture_output=True, text=True, check=False, timeout=2.0 * PATIENCE_S
+    )
 
 
 def started(*arguments: object) -> subprocess.Popen[bytes]:
@@ -46,7 +49,7 @@ def test_a_click_is_answered_through_the_autopilot_as_over_the_link(tmp_path: Pa
                 pc_ground("click", *uv, "--frame", frame, "--connect", plane.endpoint, "--format", "json").stdout
             )
             masked = pc_ground("click", *uv, "--connect", f"{radio}?system=255&ground_stations=250")
-            assert listener.wait(30.0) == 0
+            assert listener.wait(PATIENCE_S) == 0
             passed = list(router.passed)
             plane.signal(signal.SIGTERM)
             assert plane.ended() == 0

@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 import logging
 import signal
+import subprocess
+import sys
 import threading
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +30,7 @@ from onboard.service.sd_notify import Notifier
 from onboard.service.session import Parts
 from tests.onboard.service.air import QueueOrders, take_off
 from tests.scenarios.flights import CAMERA
+from tests.waiting import PATIENCE_S, eventually
 
 
 class Notes(Notifier):
@@ -48,6 +52,7 @@ class Steady:
         self.state = State.OK
         self.error: BaseException | None = None
         self.is_silent = self.ends = self.is_deaf = False
+        self.hangs = threading.Event()  # is deaf, and past its last question whether to end
         self.reported: list[str] = []
 
     def run(self, emit: Emit, stop: Stop) -> None:
@@ -56,6 +61,7 @@ class Steady:
             if self.error is not None:
                 raise self.error
             if self.is_deaf:
+                self.hangs.set()
                 time.sleep(0.05)
             elif not self.is_silent:
                 now_ns = self.clock.now_ns()
@@ -79,7 +85,7 @@ class Held(Pipeline):
         self.error: Exception | None = None
 
     def handle(self, event: Event) -> list[FeatureSet]:
-        self.release.wait(20.0)
+        self.release.wait(PATIENCE_S)
         if self.error is not None:
             raise self.error
         return super().handle(event)
@@ -141,21 +147,29 @@ class Rig:
     def __exit__(self, *_: object) -> None:
         self.orders.queue.put(Order.STOP)
         self.pipeline.release.set()
-        self.thread.join(15.0)
+        self.thread.join(PATIENCE_S)
         assert not self.thread.is_alive()
 
-    def wait_for(self, claim: object, seconds: float = 10.0) -> float:
-        began = time.monotonic()
-        while not claim():  # type: ignore[operator]
-            assert time.monotonic() - began < seconds, (self.notes.words[-5:], self.states[-3:])
-            time.sleep(0.01)
-        return time.monotonic() - began
+    def wait_for(self, claim: Callable[[], object]) -> None:
+        assert eventually(claim), (self.notes.words[-5:], self.states[-3:])
+
+    def turn(self, times: int = 2) -> None:
+        """The daemon's loop goes round, at least once from its beginning."""
+        begun = self.orders.asked
+        self.wait_for(lambda: self.orders.asked >= begun + times)
+
+    def is_unfed(self) -> bool:
+        """Whether the watchdog gets nothing in some turns from now on."""
+        self.turn()
+        fed = self.fed
+        self.turn(12)
+        return self.fed == fed
 
     def order(self, order: Order) -> None:
         self.orders.queue.put(order)
 
-    def ended(self, within_s: float = 10.0) -> int:
-        self.thread.join(within_s)
+    def ended(self) -> int:
+        self.thread.join(PATIENCE_S)
         assert not self.thread.is_alive()
         assert self.code is not None
         return self.code
@@ -169,9 +183,7 @@ def test_it_says_ready_feeds_the_watchdog_and_stops_when_told() -> None:
     with Rig() as rig:
         rig.wait_for(lambda: rig.fed > 3 and "no gps" not in rig.states[:1])
         rig.order(Order.STOP)
-        began = time.monotonic()
-        assert rig.ended() == 0
-        assert time.monotonic() - began < 3.0
+        assert rig.ended() == 0  # and not 1, as where a thread must be left behind
     assert rig.notes.words[0] == "READY=1"
     assert rig.notes.words[-1] == "STOPPING=1"
     assert rig.closed == 1
@@ -181,7 +193,7 @@ def test_a_configuration_that_cannot_be_flown_is_raised_and_nothing_said_to_be_r
     rig = Rig()
     rig.open_error = InputError("camera file missing")
     rig.thread.start()
-    rig.thread.join(10.0)
+    rig.thread.join(PATIENCE_S)
     assert str(rig.error) == "camera file missing"
     assert rig.notes.words == []
 
@@ -216,10 +228,9 @@ def test_a_hung_pipeline_starves_the_watchdog_and_is_called_stuck() -> None:
     with Rig() as rig:
         rig.wait_for(lambda: rig.fed > 3)
         rig.pipeline.release.clear()
-        rig.wait_for(lambda: "stuck" in rig.states, 8.0)
+        rig.wait_for(lambda: "stuck" in rig.states)
+        assert rig.is_unfed()
         fed = rig.fed
-        time.sleep(0.3)
-        assert rig.fed == fed
         rig.pipeline.release.set()
         rig.wait_for(lambda: rig.fed > fed)
 
@@ -232,7 +243,7 @@ def test_a_daemon_with_a_hung_pipeline_still_ends_and_says_so(
         rig.pipeline.release.clear()
         time.sleep(0.2)
         rig.order(Order.STOP)
-        assert rig.ended(5.0) == 1
+        assert rig.ended() == 1
     assert "did not end" in caplog.text
 
 
@@ -242,13 +253,9 @@ def test_a_silent_camera_that_calls_itself_well_starves_the_watchdog_a_lost_one_
         rig.camera.is_silent, rig.camera.state = True, State.LOST
         time.sleep(3.5)
         fed = rig.fed
-        rig.wait_for(lambda: rig.fed > fed + 3)
-        assert rig.states[-1] == "camera lost"
+        rig.wait_for(lambda: rig.fed > fed + 3 and rig.states[-1] == "camera lost")
         rig.camera.state = State.OK
-        time.sleep(0.1)
-        fed = rig.fed
-        time.sleep(0.3)
-        assert rig.fed == fed
+        assert rig.is_unfed()
         rig.wait_for(lambda: rig.states[-1] == "camera silent")
 
 
@@ -315,8 +322,39 @@ def test_signals_are_orders_and_interrupt_nothing() -> None:
         assert orders.next(0.01) is None
         for number, order in ((signal.SIGHUP, Order.RELOAD), (signal.SIGTERM, Order.STOP), (signal.SIGINT, Order.STOP)):
             signal.pthread_kill(threading.get_ident(), number)  # threads of earlier tests (zenoh's) do not block it
-            assert orders.next(5.0) is order
+            assert orders.next(PATIENCE_S) is order
     assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == before
+
+
+WAITS_FOR_ORDERS = """
+from onboard.service.daemon import SignalOrders
+with SignalOrders() as orders:
+    print("waits", flush=True)
+    input()
+    print(*(orders.next(0.3) for _ in range(6)), flush=True)
+    print(orders.next(60.0), flush=True)
+"""
+
+
+def test_a_process_that_is_stopped_and_goes_on_was_told_nothing() -> None:
+    """As by a suspend: the daemon ended, for the wait that was over by then gave a signal of a number that is none."""
+    command = [sys.executable, "-c", WAITS_FOR_ORDERS]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None and process.stdout is not None
+        try:
+            assert process.stdout.readline() == "waits\n"
+            process.stdin.write("\n")
+            process.stdin.flush()
+            for _ in range(3):
+                time.sleep(0.1)
+                process.send_signal(signal.SIGSTOP)
+                time.sleep(0.4)
+                process.send_signal(signal.SIGCONT)
+            assert process.stdout.readline() == "None None None None None None\n"
+            process.send_signal(signal.SIGHUP)
+            assert process.stdout.readline() == "Order.RELOAD\n"
+        finally:
+            process.kill()
 
 
 def test_a_flight_gives_answers_a_recording_and_what_was_learned(tmp_path: Path) -> None:
@@ -369,13 +407,19 @@ def test_the_live_session_replays_to_the_same_sets(tmp_path: Path) -> None:
 def test_pictures_are_shed_oldest_first_when_the_processor_is_starved(tmp_path: Path) -> None:
     """A pipeline that needs 0.4 s a picture, fed four a second, on a real clock."""
 
+    took_s = [0.0]  # each picture, which is more than 0.4 s where the machine itself stands still
+
     def slow(pipeline: Pipeline) -> Pipeline:
         handle = pipeline.handle
 
         def slowly(event: Event) -> list[FeatureSet]:
+            began_s = time.monotonic()
             if isinstance(event, Frame):
                 time.sleep(0.4)
-            return handle(event)
+            try:
+                return handle(event)
+            finally:
+                took_s.append(time.monotonic() - began_s)
 
         pipeline.handle = slowly  # type: ignore[method-assign]
         return pipeline
@@ -385,12 +429,13 @@ def test_pictures_are_shed_oldest_first_when_the_processor_is_starved(tmp_path: 
     assert air.statuses[-1][1].dropped > 5
     late = [(made_ns - s.capture_unix_ns) / 1e9 for made_ns, s in air.heard.sets if s.revision == 0]
     # Waiting, its own handling and telemetry's; the same at the end as at the beginning.
-    assert max(late[len(late) // 2 :]) < 0.8 + 2 * 0.4 + 0.6
+    longest_s = 0.8 + 2 * max(0.4, *took_s) + 0.6
+    assert max(late[len(late) // 2 :]) < longest_s
     assert "overloaded" in air.states(2.0, 8.0)
     events = air.heard.events
     stamps = [event.stamp_ns for event in events if isinstance(event, Frame)]
     assert stamps == sorted(stamps)
-    assert stamps[-1] > air.first_ns + 6.5e9
+    assert stamps[-1] > air.first_ns + 8e9 - min(longest_s, 7.0) * 1e9
     outcome = air.clicked()
     assert outcome.inside_99 > 0.97, outcome.reported
     # Shedding comes before recording: what was dropped is in nobody's list.

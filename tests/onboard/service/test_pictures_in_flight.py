@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -24,6 +23,7 @@ from onboard.link.publisher import Publisher, Rate
 from tests.contract.sets import plain_set
 from tests.onboard.link.ports import free_endpoint
 from tests.onboard.service.air import STRAIGHT, PlayedSource, Work, take_off
+from tests.waiting import eventually
 
 
 class Passed:
@@ -69,19 +69,14 @@ def test_the_ground_gets_the_right_image_for_the_frame(tmp_path: Path) -> None:
         PictureSender(section, link) as sender,
         SetCache(endpoint, beside={PICTURE.key(ANY_VEHICLE): pictures.take}) as cache,
     ):
-        deadline = time.monotonic() + 30.0
-        while not link.picture_room():  # until the ground is there
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
+        assert eventually(link.picture_room)  # until the ground is there
 
         def sinks() -> Sequence[Sink]:
             return [Passed(sender), Passed(link)]
 
         air = take_off(tmp_path, spec=dataclasses.replace(STRAIGHT, seconds=5.0), sinks=sinks)
         assert air.code == 0 and air.heard is not None
-        deadline = time.monotonic() + 30.0
-        while not pictures.received and time.monotonic() < deadline:
-            time.sleep(0.02)
+        assert eventually(lambda: pictures.received)
         images = {e.index: e.image for e in air.heard.events if isinstance(e, Frame)}
         (session,) = {s.session for _, s in air.heard.sets}
         by_frame = {s.frame: s for _, s in air.heard.sets}

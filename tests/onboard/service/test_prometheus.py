@@ -21,6 +21,7 @@ from onboard.service.prometheus import PrometheusServer, metrics
 from onboard.service.reports import ClockReport, PictureCounts
 from onboard.service.vehicle_state import Inputs
 from tests.onboard.service.reported import WELL, inputs, report_of, unhurried
+from tests.waiting import PATIENCE_S
 
 FULL = replace(
     report_of(replace(WELL, position_fault="", outcome=None)),
@@ -97,7 +98,7 @@ def test_every_metric_is_there_once_and_has_one_unit(said: Inputs) -> None:
 
 def fetch(url: str, accept: str = "text/plain") -> tuple[str, str]:
     request = urllib.request.Request(url, headers={"Accept": accept})
-    with urllib.request.urlopen(request, timeout=5.0) as answer:
+    with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
         return answer.headers["Content-Type"], answer.read().decode()
 
 

@@ -23,8 +23,9 @@ from onboard.storage.mcap_writer import SessionRecorder
 from onboard.storage.recording_queue import Entry
 from onboard.storage.rotating_recorder import Recorded
 from tests.contract.sets import plain_set
-from tests.onboard.storage.test_rotating_recorder import Disk, configured, first, holds, recorder, wait_for
+from tests.onboard.storage.test_rotating_recorder import Disk, configured, first, holds, recorder
 from tests.scenarios.flights import CAMERA
+from tests.waiting import PATIENCE_S, eventually
 
 
 @pytest.fixture
@@ -110,7 +111,7 @@ def test_a_stalled_disk_holds_up_nobody_and_leaves_a_gap_that_is_recorded(
     with recorder(tmp_path, configured()) as sink:
         sink.event(0, Frame(1_700_000_000_000_000_000, 0, picture))
         sink.feature_set(dataclasses.replace(base, frame=0))
-        assert disk.is_in_a_write.wait(10.0)
+        assert disk.is_in_a_write.wait(PATIENCE_S)
         began_s = time.monotonic()
         with NoWaiting(monkeypatch):
             for frame in range(1, 31):  # ten wait, twenty are dropped
@@ -119,7 +120,7 @@ def test_a_stalled_disk_holds_up_nobody_and_leaves_a_gap_that_is_recorded(
         assert time.monotonic() - began_s < 20.0  # the disk stalls for 30 s
         assert "does not keep up" in sink.fault and sink.dropped == 21
         disk.release.set()
-        assert wait_for(lambda: holds(tmp_path, 10))
+        assert eventually(lambda: holds(tmp_path, 10))
         sink.feature_set(dataclasses.replace(base, frame=31))
     assert Recording(tmp_path).frames("uav-1") == [*range(11), 31]
     (gap,) = gaps_of(first(tmp_path))
@@ -138,7 +139,7 @@ def test_pictures_that_are_too_many_bytes_are_dropped_and_telemetry_is_not(
     picture = np.zeros((CAMERA.height_px, CAMERA.width_px), np.uint8)  # 76,800 bytes
     with recorder(tmp_path, configured()) as sink:
         sink.feature_set(plain_set(20))
-        assert disk.is_in_a_write.wait(10.0)
+        assert disk.is_in_a_write.wait(PATIENCE_S)
         for frame in range(5):
             sink.event(frame, Frame(frame, frame, picture))
             sink.event(frame, GpsQuality(frame, 3))
@@ -160,13 +161,13 @@ def test_a_disk_that_never_comes_back_does_not_hold_up_the_end(tmp_path: Path, m
     sink = recorder(tmp_path, configured("none"))
     sink.__enter__()
     sink.feature_set(plain_set(20))
-    assert disk.is_in_a_write.wait(10.0)
+    assert disk.is_in_a_write.wait(PATIENCE_S)
     began_s = time.monotonic()
     with pytest.raises(InputError, match="did not take the end"):
         sink.__exit__(None, None, None)
     assert time.monotonic() - began_s < 15.0
     disk.release.set()
-    assert sink.thread.join(10.0)
+    assert sink.thread.join(PATIENCE_S)
 
 
 @pytest.mark.parametrize("error", [RuntimeError("a bug"), OSError(5, "Input/output error"), KeyError("no such")])
@@ -183,7 +184,7 @@ def test_an_unforeseen_error_of_the_writer_is_a_fault_and_recording_goes_on(
 
     monkeypatch.setattr(SessionRecorder, "write_set", write_set)
     sink.feature_set(plain_set(20))
-    assert wait_for(lambda: str(error) in sink.fault)
+    assert eventually(lambda: str(error) in sink.fault)
     assert sink.thread.report().state is ThreadState.RUNNING
     is_broken.clear()
 
@@ -191,8 +192,8 @@ def test_an_unforeseen_error_of_the_writer_is_a_fault_and_recording_goes_on(
         sink.feature_set(dataclasses.replace(plain_set(20), frame=7))
         return sink.fault == ""
 
-    assert wait_for(again)
-    assert wait_for(lambda: holds(tmp_path, 7))
+    assert eventually(again)
+    assert eventually(lambda: holds(tmp_path, 7))
 
 
 def test_a_set_that_cannot_be_encoded_leaves_a_gap_and_the_file_goes_on(
@@ -203,7 +204,7 @@ def test_a_set_that_cannot_be_encoded_leaves_a_gap_and_the_file_goes_on(
     for frame in (1, 2):
         sink.feature_set(dataclasses.replace(base, frame=frame, camera_height_m=float("nan")))
     sink.feature_set(dataclasses.replace(base, frame=3))
-    assert wait_for(lambda: holds(tmp_path, 3))
+    assert eventually(lambda: holds(tmp_path, 3))
     assert sink.fault == "" and sink.unencodable == 2
     assert Recording(first(tmp_path)).frames("uav-1") == [0, 3]
     (line,) = [r.getMessage() for r in caplog.records if r.levelname == "ERROR"]

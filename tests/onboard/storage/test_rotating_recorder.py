@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +40,7 @@ from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from tests.contract.sets import plain_set
 from tests.scenarios.flights import CAMERA, flown
+from tests.waiting import eventually
 
 pytestmark = pytest.mark.xdist_group("rotating recorder")  # one worker: what they share is made once
 
@@ -257,13 +258,6 @@ def holds(folder: Path, frame: int) -> bool:
         return False
 
 
-def wait_for(condition: Callable[[], bool], within_s: float = 30.0) -> bool:
-    deadline = time.monotonic() + within_s
-    while not condition() and time.monotonic() < deadline:
-        time.sleep(0.02)
-    return condition()
-
-
 @pytest.fixture
 def running(tmp_path: Path) -> Iterator[tuple[Recorded, Disk]]:
     disk = Disk()
@@ -283,10 +277,10 @@ def test_recording_stops_before_the_disk_is_full_and_goes_on_when_there_is_room(
 
     caplog.set_level("INFO", "pointclick")
     sets(0, 50)
-    assert wait_for(lambda: holds(tmp_path, 49))
+    assert eventually(lambda: holds(tmp_path, 49))
     assert sink.fault == ""
     disk.free = GIGABYTE // 20
-    assert wait_for(lambda: sink.fault != "")
+    assert eventually(lambda: sink.fault != "")
     assert "50 MB free, less than recording.keep_free_mb = 100" in sink.fault
     sets(50, 100)  # taken, and left out
     time.sleep(0.3)
@@ -298,9 +292,9 @@ def test_recording_stops_before_the_disk_is_full_and_goes_on_when_there_is_room(
         sets(100, 101)
         return sink.fault == ""
 
-    assert wait_for(again)
+    assert eventually(again)
     sets(101, 120)
-    assert wait_for(lambda: holds(tmp_path, 119))
+    assert eventually(lambda: holds(tmp_path, 119))
     frames = Recording(tmp_path).frames("uav-1")
     assert frames[:50] == list(range(50)) and set(range(101, 120)) <= set(frames)
     assert not set(range(50, 100)) & set(frames)
@@ -325,14 +319,14 @@ def test_a_disk_that_is_full_all_the_same_is_a_fault_and_not_the_end(
 
     monkeypatch.setattr(SessionRecorder, "write_set", write_set)
     sink.feature_set(plain_set(20))
-    assert wait_for(lambda: "No space left" in sink.fault)
+    assert eventually(lambda: "No space left" in sink.fault)
     is_full.clear()
 
     def again() -> bool:
         sink.feature_set(plain_set(20))
         return sink.fault == ""
 
-    assert wait_for(again)
+    assert eventually(again)
 
 
 def test_a_real_full_device_is_named() -> None:
@@ -348,7 +342,7 @@ def test_a_folder_that_cannot_be_made_is_a_fault(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with recorder(tmp_path / "file" / "folder", configured("none"), retry_s=0.1) as sink:
         sink.feature_set(plain_set(20))
-        assert wait_for(lambda: sink.fault != "")
+        assert eventually(lambda: sink.fault != "")
         assert "Not a directory" in sink.fault or "No such file" in sink.fault
 
 

@@ -19,6 +19,7 @@ from onboard.telemetry.factory import open_telemetry
 from onboard.telemetry.mavlink_events import MessageToEvent, Sources
 from simulation.autopilot.fake import FakeAutopilot
 from simulation.autopilot.flight import Flight
+from tests.waiting import PATIENCE_S, eventually
 
 TLOG = Path(__file__).resolve().parents[2] / "data" / "plane_turn.tlog"
 FLIGHT = Flight.read(TLOG)
@@ -44,7 +45,7 @@ class Listening:
     def of(self, kind: type[Event]) -> list[Any]:
         return [event for _, event in list(self.got) if isinstance(event, kind)]
 
-    def wait(self, state: State, seconds: float = 30.0) -> float:
+    def wait(self, state: State, seconds: float = PATIENCE_S) -> float:
         """Seconds until the source is in this state; fails if it is not by then."""
         began = time.monotonic()
         while self.source.health().state is not state:
@@ -52,11 +53,8 @@ class Listening:
             time.sleep(0.01)
         return time.monotonic() - began
 
-    def until(self, condition: Callable[[], object], seconds: float = 30.0) -> None:
-        began = time.monotonic()
-        while not condition():
-            assert time.monotonic() - began < seconds, self.source.health()
-            time.sleep(0.01)
+    def until(self, condition: Callable[[], object]) -> None:
+        assert eventually(condition), self.source.health()
 
     def run(self) -> None:
         try:
@@ -76,7 +74,7 @@ def listening(config: Config) -> Iterator[Listening]:
         yield heard
     finally:
         heard.stop.set()
-        thread.join(15.0)
+        thread.join(PATIENCE_S)
         assert not thread.is_alive()
         assert not heard.faults
 

@@ -17,7 +17,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from onboard.events.source import Severity, State
 from onboard.events.types import Attitude, PositionFix
 from simulation.autopilot.fake import FakeAutopilot, Faults
+from tests.onboard.link.ports import free_port, free_udp_port
 from tests.onboard.telemetry.listening import FLIGHT, Listening, config_for, errors_ms, expected, listening
+from tests.waiting import eventually
 
 
 @contextmanager
@@ -80,7 +82,7 @@ def test_a_serial_line_is_unplugged_and_comes_back_under_another_name(tmp_path: 
 
 def test_a_tcp_server_that_goes_and_comes_is_found_again() -> None:
     with (
-        FakeAutopilot(FLIGHT, "tcpin:127.0.0.1:0", everything=True) as autopilot,
+        FakeAutopilot(FLIGHT, f"tcpin:127.0.0.1:{free_port()}", everything=True) as autopilot,
         listening(config_for(autopilot.url)) as heard,
     ):
         heard.wait(State.OK)
@@ -148,10 +150,13 @@ def test_nothing_but_garbage_is_said_to_be_that() -> None:
     autopilot = FakeAutopilot(FLIGHT, "pty")
     autopilot.mute(60.0)  # before it begins: a single packet of its own would refute what is to be said
     with autopilot, listening(config_for(autopilot.url)) as heard:
-        for _ in range(10):
+
+        def is_said() -> bool:
             time.sleep(0.1)
             autopilot.send_bytes(random.Random(1).randbytes(500))
-        heard.until(lambda: "baud rate" in heard.source.health().detail)
+            return "baud rate" in heard.source.health().detail
+
+        heard.until(is_said)
         assert heard.source.health().state is State.STARTING
 
 
@@ -171,9 +176,9 @@ def test_a_vehicle_that_is_not_there_is_waited_for() -> None:
         FakeAutopilot(FLIGHT, "udpin:127.0.0.1:0", everything=True) as autopilot,
         listening(config_for(autopilot.url, system=9)) as heard,
     ):
-        time.sleep(0.8)
+        heard.until(lambda: heard.source.health().detail == "no autopilot with system number 9 found yet")
+        time.sleep(0.5)
         assert heard.source.health().state is State.STARTING
-        assert heard.source.health().detail == "no autopilot with system number 9 found yet"
         assert not heard.got
 
 
@@ -224,8 +229,7 @@ def test_a_wrong_key_is_said_to_be_that(tmp_path: Path) -> None:
 
 def test_a_port_in_use_is_said_and_waited_for() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-        other.bind(("127.0.0.1", 0))
-        port = other.getsockname()[1]
+        other.bind(("127.0.0.1", port := free_udp_port()))
         with listening(config_for(f"udpin:127.0.0.1:{port}")) as heard:
             heard.wait(State.LOST)
             assert "Address already in use" in heard.source.health().detail
@@ -241,11 +245,13 @@ def test_a_clock_that_stands_still_is_frozen() -> None:
         heard.wait(State.OK)
         autopilot.mute(60.0)
         packer = mavlink.MAVLink(None, 1, 1)
-        began = time.monotonic()
-        while heard.source.health().state is not State.FROZEN:
-            assert time.monotonic() - began < 30.0, heard.source.health()
+
+        def is_frozen() -> bool:
             autopilot.send_bytes(beat.pack(packer) + still.pack(packer))
             time.sleep(0.1)
+            return heard.source.health().state is State.FROZEN
+
+        heard.until(is_frozen)
 
 
 def test_px4_does_not_miss_us_when_we_leave_and_no_packet_counts_as_lost() -> None:
@@ -267,9 +273,7 @@ def test_the_fake_px4_misses_an_onboard_controller() -> None:
         beat = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, mavlink.MAV_STATE_POWEROFF, 3)
         with socket.create_connection(("127.0.0.1", port)) as end:
             end.sendall(beat.pack(mavlink.MAVLink(None, autopilot.system, 191)))
-            deadline = time.monotonic() + 30.0
-            while not autopilot.shown and time.monotonic() < deadline:
-                time.sleep(0.05)
+            assert eventually(lambda: autopilot.shown)
         assert autopilot.shown == ["Connection to mission computer lost"]
 
 
