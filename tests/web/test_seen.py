@@ -182,6 +182,8 @@ def test_a_place_on_the_map_leads_to_the_pictures_that_show_it(anna: Operator, f
     legend = page.locator(".seen-legend").inner_text()
     assert "under 1" in legend and "not seen for certain" in legend
     assert "before the recording's end" in anna.by("seen-panel").inner_text()
+    # The map has gone to the flight's ground.
+    page.wait_for_function("() => document.querySelector('#grid-step').textContent.startsWith('grid ')")
     box = anna.by("map").bounding_box()
     page.mouse.click(box["x"] + 0.56 * box["width"], box["y"] + 0.52 * box["height"])
     page.wait_for_selector("[data-testid=seen-picture]")
