@@ -31,6 +31,7 @@ from onboard.estimation.keyframe import Keyframe, have_attitude
 from onboard.estimation.platform_states import DELAY, PLANE, VELOCITY_DELAY
 from onboard.estimation.sensor_table import BY_NAME, HEADING, POSITION, TILT, VELOCITY, Sensor, declared
 from onboard.estimation.variance_components import VarianceFactors
+from onboard.navigation.position_interpolation import Flown
 
 Array = NDArray[np.float64]
 
@@ -145,6 +146,8 @@ def _position(
     horizontal = max(k.nav.sigma_horizontal_m for k in keyframes)
     slow_m = np.array([horizontal, horizontal, max(k.nav.sigma_vertical_m for k in keyframes)])
     white_m = np.array([k.nav.sigma_white_m for k in keyframes])
+    between_m = np.stack([k.nav.joined.between_m for k in keyframes])
+    shared = shared_fixes([k.nav.joined.weights for k in keyframes])
     datum_m = np.array([0.0, 0.0, max(k.nav.sigma_datum_m for k in keyframes)])
     moved_m = 0.5 * DYNAMIC_TIME_S * _dynamic_m_s(config, keyframes)
     in_turns = np.outer(moved_m, moved_m) * gauss_markov_covariance(stamps, 1.0, DYNAMIC_TIME_S)
@@ -152,9 +155,9 @@ def _position(
     for axis, share in enumerate((1.0, 1.0, 1.5)):
         declared_parts = {
             sensor.name: gauss_markov_covariance(stamps, slow_m[axis], sensor.time_s(config)),
-            sensor.white: np.diag((share * white_m) ** 2),
+            sensor.white: shared * np.outer(share * white_m, share * white_m),
         }
-        fixed = in_turns + np.diag((jitter_s * velocities[:, axis]) ** 2) + datum_m[axis] ** 2
+        fixed = in_turns + np.diag((jitter_s * velocities[:, axis]) ** 2 + between_m[:, axis] ** 2) + datum_m[axis] ** 2
         errors.append(_errors(factors, sensor, declared_parts, fixed))
     whitener, parts = _both(errors)
     grown_m = slow_m * factors.sigma(POSITION) * factors.group_sigma(POSITION)
@@ -184,10 +187,10 @@ def _velocity(
     jitter_s: float,
 ) -> list[Prior]:
     """Displacements by integrated velocity, whose error is white from interval to interval and Gauss-Markov. (5.6)"""
-    known = np.array([k.flown_enu_m is not None for k in keyframes[1:]], bool)
+    known = np.array([k.flown is not None for k in keyframes[1:]], bool)
     if not config.solve.velocity or not known.any():
         return []
-    flown = [np.zeros(3) if k.flown_enu_m is None else k.flown_enu_m for k in keyframes[1:]]
+    flown = [np.zeros(3) if k.flown is None else k.flown.enu_m for k in keyframes[1:]]
     stamps, velocities = _stamps_s(keyframes), _velocities(keyframes)
     speed = np.linalg.norm(velocities, axis=1)
     dt = np.maximum(np.diff(stamps), 0.05)
@@ -205,7 +208,8 @@ def _velocity(
         sensor.white: np.diag(white_m**2),
     }
     fixed = np.diag(unknown) + np.outer(erring, erring) * gauss_markov_covariance(middle, 1.0, DYNAMIC_TIME_S)
-    whitener, parts = _both([_errors(factors, sensor, declared_parts, fixed)] * 3)
+    between = between_covariance([k.flown for k in keyframes[1:]])
+    whitener, parts = _both([_errors(factors, sensor, declared_parts, fixed + own) for own in between])
     return [
         VelocityPrior(
             layout,
@@ -217,6 +221,26 @@ def _velocity(
             parts=parts,
         )
     ]
+
+
+def shared_fixes(weights: Sequence[Mapping[int, float]]) -> Array:
+    """Correlation (K, K) of positions' white errors: pictures between the same positions have their errors. (5.19)"""
+    fixes = sorted({stamp_ns for w in weights for stamp_ns in w})
+    by_fix = np.array([[w.get(stamp_ns, 0.0) for stamp_ns in fixes] for w in weights])
+    out: Array = by_fix @ by_fix.T
+    np.fill_diagonal(out, 1.0)
+    return out
+
+
+def between_covariance(flown: Sequence[Flown | None]) -> Array:
+    """Covariance (3, n, n) of distances flown by what velocity did between positions: gap by gap. (5.20)"""
+    gaps = sorted({stamp_ns for f in flown if f is not None for stamp_ns in f.between_m})
+    by_gap = np.zeros((len(flown), len(gaps), 3))
+    for row, f in zip(by_gap, flown, strict=True):
+        for stamp_ns, sigma_m in ({} if f is None else f.between_m).items():
+            row[gaps.index(stamp_ns)] = sigma_m
+    out: Array = np.einsum("iga,jga->aij", by_gap, by_gap)
+    return out
 
 
 def _attitude(

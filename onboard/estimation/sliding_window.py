@@ -41,6 +41,7 @@ from onboard.estimation.window_start import start_tolerance_rad
 from onboard.geometry.relative_orientation import rotation_only
 from onboard.geometry.terrain_grid import Terrain
 from onboard.navigation.navigator import NavState
+from onboard.navigation.position_interpolation import Flown
 
 Array = NDArray[np.float64]
 
@@ -174,7 +175,7 @@ class Window:
         nav: NavState,
         times_s: tuple[float, float],
         body_rate_rad_s: Array | None,
-        flown_enu_m: Array | None,
+        flown: Flown | None,
         flow_disagreement_px: Array | None = None,
     ) -> None:
         """Take a keyframe; the oldest leaves a full window. `flow_disagreement_px`: since the one before."""
@@ -183,9 +184,7 @@ class Window:
         R, centre = guess if guess is not None else (self.R_body_cam.T, nav.position_enu_m)
         rate = np.zeros(3) if body_rate_rad_s is None else body_rate_rad_s
         flow_disagreement_xy = None if flow_disagreement_px is None else flow_disagreement_px / self.camera.focal_px
-        made = Keyframe(
-            frame, seen, nav, rate, *times_s, flown_enu_m, R, centre, flow_disagreement_xy, guess is not None
-        )
+        made = Keyframe(frame, seen, nav, rate, *times_s, flown, R, centre, flow_disagreement_xy, guess is not None)
         self.keyframes.append(made)
         del self.keyframes[: -self.config.solve.keyframes]
 

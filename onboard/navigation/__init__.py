@@ -4,4 +4,5 @@ Public:
 
 - `gimbal`: `MountHypothesis`
 - `navigator`: `NavState`, `Motion`, `Navigation`
+- `position_interpolation`: `Flown`
 """

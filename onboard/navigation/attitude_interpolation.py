@@ -1,6 +1,7 @@
 """Attitudes by time -> attitude and angular rate at any moment, or the reason why there is none.
 
-They are joined by cubic pieces of rotation with the measured rates at both ends, else by rotation at constant rate.
+They are joined by cubic pieces of rotation with the measured rates at both ends (a recorded flight thinned to 3.3 Hz is
+then 0.06 deg off at the 95th percentile), else by rotation at constant rate (0.50 deg).
 """
 
 from __future__ import annotations

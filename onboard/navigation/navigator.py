@@ -1,8 +1,6 @@
 """Fixes and attitudes -> position, velocity and attitude at an exposure, or the reason why there is none.
 
-Positions are joined by cubic Hermite pieces whose slopes are the filter's own velocities; attitudes likewise with the
-gyros' rates (a recorded flight thinned to 3.3 Hz is then 0.06 deg off at the 95th percentile, where rotation at
-constant rate is 0.50 deg off), else by rotation at constant rate. Whether a position is accepted is determined by
+How they are joined is in `position_interpolation` and `attitude_interpolation`, whether a position is accepted in
 `gps_integrity`.
 
 The local frame lies where the first accepted position is, and moves to an accepted position that is far from it: what
@@ -11,7 +9,6 @@ an autopilot reports before its receiver has a fix is not a position (ArduPilot 
 
 from __future__ import annotations
 
-import bisect
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -36,13 +33,13 @@ from onboard.navigation.attitude_interpolation import Attitudes
 from onboard.navigation.gimbal import Gimbal, MountHypothesis
 from onboard.navigation.gps_integrity import NOTHING_YET, RECOVERING, GpsIntegrity
 from onboard.navigation.position_doubt import Position, finite
+from onboard.navigation.position_interpolation import CLIMB_WINDOW_NS, Flown, Joined, Path
 from onboard.navigation.time_series import Series
 
 Array = NDArray[np.float64]
 
 # Data this much older than the newest means that the clock was set back: nothing held can be compared any more.
 CLOCK_STEP_NS = 5_000_000_000
-CLIMB_WINDOW_NS = 1_000_000_000
 # From its origin the frame's up and the vertical differ by 0.2 degrees here; ground taken for level in it would slope.
 FRAME_REACH_M = 20_000.0
 KEPT_NS = 3_000_000_000  # of positions, when the frame moves: as long as a picture waits, and slip needs
@@ -97,6 +94,7 @@ class NavState:
     attitude_sigma_rad: float = 0.0  # of the attitude, because its messages come more slowly than the vehicle turns
     yaw_sigma_rad: float = 0.0  # of the yaw as a whole, where a gimbal's counts from nowhere
     sigma_velocity_m_s: float = 0.0  # of the velocity, as the receiver or the filter claims; 0: neither does
+    joined: Joined = field(default_factory=Joined)  # from which positions
 
 
 class Navigation:
@@ -305,7 +303,7 @@ class Navigation:
         moment_ns = stamp_ns + round(offset_s * 1e9)
         if self.frame is None or not self._positions.stamps_ns:
             return Status.NO_GPS if self._integrity.is_unfit_now else Status.STARTING
-        position = self._position_at(moment_ns + round(delay_s * 1e9))
+        position = self._path.at(moment_ns + round(delay_s * 1e9))
         if isinstance(position, Status):
             return position
         slip = self._integrity.slip_at(moment_ns)
@@ -336,6 +334,7 @@ class Navigation:
             0.0 if R_enu_body is None or self._uses_gimbal else self._attitudes.sigma_at(moment_ns),
             self._yaw_sigma_rad if R_enu_body is not None and self._uses_gimbal else 0.0,
             self._integrity.velocity_claim_m_s(moment_ns),
+            self._path.joined_at(moment_ns + round(delay_s * 1e9)),
         )
 
     def was_believed(self, start_ns: int, end_ns: int) -> bool:
@@ -383,7 +382,7 @@ class Navigation:
             return None
         stamps_ns = self._positions.stamps_ns
         share = (moment_ns - stamps_ns[left]) / (stamps_ns[right] - stamps_ns[left])
-        velocity = (1 - share) * self._velocity(left) + share * self._velocity(right)
+        velocity = (1 - share) * self._path.velocity(left) + share * self._path.velocity(right)
         return Motion(self._R_frame_ned(a.enu_m) @ R_ned_body, velocity, self._attitudes.sigma_at(moment_ns))
 
     def body_rate_at(self, stamp_ns: int) -> Array | None:
@@ -401,67 +400,12 @@ class Navigation:
         known, bracket = nav.velocity_enu_m_s, self._positions.bracket(nav.stamp_ns)
         if bracket is None or (known is not None and np.all(np.isfinite(known))):
             return np.zeros(3) if known is None else known
-        return self._velocity(bracket[0], CLIMB_WINDOW_NS)
+        return self._path.velocity(bracket[0], CLIMB_WINDOW_NS)
 
-    def displacement(self, start_ns: int, end_ns: int) -> Array | None:
-        """Distance flown (3,), ENU m, from the velocities alone (trapezium rule); None where any is missing."""
-        series = self._positions
-        ends = [self._velocity_at(start_ns), self._velocity_at(end_ns)]
-        if ends[0] is None or ends[1] is None or end_ns <= start_ns:
-            return None
-        first, last = bisect.bisect_right(series.stamps_ns, start_ns), bisect.bisect_left(series.stamps_ns, end_ns)
-        between = [p.velocity_enu_m_s for p in series.values[first:last]]
-        stamps = np.array([start_ns, *series.stamps_ns[first:last], end_ns], np.int64)
-        seconds = np.diff(stamps) / 1e9
-        if seconds.max() > self.config.gps.max_gap_s or any(b is None or not np.all(np.isfinite(b)) for b in between):
-            return None
-        v = np.array([ends[0], *between, ends[1]])
-        out: Array = 0.5 * (v[1:] + v[:-1]).T @ seconds
-        return out
+    def displacement(self, start_ns: int, end_ns: int) -> Flown | None:
+        """Distance flown from the velocities alone (trapezium rule); None where any is missing."""
+        return self._path.flown(start_ns, end_ns)
 
-    def _velocity_at(self, moment_ns: int) -> Array | None:
-        position = self._position_at(moment_ns)
-        velocity = None if isinstance(position, Status) else position.velocity_enu_m_s
-        return velocity if velocity is not None and np.all(np.isfinite(velocity)) else None
-
-    def _position_at(self, moment_ns: int) -> Position | Status:
-        series = self._positions
-        bracket = series.joined(moment_ns, self.config.gps.max_gap_s)
-        if isinstance(bracket, Status):
-            return bracket
-        left, right = bracket
-        a, b = series.values[left], series.values[right]
-        seconds = (series.stamps_ns[right] - series.stamps_ns[left]) / 1e9
-        velocity_a, velocity_b = self._velocity(left), self._velocity(right)
-        measured = a.velocity_enu_m_s is not None and b.velocity_enu_m_s is not None
-        if left == right:
-            since = (moment_ns - series.stamps_ns[left]) / 1e9
-            return Position(a.enu_m + velocity_a * since, velocity_a if measured else None, a.height_above_home_m)
-        s = (moment_ns - series.stamps_ns[left]) / 1e9 / seconds
-        enu = (
-            (1 + 2 * s) * (1 - s) ** 2 * a.enu_m
-            + s * s * (3 - 2 * s) * b.enu_m
-            + seconds * (s * (1 - s) ** 2 * velocity_a - s * s * (1 - s) * velocity_b)
-        )
-        velocity = (1 - s) * velocity_a + s * velocity_b if measured else None
-        above_home = None
-        if a.height_above_home_m is not None:
-            # Its difference from the height itself is a constant, home's own height.
-            above_home = a.height_above_home_m + float(enu[2] - a.enu_m[2])
-        return Position(enu, velocity, above_home)
-
-    def _velocity(self, index: int, reach_ns: int = 0) -> Array:
-        """A fix's velocity (3,); the components it lacks from its neighbours' positions."""
-        known = self._positions.values[index].velocity_enu_m_s
-        if known is not None and np.all(np.isfinite(known)):
-            return known
-        # With no velocity at all the slope is that of the fix's neighbours (Catmull-Rom); a climb rate from heights
-        # alone needs a longer base, their noise being metres.
-        reach_ns = reach_ns if known is None else CLIMB_WINDOW_NS
-        stamps, values = self._positions.stamps_ns, self._positions.values
-        first = min(bisect.bisect_left(stamps, stamps[index] - reach_ns), max(index - 1, 0))
-        last = max(bisect.bisect_right(stamps, stamps[index] + reach_ns) - 1, min(index + 1, len(stamps) - 1))
-        if first == last:
-            return np.zeros(3) if known is None else np.nan_to_num(known)
-        slope: Array = (values[last].enu_m - values[first].enu_m) / ((stamps[last] - stamps[first]) / 1e9)
-        return slope if known is None else np.where(np.isfinite(known), known, slope)
+    @property
+    def _path(self) -> Path:
+        return Path(self._positions, self.config.gps.max_gap_s)

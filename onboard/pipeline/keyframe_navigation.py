@@ -35,9 +35,9 @@ def look_up_again(window: Window, navigation: Navigation) -> None:
         if isinstance(nav, Status) or nav.stretch != k.nav.stretch or rate is None:
             return
         flown = None
-        if found and k.flown_enu_m is not None:
+        if found and k.flown is not None:
             flown = navigation.displacement(found[-1].nav.stamp_ns + offset_ns, k.nav.stamp_ns + offset_ns)
-        now = replace(k, nav=nav, nav_offset_s=offset_s, nav_delay_s=delay_s, body_rate_rad_s=rate, flown_enu_m=flown)
+        now = replace(k, nav=nav, nav_offset_s=offset_s, nav_delay_s=delay_s, body_rate_rad_s=rate, flown=flown)
         R_cam_enu = window.attitude_guess(nav)
         if k.frame not in solved and R_cam_enu is not None:  # its start was by the navigation that is replaced
             now = replace(now, R_cam_enu=R_cam_enu, centre_enu_m=window.position_guess(nav))

@@ -121,6 +121,8 @@ class Pipeline:
         out = self._adopt() if is_due else []
         while self._waiting and self._is_ready(self._waiting[0]):
             out.extend(self._process(self._waiting.popleft()))
+            # A position that comes rarely releases many pictures at once: more than the window is long in a turn.
+            out.extend(self._catch_up())
         out.extend(self._catch_up())
         return out
 

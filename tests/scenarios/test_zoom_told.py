@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from contract.feature_set import Status
+from onboard.estimation.platform_states import STATES
 from simulation.paths import PathSpec
 from tests.scenarios.test_moved_optics import Flown, flown
 from tests.scenarios.zoom_flights import (
@@ -24,6 +25,7 @@ from tests.scenarios.zoom_flights import (
 
 STEP: Profile = ((0.0, 1.0), (10.0, 1.0), (10.3, 6.0), (28.0, 6.0))
 RAMP: Profile = ((0.0, 1.0), (8.0, 1.0), (12.0, 6.0), (28.0, 6.0))
+RATE = 4.0  # of pictures
 UNSEEN = (Status.NO_GPS, Status.TURNING)  # pictures that nothing of the lens keeps from being answered
 
 
@@ -92,20 +94,31 @@ def test_a_fast_zoom_that_nobody_tells_of_is_refused() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("telling", [Telling(), Telling(0.3), Telling(0.1, 0.1)], ids=["in time", "late", "steps"])
-def test_draws_of_told_zooms_are_answered_soon_and_as_surely_as_they_say(telling: Telling) -> None:
-    errors, focal, waited = [], [], []
-    for seed in range(3):
-        for path in (LEVEL, TURNS):
-            for profile in (STEP, RAMP):
-                result = followed(path, profile, telling, seed)
-                errors += result.errors.tolist()
-                focal.append(result.focal_error())
-                waited += result.waited_s()
-                assert not result.answered_while_moving()
-    assert max(errors) < 3.0 and np.mean(np.array(errors) <= 1.0) >= 0.85, sorted(errors)[-5:]
-    assert 0.15 < np.median(errors) < 0.7, np.median(errors)  # nor are the ellipses needlessly large
-    assert np.mean(np.array(focal) < 0.01) > 0.8 and max(focal) < 0.02, focal
+def test_draws_of_told_zooms_are_answered_soon_and_as_surely_as_they_say() -> None:
+    """Every flight has errors of its own: four kinds that shared three draws said little of the shares inside.
+
+    In turns, before the zoom as after it, ellipses are larger than they need be: a position that acceleration moves
+    against its velocity is doubted like one that a receiver's fault moves.
+    """
+    kinds = [(path, profile) for path in (LEVEL, TURNS) for profile in (STEP, RAMP)]
+    tellings = [Telling(), Telling(0.3), Telling(0.1, 0.1)]
+    inside: dict[str, list[float]] = {"straight": [], "turns": []}
+    worst, focal, sigmas, waited = [], [], [], []
+    for seed in range(20, 52):
+        path, profile = kinds[seed % 4]
+        result = followed(path, profile, tellings[seed % 3], seed)
+        after = [e for k, found in result.found.errors.items() if k > result.flight.moves()[0][0] * RATE for e in found]
+        inside[path.kind].append(float(np.mean(np.array(after) <= 1.0)))
+        worst.append(max(after))
+        focal.append(result.focal_error())
+        sigmas.append(float(result.found.pipeline.window.belief.sigma[STATES]))
+        waited += result.waited_s()
+        assert not result.answered_while_moving()
+    assert 0.85 <= np.mean(inside["straight"]) <= 0.96 and np.mean(inside["turns"]) >= 0.85, inside
+    assert max(worst) < 3.0, sorted(worst)[-5:]
+    # A table whose rows err by 0.5 % (one sigma) is within 1 % in 95 of 100 flights; no picture of a straight leg adds.
+    assert np.mean(np.array(focal) < 0.01) > 0.9 and max(focal) < 0.02, focal
+    assert 0.5 < np.sqrt(np.mean(np.square(np.array(focal) / sigmas))) < 1.3
     assert max(waited) <= 2.5 and np.median(waited) <= 1.0, waited
 
 

@@ -13,6 +13,7 @@ from onboard.estimation.keyframe import Keyframe
 from onboard.estimation.sensor_factors import sensor_priors
 from onboard.estimation.window_request import Request
 from onboard.estimation.window_solver import adjust
+from onboard.navigation.position_interpolation import Flown
 from onboard.vision.coarse_flow import flow_disagreement
 from onboard.vision.contrast_normalisation import Picture, prepare
 from onboard.vision.klt_tracker import Tracker
@@ -94,8 +95,8 @@ def strayed(keyframe: Keyframe, newest_ns: int, speed_m_s: np.ndarray, seconds: 
     """Position and displacement as they would be measured from ground that moves by `speed_m_s`."""
     age_s = (keyframe.nav.stamp_ns - newest_ns) / 1e9
     nav = replace(keyframe.nav, position_enu_m=keyframe.nav.position_enu_m + speed_m_s * age_s)
-    flown = None if keyframe.flown_enu_m is None else keyframe.flown_enu_m + speed_m_s * seconds
-    return replace(keyframe, nav=nav, flown_enu_m=flown)
+    flown = None if keyframe.flown is None else Flown(keyframe.flown.enu_m + speed_m_s * seconds)
+    return replace(keyframe, nav=nav, flown=flown)
 
 
 @pytest.mark.parametrize("speed_m_s", [(0.4, 0.0, 0.0), (0.0, -0.4, 0.0)])

@@ -69,9 +69,9 @@ def test_at_the_truth_of_a_flight_without_errors_every_sensor_agrees(scene: Scen
 def test_velocity_takes_part_only_where_asked_for_and_known(scene: Scene) -> None:
     keyframes = keyframes_of(scene)
     assert VelocityPrior not in priors_of(parse_config("[solve]\nvelocity = false"), keyframes)
-    unknown = [replace(k, flown_enu_m=None) for k in keyframes]
+    unknown = [replace(k, flown=None) for k in keyframes]
     assert VelocityPrior not in priors_of(FULL, unknown)
-    broken = [*keyframes[:3], replace(keyframes[3], flown_enu_m=None), *keyframes[4:]]
+    broken = [*keyframes[:3], replace(keyframes[3], flown=None), *keyframes[4:]]
     whole, gap = (priors_of(FULL, k)[VelocityPrior] for k in (keyframes, broken))
     assert isinstance(whole, VelocityPrior) and isinstance(gap, VelocityPrior)
     # What displacements say of the views' centres: nothing over the gap, all of it over the other intervals.
@@ -82,7 +82,7 @@ def test_velocity_takes_part_only_where_asked_for_and_known(scene: Scene) -> Non
     elsewhere = np.zeros(said[0].shape[1])
     elsewhere[whole.layout.centre(5).start] = 1.0
     assert np.linalg.norm(said[1] @ elsewhere) > 0.8 * np.linalg.norm(said[0] @ elsewhere)
-    first = [replace(keyframes[0], flown_enu_m=None), *keyframes[1:]]
+    first = [replace(keyframes[0], flown=None), *keyframes[1:]]
     assert VelocityPrior in priors_of(FULL, first)
 
 
