@@ -66,6 +66,7 @@ BENCHMARKS = (
     Benchmark("wire", "A set on the wire", (), ("--repeat", "20")),
     Benchmark("click", "A click", (), ("--sets", "500", "--clicks", "500", "--runs", "3")),
     Benchmark("web", "The page", (), ("--clicks", "100", "--pictures", "600")),
+    Benchmark("seen", "What has been seen", ("--flights", "2"), ("--rows", "flat, straight")),
     Benchmark("fleet", "Many aircraft at one router", (), ("--aircraft", "10", "--operators", "5", "--seconds", "8")),
     Benchmark("radio", "Clicks through an autopilot's radio"),
     Benchmark("link", "What the link adds", (), ("--seconds", "1")),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 # Sections that belong to single programs have pages of their own.
-DOCUMENTS = [ROOT / "docs" / f"mathematics{part}.md" for part in ("", "-budget", "-camera", "-clock", "-pins")]
+DOCUMENTS = [ROOT / "docs" / f"mathematics{part}.md" for part in ("", "-budget", "-camera", "-clock", "-pins", "-seen")]
 FOLDERS = ("contract", "onboard", "ground", "simulation", "benchmarks")
 # A formula's own number ends an indented line; between parentheses nothing but the number.
 DEFINED = re.compile(r"^    .*\s{2,}\(([0-9]+\.[0-9]+)\)$", re.MULTILINE)
