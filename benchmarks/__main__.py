@@ -67,6 +67,7 @@ BENCHMARKS = (
     Benchmark("wire", "A set on the wire", (), ("--repeat", "20")),
     Benchmark("click", "A click", (), ("--sets", "500", "--clicks", "500", "--runs", "3")),
     Benchmark("web", "The page", (), ("--clicks", "100", "--pictures", "600")),
+    Benchmark("seen", "What has been seen", ("--flights", "2"), ("--rows", "flat, straight")),
     Benchmark("fleet", "Many aircraft at one router", (), ("--aircraft", "10", "--operators", "5", "--seconds", "8")),
     Benchmark("radio", "Clicks through an autopilot's radio"),
     Benchmark("link", "What the link adds", (), ("--seconds", "1")),
@@ -83,6 +84,12 @@ BENCHMARKS = (
         "Pictures from a network stream",
         (),
         ("--seconds", "10", "--streams", "1000:0.15", "--seeds", "2"),
+    ),
+    Benchmark(
+        "source_codecs",
+        "What compression costs",
+        (),
+        ("--size", "320x240", "--seconds", "12", "--kbit", "500", "--codecs", "H264"),
     ),
     Benchmark("real_flight", "The real flight"),
 )

@@ -66,6 +66,14 @@ def _geodetic_of_one(x: float, y: float, z: float) -> tuple[float, float, float]
     return math.degrees(lat), math.degrees(math.atan2(y, x)), height_m
 
 
+def metres_per_degree(lat_deg: ArrayLike) -> tuple[Array, Array]:
+    """Lengths on the ellipsoid of a degree northwards and a degree eastwards, m, of latitudes (...)."""
+    lat = np.radians(np.asarray(lat_deg, float))
+    w2 = 1.0 - _E2 * np.sin(lat) ** 2
+    degree = np.pi / 180.0 * WGS84_A_M / np.sqrt(w2)
+    return degree * (1.0 - _E2) / w2, degree * np.cos(lat)
+
+
 def rotation_enu_ecef(lat_deg: float, lon_deg: float) -> Array:
     """R_enu_ecef (3, 3) at a point of the ellipsoid."""
     lat, lon = np.radians(lat_deg), np.radians(lon_deg)

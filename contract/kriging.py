@@ -75,6 +75,17 @@ class Kriging:
             covariance = covariance + np.outer(sigma, sigma) * alike
         return f @ self._beta + known @ self._residual, covariance
 
+    def predict_each(self, xy: Array) -> tuple[Array, Array]:
+        """r (M,) at points (M, 2) and the variances (M,) of its errors: `predict` without what they have in common."""
+        apart = _distances(xy, self._xy)
+        f = _trend(xy)
+        known = self._covariance(apart) @ self._whiten.T
+        left = f - known @ self._trend
+        variance = self._sill - (known**2).sum(axis=1) + ((left @ self._trend_cov) * left).sum(axis=1)
+        if self._astray is not None:
+            variance = np.maximum(variance, self._astray[np.argmin(apart, axis=1)])
+        return f @ self._beta + known @ self._residual, variance
+
     def measured_variance(self, xy: Array) -> Array:
         """The part (M,) of the variances at points (M, 2) that comes from the features' own noise.
 
@@ -160,11 +171,16 @@ def hull_area(hull: Array) -> float:
 
 def distance_outside(hull: Array, xy: Array) -> float:
     """Distance from a point (2,) to a convex polygon, 0 inside; infinite for a hull without area."""
+    return float(distances_outside(hull, xy[None])[0])
+
+
+def distances_outside(hull: Array, xy: Array) -> Array:
+    """Those of points (M, 2): (M,)."""
     if len(hull) < 3:
-        return float("inf")
+        return np.full(len(xy), np.inf)
     edges = np.roll(hull, -1, axis=0) - hull
-    to_point = xy - hull
-    if np.all(edges[:, 0] * to_point[:, 1] - edges[:, 1] * to_point[:, 0] >= -1e-12):
-        return 0.0
-    along = np.clip((edges * to_point).sum(axis=1) / (edges**2).sum(axis=1), 0.0, 1.0)
-    return float(np.min(np.linalg.norm(to_point - along[:, None] * edges, axis=1)))
+    to_point = xy[:, None] - hull
+    is_in = np.all(edges[:, 0] * to_point[..., 1] - edges[:, 1] * to_point[..., 0] >= -1e-12, axis=1)
+    along = np.clip((edges * to_point).sum(axis=-1) / (edges**2).sum(axis=1), 0.0, 1.0)
+    distance = np.linalg.norm(to_point - along[..., None] * edges, axis=-1).min(axis=1)
+    return np.where(is_in, 0.0, distance)

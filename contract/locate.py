@@ -19,10 +19,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from contract.answer import Answer, Ellipse, Fix, Refusal
+from contract.answer import CHI2_2, Answer, Ellipse, Fix, Refusal
 from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, HeightDatum, Status
 from contract.geodesy import LocalFrame
-from contract.kriging import Kriging, convex_hull, distance_outside, hull_area
+from contract.kriging import Kriging, convex_hull, distance_outside, distances_outside, hull_area
 from contract.rolling_shutter import row_share
 from contract.rotations import skew
 
@@ -64,6 +64,21 @@ class ErrorParts:
     by_pixel_m: Array
 
 
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """What M pixels answer by themselves: as M calls of `locate`, without its words.
+
+    `offset_enu_m` (M, 3) is from the camera, `covariance_enu_m2` (M, 3, 3) its error's. `by_pixel_m` (M, 3, 2): how far
+    the answer moves for a pixel of u and of v, on ground that slopes as the plane does. All of them are nan where
+    `is_answered` (M,) is False.
+    """
+
+    offset_enu_m: Array
+    covariance_enu_m2: Array
+    by_pixel_m: Array
+    is_answered: NDArray[np.bool_]
+
+
 class Locator:
     """Answers clicks on one feature set. What does not depend on the click is solved once."""
 
@@ -95,7 +110,8 @@ class Locator:
         self._is_ellipsoidal = s.height_datum is HeightDatum.ELLIPSOID
         self._undulation_m = s.undulation_m if known else None
         shift = s.undulation_m if known and not self._is_ellipsoidal else 0.0
-        self._frame = LocalFrame(s.camera_lat_deg, s.camera_lon_deg, s.camera_height_m + shift)
+        # At the camera; its height is above the ellipsoid where that is known.
+        self.frame = LocalFrame(s.camera_lat_deg, s.camera_lon_deg, s.camera_height_m + shift)
         self._datum_shift_m = shift
         self._newest: tuple[tuple[float, float], _Sight | Status] | None = None
 
@@ -109,7 +125,7 @@ class Locator:
         if not ellipse.semi_major_m <= MAX_ELLIPSE_SHARE * self._height_m:
             return self._refusal(Status.UNCERTAIN)
         s = self.feature_set
-        lat, lon, height = (float(c) for c in self._frame.to_geodetic(sight.offset_enu_m))
+        lat, lon, height = (float(c) for c in self.frame.to_geodetic(sight.offset_enu_m))
         height -= self._datum_shift_m
         n = self._undulation_m
         other = None if n is None else height - n if self._is_ellipsoidal else height + n
@@ -151,15 +167,68 @@ class Locator:
         sight = self._sight(uv)
         if isinstance(sight, Status):
             return None
-        s = self.feature_set
         own = float(self._kriging.predict(sight.xy[None])[1][0, 0])
         noise = min(float(self._kriging.measured_variance(sight.xy[None])[0]), own)
-        rays, _ = s.camera.unproject(uv + np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]]))
-        # The ground about the click as the plane slopes, at the height that was found.
-        w = (s.plane_per_m[0] + rays[:, :2] @ s.plane_per_m[1:]) / sight.relative
-        beside = (rays / np.maximum(w, self._plane_floor)[:, None]) @ s.R_enu_cam.T
-        by_pixel: Array = np.stack([beside[0] - beside[1], beside[2] - beside[3]], axis=1)
+        by_pixel = self._by_pixel(uv[None], np.array([1.0 / sight.relative]))[0]
         return ErrorParts(sight.relative * math.sqrt(own - noise), sight.relative * math.sqrt(noise), by_pixel)
+
+    def answers(self, uv_px: ArrayLike) -> Answers:
+        """Many pixels (M, 2) at once, each by itself."""
+        s, uv = self.feature_set, np.asarray(uv_px, float)
+        rays, answered = s.camera.unproject(uv)
+        nothing = np.full((len(uv), 3, 5), np.nan)
+        if not (s.is_ok and self._has_ground):
+            return Answers(nothing[:, :, 0], nothing[:, :, :3], nothing[:, :, :2], np.zeros(len(uv), bool))
+        xy, late = self._at_middle_row(rays[:, :2], uv[:, 1])
+        plane = s.plane_per_m[0] + xy @ s.plane_per_m[1:]
+        answered &= plane > self._plane_floor
+        if s.depth_source is not DepthSource.PLANE:
+            answered &= distances_outside(self._hull, xy) <= self._max_outside
+        r, variance = self._kriging.predict_each(xy)
+        relative, variance = 1.0 + r, np.maximum(variance, 0.0)
+        answered &= relative > MIN_INVERSE_DEPTH_SIGMAS * np.sqrt(variance)
+        plane, relative = np.where(answered, plane, 1.0), np.where(answered, relative, 1.0)
+        offset = _with_one(xy) @ s.R_enu_cam.T / (plane * relative)[:, None]
+        covariance = self._covariances(xy, offset, relative, variance)
+        if s.shutter is not None:
+            steeper = (late @ s.plane_per_m[1:]) / plane
+            moved = late @ s.R_enu_cam[:, :2].T / (plane * relative)[:, None] - offset * steeper[:, None]
+            covariance = covariance + (moved[:, :, None] * moved[:, None]) * s.shutter.sigma_readout_s**2
+        longest = np.sqrt(CHI2_2 * np.maximum(np.linalg.eigvalsh(covariance[:, :2, :2])[:, 1], 0.0))
+        answered &= longest <= MAX_ELLIPSE_SHARE * self._height_m
+        by_pixel = self._by_pixel(uv, relative)
+        for found in (offset, covariance, by_pixel):
+            found[~answered] = np.nan
+        return Answers(offset, covariance, by_pixel, answered)
+
+    def _by_pixel(self, uv_px: Array, relative: Array) -> Array:
+        """How far the answers of pixels (M, 2) move for a pixel of u and of v, east, north, up: (M, 3, 2).
+
+        The ground about each as the plane slopes, at the height that was found: `relative` (M,) is w / w_plane there.
+        """
+        s = self.feature_set
+        steps = np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
+        rays, _ = s.camera.unproject(uv_px[:, None] + steps)
+        w = (s.plane_per_m[0] + rays[..., :2] @ s.plane_per_m[1:]) * relative[:, None]
+        beside = (rays / np.maximum(w, self._plane_floor)[..., None]) @ s.R_enu_cam.T
+        return np.stack([beside[:, 0] - beside[:, 1], beside[:, 2] - beside[:, 3]], axis=-1)
+
+    def _covariances(self, xy: Array, offset: Array, relative: Array, variance: Array) -> Array:
+        """Each click's own covariance (M, 3, 3), as `_covariance` has it of one; `variance` (M,) is kriging's."""
+        count = len(xy)
+        by_cause = np.zeros((count, 3, COMMON_STATES + 1))
+        by_cause[:, :, :3] = np.eye(3)
+        by_cause[:, :, 3:6] = -skew(offset)
+        by_cause[:, :, 6:COMMON_STATES] = -offset[:, :, None] * _with_one(xy)[:, None, [2, 0, 1]]
+        by_cause[:, :, COMMON_STATES] = -offset / relative[:, None]
+        by_depth = np.zeros((count, COMMON_STATES + 1))
+        by_depth[:, 6:COMMON_STATES] = _with_one(xy)[:, [2, 0, 1]]
+        by_depth[:, COMMON_STATES] = 1.0 / relative
+        causes = np.zeros((count, COMMON_STATES + 1, COMMON_STATES + 1))
+        causes[:, :COMMON_STATES, :COMMON_STATES] = self.feature_set.common_cov
+        causes[:, COMMON_STATES, COMMON_STATES] = variance
+        out: Array = by_cause @ causes @ by_cause.transpose(0, 2, 1) + _curvatures(by_cause, by_depth, causes)
+        return out
 
     def _refusal(self, status: Status) -> Refusal:
         s = self.feature_set
@@ -183,7 +252,7 @@ class Locator:
             return Status.OUTSIDE_CALIBRATION
         if not self._has_ground:
             return Status.POOR_FIT
-        xy, late = self._at_middle_row(ray[:2], float(uv_px[1]))
+        xy, late = (found[0] for found in self._at_middle_row(ray[None, :2], uv_px[None, 1]))
         plane = float(s.plane_per_m[0] + xy @ s.plane_per_m[1:])
         outside = distance_outside(self._hull, xy)
         method = s.depth_source.value
@@ -202,16 +271,19 @@ class Locator:
         by_readout = s.R_enu_cam[:, :2] @ late / (plane * relative) - offset * steeper
         return _Sight(xy, offset, 1.0 / relative, method, by_readout)
 
-    def _at_middle_row(self, xy: Array, v_px: float) -> tuple[Array, Array]:
-        """Where what a pixel of this row saw was at the picture's own moment, and d that / d readout. (18.5)"""
-        s, out, moved = self.feature_set, xy, np.zeros(2)
+    def _at_middle_row(self, xy: Array, v_px: Array) -> tuple[Array, Array]:
+        """Where what pixels (M, 2) of these rows (M,) saw was at the picture's own moment, and d that / d readout.
+
+        (18.5)
+        """
+        s, out, moved = self.feature_set, xy, np.zeros_like(xy)
         if s.shutter is None:
             return out, moved
-        share = float(row_share(v_px, s.camera.height_px))
+        share = np.asarray(row_share(v_px, s.camera.height_px))[:, None]
         for _ in range(SHUTTER_STEPS):
-            plane = max(float(s.plane_per_m[0] + out @ s.plane_per_m[1:]), self._plane_floor)
-            r, _ = self._kriging.predict(out[None])
-            moved = -share * s.shutter.image_velocity(out, plane * max(1.0 + float(r[0]), 0.0))
+            plane = np.maximum(s.plane_per_m[0] + out @ s.plane_per_m[1:], self._plane_floor)
+            r, _ = self._kriging.predict_each(out)
+            moved = -share * s.shutter.image_velocity(out, plane * np.maximum(1.0 + r, 0.0))
             out = xy + s.shutter.readout_s * moved
         return out, moved
 
@@ -255,6 +327,26 @@ def _curvature(by_cause: Array, by_depth: Array, causes: Array) -> Array:
     values, vectors = np.linalg.eigh(total)
     out: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return out
+
+
+def _curvatures(by_cause: Array, by_depth: Array, causes: Array) -> Array:
+    """`_curvature` of M clicks each by itself: (M, 3, N), (M, N) and (M, N, N) -> (M, 3, 3)."""
+    turned = by_cause.copy()
+    turned[:, :, :3] = 0.0
+    by_u = (causes @ by_depth[:, :, None])[:, :, 0]
+    by_turned = causes @ turned.transpose(0, 2, 1)
+    uu = np.sum(by_depth * by_u, axis=1)[:, None, None]
+    vu, au = (turned @ by_u[:, :, None])[:, :, 0], (by_cause @ by_u[:, :, None])[:, :, 0]
+    third = by_cause @ by_turned * uu + 2.0 * au[:, :, None] * vu[:, None]
+    total = uu * (turned @ by_turned) + 2.0 * vu[:, :, None] * vu[:, None] + third + third.transpose(0, 2, 1)
+    values, vectors = np.linalg.eigh(total)
+    out: Array = (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.transpose(0, 2, 1)
+    return out
+
+
+def _with_one(xy: Array) -> Array:
+    """(x, y, 1) of each (x, y), (M, 3)."""
+    return np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
 
 
 def _jacobian(sight: _Sight) -> Array:

@@ -209,6 +209,7 @@ def _add_setup(setup: argparse.ArgumentParser) -> None:
     )
     setup.add_argument("--size", type=pair, metavar="WxH", help="picture size")
     setup.add_argument("--camera-file", type=Path, metavar="CAMERA.json", help="a calibrated lens")
+    setup.add_argument("--lens", metavar="NAME", help="else its camera, where that is known: camera module 3 wide")
     setup.add_argument(
         "--fov-deg", type=degrees_wide, metavar="DEG", help="else how much it sees from left to right, degrees"
     )

@@ -28,6 +28,7 @@ from benchmarks import (
 from benchmarks.__main__ import BENCHMARKS, RESULTS, STARTED, merge, section
 from benchmarks.flown import Leg, leg, out_and_back, sets_of
 from benchmarks.mechanisms import MECHANISMS
+from benchmarks.source_codecs import recoded
 from contract.answer import Fix
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
@@ -36,6 +37,8 @@ from contract.wire.codec import decode, encode
 from onboard.config.schema import parse_config
 from onboard.events.types import Frame, PositionFix
 from tests.contract.sets import plain_set
+from tests.left_out import NO_PROGRAM
+from tests.rtsp import PACKAGES, drifting_ground, is_installed, number_of
 
 pytestmark = pytest.mark.xdist_group("benchmarks")  # one worker: what they share is made once
 
@@ -340,3 +343,20 @@ def test_beside_a_recorded_autopilot_the_ellipses_hold_in_every_bank() -> None:
     assert np.median(score.semi_m) < 25.0
     assert "pooled" in click_score.row("pooled full", [score])
     assert score.learned_values is not None and len(score.learned_values[0]) == 8
+
+
+@pytest.mark.skipif(not is_installed(), reason=f"{NO_PROGRAM} gstreamer; sudo apt-get install {PACKAGES}")
+@pytest.mark.parametrize("codec", ["H264", "H265"])
+def test_what_a_codec_hands_back_is_the_picture_of_its_number(tmp_path: Path, codec: str) -> None:
+    pictures = drifting_ground(60, (320, 240))
+    raw = tmp_path / "frames.raw"
+    raw.write_bytes(b"".join(picture.tobytes() for picture in pictures))
+    all_came, some_came = (
+        recoded(raw, (320, 240), 60, 10.0, codec=codec, loss=loss, kbit=2000.0) for loss in (0.0, 0.01)
+    )
+    assert list(all_came.images) == list(range(60))
+    assert 1000.0 < all_came.sent_kbit < 6000.0 and all_came.decode_ms > 0.0
+    assert 5 < len(some_came.images) < 60
+    for number, image in [*all_came.images.items(), *some_came.images.items()]:
+        assert number_of(image) == number
+        assert np.abs(image.astype(float) - pictures[number]).mean() < 8.0

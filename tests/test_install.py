@@ -268,6 +268,18 @@ def use_geo(environment: Path, folder: Path) -> None:
     assert (crs["x"], crs["y"]) == pytest.approx((1551397.4, 5196810.7), abs=1.0)
 
 
+def use_geotiff(environment: Path, folder: Path) -> None:
+    """What was seen, as a raster; with the base alone as polygons."""
+    files = folder / "seen.tif", folder / "seen.geojson"
+    said = run_well(
+        environment, "pc-ground", "seen", "--from", level_session(folder / "session.mcap"),
+        *(word for file in files for word in ("--to", file)),
+    )  # fmt: skip
+    assert said.startswith("seen: ") and "in 1 picture of uav" in said
+    assert files[0].read_bytes()[:2] in (b"II", b"MM")
+    assert json.loads(files[1].read_text())["type"] == "FeatureCollection"
+
+
 def use_record(environment: Path, folder: Path) -> None:
     """What the link delivers is kept; without an aircraft nothing, and it says so."""
     said = run_well(
@@ -394,6 +406,7 @@ USES: dict[str, Callable[[Path, Path], None]] = {
     "onboard": use_onboard,
     "terrain": use_terrain,
     "geo": use_geo,
+    "geotiff": use_geotiff,
     "postgresql": use_postgresql,
     "record": use_record,
     "mavlink": use_mavlink,

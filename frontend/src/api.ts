@@ -1,6 +1,6 @@
 // Requests to the server that served the page, and its events.
 
-import type { ClickBody, CoordinateSaid, FrameRow, FrameView, Handoff, Pin, PinReply, PlaceSaid, Seen, ServerEvent, ServerStatus, Tie } from "./types.js";
+import type { ClickBody, CoordinateSaid, FrameRow, FrameView, Handoff, Pin, PinReply, PlaceSaid, Seen, SeenAt, SeenPicture, SeenState, ServerEvent, ServerStatus, Tie } from "./types.js";
 
 export class Refused extends Error {
   constructor(readonly status: number, message: string, readonly body: unknown) { super(message); }
@@ -37,6 +37,10 @@ export const api = {
   path: (vehicle: string) => asked<[number, number][]>(`/api/vehicles/${part(vehicle)}/path`),
   features: (vehicle: string, session: number, frame: number) => asked<FrameView>(frameUrl(vehicle, session, frame, "features")),
   pictureUrl: (vehicle: string, session: number, frame: number) => frameUrl(vehicle, session, frame, "picture"),
+  seenState: () => asked<SeenState>("/api/seen"),
+  seenAt: (lat: number, lon: number) => asked<SeenAt>(`/api/seen/at?lat=${lat}&lon=${lon}`),
+  seenPixel: (at: SeenPicture, lat: number, lon: number) =>
+    asked<{ u_px: number; v_px: number }>(`${frameUrl(at.vehicle, at.session, at.frame, "pixel")}&lat=${lat}&lon=${lon}`),
   pins: () => asked<{ pins: Pin[]; ties: Tie[]; revision: number }>("/api/pins"),
   addPin: (body: { click: ClickBody; category: string; who: string }) => asked<PinReply>("/api/pins", "POST", body, [422]),
   addClick: (id: string, body: ClickBody & { who: string; anyway?: boolean }) => asked<PinReply>(`/api/pins/${part(id)}/clicks`, "POST", body, [409, 422]),

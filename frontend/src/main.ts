@@ -15,7 +15,7 @@ import { Readout } from "./readout.js";
 import { KINDS, shapeSvg } from "./shapes.js";
 import { State, type Peek } from "./state.js";
 import { StatusStrip } from "./strip.js";
-import type { Pin, ServerEvent } from "./types.js";
+import type { Pin, SeenPicture, ServerEvent } from "./types.js";
 import { Viewer } from "./viewer.js";
 
 const state = new State();
@@ -146,6 +146,15 @@ function showTab(tab: string): void {
 }
 
 function handOff(pin: Pin): void { run(showHandoff(pin, state, mapPane)); }
+
+/** Open a picture and show where in it a place of the map is. */
+async function openSeen(seen: SeenPicture, lat: number, lon: number): Promise<void> {
+  const { vehicle, session, frame } = seen;
+  viewer.open(vehicle, frame);
+  const { u_px: u, v_px: v } = await api.seenPixel(seen, lat, lon);
+  picture.markers.look({ key: "looked for", vehicle, session, frame, at: { u, v } });
+  picture.reveal({ u, v });
+}
 
 function select(id: string | null): void {
   document.body.classList.toggle("has-card", id !== null);
@@ -279,7 +288,7 @@ async function beginMap(): Promise<void> {
   }
   const { MapPane, baseMap } = await fetched, tiles = state.server?.tiles ?? null;
   const base = tiles === null ? null : await baseMap(tiles).catch((error: unknown) => { saySomething(`no base map: ${String(error)}`, "refused"); return null; });
-  mapPane = new MapPane(state, viewer, base);
+  mapPane = new MapPane(state, viewer, base, (picture, lat, lon) => run(openSeen(picture, lat, lon)));
 }
 
 void begin();

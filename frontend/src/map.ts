@@ -10,6 +10,7 @@ import { degrees, stepText } from "./format.js";
 import { ABOVE_PICTURES, addLayers, collection, emptyStyle, paintTheme, PIN_LAYERS, type SourceName } from "./map-layers.js";
 import { dotsOf, mapPin, placesOf, type Feature, type MapPin } from "./map-pins.js";
 import { DrawingTime } from "./drawing-time.js";
+import { SeenLayer, type OpenSeen } from "./seen.js";
 import { AIRCRAFT } from "./shapes.js";
 import type { State } from "./state.js";
 import type { Viewer } from "./viewer.js";
@@ -49,7 +50,7 @@ export class MapPane {
   private isSnapshot = false;
   private origin: { lat: number; lon: number } | null = null;
 
-  constructor(private readonly state: State, private readonly viewer: Viewer, private readonly base: BaseMap | null) {
+  constructor(private readonly state: State, private readonly viewer: Viewer, private readonly base: BaseMap | null, private readonly openSeen: OpenSeen) {
     maplibregl.setWorkerUrl(WORKER_URL);
     if (base !== null && base.archive !== null) {
       const protocol = new Protocol();
@@ -124,6 +125,7 @@ export class MapPane {
     this.isReady = true;
     const map = this.map;
     addLayers(map, this.base);
+    new SeenLayer(map, this.state, this.openSeen);
     map.on("moveend", () => this.moved());
     map.on("render", () => {
       const drawn = String(this.drawnCount), element = byId("map"); // what a test may wait for

@@ -11,7 +11,7 @@ const SPOT_PX = { mouse: 7, touch: 16 }, SHAPE_PX = { mouse: 11, touch: 14 }; //
 const SHAPE_ABOVE_PX = 18, BELOW_UNDER_PX = 30; // a pin's shape is drawn so far above its spot; near the top, below
 const MOST = 200; // in one picture, the newest first
 
-interface Spot { readonly key: string; readonly vehicle: string; readonly session: number; readonly frame: number; readonly at: Pixel }
+export interface Spot { readonly key: string; readonly vehicle: string; readonly session: number; readonly frame: number; readonly at: Pixel }
 
 /** A click under way, or refused: it has no pin yet, or never will. */
 export interface Pending extends Spot { readonly number: number; readonly category: Category; text: string; isRefused: boolean }
@@ -21,6 +21,7 @@ interface Drawn { element: HTMLElement; look: string; x: number; y: number; isSe
 export class Markers {
   private readonly drawn = new Map<string, Drawn>();
   private readonly pending = new Map<string, Pending>();
+  private looked: Spot | null = null; // a place that was looked for on the map
   private last: [FrameView | null, View, Size] | null = null;
   private readonly bubble = make("div", { class: "bubble", hidden: true });
 
@@ -35,6 +36,12 @@ export class Markers {
     if (this.last === null) return;
     const [frame, view, pane] = this.last;
     if (frame !== null) this.putPending(pending, frame, view, pane);
+  }
+
+  /** From now on a place is ringed in the picture in which it was looked for. */
+  look(spot: Spot): void {
+    this.looked = spot;
+    this.redraw();
   }
 
   /** Its pin is drawn in its place with the next frame. */
@@ -82,6 +89,11 @@ export class Markers {
         seen.add(pin.id);
       }
       for (const p of this.pending.values()) if (this.putPending(p, frame, view, pane)) seen.add(p.key);
+      const looked = this.looked;
+      if (looked !== null && isOf(looked, frame)) {
+        this.put(looked.key, "", toPane(view, looked.at), pane, () => make("div", { class: "marker looked", "data-testid": "looked-for" }, make("i", {})));
+        seen.add(looked.key);
+      }
     }
     for (const [key, { element }] of this.drawn) {
       if (!seen.has(key)) { element.remove(); this.drawn.delete(key); }
@@ -90,7 +102,7 @@ export class Markers {
 
   private putPending(p: Pending, frame: FrameView, view: View, pane: Size): boolean {
     const size = { width: frame.width_px, height: frame.height_px };
-    if (p.vehicle !== frame.vehicle || p.session !== frame.session || p.frame !== frame.frame || !contains(size, p.at)) return false;
+    if (!isOf(p, frame) || !contains(size, p.at)) return false;
     const at = toPane(view, p.at);
     const look = `${p.category} ${p.number} ${p.isRefused}`;
     this.put(p.key, look, at, pane, () => (p.isRefused ? refusal() : marker(p.category, String(p.number), true, "")));
@@ -154,6 +166,10 @@ function marker(category: Category, number: string, isMarked: boolean, flag: str
   element.append(make("i", { class: "spot" }), shapeSvg(kind, 20, number));
   if (flag !== "") element.append(make("b", { class: "flag" }, flag));
   return element;
+}
+
+function isOf(spot: Spot, frame: FrameView): boolean {
+  return spot.vehicle === frame.vehicle && spot.session === frame.session && spot.frame === frame.frame;
 }
 
 function refusal(): HTMLElement {

@@ -1,4 +1,4 @@
-// What the server sends. Must match ground/web/{api_vehicles,api_pins,pin_json,view}.py.
+// What the server sends. Must match ground/web/{api_vehicles,api_pins,pin_json,seen_map,view}.py.
 
 import type { Camera } from "./projection.js";
 
@@ -90,3 +90,15 @@ export type ServerEvent =
   | { type: "pins" }
   | { type: "resync" }
   | { type: "status"; vehicles: VehicleState[]; damage: string[]; sharing: string };
+
+export interface SeenState {
+  version: number; cell_m: number | null; area_m2: number; pictures: number; ahead: number | null;
+  is_live: boolean; left_out: number; is_full: boolean; trouble: string;
+}
+
+export interface SeenPicture { vehicle: string; session: number; frame: number; capture_unix_ns: string; gsd_m: number }
+
+export interface SeenAt {
+  lat_deg: number; lon_deg: number; count: number; first_utc: string | null; last_utc: string | null; gsd_m: number | null;
+  finest: SeenPicture | null; pictures: SeenPicture[];
+}

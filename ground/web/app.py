@@ -17,6 +17,7 @@ from starlette.types import ASGIApp
 from contract.errors import PointclickError
 from ground.web.api_import import import_router
 from ground.web.api_pins import pins_router
+from ground.web.api_seen import seen_router
 from ground.web.api_vehicles import vehicles_router
 from ground.web.desk import Desk, NotThere
 from ground.web.guard import Guard, Rules
@@ -44,6 +45,7 @@ def create_app(desk: Desk, rules: Rules) -> ASGIApp:
         watch = Watch(desk)
         yield
         await asyncio.to_thread(watch.close)
+        await asyncio.to_thread(desk.seen_map.close)
 
     app = FastAPI(
         title="pointclick ground station",
@@ -54,8 +56,8 @@ def create_app(desk: Desk, rules: Rules) -> ASGIApp:
         openapi_url="/api/openapi.json",
         description="Pictures, clicks and pins. Angles in degrees (WGS84), lengths in metres, times in UTC.",
     )
-    for router in (vehicles_router(desk), pins_router(desk), handoff_router(desk), import_router(desk)):
-        app.include_router(router, prefix="/api")
+    for make_router in (vehicles_router, pins_router, handoff_router, import_router, seen_router):
+        app.include_router(make_router(desk), prefix="/api")
 
     app.include_router(ogc_router(desk), prefix="/ogc")
 

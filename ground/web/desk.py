@@ -20,6 +20,7 @@ from ground.web.clicks import Clicked, Clicker
 from ground.web.crops import Cropper
 from ground.web.events import Hub
 from ground.web.pin_json import pin_json, tie_json
+from ground.web.seen_map import SeenMap
 from ground.web.source import Source
 from ground.web.tiles import Tiles
 from ground.web.view import placed_in
@@ -47,6 +48,7 @@ class Desk:
         self.clicker = Clicker(self.source)
         self.places = Places(self.store)
         self.hub = Hub()
+        self.seen_map = SeenMap(self.source)
         self._cropper = Cropper()
         # By the pin's id: the pin and its place as they were, and their JSON.
         self._texts: dict[str, tuple[Pin, Fused, str]] = {}

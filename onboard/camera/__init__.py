@@ -7,8 +7,8 @@ Public:
 - `factory`: `open_camera`, `open_device`
 - `file_stamps`: `spread_within_seconds`, `stamp_from_name`
 - `format_negotiation`: `sizes_text`
-- `helper_launch`: `helper_launch`, `libcamera_names`, `unable`
-- `known_lenses`: `GIVEN_SIGMA`, `STATED_SIGMA`, `first_camera_file`, `known_lens`
+- `helper_launch`: `RTSP`, `decoders_text`, `helper_launch`, `libcamera_names`, `unable`
+- `known_lenses`: `GIVEN_SIGMA`, `Lens`, `first_camera_file`, `known_lens`, `named_lens`
 - `photo_lens`: `FULL_FRAME_DIAGONAL_MM`
 - `photo_metadata`: `Focal`, `PhotoMetadata`, `read_photo`
 - `picture_files`: `FrameSource`, `PICTURE_SUFFIXES`, `open_frames`, `read_grey`

@@ -43,7 +43,7 @@ CODECS = {
         "rtph264depay", "h264parse", ("v4l2h264dec", "nvv4l2decoder", "v4l2slh264dec", "avdec_h264", "openh264dec"),
     ),
     "H265": ("rtph265depay", "h265parse", ("v4l2h265dec", "nvv4l2decoder", "v4l2slh265dec", "avdec_h265")),
-    "JPEG": ("rtpjpegdepay", "", ("jpegdec", "avdec_mjpeg")),
+    "JPEG": ("rtpjpegdepay", "", ("v4l2jpegdec", "jpegdec", "avdec_mjpeg")),
     "MP4V-ES": ("rtpmp4vdepay", "mpeg4videoparse", ("v4l2mpeg4dec", "avdec_mpeg4")),
 }  # fmt: skip
 LUMA = "video/x-raw,format=(string){GRAY8,I420,YV12,NV12,NV21,Y42B,NV16,Y444,GRAY16_LE}"
@@ -51,6 +51,7 @@ LOCAL = {"v4l2src": UNKNOWN, "libcamerasrc": FIRST_ROW_END, "nvarguscamerasrc": 
 """Sources on this computer, whose buffers bear the driver's time, and which moment of the exposure that is."""
 JITTER_MS = 100  # for packets that come out of order
 TIMEOUT_US = 3_000_000
+HEALED_NS = 3_000_000_000  # longer than it takes to refresh a picture bit by bit
 HELD = 256  # pictures between parser and decoder, at most
 STEADY = 15  # pictures in a row that must have a kind of stamp before it is used
 NTP_TO_UNIX_NS = 2_208_988_800 * 10**9
@@ -139,6 +140,14 @@ def load() -> tuple[Any, Any]:
     return Gst, GstVideo
 
 
+def decoders_at_hand(Gst: Any) -> dict[str, list[str]]:
+    """Of each codec the decoders that are installed, in the order in which they are tried."""
+    return {
+        codec: [name for name in names if Gst.ElementFactory.find(name) is not None]
+        for codec, (_, _, names) in CODECS.items()
+    }
+
+
 class Stamps:
     """Which of the stamps that a stream has are used: the best that every picture has had for a while."""
 
@@ -156,6 +165,25 @@ class Stamps:
         return next((origin for origin, row in self._row.items() if row >= enough), ARRIVAL)
 
 
+class Whole:
+    """Which pictures of a stream are whole: none from a gap in it to the next picture that needs no other.
+
+    A decoder puts something in place of what was lost, and goes on: pictures look sharp, and show where the camera was
+    before the gap. A stream without such pictures (intra refresh) is whole again after HEALED_NS.
+    """
+
+    def __init__(self) -> None:
+        self._broken_ns: int | None = None
+
+    def see(self, is_gap: bool, is_key: bool, now_ns: int) -> bool:
+        """Of the next picture, as it comes to the decoder: behind a gap or not, one that needs no other or not."""
+        if is_gap:
+            self._broken_ns = now_ns
+        if is_key or (self._broken_ns is not None and now_ns - self._broken_ns > HEALED_NS):
+            self._broken_ns = None
+        return self._broken_ns is None
+
+
 class Player:
     """One pipeline from its source to frames."""
 
@@ -166,8 +194,9 @@ class Player:
         self.decoder = ""
         self.written = 0
         self.failure = ""  # found by a thread of GStreamer's
-        self._known: dict[int, tuple[int, dict[int, int]]] = {}  # by presentation time: arrival and stamps
+        self._known: dict[int, tuple[int, dict[int, int], bool]] = {}  # by presentation time: arrival, stamps, if whole
         self._stamps = Stamps(bool(spec.get("utc")))
+        self._whole = Whole()
         self._number = 0
         self._last_pts: int | None = None
         self._is_asked_to_end = False
@@ -191,10 +220,16 @@ class Player:
             self.need("libcamerasrc")
         else:
             self.need("rtspsrc")
-            for depay, parse, decoders in CODECS.values():
+            for codec, (depay, parse, _) in CODECS.items():
                 self.need(depay, *([parse] if parse else []))
-                if not any(self.Gst.ElementFactory.find(name) for name in decoders):
-                    self.need(next(name for name in decoders if name.startswith(("avdec", "jpegdec"))))
+                self._decoders_of(codec)
+
+    def _decoders_of(self, codec: str) -> list[str]:
+        """Those that are installed, at least one; raises Hopeless."""
+        found = decoders_at_hand(self.Gst)[codec]
+        if not found:
+            self.need(next(name for name in CODECS[codec][2] if name.startswith(("avdec", "jpegdec"))))
+        return found
 
     def play(self) -> None:
         """Write frames until asked to end; raises Over or Hopeless."""
@@ -344,13 +379,10 @@ class Player:
         Gst = self.Gst
         if codec not in CODECS:
             raise Hopeless(f"video of codec {codec or 'unknown'}: it is one of {', '.join(CODECS)}; else gst:PIPELINE")
-        depay, parse, decoders = CODECS[codec]
+        depay, parse, _ = CODECS[codec]
         self.need(depay, *([parse] if parse else []))
         if not self.decoder:
-            self.decoders = [name for name in decoders if Gst.ElementFactory.find(name) is not None]
-            if not self.decoders:
-                self.need(next(name for name in decoders if name.startswith(("avdec", "jpegdec"))))
-            self.decoder = self.decoders.pop(0)
+            self.decoder, *self.decoders = self._decoders_of(codec)
         made = [Gst.ElementFactory.make(name, None) for name in (depay, parse, self.decoder) if name]
         if codec in {"H264", "H265"}:
             form = Gst.ElementFactory.make("capsfilter", None)
@@ -378,7 +410,9 @@ class Player:
         sei_ns = precision_time_ns(buffer.extract_dup(0, buffer.get_size()), is_h265, is_byte_stream)
         if sei_ns is not None:
             found[SEI] = sei_ns
-        self._known[buffer.pts] = arrival_ns, found
+        flags = self.Gst.BufferFlags
+        is_gap, is_key = buffer.has_flags(flags.DISCONT), not buffer.has_flags(flags.DELTA_UNIT)
+        self._known[buffer.pts] = arrival_ns, found, self._whole.see(is_gap, is_key, arrival_ns)
         while len(self._known) > HELD:
             del self._known[next(iter(self._known))]
         return self.Gst.PadProbeReturn.OK
@@ -393,7 +427,7 @@ class Player:
         if len(luma) < stride * info.height:  # the last row comes without its padding
             luma = luma.ljust(stride * info.height, b"\0")
         pts = buffer.pts if buffer.pts != Gst.CLOCK_TIME_NONE else None
-        arrival_ns, found = self._known.pop(buffer.pts, (now_ns, {}))
+        arrival_ns, found, is_whole = self._known.pop(buffer.pts, (now_ns, {}, True))
         if pts is not None:
             found[MEDIA] = pts
         stamp_ns, clock, moment, origin = now_ns, MONOTONIC, UNKNOWN, ARRIVAL
@@ -404,7 +438,7 @@ class Player:
             if origin in found:
                 stamp_ns, clock = found[origin], SENDER if origin == MEDIA else SENDER_UTC
         self._count(pts, buffer.duration, info)
-        damaged = buffer.has_flags(Gst.BufferFlags.CORRUPTED)
+        damaged = buffer.has_flags(Gst.BufferFlags.CORRUPTED) or not is_whole
         exposure_us = self.spec.get("exposure_us")
         exposure_s = NAN if exposure_us is None or self.spec["kind"] != "libcamera" else exposure_us / 1e6
         fourcc = b"Y16 " if caps.get_structure(0).get_string("format") == "GRAY16_LE" else b"GREY"
@@ -448,6 +482,9 @@ def main() -> int:
         Gst, GstVideo = load()
         if spec["kind"] == "list":
             os.write(out, json.dumps(cameras(Gst)).encode())
+            return 0
+        if spec["kind"] == "decoders":
+            os.write(out, json.dumps(decoders_at_hand(Gst)).encode())
             return 0
         if spec.get("is_check"):
             Player(Gst, GstVideo, spec, out).check()

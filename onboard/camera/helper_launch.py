@@ -19,6 +19,7 @@ EXEC, GST, LIBCAMERA, RTSP = "exec:", "gst:", "libcamera:", ("rtsp://", "rtspt:/
 SYSTEM_PYTHON = "/usr/bin/python3"  # Debian's, which has GStreamer's bindings
 ASK_S = 20.0  # GStreamer looks through all its plugins when it is asked for the first time
 HELPER = Path(__file__).with_name("gstreamer_helper.py")
+IN_SOFTWARE = {"avdec_h264", "avdec_h265", "avdec_mjpeg", "avdec_mpeg4", "jpegdec", "openh264dec"}
 _PASSWORD = re.compile(r"(?<=//)[^/@\s]*@")
 
 
@@ -75,6 +76,20 @@ def libcamera_names() -> tuple[list[str], str]:
     """The IDs of libcamera's cameras, and why they could not be listed (empty if they could)."""
     text, why = _ask({"kind": "list"})
     return ([] if why else [str(name) for name in json.loads(text)]), why
+
+
+def decoders_text() -> str:
+    """What decodes the video of streams on this computer, or why that cannot be said."""
+    text, why = _ask({"kind": "decoders"})
+    if why:
+        return f"video of streams is not decoded: {why}"
+    return "; ".join(_decoded(codec, names) for codec, names in json.loads(text).items())
+
+
+def _decoded(codec: str, names: list[str]) -> str:
+    """Of one codec: what is tried first, and what if that does not work."""
+    said = [f"{name} (hardware)" if name not in IN_SOFTWARE else name for name in names]
+    return f"{codec} by {', else '.join(said)}" if said else f"{codec} by nothing that is installed"
 
 
 def _ask(spec: dict[str, Any]) -> tuple[str, str]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from onboard.camera.discovery import device_paths, stable_names
 from onboard.camera.format_negotiation import sizes_text
-from onboard.camera.helper_launch import libcamera_names
+from onboard.camera.helper_launch import decoders_text, libcamera_names
 from onboard.camera.pixel_formats import DECODERS
 from onboard.camera.v4l2_device import Control, Device, Sizes, V4l2Device
 
@@ -35,9 +35,12 @@ def run(arguments: argparse.Namespace) -> int:
     cameras += [
         {"device": f"libcamera:{name}", "names": [], "line": device_line(f"libcamera:{name}")} for name in names
     ]
-    listed = json.dumps(cameras, indent=1) if arguments.json else "\n\n".join(text(camera) for camera in cameras)
+    if arguments.json:
+        listed = json.dumps(cameras, indent=1)
+    else:
+        listed = "\n\n".join([*map(text, cameras), f"streams: {decoders_text()}"])
     try:
-        print(listed, end="\n" if listed else "", flush=True)
+        print(listed, flush=True)
     except BrokenPipeError:  # the reader, for example `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     for line in refused:

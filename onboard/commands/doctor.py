@@ -18,6 +18,7 @@ from contract.link_config import Tls
 from contract.supervised_thread import in_a_line
 from contract.vehicle_status import VehicleStatus
 from onboard.camera.factory import open_camera
+from onboard.camera.helper_launch import RTSP, decoders_text
 from onboard.commands.line_meaning import MEANING
 from onboard.commands.preflight import Line, Surroundings, diagnose
 from onboard.config.files import load_camera, load_config_files, state_folder
@@ -89,7 +90,8 @@ def _surroundings(config: Config, camera: Camera | str, is_running: bool) -> Sur
         free = free_mb(folder)
     except PointclickError:
         free = None
-    return Surroundings(camera, link, free, cpu_temperature_c(), is_running)
+    decoders = decoders_text() if config.camera.device.startswith(RTSP) else ""
+    return Surroundings(camera, link, free, cpu_temperature_c(), is_running, decoders)
 
 
 class Look:

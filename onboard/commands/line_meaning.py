@@ -6,6 +6,7 @@ from onboard.commands.preflight import (
     DARK,
     MAX_CLIPPED,
     MAX_CLOCK_SIGMA_MS,
+    MAX_LEFT_OUT,
     MAX_ROUND_TRIP_MS,
     MAX_STAMP_SIGMA_MS,
     MIN_ATTITUDE_HZ,
@@ -34,6 +35,10 @@ MEANING: dict[str, tuple[str, str]] = {
     "exposure": (
         f"Mean grey above {DARK:.0f}, and not over {100 * MAX_CLIPPED:.0f} % of the picture black or white.",
         "If bad: take off the lens cap, or set camera.exposure_us and camera.gain for the light of the flight.",
+    ),
+    "decoder": (
+        "What decodes a network camera's video, the first that works of those that are installed.",
+        "If bad: it never is: what is missing stands in the line camera. In hardware it costs next to no processor.",
     ),
     "telemetry": (
         "Whether positions come from the autopilot or receiver.",
@@ -75,6 +80,11 @@ MEANING: dict[str, tuple[str, str]] = {
     "threads": (
         "Whether every part of the daemon runs.",
         "If bad: restart the service, and keep the journal: it has the stack of what stopped.",
+    ),
+    "left out": (
+        "What of the picture holds no features, by camera.mask or because it stands still; "
+        f"up to {100 * MAX_LEFT_OUT:.0f} %.",
+        "If bad: switch the display off, move the camera so that it sees less of the aircraft, or mend camera.mask.",
     ),
     "mount": (
         "The mount's angles, and what the last flights found in addition: no more than three sigma.",

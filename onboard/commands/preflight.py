@@ -29,6 +29,7 @@ MAX_ROUND_TRIP_MS = 100.0
 MAX_VARIANCE_FACTOR = 4.0  # ellipses are then twice as long as sensors and pictures explain
 BORESIGHT_SIGMAS = 3.0
 MAX_CLIPPED = 0.3
+MAX_LEFT_OUT = 0.4  # of the picture
 DARK, BRIGHT = 25.0, 230.0
 HOT_C = 80.0
 
@@ -51,6 +52,7 @@ class Surroundings:
     free_mb: float | None
     temperature_c: float | None
     is_running: bool = True  # the report is a daemon's, which has judged its flight
+    decoders: str = ""  # what decodes the camera's stream; empty where it is none
 
 
 # Of what is judged, that which can be seen without a daemon.
@@ -66,11 +68,12 @@ def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]
         _rate(config, report),
         _stamps(config, report),
         _exposure(config, report),
+        *([Line("decoder", True, around.decoders)] if around.decoders else []),
         judged.pop(Subject.TELEMETRY),
         _rates(report),
         _time_sync(config, report),
         *judged.values(),
-        *([_sensors(report), _radius(report)] if around.is_running else []),
+        *([_left_out(report), _sensors(report), _radius(report)] if around.is_running else []),
         _mount(config, report),
         _relative_errors(report),
         _calibration(around.camera),
@@ -193,6 +196,12 @@ def _time_sync(config: Config, report: Report) -> Line:
     text = f"+-{sigma_ms:.1f} ms" + ("" if trip_ms is None else f", round trip {trip_ms:.1f} ms")
     good = sigma_ms <= MAX_CLOCK_SIGMA_MS and (trip_ms is None or trip_ms <= MAX_ROUND_TRIP_MS)
     return Line("time sync", good, text)
+
+
+def _left_out(report: Report) -> Line:
+    """What of the picture is taken for no ground."""
+    left_out = report.pictures.left_out
+    return Line("left out", left_out.masked + left_out.standing <= MAX_LEFT_OUT, str(left_out) or "nothing")
 
 
 def _mount(config: Config, report: Report) -> Line:

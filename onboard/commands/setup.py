@@ -7,7 +7,6 @@ given nor the only one found is an error in one line. Nothing is written before 
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import sys
 from collections.abc import Callable
@@ -22,7 +21,7 @@ from contract.errors import ConfigError, InputError
 from contract.rotations import log_so3, mount_rotation
 from onboard.camera.discovery import device_paths
 from onboard.camera.helper_launch import libcamera_names
-from onboard.camera.known_lenses import GIVEN_SIGMA, STATED_SIGMA, first_camera_file, known_lens
+from onboard.camera.known_lenses import GIVEN_SIGMA, Lens, first_camera_file, known_lens, named_lens
 from onboard.camera.pixel_formats import DECODERS
 from onboard.camera.v4l2_device import V4l2Device
 from onboard.commands import doctor
@@ -194,24 +193,38 @@ def _camera_file(
     if arguments.camera_file is not None:
         Camera.from_json(arguments.camera_file)
         return arguments.camera_file.resolve(), None
-    size_px, lens = _size(arguments, terminal, camera), known_lens(camera.name)
-    hfov_deg, source, sigma = arguments.fov_deg, "a stated field of view", GIVEN_SIGMA
-    if hfov_deg is None and lens is not None:
-        hfov_deg, source, sigma = lens.hfov_deg, f"the data sheet of {lens.name}", STATED_SIGMA
-        if terminal is not None:
-            terminal.show(f"Lens: {lens.name}, {hfov_deg:.1f} degrees from left to right.")
-    if hfov_deg is None:
-        if terminal is None:
-            raise ConfigError(
-                "setup: the lens is not known: --camera-file CAMERA.json, or --fov-deg DEGREES (horizontal)"
-            )
-        hfov_deg = terminal.ask("field of view from left to right, degrees", fov, "60")
+    size_px, lens = _size(arguments, terminal, camera), _lens(arguments, terminal, camera)
     left.append(
-        f"calibrate the lens, whose field of view ({hfov_deg:.0f} deg, +-{100 * sigma:.0f} %) is only a beginning: "
+        f"calibrate the lens, whose field of view ({lens.hfov_deg:.0f} deg, +-{100 * lens.sigma:.0f} %, by "
+        f"{lens.source}) is only a beginning: "
         f"pc-onboard calibrate --device '{camera.device}' --size {size_px[0]}x{size_px[1]} --out {path}, or fly with "
         f"turns and climbs and: pc-onboard calibrate --from SESSION.mcap --out {path}"
     )
-    return path.resolve(), first_camera_file(size_px, hfov_deg, source, sigma)
+    return path.resolve(), first_camera_file(size_px, lens.hfov_deg, lens.name, lens.sigma)
+
+
+def _lens(arguments: argparse.Namespace, terminal: Terminal | None, camera: Found) -> Lens:
+    """As given, else as the driver's name tells, else as somebody says."""
+    if arguments.fov_deg is not None:
+        return _stated(arguments.fov_deg)
+    try:
+        lens = known_lens(camera.name) if arguments.lens is None else named_lens(arguments.lens)
+    except ValueError as error:
+        raise ConfigError(f"setup: --lens {arguments.lens}: {error}") from error
+    if lens is None and terminal is None:
+        raise ConfigError(
+            "setup: the lens is not known: --camera-file CAMERA.json, --lens NAME, or --fov-deg DEGREES (horizontal)"
+        )
+    if lens is None:
+        assert terminal is not None
+        return terminal.ask("field of view from left to right, degrees, or the camera's name", seen, "60")
+    if terminal is not None:
+        terminal.show(f"Lens: {lens.name}, {lens.hfov_deg:.1f} degrees from left to right ({lens.source}).")
+    return lens
+
+
+def _stated(hfov_deg: float) -> Lens:
+    return Lens("", "a stated field of view", hfov_deg, "what was said", GIVEN_SIGMA)
 
 
 def _size(arguments: argparse.Namespace, terminal: Terminal | None, camera: Found) -> tuple[int, int]:
@@ -288,15 +301,15 @@ def _not_empty(line: str) -> str:
     return line
 
 
-def fov(line: str) -> float:
-    """A horizontal field of view, degrees; raises ValueError."""
+def seen(line: str) -> Lens:
+    """A lens by its horizontal field of view (degrees) or its name; raises ValueError."""
     try:
         value = float(line)
     except ValueError:
-        value = math.nan
+        return named_lens(line)
     if not 5.0 <= value <= 150.0:
         raise ValueError("degrees from 5 to 150")
-    return value
+    return _stated(value)
 
 
 def size_of(line: str) -> tuple[int, int]:

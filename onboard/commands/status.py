@@ -49,6 +49,7 @@ def text(report: Report) -> str:
         ("pictures", f"{status.camera_hz:.1f} a second, {status.dropped} dropped{lost}"),
         ("answers", f"{status.ok_hz:.1f} a second, {status.delay_s:.2f} s after capture"),
         ("tracks", f"{status.tracks}"),
+        *([("left out", str(report.pictures.left_out))] if str(report.pictures.left_out) else []),
         ("camera", _source(report.camera)),
         ("telemetry", _source(report.telemetry)),
         ("gps", "not reported" if report.gps is None else str(report.gps)),

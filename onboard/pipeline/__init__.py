@@ -7,5 +7,5 @@ Public:
   `as_rows`, `larger_than_declared`, `not_adopted`, `said_of`
 - `mount_search`: `MountSearch`
 - `pipeline`: `Pipeline`
-- `statistics`: `Summary`
+- `statistics`: `LeftOut`, `Summary`
 """

@@ -48,7 +48,7 @@ from onboard.pipeline.picture_record import Pending, Record
 from onboard.pipeline.placing import Placing
 from onboard.pipeline.record_book import RecordBook
 from onboard.pipeline.shortfall import MIN_OVERLAP, Evidence, is_standing_still
-from onboard.pipeline.statistics import RunStatistics, Summary
+from onboard.pipeline.statistics import LeftOut, RunStatistics, Summary
 from onboard.pipeline.terrain_at_hand import TerrainSource, cut, is_at_hand
 from onboard.pipeline.zoom_following import ZoomFollowing
 from onboard.vision.klt_tracker import MIN_TRACKS, Tracks
@@ -148,7 +148,8 @@ class Pipeline:
     def summary(self) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
         carrier = self.mount_selection.carrier(self.navigation)
-        return self._statistics.summary(*found_in_flight(self.config, self.window, self._now_ns), carrier)
+        found = found_in_flight(self.config, self.window, self._now_ns)
+        return self._statistics.summary(*found, carrier, LeftOut(*self.tracker.left_out_shares))
 
     def _process(self, frame: Frame) -> list[FeatureSet]:
         if self._session is None:

@@ -17,6 +17,20 @@ from onboard.pipeline.shortfall import Evidence, Shortfall
 REMEMBERED_PICTURES = 5000  # whose status may still change: many times what a window spans
 
 
+@dataclass(frozen=True)
+class LeftOut:
+    """Shares (0 to 1) of the picture where no features are taken."""
+
+    masked: float = 0.0  # by `camera.mask`
+    standing: float = 0.0  # found in flight: it stands still while the ground moves
+
+    def __str__(self) -> str:
+        """Empty if nothing is left out."""
+        why = "found: stands still while the ground moves (a display, or the aircraft itself)"
+        parts = ((self.masked, "by camera.mask"), (self.standing, why))
+        return ", ".join(f"{100.0 * share:.0f} % {what}" for share, what in parts if share > 0.0)
+
+
 @dataclass
 class Summary:
     """What became of the pictures. `refused` counts reasons; `stage_seconds` is processor time by stage."""
@@ -34,6 +48,7 @@ class Summary:
     unconfirmed: tuple[Estimate, ...] = ()  # found, but too far from the prior to be adopted by itself
     contradictions: tuple[Contradiction, ...] = ()  # sensors that contradict the others, or did
     carrier: str = ""  # what the camera was assumed to be mounted on
+    left_out: LeftOut = field(default_factory=LeftOut)
     stage_seconds: dict[str, float] = field(default_factory=dict)
 
 
@@ -83,6 +98,7 @@ class RunStatistics:
         unconfirmed: tuple[Estimate, ...] = (),
         contradictions: tuple[Contradiction, ...] = (),
         carrier: str = "",
+        left_out: LeftOut | None = None,
     ) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
         refused = Counter({s.value: n for s, n in self._outcomes.items() if s is not Status.OK and n})
@@ -100,6 +116,7 @@ class RunStatistics:
             unconfirmed=unconfirmed,
             contradictions=contradictions,
             carrier=carrier,
+            left_out=left_out or LeftOut(),
             stage_seconds=dict(self._stages),
         )
 

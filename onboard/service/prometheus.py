@@ -160,6 +160,8 @@ def _pictures(one: _Labelled, report: Report) -> Iterator[Metric]:
     yield one.gauge("solved_pictures", "pictures that can be clicked", "", pictures.solved)
     yield one.gauges("refused_pictures", "pictures that cannot be clicked", "", "reason", pictures.refused)
     yield one.gauge("reprojection", "median residual of the window solves", "pixels", pictures.reprojection_px)
+    shares = {"mask": pictures.left_out.masked, "found": pictures.left_out.standing}
+    yield one.gauges("picture_left_out", "share of a picture where no features are taken", "ratio", "by", shares)
     if brightness is not None:
         yield one.gauge("picture_mean", "mean grey of a picture, 1 is white", "ratio", brightness.mean / 255.0)
         yield one.gauge("picture_black", "share of a picture that is black", "ratio", brightness.black)

@@ -21,7 +21,7 @@ from onboard.events.source import SourceStatus
 from onboard.events.types import GpsQuality
 from onboard.pipeline.error_budgets import Budget
 from onboard.pipeline.estimates import Contradiction, Estimate, SensorError
-from onboard.pipeline.statistics import Summary
+from onboard.pipeline.statistics import LeftOut, Summary
 from onboard.service.vehicle_state import Finding, GpsReport
 
 BLACK, WHITE = 2, 253  # grey levels up to which and from which a pixel holds no information
@@ -53,12 +53,13 @@ class PictureCounts:
     refused: Mapping[str, int] = field(default_factory=dict)
     reprojection_px: float = 0.0
     unencodable: int = 0  # sets that had no encoding and were left out
+    left_out: LeftOut = field(default_factory=LeftOut)  # of the newest picture
 
     @classmethod
     def of(cls, summary: Summary, unencodable: int) -> PictureCounts:
         """From the pipeline's statistics."""
         s = summary
-        return cls(s.frames, s.keyframes, s.solved, dict(s.refused), s.reprojection_px, unencodable)
+        return cls(s.frames, s.keyframes, s.solved, dict(s.refused), s.reprojection_px, unencodable, s.left_out)
 
 
 def gps_report(quality: GpsQuality | None, now_ns: int) -> GpsReport | None:

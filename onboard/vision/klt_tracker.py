@@ -30,6 +30,7 @@ from onboard.vision.coarse_flow import flow_disagreement
 from onboard.vision.contrast_normalisation import SPREAD, Normaliser, Picture, thumbnail
 from onboard.vision.descriptor_matching import Described, describe, motion_between
 from onboard.vision.repetitive_texture import repetition_px
+from onboard.vision.standing_parts import StandingParts
 from onboard.vision.track_consistency import are_inconsistent
 
 Array = NDArray[np.float64]
@@ -87,6 +88,7 @@ class Tracker:
         self._contrast = np.zeros(0)  # grey levels, one sigma of each feature's patch in the keyframe
         self._next_id = 0
         self._current: Picture | None = None
+        self._newest: Picture | None = None  # the same as it came
         self._motion = np.eye(3)  # keyframe -> the last picture that was followed
         self._predicted: Array | None = None  # the same as it was predicted
         self._step = np.eye(3)  # the last picture's motion since the one before
@@ -94,15 +96,28 @@ class Tracker:
         self._hann: NDArray[np.float32] | None = None
         self._normalise = Normaliser(size_px)
         self._repetition_px: float | None = None  # at which the keyframe repeats itself, if it does
-        self._burned_in: NDArray[np.bool_] | None = None  # (H, W) what is no ground
+        self._standing = StandingParts(size_px)
+        self._masked: NDArray[np.bool_] | None = None  # (H, W) what is no ground as somebody has said
+        self._burned_in: NDArray[np.bool_] | None = None  # the same with what has been found to stand still
         self._usable: NDArray[np.bool_] | None = None  # (H, W) pixels whose whole window is ground
         self.flow_disagreement_px: Array | None = None  # (2,) `coarse_flow` since the keyframe before the present one
 
     def leave_out(self, burned_in: NDArray[np.bool_]) -> None:
         """Take no feature where (H, W) something is burned into every picture, nor where a window would hold it."""
+        self._masked = burned_in
+        self._leave_out_all()
+
+    def _leave_out_all(self) -> None:
+        """What somebody has said and what has been found."""
+        burned_in = self._standing.mask if self._masked is None else self._standing.mask | self._masked
         self._burned_in = burned_in
         window = np.ones((WINDOW_PX, WINDOW_PX), np.uint8)
         self._usable = np.asarray(cv2.dilate(burned_in.astype(np.uint8), window)) == 0
+
+    @property
+    def left_out_shares(self) -> tuple[float, float]:
+        """Shares (0 to 1) of the picture: as somebody has said, and found to stand still while the ground moves."""
+        return 0.0 if self._masked is None else float(self._masked.mean()), self._standing.share
 
     @property
     def has_keyframe(self) -> bool:
@@ -116,6 +131,13 @@ class Tracker:
 
     def track(self, image: Picture, predicted: Array | None) -> Tracks:
         """Look for the keyframe's features in a grey picture (H, W). `predicted`: H (3, 3) from keyframe, or None."""
+        tracks = self._find_again(image, predicted)
+        if self._standing.see(image, (tracks.motion if len(tracks) else None, predicted)):
+            self._leave_out_all()
+        return tracks
+
+    def _find_again(self, image: Picture, predicted: Array | None) -> Tracks:
+        self._newest = image
         self._current = self._normalised(image)
         if self._picture is None or not len(self._ids):
             return self.nothing()
@@ -204,6 +226,10 @@ class Tracker:
             self.flow_disagreement_px = flow_disagreement(
                 self._picture, self._current, tracks.motion, tracks.keyframe_uv_px, tracks.uv_px
             )
+        if self._newest is not None and not len(tracks):
+            self._standing.begin(self._newest)
+        else:
+            self._standing.new_keyframe(tracks.motion)
         self._picture, self._thumbnail, self._described = self._current, None, None
         self._motion = np.eye(3)
         self._predicted = None if self._predicted is None else np.eye(3)

@@ -10,6 +10,7 @@ from contract.answer import CHI2_2, Ellipse, Fix, Refusal
 from contract.camera import Camera
 from contract.feature_set import DepthSource, FeatureSet, HeightDatum, Status
 from contract.locate import Locator, locate
+from contract.rolling_shutter import RollingShutter
 from contract.wire.codec import decode, encode
 from tests.contract.sets import feature_sets
 from tests.ground.worlds import CAMERA, ORIGIN, Errors, build
@@ -285,3 +286,43 @@ def test_two_clicks_next_to_each_other_near_the_horizon_still_share_what_widens_
     assert isinstance(fix, Fix) and difference is not None
     assert np.all(np.linalg.eigvalsh(difference) > -1e-9)
     assert np.trace(difference) < 0.01 * np.trace(fix.covariance_enu_m2)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_many_pixels_at_once_answer_as_each_by_itself(seed: int) -> None:
+    """Position, covariance and what a pixel moves it; and a refusal where that one is refused."""
+    rng = np.random.default_rng([seed, 77])
+    pitch = (-90.0, -65.0, -40.0, -25.0, -15.0, -60.0)[seed]
+    s = build(rng, pitch_deg=pitch, features=(100, 100, 80, 60, 100, 5)[seed]).feature_set
+    if seed % 2:
+        shutter = RollingShutter(0.03, rng.normal(0.0, 0.3, 3), rng.normal(0.0, 15.0, 3), 0.002)
+        s = dataclasses.replace(s, shutter=shutter)
+    locator = Locator(s)
+    uv = rng.uniform(-20.0, [660.0, 500.0], (150, 2))
+    found = locator.answers(uv)
+    for k, pixel in enumerate(uv):
+        answer, parts = locator.locate(pixel), locator.error_parts(pixel)
+        assert found.is_answered[k] == isinstance(answer, Fix)
+        if isinstance(answer, Fix) and parts is not None:
+            assert found.offset_enu_m[k] == pytest.approx(answer.offset_enu_m, rel=1e-9)
+            assert found.covariance_enu_m2[k] == pytest.approx(answer.covariance_enu_m2, rel=1e-6, abs=1e-9)
+            assert found.by_pixel_m[k] == pytest.approx(parts.by_pixel_m, rel=1e-9)
+    assert 20 < np.count_nonzero(found.is_answered) < 150
+
+
+@pytest.mark.parametrize("source", [DepthSource.PLANE, DepthSource.TERRAIN])
+def test_many_pixels_of_known_ground_answer_as_each_by_itself(source: DepthSource) -> None:
+    s = dataclasses.replace(build(np.random.default_rng(3)).feature_set, depth_source=source)
+    locator = Locator(s)
+    uv = np.random.default_rng(4).uniform(0.0, [640.0, 480.0], (60, 2))
+    found = locator.answers(uv)
+    for k, pixel in enumerate(uv):
+        answer = locator.locate(pixel)
+        assert isinstance(answer, Fix) and found.is_answered[k]
+        assert found.covariance_enu_m2[k] == pytest.approx(answer.covariance_enu_m2, rel=1e-6, abs=1e-9)
+
+
+def test_a_set_that_refuses_answers_none_of_many_pixels() -> None:
+    refused = FeatureSet("v", 1, 1, 1, Status.TURNING, CAMERA)
+    found = Locator(refused).answers(np.full((7, 2), 100.0))
+    assert not found.is_answered.any() and np.isnan(found.offset_enu_m).all() and found.by_pixel_m.shape == (7, 3, 2)

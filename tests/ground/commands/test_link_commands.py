@@ -24,6 +24,7 @@ from ground.__main__ import main
 from ground.link_recorder import LinkRecorder
 from ground.recording import Recording
 from onboard.link.certificates import make_credentials
+from onboard.storage.mcap_writer import SessionRecorder
 from tests.ground.worlds import build
 from tests.onboard.link.ports import free_endpoint
 from tests.waiting import PATIENCE_S, eventually
@@ -144,6 +145,19 @@ def test_watching_shows_state_age_rate_position_and_accuracy(link: str, capsys: 
 
     assert eventually(is_a_table), out
     assert out[0].split()[:4] == ["vehicle", "state", "age", "rate"] and out[1].startswith("uav-1")
+
+
+def test_what_was_seen_is_counted_from_the_link(link: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each picture once, however often its set comes; of the sets of another aircraft nothing."""
+    kept = tmp_path / "same.mcap"
+    with SessionRecorder(kept, "uav-1") as out:
+        for s in SETS:
+            out.write_set(s)
+    assert main(["seen", "--from", str(kept), "--cell", "4"]) == 0
+    recorded = capsys.readouterr().out
+    assert main(["seen", "--connect", link, "--vehicle", "uav-1", "--seconds", "2", "--cell", "4"]) == 0
+    assert capsys.readouterr().out == recorded
+    assert f"in {len(SETS)} pictures of uav-1" in recorded
 
 
 def test_lines_are_answered_from_the_link(

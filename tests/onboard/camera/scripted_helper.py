@@ -2,8 +2,8 @@
 
 Each start takes the next list of acts, separated by `then`; the last list serves for all later starts. Acts:
 `frames:N`, `stall:S`, `garbage:N` bytes, `half` a frame and killed, `back:S` stamps that much earlier, `size:WxH`,
-`say:TEXT` on the error stream, `exit:N`, `child` that never ends, `same:N` the same picture, `epoch:S` the sender's
-clock with that origin. `@NAME` in the place of a number: until there is a file of that name beside STARTS.
+`rate:HZ`, `say:TEXT` on the error stream, `exit:N`, `child` that never ends, `same:N` the same picture, `epoch:S` the
+sender's clock with that origin. `@NAME` in the place of a number: until there is a file of that name beside STARTS.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ class Writer:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.size, self.number, self.back_ns, self.epoch_s = (64, 48), 0, 0, None
+        self.period_s = PERIOD_S
 
     def frame(self, luma: bytes | None = None) -> bytes:
         now_ns = time.monotonic_ns()
@@ -54,7 +55,9 @@ class Writer:
             for _ in self.while_not(value) if value.startswith("@") else range(int(value)):
                 out.write(self.frame(luma))
                 out.flush()
-                time.sleep(PERIOD_S)
+                time.sleep(self.period_s)
+        elif name == "rate":
+            self.period_s = 1.0 / float(value)
         elif name == "stall" and value.startswith("@"):
             for _ in self.while_not(value):
                 time.sleep(0.01)

@@ -66,22 +66,25 @@ def test_the_same_device_by_two_paths_is_one(tmp_path: Path) -> None:
 def test_no_camera_is_one_line_and_exit_1(capsys, monkeypatch) -> None:  # type: ignore[no-untyped-def]
     monkeypatch.setattr("onboard.commands.cameras.device_paths", lambda: [])
     monkeypatch.setattr("onboard.commands.cameras.libcamera_names", lambda: ([], ""))
+    monkeypatch.setattr("onboard.commands.cameras.decoders_text", lambda: "H264 by avdec_h264")
     assert main(["cameras"]) == 1
     none = "no camera: no V4L2 capture device under /dev/video*"
-    assert capsys.readouterr() == ("", f"{none}, and none of libcamera's\n")
+    assert capsys.readouterr() == ("streams: H264 by avdec_h264\n", f"{none}, and none of libcamera's\n")
     assert main(["cameras", "--json"]) == 1
     assert capsys.readouterr().out == "[]\n"
     monkeypatch.setattr("onboard.commands.cameras.libcamera_names", lambda: ([], "GStreamer is not installed: sudo"))
     assert main(["cameras"]) == 1
     why = "libcamera's cameras are not listed: GStreamer is not installed: sudo\n"
-    assert capsys.readouterr() == ("", f"{why}{none}\n")
+    assert capsys.readouterr() == ("streams: H264 by avdec_h264\n", f"{why}{none}\n")
 
 
 def test_each_camera_comes_with_the_line_to_write(capsys, monkeypatch) -> None:  # type: ignore[no-untyped-def]
     monkeypatch.setattr("onboard.commands.cameras.device_paths", lambda: [])
     monkeypatch.setattr("onboard.commands.cameras.libcamera_names", lambda: (["/base/soc/i2c0mux/imx219@10"], ""))
+    monkeypatch.setattr("onboard.commands.cameras.decoders_text", lambda: "H264 by avdec_h264")
     assert main(["cameras"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines == ["libcamera:/base/soc/i2c0mux/imx219@10", '  device = "libcamera:/base/soc/i2c0mux/imx219@10"']
+    assert lines[:2] == ["libcamera:/base/soc/i2c0mux/imx219@10", '  device = "libcamera:/base/soc/i2c0mux/imx219@10"']
+    assert lines[2:] == ["", "streams: H264 by avdec_h264"]
     config = parse_config("[camera]\n" + lines[1])
     assert config.camera.device == lines[0] and config.camera.sigma_latency_s == 0.1

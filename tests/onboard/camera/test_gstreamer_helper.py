@@ -18,11 +18,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from onboard.camera.frame_protocol import FrameReader, Origin
-from onboard.camera.gstreamer_helper import MISB, Stamps, nal_units, precision_time_ns
+from onboard.camera import helper_launch as launching
+from onboard.camera.frame_protocol import FrameReader, Header, Origin
+from onboard.camera.gstreamer_helper import (
+    HEALED_NS,
+    MISB,
+    Hopeless,
+    Player,
+    Stamps,
+    Whole,
+    nal_units,
+    precision_time_ns,
+)
 from onboard.camera.helper_launch import (
     HELPER,
     SYSTEM_PYTHON,
+    decoders_text,
     helper_launch,
     libcamera_names,
     unable,
@@ -235,6 +246,129 @@ def test_it_is_known_before_a_flight_whether_a_source_can_be_opened() -> None:
     assert "sudo apt-get install gstreamer1.0-libav" in unable_at("gst:videotestsrc ! avdec_nosuch")
     assert unable_at("exec:/no/such/program") == "/no/such/program: no such program"
     assert libcamera_names()[1] == ""
+
+
+def frames_of(pipeline: str) -> list[tuple[Header, bytes]]:
+    """What our helper writes of a pipeline that ends by itself."""
+    width, height = SIZE_PX
+    spec = {"kind": "gst", "pipeline": pipeline, "width": width, "height": height, "rate_hz": RATE_HZ}
+    command = [SYSTEM_PYTHON, "-I", str(HELPER)]
+    done = subprocess.run(command, input=json.dumps(spec).encode(), capture_output=True, check=False, timeout=60.0)
+    return [(header, bytes(luma)) for header, luma in FrameReader().feed(done.stdout)]
+
+
+@pytest.mark.usefixtures("gstreamer")
+@pytest.mark.parametrize(
+    ("encoder", "codec"),
+    [
+        ("openh264enc gop-size=15 bitrate=2000000", "264"),
+        ("x265enc speed-preset=ultrafast tune=zerolatency key-int-max=15 bitrate=2000", "265"),
+    ],
+)
+def test_no_picture_behind_a_lost_packet_counts_until_one_that_needs_no_other(encoder: str, codec: str) -> None:
+    """The decoder calls them whole. They are sharp, and show where the camera was before the gap."""
+
+    def sent(loss: float) -> str:
+        return (
+            "videotestsrc pattern=smpte75 horizontal-speed=7 num-buffers=150 ! "
+            f"video/x-raw,width={SIZE_PX[0]},height={SIZE_PX[1]},framerate=30/1 ! videoconvert ! {encoder} ! "
+            f"h{codec}parse config-interval=-1 ! rtph{codec}pay mtu=300 ! identity drop-probability={loss} ! "
+            f"rtph{codec}depay ! h{codec}parse ! avdec_h{codec}"
+        )
+
+    true = {header.stamp_ns: luma for header, luma in frames_of(sent(0.0))}
+    assert len(true) == 150
+    came = [(header, luma) for header, luma in frames_of(sent(0.02)) if header.stamp_ns in true]
+    whole = [luma == true[header.stamp_ns] for header, luma in came if not header.is_damaged]
+    damaged = [luma == true[header.stamp_ns] for header, luma in came if header.is_damaged]
+    assert len(whole) > 50 and all(whole)
+    assert len(damaged) > 5 and not all(damaged)
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans(), st.integers(0, 2 * HEALED_NS)), max_size=40))
+def test_a_stream_is_whole_from_a_picture_that_needs_no_other_to_the_next_gap(
+    events: list[tuple[bool, bool, int]],
+) -> None:
+    whole, now_ns, broken_ns = Whole(), 0, None
+    for is_gap, is_key, step_ns in events:
+        now_ns += step_ns
+        broken_ns = now_ns if is_gap else broken_ns
+        is_whole = is_key or broken_ns is None or now_ns - broken_ns > HEALED_NS
+        broken_ns = None if is_whole else broken_ns
+        assert whole.see(is_gap, is_key, now_ns) == is_whole
+
+
+class Installed:
+    """A registry of GStreamer's that has these elements, and makes them by their names."""
+
+    def __init__(self, *names: str) -> None:
+        self.names = {"rtph264depay", "h264parse", "rtph265depay", "h265parse", "capsfilter", "nvvidconv", *names}
+        self.ElementFactory = self.Caps = self
+
+    def find(self, name: str) -> str | None:
+        return name if name in self.names else None
+
+    def make(self, name: str, _: None) -> Made:
+        assert name in self.names
+        return Made(name)
+
+    def from_string(self, text: str) -> str:
+        return text
+
+    def util_set_object_arg(self, element: Made, name: str, value: str) -> None:
+        element.set_property(name, value)
+
+
+class Made:
+    def __init__(self, name: str) -> None:
+        self.name, self.properties = name, dict[str, object]()
+
+    def find_property(self, name: str) -> str:
+        return name
+
+    def set_property(self, name: str, value: object) -> None:
+        self.properties[name] = value
+
+
+@pytest.mark.parametrize(
+    ("codec", "installed", "chain", "then"),
+    [
+        ("H264", ("avdec_h264", "v4l2h264dec"), "rtph264depay h264parse capsfilter v4l2h264dec", ["avdec_h264"]),
+        ("H265", ("nvv4l2decoder", "avdec_h265"), "rtph265depay h265parse capsfilter nvv4l2decoder nvvidconv",
+         ["avdec_h265"]),
+        ("H264", ("openh264dec", "avdec_h264"), "rtph264depay h264parse capsfilter avdec_h264", ["openh264dec"]),
+    ],
+)  # fmt: skip
+def test_a_decoder_in_hardware_is_taken_first_and_others_are_left_to_be_tried(
+    codec: str, installed: tuple[str, ...], chain: str, then: list[str]
+) -> None:
+    player = Player(Installed(*installed), None, {"kind": "rtsp"}, 1)
+    made = player._chain(codec)
+    assert " ".join(element.name for element in made) == chain
+    assert player.decoders == then
+    if player.decoder.startswith("avdec_"):
+        assert made[-1].properties == {"thread-type": "slice"}
+
+
+def test_without_any_decoder_it_is_said_which_package_has_one() -> None:
+    with pytest.raises(Hopeless, match=r"no avdec_h265: sudo apt-get install gstreamer1.0-libav"):
+        Player(Installed("avdec_h264"), None, {"kind": "rtsp"}, 1)._chain("H265")
+
+
+def test_which_decoders_there_are_is_said_before_a_flight(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = {"H264": ["v4l2h264dec", "avdec_h264"], "H265": ["avdec_h265"], "JPEG": []}
+    monkeypatch.setattr(launching, "_ask", lambda spec: (json.dumps(found), ""))
+    said = "H264 by v4l2h264dec (hardware), else avdec_h264; H265 by avdec_h265; JPEG by nothing that is installed"
+    assert decoders_text() == said
+    monkeypatch.setattr(launching, "_ask", lambda spec: ("", "GStreamer is not installed: sudo"))
+    assert decoders_text() == "video of streams is not decoded: GStreamer is not installed: sudo"
+
+
+@pytest.mark.usefixtures("gstreamer")
+def test_this_computers_decoders_are_those_of_its_registry() -> None:
+    said = dict(part.split(" by ") for part in decoders_text().split("; "))
+    assert list(said) == ["H264", "H265", "JPEG", "MP4V-ES"]
+    assert "avdec_h264" in said["H264"] and "avdec_h265" in said["H265"] and "jpegdec" in said["JPEG"]
 
 
 def test_without_gstreamer_it_is_said_what_to_install() -> None:

@@ -231,6 +231,17 @@ def test_another_size_in_mid_stream_is_no_picture_of_ours(tmp_path: Path) -> Non
         camera.wait_for(State.OK, "64x48")
 
 
+def test_another_rate_in_mid_stream_is_said_and_costs_no_picture(tmp_path: Path) -> None:
+    acts = "rate:60 frames:70 rate:10 frames:@slow rate:60 frames:9000"
+    with running(scripted(tmp_path, acts), rate_hz=30.0) as camera:
+        camera.wait_for(State.OK, "64x48")
+        camera.wait_for(State.DEGRADED, "of 30 pictures a second")
+        tell(tmp_path, "slow")
+        camera.wait_for(State.OK, "64x48")
+        stamps_ns = np.array([frame.stamp_ns for _, frame in camera.frames])
+        assert np.all(np.diff(stamps_ns) > 0) and all(frame.image is not None for _, frame in camera.frames)
+
+
 def test_a_picture_that_comes_again_and_again_is_frozen(tmp_path: Path) -> None:
     with running(scripted(tmp_path, "frames:10 same:@seen frames:900")) as camera:
         camera.wait_for(State.FROZEN, "the same picture for")

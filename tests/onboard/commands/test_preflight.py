@@ -25,6 +25,7 @@ from onboard.pipeline.estimates import (
     SensorError,
     said_of,
 )
+from onboard.pipeline.statistics import LeftOut
 from onboard.service.reports import Report
 from onboard.service.vehicle_state import AT_REST, Inputs, Subject, overall
 from tests.onboard.service.reported import WELL as WELL_INPUTS
@@ -54,8 +55,8 @@ def red(report: Report, around: Surroundings = AROUND) -> list[str]:
 def test_before_a_good_flight_all_is_green() -> None:
     assert verdicts(WELL) == dict.fromkeys(
         ["state", "camera", "rate", "stamps", "exposure", "telemetry", "rates", "time sync", "pipeline", "gps",
-         "position", "answers", "load", "recording", "threads", "mount", "relative errors", "sensors", "radius",
-         "calibration", "link", "disk", "processor"], True,
+         "position", "answers", "load", "recording", "threads", "mount", "relative errors", "left out", "sensors",
+         "radius", "calibration", "link", "disk", "processor"], True,
     )  # fmt: skip
     assert text(WELL, "exposure") == "fixed at 2000 us, mean grey 120 of 255"
     assert text(WELL, "time sync") == "+-0.9 ms, round trip 2.5 ms"
@@ -71,6 +72,21 @@ def test_how_well_pictures_are_timed_is_said_and_amiss_where_it_is_poor() -> Non
     assert red(figures("camera", stamp_sigma_ms=140.0)) == ["stamps"]
     learned = replace(WELL, estimates=(Estimate(TIME_OFFSET, "seconds", (-0.213,), (0.008,)),))
     assert text(learned, "stamps") == "learned in flight: -0.213 +-0.008 s in addition to camera.latency_s"
+
+
+def test_what_decodes_a_stream_is_said_where_the_camera_is_one() -> None:
+    around = replace(AROUND, decoders="H264 by v4l2h264dec (hardware), else avdec_h264")
+    (line,) = (line for line in diagnose(CONFIG, WELL, around) if line.name == "decoder")
+    assert line.is_good and line.text == around.decoders
+    assert "decoder" not in verdicts(WELL)
+
+
+def test_what_is_left_out_of_the_picture_is_said_with_who_found_it() -> None:
+    assert text(WELL, "left out") == "nothing"
+    found = replace(WELL, pictures=replace(WELL.pictures, left_out=LeftOut(0.02, 0.113)))
+    said = "2 % by camera.mask, 11 % found: stands still while the ground moves (a display, or the aircraft itself)"
+    assert text(found, "left out") == said and red(found) == []
+    assert red(replace(WELL, pictures=replace(WELL.pictures, left_out=LeftOut(0.0, 0.5)))) == ["left out"]
 
 
 def test_a_clock_known_by_arrival_alone_is_not_called_unknown() -> None:
@@ -250,7 +266,7 @@ def test_a_sensor_that_contradicts_the_others_is_not_well_while_it_does() -> Non
 
 
 def test_every_line_is_explained_and_no_name_runs_into_its_text() -> None:
-    lines = diagnose(CONFIG, WELL, AROUND)
+    lines = diagnose(CONFIG, WELL, replace(AROUND, decoders="H264 by avdec_h264"))
     assert {line.name for line in lines} == set(MEANING)
     for explained in (False, True):
         said = doctor.text(lines, False, explained).splitlines()

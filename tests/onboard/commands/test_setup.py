@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from contract.camera import Camera
 from contract.errors import ConfigError, InputError
 from onboard import __main__ as program
-from onboard.camera.known_lenses import known_lens
+from onboard.camera.known_lenses import LENSES, known_lens, named_lens
 from onboard.commands import setup
 from onboard.commands.questions import MOST_TRIES, Terminal
 from onboard.commands.setup import Found, Surroundings
@@ -228,6 +228,24 @@ def test_flags_that_are_no_values_are_usage(
 def test_lenses_are_known_by_what_drivers_call_them() -> None:
     found = {name: known_lens(name) for name in ("imx219 10-0010", "HD Pro Webcam C920", "imx477", "Integrated Camera")}
     assert [None if lens is None else round(lens.hfov_deg, 1) for lens in found.values()] == [62.2, 70.4, None, None]
+
+
+def test_a_lens_is_named_by_any_words_that_leave_no_doubt() -> None:
+    assert named_lens("camera module 3 wide").hfov_deg == 102.0
+    assert named_lens("Raspberry Pi Camera Module 3").hfov_deg == 66.0
+    assert named_lens("global 6 mm").hfov_deg == 45.0
+    with pytest.raises(ValueError, match=r"several fit: Raspberry Pi Camera Module 3; .* 3 Wide"):
+        named_lens("module 3")
+    for nothing in ("", "SIYI"):
+        with pytest.raises(ValueError, match="none is called that: Raspberry Pi Camera Module 1; "):
+            named_lens(nothing)
+
+
+def test_every_lens_states_its_source_and_is_told_by_its_own_name_alone() -> None:
+    for lens in LENSES:
+        assert lens.source and named_lens(lens.name) is lens
+        assert 10.0 < lens.hfov_deg < 110.0
+        assert not lens.part or known_lens(lens.part) is lens
 
 
 def test_serial_ports_are_tried_under_their_lasting_names(tmp_path: Path) -> None:

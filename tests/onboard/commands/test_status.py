@@ -14,7 +14,8 @@ from onboard.__main__ import main
 from onboard.events.source import SourceStatus, State
 from onboard.link.publisher import Publisher
 from onboard.link.status_query import ask, local_endpoints
-from onboard.service.reports import RecordingReport, Report
+from onboard.pipeline.statistics import LeftOut
+from onboard.service.reports import PictureCounts, RecordingReport, Report
 from onboard.service.vehicle_state import Finding, Subject, VehicleState
 from tests.contract.sets import plain_set
 from tests.onboard.link.ports import free_endpoint
@@ -31,6 +32,7 @@ REPORT = Report(
     ),
     threads=(ThreadReport("link", ThreadState.RESTARTING, None, 2, "OSError: gone"),),
     recording=RecordingReport(False, "disk full"),
+    pictures=PictureCounts(left_out=LeftOut(standing=0.12)),
 )
 
 
@@ -59,6 +61,7 @@ def test_a_running_daemon_is_told_of(config: tuple[str, Path], capsys: pytest.Ca
         assert lines["telemetry"] == "ok, rate_hz 71.2"
         assert lines["threads"] == "link restarting, begun again 2 times (OSError: gone)"
         assert lines["recording"] == "disk full"
+        assert lines["left"].startswith("out   12 % found: stands still while the ground moves")
         assert lines["processor"] == "61 deg C"
         assert json.loads(status("--json")) == json.loads(REPORT.to_json())
         assert main(["status", "--config", str(file), "--vehicle", "weka"]) == 3

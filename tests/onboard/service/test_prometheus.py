@@ -17,6 +17,7 @@ from contract.errors import ConfigError, LinkError
 from contract.supervised_thread import ThreadReport, ThreadState
 from onboard.events.source import SourceStatus, State
 from onboard.pipeline.estimates import BORESIGHT, RELATIVE_VARIANCE, Estimate, SensorError
+from onboard.pipeline.statistics import LeftOut
 from onboard.service.prometheus import PrometheusServer, metrics
 from onboard.service.reports import ClockReport, PictureCounts
 from onboard.service.vehicle_state import Inputs
@@ -27,7 +28,7 @@ FULL = replace(
     report_of(replace(WELL, position_fault="", outcome=None)),
     camera=SourceStatus(State.OK, "", {"rate_hz": 29.97, "delay_ms": 12.5, "lost": 3.0}),
     telemetry=SourceStatus(State.DEGRADED, "", {"drift_ppm": 20.0, "lost_packets": 7.0, "clock_sigma_ms": 0.9}),
-    pictures=PictureCounts(300, 40, 280, {"no_gps": 12}, 0.25),
+    pictures=PictureCounts(300, 40, 280, {"no_gps": 12}, 0.25, 0, LeftOut(0.02, 0.1)),
     estimates=(
         Estimate(BORESIGHT, "radians", (0.01, 0.0, 0.0), (0.001,) * 3),
         Estimate(RELATIVE_VARIANCE, "ratio", (1.4,), (0.2,)),
@@ -59,6 +60,8 @@ def test_figures_are_in_base_units_under_their_rules() -> None:
     assert sample(families, "pointclick_telemetry_lost_packets_total") == 7.0
     assert sample(families, "pointclick_delay_seconds") == 0.125
     assert sample(families, "pointclick_picture_mean_ratio") == pytest.approx(120.0 / 255.0)
+    assert sample(families, "pointclick_picture_left_out_ratio", by="mask") == 0.02
+    assert sample(families, "pointclick_picture_left_out_ratio", by="found") == 0.1
     assert sample(families, "pointclick_gps_sigma_meters", direction="horizontal") == 0.8
     assert sample(families, "pointclick_refused_pictures", reason="no_gps") == 12.0
     assert sample(families, "pointclick_boresight_radians", component="0") == 0.01

@@ -14,6 +14,7 @@ from contract.errors import LinkError
 from onboard.events.source import SourceStatus, State
 from onboard.events.types import GpsQuality
 from onboard.pipeline.estimates import BORESIGHT, Estimate, SensorError
+from onboard.pipeline.statistics import LeftOut
 from onboard.service.reports import Brightness, PictureCounts, Report, gps_report
 from onboard.service.vehicle_state import Inputs
 from tests.onboard.service.reported import WELL, inputs, report_of, unhurried
@@ -24,7 +25,7 @@ from tests.onboard.service.reported import WELL, inputs, report_of, unhurried
 def test_a_report_is_the_same_there_and_back(said: Inputs) -> None:
     report = replace(
         report_of(said),
-        pictures=PictureCounts(300, 40, 280, {"no_gps": 12, "starting": 8}, 0.25),
+        pictures=PictureCounts(300, 40, 280, {"no_gps": 12, "starting": 8}, 0.25, 1, LeftOut(0.0, 0.1)),
         estimates=(Estimate(BORESIGHT, "radians", (0.01, -0.02, 0.0), (0.001,) * 3),),
         sensor_errors=(SensorError("heading", "deg", 3.8, 2.0),),
         unconfirmed=(Estimate(BORESIGHT, "radians", (0.2, 0.0, 0.0), (0.01,) * 3),),

@@ -1,0 +1,186 @@
+"""What compression costs: a flight's clicks on its own pictures beside those on what a codec has left of them.
+
+    python -m benchmarks.source_codecs [--size 1280x720] [--seconds 24] [--rate 5] [--kbit 1000,2000,4000,8000]
+        [--codecs H264,H265] [--loss 0,0.01] [--seeds 2]
+
+One flight for each seed, with turns over relief, its pictures encoded (OpenH264; x265 at its fastest), sent as RTP
+packets of 1400 bytes of which `--loss` never come (0: as over TCP), and decoded by libav; then the flight is replayed
+with what has come. A picture that the decoder or our helper calls damaged, or that never came, has no image. Telemetry
+and stamps are the flight's own in every row: what a stream does to times is `benchmarks.sources`.
+
+`--kbit` are those of 30 pictures a second: a flight of fewer gets as many bits a picture, though more has moved between
+two of them. An encoder that cannot go so low is seen by the rate that it did send. Clicks count after the first 8 s.
+A flight's clicks share its slow errors, of which one flight is one sample; what pictures do to answers shows in the
+distance between two clicks of one picture, where those cancel: its error, and how often its own 90 % ellipse holds it.
+Processor: the decoder's, a picture.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.sources import cells, flight_spec
+from contract.answer import Fix
+from contract.camera import Camera
+from contract.errors import InputError
+from contract.feature_set import FeatureSet
+from contract.geodesy import LocalFrame
+from contract.locate import Locator
+from onboard.config.files import load_config_files
+from onboard.events.types import Event, Frame
+from onboard.pipeline.pipeline import Pipeline
+from onboard.replay.runner import Flight, replay
+from tests.rtsp import SYSTEM_PYTHON, is_installed
+from tests.scenarios.flights import CHI2_90, Outcome, _Sets, click, flown
+from tests.streamed_flight import pictures_of
+
+RECODING = Path(__file__).resolve().parents[1] / "tests" / "recoding.py"
+SETTLED_S = 8.0
+OF_HZ = 30.0
+FIELD_DEG = 60.0
+
+
+@dataclass(frozen=True, eq=False)
+class Recoded:
+    """What came of a flight's pictures, by number; kbit/s sent, as of OF_HZ; the decoder's time for a picture."""
+
+    images: dict[int, NDArray[np.uint8]]
+    sent_kbit: float
+    decode_ms: float
+
+
+class Received(Pipeline):
+    """The pipeline of a flight of which these pictures have come; None: as they were taken."""
+
+    images: dict[int, NDArray[np.uint8]] | None = None
+
+    def handle(self, event: Event) -> list[FeatureSet]:
+        """As `Pipeline.handle`."""
+        if isinstance(event, Frame) and self.images is not None:
+            event = replace(event, image=self.images.get(event.index))
+        return super().handle(event)
+
+
+def recoded(raw: Path, size_px: tuple[int, int], count: int, rate_hz: float, **stream: object) -> Recoded:
+    """Raw pictures through encoder, network and decoder."""
+    with TemporaryDirectory() as name:
+        out = Path(name) / "out.raw"
+        bits = round(float(str(stream["kbit"])) * 1000.0 * rate_hz / OF_HZ)
+        spec = {"frames": str(raw), "out": str(out), "width": size_px[0], "height": size_px[1], "rate_hz": rate_hz,
+                "bit_rate": bits, "codec": stream["codec"], "loss": stream["loss"]}  # fmt: skip
+        line = json.dumps(spec) + "\n"
+        done = subprocess.run(
+            [SYSTEM_PYTHON, "-I", str(RECODING)], input=line, capture_output=True, text=True, check=False
+        )
+        if done.returncode:
+            raise InputError(f"{stream}: {(done.stderr.strip().splitlines() or ['?'])[-1]}")
+        said = json.loads(done.stdout)
+        images = np.fromfile(out, np.uint8).reshape(-1, size_px[1], size_px[0])
+    by_number = {k: image for k, image in zip(said["numbers"], images, strict=True) if k < count}
+    return Recoded(by_number, 8e-3 * said["bytes"] / count * OF_HZ, 1e3 * said["decode_s"] / count)
+
+
+def outcome(session: Path, rate_hz: float, images: dict[int, NDArray[np.uint8]] | None) -> Outcome:
+    """Replay a session with these pictures, and click."""
+    config, camera = load_config_files(session / "config.toml"), Camera.from_json(session / "camera.json")
+    flight = Flight.open(config, camera, session / "frames", session / "telemetry.tlog", session / "stamps.csv")
+    pipeline, sink = Received(config, camera), _Sets()
+    pipeline.images = images
+    replay(flight, pipeline, [sink])
+    return click(session, {k: s for k, s in sink.by_frame.items() if k >= SETTLED_S * rate_hz}, pipeline)
+
+
+def between_clicks(session: Path, done: Outcome) -> tuple[list[float], list[float]]:
+    """Of the horizontal vector between successive clicks of a picture: error (m), and its square over its own."""
+    errors, chi2 = [], []
+    by_frame: dict[int, list[dict[str, str]]] = {}
+    with (session / "truth_clicks.csv").open(newline="") as file:
+        for click_row in csv.DictReader(file):
+            by_frame.setdefault(int(click_row["frame"]), []).append(click_row)
+    for frame, clicks in by_frame.items():
+        if frame not in done.sets:
+            continue
+        locator = Locator(done.sets[frame])
+        for one, other in pairwise(clicks):
+            at = [(float(c["u"]), float(c["v"])) for c in (one, other)]
+            first, second, covariance = *map(locator.locate, at), locator.difference_covariance(*at)
+            if covariance is None or not isinstance(first, Fix) or not isinstance(second, Fix):
+                continue
+            begin, end = (tuple(float(c[k]) for k in ("lat_deg", "lon_deg", "height_amsl_m")) for c in (one, other))
+            error = (second.offset_enu_m - first.offset_enu_m - LocalFrame(*begin).to_enu(*end))[:2]
+            errors.append(float(np.hypot(*error)))
+            chi2.append(float(error @ np.linalg.solve(covariance[:2, :2], error)))
+    return errors, chi2
+
+
+def row(what: Sequence[str], sessions: Sequence[Path], outcomes: Sequence[Outcome]) -> str:
+    """A line of the table."""
+    told = [between_clicks(session, done) for session, done in zip(sessions, outcomes, strict=True)]
+    errors_m, chi2 = (np.concatenate([pair[k] for pair in told]) for k in (0, 1))
+    between = f"{np.median(errors_m):.2f} m | {100.0 * np.mean(chi2 < CHI2_90):.0f} %" if len(errors_m) else "- | -"
+    pipelines = [o.pipeline for o in outcomes if o.pipeline is not None]
+    pixel_px = np.mean([p.summary.reprojection_px for p in pipelines])
+    standing = np.mean([p.summary.left_out.standing for p in pipelines])
+    shown = f"{pixel_px:.2f} px | {100.0 * standing:.1f} % | {between} | {cells(outcomes)}"
+    return f"| {' | '.join(what)} | {shown} |"
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--size", default="1280x720")
+    parser.add_argument("--seconds", type=float, default=24.0)
+    parser.add_argument("--rate", type=float, default=5.0, help="Hz")
+    parser.add_argument("--kbit", default="1000,2000,4000,8000", help="kbit/s")
+    parser.add_argument("--codecs", default="H264,H265")
+    parser.add_argument("--loss", default="0,0.01", help="shares of the packets")
+    parser.add_argument("--seeds", default="2", help="of the flights")
+    arguments = parser.parse_args(argv)
+    if not is_installed():
+        parser.error("GStreamer is not installed: make gstreamer")
+    width, height = (int(word) for word in arguments.size.split("x"))
+    camera = Camera.from_field_of_view(width, height, FIELD_DEG)
+    spec = replace(flight_spec(arguments.seconds, 0), camera=camera, rate_hz=arguments.rate)
+    seeds = [int(word) for word in arguments.seeds.split(",")]
+    flights = [flight_spec(arguments.seconds, seed).flight for seed in seeds]
+    sessions = [flown(replace(spec, flight=flight)) for flight in flights]
+    print(f"{len(seeds)} flight(s) of {arguments.seconds:g} s with turns, {arguments.size} at {arguments.rate:g} Hz\n")
+    print(
+        "| pictures | sent, of 30 a second | decoder | came whole | residual | stands still | between clicks: median "
+        "| inside 90 % | median | 90 % | inside 90 % | pictures answered | clicks answered |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|---|---|---|---|")
+    plain = [outcome(session, arguments.rate, None) for session in sessions]
+    print(row(("raw", "-", "-", "100 %"), sessions, plain), flush=True)
+    codecs, losses, rates = (words.split(",") for words in (arguments.codecs, arguments.loss, arguments.kbit))
+    with TemporaryDirectory() as name:
+        for session in sessions:
+            pictures = pictures_of(session, False)
+            (Path(name) / session.name).write_bytes(b"".join(picture.tobytes() for picture in pictures))
+        count = len(pictures)
+        for codec, loss, kbit in ((c, float(x), float(k)) for c in codecs for x in losses for k in rates):
+            came = [
+                recoded(Path(name) / s.name, (width, height), count, arguments.rate, codec=codec, loss=loss, kbit=kbit)
+                for s in sessions
+            ]
+            outcomes = [outcome(s, arguments.rate, c.images) for s, c in zip(sessions, came, strict=True)]
+            whole = np.mean([len(c.images) for c in came]) / count
+            how = f"{codec}, {kbit:g} kbit/s, " + (f"UDP, {100.0 * loss:g} % lost" if loss else "TCP")
+            sent = f"{np.mean([c.sent_kbit for c in came]):.0f} kbit/s"
+            decode = f"{np.mean([c.decode_ms for c in came]):.1f} ms"
+            print(row((how, sent, decode, f"{100.0 * whole:.0f} %"), sessions, outcomes), flush=True)
+
+
+if __name__ == "__main__":
+    main()

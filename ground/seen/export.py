@@ -1,0 +1,142 @@
+"""What was seen, for other programs: GeoJSON (polygons) and GeoTIFF (a raster; extra `geotiff`). Both are WGS84."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.answer import time_utc
+from contract.errors import InputError
+from ground.seen.coverage import Coverage
+from ground.seen.outline import Patch, patches
+from ground.seen.tally import TILE, SeenGround
+
+Array = NDArray[np.float64]
+
+DIGITS = 8  # of degrees: a millimetre
+BANDS = (
+    ("count", "pictures that saw it; 0 in the searched area: a gap"),
+    ("first_s", "first seen, Unix seconds (UTC)"),
+    ("last_s", "last seen, Unix seconds (UTC)"),
+    ("gsd_m", "finest ground sample distance, metres"),
+)
+
+
+def write(path: Path, seen: SeenGround, found: Coverage) -> None:
+    """By the file's ending. Raises InputError; the file is there as a whole or not at all."""
+    writer = WRITERS.get(path.suffix.lower())
+    if writer is None:
+        raise InputError(f"--to {path}: the name must end in {', '.join(sorted(WRITERS))}")
+    half = path.with_name(f".{path.stem}.half{path.suffix}")
+    try:
+        writer(half, seen, found)
+        os.replace(half, path)  # noqa: PTH105
+    except OSError as error:
+        raise InputError(f"--to {path}: {error.strerror or error}") from error
+    finally:
+        half.unlink(missing_ok=True)
+
+
+def time_text(unix_s: int) -> str:
+    """A whole second, ISO 8601."""
+    return time_utc(unix_s * 10**9).replace(".000000", "")
+
+
+def document(found: Coverage) -> dict[str, Any]:
+    """A FeatureCollection (RFC 7946): what was seen, the searched area, and each of its gaps, the largest first."""
+    about = {
+        "cell_m": found.cells.cell_m,
+        "first_utc": time_text(found.first_s),
+        "last_utc": time_text(found.last_s),
+        "gsd_m": [round(gsd, 4) for gsd in found.gsd_m],
+    }
+    searched = {"area_m2": round(found.searched_m2, 1), "seen_m2": round(found.seen_of_searched_m2, 1)}
+    features = [
+        _feature("seen", patches(found.seen), found, {"area_m2": round(found.seen_m2, 1), **about}),
+        _feature("searched", patches(found.searched), found, {"is_hull": found.is_hull, **searched}),
+    ]
+    for number, gap in enumerate(found.gaps, 1):
+        features.append(_feature("gap", [gap.patch], found, {"number": number, "area_m2": round(gap.area_m2, 1)}))
+    return {"type": "FeatureCollection", "features": features}
+
+
+def _feature(kind: str, parts: list[Patch], found: Coverage, about: dict[str, Any]) -> dict[str, Any]:
+    def closed(ring: Array) -> list[list[float]]:
+        corners = np.round(found.lon_lat(ring), DIGITS).tolist()
+        return [*corners, corners[0]]
+
+    polygons = [[closed(ring) for ring in (part.outer, *part.holes)] for part in parts]
+    return {
+        "type": "Feature",
+        "geometry": {"type": "MultiPolygon", "coordinates": polygons},
+        "properties": {"kind": kind, **about},
+    }
+
+
+def _write_geojson(path: Path, _: SeenGround, found: Coverage) -> None:
+    path.write_text(json.dumps(document(found), separators=(",", ":")) + "\n", encoding="utf-8")
+
+
+def _write_geotiff(path: Path, seen: SeenGround, found: Coverage) -> None:
+    try:
+        import rasterio  # noqa: PLC0415  of the extra `geotiff`
+        from rasterio.errors import RasterioError  # noqa: PLC0415
+        from rasterio.transform import Affine  # noqa: PLC0415
+        from rasterio.windows import Window  # noqa: PLC0415
+    except ImportError as error:
+        raise InputError(
+            "GeoTIFF needs the package rasterio: install pointclick with its extra [geotiff] (README), or use .geojson"
+        ) from error
+    cells, (rows, columns) = found.cells, found.seen.shape
+    top = found.row0 + rows
+    corner = float(cells.lon_deg(found.column0)), float(cells.lat_deg(top))
+    profile = {
+        "driver": "GTiff", "width": columns, "height": rows, "count": len(BANDS), "dtype": "float64", "nodata": np.nan,
+        "crs": "EPSG:4326", "compress": "deflate", "tiled": True, "blockxsize": 256, "blockysize": TILE,
+        "BIGTIFF": "IF_SAFER",
+        "transform": Affine(cells.step_lon_deg, 0.0, corner[0], 0.0, -cells.step_lat_deg, corner[1]),
+    }  # fmt: skip
+    try:
+        with rasterio.open(path, "w", **profile) as out:
+            for band, (_, meaning) in enumerate(BANDS, 1):
+                out.set_band_description(band, meaning)
+            for above in range(0, rows, TILE):
+                strip = _strip(seen, found, max(rows - above - TILE, 0), rows - above)
+                out.write(strip[:, ::-1], window=Window(0, above, columns, strip.shape[1]))
+    except RasterioError as error:
+        raise InputError(f"--to {path}: {error}") from error
+
+
+def _strip(seen: SeenGround, found: Coverage, low: int, high: int) -> Array:
+    """The bands (4, high - low, columns) of rows of a coverage, nan outside of all that was seen or searched."""
+    out = np.full((len(BANDS), high - low, found.seen.shape[1]), np.nan)
+    out[0][found.searched[low:high]] = 0.0
+    if not found.seen[low:high].any():
+        return out
+    first, last = found.row0 + low, found.row0 + high - 1
+    columns = np.flatnonzero(found.seen[low:high].any(axis=0)) + found.column0
+    for row in range(first // TILE, last // TILE + 1):
+        for column in np.unique(columns // TILE).tolist():
+            tile = seen.tile((row, column))
+            if tile is None:
+                continue
+            part = tile[max(first - row * TILE, 0) : last + 1 - row * TILE]
+            y, x = max(row * TILE - first, 0), column * TILE - found.column0
+            is_seen = part["count"] > 0
+            for band, (name, _) in enumerate(BANDS):
+                into = out[band, y : y + len(part), x : x + TILE]
+                into[is_seen] = part[name][is_seen]
+    return out
+
+
+WRITERS: dict[str, Callable[[Path, SeenGround, Coverage], None]] = {
+    ".geojson": _write_geojson,
+    ".tif": _write_geotiff,
+    ".tiff": _write_geotiff,
+}
