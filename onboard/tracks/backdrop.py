@@ -1,4 +1,4 @@
-"""What lies behind a thing: the same ground in earlier pictures, when the thing was elsewhere. (22.3) to (22.5)"""
+"""What lies behind a thing: the same ground in earlier pictures, when the thing was elsewhere. (24.3) to (24.5)"""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def earlier(pictures: Pictures, seen: Seen) -> list[Seen]:
 
 
 def difference(pictures: Pictures, seen: Seen, patch: Patch) -> Image | None:
-    """How surely each pixel of a patch (S, S) shows something that was not there before, 0 to 1. (22.5)
+    """How surely each pixel of a patch (S, S) shows something that was not there before, 0 to 1. (24.5)
 
     None without at least two earlier pictures of the same ground.
     """
@@ -110,7 +110,7 @@ def _warped(other: Seen, M: Array, size: int) -> Grey:
 
 
 def _fit(image: Image, layers: Image) -> tuple[Array, Array, Array]:
-    """(22.4): shifts (L, 2), px, gains (L,) and lifts (L,) that bring layers (L, S, S) onto an image (S, S) as well as
+    """(24.4): shifts (L, 2), px, gains (L,) and lifts (L,) that bring layers (L, S, S) onto an image (S, S) as well as
     may be, whatever covers a part of it. All at once: each alone is too small to be worth a call of NumPy.
     """
     inner = slice(1, -1, STRIDE)

@@ -1,4 +1,4 @@
-"""One thing followed from picture to picture, against the ground's own motion. (22.6) to (22.9)
+"""One thing followed from picture to picture, against the ground's own motion. (24.6) to (24.9)
 
 Two things speak for a place: it looks as the thing did (correlation), and something is there that was not there before
 (`backdrop`). A person from 120 m is four pixels: features of its own it has none, and a window about it is mostly
@@ -150,7 +150,7 @@ class Follower:
         return Sight(self._seen, self._uv.copy(), sigma, self._size, unseen)
 
     def _predict(self, H: Array, dt: float) -> None:
-        """(22.6): with the ground, and on with its own velocity."""
+        """(24.6): with the ground, and on with its own velocity."""
         near = move(H, self._uv + np.array([[0.0, 0.0], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]]))
         J = np.stack([near[1] - near[2], near[3] - near[4]], axis=1)
         if self._rest is not None:
@@ -184,7 +184,7 @@ class Follower:
         return int(np.clip(np.ceil(0.75 * self._size), 3, 30))
 
     def _best(self, patch: Patch, changed: Image | None, reach: int, half: int) -> tuple[Array, float] | None:
-        """(22.7): the likeliest place in the picture and its one sigma; None if it is seen nowhere."""
+        """(24.7): the likeliest place in the picture and its one sigma; None if it is seen nowhere."""
         middle = (patch.image.shape[0] - 1) // 2
         search = patch.image[
             middle - reach - half : middle + reach + half + 1, middle - reach - half : middle + reach + half + 1
@@ -218,7 +218,7 @@ class Follower:
         return alike + share * (centre - alike), sigma * spread / float(np.hypot(sigma, spread))
 
     def _still(self, likeness: Image, here: Image, first: Array, best: float) -> Array | None:
-        """(22.9): where it stood, if nothing there has changed and it looks no better elsewhere; None if it moves."""
+        """(24.9): where it stood, if nothing there has changed and it looks no better elsewhere; None if it moves."""
         if self._rest is None:
             return None
         i, j = (int(n) for n in np.rint(self._rest - first))
@@ -247,7 +247,7 @@ class Follower:
         return out
 
     def _centred(self, changed: Image, at: Array, patch: Patch) -> tuple[Array, float]:
-        """(22.8): the middle of what differs and one sigma of it, px; and the thing's size by its area."""
+        """(24.8): the middle of what differs and one sigma of it, px; and the thing's size by its area."""
         rows, columns = np.mgrid[: changed.shape[0], : changed.shape[1]]
         centre = at.astype(float)
         for _ in range(3):

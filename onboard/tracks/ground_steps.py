@@ -1,4 +1,4 @@
-"""How the ground moves from picture to picture: a homography from features all over the picture. (22.1)
+"""How the ground moves from picture to picture: a homography from features all over the picture. (24.1)
 
 What moves over the ground is a small part of a picture and is left out as an outlier. Pictures are kept, a bounded
 number of bytes of them, so that a click may be seconds old and what lay behind a thing is known.
@@ -40,7 +40,7 @@ class Seen:
     stamp_ns: int
     image: Grey
     its_set: FeatureSet | None = None
-    to_newest: Array | None = None  # its pixels -> those of the newest picture, (22.2); None: the row is broken
+    to_newest: Array | None = None  # its pixels -> those of the newest picture, (24.2); None: the row is broken
     locator: Locator | None = None  # of its set, once it was asked for
     is_joined: bool = False  # whether the step from the one before has been looked for
     _small: tuple[Grey, NDArray[np.float32]] | None = field(default=None, repr=False)
@@ -111,7 +111,7 @@ class Pictures:
 
 
 def step(first: Seen, second: Seen, last_step: Array | None = None) -> Array | None:
-    """(22.1): the homography that most features follow, found at half the size and then in the pictures themselves.
+    """(24.1): the homography that most features follow, found at half the size and then in the pictures themselves.
 
     Without enough of them what the poses say, None without either. `last_step`: where the search begins if the poses
     say nothing.

@@ -1,4 +1,4 @@
-"""Speed and course of a thing over the ground, from how it moves against the ground about it. (22.10) to (22.17)
+"""Speed and course of a thing over the ground, from how it moves against the ground about it. (24.10) to (24.17)
 
 What is measured in a picture is the way from a piece of ground where the thing once was to the thing, both through the
 same picture's set: the pose's errors are the same at both ends and drop out but for how they stretch and turn the way,
@@ -38,7 +38,7 @@ class Motion:
 
     @property
     def is_moving(self) -> bool:
-        """(22.17): whether it is no thing at rest."""
+        """(24.17): whether it is no thing at rest."""
         v = self.velocity_m_s
         return bool(self.speed_m_s > LEAST_SPEED_M_S and v @ np.linalg.solve(self.cov, v) > MOVES)
 
@@ -89,7 +89,7 @@ class PlaneFilter:
         self.forget_place(slant, noise)
 
     def predict(self, dt: float, m_px: float) -> None:
-        """`dt` seconds on; `m_px`: metres a pixel on the ground. (22.12)"""
+        """`dt` seconds on; `m_px`: metres a pixel on the ground. (24.12)"""
         F = np.eye(5)
         F[0, 2] = F[1, 3] = dt
         self._x = self._x @ F.T
@@ -101,7 +101,7 @@ class PlaneFilter:
             self._P[:, i + 2, i + 2] += self._q * dt
 
     def update(self, way_m: Array, slant: Array, noise: Array, dt: float) -> bool:
-        """Take a measurement, `dt` after the last. Whether it was believed. (22.11), (22.13), (22.14)"""
+        """Take a measurement, `dt` after the last. Whether it was believed. (24.11), (24.13), (24.14)"""
         H = np.zeros((2, 5))
         H[0, 0] = H[1, 1] = 1.0
         H[:, 4] = slant
@@ -121,7 +121,7 @@ class PlaneFilter:
         return True
 
     def new_landmark(self, way_m: Array) -> None:
-        """(22.15): ways count from where the thing was just seen, `way_m` (2,) from the old landmark."""
+        """(24.15): ways count from where the thing was just seen, `way_m` (2,) from the old landmark."""
         self._x[:, :2] -= way_m
 
     def forget_place(self, slant: Array, noise: Array) -> None:
@@ -134,7 +134,7 @@ class PlaneFilter:
         self._P[:, :2, 4] = self._P[:, 4, :2] = -height[:, None] * slant
 
     def stretched(self, way_cov: Array, since_s: float) -> None:
-        """(22.16): what the poses' common errors do to a velocity: `way_cov` (2, 2) is of a way of `since_s`."""
+        """(24.16): what the poses' common errors do to a velocity: `way_cov` (2, 2) is of a way of `since_s`."""
         self._shared = way_cov / since_s**2
 
     def ahead(self, dt: float) -> Array:

@@ -93,7 +93,7 @@ class Track:
         return self.report(session, vehicle)
 
     def _measure(self, sight: Sight, locator: Locator | None) -> None:
-        """A picture's place and way, (22.10) and (22.11)."""
+        """A picture's place and way, (24.10) and (24.11)."""
         if locator is None:
             return
         offset = locator.offset(sight.uv_px)
@@ -145,7 +145,7 @@ class Track:
         return bool((share < EDGE_SHARE).any() or (share > 1.0 - EDGE_SHARE).any())
 
     def _place(self, motion: Motion | None) -> TrackPlace | None:
-        """(22.18): the newest picture's place, and on by its velocity since."""
+        """(24.18): the newest picture's place, and on by its velocity since."""
         if self._placed is None:
             return None
         locator, uv, at_ns = self._placed
