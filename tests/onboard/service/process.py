@@ -115,10 +115,15 @@ class Aircraft:
         return found
 
     def stated(self, *words: str, since: int) -> None:
-        """Until the log says after its first `since` lines that the state is one of these, if only for a moment."""
+        """Until the log says after its first `since` lines that the state is one of these, if only for a moment.
+
+        What is asked for next is no older: a status is said once a second.
+        """
         assert eventually(lambda: any(f"state: {word}" in line for line in self.log[since:] for word in words)), (
             f"never {words}; log:\n" + "\n".join(self.log[-20:])
         )
+        before = self.status()
+        self.said_since(0.0 if before is None else before.unix_s + 1e-3)
 
     def wait_for(self, *words: str, within_s: float = PATIENCE_S) -> float:
         """Until the state is one of these; seconds waited."""
