@@ -203,6 +203,20 @@ def test_several_processes_and_threads_write_at_once(path: Path | str) -> None:
         assert store.by_number(7).name == "seven"
 
 
+def test_pins_are_in_the_order_of_their_numbers_however_they_come(path: Path | str) -> None:
+    with PinStore(path) as store, PinStore(path) as other:
+        pattern = store.add([typed()]).to_dict()
+        for number in (40, 7, 90, 8, 91, 3):
+            click = typed()
+            known = {**pattern, "id": click.id, "number": number, "clicks": [click.to_dict()]}
+            assert store.bring_in([Pin.from_dict(known)]) == 1
+            other.edit(other.by_number(7 if number == 91 else number).id, name=f"was {number}")
+            found = [pin.number for pin in store.pins()]
+            assert found == sorted(found) == [pin.number for pin in other.pins()] and number in found
+        assert store.add([typed()]).number == 92
+        assert [pin.number for pin in store.pins()] == [1, 3, 7, 8, 40, 90, 91, 92]
+
+
 def test_of_two_servers_the_last_writer_wins_on_both(path: Path | str, tmp_path: Path) -> None:
     with PinStore(path) as a, PinStore(tmp_path / "b.sqlite") as b:
         pin = a.add([clicked()], name="first", who="ann")
