@@ -11,8 +11,9 @@ from typing import Self
 
 from contract.feature_set import FeatureSet
 from contract.track import TrackReport
-from onboard.events.types import Event, Frame
+from onboard.events.types import Event
 from onboard.tracks.track_book import TrackBook
+from onboard.tracks.waiting_pictures import WaitingPictures
 
 REPORT_NS = 500_000_000
 MAX_HELD = 256  # pictures that wait for their set
@@ -41,7 +42,7 @@ class Followed:
     ) -> None:
         self._book, self._fail, self._outlets = TrackBook(vehicle), fail, outlets
         self._waiting = list(enumerate(clicks, 1))
-        self._held: dict[int, Frame] = {}
+        self._held = WaitingPictures(MAX_HELD)
         self._newest = -1
         self._reported_ns = 0
 
@@ -54,14 +55,11 @@ class Followed:
 
     def event(self, arrival_ns: int, event: Event) -> None:
         """Keep a picture until its set comes."""
-        if isinstance(event, Frame) and event.image is not None:
-            self._held[event.index] = event
-            if len(self._held) > MAX_HELD:
-                del self._held[next(iter(self._held))]
+        self._held.event(event)
 
     def feature_set(self, output: FeatureSet) -> None:
         """The next picture, if this is its first set and no newer picture had one before."""
-        frame = self._held.pop(output.frame, None)
+        frame = self._held.take(output.frame)
         if frame is None or output.frame <= self._newest:
             return
         self._newest = output.frame

@@ -24,6 +24,7 @@ from onboard.config.schema import Config
 from onboard.events.types import Event, Frame
 from onboard.tracks.ground_steps import Pictures
 from onboard.tracks.track_book import TrackBook
+from onboard.tracks.waiting_pictures import WaitingPictures
 
 MAX_HELD = 64  # pictures that wait for their set
 MAX_ORDERS = 32  # that wait for this thread
@@ -52,7 +53,7 @@ class TrackThread:
         self.outlets = list(outlets)
         self._kept_bytes = round(config.tracks.keep_mb * 1e6)
         self._book = self._new_book()
-        self._held: dict[int, Frame] = {}  # touched by the pipeline's thread alone
+        self._held = WaitingPictures(MAX_HELD)  # touched by the pipeline's thread alone
         self._ready: deque[tuple[Frame, FeatureSet]] = deque(maxlen=MAX_BEHIND)
         self._orders: deque[StopTrack | tuple[int, StartTrack]] = deque()
         self._active: dict[int, StartTrack] = {}  # tracks that were asked for, by number
@@ -76,14 +77,11 @@ class TrackThread:
 
     def event(self, arrival_ns: int, event: Event) -> None:
         """Keep a picture until its set comes."""
-        if isinstance(event, Frame) and event.image is not None:
-            self._held[event.index] = event
-            if len(self._held) > MAX_HELD:
-                del self._held[next(iter(self._held))]
+        self._held.event(event)
 
     def feature_set(self, output: FeatureSet) -> None:
         """A picture's first set: both are this thread's now. One that is older than the last is not looked at."""
-        frame = self._held.pop(output.frame, None)
+        frame = self._held.take(output.frame)
         identity = output.session, output.frame
         if frame is not None and identity > self._newest:
             self._newest = identity

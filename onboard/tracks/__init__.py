@@ -4,4 +4,5 @@ Public:
 
 - `ground_steps`: `Pictures`
 - `track_book`: `TrackBook`
+- `waiting_pictures`: `WaitingPictures`
 """
