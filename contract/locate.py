@@ -216,18 +216,14 @@ class Locator:
     def _covariances(self, xy: Array, offset: Array, relative: Array, variance: Array) -> Array:
         """Each click's own covariance (M, 3, 3), as `_covariance` has it of one; `variance` (M,) is kriging's."""
         count = len(xy)
-        by_cause = np.zeros((count, 3, COMMON_STATES + 1))
-        by_cause[:, :, :3] = np.eye(3)
-        by_cause[:, :, 3:6] = -skew(offset)
-        by_cause[:, :, 6:COMMON_STATES] = -offset[:, :, None] * _with_one(xy)[:, None, [2, 0, 1]]
-        by_cause[:, :, COMMON_STATES] = -offset / relative[:, None]
-        by_depth = np.zeros((count, COMMON_STATES + 1))
-        by_depth[:, 6:COMMON_STATES] = _with_one(xy)[:, [2, 0, 1]]
-        by_depth[:, COMMON_STATES] = 1.0 / relative
+        by_cause = np.concatenate([_jacobian(offset, xy), -(offset / relative[:, None])[:, :, None]], axis=2)
+        by_depth = np.zeros((count, 1, COMMON_STATES + 1))
+        by_depth[:, 0, 6:COMMON_STATES] = _with_one(xy)[:, [2, 0, 1]]
+        by_depth[:, 0, COMMON_STATES] = 1.0 / relative
         causes = np.zeros((count, COMMON_STATES + 1, COMMON_STATES + 1))
         causes[:, :COMMON_STATES, :COMMON_STATES] = self.feature_set.common_cov
         causes[:, COMMON_STATES, COMMON_STATES] = variance
-        out: Array = by_cause @ causes @ by_cause.transpose(0, 2, 1) + _curvatures(by_cause, by_depth, causes)
+        out: Array = by_cause @ causes @ by_cause.transpose(0, 2, 1) + _curvature(by_cause, by_depth, causes)
         return out
 
     def _refusal(self, status: Status) -> Refusal:
@@ -289,8 +285,9 @@ class Locator:
 
     def _covariance(self, sights: list[_Sight]) -> Array:
         """Joint covariance (3 M, 3 M) of the clicks' positions."""
-        J = np.concatenate([_jacobian(sight) for sight in sights])
-        _, own = self._kriging.predict(np.array([sight.xy for sight in sights]))
+        offset, xy = np.array([sight.offset_enu_m for sight in sights]), np.array([sight.xy for sight in sights])
+        J = _jacobian(offset, xy).reshape(-1, COMMON_STATES)
+        _, own = self._kriging.predict(xy)
         spread = np.zeros((3 * len(sights), len(sights)))
         by_depth = np.zeros((len(sights), COMMON_STATES + len(sights)))
         for i, sight in enumerate(sights):
@@ -309,38 +306,24 @@ class Locator:
 
 
 def _curvature(by_cause: Array, by_depth: Array, causes: Array) -> Array:
-    """What a linear covariance of M clicks lacks (3 M, 3 M), where ln w is not known well. Equations (9.16), (9.17).
+    """What a linear covariance of M clicks lacks (..., 3 M, 3 M), where ln w is not known well. (9.16), (9.17)
 
-    `by_cause` (3 M, N) moves the positions, `by_depth` (M, N) u = d ln w; `causes` (N, N) is the covariance of both.
-    Never negative: an answer is not made surer.
+    `by_cause` (..., 3 M, N) moves the positions, `by_depth` (..., M, N) u = d ln w; `causes` (..., N, N) is the
+    covariance of both. Never negative: an answer is not made surer.
     """
     turned = by_cause.copy()
-    turned[:, :3] = 0.0  # dC is not divided by anything
-    u = np.repeat(by_depth, 3, axis=0)  # each click's u for each of its coordinates
-    by_u, by_turned = causes @ u.T, causes @ turned.T
+    turned[..., :3] = 0.0  # dC is not divided by anything
+    u = np.repeat(by_depth, 3, axis=-2)  # each click's u for each of its coordinates
+    by_u, by_turned = causes @ np.swapaxes(u, -1, -2), causes @ np.swapaxes(turned, -1, -2)
     uu, vu, vv = u @ by_u, turned @ by_u, turned @ by_turned
-    own = np.diag(uu)  # var u
-    vu_own = np.diag(vu)  # cov(v, u) of the same click
+    own = np.diagonal(uu, axis1=-2, axis2=-1)[..., None, :]  # var u
+    vu_own = np.diagonal(vu, axis1=-2, axis2=-1)[..., None, :]  # cov(v, u) of the same click
     au = by_cause @ by_u
     third = by_cause @ by_turned * own + 2.0 * au * vu_own
-    total = uu * vv + np.outer(vu_own, vu_own) + vu * vu.T + third + third.T
+    total = uu * vv + np.swapaxes(vu_own, -1, -2) * vu_own + vu * np.swapaxes(vu, -1, -2)
+    total = total + third + np.swapaxes(third, -1, -2)
     values, vectors = np.linalg.eigh(total)
-    out: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return out
-
-
-def _curvatures(by_cause: Array, by_depth: Array, causes: Array) -> Array:
-    """`_curvature` of M clicks each by itself: (M, 3, N), (M, N) and (M, N, N) -> (M, 3, 3)."""
-    turned = by_cause.copy()
-    turned[:, :, :3] = 0.0
-    by_u = (causes @ by_depth[:, :, None])[:, :, 0]
-    by_turned = causes @ turned.transpose(0, 2, 1)
-    uu = np.sum(by_depth * by_u, axis=1)[:, None, None]
-    vu, au = (turned @ by_u[:, :, None])[:, :, 0], (by_cause @ by_u[:, :, None])[:, :, 0]
-    third = by_cause @ by_turned * uu + 2.0 * au[:, :, None] * vu[:, None]
-    total = uu * (turned @ by_turned) + 2.0 * vu[:, :, None] * vu[:, None] + third + third.transpose(0, 2, 1)
-    values, vectors = np.linalg.eigh(total)
-    out: Array = (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.transpose(0, 2, 1)
+    out: Array = (vectors * np.maximum(values, 0.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
     return out
 
 
@@ -349,12 +332,33 @@ def _with_one(xy: Array) -> Array:
     return np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
 
 
-def _jacobian(sight: _Sight) -> Array:
-    """d X / d common states, (3, 9)."""
-    X = sight.offset_enu_m
-    return np.concatenate([np.eye(3), -skew(X), -np.outer(X, [1.0, *sight.xy])], axis=1)
+def _jacobian(offset: Array, xy: Array) -> Array:
+    """d X / d common states of clicks at offsets (M, 3) and x, y (M, 2), (M, 3, 9)."""
+    ones = np.broadcast_to(np.eye(3), (len(xy), 3, 3))
+    return np.concatenate([ones, -skew(offset), -offset[:, :, None] * _with_one(xy)[:, None, [2, 0, 1]]], axis=2)
 
 
 def locate(feature_set: FeatureSet, uv_px: ArrayLike) -> Answer:
     """One click on one set. For several clicks keep a `Locator`."""
     return Locator(feature_set).locate(uv_px)
+
+
+def pixels_of(feature_set: FeatureSet, offset_enu_m: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Pixels (N, 2) of places (N, 3) from the camera, ENU, m; and which are ahead and where the lens is calibrated.
+
+    A pixel may be off the picture.
+    """
+    s = feature_set
+    X = offset_enu_m @ np.asarray(s.R_enu_cam, float)
+    usable = X[:, 2] > 1e-6
+    w = 1.0 / np.where(usable, X[:, 2], 1.0)
+    xy = X[:, :2] * w[:, None]
+    usable &= np.hypot(*xy.T) <= s.camera.max_radius
+    xy = np.where(usable[:, None], xy, 0.0)
+    scale, shift = (s.camera.fx_px, s.camera.fy_px), (s.camera.cx_px, s.camera.cy_px)
+    uv: Array = s.camera.distort(xy) * scale + shift
+    if s.shutter is not None:
+        for _ in range(SHUTTER_STEPS):  # (18.5), from place to pixel
+            late_s = s.shutter.readout_s * np.asarray(row_share(uv[:, 1], s.camera.height_px))[:, None]
+            uv = s.camera.distort(xy + late_s * s.shutter.image_velocity(xy, w)) * scale + shift
+    return uv, usable

@@ -6,7 +6,7 @@ import contextlib
 import json
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import Any
 
@@ -77,7 +77,7 @@ def inquire(
             and is_through_router(session)
             and len(there := vehicles_there(session)) > 1
         ):
-            raise LinkError(f"several aircraft are at {endpoint}: {', '.join(there)}; choose one with --vehicle")
+            raise several_aircraft(endpoint, there)
         answers = _replies(session, key + parameters, timeout_s)
     finally:
         session.close()
@@ -87,20 +87,30 @@ def inquire(
     return answers
 
 
-def _replies(session: Any, selector: str, timeout_s: float = ANSWER_TIMEOUT_S) -> dict[str, Reply]:
-    """Each vehicle's answer to a question; its age includes the time that the question took. Raises WireError."""
-    answers: dict[str, Reply] = {}
-    asked_s = time.monotonic()
-    replies = session.get(
+def put_question(session: Any, selector: str, timeout_s: float = ANSWER_TIMEOUT_S, **options: Any) -> Iterable[Any]:
+    """Zenoh's replies to a question, sent as questions are; `options` are those of its `get`."""
+    replies: Iterable[Any] = session.get(
         selector,
-        target=zenoh.QueryTarget.ALL,
-        consolidation=zenoh.ConsolidationMode.NONE,
         timeout=timeout_s,
         congestion_control=getattr(zenoh.CongestionControl, QUERY.congestion_control),
         priority=getattr(zenoh.Priority, QUERY.priority),
         express=QUERY.express,
+        **options,
     )
-    for reply in replies:
+    return replies
+
+
+def several_aircraft(endpoint: str, there: Sequence[str]) -> LinkError:
+    """Why nothing is asked where one aircraft is meant and more are there."""
+    return LinkError(f"several aircraft are at {endpoint}: {', '.join(there)}; choose one with --vehicle")
+
+
+def _replies(session: Any, selector: str, timeout_s: float = ANSWER_TIMEOUT_S) -> dict[str, Reply]:
+    """Each vehicle's answer to a question; its age includes the time that the question took. Raises WireError."""
+    answers: dict[str, Reply] = {}
+    asked_s = time.monotonic()
+    to_all = {"target": zenoh.QueryTarget.ALL, "consolidation": zenoh.ConsolidationMode.NONE}
+    for reply in put_question(session, selector, timeout_s, **to_all):
         took_s = time.monotonic() - asked_s
         answer = _refusal(reply.err) if reply.ok is None else _answered(reply.ok)
         if answer is not None and answer.answer.vehicle is not None:

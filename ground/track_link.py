@@ -11,10 +11,10 @@ import zenoh
 
 from contract.errors import LinkError, WireError
 from contract.link_config import Tls
-from contract.topics import ANSWER_TIMEOUT_S, FOLLOW, QUERY, TRACKS
+from contract.topics import FOLLOW, TRACKS
 from contract.track import ListTracks, StartTrack, TrackReport, TrackRequest, parameters_of
 from contract.wire.track_code import decode_tracks
-from ground.client import open_link
+from ground.client import open_link, put_question, several_aircraft
 from ground.presence import vehicles_there
 
 MOST_WAITING = 1000  # reports that nobody has taken
@@ -50,13 +50,7 @@ class TrackLink:
             isinstance(request, StartTrack) and request.frame is not None
         )
         for _ in range(TRIES if is_same_again else 1):
-            for reply in self._session.get(
-                selector,
-                timeout=ANSWER_TIMEOUT_S,
-                congestion_control=getattr(zenoh.CongestionControl, QUERY.congestion_control),
-                priority=getattr(zenoh.Priority, QUERY.priority),
-                express=QUERY.express,
-            ):
+            for reply in put_question(self._session, selector):
                 said = _object((reply.ok or reply.err).payload.to_bytes())
                 if reply.ok is not None:
                     return said
@@ -86,7 +80,7 @@ class TrackLink:
         if len(there) == 1:
             return there[0]
         if there:
-            raise LinkError(f"several aircraft are at {endpoint}: {', '.join(there)}; choose one with --vehicle")
+            raise several_aircraft(endpoint, there)
         raise LinkError(f"no aircraft answers at {endpoint}")
 
     def _receive(self, sample: zenoh.Sample) -> None:

@@ -42,9 +42,14 @@ class Cells:
 
     def at(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> tuple[Index, Index]:
         """Rows and columns of the cells that hold places."""
+        row, column = self.places(lat_deg, lon_deg)
+        return np.floor(row).astype(np.int64), np.floor(column).astype(np.int64)
+
+    def places(self, lat_deg: ArrayLike, lon_deg: ArrayLike) -> tuple[Array, Array]:
+        """Where places are, in rows and columns and parts of them."""
         lat, lon = np.asarray(lat_deg, float), np.asarray(lon_deg, float)
         east = (lon - self.lon0_deg + 180.0) % 360.0 - 180.0
-        return np.floor(lat / self.step_lat_deg).astype(np.int64), np.floor(east / self.step_lon_deg).astype(np.int64)
+        return np.asarray(lat / self.step_lat_deg), np.asarray(east / self.step_lon_deg)
 
     def lat_deg(self, row: ArrayLike) -> Array:
         """Of the southern edges of rows; half a row on is a middle."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from contract.errors import InputError
 from ground.seen.cells import Cells
 from ground.seen.outline import Patch, cells_inside, hull, patches
-from ground.seen.tally import TILE, SeenGround
+from ground.seen.tally import TILE, SeenGround, area_m2
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -72,9 +72,7 @@ def coverage(seen: SeenGround, area: Sequence[Array] | None = None) -> Coverage 
     searched = cells_inside(here, *mask.shape)
     cell_m2 = cells.area_m2(row0 + np.arange(len(mask)))
     every = np.concatenate([tile[tile["count"] > 0] for _, tile in tiles])
-    once = sum(
-        float((tile["count"] == 1).sum(axis=1) @ cells.area_m2(at[0] * TILE + np.arange(TILE))) for at, tile in tiles
-    )
+    once = area_m2(cells, tiles, 1)
     low, middle, high = np.quantile(every["gsd_m"], [0.0, 0.5, 1.0]).tolist()
     return Coverage(
         cells,
@@ -96,8 +94,8 @@ def coverage(seen: SeenGround, area: Sequence[Array] | None = None) -> Coverage 
 
 def _in_cells(cells: Cells, ring: Array) -> Array:
     """Longitude and latitude (K, 2) -> columns and rows."""
-    east = (ring[:, 0] - cells.lon0_deg + 180.0) % 360.0 - 180.0
-    return np.column_stack([east / cells.step_lon_deg, ring[:, 1] / cells.step_lat_deg])
+    row, column = cells.places(ring[:, 1], ring[:, 0])
+    return np.column_stack([column, row])
 
 
 def _canvas(cells: Cells, tiles: list[tuple[int, int]], rings: list[Array]) -> tuple[int, int, Mask]:

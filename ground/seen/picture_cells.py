@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.feature_set import FeatureSet
-from contract.locate import SHUTTER_STEPS, Answers, Locator
-from contract.rolling_shutter import row_share
+from contract.locate import Answers, Locator, pixels_of
 from ground.seen.cells import Cells
 
 Array = NDArray[np.float64]
@@ -63,7 +62,7 @@ def picture_cells(s: FeatureSet, cells: Cells) -> PictureCells:
     east_north = locator.frame.to_enu(lat.ravel(), lon.ravel(), _height_m(locator, answers))[:, :2]
     at_knots = _ground(s, plane, answers, east_north, cells.cell_m).reshape(-1, len(down), len(across))
     fine = (_tent(rows, down) @ at_knots @ _tent(columns, across).T).reshape(len(at_knots), -1)
-    uv, usable = _pixels(s, fine[:3].T)
+    uv, usable = pixels_of(s, fine[:3].T)
     seen = np.flatnonzero(usable & (fine[8] < 1e-9) & _is_seen(uv, s, fine[3:7]))
     row, column = np.divmod(seen, len(columns))
     return PictureCells(rows[row], columns[column], fine[7, seen])
@@ -81,7 +80,7 @@ def pixel_of(s: FeatureSet, lat_deg: float, lon_deg: float) -> tuple[float, floa
     east_north = locator.frame.to_enu(lat_deg, lon_deg, locator.frame.height_m - 1.0 / plane.steepness)[None, :2]
     up = np.zeros(1)
     for _ in range(HEIGHT_STEPS + 1):
-        uv, usable = _pixels(s, plane.raised(east_north, up))
+        uv, usable = pixels_of(s, plane.raised(east_north, up))
         if not (usable[0] and s.camera.contains(uv[0])):
             return None
         rise = plane.rise(locator.answers(uv).offset_enu_m)
@@ -125,7 +124,7 @@ def _ground(s: FeatureSet, plane: _Plane, answers: Answers, east_north_m: Array,
     up = np.zeros(len(east_north_m))
     for _ in range(HEIGHT_STEPS):
         before = up
-        uv, usable = _pixels(s, plane.raised(east_north_m, before))
+        uv, usable = pixels_of(s, plane.raised(east_north_m, before))
         values = _between(fields, uv, s)
         up = np.where(np.isfinite(values[0]), values[0], 0.0)
     with np.errstate(invalid="ignore"):  # no comparison with nan holds
@@ -219,23 +218,6 @@ def _inverse(matrix: Array) -> Array:
     flat = np.stack([d, -b, -c, a], axis=-1) / np.where(np.abs(det) > 1e-12, det, np.nan)[:, None]
     out: Array = flat.reshape(-1, 2, 2)
     return out
-
-
-def _pixels(s: FeatureSet, offset_enu_m: Array) -> tuple[Array, Mask]:
-    """Pixels (N, 2) of places (N, 3) from the camera, and which are ahead and where the lens is calibrated."""
-    X = offset_enu_m @ np.asarray(s.R_enu_cam, float)
-    usable = X[:, 2] > 1e-6
-    w = 1.0 / np.where(usable, X[:, 2], 1.0)
-    xy = moved = X[:, :2] * w[:, None]
-    scale, shift = (s.camera.fx_px, s.camera.fy_px), (s.camera.cx_px, s.camera.cy_px)
-    usable &= np.hypot(*xy.T) <= s.camera.max_radius
-    moved = np.where(usable[:, None], xy, 0.0)
-    uv: Array = s.camera.distort(moved) * scale + shift
-    if s.shutter is not None:
-        for _ in range(SHUTTER_STEPS):  # (18.5), from place to pixel
-            late_s = s.shutter.readout_s * np.asarray(row_share(uv[:, 1], s.camera.height_px))[:, None]
-            uv = s.camera.distort(moved + late_s * s.shutter.image_velocity(moved, w)) * scale + shift
-    return uv, usable
 
 
 def _between(fields: Array, uv_px: Array, s: FeatureSet) -> Array:

@@ -7,7 +7,7 @@ bounded: of the ground by MOST_TILES, of the pictures by MOST_PICTURES; the olde
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -215,6 +215,13 @@ def round_cell_m(wanted_m: float) -> float:
     wanted_m = min(max(wanted_m, LEAST_CELL_M), MOST_CELL_M) * (1.0 + 1e-9)
     power = 10.0 ** np.floor(np.log10(wanted_m))
     return float(max(d for d in DIGITS if d * power <= wanted_m) * power)
+
+
+def area_m2(cells: Cells, tiles: Iterable[tuple[tuple[int, int], Tile]], times: int | None = None) -> float:
+    """Of the cells of tiles that were seen, or that were seen just so often."""
+    rows = np.arange(TILE)
+    counted = ((at, tile["count"] > 0 if times is None else tile["count"] == times) for at, tile in tiles)
+    return sum(float(mask.sum(axis=1) @ cells.area_m2(at[0] * TILE + rows)) for at, mask in counted)
 
 
 def _empty(side: int = TILE) -> Tile:

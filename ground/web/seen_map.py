@@ -5,18 +5,15 @@ from __future__ import annotations
 import threading
 import time
 
-import numpy as np
-
 from ground.seen.export import time_text
 from ground.seen.pictures import MOST_PICTURES, Shown
-from ground.seen.tally import TILE, SeenGround
+from ground.seen.tally import SeenGround, area_m2
 from ground.watched_thread import WatchedThread
 from ground.web.seen_tile import seen_tile
-from ground.web.source import FrameRow, Source
+from ground.web.source import MOST_ROWS, SPARE_ROWS, FrameRow, Source
 
 PERIOD_S = 0.05
 BATCH_S = 0.1  # of counting between two pauses: clicks are answered meanwhile
-SPARE_ROWS, MOST_ROWS = 8, 500
 AREA_EVERY_S = 2.0
 LISTED = 48  # pictures of a place that are named; of more, evenly chosen ones
 
@@ -72,7 +69,7 @@ class SeenMap:
         with self._lock:
             seen, (version, at_s, m2) = self._seen, self._area
             if version != seen.version and (time.monotonic() - at_s > AREA_EVERY_S or not self._ahead):
-                m2 = _area_m2(seen)
+                m2 = 0.0 if seen.cells is None else area_m2(seen.cells, seen.all_tiles())
                 self._area = seen.version, time.monotonic(), m2
             return {
                 "version": seen.version,
@@ -131,17 +128,6 @@ class SeenMap:
                 self._ahead.append((vehicle, row))
             if row.capture_unix_ns > self._newest[0]:
                 self._newest = row.capture_unix_ns, time.monotonic()
-
-
-def _area_m2(seen: SeenGround) -> float:
-    """Of all that was seen."""
-    if seen.cells is None:
-        return 0.0
-    rows = np.arange(TILE)
-    return sum(
-        float((tile["count"] > 0).sum(axis=1) @ seen.cells.area_m2(at[0] * TILE + rows))
-        for at, tile in seen.all_tiles()
-    )
 
 
 def _row(shown: Shown) -> dict[str, object]:

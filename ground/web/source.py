@@ -8,6 +8,10 @@ from typing import Protocol
 from contract.feature_set import FeatureSet, Status
 from contract.vehicle_status import VehicleStatus
 
+# Of the pictures that came since a list was read: some before them are read again, for sets may come out of order or in
+# a better revision; where more have come, as when a journal was read, the whole list is.
+SPARE_ROWS, MOST_ROWS = 8, 500
+
 
 @dataclass(frozen=True)
 class FrameRow:

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from contract.answer import EXPLANATIONS, Fix, time_utc
 from contract.feature_set import FeatureSet, HeightDatum
 from contract.geodesy import LocalFrame
-from contract.locate import MIN_PLANE_SHARE, SHUTTER_STEPS, Locator
-from contract.rolling_shutter import row_share
+from contract.locate import MIN_PLANE_SHARE, Locator, pixels_of
 from ground.circular_error import ce90_m
 from ground.web.advice import ADVICE
 
@@ -109,14 +108,8 @@ def placed_in(s: FeatureSet, lat_deg: float, lon_deg: float, height_ellipsoid_m:
     if not s.is_ok or height_ellipsoid_m is None:
         return None
     enu_m = _ellipsoidal(s).to_enu(lat_deg, lon_deg, height_ellipsoid_m)
-    p = enu_m @ np.asarray(s.R_enu_cam, float)
-    uv, seen = s.camera.project(p)
-    if s.shutter is not None and p[2] > 0.0:
-        xy, w = p[:2] / p[2], 1.0 / float(p[2])
-        for _ in range(SHUTTER_STEPS):  # (18.5), from place to pixel
-            late_s = s.shutter.readout_s * float(row_share(float(uv[1]), s.camera.height_px))
-            uv, seen = s.camera.project(np.array([*(xy + late_s * s.shutter.image_velocity(xy, w)), 1.0]))
-    return [float(uv[0]), float(uv[1])] if bool(seen) else None
+    (uv,), (usable,) = pixels_of(s, enu_m[None])
+    return [float(uv[0]), float(uv[1])] if usable and s.camera.contains(uv) else None
 
 
 def camera_place(s: FeatureSet) -> list[float] | None:

@@ -8,10 +8,10 @@ from contract.errors import PointclickError
 from ground.watched_thread import WatchedThread
 from ground.web.api_vehicles import row_json, vehicle_json
 from ground.web.desk import Desk
+from ground.web.source import MOST_ROWS, SPARE_ROWS
 
 PICTURES_S = 0.04  # between checks of the source: a new picture is reported within this time
 STATUS_S = 1.0
-SPARE_ROWS, MOST_ROWS = 8, 500
 
 
 class Watch:

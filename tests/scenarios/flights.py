@@ -35,6 +35,7 @@ from onboard.replay.runner import Flight, replay
 from onboard.vision.contrast_normalisation import Picture
 from simulation.session import SessionSpec, fly
 from tests.flights_folder import FLIGHTS_VARIABLE
+from tests.set_sink import SetSink
 
 Array = NDArray[np.float64]
 
@@ -86,20 +87,11 @@ class Outcome:
         return f"pictures {_words(self.statuses)}; refused clicks {_words(self.refusals)}; {answered}"
 
 
-class _Sets:
+class _Sets(SetSink):
     """Keeps the last set of each picture."""
 
     def __init__(self) -> None:
         self.by_frame: dict[int, FeatureSet] = {}
-
-    def __enter__(self) -> _Sets:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        return None
-
-    def event(self, arrival_ns: int, event: object) -> None:
-        return None
 
     def feature_set(self, output: FeatureSet) -> None:
         self.by_frame[output.frame] = output

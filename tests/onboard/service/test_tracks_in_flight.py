@@ -15,13 +15,13 @@ from onboard.commands.run import open_parts
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.sink import Sink
-from onboard.events.types import Event
 from onboard.link.publisher import Publisher, Rate
 from onboard.service.track_thread import TrackThread
 from tests.contract.sets import plain_set
 from tests.onboard.link.ports import free_endpoint
 from tests.onboard.service.air import STRAIGHT, PlayedSource, Work, take_off
 from tests.onboard.service.test_pictures_in_flight import Passed
+from tests.set_sink import SetSink
 from tests.waiting import eventually
 
 CLICKED = 10
@@ -48,20 +48,11 @@ def test_the_daemon_follows_unless_it_is_told_not_to(tmp_path: Path, is_on: bool
         assert (b"disabled" in publisher.follow("")[0]) == (not is_on)
 
 
-class Asking:
+class Asking(SetSink):
     """A sink that clicks in the middle of one picture, after its set has been handed over."""
 
     def __init__(self, tracks: TrackThread) -> None:
         self._tracks, self.answer = tracks, b""
-
-    def __enter__(self) -> Asking:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        return None
-
-    def event(self, arrival_ns: int, event: Event) -> None:
-        return None
 
     def feature_set(self, output: FeatureSet) -> None:
         if output.frame > CLICKED and not self.answer:

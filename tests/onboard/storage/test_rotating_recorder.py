@@ -40,6 +40,7 @@ from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from tests.contract.sets import plain_set
 from tests.scenarios.flights import CAMERA, flown
+from tests.set_sink import SetSink
 from tests.waiting import eventually
 
 pytestmark = pytest.mark.xdist_group("rotating recorder")  # one worker: what they share is made once
@@ -75,20 +76,11 @@ def learned() -> str:
     return json.dumps(raw)
 
 
-class Reporting:
+class Reporting(SetSink):
     """Says how things are with every set."""
 
     def __init__(self, sink: Recorded) -> None:
         self._sink = sink
-
-    def __enter__(self) -> Reporting:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        return None
-
-    def event(self, arrival_ns: int, event: Event) -> None:
-        return None
 
     def feature_set(self, output: FeatureSet) -> None:
         self._sink.status(output.capture_unix_ns, encode_status(VehicleStatus(1.7e9, 7, "ok")))
