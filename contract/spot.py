@@ -15,17 +15,18 @@ MOST_SPOTS = 6  # that a packet holds, with room for outlines
 class Spot:
     """One spot. `u_px`, `v_px` is its middle, weighed by how hot its pixels are.
 
-    `contrast` is how far its hottest pixel is above its ground (below: less than 0), in sigmas of how much that ground
-    varies; `temperature_c` that pixel's own temperature, None where the camera is not calibrated: too low for a spot
-    smaller than a pixel. Without a place `status` states why, in the words of a refused click, and there is neither
-    area nor outline. `outline_en_m` is a polygon, east and north of the place, m; empty: not sent. `is_cut`: the
-    picture's edge cuts it, and there is more of it.
+    `contrast` is how far it is above its ground (below: less than 0), in sigmas of how much that ground varies;
+    `temperature_c` its hottest (coldest) pixel's temperature and `above_ground_k` how far that is from its ground's,
+    None where the camera is not calibrated: both too small for a spot smaller than a pixel. Without a place `status`
+    states why, in the words of a refused click, and there is neither area nor outline. `outline_en_m` is a polygon,
+    east and north of the place, m; empty: not sent. `is_cut`: the picture's edge cuts it, and there is more of it.
     """
 
     u_px: float
     v_px: float
     contrast: float
     temperature_c: float | None = None
+    above_ground_k: float | None = None
     status: Status = Status.STARTING
     place: Place | None = None
     area_m2: float = 0.0
@@ -37,7 +38,8 @@ class Spot:
         """For JSON."""
         content: dict[str, object] = {
             "u": round(self.u_px, 2), "v": round(self.v_px, 2), "contrast": round(self.contrast, 2),
-            "temperature_c": rounded(self.temperature_c), "is_cut": self.is_cut, "status": self.status.value,
+            "temperature_c": rounded(self.temperature_c), "above_ground_k": rounded(self.above_ground_k),
+            "is_cut": self.is_cut, "status": self.status.value,
         }  # fmt: skip
         if self.place is not None:
             content |= self.place.to_dict()
@@ -50,7 +52,9 @@ class Spot:
     def to_text(self) -> str:
         """One line for people."""
         p = self.place
-        how = "" if self.temperature_c is None else f"{self.temperature_c:.1f} degC, "
+        how = ""
+        if self.temperature_c is not None and self.above_ground_k is not None:
+            how = f"{self.temperature_c:.1f} degC, {self.above_ground_k:+.1f} K, "
         how += f"{abs(self.contrast):.1f} sigmas {'colder' if self.contrast < 0.0 else 'hotter'} than its ground"
         if p is None:
             return f"{how}  {self.status.value}: {EXPLANATIONS[self.status]}"
@@ -65,7 +69,6 @@ class Spot:
 class SpotReport:
     """All spots of a picture, the most significant first; `more` were found and are not in the report.
 
-    `clutter_k` is how much the ground varies about the spots, one sigma in kelvin (None: not calibrated).
     `picture_share` and `session_share` are shares of the spots' horizontal variance: what all spots of this picture
     have in common, and what (of that) those of the session's other pictures have too. The first does not become less by
     the picture's other spots, the second not by other pictures of the same spot.
@@ -77,24 +80,18 @@ class SpotReport:
     is_calibrated: bool
     spots: tuple[Spot, ...] = ()
     more: int = 0
-    clutter_k: float | None = None
     picture_share: float = 0.0
     session_share: float = 0.0
     vehicle: str = ""
 
-    def above_ground_k(self, spot: Spot) -> float | None:
-        """How much hotter than its ground a spot is, K; None where the camera is not calibrated."""
-        return None if self.clutter_k is None else spot.contrast * self.clutter_k
-
     def to_json(self) -> str:
         """One line."""
-        spots = [spot.to_dict() | {"above_ground_k": rounded(self.above_ground_k(spot))} for spot in self.spots]
         return json.dumps(
             {
                 "vehicle": self.vehicle or None, "frame": self.frame, "time_utc": time_utc(self.capture_unix_ns),
-                "is_calibrated": self.is_calibrated, "clutter_k": rounded(self.clutter_k),
+                "is_calibrated": self.is_calibrated,
                 "picture_share": rounded(self.picture_share), "session_share": rounded(self.session_share),
-                "more": self.more, "spots": spots,
+                "more": self.more, "spots": [spot.to_dict() for spot in self.spots],
             }
         )  # fmt: skip
 

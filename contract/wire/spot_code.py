@@ -11,7 +11,6 @@ from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 from contract.feature_set import Status
 from contract.spot import MOST_SPOTS, Spot, SpotReport
 from contract.wire.byte_cursor import ByteCursor
-from contract.wire.covariance_code import sigma_code, sigma_from_code
 from contract.wire.outlines import fitted
 
 MAJOR, MAX_SPOT_BYTES = 1, 200
@@ -22,22 +21,22 @@ DEGREE, HEIGHT_STEP_M, TIME_STEP_NS, PIXEL_STEP, SHARE_STEP = 1e-9, 0.001, 10_00
 TEMPERATURE_STEP_C, ANGLE_STEP_DEG = 0.05, 180.0 / 256.0
 OFFSET_STEP_DEG, SPOT_HEIGHT_STEP_M, OUTLINE_STEP_M = 1e-7, 0.1, 0.01
 AREA_SHARE_STEP = 1.0 / 64.0  # of an area's sigma, as a share of the area
-# Lengths, contrasts and areas in one byte: natural logarithm of a step, and what code 1 is.
-LENGTH, CONTRAST, AREA = (0.055, 0.01), (0.03, 0.5), (0.08, 0.01)
+# Lengths, contrasts, differences of temperature and areas in one byte: natural logarithm of a step, and what code 1 is.
+LENGTH, CONTRAST, KELVIN, AREA = (0.055, 0.01), (0.03, 0.5), (0.04, 0.05), (0.08, 0.01)
 MOST_EXPONENT = 31
 _STATUSES = tuple(Status)
 
-# kind, flags, session, frame, time, spots, more, clutter, shares of picture and session
-_HEAD = struct.Struct("<BBII6sBBHBB")
+# kind, flags, session, frame, time, spots, more, shares of picture and session
+_HEAD = struct.Struct("<BBII6sBBBB")
 _REFERENCE = struct.Struct("<5s5si3sB")  # latitude, longitude, height, undulation, exponent of the offsets' step
 _SPOT = struct.Struct("<BHHB")  # status and flags, u, v, contrast
-_TEMPERATURE = struct.Struct("<h")
+_TEMPERATURE = struct.Struct("<hB")  # and how far from its ground's
 # latitude, longitude and height from the reference; axes, azimuth, sigma of the height, area, its sigma; points
 _PLACE = struct.Struct("<hhhBBBBBBB")
 
 
 def encode_spots(report: SpotReport) -> bytes:
-    """22 to 200 bytes: at most MOST_SPOTS spots, whose outlines share what is left. Raises ValueError."""
+    """20 to 200 bytes: at most MOST_SPOTS spots, whose outlines share what is left. Raises ValueError."""
     r, kept = report, report.spots[:MOST_SPOTS]
     placed = [spot.place for spot in kept if spot.place is not None]
     flags = r.is_calibrated * IS_CALIBRATED | bool(placed) * HAS_PLACES
@@ -53,8 +52,7 @@ def encode_spots(report: SpotReport) -> bytes:
         more = min(max(r.more + len(r.spots) - len(kept), 0), 255)
         head = _HEAD.pack(
             KIND, flags, r.session, r.frame, round(r.capture_unix_ns / TIME_STEP_NS).to_bytes(6, "little"), len(kept),
-            more, 0 if r.clutter_k is None else max(sigma_code(r.clutter_k), 1),
-            *(round(min(max(share, 0.0), 1.0) / SHARE_STEP) for share in (r.picture_share, r.session_share)),
+            more, *(round(min(max(share, 0.0), 1.0) / SHARE_STEP) for share in (r.picture_share, r.session_share)),
         )  # fmt: skip
         parts = [_spot(spot, r.is_calibrated) for spot in kept]
         size = len(head) + len(body) + sum(map(len, parts)) + _PLACE.size * len(placed)
@@ -78,7 +76,7 @@ def decode_spots(payload: bytes, vehicle: str = "") -> SpotReport:
         raise CorruptPayload(f"version and kind {payload[0]:#x}")
     if len(payload) < _HEAD.size:
         raise TruncatedPayload(f"{len(payload)} bytes")
-    _, flags, session, frame, time, count, more, clutter, *shares = _HEAD.unpack_from(payload)
+    _, flags, session, frame, time, count, more, *shares = _HEAD.unpack_from(payload)
     if flags > 15 or count > MOST_SPOTS or len(payload) > MAX_SPOT_BYTES:
         raise CorruptPayload(f"{count} spots with flags {flags:#x} in {len(payload)} bytes")
     cursor = ByteCursor(payload, _HEAD.size, len(payload))
@@ -88,7 +86,7 @@ def decode_spots(payload: bytes, vehicle: str = "") -> SpotReport:
         raise CorruptPayload(f"{len(payload) - cursor.position} bytes too many")
     return SpotReport(
         session, frame, int.from_bytes(time, "little") * TIME_STEP_NS, bool(flags & IS_CALIBRATED), spots, more,
-        sigma_from_code(clutter) if clutter else None, shares[0] * SHARE_STEP, shares[1] * SHARE_STEP, vehicle,
+        shares[0] * SHARE_STEP, shares[1] * SHARE_STEP, vehicle,
     )  # fmt: skip
 
 
@@ -155,9 +153,10 @@ def _spot(spot: Spot, is_calibrated: bool) -> bytes:
     out = _SPOT.pack(status.code | flags, *pixels, _code(abs(spot.contrast), CONTRAST))
     if not is_calibrated:
         return out
-    if spot.temperature_c is None:
+    if spot.temperature_c is None or spot.above_ground_k is None:
         raise ValueError("a spot of a calibrated camera without a temperature")
-    return out + _TEMPERATURE.pack(min(max(round(spot.temperature_c / TEMPERATURE_STEP_C), -32768), 32767))
+    temperature = min(max(round(spot.temperature_c / TEMPERATURE_STEP_C), -32768), 32767)
+    return out + _TEMPERATURE.pack(temperature, _code(abs(spot.above_ground_k), KELVIN))
 
 
 def _place(spot: Spot, p: Place, reference: Place, step: float, points: int) -> bytes:
@@ -185,11 +184,13 @@ def _read_spot(cursor: ByteCursor, flags: int, reference: Place | None, step: fl
     status, u, v, contrast = cursor.unpack(_SPOT)
     if status & STATUS_MASK >= len(_STATUSES):
         raise NewerPayload(f"status {status & STATUS_MASK}")
-    sign = -1.0 if status & IS_COLD else 1.0
+    sign, temperature_c, above_k = -1.0 if status & IS_COLD else 1.0, None, None
+    if flags & IS_CALIBRATED:
+        temperature, above = cursor.unpack(_TEMPERATURE)
+        temperature_c, above_k = temperature * TEMPERATURE_STEP_C, sign * _from_code(above, KELVIN)
     spot = Spot(
         u * PIXEL_STEP - 0.5, v * PIXEL_STEP - 0.5, sign * _from_code(contrast, CONTRAST),
-        cursor.unpack(_TEMPERATURE)[0] * TEMPERATURE_STEP_C if flags & IS_CALIBRATED else None,
-        _STATUSES[status & STATUS_MASK], is_cut=bool(status & IS_CUT),
+        temperature_c, above_k, _STATUSES[status & STATUS_MASK], is_cut=bool(status & IS_CUT),
     )  # fmt: skip
     if spot.status is not Status.OK:
         return spot
