@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
-from contract.answer import CONFIDENCE, EXPLANATIONS, Ellipse, time_utc
+from contract.answer import CONFIDENCE, EXPLANATIONS, Place, rounded, time_utc
 from contract.errors import InputError
 from contract.feature_set import Status
 
@@ -53,18 +53,6 @@ class Course:
 
 
 @dataclass(frozen=True)
-class TrackPlace:
-    """Where it is: degrees, metres above mean sea level or the ellipsoid (None: not known), its 90 % ellipse."""
-
-    lat_deg: float
-    lon_deg: float
-    height_amsl_m: float | None
-    height_ellipsoid_m: float | None
-    ellipse: Ellipse
-    sigma_height_m: float
-
-
-@dataclass(frozen=True)
 class TrackReport:
     """A track at a picture: `u_px`, `v_px` the thing's middle there, `size_px` how large it is.
 
@@ -81,7 +69,7 @@ class TrackReport:
     v_px: float
     size_px: float
     status: Status = Status.STARTING
-    place: TrackPlace | None = None
+    place: Place | None = None
     course: Course | None = None
     vehicle: str = ""
 
@@ -95,21 +83,12 @@ class TrackReport:
             "status": self.status.value,
         }  # fmt: skip
         if p is not None:
-            e = p.ellipse
-            content |= {
-                "lat_deg": round(p.lat_deg, 9), "lon_deg": round(p.lon_deg, 9),
-                "height_amsl_m": _rounded(p.height_amsl_m), "height_ellipsoid_m": _rounded(p.height_ellipsoid_m),
-                "ellipse": {
-                    "confidence": CONFIDENCE, "semi_major_m": _rounded(e.semi_major_m),
-                    "semi_minor_m": _rounded(e.semi_minor_m), "azimuth_deg": round(e.azimuth_deg, 2),
-                },
-                "sigma_height_m": _rounded(p.sigma_height_m),
-            }  # fmt: skip
+            content |= p.to_dict()
         if c is not None:
             content |= {
-                "is_moving": c.is_moving, "speed_m_s": _rounded(c.speed_m_s),
-                "sigma_speed_m_s": _rounded(c.sigma_speed_m_s), "course_deg": _rounded(c.course_deg),
-                "sigma_course_deg": _rounded(c.sigma_course_deg),
+                "is_moving": c.is_moving, "speed_m_s": rounded(c.speed_m_s),
+                "sigma_speed_m_s": rounded(c.sigma_speed_m_s), "course_deg": rounded(c.course_deg),
+                "sigma_course_deg": rounded(c.sigma_course_deg),
             }  # fmt: skip
         return json.dumps(content)
 
@@ -210,7 +189,3 @@ def _pixel(text: str, what: str) -> float:
     if not -0.5 <= value <= MOST_PX:
         raise InputError(f"{what}: not a pixel")
     return value
-
-
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(value, 3)

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from pydantic.fields import FieldInfo
 
 from contract.errors import ConfigError
+from contract.thermal_scale import ThermalScale
 from onboard.config.renamed_keys import with_present_names
 
 
@@ -170,6 +171,21 @@ class CameraConfig(Section):
     def is_rolling(self) -> bool:
         """Whether rows are, or may be, exposed one after the other."""
         return self.readout_s != 0.0 or self.sigma_readout_s > 0.0
+
+
+class ThermalConfig(Section):
+    """The camera sees heat (docs/thermal.md): its counts are kept, and kelvin = scale * count + offset."""
+
+    enabled: bool = choice(False, "the camera is a thermal one")
+    scale: float | None = quantity(
+        None, 1e-5, 100.0, "K", "of one count, 0.01 of a radiometric Lepton or Boson; if not set: uncalibrated"
+    )
+    offset: float = quantity(0.0, -1e5, 1e5, "K", "temperature of count 0, with the scale")
+
+    @property
+    def calibration(self) -> ThermalScale | None:
+        """Counts to kelvin; None: uncalibrated."""
+        return None if self.scale is None else ThermalScale(self.scale, self.offset)
 
 
 class Tracking(Section):
@@ -368,6 +384,7 @@ class Config(Section):
     vehicle: Vehicle = Vehicle()
     mount: Mount = Mount()
     camera: CameraConfig = CameraConfig()
+    thermal: ThermalConfig = ThermalConfig()
     tracking: Tracking = Tracking()
     solve: Solve = Solve()
     terrain: TerrainModel = TerrainModel()
