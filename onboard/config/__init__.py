@@ -3,5 +3,5 @@
 Public:
 
 - `files`: `config_files`, `load_camera`, `load_config_files`, `state_folder`
-- `schema`: `CameraConfig`, `Config`, `Gps`, `PictureConfig`, `parse_config`, `to_toml`
+- `schema`: `CameraConfig`, `NOT_THERMAL`, `ThermalConfig`, `Config`, `Gps`, `PictureConfig`, `parse_config`, `to_toml`
 """
