@@ -187,6 +187,16 @@ class ThermalConfig(Section):
         """Counts to kelvin; None: uncalibrated."""
         return None if self.scale is None else ThermalScale(self.scale, self.offset)
 
+    @property
+    def words(self) -> str:
+        """What is known of the counts, for people; empty where the camera is no thermal one."""
+        if not self.enabled:
+            return ""
+        return "thermal, uncalibrated" if self.scale is None else f"thermal, {self.scale:g} K a count"
+
+
+NOT_THERMAL = ThermalConfig()
+
 
 class Tracking(Section):
     """Following features from picture to picture."""
