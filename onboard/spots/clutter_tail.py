@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 KEPT = 400  # pictures of ground of its own each
-LARGEST = 40  # contrasts of a picture, and at least so many of all, that the tail is fitted to
+LARGEST = 100  # contrasts of a picture
+FITTED, FITTED_KM2 = 40, 1000.0  # that the tail is fitted to: at least so many, and so many a square kilometre
 LEAST_PEAKS = 20
 CENSORED = 0.1  # of them, the largest, which may be what is looked for: only that they are large is used
-SHAPE_SIGMA = 0.05  # of the tail's shape, about that of an exponential
+SHAPE, SHAPE_SIGMA = 0.1, 0.03  # of the tail: rather heavier than an exponential, as far as that cannot be told
 APART = 0.8  # of a picture's side, at which its ground counts as another's
 _SHAPES = np.linspace(-0.4, 0.4, 34)  # without 0
 _SCALES = np.geomspace(0.2, 5.0, 48)  # of the mean excess
@@ -52,7 +53,8 @@ class ClutterTail:
     def _fitted(self) -> float:
         peaks = np.sort(np.concatenate([c for _, _, c in self._samples]))[::-1] if self._samples else np.zeros(0)
         allowed = self._rate * self.searched_km2
-        count = min(max(LARGEST, int(np.ceil(4.0 * allowed))), len(peaks)) - 1
+        wanted = max(FITTED, FITTED_KM2 * self.searched_km2, 4.0 * allowed)
+        count = min(int(np.ceil(wanted)), len(peaks)) - 1
         if count < LEAST_PEAKS:
             return float("inf")
         base = float(peaks[count])
@@ -69,7 +71,7 @@ def _fit(excess: Array) -> tuple[float, float]:
         inside = np.log1p(shape * seen / scale)
         at_edge = np.log1p(shape * excess[censored - 1] / scale)
         likelihood = -len(seen) * np.log(scale) - ((1.0 + 1.0 / shape) * inside).sum(axis=2, keepdims=True)
-        likelihood = likelihood - censored * at_edge / shape - 0.5 * (shape / SHAPE_SIGMA) ** 2
+        likelihood = likelihood - censored * at_edge / shape - 0.5 * ((shape - SHAPE) / SHAPE_SIGMA) ** 2
     best = np.nanargmax(np.where(np.isfinite(likelihood), likelihood, -np.inf))
     i, j, _ = np.unravel_index(best, likelihood.shape)
     return float(_SHAPES[i]), float(mean * _SCALES[j])
