@@ -378,7 +378,7 @@ class SpotsConfig(Section):
     )
     smallest_m2: float = quantity(0.1, 0.001, 1000.0, "m2", "on the ground, of a spot")
     largest_m: float = quantity(
-        5.0, 0.5, 200.0, "m", "across, of a spot that is found by its surroundings; a larger one by the whole picture"
+        5.0, 0.5, 200.0, "m", "across, of a spot that is found by its surroundings; a larger one by its heat alone"
     )
     rate_hz: float = quantity(2.0, 0.05, 2.0, "Hz", "pictures looked at, at most")
 

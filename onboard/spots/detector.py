@@ -18,7 +18,9 @@ from onboard.spots.regions import MOST_REGIONS, Part, Region, about_peak, above,
 Array = NDArray[np.float64]
 
 ZERO_C_K = 273.15
-OUT_OF_PICTURE = 10.0  # sigmas of the whole picture, at which something is a spot whatever its size
+OUT_OF_PICTURE = (
+    25.0  # sigmas of the whole picture, at which something something is a spot of any size (land in a lake: 20)
+)
 TRIED = 4 * LARGEST  # peaks looked at for the tail, of which most are no spots
 PARTS = 24, 32  # rows and columns of the grid on which it is known how much ground a pixel shows
 LEAST_PX = 2.0  # to a side of what can be told from a pixel's fault
@@ -88,11 +90,12 @@ class Detector:
         return found
 
     def _large(self, values: Image, ground: GroundScale, pixel_m: float) -> list[Region]:
-        """By heat alone, and what is far above all of the picture."""
+        """By heat alone; where that is not known, what is far above all of the picture."""
         size, usual = in_picture(values, ground.is_ground)
-        level = size - np.float32(OUT_OF_PICTURE)
-        if self._scale is not None:
-            level = np.maximum(level, values - np.float32(self._config.hotter_than_c + ZERO_C_K))
+        if self._scale is None:
+            level = size - np.float32(OUT_OF_PICTURE)
+        else:
+            level = np.where(size != 0.0, values - np.float32(self._config.hotter_than_c + ZERO_C_K), np.float32(-1.0))
         return above(values, usual, size, level, self._config.smallest_m2 / pixel_m**2)
 
 
