@@ -197,7 +197,7 @@ class _PartEvents:
                 return None  # its picture was in a stretch that cannot be read
             raise InputError(f"frame {frame.index} without its picture")
         image = _decoded(self._picture[1], self._flight.camera).astype(np.uint8)
-        counts = image.astype(np.uint16) if counted == "luma" else None
+        counts = None
         if counted == "png" and self._counts is not None and self._counts[0] == frame.stamp_ns:
             counts = _decoded(self._counts[1], self._flight.camera, True).astype(np.uint16)
         return replace(frame, image=image, counts=counts)

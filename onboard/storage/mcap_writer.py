@@ -125,14 +125,9 @@ class SessionRecorder:
 
     def _write_counts(self, frame: Frame) -> str:
         """Record a thermal camera's counts with lossless pictures; returns how, empty where they are not."""
-        counts, image = frame.counts, frame.image
-        if counts is None or image is None or self._pictures == "none":
+        if frame.counts is None or self._pictures != "lossless":
             return ""
-        if np.array_equal(counts, image):  # of eight bits: they are in the picture
-            return "luma"
-        if self._pictures != "lossless":
-            return ""
-        encoded, kind = encode_picture(counts, self._pictures)
+        encoded, kind = encode_picture(frame.counts, self._pictures)
         message = foxglove_schemas.picture(frame.stamp_ns, encoded, kind)
         self._view(names.COUNTS, foxglove_schemas.PICTURE, frame.stamp_ns, lambda: message)
         return kind

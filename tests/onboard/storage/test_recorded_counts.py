@@ -49,7 +49,7 @@ def test_frames_without_counts_get_none_of_their_neighbours(tmp_path: Path) -> N
     np.testing.assert_array_equal(back[3].counts, frames[3].counts)
 
 
-def test_recordings_to_look_at_hold_no_counts_of_sixteen_bits(tmp_path: Path) -> None:
+def test_recordings_to_look_at_hold_no_counts(tmp_path: Path) -> None:
     frames = [frame(index, True) for index in range(3)]
     small, whole = (tmp_path / f"{pictures}.mcap" for pictures in ("jpeg", "lossless"))
     assert all(one.counts is None for one in recorded(small, frames, "jpeg"))
