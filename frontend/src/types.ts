@@ -1,4 +1,4 @@
-// What the server sends. Must match ground/web/{api_vehicles,api_pins,pin_json,seen_map,view}.py.
+// What the server sends. Must match ground/web/{api_vehicles,api_pins,api_tracks,pin_json,seen_map,view}.py.
 
 import type { Camera } from "./projection.js";
 
@@ -61,7 +61,7 @@ export interface Tiles {
   min_zoom: number; max_zoom: number; bounds: [number, number, number, number] | null;
 }
 
-export interface ServerStatus { source: string; is_live: boolean; damage: string[]; sharing: string; tiles: Tiles | null; vehicles: VehicleState[] }
+export interface ServerStatus { role: "operator" | "viewer"; source: string; is_live: boolean; damage: string[]; sharing: string; tiles: Tiles | null; vehicles: VehicleState[] }
 
 export interface ClickAnswer {
   status: string; advice: string; reason?: string; age_s: number | null; method?: string;
@@ -89,7 +89,20 @@ export type ServerEvent =
   | { type: "pin_deleted"; revision: number; id: string }
   | { type: "pins" }
   | { type: "resync" }
+  | { type: "tracks"; reports: TrackReport[] }
   | { type: "status"; vehicles: VehicleState[]; damage: string[]; sharing: string };
+
+export interface TrackPlace {
+  lat_deg: number; lon_deg: number; height_ellipsoid_m: number | null; height_amsl_m: number | null;
+  semi_major_m: number; semi_minor_m: number; azimuth_deg: number;
+}
+
+/** A thing that is followed, at one picture. At rest it has a speed and no course. */
+export interface TrackReport {
+  vehicle: string; session: number; track: number; frame: number; capture_unix_ns: string; u: number; v: number; size_px: number;
+  state: "followed" | "coasting" | "lost"; unseen: string; words: string; place: TrackPlace | null;
+  course: { speed_m_s: number; sigma_speed_m_s: number; course_deg: number | null; sigma_course_deg: number | null } | null;
+}
 
 export interface SeenState {
   version: number; cell_m: number | null; area_m2: number; pictures: number; ahead: number | null;

@@ -1,4 +1,7 @@
-"""`pc-ground watch`: a line an aircraft, again and again: how it is, how old its picture, how good its answers."""
+"""`pc-ground watch`: a line an aircraft, again and again: how it is, how old its picture, how good its answers.
+
+And a line for each thing that it follows.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,8 @@ from contract.error_sources import in_a_line
 from contract.errors import WireError
 from contract.feature_set import FeatureSet
 from contract.locate import Locator
-from contract.topics import ANY_VEHICLE, STATUS
+from contract.topics import ANY_VEHICLE, STATUS, TRACKS
+from contract.track import TrackReport
 from contract.vehicle_status import VehicleStatus, decode_status
 from ground.commands import ANSWERED
 from ground.commands.sources import add_source_arguments, opened
@@ -22,7 +26,9 @@ from ground.commands.values import positive, whole
 from ground.formats.documents import one_line
 from ground.formats.mark import Mark
 from ground.freshness import MAX_AGE_S
+from ground.heard_tracks import SILENT_S, HeardTracks
 from ground.link_options import endpoint_of, tls_of
+from ground.recording import Recording
 
 EXAMPLES = """\
 examples:
@@ -82,16 +88,16 @@ def run(args: argparse.Namespace) -> int:
     if args.recording is not None:
         recording = opened(args.recording)
         names = [args.vehicle] if args.vehicle in recording.vehicles else recording.vehicles
-        _show([_row(name, recording.newest_picture(name), None, 0.0, None) for name in names], args.json, False)
+        rows = [_row(name, recording.newest_picture(name), None, 0.0, None) for name in names]
+        _show(rows, [report for name in names for report in _last_followed(recording, name)], args.json, False)
         return ANSWERED
     from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
 
     tls = tls_of(args)
     vehicle = args.vehicle or ANY_VEHICLE
-    heard = _Heard()
-    cache = SetCache(
-        endpoint_of(args, tls), vehicle, tls=tls, beside={STATUS.key(vehicle): heard.status}, heard=heard.set
-    )
+    heard, tracks = _Heard(), HeardTracks()
+    beside = {STATUS.key(vehicle): heard.status, TRACKS.key(vehicle): tracks.take}
+    cache = SetCache(endpoint_of(args, tls), vehicle, tls=tls, beside=beside, heard=heard.set)
     is_screen = sys.stdout.isatty() and not args.json
     with cache:
         shown = 0
@@ -106,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
                 rows.append(_row(name, newest, heard.states.get(name), cache.age_s(name), heard.rate_hz(name)))
             if not rows and not args.json:
                 print(f"nothing received yet{f': {cache.link_error}' if cache.link_error else ''}", file=sys.stderr)
-            _show(rows, args.json, is_screen)
+            _show(rows, tracks.newest(), args.json, is_screen)
             shown += 1
     return ANSWERED
 
@@ -171,16 +177,26 @@ def _row(
     )  # fmt: skip
 
 
-def _show(rows: list[Row], as_json: bool, is_screen: bool) -> None:
+def _last_followed(recording: Recording, vehicle: str) -> list[TrackReport]:
+    """The last report of every thing that was followed when a recording ended, by number."""
+    newest = recording.newest_picture(vehicle)
+    since_ns = 0 if newest is None else newest.capture_unix_ns - round(SILENT_S * 1e9)
+    held = {r.number: r for r in recording.tracks(vehicle) if r.capture_unix_ns >= since_ns}
+    return [held[number] for number in sorted(held)]
+
+
+def _show(rows: list[Row], tracks: list[TrackReport], as_json: bool, is_screen: bool) -> None:
     if as_json:
-        for row in rows:
-            print(row.to_json())
+        for line in [*(row.to_json() for row in rows), *(report.to_json() for report in tracks)]:
+            print(line)
     else:
         if is_screen:
             print("\033[H\033[2J", end="")
         print(_line(_COLUMNS))
         for row in rows:
             print(_line(row.cells()))
+        for report in tracks:
+            print(f"  {one_line(report.vehicle)} {report.to_text()}")
     sys.stdout.flush()
 
 

@@ -80,7 +80,7 @@ def _messages(path: Path) -> Iterator[Kept]:
             channels[channel] = topic, encoding
         elif opcode == MESSAGE and (data[start] | data[start + 1] << 8) in channels:
             topic, encoding = channels[data[start] | data[start + 1] << 8]
-            if encoding in (names.SET_ENCODING, names.PICTURE_ENCODING):
+            if encoding in (names.SET_ENCODING, names.PICTURE_ENCODING, names.TRACK_ENCODING):
                 yield topic, encoding, bytes(data[start + MESSAGE_HEAD.size : start + length])
 
 
