@@ -38,10 +38,13 @@ ARROWS: dict[str, set[str]] = {
     "onboard.georeferencing": {"estimation", "geometry", "navigation", "config"},
     "onboard.pipeline": {"georeferencing", "estimation", "vision", "geometry", "navigation", "events", "config"},
     "onboard.tracks": {"geometry", "events"},
+    "onboard.spots": {"events", "config"},
     "onboard.link": {"events", "config"},
     "onboard.storage": {"events", "config", "estimation", "geometry"},
-    "onboard.replay": {"pipeline", "tracks", "camera", "telemetry", "storage", "events", "config"},
-    "onboard.service": {"pipeline", "tracks", "storage", "events", "config"},
+    "onboard.replay": {
+        "pipeline", "tracks", "spots", "camera", "telemetry", "storage", "events", "config",
+    },
+    "onboard.service": {"pipeline", "tracks", "spots", "storage", "events", "config"},
     "onboard.calibration": set(),
     "onboard.commands": {
         "calibration", "camera", "config", "events", "link", "pipeline", "replay", "service", "storage", "telemetry",
