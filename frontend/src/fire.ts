@@ -26,7 +26,7 @@ export class FireLayer {
     }
     const choice = make("select", { "aria-label": "what burned in the last minutes", "data-testid": "fire-minutes" }, ...MINUTES.map((text) => make("option", { value: text, selected: text === FIRST }, `${text} min`)));
     choice.addEventListener("change", () => { this.minutes = choice.value; void this.look(); });
-    const legend = make("ul", { class: "seen-legend" }, ...COLOURS.map(([kind, colour]) => {
+    const legend = make("ul", { class: "fire-legend" }, ...COLOURS.map(([kind, colour]) => {
       const swatch = make("i", {});
       swatch.style.background = colour;
       return make("li", {}, swatch, kind);
