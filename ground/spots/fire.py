@@ -73,7 +73,7 @@ class Fire:
         how = "spread not known yet"
         if self.spread_m_s is not None and self.sigma_spread_m_s is not None:
             how = f"spreads with {self.spread_m_s:.2f} +-{self.sigma_spread_m_s:.2f} m/s at its fastest"
-        count = f"in {self.pictures} pictures"
+        count = "in one picture" if self.pictures == 1 else f"in {self.pictures} pictures"
         return (
             f"fire of {self.burned.area_m2:.0f} m2 (surely {self.surely.area_m2:.0f}, perhaps "
             f"{self.perhaps.area_m2:.0f}), perimeter {self.burned.perimeter_m:.0f} m, {how}, {count}"
