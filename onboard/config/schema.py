@@ -366,6 +366,23 @@ class TracksConfig(Section):
     keep_mb: float = quantity(48.0, 8.0, 4096.0, "MB", "of pictures kept in memory, so that a click may be seconds old")
 
 
+class SpotsConfig(Section):
+    """Hot spots that a thermal camera sees (thermal.enabled; docs/thermal.md)."""
+
+    enabled: bool = choice(True, "look for hot spots, if the camera is a thermal one")
+    false_per_km2: float = quantity(
+        1.0, 0.001, 1000.0, "1/km2", "spots that are only ground: more of them, and fainter ones are found"
+    )
+    hotter_than_c: float = quantity(
+        100.0, -50.0, 2000.0, "degC", "what is hotter is a spot whatever lies about it; of a calibrated camera"
+    )
+    smallest_m2: float = quantity(0.1, 0.001, 1000.0, "m2", "on the ground, of a spot")
+    largest_m: float = quantity(
+        5.0, 0.5, 200.0, "m", "across, of a spot that is found by its surroundings; a larger one by its heat alone"
+    )
+    rate_hz: float = quantity(2.0, 0.05, 2.0, "Hz", "pictures looked at, at most")
+
+
 class Recording(Section):
     """What is kept on board: one MCAP file after the other a session."""
 
@@ -404,6 +421,7 @@ class Config(Section):
     link: Link = Link()
     picture: PictureConfig = PictureConfig()
     tracks: TracksConfig = TracksConfig()
+    spots: SpotsConfig = SpotsConfig()
     recording: Recording = Recording()
     service: Service = Service()
 

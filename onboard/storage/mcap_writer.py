@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from contract import recording_format as names
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
-from contract.topics import FEATURES, STATUS, TRACKS
+from contract.topics import FEATURES, SPOTS, STATUS, TRACKS
 from contract.wire.codec import encode
 from onboard.events.types import Event, Frame, PositionFix
 from onboard.storage import foxglove_schemas
@@ -164,6 +164,10 @@ class SessionRecorder:
     def write_tracks(self, stamp_ns: int, payload: bytes) -> None:
         """Record reports of tracks, as they were sent."""
         self._write(self._channel(TRACKS.template, names.TRACK_ENCODING), stamp_ns, stamp_ns, payload)
+
+    def write_spots(self, stamp_ns: int, payload: bytes) -> None:
+        """Record the spots of a picture, as they were sent."""
+        self._write(self._channel(SPOTS.template, names.SPOT_ENCODING), stamp_ns, stamp_ns, payload)
 
     def write_gap(self, begin_ns: int, end_ns: int, content: bytes) -> None:
         """Record that something is missing here, and mark the file as not complete."""

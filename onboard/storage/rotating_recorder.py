@@ -155,6 +155,10 @@ class Recorded:
         """Record reports of tracks; never waits."""
         self._put(Entry("tracks", stamp_ns, 0, lambda file: file.write_tracks(stamp_ns, payload)))
 
+    def spots(self, stamp_ns: int, payload: bytes) -> None:
+        """Record the spots of a picture; never waits."""
+        self._put(Entry("spots", stamp_ns, 0, lambda file: file.write_spots(stamp_ns, payload)))
+
     def _now_s(self) -> float:
         return self._clock.now_ns() / 1e9
 
