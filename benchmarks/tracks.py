@@ -26,8 +26,10 @@ from benchmarks.machine import describe, load, table, verdict
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.answer import Ellipse, Fix
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
+from contract.locate import Locator
 from contract.rotations import mount_rotation
 from contract.track import TrackReport, TrackState
 from onboard.config.schema import Config, load_config
@@ -68,7 +70,9 @@ class Scores:
 
     speed: list[tuple[str, float]] = field(default_factory=list)
     course: list[tuple[str, float]] = field(default_factory=list)
-    inside: list[tuple[str, bool]] = field(default_factory=list)
+    inside: list[bool] = field(default_factory=list)
+    clicked_inside: list[bool] = field(default_factory=list)  # clicks on where the thing truly is, in the same sets
+    strayed: list[float] = field(default_factory=list)  # m: from such a click's place to the track's
     sigmas: list[float] = field(default_factory=list)  # squared speed errors over their variances
     parked: list[bool] = field(default_factory=list)
     loss_s: list[float] = field(default_factory=list)
@@ -117,8 +121,10 @@ def measure(spec: SessionSpec, things: Sequence[Thing], config_of: Callable[[Con
                 said = {number: {} for number in begun}
             for report in book.reports():
                 said[report.number][frame.index] = report
+        locators = {frame.index: Locator(its_set) for frame, its_set in pictures}
     for number, thing in begun.items():
         score(thing, said[number], truth, scores)
+        score_places(thing, said[number], truth, locators, scores)
 
 
 def join_ms(book: TrackBook) -> float:
@@ -174,17 +180,8 @@ def score(thing: Thing, said: dict[int, TrackReport], truth: Truth, scores: Scor
     mover, last = thing.mover, max(said)
     kind = "person" if mover.length_m < 1.0 else "car"
     is_parked = mover.speed_m_s == 0.0
-    followed = [n for n, r in said.items() if r.state is TrackState.FOLLOWED]
-    for n in [n for n in followed if n % 5 == 0]:
-        report = said[n]
-        if report.place is None:
-            continue
-        place = truth.origin.to_enu(report.place.lat_deg, report.place.lon_deg, truth.origin.height_m)[:2]
-        off, e = place - mover.place_m(n / RATE_HZ), report.place.ellipse
-        a = np.radians(e.azimuth_deg)
-        along, across = off @ [np.sin(a), np.cos(a)], off @ [np.cos(a), -np.sin(a)]
-        scores.inside.append((thing.name, bool((along / e.semi_major_m) ** 2 + (across / e.semi_minor_m) ** 2 < 1.0)))
     if is_parked:
+        followed = [n for n, r in said.items() if r.state is TrackState.FOLLOWED]
         scores.parked += [bool(said[n].course.is_moving) for n in followed if said[n].course is not None]  # type: ignore[union-attr]
         return
     if thing.hidden_s is not None:
@@ -209,6 +206,31 @@ def score(thing: Thing, said: dict[int, TrackReport], truth: Truth, scores: Scor
         scores.speed.append((kind, c.speed_m_s - speed))
         scores.course.append((kind, (c.course_deg - course + 180.0) % 360.0 - 180.0))
         scores.sigmas.append(((c.speed_m_s - speed) / c.sigma_speed_m_s) ** 2)
+
+
+def score_places(
+    thing: Thing, said: dict[int, TrackReport], truth: Truth, locators: dict[int, Locator], scores: Scores
+) -> None:
+    """Twice a second: its place, and that of a click on where it truly is, with the flight's errors and no other."""
+    for n in [n for n, r in said.items() if r.state is TrackState.FOLLOWED and n % 5 == 0]:
+        place = said[n].place
+        uv, seen = truth.project(n, ground_of(thing, truth, n)[None])
+        fix = locators[n].locate(uv[0]) if n in locators and seen[0] else None
+        if place is None or not isinstance(fix, Fix):
+            continue
+        at = thing.mover.place_m(n / RATE_HZ)
+        tracked = truth.origin.to_enu(place.lat_deg, place.lon_deg, truth.origin.height_m)[:2]
+        clicked = truth.origin.to_enu(fix.lat_deg, fix.lon_deg, truth.origin.height_m)[:2]
+        scores.inside.append(is_inside(place.ellipse, tracked - at))
+        scores.clicked_inside.append(is_inside(fix.ellipse, clicked - at))
+        scores.strayed.append(float(np.hypot(*(tracked - clicked))))
+
+
+def is_inside(ellipse: Ellipse, off_m: Array) -> bool:
+    """Whether an error (2,), m east and north, lies inside."""
+    a = np.radians(ellipse.azimuth_deg)
+    along, across = off_m @ [np.sin(a), np.cos(a)], off_m @ [np.cos(a), -np.sin(a)]
+    return bool((along / ellipse.semi_major_m) ** 2 + (across / ellipse.semi_minor_m) ** 2 < 1.0)
 
 
 def score_hiding(thing: Thing, said: dict[int, TrackReport], truth: Truth, scores: Scores) -> None:
@@ -244,9 +266,11 @@ def show(scores: Scores) -> None:
         ratio = float(np.mean(scores.sigmas))
         add("squared error of speed over its variance, mean", f"{ratio:.2f}", "<= 1.5", ratio <= 1.5)
     if scores.inside:
-        share = float(np.mean([inside for _, inside in scores.inside]))
+        share, clicked = float(np.mean(scores.inside)), float(np.mean(scores.clicked_inside))
         text = f"{share:.1%} of {len(scores.inside)}"
         add("places inside their 90 % ellipse", text, "85 to 96 %", 0.85 <= share <= 0.96)
+        rows.append(("the same of clicks on where they truly are", f"{clicked:.1%}", "", ""))
+        rows.append(("from such a click's place, 90 %", f"{np.quantile(scores.strayed, 0.9):.2f} m", "", ""))
     if scores.kept:
         kept = [is_kept for _, is_kept in scores.kept]
         lost = ", ".join(name for name, is_kept in scores.kept if not is_kept) or "none"

@@ -15,6 +15,14 @@ MOST = 1000  # tracks: a peer may invent vehicles
 SILENT_S = 5.0  # after which a track is no longer there: it is reported twice a second
 
 
+def reports_in(key: str, payload: bytes) -> list[TrackReport]:
+    """Of a message of the link; none of what is no message of tracks."""
+    try:
+        return decode_tracks(payload, TRACKS.vehicle(key))
+    except (ValueError, WireError):
+        return []
+
+
 class HeardTracks:
     """`take` is for a subscription (`SetCache`'s `beside`)."""
 
@@ -25,10 +33,7 @@ class HeardTracks:
 
     def take(self, key: str, payload: bytes) -> None:
         """A message; what is none of ours is passed over."""
-        try:
-            reports = decode_tracks(payload, TRACKS.vehicle(key))
-        except (ValueError, WireError):
-            return
+        reports = reports_in(key, payload)
         now_s = self._monotonic_s()
         with self._lock:
             self._heard = {key: held for key, held in self._heard.items() if now_s - held[1] <= SILENT_S}

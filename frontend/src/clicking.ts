@@ -4,6 +4,7 @@ import { api, Refused } from "./api.js";
 import { showTie } from "./dialogs.js";
 import { byId, make, say } from "./dom.js";
 import { age, degrees, heightText, methodWords, within, WITHIN_TITLE } from "./format.js";
+import type { Following } from "./following.js";
 import type { PicturePane } from "./picture.js";
 import { kindOf } from "./shapes.js";
 import type { State } from "./state.js";
@@ -13,6 +14,8 @@ export class Clicking {
   private readonly answer = byId("answer");
   private count = 0;
   private pendingNew = 0;
+
+  following: Following | null = null; // is offered what was clicked
 
   constructor(private readonly state: State) {}
 
@@ -25,12 +28,25 @@ export class Clicking {
   async clicked(body: ClickBody, picture: PicturePane): Promise<void> {
     const { state } = this, mode = state.mode;
     state.setMode({ kind: "pin" });
+    if (!state.mayChange) { await this.look(body); return; }
     if (mode.kind === "tie") {
       showTie(body, state, (tie) => this.say(`known place ${tie.name === "" ? degrees(tie.lat_deg, tie.lon_deg, tie.sigma_m) : tie.name}: all pins of ${tie.vehicle} in this flight moved`));
       return;
     }
     const again = mode.kind === "again" ? state.pins.get(mode.pin) : undefined;
     await this.make(body, picture, again, false);
+  }
+
+  /** Whoever may change nothing is told the place. */
+  private async look(body: ClickBody): Promise<void> {
+    this.say("...");
+    try {
+      const said = await api.place(body);
+      if (said.status === "ok") this.say(`${degrees(said.lat_deg, said.lon_deg, said.ce90_m)}  ${within(said.ce90_m)}  ${heightText(said)}`, "ok");
+      else this.say(`Refused: ${said.reason ?? said.status}`, "refused");
+    } catch (error) {
+      this.say(error instanceof Refused ? error.message : String(error), "refused");
+    }
   }
 
   private async make(body: ClickBody, picture: PicturePane, again: Pin | undefined, anyway: boolean): Promise<void> {
@@ -46,6 +62,7 @@ export class Clicking {
       if (reply.pin !== null) {
         picture.markers.done(key);
         this.sayPin(reply.pin, reply.answer);
+        this.following?.clicked(body);
         state.putPin(reply.pin, reply.revision);
       } else if (reply.apart_m !== undefined && again !== undefined) {
         picture.markers.refuse(key, reply.reason ?? "");
@@ -54,6 +71,7 @@ export class Clicking {
         const said = reply.answer;
         const text = `${said?.reason ?? said?.status ?? "no answer"}.${said?.advice ? ` What helps: ${said.advice}.` : ""}`;
         this.say(`Refused: ${text}`, "refused");
+        this.following?.clicked(body);
         picture.markers.refuse(key, text);
       }
     } catch (error) {

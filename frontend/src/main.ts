@@ -7,6 +7,8 @@ import { AgeBadge } from "./badge.js";
 import { Clicking } from "./clicking.js";
 import { closers, listTies, showHandoff } from "./dialogs.js";
 import { byId, make, say } from "./dom.js";
+import { Following, TrackList } from "./following.js";
+import { FoundList } from "./found.js";
 import { clock } from "./format.js";
 import type { MapPane } from "./map.js";
 import { PicturePane } from "./picture.js";
@@ -24,6 +26,8 @@ let mapPane: MapPane | null = null;
 
 const clicking = new Clicking(state);
 const picture = new PicturePane(state, viewer, new Readout(state), (body) => void clicking.clicked(body, picture));
+const following = new Following(state, (text, kind) => clicking.say(text, kind));
+clicking.following = following;
 const saySomething = (text: string, kind: "ok" | "refused" | "note" = "note"): void => clicking.say(text, kind);
 
 async function refresh(): Promise<void> {
@@ -34,7 +38,8 @@ async function refresh(): Promise<void> {
   say(byId("source"), status.is_live ? `live: ${status.source}` : `recording: ${status.source.split("/").at(-1) ?? ""}`);
   byId("source").title = status.source;
   document.body.classList.toggle("recorded", !status.is_live);
-  await Promise.all([refreshPins(), ...status.vehicles.map((vehicle) => refreshFrames(vehicle.id))]);
+  document.body.dataset["role"] = status.role;
+  await Promise.all([refreshPins(), refreshTracks(), refreshSpots(), ...status.vehicles.map((vehicle) => refreshFrames(vehicle.id))]);
   state.tell("vehicles");
 }
 
@@ -44,6 +49,13 @@ async function refreshFrames(vehicle: string): Promise<void> {
   state.paths.set(vehicle, path);
   state.merge(vehicle, rows);
 }
+
+async function refreshTracks(): Promise<void> {
+  const { tracks } = await api.tracks();
+  state.putTracks(tracks.flat(), true);
+}
+
+async function refreshSpots(): Promise<void> { state.putSpots((await api.spots()).spots, true); }
 
 let isRefreshing = false, isRefreshDue = false;
 async function refreshPins(): Promise<void> {
@@ -68,9 +80,11 @@ function heard(event: ServerEvent): void {
       lengthenPath(event.vehicle);
       state.merge(event.vehicle, event.frames);
       return;
-    case "pin": state.putPin(event.pin, event.revision); return;
-    case "pin_deleted": state.dropPin(event.id, event.revision); return;
-    case "pins": void refreshPins(); return;
+    case "pin": state.putPin(event.pin, event.revision); decided(); return;
+    case "pin_deleted": state.dropPin(event.id, event.revision); decided(); return;
+    case "pins": void refreshPins(); decided(); return;
+    case "spots": state.putSpots(event.spots); return;
+    case "tracks": state.putTracks(event.reports); return;
     case "resync": void refresh(); return;
     case "status":
       state.setVehicles(event.vehicles);
@@ -79,6 +93,9 @@ function heard(event: ServerEvent): void {
       state.tell("vehicles");
   }
 }
+
+/** A pin may be what somebody decided of a machine's find. */
+function decided(): void { if (state.spots.size > 0) void refreshSpots(); }
 
 /** The state of sharing, and what of the source cannot be read. */
 function drawNotes(sharing: string, damage: string[]): void {
@@ -226,7 +243,7 @@ function keyed(event: KeyboardEvent): void {
     "+": () => picture.zoom(1.5), "-": () => picture.zoom(1 / 1.5), "0": () => picture.whole(),
     f: () => state.peek("features"), p: () => state.peek("paths"),
     "/": () => byId("filter").focus(), "?": () => byId<HTMLDialogElement>("help-dialog").showModal(),
-    u: () => void undo(false), t: () => state.setMode({ kind: "tie" }), h: () => { if (selected !== undefined) handOff(selected); },
+    u: () => void undo(false), g: () => void following.begin(), t: () => state.setMode({ kind: "tie" }), h: () => { if (selected !== undefined) handOff(selected); },
   };
   KINDS.forEach((kind, k) => { actions[String(k + 1)] = () => state.set({ category: kind.word }); });
   // Space presses the button that has the focus; elsewhere it freezes.
@@ -245,6 +262,15 @@ async function begin(): Promise<void> {
     edit: (pin, changed) => run(api.editPin(pin.id, { ...changed, who: state.options.who })),
     removeClick: (pin, click) => run(api.removeClick(pin.id, click, state.options.who)),
     goTo: (pin) => { const click = pin.clicks.at(-1); if (click?.frame != null) viewer.open(click.vehicle, click.frame); },
+  });
+  new FoundList(state, {
+    goTo: (spot) => { viewer.open(spot.best.vehicle, spot.best.frame); mapPane?.goTo(spot.lat_deg, spot.lon_deg); },
+    confirm: (spot) => run(api.confirmSpot(spot.spot, { category: state.options.category, who: state.options.who }).then((pin) => { saySomething(`hot spot ${spot.spot} is pin ${pin.number}`); })),
+    dismiss: (spot) => run(api.dismissSpot(spot.spot, state.options.who).then(() => { saySomething(`hot spot ${spot.spot} is dismissed; Undo brings it back as a pin`); })),
+  });
+  new TrackList(state, {
+    goTo: (lat, lon) => { showTab("map"); mapPane?.goTo(lat, lon); },
+    failed: (error) => saySomething(`Not ended: ${error instanceof Error ? error.message : String(error)}`, "refused"),
   });
   wire();
   drawOptions();

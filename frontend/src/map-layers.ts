@@ -8,7 +8,7 @@ import { KINDS } from "./shapes.js";
 export const ABOVE_PICTURES = "footprint-fill"; // the lowest layer above the pictures
 export const PIN_LAYERS = ["dots", "spots", "pins"];
 const ICON = 20, LIFT = 6; // px: a pin's shape, and how far it stands above its spot, so that it hides no ellipse
-const SOURCES = ["grid", "path", "footprint", "features", "ellipses", "dots", "pins", "ties", "craft"] as const;
+const SOURCES = ["grid", "path", "footprint", "features", "ellipses", "dots", "pins", "ties", "craft", "track-areas", "track-lines", "track-labels"] as const;
 export type SourceName = (typeof SOURCES)[number];
 
 interface Palette { ground: string; grid: string; major: string; text: string; halo: string }
@@ -43,6 +43,10 @@ export function addLayers(map: MapLibreMap, base: BaseMap | null): void {
   const strong = ["case", ["get", "chosen"], 1, 0.55] as never;
   map.addLayer({ id: "path", type: "line", source: "path", layout: { "line-sort-key": ["case", ["get", "chosen"], 1, 0] }, paint: { "line-color": ["get", "colour"], "line-width": ["case", ["get", "chosen"], 2.5, 1.5], "line-opacity": strong, "line-dasharray": [2, 1.5] } });
   map.addLayer({ id: "features", type: "circle", source: "features", paint: { "circle-radius": 2.5, "circle-color": "#7dd3fc", "circle-stroke-color": "#0b2545", "circle-stroke-width": 1 } });
+  map.addLayer({ id: "track-areas", type: "fill", source: "track-areas", paint: { "fill-color": ["get", "colour"], "fill-opacity": ["match", ["get", "kind"], "band", 0.12, 0.22] } });
+  map.addLayer({ id: "track-under", type: "line", source: "track-lines", layout: { "line-cap": "round" }, paint: { "line-color": "#ffffff", "line-width": 5, "line-opacity": 0.8 } });
+  map.addLayer({ id: "track-lines", type: "line", source: "track-lines", filter: ["!=", ["get", "kind"], "guessed"], layout: { "line-cap": "round" }, paint: { "line-color": ["get", "colour"], "line-width": ["match", ["get", "kind"], "arrow", 3, 2] } });
+  map.addLayer({ id: "track-guessed", type: "line", source: "track-lines", filter: ["==", ["get", "kind"], "guessed"], paint: { "line-color": ["get", "colour"], "line-width": 2.5, "line-dasharray": [1.5, 1.5] } });
   map.addLayer({ id: "ellipse-fill", type: "fill", source: "ellipses", paint: { "fill-color": ["get", "colour"], "fill-opacity": 0.16 } });
   // A pale edge outside the coloured one: it is visible on any picture.
   map.addLayer({ id: "ellipse-edge", type: "line", source: "ellipses", paint: { "line-color": "#ffffff", "line-width": 4, "line-opacity": 0.85 } });
@@ -61,6 +65,11 @@ export function addLayers(map: MapLibreMap, base: BaseMap | null): void {
     layout: { "symbol-sort-key": ["*", -1, ["get", "order"]], "text-field": ["get", "name"], "text-font": ["sans-serif"], "text-size": 12, "text-max-width": 30, "text-variable-anchor": ["top", "top-right", "top-left", "left", "right"], "text-radial-offset": 0.7, "text-justify": "auto", "text-optional": true },
     paint: { "text-halo-width": 1.5 },
   });
+  map.addLayer({
+    id: "track-labels", type: "symbol", source: "track-labels",
+    layout: { "text-field": ["get", "text"], "text-font": ["sans-serif"], "text-size": 12, "text-max-width": 18, "text-anchor": "top-left", "text-offset": [0.9, 0.4], "text-justify": "left", "text-allow-overlap": true },
+    paint: { "text-halo-width": 1.5 },
+  });
   map.addLayer({ id: "spots", type: "circle", source: "pins", paint: { "circle-radius": 3, "circle-opacity": 0, "circle-stroke-color": ["get", "colour"], "circle-stroke-width": 2 } });
   map.addLayer({
     id: "pins", type: "symbol", source: "pins",
@@ -76,7 +85,7 @@ export function paintTheme(map: MapLibreMap, theme: "day" | "night"): void {
   const p = PALETTES[theme];
   map.setPaintProperty("background", "background-color", p.ground);
   map.setPaintProperty("grid", "line-color", ["case", ["get", "major"], p.major, p.grid]);
-  for (const name of ["names", "craft-names"]) {
+  for (const name of ["names", "craft-names", "track-labels"]) {
     map.setPaintProperty(name, "text-color", p.text);
     map.setPaintProperty(name, "text-halo-color", p.halo);
   }

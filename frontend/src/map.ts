@@ -8,6 +8,7 @@ import { byId, say } from "./dom.js";
 import { gridLines } from "./grid.js";
 import { degrees, stepText } from "./format.js";
 import { ABOVE_PICTURES, addLayers, collection, emptyStyle, paintTheme, PIN_LAYERS, type SourceName } from "./map-layers.js";
+import { spotFeatures, trackFeatures } from "./map-tracks.js";
 import { dotsOf, mapPin, placesOf, type Feature, type MapPin } from "./map-pins.js";
 import { DrawingTime } from "./drawing-time.js";
 import { SeenLayer, type OpenSeen } from "./seen.js";
@@ -28,9 +29,9 @@ const VIEW_STORED = "pointclick.view";
 const REST_MS = 600, REST_SHARE = 9, LONGEST_REST_MS = 4000;
 const ASIDE = 0.15; // of the map's smaller side
 const SNAPSHOT_MS = 2500; // that a picture of the map waits for tiles
-type What = "shown" | "pins" | "path";
+type What = "shown" | "pins" | "path" | "tracks";
 // Delays of drawing the map after the last change, and after the first one: pins once the clicking pauses.
-const LATER_MS = 120, LATEST_MS: Record<What, number> = { shown: 500, pins: 10_000, path: 3000 };
+const LATER_MS = 120, LATEST_MS: Record<What, number> = { shown: 500, pins: 10_000, path: 3000, tracks: 1000 };
 
 export class MapPane {
   private readonly map: MapLibreMap;
@@ -146,7 +147,8 @@ export class MapPane {
     this.state.on(["pins", "hover", "selected"], () => this.later("pins"));
     this.state.on(["frames", "vehicles"], () => this.later("path"));
     this.state.on(["options"], () => this.later("shown"));
-    for (const what of ["shown", "pins", "path"] as const) this.later(what);
+    this.state.on(["tracks", "spots", "shown"], () => this.later("tracks"));
+    for (const what of ["shown", "pins", "path", "tracks"] as const) this.later(what);
   }
 
   private moved(): void {
@@ -194,6 +196,7 @@ export class MapPane {
       this.waiting.delete(what);
       this.drawnAt.set(what, performance.now());
       if (what === "path") this.drawPaths();
+      else if (what === "tracks") this.drawTracks();
       else if (what === "shown") this.drawShown();
       else this.drawPins();
     }), Math.max(Math.min(LATER_MS, latest - now), (this.drawnAt.get(what) ?? -REST_MS) + REST_MS - now, this.restsUntil - now, 0));
@@ -294,6 +297,15 @@ export class MapPane {
       const path = paths.get(vehicle.id) ?? [];
       return path.length < 2 ? [] : [{ type: "Feature", geometry: { type: "LineString", coordinates: path }, properties: { colour: AIRCRAFT[k % AIRCRAFT.length], chosen: vehicle.id === chosen } }];
     }));
+  }
+
+  private drawTracks(): void {
+    const tracks = trackFeatures(this.state.tracksNow()), spots = spotFeatures(this.state.openSpots());
+    const labels = [...tracks.labels, ...spots.labels];
+    this.setFew("track-areas", [...tracks.areas, ...spots.areas]);
+    this.setFew("track-lines", [...tracks.lines, ...spots.lines]);
+    this.setFew("track-labels", labels);
+    byId("map").dataset["tracks"] = labels.map((label) => String(label.properties["text"])).join("; "); // what a test may look at
   }
 
   /** The pins that are drawn complete: all; or of very many those in view, if few enough, and the chosen one. */

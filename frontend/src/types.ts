@@ -1,4 +1,4 @@
-// What the server sends. Must match ground/web/{api_vehicles,api_pins,pin_json,seen_map,view}.py.
+// What the server sends. Must match ground/web/{api_vehicles,api_pins,api_spots,api_tracks,pin_json,seen_map,view}.py.
 
 import type { Camera } from "./projection.js";
 
@@ -61,7 +61,7 @@ export interface Tiles {
   min_zoom: number; max_zoom: number; bounds: [number, number, number, number] | null;
 }
 
-export interface ServerStatus { source: string; is_live: boolean; damage: string[]; sharing: string; tiles: Tiles | null; vehicles: VehicleState[] }
+export interface ServerStatus { role: "operator" | "viewer"; source: string; is_live: boolean; damage: string[]; sharing: string; tiles: Tiles | null; vehicles: VehicleState[] }
 
 export interface ClickAnswer {
   status: string; advice: string; reason?: string; age_s: number | null; method?: string;
@@ -89,7 +89,29 @@ export type ServerEvent =
   | { type: "pin_deleted"; revision: number; id: string }
   | { type: "pins" }
   | { type: "resync" }
+  | { type: "tracks"; reports: TrackReport[] }
+  | { type: "spots"; spots: FoundSpot[] }
   | { type: "status"; vehicles: VehicleState[]; damage: string[]; sharing: string };
+
+/** What a machine found and nobody, or somebody, has decided on. */
+export interface FoundSpot {
+  spot: number; state: "open" | "confirmed" | "dismissed"; pin: string | null; is_sure: boolean; pictures: number; vehicles: string[];
+  first_utc: string; last_utc: string; temperature_c: number | null; above_ground_k: number | null; contrast: number; heat: string; motion: string;
+  lat_deg: number; lon_deg: number; height_amsl_m: number | null; height_ellipsoid_m: number | null; ellipse: Ellipse; ce90_m: number;
+  best: { vehicle: string; session: number; frame: number; u: number; v: number };
+}
+
+export interface TrackPlace {
+  lat_deg: number; lon_deg: number; height_ellipsoid_m: number | null; height_amsl_m: number | null;
+  semi_major_m: number; semi_minor_m: number; azimuth_deg: number;
+}
+
+/** A thing that is followed, at one picture. At rest it has a speed and no course. */
+export interface TrackReport {
+  vehicle: string; session: number; track: number; frame: number; capture_unix_ns: string; u: number; v: number; size_px: number;
+  state: "followed" | "coasting" | "lost"; unseen: string; words: string; place: TrackPlace | null;
+  course: { speed_m_s: number; sigma_speed_m_s: number; course_deg: number | null; sigma_course_deg: number | null } | null;
+}
 
 export interface SeenState {
   version: number; cell_m: number | null; area_m2: number; pictures: number; ahead: number | null;

@@ -9,7 +9,9 @@ import { groupTitle, isWanted } from "../src/fleet.js";
 import { gridLines, gridStep } from "../src/grid.js";
 import { age, decimals, degrees, methodWords, radius, stepText, within } from "../src/format.js";
 import { State } from "../src/state.js";
-import type { Pin, VehicleState } from "../src/types.js";
+import { bandOf, trackFeatures } from "../src/map-tracks.js";
+import { mergeReports, tracksAt, trackWords } from "../src/tracks.js";
+import type { Pin, TrackReport, VehicleState } from "../src/types.js";
 
 const PICTURE = { width: 640, height: 480 };
 
@@ -205,4 +207,65 @@ test("after the connection was lost another server's revisions count", () => {
   state.forgetRevisions();
   state.setPins([pin("b", "of the new file")], 2);
   assert.deepEqual([...state.pins.keys()], ["b"]);
+});
+
+const REPORT: TrackReport = {
+  vehicle: "uav", session: 7, track: 1, frame: 10, capture_unix_ns: "1700000000000000000", u: 100, v: 90, size_px: 12,
+  state: "followed", unseen: "", words: "1.0 +-0.1 m/s towards 90 +-5 deg",
+  place: { lat_deg: 47, lon_deg: 8, height_ellipsoid_m: 400, height_amsl_m: null, semi_major_m: 3, semi_minor_m: 1, azimuth_deg: 90 },
+  course: { speed_m_s: 1, sigma_speed_m_s: 0.1, course_deg: 90, sigma_course_deg: 5 },
+};
+const BEGUN_MS = 1_700_000_000_000;
+
+/** So many metres to the east and seconds later. */
+function later(seconds: number, east: number, more: Partial<TrackReport> = {}): TrackReport {
+  const [lon, lat] = offset(47, 8, east, 0), capture = BigInt(REPORT.capture_unix_ns) + BigInt(Math.round(seconds * 1e9));
+  return { ...REPORT, frame: 10 + Math.round(seconds * 10), capture_unix_ns: String(capture), place: { ...REPORT.place!, lat_deg: lat, lon_deg: lon }, ...more };
+}
+
+test("reports of a track are held in the order of capture, and a lost thing's number begins anew", () => {
+  const held = new Map<string, TrackReport[]>();
+  mergeReports(held, [later(1, 1), later(0, 0), later(1, 1), later(0.5, 0.5)]);
+  assert.deepEqual(held.get("uav/7/1")!.map((one) => one.frame), [10, 15, 20]);
+  mergeReports(held, [later(2, 2, { state: "lost" }), later(2.5, 2, { state: "lost" })]);
+  assert.equal(held.get("uav/7/1")!.length, 5);
+  mergeReports(held, [later(30, 9)]);
+  assert.deepEqual(held.get("uav/7/1")!.map((one) => one.frame), [310]);
+});
+
+test("a track is as it was at the moment that is looked at: followed, lost, ended, forgotten", () => {
+  const held = new Map<string, TrackReport[]>();
+  mergeReports(held, [0, 1, 2, 3].map((at) => later(at, at, at === 3 ? { state: "coasting", unseen: "hidden" } : {})));
+  const at = (seconds: number): string[] => tracksAt(held, () => BEGUN_MS + 1000 * seconds).map((track) => `${track.phase} ${track.path.length}`);
+  assert.deepEqual(at(-1), []);
+  assert.deepEqual(at(1), ["followed 2"]);
+  assert.deepEqual(at(4), ["coasting 4"]);
+  assert.deepEqual(at(9), ["ended 4"]);
+  assert.deepEqual(at(124), []);
+  assert.equal(trackWords(tracksAt(held, () => BEGUN_MS + 3000)[0]!), `coasting (hidden): ${REPORT.words}`);
+  assert.ok(trackWords(tracksAt(held, () => BEGUN_MS + 9000)[0]!).startsWith("ended"));
+});
+
+test("the band about a path is as wide as the ellipses reach across it, and a thing at rest has none", () => {
+  const places = [0, 10, 20].map((east) => later(east, east).place!);
+  const band = bandOf(places)!.map(([lon, lat]) => enu({ lat_deg: 47, lon_deg: 8, height_m: 400 }, lat, lon, 400));
+  assert.equal(band.length, 7);
+  for (const [, north] of band) near(Math.abs(north), 1, 0.01); // the ellipses lie along the way: their minor axis is across
+  near(Math.min(...band.map(([east]) => east)), 0, 0.01);
+  near(Math.max(...band.map(([east]) => east)), 20, 0.01);
+  assert.equal(bandOf([REPORT.place!, REPORT.place!, REPORT.place!]), null);
+});
+
+test("on the map a moving thing has an arrow and a wedge, one at rest neither, and a lost one its last ellipse", () => {
+  const drawn = (...reports: TrackReport[]): Record<string, number> => {
+    const held = new Map<string, TrackReport[]>();
+    mergeReports(held, reports);
+    const made = trackFeatures(tracksAt(held, () => BEGUN_MS + 20_000)), kinds = [...made.areas, ...made.lines].map((one) => String(one.properties["kind"]));
+    return Object.fromEntries([...new Set(kinds)].map((kind) => [kind, kinds.filter((one) => one === kind).length]));
+  };
+  assert.deepEqual(drawn(later(10, 0), later(20, 10)), { band: 1, ellipse: 1, wedge: 1, path: 1, edge: 1, arrow: 1 });
+  const rest = { course: { speed_m_s: 0.03, sigma_speed_m_s: 0.1, course_deg: null, sigma_course_deg: null } };
+  assert.deepEqual(drawn(later(20, 0, rest)), { ellipse: 1, edge: 1 });
+  assert.deepEqual(drawn(later(10, 0), later(20, 10, { state: "lost", unseen: "hidden" })), { band: 1, ellipse: 1, path: 1, edge: 1 });
+  assert.deepEqual(drawn(later(20, 0, { place: null })), {});
 });

@@ -126,7 +126,7 @@ def _listen(link: TrackLink, number: int | None, args: argparse.Namespace, kept:
         if report is None or (number is not None and report.number != number):
             if number is not None and time.monotonic() - heard_s > SILENT_S:
                 heard_s = time.monotonic()
-                print(f"track {number}: nothing heard for {SILENT_S:.0f} s", file=sys.stderr)
+                print(f"track {number}: nothing received for {SILENT_S:.0f} s", file=sys.stderr)
             continue
         heard_s = time.monotonic()
         if args.save is None or len(kept) >= MOST_KEPT:

@@ -6,7 +6,7 @@ import json
 import time
 from typing import Annotated, Any
 
-from fastapi import APIRouter, HTTPException, Path, Query, Response
+from fastapi import APIRouter, HTTPException, Path, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from contract.answer import EXPLANATIONS, Fix
@@ -99,8 +99,9 @@ def vehicles_router(desk: Desk) -> APIRouter:
         return answer_json(clicked.answer.to_json())
 
     @router.get("/status", summary="How the server and all vehicles are")
-    def status() -> dict[str, Any]:
+    def status(request: Request) -> dict[str, Any]:
         return {
+            "role": request.state.role,
             "source": source.name,
             "is_live": source.is_live,
             "damage": source.damage()[:20],

@@ -8,6 +8,7 @@ import ipaddress
 import math
 import secrets
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 from contract.errors import InputError, PointclickError
@@ -83,6 +84,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         const="",
         help="ask browsers for a token; without one given, one is made. Always so on addresses that others reach",
     )
+    parser.add_argument(
+        "--viewer-token",
+        metavar="TOKEN",
+        nargs="?",
+        const="",
+        help="another token, with which one looks and changes nothing; without one given, one is made",
+    )
     parser.add_argument("--name", action="append", default=[], metavar="NAME", help="a host name that browsers may use")
     parser.add_argument("--tls-certificate", type=Path, metavar="FILE.pem", help="serve https with this certificate")
     parser.add_argument("--tls-key", type=Path, metavar="FILE.pem", help="and this private key")
@@ -124,20 +132,34 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(f"{file}: there is no such file")
     from ground.web.serve import serve  # noqa: PLC0415  the extra `web` is needed from here on
 
-    return serve(args, token_of(args), tls_of(args))
+    return serve(args, tokens_of(args), tls_of(args))
 
 
-def token_of(args: argparse.Namespace) -> str:
-    """The token that is asked for; empty for none. Raises WebError for one that is easy to guess."""
+@dataclass(frozen=True)
+class Tokens:
+    """What browsers are asked for; empty: none is asked for, or there is none with which one only looks."""
+
+    operator: str
+    viewer: str
+
+
+def tokens_of(args: argparse.Namespace) -> Tokens:
+    """Raises WebError for a token that is easy to guess, or one for two roles."""
     from ground.web.guard import is_loopback  # noqa: PLC0415
 
-    said: str | None = args.token
-    if said is None:
-        return "" if is_loopback(args.host) else secrets.token_urlsafe(18)
-    if said == "":
-        return secrets.token_urlsafe(18)
+    is_asked = not is_loopback(args.host) or args.viewer_token is not None
+    asked = "" if args.token is None and is_asked else args.token
+    operator, viewer = _token("--token", asked), _token("--viewer-token", args.viewer_token)
+    if operator and operator == viewer:
+        raise WebError("--token and --viewer-token must differ")
+    return Tokens(operator, viewer)
+
+
+def _token(option: str, said: str | None) -> str:
+    if not said:
+        return "" if said is None else secrets.token_urlsafe(18)
     if len(said) < MIN_TOKEN or not said.isascii() or not said.replace("-", "").replace("_", "").isalnum():
-        raise WebError(f"--token must have at least {MIN_TOKEN} letters, digits, - or _; leave it out and one is made")
+        raise WebError(f"{option} must have at least {MIN_TOKEN} letters, digits, - or _; leave it out and one is made")
     return said
 
 

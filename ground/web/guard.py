@@ -18,6 +18,8 @@ from urllib.parse import parse_qs, urlsplit
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 COOKIE = "pointclick_token"
+OPERATOR, VIEWER = "operator", "viewer"
+LOOKING = frozenset({"/api/click", "/api/place"})  # what a viewer may post: it is answered, and nothing is kept
 MAX_BODY_BYTES = 4_000_000
 IMPORT_PATH, MAX_IMPORT_BYTES = "/api/import", 200_000_000  # ten thousand pins with their pictures
 _HOST = re.compile(r"^(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9._-]+)(?::(\d{1,5}))?$")
@@ -25,7 +27,9 @@ _HOST = re.compile(r"^(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9._-]+)(?::(\d{1,5}))?$")
 
 @dataclass(frozen=True)
 class Rules:
-    """`token` empty: none is asked for. `names`: host names that are allowed in addition to addresses and localhost.
+    """`token` empty: none is asked for. `viewer_token`: with that one only looks; empty for none.
+
+    `names`: host names that are allowed in addition to addresses and localhost.
 
     `tile_origin`: the one other origin that the page may load from, the base map's; empty for none.
     """
@@ -34,6 +38,7 @@ class Rules:
     names: frozenset[str] = frozenset()
     tile_origin: str = ""
     is_secure: bool = False
+    viewer_token: str = ""
 
     def content_security_policy(self) -> str:
         """Nothing from anywhere but here, and the tiles' origin."""
@@ -83,13 +88,19 @@ class Guard:
         if refusal is not None:
             await self._refuse(scope, receive, send, *refusal)
             return
-        if self._rules.token and not self._has_token(headers):
+        if scope["type"] == "http" and scope["path"] == "/":
             asked = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
-            if scope["type"] == "http" and scope["path"] == "/" and asked and self._is_token(asked):
-                await self._welcome(send)
+            if asked and self._role_of(asked):
+                await self._welcome(send, asked)
                 return
+        role = self._role(headers)
+        if not role:
             await self._refuse(scope, receive, send, 401, "a token is needed: open the link that pc-ground web printed")
             return
+        if role == VIEWER and scope["type"] == "http" and not _only_looks(scope):
+            await self._refuse(scope, receive, send, 403, "with this token one only looks: a viewer changes nothing")
+            return
+        scope.setdefault("state", {})["role"] = role
         await self._app(scope, receive, self._with_headers(scope, send))
 
     def _refusal(self, scope: Scope, headers: dict[str, str]) -> tuple[int, str] | None:
@@ -111,23 +122,29 @@ class Guard:
             return 411, "state the body's length"
         return None
 
-    def _has_token(self, headers: dict[str, str]) -> bool:
+    def _role(self, headers: dict[str, str]) -> str:
+        """Whose token a request has; empty for none. Where no token is asked for everybody is an operator."""
+        if not self._rules.token:
+            return OPERATOR
         scheme, _, said = headers.get("authorization", "").partition(" ")
-        if scheme.lower() == "bearer" and self._is_token(said.strip()):
-            return True
+        if scheme.lower() == "bearer" and (role := self._role_of(said.strip())):
+            return role
         try:
             cookies: SimpleCookie = SimpleCookie(headers.get("cookie", ""))
         except CookieError:
-            return False
-        return COOKIE in cookies and self._is_token(cookies[COOKIE].value)
+            return ""
+        return self._role_of(cookies[COOKIE].value) if COOKIE in cookies else ""
 
-    def _is_token(self, said: str) -> bool:
-        return hmac.compare_digest(said.encode(), self._rules.token.encode())
+    def _role_of(self, said: str) -> str:
+        for role, token in ((OPERATOR, self._rules.token), (VIEWER, self._rules.viewer_token)):
+            if token and hmac.compare_digest(said.encode(), token.encode()):
+                return role
+        return ""
 
-    async def _welcome(self, send: Send) -> None:
+    async def _welcome(self, send: Send, token: str) -> None:
         """The link was opened: the token becomes a cookie that no script reads, and leaves the address bar."""
         secure = "; Secure" if self._rules.is_secure else ""
-        cookie = f"{COOKIE}={self._rules.token}; Path=/; HttpOnly; SameSite=Strict; Max-Age=2592000{secure}"
+        cookie = f"{COOKIE}={token}; Path=/; HttpOnly; SameSite=Strict; Max-Age=2592000{secure}"
         headers = [*self._headers, (b"location", b"/"), (b"set-cookie", cookie.encode()), (b"content-length", b"0")]
         await send({"type": "http.response.start", "status": 303, "headers": headers})
         await send({"type": "http.response.body", "body": b""})
@@ -161,6 +178,10 @@ class Guard:
             await send(message)
 
         return sending
+
+
+def _only_looks(scope: Scope) -> bool:
+    return scope["method"] in ("GET", "HEAD") or (scope["method"] == "POST" and scope["path"] in LOOKING)
 
 
 def is_loopback(address: str) -> bool:

@@ -6,10 +6,13 @@ import threading
 from functools import lru_cache
 from pathlib import Path
 
-from contract.errors import InputError
+from contract.errors import InputError, LinkError
 from contract.feature_set import FeatureSet
+from contract.track import TrackRequest
 from ground.recorded_link_pictures import RecordedLinkPictures
 from ground.recording import Recording
+from ground.spots.heard import HeardSpots
+from ground.track_paths import TrackPaths
 from ground.web.recorded_pictures import RecordedPictures
 from ground.web.source import FrameRow, Picture, VehicleReport
 
@@ -30,6 +33,12 @@ class RecordedSource:
         self._unreadable: list[str] = []
         self._sessions = {vehicle: self._session_of(vehicle) for vehicle in self._recording.vehicles}
         self._with_picture: dict[str, frozenset[int]] = {}
+        self.tracks = TrackPaths()
+        for vehicle in self._recording.vehicles:
+            self.tracks.add(self._recording.tracks(vehicle))
+        self.spots = HeardSpots()
+        reports = [report for vehicle in self._recording.vehicles for report in self._recording.spots(vehicle)]
+        self.spots.add(sorted(reports, key=lambda report: report.capture_unix_ns))
         self._kept = lru_cache(maxsize=KEPT_SETS)(self._read)
 
     def vehicles(self) -> list[str]:
@@ -83,6 +92,13 @@ class RecordedSource:
         newest = max(rows, key=lambda row: row[2])
         status = self._pictures.status(vehicle)
         return VehicleReport(vehicle, self._sessions[vehicle], newest[0], 0.0, None, None, None, status)
+
+    def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
+        """Nobody follows in a recording; what was followed in flight is there."""
+        raise LinkError(
+            "a recording: what was followed in flight is shown; to follow more in its pictures: "
+            "pc-onboard replay SESSION.mcap --track FRAME,U,V"
+        )
 
     def damage(self) -> list[str]:
         """Where a file is damaged, and the sets that cannot be read."""

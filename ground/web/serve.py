@@ -18,7 +18,7 @@ from ground.pins.file import chosen_path, chosen_store
 from ground.pins.store import PinStore
 from ground.web.app import create_app
 from ground.web.browser import open_in_browser
-from ground.web.command import STATIC, WebError, link_host
+from ground.web.command import STATIC, Tokens, WebError, link_host
 from ground.web.desk import Desk
 from ground.web.gate import BACKLOG, gate_for_this_process, gated, protocol_of, quiet_logs
 from ground.web.guard import Rules, is_loopback
@@ -33,7 +33,7 @@ SHUTDOWN_S = 2  # for what browsers still ask
 MAX_MESSAGE_BYTES = 4096  # of a WebSocket message from a browser, which contains nothing that we use
 
 
-def serve(args: argparse.Namespace, token: str, tls: Tls | None) -> int:
+def serve(args: argparse.Namespace, tokens: Tokens, tls: Tls | None) -> int:
     """Until a signal ends it. Raises PointclickError before anything is served."""
     tiles = None if args.tiles is None else open_tiles(args.tiles)
     is_secure = args.tls_certificate is not None
@@ -50,7 +50,7 @@ def serve(args: argparse.Namespace, token: str, tls: Tls | None) -> int:
             gate.sweep()
 
         config = uvicorn.Config(
-            create_app(Desk(source, store, STATIC, tiles, sharing), _rules(args, token, tiles, is_secure)),
+            create_app(Desk(source, store, STATIC, tiles, sharing), _rules(args, tokens, tiles, is_secure)),
             http=protocol_of(gate),
             loop="asyncio",  # whose sockets the gate can be asked for
             backlog=BACKLOG,
@@ -68,7 +68,7 @@ def serve(args: argparse.Namespace, token: str, tls: Tls | None) -> int:
         )
         config.load()  # what it imports now no page waits for
         quiet_logs()
-        _announce(args, listening.getsockname()[1], token, is_secure, source, store.name)
+        _announce(args, listening.getsockname()[1], tokens, is_secure, source, store.name)
         uvicorn.Server(config).run(sockets=[gated(listening, gate)])
     return 0
 
@@ -142,18 +142,21 @@ def _listen(host: str, port: int) -> socket.socket:
     return listening
 
 
-def _rules(args: argparse.Namespace, token: str, tiles: Tiles | None, is_secure: bool) -> Rules:
-    names = {name.lower().rstrip(".") for name in args.name}
-    return Rules(token, frozenset(names), "" if tiles is None else tiles.origin, is_secure)
+def _rules(args: argparse.Namespace, tokens: Tokens, tiles: Tiles | None, is_secure: bool) -> Rules:
+    names = frozenset(name.lower().rstrip(".") for name in args.name)
+    return Rules(tokens.operator, names, "" if tiles is None else tiles.origin, is_secure, tokens.viewer)
 
 
-def _announce(args: argparse.Namespace, port: int, token: str, is_secure: bool, source: Source, pins: str) -> None:
+def _announce(args: argparse.Namespace, port: int, tokens: Tokens, is_secure: bool, source: Source, pins: str) -> None:
     """Where the page is: once, on standard output, with a code for the tablet's camera where others may reach it."""
     scheme = "https" if is_secure else "http"
     host = args.name[0] if args.name else link_host(args.host)
-    link = f"{scheme}://{host}:{port}/" + (f"?token={quote(token)}" if token else "")
+    page = f"{scheme}://{host}:{port}/"
+    link = page + (f"?token={quote(tokens.operator)}" if tokens.operator else "")
     print(f"pc-ground web: {source.name}; pins in {pins}")
     print(f"open {link}", flush=True)
+    if tokens.viewer:
+        print(f"to look and change nothing: {page}?token={quote(tokens.viewer)}")
     if not is_loopback(args.host):
         import segno  # noqa: PLC0415  no page waits for it
 

@@ -6,7 +6,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from contract.feature_set import FeatureSet, Status
+from contract.track import TrackRequest
 from contract.vehicle_status import VehicleStatus
+from ground.spots.heard import HeardSpots
+from ground.track_paths import TrackPaths
 
 # Of the pictures that came since a list was read: some before them are read again, for sets may come out of order or in
 # a better revision; where more have come, as when a journal was read, the whole list is.
@@ -54,6 +57,8 @@ class Source(Protocol):
 
     is_live: bool
     name: str  # for people: endpoints, or the recording's path
+    tracks: TrackPaths  # of all vehicles
+    spots: HeardSpots
 
     def vehicles(self) -> list[str]:
         """Who is there, sorted."""
@@ -79,6 +84,9 @@ class Source(Protocol):
 
     def report(self, vehicle: str) -> VehicleReport:
         """How a vehicle is."""
+
+    def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
+        """What a vehicle answers to a question about tracks. Raises LinkError with its reason, or if it gives none."""
 
     def damage(self) -> list[str]:
         """What could not be read, a line each."""

@@ -1,4 +1,4 @@
-"""Reports new pictures to browsers at once, and all vehicles' state and the pins once a second."""
+"""Reports new pictures and tracks to browsers at once, and all vehicles' state and the pins once a second."""
 
 from __future__ import annotations
 
@@ -6,27 +6,33 @@ from typing import Any
 
 from contract.errors import PointclickError
 from ground.watched_thread import WatchedThread
+from ground.web.api_spots import spots_json
+from ground.web.api_tracks import track_json
 from ground.web.api_vehicles import row_json, vehicle_json
 from ground.web.desk import Desk
 from ground.web.source import MOST_ROWS, SPARE_ROWS
 
 PICTURES_S = 0.04  # between checks of the source: a new picture is reported within this time
+TRACKS_S, SPOTS_S = 0.1, 0.5
 STATUS_S = 1.0
 
 
 class Watch:
-    """Two threads, so that a fault of one leaves the other's events; what is wrong with them is in the status."""
+    """Threads of their own: a fault of one leaves the others' events. What is wrong with them is in the status."""
 
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
         self._versions: dict[str, int] = {}  # of each vehicle's pictures, as browsers have them
+        self._tracks, self._spots = desk.source.tracks.version, desk.source.spots.version
         self._threads = (
             WatchedThread("watch of the pictures", self._tell_pictures, PICTURES_S),
+            WatchedThread("watch of the tracks", self._tell_tracks, TRACKS_S),
+            WatchedThread("watch of the hot spots", self._tell_spots, SPOTS_S),
             WatchedThread("watch of state and pins", self._tell_status, STATUS_S),
         )
 
     def close(self) -> None:
-        """End both."""
+        """End all."""
         for thread in self._threads:
             thread.close()
 
@@ -53,6 +59,20 @@ class Watch:
             rows = [row_json(row) for row in desk.source.frames(vehicle, count)]
             desk.hub.tell_from_thread({"type": "frames", "vehicle": vehicle, "frames": rows})
         self._versions[vehicle] = version
+
+    def _tell_tracks(self) -> None:
+        hub = self._desk.hub
+        self._tracks, reports = self._desk.source.tracks.since(self._tracks)
+        if reports is None:
+            hub.tell_from_thread({"type": "resync"})  # a journal was read
+        elif reports and len(hub):
+            hub.tell_from_thread({"type": "tracks", "reports": [track_json(report) for report in reports]})
+
+    def _tell_spots(self) -> None:
+        desk = self._desk
+        self._spots, things = desk.source.spots.since(self._spots)
+        if things and len(desk.hub):
+            desk.hub.tell_from_thread({"type": "spots", "spots": spots_json(desk, things)})
 
     def _tell_status(self) -> None:
         desk = self._desk

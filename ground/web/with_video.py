@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Protocol
 
 from contract.feature_set import FeatureSet
+from contract.track import TrackRequest
 from ground.web.source import FrameRow, Picture, Source, VehicleReport
 
 MAX_ASPECT_ERROR = 0.01  # 854 x 480 is called 16:9
@@ -38,6 +39,7 @@ class WithVideo:
         self._footage = footage
         self.is_live = inner.is_live
         self.name = inner.name
+        self.tracks, self.spots = inner.tracks, inner.spots
 
     def vehicles(self) -> list[str]:
         """The other's."""
@@ -77,6 +79,10 @@ class WithVideo:
     def report(self, vehicle: str) -> VehicleReport:
         """The other's."""
         return self._inner.report(vehicle)
+
+    def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
+        """The other's."""
+        return self._inner.follow(vehicle, request)
 
     def damage(self) -> list[str]:
         """The video's state, and the other source's notes."""

@@ -2,14 +2,16 @@
 
 What is measured in a picture is the way from a piece of ground where the thing once was to the thing, both through the
 same picture's set: the pose's errors are the same at both ends and drop out but for how they stretch and turn the way,
-which `Locator.difference_covariance` states and no number of pictures averages. How much a thing accelerates is not
-assumed: several constants run side by side and are weighed by how well they foretell.
+which `Locator.difference_covariance` states and no number of pictures averages. How much a thing accelerates, and how
+far the pictures' own errors are from what their sharpness suggests, is not assumed: several constants of each run side
+by side and are weighed by how well they foretell.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +20,9 @@ Array = NDArray[np.float64]
 
 # Spectral densities of the acceleration, m^2/s^3: a walker who goes straight, one who does not, a car in traffic and in
 # a bend.
-DENSITIES = (0.02, 0.2, 2.0, 20.0)
+DENSITIES = (0.002, 0.02, 0.2, 2.0, 20.0)
+# Of the variances of a measurement and of the box's drift: a thing that is found exactly, and one hardly found.
+SCALES = (1.0 / 64.0, 1.0 / 16.0, 0.25, 1.0)
 FORGET_S = 5.0  # over which it is forgotten how well each has foretold
 FIRST_SPEED_M_S = 12.0  # one sigma, of either component
 HEIGHT_SIGMA_M = 0.8  # of what is followed of a thing above its ground
@@ -78,12 +82,12 @@ class PlaneFilter:
     """
 
     def __init__(self, slant: Array, noise: Array) -> None:
-        self._q = np.array(DENSITIES)
-        self._x = np.zeros((len(DENSITIES), 5))
-        self._P = np.zeros((len(DENSITIES), 5, 5))
+        self._scale, self._q = np.array(list(product(SCALES, DENSITIES))).T
+        self._x = np.zeros((len(self._q), 5))
+        self._P = np.zeros((len(self._q), 5, 5))
         self._P[:, 2, 2] = self._P[:, 3, 3] = FIRST_SPEED_M_S**2
         self._P[:, 4, 4] = HEIGHT_SIGMA_M**2
-        self._log_weight = np.zeros(len(DENSITIES))
+        self._log_weight = np.zeros(len(self._q))
         self._shared = np.zeros((2, 2))
         self._missed = 0
         self.forget_place(slant, noise)
@@ -95,7 +99,7 @@ class PlaneFilter:
         self._x = self._x @ F.T
         self._P = F @ self._P @ F.T
         for i in (0, 1):
-            self._P[:, i, i] += self._q * dt**3 / 3.0 + (DRIFT_PX * m_px) ** 2 * dt
+            self._P[:, i, i] += self._q * dt**3 / 3.0 + self._scale * (DRIFT_PX * m_px) ** 2 * dt
             self._P[:, i, i + 2] += self._q * dt**2 / 2.0
             self._P[:, i + 2, i] += self._q * dt**2 / 2.0
             self._P[:, i + 2, i + 2] += self._q * dt
@@ -107,7 +111,8 @@ class PlaneFilter:
         H[:, 4] = slant
         off = way_m - self._x @ H.T  # (M, 2)
         HP = H @ self._P
-        S = HP @ H.T + noise
+        R = self._scale[:, None, None] * noise
+        S = HP @ H.T + R
         squared = np.einsum("mi,mi->m", off, np.linalg.solve(S, off[..., None])[..., 0])
         if squared[-1] > GATE and self._missed < MISSED_IN_A_ROW:  # by the one that foretells the least
             self._missed += 1
@@ -117,7 +122,7 @@ class PlaneFilter:
         K = np.linalg.solve(S, HP).transpose(0, 2, 1)
         left = np.eye(5) - K @ H
         self._x = self._x + (K @ off[..., None])[..., 0]
-        self._P = left @ self._P @ left.transpose(0, 2, 1) + K @ noise @ K.transpose(0, 2, 1)
+        self._P = left @ self._P @ left.transpose(0, 2, 1) + K @ R @ K.transpose(0, 2, 1)
         return True
 
     def new_landmark(self, way_m: Array) -> None:
@@ -126,12 +131,11 @@ class PlaneFilter:
 
     def forget_place(self, slant: Array, noise: Array) -> None:
         """As `new_landmark`, where the old one was lost: the way is known no more, the velocity is."""
-        height = self._P[:, 4, 4]
+        rest = -slant[:, None] * self._P[:, 4, None, 2:]  # what it shares with velocity and height: it is seen less h s
+        own = self._scale[:, None, None] * noise + np.outer(slant, slant) * self._P[:, 4, 4, None, None]
         self._x[:, :2] = 0.0
-        self._P[:, :2, :] = 0.0
-        self._P[:, :, :2] = 0.0
-        self._P[:, :2, :2] = noise + height[:, None, None] * np.outer(slant, slant)
-        self._P[:, :2, 4] = self._P[:, 4, :2] = -height[:, None] * slant
+        self._P[:, :2, :2] = own
+        self._P[:, :2, 2:], self._P[:, 2:, :2] = rest, rest.transpose(0, 2, 1)
 
     def stretched(self, way_cov: Array, since_s: float) -> None:
         """(24.16): what the poses' common errors do to a velocity: `way_cov` (2, 2) is of a way of `since_s`."""

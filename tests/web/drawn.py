@@ -11,8 +11,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from contract.errors import LinkError
 from contract.feature_set import FeatureSet, Status
+from contract.track import MOST_TRACKS, StartTrack, StopTrack, TrackRequest
 from contract.vehicle_status import VehicleStatus
+from ground.spots.heard import HeardSpots
+from ground.track_paths import TrackPaths
 from ground.web.source import FrameRow, Picture, VehicleReport
 from onboard.events.types import Frame
 from onboard.storage.mcap_writer import SessionRecorder
@@ -67,6 +71,9 @@ class FlyingSource:
         self._names = [f"uav-{k}" for k in range(1, aircraft + 1)]
         self.silent_s = 0.1
         self._count = 1
+        self.tracks, self.spots = TrackPaths(), HeardSpots()
+        self.asked: list[TrackRequest] = []
+        self._followed = 0
         self._lock = threading.Lock()
         self._first = drawn_set(0)
         self._encoded = [cv2.imencode(".jpg", drawn_picture(seed))[1].tobytes() for seed in range(50)]
@@ -118,6 +125,16 @@ class FlyingSource:
 
     def no_pictures(self) -> str:
         return ""
+
+    def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
+        """As an aircraft: numbers from 1, eight at most."""
+        self.asked.append(request)
+        if isinstance(request, StopTrack):
+            return {"tracks": []}
+        if self._followed >= MOST_TRACKS:
+            raise LinkError("full: eight things are followed already")
+        self._followed += 1
+        return {"track": self._followed, "frame": request.frame if isinstance(request, StartTrack) else None}
 
     def damage(self) -> list[str]:
         """None."""

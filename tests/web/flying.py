@@ -28,7 +28,7 @@ class Flight:
         self.store = PinStore(pins)
         self._listening = socket.create_server(("127.0.0.1", 0))
         self.port = int(self._listening.getsockname()[1])
-        self.url = f"http://127.0.0.1:{self.port}/"
+        self.url = self.local = f"http://127.0.0.1:{self.port}/"
         rules = Rules(tile_origin="" if tiles is None else tiles.origin)
         app = create_app(Desk(self.source, self.store, STATIC, tiles), rules)
         self._server = uvicorn.Server(

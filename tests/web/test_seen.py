@@ -20,6 +20,7 @@ from tests.ground.seen.levels import HOUR_PICTURES, PLACE, an_hour_over_a_place,
 from tests.web.browsing import Operator
 from tests.web.drawn import FlyingSource
 from tests.web.served import Flown, Server
+from tests.web.unfollowed import Unfollowed
 
 pytestmark = pytest.mark.xdist_group("web")
 
@@ -62,7 +63,7 @@ def test_a_tile_is_coloured_where_the_ground_was_seen_by_age_and_by_count() -> N
     assert 40 - sum(inside) == pytest.approx(60.0 - 43.0, abs=2.5)
 
 
-class ManySets:
+class ManySets(Unfollowed):
     """A source of sets that a test hands out, as of a link. Serves `Source`."""
 
     is_live = True

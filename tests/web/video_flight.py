@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from contract.feature_set import FeatureSet, Status
 from ground.web.source import FrameRow, Picture, VehicleReport
 from tests.web.drawn import VEHICLE, drawn_set
+from tests.web.unfollowed import Unfollowed
 
 VIDEO_HZ = 20.0
 SET_S = 0.25
@@ -81,7 +82,7 @@ def shift_px(jpeg: bytes, frame: int) -> float:
     return float(np.hypot(u, v))
 
 
-class DrawnFlight:
+class DrawnFlight(Unfollowed):
     """Serves `Source`. Recorded: all sets are there. Live: they come `late_s` after their pictures, from `start` on."""
 
     name = "a drawn flight"

@@ -16,11 +16,13 @@ from contract.wire.track_code import decode_track, encode_track
 from ground.__main__ import main
 from ground.formats import cot, track_path
 from ground.heard_tracks import SILENT_S, HeardTracks
+from ground.recording import Recording
 from onboard.link.publisher import Publisher, Rate
 from onboard.storage.mcap_writer import SessionRecorder
 from tests.contract.sets import plain_set
 from tests.contract.test_track_code import REPORT
 from tests.onboard.link.ports import free_endpoint
+from tests.waiting import eventually
 
 NOW_NS = 1_700_000_001_000_000_000
 
@@ -183,3 +185,50 @@ def test_what_was_followed_is_in_the_recording(tmp_path: Path, capsys: pytest.Ca
         file.write_set(replace(plain_set(5), vehicle="uav-1"))
     assert main(["track", "--from", str(tmp_path / "other.mcap")]) == 3
     assert "nothing was followed" in capsys.readouterr().err
+
+
+def test_what_is_followed_is_watched_and_recorded_from_the_link(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    endpoint, ended = free_endpoint(), threading.Event()
+    there = replace(plain_set(5), vehicle="uav-1", session=REPORT.session)
+    report = replace(REPORT, capture_unix_ns=there.capture_unix_ns)
+    with Publisher("uav-1", [endpoint], rate=Rate(max_bit_rate=1e7)) as publisher:
+
+        def publish() -> None:
+            while not ended.wait(0.05):
+                publisher.publish(there)
+                publisher.publish_tracks(encode_track(report) + encode_track(replace(report, number=4)))
+
+        thread = threading.Thread(target=publish, daemon=True)
+        thread.start()
+        try:
+            watched: list[str] = []
+
+            def is_watched() -> bool:
+                assert main(["watch", "--connect", endpoint, "--count", "1", "--period", "0.5"]) == 0
+                watched[:] = capsys.readouterr().out.splitlines()
+                return len(watched) == 4
+
+            assert eventually(is_watched), watched
+            assert watched[2].strip().startswith("uav-1 track 3 coasting (hidden)") and "track 4" in watched[3]
+            tries = iter(range(1000))
+            folder = tmp_path
+
+            def is_recorded() -> bool:
+                nonlocal folder
+                folder = tmp_path / f"try {next(tries)}"
+                assert main(["record", "--to", str(folder), "--seconds", "0.8", "--connect", endpoint]) == 0
+                said = capsys.readouterr().out
+                return "uav-1-1700000000.001.mcap" in said and bool(Recording(folder).tracks("uav-1"))
+
+            assert eventually(is_recorded)
+        finally:
+            ended.set()
+            thread.join(5.0)
+    assert main(["track", "--from", str(folder), "--json", "--save", str(tmp_path / "path.kml")]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {line["track"] for line in lines} == {3, 4} and "<when>" in (tmp_path / "path.kml").read_text()
+    assert main(["watch", "--from", str(folder), "--json"]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [row.get("track") for row in rows] == [None, 3, 4]

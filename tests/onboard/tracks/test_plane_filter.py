@@ -19,10 +19,14 @@ def run(
     *,
     density: float = 0.0,
     height_m: float = 0.0,
+    declared: float = 1.0,
 ) -> tuple[Motion, np.ndarray]:
-    """The filter's motion after so long, and the true velocity then. The camera flies over it at FLIGHT_M_S east."""
+    """The filter's motion after so long, and the true velocity then. The camera flies over it at FLIGHT_M_S east.
+
+    `declared`: the sigma that the filter is given over the true one.
+    """
     slant = np.array([-0.3, 0.1])
-    noise = NOISE_M**2 * np.eye(2)
+    noise = (declared * NOISE_M) ** 2 * np.eye(2)
     place, v = np.zeros(2), velocity.copy()
     found = PlaneFilter(slant, noise)
     landmark = place + height_m * slant + NOISE_M * rng.standard_normal(2)
@@ -52,6 +56,45 @@ def test_errors_of_the_velocity_are_what_its_covariance_says(speed: float, densi
         inside += squared[-1] < 4.605  # 90 %
     assert 0.84 <= inside / 120 <= 1.0
     assert 0.7 < float(np.mean(squared)) < 2.6
+
+
+@pytest.mark.parametrize("declared", [2.0, 6.0])
+def test_a_measurement_that_is_better_than_declared_gives_a_speed_that_is(declared: float) -> None:
+    squared, sigmas = [], []
+    for seed in range(60):
+        rng = np.random.default_rng([seed, 6])
+        motion, true = run(
+            rng, np.array([1.4, 0.0]), density=0.02, height_m=0.8 * float(rng.standard_normal()), declared=declared
+        )
+        off = motion.velocity_m_s - true
+        squared.append(float(off @ np.linalg.solve(motion.cov, off)))
+        sigmas.append(motion.sigma_speed_m_s)
+    assert 0.84 <= np.mean(np.array(squared) < 4.605) <= 1.0
+    assert 0.8 < float(np.mean(squared)) < 3.2
+    assert float(np.median(sigmas)) < 1.4 * float(
+        np.median(
+            [
+                run(np.random.default_rng([k, 7]), np.array([1.4, 0.0]), density=0.02)[0].sigma_speed_m_s
+                for k in range(20)
+            ]
+        )
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_covariance_stays_one_when_the_ground_that_ways_count_from_is_lost(seed: int) -> None:
+    """The place is the pixel's less the height's share, which the filter has learned together with the velocity."""
+    rng = np.random.default_rng([seed, 8])
+    noise = NOISE_M**2 * np.eye(2)
+    found = PlaneFilter(np.zeros(2), noise)
+    for k in range(1, 80):
+        slant = np.array([0.3, -0.2]) + 0.05 * rng.standard_normal(2) + np.array([-0.01 * k, 0.0])
+        found.predict(DT, 0.1)
+        found.update(np.array([1.4 * k * DT, 0.0]) + NOISE_M * rng.standard_normal(2), slant, noise, DT)
+        if k % 7 == 0:
+            found.forget_place(slant, noise)
+        assert (np.linalg.eigvalsh(found._P) > -1e-9).all()
+    assert np.isfinite(found.motion.cov).all()
 
 
 def test_a_walker_is_known_sharply_after_ten_seconds_and_a_car_in_a_bend_is_not_smoothed_away() -> None:
