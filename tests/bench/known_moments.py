@@ -130,10 +130,10 @@ class Watched:
         self.stop.set()
         self.thread.join(PATIENCE_S)
 
-    def more(self, count: int) -> None:
-        """Return once so many more pictures have come. Raises TimeoutError."""
-        wanted = len(self.stamps_ns) + count
-        if not eventually(lambda: len(self.stamps_ns) >= wanted):
+    def more(self, count: int, since_ns: int = 0) -> None:
+        """Return once so many more pictures have come, or so many with stamps since a moment. Raises TimeoutError."""
+        wanted = count if since_ns else len(self.stamps_ns) + count
+        if not eventually(lambda: sum(stamp_ns > since_ns for stamp_ns in self.stamps_ns) >= wanted):
             raise TimeoutError(f"no {count} pictures: {self.source.health()}")
 
 
@@ -145,13 +145,13 @@ def measured(config: CameraConfig, size_px: tuple[int, int], sensor: Sensor, swi
         camera.more(30)
         begun = len(camera.stamps_ns)
         for k in range(switches):
-            camera.more(3)
+            camera.more(3, made[-1].made_ns if made else 0)  # the first may have been begun before
             recent = np.array(camera.stamps_ns[-20:], np.int64)
             period_ns = float(np.median(np.diff(recent)))
             to_next_ns = recent[-1] + 1e9 * noise.uniform(-NEAR_S, NEAR_S) - time.monotonic_ns()
             time.sleep(to_next_ns % period_ns / 1e9)
             made.append(sensor.set(DARK if k % 2 else BRIGHT))
-        camera.more(5)
+        camera.more(3, made[-1].made_ns)
         health = camera.source.health()
     if health.state not in {State.OK, State.DEGRADED}:
         raise ValueError(f"{health}")
