@@ -15,6 +15,7 @@ METADATA_NAME = "pointclick"
 
 FRAMES = "pc/{vehicle}/frames"
 PICTURES = "pc/{vehicle}/pictures"
+COUNTS = "pc/{vehicle}/counts"
 POSITIONS = "pc/{vehicle}/position"
 GPS_QUALITY = "pc/{vehicle}/gps_quality"
 ATTITUDES = "pc/{vehicle}/attitude"

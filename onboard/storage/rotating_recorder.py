@@ -138,9 +138,8 @@ class Recorded:
     def event(self, arrival_ns: int, event: Event) -> None:
         """Record an event as it enters the pipeline; never waits."""
         if isinstance(event, Frame) and event.image is not None:
-            self._put(
-                Entry("pictures", arrival_ns, event.image.nbytes, lambda file: file.write_event(event, arrival_ns))
-            )
+            held_bytes = event.image.nbytes + (0 if event.counts is None else event.counts.nbytes)
+            self._put(Entry("pictures", arrival_ns, held_bytes, lambda file: file.write_event(event, arrival_ns)))
         else:
             self._put(Entry("events", arrival_ns, 0, lambda file: file.write_event(event, arrival_ns)))
 
