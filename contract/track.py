@@ -51,6 +51,23 @@ class Course:
         """Whether it is not at rest."""
         return self.course_deg is not None
 
+    def to_text(self) -> str:
+        """In words."""
+        if self.course_deg is None or self.sigma_course_deg is None:
+            return f"at rest (+-{self.sigma_speed_m_s:.2f} m/s)"
+        return (
+            f"{self.speed_m_s:.1f} +-{self.sigma_speed_m_s:.1f} m/s towards {self.course_deg:.0f} "
+            f"+-{self.sigma_course_deg:.0f} deg"
+        )
+
+    def to_dict(self) -> dict[str, object]:
+        """For JSON."""
+        return {
+            "is_moving": self.is_moving, "speed_m_s": rounded(self.speed_m_s),
+            "sigma_speed_m_s": rounded(self.sigma_speed_m_s), "course_deg": rounded(self.course_deg),
+            "sigma_course_deg": rounded(self.sigma_course_deg),
+        }  # fmt: skip
+
 
 @dataclass(frozen=True)
 class TrackReport:
@@ -85,11 +102,7 @@ class TrackReport:
         if p is not None:
             content |= p.to_dict()
         if c is not None:
-            content |= {
-                "is_moving": c.is_moving, "speed_m_s": rounded(c.speed_m_s),
-                "sigma_speed_m_s": rounded(c.sigma_speed_m_s), "course_deg": rounded(c.course_deg),
-                "sigma_course_deg": rounded(c.sigma_course_deg),
-            }  # fmt: skip
+            content |= c.to_dict()
         return json.dumps(content)
 
     def to_text(self) -> str:
@@ -108,14 +121,7 @@ class TrackReport:
     @property
     def course_text(self) -> str:
         """How it moves, in words."""
-        c = self.course
-        if c is None:
-            return "speed not known"
-        if c.course_deg is None or c.sigma_course_deg is None:
-            return f"at rest (+-{c.sigma_speed_m_s:.2f} m/s)"
-        return (
-            f"{c.speed_m_s:.1f} +-{c.sigma_speed_m_s:.1f} m/s towards {c.course_deg:.0f} +-{c.sigma_course_deg:.0f} deg"
-        )
+        return "speed not known" if self.course is None else self.course.to_text()
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,13 @@ import shutil
 import signal
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
+from _pytest.mark.expression import Expression
 from hypothesis import settings
 
 from tests import postgres
@@ -85,9 +87,40 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ[FOLDER_VARIABLE] = str(Path(os.environ[FLIGHTS_VARIABLE]) / "drawings")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Those beside this file come first, for the longest are among them: one that began last would end alone."""
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist looks at the groups
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Those beside this file come first, for the longest are among them: one that began last would end alone.
+
+    Without the long tests a file is one worker's: what its tests share is made once, and workers that wait, as all of
+    a file on the link do, are beside others that calculate. Long tests are few to a file and take minutes each.
+    """
     items.sort(key=lambda item: item.path.parent != Path(__file__).parent)
+    if "not long" in config.option.markexpr:
+        for item in items:
+            if item.get_closest_marker("xdist_group") is None:
+                item.add_marker(pytest.mark.xdist_group(item.path.stem))
+
+
+MARKERS = ("long", "wall_clock")
+
+
+def may_be_chosen(expression: str, text: str) -> bool:
+    """Whether a file of tests can hold one that `-m expression` chooses: some of the markers that it names would do."""
+    named = [marker for marker in MARKERS if marker in text]
+    chosen = Expression.compile(expression)
+    return any(
+        chosen.evaluate(lambda name, /, **_: name in have)  # noqa: B023  evaluated here
+        for count in range(len(named) + 1)
+        for have in combinations(named, count)
+    )
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """A run of marked tests alone does not import the many files without any, which takes each worker seconds."""
+    if collection_path.suffix != ".py" or not config.option.markexpr:
+        return None
+    text = collection_path.read_text(encoding="utf-8")
+    return None if may_be_chosen(config.option.markexpr, text) else True
 
 
 class LongTests:

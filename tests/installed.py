@@ -65,9 +65,9 @@ def laid_over(base: Path, extra: str, folder: Path) -> Path:
     return folder / "bin"
 
 
-def share(file: Path, also: Path) -> None:
-    """Another name of a file, or a copy on another disk."""
+def share(file: Path | str, also: Path | str) -> None:
+    """Another name of a file that nobody writes to, or a copy on another disk."""
     try:
-        also.hardlink_to(file)
+        Path(also).hardlink_to(file)
     except OSError:
         shutil.copy2(file, also)

@@ -21,11 +21,12 @@ ARROWS: dict[str, set[str]] = {
     "contract": set(),
     "contract.wire": set(),
     "ground": set(),
-    "ground.pins": {"ground"},
-    "ground.formats": {"ground", "ground.pins"},
+    "ground.pins": {"ground", "ground.spots"},
+    "ground.formats": {"ground", "ground.pins", "ground.spots"},
     "ground.seen": set(),
-    "ground.commands": {"ground", "ground.pins", "ground.formats", "ground.seen"},
-    "ground.web": {"ground", "ground.pins", "ground.formats", "ground.seen"},
+    "ground.spots": {"ground", "ground.seen"},
+    "ground.commands": {"ground", "ground.pins", "ground.formats", "ground.seen", "ground.spots"},
+    "ground.web": {"ground", "ground.pins", "ground.formats", "ground.seen", "ground.spots"},
     "onboard.events": set(),
     "onboard.config": set(),
     "onboard.camera": {"events", "config", "telemetry"},
@@ -67,7 +68,7 @@ IO_ALLOWED = {
     "onboard.service", "onboard.commands", "onboard.events", "simulation", "simulation.autopilot", "demo", "benchmarks",
 }  # fmt: skip
 # One kind of thread for both sides, neither of which may import the other.
-IO_MODULES = {"contract.supervised_thread"}
+IO_MODULES = {"contract.supervised_thread", "ground.spots.heard"}
 SHIPPED = ("contract", "ground", "onboard")
 
 

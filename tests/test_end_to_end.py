@@ -23,10 +23,12 @@ import pytest
 from contract.geodesy import LocalFrame
 from ground.recording import Recording
 from simulation.flight import RecordedSpec
-from simulation.session import SessionSpec, fly
+from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
 from simulation.truth import Truth
+from tests.installed import share
 from tests.onboard.link.ports import free_endpoint
+from tests.scenarios.flights import flown as session_of
 from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.xdist_group("end to end")  # one worker: what they share is made once
@@ -71,7 +73,7 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
         mount_deg=(0.0, -90.0, -90.0),
         terrain=TerrainSpec(relief_m=10.0),
     )
-    fly(spec, folder)
+    shutil.copytree(session_of(spec), folder, copy_function=share)
     (folder / "seed.toml").write_text(MOUNT + SEED_SENSORS)
     (folder / "full.toml").write_text(MOUNT + FULL_SET)
     return folder

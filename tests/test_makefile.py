@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
 import pytest
+
+from tests.conftest import may_be_chosen
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -47,7 +50,7 @@ def test_real_time_is_measured_alone(tmp_path: Path) -> None:
     code, calls, _ = make_pytest(tmp_path, 0, 0)
     assert code == 0
     assert calls == [
-        "-m pytest -m not long and not wall_clock -n 3 --dist loadgroup --durations=30",
+        "-m pytest -m not long and not wall_clock -n 4 --dist loadgroup --durations=30",
         "-m pytest -m not long and wall_clock -n 0 --durations=30",
     ]
 
@@ -56,7 +59,7 @@ def test_the_long_tests_have_a_run_of_their_own_that_needs_none_of_real_time(tmp
     code, calls, _ = make_pytest(tmp_path, 0, 5, target="test-long")
     assert code == 0
     assert calls == [
-        "-m pytest -m long and not wall_clock -n 3 --dist loadgroup --durations=30",
+        "-m pytest -m long and not wall_clock -n 4 --dist loadgroup --durations=30",
         "-m pytest -m long and wall_clock -n 0 --durations=30",
     ]
 
@@ -117,6 +120,38 @@ def test_chosen_tests_may_all_be_in_one_run(tmp_path: Path, parallel: int, seria
 def test_the_markers_are_registered() -> None:
     options = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
     assert {line.split(":")[0] for line in options["markers"]} == {"wall_clock", "long"}
+
+
+def test_without_the_long_tests_a_file_is_one_workers() -> None:
+    files = ["tests/contract/test_camera.py", "tests/contract/test_kriging.py"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-n", "2", "--dist", "loadgroup", "-m", "not long", "-vv", *files],
+        cwd=ROOT,
+        env={k: v for k, v in os.environ.items() if not k.startswith("PYTEST")},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    workers = {file: set(re.findall(rf"\[(gw\d)\] .*PASSED {file}::", done.stdout)) for file in files}
+    assert [len(of_file) for of_file in workers.values()] == [1, 1]
+    assert len(set.union(*workers.values())) == 2
+
+
+@pytest.mark.parametrize(
+    ("expression", "text", "is_chosen"),
+    [
+        ("not long and not wall_clock", "", True), ("not long and not wall_clock", "long wall_clock", True),
+        ("not long and wall_clock", "", False), ("not long and wall_clock", "mark.wall_clock", True),
+        ("long and not wall_clock", "mark.wall_clock", False), ("long and not wall_clock", "mark.long", True),
+        ("long and wall_clock", "mark.long", False), ("long or wall_clock", "mark.long", True),
+    ],
+)  # fmt: skip
+def test_files_that_can_hold_none_of_the_chosen_tests_are_not_imported(
+    expression: str, text: str, is_chosen: bool
+) -> None:
+    assert may_be_chosen(expression, text) is is_chosen
 
 
 def test_what_a_group_shares_is_made_by_one_worker(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ pictures and pictures that were overtaken before their turn came, goes in bytes 
 
 from __future__ import annotations
 
+from bisect import bisect_left, insort
 from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
@@ -54,7 +55,7 @@ class Selection(Generic[T]):
         self._refusal: Offer[T] | None = None  # the newest that does not, unsent
         self._rest: dict[int, Offer[T]] = {}  # of older pictures, by frame, unsent
         self._known_ns: dict[int, int] = {}  # captures of the answers that were sent, by frame
-        self._rest_ns: list[int] = []  # captures of the rest that was sent
+        self._rest_ns: list[int] = []  # captures of the rest that was sent, in order of time
         self._repeated: Offer[T] | None = None  # the newest of all
         self._newest_ns = 0
         self._sent_ns = self._sent_answer_ns = 0  # newest capture sent, and of those that answer
@@ -117,7 +118,7 @@ class Selection(Generic[T]):
             held = self._rest.get(o.frame)
             if held is not None and held.revision <= o.revision:
                 del self._rest[o.frame]
-                self._rest_ns.append(o.capture_unix_ns)
+                insort(self._rest_ns, o.capture_unix_ns)
         if self._answer is o:
             self._answer = None
         if self._refusal is not None and self._refusal.capture_unix_ns <= self._sent_ns:
@@ -141,11 +142,17 @@ class Selection(Generic[T]):
         return refusal if refusal.capture_unix_ns - answer.capture_unix_ns > ANSWER_LEAD_NS else answer
 
     def _best_of_rest(self) -> Offer[T]:
-        def worth(o: Offer[T]) -> tuple[bool, bool, bool, int, int]:
-            gap = min((abs(o.capture_unix_ns - at) for at in self._rest_ns), default=MEMORY_NS)
-            return o.is_keyframe, o.revision > 0, o.frame not in self._known_ns, gap, o.capture_unix_ns
+        def kind(o: Offer[T]) -> tuple[bool, bool, bool]:
+            return o.is_keyframe, o.revision > 0, o.frame not in self._known_ns
 
-        return max(self._rest.values(), key=worth)
+        def gap_then_newest(o: Offer[T]) -> tuple[int, int]:
+            after = bisect_left(self._rest_ns, o.capture_unix_ns)
+            nearest = self._rest_ns[max(after - 1, 0) : after + 1]
+            gap = min((abs(o.capture_unix_ns - at) for at in nearest), default=MEMORY_NS)
+            return gap, o.capture_unix_ns
+
+        best = max(map(kind, self._rest.values()))
+        return max((o for o in self._rest.values() if kind(o) == best), key=gap_then_newest)
 
     def _forget(self) -> None:
         oldest = self._newest_ns - MEMORY_NS

@@ -17,8 +17,9 @@ from onboard.storage.mcap_writer import SessionRecorder
 from simulation.flight import DescribedSpec
 from simulation.ordinary import ordinary
 from simulation.paths import PathSpec
-from simulation.session import SessionSpec, fly
+from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
+from tests.scenarios.flights import flown
 from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -50,7 +51,6 @@ class Flown:
 
 def record(folder: Path) -> Flown:
     """Some seconds over simulated ground, four pictures a second, into a folder; and one more picture that refuses."""
-    flight = folder / "flight"
     spec = SessionSpec(
         DescribedSpec(PathSpec("turns", leg_m=150.0), ordinary(3), seed=3),
         seconds=4.5,
@@ -59,9 +59,9 @@ def record(folder: Path) -> Flown:
         terrain=TerrainSpec(relief_m=20.0, wavelength_m=250.0),
         level_ground=True,
     )
-    fly(spec, flight)
-    config = flight / "config.toml"
-    config.write_text(config.read_text() + '\n[recording]\npictures = "jpeg"\n')
+    flight = flown(spec)
+    config = folder / "config.toml"
+    config.write_text((flight / "config.toml").read_text() + '\n[recording]\npictures = "jpeg"\n')
     first = folder / "parts" / "flight.001.mcap"
     first.parent.mkdir()
     done = subprocess.run(
