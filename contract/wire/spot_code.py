@@ -10,7 +10,7 @@ from contract.answer import Ellipse, Place
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 from contract.feature_set import Status
 from contract.spot import MOST_SPOTS, Spot, SpotReport
-from contract.wire.byte_cursor import ByteCursor
+from contract.wire.byte_cursor import ByteCursor, first_byte
 from contract.wire.outlines import fitted
 
 MAJOR, MAX_SPOT_BYTES = 1, 200
@@ -68,12 +68,8 @@ def encode_spots(report: SpotReport) -> bytes:
 
 def decode_spots(payload: bytes, vehicle: str = "") -> SpotReport:
     """Raises TruncatedPayload, CorruptPayload or NewerPayload, and nothing else."""
-    if not payload:
-        raise TruncatedPayload("an empty packet")
-    if payload[0] >> 4 > MAJOR:
-        raise NewerPayload(f"spots of version {payload[0] >> 4}; this program reads up to {MAJOR}")
-    if payload[0] != KIND:
-        raise CorruptPayload(f"version and kind {payload[0]:#x}")
+    if (kind := first_byte(payload, "spots", MAJOR)) != KIND & 15:
+        raise CorruptPayload(f"spots of kind {kind}")
     if len(payload) < _HEAD.size:
         raise TruncatedPayload(f"{len(payload)} bytes")
     _, flags, session, frame, time, count, more, *shares = _HEAD.unpack_from(payload)

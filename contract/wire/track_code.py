@@ -9,6 +9,7 @@ from contract.answer import Ellipse, Place
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 from contract.feature_set import Status
 from contract.track import Course, TrackReport, TrackState, Unseen
+from contract.wire.byte_cursor import first_byte
 from contract.wire.covariance_code import sigma_code, sigma_from_code
 
 MAJOR, MAX_TRACK_BYTES = 1, 60
@@ -62,12 +63,8 @@ def _length(payload: bytes) -> int:
 
 def decode_track(payload: bytes, vehicle: str = "") -> TrackReport:
     """Raises TruncatedPayload, CorruptPayload or NewerPayload, and nothing else."""
-    if not payload:
-        raise TruncatedPayload("an empty packet")
-    if payload[0] >> 4 > MAJOR:
-        raise NewerPayload(f"tracks of version {payload[0] >> 4}; this program reads up to {MAJOR}")
-    if payload[0] != KIND:
-        raise CorruptPayload(f"version and kind {payload[0]:#x}")
+    if (kind := first_byte(payload, "tracks", MAJOR)) != KIND & 15:
+        raise CorruptPayload(f"tracks of kind {kind}")
     if len(payload) < _HEAD.size:
         raise TruncatedPayload(f"{len(payload)} bytes")
     _, number, state, flags, status, session, frame, time, u, v, size = _HEAD.unpack_from(payload)

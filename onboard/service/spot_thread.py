@@ -7,15 +7,12 @@ is passed over.
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections.abc import Callable, Sequence
-from types import TracebackType
-from typing import Self
 
 from contract.feature_set import FeatureSet
 from contract.spot import SpotReport
-from contract.supervised_thread import Policy, SupervisedThread
+from contract.supervised_thread import SupervisedThread, WokenWork
 from contract.wire.spot_code import encode_spots
 from onboard.config.schema import Config
 from onboard.events.types import Event, Frame
@@ -33,28 +30,17 @@ Outlet = Callable[[int, bytes], object]
 log = logging.getLogger("pointclick")
 
 
-class SpotThread:
+class SpotThread(WokenWork):
     """A sink of the daemon. `outlets` take a picture's capture time (Unix ns) and its spots as one packet."""
 
     def __init__(self, config: Config, outlets: Sequence[Outlet] = ()) -> None:
+        super().__init__("spots", late_after_s=LATE_S)
         self._config = config
         self.outlets = list(outlets)
         self._book = self._new_book()
         self._due = DuePictures(config.spots.rate_hz, MAX_HELD)  # touched by the pipeline's thread alone
         self._next: tuple[Frame, FeatureSet] | None = None
         self._has_spots = False
-        self._changed = threading.Condition()
-        self.thread = SupervisedThread("spots", self._run, Policy.RESTART, late_after_s=LATE_S)
-
-    def __enter__(self) -> Self:
-        self.thread.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.thread.end()
-        with self._changed:
-            self._changed.notify()
-        self.thread.join(5.0)
 
     def event(self, arrival_ns: int, event: Event) -> None:
         """Keep a picture until its set comes."""
