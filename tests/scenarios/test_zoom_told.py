@@ -97,8 +97,8 @@ def test_a_fast_zoom_that_nobody_tells_of_is_refused() -> None:
 def test_draws_of_told_zooms_are_answered_soon_and_as_surely_as_they_say() -> None:
     """Every flight has errors of its own: four kinds that shared three draws said little of the shares inside.
 
-    In turns, before the zoom as after it, ellipses are larger than they need be: a position that acceleration moves
-    against its velocity is doubted like one that a receiver's fault moves.
+    In turns, before the zoom as after it, ellipses are larger than they need be: what a latency of one sigma makes of
+    acceleration is at most what (5.16) allows for, an axis at a time and in position and velocity apart.
     """
     kinds = [(path, profile) for path in (LEVEL, TURNS) for profile in (STEP, RAMP)]
     tellings = [Telling(), Telling(0.3), Telling(0.1, 0.1)]
