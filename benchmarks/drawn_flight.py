@@ -2,7 +2,8 @@
 
 Everything of the onboard side runs as it does in the air but for the tracker, which looks up where points of the ground
 really are and adds noise. Every error is sampled from the prior that the window has for it, so whatever the stated
-covariances miss comes from the estimator and not from the simulation.
+covariances miss comes from the estimator and not from the simulation. Only what acceleration does to a filter follows
+(5.15), of which the window's prior (5.16) is an upper bound: apart, position and velocity would contradict each other.
 """
 
 from __future__ import annotations
@@ -19,10 +20,11 @@ from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, log_so3, mount_rotation, quaternion_from_matrix
 from onboard.config.schema import Config
-from onboard.estimation.sensor_factors import DYNAMIC_TIME_S, TERRAIN_SLOPE_SIGMA, cosine_sine_of_heading
+from onboard.estimation.sensor_factors import TERRAIN_SLOPE_SIGMA, cosine_sine_of_heading
 from onboard.events.types import Attitude, Event, Frame, GpsQuality, PositionFix
 from onboard.geometry.plane_homography import fit_homography
 from onboard.geometry.terrain_grid import Terrain
+from onboard.navigation.position_slip import DYNAMIC_TIME_S
 from onboard.pipeline.pipeline import Pipeline
 from onboard.vision.klt_tracker import Tracker, Tracks
 from simulation.moved_optics import stabilised, zoomed
@@ -41,6 +43,7 @@ LEAD_S = 4.0
 WHITE_TIME_S = 0.2
 # Measured against truth in recorded flights: 0.1 m/s, displacement errors 0.07 m in 1 s and 0.35 m in 10 s.
 VELOCITY_TIME_S = 0.5
+FILTER_STEP_S = 0.02
 POSITION_HZ, ATTITUDE_HZ, QUALITY_HZ = 10.0, 20.0, 2.0
 WAVES = 16
 TERRAIN_NODE_M = 20.0
@@ -65,6 +68,7 @@ class DrawnSpec:
     boresight_deg: tuple[float, float, float] | None = None  # as it is; None: sampled from the configured prior
     offset_s: float | None = None
     delay_s: float | None = None  # of position and velocity beyond `gps.latency_s`
+    filter_late_s: float | None = None  # by which the filter's positions are later than it assumes
     heading_error_deg: tuple[float, float] = (0.0, 0.0)  # times the cosine and the sine of the heading
     lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # as it is, whatever is configured
     camera: Camera = field(default_factory=lambda: Camera.from_field_of_view(640, 480, 40.0))
@@ -214,20 +218,35 @@ class DrawnFlight:
             ],
             axis=1,
         )
-        # What acceleration does to a navigation filter, (5.16).
-        gained = np.linalg.norm(np.gradient(self.trajectory.velocity_enu_m_s(time), time, axis=0), axis=1)
-        dynamic = gps.sigma_latency_s * gained
-        velocity += np.stack([dynamic * self._error(time, 1.0, DYNAMIC_TIME_S) for _ in range(3)], axis=1)
-        for axis in range(3):
-            error[axis] = error[axis] + 0.5 * DYNAMIC_TIME_S * dynamic * self._error(time, 1.0, DYNAMIC_TIME_S)
-        geodetic = PLACE.to_geodetic(self.trajectory.position_enu_m(late) + np.stack(error, axis=1))
+        moved_m, faster_m_s = self._strayed_in_turns(time)
+        velocity += faster_m_s
+        geodetic = PLACE.to_geodetic(self.trajectory.position_enu_m(late) + np.stack(error, axis=1) + moved_m)
         ned = velocity @ R_ENU_NED
-        above_m = self.trajectory.position_enu_m(time)[:, 2] + error[2]
+        above_m = self.trajectory.position_enu_m(time)[:, 2] + error[2] + moved_m[:, 2]
         rows = zip(time, geodetic.tolist(), ned.tolist(), above_m.tolist(), strict=True)
         return [
             PositionFix(_stamp(t + gps.latency_s), lat, lon, height, (v[0], v[1], v[2]), above)
             for t, (lat, lon, height), v, above in rows
         ]
+
+    def _strayed_in_turns(self, time: Array) -> tuple[Array, Array]:
+        """What acceleration does to a filter whose positions are later than it assumes: u and w of (5.21).
+
+        Of position (N, 3), m, and of velocity (N, 3), m/s, beyond a delay of both.
+        """
+        # Of a generator of its own, as above.
+        drawn = float(np.random.default_rng([self.seed, 912]).standard_normal())
+        late_s = self.spec.filter_late_s
+        if late_s is None:
+            late_s = self.spec.errors * self.spec.config.gps.sigma_latency_s * drawn
+        steps_s = np.arange(time[0], time[-1] + FILTER_STEP_S, FILTER_STEP_S)
+        gained = late_s * np.gradient(self.trajectory.velocity_enu_m_s(steps_s), FILTER_STEP_S, axis=0)
+        u, w = np.zeros_like(gained), np.zeros_like(gained)
+        for k in range(1, len(steps_s)):
+            u[k] = u[k - 1] + FILTER_STEP_S * (w[k - 1] - 2.0 / DYNAMIC_TIME_S * u[k - 1])
+            w[k] = w[k - 1] - FILTER_STEP_S / DYNAMIC_TIME_S**2 * u[k - 1] + gained[k] - gained[k - 1]
+        moved, faster = (np.stack([np.interp(time, steps_s, axis) for axis in x.T], axis=1) for x in (u, w))
+        return moved, faster
 
     def _attitudes(self) -> list[Attitude]:
         solve, time = self.spec.config.solve, self._instants(ATTITUDE_HZ)

@@ -26,7 +26,7 @@ from onboard.estimation import (
     window_acceptance,
     window_solver,
 )
-from onboard.navigation import gps_integrity, position_doubt
+from onboard.navigation import position_doubt, position_slip
 from onboard.pipeline import mount_trial, offset_watch
 
 Replacement = tuple[Any, str, Any]  # module or class, name, neutral value
@@ -146,9 +146,6 @@ MECHANISMS = (
     Mechanism(
         "slip test",
         "position is not held against velocity",
-        (
-            (gps_integrity, "slip_at", gives(position_doubt.Slip())),
-            (position_doubt, "slip_at", gives(position_doubt.Slip())),
-        ),
+        ((position_slip.SlipTest, "at", gives(position_slip.Slip())),),
     ),
 )

@@ -57,6 +57,36 @@ class Ellipse:
         return cls(float(major), float(minor), azimuth if azimuth < 180.0 else 0.0)
 
 
+@dataclass(frozen=True)
+class Place:
+    """Where a thing is: degrees, metres above mean sea level or the ellipsoid (None: not known), its 90 % ellipse."""
+
+    lat_deg: float
+    lon_deg: float
+    height_amsl_m: float | None
+    height_ellipsoid_m: float | None
+    ellipse: Ellipse
+    sigma_height_m: float
+
+    def to_dict(self) -> dict[str, object]:
+        """For JSON; latitude and longitude with nine decimals, lengths in mm."""
+        e = self.ellipse
+        return {
+            "lat_deg": round(self.lat_deg, 9), "lon_deg": round(self.lon_deg, 9),
+            "height_amsl_m": rounded(self.height_amsl_m), "height_ellipsoid_m": rounded(self.height_ellipsoid_m),
+            "ellipse": {
+                "confidence": CONFIDENCE, "semi_major_m": rounded(e.semi_major_m),
+                "semi_minor_m": rounded(e.semi_minor_m), "azimuth_deg": round(e.azimuth_deg, 2),
+            },
+            "sigma_height_m": rounded(self.sigma_height_m),
+        }  # fmt: skip
+
+
+def rounded(value: float | None) -> float | None:
+    """To three decimals, for JSON."""
+    return None if value is None else round(value, 3)
+
+
 @dataclass(frozen=True, eq=False)
 class Fix:
     """An answered click. Heights are None where the datum's undulation is unknown, the picture's age where that is."""
@@ -79,6 +109,12 @@ class Fix:
     def status(self) -> Status:
         """Always OK."""
         return Status.OK
+
+    @property
+    def place(self) -> Place:
+        """Where it is, without how that was found."""
+        heights = self.height_amsl_m, self.height_ellipsoid_m
+        return Place(self.lat_deg, self.lon_deg, *heights, self.ellipse, self.sigma_height_m)
 
     def to_json(self) -> str:
         """One line; latitude and longitude with nine decimals (0.1 mm)."""

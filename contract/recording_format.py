@@ -10,10 +10,12 @@ from contract.errors import InputError
 SET_ENCODING = "pointclick"
 PICTURE_ENCODING = "pointclick picture"  # a piece of a picture, as it crossed the link
 TRACK_ENCODING = "pointclick tracks"  # reports one after the other, as they crossed the link
+SPOT_ENCODING = "pointclick spots"  # all spots of a picture, as they crossed the link
 METADATA_NAME = "pointclick"
 
 FRAMES = "pc/{vehicle}/frames"
 PICTURES = "pc/{vehicle}/pictures"
+COUNTS = "pc/{vehicle}/counts"
 POSITIONS = "pc/{vehicle}/position"
 GPS_QUALITY = "pc/{vehicle}/gps_quality"
 ATTITUDES = "pc/{vehicle}/attitude"

@@ -8,12 +8,15 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
+from types import TracebackType
+from typing import Protocol, Self
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0  # before a thread that failed is begun again; doubled each time
+END_S = 5.0  # that work which was woken to end may take
 
 log = logging.getLogger("pointclick")
 
@@ -201,6 +204,30 @@ class SupervisedThread:
         except BaseException as error:  # kept: what becomes of it is the policy's decision
             return error
         return None
+
+
+class WokenWork(ABC):
+    """Work in a thread of its own that sleeps until others have something for it: `_changed` guards what they leave
+    there, and wakes it. A context manager: begun on entry, ended on exit.
+    """
+
+    def __init__(self, name: str, *, late_after_s: float = 10.0) -> None:
+        self._changed = threading.Condition()
+        self.thread = SupervisedThread(name, self._run, Policy.RESTART, late_after_s=late_after_s)
+
+    def __enter__(self) -> Self:
+        self.thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.thread.end()
+        with self._changed:
+            self._changed.notify()
+        self.thread.join(END_S)
+
+    @abstractmethod
+    def _run(self, thread: SupervisedThread) -> None:
+        """Until `thread` is set."""
 
 
 def in_a_line(error: BaseException) -> str:

@@ -70,7 +70,10 @@ PICTURE = Topic(
 # Where the things are that are followed: all tracks in one packet.
 TRACKS = Topic("pc/{vehicle}/tracks", "reports of tracks, docs/wire-format.md section 14", 2.0, LATEST_ONLY)
 
-TOPICS: tuple[Topic, ...] = (FEATURES, STATUS, PICTURE, TRACKS)
+# What is hotter than the ground about it: all spots of a picture in one packet.
+SPOTS = Topic("pc/{vehicle}/spots", "spots of a picture, docs/wire-format.md section 15", 2.0, LATEST_ONLY)
+
+TOPICS: tuple[Topic, ...] = (FEATURES, STATUS, PICTURE, TRACKS, SPOTS)
 
 # Queries alone, which begin and end tracks: a key of its own, so that rights can name it.
 FOLLOW = Topic("pc/{vehicle}/follow", "JSON, docs/wire-format.md section 14", 0.0, QUERY)

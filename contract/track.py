@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
-from contract.answer import CONFIDENCE, EXPLANATIONS, Ellipse, time_utc
+from contract.answer import CONFIDENCE, EXPLANATIONS, Place, rounded, time_utc
 from contract.errors import InputError
 from contract.feature_set import Status
 
@@ -51,17 +51,22 @@ class Course:
         """Whether it is not at rest."""
         return self.course_deg is not None
 
+    def to_text(self) -> str:
+        """In words."""
+        if self.course_deg is None or self.sigma_course_deg is None:
+            return f"at rest (+-{self.sigma_speed_m_s:.2f} m/s)"
+        return (
+            f"{self.speed_m_s:.1f} +-{self.sigma_speed_m_s:.1f} m/s towards {self.course_deg:.0f} "
+            f"+-{self.sigma_course_deg:.0f} deg"
+        )
 
-@dataclass(frozen=True)
-class TrackPlace:
-    """Where it is: degrees, metres above mean sea level or the ellipsoid (None: not known), its 90 % ellipse."""
-
-    lat_deg: float
-    lon_deg: float
-    height_amsl_m: float | None
-    height_ellipsoid_m: float | None
-    ellipse: Ellipse
-    sigma_height_m: float
+    def to_dict(self) -> dict[str, object]:
+        """For JSON."""
+        return {
+            "is_moving": self.is_moving, "speed_m_s": rounded(self.speed_m_s),
+            "sigma_speed_m_s": rounded(self.sigma_speed_m_s), "course_deg": rounded(self.course_deg),
+            "sigma_course_deg": rounded(self.sigma_course_deg),
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -81,7 +86,7 @@ class TrackReport:
     v_px: float
     size_px: float
     status: Status = Status.STARTING
-    place: TrackPlace | None = None
+    place: Place | None = None
     course: Course | None = None
     vehicle: str = ""
 
@@ -95,22 +100,9 @@ class TrackReport:
             "status": self.status.value,
         }  # fmt: skip
         if p is not None:
-            e = p.ellipse
-            content |= {
-                "lat_deg": round(p.lat_deg, 9), "lon_deg": round(p.lon_deg, 9),
-                "height_amsl_m": _rounded(p.height_amsl_m), "height_ellipsoid_m": _rounded(p.height_ellipsoid_m),
-                "ellipse": {
-                    "confidence": CONFIDENCE, "semi_major_m": _rounded(e.semi_major_m),
-                    "semi_minor_m": _rounded(e.semi_minor_m), "azimuth_deg": round(e.azimuth_deg, 2),
-                },
-                "sigma_height_m": _rounded(p.sigma_height_m),
-            }  # fmt: skip
+            content |= p.to_dict()
         if c is not None:
-            content |= {
-                "is_moving": c.is_moving, "speed_m_s": _rounded(c.speed_m_s),
-                "sigma_speed_m_s": _rounded(c.sigma_speed_m_s), "course_deg": _rounded(c.course_deg),
-                "sigma_course_deg": _rounded(c.sigma_course_deg),
-            }  # fmt: skip
+            content |= c.to_dict()
         return json.dumps(content)
 
     def to_text(self) -> str:
@@ -129,14 +121,7 @@ class TrackReport:
     @property
     def course_text(self) -> str:
         """How it moves, in words."""
-        c = self.course
-        if c is None:
-            return "speed not known"
-        if c.course_deg is None or c.sigma_course_deg is None:
-            return f"at rest (+-{c.sigma_speed_m_s:.2f} m/s)"
-        return (
-            f"{c.speed_m_s:.1f} +-{c.sigma_speed_m_s:.1f} m/s towards {c.course_deg:.0f} +-{c.sigma_course_deg:.0f} deg"
-        )
+        return "speed not known" if self.course is None else self.course.to_text()
 
 
 @dataclass(frozen=True)
@@ -210,7 +195,3 @@ def _pixel(text: str, what: str) -> float:
     if not -0.5 <= value <= MOST_PX:
         raise InputError(f"{what}: not a pixel")
     return value
-
-
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(value, 3)

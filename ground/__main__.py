@@ -31,6 +31,10 @@ COMMANDS = {
     "web": ("ground.web.command", "a page with the pictures to click, a map and pins"),
     "router": ("ground.commands.router", "a router for many aircraft and people, with certificates and rights"),
     "seen": ("ground.commands.seen", "which ground was seen, when, how often, how finely; and the gaps"),
+    "spots": (
+        "ground.commands.spots",
+        "hot spots of thermal pictures as things: where, how hot, how they move",
+    ),
     "record": ("ground.commands.record", "keep what the link delivers as a recording"),
     "completion": ("ground.commands.completion", "completion of these commands for a shell"),
 }

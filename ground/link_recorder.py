@@ -16,10 +16,11 @@ from typing import IO, Any
 
 from contract import recording_format as names
 from contract.errors import InputError, WireError
-from contract.topics import FEATURES, PICTURE, STATUS, TRACKS
+from contract.topics import FEATURES, PICTURE, SPOTS, STATUS, TRACKS
 from contract.vehicle_status import decode_status
 from contract.wire.codec import peek
 from contract.wire.picture_code import read_piece
+from contract.wire.spot_code import decode_spots
 from contract.wire.track_code import decode_tracks
 
 MAX_FILES = 50  # at once: a peer may invent vehicles
@@ -85,6 +86,9 @@ class LinkRecorder:
         elif key == TRACKS.key(vehicle):
             first, *_ = decode_tracks(payload, vehicle)
             session, at_ns, encoding = first.session, first.capture_unix_ns, names.TRACK_ENCODING
+        elif key == SPOTS.key(vehicle):
+            report = decode_spots(payload, vehicle)
+            session, at_ns, encoding = report.session, report.capture_unix_ns, names.SPOT_ENCODING
         else:
             session, at_ns, encoding = self._current.get(vehicle, 0), time.time_ns(), kind
         if not session:

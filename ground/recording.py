@@ -21,9 +21,11 @@ from contract import recording_format as names
 from contract.errors import InputError, WireError
 from contract.feature_set import FeatureSet, Status
 from contract.mcap_records import CHANNEL, CHUNK, MAGIC, MESSAGE, MESSAGE_HEAD, Damage, Data, read_channel, records
-from contract.topics import FEATURES, TIME_TOLERANCE_S, TRACKS
+from contract.spot import SpotReport
+from contract.topics import FEATURES, SPOTS, TIME_TOLERANCE_S, TRACKS
 from contract.track import TrackReport
 from contract.wire.codec import decode, peek
+from contract.wire.spot_code import decode_spots
 from contract.wire.track_code import decode_tracks
 
 _Found = tuple[str, str, int, int]  # topic, encoding, start and length of a message
@@ -55,6 +57,7 @@ class _Index:
         default_factory=dict
     )  # by vehicle: file, start, length of frame events
     tracks: dict[str, list[tuple[int, int, int]]] = field(default_factory=dict)  # likewise, of reports of tracks
+    spots: dict[str, list[tuple[int, int, int]]] = field(default_factory=dict)
 
 
 class Recording:
@@ -134,6 +137,14 @@ class Recording:
                 out += decode_tracks(bytes(self._data[file][start : start + length]), vehicle)
         return out
 
+    def spots(self, vehicle: str) -> list[SpotReport]:
+        """The hot spots that were found in flight, picture by picture; what cannot be read is left out."""
+        out: list[SpotReport] = []
+        for file, start, length in self._index.spots.get(vehicle, []):
+            with contextlib.suppress(WireError):
+                out.append(decode_spots(bytes(self._data[file][start : start + length]), vehicle))
+        return sorted(out, key=lambda report: report.capture_unix_ns)
+
     def frame_of_file(self, vehicle: str, name: str) -> int | None:
         """The frame a picture file of this name was. Raises InputError if the recording holds no names."""
         events = self._index.frames.get(vehicle, [])
@@ -185,6 +196,9 @@ class Recording:
         elif encoding == names.TRACK_ENCODING:
             with contextlib.suppress(ValueError):
                 self._index.tracks.setdefault(TRACKS.vehicle(topic), []).append((file, start, length))
+        elif encoding == names.SPOT_ENCODING:
+            with contextlib.suppress(ValueError):
+                self._index.spots.setdefault(SPOTS.vehicle(topic), []).append((file, start, length))
         elif vehicle_name := _frames_vehicle(topic):
             self._index.frames.setdefault(vehicle_name, []).append((file, start, length))
 
@@ -220,7 +234,7 @@ def _messages(data: Data, damaged: Callable[[Damage], None]) -> Iterator[_Found]
                 yield *known, start + MESSAGE_HEAD.size, length - MESSAGE_HEAD.size
         elif opcode == CHANNEL:
             channel, topic, encoding = read_channel(bytes(data[start : start + length]))
-            if encoding in (names.SET_ENCODING, names.TRACK_ENCODING) or _frames_vehicle(topic):
+            if encoding in (names.SET_ENCODING, names.TRACK_ENCODING, names.SPOT_ENCODING) or _frames_vehicle(topic):
                 channels[channel] = topic, encoding
 
 

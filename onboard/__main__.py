@@ -165,6 +165,9 @@ def _add_replay(commands: Commands) -> None:
         metavar="FRAME,U,V",
         help="follow what is at that pixel of that picture, a JSON line twice a second; up to 8 times",
     )
+    replay.add_argument(
+        "--spots", action="store_true", help="look for hot spots (thermal.enabled), a JSON line for each picture"
+    )
     replay.add_argument("--budget", action="store_true", help="where a click's error comes from; what makes it smaller")
     replay.set_defaults(run=run_replay)
 

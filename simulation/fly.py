@@ -11,6 +11,7 @@ from pathlib import Path
 from contract.camera import Camera
 from contract.errors import InputError
 from simulation.flight import DescribedSpec, RecordedSpec
+from simulation.heat_sources import HeatSource
 from simulation.ordinary import ordinary
 from simulation.paths import KINDS, PathSpec
 from simulation.renderer import SensorSpec
@@ -18,15 +19,17 @@ from simulation.session import SessionSpec, fly
 from simulation.telemetry import TelemetrySpec
 from simulation.terrain import TerrainSpec
 from simulation.texture import STYLES, TextureSpec
+from simulation.thermal import ThermalSpec
 
 EXAMPLES = """examples:
   python -m simulation.fly --recorded plane_clean --start 192 --seconds 20 --out /tmp/leg
   python -m simulation.fly --path straight --height-m 250 --crab-deg 15 --mount 0 -90 90 --out /tmp/crab
   python -m simulation.fly --path turns --autopilot ordinary --seed 4 --seconds 120 --out /tmp/ordinary
+  python -m simulation.fly --path survey --thermal radiometric --size 640x512 --person 40 20 8 --out /tmp/hot
   python -m simulation.fly --path waypoints --waypoint 0 0 --waypoint 0 400 --waypoint 500 400 --out /tmp/corner
 
 The folder then holds what `pc-onboard replay` reads (frames/, stamps.csv, camera.json, telemetry.tlog, config.toml) and
-the truth (truth.csv, truth_clicks.csv, world.json).
+the truth (truth.csv, truth_clicks.csv, world.json; of a thermal camera truth_heat.csv).
 """
 
 
@@ -138,6 +141,11 @@ def _parser() -> argparse.ArgumentParser:
         help="rolling shutter: time to read all rows, negative if the last is first (default 0)")  # fmt: skip
     add("--stabilised-s", type=float, metavar="S", help="EIS that smooths rotation over so long (default: none)")
     add("--zoom", type=float, nargs=3, metavar=("FACTOR", "FROM", "TO"), help="zooms in between, s (default: not)")
+    add("--thermal", choices=("radiometric", "agc"), help="a thermal camera: 16 bits of 0.01 K, or 8 by its own gain")
+    add("--person", type=float, nargs=3, action="append", default=[], metavar=("EAST", "NORTH", "K"),
+        help="of --thermal: stands there, so much warmer than the ground")  # fmt: skip
+    add("--rocks-km2", type=float, default=0.0, metavar="N", help="of --thermal: rocks that the sun warmed (default 0)")
+    add("--shutter", type=float, action="append", default=[], metavar="S", help="of --thermal: its shutter closes then")
     add("--format", choices=("png", "jpg"), default="png", help="of the pictures (default png)")
 
     add = parser.add_argument_group("written into config.toml").add_argument
@@ -213,6 +221,17 @@ def _flight(options: argparse.Namespace) -> RecordedSpec | DescribedSpec:
     )
 
 
+def _thermal(options: argparse.Namespace) -> ThermalSpec | None:
+    if options.thermal is None:
+        if options.person or options.shutter or options.rocks_km2:
+            raise InputError("--person, --rocks-km2 and --shutter belong to --thermal")
+        return None
+    people = tuple(HeatSource.person((east, north), excess_k) for east, north, excess_k in options.person)
+    return ThermalSpec(
+        rocks_km2=options.rocks_km2, sources=people, shutter_s=tuple(options.shutter), output=options.thermal
+    )
+
+
 def session_spec(arguments: list[str]) -> tuple[SessionSpec, argparse.Namespace]:
     """The session that command-line arguments describe. Raises InputError; argparse itself exits 2 on bad usage."""
     options = _parser().parse_args(arguments)
@@ -247,6 +266,7 @@ def session_spec(arguments: list[str]) -> tuple[SessionSpec, argparse.Namespace]
         readout_s=options.readout_s,
         stabilised_s=options.stabilised_s,
         zoom=None if options.zoom is None else tuple(options.zoom),
+        thermal=_thermal(options),
     )
     return spec, options
 

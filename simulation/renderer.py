@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -49,6 +50,21 @@ class SensorSpec:
                 "sensor: noise must not be negative, vignetting lie in 0..1, exposure swing be at least 1 "
                 "and exposure time lie in 0..1 s"
             )
+
+
+class View(NamedTuple):
+    """The ground behind each pixel (H, W), float32: `east_m` and `north_m` from the camera, `depth_m` along its axis.
+
+    `distance_m` is along the ray, `footprint_m` the ground's side of one pixel, `shade` how sunlit the ground is.
+    """
+
+    east_m: Image
+    north_m: Image
+    depth_m: Image
+    distance_m: Image
+    footprint_m: Image
+    shade: Image
+    is_seen: NDArray[np.bool_]
 
 
 class Renderer:
@@ -111,6 +127,17 @@ class Renderer:
 
         `pose` is then that of the middle row.
         """
+        v = self.view(pose, rows)
+        light = self.texture.albedo(pose.centre_m[:2], v.east_m, v.north_m, v.footprint_m, time_s) * v.shade
+        if self._movers is not None:
+            self._movers.paint(light, pose, v.east_m, v.north_m, v.footprint_m, time_s)
+        if not v.is_seen.all() or float(v.depth_m.max()) > 0.15 * HAZE_M:
+            clear = np.exp(-v.distance_m * np.float32(1.0 / HAZE_M)) * v.is_seen
+            light = light * clear + np.float32(SKY) * (np.float32(1.0) - clear)
+        return light
+
+    def view(self, pose: Pose, rows: RowPoses | None = None) -> View:
+        """What ground each pixel looks at, from one pose, or each row from its own; `pose` is then the middle row's."""
         ground_m, shade = self._surface(pose, rows)
         R, moved = pose.R_enu_cam.astype(np.float32), np.zeros(3, np.float32)
         if rows is not None:
@@ -130,13 +157,7 @@ class Renderer:
         length = np.sqrt(x * x + y * y + np.float32(1.0))
         slant = length / np.maximum(-down, np.float32(0.02))
         footprint = depth * np.float32(1.0 / self.camera.focal_px) * slant ** np.float32(0.75)
-        light = self.texture.albedo(pose.centre_m[:2], east, north, footprint, time_s) * shade
-        if self._movers is not None:
-            self._movers.paint(light, pose, east, north, footprint, time_s)
-        if not seen.all() or float(depth.max()) > 0.15 * HAZE_M:
-            clear = np.exp(-depth * length * np.float32(1.0 / HAZE_M)) * seen
-            light = light * clear + np.float32(SKY) * (np.float32(1.0) - clear)
-        return light
+        return View(east, north, depth, depth * length, footprint, shade, seen)
 
     def _surface(self, pose: Pose, rows: RowPoses | None) -> tuple[Image, Image]:
         """Height of the ground each pixel sees (H, W), m, and how sunlit it is.
@@ -158,8 +179,7 @@ class Renderer:
         if hit.any():
             height[~hit] = height[hit].min()
         slope = self.terrain.slope(points[:, 0], points[:, 1])
-        normal = np.concatenate([-slope, np.ones((len(slope), 1))], axis=1)
-        shade = (normal @ SUN_ENU) / np.linalg.norm(normal, axis=1) / SUN_ENU[2]
+        shade = self.sunlit(slope)
         # Roofs and tree crowns differ from the ground next to them, each a little from the next.
         lift = self.terrain.obstacle_m(points[:, 0], points[:, 1])
         shade = shade * np.where(lift > 0.0, 0.55 + 0.25 * np.modf(lift * 3.7)[0] + 0.05 * lift, 1.0)
@@ -171,3 +191,10 @@ class Renderer:
         u, v = self._lattice_map[..., 0], self._lattice_map[..., 1]
         both = cv2.remap(np.dstack([height32, shade32]), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(both[..., 0], np.float32), np.asarray(both[..., 1], np.float32)
+
+    @staticmethod
+    def sunlit(slope: Array) -> Array:
+        """How much of the light that level ground gets falls on slopes (N, 2): (N,)."""
+        normal = np.concatenate([-slope, np.ones((len(slope), 1))], axis=1)
+        out: Array = (normal @ SUN_ENU) / np.linalg.norm(normal, axis=1) / SUN_ENU[2]
+        return out

@@ -15,12 +15,14 @@ from contract.camera import Camera
 from contract.errors import InputError
 from contract.rotations import exp_so3, mount_rotation
 from simulation.flight import DescribedSpec, Flight, RecordedSpec, described_flight, recorded_flight
+from simulation.heat_truth import write_heat
 from simulation.moved_optics import stabilised, zoomed
 from simulation.movers import Movers, MoverSpec
 from simulation.renderer import MAX_SUB_EXPOSURES, Renderer, RowPoses, SensorSpec
 from simulation.rows import RowsOf
 from simulation.terrain import Terrain, TerrainSpec
 from simulation.texture import Texture, TextureSpec
+from simulation.thermal import ThermalRenderer, ThermalSpec
 from simulation.trajectory import Pose
 from simulation.truth import Optics, Truth
 
@@ -57,6 +59,7 @@ class SessionSpec:
     stabilised_s: float | None = None  # over which electronic stabilisation smooths rotation; None: there is none
     zoom: tuple[float, float, float] | None = None  # factor, from and until (s after the first picture)
     movers: tuple[MoverSpec, ...] = ()
+    thermal: ThermalSpec | None = None  # the camera sees heat; `sensor` and `movers` are then of no effect
 
     def __post_init__(self) -> None:
         if self.filed_camera is not None and self.filed_camera.size_px != self.camera.size_px:
@@ -88,8 +91,7 @@ def fly(spec: SessionSpec, out_dir: Path | str, progress: Callable[[int, int], N
     flight = make_flight(spec)
     R_body_cam = mount_rotation(*spec.mount_deg) @ exp_so3(np.radians(spec.boresight_deg))
     terrain = Terrain(spec.terrain)
-    movers = Movers(spec.movers, flight.start_s) if spec.movers else None
-    renderer = Renderer(spec.camera, terrain, Texture(spec.texture), spec.sensor, spec.seed, movers)
+    renderer = _renderer(spec, spec.camera, flight.start_s, terrain, Texture(spec.texture))
 
     time = flight.start_s + np.arange(round(spec.seconds * spec.rate_hz)) / spec.rate_hz
     if not len(time):
@@ -108,9 +110,9 @@ def fly(spec: SessionSpec, out_dir: Path | str, progress: Callable[[int, int], N
     frames.mkdir(parents=True, exist_ok=True)
     gains = exposure_gains(spec.sensor, time, spec.seed)
     for frame, t in enumerate(time):
-        shutter = shutter_poses(flight, R_body_cam, float(t), spec.sensor.exposure_s, spec.camera, terrain)
+        shutter = shutter_poses(flight, R_body_cam, float(t), renderer.sensor.exposure_s, spec.camera, terrain)
         if optics is not None and optics.cameras[frame] != renderer.camera:
-            renderer = Renderer(optics.cameras[frame], terrain, renderer.texture, spec.sensor, spec.seed, movers)
+            renderer = _renderer(spec, optics.cameras[frame], flight.start_s, terrain, renderer.texture)
         rows_of = _row_poses(optics.rows, renderer.camera, float(t), spec, len(shutter)) if optics else None
         picture = renderer.picture(shutter, float(gains[frame]), frame, float(t), rows_of)
         if not cv2.imwrite(str(frames / files[frame]), picture):
@@ -128,18 +130,35 @@ def fly(spec: SessionSpec, out_dir: Path | str, progress: Callable[[int, int], N
     (folder / "telemetry.tlog").write_bytes(flight.telemetry)
     (folder / "config.toml").write_text(config_text(spec))
     truth.write(folder, spec.clicks_per_frame, spec.seed)
+    if isinstance(renderer, ThermalRenderer):
+        write_heat(folder / "truth_heat.csv", renderer, truth, time - flight.start_s)
     return truth
+
+
+def _renderer(
+    spec: SessionSpec, camera: Camera, first_s: float, terrain: Terrain, texture: Texture
+) -> Renderer | ThermalRenderer:
+    if spec.thermal is not None:
+        return ThermalRenderer(camera, terrain, texture, spec.thermal, spec.seed, first_s)
+    movers = Movers(spec.movers, first_s) if spec.movers else None
+    return Renderer(camera, terrain, texture, spec.sensor, spec.seed, movers)
 
 
 def config_text(spec: SessionSpec) -> str:
     """The configuration that `pc-onboard replay` needs for this session."""
     roll, pitch, yaw = spec.mount_deg
     rows = f"[camera]\nreadout_s = {float(spec.readout_s)!r}\n\n" if spec.readout_s else ""
-    return rows + (
-        f"[mount]\nroll_deg = {float(roll)!r}\npitch_deg = {float(pitch)!r}\nyaw_deg = {float(yaw)!r}\n"
-        'gimbal = "never"  # these pictures are of a fixed camera, whatever gimbal the recording had\n\n'
-        f'[solve]\nattitude = "{spec.attitude}"\n'
-        f"velocity = {str(spec.velocity).lower()}\nlevel_ground = {str(spec.level_ground).lower()}\n"
+    heat = spec.thermal
+    scale = f"scale = {heat.scale.scale!r}\noffset = {heat.scale.offset!r}\n" if heat and heat.is_radiometric else ""
+    return (
+        (f"[thermal]\nenabled = true\n{scale}\n" if heat else "")
+        + rows
+        + (
+            f"[mount]\nroll_deg = {float(roll)!r}\npitch_deg = {float(pitch)!r}\nyaw_deg = {float(yaw)!r}\n"
+            'gimbal = "never"  # these pictures are of a fixed camera, whatever gimbal the recording had\n\n'
+            f'[solve]\nattitude = "{spec.attitude}"\n'
+            f"velocity = {str(spec.velocity).lower()}\nlevel_ground = {str(spec.level_ground).lower()}\n"
+        )
     )
 
 

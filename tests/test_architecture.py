@@ -21,11 +21,12 @@ ARROWS: dict[str, set[str]] = {
     "contract": set(),
     "contract.wire": set(),
     "ground": set(),
-    "ground.pins": {"ground"},
-    "ground.formats": {"ground", "ground.pins"},
+    "ground.pins": {"ground", "ground.spots"},
+    "ground.formats": {"ground", "ground.pins", "ground.spots"},
     "ground.seen": set(),
-    "ground.commands": {"ground", "ground.pins", "ground.formats", "ground.seen"},
-    "ground.web": {"ground", "ground.pins", "ground.formats", "ground.seen"},
+    "ground.spots": {"ground", "ground.seen"},
+    "ground.commands": {"ground", "ground.pins", "ground.formats", "ground.seen", "ground.spots"},
+    "ground.web": {"ground", "ground.pins", "ground.formats", "ground.seen", "ground.spots"},
     "onboard.events": set(),
     "onboard.config": set(),
     "onboard.camera": {"events", "config", "telemetry"},
@@ -37,10 +38,13 @@ ARROWS: dict[str, set[str]] = {
     "onboard.georeferencing": {"estimation", "geometry", "navigation", "config"},
     "onboard.pipeline": {"georeferencing", "estimation", "vision", "geometry", "navigation", "events", "config"},
     "onboard.tracks": {"geometry", "events"},
+    "onboard.spots": {"events", "config"},
     "onboard.link": {"events", "config"},
     "onboard.storage": {"events", "config", "estimation", "geometry"},
-    "onboard.replay": {"pipeline", "tracks", "camera", "telemetry", "storage", "events", "config"},
-    "onboard.service": {"pipeline", "tracks", "storage", "events", "config"},
+    "onboard.replay": {
+        "pipeline", "tracks", "spots", "camera", "telemetry", "storage", "events", "config",
+    },
+    "onboard.service": {"pipeline", "tracks", "spots", "storage", "events", "config"},
     "onboard.calibration": set(),
     "onboard.commands": {
         "calibration", "camera", "config", "events", "link", "pipeline", "replay", "service", "storage", "telemetry",
@@ -64,7 +68,7 @@ IO_ALLOWED = {
     "onboard.service", "onboard.commands", "onboard.events", "simulation", "simulation.autopilot", "demo", "benchmarks",
 }  # fmt: skip
 # One kind of thread for both sides, neither of which may import the other.
-IO_MODULES = {"contract.supervised_thread"}
+IO_MODULES = {"contract.supervised_thread", "ground.spots.heard"}
 SHIPPED = ("contract", "ground", "onboard")
 
 

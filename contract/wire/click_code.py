@@ -15,6 +15,7 @@ import numpy as np
 from contract.answer import CHI2_2, Answer, Ellipse, Fix, Refusal
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 from contract.feature_set import DepthSource, Status
+from contract.wire.byte_cursor import first_byte
 from contract.wire.covariance_code import sigma_code, sigma_from_code
 
 TUNNEL_TYPE = 40_101  # MAVLink TUNNEL's payload_type; those from 32768 on are free
@@ -109,13 +110,8 @@ def encode_answer(reply: ClickAnswer | TurnedAway) -> bytes:
 
 def decode(payload: bytes) -> ClickQuestion | ClickAnswer | TurnedAway:
     """A packet of either way. Raises TruncatedPayload, CorruptPayload or NewerPayload, and nothing else."""
-    if not payload:
-        raise TruncatedPayload("an empty packet")
-    major, kind = payload[0] >> 4, payload[0] & 15
-    if major > MAJOR:
-        raise NewerPayload(f"clicks of version {major}; this program reads up to {MAJOR}")
-    if major < MAJOR or kind not in _READERS:
-        raise CorruptPayload(f"version {major}, kind {kind}")
+    if (kind := first_byte(payload, "clicks", MAJOR)) not in _READERS:
+        raise CorruptPayload(f"clicks of kind {kind}")
     try:
         return _READERS[kind](payload)
     except struct.error as error:

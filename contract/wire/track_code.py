@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import struct
 
-from contract.answer import Ellipse
+from contract.answer import Ellipse, Place
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 from contract.feature_set import Status
-from contract.track import Course, TrackPlace, TrackReport, TrackState, Unseen
+from contract.track import Course, TrackReport, TrackState, Unseen
+from contract.wire.byte_cursor import first_byte
 from contract.wire.covariance_code import sigma_code, sigma_from_code
 
 MAJOR, MAX_TRACK_BYTES = 1, 60
@@ -62,12 +63,8 @@ def _length(payload: bytes) -> int:
 
 def decode_track(payload: bytes, vehicle: str = "") -> TrackReport:
     """Raises TruncatedPayload, CorruptPayload or NewerPayload, and nothing else."""
-    if not payload:
-        raise TruncatedPayload("an empty packet")
-    if payload[0] >> 4 > MAJOR:
-        raise NewerPayload(f"tracks of version {payload[0] >> 4}; this program reads up to {MAJOR}")
-    if payload[0] != KIND:
-        raise CorruptPayload(f"version and kind {payload[0]:#x}")
+    if (kind := first_byte(payload, "tracks", MAJOR)) != KIND & 15:
+        raise CorruptPayload(f"tracks of kind {kind}")
     if len(payload) < _HEAD.size:
         raise TruncatedPayload(f"{len(payload)} bytes")
     _, number, state, flags, status, session, frame, time, u, v, size = _HEAD.unpack_from(payload)
@@ -88,7 +85,7 @@ def decode_track(payload: bytes, vehicle: str = "") -> TrackReport:
     )  # fmt: skip
 
 
-def _place(p: TrackPlace) -> bytes:
+def _place(p: Place) -> bytes:
     known = p.height_ellipsoid_m if p.height_amsl_m is None else p.height_amsl_m
     undulation = 0.0
     if p.height_ellipsoid_m is not None and p.height_amsl_m is not None:
@@ -106,7 +103,7 @@ def _place(p: TrackPlace) -> bytes:
     )
 
 
-def _read_place(payload: bytes, flags: int) -> TrackPlace:
+def _read_place(payload: bytes, flags: int) -> Place:
     lat, lon, height, undulation, major, minor, azimuth, sigma = _PLACE.unpack_from(payload, _HEAD.size)
     lat_deg, lon_deg = (int.from_bytes(part, "little", signed=True) * DEGREE for part in (lat, lon))
     if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):
@@ -118,7 +115,7 @@ def _read_place(payload: bytes, flags: int) -> TrackPlace:
     if flags & HAS_ELLIPSOID:
         ellipsoid = known + above if flags & HAS_AMSL else known
     ellipse = Ellipse(sigma_from_code(major), sigma_from_code(minor), azimuth * 0.5 * ANGLE_STEP_DEG)
-    return TrackPlace(lat_deg, lon_deg, amsl, ellipsoid, ellipse, sigma_from_code(sigma))
+    return Place(lat_deg, lon_deg, amsl, ellipsoid, ellipse, sigma_from_code(sigma))
 
 
 def _speed(c: Course) -> bytes:

@@ -8,6 +8,7 @@ import { Clicking } from "./clicking.js";
 import { closers, listTies, showHandoff } from "./dialogs.js";
 import { byId, make, say } from "./dom.js";
 import { Following, TrackList } from "./following.js";
+import { FoundList } from "./found.js";
 import { clock } from "./format.js";
 import type { MapPane } from "./map.js";
 import { PicturePane } from "./picture.js";
@@ -38,7 +39,7 @@ async function refresh(): Promise<void> {
   byId("source").title = status.source;
   document.body.classList.toggle("recorded", !status.is_live);
   document.body.dataset["role"] = status.role;
-  await Promise.all([refreshPins(), refreshTracks(), ...status.vehicles.map((vehicle) => refreshFrames(vehicle.id))]);
+  await Promise.all([refreshPins(), refreshTracks(), refreshSpots(), ...status.vehicles.map((vehicle) => refreshFrames(vehicle.id))]);
   state.tell("vehicles");
 }
 
@@ -53,6 +54,8 @@ async function refreshTracks(): Promise<void> {
   const { tracks } = await api.tracks();
   state.putTracks(tracks.flat(), true);
 }
+
+async function refreshSpots(): Promise<void> { state.putSpots((await api.spots()).spots, true); }
 
 let isRefreshing = false, isRefreshDue = false;
 async function refreshPins(): Promise<void> {
@@ -77,9 +80,10 @@ function heard(event: ServerEvent): void {
       lengthenPath(event.vehicle);
       state.merge(event.vehicle, event.frames);
       return;
-    case "pin": state.putPin(event.pin, event.revision); return;
-    case "pin_deleted": state.dropPin(event.id, event.revision); return;
-    case "pins": void refreshPins(); return;
+    case "pin": state.putPin(event.pin, event.revision); decided(); return;
+    case "pin_deleted": state.dropPin(event.id, event.revision); decided(); return;
+    case "pins": void refreshPins(); decided(); return;
+    case "spots": state.putSpots(event.spots); return;
     case "tracks": state.putTracks(event.reports); return;
     case "resync": void refresh(); return;
     case "status":
@@ -89,6 +93,9 @@ function heard(event: ServerEvent): void {
       state.tell("vehicles");
   }
 }
+
+/** A pin may be what somebody decided of a machine's find. */
+function decided(): void { if (state.spots.size > 0) void refreshSpots(); }
 
 /** The state of sharing, and what of the source cannot be read. */
 function drawNotes(sharing: string, damage: string[]): void {
@@ -255,6 +262,11 @@ async function begin(): Promise<void> {
     edit: (pin, changed) => run(api.editPin(pin.id, { ...changed, who: state.options.who })),
     removeClick: (pin, click) => run(api.removeClick(pin.id, click, state.options.who)),
     goTo: (pin) => { const click = pin.clicks.at(-1); if (click?.frame != null) viewer.open(click.vehicle, click.frame); },
+  });
+  new FoundList(state, {
+    goTo: (spot) => { viewer.open(spot.best.vehicle, spot.best.frame); mapPane?.goTo(spot.lat_deg, spot.lon_deg); },
+    confirm: (spot) => run(api.confirmSpot(spot.spot, { category: state.options.category, who: state.options.who }).then((pin) => { saySomething(`hot spot ${spot.spot} is pin ${pin.number}`); })),
+    dismiss: (spot) => run(api.dismissSpot(spot.spot, state.options.who).then(() => { saySomething(`hot spot ${spot.spot} is dismissed; Undo brings it back as a pin`); })),
   });
   new TrackList(state, {
     goTo: (lat, lon) => { showTab("map"); mapPane?.goTo(lat, lon); },

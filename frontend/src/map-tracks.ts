@@ -4,7 +4,7 @@ import type { Feature } from "./map-pins.js";
 import { ellipseRing, offset } from "./projection.js";
 import type { Phase, TrackNow } from "./tracks.js";
 import { stateWords } from "./tracks.js";
-import type { TrackPlace } from "./types.js";
+import type { FoundSpot, TrackPlace } from "./types.js";
 
 const AHEAD_S = 5; // the arrow is as long as what it does in this time
 const LEAST_ARROW_M = 2;
@@ -38,6 +38,26 @@ export function trackFeatures(tracks: readonly TrackNow[]): TrackFeatures {
     labels.push({ type: "Feature", geometry: { type: "Point", coordinates: [last.lon_deg, last.lat_deg] }, properties: { colour, text: `${track.number} ${track.phase === "followed" ? track.last.words : stateWords(track)}`, id: track.key } });
   }
   return { areas, lines, labels };
+}
+
+export const SPOT_COLOUR = "#d1004b"; // of a machine's find: no kind of pin has it
+
+/** What a machine found and nobody has decided on: its ellipse, and how hot it is. */
+export function spotFeatures(spots: readonly FoundSpot[]): TrackFeatures {
+  const areas: Feature[] = [], lines: Feature[] = [], labels: Feature[] = [];
+  for (const spot of spots) {
+    const e = spot.ellipse, ring = ellipseRing(spot.lat_deg, spot.lon_deg, e.semi_major_m, e.semi_minor_m, e.azimuth_deg);
+    const properties = { colour: SPOT_COLOUR, track: `spot ${spot.spot}` };
+    areas.push({ type: "Feature", geometry: { type: "Polygon", coordinates: [ring] }, properties: { ...properties, kind: "ellipse" } });
+    lines.push({ type: "Feature", geometry: { type: "LineString", coordinates: ring }, properties: { ...properties, kind: "edge" } });
+    labels.push({ type: "Feature", geometry: { type: "Point", coordinates: [spot.lon_deg, spot.lat_deg] }, properties: { ...properties, text: `♨ ${spot.spot} ${shortHeat(spot)}` } });
+  }
+  return { areas, lines, labels };
+}
+
+/** How hot, in few words. */
+export function shortHeat(spot: FoundSpot): string {
+  return spot.temperature_c === null ? `${spot.contrast.toFixed(0)} σ` : `${spot.temperature_c.toFixed(1)} °C`;
 }
 
 /** The places of a path widened on both sides by what their ellipses reach across it; null for one that has no way. */

@@ -8,7 +8,7 @@ import { byId, say } from "./dom.js";
 import { gridLines } from "./grid.js";
 import { degrees, stepText } from "./format.js";
 import { ABOVE_PICTURES, addLayers, collection, emptyStyle, paintTheme, PIN_LAYERS, type SourceName } from "./map-layers.js";
-import { trackFeatures } from "./map-tracks.js";
+import { spotFeatures, trackFeatures } from "./map-tracks.js";
 import { dotsOf, mapPin, placesOf, type Feature, type MapPin } from "./map-pins.js";
 import { DrawingTime } from "./drawing-time.js";
 import { SeenLayer, type OpenSeen } from "./seen.js";
@@ -147,7 +147,7 @@ export class MapPane {
     this.state.on(["pins", "hover", "selected"], () => this.later("pins"));
     this.state.on(["frames", "vehicles"], () => this.later("path"));
     this.state.on(["options"], () => this.later("shown"));
-    this.state.on(["tracks", "shown"], () => this.later("tracks"));
+    this.state.on(["tracks", "spots", "shown"], () => this.later("tracks"));
     for (const what of ["shown", "pins", "path", "tracks"] as const) this.later(what);
   }
 
@@ -300,9 +300,10 @@ export class MapPane {
   }
 
   private drawTracks(): void {
-    const { areas, lines, labels } = trackFeatures(this.state.tracksNow());
-    this.setFew("track-areas", areas);
-    this.setFew("track-lines", lines);
+    const tracks = trackFeatures(this.state.tracksNow()), spots = spotFeatures(this.state.openSpots());
+    const labels = [...tracks.labels, ...spots.labels];
+    this.setFew("track-areas", [...tracks.areas, ...spots.areas]);
+    this.setFew("track-lines", [...tracks.lines, ...spots.lines]);
     this.setFew("track-labels", labels);
     byId("map").dataset["tracks"] = labels.map((label) => String(label.properties["text"])).join("; "); // what a test may look at
   }

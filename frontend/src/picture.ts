@@ -4,6 +4,7 @@ import { fitted, panned, resized, toPane, toPixel, contains, wholeView, zoomed, 
 import { paint } from "./paint.js";
 import { byId } from "./dom.js";
 import { TrackBoxes } from "./following.js";
+import { SpotMarks } from "./found.js";
 import { Markers } from "./markers.js";
 import type { State } from "./state.js";
 import type { Viewer, Loaded } from "./viewer.js";
@@ -28,6 +29,7 @@ export class PicturePane {
   private readonly empty = byId("no-picture");
   readonly markers: Markers;
   private readonly boxes: TrackBoxes;
+  private readonly marks: SpotMarks;
   private pane: Size = { width: 1, height: 1 };
   private picture: Size = { width: 640, height: 480 };
   private view: View = wholeView(this.picture, this.pane);
@@ -44,6 +46,7 @@ export class PicturePane {
     private readonly onClick: (body: ClickBody) => void,
   ) {
     this.boxes = new TrackBoxes(byId("track-boxes"), state);
+    this.marks = new SpotMarks(byId("track-boxes"), state);
     this.markers = new Markers(byId("markers"), state);
     new ResizeObserver(() => this.fit()).observe(this.stage);
     const e = this.element;
@@ -55,7 +58,7 @@ export class PicturePane {
     e.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
     e.addEventListener("contextmenu", (event) => event.preventDefault());
     state.on(["shown", "options"], () => this.invalidate());
-    state.on(["pins", "hover", "selected", "tracks"], () => this.invalidate(false));
+    state.on(["pins", "hover", "selected", "tracks", "spots"], () => this.invalidate(false));
     state.on(["shown"], () => this.sized());
     this.fit();
   }
@@ -166,6 +169,7 @@ export class PicturePane {
     if (loaded !== null && isPicture) paint(this.canvas, loaded, this.view, this.state.peeks);
     if (isPicture) this.element.dataset["zoom"] = (this.view.scale / wholeView(this.picture, this.pane).scale).toFixed(2);
     this.boxes.draw(loaded?.view ?? null, this.view, this.pane);
+    this.marks.draw(loaded?.view ?? null, this.view);
     this.markers.draw(loaded?.view ?? null, this.view, this.pane);
     if (isPicture) { this.drawLoupe(); this.drawCrosshair(); }
     if (this.cross !== null && loaded !== null && isPicture) this.pointAt(this.cross);

@@ -1,9 +1,9 @@
 // The page's state, in one place, and the functions that are called when it changes.
 
 import { captureMs, mergeReports, tracksAt, type TrackNow } from "./tracks.js";
-import type { Category, FrameRow, FrameView, Pin, ServerStatus, Tie, TrackReport, VehicleState } from "./types.js";
+import type { Category, FoundSpot, FrameRow, FrameView, Pin, ServerStatus, Tie, TrackReport, VehicleState } from "./types.js";
 
-export type Topic = "vehicles" | "frames" | "shown" | "pins" | "hover" | "selected" | "options" | "link" | "mode" | "tracks";
+export type Topic = "vehicles" | "frames" | "shown" | "pins" | "hover" | "selected" | "options" | "link" | "mode" | "tracks" | "spots";
 
 /** What the next click in the picture is for. */
 export type Mode = { kind: "pin" } | { kind: "again"; pin: string } | { kind: "tie" };
@@ -12,12 +12,12 @@ export type Mode = { kind: "pin" } | { kind: "again"; pin: string } | { kind: "t
 export type Peek = "features" | "paths";
 
 export interface Options {
-  pictures: boolean; theme: "auto" | "day" | "night"; who: string; category: Category;
+  isMuted: boolean; pictures: boolean; theme: "auto" | "day" | "night"; who: string; category: Category;
 }
 
 const STORED = "pointclick.options";
 const PEEK_MS = 6000;
-const DEFAULTS: Options = { pictures: true, theme: "auto", who: "", category: "poi" };
+const DEFAULTS: Options = { isMuted: false, pictures: true, theme: "auto", who: "", category: "poi" };
 
 export class State {
   server: ServerStatus | null = null;
@@ -34,6 +34,7 @@ export class State {
   private readonly revisions = new Map<string, number>();
   private order: Pin[] | null = null;
   ties: Tie[] = [];
+  readonly spots = new Map<number, FoundSpot>();
   private readonly tracks = new Map<string, TrackReport[]>();
   hovered: string | null = null;
   selected: string | null = null;
@@ -123,6 +124,19 @@ export class State {
     if (isAll) this.tracks.clear();
     mergeReports(this.tracks, reports);
     this.tell("tracks");
+  }
+
+  /** Machine's finds that came; with all of them, what was held is forgotten first. */
+  putSpots(spots: readonly FoundSpot[], isAll = false): void {
+    if (isAll) this.spots.clear();
+    for (const spot of spots) this.spots.set(spot.spot, spot);
+    this.tell("spots");
+  }
+
+  /** Those that wait for a person: more than one picture shows them. The hottest first. */
+  openSpots(): FoundSpot[] {
+    return [...this.spots.values()].filter((spot) => spot.state === "open" && spot.is_sure)
+      .sort((a, b) => (b.temperature_c ?? -1e9) - (a.temperature_c ?? -1e9) || Math.abs(b.contrast) - Math.abs(a.contrast));
   }
 
   /** What is followed, as it is now; of a recording or a picture that is kept, as it was then. */

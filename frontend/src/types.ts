@@ -1,4 +1,4 @@
-// What the server sends. Must match ground/web/{api_vehicles,api_pins,api_tracks,pin_json,seen_map,view}.py.
+// What the server sends. Must match ground/web/{api_vehicles,api_pins,api_spots,api_tracks,pin_json,seen_map,view}.py.
 
 import type { Camera } from "./projection.js";
 
@@ -90,7 +90,16 @@ export type ServerEvent =
   | { type: "pins" }
   | { type: "resync" }
   | { type: "tracks"; reports: TrackReport[] }
+  | { type: "spots"; spots: FoundSpot[] }
   | { type: "status"; vehicles: VehicleState[]; damage: string[]; sharing: string };
+
+/** What a machine found and nobody, or somebody, has decided on. */
+export interface FoundSpot {
+  spot: number; state: "open" | "confirmed" | "dismissed"; pin: string | null; is_sure: boolean; pictures: number; vehicles: string[];
+  first_utc: string; last_utc: string; temperature_c: number | null; above_ground_k: number | null; contrast: number; heat: string; motion: string;
+  lat_deg: number; lon_deg: number; height_amsl_m: number | null; height_ellipsoid_m: number | null; ellipse: Ellipse; ce90_m: number;
+  best: { vehicle: string; session: number; frame: number; u: number; v: number };
+}
 
 export interface TrackPlace {
   lat_deg: number; lon_deg: number; height_ellipsoid_m: number | null; height_amsl_m: number | null;

@@ -1,4 +1,4 @@
-"""`pc-ground cot`: pins, aircraft and what they follow as Cursor on Target, to a TAK server or to everybody."""
+"""`pc-ground cot`: pins, aircraft, what they follow and find as Cursor on Target, to a TAK server or to everybody."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from contract.errors import LinkError
 from contract.feature_set import FeatureSet
-from contract.topics import ANY_VEHICLE, TRACKS
+from contract.topics import ANY_VEHICLE, SPOTS, TRACKS
 from contract.track import TrackReport
 from ground.commands import ANSWERED
 from ground.commands.sources import add_source_arguments, opened
@@ -20,8 +20,11 @@ from ground.formats.mark import Mark
 from ground.heard_tracks import HeardTracks
 from ground.link_options import endpoint_of, tls_of
 from ground.pins.file import chosen_store
+from ground.pins.machine import decision, decisions
 from ground.pins.places import Places
 from ground.pins.store import PinStore
+from ground.spots.found_thing import FoundThing
+from ground.spots.heard import HeardSpots
 
 EXAMPLES = """\
 examples:
@@ -69,6 +72,9 @@ def run(args: argparse.Namespace) -> int:
             marks = [] if store is None or places is None else [Mark.of_pin(p, places.place(p)) for p in store.pins()]
             sets = aircraft()
             tracks = aircraft.tracks() if isinstance(aircraft, _aircraft) else []
+            found = aircraft.found() if isinstance(aircraft, _aircraft) else []
+            decided = {} if store is None else decisions(store.everything())
+            marks += [Mark.of_found(thing) for thing in found if decision(thing, decided) is None]
             events = [
                 e
                 for e in (
@@ -104,13 +110,16 @@ class _aircraft:  # noqa: N801  called like a function
 
     def __init__(self, args: argparse.Namespace) -> None:
         self._vehicle = args.vehicle
-        self._heard = HeardTracks()
+        self._heard, self._spots = HeardTracks(), HeardSpots()
         self._recording = None if args.recording is None else opened(args.recording)
-        if self._recording is None:
+        if self._recording is not None:
+            for name in self._recording.vehicles:
+                self._spots.add(self._recording.spots(name))
+        else:
             from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
 
             tls, vehicle = tls_of(args), args.vehicle or ANY_VEHICLE
-            beside = {TRACKS.key(vehicle): self._heard.take}
+            beside = {TRACKS.key(vehicle): self._heard.take, SPOTS.key(vehicle): self._spots.take}
             self._cache = SetCache(endpoint_of(args, tls), vehicle, tls=tls, beside=beside)
             until = time.monotonic() + self.WAIT_S
             while not self._cache.vehicles and time.monotonic() < until:
@@ -119,6 +128,10 @@ class _aircraft:  # noqa: N801  called like a function
     def tracks(self) -> list[TrackReport]:
         """The newest report of every track that is being heard."""
         return self._heard.newest()
+
+    def found(self) -> list[FoundThing]:
+        """What more than one picture shows as a hot spot."""
+        return [thing for thing in self._spots.things() if thing.is_sure]
 
     def __call__(self) -> list[FeatureSet]:
         source = self._cache if self._recording is None else self._recording

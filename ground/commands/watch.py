@@ -1,6 +1,6 @@
 """`pc-ground watch`: a line an aircraft, again and again: how it is, how old its picture, how good its answers.
 
-And a line for each thing that it follows.
+And a line for each thing that it follows, and for each hot spot that was seen lately.
 """
 
 from __future__ import annotations
@@ -11,13 +11,14 @@ import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from contract.error_sources import in_a_line
 from contract.errors import WireError
 from contract.feature_set import FeatureSet
 from contract.locate import Locator
-from contract.topics import ANY_VEHICLE, STATUS, TRACKS
+from contract.topics import ANY_VEHICLE, SPOTS, STATUS, TRACKS
 from contract.track import TrackReport
 from contract.vehicle_status import VehicleStatus, decode_status
 from ground.commands import ANSWERED
@@ -29,6 +30,8 @@ from ground.freshness import MAX_AGE_S
 from ground.heard_tracks import SILENT_S, HeardTracks
 from ground.link_options import endpoint_of, tls_of
 from ground.recording import Recording
+from ground.spots.found_thing import FoundThing
+from ground.spots.heard import HeardSpots
 
 EXAMPLES = """\
 examples:
@@ -37,6 +40,7 @@ examples:
   pc-ground watch --from SESSION.mcap                 how a recording ended
 """
 RATE_SPAN_S = 5.0
+SPOTS_SPAN_S = 30.0  # before the newest: hot spots that were seen since then
 _COLUMNS = ("vehicle", "state", "age", "rate", "position", "tracks", "CE90", "reason")
 _WIDTHS = (12, 15, 8, 7, 24, 6, 8, 0)
 
@@ -89,14 +93,20 @@ def run(args: argparse.Namespace) -> int:
         recording = opened(args.recording)
         names = [args.vehicle] if args.vehicle in recording.vehicles else recording.vehicles
         rows = [_row(name, recording.newest_picture(name), None, 0.0, None) for name in names]
-        _show(rows, [report for name in names for report in _last_followed(recording, name)], args.json, False)
+        followed = [report for name in names for report in _last_followed(recording, name)]
+        found = HeardSpots()
+        for name in names:
+            found.add(recording.spots(name))
+        _show(rows, [*followed, *_lately(found)], args.json, False)
         return ANSWERED
     from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
 
     tls = tls_of(args)
     vehicle = args.vehicle or ANY_VEHICLE
-    heard, tracks = _Heard(), HeardTracks()
-    beside = {STATUS.key(vehicle): heard.status, TRACKS.key(vehicle): tracks.take}
+    heard, tracks, found = _Heard(), HeardTracks(), HeardSpots()
+    beside = {
+        STATUS.key(vehicle): heard.status, TRACKS.key(vehicle): tracks.take, SPOTS.key(vehicle): found.take
+    }  # fmt: skip
     cache = SetCache(endpoint_of(args, tls), vehicle, tls=tls, beside=beside, heard=heard.set)
     is_screen = sys.stdout.isatty() and not args.json
     with cache:
@@ -112,7 +122,7 @@ def run(args: argparse.Namespace) -> int:
                 rows.append(_row(name, newest, heard.states.get(name), cache.age_s(name), heard.rate_hz(name)))
             if not rows and not args.json:
                 print(f"nothing received yet{f': {cache.link_error}' if cache.link_error else ''}", file=sys.stderr)
-            _show(rows, tracks.newest(), args.json, is_screen)
+            _show(rows, [*tracks.newest(), *_lately(found)], args.json, is_screen)
             shown += 1
     return ANSWERED
 
@@ -185,9 +195,16 @@ def _last_followed(recording: Recording, vehicle: str) -> list[TrackReport]:
     return [held[number] for number in sorted(held)]
 
 
-def _show(rows: list[Row], tracks: list[TrackReport], as_json: bool, is_screen: bool) -> None:
+def _lately(spots: HeardSpots) -> list[FoundThing]:
+    """The things that hot spots are of that more than one picture shows, seen lately."""
+    found = [thing for thing in spots.things() if thing.is_sure]
+    since_ns = max((thing.last_unix_ns for thing in found), default=0) - round(SPOTS_SPAN_S * 1e9)
+    return [thing for thing in found if thing.last_unix_ns >= since_ns]
+
+
+def _show(rows: list[Row], things: Sequence[TrackReport | FoundThing], as_json: bool, is_screen: bool) -> None:
     if as_json:
-        for line in [*(row.to_json() for row in rows), *(report.to_json() for report in tracks)]:
+        for line in [*(row.to_json() for row in rows), *(thing.to_json() for thing in things)]:
             print(line)
     else:
         if is_screen:
@@ -195,8 +212,9 @@ def _show(rows: list[Row], tracks: list[TrackReport], as_json: bool, is_screen: 
         print(_line(_COLUMNS))
         for row in rows:
             print(_line(row.cells()))
-        for report in tracks:
-            print(f"  {one_line(report.vehicle)} {report.to_text()}")
+        for thing in things:
+            of = f"{thing.vehicle} " if isinstance(thing, TrackReport) else ""
+            print(f"  {one_line(of + thing.to_text())}")
     sys.stdout.flush()
 
 

@@ -20,7 +20,7 @@ from contract.feature_set import FeatureSet, HeightDatum
 from contract.track import TrackReport, TrackState
 from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS, ce90_m, le90_m
 from ground.formats.imported import Imported, entered_pin
-from ground.formats.mark import Mark
+from ground.formats.mark import MACHINE, Mark
 from ground.formats.xml_text import element, parsed
 from ground.pins.model import Pin
 
@@ -29,9 +29,11 @@ SPOT = "b-m-p-s-m"
 _MARKER = re.compile(r"b-m-p(-|$)|b-r-|b-a-o-|a-.-[GSU]")  # points, casualties, emergencies, things on ground or water
 _DECLARATION = re.compile(r"<\?xml[^>]*\?>")
 AIRCRAFT = "a-f-A-M-F-Q"  # friendly, airborne, military-style code for an unmanned aircraft: what TAK shows as a drone
+FOUND = "b-m-p-s-p-i"  # a sensor's point of interest: what a program found and nobody has confirmed
 FOLLOWED = "a-u-G"  # something on the ground of which nobody has said what it is
 OURS = "__pointclick"  # a pin's own fields; programs ignore details that are unknown to them
 # Colours of ATAK's spot map, as signed ARGB.
+_UNCONFIRMED = -65281  # magenta
 _COLOURS = {"person": -35072, "vehicle": -16776961, "fire": -65536, "hazard": -256, "poi": -1}
 
 
@@ -40,18 +42,19 @@ def event(mark: Mark, now_unix_ns: int, stale_s: float) -> str | None:
     if not mark.is_placed:
         return None
     lat, lon = mark.position
-    root = _event(f"pointclick.{mark.id}", SPOT, "h-g-i-g-o", now_unix_ns, mark.time_unix_ns, stale_s)
+    kind, how = (FOUND, "m-r") if mark.method == MACHINE else (SPOT, "h-g-i-g-o")
+    root = _event(f"pointclick.{mark.id}", kind, how, now_unix_ns, mark.time_unix_ns, stale_s)
     _point(root, lat, lon, mark.height_ellipsoid_m, mark.ce90_m, mark.le90_m)
     detail = element(root, "detail")
     element(detail, "contact", callsign=mark.title[:100])
-    colour = str(_COLOURS.get(mark.category, _COLOURS["poi"]))
+    colour = str(_UNCONFIRMED if kind == FOUND else _COLOURS.get(mark.category, _COLOURS["poi"]))
     element(detail, "usericon", iconsetpath=f"COT_MAPPING_SPOTMAP/{SPOT}/{colour}")
     element(detail, "color", argb=colour)
     element(
         detail, "precisionlocation", altsrc="???" if mark.height_ellipsoid_m is None else "CALC", geopointsrc="CALC"
     )
     seen = f"seen {mark.time_text}" if mark.time_text else ""
-    parts = [mark.category, _accuracy(mark), mark.note, seen, mark.vehicle, mark.who]
+    parts = [MACHINE if kind == FOUND else mark.category, _accuracy(mark), mark.note, seen, mark.vehicle, mark.who]
     element(detail, "remarks", "; ".join(part for part in parts if part))
     element(detail, OURS, name=mark.name, note=mark.note, category=mark.category)
     return ET.tostring(root, encoding="unicode")

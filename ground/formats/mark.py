@@ -9,9 +9,12 @@ from contract.feature_set import Status
 from ground.circular_error import ce90_m, le90_m
 from ground.pins.fusion import Contradiction, Fused, Place, Unplaced
 from ground.pins.model import Pin
+from ground.spots.found_thing import FoundThing
+from ground.spots.merging import covariance_of
 
 PLACED = "ok"
 CONTRADICTING = "contradicting"
+MACHINE = "hot spot, unconfirmed"  # method of what a program found and no person has looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +112,20 @@ class Mark:
             ce90_m=ce90_m(answer.covariance_enu_m2[:2, :2]), le90_m=le90_m(answer.sigma_height_m),
             sigma_height_m=answer.sigma_height_m, time_unix_ns=answer.capture_unix_ns, vehicle=answer.vehicle,
             frame=answer.frame, u_px=u, v_px=v, method=answer.method, answer=answer,
+        )  # fmt: skip
+
+    @classmethod
+    def of_found(cls, thing: FoundThing) -> Mark:
+        """Of a thing that hot spots are of, which nobody has confirmed."""
+        p, best = thing.place, thing.best
+        return cls(
+            f"spot-{thing.spots[0].vehicle}-{thing.spots[0].session}-{thing.spots[0].frame}-{thing.number}",
+            f"spot {thing.number}", PLACED, "", thing.number, thing.to_text().partition("  ")[2],
+            lat_deg=p.lat_deg, lon_deg=p.lon_deg, height_ellipsoid_m=p.height_ellipsoid_m,
+            height_amsl_m=p.height_amsl_m, ellipse=p.ellipse, ce90_m=ce90_m(covariance_of(p.ellipse)),
+            le90_m=le90_m(p.sigma_height_m), sigma_height_m=p.sigma_height_m, time_unix_ns=thing.last_unix_ns,
+            vehicle=" ".join(thing.vehicles), frame=best.frame, u_px=best.u_px, v_px=best.v_px, method=MACHINE,
+            clicks=thing.pictures,
         )  # fmt: skip
 
     @classmethod

@@ -7,8 +7,8 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import PurePath
 
-from contract.answer import time_utc
-from contract.track import TrackPlace, TrackReport
+from contract.answer import Place, time_utc
+from contract.track import TrackReport
 from ground.formats.kml import NAMESPACE
 from ground.formats.xml_text import document, element
 
@@ -23,7 +23,7 @@ def write(reports: Sequence[TrackReport], name: str) -> str:
     return _geojson(placed) if kind == "geojson" else _kml(placed)
 
 
-def _geojson(placed: Sequence[tuple[TrackReport, TrackPlace]]) -> str:
+def _geojson(placed: Sequence[tuple[TrackReport, Place]]) -> str:
     features = []
     for number in dict.fromkeys(report.number for report, _ in placed):
         own = [(report, place) for report, place in placed if report.number == number]
@@ -39,7 +39,7 @@ def _geojson(placed: Sequence[tuple[TrackReport, TrackPlace]]) -> str:
     return '{"type": "FeatureCollection", "features": [\n' + lines + "\n]}\n"
 
 
-def _kml(placed: Sequence[tuple[TrackReport, TrackPlace]]) -> str:
+def _kml(placed: Sequence[tuple[TrackReport, Place]]) -> str:
     ET.register_namespace("", NAMESPACE)
     ET.register_namespace("gx", GX)
     root = element(None, f"{{{NAMESPACE}}}kml")
@@ -59,6 +59,6 @@ def _kml(placed: Sequence[tuple[TrackReport, TrackPlace]]) -> str:
     return document(root)
 
 
-def _lon_lat(place: TrackPlace) -> list[float]:
+def _lon_lat(place: Place) -> list[float]:
     height = [] if place.height_ellipsoid_m is None else [round(place.height_ellipsoid_m, 3)]
     return [round(place.lon_deg, 9), round(place.lat_deg, 9), *height]

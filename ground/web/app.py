@@ -18,6 +18,7 @@ from contract.errors import PointclickError
 from ground.web.api_import import import_router
 from ground.web.api_pins import pins_router
 from ground.web.api_seen import seen_router
+from ground.web.api_spots import spots_router
 from ground.web.api_tracks import tracks_router
 from ground.web.api_vehicles import vehicles_router
 from ground.web.desk import Desk, NotThere
@@ -57,7 +58,10 @@ def create_app(desk: Desk, rules: Rules) -> ASGIApp:
         openapi_url="/api/openapi.json",
         description="Pictures, clicks and pins. Angles in degrees (WGS84), lengths in metres, times in UTC.",
     )
-    for make_router in (vehicles_router, pins_router, handoff_router, import_router, seen_router, tracks_router):
+    routers = (
+        vehicles_router, pins_router, handoff_router, import_router, seen_router, tracks_router, spots_router,
+    )  # fmt: skip
+    for make_router in routers:
         app.include_router(make_router(desk), prefix="/api")
 
     app.include_router(ogc_router(desk), prefix="/ogc")

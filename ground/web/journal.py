@@ -20,6 +20,8 @@ MAX_BYTES = 2_000_000_000  # of earlier flights, when the server is started
 MIN_FREE_BYTES = 200_000_000
 SYNC_S = 2.0
 
+_READ = (names.SET_ENCODING, names.PICTURE_ENCODING, names.TRACK_ENCODING, names.SPOT_ENCODING)
+
 Kept = tuple[str, str, bytes]
 """A message's key, its encoding, and the message."""
 
@@ -80,7 +82,7 @@ def _messages(path: Path) -> Iterator[Kept]:
             channels[channel] = topic, encoding
         elif opcode == MESSAGE and (data[start] | data[start + 1] << 8) in channels:
             topic, encoding = channels[data[start] | data[start + 1] << 8]
-            if encoding in (names.SET_ENCODING, names.PICTURE_ENCODING, names.TRACK_ENCODING):
+            if encoding in _READ:
                 yield topic, encoding, bytes(data[start + MESSAGE_HEAD.size : start + length])
 
 

@@ -10,7 +10,7 @@ import threading
 import time
 from bisect import bisect_left
 from collections import OrderedDict, deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from contract import recording_format as names
@@ -19,13 +19,14 @@ from contract.feature_set import FeatureSet
 from contract.history import Entry
 from contract.link_config import Tls
 from contract.supervised_thread import Policy, SupervisedThread
-from contract.topics import ANY_VEHICLE, PICTURE, STATUS, TRACKS
+from contract.topics import ANY_VEHICLE, PICTURE, SPOTS, STATUS, TRACKS
 from contract.track import TrackRequest
 from contract.vehicle_status import VehicleStatus, decode_status
 from contract.wire.codec import decode
 from ground.client import SetCache, inquire
 from ground.link_pictures import PictureCache
 from ground.mavlink_endpoint import SCHEME
+from ground.spots.heard import HeardSpots
 from ground.track_link import TrackLink
 from ground.track_paths import TrackPaths
 from ground.web.journal import Journal
@@ -74,7 +75,7 @@ class LiveSource:
         self._asked: OrderedDict[tuple[str, int], tuple[float, FeatureSet | None]] = OrderedDict()
         self._caches: dict[str, SetCache] = {}
         self._pictures = PictureCache()
-        self.tracks = TrackPaths()
+        self.tracks, self.spots = TrackPaths(), HeardSpots()
         self._journal = None if journal is None else Journal(journal)
         keep = {} if self._journal is None else {KEPT_KEYS: self._journal.take}
         with contextlib.ExitStack() as opened:
@@ -88,6 +89,7 @@ class LiveSource:
                         STATUS.key(ANY_VEHICLE): self._note_status,
                         PICTURE.key(ANY_VEHICLE): self._note_picture,
                         TRACKS.key(ANY_VEHICLE): self.tracks.take,
+                        SPOTS.key(ANY_VEHICLE): self.spots.take,
                         **keep,
                     },
                     heard=self._note_set,
@@ -214,11 +216,16 @@ class LiveSource:
 
     def _read_journal(self, thread: SupervisedThread) -> None:
         """What earlier runs of this server received in the last hour, the newest file first."""
+        takes: dict[str, Callable[[str, bytes], object]] = {
+            names.PICTURE_ENCODING: self._pictures.take,
+            names.TRACK_ENCODING: self.tracks.take,
+            names.SPOT_ENCODING: self.spots.take,
+        }
         for _, age_s, messages in () if self._journal is None else self._journal.recent(HISTORY_S):
             counts: dict[str, int] = {}
             for key, encoding, payload in messages:
-                if encoding != names.SET_ENCODING:
-                    (self._pictures if encoding == names.PICTURE_ENCODING else self.tracks).take(key, payload)
+                if (take := takes.get(encoding)) is not None:
+                    take(key, payload)
                     continue
                 try:
                     found = decode(payload)

@@ -11,6 +11,7 @@ from contract.feature_set import FeatureSet
 from contract.track import TrackRequest
 from ground.recorded_link_pictures import RecordedLinkPictures
 from ground.recording import Recording
+from ground.spots.heard import HeardSpots
 from ground.track_paths import TrackPaths
 from ground.web.recorded_pictures import RecordedPictures
 from ground.web.source import FrameRow, Picture, VehicleReport
@@ -35,6 +36,9 @@ class RecordedSource:
         self.tracks = TrackPaths()
         for vehicle in self._recording.vehicles:
             self.tracks.add(self._recording.tracks(vehicle))
+        self.spots = HeardSpots()
+        reports = [report for vehicle in self._recording.vehicles for report in self._recording.spots(vehicle)]
+        self.spots.add(sorted(reports, key=lambda report: report.capture_unix_ns))
         self._kept = lru_cache(maxsize=KEPT_SETS)(self._read)
 
     def vehicles(self) -> list[str]:

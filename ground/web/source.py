@@ -8,6 +8,7 @@ from typing import Protocol
 from contract.feature_set import FeatureSet, Status
 from contract.track import TrackRequest
 from contract.vehicle_status import VehicleStatus
+from ground.spots.heard import HeardSpots
 from ground.track_paths import TrackPaths
 
 # Of the pictures that came since a list was read: some before them are read again, for sets may come out of order or in
@@ -57,6 +58,7 @@ class Source(Protocol):
     is_live: bool
     name: str  # for people: endpoints, or the recording's path
     tracks: TrackPaths  # of all vehicles
+    spots: HeardSpots
 
     def vehicles(self) -> list[str]:
         """Who is there, sorted."""

@@ -6,13 +6,14 @@ from typing import Any
 
 from contract.errors import PointclickError
 from ground.watched_thread import WatchedThread
+from ground.web.api_spots import spots_json
 from ground.web.api_tracks import track_json
 from ground.web.api_vehicles import row_json, vehicle_json
 from ground.web.desk import Desk
 from ground.web.source import MOST_ROWS, SPARE_ROWS
 
 PICTURES_S = 0.04  # between checks of the source: a new picture is reported within this time
-TRACKS_S = 0.1
+TRACKS_S, SPOTS_S = 0.1, 0.5
 STATUS_S = 1.0
 
 
@@ -22,10 +23,11 @@ class Watch:
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
         self._versions: dict[str, int] = {}  # of each vehicle's pictures, as browsers have them
-        self._tracks = desk.source.tracks.version
+        self._tracks, self._spots = desk.source.tracks.version, desk.source.spots.version
         self._threads = (
             WatchedThread("watch of the pictures", self._tell_pictures, PICTURES_S),
             WatchedThread("watch of the tracks", self._tell_tracks, TRACKS_S),
+            WatchedThread("watch of the hot spots", self._tell_spots, SPOTS_S),
             WatchedThread("watch of state and pins", self._tell_status, STATUS_S),
         )
 
@@ -65,6 +67,12 @@ class Watch:
             hub.tell_from_thread({"type": "resync"})  # a journal was read
         elif reports and len(hub):
             hub.tell_from_thread({"type": "tracks", "reports": [track_json(report) for report in reports]})
+
+    def _tell_spots(self) -> None:
+        desk = self._desk
+        self._spots, things = desk.source.spots.since(self._spots)
+        if things and len(desk.hub):
+            desk.hub.tell_from_thread({"type": "spots", "spots": spots_json(desk, things)})
 
     def _tell_status(self) -> None:
         desk = self._desk

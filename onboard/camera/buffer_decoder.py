@@ -14,8 +14,9 @@ import cv2
 import numpy as np
 
 from onboard.camera import v4l2_structures as v4l2
-from onboard.camera.pixel_formats import Grey, to_grey
+from onboard.camera.pixel_formats import Grey, to_grey, to_raw
 from onboard.camera.stamp_consistency import StampConsistency
+from onboard.camera.thermal_grey import ThermalCounts, ThermalGrey
 from onboard.camera.v4l2_device import Buffer, Granted
 from onboard.events.session_clock import SessionClock
 from onboard.events.types import Frame
@@ -56,12 +57,14 @@ class Pictures:
         stale_ns: int = STALE_NS,
         numbered_by: str = "driver",
         is_compressed: bool = False,
+        is_thermal: bool = False,
     ) -> None:
         self.counts = Counts()
         self.delay_ms = 0.0  # of the newest picture, from its stamp until it was taken
         self._clock, self._size_px, self._rate_hz = clock, size_px, rate_hz
         self._stale_ns, self._numbered_by, self._is_compressed = stale_ns, numbered_by, is_compressed
         self._latency_ns = round(latency_s * 1e9)
+        self._thermal = ThermalGrey() if is_thermal else None  # over restarts: the same sensor
         self._consistency = StampConsistency()  # over restarts: the same camera
         self._last_stamp_ns: int | None = None  # over restarts: stamps never run backwards
         self._begin()
@@ -69,7 +72,7 @@ class Pictures:
     def _begin(self) -> None:
         self._sequence: int | None = None
         self._is_numbered = True
-        self._last: Grey | None = None
+        self._last: Grey | ThermalCounts | None = None
         self._changes: deque[float] = deque(maxlen=CHANGES)  # mean difference of one picture to the next, grey levels
         self._stamps_ns: deque[int] = deque(maxlen=RATE_WINDOW)
         self._same_since_ns: int | None = None
@@ -98,13 +101,26 @@ class Pictures:
         self._last_stamp_ns = stamp_ns
         self.delay_ms = (self._clock.from_monotonic_ns(now_ns) - stamp_ns) / 1e6
         self._stamps_ns.append(stamp_ns)
-        image = None if buffer.flags & v4l2.BUF_FLAG_ERROR else to_grey(
-            format_.fourcc, buffer.data, self._size_px, format_.bytes_per_line
-        )  # fmt: skip
+        decoded, counts = (None, None) if buffer.flags & v4l2.BUF_FLAG_ERROR else self._decoded(buffer, format_)
+        image = decoded if self._is_fresh(decoded if counts is None else counts, now_ns) else None
         sigma_s = self._consistency.sigma_s(now_ns, now_ns - monotonic_ns)
-        frame = Frame(stamp_ns, self.counts.pictures, self._fresh(image, now_ns), stamp_sigma_s=sigma_s)
+        frame = Frame(
+            stamp_ns,
+            self.counts.pictures,
+            image,
+            stamp_sigma_s=sigma_s,
+            counts=None if image is None else counts,
+        )
         self.counts.pictures += 1
         return frame
+
+    def _decoded(self, buffer: Buffer, format_: Granted) -> tuple[Grey | None, ThermalCounts | None]:
+        """The picture, and of a thermal camera its counts."""
+        how = format_.fourcc, buffer.data, self._size_px, format_.bytes_per_line
+        if self._thermal is None:
+            return to_grey(*how), None
+        raw = to_raw(*how)
+        return (None, None) if raw is None else self._thermal.picture(raw)
 
     def _count_lost(self, sequence: int) -> None:
         if self._sequence is not None:
@@ -132,25 +148,25 @@ class Pictures:
         # Not our clock. The arrival will do, unless the picture lay in the queue for we know not how long.
         return None if has_waited or buffer.has_waited else now_ns
 
-    def _fresh(self, image: Grey | None, now_ns: int) -> Grey | None:
-        """The image, or None if it is damaged or repeats the last one."""
+    def _is_fresh(self, image: Grey | ThermalCounts | None, now_ns: int) -> bool:
+        """Whether a picture, as the camera gave it, is neither damaged (None) nor repeats the last one."""
         if image is None:
             self.counts.damaged += 1
             self._damaged_in_a_row += 1
-            return None
+            return False
         self._damaged_in_a_row = 0
         last, self._last = self._last, image
         self._is_blank = bool(image.min() == image.max())
         # A sample first: nearly every picture already differs there.
         if last is None or self._is_blank or not self._repeats(last, image):
             self._same_since_ns = None
-            return image
+            return True
         self.counts.repeated += 1
         if self._same_since_ns is None:
             self._same_since_ns = now_ns
-        return None
+        return False
 
-    def _repeats(self, last: Grey, image: Grey) -> bool:
+    def _repeats(self, last: Grey | ThermalCounts, image: Grey | ThermalCounts) -> bool:
         if not self._is_compressed:
             return not (np.any(last[::16, ::16] != image[::16, ::16]) or np.any(last != image))
         change = float(cv2.norm(last[::4, ::4], image[::4, ::4], cv2.NORM_L1)) / last[::4, ::4].size

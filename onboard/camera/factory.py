@@ -7,22 +7,24 @@ from onboard.camera.helper_camera import HelperCamera
 from onboard.camera.helper_launch import helper_launch
 from onboard.camera.playback import PREFIX, PlayedCamera
 from onboard.camera.v4l2_camera import V4l2Camera
-from onboard.config.schema import CameraConfig, Config
+from onboard.config.schema import NOT_THERMAL, CameraConfig, Config, ThermalConfig
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import Source
 
 
 def open_camera(config: Config, camera: Camera, clock: SessionClock) -> Source:
     """The camera that `camera.device` names. Raises ConfigError where its form is wrong."""
-    return open_device(config.camera, camera, clock)
+    return open_device(config.camera, camera, clock, config.thermal)
 
 
-def open_device(config: CameraConfig, camera: Camera, clock: SessionClock) -> Source:
+def open_device(
+    config: CameraConfig, camera: Camera, clock: SessionClock, thermal: ThermalConfig = NOT_THERMAL
+) -> Source:
     """The camera that a section `camera` names, for pictures of the camera file's size. Raises ConfigError."""
     device = config.device
     if device.startswith(PREFIX):
-        return PlayedCamera(device.removeprefix(PREFIX), camera, clock, config.latency_s)
+        return PlayedCamera(device.removeprefix(PREFIX), camera, clock, config.latency_s, thermal)
     launch = helper_launch(config, camera.size_px)
     if launch is not None:
-        return HelperCamera(config, camera, clock, launch)
-    return V4l2Camera(config, camera, clock)
+        return HelperCamera(config, camera, clock, launch, thermal)
+    return V4l2Camera(config, camera, clock, thermal)

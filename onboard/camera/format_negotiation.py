@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from contract.errors import ConfigError
 from onboard.camera.pixel_formats import DECODERS
 from onboard.camera.v4l2_device import Device, Granted, Sizes
@@ -11,9 +13,12 @@ ENOUGH = 0.95
 _SHOWN = 8
 
 
-def choose_format(device: Device, path: str, size_px: tuple[int, int], format_: str, rate_hz: float) -> Granted:
+def choose_format(
+    device: Device, path: str, size_px: tuple[int, int], format_: str, rate_hz: float, first: Sequence[str] = ()
+) -> Granted:
     """Set the best format that has the camera file's size; 'auto' prefers the rate, then the cheapest decoder.
 
+    Those of `first` that have the size go before all others, whatever their rate.
     Raises ConfigError, one line with what the device offers, if there is none; OSError from the driver.
     """
     offered = device.formats()
@@ -24,7 +29,7 @@ def choose_format(device: Device, path: str, size_px: tuple[int, int], format_: 
     sizes = {fourcc: device.sizes(fourcc) for fourcc in wanted}
     fitting = [fourcc for fourcc in wanted if not sizes[fourcc].is_known or sizes[fourcc].has(size_px)]
     reach = {fourcc: max(device.rates_hz(fourcc, size_px), default=rate_hz) for fourcc in fitting}
-    for fourcc in sorted(fitting, key=lambda f: -min(reach[f], rate_hz * ENOUGH)):
+    for fourcc in sorted(fitting, key=lambda f: (f not in first, -min(reach[f], rate_hz * ENOUGH))):
         granted = device.set_format(fourcc, size_px)
         if (granted.fourcc, granted.width_px, granted.height_px) == (fourcc, *size_px):
             return granted

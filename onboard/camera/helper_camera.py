@@ -19,7 +19,7 @@ from onboard.camera.frame_protocol import FrameReader, GimbalFrame, Header, Orig
 from onboard.camera.helper_process import HelperProcess
 from onboard.camera.sender_clock import SenderClock
 from onboard.camera.v4l2_device import Buffer, Granted
-from onboard.config.schema import CameraConfig
+from onboard.config.schema import NOT_THERMAL, CameraConfig, ThermalConfig
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import Emit, SourceStatus, State, Stop
 from onboard.events.types import GimbalAttitude, Zoom
@@ -85,12 +85,21 @@ class HelperCamera:
         camera: Camera,
         clock: SessionClock,
         launch: Launch,
+        thermal: ThermalConfig = NOT_THERMAL,
         *,
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._config, self._camera, self._clock, self._launch, self._now_ns = config, camera, clock, launch, now_ns
+        self._thermal = thermal
         self._pictures = Pictures(
-            clock, config.latency_s, camera.size_px, config.rate_hz, STALE_NS, "helper", launch.is_compressed
+            clock,
+            config.latency_s,
+            camera.size_px,
+            config.rate_hz,
+            STALE_NS,
+            "helper",
+            launch.is_compressed,
+            thermal.enabled,
         )
         self._stamps = SenderClock(clock, config.stream_clock == "utc")
         self._stream: _Stream | None = None
@@ -222,6 +231,7 @@ class HelperCamera:
             return SourceStatus(State.STARTING, f"{name}: finding the least delay of its pictures", shown)
         complaints = self._complaints(stream, now_ns)
         what = f"{name}: {stream.size_px[0]}x{stream.size_px[1]}, {self.stamps_text()}"
+        what += f"; {self._thermal.words}" if self._thermal.enabled else ""
         return SourceStatus(State.DEGRADED if complaints else State.OK, "; ".join(complaints) or what, shown)
 
     def stamps_text(self) -> str:

@@ -24,12 +24,15 @@ from contract.camera import Camera
 from contract.errors import InputError
 from onboard.camera.file_stamps import read_stamps, spread_within_seconds, stamp_from_exif, stamp_from_name
 from onboard.camera.pixel_formats import UNDECODABLE, reduce_16_bit
+from onboard.camera.thermal_grey import ThermalGrey
 from onboard.camera.video_times import dropped_note, frame_times_s
 from onboard.events.types import Frame
 
 PICTURE_SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".pnm", ".webp", ".jp2"}
 SIXTEEN_BIT_MODES = {"I;16", "I;16B", "I;16L", "I"}
 SAME_S = 5e-4  # of two times of one frame
+SIXTEEN_BIT_VIDEO = int.from_bytes(b"Y1\0\x10", "little")  # FFmpeg's gray16le, as OpenCV names it
+Raw = NDArray[np.uint8] | NDArray[np.uint16]
 WITHOUT_FFMPEG = Path(cv2.__file__).parent / "WITHOUT_FFMPEG"  # there if FFmpeg was left out (packaging/slim.py)
 
 
@@ -61,22 +64,24 @@ def open_frames(
     epoch_ns: int | None = None,
     max_rate_hz: float = math.inf,
     in_colour: bool = False,
+    is_thermal: bool = False,
 ) -> FrameSource:
     """Open a folder of pictures or a video; `latency_s` is taken off every stamp to give mid-exposure.
 
     `whole_seconds`: EXIF times cut to the second may serve. `epoch_ns`: when a video without `stamps` began, whatever
     its name states. `max_rate_hz`: pictures closer together are left out. `in_colour`: frames have their colours too.
+    `is_thermal`: they have their counts.
 
     Raises InputError, one line, if it is missing or empty, of another size than the camera, or has no capture times.
     """
     path = Path(path)
     if path.is_dir():
-        return PictureFolder(path, camera, stamps, latency_s, whole_seconds, max_rate_hz, in_colour)
+        return PictureFolder(path, camera, stamps, latency_s, whole_seconds, max_rate_hz, in_colour, is_thermal)
     if not path.exists():
         raise InputError(f"frames {path}: no such folder or video")
     if path.suffix.lower() in PICTURE_SUFFIXES:
         raise InputError(f"frames {path}: a single picture; name the folder it is in, or a video")
-    return Video(path, camera, stamps, latency_s, epoch_ns, max_rate_hz, in_colour)
+    return Video(path, camera, stamps, latency_s, epoch_ns, max_rate_hz, in_colour, is_thermal)
 
 
 def _check_size(what: str, size_px: tuple[int, int], camera: Camera) -> None:
@@ -124,8 +129,10 @@ class PictureFolder:
         whole_seconds: bool = False,
         max_rate_hz: float = math.inf,
         in_colour: bool = False,
+        is_thermal: bool = False,
     ) -> None:
-        self.folder, self.camera, self._whole_seconds, self._in_colour = folder, camera, whole_seconds, in_colour
+        self.folder, self.camera, self._whole_seconds = folder, camera, whole_seconds
+        self._in_colour, self._is_thermal = in_colour, is_thermal
         names = sorted(
             entry.name for entry in folder.iterdir() if entry.suffix.lower() in PICTURE_SUFFIXES and entry.is_file()
         )
@@ -205,20 +212,31 @@ class PictureFolder:
 
     def frames(self) -> Iterator[Frame]:
         """Decode and yield each picture; raises InputError at one that cannot be decoded."""
+        thermal = ThermalGrey() if self._is_thermal else None
         for index, item in enumerate(self._stamped):
             try:
-                image = read_grey(self.folder / item.name)
+                raw = _read_raw(self.folder / item.name)
                 colour = read_colour(self.folder / item.name) if self._in_colour else None
             except UNDECODABLE as error:
                 raise self._undecodable(item.name, error) from error
-            yield Frame(item.stamp_ns, index, image, item.name, colour=colour)
+            image, counts = (_grey_of(raw), None) if thermal is None else thermal.picture(raw)
+            yield Frame(item.stamp_ns, index, image, item.name, colour=colour, counts=counts)
 
 
 def read_grey(path: Path) -> NDArray[np.uint8]:
     """A picture file as grey (H, W); raises one of `UNDECODABLE`."""
+    return _grey_of(_read_raw(path))
+
+
+def _grey_of(raw: Raw) -> NDArray[np.uint8]:
+    return reduce_16_bit(raw.astype(np.uint16)) if raw.dtype == np.uint16 else raw.astype(np.uint8, copy=False)
+
+
+def _read_raw(path: Path) -> Raw:
+    """A picture file (H, W): what has sixteen bits as it is, anything else as grey; raises one of `UNDECODABLE`."""
     with Image.open(path) as image:
         if image.mode in SIXTEEN_BIT_MODES:
-            return reduce_16_bit(np.asarray(image).clip(0, 65535).astype(np.uint16))
+            return np.asarray(image).clip(0, 65535).astype(np.uint16)
         image.draft("L", image.size)  # a JPEG's own luma, without the way through colour
         return np.array(image.convert("L"), np.uint8)
 
@@ -243,8 +261,9 @@ class Video:
         epoch_ns: int | None = None,
         max_rate_hz: float = math.inf,
         in_colour: bool = False,
+        is_thermal: bool = False,
     ) -> None:
-        self.path, self.camera, self._in_colour = path, camera, in_colour
+        self.path, self.camera, self._in_colour, self._is_thermal = path, camera, in_colour, is_thermal
         capture = self._open()
         size = int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
         count, rate_hz = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), capture.get(cv2.CAP_PROP_FPS)
@@ -273,6 +292,8 @@ class Video:
         if not capture.isOpened():
             raise InputError(f"frames {self.path}: not a video that can be decoded")
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+        if int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) == SIXTEEN_BIT_VIDEO:
+            capture.set(cv2.CAP_PROP_CONVERT_RGB, 0)  # which would leave the upper eight
         return capture
 
     def _from_csv(self, count: int, path: Path | str) -> list[int]:
@@ -318,6 +339,7 @@ class Video:
         numbers = {item.name: number for number, item in enumerate(self._stamped)}
         last = self._all.index(self._stamped[-1])
         capture, index = self._open(), 0
+        thermal = ThermalGrey() if self._is_thermal else None
         try:
             while index <= last:
                 if not capture.grab():
@@ -328,19 +350,21 @@ class Video:
                         yield Frame(item.stamp_ns, numbers[item.name], None, item.name)
                 item, index = self._all[shown], shown + 1
                 if item.name in numbers:
-                    yield self._frame(capture, item, numbers[item.name])
+                    yield self._frame(capture, item, numbers[item.name], thermal)
         finally:
             capture.release()
 
-    def _frame(self, capture: cv2.VideoCapture, item: _Stamped, number: int) -> Frame:
+    def _frame(self, capture: cv2.VideoCapture, item: _Stamped, number: int, thermal: ThermalGrey | None) -> Frame:
         """The frame that was grabbed last, decoded."""
         got, picture = capture.retrieve()
         if not got or picture is None:
             raise InputError(f"frames {self.path}: {item.name} of {len(self._all)} frames cannot be decoded")
-        grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
-        _check_size(f"frames {self.path}: {item.name}", (grey.shape[1], grey.shape[0]), self.camera)
+        picture = picture[..., 0] if picture.shape[2:] == (1,) else picture
+        raw: Raw = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture  # type: ignore[assignment]
+        _check_size(f"frames {self.path}: {item.name}", (raw.shape[1], raw.shape[0]), self.camera)
         colour = np.asarray(picture, np.uint8) if self._in_colour and picture.ndim == 3 else None
-        return Frame(item.stamp_ns, number, np.asarray(grey, np.uint8), item.name, colour=colour)
+        grey, counts = (_grey_of(raw), None) if thermal is None else thermal.picture(raw)
+        return Frame(item.stamp_ns, number, grey, item.name, colour=colour, counts=counts)
 
     def _place_of(self, time_s: float, due: int) -> int:
         """Which frame has a container's time: the one that is due, or a later one of exactly that time."""

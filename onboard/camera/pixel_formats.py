@@ -101,9 +101,14 @@ def _nv12(data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | 
     return _grey8(data, size_px, line_bytes)
 
 
-def _y16(data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | None:
+def _words(data: bytearray, size_px: tuple[int, int], line_bytes: int) -> NDArray[np.uint16] | None:
     lines = _lines(data, size_px, line_bytes, 2 * size_px[0])
-    return None if lines is None else reduce_16_bit(np.ascontiguousarray(lines).view("<u2"))
+    return None if lines is None else np.ascontiguousarray(lines).view("<u2")
+
+
+def _y16(data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | None:
+    words = _words(data, size_px, line_bytes)
+    return None if words is None else reduce_16_bit(words)
 
 
 def _mjpg(data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | None:
@@ -133,9 +138,18 @@ DECODERS: dict[str, Callable[[bytearray, tuple[int, int], int], Grey | None]] = 
     "BA81": _bayer(first_is_green=False),
 }
 """Formats we can read, the cheapest and truest first."""
+DEEP = ("Y16", "Y12", "Y10")
+"""Those with sixteen bits a pixel, the best of a thermal camera first."""
 
 
 def to_grey(fourcc: str, data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | None:
     """Decode a buffer (lines of `line_bytes`, 0: no padding) -> a new contiguous (H, W); None if it is incomplete."""
     grey = DECODERS[fourcc](data, size_px, line_bytes)
     return None if grey is None else np.ascontiguousarray(grey)
+
+
+def to_raw(fourcc: str, data: bytearray, size_px: tuple[int, int], line_bytes: int) -> Grey | NDArray[np.uint16] | None:
+    """As `to_grey`, but what has sixteen bits a pixel as it is, uint16."""
+    if fourcc in DEEP:
+        return _words(data, size_px, line_bytes)
+    return to_grey(fourcc, data, size_px, line_bytes)

@@ -13,6 +13,7 @@ from pathlib import Path
 from contract.camera import Camera
 from contract.errors import InputError
 from onboard.camera.picture_files import open_frames
+from onboard.config.schema import NOT_THERMAL, ThermalConfig
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import Emit, SourceStatus, State, Stop
 
@@ -23,10 +24,18 @@ STAMPS = "stamps.csv"
 class PlayedCamera:
     """`path` is a folder or a video, with `stamps.csv` in it or next to it if needed. Raises InputError if unusable."""
 
-    def __init__(self, path: Path | str, camera: Camera, clock: SessionClock, latency_s: float = 0.0) -> None:
-        self._path, self._clock = Path(path), clock
+    def __init__(
+        self,
+        path: Path | str,
+        camera: Camera,
+        clock: SessionClock,
+        latency_s: float = 0.0,
+        thermal: ThermalConfig = NOT_THERMAL,
+    ) -> None:
+        self._path, self._clock, self._thermal = Path(path), clock, thermal
         beside = [p for p in (self._path / STAMPS, self._path.parent / STAMPS) if p.is_file()]
-        self._source = open_frames(self._path, camera, beside[0] if beside else None, latency_s)
+        stamps = beside[0] if beside else None
+        self._source = open_frames(self._path, camera, stamps, latency_s, is_thermal=thermal.enabled)
         self._health = SourceStatus(State.STARTING, "not playing yet")
 
     def run(self, emit: Emit, stop: Stop) -> None:
@@ -44,7 +53,7 @@ class PlayedCamera:
                 now_ns = self._clock.now_ns()
                 first_ns, shown = first_ns or now_ns, shown + 1
                 rate_hz = (shown - 1) / max((now_ns - first_ns) / 1e9, 1e-3)
-                self._health = SourceStatus(State.OK, "", {"rate_hz": rate_hz, "lost": 0.0})
+                self._health = SourceStatus(State.OK, self._thermal.words, {"rate_hz": rate_hz, "lost": 0.0})
                 emit(now_ns, replace(frame, stamp_ns=frame.stamp_ns + shift_ns))
         except InputError as error:
             self._health = SourceStatus(State.LOST, str(error))

@@ -14,8 +14,9 @@ from onboard.camera.camera_health import figures, patience_s, stopped
 from onboard.camera.control_lock import Lock, Wanted
 from onboard.camera.discovery import Identity, candidates, identity, same_camera
 from onboard.camera.format_negotiation import ENOUGH, choose_format
+from onboard.camera.pixel_formats import DEEP
 from onboard.camera.v4l2_device import Device, Granted, V4l2Device
-from onboard.config.schema import CameraConfig
+from onboard.config.schema import NOT_THERMAL, CameraConfig, ThermalConfig
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import Emit, SourceStatus, State, Stop
 
@@ -63,15 +64,16 @@ class V4l2Camera:
         config: CameraConfig,
         camera: Camera,
         clock: SessionClock,
+        thermal: ThermalConfig = NOT_THERMAL,
         *,
         open_device: Callable[[str], Device] = V4l2Device,
         now_ns: Callable[[], int] = time.monotonic_ns,
         paths: Callable[[str], list[str]] = candidates,
         identify: Callable[[str, Device], Identity] = lambda path, device: identity(path, device.card()),
     ) -> None:
-        self._config, self._camera, self._clock = config, camera, clock
+        self._config, self._camera, self._clock, self._thermal = config, camera, clock, thermal
         self._open_device, self._now_ns, self._paths, self._identify = open_device, now_ns, paths, identify
-        self._pictures = Pictures(clock, config.latency_s, camera.size_px, config.rate_hz)
+        self._pictures = Pictures(clock, config.latency_s, camera.size_px, config.rate_hz, is_thermal=thermal.enabled)
         self._known: Identity | None = None
         self._others: set[str] = set()  # bus places of other cameras: not ours, even if of the same type
         self._stream: _Stream | None = None
@@ -141,7 +143,8 @@ class V4l2Camera:
             if not device.card().can_capture:
                 raise _Absent(f"{path}: no pictures to be had from it (no capture device, or nothing plays into it)")
             size_px = self._camera.size_px
-            granted = choose_format(device, path, size_px, self._config.format, self._config.rate_hz)
+            first = DEEP if self._thermal.enabled else ()
+            granted = choose_format(device, path, size_px, self._config.format, self._config.rate_hz, first)
             rate_hz = device.set_rate_hz(self._config.rate_hz)
             c = self._config
             lock = Lock(device, Wanted(c.exposure_us, c.gain, c.focus, c.white_balance_k), size_px[0])
@@ -237,6 +240,7 @@ class V4l2Camera:
             f"{stream.path}: {stream.format.width_px}x{stream.format.height_px} {stream.format.fourcc}, "
             f"stamped at its {self._pictures.stamped_at}"
         )
+        what += f"; {self._thermal.words}" if self._thermal.enabled else ""
         complaints = stream.complaints + self._pictures.complaints()
         return SourceStatus(State.DEGRADED if complaints else State.OK, "; ".join(complaints) or what, shown)
 

@@ -129,6 +129,8 @@ def text(camera: dict[str, Any]) -> str:
             lines.append(f"  {entry['format']}  {shape:<12} {rates + ' Hz' if rates else ''}".rstrip())
     if not any(entry["usable"] for entry in camera["formats"]):
         lines.append("  no format of ours: a sensor without its processor, perhaps one of libcamera's below")
+    if any(entry["format"] == "Y16" and entry["usable"] for entry in camera["formats"]):
+        lines.append("  thermal? [thermal] enabled = true, and its scale, without which it is uncalibrated")
     others = [entry["format"] for entry in camera["formats"] if not entry["usable"]]
     if others:
         lines.append(f"  not used: {' '.join(others)}")

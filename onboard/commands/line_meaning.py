@@ -40,6 +40,10 @@ MEANING: dict[str, tuple[str, str]] = {
         "What decodes a network camera's video, the first that works of those that are installed.",
         "If bad: it never is: what is missing stands in the line camera. In hardware it costs next to no processor.",
     ),
+    "thermal": (
+        "Where the camera is a thermal one: kelvin a count, or that nobody stated it.",
+        "If bad: it never is. For temperatures state thermal.scale and thermal.offset (docs/thermal.md).",
+    ),
     "telemetry": (
         "Whether positions come from the autopilot or receiver.",
         "If bad: check cable, port and baud rate in telemetry.url, and that the autopilot sends MAVLink 2 there.",

@@ -69,6 +69,7 @@ def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]
         _stamps(config, report),
         _exposure(config, report),
         *([Line("decoder", True, around.decoders)] if around.decoders else []),
+        *([_thermal(config)] if config.thermal.enabled else []),
         judged.pop(Subject.TELEMETRY),
         _rates(report),
         _time_sync(config, report),
@@ -82,6 +83,12 @@ def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]
         _processor(around.temperature_c),
     ]
     return [_state_line(report), *lines] if around.is_running else lines
+
+
+def _thermal(config: Config) -> Line:
+    """Whether counts are temperatures; a camera that has none may fly."""
+    unknown = "; hot spots have no temperatures (thermal.scale)" if config.thermal.calibration is None else ""
+    return Line("thermal", True, config.thermal.words.removeprefix("thermal, ") + unknown)
 
 
 def _sensors(report: Report) -> Line:

@@ -18,8 +18,10 @@ import cv2
 from contract.camera import Camera
 from contract.errors import ConfigError, InputError
 from contract.feature_set import FeatureSet
+from contract.spot import SpotReport
 from contract.track import MOST_TRACKS, TrackReport
 from contract.vehicle_status import VehicleStatus, encode_status
+from contract.wire.spot_code import encode_spots
 from contract.wire.track_code import encode_track
 from onboard.camera.picture_mask import read_mask
 from onboard.config.files import load_config_files
@@ -33,6 +35,7 @@ from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.comparison import Comparison
 from onboard.replay.followed import Clicked, Followed
 from onboard.replay.runner import Events, Flight, replay, summary_text
+from onboard.replay.spotted import Spotted
 from onboard.storage.alignment_file import StateFile
 from onboard.storage.elevation_files import TerrainFiles
 from onboard.storage.mcap_reader import RecordedFlight
@@ -84,6 +87,7 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> tuple[str, bool
         sinks.append(whole)
     followed = _followed(arguments, config, whole)
     sinks += [] if followed is None else [followed]
+    sinks += [] if not arguments.spots else [_spotted(config, whole)]
     if arguments.publish:
         link = Publisher.open(config)
         sinks.append(link)
@@ -169,6 +173,17 @@ def _followed(arguments: argparse.Namespace, config: Config, whole: WholeRecordi
     return Followed(config.vehicle.id, clicks, _not_followed, outlets) if clicks else None
 
 
+def _spotted(config: Config, whole: WholeRecording | None) -> Spotted:
+    """What looks for hot spots. Raises InputError for a camera that is no thermal one."""
+    if not config.thermal.enabled:
+        raise InputError("--spots: the configuration states no thermal camera: set thermal.enabled (docs/thermal.md)")
+    return Spotted(config, [_print_spots] if whole is None else [_print_spots, whole.spots])
+
+
+def _print_spots(report: SpotReport) -> None:
+    print(report.to_json(), flush=True)
+
+
 def _not_followed(click: Clicked) -> None:
     print(f"note: nothing could be followed at {click.u_px:g} {click.v_px:g} of picture {click.frame}", file=sys.stderr)
 
@@ -236,6 +251,10 @@ class WholeRecording:
     def tracks(self, reports: list[TrackReport]) -> None:
         """Record reports of things that are followed."""
         self._recorder.write_tracks(reports[0].capture_unix_ns, b"".join(encode_track(report) for report in reports))
+
+    def spots(self, report: SpotReport) -> None:
+        """Record the spots of a picture."""
+        self._recorder.write_spots(report.capture_unix_ns, encode_spots(report))
 
     def feature_set(self, output: FeatureSet) -> None:
         """Record a set."""

@@ -38,6 +38,7 @@ from onboard.service.reports import Report
 from onboard.service.sd_notify import Notifier
 from onboard.service.session import Parts, Reporter, restore
 from onboard.service.solver_thread import SolverThread
+from onboard.service.spot_thread import SpotThread
 from onboard.service.track_thread import TrackThread
 from onboard.storage.alignment_file import StateFile
 from onboard.storage.elevation_files import TerrainFiles
@@ -112,18 +113,20 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
                 )  # fmt: skip
             sinks.append(pictures)
             threads.append(pictures.thread)
-        if config.tracks.enabled:
-            tracks = TrackThread(config, [lambda _, payload: link.publish_tracks(payload)])
-            link.follow = tracks.answer
-            sinks.append(tracks)
-            threads.append(tracks.thread)
+        tracks, spots = _tracks(config, link), _spots(config, link)
+        for one in (tracks, spots):
+            if one is not None:
+                sinks.append(one)
+                threads.append(one.thread)
         recording = None
         if config.recording.enabled:
             where = Path(config.recording.folder) if config.recording.folder else folder / "recordings"
             recording = Recorded(where, config, camera, clock, to_toml(config), "" if complaint else state.text())
             sinks.append(recording)
-            if config.tracks.enabled:
+            if tracks is not None:
                 tracks.outlets.append(recording.tracks)
+            if spots is not None:
+                spots.outlets.append(recording.spots)
             threads.append(recording.thread)
             reporters.append(partial(_record, recording))
         if config.service.prometheus is not None:
@@ -146,6 +149,20 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
     began = datetime.fromtimestamp(clock.now_ns() / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S")
     log.info("session of %s begins, %s UTC by the host's clock", config.vehicle.id, began)
     return parts
+
+
+def _tracks(config: Config, link: Publisher) -> TrackThread | None:
+    if not config.tracks.enabled:
+        return None
+    tracks = TrackThread(config, [lambda _, payload: link.publish_tracks(payload)])
+    link.follow = tracks.answer
+    return tracks
+
+
+def _spots(config: Config, link: Publisher) -> SpotThread | None:
+    if not (config.thermal.enabled and config.spots.enabled):
+        return None
+    return SpotThread(config, [lambda _, payload: link.publish_spots(payload)])
 
 
 def _send(link: Publisher, report: Report) -> None:

@@ -3,5 +3,6 @@
 Public:
 
 - `files`: `config_files`, `load_camera`, `load_config_files`, `state_folder`
-- `schema`: `CameraConfig`, `Config`, `Gps`, `PictureConfig`, `parse_config`, `to_toml`
+- `schema`: `CameraConfig`, `Config`, `Gps`, `NOT_THERMAL`, `PictureConfig`, `SpotsConfig`, `ThermalConfig`,
+  `parse_config`, `to_toml`
 """

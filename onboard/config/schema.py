@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from pydantic.fields import FieldInfo
 
 from contract.errors import ConfigError
+from contract.thermal_scale import ThermalScale
 from onboard.config.renamed_keys import with_present_names
 
 
@@ -170,6 +171,31 @@ class CameraConfig(Section):
     def is_rolling(self) -> bool:
         """Whether rows are, or may be, exposed one after the other."""
         return self.readout_s != 0.0 or self.sigma_readout_s > 0.0
+
+
+class ThermalConfig(Section):
+    """The camera sees heat (docs/thermal.md): its counts are kept, and kelvin = scale * count + offset."""
+
+    enabled: bool = choice(False, "the camera is a thermal one")
+    scale: float | None = quantity(
+        None, 1e-5, 100.0, "K", "of one count, 0.01 of a radiometric Lepton or Boson; if not set: uncalibrated"
+    )
+    offset: float = quantity(0.0, -1e5, 1e5, "K", "temperature of count 0, with the scale")
+
+    @property
+    def calibration(self) -> ThermalScale | None:
+        """Counts to kelvin; None: uncalibrated."""
+        return None if self.scale is None else ThermalScale(self.scale, self.offset)
+
+    @property
+    def words(self) -> str:
+        """What is known of the counts, for people; empty where the camera is no thermal one."""
+        if not self.enabled:
+            return ""
+        return "thermal, uncalibrated" if self.scale is None else f"thermal, {self.scale:g} K a count"
+
+
+NOT_THERMAL = ThermalConfig()
 
 
 class Tracking(Section):
@@ -340,6 +366,23 @@ class TracksConfig(Section):
     keep_mb: float = quantity(48.0, 8.0, 4096.0, "MB", "of pictures kept in memory, so that a click may be seconds old")
 
 
+class SpotsConfig(Section):
+    """Hot spots that a thermal camera sees (thermal.enabled; docs/thermal.md)."""
+
+    enabled: bool = choice(True, "look for hot spots, if the camera is a thermal one")
+    false_per_km2: float = quantity(
+        1.0, 0.001, 1000.0, "1/km2", "spots that are only ground: more of them, and fainter ones are found"
+    )
+    hotter_than_c: float = quantity(
+        100.0, -50.0, 2000.0, "degC", "what is hotter is a spot whatever lies about it; of a calibrated camera"
+    )
+    smallest_m2: float = quantity(0.1, 0.001, 1000.0, "m2", "on the ground, of a spot")
+    largest_m: float = quantity(
+        5.0, 0.5, 200.0, "m", "across, of a spot that is found by its surroundings; a larger one by its heat alone"
+    )
+    rate_hz: float = quantity(2.0, 0.05, 2.0, "Hz", "pictures looked at, at most")
+
+
 class Recording(Section):
     """What is kept on board: one MCAP file after the other a session."""
 
@@ -368,6 +411,7 @@ class Config(Section):
     vehicle: Vehicle = Vehicle()
     mount: Mount = Mount()
     camera: CameraConfig = CameraConfig()
+    thermal: ThermalConfig = ThermalConfig()
     tracking: Tracking = Tracking()
     solve: Solve = Solve()
     terrain: TerrainModel = TerrainModel()
@@ -377,6 +421,7 @@ class Config(Section):
     link: Link = Link()
     picture: PictureConfig = PictureConfig()
     tracks: TracksConfig = TracksConfig()
+    spots: SpotsConfig = SpotsConfig()
     recording: Recording = Recording()
     service: Service = Service()
 

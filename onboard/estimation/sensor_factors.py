@@ -32,6 +32,7 @@ from onboard.estimation.platform_states import DELAY, PLANE, VELOCITY_DELAY
 from onboard.estimation.sensor_table import BY_NAME, HEADING, POSITION, TILT, VELOCITY, Sensor, declared
 from onboard.estimation.variance_components import VarianceFactors
 from onboard.navigation.position_interpolation import Flown
+from onboard.navigation.position_slip import DYNAMIC_TIME_S
 
 Array = NDArray[np.float64]
 
@@ -40,7 +41,6 @@ PATH_SIGMA_RAD = 0.25
 PATH_WHITE_SIGMA_RAD = 0.15
 GRAVITY_M_S2 = 9.81
 ECHO_SIGMAS = 4.0
-DYNAMIC_TIME_S = 3.0  # that a navigation filter takes to forget what acceleration did to it
 UNKNOWN_M = 1e5  # one sigma of a displacement of which nothing is known
 TERRAIN_SLOPE_SIGMA = 0.005  # of an elevation model over a window's few hundred metres: neighbours err alike
 

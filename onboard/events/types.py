@@ -18,7 +18,8 @@ class Frame:
 
     `stamp_sigma_s`: one sigma of the stamp beyond what the configuration states, where the source sees that its
     stamps have changed; an error common to all pictures that have it. `colour`: the same in colour, blue first
-    (H, W, 3), where a recording is to show it; nothing is measured in it.
+    (H, W, 3), where a recording is to show it; nothing is measured in it. `counts`: a thermal camera's own (H, W),
+    of which `image` is made; None of any other camera, and wherever `image` is None.
     """
 
     stamp_ns: int
@@ -27,6 +28,7 @@ class Frame:
     name: str = ""
     stamp_sigma_s: float = 0.0
     colour: NDArray[np.uint8] | None = None
+    counts: NDArray[np.uint16] | None = None
 
 
 @dataclass(frozen=True)

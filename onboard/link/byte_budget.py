@@ -32,6 +32,7 @@ BURST_S = 0.5
 # What status and replies may take at most: without tracks at least 0.35 stays for sets.
 STATUS_SHARE, REPLY_SHARE = 0.25, 0.4
 TRACK_SHARE = 0.2  # of reports of tracks: of one twice a second from 12 kbit/s on, of eight from 45
+SPOT_SHARE = 0.1  # of hot spots: of two full packets a second from 47 kbit/s on
 # What older pictures' sets may take from new ones; else they go in what those leave. So many for each new one at most.
 OLDER_SHARE, OLDER_A_NEW = 0.1, 0.5
 PIECE_SHARE = 0.95  # of the time that a set leaves until the next one, that a packet of a picture may take
@@ -55,11 +56,12 @@ class Kind(Enum):
     REPLY = "reply"
     REPORT = "report"  # a reply as well, but a large one that no flight depends on: the daemon's own detailed report
     TRACK = "track"  # where followed things are
+    SPOTS = "spots"  # what is hotter than its ground in a picture
     PICTURE = "picture"
 
 
 # How long each waits for bytes before new sets are held back for it. An older set has waited for its small share.
-PATIENCE_S = {Kind.STATUS: 0.8, Kind.TRACK: 0.5, Kind.REPLY: 0.8, Kind.REPORT: 0.8, Kind.OLDER: 0.0}
+PATIENCE_S = {Kind.STATUS: 0.8, Kind.TRACK: 0.5, Kind.SPOTS: 0.5, Kind.REPLY: 0.8, Kind.REPORT: 0.8, Kind.OLDER: 0.0}
 
 
 class Bucket:
@@ -135,6 +137,7 @@ class Budget:
                 (Kind.REPLY, REPLY_SHARE),
                 (Kind.REPORT, REPLY_SHARE),
                 (Kind.TRACK, TRACK_SHARE),
+                (Kind.SPOTS, SPOT_SHARE),
                 (Kind.OLDER, OLDER_SHARE),
             )
         }

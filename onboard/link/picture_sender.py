@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import logging
 import math
-import threading
 import time
 from collections import deque
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -20,7 +18,7 @@ from numpy.typing import NDArray
 
 from contract.feature_set import FeatureSet
 from contract.picture import ImageFormat, LinkPicture
-from contract.supervised_thread import Policy, SupervisedThread
+from contract.supervised_thread import SupervisedThread, WokenWork
 from onboard.config.schema import PictureConfig
 from onboard.events.types import Event, Frame
 
@@ -55,30 +53,19 @@ def small_image(image: NDArray[np.uint8], section: PictureConfig) -> tuple[bytes
     return encoded.tobytes(), image.shape[1], image.shape[0]
 
 
-class PictureSender:
+class PictureSender(WokenWork):
     """A sink of the daemon: sends the newest keyframe's image, `rate_hz` times a second at most."""
 
     def __init__(self, section: PictureConfig, link: PictureLink) -> None:
+        super().__init__("pictures")
         self._section, self._link = section, link
         self._held: deque[Frame] = deque()
         self._held_bytes = 0
         self._next: tuple[Frame, FeatureSet] | None = None
         self._newest = -1, -1  # session and frame, of what was chosen last
-        self._changed = threading.Condition()
         self._warned_s = -math.inf
         self.spent_s = 0.0  # of a processor, on making images
         self.made = 0
-        self.thread = SupervisedThread("pictures", self._run, Policy.RESTART)
-
-    def __enter__(self) -> Self:
-        self.thread.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.thread.end()
-        with self._changed:
-            self._changed.notify()
-        self.thread.join(5.0)
 
     def event(self, arrival_ns: int, event: Event) -> None:
         """Keep a picture until its set comes."""

@@ -35,6 +35,7 @@ from contract.topics import (
     FRAME_PARAMETER,
     PICTURE,
     QUERY,
+    SPOTS,
     STATUS,
     TIME_PARAMETER,
     TRACKS,
@@ -151,7 +152,7 @@ class Publisher:
         self._needs_parity = not all(e.startswith(STREAMS) for e in (*listen, *connect))
         self._status, self._status_detail = b"", b""
         self._status_waits = False
-        self._tracks: bytes | None = None  # the newest reports, until they have gone
+        self._reports: dict[Kind, bytes] = {}  # the newest of tracks and of spots, until they have gone
         # Answers queries that begin, end and list tracks: a payload, and whether it is a refusal.
         self.follow: Callable[[str], tuple[bytes, bool]] = not_followed
         self._is_closed = self._has_news = False
@@ -179,7 +180,10 @@ class Publisher:
             self._publisher = _declared(self._session, FEATURES, vehicle)
             self._status_publisher = _declared(self._session, STATUS, vehicle)
             self._picture_publisher = _declared(self._session, PICTURE, vehicle)
-            self._track_publisher = _declared(self._session, TRACKS, vehicle)
+            self._report_publishers = {
+                Kind.TRACK: _declared(self._session, TRACKS, vehicle),
+                Kind.SPOTS: _declared(self._session, SPOTS, vehicle),
+            }
             # The variables keep queryables and token declared.
             self._queryable = self._session.declare_queryable(self._key, self._asked)
             self._status_queryable = self._session.declare_queryable(self._status_key, self._asked_for_status)
@@ -237,8 +241,15 @@ class Publisher:
 
     def publish_tracks(self, payload: bytes) -> None:
         """Send the reports of all tracks in their turn; earlier ones that still wait are not sent."""
+        self._report(Kind.TRACK, payload)
+
+    def publish_spots(self, payload: bytes) -> None:
+        """Send the spots of a picture in their turn; an earlier picture's that still wait are not sent."""
+        self._report(Kind.SPOTS, payload)
+
+    def _report(self, kind: Kind, payload: bytes) -> None:
         with self._changed:
-            self._tracks = payload
+            self._reports[kind] = payload
             self._wake()
 
     def look_up(self, asked: Question) -> Answer | None:
@@ -353,9 +364,9 @@ class Publisher:
             asked = next((query for query in self._queries if query.kind is kind), None)
             if asked is not None:
                 found[kind] = _Message(len(asked.answer), partial(self._queries.remove, asked), partial(_reply, asked))
-        if self._tracks is not None:
-            tracks = self._tracks
-            found[Kind.TRACK] = _Message(len(tracks), self._tracks_gone, partial(self._track_publisher.put, tracks))
+        for kind, report in self._reports.items():
+            reported = partial(self._reports.pop, kind)
+            found[kind] = _Message(len(report), reported, partial(self._report_publishers[kind].put, report))
         older = self._selection.next_of_rest(now_s) if has_room else None
         for kind, offer in ((Kind.SET, self._selection.next(now_s)), (Kind.OLDER, older)):
             if offer is not None:
@@ -369,9 +380,6 @@ class Publisher:
 
     def _status_gone(self) -> None:
         self._status_waits = False
-
-    def _tracks_gone(self) -> None:
-        self._tracks = None
 
     def _piece_gone(self, now_s: float) -> None:
         self._pieces.popleft()

@@ -5,4 +5,5 @@ Public:
 - `gimbal`: `MountHypothesis`
 - `navigator`: `NavState`, `Motion`, `Navigation`
 - `position_interpolation`: `Flown`
+- `position_slip`: `DYNAMIC_TIME_S`
 """

@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 
 from onboard.config.schema import Config
 from onboard.events.types import FilterStatus, GpsQuality
-from onboard.navigation.position_doubt import ALIKE_SIGMAS, Position, PositionDoubt, Slip, finite, slip_at
+from onboard.navigation.position_doubt import ALIKE_SIGMAS, PositionDoubt
+from onboard.navigation.position_interpolation import Position, finite
+from onboard.navigation.position_slip import Slip, SlipTest
 from onboard.navigation.time_series import MEMORY_NS, Series
 
 Array = NDArray[np.float64]
@@ -44,18 +46,19 @@ class GpsIntegrity:
 
     def __init__(self, config: Config) -> None:
         self._config, self._gps = config, config.gps
+        self._slip = SlipTest(config.gps)
         self.quality: Series[GpsQuality] = Series()
         self.filter: Series[FilterStatus] = Series()
         self.positions: Series[Position] = Series()
         self._jumps: list[tuple[int, int, str]] = []  # refused from, until (ns), and why
         self._had_fix = False
-        self._doubt = PositionDoubt(config, self._was_unfit)
+        self._doubt = PositionDoubt(config, self._slip, self._was_unfit)
 
     def forget(self) -> None:
         """The clock was set back: nothing held can be compared any more."""
         self.quality, self.filter, self.positions = Series(), Series(), Series()
         self._jumps.clear()
-        self._doubt = PositionDoubt(self._config, self._was_unfit)
+        self._doubt = PositionDoubt(self._config, self._slip, self._was_unfit)
 
     def begin(self, positions: Series[Position], jumped_ns: int | None) -> None:
         """Positions in a new frame; `jumped_ns`: when those of the old frame were found to be elsewhere, if so."""
@@ -153,7 +156,7 @@ class GpsIntegrity:
         for start_ns, end_ns, jump in self._jumps:
             if start_ns <= moment_ns < end_ns:
                 return jump
-        if slip.surely_m_s > self._gps.max_slip_m_s:
+        if slip.exceeds(self._gps.max_slip_m_s):
             return f"position moves {slip.surely_m_s:.1f} m/s against velocity"
         return ""
 
@@ -174,7 +177,7 @@ class GpsIntegrity:
 
     def slip_at(self, moment_ns: int) -> Slip:
         """How position moves against velocity about a moment."""
-        return slip_at(self.positions, moment_ns, self._gps.max_gap_s)
+        return self._slip.at(self.positions, moment_ns)
 
     def stretch_at(self, moment_ns: int) -> int:
         """A number that changes when positions before a moment cannot be compared with those after it."""

@@ -32,8 +32,7 @@ from onboard.events.types import (
 from onboard.navigation.attitude_interpolation import Attitudes
 from onboard.navigation.gimbal import Gimbal, MountHypothesis
 from onboard.navigation.gps_integrity import NOTHING_YET, RECOVERING, GpsIntegrity
-from onboard.navigation.position_doubt import Position, finite
-from onboard.navigation.position_interpolation import CLIMB_WINDOW_NS, Flown, Joined, Path
+from onboard.navigation.position_interpolation import CLIMB_WINDOW_NS, Flown, Joined, Path, Position, finite
 from onboard.navigation.time_series import Series
 
 Array = NDArray[np.float64]

@@ -9,7 +9,6 @@ than the Gauss-Markov error that is assumed anyway; what is left then decays wit
 
 from __future__ import annotations
 
-import bisect
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.config.schema import Config
+from onboard.navigation.position_interpolation import Position
+from onboard.navigation.position_slip import SLIP_WINDOW_NS, Slip, SlipTest
 from onboard.navigation.time_series import Series
 
 Array = NDArray[np.float64]
 
-SLIP_WINDOW_NS = 2_000_000_000
-MIN_DISPERSION_FREEDOM = 4
 # An episode of slip lasts from this share of `gps.max_slip_m_s` until below it again; clean flights stay below.
 EPISODE_SHARE = 0.5
 ALIKE_SIGMAS = 2.0  # of the Gauss-Markov error: a jump no larger may as well be that
@@ -32,61 +31,6 @@ EXPLAINED_SHARE = 0.25  # of the largest jump that may be left after the jump ba
 # position alone moves by 2/e of the correction at most.
 SHARED_WITH_VELOCITY = 0.5 * float(np.e)
 MAX_ENTRIES = 200
-
-
-@dataclass(frozen=True, eq=False)
-class Position:
-    """The filter's position at one of its own stamps: ENU m in the navigation frame, and its velocity if known."""
-
-    enu_m: Array
-    velocity_enu_m_s: Array | None
-    height_above_home_m: float | None
-
-
-@dataclass(frozen=True)
-class Slip:
-    """How fast the filter certainly moves its position sideways of its velocity, and the dispersion about that (m)."""
-
-    surely_m_s: float = 0.0
-    dispersion_m: float = 0.0
-
-
-def finite(velocity_m_s: Array) -> Array:
-    """A velocity (3,) with 0 where a component is not known."""
-    return velocity_m_s if np.isfinite(velocity_m_s).all() else np.nan_to_num(velocity_m_s, nan=0.0)
-
-
-def slip_at(positions: Series[Position], moment_ns: int, max_gap_s: float) -> Slip:
-    """A line through positions minus integrated velocities over two seconds about a moment.
-
-    Its slope less three of its sigmas, and the dispersion about it per axis. Both 0 where too little is known.
-    """
-    stamps = positions.stamps_ns
-    first = bisect.bisect_left(stamps, moment_ns - SLIP_WINDOW_NS // 2)
-    last = bisect.bisect_right(stamps, moment_ns + SLIP_WINDOW_NS // 2) - 1
-    if last - first < 2 or stamps[last] - stamps[first] < SLIP_WINDOW_NS // 4:
-        return Slip()
-    velocities = [p.velocity_enu_m_s for p in positions.values[first : last + 1]]
-    known = [v[:2] for v in velocities if v is not None]
-    if len(known) < len(velocities):
-        return Slip()
-    seconds = (np.array(stamps[first : last + 1]) - stamps[first]) / 1e9
-    apart_s = seconds[1:] - seconds[:-1]
-    if apart_s.max() > max_gap_s:
-        return Slip()
-    v = np.array(known)
-    flown = np.zeros_like(v)
-    np.cumsum(0.5 * (v[1:] + v[:-1]) * apart_s[:, None], axis=0, out=flown[1:])
-    strayed = np.array([p.enu_m[:2] for p in positions.values[first : last + 1]]) - flown
-    strayed -= strayed.mean(axis=0)
-    t = seconds - seconds.mean()
-    span = float(t @ t)
-    slope = t @ strayed / span
-    miss = strayed - t[:, None] * slope
-    freedom = len(t) - 2
-    dispersion_m = float(np.sqrt(np.sum(miss**2) / (2 * freedom))) if freedom >= MIN_DISPERSION_FREEDOM else 0.0
-    surely = float(np.linalg.norm(slope)) - 3.0 * dispersion_m / np.sqrt(span)
-    return Slip(max(surely, 0.0), dispersion_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +63,9 @@ class _Episode:
 class PositionDoubt:
     """Fed with every newest position; returns how far positions may be off after jumps that nothing has explained."""
 
-    def __init__(self, config: Config, was_unfit: Callable[[int, int, float], bool]) -> None:
+    def __init__(self, config: Config, slip: SlipTest, was_unfit: Callable[[int, int, float], bool]) -> None:
         """`was_unfit(start_ns, end_ns, moved_m)`: whether receiver or filter had reported such an error."""
-        self._gps, self._was_unfit = config.gps, was_unfit
+        self._gps, self._slip, self._was_unfit = config.gps, slip, was_unfit
         self._entries: list[_Entry] = [_Entry(0, np.zeros(3), np.zeros(2), 0)]
         self._is_suspected = False  # the newest entry is of an episode under way
         self.begin()
@@ -164,13 +108,13 @@ class PositionDoubt:
         self._strayed.append((stamp_ns, self._strayed[-1][1] + moved - flown))
         # Slip is known of a moment once half its window has passed.
         middle_ns = stamp_ns - SLIP_WINDOW_NS // 2
-        self._follow(middle_ns, slip_at(positions, middle_ns, self._gps.max_gap_s), sigma_m)
+        self._follow(middle_ns, self._slip.at(positions, middle_ns), sigma_m)
         if self._episode is None:
             while self._strayed[0][0] < stamp_ns - 2 * SLIP_WINDOW_NS:
                 self._strayed.popleft()
 
     def _follow(self, moment_ns: int, slip: Slip, sigma_m: float) -> None:
-        slipping = slip.surely_m_s > EPISODE_SHARE * self._gps.max_slip_m_s
+        slipping = slip.exceeds(EPISODE_SHARE * self._gps.max_slip_m_s)
         episode = self._episode
         if episode is None:
             if slipping:
@@ -182,7 +126,7 @@ class PositionDoubt:
         moved = strayed - episode.before_m
         episode.most_m = max(episode.most_m, float(np.hypot(moved[0], moved[1])))
         episode.sigma_m = max(episode.sigma_m, sigma_m)
-        if not episode.is_sure and slip.surely_m_s > self._gps.max_slip_m_s:
+        if not episode.is_sure and slip.exceeds(self._gps.max_slip_m_s):
             episode.is_sure = True
         if not slipping:
             self._episode = None

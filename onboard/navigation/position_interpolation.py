@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.feature_set import Status
-from onboard.navigation.position_doubt import Position
 from onboard.navigation.time_series import Series
 
 Array = NDArray[np.float64]
@@ -21,6 +20,15 @@ Array = NDArray[np.float64]
 CLIMB_WINDOW_NS = 1_000_000_000
 # By which power of the gap the error of joining grows while motion is smooth: a line, a piece of a cubic.
 LINE, CUBIC = 2, 4
+
+
+@dataclass(frozen=True, eq=False)
+class Position:
+    """The filter's position at one of its own stamps: ENU m in the navigation frame, and its velocity if known."""
+
+    enu_m: Array
+    velocity_enu_m_s: Array | None
+    height_above_home_m: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,6 +175,11 @@ class Path:
             yield before, left, right
         if after < len(stamps_ns):
             yield left, right, after
+
+
+def finite(velocity_m_s: Array) -> Array:
+    """A velocity (3,) with 0 where a component is not known."""
+    return velocity_m_s if np.isfinite(velocity_m_s).all() else np.nan_to_num(velocity_m_s, nan=0.0)
 
 
 def _bump(s: float) -> float:

@@ -8,4 +8,5 @@ Public:
 - `made_flight`: `MadeFlight`
 - `photo_telemetry`: `datum_sigma_m`, `gap_to_join_s`, `height_amsl`, `photo_telemetry`
 - `runner`: `Events`, `Flight`, `check_overlap`, `replay`, `summary_text`
+- `spotted`: `Spotted`
 """

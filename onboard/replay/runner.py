@@ -83,7 +83,9 @@ class Flight:
             telemetry, config.telemetry.clock, home_amsl_m, gps_order, boot_unix_s, config.mount.gimbal_component
         )
         latency_s, in_colour = config.camera.latency_s, config.recording.pictures == "jpeg"
-        source = open_frames(frames, camera, stamps, latency_s, whole, log.video_epoch_ns, max_rate_hz, in_colour)
+        source = open_frames(
+            frames, camera, stamps, latency_s, whole, log.video_epoch_ns, max_rate_hz, in_colour, config.thermal.enabled
+        )
         camera, source = at_one_zoom(camera, source, log.digital_zoom)
         check_overlap(source.stamps_ns, log)
         return cls(source, log, camera, max(round(config.gps.latency_s * 1e9), 0))
@@ -96,7 +98,9 @@ class Flight:
         if folder.is_file():
             raise InputError(f"telemetry exif: {folder} is a video; pictures in a folder have EXIF")
         in_colour = config.recording.pictures == "jpeg"
-        source = open_frames(frames, camera, stamps, config.camera.latency_s, True, None, max_rate_hz, in_colour)
+        source = open_frames(
+            frames, camera, stamps, config.camera.latency_s, True, None, max_rate_hz, in_colour, config.thermal.enabled
+        )
         check_gaps(config, source.stamps_ns)
         photos = [read_photo(folder / name) for name in source.names]
         return cls(source, photo_telemetry(photos, source.stamps_ns, config.gps.undulation_m), camera)

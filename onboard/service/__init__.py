@@ -10,6 +10,7 @@ Public:
 - `sd_notify`: `Notifier`
 - `session`: `Parts`, `Reporter`, `restore`
 - `solver_thread`: `SolverThread`
+- `spot_thread`: `SpotThread`
 - `track_thread`: `TrackThread`
 - `supervision`: `Supervisor`, `ThreadReport`, `ThreadState`
 - `vehicle_state`: `Subject`, `VehicleState`, `gps_findings`, `source_findings`

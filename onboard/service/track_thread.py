@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import json
 import logging
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from types import TracebackType
-from typing import Self
 
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
-from contract.supervised_thread import Policy, SupervisedThread
+from contract.supervised_thread import SupervisedThread, WokenWork
 from contract.track import MOST_TRACKS, ListTracks, StartTrack, StopTrack, TrackReport, read_request, refused
 from contract.wire.track_code import encode_track
 from onboard.config.schema import Config
@@ -41,7 +38,7 @@ Outlet = Callable[[int, bytes], object]
 log = logging.getLogger("pointclick")
 
 
-class TrackThread:
+class TrackThread(WokenWork):
     """A sink of the daemon. `outlets` take the newest picture's capture time (Unix ns) and the reports of all tracks
     as one packet; `monotonic_s` is a clock.
     """
@@ -49,6 +46,7 @@ class TrackThread:
     def __init__(
         self, config: Config, outlets: Sequence[Outlet] = (), monotonic_s: Callable[[], float] = time.monotonic
     ) -> None:
+        super().__init__("tracks", late_after_s=LATE_S)
         self._vehicle, self._monotonic_s = config.vehicle.id, monotonic_s
         self.outlets = list(outlets)
         self._kept_bytes = round(config.tracks.keep_mb * 1e6)
@@ -62,18 +60,6 @@ class TrackThread:
         self._size_px = 0, 0
         self._number = 0
         self._picture_s = self._reported_s = monotonic_s()
-        self._changed = threading.Condition()
-        self.thread = SupervisedThread("tracks", self._run, Policy.RESTART, late_after_s=LATE_S)
-
-    def __enter__(self) -> Self:
-        self.thread.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.thread.end()
-        with self._changed:
-            self._changed.notify()
-        self.thread.join(5.0)
 
     def event(self, arrival_ns: int, event: Event) -> None:
         """Keep a picture until its set comes."""

@@ -42,8 +42,8 @@ _HINTS: dict[type[Event], dict[str, Any]] = {kind: typing.get_type_hints(kind) f
 _PLAIN = {int: "integer", float: "number", str: "string", bool: "boolean"}
 
 
-def event_json(event: Event, picture: str = "") -> bytes:
-    """An event as it is recorded; `picture` is the format a frame's picture is recorded in, if it is."""
+def event_json(event: Event, picture: str = "", counts: str = "") -> bytes:
+    """An event as it is recorded; `picture` and `counts` are the formats in which a frame's are, if they are."""
     if isinstance(event, Frame):
         content: dict[str, Any] = {
             "stamp_ns": event.stamp_ns,
@@ -51,6 +51,7 @@ def event_json(event: Event, picture: str = "") -> bytes:
             "name": event.name,
             "picture": picture or ("none" if event.image is not None else "undecodable"),
             "stamp_sigma_s": event.stamp_sigma_s,
+            **({"counts": counts} if counts else {}),
         }
     else:
         content = asdict(event)
@@ -66,6 +67,7 @@ def event_schema(kind: type[Event]) -> tuple[str, str]:
             "name": {"type": "string"},
             "picture": {"type": "string"},
             "stamp_sigma_s": {"type": "number"},
+            "counts": {"type": "string"},
         }
     else:
         properties = {name: _schema(hint) for name, hint in _hints(kind).items()}
@@ -85,13 +87,13 @@ def nav_event(kind: type[NavEvent], data: bytes) -> NavEvent:
     return kind(**values)
 
 
-def frame_event(data: bytes, image: NDArray[np.uint8] | None) -> tuple[Frame, str]:
-    """A frame as it was recorded with its picture, and in what format that was. Raises InputError."""
+def frame_event(data: bytes, image: NDArray[np.uint8] | None) -> tuple[Frame, str, str]:
+    """A frame as it was recorded with its picture, and in what formats that and its counts were. Raises InputError."""
     content = _object(data)
     try:
         name, sigma_s = str(content.get("name", "")), float(content.get("stamp_sigma_s", 0.0))
         frame = Frame(int(content["stamp_ns"]), int(content["frame"]), image, name, sigma_s)
-        return frame, str(content.get("picture", "none"))
+        return frame, str(content.get("picture", "none")), str(content.get("counts", ""))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"a frame that is none: {error}") from error
 

@@ -13,7 +13,7 @@ import json
 import struct
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -174,11 +174,14 @@ class _PartEvents:
         self.is_damaged = False  # so far
         self._flight = flight
         self._picture: tuple[int, bytes] | None = None
+        self._counts: tuple[int, bytes] | None = None
 
     def event(self, kind: str, message: Message) -> Event | None:
         """The event that a message holds, if it holds one. Raises InputError for content that cannot be read."""
         if kind == names.PICTURES:
             self._picture = message.publish_time, message.data
+        elif kind == names.COUNTS:
+            self._counts = message.publish_time, message.data
         elif kind == names.FRAMES:
             return self._frame(message.data)
         elif kind in NAV_EVENTS:
@@ -186,14 +189,18 @@ class _PartEvents:
         return None
 
     def _frame(self, data: bytes) -> Event | None:
-        frame, as_recorded = frame_event(data, None)
+        frame, as_recorded, counted = frame_event(data, None)
         if as_recorded not in ("png", "jpeg"):
             return None if as_recorded == "none" else frame
         if self._picture is None or self._picture[0] != frame.stamp_ns:
             if self.is_damaged:
                 return None  # its picture was in a stretch that cannot be read
             raise InputError(f"frame {frame.index} without its picture")
-        return frame_event(data, _decoded(self._picture[1], self._flight.camera))[0]
+        image = _decoded(self._picture[1], self._flight.camera).astype(np.uint8)
+        counts = None
+        if counted == "png" and self._counts is not None and self._counts[0] == frame.stamp_ns:
+            counts = _decoded(self._counts[1], self._flight.camera, True).astype(np.uint16)
+        return replace(frame, image=image, counts=counts)
 
 
 def _look_through(path: Path, flight: RecordedFlight | None) -> RecordedFlight | None:
@@ -248,7 +255,7 @@ def _count(
         flight.dropped.setdefault(path, []).append(Gap.from_json(message.data))
     if kind == names.FRAMES:
         with contextlib.suppress(InputError):
-            frame, as_recorded = frame_event(message.data, None)
+            frame, as_recorded, _ = frame_event(message.data, None)
             if path in flight.damaged and as_recorded in ("png", "jpeg") and picture_ns != frame.stamp_ns:
                 _note_lost(flight, path, "frames without their pictures", 1)
             else:
@@ -292,16 +299,17 @@ def _records(path: Path) -> Iterator[Found]:
         raise InputError(f"recording {path}: {error.strerror}") from error
 
 
-def _decoded(message: bytes, camera: Camera) -> NDArray[np.uint8]:
-    """The grey picture of a `foxglove.CompressedImage`, of the camera's size: a damaged one may claim any other.
+def _decoded(message: bytes, camera: Camera, is_deep: bool = False) -> NDArray[np.generic]:
+    """The picture of a `foxglove.CompressedImage` (H, W), grey or, if asked for, as deep as it is.
 
-    Pillow decodes it: OpenCV takes seconds over some damaged pictures, and hands out others half grey.
+    Of the camera's size: a damaged one may claim any other. Pillow decodes it: OpenCV takes seconds over some damaged
+    pictures, and hands out others half grey.
     """
     try:
         encoded = base64.b64decode(json.loads(message)["data"], validate=True)
         with Image.open(io.BytesIO(encoded), formats=("PNG", "JPEG")) as picture:
             if picture.size == camera.size_px:
-                return np.asarray(picture.convert("L"), np.uint8)
+                return np.asarray(picture if is_deep and picture.mode.startswith("I") else picture.convert("L"))
             width_px, height_px = picture.size
     except _NO_PICTURE as error:
         raise InputError(f"a picture that cannot be decoded: {error}") from error

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from contract import recording_format as names
 from contract.errors import InputError
 from contract.feature_set import FeatureSet
-from contract.topics import FEATURES, STATUS, TRACKS
+from contract.topics import FEATURES, SPOTS, STATUS, TRACKS
 from contract.wire.codec import encode
 from onboard.events.types import Event, Frame, PositionFix
 from onboard.storage import foxglove_schemas
@@ -36,7 +36,7 @@ _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PN
 _STATUS_SCHEMA = _GAP_SCHEMA = '{"type":"object"}'
 
 
-def encode_picture(image: NDArray[np.uint8], pictures: str) -> tuple[bytes, str]:
+def encode_picture(image: NDArray[np.uint8] | NDArray[np.uint16], pictures: str) -> tuple[bytes, str]:
     """A picture (H, W) or, as JPEG, (H, W, 3) as `recording.pictures` asks, and the format; empty for "none"."""
     if pictures == "none":
         return b"", ""
@@ -104,14 +104,15 @@ class SessionRecorder:
     def write_event(self, event: Event, arrival_ns: int | None = None) -> None:
         """Record an event with the time at which it came; a frame after its picture, so that none is without."""
         arrival_ns = event.stamp_ns if arrival_ns is None else arrival_ns
-        kind = ""
+        kind = counts = ""
         if isinstance(event, Frame) and event.image is not None:
+            counts = self._write_counts(event)
             shown = event.image if event.colour is None or self._pictures != "jpeg" else event.colour
             encoded, kind = encode_picture(shown, self._pictures)
             if encoded:
                 message = foxglove_schemas.picture(event.stamp_ns, encoded, kind)
                 self._view(names.PICTURES, foxglove_schemas.PICTURE, event.stamp_ns, lambda: message)
-        self._write(self._event_channel(type(event)), arrival_ns, event.stamp_ns, event_json(event, kind))
+        self._write(self._event_channel(type(event)), arrival_ns, event.stamp_ns, event_json(event, kind, counts))
         if isinstance(event, PositionFix):
             fix = event
             self._view(
@@ -121,6 +122,15 @@ class SessionRecorder:
                 lambda: foxglove_schemas.vehicle_location(fix),
                 VIEW_LOCATION_NS,
             )
+
+    def _write_counts(self, frame: Frame) -> str:
+        """Record a thermal camera's counts with lossless pictures; returns how, empty where they are not."""
+        if frame.counts is None or self._pictures != "lossless":
+            return ""
+        encoded, kind = encode_picture(frame.counts, self._pictures)
+        message = foxglove_schemas.picture(frame.stamp_ns, encoded, kind)
+        self._view(names.COUNTS, foxglove_schemas.PICTURE, frame.stamp_ns, lambda: message)
+        return kind
 
     def write_set(self, feature_set: FeatureSet, payload: bytes | None = None) -> None:
         """Record a set's wire bytes at its capture time; encoded here unless given. Raises ValueError as `encode`."""
@@ -154,6 +164,10 @@ class SessionRecorder:
     def write_tracks(self, stamp_ns: int, payload: bytes) -> None:
         """Record reports of tracks, as they were sent."""
         self._write(self._channel(TRACKS.template, names.TRACK_ENCODING), stamp_ns, stamp_ns, payload)
+
+    def write_spots(self, stamp_ns: int, payload: bytes) -> None:
+        """Record the spots of a picture, as they were sent."""
+        self._write(self._channel(SPOTS.template, names.SPOT_ENCODING), stamp_ns, stamp_ns, payload)
 
     def write_gap(self, begin_ns: int, end_ns: int, content: bytes) -> None:
         """Record that something is missing here, and mark the file as not complete."""

@@ -16,7 +16,7 @@ from typing import Literal
 
 from onboard.storage.mcap_writer import SessionRecorder
 
-Kind = Literal["events", "pictures", "sets", "statuses", "tracks"]
+Kind = Literal["events", "pictures", "sets", "statuses", "tracks", "spots"]
 Write = Callable[[SessionRecorder], None]
 
 
@@ -32,6 +32,7 @@ class Gap:
     sets: int = 0
     statuses: int = 0
     tracks: int = 0  # messages of all tracks' reports
+    spots: int = 0  # messages of a picture's spots
 
     def and_then(self, later: Gap) -> Gap:
         """One gap of two with nothing between them; the first reason counts."""
@@ -44,10 +45,11 @@ class Gap:
             self.sets + later.sets,
             self.statuses + later.statuses,
             self.tracks + later.tracks,
+            self.spots + later.spots,
         )
 
     def __str__(self) -> str:
-        one, more = ("event", "picture", "set", "status", "report of tracks"), typing.get_args(Kind)
+        one, more = ("event", "picture", "set", "status", "report of tracks", "report of spots"), typing.get_args(Kind)
         named = [f"{n} {one[i] if n == 1 else more[i]}" for i, n in enumerate(self.counts) if n]
         return " and ".join([", ".join(named[:-1]), named[-1]] if len(named) > 1 else named)
 
@@ -69,9 +71,9 @@ class Gap:
         )
 
     @property
-    def counts(self) -> tuple[int, int, int, int, int]:
-        """Events, pictures, sets, statuses, reports of tracks."""
-        return self.events, self.pictures, self.sets, self.statuses, self.tracks
+    def counts(self) -> tuple[int, ...]:
+        """Events, pictures, sets, statuses, reports of tracks and of spots."""
+        return self.events, self.pictures, self.sets, self.statuses, self.tracks, self.spots
 
 
 @dataclass(frozen=True, eq=False)

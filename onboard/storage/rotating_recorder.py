@@ -138,9 +138,8 @@ class Recorded:
     def event(self, arrival_ns: int, event: Event) -> None:
         """Record an event as it enters the pipeline; never waits."""
         if isinstance(event, Frame) and event.image is not None:
-            self._put(
-                Entry("pictures", arrival_ns, event.image.nbytes, lambda file: file.write_event(event, arrival_ns))
-            )
+            held_bytes = event.image.nbytes + (0 if event.counts is None else event.counts.nbytes)
+            self._put(Entry("pictures", arrival_ns, held_bytes, lambda file: file.write_event(event, arrival_ns)))
         else:
             self._put(Entry("events", arrival_ns, 0, lambda file: file.write_event(event, arrival_ns)))
 
@@ -155,6 +154,10 @@ class Recorded:
     def tracks(self, stamp_ns: int, payload: bytes) -> None:
         """Record reports of tracks; never waits."""
         self._put(Entry("tracks", stamp_ns, 0, lambda file: file.write_tracks(stamp_ns, payload)))
+
+    def spots(self, stamp_ns: int, payload: bytes) -> None:
+        """Record the spots of a picture; never waits."""
+        self._put(Entry("spots", stamp_ns, 0, lambda file: file.write_spots(stamp_ns, payload)))
 
     def _now_s(self) -> float:
         return self._clock.now_ns() / 1e9

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from contract.answer import Ellipse, Fix
+from contract.answer import Ellipse, Fix, Place
 from contract.feature_set import Status
 from contract.geodesy import LocalFrame
 from contract.locate import MAX_ELLIPSE_SHARE, Locator
-from contract.track import Course, TrackPlace, TrackReport, TrackState, Unseen
+from contract.track import Course, TrackReport, TrackState, Unseen
 from onboard.geometry.plane_homography import move
 from onboard.tracks.follower import Follower, Sight
 from onboard.tracks.ground_steps import Pictures, Seen
@@ -144,7 +144,7 @@ class Track:
         share = uv_px / (width - 1.0, height - 1.0)
         return bool((share < EDGE_SHARE).any() or (share > 1.0 - EDGE_SHARE).any())
 
-    def _place(self, motion: Motion | None) -> TrackPlace | None:
+    def _place(self, motion: Motion | None) -> Place | None:
         """(24.18): the newest picture's place, and on by its velocity since."""
         if self._placed is None:
             return None
@@ -166,7 +166,7 @@ class Track:
         if not ellipse.semi_major_m <= MAX_ELLIPSE_SHARE * max(abs(float(fix.offset_enu_m[2])), 1.0):
             self._status = Status.UNCERTAIN
             return None
-        return TrackPlace(lat, lon, fix.height_amsl_m, fix.height_ellipsoid_m, ellipse, fix.sigma_height_m)
+        return Place(lat, lon, fix.height_amsl_m, fix.height_ellipsoid_m, ellipse, fix.sigma_height_m)
 
 
 def _metres_a_pixel(locator: Locator | None, uv_px: Array) -> float | None:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from contract.answer import Ellipse
+from contract.answer import Ellipse, Place
 from contract.errors import CorruptPayload, InputError, NewerPayload, TruncatedPayload, WireError
 from contract.feature_set import Status
 from contract.track import (
@@ -16,7 +16,6 @@ from contract.track import (
     ListTracks,
     StartTrack,
     StopTrack,
-    TrackPlace,
     TrackReport,
     TrackState,
     Unseen,
@@ -28,7 +27,7 @@ from contract.wire.track_code import MAX_TRACK_BYTES, decode_track, decode_track
 REPORT = TrackReport(
     3, TrackState.COASTING, Unseen.HIDDEN, 1_700_000_000, 1234, 1_700_000_000_123_450_000, 320.0, 119.5, 22.5,
     Status.OK,
-    TrackPlace(-43.123456789, 172.987654321, 113.444, 123.456, Ellipse(2.5, 1.5, 30.0), 3.0),
+    Place(-43.123456789, 172.987654321, 113.444, 123.456, Ellipse(2.5, 1.5, 30.0), 3.0),
     Course(14.98, 0.21, 271.4, 1.3), "uav-1",
 )  # fmt: skip
 GOLDEN = (
@@ -36,7 +35,7 @@ GOLDEN = (
 )
 
 PLACES = st.builds(
-    TrackPlace, st.floats(-90.0, 90.0), st.floats(-180.0, 180.0), st.none() | st.floats(-500.0, 9000.0), st.none(),
+    Place, st.floats(-90.0, 90.0), st.floats(-180.0, 180.0), st.none() | st.floats(-500.0, 9000.0), st.none(),
     st.builds(Ellipse, st.floats(0.01, 5000.0), st.floats(0.01, 5000.0), st.floats(0.0, 179.99)),
     st.floats(0.01, 500.0),
 )  # fmt: skip

@@ -28,6 +28,15 @@ def test_a_recorded_flight_takes_its_options(tmp_path: Path) -> None:
     assert spec.camera.size_px == (640, 480)
 
 
+def test_a_thermal_flight_takes_its_options(tmp_path: Path) -> None:
+    spec, _ = session_spec(
+        f"--path straight --thermal agc --person 4 5 8 --rocks-km2 50 --shutter 2 --shutter 9 --out {tmp_path}".split()
+    )
+    assert spec.thermal is not None
+    assert (spec.thermal.output, spec.thermal.rocks_km2, spec.thermal.shutter_s) == ("agc", 50.0, (2.0, 9.0))
+    assert [(s.mover.start_m, s.excess_k) for s in spec.thermal.sources] == [((4.0, 5.0), 8.0)]
+
+
 def test_it_writes_a_session(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = f"--recorded copter_leg --seconds 0.4 --size 160x120 --out {tmp_path / 's'}".split()
     assert main(arguments) == 0
@@ -51,6 +60,8 @@ def test_it_writes_a_session(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         ("--path straight --contrast 9", "contrast"),
         ("--path straight --seconds 0", "above 0"),
         ("--path straight --undulation-m nan", "finite"),
+        ("--path straight --person 1 2 8", "belong to --thermal"),
+        ("--path straight --thermal agc --texture sea", "only land"),
     ],
 )
 def test_bad_usage_is_one_line_and_writes_nothing(

@@ -15,6 +15,7 @@ from contract.errors import LinkError
 from contract.feature_set import FeatureSet, Status
 from contract.track import MOST_TRACKS, StartTrack, StopTrack, TrackRequest
 from contract.vehicle_status import VehicleStatus
+from ground.spots.heard import HeardSpots
 from ground.track_paths import TrackPaths
 from ground.web.source import FrameRow, Picture, VehicleReport
 from onboard.events.types import Frame
@@ -70,7 +71,7 @@ class FlyingSource:
         self._names = [f"uav-{k}" for k in range(1, aircraft + 1)]
         self.silent_s = 0.1
         self._count = 1
-        self.tracks = TrackPaths()
+        self.tracks, self.spots = TrackPaths(), HeardSpots()
         self.asked: list[TrackRequest] = []
         self._followed = 0
         self._lock = threading.Lock()

@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
-from contract.answer import Ellipse, Fix
+from contract.answer import Ellipse, Fix, Place
 from contract.errors import LinkError
 from contract.locate import Locator
-from contract.track import Course, StartTrack, StopTrack, TrackPlace, TrackReport, TrackState, Unseen
+from contract.track import Course, StartTrack, StopTrack, TrackReport, TrackState, Unseen
 from contract.wire.track_code import decode_tracks, encode_track
 from ground.pins.store import PinStore
 from ground.track_paths import MOST_NEWS, TrackPaths
@@ -48,7 +48,7 @@ def report_at(frame: int, u: float, v: float, number: int = 1, **more: Any) -> T
     s = drawn_set(frame)
     found = Locator(s).locate((u, v))
     assert isinstance(found, Fix)
-    place = TrackPlace(
+    place = Place(
         found.lat_deg, found.lon_deg, found.height_amsl_m, found.height_ellipsoid_m, Ellipse(2.5, 1.5, 30.0), 3.0
     )
     made = TrackReport(

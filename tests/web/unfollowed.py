@@ -1,16 +1,18 @@
-"""What a test's source has of tracks where none takes part: none, and nobody follows."""
+"""What a test's source has of tracks and hot spots where none takes part: none, and nobody follows."""
 
 from __future__ import annotations
 
 from contract.errors import LinkError
 from contract.track import TrackRequest
+from ground.spots.heard import HeardSpots
 from ground.track_paths import TrackPaths
 
 
 class Unfollowed:
-    """A part of `Source`. The paths are every such source's: nothing is put into them."""
+    """A part of `Source`. Paths and spots are every such source's: nothing is put into them."""
 
     tracks = TrackPaths()
+    spots = HeardSpots()
 
     def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
         """Nobody does."""

@@ -22,7 +22,7 @@ from contract.errors import ConfigError
 from onboard.camera.factory import open_camera
 from onboard.camera.frame_protocol import NAN, GimbalFrame, Header
 from onboard.camera.helper_camera import HelperCamera, _of_lens_and_gimbal
-from onboard.config.schema import Config
+from onboard.config.schema import NOT_THERMAL, Config, ThermalConfig
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import SourceStatus, State
 from onboard.events.types import Event, Frame, GimbalAttitude, Zoom
@@ -38,8 +38,14 @@ SHARED_MEMORY = "/dev/shm/"
 class Running:
     """A camera in a thread of its own, and what came of it."""
 
-    def __init__(self, device: str, size_px: tuple[int, int] = (64, 48), **keys: object) -> None:
-        config = Config.model_validate({"camera": {"device": device, **keys}})
+    def __init__(
+        self,
+        device: str,
+        size_px: tuple[int, int] = (64, 48),
+        thermal: ThermalConfig = NOT_THERMAL,
+        **keys: object,
+    ) -> None:
+        config = Config.model_validate({"camera": {"device": device, **keys}, "thermal": thermal})
         source = open_camera(config, Camera.from_field_of_view(*size_px, 60.0), CLOCK)
         assert isinstance(source, HelperCamera)
         self.source = source
@@ -92,8 +98,10 @@ def shared_memory(group: int) -> list[str]:
 
 
 @contextmanager
-def running(device: str, size_px: tuple[int, int] = (64, 48), **keys: object) -> Iterator[Running]:
-    camera = Running(device, size_px, **keys)
+def running(
+    device: str, size_px: tuple[int, int] = (64, 48), thermal: ThermalConfig = NOT_THERMAL, **keys: object
+) -> Iterator[Running]:
+    camera = Running(device, size_px, thermal, **keys)
     camera.thread.start()
     try:
         yield camera

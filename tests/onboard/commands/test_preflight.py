@@ -13,7 +13,7 @@ from contract.supervised_thread import ThreadReport, ThreadState
 from onboard.commands import doctor
 from onboard.commands.line_meaning import MEANING
 from onboard.commands.preflight import Surroundings, diagnose
-from onboard.config.schema import Config
+from onboard.config.schema import Config, ThermalConfig
 from onboard.events.source import SourceStatus, State
 from onboard.georeferencing.click_budget import Budget
 from onboard.pipeline.estimates import (
@@ -79,6 +79,17 @@ def test_what_decodes_a_stream_is_said_where_the_camera_is_one() -> None:
     (line,) = (line for line in diagnose(CONFIG, WELL, around) if line.name == "decoder")
     assert line.is_good and line.text == around.decoders
     assert "decoder" not in verdicts(WELL)
+
+
+def test_a_thermal_cameras_scale_is_said_and_that_nobody_knows_it() -> None:
+    assert "thermal" not in verdicts(WELL)
+    said = {}
+    for scale in (None, 0.01):
+        config = CONFIG.model_copy(update={"thermal": ThermalConfig(enabled=True, scale=scale)})
+        (line,) = (line for line in diagnose(config, WELL, AROUND) if line.name == "thermal")
+        assert line.is_good
+        said[scale] = line.text
+    assert said == {None: "uncalibrated; hot spots have no temperatures (thermal.scale)", 0.01: "0.01 K a count"}
 
 
 def test_what_is_left_out_of_the_picture_is_said_with_who_found_it() -> None:
@@ -266,7 +277,8 @@ def test_a_sensor_that_contradicts_the_others_is_not_well_while_it_does() -> Non
 
 
 def test_every_line_is_explained_and_no_name_runs_into_its_text() -> None:
-    lines = diagnose(CONFIG, WELL, replace(AROUND, decoders="H264 by avdec_h264"))
+    config = CONFIG.model_copy(update={"thermal": ThermalConfig(enabled=True)})
+    lines = diagnose(config, WELL, replace(AROUND, decoders="H264 by avdec_h264"))
     assert {line.name for line in lines} == set(MEANING)
     for explained in (False, True):
         said = doctor.text(lines, False, explained).splitlines()

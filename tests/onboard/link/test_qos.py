@@ -9,11 +9,12 @@ import zenoh
 
 from contract import topics
 from contract.link_config import link_config
-from contract.topics import FEATURES, PICTURE, QUERY, STATUS, TRACKS, Qos, Topic
+from contract.topics import FEATURES, PICTURE, QUERY, SPOTS, STATUS, TRACKS, Qos, Topic
 from contract.vehicle_status import VehicleStatus, encode_status
 from ground import client
 from ground.freshness import Reply
 from onboard.link import publisher as onboard_publisher
+from onboard.link.byte_budget import Kind
 from onboard.link.publisher import Publisher, Rate
 from tests.contract.pictures import small_picture
 from tests.contract.sets import plain_set
@@ -42,7 +43,7 @@ def test_what_is_published_has_the_quality_of_the_table(
         other = dataclasses.replace(topic, qos=OTHER)
         monkeypatch.setattr(
             onboard_publisher,
-            {FEATURES: "FEATURES", STATUS: "STATUS", PICTURE: "PICTURE", TRACKS: "TRACKS"}[topic],
+            {FEATURES: "FEATURES", STATUS: "STATUS", PICTURE: "PICTURE", TRACKS: "TRACKS", SPOTS: "SPOTS"}[topic],
             other,
         )
     endpoint = free_endpoint()
@@ -55,6 +56,7 @@ def test_what_is_published_has_the_quality_of_the_table(
             flying.publish(plain_set(10))
             flying.publish_status(encode_status(VehicleStatus(1.7e9, 7, "ok")), b"{}")
             flying.publish_tracks(b"tracks")
+            flying.publish_spots(b"spots")
             if room := flying.picture_room():
                 flying.send_picture(small_picture(), room)
             return bool(heard)
@@ -62,7 +64,7 @@ def test_what_is_published_has_the_quality_of_the_table(
         assert eventually(is_heard)
         declared = {
             FEATURES: flying._publisher, STATUS: flying._status_publisher, PICTURE: flying._picture_publisher,
-            TRACKS: flying._track_publisher,
+            TRACKS: flying._report_publishers[Kind.TRACK], SPOTS: flying._report_publishers[Kind.SPOTS],
         }[topic]  # fmt: skip
         qos = OTHER if changed else topic.qos
         assert of(heard[0]) == expected(qos)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from onboard.estimation.sensor_factors import between_covariance, shared_fixes
-from onboard.navigation.position_doubt import Position
-from onboard.navigation.position_interpolation import Path
+from onboard.navigation.position_interpolation import Path, Position
 from onboard.navigation.time_series import Series
 from simulation.paths import PathSpec, fly_path
 from simulation.trajectory import Trajectory

@@ -63,7 +63,7 @@ def test_an_event_comes_back_bit_for_bit_and_keeps_to_its_schema(event: NavEvent
 
 @given(st.builds(Frame, STAMPS, st.integers(0, 2**32 - 1), st.none(), st.text(max_size=40)))
 def test_a_frame_comes_back_with_its_name(frame: Frame) -> None:
-    back, picture = frame_event(event_json(frame), None)
+    back, picture, _ = frame_event(event_json(frame), None)
     assert (back.stamp_ns, back.index, back.name) == (frame.stamp_ns, frame.index, frame.name)
     assert picture == "undecodable"
 

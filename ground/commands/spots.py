@@ -1,0 +1,123 @@
+"""`pc-ground spots`: the hot spots of pictures as things: a line for each that is new or has changed. docs/thermal.md.
+
+Exit status: 0 something was found; 3 nothing was, in a recording or in the time given; 2 wrong usage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from pathlib import Path
+
+from contract.errors import InputError
+from contract.geodesy import metres_per_degree
+from contract.topics import ANY_VEHICLE, SPOTS
+from ground.commands import ANSWERED, REFUSED
+from ground.commands.sources import add_source_arguments, opened, vehicle_of
+from ground.commands.until_ended import until_ended
+from ground.commands.values import positive
+from ground.formats.documents import FORMATS, one_line
+from ground.formats.mark import Mark
+from ground.link_options import UsageError, endpoint_of, tls_of
+from ground.spots.found_thing import FoundThing
+from ground.spots.heard import HeardSpots
+
+EXAMPLES = """\
+examples:
+  pc-ground spots --from SESSION.mcap                       what was found in a flight, a line each
+  pc-ground spots --connect tcp/10.0.0.7:7447               as it is found, until Ctrl-C
+  pc-ground spots --connect tcp/10.0.0.7:7447 --json --save found.geojson --seconds 600
+  pc-ground spots --from SESSION.mcap --all --save all.kml  also what only one picture shows
+"""
+SAVED = {".geojson": "geojson", ".json": "geojson", ".kml": "kml", ".gpx": "gpx", ".csv": "csv"}
+HOTTER_K, SMALLER, ELSEWHERE = 1.0, 0.8, 1.0  # of a change that is said: kelvin, of the ellipse, ellipses' axes
+LOOK_S = 0.2
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of `spots`."""
+    parser.add_argument("--all", action="store_true", help="also what one picture alone shows, and every change")
+    parser.add_argument("--json", action="store_true", help="a JSON object a line")
+    parser.add_argument("--seconds", metavar="S", type=positive, help="live: end after so long (default: Ctrl-C)")
+    parser.add_argument(
+        "--save", metavar="FILE", type=Path, help=f"all of them at the end: {', '.join(sorted(set(SAVED)))}"
+    )
+    add_source_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what is found. Raises PointclickError."""
+    if args.save is not None and args.save.suffix.lower() not in SAVED:
+        raise UsageError(f"--save {args.save}: the name must end in {', '.join(sorted(SAVED))}")
+    heard = _recorded(args) if args.recording is not None else _live(args)
+    found = [thing for thing in heard.things() if args.all or thing.is_sure]
+    if args.save is not None:
+        try:
+            text = FORMATS[SAVED[args.save.suffix.lower()]].write([Mark.of_found(thing) for thing in found], None)
+            args.save.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"{args.save}: {error.strerror}") from error
+    if heard.unplaced:
+        print(f"{heard.unplaced} spots had no place: their pictures answer no click there either", file=sys.stderr)
+    if not found:
+        searched = "no picture was searched" if not heard.pictures else f"nothing in {heard.pictures} pictures"
+        print(f"{searched} for hot spots" if not heard.pictures else searched, file=sys.stderr)
+        return REFUSED
+    return ANSWERED
+
+
+def _recorded(args: argparse.Namespace) -> HeardSpots:
+    """What was found in a recorded flight, printed as it was known at the end."""
+    if args.seconds is not None:
+        raise UsageError("--seconds is for a live aircraft")
+    recording = opened(args.recording)
+    vehicles = recording.vehicles if args.vehicle is None else [vehicle_of(args.vehicle, recording.vehicles)]
+    heard = HeardSpots()
+    reports = [report for vehicle in vehicles for report in recording.spots(vehicle)]
+    heard.add(sorted(reports, key=lambda report: report.capture_unix_ns))
+    for thing in heard.things():
+        if args.all or thing.is_sure:
+            _say(thing, args)
+    return heard
+
+
+def _live(args: argparse.Namespace) -> HeardSpots:
+    """What comes over the link, until a signal or the time ends it."""
+    from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
+
+    tls, vehicle, heard = tls_of(args), args.vehicle or ANY_VEHICLE, HeardSpots()
+    until_s = None if args.seconds is None else time.monotonic() + args.seconds
+    said: dict[int, FoundThing] = {}
+    version = 0
+    beside = {SPOTS.key(vehicle): heard.take}
+    with SetCache(endpoint_of(args, tls), vehicle, tls=tls, max_sets=1, beside=beside), until_ended():
+        while until_s is None or time.monotonic() < until_s:
+            version, changed = heard.since(version)
+            for thing in changed:
+                if args.all or (thing.is_sure and is_news(thing, said.get(thing.number))):
+                    said[thing.number] = thing
+                    _say(thing, args)
+            time.sleep(LOOK_S)
+    return heard
+
+
+def is_news(thing: FoundThing, before: FoundThing | None) -> bool:
+    """Whether a thing differs from what was said of it by more than a person would overlook."""
+    if before is None or (before.course is None) != (thing.course is None):
+        return True
+    if thing.course is not None and before.course is not None and thing.course.is_moving != before.course.is_moving:
+        return True
+    if abs(thing.above_ground_k or 0.0) > abs(before.above_ground_k or 0.0) + HOTTER_K:
+        return True
+    old, new = before.place, thing.place
+    if new.ellipse.semi_major_m < SMALLER * old.ellipse.semi_major_m:
+        return True
+    north_m, east_m = metres_per_degree(old.lat_deg)
+    away = math.hypot(float(north_m) * (new.lat_deg - old.lat_deg), float(east_m) * (new.lon_deg - old.lon_deg))
+    return away > ELSEWHERE * max(old.ellipse.semi_major_m, 1.0)
+
+
+def _say(thing: FoundThing, args: argparse.Namespace) -> None:
+    print(thing.to_json() if args.json else one_line(thing.to_text()), flush=True)

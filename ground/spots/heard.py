@@ -1,0 +1,73 @@
+"""Spots as they are heard beside the sets, merged into things; and which have changed since one asked. Thread-safe."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable
+
+from contract.errors import WireError
+from contract.spot import SpotReport
+from contract.topics import SPOTS
+from contract.wire.spot_code import decode_spots
+from ground.spots.found_thing import FoundThing
+from ground.spots.merging import SpotMerger
+
+
+class HeardSpots:
+    """`take` is for a subscription (`SetCache`'s `beside`)."""
+
+    def __init__(self) -> None:
+        self._merger = SpotMerger()
+        self._changed: dict[int, int] = {}  # by thing, the version at which it changed last
+        self._version = 0
+        self._lock = threading.Lock()
+
+    def take(self, key: str, payload: bytes) -> None:
+        """A message of the link; what is none of ours is passed over."""
+        try:
+            report = decode_spots(payload, SPOTS.vehicle(key))
+        except (ValueError, WireError):
+            return
+        self.add([report])
+
+    def add(self, reports: Iterable[SpotReport]) -> None:
+        """Reports of pictures, those of one session in the order of capture."""
+        with self._lock:
+            for report in reports:
+                self._version += 1
+                for thing in self._merger.add(report):
+                    self._changed[thing.number] = self._version
+
+    @property
+    def version(self) -> int:
+        """How many reports have come."""
+        with self._lock:
+            return self._version
+
+    @property
+    def unplaced(self) -> int:
+        """Spots that had no place."""
+        with self._lock:
+            return self._merger.unplaced
+
+    @property
+    def pictures(self) -> int:
+        """Pictures whose spots were taken."""
+        with self._lock:
+            return self._merger.pictures
+
+    def since(self, version: int) -> tuple[int, list[FoundThing]]:
+        """The version now, and the things that are new or have changed since another; by number."""
+        with self._lock:
+            changed = {number for number, at in self._changed.items() if at > version}
+            return self._version, self._merger.things(changed)
+
+    def thing(self, number: int) -> FoundThing | None:
+        """By its number; None if there is none."""
+        with self._lock:
+            return next(iter(self._merger.things({number})), None)
+
+    def things(self) -> list[FoundThing]:
+        """All, by number."""
+        with self._lock:
+            return self._merger.things()

@@ -1,0 +1,253 @@
+"""Spots of successive pictures, passes and aircraft -> things. Equations (26.1) to (26.9). No clock and no I/O."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.answer import CHI2_2, Ellipse, Place
+from contract.geodesy import LocalFrame
+from contract.spot import Spot, SpotReport
+from contract.track import Course
+from ground.chi_square import limit
+from ground.spots.found_thing import FoundThing, SeenSpot
+from ground.spots.motion import STANDING_SPEED_M_S, WALKING_SPEED_M_S, Motion, Sighting
+
+Array = NDArray[np.float64]
+Session = tuple[str, int]  # vehicle and session: what shares slow errors
+
+GATE = limit(1e-4, 2)  # of the squared distance: one in ten thousand of a thing's own spots begins another
+MOVED = limit(1e-5, 2)  # of what moving explains better than standing, above which a thing has moved
+MOVES = limit(1e-2, 2)  # of the squared speed of one that has moved over its variance, above which it still does
+UNSEEN_S = 20.0  # after which a moving thing may be anywhere
+SHORT_S = 3.0  # for which what stood may have begun to move
+TOLD_S = 3.0  # of sightings, before anything is said of a speed
+REST_M_S = 0.5  # one sigma of a speed, above which a walker could not be told from one at rest
+EXTENT_SHARE = 0.2  # of a spot's radius: how much what is taken for its middle changes with the view, one sigma
+MOST_THINGS, MOST_KEPT_SPOTS = 2000, 60  # and as many that were the best once
+
+
+@dataclass(eq=False)
+class _Thing:
+    """By session: the filter in which it stands and the one in which it moves."""
+
+    number: int
+    still: dict[Session, Motion] = field(default_factory=dict)
+    moving: dict[Session, Motion] = field(default_factory=dict)
+    spots: list[SeenSpot] = field(default_factory=list)
+    bests: list[SeenSpot] = field(default_factory=list)
+    newest: Spot | None = None
+    best: tuple[Spot, SeenSpot] | None = None
+    first_unix_ns: int = 0
+    pictures: int = 0
+    vehicles: set[str] = field(default_factory=set)
+    temperature_c: float | None = None
+    above_ground_k: float | None = None
+
+    @property
+    def last(self) -> Session:
+        """Whose spot was the newest."""
+        return self.spots[-1].vehicle, self.spots[-1].session
+
+    @property
+    def has_moved(self) -> bool:
+        """Whether standing does not explain the places in the newest session. (26.7)"""
+        moving, still = self.moving[self.last], self.still[self.last]
+        return moving.count > 2 and still.misfit - moving.misfit > MOVED
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether it has moved and has not come to rest."""
+        motion = self.moving[self.last]
+        v = motion.velocity_m_s
+        return self.has_moved and float(v @ np.linalg.solve(motion.velocity_covariance, v)) > MOVES
+
+    def distance2(self, session: Session, seen: Sighting) -> float:
+        """Squared distance of a place from where the thing is, or may have gone. (26.4), (26.6)"""
+        held = self.still.get(session)
+        if held is None:
+            place, covariance = self.merged()
+            away, C = seen.place_m - place, covariance + seen.covariance_m2
+            return float(away @ np.linalg.solve(C, away))
+        gap_s, moved = seen.at_s - held.at_s, self.moving[session].distance2(seen)
+        if self.has_moved:
+            return moved if gap_s <= UNSEEN_S else math.inf
+        # Nobody knows yet that it moves: for a short while it may have.
+        return min(moved, held.distance2(seen)) if gap_s <= SHORT_S else held.distance2(seen)
+
+    def take(self, session: Session, seen: Sighting) -> None:
+        if session not in self.still:
+            self.still[session] = Motion(seen, STANDING_SPEED_M_S)
+            self.moving[session] = Motion(seen, WALKING_SPEED_M_S)
+            return
+        self.still[session].take(seen)
+        self.moving[session].take(seen)
+
+    def merged(self) -> tuple[Array, Array]:
+        """Place (2,), m, and covariance (2, 2): of sessions by their whole covariances, which share nothing. (26.8)
+
+        One that has moved is where its newest session has it.
+        """
+        if self.has_moved:
+            motion = self.moving[self.last]
+            return motion.place_m, motion.covariance_m2
+        information = [np.linalg.inv(motion.covariance_m2) for motion in self.still.values()]
+        covariance = np.linalg.inv(np.sum(information, axis=0))
+        weighed = [W @ m.place_m for W, m in zip(information, self.still.values(), strict=True)]
+        return covariance @ np.sum(weighed, axis=0), covariance
+
+
+class SpotMerger:
+    """Takes reports as they come; those of one session in the order of capture, an older one is passed over."""
+
+    def __init__(self) -> None:
+        self._frame: LocalFrame | None = None
+        self._origin_ns = 0
+        self._things: dict[int, _Thing] = {}
+        self._newest_ns: dict[Session, int] = {}
+        self._count = 0
+        self.pictures = 0
+        self.unplaced = 0  # spots without a place: they are of no thing
+
+    def add(self, report: SpotReport) -> list[FoundThing]:
+        """The things that a picture's spots are of, new or changed, as they are now."""
+        session = report.vehicle, report.session
+        if report.capture_unix_ns <= self._newest_ns.get(session, 0):
+            return []
+        self._newest_ns[session] = report.capture_unix_ns
+        self.pictures += 1
+        placed = [(spot, spot.place) for spot in report.spots if spot.place is not None]
+        self.unplaced += len(report.spots) - len(placed)
+        if placed and self._frame is None:
+            first = placed[0][1]
+            self._frame, self._origin_ns = LocalFrame(first.lat_deg, first.lon_deg, 0.0), report.capture_unix_ns
+        seen = [self._sighting(report, spot, place) for spot, place in placed]
+        changed = []
+        for (spot, _), sighting, thing in zip(placed, seen, self._assigned(session, seen), strict=True):
+            found = thing or self._new()
+            found.take(session, sighting)
+            _note(found, report, spot)
+            changed.append(found)
+        self._forget()
+        return [self._value(thing) for thing in changed if thing.number in self._things]
+
+    def things(self, wanted: Collection[int] | None = None) -> list[FoundThing]:
+        """By number: all, or those of some numbers that are still kept."""
+        return [self._value(self._things[n]) for n in sorted(self._things) if wanted is None or n in wanted]
+
+    def _sighting(self, report: SpotReport, spot: Spot, place: Place) -> Sighting:
+        assert self._frame is not None
+        east, north, _ = self._frame.to_enu(place.lat_deg, place.lon_deg, 0.0)
+        extent_m2 = EXTENT_SHARE**2 * spot.area_m2 / math.pi
+        C = covariance_of(place.ellipse)
+        whole = C + extent_m2 * np.eye(2)
+        # The extent is the spot's own: what is shared stays what it was.
+        part = float(np.trace(C) / np.trace(whole))
+        at_s = (report.capture_unix_ns - self._origin_ns) / 1e9
+        place_m = np.array([float(east), float(north)])
+        return Sighting.of(at_s, place_m, whole, part * report.picture_share, part * report.session_share)
+
+    def _assigned(self, session: Session, seen: list[Sighting]) -> list[_Thing | None]:
+        """Each spot's thing, nearest first, no thing twice: two spots of one picture are two things. (26.9)"""
+        pairs = [
+            (thing.distance2(session, sighting), k, thing.number)
+            for k, sighting in enumerate(seen)
+            for thing in self._near(session, sighting)
+        ]
+        out: list[_Thing | None] = [None] * len(seen)
+        taken: set[int] = set()
+        for distance2, k, number in sorted(pairs):
+            if distance2 > GATE:
+                break
+            if out[k] is None and number not in taken:
+                out[k] = self._things[number]
+                taken.add(number)
+        return out
+
+    def _near(self, session: Session, seen: Sighting) -> Iterable[_Thing]:
+        """Those within any reach: of thousands few are looked at closely."""
+        reach_m = 6.0 * math.sqrt(float(np.linalg.eigvalsh(seen.covariance_m2)[-1])) + 50.0
+        for thing in self._things.values():
+            held = thing.still.get(session) or thing.still[thing.last]
+            if float(np.max(np.abs(held.place_m - seen.place_m))) < reach_m or thing.has_moved:
+                yield thing
+
+    def _new(self) -> _Thing:
+        self._count += 1
+        made = self._things[self._count] = _Thing(self._count)
+        return made
+
+    def _forget(self) -> None:
+        """Of too many those that were seen in the fewest pictures, and longest ago."""
+        while len(self._things) > MOST_THINGS:
+            least = min(self._things.values(), key=lambda t: (t.pictures, t.spots[-1].capture_unix_ns))
+            del self._things[least.number]
+
+    def _value(self, t: _Thing) -> FoundThing:
+        assert self._frame is not None and t.best is not None and t.newest is not None
+        (east, north), covariance = t.merged()
+        lat, lon, _ = (float(c) for c in self._frame.to_geodetic((east, north, self._height(east, north))))
+        spot, where = t.best
+        known = t.newest.place
+        assert known is not None and spot.place is not None
+        place = Place(
+            lat, lon, known.height_amsl_m, known.height_ellipsoid_m, Ellipse.from_covariance(covariance),
+            known.sigma_height_m,
+        )  # fmt: skip
+        return FoundThing(
+            t.number, place, self._course(t), t.pictures, tuple(sorted(t.vehicles)), t.first_unix_ns,
+            t.spots[-1].capture_unix_ns, t.temperature_c, t.above_ground_k, spot.contrast, spot.area_m2,
+            spot.sigma_area_m2, where, t.spots[-1],
+            tuple(dict.fromkeys([*t.bests, *t.spots])),
+        )  # fmt: skip
+
+    def _height(self, east: float, north: float) -> float:
+        """What is above a place of the frame's plane at height 0 of the ellipsoid, near enough."""
+        return -(east**2 + north**2) / (2.0 * 6_371_000.0)
+
+    def _course(self, t: _Thing) -> Course | None:
+        """None before anything can be said. (26.7)"""
+        motion = t.moving[t.last]
+        if motion.at_s - min(m.began_s for m in t.moving.values()) < TOLD_S or motion.count < 3:
+            return None
+        v, V = motion.velocity_m_s, motion.velocity_covariance
+        speed = float(np.hypot(*v))
+        along = v / max(speed, 1e-9)
+        sigma_m_s = math.sqrt(float(along @ V @ along))
+        if not t.is_moving:
+            return Course(speed, sigma_m_s) if sigma_m_s <= REST_M_S else None
+        across = np.array([-along[1], along[0]])
+        sigma_deg = math.degrees(math.sqrt(float(across @ V @ across)) / speed)
+        return Course(speed, sigma_m_s, math.degrees(math.atan2(v[0], v[1])) % 360.0, min(sigma_deg, 180.0))
+
+
+def covariance_of(ellipse: Ellipse) -> Array:
+    """(2, 2) east, north, m^2."""
+    azimuth = math.radians(ellipse.azimuth_deg)
+    along, across = np.array([math.sin(azimuth), math.cos(azimuth)]), np.array([math.cos(azimuth), -math.sin(azimuth)])
+    axes = ellipse.semi_major_m**2 * np.outer(along, along) + ellipse.semi_minor_m**2 * np.outer(across, across)
+    out: Array = axes / CHI2_2 + 1e-6 * np.eye(2)  # a millimetre: none is without any error
+    return out
+
+
+def _note(t: _Thing, report: SpotReport, spot: Spot) -> None:
+    """What is said of a thing besides its place. The best picture of it is the one with the most contrast, uncut."""
+    where = SeenSpot(report.vehicle, report.session, report.frame, report.capture_unix_ns, spot.u_px, spot.v_px)
+    t.first_unix_ns = min(t.first_unix_ns or where.capture_unix_ns, where.capture_unix_ns)
+    t.pictures += 1
+    t.vehicles.add(report.vehicle)
+    t.newest = spot
+    t.spots.append(where)
+    if len(t.spots) > MOST_KEPT_SPOTS:
+        del t.spots[1]  # the first stays: it is what the thing was known by at first
+    if t.best is None or (not spot.is_cut, abs(spot.contrast)) >= (not t.best[0].is_cut, abs(t.best[0].contrast)):
+        t.best = spot, where
+        t.bests = [*t.bests, where][-MOST_KEPT_SPOTS:]
+    if spot.temperature_c is not None and spot.above_ground_k is not None:
+        is_first = t.above_ground_k is None
+        if is_first or abs(spot.above_ground_k) > abs(t.above_ground_k or 0.0):
+            t.temperature_c, t.above_ground_k = spot.temperature_c, spot.above_ground_k

@@ -1,0 +1,138 @@
+"""Where a thing is, and how it moves, from its places in the pictures of one session. Equations (26.1) to (26.6).
+
+A place's error has three parts: one that all pictures of the session share, one that all spots of its picture share and
+that lasts for some seconds, and its own. Only the last becomes less with the number of pictures.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+PICTURE_TIME_S = 10.0  # for which errors of neighbouring pictures are alike: they rest on the same window of them
+STANDING_SPEED_M_S, WALKING_SPEED_M_S = 0.0, 1.5  # one sigma, along each axis, of the speed that a thing begins with
+WALKING_M_S2 = 0.15  # white acceleration, m/s^2 over the root of a hertz
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """A spot's place in one picture: east, north (2,), m, and the roots (2, 2) of its error's three parts, m."""
+
+    at_s: float
+    place_m: Array
+    session_root_m: Array
+    picture_root_m: Array
+    own_m2: Array  # covariance
+
+    @classmethod
+    def of(
+        cls, at_s: float, place_m: Array, covariance_m2: Array, picture_share: float, session_share: float
+    ) -> Sighting:
+        """From a covariance (2, 2) and the shares of it that are not the spot's own. (26.1)"""
+        values, vectors = np.linalg.eigh(covariance_m2)
+        root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+        session = min(max(session_share, 0.0), 1.0)
+        picture = min(max(picture_share, session), 1.0)
+        own = max(1.0 - picture, 1e-3)  # a place is no better than it is stated: the shares are rounded
+        return cls(
+            at_s, np.asarray(place_m, float), math.sqrt(session) * root, math.sqrt(picture - session) * root,
+            own * np.asarray(covariance_m2, float),
+        )  # fmt: skip
+
+    @property
+    def covariance_m2(self) -> Array:
+        """Of the whole error."""
+        shared = self.session_root_m @ self.session_root_m.T + self.picture_root_m @ self.picture_root_m.T
+        return shared + self.own_m2
+
+
+class Motion:
+    """A filter of place (2), speed (2) and the slow error of the pictures (2); east, north.
+
+    What the session shares is considered, not estimated: `shared_m` is how it acts on the state. With a first speed of
+    none the thing stands, for certain and for ever.
+    """
+
+    def __init__(self, first: Sighting, sigma_speed_m_s: float) -> None:
+        B, one = first.picture_root_m, np.eye(2)
+        self.at_s = self.began_s = first.at_s
+        self._is_moving = sigma_speed_m_s > 0.0
+        self._state = np.concatenate([first.place_m, np.zeros(4)])
+        self._P = np.zeros((6, 6))
+        self._P[:2, :2] = first.own_m2 + B @ B.T
+        self._P[2:4, 2:4] = sigma_speed_m_s**2 * one
+        self._P[4:, 4:] = one
+        self._P[:2, 4:], self._P[4:, :2] = -B, -B.T
+        self._shared = np.vstack([first.session_root_m, np.zeros((4, 2))])
+        self.misfit = 0.0  # sum of normalised squared innovations, of two degrees of freedom each
+        self.count = 1
+
+    def at(self, at_s: float) -> tuple[Array, Array, Array]:
+        """State (6,), its covariance (6, 6) without the shared part, and how that part acts on it (6, 2), at a time."""
+        dt = max(at_s - self.at_s, 0.0)
+        F = np.eye(6)
+        F[0, 2] = F[1, 3] = dt
+        F[4, 4] = F[5, 5] = decay = math.exp(-dt / PICTURE_TIME_S)
+        Q = np.zeros((6, 6))
+        if self._is_moving:
+            q = WALKING_M_S2**2
+            for k in range(2):
+                Q[k, k], Q[k, k + 2], Q[k + 2, k], Q[k + 2, k + 2] = q * dt**3 / 3, q * dt**2 / 2, q * dt**2 / 2, q * dt
+        Q[4, 4] = Q[5, 5] = 1.0 - decay**2
+        return F @ self._state, F @ self._P @ F.T + Q, F @ self._shared
+
+    def distance2(self, seen: Sighting) -> float:
+        """Squared Mahalanobis distance of a place of the same session: what both share takes no part. (26.4)"""
+        innovation, S, _ = self._innovation(seen)
+        return float(innovation @ np.linalg.solve(S, innovation))
+
+    def take(self, seen: Sighting) -> None:
+        """One more place of the same thing. (26.2), (26.3)"""
+        innovation, S, H = self._innovation(seen)
+        state, P, shared = self.at(seen.at_s)
+        # The gain is that of the part that is estimated; the shared part goes through it.
+        C = H @ P @ H.T + seen.own_m2
+        K = np.linalg.solve(C, H @ P).T
+        A = np.eye(6) - K @ H
+        self._state = state + K @ innovation
+        self._P = A @ P @ A.T + K @ seen.own_m2 @ K.T
+        self._shared = A @ shared + K @ seen.session_root_m
+        self.at_s = max(self.at_s, seen.at_s)
+        self.misfit += float(innovation @ np.linalg.solve(S, innovation))
+        self.count += 1
+
+    @property
+    def place_m(self) -> Array:
+        """(2,) at its newest sighting."""
+        out: Array = self._state[:2]
+        return out
+
+    @property
+    def covariance_m2(self) -> Array:
+        """(2, 2) of the place, with all that is shared. (26.5)"""
+        out: Array = self._P[:2, :2] + self._shared[:2] @ self._shared[:2].T
+        return out
+
+    @property
+    def velocity_m_s(self) -> Array:
+        """(2,) east, north."""
+        out: Array = self._state[2:4]
+        return out
+
+    @property
+    def velocity_covariance(self) -> Array:
+        """(2, 2), (m/s)^2."""
+        out: Array = self._P[2:4, 2:4] + self._shared[2:4] @ self._shared[2:4].T
+        return out
+
+    def _innovation(self, seen: Sighting) -> tuple[Array, Array, Array]:
+        """What a place says beyond what was known (2,), its covariance (2, 2), and the state's part in it (2, 6)."""
+        state, P, shared = self.at(seen.at_s)
+        H = np.hstack([np.eye(2), np.zeros((2, 2)), seen.picture_root_m])
+        common = H @ shared - seen.session_root_m
+        return seen.place_m - H @ state, H @ P @ H.T + seen.own_m2 + common @ common.T, H

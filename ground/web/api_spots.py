@@ -1,0 +1,105 @@
+"""Hot spots as things that a machine found: confirmed they become pins, dismissed deleted ones. Both can be undone."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, HTTPException, Path, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from ground.circular_error import ce90_m
+from ground.pins.machine import click_of, decision, decisions
+from ground.pins.model import MAX_NAME, MAX_WHO, Category, Pin
+from ground.spots.found_thing import FoundThing
+from ground.spots.merging import covariance_of
+from ground.web.desk import Desk, NotThere
+
+Number = Annotated[int, Path(ge=1, le=10**9)]
+
+
+class Confirmed(BaseModel):
+    """What a person says that it is."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str = Field(default="", max_length=MAX_NAME)
+    category: Category = Category.POI
+    who: str = Field(default="", max_length=MAX_WHO)
+
+
+class Dismissed(BaseModel):
+    """Who says that it is nothing."""
+
+    model_config = ConfigDict(extra="forbid")
+    who: str = Field(default="", max_length=MAX_WHO)
+
+
+def spots_router(desk: Desk) -> APIRouter:
+    """Routes below /api."""
+    router = APIRouter(tags=["hot spots"])
+    heard = desk.source.spots
+
+    def thing(number: int) -> FoundThing:
+        found = heard.thing(number)
+        if found is None:
+            raise NotThere(f"no hot spot {number}")
+        return found
+
+    def undecided(number: int) -> FoundThing:
+        found = thing(number)
+        made = decision(found, decisions(desk.store.everything()))
+        if made is not None:
+            word = "dismissed" if made.is_deleted else f"pin {made.number}"
+            raise HTTPException(409, f"hot spot {number} is {word} already")
+        return found
+
+    @router.get("/spots", summary="All hot spots as things, with what was decided of them")
+    def spots() -> dict[str, Any]:
+        version, things = heard.version, heard.things()
+        return {"version": version, "spots": spots_json(desk, things)}
+
+    @router.post("/spots/{number}/confirm", status_code=201, summary="It is something: a pin, with its source stated")
+    def confirm(number: Number, body: Confirmed) -> Response:
+        found = undecided(number)
+        click = click_of(found, body.who)
+        note = f"found by the machine as hot spot {number}, confirmed by {body.who or 'a person'}: {found.heat_text}"
+        pin = desk.store.add(
+            [click], name=body.name, note=note, category=body.category, who=body.who, crop=desk.crop_of(click)
+        )
+        desk.changed(pin.id)
+        return Response(desk.pin_text(pin.id), status_code=201, media_type="application/json")
+
+    @router.post("/spots/{number}/dismiss", summary="It is nothing: it is not shown again")
+    def dismiss(number: Number, body: Dismissed) -> dict[str, Any]:
+        found = undecided(number)
+        pin = desk.store.add([click_of(found, body.who)], name=f"hot spot {number}", who=body.who)
+        desk.store.delete(pin.id, who=body.who)
+        desk.changed(pin.id)
+        return {"pin": pin.id}
+
+    @router.get("/spots/{number}/crop", summary="The picture about it, where it is seen best", response_class=Response)
+    def crop(number: Number) -> Response:
+        found = desk.crop_of(click_of(thing(number), ""))
+        if found is None:
+            raise NotThere("no picture of it is there")
+        return Response(found, media_type="image/jpeg")
+
+    return router
+
+
+def spots_json(desk: Desk, things: list[FoundThing]) -> list[dict[str, Any]]:
+    """As the page shows them."""
+    made = decisions(desk.store.everything()) if things else {}
+    return [_spot_json(thing, decision(thing, made)) for thing in things]
+
+
+def _spot_json(thing: FoundThing, made: Pin | None) -> dict[str, Any]:
+    state = "open" if made is None else "dismissed" if made.is_deleted else "confirmed"
+    return {
+        **thing.to_dict(),
+        "state": state,
+        "pin": None if made is None else made.id,
+        "is_sure": thing.is_sure,
+        "ce90_m": round(ce90_m(covariance_of(thing.place.ellipse)), 3),
+        "heat": thing.heat_text,
+        "motion": thing.course_text,
+    }

@@ -1,0 +1,128 @@
+"""How fast the filter certainly moves its position against its own velocity: more than what it is known to do.
+
+A filter whose positions are late by more than it assumes moves its position against its velocity whenever it is
+accelerated, and nothing is wrong with it then. What that may come to is part of the test's own covariance.
+"""
+
+from __future__ import annotations
+
+import bisect
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.config.schema import Gps
+from onboard.navigation.position_interpolation import Position
+from onboard.navigation.time_series import Series
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+SLIP_WINDOW_NS = 2_000_000_000
+MIN_DISPERSION_FREEDOM = 4
+SURE_SIGMAS = 3.0
+TURN_SIGMAS = 2.0  # of the latency: a filter is later than that in one flight of twenty
+DYNAMIC_TIME_S = 3.0  # that a navigation filter takes to forget what acceleration did to it
+REMEMBERED = 4.0  # of these, after which nothing is left
+
+
+@dataclass(frozen=True)
+class Slip:
+    """How fast the filter certainly moves its position sideways of its velocity, and the dispersion about that (m).
+
+    `in_turns_m_s`: one sigma of what acceleration makes a filter do that is in order. (5.21)
+    """
+
+    surely_m_s: float = 0.0
+    dispersion_m: float = 0.0
+    in_turns_m_s: float = 0.0
+
+    def exceeds(self, limit_m_s: float) -> bool:
+        """Whether it is more than a limit and acceleration explain together. (5.22)"""
+        return self.surely_m_s > float(np.hypot(limit_m_s, TURN_SIGMAS * self.in_turns_m_s))
+
+
+@dataclass(frozen=True, eq=False)
+class _Window:
+    """Positions about a moment: stamps (n,), ns, seconds (n,), places (n, 2) and velocities (n, 2), ENU."""
+
+    stamps_ns: Times
+    seconds: Array
+    places_m: Array
+    velocities_m_s: Array
+
+
+@dataclass(frozen=True)
+class SlipTest:
+    """Positions against their own velocities, with the receiver's and the filter's errors as configured."""
+
+    gps: Gps
+
+    def at(self, positions: Series[Position], moment_ns: int) -> Slip:
+        """A line through positions minus integrated velocities over two seconds about a moment.
+
+        Its slope less three of its sigmas, and the dispersion about it per axis; 0 where too little is known.
+        """
+        window = self._window(positions, moment_ns)
+        if window is None:
+            return Slip()
+        strayed = window.places_m - integrated(window.velocities_m_s, window.seconds)
+        strayed -= strayed.mean(axis=0)
+        t = window.seconds - window.seconds.mean()
+        span = float(t @ t)
+        slope = t @ strayed / span
+        miss = strayed - t[:, None] * slope
+        freedom = len(t) - 2
+        dispersion_m = self.gps.sigma_white_m  # of too few to estimate it from
+        if freedom >= MIN_DISPERSION_FREEDOM:
+            dispersion_m = float(np.sqrt(np.sum(miss**2) / (2 * freedom)))
+        surely = float(np.linalg.norm(slope)) - SURE_SIGMAS * dispersion_m / np.sqrt(span)
+        if surely <= 0.0:
+            return Slip(0.0, dispersion_m)
+        by_latency = integrated(_slip_by_latency(positions, window.stamps_ns), window.seconds)
+        return Slip(surely, dispersion_m, self.gps.sigma_latency_s * float(np.linalg.norm(t @ by_latency)) / span)
+
+    def _window(self, positions: Series[Position], moment_ns: int) -> _Window | None:
+        """The positions about a moment; None where they are too few, too far apart or without velocities."""
+        stamps = positions.stamps_ns
+        first = bisect.bisect_left(stamps, moment_ns - SLIP_WINDOW_NS // 2)
+        last = bisect.bisect_right(stamps, moment_ns + SLIP_WINDOW_NS // 2) - 1
+        if last - first < 2 or stamps[last] - stamps[first] < SLIP_WINDOW_NS // 2:
+            return None
+        held = positions.values[first : last + 1]
+        known = [p.velocity_enu_m_s[:2] for p in held if p.velocity_enu_m_s is not None]
+        held_ns = np.array(stamps[first : last + 1], np.int64)
+        seconds = (held_ns - held_ns[0]) / 1e9
+        if len(known) < len(held) or np.diff(seconds).max() > self.gps.max_gap_s:
+            return None
+        return _Window(held_ns, seconds, np.array([p.enu_m[:2] for p in held]), np.array(known))
+
+
+def _slip_by_latency(positions: Series[Position], moments_ns: Times) -> Array:
+    """How a filter slips (n, 2), m/s, at some moments (n,) by a latency that is off by 1 s. Equation (5.21).
+
+    Taken from the velocities' own steps: those of a filter that corrects itself are as nothing beside a turn's.
+    """
+    stamps = positions.stamps_ns
+    first = bisect.bisect_left(stamps, int(moments_ns[0]) - round(REMEMBERED * DYNAMIC_TIME_S * 1e9))
+    last = bisect.bisect_right(stamps, int(moments_ns[-1]))
+    held = [
+        (stamp_ns, p.velocity_enu_m_s[:2])
+        for stamp_ns, p in zip(stamps[first:last], positions.values[first:last], strict=True)
+        if p.velocity_enu_m_s is not None
+    ]
+    stepped_ns = np.array([stamp_ns for stamp_ns, _ in held[1:]], np.int64)
+    steps = np.diff(np.array([v for _, v in held]), axis=0)
+    ago = (moments_ns[:, None] - stepped_ns) / (1e9 * DYNAMIC_TIME_S)
+    answer = np.where(ago >= 0.0, (1.0 - ago) * np.exp(-np.maximum(ago, 0.0)), 0.0)
+    out: Array = -2.0 / DYNAMIC_TIME_S * answer @ steps
+    return out
+
+
+def integrated(velocities: Array, seconds: Array) -> Array:
+    """Distance (n, ...) since the first of some moments (n,) by the trapezium rule."""
+    out = np.zeros_like(velocities)
+    apart_s = (seconds[1:] - seconds[:-1]).reshape(-1, *[1] * (velocities.ndim - 1))
+    np.cumsum(0.5 * (velocities[1:] + velocities[:-1]) * apart_s, axis=0, out=out[1:])
+    return out

@@ -1,0 +1,77 @@
+"""How high a contrast must be so that the ground alone reaches it only so often a square kilometre. (25.6) to (25.8)"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+KEPT = 400  # pictures of ground of its own each
+LARGEST = 100  # contrasts of a picture
+FITTED, FITTED_KM2 = 40, 1000.0  # that the tail is fitted to: at least so many, and so many a square kilometre
+LEAST_PEAKS = 20
+CENSORED = 0.1  # of them, the largest, which may be what is looked for: only that they are large is used
+SHAPE, SHAPE_SIGMA = 0.1, 0.03  # of the tail: rather heavier than an exponential, as far as that cannot be told
+APART = 0.8  # of a picture's side, at which its ground counts as another's
+_SHAPES = np.linspace(-0.4, 0.4, 34)  # without 0
+_SCALES = np.geomspace(0.2, 5.0, 48)  # of the mean excess
+
+
+class ClutterTail:
+    """Fed with the largest contrasts of pictures; each part of the ground counts once."""
+
+    def __init__(self, false_per_km2: float) -> None:
+        self._rate = false_per_km2
+        self._samples: deque[tuple[Array, float, Array]] = deque(maxlen=KEPT)  # place, area, contrasts
+        self._threshold: float | None = None
+
+    @property
+    def searched_km2(self) -> float:
+        """The ground that the tail is known from."""
+        return sum(area for _, area, _ in self._samples)
+
+    def is_new(self, place_m: Array, area_km2: float) -> bool:
+        """Whether a picture about a place (2,), east and north, shows ground that has not been counted."""
+        side_m = 1000.0 * np.sqrt(area_km2)
+        return all(float(np.hypot(*(place_m - other))) > APART * side_m for other, _, _ in self._samples)
+
+    def add(self, place_m: Array, area_km2: float, contrasts: Array) -> None:
+        """The largest contrasts of what might have been a spot on `area_km2` of ground."""
+        self._samples.append((place_m, area_km2, np.sort(contrasts)[::-1][:LARGEST]))
+        self._threshold = None
+
+    @property
+    def threshold(self) -> float:
+        """In sigmas of the clutter; infinite while too little has been seen."""
+        if self._threshold is None:
+            self._threshold = self._fitted()
+        return self._threshold
+
+    def _fitted(self) -> float:
+        peaks = np.sort(np.concatenate([c for _, _, c in self._samples]))[::-1] if self._samples else np.zeros(0)
+        allowed = self._rate * self.searched_km2
+        wanted = max(FITTED, FITTED_KM2 * self.searched_km2, 4.0 * allowed)
+        count = min(int(np.ceil(wanted)), len(peaks)) - 1
+        if count < LEAST_PEAKS:
+            return float("inf")
+        base = float(peaks[count])
+        shape, scale = _fit(peaks[:count] - base)
+        return base + scale * float(np.expm1(shape * np.log(max(count / allowed, 1.0)))) / shape
+
+
+def _fit(excess: Array) -> tuple[float, float]:
+    """Shape and scale of the generalised Pareto law of excesses (N,), largest first: (25.7)."""
+    censored = int(np.ceil(CENSORED * len(excess)))
+    seen, mean = excess[censored:], max(float(excess[censored:].mean()), 1e-6)
+    shape, scale = (axis[:, :, None] for axis in np.meshgrid(_SHAPES, mean * _SCALES, indexing="ij"))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inside = np.log1p(shape * seen / scale)
+        at_edge = np.log1p(shape * excess[censored - 1] / scale)
+        likelihood = -len(seen) * np.log(scale) - ((1.0 + 1.0 / shape) * inside).sum(axis=2, keepdims=True)
+        likelihood = likelihood - censored * at_edge / shape - 0.5 * ((shape - SHAPE) / SHAPE_SIGMA) ** 2
+    best = np.nanargmax(np.where(np.isfinite(likelihood), likelihood, -np.inf))
+    i, j, _ = np.unravel_index(best, likelihood.shape)
+    return float(_SHAPES[i]), float(mean * _SCALES[j])

@@ -1,0 +1,113 @@
+"""Spots of one picture, by their surroundings and by their heat alone. Section 25."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.feature_set import FeatureSet
+from contract.thermal_scale import ThermalScale
+from onboard.config.schema import SpotsConfig
+from onboard.spots.clutter_tail import LARGEST, ClutterTail
+from onboard.spots.contrast import Contrast, Image, contrast, in_picture
+from onboard.spots.ground_scale import USUAL_M, GroundScale, ground_scale, usual_scale
+from onboard.spots.regions import MOST_REGIONS, Part, Region, about_peak, above, peaks, region_of
+
+Array = NDArray[np.float64]
+
+ZERO_C_K = 273.15
+OUT_OF_PICTURE = (
+    25.0  # sigmas of the whole picture, at which something something is a spot of any size (land in a lake: 20)
+)
+TRIED = 4 * LARGEST  # peaks looked at for the tail, of which most are no spots
+PARTS = 24, 32  # rows and columns of the grid on which it is known how much ground a pixel shows
+LEAST_PX = 2.0  # to a side of what can be told from a pixel's fault
+REACH_SIDES, LEAST_SIDE = 1.5, 0.5  # a thing is no farther about its peak and no smaller, in sides of its size
+
+
+class Detector:
+    """Fed with pictures and their sets, in order. What it takes for a spot depends on the ground that it has seen.
+
+    Things are looked for by size, an octave of it at a time, each against the clutter and with the tail of that size:
+    ground varies less over half a metre than over five.
+    """
+
+    def __init__(self, config: SpotsConfig, scale: ThermalScale | None) -> None:
+        self._config, self._scale = config, scale
+        smallest = float(np.sqrt(config.smallest_m2))
+        octaves = max(int(np.ceil(np.log2(config.largest_m / smallest))), 1)
+        self.tails = {smallest * 2.0**k: ClutterTail(config.false_per_km2 / octaves) for k in range(octaves)}
+        self._pixel_m = 0.0  # of the newest picture with a scale
+
+    def look(self, counts: NDArray[np.uint16], its_set: FeatureSet, place_m: Array) -> list[Region]:
+        """Of counts (H, W) and the picture's set, the most significant first; `place_m` (2,): about where its ground
+        is, east and north of a point that stays.
+        """
+        ground = ground_scale(its_set, PARTS)
+        used = ground or usual_scale(its_set.camera, PARTS)
+        if ground is not None:
+            self._pixel_m = ground.middle_m
+        pixel_m = self._pixel_m or USUAL_M / its_set.camera.fx_px
+        values = counts.astype(np.float32) if self._scale is None else self._scale.kelvin(counts)
+        found = self._large(values, used, pixel_m)
+        for side_m, tail in self.tails.items():
+            if 2.0 * side_m < LEAST_PX * pixel_m:
+                continue
+            c = contrast(values, used.is_ground, side_m, pixel_m)
+            if ground is not None:
+                self._learn(c, tail, ground, place_m, pixel_m)
+            must = tail.threshold
+            for size, part in self._small(c, pixel_m, must, MOST_REGIONS):
+                region = region_of(c, part, size)
+                if region is not None:
+                    found.append(replace(region, significance=region.contrast / max(must, 1e-6)))
+        return apart(sorted(found, key=lambda region: -region.significance))
+
+    def _learn(self, c: Contrast, tail: ClutterTail, ground: GroundScale, place_m: Array, pixel_m: float) -> None:
+        """Of ground that has not been seen yet: how much of it looks like a spot. (25.6)"""
+        width, height = c.size_px
+        area_km2 = 1e-6 * ground.area_m2((width, height)) * c.times**2
+        if area_km2 > 0.0 and tail.is_new(place_m, area_km2):
+            found = self._small(c, pixel_m, 0.0, LARGEST)
+            tail.add(place_m, area_km2, np.array([size for size, _ in found]))
+
+    def _small(self, c: Contrast, pixel_m: float, least: float, most: int) -> list[tuple[float, Part]]:
+        """Contrasts and parts of what has the size that `c` is for, the greatest first."""
+        side_px = c.side_m / (pixel_m * c.times)
+        reach, least_px = max(int(np.ceil(REACH_SIDES * side_px)), 3), (LEAST_SIDE * side_px) ** 2
+        found: list[tuple[float, Part]] = []
+        for peak in peaks(c, least, TRIED):
+            row, column = int(peak[0]), int(peak[1])
+            if any(part.holds(row, column) for _, part in found):
+                continue
+            part = about_peak(c, peak, reach, least_px)
+            if part is not None:
+                found.append((float(c.in_clutter[row, column]), part))
+                if len(found) == most:
+                    break
+        return found
+
+    def _large(self, values: Image, ground: GroundScale, pixel_m: float) -> list[Region]:
+        """By heat alone; where that is not known, what is far above all of the picture."""
+        size, usual = in_picture(values, ground.is_ground)
+        if self._scale is None:
+            level = size - np.float32(OUT_OF_PICTURE)
+        else:
+            level = np.where(size != 0.0, values - np.float32(self._config.hotter_than_c + ZERO_C_K), np.float32(-1.0))
+        return above(values, usual, size, level, self._config.smallest_m2 / pixel_m**2)
+
+
+def apart(regions: list[Region]) -> list[Region]:
+    """Without those that lie about the middle of one before them, or have their own middle in it."""
+    kept: list[Region] = []
+    for region in regions:
+        if not any(_is_in_box(region.uv_px, other) or _is_in_box(other.uv_px, region) for other in kept):
+            kept.append(region)
+    return kept[:MOST_REGIONS]
+
+
+def _is_in_box(uv_px: Array, region: Region) -> bool:
+    low, high = region.outline_px.min(axis=0), region.outline_px.max(axis=0)
+    return bool(np.all((low <= uv_px) & (uv_px <= high)))

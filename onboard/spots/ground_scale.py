@@ -1,0 +1,69 @@
+"""How much ground the pixels of a picture show, by its set's plane. (25.2)"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.camera import Camera
+from contract.feature_set import FeatureSet
+from contract.locate import MIN_PLANE_SHARE
+
+Array = NDArray[np.float64]
+
+USUAL_M = 100.0  # from the ground, where nothing is known of it yet
+
+
+@dataclass(frozen=True, eq=False)
+class GroundScale:
+    """Level ground (h, w) that a pixel at each place of a coarse grid shows, m2; nan where it shows none."""
+
+    pixel_m2: Array
+
+    @property
+    def middle_m(self) -> float:
+        """The side of the usual pixel's ground."""
+        return float(np.sqrt(np.nanmedian(self.pixel_m2)))
+
+    @property
+    def is_ground(self) -> NDArray[np.bool_]:
+        """Which places show ground that can be measured, and so do those beside them."""
+        shown = np.pad(np.isfinite(self.pixel_m2), 1, mode="edge")
+        height, width = self.pixel_m2.shape
+        out: NDArray[np.bool_] = np.all(
+            [shown[i : i + height, j : j + width] for i in range(3) for j in range(3)], axis=0
+        )
+        return out
+
+    def area_m2(self, size_px: tuple[int, int]) -> float:
+        """Of all the ground that the picture shows."""
+        counted = self.pixel_m2[self.is_ground]
+        return float(counted.sum()) * size_px[0] * size_px[1] / self.pixel_m2.size
+
+
+def ground_scale(its_set: FeatureSet, shape: tuple[int, int]) -> GroundScale | None:
+    """Of a picture's set on a grid of that many rows and columns; None if the set has no answer or shows no ground."""
+    s, camera = its_set, its_set.camera
+    if not s.is_ok:
+        return None
+    rays, valid = camera.unproject(_grid(camera, shape))
+    w = rays @ np.array([s.plane_per_m[1], s.plane_per_m[2], s.plane_per_m[0]])
+    shown = valid & (w > MIN_PLANE_SHARE * max(float(w.max()), 1e-12))
+    up = abs(float(s.R_enu_cam[2] @ np.array([s.plane_per_m[1], s.plane_per_m[2], s.plane_per_m[0]])))
+    area = up / np.where(shown, w, np.nan) ** 3 / (camera.fx_px * camera.fy_px)
+    return GroundScale(area) if shown.any() and up > 0.0 else None
+
+
+def usual_scale(camera: Camera, shape: tuple[int, int]) -> GroundScale:
+    """Where no set has said anything yet."""
+    return GroundScale(np.full(shape, USUAL_M**2 / (camera.fx_px * camera.fy_px)))
+
+
+def _grid(camera: Camera, shape: tuple[int, int]) -> Array:
+    """Pixels (h, w, 2) in the middles of as many parts of the picture."""
+    rows, columns = shape
+    u = (np.arange(columns) + 0.5) * (camera.width_px / columns) - 0.5
+    v = (np.arange(rows) + 0.5) * (camera.height_px / rows) - 0.5
+    return np.stack(np.meshgrid(u, v), axis=-1)

@@ -1,0 +1,151 @@
+"""From pixels that stand out to regions with outlines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.spots.contrast import Contrast, Image
+
+Array = NDArray[np.float64]
+
+FINER, DRAWN_PX = 4, 256  # an outline is drawn up to so many times finer than pixels, on at most about so many
+LEAST_APART_PX = 2
+MOST_REGIONS = 24
+MOST_POINTS, ROUGHEST_PX = 120, 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """What stands out, in pixels of the picture: its middle (2,) and outline (N, 2), contrast in sigmas, the hottest
+    value and how far that is above its ground's. `significance` is contrast over what it must be, to compare by.
+    """
+
+    uv_px: Array
+    outline_px: Array
+    contrast: float
+    hottest: float
+    above: float
+    is_cut: bool
+    significance: float = 0.0
+    pixels: float = 1.0  # to the side of a pixel of the picture that it was found in
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A part of a picture from row `up` and column `left` on; `level` (h, w) is above 0 in what is meant."""
+
+    level: Image
+    up: int
+    left: int
+
+    def holds(self, row: int, column: int) -> bool:
+        """Whether a pixel of the picture belongs to it."""
+        height, width = self.level.shape
+        i, j = row - self.up, column - self.left
+        return 0 <= i < height and 0 <= j < width and bool(self.level[i, j] > 0.0)
+
+
+def peaks(c: Contrast, least: float, most: int) -> NDArray[np.int64]:
+    """Rows and columns (N, 2) of the `most` greatest local maxima of contrast above `least`, the greatest first."""
+    size = 2 * LEAST_APART_PX + 1
+    top = np.asarray(cv2.dilate(c.in_clutter, np.ones((size, size), np.uint8)))
+    at = np.argwhere((c.in_clutter >= top) & (c.in_clutter > max(least, 0.0)))
+    order = np.argsort(c.in_clutter[at[:, 0], at[:, 1]])[::-1][:most]
+    return np.asarray(at[order], np.int64)
+
+
+def about_peak(c: Contrast, peak: NDArray[np.int64], reach_px: int, least_px: float) -> Part | None:
+    """What is within half of a peak's excess and joined to it, in the picture of `c`; None if it reaches farther than
+    `reach_px` or has fewer than `least_px` pixels: it is of another size.
+    """
+    row, column = int(peak[0]), int(peak[1])
+    height, width = c.values.shape
+    up, left = max(row - reach_px, 0), max(column - reach_px, 0)
+    excess = c.excess[up : row + reach_px + 1, left : column + reach_px + 1]
+    level = 0.5 * float(c.excess[row, column])
+    _, labels = cv2.connectedComponents((excess > level).astype(np.uint8), connectivity=8)
+    inside = labels == labels[row - up, column - left]
+    rows, columns = np.nonzero(inside)
+    down, right = inside.shape[0] - 1, inside.shape[1] - 1
+    is_at_reach = (
+        (rows.min() == 0 and up > 0) or (columns.min() == 0 and left > 0)
+        or (rows.max() == down and up + down < height - 1) or (columns.max() == right and left + right < width - 1)
+    )  # fmt: skip
+    if is_at_reach or level <= 0.0 or len(rows) < least_px:
+        return None
+    return Part(np.where(inside, excess - level, np.minimum(excess - level, 0.0)), up, left)
+
+
+def region_of(c: Contrast, part: Part, contrast: float) -> Region | None:
+    """A part of the picture of `c`, in pixels of the picture as it was."""
+    height, width = part.level.shape
+    ground = c.background[part.up : part.up + height, part.left : part.left + width]
+    region = _region(c.values, ground, part)
+    if region is None:
+        return None
+    uv, outline = ((px + 0.5) * c.times - 0.5 for px in (region.uv_px, region.outline_px))
+    return replace(region, uv_px=uv, outline_px=outline, contrast=contrast, pixels=c.times)
+
+
+def above(values: Image, ground: float, contrast: Image, level: Image, least_px: float) -> list[Region]:
+    """Every region of a picture (H, W) where `level` (H, W) is above 0, the largest first: whatever its size.
+
+    `contrast` (H, W) is in sigmas of the whole picture, `ground` its usual value.
+    """
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((level > 0.0).astype(np.uint8), connectivity=8)
+    found = []
+    for label in sorted(range(1, count), key=lambda k: -stats[k, cv2.CC_STAT_AREA])[:MOST_REGIONS]:
+        if stats[label, cv2.CC_STAT_AREA] < least_px:
+            break
+        left, up, width, height = (int(n) for n in stats[label, :4])
+        right, down = left + width + 1, up + height + 1
+        left, up = max(left - 1, 0), max(up - 1, 0)
+        inside = labels[up:down, left:right] == label
+        near = level[up:down, left:right]
+        part = Part(np.where(inside, near, np.minimum(near, 0.0)), up, left)
+        region = _region(values, np.full(inside.shape, ground, np.float32), part)
+        if region is not None:
+            size = float(contrast[up:down, left:right][inside].max())
+            found.append(replace(region, contrast=size, significance=float("inf")))
+    return found
+
+
+def _region(values: Image, ground: Image, part: Part) -> Region | None:
+    """A part of a picture (H, W); `ground` (h, w) about it."""
+    height, width = values.shape
+    level, up, left = part.level, part.up, part.left
+    rows, columns = np.nonzero(level > 0.0)
+    outline = _outline(level, int(np.clip(DRAWN_PX // max(level.shape), 1, FINER)))
+    if outline is None or not len(rows):
+        return None
+    outline = np.clip(outline + (left, up), -0.5, (width - 0.5, height - 0.5))
+    inside = values[rows + up, columns + left]
+    weight = np.maximum(level[rows, columns], 1e-6).astype(float)
+    middle = np.array([weight @ (columns + left), weight @ (rows + up)]) / weight.sum()
+    hottest = int(np.argmax(inside))
+    is_cut = min(rows.min() + up, columns.min() + left) == 0 or rows.max() + up == height - 1
+    is_cut |= columns.max() + left == width - 1
+    above = float(inside[hottest] - ground[rows[hottest], columns[hottest]])
+    return Region(middle, outline, 0.0, float(inside[hottest]), above, bool(is_cut))
+
+
+def _outline(level: Image, finer: int) -> Array | None:
+    """The outer outline (N, 2) of what is above 0, in pixels of `level`."""
+    border = np.pad(level.astype(np.float32), 1, mode="edge")
+    if finer > 1:
+        size = (border.shape[1] * finer, border.shape[0] * finer)
+        border = np.asarray(cv2.resize(border, size, interpolation=cv2.INTER_LINEAR), np.float32)
+    contours, _ = cv2.findContours((border > 0.0).astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not contours:
+        return None
+    largest = max(contours, key=cv2.contourArea)
+    rough = ROUGHEST_PX * finer
+    while len(largest) > MOST_POINTS:
+        largest, rough = cv2.approxPolyDP(largest, rough, True), 1.5 * rough
+    if len(largest) < 3:
+        return None
+    return np.asarray((largest[:, 0].astype(float) + 0.5) / finer - 0.5 - 1.0, float)

@@ -1,0 +1,164 @@
+"""All spots of a flight's pictures: found, seen again on the same ground, and put there with their errors."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.answer import Fix
+from contract.feature_set import FeatureSet, Status
+from contract.geodesy import LocalFrame
+from contract.locate import Locator
+from contract.rotations import skew
+from contract.spot import Spot, SpotReport
+from onboard.config.schema import SpotsConfig, ThermalConfig
+from onboard.events.types import Frame
+from onboard.spots.detector import ZERO_C_K, Detector
+from onboard.spots.regions import Region
+
+Array = NDArray[np.float64]
+
+SEEN, OF = 2, 3  # a spot is in so many of so many pictures
+EDGE_SIGMA_PX = 0.5  # of an outline
+LEAST_GATE_PX = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """A region on the ground: east, north (2,) of a point that stays, how far from it the same may be found, m."""
+
+    spot: Spot
+    fix: Fix | None
+    place_m: Array
+    gate_m: float
+
+
+class SpotBook:
+    """Fed with pictures, each with its first set, in order; a picture without counts is passed over."""
+
+    def __init__(self, vehicle: str, spots: SpotsConfig, thermal: ThermalConfig) -> None:
+        self._vehicle, self._config, self._thermal = vehicle, spots, thermal
+        self._begin(0)
+
+    def _begin(self, session: int) -> None:
+        self._session = session
+        self._origin: LocalFrame | None = None
+        self._detector = Detector(self._config, self._thermal.calibration)
+        self._before: deque[list[_Placed]] = deque(maxlen=OF - 1)
+
+    @property
+    def thresholds(self) -> dict[float, float]:
+        """The contrast that a spot of each size (m) must have, in sigmas of the clutter; infinite: not known yet."""
+        return {side_m: tail.threshold for side_m, tail in self._detector.tails.items()}
+
+    def picture(self, frame: Frame, its_set: FeatureSet) -> SpotReport | None:
+        """The spots of the next picture; None where there is nothing to look at."""
+        if frame.counts is None:
+            return None
+        s = its_set
+        if s.session != self._session:
+            self._begin(s.session)
+        locator = Locator(s) if s.is_ok else None
+        if s.is_ok and self._origin is None:
+            self._origin = LocalFrame(s.camera_lat_deg, s.camera_lon_deg, 0.0)
+        found = self._detector.look(frame.counts, s, self._ground_place(locator))
+        placed = [self._placed(region, locator, s.status) for region in found]
+        kept = [one for one in placed if one.fix is None or self._times_seen(one) + 1 >= SEEN]
+        self._before.append([one for one in placed if one.fix is not None])
+        picture, session = shares([one.fix for one in kept if one.fix is not None], s)
+        return SpotReport(
+            s.session, s.frame, s.capture_unix_ns, self._thermal.calibration is not None,
+            tuple(one.spot for one in kept), 0, picture, session, self._vehicle,
+        )  # fmt: skip
+
+    def _ground_place(self, locator: Locator | None) -> Array:
+        """About where a picture's ground is: the place at its middle, else below the camera."""
+        if locator is None:
+            return np.full(2, np.nan)
+        camera = locator.feature_set.camera
+        offset = locator.offset([0.5 * (camera.width_px - 1.0), 0.5 * (camera.height_px - 1.0)])
+        at = np.zeros(3) if isinstance(offset, Status) else offset
+        lat, lon, _ = (float(c) for c in locator.frame.to_geodetic(at))
+        return self._en_m(lat, lon)
+
+    def _en_m(self, lat_deg: float, lon_deg: float) -> Array:
+        assert self._origin is not None
+        out: Array = self._origin.to_enu(lat_deg, lon_deg, 0.0)[:2]
+        return out
+
+    def _placed(self, region: Region, locator: Locator | None, status: Status) -> _Placed:
+        u, v = (float(c) for c in region.uv_px)
+        scale = self._thermal.calibration
+        hottest, above = (None, None) if scale is None else (region.hottest - ZERO_C_K, region.above)
+        plain = Spot(u, v, region.contrast, hottest, above, status, is_cut=region.is_cut)
+        if locator is None:
+            return _Placed(plain, None, np.full(2, np.nan), 0.0)
+        answer = locator.locate(region.uv_px)
+        if not isinstance(answer, Fix):
+            spot = Spot(u, v, region.contrast, hottest, above, answer.status, is_cut=region.is_cut)
+            return _Placed(spot, None, np.full(2, np.nan), 0.0)
+        outline, pixel_m = self._outline(region, locator, answer)
+        area = _polygon_m2(outline)
+        sigma = area_sigma(outline, area, region.pixels * pixel_m, answer)
+        spot = Spot(
+            u, v, region.contrast, hottest, above, Status.OK, answer.place, area, sigma,
+            tuple((float(east), float(north)) for east, north in outline), region.is_cut,
+        )  # fmt: skip
+        place = self._en_m(answer.lat_deg, answer.lon_deg)
+        return _Placed(spot, answer, place, max(answer.ellipse.semi_major_m, LEAST_GATE_PX * pixel_m))
+
+    def _outline(self, region: Region, locator: Locator, fix: Fix) -> tuple[Array, float]:
+        """East and north (N, 2) of the place, without what has none of its own; and the side of a pixel there, m."""
+        each = locator.answers(region.outline_px)
+        shown = each.is_answered
+        outline = (each.offset_enu_m[shown] - fix.offset_enu_m)[:, :2]
+        pixels = each.by_pixel_m[shown][:, :2]
+        if len(outline) < 3:
+            return np.zeros((0, 2)), 0.0
+        return outline, float(np.sqrt(np.median(np.abs(np.linalg.det(pixels)))))
+
+    def _times_seen(self, one: _Placed) -> int:
+        """In how many of the pictures before there was a spot on that ground."""
+        near = (
+            any(float(np.hypot(*(one.place_m - other.place_m))) < max(one.gate_m, other.gate_m) for other in before)
+            for before in self._before
+        )
+        return sum(near)
+
+
+def _polygon_m2(outline: Array) -> float:
+    """Of a polygon (N, 2)."""
+    if len(outline) < 3:
+        return 0.0
+    x, y = outline.T
+    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+
+
+def area_sigma(outline: Array, area_m2: float, pixel_m: float, fix: Fix) -> float:
+    """One sigma of an area: of its edge, and of how far away the ground is. (25.10)"""
+    if not area_m2:
+        return 0.0
+    steps = np.hypot(*(outline - np.roll(outline, -1, axis=0)).T)
+    distance = float(np.linalg.norm(fix.offset_enu_m))
+    along = fix.offset_enu_m / distance
+    by_distance = 2.0 * np.sqrt(float(along @ fix.covariance_enu_m2 @ along)) / distance
+    return float(np.hypot(EDGE_SIGMA_PX * pixel_m * steps.sum(), by_distance * area_m2))
+
+
+def shares(fixes: list[Fix], its_set: FeatureSet) -> tuple[float, float]:
+    """Of the fixes' horizontal variance, what the picture's have in common, and the session's. (25.11)"""
+    if not fixes:
+        return 0.0, 0.0
+    offset = np.mean([fix.offset_enu_m for fix in fixes], axis=0)
+    ray = its_set.R_enu_cam.T @ offset
+    J = np.concatenate([np.eye(3), -skew(offset), -np.outer(offset, [1.0, ray[0] / ray[2], ray[1] / ray[2]])], axis=1)
+    total = float(np.mean([np.trace(fix.covariance_enu_m2[:2, :2]) for fix in fixes]))
+    common = float(np.trace((J @ its_set.common_cov @ J.T)[:2, :2]))
+    session = float(np.sum((J @ its_set.shared.by_nuisance)[:2] ** 2))
+    if total <= 0.0:
+        return 0.0, 0.0
+    picture = min(common / total, 1.0)
+    return picture, min(session / total, picture)

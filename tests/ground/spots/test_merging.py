@@ -1,0 +1,172 @@
+"""Spots of many pictures become things: one stays one, two stay two, walkers get a course, ellipses stay true."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from contract.feature_set import Status
+from contract.spot import Spot, SpotReport
+from ground.spots.found_thing import FoundThing
+from ground.spots.merging import MOST_KEPT_SPOTS, SpotMerger, covariance_of
+from tests.ground.spots.drawn_spots import START_NS, Flight, covariance, is_inside, offset_m, place_at, spot_at
+
+Things = Callable[[float], Sequence[Sequence[float]]]
+
+
+def merged(things: Things, pictures: int, *flights: Flight) -> list[FoundThing]:
+    merger = SpotMerger()
+    for flight in flights:
+        for report in flight.reports(things, pictures):
+            merger.add(report)
+    return merger.things()
+
+
+def standing(*places: tuple[float, float]) -> Things:
+    return lambda _: places
+
+
+def walking(t: float) -> list[tuple[float, float]]:
+    """1.4 m/s to the east."""
+    return [(1.4 * t, 0.0)]
+
+
+def flight(seed: int, **more: Any) -> Flight:
+    return Flight(np.random.default_rng(seed), **more)
+
+
+def test_one_thing_stays_one_and_its_ellipse_does_not_shrink_with_the_number_of_pictures() -> None:
+    (once,) = merged(standing((3.0, 4.0)), 1, flight(1))
+    (often,) = merged(standing((3.0, 4.0)), 100, flight(1))
+    shared = math.sqrt(0.6)
+    assert shared < often.place.ellipse.semi_major_m / once.place.ellipse.semi_major_m < 1.1 * shared
+    assert often.pictures == 100 and often.is_sure and not once.is_sure
+    # With nothing shared it does, as far as the things' extent is no part of it.
+    alone = {"picture_share": 0.0, "session_share": 0.0}
+    (once,), (often,) = (merged(standing((3.0, 4.0)), n, flight(1, **alone)) for n in (1, 100))
+    assert 0.09 < often.place.ellipse.semi_major_m / once.place.ellipse.semi_major_m < 0.11
+
+
+def test_neighbouring_pictures_share_errors_so_that_ten_of_one_second_say_less_than_ten_of_a_minute() -> None:
+    quick, slow = (
+        merged(standing((0.0, 0.0)), 10, flight(3, interval_s=interval_s, session_share=0.0, picture_share=0.8))[0]
+        for interval_s in (0.1, 6.0)
+    )
+    assert 1.5 < quick.place.ellipse.semi_major_m / slow.place.ellipse.semi_major_m < 3.0
+
+
+def test_two_people_5_m_apart_are_two() -> None:
+    for seed in range(6):
+        found = merged(standing((0.0, 0.0), (5.0, 0.0)), 25, flight(seed))
+        assert len(found) == 2 and [thing.pictures for thing in found] == [25, 25]
+        # Where they are errs by what all pictures share; how far from each other they are does not.
+        apart = offset_m(found[1].place, (0.0, 0.0)) - offset_m(found[0].place, (0.0, 0.0))
+        assert np.hypot(*apart) == pytest.approx(5.0, abs=1.0)
+
+
+def test_in_one_picture_two_spots_are_two_things_however_near() -> None:
+    assert len(merged(standing((0.0, 0.0), (0.3, 0.0)), 1, flight(0))) == 2
+
+
+def test_a_walker_is_one_thing_with_speed_and_course() -> None:
+    for seed in range(6):
+        (found,) = merged(walking, 21, flight(seed))
+        course = found.course
+        assert course is not None and course.is_moving and course.course_deg is not None
+        assert course.speed_m_s == pytest.approx(1.4, abs=0.5) and 0.05 < course.sigma_speed_m_s < 0.5
+        assert course.course_deg == pytest.approx(90.0, abs=20.0) and 1.0 < (course.sigma_course_deg or 0.0) < 20.0
+        assert np.hypot(*offset_m(found.place, (14.0, 0.0))) < 6.0  # it is where it is, not in the middle of its way
+    assert "m/s towards" in found.to_text()
+
+
+def test_one_that_stands_is_at_rest_and_nothing_is_said_of_a_speed_at_once() -> None:
+    (early,) = merged(standing((0.0, 0.0)), 4, flight(2))
+    assert early.course is None and "speed not known" in early.to_text()
+    (later,) = merged(standing((0.0, 0.0)), 40, flight(2))
+    assert later.course is not None and not later.course.is_moving and "at rest" in later.to_text()
+
+
+def test_a_walker_who_stops_is_at_rest_where_he_stopped() -> None:
+    (found,) = merged(lambda t: [(1.4 * min(t, 15.0), 0.0)], 90, flight(5))
+    assert found.course is not None and not found.course.is_moving
+    assert np.hypot(*offset_m(found.place, (21.0, 0.0))) < 6.0
+
+
+def test_another_aircraft_and_another_session_share_nothing_and_make_the_place_better() -> None:
+    flights = flight(1), flight(2, vehicle="uav-2"), flight(3, session=2, begin_s=100.0)
+    (alone,) = merged(standing((3.0, 4.0)), 30, flights[0])
+    (found,) = merged(standing((3.0, 4.0)), 30, *flights)
+    assert found.vehicles == ("uav-1", "uav-2") and found.pictures == 90
+    ratio = found.place.ellipse.semi_major_m / alone.place.ellipse.semi_major_m
+    assert ratio == pytest.approx(1.0 / math.sqrt(3.0), rel=0.05)
+
+
+def test_the_hottest_picture_and_the_best_one_are_kept() -> None:
+    merger = SpotMerger()
+    cov = covariance(1.0, 1.0, 0.0)
+    heats = [(30.0, 8.0, 10.0, False), (36.0, 14.0, 9.0, False), (31.0, 9.0, 20.0, True), (30.0, 8.0, 12.0, False)]
+    for k, (temperature_c, above_k, contrast, is_cut) in enumerate(heats):
+        words = {"temperature_c": temperature_c, "above_ground_k": above_k, "contrast": contrast, "is_cut": is_cut}
+        spot = spot_at(0.0, 0.0, cov, **words)
+        merger.add(SpotReport(1, k, START_NS + k * 10**9, True, (spot,), 0, 0.5, 0.3, "uav-1"))
+    (found,) = merger.things()
+    assert (found.temperature_c, found.above_ground_k, found.contrast, found.best.frame) == (36.0, 14.0, 12.0, 3)
+    assert found.first_unix_ns == START_NS and found.last_unix_ns == START_NS + 3 * 10**9
+    assert [spot.frame for spot in found.spots] == [0, 3, 1, 2]  # those that were the best once, then the newest
+    assert "36.0 degC, +14.0 K" in found.to_text() and '"spot": 1' in found.to_json()
+
+
+def test_what_has_no_place_is_counted_and_a_report_that_comes_again_changes_nothing() -> None:
+    merger = SpotMerger()
+    refused = Spot(10.0, 20.0, 9.0, status=Status.NO_GPS)
+    placed = spot_at(0.0, 0.0, covariance(1.0, 1.0, 0.0))
+    report = SpotReport(1, 5, START_NS, False, (refused, placed), 0, 0.5, 0.3, "a")
+    assert len(merger.add(report)) == 1 and merger.unplaced == 1
+    assert merger.add(report) == [] and merger.add(replace(report, capture_unix_ns=START_NS - 5)) == []
+    assert merger.pictures == 1 and merger.things()[0].pictures == 1
+
+
+def test_what_is_kept_is_bounded() -> None:
+    (found,) = merged(standing((0.0, 0.0)), MOST_KEPT_SPOTS + 30, flight(2))
+    assert len(found.spots) <= 2 * MOST_KEPT_SPOTS and 0 in [spot.frame for spot in found.spots]
+    assert found.newest.frame == MOST_KEPT_SPOTS + 29 and found.newest in found.spots
+
+
+def test_an_ellipse_is_its_covariance_again() -> None:
+    cov = covariance(3.0, 1.5, 70.0)
+    assert covariance_of(place_at(0.0, 0.0, cov).ellipse) == pytest.approx(cov, rel=1e-5, abs=1e-5)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("picture_share", "session_share"), [(0.8, 0.6), (0.5, 0.3), (0.3, 0.0)])
+def test_of_many_flights_the_truth_is_inside_of_the_merged_ellipse_nine_times_in_ten(
+    picture_share: float, session_share: float
+) -> None:
+    shares = {"picture_share": picture_share, "session_share": session_share}
+    inside, alone, moving = 0, 0, 0
+    for seed in range(300):
+        found = merged(standing((3.0, 4.0)), 30, flight(seed, **shares))
+        alone += len(found) == 1
+        thing = max(found, key=lambda one: one.pictures)
+        inside += is_inside(thing.place, (3.0, 4.0))
+        moving += thing.course is not None and thing.course.is_moving
+    assert 0.85 * 300 <= inside <= 0.96 * 300
+    assert alone >= 0.98 * 300 and moving <= 3
+
+
+@pytest.mark.long
+def test_of_many_walkers_the_place_is_inside_of_the_ellipse_and_the_speed_within_half_a_metre() -> None:
+    inside = good = moving = 0
+    for seed in range(300):
+        found = max(merged(walking, 21, flight(seed)), key=lambda one: one.pictures)
+        inside += is_inside(found.place, (14.0, 0.0))
+        course = found.course
+        if course is not None and course.course_deg is not None:
+            moving += 1
+            good += abs(course.speed_m_s - 1.4) <= 0.5 and abs(course.course_deg - 90.0) <= 20.0
+    assert 0.85 * 300 <= inside <= 0.97 * 300 and moving >= 0.97 * 300 and good >= 0.95 * moving

@@ -1,0 +1,98 @@
+"""The thread that looks for spots: each picture once, the newest of those that wait, and what it finds goes out."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from contract.feature_set import FeatureSet
+from contract.spot import SpotReport
+from contract.wire.spot_code import MAX_SPOT_BYTES, decode_spots
+from onboard.__main__ import main
+from onboard.config.schema import parse_config
+from onboard.events.types import Frame
+from onboard.replay.spotted import Spotted
+from onboard.service.spot_thread import SpotThread
+from simulation.heat_sources import HeatSource
+from simulation.thermal import ThermalSpec
+from tests.onboard.service.air import STRAIGHT, flown
+from tests.onboard.spots.scenes import Scene
+from tests.waiting import eventually
+
+Pictures = list[tuple[Frame, FeatureSet]]
+CONFIG = parse_config('[vehicle]\nid = "uav-1"\n[thermal]\nenabled = true\nscale = 0.01\n')
+SCENE = Scene(ThermalSpec(contrast=0.3, sources=(HeatSource.person((5.0, 10.0)),)))
+
+
+@pytest.fixture(scope="module")
+def pictures() -> Pictures:
+    return [SCENE.picture(k) for k in range(4)]
+
+
+def test_each_picture_gives_one_packet_and_the_spots_are_those_of_a_replay(pictures: Pictures) -> None:
+    sent: list[tuple[int, bytes]] = []
+    spots = SpotThread(CONFIG, [lambda stamp_ns, payload: sent.append((stamp_ns, payload))])
+    again: list[SpotReport] = []
+    with Spotted(CONFIG, [again.append]) as spotted:
+        for frame, its_set in pictures:
+            for sink in (spots, spotted):
+                sink.event(0, frame)
+                sink.feature_set(its_set)
+            spots.work()
+            spots.work()  # nothing waits
+    assert len(sent) == 4 == spotted.looked
+    assert all(len(payload) <= MAX_SPOT_BYTES for _, payload in sent)
+    found = [decode_spots(payload, "uav-1") for _, payload in sent]
+    assert [stamp_ns for stamp_ns, _ in sent] == [its_set.capture_unix_ns for _, its_set in pictures]
+    assert [len(report.spots) for report in found] == [len(report.spots) for report in again] == [0, 1, 1, 1]
+
+
+def test_a_picture_that_it_has_not_come_to_makes_way_for_a_newer_one(pictures: Pictures) -> None:
+    sent: list[bytes] = []
+    spots = SpotThread(CONFIG, [lambda _, payload: sent.append(payload)])
+    for frame, its_set in pictures:
+        spots.event(0, frame)
+        spots.feature_set(its_set)
+    spots.work()
+    assert [decode_spots(payload).frame for payload in sent] == [3]
+
+
+def test_in_a_thread_of_its_own_it_finds_the_same_and_ends(pictures: Pictures) -> None:
+    sent: list[bytes] = []
+    with SpotThread(CONFIG, [lambda _, payload: sent.append(payload)]) as spots:
+        for count, (frame, its_set) in enumerate(pictures, start=1):
+            spots.event(0, frame)
+            spots.feature_set(its_set)
+            assert eventually(lambda count=count: len(sent) == count)
+    assert not spots.thread.is_alive()
+    assert len(decode_spots(sent[-1]).spots) == 1
+
+
+def test_it_begins_anew_after_a_failure(pictures: Pictures, monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[bytes] = []
+    with SpotThread(CONFIG, [lambda _, payload: sent.append(payload)]) as spots:
+        frame, its_set = pictures[0]
+        spots.event(0, replace(frame, counts=np.zeros((3,), np.uint16)))  # not a picture
+        spots.feature_set(its_set)
+        assert eventually(lambda: spots.thread.error is not None)
+        for frame, its_set in pictures[1:2]:
+            spots.event(0, frame)
+            spots.feature_set(its_set)
+        assert eventually(lambda: len(sent) == 1)
+
+
+def test_a_replay_of_a_camera_that_sees_light_says_that_it_is_none(capsys: pytest.CaptureFixture[str]) -> None:
+    folder = flown(dataclasses.replace(STRAIGHT, seconds=5.0))
+    assert main(["replay", *_files(folder), "--spots"]) == 2
+    assert "--spots: the configuration states no thermal camera" in capsys.readouterr().err
+
+
+def _files(folder: Path) -> list[str]:
+    return [f"--{name}={folder / file}" for name, file in (
+        ("config", "config.toml"), ("frames", "frames"), ("telemetry", "telemetry.tlog"), ("camera", "camera.json"),
+        ("stamps", "stamps.csv"),
+    )]  # fmt: skip

@@ -1,0 +1,123 @@
+"""Spots of a flight over drawn ground: found, placed, seen again, and said why not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from contract.feature_set import Status
+from contract.geodesy import LocalFrame
+from contract.spot import SpotReport
+from contract.wire.spot_code import decode_spots, encode_spots
+from onboard.config.schema import SpotsConfig, ThermalConfig
+from onboard.spots.spot_book import SpotBook
+from simulation.heat_sources import Fire, HeatSource
+from simulation.thermal import ThermalSpec
+from tests.onboard.spots.scenes import LEPTON, ORIGIN, Scene, place_of
+
+CALIBRATED, PLAIN = ThermalConfig(enabled=True, scale=0.01), ThermalConfig(enabled=True)
+PEOPLE = ((-12.0, 14.0), (9.0, -4.0))
+CALM = ThermalSpec(contrast=0.3, sources=tuple(HeatSource.person(place) for place in PEOPLE))
+
+
+def flown(scene: Scene, frames: Iterable[int], thermal: ThermalConfig = CALIBRATED) -> list[SpotReport]:
+    book = SpotBook("uav-1", SpotsConfig(), thermal)
+    found = [book.picture(*scene.picture(k)) for k in frames]
+    return [report for report in found if report is not None]
+
+
+def off_m(report: SpotReport, place: tuple[float, float]) -> float:
+    """How far the nearest spot is from a place, m."""
+    lat, lon = place_of(*place)
+    frame = LocalFrame(lat, lon, ORIGIN.height_m)
+    far = [np.hypot(*frame.to_enu(s.place.lat_deg, s.place.lon_deg, 600.0)[:2]) for s in report.spots if s.place]
+    return float(min(far, default=np.inf))
+
+
+def test_people_are_found_where_they_are_and_as_large_as_they_are() -> None:
+    reports = flown(Scene(CALM), range(4))
+    assert [len(report.spots) for report in reports] == [0, 2, 2, 2]  # seen twice before it is said
+    last = reports[-1]
+    assert last.is_calibrated and (last.session, last.frame, last.vehicle) == (7, 3, "uav-1")
+    for place in PEOPLE:
+        assert off_m(last, place) < 0.3
+    for spot in last.spots:
+        assert spot.status is Status.OK and spot.place is not None and not spot.is_cut
+        assert 0.12 < spot.area_m2 < 0.45 and abs(spot.area_m2 - 0.25) < 2.0 * spot.sigma_area_m2
+        assert spot.above_ground_k == pytest.approx(8.0, abs=2.0) and spot.temperature_c is not None
+        assert len(spot.outline_en_m) >= 8 and np.abs(spot.outline_en_m).max() < 0.7
+    assert 0.9 < last.picture_share <= 1.0 and 0.2 < last.session_share < 0.6
+    assert len(encode_spots(last)) <= 200 and len(decode_spots(encode_spots(last)).spots) == 2
+
+
+def test_a_camera_with_its_own_gain_which_cuts_them_off_finds_one_and_states_no_temperature() -> None:
+    people = ((-12.0, 124.0), (9.0, 108.0))
+    spec = replace(CALM, output="agc", sources=tuple(HeatSource.person(place) for place in people))
+    last = flown(Scene(spec, step_m=20.0), range(7), PLAIN)[-1]
+    assert not last.is_calibrated and len(last.spots) >= 1
+    assert all(spot.temperature_c is None and spot.above_ground_k is None for spot in last.spots)
+    assert min(off_m(last, place) for place in people) < 0.3
+
+
+@pytest.mark.parametrize("output", ["radiometric", "agc"])
+def test_a_fire_wider_than_its_surroundings_is_found_with_its_outline(output: str) -> None:
+    fire = Fire(((-8.0, 0.0), (8.0, 6.0)), rate_m_s=0.2, first_m=6.0, ember_k=600.0, cooling_s=600.0)
+    thermal = CALIBRATED if output == "radiometric" else PLAIN
+    last = flown(Scene(ThermalSpec(fires=(fire,), output=output)), range(3), thermal)[-1]
+    largest = max(last.spots, key=lambda spot: spot.area_m2)
+    assert largest.area_m2 == pytest.approx(fire.area_m2(1.0), rel=0.1)
+    kept = max(decode_spots(encode_spots(last)).spots, key=lambda spot: spot.area_m2)
+    assert len(kept.outline_en_m) >= 12 and kept.area_m2 == pytest.approx(fire.area_m2(1.0), rel=0.15)
+    if output == "radiometric":
+        assert largest.temperature_c == pytest.approx(700.0 - 273.15, rel=0.15)
+
+
+def test_a_pixels_fault_stays_on_the_picture_and_is_no_spot() -> None:
+    scene, book = Scene(replace(CALM, sources=())), SpotBook("uav-1", SpotsConfig(), CALIBRATED)
+    for k in range(5):
+        frame, its_set = scene.picture(k)
+        assert frame.counts is not None
+        counts = frame.counts.copy()
+        counts[200:204, 300:304] += 2000  # where the ground passes by, 5 m from picture to picture
+        report = book.picture(replace(frame, counts=counts), its_set)
+        assert report is not None and not report.spots
+
+
+def test_what_is_in_one_picture_alone_is_not_said() -> None:
+    people, empty = Scene(CALM), Scene(replace(CALM, sources=()))
+    book = SpotBook("uav-1", SpotsConfig(), CALIBRATED)
+    for k in range(8):
+        report = book.picture(*(people if k % 4 == 2 else empty).picture(k))
+        assert report is not None and not report.spots
+
+
+def test_without_a_place_a_spot_says_why_in_the_words_of_a_click() -> None:
+    scene, book = Scene(CALM), SpotBook("uav-1", SpotsConfig(), CALIBRATED)
+    for k in range(3):
+        book.picture(*scene.picture(k))
+    report = book.picture(*scene.picture(3, Status.TURNING))
+    assert report is not None and len(report.spots) == 2
+    assert all(s.place is None and s.status is Status.TURNING and not s.outline_en_m for s in report.spots)
+    assert (report.picture_share, report.session_share) == (0.0, 0.0)
+
+
+def test_a_small_camera_finds_a_car() -> None:
+    car = HeatSource.car((3.0, 8.0))
+    last = flown(Scene(replace(CALM, sources=(car,)), camera=LEPTON), range(4))[-1]
+    assert off_m(last, (3.0, 8.0)) < 1.0
+    largest = max(last.spots, key=lambda spot: spot.area_m2)
+    assert 4.0 < largest.area_m2 < 15.0 and abs(largest.area_m2 - 7.2) < 2.0 * largest.sigma_area_m2
+
+
+def test_another_session_begins_anew_and_pictures_without_counts_are_passed_over() -> None:
+    scene, book = Scene(CALM), SpotBook("uav-1", SpotsConfig(), CALIBRATED)
+    for k in range(2):
+        book.picture(*scene.picture(k))
+    assert all(np.isfinite(threshold) for threshold in list(book.thresholds.values())[:2])
+    frame, its_set = scene.picture(2)
+    assert book.picture(replace(frame, counts=None), its_set) is None
+    report = book.picture(frame, replace(its_set, session=8))
+    assert report is not None and not report.spots  # once in this session

@@ -1,0 +1,175 @@
+"""A machine's finds on the page: listed, alarmed, confirmed to pins, dismissed; and behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+from contract.answer import Ellipse, Fix, Place
+from contract.feature_set import Status
+from contract.locate import Locator
+from contract.spot import Spot, SpotReport
+from ground.pins.store import PinStore
+from ground.web.app import create_app
+from ground.web.desk import Desk
+from ground.web.guard import Rules
+from tests.waiting import eventually
+from tests.web.browsing import Operator
+from tests.web.conftest import page_is_built
+from tests.web.drawn import VEHICLE, FlyingSource, drawn_set
+from tests.web.flying import Flight
+
+pytestmark = pytest.mark.xdist_group("web")
+
+PLACES = ((400.0, 300.0, 36.5), (200.0, 200.0, 52.0), (300.0, 120.0, 20.0))  # pixel of picture 0, temperature
+
+
+def report(frame: int, count: int = 2, vehicle: str = VEHICLE) -> SpotReport:
+    """The first of PLACES as a picture shows them: where they are on the ground does not change."""
+    s = drawn_set(frame)
+    spots = []
+    for u, v, temperature_c in PLACES[:count]:
+        found = Locator(drawn_set(0)).locate((u, v))
+        assert isinstance(found, Fix)
+        place = Place(
+            found.lat_deg, found.lon_deg, found.height_amsl_m, found.height_ellipsoid_m, Ellipse(3.0, 2.0, 30.0), 2.0
+        )
+        spots.append(Spot(u, v + 17.0 * frame, 9.0, temperature_c, 15.0, Status.OK, place, 0.5, 0.1))
+    return SpotReport(s.session, frame, s.capture_unix_ns, True, tuple(spots), 0, 0.8, 0.6, vehicle)
+
+
+@contextmanager
+def api(folder: Path) -> Iterator[tuple[TestClient, FlyingSource]]:
+    source = FlyingSource()
+    with (
+        PinStore(folder / "pins.sqlite") as store,
+        TestClient(create_app(Desk(source, store, folder), Rules()), base_url="http://127.0.0.1:8080") as client,
+    ):
+        yield client, source
+
+
+def states(client: TestClient) -> dict[int, str]:
+    return {spot["spot"]: spot["state"] for spot in client.get("/api/spots").json()["spots"]}
+
+
+def test_a_find_becomes_a_pin_with_its_source_or_is_dismissed_and_both_are_undone(tmp_path: Path) -> None:
+    with api(tmp_path) as (client, source):
+        source.fly_to(9)
+        source.spots.add([report(0), report(1)])
+        assert states(client) == {1: "open", 2: "open"}
+        made = client.post("/api/spots/1/confirm", json={"category": "person", "who": "anna"})
+        assert made.status_code == 201
+        pin = made.json()
+        assert pin["category"] == "person" and "hot spot 1, confirmed by anna: 36.5 degC" in pin["note"]
+        assert pin["clicks"][0]["method"] == "hot spot" and 2.0 < pin["place"]["ce90_m"] < 3.5
+        assert client.get(f"/api/pins/{pin['id']}/crop").status_code == 200
+        dismissed = client.post("/api/spots/2/dismiss", json={"who": "ben"})
+        assert dismissed.status_code == 200
+        assert states(client) == {1: "confirmed", 2: "dismissed"}
+        assert [p["id"] for p in client.get("/api/pins").json()["pins"]] == [pin["id"]]
+        for number in (1, 2):
+            for what in ("confirm", "dismiss"):
+                assert client.post(f"/api/spots/{number}/{what}", json={}).status_code == 409
+        source.spots.add([report(2), report(3)])  # seen again: it stays what was decided
+        assert states(client) == {1: "confirmed", 2: "dismissed"}
+        assert client.post("/api/undo", json={"who": "ben"}).json()["undone"] is not None
+        assert states(client)[2] == "confirmed"  # the dismissal is taken back: it is a pin
+        assert client.post("/api/spots/9/confirm", json={}).status_code == 404
+        assert client.post("/api/spots/1/confirm", json={"kind": 1}).status_code == 422
+        assert client.get("/api/spots/1/crop").headers["content-type"] == "image/jpeg"
+
+
+def test_what_one_server_dismissed_another_that_has_its_pins_does_not_show(tmp_path: Path) -> None:
+    """Pins are shared with their tombstones; the other server numbers its finds in its own way."""
+    with api(tmp_path) as (client, source):
+        source.spots.add([report(0), report(1), report(2)])
+        client.post("/api/spots/2/dismiss", json={"who": "ben"})
+    with api(tmp_path) as (client, source):
+        source.spots.add([replace(r, spots=r.spots[::-1]) for r in (report(1), report(2), report(3))])
+        found = client.get("/api/spots").json()["spots"]
+        assert {round(spot["temperature_c"]): spot["state"] for spot in found} == {52: "dismissed", 36: "open"}
+
+
+def test_finds_come_as_events(tmp_path: Path) -> None:
+    headers = {"host": "127.0.0.1:8080"}
+    with api(tmp_path) as (client, source), client.websocket_connect("/api/events", headers=headers) as socket:
+        source.spots.add([report(0), report(1)])
+        heard: list[dict[str, Any]] = []
+        while not heard:
+            event = socket.receive_json()
+            heard = event["spots"] if event["type"] == "spots" else []
+    assert heard[-1]["heat"].startswith("52.0 degC, +15.0 K") and heard[-1]["pictures"] <= 2
+
+
+# Counts the tones that the page plays.
+_LISTEN = """() => { window.tones = 0; const start = OscillatorNode.prototype.start;
+  OscillatorNode.prototype.start = function (...a) { window.tones += 1; return start.apply(this, a); }; }"""
+
+
+@pytest.fixture
+def flying(tmp_path: Path, chromium: Any) -> Iterator[Callable[[], tuple[Flight, Operator]]]:
+    page_is_built()
+    made: list[tuple[Flight, Operator]] = []
+
+    def start() -> tuple[Flight, Operator]:
+        flight = Flight(tmp_path / "pins.sqlite")
+        flight.__enter__()
+        made.append((flight, Operator(chromium, flight)))
+        return made[-1]
+
+    yield start
+    for flight, operator in made:
+        operator.context.close()
+        flight.__exit__(None, None, None)
+        operator.check()
+
+
+def test_a_find_alarms_is_confirmed_or_dismissed_and_the_sound_can_be_muted(
+    flying: Callable[[], tuple[Flight, Operator]],
+) -> None:
+    flight, anna = flying()
+    page = anna.page
+    page.evaluate(_LISTEN)
+    assert anna.by("found-list").is_hidden()
+    flight.source.spots.add([report(0, 1)])
+    flight.source.fly_to(2)
+    anna.wait_for_frame(1)
+    assert anna.by("found").count() == 0  # one picture alone may be noise
+    flight.source.spots.add([report(1, 1)])
+    page.wait_for_selector("[data-testid=found][data-news=yes]")
+    assert page.evaluate("window.tones") == 3 and anna.by("found-list").get_attribute("data-alarm") == "yes"
+    flight.source.spots.add([report(2), report(3)])
+    page.wait_for_function("() => document.querySelectorAll('[data-testid=found]').length === 2")
+    assert anna.by("found-count").inner_text() == "Hot spots 2, the hottest 52.0 °C"
+    rows = {row.get_attribute("data-spot"): row.bounding_box()["y"] for row in anna.by("found").all()}
+    assert rows["2"] < rows["1"]  # the hottest first
+    assert eventually(lambda: anna.by("spot-mark").count() == 2)
+    assert sorted(anna.by("spot-mark").all_inner_texts()) == ["1 36.5 °C", "2 52.0 °C"]
+    page.wait_for_function("() => (document.querySelector('#map').dataset.tracks ?? '').includes('52.0 °C')")
+    for button in ("confirm", "dismiss"):
+        assert anna.by(button).first.bounding_box()["height"] >= 40.0
+    anna.by("mute").click()
+    assert anna.by("mute").inner_text() == "Sound off"
+    tones = page.evaluate("window.tones")
+    flight.source.spots.add([report(4, 3), report(5, 3)])
+    page.wait_for_selector("[data-testid=found][data-spot='3'][data-news=yes]")
+    assert page.evaluate("window.tones") == tones
+    page.keyboard.press("1")
+    page.locator("[data-spot='2'] [data-testid=confirm]").click()
+    anna.wait_for_pins(1)
+    assert anna.newest_pin()["category"] == "person" and "52.0 degC" in anna.newest_pin()["note"]
+    page.locator("[data-spot='3'] [data-testid=dismiss]").click()
+    page.wait_for_function("() => document.querySelectorAll('[data-testid=found]').length === 1")
+    flight.source.spots.add([report(6, 3), report(7, 3)])
+    anna.wait_for_pins(1)
+    assert [row.get_attribute("data-spot") for row in anna.by("found").all()] == ["1"]
+    # What is there when a page is opened is no news: it is listed, and does not sound.
+    page.reload()
+    page.wait_for_selector("[data-testid=found]")
+    assert anna.by("found").first.get_attribute("data-news") is None and anna.by("mute").inner_text() == "Sound off"
