@@ -1,6 +1,6 @@
 // Requests to the server that served the page, and its events.
 
-import type { ClickBody, CoordinateSaid, FoundSpot, FrameRow, FrameView, Handoff, Pin, PinReply, PlaceSaid, Seen, SeenAt, SeenPicture, SeenState, ServerEvent, ServerStatus, Tie, TrackReport } from "./types.js";
+import type { ClickBody, CoordinateSaid, FireSaid, FoundSpot, FrameRow, FrameView, Handoff, Pin, PinReply, PlaceSaid, Seen, SeenAt, SeenPicture, SeenState, ServerEvent, ServerStatus, Tie, TrackReport } from "./types.js";
 
 export class Refused extends Error {
   constructor(readonly status: number, message: string, readonly body: unknown) { super(message); }
@@ -45,6 +45,7 @@ export const api = {
   follow: (body: ClickBody) => asked<{ vehicle: string; track: number; frame: number }>("/api/tracks", "POST", body),
   endTrack: (vehicle: string, track: number) => asked<unknown>(`/api/tracks/${part(vehicle)}/${track}`, "DELETE"),
   spots: () => asked<{ version: number; spots: FoundSpot[] }>("/api/spots"),
+  fire: (minutes: string) => asked<FireSaid>(`/api/fire?minutes=${minutes}`),
   confirmSpot: (spot: number, body: { category: string; who: string }) => asked<Pin>(`/api/spots/${spot}/confirm`, "POST", body),
   dismissSpot: (spot: number, who: string) => asked<unknown>(`/api/spots/${spot}/dismiss`, "POST", { who }),
   spotCropUrl: (spot: FoundSpot) => `/api/spots/${spot.spot}/crop?v=${spot.best.frame}`,

@@ -112,7 +112,8 @@ export class FoundList {
     const [crop, words] = [...row.children] as [HTMLImageElement, HTMLElement];
     const url = api.spotCropUrl(spot);
     if (crop.getAttribute("src") !== url) { crop.classList.remove("none"); crop.setAttribute("src", url); }
-    say(words, `${spot.spot}  ${spot.heat}, ${within(spot.ce90_m)}, ${spot.motion}, in ${spot.pictures} pictures`);
+    const above = spot.above_ground_k, hot = spot.temperature_c === null || above === null ? spot.heat : `${shortHeat(spot)} (${above >= 0 ? "+" : ""}${above.toFixed(1)} K)`;
+    say(words, `${spot.spot}  ${hot}, ${within(spot.ce90_m)}, ${spot.motion}, ${spot.pictures} pictures`);
   }
 }
 

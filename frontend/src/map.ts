@@ -11,6 +11,7 @@ import { ABOVE_PICTURES, addLayers, collection, emptyStyle, paintTheme, PIN_LAYE
 import { spotFeatures, trackFeatures } from "./map-tracks.js";
 import { dotsOf, mapPin, placesOf, type Feature, type MapPin } from "./map-pins.js";
 import { DrawingTime } from "./drawing-time.js";
+import { FireLayer } from "./fire.js";
 import { SeenLayer, type OpenSeen } from "./seen.js";
 import { AIRCRAFT } from "./shapes.js";
 import type { State } from "./state.js";
@@ -126,6 +127,7 @@ export class MapPane {
     this.isReady = true;
     const map = this.map;
     addLayers(map, this.base);
+    new FireLayer(map, "track-areas");
     new SeenLayer(map, this.state, this.openSeen);
     map.on("moveend", () => this.moved());
     map.on("render", () => {

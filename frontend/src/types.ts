@@ -101,6 +101,9 @@ export interface FoundSpot {
   best: { vehicle: string; session: number; frame: number; u: number; v: number };
 }
 
+/** What burned: GeoJSON features, and in words. */
+export interface FireSaid { words: string; features: { type: "Feature"; geometry: { type: string; coordinates: unknown }; properties: Record<string, unknown> }[] }
+
 export interface TrackPlace {
   lat_deg: number; lon_deg: number; height_ellipsoid_m: number | null; height_amsl_m: number | null;
   semi_major_m: number; semi_minor_m: number; azimuth_deg: number;

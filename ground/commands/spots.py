@@ -6,21 +6,28 @@ Exit status: 0 something was found; 3 nothing was, in a recording or in the time
 from __future__ import annotations
 
 import argparse
+import contextlib
+import json
 import math
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
-from contract.errors import InputError
+from contract.errors import InputError, WireError
 from contract.geodesy import metres_per_degree
+from contract.spot import SpotReport
 from contract.topics import ANY_VEHICLE, SPOTS
+from contract.wire.spot_code import decode_spots
 from ground.commands import ANSWERED, REFUSED
 from ground.commands.sources import add_source_arguments, opened, vehicle_of
 from ground.commands.until_ended import until_ended
-from ground.commands.values import positive
+from ground.commands.values import finite, positive
+from ground.formats import fire_area
 from ground.formats.documents import FORMATS, one_line
 from ground.formats.mark import Mark
 from ground.link_options import UsageError, endpoint_of, tls_of
+from ground.spots.fire import HOT_C, Fire, FireGround
 from ground.spots.found_thing import FoundThing
 from ground.spots.heard import HeardSpots
 
@@ -30,10 +37,12 @@ examples:
   pc-ground spots --connect tcp/10.0.0.7:7447               as it is found, until Ctrl-C
   pc-ground spots --connect tcp/10.0.0.7:7447 --json --save found.geojson --seconds 600
   pc-ground spots --from SESSION.mcap --all --save all.kml  also what only one picture shows
+  pc-ground spots --fire --minutes 10 --save fire.kml       where it burned, how sure that is, how fast it spreads
 """
 SAVED = {".geojson": "geojson", ".json": "geojson", ".kml": "kml", ".gpx": "gpx", ".csv": "csv"}
 HOTTER_K, SMALLER, ELSEWHERE = 1.0, 0.8, 1.0  # of a change that is said: kelvin, of the ellipse, ellipses' axes
-LOOK_S = 0.2
+LOOK_S, FIRE_S = 0.2, 5.0
+MINUTES = 5.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,13 +53,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--save", metavar="FILE", type=Path, help=f"all of them at the end: {', '.join(sorted(set(SAVED)))}"
     )
+    fire = parser.add_argument_group("a fire instead of single things")
+    fire.add_argument("--fire", action="store_true", help="the area that burned: .geojson or .kml with --save")
+    fire.add_argument("--minutes", metavar="M", type=positive, help=f"in the last minutes (default {MINUTES:g})")
+    fire.add_argument(
+        "--above", metavar="C", type=finite, help=f"degrees Celsius above which it burns (default {HOT_C:g})"
+    )
     add_source_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print what is found. Raises PointclickError."""
-    if args.save is not None and args.save.suffix.lower() not in SAVED:
-        raise UsageError(f"--save {args.save}: the name must end in {', '.join(sorted(SAVED))}")
+    endings = fire_area.FORMATS if args.fire else SAVED
+    if args.save is not None and args.save.suffix.lower() not in endings:
+        raise UsageError(f"--save {args.save}: the name must end in {', '.join(sorted(endings))}")
+    if not args.fire and (args.minutes is not None or args.above is not None):
+        raise UsageError("--minutes and --above go with --fire")
+    if args.fire:
+        return _fire(args)
     heard = _recorded(args) if args.recording is not None else _live(args)
     found = [thing for thing in heard.things() if args.all or thing.is_sure]
     if args.save is not None:
@@ -66,6 +86,60 @@ def run(args: argparse.Namespace) -> int:
         print(f"{searched} for hot spots" if not heard.pictures else searched, file=sys.stderr)
         return REFUSED
     return ANSWERED
+
+
+def _fire(args: argparse.Namespace) -> int:
+    """The area that burned: of a recording's last minutes, or again and again while it burns."""
+    ground = FireGround(HOT_C if args.above is None else args.above)
+    fire: Fire | None = None
+    if args.recording is not None:
+        if args.seconds is not None:
+            raise UsageError("--seconds is for a live aircraft")
+        recording = opened(args.recording)
+        vehicles = recording.vehicles if args.vehicle is None else [vehicle_of(args.vehicle, recording.vehicles)]
+        for report in (report for vehicle in vehicles for report in recording.spots(vehicle)):
+            ground.add(report)
+        fire = _say_fire(ground, args)
+    else:
+        for came in _reports(args):
+            for report in came:
+                ground.add(report)
+            fire = _say_fire(ground, args)
+    if fire is None:
+        print("no picture shows a fire with its outline", file=sys.stderr)
+        return REFUSED
+    if args.save is not None:
+        try:
+            args.save.write_text(fire_area.write(fire, args.save.name), encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"{args.save}: {error.strerror}") from error
+    return ANSWERED
+
+
+def _say_fire(ground: FireGround, args: argparse.Namespace) -> Fire | None:
+    fire = ground.fire(MINUTES if args.minutes is None else args.minutes)
+    if fire is not None:
+        print(json.dumps(fire_area.features(fire)) if args.json else fire.to_text(), flush=True)
+    return fire
+
+
+def _reports(args: argparse.Namespace) -> Iterator[list[SpotReport]]:
+    """What has come over the link since the last time, every FIRE_S, until a signal or the time ends it."""
+    from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
+
+    tls, vehicle, came = tls_of(args), args.vehicle or ANY_VEHICLE, list[SpotReport]()
+
+    def take(key: str, payload: bytes) -> None:
+        with contextlib.suppress(ValueError, WireError):
+            came.append(decode_spots(payload, SPOTS.vehicle(key)))
+
+    began_s = time.monotonic()
+    beside = {SPOTS.key(vehicle): take}
+    with SetCache(endpoint_of(args, tls), vehicle, tls=tls, max_sets=1, beside=beside), until_ended():
+        while args.seconds is None or time.monotonic() < began_s + args.seconds:
+            time.sleep(FIRE_S if args.seconds is None else min(FIRE_S, args.seconds))
+            taken, came[:] = list(came), []
+            yield taken
 
 
 def _recorded(args: argparse.Namespace) -> HeardSpots:

@@ -9,6 +9,7 @@ from contract.errors import WireError
 from contract.spot import SpotReport
 from contract.topics import SPOTS
 from contract.wire.spot_code import decode_spots
+from ground.spots.fire import Fire, FireGround
 from ground.spots.found_thing import FoundThing
 from ground.spots.merging import SpotMerger
 
@@ -18,6 +19,7 @@ class HeardSpots:
 
     def __init__(self) -> None:
         self._merger = SpotMerger()
+        self._fire = FireGround()
         self._changed: dict[int, int] = {}  # by thing, the version at which it changed last
         self._version = 0
         self._lock = threading.Lock()
@@ -35,6 +37,7 @@ class HeardSpots:
         with self._lock:
             for report in reports:
                 self._version += 1
+                self._fire.add(report)
                 for thing in self._merger.add(report):
                     self._changed[thing.number] = self._version
 
@@ -66,6 +69,12 @@ class HeardSpots:
         """By its number; None if there is none."""
         with self._lock:
             return next(iter(self._merger.things({number})), None)
+
+    def fire(self, minutes: float) -> Fire | None:
+        """What burned in the last minutes of what was heard; None if nothing did. Takes a second or two."""
+        with self._lock:
+            held = self._fire.copy()
+        return held.fire(minutes)
 
     def things(self) -> list[FoundThing]:
         """All, by number."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, HTTPException, Path, Response
+from fastapi import APIRouter, HTTPException, Path, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from ground.circular_error import ce90_m
+from ground.formats import fire_area
 from ground.pins.machine import click_of, decision, decisions
 from ground.pins.model import MAX_NAME, MAX_WHO, Category, Pin
 from ground.spots.found_thing import FoundThing
@@ -75,6 +76,13 @@ def spots_router(desk: Desk) -> APIRouter:
         desk.store.delete(pin.id, who=body.who)
         desk.changed(pin.id)
         return {"pin": pin.id}
+
+    @router.get("/fire", summary="What burned in the last minutes: GeoJSON, as seen, surely and perhaps; and in words")
+    def fire(minutes: Annotated[float, Query(gt=0.0, le=1440.0)] = 5.0) -> dict[str, Any]:
+        found = heard.fire(minutes)
+        if found is None:
+            return {"type": "FeatureCollection", "features": [], "words": "No picture shows a fire with its outline."}
+        return {**fire_area.features(found), "words": found.to_text()}
 
     @router.get("/spots/{number}/crop", summary="The picture about it, where it is seen best", response_class=Response)
     def crop(number: Number) -> Response:

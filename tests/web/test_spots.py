@@ -173,3 +173,27 @@ def test_a_find_alarms_is_confirmed_or_dismissed_and_the_sound_can_be_muted(
     page.reload()
     page.wait_for_selector("[data-testid=found]")
     assert anna.by("found").first.get_attribute("data-news") is None and anna.by("mute").inner_text() == "Sound off"
+
+
+def test_a_fire_is_an_area_on_the_map_with_its_words(flying: Callable[[], tuple[Flight, Operator]]) -> None:
+    flight, anna = flying()
+    page = anna.page
+    page.wait_for_function("() => document.querySelector('#grid-step').textContent.startsWith('grid ')")
+    page.get_by_test_id("show-fire").click()
+    page.wait_for_function(
+        "() => document.querySelector('[data-testid=fire-words]').textContent.includes('No picture')"
+    )
+    ring = ((-15.0, -10.0), (15.0, -10.0), (15.0, 10.0), (-15.0, 10.0))
+    for frame in range(3):
+        made = report(frame, 1)
+        spot = replace(made.spots[0], temperature_c=400.0, area_m2=600.0, outline_en_m=ring)
+        flight.source.spots.add([replace(made, spots=(spot,))])
+    page.get_by_test_id("fire-minutes").select_option("15")
+    page.wait_for_function("() => document.querySelector('[data-testid=fire-words]').textContent.includes('fire of')")
+    assert "surely" in anna.by("fire-words").inner_text() and "perimeter" in anna.by("fire-words").inner_text()
+    said = anna.ask("api/fire?minutes=15")
+    assert [f["properties"]["kind"] for f in said["features"]] == ["perhaps", "burned", "surely"]
+    assert said["features"][1]["properties"]["area_m2"] == pytest.approx(600.0, rel=0.1)
+    assert page.request.get(f"{flight.local}api/fire?minutes=-1").status == 422
+    page.get_by_test_id("show-fire").click()
+    assert anna.by("fire-panel").is_hidden()

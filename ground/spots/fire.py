@@ -1,0 +1,264 @@
+"""A fire: where it burned in the last minutes, how sure that is, how large it is, how fast it spreads.
+
+Outlines of hot regions, each widened and narrowed by its own ellipse, on a grid of cells: (26.10) to (26.12). No clock
+and no I/O.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from contract.answer import CHI2_2, Ellipse
+from contract.geodesy import LocalFrame
+from contract.spot import Spot, SpotReport
+from ground.seen.outline import cells_inside, patches
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Ring = list[tuple[float, float]]
+
+HOT_C = 60.0  # above it a calibrated spot burns: no ground that the sun alone has warmed is so hot
+HOT_M2 = 2.0  # without calibration: smaller hot spots are no fire
+MOST_OUTLINES, MOST_CELLS, LEAST_CELL_M = 20_000, 300, 0.1
+MOST_DRAWN = 100  # of more pictures so many, evenly: the next one adds little
+SMOOTHED = 4  # cells to either side, over which an outline's steps are averaged
+FARTHEST_SHARE = 0.95  # of the front's cells, that have come less far than what is said
+LEAST_SPREAD_S = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Region:
+    """One outline: its corners (K, 2) east and north, m, and how uncertain its place is."""
+
+    at_ns: int
+    frame: tuple[str, int, int]
+    ring_m: Array
+    ellipse: Ellipse
+    session_share: float
+
+
+@dataclass(frozen=True, eq=False)
+class Area:
+    """Rings of longitude and latitude, closed, each polygon's outer one first; and how large they are together."""
+
+    polygons: list[list[Ring]]
+    area_m2: float
+    perimeter_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fire:
+    """What burned from `first_unix_ns` to `last_unix_ns`: as seen, surely, perhaps: 90 % of outlines err by no more
+    than that. `spread_m_s`: how fast the fastest part of the front moved, with one sigma; None where there is no
+    earlier time to compare.
+    """
+
+    first_unix_ns: int
+    last_unix_ns: int
+    pictures: int
+    burned: Area
+    surely: Area
+    perhaps: Area
+    spread_m_s: float | None
+    sigma_spread_m_s: float | None
+
+    def to_text(self) -> str:
+        """One line for people."""
+        how = "spread not known yet"
+        if self.spread_m_s is not None and self.sigma_spread_m_s is not None:
+            how = f"spreads with {self.spread_m_s:.2f} +-{self.sigma_spread_m_s:.2f} m/s at its fastest"
+        count = f"in {self.pictures} pictures"
+        return (
+            f"fire of {self.burned.area_m2:.0f} m2 (surely {self.surely.area_m2:.0f}, perhaps "
+            f"{self.perhaps.area_m2:.0f}), perimeter {self.burned.perimeter_m:.0f} m, {how}, {count}"
+        )
+
+
+class FireGround:
+    """Takes reports as they come and keeps their hot regions."""
+
+    def __init__(self, hot_c: float = HOT_C) -> None:
+        self._hot_c = hot_c
+        self._frame: LocalFrame | None = None
+        self._regions: deque[_Region] = deque(maxlen=MOST_OUTLINES)
+
+    def add(self, report: SpotReport) -> None:
+        """Those of its spots that burn and have an outline."""
+        for spot in report.spots:
+            place = spot.place
+            if place is None or len(spot.outline_en_m) < 3 or not self._burns(spot):
+                continue
+            if self._frame is None:
+                self._frame = LocalFrame(place.lat_deg, place.lon_deg, 0.0)
+            east, north, _ = (float(c) for c in self._frame.to_enu(place.lat_deg, place.lon_deg, 0.0))
+            self._regions.append(
+                _Region(
+                    report.capture_unix_ns, (report.vehicle, report.session, report.frame),
+                    np.asarray(spot.outline_en_m, float) + [east, north], place.ellipse, report.session_share,
+                )
+            )  # fmt: skip
+
+    def fire(self, minutes: float, until_unix_ns: int | None = None) -> Fire | None:
+        """What burned in the last minutes before a time (default: the newest region's); None if nothing did."""
+        newest = max((region.at_ns for region in self._regions), default=0)
+        until = newest if until_unix_ns is None else until_unix_ns
+        since = until - round(minutes * 60e9)
+        held = _thinned([region for region in self._regions if since <= region.at_ns <= until])
+        if not held or self._frame is None:
+            return None
+        grid = _Grid.of(held, self._frame)
+        burned, surely, perhaps = (grid.union([grid.drawn(region, by) for region in held]) for by in (0, -1, 1))
+        spread = self._spread(held, grid)
+        return Fire(
+            min(r.at_ns for r in held), max(r.at_ns for r in held), len({r.frame for r in held}), grid.area(burned),
+            grid.area(surely), grid.area(perhaps), *(spread or (None, None)),
+        )  # fmt: skip
+
+    def copy(self) -> FireGround:
+        """The same regions, for a look at them while more come."""
+        out = FireGround(self._hot_c)
+        out._frame, out._regions = self._frame, self._regions.copy()
+        return out
+
+    def _spread(self, held: list[_Region], grid: _Grid) -> tuple[float, float] | None:
+        """The front's fastest part between the earlier and the later half, m/s, and one sigma. (26.12)"""
+        middle = 0.5 * (min(r.at_ns for r in held) + max(r.at_ns for r in held))
+        halves = [r for r in held if r.at_ns <= middle], [r for r in held if r.at_ns > middle]
+        if not all(halves):
+            return None
+        seconds = [float(np.mean([r.at_ns for r in half])) / 1e9 for half in halves]
+        if seconds[1] - seconds[0] < LEAST_SPREAD_S:
+            return None
+        before, after = (grid.union([grid.drawn(r, 0) for r in half]) for half in halves)
+        new = _edge(after) & ~before
+        if not new.any():
+            far_m = 0.0
+        else:
+            places, known = np.argwhere(new).astype(float), np.argwhere(_edge(before)).astype(float)
+            far = np.array([math.sqrt(float(np.min(np.sum((known - p) ** 2, axis=1)))) for p in places])
+            far_m = float(np.quantile(far, FARTHEST_SHARE)) * grid.cell_m
+        # Of each half the typical place's error without what both have in common; the number of pictures is no help.
+        parts = [np.mean([_sigma2(r) * (1.0 - r.session_share) for r in half]) for half in halves]
+        sigma_m = math.sqrt(float(sum(parts)) + 2.0 * grid.cell_m**2 / 12.0)
+        return far_m / (seconds[1] - seconds[0]), sigma_m / (seconds[1] - seconds[0])
+
+    def _burns(self, spot: Spot) -> bool:
+        if spot.temperature_c is not None:
+            return spot.temperature_c >= self._hot_c
+        return spot.contrast > 0.0 and spot.area_m2 >= HOT_M2
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Cells over all regions and what their ellipses may add."""
+
+    frame: LocalFrame
+    corner_m: Array  # (2,) east, north, of cell (0, 0)
+    cell_m: float
+    rows: int
+    columns: int
+
+    @classmethod
+    def of(cls, held: Sequence[_Region], frame: LocalFrame) -> _Grid:
+        low = np.min([r.ring_m.min(axis=0) - r.ellipse.semi_major_m for r in held], axis=0)
+        high = np.max([r.ring_m.max(axis=0) + r.ellipse.semi_major_m for r in held], axis=0)
+        cell_m = max(float(np.max(high - low)) / (MOST_CELLS - 4), LEAST_CELL_M)
+        columns, rows = (int(n) + 4 for n in np.ceil((high - low) / cell_m))
+        return cls(frame, low - 2.0 * cell_m, cell_m, rows, columns)
+
+    def drawn(self, region: _Region, by: int) -> Mask:
+        """The cells (rows, columns) of a region: as it is, or widened (1) or narrowed (-1) by its ellipse. (26.10)"""
+        ring = (region.ring_m - self.corner_m) / self.cell_m
+        out = np.zeros((self.rows, self.columns), bool)
+        # Only about it: a large fire is many small outlines.
+        reach = region.ellipse.semi_major_m / self.cell_m + 2.0
+        x0, y0 = np.maximum(np.floor(ring.min(axis=0) - reach), 0).astype(int)
+        x1, y1 = np.minimum(np.ceil(ring.max(axis=0) + reach), [self.columns, self.rows]).astype(int)
+        mask = cells_inside([ring - [x0, y0]], y1 - y0, x1 - x0)
+        if by > 0:
+            mask = self._widened(mask, region.ellipse)
+        elif by < 0:
+            mask = ~self._widened(~mask, region.ellipse)
+        out[y0:y1, x0:x1] = mask
+        return out
+
+    def union(self, masks: Sequence[Mask]) -> Mask:
+        """(26.11)"""
+        out: Mask = np.logical_or.reduce(masks)
+        return out
+
+    def area(self, mask: Mask) -> Area:
+        """Its polygons, with the cells' steps smoothed, and their size."""
+        polygons, length = [], 0.0
+        for patch in patches(mask):
+            rings = [_smoothed(ring) for ring in (patch.outer, *patch.holes)]
+            length += sum(float(np.sum(np.hypot(*(np.roll(r, -1, axis=0) - r).T))) for r in rings)
+            polygons.append([self._lon_lat(ring) for ring in rings])
+        return Area(polygons, float(np.count_nonzero(mask)) * self.cell_m**2, length * self.cell_m)
+
+    def _lon_lat(self, ring: Array) -> Ring:
+        place = self.corner_m + ring * self.cell_m
+        # A plane at the ellipsoid's height 0 there.
+        up = -np.sum(place**2, axis=1, keepdims=True) / (2.0 * 6_371_000.0)
+        found = self.frame.to_geodetic(np.hstack([place, up]))
+        out = [(float(lon), float(lat)) for lat, lon, _ in found]
+        return [*out, out[0]]
+
+    def _widened(self, mask: Mask, ellipse: Ellipse) -> Mask:
+        """What an ellipse about any marked cell reaches: row by row of the ellipse, a run along the mask's rows."""
+        azimuth = math.radians(ellipse.azimuth_deg)
+        along, across = (math.sin(azimuth), math.cos(azimuth)), (math.cos(azimuth), -math.sin(azimuth))
+        a, b = (max(axis / self.cell_m, 1e-6) for axis in (ellipse.semi_major_m, ellipse.semi_minor_m))
+        # x' A x <= 1
+        A = np.outer(along, along) / a**2 + np.outer(across, across) / b**2
+        reach, (rows, columns) = int(math.sqrt(A[0, 0] / float(np.linalg.det(A)))), mask.shape
+        out = np.zeros_like(mask)
+        sums = np.pad(np.cumsum(mask, axis=1), ((0, 0), (1, 0)))
+        for dy in range(-reach, reach + 1):
+            inside = (A[0, 1] * dy) ** 2 - A[0, 0] * (A[1, 1] * dy**2 - 1.0)
+            half, middle = math.sqrt(max(inside, 0.0)) / A[0, 0], -A[0, 1] * dy / A[0, 0]
+            low, high = math.ceil(middle - half), math.floor(middle + half)
+            first = np.clip(np.arange(columns) - high, 0, columns)
+            last = np.clip(np.arange(columns) - low + 1, 0, columns)
+            hit = sums[:, np.maximum(last, first)] > sums[:, first]
+            into, of = slice(max(dy, 0), max(rows + min(dy, 0), 0)), slice(max(-dy, 0), max(rows + min(-dy, 0), 0))
+            out[into] |= hit[of]
+        return out
+
+
+def _thinned(held: list[_Region]) -> list[_Region]:
+    """Of many pictures' regions those of some, evenly, with the newest."""
+    frames = list(dict.fromkeys(region.frame for region in sorted(held, key=lambda r: r.at_ns)))
+    kept = set(frames[::-1][:: max(1, -(-len(frames) // MOST_DRAWN))])
+    return [region for region in held if region.frame in kept]
+
+
+def _sigma2(region: _Region) -> float:
+    """Variance of a region's place along its major axis, m^2."""
+    return region.ellipse.semi_major_m**2 / CHI2_2
+
+
+def _edge(mask: Mask) -> Mask:
+    """The marked cells that touch an unmarked one."""
+    padded = np.pad(mask, 1)
+    inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    out: Mask = mask & ~inner
+    return out
+
+
+def _smoothed(ring: Array) -> Array:
+    """A ring of cells' corners without its steps: the middles of its unit edges, each the mean of its neighbours'."""
+    ahead = np.roll(ring, -1, axis=0)
+    counts = np.abs(ahead - ring).sum(axis=1).astype(int)
+    unit = np.repeat(np.sign(ahead - ring), counts, axis=0)
+    steps = zip(ring, np.sign(ahead - ring), counts, strict=True)
+    starts = np.concatenate([start + np.arange(count)[:, None] * step for start, step, count in steps])
+    middles = starts + 0.5 * unit
+    reach = min(SMOOTHED, len(middles) // 8)
+    return np.asarray(np.mean([np.roll(middles, k, axis=0) for k in range(-reach, reach + 1)], axis=0), float)

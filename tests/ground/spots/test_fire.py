@@ -1,0 +1,177 @@
+"""The area of a fire: as large as it is, inside of its band, and as fast as it spreads."""
+
+from __future__ import annotations
+
+import json
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from contract.feature_set import FeatureSet
+from contract.spot import Spot, SpotReport
+from contract.topics import FEATURES, SPOTS
+from contract.wire.codec import encode
+from contract.wire.spot_code import encode_spots
+from ground.__main__ import main
+from ground.formats import fire_area
+from ground.link_recorder import LinkRecorder
+from ground.spots.fire import MOST_DRAWN, Fire, FireGround
+from tests.contract.sets import plain_set
+from tests.ground.spots.drawn_spots import HOME, START_NS, covariance, spot_at
+
+COV = covariance(1.5, 1.0, 30.0)
+Ring = tuple[tuple[float, float], ...]
+
+
+def circle(radius_m: float, points: int = 40) -> Ring:
+    angles = np.linspace(0.0, 2.0 * np.pi, points, endpoint=False)
+    return tuple((float(radius_m * np.cos(a)), float(radius_m * np.sin(a))) for a in angles)
+
+
+def burning(ring: Ring, east_m: float = 0.0, north_m: float = 0.0, **more: object) -> Spot:
+    return replace(spot_at(east_m, north_m, COV, temperature_c=300.0, area_m2=500.0), outline_en_m=ring, **more)  # type: ignore[arg-type]
+
+
+def report(k: int, at_s: float, *spots: Spot, session: int = 1) -> SpotReport:
+    return SpotReport(session, k, START_NS + round(at_s * 1e9), True, spots, 0, 0.8, 0.6, "uav-1")
+
+
+def spreading(seed: int, rate_m_s: float, seconds: float = 240.0, every_s: float = 10.0) -> tuple[Fire, float]:
+    """A round fire of 20 m that grows, as erring pictures see it; and its radius at the end."""
+    rng = np.random.default_rng(seed)
+    ground, common = FireGround(), rng.multivariate_normal((0.0, 0.0), 0.6 * COV)
+    for k in range(int(seconds / every_s) + 1):
+        east, north = common + rng.multivariate_normal((0.0, 0.0), 0.4 * COV)
+        ground.add(report(k, k * every_s, burning(circle(20.0 + rate_m_s * k * every_s), float(east), float(north))))
+    fire = ground.fire(10.0)
+    assert fire is not None
+    return fire, 20.0 + rate_m_s * seconds
+
+
+def test_a_fire_is_as_large_as_it_is_and_its_edge_is_between_surely_and_perhaps() -> None:
+    for seed in range(3):
+        fire, radius_m = spreading(seed, 0.1)
+        true_m2 = math.pi * radius_m**2
+        assert fire.burned.area_m2 == pytest.approx(true_m2, rel=0.08)
+        assert fire.surely.area_m2 < true_m2 < fire.perhaps.area_m2 < 1.35 * true_m2
+        assert fire.surely.area_m2 > 0.75 * true_m2
+        assert fire.burned.perimeter_m == pytest.approx(2.0 * math.pi * radius_m, rel=0.05)
+        assert fire.pictures == 25
+
+
+def test_the_rate_of_spread_has_its_sigma_and_a_fire_that_stands_spreads_by_no_more_than_that() -> None:
+    for seed in range(3):
+        fire, _ = spreading(seed, 0.1)
+        assert fire.spread_m_s is not None and fire.sigma_spread_m_s is not None
+        assert 0.005 < fire.sigma_spread_m_s < 0.03
+        assert fire.spread_m_s == pytest.approx(0.1, abs=3.0 * fire.sigma_spread_m_s)
+        still, _ = spreading(seed, 0.0)
+        assert still.spread_m_s is not None and still.sigma_spread_m_s is not None
+        assert still.spread_m_s < 3.0 * still.sigma_spread_m_s
+
+
+def test_one_outline_is_widened_and_narrowed_by_its_ellipse() -> None:
+    ground = FireGround()
+    ground.add(report(0, 0.0, burning(circle(20.0, 200))))
+    fire = ground.fire(5.0)
+    assert fire is not None and fire.spread_m_s is None
+    a, b = (math.sqrt(4.605) * sigma for sigma in (1.5, 1.0))
+    # The area of a circle's sum with an ellipse: both areas, and the circle's radius times the ellipse's perimeter.
+    around = math.pi * (3.0 * (a + b) - math.sqrt((3.0 * a + b) * (a + 3.0 * b)))
+    assert fire.perhaps.area_m2 == pytest.approx(math.pi * (400.0 + a * b) + 20.0 * around, rel=0.03)
+    assert fire.surely.area_m2 == pytest.approx(math.pi * (400.0 + a * b) - 20.0 * around, rel=0.05)
+
+
+def test_of_a_line_that_burns_nothing_is_sure_where_it_is_thinner_than_its_error() -> None:
+    ground = FireGround()
+    ground.add(report(0, 0.0, burning(((-30.0, -0.5), (30.0, -0.5), (30.0, 0.5), (-30.0, 0.5)))))
+    fire = ground.fire(5.0)
+    assert fire is not None and fire.surely.area_m2 == 0.0 and fire.surely.polygons == []
+    assert fire.burned.area_m2 == pytest.approx(60.0, rel=0.25) and fire.perhaps.area_m2 > 200.0
+
+
+def test_a_hole_that_does_not_burn_stays_one_and_two_fires_are_two_polygons() -> None:
+    ground = FireGround()
+    sides = [
+        (-20.0, -20.0, 20.0, -12.0),
+        (-20.0, 12.0, 20.0, 20.0),
+        (-20.0, -20.0, -12.0, 20.0),
+        (12.0, -20.0, 20.0, 20.0),
+    ]
+    spots = [burning(((w, s), (e, s), (e, n), (w, n))) for w, s, e, n in sides]
+    ground.add(report(0, 0.0, *spots, burning(circle(5.0), 60.0, 0.0)))
+    fire = ground.fire(5.0)
+    assert fire is not None
+    assert sorted(len(polygon) for polygon in fire.burned.polygons) == [1, 2]
+    assert fire.burned.area_m2 == pytest.approx(1600.0 - 576.0 + math.pi * 25.0, rel=0.05)
+
+
+def test_only_what_is_hot_enough_large_enough_and_of_the_last_minutes_burns() -> None:
+    ground = FireGround()
+    ground.add(report(0, 0.0, burning(circle(10.0), -100.0)))
+    ground.add(report(1, 400.0, replace(burning(circle(10.0)), temperature_c=40.0), burning((), 5.0)))
+    assert ground.fire(5.0) is not None  # the newest that burned
+    ground.add(report(2, 410.0, burning(circle(10.0))))
+    fire = ground.fire(5.0)
+    assert fire is not None and fire.pictures == 1 and fire.first_unix_ns == START_NS + 410 * 10**9
+    unknown = FireGround()
+    small = replace(burning(circle(0.5)), temperature_c=None, above_ground_k=None, area_m2=0.8)
+    unknown.add(report(0, 0.0, small, replace(small, area_m2=50.0, contrast=-9.0)))
+    assert unknown.fire(5.0) is None
+    unknown.add(report(1, 1.0, replace(small, area_m2=50.0, outline_en_m=circle(4.0))))
+    assert unknown.fire(5.0) is not None
+
+
+def test_of_very_many_pictures_some_are_drawn_evenly_and_with_the_newest() -> None:
+    ground = FireGround()
+    for k in range(3 * MOST_DRAWN):
+        ground.add(report(k, float(k), burning(circle(3.0), 0.05 * k)))
+    fire = ground.fire(60.0)
+    assert fire is not None and MOST_DRAWN / 2 <= fire.pictures <= MOST_DRAWN
+    assert fire.last_unix_ns == START_NS + (3 * MOST_DRAWN - 1) * 10**9 and fire.first_unix_ns < START_NS + 4 * 10**9
+
+
+def test_polygons_are_where_it_burns_in_geojson_and_kml() -> None:
+    ground = FireGround()
+    ground.add(report(0, 0.0, burning(circle(20.0, 100), 1000.0, -500.0)))
+    fire = ground.fire(5.0)
+    assert fire is not None
+    made = json.loads(fire_area.write(fire, "a.geojson"))["features"]
+    assert [f["properties"]["kind"] for f in made] == ["perhaps", "burned", "surely"]
+    (ring,) = made[1]["geometry"]["coordinates"][0]
+    assert ring[0] == ring[-1]
+    for lon, lat in ring:
+        east, north, _ = (float(c) for c in HOME.to_enu(lat, lon, 0.0))
+        assert math.hypot(east - 1000.0, north + 500.0) == pytest.approx(20.0, abs=0.5)
+    root = ET.fromstring(fire_area.write(fire, "A.KML"))
+    assert sum(node.tag.endswith("}Polygon") for node in root.iter()) == 3
+
+
+def recorded(folder: Path) -> Path:
+    there: FeatureSet = replace(plain_set(5), vehicle="uav-1", capture_unix_ns=START_NS)
+    with LinkRecorder(folder) as recorder:
+        recorder.take(FEATURES.key("uav-1"), encode(there))
+        for k in range(12):
+            ring = circle(10.0 + 0.5 * k, 24)
+            sent = report(k, 10.0 * k, burning(ring), session=there.session)
+            recorder.take(SPOTS.key("uav-1"), encode_spots(sent))
+    return folder
+
+
+def test_the_command_says_area_perimeter_and_spread_and_writes_the_polygons(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flight = str(recorded(tmp_path / "flight"))
+    assert main(["spots", "--fire", "--from", flight, "--minutes", "30", "--save", str(tmp_path / "fire.kml")]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("fire of 7") and "spreads with 0.05" in said and "in 12 pictures" in said
+    assert (tmp_path / "fire.kml").read_text().count("<Polygon>") == 3
+    assert main(["spots", "--fire", "--from", flight, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["features"][1]["properties"]["area_m2"] > 600.0
+    assert main(["spots", "--fire", "--from", flight, "--above", "500"]) == 3
+    for words in (["--minutes", "3"], ["--fire", "--save", "a.csv"], ["--fire", "--seconds", "1"]):
+        assert main(["spots", "--from", flight, *words]) == 2
