@@ -59,6 +59,7 @@ BENCHMARKS = (
     Benchmark("bundle", "The window solve against GTSAM", (), ("--repeat", "5")),
     Benchmark("tracking", "A tracking step against raw Lucas-Kanade", (), ("--seconds", "3", "--passes", "1")),
     Benchmark("tracks", "Things that move", ("--flights", "3"), ("--scenes", "hover")),
+    Benchmark("thermal_tracking", "Poses from thermal pictures", (), ("--rows", "300 mK", "--seconds", "8")),
     Benchmark("spots", "Hot spots", (), ("--scenes", "calm", "--flights", "1", "--pictures", "60")),
     Benchmark("pipeline", "The pipeline at thirty pictures a second", ("--hour", "--profile"), ("--minutes", "1")),
     Benchmark("against", "Processor time against an earlier commit", (), ("--turns", "4")),

@@ -5,9 +5,10 @@ the same picture, and in instructions.
 
 The flight is the one that `pc-onboard bench` makes up. Raw LK is `cv2.calcOpticalFlowPyrLK` of consecutive pictures at
 100 points on a lattice, window 21, three levels, timed at every picture between the pipeline's calls, so that both have
-the same conditions. `--instructions` runs twice under valgrind, once with more pictures, and divides the difference of
-the instructions by that of the pictures: start and imports fall out. By stage they are not counted: perf has no
-counters in a virtual machine, and valgrind does not see Python's functions.
+the same conditions. "Standing" is the part of tracking that looks for what stands still in the picture, as the mean of
+all pictures and of those that are compared with an earlier one. `--instructions` runs twice under valgrind, once with
+more pictures, and divides the difference of the instructions by that of the pictures: start and imports fall out. By
+stage they are not counted: perf has no counters in a virtual machine, and valgrind does not see Python's functions.
 """
 
 from __future__ import annotations
@@ -21,12 +22,15 @@ import time
 from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
+from typing import ClassVar
+from unittest import mock
 
 from benchmarks.machine import describe, load, table
 
 # isort: split
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.pipeline import resident_bytes
 from contract.camera import Camera
@@ -34,7 +38,12 @@ from onboard.config.schema import Config
 from onboard.events.types import Event, Frame
 from onboard.replay.load import WARM_UP, Load, measure
 from onboard.replay.made_flight import MadeFlight
+from onboard.vision import klt_tracker
+from onboard.vision.contrast_normalisation import Picture
 from onboard.vision.klt_tracker import LEVELS, WINDOW_PX
+from onboard.vision.standing_parts import StandingParts
+
+Array = NDArray[np.float64]
 
 STAGES = ("navigation", "tracking", "georeference", "solve", "encode", "other")
 LK_POINTS = (10, 10)
@@ -67,6 +76,25 @@ class RawLk:
             yield moment_ns, event
 
 
+class TimedStandingParts(StandingParts):
+    """Looks for what stands still: of each picture the time, us, and whether it was compared with an earlier one."""
+
+    seen: ClassVar[list[tuple[float, bool]]] = []
+
+    def see(self, image: Picture, motions: Sequence[Array | None]) -> bool:
+        """As it does."""
+        before, began = self._reference, time.thread_time_ns()
+        out = super().see(image, motions)
+        self.seen.append(((time.thread_time_ns() - began) / 1e3, self._reference is not before))
+        return out
+
+    @classmethod
+    def mean_us(cls) -> tuple[float, float]:
+        """Of all pictures, and of those that were compared (NaN if none was)."""
+        times, compared = (np.array(column) for column in zip(*cls.seen[WARM_UP:], strict=True))
+        return float(times.mean()), float(times[compared.astype(bool)].mean()) if compared.any() else float("nan")
+
+
 def prepared(size_px: tuple[int, int], features: int) -> tuple[MadeFlight, Camera]:
     """A flight with so large pictures and so many features."""
     camera = Camera.from_field_of_view(*size_px, FIELD_OF_VIEW_DEG)
@@ -79,7 +107,9 @@ def flown(size_px: tuple[int, int], features: int, pictures: int) -> tuple[Load,
     """A flight's load, the median of raw LK, us, and this process's memory at the end, MB (with simulated ground)."""
     made, camera = prepared(size_px, features)
     lk = RawLk(camera)
-    found = measure(made.config, camera, lk.between(made.events()), lambda n: n >= pictures)
+    TimedStandingParts.seen.clear()
+    with mock.patch.object(klt_tracker, "StandingParts", TimedStandingParts):
+        found = measure(made.config, camera, lk.between(made.events()), lambda n: n >= pictures)
     return found, float(np.median(lk.times_us[WARM_UP:])), resident_bytes() / 1e6
 
 
@@ -89,17 +119,20 @@ def report(sizes: Sequence[tuple[int, int]], features: Sequence[int], pictures: 
     for size_px, count in product(sizes, features):
         found, lk_us, memory_mb = flown(size_px, count, pictures)
         ratios = [1e3 * found.stage_ms.get(stage, 0.0) / lk_us for stage in STAGES]
+        standing = (us / lk_us for us in TimedStandingParts.mean_us())
         rows.append(
             [
                 f"{size_px[0]}x{size_px[1]}, {count}",
                 f"{lk_us / 1e3:.2f}",
                 *(f"{ratio:.2f}" for ratio in ratios),
                 f"{1e3 * found.picture_ms / lk_us:.2f}",
+                *(f"{ratio:.2f}" for ratio in standing),
                 f"{found.solved}/{found.flown}",
                 f"{memory_mb:.0f}",
             ]
         )
-    return table(["picture, features", "raw LK, ms", *STAGES, "all", "solved", "memory, MB"], rows)
+    heads = ["picture, features", "raw LK, ms", *STAGES, "all", "standing", "a pair", "solved", "memory, MB"]
+    return table(heads, rows)
 
 
 def instructions(size_px: tuple[int, int], features: int) -> float:

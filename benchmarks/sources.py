@@ -1,6 +1,6 @@
 """Pictures from a network stream beside the raw pictures of the same flight: times, clicks, answers.
 
-    python -m benchmarks.sources [--seconds 75] [--streams 1000:0.15,250:0.4] [--jitter 0.03] [--seeds 2,6]
+    python -m benchmarks.sources [--seconds 75] [--streams 1000:0.15,250:0.4] [--jitter 0.03] [--seeds 2,6] [--devices]
 
 Simulated flights with turns, 400x300 at 6 Hz, are played by GStreamer's RTSP server as H.264 over TCP, in real time,
 with the autopilot's messages over UDP. `--streams`: kbit/s and the seconds between a picture's capture and its way into
@@ -11,11 +11,16 @@ this computer changes no answer.
 Printed: how far stamps scatter about their mean delay; the time offset found after 60 s (or at the end) less the true
 one, with its stated sigma; clicks after the first 20 s against the truth, the share of them inside the 90 % ellipse,
 and the share answered. A flight's clicks share its slow errors: one flight is one sample of them.
+
+`--devices` (root; docs/test-bench.md) measures cameras that are devices, in the test bench's guest: a sensor of the
+kernel's is switched between two brightnesses at known moments, and what pictures show bounds how far their stamps lie
+behind the moment at which the driver begins to draw them.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import threading
 import time
 import tomllib
@@ -55,6 +60,12 @@ Array = NDArray[np.float64]
 SIZE_PX = (400, 300)
 RATE_HZ = 6.0
 SETTLED_S, LEARNED_S = 20.0, 60.0
+DEVICES = (
+    ("V4L2, vivid", "/dev/video0", (320, 180), ()),
+    ("V4L2, vivid", "/dev/video0", (640, 480), ()),
+    ("libcamera, vimc", "libcamera:", (288, 144), ("--sensor", "Sensor B")),
+    ("libcamera, vimc", "libcamera:", (636, 480), ("--sensor", "Sensor B")),
+)
 
 
 @dataclass(frozen=True)
@@ -168,6 +179,24 @@ def cells(outcomes: Sequence[Outcome]) -> str:
     return f"{middle:.2f} m | {most:.2f} m | {inside:.0f} % | {shares}"
 
 
+def devices() -> str:
+    """The table of cameras that are devices. Raises BenchError where no guest can be booted."""
+    from tests.bench import cameras  # noqa: PLC0415  (what boots a guest is asked for only here)
+    from tests.bench.machine import GUEST_CHECKOUT, INSIDE, PYTHON, boot  # noqa: PLC0415
+
+    rows = ["| camera | pictures | stamp less the beginning of its picture |", "|---|---|---|"]
+    with boot() as guest:
+        cameras.load(guest)
+        cameras.load_vimc(guest)
+        for name, device, (width, height), words in DEVICES:
+            argv = [PYTHON, "-m", "tests.bench.known_moments", device, f"{width}x{height}", *words]
+            done = guest.run(*argv, timeout_s=150.0, cwd=GUEST_CHECKOUT, env=INSIDE)
+            found = json.loads(done.ok().splitlines()[-1])
+            between = f"{found['least_ms']:+.2f} to {found['most_ms']:+.2f} ms"
+            rows.append(f"| {name} | {width}x{height} | {between} |")
+    return "\n".join(rows)
+
+
 def main(argv: Sequence[str] | None = None) -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -175,7 +204,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--streams", default="1000:0.15,250:0.4", help="kbit/s and delay in s of each stream")
     parser.add_argument("--jitter", type=float, default=0.03, help="s")
     parser.add_argument("--seeds", default="2,6", help="of the flights")
+    parser.add_argument("--devices", action="store_true", help="cameras that are devices, in the test bench's guest")
     arguments = parser.parse_args(argv)
+    if arguments.devices:
+        print(devices())
+        return
     if not is_installed():
         parser.error("GStreamer is not installed: make gstreamer")
     seeds = [int(word) for word in arguments.seeds.split(",")]

@@ -52,7 +52,7 @@ Array = NDArray[np.float64]
 
 RATE_HZ, HEIGHT_M, SPEED_M_S = 5.0, 100.0, 12.0
 BOSON, LEPTON = Camera.from_field_of_view(640, 512, 50.0), Camera.from_field_of_view(160, 120, 57.0)
-EACH_M, ASIDE_M = 25.0, 25.0  # a person every so many metres of way, at most so far beside it
+EACH_M, ASIDE_M = 120.0, 25.0  # a person every so many metres of way (90 a km2), at most so far beside it
 LEARNING, AT_M, EDGE_PX = 20, 2.0, 4.0  # pictures; from a person; a person nearer to the edge is not looked for
 SAME_M = 3.0  # a spot so near to a person is that person, where its ellipse is smaller
 RECALL_GOAL, FALSE_GOAL, INSIDE_GOAL = 0.95, 1.0, (0.85, 0.95)

@@ -133,7 +133,7 @@ Maintainer: pointclick developers <pointclick@localhost>
 Installed-Size: $(du -sk --apparent-size "$root" | cut -f1)
 Depends: python3 (>= $minor), python3 (<< 3.12), systemd
 Recommends: $gstreamer
-Suggests: gstreamer1.0-libcamera, pointclick-onboard-terrain
+Suggests: gstreamer1.0-libcamera, libcamera-ipa, pointclick-onboard-terrain
 Section: science
 Priority: optional
 Description: point-and-click target localisation, the aircraft's side

@@ -75,8 +75,8 @@ def pytest_configure(config: pytest.Config) -> None:
     So it is with the ground they fly over, for programs that tests start, too. `make pytest` names a folder for both of
     its runs.
     """
-    if "not long" in config.option.markexpr:
-        config.pluginmanager.register(LongTests(config))
+    if "not long" in config.option.markexpr and may_be_chosen(config.option.markexpr, ""):
+        config.pluginmanager.register(LongTests(config))  # every file is looked at
     if not hasattr(config, "workerinput"):
         from simulation.kept_drawings import FOLDER_VARIABLE  # noqa: PLC0415  NumPy, not before the variables above
 

@@ -67,8 +67,8 @@ def run(text: str, feed: list[Gst.Buffer], look: Callable[[Gst.Buffer], None] | 
     return out
 
 
-def packets(spec: dict) -> list[Gst.Buffer]:
-    """The stream's RTP packets."""
+def compressed(spec: dict, encoder: str) -> list[Gst.Buffer]:
+    """What an encoder, with what follows it, makes of the pictures."""
     size = spec["width"] * spec["height"]
     data = Path(spec["frames"]).read_bytes()
     rate = f"{round(1000 * spec['rate_hz'])}/1000"
@@ -78,16 +78,20 @@ def packets(spec: dict) -> list[Gst.Buffer]:
         buffer.pts, buffer.duration = round(k * period_ns), round(period_ns)
         feed.append(buffer)
     bits = spec["bit_rate"]
-    encoder = ENCODERS[spec["codec"]].format(
-        gop=max(round(spec["rate_hz"]), 2), bits=bits, kbits=max(round(bits / 1000), 1)
-    )
+    encoder = encoder.format(gop=max(round(spec["rate_hz"]), 2), bits=bits, kbits=max(round(bits / 1000), 1))
     caps = f"video/x-raw,format=GRAY8,width={spec['width']},height={spec['height']},framerate={rate}"
     samples = run(
         f"appsrc name=in format=time caps={caps} ! videoconvert ! video/x-raw,format=I420 ! {encoder} ! "
-        f"{SENT[spec['codec']][0]} ! appsink name=out sync=false max-buffers=0",
+        "appsink name=out sync=false max-buffers=0",
         feed,
     )
     return [sample.get_buffer() for sample in samples]
+
+
+def packets(spec: dict) -> list[Gst.Buffer]:
+    """The stream's RTP packets."""
+    codec = spec["codec"]
+    return compressed(spec, f"{ENCODERS[codec]} ! {SENT[codec][0]}")
 
 
 def decoded(spec: dict, sent: list[Gst.Buffer]) -> tuple[list[Gst.Sample], dict[int, bool]]:

@@ -28,7 +28,7 @@ from benchmarks import (
 from benchmarks.__main__ import BENCHMARKS, RESULTS, STARTED, merge, section
 from benchmarks.flown import Leg, leg, out_and_back, sets_of
 from benchmarks.mechanisms import MECHANISMS
-from benchmarks.source_codecs import recoded
+from benchmarks.source_codecs import mean_with_sigma, recoded
 from contract.answer import Fix
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
@@ -360,3 +360,10 @@ def test_what_a_codec_hands_back_is_the_picture_of_its_number(tmp_path: Path, co
     for number, image in [*all_came.images.items(), *some_came.images.items()]:
         assert number_of(image) == number
         assert np.abs(image.astype(float) - pictures[number]).mean() < 8.0
+
+
+def test_shares_of_flights_are_pooled_with_what_they_scatter_by() -> None:
+    assert mean_with_sigma([0.8, 0.9, 1.0]) == "90.0 +-5.8 %"
+    assert mean_with_sigma([-0.02, 0.04], "+") == "+1.0 +-3.0 %"
+    assert mean_with_sigma([0.9, np.nan]) == "90.0 %"
+    assert mean_with_sigma([np.nan]) == "-"

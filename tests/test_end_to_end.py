@@ -309,21 +309,29 @@ def clicks_in(text: str) -> dict[str, list[float]]:
 
 
 def test_the_demo_runs(tmp_path: Path) -> None:
-    """As the README shows it, but for the last digits, which processors round differently.
+    """The README's figures are those of the recorded flight, but for last digits, which processors round differently.
 
-    What is clicked in flight is answered with what is known by then: of three demos one must be in time.
+    What the demo itself prints was clicked in flight and is answered with what was known by then: on a slow machine
+    that is a picture's first set, a few metres from its last.
     """
     out = tmp_path / "demo"
-    shown = {key: pytest.approx(row, abs=0.25) for key, row in clicks_in((ROOT / "README.md").read_text()).items()}
+    shown = clicks_in((ROOT / "README.md").read_text())
     assert len(shown) == 2
-    for _ in range(3):
-        done = run("demo", "--out", out)
-        assert done.returncode == 0, done.stdout + done.stderr
-        assert "8 of 8 clicks answered" in done.stdout
-        printed = {key: figures for key, figures in clicks_in(done.stdout).items() if key in shown}
-        if printed == shown:
-            break
-    assert printed == shown
+    done = run("demo", "--out", out)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "8 of 8 clicks answered" in done.stdout
+    printed = clicks_in(done.stdout)
+    assert set(shown) <= set(printed) and len(printed) == 8
+    assert all(0.1 < error_m < radius_m for *_, radius_m, error_m in printed.values()), printed
+    truth = Truth.load(out / "flight")
+    for key, row in shown.items():
+        frame, u, v = (int(word.rstrip(",")) for word in key.split()[1:])
+        said = run("ground", "click", u, v, "--frame", frame, "--from", out / "session.mcap", "--format", "json")
+        answer, true = json.loads(said.stdout), truth.ground(frame, [float(u), float(v)])
+        place = answer["lat_deg"], answer["lon_deg"], answer["height_amsl_m"]
+        error = LocalFrame(true.lat_deg[0], true.lon_deg[0], true.height_amsl_m[0]).to_enu(*place)[:2]
+        figures = place[0] * 111_000.0, place[1] * 81_000.0, place[2] / 5.0, answer["ellipse"]["semi_major_m"]
+        assert [*figures, float(np.hypot(*error))] == pytest.approx(row, abs=0.25), key
     drawn = sorted(path.name for path in out.iterdir() if path.suffix in (".png", ".jpg"))
     assert drawn == ["map.png", "overview.jpg", "tracks_1_frames.png", "tracks_2_features.png", "tracks_3_paths.png"]
 

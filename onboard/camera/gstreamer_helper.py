@@ -22,7 +22,7 @@ NEVER_WORKS, FAILED = 2, 1
 BASE = "python3-gi gir1.2-gstreamer-1.0 gir1.2-gst-plugins-base-1.0 gstreamer1.0-plugins-base gstreamer1.0-plugins-good"
 PACKAGES = {
     "gstreamer1.0-libav": ("avdec_",),
-    "gstreamer1.0-libcamera": ("libcamerasrc",),
+    "gstreamer1.0-libcamera libcamera-ipa": ("libcamerasrc",),
     "gstreamer1.0-plugins-bad": (
         "h264parse", "h265parse", "mpeg4videoparse", "openh264dec", "bayer2rgb", "srtsrc", "tsdemux", "v4l2sl", "va",
     ),
@@ -270,6 +270,9 @@ class Player:
         if message.type == self.Gst.MessageType.EOS:
             return "the stream has ended"
         error, debug = message.parse_error()
+        resource = self.Gst.ResourceError
+        if self.spec["kind"] == "libcamera" and error.matches(resource.quark(), resource.NOT_FOUND):
+            return self._absent()
         last = (debug or "").strip().splitlines()[-1:] or [""]
         detail = last[0].split("): ")[-1]
         said = error.message.rstrip(".")
@@ -278,6 +281,11 @@ class Player:
         if "not-negotiated" in detail:
             return f"{said}: {message.src.get_name()} cannot give {self.spec['width']}x{self.spec['height']}"
         return f"{said} ({detail})" if detail and detail != said else said
+
+    def _absent(self) -> str:
+        """Which camera libcamera does not have, and which it has."""
+        wanted, there = self.spec.get("camera"), ", ".join(map(repr, cameras(self.Gst)))
+        return f"libcamera has {f'no camera {wanted!r}' if wanted else 'no camera'}{f', but {there}' if there else ''}"
 
     # --- the three kinds of source ---
 

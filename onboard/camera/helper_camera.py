@@ -169,9 +169,9 @@ class HelperCamera:
         """Note how the helper ended; raises ConfigError if no other attempt can be better than this first one."""
         words = stream.process.last_words()
         status = stream.process.close()
-        how = words or (
-            f"ended by {signal.Signals(-status).name}" if status < 0 else f"ended with exit status {status}"
-        )
+        how = words or f"ended with exit status {status}"
+        if status < 0:  # its last words are of something else
+            how = f"ended by {signal.Signals(-status).name}{f' after: {words}' if words else ''}"
         self._absence = f"{self._launch.name}: {how}"
         if status in {NEVER_WORKS, NOT_THERE} and not self._has_been:
             raise ConfigError(self._absence)

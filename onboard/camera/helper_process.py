@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import re
 import select
 import signal
 import subprocess
@@ -20,6 +21,7 @@ from contract.tied_process import tied
 PIPE_BYTES = 1 << 20  # the most that the system gives without privileges
 READ_BYTES = 1 << 20
 MAX_WORDS = 300  # of a line on the helper's error stream
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 GRACE_S = 0.3  # between the request to end and the end
 
 
@@ -85,7 +87,8 @@ class HelperProcess:
         *whole, rest = (self._line + got).split(b"\n")
         self._line = rest[:MAX_WORDS]
         for line in whole:
-            text = "".join(c for c in line[:MAX_WORDS].decode("utf-8", "replace") if c.isprintable()).strip()
+            plain = COLOUR.sub("", line[:MAX_WORDS].decode("utf-8", "replace"))
+            text = "".join(c for c in plain if c.isprintable()).strip()
             self.words = text or self.words
 
     def last_words(self, within_s: float = 0.2) -> str:

@@ -23,7 +23,7 @@ QUARTILES = (25.0, 50.0, 75.0)  # per cent
 MIDDLE_LEVELS = 40.0  # grey levels from the first to the last of these: a normal spread then fills the scale
 MOST_GAIN = 4.0  # grey levels a count
 GAIN_STEP = 0.02  # by which the stretch may change from picture to picture
-SMOOTHED_PX = 0.9  # one sigma: of what is so small most is noise
+SMOOTHED_PX = 0.6  # one sigma: of what is so small most is noise
 SAMPLE_STEP = 4
 
 ROUND_PX = 7  # what of a pixel is not in the mean of so many around it may be the sensor's own

@@ -59,6 +59,15 @@ class Texture:
         cells = cv2.resize(values, self._grid, interpolation=cv2.INTER_AREA)
         return np.asarray(cv2.blur(cells, (3, 3)), np.float32)
 
+    def part(self, cells: tuple[int, int, int, int]) -> Texture:
+        """Of some of its cells (x, y, columns, rows), with what it knows of them already."""
+        x, y, columns, rows = cells
+        out = object.__new__(Texture)
+        out._grid = columns, rows
+        out.small = self.small[CELL_PX * y : CELL_PX * (y + rows), CELL_PX * x : CELL_PX * (x + columns)]
+        out.mean, out.variance = (g[y : y + rows, x : x + columns] for g in (self.mean, self.variance))
+        return out
+
     def detail(self) -> Grid:
         """The picture beyond its mean about each cell, over its spread there."""
         size = self.small.shape[1], self.small.shape[0]
@@ -75,10 +84,10 @@ class Texture:
 
 @dataclass(frozen=True, eq=False)
 class _Reference:
-    """An earlier picture, and the motions (3, 3) from the keyframe to it by each who tells one."""
+    """An earlier picture, and the motions (3, 3) from it back to the keyframe by each who tells one."""
 
     texture: Texture
-    motions: tuple[Array | None, ...]
+    back: tuple[Array | None, ...]
 
 
 class StandingParts:
@@ -119,14 +128,14 @@ class StandingParts:
         """
         was = self._reference
         if was is None:
-            self._reference = _Reference(self._reduced(image), tuple(motions))
+            self._reference = _Reference(self._reduced(image), _inverse(motions))
             return False
         steps = [
-            self._reduce @ now @ np.linalg.inv(before) @ self._enlarge
-            for before, now in zip(was.motions, motions, strict=True)
-            if before is not None and now is not None
+            self._reduce @ now @ back @ self._enlarge
+            for back, now in zip(was.back, motions, strict=True)
+            if back is not None and now is not None
         ]
-        moved_px = [float(np.median(self._moved_px(H))) for H in steps]
+        moved_px = [_middle(self._moved_px(H)) for H in steps]
         if steps and STANDS_PX < max(moved_px) < MOVED_PX:
             return False
         now = self._reduced(image)
@@ -134,7 +143,7 @@ class StandingParts:
         H = self._behind(was.texture, now) if told is None else told
         if H is None:
             return False
-        self._reference = _Reference(now, tuple(motions))
+        self._reference = _Reference(now, _inverse(motions))
         self._compare(was.texture, now, H)
         return self._judge()
 
@@ -142,15 +151,14 @@ class StandingParts:
         """Motions count from the picture that `motion` leads to, from now on."""
         was = self._reference
         if was is not None:
-            back = np.linalg.inv(motion)
-            self._reference = _Reference(was.texture, tuple(None if m is None else m @ back for m in was.motions))
+            self._reference = _Reference(was.texture, tuple(None if m is None else motion @ m for m in was.back))
 
     def begin(self, image: Picture) -> None:
         """Motions count from this picture; how it moved since an earlier one nobody knows."""
         self._reference = _Reference(self._reduced(image), (np.eye(3), np.eye(3)))
 
     def _reduced(self, image: Picture) -> Texture:
-        small = cv2.resize(image, self._working, interpolation=cv2.INTER_AREA)
+        small = cv2.resize(_halved(image, self._working), self._working, interpolation=cv2.INTER_AREA)
         return Texture(np.asarray(small, np.float32), self._grid)
 
     def _moved_px(self, H: Array) -> Grid:
@@ -185,35 +193,75 @@ class StandingParts:
         self._mean = faded
         if not self._is_part(was, now, still):
             return
-        control = self._control(was, now, H)
-        control = np.where(
-            np.isnan(control), self._control(now, was, np.asarray(np.linalg.inv(H), np.float64)), control
-        )
+        control = self._control(was, now, H, (0, 0, *self._grid))
+        there = cv2.boundingRect(np.isnan(control).astype(np.uint8))  # the other way round, where a match lies outside
+        if there[2]:
+            there = self._with_neighbours(there)
+            left, top, columns, rows = there
+            part = control[top : top + rows, left : left + columns]
+            other = self._control(now, was, np.asarray(np.linalg.inv(H), np.float64), there)
+            np.copyto(part, other, where=np.isnan(part))
         judged = (cv2.resize(self._moved_px(H), self._grid) >= MOVED_PX) & ~np.isnan(control)
         x = GAIN * (still - control - MARGIN)
         gain = np.where(judged, x - 0.5 * x * x, np.float32(0.0))
         np.clip(self._evidence + gain, 0.0, MOST, out=self._evidence)
 
-    def _control(self, was: Texture, now: Texture, H: Array) -> Grid:
-        """c(2) by twice the motion `H`; NaN where that would need what is outside the picture."""
+    def _with_neighbours(self, cells: Sequence[int]) -> tuple[int, int, int, int]:
+        """A part of the grid (x, y, columns, rows) with the cells about it."""
+        x, y, columns, rows = cells
+        left, top = max(x - 1, 0), max(y - 1, 0)
+        return left, top, min(x + columns + 1, self._grid[0]) - left, min(y + rows + 1, self._grid[1]) - top
+
+    def _control(self, was: Texture, now: Texture, H: Array, cells: tuple[int, int, int, int]) -> Grid:
+        """c(2) by twice the motion `H`, in a part of the grid; NaN where that needs what is outside the picture."""
+        x, y, columns, rows = cells
         twice = H @ H
-        moved = cv2.warpPerspective(was.small, twice, self._working, borderMode=cv2.BORDER_REPLICATE)
-        out = Texture(np.asarray(moved, np.float32), self._grid).likeness(now)
+        to_part = np.array([[1.0, 0.0, -CELL_PX * x], [0.0, 1.0, -CELL_PX * y], [0.0, 0.0, 1.0]])
+        size = CELL_PX * columns, CELL_PX * rows
+        moved = cv2.warpPerspective(was.small, to_part @ twice, size, borderMode=cv2.BORDER_REPLICATE)
+        out = Texture(np.asarray(moved, np.float32), (columns, rows)).likeness(now.part(cells))
         shrink = np.diag([1.0 / CELL_PX, 1.0 / CELL_PX, 1.0])
-        inside = cv2.warpPerspective(np.ones(out.shape, np.uint8), shrink @ twice @ np.linalg.inv(shrink), self._grid)
+        ones = np.ones(self._grid[::-1], np.uint8)
+        inside = cv2.warpPerspective(ones, shrink @ to_part @ twice @ np.linalg.inv(shrink), (columns, rows))
         out[np.asarray(inside) == 0] = np.nan
         return out
 
     def _judge(self) -> bool:
         """What is called, with hysteresis; gaps in between are taken with it. Whether that is another than before."""
         self._is_called = (self._evidence >= CALLED) | (self._is_called & (self._evidence > 0.5 * CALLED))
-        cells = cv2.morphologyEx(self._is_called.astype(np.uint8), cv2.MORPH_CLOSE, GAPS)
-        _, names, parts, _ = cv2.connectedComponentsWithStats(cells, connectivity=8)
-        is_large = parts[:, cv2.CC_STAT_AREA] >= LEAST_CELLS
-        is_large[0] = False
-        found = is_large[names]
-        if found.mean() > MOST_SHARE:
+        found = _large_parts(self._is_called) if self._is_called.any() else self._is_called
+        if np.count_nonzero(found) > MOST_SHARE * found.size:
             found = np.zeros_like(found)
         is_new = not np.array_equal(found, self._found)
         self._found = found
         return is_new
+
+
+def _inverse(motions: Sequence[Array | None]) -> tuple[Array | None, ...]:
+    return tuple(None if m is None else np.asarray(np.linalg.inv(m), np.float64) for m in motions)
+
+
+def _middle(values: Grid) -> float:
+    """The median of an odd number of values, in a tenth of the time of NumPy's."""
+    return float(np.sort(values, axis=None)[values.size // 2])
+
+
+def _halved(image: Picture, least: tuple[int, int]) -> Picture:
+    """As often as that leaves whole pixels, and not fewer than twice `least` (columns, rows).
+
+    Halving is what OpenCV does quickly: 640 pixels come to 160 in a sixth of the time, 1640 in a fifteenth.
+    """
+    rows, columns = image.shape
+    while rows % 2 == columns % 2 == 0 and columns >= 4 * least[0] and rows >= 4 * least[1]:
+        rows, columns = rows // 2, columns // 2
+        image = np.asarray(cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA), np.uint8)
+    return image
+
+
+def _large_parts(is_called: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Of cells those that hang together in parts of LEAST_CELLS, with the gaps between them."""
+    cells = cv2.morphologyEx(is_called.astype(np.uint8), cv2.MORPH_CLOSE, GAPS)
+    _, names, parts, _ = cv2.connectedComponentsWithStats(cells, connectivity=8)
+    is_large = parts[:, cv2.CC_STAT_AREA] >= LEAST_CELLS
+    is_large[0] = False
+    return np.asarray(is_large[names])

@@ -1,4 +1,4 @@
-"""The guest's cameras: vivid at /dev/video0, v4l2loopback at /dev/video10."""
+"""The guest's cameras: vivid at /dev/video0, v4l2loopback at /dev/video10; vimc, for libcamera, where it is loaded."""
 
 from __future__ import annotations
 
@@ -30,6 +30,18 @@ def load_loopback(guest: Machine, number: int) -> None:
     """A camera that is what is played into it, /dev/video<number>."""
     words = "devices=1 card_label=uavcam exclusive_caps=1 max_buffers=8"
     guest.shell(f"modprobe v4l2loopback {words} video_nr={number}; {SETTLE}")
+
+
+def load_vimc(guest: Machine) -> None:
+    """A sensor with its processing, as libcamera knows how to drive: `libcamera:platform/vimc.0 Sensor B`."""
+    counter = 'for n in /sys/class/video4linux/v4l-subdev*; do grep -qx "Sensor B" $n/name || continue'
+    counter += "; v4l2-ctl -d /dev/${n##*/} -c show_information=1; done"  # small ones have room for nothing else
+    guest.shell(f"modprobe vimc; {SETTLE}; {counter}")
+
+
+def plug_vimc(guest: Machine, is_in: bool) -> None:
+    """Take it away from whoever reads it, or put it back."""
+    guest.shell(f"echo vimc.0 >/sys/bus/platform/drivers/vimc/{'bind' if is_in else 'unbind'}; {SETTLE}")
 
 
 def unplug_vivid(guest: Machine, number: int) -> None:

@@ -18,6 +18,7 @@ from typing import Self
 from onboard.camera import v4l2_structures as v4l2
 
 BUFFERS = 4
+COMPRESSED = {"MJPG", "H264"}
 
 
 class _Stream:
@@ -30,7 +31,7 @@ class _Stream:
         wanted = int.from_bytes(fourcc.encode(), "little")
         chosen = v4l2.Format(type=kind)
         # Compressed pictures have no size of their own: room for an incompressible one, with its tables.
-        room = width_px * height_px * 2 + 4096 if fourcc == "MJPG" else 0
+        room = width_px * height_px * 2 + 4096 if fourcc in COMPRESSED else 0
         chosen.fmt.pix = v4l2.PixFormat(
             width=width_px,
             height=height_px,

@@ -14,7 +14,14 @@ SUITE = "bookworm"
 PACKAGES = "systemd systemd-sysv dbus udev kmod python3 python3-venv iproute2 iputils-ping v4l-utils procps"
 MASKED = """apt-daily.timer apt-daily-upgrade.timer dpkg-db-backup.timer e2scrub_all.timer e2scrub_reap.service
     fstrim.timer systemd-timesyncd.service getty@tty1.service console-getty.service systemd-logind.service"""
-DISK_SIZE = "1500M"
+DISK_SIZE = "2200M"
+
+VIDEO = """gir1.2-gst-plugins-base-1.0 gir1.2-gst-rtsp-server-1.0 gir1.2-gstreamer-1.0 gstreamer1.0-libav
+    gstreamer1.0-libcamera gstreamer1.0-plugins-bad gstreamer1.0-plugins-base gstreamer1.0-plugins-good libcamera-ipa
+    libcamera-tools python3-gi"""
+"""What docs/camera.md asks for, for all but V4L2; libcamera's `cam`; and an RTSP server to test with."""
+REGISTRY = "import gi; gi.require_version('Gst', '1.0'); from gi.repository import Gst; Gst.init(None)"
+"""Has GStreamer look through its plugins, which takes a guest much longer than the host."""
 
 CHECKOUT = Path(__file__).resolve().parents[3]
 GUEST = Path(__file__).resolve().parents[1] / "guest"
@@ -32,13 +39,16 @@ def root(kernel: Path) -> Path:
     """The guest's root file system, an ext4 image; a guest writes to a layer of its own above it."""
     files = [(GUEST / name).read_bytes() for name in INSTALLED]
     base_key = cache.key_of(SUITE, PACKAGES)
-    key = cache.key_of(base_key, kernel.name, MASKED, DISK_SIZE, *files, Path(__file__).read_bytes())
+    video_key = cache.key_of(base_key, VIDEO, REGISTRY)
+    key = cache.key_of(video_key, kernel.name, MASKED, DISK_SIZE, *files, Path(__file__).read_bytes())
+
+    def with_video(work: Path) -> None:
+        _with_video(cache.artefact("debian", base_key, _debian) / "debian.tar", work)
 
     def build(work: Path) -> None:
-        base = cache.artefact("debian", base_key, _debian)
         tree = work / "tree"
         tree.mkdir()
-        run(["tar", "-xf", base / "debian.tar", "-C", tree])
+        run(["tar", "-xf", cache.artefact("video", video_key, with_video) / "debian.tar", "-C", tree])
         shutil.copytree(kernel / "modules" / "lib" / "modules", tree / "lib" / "modules", symlinks=True)
         _configure(tree)
         run(["mke2fs", "-q", "-t", "ext4", "-O", "^has_journal", "-d", tree, work / "root.img", DISK_SIZE])
@@ -53,6 +63,30 @@ def _debian(work: Path) -> None:
     run(["debootstrap", "--variant=minbase", f"--include={include}", SUITE, tree, mirror()])
     # Where the unit's program lives: a virtual environment, as on an aircraft. Its packages are the other disk.
     run(["chroot", tree, "/usr/bin/python3", "-m", "venv", INSTALL])
+    _packed(tree, work)
+
+
+def _with_video(debian: Path, work: Path) -> None:
+    """The same with GStreamer and libcamera, installed as a user would."""
+    tree = work / "tree"
+    tree.mkdir()
+    run(["tar", "-xf", debian, "-C", tree])
+    apt: list[str | Path] = [
+        "chroot",
+        tree,
+        "/usr/bin/env",
+        "DEBIAN_FRONTEND=noninteractive",
+        "/usr/bin/apt-get",
+        "-qq",
+    ]
+    run([*apt, "update"])
+    run([*apt, "install", "--yes", "--no-install-recommends", *VIDEO.split()])
+    run(["chroot", tree, "/usr/bin/env", "HOME=/root", "/usr/bin/python3", "-c", REGISTRY])
+    _packed(tree, work)
+
+
+def _packed(tree: Path, work: Path) -> None:
+    """`debian.tar` without what no guest reads."""
     for waste in ("var/cache/apt", "var/lib/apt/lists", "usr/share/doc", "usr/share/man", "usr/share/locale"):
         shutil.rmtree(tree / waste)
         (tree / waste).mkdir()

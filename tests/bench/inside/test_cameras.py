@@ -7,8 +7,10 @@ import sys
 import threading
 import time
 
+import numpy as np
 import pytest
 
+from tests.bench.known_moments import Switched, delay
 from tests.bench.v4l2 import Capture, Output
 
 WIDTH_PX, HEIGHT_PX = 64, 48
@@ -66,3 +68,17 @@ def test_vivid_stamps_its_pictures_with_the_monotonic_clock_and_not_ahead_of_it(
 def test_the_guest_runs_the_python_of_the_aircraft() -> None:
     assert sys.prefix == "/opt/pointclick"
     assert sys.version_info[:2] == (3, 11)
+
+
+@pytest.mark.parametrize("late_ms", [-3.0, 0.0, 7.5])
+def test_switches_at_known_moments_tell_how_late_stamps_are(late_ms: float) -> None:
+    """Pictures every 30 ms, 200 switches somewhere in every third, each made within 0.1 ms."""
+    begun_ns = np.arange(700) * 30_000_000
+    asked_ns = begun_ns[3:603:3] + np.random.default_rng(4).integers(0, 30_000_000, 200)
+    switches = [Switched(int(at_ns), int(at_ns) + 100_000) for at_ns in asked_ns]
+    means = 50.0 + 100.0 * (np.searchsorted(asked_ns + 50_000, begun_ns) % 2)
+    stamps_ns = begun_ns + round(1e6 * late_ms)
+    least_ms, most_ms = delay(stamps_ns.tolist(), means.tolist(), switches)
+    assert late_ms - 0.6 < least_ms <= late_ms <= most_ms < late_ms + 0.6
+    with pytest.raises(ValueError, match="200 switches, 199 seen"):
+        delay(stamps_ns[:600].tolist(), means[:600].tolist(), switches)

@@ -6,7 +6,6 @@ import contextlib
 import io
 import itertools
 import json
-import re
 import subprocess
 import sys
 import threading
@@ -290,8 +289,7 @@ def test_the_cameras_command_lists_what_the_driver_tells(capsys: pytest.CaptureF
         check=True,
     )
     assert early.stdout.count("\n") == 1
-    # The guest has no GStreamer: that its cameras are not listed is one line, and a reader that left is none.
-    assert re.fullmatch(r"libcamera's cameras are not listed: .+\n", early.stderr)
+    assert early.stderr == ""  # a reader that left is none
     grey = next(entry for entry in vivid["formats"] if entry["format"] == "GREY")
     sizes = {tuple(size["size_px"]): size["rates_hz"] for size in grey["sizes"]}
     assert 30.0 in sizes[640, 480]

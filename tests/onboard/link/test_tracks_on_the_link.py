@@ -120,3 +120,21 @@ def test_reports_of_eight_tracks_leave_sets_their_rate_at_their_bit_rate() -> No
             sent[Kind.SET] += 1
             due_set += 0.2
     assert sent[Kind.SET] >= 290 and 110 <= sent[Kind.TRACK] <= 121
+
+
+def test_full_packets_of_spots_leave_sets_their_rate_and_go_twice_a_second() -> None:
+    """A minute at 64 kbit/s: five sets a second, and 200 bytes of spots twice a second."""
+    budget = Budget(64_000.0, 0.2, 5.0, 0.0)
+    sent = dict.fromkeys(Kind, 0)
+    due_set = due_spots = 0.0
+    for step in range(60_000):
+        now_s = step * 0.001
+        budget.waits(Kind.SET, 600 if now_s >= due_set else None, now_s)
+        budget.waits(Kind.SPOTS, 200 if now_s >= due_spots else None, now_s)
+        if now_s >= due_spots and budget.send(Kind.SPOTS, 200, now_s):
+            sent[Kind.SPOTS] += 1
+            due_spots += 0.5
+        if now_s >= due_set and budget.send(Kind.SET, 600, now_s):
+            sent[Kind.SET] += 1
+            due_set += 0.2
+    assert sent[Kind.SET] >= 290 and 110 <= sent[Kind.SPOTS] <= 121

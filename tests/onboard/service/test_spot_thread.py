@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from contract.feature_set import FeatureSet
+from contract.recording_format import SPOT_ENCODING
 from contract.spot import SpotReport
 from contract.wire.spot_code import MAX_SPOT_BYTES, decode_spots
 from onboard.__main__ import main
@@ -96,3 +99,20 @@ def _files(folder: Path) -> list[str]:
         ("config", "config.toml"), ("frames", "frames"), ("telemetry", "telemetry.tlog"), ("camera", "camera.json"),
         ("stamps", "stamps.csv"),
     )]  # fmt: skip
+
+
+def test_a_replay_prints_and_records_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    warm = ThermalSpec(contrast=0.5, sources=(HeatSource.car((0.0, 60.0), 25.0),))
+    folder = flown(dataclasses.replace(STRAIGHT, seconds=5.0, thermal=warm))
+    out = tmp_path / "again.mcap"
+    assert main(["replay", *_files(folder), "--record", str(out), "--spots"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line.startswith("{")]
+    assert 8 <= len(lines) <= 11 and all(line["is_calibrated"] for line in lines)
+    found = [spot for line in lines for spot in line["spots"]]
+    assert any(spot["status"] == "ok" and spot["above_ground_k"] > 10.0 for spot in found)
+    recorded = [
+        decode_spots(message.data, "uav")
+        for _, channel, message in make_reader(out.open("rb")).iter_messages()
+        if channel.message_encoding == SPOT_ENCODING
+    ]
+    assert [report.frame for report in recorded] == [line["frame"] for line in lines]

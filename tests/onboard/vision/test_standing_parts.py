@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from onboard.vision.reduced_tracker import tracker_for
-from onboard.vision.standing_parts import MOST_SHARE, StandingParts
+from onboard.vision.standing_parts import MOST_SHARE, WORKING_PX, StandingParts, _halved
 from tests.on_screen_display import Picture, display_parts, displayed
 
 SIZE_PX = 640, 480
@@ -105,6 +105,18 @@ def test_edges_along_the_flight_and_rows_across_it_stand_still_only_to_the_eye()
     assert watched(*over(road, 120, (STEP_PX, 0.0))).share == 0.0
     rows = cloudy(6, (1600, 600), 4.0) + 40.0 * np.sin(2.0 * np.pi * np.arange(1600) / STEP_PX)
     assert watched(*over(np.asarray(rows, np.float32), 120, (STEP_PX, 0.0))).share == 0.0
+
+
+@pytest.mark.parametrize("size_px", [(640, 480), (636, 480), (1640, 1232), (1920, 1080), (100, 80)])
+def test_a_picture_halved_first_is_reduced_to_the_same_one(size_px: tuple[int, int]) -> None:
+    picture = np.clip(cloudy(3, size_px), 0, 255).astype(np.uint8)
+    share = min(1.0, WORKING_PX / max(size_px))
+    small_px = round(share * size_px[0]), round(share * size_px[1])
+    halved = _halved(picture, small_px)
+    assert halved.shape[1] % 2 or halved.shape[0] % 2 or halved.shape[1] < 4 * small_px[0]
+    once, twice = (cv2.resize(some, small_px, interpolation=cv2.INTER_AREA) for some in (picture, halved))
+    off = once.astype(float) - twice
+    assert off.std() < 0.08 * picture.std() and abs(off.mean()) < 0.5  # pixels at a cell's edge count by halves
 
 
 def test_sky_and_water_have_nothing_to_be_called_and_a_display_before_them_has() -> None:
