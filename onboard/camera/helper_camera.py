@@ -27,6 +27,9 @@ from onboard.events.types import GimbalAttitude, Zoom
 TICK_S = 0.1
 RETRY_S = (0.2, 0.4, 0.8)  # after so many helpers in a row that ended without a picture
 FIRST_PICTURE_S = 10.0  # a server may send a key frame every some seconds, and decoders begin with one
+# Times that, after so many helpers in a row that had none by then: a slow computer's GStreamer looks through all of its
+# plugins at the first start, and begins that anew if it is ended before.
+LONGER = (1.0, 2.0, 4.0)
 STALE_NS = 1_000_000_000
 BAD_IN_A_ROW = 5
 NEVER_WORKS = 2
@@ -106,6 +109,7 @@ class HelperCamera:
         self._absence = "not started yet"
         self._has_been = False  # there has been a picture
         self._barren = 0  # helpers in a row that gave none
+        self._overdue = 0  # helpers in a row that were ended because they gave none
         self._garbage, self._garbage_ns = 0, 0
         self._unusable_in_a_row = 0
         self._begun_ns = self._last_ns = now_ns()
@@ -142,6 +146,7 @@ class HelperCamera:
         stream, self._stream = self._stream, None
         if stream is not None:
             self._barren = 0 if stream.has_picture else self._barren + 1
+            self._overdue *= not stream.has_picture
             stream.process.close()
 
     def _step(self, emit: Emit) -> bool:
@@ -160,10 +165,15 @@ class HelperCamera:
             self._garbage += stream.reader.skipped_bytes - skipped
             self._garbage_ns = now_ns
         silent_s = (now_ns - self._last_ns) / 1e9
-        if silent_s <= (patience_s(self._config) if stream.has_picture else FIRST_PICTURE_S):
+        if silent_s <= (patience_s(self._config) if stream.has_picture else self._first_picture_s):
             return True
+        self._overdue += not stream.has_picture
         self._absence = f"{self._launch.name}: {self._silence(stream, silent_s)}"
         return False
+
+    @property
+    def _first_picture_s(self) -> float:
+        return FIRST_PICTURE_S * LONGER[min(self._overdue, len(LONGER) - 1)]
 
     def _mourn(self, stream: _Stream) -> None:
         """Note how the helper ended; raises ConfigError if no other attempt can be better than this first one."""

@@ -19,6 +19,7 @@ import pytest
 
 from contract.camera import Camera
 from contract.errors import ConfigError
+from onboard.camera import helper_camera
 from onboard.camera.factory import open_camera
 from onboard.camera.frame_protocol import NAN, GimbalFrame, Header
 from onboard.camera.helper_camera import HelperCamera, _of_lens_and_gimbal
@@ -198,6 +199,17 @@ def test_a_helper_stopped_for_five_seconds_is_lost_and_replaced(tmp_path: Path) 
         tell(tmp_path, "lost")
         camera.wait_for_pictures(5, BACK_S + camera.start_s)
         assert group_of(camera) != stopped and processes_of(stopped) == []
+
+
+def test_a_helper_that_needs_longer_for_its_first_picture_than_is_waited_gets_longer_the_next_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As GStreamer at its first start on a slow computer: it looks through its plugins, each time from the first one."""
+    monkeypatch.setattr(helper_camera, "FIRST_PICTURE_S", 1.5)
+    with running(scripted(tmp_path, "stall:2 frames:900")) as camera:
+        camera.wait_for(State.LOST, "no picture", 3.0 * PATIENCE_S)
+        camera.wait_for_pictures(5, 3.0 * PATIENCE_S)
+        assert camera.source._overdue >= 1
 
 
 def test_stamps_that_run_backwards_are_left_out_and_reported(tmp_path: Path) -> None:
