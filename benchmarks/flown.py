@@ -107,6 +107,21 @@ def _at(event: NavEvent, stamp_ns: int, is_back: bool) -> NavEvent:
     return replace(event, stamp_ns=stamp_ns)
 
 
+def first_sets(folder: Path, config: Config) -> list[tuple[Frame, FeatureSet]]:
+    """Of a drawn flight's folder each picture with its first set, in the order of the sets."""
+    camera = Camera.from_json(folder / "camera.json")
+    recorded = Flight.open(config, camera, folder / "frames", folder / "telemetry.tlog", folder / "stamps.csv")
+    pipeline = Pipeline(config, recorded.camera)
+    frames: dict[int, Frame] = {}
+    out: dict[int, tuple[Frame, FeatureSet]] = {}
+    for _, event in recorded.events():
+        if isinstance(event, Frame):
+            frames[event.index] = event
+        for made in pipeline.handle(event):
+            out.setdefault(made.frame, (frames[made.frame], made))
+    return list(out.values())
+
+
 def sets_of(flown: Leg, features: int, frames: int | None = None) -> list[FeatureSet]:
     """Latest revision of every picture's set, those of exactly `features` features; more are cut off at random.
 

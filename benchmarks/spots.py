@@ -22,6 +22,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from benchmarks.flown import first_sets
 from benchmarks.machine import describe, load, table, verdict
 
 # isort: split
@@ -30,12 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.camera import Camera
-from contract.feature_set import FeatureSet
 from contract.spot import Spot
-from onboard.config.schema import Config, SpotsConfig, load_config
-from onboard.events.types import Frame
-from onboard.pipeline.pipeline import Pipeline
-from onboard.replay.runner import Flight
+from onboard.config.schema import SpotsConfig, load_config
 from onboard.spots.detector import Detector
 from onboard.spots.due_pictures import DuePictures
 from onboard.spots.spot_book import SpotBook
@@ -170,7 +167,7 @@ def reports(home: Path, scores: Scores) -> list[tuple[int, tuple[Spot, ...]]]:
     config = load_config(home / "config.toml")
     book, due = SpotBook("uav", config.spots, config.thermal), DuePictures(config.spots.rate_hz, 256)
     out = []
-    for frame, its_set in sets_of(home, config):
+    for frame, its_set in first_sets(home, config):
         due.event(frame)
         picture = due.take(its_set)
         if picture is None:
@@ -181,22 +178,6 @@ def reports(home: Path, scores: Scores) -> list[tuple[int, tuple[Spot, ...]]]:
         if report is not None and its_set.is_ok:
             out.append((picture.index, report.spots))
     return out
-
-
-def sets_of(home: Path, config: Config) -> list[tuple[Frame, FeatureSet]]:
-    """Each picture with its first set, in the order of the sets."""
-    flown = Flight.open(
-        config, Camera.from_json(home / "camera.json"), home / "frames", home / "telemetry.tlog", home / "stamps.csv"
-    )
-    pipeline = Pipeline(config, flown.camera)
-    frames: dict[int, Frame] = {}
-    out: dict[int, tuple[Frame, FeatureSet]] = {}
-    for _, event in flown.events():
-        if isinstance(event, Frame):
-            frames[event.index] = event
-        for made in pipeline.handle(event):
-            out.setdefault(made.frame, (frames[made.frame], made))
-    return list(out.values())
 
 
 def compare(looked: Sequence[tuple[int, tuple[Spot, ...]]], spec: SessionSpec, truth: Truth, scores: Scores) -> None:

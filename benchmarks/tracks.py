@@ -20,6 +20,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from benchmarks.flown import first_sets
 from benchmarks.machine import describe, load, table, verdict
 
 # isort: split
@@ -27,15 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.answer import Ellipse, Fix
-from contract.camera import Camera
-from contract.feature_set import FeatureSet
 from contract.locate import Locator
 from contract.rotations import mount_rotation
 from contract.track import TrackReport, TrackState
 from onboard.config.schema import Config, load_config
-from onboard.events.types import Frame
-from onboard.pipeline.pipeline import Pipeline
-from onboard.replay.runner import Flight
 from onboard.tracks.ground_steps import Pictures
 from onboard.tracks.track_book import TrackBook
 from simulation.flight import DescribedSpec, RecordedSpec
@@ -106,7 +102,8 @@ def measure(spec: SessionSpec, things: Sequence[Thing], config_of: Callable[[Con
     shown = replace(spec, movers=tuple(t.mover for t in things) + trees(things))
     with tempfile.TemporaryDirectory() as folder:
         truth = fly(shown, Path(folder) / "flight")
-        pictures = list(sets_of(Path(folder) / "flight", config_of))
+        flight = Path(folder) / "flight"
+        pictures = first_sets(flight, config_of(load_config(flight / "config.toml")))
         book, begun = TrackBook("uav"), dict[int, Thing]()
         said: dict[int, dict[int, TrackReport]] = {}
         for frame, its_set in pictures:
@@ -139,22 +136,6 @@ def join_ms(book: TrackBook) -> float:
     began_s = time.thread_time()
     pair.join()
     return 1e3 * (time.thread_time() - began_s)
-
-
-def sets_of(folder: Path, config_of: Callable[[Config], Config]) -> list[tuple[Frame, FeatureSet]]:
-    """Each picture with its first set, in the order of the sets."""
-    config = config_of(load_config(folder / "config.toml"))
-    camera = Camera.from_json(folder / "camera.json")
-    flown = Flight.open(config, camera, folder / "frames", folder / "telemetry.tlog", folder / "stamps.csv")
-    pipeline = Pipeline(config, flown.camera)
-    frames: dict[int, Frame] = {}
-    out: dict[int, tuple[Frame, FeatureSet]] = {}
-    for _, event in flown.events():
-        if isinstance(event, Frame):
-            frames[event.index] = event
-        for made in pipeline.handle(event):
-            out.setdefault(made.frame, (frames[made.frame], made))
-    return list(out.values())
 
 
 def click(book: TrackBook, things: Sequence[Thing], truth: Truth) -> dict[int, Thing]:

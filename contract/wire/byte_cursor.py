@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from typing import Any
 
-from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
+from contract.errors import CorruptPayload
 
 
 class ByteCursor:
@@ -28,18 +28,3 @@ class ByteCursor:
     def signed(self, count: int) -> int:
         """The next little-endian two's complement integer."""
         return int.from_bytes(self.take(count), "little", signed=True)
-
-
-def first_byte(payload: bytes, what: str, major: int) -> int:
-    """Of a small packet that begins with its major version and its kind, four bits each; returned is the kind.
-
-    Raises TruncatedPayload, NewerPayload (versions from `major` + 1 on) or CorruptPayload.
-    """
-    if not payload:
-        raise TruncatedPayload("an empty packet")
-    version, kind = payload[0] >> 4, payload[0] & 15
-    if version > major:
-        raise NewerPayload(f"{what} of version {version}; this program reads up to {major}")
-    if version < major:
-        raise CorruptPayload(f"{what} of version {version}")
-    return kind

@@ -15,8 +15,8 @@ import numpy as np
 from contract.answer import CHI2_2, Answer, Ellipse, Fix, Refusal
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 from contract.feature_set import DepthSource, Status
-from contract.wire.byte_cursor import first_byte
 from contract.wire.covariance_code import sigma_code, sigma_from_code
+from contract.wire.small_packet import first_byte
 
 TUNNEL_TYPE = 40_101  # MAVLink TUNNEL's payload_type; those from 32768 on are free
 MAX_QUESTION_BYTES, MAX_ANSWER_BYTES = 24, 60

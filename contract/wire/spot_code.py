@@ -10,14 +10,15 @@ from contract.answer import Ellipse, Place
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 from contract.feature_set import Status
 from contract.spot import MOST_SPOTS, Spot, SpotReport
-from contract.wire.byte_cursor import ByteCursor, first_byte
+from contract.wire.byte_cursor import ByteCursor
 from contract.wire.outlines import fitted
+from contract.wire.small_packet import HEIGHT_STEP_M, first_byte, heights_of
 
 MAJOR, MAX_SPOT_BYTES = 1, 200
 KIND = MAJOR << 4 | 1
 IS_CALIBRATED, HAS_PLACES, HAS_ELLIPSOID, HAS_AMSL = 1, 2, 4, 8
 IS_COLD, IS_CUT, STATUS_MASK = 0x40, 0x80, 0x3F
-DEGREE, HEIGHT_STEP_M, TIME_STEP_NS, PIXEL_STEP, SHARE_STEP = 1e-9, 0.001, 10_000, 1.0 / 8.0, 1.0 / 255.0
+DEGREE, TIME_STEP_NS, PIXEL_STEP, SHARE_STEP = 1e-9, 10_000, 1.0 / 8.0, 1.0 / 255.0
 TEMPERATURE_STEP_C, ANGLE_STEP_DEG = 0.05, 180.0 / 256.0
 OFFSET_STEP_DEG, SPOT_HEIGHT_STEP_M, OUTLINE_STEP_M = 1e-7, 0.1, 0.01
 AREA_SHARE_STEP = 1.0 / 64.0  # of an area's sigma, as a share of the area
@@ -131,12 +132,7 @@ def _read_reference(cursor: ByteCursor, flags: int) -> tuple[Place, float]:
     lat_deg, lon_deg = (int.from_bytes(part, "little", signed=True) * DEGREE for part in (lat, lon))
     if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0 and exponent <= MOST_EXPONENT):
         raise CorruptPayload(f"places from {lat_deg} {lon_deg} in steps of 2^{exponent}")
-    known = height * HEIGHT_STEP_M
-    above = int.from_bytes(undulation, "little", signed=True) * HEIGHT_STEP_M
-    amsl = known if flags & HAS_AMSL else None
-    ellipsoid = None
-    if flags & HAS_ELLIPSOID:
-        ellipsoid = known + above if flags & HAS_AMSL else known
+    amsl, ellipsoid = heights_of(height, undulation, (flags & HAS_AMSL) > 0, (flags & HAS_ELLIPSOID) > 0)
     return Place(lat_deg, lon_deg, amsl, ellipsoid, Ellipse(0.0, 0.0, 0.0), 0.0), OFFSET_STEP_DEG * 2.0**exponent
 
 

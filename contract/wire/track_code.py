@@ -9,12 +9,12 @@ from contract.answer import Ellipse, Place
 from contract.errors import CorruptPayload, NewerPayload, TruncatedPayload
 from contract.feature_set import Status
 from contract.track import Course, TrackReport, TrackState, Unseen
-from contract.wire.byte_cursor import first_byte
 from contract.wire.covariance_code import sigma_code, sigma_from_code
+from contract.wire.small_packet import HEIGHT_STEP_M, first_byte, heights_of
 
 MAJOR, MAX_TRACK_BYTES = 1, 60
 KIND = MAJOR << 4 | 1
-DEGREE, HEIGHT_STEP_M, TIME_STEP_NS = 1e-9, 0.001, 10_000
+DEGREE, TIME_STEP_NS = 1e-9, 10_000
 SPEED_STEP_M_S, ANGLE_STEP_DEG, PIXEL_STEP, SIZE_STEP = 0.01, 360.0 / 65536.0, 1.0 / 8.0, 1.0 / 4.0
 NO_COURSE = 0xFFFF  # in place of the sigma of a course: at rest
 HAS_ELLIPSOID, HAS_AMSL, HAS_PLACE, HAS_SPEED = 1, 2, 4, 8
@@ -108,12 +108,7 @@ def _read_place(payload: bytes, flags: int) -> Place:
     lat_deg, lon_deg = (int.from_bytes(part, "little", signed=True) * DEGREE for part in (lat, lon))
     if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):
         raise CorruptPayload(f"a place at {lat_deg} {lon_deg}")
-    known = height * HEIGHT_STEP_M
-    above = int.from_bytes(undulation, "little", signed=True) * HEIGHT_STEP_M
-    amsl = known if flags & HAS_AMSL else None
-    ellipsoid = None
-    if flags & HAS_ELLIPSOID:
-        ellipsoid = known + above if flags & HAS_AMSL else known
+    amsl, ellipsoid = heights_of(height, undulation, (flags & HAS_AMSL) > 0, (flags & HAS_ELLIPSOID) > 0)
     ellipse = Ellipse(sigma_from_code(major), sigma_from_code(minor), azimuth * 0.5 * ANGLE_STEP_DEG)
     return Place(lat_deg, lon_deg, amsl, ellipsoid, ellipse, sigma_from_code(sigma))
 

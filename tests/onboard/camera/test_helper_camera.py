@@ -204,7 +204,7 @@ def test_a_helper_stopped_for_five_seconds_is_lost_and_replaced(tmp_path: Path) 
 def test_a_helper_that_needs_longer_for_its_first_picture_than_is_waited_gets_longer_the_next_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As GStreamer at its first start on a slow computer: it looks through its plugins, each time from the first one."""
+    """As GStreamer at its first start on a slow computer: it looks through its plugins, each time from the first."""
     monkeypatch.setattr(helper_camera, "FIRST_PICTURE_S", 1.5)
     with running(scripted(tmp_path, "stall:2 frames:900")) as camera:
         camera.wait_for(State.LOST, "no picture", 3.0 * PATIENCE_S)
