@@ -26,6 +26,8 @@ from gi.repository import GLib, Gst, GstRtspServer  # noqa: E402
 sys.path.insert(0, str(Path(__file__).parent))
 from rtsp_times import sei_unit  # noqa: E402
 
+BEHIND_S, BEHIND_PICTURES = 0.5, 10  # from which a picture is left out
+
 ENCODERS = {
     "H264": "openh264enc name=enc complexity=low rate-control=bitrate gop-size=15 bitrate={} ! "
     "video/x-h264,profile=baseline ! h264parse config-interval=-1 ! "
@@ -84,6 +86,9 @@ class Flight:
             last_s = max(sent_s, last_s)
             if (wait_s := last_s - time.monotonic()) > 0.0:
                 time.sleep(wait_s)
+            self.number += 1
+            if self.is_behind(-wait_s):
+                continue
             at = (k % count) * self.size
             buffer = Gst.Buffer.new_wrapped(self.data[at : at + self.size])
             buffer.pts, buffer.duration = round(k * 1e9 * period_s), round(1e9 * period_s)
@@ -91,7 +96,10 @@ class Flight:
             print(k, self.captured[-1], flush=True)
             if self.source.emit("push-buffer", buffer) != Gst.FlowReturn.OK:
                 return
-            self.number += 1
+
+    def is_behind(self, late_s: float) -> bool:
+        """Whether the computer is too busy for this picture: cameras leave out what their encoder cannot take, too."""
+        return late_s > BEHIND_S or self.source.get_property("current-level-bytes") > BEHIND_PICTURES * self.size
 
 
 def main() -> None:

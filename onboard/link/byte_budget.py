@@ -4,10 +4,10 @@ A radio's queue cannot be seen from here, and a queue that fills is delay that s
 `link.max_bit_rate` at its source (80 kbit/s offered to 64 kbit/s are 7 to 17 s of delay, whatever zenoh is set to
 drop). Everything counts: sets, status, replies, and what zenoh, TLS, TCP and IP add.
 
-Overhead on the wire, IP headers and up, measured with zenoh 1.10 (`python -m benchmarks.link`): 55 B a message over
-tcp, 34 over udp, 73 over tls, 82 over quic; in addition 29 (udp) to 130 B/s a ground for keep-alives and
-acknowledgements, 85 to 197 B a reply, and 0.24 (udp), 0.6 (tcp), 1.8 (tls) or 8 kB (quic) for a ground that connects.
-The age sent with each set adds 8 B to a message and about 20 B to a reply. Below, the highest of tcp, udp and tls.
+Overhead on the wire, IP headers and up, measured with zenoh 1.10 (`python -m benchmarks.link`): 63 B a message over
+tcp, 40 over udp, 79 over tls and quic, the age sent with each set included; in addition 29 (udp) to 136 B/s a ground
+for keep-alives and acknowledgements, 130 to 179 B a reply, and 0.29 (udp), 0.6 (tcp), 1.8 (tls) or 8 kB (quic) for a
+ground that connects. Below, the highest of tcp, udp and tls.
 
 Pictures take what nothing else has taken: bytes that came while the budget was full and would have been lost. So sets,
 status and replies go out at the same moments with pictures as without.
@@ -26,7 +26,7 @@ MESSAGE_OVERHEAD = 90  # bytes
 REPLY_OVERHEAD = 200
 GROUND_BYTES_PER_S = 140.0
 CONNECT_BYTES = 600
-SECURE_CONNECT_BYTES = 1800
+SECURE_CONNECT_BYTES = 1850
 PACKET_BYTES = 1500
 BURST_S = 0.5
 # What status and replies may take at most: without tracks at least 0.35 stays for sets.
