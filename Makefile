@@ -164,9 +164,8 @@ gstreamer:
 	$(call from_debian,$(BIN)/python -m tests.rtsp,$(GSTREAMER),the tests of RTSP and GStreamer)
 
 # Tests of the marker expression $(1), three at a time for two cores: many wait most of their time, and with four of them
-# what is drawn in real time fell behind. Those that measure real
-# time run after the others, alone. The flights that one of the two has drawn are the other's too. $(2) is what the exit
-# codes of the two may be; 5 is a run without any test.
+# what is drawn in real time fell behind. Those that measure real time run after the others, alone. The flights that one
+# of the two has drawn are the other's too. $(2) is what the exit codes of the two may be; 5 is a run without any test.
 define run_tests
 	@POINTCLICK_TEST_FLIGHTS=$$(mktemp -d) || exit 1; export POINTCLICK_TEST_FLIGHTS; \
 	trap 'rm -rf "$$POINTCLICK_TEST_FLIGHTS"' EXIT; trap 'exit 130' INT TERM; \
