@@ -26,12 +26,14 @@ STEP_NS = 500_000_000
 SIGMAS = np.array([1.0, 1.2, 1.5, 0.008, 0.008, 0.02, 0.01, 0.0, 0.0])
 
 
-def set_of(camera: Camera, pose: Pose, frame: int, status: Status = Status.OK, session: int = 7) -> FeatureSet:
-    """What a pipeline says that knows the pose: level ground at height 0 of ORIGIN, with errors of its own."""
+def set_of(
+    camera: Camera, pose: Pose, frame: int, status: Status = Status.OK, session: int = 7, ground_m: float = 0.0
+) -> FeatureSet:
+    """What a pipeline says that knows the pose: level ground at `ground_m` of ORIGIN, with errors of its own."""
     if status is not Status.OK:
         return FeatureSet("uav-1", session, frame, 1_700_000_000_000_000_000 + frame * STEP_NS, status, camera)
     lat, lon, height = (float(c) for c in ORIGIN.to_geodetic(pose.centre_m))
-    p = pose.R_enu_cam.T @ np.array([0.0, 0.0, -1.0]) / pose.centre_m[2]
+    p = pose.R_enu_cam.T @ np.array([0.0, 0.0, -1.0]) / (pose.centre_m[2] - ground_m)
     by_nuisance = np.zeros((9, 13))
     by_nuisance[:3, :3] = 0.7 * np.diag(SIGMAS[:3])
     return FeatureSet(
@@ -60,17 +62,23 @@ class Scene:
         self.drawn = ThermalRenderer(self.camera, Terrain(TerrainSpec()), texture, self.spec, self.seed)
 
     def pose(self, frame: int) -> Pose:
-        """Flying north."""
+        """Flying north, as high above the curved earth everywhere: 10 km on it lies 8 m below its tangent."""
         a = np.radians(self.tilt_deg)
         tilted = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(a), -np.sin(a)], [0.0, np.sin(a), np.cos(a)]])
-        return Pose(np.array([0.0, self.step_m * frame, self.height_m]), DOWN @ tilted)
+        return Pose(np.array([0.0, self.step_m * frame, self.ground_m(frame) + self.height_m]), DOWN @ tilted)
+
+    def ground_m(self, frame: int) -> float:
+        """Height of the ground below, above the level through the first picture's."""
+        return float(self.drawn.terrain.height_m(0.0, self.step_m * frame))
 
     def picture(self, frame: int, status: Status = Status.OK) -> tuple[Frame, FeatureSet]:
         """A picture and its set."""
         pose = self.pose(frame)
         counts = self.drawn.picture([pose], 1.0, frame, 0.5 * frame).astype(np.uint16)
         grey = np.zeros(counts.shape, np.uint8)
-        return Frame(frame * STEP_NS, frame, grey, counts=counts), set_of(self.camera, pose, frame, status)
+        return Frame(frame * STEP_NS, frame, grey, counts=counts), set_of(
+            self.camera, pose, frame, status, ground_m=self.ground_m(frame)
+        )
 
 
 def place_of(east_m: float, north_m: float) -> tuple[float, float]:
