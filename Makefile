@@ -18,7 +18,7 @@ help:
 	@echo "make web     only build that page (npm)"
 	@echo "make test    lint, types and all tests but the long ones"
 	@echo "make test-long  the long tests: many drawn flights, and soaks"
-	@echo "make test-bench  the tests with a real V4L2 camera and a real systemd (docs/test-bench.md; root; 6 minutes to build once)"
+	@echo "make test-bench  the tests with a real V4L2 camera and a real systemd (docs/test-bench.md; root; 14 minutes to build once)"
 	@echo "make test-arm64  both Debian packages built and run, arm64 under emulation (qemu-user-static; 3 minutes)"
 	@echo "make lint    ruff: rules and format"
 	@echo "make types   mypy --strict"
