@@ -80,10 +80,9 @@ def run(args: argparse.Namespace) -> int:
         except OSError as error:
             raise InputError(f"{args.save}: {error.strerror}") from error
     if heard.unplaced:
-        print(f"{heard.unplaced} spots had no place: their pictures answer no click there either", file=sys.stderr)
+        print(f"spots without a place, where a click has no answer either: {heard.unplaced}", file=sys.stderr)
     if not found:
-        searched = "no picture was searched" if not heard.pictures else f"nothing in {heard.pictures} pictures"
-        print(f"{searched} for hot spots" if not heard.pictures else searched, file=sys.stderr)
+        print(f"no hot spot found; pictures searched: {heard.pictures}", file=sys.stderr)
         return REFUSED
     return ANSWERED
 

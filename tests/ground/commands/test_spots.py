@@ -91,7 +91,7 @@ def test_wrong_usage_and_nothing_found_are_a_line(tmp_path: Path, capsys: pytest
         recorder.take(SPOTS.key("uav-1"), encode_spots(report))
     assert main(["spots", "--from", str(tmp_path / "cold")]) == 3
     assert capsys.readouterr().err.splitlines() == [
-        "1 spots had no place: their pictures answer no click there either", "nothing in 1 pictures",
+        "spots without a place, where a click has no answer either: 1", "no hot spot found; pictures searched: 1",
     ]  # fmt: skip
 
 
