@@ -137,12 +137,15 @@ class Recording:
                 out += decode_tracks(bytes(self._data[file][start : start + length]), vehicle)
         return out
 
-    def spots(self, vehicle: str) -> list[SpotReport]:
-        """The hot spots that were found in flight, picture by picture; what cannot be read is left out."""
+    def spots(self, vehicles: Iterable[str]) -> list[SpotReport]:
+        """The hot spots that were found in flight, picture by picture in the order of capture, whoever's; what cannot
+        be read is left out.
+        """
         out: list[SpotReport] = []
-        for file, start, length in self._index.spots.get(vehicle, []):
-            with contextlib.suppress(WireError):
-                out.append(decode_spots(bytes(self._data[file][start : start + length]), vehicle))
+        for vehicle in vehicles:
+            for file, start, length in self._index.spots.get(vehicle, []):
+                with contextlib.suppress(WireError):
+                    out.append(decode_spots(bytes(self._data[file][start : start + length]), vehicle))
         return sorted(out, key=lambda report: report.capture_unix_ns)
 
     def frame_of_file(self, vehicle: str, name: str) -> int | None:

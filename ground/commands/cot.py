@@ -113,8 +113,7 @@ class _aircraft:  # noqa: N801  called like a function
         self._heard, self._spots = HeardTracks(), HeardSpots()
         self._recording = None if args.recording is None else opened(args.recording)
         if self._recording is not None:
-            for name in self._recording.vehicles:
-                self._spots.add(self._recording.spots(name))
+            self._spots.add(self._recording.spots(self._recording.vehicles))
         else:
             from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import getpass
 import math
-import os
 import sys
 import time
 from pathlib import Path
@@ -17,6 +16,7 @@ from ground.circular_error import CE90_SIGMAS, LE90_SIGMAS
 from ground.commands import ANSWERED, REFUSED
 from ground.commands.grids import add_grid_arguments, grid_of
 from ground.commands.measure import text_of
+from ground.commands.saving import save
 from ground.commands.sources import Clicker, add_source_arguments, source_of
 from ground.commands.until_ended import until_ended
 from ground.commands.values import finite, frame_number, origin, pin_number, positive
@@ -166,14 +166,7 @@ def _export(store: PinStore, args: argparse.Namespace) -> int:
     if not to_file:
         sys.stdout.write(text)
         return ANSWERED
-    # First a file next to it: nothing half-written has the name.
-    beside = args.file.with_name(f".{args.file.name}.{os.getpid()}.part")
-    try:
-        beside.write_bytes(text.encode("utf-8"))
-        beside.replace(args.file)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        raise InputError(f"{args.file}: {error.strerror}") from error
+    save(args.file, text)
     left_out = sum(not mark.is_placed for mark in marks)
     unplaced = f", {left_out} of them without a position" if left_out else ""
     print(f"{len(marks)} pins in {args.file}{unplaced}")

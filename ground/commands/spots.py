@@ -6,7 +6,6 @@ Exit status: 0 something was found; 3 nothing was, in a recording or in the time
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import math
 import sys
@@ -14,12 +13,11 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from contract.errors import InputError, WireError
 from contract.geodesy import metres_per_degree
 from contract.spot import SpotReport
 from contract.topics import ANY_VEHICLE, SPOTS
-from contract.wire.spot_code import decode_spots
 from ground.commands import ANSWERED, REFUSED
+from ground.commands.saving import save
 from ground.commands.sources import add_source_arguments, opened, vehicle_of
 from ground.commands.until_ended import until_ended
 from ground.commands.values import finite, positive
@@ -29,7 +27,7 @@ from ground.formats.mark import Mark
 from ground.link_options import UsageError, endpoint_of, tls_of
 from ground.spots.fire import HOT_C, Fire, FireGround
 from ground.spots.found_thing import FoundThing
-from ground.spots.heard import HeardSpots
+from ground.spots.heard import HeardSpots, reports_in
 
 EXAMPLES = """\
 examples:
@@ -74,11 +72,7 @@ def run(args: argparse.Namespace) -> int:
     heard = _recorded(args) if args.recording is not None else _live(args)
     found = [thing for thing in heard.things() if args.all or thing.is_sure]
     if args.save is not None:
-        try:
-            text = FORMATS[SAVED[args.save.suffix.lower()]].write([Mark.of_found(thing) for thing in found], None)
-            args.save.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"{args.save}: {error.strerror}") from error
+        save(args.save, FORMATS[SAVED[args.save.suffix.lower()]].write([Mark.of_found(thing) for thing in found], None))
     if heard.unplaced:
         print(f"spots without a place, where a click has no answer either: {heard.unplaced}", file=sys.stderr)
     if not found:
@@ -92,11 +86,7 @@ def _fire(args: argparse.Namespace) -> int:
     ground = FireGround(HOT_C if args.above is None else args.above)
     fire: Fire | None = None
     if args.recording is not None:
-        if args.seconds is not None:
-            raise UsageError("--seconds is for a live aircraft")
-        recording = opened(args.recording)
-        vehicles = recording.vehicles if args.vehicle is None else [vehicle_of(args.vehicle, recording.vehicles)]
-        for report in (report for vehicle in vehicles for report in recording.spots(vehicle)):
+        for report in _in_recording(args):
             ground.add(report)
         fire = _say_fire(ground, args)
     else:
@@ -108,10 +98,7 @@ def _fire(args: argparse.Namespace) -> int:
         print("no picture shows a fire with its outline", file=sys.stderr)
         return REFUSED
     if args.save is not None:
-        try:
-            args.save.write_text(fire_area.write(fire, args.save.name), encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"{args.save}: {error.strerror}") from error
+        save(args.save, fire_area.write(fire, args.save.name))
     return ANSWERED
 
 
@@ -129,8 +116,7 @@ def _reports(args: argparse.Namespace) -> Iterator[list[SpotReport]]:
     tls, vehicle, came = tls_of(args), args.vehicle or ANY_VEHICLE, list[SpotReport]()
 
     def take(key: str, payload: bytes) -> None:
-        with contextlib.suppress(ValueError, WireError):
-            came.append(decode_spots(payload, SPOTS.vehicle(key)))
+        came.extend(reports_in(key, payload))
 
     began_s = time.monotonic()
     beside = {SPOTS.key(vehicle): take}
@@ -141,15 +127,20 @@ def _reports(args: argparse.Namespace) -> Iterator[list[SpotReport]]:
             yield taken
 
 
-def _recorded(args: argparse.Namespace) -> HeardSpots:
-    """What was found in a recorded flight, printed as it was known at the end."""
+def _in_recording(args: argparse.Namespace) -> list[SpotReport]:
+    """Of one vehicle, or of all."""
     if args.seconds is not None:
         raise UsageError("--seconds is for a live aircraft")
     recording = opened(args.recording)
-    vehicles = recording.vehicles if args.vehicle is None else [vehicle_of(args.vehicle, recording.vehicles)]
+    return recording.spots(
+        recording.vehicles if args.vehicle is None else [vehicle_of(args.vehicle, recording.vehicles)]
+    )
+
+
+def _recorded(args: argparse.Namespace) -> HeardSpots:
+    """What was found in a recorded flight, printed as it was known at the end."""
     heard = HeardSpots()
-    reports = [report for vehicle in vehicles for report in recording.spots(vehicle)]
-    heard.add(sorted(reports, key=lambda report: report.capture_unix_ns))
+    heard.add(_in_recording(args))
     for thing in heard.things():
         if args.all or thing.is_sure:
             _say(thing, args)

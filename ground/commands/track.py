@@ -11,10 +11,11 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from contract.errors import InputError, LinkError
+from contract.errors import LinkError
 from contract.topics import DEFAULT_ENDPOINT
 from contract.track import ListTracks, StartTrack, StopTrack, TrackReport, TrackState
 from ground.commands import ANSWERED, REFUSED
+from ground.commands.saving import save
 from ground.commands.sources import opened, vehicle_of
 from ground.commands.until_ended import until_ended
 from ground.commands.values import finite, frame_number, positive, whole
@@ -96,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
         if number is not None and not args.leave and not (kept and kept[-1].state is TrackState.LOST):
             _stop(link, number)
     if args.save is not None:
-        _save(args.save, kept)
+        save(args.save, track_path.write(kept, args.save.name))
     return ANSWERED
 
 
@@ -109,7 +110,7 @@ def _recorded(args: argparse.Namespace) -> int:
     for report in reports:
         print(report.to_json() if args.json else report.to_text())
     if args.save is not None:
-        _save(args.save, reports)
+        save(args.save, track_path.write(reports, args.save.name))
     if not reports:
         print("nothing was followed in this flight", file=sys.stderr)
         return REFUSED
@@ -143,10 +144,3 @@ def _stop(link: TrackLink, number: int) -> None:
         link.ask(StopTrack(number))
     except LinkError as error:
         print(f"pc-ground: warning: track {number} goes on: {error}", file=sys.stderr)
-
-
-def _save(path: Path, kept: list[TrackReport]) -> None:
-    try:
-        path.write_text(track_path.write(kept, path.name), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error

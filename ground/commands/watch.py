@@ -95,8 +95,7 @@ def run(args: argparse.Namespace) -> int:
         rows = [_row(name, recording.newest_picture(name), None, 0.0, None) for name in names]
         followed = [report for name in names for report in _last_followed(recording, name)]
         found = HeardSpots()
-        for name in names:
-            found.add(recording.spots(name))
+        found.add(recording.spots(names))
         _show(rows, [*followed, *_lately(found)], args.json, False)
         return ANSWERED
     from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link

@@ -14,6 +14,14 @@ from ground.spots.found_thing import FoundThing
 from ground.spots.merging import SpotMerger
 
 
+def reports_in(key: str, payload: bytes) -> list[SpotReport]:
+    """Of a message of the link: one, or none of what is no message of spots."""
+    try:
+        return [decode_spots(payload, SPOTS.vehicle(key))]
+    except (ValueError, WireError):
+        return []
+
+
 class HeardSpots:
     """`take` is for a subscription (`SetCache`'s `beside`)."""
 
@@ -26,11 +34,7 @@ class HeardSpots:
 
     def take(self, key: str, payload: bytes) -> None:
         """A message of the link; what is none of ours is passed over."""
-        try:
-            report = decode_spots(payload, SPOTS.vehicle(key))
-        except (ValueError, WireError):
-            return
-        self.add([report])
+        self.add(reports_in(key, payload))
 
     def add(self, reports: Iterable[SpotReport]) -> None:
         """Reports of pictures, those of one session in the order of capture."""

@@ -13,6 +13,7 @@ from contract.answer import CHI2_2, Ellipse, Place
 from contract.geodesy import LocalFrame
 from contract.spot import Spot, SpotReport
 from contract.track import Course
+from contract.velocity import Velocity
 from ground.chi_square import limit
 from ground.spots.found_thing import FoundThing, SeenSpot
 from ground.spots.motion import STANDING_SPEED_M_S, WALKING_SPEED_M_S, Motion, Sighting
@@ -214,15 +215,10 @@ class SpotMerger:
         motion = t.moving[t.last]
         if motion.at_s - min(m.began_s for m in t.moving.values()) < TOLD_S or motion.count < 3:
             return None
-        v, V = motion.velocity_m_s, motion.velocity_covariance
-        speed = float(np.hypot(*v))
-        along = v / max(speed, 1e-9)
-        sigma_m_s = math.sqrt(float(along @ V @ along))
-        if not t.is_moving:
-            return Course(speed, sigma_m_s) if sigma_m_s <= REST_M_S else None
-        across = np.array([-along[1], along[0]])
-        sigma_deg = math.degrees(math.sqrt(float(across @ V @ across)) / speed)
-        return Course(speed, sigma_m_s, math.degrees(math.atan2(v[0], v[1])) % 360.0, min(sigma_deg, 180.0))
+        velocity = Velocity(motion.velocity_m_s, motion.velocity_covariance)
+        if not t.is_moving and velocity.sigma_speed_m_s > REST_M_S:
+            return None
+        return velocity.course(t.is_moving)
 
 
 def covariance_of(ellipse: Ellipse) -> Array:

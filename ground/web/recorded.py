@@ -37,8 +37,7 @@ class RecordedSource:
         for vehicle in self._recording.vehicles:
             self.tracks.add(self._recording.tracks(vehicle))
         self.spots = HeardSpots()
-        reports = [report for vehicle in self._recording.vehicles for report in self._recording.spots(vehicle)]
-        self.spots.add(sorted(reports, key=lambda report: report.capture_unix_ns))
+        self.spots.add(self._recording.spots(self._recording.vehicles))
         self._kept = lru_cache(maxsize=KEPT_SETS)(self._read)
 
     def vehicles(self) -> list[str]:

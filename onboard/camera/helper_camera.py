@@ -145,8 +145,10 @@ class HelperCamera:
     def _close(self) -> None:
         stream, self._stream = self._stream, None
         if stream is not None:
-            self._barren = 0 if stream.has_picture else self._barren + 1
-            self._overdue *= not stream.has_picture
+            if stream.has_picture:
+                self._barren = self._overdue = 0
+            else:
+                self._barren += 1
             stream.process.close()
 
     def _step(self, emit: Emit) -> bool:
@@ -167,7 +169,8 @@ class HelperCamera:
         silent_s = (now_ns - self._last_ns) / 1e9
         if silent_s <= (patience_s(self._config) if stream.has_picture else self._first_picture_s):
             return True
-        self._overdue += not stream.has_picture
+        if not stream.has_picture:
+            self._overdue += 1
         self._absence = f"{self._launch.name}: {self._silence(stream, silent_s)}"
         return False
 

@@ -8,4 +8,5 @@ Public:
 - `tunnel`: `Peer`, `TunnelEnd`
 - `types`: `Attitude`, `Event`, `FilterStatus`, `Frame`, `GimbalAttitude`, `GpsQuality`, `NavEvent`, `PositionFix`,
   `RangeFinder`, `Zoom`
+- `waiting_pictures`: `WaitingPictures`
 """

@@ -12,8 +12,8 @@ from typing import Self
 from contract.feature_set import FeatureSet
 from contract.track import TrackReport
 from onboard.events.types import Event
+from onboard.events.waiting_pictures import WaitingPictures
 from onboard.tracks.track_book import TrackBook
-from onboard.tracks.waiting_pictures import WaitingPictures
 
 REPORT_NS = 500_000_000
 MAX_HELD = 256  # pictures that wait for their set

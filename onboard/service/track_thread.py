@@ -19,9 +19,9 @@ from contract.track import MOST_TRACKS, ListTracks, StartTrack, StopTrack, Track
 from contract.wire.track_code import encode_track
 from onboard.config.schema import Config
 from onboard.events.types import Event, Frame
+from onboard.events.waiting_pictures import WaitingPictures
 from onboard.tracks.ground_steps import Pictures
 from onboard.tracks.track_book import TrackBook
-from onboard.tracks.waiting_pictures import WaitingPictures
 
 MAX_HELD = 64  # pictures that wait for their set
 MAX_ORDERS = 32  # that wait for this thread

@@ -18,9 +18,7 @@ from onboard.spots.regions import MOST_REGIONS, Part, Region, about_peak, above,
 Array = NDArray[np.float64]
 
 ZERO_C_K = 273.15
-OUT_OF_PICTURE = (
-    25.0  # sigmas of the whole picture, at which something something is a spot of any size (land in a lake: 20)
-)
+OUT_OF_PICTURE = 25.0  # sigmas of the whole picture, above which a spot may have any size (land in a lake: 20)
 TRIED = 4 * LARGEST  # peaks looked at for the tail, of which most are no spots
 PARTS = 24, 32  # rows and columns of the grid on which it is known how much ground a pixel shows
 LEAST_PX = 2.0  # to a side of what can be told from a pixel's fault

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contract.feature_set import FeatureSet
 from onboard.events.types import Event, Frame
+from onboard.events.waiting_pictures import WaitingPictures
 
 EARLY = 0.1  # of the time between two, by which one may come too soon: pictures are not evenly spaced
 
@@ -13,21 +14,18 @@ class DuePictures:
 
     def __init__(self, rate_hz: float, most: int) -> None:
         self._apart_ns = round((1.0 - EARLY) / rate_hz * 1e9)
-        self._most = most
-        self._held: dict[int, Frame] = {}
+        self._held = WaitingPictures(most)
         self._newest = -1, -1  # session and frame of the last that was due
         self._stamp_ns = 0
 
     def event(self, event: Event) -> None:
         """Keep a picture until its set comes."""
         if isinstance(event, Frame) and event.counts is not None:
-            self._held[event.index] = event
-            if len(self._held) > self._most:
-                del self._held[next(iter(self._held))]
+            self._held.event(event)
 
     def take(self, output: FeatureSet) -> Frame | None:
         """The picture that this first set is of, if it is to be looked at."""
-        frame = self._held.pop(output.frame, None)
+        frame = self._held.take(output.frame)
         identity = output.session, output.frame
         if frame is None or identity <= self._newest:
             return None

@@ -8,9 +8,6 @@ import typing
 from dataclasses import MISSING, asdict, fields
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from contract import recording_format as names
 from contract.errors import InputError
 from onboard.events.types import (
@@ -87,12 +84,12 @@ def nav_event(kind: type[NavEvent], data: bytes) -> NavEvent:
     return kind(**values)
 
 
-def frame_event(data: bytes, image: NDArray[np.uint8] | None) -> tuple[Frame, str, str]:
-    """A frame as it was recorded with its picture, and in what formats that and its counts were. Raises InputError."""
+def frame_event(data: bytes) -> tuple[Frame, str, str]:
+    """A frame as it was recorded, without its picture; the formats of that and of its counts. Raises InputError."""
     content = _object(data)
     try:
         name, sigma_s = str(content.get("name", "")), float(content.get("stamp_sigma_s", 0.0))
-        frame = Frame(int(content["stamp_ns"]), int(content["frame"]), image, name, sigma_s)
+        frame = Frame(int(content["stamp_ns"]), int(content["frame"]), None, name, sigma_s)
         return frame, str(content.get("picture", "none")), str(content.get("counts", ""))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"a frame that is none: {error}") from error

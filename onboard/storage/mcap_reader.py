@@ -189,17 +189,17 @@ class _PartEvents:
         return None
 
     def _frame(self, data: bytes) -> Event | None:
-        frame, as_recorded, counted = frame_event(data, None)
+        frame, as_recorded, counted = frame_event(data)
         if as_recorded not in ("png", "jpeg"):
             return None if as_recorded == "none" else frame
         if self._picture is None or self._picture[0] != frame.stamp_ns:
             if self.is_damaged:
                 return None  # its picture was in a stretch that cannot be read
             raise InputError(f"frame {frame.index} without its picture")
-        image = _decoded(self._picture[1], self._flight.camera).astype(np.uint8)
+        image = _decoded(self._picture[1], self._flight.camera).astype(np.uint8, copy=False)
         counts = None
         if counted == "png" and self._counts is not None and self._counts[0] == frame.stamp_ns:
-            counts = _decoded(self._counts[1], self._flight.camera, True).astype(np.uint16)
+            counts = _decoded(self._counts[1], self._flight.camera, True).astype(np.uint16, copy=False)
         return replace(frame, image=image, counts=counts)
 
 
@@ -255,7 +255,7 @@ def _count(
         flight.dropped.setdefault(path, []).append(Gap.from_json(message.data))
     if kind == names.FRAMES:
         with contextlib.suppress(InputError):
-            frame, as_recorded, _ = frame_event(message.data, None)
+            frame, as_recorded, _ = frame_event(message.data)
             if path in flight.damaged and as_recorded in ("png", "jpeg") and picture_ns != frame.stamp_ns:
                 _note_lost(flight, path, "frames without their pictures", 1)
             else:

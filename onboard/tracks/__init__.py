@@ -4,5 +4,4 @@ Public:
 
 - `ground_steps`: `Pictures`
 - `track_book`: `TrackBook`
-- `waiting_pictures`: `WaitingPictures`
 """

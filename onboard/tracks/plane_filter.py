@@ -10,11 +10,12 @@ by side and are weighed by how well they foretell.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+
+from contract.velocity import Velocity
 
 Array = NDArray[np.float64]
 
@@ -33,44 +34,14 @@ MOVES = 13.8  # of the squared speed over its covariance, at 1e-3, above which a
 LEAST_SPEED_M_S = 0.2  # below which a thing stands
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """Velocity east and north (2,), m/s, and its covariance; whether the thing moves at all."""
-
-    velocity_m_s: Array
-    cov: Array
+class Motion(Velocity):
+    """Of a thing that may be at rest."""
 
     @property
     def is_moving(self) -> bool:
         """(24.17): whether it is no thing at rest."""
         v = self.velocity_m_s
         return bool(self.speed_m_s > LEAST_SPEED_M_S and v @ np.linalg.solve(self.cov, v) > MOVES)
-
-    @property
-    def speed_m_s(self) -> float:
-        """Over the ground."""
-        return float(np.hypot(*self.velocity_m_s))
-
-    @property
-    def sigma_speed_m_s(self) -> float:
-        """One sigma along the way; across it too where that is not known."""
-        speed = self.speed_m_s
-        if speed < 1e-6:
-            return math.sqrt(0.5 * float(np.trace(self.cov)))
-        along = self.velocity_m_s / speed
-        return math.sqrt(float(along @ self.cov @ along))
-
-    @property
-    def course_deg(self) -> float:
-        """Clockwise from north, in [0, 360)."""
-        return math.degrees(math.atan2(self.velocity_m_s[0], self.velocity_m_s[1])) % 360.0
-
-    @property
-    def sigma_course_deg(self) -> float:
-        """One sigma, at most half a turn."""
-        speed = max(self.speed_m_s, 1e-6)
-        across = np.array([self.velocity_m_s[1], -self.velocity_m_s[0]]) / speed
-        return min(math.degrees(math.sqrt(float(across @ self.cov @ across)) / speed), 180.0)
 
 
 class PlaneFilter:

@@ -9,7 +9,7 @@ from contract.answer import Ellipse, Fix, Place
 from contract.feature_set import Status
 from contract.geodesy import LocalFrame
 from contract.locate import MAX_ELLIPSE_SHARE, Locator
-from contract.track import Course, TrackReport, TrackState, Unseen
+from contract.track import TrackReport, TrackState, Unseen
 from onboard.geometry.plane_homography import move
 from onboard.tracks.follower import Follower, Sight
 from onboard.tracks.ground_steps import Pictures, Seen
@@ -72,12 +72,7 @@ class Track:
     def report(self, session: int, vehicle: str) -> TrackReport:
         """As of the newest picture."""
         seen, sight, motion = self._seen, self._sight, self.motion()
-        course = None
-        if motion is not None:
-            figures = motion.speed_m_s, motion.sigma_speed_m_s
-            course = (
-                Course(*figures, motion.course_deg, motion.sigma_course_deg) if motion.is_moving else Course(*figures)
-            )
+        course = None if motion is None else motion.course(motion.is_moving)
         place = self._place(motion)
         return TrackReport(
             self.number, self.state, sight.unseen, session, seen.frame, seen.stamp_ns, float(sight.uv_px[0]),

@@ -56,7 +56,7 @@ def recorded(folder: Path) -> Path:
 
 
 def test_what_was_recorded_is_read_again(tmp_path: Path) -> None:
-    found = Recording(recorded(tmp_path / "flight")).spots("uav-1")
+    found = Recording(recorded(tmp_path / "flight")).spots(["uav-1"])
     assert len(found) == PICTURES and [r.frame for r in found] == list(range(PICTURES))
     assert len(found[0].spots) == 2 and len(found[4].spots) == 3 and found[0].vehicle == "uav-1"
 

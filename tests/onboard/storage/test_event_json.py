@@ -63,7 +63,7 @@ def test_an_event_comes_back_bit_for_bit_and_keeps_to_its_schema(event: NavEvent
 
 @given(st.builds(Frame, STAMPS, st.integers(0, 2**32 - 1), st.none(), st.text(max_size=40)))
 def test_a_frame_comes_back_with_its_name(frame: Frame) -> None:
-    back, picture, _ = frame_event(event_json(frame), None)
+    back, picture, _ = frame_event(event_json(frame))
     assert (back.stamp_ns, back.index, back.name) == (frame.stamp_ns, frame.index, frame.name)
     assert picture == "undecodable"
 
@@ -73,7 +73,7 @@ def test_what_is_no_event_is_refused(data: bytes, channel: str) -> None:
     with pytest.raises(InputError):
         nav_event(NAV_EVENTS[channel], data)
     with pytest.raises(InputError):
-        frame_event(data, None)
+        frame_event(data)
 
 
 @given(st.data())

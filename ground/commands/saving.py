@@ -1,0 +1,21 @@
+"""A file of a command's own, written whole."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+
+from contract.errors import InputError
+
+
+def save(path: Path, text: str) -> None:
+    """First a file next to it: nothing half-written has the name. Raises InputError."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        beside.write_bytes(text.encode("utf-8"))
+        beside.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            beside.unlink()
+        raise InputError(f"{path}: {error.strerror}") from error
