@@ -16,8 +16,11 @@ from onboard.config.schema import Config
 from onboard.events.types import Event, Frame
 from onboard.spots.bracketed import Bracketed, BracketedPictures
 from onboard.spots.due_pictures import DuePictures
-from onboard.spots.second_camera import Mount, pixel_of_first, set_of_second
+from onboard.spots.mount_estimate import MountEstimate, Sighting
+from onboard.spots.second_camera import STATES, Mount, pixel_of_first, set_of_second
 from onboard.spots.spot_book import SpotBook
+
+LEAST_OWN = 0.02  # of a place's variance, its picture's own share
 
 Look = Callable[[], SpotReport | None]
 """Looks at one picture. Looks are taken in the order in which they were given; any may be left out."""
@@ -77,8 +80,14 @@ class TwoCameras:
         self._config, self._camera = config, camera
         self._lost_s = config.camera.lost_after_s
         self._pictures = BracketedPictures(config.spots.rate_hz, self._lost_s + config.service.max_delay_s)
-        self.mount = Mount.stated(config.camera.thermal)
+        self._mount = MountEstimate(Mount.stated(config.camera.thermal))
+        self._session = 0
         self.begin_again()
+
+    @property
+    def mount(self) -> Mount:
+        """How the second camera sits, as far as it is known now."""
+        return self._mount.mount
 
     def begin_again(self) -> None:
         """Forget what was learned of the ground."""
@@ -96,12 +105,28 @@ class TwoCameras:
         return [partial(self._look, found) for found in self._pictures.picture(frame)]
 
     def _look(self, found: Bracketed) -> SpotReport | None:
-        its_set, pointing = set_of_second(found, self._camera, self.mount, self._lost_s)
+        mount = self.mount
+        its_set, pointing = set_of_second(found, self._camera, mount, self._lost_s)
         report = self._book.picture(found.frame, its_set, pointing)
         if report is None:
             return None
+        self._learn(report)
         spots = []
         for spot in report.spots:
-            u, v = pixel_of_first(found, its_set, self.mount, np.array([spot.u_px, spot.v_px]))
+            u, v = pixel_of_first(found, its_set, mount, np.array([spot.u_px, spot.v_px]))
             spots.append(replace(spot, u_px=float(u), v_px=float(v)))
         return replace(report, spots=tuple(spots))
+
+    def _learn(self, report: SpotReport) -> None:
+        """How the second camera sits, by the report's spots; places of another session count from elsewhere."""
+        if report.session != self._session:
+            self._session, self._mount = report.session, MountEstimate(Mount.stated(self._config.camera.thermal))
+        sightings = []
+        for one in self._book.newest:
+            assert one.fix is not None
+            whole = one.fix.covariance_enu_m2[:2, :2]
+            mounted = one.pointed_m[:, :STATES]
+            left = whole - mounted @ mounted.T
+            own = (1.0 - report.picture_share) * float(np.trace(whole) / np.trace(left))
+            sightings.append(Sighting(one.place_m, one.by_mount_m, left, min(max(own, LEAST_OWN), 1.0)))
+        self._mount.add(report.capture_unix_ns / 1e9, sightings)

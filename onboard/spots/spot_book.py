@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,10 +28,11 @@ LEAST_GATE_PX = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class _Placed:
+class Placed:
     """A region on the ground: east, north (2,) of a point that stays, how far from it the same may be found, m.
 
-    `pointed_m` (2, k): a root of its horizontal covariance by how the camera's own errors move its pixel.
+    `pointed_m` (2, k): a root of its horizontal covariance by how a second camera's errors move its pixel;
+    `by_mount_m` (2, 4): how far they move it, m for each radian and second.
     """
 
     spot: Spot
@@ -39,6 +40,7 @@ class _Placed:
     place_m: Array
     gate_m: float
     pointed_m: Array = field(default_factory=lambda: np.zeros((2, 0)))
+    by_mount_m: Array = field(default_factory=lambda: np.zeros((2, STATES)))
 
 
 class SpotBook:
@@ -52,7 +54,8 @@ class SpotBook:
         self._session = session
         self._origin: LocalFrame | None = None
         self._detector = Detector(self._config, self._thermal.calibration)
-        self._before: deque[list[_Placed]] = deque(maxlen=OF - 1)
+        self._before: deque[list[Placed]] = deque(maxlen=OF - 1)
+        self.newest: list[Placed] = []  # of the last picture, those of its spots that have a place
 
     @property
     def thresholds(self) -> dict[float, float]:
@@ -73,7 +76,7 @@ class SpotBook:
         placed = [self._placed(region, locator, s.status, pointing) for region in found]
         kept = [one for one in placed if one.fix is None or self._times_seen(one) + 1 >= SEEN]
         self._before.append([one for one in placed if one.fix is not None])
-        shown = [one for one in kept if one.fix is not None]
+        self.newest = shown = [one for one in kept if one.fix is not None]
         picture, session = shares([one.fix for one in shown if one.fix], s, [one.pointed_m for one in shown])
         return SpotReport(
             s.session, s.frame, s.capture_unix_ns, self._thermal.calibration is not None,
@@ -95,18 +98,18 @@ class SpotBook:
         out: Array = self._origin.to_enu(lat_deg, lon_deg, 0.0)[:2]
         return out
 
-    def _placed(self, region: Region, locator: Locator | None, status: Status, pointing: Pointing | None) -> _Placed:
+    def _placed(self, region: Region, locator: Locator | None, status: Status, pointing: Pointing | None) -> Placed:
         u, v = (float(c) for c in region.uv_px)
         scale = self._thermal.calibration
         hottest, above = (None, None) if scale is None else (region.hottest - ZERO_C_K, region.above)
         plain = Spot(u, v, region.contrast, hottest, above, status, is_cut=region.is_cut)
         if locator is None:
-            return _Placed(plain, None, np.full(2, np.nan), 0.0)
-        root = np.zeros((2, 0)) if pointing is None else pointing.root(region.uv_px)
+            return Placed(plain, None, np.full(2, np.nan), 0.0)
+        root = None if pointing is None else pointing.root(region.uv_px)
         answer = locator.locate(region.uv_px, root)
         if not isinstance(answer, Fix):
             spot = Spot(u, v, region.contrast, hottest, above, answer.status, is_cut=region.is_cut)
-            return _Placed(spot, None, np.full(2, np.nan), 0.0)
+            return Placed(spot, None, np.full(2, np.nan), 0.0)
         outline, pixel_m = self._outline(region, locator, answer)
         area = _polygon_m2(outline)
         sigma = area_sigma(outline, area, region.pixels * pixel_m, answer)
@@ -115,9 +118,12 @@ class SpotBook:
             tuple((float(east), float(north)) for east, north in outline), region.is_cut,
         )  # fmt: skip
         place = self._en_m(answer.lat_deg, answer.lon_deg)
+        one = Placed(spot, answer, place, max(answer.ellipse.semi_major_m, LEAST_GATE_PX * pixel_m))
         parts = locator.error_parts(region.uv_px)
-        pointed = np.zeros((2, 0)) if parts is None else parts.by_pixel_m[:2] @ root
-        return _Placed(spot, answer, place, max(answer.ellipse.semi_major_m, LEAST_GATE_PX * pixel_m), pointed)
+        if pointing is None or root is None or parts is None:
+            return one
+        by_pixel = parts.by_pixel_m[:2]
+        return replace(one, pointed_m=by_pixel @ root, by_mount_m=by_pixel @ pointing.by_state(region.uv_px))
 
     def _outline(self, region: Region, locator: Locator, fix: Fix) -> tuple[Array, float]:
         """East and north (N, 2) of the place, without what has none of its own; and the side of a pixel there, m."""
@@ -129,7 +135,7 @@ class SpotBook:
             return np.zeros((0, 2)), 0.0
         return outline, float(np.sqrt(np.median(np.abs(np.linalg.det(pixels)))))
 
-    def _times_seen(self, one: _Placed) -> int:
+    def _times_seen(self, one: Placed) -> int:
         """In how many of the pictures before there was a spot on that ground."""
         near = (
             any(float(np.hypot(*(one.place_m - other.place_m))) < max(one.gate_m, other.gate_m) for other in before)

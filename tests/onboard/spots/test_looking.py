@@ -20,7 +20,7 @@ from simulation.terrain import Terrain, TerrainSpec
 from simulation.texture import Texture, TextureSpec
 from simulation.thermal import ThermalRenderer, ThermalSpec
 from simulation.trajectory import Pose
-from tests.onboard.spots.scenes import BOSON, ORIGIN
+from tests.onboard.spots.scenes import BOSON, DOWN, LEPTON, ORIGIN
 from tests.onboard.spots.two_cameras import VISIBLE, Turn, thermal_frame
 
 Array = NDArray[np.float64]
@@ -119,3 +119,37 @@ def test_a_mount_that_is_turned_is_turned_about_the_second_cameras_own_axes() ->
     axis = stated.R_first_second @ [0.0, 0.0, 1.0]
     assert axis[1] == pytest.approx(np.sin(np.radians(8.0))) and abs(axis[0]) < 1e-12
     np.testing.assert_allclose(stated.R_first_second, exp_so3([np.radians(-8.0), 0.0, 0.0]), atol=1e-12)
+
+
+def test_what_is_seen_from_two_sides_teaches_how_the_second_camera_sits() -> None:
+    """Two cars, passed northwards and 40 s later southwards, by a camera turned 2 degrees from what is stated."""
+    stated = CONFIG.camera.thermal.model_copy(update={"sigma_deg": 2.0, "pitch_deg": 0.0})
+    config = CONFIG.model_copy(update={"camera": CONFIG.camera.model_copy(update={"thermal": stated})})
+    cars = tuple(HeatSource.car(place, 25.0) for place in ((-30.0, 0.0), (32.0, 6.0)))
+    spec = ThermalSpec(contrast=0.3, sources=cars)
+    drawn = ThermalRenderer(LEPTON, Terrain(TerrainSpec()), Texture(TextureSpec(seed=3)), spec, 3)
+    true = Mount.stated(stated).R_first_second @ exp_so3([0.0, np.radians(2.0), 0.0])
+    legs, book = There(tilt_deg=0.0), TwoCameras(config, LEPTON)
+    for leg_s in (0.0, 40.0):
+        for k in range(7):
+            time_s = leg_s + 1.04 + 0.6 * k
+            pose = legs.pose(time_s)
+            counts = drawn.picture([Pose(pose.centre_m, pose.R_enu_cam @ true)], 1.0, k, time_s).astype(np.uint16)
+            book.second_picture(replace(thermal_frame(time_s), image=np.zeros(counts.shape, np.uint8), counts=counts))
+            for number in range(round(5.0 * leg_s) + 3 * k + 3, round(5.0 * leg_s) + 3 * k + 7):
+                for look in book.feature_set(legs.first_set(number)):
+                    look()
+    before = Mount.stated(stated).covariance
+    assert book.mount.covariance[1, 1] < 0.25 * before[1, 1]  # across: opposite on the way back
+    left = book.mount.R_first_second.T @ true
+    assert abs(np.degrees(left[0, 2])) < 0.8
+
+
+class There(Turn):
+    """Northwards over the middle, and back 40 s later."""
+
+    def pose(self, time_s: float) -> Pose:
+        heading, after_s = (0.0, time_s) if time_s < 20.0 else (np.pi, time_s - 40.0)
+        along = np.cos(heading) * 10.0 * (after_s - 2.8)
+        turned = exp_so3([0.0, 0.0, -heading]) @ DOWN
+        return Pose(np.array([0.0, along, self.height_m]), turned)
