@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -19,6 +20,8 @@ from onboard.spots.due_pictures import DuePictures
 from onboard.spots.mount_estimate import MountEstimate, Sighting
 from onboard.spots.second_camera import STATES, Mount, pixel_of_first, set_of_second
 from onboard.spots.spot_book import SpotBook
+
+log = logging.getLogger("pointclick")
 
 LEAST_OWN = 0.02  # of a place's variance, its picture's own share
 
@@ -129,4 +132,7 @@ class TwoCameras:
             left = whole - mounted @ mounted.T
             own = (1.0 - report.picture_share) * float(np.trace(whole) / np.trace(left))
             sightings.append(Sighting(one.place_m, one.by_mount_m, left, min(max(own, LEAST_OWN), 1.0)))
+        used = self._mount.things_used
         self._mount.add(report.capture_unix_ns / 1e9, sightings)
+        if self._mount.things_used != used:
+            log.info("thermal camera: by %d things on the ground: %s", self._mount.things_used, self.mount)

@@ -14,7 +14,7 @@ from contract.camera import Camera
 from contract.feature_set import COMMON_STATES, FeatureSet, Status
 from contract.geodesy import LocalFrame
 from contract.locate import pixels_of
-from contract.rotations import R_GIMBAL_CAM, exp_so3, matrix_from_euler, skew
+from contract.rotations import R_GIMBAL_CAM, euler_from_matrix, exp_so3, matrix_from_euler, skew
 from onboard.config.second_camera import SecondCamera
 from onboard.spots.bracketed import Bracketed, motion, seconds
 
@@ -41,6 +41,14 @@ class Mount:
         angles = np.radians([config.roll_deg, config.pitch_deg, config.yaw_deg])
         sigmas = np.array([*3 * [np.radians(config.sigma_deg)], config.sigma_latency_s])
         return cls(R_GIMBAL_CAM.T @ matrix_from_euler(*angles) @ R_GIMBAL_CAM, 0.0, np.diag(sigmas**2))
+
+    def __str__(self) -> str:
+        """As the configuration's keys have it."""
+        angles = np.degrees(euler_from_matrix(R_GIMBAL_CAM @ self.R_first_second @ R_GIMBAL_CAM.T))
+        sigmas = np.sqrt(np.diag(self.covariance))
+        named = (f"{name}_deg {angle:.2f}" for name, angle in zip(("roll", "pitch", "yaw"), angles, strict=True))
+        worst = np.degrees(sigmas[:3].max())
+        return f"{', '.join(named)} (+-{worst:.2f}), stamps {self.late_s:+.3f} s (+-{sigmas[3]:.3f})"
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -121,7 +123,7 @@ def test_a_mount_that_is_turned_is_turned_about_the_second_cameras_own_axes() ->
     np.testing.assert_allclose(stated.R_first_second, exp_so3([np.radians(-8.0), 0.0, 0.0]), atol=1e-12)
 
 
-def test_what_is_seen_from_two_sides_teaches_how_the_second_camera_sits() -> None:
+def test_what_is_seen_from_two_sides_teaches_how_the_second_camera_sits(caplog: pytest.LogCaptureFixture) -> None:
     """Two cars, passed northwards and 40 s later southwards, by a camera turned 2 degrees from what is stated."""
     stated = CONFIG.camera.thermal.model_copy(update={"sigma_deg": 2.0, "pitch_deg": 0.0})
     config = CONFIG.model_copy(update={"camera": CONFIG.camera.model_copy(update={"thermal": stated})})
@@ -129,6 +131,7 @@ def test_what_is_seen_from_two_sides_teaches_how_the_second_camera_sits() -> Non
     spec = ThermalSpec(contrast=0.3, sources=cars)
     drawn = ThermalRenderer(LEPTON, Terrain(TerrainSpec()), Texture(TextureSpec(seed=3)), spec, 3)
     true = Mount.stated(stated).R_first_second @ exp_so3([0.0, np.radians(2.0), 0.0])
+    caplog.set_level(logging.INFO, "pointclick")
     legs, book = There(tilt_deg=0.0), TwoCameras(config, LEPTON)
     for leg_s in (0.0, 40.0):
         for k in range(7):
@@ -141,6 +144,8 @@ def test_what_is_seen_from_two_sides_teaches_how_the_second_camera_sits() -> Non
                     look()
     before = Mount.stated(stated).covariance
     assert book.mount.covariance[1, 1] < 0.25 * before[1, 1]  # across: opposite on the way back
+    said = re.search(r"by 2 things on the ground: roll_deg .* yaw_deg ([0-9.]+) \(\+-", caplog.text)
+    assert said is not None and abs(float(said[1]) - 2.0) < 0.8
     left = book.mount.R_first_second.T @ true
     assert abs(np.degrees(left[0, 2])) < 0.8
 
