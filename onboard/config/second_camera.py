@@ -34,7 +34,7 @@ class SecondCamera(Section):
         "s",
         "its capture stamp minus true mid-exposure, the first camera's stamps less their latency being true",
     )
-    sigma_latency_s: float = quantity(0.05, 0.0, 1.0, "s", "one sigma of that")
+    sigma_latency_s: float = quantity(0.05, 0.0005, 1.0, "s", "one sigma of that")
 
     @property
     def is_stated(self) -> bool:

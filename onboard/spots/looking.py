@@ -42,7 +42,7 @@ class Looking(Protocol):
         """Take a picture of the second camera; the pictures that are to be looked at now."""
 
     def begin_again(self) -> None:
-        """Forget what was learned of the ground."""
+        """Forget what was learned."""
 
 
 def looking(config: Config, second: Camera | None, most_held: int) -> Looking:
@@ -83,7 +83,6 @@ class TwoCameras:
         self._config, self._camera = config, camera
         self._lost_s = config.camera.lost_after_s
         self._pictures = BracketedPictures(config.spots.rate_hz, self._lost_s + config.service.max_delay_s)
-        self._mount = MountEstimate(Mount.stated(config.camera.thermal))
         self._session = 0
         self.begin_again()
 
@@ -93,8 +92,9 @@ class TwoCameras:
         return self._mount.mount
 
     def begin_again(self) -> None:
-        """Forget what was learned of the ground."""
+        """Forget what was learned of the ground, and of how the second camera sits."""
         self._book = SpotBook(self._config.vehicle.id, self._config.spots, self._config.heat)
+        self._mount = MountEstimate(Mount.stated(self._config.camera.thermal))
 
     def event(self, event: Event) -> None:
         """The first camera's pictures are not looked at."""
