@@ -99,14 +99,15 @@ def test_a_fast_zoom_that_nobody_tells_of_is_refused() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("path", "seeds"), [(LEVEL, range(20, 36)), (TURNS, range(20, 52))], ids=["level", "turns"])
-def test_draws_of_told_zooms_are_answered_soon_and_as_surely_as_they_say(path: PathSpec, seeds: range) -> None:
-    """Steps and ramps in turn, two or four flights of each and of each telling, with errors of their own.
+@pytest.mark.parametrize("path", [LEVEL, TURNS], ids=["level", "turns"])
+def test_draws_of_told_zooms_are_answered_soon_and_as_surely_as_they_say(path: PathSpec) -> None:
+    """Steps and ramps by turns, four flights of each and of each telling, with errors of their own.
 
-    Errors of one flight have causes in common, a filter's latency first: of single flights 60 to 100 % are inside.
+    Errors of one flight have causes in common, a filter's latency first: of single flights 33 to 100 % are inside, of
+    all 95 % on straight legs and 95.5 % in turns, which other draws would make 1 to 3 % more or less.
     """
     inside, worst, focal, sigmas, waited = [], [], [], [], []
-    for seed in seeds:
+    for seed in range(20, 52):
         result = followed(path, (STEP, RAMP)[seed % 2], TELLINGS[seed // 2 % len(TELLINGS)], seed)
         after = [e for k, found in result.found.errors.items() if k > result.flight.moves()[0][0] * RATE for e in found]
         inside.append(float(np.mean(np.array(after) <= 1.0)))
@@ -115,7 +116,7 @@ def test_draws_of_told_zooms_are_answered_soon_and_as_surely_as_they_say(path: P
         sigmas.append(float(result.found.pipeline.window.belief.sigma[STATES]))
         waited += result.waited_s()
         assert not result.answered_while_moving()
-    assert 0.85 <= np.mean(inside) <= 0.96, inside
+    assert 0.85 <= np.mean(inside) <= 0.97, inside
     assert max(worst) < 3.0, sorted(worst)[-5:]
     # A table whose rows err by 0.5 % (one sigma) is within 1 % in 95 of 100 flights; no picture of a straight leg adds.
     assert np.mean(np.array(focal) < 0.01) > 0.9 and max(focal) < 0.02, focal
