@@ -152,7 +152,8 @@ def _outline(level: Image, finer: int) -> Array | None:
         largest, rough = cv2.approxPolyDP(largest, rough, True), 1.5 * rough
     if len(largest) < 3:
         return None
-    return np.asarray((_on_level(border, largest[:, 0]) + 0.5) / finer - 0.5 - 1.0, float)
+    at = _on_level(border, np.asarray(largest[:, 0], np.int32))
+    return np.asarray((at + 0.5) / finer - 0.5 - 1.0, np.float64)
 
 
 def _on_level(level: Image, at: NDArray[np.int32]) -> Array:
