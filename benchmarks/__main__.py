@@ -93,11 +93,12 @@ BENCHMARKS = (
         (),
         ("--seconds", "10", "--streams", "1000:0.15", "--seeds", "2"),
     ),
+    Benchmark("sources", "Stamps of cameras that are devices", ("--devices",), ("--devices",)),
     Benchmark(
         "source_codecs",
         "What compression costs",
-        (),
-        ("--size", "320x240", "--seconds", "12", "--kbit", "500", "--codecs", "H264"),
+        ("--seconds", "12", "--autopilots", "10", "--kbit", "2000,8000", "--loss", "0,0.01"),
+        ("--size", "320x240", "--seconds", "12", "--kbit", "500", "--seeds", "1", "--autopilots", "2"),
     ),
     Benchmark("real_flight", "The real flight"),
 )

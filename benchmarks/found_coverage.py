@@ -32,7 +32,7 @@ from contract.feature_set import FeatureSet
 from contract.track import TrackState
 from contract.wire.spot_code import decode_spots, encode_spots
 from contract.wire.track_code import decode_track, encode_track
-from ground.spots.merging import SpotMerger, covariance_of
+from ground.spots.merging import SpotMerger
 from onboard.config.schema import parse_config
 from onboard.events.types import Frame
 from onboard.pipeline.pipeline import Pipeline
@@ -257,7 +257,8 @@ class Plane:
                 fine = np.round(uv * 16.0).astype(np.int32)
                 cv2.fillConvexPoly(out, fine, CAR_SHADE, cv2.LINE_AA, 4)
         noise = np.random.default_rng([flight.seed, 933, frame]).normal(0.0, 1.5, out.shape)
-        return np.clip(cv2.GaussianBlur(out, (0, 0), LENS_PX) + noise, 0, 255).astype(np.uint8)
+        noisy = cv2.GaussianBlur(out, (0, 0), LENS_PX) + noise
+        return np.asarray(np.clip(noisy, 0, 255), np.uint8)
 
     def _texel_to_pixel(self, frame: int) -> Array:
         """(3, 3)."""
@@ -281,7 +282,7 @@ def chi2_of(place: Place, true_m: Array) -> float:
     """The squared error of a place, east and north, over its covariance; where it truly is (2,)."""
     assert place.height_amsl_m is not None
     away = PLACE.to_enu(place.lat_deg, place.lon_deg, place.height_amsl_m)[:2] - true_m
-    return float(away @ np.linalg.solve(covariance_of(place.ellipse), away))
+    return float(away @ np.linalg.solve(place.ellipse.covariance_en_m2, away))
 
 
 def share_inside(per_flight: list[list[float]]) -> tuple[float, float, float]:

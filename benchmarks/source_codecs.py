@@ -1,16 +1,17 @@
 """What compression costs: a flight's clicks on its own pictures beside those on what a codec has left of them.
 
     python -m benchmarks.source_codecs [--size 1280x720] [--seconds 16] [--rate 5] [--kbit 1000,2000,4000,8000]
-        [--codecs H264] [--loss 0] [--seeds 1,2,3,4]
+        [--codecs H264] [--loss 0] [--seeds 1,2] [--autopilots 8]
 
-One flight for each seed, with turns over relief, its pictures encoded (OpenH264; x265 at its fastest), sent as RTP
+One path for each seed, with turns over relief, its pictures encoded (OpenH264; x265 at its fastest), sent as RTP
 packets of 1400 bytes of which `--loss` never come (0: as over TCP), and decoded by libav; then the flight is replayed
 with what has come. A picture that the decoder or our helper calls damaged, or that never came, has no image. Telemetry
-and stamps are the flight's own in every row: what a stream does to times is `benchmarks.sources`.
+and stamps are the flight's own in every row: what a stream does to times is `benchmarks.sources`. Each path's pictures
+are replayed with several autopilots' telemetry (`simulation.ordinary`), for each of which they are one flight.
 
 `--kbit` are those of 30 pictures a second: a flight of fewer gets as many bits a picture, though more has moved between
 two of them. An encoder that cannot go so low is seen by the rate that it did send. Clicks count after the first 8 s.
-A flight's clicks share its slow errors, of which one flight is one sample. So absolute coverage is the mean of the
+A flight's clicks share its slow errors, of which one autopilot is one sample. So absolute coverage is the mean of the
 flights', with the sigma of that mean by how they scatter, and beside it what is added to or taken from the raw
 pictures' coverage, flight by flight: the slow errors are the same there, and only what pictures do is left. It shows
 too in the distance between two clicks of one picture, where slow errors cancel: its error, and how often its own 90 %
@@ -26,9 +27,10 @@ import json
 import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +46,10 @@ from onboard.config.files import load_config_files
 from onboard.events.types import Event, Frame
 from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.runner import Flight, replay
+from simulation.flight import DescribedSpec
+from simulation.ordinary import ordinary
+from simulation.session import SessionSpec, make_flight
+from simulation.telemetry import write_tlog
 from tests.rtsp import SYSTEM_PYTHON, is_installed
 from tests.scenarios.flights import CHI2_90, Outcome, _Sets, click, flown
 from tests.streamed_flight import pictures_of
@@ -92,6 +98,26 @@ def recoded(raw: Path, size_px: tuple[int, int], count: int, rate_hz: float, **s
         images = np.fromfile(out, np.uint8).reshape(-1, size_px[1], size_px[0])
     by_number = {k: image for k, image in zip(said["numbers"], images, strict=True) if k < count}
     return Recoded(by_number, 8e-3 * said["bytes"] / count * OF_HZ, 1e3 * said["decode_s"] / count)
+
+
+def flown_by(session: Path, spec: SessionSpec, autopilot: int, folder: Path) -> Path:
+    """The session of a described flight as another autopilot would have logged it; pictures and truth are the same."""
+    assert isinstance(spec.flight, DescribedSpec)
+    flight = make_flight(spec)
+    log, epoch_unix_s = write_tlog(
+        flight.trajectory, flight.origin, flight.undulation_m, ordinary(autopilot), autopilot
+    )
+    copy = folder / f"{session.name}-{autopilot}"
+    copy.mkdir()
+    for path in session.iterdir():
+        (copy / path.name).symlink_to(path)
+    lines = ["file,unix_time_s"]
+    for k, path in enumerate(sorted((session / "frames").iterdir())):
+        lines.append(f"{path.name},{epoch_unix_s + flight.start_s + k / spec.rate_hz:.6f}")
+    for name, data in (("telemetry.tlog", log), ("stamps.csv", "\n".join([*lines, ""]).encode())):
+        (copy / name).unlink()
+        (copy / name).write_bytes(data)
+    return copy
 
 
 def outcome(session: Path, rate_hz: float, images: dict[int, NDArray[np.uint8]] | None) -> Outcome:
@@ -165,42 +191,54 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--kbit", default="1000,2000,4000,8000", help="kbit/s")
     parser.add_argument("--codecs", default="H264")
     parser.add_argument("--loss", default="0", help="shares of the packets")
-    parser.add_argument("--seeds", default="1,2,3,4", help="of the flights")
+    parser.add_argument("--seeds", default="1,2", help="of the paths")
+    parser.add_argument("--autopilots", type=int, default=8, help="that fly each path")
     arguments = parser.parse_args(argv)
     if not is_installed():
         parser.error("GStreamer is not installed: make gstreamer")
     width, height = (int(word) for word in arguments.size.split("x"))
     camera = Camera.from_field_of_view(width, height, FIELD_DEG)
-    spec = replace(flight_spec(arguments.seconds, 0), camera=camera, rate_hz=arguments.rate)
     seeds = [int(word) for word in arguments.seeds.split(",")]
-    flights = [flight_spec(arguments.seconds, seed).flight for seed in seeds]
-    sessions = [flown(replace(spec, flight=flight)) for flight in flights]
-    print(f"{len(seeds)} flight(s) of {arguments.seconds:g} s with turns, {arguments.size} at {arguments.rate:g} Hz\n")
+    specs = [replace(flight_spec(arguments.seconds, seed), camera=camera, rate_hz=arguments.rate) for seed in seeds]
+    print(
+        f"{len(seeds)} path(s) of {arguments.seconds:g} s with turns, each flown by {arguments.autopilots} "
+        f"autopilot(s), {arguments.size} at {arguments.rate:g} Hz\n"
+    )
     print(
         "| pictures | sent, of 30 a second | decoder | came whole | residual | stands still | between clicks: median "
         "| inside 90 % | absolute: inside 90 %, flight by flight | beside raw | median | 90 % | inside 90 % "
         "| pictures answered | clicks answered |"
     )
     print("|" + 15 * "---|")
-    plain = [outcome(session, arguments.rate, None) for session in sessions]
-    print(row(("raw", "-", "-", "100 %"), sessions, plain, plain), flush=True)
-    codecs, losses, rates = (words.split(",") for words in (arguments.codecs, arguments.loss, arguments.kbit))
+    words = (arguments.codecs.split(","), arguments.loss.split(","), arguments.kbit.split(","))
+    streams = [{"codec": c, "loss": float(x), "kbit": float(k)} for c, x, k in product(*words)]
     with TemporaryDirectory() as name:
-        for session in sessions:
-            pictures = pictures_of(session, False)
-            (Path(name) / session.name).write_bytes(b"".join(picture.tobytes() for picture in pictures))
-        count = len(pictures)
-        for codec, loss, kbit in ((c, float(x), float(k)) for c in codecs for x in losses for k in rates):
-            came = [
-                recoded(Path(name) / s.name, (width, height), count, arguments.rate, codec=codec, loss=loss, kbit=kbit)
-                for s in sessions
-            ]
-            outcomes = [outcome(s, arguments.rate, c.images) for s, c in zip(sessions, came, strict=True)]
-            whole = np.mean([len(c.images) for c in came]) / count
-            how = f"{codec}, {kbit:g} kbit/s, " + (f"UDP, {100.0 * loss:g} % lost" if loss else "TCP")
-            sent = f"{np.mean([c.sent_kbit for c in came]):.0f} kbit/s"
-            decode = f"{np.mean([c.decode_ms for c in came]):.1f} ms"
-            print(row((how, sent, decode, f"{100.0 * whole:.0f} %"), sessions, outcomes, plain), flush=True)
+        table(specs, arguments.autopilots, streams, Path(name))
+
+
+def table(specs: Sequence[SessionSpec], autopilots: int, streams: Sequence[dict[str, Any]], folder: Path) -> None:
+    """Print a row for the raw pictures and for each stream, of all paths by all autopilots."""
+    paths = [flown(spec) for spec in specs]
+    flights = [
+        [flown_by(path, spec, 100 * k + n, folder) for n in range(autopilots)]
+        for k, (path, spec) in enumerate(zip(paths, specs, strict=True))
+    ]
+    sessions, rate_hz, size_px = [s for by in flights for s in by], specs[0].rate_hz, specs[0].camera.size_px
+    plain = [outcome(session, rate_hz, None) for session in sessions]
+    print(row(("raw", "-", "-", "100 %"), sessions, plain, plain), flush=True)
+    for path in paths:
+        pictures = pictures_of(path, False)
+        (folder / f"{path.name}.raw").write_bytes(b"".join(picture.tobytes() for picture in pictures))
+    count = len(pictures)
+    for stream in streams:
+        came = [recoded(folder / f"{path.name}.raw", size_px, count, rate_hz, **stream) for path in paths]
+        outcomes = [outcome(session, rate_hz, c.images) for by, c in zip(flights, came, strict=True) for session in by]
+        whole = np.mean([len(c.images) for c in came]) / count
+        over = f"UDP, {100.0 * stream['loss']:g} % lost" if stream["loss"] else "TCP"
+        how = f"{stream['codec']}, {stream['kbit']:g} kbit/s, {over}"
+        sent = f"{np.mean([c.sent_kbit for c in came]):.0f} kbit/s"
+        decode = f"{np.mean([c.decode_ms for c in came]):.1f} ms"
+        print(row((how, sent, decode, f"{100.0 * whole:.0f} %"), sessions, outcomes, plain), flush=True)
 
 
 if __name__ == "__main__":

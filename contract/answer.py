@@ -56,6 +56,21 @@ class Ellipse:
         azimuth = math.degrees(math.atan2(vectors[0, 1], vectors[1, 1])) % 180.0
         return cls(float(major), float(minor), azimuth if azimuth < 180.0 else 0.0)
 
+    @property
+    def covariance_en_m2(self) -> Array:
+        """(2, 2) east, north, never quite singular: a millimetre is added along each axis."""
+        axes = self.axes_en
+        variances_m2 = np.array([self.semi_major_m, self.semi_minor_m]) ** 2 / CHI2_2
+        out: Array = axes.T @ np.diag(variances_m2) @ axes + 1e-6 * np.eye(2)
+        return out
+
+    @property
+    def axes_en(self) -> Array:
+        """Unit vectors (2, 2) of the major and the minor axis, rows, in east, north."""
+        azimuth = math.radians(self.azimuth_deg)
+        east, north = math.sin(azimuth), math.cos(azimuth)
+        return np.array([[east, north], [-north, east]])
+
 
 @dataclass(frozen=True)
 class Place:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 WGS84_A_M = 6378137.0
+EARTH_RADIUS_M = 6.371e6  # mean
 WGS84_F = 1.0 / 298.257223563
 _B_M = WGS84_A_M * (1.0 - WGS84_F)
 _E2 = WGS84_F * (2.0 - WGS84_F)
@@ -72,6 +73,12 @@ def metres_per_degree(lat_deg: ArrayLike) -> tuple[Array, Array]:
     w2 = 1.0 - _E2 * np.sin(lat) ** 2
     degree = np.pi / 180.0 * WGS84_A_M / np.sqrt(w2)
     return degree * (1.0 - _E2) / w2, degree * np.cos(lat)
+
+
+def level_ground_m(east_m: ArrayLike, north_m: ArrayLike) -> Array:
+    """Height of level ground above the plane that touches it at the origin, of places (...) within some kilometres."""
+    out: Array = -(np.square(east_m) + np.square(north_m)) / (2.0 * EARTH_RADIUS_M)
+    return out
 
 
 def rotation_enu_ecef(lat_deg: float, lon_deg: float) -> Array:

@@ -115,12 +115,18 @@ class Locator:
         self._datum_shift_m = shift
         self._newest: tuple[tuple[float, float], _Sight | Status] | None = None
 
-    def locate(self, uv_px: ArrayLike) -> Answer:
-        """A pixel (2,) -> Fix or Refusal."""
-        sight = self._sight(np.asarray(uv_px, float))
+    def locate(self, uv_px: ArrayLike, pixel_root: ArrayLike | None = None) -> Answer:
+        """A pixel (2,) -> Fix or Refusal. `pixel_root` (2, k): a root of the pixel's own covariance, where it is not
+        exact.
+        """
+        uv = np.asarray(uv_px, float)
+        sight = self._sight(uv)
         if isinstance(sight, Status):
             return self._refusal(sight)
         covariance = self._covariance([sight])
+        if pixel_root is not None:
+            moved = self._by_pixel(uv[None], np.array([1.0 / sight.relative]))[0] @ np.asarray(pixel_root, float)
+            covariance = covariance + moved @ moved.T
         ellipse = Ellipse.from_covariance(covariance[:2, :2])
         if not ellipse.semi_major_m <= MAX_ELLIPSE_SHARE * self._height_m:
             return self._refusal(Status.UNCERTAIN)

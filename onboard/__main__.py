@@ -168,6 +168,15 @@ def _add_replay(commands: Commands) -> None:
     replay.add_argument(
         "--spots", action="store_true", help="look for hot spots (thermal.enabled), a JSON line for each picture"
     )
+    replay.add_argument(
+        "--thermal",
+        type=Path,
+        metavar="DIR_OR_VIDEO",
+        help="of --spots: a second camera's pictures (camera.thermal), in which hot spots are looked for",
+    )
+    replay.add_argument(
+        "--thermal-stamps", type=Path, metavar="STAMPS.csv", help="its capture times, as --stamps has the first one's"
+    )
     replay.add_argument("--budget", action="store_true", help="where a click's error comes from; what makes it smaller")
     replay.set_defaults(run=run_replay)
 

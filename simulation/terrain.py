@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from contract.errors import InputError
+from contract.geodesy import EARTH_RADIUS_M, level_ground_m
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-EARTH_RADIUS_M = 6.371e6
 WAVES = 7
 CELLS = 128  # the obstacle grid repeats after this many cells
 EDGE_M = 0.4  # a wall rises over this distance, so that a ray always meets the surface
@@ -98,7 +98,7 @@ class Terrain:
     def height_m(self, x_m: ArrayLike, y_m: ArrayLike) -> Array:
         """Height of the surface in the origin's ENU axes at east `x_m`, north `y_m` (any shape, metres)."""
         x, y = np.asarray(x_m, float), np.asarray(y_m, float)
-        z: Array = -(x * x + y * y) / (2.0 * EARTH_RADIUS_M)
+        z = level_ground_m(x, y)
         if self.spec.relief_m > 0.0:
             z = z + self._base_m + self._waves(x, y, self._weight)
         if self.has_obstacles:

@@ -28,7 +28,8 @@ from benchmarks import (
 from benchmarks.__main__ import BENCHMARKS, RESULTS, STARTED, merge, section
 from benchmarks.flown import Leg, leg, out_and_back, sets_of
 from benchmarks.mechanisms import MECHANISMS
-from benchmarks.source_codecs import mean_with_sigma, recoded
+from benchmarks.source_codecs import flown_by, mean_with_sigma, recoded
+from benchmarks.sources import flight_spec
 from contract.answer import Fix
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
@@ -36,6 +37,7 @@ from contract.locate import Locator
 from contract.wire.codec import decode, encode
 from onboard.config.schema import parse_config
 from onboard.events.types import Frame, PositionFix
+from simulation.session import fly
 from tests.contract.sets import plain_set
 from tests.left_out import NO_PROGRAM
 from tests.rtsp import PACKAGES, drifting_ground, is_installed, number_of
@@ -367,3 +369,18 @@ def test_shares_of_flights_are_pooled_with_what_they_scatter_by() -> None:
     assert mean_with_sigma([-0.02, 0.04], "+") == "+1.0 +-3.0 %"
     assert mean_with_sigma([0.9, np.nan]) == "90.0 %"
     assert mean_with_sigma([np.nan]) == "-"
+
+
+def test_a_path_flown_by_another_autopilot_has_its_pictures_and_a_log_of_its_own(tmp_path: Path) -> None:
+    spec = replace(flight_spec(2.0, 7), camera=Camera.from_field_of_view(96, 72, 60.0))
+    session = tmp_path / "own"
+    fly(spec, session)
+    for name in ("again", "others"):
+        (tmp_path / name).mkdir()
+    again, another = flown_by(session, spec, 7, tmp_path / "again"), flown_by(session, spec, 8, tmp_path / "others")
+    logs = [(folder / "telemetry.tlog").read_bytes() for folder in (session, again, another)]
+    stamps = [(folder / "stamps.csv").read_text() for folder in (session, again, another)]
+    assert logs[0] == logs[1] != logs[2]
+    assert stamps[0] == stamps[1] and len(stamps[2].splitlines()) == 13
+    for name in ("frames", "truth_clicks.csv", "camera.json", "config.toml"):
+        assert (another / name).resolve() == session / name

@@ -75,7 +75,7 @@ def test_the_daemon_has_what_it_needs_and_no_privilege() -> None:
     assert "AF_NETLINK" in service["RestrictAddressFamilies"]
     assert "@resources" not in UNIT.read_text().split("SystemCallFilter=", 1)[1]
     assert service["CapabilityBoundingSet"] == ""
-    assert service["StateDirectory"] == service["ConfigurationDirectory"] == "pointclick"
+    assert service["StateDirectory"] == service["ConfigurationDirectory"] == service["CacheDirectory"] == "pointclick"
 
 
 def test_the_rules_are_lines_udev_understands() -> None:

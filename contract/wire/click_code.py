@@ -161,16 +161,9 @@ def _place(a: Fix) -> bytes:
         raise ValueError(f"an answer that has no encoding: {error}") from error
 
 
-def _axes(e: Ellipse) -> np.ndarray:
-    """Unit vectors (2, 2) of the major and the minor axis, rows, in east, north."""
-    angle = math.radians(e.azimuth_deg)
-    major = np.array([math.sin(angle), math.cos(angle)])
-    return np.array([major, [-major[1], major[0]]])
-
-
 def _height_shares(a: Fix) -> tuple[int, int]:
     """Correlations of the height with both axes, towards zero: together at most 1."""
-    vertical = _axes(a.ellipse) @ a.covariance_enu_m2[:2, 2]
+    vertical = a.ellipse.axes_en @ a.covariance_enu_m2[:2, 2]
     sigmas = np.array([a.ellipse.semi_major_m, a.ellipse.semi_minor_m]) / _SCALE * a.sigma_height_m
     shares = np.divide(vertical, sigmas, out=np.zeros(2), where=sigmas > 0.0)
     # The least more, so that what was decoded is written as the same again.
@@ -265,7 +258,7 @@ def _read_fix(payload: bytes) -> ClickAnswer:
 
 def _covariance(ellipse: Ellipse, sigma_height_m: float, shares: np.ndarray) -> np.ndarray:
     """(3, 3), m^2, in east, north, up."""
-    axes = _axes(ellipse)
+    axes = ellipse.axes_en
     sigmas = np.array([ellipse.semi_major_m, ellipse.semi_minor_m]) / _SCALE
     out = np.zeros((3, 3))
     out[:2, :2] = axes.T @ np.diag(sigmas**2) @ axes

@@ -14,7 +14,6 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from contract.answer import CHI2_2
 from contract.errors import InputError
 from contract.feature_set import FeatureSet, HeightDatum
 from contract.track import TrackReport, TrackState
@@ -87,9 +86,9 @@ def track_event(report: TrackReport, now_unix_ns: int, stale_s: float) -> str | 
         return None
     uid = f"pointclick.{report.vehicle}.{report.session}.track.{report.number}"
     root = _event(uid, FOLLOWED, "m-r", now_unix_ns, report.capture_unix_ns, stale_s)
-    e = p.ellipse
-    axes = np.diag([e.semi_major_m**2, e.semi_minor_m**2]) / CHI2_2
-    _point(root, p.lat_deg, p.lon_deg, p.height_ellipsoid_m, ce90_m(axes), le90_m(p.sigma_height_m))
+    _point(
+        root, p.lat_deg, p.lon_deg, p.height_ellipsoid_m, ce90_m(p.ellipse.covariance_en_m2), le90_m(p.sigma_height_m)
+    )
     detail = element(root, "detail")
     element(detail, "contact", callsign=f"{report.vehicle} track {report.number}"[:100])
     if c is not None and c.course_deg is not None:

@@ -10,7 +10,6 @@ from ground.circular_error import ce90_m, le90_m
 from ground.pins.fusion import Contradiction, Fused, Place, Unplaced
 from ground.pins.model import Pin
 from ground.spots.found_thing import FoundThing
-from ground.spots.merging import covariance_of
 
 PLACED = "ok"
 CONTRADICTING = "contradicting"
@@ -122,7 +121,7 @@ class Mark:
             f"spot-{thing.spots[0].vehicle}-{thing.spots[0].session}-{thing.spots[0].frame}-{thing.number}",
             f"spot {thing.number}", PLACED, "", thing.number, thing.to_text().partition("  ")[2],
             lat_deg=p.lat_deg, lon_deg=p.lon_deg, height_ellipsoid_m=p.height_ellipsoid_m,
-            height_amsl_m=p.height_amsl_m, ellipse=p.ellipse, ce90_m=ce90_m(covariance_of(p.ellipse)),
+            height_amsl_m=p.height_amsl_m, ellipse=p.ellipse, ce90_m=ce90_m(p.ellipse.covariance_en_m2),
             le90_m=le90_m(p.sigma_height_m), sigma_height_m=p.sigma_height_m, time_unix_ns=thing.last_unix_ns,
             vehicle=" ".join(thing.vehicles), frame=best.frame, u_px=best.u_px, v_px=best.v_px, method=MACHINE,
             clicks=thing.pictures,

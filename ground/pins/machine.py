@@ -13,7 +13,6 @@ import numpy as np
 
 from ground.pins.model import Pin, PinClick
 from ground.spots.found_thing import FoundThing, SeenSpot
-from ground.spots.merging import covariance_of
 
 FOUND = "hot spot"  # method of a pin that was a machine's find
 
@@ -24,7 +23,7 @@ def click_of(thing: FoundThing, who: str) -> PinClick:
     """The merged place as a pin's position, with the picture that shows the thing best."""
     p, best = thing.place, thing.best
     covariance = np.zeros((3, 3))
-    covariance[:2, :2] = covariance_of(p.ellipse)
+    covariance[:2, :2] = p.ellipse.covariance_en_m2
     covariance[2, 2] = p.sigma_height_m**2
     return PinClick(
         p.lat_deg, p.lon_deg, p.height_ellipsoid_m, p.height_amsl_m, covariance, who, time.time_ns(), FOUND,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.answer import CHI2_2, Ellipse
-from contract.geodesy import LocalFrame
+from contract.geodesy import LocalFrame, level_ground_m
 from contract.spot import Spot, SpotReport
 from ground.seen.outline import cells_inside, patches
 
@@ -205,8 +205,8 @@ class _Grid:
     def _lon_lat(self, ring: Array) -> Ring:
         place = self.corner_m + ring * self.cell_m
         # A plane at the ellipsoid's height 0 there.
-        up = -np.sum(place**2, axis=1, keepdims=True) / (2.0 * 6_371_000.0)
-        found = self.frame.to_geodetic(np.hstack([place, up]))
+        up = level_ground_m(*place.T)
+        found = self.frame.to_geodetic(np.column_stack([place, up]))
         out = [(float(lon), float(lat)) for lat, lon, _ in found]
         return [*out, out[0]]
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from contract.answer import CHI2_2, Ellipse, Place
-from contract.geodesy import LocalFrame
+from contract.answer import Ellipse, Place
+from contract.geodesy import LocalFrame, level_ground_m
 from contract.spot import Spot, SpotReport
 from contract.track import Course
 from contract.velocity import Velocity
@@ -144,7 +144,7 @@ class SpotMerger:
         assert self._frame is not None
         east, north, _ = self._frame.to_enu(place.lat_deg, place.lon_deg, 0.0)
         extent_m2 = EXTENT_SHARE**2 * spot.area_m2 / math.pi
-        C = covariance_of(place.ellipse)
+        C = place.ellipse.covariance_en_m2
         whole = C + extent_m2 * np.eye(2)
         # The extent is the spot's own: what is shared stays what it was.
         part = float(np.trace(C) / np.trace(whole))
@@ -191,7 +191,7 @@ class SpotMerger:
     def _value(self, t: _Thing) -> FoundThing:
         assert self._frame is not None and t.best is not None and t.newest is not None
         (east, north), covariance = t.merged()
-        lat, lon, _ = (float(c) for c in self._frame.to_geodetic((east, north, self._height(east, north))))
+        lat, lon, _ = (float(c) for c in self._frame.to_geodetic((east, north, float(level_ground_m(east, north)))))
         spot, where = t.best
         known = t.newest.place
         assert known is not None and spot.place is not None
@@ -206,10 +206,6 @@ class SpotMerger:
             tuple(dict.fromkeys([*t.bests, *t.spots])),
         )  # fmt: skip
 
-    def _height(self, east: float, north: float) -> float:
-        """What is above a place of the frame's plane at height 0 of the ellipsoid, near enough."""
-        return -(east**2 + north**2) / (2.0 * 6_371_000.0)
-
     def _course(self, t: _Thing) -> Course | None:
         """None before anything can be said. (26.7)"""
         motion = t.moving[t.last]
@@ -219,15 +215,6 @@ class SpotMerger:
         if not t.is_moving and velocity.sigma_speed_m_s > REST_M_S:
             return None
         return velocity.course(t.is_moving)
-
-
-def covariance_of(ellipse: Ellipse) -> Array:
-    """(2, 2) east, north, m^2."""
-    azimuth = math.radians(ellipse.azimuth_deg)
-    along, across = np.array([math.sin(azimuth), math.cos(azimuth)]), np.array([math.cos(azimuth), -math.sin(azimuth)])
-    axes = ellipse.semi_major_m**2 * np.outer(along, along) + ellipse.semi_minor_m**2 * np.outer(across, across)
-    out: Array = axes / CHI2_2 + 1e-6 * np.eye(2)  # a millimetre: none is without any error
-    return out
 
 
 def _note(t: _Thing, report: SpotReport, spot: Spot) -> None:

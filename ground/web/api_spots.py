@@ -12,7 +12,6 @@ from ground.formats import fire_area
 from ground.pins.machine import click_of, decision, decisions
 from ground.pins.model import MAX_NAME, MAX_WHO, Category, Pin
 from ground.spots.found_thing import FoundThing
-from ground.spots.merging import covariance_of
 from ground.web.desk import Desk, NotThere
 
 Number = Annotated[int, Path(ge=1, le=10**9)]
@@ -107,7 +106,7 @@ def _spot_json(thing: FoundThing, made: Pin | None) -> dict[str, Any]:
         "state": state,
         "pin": None if made is None else made.id,
         "is_sure": thing.is_sure,
-        "ce90_m": round(ce90_m(covariance_of(thing.place.ellipse)), 3),
+        "ce90_m": round(ce90_m(thing.place.ellipse.covariance_en_m2), 3),
         "heat": thing.heat_text,
         "motion": thing.course_text,
     }

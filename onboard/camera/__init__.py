@@ -4,7 +4,7 @@ a played recording. Sources handle device faults themselves.
 Public:
 
 - `discovery`: `device_paths`, `stable_names`
-- `factory`: `open_camera`, `open_device`
+- `factory`: `open_camera`, `open_device`, `open_second_camera`, `second_section`
 - `file_stamps`: `spread_within_seconds`, `stamp_from_name`
 - `format_negotiation`: `sizes_text`
 - `helper_launch`: `RTSP`, `decoders_text`, `helper_launch`, `libcamera_names`, `unable`

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contract.camera import Camera
+from contract.errors import ConfigError
 from onboard.camera.helper_camera import HelperCamera
 from onboard.camera.helper_launch import helper_launch
 from onboard.camera.playback import PREFIX, PlayedCamera
@@ -15,6 +16,21 @@ from onboard.events.source import Source
 def open_camera(config: Config, camera: Camera, clock: SessionClock) -> Source:
     """The camera that `camera.device` names. Raises ConfigError where its form is wrong."""
     return open_device(config.camera, camera, clock, config.thermal)
+
+
+def second_section(config: Config) -> CameraConfig:
+    """The second camera's section as if it were the first's. Raises ConfigError where it names no device."""
+    second = config.camera.thermal
+    if second.device is None:
+        raise ConfigError("camera.thermal.device is not set: name the second camera's, or leave camera.thermal out")
+    return CameraConfig(
+        device=second.device, file=second.file, format=second.format, rate_hz=second.rate_hz, latency_s=second.latency_s
+    )
+
+
+def open_second_camera(config: Config, camera: Camera, clock: SessionClock) -> Source:
+    """The thermal camera that `camera.thermal.device` names. Raises ConfigError."""
+    return open_device(second_section(config), camera, clock, config.heat)
 
 
 def open_device(

@@ -59,9 +59,9 @@ class Launch:
 def _of_lens_and_gimbal(header: Header, stamp_ns: int) -> Iterator[GimbalAttitude | Zoom]:
     """What a frame's header tells of the lens and of the gimbal that carries it."""
     if math.isfinite(header.focal_px):
-        yield Zoom(stamp_ns, header.focal_px, "focal_px")
+        yield Zoom(stamp_ns, header.focal_px, "focal_px", is_of_picture=True)
     elif math.isfinite(header.zoom):
-        yield Zoom(stamp_ns, header.zoom, "times")
+        yield Zoom(stamp_ns, header.zoom, "times", is_of_picture=True)
     if header.gimbal_frame is not GimbalFrame.NONE and 0.5 < math.hypot(*header.gimbal) < 2.0:
         w, x, y, z = (part / math.hypot(*header.gimbal) for part in header.gimbal)
         reference: Literal["vehicle", "earth"] = "earth" if header.gimbal_frame is GimbalFrame.EARTH else "vehicle"

@@ -59,8 +59,6 @@ def without_password(text: str) -> str:
 def gstreamer_launch(spec: dict[str, Any], name: str) -> Launch:
     """Our own helper with something to open; what is to be opened, which may hold a password, goes by its input."""
     environment = {"LIBCAMERA_LOG_LEVELS": "*:ERROR"}  # the last line said is shown as the reason of an end
-    if "STATE_DIRECTORY" in os.environ:  # a service has no home where GStreamer would keep what it knows of its plugins
-        environment["GST_REGISTRY"] = str(Path(os.environ["STATE_DIRECTORY"]) / "gstreamer-registry.bin")
     command = (SYSTEM_PYTHON, "-I", str(HELPER))
     return Launch(name, command, json.dumps(spec).encode(), environment, is_compressed=spec["kind"] != "libcamera")
 

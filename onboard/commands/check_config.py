@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from contract.camera import Camera
-from onboard.camera.factory import open_camera
+from onboard.camera.factory import open_device, second_section
 from onboard.camera.helper_launch import helper_launch, unable
 from onboard.camera.playback import PREFIX
 from onboard.camera.v4l2_device import V4l2Device
-from onboard.config.files import config_files, load_camera, load_config_files
-from onboard.config.schema import Config
+from onboard.config.files import config_files, load_camera, load_config_files, load_second_camera
+from onboard.config.schema import CameraConfig, Config
 from onboard.events.session_clock import SessionClock
 from onboard.telemetry.factory import open_telemetry
 
@@ -64,33 +64,45 @@ def look(config: Config) -> list[Named]:
     width, height = camera.size_px
     return [
         Named("camera.file", str(config.camera.file), True, f"{width} x {height}"),
-        _camera(config, camera),
+        _camera("camera", config.camera, camera),
+        *_second(config),
         _telemetry(config.telemetry.url),
     ]
 
 
-def _camera(config: Config, camera: Camera) -> Named:
-    device = config.camera.device
+def _second(config: Config) -> list[Named]:
+    if not config.camera.thermal.is_flown:
+        return []
+    camera = load_second_camera(config)
+    width, height = camera.size_px
+    return [
+        Named("camera.thermal.file", str(config.camera.thermal.file), True, f"{width} x {height}"),
+        _camera("camera.thermal", second_section(config), camera),
+    ]
+
+
+def _camera(section: str, config: CameraConfig, camera: Camera) -> Named:
+    key, device = f"{section}.device", config.device
     if device.startswith(PREFIX):
         if not Path(device.removeprefix(PREFIX)).exists():
-            return Named("camera.device", device, False, "no such file or folder")
-        open_camera(config, camera, SessionClock.start())  # as `run` does: raises for what cannot be played
-        return Named("camera.device", device, True, "recorded pictures")
-    launch = helper_launch(config.camera, camera.size_px)
+            return Named(key, device, False, "no such file or folder")
+        open_device(config, camera, SessionClock.start())  # as `run` does: raises for what cannot be played
+        return Named(key, device, True, "recorded pictures")
+    launch = helper_launch(config, camera.size_px)
     if launch is not None:
         why = unable(launch)
-        return Named("camera.device", launch.name, not why, why or "its program is there; pictures come with `run`")
+        return Named(key, launch.name, not why, why or "its program is there; pictures come with `run`")
     try:
         opened = V4l2Device(device)
     except OSError as error:
-        return Named("camera.device", device, False, error.strerror or str(error))
+        return Named(key, device, False, error.strerror or str(error))
     try:
         card = opened.card()
     finally:
         opened.close()
     if not card.can_capture:
-        return Named("camera.device", device, False, f"{card.card} takes no pictures: another /dev/video number?")
-    return Named("camera.device", device, True, card.card)
+        return Named(key, device, False, f"{card.card} takes no pictures: another /dev/video number?")
+    return Named(key, device, True, card.card)
 
 
 def _telemetry(url: str) -> Named:

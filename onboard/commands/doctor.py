@@ -17,11 +17,11 @@ from contract.errors import PointclickError
 from contract.link_config import Tls
 from contract.supervised_thread import in_a_line
 from contract.vehicle_status import VehicleStatus
-from onboard.camera.factory import open_camera
+from onboard.camera.factory import open_camera, open_second_camera
 from onboard.camera.helper_launch import RTSP, decoders_text
 from onboard.commands.line_meaning import MEANING
 from onboard.commands.preflight import Line, Surroundings, diagnose
-from onboard.config.files import load_camera, load_config_files, state_folder
+from onboard.config.files import load_camera, load_config_files, load_second_camera, state_folder
 from onboard.config.schema import Config
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import Source, SourceStatus, State
@@ -30,7 +30,7 @@ from onboard.link.publisher import Publisher
 from onboard.link.status_query import ask
 from onboard.service.host import cpu_temperature_c, free_mb
 from onboard.service.reports import Brightness, Report, gps_report
-from onboard.service.vehicle_state import gps_findings, source_findings
+from onboard.service.vehicle_state import gps_findings, second_findings, source_findings
 from onboard.telemetry.factory import open_telemetry
 
 GREEN, RED, PLAIN = "\x1b[32m", "\x1b[31m", "\x1b[0m"
@@ -94,6 +94,9 @@ def _surroundings(config: Config, camera: Camera | str, is_running: bool) -> Sur
     return Surroundings(camera, link, free, cpu_temperature_c(), is_running, decoders)
 
 
+SECOND = "thermal camera"
+
+
 class Look:
     """Camera and telemetry opened for a few seconds, each in a thread."""
 
@@ -108,6 +111,8 @@ class Look:
         else:
             self._open("camera", lambda: open_camera(config, camera, self._clock))
         self._open("telemetry", lambda: open_telemetry(config, self._clock))
+        if config.camera.thermal.is_flown:
+            self._open(SECOND, lambda: open_second_camera(config, load_second_camera(config), self._clock))
 
     def report(self, seconds: float) -> Report:
         """Look for so long (less if neither can be opened); then the report."""
@@ -120,9 +125,10 @@ class Look:
             thread.start()
         # Rates and clocks need their time even where all is well at once.
         deadline = time.monotonic() + seconds
-        while time.monotonic() < deadline and len(self._errors) < 2:
+        while time.monotonic() < deadline and not {"camera", "telemetry"} <= self._errors.keys():
             time.sleep(0.1)
         camera, telemetry = self._status("camera"), self._status("telemetry")
+        second = self._status(SECOND) if SECOND in self._errors or SECOND in self._sources else None
         stop.set()
         for thread in threads:
             thread.join(2.0)
@@ -132,9 +138,10 @@ class Look:
             VehicleStatus(now_ns / 1e9, 0, "not running"),
             camera,
             telemetry,
-            (*source_findings(camera, telemetry), *gps_findings(gps)),
+            (*source_findings(camera, telemetry), *gps_findings(gps), *second_findings(second)),
             self._brightness,
             gps,
+            thermal_camera=second,
         )
 
     def _open(self, name: str, opened: Callable[[], Source]) -> None:
@@ -145,7 +152,7 @@ class Look:
 
     def _run(self, name: str, source: Source, stop: threading.Event) -> None:
         try:
-            source.run(self._take, stop)
+            source.run(self._take_nothing if name == SECOND else self._take, stop)
         except PointclickError as error:
             self._errors[name] = " ".join(str(error).split())
         except Exception as error:  # what it is, is the finding
@@ -156,6 +163,9 @@ class Look:
             self._brightness = Brightness.of(event.image)
         elif isinstance(event, GpsQuality):
             self._gps = event
+
+    def _take_nothing(self, arrival_ns: int, event: Event) -> None:
+        """What is looked at of the second camera is whether it comes."""
 
     def _status(self, name: str) -> SourceStatus:
         if name in self._errors:

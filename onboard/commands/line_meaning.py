@@ -40,6 +40,10 @@ MEANING: dict[str, tuple[str, str]] = {
         "What decodes a network camera's video, the first that works of those that are installed.",
         "If bad: it never is: what is missing stands in the line camera. In hardware it costs next to no processor.",
     ),
+    "thermal camera": (
+        "Whether pictures come from the second camera, in which hot spots are looked for.",
+        "If bad: check its cable and camera.thermal.device; the flight has no hot spots, and all else as before.",
+    ),
     "thermal": (
         "Where the camera is a thermal one: kelvin a count, or that nobody stated it.",
         "If bad: it never is. For temperatures state thermal.scale and thermal.offset (docs/thermal.md).",

@@ -56,20 +56,22 @@ class Surroundings:
 
 
 # Of what is judged, that which can be seen without a daemon.
-SEEN_ALONE = (Subject.CAMERA, Subject.TELEMETRY, Subject.GPS)
+SEEN_ALONE = (Subject.CAMERA, Subject.TELEMETRY, Subject.GPS, Subject.THERMAL_CAMERA)
 
 
 def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]:
     """All lines, in the order in which one would look."""
     seen = [s for s in Subject if s is not Subject.SENSORS and (around.is_running or s in SEEN_ALONE)]
-    judged = {s: _judged(report, s) for s in seen}
+    judged = {s: _judged(report, s) for s in seen if s is not Subject.THERMAL_CAMERA}
+    second = [] if report.thermal_camera is None else [_judged(report, Subject.THERMAL_CAMERA)]
     lines = [
         judged.pop(Subject.CAMERA),
         _rate(config, report),
         _stamps(config, report),
         _exposure(config, report),
         *([Line("decoder", True, around.decoders)] if around.decoders else []),
-        *([_thermal(config)] if config.thermal.enabled else []),
+        *second,
+        *([_thermal(config)] if config.thermal.enabled or second else []),
         judged.pop(Subject.TELEMETRY),
         _rates(report),
         _time_sync(config, report),
@@ -87,8 +89,9 @@ def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]
 
 def _thermal(config: Config) -> Line:
     """Whether counts are temperatures; a camera that has none may fly."""
-    unknown = "; hot spots have no temperatures (thermal.scale)" if config.thermal.calibration is None else ""
-    return Line("thermal", True, config.thermal.words.removeprefix("thermal, ") + unknown)
+    key = "thermal.scale" if config.thermal.enabled else "camera.thermal.scale"
+    unknown = f"; hot spots have no temperatures ({key})" if config.heat.calibration is None else ""
+    return Line("thermal", True, config.heat.words.removeprefix("thermal, ") + unknown)
 
 
 def _sensors(report: Report) -> Line:
@@ -134,6 +137,7 @@ _WELL: dict[Subject, Callable[[Report], str]] = {
     Subject.LOAD: lambda report: f"keeps up, {report.status.dropped} pictures dropped so far",
     Subject.RECORDING: lambda report: "on" if report.recording.is_on else "off, as configured",
     Subject.SENSORS: lambda report: "",
+    Subject.THERMAL_CAMERA: lambda report: "" if report.thermal_camera is None else _source(report.thermal_camera),
     Subject.THREADS: lambda report: ", ".join(thread.name for thread in report.threads) or "none but its own",
 }
 

@@ -23,8 +23,9 @@ from contract.track import MOST_TRACKS, TrackReport
 from contract.vehicle_status import VehicleStatus, encode_status
 from contract.wire.spot_code import encode_spots
 from contract.wire.track_code import encode_track
+from onboard.camera.picture_files import open_frames
 from onboard.camera.picture_mask import read_mask
-from onboard.config.files import load_config_files
+from onboard.config.files import load_config_files, load_second_camera
 from onboard.config.schema import Config, parse_config, to_toml
 from onboard.events.sink import Sink
 from onboard.events.types import Event
@@ -87,7 +88,8 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> tuple[str, bool
         sinks.append(whole)
     followed = _followed(arguments, config, whole)
     sinks += [] if followed is None else [followed]
-    sinks += [] if not arguments.spots else [_spotted(config, whole)]
+    spotted = _spotted(arguments, config, whole)
+    sinks += [] if spotted is None else [spotted]
     if arguments.publish:
         link = Publisher.open(config)
         sinks.append(link)
@@ -173,11 +175,27 @@ def _followed(arguments: argparse.Namespace, config: Config, whole: WholeRecordi
     return Followed(config.vehicle.id, clicks, _not_followed, outlets) if clicks else None
 
 
-def _spotted(config: Config, whole: WholeRecording | None) -> Spotted:
-    """What looks for hot spots. Raises InputError for a camera that is no thermal one."""
+def _spotted(arguments: argparse.Namespace, config: Config, whole: WholeRecording | None) -> Spotted | None:
+    """What looks for hot spots; None where that is not asked. Raises InputError where no thermal camera is stated."""
+    pictures = arguments.thermal
+    if not arguments.spots:
+        if pictures is not None:
+            raise InputError("--thermal: hot spots are looked for in these pictures: add --spots")
+        return None
+    outlets = [_print_spots] if whole is None else [_print_spots, whole.spots]
+    if pictures is not None:
+        camera = load_second_camera(config)
+        latency_s = config.camera.thermal.latency_s
+        return Spotted(
+            config,
+            outlets,
+            (camera, open_frames(pictures, camera, arguments.thermal_stamps, latency_s, is_thermal=True)),
+        )
+    if config.camera.thermal.is_stated and not config.thermal.enabled:
+        raise InputError("--spots: the configuration states a second camera: name its pictures with --thermal")
     if not config.thermal.enabled:
         raise InputError("--spots: the configuration states no thermal camera: set thermal.enabled (docs/thermal.md)")
-    return Spotted(config, [_print_spots] if whole is None else [_print_spots, whole.spots])
+    return Spotted(config, outlets)
 
 
 def _print_spots(report: SpotReport) -> None:

@@ -18,9 +18,9 @@ import cv2
 from contract.camera import Camera
 from contract.errors import ConfigError, InputError, PointclickError
 from contract.vehicle_status import encode_status
-from onboard.camera.factory import open_camera
+from onboard.camera.factory import open_camera, open_second_camera
 from onboard.camera.picture_mask import read_mask
-from onboard.config.files import load_camera, load_config_files, state_folder
+from onboard.config.files import load_camera, load_config_files, load_second_camera, state_folder
 from onboard.config.schema import Config, to_toml
 from onboard.events.session_clock import SessionClock
 from onboard.events.sink import Sink
@@ -36,6 +36,7 @@ from onboard.service.host import cpu_temperature_c
 from onboard.service.prometheus import PrometheusServer
 from onboard.service.reports import Report
 from onboard.service.sd_notify import Notifier
+from onboard.service.second_camera import SecondCameraThread
 from onboard.service.session import Parts, Reporter, restore
 from onboard.service.solver_thread import SolverThread
 from onboard.service.spot_thread import SpotThread
@@ -113,8 +114,8 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
                 )  # fmt: skip
             sinks.append(pictures)
             threads.append(pictures.thread)
-        tracks, spots = _tracks(config, link), _spots(config, link)
-        for one in (tracks, spots):
+        tracks, (spots, second) = _tracks(config, link), _spots(config, link, clock)
+        for one in (tracks, spots, second):
             if one is not None:
                 sinks.append(one)
                 threads.append(one.thread)
@@ -138,6 +139,7 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
             camera=open_camera(config, camera, clock),
             telemetry=open_telemetry(config, clock, radio),
             pipeline=pipeline,
+            thermal_camera=None if second is None else second.source,
             sinks=sinks,
             recording=recording,
             reporters=reporters,
@@ -159,10 +161,16 @@ def _tracks(config: Config, link: Publisher) -> TrackThread | None:
     return tracks
 
 
-def _spots(config: Config, link: Publisher) -> SpotThread | None:
-    if not (config.thermal.enabled and config.spots.enabled):
-        return None
-    return SpotThread(config, [lambda _, payload: link.publish_spots(payload)])
+def _spots(config: Config, link: Publisher, clock: SessionClock) -> tuple[SpotThread | None, SecondCameraThread | None]:
+    """What looks for hot spots, and the second camera in whose pictures it does where there is one."""
+    is_second = config.camera.thermal.is_flown
+    if not (config.spots.enabled and (is_second or config.thermal.enabled)):
+        return None, None
+    optics = load_second_camera(config) if is_second else None
+    spots = SpotThread(config, [lambda _, payload: link.publish_spots(payload)], optics)
+    if optics is None:
+        return spots, None
+    return spots, SecondCameraThread(open_second_camera(config, optics, clock), spots.second_picture)
 
 
 def _send(link: Publisher, report: Report) -> None:

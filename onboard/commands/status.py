@@ -51,6 +51,7 @@ def text(report: Report) -> str:
         ("tracks", f"{status.tracks}"),
         *([("left out", str(report.pictures.left_out))] if str(report.pictures.left_out) else []),
         ("camera", _source(report.camera)),
+        *([("thermal", _source(report.thermal_camera))] if report.thermal_camera is not None else []),
         ("telemetry", _source(report.telemetry)),
         ("gps", "not reported" if report.gps is None else str(report.gps)),
         ("recording", "on" if report.recording.is_on else report.recording.fault or "off"),

@@ -2,7 +2,8 @@
 
 Public:
 
-- `files`: `config_files`, `load_camera`, `load_config_files`, `state_folder`
+- `files`: `config_files`, `load_camera`, `load_config_files`, `load_second_camera`, `state_folder`
 - `schema`: `CameraConfig`, `Config`, `Gps`, `NOT_THERMAL`, `PictureConfig`, `SpotsConfig`, `ThermalConfig`,
   `parse_config`, `to_toml`
+- `second_camera`: `SecondCamera`
 """

@@ -19,12 +19,20 @@ def config_files(path: Path) -> list[Path]:
 
 def load_config_files(path: Path | str) -> Config:
     """Read them all. Raises ConfigError, one line that names the file at fault, the key, and what would be right."""
-    merged: dict[str, dict[str, Any]] = {}
+    merged: dict[str, Any] = {}
     for file in config_files(Path(path)):
         table, _ = load_table(file)  # each must be valid by itself, so that the message names it
-        for section, keys in table.items():
-            merged.setdefault(section, {}).update(keys)
+        _merge(merged, table)
     return Config.model_validate(merged)
+
+
+def _merge(merged: dict[str, Any], later: dict[str, Any]) -> None:
+    """Key by key, in sections within sections too."""
+    for key, value in later.items():
+        if isinstance(value, dict):
+            _merge(merged.setdefault(key, {}), value)
+        else:
+            merged[key] = value
 
 
 def state_folder(config: Config, environment: dict[str, str]) -> Path:
@@ -43,3 +51,18 @@ def load_camera(config: Config) -> Camera:
     if config.camera.file is None:
         raise ConfigError("camera.file is not set: name a camera file, as `pc-onboard calibrate` writes it")
     return Camera.from_json(Path(config.camera.file))
+
+
+def load_second_camera(config: Config) -> Camera:
+    """The optics that `camera.thermal.file` names. Raises ConfigError, InputError as `load_camera`."""
+    second = config.camera.thermal
+    if second.file is None:
+        raise ConfigError(
+            "camera.thermal.file is not set: name the second camera's file, as `pc-onboard calibrate` writes it"
+        )
+    if config.thermal.enabled:
+        raise ConfigError(
+            "camera.thermal is a second camera beside one that sees light, and thermal.enabled states that the first "
+            "is a thermal one: leave one of them out"
+        )
+    return Camera.from_json(Path(second.file))

@@ -12,31 +12,18 @@ import json
 import textwrap
 import tomllib
 from collections.abc import Iterator
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 from contract.errors import ConfigError
 from contract.thermal_scale import ThermalScale
 from onboard.config.renamed_keys import with_present_names
-
-
-def quantity(default: float | None, low: float, high: float, unit: str, meaning: str) -> Any:
-    """A number with its range and unit (empty for a pure number). None as default: the key may be left unset."""
-    return Field(default, ge=low, le=high, description=meaning, json_schema_extra={"unit": unit})
-
-
-def choice(default: object, meaning: str) -> Any:
-    """A switch, a name or a list: no unit and no range beyond its type."""
-    return Field(default, description=meaning, strict=False if isinstance(default, tuple) else None)
-
-
-class Section(BaseModel):
-    """Base of every section: frozen, strict types (an integer may stand for a real), no unknown key, no nan."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+from onboard.config.second_camera import SecondCamera
+from onboard.config.section import Section, choice, quantity
 
 
 class Vehicle(Section):
@@ -156,6 +143,7 @@ class CameraConfig(Section):
         0.0, -0.2, 0.2, "s", "rolling shutter: time in which all rows are read, negative if the last is first; 0: none"
     )
     sigma_readout_s: float = quantity(0.0, 0.0, 0.1, "s", "one sigma of that; above 0 it is estimated in flight")
+    thermal: SecondCamera = SecondCamera()
 
     @model_validator(mode="before")
     @classmethod
@@ -425,6 +413,14 @@ class Config(Section):
     recording: Recording = Recording()
     service: Service = Service()
 
+    @property
+    def heat(self) -> ThermalConfig:
+        """What is known of the counts in which hot spots are looked for: the second camera's where there is one."""
+        second = self.camera.thermal
+        return (
+            ThermalConfig(enabled=True, scale=second.scale, offset=second.offset) if second.is_stated else self.thermal
+        )
+
 
 def load_config(path: Path | str) -> Config:
     """Read a TOML file; raises ConfigError with one line that names the file, the key and what would be right."""
@@ -468,14 +464,29 @@ def validated(table: dict[str, Any]) -> Config:
 
 
 def _sections() -> Iterator[tuple[str, type[Section]]]:
-    for name, info in Config.model_fields.items():
-        if isinstance(info.annotation, type) and issubclass(info.annotation, Section):
-            yield name, info.annotation
+    """Every section under its dotted name, those within another after it."""
+
+    def within(name: str, model: type[Section]) -> Iterator[tuple[str, type[Section]]]:
+        for key, info in model.model_fields.items():
+            if isinstance(info.annotation, type) and issubclass(info.annotation, Section):
+                yield f"{name}{key}", info.annotation
+                yield from within(f"{name}{key}.", info.annotation)
+
+    return within("", Config)
+
+
+def _keys(model: type[Section]) -> dict[str, FieldInfo]:
+    """A section's own keys, without the sections within it."""
+    return {
+        key: info
+        for key, info in model.model_fields.items()
+        if not (isinstance(info.annotation, type) and issubclass(info.annotation, Section))
+    }
 
 
 def key_table() -> dict[str, FieldInfo]:
     """Every key under its dotted name."""
-    return {f"{name}.{key}": info for name, model in _sections() for key, info in model.model_fields.items()}
+    return {f"{name}.{key}": info for name, model in _sections() for key, info in _keys(model).items()}
 
 
 def _first_complaint(error: ValidationError) -> str:
@@ -486,10 +497,11 @@ def _first_complaint(error: ValidationError) -> str:
     key, value = ".".join(parts), first["input"]
     if first["type"] == "extra_forbidden":
         message = _unknown_key(key, value)
-    elif len(parts) == 1:
+    elif key in dict(_sections()):
         message = f"'{key}' is a section: write [{key}] on a line of its own, not a value ({value!r})"
     else:
-        info = key_table()[".".join(parts[:2])]
+        known = key_table()
+        info = next(known[name] for name in (".".join(parts[:n]) for n in (3, 2)) if name in known)
         message = f"{key} = {value!r} is not usable: {_expectation(info)}"
     return message + (f" (and {others} more)" if others else "")
 
@@ -552,12 +564,12 @@ def to_toml(config: Config) -> str:
     """The keys that differ from their defaults, as a file that `load_config` reads back to the same."""
     lines = []
     for name, model in _sections():
-        section, default = getattr(config, name), model()
+        section, default = attrgetter(name)(config), model()
         # What is the default of a V4L2 device is none of a network stream: stated, whatever it is.
         stated = name == "camera" and delay_prior(config.camera.device) != delay_prior("")
         keys = [
             key
-            for key in model.model_fields
+            for key in _keys(model)
             if getattr(section, key) != getattr(default, key) or (stated and key in delay_prior(""))
         ]
         if keys:
@@ -572,7 +584,7 @@ def default_toml() -> str:
     for name, model in _sections():
         lines += ["", *(f"# {line}".rstrip() for line in inspect.getdoc(model).splitlines())]  # type: ignore[union-attr]
         lines += [f"[{name}]"]
-        for key, info in model.model_fields.items():
+        for key, info in _keys(model).items():
             literal = "not set" if info.default is None else _literal(info.default)
             takes = f"{_expectation(info)}; default" if _bounds(info) else "default"
             comment = f"{info.description} ({takes} {literal})"

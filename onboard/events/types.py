@@ -109,13 +109,14 @@ class RangeFinder:
 class Zoom:
     """How far the lens is zoomed in, as somebody tells: how many "times" the widest view is enlarged, "percent" of the
     way from the widest to the longest, the focal length of the full picture in pixels, or its horizontal field of view.
-    `step`: the smallest difference that can be told.
+    `step`: the smallest difference that can be told. `is_of_picture`: the stamp is a picture's, on the camera's clock.
     """
 
     stamp_ns: int
     value: float
     unit: Literal["times", "percent", "focal_px", "hfov_deg"]
     step: float = 0.0
+    is_of_picture: bool = False
 
 
 NavEvent = PositionFix | GpsQuality | Attitude | FilterStatus | GimbalAttitude | RangeFinder | Zoom

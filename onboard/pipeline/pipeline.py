@@ -113,7 +113,7 @@ class Pipeline:
         if isinstance(event, Frame):
             self._waiting.append(event)
         elif isinstance(event, Zoom):
-            self.zoom.note(event)
+            self.zoom.note(event, self._offset_s, float(self.window.alignment.belief.sigma[OFFSET]))
         else:
             with self._statistics.timed("navigation"):
                 self.navigation.add(event)

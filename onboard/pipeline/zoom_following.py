@@ -1,8 +1,9 @@
 """A zoom lens followed by what is told of it: whether it moves, and which camera it is where it stands. (21.3)
 
-Reports may be late by some tenths of a second, quantised, seldom, or not be numbers. While they change, and for as long
-again as they may be late, the lens counts as moving, and its pictures as zoomed; what was taken that long before the
-first change may have been zoomed already. A lens of which nothing is told stays where it was told last.
+Reports may be late by some tenths of a second, quantised, seldom, or not be numbers, and their clock may not be the
+pictures'. So each holds for an interval of picture stamps. The lens may have moved from the interval of the last report
+that told the old value, until the one after that of the last change, for as long again as a report may be late or the
+last change took; its pictures count as zoomed. A lens of which nothing is told stays where it was told last.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from contract.camera import Camera
 from onboard.events.types import Zoom
 
 LATE_NS = 350_000_000  # that a report may lag behind the lens
-SILENT_NS = 2_000_000_000  # after which a worse unit counts again
+SILENT_NS = 2_000_000_000  # after which a worse unit counts again, and a lens whose last report changed stands
+CLOCK_SIGMAS = 2.0  # of the time offset between pictures and telemetry
 UNITS = ("focal_px", "times", "percent", "hfov_deg")  # the better first
 SAME = 0.002  # of the focal length's logarithm: a lens that stands still is told so to this
 
@@ -26,6 +28,8 @@ class _Told:
     stamp_ns: int
     log_focal: float
     sigma: float
+    first_ns: int  # picture stamps between which the lens was so
+    last_ns: int
 
 
 class ZoomFollowing:
@@ -34,32 +38,51 @@ class ZoomFollowing:
     def __init__(self, camera: Camera, sigma: float) -> None:
         self._file, self._sigma = camera, sigma
         self._told: _Told | None = None  # the newest
-        self._began_ns = 0  # the first report of a change since the lens last stood still
-        self._moved_ns: int | None = None  # the newest such report; None while it stands
+        self._is_standing = True
+        self._since_ns = self._until_ns = 0  # picture stamps between which it may have moved, the last time
+        self._changed: _Told | None = None  # the newest report of a change
+        self._lasted_ns = 0  # how long that change may have taken
         self._stood = math.log(camera.focal_px)  # where it stands, or stood last
         self._rank = len(UNITS)  # of the newest report's unit
         self.unusable = 0  # reports that told nothing
 
-    def note(self, event: Zoom) -> None:
-        """Take one report; what is no number, or nothing that this lens can be, tells nothing."""
+    def note(self, event: Zoom, offset_s: float = 0.0, offset_sigma_s: float = 0.0) -> None:
+        """Take one report; what is no number, or nothing that this lens can be, tells nothing.
+
+        `offset_s`: the moment of a picture by telemetry's clock, less its stamp, and one sigma of it.
+        """
         log_focal = self._log_focal(event.value, event.unit)
         if log_focal is None:
             self.unusable += 1
             return
-        if self._told is not None and event.stamp_ns <= self._told.stamp_ns:
+        before = self._told
+        if before is not None and event.stamp_ns <= before.stamp_ns:
             return
         rank = UNITS.index(event.unit)
-        if rank > self._rank and self._told is not None and event.stamp_ns - self._told.stamp_ns < SILENT_NS:
+        if rank > self._rank and before is not None and event.stamp_ns - before.stamp_ns < SILENT_NS:
             return  # somebody who knows better speaks
         self._rank = rank
-        last = self._stood if self._told is None else self._told.log_focal
-        if abs(log_focal - last) > SAME:
-            if self._moved_ns is None:
-                self._began_ns = event.stamp_ns
-            self._moved_ns = event.stamp_ns
-        else:
-            log_focal = last
-        self._told = _Told(event.stamp_ns, log_focal, self._sigma_of(event))
+        last = self._stood if before is None else before.log_focal
+        is_change = abs(log_focal - last) > SAME
+        apart_ns = (0, 0) if event.is_of_picture else _apart_ns(offset_s, offset_sigma_s)
+        first_ns, last_ns = event.stamp_ns - LATE_NS - apart_ns[1], event.stamp_ns - apart_ns[0]
+        self._told = _Told(event.stamp_ns, log_focal if is_change else last, self._sigma_of(event), first_ns, last_ns)
+        if is_change:
+            self._change(before, self._told)
+        elif self._changed is not None:
+            after_ns = min(max(self._lasted_ns, LATE_NS), SILENT_NS)
+            self._until_ns = min(self._until_ns, self._changed.last_ns + after_ns)
+
+    def _change(self, before: _Told | None, told: _Told) -> None:
+        """A report tells of another lens than the one before it."""
+        if self._is_standing:
+            self._is_standing = False
+            self._since_ns = told.first_ns if before is None else max(before.first_ns, told.first_ns - SILENT_NS)
+        # Steps may tell of one that moves slowly less often than reports come.
+        ends = [t.stamp_ns for t in (self._changed, before) if t is not None]
+        recent = [told.stamp_ns - ns for ns in ends if told.stamp_ns - ns <= SILENT_NS]
+        self._lasted_ns = max(recent, default=0)
+        self._changed, self._until_ns = told, told.last_ns + SILENT_NS
 
     def _sigma_of(self, event: Zoom) -> float:
         """One sigma of what a report says: as configured, and anywhere within its step."""
@@ -88,18 +111,24 @@ class ZoomFollowing:
     @property
     def suspect_since_ns(self) -> int:
         """From when on pictures may have been taken by a lens that moved, though nobody had told of it yet."""
-        return self._began_ns - LATE_NS
+        return self._since_ns
 
     def is_moving(self, stamp_ns: int) -> bool:
-        """Whether the lens may be moving at a moment, by what has been told so far."""
-        return self._moved_ns is not None and self.suspect_since_ns <= stamp_ns <= self._moved_ns + LATE_NS
+        """Whether the lens may be moving in a picture with this stamp, by what has been told so far."""
+        return not self._is_standing and self._since_ns <= stamp_ns <= self._until_ns
 
     def stands(self, stamp_ns: int) -> tuple[Camera, float] | None:
         """The camera that the lens has become, and one sigma of its focal length's logarithm as it is told.
 
-        None where it has not moved since the last time, or still does at this moment.
+        None where it has not moved since the last time, or may still do so in a picture with this stamp.
         """
-        if self._moved_ns is None or self._told is None or stamp_ns <= self._moved_ns + LATE_NS:
+        if self._is_standing or self._told is None or stamp_ns <= self._until_ns:
             return None
-        self._moved_ns, self._stood = None, self._told.log_focal
+        self._is_standing, self._stood = True, self._told.log_focal
         return self._file.zoomed(self._stood), self._told.sigma
+
+
+def _apart_ns(offset_s: float, sigma_s: float) -> tuple[int, int]:
+    """The least and the most that pictures' stamps may be behind their moments by telemetry's clock."""
+    least_s, most_s = (offset_s + side * CLOCK_SIGMAS * sigma_s for side in (-1.0, 1.0))
+    return round(least_s * 1e9), round(most_s * 1e9)

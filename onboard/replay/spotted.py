@@ -4,43 +4,64 @@ gives the same spots.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 from typing import Self
 
+from contract.camera import Camera
 from contract.feature_set import FeatureSet
 from contract.spot import SpotReport
+from onboard.camera.picture_files import FrameSource
 from onboard.config.schema import Config
-from onboard.events.types import Event
-from onboard.spots.due_pictures import DuePictures
-from onboard.spots.spot_book import SpotBook
+from onboard.events.types import Event, Frame
+from onboard.spots.looking import Look, looking
 
 MAX_HELD = 256  # pictures that wait for their set
 
 
 class Spotted:
-    """A sink: `outlets` are given the spots of each picture that was looked at; `looked` counts those pictures."""
+    """A sink: `outlets` are given the spots of each picture that was looked at; `looked` counts those pictures.
 
-    def __init__(self, config: Config, outlets: Sequence[Callable[[SpotReport], object]]) -> None:
-        self._book = SpotBook(config.vehicle.id, config.spots, config.thermal)
-        self._due, self._outlets = DuePictures(config.spots.rate_hz, MAX_HELD), outlets
+    `second`: a second camera's optics and pictures, which come in by their stamps.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        outlets: Sequence[Callable[[SpotReport], object]],
+        second: tuple[Camera, FrameSource] | None = None,
+    ) -> None:
+        self._looking = looking(config, None if second is None else second[0], MAX_HELD)
+        self._outlets = outlets
+        self._pictures: Iterator[Frame] = iter(()) if second is None else iter(second[1].frames())
+        self._next = next(self._pictures, None)
         self.looked = 0
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        return None
+        while error is None and self._next is not None:
+            self._second_picture(self._next)
 
     def event(self, arrival_ns: int, event: Event) -> None:
-        """Keep a picture until its set comes."""
-        self._due.event(event)
+        """Keep a picture until its set comes; take those of the second camera that were taken before it."""
+        while self._next is not None and isinstance(event, Frame) and self._next.stamp_ns <= event.stamp_ns:
+            self._second_picture(self._next)
+        self._looking.event(event)
 
     def feature_set(self, output: FeatureSet) -> None:
-        """The next picture, if it is due."""
-        frame = self._due.take(output)
-        report = None if frame is None else self._book.picture(frame, output)
-        if report is not None:
-            self.looked += 1
-            for outlet in self._outlets:
-                outlet(report)
+        """The next pictures, if they are due."""
+        self._look(self._looking.feature_set(output))
+
+    def _second_picture(self, frame: Frame) -> None:
+        self._look(self._looking.second_picture(frame))
+        self._next = next(self._pictures, None)
+
+    def _look(self, looks: list[Look]) -> None:
+        for look in looks:
+            report = look()
+            if report is not None:
+                self.looked += 1
+                for outlet in self._outlets:
+                    outlet(report)

@@ -8,10 +8,11 @@ Public:
 - `prometheus`: `PrometheusServer`
 - `reports`: `Brightness`, `Report`, `gps_report`
 - `sd_notify`: `Notifier`
+- `second_camera`: `SecondCameraThread`
 - `session`: `Parts`, `Reporter`, `restore`
 - `solver_thread`: `SolverThread`
 - `spot_thread`: `SpotThread`
 - `track_thread`: `TrackThread`
 - `supervision`: `Supervisor`, `ThreadReport`, `ThreadState`
-- `vehicle_state`: `Subject`, `VehicleState`, `gps_findings`, `source_findings`
+- `vehicle_state`: `Subject`, `VehicleState`, `gps_findings`, `second_findings`, `source_findings`
 """

@@ -66,6 +66,8 @@ def metrics(vehicle: str, report: Report) -> Iterator[Metric]:
         yield one.gauge("cpu", "temperature of the processor", "celsius", status.cpu_c)
     yield from _source(one, "camera", report.camera)
     yield from _source(one, "telemetry", report.telemetry)
+    if report.thermal_camera is not None:
+        yield from _source(one, "thermal_camera", report.thermal_camera)
     yield from _gps(one, report)
     yield from _pictures(one, report)
     for estimate in report.estimates:

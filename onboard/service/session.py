@@ -72,6 +72,7 @@ class Parts:
     camera: Source
     telemetry: TelemetrySource
     pipeline: Pipeline
+    thermal_camera: Source | None = None  # a second one, which one of the sinks runs
     sinks: Sequence[Sink] = ()
     recording: RecordingSink | None = None  # one of the sinks
     reporters: Sequence[Reporter] = ()
@@ -200,6 +201,7 @@ class Session:
             is_at_rest=self._standstill.is_at_rest,
             threads=self.threads(),
             contradiction=said_of(self._summary.contradictions),
+            thermal_camera=None if self.parts.thermal_camera is None else self.parts.thermal_camera.health(),
         )
 
     def report(self) -> Report:
@@ -240,6 +242,7 @@ class Session:
             ClockReport(self.clock.host_step_s()),
             summary.unconfirmed,
             budget,
+            inputs.thermal_camera,
         )
 
     def _run_camera(self, thread: SupervisedThread) -> None:

@@ -10,14 +10,14 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 
+from contract.camera import Camera
 from contract.feature_set import FeatureSet
 from contract.spot import SpotReport
 from contract.supervised_thread import SupervisedThread, WokenWork
 from contract.wire.spot_code import encode_spots
 from onboard.config.schema import Config
 from onboard.events.types import Event, Frame
-from onboard.spots.due_pictures import DuePictures
-from onboard.spots.spot_book import SpotBook
+from onboard.spots.looking import Look, looking
 
 MAX_HELD = 64  # pictures that wait for their set
 IDLE_S = 0.5
@@ -31,39 +31,47 @@ log = logging.getLogger("pointclick")
 
 
 class SpotThread(WokenWork):
-    """A sink of the daemon. `outlets` take a picture's capture time (Unix ns) and its spots as one packet."""
+    """A sink of the daemon. `outlets` take a picture's capture time (Unix ns) and its spots as one packet.
 
-    def __init__(self, config: Config, outlets: Sequence[Outlet] = ()) -> None:
+    `second`: the optics of a second camera, whose thread hands its pictures to `second_picture`.
+    """
+
+    def __init__(self, config: Config, outlets: Sequence[Outlet] = (), second: Camera | None = None) -> None:
         super().__init__("spots", late_after_s=LATE_S)
-        self._config = config
         self.outlets = list(outlets)
-        self._book = self._new_book()
-        self._due = DuePictures(config.spots.rate_hz, MAX_HELD)  # touched by the pipeline's thread alone
-        self._next: tuple[Frame, FeatureSet] | None = None
+        self._looking = looking(config, second, MAX_HELD)
+        self._next: Look | None = None
         self._has_spots = False
 
     def event(self, arrival_ns: int, event: Event) -> None:
         """Keep a picture until its set comes."""
-        self._due.event(event)
+        with self._changed:
+            self._looking.event(event)
 
     def feature_set(self, output: FeatureSet) -> None:
-        """A picture's first set: if it is due, both are this thread's now, in place of one that it has not come to."""
-        frame = self._due.take(output)
-        if frame is not None:
-            with self._changed:
-                self._next = frame, output
-                self._changed.notify()
+        """A picture's first set: what is due is this thread's now, in place of what it has not come to."""
+        with self._changed:
+            self._due(self._looking.feature_set(output))
+
+    def second_picture(self, frame: Frame) -> None:
+        """A picture of the second camera."""
+        with self._changed:
+            self._due(self._looking.second_picture(frame))
 
     def work(self) -> float:
         """Look at the picture that waits. Returns the processor's time, s."""
         began_s = time.thread_time()
         with self._changed:
-            waiting, self._next = self._next, None
-        if waiting is not None:
-            report = self._book.picture(*waiting)
-            if report is not None:
-                self._tell(report)
+            look, self._next = self._next, None
+        report = None if look is None else look()
+        if report is not None:
+            self._tell(report)
         return time.thread_time() - began_s
+
+    def _due(self, looks: list[Look]) -> None:
+        if looks:
+            self._next = looks[-1]
+            self._changed.notify()
 
     def _tell(self, report: SpotReport) -> None:
         if bool(report.spots) != self._has_spots:
@@ -79,7 +87,7 @@ class SpotThread(WokenWork):
 
     def _run(self, thread: SupervisedThread) -> None:
         if thread.error is not None:  # begun again: what brought it down may be what it has learned
-            self._book = self._new_book()
+            self._looking.begin_again()
         while not thread.is_set():
             with self._changed:
                 if self._next is None:
@@ -87,6 +95,3 @@ class SpotThread(WokenWork):
             spent_s = self.work()
             thread.beat()
             thread.wait(min(REST * spent_s, MOST_REST_S))
-
-    def _new_book(self) -> SpotBook:
-        return SpotBook(self._config.vehicle.id, self._config.spots, self._config.thermal)

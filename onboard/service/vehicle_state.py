@@ -63,6 +63,7 @@ class Subject(Enum):
     RECORDING = "recording"
     THREADS = "threads"
     SENSORS = "sensors"
+    THERMAL_CAMERA = "thermal camera"
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,7 @@ class Inputs:
     recording_fault: str = ""  # why nothing is recorded; empty when all is well or none is wanted
     threads: tuple[ThreadReport, ...] = ()
     contradiction: str = ""  # which sensor contradicts the others at present; empty when none does
+    thermal_camera: SourceStatus | None = None  # a second camera; None where there is none
 
 
 @dataclass(frozen=True)
@@ -179,6 +181,15 @@ def source_findings(camera: SourceStatus, telemetry: SourceStatus) -> tuple[Find
     return tuple(found)
 
 
+def second_findings(thermal_camera: SourceStatus | None) -> tuple[Finding, ...]:
+    """What a second camera reports about itself: without it there are no hot spots, and everything else as before."""
+    if thermal_camera is None or thermal_camera.state is State.OK:
+        return ()
+    reason = f"thermal camera: {thermal_camera.state.value}, so no hot spots"
+    reason += f" ({thermal_camera.detail})" if thermal_camera.detail else ""
+    return (Finding(Subject.THERMAL_CAMERA, VehicleState.DEGRADED, reason),)
+
+
 def gps_findings(gps: GpsReport | None) -> tuple[Finding, ...]:
     """What the receiver reports about itself, as the state holds it when nothing worse is wrong."""
     if gps is None:
@@ -236,6 +247,7 @@ def _beside(inputs: Inputs) -> Iterator[Finding]:
             yield Finding(Subject.THREADS, VehicleState.DEGRADED, f"{thread.name}: {thread.state.value}{why}")
     if inputs.contradiction:
         yield Finding(Subject.SENSORS, VehicleState.DEGRADED, f"sensors: {inputs.contradiction}")
+    yield from second_findings(inputs.thermal_camera)
 
 
 def severity(state: VehicleState) -> Severity:

@@ -3,5 +3,6 @@
 Public:
 
 - `due_pictures`: `DuePictures`
+- `looking`: `Look`, `looking`
 - `spot_book`: `SpotBook`
 """

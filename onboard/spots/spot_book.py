@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from onboard.events.types import Frame
 from onboard.spots.blurred_area import unblurred
 from onboard.spots.detector import ZERO_C_K, Detector
 from onboard.spots.regions import Region
+from onboard.spots.second_camera import STATES, Pointing
 
 Array = NDArray[np.float64]
 
@@ -29,13 +30,19 @@ LEAST_GATE_PX = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class _Placed:
-    """A region on the ground: east, north (2,) of a point that stays, how far from it the same may be found, m."""
+class Placed:
+    """A region on the ground: east, north (2,) of a point that stays, how far from it the same may be found, m.
+
+    `pointed_m` (2, k): a root of its horizontal covariance by how a second camera's errors move its pixel;
+    `by_mount_m` (2, 4): how far they move it, m for each radian and second.
+    """
 
     spot: Spot
     fix: Fix | None
     place_m: Array
     gate_m: float
+    pointed_m: Array = field(default_factory=lambda: np.zeros((2, 0)))
+    by_mount_m: Array = field(default_factory=lambda: np.zeros((2, STATES)))
 
 
 class SpotBook:
@@ -49,15 +56,16 @@ class SpotBook:
         self._session = session
         self._origin: LocalFrame | None = None
         self._detector = Detector(self._config, self._thermal.calibration)
-        self._before: deque[list[_Placed]] = deque(maxlen=OF - 1)
+        self._before: deque[list[Placed]] = deque(maxlen=OF - 1)
+        self.newest: list[Placed] = []  # of the last picture, those of its spots that have a place
 
     @property
     def thresholds(self) -> dict[float, float]:
         """The contrast that a spot of each size (m) must have, in sigmas of the clutter; infinite: not known yet."""
         return {side_m: tail.threshold for side_m, tail in self._detector.tails.items()}
 
-    def picture(self, frame: Frame, its_set: FeatureSet) -> SpotReport | None:
-        """The spots of the next picture; None where there is nothing to look at."""
+    def picture(self, frame: Frame, its_set: FeatureSet, pointing: Pointing | None = None) -> SpotReport | None:
+        """The spots of the next picture; None where there is nothing to look at. `pointing`: of a second camera."""
         if frame.counts is None:
             return None
         s = its_set
@@ -67,10 +75,11 @@ class SpotBook:
         if s.is_ok and self._origin is None:
             self._origin = LocalFrame(s.camera_lat_deg, s.camera_lon_deg, 0.0)
         found = self._detector.look(frame.counts, s, self._ground_place(locator))
-        placed = [self._placed(region, locator, s.status) for region in found]
+        placed = [self._placed(region, locator, s.status, pointing) for region in found]
         kept = [one for one in placed if one.fix is None or self._times_seen(one) + 1 >= SEEN]
         self._before.append([one for one in placed if one.fix is not None])
-        picture, session = shares([one.fix for one in kept if one.fix is not None], s)
+        self.newest = shown = [one for one in kept if one.fix is not None]
+        picture, session = shares([one.fix for one in shown if one.fix], s, [one.pointed_m for one in shown])
         return SpotReport(
             s.session, s.frame, s.capture_unix_ns, self._thermal.calibration is not None,
             tuple(one.spot for one in kept), 0, picture, session, self._vehicle,
@@ -91,17 +100,18 @@ class SpotBook:
         out: Array = self._origin.to_enu(lat_deg, lon_deg, 0.0)[:2]
         return out
 
-    def _placed(self, region: Region, locator: Locator | None, status: Status) -> _Placed:
+    def _placed(self, region: Region, locator: Locator | None, status: Status, pointing: Pointing | None) -> Placed:
         u, v = (float(c) for c in region.uv_px)
         scale = self._thermal.calibration
         hottest, above = (None, None) if scale is None else (region.hottest - ZERO_C_K, region.above)
         plain = Spot(u, v, region.contrast, hottest, above, status, is_cut=region.is_cut)
         if locator is None:
-            return _Placed(plain, None, np.full(2, np.nan), 0.0)
-        answer = locator.locate(region.uv_px)
+            return Placed(plain, None, np.full(2, np.nan), 0.0)
+        root = None if pointing is None else pointing.root(region.uv_px)
+        answer = locator.locate(region.uv_px, root)
         if not isinstance(answer, Fix):
             spot = Spot(u, v, region.contrast, hottest, above, answer.status, is_cut=region.is_cut)
-            return _Placed(spot, None, np.full(2, np.nan), 0.0)
+            return Placed(spot, None, np.full(2, np.nan), 0.0)
         outline, pixel_m = self._outline(region, locator, answer)
         seen = _polygon_m2(outline)
         area = unblurred(seen, region.blur_px * pixel_m)
@@ -111,7 +121,12 @@ class SpotBook:
             tuple((float(east), float(north)) for east, north in outline), region.is_cut,
         )  # fmt: skip
         place = self._en_m(answer.lat_deg, answer.lon_deg)
-        return _Placed(spot, answer, place, max(answer.ellipse.semi_major_m, LEAST_GATE_PX * pixel_m))
+        one = Placed(spot, answer, place, max(answer.ellipse.semi_major_m, LEAST_GATE_PX * pixel_m))
+        parts = locator.error_parts(region.uv_px)
+        if pointing is None or root is None or parts is None:
+            return one
+        by_pixel = parts.by_pixel_m[:2]
+        return replace(one, pointed_m=by_pixel @ root, by_mount_m=by_pixel @ pointing.by_state(region.uv_px))
 
     def _outline(self, region: Region, locator: Locator, fix: Fix) -> tuple[Array, float]:
         """East and north (N, 2) of the place, without what has none of its own; and the side of a pixel there, m."""
@@ -123,7 +138,7 @@ class SpotBook:
             return np.zeros((0, 2)), 0.0
         return outline, float(np.sqrt(np.median(np.abs(np.linalg.det(pixels)))))
 
-    def _times_seen(self, one: _Placed) -> int:
+    def _times_seen(self, one: Placed) -> int:
         """In how many of the pictures before there was a spot on that ground."""
         near = (
             any(float(np.hypot(*(one.place_m - other.place_m))) < max(one.gate_m, other.gate_m) for other in before)
@@ -159,8 +174,11 @@ def area_sigma(outline: Array, seen_m2: float, region: Region, pixel_m: float, f
     return float(np.hypot(np.hypot(by_edge, by_blur), by_distance * area))
 
 
-def shares(fixes: list[Fix], its_set: FeatureSet) -> tuple[float, float]:
-    """Of the fixes' horizontal variance, what the picture's have in common, and the session's. (25.12)"""
+def shares(fixes: list[Fix], its_set: FeatureSet, pointed_m: list[Array]) -> tuple[float, float]:
+    """Of the fixes' horizontal variance, what the picture's have in common, and the session's. (25.12), (27.7)
+
+    `pointed_m`: of each the root (2, k) of what a second camera adds, first the columns that last a session.
+    """
     if not fixes:
         return 0.0, 0.0
     offset = np.mean([fix.offset_enu_m for fix in fixes], axis=0)
@@ -169,6 +187,8 @@ def shares(fixes: list[Fix], its_set: FeatureSet) -> tuple[float, float]:
     total = float(np.mean([np.trace(fix.covariance_enu_m2[:2, :2]) for fix in fixes]))
     common = float(np.trace((J @ its_set.common_cov @ J.T)[:2, :2]))
     session = float(np.sum((J @ its_set.shared.by_nuisance)[:2] ** 2))
+    common += float(np.mean([np.sum(root**2) for root in pointed_m]))
+    session += float(np.mean([np.sum(root[:, :STATES] ** 2) for root in pointed_m]))
     if total <= 0.0:
         return 0.0, 0.0
     picture = min(common / total, 1.0)

@@ -26,6 +26,8 @@ from tests.scenarios.zoom_flights import (
 STEP: Profile = ((0.0, 1.0), (10.0, 1.0), (10.3, 6.0), (28.0, 6.0))
 RAMP: Profile = ((0.0, 1.0), (8.0, 1.0), (12.0, 6.0), (28.0, 6.0))
 RATE = 4.0  # of pictures
+NONSENSE = Telling(0.3, 0.1, lost=0.2, bad=(math.nan, -1.0, 1e9))
+TELLINGS = [Telling(), Telling(0.3), Telling(0.1, 0.1), NONSENSE]
 UNSEEN = (Status.NO_GPS, Status.TURNING)  # pictures that nothing of the lens keeps from being answered
 
 
@@ -81,8 +83,10 @@ def test_a_step_that_is_told_in_time_is_answered_again_within_two_seconds() -> N
 
 
 def test_a_ramp_in_turns_told_late_in_steps_with_gaps_and_nonsense_is_followed() -> None:
-    """One draw of a filter's latency lasts for all of a flight: of seeds 0, 1 and 4 72, 90 and 99.6 % are inside."""
-    check(followed(TURNS, RAMP, Telling(0.3, 0.1, lost=0.2, bad=(math.nan, -1.0, 1e9)), seed=1))
+    """Pictures are stamped 0.14 s before telemetry: one was answered that the lens had moved in by 11 %."""
+    result = followed(TURNS, RAMP, NONSENSE, seed=4)
+    assert result.flight.offset_s > 0.1
+    check(result)
 
 
 def test_a_fast_zoom_that_nobody_tells_of_is_refused() -> None:
@@ -95,32 +99,29 @@ def test_a_fast_zoom_that_nobody_tells_of_is_refused() -> None:
 
 
 @pytest.mark.long
-def test_draws_of_told_zooms_are_answered_soon_and_as_surely_as_they_say() -> None:
-    """Every flight has errors of its own: four kinds that shared three draws said little of the shares inside.
+@pytest.mark.parametrize("path", [LEVEL, TURNS], ids=["level", "turns"])
+def test_draws_of_told_zooms_are_answered_soon_and_as_surely_as_they_say(path: PathSpec) -> None:
+    """Steps and ramps by turns, four flights of each and of each telling, with errors of their own.
 
-    In turns, before the zoom as after it, ellipses are larger than they need be: what a latency of one sigma makes of
-    acceleration is at most what (5.16) allows for, an axis at a time and in position and velocity apart.
+    Errors of one flight have causes in common, a filter's latency first: of single flights 33 to 100 % are inside, of
+    all 95 % on straight legs and 95.5 % in turns, which other draws would make 1 to 3 % more or less.
     """
-    kinds = [(path, profile) for path in (LEVEL, TURNS) for profile in (STEP, RAMP)]
-    tellings = [Telling(), Telling(0.3), Telling(0.1, 0.1)]
-    inside: dict[str, list[float]] = {"straight": [], "turns": []}
-    worst, focal, sigmas, waited = [], [], [], []
+    inside, worst, focal, sigmas, waited = [], [], [], [], []
     for seed in range(20, 52):
-        path, profile = kinds[seed % 4]
-        result = followed(path, profile, tellings[seed % 3], seed)
+        result = followed(path, (STEP, RAMP)[seed % 2], TELLINGS[seed // 2 % len(TELLINGS)], seed)
         after = [e for k, found in result.found.errors.items() if k > result.flight.moves()[0][0] * RATE for e in found]
-        inside[path.kind].append(float(np.mean(np.array(after) <= 1.0)))
+        inside.append(float(np.mean(np.array(after) <= 1.0)))
         worst.append(max(after))
         focal.append(result.focal_error())
         sigmas.append(float(result.found.pipeline.window.belief.sigma[STATES]))
         waited += result.waited_s()
         assert not result.answered_while_moving()
-    assert 0.85 <= np.mean(inside["straight"]) <= 0.96 and np.mean(inside["turns"]) >= 0.85, inside
+    assert 0.85 <= np.mean(inside) <= 0.97, inside
     assert max(worst) < 3.0, sorted(worst)[-5:]
     # A table whose rows err by 0.5 % (one sigma) is within 1 % in 95 of 100 flights; no picture of a straight leg adds.
     assert np.mean(np.array(focal) < 0.01) > 0.9 and max(focal) < 0.02, focal
     assert 0.5 < np.sqrt(np.mean(np.square(np.array(focal) / sigmas))) < 1.3
-    assert max(waited) <= 2.5 and np.median(waited) <= 1.0, waited
+    assert max(waited) <= 2.0 and np.median(waited) <= 1.0, waited
 
 
 @pytest.mark.long

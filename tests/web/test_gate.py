@@ -46,6 +46,7 @@ class Held:
         self.sockets.append(made)
 
 
+@pytest.mark.wall_clock
 def test_a_thousand_half_open_connections_leave_the_page_answering(flown: Flown, tmp_path: Path) -> None:
     page_is_built()
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)

@@ -13,7 +13,7 @@ import pytest
 from contract.feature_set import Status
 from contract.spot import Spot, SpotReport
 from ground.spots.found_thing import FoundThing
-from ground.spots.merging import MOST_KEPT_SPOTS, SpotMerger, covariance_of
+from ground.spots.merging import MOST_KEPT_SPOTS, SpotMerger
 from tests.ground.spots.drawn_spots import START_NS, Flight, covariance, is_inside, offset_m, place_at, spot_at
 
 Things = Callable[[float], Sequence[Sequence[float]]]
@@ -139,7 +139,7 @@ def test_what_is_kept_is_bounded() -> None:
 
 def test_an_ellipse_is_its_covariance_again() -> None:
     cov = covariance(3.0, 1.5, 70.0)
-    assert covariance_of(place_at(0.0, 0.0, cov).ellipse) == pytest.approx(cov, rel=1e-5, abs=1e-5)
+    assert place_at(0.0, 0.0, cov).ellipse.covariance_en_m2 == pytest.approx(cov, rel=1e-5, abs=1e-5)
 
 
 @pytest.mark.long

@@ -80,7 +80,7 @@ def off_ms(camera: Running, captured_ns: dict[int, int], after: int = 0) -> np.n
 def one_stream(
     serving: Callable[[], RtspServer], scheme: str, count: int, words: str, **keys: object
 ) -> tuple[Running, SourceStatus, dict[int, int]]:
-    """So many pictures and more of one connection; another is made where the machine stood still until it broke off."""
+    """So many pictures and more of one connection, none lost; another where the machine stood still until some were."""
     for _ in range(3):
         with serving() as server, running(server.url(scheme), size_px=SIZE_PX, **keys) as camera:
             camera.wait_for_pictures(count, START_S)
@@ -88,9 +88,9 @@ def one_stream(
             camera.stop.set()
             camera.thread.join(PATIENCE_S)
             clients = server.stop()
-        if len(clients) == 1:
+        if len(clients) == 1 and health.figures["damaged"] == 0:
             return camera, health, clients[0]
-    raise AssertionError(f"{len(clients)} connections in the time of one")
+    raise AssertionError(f"{len(clients)} connections in the time of one, {health.figures['damaged']} pictures damaged")
 
 
 @pytest.mark.usefixtures("gstreamer")

@@ -342,8 +342,9 @@ def test_the_example_for_own_cameras_gives_pictures() -> None:
 def test_zoom_focal_length_and_gimbal_of_a_header_are_events_of_its_picture_s_time() -> None:
     nothing = Header(64, 48, 5, 1)
     assert list(_of_lens_and_gimbal(nothing, 7)) == []
-    assert list(_of_lens_and_gimbal(replace(nothing, zoom=2.5), 7)) == [Zoom(7, 2.5, "times")]
-    assert list(_of_lens_and_gimbal(replace(nothing, zoom=2.5, focal_px=900.0), 7)) == [Zoom(7, 900.0, "focal_px")]
+    assert list(_of_lens_and_gimbal(replace(nothing, zoom=2.5), 7)) == [Zoom(7, 2.5, "times", is_of_picture=True)]
+    both = replace(nothing, zoom=2.5, focal_px=900.0)
+    assert list(_of_lens_and_gimbal(both, 7)) == [Zoom(7, 900.0, "focal_px", is_of_picture=True)]
     turned = replace(nothing, gimbal=(0.0, 2.0**0.5, 0.0, 0.0), gimbal_frame=GimbalFrame.EARTH)
     (event,) = _of_lens_and_gimbal(turned, 7)
     assert event == GimbalAttitude(7, (0.0, 1.0, 0.0, 0.0), "earth", is_of_camera=True)

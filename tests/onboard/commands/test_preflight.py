@@ -14,6 +14,7 @@ from onboard.commands import doctor
 from onboard.commands.line_meaning import MEANING
 from onboard.commands.preflight import Surroundings, diagnose
 from onboard.config.schema import Config, ThermalConfig
+from onboard.config.second_camera import SecondCamera
 from onboard.events.source import SourceStatus, State
 from onboard.georeferencing.click_budget import Budget
 from onboard.pipeline.estimates import (
@@ -92,6 +93,17 @@ def test_a_thermal_cameras_scale_is_said_and_that_nobody_knows_it() -> None:
     assert said == {None: "uncalibrated; hot spots have no temperatures (thermal.scale)", 0.01: "0.01 K a count"}
 
 
+def test_a_second_camera_has_a_line_that_is_red_while_nothing_comes_from_it() -> None:
+    assert "thermal camera" not in verdicts(WELL)
+    second = SecondCamera(device="/dev/video9", file="thermal.json", scale=0.04)
+    config = CONFIG.model_copy(update={"camera": CONFIG.camera.model_copy(update={"thermal": second})})
+    for state, detail, said in ((State.OK, "", "ok"), (State.LOST, "unplugged", "lost, so no hot spots (unplugged)")):
+        report = report_of(replace(WELL_INPUTS, thermal_camera=SourceStatus(state, detail)))
+        lines = {line.name: line for line in diagnose(config, report, AROUND)}
+        assert (lines["thermal camera"].text, lines["thermal camera"].is_good) == (said, state is State.OK)
+        assert lines["thermal"].text == "0.04 K a count" and lines["camera"].is_good
+
+
 def test_what_is_left_out_of_the_picture_is_said_with_who_found_it() -> None:
     assert text(WELL, "left out") == "nothing"
     found = replace(WELL, pictures=replace(WELL.pictures, left_out=LeftOut(0.02, 0.113)))
@@ -119,7 +131,8 @@ def test_state_and_doctor_never_disagree(said: Inputs) -> None:
     """Whatever makes the state not well is a red line of the doctor's beside the state's own, and the reverse."""
     is_well = overall(said).state.is_well
     lines = verdicts(report_of(said))
-    judged = {name: lines[name] for name in (subject.value for subject in Subject)}
+    judged = {name: lines[name] for name in (subject.value for subject in Subject) if name in lines}
+    assert {s.value for s in Subject} - judged.keys() <= {"thermal camera"}
     assert lines["state"] is is_well
     assert all(judged.values()) is is_well
     assert all(lines[name] for name in lines.keys() - judged.keys() - {"state"})
@@ -278,7 +291,8 @@ def test_a_sensor_that_contradicts_the_others_is_not_well_while_it_does() -> Non
 
 def test_every_line_is_explained_and_no_name_runs_into_its_text() -> None:
     config = CONFIG.model_copy(update={"thermal": ThermalConfig(enabled=True)})
-    lines = diagnose(config, WELL, replace(AROUND, decoders="H264 by avdec_h264"))
+    report = report_of(replace(WELL_INPUTS, thermal_camera=SourceStatus(State.OK)))
+    lines = diagnose(config, report, replace(AROUND, decoders="H264 by avdec_h264"))
     assert {line.name for line in lines} == set(MEANING)
     for explained in (False, True):
         said = doctor.text(lines, False, explained).splitlines()

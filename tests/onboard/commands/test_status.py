@@ -33,6 +33,7 @@ REPORT = Report(
     threads=(ThreadReport("link", ThreadState.RESTARTING, None, 2, "OSError: gone"),),
     recording=RecordingReport(False, "disk full"),
     pictures=PictureCounts(left_out=LeftOut(standing=0.12)),
+    thermal_camera=SourceStatus(State.LOST, "no such device"),
 )
 
 
@@ -58,6 +59,7 @@ def test_a_running_daemon_is_told_of(config: tuple[str, Path], capsys: pytest.Ca
         lines = dict(line.split(maxsplit=1) for line in (first, *rest))
         assert lines["state"] == "camera lost: unplugged"
         assert lines["session"] == "7, 1 h 6 min"
+        assert lines["thermal"] == "lost, no such device"
         assert lines["telemetry"] == "ok, rate_hz 71.2"
         assert lines["threads"] == "link restarting, begun again 2 times (OSError: gone)"
         assert lines["recording"] == "disk full"

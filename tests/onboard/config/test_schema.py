@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from functools import reduce
 from pathlib import Path
 
 import pytest
@@ -25,8 +26,10 @@ def test_every_key_occurs_in_the_default_file() -> None:
     table = tomllib.loads(DEFAULT_FILE.read_text())
     text = DEFAULT_FILE.read_text()
     for name, info in key_table().items():
-        section, key = name.split(".")
-        assert key in table[section] or (info.default is None and f"\n# {key} =\n" in text), name
+        section, key = name.rsplit(".", 1)
+        assert key in reduce(dict.__getitem__, section.split("."), table) or (
+            info.default is None and f"\n# {key} =\n" in text
+        ), name
 
 
 def test_a_partial_file_leaves_everything_else_at_its_default() -> None:
@@ -47,6 +50,14 @@ def test_an_empty_file_is_the_default() -> None:
         ("[mount]\nyaw = 90", "unknown key 'mount.yaw'; did you mean 'mount.yaw_deg'?"),
         ("[solve]\natitude = 'none'", "did you mean 'solve.attitude'?"),
         ("[gps]\nvelocity = true", "did you mean 'solve.velocity'?"),
+        (
+            "[camera.thermal]\nrol_deg = 1",
+            "unknown key 'camera.thermal.rol_deg'; did you mean 'camera.thermal.roll_deg'?",
+        ),
+        ("[camera.thermal]\npitch_deg = 100", "camera.thermal.pitch_deg = 100 is not usable: -90 to 90 deg"),
+        ("[camera.thermal]\nformat = 'Y17'", "camera.thermal.format = 'Y17' is not usable"),
+        ("[camera]\nthermal = 3", "'camera.thermal' is a section"),
+        ("[camera.termal]\nscale = 0.01", "did you mean 'camera.thermal'?"),
         ("yaw_deg = 90", "did you mean 'mount.yaw_deg'?"),
         ("[muont]\nyaw_deg = 90", "unknown section 'muont'; did you mean 'mount'?"),
         ("[mount]\nyaw_deg = 400", "mount.yaw_deg = 400 is not usable: -360 to 360 deg"),

@@ -14,6 +14,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
+import pytest
+
 from contract.feature_set import FeatureSet
 from contract.vehicle_status import VehicleStatus, encode_status
 from ground.client import SetCache, ask
@@ -112,6 +114,7 @@ def after_a_cut(kind: str, cut_s: float, bit_rate: float = 64000.0) -> None:
         assert wait_s < 3.0, f"{kind}, {cut_s} s: the newest picture took {wait_s:.1f} s"
 
 
+@pytest.mark.wall_clock
 def test_after_a_cut_the_newest_picture_is_there_within_three_seconds() -> None:
     """Cuts that a session outlives (its lease is 10 s) and that it does not, by more than the wait between tries."""
     together(
@@ -152,10 +155,12 @@ def on_a_link_slower_than_we_are_told() -> None:
         assert max(ages(cache, 4.0)) < 6.0
 
 
+@pytest.mark.wall_clock
 def test_loss_costs_sets_and_no_time_and_a_slow_link_only_gets_fewer() -> None:
     together(lambda: with_loss(0.1), lambda: with_loss(0.2), on_a_slow_link, on_a_link_slower_than_we_are_told)
 
 
+@pytest.mark.wall_clock
 def test_the_delay_does_not_grow_on_a_link_of_64_kbit_and_the_cap_is_kept() -> None:
     with flown("tcp", bit_rate=64000.0) as (link, cache):
         began = time.monotonic()

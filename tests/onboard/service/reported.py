@@ -43,10 +43,11 @@ def inputs() -> st.SearchStrategy[Inputs]:
         st.sampled_from(["", "disk full"]),
         st.lists(threads, max_size=2).map(tuple),
         st.sampled_from(["", "tilt contradicts the other sensors"]),
+        st.none() | sources,
     )
     # Anything at all is never well: most findings must be seen alone too.
     names = ["camera", "telemetry", "picture_age_s", "busy_s", "outcome", "gps", "position_fault", "is_at_rest",
-             "is_shedding", "recording_fault", "threads", "contradiction"]  # fmt: skip
+             "is_shedding", "recording_fault", "threads", "contradiction", "thermal_camera"]  # fmt: skip
     few = st.lists(st.sampled_from(names), max_size=2)
     return anything | st.builds(lambda a, n: replace(WELL, **{name: getattr(a, name) for name in n}), anything, few)
 
@@ -64,4 +65,5 @@ def report_of(said: Inputs) -> Report:
         said.gps,
         threads=said.threads,
         recording=RecordingReport(not said.recording_fault, said.recording_fault),
+        thermal_camera=said.thermal_camera,
     )

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import logging
 import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from onboard.service.journal import is_journal, set_up
+from tests.left_out import NO_PROGRAM
+from tests.waiting import PATIENCE_S
 
 
 @pytest.fixture(autouse=True)
@@ -65,3 +69,36 @@ def test_a_stream_without_a_file_is_no_journal() -> None:
             raise ValueError("no file")
 
     assert not is_journal(Nowhere(), {"JOURNAL_STREAM": "1:2"})  # type: ignore[arg-type]
+
+
+TALKS = """
+import logging, sys
+from pathlib import Path
+from onboard.service.journal import set_up
+
+set_up()
+log = logging.getLogger("pointclick")
+for number in range(2000):  # many times what is held back
+    log.warning("state: camera lost, for the %d. time", number)
+try:
+    raise RuntimeError("a thread's")
+except RuntimeError as error:
+    log.error("the recording failed", exc_info=error)
+Path(sys.argv[1]).write_text("goes on")
+"""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason=f"{NO_PROGRAM} /dev/full here")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_full_disk_below_the_log_costs_its_lines_and_nothing_else(tmp_path: Path, unbuffered: str) -> None:
+    """As `pc-ground live` keeps it, in a file."""
+    with Path("/dev/full").open("wb") as full:
+        subprocess.run(
+            [sys.executable, "-c", TALKS, tmp_path / "after"],
+            stdout=full,
+            stderr=full,
+            env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+            check=False,
+            timeout=PATIENCE_S,
+        )
+    assert (tmp_path / "after").read_text() == "goes on"

@@ -182,8 +182,7 @@ def test_a_disk_that_takes_no_more_stops_the_recording_until_there_is_room(tmp_p
         plane.max_file_bytes = 100_000
         plane.start()
         plane.stated("not recording", since=0)
-        plane.logged("recording again")  # the state that is asked for may still be that of before
-        plane.wait_for("ok")
+        plane.logged("recording again")
         plane.signal(signal.SIGTERM)
         assert plane.ended() == 0
         first, _ = plane.recordings

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import json
 from dataclasses import replace
@@ -12,6 +13,7 @@ import pytest
 from mcap.reader import make_reader
 
 from contract.feature_set import FeatureSet
+from contract.geodesy import LocalFrame
 from contract.recording_format import SPOT_ENCODING
 from contract.spot import SpotReport
 from contract.wire.spot_code import MAX_SPOT_BYTES, decode_spots
@@ -116,3 +118,43 @@ def test_a_replay_prints_and_records_them(tmp_path: Path, capsys: pytest.Capture
         if channel.message_encoding == SPOT_ENCODING
     ]
     assert [report.frame for report in recorded] == [line["frame"] for line in lines]
+
+
+def test_a_replay_takes_a_second_cameras_pictures_by_their_own_stamps(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    warm = ThermalSpec(contrast=0.5, sources=(HeatSource.car((0.0, 60.0), 25.0),))
+    visible = dataclasses.replace(STRAIGHT, seconds=5.0)
+    light, heat = flown(visible), flown(dataclasses.replace(visible, thermal=warm))
+    rows = [row.split(",") for row in (heat / "stamps.csv").read_text().split()[1:]]
+    late = ["file,unix_time_s", *(f"{name},{float(stamp) + 0.04:.6f}" for name, stamp in rows)]
+    (tmp_path / "late.csv").write_text("\n".join(late) + "\n")
+    plain = (light / "config.toml").read_text()
+    second = f'[camera.thermal]\nfile = "{heat / "camera.json"}"\nscale = 0.01\nlatency_s = 0.04\nsigma_deg = 0.1\n'
+    (tmp_path / "config.toml").write_text(f"{plain}\n{second}")
+    out = tmp_path / "again.mcap"
+    files = [f"--config={tmp_path / 'config.toml'}", *_files(light)[1:], "--spots", f"--record={out}"]
+    assert main(["replay", *files]) == 2
+    assert "name its pictures with --thermal" in capsys.readouterr().err
+    assert main(["replay", *files, f"--thermal={heat / 'frames'}", f"--thermal-stamps={tmp_path / 'late.csv'}"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line.startswith("{")]
+    seen = [spot for line in lines for spot in line["spots"] if spot["status"] == "ok"]
+    assert len(lines) >= 6 and len(seen) >= 3
+    assert all(spot["above_ground_k"] > 10.0 for spot in seen)
+    recorded = [
+        decode_spots(message.data, "uav")
+        for _, channel, message in make_reader(out.open("rb")).iter_messages()
+        if channel.message_encoding == SPOT_ENCODING
+    ]
+    assert [report.frame for report in recorded] == [line["frame"] for line in lines]
+    car = next(csv.DictReader((heat / "truth_heat.csv").open()))
+    about = LocalFrame(float(car["lat_deg"]), float(car["lon_deg"]), 0.0)
+    for spot in seen:
+        off_m = float(np.hypot(*about.to_enu(spot["lat_deg"], spot["lon_deg"], 0.0)[:2]))
+        assert off_m < 1.5 * spot["ellipse"]["semi_major_m"]
+
+
+def test_a_second_cameras_pictures_belong_to_spots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = flown(dataclasses.replace(STRAIGHT, seconds=5.0))
+    assert main(["replay", *_files(folder), f"--thermal={tmp_path}"]) == 2
+    assert "add --spots" in capsys.readouterr().err

@@ -63,6 +63,9 @@ TABLE = [
     (replace(WELL, is_shedding=True, outcome=Status.NO_GPS), VehicleState.NO_GPS, "the position is not accepted"),
     (replace(WELL, recording_fault="disk full"), VehicleState.NOT_RECORDING, "disk full"),
     (replace(WELL, camera=LATE), VehicleState.DEGRADED, "camera: 10 of 30 Hz"),
+    (replace(WELL, thermal_camera=OK), VehicleState.OK, ""),
+    (replace(WELL, thermal_camera=LOST), VehicleState.DEGRADED, "thermal camera: lost, so no hot spots (unplugged)"),
+    (replace(WELL, camera=LOST, thermal_camera=LOST), VehicleState.CAMERA_LOST, "unplugged"),
     (replace(WELL, telemetry=LATE), VehicleState.DEGRADED, "telemetry: 10 of 30 Hz"),
     (REST, VehicleState.AT_REST, AT_REST),
     (replace(REST, outcome=Status.STARTING), VehicleState.AT_REST, AT_REST),
@@ -117,6 +120,8 @@ def test_all_is_well_only_when_everything_is(said: Inputs) -> None:
         and all(thread.is_well for thread in said.threads)
         and said.busy_s <= STUCK_S
         and (said.picture_age_s is None or said.picture_age_s <= SILENT_S)
+        and not said.contradiction
+        and (said.thermal_camera is None or said.thermal_camera.state is State.OK)
     )
     assert state.state.is_well == everything
     assert (state.state is VehicleState.OK) == (everything and flows)

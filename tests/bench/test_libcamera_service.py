@@ -1,0 +1,62 @@
+"""Our service with `camera.device = "libcamera:"`: GStreamer and libcamera inside its cage, on the kernel's vimc."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from contract.camera import Camera
+from tests.bench import cameras
+from tests.bench.sortie import Sortie, sortie
+
+SIZE_PX = (312, 240)  # vimc enlarges three times what has an even number of pixels
+RATE_HZ = 4.0  # of the 25 that it would give on a computer of its own
+WAIT_S = 180.0  # the guest's one processor first looks through all of GStreamer's plugins
+PICTURES = 20
+
+
+def sees(report: dict[str, Any]) -> bool:
+    """Pictures come, and it is said whose clock stamps them."""
+    camera = report["camera"]
+    return bool(camera["state"] == "ok" and "stamps of the camera's driver" in camera["detail"])
+
+
+def is_absent(report: dict[str, Any]) -> bool:
+    """The camera is away, and libcamera has been asked for it."""
+    return bool(report["camera"]["state"] == "lost" and "libcamera has no camera" in report["camera"]["detail"])
+
+
+def taken(report: dict[str, Any]) -> float:
+    """Pictures since the service began."""
+    return float(report["camera"]["figures"]["pictures"])
+
+
+def helper_of(flying: Sortie) -> tuple[str, list[str]]:
+    """Whose process the helper is, and the devices that it holds open."""
+    pid = flying.machine.shell("pgrep -of 'python3 -I .*/gstreamer_helper.py'").strip()
+    held = flying.machine.shell(f"readlink /proc/{pid}/fd/* || true").split()
+    return flying.machine.shell(f"stat -c %U /proc/{pid}").strip(), [path for path in held if path.startswith("/dev/")]
+
+
+def test_the_service_waits_for_libcameras_camera_reads_it_and_takes_it_up_again(tmp_path: Path) -> None:
+    camera_file = tmp_path / "camera.json"
+    camera_file.write_text(Camera.from_field_of_view(*SIZE_PX, 40.0).to_json())
+    with sortie(camera_file, device="libcamera:", rate_hz=RATE_HZ) as flying, flying.autopilot:
+        absent, _ = flying.wait_for("no camera", is_absent, WAIT_S)
+        assert taken(absent) == 0
+        # What took so long is kept where the service may write, for the next start.
+        flying.machine.shell("test -s /var/cache/pointclick/gstreamer-1.0/registry.*.bin")
+        pid = flying.unit("MainPID")
+        cameras.load_vimc(flying.machine)
+        flying.wait_for("pictures", lambda report: sees(report) and taken(report) >= PICTURES, WAIT_S)
+        user, held = helper_of(flying)
+        assert user == "pointclick"
+        assert any(path.startswith("/dev/media") for path in held), held
+        assert any(path.startswith("/dev/v4l-subdev") for path in held), held
+        cameras.plug_vimc(flying.machine, is_in=False)
+        before, _ = flying.wait_for("camera lost", is_absent, WAIT_S)
+        cameras.plug_vimc(flying.machine, is_in=True)
+        flying.wait_for(
+            "pictures again", lambda report: sees(report) and taken(report) >= taken(before) + PICTURES, WAIT_S
+        )
+        assert flying.unit("MainPID") == pid
