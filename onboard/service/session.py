@@ -72,7 +72,6 @@ class Parts:
     camera: Source
     telemetry: TelemetrySource
     pipeline: Pipeline
-    thermal_camera: Source | None = None  # a second one, which one of the sinks runs
     sinks: Sequence[Sink] = ()
     recording: RecordingSink | None = None  # one of the sinks
     reporters: Sequence[Reporter] = ()
@@ -80,6 +79,7 @@ class Parts:
     temperature_c: Callable[[], float | None] = field(default=lambda: None)
     resources: ExitStack = field(default_factory=ExitStack)
     threads: Sequence[SupervisedThread] = ()  # those that the parts brought with them: link, recording, solver, ...
+    thermal_camera: Source | None = None  # a second one, which one of the sinks runs
 
 
 class Session:

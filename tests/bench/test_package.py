@@ -64,12 +64,13 @@ def test_the_package_installs_upgrades_and_leaves_nothing_when_purged(debian: Sh
     assert debian("tail -1 /etc/pointclick/config.toml").stdout == "# ours\n"
     assert debian("systemctl is-enabled pointclick-onboard").stdout.strip() == "disabled"
 
-    debian("mkdir -p /var/lib/pointclick && touch /var/lib/pointclick/alignment.json")
+    debian("mkdir -p /var/lib/pointclick /var/cache/pointclick && touch /var/lib/pointclick/alignment.json")
     assert debian("dpkg -r pointclick-onboard").returncode == 0
     kept = "test -f /etc/pointclick/config.toml && test -f /var/lib/pointclick/alignment.json && id pointclick"
     assert debian(kept).returncode == 0
     assert debian("test -e /opt/pointclick || test -e /usr/bin/pc-onboard").returncode == 1
 
     assert debian("dpkg -P pointclick-onboard").returncode == 0
-    left = "ls -d /etc/pointclick /var/lib/pointclick /usr/lib/sysusers.d/pointclick.conf; id pointclick"
+    folders = "/etc/pointclick /var/lib/pointclick /var/cache/pointclick"
+    left = f"ls -d {folders} /usr/lib/sysusers.d/pointclick.conf; id pointclick"
     assert debian(left).stdout == ""
