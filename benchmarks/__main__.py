@@ -61,6 +61,12 @@ BENCHMARKS = (
     Benchmark("tracks", "Things that move", ("--flights", "3"), ("--scenes", "hover")),
     Benchmark("thermal_tracking", "Poses from thermal pictures", (), ("--rows", "300 mK", "--seconds", "8")),
     Benchmark("spots", "Hot spots", (), ("--scenes", "calm", "--flights", "1", "--pictures", "60")),
+    Benchmark(
+        "found_coverage",
+        "Ellipses of spots and tracks",
+        ("--flights", "20"),
+        ("--flights", "1", "--rows", "straight down"),
+    ),
     Benchmark("pipeline", "The pipeline at thirty pictures a second", ("--hour", "--profile"), ("--minutes", "1")),
     Benchmark("against", "Processor time against an earlier commit", (), ("--turns", "4")),
     Benchmark("latency", "From exposure to an answer on the ground", (), ("--seconds", "20")),

@@ -7,8 +7,8 @@ that pass below a tree, one whose twin crosses its way, one with a shadow beside
 a road, `orbit` circles at 45 degrees of bank, `autopilot` is a recorded ArduPilot plane. The whole pipeline makes the
 sets; every click is 1 s old when the track begins. Printed against the goals: errors of speed and course after 10 s,
 coverage of the 90 % ellipse, how soon a hidden thing is said to be hidden, parked things called moving, and the
-processor's time. The ellipses are those of clicks: whether 90 % are inside takes more flights than can be drawn
-(benchmarks.coverage).
+processor's time. The errors drawn here are smaller than declared: whether 90 % are inside is asked by
+benchmarks.found_coverage.
 """
 
 from __future__ import annotations

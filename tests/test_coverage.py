@@ -1,4 +1,5 @@
-"""Nine true errors of ten lie inside the stated ellipse: of one click, of a pair in one set, of a pair in two sets.
+"""Nine true errors of ten lie inside the stated ellipse: of one click, of a pair in one set, of a pair in two sets;
+of hot spots, of what they are merged into, and of tracks.
 
 Whole flights with every error drawn from the configured priors; `benchmarks.coverage` prints the table. A flight is
 one sample of all slow errors, so that the share of single clicks has a sigma of 7 % over sixteen flights.
@@ -9,12 +10,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks import found_coverage
 from benchmarks.coverage import Counts, judge, rows
 from contract.answer import CHI2_2
 
 pytestmark = pytest.mark.long
 
-FLIGHTS = 16
+FLIGHTS, SHORT_FLIGHTS = 16, 40
 
 
 @pytest.mark.parametrize("row", ["attitude + velocity", "seed (GPS + camera + level)"])
@@ -42,3 +44,20 @@ def test_nine_of_ten_errors_lie_inside_their_ellipses_within_a_set_and_between_s
     # What two sets share takes most of their ellipses away: without it this is 0.1.
     difference = np.concatenate([c.two_near for c in flown])
     assert 0.35 < np.mean(difference) / 2 < 1.3
+
+
+def test_the_ellipses_of_spots_and_of_what_they_are_merged_into_hold_nine_errors_of_ten() -> None:
+    flown = [found_coverage.find_spots(found_coverage.rows()["straight down"], seed) for seed in range(SHORT_FLIGHTS)]
+    assert sum(len(one.spots) for one in flown) > 10 * SHORT_FLIGHTS
+    people, parts = sum(one.people for one in flown), sum(one.parts for one in flown)
+    assert people > 2 * SHORT_FLIGHTS and parts <= 1.05 * people  # nobody becomes two
+    for errors in ([one.spots for one in flown], [one.things for one in flown]):
+        inside, _, mean = found_coverage.share_inside(errors)
+        assert 0.78 < inside < 0.985 and 0.6 < mean < 1.5
+
+
+def test_the_ellipses_of_tracks_hold_nine_errors_of_ten() -> None:
+    flown = [found_coverage.find_tracks(found_coverage.track_spec(), seed) for seed in range(FLIGHTS)]
+    inside, _, mean = found_coverage.share_inside([one.tracks for one in flown])
+    assert sum(len(one.tracks) for one in flown) > 30 * FLIGHTS
+    assert 0.76 < inside < 0.995 and 0.5 < mean < 1.5

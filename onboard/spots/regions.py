@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.spots.contrast import Contrast, Image
+from onboard.spots.contrast import BLUR_PX, Contrast, Image
 
 Array = NDArray[np.float64]
 
@@ -16,6 +16,7 @@ FINER, DRAWN_PX = 4, 256  # an outline is drawn up to so many times finer than p
 LEAST_APART_PX = 2
 MOST_REGIONS = 24
 MOST_POINTS, ROUGHEST_PX = 120, 0.25
+LENS_PX = 0.6  # one sigma of a thermal camera's blur; a pixel's own width comes on top
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +33,7 @@ class Region:
     is_cut: bool
     significance: float = 0.0
     pixels: float = 1.0  # to the side of a pixel of the picture that it was found in
+    blur_px: float = 0.0  # one sigma of what has blurred it, where its outline is that at half of its height
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +90,9 @@ def region_of(c: Contrast, part: Part, contrast: float) -> Region | None:
     if region is None:
         return None
     uv, outline = ((px + 0.5) * c.times - 0.5 for px in (region.uv_px, region.outline_px))
-    return replace(region, uv_px=uv, outline_px=outline, contrast=contrast, pixels=c.times)
+    # The lens; in the coarser picture a pixel's width and its smoothing.
+    blur_px = float(np.sqrt(LENS_PX**2 + c.times**2 * (1.0 / 12.0 + BLUR_PX**2)))
+    return replace(region, uv_px=uv, outline_px=outline, contrast=contrast, pixels=c.times, blur_px=blur_px)
 
 
 def above(values: Image, ground: float, contrast: Image, level: Image, least_px: float) -> list[Region]:
@@ -148,4 +152,27 @@ def _outline(level: Image, finer: int) -> Array | None:
         largest, rough = cv2.approxPolyDP(largest, rough, True), 1.5 * rough
     if len(largest) < 3:
         return None
-    return np.asarray((largest[:, 0].astype(float) + 0.5) / finer - 0.5 - 1.0, float)
+    at = _on_level(border, np.asarray(largest[:, 0], np.int32))
+    return np.asarray((at + 0.5) / finer - 0.5 - 1.0, np.float64)
+
+
+def _on_level(level: Image, at: NDArray[np.int32]) -> Array:
+    """Where `level` (H, W) is 0 near its pixels (N, 2) just inside: a contour of pixels' middles is half a pixel small.
+
+    One step of Newton along the gradient, of a pixel at most.
+    """
+    column, row = at.T
+    height, width = level.shape
+    value = level[row, column].astype(float)
+    left, right = np.maximum(column - 1, 0), np.minimum(column + 1, width - 1)
+    up, down = np.maximum(row - 1, 0), np.minimum(row + 1, height - 1)
+    slope = np.stack(
+        [
+            (level[row, right] - level[row, left]) / (right - left),
+            (level[down, column] - level[up, column]) / (down - up),
+        ],
+        axis=1,
+    ).astype(float)
+    step = -value[:, None] * slope / np.maximum(np.sum(slope**2, axis=1, keepdims=True), 1e-12)
+    size = np.hypot(*step.T)[:, None]
+    return np.asarray(at + step / np.maximum(size, 1.0), float)

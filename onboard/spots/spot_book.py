@@ -16,6 +16,7 @@ from contract.rotations import skew
 from contract.spot import Spot, SpotReport
 from onboard.config.schema import SpotsConfig, ThermalConfig
 from onboard.events.types import Frame
+from onboard.spots.blurred_area import unblurred
 from onboard.spots.detector import ZERO_C_K, Detector
 from onboard.spots.regions import Region
 from onboard.spots.second_camera import STATES, Pointing
@@ -23,7 +24,8 @@ from onboard.spots.second_camera import STATES, Pointing
 Array = NDArray[np.float64]
 
 SEEN, OF = 2, 3  # a spot is in so many of so many pictures
-EDGE_SIGMA_PX = 0.5  # of an outline
+EDGE_SIGMA_PX = 0.25  # of an outline, all of it outwards
+BLUR_SIGMA = 0.2  # of how much is blurred, its share
 LEAST_GATE_PX = 3.0
 
 
@@ -111,8 +113,9 @@ class SpotBook:
             spot = Spot(u, v, region.contrast, hottest, above, answer.status, is_cut=region.is_cut)
             return Placed(spot, None, np.full(2, np.nan), 0.0)
         outline, pixel_m = self._outline(region, locator, answer)
-        area = _polygon_m2(outline)
-        sigma = area_sigma(outline, area, region.pixels * pixel_m, answer)
+        seen = _polygon_m2(outline)
+        area = unblurred(seen, region.blur_px * pixel_m)
+        sigma = area_sigma(outline, seen, region, pixel_m, answer)
         spot = Spot(
             u, v, region.contrast, hottest, above, Status.OK, answer.place, area, sigma,
             tuple((float(east), float(north)) for east, north in outline), region.is_cut,
@@ -152,19 +155,27 @@ def _polygon_m2(outline: Array) -> float:
     return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
-def area_sigma(outline: Array, area_m2: float, pixel_m: float, fix: Fix) -> float:
-    """One sigma of an area: of its edge, and of how far away the ground is. (25.10)"""
-    if not area_m2:
+def area_sigma(outline: Array, seen_m2: float, region: Region, pixel_m: float, fix: Fix) -> float:
+    """One sigma of an area: of its edge, of the blur that is taken off it, and of how far away the ground is.
+
+    (25.11)
+    """
+    if not seen_m2:
         return 0.0
     steps = np.hypot(*(outline - np.roll(outline, -1, axis=0)).T)
+    edge = EDGE_SIGMA_PX * region.pixels * pixel_m * float(steps.sum())
+    blur_m = region.blur_px * pixel_m
+    area = unblurred(seen_m2, blur_m)
+    by_edge = unblurred(seen_m2 + edge, blur_m) - area
+    by_blur = unblurred(seen_m2, (1.0 + BLUR_SIGMA) * blur_m) - area
     distance = float(np.linalg.norm(fix.offset_enu_m))
     along = fix.offset_enu_m / distance
     by_distance = 2.0 * np.sqrt(float(along @ fix.covariance_enu_m2 @ along)) / distance
-    return float(np.hypot(EDGE_SIGMA_PX * pixel_m * steps.sum(), by_distance * area_m2))
+    return float(np.hypot(np.hypot(by_edge, by_blur), by_distance * area))
 
 
 def shares(fixes: list[Fix], its_set: FeatureSet, pointed_m: list[Array]) -> tuple[float, float]:
-    """Of the fixes' horizontal variance, what the picture's have in common, and the session's. (25.11), (27.7)
+    """Of the fixes' horizontal variance, what the picture's have in common, and the session's. (25.12), (27.7)
 
     `pointed_m`: of each the root (2, k) of what a second camera adds, first the columns that last a session.
     """

@@ -1,0 +1,332 @@
+"""Are the ellipses of hot spots, of what they are merged into, and of tracks right? Flights of declared errors.
+
+    python -m benchmarks.found_coverage [--flights 40] [--seed 0] [--rows TEXT]
+
+A flight shares its slow errors, so one tells nothing however long it is: these are many short ones, each with every
+error sampled as the configuration declares it (`drawn_flight`: GPS, attitude, heading, mount, stamps, ground). What a
+tracker sees of the ground is drawn as in `benchmarks.coverage`; the pictures in which spots and things are looked for
+are drawn for the true poses and go through the whole of `onboard.spots` and `onboard.tracks`, their reports over the
+wire, spots through `ground.spots`. What is found is told by its pixel, never by its place. Printed: the share of true
+errors inside the 90 % ellipse with one sigma of it from the dispersion between flights (goal 85 to 96 %), and the mean
+squared error over the claimed covariance, 1 if honest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+from benchmarks.machine import describe, load, table, verdict
+
+# isort: split
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, DrawnTracker
+from contract.answer import CHI2_2, Place
+from contract.camera import Camera
+from contract.feature_set import FeatureSet
+from contract.track import TrackState
+from contract.wire.spot_code import decode_spots, encode_spots
+from contract.wire.track_code import decode_track, encode_track
+from ground.spots.merging import SpotMerger
+from onboard.config.schema import parse_config
+from onboard.events.types import Frame
+from onboard.pipeline.pipeline import Pipeline
+from onboard.spots.due_pictures import DuePictures
+from onboard.spots.spot_book import SpotBook
+from onboard.tracks.track_book import TrackBook
+from simulation.movers import MoverSpec
+from simulation.paths import PathSpec
+
+Array = NDArray[np.float64]
+
+GOAL = 0.85, 0.96
+SAME_PX = 4.0  # of a spot or a track from where the thing truly is
+WARM_S = 6.0  # until the window is filled
+
+GROUND_K, NOISE_K, CLUTTER = 290.0, 0.05, ((1.5, 0.3), (12.0, 0.8))  # clutter: px, K
+PERSON_M, PERSON_K, LENS_PX = 0.5, 8.0, 0.6
+PEOPLE, APART_M = 8, 8.0
+
+TEXEL_M, FIELD_M = 0.25, 640.0
+CAR_SHADE, CAR_M = 235, (4.0, 1.8)
+EACH_S = 0.5  # a track's place is asked for
+
+
+@dataclass
+class Found:
+    """Of one flight, squared errors over their covariances: of every spot, of every thing, of tracks."""
+
+    spots: list[float] = field(default_factory=list)
+    things: list[float] = field(default_factory=list)
+    tracks: list[float] = field(default_factory=list)
+    people: int = 0
+    parts: int = 0  # things that people have become: more than people where one fell apart
+
+
+def rows() -> dict[str, DrawnSpec]:
+    """Flights of spots by name."""
+    config = parse_config("[thermal]\nenabled = true\nscale = 0.01\n")
+    camera = Camera.from_field_of_view(320, 256, 50.0)
+    path = PathSpec(height_m=100.0, speed_m_s=12.0)
+    nadir = DrawnSpec(config, path=path, seconds=14.0, rate_hz=2.0, relief_sigma_m=2.0, camera=camera)
+    tilted = config.model_copy(update={"mount": config.mount.model_copy(update={"pitch_deg": -60.0})})
+    alone = config.model_copy(update={"solve": config.solve.model_copy(update={"attitude": "none"})})
+    turns = replace(path, kind="turns", leg_m=60.0)
+    return {
+        "straight down": nadir,
+        "30 degrees ahead": replace(nadir, config=tilted),
+        "turns, twice over the same": replace(nadir, path=turns, seconds=30.0),
+        "without attitude": replace(nadir, config=alone),
+    }
+
+
+def track_spec() -> DrawnSpec:
+    """A flight above traffic, over ground that is a plane."""
+    camera = Camera.from_field_of_view(320, 240, 40.0)
+    path = PathSpec(height_m=120.0, speed_m_s=12.0)
+    return DrawnSpec(parse_config(""), path=path, seconds=16.0, rate_hz=10.0, relief_sigma_m=0.0, camera=camera)
+
+
+def first_sets(flight: DrawnFlight) -> Iterator[tuple[Frame, FeatureSet]]:
+    """Each picture with its first set, as it is sent in flight."""
+    pipeline = Pipeline(flight.spec.config, flight.spec.camera)
+    pipeline.tracker = DrawnTracker(flight)
+    frames: dict[int, Frame] = {}
+    said: set[int] = set()
+    for event in flight.events():
+        if isinstance(event, Frame):
+            frames[event.index] = event
+        for made in pipeline.handle(event):
+            if made.frame not in said:
+                said.add(made.frame)
+                yield frames[made.frame], made
+
+
+def find_spots(spec: DrawnSpec, seed: int) -> Found:
+    """One flight over people."""
+    flight, found = DrawnFlight(spec, seed), Found()
+    people = people_below(flight)
+    book, merger = SpotBook("uav", spec.config.spots, spec.config.thermal), SpotMerger()
+    due = DuePictures(spec.config.spots.rate_hz, 256)
+    whose: dict[int, int] = {}
+    for frame, its_set in first_sets(flight):
+        if flight.times_s[frame.index] < WARM_S:
+            continue
+        due.event(replace(frame, counts=heat_picture(flight, frame.index, people)))
+        picture = due.take(its_set)
+        said = None if picture is None else book.picture(picture, its_set)
+        if said is None:
+            continue
+        report = decode_spots(encode_spots(said), "uav")
+        uv, seen = flight.pixels(frame.index, people)
+        for spot in report.spots:
+            k = nearest(uv, seen, spot.u_px, spot.v_px)
+            if k is not None and spot.place is not None and not spot.is_cut:
+                found.spots.append(chi2_of(spot.place, people[k, :2]))
+        for thing in merger.add(report):
+            k = nearest(uv, seen, thing.newest.u_px, thing.newest.v_px)
+            if k is not None:
+                whose[thing.number] = k
+    things = [thing for thing in merger.things() if thing.number in whose and thing.is_sure]
+    found.things = [chi2_of(thing.place, people[whose[thing.number], :2]) for thing in things]
+    found.people, found.parts = len({whose[thing.number] for thing in things}), len(things)
+    return found
+
+
+def people_below(flight: DrawnFlight) -> Array:
+    """Places (N, 3) on the ground that the pictures show, somewhat apart from each other."""
+    rng = np.random.default_rng([flight.seed, 920])
+    size = np.array(flight.spec.camera.size_px)
+    pictures = np.flatnonzero(flight.times_s > WARM_S)
+    kept: list[Array] = []
+    for _ in range(20 * PEOPLE):
+        uv = rng.uniform(0.1, 0.9, (1, 2)) * size
+        point = flight.ground_points(int(rng.choice(pictures)), uv)[0]
+        if all(np.hypot(*(point - other)[:2]) > APART_M for other in kept):
+            kept.append(point)
+        if len(kept) == PEOPLE:
+            break
+    return np.array(kept)
+
+
+def heat_picture(flight: DrawnFlight, frame: int, people: Array) -> NDArray[np.uint16]:
+    """Counts (H, W) of a picture: varied ground, noise, and people where they truly are, through the lens."""
+    rng = np.random.default_rng([flight.seed, 921, frame])
+    width, height = flight.spec.camera.size_px
+    kelvin = GROUND_K + NOISE_K * rng.standard_normal((height, width))
+    for blur_px, sigma_k in CLUTTER:
+        waves = cv2.GaussianBlur(rng.standard_normal((height, width)), (0, 0), blur_px)
+        kelvin += sigma_k * waves / waves.std()
+    v, u = np.mgrid[:height, :width].astype(float)
+    uv, seen = flight.pixels(frame, people)
+    for (u0, v0), point in zip(uv[seen], people[seen], strict=True):
+        metres = np.linalg.norm(point - flight.centres_enu_m[frame]) / flight.spec.camera.fx_px
+        side_px = PERSON_M / metres
+        blur2 = LENS_PX**2 + side_px**2 / 16.0  # of a disc: a sixteenth of its diameter squared
+        heat_k = PERSON_K * side_px**2 / (8.0 * blur2)
+        kelvin += heat_k * np.exp(-((u - u0) ** 2 + (v - v0) ** 2) / (2.0 * blur2))
+    scale = flight.spec.config.thermal.calibration
+    assert scale is not None
+    return scale.counts(kelvin)
+
+
+def find_tracks(spec: DrawnSpec, seed: int) -> Found:
+    """One flight above traffic: every car clicked once, a pixel beside its middle."""
+    flight, found = DrawnFlight(spec, seed), Found()
+    cars = traffic(flight)
+    scene, rng = Plane(flight, cars), np.random.default_rng([seed, 930])
+    book, begun = TrackBook("uav"), dict[int, MoverSpec]()
+    clicked = round(WARM_S * spec.rate_hz)
+    for frame, its_set in first_sets(flight):
+        book.picture(replace(frame, image=scene.picture(frame.index)), its_set)
+        t = float(flight.times_s[frame.index])
+        if frame.index >= clicked and not begun:
+            uv, seen = flight.pixels(clicked, np.array([scene.point(car, flight.times_s[clicked]) for car in cars]))
+            at = uv + rng.normal(0.0, 1.0, uv.shape)
+            number = 0
+            for car, (u, v), is_seen in zip(cars, at, seen, strict=True):
+                if is_seen and book.start(number + 1, (float(u), float(v)), clicked):
+                    number += 1
+                    begun[number] = car
+        if frame.index % round(EACH_S * spec.rate_hz):
+            continue
+        for report in (decode_track(encode_track(one), "uav") for one in book.reports()):
+            car = begun[report.number]
+            where = scene.point(car, t)
+            uv, seen = flight.pixels(frame.index, where[None])
+            is_it = nearest(uv, seen, report.u_px, report.v_px) is not None
+            if report.frame == frame.index and report.state is TrackState.FOLLOWED and report.place and is_it:
+                found.tracks.append(chi2_of(report.place, where[:2]))
+    return found
+
+
+def traffic(flight: DrawnFlight) -> list[MoverSpec]:
+    """Six cars on their ways below the aircraft when they are clicked, some of them parked."""
+    rng = np.random.default_rng([flight.seed, 931])
+    size = np.array(flight.spec.camera.size_px)
+    k = round(WARM_S * flight.spec.rate_hz)
+    t, heading = float(flight.times_s[k]), flight.spec.path.heading_deg
+    out = []
+    lanes = np.linspace(0.15, 0.85, 6) + rng.uniform(-0.02, 0.02, 6)
+    for lane, speed in zip(rng.permutation(lanes), (12.0, 12.5, 11.0, 9.0, 3.0, 0.0), strict=True):
+        place = flight.ground_points(k, (np.array([lane, rng.uniform(0.3, 0.7)]) * size)[None])[0, :2]
+        course = np.array([np.sin(np.radians(heading)), np.cos(np.radians(heading))])
+        east, north = place - speed * t * course
+        out.append(MoverSpec((float(east), float(north)), speed, heading, *CAR_M))
+    return out
+
+
+class Plane:
+    """Ground that is a plane with a pattern on it, and cars: a picture of it is one homography."""
+
+    def __init__(self, flight: DrawnFlight, cars: list[MoverSpec]) -> None:
+        self._flight, self._cars = flight, cars
+        rng = np.random.default_rng([flight.seed, 932])
+        texels = round(FIELD_M / TEXEL_M)
+        pattern = np.zeros((texels, texels), np.float32)
+        for blur in (1.0, 3.0, 10.0):
+            waves = cv2.GaussianBlur(rng.standard_normal((texels, texels)).astype(np.float32), (0, 0), blur)
+            pattern += 18.0 * waves / waves.std()
+        self._ground = np.clip(pattern + 110.0, 0, 255).astype(np.uint8)
+        middle = flight.centres_enu_m[len(flight.times_s) // 2, :2]
+        self._west, self._south = middle - 0.5 * FIELD_M
+
+    def point(self, car: MoverSpec, time_s: float) -> Array:
+        """Where a car is (3,)."""
+        place = car.place_m(time_s)
+        return np.array([*place, float(self._flight.ground.height_m(place))])
+
+    def picture(self, frame: int) -> NDArray[np.uint8]:
+        """(H, W), with noise."""
+        flight, t = self._flight, float(self._flight.times_s[frame])
+        to_picture = self._texel_to_pixel(frame)
+        size = flight.spec.camera.size_px
+        out = cv2.warpPerspective(self._ground, to_picture, size, flags=cv2.INTER_AREA)
+        for car in self._cars:
+            a = float(car.course_rad(t))
+            ways = np.array([[np.sin(a), np.cos(a)], [np.cos(a), -np.sin(a)]]) * (0.5 * np.array(CAR_M))[:, None]
+            corners = car.place_m(t) + np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) @ ways
+            points = np.column_stack([corners, flight.ground.height_m(corners)])
+            uv, seen = flight.pixels(frame, points)
+            if seen.any():
+                fine = np.round(uv * 16.0).astype(np.int32)
+                cv2.fillConvexPoly(out, fine, CAR_SHADE, cv2.LINE_AA, 4)
+        noise = np.random.default_rng([flight.seed, 933, frame]).normal(0.0, 1.5, out.shape)
+        noisy = cv2.GaussianBlur(out, (0, 0), LENS_PX) + noise
+        return np.asarray(np.clip(noisy, 0, 255), np.uint8)
+
+    def _texel_to_pixel(self, frame: int) -> Array:
+        """(3, 3)."""
+        slope, camera = self._flight.ground.slope, self._flight.spec.camera
+        # Texel (i, j) -> east, north, up, 1.
+        on_plane = np.array([[TEXEL_M, 0.0, self._west], [0.0, TEXEL_M, self._south], [0.0, 0.0, 1.0]])
+        lifted = np.vstack([on_plane[:2], slope @ on_plane[:2]])
+        lifted[:, 2] -= self._flight.centres_enu_m[frame]
+        K = np.array([[camera.fx_px, 0.0, camera.cx_px], [0.0, camera.fy_px, camera.cy_px], [0.0, 0.0, 1.0]])
+        return np.asarray(K @ self._flight.R_enu_cam[frame].T @ lifted, float)
+
+
+def nearest(uv: Array, seen: NDArray[np.bool_], u_px: float, v_px: float) -> int | None:
+    """Which of the points at pixels (N, 2) is at a pixel; None if none is."""
+    off = np.where(seen, np.hypot(*(uv - (u_px, v_px)).T), np.inf)
+    k = int(np.argmin(off))
+    return k if off[k] < SAME_PX else None
+
+
+def chi2_of(place: Place, true_m: Array) -> float:
+    """The squared error of a place, east and north, over its covariance; where it truly is (2,)."""
+    assert place.height_amsl_m is not None
+    away = PLACE.to_enu(place.lat_deg, place.lon_deg, place.height_amsl_m)[:2] - true_m
+    return float(away @ np.linalg.solve(place.ellipse.covariance_en_m2, away))
+
+
+def share_inside(per_flight: list[list[float]]) -> tuple[float, float, float]:
+    """Of flights' squared errors: the share inside, one sigma of it by the flights' dispersion, mean over 2."""
+    flown = [np.array(each) for each in per_flight if each]
+    shares = np.array([float(np.mean(each < CHI2_2)) for each in flown])
+    means = np.array([float(np.mean(each)) for each in flown])
+    return float(shares.mean()), float(shares.std() / np.sqrt(len(shares))), float(means.mean()) / 2.0
+
+
+def row(name: str, what: str, per_flight: list[list[float]]) -> tuple[str, ...]:
+    """One line of the table."""
+    share, sigma, mean = share_inside(per_flight)
+    count = sum(map(len, per_flight))
+    is_right = GOAL[0] <= share <= GOAL[1]
+    return name, what, f"{count}", f"{share:.1%} +- {sigma:.1%}", f"{mean:.2f}", verdict(is_right)
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--flights", type=int, default=40, help="of each row")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--rows", default="", help="only those whose names hold this; `tracks` is one")
+    args = parser.parse_args()
+    print(f"{describe()}; {load()}; {args.flights} flights a row, seed {args.seed}\n")
+    cv2.setNumThreads(1)
+    seeds, out = range(args.seed, args.seed + args.flights), []
+    for name, spec in rows().items():
+        if args.rows in name:
+            began_s = time.monotonic()
+            flown = [find_spots(spec, seed) for seed in seeds]
+            out.append(row(name, "spots", [f.spots for f in flown]))
+            out.append(row(name, "merged", [f.things for f in flown]))
+            people, parts = sum(f.people for f in flown), sum(f.parts for f in flown)
+            print(f"{name}: {people} people as {parts} things, {time.monotonic() - began_s:.0f} s", flush=True)
+    if args.rows in "tracks":
+        began_s = time.monotonic()
+        tracked = [find_tracks(track_spec(), seed) for seed in seeds]
+        out.append(row("cars", "tracks", [f.tracks for f in tracked]))
+        print(f"tracks: {time.monotonic() - began_s:.0f} s", flush=True)
+    print("\n" + table(("flights", "places of", "places", "inside 90 %", "squared over claimed", ""), out))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
