@@ -7,7 +7,8 @@ One path for each seed, with turns over relief, its pictures encoded (OpenH264; 
 packets of 1400 bytes of which `--loss` never come (0: as over TCP), and decoded by libav; then the flight is replayed
 with what has come. A picture that the decoder or our helper calls damaged, or that never came, has no image. Telemetry
 and stamps are the flight's own in every row: what a stream does to times is `benchmarks.sources`. Each path's pictures
-are replayed with several autopilots' telemetry (`simulation.ordinary`), for each of which they are one flight.
+are replayed with several autopilots' telemetry (`simulation.ordinary`), for each of which they are one flight: its
+mount, stamps and camera file are stated wrongly by errors drawn from the sigmas that are stated with them.
 
 `--kbit` are those of 30 pictures a second: a flight of fewer gets as many bits a picture, though more has moved between
 two of them. An encoder that cannot go so low is seen by the rate that it did send. Clicks count after the first 8 s.
@@ -43,6 +44,7 @@ from contract.feature_set import FeatureSet
 from contract.geodesy import LocalFrame
 from contract.locate import Locator
 from onboard.config.files import load_config_files
+from onboard.config.schema import Config
 from onboard.events.types import Event, Frame
 from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.runner import Flight, replay
@@ -58,6 +60,7 @@ RECODING = Path(__file__).resolve().parents[1] / "tests" / "recoding.py"
 SETTLED_S = 8.0
 OF_HZ = 30.0
 FIELD_DEG = 60.0
+MOUNT_ANGLES = ("roll_deg", "pitch_deg", "yaw_deg")
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,9 +123,30 @@ def flown_by(session: Path, spec: SessionSpec, autopilot: int, folder: Path) -> 
     return copy
 
 
-def outcome(session: Path, rate_hz: float, images: dict[int, NDArray[np.uint8]] | None) -> Outcome:
-    """Replay a session with these pictures, and click."""
-    config, camera = load_config_files(session / "config.toml"), Camera.from_json(session / "camera.json")
+def misstated(config: Config, camera: Camera, seed: int) -> tuple[Config, Camera]:
+    """Mount, stamps and optics as somebody would state them who knows them as well as the stated sigmas say."""
+    normal = np.random.default_rng([seed, 7]).normal
+    mount, source = config.mount, config.camera
+    angles = {name: getattr(mount, name) + normal(0.0, mount.sigma_deg) for name in MOUNT_ANGLES}
+    late_s = source.latency_s + normal(0.0, source.sigma_latency_s)
+    changed = {
+        "mount": mount.model_copy(update=angles),
+        "camera": source.model_copy(update={"latency_s": late_s}),
+    }
+    longer, right, down, k1, k2 = normal(0.0, camera.sigma)
+    f = camera.fx_px
+    optics = replace(
+        camera, fx_px=f * (1.0 + longer), fy_px=camera.fy_px * (1.0 + longer), cx_px=camera.cx_px + f * right,
+        cy_px=camera.cy_px + f * down, stated_sigma=camera.sigma,
+        distortion=(camera.distortion[0] + k1, camera.distortion[1] + k2, *camera.distortion[2:]),
+    )  # fmt: skip
+    return config.model_copy(update=changed), optics
+
+
+def outcome(session: Path, rate_hz: float, images: dict[int, NDArray[np.uint8]] | None, seed: int) -> Outcome:
+    """Replay a session with these pictures, misstated by `seed`, and click."""
+    exact = load_config_files(session / "config.toml"), Camera.from_json(session / "camera.json")
+    config, camera = misstated(*exact, seed)
     flight = Flight.open(config, camera, session / "frames", session / "telemetry.tlog", session / "stamps.csv")
     pipeline, sink = Received(config, camera), _Sets()
     pipeline.images = images
@@ -224,7 +248,7 @@ def table(specs: Sequence[SessionSpec], autopilots: int, streams: Sequence[dict[
         for k, (path, spec) in enumerate(zip(paths, specs, strict=True))
     ]
     sessions, rate_hz, size_px = [s for by in flights for s in by], specs[0].rate_hz, specs[0].camera.size_px
-    plain = [outcome(session, rate_hz, None) for session in sessions]
+    plain = [outcome(session, rate_hz, None, seed) for seed, session in enumerate(sessions)]
     print(row(("raw", "-", "-", "100 %"), sessions, plain, plain), flush=True)
     for path in paths:
         pictures = pictures_of(path, False)
@@ -232,7 +256,9 @@ def table(specs: Sequence[SessionSpec], autopilots: int, streams: Sequence[dict[
     count = len(pictures)
     for stream in streams:
         came = [recoded(folder / f"{path.name}.raw", size_px, count, rate_hz, **stream) for path in paths]
-        outcomes = [outcome(session, rate_hz, c.images) for by, c in zip(flights, came, strict=True) for session in by]
+        images = [c.images for by, c in zip(flights, came, strict=True) for _ in by]
+        pairs = enumerate(zip(sessions, images, strict=True))
+        outcomes = [outcome(session, rate_hz, these, seed) for seed, (session, these) in pairs]
         whole = np.mean([len(c.images) for c in came]) / count
         over = f"UDP, {100.0 * stream['loss']:g} % lost" if stream["loss"] else "TCP"
         how = f"{stream['codec']}, {stream['kbit']:g} kbit/s, {over}"

@@ -28,7 +28,7 @@ from benchmarks import (
 from benchmarks.__main__ import BENCHMARKS, RESULTS, STARTED, merge, section
 from benchmarks.flown import Leg, leg, out_and_back, sets_of
 from benchmarks.mechanisms import MECHANISMS
-from benchmarks.source_codecs import flown_by, mean_with_sigma, recoded
+from benchmarks.source_codecs import MOUNT_ANGLES, flown_by, mean_with_sigma, misstated, recoded
 from benchmarks.sources import flight_spec
 from contract.answer import Fix
 from contract.camera import Camera
@@ -369,6 +369,21 @@ def test_shares_of_flights_are_pooled_with_what_they_scatter_by() -> None:
     assert mean_with_sigma([-0.02, 0.04], "+") == "+1.0 +-3.0 %"
     assert mean_with_sigma([0.9, np.nan]) == "90.0 %"
     assert mean_with_sigma([np.nan]) == "-"
+
+
+def test_mount_stamps_and_optics_are_misstated_by_as_much_as_is_stated() -> None:
+    config, sigmas = parse_config(""), (0.02, 0.01, 0.03, 0.05, 0.04)
+    camera = replace(Camera.from_field_of_view(640, 480, 60.0), stated_sigma=sigmas)
+    drawn = [misstated(config, camera, seed) for seed in range(400)]
+    f = camera.fx_px
+    optics = [(c.fx_px / f, c.cx_px / f, c.cy_px / f, *c.distortion[:2]) for _, c in drawn]
+    assert np.std(optics, axis=0) == pytest.approx(sigmas, rel=0.15)
+    angles = [[getattr(c.mount, name) for name in MOUNT_ANGLES] for c, _ in drawn]
+    assert np.std(angles, axis=0) == pytest.approx([config.mount.sigma_deg] * 3, rel=0.15)
+    assert np.mean(angles, axis=0) == pytest.approx([0.0, -90.0, 0.0], abs=0.2)
+    late_s = [c.camera.latency_s for c, _ in drawn]
+    assert np.std(late_s) == pytest.approx(config.camera.sigma_latency_s, rel=0.15)
+    assert all(c.sigma == sigmas for _, c in drawn)
 
 
 def test_a_path_flown_by_another_autopilot_has_its_pictures_and_a_log_of_its_own(tmp_path: Path) -> None:
