@@ -85,7 +85,7 @@ def test_a_run_names_the_files_whose_long_tests_it_leaves_out(workers: str) -> N
         timeout=120,
     )
     assert "LONG TESTS LEFT OUT" in done.stdout
-    assert "test_coverage.py: 2" in done.stdout
+    assert "test_coverage.py: 4" in done.stdout
 
 
 def test_what_runs_on_a_submission_includes_the_long_tests() -> None:
