@@ -20,7 +20,7 @@ from onboard.config.schema import Config
 from onboard.events.types import FilterStatus, GpsQuality
 from onboard.navigation.position_doubt import ALIKE_SIGMAS, PositionDoubt
 from onboard.navigation.position_interpolation import Position, finite
-from onboard.navigation.position_slip import SLIP_WINDOW_NS, Slip, SlipTest
+from onboard.navigation.position_slip import Slip, SlipTest
 from onboard.navigation.time_series import MEMORY_NS, Series
 
 Array = NDArray[np.float64]
@@ -117,7 +117,6 @@ class GpsIntegrity:
     def note_position(self, index: int) -> None:
         """A position inserted at `index`: remember a jump that velocity does not explain until it has settled."""
         if index == len(self.positions.stamps_ns) - 1:
-            self._learn(self.positions.stamps_ns[index] - SLIP_WINDOW_NS // 2)
             self._doubt.append(self.positions, self.claims(self.positions.stamps_ns[index])[0])
         if index == 0:
             return
@@ -147,25 +146,19 @@ class GpsIntegrity:
         if not velocities or not horizontal:  # else it is measured as slip
             self._doubt.jumped(start_ns, end_ns, miss, sigma_horizontal_m)
 
-    def _learn(self, moment_ns: int) -> None:
-        """What a filter in order does in turns, from a moment whose receiver and filter report that they are."""
-        if not (self._receiver_fault(moment_ns) or self._filter_fault(moment_ns) or self._jump_at(moment_ns)):
-            self._slip.learn(self.positions, moment_ns)
-
     # ------------------------------------------------------------------ what is asked
 
     def fault_at(self, moment_ns: int, slip: Slip) -> str:
         """Why a position at a moment is not accepted; empty if it is. `slip`: `slip_at` the same moment."""
-        why = self._receiver_fault(moment_ns) or self._filter_fault(moment_ns) or self._jump_at(moment_ns)
+        why = self._receiver_fault(moment_ns) or self._filter_fault(moment_ns)
         if why:
             return why
+        for start_ns, end_ns, jump in self._jumps:
+            if start_ns <= moment_ns < end_ns:
+                return jump
         if slip.exceeds(self._gps.max_slip_m_s):
-            return f"position moves {slip.speed_m_s:.1f} m/s against velocity"
+            return f"position moves {slip.surely_m_s:.1f} m/s against velocity"
         return ""
-
-    def _jump_at(self, moment_ns: int) -> str:
-        jumps = (why for start_ns, end_ns, why in self._jumps if start_ns <= moment_ns < end_ns)
-        return next(jumps, "")
 
     def was_believed(self, start_ns: int, end_ns: int) -> bool:
         """As `Navigation.was_believed`."""
