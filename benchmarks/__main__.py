@@ -97,7 +97,7 @@ BENCHMARKS = (
     Benchmark(
         "source_codecs",
         "What compression costs",
-        ("--seconds", "12", "--autopilots", "10", "--kbit", "2000,8000", "--loss", "0,0.01"),
+        ("--seconds", "12", "--autopilots", "8", "--kbit", "1000,2000,4000,8000"),
         ("--size", "320x240", "--seconds", "12", "--kbit", "500", "--seeds", "1", "--autopilots", "2"),
     ),
     Benchmark("real_flight", "The real flight"),
