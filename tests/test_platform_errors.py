@@ -60,7 +60,7 @@ def body_bias_m(lever_known: bool) -> Array:
     config = replace_section(config, "solve", level_ground_sigma_deg=2.0)  # ground is drawn by it, and is to be level
     if lever_known:
         config = replace_section(config, "mount", lever_arm_m=LEVER_M)
-    spec = DrawnSpec(config, TURNS, seconds=50.0, rate_hz=2.0, errors=0.004, lever_arm_m=LEVER_M)
+    spec = DrawnSpec(config, TURNS, seconds=37.0, rate_hz=2.0, errors=0.004, lever_arm_m=LEVER_M)
     flight = DrawnFlight(spec, 3)
     sets, _ = fly(flight)
     R_enu_body = flight.trajectory.R_enu_body(flight.times_s)
@@ -86,7 +86,7 @@ def test_a_lever_arm_that_is_known_leaves_no_bias_and_one_that_is_not_leaves_its
         pytest.param(PathSpec(), 24.0, 4.0, 0.15, id="late-straight"),
         pytest.param(PathSpec(), 24.0, 4.0, -0.15, id="early-straight", marks=pytest.mark.long),
         pytest.param(TURNS, 60.0, 38.0, 0.15, id="late-after turns", marks=pytest.mark.long),
-        pytest.param(TURNS, 60.0, 38.0, -0.15, id="early-after turns"),
+        pytest.param(TURNS, 60.0, 38.0, -0.15, id="early-after turns", marks=pytest.mark.long),
     ],
 )
 def test_a_delay_is_covered_by_the_ellipse(path: PathSpec, seconds: float, after_s: float, delay_s: float) -> None:

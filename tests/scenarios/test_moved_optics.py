@@ -106,10 +106,11 @@ def drawn(path: PathSpec, seconds: float, seed: int = 0, **changes: Any) -> Draw
     return DrawnFlight(DrawnSpec(parse_config(""), path, seconds, 2.0, **{"relief_sigma_m": 2.0, **changes}), seed)
 
 
-def test_stabilised_video_is_refused_as_such_while_it_hides_a_turn() -> None:
-    """The recording flies straight for 20 s, where nothing is hidden and answers are right, as they are afterwards."""
-    found = flown(recorded("plane_turn", 4.0, 36.0, stabilised_s=0.5))
-    before, turning = found.windows_in(5.0, 20.0), found.windows_in(26.0, 35.0)
+@pytest.mark.parametrize(("start_s", "seconds"), [(10.0, 24.0), pytest.param(4.0, 36.0, marks=pytest.mark.long)])
+def test_stabilised_video_is_refused_as_such_while_it_hides_a_turn(start_s: float, seconds: float) -> None:
+    """It flies straight until the recording's 24th second, where nothing is hidden and answers are right."""
+    found = flown(recorded("plane_turn", start_s, seconds, stabilised_s=0.5))
+    before, turning = found.windows_in(5.0, 24.0 - start_s), found.windows_in(30.0 - start_s, 39.0 - start_s)
     assert before[Status.OK] > 0.9 * before.total(), before
     assert turning[Status.STABILISED] > 0.8 * turning.total() and not turning[Status.OK], turning
     assert Status.ZOOMED not in found.statuses
@@ -133,13 +134,14 @@ def test_a_camera_mounted_askew_is_not_taken_for_moved_optics_without_attitude()
     assert found.statuses[Status.OK] > 0.7 * found.statuses.total(), found.statuses
 
 
-def test_stamps_that_jump_back_in_flight_are_not_taken_for_moved_optics() -> None:
+@pytest.mark.parametrize(("jump_s", "seconds"), [(8.0, 20.0), pytest.param(14.0, 40.0, marks=pytest.mark.long)])
+def test_stamps_that_jump_back_in_flight_are_not_taken_for_moved_optics(jump_s: float, seconds: float) -> None:
     """By 150 ms: attitudes and positions are then those of another moment."""
-    flight = recorded("plane_wind_noise", 60.0, 40.0)
+    flight = recorded("plane_wind_noise", 60.0, seconds)
 
     def events() -> Iterator[Event]:
         for event in flight.events():
-            is_late = isinstance(event, Frame) and flight.times_s[event.index] > 14.0
+            is_late = isinstance(event, Frame) and flight.times_s[event.index] > jump_s
             yield replace(event, stamp_ns=event.stamp_ns - 150_000_000) if is_late else event
 
     found = flown(flight, events=events())
@@ -147,8 +149,21 @@ def test_stamps_that_jump_back_in_flight_are_not_taken_for_moved_optics() -> Non
     assert found.statuses[Status.OK] > 0.6 * found.statuses.total(), found.statuses
 
 
-@pytest.mark.parametrize("file", [LENS, replace(LENS, stated_sigma=UNKNOWN_SIGMA)])
-@pytest.mark.parametrize(("path", "zoom"), [(TURNS, (1.05, 11.5, 99.0, 0.3)), (STRAIGHT, (1.1, 9.0, 18.0, 0.5))])
+# A lens that stays where it stopped, and one that comes back, each by a file with and without stated sigmas.
+STAYS, COMES_BACK = (TURNS, (1.05, 11.5, 99.0, 0.3)), (STRAIGHT, (1.1, 9.0, 18.0, 0.5))
+UNSTATED = replace(LENS, stated_sigma=UNKNOWN_SIGMA)
+
+
+@pytest.mark.parametrize(
+    ("path", "zoom", "file"),
+    [
+        (*STAYS, LENS),
+        *(
+            pytest.param(*zoom, file, marks=pytest.mark.long)
+            for zoom, file in [(STAYS, UNSTATED), (COMES_BACK, LENS), (COMES_BACK, UNSTATED)]
+        ),
+    ],
+)
 def test_a_zoom_is_refused_while_it_lasts_and_answered_rightly_afterwards(
     path: PathSpec, zoom: tuple[float, float, float, float], file: Camera
 ) -> None:
@@ -189,7 +204,7 @@ def fixed_lens(path: PathSpec, seed: int, seconds: float = 40.0) -> Flown:
     return flown(flight, file, drifting(flight.events(), 3.0 * float(rng.choice([-1.0, 1.0]))))
 
 
-@pytest.mark.parametrize("seed", [1, 4])
+@pytest.mark.parametrize("seed", [pytest.param(1, marks=pytest.mark.long), 4])
 def test_a_fixed_lens_with_a_wrong_file_over_hills_is_no_zoom(seed: int) -> None:
     found = fixed_lens(TURNS, seed, 25.0)
     assert not MOVED & set(found.statuses), found.statuses
@@ -233,7 +248,7 @@ def test_photographs_of_a_fixed_lens_are_solved_and_none_is_called_zoomed(shared
     assert abs(belief.mean[focal] + np.log1p(off)) < 2.0 * belief.sigma[focal]
 
 
-@pytest.mark.parametrize("readout_s", [0.0, 0.0466])
+@pytest.mark.parametrize("readout_s", [0.0, pytest.param(0.0466, marks=pytest.mark.long)])
 def test_rows_read_in_turn_on_a_vibrating_aircraft_are_no_zoom(shared_data: Path, readout_s: float) -> None:
     """A fixed lens, read in 46.6 ms: two windows were called zoomed where that is not declared."""
     data = shared_data / "cmac_2018"
