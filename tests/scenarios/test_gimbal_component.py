@@ -19,6 +19,7 @@ from onboard.config.schema import Config, parse_config
 from onboard.events.types import Attitude, Event, Frame, GimbalAttitude, GpsQuality, PositionFix
 from onboard.navigation.gimbal import MountHypothesis
 from onboard.telemetry.mavlink_session import Autopilot
+from tests.rest_long import rest_long
 from tests.scenarios.test_moved_optics import Flown, flown
 
 S = 1_000_000_000
@@ -123,7 +124,7 @@ def test_a_yaw_whose_zero_is_off_and_drifts_is_found_by_each_window(
     assert share >= true - 0.1 and np.median(errors) < 1.5 * np.median(exact) + 0.1, (share, true)
 
 
-@pytest.mark.parametrize("seconds", [13.0, pytest.param(SECONDS, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seconds", rest_long([9.0, SECONDS]))
 def test_an_undeclared_yaw_zero_of_45_degrees_is_refused(seconds: float) -> None:
     silent = survey("[mount]\ngimbal = 'always'", seconds=seconds)
     share, errors = answered(flown(silent, events=with_yaw_zero(silent.events(), 45.0, 0.0)))
