@@ -90,6 +90,7 @@ def test_water_that_can_be_tracked_is_a_poor_fit_or_wide(style: str, flight: Des
     assert not len(outcome.semi_m) or np.median(outcome.semi_m) > least_m, outcome.reported
 
 
+@pytest.mark.long
 def test_water_under_a_fast_aircraft_is_wide() -> None:
     """At 35 m/s the waves' own motion is a tenth of what is seen: OK, with twice the radius of land."""
     spec = replace(LARGE, flight=FAST, texture=TextureSpec("sea"))
@@ -121,6 +122,7 @@ def test_stripes_far_apart_in_time_are_featureless() -> None:
     refuses(play(flown(spec)), Status.FEATURELESS)
 
 
+@pytest.mark.long
 def test_few_vehicles_cost_nothing() -> None:
     """Lorries on three hundredths of the ground: OK, with the radius of an empty road."""
     empty = play(flown(LARGE))

@@ -335,12 +335,15 @@ def test_without_holding_back_a_cut_would_be_paid_for_long_after(monkeypatch: py
 
 @pytest.mark.parametrize(
     ("offered", "carried", "replies_hz", "median_s", "worst_s"),
-    [
-        (32000.0, 64000.0, 0.0, 0.5, 0.8),
-        (32000.0, 64000.0, 1.0, 0.6, 1.0),
-        (9600.0, 14400.0, 0.0, 1.2, 2.5),
-        (32000.0, 16000.0, 0.0, 3.0, 4.0),  # slower than we are told: what is unacknowledged holds the delay
-    ],
+    rest_long(
+        [
+            (9600.0, 14400.0, 0.0, 1.2, 2.5),
+            (32000.0, 16000.0, 0.0, 3.0, 4.0),  # slower than we are told: what is unacknowledged holds the delay
+            (32000.0, 64000.0, 0.0, 0.5, 0.8),
+            (32000.0, 64000.0, 1.0, 0.6, 1.0),
+        ],
+        2,
+    ),
 )
 def test_the_delay_on_a_slow_radio_does_not_grow(
     offered: float, carried: float, replies_hz: float, median_s: float, worst_s: float
