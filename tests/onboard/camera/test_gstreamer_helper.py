@@ -42,11 +42,10 @@ from onboard.camera.helper_launch import (
 from onboard.config.schema import CameraConfig
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import SourceStatus, State
-from tests.left_out import NO_PROGRAM
 from tests.onboard.camera import test_helper_camera
 from tests.onboard.camera.test_helper_camera import BACK_S, CLOCK, REPORTED_S, Running, running
 from tests.onboard.link.ports import free_port
-from tests.rtsp import PACKAGES, RtspServer, drifting_ground, is_installed, number_of
+from tests.rtsp import RtspServer, drifting_ground, number_of
 from tests.rtsp_times import escaped, sei_unit
 from tests.waiting import PATIENCE_S
 
@@ -54,12 +53,6 @@ SIZE_PX = (320, 240)
 RATE_HZ = 30.0
 DELAY_S, JITTER_S = 0.15, 0.03
 START_S = PATIENCE_S  # of GStreamer, a connection, an encoder, a key frame and the least delay
-
-
-@pytest.fixture(scope="session")
-def gstreamer() -> None:
-    if not is_installed():
-        pytest.skip(f"{NO_PROGRAM} gstreamer; sudo apt-get install {PACKAGES}")
 
 
 @pytest.fixture(scope="module")
