@@ -27,6 +27,7 @@ from benchmarks.ablation_scenes import ORDINARY, ORDINARY_SECONDS, Trial, own
 from benchmarks.click_score import Score, clicks, scored
 from benchmarks.machine import describe
 from benchmarks.mechanisms import MECHANISMS
+from benchmarks.scatter import mean_and_sigma
 from contract.feature_set import FeatureSet
 from onboard.pipeline.pipeline import Pipeline
 
@@ -92,26 +93,22 @@ def change(name: str, on: Array, off: Array) -> tuple[list[str], list[str]]:
     judged, steps = _judged(off) - _judged(on), differences(on, off)
     interval = float(student.ppf(0.975, len(on) - 1))
     for figure, unit, bad, step in zip(FIGURES, UNITS, judged.T, steps.T, strict=True):
-        mean, error = _mean_and_error(bad)
+        mean, error = mean_and_sigma(bad)
         if not np.isfinite(mean):
             worse.append(f"{name}: {figure} none")
         elif abs(mean) > max(interval * error, 1e-9):
-            changed, least = _mean_and_error(step)
+            changed, least = mean_and_sigma(step)
             text = f"{name}: {figure} {changed:+.2g} ± {least:.1g}{unit}"
             (worse if mean > 0.0 else better).append(text)
     return worse, better
-
-
-def _mean_and_error(values: Array) -> tuple[float, float]:
-    return float(np.mean(values)), float(np.std(values, ddof=1) / np.sqrt(len(values)))
 
 
 def row(name: str, flight: str, on: tuple[Array, float], off: tuple[Array, float]) -> str:
     """A row of the table."""
     answered, median, ninth, inside, sharpness, worst = np.nanmean(on[0], axis=0)
     steps = differences(on[0], off[0])
-    changes = ["{:+.1f} ± {:.1f}".format(*_mean_and_error(step)) for step in steps[:, :4].T]
-    changes += ["{:+.2f} ± {:.2f}".format(*_mean_and_error(step)) for step in steps[:, 4:].T]
+    changes = ["{:+.1f} ± {:.1f}".format(*mean_and_sigma(step)) for step in steps[:, :4].T]
+    changes += ["{:+.2f} ± {:.2f}".format(*mean_and_sigma(step)) for step in steps[:, 4:].T]
     means = f"{100 * answered:.0f} % | {median:.2f} | {ninth:.2f} | {100 * inside:.0f} % | {sharpness:.2f}"
     return f"| {name} | {flight} | {means} | {worst:.1f} | {' | '.join(changes)} | {on[1]:.1f} -> {off[1]:.1f} |"
 

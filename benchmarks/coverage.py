@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, fly, replace_section
 from benchmarks.machine import describe
+from benchmarks.scatter import mean_and_sigma
 from contract.answer import CHI2_2, Fix
 from contract.feature_set import FeatureSet
 from contract.geodesy import rotation_enu_ecef
@@ -155,9 +156,7 @@ def _pose_nees(flight: DrawnFlight, frame: int, s: FeatureSet) -> float:
 def _share(per_flight: list[Counts], pick: Callable[[Counts], list[float]], limit: float) -> tuple[float, float]:
     """Share under a limit and one sigma of it from the dispersion between flights."""
     shares = np.array([np.mean(np.array(pick(c)) < limit) for c in per_flight if pick(c)])
-    if not len(shares):
-        return float("nan"), float("nan")
-    return float(shares.mean()), float(shares.std() / np.sqrt(len(shares)))
+    return mean_and_sigma(shares)
 
 
 def _mean(per_flight: list[Counts], pick: Callable[[Counts], list[float]]) -> float:

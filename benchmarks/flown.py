@@ -6,7 +6,7 @@ velocities and turning rates reversed, and so on. What the pipeline sees is cons
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -111,15 +111,20 @@ def first_sets(folder: Path, config: Config) -> list[tuple[Frame, FeatureSet]]:
     """Of a drawn flight's folder each picture with its first set, in the order of the sets."""
     camera = Camera.from_json(folder / "camera.json")
     recorded = Flight.open(config, camera, folder / "frames", folder / "telemetry.tlog", folder / "stamps.csv")
-    pipeline = Pipeline(config, recorded.camera)
+    return list(with_first_sets((event for _, event in recorded.events()), Pipeline(config, recorded.camera)))
+
+
+def with_first_sets(events: Iterable[Event], pipeline: Pipeline) -> Iterator[tuple[Frame, FeatureSet]]:
+    """Each picture with its first set, when that is made, as it is sent in flight."""
     frames: dict[int, Frame] = {}
-    out: dict[int, tuple[Frame, FeatureSet]] = {}
-    for _, event in recorded.events():
+    sent: set[int] = set()
+    for event in events:
         if isinstance(event, Frame):
             frames[event.index] = event
         for made in pipeline.handle(event):
-            out.setdefault(made.frame, (frames[made.frame], made))
-    return list(out.values())
+            if made.frame not in sent:
+                sent.add(made.frame)
+                yield frames[made.frame], made
 
 
 def sets_of(flown: Leg, features: int, frames: int | None = None) -> list[FeatureSet]:

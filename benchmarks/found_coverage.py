@@ -26,6 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, DrawnTracker
+from benchmarks.flown import with_first_sets
+from benchmarks.scatter import mean_and_sigma
 from contract.answer import CHI2_2, Place
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
@@ -92,19 +94,11 @@ def track_spec() -> DrawnSpec:
     return DrawnSpec(parse_config(""), path=path, seconds=16.0, rate_hz=10.0, relief_sigma_m=0.0, camera=camera)
 
 
-def first_sets(flight: DrawnFlight) -> Iterator[tuple[Frame, FeatureSet]]:
+def sets_in_flight(flight: DrawnFlight) -> Iterator[tuple[Frame, FeatureSet]]:
     """Each picture with its first set, as it is sent in flight."""
     pipeline = Pipeline(flight.spec.config, flight.spec.camera)
     pipeline.tracker = DrawnTracker(flight)
-    frames: dict[int, Frame] = {}
-    said: set[int] = set()
-    for event in flight.events():
-        if isinstance(event, Frame):
-            frames[event.index] = event
-        for made in pipeline.handle(event):
-            if made.frame not in said:
-                said.add(made.frame)
-                yield frames[made.frame], made
+    return with_first_sets(flight.events(), pipeline)
 
 
 def find_spots(spec: DrawnSpec, seed: int) -> Found:
@@ -114,7 +108,7 @@ def find_spots(spec: DrawnSpec, seed: int) -> Found:
     book, merger = SpotBook("uav", spec.config.spots, spec.config.thermal), SpotMerger()
     due = DuePictures(spec.config.spots.rate_hz, 256)
     whose: dict[int, int] = {}
-    for frame, its_set in first_sets(flight):
+    for frame, its_set in sets_in_flight(flight):
         if flight.times_s[frame.index] < WARM_S:
             continue
         due.event(replace(frame, counts=heat_picture(flight, frame.index, people)))
@@ -182,7 +176,7 @@ def find_tracks(spec: DrawnSpec, seed: int) -> Found:
     scene, rng = Plane(flight, cars), np.random.default_rng([seed, 930])
     book, begun = TrackBook("uav"), dict[int, MoverSpec]()
     clicked = round(WARM_S * spec.rate_hz)
-    for frame, its_set in first_sets(flight):
+    for frame, its_set in sets_in_flight(flight):
         book.picture(replace(frame, image=scene.picture(frame.index)), its_set)
         t = float(flight.times_s[frame.index])
         if frame.index >= clicked and not begun:
@@ -288,9 +282,8 @@ def chi2_of(place: Place, true_m: Array) -> float:
 def share_inside(per_flight: list[list[float]]) -> tuple[float, float, float]:
     """Of flights' squared errors: the share inside, one sigma of it by the flights' dispersion, mean over 2."""
     flown = [np.array(each) for each in per_flight if each]
-    shares = np.array([float(np.mean(each < CHI2_2)) for each in flown])
-    means = np.array([float(np.mean(each)) for each in flown])
-    return float(shares.mean()), float(shares.std() / np.sqrt(len(shares))), float(means.mean()) / 2.0
+    share, sigma = mean_and_sigma([float(np.mean(each < CHI2_2)) for each in flown])
+    return share, sigma, 0.5 * float(np.mean([np.mean(each) for each in flown]))
 
 
 def row(name: str, what: str, per_flight: list[list[float]]) -> tuple[str, ...]:

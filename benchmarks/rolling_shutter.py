@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, fly, replace_section
+from benchmarks.scatter import mean_and_sigma
 from contract.answer import CHI2_2, Fix
 from contract.camera import Camera
 from contract.locate import Locator
@@ -67,8 +68,7 @@ class Result:
     @property
     def inside(self) -> tuple[float, float]:
         """The share inside the 90 % ellipse, a flight as one sample, and one sigma of it."""
-        shares = [float(np.mean(np.array(chi2) < CHI2_2)) for chi2 in self.chi2 if chi2]
-        return float(np.mean(shares)), float(np.std(shares) / np.sqrt(len(shares)))
+        return mean_and_sigma([float(np.mean(np.array(chi2) < CHI2_2)) for chi2 in self.chi2 if chi2])
 
 
 SENSORS: dict[str, dict[str, Any]] = {"full": {}, "gps": {"attitude": "none", "velocity": False}}

@@ -36,6 +36,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.scatter import mean_and_sigma
 from benchmarks.sources import cells, flight_spec
 from contract.answer import Fix
 from contract.camera import Camera
@@ -184,11 +185,10 @@ def share_inside(done: Outcome) -> float:
 
 def mean_with_sigma(shares: Sequence[float], sign: str = "") -> str:
     """Mean of flights, in percent, with its sigma by how they scatter; flights without answers are left out."""
-    known = 100.0 * np.array([share for share in shares if np.isfinite(share)])
-    if not len(known):
+    mean, sigma = mean_and_sigma([100.0 * share for share in shares if np.isfinite(share)])
+    if np.isnan(mean):
         return "-"
-    sigma = f" +-{np.std(known, ddof=1) / np.sqrt(len(known)):.1f}" if len(known) > 1 else ""
-    return f"{np.mean(known):{sign}.1f}{sigma} %"
+    return f"{mean:{sign}.1f}" + ("" if np.isnan(sigma) else f" +-{sigma:.1f}") + " %"
 
 
 def row(what: Sequence[str], sessions: Sequence[Path], outcomes: Sequence[Outcome], raw: Sequence[Outcome]) -> str:

@@ -61,6 +61,15 @@ def systemd_analyze() -> str:
 
 
 @pytest.fixture(scope="session")
+def gstreamer() -> None:
+    """It and its RTSP server. `make test` installs it where it may; else the run's end says what was not tested."""
+    from tests import rtsp  # noqa: PLC0415  NumPy, not before the variables above
+
+    if not rtsp.is_installed():
+        pytest.skip(f"{NO_PROGRAM} gstreamer; sudo apt-get install {rtsp.PACKAGES}")
+
+
+@pytest.fixture(scope="session")
 def postgresql() -> Iterator[postgres.Server]:
     """A real server. `make test` installs it where it may; else the run's end says what was not tested."""
     if postgres.programs() is None:

@@ -2,7 +2,8 @@
 
 On standard input one line of JSON: `frames` (a file of raw grey pictures, played over and over), `width`, `height`,
 `rate_hz`, `bit_rate`, `codec` (H264, H265), `delay_s` and `jitter_s` between a picture's capture and its way into the
-network, `sei` (write MISB times), `sei_ahead_s` (of the sender's clock), `port` (0: any).
+network, `sei` (write MISB times), `sei_ahead_s` (of the sender's clock), `loss` (the share of packets that never
+leave, after the first 20 pictures), `port` (0: any).
 
 Prints the port, then a line `NUMBER CAPTURE_NS` (CLOCK_MONOTONIC) for every picture that a client gets. Ends when
 standard input is closed.
@@ -51,6 +52,10 @@ class Flight:
         self.stamping = False
         if spec.get("sei"):
             element.get_by_name("sei").get_static_pad("src").add_probe(Gst.PadProbeType.BUFFER, self.write_time)
+        if spec.get("loss"):
+            self.chance = random.Random(5)
+            kinds = Gst.PadProbeType.BUFFER | Gst.PadProbeType.BUFFER_LIST
+            element.get_by_name("pay0").get_static_pad("src").add_probe(kinds, self.lose)
         media.connect("unprepared", lambda *_: self.ended.set())
         threading.Thread(target=self.play, daemon=True).start()
 
@@ -71,6 +76,18 @@ class Flight:
         self.stamping = True
         pad.push(new)
         self.stamping = False
+        return Gst.PadProbeReturn.DROP
+
+    def lose(self, pad: object, info: object) -> object:
+        """Some packets, singly or of a list."""
+        is_list = info.type & Gst.PadProbeType.BUFFER_LIST
+        packets = info.get_buffer_list() if is_list else None
+        sent = [packets.get(k) for k in range(packets.length())] if is_list else [info.get_buffer()]
+        kept = [packet for packet in sent if self.number < 20 or self.chance.random() >= self.spec["loss"]]
+        if len(kept) == len(sent):
+            return Gst.PadProbeReturn.OK
+        for packet in kept:
+            pad.get_peer().chain(packet)
         return Gst.PadProbeReturn.DROP
 
     def play(self) -> None:

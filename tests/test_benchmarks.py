@@ -39,8 +39,7 @@ from onboard.config.schema import parse_config
 from onboard.events.types import Frame, PositionFix
 from simulation.session import fly
 from tests.contract.sets import plain_set
-from tests.left_out import NO_PROGRAM
-from tests.rtsp import PACKAGES, drifting_ground, is_installed, number_of
+from tests.rtsp import drifting_ground, number_of
 
 pytestmark = pytest.mark.xdist_group("benchmarks")  # one worker: what they share is made once
 
@@ -347,7 +346,7 @@ def test_beside_a_recorded_autopilot_the_ellipses_hold_in_every_bank() -> None:
     assert score.learned_values is not None and len(score.learned_values[0]) == 8
 
 
-@pytest.mark.skipif(not is_installed(), reason=f"{NO_PROGRAM} gstreamer; sudo apt-get install {PACKAGES}")
+@pytest.mark.usefixtures("gstreamer")
 @pytest.mark.parametrize("codec", ["H264", "H265"])
 def test_what_a_codec_hands_back_is_the_picture_of_its_number(tmp_path: Path, codec: str) -> None:
     pictures = drifting_ground(60, (320, 240))

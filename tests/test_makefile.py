@@ -50,7 +50,7 @@ def test_real_time_is_measured_alone(tmp_path: Path) -> None:
     code, calls, _ = make_pytest(tmp_path, 0, 0)
     assert code == 0
     assert calls == [
-        "-m pytest -m not long and not wall_clock -n 3 --dist loadgroup --durations=30",
+        "-m pytest -m not long and not wall_clock -n 3 --dist loadgroup --reruns 1 -rR --durations=30",
         "-m pytest -m not long and wall_clock -n 0 --reruns 2 -rR --durations=30",
     ]
 
@@ -59,7 +59,7 @@ def test_the_long_tests_have_a_run_of_their_own_that_needs_none_of_real_time(tmp
     code, calls, _ = make_pytest(tmp_path, 0, 5, target="test-long")
     assert code == 0
     assert calls == [
-        "-m pytest -m long and not wall_clock -n 3 --dist loadgroup --durations=30",
+        "-m pytest -m long and not wall_clock -n 3 --dist loadgroup --reruns 1 -rR --durations=30",
         "-m pytest -m long and wall_clock -n 0 --reruns 2 -rR --durations=30",
     ]
 

@@ -174,14 +174,25 @@ class Whole:
 
     def __init__(self) -> None:
         self._broken_ns: int | None = None
+        self._has_begun = False
+
+    @property
+    def is_whole(self) -> bool:
+        """Of a picture that needs others."""
+        return self._broken_ns is None
 
     def see(self, is_gap: bool, is_key: bool, now_ns: int) -> bool:
-        """Of the next picture, as it comes to the decoder: behind a gap or not, one that needs no other or not."""
-        if is_gap:
-            self._broken_ns = now_ns
+        """Of the next picture, as it comes to the decoder: behind a gap or not, one that needs no other or not.
+
+        What comes directly behind a gap may begin with the rest of an earlier picture, and then bears its times. So it
+        does not count itself, but what follows one that needs no other does. A stream begins with a gap.
+        """
         if is_key or (self._broken_ns is not None and now_ns - self._broken_ns > HEALED_NS):
             self._broken_ns = None
-        return self._broken_ns is None
+        if is_gap and not is_key:
+            self._broken_ns = now_ns
+        is_first, self._has_begun = not self._has_begun, True
+        return self.is_whole and (is_first or not is_gap)
 
 
 class Player:
@@ -435,7 +446,7 @@ class Player:
         if len(luma) < stride * info.height:  # the last row comes without its padding
             luma = luma.ljust(stride * info.height, b"\0")
         pts = buffer.pts if buffer.pts != Gst.CLOCK_TIME_NONE else None
-        arrival_ns, found, is_whole = self._known.pop(buffer.pts, (now_ns, {}, True))
+        arrival_ns, found, is_whole = self._known.pop(buffer.pts, (now_ns, {}, self._whole.is_whole))
         if pts is not None:
             found[MEDIA] = pts
         stamp_ns, clock, moment, origin = now_ns, MONOTONIC, UNKNOWN, ARRIVAL

@@ -55,14 +55,15 @@ class Surroundings:
     decoders: str = ""  # what decodes the camera's stream; empty where it is none
 
 
-# Of what is judged, that which can be seen without a daemon.
-SEEN_ALONE = (Subject.CAMERA, Subject.TELEMETRY, Subject.GPS, Subject.THERMAL_CAMERA)
+# Of what is judged, that which can be seen without a daemon; and what has lines of its own.
+SEEN_ALONE = (Subject.CAMERA, Subject.TELEMETRY, Subject.GPS)
+OWN_LINES = (Subject.SENSORS, Subject.THERMAL_CAMERA)
 
 
 def diagnose(config: Config, report: Report, around: Surroundings) -> list[Line]:
     """All lines, in the order in which one would look."""
-    seen = [s for s in Subject if s is not Subject.SENSORS and (around.is_running or s in SEEN_ALONE)]
-    judged = {s: _judged(report, s) for s in seen if s is not Subject.THERMAL_CAMERA}
+    seen = [s for s in Subject if s not in OWN_LINES and (around.is_running or s in SEEN_ALONE)]
+    judged = {s: _judged(report, s) for s in seen}
     second = [] if report.thermal_camera is None else [_judged(report, Subject.THERMAL_CAMERA)]
     lines = [
         judged.pop(Subject.CAMERA),
@@ -132,7 +133,7 @@ _WELL: dict[Subject, Callable[[Report], str]] = {
     Subject.CAMERA: lambda report: _source(report.camera),
     Subject.TELEMETRY: lambda report: _source(report.telemetry),
     Subject.GPS: lambda report: str(report.gps),
-    Subject.POSITION: lambda report: "believed",
+    Subject.POSITION: lambda report: "plausible",
     Subject.ANSWERS: _answers,
     Subject.LOAD: lambda report: f"keeps up, {report.status.dropped} pictures dropped so far",
     Subject.RECORDING: lambda report: "on" if report.recording.is_on else "off, as configured",

@@ -468,20 +468,22 @@ def _sections() -> Iterator[tuple[str, type[Section]]]:
 
     def within(name: str, model: type[Section]) -> Iterator[tuple[str, type[Section]]]:
         for key, info in model.model_fields.items():
-            if isinstance(info.annotation, type) and issubclass(info.annotation, Section):
-                yield f"{name}{key}", info.annotation
-                yield from within(f"{name}{key}.", info.annotation)
+            if (section := _section_of(info)) is not None:
+                yield f"{name}{key}", section
+                yield from within(f"{name}{key}.", section)
 
     return within("", Config)
 
 
 def _keys(model: type[Section]) -> dict[str, FieldInfo]:
     """A section's own keys, without the sections within it."""
-    return {
-        key: info
-        for key, info in model.model_fields.items()
-        if not (isinstance(info.annotation, type) and issubclass(info.annotation, Section))
-    }
+    return {key: info for key, info in model.model_fields.items() if _section_of(info) is None}
+
+
+def _section_of(info: FieldInfo) -> type[Section] | None:
+    """The section that a field is; None where it is a key."""
+    kind = info.annotation
+    return kind if isinstance(kind, type) and issubclass(kind, Section) else None
 
 
 def key_table() -> dict[str, FieldInfo]:

@@ -96,9 +96,10 @@ class BracketedPictures:
 
     def _judge(self) -> None:
         """How far the last set but one is from what its neighbours say, as an acceleration. (27.3)"""
-        if len(self._sets) < 3 or not all(s.is_ok for s in list(self._sets)[-3:]):
+        newest = list(self._sets)[-3:]
+        if len(newest) < 3 or not all(s.is_ok for s in newest):
             return
-        first, middle, last = list(self._sets)[-3:]
+        first, middle, last = newest
         before_s, after_s = seconds(first, middle), seconds(middle, last)
         moved_m, turned = motion(first, last)
         share = before_s / (before_s + after_s)

@@ -113,16 +113,14 @@ class SpotBook:
             spot = Spot(u, v, region.contrast, hottest, above, answer.status, is_cut=region.is_cut)
             return Placed(spot, None, np.full(2, np.nan), 0.0)
         outline, pixel_m = self._outline(region, locator, answer)
-        seen = _polygon_m2(outline)
-        area = unblurred(seen, region.blur_px * pixel_m)
-        sigma = area_sigma(outline, seen, region, pixel_m, answer)
+        area, sigma = area_and_sigma(outline, region, pixel_m, answer)
         spot = Spot(
             u, v, region.contrast, hottest, above, Status.OK, answer.place, area, sigma,
             tuple((float(east), float(north)) for east, north in outline), region.is_cut,
         )  # fmt: skip
         place = self._en_m(answer.lat_deg, answer.lon_deg)
         one = Placed(spot, answer, place, max(answer.ellipse.semi_major_m, LEAST_GATE_PX * pixel_m))
-        parts = locator.error_parts(region.uv_px)
+        parts = None if pointing is None else locator.error_parts(region.uv_px)
         if pointing is None or root is None or parts is None:
             return one
         by_pixel = parts.by_pixel_m[:2]
@@ -155,23 +153,23 @@ def _polygon_m2(outline: Array) -> float:
     return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
-def area_sigma(outline: Array, seen_m2: float, region: Region, pixel_m: float, fix: Fix) -> float:
-    """One sigma of an area: of its edge, of the blur that is taken off it, and of how far away the ground is.
+def area_and_sigma(outline: Array, region: Region, pixel_m: float, fix: Fix) -> tuple[float, float]:
+    """The area (m2) within an outline (N, 2) without its blur, (25.10), and one sigma of it.
 
-    (25.11)
+    That is of its edge, of the blur that is taken off it, and of how far away the ground is. (25.11)
     """
+    seen_m2, blur_m = _polygon_m2(outline), region.blur_px * pixel_m
+    area = unblurred(seen_m2, blur_m)
     if not seen_m2:
-        return 0.0
+        return area, 0.0
     steps = np.hypot(*(outline - np.roll(outline, -1, axis=0)).T)
     edge = EDGE_SIGMA_PX * region.pixels * pixel_m * float(steps.sum())
-    blur_m = region.blur_px * pixel_m
-    area = unblurred(seen_m2, blur_m)
     by_edge = unblurred(seen_m2 + edge, blur_m) - area
     by_blur = unblurred(seen_m2, (1.0 + BLUR_SIGMA) * blur_m) - area
     distance = float(np.linalg.norm(fix.offset_enu_m))
     along = fix.offset_enu_m / distance
     by_distance = 2.0 * np.sqrt(float(along @ fix.covariance_enu_m2 @ along)) / distance
-    return float(np.hypot(np.hypot(by_edge, by_blur), by_distance * area))
+    return area, float(np.hypot(np.hypot(by_edge, by_blur), by_distance * area))
 
 
 def shares(fixes: list[Fix], its_set: FeatureSet, pointed_m: list[Array]) -> tuple[float, float]:

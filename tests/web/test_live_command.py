@@ -18,9 +18,7 @@ from simulation.ordinary import ordinary
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
-from tests.left_out import NO_PROGRAM
 from tests.onboard.link.ports import free_udp_port
-from tests.rtsp import PACKAGES, is_installed
 from tests.scenarios.flights import flown
 from tests.streamed_flight import StreamedFlight
 from tests.waiting import PATIENCE_S, eventually
@@ -61,9 +59,7 @@ def session() -> Path:
 
 
 @pytest.fixture
-def flight(session: Path, tmp_path: Path) -> Iterator[tuple[StreamedFlight, list[object]]]:
-    if not is_installed():
-        pytest.skip(f"{NO_PROGRAM} gstreamer; sudo apt-get install {PACKAGES}")
+def flight(session: Path, tmp_path: Path, gstreamer: None) -> Iterator[tuple[StreamedFlight, list[object]]]:
     page_is_built()
     port = free_udp_port()
     with StreamedFlight(session, tmp_path, RATE_HZ, port, delay_s=0.2, jitter_s=0.03, bit_rate=4_000_000) as streamed:

@@ -42,11 +42,10 @@ from onboard.camera.helper_launch import (
 from onboard.config.schema import CameraConfig
 from onboard.events.session_clock import SessionClock
 from onboard.events.source import SourceStatus, State
-from tests.left_out import NO_PROGRAM
 from tests.onboard.camera import test_helper_camera
 from tests.onboard.camera.test_helper_camera import BACK_S, CLOCK, REPORTED_S, Running, running
 from tests.onboard.link.ports import free_port
-from tests.rtsp import PACKAGES, RtspServer, drifting_ground, is_installed, number_of
+from tests.rtsp import RtspServer, drifting_ground, number_of
 from tests.rtsp_times import escaped, sei_unit
 from tests.waiting import PATIENCE_S
 
@@ -54,12 +53,6 @@ SIZE_PX = (320, 240)
 RATE_HZ = 30.0
 DELAY_S, JITTER_S = 0.15, 0.03
 START_S = PATIENCE_S  # of GStreamer, a connection, an encoder, a key frame and the least delay
-
-
-@pytest.fixture(scope="session")
-def gstreamer() -> None:
-    if not is_installed():
-        pytest.skip(f"{NO_PROGRAM} gstreamer; sudo apt-get install {PACKAGES}")
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +86,7 @@ def one_stream(
     raise AssertionError(f"{len(clients)} connections in the time of one, {health.figures['damaged']} pictures damaged")
 
 
+@pytest.mark.wall_clock
 @pytest.mark.usefixtures("gstreamer")
 @pytest.mark.parametrize(
     ("scheme", "keys", "origin"),
@@ -118,6 +112,30 @@ def test_stamps_of_a_stream_lack_its_jitter_and_keep_its_least_delay(
     assert 1e3 * (DELAY_S - JITTER_S) - 5.0 < late_ms[-1] < max(1e3 * DELAY_S + 40.0, min(late_ms + waited_ms) + 10.0)
 
 
+@pytest.mark.wall_clock
+@pytest.mark.usefixtures("gstreamer")
+@pytest.mark.parametrize("codec", ["H264", "H265"])
+def test_behind_lost_packets_no_picture_bears_the_capture_time_of_another(
+    tmp_path: Path, pictures: list[np.ndarray], codec: str
+) -> None:
+    """A picture whose end is lost and the next one come as one, with the times of both."""
+    keys = {"codec": codec, "sei": True, "loss": 0.03}
+    with (
+        RtspServer(tmp_path, pictures, RATE_HZ, delay_s=DELAY_S, **keys) as server,
+        running(server.url("rtspu"), size_px=SIZE_PX, latency_s=0.0) as camera,
+    ):
+        camera.wait_for_pictures(60, START_S)
+        health = camera.source.health()
+        camera.stop.set()
+        camera.thread.join(PATIENCE_S)
+        (captured_ns,) = server.stop()
+    again_ms = 1e3 * len(pictures) / RATE_HZ
+    late_ms = (off_ms(camera, captured_ns) + 0.5 * again_ms) % again_ms
+    assert np.ptp(late_ms) < 20.0  # pictures are 33 ms apart
+    assert health.figures["damaged"] > 20
+
+
+@pytest.mark.wall_clock
 @pytest.mark.usefixtures("gstreamer")
 @pytest.mark.parametrize("bit_rate", [300_000, 2_000_000])
 def test_repeats_in_a_compressed_stream_have_no_image(
@@ -291,12 +309,13 @@ def test_a_stream_is_whole_from_a_picture_that_needs_no_other_to_the_next_gap(
     events: list[tuple[bool, bool, int]],
 ) -> None:
     whole, now_ns, broken_ns = Whole(), 0, None
-    for is_gap, is_key, step_ns in events:
+    for k, (is_gap, is_key, step_ns) in enumerate(events):
         now_ns += step_ns
-        broken_ns = now_ns if is_gap else broken_ns
-        is_whole = is_key or broken_ns is None or now_ns - broken_ns > HEALED_NS
-        broken_ns = None if is_whole else broken_ns
-        assert whole.see(is_gap, is_key, now_ns) == is_whole
+        is_healed = is_key or (broken_ns is not None and now_ns - broken_ns > HEALED_NS)
+        broken_ns = None if is_healed else broken_ns
+        broken_ns = now_ns if is_gap and not is_key else broken_ns
+        assert whole.see(is_gap, is_key, now_ns) == (broken_ns is None and (k == 0 or not is_gap))
+        assert whole.is_whole == (broken_ns is None)
 
 
 class Installed:

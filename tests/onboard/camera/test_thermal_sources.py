@@ -23,12 +23,10 @@ from onboard.camera.v4l2_device import Buffer, Granted, Sizes
 from onboard.config.schema import CameraConfig, ThermalConfig
 from onboard.events.source import State
 from onboard.events.types import Frame
-from tests.left_out import NO_PROGRAM
 from tests.onboard.camera.fake_camera import SIZE_PX, Plugged, World
 from tests.onboard.camera.test_helper_camera import CLOCK, Running, running
 from tests.onboard.camera.test_playback import Time
 from tests.onboard.camera.test_v4l2_camera import OURS
-from tests.rtsp import PACKAGES, is_installed
 
 WIDTH, HEIGHT = SIZE_PX
 CAMERA = Camera.from_field_of_view(*SIZE_PX, 57.0)
@@ -168,9 +166,8 @@ def has_come(camera: Running) -> list[Frame]:
     return [frame for _, frame in camera.frames if frame.image is not None]
 
 
+@pytest.mark.usefixtures("gstreamer")
 def test_the_gstreamer_helper_passes_sixteen_bits_on_as_they_are(tmp_path: Path) -> None:
-    if not is_installed():
-        pytest.skip(f"{NO_PROGRAM} gstreamer; sudo apt-get install {PACKAGES}")
     clip = ffv1(tmp_path / "thermal.mkv", 60)
     device = f"gst:filesrc location={clip} ! matroskademux ! avdec_ffv1"
     with running(device, thermal=ThermalConfig(enabled=True, scale=1.0 / 64.0)) as camera:
