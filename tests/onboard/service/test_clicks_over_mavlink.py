@@ -23,6 +23,9 @@ from tests.scenarios.flights import CAMERA
 from tests.waiting import PATIENCE_S
 
 
+pytestmark = pytest.mark.xdist_group("processes in real time")
+
+
 def pc_ground(*arguments: object, lines: str = "") -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "ground", *map(str, arguments)]
     return subprocess.run(

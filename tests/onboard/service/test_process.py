@@ -22,6 +22,8 @@ from tests.onboard.service.process import ROOT, Aircraft, aircraft
 from tests.scenarios.flights import Outcome, click
 from tests.waiting import eventually
 
+pytestmark = pytest.mark.xdist_group("processes in real time")  # of the long tests, too, one at a time
+
 SPEC = replace(STRAIGHT)
 
 
