@@ -22,7 +22,6 @@ from tests.onboard.service.process import ROOT, aircraft
 from tests.scenarios.flights import CAMERA
 from tests.waiting import PATIENCE_S
 
-
 pytestmark = pytest.mark.xdist_group("processes in real time")
 
 
