@@ -202,7 +202,12 @@ def own() -> dict[str, tuple[Trial, ...]]:
             drawn("hills of 8 m, long", path=PathSpec(), relief_sigma_m=8.0, relief_wavelength_m=400.0),
             drawn("hills of 8 m, long, camera + GPS", config=GPS_ONLY, relief_sigma_m=8.0, relief_wavelength_m=400.0),
         ),
-        "second start": (recorded("plane_log", "gps"),),
+        "second start": (
+            recorded("plane_log", "gps"),
+            recorded("qp_transition", "gps"),
+            recorded("plane_wind_noise", "gps", seconds=ORDINARY_SECONDS),
+            drawn("hills of 8 m, turns, camera + GPS", config=GPS_ONLY, path=TURNS, relief_sigma_m=8.0),
+        ),
         "reobservation": (
             drawn(
                 "lens 0.4 % off, claimed exact",
