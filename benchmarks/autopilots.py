@@ -1,10 +1,11 @@
 """Answers with real autopilot software: recorded telemetry, simulated ground, truth known.
 
     python -m benchmarks.autopilots [--recordings plane_clean,...] [--mounts nadir,...] [--sensors full,...]
-                                    [--faults none,...] [--seconds 200] [--draws 1] [--seed 0]
+                                    [--faults none,...] [--seconds 200] [--draws 1] [--seed 0] [--position-error 1.5]
 
-Position, velocity and attitude are what ArduPilot sent, with all of its errors, none of which we chose; a sampled
-Gauss-Markov error is added to the position, for one flight is only one sample of its GPS. Features are points of
+Position, velocity and attitude are what ArduPilot or PX4 sent, with all of its errors, none of which we chose; a
+sampled Gauss-Markov error is added to the position, for one flight is only one sample of its GPS, and simulators of
+receivers hold none that lasts. Features are points of
 simulated ground with pixel noise (`drawn_flight`), so that a flight of minutes takes seconds. Printed for every scene:
 the share answered, median and 90 % error next to what the flat ray gives (the autopilot's own pose, the true
 mount, level ground at home's height), the share inside the 90 % ellipse by bank, inside the 99 % ellipse, the worst
@@ -308,7 +309,8 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
         config = replace_section(replace_section(base, "mount", **MOUNTS[mount]), "solve", **SENSORS[sensors])
         config = replace_section(config, "camera", **BELIEVED.get(fault, {}))
         start_s = STARTS[name] if args.start is None else args.start
-        scene = replace(Scene(name, config, start_s, args.seconds), **FAULTS[fault])
+        scene = Scene(name, config, start_s, args.seconds, wander_m=args.position_error)
+        scene = replace(scene, **FAULTS[fault])
         jobs += [(f"{name} {mount} {sensors} {fault}", scene, args.seed + draw) for draw in range(args.draws)]
     return jobs
 
@@ -332,8 +334,8 @@ def report(results: Iterable[tuple[str, Score, float]]) -> None:
             print(sharpness_row(name, scores, goal))
 
 
-def main() -> None:
-    """Print the table."""
+def arguments(argv: list[str] | None = None) -> argparse.Namespace:
+    """What was asked for on the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--recordings", default="plane_clean,plane_wind_noise,plane_breeze,plane_log")
     parser.add_argument("--mounts", default="nadir")
@@ -343,9 +345,17 @@ def main() -> None:
     parser.add_argument("--start", type=float, default=None)
     parser.add_argument("--draws", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--position-error", type=float, default=Scene.wander_m, help="one sigma added to positions, m; 0: as recorded"
+    )
     parser.add_argument("--set", default="", help="TOML put over the defaults")
     parser.add_argument("--jobs", type=int, default=1)
-    args = parser.parse_args()
+    return parser.parse_args(argv)
+
+
+def main() -> None:
+    """Print the table."""
+    args = arguments()
     jobs = jobs_of(args)
     if args.jobs == 1:
         report(map(_work, jobs))

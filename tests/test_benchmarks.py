@@ -346,6 +346,26 @@ def test_beside_a_recorded_autopilot_the_ellipses_hold_in_every_bank() -> None:
     assert score.learned_values is not None and len(score.learned_values[0]) == 8
 
 
+@pytest.mark.parametrize(("asked", "least_m", "most_m"), [([], 0.1, 10.0), (["--position-error", "0"], 0.0, 1e-6)])
+def test_recorded_positions_have_the_error_that_was_asked_for(asked: list[str], least_m: float, most_m: float) -> None:
+    recording = str(Path(__file__).parent / "data" / "plane_turn")
+    args = ["--recordings", recording, "--start", "10", "--seconds", "20", "--sensors", "full", *asked]
+    [(_, scene, seed)] = autopilots.jobs_of(autopilots.arguments(args))
+    flight = autopilots.ReplayedFlight(scene, seed)
+    given = {e.stamp_ns: e for e in flight.events() if isinstance(e, PositionFix)}
+    recorded = [e for e in autopilots.recording(recording)[0].events if isinstance(e, PositionFix)]
+    off_m = [
+        np.linalg.norm(
+            flight.place.to_enu(*(getattr(given[e.stamp_ns], c) for c in ("lat_deg", "lon_deg", "height_amsl_m")))
+            - flight.place.to_enu(e.lat_deg, e.lon_deg, e.height_amsl_m)
+        )
+        for e in recorded
+        if e.stamp_ns in given
+    ]
+    assert len(off_m) > 50
+    assert least_m <= np.median(off_m) <= most_m
+
+
 @pytest.mark.usefixtures("gstreamer")
 @pytest.mark.parametrize("codec", ["H264", "H265"])
 def test_what_a_codec_hands_back_is_the_picture_of_its_number(tmp_path: Path, codec: str) -> None:
