@@ -336,7 +336,9 @@ def test_the_demo_runs(tmp_path: Path) -> None:
     assert drawn == ["map.png", "overview.jpg", "tracks_1_frames.png", "tracks_2_features.png", "tracks_3_paths.png"]
 
 
+@pytest.mark.long
 def test_the_real_flight_is_solved(shared_data: Path, tmp_path: Path) -> None:
+    """Within a process, and with a gimbal to be found: tests/scenarios/test_gimbal_on_real_pictures.py."""
     real, recording = shared_data / "cmac_2018", tmp_path / "real.mcap"
     done = run(
         "onboard", "replay", "--frames", real / "frames", "--telemetry", real / "telemetry.tlog",

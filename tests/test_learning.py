@@ -12,14 +12,17 @@ from simulation.paths import PathSpec
 TURNS = PathSpec("turns", leg_m=160.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("boresight_deg", "offset_s"),
-    [((2.0, -1.0, 2.0), 0.3), pytest.param((-1.0, 2.5, -1.3), -0.3, marks=pytest.mark.long)],  # both 3 degrees in all
+    [((2.0, -1.0, 2.0), 0.3), ((-1.0, 2.5, -1.3), -0.3)],  # both 3 degrees in all
 )
 def test_three_degrees_of_mount_and_a_third_of_a_second_are_recovered(
     boresight_deg: tuple[float, float, float], offset_s: float
 ) -> None:
-    """Three minutes with turns; the sensors' errors are 0.4 of those configured."""
+    """Three minutes with turns; the sensors' errors are 0.4 of those configured. As far off for 42 s: see
+    test_platform_errors.
+    """
     spec = DrawnSpec(parse_config(""), TURNS, 180.0, 2.0, errors=0.4, boresight_deg=boresight_deg, offset_s=offset_s)
     flight = DrawnFlight(spec, 5)
     sets, pipeline = fly(flight)

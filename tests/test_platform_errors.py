@@ -17,6 +17,7 @@ from onboard.estimation.boresight import Belief
 from onboard.estimation.platform_states import HEADING, OFFSET, STATES
 from simulation.paths import PathSpec
 from tests.drawn_clicks import chi2_of, located
+from tests.rest_long import rest_long
 
 Array = NDArray[np.float64]
 
@@ -60,7 +61,7 @@ def body_bias_m(lever_known: bool) -> Array:
     config = replace_section(config, "solve", level_ground_sigma_deg=2.0)  # ground is drawn by it, and is to be level
     if lever_known:
         config = replace_section(config, "mount", lever_arm_m=LEVER_M)
-    spec = DrawnSpec(config, TURNS, seconds=50.0, rate_hz=2.0, errors=0.004, lever_arm_m=LEVER_M)
+    spec = DrawnSpec(config, TURNS, seconds=37.0, rate_hz=2.0, errors=0.004, lever_arm_m=LEVER_M)
     flight = DrawnFlight(spec, 3)
     sets, _ = fly(flight)
     R_enu_body = flight.trajectory.R_enu_body(flight.times_s)
@@ -74,10 +75,14 @@ def body_bias_m(lever_known: bool) -> Array:
     return out
 
 
-def test_a_lever_arm_that_is_known_leaves_no_bias_and_one_that_is_not_leaves_itself() -> None:
-    known, ignored = body_bias_m(True), body_bias_m(False)
-    assert np.abs(known).max() < 0.06
-    assert known - ignored == pytest.approx(np.array(LEVER_M), abs=0.05)
+def test_a_lever_arm_that_is_known_leaves_no_bias() -> None:
+    assert np.abs(body_bias_m(True)).max() < 0.06
+
+
+@pytest.mark.long
+def test_a_lever_arm_that_is_not_known_leaves_itself() -> None:
+    """So the test above can fail."""
+    assert body_bias_m(True) - body_bias_m(False) == pytest.approx(np.array(LEVER_M), abs=0.05)
 
 
 @pytest.mark.parametrize(
@@ -86,7 +91,7 @@ def test_a_lever_arm_that_is_known_leaves_no_bias_and_one_that_is_not_leaves_its
         pytest.param(PathSpec(), 24.0, 4.0, 0.15, id="late-straight"),
         pytest.param(PathSpec(), 24.0, 4.0, -0.15, id="early-straight", marks=pytest.mark.long),
         pytest.param(TURNS, 60.0, 38.0, 0.15, id="late-after turns", marks=pytest.mark.long),
-        pytest.param(TURNS, 60.0, 38.0, -0.15, id="early-after turns"),
+        pytest.param(TURNS, 60.0, 38.0, -0.15, id="early-after turns", marks=pytest.mark.long),
     ],
 )
 def test_a_delay_is_covered_by_the_ellipse(path: PathSpec, seconds: float, after_s: float, delay_s: float) -> None:
@@ -115,10 +120,11 @@ def test_who_takes_the_delay_for_certain_is_wrong_by_it() -> None:
     assert np.mean(inside) < 0.8
 
 
-def test_a_compass_that_errs_by_its_heading_is_recovered_after_turns() -> None:
-    """Two minutes over opposite legs and turns: found within three of its sigmas, which have become smaller."""
+@pytest.mark.parametrize("seconds", rest_long([80.0, 120.0]))
+def test_a_compass_that_errs_by_its_heading_is_recovered_after_turns(seconds: float) -> None:
+    """Over opposite legs and turns: found within three of its sigmas, which have become smaller."""
     heading_error_deg = (4.0, -4.0)  # by cosine and sine of the heading: from 5.7 to -5.7 within a circle
-    spec = DrawnSpec(CONFIG, SURVEY, 120.0, 2.0, errors=0.4, heading_error_deg=heading_error_deg, offset_s=0.0)
+    spec = DrawnSpec(CONFIG, SURVEY, seconds, 2.0, errors=0.4, heading_error_deg=heading_error_deg, offset_s=0.0)
     flight = DrawnFlight(spec, 4)
     sets, pipeline = fly(flight)
     belief = pipeline.window.alignment.belief
@@ -126,7 +132,7 @@ def test_a_compass_that_errs_by_its_heading_is_recovered_after_turns() -> None:
     assert np.all(np.abs(found_deg - heading_error_deg) < 3.0 * sigma_deg)
     assert sigma_deg.max() < 0.75 * CONFIG.solve.heading_sigma_deg
     assert np.abs(found_deg - heading_error_deg).max() < 2.0, "nothing was learned"
-    chi2, _ = clicks(flight, sets, 60.0)
+    chi2, _ = clicks(flight, sets, 0.5 * seconds)
     assert np.mean(chi2 < CHI2_2) > 0.8
 
 
@@ -158,14 +164,14 @@ def test_late_stamps_are_known_after_a_few_turns_from_beyond_their_prior() -> No
     assert np.mean([s.is_ok for s in sets.values()]) > 0.85
 
 
-def with_camera_file(filed: Camera | None) -> tuple[list[float], Array, Belief]:
-    """Errors (m) and squared errors in units of the stated covariance from 40 s of turns on, and what was found."""
-    spec = DrawnSpec(CONFIG, TURNS, seconds=80.0, rate_hz=2.0, offset_s=0.0, camera_file=filed)
+def with_camera_file(filed: Camera | None, seconds: float, after_s: float) -> tuple[list[float], Array, Belief]:
+    """Errors (m) and squared errors in units of the stated covariance after some time of turns, and what was found."""
+    spec = DrawnSpec(CONFIG, TURNS, seconds, rate_hz=2.0, offset_s=0.0, camera_file=filed)
     flight = DrawnFlight(spec, 0)
     sets, pipeline = fly(flight)
-    chi2, _ = clicks(flight, sets, 40.0)
+    chi2, _ = clicks(flight, sets, after_s)
     assert len(chi2) > 20
-    return errors_of(flight, sets, 40.0), chi2, pipeline.window.alignment.belief
+    return errors_of(flight, sets, after_s), chi2, pipeline.window.alignment.belief
 
 
 LENS = DrawnSpec(CONFIG).camera
@@ -179,9 +185,10 @@ WRONG = replace(
 )
 
 
-def test_a_wrong_camera_file_is_found_out() -> None:
+@pytest.mark.parametrize(("seconds", "after_s"), rest_long([(54.0, 30.0), (80.0, 40.0)]))
+def test_a_wrong_camera_file_is_found_out(seconds: float, after_s: float) -> None:
     """After a minute with turns, and the ellipses hold."""
-    errors_m, chi2, belief = with_camera_file(WRONG)
+    errors_m, chi2, belief = with_camera_file(WRONG, seconds, after_s)
     found, sigma = belief.mean[STATES:], belief.sigma[STATES:]
     assert np.abs(found[0] + np.log(1.03)) < 3.0 * sigma[0] and sigma[0] < 0.5 * UNKNOWN_SIGMA[0]
     assert np.abs(found[3] + 0.1) < 3.0 * sigma[3] and sigma[3] < 0.5 * UNKNOWN_SIGMA[3]
@@ -191,5 +198,5 @@ def test_a_wrong_camera_file_is_found_out() -> None:
 
 @pytest.mark.long
 def test_a_wrong_camera_file_hardly_costs_accuracy() -> None:
-    wrong_m, right_m = (float(np.median(with_camera_file(filed)[0])) for filed in (WRONG, None))
+    wrong_m, right_m = (float(np.median(with_camera_file(filed, 80.0, 40.0)[0])) for filed in (WRONG, None))
     assert wrong_m < 1.3 * right_m

@@ -183,8 +183,8 @@ def test_watch_and_record_show_and_keep_the_sets_that_come_in_pieces(
             aircraft.radio.feed.offer(a_set(frame))
 
         def is_kept() -> bool:
-            """In eight seconds, or in the next eight where a busy machine's were too short."""
-            assert main(["record", "--to", str(tmp_path), "--seconds", "8", "--connect", radio]) == 0
+            """In five seconds, or in the next five where a busy machine's were too short."""
+            assert main(["record", "--to", str(tmp_path), "--seconds", "5", "--connect", radio]) == 0
             vehicles = Recording(tmp_path).vehicles if any(tmp_path.iterdir()) else []
             return any(2 in Recording(tmp_path).frames(vehicle) for vehicle in vehicles)
 
@@ -195,7 +195,7 @@ def test_watch_and_record_show_and_keep_the_sets_that_come_in_pieces(
 
         def is_shown() -> bool:
             capsys.readouterr()
-            assert main(["watch", "--connect", radio, "--json", "--count", "8", "--period", "1"]) == 0
+            assert main(["watch", "--connect", radio, "--json", "--count", "3", "--period", "1"]) == 0
             rows.extend(json.loads(line) for line in capsys.readouterr().out.splitlines())
             return bool(rows) and rows[-1]["frame"] == 3
 

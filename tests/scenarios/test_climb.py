@@ -12,11 +12,12 @@ import pytest
 from benchmarks.autopilots import SENSORS, Scene, judge
 from benchmarks.drawn_flight import replace_section
 from onboard.config.schema import parse_config
+from tests.rest_long import rest_long
 
 GPS_ALONE = replace_section(parse_config(""), "solve", **SENSORS["gps"])
 
 
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", rest_long([3, 2]))
 def test_a_climb_on_camera_and_gps_is_answered_and_its_ellipses_hold(seed: int) -> None:
     score = judge(Scene("qp_climb", GPS_ALONE, 0.0, 30.0), seed, warm_s=2.5)
     ratio = np.array(score.ratio)

@@ -69,8 +69,15 @@ def test_water_in_small_pictures_is_refused_or_its_ellipse_holds() -> None:
         honest(outcome, Status.FEATURELESS, Status.POOR_FIT, Status.LOW_PARALLAX)
 
 
-@pytest.mark.parametrize("style", ["water", "sea"])
-@pytest.mark.parametrize(("flight", "least_m"), [(LARGE.flight, 16.0), (LOW, 7.0)], ids=["250m", "100m"])
+@pytest.mark.parametrize(
+    ("flight", "least_m", "style"),
+    [
+        pytest.param(LOW, 7.0, "water", id="100m-water"),
+        pytest.param(LOW, 7.0, "sea", id="100m-sea", marks=pytest.mark.long),
+        pytest.param(LARGE.flight, 16.0, "water", id="250m-water", marks=pytest.mark.long),
+        pytest.param(LARGE.flight, 16.0, "sea", id="250m-sea", marks=pytest.mark.long),
+    ],
+)
 def test_water_that_can_be_tracked_is_a_poor_fit_or_wide(style: str, flight: DescribedSpec, least_m: float) -> None:
     """Waves that persist from picture to picture, moving as a whole at 2 to 3 m/s. Refused, or wide.
 
@@ -83,6 +90,7 @@ def test_water_that_can_be_tracked_is_a_poor_fit_or_wide(style: str, flight: Des
     assert not len(outcome.semi_m) or np.median(outcome.semi_m) > least_m, outcome.reported
 
 
+@pytest.mark.long
 def test_water_under_a_fast_aircraft_is_wide() -> None:
     """At 35 m/s the waves' own motion is a tenth of what is seen: OK, with twice the radius of land."""
     spec = replace(LARGE, flight=FAST, texture=TextureSpec("sea"))
@@ -93,13 +101,15 @@ def test_water_under_a_fast_aircraft_is_wide() -> None:
     assert np.median(wide.semi_m) > 1.5 * np.median(land.semi_m), (wide.reported, land.reported)
 
 
-@pytest.mark.parametrize("spec", [LEG, LARGE], ids=["small", "large"])
+@pytest.mark.parametrize(
+    "spec", [pytest.param(LEG, id="small"), pytest.param(LARGE, id="large", marks=pytest.mark.long)]
+)
 def test_stripes_are_distinguished_by_telemetry(spec: SessionSpec) -> None:
     """Rows that repeat exactly every 8 m, 4 to 7 m between pictures. OK: telemetry is better than half a row."""
     holds(play(flown(replace(spec, texture=TextureSpec("stripes")))))
 
 
-@pytest.mark.parametrize("rate_hz", [1.0, 3.0])
+@pytest.mark.parametrize("rate_hz", [1.0, pytest.param(3.0, marks=pytest.mark.long)])
 def test_stripes_without_attitude_are_featureless(rate_hz: float) -> None:
     """Nothing says by how many rows the picture moved (answered, it was 140 to 340 m off): featureless."""
     spec = replace(LARGE, rate_hz=rate_hz, texture=TextureSpec("stripes"))
@@ -112,6 +122,7 @@ def test_stripes_far_apart_in_time_are_featureless() -> None:
     refuses(play(flown(spec)), Status.FEATURELESS)
 
 
+@pytest.mark.long
 def test_few_vehicles_cost_nothing() -> None:
     """Lorries on three hundredths of the ground: OK, with the radius of an empty road."""
     empty = play(flown(LARGE))
@@ -148,7 +159,7 @@ def test_an_exposure_that_hunts_is_solved() -> None:
     holds(play(flown(replace(LEG, sensor=SensorSpec(exposure_swing=3.5)))))
 
 
-@pytest.mark.parametrize("exposure_s", [0.03, 0.08])
+@pytest.mark.parametrize("exposure_s", [pytest.param(0.03, marks=pytest.mark.long), 0.08])
 def test_motion_blur_is_solved(exposure_s: float) -> None:
     """Shutter open for 0.6 m and 1.6 m of ground: one and three pixels. OK."""
     holds(play(flown(replace(LEG, sensor=SensorSpec(exposure_s=exposure_s)))))

@@ -19,6 +19,7 @@ from onboard.config.schema import Config, parse_config
 from onboard.events.types import Attitude, Event, Frame, GimbalAttitude, GpsQuality, PositionFix
 from onboard.navigation.gimbal import MountHypothesis
 from onboard.telemetry.mavlink_session import Autopilot
+from tests.rest_long import rest_long
 from tests.scenarios.test_moved_optics import Flown, flown
 
 S = 1_000_000_000
@@ -28,8 +29,8 @@ BOOT_S = {1: 100.0, 154: 7.5}  # what the clocks read when the first picture is 
 RATE = {1: 1.0 + 20e-6, 154: 1.0 - 150e-6}
 
 
-def survey(config: str = "", seed: int = 3) -> GimbalFlight:
-    spec = DrawnSpec(parse_config(config), replace(SURVEY, kind="turns", leg_m=150.0), SECONDS, 2.0, offset_s=0.0)
+def survey(config: str = "", seed: int = 3, seconds: float = SECONDS) -> GimbalFlight:
+    spec = DrawnSpec(parse_config(config), replace(SURVEY, kind="turns", leg_m=150.0), seconds, 2.0, offset_s=0.0)
     return GimbalFlight(spec, seed)
 
 
@@ -108,7 +109,10 @@ def with_yaw_zero(events: Iterator[Event], zero_deg: float, drift_deg_s: float) 
         yield event
 
 
-@pytest.mark.parametrize(("zero_deg", "drift_deg_s", "sigma_deg"), [(12.0, 0.0, 15.0), (-45.0, 0.5, 45.0)])
+@pytest.mark.parametrize(
+    ("zero_deg", "drift_deg_s", "sigma_deg"),
+    [pytest.param(12.0, 0.0, 15.0, marks=pytest.mark.long), (-45.0, 0.5, 45.0)],
+)
 def test_a_yaw_whose_zero_is_off_and_drifts_is_found_by_each_window(
     zero_deg: float, drift_deg_s: float, sigma_deg: float
 ) -> None:
@@ -120,7 +124,8 @@ def test_a_yaw_whose_zero_is_off_and_drifts_is_found_by_each_window(
     assert share >= true - 0.1 and np.median(errors) < 1.5 * np.median(exact) + 0.1, (share, true)
 
 
-def test_an_undeclared_yaw_zero_of_45_degrees_is_refused() -> None:
-    silent = survey("[mount]\ngimbal = 'always'")
+@pytest.mark.parametrize("seconds", rest_long([9.0, SECONDS]))
+def test_an_undeclared_yaw_zero_of_45_degrees_is_refused(seconds: float) -> None:
+    silent = survey("[mount]\ngimbal = 'always'", seconds=seconds)
     share, errors = answered(flown(silent, events=with_yaw_zero(silent.events(), 45.0, 0.0)))
     assert share < 0.1 and not errors, (share, errors)

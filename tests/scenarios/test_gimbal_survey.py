@@ -26,6 +26,7 @@ from onboard.telemetry.telemetry_log import TelemetryLog
 from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
+from tests.rest_long import rest_long
 from tests.scenarios.flights import Outcome, _Sets, click, flown
 
 WIDE = Camera.from_field_of_view(320, 240, 70.0)
@@ -97,7 +98,7 @@ LEANS: dict[str, tuple[float, float, Lean]] = {
 }
 
 
-@pytest.mark.parametrize("lean", LEANS)
+@pytest.mark.parametrize("lean", rest_long(LEANS))
 def test_auto_solves_no_fewer_pictures_than_always_where_the_gimbal_tells_the_truth(lean: str) -> None:
     speed, height, leaning = LEANS[lean]
     folder = survey(speed, height)
@@ -123,12 +124,7 @@ def test_trials_in_a_thread_give_the_same_bytes() -> None:
 
 @pytest.mark.parametrize(
     ("wobble_deg", "pitch_off"),
-    [
-        (1.5, 8.0),
-        (4.0, 0.0),
-        (4.0, 4.0),
-        *(pytest.param(*case, marks=pytest.mark.long) for case in ((1.5, 0.0), (1.5, 4.0), (4.0, 8.0))),
-    ],
+    rest_long([(4.0, 4.0), (1.5, 0.0), (1.5, 4.0), (1.5, 8.0), (4.0, 0.0), (4.0, 8.0)]),
 )
 def test_a_gimbal_that_is_not_there_is_never_believed(wobble_deg: float, pitch_off: float) -> None:
     """A fixed camera, whose mount may be declared some degrees wrong, and a gimbal's messages of always level."""

@@ -25,6 +25,7 @@ from onboard.events.types import Event, Frame, PositionFix
 from onboard.pipeline.pipeline import Pipeline
 from onboard.replay.runner import Flight
 from simulation.paths import PathSpec
+from tests.rest_long import rest_long
 
 MOVED = {Status.STABILISED, Status.ZOOMED}
 CHI_SQUARE_90 = 4.605  # of two degrees of freedom
@@ -106,8 +107,12 @@ def drawn(path: PathSpec, seconds: float, seed: int = 0, **changes: Any) -> Draw
     return DrawnFlight(DrawnSpec(parse_config(""), path, seconds, 2.0, **{"relief_sigma_m": 2.0, **changes}), seed)
 
 
+@pytest.mark.long
 def test_stabilised_video_is_refused_as_such_while_it_hides_a_turn() -> None:
-    """The recording flies straight for 20 s, where nothing is hidden and answers are right, as they are afterwards."""
+    """The recording flies straight for 20 s, where nothing is hidden and answers are right, as they are afterwards.
+
+    Of one window: tests/onboard/estimation/test_moved_optics.py.
+    """
     found = flown(recorded("plane_turn", 4.0, 36.0, stabilised_s=0.5))
     before, turning = found.windows_in(5.0, 20.0), found.windows_in(26.0, 35.0)
     assert before[Status.OK] > 0.9 * before.total(), before
@@ -118,7 +123,7 @@ def test_stabilised_video_is_refused_as_such_while_it_hides_a_turn() -> None:
     assert encode(refused)[2] == 0x21 and decode(encode(refused)).status is Status.STABILISED
 
 
-@pytest.mark.parametrize("fault", ["wrong lens", "compass-flip", "tilt-jump", "none"])
+@pytest.mark.parametrize("fault", rest_long(["wrong lens", "tilt-jump", "compass-flip", "none"], 2))
 def test_other_faults_are_not_taken_for_moved_optics(fault: str) -> None:
     found = flown(recorded("plane_turn", 12.0, 26.0, **FAULTS[fault]))
     assert not MOVED & set(found.statuses), found.statuses
@@ -133,13 +138,14 @@ def test_a_camera_mounted_askew_is_not_taken_for_moved_optics_without_attitude()
     assert found.statuses[Status.OK] > 0.7 * found.statuses.total(), found.statuses
 
 
-def test_stamps_that_jump_back_in_flight_are_not_taken_for_moved_optics() -> None:
+@pytest.mark.parametrize(("jump_s", "seconds"), rest_long([(8.0, 20.0), (14.0, 40.0)]))
+def test_stamps_that_jump_back_in_flight_are_not_taken_for_moved_optics(jump_s: float, seconds: float) -> None:
     """By 150 ms: attitudes and positions are then those of another moment."""
-    flight = recorded("plane_wind_noise", 60.0, 40.0)
+    flight = recorded("plane_wind_noise", 60.0, seconds)
 
     def events() -> Iterator[Event]:
         for event in flight.events():
-            is_late = isinstance(event, Frame) and flight.times_s[event.index] > 14.0
+            is_late = isinstance(event, Frame) and flight.times_s[event.index] > jump_s
             yield replace(event, stamp_ns=event.stamp_ns - 150_000_000) if is_late else event
 
     found = flown(flight, events=events())
@@ -147,8 +153,15 @@ def test_stamps_that_jump_back_in_flight_are_not_taken_for_moved_optics() -> Non
     assert found.statuses[Status.OK] > 0.6 * found.statuses.total(), found.statuses
 
 
-@pytest.mark.parametrize("file", [LENS, replace(LENS, stated_sigma=UNKNOWN_SIGMA)])
-@pytest.mark.parametrize(("path", "zoom"), [(TURNS, (1.05, 11.5, 99.0, 0.3)), (STRAIGHT, (1.1, 9.0, 18.0, 0.5))])
+# A lens that stays where it stopped, and one that comes back, each by a file with and without stated sigmas.
+STAYS, COMES_BACK = (TURNS, (1.05, 11.5, 99.0, 0.3)), (STRAIGHT, (1.1, 9.0, 18.0, 0.5))
+UNSTATED = replace(LENS, stated_sigma=UNKNOWN_SIGMA)
+
+
+@pytest.mark.parametrize(
+    ("path", "zoom", "file"),
+    rest_long([(*STAYS, LENS), (*STAYS, UNSTATED), (*COMES_BACK, LENS), (*COMES_BACK, UNSTATED)]),
+)
 def test_a_zoom_is_refused_while_it_lasts_and_answered_rightly_afterwards(
     path: PathSpec, zoom: tuple[float, float, float, float], file: Camera
 ) -> None:
@@ -189,7 +202,7 @@ def fixed_lens(path: PathSpec, seed: int, seconds: float = 40.0) -> Flown:
     return flown(flight, file, drifting(flight.events(), 3.0 * float(rng.choice([-1.0, 1.0]))))
 
 
-@pytest.mark.parametrize("seed", [1, 4])
+@pytest.mark.parametrize("seed", rest_long([4, 1]))
 def test_a_fixed_lens_with_a_wrong_file_over_hills_is_no_zoom(seed: int) -> None:
     found = fixed_lens(TURNS, seed, 25.0)
     assert not MOVED & set(found.statuses), found.statuses
@@ -209,7 +222,8 @@ def test_no_drawn_flight_with_a_fixed_lens_is_called_zoomed_or_stabilised(kind: 
         assert not MOVED & set(found.statuses), (seed, found.statuses)
 
 
-@pytest.mark.parametrize("off", [0.0, pytest.param(0.05, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("off", [0.0, 0.05])
 def test_photographs_of_a_fixed_lens_are_solved_and_none_is_called_zoomed(shared_data: Path, off: float) -> None:
     """14 of 50 were refused as zoomed, the last fifteen among them; a file that is 5 % off is found to be.
 
@@ -233,7 +247,7 @@ def test_photographs_of_a_fixed_lens_are_solved_and_none_is_called_zoomed(shared
     assert abs(belief.mean[focal] + np.log1p(off)) < 2.0 * belief.sigma[focal]
 
 
-@pytest.mark.parametrize("readout_s", [0.0, 0.0466])
+@pytest.mark.parametrize("readout_s", rest_long([0.0, 0.0466]))
 def test_rows_read_in_turn_on_a_vibrating_aircraft_are_no_zoom(shared_data: Path, readout_s: float) -> None:
     """A fixed lens, read in 46.6 ms: two windows were called zoomed where that is not declared."""
     data = shared_data / "cmac_2018"

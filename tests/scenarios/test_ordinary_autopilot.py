@@ -9,11 +9,12 @@ from simulation.flight import DescribedSpec
 from simulation.ordinary import ordinary
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
+from tests.rest_long import rest_long
 from tests.scenarios.flights import CAMERA, CHI2_90, flown, play
 
 # Drawn with the preset: 1, positions twice a second and 0.06 s ahead; 3, 0.07 s ahead and a compass up to 2.6 degrees
 # off; 8, a followed glitch of 21 m; 12, positions 0.22 s behind.
-SEEDS = (1, pytest.param(3, marks=pytest.mark.long), 8, pytest.param(12, marks=pytest.mark.long))
+SEEDS = rest_long([1, 3, 8, 12])
 
 
 @pytest.mark.parametrize("seed", SEEDS)

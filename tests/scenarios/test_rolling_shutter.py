@@ -66,7 +66,8 @@ def test_a_readout_that_nobody_declared_is_found_and_clicks_in_outer_rows_are_ri
     assert all(shutter is not None for shutter in published)
 
 
-@pytest.mark.parametrize("name", [GLOBAL, pytest.param(WRONG_FILE, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("name", [GLOBAL, WRONG_FILE])
 def test_short_flights_in_turns_err_as_much_as_they_claim(name: str) -> None:
     """By a draw that the autopilot's own consistency check refused, claims were five times too wide in squares."""
     result = Result()

@@ -14,6 +14,7 @@ from contract.locate import Locator
 from onboard.config.schema import parse_config
 from onboard.events.types import Event, GpsQuality, PositionFix
 from simulation.paths import PathSpec
+from tests.rest_long import rest_long
 
 DATUM_M, SIGMA_M = -130.0, 100.0
 SPEC = DrawnSpec(parse_config(""), PathSpec("turns", leg_m=250.0), seconds=50.0, rate_hz=2.0)
@@ -54,7 +55,7 @@ def clicked(flight: DrawnFlight) -> tuple[float, np.ndarray, np.ndarray, np.ndar
     return len(rows) / asked, chi2s, heights_m, sigmas_m
 
 
-@pytest.mark.parametrize("seed", [2, 5])
+@pytest.mark.parametrize("seed", rest_long([2, 5]))
 def test_clicks_are_as_good_on_the_map_and_their_heights_say_how_far_off_they_may_be(seed: int) -> None:
     share, chi2s, heights_m, sigmas_m = clicked(LowFlight(SPEC, seed))
     assert share > 0.8
@@ -70,6 +71,7 @@ def test_an_elevation_model_finds_the_height() -> None:
     assert np.median(np.abs(heights_m)) < 15.0 and np.mean(np.abs(heights_m) < 3.0 * sigmas_m) > 0.9
 
 
+@pytest.mark.long
 def test_not_stated_the_same_heights_would_be_promised() -> None:
     """So the first test can fail."""
     _, _, heights_m, sigmas_m = clicked(LowFlight(SPEC, 2, sigma_m=None))

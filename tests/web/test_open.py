@@ -79,7 +79,7 @@ def video(session: Path, folder: Path) -> list[object]:
     return [folder / "DJI_0042.MP4"]
 
 
-@pytest.mark.parametrize("made", [photographs, video])
+@pytest.mark.parametrize("made", [pytest.param(photographs, marks=pytest.mark.long), video])
 def test_one_command_from_the_card_to_an_answered_click(
     session: Path, tmp_path: Path, opened: Callable[..., Opened], chromium: Any, made: Callable[..., list[object]]
 ) -> None:

@@ -14,6 +14,7 @@ from ground.pins.model import PinClick
 from ground.two_sets import SetErrors, common_cross_covariance
 from tests.ground.pins.flights import sightings
 from tests.ground.worlds import ORIGIN
+from tests.rest_long import rest_long
 
 Array = NDArray[np.float64]
 TARGET = np.array([30.0, -20.0, 0.0])
@@ -30,8 +31,8 @@ def inside(place: Place, truth: Array = TARGET) -> bool:
     return bool(d @ np.linalg.solve(place.covariance_enu_m2[:2, :2], d) < CHI2_2)
 
 
-@pytest.mark.parametrize(("clicks", "trials"), [(1, 120), (2, 120), (5, 80), (20, 40)])
 @pytest.mark.parametrize("same_window", [False, True])
+@pytest.mark.parametrize(("clicks", "trials"), rest_long([(2, 120), (1, 120), (5, 80), (20, 40)]))
 def test_the_fused_ellipse_holds_ninety_percent(clicks: int, trials: int, same_window: bool) -> None:
     """Pictures four seconds apart, with windows of their own; and all of one window, whose errors no mean takes out.
 

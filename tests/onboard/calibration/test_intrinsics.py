@@ -56,8 +56,12 @@ def photograph(board: Board, poses: list[Pose], folder: Path) -> None:
 
 @pytest.mark.parametrize(
     ("board", "words"),
-    [(CHARUCO, []), (CHECKERS, ["--board", "checkerboard", "--squares", "7x6"])],
-    ids=["charuco", "checkerboard"],
+    [
+        pytest.param(CHARUCO, [], id="charuco"),
+        pytest.param(
+            CHECKERS, ["--board", "checkerboard", "--squares", "7x6"], id="checkerboard", marks=pytest.mark.long
+        ),
+    ],
 )
 def test_a_known_camera_is_recovered_from_pictures(
     board: Board, words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]

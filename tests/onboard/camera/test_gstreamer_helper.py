@@ -45,6 +45,7 @@ from onboard.events.source import SourceStatus, State
 from tests.onboard.camera import test_helper_camera
 from tests.onboard.camera.test_helper_camera import BACK_S, CLOCK, REPORTED_S, Running, running
 from tests.onboard.link.ports import free_port
+from tests.rest_long import rest_long
 from tests.rtsp import RtspServer, drifting_ground, number_of
 from tests.rtsp_times import escaped, sei_unit
 from tests.waiting import PATIENCE_S
@@ -90,11 +91,14 @@ def one_stream(
 @pytest.mark.usefixtures("gstreamer")
 @pytest.mark.parametrize(
     ("scheme", "keys", "origin"),
-    [
-        ("rtspt", {"codec": "H264"}, "time stamps of the stream"),
-        ("rtspu", {"codec": "H264", "sei": True, "sei_ahead_s": 7.0}, "capture times in the video (MISB 0604)"),
-        ("rtspu", {"codec": "H265", "sei": True, "sei_ahead_s": -3.0}, "capture times in the video (MISB 0604)"),
-    ],
+    rest_long(
+        [
+            ("rtspt", {"codec": "H264"}, "time stamps of the stream"),
+            ("rtspu", {"codec": "H264", "sei": True, "sei_ahead_s": 7.0}, "capture times in the video (MISB 0604)"),
+            ("rtspu", {"codec": "H265", "sei": True, "sei_ahead_s": -3.0}, "capture times in the video (MISB 0604)"),
+        ],
+        2,
+    ),
 )
 def test_stamps_of_a_stream_lack_its_jitter_and_keep_its_least_delay(
     tmp_path: Path, pictures: list[np.ndarray], scheme: str, keys: dict[str, object], origin: str
@@ -114,7 +118,7 @@ def test_stamps_of_a_stream_lack_its_jitter_and_keep_its_least_delay(
 
 @pytest.mark.wall_clock
 @pytest.mark.usefixtures("gstreamer")
-@pytest.mark.parametrize("codec", ["H264", "H265"])
+@pytest.mark.parametrize("codec", rest_long(["H264", "H265"]))
 def test_behind_lost_packets_no_picture_bears_the_capture_time_of_another(
     tmp_path: Path, pictures: list[np.ndarray], codec: str
 ) -> None:
@@ -137,7 +141,7 @@ def test_behind_lost_packets_no_picture_bears_the_capture_time_of_another(
 
 @pytest.mark.wall_clock
 @pytest.mark.usefixtures("gstreamer")
-@pytest.mark.parametrize("bit_rate", [300_000, 2_000_000])
+@pytest.mark.parametrize("bit_rate", rest_long([300_000, 2_000_000]))
 def test_repeats_in_a_compressed_stream_have_no_image(
     tmp_path: Path, pictures: list[np.ndarray], bit_rate: int
 ) -> None:
@@ -279,10 +283,12 @@ def frames_of(pipeline: str) -> list[tuple[Header, bytes]]:
 @pytest.mark.usefixtures("gstreamer")
 @pytest.mark.parametrize(
     ("encoder", "codec"),
-    [
-        ("openh264enc gop-size=15 bitrate=2000000", "264"),
-        ("x265enc speed-preset=ultrafast tune=zerolatency key-int-max=15 bitrate=2000", "265"),
-    ],
+    rest_long(
+        [
+            ("openh264enc gop-size=15 bitrate=2000000", "264"),
+            ("x265enc speed-preset=ultrafast tune=zerolatency key-int-max=15 bitrate=2000", "265"),
+        ]
+    ),
 )
 def test_no_picture_behind_a_lost_packet_counts_until_one_that_needs_no_other(encoder: str, codec: str) -> None:
     """The decoder calls them whole. They are sharp, and show where the camera was before the gap."""

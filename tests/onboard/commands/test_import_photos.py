@@ -23,6 +23,7 @@ from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from tests.onboard.photographs import Style, write_photographs
 from tests.own_flights import write_named_photographs
+from tests.rest_long import rest_long
 from tests.scenarios.flights import Outcome, click, flown
 
 pytestmark = pytest.mark.xdist_group("import photos")  # one worker: what they share is made once
@@ -66,7 +67,7 @@ STYLES = {
 }
 
 
-@pytest.mark.parametrize("name", STYLES)
+@pytest.mark.parametrize("name", rest_long(STYLES))
 def test_a_folder_of_photographs_is_clicked_within_its_radius(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:

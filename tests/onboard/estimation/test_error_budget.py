@@ -29,6 +29,7 @@ from onboard.georeferencing.feature_sets import Placed
 from onboard.pipeline.error_budgets import EVERY_NS, BudgetWatch, NewestBudget, budget_text
 from onboard.pipeline.pipeline import Pipeline
 from simulation.paths import PathSpec
+from tests.rest_long import rest_long
 
 Array = NDArray[np.float64]
 
@@ -173,7 +174,7 @@ SOURCES = (
 )
 
 
-@pytest.mark.parametrize("name", SOURCES)
+@pytest.mark.parametrize("name", rest_long(SOURCES, 3))
 def test_a_source_of_errors_alone_moves_the_window_by_its_share(flown: Flown, name: str) -> None:
     """A Monte Carlo through the adjustment itself, one source at a time."""
     rng, base = np.random.default_rng(7), flown.solved.solution.state

@@ -22,6 +22,7 @@ from onboard.estimation.window_problem import WindowProblem
 from onboard.estimation.window_request import Request
 from onboard.estimation.window_solver import adjust
 from tests.onboard.scenes import CAMERA, SceneSpec, draw
+from tests.rest_long import rest_long
 
 Array = NDArray[np.float64]
 
@@ -69,7 +70,7 @@ def problem_of(request: Request) -> WindowProblem:
     return made
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", rest_long(range(4)))
 @pytest.mark.parametrize("log_scale", [0.02, 0.05, 0.1])
 def test_a_zoom_within_a_window_is_refused_as_such_and_measured(seed: int, log_scale: float) -> None:
     outcome = adjust(zoomed(window_of(seed), log_scale))
@@ -82,7 +83,7 @@ def test_a_refusal_leaves_the_flights_noise_as_it_was() -> None:
     assert adjust(request).noise == request.noise
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", rest_long(range(4)))
 def test_shifted_frames_are_told_from_attitudes_that_are_off_by_the_same_angles(seed: int) -> None:
     request = window_of(seed)
     assert adjust(shifted(request, seed)).status is Status.STABILISED
@@ -100,7 +101,7 @@ def test_a_compass_that_is_far_off_is_no_shifted_frame() -> None:
 @pytest.mark.parametrize(
     "spec", [SceneSpec(), SceneSpec(relief_sigma_m=15.0), SceneSpec(climb_m_s=2.0, wobble_deg=4.0)]
 )
-@pytest.mark.parametrize("seed", [3, 4, 5])
+@pytest.mark.parametrize("seed", rest_long([3, 4, 5]))
 def test_a_window_without_any_is_solved_and_its_score_is_that_of_chance(seed: int, spec: SceneSpec) -> None:
     request = window_of(seed, spec)
     assert adjust(request).status is Status.OK
@@ -134,7 +135,7 @@ def test_a_zoom_that_begins_with_the_newest_picture_is_not_answered() -> None:
 
 
 @pytest.mark.parametrize("off", [-0.05, 0.05])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", rest_long(range(3)))
 def test_a_camera_file_that_is_wrong_is_no_zoom(seed: int, off: float) -> None:
     """Its focal length is found instead; every picture is off alike."""
     file = replace(CAMERA, fx_px=CAMERA.fx_px * (1 + off), fy_px=CAMERA.fy_px * (1 + off), stated_sigma=UNKNOWN_SIGMA)

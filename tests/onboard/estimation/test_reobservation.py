@@ -64,7 +64,11 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> Iterator[Watched]:
 
 
 @pytest.mark.parametrize(
-    ("sensors", "seed"), [({}, 0), ({"attitude": "none", "velocity": False}, 1)], ids=["full", "gps"]
+    ("sensors", "seed"),
+    [
+        pytest.param({}, 0, id="full", marks=pytest.mark.long),
+        pytest.param({"attitude": "none", "velocity": False}, 1, id="gps"),
+    ],
 )
 def test_where_errors_are_as_declared_nothing_is_widened(
     watched: Watched, sensors: dict[str, object], seed: int
@@ -98,6 +102,7 @@ def boldly(config: Config, times: float) -> Config:
     )
 
 
+@pytest.mark.long
 def test_where_sensors_are_bolder_than_true_the_factor_rises_and_relative_errors_are_held(
     watched: Watched, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -14,6 +14,7 @@ from onboard.estimation.factors import WAVES
 from onboard.estimation.rolling_shutter import Sweep
 from tests.onboard.estimation.test_rolling_shutter import CAMERA, scene
 from tests.onboard.scenes import first_guess
+from tests.rest_long import rest_long
 
 Array = NDArray[np.float64]
 
@@ -48,7 +49,7 @@ def solved(seed: int, problem: Problem) -> Solution:
     return solve(problem, start, scale=None, max_iterations=60, tolerance=1e-9)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", rest_long([1, 2, 3]))
 def test_how_often_each_picture_swings_is_found_in_what_poses_leave(seed: int) -> None:
     problem, _, waves = vibrating(seed, 1.5)
     found = row_waves.seen(problem, solved(seed, problem))
@@ -59,13 +60,13 @@ def test_how_often_each_picture_swings_is_found_in_what_poses_leave(seed: int) -
     assert 0.3 < found.sigma_rad * CAMERA.focal_px / 1.5 < 1.5, "poses and points take some of it"
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", rest_long(range(12), 2))
 def test_none_is_imagined_in_noise(seed: int) -> None:
     problem, _, _ = vibrating(seed, 0.0)
     assert row_waves.seen(problem, solved(seed, problem)) is None
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", rest_long(range(6), 2))
 def test_wrong_rates_are_no_vibration(seed: int) -> None:
     """The log says that no picture turned; all turned by up to 20 degrees a second."""
     problem, sweep, _ = vibrating(seed, 0.0)

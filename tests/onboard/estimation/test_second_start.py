@@ -16,6 +16,7 @@ from onboard.estimation.window_acceptance import by_itself
 from onboard.estimation.window_request import Outcome, Request
 from onboard.estimation.window_solver import _adjusted, adjust
 from tests.onboard.scenes import CAMERA, SEED_SENSORS, Scene, SceneSpec, draw
+from tests.rest_long import rest_long
 
 CLIMB = SceneSpec(climb_m_s=2.5, speed_m_s=2.0, height_m=60.0, wobble_deg=5.0, relief_sigma_m=3.0)
 STRAIGHT_UP = replace(CLIMB, speed_m_s=0.7, relief_sigma_m=0.0)
@@ -34,7 +35,7 @@ def begun_mirrored(request: Request) -> Request:
     return replace(request, keyframes=start, is_oriented=True)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", rest_long([0, 1, 2]))
 def test_a_climb_that_begins_with_the_mirrored_orientation_ends_with_the_true_one(seed: int) -> None:
     scene = draw(np.random.default_rng(seed), SEED_SENSORS, CLIMB)
     wrong = begun_mirrored(scene.window().prepare())
@@ -45,7 +46,7 @@ def test_a_climb_that_begins_with_the_mirrored_orientation_ends_with_the_true_on
     assert turn_deg(scene, outcome) < 25.0
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", rest_long(range(6), 2))
 def test_straight_up_over_flat_ground_no_orientation_is_published_that_may_be_the_mirrored_one(seed: int) -> None:
     """Before, three of six were turned by 158 to 178 degrees, with sigmas of 17 to 19."""
     scene = draw(np.random.default_rng(seed), SEED_SENSORS, STRAIGHT_UP)
@@ -54,7 +55,7 @@ def test_straight_up_over_flat_ground_no_orientation_is_published_that_may_be_th
     assert "two orientations" in outcome.reason or "heading" in outcome.reason
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", rest_long(range(4)))
 def test_a_climb_with_some_travel_and_level_flight_are_answered(seed: int) -> None:
     for spec in (replace(CLIMB, speed_m_s=4.0), SceneSpec(), SceneSpec(relief_sigma_m=3.0)):
         scene = draw(np.random.default_rng(seed), SEED_SENSORS, spec)

@@ -15,6 +15,7 @@ from onboard.estimation.keyframe import observation
 from onboard.estimation.sliding_window import Window
 from onboard.estimation.window_problem import MIN_KEYFRAMES
 from tests.onboard.scenes import CAMERA, FULL, SEED_SENSORS, Scene, SceneSpec, draw
+from tests.rest_long import rest_long
 
 CALM = SceneSpec(error_scale=0.3)
 
@@ -32,7 +33,7 @@ def worst_turn_deg(window: Window, scene: Scene) -> float:
 
 
 @pytest.mark.parametrize("config", [FULL, SEED_SENSORS], ids=["full", "seed"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", rest_long(range(4)))
 def test_an_ordinary_flight_is_solved(config: Config, seed: int) -> None:
     scene = draw(np.random.default_rng(seed), config, CALM)
     window = scene.window()
@@ -80,7 +81,7 @@ def test_a_flight_that_shares_too_few_points_is_featureless() -> None:
     assert window.solve() is Status.FEATURELESS
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", rest_long(range(3)))
 def test_tracks_that_mean_nothing_are_a_poor_fit(seed: int) -> None:
     rng = np.random.default_rng(seed)
     scene = draw(rng, spec=CALM)
@@ -104,7 +105,7 @@ def test_a_mount_that_looks_elsewhere_than_declared_is_refused(mount: str) -> No
     assert window.solved is None
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", rest_long(range(6), 2))
 def test_a_start_upside_down_is_never_published_upside_down(seed: int) -> None:
     """Without attitude a mirrored scene below an inverted camera explains the pixels as well: it must not go out."""
     rng = np.random.default_rng(seed)
@@ -171,7 +172,7 @@ def subset(scene: Scene, k: int, ids: NDArray[np.int64]) -> None:
     scene.observations[k] = observation(CAMERA, seen.ids[kept], seen.uv_px[kept])
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", rest_long(range(3)))
 def test_a_picture_that_shares_no_known_point_is_oriented_from_the_one_before_it(seed: int) -> None:
     """As after a quick roll, where no sensor gives attitude: what both see has been seen but once before."""
     scene = draw(np.random.default_rng(seed), SEED_SENSORS, replace(CALM, points=400))
@@ -207,7 +208,7 @@ def test_a_picture_that_fits_nothing_is_not_published_with_those_that_do() -> No
     assert "a picture contradicts the others" in window.refusal
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", rest_long(range(3)))
 def test_a_climb_without_attitude_tells_no_heading_and_the_flight_after_it_does(seed: int) -> None:
     spec = replace(CALM, height_m=60.0, speed_m_s=0.0, climb_m_s=4.0, error_scale=0.1)
     scene = draw(np.random.default_rng(seed), SEED_SENSORS, spec)

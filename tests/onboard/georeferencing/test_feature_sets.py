@@ -143,6 +143,7 @@ def test_nine_of_ten_clicks_lie_inside_the_ellipse_over_hills() -> None:
         assert 0.4 < np.mean(s.relative) < 1.25
 
 
+@pytest.mark.long
 def test_with_the_seeds_sensors_the_ellipse_is_wide_and_holds_what_it_says() -> None:
     """No attitude, no velocity: the path's weak belief (a bank of 15 degrees) is wider than this calm flight."""
     s, _ = study(SEED_SENSORS, SceneSpec(), 50, first_seed=2000)

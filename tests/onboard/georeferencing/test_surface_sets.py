@@ -87,7 +87,9 @@ CLICKS = np.array([[320.0, 240.0], [80.0, 80.0], [560.0, 400.0], [500.0, 120.0]]
 
 
 @pytest.mark.parametrize("pitch_deg", [-90.0, -60.0])
-@pytest.mark.parametrize("terrain", [None, hills()], ids=["level", "hills"])
+@pytest.mark.parametrize(
+    "terrain", [pytest.param(None, id="level"), pytest.param(hills(), id="hills", marks=pytest.mark.long)]
+)
 def test_nine_clicks_of_ten_lie_inside_the_ellipse(pitch_deg: float, terrain: Terrain | None) -> None:
     rng = np.random.default_rng(4)
     absolute, between = [], []

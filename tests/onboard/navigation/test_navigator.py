@@ -19,6 +19,7 @@ from onboard.navigation.navigator import Navigation, NavState
 from onboard.navigation.time_series import MEMORY_NS
 from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.tlog_reader import read_tlog
+from tests.rest_long import rest_long
 
 Array = NDArray[np.float64]
 HOME = LocalFrame(-43.38, 172.4, 350.0)
@@ -347,7 +348,9 @@ PROMPT = "[gps]\nlatency_s = 0.0\n[mount]\ngimbal = 'never'"
 
 
 @together
-@pytest.mark.parametrize(("settings", "low_m", "high_m"), [(PROMPT, 0.5, 1.0), ("[gps]\nlatency_s = 0.04", 0.01, 0.1)])
+@pytest.mark.parametrize(
+    ("settings", "low_m", "high_m"), rest_long([("[gps]\nlatency_s = 0.04", 0.01, 0.1), (PROMPT, 0.5, 1.0)])
+)
 def test_recorded_positions_follow_the_truth(shared_data: Path, settings: str, low_m: float, high_m: float) -> None:
     answers, truth = replayed(shared_data, "plane_clean", settings, every=10)
     states = [got for _, got in answers if isinstance(got, NavState)]

@@ -74,14 +74,20 @@ def misled(event: NavEvent, begin_s: float, end_s: float, off_m: float, filter_s
     )
 
 
-@pytest.mark.parametrize(("times", "most"), [(1.0, 2), (2.0, 13)], ids=["as declared", "twice"])
+@pytest.mark.parametrize(
+    ("times", "most"),
+    [pytest.param(1.0, 2, id="as declared"), pytest.param(2.0, 13, id="twice", marks=pytest.mark.long)],
+)
 def test_what_a_late_filter_does_in_steep_turns_is_no_slip(times: float, most: int) -> None:
     """Before, in 17 and 20 of 20 flights positions were refused, or doubted by metres from then on."""
     found = [judged(telemetry(TURNS, times * LATENCY_S, seed), 0.0, SECONDS) for seed in range(DRAWS)]
     assert sum(f.is_doubted for f in found) <= most, found
 
 
-@pytest.mark.parametrize(("path", "least"), [(STRAIGHT, 20), (TURNS, 16)], ids=["straight", "turns"])
+@pytest.mark.parametrize(
+    ("path", "least"),
+    [pytest.param(STRAIGHT, 20, id="straight", marks=pytest.mark.long), pytest.param(TURNS, 16, id="turns")],
+)
 def test_a_receiver_five_metres_off_for_ten_seconds_is_found(path: PathSpec, least: int) -> None:
     """Before, in all flights; but in turns, nearly all flights without a fault were found as well."""
     found = [

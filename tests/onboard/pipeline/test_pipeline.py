@@ -178,17 +178,23 @@ def test_two_runs_give_the_same_bytes(session: Session, sets: list[FeatureSet]) 
     assert [encode(s) for s in session.run()] == [encode(s) for s in sets]
 
 
-def test_a_thread_beside_gives_the_same_bytes_as_solving_at_once(brisk: Session) -> None:
+@pytest.fixture(scope="module")
+def at_once(brisk: Session) -> list[FeatureSet]:
+    """The sets of the brisk flight, its windows solved at once."""
+    return brisk.run()
+
+
+def test_a_thread_beside_gives_the_same_bytes_as_solving_at_once(brisk: Session, at_once: list[FeatureSet]) -> None:
     with ThreadPoolExecutor(1) as worker:
         threaded = brisk.run(worker=worker)
-    assert [encode(s) for s in threaded] == [encode(s) for s in brisk.run()]
+    assert [encode(s) for s in threaded] == [encode(s) for s in at_once]
 
 
 def test_a_picture_that_is_not_placed_again_has_the_answers_that_it_would_have(
-    brisk: Session, monkeypatch: pytest.MonkeyPatch
+    brisk: Session, at_once: list[FeatureSet], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Within a tenth of the radius, which is the same to a twentieth; and no click is lost."""
-    sparing = last(brisk.run())
+    sparing = last(at_once)
     monkeypatch.setattr(Placing, "is_needless", lambda *_: False)
     always = last(brisk.run())
     spared = [frame for frame, s in always.items() if s.revision > sparing[frame].revision]

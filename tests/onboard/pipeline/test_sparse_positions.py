@@ -78,7 +78,7 @@ def steep(seed: int, every_s: float) -> DrawnFlight:
     return SparseFlight(DrawnSpec(config, STEEP, seconds=24.0, rate_hz=5.0), seed, every_s)
 
 
-@pytest.mark.parametrize(("every_s", "late_s"), [(2.0, 2.5), (2.0, 0.5)])
+@pytest.mark.parametrize(("every_s", "late_s"), [(2.0, 2.5), pytest.param(2.0, 0.5, marks=pytest.mark.long)])
 def test_a_picture_waits_for_the_position_that_it_is_joined_by(every_s: float, late_s: float) -> None:
     config = parse_config(
         f"[gps]\nlatency_s = {late_s}\nsigma_latency_s = 0.05\nmax_gap_s = {every_s + 0.5}\nglitch_m = 50.0\n"
@@ -110,6 +110,7 @@ def test_answers_between_rare_positions_are_as_sure_as_they_say_and_as_those_bet
         assert len(ratio) > 0.97 * sum(s.asked["all"] for s in found)
 
 
+@pytest.mark.long
 def test_a_recorded_turn_with_a_position_every_two_seconds_is_answered_as_with_ten_a_second() -> None:
     """Before, 18 % of this draw's answers lay outside their 90 % ellipse, up to 1.7 of it off."""
     scene = Scene("plane_turn", parse_config(RARE + "latency_s = 0.04\n"), 4.0, 45.0)

@@ -1,4 +1,7 @@
-"""`pc-ground click` through the autopilot's radio: a daemon, a router by the autopilot's rules, and the ground."""
+"""`pc-ground click` through the autopilot's radio: a daemon, a router by the autopilot's rules, and the ground.
+
+With the aircraft's end in the test's process: tests/ground/test_mavlink_link.py.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from contract.wire.click_code import TUNNEL_TYPE
 from ground.recording import Recording
 from tests.onboard.link.mavlink_router import Line, Router, Udp
@@ -16,6 +21,8 @@ from tests.onboard.service.air import STRAIGHT
 from tests.onboard.service.process import ROOT, aircraft
 from tests.scenarios.flights import CAMERA
 from tests.waiting import PATIENCE_S
+
+pytestmark = pytest.mark.xdist_group("processes in real time")
 
 
 def pc_ground(*arguments: object, lines: str = "") -> subprocess.CompletedProcess[str]:
@@ -29,6 +36,7 @@ def started(*arguments: object) -> subprocess.Popen[bytes]:
     return subprocess.Popen([sys.executable, "-m", "ground", *map(str, arguments)], cwd=ROOT)
 
 
+@pytest.mark.long
 def test_a_click_is_answered_through_the_autopilot_as_over_the_link(tmp_path: Path) -> None:
     onboard, ground, other = (free_udp_port() for _ in range(3))
     radio, uv = f"mavlink:udpin:127.0.0.1:{ground}", (CAMERA.width_px // 2, CAMERA.height_px // 2)

@@ -386,8 +386,12 @@ def test_a_flight_gives_answers_a_recording_and_what_was_learned(tmp_path: Path)
         assert (found.revision, found.status) == (output.revision, output.status)
 
 
+@pytest.mark.long
 def test_the_live_session_replays_to_the_same_sets(tmp_path: Path) -> None:
-    """What the pipeline's thread saw, in its order, is all that matters: a fresh pipeline without threads agrees."""
+    """What the pipeline's thread saw, in its order, is all that matters: a fresh pipeline without threads agrees.
+
+    Byte for byte, by the program: test_replayed.
+    """
     air = take_off(tmp_path, seconds=12.0)
     assert air.heard is not None
     table = {"mount": {"roll_deg": 0.0, "pitch_deg": -90.0, "yaw_deg": 0.0}}

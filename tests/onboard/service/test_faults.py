@@ -21,6 +21,7 @@ from tests.onboard.service.air import Air, Spoil, take_off
 from tests.scenarios.flights import CAMERA
 
 BEGIN_S, END_S = 9.0, 14.0  # of most faults
+SECONDS = 21.5  # of their flights: what is back six seconds after the end is in the air for some more
 SEEN_S = 2.0 + 1.0 + 0.5  # two seconds, until the next status is due, and the daemon's ticks
 LONG = SessionSpec(DescribedSpec(PathSpec("straight")), seconds=84.0, rate_hz=2.0, camera=CAMERA)
 
@@ -64,7 +65,7 @@ def holds(air: Air, *words: str, begin_s: float = BEGIN_S, end_s: float = END_S,
 
 
 def test_a_camera_that_goes_and_comes_back(tmp_path: Path) -> None:
-    air = take_off(tmp_path, camera=never)
+    air = take_off(tmp_path, seconds=SECONDS, camera=never)
     holds(air, "camera lost")
     assert "camera lost" in [air.state(t) for t in np.arange(BEGIN_S + 3.0, END_S)]
     assert air.telemetry is not None
@@ -83,7 +84,7 @@ def test_a_frozen_camera_that_nobody_calls_frozen(tmp_path: Path) -> None:
             return event
         return replace(event, image=held[0].image)
 
-    air = take_off(tmp_path, camera=frozen)
+    air = take_off(tmp_path, seconds=SECONDS, camera=frozen)
     assert air.code == 0
     during = air.clicked(BEGIN_S + 0.3, END_S)
     assert not len(during.errors_m), during.reported
@@ -93,14 +94,14 @@ def test_a_frozen_camera_that_nobody_calls_frozen(tmp_path: Path) -> None:
     assert after.inside_99 > 0.97, after.reported
 
 
-@pytest.mark.parametrize("level", [0, 255])
+@pytest.mark.parametrize("level", [0, pytest.param(255, marks=pytest.mark.long)])
 def test_black_and_white_pictures(tmp_path: Path, level: int) -> None:
-    air = take_off(tmp_path, camera=on_pictures(lambda image: np.full_like(image, level)))
+    air = take_off(tmp_path, seconds=SECONDS, camera=on_pictures(lambda image: np.full_like(image, level)))
     holds(air, "featureless", "bad picture")  # the latter where even the noise is gone
     assert not len(air.clicked(BEGIN_S, END_S).errors_m)
 
 
-@pytest.mark.parametrize("noise", [0.0, 2.0])
+@pytest.mark.parametrize("noise", [0.0, pytest.param(2.0, marks=pytest.mark.long)])
 def test_defocused_pictures_are_refused_or_held(tmp_path: Path, noise: float) -> None:
     """Optics blur the ground and not the sensor's noise, but an image processor may smooth that too."""
     rng = np.random.default_rng(6)
@@ -109,7 +110,7 @@ def test_defocused_pictures_are_refused_or_held(tmp_path: Path, noise: float) ->
         blurred = cv2.GaussianBlur(image, (0, 0), 12.0)
         return np.clip(blurred + noise * rng.standard_normal(image.shape), 0, 255).astype(np.uint8)
 
-    air = take_off(tmp_path, camera=on_pictures(defocused))
+    air = take_off(tmp_path, seconds=SECONDS, camera=on_pictures(defocused))
     assert air.code == 0
     outcome = air.clicked()
     assert outcome.inside_99 > 0.97, outcome.reported
@@ -156,7 +157,7 @@ def test_gps_off(tmp_path: Path) -> None:
     def off(event: Event, t_s: float) -> Event:
         return replace(event, fix_type=1, satellites=0) if isinstance(event, GpsQuality) and is_on(t_s) else event
 
-    air = take_off(tmp_path, telemetry=off)
+    air = take_off(tmp_path, seconds=SECONDS, telemetry=off)
     holds(air, "no gps")
     assert not len(air.clicked(BEGIN_S + 0.5, END_S).errors_m)
 
@@ -196,7 +197,7 @@ def test_featureless_ground_is_called_that(tmp_path: Path) -> None:
     def water(image: np.ndarray) -> np.ndarray:
         return (118.0 + 2.0 * rng.standard_normal(image.shape)).astype(np.uint8)
 
-    air = take_off(tmp_path, camera=on_pictures(water))
+    air = take_off(tmp_path, seconds=SECONDS, camera=on_pictures(water))
     holds(air, "featureless", "poor fit")
 
 

@@ -1,4 +1,8 @@
-"""`pc-onboard run` as a process: started, watched, reloaded, killed, with a fake autopilot on a serial line."""
+"""`pc-onboard run` as a process: started, watched, reloaded, killed, with a fake autopilot on a serial line.
+
+Each takes half a minute of real time, so those are `long` whose claim is also held within a process: a kill by
+test_rotating_recorder, a reload by test_daemon, a full disk by test_faults, a reboot by test_link_faults.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +21,8 @@ from tests.onboard.service.air import STRAIGHT
 from tests.onboard.service.process import ROOT, Aircraft, aircraft
 from tests.scenarios.flights import Outcome, click
 from tests.waiting import eventually
+
+pytestmark = pytest.mark.xdist_group("processes in real time")  # of the long tests, too, one at a time
 
 SPEC = replace(STRAIGHT)
 
@@ -71,6 +77,7 @@ def test_a_daemon_flies_answers_for_itself_and_ends_whole(tmp_path: Path) -> Non
     assert pc_onboard("status", "--config", plane.config).returncode == 3
 
 
+@pytest.mark.long
 def test_kill_9_leaves_a_recording_to_the_last_second_and_a_restart_goes_on(tmp_path: Path) -> None:
     with aircraft(tmp_path, SPEC) as plane:
         plane.start()
@@ -95,6 +102,7 @@ def test_kill_9_leaves_a_recording_to_the_last_second_and_a_restart_goes_on(tmp_
             assert outcome.inside_99 > 0.97, outcome.reported
 
 
+@pytest.mark.long
 def test_an_autopilot_that_reboots_and_a_line_that_is_pulled(tmp_path: Path) -> None:
     with aircraft(tmp_path, SPEC) as plane:
         plane.start()
@@ -111,6 +119,7 @@ def test_an_autopilot_that_reboots_and_a_line_that_is_pulled(tmp_path: Path) -> 
         assert outcome.inside_99 > 0.97, outcome.reported
 
 
+@pytest.mark.long
 def test_a_reload_in_flight(tmp_path: Path) -> None:
     with aircraft(tmp_path, SPEC) as plane:
         plane.start()
@@ -176,6 +185,7 @@ def test_the_doctor_looks_for_itself_at_a_good_aircraft(tmp_path: Path) -> None:
         assert {name for name, good in found.items() if not good} <= {"disk", "processor"}, doctor.stdout
 
 
+@pytest.mark.long
 def test_a_disk_that_takes_no_more_stops_the_recording_until_there_is_room(tmp_path: Path) -> None:
     """The system itself refuses the write, in the middle of a message."""
     with aircraft(tmp_path, SPEC) as plane:

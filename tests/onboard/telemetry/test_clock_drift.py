@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from onboard.telemetry.timesync import NS_PER_S, LinkClock
+from tests.rest_long import rest_long
 
 MS = 1_000_000
 EPOCH = 1_795_000_000 * NS_PER_S
@@ -94,7 +95,7 @@ def share_within(flown: Flown, sigmas: float) -> float:
 
 @pytest.mark.parametrize("delay", [quiet, slow])
 @pytest.mark.parametrize("changes", [False, True], ids=["steady", "changing"])
-@pytest.mark.parametrize("rate", [0.0, 50e-6, 15e-3, 22e-3, 27e-3, -27e-3])
+@pytest.mark.parametrize("rate", rest_long([0.0, 27e-3, 50e-6, 15e-3, 22e-3, -27e-3], 2))
 def test_stamps_keep_to_their_sigma_for_ten_minutes(rate: float, changes: bool, delay: Delay) -> None:
     link = Link(Clocks(rate, changes), delay)
     flown = link.fly(SECONDS)
@@ -117,7 +118,7 @@ def test_the_drift_is_stated_as_it_is() -> None:
     assert link.clock.figures()["drift_ppm"] == pytest.approx((1.0 / 1.022 - 1.0) * 1e6, abs=50.0)
 
 
-@pytest.mark.parametrize("rate", [-27e-3, 0.0, 27e-3])
+@pytest.mark.parametrize("rate", rest_long([27e-3, -27e-3, 0.0]))
 def test_where_answers_cease_arrivals_serve_with_a_sigma_of_their_own_until_they_come_again(rate: float) -> None:
     link = Link(Clocks(rate, True), quiet)
     before = link.fly(120.0)
@@ -134,7 +135,7 @@ def test_where_answers_cease_arrivals_serve_with_a_sigma_of_their_own_until_they
     assert is_rising(before, without, after)
 
 
-@pytest.mark.parametrize("rate", [-20e-3, 50e-6, 20e-3])
+@pytest.mark.parametrize("rate", rest_long([20e-3, -20e-3, 50e-6]))
 def test_answers_from_another_clock_are_recognised_whatever_the_drift(rate: float) -> None:
     link = Link(Clocks(rate, rate != 50e-6), quiet)
     before = link.fly(200.0)
@@ -149,7 +150,7 @@ def test_answers_from_another_clock_are_recognised_whatever_the_drift(rate: floa
     assert is_rising(before, foreign, after)
 
 
-@pytest.mark.parametrize("rate", [-20e-3, 50e-6, 20e-3])
+@pytest.mark.parametrize("rate", rest_long([20e-3, -20e-3, 50e-6]))
 def test_without_any_answer_arrivals_follow_a_drift(rate: float) -> None:
     link = Link(Clocks(rate, rate != 50e-6), quiet)
     flown = link.fly(300.0, sync=False)

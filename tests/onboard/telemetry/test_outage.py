@@ -66,7 +66,9 @@ def refusals(folder: Path, keep: Callable[[NavEvent], bool]) -> Share:
     return share
 
 
-@pytest.mark.parametrize("without", [None, FilterStatus], ids=["all", "no filter"])
+@pytest.mark.parametrize(
+    "without", [pytest.param(None, id="all", marks=pytest.mark.long), pytest.param(FilterStatus, id="no filter")]
+)
 def test_each_loss_is_seen_within_two_seconds_and_got_over(shared_data: Path, without: type[NavEvent] | None) -> None:
     off, on, jammed, clear = ((t - events_ns(shared_data)[0]) / 1e9 for t in events_ns(shared_data))
     share = refusals(shared_data, lambda event: without is None or not isinstance(event, without))

@@ -127,6 +127,7 @@ def answered(folder: Path, log: TelemetryLog) -> Outcome:
     return click(folder, sink.by_frame, pipeline)
 
 
+@pytest.mark.long
 def test_both_logs_give_the_same_answers_within_their_sigmas(logs: Logs) -> None:
     camera = Camera.from_field_of_view(320, 240, 50.0)
     spec = SessionSpec(RecordedSpec("plane_log", start_s=START_S), seconds=SECONDS, rate_hz=4.0, camera=camera)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from onboard.tracks.plane_filter import Motion, PlaneFilter
+from tests.rest_long import rest_long
 
 NOISE_M = 0.05
 HEIGHT_M, FLIGHT_M_S = 120.0, 15.0
@@ -43,7 +44,7 @@ def run(
     return found.motion, v
 
 
-@pytest.mark.parametrize(("speed", "density"), [(1.4, 0.02), (15.0, 1.0), (0.0, 0.02)])
+@pytest.mark.parametrize(("speed", "density"), rest_long([(1.4, 0.02), (15.0, 1.0), (0.0, 0.02)]))
 def test_errors_of_the_velocity_are_what_its_covariance_says(speed: float, density: float) -> None:
     inside, squared = 0, []
     for seed in range(120):
@@ -58,7 +59,7 @@ def test_errors_of_the_velocity_are_what_its_covariance_says(speed: float, densi
     assert 0.7 < float(np.mean(squared)) < 2.6
 
 
-@pytest.mark.parametrize("declared", [2.0, 6.0])
+@pytest.mark.parametrize("declared", rest_long([2.0, 6.0]))
 def test_a_measurement_that_is_better_than_declared_gives_a_speed_that_is(declared: float) -> None:
     squared, sigmas = [], []
     for seed in range(60):

@@ -13,6 +13,7 @@ from contract.feature_set import Status
 from contract.track import MOST_TRACKS, TrackReport, TrackState, Unseen
 from onboard.tracks.track_book import SAID_LOST_S, TrackBook
 from tests.onboard.tracks.flat_world import PLACE, RATE_HZ, SESSION, Thing, World, at
+from tests.rest_long import rest_long
 
 Watch = Callable[[int, list[TrackReport]], None]
 
@@ -42,7 +43,7 @@ def off_px(world: World, thing: Thing, reports: dict[int, TrackReport]) -> float
     )
 
 
-@pytest.mark.parametrize("speed", [1.4, 6.0])
+@pytest.mark.parametrize("speed", rest_long([1.4, 6.0]))
 @pytest.mark.parametrize("is_flying", [False, True])
 def test_what_moves_is_given_its_speed_and_course(speed: float, is_flying: bool) -> None:
     course = math.radians(70.0)

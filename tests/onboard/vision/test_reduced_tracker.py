@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from onboard.geometry.plane_homography import move
 from onboard.vision.klt_tracker import Tracker
 from onboard.vision.reduced_tracker import WORKING_PX, ReducedTracker, tracker_for
+from tests.rest_long import rest_long
 
 FEATURES = 100
 
@@ -61,7 +62,7 @@ def test_small_pictures_are_tracked_as_they_are() -> None:
     assert isinstance(tracker_for((1080, 1920), FEATURES), ReducedTracker)
 
 
-@pytest.mark.parametrize("width", [2400, 4000])
+@pytest.mark.parametrize("width", rest_long([2400, 4000]))
 def test_pixels_and_motions_are_the_full_picture_s(width: int) -> None:
     first, second, H = pair(width, 0.1)
     assert followed(tracker_for((width, 3 * width // 4), FEATURES), first, second, H) > 0.6

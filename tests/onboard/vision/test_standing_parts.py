@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from onboard.vision.reduced_tracker import tracker_for
 from onboard.vision.standing_parts import MOST_SHARE, WORKING_PX, StandingParts, _halved
 from tests.on_screen_display import Picture, display_parts, displayed
+from tests.rest_long import rest_long
 
 SIZE_PX = 640, 480
 STEP_PX = 20.0
@@ -90,7 +91,7 @@ def test_a_display_is_found_with_its_changing_numbers_and_nothing_beside_it(opac
     assert 0.05 < parts.share < 0.15
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", rest_long(range(3)))
 def test_ground_is_never_called_whichever_way_it_moves(seed: int) -> None:
     rng = np.random.default_rng(seed)
     angle = rng.uniform(0.0, 2.0 * np.pi)
