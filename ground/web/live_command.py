@@ -37,6 +37,7 @@ any other key of it. What is learned in flight, and recordings, stay in a folder
 """
 START_S = 30.0  # until the aircraft's program listens: it imports much, and GStreamer may look through its plugins
 LOG_PREFIX = re.compile(r"^[\d-]+ [\d:,]+ [A-Z]+ +")
+REFUSED = 2  # pc-onboard's exit code for what no waiting mends
 END_S = 12.0  # for it to write what it has learned
 # The link does not leave this machine: pictures for the page may be large.
 DEFAULTS: dict[str, Any] = {
@@ -131,9 +132,10 @@ def _write_config(args: argparse.Namespace, folder: Path, port: int) -> Path:
 
 
 def _check(program: str, config: Path) -> None:
-    """Raises InputError with what is wrong with the configuration."""
-    done = subprocess.run([program, "check-config", str(config)], capture_output=True, text=True, check=False)
-    if done.returncode != 0:
+    """Raises InputError with what can never work of the configuration; what may come later is waited for."""
+    command = [program, "check-config", "--fly", str(config)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode == REFUSED:
         said = (done.stderr.strip() or done.stdout.strip()).splitlines()[-1:] or ["the configuration is refused"]
         raise InputError(said[0].removeprefix("pc-onboard: error: ").removeprefix(f"{config}: "))
 

@@ -135,6 +135,7 @@ def test_each_program_ends_with_the_other(flight: tuple[StreamedFlight, list[obj
     [
         (("--camera", "foo:bar"), "camera.device = 'foo:bar' is none of /dev/NAME, libcamera:ID, rtsp://HOST/PATH"),
         (("--set", "mount.pich_deg=3"), "unknown key 'mount.pich_deg'; did you mean 'mount.pitch_deg'?"),
+        (("--telemetry", "foo:1"), "telemetry.url 'foo:1': unknown kind 'foo'; one of serial:/dev/NAME:BAUD"),
         (("--set", "mount"), "--set mount: it is KEY=VALUE, as mount.pitch_deg=-45"),
         (("--camera-file", "none.json"), "none.json: no such file; pc-onboard calibrate makes one"),
     ],
@@ -146,7 +147,8 @@ def test_what_cannot_work_is_said_in_one_line(tmp_path: Path, arguments: tuple[s
     from contract.camera import Camera  # noqa: PLC0415
 
     camera.write_text(Camera.from_field_of_view(320, 240, 60.0).to_json())
-    usual = ["--camera", "rtsp://127.0.0.1:1/x", "--telemetry", "udpin:127.0.0.1:0", "--camera-file", camera]
+    telemetry = f"udpin:127.0.0.1:{free_udp_port()}"
+    usual = ["--camera", "rtsp://127.0.0.1:1/x", "--telemetry", telemetry, "--camera-file", camera]
     live = Live(tmp_path / "home", *usual, *arguments)
     assert live.process.returncode == 2
     assert why in live.said and live.said.startswith("pc-ground: error: ") and live.said.count("\n") == 1
