@@ -120,7 +120,7 @@ test: lint
 # Kernel and images are built once and kept in $POINTCLICK_BENCH_CACHE (~/.cache/pointclick-bench).
 test-bench: $(INSTALLED)
 	@$(BIN)/python -m tests.bench build
-	@POINTCLICK_BENCH=1 $(BIN)/python -m pytest tests/bench --durations=0 --durations-min=1 $(BENCH_ARGS)
+	@POINTCLICK_BENCH=1 $(BIN)/python -m pytest tests/bench --reruns 1 -rR --durations=0 --durations-min=1 $(BENCH_ARGS)
 
 # Packages of both architectures, built and run; arm64 by qemu's user-mode emulation, without root or binfmt.
 test-arm64: $(INSTALLED)
