@@ -7,6 +7,11 @@ from tests.bench.machine import Machine
 VIVID = "/dev/video0"
 LOOPBACK = "/dev/video10"
 SETTLE = "udevadm settle --timeout=10"
+# vimc's pattern stands still without the time in it; small pictures have room for nothing else.
+SHOW_TIME = (
+    'for n in /sys/class/video4linux/v4l-subdev*; do grep -qx "Sensor B" $n/name || continue'
+    "; v4l2-ctl -d /dev/${n##*/} -c show_information=1; done"
+)
 
 
 def load(guest: Machine) -> None:
@@ -34,14 +39,14 @@ def load_loopback(guest: Machine, number: int) -> None:
 
 def load_vimc(guest: Machine) -> None:
     """A sensor with its processing, as libcamera knows how to drive: `libcamera:platform/vimc.0 Sensor B`."""
-    counter = 'for n in /sys/class/video4linux/v4l-subdev*; do grep -qx "Sensor B" $n/name || continue'
-    counter += "; v4l2-ctl -d /dev/${n##*/} -c show_information=1; done"  # small ones have room for nothing else
-    guest.shell(f"modprobe vimc; {SETTLE}; {counter}")
+    guest.shell(f"modprobe vimc; {SETTLE}; {SHOW_TIME}")
 
 
 def plug_vimc(guest: Machine, is_in: bool) -> None:
-    """Take it away from whoever reads it, or put it back."""
+    """Take it away from whoever reads it, or put it back: a new sensor, whose settings are the driver's own again."""
     guest.shell(f"echo vimc.0 >/sys/bus/platform/drivers/vimc/{'bind' if is_in else 'unbind'}; {SETTLE}")
+    if is_in:
+        guest.shell(SHOW_TIME)
 
 
 def unplug_vivid(guest: Machine, number: int) -> None:

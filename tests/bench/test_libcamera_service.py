@@ -27,8 +27,9 @@ def is_absent(report: dict[str, Any]) -> bool:
 
 
 def taken(report: dict[str, Any]) -> float:
-    """Pictures since the service began."""
-    return float(report["camera"]["figures"]["pictures"])
+    """Pictures since the service began, those left out that only repeated the one before."""
+    figures = report["camera"]["figures"]
+    return float(figures["pictures"] - figures["repeated"])
 
 
 def helper_of(flying: Sortie) -> tuple[str, list[str]]:
