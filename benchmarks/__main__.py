@@ -53,7 +53,7 @@ BENCHMARKS = (
     Benchmark(
         "rolling_shutter",
         "Rows read one after the other",
-        (),
+        ("--flights", "16"),
         ("--flights", "1", "--seconds", "75", "--sensors", "full", "--told", "global shutter,0 to 20 ms"),
     ),
     Benchmark("bundle", "The window solve against GTSAM", (), ("--repeat", "5")),

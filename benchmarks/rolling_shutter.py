@@ -40,7 +40,7 @@ GLOBAL = "global shutter"
 RIGHT_TO_S = 0.02  # of the age of positions, as declared and sampled
 # One sigma of the camera file's focal length, principal point, k1 and k2: it is off by the first and the fourth.
 FILE_SIGMA = (0.03, 0.002, 0.002, 0.1, 0.01)
-WRONG_FILE, UNSURE_FILE = "wrong file", "right file, unsure"
+WRONG_FILE, UNSURE_FILE = "wrong file", "right file but unsure"
 TOLD: dict[str, dict[str, float]] = {
     GLOBAL: {},
     "right": {"readout_s": READOUT_S},
@@ -134,6 +134,9 @@ def main() -> None:
     parser.add_argument("--told", default=",".join([*TOLD, *FILES]))
     parser.add_argument("--sensors", default="full,gps")
     args = parser.parse_args()
+    unknown = {*args.told.split(","), *args.sensors.split(",")} - {*TOLD, *FILES, *SENSORS}
+    if unknown:
+        parser.error(f"unknown: {', '.join(sorted(unknown))}; --told {', '.join([*TOLD, *FILES])}; --sensors full, gps")
     print(f"{'sensors, told':<26} median  90 %   ratio | inside 90 %, chi2 | answered | readout found, ms | processor")
     for sensors in args.sensors.split(","):
         first: Result | None = None
