@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 WGS84_A_M = 6378137.0
-WGS84_F = 1.0 / 298.257223563
 EARTH_RADIUS_M = 6.371e6  # mean
+WGS84_F = 1.0 / 298.257223563
 _B_M = WGS84_A_M * (1.0 - WGS84_F)
 _E2 = WGS84_F * (2.0 - WGS84_F)
 _EP2 = _E2 / (1.0 - _E2)

@@ -22,6 +22,7 @@ from onboard.telemetry.telemetry_log import TelemetryLog
 from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
+from tests.rest_long import rest_long
 from tests.scenarios.flights import Outcome, _Sets, click, flown, play
 
 WIDE = Camera.from_field_of_view(320, 240, 70.0)
@@ -46,7 +47,7 @@ def cut_to_the_second(folder: Path) -> Path:
     return copy
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", rest_long([0, 1]))
 def test_declared_stamps_of_a_second_are_answered_with_a_radius_that_holds(seed: int) -> None:
     folder = cut_to_the_second(survey(seed))
     declared = play(folder, *WHOLE_SECONDS)

@@ -18,6 +18,7 @@ from simulation.renderer import SensorSpec
 from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
 from simulation.texture import TextureSpec
+from tests.rest_long import rest_long
 from tests.scenarios.flights import CAMERA, Outcome, flown, play, retouched
 
 LEG = SessionSpec(DescribedSpec(PathSpec("straight")), seconds=8.0, rate_hz=3.0, camera=CAMERA)
@@ -109,7 +110,7 @@ def test_stripes_are_distinguished_by_telemetry(spec: SessionSpec) -> None:
     holds(play(flown(replace(spec, texture=TextureSpec("stripes")))))
 
 
-@pytest.mark.parametrize("rate_hz", [1.0, pytest.param(3.0, marks=pytest.mark.long)])
+@pytest.mark.parametrize("rate_hz", rest_long([1.0, 3.0]))
 def test_stripes_without_attitude_are_featureless(rate_hz: float) -> None:
     """Nothing says by how many rows the picture moved (answered, it was 140 to 340 m off): featureless."""
     spec = replace(LARGE, rate_hz=rate_hz, texture=TextureSpec("stripes"))
@@ -132,7 +133,7 @@ def test_few_vehicles_cost_nothing() -> None:
     assert np.median(few.semi_m) < 1.2 * np.median(empty.semi_m), (few.reported, empty.reported)
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(7, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", rest_long([0, 7]))
 def test_a_convoy_is_not_taken_for_the_ground(seed: int) -> None:
     """Lorries on a fifth of the ground, with nearly all of the tracks: the scene moves with them. Poor fit."""
     convoy = TextureSpec("traffic", seed=seed, vehicle_spacing_m=16)
@@ -159,7 +160,7 @@ def test_an_exposure_that_hunts_is_solved() -> None:
     holds(play(flown(replace(LEG, sensor=SensorSpec(exposure_swing=3.5)))))
 
 
-@pytest.mark.parametrize("exposure_s", [pytest.param(0.03, marks=pytest.mark.long), 0.08])
+@pytest.mark.parametrize("exposure_s", rest_long([0.08, 0.03]))
 def test_motion_blur_is_solved(exposure_s: float) -> None:
     """Shutter open for 0.6 m and 1.6 m of ground: one and three pixels. OK."""
     holds(play(flown(replace(LEG, sensor=SensorSpec(exposure_s=exposure_s)))))

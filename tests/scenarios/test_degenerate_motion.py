@@ -105,16 +105,13 @@ def test_an_exactly_straight_path_is_solved() -> None:
     holds(play(flown(replace(LEG, flight=DescribedSpec(calm)))))
 
 
-@pytest.mark.parametrize(
-    "mount_deg",
-    rest_long([[0.0, -45.0, 0.0], [0.0, -60.0, 90.0], [0.0, -60.0, 0.0], [0.0, -90.0, 90.0], [0.0, -90.0, 180.0]], 2),
-)
-def test_a_mount_may_point_any_way(mount_deg: list[float]) -> None:
+MOUNTS_DEG = ((0.0, -45.0, 0.0), (0.0, -60.0, 90.0), (0.0, -60.0, 0.0), (0.0, -90.0, 90.0), (0.0, -90.0, 180.0))
+
+
+@pytest.mark.parametrize("mount_deg", rest_long([(mount,) for mount in MOUNTS_DEG], 2))
+def test_a_mount_may_point_any_way(mount_deg: tuple[float, float, float]) -> None:
     """Oblique and turned mounts: OK."""
-    holds(
-        play(flown(replace(LEG, mount_deg=(mount_deg[0], mount_deg[1], mount_deg[2]), clicks_per_frame=8))),
-        max_median_m=12.0,
-    )
+    holds(play(flown(replace(LEG, mount_deg=mount_deg, clicks_per_frame=8))), max_median_m=12.0)
 
 
 def test_telemetry_at_two_hertz_is_enough() -> None:

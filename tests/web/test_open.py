@@ -18,6 +18,7 @@ from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
 from tests.own_flights import write_named_photographs, write_video
+from tests.rest_long import rest_long
 from tests.scenarios.flights import flown
 from tests.waiting import PATIENCE_S
 from tests.web.browsing import Operator
@@ -79,7 +80,7 @@ def video(session: Path, folder: Path) -> list[object]:
     return [folder / "DJI_0042.MP4"]
 
 
-@pytest.mark.parametrize("made", [pytest.param(photographs, marks=pytest.mark.long), video])
+@pytest.mark.parametrize("made", rest_long([video, photographs]))
 def test_one_command_from_the_card_to_an_answered_click(
     session: Path, tmp_path: Path, opened: Callable[..., Opened], chromium: Any, made: Callable[..., list[object]]
 ) -> None:

@@ -23,6 +23,7 @@ from onboard.link.publisher import Publisher, Rate
 from tests.contract.sets import plain_set
 from tests.onboard.link.ports import free_endpoint
 from tests.onboard.link.thin import ThinLink
+from tests.rest_long import rest_long
 from tests.waiting import Stalls, until
 
 BASE = plain_set(100)
@@ -115,7 +116,7 @@ def after_a_cut(kind: str, cut_s: float, bit_rate: float = 64000.0) -> None:
 
 
 @pytest.mark.wall_clock
-@pytest.mark.parametrize("lost_s", [14.0, pytest.param(20.0, marks=pytest.mark.long)])
+@pytest.mark.parametrize("lost_s", rest_long([14.0, 20.0]))
 def test_after_a_cut_the_newest_picture_is_there_within_three_seconds(lost_s: float) -> None:
     """Cuts that a session outlives (its lease is 10 s) and that it does not, by more than the wait between tries."""
     together(

@@ -18,6 +18,7 @@ from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from tests.onboard.service.air import Air, Spoil, take_off
+from tests.rest_long import rest_long
 from tests.scenarios.flights import CAMERA
 
 BEGIN_S, END_S = 9.0, 14.0  # of most faults
@@ -94,14 +95,14 @@ def test_a_frozen_camera_that_nobody_calls_frozen(tmp_path: Path) -> None:
     assert after.inside_99 > 0.97, after.reported
 
 
-@pytest.mark.parametrize("level", [0, pytest.param(255, marks=pytest.mark.long)])
+@pytest.mark.parametrize("level", rest_long([0, 255]))
 def test_black_and_white_pictures(tmp_path: Path, level: int) -> None:
     air = take_off(tmp_path, seconds=SECONDS, camera=on_pictures(lambda image: np.full_like(image, level)))
     holds(air, "featureless", "bad picture")  # the latter where even the noise is gone
     assert not len(air.clicked(BEGIN_S, END_S).errors_m)
 
 
-@pytest.mark.parametrize("noise", [0.0, pytest.param(2.0, marks=pytest.mark.long)])
+@pytest.mark.parametrize("noise", rest_long([0.0, 2.0]))
 def test_defocused_pictures_are_refused_or_held(tmp_path: Path, noise: float) -> None:
     """Optics blur the ground and not the sensor's noise, but an image processor may smooth that too."""
     rng = np.random.default_rng(6)
