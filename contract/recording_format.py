@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 from contract.errors import InputError
 
@@ -13,9 +14,21 @@ TRACK_ENCODING = "pointclick tracks"  # reports one after the other, as they cro
 SPOT_ENCODING = "pointclick spots"  # all spots of a picture, as they crossed the link
 METADATA_NAME = "pointclick"
 
+
+class CameraChannels(NamedTuple):
+    """What a camera gave: its frames, each after its picture and, of a thermal camera, its counts."""
+
+    frames: str
+    pictures: str
+    counts: str
+
+
 FRAMES = "pc/{vehicle}/frames"
 PICTURES = "pc/{vehicle}/pictures"
-COUNTS = "pc/{vehicle}/counts"
+FIRST_CAMERA = CameraChannels(FRAMES, PICTURES, "pc/{vehicle}/counts")
+SECOND_CAMERA = CameraChannels(
+    "pc/{vehicle}/thermal/frames", "pc/{vehicle}/thermal/pictures", "pc/{vehicle}/thermal/counts"
+)
 POSITIONS = "pc/{vehicle}/position"
 GPS_QUALITY = "pc/{vehicle}/gps_quality"
 ATTITUDES = "pc/{vehicle}/attitude"

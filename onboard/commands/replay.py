@@ -28,7 +28,7 @@ from onboard.camera.picture_mask import read_mask
 from onboard.config.files import load_config_files, load_second_camera
 from onboard.config.schema import Config, parse_config, to_toml
 from onboard.events.sink import Sink
-from onboard.events.types import Event
+from onboard.events.types import Event, Frame
 from onboard.link.picture_sender import PictureSender
 from onboard.link.publisher import Publisher
 from onboard.pipeline.error_budgets import BudgetWatch, NewestBudget, budget_text
@@ -79,16 +79,16 @@ def run(arguments: argparse.Namespace, stop: threading.Event) -> tuple[str, bool
     comparison = None if inputs.recorded is None else Comparison(inputs.recorded)
     if comparison is not None:
         sinks.append(comparison)
-    whole = None
+    whole, second = None, _second_camera(arguments, inputs)
     if arguments.record is not None:
         if inputs.recorded is not None and arguments.record.resolve() in [p.resolve() for p in inputs.recorded.paths]:
             raise InputError(f"recording {arguments.record}: is what is replayed; name another file")
-        whole = WholeRecording(arguments.record, config, inputs.config_text, camera, state_json)
+        whole = WholeRecording(arguments.record, config, inputs.config_text, camera, state_json, second)
         whole.at_its_end = partial(_last_status, pipeline, newest)
         sinks.append(whole)
     followed = _followed(arguments, config, whole)
     sinks += [] if followed is None else [followed]
-    spotted = _spotted(arguments, config, whole)
+    spotted = _spotted(arguments, inputs, second, whole)
     sinks += [] if spotted is None else [spotted]
     if arguments.publish:
         link = Publisher.open(config)
@@ -175,24 +175,40 @@ def _followed(arguments: argparse.Namespace, config: Config, whole: WholeRecordi
     return Followed(config.vehicle.id, clicks, _not_followed, outlets) if clicks else None
 
 
-def _spotted(arguments: argparse.Namespace, config: Config, whole: WholeRecording | None) -> Spotted | None:
-    """What looks for hot spots; None where that is not asked. Raises InputError where no thermal camera is stated."""
-    pictures = arguments.thermal
-    if not arguments.spots:
-        if pictures is not None:
-            raise InputError("--thermal: hot spots are looked for in these pictures: add --spots")
+def _second_camera(arguments: argparse.Namespace, inputs: _Inputs) -> Camera | None:
+    """The optics of a second camera in whose pictures hot spots are looked for, as the recording or a file has them."""
+    if arguments.thermal is not None and not arguments.spots:
+        raise InputError("--thermal: hot spots are looked for in these pictures: add --spots")
+    if not arguments.spots or not (arguments.thermal or inputs.config.camera.thermal.is_stated):
         return None
+    if inputs.recorded is not None and inputs.recorded.second_camera is not None and arguments.config is None:
+        return inputs.recorded.second_camera
+    return load_second_camera(inputs.config)
+
+
+def _spotted(
+    arguments: argparse.Namespace, inputs: _Inputs, second: Camera | None, whole: WholeRecording | None
+) -> Spotted | None:
+    """What looks for hot spots; None where that is not asked. Raises InputError where no thermal camera is stated."""
+    if not arguments.spots:
+        return None
+    config, recorded = inputs.config, inputs.recorded
     outlets = [_print_spots] if whole is None else [_print_spots, whole.spots]
-    if pictures is not None:
-        camera = load_second_camera(config)
-        latency_s = config.camera.thermal.latency_s
-        return Spotted(
-            config,
-            outlets,
-            (camera, open_frames(pictures, camera, arguments.thermal_stamps, latency_s, is_thermal=True)),
-        )
-    if config.camera.thermal.is_stated and not config.thermal.enabled:
-        raise InputError("--spots: the configuration states a second camera: name its pictures with --thermal")
+    if second is not None:
+        if arguments.thermal is not None:
+            stamps, latency_s = arguments.thermal_stamps, config.camera.thermal.latency_s
+            pictures = open_frames(arguments.thermal, second, stamps, latency_s, is_thermal=True).frames()
+        elif recorded is not None and recorded.has_second_counts:
+            pictures = recorded.second_pictures()
+        else:
+            raise InputError(
+                "--spots: the configuration states a second camera: name its pictures with --thermal (a recording "
+                'brings those that were looked at if recording.pictures was "lossless")'
+            )
+        spotted = Spotted(config, outlets, (second, pictures))
+        if whole is not None:
+            spotted.keepers.append(whole.second_picture)
+        return spotted
     if not config.thermal.enabled:
         raise InputError("--spots: the configuration states no thermal camera: set thermal.enabled (docs/thermal.md)")
     return Spotted(config, outlets)
@@ -229,7 +245,15 @@ class WholeRecording:
     Raises InputError if it cannot be written.
     """
 
-    def __init__(self, path: Path, config: Config, config_text: str, camera: Camera, state_json: str = "") -> None:
+    def __init__(
+        self,
+        path: Path,
+        config: Config,
+        config_text: str,
+        camera: Camera,
+        state_json: str = "",
+        second: Camera | None = None,
+    ) -> None:
         _check_place(path)
         self._path, self._part = path, path.with_name(f".{path.name}.part")
         self._recorder = SessionRecorder(
@@ -237,6 +261,7 @@ class WholeRecording:
             config.vehicle.id,
             config_text=config_text,
             camera_json=camera.to_json(),
+            second_camera_json="" if second is None else second.to_json(),
             software_version=software_version(),
             state_json=state_json,
             pictures=config.recording.pictures,
@@ -273,6 +298,10 @@ class WholeRecording:
     def spots(self, report: SpotReport) -> None:
         """Record the spots of a picture."""
         self._recorder.write_spots(report.capture_unix_ns, encode_spots(report))
+
+    def second_picture(self, frame: Frame) -> None:
+        """Record a picture of the second camera."""
+        self._recorder.write_second_picture(frame)
 
     def feature_set(self, output: FeatureSet) -> None:
         """Record a set."""

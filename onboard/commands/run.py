@@ -114,7 +114,8 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
                 )  # fmt: skip
             sinks.append(pictures)
             threads.append(pictures.thread)
-        tracks, (spots, second) = _tracks(config, link), _spots(config, link, clock)
+        optics = load_second_camera(config) if config.spots.enabled and config.camera.thermal.is_flown else None
+        tracks, (spots, second) = _tracks(config, link), _spots(config, link, clock, optics)
         for one in (tracks, spots, second):
             if one is not None:
                 sinks.append(one)
@@ -122,12 +123,14 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
         recording = None
         if config.recording.enabled:
             where = Path(config.recording.folder) if config.recording.folder else folder / "recordings"
-            recording = Recorded(where, config, camera, clock, to_toml(config), "" if complaint else state.text())
+            known = "" if complaint else state.text()
+            recording = Recorded(where, config, camera, clock, to_toml(config), known, optics)
             sinks.append(recording)
             if tracks is not None:
                 tracks.outlets.append(recording.tracks)
             if spots is not None:
                 spots.outlets.append(recording.spots)
+                spots.keepers.append(recording.second_picture)
             threads.append(recording.thread)
             reporters.append(partial(_record, recording))
         if config.service.prometheus is not None:
@@ -161,12 +164,12 @@ def _tracks(config: Config, link: Publisher) -> TrackThread | None:
     return tracks
 
 
-def _spots(config: Config, link: Publisher, clock: SessionClock) -> tuple[SpotThread | None, SecondCameraThread | None]:
+def _spots(
+    config: Config, link: Publisher, clock: SessionClock, optics: Camera | None
+) -> tuple[SpotThread | None, SecondCameraThread | None]:
     """What looks for hot spots, and the second camera in whose pictures it does where there is one."""
-    is_second = config.camera.thermal.is_flown
-    if not (config.spots.enabled and (is_second or config.thermal.enabled)):
+    if not (config.spots.enabled and (optics is not None or config.thermal.enabled)):
         return None, None
-    optics = load_second_camera(config) if is_second else None
     spots = SpotThread(config, [lambda _, payload: link.publish_spots(payload)], optics)
     if optics is None:
         return spots, None

@@ -4,14 +4,13 @@ gives the same spots.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from types import TracebackType
 from typing import Self
 
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
 from contract.spot import SpotReport
-from onboard.camera.picture_files import FrameSource
 from onboard.config.schema import Config
 from onboard.events.types import Event, Frame
 from onboard.spots.looking import Look, looking
@@ -22,18 +21,20 @@ MAX_HELD = 256  # pictures that wait for their set
 class Spotted:
     """A sink: `outlets` are given the spots of each picture that was looked at; `looked` counts those pictures.
 
-    `second`: a second camera's optics and pictures, which come in by their stamps.
+    `second`: a second camera's optics and pictures, which come in by their stamps; `keepers` are given those of
+    them that were looked at.
     """
 
     def __init__(
         self,
         config: Config,
         outlets: Sequence[Callable[[SpotReport], object]],
-        second: tuple[Camera, FrameSource] | None = None,
+        second: tuple[Camera, Iterable[Frame]] | None = None,
     ) -> None:
         self._looking = looking(config, None if second is None else second[0], MAX_HELD)
+        self.keepers = self._looking.keepers
         self._outlets = outlets
-        self._pictures: Iterator[Frame] = iter(()) if second is None else iter(second[1].frames())
+        self._pictures: Iterator[Frame] = iter(()) if second is None else iter(second[1])
         self._next = next(self._pictures, None)
         self.looked = 0
 

@@ -33,13 +33,15 @@ log = logging.getLogger("pointclick")
 class SpotThread(WokenWork):
     """A sink of the daemon. `outlets` take a picture's capture time (Unix ns) and its spots as one packet.
 
-    `second`: the optics of a second camera, whose thread hands its pictures to `second_picture`.
+    `second`: the optics of a second camera, whose thread hands its pictures to `second_picture`; `keepers` are given
+    those that were looked at.
     """
 
     def __init__(self, config: Config, outlets: Sequence[Outlet] = (), second: Camera | None = None) -> None:
         super().__init__("spots", late_after_s=LATE_S)
         self.outlets = list(outlets)
         self._looking = looking(config, second, MAX_HELD)
+        self.keepers = self._looking.keepers
         self._next: Look | None = None
         self._has_spots = False
 

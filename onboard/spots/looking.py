@@ -30,7 +30,12 @@ Look = Callable[[], SpotReport | None]
 
 
 class Looking(Protocol):
-    """Fed with pictures and sets, in order. For one thread at a time."""
+    """Fed with pictures and sets, in order. For one thread at a time.
+
+    `keepers` are given each picture of the second camera that was looked at, by whoever takes the look.
+    """
+
+    keepers: list[Callable[[Frame], object]]
 
     def event(self, event: Event) -> None:
         """Take an event of the first camera's pipeline."""
@@ -55,6 +60,7 @@ class OneCamera:
 
     def __init__(self, config: Config, most_held: int) -> None:
         self._config = config
+        self.keepers: list[Callable[[Frame], object]] = []
         self._due = DuePictures(config.spots.rate_hz, most_held)
         self.begin_again()
 
@@ -81,6 +87,7 @@ class TwoCameras:
 
     def __init__(self, config: Config, camera: Camera) -> None:
         self._config, self._camera = config, camera
+        self.keepers: list[Callable[[Frame], object]] = []
         self._lost_s = config.camera.lost_after_s
         self._pictures = BracketedPictures(config.spots.rate_hz, self._lost_s + config.service.max_delay_s)
         self._session = 0
@@ -113,6 +120,8 @@ class TwoCameras:
         report = self._book.picture(found.frame, its_set, pointing)
         if report is None:
             return None
+        for keeper in self.keepers:
+            keeper(found.frame)
         self._learn(report)
         spots = []
         for spot in report.spots:

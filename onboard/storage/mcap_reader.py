@@ -26,7 +26,7 @@ from contract.camera import Camera
 from contract.errors import InputError
 from contract.mcap_records import MAGIC, Damage
 from contract.topics import FEATURES
-from onboard.events.types import Event
+from onboard.events.types import Event, Frame
 from onboard.storage.event_json import NAV_EVENTS, frame_event, nav_event
 from onboard.storage.mcap_records import Found, Lost, walk
 from onboard.storage.recording_queue import Gap
@@ -61,6 +61,7 @@ class RecordedFlight:
     camera: Camera
     state_json: str
     version: str
+    second_camera: Camera | None = None  # beside it
     stamps_ns: list[int] = field(default_factory=list)  # of the pictures
     formats: Counter[str] = field(default_factory=Counter)  # in which they were recorded
     counts: Counter[str] = field(default_factory=Counter)  # records by channel, the vehicle's name left out
@@ -126,15 +127,17 @@ class RecordedFlight:
         read: set[str] = set()
         errors: dict[str, InputError] = {}
         for path in self.paths:
-            part = _PartEvents(self)
+            frames = _Frames(names.FIRST_CAMERA, self.camera)
             for record in _records(path):
                 if not isinstance(record, tuple):
-                    part.is_damaged = part.is_damaged or isinstance(record, Damage)
+                    frames.is_damaged = frames.is_damaged or isinstance(record, Damage)
                     continue
                 channel, message = record
-                name = _name(channel.topic, self.vehicle)
+                kind, name = _kind(channel.topic, self.vehicle), _name(channel.topic, self.vehicle)
                 try:
-                    event = part.event(_kind(channel.topic, self.vehicle), message)
+                    event: Event | None = frames.take(kind, message)
+                    if kind in NAV_EVENTS:
+                        event = nav_event(NAV_EVENTS[kind], message.data)
                 except InputError as error:
                     errors.setdefault(name, InputError(f"recording {path}: {error}"))
                     self.unreadable.setdefault(path, Counter())[name] += 1
@@ -145,6 +148,23 @@ class RecordedFlight:
         for name, unread in errors.items():
             if name not in read:
                 raise unread
+
+    @property
+    def has_second_counts(self) -> bool:
+        """Whether hot spots can be looked for in what was recorded of the second camera."""
+        return self.second_camera is not None and self.counts[_name(names.SECOND_CAMERA.counts, "{vehicle}")] > 0
+
+    def second_pictures(self) -> Iterator[Frame]:
+        """What was recorded of the second camera's pictures, in their order; those that cannot be read are left out."""
+        if self.second_camera is None:
+            return
+        for path in self.paths:
+            frames = _Frames(names.SECOND_CAMERA, self.second_camera)
+            for channel, message in _messages(path):
+                with contextlib.suppress(InputError):
+                    frame = frames.take(_kind(channel.topic, self.vehicle), message)
+                    if frame is not None:
+                        yield frame
 
     def sets(self) -> Iterator[bytes]:
         """The payloads of the sets, in the order in which they were made."""
@@ -167,28 +187,26 @@ def _note_lost(flight: RecordedFlight, path: Path, name: str, count: int) -> Non
     flight.lost.setdefault(path, Counter())[name] += count
 
 
-class _PartEvents:
-    """The events of one file of a session, message by message; a frame takes the picture before it."""
+class _Frames:
+    """A camera's frames in one file of a session, message by message; each takes the picture before it."""
 
-    def __init__(self, flight: RecordedFlight) -> None:
+    def __init__(self, channels: names.CameraChannels, camera: Camera) -> None:
         self.is_damaged = False  # so far
-        self._flight = flight
+        self._channels, self._camera = channels, camera
         self._picture: tuple[int, bytes] | None = None
         self._counts: tuple[int, bytes] | None = None
 
-    def event(self, kind: str, message: Message) -> Event | None:
-        """The event that a message holds, if it holds one. Raises InputError for content that cannot be read."""
-        if kind == names.PICTURES:
+    def take(self, kind: str, message: Message) -> Frame | None:
+        """The frame that a message ends, if it ends one. Raises InputError for content that cannot be read."""
+        if kind == self._channels.pictures:
             self._picture = message.publish_time, message.data
-        elif kind == names.COUNTS:
+        elif kind == self._channels.counts:
             self._counts = message.publish_time, message.data
-        elif kind == names.FRAMES:
+        elif kind == self._channels.frames:
             return self._frame(message.data)
-        elif kind in NAV_EVENTS:
-            return nav_event(NAV_EVENTS[kind], message.data)
         return None
 
-    def _frame(self, data: bytes) -> Event | None:
+    def _frame(self, data: bytes) -> Frame | None:
         frame, as_recorded, counted = frame_event(data)
         if as_recorded not in ("png", "jpeg"):
             return None if as_recorded == "none" else frame
@@ -196,10 +214,10 @@ class _PartEvents:
             if self.is_damaged:
                 return None  # its picture was in a stretch that cannot be read
             raise InputError(f"frame {frame.index} without its picture")
-        image = _decoded(self._picture[1], self._flight.camera).astype(np.uint8, copy=False)
+        image = _decoded(self._picture[1], self._camera).astype(np.uint8, copy=False)
         counts = None
         if counted == "png" and self._counts is not None and self._counts[0] == frame.stamp_ns:
-            counts = _decoded(self._counts[1], self._flight.camera, True).astype(np.uint16, copy=False)
+            counts = _decoded(self._counts[1], self._camera, True).astype(np.uint16, copy=False)
         return replace(frame, image=image, counts=counts)
 
 
@@ -274,6 +292,7 @@ def _begin(path: Path, metadata: dict[str, str]) -> RecordedFlight:
     if not metadata.get("camera"):
         raise InputError(f"recording {path}: without the camera's optics")
     camera = Camera.from_text(metadata["camera"], f"recording {path}: camera")
+    second = metadata.get("second_camera")
     return RecordedFlight(
         [],
         metadata.get("vehicle", ""),
@@ -281,6 +300,7 @@ def _begin(path: Path, metadata: dict[str, str]) -> RecordedFlight:
         camera,
         metadata.get("state", ""),
         metadata.get("version", ""),
+        Camera.from_text(second, f"recording {path}: second camera") if second else None,
     )
 
 

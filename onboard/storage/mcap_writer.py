@@ -64,6 +64,7 @@ class SessionRecorder:
         *,
         config_text: str = "",
         camera_json: str = "",
+        second_camera_json: str = "",
         software_version: str = "",
         state_json: str = "",
         pictures: str = "none",
@@ -82,6 +83,7 @@ class SessionRecorder:
             "pictures": pictures,
             "part": str(part),
             "complete": "yes" if is_complete else "no",
+            **({"second_camera": second_camera_json} if second_camera_json else {}),
         }
         self._stream: io.BufferedWriter | None = None
         self._whole_bytes = 0  # of the file, up to its last whole message
@@ -104,15 +106,12 @@ class SessionRecorder:
     def write_event(self, event: Event, arrival_ns: int | None = None) -> None:
         """Record an event with the time at which it came; a frame after its picture, so that none is without."""
         arrival_ns = event.stamp_ns if arrival_ns is None else arrival_ns
-        kind = counts = ""
-        if isinstance(event, Frame) and event.image is not None:
-            counts = self._write_counts(event)
-            shown = event.image if event.colour is None or self._pictures != "jpeg" else event.colour
-            encoded, kind = encode_picture(shown, self._pictures)
-            if encoded:
-                message = foxglove_schemas.picture(event.stamp_ns, encoded, kind)
-                self._view(names.PICTURES, foxglove_schemas.PICTURE, event.stamp_ns, lambda: message)
-        self._write(self._event_channel(type(event)), arrival_ns, event.stamp_ns, event_json(event, kind, counts))
+        if isinstance(event, Frame):
+            self._write_frame(event, arrival_ns, names.FIRST_CAMERA)
+            return
+        name, schema = event_schema(type(event))
+        channel = self._channel(CHANNELS[type(event)], "json", name, schema)
+        self._write(channel, arrival_ns, event.stamp_ns, event_json(event))
         if isinstance(event, PositionFix):
             fix = event
             self._view(
@@ -123,13 +122,27 @@ class SessionRecorder:
                 VIEW_LOCATION_NS,
             )
 
-    def _write_counts(self, frame: Frame) -> str:
-        """Record a thermal camera's counts with lossless pictures; returns how, empty where they are not."""
-        if frame.counts is None or self._pictures != "lossless":
-            return ""
-        encoded, kind = encode_picture(frame.counts, self._pictures)
-        message = foxglove_schemas.picture(frame.stamp_ns, encoded, kind)
-        self._view(names.COUNTS, foxglove_schemas.PICTURE, frame.stamp_ns, lambda: message)
+    def write_second_picture(self, frame: Frame) -> None:
+        """Record a picture of the second camera, if pictures are recorded."""
+        if self._pictures != "none":
+            self._write_frame(frame, frame.stamp_ns, names.SECOND_CAMERA)
+
+    def _write_frame(self, frame: Frame, arrival_ns: int, to: names.CameraChannels) -> None:
+        kind = counts = ""
+        if frame.image is not None:
+            if frame.counts is not None and self._pictures == "lossless":
+                counts = self._write_picture(frame.counts, frame.stamp_ns, to.counts)
+            shown = frame.image if frame.colour is None or self._pictures != "jpeg" else frame.colour
+            kind = self._write_picture(shown, frame.stamp_ns, to.pictures)
+        channel = self._channel(to.frames, "json", *event_schema(Frame))
+        self._write(channel, arrival_ns, frame.stamp_ns, event_json(frame, kind, counts))
+
+    def _write_picture(self, image: NDArray[np.uint8] | NDArray[np.uint16], stamp_ns: int, template: str) -> str:
+        """Returns how, empty where pictures are not recorded."""
+        encoded, kind = encode_picture(image, self._pictures)
+        if encoded:
+            message = foxglove_schemas.picture(stamp_ns, encoded, kind)
+            self._view(template, foxglove_schemas.PICTURE, stamp_ns, lambda: message)
         return kind
 
     def write_set(self, feature_set: FeatureSet, payload: bytes | None = None) -> None:
@@ -253,10 +266,6 @@ class SessionRecorder:
             except OSError as error:
                 raise self._failure(error) from error
         return self._channels[key]
-
-    def _event_channel(self, kind: type[Event]) -> int:
-        name, schema = event_schema(kind)
-        return self._channel(CHANNELS[kind], "json", name, schema)
 
     def _view(
         self, template: str, schema_name: str, stamp_ns: int, message: Callable[[], bytes], every_ns: int = 0

@@ -83,11 +83,13 @@ class Recorded:
         clock: SessionClock,
         config_text: str,
         state_json: str = "",
+        second: Camera | None = None,
         free: Callable[[Path], int] = free_bytes,
         retry_s: float = RETRY_S,
     ) -> None:
         self._folder, self._config, self._clock, self._free = folder, config, clock, free
         self._config_text, self._camera_json, self._state_json = config_text, camera.to_json(), state_json
+        self._second_json = "" if second is None else second.to_json()
         self._retry_s = retry_s
         self._session = ""
         self._part = 0
@@ -138,10 +140,13 @@ class Recorded:
     def event(self, arrival_ns: int, event: Event) -> None:
         """Record an event as it enters the pipeline; never waits."""
         if isinstance(event, Frame) and event.image is not None:
-            held_bytes = event.image.nbytes + (0 if event.counts is None else event.counts.nbytes)
-            self._put(Entry("pictures", arrival_ns, held_bytes, lambda file: file.write_event(event, arrival_ns)))
+            self._put(Entry("pictures", arrival_ns, _held_bytes(event), lambda f: f.write_event(event, arrival_ns)))
         else:
             self._put(Entry("events", arrival_ns, 0, lambda file: file.write_event(event, arrival_ns)))
+
+    def second_picture(self, frame: Frame) -> None:
+        """Record a picture of the second camera; never waits."""
+        self._put(Entry("pictures", frame.stamp_ns, _held_bytes(frame), lambda f: f.write_second_picture(frame)))
 
     def feature_set(self, output: FeatureSet) -> None:
         """Record a set; never waits."""
@@ -246,6 +251,7 @@ class Recorded:
             self._config.vehicle.id,
             config_text=self._config_text,
             camera_json=self._camera_json,
+            second_camera_json=self._second_json,
             software_version=software_version(),
             state_json=self._state_json,
             pictures=self._config.recording.pictures,
@@ -318,6 +324,11 @@ class Recorded:
                 recorder.close()
             except InputError as error:  # what is in it can be read without its end
                 log.error("%s", error)
+
+
+def _held_bytes(frame: Frame) -> int:
+    """Of a picture in memory."""
+    return sum(0 if part is None else part.nbytes for part in (frame.image, frame.counts))
 
 
 class _Unencodable(Exception):

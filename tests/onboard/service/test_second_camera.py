@@ -57,12 +57,14 @@ def test_its_pictures_and_nothing_else_are_handed_on_and_it_is_begun_again_after
     assert not second.thread.is_alive()
 
 
-def test_pictures_of_one_thread_and_sets_of_another_meet() -> None:
+def test_pictures_of_one_thread_and_sets_of_another_meet_and_those_that_were_looked_at_are_kept() -> None:
     config = parse_config('[vehicle]\nid = "uav-1"\n[camera.thermal]\nfile = "thermal.json"\nscale = 0.01\n')
     sent: list[bytes] = []
     counts = np.full(BOSON.size_px[::-1], 29000, np.uint16)
     frames = [replace(thermal_frame(0.25 + 0.6 * k, k), counts=counts) for k in range(5)]
+    kept: list[Frame] = []
     with SpotThread(config, [lambda _, payload: sent.append(payload)], BOSON) as spots:
+        spots.keepers.append(kept.append)
         other = threading.Thread(target=lambda: [spots.second_picture(frame) for frame in frames])
         other.start()
         for k in range(16):
@@ -72,6 +74,8 @@ def test_pictures_of_one_thread_and_sets_of_another_meet() -> None:
         assert eventually(lambda: sent)
     assert all(not decode_spots(payload).spots for payload in sent)
     assert {decode_spots(payload).frame for payload in sent} <= {1, 4, 7, 10, 13}
+    stamps_ns = [decode_spots(payload).capture_unix_ns for payload in sent]
+    assert [frame.stamp_ns for frame in kept] == pytest.approx(stamps_ns, abs=100_000)  # as packets have it
 
 
 def configured(tmp_path: Path, **thermal: object) -> Config:
@@ -83,13 +87,14 @@ def configured(tmp_path: Path, **thermal: object) -> Config:
             "telemetry": {"url": free_endpoint().replace("tcp/", "udpin:")},
             "link": {"listen": (free_endpoint(),)},
             "service": {"state_dir": str(tmp_path)},
-            "recording": {"enabled": False},
         }
     )
 
 
 @pytest.mark.parametrize("is_there", [False, True])
-def test_the_daemon_opens_a_second_camera_where_one_is_named(tmp_path: Path, is_there: bool) -> None:
+def test_the_daemon_opens_a_second_camera_where_one_is_named_and_records_what_is_looked_at(
+    tmp_path: Path, is_there: bool
+) -> None:
     (tmp_path / "heat").mkdir()
     Image.fromarray(np.full((120, 160), 29000, np.uint16)).save(tmp_path / "heat" / "20260612T101523.25Z.png")
     named = {"device": f"replay:{tmp_path / 'heat'}", "file": str(tmp_path / "thermal.json"), "scale": 0.01}
@@ -100,3 +105,6 @@ def test_the_daemon_opens_a_second_camera_where_one_is_named(tmp_path: Path, is_
             ["spots", "thermal camera"] if is_there else []
         )
         assert (parts.thermal_camera is not None) == is_there
+        spots = [sink for sink in parts.sinks if isinstance(sink, SpotThread)]
+        assert parts.recording is not None
+        assert [one.keepers for one in spots] == ([[parts.recording.second_picture]] if is_there else [])

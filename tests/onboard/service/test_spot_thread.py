@@ -22,6 +22,7 @@ from onboard.config.schema import parse_config
 from onboard.events.types import Frame
 from onboard.replay.spotted import Spotted
 from onboard.service.spot_thread import SpotThread
+from onboard.storage.mcap_reader import RecordedFlight
 from simulation.heat_sources import HeatSource
 from simulation.thermal import ThermalSpec
 from tests.onboard.service.air import STRAIGHT, flown
@@ -130,7 +131,10 @@ def test_a_replay_takes_a_second_cameras_pictures_by_their_own_stamps(
     late = ["file,unix_time_s", *(f"{name},{float(stamp) + 0.04:.6f}" for name, stamp in rows)]
     (tmp_path / "late.csv").write_text("\n".join(late) + "\n")
     plain = (light / "config.toml").read_text()
-    second = f'[camera.thermal]\nfile = "{heat / "camera.json"}"\nscale = 0.01\nlatency_s = 0.04\nsigma_deg = 0.1\n'
+    optics = tmp_path / "thermal.json"
+    optics.write_text((heat / "camera.json").read_text())
+    plain += '\n[recording]\npictures = "lossless"\n'
+    second = f'[camera.thermal]\nfile = "{optics}"\nscale = 0.01\nlatency_s = 0.04\nsigma_deg = 0.1\n'
     (tmp_path / "config.toml").write_text(f"{plain}\n{second}")
     out = tmp_path / "again.mcap"
     files = [f"--config={tmp_path / 'config.toml'}", *_files(light)[1:], "--spots", f"--record={out}"]
@@ -152,6 +156,15 @@ def test_a_replay_takes_a_second_cameras_pictures_by_their_own_stamps(
     for spot in seen:
         off_m = float(np.hypot(*about.to_enu(spot["lat_deg"], spot["lon_deg"], 0.0)[:2]))
         assert off_m < 1.5 * spot["ellipse"]["semi_major_m"]
+    # The recording brings what was looked at, and the second camera's optics: the file is not asked for.
+    again = [str(out), "--spots", f"--record={tmp_path / 'third.mcap'}"]
+    optics.unlink()
+    assert main(["replay", *again]) == 0
+    assert [json.loads(s) for s in capsys.readouterr().out.splitlines() if s.startswith("{")] == lines
+    third = RecordedFlight.open([tmp_path / "third.mcap"])
+    stamps_ns = [frame.stamp_ns for frame in third.second_pictures()]
+    sent_ns = [report.capture_unix_ns for report in recorded]
+    assert stamps_ns == pytest.approx(sent_ns, abs=100_000)  # what a packet resolves
 
 
 def test_a_second_cameras_pictures_belong_to_spots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -49,6 +49,38 @@ def test_frames_without_counts_get_none_of_their_neighbours(tmp_path: Path) -> N
     np.testing.assert_array_equal(back[3].counts, frames[3].counts)
 
 
+def test_a_second_cameras_pictures_stand_beside_the_first_ones_and_are_read_by_themselves(tmp_path: Path) -> None:
+    first, second = [frame(index, False) for index in range(4)], [frame(10 + index, True) for index in range(2)]
+    path, optics = tmp_path / "a.mcap", CAMERA.to_json()
+    with SessionRecorder(path, "uav-1", camera_json=optics, second_camera_json=optics, pictures="lossless") as file:
+        for number, one in enumerate(first):
+            file.write_event(one)
+            if number % 2:
+                file.write_second_picture(second[number // 2])
+    flight = RecordedFlight.open([path])
+    assert flight.second_camera == CAMERA and flight.has_second_counts
+    assert flight.stamps_ns == [one.stamp_ns for one in first]
+    assert [event.stamp_ns for _, event in flight.events()] == flight.stamps_ns
+    for back, one in zip(flight.second_pictures(), second, strict=True):
+        assert (back.stamp_ns, back.index) == (one.stamp_ns, one.index)
+        np.testing.assert_array_equal(back.counts, one.counts)
+
+
+def test_without_a_second_camera_or_with_jpeg_there_is_nothing_to_look_in(tmp_path: Path) -> None:
+    recorded(tmp_path / "one.mcap", [frame(0, True)], "lossless")
+    with SessionRecorder(
+        tmp_path / "jpeg.mcap", "uav-1", camera_json=CAMERA.to_json(), second_camera_json=CAMERA.to_json(),
+        pictures="jpeg",
+    ) as file:  # fmt: skip
+        file.write_event(frame(0, False))
+        file.write_second_picture(frame(1, True))
+    one, jpeg = (RecordedFlight.open([tmp_path / f"{name}.mcap"]) for name in ("one", "jpeg"))
+    assert not one.has_second_counts and not list(one.second_pictures())
+    assert not jpeg.has_second_counts
+    (back,) = jpeg.second_pictures()
+    assert back.image is not None and back.counts is None
+
+
 def test_recordings_to_look_at_hold_no_counts(tmp_path: Path) -> None:
     frames = [frame(index, True) for index in range(3)]
     small, whole = (tmp_path / f"{pictures}.mcap" for pictures in ("jpeg", "lossless"))
