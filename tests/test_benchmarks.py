@@ -270,6 +270,12 @@ def test_results_name_no_folder_of_a_machine() -> None:
     assert str(RESULTS.parent) not in section(BENCHMARKS[0], "ran", f"{RESULTS.parent}/out/growth.png")
 
 
+def test_every_benchmark_has_its_section_and_was_measured() -> None:
+    text = RESULTS.read_text(encoding="utf-8")
+    assert [b.title for b in BENCHMARKS if f"## {b.title}\n" not in text] == []
+    assert "NOT measured" not in text
+
+
 def test_every_mechanism_can_be_switched_off_and_is_on_again() -> None:
     """Each has a flight of its own, and what it replaces is there: a rename breaks this test and not the figures."""
     assert {m.name for m in MECHANISMS} == set(ablation_scenes.own())
