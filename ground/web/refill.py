@@ -46,7 +46,6 @@ class Refill:
         self._vehicles, self._newest, self._has, self._ask, self._back_s = vehicles, newest, has, ask, back_s
         self._tasks: dict[str, _Task] = {}
         self._not_before_s = 0.0
-        self.brought = 0
         self._thread = WatchedThread("refill from the aircraft", self.step, 0.1)
 
     def step(self) -> None:
@@ -63,7 +62,6 @@ class Refill:
             found = self._ask(vehicle, task.next_s)
             took_s = time.monotonic() - began_s
             task.misses = 0 if found is not None else task.misses + 1
-            self.brought += found is not None
             task.next_s -= STEP_S
             self._not_before_s = time.monotonic() + max(LEAST_PAUSE_S, PAUSE * took_s)
             return

@@ -79,7 +79,6 @@ class Fit:
     camera: Camera
     views: tuple[View, ...]
     R_cam_board: tuple[Array, ...]
-    t_cam_m: tuple[Array, ...]
     residuals_px: tuple[Array, ...]  # a view each, (N, 2): seen minus predicted
     sigmas: dict[str, float]  # of `PARAMETERS`, one sigma; 0: not in the model
     ray_sigma_px: Array  # (7, 9) over the picture: one sigma of a pixel's direction, a common rotation aside
@@ -208,7 +207,6 @@ def _assess(
         camera,
         tuple(views),
         tuple(np.asarray(cv2.Rodrigues(rvec)[0], float) for rvec in rvecs),
-        tuple(np.asarray(tvec, float).ravel() for tvec in tvecs),
         tuple(residuals),
         sigmas,
         _ray_sigma_px(camera, columns, covariance),

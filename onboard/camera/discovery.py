@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from onboard.camera.v4l2_device import Card, Device
+from onboard.camera.v4l2_device import Card
 
 DEV = Path("/dev")
 SYS = Path("/sys/class/video4linux")
-
-Open = Callable[[str], Device]
 
 
 @dataclass(frozen=True)

@@ -86,10 +86,6 @@ class Layout:
         """The same with one more block, after the others."""
         return replace(self, blocks=(*self.blocks, block))
 
-    def rotation(self, keyframe: int) -> slice:
-        """Three columns, rad."""
-        return slice(6 * keyframe, 6 * keyframe + 3)
-
     def centre(self, keyframe: int) -> slice:
         """Three columns, m."""
         return slice(6 * keyframe + 3, 6 * keyframe + 6)

@@ -19,7 +19,7 @@ MAX_HELD = 256  # pictures that wait for their set
 
 
 class Spotted:
-    """A sink: `outlets` are given the spots of each picture that was looked at; `looked` counts those pictures.
+    """A sink: `outlets` are given the spots of each picture that was looked at.
 
     `second`: a second camera's optics and pictures, which come in by their stamps; `keepers` are given those of
     them that were looked at.
@@ -36,7 +36,6 @@ class Spotted:
         self._outlets = outlets
         self._pictures: Iterator[Frame] = iter(()) if second is None else iter(second[1])
         self._next = next(self._pictures, None)
-        self.looked = 0
 
     def __enter__(self) -> Self:
         return self
@@ -63,6 +62,5 @@ class Spotted:
         for look in looks:
             report = look()
             if report is not None:
-                self.looked += 1
                 for outlet in self._outlets:
                     outlet(report)
