@@ -76,7 +76,7 @@ class Window:
         for k in range(K - 1):
             for axis in range(3):
                 row = np.zeros((2, LAYOUT.size))
-                row[0, [LAYOUT.rotation(k).start + axis, LAYOUT.rotation(k + 1).start + axis]] = [-1e3, 1e3]
+                row[0, [LAYOUT.rotations()[k, axis], LAYOUT.rotations()[k + 1, axis]]] = [-1e3, 1e3]
                 row[1, [LAYOUT.centre(k).start + axis, LAYOUT.centre(k + 1).start + axis]] = [-10.0, 10.0]
                 rows.append(row)
         self._pictures = np.concatenate(rows)
