@@ -6,7 +6,7 @@ import argparse
 import contextlib
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -186,26 +186,29 @@ def _second_camera(arguments: argparse.Namespace, inputs: _Inputs) -> Camera | N
     return load_second_camera(inputs.config)
 
 
+def _second_pictures(arguments: argparse.Namespace, inputs: _Inputs, camera: Camera) -> Iterator[Frame]:
+    """That camera's pictures: as named, else as recorded. Raises InputError where there are none."""
+    if arguments.thermal is not None:
+        stamps, latency_s = arguments.thermal_stamps, inputs.config.camera.thermal.latency_s
+        return open_frames(arguments.thermal, camera, stamps, latency_s, is_thermal=True).frames()
+    if inputs.recorded is not None and inputs.recorded.has_second_counts:
+        return inputs.recorded.second_pictures()
+    raise InputError(
+        "--spots: the configuration states a second camera: name its pictures with --thermal (a recording "
+        'brings those that were looked at if recording.pictures was "lossless")'
+    )
+
+
 def _spotted(
     arguments: argparse.Namespace, inputs: _Inputs, second: Camera | None, whole: WholeRecording | None
 ) -> Spotted | None:
     """What looks for hot spots; None where that is not asked. Raises InputError where no thermal camera is stated."""
     if not arguments.spots:
         return None
-    config, recorded = inputs.config, inputs.recorded
+    config = inputs.config
     outlets = [_print_spots] if whole is None else [_print_spots, whole.spots]
     if second is not None:
-        if arguments.thermal is not None:
-            stamps, latency_s = arguments.thermal_stamps, config.camera.thermal.latency_s
-            pictures = open_frames(arguments.thermal, second, stamps, latency_s, is_thermal=True).frames()
-        elif recorded is not None and recorded.has_second_counts:
-            pictures = recorded.second_pictures()
-        else:
-            raise InputError(
-                "--spots: the configuration states a second camera: name its pictures with --thermal (a recording "
-                'brings those that were looked at if recording.pictures was "lossless")'
-            )
-        spotted = Spotted(config, outlets, (second, pictures))
+        spotted = Spotted(config, outlets, (second, _second_pictures(arguments, inputs, second)))
         if whole is not None:
             spotted.keepers.append(whole.second_picture)
         return spotted
