@@ -114,7 +114,7 @@ def draw(setting: Setting, rng: np.random.Generator) -> Flight:
     weight = np.where(seen, 1.0 / sigma, 0.0)
     if setting.terrain_sigma_m is None:
         ground_weight = np.full(P, 1.0 / setting.relief_sigma_m)
-        parallax = parallax_of(gps, HEIGHT_M)
+        parallax = parallax_of(gps, reference, np.zeros(3))
         problem = Problem(layout, xy, weight, priors, reference, ground_weight, parallax=parallax, **lens)
     else:
         ground_weight = np.full(P, 1.0 / setting.terrain_sigma_m[0])

@@ -208,15 +208,16 @@ def _residuals(problem: Problem, xy: Array, state: State, scale: float | None) -
     return _Residuals(state, image, predicted, depth, behind, squared, robust, ground, stiffness, pull, cost, by_block)
 
 
-def _clearance(problem: Problem, state: State) -> float:
-    """Mean height (m) of the views over the plane at its reference point."""
-    return max(float(state.centres_enu_m[:, 2].mean() - problem.reference_enu_m[2] - state.plane[0]), 1.0)
+def _clearance(centres_enu_m: Array, reference_enu_m: Array, plane: Array) -> float:
+    """Mean height (m) of views (K, 3) over the plane, each over where it is: tilting all about them changes nothing."""
+    east, north, up = centres_enu_m.mean(axis=0) - reference_enu_m
+    return max(float(up - plane[0] - plane[1] * east - plane[2] * north), 1.0)
 
 
-def parallax_of(centres_enu_m: Array, clearance_m: float) -> float:
-    """How much (rad/m, about) a metre of height moves in pictures from views (K, 3) this high above ground. (5.9)"""
+def parallax_of(centres_enu_m: Array, reference_enu_m: Array, plane: Array) -> float:
+    """How much (rad/m, about) a metre of height over a plane moves in pictures from views (K, 3). (5.9)"""
     span = centres_enu_m - centres_enu_m.mean(axis=0)
-    return float(np.sqrt(np.mean(np.sum(span**2, axis=1)))) / max(clearance_m, 1.0) ** 2
+    return float(np.sqrt(np.mean(np.sum(span**2, axis=1)))) / _clearance(centres_enu_m, reference_enu_m, plane) ** 2
 
 
 def _seen_larger(problem: Problem, state: State) -> float:
@@ -224,16 +225,20 @@ def _seen_larger(problem: Problem, state: State) -> float:
     if problem.parallax is None:
         return 1.0
     grown = float(np.exp(state.camera[0])) if len(state.camera) else 1.0
-    return grown * parallax_of(state.centres_enu_m, _clearance(problem, state)) / problem.parallax
+    return grown * parallax_of(state.centres_enu_m, problem.reference_enu_m, state.plane) / problem.parallax
 
 
 def _by_seen_larger(problem: Problem, state: State) -> tuple[NDArray[np.intp], Array]:
     """Columns (G,) that the logarithm of that factor depends on, and its derivatives (G,)."""
-    layout, centres = problem.layout, state.centres_enu_m
-    span, K = centres - centres.mean(axis=0), len(centres)
-    by_centre = span / max(float(np.sum(span**2)), 1e-12)
-    by_centre[:, 2] -= 2.0 / (K * _clearance(problem, state))
-    columns, by = [layout.centres().ravel()], [by_centre.ravel()]
+    layout, centres, plane = problem.layout, state.centres_enu_m, state.plane
+    mean = centres.mean(axis=0)
+    east, north, _ = mean - problem.reference_enu_m
+    by_clearance = -2.0 / _clearance(centres, problem.reference_enu_m, plane)
+    by_centre = (centres - mean) / max(float(np.sum((centres - mean) ** 2)), 1e-12)
+    by_centre += by_clearance / len(centres) * np.array([-plane[1], -plane[2], 1.0])
+    by_plane = -by_clearance * np.array([1.0, east, north])
+    columns = [np.arange(layout.size)[layout.plane], layout.centres().ravel()]
+    by = [by_plane, by_centre.ravel()]
     if layout.camera_states:
         columns, by = [*columns, np.array([layout.camera.start])], [*by, np.ones(1)]
     return np.concatenate(columns), np.concatenate(by)
@@ -272,10 +277,10 @@ def _linearise(problem: Problem, at: _Residuals) -> _Linear:
         gp, gs, rg = by_point.T * w, by_plane.T * w, rg * root
         columns = np.arange(layout.size)[layout.plane]
         if problem.parallax is not None:
-            gs[0] += 2.0 * rg / _clearance(problem, at.state)
-            more, by_more = _by_seen_larger(problem, at.state)
-            gs = np.concatenate([gs, by_more[:, None] * rg])
-            columns = np.concatenate([columns, more])
+            columns, by_factor = _by_seen_larger(problem, at.state)
+            by_factor = by_factor[:, None] * rg
+            by_factor[: len(gs)] += gs
+            gs = by_factor
         V += gp[:, None] * gp[None]
         bp += gp * rg
         U[np.ix_(columns, columns)] += gs @ gs.T

@@ -114,8 +114,7 @@ class WindowProblem:
         plane, _ = fit_plane(state.points_enu_m)
         reference = self.reference_enu_m.copy()
         reference[2] = plane[0] + plane[1:] @ reference[:2]
-        clearance_m = float(state.centres_enu_m[:, 2].mean() - reference[2])
-        parallax = parallax_of(state.centres_enu_m, clearance_m)
+        tilted = np.array([0.0, plane[1], plane[2]])
         hold = np.full(len(state.points_enu_m), ground_weight.as_declared(request.config))
         free = replace(self, terrain=None, ranged=None)
         problem = replace(
@@ -124,9 +123,9 @@ class WindowProblem:
             reference_enu_m=reference,
             ground_weight=hold,
             terrain=None,
-            parallax=parallax,
+            parallax=parallax_of(state.centres_enu_m, reference, tilted),
         )
-        return solve(problem, replace(state, plane=np.array([0.0, plane[1], plane[2]])), max_iterations=1)
+        return solve(problem, replace(state, plane=tilted), max_iterations=1)
 
     def vibrating(self, waves: Waves) -> WindowProblem:
         """The same with so much vibration in the pictures' rows, which must be read one after the other."""
@@ -161,7 +160,7 @@ def from_request(request: Request) -> WindowProblem | Outcome:
     if terrain is not None:
         reference[2] = 0.0
         state = replace(state, plane=np.zeros(3))
-    parallax = None if terrain is not None else parallax_of(C, float(C[:, 2].mean() - reference[2]))
+    parallax = None if terrain is not None else parallax_of(C, reference, plane)
     strays_m = ground_weight.strays_m(request, points - reference, state.plane, terrain)
     ranged = range_prior(list(keyframes), layout, reference, state.plane, strays_m, terrain)
     if ranged is not None:  # what it measures is the plane: the points must be held to that as closely as they lie

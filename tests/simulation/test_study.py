@@ -127,10 +127,9 @@ def test_the_bound_is_the_inverse_of_a_numerical_fisher_information() -> None:
         image = ((p[..., :2] / p[..., 2:] - problem.xy) * problem.weight[..., None]).ravel()
         offset = state.points_enu_m - problem.reference_enu_m
         height = offset[:, 2] - state.plane[0] - offset[:, :2] @ state.plane[1:]
-        clearance = state.centres_enu_m[:, 2].mean() - problem.reference_enu_m[2] - state.plane[0]
         # relief counts by what a metre of it moves in the pictures: (5.9)
         assert problem.parallax is not None
-        height *= parallax_of(state.centres_enu_m, float(clearance)) / problem.parallax
+        height *= parallax_of(state.centres_enu_m, problem.reference_enu_m, state.plane) / problem.parallax
         priors = [prior.evaluate(state)[0] for prior in problem.priors]
         return np.concatenate([image, height / setting.relief_sigma_m, *priors])
 

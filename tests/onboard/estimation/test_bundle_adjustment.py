@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from contract.rotations import exp_so3
-from onboard.estimation.bundle_adjustment import Problem, evaluate, solve
+from onboard.estimation.bundle_adjustment import Problem, evaluate, parallax_of, solve
 from onboard.estimation.camera_states import by_states
 from onboard.estimation.factors import Layout, State, ground_plane, reprojection
 from onboard.geometry.plane_fit import fit_plane
@@ -31,6 +31,9 @@ def residuals(problem: Problem, state: State) -> Array:
     r = r * problem.weight[:, None]
     assert problem.ground_weight is not None
     relief = ground_plane(state.points_enu_m, problem.reference_enu_m, state.plane)[0] * problem.ground_weight
+    if problem.parallax is not None:
+        seen_larger = parallax_of(state.centres_enu_m, problem.reference_enu_m, state.plane) / problem.parallax
+        relief = relief * seen_larger * np.exp(state.camera[0] if len(state.camera) else 0.0)
     return np.concatenate([r.ravel(), relief, *(prior.evaluate(state)[0] for prior in problem.priors)])
 
 
@@ -139,15 +142,24 @@ def test_errors_drawn_larger_than_believed_show_as_larger() -> None:
 LENS = replace(Camera.from_field_of_view(640, 480, 40.0), stated_sigma=(2e-5, 1e-5, 1e-5, 5e-5, 5e-5))
 
 
+def with_ground_by_parallax(drawn: Drawn) -> Problem:
+    """The window with the ground's weight relative to what a metre of height moves in the pictures, (5.9)."""
+    problem = drawn.problem
+    there = parallax_of(drawn.truth.centres_enu_m, problem.reference_enu_m, drawn.truth.plane)
+    return replace(problem, parallax=1.1 * there)
+
+
+@pytest.mark.parametrize("by_parallax", [False, True])
 @pytest.mark.parametrize("lens", [None, LENS])
-def test_schur_complement_is_the_dense_problem(lens: Camera | None) -> None:
+def test_schur_complement_is_the_dense_problem(lens: Camera | None, by_parallax: bool) -> None:
     """Covariance, gain of the points and their own covariance are blocks of the dense normal matrix's inverse."""
     drawn = bundle_problem(np.random.default_rng(2), 4, 14, lens=lens)
+    problem = with_ground_by_parallax(drawn) if by_parallax else drawn.problem
     s = solve(
-        drawn.problem, first_guess(drawn, drawn.truth.R_cam_enu, drawn.truth.centres_enu_m), scale=None, tolerance=1e-12
+        problem, first_guess(drawn, drawn.truth.R_cam_enu, drawn.truth.centres_enu_m), scale=None, tolerance=1e-12
     )
-    D, P = drawn.problem.layout.size, len(drawn.truth.points_enu_m)
-    J = dense_jacobian(drawn.problem, s.state)
+    D, P = problem.layout.size, len(drawn.truth.points_enu_m)
+    J = dense_jacobian(problem, s.state)
     H = J.T @ J
     scale = 1.0 / np.sqrt(np.diag(H))
     inverse = np.linalg.inv(H * scale[:, None] * scale) * scale[:, None] * scale
@@ -166,6 +178,31 @@ def test_schur_complement_is_the_dense_problem(lens: Camera | None) -> None:
         assert own / np.outer(sigma[at], sigma[at]) == pytest.approx(
             inverse[at, at] / np.outer(sigma[at], sigma[at]), abs=2e-4
         )
+
+
+def test_nothing_is_gained_by_tilting_views_and_ground_together() -> None:
+    """Seen from the side, as in a bank: the pictures stay the same, and the ground's weight must, too.
+
+    Counted over the plane's reference point instead of below the views, the clearance grows with the tilt: 5 degrees
+    then took a third off the ground's cost, and in turns the ground came out tilted.
+    """
+    rng = np.random.default_rng(8)
+    beside = np.array([300.0, 40.0, 0.0])
+    points = beside + rng.normal(0.0, [80.0, 80.0, 5.0], (60, 3))
+    centres = np.array([0.0, 0.0, 250.0]) + np.linspace(-80.0, 80.0, 6)[:, None] * [0.0, 1.0, 0.0]
+    flat = 1.0 / parallax_of(centres, beside, np.zeros(3))
+    for degrees in (-5.0, 5.0):
+        angle = np.radians(degrees)
+        R = exp_so3(angle * np.array([0.0, 1.0, 0.0]))
+        about = centres.mean(axis=0)
+        ground = about + (points - about) @ R.T
+        # The plane that was level, in the same coordinates: its height at the reference point and its slopes.
+        slope = np.array([R[2, 0] / R[0, 0], 0.0])
+        foot = about + R @ (np.array([*about[:2], 0.0]) - about)
+        plane = np.array([foot[2] + slope @ (beside - foot)[:2], *slope])
+        relief = ground_plane(ground, beside, plane)[0]
+        turned = relief * parallax_of(about + (centres - about) @ R.T, beside, plane) * flat
+        assert turned == pytest.approx(points[:, 2], rel=0.02)
 
 
 def test_the_solution_is_a_minimum_of_the_cost_it_reports() -> None:
