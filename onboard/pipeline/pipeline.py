@@ -35,6 +35,8 @@ from onboard.georeferencing.surface_sets import over_known_ground
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.estimates import found_in_flight
 from onboard.pipeline.first_placing import FirstPlacing
+from onboard.pipeline.frame_doubt import REASON as STILL_SHIFTED
+from onboard.pipeline.frame_doubt import FrameDoubt
 from onboard.pipeline.frozen_frames import Staleness, Stillness
 from onboard.pipeline.keyframe_choice import wants_keyframe
 from onboard.pipeline.keyframe_navigation import look_up_again
@@ -89,6 +91,7 @@ class Pipeline:
         self.window = Window(config, camera)
         self.mount_selection = MountSelection(camera, self.window.R_body_cam)
         self._lens_doubt = LensDoubt()
+        self._frame_doubt = FrameDoubt()
         self.zoom = ZoomFollowing(camera, config.camera.sigma_zoom)
         self._offset_watch = OffsetWatch(config, camera, self.window.R_body_cam)
         self._trials = MountTrials(self.mount_selection)
@@ -364,6 +367,8 @@ class Pipeline:
         self._statistics.spend("solve", done.processor_s + trials_s)
         if outcome.solved is not None and self._lens_doubt.denies(outcome.solved):
             outcome = replace(outcome, status=Status.ZOOMED, solved=None, reason=self._lens_doubt.reason)
+        if self._frame_doubt.denies(outcome.status):
+            outcome = replace(outcome, status=Status.STABILISED, solved=None, reason=STILL_SHIFTED)
         status = self.window.adopt(outcome)
         self._statistics.note_window(self.window.refusal)
         self._failures = self._failures + 1 if status is Status.POOR_FIT else 0

@@ -111,12 +111,13 @@ def drawn(path: PathSpec, seconds: float, seed: int = 0, **changes: Any) -> Draw
 def test_stabilised_video_is_refused_as_such_while_it_hides_a_turn() -> None:
     """The recording flies straight for 20 s, where nothing is hidden and answers are right, as they are afterwards.
 
-    Of one window: tests/onboard/estimation/test_moved_optics.py.
+    A window may miss it alone, and then answers nothing. Of one window: tests/onboard/estimation/test_moved_optics.py.
     """
     found = flown(recorded("plane_turn", 4.0, 36.0, stabilised_s=0.5))
     before, turning = found.windows_in(5.0, 20.0), found.windows_in(26.0, 35.0)
     assert before[Status.OK] > 0.9 * before.total(), before
-    assert turning[Status.STABILISED] > 0.8 * turning.total() and not turning[Status.OK], turning
+    assert turning[Status.STABILISED] > 0.8 * turning.total() and turning[Status.OK] <= 1, turning
+    assert not found.pictures_in(26.0, 29.5)[Status.OK]  # later ones are placed by the windows after the turn
     assert Status.ZOOMED not in found.statuses
     assert max(found.errors_in(0.0, 40.0)) < 2.0
     refused = next(s for s in found.sets.values() if s.status is Status.STABILISED)
