@@ -26,7 +26,7 @@ from onboard.estimation import (
     window_acceptance,
     window_solver,
 )
-from onboard.navigation import position_doubt, position_slip
+from onboard.navigation import position_jumps, position_slip
 from onboard.pipeline import mount_trial, offset_watch
 
 Replacement = tuple[Any, str, Any]  # module or class, name, neutral value
@@ -142,7 +142,7 @@ MECHANISMS = (
     Mechanism(
         "mount trial", "pictures alone tell gimbal and mount", ((mount_trial.MountTrials, "begin", gives(None)),)
     ),
-    Mechanism("position doubt", "a jump leaves no doubt", ((position_doubt.PositionDoubt, "at", gives(np.zeros(2))),)),
+    Mechanism("position doubt", "a jump leaves no doubt", ((position_jumps.PositionJumps, "at", gives(np.zeros(2))),)),
     Mechanism(
         "slip test",
         "position is not held against velocity",

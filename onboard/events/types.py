@@ -59,6 +59,11 @@ class GpsQuality:
     undulation_m: float | None = None
     sigma_datum_m: float | None = None
 
+    @property
+    def has_fix(self) -> bool:
+        """Whether it claims a usable position."""
+        return self.fix_type > 2
+
 
 @dataclass(frozen=True)
 class Attitude:

@@ -31,7 +31,7 @@ from onboard.events.types import (
 )
 from onboard.navigation.attitude_interpolation import Attitudes
 from onboard.navigation.gimbal import Gimbal, MountHypothesis
-from onboard.navigation.gps_integrity import NOTHING_YET, RECOVERING, GpsIntegrity
+from onboard.navigation.gps_integrity import GpsIntegrity, Refusal
 from onboard.navigation.position_interpolation import CLIMB_WINDOW_NS, Flown, Joined, Path, Position, finite
 from onboard.navigation.time_series import Series
 
@@ -102,7 +102,7 @@ class Navigation:
     def __init__(self, config: Config) -> None:
         self.config = config
         self.frame: LocalFrame | None = None
-        self.reason = NOTHING_YET  # why no position is accepted at present, for people; empty when one is
+        self.reason: str = Refusal.NOTHING_YET  # why no position is accepted at present, for people; empty when one is
         self._fixes: Series[PositionFix] = Series()  # as they came; those of `_positions`, or all before a frame is
         self._positions: Series[Position] = Series()
         self._integrity = GpsIntegrity(config)
@@ -201,7 +201,7 @@ class Navigation:
             return
         believed = [fix for fix in self._fixes.values if fix.stamp_ns > since_ns]
         if not believed:
-            self.reason = RECOVERING
+            self.reason = Refusal.RECOVERING
             return
         newest = believed[-1]
         self.frame = LocalFrame(newest.lat_deg, newest.lon_deg, newest.height_amsl_m)

@@ -13,18 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.config.schema import Gps
+from onboard.navigation.limits import LIKELY_SIGMAS, LONG_NS, RECENT_NS, SURE_SIGMAS
 from onboard.navigation.position_interpolation import Position
 from onboard.navigation.time_series import Series
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
-SLIP_WINDOW_NS = 2_000_000_000
 MIN_DISPERSION_FREEDOM = 4
-SURE_SIGMAS = 3.0
-TURN_SIGMAS = 2.0  # of the latency: a filter is later than that in one flight of twenty
 DYNAMIC_TIME_S = 3.0  # that a navigation filter takes to forget what acceleration did to it
-REMEMBERED = 4.0  # of these, after which nothing is left
 
 
 @dataclass(frozen=True)
@@ -40,7 +37,7 @@ class Slip:
 
     def exceeds(self, limit_m_s: float) -> bool:
         """Whether it is more than a limit and acceleration explain together. (5.22)"""
-        return self.surely_m_s > float(np.hypot(limit_m_s, TURN_SIGMAS * self.in_turns_m_s))
+        return self.surely_m_s > float(np.hypot(limit_m_s, LIKELY_SIGMAS * self.in_turns_m_s))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,9 +83,9 @@ class SlipTest:
     def _window(self, positions: Series[Position], moment_ns: int) -> _Window | None:
         """The positions about a moment; None where they are too few, too far apart or without velocities."""
         stamps = positions.stamps_ns
-        first = bisect.bisect_left(stamps, moment_ns - SLIP_WINDOW_NS // 2)
-        last = bisect.bisect_right(stamps, moment_ns + SLIP_WINDOW_NS // 2) - 1
-        if last - first < 2 or stamps[last] - stamps[first] < SLIP_WINDOW_NS // 2:
+        first = bisect.bisect_left(stamps, moment_ns - RECENT_NS // 2)
+        last = bisect.bisect_right(stamps, moment_ns + RECENT_NS // 2) - 1
+        if last - first < 2 or stamps[last] - stamps[first] < RECENT_NS // 2:
             return None
         held = positions.values[first : last + 1]
         known = [p.velocity_enu_m_s[:2] for p in held if p.velocity_enu_m_s is not None]
@@ -105,7 +102,7 @@ def _slip_by_latency(positions: Series[Position], moments_ns: Times) -> Array:
     Taken from the velocities' own steps: those of a filter that corrects itself are as nothing beside a turn's.
     """
     stamps = positions.stamps_ns
-    first = bisect.bisect_left(stamps, int(moments_ns[0]) - round(REMEMBERED * DYNAMIC_TIME_S * 1e9))
+    first = bisect.bisect_left(stamps, int(moments_ns[0]) - LONG_NS)
     last = bisect.bisect_right(stamps, int(moments_ns[-1]))
     held = [
         (stamp_ns, p.velocity_enu_m_s[:2])

@@ -8,19 +8,9 @@ from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 from contract.feature_set import Status
-
-MEMORY_NS = 120_000_000_000
-MAX_EXTRAPOLATION_NS = 300_000_000
-
-RECENT = 8  # values whose spacing is that of the next
+from onboard.navigation.limits import LATE_NS, MEMORY_NS
 
 T = TypeVar("T")
-
-
-def longest_spacing_ns(stamps_ns: list[int], max_gap_s: float) -> int:
-    """The longest of the last intervals between stamps that is no longer than `max_gap_s`; 0 for fewer than two."""
-    recent = [later - earlier for earlier, later in itertools.pairwise(stamps_ns[-RECENT:])]
-    return max((gap_ns for gap_ns in recent if gap_ns <= max_gap_s * 1e9), default=0)
 
 
 @dataclass
@@ -50,11 +40,10 @@ class Series(Generic[T]):
         if not self.stamps_ns:
             return None
         right = bisect.bisect_left(self.stamps_ns, stamp_ns)
-        if right == 0:
-            return (0, 0) if self.stamps_ns[0] - stamp_ns <= MAX_EXTRAPOLATION_NS else None
-        if right == len(self.stamps_ns):
-            return (right - 1, right - 1) if stamp_ns - self.stamps_ns[-1] <= MAX_EXTRAPOLATION_NS else None
-        return right - 1, right
+        if 0 < right < len(self.stamps_ns):
+            return right - 1, right
+        end = max(right - 1, 0)
+        return (end, end) if abs(self.stamps_ns[end] - stamp_ns) <= LATE_NS else None
 
     def joined(self, stamp_ns: int, max_gap_s: float) -> tuple[int, int] | Status:
         """`bracket`, or the reason: STARTING before the first, UNSYNCHRONISED past the end or in a longer gap."""
@@ -66,10 +55,17 @@ class Series(Generic[T]):
         return Status.UNSYNCHRONISED if too_long else bracket
 
     def spacing_ns(self, max_gap_s: float) -> int:
-        """The longest of the last intervals between values that may be joined; 0 for fewer than two values."""
-        return longest_spacing_ns(self.stamps_ns, max_gap_s)
+        """The longest of the last seven intervals, if it may be joined; 0 for fewer than two values."""
+        recent = [later - earlier for earlier, later in itertools.pairwise(self.stamps_ns[-8:])]
+        return max((gap_ns for gap_ns in recent if gap_ns <= max_gap_s * 1e9), default=0)
 
-    def last_until(self, stamp_ns: int) -> int | None:
-        """Index of the newest value not after a stamp."""
-        index = bisect.bisect_right(self.stamps_ns, stamp_ns) - 1
-        return None if index < 0 else index
+    def between(self, start_ns: int, end_ns: int) -> list[T]:
+        """Values from one moment to another, both included."""
+        first = bisect.bisect_left(self.stamps_ns, start_ns)
+        return self.values[first : bisect.bisect_right(self.stamps_ns, end_ns)]
+
+    def latest(self, moment_ns: int, for_ns: int = 0) -> list[T]:
+        """Values of so long until a moment, the last one at least; empty where there was none yet."""
+        first = bisect.bisect_right(self.stamps_ns, moment_ns - for_ns)
+        end = bisect.bisect_right(self.stamps_ns, moment_ns)
+        return self.values[max(min(first, end - 1), 0) : end]

@@ -16,7 +16,7 @@ from contract.rotations import R_ENU_NED, exp_so3, log_so3, matrix_from_euler, q
 from onboard.config.schema import Config, parse_config
 from onboard.events.types import Attitude, FilterStatus, GpsQuality, PositionFix, RangeFinder
 from onboard.navigation.navigator import Navigation, NavState
-from onboard.navigation.time_series import MEMORY_NS
+from onboard.navigation.limits import MEMORY_NS
 from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.tlog_reader import read_tlog
 from tests.rest_long import rest_long

@@ -1,0 +1,208 @@
+"""Positions that moved against their own velocity: refused while they settle, and doubted for as long as it takes.
+
+A jump from one position to the next is a glitch: nothing is accepted until it has settled. Slip is the same spread over
+seconds: a filter that is misled moves its position without the velocity that would bring it there; so does one that
+recovers. Which of the two a single such jump was cannot be determined from telemetry: before or after it the position
+is wrong by as much as it jumped. So what jumped is added up as a vector and kept in the sigma for as long as it takes.
+It is explained by a jump back, by a receiver or filter that had reported that it has no position, or by being no more
+than the Gauss-Markov error that is assumed anyway; what is left then decays with that error's correlation time.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.config.schema import Gps
+from onboard.navigation.limits import LIKELY_SIGMAS, MEMORY_NS, RECENT_NS
+from onboard.navigation.position_interpolation import Position, finite
+from onboard.navigation.position_slip import Slip, SlipTest
+from onboard.navigation.time_series import Series
+
+Array = NDArray[np.float64]
+
+GLITCH_SIGMAS = 5.0
+# An episode of slip lasts from this share of `gps.max_slip_m_s` until below it again; clean flights stay below.
+EPISODE_SHARE = 0.5
+EXPLAINED_SHARE = 0.25  # of the largest jump that may be left after the jump back
+# A filter takes part of a correction into its velocity, which is integrated here as real motion. Critically damped,
+# position alone moves by 2/e of the correction at most.
+SHARED_WITH_VELOCITY = 0.5 * float(np.e)
+
+
+@dataclass(frozen=True, eq=False)
+class _Entry:
+    """What is doubted from a stamp on: the jumps' sum (3,), ENU m, and what decays (horizontal, vertical), m."""
+
+    stamp_ns: int
+    unexplained_m: Array
+    decaying_m: Array
+    stretch: int
+
+    def decayed(self, moment_ns: int, time_s: float) -> Array:
+        """What is left of the part that decays: horizontal and vertical, m."""
+        out: Array = self.decaying_m * np.exp(-max(moment_ns - self.stamp_ns, 0) / 1e9 / time_s)
+        return out
+
+    def at(self, moment_ns: int, time_s: float) -> Array:
+        """Horizontal and vertical, m."""
+        return np.asarray(np.hypot(_parts(self.unexplained_m), self.decayed(moment_ns, time_s)), float)
+
+
+@dataclass(eq=False)
+class _Episode:
+    """Slip under way since a stamp: the drift before it, and how far it drifted from there at most."""
+
+    start_ns: int
+    before_m: Array
+    is_sure: bool = False
+    most_m: float = 0.0
+    sigma_m: float = 0.0  # the largest Gauss-Markov sigma assumed meanwhile
+
+
+class PositionJumps:
+    """Fed with every newest position; knows which moments are refused, and how far positions may be off otherwise."""
+
+    def __init__(self, gps: Gps, was_unfit: Callable[[int, int, float], bool]) -> None:
+        """`was_unfit(start_ns, end_ns, moved_m)`: whether receiver or filter had reported such an error."""
+        self._gps, self._slip, self._was_unfit = gps, SlipTest(gps), was_unfit
+        self._refused: list[tuple[int, int, str]] = []  # from, until (ns), and why
+        self._entries: list[_Entry] = [_Entry(0, np.zeros(3), np.zeros(2), 0)]
+        self._suspected: _Entry | None = None  # of an episode under way
+        self.begin()
+
+    def begin(self, jumped_ns: int | None = None) -> None:
+        """Positions begin again, in another frame perhaps: nothing links them to those before but the doubt itself.
+
+        `jumped_ns`: when those before were found to be elsewhere, if so.
+        """
+        self._strayed: deque[tuple[int, Array]] = deque()  # (3,) position less integrated velocity, lately
+        self._episode: _Episode | None = None
+        self._largest_m = float(np.linalg.norm((self._suspected or self._entries[-1]).unexplained_m))
+        if jumped_ns is not None:
+            self._refuse(jumped_ns, jumped_ns, "the position began to be somewhere else altogether, settling")
+
+    def _refuse(self, start_ns: int, end_ns: int, why: str) -> None:
+        self._refused = [jump for jump in self._refused if jump[1] > end_ns - 2 * MEMORY_NS]
+        self._refused.append((start_ns, end_ns + round(self._gps.settle_s * 1e9), why))
+
+    def refusal_at(self, moment_ns: int) -> str:
+        """Why a moment is refused: a jump that has not settled; empty if there is none."""
+        return next((why for start_ns, end_ns, why in self._refused if start_ns <= moment_ns < end_ns), "")
+
+    def at(self, moment_ns: int) -> Array:
+        """One sigma (m), horizontal and vertical, to be added to what is assumed of a position anyway."""
+        return self._entry(moment_ns).at(moment_ns, self._gps.correlation_time_s)
+
+    def stretch_at(self, moment_ns: int) -> int:
+        """Counts the jumps that ended until a moment: positions on both sides of one cannot be compared."""
+        return self._entry(moment_ns).stretch
+
+    def _entry(self, moment_ns: int) -> _Entry:
+        if self._suspected is not None and self._suspected.stamp_ns <= moment_ns:
+            return self._suspected
+        return next((e for e in reversed(self._entries) if e.stamp_ns <= moment_ns), self._entries[0])
+
+    def append(self, positions: Series[Position], sigma_m: tuple[float, float]) -> None:
+        """The newest position has come; `sigma_m`: the Gauss-Markov error assumed for it, horizontal and vertical."""
+        end_ns, now = positions.stamps_ns[-1], positions.values[-1]
+        start_ns = positions.stamps_ns[-2] if len(positions.stamps_ns) > 1 else None
+        if start_ns is None or (end_ns - start_ns) / 1e9 > self._gps.max_gap_s:
+            self._lose_link(end_ns)  # over a gap nothing is known about a jump
+            return
+        before = positions.values[-2]
+        velocities = [finite(v) for v in (before.velocity_enu_m_s, now.velocity_enu_m_s) if v is not None]
+        moved, seconds = now.enu_m - before.enu_m, (end_ns - start_ns) / 1e9
+        if len(velocities) == 2:
+            self._follow(positions, moved - 0.5 * seconds * (velocities[0] + velocities[1]), sigma_m[0])
+        else:
+            self._lose_link(end_ns)
+        if velocities:
+            flown = np.mean(velocities, axis=0) * seconds
+        elif len(positions.stamps_ns) > 2:
+            earlier_s = (start_ns - positions.stamps_ns[-3]) / 1e9
+            flown = (before.enu_m - positions.values[-3].enu_m) * (seconds / earlier_s)
+        else:
+            return
+        miss = moved - flown
+        most_m = np.maximum(self._gps.glitch_m, GLITCH_SIGMAS * np.array(sigma_m))
+        horizontal = np.hypot(miss[0], miss[1]) > most_m[0]
+        if not horizontal and abs(miss[2]) <= most_m[1]:
+            return
+        self._refuse(start_ns, end_ns, f"position jumped {np.linalg.norm(miss):.0f} m against velocity, settling")
+        if not velocities or not horizontal:  # else it is measured as slip
+            self._add(start_ns, end_ns, miss, sigma_m[0], True)
+
+    def _lose_link(self, stamp_ns: int) -> None:
+        self._strayed = deque([(stamp_ns, np.zeros(3))])
+        self._episode = None
+
+    def _follow(self, positions: Series[Position], miss_m: Array, sigma_m: float) -> None:
+        """Take how far the newest position strayed from the last one's velocity (3,)."""
+        stamp_ns = positions.stamps_ns[-1]
+        if any(
+            not np.isfinite(p.velocity_enu_m_s).all() for p in positions.values[-2:] if p.velocity_enu_m_s is not None
+        ):
+            miss_m = miss_m * [1.0, 1.0, 0.0]  # no climb rate: nothing is known of a jump in height
+        self._strayed.append((stamp_ns, self._strayed[-1][1] + miss_m))
+        # Slip is known of a moment once half its window has passed.
+        middle_ns = stamp_ns - RECENT_NS // 2
+        self._judge(middle_ns, self._slip.at(positions, middle_ns), sigma_m)
+        while self._episode is None and self._strayed[0][0] < stamp_ns - 2 * RECENT_NS:
+            self._strayed.popleft()
+
+    def _judge(self, moment_ns: int, slip: Slip, sigma_m: float) -> None:
+        slipping, episode = slip.exceeds(EPISODE_SHARE * self._gps.max_slip_m_s), self._episode
+        if episode is None:
+            if not slipping:
+                return
+            start_ns = max(moment_ns - RECENT_NS // 2, (self._suspected or self._entries[-1]).stamp_ns)
+            self._episode = episode = _Episode(start_ns, self._strayed_at(start_ns))
+        newest_ns, strayed = self._strayed[-1]
+        moved = strayed - episode.before_m
+        episode.most_m = max(episode.most_m, float(np.hypot(moved[0], moved[1])))
+        episode.sigma_m = max(episode.sigma_m, sigma_m)
+        episode.is_sure |= slip.exceeds(self._gps.max_slip_m_s)
+        if not slipping:
+            self._episode = None
+            self._add(episode.start_ns, newest_ns, moved, episode.sigma_m, episode.is_sure)
+        elif episode.is_sure:
+            self._suspect(episode)
+
+    def _strayed_at(self, stamp_ns: int) -> Array:
+        return next((s for t, s in reversed(self._strayed) if t <= stamp_ns), self._strayed[0][1])
+
+    def _suspect(self, episode: _Episode) -> None:
+        """While it lasts, all that it has moved by so far is in doubt."""
+        last, self._suspected = self._entries[-1], None
+        if episode.most_m > LIKELY_SIGMAS * episode.sigma_m:
+            lasting = last.at(episode.start_ns, self._gps.correlation_time_s)
+            doubt = np.array([lasting[0] / SHARED_WITH_VELOCITY + episode.most_m, 0.0, lasting[1]])
+            self._suspected = _Entry(episode.start_ns, doubt, np.zeros(2), last.stretch)
+
+    def _add(self, start_ns: int, end_ns: int, moved_m: Array, sigma_m: float, is_sure: bool) -> None:
+        """A jump (3,), ENU m, has ended; one that is not sure is too small to doubt a position for."""
+        last, self._suspected = self._entries[-1], None
+        size_m = float(np.linalg.norm(moved_m))
+        total = last.unexplained_m + moved_m
+        left_m, before_m = float(np.linalg.norm(total)), float(np.linalg.norm(last.unexplained_m))
+        if not is_sure and not left_m < before_m:
+            return  # but enough to explain a jump that it undoes
+        self._largest_m = max(self._largest_m, left_m)
+        decaying = last.decayed(end_ns, self._gps.correlation_time_s)
+        if is_sure and left_m > before_m and self._was_unfit(start_ns, end_ns, size_m):
+            total = last.unexplained_m
+        elif left_m <= max(LIKELY_SIGMAS * sigma_m, EXPLAINED_SHARE * self._largest_m):
+            total, decaying, self._largest_m = np.zeros(3), np.hypot(decaying, _parts(total)), 0.0
+        self._entries.append(_Entry(end_ns, total, decaying, last.stretch + (size_m > LIKELY_SIGMAS * sigma_m)))
+        while self._entries[1].stamp_ns < end_ns - MEMORY_NS:
+            del self._entries[0]
+
+
+def _parts(moved_m: Array) -> Array:
+    """Horizontal and vertical size of a jump (3,), as the correction at least that it was part of."""
+    return np.array([SHARED_WITH_VELOCITY * float(np.hypot(moved_m[0], moved_m[1])), abs(float(moved_m[2]))])
