@@ -12,7 +12,7 @@ Public:
 - `reobservation`: `RelativeVariance`
 - `resection`: `Resection`, `resect`
 - `rolling_shutter`: `Moving`, `Sweep`, `rates_between`
-- `rotation_timing`: `Course`, `Pair`, `Timing`, `timing`, `FEATURES`, `REACH_S`
+- `rotation_timing`: `Course`, `Pair`, `Timing`, `timing`, `COARSE_S`, `FEATURES`, `REACH_S`
 - `sensor_groups`: `Failing`, `FORGOTTEN`
 - `sensor_pose`: `SensorPose`
 - `sliding_window`: `Window`

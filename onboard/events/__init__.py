@@ -7,6 +7,6 @@ Public:
 - `source`: `Emit`, `Severity`, `Source`, `SourceStatus`, `State`, `Stop`, `TelemetrySource`
 - `tunnel`: `Peer`, `TunnelEnd`
 - `types`: `Attitude`, `Event`, `FilterStatus`, `Frame`, `GimbalAttitude`, `GpsQuality`, `NavEvent`, `PositionFix`,
-  `RangeFinder`, `Zoom`
+  `RangeFinder`, `Zoom`, `ZoomUnit`
 - `waiting_pictures`: `WaitingPictures`
 """

@@ -110,6 +110,9 @@ class RangeFinder:
     sigma_m: float | None = None
 
 
+ZoomUnit = Literal["focal_px", "times", "percent", "hfov_deg"]  # the better first
+
+
 @dataclass(frozen=True)
 class Zoom:
     """How far the lens is zoomed in, as somebody tells: how many "times" the widest view is enlarged, "percent" of the
@@ -119,7 +122,7 @@ class Zoom:
 
     stamp_ns: int
     value: float
-    unit: Literal["times", "percent", "focal_px", "hfov_deg"]
+    unit: ZoomUnit
     step: float = 0.0
     is_of_picture: bool = False
 

@@ -2,7 +2,9 @@
 
 Public:
 
+- `attitude_interpolation`: `RATE_WINDOW_NS`
 - `gimbal`: `MountHypothesis`
+- `limits`: `MEMORY_NS`, `LATE_NS`, `RECENT_NS`, `PATIENCE_NS`, `LONG_NS`, `LIKELY_SIGMAS`
 - `navigator`: `NavState`, `Motion`, `Navigation`
 - `position_interpolation`: `Flown`
 - `position_slip`: `DYNAMIC_TIME_S`

@@ -19,7 +19,6 @@ Array = NDArray[np.float64]
 
 RATE_WINDOW_NS = 60_000_000
 RATES_ABOUT = 20  # measured rates before a moment, and after it, by which it is judged how well they can be joined
-LEAST_RATES = 5  # for a miss over two gaps on both sides
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,8 +154,8 @@ class Attitudes:
         first, end = max(left - RATES_ABOUT + 1, 0), right + RATES_ABOUT
         about = [a.rate_body_rad_s for a in self._series.values[first:end]]
         rates = np.array([r for r in about if r is not None])
-        if left == right or len(rates) < len(about) or len(rates) < LEAST_RATES:
-            return 0.0
+        if left == right or len(rates) < len(about) or len(rates) < 5:
+            return 0.0  # a miss over two gaps on both sides needs five
         stamps_s = (np.array(self._series.stamps_ns[first:end]) - moment_ns) / 1e9
         near, far = (_missed(stamps_s, rates, gap) for gap in (1, 2))
         missed = near * min(1.0, near / far) if far > 0.0 else 0.0

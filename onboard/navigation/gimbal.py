@@ -24,9 +24,9 @@ Array = NDArray[np.float64]
 class MountHypothesis(Enum):
     """A hypothesis of what the camera is mounted on."""
 
-    MOUNT = "mount"  # fixed to the vehicle
+    MOUNT = "fixed mount"
     GIMBAL = "gimbal"  # as the message's flags specify
-    JOINTS = "joints"  # the same numbers as joint angles, counted from the vehicle's body
+    JOINTS = "gimbal by joint angles"  # the same numbers as joint angles, counted from the vehicle's body
 
 
 class Gimbal:

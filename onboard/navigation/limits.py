@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 MEMORY_NS = 120_000_000_000  # of telemetry
-LATE_NS = 300_000_000  # that a report may be behind what it reports: for so long the last one is extrapolated
+LATE_NS = 350_000_000  # that a report may be behind what it reports: for so long the last one is extrapolated
 RECENT_NS = 2_000_000_000  # in which a filter corrects itself: slip is measured over it, and claims hold as long
-PATIENCE_NS = 5_000_000_000  # after which nothing comes any more that was to come
+PATIENCE_NS = 5_000_000_000  # after which nothing comes any more that was to come, and what lasts will go on
 LONG_NS = 10_000_000_000  # after which what was has no effect any more: a fix that came and went, a turn
 
 LIKELY_SIGMAS = 2.0  # an error is larger one time in twenty: no more than that may as well be chance

@@ -32,19 +32,14 @@ from onboard.events.types import (
 from onboard.navigation.attitude_interpolation import Attitudes
 from onboard.navigation.gimbal import Gimbal, MountHypothesis
 from onboard.navigation.gps_integrity import GpsIntegrity, Refusal
-from onboard.navigation.position_interpolation import CLIMB_WINDOW_NS, Flown, Joined, Path, Position, finite
+from onboard.navigation.limits import LATE_NS, PATIENCE_NS, RECENT_NS
+from onboard.navigation.position_interpolation import Flown, Joined, Path, Position, finite
 from onboard.navigation.time_series import Series
 
 Array = NDArray[np.float64]
 
-# Data this much older than the newest means that the clock was set back: nothing held can be compared any more.
-CLOCK_STEP_NS = 5_000_000_000
 # From its origin the frame's up and the vertical differ by 0.2 degrees here; ground taken for level in it would slope.
 FRAME_REACH_M = 20_000.0
-KEPT_NS = 3_000_000_000  # of positions, when the frame moves: as long as a picture waits, and slip needs
-MAX_DISPERSION_M = 5.0
-MAX_RANGE_GAP_NS = 500_000_000
-MAX_ATTITUDE_INTERVAL_S = 0.35  # an aircraft rolls in within a second: less than three attitudes of it miss its course
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,8 +116,8 @@ class Navigation:
         if isinstance(event, Zoom):
             return
         held = self._stamps_of(event)
-        if held and event.stamp_ns < held[-1] - CLOCK_STEP_NS:
-            self._forget()
+        if held and event.stamp_ns < held[-1] - PATIENCE_NS:
+            self._forget()  # the clock was set back: nothing held can be compared any more
         self._insert_event(event)
         if isinstance(event, PositionFix | GpsQuality | FilterStatus):
             if self.frame is None:
@@ -213,7 +208,7 @@ class Navigation:
 
     def _move_frame(self, fix: PositionFix) -> None:
         """Move the origin to an accepted position far from it; what pictures still wait for is kept if it is near."""
-        recent = [f for f in self._fixes.values if abs(f.stamp_ns - fix.stamp_ns) <= KEPT_NS]
+        recent = [f for f in self._fixes.values if abs(f.stamp_ns - fix.stamp_ns) <= PATIENCE_NS]
         self.frame = LocalFrame(fix.lat_deg, fix.lon_deg, fix.height_amsl_m)
         self._moves += 1
         near = [held for held in recent if np.linalg.norm(self._enu(held)) <= FRAME_REACH_M]
@@ -322,7 +317,7 @@ class Navigation:
             position.velocity_enu_m_s,
             R_enu_body,
             *self._integrity.sigmas(moment_ns),
-            max(self.config.gps.sigma_white_m, min(slip.dispersion_m, MAX_DISPERSION_M)),
+            max(self.config.gps.sigma_white_m, min(slip.dispersion_m, self.config.gps.glitch_m)),
             self._undulation_m,
             position.height_above_home_m,
             self._range_at(moment_ns, position.enu_m),
@@ -343,14 +338,16 @@ class Navigation:
     def _range_at(self, moment_ns: int, position_enu_m: Array) -> GroundRange | None:
         """The range finder between its messages about a moment; None without it, the vehicle's attitude or an echo."""
         settings = self.config.range_finder
-        bracket = self._ranges.bracket(moment_ns) if settings.use and self._attitudes.stamps_ns else None
-        R_ned_body = self._attitudes.at(moment_ns) if bracket is not None else None
-        if bracket is None or R_ned_body is None or isinstance(R_ned_body, Status):
+        if not (settings.use and self._ranges.stamps_ns and self._attitudes.stamps_ns):
             return None
-        (start_ns, a), (end_ns, b) = ((self._ranges.stamps_ns[i], self._ranges.values[i]) for i in bracket)
-        if max(end_ns - start_ns, abs(moment_ns - start_ns)) > MAX_RANGE_GAP_NS or a.direction_body != b.direction_body:
+        bracket = self._ranges.joined(moment_ns, self.config.telemetry.max_attitude_gap_s)
+        R_ned_body = self._attitudes.at(moment_ns)
+        if isinstance(bracket, Status) or isinstance(R_ned_body, Status):
             return None
-        share = (moment_ns - start_ns) / (end_ns - start_ns) if end_ns > start_ns else 0.0
+        a, b = (self._ranges.values[i] for i in bracket)
+        if a.direction_body != b.direction_body:
+            return None
+        share = (moment_ns - a.stamp_ns) / (b.stamp_ns - a.stamp_ns) if a is not b else 0.0
         distance_m = a.distance_m + share * (b.distance_m - a.distance_m)
         # Between two echoes the ground may do anything that the echoes differ by.
         sigma_m = max(settings.sigma_m, a.sigma_m or 0.0, b.sigma_m or 0.0) + settings.sigma_share * distance_m
@@ -372,7 +369,8 @@ class Navigation:
         if not self._wants_attitude or self._uses_gimbal or self.frame is None:
             return None
         bracket = self._positions.joined(moment_ns, self.config.gps.max_gap_s)
-        if self._attitudes.interval_s(moment_ns) > MAX_ATTITUDE_INTERVAL_S or isinstance(bracket, Status):
+        # An aircraft rolls in within a second: less than three attitudes of it miss its course.
+        if self._attitudes.interval_s(moment_ns) > LATE_NS / 1e9 or isinstance(bracket, Status):
             return None
         R_ned_body = self._attitudes.at(moment_ns)
         left, right = bracket
@@ -399,7 +397,7 @@ class Navigation:
         known, bracket = nav.velocity_enu_m_s, self._positions.bracket(nav.stamp_ns)
         if bracket is None or (known is not None and np.all(np.isfinite(known))):
             return np.zeros(3) if known is None else known
-        return self._path.velocity(bracket[0], CLIMB_WINDOW_NS)
+        return self._path.velocity(bracket[0], RECENT_NS // 2)
 
     def displacement(self, start_ns: int, end_ns: int) -> Flown | None:
         """Distance flown from the velocities alone (trapezium rule); None where any is missing."""

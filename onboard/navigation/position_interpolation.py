@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.feature_set import Status
+from onboard.navigation.limits import RECENT_NS
 from onboard.navigation.time_series import Series
 
 Array = NDArray[np.float64]
 
-CLIMB_WINDOW_NS = 1_000_000_000
 # By which power of the gap the error of joining grows while motion is smooth: a line, a piece of a cubic.
 LINE, CUBIC = 2, 4
 
@@ -120,7 +120,7 @@ class Path:
             return known
         # With no velocity at all the slope is that of the fix's neighbours (Catmull-Rom); a climb rate from heights
         # alone needs a longer base, their noise being metres.
-        reach_ns = reach_ns if known is None else CLIMB_WINDOW_NS
+        reach_ns = reach_ns if known is None else RECENT_NS // 2
         stamps, values = self.series.stamps_ns, self.series.values
         first = min(bisect.bisect_left(stamps, stamps[index] - reach_ns), max(index - 1, 0))
         last = max(bisect.bisect_right(stamps, stamps[index] + reach_ns) - 1, min(index + 1, len(stamps) - 1))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from contract.error_sources import ABOUT, Cause
 from onboard.georeferencing.click_budget import Budget, click_budget
 from onboard.georeferencing.feature_sets import Placed
+from onboard.navigation.limits import LONG_NS
 
 __all__ = ["Budget", "BudgetWatch", "NewestBudget", "budget_text"]
 
@@ -17,9 +18,6 @@ Array = NDArray[np.float64]
 
 MINUTES = (1.0, 3.0, 10.0)
 LEVEL_DEG, BANKED_DEG = 10.0, 20.0
-LEAST_SHOWN = 0.005  # share of a variance
-EVERY_NS = 10_000_000_000  # between two budgets of a running flight: shares change with turns, not with pictures
-OLD_NS = 30_000_000_000  # a budget of pictures longer ago is none of now
 
 
 class NewestBudget:
@@ -41,12 +39,15 @@ class NewestBudget:
         return self._newest
 
     def at(self, now_ns: int) -> Budget | None:
-        """Of a click in the middle of the newest picture, after `EVERY_NS` again; None without a new picture."""
+        """Of a click in the middle of the newest picture, again after `LONG_NS`: shares change with turns.
+
+        None without a new picture.
+        """
         newest, computed = self._newest, self._computed
-        if newest is None or now_ns - newest.feature_set.capture_unix_ns > OLD_NS:
+        if newest is None or now_ns - newest.feature_set.capture_unix_ns > 3 * LONG_NS:
             return None
         stamp_ns = newest.feature_set.capture_unix_ns
-        if computed is None or stamp_ns - computed.feature_set.capture_unix_ns >= EVERY_NS:
+        if computed is None or stamp_ns - computed.feature_set.capture_unix_ns >= LONG_NS:
             self._computed, self._budget = newest, self._of(newest)
         return self._budget
 
@@ -97,7 +98,7 @@ def budget_text(budgets: dict[str, Budget]) -> str:
     if not budgets:
         return f"error budget: no picture was placed after minute {MINUTES[0]:.0f}"
     codes = sorted(
-        {n for b in budgets.values() for n, share in b.shares.items() if share >= LEAST_SHOWN},
+        {n for b in budgets.values() for n, share in b.shares.items() if share >= 0.005},
         key=lambda n: -max(b.shares.get(n, 0.0) for b in budgets.values()),
     )
     names = {code: ABOUT[Cause(code)].name for code in codes}

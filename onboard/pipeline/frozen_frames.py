@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from contract.feature_set import Status
 from onboard.geometry.plane_homography import move
 from onboard.geometry.robust import middle
+from onboard.navigation.limits import LIKELY_SIGMAS, PATIENCE_NS
 from onboard.navigation.navigator import NavState
 from onboard.vision.klt_tracker import PREDICTED_PX, PREDICTED_SHARE, Tracks
 
@@ -23,8 +24,6 @@ Array = NDArray[np.float64]
 MOVED_M = 0.5
 TURNED_RAD = 0.01
 STILL_PX = 0.5  # median motion at 640 px width that two encodings of one picture may show
-PREDICTED_SIGMAS = 2.0  # of telemetry's own sigma that the predicted motion must exceed
-PATIENCE_NS = 5_000_000_000  # after which telemetry's drift may be what it predicts
 
 
 class Staleness:
@@ -77,9 +76,9 @@ class Stillness:
             self._ids, self._uv, self._predicted, self._stamp_ns = tracks.ids, tracks.uv_px, predicted, stamp_ns
             return False
         predicted_px = _median(move(predicted, at) - move(self._predicted, at))
-        if predicted_px > PREDICTED_SIGMAS * (PREDICTED_SHARE * predicted_px + PREDICTED_PX * self._px):
+        if predicted_px > LIKELY_SIGMAS * (PREDICTED_SHARE * predicted_px + PREDICTED_PX * self._px):
             return True
-        if stamp_ns - self._stamp_ns > PATIENCE_NS:
+        if stamp_ns - self._stamp_ns > PATIENCE_NS:  # telemetry's drift may be what it predicts
             self._predicted, self._stamp_ns = predicted, stamp_ns
         return False
 

@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from onboard.estimation.sliding_window import Window
 from onboard.geometry.plane_homography import Pose, predict_homography
+from onboard.navigation.limits import MEMORY_NS, RECENT_NS
 from onboard.navigation.navigator import Navigation, NavState
-from onboard.pipeline.shortfall import MAX_APART_S, Break
+from onboard.pipeline.shortfall import Break
 
 Array = NDArray[np.float64]
 
 MIN_HEIGHT_M = 2.0
-MAX_UNASKED_NS = 3_000_000_000  # between pictures, above which navigation in between is looked at
 SAME_STAMPS = 0.5  # share that the sigma of stamps may change by while their error is taken for the same
 
 
@@ -56,10 +56,10 @@ def what_parts(was: NavState, now: NavState, navigation: Navigation, offset_ns: 
     apart_ns = now.stamp_ns - was.stamp_ns
     if now.stretch != was.stretch:
         return Break.JUMP
-    if apart_ns > MAX_UNASKED_NS:
+    if apart_ns > RECENT_NS:
         if not navigation.was_believed(was.stamp_ns + offset_ns, now.stamp_ns + offset_ns):
             return Break.OUTAGE
-        if apart_ns > MAX_APART_S * 1e9:
+        if apart_ns > MEMORY_NS // navigation.config.solve.keyframes:
             return Break.APART
     one, other = was.stamp_sigma_s, now.stamp_sigma_s
     return None if abs(one - other) <= SAME_STAMPS * max(one, other) else Break.STAMPS

@@ -18,9 +18,10 @@ from contract.camera import Camera
 from contract.rotations import mount_rotation
 from onboard.config.schema import Config
 from onboard.events.types import Event, Frame
-from onboard.geometry.plane_homography import Pose, predict_pixels
+from onboard.geometry.plane_homography import Pose
 from onboard.navigation.navigator import Navigation, NavState
-from onboard.pipeline.keyframe_choice import wants_keyframe
+from onboard.pipeline.keyframes import wants_keyframe
+from onboard.pipeline.mount_selection import LEAD, cost_of
 from onboard.vision.klt_tracker import MIN_TRACKS, Tracks
 from onboard.vision.reduced_tracker import tracker_for
 
@@ -31,15 +32,9 @@ ORIENTATIONS: tuple[Angles, ...] = (
     *((0.0, pitch, yaw) for pitch in (-90.0, 90.0) for yaw in (0.0, 90.0, 180.0, -90.0)),
     *((roll, 0.0, yaw) for roll in (0.0, 90.0, 180.0, -90.0) for yaw in (0.0, 90.0, 180.0, -90.0)),
 )
-SIGMA_RAD = 0.03  # of a predicted feature: the mount is askew by some degrees, the attitude and its time are off
-SIGMA_SHARE = 0.25  # of how far it moved: height above ground, and askew again
-MOST = 9.0  # largest cost that one picture adds
-LEAD = 40.0  # by which the best must be ahead of the next
-MIN_SEEN = 0.5  # share of features that the right way must have a prediction for
-MIN_FLOW = 0.02  # of the picture's width: less motion tells nothing
+ASKEW = 2.0  # times the sigma of a prediction: the mount is off by some degrees, the attitude's time not yet known
 MIN_HEIGHT_M, MIN_SPEED_M_S = 10.0, 3.0
 MOST_PICTURES = 240  # that count
-WAITING = 100  # pictures that may wait for telemetry
 
 
 @dataclass(frozen=True)
@@ -53,7 +48,7 @@ class Ranking:
     @property
     def decided(self) -> Angles | None:
         """The one that is clearly ahead; None if none is."""
-        return self.order[0] if self.pictures and self.costs[1] - self.costs[0] > LEAD else None
+        return self.order[0] if self.pictures and self.costs[1] - self.costs[0] > 2.0 * LEAD else None
 
 
 class MountSearch:
@@ -64,7 +59,7 @@ class MountSearch:
         self._navigation = Navigation(config.model_copy(update={"mount": mount}))
         self._camera = camera
         self._tracker = tracker_for(camera.size_px, config.tracking.features, config.tracking.min_distance_px)
-        self._waiting: deque[Frame] = deque(maxlen=WAITING)
+        self._waiting: deque[Frame] = deque(maxlen=100)  # for telemetry
         self._keyframe: NavState | None = None
         self._costs = np.zeros(len(ORIENTATIONS))
         self._turns = [mount_rotation(*angles) for angles in ORIENTATIONS]
@@ -99,21 +94,12 @@ class MountSearch:
         self._keyframe = nav
 
     def _weigh(self, was: NavState, now: NavState, tracks: Tracks) -> None:
-        flow_px = float(np.median(np.linalg.norm(tracks.uv_px - tracks.keyframe_uv_px, axis=1)))
-        if flow_px < MIN_FLOW * self._camera.width_px:
-            return
         assert was.height_above_home_m is not None
         plane = np.array([was.position_enu_m[2] - was.height_above_home_m, 0.0, 0.0])
-        sigma_px = SIGMA_RAD * self._camera.focal_px + SIGMA_SHARE * flow_px
         self.pictures += 1
         for i, R_body_cam in enumerate(self._turns):
-            first, second = (Pose((n.R_enu_body @ R_body_cam).T, n.position_enu_m) for n in (was, now))  # type: ignore[operator]
-            predicted_px, known = predict_pixels(self._camera, tracks.keyframe_uv_px, first, second, plane)
-            cost = MOST
-            if np.count_nonzero(known) >= MIN_SEEN * len(tracks):
-                miss_px = float(np.median(np.linalg.norm(predicted_px[known] - tracks.uv_px[known], axis=1)))
-                cost = min((miss_px / sigma_px) ** 2, MOST)
-            self._costs[i] += cost
+            poses = [Pose((n.R_enu_body @ R_body_cam).T, n.position_enu_m) for n in (was, now)]  # type: ignore[operator]
+            self._costs[i] += cost_of(self._camera, poses, plane, tracks.keyframe_uv_px, tracks.uv_px, ASKEW)
 
 
 def _is_flying(nav: NavState) -> bool:

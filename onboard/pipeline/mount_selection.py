@@ -8,7 +8,7 @@ come to lie in the next pictures, and the one that predicts them best is selecte
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +28,21 @@ MEMORY = 0.97  # decay of the cost per picture: about the last thirty count
 LEAD = 20.0  # by which the cost of one hypothesis must be below all others
 ALIKE_RAD = 0.05  # hypotheses this close need no decision
 MIN_SEEN = 0.5  # share of features that the right hypothesis must have a prediction for
-WORDS = {
-    MountHypothesis.MOUNT: "fixed mount",
-    MountHypothesis.GIMBAL: "gimbal",
-    MountHypothesis.JOINTS: "gimbal by joint angles",
-}
+
+
+def cost_of(
+    camera: Camera, poses: Sequence[Pose], plane: Array, from_px: Array, to_px: Array, sigmas: float = 1.0
+) -> float:
+    """How far tracks (N, 2) lie from where two `poses` over a plane predict them, squared in sigmas and at most `MOST`.
+
+    `sigmas`: how many times as large as usual a sigma is.
+    """
+    flow_px = float(np.median(np.linalg.norm(to_px - from_px, axis=1)))
+    predicted_px, known = predict_pixels(camera, from_px, poses[0], poses[1], plane)
+    if np.count_nonzero(known) < MIN_SEEN * len(from_px):
+        return MOST
+    miss_px = float(np.median(np.linalg.norm(predicted_px[known] - to_px[known], axis=1)))
+    return min((miss_px / (sigmas * (SIGMA_RAD * camera.focal_px + SIGMA_SHARE * flow_px))) ** 2, MOST)
 
 
 class MountSelection:
@@ -59,8 +69,8 @@ class MountSelection:
         if navigation.gimbal.is_certain:
             return "gimbal, as the camera wrote its angles itself"
         if self.verdict is None:
-            return f"{WORDS[navigation.mount_hypothesis]}; not yet confirmed by the pictures"
-        return f"{WORDS[self.verdict]}, as the pictures show"
+            return f"{navigation.mount_hypothesis.value}; not yet confirmed by the pictures"
+        return f"{self.verdict.value}, as the pictures show"
 
     def change_lens(self, camera: Camera) -> None:
         """Take pixels by another lens from now on."""
@@ -78,18 +88,10 @@ class MountSelection:
         if not _differ(now.mount_hypotheses) or not len(from_px):
             return
         both = [c for c in now.mount_hypotheses if c in was.mount_hypotheses]
-        flow = float(np.median(np.linalg.norm(to_px - from_px, axis=1)))
-        sigma_px = SIGMA_RAD * self._camera.focal_px + SIGMA_SHARE * flow
-        for mount_hypothesis in both:
-            first, second = (
-                Pose((n.mount_hypotheses[mount_hypothesis] @ self._R_body_cam).T, n.position_enu_m) for n in (was, now)
-            )
-            predicted_px, known = predict_pixels(self._camera, from_px, first, second, plane)
-            chi = MOST
-            if np.count_nonzero(known) >= MIN_SEEN * len(from_px):
-                miss = float(np.median(np.linalg.norm(predicted_px[known] - to_px[known], axis=1)))
-                chi = min((miss / sigma_px) ** 2, MOST)
-            self._scores[mount_hypothesis] = MEMORY * self._scores.get(mount_hypothesis, 0.0) + chi
+        for reading in both:
+            poses = [Pose((n.mount_hypotheses[reading] @ self._R_body_cam).T, n.position_enu_m) for n in (was, now)]
+            cost = cost_of(self._camera, poses, plane, from_px, to_px)
+            self._scores[reading] = MEMORY * self._scores.get(reading, 0.0) + cost
         best = min(both, key=lambda c: self._scores[c])
         others = [c for c in both if unlike(now.mount_hypotheses[c], now.mount_hypotheses[best])]
         if others and min(self._scores[c] for c in others) - self._scores[best] > LEAD:

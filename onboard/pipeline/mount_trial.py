@@ -18,7 +18,7 @@ from onboard.estimation.window_request import Noise, Outcome, Request
 from onboard.navigation.gimbal import MountHypothesis
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.mount_selection import MountSelection, unlike
-from onboard.pipeline.picture_record import Record
+from onboard.pipeline.record_book import Record
 
 WINS = 2  # solves in a row that only one other hypothesis fits
 

@@ -12,24 +12,21 @@ from onboard.config.schema import Config
 from onboard.estimation.boresight import Belief
 from onboard.estimation.keyframe import Ids
 from onboard.estimation.platform_states import BORESIGHT, OFFSET
-from onboard.estimation.rotation_timing import FEATURES, REACH_S, Course, Pair, Timing, timing
+from onboard.estimation.rotation_timing import COARSE_S, FEATURES, REACH_S, Course, Pair, Timing, timing
+from onboard.navigation.limits import MEMORY_NS, PATIENCE_NS
 from onboard.navigation.navigator import Motion, Navigation
+from onboard.pipeline.keyframes import TELLING_S
+from onboard.vision.klt_tracker import MIN_TRACKS
 
 Array = NDArray[np.float64]
 
-STEP_NS = 50_000_000  # of the attitudes that pairs are compared with
-MARGIN_NS = 100_000_000
-REACH_STEPS = (round(REACH_S * 1e9) + MARGIN_NS) // STEP_NS + 1
+STEP_NS = round(COARSE_S * 1e9)  # of the attitudes that pairs are compared with
+REACH_STEPS = round(REACH_S / COARSE_S) + 3
 LEAST_APART_NS, MOST_APART_NS = 200_000_000, 1_500_000_000  # of the pictures of a pair
-MIN_COMMON = 16
-MEMORY_NS = 60_000_000_000
 MOST_PAIRS = 40  # the newest that are informative
 MIN_CHANGE_RAD_S = 0.08  # of the angular rate: 0.1 s of it is then half a degree, as much as an attitude is off
-MAX_WAIT_NS = 3_000_000_000  # for attitudes on both sides
 NEWS, NEWS_NS = 3, 2_500_000_000  # pairs, and time, after which the estimate is made again
 RELAXED, RELAXED_NS = 10, 10_000_000_000  # the same once the offset is known well
-KNOWN_S = 0.02
-RECENTRE_S = 0.5 * REACH_S
 
 
 class OffsetWatch:
@@ -69,23 +66,23 @@ class OffsetWatch:
             return
         self._last = (stamp_ns, ids, uv_px)
         common, one, other = np.intersect1d(last[1], ids, return_indices=True)
-        if len(common) >= MIN_COMMON:
+        if len(common) >= MIN_TRACKS:
             chosen = np.linspace(0, len(common) - 1, min(FEATURES, len(common))).astype(np.intp)
             self._waiting.append(self._pair(last[0], stamp_ns, last[2][one[chosen]], uv_px[other[chosen]]))
 
     def estimate(self, navigation: Navigation, belief: Belief, now_ns: int) -> Timing | None:
         """The offset by the turns so far; None while there is no news, or where they do not determine one."""
-        if self._centre_s is None or abs(belief.mean[OFFSET] - self._centre_s) > RECENTRE_S:
+        if self._centre_s is None or abs(belief.mean[OFFSET] - self._centre_s) > 0.5 * REACH_S:
             self.forget()
             self._centre_s = float(belief.mean[OFFSET])
         while self._waiting and self._take(self._waiting[0], navigation, now_ns):
             self._waiting.popleft()
-        while self._pairs and self._pairs[0].start_ns < now_ns - MEMORY_NS:
+        while self._pairs and self._pairs[0].start_ns < now_ns - MEMORY_NS // 2:
             self._pairs.popleft()
-        if len(self._motions) > 2 * MEMORY_NS // STEP_NS:
-            oldest = (now_ns - MEMORY_NS) // STEP_NS - REACH_STEPS + round(self._centre_s * 1e9) // STEP_NS
+        if len(self._motions) > MEMORY_NS // STEP_NS:
+            oldest = (now_ns - MEMORY_NS // 2) // STEP_NS - REACH_STEPS + round(self._centre_s * 1e9) // STEP_NS
             self._motions = {k: motion for k, motion in self._motions.items() if k >= oldest}
-        news, after_ns = (RELAXED, RELAXED_NS) if belief.sigma[OFFSET] < KNOWN_S else (NEWS, NEWS_NS)
+        news, after_ns = (RELAXED, RELAXED_NS) if belief.sigma[OFFSET] < TELLING_S else (NEWS, NEWS_NS)
         if self._news < news or now_ns - self._asked_ns < after_ns:
             return None
         self._news, self._asked_ns = 0, now_ns
@@ -115,7 +112,7 @@ class OffsetWatch:
             if k not in self._motions:
                 motion = navigation.motion_at(k * STEP_NS)
                 if motion is None:
-                    return k != last or now_ns - pair.end_ns > MAX_WAIT_NS
+                    return k != last or now_ns - pair.end_ns > PATIENCE_NS
                 self._motions[k] = motion
         R = np.stack([self._motions[k].R_enu_body for k in range(first, last + 1)])
         step = R[:-1].transpose(0, 2, 1) @ R[1:]

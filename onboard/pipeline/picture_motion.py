@@ -13,14 +13,14 @@ from onboard.estimation.platform_states import BORESIGHT, OFFSET
 from onboard.estimation.rolling_shutter import Moving, rates_between
 from onboard.estimation.sliding_window import Window
 from onboard.geometry.plane_homography import fit_homography, move
+from onboard.navigation.attitude_interpolation import RATE_WINDOW_NS
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.motion_prediction import ground_so_far
 from onboard.vision.klt_tracker import Tracks
 
 Array = NDArray[np.float64]
 
-UNKNOWN_RATE_RAD_S = 0.3  # one sigma of a rate known only from keyframes a second apart: gusts and turns begin faster
-RATE_S = float(0.06 / np.sqrt(2.0))  # a rate that is not measured is the difference of two attitudes so far apart
+TURN_RAD_S = 0.3  # faster is a turn or a gust: one sigma of a rate known only from keyframes a second apart
 
 
 def moving_at(window: Window, navigation: Navigation, nav: NavState) -> Moving | None:
@@ -47,12 +47,13 @@ def moving_at(window: Window, navigation: Navigation, nav: NavState) -> Moving |
     velocity = navigation.velocity_at(nav)
     plane = _inverse_depth(R_cam_enu, ground_so_far(window, nav), window.position_guess(nav))
     if nav.R_enu_body is None:
-        return Moving(window.readout[0], rate_cam, velocity, R_cam_enu @ velocity, plane, UNKNOWN_RATE_RAD_S)
+        return Moving(window.readout[0], rate_cam, velocity, R_cam_enu @ velocity, plane, TURN_RAD_S)
     at_ns = nav.stamp_ns + round(float(belief.mean[OFFSET]) * 1e9)
     noisy = navigation.rate_sigma_at(at_ns, window.config.camera.sigma_jitter_s)
     is_measured = noisy is not None
     if noisy is None:
-        noisy = float(np.radians(window.config.solve.attitude_white_sigma_deg)) / RATE_S
+        # The difference of two attitudes.
+        noisy = float(np.sqrt(2.0) * np.radians(window.config.solve.attitude_white_sigma_deg)) / (RATE_WINDOW_NS / 1e9)
     elif noisy * 0.5 * np.hypot(*window.readout) * window.camera.focal_px < window.noise.pixel_sigma_px:
         noisy = 0.0  # not even the outermost row is moved by more than its features' own noise
     return Moving(window.readout[0], rate_cam, velocity, R_cam_enu @ velocity, plane, noisy, is_measured)

@@ -34,24 +34,19 @@ from onboard.georeferencing.feature_sets import Origin, Picture
 from onboard.georeferencing.surface_sets import over_known_ground
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.estimates import found_in_flight
-from onboard.pipeline.first_placing import FirstPlacing
-from onboard.pipeline.frame_doubt import REASON as STILL_SHIFTED
-from onboard.pipeline.frame_doubt import FrameDoubt
 from onboard.pipeline.frozen_frames import Staleness, Stillness
-from onboard.pipeline.keyframe_choice import wants_keyframe
-from onboard.pipeline.keyframe_navigation import look_up_again
-from onboard.pipeline.lens_doubt import LensDoubt
+from onboard.pipeline.keyframes import look_up_again, wants_keyframe
 from onboard.pipeline.motion_prediction import ground_so_far, predict_motion, what_parts
 from onboard.pipeline.mount_selection import MountSelection
 from onboard.pipeline.mount_trial import MountTrials, carry_over
 from onboard.pipeline.offset_watch import OffsetWatch
-from onboard.pipeline.picture_motion import as_read, seen_at
-from onboard.pipeline.picture_record import Pending, Record
+from onboard.pipeline.picture_motion import TURN_RAD_S, as_read, seen_at
 from onboard.pipeline.placing import Placing
-from onboard.pipeline.record_book import RecordBook
+from onboard.pipeline.record_book import FirstPlacing, Pending, Record, RecordBook
 from onboard.pipeline.shortfall import MIN_OVERLAP, Evidence, is_standing_still
 from onboard.pipeline.statistics import LeftOut, RunStatistics, Summary
-from onboard.pipeline.terrain_at_hand import TerrainSource, cut, is_at_hand
+from onboard.pipeline.terrain_at_hand import TerrainSource, terrain_about
+from onboard.pipeline.window_doubt import FrameDoubt, LensDoubt
 from onboard.pipeline.zoom_following import ZoomFollowing
 from onboard.vision.klt_tracker import MIN_TRACKS, Tracks
 from onboard.vision.reduced_tracker import tracker_for
@@ -59,11 +54,9 @@ from onboard.vision.reduced_tracker import tracker_for
 Array = NDArray[np.float64]
 
 MAX_WAIT_NS = 1_500_000_000  # for telemetry to catch up with a picture
-MAX_FAILURES = 4  # window solves in a row without a result before a new start
-MAX_MISSES = 3  # pictures in a row that found too little before a new start
+MAX_MISSES = 3  # pictures in a row that found too little, or windows that contradict, before a new start
 SLOW_NS = 1_000_000_000  # between pictures, above which one that has lost the keyframe's ground begins again at once
 MAX_PREDICTION_MISS = 0.15  # rad: tracks this far from telemetry's prediction have locked onto the wrong features
-TURNING_RAD_S = 0.35
 PLACED_AN_EVENT = 2  # a solve releases as many pictures as lie between two keyframes: all at once would delay the next
 ADOPTION_NS = 250_000_000  # of data after a keyframe is taken up, until which its solve need not be done
 
@@ -172,7 +165,9 @@ class Pipeline:
             self._lens_doubt.forget_ground()
         is_slow = self._last_nav is not None and nav.stamp_ns - self._last_nav.stamp_ns > SLOW_NS
         self._last_nav = nav
-        self._know_terrain(nav)
+        if self.terrain is not None:
+            with self._statistics.timed("terrain"):
+                self.window.terrain = terrain_about(self.terrain, self._frame, nav, self.window.terrain)
         with self._statistics.timed("tracking"):
             tracks = self._track(frame, nav)
         if isinstance(tracks, Status):
@@ -276,12 +271,6 @@ class Pipeline:
     def _state_at(self, stamp_ns: int, stamp_sigma_s: float = 0.0) -> NavState | Status:
         return self.navigation.state_at(stamp_ns, self._offset_s, stamp_sigma_s, self._delay_s)
 
-    def _know_terrain(self, nav: NavState) -> None:
-        """Keep the terrain around the aircraft ready, cut again when it comes near the edge of what is held."""
-        if self.terrain is not None and self._frame is not None and not is_at_hand(self.window.terrain, nav):
-            with self._statistics.timed("terrain"):
-                self.window.terrain = cut(self.terrain, self._frame, nav)
-
     def _track(self, frame: Frame, nav: NavState) -> Tracks | Status | None:
         """Features found again; None if there was nothing to look for, a status if the picture is not to be used."""
         assert frame.image is not None
@@ -325,7 +314,7 @@ class Pipeline:
 
     def _is_turning(self, frame: Frame) -> bool:
         rate = self.navigation.body_rate_at(frame.stamp_ns + round(self._offset_s * 1e9))
-        return rate is not None and float(np.linalg.norm(rate)) > TURNING_RAD_S
+        return rate is not None and float(np.linalg.norm(rate)) > TURN_RAD_S
 
     def _make_keyframe(
         self, frame: Frame, nav: NavState, tracks: Tracks, reason: Status | None = None
@@ -365,11 +354,7 @@ class Pipeline:
         done, record = pending.promise.result(), pending.record
         outcome, trials_s = self._trials.judged(done.outcome, self.window, self._book.records, self.navigation)
         self._statistics.spend("solve", done.processor_s + trials_s)
-        if outcome.solved is not None and self._lens_doubt.denies(outcome.solved):
-            outcome = replace(outcome, status=Status.ZOOMED, solved=None, reason=self._lens_doubt.reason)
-        if self._frame_doubt.denies(outcome.status):
-            outcome = replace(outcome, status=Status.STABILISED, solved=None, reason=STILL_SHIFTED)
-        status = self.window.adopt(outcome)
+        status = self.window.adopt(self._frame_doubt.judged(self._lens_doubt.judged(outcome)))
         self._statistics.note_window(self.window.refusal)
         self._failures = self._failures + 1 if status is Status.POOR_FIT else 0
         if status in (Status.OK, Status.POOR_FIT, Status.LOW_PARALLAX, *MOVED):
@@ -377,7 +362,7 @@ class Pipeline:
         solved = self.window.solved
         if status is not Status.OK or solved is None:
             out: list[FeatureSet] = []
-            if self._failures >= MAX_FAILURES:
+            if self._failures >= MAX_MISSES:
                 # What the window holds does not fit together: begin again with this keyframe alone.
                 out = self._settle(self._book.take_before(record))
                 self.window.begin_again()

@@ -10,7 +10,7 @@ from onboard.estimation.solved_window import Solved
 from onboard.geometry.plane_homography import Pose
 from onboard.georeferencing.feature_sets import Picture, Placed, place
 from onboard.georeferencing.revision import Revisions
-from onboard.pipeline.picture_record import Record
+from onboard.pipeline.record_book import Record
 
 NEAR_NS = 100_000_000  # between pictures that show the same ground, turned by less than a resection's own start may be
 

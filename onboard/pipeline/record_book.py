@@ -1,12 +1,61 @@
-"""The pictures that the window can still place: which have no set yet, and which the window has seen past."""
+"""The pictures that the window can still place: which have no set, which wait for it, which the window has seen past.
+
+The link takes a few sets a second, and of those that wait for their turn the newest. Where the camera is faster, most
+pictures would be placed without use, and again when the window is past them. They are placed only then: once,
+and as well as they ever are.
+"""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from contract.feature_set import Status
-from onboard.pipeline.picture_record import Record
+from onboard.config.schema import Config
+from onboard.estimation.keyframe import Observation
+from onboard.estimation.solver_executor import Promise
+from onboard.events.types import Frame
+from onboard.georeferencing.feature_sets import Placed
+from onboard.navigation.navigator import NavState
+
+PLACED_A_SET = 4.0  # pictures placed for each set that the link may send: what it sends is at most so much older
+
+
+@dataclass(eq=False)
+class Record:
+    """A picture that the window can still place, or place better."""
+
+    frame: Frame
+    seen_when_asked: Observation | Callable[[], Observation]  # features are undistorted when the picture is placed
+    nav: NavState
+    is_keyframe: bool
+    status: Status = Status.STARTING
+    revision: int = -1
+    is_settled: bool = False
+    is_for_later: bool = False  # its only set is the one that it is settled with
+    placed: Placed | None = None  # as it was last, by the window's own points: where the next revision starts
+
+    @property
+    def seen(self) -> Observation:
+        """What the picture saw."""
+        if not isinstance(self.seen_when_asked, Observation):
+            self.seen_when_asked = self.seen_when_asked()
+        return self.seen_when_asked
+
+    @seen.setter
+    def seen(self, seen: Observation) -> None:
+        self.seen_when_asked = seen
+
+
+@dataclass(frozen=True, eq=False)
+class Pending:
+    """A window solve under way for a new keyframe; `reason`: why the pictures before it were dropped, if they were."""
+
+    promise: Promise
+    record: Record
+    reason: Status | None
+    due_ns: int
 
 
 class RecordBook:
@@ -47,3 +96,23 @@ class RecordBook:
         before = [r for r in self.take_all() if r.frame.index < record.frame.index]
         self.records = rest
         return before
+
+
+class FirstPlacing:
+    """Remembers the newest picture that was placed at once."""
+
+    def __init__(self, config: Config) -> None:
+        self._interval_ns = round(1e9 / (PLACED_A_SET * config.link.max_rate_hz))
+        self._newest_ns: int | None = None  # None: the last one could not be placed
+
+    def may_wait(self, stamp_ns: int, has_newer: bool) -> bool:
+        """Whether a picture's first set may be its last. `has_newer`: a newer one can be placed with what has come.
+
+        Only while placing succeeds: that pictures are refused must be known at once, and what is refused costs little.
+        """
+        newest_ns = self._newest_ns
+        return newest_ns is not None and (has_newer or 0 <= stamp_ns - newest_ns < self._interval_ns)
+
+    def note(self, stamp_ns: int, is_placed: bool) -> None:
+        """What became of a picture that did not wait."""
+        self._newest_ns = stamp_ns if is_placed else None

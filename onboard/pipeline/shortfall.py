@@ -14,23 +14,20 @@ from contract.feature_set import Status
 from onboard.config.schema import Config
 from onboard.estimation.window_problem import MIN_KEYFRAMES
 from onboard.geometry.plane_homography import move, pixel_grid
+from onboard.navigation.limits import MEMORY_NS, PATIENCE_NS
 from onboard.navigation.navigator import NavState
 
 Array = NDArray[np.float64]
 
-MAX_APART_S = 12.0  # between pictures: ten of them, a window, span what navigation remembers
-REMEMBERED_STEPS = 1000
+REMEMBERED = 5000  # pictures: many times what a window spans
 MIN_OVERLAP = 0.25  # rendered flights: answered in full at 0.27 of the picture in common, not at all at 0.17
 MIN_SPAN = 0.1  # of the height above ground, travelled during a window: less is no parallax
-MIN_LASTING_S = 5.0  # of a flight that is reported to have stood still: a shorter one is too short
-SHARE_GRID = (16, 12)
-MIN_TRAVEL = 0.03  # of the height above ground: less than this is no parallax
-MIN_TRAVEL_HEIGHT_M = 20.0
-PATIENCE_S = 3.0  # before standing still is called that
+STANDING_PER_S = 0.01  # of the height above ground: slower than this is no parallax for as long as it lasts
+LEAST_HEIGHT_M = 20.0  # that this is of
 
 
 class Break(Enum):
-    """Why no window may hold both a picture and the one before it. Values are the words users see."""
+    """Why no window may hold both a picture and the one before it."""
 
     APART = "apart"
     OUTAGE = "outage"
@@ -51,8 +48,8 @@ class Evidence:
     """What a flight without answers is judged by: its latest pictures, in bounded memory."""
 
     config: Config
-    apart_s: deque[float] = field(default_factory=lambda: deque(maxlen=REMEMBERED_STEPS))
-    overlap: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=REMEMBERED_STEPS))
+    apart_s: deque[float] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    overlap: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
     breaks: Counter[Break] = field(default_factory=Counter)
     has_attitude: bool = False
     navigation: str = ""  # why the position was not accepted, the last time it was not
@@ -88,60 +85,98 @@ class Evidence:
 
     def why(self, statuses: Counter[Status], keyframes: int) -> Shortfall:
         """The likely reason why none of the pictures with these statuses has an answer."""
-        frames = statuses.total()
+        frames, usable = statuses.total(), len(self.apart_s) + 1
         if not frames:
             return Shortfall("no pictures", "check the folder of pictures, their stamps and the log's time")
-        worst, count = max(
-            ((s, n) for s, n in statuses.items() if s in (Status.BAD_PICTURE, Status.NO_GPS, Status.UNSYNCHRONISED)),
-            key=lambda pair: pair[1],
-            default=(Status.STARTING, 0),
-        )
-        if 2 * count > frames:
-            return self._unusable(worst, count)
-        apart = self._too_far_apart()
+        useless = max((Status.BAD_PICTURE, Status.NO_GPS, Status.UNSYNCHRONISED), key=lambda s: statuses[s])
+        if 2 * statuses[useless] > frames:
+            return self._said_of(useless, statuses[useless])
+        apart = self._too_far_apart() if self.apart_s else None
         if apart is not None:
             return apart
-        if len(self.apart_s) + 1 < MIN_KEYFRAMES:
+        if usable < MIN_KEYFRAMES:
             return Shortfall(
-                f"{len(self.apart_s) + 1} usable pictures of {frames}",
+                f"{usable} usable pictures of {frames}",
                 f"at least {MIN_KEYFRAMES} in a row must show the same ground and have telemetry about them",
             )
-        return self._by_status(statuses, keyframes)
-
-    def _unusable(self, status: Status, count: int) -> Shortfall:
-        if status is Status.BAD_PICTURE:
-            return Shortfall(f"{count} pictures are damaged or repeat an earlier one", "check the camera and its files")
-        if status is Status.NO_GPS:
-            said = f" ({self.navigation})" if self.navigation else ""
+        worst = max((s for s in statuses if s is not Status.STARTING), key=lambda s: statuses[s], default=None)
+        is_still = self.span_m < MIN_SPAN * self.height_m and sum(self.apart_s) > PATIENCE_NS / 1e9
+        if worst in (Status.FEATURELESS, Status.TURNING) and statuses[worst] > statuses[Status.STARTING]:
+            return self._said_of(worst, statuses[worst])
+        if worst is Status.LOW_PARALLAX or is_still:
+            return self._said_of(Status.LOW_PARALLAX, 0)
+        if not self.has_attitude and self.config.solve.attitude == "autopilot":
             return Shortfall(
-                f"no accepted position for {count} pictures{said}",
-                "wait for a fix before the first picture; see GPS_RAW_INT and EKF_STATUS_REPORT in the log",
+                "no attitude in the telemetry", "ask the autopilot for ATTITUDE, or set solve.level_ground = true"
             )
+        if worst in (Status.STABILISED, Status.ZOOMED, Status.POOR_FIT):
+            return self._said_of(worst, statuses[worst])
         return Shortfall(
-            f"telemetry gap: no position within {self.config.gps.max_gap_s:g} s or no attitude within "
-            f"{self.config.telemetry.max_attitude_gap_s:g} s about {count} pictures",
-            "raise the rates of GLOBAL_POSITION_INT and ATTITUDE, and check that pictures and log have the same clock",
+            f"too short: {keyframes} keyframes within {self.span_m:.0f} m flown",
+            f"at least {MIN_KEYFRAMES} keyframes are needed, each a tenth of a picture farther on: fly on",
         )
 
+    def _said_of(self, status: Status, count: int) -> Shortfall:
+        """What it means that so many pictures have a status."""
+        said = {
+            Status.BAD_PICTURE: (
+                f"{count} pictures are damaged or repeat an earlier one",
+                "check the camera and its files",
+            ),
+            Status.NO_GPS: (
+                f"no accepted position for {count} pictures" + (f" ({self.navigation})" if self.navigation else ""),
+                "wait for a fix before the first picture; see GPS_RAW_INT and EKF_STATUS_REPORT in the log",
+            ),
+            Status.UNSYNCHRONISED: (
+                f"telemetry gap: no position within {self.config.gps.max_gap_s:g} s or no attitude within "
+                f"{self.config.telemetry.max_attitude_gap_s:g} s about {count} pictures",
+                "raise the rates of GLOBAL_POSITION_INT and ATTITUDE; pictures and log must have the same clock",
+            ),
+            Status.FEATURELESS: (
+                f"nothing to follow on {count} pictures",
+                "check focus, exposure and that the lens looks at the ground",
+            ),
+            Status.TURNING: (
+                f"turning too fast to follow the ground on {count} pictures",
+                "take pictures more often, or turn slower",
+            ),
+            Status.LOW_PARALLAX: (
+                f"no parallax: {self.span_m:.0f} m flown at {self.height_m:.0f} m above home",
+                "fly on, or state where the ground is: terrain.path, solve.home_level or a range finder",
+            ),
+            Status.STABILISED: (
+                f"electronic stabilisation shifted {count} pictures",
+                "switch the camera's image stabilisation (EIS) off",
+            ),
+            Status.ZOOMED: (
+                f"the lens had zoomed or refocused on {count} pictures",
+                "fix zoom and focus where they were calibrated",
+            ),
+            Status.POOR_FIT: (
+                f"pictures and telemetry contradict each other on {count} pictures",
+                "check mount.*_deg, camera.json, and that pictures and log are of one flight and one clock",
+            ),
+        }
+        return Shortfall(*said[status])
+
     def _too_far_apart(self) -> Shortfall | None:
-        steps = len(self.apart_s)
-        if not steps:
-            return None
-        usual_s = float(np.median(self.apart_s))
-        why, count = max(self.breaks.items(), key=lambda pair: pair[1], default=(Break.APART, 0))
+        steps, usual_s = len(self.apart_s), float(np.median(self.apart_s))
         if 3 * self.breaks.total() >= steps:
-            if why is Break.APART:
-                return Shortfall(
-                    f"pictures {usual_s:.1f} s apart, at most {MAX_APART_S:.1f}", "take pictures more often"
-                )
-            if why is Break.STAMPS:
-                return Shortfall(
-                    f"the stamps' own error changed {count} times", "check that pictures and autopilot share a clock"
-                )
-            what = "GPS was lost or doubted" if why is Break.OUTAGE else "the position jumped"
-            return Shortfall(
-                f"{what} between {count} of {steps} pairs of pictures", "fly where the receiver keeps its fix"
-            )
+            why, count = self.breaks.most_common(1)[0]
+            where = f"between {count} of {steps} pairs of pictures", "fly where the receiver keeps its fix"
+            said = {
+                Break.APART: (
+                    f"pictures {usual_s:.1f} s apart, at most {MEMORY_NS / 1e9 / self.config.solve.keyframes:.1f}",
+                    "take pictures more often",
+                ),
+                Break.OUTAGE: (f"GPS was lost or doubted {where[0]}", where[1]),
+                Break.JUMP: (f"the position jumped {where[0]}", where[1]),
+                Break.STAMPS: (
+                    f"the stamps' own error changed {count} times",
+                    "check that pictures and autopilot share a clock",
+                ),
+            }
+            return Shortfall(*said[why])
         if not self.overlap:
             return None
         shares = np.array(self.overlap)
@@ -155,46 +190,6 @@ class Evidence:
             "take pictures more often, fly slower or higher, or use a wider lens",
         )
 
-    def _by_status(self, statuses: Counter[Status], keyframes: int) -> Shortfall:
-        worst = max((s for s in statuses if s is not Status.STARTING), key=lambda s: statuses[s], default=None)
-        count = 0 if worst is None else statuses[worst]
-        is_still = self.span_m < MIN_SPAN * self.height_m and sum(self.apart_s) > MIN_LASTING_S
-        if worst is Status.FEATURELESS and count > statuses[Status.STARTING]:
-            return Shortfall(
-                f"nothing to follow on {count} pictures", "check focus, exposure and that the lens looks at the ground"
-            )
-        if worst is Status.TURNING and count > statuses[Status.STARTING]:
-            return Shortfall(
-                f"turning too fast to follow the ground on {count} pictures", "take pictures more often, or turn slower"
-            )
-        if worst is Status.LOW_PARALLAX or is_still:
-            return Shortfall(
-                f"no parallax: {self.span_m:.0f} m flown at {self.height_m:.0f} m above home",
-                "fly on, or state where the ground is: terrain.path, solve.home_level or a range finder",
-            )
-        if not self.has_attitude and self.config.solve.attitude == "autopilot":
-            return Shortfall(
-                "no attitude in the telemetry", "ask the autopilot for ATTITUDE, or set solve.level_ground = true"
-            )
-        if worst is Status.STABILISED:
-            return Shortfall(
-                f"electronic stabilisation shifted {count} pictures",
-                "switch the camera's image stabilisation (EIS) off",
-            )
-        if worst is Status.ZOOMED:
-            return Shortfall(
-                f"the lens had zoomed or refocused on {count} pictures", "fix zoom and focus where they were calibrated"
-            )
-        if worst is Status.POOR_FIT:
-            return Shortfall(
-                f"pictures and telemetry contradict each other on {count} pictures",
-                "check mount.*_deg, camera.json, and that pictures and log are of one flight and one clock",
-            )
-        return Shortfall(
-            f"too short: {keyframes} keyframes within {self.span_m:.0f} m flown",
-            f"at least {MIN_KEYFRAMES} keyframes are needed, each a tenth of a picture farther on: fly on",
-        )
-
 
 def overlap_share(camera: Camera, predicted: Array | None, travelled_m: float, height_m: float | None) -> float | None:
     """How much of a keyframe another picture shows: by the predicted motion H (3, 3), else as if looking down."""
@@ -203,7 +198,7 @@ def overlap_share(camera: Camera, predicted: Array | None, travelled_m: float, h
             return None
         across_m = min(camera.size_px) * height_m / camera.focal_px
         return max(1.0 - travelled_m / across_m, 0.0)
-    return float(np.mean(camera.contains(move(predicted, pixel_grid(camera.size_px, SHARE_GRID)))))
+    return float(np.mean(camera.contains(move(predicted, pixel_grid(camera.size_px, (16, 12))))))
 
 
 def is_standing_still(first: NavState, nav: NavState) -> bool:
@@ -212,6 +207,6 @@ def is_standing_still(first: NavState, nav: NavState) -> bool:
     By the mean speed: in a hover wind and receiver move the position by metres, but on the whole nowhere.
     """
     lasted_s = (nav.stamp_ns - first.stamp_ns) / 1e9
-    height_m = max(nav.height_above_home_m or 0.0, MIN_TRAVEL_HEIGHT_M)
     travelled_m = float(np.linalg.norm(nav.position_enu_m - first.position_enu_m))
-    return lasted_s > PATIENCE_S and travelled_m / lasted_s < MIN_TRAVEL * height_m / PATIENCE_S
+    height_m = max(nav.height_above_home_m or 0.0, LEAST_HEIGHT_M)
+    return lasted_s > PATIENCE_NS / 1e9 and travelled_m < STANDING_PER_S * height_m * lasted_s

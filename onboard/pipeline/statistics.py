@@ -12,9 +12,7 @@ import numpy as np
 
 from contract.feature_set import Status
 from onboard.pipeline.estimates import Contradiction, Estimate, SensorError
-from onboard.pipeline.shortfall import Evidence, Shortfall
-
-REMEMBERED_PICTURES = 5000  # whose status may still change: many times what a window spans
+from onboard.pipeline.shortfall import REMEMBERED, Evidence, Shortfall
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,7 @@ class RunStatistics:
         self.evidence = evidence
         self.keyframes = 0
         self.track_counts: Counter[int] = Counter()
-        self.reprojections_px: deque[float] = deque(maxlen=REMEMBERED_PICTURES)
+        self.reprojections_px: deque[float] = deque(maxlen=REMEMBERED)
         self._status: dict[int, Status] = {}  # of the newest pictures, by index; all are counted in `_outcomes`
         self._outcomes: Counter[Status] = Counter()
         self._stages: dict[str, float] = {}
@@ -88,7 +86,7 @@ class RunStatistics:
             self._outcomes[before] -= 1
         self._outcomes[status] += 1
         self._status[index] = status
-        while len(self._status) > REMEMBERED_PICTURES:
+        while len(self._status) > REMEMBERED:
             del self._status[next(iter(self._status))]
 
     def summary(

@@ -26,11 +26,10 @@ class TerrainSource(Protocol):
         """Terrain within a square about a place of a local frame; None where there is none."""
 
 
-def is_at_hand(held: Terrain | None, nav: NavState) -> bool:
-    """Whether the terrain that is held reaches far enough around the vehicle."""
-    return held is not None and held.covers(nav.position_enu_m[:2], TERRAIN_RADIUS_M / 3.0)
-
-
-def cut(source: TerrainSource, frame: LocalFrame, nav: NavState) -> Terrain | None:
-    """The terrain around the vehicle."""
+def terrain_about(
+    source: TerrainSource, frame: LocalFrame | None, nav: NavState, held: Terrain | None
+) -> Terrain | None:
+    """The terrain around the vehicle: what is held, cut again when the vehicle comes near its edge."""
+    if frame is None or (held is not None and held.covers(nav.position_enu_m[:2], TERRAIN_RADIUS_M / 3.0)):
+        return held
     return source.around(frame, nav.position_enu_m, TERRAIN_RADIUS_M, TERRAIN_SPACING_M, nav.undulation_m)

@@ -10,16 +10,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 
 from contract.camera import Camera
-from onboard.events.types import Zoom
+from onboard.events.types import Zoom, ZoomUnit
+from onboard.navigation.limits import LATE_NS, LIKELY_SIGMAS, RECENT_NS
 
-LATE_NS = 350_000_000  # that a report may lag behind the lens
-SILENT_NS = 2_000_000_000  # after which a worse unit counts again, and a lens whose last report changed stands
-CLOCK_SIGMAS = 2.0  # of the time offset between pictures and telemetry
-UNITS = ("focal_px", "times", "percent", "hfov_deg")  # the better first
 SAME = 0.002  # of the focal length's logarithm: a lens that stands still is told so to this
 
 
@@ -43,7 +41,7 @@ class ZoomFollowing:
         self._changed: _Told | None = None  # the newest report of a change
         self._lasted_ns = 0  # how long that change may have taken
         self._stood = math.log(camera.focal_px)  # where it stands, or stood last
-        self._rank = len(UNITS)  # of the newest report's unit
+        self._rank = len(get_args(ZoomUnit))  # of the newest report's unit
         self.unusable = 0  # reports that told nothing
 
     def note(self, event: Zoom, offset_s: float = 0.0, offset_sigma_s: float = 0.0) -> None:
@@ -58,8 +56,8 @@ class ZoomFollowing:
         before = self._told
         if before is not None and event.stamp_ns <= before.stamp_ns:
             return
-        rank = UNITS.index(event.unit)
-        if rank > self._rank and before is not None and event.stamp_ns - before.stamp_ns < SILENT_NS:
+        rank = get_args(ZoomUnit).index(event.unit)
+        if rank > self._rank and before is not None and event.stamp_ns - before.stamp_ns < RECENT_NS:
             return  # somebody who knows better speaks
         self._rank = rank
         last = self._stood if before is None else before.log_focal
@@ -70,19 +68,19 @@ class ZoomFollowing:
         if is_change:
             self._change(before, self._told)
         elif self._changed is not None:
-            after_ns = min(max(self._lasted_ns, LATE_NS), SILENT_NS)
+            after_ns = min(max(self._lasted_ns, LATE_NS), RECENT_NS)
             self._until_ns = min(self._until_ns, self._changed.last_ns + after_ns)
 
     def _change(self, before: _Told | None, told: _Told) -> None:
         """A report tells of another lens than the one before it."""
         if self._is_standing:
             self._is_standing = False
-            self._since_ns = told.first_ns if before is None else max(before.first_ns, told.first_ns - SILENT_NS)
+            self._since_ns = told.first_ns if before is None else max(before.first_ns, told.first_ns - RECENT_NS)
         # Steps may tell of one that moves slowly less often than reports come.
         ends = [t.stamp_ns for t in (self._changed, before) if t is not None]
-        recent = [told.stamp_ns - ns for ns in ends if told.stamp_ns - ns <= SILENT_NS]
+        recent = [told.stamp_ns - ns for ns in ends if told.stamp_ns - ns <= RECENT_NS]
         self._lasted_ns = max(recent, default=0)
-        self._changed, self._until_ns = told, told.last_ns + SILENT_NS
+        self._changed, self._until_ns = told, told.last_ns + RECENT_NS
 
     def _sigma_of(self, event: Zoom) -> float:
         """One sigma of what a report says: as configured, and anywhere within its step."""
@@ -130,5 +128,5 @@ class ZoomFollowing:
 
 def _apart_ns(offset_s: float, sigma_s: float) -> tuple[int, int]:
     """The least and the most that pictures' stamps may be behind their moments by telemetry's clock."""
-    least_s, most_s = (offset_s + side * CLOCK_SIGMAS * sigma_s for side in (-1.0, 1.0))
+    least_s, most_s = (offset_s + side * LIKELY_SIGMAS * sigma_s for side in (-1.0, 1.0))
     return round(least_s * 1e9), round(most_s * 1e9)

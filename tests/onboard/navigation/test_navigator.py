@@ -15,8 +15,8 @@ from contract.geodesy import LocalFrame
 from contract.rotations import R_ENU_NED, exp_so3, log_so3, matrix_from_euler, quaternion_from_matrix
 from onboard.config.schema import Config, parse_config
 from onboard.events.types import Attitude, FilterStatus, GpsQuality, PositionFix, RangeFinder
-from onboard.navigation.navigator import Navigation, NavState
 from onboard.navigation.limits import MEMORY_NS
+from onboard.navigation.navigator import Navigation, NavState
 from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.tlog_reader import read_tlog
 from tests.rest_long import rest_long

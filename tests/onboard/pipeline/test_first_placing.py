@@ -15,7 +15,7 @@ from contract.locate import Locator
 from contract.wire.codec import encode
 from onboard.config.schema import parse_config
 from onboard.events.types import Frame
-from onboard.pipeline.first_placing import PLACED_A_SET, FirstPlacing
+from onboard.pipeline.record_book import PLACED_A_SET, FirstPlacing
 from tests.onboard.pipeline.test_pipeline import SPEC, Session, flown
 
 pytestmark = pytest.mark.xdist_group("pipeline")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contract.feature_set import Status
-from onboard.pipeline.frame_doubt import FrameDoubt
+from onboard.pipeline.window_doubt import FrameDoubt
 
 
 def denied(*statuses: Status) -> list[bool]:

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from contract.feature_set import Status
 from contract.rotations import exp_so3
 from onboard.geometry.plane_homography import move
+from onboard.navigation.limits import PATIENCE_NS
 from onboard.navigation.navigator import NavState
-from onboard.pipeline.frozen_frames import PATIENCE_NS, Staleness, Stillness
+from onboard.pipeline.frozen_frames import Staleness, Stillness
 from onboard.vision.klt_tracker import Tracks
 
 PICTURE = np.random.default_rng(3).integers(0, 255, (48, 64), np.uint8)

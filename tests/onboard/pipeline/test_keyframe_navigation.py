@@ -13,7 +13,7 @@ from onboard.estimation.keyframe import Keyframe
 from onboard.estimation.sensor_groups import Failing
 from onboard.events.types import Attitude
 from onboard.navigation.navigator import NavState
-from onboard.pipeline.keyframe_navigation import look_up_again
+from onboard.pipeline.keyframes import look_up_again
 from onboard.pipeline.pipeline import Pipeline
 from simulation.paths import PathSpec
 

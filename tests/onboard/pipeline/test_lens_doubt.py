@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from onboard.pipeline.lens_doubt import OUTDATED_NS, LensDoubt
+from onboard.navigation.limits import LONG_NS
+from onboard.pipeline.window_doubt import LensDoubt
 
 S = 1_000_000_000
 
@@ -51,7 +52,7 @@ def test_what_fades_or_leaves_the_picture_is_no_zoom() -> None:
 
 def test_a_window_long_after_has_other_ground_and_being_told_ends_it() -> None:
     later = flown()
-    assert not later.denies(window(10.1 + OUTDATED_NS / S, 33.0)) and not later.is_open
+    assert not later.denies(window(10.1 + 2 * LONG_NS / S, 33.0)) and not later.is_open
     elsewhere = flown()
     elsewhere.forget_ground()
     assert not elsewhere.denies(window(12.0, 33.0))

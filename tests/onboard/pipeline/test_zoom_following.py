@@ -10,14 +10,15 @@ import pytest
 from contract.camera import Camera
 from contract.zoom_table import ZoomTable
 from onboard.events.types import Zoom
-from onboard.pipeline.zoom_following import CLOCK_SIGMAS, LATE_NS, SAME, SILENT_NS, ZoomFollowing
+from onboard.navigation.limits import LATE_NS, LIKELY_SIGMAS, RECENT_NS
+from onboard.pipeline.zoom_following import SAME, ZoomFollowing
 
 S = 1_000_000_000
 WIDE = Camera.from_field_of_view(640, 480, 70.0)
 F = WIDE.focal_px
 ROWS = ((1.0, 6.0), (F, 6.0 * F), (WIDE.cx_px,) * 2, (WIDE.cy_px,) * 2, (0.0, 0.0))
 LENS = replace(WIDE, stated_zoom=ZoomTable("times", *ROWS))
-LATE_S, SILENT_S = LATE_NS / S, SILENT_NS / S
+LATE_S, SILENT_S = LATE_NS / S, RECENT_NS / S
 
 
 def fed(
@@ -78,7 +79,7 @@ def test_a_slow_zoom_told_in_steps_moves_between_them() -> None:
 def test_pictures_may_be_stamped_by_another_clock_than_reports(offset_s: float, sigma_s: float) -> None:
     """A picture's moment is its stamp plus the offset; a report of the camera's own has a picture's stamp."""
     reports = (0.0, 1.0), (9.9, 1.0), (10.0, 1.5), (10.1, 1.5)
-    apart_s = CLOCK_SIGMAS * sigma_s
+    apart_s = LIKELY_SIGMAS * sigma_s
     zoom = fed(*reports, offset=(offset_s, sigma_s))
     assert moves(zoom, 9.9 - LATE_S - offset_s - apart_s, 10.0 + LATE_S - offset_s + apart_s)
     own = fed(*reports, offset=(offset_s, sigma_s), is_of_picture=True)

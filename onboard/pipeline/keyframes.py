@@ -1,4 +1,4 @@
-"""Keyframes' navigation looked up again where the time offset or the delay it was looked up at is known better now.
+"""Keyframes: when a picture becomes one, and their navigation looked up again where its offset is known better.
 
 An offset acts on a window by first derivatives, (5.4) to (5.7), which hold for some tens of milliseconds of a roll.
 """
@@ -7,14 +7,31 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from contract.feature_set import Status
 from onboard.estimation.keyframe import Keyframe
 from onboard.estimation.platform_states import DELAY, OFFSET
 from onboard.estimation.sliding_window import Window
+from onboard.geometry.robust import middle
 from onboard.navigation.navigator import Navigation
+from onboard.vision.klt_tracker import Tracks
 
+KEYFRAME_SHIFT = 0.10  # median motion, as a share of the picture's width, that makes a keyframe
+KEYFRAME_TRACKS = 0.65  # share of features still followed below which a keyframe is made
+KEYFRAME_TURN_RAD = 0.30
 LEAST_OFFSET_S, LEAST_DELAY_S = 0.003, 0.02  # of 3 rad/s and 30 m/s: half a degree and half a metre
-EXPLAINS_S = 0.02  # of an offset, a third of a degree in a slow roll: what contradicted was the clock and no sensor
+TELLING_S = 0.02  # of an offset, a third of a degree in a slow roll: what contradicted was the clock and no sensor
+
+
+def wants_keyframe(tracks: Tracks, width_px: int) -> bool:
+    """Whether the picture with these tracks should be the next keyframe."""
+    shift = middle(np.linalg.norm(tracks.uv_px - tracks.keyframe_uv_px, axis=1))
+    linear = tracks.motion[:2, :2]
+    turn = abs(float(np.arctan2(linear[1, 0] - linear[0, 1], linear[0, 0] + linear[1, 1])))
+    return (
+        shift > KEYFRAME_SHIFT * width_px or len(tracks) < KEYFRAME_TRACKS * tracks.offered or turn > KEYFRAME_TURN_RAD
+    )
 
 
 def look_up_again(window: Window, navigation: Navigation) -> None:
@@ -42,6 +59,6 @@ def look_up_again(window: Window, navigation: Navigation) -> None:
         if k.frame not in solved and R_cam_enu is not None:  # its start was by the navigation that is replaced
             now = replace(now, R_cam_enu=R_cam_enu, centre_enu_m=window.position_guess(nav))
         found.append(now)
-    if max(abs(k.nav_offset_s - offset_s) for k in window.keyframes) > EXPLAINS_S:
+    if max(abs(k.nav_offset_s - offset_s) for k in window.keyframes) > TELLING_S:
         window.noise = replace(window.noise, failing=window.noise.failing.explained())
     window.keyframes = found
