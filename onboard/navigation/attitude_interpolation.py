@@ -7,6 +7,7 @@ then 0.06 deg off at the 95th percentile), else by rotation at constant rate (0.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,23 +28,12 @@ class _Attitude:
     rate_body_rad_s: Array | None
 
 
-@dataclass(frozen=True, eq=False)
-class _Interval:
-    """Between two attitudes in a row: the turn (3,), rad, and the rate at its end in the axes of its logarithm."""
-
-    start: _Attitude
-    end: _Attitude
-    turn: Array
-    rate_end: Array | None
-
-
 class Attitudes:
     """Fed in any order; gaps longer than `max_gap_s` are not bridged."""
 
     def __init__(self, max_gap_s: float) -> None:
         self._max_gap_s = max_gap_s
         self._series: Series[_Attitude] = Series()
-        self._last: _Interval | None = None  # the one that was asked for last is mostly asked for again
 
     def insert(self, stamp_ns: int, R_ned_body: Array, rate_body_rad_s: Array | None) -> None:
         """Take one attitude (3, 3) and its rate (3,), rad/s, in body axes, if known."""
@@ -79,12 +69,12 @@ class Attitudes:
             return out
         seconds = (end_ns - start_ns) / 1e9
         s = (moment_ns - start_ns) / 1e9 / seconds
-        between = self._between(before, after)
-        if before.rate_body_rad_s is None or between.rate_end is None:
-            turned = s * between.turn
+        turn, rate_end = _between(before, after)
+        if before.rate_body_rad_s is None or rate_end is None:
+            turned = s * turn
         else:
-            turned = s * s * (3 - 2 * s) * between.turn
-            turned += seconds * s * (1 - s) * ((1 - s) * before.rate_body_rad_s - s * between.rate_end)
+            turned = s * s * (3 - 2 * s) * turn
+            turned += seconds * s * (1 - s) * ((1 - s) * before.rate_body_rad_s - s * rate_end)
         out = before.R_ned_body @ exp_so3(turned)
         return out
 
@@ -102,25 +92,13 @@ class Attitudes:
         a, b = series.values[left], series.values[right]
         seconds = (series.stamps_ns[right] - series.stamps_ns[left]) / 1e9
         s = (moment_ns - series.stamps_ns[left]) / 1e9 / seconds
-        between = self._between(a, b)
-        if a.rate_body_rad_s is not None and between.rate_end is not None:
-            missed = between.turn - 0.5 * seconds * (a.rate_body_rad_s + between.rate_end)
-        else:
-            missed = np.zeros(3)
-            if left > 0 and right + 1 < len(series.values):
-                before, after = self._mean_rate(left - 1), self._mean_rate(right)
-                missed = 0.25 * seconds * (after - before)
+        turn, rate_end = _between(a, b)
+        missed = np.zeros(3)
+        if a.rate_body_rad_s is not None and rate_end is not None:
+            missed = turn - 0.5 * seconds * (a.rate_body_rad_s + rate_end)
+        elif left > 0 and right + 1 < len(series.values):
+            missed = 0.25 * seconds * (self._mean_rate(right) - self._mean_rate(left - 1))
         return float(2.0 * s * (1.0 - s) * np.linalg.norm(missed))
-
-    def _between(self, start: _Attitude, end: _Attitude) -> _Interval:
-        last = self._last
-        if last is None or last.start is not start or last.end is not end:
-            turn = log_so3(start.R_ned_body.T @ end.R_ned_body)
-            # d exp(v)/dt = exp(v) [rate]x gives dv/dt = Jr^-1(v) rate: (1.5).
-            rate = end.rate_body_rad_s
-            last = _Interval(start, end, turn, None if rate is None else right_jacobian_inverse(turn) @ rate)
-            self._last = last
-        return last
 
     def interval_s(self, moment_ns: int) -> float:
         """Time between the two attitudes about a moment; infinite where it does not lie between two."""
@@ -136,11 +114,6 @@ class Attitudes:
         out: Array = log_so3(series.values[index].R_ned_body.T @ series.values[index + 1].R_ned_body) / seconds
         return out
 
-    def measures_rate(self, stamp_ns: int) -> bool:
-        """Whether the attitudes about a moment came with rates of their own."""
-        bracket = self._series.bracket(stamp_ns)
-        return bracket is not None and all(self._series.values[i].rate_body_rad_s is not None for i in bracket)
-
     def rate_sigma_at(self, moment_ns: int, jitter_s: float) -> float | None:
         """One sigma (rad/s, of each axis) of what a rate joined from measured ones may be off by, (1.8); None where
         they are not measured. `jitter_s`: one sigma of the moment.
@@ -148,9 +121,10 @@ class Attitudes:
         Each measured rate is predicted from its neighbours, and from theirs: the two misses show how an error grows
         with the gap, and so what it is over the gap that is bridged. 0 where too few are held.
         """
-        if not self.measures_rate(moment_ns):
+        bracket = self._series.bracket(moment_ns)
+        if bracket is None or any(self._series.values[i].rate_body_rad_s is None for i in bracket):
             return None
-        left, right = self._series.bracket(moment_ns) or (0, 0)
+        left, right = bracket
         first, end = max(left - RATES_ABOUT + 1, 0), right + RATES_ABOUT
         about = [a.rate_body_rad_s for a in self._series.values[first:end]]
         rates = np.array([r for r in about if r is not None])
@@ -184,6 +158,15 @@ class Attitudes:
             return a + share * (b - a)
         rate: Array = log_so3(series.values[left].R_ned_body.T @ series.values[right].R_ned_body) / seconds
         return rate
+
+
+@lru_cache(maxsize=4)  # what was asked for last is mostly asked for again
+def _between(start: _Attitude, end: _Attitude) -> tuple[Array, Array | None]:
+    """The turn (3,), rad, between two attitudes in a row, and the rate at its end in the axes of its logarithm."""
+    turn = log_so3(start.R_ned_body.T @ end.R_ned_body)
+    # d exp(v)/dt = exp(v) [rate]x gives dv/dt = Jr^-1(v) rate: (1.5).
+    rate = end.rate_body_rad_s
+    return turn, None if rate is None else right_jacobian_inverse(turn) @ rate
 
 
 def _missed(stamps_s: Array, rates: Array, gap: int) -> float:

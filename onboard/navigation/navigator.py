@@ -115,44 +115,34 @@ class Navigation:
         """Take one event; events with a stamp already held are ignored, and so is what the lens does."""
         if isinstance(event, Zoom):
             return
-        held = self._stamps_of(event)
-        if held and event.stamp_ns < held[-1] - PATIENCE_NS:
+        stamps_ns, take = {
+            PositionFix: (self._fixes.stamps_ns, self._add_position),
+            GpsQuality: (self._integrity.quality.stamps_ns, self._add_quality),
+            FilterStatus: (self._integrity.filter.stamps_ns, self._integrity.note_filter),
+            Attitude: (self._attitudes.stamps_ns, self._add_attitude),
+            GimbalAttitude: (self.gimbal.stamps_ns, self.gimbal.insert),
+            RangeFinder: (self._ranges.stamps_ns, self._add_range),
+        }[type(event)]
+        if stamps_ns and event.stamp_ns < stamps_ns[-1] - PATIENCE_NS:
             self._forget()  # the clock was set back: nothing held can be compared any more
-        self._insert_event(event)
+        take(event)  # type: ignore[operator]
         if isinstance(event, PositionFix | GpsQuality | FilterStatus):
             if self.frame is None:
                 self._place_frame(event.stamp_ns)
             if not isinstance(event, PositionFix):
                 self._judge_now()
 
-    def _stamps_of(self, event: NavEvent) -> list[int]:
-        """The stamps that are held of events of this kind."""
-        return {
-            PositionFix: self._fixes.stamps_ns,
-            GpsQuality: self._integrity.quality.stamps_ns,
-            Attitude: self._attitudes.stamps_ns,
-            GimbalAttitude: self.gimbal.stamps_ns,
-            RangeFinder: self._ranges.stamps_ns,
-            FilterStatus: self._integrity.filter.stamps_ns,
-        }[type(event)]
+    def _add_quality(self, quality: GpsQuality) -> None:
+        self._integrity.note_quality(quality)
+        if quality.undulation_m is not None:
+            self._undulation_m = quality.undulation_m
 
-    def _insert_event(self, event: NavEvent) -> None:
-        match event:
-            case PositionFix():
-                self._add_position(event)
-            case GpsQuality():
-                self._integrity.note_quality(event)
-                if event.undulation_m is not None:
-                    self._undulation_m = event.undulation_m
-            case Attitude():
-                rate = None if event.rate_body_rad_s is None else np.array(event.rate_body_rad_s)
-                self._attitudes.insert(event.stamp_ns, matrix_from_quaternion(event.q_ned_body), rate)
-            case GimbalAttitude():
-                self.gimbal.insert(event)
-            case RangeFinder():
-                self._ranges.insert(event.stamp_ns, event)
-            case FilterStatus():
-                self._integrity.note_filter(event)
+    def _add_attitude(self, attitude: Attitude) -> None:
+        rate = None if attitude.rate_body_rad_s is None else np.array(attitude.rate_body_rad_s)
+        self._attitudes.insert(attitude.stamp_ns, matrix_from_quaternion(attitude.q_ned_body), rate)
+
+    def _add_range(self, distance: RangeFinder) -> None:
+        self._ranges.insert(distance.stamp_ns, distance)
 
     def _forget(self) -> None:
         self._fixes, self._positions, self._ranges = Series(), Series(), Series()

@@ -18,13 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.config.schema import Gps
-from onboard.navigation.limits import LIKELY_SIGMAS, MEMORY_NS, RECENT_NS, SURE_SIGMAS
+from onboard.navigation.limits import LIKELY_SIGMAS, MEMORY_NS, RECENT_NS
 from onboard.navigation.position_interpolation import Position, finite
 from onboard.navigation.position_slip import Slip, SlipTest
 from onboard.navigation.time_series import Series
 
 Array = NDArray[np.float64]
 
+GLITCH_SIGMAS = 5.0
 # An episode of slip lasts from this share of `gps.max_slip_m_s` until below it again; clean flights stay below.
 EPISODE_SHARE = 0.5
 EXPLAINED_SHARE = 0.25  # of the largest jump that may be left after the jump back
@@ -128,7 +129,7 @@ class PositionJumps:
         else:
             return
         miss = moved - flown
-        most_m = np.maximum(self._gps.glitch_m, SURE_SIGMAS * np.array(sigma_m))
+        most_m = np.maximum(self._gps.glitch_m, GLITCH_SIGMAS * np.array(sigma_m))
         horizontal = np.hypot(miss[0], miss[1]) > most_m[0]
         if not horizontal and abs(miss[2]) <= most_m[1]:
             return

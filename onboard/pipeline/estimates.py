@@ -107,7 +107,7 @@ def unconfirmed_of(found: Unconfirmed | None) -> tuple[Estimate, ...]:
 
 def not_adopted(unconfirmed: Iterable[Estimate]) -> str:
     """The same in words: `time offset +0.810 +-0.120 s, camera to autopilot`; empty if nothing was."""
-    return "; ".join(f"{_ROW_NAMES[e.name]} {_text(e)}" for e in unconfirmed)
+    return "; ".join(f"{_label(e)} {_text(e)}" for e in unconfirmed)
 
 
 def relative_variance_of(relative: RelativeVariance) -> tuple[Estimate, ...]:
@@ -154,7 +154,7 @@ def as_rows(
     contradictions: Iterable[Contradiction] = (),
 ) -> list[tuple[str, str]]:
     """The same as rows of a summary: a name and a text each, angles in degrees."""
-    rows = [(_ROW_NAMES[e.name], _text(e)) for e in estimates]
+    rows = [(_label(e), _text(e)) for e in estimates]
     others = [
         ("sensor errors", larger_than_declared(errors)),
         ("not confirmed", not_adopted(unconfirmed)),
@@ -163,22 +163,22 @@ def as_rows(
     return [*rows, *((name, text) for name, text in others if text)]
 
 
-_ROW_NAMES = {**{q.name: q.label for q in QUANTITIES}, RELATIVE_VARIANCE: "relative errors"}
-
-
 # How each is written: a factor, decimals, and the words about its components.
-_DELAY = (1.0, 3, "{} s off gps.latency_s")
 _TEXTS: dict[str, tuple[float, int, str]] = {
     BORESIGHT: (math.degrees(1.0), 2, "x {}, y {}, z {} deg, camera axes"),
     "camera_time_offset": (1.0, 3, "{} s, camera to autopilot"),
-    "position_delay": _DELAY,
-    "velocity_delay": _DELAY,
+    "position_delay": (1.0, 3, "{} s off gps.latency_s"),
+    "velocity_delay": (1.0, 3, "{} s off gps.latency_s"),
     "heading_error_by_heading": (math.degrees(1.0), 2, "{} deg times cos heading, {} deg times sin heading"),
     "focal_length_error": (100.0, 2, "{} % off the camera file"),
     "principal_point_error": (100.0, 2, "x {}, y {} % of the focal length off the camera file"),
     "radial_distortion_error": (1.0, 3, "k1 {}, k2 {} off the camera file"),
     "readout_error": (1e3, 1, "{} ms off camera.readout_s"),
 }
+
+
+def _label(estimate: Estimate) -> str:
+    return next((q.label for q in QUANTITIES if q.name == estimate.name), "relative errors")
 
 
 def _text(estimate: Estimate) -> str:

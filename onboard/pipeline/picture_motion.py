@@ -1,4 +1,4 @@
-"""How a camera that reads its rows one after the other moved during one picture, by telemetry."""
+"""How the camera moved by telemetry: from the keyframe to the next picture, and, row after row, during one picture."""
 
 from __future__ import annotations
 
@@ -12,15 +12,64 @@ from onboard.estimation.keyframe import Observation, observation
 from onboard.estimation.platform_states import BORESIGHT, OFFSET
 from onboard.estimation.rolling_shutter import Moving, rates_between
 from onboard.estimation.sliding_window import Window
-from onboard.geometry.plane_homography import fit_homography, move
+from onboard.geometry.plane_homography import Pose, fit_homography, move, pixel_grid, predict_homography
 from onboard.navigation.attitude_interpolation import RATE_WINDOW_NS
+from onboard.navigation.limits import MEMORY_NS, RECENT_NS
 from onboard.navigation.navigator import Navigation, NavState
-from onboard.pipeline.motion_prediction import ground_so_far
+from onboard.pipeline.shortfall import Break
 from onboard.vision.klt_tracker import Tracks
 
 Array = NDArray[np.float64]
 
+MIN_HEIGHT_M = 2.0
+SAME_STAMPS = 0.5  # share that the sigma of stamps may change by while their error is taken for the same
 TURN_RAD_S = 0.3  # faster is a turn or a gust: one sigma of a rate known only from keyframes a second apart
+
+
+def ground_so_far(window: Window, nav: NavState) -> Array | None:
+    """Height (m) at the ENU origin and slopes of the ground plane: solved, else level at home; None if unknown."""
+    if window.solved is not None:
+        return window.solved.plane
+    if nav.height_above_home_m is not None and nav.height_above_home_m > MIN_HEIGHT_M:
+        return np.array([nav.position_enu_m[2] - nav.height_above_home_m, 0.0, 0.0])
+    return None
+
+
+def predict_motion(window: Window, navigation: Navigation, was_nav: NavState, nav: NavState) -> Array | None:
+    """Pixel homography (3, 3) from the newest keyframe to `nav`'s picture; None without attitude or ground.
+
+    `was_nav` is the keyframe's state, looked up with the same time offset as `nav`.
+    """
+    plane = ground_so_far(window, nav)
+    if not window.keyframes or plane is None:
+        return None
+    last = window.keyframes[-1]
+    was, now = window.attitude_guess(was_nav), window.attitude_guess(nav)
+    if was is None or now is None:
+        return None
+    moved = nav.position_enu_m - was_nav.position_enu_m
+    first = Pose(last.R_cam_enu, last.centre_enu_m)
+    second = Pose(now @ was.T @ last.R_cam_enu, last.centre_enu_m + moved)
+    H = predict_homography(window.camera, first, second, plane)
+    return None if H is None else _as_read(window, navigation, H, nav)
+
+
+def what_parts(was: NavState, now: NavState, navigation: Navigation, offset_ns: int) -> Break | None:
+    """Why no window may hold both: navigation was lost in between, position or stamps jumped, or too long ago.
+
+    Pictures that come slowly are no outage: in between, navigation had accepted positions. `offset_ns`: camera to
+    autopilot.
+    """
+    apart_ns = now.stamp_ns - was.stamp_ns
+    if now.stretch != was.stretch:
+        return Break.JUMP
+    if apart_ns > RECENT_NS:
+        if not navigation.was_believed(was.stamp_ns + offset_ns, now.stamp_ns + offset_ns):
+            return Break.OUTAGE
+        if apart_ns > MEMORY_NS // navigation.config.solve.keyframes:
+            return Break.APART
+    one, other = was.stamp_sigma_s, now.stamp_sigma_s
+    return None if abs(one - other) <= SAME_STAMPS * max(one, other) else Break.STAMPS
 
 
 def moving_at(window: Window, navigation: Navigation, nav: NavState) -> Moving | None:
@@ -31,10 +80,11 @@ def moving_at(window: Window, navigation: Navigation, nav: NavState) -> Moving |
     if not window.config.camera.is_rolling:
         return None
     belief = window.alignment.belief
+    at_ns = nav.stamp_ns + round(float(belief.mean[OFFSET]) * 1e9)
     R_cam_enu = window.attitude_guess(nav)
     rate_cam = np.zeros(3)
     if R_cam_enu is not None:
-        rate = navigation.body_rate_at(nav.stamp_ns + round(float(belief.mean[OFFSET]) * 1e9))
+        rate = navigation.body_rate_at(at_ns)
         if rate is not None:
             rate_cam = (window.R_body_cam @ exp_so3(belief.mean[BORESIGHT])).T @ rate
     elif window.keyframes:
@@ -48,7 +98,6 @@ def moving_at(window: Window, navigation: Navigation, nav: NavState) -> Moving |
     plane = _inverse_depth(R_cam_enu, ground_so_far(window, nav), window.position_guess(nav))
     if nav.R_enu_body is None:
         return Moving(window.readout[0], rate_cam, velocity, R_cam_enu @ velocity, plane, TURN_RAD_S)
-    at_ns = nav.stamp_ns + round(float(belief.mean[OFFSET]) * 1e9)
     noisy = navigation.rate_sigma_at(at_ns, window.config.camera.sigma_jitter_s)
     is_measured = noisy is not None
     if noisy is None:
@@ -65,7 +114,7 @@ def _inverse_depth(R_cam_enu: Array, plane: Array | None, centre_enu_m: Array) -
         return np.zeros(3)
     normal = np.array([-plane[1], -plane[2], 1.0])
     clearance_m = float(normal @ centre_enu_m - plane[0])
-    if clearance_m <= 1.0:
+    if clearance_m <= MIN_HEIGHT_M:
         return np.zeros(3)
     # A ray r = R' (x, y, 1) falls by -normal . r for each metre of depth.
     falls = -(R_cam_enu @ normal) / clearance_m
@@ -77,15 +126,13 @@ def seen_at(window: Window, camera: Camera, navigation: Navigation, nav: NavStat
     return observation(camera, tracks.ids, tracks.uv_px, moving_at(window, navigation, nav))
 
 
-def as_read(window: Window, navigation: Navigation, H: Array | None, nav: NavState) -> Array | None:
+def _as_read(window: Window, navigation: Navigation, H: Array, nav: NavState) -> Array:
     """A motion (3, 3), pixels, from the newest keyframe's moment to `nav`'s, as it is between their rows."""
-    was = window.keyframes[-1].observation.moving
-    now = None if was is None else moving_at(window, navigation, nav)
-    if H is None or was is None or now is None:
+    was, now = window.keyframes[-1].observation.moving, moving_at(window, navigation, nav)
+    if was is None or now is None:
         return H
     camera = window.camera
-    u, v = np.meshgrid(np.linspace(0.0, camera.width_px - 1.0, 5), np.linspace(0.0, camera.height_px - 1.0, 5))
-    at = np.stack([u.ravel(), v.ravel()], axis=-1)
+    at = pixel_grid(camera.size_px, (5, 5))
     to = move(H, at - _moved_px(camera, at, was))
     to = to + _moved_px(camera, to, now)
     return fit_homography(at, to, np.ones(len(at))) if np.all(np.isfinite(to)) else H

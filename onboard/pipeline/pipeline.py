@@ -36,11 +36,10 @@ from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.estimates import found_in_flight
 from onboard.pipeline.frozen_frames import Staleness, Stillness
 from onboard.pipeline.keyframes import look_up_again, wants_keyframe
-from onboard.pipeline.motion_prediction import ground_so_far, predict_motion, what_parts
 from onboard.pipeline.mount_selection import MountSelection
 from onboard.pipeline.mount_trial import MountTrials, carry_over
 from onboard.pipeline.offset_watch import OffsetWatch
-from onboard.pipeline.picture_motion import TURN_RAD_S, as_read, seen_at
+from onboard.pipeline.picture_motion import TURN_RAD_S, ground_so_far, predict_motion, seen_at, what_parts
 from onboard.pipeline.placing import Placing
 from onboard.pipeline.record_book import FirstPlacing, Pending, Record, RecordBook
 from onboard.pipeline.shortfall import MIN_OVERLAP, Evidence, is_standing_still
@@ -54,7 +53,8 @@ from onboard.vision.reduced_tracker import tracker_for
 Array = NDArray[np.float64]
 
 MAX_WAIT_NS = 1_500_000_000  # for telemetry to catch up with a picture
-MAX_MISSES = 3  # pictures in a row that found too little, or windows that contradict, before a new start
+MAX_FAILURES = 4  # window solves in a row without a result before a new start
+MAX_MISSES = 3  # pictures in a row that found too little before a new start
 SLOW_NS = 1_000_000_000  # between pictures, above which one that has lost the keyframe's ground begins again at once
 MAX_PREDICTION_MISS = 0.15  # rad: tracks this far from telemetry's prediction have locked onto the wrong features
 PLACED_AN_EVENT = 2  # a solve releases as many pictures as lie between two keyframes: all at once would delay the next
@@ -125,7 +125,7 @@ class Pipeline:
     def _is_ready(self, frame: Frame) -> bool:
         """Whether telemetry on both sides of a picture has arrived, or is waited for no longer."""
         # The moment that counts is the autopilot's: extrapolating to it would bend what is learned of the offset.
-        moment_ns = frame.stamp_ns + round(self._offset_s * 1e9)
+        moment_ns = self._moment_ns(frame.stamp_ns)
         waited_ns = self._now_ns - frame.stamp_ns
         is_covered = self.navigation.covers(moment_ns, round(self._delay_s * 1e9))
         return is_covered or waited_ns >= MAX_WAIT_NS + self.navigation.behind_ns
@@ -143,9 +143,16 @@ class Pipeline:
     @property
     def summary(self) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
-        carrier = self.mount_selection.carrier(self.navigation)
-        found = found_in_flight(self.config, self.window, self._now_ns)
-        return self._statistics.summary(*found, carrier, LeftOut(*self.tracker.left_out_shares))
+        estimates, sensor_errors, unconfirmed, contradictions = found_in_flight(self.config, self.window, self._now_ns)
+        return replace(
+            self._statistics.summary,
+            estimates=estimates,
+            sensor_errors=sensor_errors,
+            unconfirmed=unconfirmed,
+            contradictions=contradictions,
+            carrier=self.mount_selection.carrier(self.navigation),
+            left_out=LeftOut(*self.tracker.left_out_shares),
+        )
 
     def _process(self, frame: Frame) -> list[FeatureSet]:
         if self._session is None:
@@ -226,7 +233,7 @@ class Pipeline:
         if tracks is None:
             # The first picture of a stretch: nothing to track against yet.
             return self._make_keyframe(frame, nav, self.tracker.nothing())
-        self._statistics.track_counts[len(tracks)] += 1
+        self._statistics.track_counts.append(len(tracks))
         if len(tracks) < MIN_TRACKS:
             self._misses += 1
             reason = Status.TURNING if self._is_turning(frame) else Status.FEATURELESS
@@ -262,6 +269,10 @@ class Pipeline:
     def _offset_s(self) -> float:
         """Camera-to-autopilot time offset as it is known now."""
         return float(self.window.alignment.belief.mean[OFFSET])
+
+    def _moment_ns(self, stamp_ns: int) -> int:
+        """A picture's moment on the autopilot's clock."""
+        return stamp_ns + round(self._offset_s * 1e9)
 
     @property
     def _delay_s(self) -> float:
@@ -309,11 +320,10 @@ class Pipeline:
             return None
         last = self.window.keyframes[-1]
         was = last.nav if last.nav_offset_s == self._offset_s else self._state_at(last.nav.stamp_ns)
-        H = predict_motion(self.window, last.nav if isinstance(was, Status) else was, nav)
-        return as_read(self.window, self.navigation, H, nav)
+        return predict_motion(self.window, self.navigation, last.nav if isinstance(was, Status) else was, nav)
 
     def _is_turning(self, frame: Frame) -> bool:
-        rate = self.navigation.body_rate_at(frame.stamp_ns + round(self._offset_s * 1e9))
+        rate = self.navigation.body_rate_at(self._moment_ns(frame.stamp_ns))
         return rate is not None and float(np.linalg.norm(rate)) > TURN_RAD_S
 
     def _make_keyframe(
@@ -325,12 +335,10 @@ class Pipeline:
         self._stillness.begin(ids, uv, frame.stamp_ns)
         look_up_again(self.window, self.navigation)
         seen = seen_at(self.window, self.window.camera, self.navigation, nav, replace(tracks, ids=ids, uv_px=uv))
-        offset_ns = round(self._offset_s * 1e9)
-        flown = None
+        moment_ns, flown = self._moment_ns(frame.stamp_ns), None
         if self.window.keyframes:
-            since_ns = self.window.keyframes[-1].nav.stamp_ns
-            flown = self.navigation.displacement(since_ns + offset_ns, frame.stamp_ns + offset_ns)
-        rate = self.navigation.body_rate_at(frame.stamp_ns + offset_ns)
+            flown = self.navigation.displacement(self._moment_ns(self.window.keyframes[-1].nav.stamp_ns), moment_ns)
+        rate = self.navigation.body_rate_at(moment_ns)
         self.window.add(
             frame.index, seen, nav, (self._offset_s, self._delay_s), rate, flown, self.tracker.flow_disagreement_px
         )
@@ -362,7 +370,7 @@ class Pipeline:
         solved = self.window.solved
         if status is not Status.OK or solved is None:
             out: list[FeatureSet] = []
-            if self._failures >= MAX_MISSES:
+            if self._failures >= MAX_FAILURES:
                 # What the window holds does not fit together: begin again with this keyframe alone.
                 out = self._settle(self._book.take_before(record))
                 self.window.begin_again()

