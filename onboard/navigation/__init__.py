@@ -4,7 +4,7 @@ Public:
 
 - `attitude_interpolation`: `RATE_WINDOW_NS`
 - `gimbal`: `MountHypothesis`
-- `limits`: `MEMORY_NS`, `LATE_NS`, `RECENT_NS`, `PATIENCE_NS`, `LONG_NS`, `LIKELY_SIGMAS`
+- `limits`: `MEMORY_NS`, `LATE_NS`, `RECENT_NS`, `PATIENCE_NS`, `LONG_NS`, `LIKELY_SIGMAS`, `MOST_OF`
 - `navigator`: `NavState`, `Motion`, `Navigation`
 - `position_interpolation`: `Flown`
 - `position_slip`: `DYNAMIC_TIME_S`

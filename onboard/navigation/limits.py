@@ -10,3 +10,4 @@ LONG_NS = 10_000_000_000  # after which what was has no effect any more: a fix t
 
 LIKELY_SIGMAS = 2.0  # an error is larger one time in twenty: no more than that may as well be chance
 SURE_SIGMAS = 3.0
+MOST_OF = 0.5  # share of features or ground that is enough to judge all of them by

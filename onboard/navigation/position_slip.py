@@ -40,16 +40,6 @@ class Slip:
         return self.surely_m_s > float(np.hypot(limit_m_s, LIKELY_SIGMAS * self.in_turns_m_s))
 
 
-@dataclass(frozen=True, eq=False)
-class _Window:
-    """Positions about a moment: stamps (n,), ns, seconds (n,), places (n, 2) and velocities (n, 2), ENU."""
-
-    stamps_ns: Times
-    seconds: Array
-    places_m: Array
-    velocities_m_s: Array
-
-
 @dataclass(frozen=True)
 class SlipTest:
     """Positions against their own velocities, with the receiver's and the filter's errors as configured."""
@@ -61,12 +51,19 @@ class SlipTest:
 
         Its slope less three of its sigmas, and the dispersion about it per axis; 0 where too little is known.
         """
-        window = self._window(positions, moment_ns)
-        if window is None:
+        first = bisect.bisect_left(positions.stamps_ns, moment_ns - RECENT_NS // 2)
+        last = bisect.bisect_right(positions.stamps_ns, moment_ns + RECENT_NS // 2)
+        held = positions.values[first:last]
+        velocities = np.array([p.velocity_enu_m_s[:2] for p in held if p.velocity_enu_m_s is not None])
+        stamps_ns = np.array(positions.stamps_ns[first:last], np.int64)
+        if len(held) < 3 or stamps_ns[-1] - stamps_ns[0] < RECENT_NS // 2:
             return Slip()
-        strayed = window.places_m - integrated(window.velocities_m_s, window.seconds)
+        seconds = (stamps_ns - stamps_ns[0]) / 1e9
+        if len(velocities) < len(held) or np.diff(seconds).max() > self.gps.max_gap_s:
+            return Slip()
+        strayed = np.array([p.enu_m[:2] for p in held]) - integrated(velocities, seconds)
         strayed -= strayed.mean(axis=0)
-        t = window.seconds - window.seconds.mean()
+        t = seconds - seconds.mean()
         span = float(t @ t)
         slope = t @ strayed / span
         miss = strayed - t[:, None] * slope
@@ -77,23 +74,8 @@ class SlipTest:
         surely = float(np.linalg.norm(slope)) - SURE_SIGMAS * dispersion_m / np.sqrt(span)
         if surely <= 0.0:
             return Slip(0.0, dispersion_m)
-        by_latency = integrated(_slip_by_latency(positions, window.stamps_ns), window.seconds)
+        by_latency = integrated(_slip_by_latency(positions, stamps_ns), seconds)
         return Slip(surely, dispersion_m, self.gps.sigma_latency_s * float(np.linalg.norm(t @ by_latency)) / span)
-
-    def _window(self, positions: Series[Position], moment_ns: int) -> _Window | None:
-        """The positions about a moment; None where they are too few, too far apart or without velocities."""
-        stamps = positions.stamps_ns
-        first = bisect.bisect_left(stamps, moment_ns - RECENT_NS // 2)
-        last = bisect.bisect_right(stamps, moment_ns + RECENT_NS // 2) - 1
-        if last - first < 2 or stamps[last] - stamps[first] < RECENT_NS // 2:
-            return None
-        held = positions.values[first : last + 1]
-        known = [p.velocity_enu_m_s[:2] for p in held if p.velocity_enu_m_s is not None]
-        held_ns = np.array(stamps[first : last + 1], np.int64)
-        seconds = (held_ns - held_ns[0]) / 1e9
-        if len(known) < len(held) or np.diff(seconds).max() > self.gps.max_gap_s:
-            return None
-        return _Window(held_ns, seconds, np.array([p.enu_m[:2] for p in held]), np.array(known))
 
 
 def _slip_by_latency(positions: Series[Position], moments_ns: Times) -> Array:

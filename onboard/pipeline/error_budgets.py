@@ -24,26 +24,21 @@ class NewestBudget:
     """Shown every picture as it is placed, in the pipeline's thread; asked in another for the budget of a click now."""
 
     def __init__(self) -> None:
-        self._newest: Placed | None = None
+        self.newest: Placed | None = None
         self._computed: Placed | None = None
         self._budget: Budget | None = None
 
     def __call__(self, placed: Placed) -> None:
         """Take a picture; no work."""
-        if self._newest is None or placed.feature_set.capture_unix_ns >= self._newest.feature_set.capture_unix_ns:
-            self._newest = placed
-
-    @property
-    def newest(self) -> Placed | None:
-        """The newest picture that was placed."""
-        return self._newest
+        if self.newest is None or placed.feature_set.capture_unix_ns >= self.newest.feature_set.capture_unix_ns:
+            self.newest = placed
 
     def at(self, now_ns: int) -> Budget | None:
         """Of a click in the middle of the newest picture, again after `LONG_NS`: shares change with turns.
 
         None without a new picture.
         """
-        newest, computed = self._newest, self._computed
+        newest, computed = self.newest, self._computed
         if newest is None or now_ns - newest.feature_set.capture_unix_ns > 3 * LONG_NS:
             return None
         stamp_ns = newest.feature_set.capture_unix_ns

@@ -28,13 +28,16 @@ from onboard.vision.reduced_tracker import tracker_for
 Array = NDArray[np.float64]
 Angles = tuple[float, float, float]
 
-ORIENTATIONS: tuple[Angles, ...] = (
-    *((0.0, pitch, yaw) for pitch in (-90.0, 90.0) for yaw in (0.0, 90.0, 180.0, -90.0)),
-    *((roll, 0.0, yaw) for roll in (0.0, 90.0, 180.0, -90.0) for yaw in (0.0, 90.0, 180.0, -90.0)),
-)
 ASKEW = 2.0  # times the sigma of a prediction: the mount is off by some degrees, the attitude's time not yet known
 MIN_HEIGHT_M, MIN_SPEED_M_S = 10.0, 3.0
 MOST_PICTURES = 240  # that count
+
+
+def orientations() -> tuple[Angles, ...]:
+    """The 24 ways: roll, pitch and yaw in degrees."""
+    turns = (0.0, 90.0, 180.0, -90.0)
+    vertical = ((0.0, pitch, yaw) for pitch in (-90.0, 90.0) for yaw in turns)
+    return (*vertical, *((roll, 0.0, yaw) for roll in turns for yaw in turns))
 
 
 @dataclass(frozen=True)
@@ -61,8 +64,9 @@ class MountSearch:
         self._tracker = tracker_for(camera.size_px, config.tracking.features, config.tracking.min_distance_px)
         self._waiting: deque[Frame] = deque(maxlen=100)  # for telemetry
         self._keyframe: NavState | None = None
-        self._costs = np.zeros(len(ORIENTATIONS))
-        self._turns = [mount_rotation(*angles) for angles in ORIENTATIONS]
+        self._ways = orientations()
+        self._turns = [mount_rotation(*angles) for angles in self._ways]
+        self._costs = np.zeros(len(self._ways))
         self.pictures = 0
 
     def ranking(self, events: Iterable[tuple[int, Event]]) -> Ranking:
@@ -77,9 +81,7 @@ class MountSearch:
             if self.pictures >= MOST_PICTURES:
                 break
         order = np.argsort(self._costs, kind="stable")
-        return Ranking(
-            tuple(ORIENTATIONS[i] for i in order), tuple(float(self._costs[i]) for i in order), self.pictures
-        )
+        return Ranking(tuple(self._ways[i] for i in order), tuple(self._costs[order].tolist()), self.pictures)
 
     def _take(self, frame: Frame) -> None:
         nav = self._navigation.state_at(frame.stamp_ns)

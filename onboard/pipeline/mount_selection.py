@@ -17,6 +17,7 @@ from contract.camera import Camera
 from contract.rotations import log_so3
 from onboard.geometry.plane_homography import Pose, predict_pixels
 from onboard.navigation.gimbal import MountHypothesis
+from onboard.navigation.limits import MOST_OF
 from onboard.navigation.navigator import Navigation, NavState
 
 Array = NDArray[np.float64]
@@ -27,7 +28,6 @@ MOST = 9.0  # largest cost that one picture adds
 MEMORY = 0.97  # decay of the cost per picture: about the last thirty count
 LEAD = 20.0  # by which the cost of one hypothesis must be below all others
 ALIKE_RAD = 0.05  # hypotheses this close need no decision
-MIN_SEEN = 0.5  # share of features that the right hypothesis must have a prediction for
 
 
 def cost_of(
@@ -39,8 +39,8 @@ def cost_of(
     """
     flow_px = float(np.median(np.linalg.norm(to_px - from_px, axis=1)))
     predicted_px, known = predict_pixels(camera, from_px, poses[0], poses[1], plane)
-    if np.count_nonzero(known) < MIN_SEEN * len(from_px):
-        return MOST
+    if np.count_nonzero(known) < MOST_OF * len(from_px):
+        return MOST  # the right poses have a prediction for most
     miss_px = float(np.median(np.linalg.norm(predicted_px[known] - to_px[known], axis=1)))
     return min((miss_px / (sigmas * (SIGMA_RAD * camera.focal_px + SIGMA_SHARE * flow_px))) ** 2, MOST)
 

@@ -252,7 +252,7 @@ class Pipeline:
         record.is_for_later = self.window.solved is not None and self._first_placing.may_wait(frame.stamp_ns, has_newer)
         if record.is_for_later:
             return []
-        out = self._place([record])
+        out = self._place(record)
         self._first_placing.note(frame.stamp_ns, record.status is Status.OK)
         return out
 
@@ -351,7 +351,7 @@ class Pipeline:
         self._trials.begin(self.window, self.worker, self.navigation)
         self._pending = Pending(promise, record, reason, self._now_ns + ADOPTION_NS)
         if reason is None:
-            out.extend(self._place([record], only_ok=True))
+            out.extend(self._place(record, only_ok=True))
         return out
 
     def _adopt(self) -> list[FeatureSet]:
@@ -382,7 +382,7 @@ class Pipeline:
                 reported = self._why_without_depth(record)
             return [*out, self._refuse_record(record, pending.reason or reported)]
         self._statistics.reprojections_px.append(solved.reprojection_px)
-        out = self._place([record])
+        out = self._place(record)
         self._book.queue(solved.frames, self.config.solve.keyframes // 2)
         return out
 
@@ -402,7 +402,7 @@ class Pipeline:
             if self._book.unplaced:
                 record = self._book.unplaced.pop()
                 if record.status is not Status.OK:
-                    out.extend(self._place([record]))
+                    out.extend(self._place(record))
             elif self._book.settling:
                 out.extend(self._settle([self._book.settling.popleft()]))
         return out
@@ -419,20 +419,16 @@ class Pipeline:
             if not record.is_settled and (solved is not None or is_first):
                 record.is_settled = True
                 if is_first or solved is None or not self.placing.is_needless(solved, record):
-                    out.extend(self._place([record], only_ok=not is_first))
+                    out.extend(self._place(record, only_ok=not is_first))
         return out
 
-    def _place(self, records: list[Record], only_ok: bool = False) -> list[FeatureSet]:
-        """Feature sets of pictures by the newest solution; refusals too, unless `only_ok` or refused before."""
-        out = []
+    def _place(self, record: Record, only_ok: bool = False) -> list[FeatureSet]:
+        """A picture's set by the newest solution; a refusal too, unless `only_ok` or refused before."""
         with self._statistics.timed("georeference"):
-            for record in records:
-                result = self._feature_set(record)
-                if isinstance(result, FeatureSet):
-                    out.append(result)
-                elif not only_ok and record.revision < 0:
-                    out.append(self._refuse_record(record, result))
-        return out
+            result = self._feature_set(record)
+        if isinstance(result, FeatureSet):
+            return [result]
+        return [] if only_ok or record.revision >= 0 else [self._refuse_record(record, result)]
 
     def _feature_set(self, record: Record) -> FeatureSet | Status:
         frame = self._frame

@@ -20,9 +20,8 @@ import numpy as np
 from contract.feature_set import Status
 from onboard.estimation.solved_window import Solved
 from onboard.estimation.window_request import Outcome
-from onboard.navigation.limits import LONG_NS
+from onboard.navigation.limits import LONG_NS, MOST_OF
 
-MOST_OF = 0.5  # share of the features found again before they were lost, and of the ground that should be in sight
 SAME_DEPTH = 0.3  # of the logarithm of the height above ground: what relief may change
 
 

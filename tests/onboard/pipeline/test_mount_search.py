@@ -14,7 +14,7 @@ from onboard.__main__ import main
 from onboard.commands import setup
 from onboard.config.files import load_config_files
 from onboard.config.schema import Config, to_toml
-from onboard.pipeline.mount_search import ORIENTATIONS, MountSearch, Ranking
+from onboard.pipeline.mount_search import MountSearch, Ranking, orientations
 from onboard.replay.runner import Flight
 from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
@@ -48,7 +48,7 @@ def ranked(folder: Path, seconds: float = 99.0, wrong: bool = True) -> Ranking:
 
 
 def test_there_are_24_ways_and_each_is_another() -> None:
-    turns = [mount_rotation(*angles) for angles in ORIENTATIONS]
+    turns = [mount_rotation(*angles) for angles in orientations()]
     assert len(turns) == 24
     apart = [np.linalg.norm(log_so3(a.T @ b)) for i, a in enumerate(turns) for b in turns[:i]]
     assert min(apart) > 1.5
