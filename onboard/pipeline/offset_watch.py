@@ -16,7 +16,6 @@ from onboard.estimation.rotation_timing import COARSE_S, FEATURES, REACH_S, Cour
 from onboard.navigation.limits import MEMORY_NS, PATIENCE_NS
 from onboard.navigation.navigator import Motion, Navigation
 from onboard.pipeline.keyframes import TELLING_S
-from onboard.vision.klt_tracker import MIN_TRACKS
 
 Array = NDArray[np.float64]
 
@@ -66,7 +65,7 @@ class OffsetWatch:
             return
         self._last = (stamp_ns, ids, uv_px)
         common, one, other = np.intersect1d(last[1], ids, return_indices=True)
-        if len(common) >= MIN_TRACKS:
+        if len(common) >= FEATURES // 2:
             chosen = np.linspace(0, len(common) - 1, min(FEATURES, len(common))).astype(np.intp)
             self._waiting.append(self._pair(last[0], stamp_ns, last[2][one[chosen]], uv_px[other[chosen]]))
 
