@@ -250,29 +250,29 @@ class Navigation:
         return bool(self._attitudes.stamps_ns), self.config.mount.gimbal != "never" and bool(self.gimbal.stamps_ns)
 
     @property
-    def _uses_gimbal(self) -> bool:
-        """Whether the camera's attitude is the gimbal's."""
+    def _carrier(self) -> MountHypothesis:
+        """Whose attitude the camera's is: the hypothesis that is accepted, as far as it has sent any."""
         if self.config.mount.gimbal == "never" or not self.gimbal.stamps_ns:
-            return False
-        is_chosen = self.gimbal.is_certain or self.mount_hypothesis is not MountHypothesis.MOUNT
-        return is_chosen or not self._attitudes.stamps_ns
+            return MountHypothesis.MOUNT
+        has_no_other = self.gimbal.is_certain or not self._attitudes.stamps_ns
+        is_mount = self.mount_hypothesis is MountHypothesis.MOUNT
+        return MountHypothesis.GIMBAL if is_mount and has_no_other else self.mount_hypothesis
 
     @property
-    def _gimbal_hypothesis(self) -> MountHypothesis:
-        return MountHypothesis.GIMBAL if self.mount_hypothesis is MountHypothesis.MOUNT else self.mount_hypothesis
+    def _uses_gimbal(self) -> bool:
+        return self._carrier is not MountHypothesis.MOUNT
 
-    def _attitude_at(self, moment_ns: int) -> Array | Status:
+    def _attitude_at(self, moment_ns: int, carrier: MountHypothesis) -> Array | Status:
         """R_ned_body as the mount sees it: with a gimbal, of the body that would carry a fixed camera the same way."""
-        if self._uses_gimbal:
-            return self.gimbal.at(moment_ns, self._attitudes, self._gimbal_hypothesis)
-        return self._attitudes.at(moment_ns)
+        if carrier is MountHypothesis.MOUNT:
+            return self._attitudes.at(moment_ns)
+        return self.gimbal.at(moment_ns, self._attitudes, carrier)
 
     def _mount_hypotheses_at(self, moment_ns: int, R_frame_ned: Array) -> dict[MountHypothesis, Array]:
         """R_enu_body by every hypothesis, where more than one is possible; the mount first, for where others agree."""
         if not (self.gimbal.is_open and self._attitudes.stamps_ns):
             return {}
-        found = {MountHypothesis.MOUNT: self._attitudes.at(moment_ns)}
-        found |= {c: self.gimbal.at(moment_ns, self._attitudes, c) for c in self.gimbal.readings}
+        found = {c: self._attitude_at(moment_ns, c) for c in (MountHypothesis.MOUNT, *self.gimbal.readings)}
         return {c: R_frame_ned @ R for c, R in found.items() if not isinstance(R, Status)}
 
     def state_at(
@@ -296,7 +296,7 @@ class Navigation:
             return Status.NO_GPS
         R_enu_body, mount_hypotheses = None, {}
         if self._wants_attitude:
-            R_ned_body, R_frame_ned = self._attitude_at(moment_ns), self._R_frame_ned(position.enu_m)
+            R_ned_body, R_frame_ned = self._attitude_at(moment_ns, self._carrier), self._R_frame_ned(position.enu_m)
             if isinstance(R_ned_body, Status):
                 return R_ned_body
             R_enu_body = R_frame_ned @ R_ned_body
@@ -375,7 +375,7 @@ class Navigation:
     def body_rate_at(self, stamp_ns: int) -> Array | None:
         """Angular rate (3,), rad/s, axes of `NavState.R_enu_body`: measured, or from attitudes; None if unknown."""
         if self._uses_gimbal:
-            return self.gimbal.rate_at(stamp_ns, self._attitudes, self._gimbal_hypothesis)
+            return self.gimbal.rate_at(stamp_ns, self._attitudes, self._carrier)
         return self._attitudes.rate_at(stamp_ns)
 
     def rate_sigma_at(self, stamp_ns: int, jitter_s: float) -> float | None:

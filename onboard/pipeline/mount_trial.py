@@ -8,7 +8,6 @@ fits, several keyframes in a row, is accepted. What was seen meanwhile is kept: 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 from contract.feature_set import Status
@@ -56,27 +55,22 @@ class MountTrials:
         spent_s = sum(each.processor_s for each in done.values())
         self._running = {}
         fitting = [reading for reading, each in done.items() if each.outcome.status is Status.OK]
-        if outcome.status is not Status.POOR_FIT or not fitting or not _are_alike(outcome, fitting):
+        held = outcome.keyframes[-1].nav.mount_hypotheses if fitting else {}
+        are_alike = not any(unlike(held[fitting[0]], held[other]) for other in fitting[1:])
+        if outcome.status is not Status.POOR_FIT or not fitting or not are_alike:
             self._leader, self._wins = None, 0
             return outcome, spent_s
         leader = self._leader if self._leader in fitting else fitting[0]
         self._wins = self._wins + 1 if leader is self._leader else 1
         self._leader = leader
-        if self._wins < WINS or not self._selection.may_be(leader):
-            return outcome, spent_s
-        if not carry_over(window, records, navigation, leader):
+        is_won = self._wins >= WINS and self._selection.may_be(leader)
+        if not is_won or not carry_over(window, records, navigation, leader):
             return outcome, spent_s
         self._selection.verdict = leader
         return done[leader].outcome, spent_s
 
 
-def _are_alike(outcome: Outcome, readings: list[MountHypothesis]) -> bool:
-    """Whether the hypotheses that fit mean the same."""
-    held = outcome.keyframes[-1].nav.mount_hypotheses
-    return not any(unlike(held[readings[0]], held[other]) for other in readings[1:])
-
-
-def with_reading(nav: NavState, reading: MountHypothesis) -> NavState | None:
+def _by_reading(nav: NavState, reading: MountHypothesis) -> NavState | None:
     """The state with another hypothesis's attitude; None if it has none."""
     R = nav.mount_hypotheses.get(reading)
     return None if R is None else replace(nav, R_enu_body=R, attitude_sigma_rad=0.0)
@@ -86,9 +80,9 @@ def _request(window: Window, reading: MountHypothesis, noise: Noise | None = Non
     """The window's newest request as it would be by another hypothesis: with the noise of its earlier windows, or
     as if it were the first.
     """
-    navs = [with_reading(keyframe.nav, reading) for keyframe in window.keyframes]
     keyframes = []
-    for keyframe, nav in zip(window.keyframes, navs, strict=True):
+    for keyframe in window.keyframes:
+        nav = _by_reading(keyframe.nav, reading)
         if nav is None or (R := window.attitude_guess(nav)) is None:
             return None
         keyframes.append(replace(keyframe, nav=nav, R_cam_enu=R, centre_enu_m=nav.position_enu_m))
@@ -103,8 +97,8 @@ def carry_over(window: Window, records: list[Record], navigation: Navigation, re
     """
     navigation.mount_hypothesis = reading
     request = _request(window, reading) if window.keyframes else None
-    renewed: Mapping[int, NavState | None] = {r.frame.index: with_reading(r.nav, reading) for r in records}
-    if request is None or None in renewed.values():
+    navs = [nav for record in records if (nav := _by_reading(record.nav, reading)) is not None]
+    if request is None or len(navs) < len(records):
         return False
     keyframes = []
     for keyframe in request.keyframes:
@@ -112,8 +106,6 @@ def carry_over(window: Window, records: list[Record], navigation: Navigation, re
         keyframes.append(keyframe if rate is None else replace(keyframe, body_rate_rad_s=rate))
     window.forget_solutions()
     window.keyframes, window.noise = keyframes, request.noise
-    for record in records:
-        nav = renewed[record.frame.index]
-        assert nav is not None
+    for record, nav in zip(records, navs, strict=True):
         record.nav, record.placed, record.is_settled = nav, None, False
     return True

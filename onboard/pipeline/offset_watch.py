@@ -58,12 +58,11 @@ class OffsetWatch:
     def note(self, stamp_ns: int, ids: Ids, uv_px: Array) -> None:
         """Take a picture's features: ids (N,), pixels (N, 2)."""
         last = self._last
-        if last is None or not 0 < stamp_ns - last[0] <= MOST_APART_NS:
-            self._last = (stamp_ns, ids, uv_px)
-            return
-        if stamp_ns - last[0] < LEAST_APART_NS:
+        if last is not None and 0 < stamp_ns - last[0] < LEAST_APART_NS:
             return
         self._last = (stamp_ns, ids, uv_px)
+        if last is None or not LEAST_APART_NS <= stamp_ns - last[0] <= MOST_APART_NS:
+            return
         common, one, other = np.intersect1d(last[1], ids, return_indices=True)
         if len(common) >= FEATURES // 2:
             chosen = np.linspace(0, len(common) - 1, min(FEATURES, len(common))).astype(np.intp)
@@ -85,20 +84,17 @@ class OffsetWatch:
         if self._news < news or now_ns - self._asked_ns < after_ns:
             return None
         self._news, self._asked_ns = 0, now_ns
-        pairs = list(self._pairs)
-        if not pairs:
+        if not self._pairs:
             return None
-        return timing(pairs, self._course(), self._centre_s, belief.mean[BORESIGHT], self._sigma_rad)
+        return timing(list(self._pairs), self._course(), self._centre_s, belief.mean[BORESIGHT], self._sigma_rad)
 
     def _pair(self, start_ns: int, end_ns: int, uv1: Array, uv2: Array) -> Pair:
-        rays = np.tile([0.0, 0.0, 1.0], (2, FEATURES, 1))
-        weight = np.zeros(FEATURES)
-        one, valid1 = self._camera.unproject(uv1)
-        other, valid2 = self._camera.unproject(uv2)
+        (one, valid1), (other, valid2) = self._camera.unproject(uv1), self._camera.unproject(uv2)
         valid = valid1 & valid2
         n = np.count_nonzero(valid)
+        rays = np.tile([0.0, 0.0, 1.0], (2, FEATURES, 1))
         rays[0, :n], rays[1, :n] = one[valid] / one[valid, 2:], other[valid] / other[valid, 2:]
-        weight[:n] = self._camera.focal_px / self._sigma_px
+        weight = np.where(np.arange(FEATURES) < n, self._camera.focal_px / self._sigma_px, 0.0)
         return Pair(start_ns, end_ns, rays[0], rays[1], weight)
 
     def _take(self, pair: Pair, navigation: Navigation, now_ns: int) -> bool:

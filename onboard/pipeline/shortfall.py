@@ -119,64 +119,59 @@ class Evidence:
     def _said_of(self, status: Status, count: int) -> Shortfall:
         """What it means that so many pictures have a status."""
         said = {
-            Status.BAD_PICTURE: (
-                f"{count} pictures are damaged or repeat an earlier one",
-                "check the camera and its files",
+            Status.BAD_PICTURE: Shortfall(
+                f"{count} pictures are damaged or repeat an earlier one", "check the camera and its files"
             ),
-            Status.NO_GPS: (
+            Status.NO_GPS: Shortfall(
                 f"no accepted position for {count} pictures" + (f" ({self.navigation})" if self.navigation else ""),
                 "wait for a fix before the first picture; see GPS_RAW_INT and EKF_STATUS_REPORT in the log",
             ),
-            Status.UNSYNCHRONISED: (
+            Status.UNSYNCHRONISED: Shortfall(
                 f"telemetry gap: no position within {self.config.gps.max_gap_s:g} s or no attitude within "
                 f"{self.config.telemetry.max_attitude_gap_s:g} s about {count} pictures",
                 "raise the rates of GLOBAL_POSITION_INT and ATTITUDE; pictures and log must have the same clock",
             ),
-            Status.FEATURELESS: (
-                f"nothing to follow on {count} pictures",
-                "check focus, exposure and that the lens looks at the ground",
+            Status.FEATURELESS: Shortfall(
+                f"nothing to follow on {count} pictures", "check focus, exposure and that the lens looks at the ground"
             ),
-            Status.TURNING: (
-                f"turning too fast to follow the ground on {count} pictures",
-                "take pictures more often, or turn slower",
+            Status.TURNING: Shortfall(
+                f"turning too fast to follow the ground on {count} pictures", "take pictures more often, or turn slower"
             ),
-            Status.LOW_PARALLAX: (
+            Status.LOW_PARALLAX: Shortfall(
                 f"no parallax: {self.span_m:.0f} m flown at {self.height_m:.0f} m above home",
                 "fly on, or state where the ground is: terrain.path, solve.home_level or a range finder",
             ),
-            Status.STABILISED: (
+            Status.STABILISED: Shortfall(
                 f"electronic stabilisation shifted {count} pictures",
                 "switch the camera's image stabilisation (EIS) off",
             ),
-            Status.ZOOMED: (
-                f"the lens had zoomed or refocused on {count} pictures",
-                "fix zoom and focus where they were calibrated",
+            Status.ZOOMED: Shortfall(
+                f"the lens had zoomed or refocused on {count} pictures", "fix zoom and focus where they were calibrated"
             ),
-            Status.POOR_FIT: (
+            Status.POOR_FIT: Shortfall(
                 f"pictures and telemetry contradict each other on {count} pictures",
                 "check mount.*_deg, camera.json, and that pictures and log are of one flight and one clock",
             ),
         }
-        return Shortfall(*said[status])
+        return said[status]
 
     def _too_far_apart(self) -> Shortfall | None:
         steps, usual_s = len(self.apart_s), float(np.median(self.apart_s))
         if 3 * self.breaks.total() >= steps:
             why, count = self.breaks.most_common(1)[0]
-            where = f"between {count} of {steps} pairs of pictures", "fly where the receiver keeps its fix"
+            where, steady = f"between {count} of {steps} pairs of pictures", "fly where the receiver keeps its fix"
             said = {
-                Break.APART: (
+                Break.APART: Shortfall(
                     f"pictures {usual_s:.1f} s apart, at most {MEMORY_NS / 1e9 / self.config.solve.keyframes:.1f}",
                     "take pictures more often",
                 ),
-                Break.OUTAGE: (f"GPS was lost or doubted {where[0]}", where[1]),
-                Break.JUMP: (f"the position jumped {where[0]}", where[1]),
-                Break.STAMPS: (
-                    f"the stamps' own error changed {count} times",
-                    "check that pictures and autopilot share a clock",
+                Break.OUTAGE: Shortfall(f"GPS was lost or doubted {where}", steady),
+                Break.JUMP: Shortfall(f"the position jumped {where}", steady),
+                Break.STAMPS: Shortfall(
+                    f"the stamps' own error changed {count} times", "check that pictures and autopilot share a clock"
                 ),
             }
-            return Shortfall(*said[why])
+            return said[why]
         if not self.overlap:
             return None
         shares = np.array(self.overlap)
