@@ -24,6 +24,7 @@ MIN_OVERLAP = 0.25  # rendered flights: answered in full at 0.27 of the picture 
 MIN_SPAN = 0.1  # of the height above ground, travelled during a window: less is no parallax
 STANDING_PER_S = 0.01  # of the height above ground: slower than this is no parallax for as long as it lasts
 LEAST_HEIGHT_M = 20.0  # that this is of
+STANDING_S = 3.0  # before standing still is called that
 
 
 class Break(Enum):
@@ -204,4 +205,4 @@ def is_standing_still(first: NavState, nav: NavState) -> bool:
     lasted_s = (nav.stamp_ns - first.stamp_ns) / 1e9
     travelled_m = float(np.linalg.norm(nav.position_enu_m - first.position_enu_m))
     height_m = max(nav.height_above_home_m or 0.0, LEAST_HEIGHT_M)
-    return lasted_s > PATIENCE_NS / 1e9 and travelled_m < STANDING_PER_S * height_m * lasted_s
+    return lasted_s > STANDING_S and travelled_m < STANDING_PER_S * height_m * lasted_s
