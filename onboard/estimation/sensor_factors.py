@@ -107,13 +107,13 @@ def _largest_about(ending_s: Array, rates: Array, stamps_s: Array) -> Array:
 def _turning_rad(config: Config, keyframes: list[Keyframe], yaw_rates_rad_s: Array) -> Array:
     """One sigma (K,) of the heading's error that comes of turns: a filter's delays, times the rate of its course.
 
-    A filter that takes its heading from a late velocity's direction turns late. (5.21)
+    A filter that takes its heading from a late velocity's direction turns late; one that stands has none. (5.23)
     """
     stamps, velocities = _stamps_s(keyframes), _velocities(keyframes)
     if len(stamps) < 2:
         return np.zeros(len(stamps))
     change = np.linalg.norm(np.diff(velocities, axis=0), axis=1) / np.maximum(np.diff(stamps), 0.05)
-    speed = np.maximum(np.linalg.norm(velocities[1:], axis=1), 0.1)
+    speed = np.linalg.norm(velocities[1:], axis=1) + 1e-9
     rates = np.minimum(change / speed, np.maximum(np.abs(yaw_rates_rad_s[1:]), np.abs(yaw_rates_rad_s[:-1])))
     return config.gps.sigma_latency_s * _largest_about(stamps[1:], rates, stamps)
 
