@@ -94,12 +94,28 @@ def _dynamic_m_s(config: Config, keyframes: list[Keyframe]) -> Array:
     if len(stamps) < 2:
         return np.zeros(len(stamps))
     rates = np.linalg.norm(np.diff(velocities, axis=0), axis=1) / np.maximum(np.diff(stamps), 0.05)
-    ending = stamps[1:]
-    recent = (ending[None, :] <= stamps[:, None] + DYNAMIC_TIME_S) & (
-        ending[None, :] >= stamps[:, None] - DYNAMIC_TIME_S
-    )
-    out: Array = config.gps.sigma_latency_s * np.where(recent, rates, 0.0).max(axis=1)
+    return config.gps.sigma_latency_s * _largest_about(stamps[1:], rates, stamps)
+
+
+def _largest_about(ending_s: Array, rates: Array, stamps_s: Array) -> Array:
+    """The largest of `rates` (N,), each of an interval that ended then, in the seconds about each stamp (K,)."""
+    recent = np.abs(ending_s[None, :] - stamps_s[:, None]) <= DYNAMIC_TIME_S
+    out: Array = np.where(recent, rates, 0.0).max(axis=1)
     return out
+
+
+def _turning_rad(config: Config, keyframes: list[Keyframe], yaw_rates_rad_s: Array) -> Array:
+    """One sigma (K,) of the heading's error that comes of turns: a filter's delays, times the rate of its course.
+
+    A filter that takes its heading from a late velocity's direction turns late; one that stands has none. (5.23)
+    """
+    stamps, velocities = _stamps_s(keyframes), _velocities(keyframes)
+    if len(stamps) < 2:
+        return np.zeros(len(stamps))
+    change = np.linalg.norm(np.diff(velocities, axis=0), axis=1) / np.maximum(np.diff(stamps), 0.05)
+    speed = np.linalg.norm(velocities[1:], axis=1) + 1e-9
+    rates = np.minimum(change / speed, np.maximum(np.abs(yaw_rates_rad_s[1:]), np.abs(yaw_rates_rad_s[:-1])))
+    return config.gps.sigma_latency_s * _largest_about(stamps[1:], rates, stamps)
 
 
 def lever_cam_m(config: Config, R_body_cam: Array) -> Array:
@@ -260,9 +276,12 @@ def _attitude(
         between = np.array([k.nav.attitude_sigma_rad for k in keyframes])
         # A gimbal's yaw that counts from nowhere is off by one angle, a state of each window. (5.18)
         zero = np.array([k.nav.yaw_sigma_rad for k in keyframes])
+        late = _turning_rad(config, keyframes, turning[:, 2])
+        late = np.outer(late, late) * gauss_markov_covariance(stamps, 1.0, DYNAMIC_TIME_S)
         errors, shared = [], []
         for axis, name in enumerate((TILT, TILT, HEADING)):
             sensor, fixed = BY_NAME[name], np.diag(between**2 + (jitter_s * turning[:, axis]) ** 2)
+            fixed = fixed + late * (name == HEADING)
             declared_parts = {
                 sensor.name: gauss_markov_covariance(stamps, declared(config, sensor.name), sensor.time_s(config)),
                 sensor.white: declared(config, sensor.white) ** 2 * np.eye(len(stamps)),

@@ -181,3 +181,36 @@ def test_ground_not_said_to_be_level_may_slope_and_terrain_may_not(scene: Scene)
     assert free[STATES + 1 :].min() > 1.0
     assert known[STATES + 1 :].max() < 0.02
     assert known[STATES] == pytest.approx(FULL.terrain.sigma_datum_m, abs=0.01)
+
+
+def heading_sigma_deg(keyframes: list[Keyframe], config: Config = FULL) -> float:
+    """One sigma of the last keyframe's measured heading."""
+    prior = priors_of(config, keyframes)[AttitudePrior]
+    assert isinstance(prior, AttitudePrior)
+    whitener = prior.whitener[2]
+    return float(np.degrees(np.sqrt(np.linalg.inv(whitener.T @ whitener)[-1, -1])))
+
+
+def in_a_turn(keyframes: list[Keyframe], course_rad_s: float, yaw_rad_s: float) -> list[Keyframe]:
+    """The same keyframes with velocities that turn, of a vehicle that itself turns about the vertical."""
+    out = []
+    for k in keyframes:
+        assert k.nav.R_enu_body is not None
+        angle = course_rad_s * (k.nav.stamp_ns - keyframes[0].nav.stamp_ns) / 1e9
+        nav = replace(k.nav, velocity_enu_m_s=20.0 * np.array([np.cos(angle), np.sin(angle), 0.0]))
+        rate = k.nav.R_enu_body.T @ np.array([0.0, 0.0, yaw_rad_s])
+        out.append(replace(k, nav=nav, body_rate_rad_s=rate))
+    return out
+
+
+def test_heading_is_less_sure_in_turns_by_what_a_late_filter_turns_late(scene: Scene) -> None:
+    """(5.23): by the declared delay times the rate of the course, not on straight legs or when yawing on the spot."""
+    keyframes = keyframes_of(scene)
+    level = heading_sigma_deg(in_a_turn(keyframes, 0.0, 0.0))
+    turning = heading_sigma_deg(in_a_turn(keyframes, 0.2, 0.2))
+    added = np.sqrt(turning**2 - level**2)
+    assert added == pytest.approx(np.degrees(FULL.gps.sigma_latency_s * 0.2), rel=0.1)
+    assert heading_sigma_deg(in_a_turn(keyframes, 0.0, 0.2)) == pytest.approx(level, rel=1e-3)
+    assert heading_sigma_deg(in_a_turn(keyframes, 0.2, 0.0)) == pytest.approx(level, rel=1e-3)
+    in_time = parse_config("[gps]\nsigma_latency_s = 0.0")
+    assert heading_sigma_deg(in_a_turn(keyframes, 0.2, 0.2), in_time) == pytest.approx(level, rel=1e-3)
