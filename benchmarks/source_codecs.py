@@ -200,8 +200,8 @@ def row(what: Sequence[str], sessions: Sequence[Path], outcomes: Sequence[Outcom
     pixel_px = np.mean([p.summary.reprojection_px for p in pipelines])
     standing = np.mean([p.summary.left_out.standing for p in pipelines])
     inside = [share_inside(done) for done in outcomes]
-    beside = [ours - theirs for ours, theirs in zip(inside, map(share_inside, raw), strict=True)]
-    by_flight = f"{mean_with_sigma(inside)} | {mean_with_sigma(beside, '+') if outcomes is not raw else '-'}"
+    difference = [ours - theirs for ours, theirs in zip(inside, map(share_inside, raw), strict=True)]
+    by_flight = f"{mean_with_sigma(inside)} | {mean_with_sigma(difference, '+') if outcomes is not raw else '-'}"
     shown = f"{pixel_px:.2f} px | {100.0 * standing:.1f} % | {between} | {by_flight} | {cells(outcomes)}"
     return f"| {' | '.join(what)} | {shown} |"
 

@@ -337,7 +337,7 @@ def centre_of(spec: SessionSpec, times_s: Sequence[float] | Array) -> Array:
     return np.asarray(np.mean(looks, axis=0), float)
 
 
-def beside(centre: Array, course_deg: float, ahead_m: float, right_m: float) -> tuple[float, float]:
+def place_from(centre: Array, course_deg: float, ahead_m: float, right_m: float) -> tuple[float, float]:
     a = np.radians(course_deg)
     east, north = centre + ahead_m * np.array([np.sin(a), np.cos(a)]) + right_m * np.array([np.cos(a), -np.sin(a)])
     return float(east), float(north)
@@ -346,21 +346,21 @@ def beside(centre: Array, course_deg: float, ahead_m: float, right_m: float) -> 
 def about(centre: Array, seed: int) -> list[Thing]:
     """Walkers, twins, a slow car and parked things about a place; at most eight to be clicked."""
     turn = 40.0 * seed
-    one = MoverSpec.person(beside(centre, turn + 60.0, -12.0, 4.0), 1.4, turn + 60.0)
-    twin = MoverSpec.person(beside(centre, turn + 150.0, -13.0, 0.0), 1.4, turn + 150.0)
-    other = replace(MoverSpec.person(beside(centre, turn + 240.0, -13.0, 0.3), 1.4, turn + 240.0), seed=twin.seed)
-    hiding = replace(MoverSpec.person(beside(centre, turn + 10.0, -11.0, -9.0), 1.4, turn + 10.0), seed=4)
-    going = replace(MoverSpec.person(beside(centre, turn + 190.0, -11.0, -13.0), 1.6, turn + 190.0), seed=5)
+    one = MoverSpec.person(place_from(centre, turn + 60.0, -12.0, 4.0), 1.4, turn + 60.0)
+    twin = MoverSpec.person(place_from(centre, turn + 150.0, -13.0, 0.0), 1.4, turn + 150.0)
+    other = replace(MoverSpec.person(place_from(centre, turn + 240.0, -13.0, 0.3), 1.4, turn + 240.0), seed=twin.seed)
+    hiding = replace(MoverSpec.person(place_from(centre, turn + 10.0, -11.0, -9.0), 1.4, turn + 10.0), seed=4)
+    going = replace(MoverSpec.person(place_from(centre, turn + 190.0, -11.0, -13.0), 1.6, turn + 190.0), seed=5)
     return [
         Thing("walker", one),
         Thing("twin", twin),
         Thing("other twin", other),
         Thing("hides", hiding, (8.0, 9.6)),
         Thing("goes below a tree", going, (8.0, 12.0)),
-        Thing("parked car", MoverSpec.car(beside(centre, turn, -10.0, 10.0), 0.0, turn + 45.0)),
-        Thing("standing person", MoverSpec.person(beside(centre, turn, 12.0, 2.0), 0.0)),
-        Thing("parked in the shade", MoverSpec.car(beside(centre, turn, 4.0, 16.0), 0.0, turn)),
-        Thing("its shade", replace(MoverSpec.car(beside(centre, turn, 4.0, 18.0), 0.0, turn), albedo=None)),
+        Thing("parked car", MoverSpec.car(place_from(centre, turn, -10.0, 10.0), 0.0, turn + 45.0)),
+        Thing("standing person", MoverSpec.person(place_from(centre, turn, 12.0, 2.0), 0.0)),
+        Thing("parked in the shade", MoverSpec.car(place_from(centre, turn, 4.0, 16.0), 0.0, turn)),
+        Thing("its shade", replace(MoverSpec.car(place_from(centre, turn, 4.0, 18.0), 0.0, turn), albedo=None)),
     ]
 
 
@@ -370,7 +370,7 @@ def on_a_road(spec: SessionSpec, track_deg: float, speed_m_s: float, seed: int) 
     back = -3.0  # s: where movers are at the first picture
 
     def car(ahead_m: float, right_m: float, speed: float, look: int) -> MoverSpec:
-        place = beside(start, track_deg, ahead_m + speed * back, right_m)
+        place = place_from(start, track_deg, ahead_m + speed * back, right_m)
         return replace(MoverSpec.car(place, speed, track_deg), seed=look)
 
     rng = np.random.default_rng(seed)
@@ -383,8 +383,8 @@ def on_a_road(spec: SessionSpec, track_deg: float, speed_m_s: float, seed: int) 
         Thing("slower car", car(14.0, 8.0, slower, 2)),
         Thing("car with a shadow", car(-2.0, 14.0, speed_m_s, 5)),
         Thing("car that hides", hiding, (7.0, 8.2)),
-        Thing("parked car", MoverSpec.car(beside(start, track_deg, 18.0, -4.0), 0.0, track_deg + 20.0)),
-        Thing("standing person", MoverSpec.person(beside(start, track_deg, 22.0, -18.0), 0.0)),
+        Thing("parked car", MoverSpec.car(place_from(start, track_deg, 18.0, -4.0), 0.0, track_deg + 20.0)),
+        Thing("standing person", MoverSpec.person(place_from(start, track_deg, 22.0, -18.0), 0.0)),
     ]
 
 

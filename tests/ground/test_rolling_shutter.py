@@ -99,14 +99,14 @@ def test_the_readouts_sigma_widens_answers_of_outer_rows_by_what_it_moves_them()
 
 def test_the_vector_between_clicks_of_one_set_knows_the_readout_errs_for_both() -> None:
     sure, unsure = Locator(a_set(0.03)), Locator(a_set(0.03, 0.01))
-    top, beside, bottom = np.array([300.0, 5.0]), np.array([340.0, 5.0]), np.array([300.0, 475.0])
+    top, near, bottom = np.array([300.0, 5.0]), np.array([340.0, 5.0]), np.array([300.0, 475.0])
 
     def added(one: Array, two: Array) -> float:
         before, after = sure.difference_covariance(one, two), unsure.difference_covariance(one, two)
         assert before is not None and after is not None
         return float(np.trace(after - before))
 
-    assert added(top, bottom) > 20.0 * added(top, beside) > 0.0
+    assert added(top, bottom) > 20.0 * added(top, near) > 0.0
 
 
 def test_a_place_is_drawn_where_the_row_that_saw_it_has_it() -> None:

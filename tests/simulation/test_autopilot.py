@@ -217,7 +217,7 @@ def test_every_wire_carries_packets_both_ways(flight: Flight, url: str) -> None:
         while time.monotonic() < deadline and not {"ATTITUDE", "HEARTBEAT", "GLOBAL_POSITION_INT"} <= names:
             names |= {m.get_type() for m in parser.parse_buffer(read()) or []}
         assert {"ATTITUDE", "HEARTBEAT", "GLOBAL_POSITION_INT"} <= names
-        assert autopilot.heard_of("HEARTBEAT")[0].type == 18
+        assert autopilot.received_of("HEARTBEAT")[0].type == 18
         if scheme == "serial":
             os.close(end)
         else:

@@ -15,7 +15,7 @@ from contract.errors import LinkError
 from contract.feature_set import FeatureSet, Status
 from contract.track import MOST_TRACKS, StartTrack, StopTrack, TrackRequest
 from contract.vehicle_status import VehicleStatus
-from ground.spots.heard import HeardSpots
+from ground.spots.received import ReceivedSpots
 from ground.track_paths import TrackPaths
 from ground.web.source import FrameRow, Picture, VehicleReport
 from onboard.events.types import Frame
@@ -71,7 +71,7 @@ class FlyingSource:
         self._names = [f"uav-{k}" for k in range(1, aircraft + 1)]
         self.silent_s = 0.1
         self._count = 1
-        self.tracks, self.spots = TrackPaths(), HeardSpots()
+        self.tracks, self.spots = TrackPaths(), ReceivedSpots()
         self.asked: list[TrackRequest] = []
         self._followed = 0
         self._lock = threading.Lock()
@@ -104,8 +104,8 @@ class FlyingSource:
         """Drawn when asked for."""
         if frame >= self._count:
             return None
-        made, beside = drawn_set(frame), int(vehicle.rpartition("-")[2]) - 1
-        return replace(made, vehicle=vehicle, camera_lon_deg=made.camera_lon_deg + 4e-4 * beside)
+        made, column = drawn_set(frame), int(vehicle.rpartition("-")[2]) - 1
+        return replace(made, vehicle=vehicle, camera_lon_deg=made.camera_lon_deg + 4e-4 * column)
 
     def picture(self, vehicle: str, session: int | None, frame: int) -> Picture | None:
         """One of fifty."""

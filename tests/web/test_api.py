@@ -18,7 +18,7 @@ from starlette.testclient import TestClient
 from ground.formats.rounded import decimals
 from ground.pins.store import PinStore
 from ground.web.app import create_app
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 from ground.web.guard import Rules
 from ground.web.recorded import RecordedSource
 from ground.web.tiles import Tiles
@@ -34,8 +34,8 @@ class Api:
         self.flown = flown
         self.source = RecordedSource(flown.path)
         self.store = PinStore(pins)
-        self.desk = Desk(self.source, self.store, pins.parent, tiles)
-        self.client = TestClient(create_app(self.desk, rules or Rules()), base_url="http://127.0.0.1:8080")
+        self.context = ServerContext(self.source, self.store, pins.parent, tiles)
+        self.client = TestClient(create_app(self.context, rules or Rules()), base_url="http://127.0.0.1:8080")
 
     def click(self, u: float, v: float, frame: int | None = None) -> dict[str, Any]:
         """The body of a click."""
@@ -325,12 +325,12 @@ def test_browsers_hear_of_each_others_pins(api: Api) -> None:
 
 def test_a_browser_that_does_not_read_is_told_to_begin_anew(api: Api) -> None:
     async def flood() -> list[str]:
-        queue = api.desk.hub.join()
+        queue = api.context.hub.join()
         assert queue is not None
         for k in range(1000):
-            api.desk.hub.tell({"type": "pins", "k": k})
+            api.context.hub.send({"type": "pins", "k": k})
         held = [json.loads(queue.get_nowait())["type"] for _ in range(queue.qsize())]
-        api.desk.hub.leave(queue)
+        api.context.hub.leave(queue)
         return held
 
     with ThreadPoolExecutor(1) as thread:  # a browser that is open has a loop of its own in this one

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from ground.web.gate import HEADERS_S, Gate, SaidOnce
+from ground.web.gate import HEADERS_S, Gate, LoggedOnce
 from tests.waiting import PATIENCE_S
 from tests.web.conftest import page_is_built
 from tests.web.served import ROOT, Flown
@@ -127,7 +127,7 @@ def test_one_address_does_not_keep_another_out() -> None:
 
 
 def test_a_line_that_anybody_can_provoke_is_written_once() -> None:
-    once = SaidOnce()
+    once = LoggedOnce()
 
     def record(text: str) -> logging.LogRecord:
         return logging.LogRecord("uvicorn.error", logging.WARNING, "", 0, text, None, None)

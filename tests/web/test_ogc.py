@@ -21,7 +21,7 @@ from ground.formats.mark import Mark
 from ground.pins.model import Category, PinClick
 from ground.pins.store import PinStore
 from ground.web.app import create_app
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 from ground.web.guard import Rules
 from ground.web.ogc_definition import API_TYPE
 from ground.web.ogc_selection import MAX_LIMIT, Selection, WrongParameter
@@ -114,7 +114,7 @@ def client(tmp_path: Path) -> Iterator[TestClient]:
     recording = tmp_path / "drawn.mcap"
     record_drawn(recording, 2)
     with filled(tmp_path / "pins.sqlite") as store:
-        app = create_app(Desk(RecordedSource(recording), store, tmp_path, None), Rules())
+        app = create_app(ServerContext(RecordedSource(recording), store, tmp_path, None), Rules())
         with TestClient(app, base_url="http://127.0.0.1:8080") as made:
             yield made
 

@@ -17,7 +17,7 @@ from contract.locate import Locator
 from contract.spot import Spot, SpotReport
 from ground.pins.store import PinStore
 from ground.web.app import create_app
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 from ground.web.guard import Rules
 from tests.waiting import eventually
 from tests.web.browsing import Operator
@@ -49,7 +49,9 @@ def api(folder: Path) -> Iterator[tuple[TestClient, FlyingSource]]:
     source = FlyingSource()
     with (
         PinStore(folder / "pins.sqlite") as store,
-        TestClient(create_app(Desk(source, store, folder), Rules()), base_url="http://127.0.0.1:8080") as client,
+        TestClient(
+            create_app(ServerContext(source, store, folder), Rules()), base_url="http://127.0.0.1:8080"
+        ) as client,
     ):
         yield client, source
 

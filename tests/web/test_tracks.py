@@ -21,7 +21,7 @@ from contract.wire.track_code import decode_tracks, encode_track
 from ground.pins.store import PinStore
 from ground.track_paths import MOST_NEWS, TrackPaths
 from ground.web.app import create_app
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 from ground.web.guard import Rules
 from ground.web.live import LiveSource
 from ground.web.view import placed_in
@@ -90,7 +90,9 @@ def api(folder: Path, rules: Rules | None = None) -> Iterator[tuple[TestClient, 
     source = FlyingSource()
     with (
         PinStore(folder / "pins.sqlite") as store,
-        TestClient(create_app(Desk(source, store, folder), rules or Rules()), base_url="http://127.0.0.1:8080") as made,
+        TestClient(
+            create_app(ServerContext(source, store, folder), rules or Rules()), base_url="http://127.0.0.1:8080"
+        ) as made,
     ):
         yield made, source
 

@@ -14,7 +14,7 @@ from ground.__main__ import main
 from ground.pins.store import PinStore
 from ground.web import command, video_reader
 from ground.web.api_vehicles import vehicles_router
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 from ground.web.recorded import RecordedSource
 from ground.web.video_delay import DelayEstimate, best_time_s, is_seen
 from ground.web.video_file import FileFootage
@@ -65,10 +65,10 @@ def test_the_delay_of_a_recorded_flight_is_found_and_each_set_gets_its_own_frame
     footage = FileFootage(str(video), flight, VEHICLE, None)
     source = WithVideo(flight, footage)
     notes = finished(footage)
-    said = re.fullmatch(r"video: delay (\S+) s, measured from (\d+) pictures \(\+- (\S+) s\)", notes[0])
-    assert said is not None, notes
-    assert float(said[1]) == pytest.approx(DELAY_S, abs=HALF_INTERVAL_S)
-    assert int(said[2]) >= 15 and float(said[3]) < HALF_INTERVAL_S
+    stated = re.fullmatch(r"video: delay (\S+) s, measured from (\d+) pictures \(\+- (\S+) s\)", notes[0])
+    assert stated is not None, notes
+    assert float(stated[1]) == pytest.approx(DELAY_S, abs=HALF_INTERVAL_S)
+    assert int(stated[2]) >= 15 and float(stated[3]) < HALF_INTERVAL_S
     # The file ends 6.69 s into the flight; a refused set gets no picture.
     expected = [k for k in range(SETS) if time_of(k) < 8.0 - DELAY_S - 0.05 and k != 9]
     rows = {row.frame: row.has_picture for row in source.frames(VEHICLE)}
@@ -77,9 +77,9 @@ def test_the_delay_of_a_recorded_flight_is_found_and_each_set_gets_its_own_frame
         found = source.picture(VEHICLE, None, k)
         assert found is not None
         if k == flight.own_picture:
-            assert (found.content, found.is_lasting) == (b"own", True)  # what came with the sets goes first
+            assert (found.content, found.is_unchanging) == (b"own", True)  # what came with the sets goes first
         else:
-            assert (found.media_type, found.is_lasting) == ("image/jpeg", False)
+            assert (found.media_type, found.is_unchanging) == ("image/jpeg", False)
             assert shift_px(found.content, k) < MOST_PX
     assert source.picture(VEHICLE, SESSION + 1, 5) is None
     assert source.version(VEHICLE) > flight.version(VEHICLE)
@@ -95,7 +95,7 @@ def test_a_browser_keeps_no_frame_of_a_video(video: Path, tmp_path: Path) -> Non
     finished(footage)
     source = WithVideo(flight, footage)
     with PinStore(tmp_path / "pins.sqlite") as store:
-        router = vehicles_router(Desk(source, store, tmp_path))
+        router = vehicles_router(ServerContext(source, store, tmp_path))
         (ask,) = (r.endpoint for r in router.routes if getattr(r, "path", "").endswith("/{frame}/picture"))
         assert ask(VEHICLE, 3, None).headers["cache-control"] == "private, max-age=3600"
         assert ask(VEHICLE, 4, None).headers["cache-control"] == "no-store"
@@ -154,10 +154,10 @@ def test_a_running_video_is_matched_with_the_sets_that_come(tmp_path: Path) -> N
             assert found is not None
             assert shift_px(found.content, k) < MOST_PX
         note = next(line for line in source.damage() if "measured" in line)
-        said = re.match(r"video: delay (\S+) s, measured from \d+ pictures", note)
-        assert said is not None
+        stated = re.match(r"video: delay (\S+) s, measured from \d+ pictures", note)
+        assert stated is not None
         # Until twenty frames have come, one that comes late may be left out.
-        assert 0.4 - HALF_INTERVAL_S - 0.1 <= float(said[1]) <= 0.4 + HALF_INTERVAL_S + 0.1
+        assert 0.4 - HALF_INTERVAL_S - 0.1 <= float(stated[1]) <= 0.4 + HALF_INTERVAL_S + 0.1
     finally:
         source.close()
 
@@ -317,9 +317,9 @@ def test_a_login_is_not_shown() -> None:
 
 def one_line(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     assert main(["web", *arguments]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1, said
-    return said
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1, printed
+    return printed
 
 
 def test_without_opencv_the_extra_is_named(
@@ -343,7 +343,11 @@ def test_without_opencv_the_extra_is_named(
     ],
 )
 def test_a_video_that_cannot_be_used_is_one_line(
-    arguments: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
+    arguments: list[str],
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    tmp_path: Path,
 ) -> None:
     (tmp_path / "index.html").touch()
     monkeypatch.setattr(command, "STATIC", tmp_path)

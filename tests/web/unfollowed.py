@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contract.errors import LinkError
 from contract.track import TrackRequest
-from ground.spots.heard import HeardSpots
+from ground.spots.received import ReceivedSpots
 from ground.track_paths import TrackPaths
 
 
@@ -12,7 +12,7 @@ class Unfollowed:
     """A part of `Source`. Paths and spots are every such source's: nothing is put into them."""
 
     tracks = TrackPaths()
-    spots = HeardSpots()
+    spots = ReceivedSpots()
 
     def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
         """Nobody does."""

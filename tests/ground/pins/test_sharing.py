@@ -240,7 +240,7 @@ def test_whatever_others_send_is_refused_counted_and_does_no_harm(ann: PinStore,
             return eventually(said)
 
         assert is_refused("changed", hostile_pins())
-        beat = json.loads(messages.said_to_bytes(messages.Said(LIAR, 1, 5, NOW_NS)))
+        beat = json.loads(messages.announcement_to_bytes(messages.Announcement(LIAR, 1, 5, NOW_NS)))
         lies = [{**beat, "v": 99}, {**beat, "server": "f" * 16}, {**beat, "digest": 5}, {**beat, "pins": -1}, [], 3]
         assert is_refused("said", [*(json.dumps(lie).encode() for lie in lies), b"\0" * 400, b"x" * 100_000])
         assert [p.name for p in ann.everything()] == ["mine"] and not sharing.state.trouble
@@ -272,7 +272,7 @@ def test_whatever_others_send_is_refused_counted_and_does_no_harm(ann: PinStore,
         # More names than there is room for: invented servers.
         for number in range(300):
             name = f"{number:016x}"
-            liar.put(f"pc/pins/{name}/said", messages.said_to_bytes(messages.Said(name, 1, 5, NOW_NS)))
+            liar.put(f"pc/pins/{name}/said", messages.announcement_to_bytes(messages.Announcement(name, 1, 5, NOW_NS)))
         assert [p.name for p in ann.everything()] == ["mine"] and sharing.state.servers <= 64
         # And all the while it serves who is honest.
         with PinSharing(bob, connect=[endpoint]):
@@ -319,7 +319,7 @@ def test_reading_messages_raises_nothing_but_input_errors(junk: bytes, value: ob
     good = many(1)[0].to_dict()
     spoilt = json.dumps({**good, list(good)[len(junk) % len(good)]: value}).encode()
     for payload in (junk, spoilt, json.dumps(value).encode()):
-        for read in (messages.pin_from_bytes, messages.said_from_bytes, messages.asked_from_bytes):
+        for read in (messages.pin_from_bytes, messages.announcement_from_bytes, messages.asked_from_bytes):
             try:
                 read(payload)
             except InputError:
@@ -335,8 +335,8 @@ def test_reading_messages_raises_nothing_but_input_errors(junk: bytes, value: ob
 def test_messages_come_back_as_they_were() -> None:
     pins = many(5)
     assert [messages.pin_from_bytes(messages.pin_to_bytes(p)).to_dict() for p in pins] == [p.to_dict() for p in pins]
-    said = messages.Said(LIAR, 12, 2**64 - 1, NOW_NS)
-    assert messages.said_from_bytes(messages.said_to_bytes(said)) == said
+    said = messages.Announcement(LIAR, 12, 2**64 - 1, NOW_NS)
+    assert messages.announcement_from_bytes(messages.announcement_to_bytes(said)) == said
     assert messages.server_of(f"pc/pins/{LIAR}/said") == (LIAR, "said")
     versions = {p.id: messages.version_of(p) for p in many(2000)}
     parts = list(messages.summaries(versions))

@@ -95,7 +95,7 @@ def flown(folder: Path) -> Iterator[dict[str, Flown]]:
 
 def beats_of(autopilot: FakeAutopilot) -> list[Any]:
     """The source's own heartbeats."""
-    return [beat for beat in autopilot.heard_of("HEARTBEAT") if beat.get_srcSystem() == autopilot.system]
+    return [beat for beat in autopilot.received_of("HEARTBEAT") if beat.get_srcSystem() == autopilot.system]
 
 
 @ALL
@@ -155,7 +155,7 @@ def test_it_is_a_good_citizen(flown: dict[str, Flown], name: str) -> None:
     assert kinds[-1] == (0 if WIRES[name][2] == "px4" else 18)
     assert 18 not in kinds or WIRES[name][2] != "px4"
     assert autopilot.shown == []
-    answers = [message for message in autopilot.heard_of("TIMESYNC") if message.tc1]
+    answers = [message for message in autopilot.received_of("TIMESYNC") if message.tc1]
     assert len(answers) >= (3 if WIRES[name][2] == "px4" else 1)
     assert all(answer.tc1 > 0 for answer in answers)
 

@@ -50,7 +50,7 @@ def test_silence_is_lost_in_time_and_a_reboot_starts_the_stamps_anew() -> None:
             autopilot.mute(0.0)
         for _, heard in pairs:
             heard.wait(State.OK)
-        granted = [len(autopilot.heard_of("COMMAND_LONG")) for autopilot, _ in pairs]
+        granted = [len(autopilot.received_of("COMMAND_LONG")) for autopilot, _ in pairs]
         for autopilot, _ in pairs:
             autopilot.reboot(0.4)
         for (autopilot, heard), before in zip(pairs, granted, strict=True):
@@ -59,7 +59,7 @@ def test_silence_is_lost_in_time_and_a_reboot_starts_the_stamps_anew() -> None:
             # Rates are lost with the reboot and asked for again: unasked they come at 4 Hz.
             heard.until(lambda heard=heard, begun=begun: len(heard.of(Attitude)) > begun + 20)
             heard.wait(State.OK)
-            assert len(autopilot.heard_of("COMMAND_LONG")) > before + 2
+            assert len(autopilot.received_of("COMMAND_LONG")) > before + 2
             fixes = heard.of(PositionFix)
             assert all(a.stamp_ns < b.stamp_ns for a, b in itertools.pairwise(fixes))
             true = expected(autopilot, heard.clock)
@@ -189,8 +189,8 @@ def test_what_is_said_reaches_the_line_in_pieces_that_belong_together() -> None:
             heard.source.say(Severity.WARNING, "Kamera verloren: ä" + "x" * 50)
             heard.source.say(Severity.INFO, "ok")
         for autopilot, heard in pairs:
-            heard.until(lambda autopilot=autopilot: len(autopilot.heard_of("STATUSTEXT")) >= 3)
-            first, second, third = autopilot.heard_of("STATUSTEXT")
+            heard.until(lambda autopilot=autopilot: len(autopilot.received_of("STATUSTEXT")) >= 3)
+            first, second, third = autopilot.received_of("STATUSTEXT")
             assert first.text + second.text == "Kamera verloren: ?" + "x" * 50
             assert len(first.text) == 50
             assert (first.severity, first.get_srcSystem(), first.get_srcComponent()) == (4, 1, 191)
@@ -207,7 +207,7 @@ def test_signed_both_ways_and_nothing_unsigned_is_believed(tmp_path: Path) -> No
         listening(config_for(autopilot.url, signing_key=str(key))) as heard,
     ):
         heard.wait(State.OK)
-        heard.until(lambda: autopilot.heard_of("TIMESYNC"))
+        heard.until(lambda: autopilot.received_of("TIMESYNC"))
         forged = mavlink.MAVLink_global_position_int_message(1, 10, 20, 30, 40, 0, 0, 0, 0)
         autopilot.send_bytes(forged.pack(mavlink.MAVLink(None, 1, 1)))
         time.sleep(0.3)
@@ -224,7 +224,7 @@ def test_a_wrong_key_is_said_to_be_that(tmp_path: Path) -> None:
         # It never believes us either, but it has learned where we are.
         heard.until(lambda: "wrong signature" in heard.source.health().detail)
         assert not heard.got
-        assert not autopilot.heard_of("TIMESYNC")
+        assert not autopilot.received_of("TIMESYNC")
 
 
 def test_a_port_in_use_is_said_and_waited_for() -> None:
@@ -263,7 +263,7 @@ def test_px4_does_not_miss_us_when_we_leave_and_no_packet_counts_as_lost() -> No
             assert heard.source.health().figures["lost_packets"] == 0.0
         time.sleep(1.0)
         assert autopilot.shown == []
-        assert autopilot.heard_of("HEARTBEAT")[-1].system_status == mavlink.MAV_STATE_POWEROFF
+        assert autopilot.received_of("HEARTBEAT")[-1].system_status == mavlink.MAV_STATE_POWEROFF
 
 
 def test_the_fake_px4_misses_an_onboard_controller() -> None:
@@ -281,10 +281,10 @@ def test_ardupilot_tells_its_pilot_nothing_of_our_requests() -> None:
     with both_libraries(attitude_rate_hz=50.0) as pairs:
         for autopilot, heard in pairs:
             heard.wait(State.OK)
-            heard.until(lambda autopilot=autopilot: len(autopilot.heard_of("COMMAND_LONG")) >= 4)
+            heard.until(lambda autopilot=autopilot: len(autopilot.received_of("COMMAND_LONG")) >= 4)
         for autopilot, _ in pairs:
             assert autopilot.shown == []
-            asked = [message for message in autopilot.heard_of("COMMAND_LONG") if message.param1 == 30]
+            asked = [message for message in autopilot.received_of("COMMAND_LONG") if message.param1 == 30]
             assert [message.param2 for message in asked] == [25_000.0]  # 40 Hz: all its 50 Hz loop gives
-            (beat, *_) = reversed(autopilot.heard_of("HEARTBEAT"))
+            (beat, *_) = reversed(autopilot.received_of("HEARTBEAT"))
             assert beat.type == mavlink.MAV_TYPE_ONBOARD_CONTROLLER
