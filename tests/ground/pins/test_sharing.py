@@ -77,7 +77,7 @@ def content(store: PinStore) -> dict[str, str]:
     return {p.id: json.dumps(dataclasses.replace(p, number=0).to_dict()) for p in store.everything()}
 
 
-def alike(*stores: PinStore) -> bool:
+def same(*stores: PinStore) -> bool:
     return eventually(lambda: all(content(store) == content(stores[0]) for store in stores[1:]))
 
 
@@ -85,7 +85,7 @@ def test_what_one_server_adds_edits_and_deletes_the_other_has_too(ann: PinStore,
     endpoint = free_endpoint()
     with PinSharing(ann, listen=[endpoint]) as first, PinSharing(bob, connect=[endpoint]) as second:
         pin = ann.add([clicked()], name="tent", category=Category.PERSON, who="ann")
-        assert eventually(lambda: len(bob.pins()) == 1) and alike(ann, bob)
+        assert eventually(lambda: len(bob.pins()) == 1) and same(ann, bob)
         (heard,) = bob.pins()
         assert heard.clicks[0].errors is not None  # fused and tied as where it was clicked
         np.testing.assert_array_equal(heard.clicks[0].errors.common_cov, pin.clicks[0].errors.common_cov)  # type: ignore[union-attr]
@@ -93,10 +93,10 @@ def test_what_one_server_adds_edits_and_deletes_the_other_has_too(ann: PinStore,
         bob.add_click(pin.id, clicked(2), who="bob")
         assert eventually(lambda: len(ann.pin(pin.id).clicks) == 2) and ann.pin(pin.id).name == "red tent"
         ann.delete(pin.id, who="ann")
-        assert eventually(lambda: not bob.pins()) and alike(ann, bob)
+        assert eventually(lambda: not bob.pins()) and same(ann, bob)
         with pytest.raises(InputError, match="changed since by ann"):
             bob.undo(who="bob")
-        assert eventually(lambda: first.state.alike == second.state.alike == 1)
+        assert eventually(lambda: first.state.same == second.state.same == 1)
         assert second.state.taken >= 2 and second.state.refused == second.state.unreadable == 0
 
 
@@ -127,20 +127,20 @@ def test_after_a_partition_both_have_the_same_winner_and_deletions_survive(
         ann.edit(pins["deleted first"].id, who="ann", note="still there")
         clock.at(200.0)
         with PinSharing(bob, connect=[endpoint]) as again:
-            assert alike(ann, bob)
+            assert same(ann, bob)
             for store in (ann, bob):
                 notes = {p.name: p.note for p in store.pins()}
                 assert notes == {
                     "later by bob": "by bob",
                     "later by ann": "by ann",
-                    "at once": "by bob",  # by name, where the times are alike
+                    "at once": "by bob",  # by name, where the times are the same
                     "deleted first": "still there",
                     "new by ann": "",
                     "new by bob": "",
                 }
                 assert {p.name for p in store.everything() if p.is_deleted} == {"deleted later", "gone here"}
                 assert len({p.number for p in store.everything()}) == 8  # each number once
-            assert eventually(lambda: again.state.alike == 1)
+            assert eventually(lambda: again.state.same == 1)
 
 
 def test_servers_that_are_not_connected_hear_each_other_through_a_third(
@@ -154,7 +154,7 @@ def test_servers_that_are_not_connected_hear_each_other_through_a_third(
         PinSharing(cyd, listen=[second]),
     ):
         pin = ann.add([typed()], name="from ann", who="ann")
-        assert alike(ann, bob, cyd) and len(cyd.pins()) == 1
+        assert same(ann, bob, cyd) and len(cyd.pins()) == 1
         cyd.delete(pin.id, who="cyd")
         assert eventually(lambda: not ann.pins())
 
@@ -169,7 +169,7 @@ def test_ten_thousand_pins_are_caught_up_and_then_nothing_more_is_asked(ann: Pin
         assert eventually(lambda: len(bob.everything()) == 10_001 == len(ann.everything()), within_s=240.0)
         spent_s = time.process_time() - began_s
         assert spent_s < 60.0  # of a processor; measured 5 s
-        assert eventually(lambda: first.state.alike == second.state.alike == 1)
+        assert eventually(lambda: first.state.same == second.state.same == 1)
         assert second.state.taken == 10_000 and second.state.refused == 0
         revision = ann.revision
         ann.edit(many_first(ann).id, who="ann", note="changed")
@@ -192,7 +192,7 @@ def test_a_change_that_is_lost_on_its_way_is_asked_for(
         assert eventually(lambda: second.state.servers == 1)
         ann.add([typed()], name="one", who="ann")
         bob.add([typed()], name="two", who="bob")
-        assert alike(ann, bob) and len(ann.pins()) == 2
+        assert same(ann, bob) and len(ann.pins()) == 2
 
 
 def hostile_pins() -> list[bytes]:
@@ -276,7 +276,7 @@ def test_whatever_others_send_is_refused_counted_and_does_no_harm(ann: PinStore,
         assert [p.name for p in ann.everything()] == ["mine"] and sharing.state.servers <= 64
         # And all the while it serves who is honest.
         with PinSharing(bob, connect=[endpoint]):
-            assert alike(ann, bob) and len(bob.pins()) == 1
+            assert same(ann, bob) and len(bob.pins()) == 1
             bob.add([typed()], name="bob's", who="bob")
             assert eventually(lambda: len(ann.pins()) == 2)
 
@@ -373,7 +373,7 @@ def test_with_certificates_only_who_has_one_can_change_pins(ann: PinStore, bob: 
                 PinSharing(eve, connect=[endpoint.replace("tls/", "tcp/")]) as stranger,
                 PinSharing(bob, connect=[endpoint], tls=operator),
             ):
-                assert alike(ann, bob) and len(bob.pins()) == 1
+                assert same(ann, bob) and len(bob.pins()) == 1
                 assert [p.name for p in eve.pins()] == ["eve's"] and stranger.state.servers == 0
                 assert first.state.servers == 1
 

@@ -154,8 +154,8 @@ def test_a_ground_that_asks_gets_the_right_picture_for_the_frame_and_one_that_do
         with SetCache(endpoint) as without:
             assert eventually(lambda: _said(flying, without, 1))
             assert flying.picture_room() == 0
-        beside = {PICTURE.key(ANY_VEHICLE): pictures.take}
-        with PictureSender(SECTION, flying) as sender, SetCache(endpoint, beside=beside) as cache:
+        subscriptions = {PICTURE.key(ANY_VEHICLE): pictures.take}
+        with PictureSender(SECTION, flying) as sender, SetCache(endpoint, subscriptions=subscriptions) as cache:
             assert eventually(lambda: flying.picture_room() > 0)
 
             def arrived(number: int) -> bool:
@@ -189,7 +189,7 @@ def test_the_cap_is_held_with_pictures_on_and_they_do_come() -> None:
     with (
         Publisher("uav-1", [target], rate=Rate(bit_rate)) as flying,
         ThinLink(target, bit_rate=1e9) as link,
-        SetCache(link.endpoint, beside={PICTURE.key(ANY_VEHICLE): pictures.take}) as cache,
+        SetCache(link.endpoint, subscriptions={PICTURE.key(ANY_VEHICLE): pictures.take}) as cache,
     ):
         assert eventually(lambda: flying.picture_room() > 0)
         assert eventually(lambda: _said(flying, cache, 1))

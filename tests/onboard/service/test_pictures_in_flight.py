@@ -67,7 +67,7 @@ def test_the_ground_gets_the_right_image_for_the_frame(tmp_path: Path) -> None:
     with (
         Publisher(vehicle, [endpoint], rate=Rate(1e6)) as link,
         PictureSender(section, link) as sender,
-        SetCache(endpoint, beside={PICTURE.key(ANY_VEHICLE): pictures.take}) as cache,
+        SetCache(endpoint, subscriptions={PICTURE.key(ANY_VEHICLE): pictures.take}) as cache,
     ):
         assert eventually(link.picture_room)  # until the ground is there
 
