@@ -127,7 +127,7 @@ def report(sizes: Sequence[tuple[int, int]], features: Sequence[int], pictures: 
                 *(f"{ratio:.2f}" for ratio in ratios),
                 f"{1e3 * found.picture_ms / lk_us:.2f}",
                 *(f"{ratio:.2f}" for ratio in standing),
-                f"{found.solved}/{found.flown}",
+                f"{found.solved}/{found.replayed}",
                 f"{memory_mb:.0f}",
             ]
         )

@@ -42,6 +42,6 @@ class SecondCamera(Section):
         return self.file is not None
 
     @property
-    def is_flown(self) -> bool:
+    def is_live(self) -> bool:
         """Whether the daemon opens one."""
         return self.device is not None

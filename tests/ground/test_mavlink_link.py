@@ -87,8 +87,8 @@ class Aircraft:
                 self.autopilot.send(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3))
             for _, message in self.end.take(self.wire.read(), 0):
                 self.heard.append(message.get_type())
-                self.passage.hear(message, self.system)
-            self.radio.desk.work()
+                self.passage.receive(message, self.system)
+            self.radio.clicks.work()
             for message in self.passage.due(0, self.system):
                 self.end.send(message)
         self.has_ended.set()

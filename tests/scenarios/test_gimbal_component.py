@@ -67,14 +67,14 @@ def over_the_line(flight: GimbalFlight, config: Config, component: int = 154) ->
         arriving.append((event.stamp_ns + round(late_s * S), sender, round(boot_s * 1000), event))
     heartbeat = mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
     heartbeat._header = mavlink.MAVLink_header(heartbeat.id, srcSystem=1, srcComponent=1)
-    autopilot.hear(heartbeat, arriving[0][0])
+    autopilot.receive(heartbeat, arriving[0][0])
     for arrival_ns, sender, boot_ms, event in sorted(arriving, key=lambda each: each[0]):
         if isinstance(event, Frame):
             yield event
             continue
         message = as_message(event, boot_ms)
         message._header = mavlink.MAVLink_header(message.id, srcSystem=1, srcComponent=sender)
-        yield from autopilot.hear(message, arrival_ns)
+        yield from autopilot.receive(message, arrival_ns)
 
 
 def answered(found: Flown) -> tuple[float, list[float]]:

@@ -20,7 +20,7 @@ from onboard.commands import setup
 from onboard.commands.questions import MOST_TRIES, Terminal
 from onboard.commands.setup import Found, Surroundings
 from onboard.config.files import load_config_files
-from onboard.telemetry.autopilot_search import Heard, candidates, listen
+from onboard.telemetry.autopilot_search import FoundAutopilot, candidates, listen
 from simulation.autopilot.fake import FakeAutopilot
 from tests.onboard.link.ports import free_udp_port
 from tests.onboard.telemetry.listening import FLIGHT
@@ -28,21 +28,21 @@ from tests.onboard.telemetry.listening import FLIGHT
 PI = Found("libcamera:/base/soc/i2c0mux/i2c@1/imx219@10", "/base/soc/i2c0mux/i2c@1/imx219@10")
 WEBCAM = Found("/dev/v4l/by-id/usb-046d-index0", "HD Pro Webcam C920", ((640, 480), (1280, 720), (1920, 1080)))
 BARE = Found("/dev/video2", "USB grabber", ((720, 576),))
-SERIAL = Heard("serial:/dev/ttyAMA0:921600", "ArduPilot", 1)
-SLOW = Heard("serial:/dev/ttyUSB0:57600", "PX4", 3)
+SERIAL = FoundAutopilot("serial:/dev/ttyAMA0:921600", "ArduPilot", 1)
+SLOW = FoundAutopilot("serial:/dev/ttyUSB0:57600", "PX4", 3)
 
 
 class Around:
     """A computer with these cameras and autopilots, and a doctor who finds nothing."""
 
-    def __init__(self, cameras: list[Found], heard: list[Heard]) -> None:
+    def __init__(self, cameras: list[Found], heard: list[FoundAutopilot]) -> None:
         self.listened: list[str] = []
         self.checked: list[Path] = []
         self.heard = {h.url: h for h in heard}
         urls = ["udpin:0.0.0.0:14550", *(h.url for h in heard), "serial:/dev/ttyAMA0:115200"]
         self.around = Surroundings(lambda: cameras, lambda: urls, self.listen, self.check)
 
-    def listen(self, url: str) -> Heard | None:
+    def listen(self, url: str) -> FoundAutopilot | None:
         self.listened.append(url)
         return self.heard.get(url)
 
@@ -153,7 +153,7 @@ def test_without_camera_and_autopilot_a_person_may_name_them(out: Path, capsys: 
     ],
 )
 def test_without_anybody_to_ask_what_is_open_is_one_line_and_nothing_is_written(
-    out: Path, cameras: list[Found], heard: list[Heard], message: str
+    out: Path, cameras: list[Found], heard: list[FoundAutopilot], message: str
 ) -> None:
     with pytest.raises(ConfigError) as caught:
         setup.run(arguments(out, "--yes"), None, Around(cameras, heard).around)
@@ -263,7 +263,7 @@ def test_serial_ports_are_tried_under_their_lasting_names(tmp_path: Path) -> Non
 @pytest.mark.parametrize(("style", "kind"), [("ardupilot", "ArduPilot"), ("px4", "PX4")])
 def test_an_autopilot_is_heard_on_a_serial_line_by_its_heartbeat(style: str, kind: str) -> None:
     with FakeAutopilot(FLIGHT, "pty", style=style, system=7) as autopilot:
-        assert listen(autopilot.url, 60.0) == Heard(autopilot.url, kind, 7)
+        assert listen(autopilot.url, 60.0) == FoundAutopilot(autopilot.url, kind, 7)
 
 
 def test_silence_others_and_a_wire_that_is_not_there_are_none(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from onboard.link.autopilot_radio import OVERHEAD, AutopilotRadio
 from onboard.link.rate_follower import LEAST_BIT_RATE, SILENT_S, RateFollower
 from onboard.link.set_selection import Offer
 from tests.onboard.link.pipe import HEARTBEAT_BYTES, Way, own_stream
-from tests.onboard.link.test_click_desk import Clock, look_up
+from tests.onboard.link.test_click_service import Clock, look_up
 
 GROUND = Peer(245, 25)
 REPORT_S = 2.0
@@ -75,7 +75,7 @@ def flown(
             up.put(now_s, HEARTBEAT_BYTES, b"")
             report_s = now_s + REPORT_S
         for payload in up.arrived(now_s):
-            radio.hear(GROUND, payload)
+            radio.receive(GROUND, payload)
         for _, payload in radio.due():
             assert len(payload) + OVERHEAD <= MAX_WIRE_BYTES
             down.put(now_s, len(payload) + OVERHEAD, payload)
@@ -150,12 +150,12 @@ def test_one_ground_at_a_time_gets_sets() -> None:
     radio, other = a_radio(clock, 1e5), Peer(246, 25)
     radio.feed.offer(an_offer(0, 0.0))
     for ground in (GROUND, other):
-        radio.hear(ground, encode_report(ReceiverReport(0, 0)))
+        radio.receive(ground, encode_report(ReceiverReport(0, 0)))
     clock.now_s = 5.0
     assert {ground for ground, _ in radio.due()} == {GROUND}
     clock.now_s = 5.0 + SILENT_S
     radio.feed.offer(an_offer(9, 9.0))
-    radio.hear(other, encode_report(ReceiverReport(0, 0)))
+    radio.receive(other, encode_report(ReceiverReport(0, 0)))
     clock.now_s += 1.0
     assert {ground for ground, _ in radio.due()} == {other}
 
@@ -164,7 +164,7 @@ def test_signed_packets_are_as_long_on_the_wire_as_unsigned_ones() -> None:
     clock = Clock()
     radio = a_radio(clock, 1e6, is_signed=True)
     radio.feed.offer(an_offer(0, 0.0))
-    radio.hear(GROUND, encode_report(ReceiverReport(0, 0)))
+    radio.receive(GROUND, encode_report(ReceiverReport(0, 0)))
     sizes = []
     for _ in range(100):
         clock.now_s += 0.1
@@ -177,9 +177,9 @@ def test_a_ground_stations_system_number_is_turned_away(system: int, is_turned_a
     radio, ground = a_radio(Clock(), 4_800.0), Peer(system, 25)
     radio.know_ground_stations(250, 255)
     radio.feed.offer(an_offer(0, 0.0))
-    radio.hear(ground, encode_question(ClickQuestion(5, 1.0, 2.0)))
-    radio.hear(ground, encode_report(ReceiverReport(0, 0)))
-    radio.hear(ground, b"")
+    radio.receive(ground, encode_question(ClickQuestion(5, 1.0, 2.0)))
+    radio.receive(ground, encode_report(ReceiverReport(0, 0)))
+    radio.receive(ground, b"")
     said = [decode(payload) for to, payload in radio.due() if to == ground and read_piece(payload) is None]
     assert [isinstance(s, TurnedAway) and (s.low, s.high) == (250, 255) for s in said] == [True] * is_turned_away
 

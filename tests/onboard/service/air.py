@@ -149,7 +149,7 @@ class PlayedSource:
         silent_s = (self._clock.now_ns() - self._last_ns) / 1e9
         return SourceStatus(State.LOST, "silent") if silent_s > self._lost_after_s else SourceStatus(State.OK)
 
-    def say(self, severity: Severity, text: str) -> None:
+    def send_text(self, severity: Severity, text: str) -> None:
         self.reported.append((severity, text))
 
 

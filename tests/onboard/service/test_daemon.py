@@ -71,7 +71,7 @@ class Steady:
     def health(self) -> SourceStatus:
         return SourceStatus(self.state, "as told" if self.state is not State.OK else "")
 
-    def say(self, severity: Severity, text: str) -> None:
+    def send_text(self, severity: Severity, text: str) -> None:
         self.reported.append(text)
 
 

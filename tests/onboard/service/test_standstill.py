@@ -18,7 +18,7 @@ from onboard.events.types import Attitude, Event, FilterStatus, Frame, GpsQualit
 from onboard.pipeline.pipeline import Pipeline
 from onboard.service.reports import Report
 from onboard.service.session import Parts, Session
-from onboard.service.standstill import LASTING_NS, Standstill
+from onboard.service.standstill import PERSISTENT_NS, Standstill
 from onboard.service.vehicle_state import AT_REST, Subject
 from tests.onboard.service.air import FastClock
 from tests.scenarios.flights import CAMERA
@@ -54,7 +54,7 @@ def moving(stamp_ns: int) -> PositionFix:
     ("stretches", "at_rest"),
     [
         ([(4.0, fix)], True),
-        ([(0.9 * LASTING_NS / 1e9, fix)], False),
+        ([(0.9 * PERSISTENT_NS / 1e9, fix)], False),
         ([(4.0, moving)], False),
         ([(4.0, moving), (4.0, fix)], True),
         ([(4.0, fix), (0.1, moving)], False),
@@ -96,7 +96,7 @@ class OnTheGround:
     def health(self) -> SourceStatus:
         return SourceStatus(State.OK, "", FIGURES)
 
-    def say(self, severity: Severity, text: str) -> None:
+    def send_text(self, severity: Severity, text: str) -> None:
         """Nobody listens."""
 
 

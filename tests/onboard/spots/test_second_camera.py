@@ -214,4 +214,4 @@ def test_how_evenly_the_camera_moves_is_judged_by_its_own_poses() -> None:
 
 
 def test_a_configuration_without_a_second_camera_has_none() -> None:
-    assert not Config().camera.thermal.is_flown and not Config().camera.thermal.is_stated
+    assert not Config().camera.thermal.is_live and not Config().camera.thermal.is_stated

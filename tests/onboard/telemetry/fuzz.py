@@ -78,7 +78,7 @@ def spell(rng: random.Random, counts: Counter[str]) -> None:
             events, navigation = [], navigations[1]
             for message in framer.feed(packet(rng, packer, (now - 10**18) // 10**6)):
                 counts[message.get_type()] += 1
-                events += autopilot.hear(message, now)
+                events += autopilot.receive(message, now)
         for event in events:
             counts[type(event).__name__] += 1
             judge(event, navigation)

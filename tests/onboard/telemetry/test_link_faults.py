@@ -186,8 +186,8 @@ def test_what_is_said_reaches_the_line_in_pieces_that_belong_together() -> None:
     with both_libraries() as pairs:
         for _, heard in pairs:
             heard.wait(State.OK)
-            heard.source.say(Severity.WARNING, "Kamera verloren: ä" + "x" * 50)
-            heard.source.say(Severity.INFO, "ok")
+            heard.source.send_text(Severity.WARNING, "Kamera verloren: ä" + "x" * 50)
+            heard.source.send_text(Severity.INFO, "ok")
         for autopilot, heard in pairs:
             heard.until(lambda autopilot=autopilot: len(autopilot.received_of("STATUSTEXT")) >= 3)
             first, second, third = autopilot.received_of("STATUSTEXT")

@@ -175,7 +175,7 @@ def test_a_recording_with_any_of_its_bytes_changed_is_survived(seed: int, share:
     sent = 0
     for at in range(0, len(data), 64):
         for message in framer.feed(bytes(data[at : at + 64])):
-            autopilot.hear(message, now)
+            autopilot.receive(message, now)
         sent += len(autopilot.due(now))
         now += SECOND // 50
         autopilot.health(now)
@@ -198,7 +198,7 @@ def test_sound_packets_of_nonsense_are_survived(chosen: list[tuple[Any, bytes]])
         message = mavlink.MAVLink_message(kind.id, kind.msgname)
         line = message._pack(packer, kind.crc_extra, payload)
         for heard in framer.feed(bytes(line)):
-            for event in autopilot.hear(heard, now):
+            for event in autopilot.receive(heard, now):
                 assert abs(event.stamp_ns) < 2**63
                 assert not isinstance(event, PositionFix) or (
                     abs(event.lat_deg) <= 90.0 and abs(event.lon_deg) <= 180.0

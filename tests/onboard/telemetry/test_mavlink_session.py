@@ -34,18 +34,18 @@ class Flown:
     def boot_ns(self, late_ns: int = 0) -> int:
         return self.clocks.boot_ns((self.now_ns - late_ns - EPOCH) / 1e9)
 
-    def hear(self, message: Any, late_ns: int = 2 * MS) -> None:
+    def receive(self, message: Any, late_ns: int = 2 * MS) -> None:
         message._header = mavlink.MAVLink_header(message.id, srcSystem=1, srcComponent=1)
-        self.autopilot.hear(message, self.now_ns + late_ns)
+        self.autopilot.receive(message, self.now_ns + late_ns)
 
     def fly(self, seconds: float) -> SourceStatus:
         for _ in range(round(seconds * NS_PER_S / STEP_NS)):
             boot_ms = self.boot_ns() // MS
             if self.tick % 20 == 0:
-                self.hear(mavlink.MAVLink_heartbeat_message(1, self.kind, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
-            self.hear(mavlink.MAVLink_attitude_message(boot_ms, 0.1, 0.0, 0.0, 0.0, 0.0, 0.1))
-            self.hear(mavlink.MAVLink_global_position_int_message(boot_ms, 4 * 10**8, 10**8, 0, 0, 0, 0, 0, 0))
-            self.hear(mavlink.MAVLink_gps_raw_int_message(boot_ms * 1000, 3, 4 * 10**8, 10**8, 0, 100, 100, 0, 0, 9))
+                self.receive(mavlink.MAVLink_heartbeat_message(1, self.kind, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
+            self.receive(mavlink.MAVLink_attitude_message(boot_ms, 0.1, 0.0, 0.0, 0.0, 0.0, 0.1))
+            self.receive(mavlink.MAVLink_global_position_int_message(boot_ms, 4 * 10**8, 10**8, 0, 0, 0, 0, 0, 0))
+            self.receive(mavlink.MAVLink_gps_raw_int_message(boot_ms * 1000, 3, 4 * 10**8, 10**8, 0, 100, 100, 0, 0, 9))
             for message in self.autopilot.due(self.now_ns):
                 self.sent.append(message)
                 self._answer(message)
@@ -55,9 +55,9 @@ class Flown:
     def _answer(self, message: Any) -> None:
         if message.get_type() == "TIMESYNC" and message.tc1 == 0 and self.other_clock_s is not None:
             answer_ns = self.clocks.boot_ns((self.now_ns + MS - EPOCH) / 1e9) + round(self.other_clock_s * 1e9)
-            self.hear(mavlink.MAVLink_timesync_message(answer_ns, message.ts1))
+            self.receive(mavlink.MAVLink_timesync_message(answer_ns, message.ts1))
         elif message.get_type() == "COMMAND_LONG":
-            self.hear(mavlink.MAVLink_command_ack_message(message.command, mavlink.MAV_RESULT_ACCEPTED))
+            self.receive(mavlink.MAVLink_command_ack_message(message.command, mavlink.MAV_RESULT_ACCEPTED))
 
     def of(self, name: str) -> list[Any]:
         return [message for message in self.sent if message.get_type() == name]
@@ -125,8 +125,8 @@ def test_px4_is_not_given_an_onboard_controller_to_miss(kind: int, announced: in
 def test_a_text_for_the_pilot_is_whole_up_to_two_pieces(text: str) -> None:
     flown = Flown()
     flown.fly(2.0)
-    flown.autopilot.say(Severity.WARNING, text)
-    flown.autopilot.say(Severity.INFO, text)
+    flown.autopilot.send_text(Severity.WARNING, text)
+    flown.autopilot.send_text(Severity.INFO, text)
     flown.fly(2.0)
     pieces = flown.of("STATUSTEXT")
     count = 1 if len(text) <= 50 else 2
@@ -140,6 +140,6 @@ def test_a_text_for_the_pilot_is_whole_up_to_two_pieces(text: str) -> None:
 
 def test_rates_are_asked_of_px4_before_it_has_a_fix() -> None:
     flown = Flown()
-    flown.hear(mavlink.MAVLink_heartbeat_message(1, PX4, 0, 0, mavlink.MAV_STATE_UNINIT, 3))
+    flown.receive(mavlink.MAVLink_heartbeat_message(1, PX4, 0, 0, mavlink.MAV_STATE_UNINIT, 3))
     out = flown.autopilot.due(flown.now_ns)
     assert [message.param1 for message in out if message.get_type() == "COMMAND_LONG"] == [30]
