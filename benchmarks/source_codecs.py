@@ -54,7 +54,7 @@ from simulation.ordinary import ordinary
 from simulation.session import SessionSpec, make_flight
 from simulation.telemetry import write_tlog
 from tests.rtsp import SYSTEM_PYTHON, is_installed
-from tests.scenarios.flights import CHI2_90, Outcome, _Sets, click, flown
+from tests.scenarios.flights import CHI2_90, Outcome, _Sets, click, simulated
 from tests.streamed_flight import pictures_of
 
 RECODING = Path(__file__).resolve().parents[1] / "tests" / "recoding.py"
@@ -104,7 +104,7 @@ def recoded(raw: Path, size_px: tuple[int, int], count: int, rate_hz: float, **s
     return Recoded(by_number, 8e-3 * said["bytes"] / count * OF_HZ, 1e3 * said["decode_s"] / count)
 
 
-def flown_by(session: Path, spec: SessionSpec, autopilot: int, folder: Path) -> Path:
+def simulated_by(session: Path, spec: SessionSpec, autopilot: int, folder: Path) -> Path:
     """The session of a described flight as another autopilot would have logged it; pictures and truth are the same."""
     assert isinstance(spec.flight, DescribedSpec)
     flight = make_flight(spec)
@@ -193,8 +193,8 @@ def mean_with_sigma(shares: Sequence[float], sign: str = "") -> str:
 
 def row(what: Sequence[str], sessions: Sequence[Path], outcomes: Sequence[Outcome], raw: Sequence[Outcome]) -> str:
     """A line of the table; `raw`: what came of the same flights on their own pictures."""
-    told = [between_clicks(session, done) for session, done in zip(sessions, outcomes, strict=True)]
-    errors_m, chi2 = (np.concatenate([pair[k] for pair in told]) for k in (0, 1))
+    stated = [between_clicks(session, done) for session, done in zip(sessions, outcomes, strict=True)]
+    errors_m, chi2 = (np.concatenate([pair[k] for pair in stated]) for k in (0, 1))
     between = f"{np.median(errors_m):.2f} m | {100.0 * np.mean(chi2 < CHI2_90):.0f} %" if len(errors_m) else "- | -"
     pipelines = [o.pipeline for o in outcomes if o.pipeline is not None]
     pixel_px = np.mean([p.summary.reprojection_px for p in pipelines])
@@ -242,9 +242,9 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 def table(specs: Sequence[SessionSpec], autopilots: int, streams: Sequence[dict[str, Any]], folder: Path) -> None:
     """Print a row for the raw pictures and for each stream, of all paths by all autopilots."""
-    paths = [flown(spec) for spec in specs]
+    paths = [simulated(spec) for spec in specs]
     flights = [
-        [flown_by(path, spec, 100 * k + n, folder) for n in range(autopilots)]
+        [simulated_by(path, spec, 100 * k + n, folder) for n in range(autopilots)]
         for k, (path, spec) in enumerate(zip(paths, specs, strict=True))
     ]
     sessions, rate_hz, size_px = [s for by in flights for s in by], specs[0].rate_hz, specs[0].camera.size_px

@@ -22,8 +22,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from benchmarks.flown import first_sets
 from benchmarks.machine import describe, load, table, verdict
+from benchmarks.short_flight import first_sets
 
 # isort: split
 import cv2

@@ -20,8 +20,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from benchmarks.flown import first_sets
 from benchmarks.machine import describe, load, table, verdict
+from benchmarks.short_flight import first_sets
 
 # isort: split
 import numpy as np
@@ -292,7 +292,7 @@ Scene = tuple[SessionSpec, list[Thing], Callable[[Config], Config]]
 def hover(seed: int) -> Scene:
     """Standing in the air: without parallax, over level ground at home's height."""
     flight = DescribedSpec(PathSpec("hover", height_m=HEIGHT_M, heading_deg=30.0), seed=seed)
-    spec = drawn(flight, seed)
+    spec = sampled(flight, seed)
     things = about(centre_of(spec, (8.0,)), seed)
     section = {"home_level": True}
     return spec, things, lambda c: c.model_copy(update={"solve": c.solve.model_copy(update=section)})
@@ -301,21 +301,21 @@ def hover(seed: int) -> Scene:
 def orbit(seed: int) -> Scene:
     """Round a place at 45 degrees of bank, the camera 60 degrees from the belly towards the inner wing."""
     path = PathSpec("orbit", speed_m_s=18.0, height_m=HEIGHT_M, heading_deg=30.0, radius_m=33.0)
-    spec = replace(drawn(DescribedSpec(path, seed=seed), seed), mount_deg=(0.0, -30.0, 90.0))
+    spec = replace(sampled(DescribedSpec(path, seed=seed), seed), mount_deg=(0.0, -30.0, 90.0))
     return spec, about(centre_of(spec, np.arange(0.0, 11.5, 0.5)), seed), lambda c: c
 
 
 def ahead(seed: int) -> Scene:
     """Along a road at the speed of its traffic."""
     path = PathSpec("straight", speed_m_s=16.0, height_m=HEIGHT_M, heading_deg=30.0)
-    spec = drawn(DescribedSpec(path, seed=seed), seed)
+    spec = sampled(DescribedSpec(path, seed=seed), seed)
     return spec, on_a_road(spec, 30.0, 16.0, seed), lambda c: c
 
 
 def autopilot(seed: int) -> Scene:
     """A recorded plane, the ground raised to 120 m below it."""
     flight = RecordedSpec(str(RECORDING), 2.0 + seed % 3, ground_amsl_m=RECORDED_AMSL_M - HEIGHT_M)
-    spec = drawn(flight, seed)
+    spec = sampled(flight, seed)
     made = make_flight(spec)
     track = np.degrees(np.arctan2(*made.trajectory.velocity_enu_m_s(made.start_s + 8.0)[:2]))
     speed = float(np.hypot(*made.trajectory.velocity_enu_m_s(made.start_s + 8.0)[:2]))
@@ -325,7 +325,7 @@ def autopilot(seed: int) -> Scene:
 SCENES: dict[str, Callable[[int], Scene]] = {"hover": hover, "ahead": ahead, "orbit": orbit, "autopilot": autopilot}
 
 
-def drawn(flight: DescribedSpec | RecordedSpec, seed: int) -> SessionSpec:
+def sampled(flight: DescribedSpec | RecordedSpec, seed: int) -> SessionSpec:
     return SessionSpec(flight, seconds=SECONDS, rate_hz=RATE_HZ, texture=TextureSpec(seed=seed), seed=seed)
 
 

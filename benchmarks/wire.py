@@ -25,7 +25,7 @@ from benchmarks.machine import describe, interleaved_us, load, table, verdict
 # isort: split
 import numpy as np
 
-from benchmarks.flown import leg, sets_of
+from benchmarks.short_flight import leg, sets_of
 from contract.camera import Camera
 from contract.feature_set import COMMON_STATES, NUISANCES, DepthSource, FeatureSet, HeightDatum, SharedErrors, Status
 from contract.wire.codec import decode, encode

@@ -174,7 +174,7 @@ def test_a_link_without_an_aircraft_is_one_clear_line(environment: Path) -> None
         (["clack"], "clack"),
     ],
 )
-def test_wrong_usage_is_told(environment: Path, arguments: list[str], said: str) -> None:
+def test_wrong_usage_is_reported(environment: Path, arguments: list[str], said: str) -> None:
     done = run(environment, "pc-ground", *arguments)
     assert (done.returncode, done.stdout) == (2, "")
     assert said in done.stderr

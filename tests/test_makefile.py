@@ -101,7 +101,7 @@ def test_a_failure_or_an_empty_run_fails(tmp_path: Path, parallel: int, serial: 
 
 
 @pytest.mark.parametrize(("types", "parallel", "is_well"), [(0, 0, True), (1, 0, False), (0, 1, False), (1, 1, False)])
-def test_types_are_checked_beside_the_tests_and_either_fails(
+def test_types_are_checked_next_to_the_tests_and_either_fails(
     tmp_path: Path, types: int, parallel: int, is_well: bool
 ) -> None:
     code, calls, said = make_pytest(tmp_path, parallel, 0, target="test", types=types)

@@ -81,7 +81,7 @@ class Job:
         self._on_text = on_text
         self._ended: queue.Queue[int | None] = queue.Queue()
 
-    def heard(self, answer: Mapping[str, Any]) -> None:
+    def received(self, answer: Mapping[str, Any]) -> None:
         """Take one line of the agent's."""
         if "text" in answer:
             self.text += answer["text"]
@@ -200,7 +200,7 @@ class Machine:
             pending += chunk
             *whole, pending = pending.split(b"\n")
             for raw in whole:
-                self._heard(json.loads(raw))
+                self._take(json.loads(raw))
 
     def _received(self) -> bytes:
         try:
@@ -208,13 +208,13 @@ class Machine:
         except OSError:  # closed: the guest has ended
             return b""
 
-    def _heard(self, answer: Mapping[str, Any]) -> None:
+    def _take(self, answer: Mapping[str, Any]) -> None:
         if "ready" in answer:
             self._ready.set()
         elif "monotonic_ns" in answer:
             self._clock.put(answer["monotonic_ns"])
         else:
-            self._jobs[answer["job"]].heard(answer)
+            self._jobs[answer["job"]].received(answer)
 
 
 @contextlib.contextmanager

@@ -102,7 +102,7 @@ _SHARED = Path(os.environ.get(FLIGHTS_VARIABLE) or _FOLDER.name)  # by all worke
 
 
 @cache
-def flown(spec: SessionSpec) -> Path:
+def simulated(spec: SessionSpec) -> Path:
     """The session's folder, not to be written to; the same spec is flown once in a run, whichever worker needs it."""
     folder = _SHARED / sha256(repr(spec).encode()).hexdigest()[:16]
     with folder.with_suffix(".lock").open("w") as lock:

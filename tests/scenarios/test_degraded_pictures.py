@@ -13,7 +13,7 @@ from contract.feature_set import Status
 from onboard.vision.contrast_normalisation import Picture
 from simulation.session import SessionSpec
 from tests.scenarios import test_degenerate_ground as ground
-from tests.scenarios.flights import Outcome, click, flown, play, retouched
+from tests.scenarios.flights import Outcome, click, play, retouched, simulated
 
 Change = Callable[[Picture], Picture]
 
@@ -116,7 +116,7 @@ def holds(outcome: Outcome, spoilt: range, verdict: str, may_miss: int) -> None:
 @pytest.mark.parametrize("name", NAMES_FROM_THE_START)
 def test_spoilt_from_the_start(name: str) -> None:
     case = CASES[name]
-    outcome = play(retouched(flown(case.spec), case.change))
+    outcome = play(retouched(simulated(case.spec), case.change))
     holds(outcome, range(len(outcome.sets)), case.verdict, may_miss=2)
 
 
@@ -124,7 +124,7 @@ def test_spoilt_from_the_start(name: str) -> None:
 def test_spoilt_in_mid_flight(name: str) -> None:
     """A third of the flight. Two pictures are lost where sharp ones are no match for spoilt ones; then again after."""
     case = CASES[name]
-    folder = flown(case.spec)
+    folder = simulated(case.spec)
     count = round(case.spec.seconds * case.spec.rate_hz)
     spoilt = range(count // 3, 2 * count // 3)
     outcome = play(retouched(folder, case.change, spoilt))
@@ -148,7 +148,7 @@ def test_a_picture_repeated_in_other_bytes_is_bad(spec: SessionSpec) -> None:
         held.append(held[0] if held else image)
         return jpeg(60 + len(held))(held[0])
 
-    outcome = play(retouched(flown(spec), repeated, range(10, 18)))
+    outcome = play(retouched(simulated(spec), repeated, range(10, 18)))
     statuses = [outcome.sets[frame].status for frame in range(round(spec.seconds * spec.rate_hz))]
     assert outcome.inside_99 >= 0.97, outcome.reported
     assert statuses[11:18] == [Status.BAD_PICTURE] * 7, outcome.reported

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.drawn_flight import EPOCH_NS, DrawnFlight, DrawnSpec
+from benchmarks.sampled_flight import EPOCH_NS, SampledFlight, SampledSpec
 from contract.camera import Camera
 from contract.zoom_table import ZoomTable
 from onboard.config.schema import parse_config
@@ -31,13 +31,13 @@ Profile = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
-class ZoomSpec(DrawnSpec):
+class ZoomSpec(SampledSpec):
     """A drawn flight whose lens follows a profile."""
 
     profile: Profile = STEPS
 
 
-class ZoomFlight(DrawnFlight):
+class ZoomFlight(SampledFlight):
     """The lens as it is at each picture, and a table that errs by what it states."""
 
     spec: ZoomSpec
@@ -84,7 +84,7 @@ class Telling:
     bad: tuple[float, ...] = field(default=())  # told between the others
 
 
-def told(flight: ZoomFlight, telling: Telling) -> Iterator[Event]:
+def stated(flight: ZoomFlight, telling: Telling) -> Iterator[Event]:
     """The flight's events with reports of its zoom, stamped when they come."""
     rng = np.random.default_rng([flight.seed, 414])
     moments = np.arange(-3.0, flight.spec.seconds + 3.0, 1.0 / RATE_HZ)

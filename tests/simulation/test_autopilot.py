@@ -142,7 +142,7 @@ def test_an_old_autopilot_knows_streams_only(flight: Flight, station: Station) -
         assert 7.0 <= rate_hz(station.next_of("ATTITUDE", 10)) <= 13.0
 
 
-def test_its_boot_clock_drifts_as_told_and_answers_timesync(flight: Flight, station: Station) -> None:
+def test_its_boot_clock_drifts_as_specified_and_answers_timesync(flight: Flight, station: Station) -> None:
     with FakeAutopilot(flight, station.url, drift=0.02) as autopilot:
         station.next_of("HEARTBEAT", 1)
         readings = []
@@ -175,7 +175,7 @@ def test_a_reboot_starts_the_boot_clock_again_and_forgets_rates(flight: Flight, 
         assert autopilot.boots == 2
 
 
-def test_it_loses_and_corrupts_about_as_told(flight: Flight, station: Station) -> None:
+def test_it_loses_and_corrupts_about_as_specified(flight: Flight, station: Station) -> None:
     with FakeAutopilot(flight, station.url, everything=True, faults=Faults(loss=0.3, corrupt=0.2)) as autopilot:
         came = station.listen(2.5)
     came += station.listen(0.3)  # what was still on its way

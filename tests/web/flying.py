@@ -17,7 +17,7 @@ from ground.web.context import ServerContext
 from ground.web.guard import Rules
 from ground.web.tiles import Tiles
 from tests.waiting import PATIENCE_S
-from tests.web.drawn import FlyingSource
+from tests.web.rendered import FlyingSource
 
 
 class Flight:

@@ -21,7 +21,7 @@ from ground.web.context import ServerContext
 from ground.web.guard import Rules
 from ground.web.source import FrameRow
 from tests.waiting import PATIENCE_S
-from tests.web.drawn import VEHICLE, FlyingSource
+from tests.web.rendered import VEHICLE, FlyingSource
 
 OTHER = "uav-2"
 
@@ -100,7 +100,7 @@ def test_pictures_and_state_come_though_the_pins_cannot_be_read(context: ServerC
 
 
 @pytest.mark.parametrize("failure", [InputError("damaged at byte 17"), RuntimeError("a fault of ours")])
-def test_pictures_that_cannot_be_read_stop_nobody_else_s_and_come_once_they_can(
+def test_pictures_that_cannot_be_read_stop_no_one_else_s_and_come_once_they_can(
     context: ServerContext, source: TwoAircraft, failure: Exception, caplog: pytest.LogCaptureFixture
 ) -> None:
     with browser(context) as socket:

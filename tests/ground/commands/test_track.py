@@ -158,14 +158,14 @@ def test_cot_has_speed_and_course_and_of_a_thing_at_rest_no_course() -> None:
 
 def test_tracks_that_are_no_longer_reported_are_forgotten() -> None:
     now = [0.0]
-    heard = ReceivedTracks(lambda: now[0])
-    heard.take("pc/uav-1/tracks", encode_track(REPORT))
-    heard.take("pc/uav-1/tracks", b"\xff\xff")
-    heard.take("no/key", encode_track(REPORT))
-    assert [report.vehicle for report in heard.newest()] == ["uav-1"]
-    assert heard.newest()[0] == decode_track(encode_track(REPORT), "uav-1")
+    received = ReceivedTracks(lambda: now[0])
+    received.take("pc/uav-1/tracks", encode_track(REPORT))
+    received.take("pc/uav-1/tracks", b"\xff\xff")
+    received.take("no/key", encode_track(REPORT))
+    assert [report.vehicle for report in received.newest()] == ["uav-1"]
+    assert received.newest()[0] == decode_track(encode_track(REPORT), "uav-1")
     now[0] = SILENT_S + 0.1
-    assert not heard.newest()
+    assert not received.newest()
 
 
 def test_what_was_followed_is_in_the_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

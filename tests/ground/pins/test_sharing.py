@@ -86,9 +86,9 @@ def test_what_one_server_adds_edits_and_deletes_the_other_has_too(ann: PinStore,
     with PinSharing(ann, listen=[endpoint]) as first, PinSharing(bob, connect=[endpoint]) as second:
         pin = ann.add([clicked()], name="tent", category=Category.PERSON, who="ann")
         assert eventually(lambda: len(bob.pins()) == 1) and same(ann, bob)
-        (heard,) = bob.pins()
-        assert heard.clicks[0].errors is not None  # fused and tied as where it was clicked
-        np.testing.assert_array_equal(heard.clicks[0].errors.common_cov, pin.clicks[0].errors.common_cov)  # type: ignore[union-attr]
+        (received,) = bob.pins()
+        assert received.clicks[0].errors is not None  # fused and tied as where it was clicked
+        np.testing.assert_array_equal(received.clicks[0].errors.common_cov, pin.clicks[0].errors.common_cov)  # type: ignore[union-attr]
         bob.edit(pin.id, who="bob", name="red tent")
         bob.add_click(pin.id, clicked(2), who="bob")
         assert eventually(lambda: len(ann.pin(pin.id).clicks) == 2) and ann.pin(pin.id).name == "red tent"

@@ -21,7 +21,7 @@ from ground.formats import fire_area
 from ground.link_recorder import LinkRecorder
 from ground.spots.fire import MOST_PICTURES, Fire, FireGround
 from tests.contract.sets import plain_set
-from tests.ground.spots.drawn_spots import HOME, START_NS, covariance, spot_at
+from tests.ground.spots.sampled_spots import HOME, START_NS, covariance, spot_at
 
 COV = covariance(1.5, 1.0, 30.0)
 Ring = tuple[tuple[float, float], ...]
@@ -126,7 +126,7 @@ def test_only_what_is_hot_enough_large_enough_and_of_the_last_minutes_burns() ->
     assert unknown.fire(5.0) is not None
 
 
-def test_of_very_many_pictures_some_are_drawn_evenly_and_with_the_newest() -> None:
+def test_of_very_many_pictures_some_are_taken_evenly_and_with_the_newest() -> None:
     ground = FireGround()
     for k in range(3 * MOST_PICTURES):
         ground.add(report(k, float(k), burning(circle(3.0), 0.05 * k)))

@@ -88,7 +88,7 @@ def test_a_node_that_takes_no_pictures_is_no_camera(
 
 
 @pytest.mark.parametrize("url", ["udpin:127.0.0.1:14550", "udpout:127.0.0.1:14550", "tcp:127.0.0.1:5760"])
-def test_of_the_network_it_says_that_nobody_can_know(
+def test_of_the_network_it_says_that_no_one_can_know(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], url: str
 ) -> None:
     (tmp_path / "frames").mkdir()

@@ -82,7 +82,7 @@ def test_what_decodes_a_stream_is_said_where_the_camera_is_one() -> None:
     assert "decoder" not in verdicts(WELL)
 
 
-def test_a_thermal_cameras_scale_is_said_and_that_nobody_knows_it() -> None:
+def test_a_thermal_cameras_scale_is_said_and_that_no_one_knows_it() -> None:
     assert "thermal" not in verdicts(WELL)
     said = {}
     for scale in (None, 0.01):

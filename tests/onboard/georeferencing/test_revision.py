@@ -97,7 +97,7 @@ def test_a_radius_that_has_changed_is_another_answer_either_way(placed: Placed, 
     assert not are_same(placed.solved, beyond)
 
 
-def test_without_a_point_in_common_nothing_is_known_to_be_alike(placed: Placed) -> None:
+def test_without_a_point_in_common_nothing_is_known_to_be_the_same(placed: Placed) -> None:
     others = replace(placed.solved, point_ids=placed.solved.point_ids + 10_000)
     assert not are_same(placed.solved, others)
 

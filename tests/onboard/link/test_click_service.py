@@ -58,11 +58,11 @@ def a_service(clock: Clock, bit_rate: float = 4800.0, asked: list[Question] | No
     return ClickService("uav-1", noted, OVERHEAD, a_bucket(bit_rate), clock.ns)
 
 
-def answered(clicks: ClickService, question: ClickQuestion, ground: Peer = GROUND) -> list[ClickAnswer]:
-    clicks.receive(ground, encode_question(question))
-    while clicks.work():
+def answered(service: ClickService, question: ClickQuestion, ground: Peer = GROUND) -> list[ClickAnswer]:
+    service.receive(ground, encode_question(question))
+    while service.work():
         pass
-    found = [decode(payload) for to, payload in clicks.due() if to == ground]
+    found = [decode(payload) for to, payload in service.due() if to == ground]
     return [f for f in found if isinstance(f, ClickAnswer)]
 
 
@@ -81,24 +81,24 @@ def test_what_the_aircraft_has_not_is_refused_and_what_is_being_made_is_not_answ
     assert isinstance(unknown, ClickAnswer) and isinstance(unknown.answer, Refusal)
     assert (unknown.answer.status, unknown.answer.frame) == (Status.UNKNOWN_FRAME, 8)
     made: list[Answer] = []
-    clicks = ClickService("uav-1", lambda _: made[0] if made else None, OVERHEAD, a_bucket(), clock.ns)
-    assert answered(clicks, ClickQuestion(6, *UV, frame=7)) == []
+    service = ClickService("uav-1", lambda _: made[0] if made else None, OVERHEAD, a_bucket(), clock.ns)
+    assert answered(service, ClickQuestion(6, *UV, frame=7)) == []
     made.append(Answer(PAYLOAD))
-    (late,) = answered(clicks, ClickQuestion(6, *UV, frame=7))
+    (late,) = answered(service, ClickQuestion(6, *UV, frame=7))
     assert isinstance(late, ClickAnswer) and isinstance(late.answer, Fix)
 
 
 def test_a_question_that_is_sent_again_gets_the_same_answer_and_is_computed_once() -> None:
     clock, asked = Clock(), list[Question]()
-    clicks = a_service(clock, asked=asked)
-    first = answered(clicks, ClickQuestion(5, *UV))
+    service = a_service(clock, asked=asked)
+    first = answered(service, ClickQuestion(5, *UV))
     clock.now_s = 3.0
-    again = answered(clicks, ClickQuestion(5, *UV))
-    assert answered(clicks, ClickQuestion(5, *UV)) == []  # that answer is still under way
+    again = answered(service, ClickQuestion(5, *UV))
+    assert answered(service, ClickQuestion(5, *UV)) == []  # that answer is still under way
     assert len(asked) == 1
     assert isinstance(first[0], ClickAnswer) and isinstance(again[0], ClickAnswer)
     assert first[0].answer.age_s == again[0].answer.age_s == 0.25
-    answered(clicks, ClickQuestion(5, *UV), Peer(246, 25))  # another ground's question of the same number
+    answered(service, ClickQuestion(5, *UV), Peer(246, 25))  # another ground's question of the same number
     assert len(asked) == 2
 
 
@@ -115,22 +115,22 @@ def test_a_question_that_comes_late_means_the_picture_of_when_it_was_clicked(wai
             found = min(made.values(), key=lambda s: abs(s.capture_unix_ns / 1e9 - (asked.time_s or 0.0)))
         return Answer(encode(found), json.dumps({"age_s": 0.3 + 0.4 * (9 - found.frame)}).encode())
 
-    clicks = ClickService("uav-1", of_a_flight, OVERHEAD, a_bucket(), Clock().ns)
-    (found,) = answered(clicks, ClickQuestion(5, *UV, waited_s=waited_s))
+    service = ClickService("uav-1", of_a_flight, OVERHEAD, a_bucket(), Clock().ns)
+    (found,) = answered(service, ClickQuestion(5, *UV, waited_s=waited_s))
     assert isinstance(found.answer, Fix) and found.answer.frame == frame
     assert found.answer.age_s == pytest.approx(max(0.3 + 0.4 * (9 - frame) - waited_s, 0.0), abs=0.01)
 
 
 def test_a_flood_of_questions_is_bounded_and_never_above_the_bit_rate() -> None:
     clock = Clock()
-    clicks = a_service(clock, 4800.0)
+    service = a_service(clock, 4800.0)
     sent: deque[tuple[float, int]] = deque()
     for number in range(2000):
         clock.now_s += 0.005
-        clicks.receive(GROUND, encode_question(ClickQuestion(number, *UV)))
-        clicks.receive(GROUND, b"\x11garbage")
-        clicks.work()
-        out = clicks.due()
+        service.receive(GROUND, encode_question(ClickQuestion(number, *UV)))
+        service.receive(GROUND, b"\x11garbage")
+        service.work()
+        out = service.due()
         assert len(out) <= MAX_WAITING
         sent += [(clock.now_s, len(payload) + OVERHEAD) for _, payload in out]
     for began_s, _ in list(sent):
@@ -144,7 +144,7 @@ def waits_s(
 ) -> tuple[list[float], Way[bytes]]:
     """How long each of so many clicks, a while after one another, waits for its answer; and the way down."""
     clock, chance = Clock(), random.Random(4)
-    clicks = a_service(clock, 0.4 * bit_rate if bit_rate > 1000.0 else bit_rate)
+    service = a_service(clock, 0.4 * bit_rate if bit_rate > 1000.0 else bit_rate)
     up: Way[bytes] = Way(bit_rate, loss, delay_s, 0.05, seed=1)
     down: Way[bytes] = Way(bit_rate, loss, delay_s, 0.05, seed=2)
     stream = deque(own_stream(bit_rate, share, seconds))
@@ -163,10 +163,10 @@ def waits_s(
             up.put(now_s, HEARTBEAT_BYTES, b"")
             beat_s = now_s + 5.0
         for payload in up.arrived(now_s):
-            clicks.receive(GROUND, payload)
-        while clicks.work():
+            service.receive(GROUND, payload)
+        while service.work():
             pass
-        for _, payload in clicks.due():
+        for _, payload in service.due():
             down.put(now_s, len(payload) + OVERHEAD, payload)
         for payload in down.arrived(now_s):
             if asking is not None and asking.take(payload) is not None:

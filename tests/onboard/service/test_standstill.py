@@ -100,7 +100,7 @@ class OnTheGround:
         """Nobody listens."""
 
 
-def told(fix_type: int, is_at_rest: bool) -> Callable[[int, int], list[Event]]:
+def stated(fix_type: int, is_at_rest: bool) -> Callable[[int, int], list[Event]]:
     """What PX4 says where it stands; height above home is not known, so its own word is all there is."""
     return lambda now_ns, _: [
         fix(now_ns, (0.0, 0.0, 0.0), None),
@@ -148,7 +148,7 @@ def test_px4_standing_on_the_ground_is_well() -> None:
     """It was `no gps: the position is not believed` with a doctor that was green, as long as it stood."""
     states: list[str] = []
     lasting: list[Report] = []
-    with closing(reports(told(3, True))) as said:
+    with closing(reports(stated(3, True))) as said:
         while len(lasting) <= 40 or "low_parallax" not in lasting[-1].pictures.refused:
             report = next(said, None)
             assert report is not None, states
@@ -163,7 +163,7 @@ def test_px4_standing_on_the_ground_is_well() -> None:
 
 def test_standing_there_without_a_fix_is_not_well_and_both_say_so() -> None:
     """A refusal of everything would pass the test above the other way about."""
-    with closing(reports(told(1, False))) as said:
+    with closing(reports(stated(1, False))) as said:
         for number, report in enumerate(said):
             assert report.status.state not in ("ok", "at rest")
             assert not judged(report)["state"]

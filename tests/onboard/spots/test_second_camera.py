@@ -110,7 +110,7 @@ def test_the_first_cameras_errors_act_on_a_spot_as_on_its_own_clicks() -> None:
         assert off[6] < (1e-9 if xy == (0.0, 0.0) else 1.0)
 
 
-def drawn(rng: np.random.Generator, stated: Mount) -> tuple[float, float]:
+def sampled(rng: np.random.Generator, stated: Mount) -> tuple[float, float]:
     """One spot of a flight with errors: squared distance from the truth in its covariance, and semi-major axis, m."""
     state = np.linalg.cholesky(stated.covariance) @ rng.standard_normal(STATES)
     truth = turned(stated, state)
@@ -135,7 +135,7 @@ def drawn(rng: np.random.Generator, stated: Mount) -> tuple[float, float]:
 
 def test_spots_are_inside_their_ellipse_and_without_the_mounts_error_they_would_not_be() -> None:
     rng, stated = np.random.default_rng(11), Mount.stated(STATED)
-    found = np.array([drawn(rng, stated) for _ in range(400)])
+    found = np.array([sampled(rng, stated) for _ in range(400)])
     inside = float(np.mean(found[:, 0] < 4.605))
     assert 0.86 < inside < 0.94
     surer = replace(stated, covariance=1e-4 * stated.covariance)

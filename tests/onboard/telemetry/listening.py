@@ -67,16 +67,16 @@ class Listening:
 def listening(config: Config) -> Iterator[Listening]:
     """Runs the source of a configuration; it must end when told to, and without an error."""
     clock = SessionClock.start()
-    heard = Listening(open_telemetry(config, clock), clock)
-    thread = threading.Thread(target=heard.run, daemon=True)
+    received = Listening(open_telemetry(config, clock), clock)
+    thread = threading.Thread(target=received.run, daemon=True)
     thread.start()
     try:
-        yield heard
+        yield received
     finally:
-        heard.stop.set()
+        received.stop.set()
         thread.join(PATIENCE_S)
         assert not thread.is_alive()
-        assert not heard.faults
+        assert not received.faults
 
 
 def expected(autopilot: FakeAutopilot, clock: SessionClock) -> list[NavEvent]:

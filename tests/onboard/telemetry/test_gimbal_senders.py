@@ -79,7 +79,7 @@ def own(now_s: float, drift: float = 0.0) -> int:
     return 5_000 + round(now_s * 1000 * (1.0 + drift))
 
 
-def test_a_gimbal_s_own_component_is_heard_on_a_clock_of_its_own() -> None:
+def test_a_gimbal_s_own_component_is_received_on_a_clock_of_its_own() -> None:
     line = Line()
     got = line.run(20.0, lambda t: [(154, status(own(t, 2e-4)))])
     assert len(got) > 400
@@ -91,7 +91,7 @@ def test_a_gimbal_s_own_component_is_heard_on_a_clock_of_its_own() -> None:
 
 
 @pytest.mark.parametrize("component", [154, 171, 175])
-def test_every_gimbal_component_is_heard_and_no_other(component: int) -> None:
+def test_every_gimbal_component_is_received_and_no_other(component: int) -> None:
     assert len(Line().run(3.0, lambda t: [(component, status(own(t)))])) > 40
     assert not Line().run(3.0, lambda t: [(component - 1 if component != 175 else 176, status(own(t)))])
 
@@ -253,13 +253,13 @@ def fov(boot_ms: int, hfov_deg: float) -> Any:
 
 
 @pytest.mark.parametrize("component", [1, 100, 105, 154])
-def test_a_camera_s_zoom_is_heard_on_its_own_clock_and_nan_is_none(component: int) -> None:
+def test_a_camera_s_zoom_is_received_on_its_own_clock_and_nan_is_none(component: int) -> None:
     boot = (lambda t: 60_000 + round(t * 1000)) if component == 1 else own
     got = Line().run(
         6.0, lambda t: [(component, settings(boot(t), 40.0 if t < 5.0 else math.nan)), (component, fov(boot(t), 31.5))]
     )
-    told = {(e.value, e.unit) for e in got if isinstance(e, Zoom)}
-    assert told == {(40.0, "percent"), (31.5, "hfov_deg")}
+    stated = {(e.value, e.unit) for e in got if isinstance(e, Zoom)}
+    assert stated == {(40.0, "percent"), (31.5, "hfov_deg")}
     for unit, last_s in (("percent", 4.96), ("hfov_deg", 5.96)):
         newest = max(e.stamp_ns for e in got if isinstance(e, Zoom) and e.unit == unit)
         assert abs(newest - (EPOCH + round(last_s * S))) < 6 * MS

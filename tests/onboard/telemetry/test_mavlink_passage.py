@@ -22,12 +22,12 @@ SECOND_NS = 1_000_000_000
 
 class Tunnel:
     def __init__(self) -> None:
-        self.heard: list[tuple[Peer, bytes]] = []
+        self.received: list[tuple[Peer, bytes]] = []
         self.ready: list[tuple[Peer, bytes]] = []
         self.ground_stations = (255, 255)
 
     def receive(self, ground: Peer, payload: bytes) -> None:
-        self.heard.append((ground, payload))
+        self.received.append((ground, payload))
 
     def due(self) -> list[tuple[Peer, bytes]]:
         out, self.ready = self.ready, []
@@ -61,7 +61,7 @@ def parameter(name: str, value: float) -> Any:
 @pytest.mark.parametrize("payload", [b"\x11click", b"\x00", bytes(24), b"x" * 128])
 def test_a_packet_for_us_is_passed_on_whole_with_its_sender(passage: Passage, tunnel: Tunnel, payload: bytes) -> None:
     passage.receive(received(tunnelled(SYSTEM, COMPONENT, payload)), SYSTEM)
-    assert tunnel.heard == [(Peer(245, 25), payload)]
+    assert tunnel.received == [(Peer(245, 25), payload)]
 
 
 def test_what_is_for_others_or_of_another_kind_is_passed_over(passage: Passage, tunnel: Tunnel) -> None:
@@ -70,7 +70,7 @@ def test_what_is_for_others_or_of_another_kind_is_passed_over(passage: Passage, 
     for message in others:
         passage.receive(received(message), SYSTEM)
     passage.receive(received(tunnelled(SYSTEM, COMPONENT, b"x")), None)
-    assert tunnel.heard == []
+    assert tunnel.received == []
 
 
 def test_what_is_sent_is_addressed_to_one_ground_and_short_on_the_wire(passage: Passage, tunnel: Tunnel) -> None:

@@ -185,7 +185,7 @@ def test_a_denied_attitude_is_asked_for_as_a_quaternion() -> None:
     assert played.sends_hz["ATTITUDE_QUATERNION"] == 50.0
 
 
-def test_after_a_restart_everything_is_asked_anew() -> None:
+def test_after_a_restart_everything_is_asked_again() -> None:
     played = Played(grants)
     played.fly(5.0)
     before = len(played.asked)

@@ -135,7 +135,7 @@ def test_one_damaged_number_does_not_turn_the_order_of_the_others(tmp_path: Path
         ("neo2.SRT", (45.6, 13.75), 0.1),
     ],
 )
-def test_real_subtitles_of_several_models_lie_where_they_were_flown(
+def test_real_subtitles_of_several_models_lie_where_they_were_recorded(
     shared_data: Path, name: str, place: tuple[float, float], spread_deg: float
 ) -> None:
     log = read_log(shared_data / "logs" / name, home_amsl_m=10.0 if name == "matrice_300.srt" else None)
