@@ -36,13 +36,13 @@ from tests.onboard.link.ports import free_endpoint
 ROOT = Path(__file__).resolve().parents[1]
 PICTURES = 5
 STARTED_WITHIN_S = 120.0
-ON_ITS_WAY_S = 1.0  # of a phase's end that is not counted: its sets may be heard in the next
+ON_ITS_WAY_S = 1.0  # of a phase's end that is not counted: its sets may be received in the next
 DOWN_S = 2.0
 SETTLED_S = 5.0
 LOSS_SHARE, NEWEST_S = 0.01, 3.0  # goals
 TICKS = os.sysconf("SC_CLK_TCK")
 
-Rows = NDArray[np.int64]  # operator, aircraft, frame, captured, heard
+Rows = NDArray[np.int64]  # operator, aircraft, frame, captured, received
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class Station:
         return time.time_ns()
 
     def close(self) -> tuple[Rows, Rows]:
-        """What was said, and what the operators that were never stopped heard."""
+        """What was said, and what the operators that were never stopped received."""
         for program in (self.aircraft, self.operators, self.slow):
             program.end()
         self.router.process.terminate()
@@ -175,7 +175,7 @@ def fly(station: Station, seconds: float) -> int:
 def lost_and_late(
     phase: Phase, said: Rows, received: Rows, operators: int, flapping: int
 ) -> tuple[float, NDArray[np.float64]]:
-    """Share of sets not heard, over all operators; and milliseconds from publishing to the first hearing of each."""
+    """Share of sets not received, over all operators; and milliseconds from publishing to the first hearing of each."""
     wanted = said[
         (said[:, 1] != flapping) & (said[:, 3] >= phase.begin_ns) & (said[:, 3] < phase.end_ns - ON_ITS_WAY_S * 1e9)
     ]

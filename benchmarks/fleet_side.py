@@ -2,7 +2,7 @@
 
     python -m benchmarks.fleet_side aircraft|operators NAME,NAME... --endpoint E --keys DIR --out FILE.npz
 
-What was said or heard is written at the end, a row each: operator (0 for aircraft), aircraft, frame, capture and
+What was said or received is written at the end, a row each: operator (0 for aircraft), aircraft, frame, capture and
 arrival in nanoseconds of this machine's clock. An aircraft named with `!` flaps: it leaves and comes back each second
 from the line `flap` on its input to the line `steady`.
 """

@@ -4,8 +4,8 @@
 
 A flight shares its slow errors, so one tells nothing however long it is: these are many short ones, each with every
 error sampled as the configuration declares it (`sampled_flight`: GPS, attitude, heading, mount, stamps, ground). What a
-tracker sees of the ground is drawn as in `benchmarks.coverage`; the pictures in which spots and things are looked for
-are drawn for the true poses and go through the whole of `onboard.spots` and `onboard.tracks`, their reports over the
+tracker sees of the ground is sampled as in `benchmarks.coverage`; the pictures in which spots and things are looked for
+are rendered for the true poses and go through the whole of `onboard.spots` and `onboard.tracks`, their reports over the
 wire, spots through `ground.spots`. What is found is told by its pixel, never by its place. Printed: the share of true
 errors inside the 90 % ellipse with one sigma of it from the dispersion between flights (goal 85 to 96 %), and the mean
 squared error over the claimed covariance, 1 if honest.
@@ -170,7 +170,7 @@ def heat_picture(flight: SampledFlight, frame: int, people: Array) -> NDArray[np
 
 
 def find_tracks(spec: SampledSpec, seed: int) -> Found:
-    """One flight above traffic: every car clicked once, a pixel beside its middle."""
+    """One flight above traffic: every car clicked once, a pixel next to its middle."""
     flight, found = SampledFlight(spec, seed), Found()
     cars = traffic(flight)
     scene, rng = Plane(flight, cars), np.random.default_rng([seed, 930])

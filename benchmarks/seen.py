@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 OVER, UNDER, QUERY_MS = 0.01, 0.10, 50.0
-ABOUT = 40  # cells beside what is claimed in which the truth is looked for
+ABOUT = 40  # cells next to what is claimed in which the truth is looked for
 TURNS = PathSpec("turns", leg_m=200.0)
 
 

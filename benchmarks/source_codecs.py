@@ -1,4 +1,4 @@
-"""What compression costs: a flight's clicks on its own pictures beside those on what a codec has left of them.
+"""What compression costs: a flight's clicks on its own pictures next to those on what a codec has left of them.
 
     python -m benchmarks.source_codecs [--size 1280x720] [--seconds 16] [--rate 5] [--kbit 1000,2000,4000,8000]
         [--codecs H264] [--loss 0] [--seeds 1,2] [--autopilots 8]
@@ -8,12 +8,12 @@ packets of 1400 bytes of which `--loss` never come (0: as over TCP), and decoded
 with what has come. A picture that the decoder or our helper calls damaged, or that never came, has no image. Telemetry
 and stamps are the flight's own in every row: what a stream does to times is `benchmarks.sources`. Each path's pictures
 are replayed with several autopilots' telemetry (`simulation.ordinary`), for each of which they are one flight: its
-mount, stamps and camera file are stated wrongly by errors drawn from the sigmas that are stated with them.
+mount, stamps and camera file are stated wrongly by errors sampled from the sigmas that are stated with them.
 
 `--kbit` are those of 30 pictures a second: a flight of fewer gets as many bits a picture, though more has moved between
 two of them. An encoder that cannot go so low is seen by the rate that it did send. Clicks count after the first 8 s.
 A flight's clicks share its slow errors, of which one autopilot is one sample. So absolute coverage is the mean of the
-flights', with the sigma of that mean by how they scatter, and beside it what is added to or taken from the raw
+flights', with the sigma of that mean by how they scatter, and with it what is added to or taken from the raw
 pictures' coverage, flight by flight: the slow errors are the same there, and only what pictures do is left. It shows
 too in the distance between two clicks of one picture, where slow errors cancel: its error, and how often its own 90 %
 ellipse holds it.

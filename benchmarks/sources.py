@@ -1,4 +1,4 @@
-"""Pictures from a network stream beside the raw pictures of the same flight: times, clicks, answers.
+"""Pictures from a network stream next to the raw pictures of the same flight: times, clicks, answers.
 
     python -m benchmarks.sources [--seconds 75] [--streams 1000:0.15,250:0.4] [--jitter 0.03] [--seeds 2,6] [--devices]
 

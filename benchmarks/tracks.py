@@ -1,13 +1,13 @@
-"""Things that move, clicked and followed, on drawn flights 120 m up with truth.
+"""Things that move, clicked and followed, on simulated flights 120 m up with truth.
 
     python -m benchmarks.tracks [--scenes hover,ahead,orbit,autopilot] [--flights 1] [--seed 0]
 
-Each flight is drawn (640x480, 40 degrees, 10 pictures a second) with people of 0.5 m and cars of 4 m: some parked, some
-that pass below a tree, one whose twin crosses its way, one with a shadow beside it. `hover` stands, `ahead` flies along
-a road, `orbit` circles at 45 degrees of bank, `autopilot` is a recorded ArduPilot plane. The whole pipeline makes the
-sets; every click is 1 s old when the track begins. Printed against the goals: errors of speed and course after 10 s,
-coverage of the 90 % ellipse, how soon a hidden thing is said to be hidden, parked things called moving, and the
-processor's time. The errors drawn here are smaller than declared: whether 90 % are inside is asked by
+Each flight is rendered (640x480, 40 degrees, 10 pictures a second) with people of 0.5 m and cars of 4 m: some parked,
+some that pass below a tree, one whose twin crosses its way, one with a shadow next to it. `hover` stands, `ahead` flies
+along a road, `orbit` circles at 45 degrees of bank, `autopilot` is a recorded ArduPilot plane. The whole pipeline makes
+the sets; every click is 1 s old when the track begins. Printed against the goals: errors of speed and course after 10
+s, coverage of the 90 % ellipse, how soon a hidden thing is said to be hidden, parked things called moving, and the
+processor's time. The errors sampled here are smaller than declared: whether 90 % are inside is asked by
 benchmarks.found_coverage.
 """
 
@@ -139,7 +139,7 @@ def join_ms(book: TrackBook) -> float:
 
 
 def click(book: TrackBook, things: Sequence[Thing], truth: Truth) -> dict[int, Thing]:
-    """On all that can be seen in picture CLICKED, a pixel beside the middle; those that are begun, by number."""
+    """On all that can be seen in picture CLICKED, a pixel next to the middle; those that are begun, by number."""
     rng = np.random.default_rng(len(things))
     out: dict[int, Thing] = {}
     for thing in things:

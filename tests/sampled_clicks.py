@@ -1,4 +1,4 @@
-"""Clicks on the sets of a drawn flight, beside the truth."""
+"""Clicks on the sets of a simulated flight, next to the truth."""
 
 from __future__ import annotations
 

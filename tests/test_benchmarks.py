@@ -179,7 +179,7 @@ def test_a_set_is_written_and_read_in_less_than_zlib_and_json_take() -> None:
     The ratios were 1.2 and 1.05 when every column was taken apart by itself.
     """
     all_formats, _ = wire.formats()
-    s = plain_set(100, camera=Camera(640, 480, 879.2, 879.2, 319.5, 239.5))  # undistorted, as the flown leg's
+    s = plain_set(100, camera=Camera(640, 480, 879.2, 879.2, 319.5, 239.5))  # undistorted, as the simulated leg's
     pair = [all_formats[name] for name in ("ours", "JSON, zlib")]
     payloads = [kind.encode(s) for kind in pair]
     taken: dict[tuple[str, int], list[int]] = {(way, i): [] for way in ("write", "read") for i in range(2)}
@@ -341,7 +341,7 @@ def test_sharpness_is_one_for_errors_as_stated_and_half_for_ellipses_twice_too_w
 
 
 def test_with_a_recorded_autopilot_the_ellipses_hold_in_every_bank() -> None:
-    """Forty seconds of ArduPilot's own telemetry, level and in a turn of 58 degrees of bank, over drawn ground."""
+    """Forty seconds of ArduPilot's own telemetry, level and in a turn of 58 degrees of bank, over rendered ground."""
     recording = Path(__file__).parent / "data" / "plane_turn"
     scene = autopilots.Scene(str(recording), parse_config(""), start_s=10.0, seconds=40.0)
     score = autopilots.judge(scene, seed=0, warm_s=10.0)

@@ -1,7 +1,7 @@
 """Nine true errors of ten lie inside the stated ellipse: of one click, of a pair in one set, of a pair in two sets;
 of hot spots, of what they are merged into, and of tracks.
 
-Whole flights with every error drawn from the configured priors; `benchmarks.coverage` prints the table. A flight is
+Whole flights with every error sampled from the configured priors; `benchmarks.coverage` prints the table. A flight is
 one sample of all slow errors, so that the share of single clicks has a sigma of 7 % over sixteen flights.
 """
 
@@ -31,8 +31,8 @@ def test_nine_of_ten_errors_lie_inside_their_ellipses_within_a_set_and_between_s
     def mean(kind: str) -> float:
         return float(np.concatenate([getattr(c, kind) for c in simulated]).mean()) / 2.0
 
-    # Errors of time are one draw a flight and act alike on every click of it: shares say little about the wide side,
-    # which the mean of squared errors over what was claimed holds, 1 if honest.
+    # Errors of time are one draw a flight and act in the same way on every click of it: shares say little about the
+    # wide side, which the mean of squared errors over what was claimed holds, 1 if honest.
     assert 0.76 < share("clicks") < 0.995
     assert 0.6 < mean("clicks") < 1.4
     assert 0.82 < share("one_set") < 0.985
@@ -52,7 +52,7 @@ def test_the_ellipses_of_spots_and_of_what_they_are_merged_into_hold_nine_errors
     ]
     assert sum(len(one.spots) for one in simulated) > 10 * SHORT_FLIGHTS
     people, parts = sum(one.people for one in simulated), sum(one.parts for one in simulated)
-    assert people > 2 * SHORT_FLIGHTS and parts <= 1.05 * people  # nobody becomes two
+    assert people > 2 * SHORT_FLIGHTS and parts <= 1.05 * people  # no one becomes two
     for errors in ([one.spots for one in simulated], [one.things for one in simulated]):
         inside, _, mean = found_coverage.share_inside(errors)
         assert 0.78 < inside < 0.985 and 0.6 < mean < 1.5

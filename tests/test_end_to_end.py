@@ -176,7 +176,7 @@ def test_a_cold_click_takes_under_a_second(simulated: dict[str, Simulated]) -> N
 
 @pytest.fixture(scope="module")
 def endpoint(flight: Path) -> Iterator[str]:
-    """An aircraft in the air: a replay that publishes, three times as fast as it was flown."""
+    """An aircraft in the air: a replay that publishes, three times the recorded speed."""
     where = free_endpoint()
     config = flight / "live.toml"
     config.write_text(f'{MOUNT}{FULL_SET}\n[link]\nlisten = ["{where}"]\n\n[vehicle]\nid = "kiwi"\n')
@@ -196,7 +196,7 @@ def endpoint(flight: Path) -> Iterator[str]:
 
 
 def click_until(endpoint: str, *arguments: object, code: int) -> subprocess.CompletedProcess[str]:
-    """Ask again until it ends with `code`: the picture may still have to be flown."""
+    """Ask again until it ends with `code`: the picture may still have to come."""
     deadline = time.monotonic() + 2.0 * PATIENCE_S
     while True:
         done = run("ground", "click", *arguments, "--connect", endpoint, "--format", "json")

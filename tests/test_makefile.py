@@ -155,7 +155,7 @@ def test_files_that_can_hold_none_of_the_chosen_tests_are_not_imported(
 
 
 def test_what_a_group_shares_is_made_by_one_worker(tmp_path: Path) -> None:
-    """pytest-xdist keeps a group together by a name it hangs on each test; beside some pytests it silently does not."""
+    """pytest-xdist keeps a group together by a name it hangs on each test; with some pytests it silently does not."""
     (tmp_path / "test_of_a_group.py").write_text(
         'import pytest\n\n\n@pytest.mark.xdist_group("kept together")\ndef test_it(request):\n'
         '    assert request.node.nodeid.endswith("@kept together")\n'

@@ -1,4 +1,4 @@
-"""Lever arm, delays and a compass that errs by its heading are modelled, so that answers hold beside them."""
+"""Lever arm, delays and a compass that errs by its heading are modelled, so that answers hold with them."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def clicks(flight: SampledFlight, sets: dict[int, FeatureSet], after_s: float, e
 def body_bias_m(lever_known: bool) -> Array:
     """Mean error (3,) of the cameras' centres, body axes, over turns; sensors err by a 250th of what is declared."""
     config = with_latency(0.001)  # at one speed a lever arm ahead looks like a delay: here there is none to be found
-    config = replace_section(config, "solve", level_ground_sigma_deg=2.0)  # ground is drawn by it, and is to be level
+    config = replace_section(config, "solve", level_ground_sigma_deg=2.0)  # ground is sampled by it, and is to be level
     if lever_known:
         config = replace_section(config, "mount", lever_arm_m=LEVER_M)
     spec = SampledSpec(config, TURNS, seconds=37.0, rate_hz=2.0, errors=0.004, lever_arm_m=LEVER_M)
@@ -146,9 +146,9 @@ def test_without_such_an_error_none_is_found() -> None:
 
 
 def test_late_stamps_are_known_after_a_few_turns_from_beyond_their_prior() -> None:
-    """0.45 s where 0.1 is declared, a mount 2 and 1.5 degrees off: rotations say so twice before it is believed."""
+    """0.45 s where 0.1 is declared, a mount 2 and 1.5 degrees off: rotations say so twice before it is accepted."""
     truth_deg, offset_s = np.array([2.0, 1.5, 0.0]), -0.45
-    config = replace_section(CONFIG, "solve", level_ground_sigma_deg=2.0)  # the ground, too, is drawn by it
+    config = replace_section(CONFIG, "solve", level_ground_sigma_deg=2.0)  # the ground, too, is sampled by it
     spec = SampledSpec(config, TURNS, 42.0, 2.0, errors=0.5, boresight_deg=(2.0, 1.5, 0.0), offset_s=offset_s)
     flight = SampledFlight(spec, 1)
     sets, pipeline = fly(flight)

@@ -92,7 +92,7 @@ class Job:
 
     @property
     def is_over(self) -> bool:
-        """Whether its end has been heard of."""
+        """Whether its end is known."""
         return not self._ended.empty()
 
     def wait(self, timeout_s: float) -> Done:
@@ -286,7 +286,7 @@ def _roomy_folder() -> str | None:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """Kill the guest: its kernel, and the host processes in which its programs ran (its session, nobody else's)."""
+    """Kill the guest: its kernel, and the host processes in which its programs ran (its session, no one else's)."""
     process.kill()
     process.wait()
     # A busy host takes a moment over it, and a process may have begun another meanwhile.

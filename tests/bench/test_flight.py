@@ -1,4 +1,4 @@
-"""A flight as it is flown: a camera that is a device, a serial line, a unit under systemd, a bad radio, and clicks."""
+"""A flight: a camera that is a device, a serial line, a unit under systemd, a bad radio, and clicks."""
 
 from __future__ import annotations
 

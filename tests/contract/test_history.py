@@ -54,13 +54,13 @@ def test_a_late_packet_of_an_earlier_session_changes_nothing() -> None:
 
 
 def test_an_aircraft_whose_clock_was_set_back_is_received_again() -> None:
-    """Started anew without a clock battery it counts from an earlier second, and its sets keep coming."""
+    """Started again without a clock battery it counts from an earlier second, and its sets keep coming."""
     history = filled(*(at(i, i) for i in range(100)))
     again = [at(i, i, session=OK.session - 3600) for i in range(IN_A_ROW + 20)]
     for count, s in enumerate(again, 1):
         history.add(s, s)
         assert history.session == (OK.session if count < IN_A_ROW else OK.session - 3600)
-    assert len(history) == len(again)  # those before it was believed too
+    assert len(history) == len(again)  # those before it was accepted too
     history.add(late := at(100, 100.0), late)
     assert history.session == OK.session - 3600
 

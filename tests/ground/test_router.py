@@ -36,7 +36,7 @@ from tests.onboard.link.test_publisher import a_set
 from tests.waiting import PATIENCE_S, eventually
 
 ROOT = Path(__file__).resolve().parents[2]
-LIE = 99_999  # a picture that nobody has taken
+LIE = 99_999  # a picture that no one has taken
 ROUTER = (sys.executable, "-m", "ground", "router")
 
 
@@ -215,7 +215,7 @@ def test_pins_are_shared_by_those_who_may_and_by_no_one_else(station: Station, t
 
 
 def test_one_more_aircraft_is_added_while_all_others_run_on(keys: Path, tmp_path: Path) -> None:
-    """The command as it runs: the list is written by make-credentials, and nobody but the router does anything."""
+    """The command as it runs: the list is written by make-credentials, and no one but the router does anything."""
     keys = Path(shutil.copytree(keys, tmp_path / "keys"))
     endpoint = free_endpoint().replace("tcp/", "tls/")
     config = keys / FLEET_FILE

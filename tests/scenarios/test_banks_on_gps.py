@@ -1,4 +1,4 @@
-"""Camera and GPS alone beside a recorded autopilot that banks: what a turn tilts, later pictures inherit.
+"""Camera and GPS alone next to a recorded autopilot that banks: what a turn tilts, later pictures inherit.
 
 Before, the ground's weight fell as the ground was tilted, (5.9), so that in turns it was: above 30 degrees of bank 67
 and 80 % of these flights' clicks were inside their 90 % ellipse.

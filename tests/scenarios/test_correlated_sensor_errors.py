@@ -1,6 +1,7 @@
 """Errors that all pictures of a window share (velocity, heading, mount) are no smaller for having many pictures.
 
-Drawn flights with truth. The share inside has bounds on both sides, and so has the share of clicks that are answered.
+Simulated flights with truth. The share inside has bounds on both sides, and so has the share of clicks that are
+answered.
 """
 
 from __future__ import annotations
@@ -45,14 +46,14 @@ class Clicks:
 
 
 class Changed(SampledFlight):
-    """A drawn flight whose telemetry is changed: `change(event, seconds, draws)`, `draws` the flight's own."""
+    """A simulated flight whose telemetry is changed: `change(event, seconds, draws)`, `draws` the flight's own."""
 
     def __init__(self, spec: SampledSpec, seed: int, change: Callable[[Event, float, Array], Event]) -> None:
         super().__init__(spec, seed)
         self._change, self._draws = change, np.random.default_rng([seed, 5]).standard_normal((400, 3))
 
     def events(self) -> Iterator[Event]:
-        """As drawn, then changed."""
+        """As sampled, then changed."""
         for event in super().events():
             yield self._change(event, (event.stamp_ns - EPOCH_NS) / 1e9, self._draws)
 
@@ -129,7 +130,7 @@ def test_in_hover_over_terrain_a_mount_that_is_off_is_not_averaged_away() -> Non
 
 
 def heading_moves(event: Event, t: float, draws: Array) -> Event:
-    """By 5 degrees from second 20 to 40, as a compass does whose iron is magnetised anew."""
+    """By 5 degrees from second 20 to 40, as a compass does whose iron is magnetised again."""
     if not isinstance(event, Attitude):
         return event
     off = np.sign(draws[0, 0]) * np.radians(5.0) * float(np.clip((t - 20.0) / 20.0, 0.0, 1.0))
@@ -148,10 +149,10 @@ def test_a_heading_that_moves_by_five_degrees_within_twenty_seconds_is_allowed_f
 
 
 class LateInTurns(SampledFlight):
-    """A drawn flight whose pictures' stamps are 150 ms late in turns, which nothing declares."""
+    """A simulated flight whose pictures' stamps are 150 ms late in turns, which nothing declares."""
 
     def events(self) -> Iterator[Event]:
-        """As drawn, with later stamps above 8 degrees of bank."""
+        """As sampled, with later stamps above 8 degrees of bank."""
         for event in super().events():
             turns = isinstance(event, Frame) and self.bank_deg[event.index] > 8.0
             yield replace(event, stamp_ns=event.stamp_ns + 150_000_000) if turns else event

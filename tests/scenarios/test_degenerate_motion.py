@@ -57,7 +57,7 @@ def test_a_hover_is_low_parallax_and_stays_so() -> None:
 
 
 def test_pictures_after_a_window_without_parallax_have_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Between keyframes too, however far telemetry says that it has flown."""
+    """Between keyframes too, however far telemetry says that it has moved."""
     monkeypatch.setattr(Window, "adopt", lambda window, outcome: Status.LOW_PARALLAX)
     outcome = play(simulated(LEG))
     statuses = [outcome.sets[k].status for k in sorted(outcome.sets)]
@@ -69,7 +69,7 @@ def test_pictures_after_a_window_without_parallax_have_its_reason(monkeypatch: p
 def test_waves_under_a_hover_are_no_parallax(style: str) -> None:
     """What moves in the pictures is the ground, not the aircraft: never a depth.
 
-    Refused as featureless where waves are off each other, and starting anew in between.
+    Refused as featureless where waves are off each other, and starting again in between.
     """
     spec = replace(LARGE, flight=HOVER.flight, texture=TextureSpec(style))
     outcome = play(simulated(spec))

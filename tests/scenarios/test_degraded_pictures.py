@@ -17,7 +17,7 @@ from tests.scenarios.flights import Outcome, click, play, retouched, simulated
 
 Change = Callable[[Picture], Picture]
 
-# Long enough to begin anew after the spoilt third and be answered again.
+# Long enough to begin again after the spoilt third and be answered again.
 LEG, LARGE = replace(ground.LEG, seconds=10.0), replace(ground.LARGE, seconds=8.0)
 
 
@@ -141,7 +141,7 @@ def test_spoilt_in_mid_flight(name: str) -> None:
     "spec", [pytest.param(LEG, id="small"), pytest.param(LARGE, id="large", marks=pytest.mark.long)]
 )
 def test_a_picture_repeated_in_other_bytes_is_bad(spec: SessionSpec) -> None:
-    """A driver that encodes its last picture anew: bad picture, until there are new ones."""
+    """A driver that encodes its last picture again: bad picture, until there are new ones."""
     held: list[Picture] = []
 
     def repeated(image: Picture) -> Picture:

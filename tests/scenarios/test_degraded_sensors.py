@@ -1,7 +1,7 @@
 """Sensors that begin to lie in flight, and stop again: stamps that come late, and a GPS glitch below what is refused.
 
-Flights without pictures, their errors drawn as the configuration declares (`benchmarks.sampled_flight`), with the fault
-on top; and one recorded by the autopilot's own filter.
+Flights without pictures, their errors sampled as the configuration declares (`benchmarks.sampled_flight`), with the
+fault on top; and one recorded by the autopilot's own filter.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ def test_stamps_that_begin_to_be_late_are_carried_by_the_answers_and_are_over_wh
 
 @pytest.mark.long
 def test_without_its_evidence_the_same_flight_is_wrong() -> None:
-    """So the test above can fail: stamps as late, and nobody says so."""
+    """So the test above can fail: stamps as late, and no one says so."""
     flight = SpoiltFlight(replace(FAST, seconds=LATE_TO_S + 2.0), 1, late_stamps(has_evidence=False))
     sets, _ = fly(flight)
     assert ask(flight, sets).inside_99(LATE_FROM_S, LATE_TO_S) < 0.9

@@ -36,7 +36,7 @@ FAULTS: dict[str, tuple[Disturbance, ...]] = {
 
 
 class DisturbedFlight(SampledFlight):
-    """A drawn flight with sensors that fail for a while."""
+    """A simulated flight with sensors that fail for a while."""
 
     def __init__(self, spec: SampledSpec, seed: int, faults: tuple[Disturbance, ...]) -> None:
         super().__init__(spec, seed)

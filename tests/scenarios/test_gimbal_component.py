@@ -57,7 +57,7 @@ def as_message(event: Event, boot_ms: int) -> Any:
 
 
 def over_the_line(flight: GimbalFlight, config: Config, component: int = 154) -> Iterator[Event]:
-    """Telemetry as it is heard off a line, on our clock again; pictures as they are."""
+    """Telemetry as it is received off a line, on our clock again; pictures as they are."""
     autopilot = Autopilot(config)
     arriving = []
     for event in flight.events():

@@ -166,7 +166,7 @@ UNSTATED = replace(LENS, stated_sigma=UNKNOWN_SIGMA)
 def test_a_zoom_is_refused_while_it_lasts_and_answered_rightly_afterwards(
     path: PathSpec, zoom: tuple[float, float, float, float], file: Camera
 ) -> None:
-    """A lens that stays where it stopped is a lens like any other: its focal length is found anew."""
+    """A lens that stays where it stopped is a lens like any other: its focal length is found again."""
     found = simulated(sampled(path, 32.0, zoom=zoom), file)
     before, during, after = (
         found.windows_in(a, b) for a, b in ((2.0, 9.0), (zoom[1] + 1.0, zoom[1] + 5.0), (26.0, 32.0))

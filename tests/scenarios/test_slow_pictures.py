@@ -66,7 +66,7 @@ def test_little_overlap_is_enough() -> None:
 
 @pytest.mark.parametrize("apart_s", rest_long([4.0, 10.0]))
 def test_telemetry_that_pauses_between_pictures_is_no_outage(apart_s: float) -> None:
-    """Nothing is heard for half of the time between two pictures: no velocity between them, but two positions."""
+    """Nothing is received for half of the time between two pictures: no velocity between them, but two positions."""
     answers(play(simulated(survey(apart_s)), spoil=between(apart_s, (0.2, 0.7))))
 
 
@@ -102,7 +102,7 @@ def test_pictures_too_far_apart_for_any_overlap_are_refused() -> None:
 
 
 def test_one_missed_picture_costs_no_more_than_itself() -> None:
-    """20 m/s, ten seconds apart: a picture that shows nothing leaves the next without overlap; it begins anew."""
+    """20 m/s, ten seconds apart: a picture that shows nothing leaves the next without overlap; it begins again."""
 
     folder = retouched(simulated(survey(10.0, 16, speed_m_s=20.0)), np.zeros_like, range(7, 8))
     outcome = play(folder)

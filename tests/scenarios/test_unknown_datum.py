@@ -1,4 +1,4 @@
-"""Heights that count from nobody knows where, as a barometer's in a camera's subtitles: all too low by 130 m."""
+"""Heights that count from no one knows where, as a barometer's in a camera's subtitles: all too low by 130 m."""
 
 from __future__ import annotations
 

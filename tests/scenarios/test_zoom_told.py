@@ -1,4 +1,4 @@
-"""A zoom from 1x to 6x, level and in turns of 45 degrees: followed where it is told, refused where nobody tells."""
+"""A zoom from 1x to 6x, level and in turns of 45 degrees: followed where it is reported, refused where no one tells."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ UNSEEN = (Status.NO_GPS, Status.TURNING)  # pictures that nothing of the lens ke
 
 @dataclass
 class Followed:
-    """A flight of a told zoom, and what came of it."""
+    """A flight of a reported zoom, and what came of it."""
 
     flight: ZoomFlight
     found: Simulated

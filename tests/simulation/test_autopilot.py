@@ -60,7 +60,7 @@ class Station:
         return new
 
     def until(self, is_enough: Callable[[list[Any]], object]) -> list[Any]:
-        """Listen until what was heard meanwhile is enough; this is what was heard."""
+        """Listen until what was received meanwhile is enough; this is what was received."""
         new: list[Any] = []
         end = time.monotonic() + PATIENCE_S
         while not is_enough(new):
@@ -246,7 +246,7 @@ def test_rates_hold_from_one_round_of_a_loop_to_the_next(flight: Flight, station
 
 
 def test_silence_over_the_end_of_a_loop_is_not_made_up_for(flight: Flight, station: Station) -> None:
-    """What was due meanwhile came all at once, which fills a serial line that nobody empties as fast."""
+    """What was due meanwhile came all at once, which fills a serial line that no one empties as fast."""
     short = Flight(flight.due_ns[:40], flight.messages[:40], flight.log_offset_ns, 1, 1)
     with FakeAutopilot(short, station.url, everything=True, loop=True) as autopilot:
         station.next_of("ATTITUDE", 5)

@@ -1,4 +1,4 @@
-"""Things that are drawn: where their truth says, at the brightness asked, hidden by nothing but the next."""
+"""Things that are rendered: where their truth says, at the brightness asked, hidden by nothing but the next."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An ordinary autopilot's errors: each is found again in the telemetry that has it, and drawn as was measured."""
+"""An ordinary autopilot's errors: each is found again in the telemetry that has it, and sampled as was measured."""
 
 from __future__ import annotations
 

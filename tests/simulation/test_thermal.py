@@ -1,4 +1,4 @@
-"""The drawn thermal camera: heat where its truth says, as much as it says, and the sensor's faults as declared."""
+"""The rendered thermal camera: heat where its truth says, as much as it says, and the sensor's faults as declared."""
 
 from __future__ import annotations
 

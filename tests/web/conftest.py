@@ -40,7 +40,7 @@ def serve(simulated: Simulated, tmp_path: Path) -> Iterator[Callable[..., Server
 def station(simulated: Simulated, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """One server for all tests that do not need another; what they leave behind is cleared by `anna`."""
     page_is_built()
-    # It is started again at its port, which nobody else may have been given by then.
+    # It is started again at its port, which no one else may have been given by then.
     server = Server(
         "--from", simulated.path, "--pins", tmp_path_factory.mktemp("station") / "pins.sqlite", port=free_port()
     )

@@ -85,7 +85,7 @@ def first_page_s(chromium: Any, server: Server) -> tuple[float, int, Any]:
 
 
 def ten_thousand_pins(path: Path, step_deg: float = 1e-6) -> None:
-    """Entered ones, a hundred by a hundred, about the drawn flight's first picture."""
+    """Entered ones, a hundred by a hundred, about the simulated flight's first picture."""
     found = rendered_set(0)
     with PinStore(path) as store:
         one = store.add([PinClick.entered(found.camera_lat_deg, found.camera_lon_deg, sigma_m=3.0)])

@@ -1,4 +1,4 @@
-"""A long flight for little: sets as a camera makes them that looks down on its way north, and drawn pictures."""
+"""A long flight for little: sets as a camera makes them that looks down on its way north, and rendered pictures."""
 
 from __future__ import annotations
 

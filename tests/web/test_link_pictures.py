@@ -46,7 +46,7 @@ def sets_and_picture(simulated: Simulated) -> tuple[list[FeatureSet], LinkPictur
 
 
 class Aircraft:
-    """Sends its sets until they are heard, and then a picture of one of them."""
+    """Sends its sets until they are received, and then a picture of one of them."""
 
     def __init__(self, simulated: Simulated) -> None:
         self.sets, self.picture = sets_and_picture(simulated)
@@ -131,7 +131,7 @@ def test_the_page_shows_the_newest_picture_that_came_and_clicks_it_as_itself(
             try:
                 with urllib.request.urlopen(f"{server.local}api/vehicles/{simulated.vehicle}/frames") as said:
                     return list(json.load(said))
-            except urllib.error.HTTPError:  # it has not heard of the aircraft
+            except urllib.error.HTTPError:  # it does not know of the aircraft
                 return []
 
         def has_sets() -> bool:
@@ -152,7 +152,7 @@ def test_the_page_shows_the_newest_picture_that_came_and_clicks_it_as_itself(
         )
         operator.click(330.0, 220.0)
         assert operator.newest_pin()["clicks"][0]["frame"] == craft.picture.frame
-        # What has no picture can still be looked at, and is drawn of its features.
+        # What has no picture can still be looked at, and is rendered of its features.
         operator.by("step-forward").click()
         operator.wait_for_frame(craft.sets[2].frame)
         operator.check()

@@ -1,4 +1,4 @@
-"""`pc-ground live`: one command beside a downlink and a telemetry radio, until a click is answered on the page."""
+"""`pc-ground live`: one command next to a downlink and a telemetry radio, until a click is answered on the page."""
 
 from __future__ import annotations
 

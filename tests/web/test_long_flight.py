@@ -65,7 +65,7 @@ def test_a_page_that_is_open_for_an_hour_of_flight_does_not_grow(flight: Flight,
 
 def test_fifty_tablets_at_once_each_hear_of_every_pin(flight: Flight) -> None:
     async def tablet(k: int, joined: asyncio.Barrier, client: httpx2.AsyncClient) -> tuple[int, set[int]]:
-        """Its own pin's number, and those that it heard of."""
+        """Its own pin's number, and those that it knows of."""
         async with connect(f"ws://127.0.0.1:{flight.port}/api/events", open_timeout=PATIENCE_S) as socket:
             await joined.wait()
             click = {"vehicle": VEHICLE, "frame": 0, "u": 100.0 + 8.0 * k, "v": 150.0 + 3.0 * k}

@@ -25,7 +25,7 @@ from tests.web.browsing import Operator
 from tests.web.conftest import page_is_built
 from tests.web.served import PageProgram
 
-pytestmark = pytest.mark.xdist_group("open")  # one worker: the flight is drawn once
+pytestmark = pytest.mark.xdist_group("open")  # one worker: the flight is sampled once
 LIMIT_S = 60.0  # of processor time, from the command to the page
 
 

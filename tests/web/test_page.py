@@ -107,7 +107,7 @@ def test_what_was_pressed_is_clicked_whatever_happens_before_the_release(
     click = anna.newest_pin()["clicks"][0]
     assert click["frame"] == simulated.newest
     assert (click["u_px"], click["v_px"]) == (pytest.approx(250.0, abs=0.6), pytest.approx(180.0, abs=0.6))
-    # Zoomed in by the wheel about a pixel, that pixel stays where it is; what is clicked beside it is what is seen.
+    # Zoomed in by the wheel about a pixel, that pixel stays where it is; what is clicked next to it is what is seen.
     page.keyboard.press("0")
     anna.show(simulated.newest, simulated)
     x, y = anna.at(400.0, 300.0)

@@ -39,7 +39,7 @@ def test_a_server_started_again_has_the_sets_and_pictures_of_before(simulated: S
     finally:
         source.close()
         craft.publisher.close()
-    again = LiveSource([craft.endpoint], journal=tmp_path / "link")  # nobody flies any more
+    again = LiveSource([craft.endpoint], journal=tmp_path / "link")  # no one flies any more
     try:
         wait_for(lambda: {row.frame for row in again.frames(simulated.vehicle)} == wanted, "the sets of before")
         assert [row.frame for row in again.frames(simulated.vehicle) if row.has_picture] == [craft.picture.frame]
@@ -49,7 +49,7 @@ def test_a_server_started_again_has_the_sets_and_pictures_of_before(simulated: S
         newest = again.feature_set(simulated.vehicle, None, craft.sets[-1].frame)
         assert newest is not None
         assert newest.uv_px.tobytes() == source.feature_set(simulated.vehicle, None, newest.frame).uv_px.tobytes()  # type: ignore[union-attr]
-        assert again.age_s(newest) is None  # by no clock that runs: nothing has been heard yet
+        assert again.age_s(newest) is None  # by no clock that runs: nothing has been received yet
         assert again.damage() == []
     finally:
         again.close()
@@ -62,7 +62,7 @@ def test_a_server_that_comes_late_asks_the_aircraft_for_the_minutes_before(tmp_p
     try:
         flight = [rendered_set(frame) for frame in range(40)]
         for one in flight:
-            publisher.publish(one)  # to nobody
+            publisher.publish(one)  # to no one
         source = LiveSource([endpoint], journal=tmp_path / "link")
 
         def is_back(received: LiveSource = source) -> bool:

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.xdist_group("web")
 PICTURES, EVERY_MS, DRAWING_MS = 60, 200, 700
 LONGEST_REST_S = 4.0
 
-# Graphics that take so long for what they are given; and the moments at which something was drawn, in `shownAt`.
+# Graphics that take so long for what they are given; and the moments at which something was rendered, in `shownAt`.
 _SLOW = """tookMs => {
   const kind = WebGL2RenderingContext.prototype, given = new WeakMap();
   const { fenceSync, getSyncParameter, drawElements } = kind;

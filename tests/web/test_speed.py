@@ -19,7 +19,7 @@ TRIES = 3  # at most: the machine may have other work in one of them
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """On a drawn flight, with ten thousand pins."""
+    """On a simulated flight, with ten thousand pins."""
     page_is_built()
     folder = tmp_path_factory.mktemp("speed")
     record_rendered(folder / "drawn.mcap")

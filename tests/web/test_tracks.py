@@ -44,7 +44,7 @@ OPERATOR_TOKEN, VIEWER_TOKEN = "operators-token-1234", "viewers-token-1234"
 
 
 def report_at(frame: int, u: float, v: float, number: int = 1, **more: Any) -> TrackReport:
-    """Of a thing that a drawn picture shows there: where it then is on the ground."""
+    """Of a thing that a rendered picture shows there: where it then is on the ground."""
     s = rendered_set(frame)
     found = Locator(s).locate((u, v))
     assert isinstance(found, Fix)
@@ -324,7 +324,7 @@ def test_of_a_recording_what_was_followed_then_is_shown(tmp_path: Path, chromium
         page.locator("#time-bar").fill("0")
         page.wait_for_selector("[data-testid=track-list]", state="hidden")
         anna.click(320.0, 240.0)
-        assert anna.by("follow-it").count() == 0  # nobody follows in a recording: said where it is asked
+        assert anna.by("follow-it").count() == 0  # no one follows in a recording: said where it is asked
         page.keyboard.press("g")
         page.wait_for_function("() => document.querySelector('#answer').textContent.includes('pc-onboard replay')")
         anna.context.close()

@@ -88,7 +88,7 @@ def test_the_delay_of_a_recorded_flight_is_found_and_each_set_gets_its_own_frame
 
 
 def test_a_browser_keeps_no_frame_of_a_video(video: Path, tmp_path: Path) -> None:
-    """Started anew with another delay, the same address is another frame."""
+    """Started again with another delay, the same address is another frame."""
     flight = SampledFlight(SETS)
     flight.own_picture = 3
     footage = FileFootage(str(video), flight, VEHICLE, DELAY_S)
@@ -253,7 +253,7 @@ def test_frames_that_a_network_held_back_keep_their_times() -> None:
     arrivals[60:66] = arrivals[66]  # six at once
     times = np.array([clock.time_s(a, s) for a, s in zip(arrivals, stamps, strict=True)])
     assert np.max(np.abs(times[30:] - (7.0 + stamps[30:]))) < 0.02
-    # Stamps of a rate that is not the video's, as some addresses give them, are not believed.
+    # Stamps of a rate that is not the video's, as some addresses give them, are not accepted.
     other = FrameClock()
     times = np.array([other.time_s(a, s) for a, s in zip(arrivals[:60], 0.4 * stamps[:60], strict=True)])
     assert np.max(np.abs(times[30:] - arrivals[30:60])) < 0.03

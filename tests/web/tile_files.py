@@ -1,4 +1,4 @@
-"""Base maps as their users make them: small MBTiles and PMTiles files of one drawn tile, over the whole earth."""
+"""Base maps as their users make them: small MBTiles and PMTiles files of one rendered tile, over the whole earth."""
 
 from __future__ import annotations
 

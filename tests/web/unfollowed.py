@@ -1,4 +1,4 @@
-"""What a test's source has of tracks and hot spots where none takes part: none, and nobody follows."""
+"""What a test's source has of tracks and hot spots where none takes part: none, and no one follows."""
 
 from __future__ import annotations
 
@@ -15,5 +15,5 @@ class Unfollowed:
     spots = ReceivedSpots()
 
     def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
-        """Nobody does."""
+        """No one does."""
         raise LinkError(f"aircraft {vehicle!r} does not answer")

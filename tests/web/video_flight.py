@@ -1,4 +1,4 @@
-"""A drawn flight over drawn ground: its pictures as a video of the downlink, and its sets with features at corners."""
+"""A simulated flight over rendered ground: its pictures as a video, and its sets with features at corners."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands beside `click` as their user sees them: arguments in; text, JSON, files and exit status out."""
+"""The commands next to `click` as their user sees them: arguments in; text, JSON, files and exit status out."""
 
 from __future__ import annotations
 

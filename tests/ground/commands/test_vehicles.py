@@ -1,4 +1,4 @@
-"""Who is there: through a router with dozens of aircraft, and on a link to one; nobody is asked for it."""
+"""Who is there: through a router with dozens of aircraft, and on a link to one; no one is asked for it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MANY = 24
 
 
 class Aircraft:
-    """Of a fleet, as light as can be: a token, a status when it is told to, and a count of what it is asked."""
+    """Of a fleet, as light as can be: a token, a status when it is asked to, and a count of what it is asked."""
 
     def __init__(self, name: str, endpoint: str) -> None:
         self.name, self.asked = name, 0

@@ -26,7 +26,7 @@ FRONTAL = [Pose((0.0, 0.0, p.turn_rad[2]), p.middle_cam_m) for p in poses_all_ov
 
 
 def seen(poses: list[Pose], noise_px: float = 0.05, camera: Camera = TRUTH, seed: int = 0) -> list[View]:
-    """What a perfect detector would find, with noise; no picture is drawn."""
+    """What a perfect detector would find, with noise; no picture is rendered."""
     rng = np.random.default_rng(seed)
     points_m = CHARUCO.points_m()
     middle_m = np.array([CHARUCO.columns, CHARUCO.rows, 0.0]) * CHARUCO.square_m / 2.0

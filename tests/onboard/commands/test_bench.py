@@ -29,7 +29,7 @@ def judged(load: Load, wanted_hz: float) -> dict[str, object]:
 
 
 def test_a_short_flight_is_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Four seconds at 30 Hz, drawn here: nearly every picture is solved, and every stage has taken some time."""
+    """Four seconds at 30 Hz, sampled here: nearly every picture is solved, and every stage has taken some time."""
     config = tmp_path / "config.toml"
     config.write_text("[tracking]\nfeatures = 40\n")
     code = main(["bench", "--config", str(config), "--size", "320x240", "--seconds", "0", "--format", "json"])

@@ -19,7 +19,7 @@ from tests.waiting import PATIENCE_S, eventually
 
 
 def to_no_one(*arguments: object, buffered: bool = True) -> subprocess.CompletedProcess[str]:
-    """A command whose output goes into a pipe that nobody reads any more."""
+    """A command whose output goes into a pipe that no one reads any more."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     environment |= {} if buffered else {"PYTHONUNBUFFERED": "1"}
     command = [sys.executable, "-m", "onboard", *map(str, arguments)]

@@ -128,7 +128,7 @@ def test_at_rest_with_a_good_fix_all_is_green() -> None:
 @unhurried
 @given(inputs())
 def test_state_and_doctor_never_disagree(said: Inputs) -> None:
-    """Whatever makes the state not well is a red line of the doctor's beside the state's own, and the reverse."""
+    """Whatever makes the state not well is a red line of the doctor's next to the state's own, and the reverse."""
     is_well = overall(said).state.is_well
     lines = verdicts(report_of(said))
     judged = {name: lines[name] for name in (subject.value for subject in Subject) if name in lines}

@@ -87,7 +87,7 @@ def test_where_everything_is_found_nothing_is_asked(out: Path, capsys: pytest.Ca
     assert camera.size_px == (1280, 720) and camera.sigma[0] == pytest.approx(0.05)
     assert 2.0 * math.degrees(math.atan(640 / camera.fx_px)) == pytest.approx(70.4, abs=0.1)
     assert around.checked == [out]
-    assert "serial:/dev/ttyAMA0:115200" not in around.listened  # that port has been heard at another rate
+    assert "serial:/dev/ttyAMA0:115200" not in around.listened  # that port has been found at another rate
     said = capsys.readouterr().out
     for words in ("calibrate --device", "calibrate --from", "--mount ROLL,PITCH,YAW", f"run --config {out}"):
         assert words in said

@@ -1,4 +1,4 @@
-"""`pc-onboard status` against a publisher on this computer, and against nobody."""
+"""`pc-onboard status` against a publisher on this computer, and against no one."""
 
 from __future__ import annotations
 

@@ -110,7 +110,7 @@ def test_plain_tcp_does_not_get_through_to_an_encrypted_link(place: Place) -> No
 
 
 def hears(cache: SetCache, place: Place) -> bool:
-    """Whether a set published now, or just before, was heard."""
+    """Whether a set published now, or just before, was received."""
     place.publisher.publish(a_set(3))
     return cache.by_frame("uav-1", 3) is not None
 
@@ -124,7 +124,7 @@ def received_nothing(place: Place, config: str) -> bool:
             stranger = zenoh.open(zenoh.Config.from_json5(config))
         except zenoh.ZError:
             return True
-        # With TLS 1.3 a client may think itself connected until it is told that it is not.
+        # With TLS 1.3 a client may think itself connected until it learns that it is not.
         with stranger:
             try:
                 stranger.declare_subscriber("pc/**", lambda sample: received.append(sample.payload.to_bytes()))

@@ -178,7 +178,7 @@ def waits_s(
 @pytest.mark.parametrize(
     ("bit_rate", "share", "loss", "most_s"),
     [
-        (400.0, 0.42, 0.0, 4.0),  # nothing beside but the autopilot's heartbeat
+        (400.0, 0.42, 0.0, 4.0),  # nothing but the autopilot's heartbeat
         (400.0, 0.42, 0.1, 6.0),
         (4800.0, 0.6, 0.1, 4.0),
         (57_600.0, 0.65, 0.1, 4.0),

@@ -31,7 +31,7 @@ SECTION = PictureConfig(enabled=True, rate_hz=5.0, max_px=240)
 
 
 def an_image(number: int, width: int = 320, height: int = 240) -> NDArray[np.uint8]:
-    """Another for each number, smooth enough that a compressed one can be told from its neighbours'."""
+    """Another for each number, smooth enough that a compressed one can be distinguished from its neighbours'."""
     rows, columns = np.mgrid[:height, :width] / width
     wave = np.sin((9.0 + number) * columns + number) + np.cos((7.0 + 0.5 * number) * rows)
     return (127.5 + 60.0 * wave).astype(np.uint8)

@@ -188,7 +188,7 @@ def test_a_subscriber_caches_sets_by_vehicle_frame_and_time(publisher: Publisher
 
 
 def test_garbage_on_the_key_is_counted_and_does_no_harm(endpoint: str) -> None:
-    """From a faulty aircraft: a Publisher lets nobody else publish through it (test_access.py)."""
+    """From a faulty aircraft: a Publisher lets no one else publish through it (test_access.py)."""
     with SetCache(endpoint) as cache, zenoh_peer(endpoint) as session:
 
         def spoilt() -> bool:
@@ -311,7 +311,7 @@ def test_the_age_of_the_newest_picture_grows_while_only_old_ones_come(publisher:
         assert cache.age_s("uav-1") is None
         begun_at = time.monotonic()
         publisher.publish(a_set(5))
-        assert eventually(lambda: cache.newest("uav-1") is not None)  # sent again after 2 s if nobody heard it
+        assert eventually(lambda: cache.newest("uav-1") is not None)  # sent again after 2 s if no one received it
         time.sleep(0.5)
         publisher.publish(a_set(4, revision=1))
         assert eventually(lambda: cache.by_frame("uav-1", 4) is not None)

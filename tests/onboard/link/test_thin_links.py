@@ -1,4 +1,4 @@
-"""The link as it is flown: cut, lossy, thin. Real zenoh sessions through a link in user space, in real time.
+"""The link as it is in the air: cut, lossy, thin. Real zenoh sessions through a link in user space, in real time.
 
 The rules behind it are held to far tighter bounds in virtual time by test_rate.py; here is what TCP, UDP and zenoh add.
 

@@ -1,4 +1,4 @@
-"""Tracks over real zenoh sessions on loopback: asked for, refused, heard; and who may ask, by certificates."""
+"""Tracks over real zenoh sessions on loopback: asked for, refused, received; and who may ask, by certificates."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_only_the_named_may_follow(tmp_path: Path) -> None:
 
 def test_without_trackers_the_rights_are_as_they_were() -> None:
     rules = json.loads(link_config("peer", is_aircraft=True, trackers=["anna"]))["access_control"]
-    assert [rule["key_exprs"] for rule in rules["rules"]] == [["pc/**"]] * 3  # without certificates nobody has a name
+    assert [rule["key_exprs"] for rule in rules["rules"]] == [["pc/**"]] * 3  # without certificates no one has a name
     assert len(rules["subjects"]) == 1
 
 

@@ -1,4 +1,4 @@
-"""What a replay's inputs have to do with each other: a video beside its subtitles, EXIF cut to the second, help."""
+"""What a replay's inputs have to do with each other: a video next to its subtitles, EXIF cut to the second, help."""
 
 from __future__ import annotations
 

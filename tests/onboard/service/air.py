@@ -202,7 +202,7 @@ class Air:
         return next((t for t, status in self.statuses if t >= since_s and status.state == word), float("inf"))
 
     def sets(self, begin_s: float = -1e9, end_s: float = 1e9) -> dict[int, FeatureSet]:
-        """The last set of each picture taken within a stretch, as if taken when it was flown."""
+        """The last set of each picture taken within a stretch, as if taken in flight."""
         assert self.received is not None
         out = {}
         for _, output in self.received.sets:

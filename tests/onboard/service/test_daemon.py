@@ -92,7 +92,7 @@ class Held(Pipeline):
 
 
 class Rig:
-    """A daemon in a thread of the test, on the real clock, with sources that do as they are told."""
+    """A daemon in a thread of the test, on the real clock, with sources that do as they are asked."""
 
     def __init__(self) -> None:
         self.orders, self.notes = QueueOrders(), Notes()
@@ -442,7 +442,7 @@ def test_pictures_are_shed_oldest_first_when_the_processor_is_starved(tmp_path: 
     assert stamps[-1] > air.first_ns + 8e9 - min(longest_s, 7.0) * 1e9
     outcome = air.clicked()
     assert outcome.inside_99 > 0.97, outcome.reported
-    # Shedding comes before recording: what was dropped is in nobody's list.
+    # Shedding comes before recording: what was dropped is in no one's list.
     assert len(Recording(air.recordings[0]).frames("uav")) == len(stamps)
 
 

@@ -1,4 +1,4 @@
-"""Faults in flight: seen within two seconds, recovered from alone, and no answer beside the truth. docs/faults.md."""
+"""Faults in flight: seen within two seconds, recovered from alone, and no answer off the truth. docs/faults.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Words to systemd, heard at a socket of the same kind."""
+"""Words to systemd, found at a socket of the same kind."""
 
 from __future__ import annotations
 

@@ -97,7 +97,7 @@ class OnTheGround:
         return SourceStatus(State.OK, "", FIGURES)
 
     def send_text(self, severity: Severity, text: str) -> None:
-        """Nobody listens."""
+        """No one listens."""
 
 
 def stated(fix_type: int, is_at_rest: bool) -> Callable[[int, int], list[Event]]:
@@ -120,7 +120,7 @@ def seen(now_ns: int, index: int) -> list[Event]:
 
 
 def reports(telemetry: Callable[[int, int], list[Event]]) -> Generator[Report, None, None]:
-    """What a session on the ground reports, until nobody wants more.
+    """What a session on the ground reports, until no one wants more.
 
     On a clock as fast as the host's on which the machine never stands still: nothing is silent for that.
     """
@@ -145,7 +145,7 @@ def judged(report: Report) -> dict[str, bool]:
 
 
 def test_px4_standing_on_the_ground_is_well() -> None:
-    """It was `no gps: the position is not believed` with a doctor that was green, as long as it stood."""
+    """It was `no gps: the position is not accepted` with a doctor that was green, as long as it stood."""
     states: list[str] = []
     lasting: list[Report] = []
     with closing(reports(stated(3, True))) as said:

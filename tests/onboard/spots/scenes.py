@@ -1,4 +1,4 @@
-"""Thermal pictures of drawn ground from poses that are known, each with a set that says so."""
+"""Thermal pictures of rendered ground from poses that are known, each with a set that says so."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two cameras, end to end: drawn heat seen by the second, poses of the first, and spots where the heat is."""
+"""Two cameras, end to end: rendered heat seen by the second, poses of the first, and spots where the heat is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A thermal camera beside the first one: its rays, whose pose is known with an error, on the first one's ground."""
+"""A thermal camera next to the first one: its rays, whose pose is known with an error, on the first one's ground."""
 
 from __future__ import annotations
 

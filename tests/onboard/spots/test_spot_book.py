@@ -1,4 +1,4 @@
-"""Spots of a flight over drawn ground: found, placed, seen again, and said why not."""
+"""Spots of a flight over rendered ground: found, placed, seen again, and said why not."""
 
 from __future__ import annotations
 

@@ -233,7 +233,7 @@ def test_two_sessions_in_a_folder_are_distinguished(session: Path, tmp_path: Pat
 
 
 class Disk:
-    """So much room, until told otherwise."""
+    """So much room, until asked otherwise."""
 
     def __init__(self, free: int = GIGABYTE) -> None:
         self.free = free

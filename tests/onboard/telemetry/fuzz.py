@@ -25,7 +25,7 @@ from onboard.telemetry.mavsdk_source import from_json
 from onboard.telemetry.nmea_source import NmeaReceiver
 from tests.onboard.telemetry.sentences import burst, sentence
 
-SPELL = 200  # inputs before everything begins anew
+SPELL = 200  # inputs before everything begins again
 KINDS = [mavlink.mavlink_map[number] for number in (*sorted(WANTED), 22, 77, 111)]
 EDGES = (0, 1, 0x7F, 0x80, 0xFF)
 

@@ -29,7 +29,7 @@ ORIENTATION_154 = "fd10000000019a09010070110100000000000000b4c2000020428290"
 
 
 class Line:
-    """An autopilot with an ATTITUDE and a position ten times a second, and gimbals beside it, in virtual time."""
+    """An autopilot with an ATTITUDE and a position ten times a second, and gimbals next to it, in virtual time."""
 
     def __init__(self, config: str = "") -> None:
         self.autopilot = Autopilot(parse_config(config))

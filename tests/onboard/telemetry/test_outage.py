@@ -94,7 +94,7 @@ def position(t: float) -> PositionFix:
 
 
 def moments(report: FilterStatus) -> list[bool]:
-    """Whether a steady flight of ten seconds is believed at each half second, with one report among good ones."""
+    """Whether a steady flight of ten seconds is accepted at each half second, with one report among good ones."""
     navigation = Navigation(Config())
     for i in range(101):
         navigation.add(position(i / 10))

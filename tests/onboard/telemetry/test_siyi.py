@@ -109,7 +109,7 @@ def test_an_answer_counts_for_the_middle_of_its_round_trip() -> None:
     got = answers.take(encode(Packet(ATTITUDE, angles(0, -45, 0), 0, 2)) + encode(Packet(ZOOM, b"\x02\x05")), 1030 * MS)
     assert [(type(e), e.stamp_ns) for e in got] == [(GimbalAttitude, 1015 * MS), (Zoom, 1015 * MS)]
     assert got[1] == Zoom(1015 * MS, 2.5, "times", 0.1)
-    # One that nobody asked for, and one that comes after it was asked for again, say nothing of when.
+    # One that no one asked for, and one that comes after it was asked for again, say nothing of when.
     assert not answers.take(encode(Packet(ATTITUDE, angles(0, -45, 0))), 1035 * MS)
     assert answers.due(1041 * MS) and not answers.take(encode(Packet(ATTITUDE, angles(0, -45, 0))), 1300 * MS)
     assert answers.due(1301 * MS)

@@ -176,7 +176,7 @@ def followed(pictures: Sequence[Picture]) -> tuple[list[float], list[float]]:
 
 
 def test_a_tracker_that_the_display_has_blinded_finds_the_ground() -> None:
-    """Rows of letters before a ground of little contrast; nobody tells where the aircraft moves."""
+    """Rows of letters before a ground of little contrast; no one tells where the aircraft moves."""
     pictures = list(passing(cloudy(4, (1600, 1000), 9.0), (STEP_PX, 6.0), 70))
     for picture in pictures:
         for row in range(60, SIZE_PX[1], 60):
