@@ -65,7 +65,7 @@ def figures(score: Score) -> Array:
     return np.array([answered, median, ninth, np.mean(ratio < 1.0), np.quantile(ratio, 0.9), ratio.max()])
 
 
-def flown(trial: Trial, draws: int, how: AbstractContextManager[None]) -> tuple[Array, float]:
+def simulated(trial: Trial, draws: int, how: AbstractContextManager[None]) -> tuple[Array, float]:
     """Figures (N, 6) of some draws of a flight, and the estimator's mean processor time (s)."""
     with how:
         scores = [fly(trial, trial.seed + draw) for draw in range(draws)]
@@ -137,8 +137,8 @@ def main() -> None:
         worse, better = verdicts.setdefault(mechanism.name, ([], []))
         for trial in trials:
             if trial.name not in known:
-                known[trial.name] = flown(trial, args.draws, nullcontext())
-            off = flown(trial, args.draws, mechanism.off())
+                known[trial.name] = simulated(trial, args.draws, nullcontext())
+            off = simulated(trial, args.draws, mechanism.off())
             print(row(mechanism.name, trial.name, known[trial.name], off), flush=True)
             more_worse, more_better = change(trial.name, known[trial.name][0], off[0])
             worse.extend(more_worse)

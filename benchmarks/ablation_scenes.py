@@ -1,7 +1,8 @@
 """The flights of `benchmarks.ablation`: ordinary ones, and for each mechanism the one that it exists for.
 
-Recorded telemetry of real autopilot software over simulated ground (`autopilots`), simulated flights (`drawn_flight`),
-and three kinds of simulated flight that only the ablation needs: rows that vibrate, ground that moves, a gimbal.
+Recorded telemetry of real autopilot software over simulated ground (`autopilots`), simulated flights
+(`sampled_flight`), and three kinds of simulated flight that only the ablation needs: rows that vibrate, ground that
+moves, a gimbal.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.autopilots import SENSORS, STARTS, ReplayedFlight, ReplayedTracker, Scene
-from benchmarks.drawn_flight import DrawnFlight, DrawnSpec, DrawnTracker, FlightInSight, Mask, replace_section
 from benchmarks.platform_faults import BELIEVED, FAULTS
+from benchmarks.sampled_flight import FlightInSight, Mask, SampledFlight, SampledSpec, SampledTracker, replace_section
 from contract.camera import Camera
 from contract.rotations import exp_so3, matrix_from_euler, matrix_from_quaternion, quaternion_from_matrix
 from onboard.config.schema import Config, parse_config
@@ -25,7 +26,7 @@ from simulation.paths import PathSpec
 from simulation.rows import RowsOf
 
 Array = NDArray[np.float64]
-AnyFlight = ReplayedFlight | DrawnFlight
+AnyFlight = ReplayedFlight | SampledFlight
 
 SECONDS, ORDINARY_SECONDS = 75.0, 50.0
 DEFAULTS = parse_config("")
@@ -47,7 +48,7 @@ class Trial:
 
     name: str
     flight: Callable[[int], AnyFlight]
-    tracker: Callable[[Any], DrawnTracker] = DrawnTracker
+    tracker: Callable[[Any], SampledTracker] = SampledTracker
     seed: int = 3
 
 
@@ -69,22 +70,22 @@ def recorded(
     return Trial(", ".join(w for w in words if w), lambda seed: ReplayedFlight(scene, seed), ReplayedTracker)
 
 
-def drawn(
+def sampled(
     name: str,
-    kind: type[DrawnFlight] = DrawnFlight,
+    kind: type[SampledFlight] = SampledFlight,
     config: Config = TIMED,
     **spec: Any,
 ) -> Trial:
     """Errors sampled as declared."""
-    made = DrawnSpec(config, **{"seconds": SECONDS, "rate_hz": 2.0, **spec})
-    tracker = WaterTracker if kind is WaterFlight else DrawnTracker
+    made = SampledSpec(config, **{"seconds": SECONDS, "rate_hz": 2.0, **spec})
+    tracker = WaterTracker if kind is WaterFlight else SampledTracker
     return Trial(name, lambda seed: kind(made, seed), tracker)
 
 
-class VibratingFlight(DrawnFlight):
+class VibratingFlight(SampledFlight):
     """A propeller swings the camera while its rows are read."""
 
-    def __init__(self, spec: DrawnSpec, seed: int) -> None:
+    def __init__(self, spec: SampledSpec, seed: int) -> None:
         super().__init__(spec, seed)
         self._rows = VibratingRows(self.trajectory, self._rows.R_body_cam, spec.readout_s)
 
@@ -100,14 +101,14 @@ class VibratingRows(RowsOf):
         return R_enu_cam @ exp_so3(swing[:, None] * np.array([1.0, 0.6, 0.0])), centres
 
 
-class WaterFlight(DrawnFlight):
+class WaterFlight(SampledFlight):
     """The ground's pattern drifts. Clicks ask where a thing is, trackers follow the pattern."""
 
 
 class _Drifting:
     """A flight as its tracker sees it: places counted from the pattern."""
 
-    def __init__(self, flight: DrawnFlight) -> None:
+    def __init__(self, flight: SampledFlight) -> None:
         self.flight, self.rng, self.spec = flight, flight.rng, flight.spec
 
     def _moved_m(self, frame: int) -> Array:
@@ -122,10 +123,10 @@ class _Drifting:
         return self.flight.pixels(frame, points + self._moved_m(frame))
 
 
-class WaterTracker(DrawnTracker):
+class WaterTracker(SampledTracker):
     """Follows the pattern, and sees coarse and fine flow disagree."""
 
-    def __init__(self, flight: DrawnFlight) -> None:
+    def __init__(self, flight: SampledFlight) -> None:
         seen: FlightInSight = _Drifting(flight)
         super().__init__(seen)
         self._of, self._before = flight, 0
@@ -140,7 +141,7 @@ class WaterTracker(DrawnTracker):
         return out
 
 
-class GimbalFlight(DrawnFlight):
+class GimbalFlight(SampledFlight):
     """Photographs of a camera that a gimbal holds level under a vehicle that leans forward and rolls slowly."""
 
     def events(self) -> Iterator[Event]:
@@ -168,7 +169,7 @@ STEEP = PathSpec("turns", speed_m_s=15.0, height_m=100.0, bank_deg=45.0, leg_m=8
 ORDINARY = (
     recorded("plane_wind_noise", seconds=ORDINARY_SECONDS),
     recorded("plane_breeze", "gps", seconds=ORDINARY_SECONDS),
-    drawn("drawn turns", path=TURNS, seconds=ORDINARY_SECONDS),
+    sampled("drawn turns", path=TURNS, seconds=ORDINARY_SECONDS),
 )
 TOO_SURE = {"attitude_sigma_deg": 0.2, "heading_sigma_deg": 0.7}
 GPS_ONLY = replace_section(TIMED, "solve", **SENSORS["gps"])
@@ -181,14 +182,14 @@ SURVEY = PathSpec(speed_m_s=10.0, height_m=100.0, wobble_deg=0.3, pitch_deg=0.0)
 def own() -> dict[str, tuple[Trial, ...]]:
     """By the name of the mechanism."""
     rotations = (
-        drawn("stamps 0.45 s late, turns", path=TURNS, offset_s=0.45, seconds=ORDINARY_SECONDS),
-        drawn("stamps 0.3 s late, steep turns", path=STEEP, offset_s=0.3, seconds=ORDINARY_SECONDS),
+        sampled("stamps 0.45 s late, turns", path=TURNS, offset_s=0.45, seconds=ORDINARY_SECONDS),
+        sampled("stamps 0.3 s late, steep turns", path=STEEP, offset_s=0.3, seconds=ORDINARY_SECONDS),
         recorded("plane_wind_noise", fault="late", seconds=ORDINARY_SECONDS),
     )
-    gimbal = (drawn("gimbal, photographs", GimbalFlight, rate_hz=0.7, path=SURVEY),)
+    gimbal = (sampled("gimbal, photographs", GimbalFlight, rate_hz=0.7, path=SURVEY),)
     return {
         "rotation timing": rotations,
-        "row waves": (drawn("vibrating rows", VibratingFlight, ROLLING, path=TURNS, readout_s=0.03, seconds=36.0),),
+        "row waves": (sampled("vibrating rows", VibratingFlight, ROLLING, path=TURNS, readout_s=0.03, seconds=36.0),),
         "camera states": (recorded("plane_clean", fault="wrong lens"),),
         "variance components": (
             recorded("plane_wind_noise", note="attitude claimed to 0.2 and 0.7 deg", solve=TOO_SURE),
@@ -197,19 +198,19 @@ def own() -> dict[str, tuple[Trial, ...]]:
         "disagreeing windows": (rotations[-1], recorded("plane_wind_noise", fault="1hz", seconds=ORDINARY_SECONDS)),
         "sensor groups": (recorded("plane_clean", fault="tilt-jump"),),
         "ground slope": (recorded("plane_clean", fault="slope"),),
-        "ground roughness": (drawn("hills of 12 m", path=TURNS, relief_sigma_m=12.0, relief_wavelength_m=80.0),),
+        "ground roughness": (sampled("hills of 12 m", path=TURNS, relief_sigma_m=12.0, relief_wavelength_m=80.0),),
         "ground weight": (
-            drawn("hills of 8 m, long", path=PathSpec(), relief_sigma_m=8.0, relief_wavelength_m=400.0),
-            drawn("hills of 8 m, long, camera + GPS", config=GPS_ONLY, relief_sigma_m=8.0, relief_wavelength_m=400.0),
+            sampled("hills of 8 m, long", path=PathSpec(), relief_sigma_m=8.0, relief_wavelength_m=400.0),
+            sampled("hills of 8 m, long, camera + GPS", config=GPS_ONLY, relief_sigma_m=8.0, relief_wavelength_m=400.0),
         ),
         "second start": (
             recorded("plane_log", "gps"),
             recorded("qp_transition", "gps"),
             recorded("plane_wind_noise", "gps", seconds=ORDINARY_SECONDS),
-            drawn("hills of 8 m, turns, camera + GPS", config=GPS_ONLY, path=TURNS, relief_sigma_m=8.0),
+            sampled("hills of 8 m, turns, camera + GPS", config=GPS_ONLY, path=TURNS, relief_sigma_m=8.0),
         ),
         "reobservation": (
-            drawn(
+            sampled(
                 "lens 0.4 % off, claimed exact",
                 path=TURNS,
                 camera_file=LONGER,
@@ -218,7 +219,7 @@ def own() -> dict[str, tuple[Trial, ...]]:
             ),
             recorded("plane_clean", fault="rolling ignored", seconds=ORDINARY_SECONDS),
         ),
-        "ground motion": (drawn("water", WaterFlight),),
+        "ground motion": (sampled("water", WaterFlight),),
         "zoom": (recorded("plane_clean", fault="zoom"),),
         "moved optics": (recorded("plane_clean", fault="stabilised"),),
         "mount trial": gimbal,

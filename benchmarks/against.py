@@ -27,7 +27,7 @@ from benchmarks.machine import describe, load, table, verdict
 # isort: split
 import numpy as np
 
-from benchmarks.flown import CACHE, leg
+from benchmarks.short_flight import CACHE, leg
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 BASE = "16dc944"
@@ -92,16 +92,16 @@ def unpacked(commit: str, folder: Path) -> Path:
 def compare(base: Path, flight: Path, turns: int, pictures: int) -> tuple[list[Turn], list[Turn]]:
     """Turns of the base's code and of this checkout's, each with its pair."""
     flying = Flying(base, flight), Flying(CHECKOUT, flight)
-    flown: tuple[list[Turn], list[Turn]] = ([], [])
+    simulated: tuple[list[Turn], list[Turn]] = ([], [])
     try:
         for turn in range(WARM_UP_TURNS + turns):
             # Who begins changes, so that neither always has the quieter half.
             for one in (0, 1) if turn % 2 else (1, 0):
-                flown[one].append(flying[one].fly(pictures))
+                simulated[one].append(flying[one].fly(pictures))
     finally:
         for process in flying:
             process.end()
-    return flown[0][WARM_UP_TURNS:], flown[1][WARM_UP_TURNS:]
+    return simulated[0][WARM_UP_TURNS:], simulated[1][WARM_UP_TURNS:]
 
 
 def report(commit: str, before: list[Turn], now: list[Turn]) -> str:
@@ -110,10 +110,11 @@ def report(commit: str, before: list[Turn], now: list[Turn]) -> str:
     ratio = float(np.median(ratios))
     rows = []
     for name, of in (("in all", lambda t: t.picture_ms), *((s, _stage(s)) for s in before[0].stages_ms)):
-        a, b = (float(np.median([of(t) for t in flown])) for flown in (before, now))
+        a, b = (float(np.median([of(t) for t in simulated])) for simulated in (before, now))
         rows.append([name, f"{a:.2f}", f"{b:.2f}", f"{b / a:.2f}"])
     counts = (
-        f"{sum(t.sets for t in flown)} sets, {sum(t.answered for t in flown)} with an answer" for flown in (before, now)
+        f"{sum(t.sets for t in simulated)} sets, {sum(t.answered for t in simulated)} with an answer"
+        for simulated in (before, now)
     )
     was, has = counts
     return "\n".join(
@@ -142,7 +143,7 @@ def main() -> None:
     parser.add_argument("--turns", type=int, default=40, help="that count, of each (default 40)")
     parser.add_argument("--pictures", type=int, default=60, help="a turn (default 60)")
     parser.add_argument(
-        "--flight", type=Path, help="folder of a flight at 30 Hz (default: the leg of benchmarks.flown)"
+        "--flight", type=Path, help="folder of a flight at 30 Hz (default: the leg of benchmarks.short_flight)"
     )
     args = parser.parse_args()
     flight = args.flight

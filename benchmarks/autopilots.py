@@ -6,8 +6,8 @@
 Position, velocity and attitude are what ArduPilot or PX4 sent, with all of its errors, none of which we chose; a
 sampled Gauss-Markov error is added to the position, for one flight is only one sample of its GPS, and simulators of
 receivers hold none that lasts. Features are points of
-simulated ground with pixel noise (`drawn_flight`), so that a flight of minutes takes seconds. Printed for every scene:
-the share answered, median and 90 % error next to what the flat ray gives (the autopilot's own pose, the true
+simulated ground with pixel noise (`sampled_flight`), so that a flight of minutes takes seconds. Printed for every
+scene: the share answered, median and 90 % error next to what the flat ray gives (the autopilot's own pose, the true
 mount, level ground at home's height), the share inside the 90 % ellipse by bank, inside the 99 % ellipse, the worst
 error over its 90 % ellipse, both medians beyond what the position was off by at that moment, and what was estimated of
 mount and clocks; then, of the same clicks, sharpness (`click_score`) and coverage by bank and by minute of flight, and
@@ -30,9 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.click_score import FLIGHT_GOAL, POOLED_GOAL, Score, add, clicks, row, sharpness_header, sharpness_row
-from benchmarks.drawn_flight import DrawnTracker, Ground, Mask, Valley, replace_section
 from benchmarks.machine import describe
 from benchmarks.platform_faults import BELIEVED, FAULTS, LENS
+from benchmarks.sampled_flight import Ground, Mask, SampledTracker, Valley, replace_section
 from benchmarks.sensor_faults import Disturbance, disturbed
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
@@ -98,7 +98,7 @@ def recording(name: str) -> tuple[TelemetryLog, RecordedTruth]:
 
 
 class ReplayedFlight:
-    """Recorded telemetry with features of simulated ground; offers `DrawnTracker` what `DrawnFlight` does."""
+    """Recorded telemetry with features of simulated ground; offers `SampledTracker` what `SampledFlight` does."""
 
     def __init__(self, scene: Scene, seed: int) -> None:
         self.spec = scene
@@ -200,7 +200,7 @@ class Wander:
         return replace(fix, lat_deg=lat, lon_deg=lon, height_amsl_m=height, height_above_home_m=above)
 
 
-class ReplayedTracker(DrawnTracker):
+class ReplayedTracker(SampledTracker):
     """As simulated, but no feature where the picture shows no ground."""
 
     def promote(self, tracks: Tracks) -> tuple[NDArray[np.int64], Array]:

@@ -103,7 +103,7 @@ def prepared(size_px: tuple[int, int], features: int) -> tuple[MadeFlight, Camer
     return MadeFlight(config, camera), camera
 
 
-def flown(size_px: tuple[int, int], features: int, pictures: int) -> tuple[Load, float, float]:
+def simulated(size_px: tuple[int, int], features: int, pictures: int) -> tuple[Load, float, float]:
     """A flight's load, the median of raw LK, us, and this process's memory at the end, MB (with simulated ground)."""
     made, camera = prepared(size_px, features)
     lk = RawLk(camera)
@@ -117,7 +117,7 @@ def report(sizes: Sequence[tuple[int, int]], features: Sequence[int], pictures: 
     """The table, a row for each size and number of features."""
     rows = []
     for size_px, count in product(sizes, features):
-        found, lk_us, memory_mb = flown(size_px, count, pictures)
+        found, lk_us, memory_mb = simulated(size_px, count, pictures)
         ratios = [1e3 * found.stage_ms.get(stage, 0.0) / lk_us for stage in STAGES]
         standing = (us / lk_us for us in TimedStandingParts.mean_us())
         rows.append(
@@ -127,7 +127,7 @@ def report(sizes: Sequence[tuple[int, int]], features: Sequence[int], pictures: 
                 *(f"{ratio:.2f}" for ratio in ratios),
                 f"{1e3 * found.picture_ms / lk_us:.2f}",
                 *(f"{ratio:.2f}" for ratio in standing),
-                f"{found.solved}/{found.flown}",
+                f"{found.solved}/{found.replayed}",
                 f"{memory_mb:.0f}",
             ]
         )
@@ -141,10 +141,10 @@ def instructions(size_px: tuple[int, int], features: int) -> float:
         raise FileNotFoundError("valgrind is not there: apt-get install valgrind")
     size = f"{size_px[0]}x{size_px[1]}"
     more, few = INSTRUCTION_PICTURES
-    flown, drawn = (
+    simulated, sampled = (
         _counted(work, size, features, more) - _counted(work, size, features, few) for work in ("fly", "draw")
     )
-    return (flown - drawn) / (more - few) / 1e6
+    return (simulated - sampled) / (more - few) / 1e6
 
 
 def _counted(work: str, size: str, features: int, pictures: int) -> int:

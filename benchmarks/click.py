@@ -25,7 +25,7 @@ from benchmarks.machine import describe, load, table, verdict
 # isort: split
 import numpy as np
 
-from benchmarks.flown import leg, sets_of
+from benchmarks.short_flight import leg, sets_of
 from contract.feature_set import FeatureSet
 from contract.locate import Locator
 from onboard.link.publisher import Publisher, Rate

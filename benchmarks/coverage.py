@@ -2,7 +2,7 @@
 
     python -m benchmarks.coverage [--flights 100] [--seed 0] [--rows TEXT]
 
-Each flight goes through the whole onboard pipeline but for the tracker (`drawn_flight`), its feature sets through the
+Each flight goes through the whole onboard pipeline but for the tracker (`sampled_flight`), its feature sets through the
 ground's locator. Counted, horizontally: single clicks; the vector between two clicks of one set; between clicks of two
 sets a second or two apart, and farther apart. NEES is the mean squared error over the claimed covariance, 1 if honest:
 of the pose (six states), of clicks (two), of heights. One flight is one sample of mount, offset and slow GPS error: the
@@ -19,8 +19,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, fly, replace_section
 from benchmarks.machine import describe
+from benchmarks.sampled_flight import PLACE, SampledFlight, SampledSpec, fly, replace_section
 from benchmarks.scatter import mean_and_sigma
 from contract.answer import CHI2_2, Fix
 from contract.feature_set import FeatureSet
@@ -59,7 +59,7 @@ def base() -> Config:
     return parse_config("")
 
 
-def rows() -> dict[str, DrawnSpec]:
+def rows() -> dict[str, SampledSpec]:
     """Rows of the table by name."""
     full = base()
 
@@ -67,7 +67,7 @@ def rows() -> dict[str, DrawnSpec]:
         return replace_section(full, "solve", **solve)
 
     seed = sensors(attitude="none", velocity=False)
-    spec = DrawnSpec(full)
+    spec = SampledSpec(full)
     turns = PathSpec("turns", leg_m=160.0)
     oblique = replace_section(full, "mount", pitch_deg=-60.0)
     return {
@@ -89,9 +89,9 @@ def rows() -> dict[str, DrawnSpec]:
     }
 
 
-def judge(spec: DrawnSpec, seed: int) -> Counts | None:
+def judge(spec: SampledSpec, seed: int) -> Counts | None:
     """Fly once and compare; None where too little was solved."""
-    flight = DrawnFlight(spec, seed)
+    flight = SampledFlight(spec, seed)
     sets, _ = fly(flight)
     solved = [k for k, s in sets.items() if s.is_ok and len(s) > 0 and k > 0.4 * len(flight.times_s)]
     if len(solved) < PICTURES:
@@ -144,7 +144,7 @@ def _enu(answer: Fix) -> Array:
     return PLACE.to_enu(answer.lat_deg, answer.lon_deg, answer.height_amsl_m)
 
 
-def _pose_nees(flight: DrawnFlight, frame: int, s: FeatureSet) -> float:
+def _pose_nees(flight: SampledFlight, frame: int, s: FeatureSet) -> float:
     """Of the six pose states, over six."""
     centre = PLACE.to_enu(s.camera_lat_deg, s.camera_lon_deg, s.camera_height_m)
     R_place_here = PLACE.R_enu_ecef @ rotation_enu_ecef(s.camera_lat_deg, s.camera_lon_deg).T

@@ -36,13 +36,13 @@ from tests.onboard.link.ports import free_endpoint
 ROOT = Path(__file__).resolve().parents[1]
 PICTURES = 5
 STARTED_WITHIN_S = 120.0
-ON_ITS_WAY_S = 1.0  # of a phase's end that is not counted: its sets may be heard in the next
+ON_ITS_WAY_S = 1.0  # of a phase's end that is not counted: its sets may be received in the next
 DOWN_S = 2.0
 SETTLED_S = 5.0
 LOSS_SHARE, NEWEST_S = 0.01, 3.0  # goals
 TICKS = os.sysconf("SC_CLK_TCK")
 
-Rows = NDArray[np.int64]  # operator, aircraft, frame, captured, heard
+Rows = NDArray[np.int64]  # operator, aircraft, frame, captured, received
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class Station:
         return time.time_ns()
 
     def close(self) -> tuple[Rows, Rows]:
-        """What was said, and what the operators that were never stopped heard."""
+        """What was said, and what the operators that were never stopped received."""
         for program in (self.aircraft, self.operators, self.slow):
             program.end()
         self.router.process.terminate()
@@ -173,23 +173,23 @@ def fly(station: Station, seconds: float) -> int:
 
 
 def lost_and_late(
-    phase: Phase, said: Rows, heard: Rows, operators: int, flapping: int
+    phase: Phase, said: Rows, received: Rows, operators: int, flapping: int
 ) -> tuple[float, NDArray[np.float64]]:
-    """Share of sets not heard, over all operators; and milliseconds from publishing to the first hearing of each."""
+    """Share of sets not received, over all operators; and milliseconds from publishing to the first hearing of each."""
     wanted = said[
         (said[:, 1] != flapping) & (said[:, 3] >= phase.begin_ns) & (said[:, 3] < phase.end_ns - ON_ITS_WAY_S * 1e9)
     ]
     expected = {(vehicle, frame) for vehicle, frame in wanted[:, 1:3].tolist()}
     first: dict[tuple[int, int, int], float] = {}
-    for operator, vehicle, frame, captured, at in heard[np.argsort(heard[:, 4], kind="stable")].tolist():
+    for operator, vehicle, frame, captured, at in received[np.argsort(received[:, 4], kind="stable")].tolist():
         if (vehicle, frame) in expected:
             first.setdefault((operator, vehicle, frame), (at - captured) / 1e6)
     return 1.0 - len(first) / (len(expected) * operators), np.array(list(first.values()))
 
 
-def newest_within_s(heard: Rows, served_ns: int, aircraft: int, operators: int) -> float:
+def newest_within_s(received: Rows, served_ns: int, aircraft: int, operators: int) -> float:
     """From when the router served again until every operator had a set of every aircraft that was published since."""
-    since = heard[(heard[:, 3] >= served_ns)]
+    since = received[(received[:, 3] >= served_ns)]
     first: dict[tuple[int, int], int] = {}
     for operator, vehicle, _, _, at in since[np.argsort(since[:, 4], kind="stable")].tolist():
         first.setdefault((operator, vehicle), at)
@@ -209,14 +209,14 @@ def main() -> int:
         station = Station(Path(folder), args.aircraft, args.operators)
         try:
             served_ns = fly(station, args.seconds)
-            said, heard = station.close()
+            said, received = station.close()
         finally:
             station.kill()
     print(f"{describe()}\n{load()}\n")
     print(f"{args.aircraft} aircraft, {args.operators} operators, one router, TLS with rights by name\n")
     rows = []
     for phase in station.phases:
-        loss, ms = lost_and_late(phase, said, heard, args.operators, args.aircraft)
+        loss, ms = lost_and_late(phase, said, received, args.operators, args.aircraft)
         seconds = (phase.end_ns - phase.begin_ns) / 1e9
         goal = phase.name.startswith("after") or loss <= LOSS_SHARE
         rows.append(
@@ -226,7 +226,7 @@ def main() -> int:
     print(
         table(["phase", "lost", "median, ms", "99 %, ms", "router's processor", "memory, MB", "loss under 1 %"], rows)
     )
-    newest_s = newest_within_s(heard, served_ns, args.aircraft, args.operators)
+    newest_s = newest_within_s(received, served_ns, args.aircraft, args.operators)
     print(f"\nafter the restart every operator has a new set of every aircraft in {newest_s:.1f} s ", end="")
     print(f"(goal {NEWEST_S:g}: {verdict(newest_s <= NEWEST_S)})")
     return 0

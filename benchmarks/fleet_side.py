@@ -2,7 +2,7 @@
 
     python -m benchmarks.fleet_side aircraft|operators NAME,NAME... --endpoint E --keys DIR --out FILE.npz
 
-What was said or heard is written at the end, a row each: operator (0 for aircraft), aircraft, frame, capture and
+What was said or received is written at the end, a row each: operator (0 for aircraft), aircraft, frame, capture and
 arrival in nanoseconds of this machine's clock. An aircraft named with `!` flaps: it leaves and comes back each second
 from the line `flap` on its input to the line `steady`.
 """
@@ -40,15 +40,15 @@ HEAD = struct.Struct("<7xII2xQ")  # session, frame, capture time: docs/wire-form
 class Aircraft:
     """Sets at 2 Hz with a status a second, and pictures if `has_pictures`; a thread."""
 
-    def __init__(self, name: str, at: Way, made: FeatureSet, has_pictures: bool, heard: array[int]) -> None:
+    def __init__(self, name: str, at: Way, made: FeatureSet, has_pictures: bool, received: array[int]) -> None:
         self.name = name
-        self._at, self._set, self._has_pictures, self._said = at, made, has_pictures, heard
+        self._at, self._set, self._has_pictures, self._said = at, made, has_pictures, received
         self._number = int(name.rpartition("-")[2])
         self.ended, self.flaps = threading.Event(), threading.Event()
         self._frame = 0
         coarse = np.random.default_rng(self._number).integers(40, 220, (12, 16), dtype=np.uint8)
-        drawn = cv2.resize(coarse, (320, 240), interpolation=cv2.INTER_CUBIC)
-        self._jpeg = cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, 50])[1].tobytes()  # some 6 kB
+        sampled = cv2.resize(coarse, (320, 240), interpolation=cv2.INTER_CUBIC)
+        self._jpeg = cv2.imencode(".jpg", sampled, [cv2.IMWRITE_JPEG_QUALITY, 50])[1].tobytes()  # some 6 kB
         self.thread = threading.Thread(target=self._fly)
         self.thread.start()
 
@@ -93,8 +93,8 @@ class Way:
 class Operator:
     """Listens to all aircraft's sets, statuses and pictures, and notes the sets' heads without reading them whole."""
 
-    def __init__(self, name: str, at: Way, heard: array[int]) -> None:
-        self._number, self._heard = int(name.rpartition("-")[2]), heard
+    def __init__(self, name: str, at: Way, received: array[int]) -> None:
+        self._number, self._received = int(name.rpartition("-")[2]), received
         self._lock = threading.Lock()
         config = link_config("peer", connect=[at.endpoint], tls=at.tls(name))
         self.session = zenoh.open(zenoh.Config.from_json5(config))
@@ -111,7 +111,7 @@ class Operator:
         _, frame, capture_ns = HEAD.unpack_from(payload)
         vehicle = int(str(sample.key_expr).split("/")[1].rpartition("-")[2])
         with self._lock:
-            self._heard.extend((self._number, vehicle, frame, capture_ns, at_ns))
+            self._received.extend((self._number, vehicle, frame, capture_ns, at_ns))
 
 
 def main() -> int:

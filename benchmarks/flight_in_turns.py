@@ -14,7 +14,7 @@ import sys
 import time
 from pathlib import Path
 
-from benchmarks.flown import Leg, out_and_back
+from benchmarks.short_flight import Leg, out_and_back
 from contract.camera import Camera
 from contract.wire.codec import encode
 from onboard.config.schema import load_config
@@ -31,14 +31,14 @@ def read(folder: Path) -> Leg:
     flight = Flight.open(config, camera, folder / "frames", folder / "telemetry.tlog", folder / "stamps.csv")
     frames = list(flight.frames.frames())
     first, last = frames[0].stamp_ns, frames[-1].stamp_ns
-    told = sorted(flight.telemetry.events, key=lambda e: e.stamp_ns)
-    return Leg(config, camera, frames, [e for e in told if not isinstance(e, Frame) and first <= e.stamp_ns <= last])
+    stated = sorted(flight.telemetry.events, key=lambda e: e.stamp_ns)
+    return Leg(config, camera, frames, [e for e in stated if not isinstance(e, Frame) and first <= e.stamp_ns <= last])
 
 
 def main() -> None:
-    flown = read(Path(sys.argv[1]))
-    pipeline = Pipeline(flown.config, flown.camera)
-    events = out_and_back(flown, ENDLESS)
+    simulated = read(Path(sys.argv[1]))
+    pipeline = Pipeline(simulated.config, simulated.camera)
+    events = out_and_back(simulated, ENDLESS)
     before: dict[str, float] = {}
     for line in sys.stdin:
         left = int(line)

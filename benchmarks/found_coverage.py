@@ -3,9 +3,9 @@
     python -m benchmarks.found_coverage [--flights 40] [--seed 0] [--rows TEXT]
 
 A flight shares its slow errors, so one tells nothing however long it is: these are many short ones, each with every
-error sampled as the configuration declares it (`drawn_flight`: GPS, attitude, heading, mount, stamps, ground). What a
-tracker sees of the ground is drawn as in `benchmarks.coverage`; the pictures in which spots and things are looked for
-are drawn for the true poses and go through the whole of `onboard.spots` and `onboard.tracks`, their reports over the
+error sampled as the configuration declares it (`sampled_flight`: GPS, attitude, heading, mount, stamps, ground). What a
+tracker sees of the ground is sampled as in `benchmarks.coverage`; the pictures in which spots and things are looked for
+are rendered for the true poses and go through the whole of `onboard.spots` and `onboard.tracks`, their reports over the
 wire, spots through `ground.spots`. What is found is told by its pixel, never by its place. Printed: the share of true
 errors inside the 90 % ellipse with one sigma of it from the dispersion between flights (goal 85 to 96 %), and the mean
 squared error over the claimed covariance, 1 if honest.
@@ -25,9 +25,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, DrawnTracker
-from benchmarks.flown import with_first_sets
+from benchmarks.sampled_flight import PLACE, SampledFlight, SampledSpec, SampledTracker
 from benchmarks.scatter import mean_and_sigma
+from benchmarks.short_flight import with_first_sets
 from contract.answer import CHI2_2, Place
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
@@ -70,12 +70,12 @@ class Found:
     parts: int = 0  # things that people have become: more than people where one fell apart
 
 
-def rows() -> dict[str, DrawnSpec]:
+def rows() -> dict[str, SampledSpec]:
     """Flights of spots by name."""
     config = parse_config("[thermal]\nenabled = true\nscale = 0.01\n")
     camera = Camera.from_field_of_view(320, 256, 50.0)
     path = PathSpec(height_m=100.0, speed_m_s=12.0)
-    nadir = DrawnSpec(config, path=path, seconds=14.0, rate_hz=2.0, relief_sigma_m=2.0, camera=camera)
+    nadir = SampledSpec(config, path=path, seconds=14.0, rate_hz=2.0, relief_sigma_m=2.0, camera=camera)
     tilted = config.model_copy(update={"mount": config.mount.model_copy(update={"pitch_deg": -60.0})})
     alone = config.model_copy(update={"solve": config.solve.model_copy(update={"attitude": "none"})})
     turns = replace(path, kind="turns", leg_m=60.0)
@@ -87,23 +87,23 @@ def rows() -> dict[str, DrawnSpec]:
     }
 
 
-def track_spec() -> DrawnSpec:
+def track_spec() -> SampledSpec:
     """A flight above traffic, over ground that is a plane."""
     camera = Camera.from_field_of_view(320, 240, 40.0)
     path = PathSpec(height_m=120.0, speed_m_s=12.0)
-    return DrawnSpec(parse_config(""), path=path, seconds=16.0, rate_hz=10.0, relief_sigma_m=0.0, camera=camera)
+    return SampledSpec(parse_config(""), path=path, seconds=16.0, rate_hz=10.0, relief_sigma_m=0.0, camera=camera)
 
 
-def sets_in_flight(flight: DrawnFlight) -> Iterator[tuple[Frame, FeatureSet]]:
+def sets_in_flight(flight: SampledFlight) -> Iterator[tuple[Frame, FeatureSet]]:
     """Each picture with its first set, as it is sent in flight."""
     pipeline = Pipeline(flight.spec.config, flight.spec.camera)
-    pipeline.tracker = DrawnTracker(flight)
+    pipeline.tracker = SampledTracker(flight)
     return with_first_sets(flight.events(), pipeline)
 
 
-def find_spots(spec: DrawnSpec, seed: int) -> Found:
+def find_spots(spec: SampledSpec, seed: int) -> Found:
     """One flight over people."""
-    flight, found = DrawnFlight(spec, seed), Found()
+    flight, found = SampledFlight(spec, seed), Found()
     people = people_below(flight)
     book, merger = SpotBook("uav", spec.config.spots, spec.config.thermal), SpotMerger()
     due = DuePictures(spec.config.spots.rate_hz, 256)
@@ -132,7 +132,7 @@ def find_spots(spec: DrawnSpec, seed: int) -> Found:
     return found
 
 
-def people_below(flight: DrawnFlight) -> Array:
+def people_below(flight: SampledFlight) -> Array:
     """Places (N, 3) on the ground that the pictures show, somewhat apart from each other."""
     rng = np.random.default_rng([flight.seed, 920])
     size = np.array(flight.spec.camera.size_px)
@@ -148,7 +148,7 @@ def people_below(flight: DrawnFlight) -> Array:
     return np.array(kept)
 
 
-def heat_picture(flight: DrawnFlight, frame: int, people: Array) -> NDArray[np.uint16]:
+def heat_picture(flight: SampledFlight, frame: int, people: Array) -> NDArray[np.uint16]:
     """Counts (H, W) of a picture: varied ground, noise, and people where they truly are, through the lens."""
     rng = np.random.default_rng([flight.seed, 921, frame])
     width, height = flight.spec.camera.size_px
@@ -169,9 +169,9 @@ def heat_picture(flight: DrawnFlight, frame: int, people: Array) -> NDArray[np.u
     return scale.counts(kelvin)
 
 
-def find_tracks(spec: DrawnSpec, seed: int) -> Found:
-    """One flight above traffic: every car clicked once, a pixel beside its middle."""
-    flight, found = DrawnFlight(spec, seed), Found()
+def find_tracks(spec: SampledSpec, seed: int) -> Found:
+    """One flight above traffic: every car clicked once, a pixel next to its middle."""
+    flight, found = SampledFlight(spec, seed), Found()
     cars = traffic(flight)
     scene, rng = Plane(flight, cars), np.random.default_rng([seed, 930])
     book, begun = TrackBook("uav"), dict[int, MoverSpec]()
@@ -199,7 +199,7 @@ def find_tracks(spec: DrawnSpec, seed: int) -> Found:
     return found
 
 
-def traffic(flight: DrawnFlight) -> list[MoverSpec]:
+def traffic(flight: SampledFlight) -> list[MoverSpec]:
     """Six cars on their ways below the aircraft when they are clicked, some of them parked."""
     rng = np.random.default_rng([flight.seed, 931])
     size = np.array(flight.spec.camera.size_px)
@@ -218,7 +218,7 @@ def traffic(flight: DrawnFlight) -> list[MoverSpec]:
 class Plane:
     """Ground that is a plane with a pattern on it, and cars: a picture of it is one homography."""
 
-    def __init__(self, flight: DrawnFlight, cars: list[MoverSpec]) -> None:
+    def __init__(self, flight: SampledFlight, cars: list[MoverSpec]) -> None:
         self._flight, self._cars = flight, cars
         rng = np.random.default_rng([flight.seed, 932])
         texels = round(FIELD_M / TEXEL_M)
@@ -281,9 +281,9 @@ def chi2_of(place: Place, true_m: Array) -> float:
 
 def share_inside(per_flight: list[list[float]]) -> tuple[float, float, float]:
     """Of flights' squared errors: the share inside, one sigma of it by the flights' dispersion, mean over 2."""
-    flown = [np.array(each) for each in per_flight if each]
-    share, sigma = mean_and_sigma([float(np.mean(each < CHI2_2)) for each in flown])
-    return share, sigma, 0.5 * float(np.mean([np.mean(each) for each in flown]))
+    simulated = [np.array(each) for each in per_flight if each]
+    share, sigma = mean_and_sigma([float(np.mean(each < CHI2_2)) for each in simulated])
+    return share, sigma, 0.5 * float(np.mean([np.mean(each) for each in simulated]))
 
 
 def row(name: str, what: str, per_flight: list[list[float]]) -> tuple[str, ...]:
@@ -307,10 +307,10 @@ def main() -> int:
     for name, spec in rows().items():
         if args.rows in name:
             began_s = time.monotonic()
-            flown = [find_spots(spec, seed) for seed in seeds]
-            out.append(row(name, "spots", [f.spots for f in flown]))
-            out.append(row(name, "merged", [f.things for f in flown]))
-            people, parts = sum(f.people for f in flown), sum(f.parts for f in flown)
+            simulated = [find_spots(spec, seed) for seed in seeds]
+            out.append(row(name, "spots", [f.spots for f in simulated]))
+            out.append(row(name, "merged", [f.things for f in simulated]))
+            people, parts = sum(f.people for f in simulated), sum(f.parts for f in simulated)
             print(f"{name}: {people} people as {parts} things, {time.monotonic() - began_s:.0f} s", flush=True)
     if args.rows in "tracks":
         began_s = time.monotonic()

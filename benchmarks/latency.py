@@ -34,8 +34,8 @@ import numpy as np
 import zenoh
 from numpy.typing import NDArray
 
-from benchmarks.flown import CACHE, leg
 from benchmarks.latency_daemon import Plan
+from benchmarks.short_flight import CACHE, leg
 from benchmarks.soak_world import out_and_back
 from contract.answer import Fix
 from contract.link_config import link_config
@@ -110,7 +110,7 @@ class Run:
 
 def fly(seconds: float, bit_rate: float, leg_s: float = LEG_S, rate_hz: float = RATE_HZ, cache: Path = CACHE) -> Run:
     """One flight over one link. Raises RuntimeError if the daemon does not begin, or nothing reaches the ground."""
-    flown = leg(leg_s, rate_hz, cache)
+    simulated = leg(leg_s, rate_hz, cache)
     log = Flight.read(cache / f"leg_{leg_s:g}s_{rate_hz:g}hz" / "telemetry.tlog")
     with tempfile.TemporaryDirectory(prefix="pointclick-") as folder:
         endpoint, port = free_endpoint(), free_udp_port()
@@ -127,11 +127,11 @@ def fly(seconds: float, bit_rate: float, leg_s: float = LEG_S, rate_hz: float = 
             try:
                 begin_ns = _begun(plan, daemon)
                 autopilot = FakeAutopilot(
-                    out_and_back(log, flown), f"udpout:127.0.0.1:{port}", at_monotonic_ns=begin_ns, loop=True
+                    out_and_back(log, simulated), f"udpout:127.0.0.1:{port}", at_monotonic_ns=begin_ns, loop=True
                 )
                 with autopilot:
                     time.sleep(max((begin_ns - time.monotonic_ns()) / 1e9, 0.0))
-                    ground = Ground(endpoint, flown.config.vehicle.id)
+                    ground = Ground(endpoint, simulated.config.vehicle.id)
                     time.sleep(max(begin_ns / 1e9 + seconds - time.monotonic(), 0.0))
                     ground.close()
                     rates = {name: n / seconds for name, n in _sent(autopilot).items()}
@@ -182,11 +182,11 @@ def report(bit_rate: float, run: Run) -> str:
     ]
     p95_s, goal_s = float(np.quantile(run.latency_s, 0.95)), GOALS_S.get(bit_rate)
     goal = "" if goal_s is None else f", goal {1e3 * goal_s:.0f}: {verdict(p95_s <= goal_s)}"
-    told = ", ".join(f"{name} {run.rates_hz.get(name, 0.0):.0f} Hz" for name in ("GLOBAL_POSITION_INT", "ATTITUDE"))
+    stated = ", ".join(f"{name} {run.rates_hz.get(name, 0.0):.0f} Hz" for name in ("GLOBAL_POSITION_INT", "ATTITUDE"))
     return "\n".join(
         [
             f"{bit_rate / 1e3:.0f} kbit/s: p95 {1e3 * p95_s:.0f} ms{goal}; {len(run.latency_s)} pictures, "
-            f"{run.pictures_hz:.1f} a second of {run.sets_hz:.1f} sets; {told}",
+            f"{run.pictures_hz:.1f} a second of {run.sets_hz:.1f} sets; {stated}",
             "",
             table(["ms", "p50", "p95", "mean"], rows),
         ]

@@ -20,7 +20,7 @@ from typing import Self, TextIO
 
 import cv2
 
-from benchmarks.flown import Leg, leg
+from benchmarks.short_flight import Leg, leg
 from benchmarks.soak_daemon import pictures
 from contract.feature_set import FeatureSet
 from onboard.commands.run import open_parts
@@ -70,13 +70,13 @@ class Plan:
 class PlayedLeg:
     """The leg's pictures out and back, each passed on when it was taken."""
 
-    def __init__(self, flown: Leg, clock: SessionClock, begin_ns: int) -> None:
-        self._flown, self._clock, self._begin_ns = flown, clock, begin_ns
+    def __init__(self, simulated: Leg, clock: SessionClock, begin_ns: int) -> None:
+        self._simulated, self._clock, self._begin_ns = simulated, clock, begin_ns
         self._came = False
 
     def run(self, emit: Emit, stop: Stop) -> None:
         """Until stopped."""
-        for frame in pictures(self._flown, self._begin_ns):
+        for frame in pictures(self._simulated, self._begin_ns):
             while (early_s := (frame.stamp_ns - self._clock.now_ns()) / 1e9) > 0:
                 if stop.wait(early_s):
                     return
@@ -142,11 +142,11 @@ class Until:
         return Order.STOP if time.monotonic() >= self._end_s else self._orders.next(timeout_s)
 
 
-def configured(plan: Plan, flown: Leg) -> Path:
+def configured(plan: Plan, simulated: Leg) -> Path:
     """The leg's configuration as a file: telemetry, link and state of the plan."""
     folder = Path(plan.folder)
-    (folder / "camera.json").write_text(flown.camera.to_json())
-    settings = flown.config.model_dump()
+    (folder / "camera.json").write_text(simulated.camera.to_json())
+    settings = simulated.config.model_dump()
     settings["camera"].update(file=str(folder / "camera.json"), rate_hz=plan.rate_hz)
     settings["telemetry"]["url"] = f"udpin:127.0.0.1:{plan.telemetry_port}"
     settings["link"].update(listen=(plan.endpoint,), max_bit_rate=plan.bit_rate)
@@ -161,8 +161,8 @@ def fly(plan: Plan) -> int:
     """The daemon's exit code."""
     journal.set_up()
     cv2.setNumThreads(1)
-    flown = leg(plan.leg_seconds, plan.rate_hz, Path(plan.cache))
-    load = partial(load_config_files, configured(plan, flown))
+    simulated = leg(plan.leg_seconds, plan.rate_hz, Path(plan.cache))
+    load = partial(load_config_files, configured(plan, simulated))
     with SignalOrders() as signals:
         clock = SessionClock.start()
         begin_ns = time.monotonic_ns() + LEAD_NS
@@ -170,12 +170,12 @@ def fly(plan: Plan) -> int:
         waiting.write_text(str(begin_ns))
         waiting.rename(plan.begin)
         orders = Until(signals, begin_ns / 1e9 + plan.seconds)
-        return Daemon(load, partial(open_all, plan, flown, clock, begin_ns), orders, Notifier(), TICK_S).run()
+        return Daemon(load, partial(open_all, plan, simulated, clock, begin_ns), orders, Notifier(), TICK_S).run()
 
 
-def open_all(plan: Plan, flown: Leg, clock: SessionClock, begin_ns: int, config: Config) -> Parts:
+def open_all(plan: Plan, simulated: Leg, clock: SessionClock, begin_ns: int, config: Config) -> Parts:
     """What `pc-onboard run` opens, but for the camera, and with its moments noted."""
-    camera = PlayedLeg(flown, clock, clock.from_monotonic_ns(begin_ns))
+    camera = PlayedLeg(simulated, clock, clock.from_monotonic_ns(begin_ns))
     parts = open_parts(config, clock, lambda *_: camera)
     return replace(parts, sinks=[Moments(plan.moments, clock), *parts.sinks])
 

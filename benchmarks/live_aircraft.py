@@ -12,7 +12,7 @@ from contract.picture import ImageFormat, LinkPicture
 from contract.vehicle_status import VehicleStatus, encode_status
 from onboard.link.publisher import Publisher, Rate
 from tests.onboard.link.ports import free_endpoint
-from tests.web.drawn import drawn_picture, drawn_set
+from tests.web.rendered import rendered_picture, rendered_set
 
 PERIOD_S = 0.2
 
@@ -39,7 +39,7 @@ class Aircraft:
         while not self._ended.wait(PERIOD_S):
             at_ns = began_ns + round(frame * PERIOD_S * 1e9)
             made = replace(
-                drawn_set(frame % 200), vehicle=self.name, session=session, frame=frame, capture_unix_ns=at_ns
+                rendered_set(frame % 200), vehicle=self.name, session=session, frame=frame, capture_unix_ns=at_ns
             )
             self._publisher.publish(made)
             if frame % 5 == 0:
@@ -51,6 +51,6 @@ class Aircraft:
     def _send_picture(self, session: int, frame: int, at_ns: int) -> None:
         room = self._publisher.picture_room()
         if room > 0:
-            content = cv2.imencode(".jpg", drawn_picture(frame % 50))[1].tobytes()
+            content = cv2.imencode(".jpg", rendered_picture(frame % 50))[1].tobytes()
             picture = LinkPicture(self.name, session, frame, at_ns, 640, 480, ImageFormat.JPEG, content)
             self._publisher.send_picture(picture, room)

@@ -99,7 +99,7 @@ def listen(kind: str, descriptor: int) -> None:
     found: list[tuple[int, int, int, int, float]] = []
     delays_s: list[float] = []
 
-    def heard(sample: zenoh.Sample) -> None:
+    def received(sample: zenoh.Sample) -> None:
         way, number, piece, needed, sent_s = HEAD.unpack_from(sample.payload.to_bytes())
         late_s = time.monotonic() - sent_s
         if str(sample.key_expr).endswith("features"):
@@ -109,7 +109,7 @@ def listen(kind: str, descriptor: int) -> None:
 
     config = link_config("peer", connect=[f"{kind}/{AIRCRAFT}:{PORT}"])
     with opened(config) as session:
-        subscribers = [session.declare_subscriber(f"pc/uav/{name}", heard) for name in ("picture", "features")]
+        subscribers = [session.declare_subscriber(f"pc/uav/{name}", received) for name in ("picture", "features")]
         sys.stdin.read()
         assert subscribers
     json.dump({"pieces": found, "delays_s": delays_s}, sys.stdout)
@@ -134,7 +134,7 @@ def declared(session: zenoh.Session, topic: Topic) -> zenoh.Publisher:
     )
 
 
-def is_heard(publisher: zenoh.Publisher) -> bool:
+def is_received(publisher: zenoh.Publisher) -> bool:
     """Whether it has a subscriber."""
     return bool(getattr(publisher.matching_status, "matching", False))
 
@@ -175,7 +175,7 @@ def measure(kind: str, loss: float, bit_rate: float, pictures: int, size: int) -
     with opened(config) as session:
         sets = declared(session, FEATURES)
         picture = declared(session, PICTURE)
-        while not (is_heard(sets) and is_heard(picture)):
+        while not (is_received(sets) and is_received(picture)):
             time.sleep(0.05)
         radio.loss = loss
         stop = threading.Event()
@@ -197,7 +197,7 @@ def measure(kind: str, loss: float, bit_rate: float, pictures: int, size: int) -
         time.sleep(1.0)
         stop.set()
         saying.join()
-        heard = json.loads(ground.communicate(b"")[0])
+        received = json.loads(ground.communicate(b"")[0])
     radio.close()
     for descriptor in (near_tunnel, far_tunnel):
         os.close(descriptor)
@@ -205,7 +205,7 @@ def measure(kind: str, loss: float, bit_rate: float, pictures: int, size: int) -
     for way, name in enumerate(WAYS):
         came: dict[int, dict[int, float]] = defaultdict(dict)
         needed = 1
-        for its_way, number, piece, its_needed, late_s in heard["pieces"]:
+        for its_way, number, piece, its_needed, late_s in received["pieces"]:
             if its_way == way:
                 came[number][piece] = late_s
                 needed = its_needed
@@ -213,7 +213,7 @@ def measure(kind: str, loss: float, bit_rate: float, pictures: int, size: int) -
         cost = carried[way] / pictures
         per_whole = f"{cost / whole:.0f}" if whole else "-"
         rows.append(f"| {kind} | {size} | {name} | {100 * whole:.0f} % | {cost:.0f} | {per_whole} |")
-    late = sorted(heard["delays_s"])
+    late = sorted(received["delays_s"])
     said = f"sets besides, {kind}, {size}: median {statistics.median(late):.3f} s, worst {late[-1]:.3f} s"
     print(said, file=sys.stderr)
     return rows

@@ -2,7 +2,7 @@
 
     python -m benchmarks.picture_size [FOLDER]
 
-Without a folder: the simulated leg of the other benchmarks (`flown`); photographs have more to compress.
+Without a folder: the simulated leg of the other benchmarks (`simulated`); photographs have more to compress.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.flown import leg_folder
+from benchmarks.short_flight import leg_folder
 from onboard.config.schema import PictureConfig
 from onboard.link.picture_sender import small_image
 

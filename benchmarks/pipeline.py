@@ -2,11 +2,12 @@
 
     python -m benchmarks.pipeline [--minutes 4 | --hour] [--profile]
 
-A straight leg of the recorded plane is replayed out and back for as long as asked (benchmarks.flown), faster than real
-time, as the daemon does it: one thread tracks, another solves windows. Counted is everything from an event to the bytes
-of its feature sets, window solves included; not the camera's driver, not the link. Times of calls and lags are the
-tracking thread's own processor time: every event is taken to arrive when it would live, and waits until the events
-before it are done with. A solve holds that up only if it takes longer than the data leave it (pipeline.ADOPTION_NS).
+A straight leg of the recorded plane is replayed out and back for as long as asked (benchmarks.short_flight), faster
+than real time, as the daemon does it: one thread tracks, another solves windows. Counted is everything from an event to
+the bytes of its feature sets, window solves included; not the camera's driver, not the link. Times of calls and lags
+are the tracking thread's own processor time: every event is taken to arrive when it would live, and waits until the
+events before it are done with. A solve holds that up only if it takes longer than the data leave it
+(pipeline.ADOPTION_NS).
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from benchmarks.machine import describe, load, table, verdict
 # isort: split
 import numpy as np
 
-from benchmarks.flown import TELEMETRY_DELAY_NS, Leg, leg, out_and_back
+from benchmarks.short_flight import TELEMETRY_DELAY_NS, Leg, leg, out_and_back
 from contract.wire.codec import encode
 from onboard.estimation.solver_executor import Done, Promise
 from onboard.estimation.window_request import Request
@@ -73,11 +74,13 @@ def resident_bytes() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * _PAGE
 
 
-def fly(flown: Leg, frames: int) -> Run:
+def fly(simulated: Leg, frames: int) -> Run:
     """Put `frames` pictures through a new pipeline."""
     out = Run()
     with ThreadPoolExecutor(1) as threads:
-        _fly(flown, frames, Pipeline(flown.config, flown.camera, worker=_Beside(threads, out.solve_ms)), out)
+        _fly(
+            simulated, frames, Pipeline(simulated.config, simulated.camera, worker=_Beside(threads, out.solve_ms)), out
+        )
     return out
 
 
@@ -99,11 +102,11 @@ class _Beside:
         return self.threads.submit(noted)
 
 
-def _fly(flown: Leg, frames: int, pipeline: Pipeline, out: Run) -> None:
+def _fly(simulated: Leg, frames: int, pipeline: Pipeline, out: Run) -> None:
     gc.collect()
-    held_bytes = sum(image.nbytes for image in flown.images)
+    held_bytes = sum(image.nbytes for image in simulated.images)
     free_ns = 0  # when, by the flight's own clock, all events so far are done with
-    for event in out_and_back(flown, frames):
+    for event in out_and_back(simulated, frames):
         arrived_ns = event.stamp_ns + (0 if isinstance(event, Frame) else TELEMETRY_DELAY_NS)
         began = time.thread_time_ns()
         sets = pipeline.handle(event)
@@ -125,12 +128,12 @@ def _fly(flown: Leg, frames: int, pipeline: Pipeline, out: Run) -> None:
     out.cpu_s += sum(out.solve_ms) / 1e3
 
 
-def hot_spots(flown: Leg, frames: int, count: int = 18) -> str:
+def hot_spots(simulated: Leg, frames: int, count: int = 18) -> str:
     """Share of processor time by file, and the functions that take most."""
     profiler = cProfile.Profile(time.process_time)
-    pipeline = Pipeline(flown.config, flown.camera)
+    pipeline = Pipeline(simulated.config, simulated.camera)
     profiler.enable()
-    for event in out_and_back(flown, frames):
+    for event in out_and_back(simulated, frames):
         for s in pipeline.handle(event):
             encode(s)
     profiler.disable()
@@ -145,9 +148,9 @@ def hot_spots(flown: Leg, frames: int, count: int = 18) -> str:
     return table(["function", "calls a picture", "own time", "with callees"], rows)
 
 
-def report(flown: Leg, frames: int) -> str:
+def report(simulated: Leg, frames: int) -> str:
     """Replay and report."""
-    run = fly(flown, frames)
+    run = fly(simulated, frames)
     lines = [
         f"{frames} pictures ({frames / RATE_HZ:.0f} s of flight), {run.solved} solved, {run.sets} sets of "
         f"{run.set_bytes / max(run.sets, 1):.0f} bytes",
@@ -192,11 +195,11 @@ def main() -> None:
     length.add_argument("--hour", action="store_true", help="108,000 pictures")
     parser.add_argument("--profile", action="store_true", help="where the time goes, by function")
     args = parser.parse_args()
-    flown = leg()
+    simulated = leg()
     print(f"{describe()}; {load()}\n")
-    print(report(flown, HOUR_FRAMES if args.hour else round(args.minutes * 60 * RATE_HZ)))
+    print(report(simulated, HOUR_FRAMES if args.hour else round(args.minutes * 60 * RATE_HZ)))
     if args.profile:
-        print("\n" + hot_spots(flown, 1200))
+        print("\n" + hot_spots(simulated, 1200))
 
 
 if __name__ == "__main__":

@@ -13,8 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from benchmarks.flown import Leg, leg, out_and_back, sets_of
 from benchmarks.machine import describe, load
+from benchmarks.short_flight import Leg, leg, out_and_back, sets_of
 from contract.feature_set import FeatureSet
 from onboard.events.types import Frame
 from onboard.storage.mcap_writer import SessionRecorder
@@ -22,14 +22,14 @@ from onboard.storage.mcap_writer import SessionRecorder
 RATE_HZ = 30.0
 
 
-def measured(flown: Leg, sets: Sequence[FeatureSet], pictures: str, seconds: float, folder: Path) -> str:
+def measured(simulated: Leg, sets: Sequence[FeatureSet], pictures: str, seconds: float, folder: Path) -> str:
     """One row: every event and two sets a picture, as the pipeline makes them."""
     path = folder / f"{pictures}.mcap"
     syncs: list[float] = []
     began = time.thread_time()
     with SessionRecorder(path, "uav", pictures=pictures) as out:
         frames = 0
-        for event in out_and_back(flown, round(seconds * RATE_HZ)):
+        for event in out_and_back(simulated, round(seconds * RATE_HZ)):
             out.write_event(event)
             if isinstance(event, Frame):
                 for revision in (0, 1):
@@ -54,12 +54,12 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="on which disk; a temporary folder if not given")
     arguments = parser.parse_args()
     with TemporaryDirectory(dir=arguments.folder) as scratch:
-        flown = leg(3.0, 8.0, Path(scratch))
-        sets = sets_of(flown, 40)
+        simulated = leg(3.0, 8.0, Path(scratch))
+        sets = sets_of(simulated, 40)
         print(f"{describe()}; {load()}\n")
         print("| pictures | processor | written | to the disk, twice a second |\n|---|---|---|---|")
         for pictures in ("none", "jpeg", "lossless"):
-            print(measured(flown, sets, pictures, arguments.seconds, Path(scratch)), flush=True)
+            print(measured(simulated, sets, pictures, arguments.seconds, Path(scratch)), flush=True)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, fly, replace_section
+from benchmarks.sampled_flight import PLACE, SampledFlight, SampledSpec, fly, replace_section
 from benchmarks.scatter import mean_and_sigma
 from contract.answer import CHI2_2, Fix
 from contract.camera import Camera
@@ -41,7 +41,7 @@ RIGHT_TO_S = 0.02  # of the age of positions, as declared and sampled
 # One sigma of the camera file's focal length, principal point, k1 and k2: it is off by the first and the fourth.
 FILE_SIGMA = (0.03, 0.002, 0.002, 0.1, 0.01)
 WRONG_FILE, UNSURE_FILE = "wrong file", "right file but unsure"
-TOLD: dict[str, dict[str, float]] = {
+STATED: dict[str, dict[str, float]] = {
     GLOBAL: {},
     "right": {"readout_s": READOUT_S},
     "right to 20 ms": {"readout_s": READOUT_S, "sigma_readout_s": 0.02},
@@ -74,13 +74,13 @@ class Result:
 SENSORS: dict[str, dict[str, Any]] = {"full": {}, "gps": {"attitude": "none", "velocity": False}}
 
 
-def spec_of(told: dict[str, float], seconds: float, height_m: float, sensors: str = "full") -> DrawnSpec:
+def spec_of(stated: dict[str, float], seconds: float, height_m: float, sensors: str = "full") -> SampledSpec:
     """The flight, with this configuration of its rows."""
-    config = replace_section(parse_config(""), "camera", **told)
+    config = replace_section(parse_config(""), "camera", **stated)
     config = replace_section(config, "solve", **SENSORS[sensors])
     config = replace_section(config, "gps", sigma_latency_s=RIGHT_TO_S)
     path = PathSpec("turns", speed_m_s=20.0, height_m=height_m, bank_deg=BANK_DEG, leg_m=160.0)
-    return DrawnSpec(config, path, seconds, 3.0, readout_s=READOUT_S, gyro_sigma_deg_s=0.5)
+    return SampledSpec(config, path, seconds, 3.0, readout_s=READOUT_S, gyro_sigma_deg_s=0.5)
 
 
 def filed(camera: Camera, name: str, seed: int) -> Camera:
@@ -92,17 +92,17 @@ def filed(camera: Camera, name: str, seed: int) -> Camera:
     return replace(camera, fx_px=fx_px, fy_px=fy_px, distortion=(k1, 0.0, 0.0, 0.0, 0.0), stated_sigma=FILE_SIGMA)
 
 
-def flown_of(name: str, seed: int, seconds: float, height_m: float, sensors: str = "full") -> DrawnSpec:
+def simulated_of(name: str, seed: int, seconds: float, height_m: float, sensors: str = "full") -> SampledSpec:
     """The flight of a row of the table."""
-    spec = spec_of(TOLD.get(name, {}), seconds, height_m, sensors)
+    spec = spec_of(STATED.get(name, {}), seconds, height_m, sensors)
     if name in FILES:
         return replace(spec, readout_s=0.0, camera_file=filed(spec.camera, name, seed))
     return replace(spec, readout_s=0.0) if name == GLOBAL else spec
 
 
-def judge(spec: DrawnSpec, seed: int, into: Result, after_s: float = AFTER_S) -> None:
+def judge(spec: SampledSpec, seed: int, into: Result, after_s: float = AFTER_S) -> None:
     """Fly once and click, the sets over the wire."""
-    flight = DrawnFlight(spec, seed)
+    flight = SampledFlight(spec, seed)
     sets, pipeline = fly(flight)
     rng, chi2 = np.random.default_rng([seed, 913]), list[float]()
     for k, t in enumerate(flight.times_s):
@@ -131,19 +131,21 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=24)
     parser.add_argument("--seconds", type=float, default=66.0)
     parser.add_argument("--height", type=float, default=150.0)
-    parser.add_argument("--told", default=",".join([*TOLD, *FILES]))
+    parser.add_argument("--told", dest="stated", default=",".join([*STATED, *FILES]))
     parser.add_argument("--sensors", default="full,gps")
     args = parser.parse_args()
-    unknown = {*args.told.split(","), *args.sensors.split(",")} - {*TOLD, *FILES, *SENSORS}
+    unknown = {*args.stated.split(","), *args.sensors.split(",")} - {*STATED, *FILES, *SENSORS}
     if unknown:
-        parser.error(f"unknown: {', '.join(sorted(unknown))}; --told {', '.join([*TOLD, *FILES])}; --sensors full, gps")
+        parser.error(
+            f"unknown: {', '.join(sorted(unknown))}; --told {', '.join([*STATED, *FILES])}; --sensors full, gps"
+        )
     print(f"{'sensors, told':<26} median  90 %   ratio | inside 90 %, chi2 | answered | readout found, ms | processor")
     for sensors in args.sensors.split(","):
         first: Result | None = None
-        for name in args.told.split(","):
+        for name in args.stated.split(","):
             result = Result()
             for seed in range(args.flights):
-                judge(flown_of(name, seed, args.seconds, args.height, sensors), seed, result)
+                judge(simulated_of(name, seed, args.seconds, args.height, sensors), seed, result)
             first = first or result
             print(row(f"{sensors}, {name}", result, first), flush=True)
 

@@ -32,14 +32,14 @@ from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
 from simulation.truth import Truth
 from tests.ground.seen.levels import HOUR_PICTURES, PLACE, an_hour_over_a_place, level_set
-from tests.scenarios.flights import CAMERA, flown, play
-from tests.web.drawn import FlyingSource
+from tests.scenarios.flights import CAMERA, play, simulated
+from tests.web.rendered import FlyingSource
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 OVER, UNDER, QUERY_MS = 0.01, 0.10, 50.0
-ABOUT = 40  # cells beside what is claimed in which the truth is looked for
+ABOUT = 40  # cells next to what is claimed in which the truth is looked for
 TURNS = PathSpec("turns", leg_m=200.0)
 
 
@@ -158,7 +158,7 @@ def areas(flights: int, wanted: str) -> str:
             continue
         each = []
         for seed in range(flights):
-            folder = flown(seeded(spec, 40 + seed))
+            folder = simulated(seeded(spec, 40 + seed))
             each.append(judge(folder, play(folder).sets.values()))
         total = sum(each, Judged())
         worst = max(one.over for one in each), max(one.under for one in each)

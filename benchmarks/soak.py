@@ -29,8 +29,8 @@ from benchmarks.machine import describe, load
 # isort: split
 from mcap.reader import make_reader
 
-from benchmarks.flown import CACHE, Leg, leg
-from benchmarks.soak_clock import ToldClock
+from benchmarks.short_flight import CACHE, Leg, leg
+from benchmarks.soak_clock import StatedClock
 from benchmarks.soak_daemon import MINUTE_NS, Plan
 from benchmarks.soak_verdict import Faults, Minute, Soak
 from benchmarks.soak_world import GpsLoss, Ground, ServiceManager, out_and_back, watchdog_s
@@ -48,7 +48,7 @@ Say = Callable[[str], None]
 
 
 def soak(
-    flown: Leg,
+    simulated: Leg,
     where: Path,
     *,
     minutes: float,
@@ -68,7 +68,7 @@ def soak(
     )
     plan.write(where / "plan.json")
     plan.clock.write_bytes(b"")
-    clock = ToldClock(plan.clock)
+    clock = StatedClock(plan.clock)
     limit_us = round(watchdog_s() * 1e6)
     with ServiceManager(where / "notify", clock) as manager:
         environment = {**os.environ, "NOTIFY_SOCKET": str(manager.path), "WATCHDOG_USEC": str(limit_us)}
@@ -80,22 +80,22 @@ def soak(
             reader.start()
             try:
                 begin_ns = _begun(plan, process, manager, out.log)
-                _around(flown, plan, faults, clock, begin_ns, process, out, say)
+                _around(simulated, plan, faults, clock, begin_ns, process, out, say)
                 out.code = process.wait(END_S)
             finally:
                 process.kill()
             reader.join(5.0)
     out.said, out.gap_s, out.gap_wall_s = dict(manager.counts), manager.longest_flight_s, manager.longest_wall_s
-    out.recorded_sets = recorded_sets(plan.recordings, flown.config.vehicle.id)
+    out.recorded_sets = recorded_sets(plan.recordings, simulated.config.vehicle.id)
     clock.close()
     return out
 
 
 def _around(
-    flown: Leg,
+    simulated: Leg,
     plan: Plan,
     faults: Faults,
-    clock: ToldClock,
+    clock: StatedClock,
     begin_ns: int,
     process: subprocess.Popen[str],
     out: Soak,
@@ -103,13 +103,13 @@ def _around(
 ) -> None:
     """Simulate the surroundings until the daemon ends by itself, and check it every minute."""
     log = Flight.read(_folder(plan) / "telemetry.tlog")
-    ground = Ground(plan.endpoint, flown.config.vehicle.id)
+    ground = Ground(plan.endpoint, simulated.config.vehicle.id)
     cuts = list(faults.cut)
-    held_mb = sum(image.nbytes for image in flown.images) / 1e6
+    held_mb = sum(image.nbytes for image in simulated.images) / 1e6
     began_s = seen_s = time.monotonic()
-    flown_s = 0.0
+    simulated_s = 0.0
     with FakeAutopilot(
-        out_and_back(log, flown),
+        out_and_back(log, simulated),
         f"udpout:127.0.0.1:{plan.telemetry_port}",
         at_monotonic_ns=begin_ns,
         loop=True,
@@ -123,8 +123,8 @@ def _around(
             lines = plan.figures.read_text().splitlines() if plan.figures.exists() else []
             if len(lines) > len(out.minutes) and lines[-1].endswith("}"):
                 now_s = time.monotonic()
-                speed = (into_s - flown_s) / (now_s - seen_s)
-                seen_s, flown_s = now_s, into_s
+                speed = (into_s - simulated_s) / (now_s - seen_s)
+                seen_s, simulated_s = now_s, into_s
                 figures = json.loads(lines[-1])
                 out.ok_sets = figures["ok"]
                 out.minutes.append(_minute(plan, process.pid, figures, held_mb, ground.received, speed))
@@ -206,7 +206,7 @@ def main() -> int:
     parser.add_argument("--verbose", action="store_true", help="each minute on stderr as it passes")
     args = parser.parse_args()
     seconds, rate_hz = 14.0, 30.0
-    flown = leg(seconds, rate_hz)
+    simulated = leg(seconds, rate_hz)
     print(f"{describe()}; {load()}\n", flush=True)
     with tempfile.TemporaryDirectory() as scratch:
         where = Path(scratch)
@@ -214,7 +214,7 @@ def main() -> int:
             where = args.out
             where.mkdir(parents=True)
         done = soak(
-            flown,
+            simulated,
             where.resolve(),
             minutes=args.minutes,
             faults=Faults() if args.calm else Faults.of(args.minutes),

@@ -78,7 +78,7 @@ class Governor:
         os.pwrite(self._file, _RECORD.pack(pace.monotonic_ns, pace.flight_ns, pace.speed, pace.limit_ns, check), 0)
 
 
-class ToldClock:
+class StatedClock:
     """The flight's clock in another process. A `simulation.autopilot.fake.Clock`."""
 
     def __init__(self, path: Path) -> None:

@@ -24,7 +24,7 @@ from typing import Any, Self
 import cv2
 import numpy as np
 
-from benchmarks.flown import Leg, leg
+from benchmarks.short_flight import Leg, leg
 from benchmarks.soak_clock import FlightClock, Governor
 from contract.feature_set import FeatureSet
 from onboard.commands.run import open_parts
@@ -93,20 +93,20 @@ class Plan:
         return Path(self.folder) / "recordings"
 
 
-def pass_ns(flown: Leg) -> int:
+def pass_ns(simulated: Leg) -> int:
     """Length of one pass over a leg: out, or back."""
-    return flown.frames[-1].stamp_ns - flown.frames[0].stamp_ns
+    return simulated.frames[-1].stamp_ns - simulated.frames[0].stamp_ns
 
 
-def pictures(flown: Leg, begin_ns: int) -> Iterator[Frame]:
+def pictures(simulated: Leg, begin_ns: int) -> Iterator[Frame]:
     """The leg's pictures out and back without end, the first at `begin_ns`; no picture comes twice in a row."""
-    first, last = flown.frames[0].stamp_ns, flown.frames[-1].stamp_ns
+    first, last = simulated.frames[0].stamp_ns, simulated.frames[-1].stamp_ns
     for index in count():
-        turn, place = divmod(index, len(flown.frames) - 1)
+        turn, place = divmod(index, len(simulated.frames) - 1)
         is_back = turn % 2 == 1
-        picture = flown.frames[-1 - place if is_back else place]
+        picture = simulated.frames[-1 - place if is_back else place]
         into_ns = last - picture.stamp_ns if is_back else picture.stamp_ns - first
-        yield Frame(begin_ns + turn * pass_ns(flown) + into_ns, index, picture.image)
+        yield Frame(begin_ns + turn * pass_ns(simulated) + into_ns, index, picture.image)
 
 
 @dataclass
@@ -125,15 +125,15 @@ class Counted:
 class Camera:
     """Pictures when they are due, none while it is unplugged. Its thread governs the clock."""
 
-    def __init__(self, plan: Plan, flown: Leg, clock: FlightClock, begin_ns: int, counted: Counted) -> None:
-        self._plan, self._flown, self._clock, self._begin_ns = plan, flown, clock, begin_ns
+    def __init__(self, plan: Plan, simulated: Leg, clock: FlightClock, begin_ns: int, counted: Counted) -> None:
+        self._plan, self._simulated, self._clock, self._begin_ns = plan, simulated, clock, begin_ns
         self._counted = counted
         self._came_ns: int | None = None
 
     def run(self, emit: Emit, stop: Stop) -> None:
         """Until stopped."""
         counted, governor = self._counted, self._clock.governor
-        for frame in pictures(self._flown, self._begin_ns):
+        for frame in pictures(self._simulated, self._begin_ns):
             governor.govern((self._waiting - 1) / self._plan.rate_hz, frame.stamp_ns)  # the last has only just come
             while (early_ns := frame.stamp_ns - self._clock.now_ns()) > 0:
                 if stop.wait(self._clock.wall_s(early_ns)):
@@ -231,11 +231,11 @@ class Until:
         return self._orders.next(self._clock.wall_s(round(timeout_s * 1e9)))
 
 
-def configured(plan: Plan, flown: Leg) -> Path:
+def configured(plan: Plan, simulated: Leg) -> Path:
     """The leg's configuration with everything on, as a file."""
     folder = Path(plan.folder)
-    (folder / "camera.json").write_text(flown.camera.to_json())
-    settings = flown.config.model_dump()
+    (folder / "camera.json").write_text(simulated.camera.to_json())
+    settings = simulated.config.model_dump()
     settings["camera"].update(file=str(folder / "camera.json"), rate_hz=plan.rate_hz)
     settings["telemetry"]["url"] = f"udpin:127.0.0.1:{plan.telemetry_port}"
     # The link lives by the wall clock, so it is given as much more as the flight may run faster.
@@ -253,8 +253,8 @@ def fly(plan: Plan) -> int:
     journal.set_up()
     faulthandler.enable()
     cv2.setNumThreads(1)
-    flown = leg(plan.leg_seconds, plan.rate_hz, Path(plan.cache))
-    load = partial(load_config_files, configured(plan, flown))
+    simulated = leg(plan.leg_seconds, plan.rate_hz, Path(plan.cache))
+    load = partial(load_config_files, configured(plan, simulated))
     with SignalOrders() as signals:
         clock = FlightClock(0, governor=Governor(plan.clock, plan.top_speed, LEAD_NS))
         begin_ns = clock.now_ns() + LEAD_NS
@@ -262,14 +262,14 @@ def fly(plan: Plan) -> int:
         waiting.write_text(str(begin_ns))
         waiting.rename(plan.begin)
         orders = Until(signals, clock, begin_ns + round(plan.minutes * MINUTE_NS) + TAIL_NS)
-        code = Daemon(load, partial(open_all, plan, flown, clock, begin_ns), orders, Notifier(), TICK_S).run()
+        code = Daemon(load, partial(open_all, plan, simulated, clock, begin_ns), orders, Notifier(), TICK_S).run()
     return code
 
 
-def open_all(plan: Plan, flown: Leg, clock: FlightClock, begin_ns: int, config: Config) -> Parts:
+def open_all(plan: Plan, simulated: Leg, clock: FlightClock, begin_ns: int, config: Config) -> Parts:
     """What `pc-onboard run` opens, but for clock and camera, and watched."""
     counted = Counted()
-    camera = Camera(plan, flown, clock, begin_ns, counted)
+    camera = Camera(plan, simulated, clock, begin_ns, counted)
     parts = open_parts(config, clock, lambda *_: camera)
     (publisher,) = (sink for sink in parts.sinks if isinstance(sink, Publisher))
     watch = Watch(plan, clock, begin_ns, counted, publisher)

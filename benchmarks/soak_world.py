@@ -18,8 +18,8 @@ from typing import Any, Self
 import zenoh
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from benchmarks.flown import Leg
-from benchmarks.soak_clock import ToldClock
+from benchmarks.short_flight import Leg
+from benchmarks.soak_clock import StatedClock
 from benchmarks.soak_daemon import pass_ns
 from contract.errors import LinkError, WireError
 from contract.link_config import link_config
@@ -35,13 +35,13 @@ ASK_S = 2.0  # of the wall between questions
 Spans = tuple[tuple[float, float], ...]
 
 
-def out_and_back(log: Flight, flown: Leg) -> Flight:
-    """A leg's telemetry as an autopilot sends it, out and back: as `benchmarks.flown` has it, in MAVLink, to be looped.
+def out_and_back(log: Flight, simulated: Leg) -> Flight:
+    """A leg's telemetry as an autopilot sends it, out and back: as `benchmarks.short_flight`, in MAVLink, to be looped.
 
     The first message is due when the first picture is taken.
     """
-    first_ns = flown.frames[0].stamp_ns - log.log_offset_ns
-    length_ns = pass_ns(flown)
+    first_ns = simulated.frames[0].stamp_ns - log.log_offset_ns
+    length_ns = pass_ns(simulated)
     inside = [
         (due_ns - first_ns, message)
         for due_ns, message in zip(log.due_ns, log.messages, strict=True)
@@ -105,7 +105,7 @@ class GpsLoss:
 class ServiceManager:
     """The other end of NOTIFY_SOCKET: the daemon's reports, and the longest pause of its watchdog, flight and wall."""
 
-    def __init__(self, path: Path, clock: ToldClock) -> None:
+    def __init__(self, path: Path, clock: StatedClock) -> None:
         self.path, self._clock = path, clock
         self.counts: Counter[str] = Counter()
         self.longest_flight_s = self.longest_wall_s = 0.0

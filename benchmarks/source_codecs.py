@@ -1,4 +1,4 @@
-"""What compression costs: a flight's clicks on its own pictures beside those on what a codec has left of them.
+"""What compression costs: a flight's clicks on its own pictures next to those on what a codec has left of them.
 
     python -m benchmarks.source_codecs [--size 1280x720] [--seconds 16] [--rate 5] [--kbit 1000,2000,4000,8000]
         [--codecs H264] [--loss 0] [--seeds 1,2] [--autopilots 8]
@@ -8,12 +8,12 @@ packets of 1400 bytes of which `--loss` never come (0: as over TCP), and decoded
 with what has come. A picture that the decoder or our helper calls damaged, or that never came, has no image. Telemetry
 and stamps are the flight's own in every row: what a stream does to times is `benchmarks.sources`. Each path's pictures
 are replayed with several autopilots' telemetry (`simulation.ordinary`), for each of which they are one flight: its
-mount, stamps and camera file are stated wrongly by errors drawn from the sigmas that are stated with them.
+mount, stamps and camera file are stated wrongly by errors sampled from the sigmas that are stated with them.
 
 `--kbit` are those of 30 pictures a second: a flight of fewer gets as many bits a picture, though more has moved between
 two of them. An encoder that cannot go so low is seen by the rate that it did send. Clicks count after the first 8 s.
 A flight's clicks share its slow errors, of which one autopilot is one sample. So absolute coverage is the mean of the
-flights', with the sigma of that mean by how they scatter, and beside it what is added to or taken from the raw
+flights', with the sigma of that mean by how they scatter, and with it what is added to or taken from the raw
 pictures' coverage, flight by flight: the slow errors are the same there, and only what pictures do is left. It shows
 too in the distance between two clicks of one picture, where slow errors cancel: its error, and how often its own 90 %
 ellipse holds it.
@@ -54,7 +54,7 @@ from simulation.ordinary import ordinary
 from simulation.session import SessionSpec, make_flight
 from simulation.telemetry import write_tlog
 from tests.rtsp import SYSTEM_PYTHON, is_installed
-from tests.scenarios.flights import CHI2_90, Outcome, _Sets, click, flown
+from tests.scenarios.flights import CHI2_90, Outcome, _Sets, click, simulated
 from tests.streamed_flight import pictures_of
 
 RECODING = Path(__file__).resolve().parents[1] / "tests" / "recoding.py"
@@ -104,7 +104,7 @@ def recoded(raw: Path, size_px: tuple[int, int], count: int, rate_hz: float, **s
     return Recoded(by_number, 8e-3 * said["bytes"] / count * OF_HZ, 1e3 * said["decode_s"] / count)
 
 
-def flown_by(session: Path, spec: SessionSpec, autopilot: int, folder: Path) -> Path:
+def simulated_by(session: Path, spec: SessionSpec, autopilot: int, folder: Path) -> Path:
     """The session of a described flight as another autopilot would have logged it; pictures and truth are the same."""
     assert isinstance(spec.flight, DescribedSpec)
     flight = make_flight(spec)
@@ -193,15 +193,15 @@ def mean_with_sigma(shares: Sequence[float], sign: str = "") -> str:
 
 def row(what: Sequence[str], sessions: Sequence[Path], outcomes: Sequence[Outcome], raw: Sequence[Outcome]) -> str:
     """A line of the table; `raw`: what came of the same flights on their own pictures."""
-    told = [between_clicks(session, done) for session, done in zip(sessions, outcomes, strict=True)]
-    errors_m, chi2 = (np.concatenate([pair[k] for pair in told]) for k in (0, 1))
+    stated = [between_clicks(session, done) for session, done in zip(sessions, outcomes, strict=True)]
+    errors_m, chi2 = (np.concatenate([pair[k] for pair in stated]) for k in (0, 1))
     between = f"{np.median(errors_m):.2f} m | {100.0 * np.mean(chi2 < CHI2_90):.0f} %" if len(errors_m) else "- | -"
     pipelines = [o.pipeline for o in outcomes if o.pipeline is not None]
     pixel_px = np.mean([p.summary.reprojection_px for p in pipelines])
     standing = np.mean([p.summary.left_out.standing for p in pipelines])
     inside = [share_inside(done) for done in outcomes]
-    beside = [ours - theirs for ours, theirs in zip(inside, map(share_inside, raw), strict=True)]
-    by_flight = f"{mean_with_sigma(inside)} | {mean_with_sigma(beside, '+') if outcomes is not raw else '-'}"
+    difference = [ours - theirs for ours, theirs in zip(inside, map(share_inside, raw), strict=True)]
+    by_flight = f"{mean_with_sigma(inside)} | {mean_with_sigma(difference, '+') if outcomes is not raw else '-'}"
     shown = f"{pixel_px:.2f} px | {100.0 * standing:.1f} % | {between} | {by_flight} | {cells(outcomes)}"
     return f"| {' | '.join(what)} | {shown} |"
 
@@ -242,9 +242,9 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 def table(specs: Sequence[SessionSpec], autopilots: int, streams: Sequence[dict[str, Any]], folder: Path) -> None:
     """Print a row for the raw pictures and for each stream, of all paths by all autopilots."""
-    paths = [flown(spec) for spec in specs]
+    paths = [simulated(spec) for spec in specs]
     flights = [
-        [flown_by(path, spec, 100 * k + n, folder) for n in range(autopilots)]
+        [simulated_by(path, spec, 100 * k + n, folder) for n in range(autopilots)]
         for k, (path, spec) in enumerate(zip(paths, specs, strict=True))
     ]
     sessions, rate_hz, size_px = [s for by in flights for s in by], specs[0].rate_hz, specs[0].camera.size_px

@@ -1,4 +1,4 @@
-"""Pictures from a network stream beside the raw pictures of the same flight: times, clicks, answers.
+"""Pictures from a network stream next to the raw pictures of the same flight: times, clicks, answers.
 
     python -m benchmarks.sources [--seconds 75] [--streams 1000:0.15,250:0.4] [--jitter 0.03] [--seeds 2,6] [--devices]
 
@@ -52,7 +52,7 @@ from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
 from tests.onboard.link.ports import free_udp_port
 from tests.rtsp import is_installed, number_of
-from tests.scenarios.flights import CHI2_90, Outcome, click, flown, play
+from tests.scenarios.flights import CHI2_90, Outcome, click, play, simulated
 from tests.streamed_flight import StreamedFlight, write_mask
 
 Array = NDArray[np.float64]
@@ -212,7 +212,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     if not is_installed():
         parser.error("GStreamer is not installed: make gstreamer")
     seeds = [int(word) for word in arguments.seeds.split(",")]
-    sessions = {seed: flown(flight_spec(arguments.seconds, seed)) for seed in seeds}
+    sessions = {seed: simulated(flight_spec(arguments.seconds, seed)) for seed in seeds}
     size, jitter_ms = "x".join(map(str, SIZE_PX)), 1e3 * arguments.jitter
     print(
         f"{len(seeds)} flights of {arguments.seconds:g} s with turns, {size} at {RATE_HZ:g} Hz, jitter +-{jitter_ms:g} "

@@ -1,14 +1,14 @@
-"""Hot spots found on drawn thermal pictures with truth.
+"""Hot spots found on rendered thermal pictures with truth.
 
     python -m benchmarks.spots [--scenes calm,rocks,shutter,small,agc] [--flights 3] [--seconds 40] [--pictures 150]
 
-Everything is drawn 100 m up (640x512, 50 degrees, NETD 50 mK; `small` 160x120, `agc` 8 bits of the camera's own gain,
-`rocks` 200 rocks a km2 that the sun has warmed by 2 K in the mean, some by 8, `shutter` an event every 15 s) with
+Everything is rendered 100 m up (640x512, 50 degrees, NETD 50 mK; `small` 160x120, `agc` 8 bits of the camera's own
+gain, `rocks` 200 rocks a km2 that the sun has warmed by 2 K in the mean, some by 8, `shutter` an event every 15 s) with
 people of half a metre, 8 K above the ground that they stand on.
 
 First each scene's ground is surveyed: pictures side by side whose poses are known, a person in every third, so that
 recall and false spots are counted on enough of it; the first 20 pictures are for learning the ground. A false spot is
-one where nobody is: rocks count. Then flights through the whole pipeline, with ordinary errors: there a person is
+one where no one is: rocks count. Then flights through the whole pipeline, with ordinary errors: there a person is
 found if any picture has a spot within 3 m or twice its ellipse, and places, areas and the processor's time are
 measured. Printed against the goals of issue L.
 """
@@ -22,8 +22,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from benchmarks.flown import first_sets
 from benchmarks.machine import describe, load, table, verdict
+from benchmarks.short_flight import first_sets
 
 # isort: split
 import cv2
@@ -49,7 +49,7 @@ Array = NDArray[np.float64]
 
 RATE_HZ, HEIGHT_M, SPEED_M_S = 5.0, 100.0, 12.0
 BOSON, LEPTON = Camera.from_field_of_view(640, 512, 50.0), Camera.from_field_of_view(160, 120, 57.0)
-EACH_M, ASIDE_M = 120.0, 25.0  # a person every so many metres of way (90 a km2), at most so far beside it
+EACH_M, ASIDE_M = 120.0, 25.0  # a person every so many metres of way (90 a km2), at most so far from it
 LEARNING, AT_M, EDGE_PX = 20, 2.0, 4.0  # pictures; from a person; a person nearer to the edge is not looked for
 SAME_M = 3.0  # a spot so near to a person is that person, where its ellipse is smaller
 RECALL_GOAL, FALSE_GOAL, INSIDE_GOAL = 0.95, 1.0, (0.85, 0.95)
@@ -65,7 +65,7 @@ SCENES: dict[str, tuple[Camera, ThermalSpec]] = {
 
 @dataclass
 class Survey:
-    """Counts after the learning, and spots where nobody is before."""
+    """Counts after the learning, and spots where no one is before."""
 
     people: int = 0
     found: int = 0

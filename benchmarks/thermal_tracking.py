@@ -1,4 +1,4 @@
-"""Poses from thermal pictures: drawn flights with a fixed pattern, little contrast, a shutter event, 16 bits or 8.
+"""Poses from thermal pictures: simulated flights with a fixed pattern, little contrast, a shutter event, 16 bits or 8.
 
     python -m benchmarks.thermal_tracking [--rows TEXT] [--seconds 14] [--seed 5]
 

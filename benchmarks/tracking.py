@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.flown import leg
+from benchmarks.short_flight import leg
 from onboard.geometry.plane_homography import move
 from onboard.pipeline.keyframes import KEYFRAME_SHIFT, KEYFRAME_TRACKS
 from onboard.vision.klt_tracker import LEVELS, MIN_EIGENVALUE, MIN_QUALITY, WINDOW_PX, Tracker, Tracks

@@ -1,13 +1,13 @@
-"""Things that move, clicked and followed, on drawn flights 120 m up with truth.
+"""Things that move, clicked and followed, on simulated flights 120 m up with truth.
 
     python -m benchmarks.tracks [--scenes hover,ahead,orbit,autopilot] [--flights 1] [--seed 0]
 
-Each flight is drawn (640x480, 40 degrees, 10 pictures a second) with people of 0.5 m and cars of 4 m: some parked, some
-that pass below a tree, one whose twin crosses its way, one with a shadow beside it. `hover` stands, `ahead` flies along
-a road, `orbit` circles at 45 degrees of bank, `autopilot` is a recorded ArduPilot plane. The whole pipeline makes the
-sets; every click is 1 s old when the track begins. Printed against the goals: errors of speed and course after 10 s,
-coverage of the 90 % ellipse, how soon a hidden thing is said to be hidden, parked things called moving, and the
-processor's time. The errors drawn here are smaller than declared: whether 90 % are inside is asked by
+Each flight is rendered (640x480, 40 degrees, 10 pictures a second) with people of 0.5 m and cars of 4 m: some parked,
+some that pass below a tree, one whose twin crosses its way, one with a shadow next to it. `hover` stands, `ahead` flies
+along a road, `orbit` circles at 45 degrees of bank, `autopilot` is a recorded ArduPilot plane. The whole pipeline makes
+the sets; every click is 1 s old when the track begins. Printed against the goals: errors of speed and course after 10
+s, coverage of the 90 % ellipse, how soon a hidden thing is said to be hidden, parked things called moving, and the
+processor's time. The errors sampled here are smaller than declared: whether 90 % are inside is asked by
 benchmarks.found_coverage.
 """
 
@@ -20,8 +20,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from benchmarks.flown import first_sets
 from benchmarks.machine import describe, load, table, verdict
+from benchmarks.short_flight import first_sets
 
 # isort: split
 import numpy as np
@@ -139,7 +139,7 @@ def join_ms(book: TrackBook) -> float:
 
 
 def click(book: TrackBook, things: Sequence[Thing], truth: Truth) -> dict[int, Thing]:
-    """On all that can be seen in picture CLICKED, a pixel beside the middle; those that are begun, by number."""
+    """On all that can be seen in picture CLICKED, a pixel next to the middle; those that are begun, by number."""
     rng = np.random.default_rng(len(things))
     out: dict[int, Thing] = {}
     for thing in things:
@@ -292,7 +292,7 @@ Scene = tuple[SessionSpec, list[Thing], Callable[[Config], Config]]
 def hover(seed: int) -> Scene:
     """Standing in the air: without parallax, over level ground at home's height."""
     flight = DescribedSpec(PathSpec("hover", height_m=HEIGHT_M, heading_deg=30.0), seed=seed)
-    spec = drawn(flight, seed)
+    spec = sampled(flight, seed)
     things = about(centre_of(spec, (8.0,)), seed)
     section = {"home_level": True}
     return spec, things, lambda c: c.model_copy(update={"solve": c.solve.model_copy(update=section)})
@@ -301,21 +301,21 @@ def hover(seed: int) -> Scene:
 def orbit(seed: int) -> Scene:
     """Round a place at 45 degrees of bank, the camera 60 degrees from the belly towards the inner wing."""
     path = PathSpec("orbit", speed_m_s=18.0, height_m=HEIGHT_M, heading_deg=30.0, radius_m=33.0)
-    spec = replace(drawn(DescribedSpec(path, seed=seed), seed), mount_deg=(0.0, -30.0, 90.0))
+    spec = replace(sampled(DescribedSpec(path, seed=seed), seed), mount_deg=(0.0, -30.0, 90.0))
     return spec, about(centre_of(spec, np.arange(0.0, 11.5, 0.5)), seed), lambda c: c
 
 
 def ahead(seed: int) -> Scene:
     """Along a road at the speed of its traffic."""
     path = PathSpec("straight", speed_m_s=16.0, height_m=HEIGHT_M, heading_deg=30.0)
-    spec = drawn(DescribedSpec(path, seed=seed), seed)
+    spec = sampled(DescribedSpec(path, seed=seed), seed)
     return spec, on_a_road(spec, 30.0, 16.0, seed), lambda c: c
 
 
 def autopilot(seed: int) -> Scene:
     """A recorded plane, the ground raised to 120 m below it."""
     flight = RecordedSpec(str(RECORDING), 2.0 + seed % 3, ground_amsl_m=RECORDED_AMSL_M - HEIGHT_M)
-    spec = drawn(flight, seed)
+    spec = sampled(flight, seed)
     made = make_flight(spec)
     track = np.degrees(np.arctan2(*made.trajectory.velocity_enu_m_s(made.start_s + 8.0)[:2]))
     speed = float(np.hypot(*made.trajectory.velocity_enu_m_s(made.start_s + 8.0)[:2]))
@@ -325,7 +325,7 @@ def autopilot(seed: int) -> Scene:
 SCENES: dict[str, Callable[[int], Scene]] = {"hover": hover, "ahead": ahead, "orbit": orbit, "autopilot": autopilot}
 
 
-def drawn(flight: DescribedSpec | RecordedSpec, seed: int) -> SessionSpec:
+def sampled(flight: DescribedSpec | RecordedSpec, seed: int) -> SessionSpec:
     return SessionSpec(flight, seconds=SECONDS, rate_hz=RATE_HZ, texture=TextureSpec(seed=seed), seed=seed)
 
 
@@ -337,7 +337,7 @@ def centre_of(spec: SessionSpec, times_s: Sequence[float] | Array) -> Array:
     return np.asarray(np.mean(looks, axis=0), float)
 
 
-def beside(centre: Array, course_deg: float, ahead_m: float, right_m: float) -> tuple[float, float]:
+def place_from(centre: Array, course_deg: float, ahead_m: float, right_m: float) -> tuple[float, float]:
     a = np.radians(course_deg)
     east, north = centre + ahead_m * np.array([np.sin(a), np.cos(a)]) + right_m * np.array([np.cos(a), -np.sin(a)])
     return float(east), float(north)
@@ -346,21 +346,21 @@ def beside(centre: Array, course_deg: float, ahead_m: float, right_m: float) -> 
 def about(centre: Array, seed: int) -> list[Thing]:
     """Walkers, twins, a slow car and parked things about a place; at most eight to be clicked."""
     turn = 40.0 * seed
-    one = MoverSpec.person(beside(centre, turn + 60.0, -12.0, 4.0), 1.4, turn + 60.0)
-    twin = MoverSpec.person(beside(centre, turn + 150.0, -13.0, 0.0), 1.4, turn + 150.0)
-    other = replace(MoverSpec.person(beside(centre, turn + 240.0, -13.0, 0.3), 1.4, turn + 240.0), seed=twin.seed)
-    hiding = replace(MoverSpec.person(beside(centre, turn + 10.0, -11.0, -9.0), 1.4, turn + 10.0), seed=4)
-    going = replace(MoverSpec.person(beside(centre, turn + 190.0, -11.0, -13.0), 1.6, turn + 190.0), seed=5)
+    one = MoverSpec.person(place_from(centre, turn + 60.0, -12.0, 4.0), 1.4, turn + 60.0)
+    twin = MoverSpec.person(place_from(centre, turn + 150.0, -13.0, 0.0), 1.4, turn + 150.0)
+    other = replace(MoverSpec.person(place_from(centre, turn + 240.0, -13.0, 0.3), 1.4, turn + 240.0), seed=twin.seed)
+    hiding = replace(MoverSpec.person(place_from(centre, turn + 10.0, -11.0, -9.0), 1.4, turn + 10.0), seed=4)
+    going = replace(MoverSpec.person(place_from(centre, turn + 190.0, -11.0, -13.0), 1.6, turn + 190.0), seed=5)
     return [
         Thing("walker", one),
         Thing("twin", twin),
         Thing("other twin", other),
         Thing("hides", hiding, (8.0, 9.6)),
         Thing("goes below a tree", going, (8.0, 12.0)),
-        Thing("parked car", MoverSpec.car(beside(centre, turn, -10.0, 10.0), 0.0, turn + 45.0)),
-        Thing("standing person", MoverSpec.person(beside(centre, turn, 12.0, 2.0), 0.0)),
-        Thing("parked in the shade", MoverSpec.car(beside(centre, turn, 4.0, 16.0), 0.0, turn)),
-        Thing("its shade", replace(MoverSpec.car(beside(centre, turn, 4.0, 18.0), 0.0, turn), albedo=None)),
+        Thing("parked car", MoverSpec.car(place_from(centre, turn, -10.0, 10.0), 0.0, turn + 45.0)),
+        Thing("standing person", MoverSpec.person(place_from(centre, turn, 12.0, 2.0), 0.0)),
+        Thing("parked in the shade", MoverSpec.car(place_from(centre, turn, 4.0, 16.0), 0.0, turn)),
+        Thing("its shade", replace(MoverSpec.car(place_from(centre, turn, 4.0, 18.0), 0.0, turn), albedo=None)),
     ]
 
 
@@ -370,7 +370,7 @@ def on_a_road(spec: SessionSpec, track_deg: float, speed_m_s: float, seed: int) 
     back = -3.0  # s: where movers are at the first picture
 
     def car(ahead_m: float, right_m: float, speed: float, look: int) -> MoverSpec:
-        place = beside(start, track_deg, ahead_m + speed * back, right_m)
+        place = place_from(start, track_deg, ahead_m + speed * back, right_m)
         return replace(MoverSpec.car(place, speed, track_deg), seed=look)
 
     rng = np.random.default_rng(seed)
@@ -383,8 +383,8 @@ def on_a_road(spec: SessionSpec, track_deg: float, speed_m_s: float, seed: int) 
         Thing("slower car", car(14.0, 8.0, slower, 2)),
         Thing("car with a shadow", car(-2.0, 14.0, speed_m_s, 5)),
         Thing("car that hides", hiding, (7.0, 8.2)),
-        Thing("parked car", MoverSpec.car(beside(start, track_deg, 18.0, -4.0), 0.0, track_deg + 20.0)),
-        Thing("standing person", MoverSpec.person(beside(start, track_deg, 22.0, -18.0), 0.0)),
+        Thing("parked car", MoverSpec.car(place_from(start, track_deg, 18.0, -4.0), 0.0, track_deg + 20.0)),
+        Thing("standing person", MoverSpec.person(place_from(start, track_deg, 22.0, -18.0), 0.0)),
     ]
 
 

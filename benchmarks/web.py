@@ -32,9 +32,9 @@ from ground.formats.mark import Mark
 from ground.pins.places import Places
 from ground.pins.store import PinStore
 from tests.waiting import PATIENCE_S
-from tests.web.drawn import VEHICLE, record_drawn
 from tests.web.flying import Flight
 from tests.web.measured import first_page_s, grown, opened, press_to_answer_ms, share_of, ten_thousand_pins
+from tests.web.rendered import VEHICLE, record_rendered
 from tests.web.served import ARGUMENTS, CHROMIUM, Server
 
 SEEN_EVERY = 20
@@ -45,7 +45,7 @@ POI, DOTS_SHARE = (0, 115, 90), 0.001  # the colour of the dots, and how much of
 
 def waits(chromium: Any, folder: Path, clicks: int) -> str:
     """First page, clicks, and clicks among ten thousand pins."""
-    record_drawn(folder / "drawn.mcap")
+    record_rendered(folder / "drawn.mcap")
     ten_thousand_pins(folder / "many.sqlite")
     pages_s: list[float] = []
     for k in range(3):
@@ -98,7 +98,7 @@ def live(chromium: Any, folder: Path, clicks: int) -> str:
 
 def api_and_import(chromium: Any, folder: Path, clicks: int) -> str:
     """What programs wait for, and what ten thousand pins cost."""
-    record_drawn(folder / "api.mcap")
+    record_rendered(folder / "api.mcap")
     ten_thousand_pins(folder / "wide.sqlite", step_deg=1e-3)
     with PinStore(folder / "wide.sqlite") as store:
         pins = store.pins()

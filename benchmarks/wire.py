@@ -25,7 +25,7 @@ from benchmarks.machine import describe, interleaved_us, load, table, verdict
 # isort: split
 import numpy as np
 
-from benchmarks.flown import leg, sets_of
+from benchmarks.short_flight import leg, sets_of
 from contract.camera import Camera
 from contract.feature_set import COMMON_STATES, NUISANCES, DepthSource, FeatureSet, HeightDatum, SharedErrors, Status
 from contract.wire.codec import decode, encode
@@ -218,8 +218,8 @@ def report(sets: Sequence[FeatureSet], repeat: int) -> str:
         for name, size in sizes.items()
     ]
     slowest = max(write["ours"], read["ours"])
-    beside = "JSON, zlib"
-    ratio = write["ours"] / write[beside], read["ours"] / read[beside]
+    other = "JSON, zlib"
+    ratio = write["ours"] / write[other], read["ours"] / read[other]
     features = max(map(len, sets))
     lines = [
         f"{len(sets)} sets of {features} features",
@@ -230,7 +230,7 @@ def report(sets: Sequence[FeatureSet], repeat: int) -> str:
         f"{ours:.0f} bytes (median) for {features} features (goal {GOAL_BYTES} for {GOAL_FEATURES}): "
         f"{verdict(ours <= GOAL_BYTES and features >= GOAL_FEATURES)}",
         f"{slowest:.0f} us at most each way (goal {GOAL_US:.0f}): {verdict(slowest <= GOAL_US)}",
-        f"{ratio[0]:.2f} to write and {ratio[1]:.2f} to read of the time of {beside} (goal {GOAL_RATIO} each): "
+        f"{ratio[0]:.2f} to write and {ratio[1]:.2f} to read of the time of {other} (goal {GOAL_RATIO} each): "
         f"{verdict(max(ratio) <= GOAL_RATIO)}",
     ]
     return "\n".join(lines)

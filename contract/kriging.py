@@ -71,8 +71,8 @@ class Kriging:
             # A rough surface is rough by its own errors too: what interpolation allows for already is not added again.
             astray = self._astray[np.argmin(_distances(xy, self._xy), axis=1)]
             sigma = np.sqrt(np.maximum(astray - np.diag(covariance), 0.0))
-            alike = np.exp(-_distances(xy, xy) / max(self._spacing, 1e-9))
-            covariance = covariance + np.outer(sigma, sigma) * alike
+            correlation = np.exp(-_distances(xy, xy) / max(self._spacing, 1e-9))
+            covariance = covariance + np.outer(sigma, sigma) * correlation
         return f @ self._beta + known @ self._residual, covariance
 
     def predict_each(self, xy: Array) -> tuple[Array, Array]:

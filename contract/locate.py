@@ -41,7 +41,7 @@ SHUTTER_STEPS = 2  # of the place that a pixel of another row than the middle ha
 
 
 @dataclass(frozen=True, eq=False)
-class _Sight:
+class _Located:
     """A click that met the ground: its unit-depth coordinates (2,), offset from the camera (m) and how it was found."""
 
     xy: Array
@@ -113,25 +113,25 @@ class Locator:
         # At the camera; its height is above the ellipsoid where that is known.
         self.frame = LocalFrame(s.camera_lat_deg, s.camera_lon_deg, s.camera_height_m + shift)
         self._datum_shift_m = shift
-        self._newest: tuple[tuple[float, float], _Sight | Status] | None = None
+        self._newest: tuple[tuple[float, float], _Located | Status] | None = None
 
     def locate(self, uv_px: ArrayLike, pixel_root: ArrayLike | None = None) -> Answer:
         """A pixel (2,) -> Fix or Refusal. `pixel_root` (2, k): a root of the pixel's own covariance, where it is not
         exact.
         """
         uv = np.asarray(uv_px, float)
-        sight = self._sight(uv)
-        if isinstance(sight, Status):
-            return self._refusal(sight)
-        covariance = self._covariance([sight])
+        located = self._located(uv)
+        if isinstance(located, Status):
+            return self._refusal(located)
+        covariance = self._covariance([located])
         if pixel_root is not None:
-            moved = self._by_pixel(uv[None], np.array([1.0 / sight.relative]))[0] @ np.asarray(pixel_root, float)
+            moved = self._by_pixel(uv[None], np.array([1.0 / located.relative]))[0] @ np.asarray(pixel_root, float)
             covariance = covariance + moved @ moved.T
         ellipse = Ellipse.from_covariance(covariance[:2, :2])
         if not ellipse.semi_major_m <= MAX_ELLIPSE_SHARE * self._height_m:
             return self._refusal(Status.UNCERTAIN)
         s = self.feature_set
-        lat, lon, height = (float(c) for c in self.frame.to_geodetic(sight.offset_enu_m))
+        lat, lon, height = (float(c) for c in self.frame.to_geodetic(located.offset_enu_m))
         height -= self._datum_shift_m
         n = self._undulation_m
         other = None if n is None else height - n if self._is_ellipsoidal else height + n
@@ -142,11 +142,11 @@ class Locator:
             height_amsl_m=other if self._is_ellipsoidal else height,
             ellipse=ellipse,
             sigma_height_m=math.sqrt(max(float(covariance[2, 2]), 0.0)),
-            method=sight.method,
+            method=located.method,
             frame=s.frame,
             capture_unix_ns=s.capture_unix_ns,
             vehicle=s.vehicle,
-            offset_enu_m=sight.offset_enu_m,
+            offset_enu_m=located.offset_enu_m,
             covariance_enu_m2=covariance,
         )
 
@@ -155,12 +155,12 @@ class Locator:
 
         A third of the time that `locate` takes.
         """
-        sight = self._sight(np.asarray(uv_px, float))
-        return sight if isinstance(sight, Status) else sight.offset_enu_m
+        located = self._located(np.asarray(uv_px, float))
+        return located if isinstance(located, Status) else located.offset_enu_m
 
     def difference_covariance(self, uv1_px: ArrayLike, uv2_px: ArrayLike) -> Array | None:
         """Covariance (3, 3), m^2, of the vector between two clicks of this set; None if one has no answer."""
-        one, two = self._sight(np.asarray(uv1_px, float)), self._sight(np.asarray(uv2_px, float))
+        one, two = self._located(np.asarray(uv1_px, float)), self._located(np.asarray(uv2_px, float))
         if isinstance(one, Status) or isinstance(two, Status):
             return None
         joint = self._covariance([one, two])
@@ -170,13 +170,13 @@ class Locator:
     def error_parts(self, uv_px: ArrayLike) -> ErrorParts | None:
         """The parts of a click's error that are its own; None if it has no answer."""
         uv = np.asarray(uv_px, float)
-        sight = self._sight(uv)
-        if isinstance(sight, Status):
+        located = self._located(uv)
+        if isinstance(located, Status):
             return None
-        own = float(self._kriging.predict(sight.xy[None])[1][0, 0])
-        noise = min(float(self._kriging.measured_variance(sight.xy[None])[0]), own)
-        by_pixel = self._by_pixel(uv[None], np.array([1.0 / sight.relative]))[0]
-        return ErrorParts(sight.relative * math.sqrt(own - noise), sight.relative * math.sqrt(noise), by_pixel)
+        own = float(self._kriging.predict(located.xy[None])[1][0, 0])
+        noise = min(float(self._kriging.measured_variance(located.xy[None])[0]), own)
+        by_pixel = self._by_pixel(uv[None], np.array([1.0 / located.relative]))[0]
+        return ErrorParts(located.relative * math.sqrt(own - noise), located.relative * math.sqrt(noise), by_pixel)
 
     def answers(self, uv_px: ArrayLike) -> Answers:
         """Many pixels (M, 2) at once, each by itself."""
@@ -216,8 +216,8 @@ class Locator:
         steps = np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
         rays, _ = s.camera.unproject(uv_px[:, None] + steps)
         w = (s.plane_per_m[0] + rays[..., :2] @ s.plane_per_m[1:]) * relative[:, None]
-        beside = (rays / np.maximum(w, self._plane_floor)[..., None]) @ s.R_enu_cam.T
-        return np.stack([beside[:, 0] - beside[:, 1], beside[:, 2] - beside[:, 3]], axis=-1)
+        about = (rays / np.maximum(w, self._plane_floor)[..., None]) @ s.R_enu_cam.T
+        return np.stack([about[:, 0] - about[:, 1], about[:, 2] - about[:, 3]], axis=-1)
 
     def _covariances(self, xy: Array, offset: Array, relative: Array, variance: Array) -> Array:
         """Each click's own covariance (M, 3, 3), as `_covariance` has it of one; `variance` (M,) is kriging's."""
@@ -236,14 +236,14 @@ class Locator:
         s = self.feature_set
         return Refusal(status, s.frame, s.capture_unix_ns, s.vehicle)
 
-    def _sight(self, uv_px: Array) -> _Sight | Status:
+    def _located(self, uv_px: Array) -> _Located | Status:
         """A click's, and of the newest click once: a pin asks for its answer and then for the parts of its error."""
         key, newest = (float(uv_px[0]), float(uv_px[1])), self._newest
         if newest is None or newest[0] != key:
             newest = self._newest = key, self._found(uv_px)
         return newest[1]
 
-    def _found(self, uv_px: Array) -> _Sight | Status:
+    def _found(self, uv_px: Array) -> _Located | Status:
         s = self.feature_set
         if not s.is_ok:
             return s.status
@@ -271,7 +271,7 @@ class Locator:
         offset = s.R_enu_cam @ np.array([*xy, 1.0]) / (plane * relative)
         steeper = float(late @ s.plane_per_m[1:]) / plane
         by_readout = s.R_enu_cam[:, :2] @ late / (plane * relative) - offset * steeper
-        return _Sight(xy, offset, 1.0 / relative, method, by_readout)
+        return _Located(xy, offset, 1.0 / relative, method, by_readout)
 
     def _at_middle_row(self, xy: Array, v_px: Array) -> tuple[Array, Array]:
         """Where what pixels (M, 2) of these rows (M,) saw was at the picture's own moment, and d that / d readout.
@@ -289,24 +289,27 @@ class Locator:
             out = xy + s.shutter.readout_s * moved
         return out, moved
 
-    def _covariance(self, sights: list[_Sight]) -> Array:
+    def _covariance(self, clicks: list[_Located]) -> Array:
         """Joint covariance (3 M, 3 M) of the clicks' positions."""
-        offset, xy = np.array([sight.offset_enu_m for sight in sights]), np.array([sight.xy for sight in sights])
+        offset, xy = (
+            np.array([located.offset_enu_m for located in clicks]),
+            np.array([located.xy for located in clicks]),
+        )
         J = _jacobian(offset, xy).reshape(-1, COMMON_STATES)
         _, own = self._kriging.predict(xy)
-        spread = np.zeros((3 * len(sights), len(sights)))
-        by_depth = np.zeros((len(sights), COMMON_STATES + len(sights)))
-        for i, sight in enumerate(sights):
-            spread[3 * i : 3 * i + 3, i] = -sight.offset_enu_m * sight.relative
-            by_depth[i, 6:COMMON_STATES] = [1.0, *sight.xy]
-            by_depth[i, COMMON_STATES + i] = sight.relative
+        spread = np.zeros((3 * len(clicks), len(clicks)))
+        by_depth = np.zeros((len(clicks), COMMON_STATES + len(clicks)))
+        for i, click in enumerate(clicks):
+            spread[3 * i : 3 * i + 3, i] = -click.offset_enu_m * click.relative
+            by_depth[i, 6:COMMON_STATES] = [1.0, *click.xy]
+            by_depth[i, COMMON_STATES + i] = click.relative
         causes = np.zeros((by_depth.shape[1], by_depth.shape[1]))
         causes[:COMMON_STATES, :COMMON_STATES] = self.feature_set.common_cov
         causes[COMMON_STATES:, COMMON_STATES:] = own
         by_cause = np.concatenate([J, spread], axis=1)
         out: Array = by_cause @ causes @ by_cause.T + _curvature(by_cause, by_depth, causes)
         if self.feature_set.shutter is not None:
-            moved = np.concatenate([sight.by_readout for sight in sights]) * self.feature_set.shutter.sigma_readout_s
+            moved = np.concatenate([click.by_readout for click in clicks]) * self.feature_set.shutter.sigma_readout_s
             out = out + np.outer(moved, moved)
         return out
 

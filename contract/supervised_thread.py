@@ -97,7 +97,7 @@ class SupervisedThread:
         self._state = ThreadState.NOT_STARTED
         self._restarts = 0
         self._last_error = ""
-        self._heard_s = 0.0
+        self._beat_s = 0.0
         self._is_waiting = False  # for its end, in `wait`: that is no hanging, however long it takes
         self._thread: threading.Thread | None = None
 
@@ -124,7 +124,7 @@ class SupervisedThread:
 
     def beat(self) -> None:
         """A heartbeat."""
-        self._heard_s = self._monotonic_s()
+        self._beat_s = self._monotonic_s()
 
     def is_set(self) -> bool:
         """As a `Stop`: whether to come to an end; a heartbeat."""
@@ -143,7 +143,7 @@ class SupervisedThread:
     @property
     def heartbeat_age_s(self) -> float:
         """Seconds since the last heartbeat."""
-        return 0.0 if self._is_waiting else max(self._monotonic_s() - self._heard_s, 0.0)
+        return 0.0 if self._is_waiting else max(self._monotonic_s() - self._beat_s, 0.0)
 
     @property
     def has_failed(self) -> bool:

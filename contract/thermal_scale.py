@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 class ThermalScale:
     """kelvin = scale * count + offset. Temperatures are apparent ones: what a black body would have to look the same.
 
-    A camera without one is uncalibrated: its counts rise with the heat that it sees, and say no more.
+    A camera without one is uncalibrated: its counts rise with the heat that it sees, and give no temperature.
     """
 
     scale: float

@@ -18,7 +18,7 @@ from contract.errors import InputError
 
 Unit = Literal["times", "percent"]
 COLUMNS = ("position", "focal_px", "cx_px", "cy_px", "k1")
-MAX_BEYOND = 1.3  # times the table's ends, up to which a magnification or a focal length is believed
+MAX_BEYOND = 1.3  # times the table's ends, up to which a magnification or a focal length is accepted
 
 
 @dataclass(frozen=True)

@@ -125,7 +125,7 @@ def head_text(spot: str, frame: int, u_px: int, v_px: int) -> str:
 
 
 def row_text(head: str, where: tuple[float, float, float], radius_m: float, error_m: float) -> str:
-    """A line of the table: latitude, longitude (degrees) and height (m) of an answer beside its true error."""
+    """A line of the table: latitude, longitude (degrees) and height (m) of an answer next to its true error."""
     lat_deg, lon_deg, height_m = where
     return f"{head}  {lat_deg:13.7f}  {lon_deg:13.7f}  {height_m:4.0f} m  {radius_m:8.1f} m  {error_m:8.1f} m"
 

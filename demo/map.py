@@ -39,7 +39,7 @@ def draw_overview(
     clicked: Sequence[Clicked],
     out: Path,
 ) -> list[Path]:
-    """`map.png` (everything, and each spot close up) and `overview.jpg` (a picture beside the map); the files."""
+    """`map.png` (everything, and each spot close up) and `overview.jpg` (a picture next to the map); the files."""
     (vehicle,) = recording.vehicles
     sets = [s for f in recording.frames(vehicle) if (s := recording.by_frame(vehicle, f)) is not None and s.is_ok]
     texture = Texture(ground)

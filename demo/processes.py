@@ -15,7 +15,7 @@ from typing import Any, Self
 
 from contract.errors import InputError
 
-PATIENCE_S = 60.0  # for an answer: the picture may still have to be flown, on whatever machine
+PATIENCE_S = 60.0  # for an answer: the picture may still have to come, on whatever machine
 LANDING_S = 60.0
 
 
@@ -28,7 +28,7 @@ def program(name: str) -> str:
 
 
 def free_port() -> int:
-    """A TCP port of this machine that nobody listens on."""
+    """A TCP port of this machine that no one listens on."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
@@ -59,7 +59,7 @@ class Aircraft:
         )
 
     def land(self, last_frame: int) -> str:
-        """Once the last picture has been flown, end it; returns its summary.
+        """Once the last picture has come, end it; returns its summary.
 
         Raises InputError with what it said if it failed.
         """
@@ -85,9 +85,9 @@ class Aircraft:
 
 
 def click(u_px: int, v_px: int, frame: int, endpoint: str) -> dict[str, Any]:
-    """Ask until the picture has been flown and placed; the last refusal if it never is.
+    """Ask until the picture has come and placed; the last refusal if it never is.
 
-    Raises InputError if nobody answers at all.
+    Raises InputError if no one answers at all.
     """
     arguments = ["click", str(u_px), str(v_px), "--frame", str(frame), "--connect", endpoint, "--format", "json"]
     deadline = time.monotonic() + PATIENCE_S

@@ -66,7 +66,7 @@ def follow(flight: Path) -> list[Sample]:
             images[event.index] = event.image
         for out in pipeline.handle(event):
             if out.frame <= newest:
-                continue  # an earlier picture, placed anew
+                continue  # an earlier picture, placed again
             newest = out.frame
             tracks = pipeline.tracks or pipeline.tracker.nothing()
             new_ids, new_px = np.zeros(0, np.int64), np.zeros((0, 2))

@@ -115,11 +115,11 @@ def _is_significant(error_en_m: Array) -> bool:
 
 
 def _verdict(held: int, n: int, low: float, high: float) -> str:
-    said = f"{held} of {n} marks lie inside their stated 90 % ellipse"
+    holds = f"{held} of {n} marks lie inside their stated 90 % ellipse"
     if n < LEAST_MARKS:
-        return f"too few marks to judge ({said}); click {LEAST_MARKS} or more"
+        return f"too few marks to judge ({holds}); click {LEAST_MARKS} or more"
     if high < STATED:
-        return f"the stated ellipses are too small: {said}"
+        return f"the stated ellipses are too small: {holds}"
     if low > STATED:
-        return f"the stated ellipses hold, and are wider than they need be: {said}"
-    return f"the stated ellipses hold what they state: {said}"
+        return f"the stated ellipses hold, and are wider than they need be: {holds}"
+    return f"the stated ellipses hold what they state: {holds}"

@@ -136,9 +136,9 @@ class SetCache:
 
     Thread-safe. `unreadable` counts payloads that were no sets; `last_error` is the last one's. A peer session, which
     reconnects by itself, and is opened again after RENEW_S without a message: `link_error` states what prevents that.
-    `beside`: more key expressions to subscribe to, each with the function that gets its samples' keys and payloads;
-    `heard` gets each set and its size in bytes. Both are called in zenoh's thread: they must be quick and call nothing
-    of zenoh's. Raises LinkError if the link cannot be opened.
+    `subscriptions`: more key expressions to subscribe to, each with the function that gets its samples' keys and
+    payloads; `on_set` gets each set and its size in bytes. Both are called in zenoh's thread: they must be quick and
+    call nothing of zenoh's. Raises LinkError if the link cannot be opened.
     """
 
     def __init__(
@@ -149,11 +149,11 @@ class SetCache:
         max_sets: int = 5000,
         *,
         tls: Tls | None = None,
-        beside: Mapping[str, Callable[[str, bytes], object]] | None = None,
-        heard: Callable[[FeatureSet, int], None] | None = None,
+        subscriptions: Mapping[str, Callable[[str, bytes], object]] | None = None,
+        on_set: Callable[[FeatureSet, int], None] | None = None,
     ) -> None:
         self.unreadable = 0
-        self._beside, self._heard = dict(beside or {}), heard
+        self._subscriptions, self._on_set = dict(subscriptions or {}), on_set
         self.last_error: WireError | None = None
         self._bounds = max_age_s, max_sets
         self._histories: dict[str, History[FeatureSet]] = {}
@@ -161,7 +161,7 @@ class SetCache:
         self._locators: dict[str, Locator] = {}
         self._lock = threading.Lock()
         self._ways = endpoint, tls, FEATURES.key(vehicle)
-        self._heard_s = self._renewed_s = time.monotonic()
+        self._received_s = self._renewed_s = time.monotonic()
         self._retry_s = FIRST_RETRY_S
         self._failure: Exception | None = None  # of the last attempt to open the link again
         self._is_closed = False
@@ -285,12 +285,12 @@ class SetCache:
         """Open a session where there is none. Raises LinkError."""
         endpoint, tls, key = self._ways
         if endpoint.startswith(SCHEME):
-            self._begin(MavlinkSets(MavlinkEndpoint.parse(endpoint), self._take_from_radio, self._note_heard), [])
+            self._begin(MavlinkSets(MavlinkEndpoint.parse(endpoint), self._take_from_radio, self._note_received), [])
             return
         session = open_link("peer", endpoint, tls)
         try:
             subscribers = [session.declare_subscriber(key, self._receive)]
-            subscribers += [session.declare_subscriber(k, _passing_on(take)) for k, take in self._beside.items()]
+            subscribers += [session.declare_subscriber(k, _passing_on(take)) for k, take in self._subscriptions.items()]
         except zenoh.ZError as error:
             _close(session)
             raise LinkError(f"cannot listen to {key} at {endpoint}: {error}") from error
@@ -312,7 +312,7 @@ class SetCache:
         with self._lock:
             is_down = self._session is None
             wait_s = self._retry_s if is_down else RENEW_S
-            if self._is_closed or now_s - max(self._heard_s, self._renewed_s) <= wait_s:
+            if self._is_closed or now_s - max(self._received_s, self._renewed_s) <= wait_s:
                 if is_down and self._failure is not None:
                     raise self._failure  # still so
                 return
@@ -328,7 +328,7 @@ class SetCache:
         self._failure, self._retry_s = None, FIRST_RETRY_S
 
     def _receive(self, sample: zenoh.Sample) -> None:
-        self._note_heard()
+        self._note_received()
         payload = sample.payload.to_bytes()
         received = self._read(payload)
         if received is not None:
@@ -342,12 +342,12 @@ class SetCache:
         key = zenoh.KeyExpr(FEATURES.template.format(vehicle=received.vehicle))
         if key.intersects(zenoh.KeyExpr(self._ways[2])):
             self._keep(received, len(payload), age_s)
-        for wanted, take in self._beside.items():
+        for wanted, take in self._subscriptions.items():
             if key.intersects(zenoh.KeyExpr(wanted)):
                 take(str(key), payload)
 
-    def _note_heard(self) -> None:
-        self._heard_s = time.monotonic()
+    def _note_received(self) -> None:
+        self._received_s = time.monotonic()
 
     def _read(self, payload: bytes) -> FeatureSet | None:
         """A set; None, and counted, for what cannot be read."""
@@ -361,15 +361,15 @@ class SetCache:
 
     def _keep(self, received: FeatureSet, size: int, age_s: float | None) -> None:
         """A set that came now, and its picture's age when it was sent."""
-        heard_ns = time.monotonic_ns()
+        received_ns = time.monotonic_ns()
         with self._lock:
             history = self._histories.setdefault(received.vehicle, History(*self._bounds))
             self._clocks.setdefault(received.vehicle, AircraftClock())
             history.add(received, received)
             if received.session == history.session:  # a late packet of an earlier one gives no information on the time
-                self._clocks[received.vehicle].heard(received.session, received.capture_unix_ns, age_s, heard_ns)
-        if self._heard is not None:
-            self._heard(received, size)
+                self._clocks[received.vehicle].received(received.session, received.capture_unix_ns, age_s, received_ns)
+        if self._on_set is not None:
+            self._on_set(received, size)
 
 
 def _passing_on(take: Callable[[str, bytes], object]) -> Callable[[zenoh.Sample], None]:
@@ -403,7 +403,7 @@ def _answered(sample: zenoh.Sample) -> Reply:
     """A set, and what its attachment states of it. Raises WireError for a set that cannot be read."""
     found = decode(sample.payload.to_bytes())
     about = _object(sample.attachment)
-    return Reply(found, _seconds(about.get("age_s")), _later(about.get("newest")), *_said(about))
+    return Reply(found, _seconds(about.get("age_s")), _later(about.get("newest")), *_state_and_reason(about))
 
 
 def _refusal(error: zenoh.ReplyError | None) -> Reply | None:
@@ -413,9 +413,9 @@ def _refusal(error: zenoh.ReplyError | None) -> Reply | None:
         status, vehicle = Status(about["status"]), str(about["vehicle"])
     except (ValueError, KeyError):
         return None
-    state, reason = _said(about)
-    said = f"{state}: {reason}" if reason else state
-    detail = f"{EXPLANATIONS[status]}; the aircraft reports: {said}" if said else ""
+    state, reason = _state_and_reason(about)
+    value = f"{state}: {reason}" if reason else state
+    detail = f"{EXPLANATIONS[status]}; the aircraft reports: {value}" if value else ""
     return Reply(Refusal(status, vehicle=vehicle, detail=detail), None, None, state, reason)
 
 
@@ -429,27 +429,27 @@ def _json(content: zenoh.ZBytes | None) -> object:
 
 def _object(content: zenoh.ZBytes | None) -> dict[str, Any]:
     """A JSON object; empty for anything else."""
-    said = _json(content)
-    return said if isinstance(said, dict) else {}
+    value = _json(content)
+    return value if isinstance(value, dict) else {}
 
 
-def _later(said: object) -> Later | None:
-    if not isinstance(said, dict):
+def _later(value: object) -> Later | None:
+    if not isinstance(value, dict):
         return None
     try:
-        return Later(Status(said["status"]), int(said["frame"]), _seconds(said.get("age_s")))
+        return Later(Status(value["status"]), int(value["frame"]), _seconds(value.get("age_s")))
     except (ValueError, KeyError, TypeError, OverflowError):
         return None
 
 
-def _said(about: dict[str, Any]) -> tuple[str, str]:
+def _state_and_reason(about: dict[str, Any]) -> tuple[str, str]:
     """The daemon's state and its reason, as one line of text each."""
     state, reason = (str(about.get(key, ""))[:80] for key in ("state", "reason"))
     return "".join(c for c in state if c.isprintable()), "".join(c for c in reason if c.isprintable())
 
 
-def _seconds(said: object) -> float | None:
+def _seconds(value: object) -> float | None:
     """An age; None for what is none."""
-    if isinstance(said, bool) or not isinstance(said, int | float):
+    if isinstance(value, bool) or not isinstance(value, int | float):
         return None
-    return float(said) if 0.0 <= said < 1e12 else None
+    return float(value) if 0.0 <= value < 1e12 else None

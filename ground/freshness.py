@@ -91,11 +91,11 @@ class AircraftClock:
         self._offset_ns = 0  # monotonic minus capture times, at most
         self._noted_ns = 0
 
-    def heard(self, session: int, capture_unix_ns: int, age_s: float | None, heard_ns: int) -> None:
+    def received(self, session: int, capture_unix_ns: int, age_s: float | None, received_ns: int) -> None:
         """A set came; `age_s` is the age of its picture as its sender states it."""
-        offset_ns = heard_ns - round((age_s or 0.0) * 1e9) - capture_unix_ns
-        if session != self._session or offset_ns < self._offset_at(heard_ns):
-            self._session, self._offset_ns, self._noted_ns = session, offset_ns, heard_ns
+        offset_ns = received_ns - round((age_s or 0.0) * 1e9) - capture_unix_ns
+        if session != self._session or offset_ns < self._offset_at(received_ns):
+            self._session, self._offset_ns, self._noted_ns = session, offset_ns, received_ns
 
     def age_s(self, capture_unix_ns: int, now_ns: int) -> float:
         """Seconds since a picture of that session was taken; what the fastest set took on its way is not in it."""

@@ -63,7 +63,7 @@ class Assembly:
 class PictureCache:
     """The last pictures of all vehicles. Thread-safe; `take` may be called from zenoh's thread.
 
-    For `SetCache`: `beside={PICTURE.key(vehicle): cache.take}`. An aircraft sends pictures only while a client
+    For `SetCache`: `subscriptions={PICTURE.key(vehicle): cache.take}`. An aircraft sends pictures only while a client
     subscribes to them.
     """
 

@@ -120,7 +120,7 @@ class MavlinkLink:
         return out
 
     def beat(self) -> None:
-        """Say where we are. Not as a ground station: an autopilot may take any heartbeat of one for its own."""
+        """Announce this end. Not as a ground station: an autopilot may take any heartbeat of one for its own."""
         self._beat_s = time.monotonic()
         d = self._dialect
         kind, autopilot, state = d.MAV_TYPE_ONBOARD_CONTROLLER, d.MAV_AUTOPILOT_INVALID, d.MAV_STATE_ACTIVE

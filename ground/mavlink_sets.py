@@ -20,14 +20,14 @@ REOPEN_S = 1.0
 class MavlinkSets:
     """Listens in a thread of its own, and opens a link that broke again. Raises LinkError if it cannot be opened.
 
-    `take` gets each set and the age its picture had when it was sent (s, or None), `heard` is called for whatever
+    `take` gets each set and the age its picture had when it was sent (s, or None), `on_packet` is called for whatever
     comes: both in that thread.
     """
 
     def __init__(
-        self, endpoint: MavlinkEndpoint, take: Callable[[bytes, float | None], None], heard: Callable[[], None]
+        self, endpoint: MavlinkEndpoint, take: Callable[[bytes, float | None], None], on_packet: Callable[[], None]
     ) -> None:
-        self._endpoint, self._take, self._heard = endpoint, take, heard
+        self._endpoint, self._take, self._on_packet = endpoint, take, on_packet
         self._link: MavlinkLink | None = MavlinkLink(endpoint)
         self._assemblies: dict[int, SetAssembly] = {}
         self._report_s = -REPORT_S
@@ -59,15 +59,15 @@ class MavlinkSets:
     def _listen(self, link: MavlinkLink) -> None:
         """What came within a moment, and a report to every vehicle from time to time. Raises LinkError."""
         for vehicle, payload in link.received():
-            self._heard()
-            self._hear(vehicle, payload)
+            self._on_packet()
+            self._take_packet(vehicle, payload)
         if link.vehicles and time.monotonic() - self._report_s >= REPORT_S:
             self._report_s = time.monotonic()
             link.beat()
             for vehicle in link.vehicles:
                 link.send(vehicle, encode_report(self._assemblies.setdefault(vehicle, SetAssembly()).report))
 
-    def _hear(self, vehicle: int, payload: bytes) -> None:
+    def _take_packet(self, vehicle: int, payload: bytes) -> None:
         try:
             piece = read_piece(payload)
             if piece is not None:
@@ -75,8 +75,8 @@ class MavlinkSets:
                 if whole is not None:
                     self._take(*whole)
                 return
-            said = decode(payload)
+            packet = decode(payload)
         except WireError:
             return
-        if isinstance(said, TurnedAway):
-            raise LinkError(masking(self._endpoint.system, said.low, said.high))
+        if isinstance(packet, TurnedAway):
+            raise LinkError(masking(self._endpoint.system, packet.low, packet.high))

@@ -24,7 +24,7 @@ class Present:
 
     vehicle: str
     is_there: bool  # its session is open, as far as the other end of this link knows
-    status: VehicleStatus | None  # the last one heard; None before the first
+    status: VehicleStatus | None  # the last one received; None before the first
     status_age_s: float | None
 
 
@@ -50,7 +50,7 @@ class Presence:
         self._there: dict[str, bool] = {}
         self._statuses: dict[str, tuple[VehicleStatus, float]] = {}
         self._declared = [
-            session.declare_subscriber(STATUS.key(ANY_VEHICLE), self._heard),
+            session.declare_subscriber(STATUS.key(ANY_VEHICLE), self._receive),
             session.liveliness().declare_subscriber(ALIVE.key(ANY_VEHICLE), self._changed, history=True),
         ]
 
@@ -60,8 +60,8 @@ class Presence:
             there, statuses, now_s = dict(self._there), dict(self._statuses), time.monotonic()
         found = []
         for name in sorted({*there, *statuses}):
-            status, heard_s = statuses.get(name, (None, now_s))
-            age_s = None if status is None else now_s - heard_s
+            status, received_s = statuses.get(name, (None, now_s))
+            age_s = None if status is None else now_s - received_s
             # An aircraft of an earlier version has no token.
             is_there = there.get(name, age_s is not None and age_s < SILENT_S)
             found.append(Present(name, is_there, status, age_s))
@@ -69,7 +69,7 @@ class Presence:
 
     # In zenoh's threads
 
-    def _heard(self, sample: Any) -> None:
+    def _receive(self, sample: Any) -> None:
         try:
             name, status = STATUS.vehicle(str(sample.key_expr)), decode_status(sample.payload.to_bytes())
         except (ValueError, WireError):

@@ -76,7 +76,7 @@ class Recording:
         for file, part in enumerate(parts):
             data = _read(part, may_be_empty=len(parts) > 1)
             self._data.append(data)
-            found: Iterable[_Found] = _messages(data, partial(self._say, part))
+            found: Iterable[_Found] = _messages(data, partial(self._warn, part))
             if _is_chunked(data):
                 self._data[file], found, trouble = _chunked_messages(part)
                 if trouble:
@@ -162,7 +162,7 @@ class Recording:
                     return int(event["frame"])
         return None
 
-    def _say(self, part: Path, where: Damage) -> None:
+    def _warn(self, part: Path, where: Damage) -> None:
         size = where.end - where.start
         self.damage.append(f"recording {part}: damaged from byte {where.start} on; {size} bytes were passed over")
 

@@ -20,7 +20,7 @@ from contract.topics import ANY_VEHICLE, FEATURES, PINS, of_vehicle
 
 EVERY_AIRCRAFT = of_vehicle(ANY_VEHICLE)
 EVERY_PIN = f"{PINS}/*/*"
-# Between regions everything is relayed, and within one nothing: aircraft never hear each other.
+# Between regions everything is relayed, and within one nothing: aircraft never receive from each other.
 REGIONS: list[dict[str, list[str]]] = [
     {"modes": ["client"]},
     {"modes": ["peer"], "region_names": [GROUND_REGION]},
@@ -38,7 +38,7 @@ def router_config(fleet: Fleet, folder: Path) -> dict[str, Any]:
         raise LinkError(f"no certificate {own}: pc-onboard make-credentials {folder} --router {fleet.router}")
     tls = Tls.in_folder(own)
     config: dict[str, Any] = json.loads(link_config("router", listen=fleet.listen, connect=fleet.connect, tls=tls))
-    # Nobody is told where others listen: all traffic goes through here, where the rights are.
+    # No one learns where others listen: all traffic goes through here, where the rights are.
     config["scouting"]["gossip"] = {"enabled": False}
     config["gateway"] = {"south": [{"filters": [region]} for region in REGIONS]}
     config["access_control"] = _rights(fleet)

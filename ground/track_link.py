@@ -1,4 +1,4 @@
-"""Tracks over the link: begun, ended and listed by a question, heard as they are sent."""
+"""Tracks over the link: begun, ended and listed by a question, reported as they are sent."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from contract.wire.track_code import decode_tracks
 from ground.client import open_link, put_question, several_aircraft
 from ground.presence import vehicles_there
 
-MOST_WAITING = 1000  # reports that nobody has taken
+MOST_WAITING = 1000  # reports that have not been taken
 TRIES = 3  # a question to begin the same track again is answered with the same track
 
 
@@ -30,7 +30,7 @@ class TrackLink:
 
     def __init__(self, endpoint: str, vehicle: str | None, tls: Tls | None = None) -> None:
         self._session: Any = open_link("client", endpoint, tls)
-        self._heard: queue.Queue[TrackReport] = queue.Queue(MOST_WAITING)
+        self._reports: queue.Queue[TrackReport] = queue.Queue(MOST_WAITING)
         self.unreadable = 0
         try:
             self.vehicle = vehicle or self._only_one(endpoint)
@@ -51,17 +51,17 @@ class TrackLink:
         )
         for _ in range(TRIES if is_same_again else 1):
             for reply in put_question(self._session, selector):
-                said = _object((reply.ok or reply.err).payload.to_bytes())
+                content = _object((reply.ok or reply.err).payload.to_bytes())
                 if reply.ok is not None:
-                    return said
-                if "reason" in said:
-                    raise TrackRefused(f"{said.get('status', 'refused')}: {said['reason']}")
+                    return content
+                if "reason" in content:
+                    raise TrackRefused(f"{content.get('status', 'refused')}: {content['reason']}")
         raise LinkError(f"aircraft {self.vehicle!r} does not answer; may this certificate follow?")
 
     def next(self, timeout_s: float) -> TrackReport | None:
         """The next report; None if none came in time."""
         try:
-            return self._heard.get(timeout=timeout_s)
+            return self._reports.get(timeout=timeout_s)
         except queue.Empty:
             return None
 
@@ -91,15 +91,15 @@ class TrackLink:
             self.unreadable += 1
             return
         for report in reports:
-            if self._heard.full():
-                self._heard.get_nowait()
-            self._heard.put_nowait(report)
+            if self._reports.full():
+                self._reports.get_nowait()
+            self._reports.put_nowait(report)
 
 
 def _object(payload: bytes) -> dict[str, Any]:
     """A JSON object; empty for anything else."""
     try:
-        said = json.loads(payload)
+        reply = json.loads(payload)
     except (ValueError, RecursionError):
         return {}
-    return {str(key): value for key, value in said.items()} if isinstance(said, dict) else {}
+    return {str(key): value for key, value in reply.items()} if isinstance(reply, dict) else {}

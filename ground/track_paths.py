@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Iterable
 
 from contract.track import TrackReport, TrackState
-from ground.heard_tracks import reports_in
+from ground.received_tracks import reports_in
 
 MOST_TRACKS = 500  # paths: a peer may invent vehicles and numbers
 MOST_OF_ONE = 7200  # reports: an hour of one track
@@ -32,7 +32,7 @@ class TrackPaths:
         self.add(reports_in(key, payload))
 
     def add(self, reports: Iterable[TrackReport]) -> None:
-        """Reports in any order; one that is known already, as of an aircraft that is heard twice, changes nothing."""
+        """Reports in any order; one that is known, as of an aircraft received twice, changes nothing."""
         with self._lock:
             for report in reports:
                 if self._put(report):

@@ -2,7 +2,7 @@
 
 Exit codes: 0 done, 2 wrong usage or unusable input (one line on stderr), 3 the daemon that was asked is not running, or
 a replay solved no picture, 1 `doctor`, `bench` or `check-config --fly` found something, or the daemon failed and should
-be started anew, 130 interrupted (what was done is kept), 141 whoever reads our output (`head`, say) went away before
+be started again, 130 interrupted (what was done is kept), 141 whoever reads our output (`head`, say) went away before
 there was a verdict.
 """
 
@@ -372,7 +372,7 @@ def _add_make_credentials(credentials: argparse.ArgumentParser) -> None:
 
 
 def run_make_credentials(arguments: argparse.Namespace) -> int:
-    """Issue certificates and say where they are."""
+    """Issue certificates and print where they are."""
     from contract.fleet import FLEET_FILE, Fleet, read_fleet  # noqa: PLC0415
     from onboard.link.certificates import AUTHORITY, make_credentials  # noqa: PLC0415
 
@@ -419,14 +419,14 @@ def _add_importing(command: argparse.ArgumentParser) -> None:
 
 
 def run_import_video(arguments: argparse.Namespace) -> int:
-    """Make a flight of a video and say what was assumed."""
+    """Make a flight of a video and print what was assumed."""
     from onboard.commands import import_video  # noqa: PLC0415
 
     return import_video.run(arguments)
 
 
 def run_import_photos(arguments: argparse.Namespace) -> int:
-    """Make a flight of photographs and say what was assumed."""
+    """Make a flight of photographs and print what was assumed."""
     from onboard.commands import import_photos  # noqa: PLC0415
 
     return import_photos.run(arguments)
@@ -447,7 +447,7 @@ def run_check_config(arguments: argparse.Namespace) -> int:
 
 
 def run_daemon(arguments: argparse.Namespace) -> int:
-    """Fly until told to stop."""
+    """Fly until asked to stop."""
     from onboard.commands import run  # noqa: PLC0415
 
     return run.run(arguments)
@@ -514,7 +514,7 @@ def main(argv: list[str] | None = None) -> int:
         try:
             code = _run(argv)
         finally:
-            sys.stdout.flush()  # here, where it can be told, and not by the interpreter on its way out
+            sys.stdout.flush()  # here, where it can be reported, and not by the interpreter on its way out
     except BrokenPipeError:
         if not is_reader_gone():
             raise

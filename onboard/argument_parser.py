@@ -40,7 +40,7 @@ def is_output_lost(error: OSError) -> bool:
 
 
 def is_reader_gone() -> bool:
-    """Whether nobody reads our output any more; what it still holds is dropped then."""
+    """Whether our output is no longer read; what it still holds is dropped then."""
     output = select.poll()
     output.register(sys.stdout.fileno(), 0)
     if not output.poll(0):
@@ -73,7 +73,7 @@ def within(text: str, low: float, high: float, what: str) -> float:
 
 
 def speed(text: str) -> float | None:
-    """'max' -> None; a positive number, how many times as fast as it was flown."""
+    """'max' -> None; a positive number, how many times the recorded speed."""
     if text == "max":
         return None
     return within(text, ABOVE_0, 1000.0, "neither 'max' nor a number above 0, at most 1000")

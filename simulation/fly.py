@@ -43,7 +43,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("--out", required=True, metavar="DIR", help="folder to write; must be new or empty")
-    add("--seed", type=int, default=0, help="everything drawn at random follows from it (default 0)")
+    add("--seed", type=int, default=0, help="everything random follows from it (default 0)")
     add("--seconds", type=float, default=30.0, metavar="S", help="length (default 30)")
     add("--rate-hz", type=float, default=5.0, metavar="HZ", help="pictures a second (default 5)")
     add("--quiet", action="store_true", help="print no progress")
@@ -60,7 +60,7 @@ def _parser() -> argparse.ArgumentParser:
         "--log",
         choices=("whole", "part"),
         default="whole",
-        help="copy the whole log (default), or the part flown +-10 s",
+        help="copy the whole log (default), or the simulated part +-10 s",
     )
 
     add = parser.add_argument_group("described paths").add_argument
@@ -94,8 +94,8 @@ def _parser() -> argparse.ArgumentParser:
 
     add = parser.add_argument_group("telemetry of described paths").add_argument
     add("--autopilot", choices=("declared", "ordinary"),
-        help="declared: errors as the configuration declares them (default); ordinary: an ordinary autopilot's, drawn "
-        "by --seed (simulation/ordinary.py). The options below change single ones of either")  # fmt: skip
+        help="declared: errors as the configuration declares them (default); ordinary: an ordinary autopilot's, "
+        "sampled by --seed (simulation/ordinary.py). The options below change single ones of either")  # fmt: skip
     add("--position-hz", type=float, metavar="HZ", help="GLOBAL_POSITION_INT (default 10)")
     add("--gps-hz", type=float, metavar="HZ", help="GPS_RAW_INT (default 5)")
     add("--attitude-hz", type=float, metavar="HZ", help="0: none (default 25)")
@@ -277,11 +277,11 @@ def main(arguments: list[str] | None = None) -> int:
         spec, options = session_spec(sys.argv[1:] if arguments is None else arguments)
         on_terminal = sys.stderr.isatty() and not options.quiet
 
-        def tell(done: int, of: int) -> None:
+        def report(done: int, of: int) -> None:
             if on_terminal:
                 print(f"\rpicture {done} of {of}", end="\n" if done == of else "", file=sys.stderr, flush=True)
 
-        truth = fly(spec, options.out, tell)
+        truth = fly(spec, options.out, report)
     except (InputError, OSError) as error:
         print(f"simulation.fly: {error}", file=sys.stderr)
         return 2

@@ -1,6 +1,6 @@
 """Warm things on the ground with their truth: people, cars, rocks that the sun has warmed, and fires that spread.
 
-A shape says, for places on the ground, how much above the ground's own radiant temperature it is. Temperatures are
+A shape states, for places on the ground, how much above the ground's own radiant temperature it is. Temperatures are
 apparent ones, of a black body that looks the same.
 """
 

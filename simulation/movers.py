@@ -1,6 +1,7 @@
 """Things on the ground that move, or stand, with their truth: people, cars, and the shadows that they cast.
 
-Drawn flat on the ground with soft edges, lit as it is; where two lie over each other the later one of the list is seen.
+Rendered flat on the ground with soft edges, lit as it is; where two lie over each other the later one of the list is
+seen.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ TILT_PER_M_S2_DEG = 0.04
 HEADING_DEG, MAX_HEADING_BY_HEADING_DEG = 0.5, 5.0
 HEADING_DRIFT_DEG = (0.2, 2.0)
 VELOCITY_M_S, VELOCITY_PER_M_S2 = (0.06, 0.25), (0.01, 0.12)
-WANDER_M, WANDER_TIME_S, VERTICAL_SHARE = (0.5, 2.5), (30.0, 120.0), 1.6
+SLOW_M, SLOW_TIME_S, VERTICAL_SHARE = (0.5, 2.5), (30.0, 120.0), 1.6
 GLITCH_SHARE, GLITCH_M, GLITCH_S = 0.3, (5.0, 35.0), (8.0, 25.0)
 ATTITUDE_HZ = (2.0, 3.3, 4.0, 10.0, 10.0, 25.0, 25.0, 50.0)
 POSITION_HZ = (2.0, 3.3, 4.0, 5.0, 10.0)
@@ -69,14 +69,14 @@ def ordinary(seed: int) -> TelemetrySpec:
         glitch_follow_s=rng.uniform(1.0, 4.0),
         glitch_in_velocity=rng.uniform(0.0, 0.5),
     )
-    wander_m = log_uniform(*WANDER_M)
+    slow_m = log_uniform(*SLOW_M)
     return TelemetrySpec(
         position_hz=float(rng.choice(POSITION_HZ)),
         gps_hz=float(rng.choice(GPS_HZ)),
         attitude_hz=float(rng.choice(ATTITUDE_HZ)),
-        slow_horizontal_m=wander_m,
-        slow_vertical_m=VERTICAL_SHARE * wander_m,
-        slow_time_constant_s=rng.uniform(*WANDER_TIME_S),
+        slow_horizontal_m=slow_m,
+        slow_vertical_m=VERTICAL_SHARE * slow_m,
+        slow_time_constant_s=rng.uniform(*SLOW_TIME_S),
         velocity_m_s=0.05,
         slow_attitude_deg=0.0,
         jitter_s=log_uniform(0.005, 0.05),

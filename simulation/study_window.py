@@ -221,18 +221,18 @@ def _sensors(
     """Priors with sampled measurements; the GPS positions (K, 3); the measured R_enu_cam (K, 3, 3) or None."""
     K = layout.keyframes
     velocity = np.tile(TRAVEL_ENU * setting.speed_m_s, (K, 1))
-    drawn = [
+    sampled = [
         _gauss_markov(stamps, setting.gps_white_m[v], setting.gps_correlated_m[v], setting.gps_correlation_time_s, rng)
         for v in (0, 0, 1)
     ]
     late_s = truth.platform[OFFSET] + truth.platform[DELAY]
-    gps = truth.centres_enu_m - velocity * late_s + np.stack([e for e, _ in drawn], axis=1)
-    priors: list[Prior] = [PositionPrior(layout, gps, velocity, np.stack([w for _, w in drawn]), np.zeros(K))]
+    gps = truth.centres_enu_m - velocity * late_s + np.stack([e for e, _ in sampled], axis=1)
+    priors: list[Prior] = [PositionPrior(layout, gps, velocity, np.stack([w for _, w in sampled]), np.zeros(K))]
     if setting.velocity_sigma_m_s is not None:
         sigma = setting.velocity_sigma_m_s * np.diff(stamps)
-        flown = np.diff(truth.centres_enu_m, axis=0) + sigma[:, None] * rng.standard_normal((K - 1, 3))
+        displacement = np.diff(truth.centres_enu_m, axis=0) + sigma[:, None] * rng.standard_normal((K - 1, 3))
         whitener = np.stack([np.diag(1.0 / sigma)] * 3)
-        priors.append(VelocityPrior(layout, flown, np.diff(velocity, axis=0), whitener, np.zeros(K - 1)))
+        priors.append(VelocityPrior(layout, displacement, np.diff(velocity, axis=0), whitener, np.zeros(K - 1)))
     measured = None
     if setting.attitude_correlated_deg is not None:
         tilt, heading = np.radians(setting.attitude_correlated_deg)

@@ -125,9 +125,9 @@ def _layers(style: str, seed: int) -> tuple[Layer, ...]:
     bearing = rng.uniform(0.0, 2.0 * np.pi, 4)
     still = np.zeros(2)
     if style == "land":
-        drawn = kept(f"land-{seed}", lambda: [draw_grain(rng), draw_grain(rng), draw_land(rng), draw_country(rng)])
+        grains = kept(f"land-{seed}", lambda: [draw_grain(rng), draw_grain(rng), draw_land(rng), draw_country(rng)])
         texels_m, bearings = (0.061, 0.17, 0.31, 2.3), bearing[[3, 0, 1, 2]]
-        return tuple(Layer(Tile(*tile), still) for tile in zip(drawn, texels_m, map(float, bearings), strict=True))
+        return tuple(Layer(Tile(*tile), still) for tile in zip(grains, texels_m, map(float, bearings), strict=True))
     if style == "water":
         wave = draw_waves(rng)
         return (

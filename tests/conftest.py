@@ -42,7 +42,7 @@ CHECKOUT = Path(__file__).resolve().parents[1]
 def shared_data() -> Path:
     """The real flight and the long recordings, too large or not ours to commit.
 
-    `../shared/data` beside the checkout, or where POINTCLICK_SHARED says. Without them the test is left out, and the
+    `../shared/data` next to the checkout, or where POINTCLICK_SHARED says. Without them the test is left out, and the
     run's end says so.
     """
     folder = Path(os.environ.get("POINTCLICK_SHARED") or CHECKOUT.parent / "shared" / "data")
@@ -98,10 +98,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist looks at the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Those beside this file come first, for the longest are among them: one that began last would end alone.
+    """Those next to this file come first, for the longest are among them: one that began last would end alone.
 
     Without the long tests a file is one worker's: what its tests share is made once, and workers that wait, as all of
-    a file on the link do, are beside others that calculate. Long tests are few to a file and take minutes each.
+    a file on the link do, are next to others that calculate. Long tests are few to a file and take minutes each.
     """
     items.sort(key=lambda item: item.path.parent != Path(__file__).parent)
     if "not long" in config.option.markexpr:

@@ -66,7 +66,7 @@ def laid_over(base: Path, extra: str, folder: Path) -> Path:
 
 
 def share(file: Path | str, also: Path | str) -> None:
-    """Another name of a file that nobody writes to, or a copy on another disk."""
+    """Another name of a file that no one writes to, or a copy on another disk."""
     try:
         Path(also).hardlink_to(file)
     except OSError:

@@ -1,4 +1,4 @@
-"""What tests measured (`record_property`), shown at a run's end beside what was held."""
+"""What tests measured (`record_property`), shown at a run's end next to what was held."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ SLOW_ERROR_M = (0.9, -0.6, 4.0)  # east, north, up: of a receiver for a minute
 
 
 def write_video(session: Path, video: Path, *, subtitles: bool = True, drop: int | None = None) -> Path:
-    """The frames of a session as MP4 and, beside it, what a drone writes into subtitles. `drop`: every so many missing.
+    """The frames of a session as MP4 and next to it what a drone writes into subtitles. `drop`: every so many missing.
 
     Returns the file of subtitles.
     """

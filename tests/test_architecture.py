@@ -68,7 +68,7 @@ IO_ALLOWED = {
     "onboard.service", "onboard.commands", "onboard.events", "simulation", "simulation.autopilot", "demo", "benchmarks",
 }  # fmt: skip
 # One kind of thread for both sides, neither of which may import the other.
-IO_MODULES = {"contract.supervised_thread", "ground.spots.heard"}
+IO_MODULES = {"contract.supervised_thread", "ground.spots.received"}
 SHIPPED = ("contract", "ground", "onboard")
 
 

@@ -26,9 +26,9 @@ from benchmarks import (
     wire,
 )
 from benchmarks.__main__ import BENCHMARKS, RESULTS, STARTED, merge, section
-from benchmarks.flown import Leg, leg, out_and_back, sets_of
 from benchmarks.mechanisms import MECHANISMS
-from benchmarks.source_codecs import MOUNT_ANGLES, flown_by, mean_with_sigma, misstated, recoded
+from benchmarks.short_flight import Leg, leg, out_and_back, sets_of
+from benchmarks.source_codecs import MOUNT_ANGLES, mean_with_sigma, misstated, recoded, simulated_by
 from benchmarks.sources import flight_spec
 from contract.answer import Fix
 from contract.camera import Camera
@@ -47,19 +47,19 @@ FRAMES_A_PASS = 24
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Leg:
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Leg:
     """Three seconds of flight at eight pictures a second."""
     return leg(FRAMES_A_PASS / 8.0, 8.0, tmp_path_factory.mktemp("bench"))
 
 
 @pytest.fixture(scope="module")
-def sets(flown: Leg) -> list[FeatureSet]:
-    return sets_of(flown, 40)
+def sets(simulated: Leg) -> list[FeatureSet]:
+    return sets_of(simulated, 40)
 
 
-def test_a_leg_flown_out_and_back_is_one_consistent_flight(flown: Leg) -> None:
+def test_a_leg_simulated_out_and_back_is_one_consistent_flight(simulated: Leg) -> None:
     """Stamps never go back, and positions move as their own velocities say, on every pass."""
-    events = list(out_and_back(flown, 3 * FRAMES_A_PASS))
+    events = list(out_and_back(simulated, 3 * FRAMES_A_PASS))
     frames = [e for e in events if isinstance(e, Frame)]
     assert [f.index for f in frames] == list(range(3 * FRAMES_A_PASS))
     assert np.all(np.diff([f.stamp_ns for f in frames]) > 0)
@@ -73,7 +73,7 @@ def test_a_leg_flown_out_and_back_is_one_consistent_flight(flown: Leg) -> None:
     assert np.count_nonzero(~same_way) == 2
 
 
-def test_the_same_leg_is_drawn_once(flown: Leg, tmp_path: Path) -> None:
+def test_the_same_leg_is_rendered_once(simulated: Leg, tmp_path: Path) -> None:
     first = leg(1.0, 4.0, tmp_path)
     made = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.png")}
     again = leg(1.0, 4.0, tmp_path)
@@ -81,22 +81,22 @@ def test_the_same_leg_is_drawn_once(flown: Leg, tmp_path: Path) -> None:
     assert all(np.array_equal(a, b) for a, b in zip(first.images, again.images, strict=True))
 
 
-def test_tracking_is_compared_with_three_ways_of_raw_flow(flown: Leg) -> None:
-    said = tracking.report(flown.images, [("8 Hz", 1), ("4 Hz", 2)])
+def test_tracking_is_compared_with_three_ways_of_raw_flow(simulated: Leg) -> None:
+    said = tracking.report(simulated.images, [("8 Hz", 1), ("4 Hz", 2)])
     assert said.count("raw LK, picture to picture") == 2
     assert len(re.findall(r"goal 1\.6\): (NOT )?reached; \d+ tracks", said)) == 2
 
 
-def test_the_pipeline_counts_pictures_sets_and_memory(flown: Leg) -> None:
-    run = pipeline.fly(flown, 3 * FRAMES_A_PASS)
+def test_the_pipeline_counts_pictures_sets_and_memory(simulated: Leg) -> None:
+    run = pipeline.fly(simulated, 3 * FRAMES_A_PASS)
     assert run.frames == 3 * FRAMES_A_PASS
     assert run.solved > FRAMES_A_PASS
     assert len(run.call_ms) == len(run.lag_ms)
     assert all(lag >= call for lag, call in zip(run.lag_ms, run.call_ms, strict=True))
-    said = pipeline.report(flown, FRAMES_A_PASS)
+    said = pipeline.report(simulated, FRAMES_A_PASS)
     assert "of one core" in said
     assert "too short a run" in said
-    assert "vision/klt_tracker.py:" in pipeline.hot_spots(flown, FRAMES_A_PASS, 1000)
+    assert "vision/klt_tracker.py:" in pipeline.hot_spots(simulated, FRAMES_A_PASS, 1000)
 
 
 def test_a_ratio_to_an_earlier_commit_is_that_of_turns_side_by_side() -> None:
@@ -110,7 +110,7 @@ def test_a_ratio_to_an_earlier_commit_is_that_of_turns_side_by_side() -> None:
     assert "NOT reached" in against.report("abc1234", before, before)
 
 
-def test_latency_is_told_in_parts_and_held_against_the_goal_of_its_link() -> None:
+def test_latency_is_reported_in_parts_and_held_against_the_goal_of_its_link() -> None:
     parts_s = np.tile([0.003, 0.05, 0.03, 0.04, 0.001, 0.003], (20, 1))
     run = latency.Run(parts_s.sum(axis=1), parts_s, {"ATTITUDE": 25.0}, 2.0, 4.5)
     said = latency.report(100_000.0, run)
@@ -154,9 +154,9 @@ def test_the_wire_names_each_format(sets: list[FeatureSet]) -> None:
     assert "goal 480 for 100): NOT reached" in said
 
 
-def test_a_hundred_measured_features_take_480_bytes_and_answer_as_before_rounding(flown: Leg) -> None:
+def test_a_hundred_measured_features_take_480_bytes_and_answer_as_before_rounding(simulated: Leg) -> None:
     """Rounding moves a click by a small part of its ellipse, and makes that 1 % longer or shorter for nearly all."""
-    sets = sets_of(flown, 100)
+    sets = sets_of(simulated, 100)
     sizes = [len(encode(s)) for s in sets]
     assert len(sets) >= 5 and 440 <= np.median(sizes) <= 480
     rng = np.random.default_rng(0)
@@ -179,7 +179,7 @@ def test_a_set_is_written_and_read_in_less_than_zlib_and_json_take() -> None:
     The ratios were 1.2 and 1.05 when every column was taken apart by itself.
     """
     all_formats, _ = wire.formats()
-    s = plain_set(100, camera=Camera(640, 480, 879.2, 879.2, 319.5, 239.5))  # undistorted, as the flown leg's
+    s = plain_set(100, camera=Camera(640, 480, 879.2, 879.2, 319.5, 239.5))  # undistorted, as the simulated leg's
     pair = [all_formats[name] for name in ("ours", "JSON, zlib")]
     payloads = [kind.encode(s) for kind in pair]
     taken: dict[tuple[str, int], list[int]] = {(way, i): [] for way in ("write", "read") for i in range(2)}
@@ -252,16 +252,16 @@ def test_a_fleet_s_losses_are_those_of_the_phase_and_its_newest_sets_are_counted
     phase = fleet.Phase("all well", 10 * second, 20 * second, 1.0, 40.0)
     # Two aircraft (the second one flaps), a set each second; two operators, of whom the second one misses one set.
     said = np.array([(0, k, t, t * second, t * second) for k in (1, 2) for t in range(5, 25)])
-    heard = np.array(
+    received = np.array(
         [(o, k, t, t * second, t * second + o * 2_000_000) for o in (1, 2) for k in (1, 2) for t in range(5, 25)]
     )
-    heard = np.concatenate([heard, heard[:40] + (0, 0, 0, 0, second)])  # sent again: the first time counts
-    heard = heard[~((heard[:, 0] == 2) & (heard[:, 2] == 12))]
-    loss, ms = fleet.lost_and_late(phase, said, heard, 2, flapping=2)
+    received = np.concatenate([received, received[:40] + (0, 0, 0, 0, second)])  # sent again: the first time counts
+    received = received[~((received[:, 0] == 2) & (received[:, 2] == 12))]
+    loss, ms = fleet.lost_and_late(phase, said, received, 2, flapping=2)
     assert loss == pytest.approx(1 / 18) and len(ms) == 17  # nine seconds of ten are counted
     assert sorted(set(np.round(ms, 6))) == [2.0, 4.0]
-    assert fleet.newest_within_s(heard, 20 * second, 2, 2) == pytest.approx(0.004)
-    assert fleet.newest_within_s(heard, 20 * second, 3, 2) == float("inf")
+    assert fleet.newest_within_s(received, 20 * second, 2, 2) == pytest.approx(0.004)
+    assert fleet.newest_within_s(received, 20 * second, 3, 2) == float("inf")
 
 
 def test_results_name_no_folder_of_a_machine() -> None:
@@ -295,7 +295,7 @@ def test_what_a_mechanism_buys_is_seen_on_its_own_flight() -> None:
     """
     trial = ablation_scenes.own()["row waves"][0]
     mechanism = next(m for m in MECHANISMS if m.name == "row waves")
-    (on,), (off,) = (ablation.flown(trial, 1, how)[0] for how in (nullcontext(), mechanism.off()))
+    (on,), (off,) = (ablation.simulated(trial, 1, how)[0] for how in (nullcontext(), mechanism.off()))
     answered, inside = ablation.FIGURES.index("answered"), ablation.FIGURES.index("inside")
     assert on[answered] > 0.9 and on[inside] > 0.85
     assert off[answered] < 0.85 * on[answered]
@@ -340,8 +340,8 @@ def test_sharpness_is_one_for_errors_as_stated_and_half_for_ellipses_twice_too_w
     assert "missed: sharpness 0.50; coverage 100" in wide
 
 
-def test_beside_a_recorded_autopilot_the_ellipses_hold_in_every_bank() -> None:
-    """Forty seconds of ArduPilot's own telemetry, level and in a turn of 58 degrees of bank, over drawn ground."""
+def test_with_a_recorded_autopilot_the_ellipses_hold_in_every_bank() -> None:
+    """Forty seconds of ArduPilot's own telemetry, level and in a turn of 58 degrees of bank, over rendered ground."""
     recording = Path(__file__).parent / "data" / "plane_turn"
     scene = autopilots.Scene(str(recording), parse_config(""), start_s=10.0, seconds=40.0)
     score = autopilots.judge(scene, seed=0, warm_s=10.0)
@@ -404,25 +404,28 @@ def test_shares_of_flights_are_pooled_with_what_they_scatter_by() -> None:
 def test_mount_stamps_and_optics_are_misstated_by_as_much_as_is_stated() -> None:
     config, sigmas = parse_config(""), (0.02, 0.01, 0.03, 0.05, 0.04)
     camera = replace(Camera.from_field_of_view(640, 480, 60.0), stated_sigma=sigmas)
-    drawn = [misstated(config, camera, seed) for seed in range(400)]
+    sampled = [misstated(config, camera, seed) for seed in range(400)]
     f = camera.fx_px
-    optics = [(c.fx_px / f, c.cx_px / f, c.cy_px / f, *c.distortion[:2]) for _, c in drawn]
+    optics = [(c.fx_px / f, c.cx_px / f, c.cy_px / f, *c.distortion[:2]) for _, c in sampled]
     assert np.std(optics, axis=0) == pytest.approx(sigmas, rel=0.15)
-    angles = [[getattr(c.mount, name) for name in MOUNT_ANGLES] for c, _ in drawn]
+    angles = [[getattr(c.mount, name) for name in MOUNT_ANGLES] for c, _ in sampled]
     assert np.std(angles, axis=0) == pytest.approx([config.mount.sigma_deg] * 3, rel=0.15)
     assert np.mean(angles, axis=0) == pytest.approx([0.0, -90.0, 0.0], abs=0.2)
-    late_s = [c.camera.latency_s for c, _ in drawn]
+    late_s = [c.camera.latency_s for c, _ in sampled]
     assert np.std(late_s) == pytest.approx(config.camera.sigma_latency_s, rel=0.15)
-    assert all(c.sigma == sigmas for _, c in drawn)
+    assert all(c.sigma == sigmas for _, c in sampled)
 
 
-def test_a_path_flown_by_another_autopilot_has_its_pictures_and_a_log_of_its_own(tmp_path: Path) -> None:
+def test_a_path_simulated_by_another_autopilot_has_its_pictures_and_a_log_of_its_own(tmp_path: Path) -> None:
     spec = replace(flight_spec(2.0, 7), camera=Camera.from_field_of_view(96, 72, 60.0))
     session = tmp_path / "own"
     fly(spec, session)
     for name in ("again", "others"):
         (tmp_path / name).mkdir()
-    again, another = flown_by(session, spec, 7, tmp_path / "again"), flown_by(session, spec, 8, tmp_path / "others")
+    again, another = (
+        simulated_by(session, spec, 7, tmp_path / "again"),
+        simulated_by(session, spec, 8, tmp_path / "others"),
+    )
     logs = [(folder / "telemetry.tlog").read_bytes() for folder in (session, again, another)]
     stamps = [(folder / "stamps.csv").read_text() for folder in (session, again, another)]
     assert logs[0] == logs[1] != logs[2]

@@ -1,7 +1,7 @@
 """Nine true errors of ten lie inside the stated ellipse: of one click, of a pair in one set, of a pair in two sets;
 of hot spots, of what they are merged into, and of tracks.
 
-Whole flights with every error drawn from the configured priors; `benchmarks.coverage` prints the table. A flight is
+Whole flights with every error sampled from the configured priors; `benchmarks.coverage` prints the table. A flight is
 one sample of all slow errors, so that the share of single clicks has a sigma of 7 % over sixteen flights.
 """
 
@@ -22,17 +22,17 @@ FLIGHTS, SHORT_FLIGHTS = 16, 40
 @pytest.mark.parametrize("row", ["attitude + velocity", "seed (GPS + camera + level)"])
 def test_nine_of_ten_errors_lie_inside_their_ellipses_within_a_set_and_between_sets(row: str) -> None:
     counts = [judge(rows()[row], seed) for seed in range(500, 500 + FLIGHTS)]
-    flown = [c for c in counts if isinstance(c, Counts)]
-    assert len(flown) == FLIGHTS
+    simulated = [c for c in counts if isinstance(c, Counts)]
+    assert len(simulated) == FLIGHTS
 
     def share(kind: str) -> float:
-        return float(np.mean([np.mean(np.array(getattr(c, kind)) < CHI2_2) for c in flown if getattr(c, kind)]))
+        return float(np.mean([np.mean(np.array(getattr(c, kind)) < CHI2_2) for c in simulated if getattr(c, kind)]))
 
     def mean(kind: str) -> float:
-        return float(np.concatenate([getattr(c, kind) for c in flown]).mean()) / 2.0
+        return float(np.concatenate([getattr(c, kind) for c in simulated]).mean()) / 2.0
 
-    # Errors of time are one draw a flight and act alike on every click of it: shares say little about the wide side,
-    # which the mean of squared errors over what was claimed holds, 1 if honest.
+    # Errors of time are one draw a flight and act in the same way on every click of it: shares say little about the
+    # wide side, which the mean of squared errors over what was claimed holds, 1 if honest.
     assert 0.76 < share("clicks") < 0.995
     assert 0.6 < mean("clicks") < 1.4
     assert 0.82 < share("one_set") < 0.985
@@ -40,24 +40,26 @@ def test_nine_of_ten_errors_lie_inside_their_ellipses_within_a_set_and_between_s
     assert 0.82 < share("two_near") < 0.998
     assert 0.78 < share("two_far") < 0.998
     assert 0.55 < mean("two_far") < 1.4
-    assert 0.7 < np.mean([np.mean(c.pose) for c in flown]) < 1.4
+    assert 0.7 < np.mean([np.mean(c.pose) for c in simulated]) < 1.4
     # What two sets share takes most of their ellipses away: without it this is 0.1.
-    difference = np.concatenate([c.two_near for c in flown])
+    difference = np.concatenate([c.two_near for c in simulated])
     assert 0.35 < np.mean(difference) / 2 < 1.3
 
 
 def test_the_ellipses_of_spots_and_of_what_they_are_merged_into_hold_nine_errors_of_ten() -> None:
-    flown = [found_coverage.find_spots(found_coverage.rows()["straight down"], seed) for seed in range(SHORT_FLIGHTS)]
-    assert sum(len(one.spots) for one in flown) > 10 * SHORT_FLIGHTS
-    people, parts = sum(one.people for one in flown), sum(one.parts for one in flown)
-    assert people > 2 * SHORT_FLIGHTS and parts <= 1.05 * people  # nobody becomes two
-    for errors in ([one.spots for one in flown], [one.things for one in flown]):
+    simulated = [
+        found_coverage.find_spots(found_coverage.rows()["straight down"], seed) for seed in range(SHORT_FLIGHTS)
+    ]
+    assert sum(len(one.spots) for one in simulated) > 10 * SHORT_FLIGHTS
+    people, parts = sum(one.people for one in simulated), sum(one.parts for one in simulated)
+    assert people > 2 * SHORT_FLIGHTS and parts <= 1.05 * people  # no one becomes two
+    for errors in ([one.spots for one in simulated], [one.things for one in simulated]):
         inside, _, mean = found_coverage.share_inside(errors)
         assert 0.78 < inside < 0.985 and 0.6 < mean < 1.5
 
 
 def test_the_ellipses_of_tracks_hold_nine_errors_of_ten() -> None:
-    flown = [found_coverage.find_tracks(found_coverage.track_spec(), seed) for seed in range(FLIGHTS)]
-    inside, _, mean = found_coverage.share_inside([one.tracks for one in flown])
-    assert sum(len(one.tracks) for one in flown) > 30 * FLIGHTS
+    simulated = [found_coverage.find_tracks(found_coverage.track_spec(), seed) for seed in range(FLIGHTS)]
+    inside, _, mean = found_coverage.share_inside([one.tracks for one in simulated])
+    assert sum(len(one.tracks) for one in simulated) > 30 * FLIGHTS
     assert 0.76 < inside < 0.995 and 0.5 < mean < 1.5

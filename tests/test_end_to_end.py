@@ -28,7 +28,7 @@ from simulation.terrain import TerrainSpec
 from simulation.truth import Truth
 from tests.installed import share
 from tests.onboard.link.ports import free_endpoint
-from tests.scenarios.flights import flown as session_of
+from tests.scenarios.flights import simulated as session_of
 from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.xdist_group("end to end")  # one worker: what they share is made once
@@ -80,30 +80,30 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @dataclass(frozen=True)
-class Flown:
+class Simulated:
     """A finished replay."""
 
     recording: Path
     summary: str
 
 
-class Replays(dict[str, Flown]):
+class Replays(dict[str, Simulated]):
     """The flight replayed with the seed's sensors and with all, by name of the configuration, once each when needed."""
 
     def __init__(self, flight: Path, out: Path) -> None:
         super().__init__()
         self._flight, self._out = flight, out
 
-    def __missing__(self, name: str) -> Flown:
+    def __missing__(self, name: str) -> Simulated:
         recording = self._out / f"{name}.mcap"
         done = run("onboard", *replay_arguments(self._flight, config=self._flight / f"{name}.toml", record=recording))
         assert (done.returncode, done.stderr) == (0, "")
-        self[name] = Flown(recording, done.stdout)
+        self[name] = Simulated(recording, done.stdout)
         return self[name]
 
 
 @pytest.fixture(scope="module")
-def flown(flight: Path, tmp_path_factory: pytest.TempPathFactory) -> Replays:
+def simulated(flight: Path, tmp_path_factory: pytest.TempPathFactory) -> Replays:
     return Replays(flight, tmp_path_factory.mktemp("recordings"))
 
 
@@ -114,9 +114,11 @@ def batch(clicks: Path, recording: Path) -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize(("sensors", "bound_m"), [("seed", 6.0), ("full", 3.0)])
-def test_clicks_land_where_they_should(flight: Path, flown: dict[str, Flown], sensors: str, bound_m: float) -> None:
+def test_clicks_land_where_they_should(
+    flight: Path, simulated: dict[str, Simulated], sensors: str, bound_m: float
+) -> None:
     rows = list(csv.DictReader((flight / "truth_clicks.csv").open()))
-    answers = batch(flight / "truth_clicks.csv", flown[sensors].recording)
+    answers = batch(flight / "truth_clicks.csv", simulated[sensors].recording)
     assert len(answers) == len(rows) > 500
     errors_m, inside = [], []
     for row, answer in zip(rows, answers, strict=True):
@@ -135,8 +137,8 @@ def test_clicks_land_where_they_should(flight: Path, flown: dict[str, Flown], se
 
 
 @pytest.mark.parametrize("sensors", ["seed", "full"])
-def test_every_picture_of_a_solved_stretch_can_be_clicked(flown: dict[str, Flown], sensors: str) -> None:
-    recording = Recording(flown[sensors].recording)
+def test_every_picture_of_a_solved_stretch_can_be_clicked(simulated: dict[str, Simulated], sensors: str) -> None:
+    recording = Recording(simulated[sensors].recording)
     sets = [recording.by_frame("uav", frame) for frame in range(FRAMES)]
     assert recording.frames("uav") == list(range(FRAMES))
     solved = [s for s in sets if s is not None and s.is_ok]
@@ -145,36 +147,36 @@ def test_every_picture_of_a_solved_stretch_can_be_clicked(flown: dict[str, Flown
     assert min(len(s) for s in solved) >= 30
 
 
-def test_the_summary_tells_what_became_of_the_pictures(flown: dict[str, Flown]) -> None:
-    reported = dict(line.split("  ", 1) for line in flown["full"].summary.splitlines())
+def test_the_summary_tells_what_became_of_the_pictures(simulated: dict[str, Simulated]) -> None:
+    reported = dict(line.split("  ", 1) for line in simulated["full"].summary.splitlines())
     assert int(reported["frames"]) == FRAMES
     assert {"keyframes", "solved", "refused", "median tracks", "reprojection", "time, tracking", "time, solve"} <= set(
         reported
     )
 
 
-def test_the_same_inputs_give_the_same_bytes(flight: Path, flown: dict[str, Flown], tmp_path: Path) -> None:
+def test_the_same_inputs_give_the_same_bytes(flight: Path, simulated: dict[str, Simulated], tmp_path: Path) -> None:
     again = tmp_path / "again.mcap"
     done = run("onboard", *replay_arguments(flight, config=flight / "full.toml", record=again))
     assert done.returncode == 0
-    assert again.read_bytes() == flown["full"].recording.read_bytes()
+    assert again.read_bytes() == simulated["full"].recording.read_bytes()
 
 
 @pytest.mark.wall_clock
-def test_a_cold_click_takes_under_a_second(flown: dict[str, Flown]) -> None:
+def test_a_cold_click_takes_under_a_second(simulated: dict[str, Simulated]) -> None:
     """Alone it takes 0.2 s."""
-    assert flown["full"]
+    assert simulated["full"]
     times: list[float] = []
     while len(times) < 3 or (min(times) >= 1.0 and len(times) < 10):  # the machine may stand still for a second
         began = time.monotonic()
-        assert run("ground", "click", 320, 240, "--frame", 20, "--from", flown["full"].recording).returncode == 0
+        assert run("ground", "click", 320, 240, "--frame", 20, "--from", simulated["full"].recording).returncode == 0
         times.append(time.monotonic() - began)
     assert min(times) < 1.0
 
 
 @pytest.fixture(scope="module")
 def endpoint(flight: Path) -> Iterator[str]:
-    """An aircraft in the air: a replay that publishes, three times as fast as it was flown."""
+    """An aircraft in the air: a replay that publishes, three times the recorded speed."""
     where = free_endpoint()
     config = flight / "live.toml"
     config.write_text(f'{MOUNT}{FULL_SET}\n[link]\nlisten = ["{where}"]\n\n[vehicle]\nid = "kiwi"\n')
@@ -194,7 +196,7 @@ def endpoint(flight: Path) -> Iterator[str]:
 
 
 def click_until(endpoint: str, *arguments: object, code: int) -> subprocess.CompletedProcess[str]:
-    """Ask again until it ends with `code`: the picture may still have to be flown."""
+    """Ask again until it ends with `code`: the picture may still have to come."""
     deadline = time.monotonic() + 2.0 * PATIENCE_S
     while True:
         done = run("ground", "click", *arguments, "--connect", endpoint, "--format", "json")
@@ -332,8 +334,8 @@ def test_the_demo_runs(tmp_path: Path) -> None:
         error = LocalFrame(true.lat_deg[0], true.lon_deg[0], true.height_amsl_m[0]).to_enu(*place)[:2]
         figures = place[0] * 111_000.0, place[1] * 81_000.0, place[2] / 5.0, answer["ellipse"]["semi_major_m"]
         assert [*figures, float(np.hypot(*error))] == pytest.approx(row, abs=0.25), key
-    drawn = sorted(path.name for path in out.iterdir() if path.suffix in (".png", ".jpg"))
-    assert drawn == ["map.png", "overview.jpg", "tracks_1_frames.png", "tracks_2_features.png", "tracks_3_paths.png"]
+    sampled = sorted(path.name for path in out.iterdir() if path.suffix in (".png", ".jpg"))
+    assert sampled == ["map.png", "overview.jpg", "tracks_1_frames.png", "tracks_2_features.png", "tracks_3_paths.png"]
 
 
 @pytest.mark.long

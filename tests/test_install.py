@@ -1,4 +1,4 @@
-"""What is installed: the lock, the wheel, and each extra alone, in an environment with nothing else beside it."""
+"""What is installed: the lock, the wheel, and each extra alone, in an environment with nothing else next to it."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ HEIGHT_M = 120.0
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of what an installation is made of: setuptools leaves its build folder beside it."""
+    """A copy of what an installation is made of: setuptools leaves its build folder next to it."""
     ignored = shutil.ignore_patterns(".*", "out", "build", "*.egg-info", "tests", "docs", "frontend", "__pycache__")
     return Path(shutil.copytree(ROOT, tmp_path_factory.mktemp("source") / "pointclick", ignore=ignored))
 
@@ -174,7 +174,7 @@ def test_a_link_without_an_aircraft_is_one_clear_line(environment: Path) -> None
         (["clack"], "clack"),
     ],
 )
-def test_wrong_usage_is_told(environment: Path, arguments: list[str], said: str) -> None:
+def test_wrong_usage_is_reported(environment: Path, arguments: list[str], said: str) -> None:
     done = run(environment, "pc-ground", *arguments)
     assert (done.returncode, done.stdout) == (2, "")
     assert said in done.stderr
@@ -241,7 +241,7 @@ def use_onboard(environment: Path, folder: Path) -> None:
 
 
 def use_terrain(environment: Path, folder: Path) -> None:
-    """An elevation model is read with nothing but the base beside rasterio."""
+    """An elevation model is read with nothing but the base and rasterio."""
     heights = np.full((1201, 1201), 77, ">i2")
     (folder / "S44E172.hgt").write_bytes(heights.tobytes())
     program = f"""
@@ -360,7 +360,7 @@ def use_open(programs: Path, folder: Path) -> None:
 
 
 def use_mavlink(programs: Path, folder: Path) -> None:
-    """A click asked of nobody: the library is there, and what is wrong is said."""
+    """A click asked of no one: the library is there, and what is wrong is said."""
     radio = f"mavlink:udpin:127.0.0.1:{free_udp_port()}"
     done = run(programs, "pc-ground", "click", 1, 2, "--connect", radio)
     assert (done.returncode, done.stdout) == (2, "") and "no autopilot was received" in done.stderr, done.stderr

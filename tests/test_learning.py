@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.drawn_flight import DrawnFlight, DrawnSpec, fly
+from benchmarks.sampled_flight import SampledFlight, SampledSpec, fly
 from onboard.config.schema import parse_config
 from simulation.paths import PathSpec
 
@@ -23,8 +23,8 @@ def test_three_degrees_of_mount_and_a_third_of_a_second_are_recovered(
     """Three minutes with turns; the sensors' errors are 0.4 of those configured. As far off for 42 s: see
     test_platform_errors.
     """
-    spec = DrawnSpec(parse_config(""), TURNS, 180.0, 2.0, errors=0.4, boresight_deg=boresight_deg, offset_s=offset_s)
-    flight = DrawnFlight(spec, 5)
+    spec = SampledSpec(parse_config(""), TURNS, 180.0, 2.0, errors=0.4, boresight_deg=boresight_deg, offset_s=offset_s)
+    flight = SampledFlight(spec, 5)
     sets, pipeline = fly(flight)
     belief = pipeline.window.alignment.belief
     errors_deg = np.degrees(belief.mean[:3] - flight.boresight_rad)

@@ -101,7 +101,7 @@ def test_a_failure_or_an_empty_run_fails(tmp_path: Path, parallel: int, serial: 
 
 
 @pytest.mark.parametrize(("types", "parallel", "is_well"), [(0, 0, True), (1, 0, False), (0, 1, False), (1, 1, False)])
-def test_types_are_checked_beside_the_tests_and_either_fails(
+def test_types_are_checked_next_to_the_tests_and_either_fails(
     tmp_path: Path, types: int, parallel: int, is_well: bool
 ) -> None:
     code, calls, said = make_pytest(tmp_path, parallel, 0, target="test", types=types)
@@ -155,7 +155,7 @@ def test_files_that_can_hold_none_of_the_chosen_tests_are_not_imported(
 
 
 def test_what_a_group_shares_is_made_by_one_worker(tmp_path: Path) -> None:
-    """pytest-xdist keeps a group together by a name it hangs on each test; beside some pytests it silently does not."""
+    """pytest-xdist keeps a group together by a name it hangs on each test; with some pytests it silently does not."""
     (tmp_path / "test_of_a_group.py").write_text(
         'import pytest\n\n\n@pytest.mark.xdist_group("kept together")\ndef test_it(request):\n'
         '    assert request.node.nodeid.endswith("@kept together")\n'

@@ -102,7 +102,7 @@ def test_of_a_library_that_would_not_load_as_before_only_what_is_not_loaded_beco
     assert [path.name for path in zstandard.parent.iterdir()] == ["small.so"]
 
 
-def test_a_machine_whose_strip_does_not_know_the_architecture_is_told_the_command(
+def test_a_machine_whose_strip_does_not_know_the_architecture_is_given_the_command(
     zstandard: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(slim.shutil, "which", lambda program: None)
@@ -178,7 +178,7 @@ def test_an_addition_holds_nothing_that_is_there_already(tmp_path: Path) -> None
     assert (tmp_path / "base" / "alike").is_dir()
 
 
-def test_a_host_without_an_emulator_is_told_the_one_command(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_host_without_an_emulator_is_given_the_one_command(monkeypatch: pytest.MonkeyPatch) -> None:
     have = {"apt-get", "dpkg-deb"}
     monkeypatch.setattr(emulation.shutil, "which", lambda program: program if program in have else None)
     monkeypatch.setattr(emulation.os, "geteuid", lambda: 1000)

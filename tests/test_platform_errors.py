@@ -1,4 +1,4 @@
-"""Lever arm, delays and a compass that errs by its heading are modelled, so that answers hold beside them."""
+"""Lever arm, delays and a compass that errs by its heading are modelled, so that answers hold with them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, fly, replace_section
+from benchmarks.sampled_flight import PLACE, SampledFlight, SampledSpec, fly, replace_section
 from contract.answer import CHI2_2
 from contract.camera import UNKNOWN_SIGMA, Camera
 from contract.feature_set import FeatureSet
@@ -16,8 +16,8 @@ from onboard.config.schema import Config, parse_config
 from onboard.estimation.boresight import Belief
 from onboard.estimation.platform_states import HEADING, OFFSET, STATES
 from simulation.paths import PathSpec
-from tests.drawn_clicks import chi2_of, located
 from tests.rest_long import rest_long
+from tests.sampled_clicks import chi2_of, located
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ def with_latency(sigma_s: float) -> Config:
     return replace_section(CONFIG, "gps", sigma_latency_s=sigma_s)
 
 
-def errors_of(flight: DrawnFlight, sets: dict[int, FeatureSet], after_s: float) -> list[float]:
+def errors_of(flight: SampledFlight, sets: dict[int, FeatureSet], after_s: float) -> list[float]:
     """Horizontal errors (m) of clicks at the pictures' middles and near their corners, from `after_s` on."""
     out = []
     for k, s in sets.items():
@@ -42,7 +42,7 @@ def errors_of(flight: DrawnFlight, sets: dict[int, FeatureSet], after_s: float) 
     return out
 
 
-def clicks(flight: DrawnFlight, sets: dict[int, FeatureSet], after_s: float, every: int = 4) -> tuple[Array, Array]:
+def clicks(flight: SampledFlight, sets: dict[int, FeatureSet], after_s: float, every: int = 4) -> tuple[Array, Array]:
     """Squared errors in units of the stated covariance, and semi-major axes, of clicks from `after_s` on."""
     rng = np.random.default_rng(7)
     chi2, semi_m = [], []
@@ -58,11 +58,11 @@ def clicks(flight: DrawnFlight, sets: dict[int, FeatureSet], after_s: float, eve
 def body_bias_m(lever_known: bool) -> Array:
     """Mean error (3,) of the cameras' centres, body axes, over turns; sensors err by a 250th of what is declared."""
     config = with_latency(0.001)  # at one speed a lever arm ahead looks like a delay: here there is none to be found
-    config = replace_section(config, "solve", level_ground_sigma_deg=2.0)  # ground is drawn by it, and is to be level
+    config = replace_section(config, "solve", level_ground_sigma_deg=2.0)  # ground is sampled by it, and is to be level
     if lever_known:
         config = replace_section(config, "mount", lever_arm_m=LEVER_M)
-    spec = DrawnSpec(config, TURNS, seconds=37.0, rate_hz=2.0, errors=0.004, lever_arm_m=LEVER_M)
-    flight = DrawnFlight(spec, 3)
+    spec = SampledSpec(config, TURNS, seconds=37.0, rate_hz=2.0, errors=0.004, lever_arm_m=LEVER_M)
+    flight = SampledFlight(spec, 3)
     sets, _ = fly(flight)
     R_enu_body = flight.trajectory.R_enu_body(flight.times_s)
     errors = []
@@ -98,7 +98,7 @@ def test_a_delay_is_covered_by_the_ellipse(path: PathSpec, seconds: float, after
     """Three metres along the track that no straight leg shows: held by the ellipse, and not by one without end."""
     inside, wide = [], []
     for seed in range(2):
-        flight = DrawnFlight(DrawnSpec(CONFIG, path, seconds, 2.0, errors=0.5, delay_s=delay_s, offset_s=0.0), seed)
+        flight = SampledFlight(SampledSpec(CONFIG, path, seconds, 2.0, errors=0.5, delay_s=delay_s, offset_s=0.0), seed)
         sets, _ = fly(flight)
         chi2, semi_m = clicks(flight, sets, after_s)
         assert len(chi2) > 10
@@ -113,8 +113,8 @@ def test_who_takes_the_delay_for_certain_is_wrong_by_it() -> None:
     """The flights above need their ellipses: with the delay declared certain, most clicks lie outside."""
     inside = []
     for seed in range(3):
-        spec = DrawnSpec(with_latency(0.001), seconds=24.0, rate_hz=2.0, errors=0.5, delay_s=0.15, offset_s=0.0)
-        flight = DrawnFlight(spec, seed)
+        spec = SampledSpec(with_latency(0.001), seconds=24.0, rate_hz=2.0, errors=0.5, delay_s=0.15, offset_s=0.0)
+        flight = SampledFlight(spec, seed)
         sets, _ = fly(flight)
         inside += list(clicks(flight, sets, 4.0)[0] < CHI2_2)
     assert np.mean(inside) < 0.8
@@ -124,8 +124,8 @@ def test_who_takes_the_delay_for_certain_is_wrong_by_it() -> None:
 def test_a_compass_that_errs_by_its_heading_is_recovered_after_turns(seconds: float) -> None:
     """Over opposite legs and turns: found within three of its sigmas, which have become smaller."""
     heading_error_deg = (4.0, -4.0)  # by cosine and sine of the heading: from 5.7 to -5.7 within a circle
-    spec = DrawnSpec(CONFIG, SURVEY, seconds, 2.0, errors=0.4, heading_error_deg=heading_error_deg, offset_s=0.0)
-    flight = DrawnFlight(spec, 4)
+    spec = SampledSpec(CONFIG, SURVEY, seconds, 2.0, errors=0.4, heading_error_deg=heading_error_deg, offset_s=0.0)
+    flight = SampledFlight(spec, 4)
     sets, pipeline = fly(flight)
     belief = pipeline.window.alignment.belief
     found_deg, sigma_deg = np.degrees(belief.mean[HEADING]), np.degrees(belief.sigma[HEADING])
@@ -138,7 +138,7 @@ def test_a_compass_that_errs_by_its_heading_is_recovered_after_turns(seconds: fl
 
 @pytest.mark.long
 def test_without_such_an_error_none_is_found() -> None:
-    flight = DrawnFlight(DrawnSpec(CONFIG, SURVEY, 75.0, 2.0, errors=0.4, offset_s=0.0), 4)
+    flight = SampledFlight(SampledSpec(CONFIG, SURVEY, 75.0, 2.0, errors=0.4, offset_s=0.0), 4)
     _, pipeline = fly(flight)
     belief = pipeline.window.alignment.belief
     assert np.all(np.abs(belief.mean[HEADING]) < 3.0 * belief.sigma[HEADING])
@@ -146,11 +146,11 @@ def test_without_such_an_error_none_is_found() -> None:
 
 
 def test_late_stamps_are_known_after_a_few_turns_from_beyond_their_prior() -> None:
-    """0.45 s where 0.1 is declared, a mount 2 and 1.5 degrees off: rotations say so twice before it is believed."""
+    """0.45 s where 0.1 is declared, a mount 2 and 1.5 degrees off: rotations say so twice before it is accepted."""
     truth_deg, offset_s = np.array([2.0, 1.5, 0.0]), -0.45
-    config = replace_section(CONFIG, "solve", level_ground_sigma_deg=2.0)  # the ground, too, is drawn by it
-    spec = DrawnSpec(config, TURNS, 42.0, 2.0, errors=0.5, boresight_deg=(2.0, 1.5, 0.0), offset_s=offset_s)
-    flight = DrawnFlight(spec, 1)
+    config = replace_section(CONFIG, "solve", level_ground_sigma_deg=2.0)  # the ground, too, is sampled by it
+    spec = SampledSpec(config, TURNS, 42.0, 2.0, errors=0.5, boresight_deg=(2.0, 1.5, 0.0), offset_s=offset_s)
+    flight = SampledFlight(spec, 1)
     sets, pipeline = fly(flight)
     belief = pipeline.window.alignment.belief
     assert abs(belief.mean[OFFSET] - offset_s) < 0.03
@@ -166,15 +166,15 @@ def test_late_stamps_are_known_after_a_few_turns_from_beyond_their_prior() -> No
 
 def with_camera_file(filed: Camera | None, seconds: float, after_s: float) -> tuple[list[float], Array, Belief]:
     """Errors (m) and squared errors in units of the stated covariance after some time of turns, and what was found."""
-    spec = DrawnSpec(CONFIG, TURNS, seconds, rate_hz=2.0, offset_s=0.0, camera_file=filed)
-    flight = DrawnFlight(spec, 0)
+    spec = SampledSpec(CONFIG, TURNS, seconds, rate_hz=2.0, offset_s=0.0, camera_file=filed)
+    flight = SampledFlight(spec, 0)
     sets, pipeline = fly(flight)
     chi2, _ = clicks(flight, sets, after_s)
     assert len(chi2) > 20
     return errors_of(flight, sets, after_s), chi2, pipeline.window.alignment.belief
 
 
-LENS = DrawnSpec(CONFIG).camera
+LENS = SampledSpec(CONFIG).camera
 # Focal length 3 % and k1 0.1 off, in a file that says nothing of its errors.
 WRONG = replace(
     LENS,

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from benchmarks.flown import Leg, leg
+from benchmarks.short_flight import Leg, leg
 from benchmarks.soak import soak
-from benchmarks.soak_clock import AHEAD_S, BEHIND_S, FASTER, SETTLE_NS, SLACK_NS, SLOWER, Governor, ToldClock
+from benchmarks.soak_clock import AHEAD_S, BEHIND_S, FASTER, SETTLE_NS, SLACK_NS, SLOWER, Governor, StatedClock
 from benchmarks.soak_daemon import pass_ns, pictures
 from benchmarks.soak_verdict import Faults, Minute, Soak
 from benchmarks.soak_world import LAST_NS, GpsLoss, out_and_back, watchdog_s
@@ -29,13 +29,13 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def flown(cache: Path) -> Leg:
+def simulated(cache: Path) -> Leg:
     """Four seconds of flight at four pictures a second."""
     return leg(SECONDS, RATE_HZ, cache)
 
 
 @pytest.fixture(scope="module")
-def log(flown: Leg, cache: Path) -> Flight:
+def log(simulated: Leg, cache: Path) -> Flight:
     return Flight.read(cache / f"leg_{SECONDS:g}s_{RATE_HZ:g}hz" / "telemetry.tlog")
 
 
@@ -57,11 +57,11 @@ def run(minutes: int, **last: float) -> Soak:
 
 
 @pytest.mark.long
-def test_a_minute_through_every_fault_passes(flown: Leg, cache: Path, tmp_path: Path) -> None:
+def test_a_minute_through_every_fault_passes(simulated: Leg, cache: Path, tmp_path: Path) -> None:
     """Camera, telemetry and GPS are lost and come back; the daemon says so, is well again, and ends cleanly."""
     faults = Faults(unplugged=((14.0, 5.0),), cut=((26.0, 5.0),), no_gps=((38.0, 8.0),))
     done = soak(
-        flown,
+        simulated,
         tmp_path,
         minutes=1.0,
         faults=faults,
@@ -150,25 +150,25 @@ def test_the_unit_s_watchdog_is_read() -> None:
     assert watchdog_s() == 10.0
 
 
-def test_the_camera_s_pictures_are_one_flight_without_end(flown: Leg) -> None:
+def test_the_camera_s_pictures_are_one_flight_without_end(simulated: Leg) -> None:
     """Evenly spaced, each another than the one before, and where the autopilot is by then."""
-    frames = list(itertools.islice(pictures(flown, 7_000), 4 * len(flown.frames)))
+    frames = list(itertools.islice(pictures(simulated, 7_000), 4 * len(simulated.frames)))
     spacing_ns = np.diff([f.stamp_ns for f in frames])
     assert frames[0].stamp_ns == 7_000
     assert np.allclose(spacing_ns, 1e9 / RATE_HZ, rtol=0.01)
     assert all(a.image is not b.image for a, b in itertools.pairwise(frames))
-    round_ = 2 * (len(flown.frames) - 1)
+    round_ = 2 * (len(simulated.frames) - 1)
     assert frames[round_].image is frames[0].image
-    assert frames[round_].stamp_ns == 7_000 + 2 * pass_ns(flown)
+    assert frames[round_].stamp_ns == 7_000 + 2 * pass_ns(simulated)
 
 
-def test_the_autopilot_s_leg_is_one_consistent_flight_in_a_loop(flown: Leg, log: Flight) -> None:
+def test_the_autopilot_s_leg_is_one_consistent_flight_in_a_loop(simulated: Leg, log: Flight) -> None:
     """Messages fill out and back evenly, and positions move as their own velocities say, both ways."""
-    looped = out_and_back(log, flown)
+    looped = out_and_back(log, simulated)
     assert looped.due_ns == sorted(looped.due_ns)
-    assert looped.due_ns[-1] - looped.due_ns[0] + LAST_NS == 2 * pass_ns(flown)
+    assert looped.due_ns[-1] - looped.due_ns[0] + LAST_NS == 2 * pass_ns(simulated)
     fixes = [m for m in looped.messages if m.get_type() == "GLOBAL_POSITION_INT"]
-    assert len(fixes) == pytest.approx(2 * pass_ns(flown) / 1e8, abs=3)
+    assert len(fixes) == pytest.approx(2 * pass_ns(simulated) / 1e8, abs=3)
     stamps = np.array([m.time_boot_ms for m in fixes])
     assert np.all(np.diff(stamps) > 0)
     north_cm = np.array([m.lat for m in fixes]) * 1e-7 * np.pi / 180.0 * 6378137.0 * 100.0
@@ -179,7 +179,7 @@ def test_the_autopilot_s_leg_is_one_consistent_flight_in_a_loop(flown: Leg, log:
     assert np.count_nonzero(~same_way) == 1
 
 
-def test_gps_is_lost_while_told_and_only_then() -> None:
+def test_gps_is_lost_while_specified_and_only_then() -> None:
     spoil = GpsLoss(1_000, ((2.0, 3.0),))
     for into_s, fix in ((1.9, 3), (2.1, 1), (4.9, 1), (5.1, 3)):
         raw = mavlink.MAVLink_gps_raw_int_message(0, 3, 0, 0, 0, 0, 0, 0, 0, 9)
@@ -191,7 +191,7 @@ def test_gps_is_lost_while_told_and_only_then() -> None:
 
 def test_the_flight_s_clock_is_the_same_in_both_processes_and_waits_for_its_camera(tmp_path: Path) -> None:
     governor = Governor(tmp_path / "clock", 5.0, 10_000_000)
-    reported = ToldClock(tmp_path / "clock")
+    reported = StatedClock(tmp_path / "clock")
     time.sleep(0.05)
     stopped_ns = governor.pace.now_ns()
     assert reported.now_ns() == stopped_ns == governor.pace.limit_ns

@@ -27,7 +27,7 @@ def eventually(condition: Callable[[], object], within_s: float = PATIENCE_S) ->
 
 
 class Stalls:
-    """For how long this thread was held up in all: what runs beside it was, too, and is excused for as long."""
+    """For how long this thread was held up in all: what runs next to it was, too, and is excused for as long."""
 
     def __init__(self) -> None:
         self.total_s = 0.0

@@ -12,7 +12,7 @@ LEAST_POINTS, MOST_POINTS = 3, 255
 
 
 def outline_bytes(points: int) -> int:
-    """That an outline takes beside its number of points."""
+    """That an outline takes in addition to its number of points."""
     return 1 + 2 * points if points else 0
 
 

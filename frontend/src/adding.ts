@@ -2,7 +2,7 @@
 
 import { api, Refused } from "./api.js";
 import { byId } from "./dom.js";
-import type { CoordinateSaid } from "./types.js";
+import type { CoordinateReply } from "./types.js";
 import type { State } from "./state.js";
 
 const PAUSE_MS = 250;
@@ -21,13 +21,13 @@ export class CoordinateField {
   clear(): void { this.input.value = ""; this.echo.textContent = ""; }
 
   /** What was typed. Throws Refused, which the field shows. */
-  async read(): Promise<CoordinateSaid> {
+  async read(): Promise<CoordinateReply> {
     window.clearTimeout(this.timer);
     const text = this.input.value.trim();
     try {
-      const said = await api.coordinate(text);
-      if (text === this.input.value.trim()) this.echo.textContent = `read as ${said.texts["degrees"]}${said.texts["mgrs"] ? `, ${said.texts["mgrs"]}` : ""}`;
-      return said;
+      const reply = await api.coordinate(text);
+      if (text === this.input.value.trim()) this.echo.textContent = `read as ${reply.texts["degrees"]}${reply.texts["mgrs"] ? `, ${reply.texts["mgrs"]}` : ""}`;
+      return reply;
     } catch (error) {
       this.echo.textContent = text === "" ? "" : error instanceof Refused ? error.message : String(error);
       throw error;
@@ -61,10 +61,10 @@ export function wireAdding(state: State, done: (words: string) => void): void {
     const input = event.target as HTMLInputElement, file = input.files?.[0];
     if (file === undefined) return;
     result.textContent = `reading ${file.name} ...`;
-    api.importFile(file, state.options.who).then((said) => {
+    api.importFile(file, state.options.who).then((reply) => {
       dialog.close();
-      const rest = [...(said.known > 0 ? [`${said.known} were here already`] : []), ...(said.left_out > 0 ? [`${said.left_out} things are no points`] : [])];
-      done(`${said.imported} pins from ${file.name}${rest.length > 0 ? `; ${rest.join(", ")}` : ""}`);
+      const rest = [...(reply.known > 0 ? [`${reply.known} were here already`] : []), ...(reply.left_out > 0 ? [`${reply.left_out} things are no points`] : [])];
+      done(`${reply.imported} pins from ${file.name}${rest.length > 0 ? `; ${rest.join(", ")}` : ""}`);
     }, failed).finally(() => { input.value = ""; });
   });
 }

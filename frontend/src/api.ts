@@ -1,6 +1,6 @@
 // Requests to the server that served the page, and its events.
 
-import type { ClickBody, CoordinateSaid, FireSaid, FoundSpot, FrameRow, FrameView, Handoff, Pin, PinReply, PlaceSaid, Seen, SeenAt, SeenPicture, SeenState, ServerEvent, ServerStatus, Tie, TrackReport } from "./types.js";
+import type { ClickBody, CoordinateReply, FireReply, FoundSpot, FrameRow, FrameView, Handoff, Pin, PinReply, PlaceReply, Seen, SeenAt, SeenPicture, SeenState, ServerEvent, ServerStatus, Tie, TrackReport } from "./types.js";
 
 export class Refused extends Error {
   constructor(readonly status: number, message: string, readonly body: unknown) { super(message); }
@@ -19,12 +19,12 @@ async function asked<T>(path: string, method = "GET", body?: unknown, expected: 
     throw new Refused(0, "the server does not answer; the page goes on trying", null);
   }
   const isJson = (answer.headers.get("content-type") ?? "").startsWith("application/json");
-  const said: unknown = isJson ? await answer.json() : await answer.text();
+  const content: unknown = isJson ? await answer.json() : await answer.text();
   if (!answer.ok && !expected.includes(answer.status)) {
-    const detail = isJson && said !== null && typeof said === "object" && "detail" in said ? said.detail : said;
-    throw new Refused(answer.status, typeof detail === "string" ? detail : JSON.stringify(detail), said);
+    const detail = isJson && content !== null && typeof content === "object" && "detail" in content ? content.detail : content;
+    throw new Refused(answer.status, typeof detail === "string" ? detail : JSON.stringify(detail), content);
   }
-  return said as T;
+  return content as T;
 }
 
 const part = encodeURIComponent;
@@ -45,7 +45,7 @@ export const api = {
   follow: (body: ClickBody) => asked<{ vehicle: string; track: number; frame: number }>("/api/tracks", "POST", body),
   endTrack: (vehicle: string, track: number) => asked<unknown>(`/api/tracks/${part(vehicle)}/${track}`, "DELETE"),
   spots: () => asked<{ version: number; spots: FoundSpot[] }>("/api/spots"),
-  fire: (minutes: string) => asked<FireSaid>(`/api/fire?minutes=${minutes}`),
+  fire: (minutes: string) => asked<FireReply>(`/api/fire?minutes=${minutes}`),
   confirmSpot: (spot: number, body: { category: string; who: string }) => asked<Pin>(`/api/spots/${spot}/confirm`, "POST", body),
   dismissSpot: (spot: number, who: string) => asked<unknown>(`/api/spots/${spot}/dismiss`, "POST", { who }),
   spotCropUrl: (spot: FoundSpot) => `/api/spots/${spot.spot}/crop?v=${spot.best.frame}`,
@@ -54,8 +54,8 @@ export const api = {
   addClick: (id: string, body: ClickBody & { who: string; anyway?: boolean }) => asked<PinReply>(`/api/pins/${part(id)}/clicks`, "POST", body, [409, 422]),
   typedPin: (body: { lat_deg: number; lon_deg: number; sigma_m?: number; seen_utc?: string; name: string; category: string; who: string }) =>
     asked<PinReply>("/api/pins", "POST", body),
-  place: (body: ClickBody) => asked<PlaceSaid>("/api/place", "POST", body),
-  coordinate: (text: string) => asked<CoordinateSaid>(`/api/coordinate?text=${part(text)}`),
+  place: (body: ClickBody) => asked<PlaceReply>("/api/place", "POST", body),
+  coordinate: (text: string) => asked<CoordinateReply>(`/api/coordinate?text=${part(text)}`),
   importFile: (file: File, who: string) =>
     asked<{ imported: number; known: number; left_out: number }>(`/api/import?name=${part(file.name)}&who=${part(who)}`, "POST", file),
   removeClick: (id: string, click: string, who: string) =>

@@ -1,6 +1,6 @@
 // How old what is seen is, on the picture itself: in words, in colour, and counting.
 
-import { byId, say } from "./dom.js";
+import { byId, setText } from "./dom.js";
 import { age } from "./format.js";
 import type { State } from "./state.js";
 import type { FrameView } from "./types.js";
@@ -30,7 +30,7 @@ export class AgeBadge {
     if (shown === null) return;
     const [kind, words] = this.words(shown);
     this.element.dataset["kind"] = kind;
-    say(this.element, words);
+    setText(this.element, words);
   }
 
   private words(shown: FrameView): [string, string] {

@@ -24,11 +24,11 @@ export async function baseMap(tiles: Tiles): Promise<BaseMap> {
   if (tiles.kind === "tilejson") {
     const answer = await fetch(tiles.url);
     if (!answer.ok) throw new Error(`${tiles.url}: ${answer.status}`);
-    const said = await answer.json() as { tiles: string[]; minzoom?: number; maxzoom?: number; bounds?: Bounds; attribution?: string; vector_layers?: unknown };
-    const zooms = { minzoom: said.minzoom ?? 0, ...(said.maxzoom === undefined ? {} : { maxzoom: said.maxzoom }) };
-    const bounds = said.bounds === undefined ? null : known(said.bounds);
-    const source = { tiles: said.tiles, ...zooms, ...(bounds === null ? {} : { bounds }), ...(said.attribution === undefined ? {} : { attribution: plain(said.attribution) }) };
-    return made(source, said.vector_layers !== undefined, bounds, zooms.minzoom, null);
+    const about = await answer.json() as { tiles: string[]; minzoom?: number; maxzoom?: number; bounds?: Bounds; attribution?: string; vector_layers?: unknown };
+    const zooms = { minzoom: about.minzoom ?? 0, ...(about.maxzoom === undefined ? {} : { maxzoom: about.maxzoom }) };
+    const bounds = about.bounds === undefined ? null : known(about.bounds);
+    const source = { tiles: about.tiles, ...zooms, ...(bounds === null ? {} : { bounds }), ...(about.attribution === undefined ? {} : { attribution: plain(about.attribution) }) };
+    return made(source, about.vector_layers !== undefined, bounds, zooms.minzoom, null);
   }
   const zooms = { ...(tiles.max_zoom > 0 ? { maxzoom: tiles.max_zoom } : {}), minzoom: tiles.min_zoom, ...(tiles.bounds === null ? {} : { bounds: tiles.bounds }) };
   const url = tiles.kind === "mbtiles" ? `${location.origin}${tiles.url}` : tiles.url;

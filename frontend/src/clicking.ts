@@ -2,7 +2,7 @@
 
 import { api, Refused } from "./api.js";
 import { showTie } from "./dialogs.js";
-import { byId, make, say } from "./dom.js";
+import { byId, make, setText } from "./dom.js";
 import { age, degrees, heightText, methodWords, within, WITHIN_TITLE } from "./format.js";
 import type { Following } from "./following.js";
 import type { PicturePane } from "./picture.js";
@@ -19,7 +19,7 @@ export class Clicking {
 
   constructor(private readonly state: State) {}
 
-  say(text: string, kind: "ok" | "refused" | "note" = "note"): void {
+  show(text: string, kind: "ok" | "refused" | "note" = "note"): void {
     this.answer.dataset["kind"] = kind;
     this.answer.title = "";
     this.answer.textContent = text;
@@ -30,22 +30,22 @@ export class Clicking {
     state.setMode({ kind: "pin" });
     if (!state.mayChange) { await this.look(body); return; }
     if (mode.kind === "tie") {
-      showTie(body, state, (tie) => this.say(`known place ${tie.name === "" ? degrees(tie.lat_deg, tie.lon_deg, tie.sigma_m) : tie.name}: all pins of ${tie.vehicle} in this flight moved`));
+      showTie(body, state, (tie) => this.show(`known place ${tie.name === "" ? degrees(tie.lat_deg, tie.lon_deg, tie.sigma_m) : tie.name}: all pins of ${tie.vehicle} in this flight moved`));
       return;
     }
     const again = mode.kind === "again" ? state.pins.get(mode.pin) : undefined;
     await this.make(body, picture, again, false);
   }
 
-  /** Whoever may change nothing is told the place. */
+  /** Who may change nothing is shown the place. */
   private async look(body: ClickBody): Promise<void> {
-    this.say("...");
+    this.show("...");
     try {
-      const said = await api.place(body);
-      if (said.status === "ok") this.say(`${degrees(said.lat_deg, said.lon_deg, said.ce90_m)}  ${within(said.ce90_m)}  ${heightText(said)}`, "ok");
-      else this.say(`Refused: ${said.reason ?? said.status}`, "refused");
+      const reply = await api.place(body);
+      if (reply.status === "ok") this.show(`${degrees(reply.lat_deg, reply.lon_deg, reply.ce90_m)}  ${within(reply.ce90_m)}  ${heightText(reply)}`, "ok");
+      else this.show(`Refused: ${reply.reason ?? reply.status}`, "refused");
     } catch (error) {
-      this.say(error instanceof Refused ? error.message : String(error), "refused");
+      this.show(error instanceof Refused ? error.message : String(error), "refused");
     }
   }
 
@@ -55,28 +55,28 @@ export class Clicking {
     const category = again?.category ?? state.options.category, number = again?.number ?? state.nextNumber() + this.pendingNew;
     if (again === undefined) this.pendingNew += 1;
     picture.markers.clearRefusals();
-    this.say(`${kindOf(category).title} ${number}: ...`);
+    this.show(`${kindOf(category).title} ${number}: ...`);
     picture.markers.begin({ key, number, category, vehicle: body.vehicle, session: body.session, frame: body.frame, at: body, text: "", isRefused: false });
     try {
       const reply: PinReply = again === undefined ? await api.addPin({ click: body, category, who }) : await api.addClick(again.id, { ...body, who, anyway });
       if (reply.pin !== null) {
         picture.markers.done(key);
-        this.sayPin(reply.pin, reply.answer);
+        this.showPin(reply.pin, reply.answer);
         this.following?.clicked(body);
         state.putPin(reply.pin, reply.revision);
       } else if (reply.apart_m !== undefined && again !== undefined) {
         picture.markers.refuse(key, reply.reason ?? "");
         this.offer(reply.apart_m, body, picture, again);
       } else {
-        const said = reply.answer;
-        const text = `${said?.reason ?? said?.status ?? "no answer"}.${said?.advice ? ` What helps: ${said.advice}.` : ""}`;
-        this.say(`Refused: ${text}`, "refused");
+        const refusal = reply.answer;
+        const text = `${refusal?.reason ?? refusal?.status ?? "no answer"}.${refusal?.advice ? ` What helps: ${refusal.advice}.` : ""}`;
+        this.show(`Refused: ${text}`, "refused");
         this.following?.clicked(body);
         picture.markers.refuse(key, text);
       }
     } catch (error) {
       const text = error instanceof Refused ? error.message : String(error);
-      this.say(`Not kept: ${text}`, "refused");
+      this.show(`Not kept: ${text}`, "refused");
       picture.markers.refuse(key, text);
     } finally {
       state.clicksUnderWay -= 1;
@@ -84,26 +84,26 @@ export class Clicking {
     }
   }
 
-  private sayPin(pin: Pin, said: ClickAnswer | null): void {
-    say(this.answer, answerText(pin, said));
-    this.answer.title = `${WITHIN_TITLE}; ${methodWords(said?.method ?? "")[1]}`;
+  private showPin(pin: Pin, reply: ClickAnswer | null): void {
+    setText(this.answer, answerText(pin, reply));
+    this.answer.title = `${WITHIN_TITLE}; ${methodWords(reply?.method ?? "")[1]}`;
     this.answer.dataset["kind"] = "ok";
   }
 
   /** A click that contradicts its pin was not added: the pin is where it was, and the operator decides on the click. */
   private offer(apart: number, body: ClickBody, picture: PicturePane, again: Pin): void {
-    this.say(`Not added: ${apart.toFixed(0)} m from pin ${again.number}.`, "refused");
+    this.show(`Not added: ${apart.toFixed(0)} m from pin ${again.number}.`, "refused");
     const button = (label: string, run: () => void): HTMLButtonElement => make("button", { type: "button", click: run }, label);
     this.answer.append(
       button("Make it a new pin", () => void this.make(body, picture, undefined, false)),
       button("Add it anyway", () => void this.make(body, picture, again, true)),
-      button("Remove last click", () => { picture.markers.clearRefusals(); this.say(`pin ${again.number} is as it was`); }));
+      button("Remove last click", () => { picture.markers.clearRefusals(); this.show(`pin ${again.number} is as it was`); }));
   }
 }
 
-function answerText(pin: Pin, said: ClickAnswer | null): string {
+function answerText(pin: Pin, reply: ClickAnswer | null): string {
   const place = pin.place, name = `${kindOf(pin.category).title} ${pin.number}`;
   if (place.status !== "ok") return `${name}: ${place.reason}`;
   return `${name}: ${degrees(place.lat_deg, place.lon_deg, place.ce90_m)}  ${within(place.ce90_m)}  ${heightText(place)}` +
-    (said === null ? "" : `  ${methodWords(said.method ?? "")[0]}, picture ${said.age_s === null ? "of unknown age" : `${age(said.age_s)} old`}`);
+    (reply === null ? "" : `  ${methodWords(reply.method ?? "")[0]}, picture ${reply.age_s === null ? "of unknown age" : `${age(reply.age_s)} old`}`);
 }

@@ -32,12 +32,12 @@ export async function showHandoff(pin: Pin, state: State, map: MapPane | null): 
   const crs = make("input", { type: "text", maxlength: "40", placeholder: "EPSG:2193", "aria-label": "another coordinate system" });
   const table = make("div", { class: "formats" });
   const fill = async (): Promise<void> => {
-    const said = await api.handoff(pin.id, from.value, crs.value.trim());
-    table.replaceChildren(...said.texts.map(({ name, title, text }) => {
+    const reply = await api.handoff(pin.id, from.value, crs.value.trim());
+    table.replaceChildren(...reply.texts.map(({ name, title, text }) => {
       const button: HTMLButtonElement = make("button", { type: "button", click: () => void copied(text, button), "aria-label": `copy ${title}` }, "Copy");
       return make("div", { class: "format", "data-format": name }, make("span", { class: "format-name" }, title), make("span", { class: "format-text" }, text), button);
     }));
-    byId("readback").textContent = said.readback;
+    byId("readback").textContent = reply.readback;
   };
   const crop = make("img", { class: "crop", alt: "the picture around the click", src: api.cropUrl(pin.id, String(pin.clicks.length)) });
   crop.addEventListener("error", () => crop.remove());
@@ -65,9 +65,9 @@ function mapOf(pin: Pin, map: MapPane | null): HTMLElement {
   const figure = make("figure", { class: "handoff-map", hidden: true });
   if (map === null || pin.place.status !== "ok") return figure;
   const { lat_deg, lon_deg, ce90_m } = pin.place;
-  void map.snapshot(lat_deg, lon_deg, Math.max(6 * (ce90_m ?? 20), 60)).then((drawn) => {
-    if (drawn === null) return;
-    figure.append(make("img", { src: drawn, alt: `map about pin ${pin.number}, north up` }), make("figcaption", {}, `pin ${pin.number}, north up; its ellipse: ${within(ce90_m)}`));
+  void map.snapshot(lat_deg, lon_deg, Math.max(6 * (ce90_m ?? 20), 60)).then((image) => {
+    if (image === null) return;
+    figure.append(make("img", { src: image, alt: `map about pin ${pin.number}, north up` }), make("figcaption", {}, `pin ${pin.number}, north up; its ellipse: ${within(ce90_m)}`));
     figure.hidden = false;
   }, () => undefined);
   return figure;
@@ -89,9 +89,9 @@ export function showTie(click: ClickBody, state: State, done: (tie: Tie) => void
     field.read().then((place) => api.addTie({
       click, lat_deg: place.lat_deg, lon_deg: place.lon_deg, sigma_m: Number(value("sigma")), name: value("name"), who: state.options.who,
       height_m: height, datum: value("datum"), sigma_height_m: height === null ? null : Number(value("sigma-height")),
-    })).then((said) => {
-      if (said.tie !== null) { dialog.close(); done(said.tie); return; }
-      result.textContent = said.reason ?? [said.answer?.reason, said.answer?.advice].filter(Boolean).join("; ");
+    })).then((reply) => {
+      if (reply.tie !== null) { dialog.close(); done(reply.tie); return; }
+      result.textContent = reply.reason ?? [reply.answer?.reason, reply.answer?.advice].filter(Boolean).join("; ");
     }, (error: unknown) => { result.textContent = error instanceof Refused ? error.message : String(error); });
   };
   dialog.showModal();

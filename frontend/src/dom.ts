@@ -22,6 +22,6 @@ export function byId<T extends HTMLElement>(id: string): T {
 }
 
 /** Change a text only where it differs: an element that stays is not read out again. */
-export function say(element: HTMLElement, text: string): void {
+export function setText(element: HTMLElement, text: string): void {
   if (element.textContent !== text) element.textContent = text;
 }

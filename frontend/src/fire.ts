@@ -2,9 +2,9 @@
 
 import type { GeoJSONSource, Map as MapLibreMap } from "maplibre-gl";
 import { api } from "./api.js";
-import { byId, make, say } from "./dom.js";
+import { byId, make, setText } from "./dom.js";
 import { collection } from "./map-layers.js";
-import type { FireSaid } from "./types.js";
+import type { FireReply } from "./types.js";
 
 const LOOK_MS = 5000;
 const MINUTES = ["1", "5", "15", "60"], FIRST = "5";
@@ -47,15 +47,15 @@ export class FireLayer {
     window.clearTimeout(this.timer);
     const turn = ++this.turnCount;
     try {
-      const said = await api.fire(this.minutes);
+      const reply = await api.fire(this.minutes);
       if (!this.isOn || turn !== this.turnCount) return;
-      say(this.words, said.words);
-      this.draw(said.features);
-    } catch { /* the page says that the server does not answer */ }
+      setText(this.words, reply.words);
+      this.draw(reply.features);
+    } catch { /* the page shows that the server does not answer */ }
     if (this.isOn && turn === this.turnCount) this.timer = window.setTimeout(() => void this.look(), LOOK_MS);
   }
 
-  private draw(features: FireSaid["features"]): void {
+  private draw(features: FireReply["features"]): void {
     (this.map.getSource("fire") as GeoJSONSource).setData(collection(features));
   }
 }

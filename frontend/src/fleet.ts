@@ -17,6 +17,6 @@ export function groupTitle(group: Group, vehicles: readonly VehicleState[], text
 
 /** Whether what was typed is in an aircraft's name, state or trouble; every word of it, in small or capital letters. */
 export function isWanted(one: VehicleState, text: string): boolean {
-  const said = `${one.id} ${one.state} ${one.words} ${one.trouble}`.toLowerCase();
-  return text.toLowerCase().split(/\s+/).every((word) => said.includes(word));
+  const words = `${one.id} ${one.state} ${one.words} ${one.trouble}`.toLowerCase();
+  return text.toLowerCase().split(/\s+/).every((word) => words.includes(word));
 }

@@ -1,7 +1,7 @@
 // Asking that what was clicked is followed, the boxes of what is followed in the picture, and the list of it.
 
 import { api, Refused } from "./api.js";
-import { byId, make, say } from "./dom.js";
+import { byId, make, setText } from "./dom.js";
 import { toPane, type Size, type View } from "./mapping.js";
 import { PHASE_COLOURS } from "./map-tracks.js";
 import type { State } from "./state.js";
@@ -11,14 +11,14 @@ import type { ClickBody, FrameView } from "./types.js";
 const LEAST_BOX_PX = 26; // on the screen: of a small thing the box is larger than it, or it could not be seen
 const TICK_MS = 1000; // what is no longer reported is seen to have ended
 
-type Say = (text: string, kind: "ok" | "refused" | "note") => void;
+type Show = (text: string, kind: "ok" | "refused" | "note") => void;
 
-/** What was clicked last can be followed: by a button beside its answer, or the key G. */
+/** What was clicked last can be followed: by a button next to its answer, or the key G. */
 export class Following {
   private last: ClickBody | null = null;
   private isAsking = false;
 
-  constructor(private readonly state: State, private readonly say: Say) {}
+  constructor(private readonly state: State, private readonly show: Show) {}
 
   /** A click was answered, with a place or without: it may be followed. */
   clicked(body: ClickBody): void {
@@ -30,15 +30,15 @@ export class Following {
 
   async begin(): Promise<void> {
     const body = this.last;
-    if (body === null) { this.say("Click what is to be followed first.", "note"); return; }
+    if (body === null) { this.show("Click what is to be followed first.", "note"); return; }
     if (this.isAsking) return;
     this.isAsking = true;
-    this.say("Asking the aircraft to follow it ...", "note");
+    this.show("Asking the aircraft to follow it ...", "note");
     try {
-      const said = await api.follow(body);
-      this.say(`Followed as track ${said.track} of ${said.vehicle}: its box is in the picture, its path on the map.`, "ok");
+      const reply = await api.follow(body);
+      this.show(`Followed as track ${reply.track} of ${reply.vehicle}: its box is in the picture, its path on the map.`, "ok");
     } catch (error) {
-      this.say(`Not followed: ${error instanceof Refused ? error.message : String(error)}`, "refused");
+      this.show(`Not followed: ${error instanceof Refused ? error.message : String(error)}`, "refused");
     } finally {
       this.isAsking = false;
     }
@@ -47,7 +47,7 @@ export class Following {
 
 /** A box about each thing that is followed, in whatever picture is shown. */
 export class TrackBoxes {
-  private readonly drawn = new Map<string, HTMLElement>();
+  private readonly boxes = new Map<string, HTMLElement>();
 
   constructor(private readonly layer: HTMLElement, private readonly state: State) {}
 
@@ -61,20 +61,20 @@ export class TrackBoxes {
       seen.add(track.key);
       this.put(track, x, y, side);
     }
-    for (const [key, element] of this.drawn) if (!seen.has(key)) { element.remove(); this.drawn.delete(key); }
+    for (const [key, element] of this.boxes) if (!seen.has(key)) { element.remove(); this.boxes.delete(key); }
   }
 
   private put(track: TrackNow, x: number, y: number, side: number): void {
-    let element = this.drawn.get(track.key);
+    let element = this.boxes.get(track.key);
     if (element === undefined) {
       element = make("div", { class: "track-box", "data-testid": "track-box", "data-track": track.key }, make("b", {}));
-      this.drawn.set(track.key, element);
+      this.boxes.set(track.key, element);
       this.layer.append(element);
     }
     element.dataset["phase"] = track.phase;
     element.style.width = element.style.height = `${side.toFixed(1)}px`;
     element.style.transform = `translate(${(x - side / 2).toFixed(1)}px, ${(y - side / 2).toFixed(1)}px)`;
-    say(element.firstElementChild as HTMLElement, String(track.number));
+    setText(element.firstElementChild as HTMLElement, String(track.number));
   }
 }
 
@@ -87,7 +87,7 @@ export class TrackList {
 
   constructor(private readonly state: State, private readonly actions: TrackActions) {
     state.on(["tracks", "shown", "vehicles"], () => this.draw());
-    window.setInterval(() => { if (this.rows.size > 0) state.tell("tracks"); }, TICK_MS);
+    window.setInterval(() => { if (this.rows.size > 0) state.notify("tracks"); }, TICK_MS);
   }
 
   private draw(): void {
@@ -103,7 +103,7 @@ export class TrackList {
       const [sign, go, end] = [...row.children] as HTMLElement[];
       row.dataset["phase"] = track.phase;
       sign!.style.background = PHASE_COLOURS[track.phase];
-      say(go!, `${this.state.vehicles.length > 1 ? `${track.vehicle} ` : ""}${track.number}  ${trackWords(track)}`);
+      setText(go!, `${this.state.vehicles.length > 1 ? `${track.vehicle} ` : ""}${track.number}  ${trackWords(track)}`);
       end!.hidden = !isLive || !this.state.mayChange || track.phase === "lost" || track.phase === "ended";
     }
     for (const [key, row] of this.rows) if (!seen.has(key)) { row.remove(); this.rows.delete(key); }

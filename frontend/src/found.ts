@@ -1,7 +1,7 @@
 // What a machine found: in the picture, and as a list that waits for a person; new ones alarm by sound and colour.
 
 import { api } from "./api.js";
-import { byId, make, say } from "./dom.js";
+import { byId, make, setText } from "./dom.js";
 import { within } from "./format.js";
 import { toPane, type View } from "./mapping.js";
 import { shortHeat } from "./map-tracks.js";
@@ -16,7 +16,7 @@ export interface FoundActions { goTo(spot: FoundSpot): void; confirm(spot: Found
 
 /** A ring about each find that waits for a person, in any picture that shows its place. */
 export class SpotMarks {
-  private readonly drawn = new Map<number, HTMLElement>();
+  private readonly elements = new Map<number, HTMLElement>();
 
   constructor(private readonly layer: HTMLElement, private readonly state: State) {}
 
@@ -27,17 +27,17 @@ export class SpotMarks {
       const at = height === null ? null : pixelOf(frame!.camera!, { width: frame!.width_px, height: frame!.height_px }, spot.lat_deg, spot.lon_deg, height);
       if (at === null) continue;
       seen.add(spot.spot);
-      let element = this.drawn.get(spot.spot);
+      let element = this.elements.get(spot.spot);
       if (element === undefined) {
         element = make("div", { class: "spot-mark", "data-testid": "spot-mark" }, make("b", {}));
-        this.drawn.set(spot.spot, element);
+        this.elements.set(spot.spot, element);
         this.layer.append(element);
       }
       const { x, y } = toPane(view, at);
       element.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
-      say(element.firstElementChild as HTMLElement, `${spot.spot} ${shortHeat(spot)}`);
+      setText(element.firstElementChild as HTMLElement, `${spot.spot} ${shortHeat(spot)}`);
     }
-    for (const [spot, element] of this.drawn) if (!seen.has(spot)) { element.remove(); this.drawn.delete(spot); }
+    for (const [spot, element] of this.elements) if (!seen.has(spot)) { element.remove(); this.elements.delete(spot); }
   }
 }
 
@@ -59,7 +59,7 @@ export class FoundList {
 
   private drawMute(): void {
     const { isMuted } = this.state.options;
-    say(this.mute, isMuted ? "Sound off" : "Sound on");
+    setText(this.mute, isMuted ? "Sound off" : "Sound on");
     this.mute.setAttribute("aria-pressed", String(isMuted));
     this.mute.title = "whether a new hot spot makes a sound";
   }
@@ -79,7 +79,7 @@ export class FoundList {
       this.fill(row, spot);
     });
     for (const [spot, row] of this.rows) if (!open.has(spot)) { row.remove(); this.rows.delete(spot); }
-    say(this.count, `Hot spots ${spots.length}${spots[0] === undefined ? "" : `, the hottest ${shortHeat(spots[0])}`}`);
+    setText(this.count, `Hot spots ${spots.length}${spots[0] === undefined ? "" : `, the hottest ${shortHeat(spots[0])}`}`);
     this.element.hidden = spots.length === 0;
     if (this.isBegun && news.length > 0) this.alarm(news);
     this.isBegun = true;
@@ -113,7 +113,7 @@ export class FoundList {
     const url = api.spotCropUrl(spot);
     if (crop.getAttribute("src") !== url) { crop.classList.remove("none"); crop.setAttribute("src", url); }
     const above = spot.above_ground_k, hot = spot.temperature_c === null || above === null ? spot.heat : `${shortHeat(spot)} (${above >= 0 ? "+" : ""}${above.toFixed(1)} K)`;
-    say(words, `${spot.spot}  ${hot}, ${within(spot.ce90_m)}, ${spot.motion}, ${spot.pictures} pictures`);
+    setText(words, `${spot.spot}  ${hot}, ${within(spot.ce90_m)}, ${spot.motion}, ${spot.pictures} pictures`);
   }
 }
 

@@ -6,7 +6,7 @@ import { wireAdding } from "./adding.js";
 import { AgeBadge } from "./badge.js";
 import { Clicking } from "./clicking.js";
 import { closers, listTies, showHandoff } from "./dialogs.js";
-import { byId, make, say } from "./dom.js";
+import { byId, make, setText } from "./dom.js";
 import { Following, TrackList } from "./following.js";
 import { FoundList } from "./found.js";
 import { clock } from "./format.js";
@@ -26,21 +26,21 @@ let mapPane: MapPane | null = null;
 
 const clicking = new Clicking(state);
 const picture = new PicturePane(state, viewer, new Readout(state), (body) => void clicking.clicked(body, picture));
-const following = new Following(state, (text, kind) => clicking.say(text, kind));
+const following = new Following(state, (text, kind) => clicking.show(text, kind));
 clicking.following = following;
-const saySomething = (text: string, kind: "ok" | "refused" | "note" = "note"): void => clicking.say(text, kind);
+const showMessage = (text: string, kind: "ok" | "refused" | "note" = "note"): void => clicking.show(text, kind);
 
 async function refresh(): Promise<void> {
   const status = await api.status();
   state.server = status;
   state.setVehicles(status.vehicles);
   if (state.vehicle === null && status.vehicles[0] !== undefined) state.vehicle = status.vehicles[0].id;
-  say(byId("source"), status.is_live ? `live: ${status.source}` : `recording: ${status.source.split("/").at(-1) ?? ""}`);
+  setText(byId("source"), status.is_live ? `live: ${status.source}` : `recording: ${status.source.split("/").at(-1) ?? ""}`);
   byId("source").title = status.source;
   document.body.classList.toggle("recorded", !status.is_live);
   document.body.dataset["role"] = status.role;
   await Promise.all([refreshPins(), refreshTracks(), refreshSpots(), ...status.vehicles.map((vehicle) => refreshFrames(vehicle.id))]);
-  state.tell("vehicles");
+  state.notify("vehicles");
 }
 
 async function refreshFrames(vehicle: string): Promise<void> {
@@ -73,7 +73,7 @@ async function refreshPins(): Promise<void> {
   }
 }
 
-function heard(event: ServerEvent): void {
+function onEvent(event: ServerEvent): void {
   switch (event.type) {
     case "frames":
       if (!state.vehicles.some((vehicle) => vehicle.id === event.vehicle)) { void refresh(); return; }
@@ -90,7 +90,7 @@ function heard(event: ServerEvent): void {
       state.setVehicles(event.vehicles);
       drawNotes(event.sharing, event.damage);
       if (state.vehicle === null && event.vehicles[0] !== undefined) void refresh();
-      state.tell("vehicles");
+      state.notify("vehicles");
   }
 }
 
@@ -101,7 +101,7 @@ function decided(): void { if (state.spots.size > 0) void refreshSpots(); }
 function drawNotes(sharing: string, damage: string[]): void {
   const notes = [...(sharing === "" ? [] : [`shared: ${sharing}`]), ...damage];
   byId("notes").hidden = notes.length === 0;
-  say(byId("notes"), notes.join("\n"));
+  setText(byId("notes"), notes.join("\n"));
 }
 
 /** The path grows by what is shown; the whole of it is asked for from time to time. */
@@ -110,7 +110,7 @@ function lengthenPath(vehicle: string): void {
   const now = performance.now();
   if (now - (askedAt.get(vehicle) ?? -Infinity) < 5000) return;
   askedAt.set(vehicle, now);
-  api.path(vehicle).then((path) => { state.paths.set(vehicle, path); state.tell("frames"); }, () => undefined);
+  api.path(vehicle).then((path) => { state.paths.set(vehicle, path); state.notify("frames"); }, () => undefined);
 }
 
 const timeBar = byId<HTMLInputElement>("time-bar");
@@ -122,15 +122,15 @@ function drawControls(): void {
   const shown = state.shown;
   const isRefused = shown !== null && shown.status !== "ok";
   const where = shown === null ? "" : `picture ${shown.frame}  ${clock(shown.capture_unix_ns)}`;
-  say(byId("frame-label"), where);
+  setText(byId("frame-label"), where);
   timeBar.setAttribute("aria-valuetext", where);
   const banner = byId("banner");
   banner.hidden = !isRefused;
-  say(banner, isRefused ? `This picture cannot be clicked: ${shown.reason}. ${shown.advice === "" ? "" : `What helps: ${shown.advice}.`}` : "");
+  setText(banner, isRefused ? `This picture cannot be clicked: ${shown.reason}. ${shown.advice === "" ? "" : `What helps: ${shown.advice}.`}` : "");
   byId("freeze").setAttribute("aria-pressed", String(state.isFrozen));
-  say(byId("freeze-label"), state.isFrozen ? "Frozen" : "Freeze");
+  setText(byId("freeze-label"), state.isFrozen ? "Frozen" : "Freeze");
   byId("play").setAttribute("aria-pressed", String(state.isPlaying));
-  say(byId("play-label"), state.isPlaying ? "Pause" : "Play");
+  setText(byId("play-label"), state.isPlaying ? "Pause" : "Play");
 }
 
 function drawMode(): void {
@@ -138,7 +138,7 @@ function drawMode(): void {
     : state.mode.kind === "again" ? `Click the thing of pin ${state.pins.get(state.mode.pin)?.number ?? ""} again (Esc: leave it)` : "";
   const hint = byId("mode-hint");
   hint.hidden = text === "";
-  say(hint, text);
+  setText(hint, text);
   byId("tie").setAttribute("aria-pressed", String(state.mode.kind === "tie"));
 }
 
@@ -182,16 +182,16 @@ function select(id: string | null): void {
 
 async function undo(isRedo: boolean): Promise<void> {
   try {
-    const said = isRedo ? (await api.redo(state.options.who)).redone : (await api.undo(state.options.who)).undone;
-    saySomething(said === null ? `nothing to ${isRedo ? "do again" : "undo"}` : `${isRedo ? "done again" : "undone"}: ${said}`);
+    const change = isRedo ? (await api.redo(state.options.who)).redone : (await api.undo(state.options.who)).undone;
+    showMessage(change === null ? `nothing to ${isRedo ? "do again" : "undo"}` : `${isRedo ? "done again" : "undone"}: ${change}`);
     await refreshPins();
   } catch (error) {
-    saySomething(error instanceof Error ? error.message : String(error), "refused");
+    showMessage(error instanceof Error ? error.message : String(error), "refused");
   }
 }
 
 function run(what: Promise<unknown>): void {
-  what.catch((error: unknown) => saySomething(error instanceof Error ? error.message : String(error), "refused"));
+  what.catch((error: unknown) => showMessage(error instanceof Error ? error.message : String(error), "refused"));
 }
 
 function wire(): void {
@@ -220,7 +220,7 @@ function wire(): void {
   byId<HTMLSelectElement>("theme").addEventListener("change", (event) => state.set({ theme: (event.target as HTMLSelectElement).value as "auto" | "day" | "night" }));
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawOptions);
   closers();
-  wireAdding(state, (words) => saySomething(words));
+  wireAdding(state, (words) => showMessage(words));
   showTab("pins");
   document.addEventListener("keydown", keyed);
   state.on(["shown", "frames"], drawControls);
@@ -258,39 +258,39 @@ async function begin(): Promise<void> {
   new PinList(state, {
     handoff: handOff,
     open: (vehicle, frame, u, v) => { viewer.open(vehicle, frame); picture.reveal({ u, v }); },
-    remove: (pin) => run(api.deletePin(pin.id, state.options.who).then(() => saySomething(`pin ${pin.number} deleted; Undo brings it back`))),
+    remove: (pin) => run(api.deletePin(pin.id, state.options.who).then(() => showMessage(`pin ${pin.number} deleted; Undo brings it back`))),
     edit: (pin, changed) => run(api.editPin(pin.id, { ...changed, who: state.options.who })),
     removeClick: (pin, click) => run(api.removeClick(pin.id, click, state.options.who)),
     goTo: (pin) => { const click = pin.clicks.at(-1); if (click?.frame != null) viewer.open(click.vehicle, click.frame); },
   });
   new FoundList(state, {
     goTo: (spot) => { viewer.open(spot.best.vehicle, spot.best.frame); mapPane?.goTo(spot.lat_deg, spot.lon_deg); },
-    confirm: (spot) => run(api.confirmSpot(spot.spot, { category: state.options.category, who: state.options.who }).then((pin) => { saySomething(`hot spot ${spot.spot} is pin ${pin.number}`); })),
-    dismiss: (spot) => run(api.dismissSpot(spot.spot, state.options.who).then(() => { saySomething(`hot spot ${spot.spot} is dismissed; Undo brings it back as a pin`); })),
+    confirm: (spot) => run(api.confirmSpot(spot.spot, { category: state.options.category, who: state.options.who }).then((pin) => { showMessage(`hot spot ${spot.spot} is pin ${pin.number}`); })),
+    dismiss: (spot) => run(api.dismissSpot(spot.spot, state.options.who).then(() => { showMessage(`hot spot ${spot.spot} is dismissed; Undo brings it back as a pin`); })),
   });
   new TrackList(state, {
     goTo: (lat, lon) => { showTab("map"); mapPane?.goTo(lat, lon); },
-    failed: (error) => saySomething(`Not ended: ${error instanceof Error ? error.message : String(error)}`, "refused"),
+    failed: (error) => showMessage(`Not ended: ${error instanceof Error ? error.message : String(error)}`, "refused"),
   });
   wire();
   drawOptions();
   drawControls();
   let isBegun = false;
-  listen(heard, () => {
+  listen(onEvent, () => {
     state.isConnected = true;
     byId("offline").hidden = true;
     state.forgetRevisions();
     if (isBegun) run(refresh());
-    state.tell("link");
+    state.notify("link");
   }, () => {
     state.isConnected = false;
     byId("offline").hidden = false;
-    state.tell("link");
+    state.notify("link");
   });
   try {
     await refresh();
   } catch (error) {
-    saySomething(error instanceof Error ? error.message : String(error), "refused");
+    showMessage(error instanceof Error ? error.message : String(error), "refused");
   }
   isBegun = true;
   try {
@@ -313,7 +313,7 @@ async function beginMap(): Promise<void> {
     });
   }
   const { MapPane, baseMap } = await fetched, tiles = state.server?.tiles ?? null;
-  const base = tiles === null ? null : await baseMap(tiles).catch((error: unknown) => { saySomething(`no base map: ${String(error)}`, "refused"); return null; });
+  const base = tiles === null ? null : await baseMap(tiles).catch((error: unknown) => { showMessage(`no base map: ${String(error)}`, "refused"); return null; });
   mapPane = new MapPane(state, viewer, base, (picture, lat, lon) => run(openSeen(picture, lat, lon)));
 }
 

@@ -42,7 +42,7 @@ export function trackFeatures(tracks: readonly TrackNow[]): TrackFeatures {
 
 export const SPOT_COLOUR = "#d1004b"; // of a machine's find: no kind of pin has it
 
-/** What a machine found and nobody has decided on: its ellipse, and how hot it is. */
+/** What a machine found and no person has decided on: its ellipse, and how hot it is. */
 export function spotFeatures(spots: readonly FoundSpot[]): TrackFeatures {
   const areas: Feature[] = [], lines: Feature[] = [], labels: Feature[] = [];
   for (const spot of spots) {

@@ -4,7 +4,7 @@ import * as maplibregl from "maplibre-gl";
 import type { GeoJSONSource, ImageSource, Map as MapLibreMap } from "maplibre-gl";
 import { Protocol } from "pmtiles";
 import type { BaseMap } from "./base-map.js";
-import { byId, say } from "./dom.js";
+import { byId, setText } from "./dom.js";
 import { gridLines } from "./grid.js";
 import { degrees, stepText } from "./format.js";
 import { ABOVE_PICTURES, addLayers, collection, emptyStyle, paintTheme, PIN_LAYERS, type SourceName } from "./map-layers.js";
@@ -42,13 +42,13 @@ export class MapPane {
   private hasView = false;
   private theme: "day" | "night" = "day";
   private readonly drawnAt = new Map<What, number>();
-  private readonly drawn = new Map<SourceName, string>();
+  private readonly texts = new Map<SourceName, string>();
   private restsUntil = 0;
   private readonly waiting = new Map<What, { timer: number; latest: number }>();
-  private drawnPaths: unknown[] = [];
+  private shownPaths: unknown[] = [];
   private readonly onMap = new Map<string, MapPin>();
   private dots: ReadonlyMap<string, Pin> = new Map();
-  private drawnCount = 0;
+  private shownCount = 0;
   private isSnapshot = false;
   private origin: { lat: number; lon: number } | null = null;
 
@@ -131,19 +131,18 @@ export class MapPane {
     new SeenLayer(map, this.state, this.openSeen);
     map.on("moveend", () => this.moved());
     map.on("render", () => {
-      const drawn = String(this.drawnCount), element = byId("map"); // what a test may wait for
-      if (element.dataset["pins"] !== drawn && map.isSourceLoaded("pins") && map.isSourceLoaded("dots")) element.dataset["pins"] = drawn;
+      const shown = String(this.shownCount), element = byId("map"); // what a test may wait for
+      if (element.dataset["pins"] !== shown && map.isSourceLoaded("pins") && map.isSourceLoaded("dots")) element.dataset["pins"] = shown;
     });
     new DrawingTime(map, (tookMs) => {
       const now = performance.now();
       this.restsUntil = Math.min(Math.max(this.restsUntil, now) + REST_SHARE * tookMs, now + LONGEST_REST_MS);
     });
-    map.on("mousemove", (event) => say(byId("map-cursor"), degrees(event.lngLat.lat, event.lngLat.lng, null)));
-    map.on("mouseout", () => say(byId("map-cursor"), ""));
-    const drawn = PIN_LAYERS;
-    map.on("mousemove", drawn, (event) => { this.state.hover(String(event.features?.[0]?.properties["id"] ?? "")); map.getCanvas().style.cursor = "pointer"; });
-    map.on("mouseleave", drawn, () => { this.state.hover(null); map.getCanvas().style.cursor = ""; });
-    map.on("click", drawn, (event) => this.state.select(String(event.features?.[0]?.properties["id"] ?? "")));
+    map.on("mousemove", (event) => setText(byId("map-cursor"), degrees(event.lngLat.lat, event.lngLat.lng, null)));
+    map.on("mouseout", () => setText(byId("map-cursor"), ""));
+    map.on("mousemove", PIN_LAYERS, (event) => { this.state.hover(String(event.features?.[0]?.properties["id"] ?? "")); map.getCanvas().style.cursor = "pointer"; });
+    map.on("mouseleave", PIN_LAYERS, () => { this.state.hover(null); map.getCanvas().style.cursor = ""; });
+    map.on("click", PIN_LAYERS, (event) => this.state.select(String(event.features?.[0]?.properties["id"] ?? "")));
     paintTheme(this.map, this.theme);
     this.state.on(["shown"], () => this.later("shown"));
     this.state.on(["pins", "hover", "selected"], () => this.later("pins"));
@@ -156,7 +155,7 @@ export class MapPane {
   private moved(): void {
     if (this.isSnapshot) return;
     this.drawGrid();
-    // Of very many pins those that have come into view are drawn complete, if they are few enough.
+    // Of very many pins those that have come into view are shown complete, if they are few enough.
     if (this.state.pins.size > MOST_DRAWN) this.later("pins");
     const { lng, lat } = this.map.getCenter();
     try {
@@ -209,20 +208,20 @@ export class MapPane {
     (this.map.getSource(name) as GeoJSONSource).setData(collection(features));
   }
 
-  /** A few features; the map is drawn only if they are others than before. */
+  /** A few features; the map changes only if they are others than before. */
   private setFew(name: SourceName, features: Feature[]): void {
     const text = JSON.stringify(features);
-    if (this.drawn.get(name) === text) return;
-    this.drawn.set(name, text);
+    if (this.texts.get(name) === text) return;
+    this.texts.set(name, text);
     this.set(name, features);
   }
 
   private drawShown(): void {
     const shown = this.state.shown;
-    const isDrawn = shown !== null && shown.camera !== null;
+    const isShown = shown !== null && shown.camera !== null;
     const properties = { colour: this.colour() };
-    this.setFew("footprint", isDrawn && shown.footprint.length > 3 ? [{ type: "Feature", geometry: { type: "Polygon", coordinates: [shown.footprint] }, properties }] : []);
-    this.setFew("features", isDrawn && this.state.peeks.has("features") ? shown.features.lonlat.map((at) => ({ type: "Feature", geometry: { type: "Point", coordinates: at }, properties: {} })) : []);
+    this.setFew("footprint", isShown && shown.footprint.length > 3 ? [{ type: "Feature", geometry: { type: "Polygon", coordinates: [shown.footprint] }, properties }] : []);
+    this.setFew("features", isShown && this.state.peeks.has("features") ? shown.features.lonlat.map((at) => ({ type: "Feature", geometry: { type: "Point", coordinates: at }, properties: {} })) : []);
     this.drawCraft();
     this.lay();
     if (this.isFollowing || !this.hasView) this.centre(shown);
@@ -292,9 +291,9 @@ export class MapPane {
   private drawPaths(): void {
     this.drawCraft();
     const { vehicle: chosen, vehicles, paths } = this.state;
-    const drawn = [chosen, ...vehicles.map((vehicle) => paths.get(vehicle.id))];
-    if (drawn.length === this.drawnPaths.length && drawn.every((one, k) => one === this.drawnPaths[k])) return; // a status comes every second, and drawing costs
-    this.drawnPaths = drawn;
+    const wanted = [chosen, ...vehicles.map((vehicle) => paths.get(vehicle.id))];
+    if (wanted.length === this.shownPaths.length && wanted.every((one, k) => one === this.shownPaths[k])) return; // a status comes every second, and drawing costs
+    this.shownPaths = wanted;
     this.set("path", vehicles.flatMap((vehicle, k): Feature[] => {
       const path = paths.get(vehicle.id) ?? [];
       return path.length < 2 ? [] : [{ type: "Feature", geometry: { type: "LineString", coordinates: path }, properties: { colour: AIRCRAFT[k % AIRCRAFT.length], chosen: vehicle.id === chosen } }];
@@ -310,7 +309,7 @@ export class MapPane {
     byId("map").dataset["tracks"] = labels.map((label) => String(label.properties["text"])).join("; "); // what a test may look at
   }
 
-  /** The pins that are drawn complete: all; or of very many those in view, if few enough, and the chosen one. */
+  /** The pins that are shown complete: all; or of very many those in view, if few enough, and the chosen one. */
   private wholePins(isCrowded: boolean): readonly Pin[] {
     const { pins, hovered, selected } = this.state;
     if (!isCrowded) return [...pins.values()];
@@ -349,7 +348,7 @@ export class MapPane {
         this.update(name, add, gone.filter((key) => !added.has(key)));
       }
     }
-    this.drawnCount = pins.size;
+    this.shownCount = pins.size;
     this.setFew("ties", this.state.ties.map((tie) => ({ type: "Feature", geometry: { type: "Point", coordinates: [tie.lon_deg, tie.lat_deg] }, properties: {} })));
   }
 
@@ -375,9 +374,9 @@ export class MapPane {
     const camera = this.state.shown?.camera;
     if (this.origin === null && camera !== null && camera !== undefined) this.origin = { lat: camera.lat_deg, lon: camera.lon_deg };
     const bounds = this.map.getBounds();
-    if (this.origin === null || this.map.getZoom() < 8) { this.setFew("grid", []); say(byId("grid-step"), ""); return; }
+    if (this.origin === null || this.map.getZoom() < 8) { this.setFew("grid", []); setText(byId("grid-step"), ""); return; }
     const { step, lines } = gridLines(this.origin, [bounds.getWest(), bounds.getSouth(), bounds.getEast(), bounds.getNorth()]);
-    say(byId("grid-step"), `grid ${stepText(step)}`);
+    setText(byId("grid-step"), `grid ${stepText(step)}`);
     this.setFew("grid", lines.map((line) => ({ type: "Feature", geometry: { type: "LineString", coordinates: line.ends }, properties: { major: line.isMajor } })));
   }
 

@@ -3,7 +3,7 @@
 // The pane shows the camera's picture scaled by `scale` CSS pixels a camera pixel, its top left corner at (left, top) of
 // the pane. Camera pixel (0, 0) is the centre of the top left pixel, so that the picture reaches from -0.5 to width - 0.5.
 // Neither the device's pixel ratio nor the size of the image file takes part: an image of another size than the camera's
-// is drawn over the same rectangle.
+// is shown over the same rectangle.
 
 export interface Point { readonly x: number; readonly y: number }
 export interface Pixel { readonly u: number; readonly v: number }

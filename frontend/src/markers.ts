@@ -8,7 +8,7 @@ import type { State } from "./state.js";
 import type { Category, FrameView, Pin } from "./types.js";
 
 const SPOT_PX = { mouse: 7, touch: 16 }, SHAPE_PX = { mouse: 11, touch: 14 }; // how far a press may be from it
-const SHAPE_ABOVE_PX = 18, BELOW_UNDER_PX = 30; // a pin's shape is drawn so far above its spot; near the top, below
+const SHAPE_ABOVE_PX = 18, BELOW_UNDER_PX = 30; // a pin's shape stands so far above its spot; near the top, below
 const MOST = 200; // in one picture, the newest first
 
 export interface Spot { readonly key: string; readonly vehicle: string; readonly session: number; readonly frame: number; readonly at: Pixel }
@@ -16,10 +16,10 @@ export interface Spot { readonly key: string; readonly vehicle: string; readonly
 /** A click under way, or refused: it has no pin yet, or never will. */
 export interface Pending extends Spot { readonly number: number; readonly category: Category; text: string; isRefused: boolean }
 
-interface Drawn { element: HTMLElement; look: string; x: number; y: number; isSeen: boolean }
+interface Marker { element: HTMLElement; look: string; x: number; y: number; isSeen: boolean }
 
 export class Markers {
-  private readonly drawn = new Map<string, Drawn>();
+  private readonly markers = new Map<string, Marker>();
   private readonly pending = new Map<string, Pending>();
   private looked: Spot | null = null; // a place that was looked for on the map
   private last: [FrameView | null, View, Size] | null = null;
@@ -44,7 +44,7 @@ export class Markers {
     this.redraw();
   }
 
-  /** Its pin is drawn in its place with the next frame. */
+  /** Its pin is shown in its place with the next frame. */
   done(key: string): void { this.pending.delete(key); }
 
   /** Only one refusal is shown at a time: at its spot, until the next click. */
@@ -65,7 +65,7 @@ export class Markers {
   near(at: Point, isTouch: boolean): string | null {
     const kind = isTouch ? "touch" : "mouse";
     let best: string | null = null, least = 1;
-    for (const [key, { x, y, isSeen }] of this.drawn) {
+    for (const [key, { x, y, isSeen }] of this.markers) {
       if (!isSeen || !this.state.pins.has(key)) continue;
       const shapeY = y < BELOW_UNDER_PX ? y + SHAPE_ABOVE_PX : y - SHAPE_ABOVE_PX;
       const far = Math.min(Math.hypot(x - at.x, y - at.y) / SPOT_PX[kind], Math.hypot(x - at.x, shapeY - at.y) / SHAPE_PX[kind]);
@@ -95,8 +95,8 @@ export class Markers {
         seen.add(looked.key);
       }
     }
-    for (const [key, { element }] of this.drawn) {
-      if (!seen.has(key)) { element.remove(); this.drawn.delete(key); }
+    for (const [key, { element }] of this.markers) {
+      if (!seen.has(key)) { element.remove(); this.markers.delete(key); }
     }
   }
 
@@ -115,12 +115,12 @@ export class Markers {
   }
 
   private put(key: string, look: string, at: Point, pane: Size, made: () => HTMLElement): void {
-    let held = this.drawn.get(key);
+    let held = this.markers.get(key);
     if (held === undefined || held.look !== look) {
       held?.element.remove();
       held = { element: made(), look, x: NaN, y: NaN, isSeen: true };
       this.layer.append(held.element);
-      this.drawn.set(key, held);
+      this.markers.set(key, held);
     }
     // Only what has changed is written: two hundred markers stay as they are while one is added.
     if (held.x !== at.x || held.y !== at.y) {

@@ -112,7 +112,7 @@ export class PicturePane {
     return { vehicle, session, frame, u: at.u, v: at.v };
   }
 
-  /** Ask for the place of a pixel of what is drawn. */
+  /** Ask for the place of a pixel of what is shown. */
   private pointAt(at: Pixel | null): void {
     const loaded = this.press?.loaded ?? this.viewer.loaded;
     this.readout.point(at === null || loaded === null || !contains(this.picture, at) ? null : this.body(loaded, at));
@@ -154,7 +154,7 @@ export class PicturePane {
     this.draw();
   }
 
-  /** Drawn with the next frame of the screen: the pins, and the picture too unless it is as it was. */
+  /** Rendered with the next frame of the screen: the pins, and the picture too unless it is as it was. */
   private invalidate(isPicture = true): void {
     this.isPictureDue ||= isPicture;
     if (this.isDue) return;
@@ -242,7 +242,7 @@ export class PicturePane {
     this.abandon();
     const size = { width: loaded.view.width_px, height: loaded.view.height_px };
     if (isDrag || !contains(size, aim)) return;
-    // On a pin that is drawn there a click chooses it; aimed with the loupe, or with the Shift key, it makes another.
+    // On a pin that is shown there a click chooses it; aimed with the loupe, or with the Shift key, it makes another.
     const known = this.state.mode.kind === "pin" && !isAim && !event.shiftKey ? this.markers.near(press.from, press.isTouch) : null;
     if (known !== null) this.state.select(known);
     else this.onClick(this.body(loaded, aim));

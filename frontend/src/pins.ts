@@ -2,7 +2,7 @@
 // cost no more than those in view, and nothing moves by itself when one is added.
 
 import { api } from "./api.js";
-import { byId, make, say } from "./dom.js";
+import { byId, make, setText } from "./dom.js";
 import { degrees, distance, heightText, methodWords, moment, radius, sentence, within, WITHIN_TITLE } from "./format.js";
 import { KINDS, kindOf, shapeSvg } from "./shapes.js";
 import type { State } from "./state.js";
@@ -68,7 +68,7 @@ export class PinList {
       .filter((pin) => !this.hidden.has(pin.category))
       .filter((pin) => wanted === "" || `${pin.number} ${pin.name} ${pin.note} ${pin.who} ${kindOf(pin.category).title}`.toLowerCase().includes(wanted));
     const all = newest.length;
-    say(byId("pin-count"), this.found.length === all ? String(all) : `${this.found.length} of ${all}`);
+    setText(byId("pin-count"), this.found.length === all ? String(all) : `${this.found.length} of ${all}`);
     byId("no-pins").hidden = all > 0;
     this.draw();
     this.showCard();
@@ -221,7 +221,7 @@ export class PinList {
     const result = make("output", {});
     choice.addEventListener("change", () => {
       if (choice.value === "") return;
-      api.measure(pin.id, choice.value).then((said) => { result.textContent = measureText(said); }, (error: unknown) => { result.textContent = String(error); });
+      api.measure(pin.id, choice.value).then((reply) => { result.textContent = measureText(reply); }, (error: unknown) => { result.textContent = String(error); });
     });
     into.replaceChildren(choice, " ", result);
     into.scrollIntoView({ block: "nearest" });
@@ -229,10 +229,10 @@ export class PinList {
   }
 }
 
-function measureText(said: Record<string, number | string | null>): string {
-  const number = (key: string): number | null => (typeof said[key] === "number" ? said[key] : null);
+function measureText(reply: Record<string, number | string | null>): string {
+  const number = (key: string): number | null => (typeof reply[key] === "number" ? reply[key] : null);
   const metres = number("distance_m"), bearing = number("bearing_deg");
-  if (said["status"] !== "ok" || metres === null || bearing === null) return String(said["reason"] ?? "not known");
+  if (reply["status"] !== "ok" || metres === null || bearing === null) return String(reply["reason"] ?? "not known");
   const rise = number("height_difference_m");
   const sigma = (key: string, unit: string): string => (number(key) === null ? "" : ` ± ${number(key)!.toFixed(1)}${unit}`);
   return `${distance(metres)}${sigma("sigma_distance_m", " m")}, bearing ${bearing.toFixed(1).padStart(5, "0")}°${sigma("sigma_bearing_deg", "°")}` +

@@ -1,10 +1,10 @@
 // The place under the cursor, the loupe or the crosshair, and how sure it is, before anything is clicked.
 
 import { api } from "./api.js";
-import { byId, say } from "./dom.js";
+import { byId, setText } from "./dom.js";
 import { degrees, heightText, within } from "./format.js";
 import type { State } from "./state.js";
-import type { ClickBody, PlaceSaid } from "./types.js";
+import type { ClickBody, PlaceReply } from "./types.js";
 
 const REST_MS = 60; // between two questions; and none while a click is under way
 
@@ -29,8 +29,8 @@ export class Readout {
       if (this.state.clicksUnderWay === 0) {
         asked = this.wanted;
         try {
-          const said = await api.place(asked);
-          if (this.wanted !== null) { this.element.hidden = false; say(this.element, placeWords(said)); }
+          const reply = await api.place(asked);
+          if (this.wanted !== null) { this.element.hidden = false; setText(this.element, placeWords(reply)); }
         } catch {
           this.element.hidden = true; // the page shows elsewhere that the server does not answer
         }
@@ -41,7 +41,7 @@ export class Readout {
   }
 }
 
-function placeWords(said: PlaceSaid): string {
-  if (said.status !== "ok") return `no place here: ${said.reason ?? "not answered"}`;
-  return `${degrees(said.lat_deg, said.lon_deg, said.ce90_m)}  ${within(said.ce90_m)}  ${heightText(said)}`;
+function placeWords(reply: PlaceReply): string {
+  if (reply.status !== "ok") return `no place here: ${reply.reason ?? "not answered"}`;
+  return `${degrees(reply.lat_deg, reply.lon_deg, reply.ce90_m)}  ${within(reply.ce90_m)}  ${heightText(reply)}`;
 }

@@ -2,7 +2,7 @@
 
 import type { Map as MapLibreMap, MapMouseEvent, RasterTileSource } from "maplibre-gl";
 import { api } from "./api.js";
-import { byId, make, say } from "./dom.js";
+import { byId, make, setText } from "./dom.js";
 import { clock, moment } from "./format.js";
 import { PIN_LAYERS } from "./map-layers.js";
 import type { State } from "./state.js";
@@ -12,7 +12,7 @@ import type { SeenAt, SeenPicture, SeenState } from "./types.js";
 const COLOURS = ["#fde725", "#5ec962", "#21918c", "#3b528b", "#440154"];
 const WORDS = { age: ["under 1", "1 to 5", "5 to 20", "20 to 60", "over 60"], count: ["20 or more", "5 to 19", "2 to 4", "1"] };
 const NAME = "seen";
-const ABOVE = "path"; // the lowest layer that is drawn over it
+const ABOVE = "path"; // the lowest layer above it
 const LOOK_MS = 5000, COUNTING_MS = 2000; // between two questions of how it stands
 type By = "age" | "count";
 
@@ -22,7 +22,7 @@ export type OpenSeen = (picture: SeenPicture, lat: number, lon: number) => void;
 export class SeenLayer {
   private isOn = false;
   private by: By = "age";
-  private drawn = "";
+  private shownKey = "";
   private timer = 0;
   private asked = 0;
   private readonly panel = byId("seen-panel");
@@ -46,14 +46,14 @@ export class SeenLayer {
     window.clearTimeout(this.timer);
     this.found.replaceChildren(make("span", { class: "muted" }, "Click the map: the pictures that show the place."));
     if (on) { this.drawLegend(); void this.look(); return; }
-    this.drawn = "";
+    this.shownKey = "";
     if (this.map.getLayer(NAME) !== undefined) this.map.removeLayer(NAME);
     if (this.map.getSource(NAME) !== undefined) this.map.removeSource(NAME);
   }
 
   private drawLegend(): void {
     const isLive = this.state.server?.is_live === true;
-    say(this.unit, this.by === "count" ? "Pictures that saw it:" : isLive ? "Last seen, minutes ago:" : "Last seen, minutes before the recording's end:");
+    setText(this.unit, this.by === "count" ? "Pictures that saw it:" : isLive ? "Last seen, minutes ago:" : "Last seen, minutes before the recording's end:");
     this.legend.replaceChildren(...WORDS[this.by].map((text, k) => {
       const swatch = make("i", {});
       swatch.style.background = COLOURS[k]!;
@@ -70,18 +70,18 @@ export class SeenLayer {
       const now = await api.seenState();
       if (now.ahead !== 0) pause = COUNTING_MS;
       if (!this.isOn || turn !== this.asked) return;
-      say(this.sum, sumText(now));
+      setText(this.sum, sumText(now));
       this.sum.dataset["ahead"] = String(now.ahead); // what a test may wait for
       this.draw(now);
-    } catch { /* the page says that the server does not answer */ }
+    } catch { /* the page shows that the server does not answer */ }
     if (this.isOn && turn === this.asked) this.timer = window.setTimeout(() => void this.look(), pause);
   }
 
   private draw(now: SeenState): void {
-    // Of a live flight the colours age: they are drawn again from time to time.
+    // Of a live flight the colours age: they are rendered again from time to time.
     const key = `${this.by}&v=${now.version}${now.is_live ? `.${Math.floor(Date.now() / 30_000)}` : ""}`;
-    if (key === this.drawn) return;
-    this.drawn = key;
+    if (key === this.shownKey) return;
+    this.shownKey = key;
     const tiles = [`${location.origin}/api/seen/tiles/{z}/{x}/{y}?by=${key}`];
     const source = this.map.getSource(NAME) as RasterTileSource | undefined;
     if (source !== undefined) { source.setTiles(tiles); return; }
@@ -92,22 +92,22 @@ export class SeenLayer {
   private clicked(event: MapMouseEvent): void {
     if (!this.isOn || this.map.queryRenderedFeatures(event.point, { layers: PIN_LAYERS }).length > 0) return;
     const { lat, lng: lon } = event.lngLat;
-    api.seenAt(lat, lon).then((said) => { this.list(said); this.found.scrollIntoView({ block: "nearest" }); }, (error: unknown) => { this.found.textContent = error instanceof Error ? error.message : String(error); });
+    api.seenAt(lat, lon).then((reply) => { this.list(reply); this.found.scrollIntoView({ block: "nearest" }); }, (error: unknown) => { this.found.textContent = error instanceof Error ? error.message : String(error); });
   }
 
-  private list(said: SeenAt): void {
+  private list(reply: SeenAt): void {
     const button = (picture: SeenPicture, text: string, id: string): HTMLElement => {
       const isHeld = (this.state.frames.get(picture.vehicle) ?? []).some((row) => row.frame === picture.frame && row.session === picture.session);
       const title = `${picture.vehicle}, ${clock(picture.capture_unix_ns)}, ${distanceText(picture.gsd_m)} from pixel to pixel${isHeld ? "" : "; of an earlier session, no longer here"}`;
-      return make("button", { type: "button", class: "frame", title, disabled: !isHeld, "data-testid": id, click: () => this.open(picture, said.lat_deg, said.lon_deg) }, text);
+      return make("button", { type: "button", class: "frame", title, disabled: !isHeld, "data-testid": id, click: () => this.open(picture, reply.lat_deg, reply.lon_deg) }, text);
     };
-    if (said.count === 0 || said.first_utc === null || said.last_utc === null) { this.found.replaceChildren("Not seen for certain."); return; }
-    const [first, last] = [moment(said.first_utc), moment(said.last_utc)], isOneDay = first.slice(0, 10) === last.slice(0, 10);
+    if (reply.count === 0 || reply.first_utc === null || reply.last_utc === null) { this.found.replaceChildren("Not seen for certain."); return; }
+    const [first, last] = [moment(reply.first_utc), moment(reply.last_utc)], isOneDay = first.slice(0, 10) === last.slice(0, 10);
     const times = first === last ? last : `${first.replace(" UTC", "")} to ${isOneDay ? last.slice(11) : last}`;
-    const head = `Seen ${said.count === 1 ? "once" : `${said.count} times`}, ${times}.`;
+    const head = `Seen ${reply.count === 1 ? "once" : `${reply.count} times`}, ${times}.`;
     this.found.replaceChildren(make("span", {}, head),
-      ...(said.finest === null ? [] : [button(said.finest, `Finest: ${said.finest.frame} (${distanceText(said.finest.gsd_m)})`, "seen-finest")]),
-      ...said.pictures.map((picture) => button(picture, String(picture.frame), "seen-picture")));
+      ...(reply.finest === null ? [] : [button(reply.finest, `Finest: ${reply.finest.frame} (${distanceText(reply.finest.gsd_m)})`, "seen-finest")]),
+      ...reply.pictures.map((picture) => button(picture, String(picture.frame), "seen-picture")));
   }
 }
 

@@ -8,7 +8,7 @@ export type Topic = "vehicles" | "frames" | "shown" | "pins" | "hover" | "select
 /** What the next click in the picture is for. */
 export type Mode = { kind: "pin" } | { kind: "again"; pin: string } | { kind: "tie" };
 
-/** What is drawn over the picture for a few seconds when asked for: it hides what is looked for. */
+/** What is shown over the picture for a few seconds when asked for: it hides what is looked for. */
 export type Peek = "features" | "paths";
 
 export interface Options {
@@ -50,7 +50,7 @@ export class State {
     for (const topic of topics) this.listeners.set(topic, [...(this.listeners.get(topic) ?? []), listener]);
   }
 
-  tell(topic: Topic): void {
+  notify(topic: Topic): void {
     for (const listener of this.listeners.get(topic) ?? []) listener();
   }
 
@@ -67,7 +67,7 @@ export class State {
     for (const row of rows) by.set(row.frame, row);
     const merged = [...by.values()].sort((a, b) => a.frame - b.frame);
     this.frames.set(vehicle, merged);
-    this.tell("frames");
+    this.notify("frames");
   }
 
   get pins(): ReadonlyMap<string, Pin> { return this.held; }
@@ -84,7 +84,7 @@ export class State {
     for (const id of this.held.keys()) if (!read.has(id) && this.isNews(id, revision)) this.held.delete(id);
     for (const [id, pin] of read) if (this.isNews(id, revision)) this.held.set(id, pin);
     this.order = null;
-    this.tell("pins");
+    this.notify("pins");
   }
 
   /** Another server may answer from now on, whose revisions have another start. */
@@ -105,7 +105,7 @@ export class State {
     this.held.set(pin.id, pin);
     if (known === undefined && this.order !== null && (this.order[0]?.number ?? 0) < pin.number) this.order = [pin, ...this.order];
     else this.order = null;
-    this.tell("pins");
+    this.notify("pins");
   }
 
   dropPin(id: string, revision: number): void {
@@ -113,7 +113,7 @@ export class State {
     this.held.delete(id);
     this.order = null;
     if (this.selected === id) this.select(null);
-    this.tell("pins");
+    this.notify("pins");
   }
 
   /** Whether this browser's token may change anything. */
@@ -123,14 +123,14 @@ export class State {
   putTracks(reports: readonly TrackReport[], isAll = false): void {
     if (isAll) this.tracks.clear();
     mergeReports(this.tracks, reports);
-    this.tell("tracks");
+    this.notify("tracks");
   }
 
   /** Machine's finds that came; with all of them, what was held is forgotten first. */
   putSpots(spots: readonly FoundSpot[], isAll = false): void {
     if (isAll) this.spots.clear();
     for (const spot of spots) this.spots.set(spot.spot, spot);
-    this.tell("spots");
+    this.notify("spots");
   }
 
   /** Those that wait for a person: more than one picture shows them. The hottest first. */
@@ -149,26 +149,26 @@ export class State {
     const state = this.vehicles.find((one) => one.id === vehicle), clock = state?.clock_unix_ns ?? null;
     const isThen = this.isFrozen || state?.is_live === false;
     if (isThen && this.shown !== null) return captureMs(this.shown.capture_unix_ns);
-    // What has come is of now, whatever the clock of the last status says.
+    // What has come is of now, whatever the time of the last status.
     const newest = [...this.tracks.values()].filter((path) => path[0]?.vehicle === vehicle).map((path) => captureMs(path.at(-1)!.capture_unix_ns));
     return Math.max(clock === null ? 0 : captureMs(clock) + (state?.is_live === true ? performance.now() - this.vehiclesAt : 0), ...newest);
   }
 
   hover(pin: string | null): void {
-    if (this.hovered !== pin) { this.hovered = pin; this.tell("hover"); }
+    if (this.hovered !== pin) { this.hovered = pin; this.notify("hover"); }
   }
 
   select(pin: string | null): void {
-    if (this.selected !== pin) { this.selected = pin; this.tell("selected"); }
+    if (this.selected !== pin) { this.selected = pin; this.notify("selected"); }
   }
 
-  /** Draw it for a few seconds; if it is drawn already, remove it. */
+  /** Draw it for a few seconds; if it is shown already, remove it. */
   peek(what: Peek): void {
     const timer = this.peeks.get(what);
     window.clearTimeout(timer);
     if (timer !== undefined) this.peeks.delete(what);
-    else this.peeks.set(what, window.setTimeout(() => { this.peeks.delete(what); this.tell("options"); }, PEEK_MS));
-    this.tell("options");
+    else this.peeks.set(what, window.setTimeout(() => { this.peeks.delete(what); this.notify("options"); }, PEEK_MS));
+    this.notify("options");
   }
 
   setVehicles(vehicles: VehicleState[]): void {
@@ -178,7 +178,7 @@ export class State {
 
   setMode(mode: Mode): void {
     this.mode = mode;
-    this.tell("mode");
+    this.notify("mode");
   }
 
   set(changed: Partial<Options>): void {
@@ -186,7 +186,7 @@ export class State {
     try {
       localStorage.setItem(STORED, JSON.stringify(this.options));
     } catch { /* a private window keeps nothing: the options last as long as the page */ }
-    this.tell("options");
+    this.notify("options");
   }
 
   /** The number the next pin will get, as far as this page has the data. */
@@ -197,8 +197,8 @@ export class State {
 
 function stored(): Options {
   try {
-    const said = JSON.parse(localStorage.getItem(STORED) ?? "{}") as Partial<Options>;
-    return { ...DEFAULTS, ...said };
+    const kept = JSON.parse(localStorage.getItem(STORED) ?? "{}") as Partial<Options>;
+    return { ...DEFAULTS, ...kept };
   } catch {
     return { ...DEFAULTS };
   }

@@ -1,6 +1,6 @@
 // One tile for each aircraft: how it is in words, how old what is seen is, how the link is. Of many the tiles are small.
 
-import { byId, make, say } from "./dom.js";
+import { byId, make, setText } from "./dom.js";
 import { GROUPS, groupTitle, isWanted, MANY } from "./fleet.js";
 import { age, sentence, within } from "./format.js";
 import { AIRCRAFT } from "./shapes.js";
@@ -29,7 +29,7 @@ export class StatusStrip {
     const isGrouped = vehicles.length > MANY, text = isGrouped ? this.find.value.trim() : "";
     this.find.hidden = !isGrouped;
     this.titles.forEach((title, k) => {
-      say(title, isGrouped ? groupTitle(GROUPS[k]!, vehicles, text) : "");
+      setText(title, isGrouped ? groupTitle(GROUPS[k]!, vehicles, text) : "");
       title.style.order = String(2 * k);
     });
     vehicles.forEach((vehicle, k) => {
@@ -48,11 +48,11 @@ export class StatusStrip {
       tile.style.order = isGrouped && !isChosen ? String(2 * GROUPS.indexOf(vehicle.state) + 1) : "";
       tile.dataset["state"] = isUnsure ? "lost" : vehicle.state;
       tile.setAttribute("aria-pressed", String(isChosen));
-      say(tile.children[1] as HTMLElement, SIGNS[isUnsure ? "lost" : vehicle.state]);
-      say(tile.children[3] as HTMLElement, isShort ? "" : words);
+      setText(tile.children[1] as HTMLElement, SIGNS[isUnsure ? "lost" : vehicle.state]);
+      setText(tile.children[3] as HTMLElement, isShort ? "" : words);
       const advice = isUnsure || vehicle.state !== "well" || vehicle.radius === "" ? "" : sentence(vehicle.radius);
-      say(tile.children[4] as HTMLElement, isShort ? "" : advice);
-      say(tile.children[5] as HTMLElement, isShort ? shortFigure(vehicle) : figures(vehicle));
+      setText(tile.children[4] as HTMLElement, isShort ? "" : advice);
+      setText(tile.children[5] as HTMLElement, isShort ? shortFigure(vehicle) : figures(vehicle));
       tile.title = [vehicle.id, words, vehicle.trouble, figures(vehicle), advice].filter((text) => text !== "").join("; ");
     });
     byId("no-vehicles").hidden = vehicles.length > 0;

@@ -52,7 +52,7 @@ export function stateWords(track: TrackNow): string {
 /** How a track is, in words: its state and why, and how it moves. */
 export function trackWords(track: TrackNow): string { return `${stateWords(track)}: ${track.last.words}`; }
 
-/** Where a thing is in a picture, and how large (px); null where the picture does not show it or nobody knows. */
+/** Where a thing is in a picture, and how large (px); null where the picture does not show it or it is not known. */
 export function seenIn(track: TrackNow, frame: FrameView): { at: Pixel; size: number } | null {
   if (track.phase === "lost" || track.phase === "ended") return null;
   const own = track.vehicle === frame.vehicle && track.last.session === frame.session;

@@ -71,9 +71,9 @@ export interface ClickAnswer {
 export interface PinReply { revision: number; pin: Pin | null; answer: ClickAnswer | null; apart_m?: number; reason?: string }
 
 /** What a pin at a pixel would be. */
-export type PlaceSaid = { status: "ok"; method: string } & PlaceAnswer | { status: "refused"; reason?: string };
+export type PlaceReply = { status: "ok"; method: string } & PlaceAnswer | { status: "refused"; reason?: string };
 
-export interface CoordinateSaid { lat_deg: number; lon_deg: number; form: string; texts: Record<string, string> }
+export interface CoordinateReply { lat_deg: number; lon_deg: number; form: string; texts: Record<string, string> }
 
 export interface Seen {
   vehicle: string; session: number; frame: number; capture_unix_ns: string; u_px: number; v_px: number; has_picture: boolean;
@@ -93,7 +93,7 @@ export type ServerEvent =
   | { type: "spots"; spots: FoundSpot[] }
   | { type: "status"; vehicles: VehicleState[]; damage: string[]; sharing: string };
 
-/** What a machine found and nobody, or somebody, has decided on. */
+/** What a machine found; a person may have decided on it. */
 export interface FoundSpot {
   spot: number; state: "open" | "confirmed" | "dismissed"; pin: string | null; is_sure: boolean; pictures: number; vehicles: string[];
   first_utc: string; last_utc: string; temperature_c: number | null; above_ground_k: number | null; contrast: number; heat: string; motion: string;
@@ -102,7 +102,7 @@ export interface FoundSpot {
 }
 
 /** What burned: GeoJSON features, and in words. */
-export interface FireSaid { words: string; features: { type: "Feature"; geometry: { type: string; coordinates: unknown }; properties: Record<string, unknown> }[] }
+export interface FireReply { words: string; features: { type: "Feature"; geometry: { type: string; coordinates: unknown }; properties: Record<string, unknown> }[] }
 
 export interface TrackPlace {
   lat_deg: number; lon_deg: number; height_ellipsoid_m: number | null; height_amsl_m: number | null;

@@ -35,8 +35,8 @@ export class Viewer {
     this.state.vehicle = vehicle;
     this.state.isFrozen = false;
     this.pause();
-    this.state.tell("vehicles");
-    this.state.tell("frames");
+    this.state.notify("vehicles");
+    this.state.notify("frames");
   }
 
   /**
@@ -61,7 +61,7 @@ export class Viewer {
   freeze(isFrozen: boolean): void {
     this.state.isFrozen = isFrozen;
     this.pause();
-    this.state.tell("shown");
+    this.state.notify("shown");
     if (!isFrozen) this.follow();
   }
 
@@ -71,7 +71,7 @@ export class Viewer {
     const row = rows[Math.min(Math.max(at + by, 0), rows.length - 1)];
     this.state.isFrozen = true;
     if (row !== undefined) this.show(row);
-    this.state.tell("shown");
+    this.state.notify("shown");
   }
 
   goTo(index: number): void {
@@ -91,7 +91,7 @@ export class Viewer {
     if (this.index() >= this.state.rows().length - 1) this.goTo(0);
     this.state.isPlaying = true;
     this.state.isFrozen = true;
-    this.state.tell("shown");
+    this.state.notify("shown");
     this.timer = window.setInterval(() => {
       if (this.isLoading || this.held.size > 0) return;
       if (this.index() >= this.state.rows().length - 1) this.pause();
@@ -103,7 +103,7 @@ export class Viewer {
     window.clearInterval(this.timer);
     if (this.state.isPlaying) {
       this.state.isPlaying = false;
-      this.state.tell("shown");
+      this.state.notify("shown");
     }
   }
 
@@ -138,7 +138,7 @@ export class Viewer {
         if (loaded !== this.loaded && this.held.size === 0 && this.state.vehicle === vehicle) {
           this.loaded = loaded;
           this.state.shown = loaded.view;
-          this.state.tell("shown");
+          this.state.notify("shown");
         }
         if (this.wanted === row && this.state.vehicle === vehicle) break;
         [row, vehicle] = [this.wanted, this.state.vehicle];

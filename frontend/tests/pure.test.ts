@@ -112,7 +112,7 @@ test("places are seen where Python sees them", () => {
   assert.ok(seen > cases.length / 4 && seen < cases.length);
 });
 
-test("an ellipse has its axes where they are said to be", () => {
+test("an ellipse has its axes where they are stated to be", () => {
   const camera = { lat_deg: 47, lon_deg: 8, height_m: 0 };
   const ring = ellipseRing(47, 8, 20, 5, 30, 72);
   assert.deepEqual(ring[0], ring.at(-1));
@@ -142,7 +142,7 @@ test("the grid has whole metres and covers the view", () => {
   }
 });
 
-test("a radius is never said to be smaller than it is", () => {
+test("a radius is never shown smaller than it is", () => {
   for (const [metres, text] of [[3.21, "3.3 m"], [3.2, "3.2 m"], [9.95, "10.0 m"], [12.01, "13 m"], [999.5, "1000 m"], [1501, "1.6 km"]] as const) {
     assert.equal(radius(metres), text);
   }
@@ -151,7 +151,7 @@ test("a radius is never said to be smaller than it is", () => {
   assert.equal(age(75), "75 s");
 });
 
-test("a grid's step is said as it is", () => {
+test("a grid's step is shown as it is", () => {
   for (const [metres, text] of [[0.5, "0.5 m"], [10, "10 m"], [200, "200 m"], [1000, "1 km"], [2000, "2 km"], [10_000, "10 km"], [100_000, "100 km"]] as const) {
     assert.equal(stepText(metres), text);
   }
@@ -223,7 +223,7 @@ function later(seconds: number, east: number, more: Partial<TrackReport> = {}): 
   return { ...REPORT, frame: 10 + Math.round(seconds * 10), capture_unix_ns: String(capture), place: { ...REPORT.place!, lat_deg: lat, lon_deg: lon }, ...more };
 }
 
-test("reports of a track are held in the order of capture, and a lost thing's number begins anew", () => {
+test("reports of a track are held in the order of capture, and a lost thing's number begins again", () => {
   const held = new Map<string, TrackReport[]>();
   mergeReports(held, [later(1, 1), later(0, 0), later(1, 1), later(0.5, 0.5)]);
   assert.deepEqual(held.get("uav/7/1")!.map((one) => one.frame), [10, 15, 20]);
@@ -257,15 +257,15 @@ test("the band about a path is as wide as the ellipses reach across it, and a th
 });
 
 test("on the map a moving thing has an arrow and a wedge, one at rest neither, and a lost one its last ellipse", () => {
-  const drawn = (...reports: TrackReport[]): Record<string, number> => {
+  const kinds = (...reports: TrackReport[]): Record<string, number> => {
     const held = new Map<string, TrackReport[]>();
     mergeReports(held, reports);
     const made = trackFeatures(tracksAt(held, () => BEGUN_MS + 20_000)), kinds = [...made.areas, ...made.lines].map((one) => String(one.properties["kind"]));
     return Object.fromEntries([...new Set(kinds)].map((kind) => [kind, kinds.filter((one) => one === kind).length]));
   };
-  assert.deepEqual(drawn(later(10, 0), later(20, 10)), { band: 1, ellipse: 1, wedge: 1, path: 1, edge: 1, arrow: 1 });
+  assert.deepEqual(kinds(later(10, 0), later(20, 10)), { band: 1, ellipse: 1, wedge: 1, path: 1, edge: 1, arrow: 1 });
   const rest = { course: { speed_m_s: 0.03, sigma_speed_m_s: 0.1, course_deg: null, sigma_course_deg: null } };
-  assert.deepEqual(drawn(later(20, 0, rest)), { ellipse: 1, edge: 1 });
-  assert.deepEqual(drawn(later(10, 0), later(20, 10, { state: "lost", unseen: "hidden" })), { band: 1, ellipse: 1, path: 1, edge: 1 });
-  assert.deepEqual(drawn(later(20, 0, { place: null })), {});
+  assert.deepEqual(kinds(later(20, 0, rest)), { ellipse: 1, edge: 1 });
+  assert.deepEqual(kinds(later(10, 0), later(20, 10, { state: "lost", unseen: "hidden" })), { band: 1, ellipse: 1, path: 1, edge: 1 });
+  assert.deepEqual(kinds(later(20, 0, { place: null })), {});
 });

@@ -170,7 +170,7 @@ def _answer_lines(
                 answer = clicker.click(click.u_px, click.v_px, frame=args.frame, file=args.file, unix_s=args.time)[0]
             mark = Mark.of_answer(answer, (click.u_px, click.v_px), None if chosen.line is not None else len(marks) + 1)
             marks.append(mark)
-            _tell(chosen, mark, grid)
+            _print_answer(chosen, mark, grid)
         except PointclickError as error:
             print(f"pc-ground: error: line {number}: {error}", file=sys.stderr)
             status = WRONG_USAGE
@@ -181,7 +181,7 @@ def _answer_lines(
     return status
 
 
-def _tell(chosen: Format, mark: Mark, grid: Grid | None) -> None:
+def _print_answer(chosen: Format, mark: Mark, grid: Grid | None) -> None:
     """One answer of a stream, where its format does not wait for the last."""
     if not mark.is_placed and chosen.name not in ("json", "geojson", "csv"):
         assert mark.answer is not None

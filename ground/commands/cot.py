@@ -17,14 +17,14 @@ from ground.commands.values import positive, whole
 from ground.cot_sender import CotSender, Target
 from ground.formats import cot
 from ground.formats.mark import Mark
-from ground.heard_tracks import HeardTracks
 from ground.link_options import endpoint_of, tls_of
 from ground.pins.file import chosen_store
 from ground.pins.machine import decision, decisions
 from ground.pins.places import Places
 from ground.pins.store import PinStore
+from ground.received_tracks import ReceivedTracks
 from ground.spots.found_thing import FoundThing
-from ground.spots.heard import HeardSpots
+from ground.spots.received import ReceivedSpots
 
 EXAMPLES = """\
 examples:
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     aircraft = _no_aircraft if args.only_pins else _aircraft(args)
     stale_s = max(STALE_PERIODS * args.period, LEAST_STALE_S)
     with CotSender(target) as sender:
-        said = ""
+        shown = ""
         while True:
             now_ns = time.time_ns()
             marks = [] if store is None or places is None else [Mark.of_pin(p, places.place(p)) for p in store.pins()]
@@ -91,9 +91,9 @@ def run(args: argparse.Namespace) -> int:
                 if args.once:
                     raise
                 words = str(error)  # the next period tries again
-            if words != said:
+            if words != shown:
                 print(f"pc-ground cot: {words}", file=sys.stderr)
-                said = words
+                shown = words
             if args.once:
                 return ANSWERED
             time.sleep(args.period)
@@ -110,7 +110,7 @@ class _aircraft:  # noqa: N801  called like a function
 
     def __init__(self, args: argparse.Namespace) -> None:
         self._vehicle = args.vehicle
-        self._heard, self._spots = HeardTracks(), HeardSpots()
+        self._tracks, self._spots = ReceivedTracks(), ReceivedSpots()
         self._recording = None if args.recording is None else opened(args.recording)
         if self._recording is not None:
             self._spots.add(self._recording.spots(self._recording.vehicles))
@@ -118,15 +118,15 @@ class _aircraft:  # noqa: N801  called like a function
             from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
 
             tls, vehicle = tls_of(args), args.vehicle or ANY_VEHICLE
-            beside = {TRACKS.key(vehicle): self._heard.take, SPOTS.key(vehicle): self._spots.take}
-            self._cache = SetCache(endpoint_of(args, tls), vehicle, tls=tls, beside=beside)
+            subscriptions = {TRACKS.key(vehicle): self._tracks.take, SPOTS.key(vehicle): self._spots.take}
+            self._cache = SetCache(endpoint_of(args, tls), vehicle, tls=tls, subscriptions=subscriptions)
             until = time.monotonic() + self.WAIT_S
             while not self._cache.vehicles and time.monotonic() < until:
                 time.sleep(0.05)
 
     def tracks(self) -> list[TrackReport]:
-        """The newest report of every track that is being heard."""
-        return self._heard.newest()
+        """The newest report of every track that is still being reported."""
+        return self._tracks.newest()
 
     def found(self) -> list[FoundThing]:
         """What more than one picture shows as a hot spot."""

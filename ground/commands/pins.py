@@ -47,7 +47,7 @@ examples:
   pc-ground pins share --listen tcp/0.0.0.0:7448                        the other servers then connect to this one
   pc-ground pins share --connect tcp/10.0.0.5:7448
 """
-SAY_S = 5.0  # between two lines of how sharing goes
+REPORT_S = 5.0  # between two lines of how sharing goes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -135,7 +135,7 @@ def _add_pixel(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Do it; returns the exit status. Raises PointclickError."""
-    if args.pins is not None and args.action in _READING and not args.pins.is_file():
+    if args.pins is not None and args.action in _READ_ONLY and not args.pins.is_file():
         raise InputError(f"{args.pins}: there is no such file of pins; pins add and pins import make one")
     with PinStore(chosen_store(args.pins, args.store)) as store:
         return _ACTIONS[args.action](store, args)
@@ -184,7 +184,7 @@ def _add(store: PinStore, args: argparse.Namespace) -> int:
         pin = store.add_click(store.by_number(args.to).id, click, who=args.who)
     else:
         pin = store.add([click], name=args.name, note=args.note, category=category_of(args.category), who=args.who)
-    _say(store, pin)
+    _print_pin(store, pin)
     return ANSWERED
 
 
@@ -214,14 +214,14 @@ def _answered(args: argparse.Namespace) -> tuple[Answer, Locator | None]:
     return clicker.click(args.u, args.v, frame=args.frame)
 
 
-def _say(store: PinStore, pin: Pin) -> None:
+def _print_pin(store: PinStore, pin: Pin) -> None:
     print(text_line(Mark.of_pin(pin, Places(store).place(pin))))
 
 
 def _edit(store: PinStore, args: argparse.Namespace) -> int:
     category = None if args.category is None else category_of(args.category)
     pin = store.edit(store.by_number(args.number).id, who=args.who, name=args.name, note=args.note, category=category)
-    _say(store, pin)
+    _print_pin(store, pin)
     return ANSWERED
 
 
@@ -303,13 +303,13 @@ def _share(store: PinStore, args: argparse.Namespace) -> int:
 
     with PinSharing(store, connect=args.connect, listen=args.listen, tls=tls_of(args)) as sharing:
         until = None if args.seconds is None else time.monotonic() + args.seconds
-        said, said_s = "", -math.inf
+        reported, reported_s = "", -math.inf
         with until_ended():
             while until is None or time.monotonic() < until:
                 time.sleep(0.2)
                 words = str(sharing.state)
-                if words != said and time.monotonic() - said_s > SAY_S:
-                    said, said_s = words, time.monotonic()
+                if words != reported and time.monotonic() - reported_s > REPORT_S:
+                    reported, reported_s = words, time.monotonic()
                     print(words, file=sys.stderr)
         print(sharing.state)
     return ANSWERED
@@ -323,7 +323,7 @@ _ACTIONS = {
 
 
 # What changes nothing: a named file must be there.
-_READING = ("list", "export", "measure", "ties")
+_READ_ONLY = ("list", "export", "measure", "ties")
 
 
 def _user() -> str:

@@ -39,15 +39,15 @@ def run(args: argparse.Namespace) -> int:
     tls = tls_of(args)
     vehicle = args.vehicle or ANY_VEHICLE
     with LinkRecorder(args.to) as recorder:
-        with SetCache(endpoint_of(args, tls), vehicle, tls=tls, beside={f"pc/{vehicle}/*": recorder.take}):
+        with SetCache(endpoint_of(args, tls), vehicle, tls=tls, subscriptions={f"pc/{vehicle}/*": recorder.take}):
             until = None if args.seconds is None else time.monotonic() + args.seconds
-            said_s = time.monotonic()
+            reported_s = time.monotonic()
             with until_ended():
                 while until is None or time.monotonic() < until:
                     time.sleep(0.2)
                     recorder.sync()
-                    if time.monotonic() - said_s > 60.0:
-                        said_s = time.monotonic()
+                    if time.monotonic() - reported_s > 60.0:
+                        reported_s = time.monotonic()
                         print(f"pc-ground record: {recorder.words}", file=sys.stderr)
         print(recorder.words)
     return ANSWERED

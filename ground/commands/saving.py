@@ -11,11 +11,11 @@ from contract.errors import InputError
 
 def save(path: Path, text: str) -> None:
     """First a file next to it: nothing half-written has the name. Raises InputError."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    subscriptions = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        beside.write_bytes(text.encode("utf-8"))
-        beside.replace(path)
+        subscriptions.write_bytes(text.encode("utf-8"))
+        subscriptions.replace(path)
     except OSError as error:
         with contextlib.suppress(OSError):
-            beside.unlink()
+            subscriptions.unlink()
         raise InputError(f"{path}: {error.strerror}") from error

@@ -29,8 +29,8 @@ examples:
   pc-ground seen --from SESSION.mcap --polygon area.geojson --to seen.tif --to seen.geojson
   pc-ground seen --connect tcp/10.0.0.7:7447 --seconds 600 --cell 5 --to seen.geojson
 """
-GAPS_SAID = 5
-SAID_EVERY_S = 10.0
+GAPS_LISTED = 5
+REPORT_EVERY_S = 10.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -96,7 +96,7 @@ def summary(seen: SeenGround, found: Coverage) -> list[str]:
     which = "convex hull of what was seen" if found.is_hull else "as given"
     share, count = _share(found.seen_of_searched_m2, found.searched_m2), len(found.gaps)
     lines.append(f"searched area ({which}): {_area(found.searched_m2)}, seen {share}, {count} gap{_s(count)}")
-    for number, gap in enumerate(found.gaps[:GAPS_SAID], 1):
+    for number, gap in enumerate(found.gaps[:GAPS_LISTED], 1):
         lines.append(f"gap {number}: {_area(gap.area_m2)} about {gap.lat_deg:.6f}, {gap.lon_deg:.6f}")
     return lines
 
@@ -107,12 +107,12 @@ def _recorded(args: argparse.Namespace) -> Iterator[FeatureSet]:
         raise UsageError("--seconds is for a live aircraft")
     recording = opened(args.recording)
     vehicles = recording.vehicles if args.vehicle is None else [vehicle_of(args.vehicle, recording.vehicles)]
-    said_s = time.monotonic()
+    reported_s = time.monotonic()
     for vehicle in vehicles:
         rows = recording.rows(vehicle)
         for k, (frame, _, _, status) in enumerate(rows):
-            if time.monotonic() - said_s > SAID_EVERY_S:
-                said_s = time.monotonic()
+            if time.monotonic() - reported_s > REPORT_EVERY_S:
+                reported_s = time.monotonic()
                 print(f"pc-ground seen: {vehicle}: {k} of {len(rows)} pictures", file=sys.stderr)
             try:
                 found = recording.by_frame(vehicle, frame) if status.value == "ok" else None
@@ -131,7 +131,7 @@ def _live(args: argparse.Namespace) -> Iterator[FeatureSet]:
     came: deque[FeatureSet] = deque()
     vehicle = args.vehicle or ANY_VEHICLE
     with (
-        SetCache(endpoint_of(args, tls), vehicle, tls=tls, max_sets=1, heard=lambda s, _: came.append(s)),
+        SetCache(endpoint_of(args, tls), vehicle, tls=tls, max_sets=1, on_set=lambda s, _: came.append(s)),
         until_ended(),
     ):
         until = None

@@ -194,8 +194,8 @@ class AskedClicker:
         age = "" if math.isinf(self._max_age_s) else too_old(answer.age_s, self._max_age_s)
         now_age_s = None if answer.age_s is None else answer.age_s + time.monotonic() - began_s
         if isinstance(answer, Refusal):
-            said = f"{EXPLANATIONS[answer.status]}; the aircraft reports: {answer.detail}" if answer.detail else ""
-            return replace(answer, age_s=now_age_s, detail=said), None
+            reported = f"{EXPLANATIONS[answer.status]}; the aircraft reports: {answer.detail}" if answer.detail else ""
+            return replace(answer, age_s=now_age_s, detail=reported), None
         if not age:
             return replace(answer, age_s=now_age_s), None
         detail = f"the newest picture that can be clicked is {age}"

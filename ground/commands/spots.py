@@ -27,7 +27,7 @@ from ground.formats.mark import Mark
 from ground.link_options import UsageError, endpoint_of, tls_of
 from ground.spots.fire import HOT_C, Fire, FireGround
 from ground.spots.found_thing import FoundThing
-from ground.spots.heard import HeardSpots, reports_in
+from ground.spots.received import ReceivedSpots, reports_in
 
 EXAMPLES = """\
 examples:
@@ -38,7 +38,7 @@ examples:
   pc-ground spots --fire --minutes 10 --save fire.kml       where it burned, how sure that is, how fast it spreads
 """
 SAVED = {".geojson": "geojson", ".json": "geojson", ".kml": "kml", ".gpx": "gpx", ".csv": "csv"}
-HOTTER_K, SMALLER, ELSEWHERE = 1.0, 0.8, 1.0  # of a change that is said: kelvin, of the ellipse, ellipses' axes
+HOTTER_K, SMALLER, ELSEWHERE = 1.0, 0.8, 1.0  # of a change that is reported: kelvin, of the ellipse, ellipses' axes
 LOOK_S, FIRE_S = 0.2, 5.0
 MINUTES = 5.0
 
@@ -69,14 +69,14 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError("--minutes and --above go with --fire")
     if args.fire:
         return _fire(args)
-    heard = _recorded(args) if args.recording is not None else _live(args)
-    found = [thing for thing in heard.things() if args.all or thing.is_sure]
+    received = _recorded(args) if args.recording is not None else _live(args)
+    found = [thing for thing in received.things() if args.all or thing.is_sure]
     if args.save is not None:
         save(args.save, FORMATS[SAVED[args.save.suffix.lower()]].write([Mark.of_found(thing) for thing in found], None))
-    if heard.unplaced:
-        print(f"spots without a place, where a click has no answer either: {heard.unplaced}", file=sys.stderr)
+    if received.unplaced:
+        print(f"spots without a place, where a click has no answer either: {received.unplaced}", file=sys.stderr)
     if not found:
-        print(f"no hot spot found; pictures searched: {heard.pictures}", file=sys.stderr)
+        print(f"no hot spot found; pictures searched: {received.pictures}", file=sys.stderr)
         return REFUSED
     return ANSWERED
 
@@ -88,12 +88,12 @@ def _fire(args: argparse.Namespace) -> int:
     if args.recording is not None:
         for report in _in_recording(args):
             ground.add(report)
-        fire = _say_fire(ground, args)
+        fire = _report_fire(ground, args)
     else:
         for came in _reports(args):
             for report in came:
                 ground.add(report)
-            fire = _say_fire(ground, args)
+            fire = _report_fire(ground, args)
     if fire is None:
         print("no picture shows a fire with its outline", file=sys.stderr)
         return REFUSED
@@ -102,7 +102,7 @@ def _fire(args: argparse.Namespace) -> int:
     return ANSWERED
 
 
-def _say_fire(ground: FireGround, args: argparse.Namespace) -> Fire | None:
+def _report_fire(ground: FireGround, args: argparse.Namespace) -> Fire | None:
     fire = ground.fire(MINUTES if args.minutes is None else args.minutes)
     if fire is not None:
         print(json.dumps(fire_area.features(fire)) if args.json else fire.to_text(), flush=True)
@@ -119,8 +119,8 @@ def _reports(args: argparse.Namespace) -> Iterator[list[SpotReport]]:
         came.extend(reports_in(key, payload))
 
     began_s = time.monotonic()
-    beside = {SPOTS.key(vehicle): take}
-    with SetCache(endpoint_of(args, tls), vehicle, tls=tls, max_sets=1, beside=beside), until_ended():
+    subscriptions = {SPOTS.key(vehicle): take}
+    with SetCache(endpoint_of(args, tls), vehicle, tls=tls, max_sets=1, subscriptions=subscriptions), until_ended():
         while args.seconds is None or time.monotonic() < began_s + args.seconds:
             time.sleep(FIRE_S if args.seconds is None else min(FIRE_S, args.seconds))
             taken, came[:] = list(came), []
@@ -137,38 +137,38 @@ def _in_recording(args: argparse.Namespace) -> list[SpotReport]:
     )
 
 
-def _recorded(args: argparse.Namespace) -> HeardSpots:
+def _recorded(args: argparse.Namespace) -> ReceivedSpots:
     """What was found in a recorded flight, printed as it was known at the end."""
-    heard = HeardSpots()
-    heard.add(_in_recording(args))
-    for thing in heard.things():
+    received = ReceivedSpots()
+    received.add(_in_recording(args))
+    for thing in received.things():
         if args.all or thing.is_sure:
-            _say(thing, args)
-    return heard
+            _print_thing(thing, args)
+    return received
 
 
-def _live(args: argparse.Namespace) -> HeardSpots:
+def _live(args: argparse.Namespace) -> ReceivedSpots:
     """What comes over the link, until a signal or the time ends it."""
     from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
 
-    tls, vehicle, heard = tls_of(args), args.vehicle or ANY_VEHICLE, HeardSpots()
+    tls, vehicle, received = tls_of(args), args.vehicle or ANY_VEHICLE, ReceivedSpots()
     until_s = None if args.seconds is None else time.monotonic() + args.seconds
-    said: dict[int, FoundThing] = {}
+    reported: dict[int, FoundThing] = {}
     version = 0
-    beside = {SPOTS.key(vehicle): heard.take}
-    with SetCache(endpoint_of(args, tls), vehicle, tls=tls, max_sets=1, beside=beside), until_ended():
+    subscriptions = {SPOTS.key(vehicle): received.take}
+    with SetCache(endpoint_of(args, tls), vehicle, tls=tls, max_sets=1, subscriptions=subscriptions), until_ended():
         while until_s is None or time.monotonic() < until_s:
-            version, changed = heard.since(version)
+            version, changed = received.since(version)
             for thing in changed:
-                if args.all or (thing.is_sure and is_news(thing, said.get(thing.number))):
-                    said[thing.number] = thing
-                    _say(thing, args)
+                if args.all or (thing.is_sure and is_news(thing, reported.get(thing.number))):
+                    reported[thing.number] = thing
+                    _print_thing(thing, args)
             time.sleep(LOOK_S)
-    return heard
+    return received
 
 
 def is_news(thing: FoundThing, before: FoundThing | None) -> bool:
-    """Whether a thing differs from what was said of it by more than a person would overlook."""
+    """Whether a thing differs from what was reported of it by more than a person would overlook."""
     if before is None or (before.course is None) != (thing.course is None):
         return True
     if thing.course is not None and before.course is not None and thing.course.is_moving != before.course.is_moving:
@@ -183,5 +183,5 @@ def is_news(thing: FoundThing, before: FoundThing | None) -> bool:
     return away > ELSEWHERE * max(old.ellipse.semi_major_m, 1.0)
 
 
-def _say(thing: FoundThing, args: argparse.Namespace) -> None:
+def _print_thing(thing: FoundThing, args: argparse.Namespace) -> None:
     print(thing.to_json() if args.json else one_line(thing.to_text()), flush=True)

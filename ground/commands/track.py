@@ -80,8 +80,8 @@ def run(args: argparse.Namespace) -> int:
     with TrackLink(endpoint_of(args, tls), args.vehicle, tls) as link:
         try:
             if args.list or args.stop is not None:
-                said = link.ask(ListTracks() if args.list else StopTrack(args.stop))
-                print(" ".join(str(number) for number in said.get("tracks", [])))
+                reply = link.ask(ListTracks() if args.list else StopTrack(args.stop))
+                print(" ".join(str(number) for number in reply.get("tracks", [])))
                 return ANSWERED
             number = None
             if args.u is not None:
@@ -120,16 +120,16 @@ def _recorded(args: argparse.Namespace) -> int:
 def _listen(link: TrackLink, number: int | None, args: argparse.Namespace, kept: list[TrackReport]) -> None:
     """Print reports until the time is over or the track is lost."""
     until_s = None if args.seconds is None else time.monotonic() + args.seconds
-    heard_s = time.monotonic()
+    received_s = time.monotonic()
     count = 0
     while (until_s is None or time.monotonic() < until_s) and count != args.count:
         report = link.next(0.2)
         if report is None or (number is not None and report.number != number):
-            if number is not None and time.monotonic() - heard_s > SILENT_S:
-                heard_s = time.monotonic()
+            if number is not None and time.monotonic() - received_s > SILENT_S:
+                received_s = time.monotonic()
                 print(f"track {number}: nothing received for {SILENT_S:.0f} s", file=sys.stderr)
             continue
-        heard_s = time.monotonic()
+        received_s = time.monotonic()
         if args.save is None or len(kept) >= MOST_KEPT:
             kept[:] = kept[: MOST_KEPT - 1 if args.save else 0]
         kept.append(report)

@@ -1,4 +1,4 @@
-"""`pc-ground vehicles`: which aircraft are there, how they are, when they were last heard. No aircraft is asked."""
+"""`pc-ground vehicles`: which aircraft are there, how they are, when each last sent anything. No aircraft is asked."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ examples:
   pc-ground vehicles --follow          who comes and who goes, until Ctrl-C
   pc-ground vehicles --json | jq -r 'select(.state == "no_gps").vehicle'
 """
-NOBODY = 1
+NONE_THERE = 1
 LOOK_S = 0.1
 _HEADS = ("vehicle", "link", "state", "last seen", "pictures", "reason")
 _WIDTHS = (16, 6, 16, 10, 9, 0)
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
         session.close()
     if not found:
         print("no aircraft is there", file=sys.stderr)
-    return ANSWERED if found else NOBODY
+    return ANSWERED if found else NONE_THERE
 
 
 def _follow(presence: Presence, found: list[Present], as_json: bool) -> None:

@@ -1,6 +1,6 @@
 """`pc-ground watch`: a line an aircraft, again and again: how it is, how old its picture, how good its answers.
 
-And a line for each thing that it follows, and for each hot spot that was seen lately.
+And a line for each thing that it follows, and for each hot spot that was seen recently.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from ground.commands.values import positive, whole
 from ground.formats.documents import one_line
 from ground.formats.mark import Mark
 from ground.freshness import MAX_AGE_S
-from ground.heard_tracks import SILENT_S, HeardTracks
 from ground.link_options import endpoint_of, tls_of
+from ground.received_tracks import SILENT_S, ReceivedTracks
 from ground.recording import Recording
 from ground.spots.found_thing import FoundThing
-from ground.spots.heard import HeardSpots
+from ground.spots.received import ReceivedSpots
 
 EXAMPLES = """\
 examples:
@@ -94,39 +94,39 @@ def run(args: argparse.Namespace) -> int:
         names = [args.vehicle] if args.vehicle in recording.vehicles else recording.vehicles
         rows = [_row(name, recording.newest_picture(name), None, 0.0, None) for name in names]
         followed = [report for name in names for report in _last_followed(recording, name)]
-        found = HeardSpots()
+        found = ReceivedSpots()
         found.add(recording.spots(names))
-        _show(rows, [*followed, *_lately(found)], args.json, False)
+        _show(rows, [*followed, *_recent(found)], args.json, False)
         return ANSWERED
     from ground.client import SetCache  # noqa: PLC0415  zenoh is loaded only where there is a link
 
     tls = tls_of(args)
     vehicle = args.vehicle or ANY_VEHICLE
-    heard, tracks, found = _Heard(), HeardTracks(), HeardSpots()
-    beside = {
-        STATUS.key(vehicle): heard.status, TRACKS.key(vehicle): tracks.take, SPOTS.key(vehicle): found.take
+    received, tracks, found = _Received(), ReceivedTracks(), ReceivedSpots()
+    subscriptions = {
+        STATUS.key(vehicle): received.status, TRACKS.key(vehicle): tracks.take, SPOTS.key(vehicle): found.take
     }  # fmt: skip
-    cache = SetCache(endpoint_of(args, tls), vehicle, tls=tls, beside=beside, heard=heard.set)
+    cache = SetCache(endpoint_of(args, tls), vehicle, tls=tls, subscriptions=subscriptions, on_set=received.set)
     is_screen = sys.stdout.isatty() and not args.json
     with cache:
         shown = 0
         while args.count is None or shown < args.count:
             time.sleep(args.period)
             rows = []
-            for name in sorted({*cache.vehicles, *heard.states}):
+            for name in sorted({*cache.vehicles, *received.states}):
                 reply = cache.reply(name)
                 newest = None
                 if reply is not None and isinstance(reply.answer, FeatureSet):
                     newest = reply.answer if reply.later is None else cache.by_frame(name, reply.later.frame)
-                rows.append(_row(name, newest, heard.states.get(name), cache.age_s(name), heard.rate_hz(name)))
+                rows.append(_row(name, newest, received.states.get(name), cache.age_s(name), received.rate_hz(name)))
             if not rows and not args.json:
                 print(f"nothing received yet{f': {cache.link_error}' if cache.link_error else ''}", file=sys.stderr)
-            _show(rows, [*tracks.newest(), *_lately(found)], args.json, is_screen)
+            _show(rows, [*tracks.newest(), *_recent(found)], args.json, is_screen)
             shown += 1
     return ANSWERED
 
 
-class _Heard:
+class _Received:
     """Status and rates of the vehicles; filled from zenoh's thread."""
 
     MOST = 1000  # vehicles: a peer may invent names
@@ -194,8 +194,8 @@ def _last_followed(recording: Recording, vehicle: str) -> list[TrackReport]:
     return [held[number] for number in sorted(held)]
 
 
-def _lately(spots: HeardSpots) -> list[FoundThing]:
-    """The things that hot spots are of that more than one picture shows, seen lately."""
+def _recent(spots: ReceivedSpots) -> list[FoundThing]:
+    """The things that hot spots are of that more than one picture shows, seen recently."""
     found = [thing for thing in spots.things() if thing.is_sure]
     since_ns = max((thing.last_unix_ns for thing in found), default=0) - round(SPOTS_SPAN_S * 1e9)
     return [thing for thing in found if thing.last_unix_ns >= since_ns]

@@ -28,8 +28,8 @@ SPOT = "b-m-p-s-m"
 _MARKER = re.compile(r"b-m-p(-|$)|b-r-|b-a-o-|a-.-[GSU]")  # points, casualties, emergencies, things on ground or water
 _DECLARATION = re.compile(r"<\?xml[^>]*\?>")
 AIRCRAFT = "a-f-A-M-F-Q"  # friendly, airborne, military-style code for an unmanned aircraft: what TAK shows as a drone
-FOUND = "b-m-p-s-p-i"  # a sensor's point of interest: what a program found and nobody has confirmed
-FOLLOWED = "a-u-G"  # something on the ground of which nobody has said what it is
+FOUND = "b-m-p-s-p-i"  # a sensor's point of interest: what a program found and no person has confirmed
+FOLLOWED = "a-u-G"  # something on the ground that no person has identified
 OURS = "__pointclick"  # a pin's own fields; programs ignore details that are unknown to them
 # Colours of ATAK's spot map, as signed ARGB.
 _UNCONFIRMED = -65281  # magenta

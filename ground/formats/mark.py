@@ -115,7 +115,7 @@ class Mark:
 
     @classmethod
     def of_found(cls, thing: FoundThing) -> Mark:
-        """Of a thing that hot spots are of, which nobody has confirmed."""
+        """Of a thing that hot spots are of, which no person has confirmed."""
         p, best = thing.place, thing.best
         return cls(
             f"spot-{thing.spots[0].vehicle}-{thing.spots[0].session}-{thing.spots[0].frame}-{thing.number}",

@@ -64,7 +64,7 @@ class PinFile(PinTables):
     def __init__(self, path: Path) -> None:
         super().__init__(str(path))
         self._db: sqlite3.Connection | None = None
-        with self._told():
+        with self._errors_explained():
             path.parent.mkdir(parents=True, exist_ok=True)
             self._db = sqlite3.connect(path, timeout=BUSY_TIMEOUT_S, check_same_thread=False, isolation_level=None)
         self._prepare()
@@ -97,20 +97,20 @@ class PinFile(PinTables):
 
     def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
         """The rows that a statement gives."""
-        with self._lock, self._told():
+        with self._lock, self._errors_explained():
             if self._db is None:
                 raise InputError(f"pins {self.name}: closed")
             return self._db.execute(statement, values).fetchall()
 
     def each(self, statement: str, rows: Iterable[tuple[object, ...]]) -> None:
         """One statement for each of many rows of values."""
-        with self._lock, self._told():
+        with self._lock, self._errors_explained():
             if self._db is None:
                 raise InputError(f"pins {self.name}: closed")
             self._db.executemany(statement, rows)
 
     @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
+    def _errors_explained(self) -> Iterator[None]:
         try:
             yield
         except sqlite3.OperationalError as error:

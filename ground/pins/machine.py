@@ -1,7 +1,7 @@
 """What a program found and a person decides on: confirmed it is a pin, dismissed it is a pin that was deleted.
 
 So decisions are undone, kept and shared with other servers as pins are. A thing is known again by its spots: pictures
-and pixels, which all who hear an aircraft have alike; never by its place, where somebody else may stand.
+and pixels, which are the same for all who receive from an aircraft; never by its place, where somebody else may stand.
 """
 
 from __future__ import annotations

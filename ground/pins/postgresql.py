@@ -83,13 +83,13 @@ class PinDatabase(PinTables):
 
     def rows(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
         """The rows that a statement gives."""
-        with self._lock, self._told():
+        with self._lock, self._errors_explained():
             cursor = self._connected().execute(statement.replace("?", "%s"), values or None)
             return cursor.fetchall() if cursor.description else []
 
     def each(self, statement: str, rows: Iterable[tuple[object, ...]]) -> None:
         """One statement for each of many rows of values."""
-        with self._lock, self._told(), self._connected().cursor() as cursor:
+        with self._lock, self._errors_explained(), self._connected().cursor() as cursor:
             cursor.executemany(statement.replace("?", "%s"), rows)
 
     def _connected(self) -> Any:
@@ -106,7 +106,7 @@ class PinDatabase(PinTables):
         return self._db
 
     @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
+    def _errors_explained(self) -> Iterator[None]:
         try:
             yield
         except self._psycopg.Error as error:

@@ -51,12 +51,12 @@ _PAIRS = _Pairs()
 
 def _key(e: ClickErrors) -> bytes:
     """All of a click's set that `common_cross_covariance` reads, in 16 bytes."""
-    said = e.shared
+    s = e.shared
     numbers = (
-        e.camera_lat_deg, e.camera_lon_deg, e.camera_height_m, said.position_time_s, said.attitude_time_s, *said.span_s,
+        e.camera_lat_deg, e.camera_lon_deg, e.camera_height_m, s.position_time_s, s.attitude_time_s, *s.span_s,
     )  # fmt: skip
     digest = hashlib.blake2b(f"{e.session} {e.capture_unix_ns} {numbers!r}".encode(), digest_size=16)
-    for array in (e.R_enu_cam, e.common_cov, said.by_nuisance, said.alignment_sigma):
+    for array in (e.R_enu_cam, e.common_cov, s.by_nuisance, s.alignment_sigma):
         digest.update(np.asarray(array, np.float64).tobytes())
     return digest.digest()
 
@@ -70,7 +70,7 @@ def joint_covariances(clicks: Sequence[PinClick], spots: Sequence[object]) -> tu
     """
     n = len(clicks)
     apart = np.zeros((3 * n, 3 * n))
-    alike = np.zeros_like(apart)
+    same = np.zeros_like(apart)
     pointing = np.zeros_like(apart)
     roots = [np.zeros((3, 3)) if c.errors is None else symmetric_root(_rest(c)) for c in clicks]
     Js = [np.zeros((3, 9)) if c.errors is None else position_jacobian(c.errors, c.errors.offset_enu_m) for c in clicks]
@@ -78,7 +78,7 @@ def joint_covariances(clicks: Sequence[PinClick], spots: Sequence[object]) -> tu
     for i, a in enumerate(clicks):
         at = slice(3 * i, 3 * i + 3)
         assert a.covariance_enu_m2 is not None
-        apart[at, at] = alike[at, at] = a.covariance_enu_m2
+        apart[at, at] = same[at, at] = a.covariance_enu_m2
         if a.errors is not None:
             pointing[at, at] = a.errors.pointing_cov_m2
         for j in range(i):
@@ -98,9 +98,9 @@ def joint_covariances(clicks: Sequence[PinClick], spots: Sequence[object]) -> tu
                     by_depth += overlap(one, two) * one.feature_noise * two.feature_noise
                     own = roots[j] @ roots[i]
                 own = own + by_depth * np.outer(one.offset_enu_m, two.offset_enu_m)
-            apart[other, at], alike[other, at] = common, common + own
-            apart[at, other], alike[at, other] = apart[other, at].T, alike[other, at].T
-    return _positive(apart) + pointing, _positive(alike) + pointing
+            apart[other, at], same[other, at] = common, common + own
+            apart[at, other], same[at, other] = apart[other, at].T, same[other, at].T
+    return _positive(apart) + pointing, _positive(same) + pointing
 
 
 def _positive(covariance: Array) -> Array:

@@ -27,7 +27,7 @@ from contract.errors import InputError, LinkError
 from contract.link_config import Tls, link_config, passing_only
 from ground.pins import sharing_messages as messages
 from ground.pins.model import Pin
-from ground.pins.sharing_messages import PREFIX, Said
+from ground.pins.sharing_messages import PREFIX, Announcement
 from ground.pins.store import PinStore
 from ground.watched_thread import WatchedThread
 
@@ -52,10 +52,10 @@ class Shared:
     """How sharing is. Counts are since its beginning."""
 
     servers: int  # received from recently
-    alike: int  # of these, with the same pins as here
+    same: int  # of these, with the same pins as here
     pins: int  # here, tombstones too
     taken: int  # changes of others
-    said: int  # changes sent to others
+    sent: int  # changes sent to others
     refused: int  # pins of others that cannot be taken
     unreadable: int  # messages that were none
     dropped: int  # messages, because the buffer was full; they are asked for later
@@ -64,10 +64,12 @@ class Shared:
     trouble: str  # why a thread cannot do its work
 
     def __str__(self) -> str:
-        parts = [f"{self.servers} other servers, {self.alike} with the same {self.pins} pins"]
-        parts.append(f"{self.taken} changes taken, {self.said} said")
+        parts = [f"{self.servers} other servers, {self.same} with the same {self.pins} pins"]
+        parts.append(f"{self.taken} changes taken, {self.sent} sent")
         if abs(self.clock_s) > 5.0:
-            parts.append(f"a clock differs by {self.clock_s:.0f} s: the last writer is the one whose clock says so")
+            parts.append(
+                f"a clock differs by {self.clock_s:.0f} s: the last writer is the one with the later clock time"
+            )
         if self.refused or self.unreadable or self.dropped:
             parts.append(f"{self.refused} pins refused, {self.unreadable} messages unreadable, {self.dropped} dropped")
         parts += [self.last_refusal] if self.last_refusal else []
@@ -78,8 +80,8 @@ class Shared:
 class _Server:
     """Another server, as its messages describe it."""
 
-    said: Said
-    heard_s: float
+    announcement: Announcement
+    received_s: float
     ahead_s: float  # of its clock
     unlike_since_s: float | None
     is_new: bool = True
@@ -107,12 +109,13 @@ class PinSharing:
         self._digest, self._revision = 0, -1
         self._refused: OrderedDict[tuple[str, bytes], None] = OrderedDict()
         self._refused_s = time.monotonic()  # when they were cleared last
-        self._counts = dict.fromkeys(("taken", "said", "refused", "unreadable", "dropped"), 0)
+        self._counts = dict.fromkeys(("taken", "sent", "refused", "unreadable", "dropped"), 0)
         self._last_refusal = ""
         self._beat_s = -BEAT_S
         self._is_closed = False
         self._look()
-        # A router among routers, so that all servers hear each other; it relays nothing but pins, to nobody.
+        # A router among routers, so that every server receives from all others; it relays nothing but pins, and to no
+        # one else.
         config = json.loads(link_config("router", listen=listen, connect=connect, tls=tls))
         config["access_control"] = passing_only(f"{PREFIX}/**")
         try:
@@ -121,13 +124,15 @@ class PinSharing:
             reason = str(error).split(" at ", maxsplit=1)[0]
             raise LinkError(f"cannot share pins at {', '.join((*listen, *connect))}: {reason}") from error
         own = f"{PREFIX}/{self.server}"
-        self._said = self._session.declare_publisher(f"{own}/said", congestion_control=zenoh.CongestionControl.DROP)
+        self._announcements = self._session.declare_publisher(
+            f"{own}/said", congestion_control=zenoh.CongestionControl.DROP
+        )
         self._changed = self._session.declare_publisher(
             f"{own}/changed", congestion_control=zenoh.CongestionControl.DROP
         )
         self._declared = [
-            self._session.declare_subscriber(f"{PREFIX}/*/said", self._heard),
-            self._session.declare_subscriber(f"{PREFIX}/*/changed", self._heard),
+            self._session.declare_subscriber(f"{PREFIX}/*/said", self._receive),
+            self._session.declare_subscriber(f"{PREFIX}/*/changed", self._receive),
             self._session.declare_queryable(f"{own}/summary", self._asked),
             self._session.declare_queryable(f"{own}/pins", self._asked),
         ]
@@ -143,7 +148,7 @@ class PinSharing:
         with self._lock:
             servers = list(self._servers.values())
             return Shared(
-                len(servers), sum(s.said.digest == self._digest for s in servers), len(self._known),
+                len(servers), sum(s.announcement.digest == self._digest for s in servers), len(self._known),
                 **self._counts, clock_s=max((s.ahead_s for s in servers), key=abs, default=0.0),
                 last_refusal=self._last_refusal, trouble="; ".join(t.trouble for t in self._threads if t.trouble),
             )  # fmt: skip
@@ -165,14 +170,14 @@ class PinSharing:
 
     # In zenoh's threads: only put messages into the buffer
 
-    def _heard(self, sample: zenoh.Sample) -> None:
+    def _receive(self, sample: zenoh.Sample) -> None:
         try:
             server, kind = messages.server_of(str(sample.key_expr))
             if server == self.server:
                 return
             payload = sample.payload.to_bytes()
             if kind == "said":
-                self._note(server, messages.said_from_bytes(payload))
+                self._note(server, messages.announcement_from_bytes(payload))
             elif len(payload) > messages.MAX_PIN_BYTES:
                 raise InputError(f"a pin of {len(payload)} bytes")
             else:
@@ -180,19 +185,19 @@ class PinSharing:
         except InputError:
             self._count("unreadable")
 
-    def _note(self, server: str, said: Said) -> None:
-        if said.server != server:
+    def _note(self, server: str, announcement: Announcement) -> None:
+        if announcement.server != server:
             raise InputError("a server that claims to be another")
-        now_s, ahead_s = time.monotonic(), (said.unix_ns - time.time_ns()) / 1e9
+        now_s, ahead_s = time.monotonic(), (announcement.unix_ns - time.time_ns()) / 1e9
         with self._lock:
             held = self._servers.get(server)
             if held is None:
-                held = self._servers[server] = _Server(said, now_s, ahead_s, None)
-            held.said, held.heard_s, held.ahead_s = said, now_s, ahead_s
+                held = self._servers[server] = _Server(announcement, now_s, ahead_s, None)
+            held.announcement, held.received_s, held.ahead_s = announcement, now_s, ahead_s
             self._servers.move_to_end(server)
             while len(self._servers) > MAX_SERVERS:
                 self._servers.popitem(last=False)
-            if said.digest == self._digest:
+            if announcement.digest == self._digest:
                 held.unlike_since_s, held.is_new = None, False
             elif held.unlike_since_s is None:
                 held.unlike_since_s = now_s
@@ -216,12 +221,12 @@ class PinSharing:
     # In the thread that serves
 
     def _serve(self) -> None:
-        self._merge_heard()
+        self._merge_received()
         changed = self._look()
         for pin in changed if len(changed) <= PUSHED else ():
             try:
                 self._changed.put(messages.pin_to_bytes(pin))
-                self._count("said")
+                self._count("sent")
             except InputError as error:
                 self._refuse(str(error))
         while True:
@@ -232,15 +237,15 @@ class PinSharing:
             self._answer(query)
         if time.monotonic() - self._beat_s >= BEAT_S:
             self._beat_s = time.monotonic()
-            self._say()
+            self._announce()
 
-    def _say(self) -> None:
+    def _announce(self) -> None:
         now_s = time.monotonic()
         with self._lock:
-            for server in [name for name, s in self._servers.items() if now_s - s.heard_s > FORGET_S]:
+            for server in [name for name, s in self._servers.items() if now_s - s.received_s > FORGET_S]:
                 del self._servers[server]
-            said = Said(self.server, len(self._known), self._digest, time.time_ns())
-        self._said.put(messages.said_to_bytes(said))
+            announcement = Announcement(self.server, len(self._known), self._digest, time.time_ns())
+        self._announcements.put(messages.announcement_to_bytes(announcement))
 
     def _look(self) -> list[Pin]:
         """What has changed in the store since the last look, but for the first."""
@@ -261,11 +266,11 @@ class PinSharing:
         self._revision = revision
         return changed
 
-    def _merge_heard(self) -> None:
+    def _merge_received(self) -> None:
         with self._lock:
-            heard, self._waiting, self._waiting_bytes = list(self._waiting), deque(), 0
+            received, self._waiting, self._waiting_bytes = list(self._waiting), deque(), 0
         found = []
-        for payload in heard:
+        for payload in received:
             try:
                 found.append(messages.pin_from_bytes(payload))
             except InputError as error:
@@ -315,14 +320,14 @@ class PinSharing:
         if server is None:
             return
         began_s, held = time.monotonic(), server
-        digests = held.said.digest, self._digest
+        digests = held.announcement.digest, self._digest
         try:
-            wanted = self._wanted(held.said.server)
+            wanted = self._wanted(held.announcement.server)
             for begin in range(0, len(wanted), messages.MAX_ASKED):
                 if self._is_closed:
                     return
                 asked = messages.asked_to_bytes(wanted[begin : begin + messages.MAX_ASKED])
-                self._merge(self._pins_of(held.said.server, asked))
+                self._merge(self._pins_of(held.announcement.server, asked))
         finally:
             took_s = time.monotonic() - began_s
             with self._lock:
@@ -334,9 +339,9 @@ class PinSharing:
         with self._lock:
             for held in self._servers.values():
                 since_s = held.unlike_since_s
-                if since_s is None or now_s < held.ask_at_s or now_s - held.heard_s > FORGET_S:
+                if since_s is None or now_s < held.ask_at_s or now_s - held.received_s > FORGET_S:
                     continue
-                is_known = held.asked == (held.said.digest, self._digest) and now_s < held.ask_at_s + AGAIN_S
+                is_known = held.asked == (held.announcement.digest, self._digest) and now_s < held.ask_at_s + AGAIN_S
                 if not is_known and (held.is_new or now_s - since_s > SETTLE_S):
                     return held
         return None

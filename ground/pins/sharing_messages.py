@@ -21,7 +21,7 @@ from ground.pins.store import order_of
 VERSION = 1
 PREFIX = PINS
 MAX_PIN_BYTES = 1_000_000  # some 270 clicks
-MAX_SAID_BYTES = 500
+MAX_ANNOUNCEMENT_BYTES = 500
 MAX_ASKED = 100  # pins in one question
 SUMMARY_BYTES = 32_000  # of one answer; there are as many as it takes
 VERSION_BYTES = 8
@@ -31,7 +31,7 @@ _IDENTITY = re.compile(rb"[0-9A-Za-z_-]{1,64}")
 
 
 @dataclass(frozen=True)
-class Said:
+class Announcement:
     """What a server reports of itself, once a second. `digest` is the same where all pins are the same."""
 
     server: str
@@ -48,21 +48,26 @@ def server_of(key: str) -> tuple[str, str]:
     return found[1], found[2]
 
 
-def said_to_bytes(said: Said) -> bytes:
+def announcement_to_bytes(a: Announcement) -> bytes:
     """JSON."""
-    content = {"v": VERSION, "server": said.server, "pins": said.pins, "digest": f"{said.digest:016x}"}
-    return json.dumps({**content, "unix_ns": said.unix_ns}).encode()
+    content = {
+        "v": VERSION,
+        "server": a.server,
+        "pins": a.pins,
+        "digest": f"{a.digest:016x}",
+    }
+    return json.dumps({**content, "unix_ns": a.unix_ns}).encode()
 
 
-def said_from_bytes(payload: bytes) -> Said:
+def announcement_from_bytes(payload: bytes) -> Announcement:
     """Raises InputError."""
-    r = Reader(_json(payload, MAX_SAID_BYTES, "what a server says"), "server")
+    r = Reader(_json(payload, MAX_ANNOUNCEMENT_BYTES, "what a server reports"), "server")
     if r.whole("v") != VERSION:
         raise InputError(f"server: of version {r.get('v')!s:.20}; this program reads {VERSION}")
     server, digest = r.text("server", 16), r.text("digest", 16)
     if not _SERVER.fullmatch(server) or not _SERVER.fullmatch(digest):
         raise InputError("server: its name and digest must be 16 hexadecimal digits")
-    return Said(server, r.whole("pins"), int(digest, 16), r.whole("unix_ns"))
+    return Announcement(server, r.whole("pins"), int(digest, 16), r.whole("unix_ns"))
 
 
 def pin_to_bytes(pin: Pin) -> bytes:

@@ -417,7 +417,7 @@ class PinStore:
             if revision == self._seen:
                 return self._pins
             rows = self._file.rows("SELECT doc FROM pins WHERE revision > ?", self._seen)
-            # A text that was written here just now need not be read to know what it says.
+            # A text that was written here just now need not be read to know its content.
             texts = self._written_texts
             read = (texts[doc] if doc in texts else Pin.from_dict(self._file.json(doc)) for (doc,) in rows)
             known = _merged(self._pins, sorted(read, key=_NUMBER))

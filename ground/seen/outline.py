@@ -32,8 +32,8 @@ def patches(mask: Mask) -> list[Patch]:
     outers = [Patch(ring, []) for ring in rings if ring_area(ring) > 0.0]
     boxes = np.array([[*p.outer.min(axis=0), *p.outer.max(axis=0)] for p in outers]).reshape(-1, 4)
     for hole in (ring for ring in rings if ring_area(ring) < 0.0):
-        # The cell that is marked beside the hole's lowest edge, its left end, is the outer ring's.
-        x, y = _cell_beside(hole)
+        # The cell that is marked next to the hole's lowest edge, its left end, is the outer ring's.
+        x, y = _cell_left_of_edge(hole)
         near = np.flatnonzero((boxes[:, 0] < x) & (x < boxes[:, 2]) & (boxes[:, 1] < y) & (y < boxes[:, 3]))
         inside = [k for k in near if _is_inside(outers[k].outer, x, y)]
         # Of several the innermost: outer rings are nested only through holes of each other.
@@ -117,7 +117,7 @@ def _turning(ring: list[Corner]) -> list[Corner]:
     return out
 
 
-def _cell_beside(ring: Array) -> tuple[float, float]:
+def _cell_left_of_edge(ring: Array) -> tuple[float, float]:
     """The middle of the marked cell left of a ring's first edge."""
     (x0, y0), (x1, y1) = ring[0], ring[1]
     along = np.sign([x1 - x0, y1 - y0])

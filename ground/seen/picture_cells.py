@@ -1,8 +1,8 @@
 """The cells of the ground that one picture has surely seen, by its set alone. docs/mathematics-seen.md.
 
 On a lattice of pixels the set answers where the ground is and with which error. A cell's pixel follows from the camera
-and the height that these answers give there; the error, mapped into the picture, says how far inside of it the cell
-must be to have been in view with 90 % certainty.
+and the height that these answers give there; the error, mapped into the picture, determines how far inside of it the
+cell must be to have been in view with 90 % certainty.
 """
 
 from __future__ import annotations

@@ -26,9 +26,9 @@ Ring = list[tuple[float, float]]
 HOT_C = 60.0  # above it a calibrated spot burns: no ground that the sun alone has warmed is so hot
 HOT_M2 = 2.0  # without calibration: smaller hot spots are no fire
 MOST_OUTLINES, MOST_CELLS, LEAST_CELL_M = 20_000, 300, 0.1
-MOST_DRAWN = 100  # of more pictures so many, evenly: the next one adds little
+MOST_PICTURES = 100  # of more pictures so many, evenly: the next one adds little
 SMOOTHED = 4  # cells to either side, over which an outline's steps are averaged
-FARTHEST_SHARE = 0.95  # of the front's cells, that have come less far than what is said
+FARTHEST_SHARE = 0.95  # of the front's cells, that have come less far than what is reported
 LEAST_SPREAD_S = 10.0
 
 
@@ -113,7 +113,7 @@ class FireGround:
         if not held or self._frame is None:
             return None
         grid = _Grid.of(held, self._frame)
-        burned, surely, perhaps = (grid.union([grid.drawn(region, by) for region in held]) for by in (0, -1, 1))
+        burned, surely, perhaps = (grid.union([grid.cells(region, by) for region in held]) for by in (0, -1, 1))
         spread = self._spread(held, grid)
         return Fire(
             min(r.at_ns for r in held), max(r.at_ns for r in held), len({r.frame for r in held}), grid.area(burned),
@@ -135,7 +135,7 @@ class FireGround:
         seconds = [float(np.mean([r.at_ns for r in half])) / 1e9 for half in halves]
         if seconds[1] - seconds[0] < LEAST_SPREAD_S:
             return None
-        before, after = (grid.union([grid.drawn(r, 0) for r in half]) for half in halves)
+        before, after = (grid.union([grid.cells(r, 0) for r in half]) for half in halves)
         new = _edge(after) & ~before
         if not new.any():
             far_m = 0.0
@@ -172,7 +172,7 @@ class _Grid:
         columns, rows = (int(n) + 4 for n in np.ceil((high - low) / cell_m))
         return cls(frame, low - 2.0 * cell_m, cell_m, rows, columns)
 
-    def drawn(self, region: _Region, by: int) -> Mask:
+    def cells(self, region: _Region, by: int) -> Mask:
         """The cells (rows, columns) of a region: as it is, or widened (1) or narrowed (-1) by its ellipse. (26.10)"""
         ring = (region.ring_m - self.corner_m) / self.cell_m
         out = np.zeros((self.rows, self.columns), bool)
@@ -235,7 +235,7 @@ class _Grid:
 def _thinned(held: list[_Region]) -> list[_Region]:
     """Of many pictures' regions those of some, evenly, with the newest."""
     frames = list(dict.fromkeys(region.frame for region in sorted(held, key=lambda r: r.at_ns)))
-    kept = set(frames[::-1][:: max(1, -(-len(frames) // MOST_DRAWN))])
+    kept = set(frames[::-1][:: max(1, -(-len(frames) // MOST_PICTURES))])
     return [region for region in held if region.frame in kept]
 
 

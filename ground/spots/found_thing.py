@@ -24,8 +24,9 @@ class SeenSpot:
 @dataclass(frozen=True)
 class FoundThing:
     """`place` is the merged one, at the newest sighting where it moves. `course`: at rest without a course in it; None:
-    too little is known to tell. `temperature_c` is the highest (of a cold thing the lowest) of any picture, None where
-    no camera is calibrated; `contrast` likewise, in sigmas of its ground. `best` is the picture that shows it best.
+    too little is known to decide. `temperature_c` is the highest (of a cold thing the lowest) of any picture, None
+    where no camera is calibrated; `contrast` likewise, in sigmas of its ground. `best` is the picture that shows it
+    best.
     """
 
     number: int

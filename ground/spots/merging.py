@@ -26,8 +26,8 @@ MOVED = limit(1e-5, 2)  # of what moving explains better than standing, above wh
 MOVES = limit(1e-2, 2)  # of the squared speed of one that has moved over its variance, above which it still does
 UNSEEN_S = 20.0  # after which a moving thing may be anywhere
 SHORT_S = 3.0  # for which what stood may have begun to move
-TOLD_S = 3.0  # of sightings, before anything is said of a speed
-REST_M_S = 0.5  # one sigma of a speed, above which a walker could not be told from one at rest
+SPEED_AFTER_S = 3.0  # of sightings, before a speed is reported
+REST_M_S = 0.5  # one sigma of a speed, above which a walker could not be distinguished from one at rest
 EXTENT_SHARE = 0.2  # of a spot's radius: how much what is taken for its middle changes with the view, one sigma
 MOST_THINGS, MOST_KEPT_SPOTS = 2000, 60  # and as many that were the best once
 
@@ -77,7 +77,7 @@ class _Thing:
         gap_s, moved = seen.at_s - held.at_s, self.moving[session].distance2(seen)
         if self.has_moved:
             return moved if gap_s <= UNSEEN_S else math.inf
-        # Nobody knows yet that it moves: for a short while it may have.
+        # It is not yet known whether it moves: for a short while it may have.
         return min(moved, held.distance2(seen)) if gap_s <= SHORT_S else held.distance2(seen)
 
     def take(self, session: Session, seen: Sighting) -> None:
@@ -207,9 +207,9 @@ class SpotMerger:
         )  # fmt: skip
 
     def _course(self, t: _Thing) -> Course | None:
-        """None before anything can be said. (26.7)"""
+        """None while too little is known. (26.7)"""
         motion = t.moving[t.last]
-        if motion.at_s - min(m.began_s for m in t.moving.values()) < TOLD_S or motion.count < 3:
+        if motion.at_s - min(m.began_s for m in t.moving.values()) < SPEED_AFTER_S or motion.count < 3:
             return None
         velocity = Velocity(motion.velocity_m_s, motion.velocity_covariance)
         if not t.is_moving and velocity.sigma_speed_m_s > REST_M_S:
@@ -218,7 +218,7 @@ class SpotMerger:
 
 
 def _note(t: _Thing, report: SpotReport, spot: Spot) -> None:
-    """What is said of a thing besides its place. The best picture of it is the one with the most contrast, uncut."""
+    """What is reported of a thing but its place. The best picture of it is the one with the most contrast, uncut."""
     where = SeenSpot(report.vehicle, report.session, report.frame, report.capture_unix_ns, spot.u_px, spot.v_px)
     t.first_unix_ns = min(t.first_unix_ns or where.capture_unix_ns, where.capture_unix_ns)
     t.pictures += 1

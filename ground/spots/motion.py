@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-PICTURE_TIME_S = 10.0  # for which errors of neighbouring pictures are alike: they rest on the same window of them
+PICTURE_TIME_S = 10.0  # for which errors of neighbouring pictures are the same: they rest on the same window of them
 STANDING_SPEED_M_S, WALKING_SPEED_M_S = 0.0, 1.5  # one sigma, along each axis, of the speed that a thing begins with
 WALKING_M_S2 = 0.15  # white acceleration, m/s^2 over the root of a hertz
 
@@ -131,7 +131,7 @@ class Motion:
         return out
 
     def _innovation(self, seen: Sighting) -> tuple[Array, Array, Array]:
-        """What a place says beyond what was known (2,), its covariance (2, 2), and the state's part in it (2, 6)."""
+        """What a place adds to what was known (2,), its covariance (2, 2), and the state's part in it (2, 6)."""
         state, P, shared = self.at(seen.at_s)
         H = np.hstack([np.eye(2), np.zeros((2, 2)), seen.picture_root_m])
         common = H @ shared - seen.session_root_m

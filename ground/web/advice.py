@@ -6,7 +6,7 @@ from contract.feature_set import Status
 
 ADVICE: dict[Status, str] = {
     Status.OK: "",
-    Status.STARTING: "wait until the aircraft has flown some metres",
+    Status.STARTING: "wait until the aircraft has moved some metres",
     Status.LOW_PARALLAX: "fly on sideways, or step to a picture taken a little earlier or later",
     Status.OUTSIDE: "step to a picture that shows the place nearer to its middle",
     Status.ABOVE_HORIZON: "click lower in the picture, or point the camera further down",

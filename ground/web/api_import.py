@@ -12,10 +12,10 @@ from ground.formats.coordinate_text import read_coordinate
 from ground.formats.documents import read_pins_of
 from ground.formats.rounded import rounded_text
 from ground.pins.model import MAX_WHO
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 
 
-def import_router(desk: Desk) -> APIRouter:
+def import_router(context: ServerContext) -> APIRouter:
     """Routes below /api."""
     router = APIRouter(tags=["places from elsewhere"])
 
@@ -36,16 +36,16 @@ def import_router(desk: Desk) -> APIRouter:
         who: Annotated[str, Query(max_length=MAX_WHO)] = "",
     ) -> dict[str, int]:
         data = await request.body()
-        return await run_in_threadpool(_import, desk, name, data, who)
+        return await run_in_threadpool(_import, context, name, data, who)
 
     return router
 
 
-def _import(desk: Desk, name: str, data: bytes, who: str) -> dict[str, int]:
+def _import(context: ServerContext, name: str, data: bytes, who: str) -> dict[str, int]:
     found = read_pins_of(name, data, who=who)
-    count = desk.store.bring_in(found.pins, who=who, crops=found.crops)
+    count = context.store.bring_in(found.pins, who=who, crops=found.crops)
     if count:
-        desk.changed()
+        context.changed()
     return {"imported": count, "known": len(found.pins) - count, "left_out": found.left_out}
 
 

@@ -18,7 +18,7 @@ from ground.pins.model import MAX_NAME, MAX_NOTE, MAX_WHO, Category, Pin, PinCli
 from ground.pins.ties import TieRefused, tie_of
 from ground.web.api_vehicles import ClickBody, answer_json
 from ground.web.clicks import Clicked
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 from ground.web.pin_json import tie_json, vector_json
 
 
@@ -80,10 +80,10 @@ class Who(BaseModel):
 WhoQuery = Annotated[str, Query(max_length=MAX_WHO)]
 
 
-def pins_router(desk: Desk) -> APIRouter:
+def pins_router(context: ServerContext) -> APIRouter:
     """Routes below /api."""
     router = APIRouter(tags=["pins"])
-    store = desk.store
+    store = context.store
 
     @router.get("/pins", summary="All pins, or those that a filter leaves")
     def pins(
@@ -94,7 +94,7 @@ def pins_router(desk: Desk) -> APIRouter:
     ) -> Response:
         revision = store.revision  # before they are read: the pins are at least as new
         found = store.pins(category=category, text=text, vehicle=vehicle, who=who)
-        texts, ties = desk.pins_text(found), json.dumps(desk.ties_json())
+        texts, ties = context.pins_text(found), json.dumps(context.ties_json())
         return _json(f'{{"revision":{revision},"pins":{texts},"ties":{ties}}}')
 
     @router.post("/pins", status_code=201, summary="A pin at a click (422 with the reason if it is refused)")
@@ -103,7 +103,7 @@ def pins_router(desk: Desk) -> APIRouter:
         if body.click is not None:
             clicked = _clicked(body.click)
             answer = answer_json(clicked.answer.to_json())
-            made = desk.pin_click(clicked, body.click.u, body.click.v, body.who)
+            made = context.pin_click(clicked, body.click.u, body.click.v, body.who)
             if made is None:
                 return _reply(None, answer)
         elif body.lat_deg is None or body.lon_deg is None:
@@ -115,14 +115,14 @@ def pins_router(desk: Desk) -> APIRouter:
                 seen_unix_ns=seen_unix_ns,
             )  # fmt: skip
         pin = store.add(
-            [made], name=body.name, note=body.note, category=body.category, who=body.who, crop=desk.crop_of(made)
+            [made], name=body.name, note=body.note, category=body.category, who=body.who, crop=context.crop_of(made)
         )
-        desk.changed(pin.id)
+        context.changed(pin.id)
         return _reply(pin, answer)
 
     @router.get("/pins/{pin_id}", summary="One pin")
     def one(pin_id: str) -> Response:
-        return _json(desk.pin_text(pin_id))
+        return _json(context.pin_text(pin_id))
 
     @router.post(
         "/pins/{pin_id}/clicks",
@@ -130,46 +130,46 @@ def pins_router(desk: Desk) -> APIRouter:
         summary="One more click on the same thing (409 with the distance if it contradicts the others)",
     )
     def add_click(pin_id: str, body: MoreClick) -> Response:
-        pin = desk.pin(pin_id)
+        pin = context.pin(pin_id)
         clicked = _clicked(body)
         answer = answer_json(clicked.answer.to_json())
-        made = desk.pin_click(clicked, body.u, body.v, body.who)
+        made = context.pin_click(clicked, body.u, body.v, body.who)
         if made is None:
             return _reply(None, answer)
-        if not body.anyway and (apart_m := desk.contradicts(pin, made)) is not None:
+        if not body.anyway and (apart_m := context.contradicts(pin, made)) is not None:
             reason = (
                 f"this click is {apart_m:.0f} m from pin {pin.number}, more than the errors of both explain: "
                 "it is another thing, or a click that missed it"
             )
             return _json(json.dumps({"pin": None, "answer": answer, "apart_m": apart_m, "reason": reason}), 409)
-        pin = store.add_click(pin_id, made, who=body.who, crop=desk.crop_of(made))
-        desk.changed(pin.id)
+        pin = store.add_click(pin_id, made, who=body.who, crop=context.crop_of(made))
+        context.changed(pin.id)
         return _reply(pin, answer)
 
     @router.delete("/pins/{pin_id}/clicks/{click_id}", summary="Take a click off a pin")
     def remove_click(pin_id: str, click_id: str, who: WhoQuery = "") -> Response:
-        desk.pin(pin_id)
+        context.pin(pin_id)
         pin = store.remove_click(pin_id, click_id, who=who)
-        desk.changed(pin.id)
-        return _json(desk.pin_text(pin.id))
+        context.changed(pin.id)
+        return _json(context.pin_text(pin.id))
 
     @router.patch("/pins/{pin_id}", summary="Change name, note or category")
     def edit(pin_id: str, body: Edit) -> Response:
-        desk.pin(pin_id)
+        context.pin(pin_id)
         pin = store.edit(pin_id, who=body.who, name=body.name, note=body.note, category=body.category)
-        desk.changed(pin.id)
-        return _json(desk.pin_text(pin.id))
+        context.changed(pin.id)
+        return _json(context.pin_text(pin.id))
 
     @router.delete("/pins/{pin_id}", summary="Delete a pin; undo brings it back")
     def delete(pin_id: str, who: WhoQuery = "") -> dict[str, Any]:
-        desk.pin(pin_id)
+        context.pin(pin_id)
         store.delete(pin_id, who=who)
-        desk.changed(pin_id)
+        context.changed(pin_id)
         return {"deleted": pin_id}
 
     @router.get("/pins/{pin_id}/crop", summary="The picture around its newest click", response_class=Response)
     def crop(pin_id: str) -> Response:
-        for click in reversed(desk.pin(pin_id).clicks):
+        for click in reversed(context.pin(pin_id).clicks):
             content = store.crop(click.id)
             if content is not None:
                 return Response(content, media_type="image/webp")
@@ -177,30 +177,30 @@ def pins_router(desk: Desk) -> APIRouter:
 
     @router.get("/pins/{pin_id}/seen", summary="The pictures that show it, and where in them")
     def seen(pin_id: str) -> list[dict[str, Any]]:
-        return desk.seen(desk.pin(pin_id))
+        return context.seen(context.pin(pin_id))
 
     @router.get("/measure", summary="Distance and bearing from one pin to another, with their own sigmas")
     def measure(first: Annotated[str, Query(alias="from")], to: str) -> dict[str, Any]:
-        found = desk.places.between(desk.pin(first), desk.pin(to))
+        found = context.places.between(context.pin(first), context.pin(to))
         return vector_json(found) if isinstance(found, Vector) else {"status": "no_place", "reason": found.reason}
 
     @router.post("/undo", summary="Take back one's own last change")
     def undo(body: Who) -> dict[str, str | None]:
-        said = store.undo(who=body.who)
-        if said is not None:
-            desk.changed()
-        return {"undone": said}
+        change = store.undo(who=body.who)
+        if change is not None:
+            context.changed()
+        return {"undone": change}
 
     @router.post("/redo", summary="Make it again")
     def redo(body: Who) -> dict[str, str | None]:
-        said = store.redo(who=body.who)
-        if said is not None:
-            desk.changed()
-        return {"redone": said}
+        change = store.redo(who=body.who)
+        if change is not None:
+            context.changed()
+        return {"redone": change}
 
     @router.get("/ties", summary="All ties")
     def ties() -> list[dict[str, Any]]:
-        return desk.ties_json()
+        return context.ties_json()
 
     @router.post("/ties", status_code=201, summary="Tie a click to a surveyed place (409 with the figure if refused)")
     def add_tie(body: NewTie, response: Response) -> dict[str, Any]:
@@ -230,22 +230,22 @@ def pins_router(desk: Desk) -> APIRouter:
             j = refused.judgement
             allowed = j.allowed_m if math.isfinite(j.allowed_m) else None
             return {"tie": None, "reason": str(refused), "misses_m": j.misses_m, "allowed_m": allowed}
-        desk.changed()
+        context.changed()
         return {"tie": tie_json(tie)}
 
     @router.delete("/ties/{tie_id}", summary="Delete a tie: pins are where they were without it")
     def delete_tie(tie_id: str, who: WhoQuery = "") -> dict[str, Any]:
         store.delete_tie(tie_id, who=who)
-        desk.changed()
+        context.changed()
         return {"deleted": tie_id}
 
     def _clicked(body: ClickBody) -> Clicked:
-        return desk.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
+        return context.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
 
     def _reply(pin: Pin | None, answer: dict[str, Any] | None) -> Response:
         """A pin, or why there is none, with the click's answer."""
         revision = store.revision
-        text = "null" if pin is None else desk.pin_text(pin.id)
+        text = "null" if pin is None else context.pin_text(pin.id)
         return _json(
             f'{{"revision":{revision},"pin":{text},"answer":{json.dumps(answer)}}}', 422 if pin is None else 201
         )

@@ -8,7 +8,7 @@ from fastapi import APIRouter, HTTPException, Path, Query, Response
 
 from ground.seen.picture_cells import pixel_of
 from ground.web.api_vehicles import Frame, Session
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 
 MAX_ZOOM = 24
 
@@ -17,10 +17,10 @@ Longitude = Annotated[float, Query(ge=-360.0, le=360.0, allow_inf_nan=False)]
 TileNumber = Annotated[int, Path(ge=0, lt=2**MAX_ZOOM)]
 
 
-def seen_router(desk: Desk) -> APIRouter:
+def seen_router(context: ServerContext) -> APIRouter:
     """Routes below /api. The first question begins the counting."""
     router = APIRouter(tags=["what was seen"])
-    seen = desk.seen_map
+    seen = context.seen_map
 
     @router.get("/seen", summary="How much of the ground was seen, and how much is still to be counted")
     def state() -> dict[str, Any]:
@@ -45,7 +45,7 @@ def seen_router(desk: Desk) -> APIRouter:
 
     @router.get("/vehicles/{vehicle}/frames/{frame}/pixel", summary="The pixel of a picture that shows a place")
     def pixel(vehicle: str, frame: Frame, lat: Latitude, lon: Longitude, session: Session = None) -> dict[str, float]:
-        found = desk.source.feature_set(vehicle, session, frame) if vehicle in desk.source.vehicles() else None
+        found = context.source.feature_set(vehicle, session, frame) if vehicle in context.source.vehicles() else None
         if found is None:
             raise HTTPException(404, "no set of this picture is there")
         uv = pixel_of(found, lat, lon)

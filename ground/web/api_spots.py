@@ -12,13 +12,13 @@ from ground.formats import fire_area
 from ground.pins.machine import click_of, decision, decisions
 from ground.pins.model import MAX_NAME, MAX_WHO, Category, Pin
 from ground.spots.found_thing import FoundThing
-from ground.web.desk import Desk, NotThere
+from ground.web.context import NotThere, ServerContext
 
 Number = Annotated[int, Path(ge=1, le=10**9)]
 
 
 class Confirmed(BaseModel):
-    """What a person says that it is."""
+    """What a person identifies it as."""
 
     model_config = ConfigDict(extra="forbid")
     name: str = Field(default="", max_length=MAX_NAME)
@@ -27,26 +27,26 @@ class Confirmed(BaseModel):
 
 
 class Dismissed(BaseModel):
-    """Who says that it is nothing."""
+    """Who states that it is nothing."""
 
     model_config = ConfigDict(extra="forbid")
     who: str = Field(default="", max_length=MAX_WHO)
 
 
-def spots_router(desk: Desk) -> APIRouter:
+def spots_router(context: ServerContext) -> APIRouter:
     """Routes below /api."""
     router = APIRouter(tags=["hot spots"])
-    heard = desk.source.spots
+    received = context.source.spots
 
     def thing(number: int) -> FoundThing:
-        found = heard.thing(number)
+        found = received.thing(number)
         if found is None:
             raise NotThere(f"no hot spot {number}")
         return found
 
     def undecided(number: int) -> FoundThing:
         found = thing(number)
-        made = decision(found, decisions(desk.store.everything()))
+        made = decision(found, decisions(context.store.everything()))
         if made is not None:
             word = "dismissed" if made.is_deleted else f"pin {made.number}"
             raise HTTPException(409, f"hot spot {number} is {word} already")
@@ -54,38 +54,38 @@ def spots_router(desk: Desk) -> APIRouter:
 
     @router.get("/spots", summary="All hot spots as things, with what was decided of them")
     def spots() -> dict[str, Any]:
-        version, things = heard.version, heard.things()
-        return {"version": version, "spots": spots_json(desk, things)}
+        version, things = received.version, received.things()
+        return {"version": version, "spots": spots_json(context, things)}
 
     @router.post("/spots/{number}/confirm", status_code=201, summary="It is something: a pin, with its source stated")
     def confirm(number: Number, body: Confirmed) -> Response:
         found = undecided(number)
         click = click_of(found, body.who)
         note = f"found by the machine as hot spot {number}, confirmed by {body.who or 'a person'}: {found.heat_text}"
-        pin = desk.store.add(
-            [click], name=body.name, note=note, category=body.category, who=body.who, crop=desk.crop_of(click)
+        pin = context.store.add(
+            [click], name=body.name, note=note, category=body.category, who=body.who, crop=context.crop_of(click)
         )
-        desk.changed(pin.id)
-        return Response(desk.pin_text(pin.id), status_code=201, media_type="application/json")
+        context.changed(pin.id)
+        return Response(context.pin_text(pin.id), status_code=201, media_type="application/json")
 
     @router.post("/spots/{number}/dismiss", summary="It is nothing: it is not shown again")
     def dismiss(number: Number, body: Dismissed) -> dict[str, Any]:
         found = undecided(number)
-        pin = desk.store.add([click_of(found, body.who)], name=f"hot spot {number}", who=body.who)
-        desk.store.delete(pin.id, who=body.who)
-        desk.changed(pin.id)
+        pin = context.store.add([click_of(found, body.who)], name=f"hot spot {number}", who=body.who)
+        context.store.delete(pin.id, who=body.who)
+        context.changed(pin.id)
         return {"pin": pin.id}
 
     @router.get("/fire", summary="What burned in the last minutes: GeoJSON, as seen, surely and perhaps; and in words")
     def fire(minutes: Annotated[float, Query(gt=0.0, le=1440.0)] = 5.0) -> dict[str, Any]:
-        found = heard.fire(minutes)
+        found = received.fire(minutes)
         if found is None:
             return {"type": "FeatureCollection", "features": [], "words": "No picture shows a fire with its outline."}
         return {**fire_area.features(found), "words": found.to_text()}
 
     @router.get("/spots/{number}/crop", summary="The picture about it, where it is seen best", response_class=Response)
     def crop(number: Number) -> Response:
-        found = desk.crop_of(click_of(thing(number), ""))
+        found = context.crop_of(click_of(thing(number), ""))
         if found is None:
             raise NotThere("no picture of it is there")
         return Response(found, media_type="image/jpeg")
@@ -93,9 +93,9 @@ def spots_router(desk: Desk) -> APIRouter:
     return router
 
 
-def spots_json(desk: Desk, things: list[FoundThing]) -> list[dict[str, Any]]:
+def spots_json(context: ServerContext, things: list[FoundThing]) -> list[dict[str, Any]]:
     """As the page shows them."""
-    made = decisions(desk.store.everything()) if things else {}
+    made = decisions(context.store.everything()) if things else {}
     return [_spot_json(thing, decision(thing, made)) for thing in things]
 
 

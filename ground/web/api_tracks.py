@@ -10,15 +10,15 @@ from contract.answer import EXPLANATIONS
 from contract.errors import LinkError
 from contract.track import MOST_PX, StartTrack, StopTrack, TrackReport
 from ground.web.api_vehicles import ClickBody
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 
 MOST_OF_A_PATH = 600  # reports that a page gets of one track
 
 
-def tracks_router(desk: Desk) -> APIRouter:
+def tracks_router(context: ServerContext) -> APIRouter:
     """Routes below /api."""
     router = APIRouter(tags=["things that are followed"])
-    source = desk.source
+    source = context.source
 
     @router.get("/tracks", summary="What is or was followed: of each thing its reports, in capture order")
     def tracks(most: Annotated[int, Query(ge=2, le=7200)] = MOST_OF_A_PATH) -> dict[str, Any]:
@@ -32,8 +32,8 @@ def tracks_router(desk: Desk) -> APIRouter:
         rows = source.frames(body.vehicle, 1)
         if body.session is not None and rows and rows[-1].session != body.session:
             raise LinkError("the aircraft's software was restarted after this picture: click a newer one")
-        said = source.follow(body.vehicle, StartTrack(body.u, body.v, body.frame))
-        return {"vehicle": body.vehicle, "track": said.get("track"), "frame": said.get("frame")}
+        reply = source.follow(body.vehicle, StartTrack(body.u, body.v, body.frame))
+        return {"vehicle": body.vehicle, "track": reply.get("track"), "frame": reply.get("frame")}
 
     @router.delete("/tracks/{vehicle}/{number}", summary="Follow it no longer")
     def end(vehicle: str, number: Annotated[int, Path(ge=1, le=255)]) -> dict[str, Any]:

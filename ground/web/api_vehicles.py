@@ -15,7 +15,7 @@ from contract.feature_set import FeatureSet
 from ground.circular_error import ce90_m
 from ground.pins.fusion import Place
 from ground.web.advice import ADVICE
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 from ground.web.pin_json import place_json
 from ground.web.source import FrameRow, VehicleReport
 from ground.web.view import camera_place, frame_view
@@ -43,14 +43,14 @@ class ClickBody(BaseModel):
     session: int | None = Field(default=None, ge=0, le=2**63 - 1)
 
 
-def vehicles_router(desk: Desk) -> APIRouter:
+def vehicles_router(context: ServerContext) -> APIRouter:
     """Routes below /api."""
     router = APIRouter(tags=["pictures and clicks"])
-    source = desk.source
+    source = context.source
 
     @router.get("/vehicles", summary="All vehicles and how they are")
     def vehicles() -> list[dict[str, Any]]:
-        return [vehicle_json(desk, name) for name in source.vehicles()]
+        return [vehicle_json(context, name) for name in source.vehicles()]
 
     @router.get("/vehicles/{vehicle}/frames", summary="The pictures that can be asked for, in capture order")
     def frames(vehicle: str) -> list[dict[str, Any]]:
@@ -64,7 +64,7 @@ def vehicles_router(desk: Desk) -> APIRouter:
         if found is None:
             raise HTTPException(404, "this picture is not there")
         # A picture of a session never changes; a frame of a video may be another once its delay is known better.
-        kept = "private, max-age=3600" if found.is_lasting else "no-store"
+        kept = "private, max-age=3600" if found.is_unchanging else "no-store"
         return Response(found.content, media_type=found.media_type, headers={"cache-control": kept})
 
     @router.get("/vehicles/{vehicle}/frames/{frame}/features", summary="What is shown on a picture, and its camera")
@@ -73,7 +73,7 @@ def vehicles_router(desk: Desk) -> APIRouter:
         found = source.feature_set(vehicle, session, frame)
         if found is None:
             raise HTTPException(404, "no set of this picture is there")
-        return frame_view(found, _before(found), source.age_s(found), desk.clicker.locator(found))
+        return frame_view(found, _before(found), source.age_s(found), context.clicker.locator(found))
 
     @router.get("/vehicles/{vehicle}/path", summary="Where the camera was, picture by picture")
     def path(vehicle: str, most: Annotated[int, Query(ge=2, le=5000)] = 1000) -> list[list[float]]:
@@ -86,14 +86,14 @@ def vehicles_router(desk: Desk) -> APIRouter:
 
     @router.post("/click", summary="A pixel's position on the ground, as pc-ground click --format json writes it")
     def click(body: ClickBody) -> Response:
-        clicked = desk.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
+        clicked = context.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
         return Response(clicked.answer.to_json(), media_type="application/json")
 
     @router.post("/place", summary="Where a pin at a pixel would be, ties applied, and how sure; nothing is kept")
     def place(body: ClickBody) -> dict[str, Any]:
-        clicked = desk.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
-        made = desk.pin_click(clicked, body.u, body.v, "")
-        found = None if made is None else desk.places.of_clicks([made])
+        clicked = context.clicker.click(body.vehicle, body.session, body.frame, body.u, body.v)
+        made = context.pin_click(clicked, body.u, body.v, "")
+        found = None if made is None else context.places.of_clicks([made])
         if isinstance(found, Place) and made is not None:
             return {"status": "ok", "method": made.method, **place_json(found)}
         return answer_json(clicked.answer.to_json())
@@ -106,11 +106,11 @@ def vehicles_router(desk: Desk) -> APIRouter:
             "is_live": source.is_live,
             "damage": source.damage()[:20],
             "no_pictures": source.no_pictures(),
-            "sharing": desk.sharing_words(),
-            "up_s": round(time.time() - desk.started_unix_s, 1),
-            "browsers": len(desk.hub),
-            "tiles": None if desk.tiles is None else desk.tiles.to_dict(),
-            "vehicles": [vehicle_json(desk, name) for name in source.vehicles()],
+            "sharing": context.sharing_words(),
+            "up_s": round(time.time() - context.started_unix_s, 1),
+            "browsers": len(context.hub),
+            "tiles": None if context.tiles is None else context.tiles.to_dict(),
+            "vehicles": [vehicle_json(context, name) for name in source.vehicles()],
         }
 
     def _known(vehicle: str) -> None:
@@ -141,47 +141,47 @@ def row_json(row: FrameRow) -> dict[str, Any]:
     }
 
 
-def vehicle_json(desk: Desk, vehicle: str) -> dict[str, Any]:
+def vehicle_json(context: ServerContext, vehicle: str) -> dict[str, Any]:
     """A row of the status strip."""
-    report = desk.source.report(vehicle)
-    said = report.status
+    report = context.source.report(vehicle)
+    status = report.status
     found = None
     if report.newest_frame is not None:
-        found = desk.source.feature_set(vehicle, report.session, report.newest_frame)
+        found = context.source.feature_set(vehicle, report.session, report.newest_frame)
     centre_m = None
     if found is not None and found.is_ok:
         c = found.camera
-        answer = desk.clicker.locator(found).locate((0.5 * (c.width_px - 1), 0.5 * (c.height_px - 1)))
+        answer = context.clicker.locator(found).locate((0.5 * (c.width_px - 1), 0.5 * (c.height_px - 1)))
         centre_m = round(ce90_m(answer.covariance_enu_m2[:2, :2]), 1) if isinstance(answer, Fix) else None
     return {
         "id": vehicle,
         "session": report.session,
-        "is_live": desk.source.is_live,
+        "is_live": context.source.is_live,
         "frame": report.newest_frame,
         "state": _state(report, found),
         "words": _words(report, found),
-        "is_lost": report.heard_age_s is not None and report.heard_age_s > LOST_S,
+        "is_lost": report.received_age_s is not None and report.received_age_s > LOST_S,
         "picture_age_s": _rounded(report.picture_age_s),
         "clock_unix_ns": _clock(report, found),
         "place": None if found is None else camera_place(found),
-        "heard_age_s": _rounded(report.heard_age_s),
+        "heard_age_s": _rounded(report.received_age_s),
         "sets_hz": _rounded(report.sets_hz),
         "kbit_s": None if report.bit_rate is None else round(report.bit_rate / 1000.0, 1),
         "features": 0 if found is None else len(found),
-        "tracks": None if said is None else said.tracks,
+        "tracks": None if status is None else status.tracks,
         "ce90_centre_m": centre_m,
-        "cpu_c": None if said is None else said.cpu_c,
-        "recording": None if said is None else said.recording,
+        "cpu_c": None if status is None else status.cpu_c,
+        "recording": None if status is None else status.recording,
         "trouble": report.trouble,
-        "radius": "" if said is None else in_a_line(said.fractions),
+        "radius": "" if status is None else in_a_line(status.fractions),
     }
 
 
 def _state(report: VehicleReport, found: FeatureSet | None) -> str:
     """well, warning or lost: the page's colour and sign."""
-    if report.heard_age_s is not None and report.heard_age_s > LOST_S:
+    if report.received_age_s is not None and report.received_age_s > LOST_S:
         return "lost"
-    is_old = report.heard_age_s is not None and (report.picture_age_s or 0.0) > STALE_S
+    is_old = report.received_age_s is not None and (report.picture_age_s or 0.0) > STALE_S
     is_well = report.status is None or report.status.state in ("ok", "at rest")
     return "well" if is_well and not is_old and found is not None and found.is_ok else "warning"
 
@@ -195,17 +195,17 @@ def _clock(report: VehicleReport, found: FeatureSet | None) -> str | None:
 
 def _words(report: VehicleReport, found: FeatureSet | None) -> str:
     """How the vehicle is, for people."""
-    if report.heard_age_s is not None and report.heard_age_s > LOST_S:
-        return f"nothing received for {report.heard_age_s:.0f} s"
-    said = report.status
-    if said is not None and said.state != "ok":
-        return f"{said.state}: {said.reason}" if said.reason else said.state
+    if report.received_age_s is not None and report.received_age_s > LOST_S:
+        return f"nothing received for {report.received_age_s:.0f} s"
+    status = report.status
+    if status is not None and status.state != "ok":
+        return f"{status.state}: {status.reason}" if status.reason else status.state
     if found is None:
         return "no picture yet"
     if not found.is_ok:
         advice = ADVICE[found.status]
         return EXPLANATIONS[found.status] + (f"; {advice}" if advice else "")
-    if report.heard_age_s is None:
+    if report.received_age_s is None:
         return "recorded"
     return "ok" if (report.picture_age_s or 0.0) <= STALE_S else "the newest picture is old"
 
@@ -216,6 +216,6 @@ def _rounded(value: float | None) -> float | None:
 
 def answer_json(text: str) -> dict[str, Any]:
     """A click's JSON line as an object, with advice added."""
-    said: dict[str, Any] = json.loads(text)
-    said["advice"] = next((ADVICE[s] for s in ADVICE if s.value == said["status"]), "")
-    return said
+    answer: dict[str, Any] = json.loads(text)
+    answer["advice"] = next((ADVICE[s] for s in ADVICE if s.value == answer["status"]), "")
+    return answer

@@ -21,7 +21,7 @@ from ground.web.api_seen import seen_router
 from ground.web.api_spots import spots_router
 from ground.web.api_tracks import tracks_router
 from ground.web.api_vehicles import vehicles_router
-from ground.web.desk import Desk, NotThere
+from ground.web.context import NotThere, ServerContext
 from ground.web.guard import Guard, Rules
 from ground.web.handoff import handoff_router
 from ground.web.ogc import ogc_router
@@ -38,16 +38,16 @@ _MEDIA = {
 _ASSET = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*")
 
 
-def create_app(desk: Desk, rules: Rules) -> ASGIApp:
+def create_app(context: ServerContext, rules: Rules) -> ASGIApp:
     """An ASGI application. The caller closes the server context."""
 
     @contextlib.asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
-        desk.hub.start()
-        watch = Watch(desk)
+        context.hub.start()
+        watch = Watch(context)
         yield
         await asyncio.to_thread(watch.close)
-        await asyncio.to_thread(desk.seen_map.close)
+        await asyncio.to_thread(context.seen_map.close)
 
     app = FastAPI(
         title="pointclick ground station",
@@ -62,9 +62,9 @@ def create_app(desk: Desk, rules: Rules) -> ASGIApp:
         vehicles_router, pins_router, handoff_router, import_router, seen_router, tracks_router, spots_router,
     )  # fmt: skip
     for make_router in routers:
-        app.include_router(make_router(desk), prefix="/api")
+        app.include_router(make_router(context), prefix="/api")
 
-    app.include_router(ogc_router(desk), prefix="/ogc")
+    app.include_router(ogc_router(context), prefix="/ogc")
 
     @app.exception_handler(PointclickError)
     async def refused(_: Request, error: PointclickError) -> JSONResponse:
@@ -76,7 +76,7 @@ def create_app(desk: Desk, rules: Rules) -> ASGIApp:
 
     @app.websocket("/api/events")
     async def events(socket: WebSocket) -> None:
-        queue = desk.hub.join()
+        queue = context.hub.join()
         if queue is None:
             await socket.close(1013, "too many browsers")
             return
@@ -95,7 +95,7 @@ def create_app(desk: Desk, rules: Rules) -> ASGIApp:
         try:
             await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            desk.hub.leave(queue)
+            context.hub.leave(queue)
             for task in both:
                 task.cancel()
             await asyncio.wait(both)
@@ -108,12 +108,12 @@ def create_app(desk: Desk, rules: Rules) -> ASGIApp:
     def about() -> HTMLResponse:
         return HTMLResponse(_api_page(app.openapi()))
 
-    _add_tiles(app, desk)
+    _add_tiles(app, context)
 
     @app.get("/{path:path}", include_in_schema=False)
     def asset(path: str, request: Request) -> Response:
         name = path or "index.html"
-        file = desk.static / name
+        file = context.static / name
         if _ASSET.fullmatch(name) is None or not file.is_file():
             return PlainTextResponse("there is nothing here\n", status_code=404)
         # Every build gives its files new names, except the page itself.
@@ -141,8 +141,8 @@ def _in_a_line(error: RequestValidationError) -> str:
     return text.encode("ascii", "replace").decode()
 
 
-def _add_tiles(app: FastAPI, desk: Desk) -> None:
-    tiles = desk.tiles
+def _add_tiles(app: FastAPI, context: ServerContext) -> None:
+    tiles = context.tiles
     if tiles is None or tiles.path is None:
         return
     if tiles.kind == "pmtiles":

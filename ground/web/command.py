@@ -20,7 +20,7 @@ EXAMPLES = """examples:
   pc-ground web --connect tcp/192.168.1.20:7447            the aircraft on the link, on this machine's own screen
   pc-ground web --from FLIGHT.mcap --pins search.sqlite    a recorded flight
   pc-ground web --connect tcp/10.0.0.7:7447 --video rtsp://10.0.0.9/live    with the downlink's video as pictures
-  pc-ground web --share-listen tcp/0.0.0.0:7448            share pins: others say --share-connect tcp/THIS:7448
+  pc-ground web --share-listen tcp/0.0.0.0:7448            share pins: others use --share-connect tcp/THIS:7448
   pc-ground web --host 0.0.0.0                             for tablets on this network, with a token and a QR code
 """
 NEEDED = ("fastapi", "uvicorn", "websockets", "PIL", "segno", "mcap")
@@ -155,12 +155,12 @@ def tokens_of(args: argparse.Namespace) -> Tokens:
     return Tokens(operator, viewer)
 
 
-def _token(option: str, said: str | None) -> str:
-    if not said:
-        return "" if said is None else secrets.token_urlsafe(18)
-    if len(said) < MIN_TOKEN or not said.isascii() or not said.replace("-", "").replace("_", "").isalnum():
+def _token(option: str, given: str | None) -> str:
+    if not given:
+        return "" if given is None else secrets.token_urlsafe(18)
+    if len(given) < MIN_TOKEN or not given.isascii() or not given.replace("-", "").replace("_", "").isalnum():
         raise WebError(f"{option} must have at least {MIN_TOKEN} letters, digits, - or _; leave it out and one is made")
-    return said
+    return given
 
 
 def link_host(host: str) -> str:

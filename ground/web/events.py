@@ -12,7 +12,7 @@ _RESYNC = json.dumps({"type": "resync"})
 
 
 class Hub:
-    """Its methods are called in the event loop's thread, but for `tell_from_thread`."""
+    """Its methods are called in the event loop's thread, but for `send_from_thread`."""
 
     def __init__(self) -> None:
         self._queues: set[asyncio.Queue[str]] = set()
@@ -37,7 +37,7 @@ class Hub:
         """The browser is gone."""
         self._queues.discard(queue)
 
-    def tell(self, event: dict[str, Any] | str) -> None:
+    def send(self, event: dict[str, Any] | str) -> None:
         """To every browser: an object, or its JSON."""
         text = _text(event)
         for queue in self._queues:
@@ -47,10 +47,10 @@ class Hub:
                 queue.put_nowait(_RESYNC)
             queue.put_nowait(text)
 
-    def tell_from_thread(self, event: dict[str, Any] | str) -> None:
+    def send_from_thread(self, event: dict[str, Any] | str) -> None:
         """The same, from any thread."""
         if self._loop is not None and not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self.tell, _text(event))
+            self._loop.call_soon_threadsafe(self.send, _text(event))
 
 
 def _text(event: dict[str, Any] | str) -> str:

@@ -24,7 +24,7 @@ WAITING_OF_ONE = 64  # of one address; a browser holds six
 AT_ONCE_S = 0.5  # in which a client that asks at once has asked, however many come in one turn of the event loop
 BACKLOG = 100  # accepted in one turn of the event loop
 RESERVED = 156  # descriptors for files, links and what is being closed
-SAY_AGAIN_S = 60.0
+LOG_AGAIN_S = 60.0
 
 Peer = tuple[Any, ...]
 
@@ -44,7 +44,7 @@ class Gate:
     waiting_of_one: int = WAITING_OF_ONE
     closed: int = 0  # that waited too long, or were too many
     _held: dict[Peer, _Held] = field(default_factory=dict)  # in the order they came
-    _said_s: float = -SAY_AGAIN_S
+    _logged_s: float = -LOG_AGAIN_S
 
     def __len__(self) -> int:
         return len(self._held)
@@ -87,8 +87,8 @@ class Gate:
         held = self._held.pop(peer)
         self.closed += 1
         now_s = time.monotonic()
-        if now_s - self._said_s >= SAY_AGAIN_S:
-            self._said_s = now_s
+        if now_s - self._logged_s >= LOG_AGAIN_S:
+            self._logged_s = now_s
             print(
                 f"pc-ground web: connections of {peer[0]} that ask nothing are closed ({self.closed} so far)",
                 file=sys.stderr, flush=True,
@@ -155,21 +155,21 @@ class GatedProtocol(H11Protocol):
             self.gate.expect(self.transport.get_extra_info("peername"), within_s)
 
 
-class SaidOnce(logging.Filter):
-    """Each message at most once in SAY_AGAIN_S: messages that any client can cause must not fill a disk."""
+class LoggedOnce(logging.Filter):
+    """Each message at most once in LOG_AGAIN_S: messages that any client can cause must not fill a disk."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._said_s: dict[object, float] = {}
+        self._logged_s: dict[object, float] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether it is written."""
         key, now_s = str(record.msg)[:80], time.monotonic()
-        if now_s - self._said_s.get(key, -SAY_AGAIN_S) < SAY_AGAIN_S:
+        if now_s - self._logged_s.get(key, -LOG_AGAIN_S) < LOG_AGAIN_S:
             return False
-        if len(self._said_s) > 1000:
-            self._said_s.clear()
-        self._said_s[key] = now_s
+        if len(self._logged_s) > 1000:
+            self._logged_s.clear()
+        self._logged_s[key] = now_s
         return True
 
 
@@ -201,5 +201,5 @@ def quiet_logs() -> None:
     """uvicorn and asyncio log each message once a minute."""
     for name in ("uvicorn.error", "asyncio"):
         logger = logging.getLogger(name)
-        if not any(isinstance(one, SaidOnce) for one in logger.filters):
-            logger.addFilter(SaidOnce())
+        if not any(isinstance(one, LoggedOnce) for one in logger.filters):
+            logger.addFilter(LoggedOnce())

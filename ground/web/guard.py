@@ -126,8 +126,8 @@ class Guard:
         """Whose token a request has; empty for none. Where no token is asked for everybody is an operator."""
         if not self._rules.token:
             return OPERATOR
-        scheme, _, said = headers.get("authorization", "").partition(" ")
-        if scheme.lower() == "bearer" and (role := self._role_of(said.strip())):
+        scheme, _, token = headers.get("authorization", "").partition(" ")
+        if scheme.lower() == "bearer" and (role := self._role_of(token.strip())):
             return role
         try:
             cookies: SimpleCookie = SimpleCookie(headers.get("cookie", ""))
@@ -135,9 +135,9 @@ class Guard:
             return ""
         return self._role_of(cookies[COOKIE].value) if COOKIE in cookies else ""
 
-    def _role_of(self, said: str) -> str:
+    def _role_of(self, given: str) -> str:
         for role, token in ((OPERATOR, self._rules.token), (VIEWER, self._rules.viewer_token)):
-            if token and hmac.compare_digest(said.encode(), token.encode()):
+            if token and hmac.compare_digest(given.encode(), token.encode()):
                 return role
         return ""
 

@@ -17,7 +17,7 @@ from ground.formats.mark import Mark
 from ground.formats.rounded import decimals, rounded_text, spoken_mgrs
 from ground.pins.fusion import Vector
 from ground.pins.model import Category, Pin
-from ground.web.desk import Desk, NotThere
+from ground.web.context import NotThere, ServerContext
 
 _TITLES = {
     Category.PERSON: "Person",
@@ -35,7 +35,7 @@ _FORMS = {
 }
 
 
-def handoff_router(desk: Desk) -> APIRouter:
+def handoff_router(context: ServerContext) -> APIRouter:
     """Routes below /api."""
     router = APIRouter(tags=["hand-off and export"])
 
@@ -45,19 +45,19 @@ def handoff_router(desk: Desk) -> APIRouter:
         first: Annotated[str, Query(alias="from", max_length=64)] = "",
         crs: Annotated[str, Query(max_length=40)] = "",
     ) -> dict[str, Any]:
-        pin = desk.pin(pin_id)
-        mark = Mark.of_pin(pin, desk.places.place(pin))
+        pin = context.pin(pin_id)
+        mark = Mark.of_pin(pin, context.places.place(pin))
         if not mark.is_placed:
             raise HTTPException(409, f"pin {pin.number} has no position to hand on: {mark.reason}")
         texts = _texts(mark, crs)
         if first:
-            texts.append(_bearing(desk, desk.pin(first), pin))
+            texts.append(_bearing(context, context.pin(first), pin))
         return {"texts": texts, "readback": readback(mark), "geo": geo_uri(mark)}
 
     @router.get("/pins/{pin_id}/qr.svg", summary="The position as a geo: code", response_class=Response)
     def qr(pin_id: str) -> Response:
-        pin = desk.pin(pin_id)
-        mark = Mark.of_pin(pin, desk.places.place(pin))
+        pin = context.pin(pin_id)
+        mark = Mark.of_pin(pin, context.places.place(pin))
         if not mark.is_placed:
             raise HTTPException(409, f"pin {pin.number} has no position to hand on: {mark.reason}")
         import segno  # noqa: PLC0415  no page waits for it
@@ -70,7 +70,7 @@ def handoff_router(desk: Desk) -> APIRouter:
     def export(kind: str) -> Response:
         if kind not in FORMATS:
             raise NotThere(f"no format {kind[:40]!r}; there is {', '.join(FORMATS)}")
-        marks = [Mark.of_pin(pin, desk.places.place(pin)) for pin in desk.store.pins()]
+        marks = [Mark.of_pin(pin, context.places.place(pin)) for pin in context.store.pins()]
         about = FORMATS[kind]
         headers = {"content-disposition": f'attachment; filename="pins{about.suffix}"'}
         return Response(about.write(marks, None), media_type=about.media_type, headers=headers)
@@ -156,8 +156,8 @@ def _author(mark: Mark) -> str:
     return ", ".join(part for part in (mark.who or "no name given", made) if part)
 
 
-def _bearing(desk: Desk, first: Pin, pin: Pin) -> dict[str, str]:
-    found = desk.places.between(first, pin)
+def _bearing(context: ServerContext, first: Pin, pin: Pin) -> dict[str, str]:
+    found = context.places.between(first, pin)
     title = f"From pin {first.number}"
     if not isinstance(found, Vector):
         return {"name": "bearing", "title": title, "text": found.reason}

@@ -26,7 +26,7 @@ from contract.wire.codec import decode
 from ground.client import SetCache, inquire
 from ground.link_pictures import PictureCache
 from ground.mavlink_endpoint import SCHEME
-from ground.spots.heard import HeardSpots
+from ground.spots.received import ReceivedSpots
 from ground.track_link import TrackLink
 from ground.track_paths import TrackPaths
 from ground.web.journal import Journal
@@ -43,7 +43,7 @@ ASK_AGAIN_S = 2.0
 SILENT_SETS = 30  # without a picture among them, before it is reported
 
 
-class _Heard:
+class _Received:
     """Of one vehicle: what came when."""
 
     def __init__(self) -> None:
@@ -71,11 +71,11 @@ class LiveSource:
         self.name = ", ".join(endpoints)
         self._tls = tls
         self._lock = threading.Lock()
-        self._heard: dict[str, _Heard] = {}
+        self._received: dict[str, _Received] = {}
         self._asked: OrderedDict[tuple[str, int], tuple[float, FeatureSet | None]] = OrderedDict()
         self._caches: dict[str, SetCache] = {}
         self._pictures = PictureCache()
-        self.tracks, self.spots = TrackPaths(), HeardSpots()
+        self.tracks, self.spots = TrackPaths(), ReceivedSpots()
         self._journal = None if journal is None else Journal(journal)
         keep = {} if self._journal is None else {KEPT_KEYS: self._journal.take}
         with contextlib.ExitStack() as opened:
@@ -85,14 +85,14 @@ class LiveSource:
                     max_age_s=HISTORY_S,
                     max_sets=HISTORY_SETS,
                     tls=tls,
-                    beside={
+                    subscriptions={
                         STATUS.key(ANY_VEHICLE): self._note_status,
                         PICTURE.key(ANY_VEHICLE): self._note_picture,
                         TRACKS.key(ANY_VEHICLE): self.tracks.take,
                         SPOTS.key(ANY_VEHICLE): self.spots.take,
                         **keep,
                     },
-                    heard=self._note_set,
+                    on_set=self._note_set,
                 )
                 self._caches[endpoint] = opened.enter_context(cache)
             opened.pop_all()
@@ -104,12 +104,12 @@ class LiveSource:
     def vehicles(self) -> list[str]:
         """The vehicles of which something was received."""
         with self._lock:
-            return sorted(self._heard)
+            return sorted(self._received)
 
     def version(self, vehicle: str) -> int:
         """Counts sets as they come, and for a picture the sets since its own: so many of the newest rows changed."""
         with self._lock:
-            return self._heard[vehicle].version if vehicle in self._heard else 0
+            return self._received[vehicle].version if vehicle in self._received else 0
 
     def frames(self, vehicle: str, newest: int | None = None) -> list[FrameRow]:
         """What was received of the session that runs."""
@@ -152,10 +152,10 @@ class LiveSource:
         _, cache = self._of(vehicle)
         now_s = time.monotonic()
         with self._lock:
-            heard = self._heard.get(vehicle)
-        if heard is None:
+            known = self._received.get(vehicle)
+        if known is None:
             return VehicleReport(vehicle, 0, None, None, None, None, None, None)
-        sets_hz, bit_rate = heard.rates(now_s)
+        sets_hz, bit_rate = known.rates(now_s)
         entries = self._entries(vehicle)
         newest = entries[-1].item if entries else None
         return VehicleReport(
@@ -163,10 +163,10 @@ class LiveSource:
             0 if newest is None else newest.session,
             None if newest is None else newest.frame,
             None if cache is None or newest is None else cache.age_of(newest),
-            now_s - heard.at_s,
+            now_s - known.at_s,
             sets_hz,
             bit_rate,
-            heard.status,
+            known.status,
             "" if cache is None else cache.link_error,
         )
 
@@ -241,11 +241,11 @@ class LiveSource:
     def _brought(self, vehicle: str, count: int, age_s: float) -> None:
         """So many sets of before are there now; the vehicle was last received at least that long ago."""
         with self._lock:
-            is_new = vehicle not in self._heard
-            heard = self._known(vehicle)
-            if heard is not None:
-                heard.version += count
-                heard.at_s = time.monotonic() - age_s if is_new else heard.at_s
+            is_new = vehicle not in self._received
+            known = self._known(vehicle)
+            if known is not None:
+                known.version += count
+                known.at_s = time.monotonic() - age_s if is_new else known.at_s
 
     def _newest(self, vehicle: str) -> tuple[int, float] | None:
         entries = self._entries(vehicle)
@@ -268,7 +268,7 @@ class LiveSource:
             cache.bring_in(found)
             since = sum(entry.frame >= found.frame for entry in self._entries(vehicle))
             with self._lock:
-                self._heard[vehicle].version += max(since, 1)
+                self._received[vehicle].version += max(since, 1)
         return found
 
     def _of(self, vehicle: str) -> tuple[str, SetCache | None]:
@@ -280,14 +280,14 @@ class LiveSource:
             else next(iter(with_it), ("", None))
         )
 
-    def _note_set(self, received: FeatureSet, size: int) -> None:
+    def _note_set(self, feature_set: FeatureSet, size: int) -> None:
         now_s = time.monotonic()
         with self._lock:
-            heard = self._known(received.vehicle)
-            if heard is not None:
-                heard.version += 1
-                heard.at_s = now_s
-                heard.sets.append((now_s, size))
+            known = self._known(feature_set.vehicle)
+            if known is not None:
+                known.version += 1
+                known.at_s = now_s
+                known.sets.append((now_s, size))
 
     def _note_picture(self, key: str, payload: bytes) -> None:
         picture = self._pictures.take(key, payload)
@@ -295,10 +295,10 @@ class LiveSource:
             return
         since = sum(e.frame >= picture.frame for e in self._entries(picture.vehicle))
         with self._lock:
-            heard = self._known(picture.vehicle)
-            if heard is not None:
-                heard.version += max(since, 1)
-                heard.at_s = time.monotonic()
+            known = self._known(picture.vehicle)
+            if known is not None:
+                known.version += max(since, 1)
+                known.at_s = time.monotonic()
 
     def _entries(self, vehicle: str) -> list[Entry[FeatureSet]]:
         _, cache = self._of(vehicle)
@@ -310,14 +310,14 @@ class LiveSource:
         except (WireError, ValueError):
             return
         with self._lock:
-            heard = self._known(vehicle)
-            if heard is not None:
-                heard.status, heard.at_s = status, time.monotonic()
+            known = self._known(vehicle)
+            if known is not None:
+                known.status, known.at_s = status, time.monotonic()
 
-    def _known(self, vehicle: str) -> _Heard | None:
-        if vehicle not in self._heard and len(self._heard) < MAX_VEHICLES:
-            self._heard[vehicle] = _Heard()
-        return self._heard.get(vehicle)
+    def _known(self, vehicle: str) -> _Received | None:
+        if vehicle not in self._received and len(self._received) < MAX_VEHICLES:
+            self._received[vehicle] = _Received()
+        return self._received.get(vehicle)
 
     def _ask(self, endpoint: str, vehicle: str, frame: int) -> FeatureSet | None:
         """The aircraft's own set of a frame; what it does not have is not asked for again at once."""

@@ -136,8 +136,8 @@ def _check(program: str, config: Path) -> None:
     command = [program, "check-config", "--fly", str(config)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode == REFUSED:
-        said = (done.stderr.strip() or done.stdout.strip()).splitlines()[-1:] or ["the configuration is refused"]
-        raise InputError(said[0].removeprefix("pc-onboard: error: ").removeprefix(f"{config}: "))
+        lines = (done.stderr.strip() or done.stdout.strip()).splitlines()[-1:] or ["the configuration is refused"]
+        raise InputError(lines[0].removeprefix("pc-onboard: error: ").removeprefix(f"{config}: "))
 
 
 @contextmanager
@@ -184,7 +184,7 @@ def _interrupt(*_: object) -> None:
 
 
 def _last_line(log: Path) -> str:
-    """What the aircraft's program said last."""
+    """What the aircraft's program printed last."""
     lines = [line for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
     return LOG_PREFIX.sub("", lines[-1]) if lines else f"nothing in its log, {log}"
 

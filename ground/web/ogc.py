@@ -15,7 +15,7 @@ from fastapi.responses import JSONResponse
 from contract.answer import time_utc
 from ground.formats import geojson
 from ground.formats.mark import Mark
-from ground.web.desk import Desk, NotThere
+from ground.web.context import NotThere, ServerContext
 from ground.web.ogc_definition import API_TYPE, definition
 from ground.web.ogc_selection import Selection, WrongParameter
 
@@ -31,13 +31,13 @@ JSON, GEOJSON = "application/json", "application/geo+json"
 Link = dict[str, str]
 
 
-def ogc_router(desk: Desk) -> APIRouter:
+def ogc_router(context: ServerContext) -> APIRouter:
     """Routes below /ogc. No other method than GET is answered."""
     router = APIRouter(include_in_schema=False)
 
     def marks() -> list[Mark]:
-        pins = desk.store.pins()
-        return [Mark.of_pin(pin, place) for pin, place in zip(pins, desk.places.of(pins), strict=True)]
+        pins = context.store.pins()
+        return [Mark.of_pin(pin, place) for pin, place in zip(pins, context.places.of(pins), strict=True)]
 
     @router.get("")
     @router.get("/")
@@ -80,11 +80,11 @@ def ogc_router(desk: Desk) -> APIRouter:
         if name != PINS:
             return _nothing(name)
         try:
-            pin = desk.pin(pin_id)
+            pin = context.pin(pin_id)
         except NotThere as error:
             return _problem(404, str(error))
         base = f"{_base(request)}/collections/{PINS}"
-        found = geojson.feature(Mark.of_pin(pin, desk.places.place(pin)))
+        found = geojson.feature(Mark.of_pin(pin, context.places.place(pin)))
         found["links"] = [
             _link(f"{base}/items/{quote(pin_id)}", "self", GEOJSON, "this pin"),
             _link(base, "collection", JSON, TITLE),

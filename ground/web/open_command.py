@@ -91,17 +91,17 @@ def _replayed(args: argparse.Namespace) -> tuple[int, Path]:
     made = _output([program, *importing, "--out", str(folder)])
     if made.returncode != DONE:
         return made.returncode, session
-    *said, replay = made.stdout.rstrip("\n").split("\n")
-    print("\n".join(said), flush=True)
-    flown = _output([program, *shlex.split(replay)[1:]])
-    lines = flown.stdout.rstrip("\n").split("\n")
+    *printed, replay = made.stdout.rstrip("\n").split("\n")
+    print("\n".join(printed), flush=True)
+    replayed = _output([program, *shlex.split(replay)[1:]])
+    lines = replayed.stdout.rstrip("\n").split("\n")
     print("\n".join(line for line in lines if not line.startswith("time, ")), flush=True)
-    if flown.returncode == NOTHING_SOLVED:
+    if replayed.returncode == NOTHING_SOLVED:
         guess = "; of the camera nothing is known: give --set camera.fov_deg=DEGREES" if UNKNOWN in made.stdout else ""
         print(f"no picture was solved: there is nothing to click{guess}", file=sys.stderr)
-    if flown.returncode != DONE and args.out is None:
+    if replayed.returncode != DONE and args.out is None:
         session.unlink(missing_ok=True)  # the next attempt begins again
-    return flown.returncode, session
+    return replayed.returncode, session
 
 
 def _import_words(args: argparse.Namespace) -> list[str]:

@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def web_options(args: argparse.Namespace, shown: Sequence[str]) -> argparse.Namespace:
-    """The options of `pc-ground web` for this page; `shown` are the words that say of what."""
+    """The options of `pc-ground web` for this page; `shown` are the words that describe what is shown."""
     parser = argparse.ArgumentParser()
     web.add_arguments(parser)
     words = [*shown, "--port", str(_free_port(args.port))]
@@ -46,8 +46,8 @@ def _free_port(asked: int | None) -> int:
 
 def pc_onboard() -> str:
     """The program of this installation, else of the path. Raises InputError if it is nowhere."""
-    beside = Path(sys.executable).with_name("pc-onboard")
-    found = str(beside) if os.access(beside, os.X_OK) else shutil.which("pc-onboard")
+    neighbour = Path(sys.executable).with_name("pc-onboard")
+    found = str(neighbour) if os.access(neighbour, os.X_OK) else shutil.which("pc-onboard")
     if found is None:
         raise InputError("pc-onboard is not installed here: install pointclick with [open] or [live]")
     return found

@@ -11,7 +11,7 @@ from contract.feature_set import FeatureSet
 from contract.track import TrackRequest
 from ground.recorded_link_pictures import RecordedLinkPictures
 from ground.recording import Recording
-from ground.spots.heard import HeardSpots
+from ground.spots.received import ReceivedSpots
 from ground.track_paths import TrackPaths
 from ground.web.recorded_pictures import RecordedPictures
 from ground.web.source import FrameRow, Picture, VehicleReport
@@ -36,7 +36,7 @@ class RecordedSource:
         self.tracks = TrackPaths()
         for vehicle in self._recording.vehicles:
             self.tracks.add(self._recording.tracks(vehicle))
-        self.spots = HeardSpots()
+        self.spots = ReceivedSpots()
         self.spots.add(self._recording.spots(self._recording.vehicles))
         self._kept = lru_cache(maxsize=KEPT_SETS)(self._read)
 
@@ -93,7 +93,7 @@ class RecordedSource:
         return VehicleReport(vehicle, self._sessions[vehicle], newest[0], 0.0, None, None, None, status)
 
     def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
-        """Nobody follows in a recording; what was followed in flight is there."""
+        """Nothing can be followed in a recording; what was followed in flight is there."""
         raise LinkError(
             "a recording: what was followed in flight is shown; to follow more in its pictures: "
             "pc-onboard replay SESSION.mcap --track FRAME,U,V"

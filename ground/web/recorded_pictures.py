@@ -68,8 +68,8 @@ class RecordedPictures:
             return None
         content = bytes(self._data[place.file][place.start : place.start + place.length])
         try:
-            said = json.loads(content)
-            encoded = base64.b64decode(said["data"], validate=True)
+            message = json.loads(content)
+            encoded = base64.b64decode(message["data"], validate=True)
         except (ValueError, KeyError, TypeError, RecursionError, binascii.Error):
             return None
         media_type = media_type_of(encoded)
@@ -145,7 +145,7 @@ def _kind(topic: str) -> tuple[str, str] | None:
 
 def _object(content: bytes) -> dict[str, Any]:
     try:
-        said = json.loads(content)
+        message = json.loads(content)
     except (ValueError, RecursionError):
         return {}
-    return said if isinstance(said, dict) else {}
+    return message if isinstance(message, dict) else {}

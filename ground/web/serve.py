@@ -19,7 +19,7 @@ from ground.pins.store import PinStore
 from ground.web.app import create_app
 from ground.web.browser import open_in_browser
 from ground.web.command import STATIC, Tokens, WebError, link_host
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 from ground.web.gate import BACKLOG, gate_for_this_process, gated, protocol_of, quiet_logs
 from ground.web.guard import Rules, is_loopback
 from ground.web.recorded import RecordedSource
@@ -50,7 +50,7 @@ def serve(args: argparse.Namespace, tokens: Tokens, tls: Tls | None) -> int:
             gate.sweep()
 
         config = uvicorn.Config(
-            create_app(Desk(source, store, STATIC, tiles, sharing), _rules(args, tokens, tiles, is_secure)),
+            create_app(ServerContext(source, store, STATIC, tiles, sharing), _rules(args, tokens, tiles, is_secure)),
             http=protocol_of(gate),
             loop="asyncio",  # whose sockets the gate can be asked for
             backlog=BACKLOG,

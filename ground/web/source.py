@@ -8,7 +8,7 @@ from typing import Protocol
 from contract.feature_set import FeatureSet, Status
 from contract.track import TrackRequest
 from contract.vehicle_status import VehicleStatus
-from ground.spots.heard import HeardSpots
+from ground.spots.received import ReceivedSpots
 from ground.track_paths import TrackPaths
 
 # Of the pictures that came since a list was read: some before them are read again, for sets may come out of order or in
@@ -34,7 +34,7 @@ class Picture:
 
     content: bytes
     media_type: str
-    is_lasting: bool = True  # the same whenever it is asked for again; a video's frame is another with another delay
+    is_unchanging: bool = True  # the same whenever it is asked for again; a video's frame is another with another delay
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class VehicleReport:
     session: int
     newest_frame: int | None
     picture_age_s: float | None  # since the newest known picture was taken
-    heard_age_s: float | None  # since anything was received
+    received_age_s: float | None  # since anything was received
     sets_hz: float | None  # received recently; None: not a link
     bit_rate: float | None  # payload received recently, bit/s
     status: VehicleStatus | None  # its own report, the newest
@@ -58,7 +58,7 @@ class Source(Protocol):
     is_live: bool
     name: str  # for people: endpoints, or the recording's path
     tracks: TrackPaths  # of all vehicles
-    spots: HeardSpots
+    spots: ReceivedSpots
 
     def vehicles(self) -> list[str]:
         """Who is there, sorted."""

@@ -55,25 +55,25 @@ class Tiles:
         }  # fmt: skip
 
 
-def open_tiles(said: str) -> Tiles:
+def open_tiles(source: str) -> Tiles:
     """As the option specifies. Raises InputError for a file that holds no tiles, before anything is served."""
-    if said.startswith(("http://", "https://")):
-        ending = Path(said.split("?", maxsplit=1)[0]).suffix
+    if source.startswith(("http://", "https://")):
+        ending = Path(source.split("?", maxsplit=1)[0]).suffix
         kind = {".pmtiles": "pmtiles", ".json": "tilejson"}.get(ending, "template")
-        if kind == "template" and not all(f"{{{axis}}}" in said for axis in "zxy"):
-            raise InputError(f"tiles {said}: a URL must end with .pmtiles or .json, or hold {{z}}, {{x}} and {{y}}")
-        return Tiles(kind, None, said, origin_of(said))
-    path = Path(said)
+        if kind == "template" and not all(f"{{{axis}}}" in source for axis in "zxy"):
+            raise InputError(f"tiles {source}: a URL must end with .pmtiles or .json, or hold {{z}}, {{x}} and {{y}}")
+        return Tiles(kind, None, source, origin_of(source))
+    path = Path(source)
     try:
         with path.open("rb") as stream:
             start = stream.read(127)
     except OSError as error:
-        raise InputError(f"tiles {said}: {error.strerror}") from error
+        raise InputError(f"tiles {source}: {error.strerror}") from error
     if start.startswith(PMTILES_MAGIC):
         return _pmtiles(path, start)
     if start.startswith(b"SQLite format 3\x00"):
         return _mbtiles(path)
-    raise InputError(f"tiles {said}: neither a PMTiles nor an MBTiles file")
+    raise InputError(f"tiles {source}: neither a PMTiles nor an MBTiles file")
 
 
 def _pmtiles(path: Path, header: bytes) -> Tiles:
@@ -98,12 +98,12 @@ def _mbtiles(path: Path) -> Tiles:
     if most is None:
         raise InputError(f"tiles {path}: holds no tiles")
     kind = str(about.get("format", "png"))
-    bounds = _said_bounds(str(about.get("bounds", ""))) or _tiles_bounds(int(least), *edges)
+    bounds = _stated_bounds(str(about.get("bounds", ""))) or _tiles_bounds(int(least), *edges)
     text = str(about.get("attribution", ""))[:300]
     return Tiles("mbtiles", path, "/tiles/{z}/{x}/{y}", "", kind, int(most), text, int(least), bounds)
 
 
-def _said_bounds(text: str) -> Bounds | None:
+def _stated_bounds(text: str) -> Bounds | None:
     """As the metadata have them: west,south,east,north."""
     try:
         west, south, east, north = (float(part) for part in text.split(","))

@@ -19,14 +19,14 @@ Array = NDArray[np.float64]
 
 CLEAR = 4.0  # standard deviations by which the right one must be ahead of others
 MIN_FEATURES = 12
-BESIDE_PX = 6.0  # of the reduced picture: so far from a corner there is none
+RING_PX = 6.0  # of the reduced picture: so far from a corner there is none
 NEAR_S = 0.7  # frames within this of the best one may look like it: the aircraft has hardly moved
 MIN_RIVALS = 5
 MIN_VOTES = 8
 MAX_VOTES = 31
 MAX_DISAGREE = 3  # votes in a row after which those before are dropped
 TOLERANCE_S = 0.01  # of arrivals: how much earlier or later than their own interval frames come
-_RING = BESIDE_PX * np.array([[np.cos(a), np.sin(a)] for a in np.arange(8) * np.pi / 4])
+_RING = RING_PX * np.array([[np.cos(a), np.sin(a)] for a in np.arange(8) * np.pi / 4])
 
 
 def corners_at(strength: NDArray[np.int8], uv_px: Array, camera_size_px: tuple[int, int]) -> float:
@@ -99,18 +99,18 @@ class DelayEstimate:
     def take(self, vote_s: float, interval_s: float) -> None:
         """The delay of the next picture. Some in a row that contradict all before are accepted: the video was cut."""
         self.vote(vote_s)
-        said = self.said()
+        stated = self.stated()
         last = list(self._votes)[-MAX_DISAGREE:]
-        if said is None or len(self._votes) <= MAX_DISAGREE:
+        if stated is None or len(self._votes) <= MAX_DISAGREE:
             return
-        if all(abs(vote - said.seconds) > interval_s + TOLERANCE_S for vote in last):
+        if all(abs(vote - stated.seconds) > interval_s + TOLERANCE_S for vote in last):
             self._votes = deque(last, maxlen=self._votes.maxlen)
 
     def forget(self) -> None:
         """Of another opening of the video, or another session."""
         self._votes.clear()
 
-    def said(self) -> Delay | None:
+    def stated(self) -> Delay | None:
         """The median and its scatter, however few they are; None of none."""
         if not self._votes:
             return None
@@ -120,8 +120,8 @@ class DelayEstimate:
 
     def settled(self, interval_s: float) -> Delay | None:
         """The delay, once enough pictures agree to less than half of the frames' interval."""
-        said = self.said()
-        return said if said and said.pictures >= MIN_VOTES and said.scatter_s < 0.5 * interval_s else None
+        stated = self.stated()
+        return stated if stated and stated.pictures >= MIN_VOTES and stated.scatter_s < 0.5 * interval_s else None
 
 
 def interval_of(times_s: Array) -> float:

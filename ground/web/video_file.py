@@ -151,7 +151,7 @@ class FileFootage:
                 estimate.vote(best_s - self._since(row))
         settled = estimate.settled(interval_s)
         if settled is None:
-            self._note = unsettled(estimate.said(), interval_s)
+            self._note = unsettled(estimate.stated(), interval_s)
             return None
         self._note = (
             f"delay {settled.seconds:.2f} s, measured from {settled.pictures} pictures (+- {settled.scatter_s:.3f} s)"

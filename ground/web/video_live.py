@@ -180,7 +180,7 @@ class LiveFootage:
                 f"(+- {settled.scatter_s:.3f} s)"
             )
             return settled.seconds
-        self._note = unsettled(self._estimate.said(), interval_s)
+        self._note = unsettled(self._estimate.stated(), interval_s)
         return None
 
     def _match(self, frames: list[VideoFrame], times_s: Array, interval_s: float, delay_s: float) -> None:
@@ -215,12 +215,12 @@ class LiveFootage:
             self.version += count
 
 
-def unsettled(said: Delay | None, interval_s: float) -> str:
+def unsettled(stated: Delay | None, interval_s: float) -> str:
     """What is missing, for people."""
-    if said is None or said.pictures < MIN_VOTES:
-        count = 0 if said is None else said.pictures
+    if stated is None or stated.pictures < MIN_VOTES:
+        count = 0 if stated is None else stated.pictures
         return f"its delay is not known yet: found in {count} pictures of {MIN_VOTES} (or enter it: --video-delay)"
     return (
-        f"its delay is not known: {said.pictures} pictures differ by {said.scatter_s:.2f} s, "
+        f"its delay is not known: {stated.pictures} pictures differ by {stated.scatter_s:.2f} s, "
         f"more than half of its frames' interval of {interval_s:.2f} s"
     )

@@ -9,7 +9,7 @@ from ground.watched_thread import WatchedThread
 from ground.web.api_spots import spots_json
 from ground.web.api_tracks import track_json
 from ground.web.api_vehicles import row_json, vehicle_json
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 from ground.web.source import MOST_ROWS, SPARE_ROWS
 
 PICTURES_S = 0.04  # between checks of the source: a new picture is reported within this time
@@ -20,15 +20,15 @@ STATUS_S = 1.0
 class Watch:
     """Threads of their own: a fault of one leaves the others' events. What is wrong with them is in the status."""
 
-    def __init__(self, desk: Desk) -> None:
-        self._desk = desk
+    def __init__(self, context: ServerContext) -> None:
+        self._context = context
         self._versions: dict[str, int] = {}  # of each vehicle's pictures, as browsers have them
-        self._tracks, self._spots = desk.source.tracks.version, desk.source.spots.version
+        self._tracks, self._spots = context.source.tracks.version, context.source.spots.version
         self._threads = (
-            WatchedThread("watch of the pictures", self._tell_pictures, PICTURES_S),
-            WatchedThread("watch of the tracks", self._tell_tracks, TRACKS_S),
-            WatchedThread("watch of the hot spots", self._tell_spots, SPOTS_S),
-            WatchedThread("watch of state and pins", self._tell_status, STATUS_S),
+            WatchedThread("watch of the pictures", self._send_pictures, PICTURES_S),
+            WatchedThread("watch of the tracks", self._send_tracks, TRACKS_S),
+            WatchedThread("watch of the hot spots", self._send_spots, SPOTS_S),
+            WatchedThread("watch of state and pins", self._send_status, STATUS_S),
         )
 
     def close(self) -> None:
@@ -36,60 +36,60 @@ class Watch:
         for thread in self._threads:
             thread.close()
 
-    def _tell_pictures(self) -> None:
+    def _send_pictures(self) -> None:
         failure: Exception | None = None
-        for vehicle in self._desk.source.vehicles():
+        for vehicle in self._context.source.vehicles():
             try:
-                self._tell_pictures_of(vehicle)
+                self._send_pictures_of(vehicle)
             except Exception as error:  # first report the other vehicles' pictures
                 failure = error
         if failure is not None:
             raise failure
 
-    def _tell_pictures_of(self, vehicle: str) -> None:
-        desk = self._desk
-        version, before = desk.source.version(vehicle), self._versions.get(vehicle)
+    def _send_pictures_of(self, vehicle: str) -> None:
+        context = self._context
+        version, before = context.source.version(vehicle), self._versions.get(vehicle)
         if version == before:
             return
         if version - (before or version) > MOST_ROWS:
-            desk.hub.tell_from_thread({"type": "resync"})  # a journal was read: browsers ask for all of it
-        elif len(desk.hub):
+            context.hub.send_from_thread({"type": "resync"})  # a journal was read: browsers ask for all of it
+        elif len(context.hub):
             # As many as came since, and some before: sets may come out of order, or in a better revision.
             count = SPARE_ROWS + min(max(version - (before or 0), 0), MOST_ROWS)
-            rows = [row_json(row) for row in desk.source.frames(vehicle, count)]
-            desk.hub.tell_from_thread({"type": "frames", "vehicle": vehicle, "frames": rows})
+            rows = [row_json(row) for row in context.source.frames(vehicle, count)]
+            context.hub.send_from_thread({"type": "frames", "vehicle": vehicle, "frames": rows})
         self._versions[vehicle] = version
 
-    def _tell_tracks(self) -> None:
-        hub = self._desk.hub
-        self._tracks, reports = self._desk.source.tracks.since(self._tracks)
+    def _send_tracks(self) -> None:
+        hub = self._context.hub
+        self._tracks, reports = self._context.source.tracks.since(self._tracks)
         if reports is None:
-            hub.tell_from_thread({"type": "resync"})  # a journal was read
+            hub.send_from_thread({"type": "resync"})  # a journal was read
         elif reports and len(hub):
-            hub.tell_from_thread({"type": "tracks", "reports": [track_json(report) for report in reports]})
+            hub.send_from_thread({"type": "tracks", "reports": [track_json(report) for report in reports]})
 
-    def _tell_spots(self) -> None:
-        desk = self._desk
-        self._spots, things = desk.source.spots.since(self._spots)
-        if things and len(desk.hub):
-            desk.hub.tell_from_thread({"type": "spots", "spots": spots_json(desk, things)})
+    def _send_spots(self) -> None:
+        context = self._context
+        self._spots, things = context.source.spots.since(self._spots)
+        if things and len(context.hub):
+            context.hub.send_from_thread({"type": "spots", "spots": spots_json(context, things)})
 
-    def _tell_status(self) -> None:
-        desk = self._desk
-        if not len(desk.hub):
+    def _send_status(self) -> None:
+        context = self._context
+        if not len(context.hub):
             return
         damage = [thread.trouble for thread in self._threads if thread.trouble]
         try:
-            if desk.changed_elsewhere():
-                desk.hub.tell_from_thread({"type": "pins"})
+            if context.changed_elsewhere():
+                context.hub.send_from_thread({"type": "pins"})
         except PointclickError as error:  # the state is reported all the same
             damage.append(str(error))
-        no_pictures = desk.source.no_pictures()
+        no_pictures = context.source.no_pictures()
         notes = [no_pictures] if no_pictures else []
         status: dict[str, Any] = {
             "type": "status",
-            "vehicles": [vehicle_json(desk, name) for name in desk.source.vehicles()],
-            "damage": [*notes, *damage, *desk.source.damage()][:5],
-            "sharing": desk.sharing_words(),
+            "vehicles": [vehicle_json(context, name) for name in context.source.vehicles()],
+            "damage": [*notes, *damage, *context.source.damage()][:5],
+            "sharing": context.sharing_words(),
         }
-        desk.hub.tell_from_thread(status)
+        context.hub.send_from_thread(status)

@@ -70,7 +70,7 @@ class WithVideo:
             rows = self._inner.frames(vehicle, 1)
             session = rows[-1].session if rows else 0
         content = self._footage.picture(session, frame)
-        return None if content is None else Picture(content, "image/jpeg", is_lasting=False)
+        return None if content is None else Picture(content, "image/jpeg", is_unchanging=False)
 
     def age_s(self, feature_set: FeatureSet) -> float | None:
         """The other's."""

@@ -1,4 +1,4 @@
-"""Whether a calibration may be flown with, in words, and what to do if not; and its picture."""
+"""Whether a calibration may be used in flight, in words, and what to do if not; and its picture."""
 
 from __future__ import annotations
 

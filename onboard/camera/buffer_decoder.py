@@ -2,7 +2,8 @@
 
 A picture is passed on with no image when it is damaged, and when it repeats the one before to the last bit: a sensor's
 noise never does, so a repeat is an old picture under a new time stamp, the one thing that must not be georeferenced.
-A repeat that was compressed again differs a little: it is one if next to nothing changed beside what lately did.
+A repeat that was compressed again differs a little: it is one if next to nothing changed compared with what recently
+did.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the status tells of any live camera: its figures, and a stream that has stopped or repeats one picture."""
+"""What the status reports of any live camera: its figures, and a stream that has stopped or repeats one picture."""
 
 from __future__ import annotations
 

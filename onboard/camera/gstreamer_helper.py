@@ -286,12 +286,12 @@ class Player:
             return self._absent()
         last = (debug or "").strip().splitlines()[-1:] or [""]
         detail = last[0].split("): ")[-1]
-        said = error.message.rstrip(".")
-        if "nauthorized" in f"{said}{detail}":
+        reason = error.message.rstrip(".")
+        if "nauthorized" in f"{reason}{detail}":
             return "the server asks for a user and a password: rtsp://USER:PASSWORD@HOST/PATH"
         if "not-negotiated" in detail:
-            return f"{said}: {message.src.get_name()} cannot give {self.spec['width']}x{self.spec['height']}"
-        return f"{said} ({detail})" if detail and detail != said else said
+            return f"{reason}: {message.src.get_name()} cannot give {self.spec['width']}x{self.spec['height']}"
+        return f"{reason} ({detail})" if detail and detail != reason else reason
 
     def _absent(self) -> str:
         """Which camera libcamera does not have, and which it has."""
@@ -307,9 +307,9 @@ class Player:
         try:
             pipeline = Gst.parse_launch(f"{text} ! {tail}")
         except Exception as error:  # GLib.Error, whose module needs GStreamer
-            said = str(getattr(error, "message", error))
-            missing = re.search(r'no element "([^"]+)"', said)
-            raise Hopeless(f"{said}: {package_of(missing[1])}" if missing else f"no pipeline: {said}") from error
+            reason = str(getattr(error, "message", error))
+            missing = re.search(r'no element "([^"]+)"', reason)
+            raise Hopeless(f"{reason}: {package_of(missing[1])}" if missing else f"no pipeline: {reason}") from error
         if not hasattr(pipeline, "get_by_name") or pipeline.get_by_name("pc_out") is None:
             raise Hopeless("no pipeline: it must have a source and end in raw video")
         pipeline.connect("deep-element-added", self._added)

@@ -28,7 +28,7 @@ TICK_S = 0.1
 RETRY_S = (0.2, 0.4, 0.8)  # after so many helpers in a row that ended without a picture
 FIRST_PICTURE_S = 10.0  # a server may send a key frame every some seconds, and decoders begin with one
 # Times that, after so many helpers in a row that had none by then: a slow computer's GStreamer looks through all of its
-# plugins at the first start, and begins that anew if it is ended before.
+# plugins at the first start, and begins that again if it is ended before.
 LONGER = (1.0, 2.0, 4.0)
 STALE_NS = 1_000_000_000
 BAD_IN_A_ROW = 5
@@ -57,7 +57,7 @@ class Launch:
 
 
 def _of_lens_and_gimbal(header: Header, stamp_ns: int) -> Iterator[GimbalAttitude | Zoom]:
-    """What a frame's header tells of the lens and of the gimbal that carries it."""
+    """What a frame's header states of the lens and of the gimbal that holds it."""
     if math.isfinite(header.focal_px):
         yield Zoom(stamp_ns, header.focal_px, "focal_px", is_of_picture=True)
     elif math.isfinite(header.zoom):

@@ -58,7 +58,7 @@ def without_password(text: str) -> str:
 
 def gstreamer_launch(spec: dict[str, Any], name: str) -> Launch:
     """Our own helper with something to open; what is to be opened, which may hold a password, goes by its input."""
-    environment = {"LIBCAMERA_LOG_LEVELS": "*:ERROR"}  # the last line said is shown as the reason of an end
+    environment = {"LIBCAMERA_LOG_LEVELS": "*:ERROR"}  # the last line printed is shown as the reason of an end
     command = (SYSTEM_PYTHON, "-I", str(HELPER))
     return Launch(name, command, json.dumps(spec).encode(), environment, is_compressed=spec["kind"] != "libcamera")
 
@@ -77,7 +77,7 @@ def libcamera_names() -> tuple[list[str], str]:
 
 
 def decoders_text() -> str:
-    """What decodes the video of streams on this computer, or why that cannot be said."""
+    """What decodes the video of streams on this computer, or why that is not known."""
     text, why = _ask({"kind": "decoders"})
     if why:
         return f"video of streams is not decoded: {why}"
@@ -86,8 +86,8 @@ def decoders_text() -> str:
 
 def _decoded(codec: str, names: list[str]) -> str:
     """Of one codec: what is tried first, and what if that does not work."""
-    said = [f"{name} (hardware)" if name not in IN_SOFTWARE else name for name in names]
-    return f"{codec} by {', else '.join(said)}" if said else f"{codec} by nothing that is installed"
+    decoders = [f"{name} (hardware)" if name not in IN_SOFTWARE else name for name in names]
+    return f"{codec} by {', else '.join(decoders)}" if decoders else f"{codec} by nothing that is installed"
 
 
 def _ask(spec: dict[str, Any]) -> tuple[str, str]:

@@ -1,7 +1,7 @@
 """A program that writes to us: started in a process group of its own, read without blocking, ended with all it started.
 
 If this process dies, the kernel kills the helper (PR_SET_PDEATHSIG), and what the helper had started ends when it
-writes into a pipe that nobody reads.
+writes into a pipe that is never read.
 """
 
 from __future__ import annotations

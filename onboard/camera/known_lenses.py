@@ -3,7 +3,7 @@
 Each entry has its source, read on 2026-11-23. A picture that is a part of the sensor sees less, so the sigma is wide.
 Drivers name the sensor: where one comes behind several lenses (IMX708, IMX477, IMX296), the lens must be named by who
 flies it. What has no source is not here, but asked for: Logitech's C922, the C270 (two sources that differ by a fifth),
-SIYI's gimbals. DJI's and other photographs say it themselves (`photo_lens`).
+SIYI's gimbals. DJI's and other photographs state it themselves (`photo_lens`).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def _across(diagonal_deg: float) -> float:
 
 @dataclass(frozen=True)
 class Lens:
-    """A camera and what it sees from left to right. `part` of a driver's name (small letters) tells it; empty: none."""
+    """A camera and what it sees left to right. `part` of a driver's name (small letters) is its own; empty: none."""
 
     part: str
     name: str

@@ -19,7 +19,7 @@ SIGMA_CALIBRATED, SIGMA_DESIGN, SIGMA_MM, SIGMA_EQUIVALENT = 0.003, 0.015, 0.02,
 SIGMA_CROPPED = 0.05
 # Without the size of a pixel in mm: by the principal point, which lies this near to the middle (share of the width).
 SIGMA_PITCH = 0.02
-ALIKE = 0.02  # shapes that are the same
+SAME_SHAPE = 0.02  # shapes that are the same
 FOUR_THIRDS, THREE_HALVES = 4.0 / 3.0, 1.5
 # Cameras of drones whose sensor is not 4:3, as drones' mostly are (their data sheets: 1 inch, and full frame).
 THREE_HALVES_MODELS = ("FC6310", "FC6510", "L1D-20c", "FC3411", "ZenmuseP1")
@@ -165,9 +165,9 @@ def _by_equivalent(details: Mapping[int, object], size_px: tuple[int, int], mode
     shape = long_px / short_px
     is_three_halves = any(word.startswith(THREE_HALVES_MODELS) for word in model.split())
     sensor = THREE_HALVES if is_three_halves else FOUR_THIRDS
-    if not is_three_halves and abs(shape / THREE_HALVES - 1.0) < ALIKE:
+    if not is_three_halves and abs(shape / THREE_HALVES - 1.0) < SAME_SHAPE:
         sensor = THREE_HALVES
-    is_whole = abs(shape / sensor - 1.0) < ALIKE
+    is_whole = abs(shape / sensor - 1.0) < SAME_SHAPE
     # Of the whole sensor's two sides one is the picture's.
     across_px = long_px if shape >= sensor else short_px * sensor
     diagonal_px = math.hypot(long_px, short_px) if is_whole else across_px * math.hypot(1.0, 1.0 / sensor)

@@ -110,8 +110,8 @@ def _first(xmp: Mapping[str, str], *names: str) -> float | None:
 
 def _sigma_horizontal(gps: Mapping[int, object], xmp: Mapping[str, str]) -> float | None:
     rtk = _norm(number(xmp.get("RtkStdLat")), number(xmp.get("RtkStdLon")))
-    said = rtk or _first(xmp, "Camera:GPSXYAccuracy", "GpsHorizontalAccuracy")
-    return said or number(gps.get(ExifTags.GPS.GPSHPositioningError)) or None
+    stated = rtk or _first(xmp, "Camera:GPSXYAccuracy", "GpsHorizontalAccuracy")
+    return stated or number(gps.get(ExifTags.GPS.GPSHPositioningError)) or None
 
 
 def _stamp(details: dict[int, object], xmp: Mapping[str, str]) -> tuple[int | None, bool]:
@@ -183,9 +183,9 @@ def _angles(xmp: Mapping[str, str], *patterns: str) -> Angles | None:
 
 def _camera_angles(xmp: Mapping[str, str], make: str) -> Angles | None:
     """Of the optical axis, pitch -90 looking down: DJI's, Parrot's and Skydio's names as they are, Pix4D's turned."""
-    said = _angles(xmp, "Gimbal{}Degree", "Camera{}Degree", "CameraOrientationNED/{}")
-    if said is not None:
-        return said
+    stated = _angles(xmp, "Gimbal{}Degree", "Camera{}Degree", "CameraOrientationNED/{}")
+    if stated is not None:
+        return stated
     nadir = _angles(xmp, "Camera:{}")
     if nadir is None:
         return None

@@ -87,7 +87,7 @@ def open_frames(
 def _check_size(what: str, size_px: tuple[int, int], camera: Camera) -> None:
     if size_px != camera.size_px:
         raise InputError(
-            f"{what} is {size_px[0]} x {size_px[1]}, the camera file says {camera.width_px} x {camera.height_px}"
+            f"{what} is {size_px[0]} x {size_px[1]}, the camera file states {camera.width_px} x {camera.height_px}"
         )
 
 
@@ -270,7 +270,7 @@ class Video:
         capture.release()
         _check_size(f"frames {path}", size, camera)
         if count < 1:
-            raise InputError(f"frames {path}: the video does not say how many frames it has; remux it")
+            raise InputError(f"frames {path}: the video does not state how many frames it has; remux it")
         self.notes: tuple[str, ...] = ()
         self._times_s = frame_times_s(path)  # the container's own, if it has any
         count = len(self._times_s) or count

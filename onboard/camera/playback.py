@@ -33,8 +33,8 @@ class PlayedCamera:
         thermal: ThermalConfig = NOT_THERMAL,
     ) -> None:
         self._path, self._clock, self._thermal = Path(path), clock, thermal
-        beside = [p for p in (self._path / STAMPS, self._path.parent / STAMPS) if p.is_file()]
-        stamps = beside[0] if beside else None
+        next_to_it = [p for p in (self._path / STAMPS, self._path.parent / STAMPS) if p.is_file()]
+        stamps = next_to_it[0] if next_to_it else None
         self._source = open_frames(self._path, camera, stamps, latency_s, is_thermal=thermal.enabled)
         self._health = SourceStatus(State.STARTING, "not playing yet")
 

@@ -14,7 +14,7 @@ from onboard.events.session_clock import SessionClock
 from onboard.telemetry.arrivals import Arrivals
 
 FUTURE_NS = 5_000_000  # a picture that is here was not taken later than that
-MAX_AGE_NS = 5_000_000_000  # nobody flies by pictures that old: no stamp of this clock
+MAX_AGE_NS = 5_000_000_000  # no one flies with pictures that old: no stamp of this clock
 # A stream begins with what had been waiting: pictures are timed once none has been less late than those before for a
 # while. Half a second is two thirds of a jitter's range after the first pictures; five, and something else is wrong.
 SETTLING_NS, STILL_NS, MAX_SETTLING_NS = 1_000_000_000, 500_000_000, 5_000_000_000

@@ -24,7 +24,7 @@ class StampConsistency:
         self._first_ns: list[int] = []
         self._least_ns = 0
         self._slack_ns = MIN_SLACK_NS
-        self._lately: deque[tuple[int, int]] = deque()  # arrival and delay
+        self._recent: deque[tuple[int, int]] = deque()  # arrival and delay
 
     def sigma_s(self, arrival_ns: int, delay_ns: int) -> float:
         """Seconds that the stamp of a picture, arrived `delay_ns` after it, may be off; 0 while all is as it was.
@@ -38,15 +38,15 @@ class StampConsistency:
             self._least_ns = max(min(self._first_ns), 0)
             spread_ns = float(np.median(self._first_ns)) - min(self._first_ns)
             self._slack_ns = max(MIN_SLACK_NS, round(SPREAD_SLACK * spread_ns))
-        self._lately.append((arrival_ns, delay_ns))
-        while self._lately[0][0] < arrival_ns - HELD_NS:
-            self._lately.popleft()
-        delays_ns = [delay for _, delay in self._lately]
+        self._recent.append((arrival_ns, delay_ns))
+        while self._recent[0][0] < arrival_ns - HELD_NS:
+            self._recent.popleft()
+        delays_ns = [delay for _, delay in self._recent]
         least_ns = min(delays_ns)
         # Too soon: at once. Too late: only when not one picture has been in time for as long as the worst is held.
         off_ns = self._least_ns - least_ns
         if off_ns < 0:
             spread_ns = float(np.median(delays_ns)) - least_ns
-            if arrival_ns - self._lately[0][0] < HELD_NS // 2 or -off_ns <= SPREAD_SLACK * spread_ns:
+            if arrival_ns - self._recent[0][0] < HELD_NS // 2 or -off_ns <= SPREAD_SLACK * spread_ns:
                 return 0.0
         return abs(off_ns) / 1e9 if abs(off_ns) > self._slack_ns else 0.0

@@ -3,7 +3,7 @@
 Ground that differs by a kelvin is spread over the grey scale by the spread of its middle half, so that a fire or the
 sky does not take the scale from it, and the stretch changes slowly. What the sensor adds by itself, another amount for
 each pixel and column, stays in the picture while the ground moves: it is estimated from what stays, and taken off.
-Once it is no longer found in the picture, as after a shutter event, it is forgotten and learned anew. What is left of
+Once it is no longer found in the picture, as after a shutter event, it is forgotten and learned again. What is left of
 a bland picture is noise from pixel to pixel, and is smoothed.
 """
 
@@ -88,7 +88,7 @@ class FixedPattern:
         if self._mean is None or self._ground is None:
             self._mean, self._ground, self._seen = own, ground, 1
             return known
-        if _alike(ground, self._ground) >= MOVED:
+        if _likeness(ground, self._ground) >= MOVED:
             return known
         share = min(max(_dot(own, self._mean) / max(_dot(self._mean, self._mean), 1e-12), 0.0), 1.0)
         if self._seen >= ENOUGH and share < STILL_THERE:
@@ -117,6 +117,6 @@ def _dot(a: Grid, b: Grid) -> float:
     return float(np.vdot(a, b))
 
 
-def _alike(a: Grid, b: Grid) -> float:
+def _likeness(a: Grid, b: Grid) -> float:
     """Correlation of two grids of mean zero; 0 where one is empty."""
     return _dot(a, b) / max(math.sqrt(_dot(a, a) * _dot(b, b)), 1e-12)

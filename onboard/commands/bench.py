@@ -107,12 +107,12 @@ def named_camera(path: Path) -> Camera:
 def report(load: Load, config: Config, camera: Camera, wanted_hz: float, watch: Watch) -> dict[str, Any]:
     """Everything that was found, for programs; `verdict` is for people."""
     total_mb, free_mb = _memory_mb()
-    is_measured = load.pictures >= LEAST_PICTURES - WARM_UP and load.solved >= SOLVED_SHARE * load.flown
+    is_measured = load.pictures >= LEAST_PICTURES - WARM_UP and load.solved >= SOLVED_SHARE * load.replayed
     share = wanted_hz * load.picture_ms / 1e3
     most_hz = load.sustainable_hz
     slower = load.late_ms / load.early_ms - 1.0 if load.early_ms else 0.0
     if not is_measured:
-        verdict = f"not measured: {load.solved} of {load.flown} pictures solved, {LEAST_PICTURES} are needed"
+        verdict = f"not measured: {load.solved} of {load.replayed} pictures solved, {LEAST_PICTURES} are needed"
     elif wanted_hz <= most_hz:
         verdict = f"good: {wanted_hz:g} Hz take {100 * share:.0f} % of a core, {100 * SHARE:.0f} % are for pictures"
     else:
@@ -125,7 +125,7 @@ def report(load: Load, config: Config, camera: Camera, wanted_hz: float, watch: 
         "cores": os.cpu_count(),
         "size_px": list(camera.size_px),
         "features": config.tracking.features,
-        "pictures": load.flown,
+        "pictures": load.replayed,
         "solved": load.solved,
         "flown_s": load.seconds,
         "flown_hz": load.rate_hz,

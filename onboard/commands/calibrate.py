@@ -258,14 +258,14 @@ def views_of_device(board: Board, arguments: argparse.Namespace) -> list[View]:
     collector = Collector(arguments.size)
     ends = time.monotonic() + arguments.seconds
     print(f"show the board to {arguments.device}: all over the picture, leaning all ways, still for a moment each time")
-    said = ""
+    reported = ""
     with contextlib.suppress(KeyboardInterrupt), Live(arguments.device, arguments.size, arguments.format) as live:
         while len(collector.kept) < arguments.views and time.monotonic() < ends:
             frame = live.picture()
             health = live.camera.health()
-            if health.state in {State.LOST, State.FROZEN} and health.state.value != said:
+            if health.state in {State.LOST, State.FROZEN} and health.state.value != reported:
                 print(f"camera {health.state.value}: {health.detail}", file=sys.stderr)
-            said = health.state.value
+            reported = health.state.value
             if frame is None or frame.image is None:
                 continue
             if collector.offer(frame.stamp_ns, board.find(frame.image, f"view {len(collector.kept) + 1}")):

@@ -23,7 +23,7 @@ from onboard.events.session_clock import SessionClock
 from onboard.telemetry.factory import open_telemetry
 
 DEVICES = ("serial", "nmea")
-HEARD_WHEN_FLYING = {
+RECEIVED_IN_FLIGHT = {
     "udpin": "listens there; whether an autopilot sends cannot be known before `run` (then: pc-onboard doctor)",
     "udpout": "sends there; whether an autopilot answers cannot be known before `run` (then: pc-onboard doctor)",
     "tcp": "connects there; whether an autopilot answers cannot be known before `run` (then: pc-onboard doctor)",
@@ -71,7 +71,7 @@ def look(config: Config) -> list[Named]:
 
 
 def _second(config: Config) -> list[Named]:
-    if not config.camera.thermal.is_flown:
+    if not config.camera.thermal.is_live:
         return []
     camera = load_second_camera(config)
     width, height = camera.size_px
@@ -108,8 +108,8 @@ def _camera(section: str, config: CameraConfig, camera: Camera) -> Named:
 def _telemetry(url: str) -> Named:
     scheme, _, rest = url.partition(":")
     key = "telemetry.url"
-    if scheme in HEARD_WHEN_FLYING:
-        return Named(key, url, True, HEARD_WHEN_FLYING[scheme])
+    if scheme in RECEIVED_IN_FLIGHT:
+        return Named(key, url, True, RECEIVED_IN_FLIGHT[scheme])
     if scheme not in DEVICES:
         return Named(key, url, True, "a recorded log")  # that it is there has been seen
     path = rest.rpartition(":")[0]

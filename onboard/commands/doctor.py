@@ -111,7 +111,7 @@ class Look:
         else:
             self._open("camera", lambda: open_camera(config, camera, self._clock))
         self._open("telemetry", lambda: open_telemetry(config, self._clock))
-        if config.camera.thermal.is_flown:
+        if config.camera.thermal.is_live:
             self._open(SECOND, lambda: open_second_camera(config, load_second_camera(config), self._clock))
 
     def report(self, seconds: float) -> Report:

@@ -24,7 +24,7 @@ from onboard.commands.imported_flight import (
     ImportedFlight,
     Row,
     check_out,
-    log_beside,
+    log_in_folder,
     mount_by_log,
     optics_of,
     rolling_shutter,
@@ -97,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
         _place(arguments.folder / photo.name, frames / photo.name, arguments.copy)
     if log is None:
         flight.telemetry.write_text(_telemetry_table(photos, times))
-    flight.say()
+    flight.print_assumed()
     return 0
 
 
@@ -111,7 +111,7 @@ def _log(
             photo_telemetry(photos, times.stamps_ns, None)  # whether it is complete
             return None, None
         for folder in (arguments.folder, arguments.folder.resolve().parent):
-            path = path or log_beside(folder)
+            path = path or log_in_folder(folder)
     if path is None:
         raise InputError(
             f"{arguments.folder}: no GPS position with a height in {photos[0].name} and the others, and no log next to "
@@ -225,8 +225,8 @@ def _turn_m(photos: list[PhotoMetadata]) -> float:
 
 def _positions_text(photos: list[PhotoMetadata]) -> str:
     height_sigma_m = max(math.hypot(height_amsl(p, None)[1] or 0.0, datum_sigma_m(p, None) or 0.0) for p in photos)
-    said = [photo.sigma_horizontal_m for photo in photos if photo.sigma_horizontal_m is not None]
-    accuracy = f"+-{max(said):.2g} m as they state" if said else "+-1.5 m assumed"
+    stated = [photo.sigma_horizontal_m for photo in photos if photo.sigma_horizontal_m is not None]
+    accuracy = f"+-{max(stated):.2g} m as they state" if stated else "+-1.5 m assumed"
     what = "from the ellipsoid (set gps.undulation_m)" if photos[0].height_is_ellipsoidal else "above sea level"
     what += " by barometer" if photos[0].height_is_barometric else ""
     return f"each picture's own, {accuracy}; heights {what}, +-{height_sigma_m:.3g} m"

@@ -19,7 +19,7 @@ from onboard.commands.imported_flight import (
     LOG_SUFFIXES,
     ImportedFlight,
     check_out,
-    log_beside,
+    log_in_folder,
     mount_by_log,
     optics_of,
     rolling_shutter,
@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     settings = settings_of(arguments.set)
     check_out(arguments.out)
     size_px = _size(video)
-    log_path = arguments.telemetry or log_beside(video.parent, video.stem)
+    log_path = arguments.telemetry or log_in_folder(video.parent, video.stem)
     if log_path is None:
         raise InputError(
             f"{video}: no log of the flight next to it ({', '.join(LOG_SUFFIXES)}): name one. A DJI drone writes one "
@@ -85,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.home_amsl_m is not None:
         flight.replay += ["--home-amsl-m", f"{arguments.home_amsl_m:g}"]
     flight.write(settings)
-    flight.say()
+    flight.print_assumed()
     return 0
 
 

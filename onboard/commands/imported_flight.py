@@ -67,7 +67,7 @@ class ImportedFlight:
         (self.out / "camera.json").write_text(self.optics.file_text)
         (self.out / "config.toml").write_text(config)
 
-    def say(self) -> None:
+    def print_assumed(self) -> None:
         """Print what was assumed, and as the last line the command to run next."""
         width = max(len(name) for name, _ in self.rows)
         print("\n".join(f"{name:<{width}}  {text}" for name, text in self.rows))
@@ -198,7 +198,7 @@ def _width_text(camera: Camera) -> str:
     return f"{camera.width_px} x {camera.height_px}, {fov_deg:.0f} deg wide"
 
 
-def log_beside(folder: Path, stem: str | None = None) -> Path | None:
+def log_in_folder(folder: Path, stem: str | None = None) -> Path | None:
     """The log of a video (the same name), or the only log in a folder. Raises InputError where there are several."""
     logs = sorted(
         entry for entry in folder.iterdir()

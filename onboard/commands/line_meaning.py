@@ -45,7 +45,7 @@ MEANING: dict[str, tuple[str, str]] = {
         "If bad: check its cable and camera.thermal.device; the flight has no hot spots, and all else as before.",
     ),
     "thermal": (
-        "Where the camera is a thermal one: kelvin a count, or that nobody stated it.",
+        "Where the camera is a thermal one: kelvin a count, or that it is not stated.",
         "If bad: it never is. For temperatures state thermal.scale and thermal.offset (docs/thermal.md).",
     ),
     "telemetry": (

@@ -24,7 +24,7 @@ RATE_SHARE = 0.8  # of the rate asked for
 MIN_ATTITUDE_HZ = 10.0
 MIN_POSITION_HZ = 2.0
 MAX_CLOCK_SIGMA_MS = 20.0  # 20 m/s over 20 ms are 0.4 m
-MAX_STAMP_SIGMA_MS = 100.0  # by arrivals it is how late they usually are, which says more of the link than of a stamp
+MAX_STAMP_SIGMA_MS = 100.0  # by arrivals it is how late they usually are, which describes the link rather than a stamp
 MAX_ROUND_TRIP_MS = 100.0
 MAX_VARIANCE_FACTOR = 4.0  # ellipses are then twice as long as sensors and pictures explain
 BORESIGHT_SIGMAS = 3.0
@@ -97,11 +97,11 @@ def _thermal(config: Config) -> Line:
 
 def _sensors(report: Report) -> Line:
     judged, doubted = _judged(report, Subject.SENSORS), not_adopted(report.unconfirmed)
-    said = "; ".join(text for text in (judged.text, larger_than_declared(report.sensor_errors)) if text)
-    said = said or "no error found larger than configured"
+    words = "; ".join(text for text in (judged.text, larger_than_declared(report.sensor_errors)) if text)
+    words = words or "no error found larger than configured"
     if doubted:
-        said += f"; found but not confirmed, and not used: {doubted}"
-    return replace(judged, text=said)
+        words += f"; found but not confirmed, and not used: {doubted}"
+    return replace(judged, text=words)
 
 
 def _state_line(report: Report) -> Line:
@@ -115,8 +115,8 @@ def _judged(report: Report, subject: Subject) -> Line:
     """What the daemon has found amiss with one thing; how it is if nothing."""
     found = [finding for finding in report.findings if finding.subject is subject]
     if found:
-        said = dict.fromkeys(finding.reason.removeprefix(f"{subject.value}: ") for finding in found)
-        return Line(subject.value, False, "; ".join(said))
+        words = dict.fromkeys(finding.reason.removeprefix(f"{subject.value}: ") for finding in found)
+        return Line(subject.value, False, "; ".join(words))
     return Line(subject.value, True, _WELL[subject](report))
 
 

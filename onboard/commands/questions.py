@@ -14,7 +14,7 @@ MOST_TRIES = 5
 
 @dataclass(frozen=True)
 class Terminal:
-    """Somebody to ask. `read` takes a prompt and returns a line; EOFError where nobody answers any more."""
+    """A person to ask. `read` takes a prompt and returns a line; EOFError where there are no more answers."""
 
     read: Callable[[str], str] = input
     show: Callable[[str], None] = print
@@ -22,7 +22,7 @@ class Terminal:
     def ask(self, question: str, parse: Callable[[str], Value], default: str | None = None) -> Value:
         """The answer as `parse` makes it, which raises ValueError with what would be right.
 
-        Raises ConfigError where nobody answers, or never anything usable.
+        Raises ConfigError where there is no answer, or never a usable one.
         """
         shown = f"{question} [{default}]: " if default else f"{question}: "
         for _ in range(MOST_TRIES):

@@ -114,7 +114,7 @@ def open_parts(config: Config, clock: SessionClock | None = None, open_camera: O
                 )  # fmt: skip
             sinks.append(pictures)
             threads.append(pictures.thread)
-        optics = load_second_camera(config) if config.spots.enabled and config.camera.thermal.is_flown else None
+        optics = load_second_camera(config) if config.spots.enabled and config.camera.thermal.is_live else None
         tracks, (spots, second) = _tracks(config, link), _spots(config, link, clock, optics)
         for one in (tracks, spots, second):
             if one is not None:

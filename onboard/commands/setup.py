@@ -31,7 +31,7 @@ from onboard.commands.questions import Terminal
 from onboard.commands.replay import recorded_flight
 from onboard.config.schema import Config, to_toml
 from onboard.pipeline.mount_search import MountSearch
-from onboard.telemetry.autopilot_search import Heard, candidates, is_slow, listen
+from onboard.telemetry.autopilot_search import FoundAutopilot, candidates, is_slow, listen
 
 MOUNTS = {  # roll, pitch, yaw, as `mount.*_deg`
     "down": (0.0, -90.0, 0.0),
@@ -82,7 +82,7 @@ class Surroundings:
 
     cameras: Callable[[], list[Found]] = v4l2_cameras
     wires: Callable[[], list[str]] = field(default=lambda: list(candidates()))
-    listen: Callable[[str], Heard | None] = listen
+    listen: Callable[[str], FoundAutopilot | None] = listen
     check: Callable[[argparse.Namespace], int] = doctor.run
 
 
@@ -115,14 +115,14 @@ def run(arguments: argparse.Namespace, terminal: Terminal | None = None, around:
 
 
 def _with_found_mount(session: Path) -> Config:
-    """The configuration that a session was flown with, its camera sitting as the pictures show. Raises InputError."""
+    """The configuration of a recorded session, its camera sitting as the pictures show. Raises InputError."""
     config, camera, flight = recorded_flight(session)
     ranking = MountSearch(config, camera).ranking(flight.events())
-    said = ", ".join(
+    angles = ", ".join(
         f"{'/'.join(f'{a:g}' for a in angles)} ({cost:.0f})"
         for angles, cost in zip(ranking.order[:3], ranking.costs[:3], strict=True)
     )
-    print(f"roll/pitch/yaw by how far {ranking.pictures} pictures contradict them: {said}")
+    print(f"roll/pitch/yaw by how far {ranking.pictures} pictures contradict them: {angles}")
     if ranking.decided is None:
         raise InputError(f"{session}: the pictures do not show how the camera is mounted: fly with turns, above 10 m")
     mount = dict(zip(("roll_deg", "pitch_deg", "yaw_deg"), ranking.decided, strict=True))
@@ -135,16 +135,16 @@ def _with_found_mount(session: Path) -> Config:
 
 
 def _finish(config_path: Path, written: str, left: list[str], around: Surroundings) -> int:
-    """Write the configuration, have the doctor look, say what is left."""
+    """Write the configuration, have the doctor look, print what is left."""
     _write_config(config_path, "# Made by `pc-onboard setup`.\n" + written, has_password="@" in written)
     print(f"written: {config_path}\n")
     code = around.check(argparse.Namespace(config=config_path, seconds=DOCTOR_S, json=False, explain=False))
-    _say_what_is_left(config_path, left)
+    _print_what_is_left(config_path, left)
     return code
 
 
 def _write_config(path: Path, text: str, *, has_password: bool) -> None:
-    """With owner and mode of the file that it replaces; a new one with a password is nobody else's to read."""
+    """With owner and mode of the file that it replaces; a new one with a password is readable by no one else."""
     was = path.stat() if path.exists() else None
     write(path, text.encode())
     if was is not None:
@@ -204,7 +204,7 @@ def _camera_file(
 
 
 def _lens(arguments: argparse.Namespace, terminal: Terminal | None, camera: Found) -> Lens:
-    """As given, else as the driver's name tells, else as somebody says."""
+    """As given, else as known from the driver's name, else as the person at the terminal states."""
     if arguments.fov_deg is not None:
         return _stated(arguments.fov_deg)
     try:
@@ -224,7 +224,7 @@ def _lens(arguments: argparse.Namespace, terminal: Terminal | None, camera: Foun
 
 
 def _stated(hfov_deg: float) -> Lens:
-    return Lens("", "a stated field of view", hfov_deg, "what was said", GIVEN_SIGMA)
+    return Lens("", "a stated field of view", hfov_deg, "what was stated", GIVEN_SIGMA)
 
 
 def _size(arguments: argparse.Namespace, terminal: Terminal | None, camera: Found) -> tuple[int, int]:
@@ -243,24 +243,26 @@ def _size(arguments: argparse.Namespace, terminal: Terminal | None, camera: Foun
 def _telemetry(arguments: argparse.Namespace, terminal: Terminal | None, around: Surroundings, left: list[str]) -> str:
     if arguments.telemetry is not None:
         return str(arguments.telemetry)
-    heard: list[Heard] = []
+    autopilots: list[FoundAutopilot] = []
     for url in around.wires():
-        if not any(url.rpartition(":")[0] == h.url.rpartition(":")[0] for h in heard):  # one rate of a port
+        if not any(url.rpartition(":")[0] == h.url.rpartition(":")[0] for h in autopilots):  # one rate of a port
             print(f"listening: {url}", flush=True)
             found = around.listen(url)
-            heard += [found] if found is not None else []
-    if len(heard) == 1:
-        print(f"Autopilot: {heard[0].kind}, system {heard[0].system}, on {heard[0].url}")
-        url = heard[0].url
-    elif terminal is not None and heard:
+            autopilots += [found] if found is not None else []
+    if len(autopilots) == 1:
+        print(f"Autopilot: {autopilots[0].kind}, system {autopilots[0].system}, on {autopilots[0].url}")
+        url = autopilots[0].url
+    elif terminal is not None and autopilots:
         terminal.show("Autopilots:")
-        url = heard[terminal.choose("which", [f"{h.url}  {h.kind}, system {h.system}" for h in heard])].url
+        url = autopilots[terminal.choose("which", [f"{h.url}  {h.kind}, system {h.system}" for h in autopilots])].url
     elif terminal is not None:
         terminal.show("Autopilot: none found. Is it powered, and MAVLink 2 on its port?")
         url = terminal.ask("telemetry.url", _not_empty, "udpin:0.0.0.0:14550")
         left.append(f"nothing was received on {url}: look at the autopilot's port and baud rate (docs/telemetry.md)")
     else:
-        which = "no autopilot found" if not heard else f"several autopilots: {', '.join(h.url for h in heard)}"
+        which = (
+            "no autopilot found" if not autopilots else f"several autopilots: {', '.join(a.url for a in autopilots)}"
+        )
         raise ConfigError(f"setup: {which}; name its line: --telemetry serial:/dev/ttyAMA0:921600")
     if is_slow(url):
         left.append(f"{url} is slow: attitude is asked for at 20 Hz; 230400 baud or more carry all of it")
@@ -287,7 +289,7 @@ def _mount(arguments: argparse.Namespace, terminal: Terminal | None, left: list[
     return MOUNTS[names[at]]
 
 
-def _say_what_is_left(config: Path, left: list[str]) -> None:
+def _print_what_is_left(config: Path, left: list[str]) -> None:
     print("\nLeft to do:")
     for number, what in enumerate(
         [*left, f"start it: pc-onboard run --config {config} (as a service: docs/service.md)"], 1

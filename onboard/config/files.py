@@ -62,7 +62,7 @@ def load_second_camera(config: Config) -> Camera:
         )
     if config.thermal.enabled:
         raise ConfigError(
-            "camera.thermal is a second camera beside one that sees light, and thermal.enabled states that the first "
+            "camera.thermal is a second camera next to one that sees light, and thermal.enabled states that the first "
             "is a thermal one: leave one of them out"
         )
     return Camera.from_json(Path(second.file))

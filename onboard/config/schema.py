@@ -82,7 +82,7 @@ LOCAL_ELEMENTS = ("v4l2src", "libcamerasrc", "nvarguscamerasrc", "nvv4l2camerasr
 def delay_prior(device: str, is_utc: bool = False) -> dict[str, float]:
     """`latency_s` and `sigma_latency_s` of a camera of which nothing is stated, by the form of `camera.device`.
 
-    Where nobody knows how long the sender's encoder and the link take, the delay may be anything up to a second.
+    Where it is not known how long the sender's encoder and the link take, the delay may be anything up to a second.
     """
     is_network = device.startswith("rtsp") or (
         device.startswith("gst:") and not any(element in device for element in LOCAL_ELEMENTS)

@@ -1,4 +1,4 @@
-"""The section `camera.thermal`: a thermal camera beside the first one."""
+"""The section `camera.thermal`: a thermal camera next to the first one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from onboard.config.section import Section, choice, quantity
 
 
 class SecondCamera(Section):
-    """A thermal camera beside the first: hot spots are looked for in its pictures, poses come from the first's.
+    """A thermal camera next to the first: hot spots are looked for in its pictures, poses come from the first's.
 
     Its angles turn it from where the first camera looks: 0, 0, 0 looks the same way. docs/thermal.md.
     """
@@ -42,6 +42,6 @@ class SecondCamera(Section):
         return self.file is not None
 
     @property
-    def is_flown(self) -> bool:
+    def is_live(self) -> bool:
         """Whether the daemon opens one."""
         return self.device is not None

@@ -62,5 +62,5 @@ class Source(Protocol):
 class TelemetrySource(Source, Protocol):
     """A source that can also speak."""
 
-    def say(self, severity: Severity, text: str) -> None:
+    def send_text(self, severity: Severity, text: str) -> None:
         """Show a short text (100 characters) to the pilot, where the link can; otherwise nothing happens."""

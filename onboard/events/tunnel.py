@@ -1,4 +1,4 @@
-"""What may travel through the autopilot beside telemetry, to and from grounds behind its radio."""
+"""What may travel through the autopilot next to telemetry, to and from grounds behind its radio."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Peer(NamedTuple):
 class TunnelEnd(Protocol):
     """Our end of the tunnel. Called in the telemetry's thread: nothing here waits."""
 
-    def hear(self, ground: Peer, payload: bytes) -> None:
+    def receive(self, ground: Peer, payload: bytes) -> None:
         """A ground has sent this."""
 
     def due(self) -> Iterable[tuple[Peer, bytes]]:

@@ -82,7 +82,7 @@ class FilterStatus:
     has_position: bool  # horizontal position is absolute by its own estimate
     is_glitching: bool  # the filter calls the GPS a glitch
     is_at_rest: bool = False  # it holds the position constant, believing position and velocity: standing on the ground
-    sigma_velocity_m_s: float | None = None  # of its velocity, the larger of horizontal and vertical, where it says
+    sigma_velocity_m_s: float | None = None  # of its velocity, the larger of horizontal and vertical, where it has one
 
 
 @dataclass(frozen=True)
@@ -115,9 +115,10 @@ ZoomUnit = Literal["focal_px", "times", "percent", "hfov_deg"]  # the better fir
 
 @dataclass(frozen=True)
 class Zoom:
-    """How far the lens is zoomed in, as somebody tells: how many "times" the widest view is enlarged, "percent" of the
+    """How far the lens is zoomed in, as reported: how many "times" the widest view is enlarged, "percent" of the
     way from the widest to the longest, the focal length of the full picture in pixels, or its horizontal field of view.
-    `step`: the smallest difference that can be told. `is_of_picture`: the stamp is a picture's, on the camera's clock.
+    `step`: the smallest difference that can be reported. `is_of_picture`: the stamp is a picture's, on the camera's
+    clock.
     """
 
     stamp_ns: int

@@ -41,13 +41,13 @@ class Revisions:
         if before is now:
             return True
         if self._pair is None or self._pair[0] is not before or self._pair[1] is not now:
-            self._pair = before, now, are_alike(before, now)
+            self._pair = before, now, are_same(before, now)
             self._radius_m = 0.0 if now.readout_s == before.readout_s else _least_radius_m(now)
         is_here = self._pair[2] and is_all_in_reach(placed.feature_set.uv_px, placed.feature_set.camera.size_px)
         return is_here and _rows_move_m(placed.feature_set, now.readout_s - before.readout_s) <= MOVED * self._radius_m
 
 
-def are_alike(before: Solved, now: Solved) -> bool:
+def are_same(before: Solved, now: Solved) -> bool:
     """Whether the points that two solutions have in common are where they were, and known as well as they were."""
     one, other = before.common(now)
     if not len(one):

@@ -13,16 +13,16 @@ from contract.wire.set_pieces import MAX_WIRE_BYTES
 from onboard.config.schema import Config
 from onboard.events.tunnel import Peer
 from onboard.link.byte_budget import Bucket
-from onboard.link.click_desk import ClickDesk
+from onboard.link.click_service import ClickService
 from onboard.link.publisher import Publisher
 from onboard.link.reply import Answer, Question
 from onboard.link.set_feed import SetFeed
 
-OVERHEAD, SIGNATURE = 17, 13  # bytes on the wire beside a payload in MAVLink's TUNNEL
+OVERHEAD, SIGNATURE = 17, 13  # bytes on the wire in addition to a payload in MAVLink's TUNNEL
 BURST_S = 0.5
 MAX_TURNED_AWAY = 4  # between two looks
 NUMBERED = struct.Struct("<BH")  # how every packet of a ground begins: its kind, and a number
-GROUND_STATIONS = 255, 255  # as autopilots have it unless they say otherwise
+GROUND_STATIONS = 255, 255  # as autopilots have it unless they report others
 
 
 class AutopilotRadio:
@@ -44,7 +44,7 @@ class AutopilotRadio:
     ) -> None:
         overhead = OVERHEAD + is_signed * SIGNATURE
         bucket = Bucket(max_bit_rate / 8.0, max(BURST_S * max_bit_rate / 8.0, MAX_WIRE_BYTES), now_ns() / 1e9)
-        self.desk = ClickDesk(vehicle, look_up, overhead, bucket, now_ns)
+        self.clicks = ClickService(vehicle, look_up, overhead, bucket, now_ns)
         self.feed = SetFeed(max_bit_rate, overhead, bucket, age_s, now_ns)
         self._ground_stations = GROUND_STATIONS
         self._turned_away: dict[Peer, int] = {}  # with the number of their question
@@ -55,28 +55,28 @@ class AutopilotRadio:
         is_signed = config.telemetry.signing_key is not None
         radio = cls(config.vehicle.id, link.look_up, link.age_s, config.link.mavlink_bit_rate, is_signed=is_signed)
         link.watches.append(radio.feed.offer)
-        radio.desk.thread.start()
+        radio.clicks.thread.start()
         return radio
 
     @property
     def thread(self) -> SupervisedThread:
         """That of the clicks."""
-        return self.desk.thread
+        return self.clicks.thread
 
     def close(self) -> None:
         """No more answers."""
-        self.desk.close()
+        self.clicks.close()
 
     def know_ground_stations(self, low: int, high: int) -> None:
         """The system numbers that the autopilot takes for its ground stations."""
         self._ground_stations = low, high
 
-    def hear(self, ground: Peer, payload: bytes) -> None:
+    def receive(self, ground: Peer, payload: bytes) -> None:
         """A packet from a ground; what is nothing of ours is passed over."""
         low, high = self._ground_stations
         if not low <= ground.system <= high:
-            self.desk.hear(ground, payload)
-            self.feed.hear(ground, payload)
+            self.clicks.receive(ground, payload)
+            self.feed.receive(ground, payload)
         elif len(self._turned_away) < MAX_TURNED_AWAY and len(payload) >= NUMBERED.size:
             self._turned_away[ground] = NUMBERED.unpack_from(payload)[1]
 
@@ -84,4 +84,4 @@ class AutopilotRadio:
         """What may go now, the bit rate paid."""
         out = [(ground, TurnedAway(number, *self._ground_stations)) for ground, number in self._turned_away.items()]
         self._turned_away.clear()
-        return [(ground, encode_answer(said)) for ground, said in out] + self.desk.due() + self.feed.due()
+        return [(ground, encode_answer(refusal)) for ground, refusal in out] + self.clicks.due() + self.feed.due()

@@ -387,7 +387,7 @@ class Publisher:
         self.pictures += not self._pieces
 
     def _put_set(self, offer: Offer[bytes]) -> None:
-        age = self._set_clock.said(offer.capture_unix_ns, time.monotonic_ns())
+        age = self._set_clock.age_text(offer.capture_unix_ns, time.monotonic_ns())
         self._publisher.put(offer.item, attachment=age)
         self.sent += 1
 

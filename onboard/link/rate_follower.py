@@ -29,7 +29,7 @@ class RateFollower:
         """What may be sent now."""
         return self._rate if now_s - self._reported_s < SILENT_S else 0.0
 
-    def heard(self, report: ReceiverReport, now_s: float) -> None:
+    def received(self, report: ReceiverReport, now_s: float) -> None:
         """A ground's report."""
         if self.bit_rate(now_s) == 0.0:
             self._rate, self._is_starting, self._judged = min(BEGIN_BIT_RATE, self._most), True, None
@@ -39,7 +39,7 @@ class RateFollower:
             return
         sent = (report.highest - self._judged.highest) % 65536
         came = (report.received - self._judged.received) % 65536
-        if sent >= 32768 or came > 2 * sent + JUDGED:  # the ground has begun anew
+        if sent >= 32768 or came > 2 * sent + JUDGED:  # the ground has begun again
             self._judged = report
             return
         if sent < JUDGED:

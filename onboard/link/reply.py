@@ -92,7 +92,7 @@ class SetClock:
         offset_ns = self._captures_ns if self._arrivals_ns is None else self._arrivals_ns
         return None if offset_ns is None else max((monotonic_ns + offset_ns - capture_unix_ns) / 1e9, 0.0)
 
-    def said(self, capture_unix_ns: int, monotonic_ns: int) -> bytes | None:
+    def age_text(self, capture_unix_ns: int, monotonic_ns: int) -> bytes | None:
         """The age as it goes with every set that is sent, in a few bytes; None if it is not known."""
         age_s = self.age_s(capture_unix_ns, monotonic_ns)
         return None if age_s is None else f"{age_s:.2f}".encode()
@@ -117,24 +117,24 @@ def answer(history: History[bytes], asked: Question, vehicle: str, status: bytes
     about = _aged(found, clock, asked.monotonic_ns)
     if later is not None and later is not found:
         about["newest"] = {"frame": later.frame, "status": later.status.value} | _aged(later, clock, asked.monotonic_ns)
-    return Answer(found.item, _json(about | _said(now)))
+    return Answer(found.item, _json(about | _daemon_state(now)))
 
 
 def not_placed(vehicle: str, frame: int) -> Answer:
     """The refusal of a picture that still has no set when its ground waits no longer."""
-    said: dict[str, object] = {"status": Status.UNKNOWN_FRAME.value, "vehicle": vehicle, "state": PENDING}
-    return Answer(_json(said | {"reason": f"picture {frame} has no set yet: ask again"}), is_error=True)
+    pending: dict[str, object] = {"status": Status.UNKNOWN_FRAME.value, "vehicle": vehicle, "state": PENDING}
+    return Answer(_json(pending | {"reason": f"picture {frame} has no set yet: ask again"}), is_error=True)
 
 
-def patience_s(said: str | None) -> float:
-    """How long a ground waits for its answer, s, as it says itself; not for good."""
-    seconds = math.nan if said is None else _number(said)
+def patience_s(stated: str | None) -> float:
+    """How long a ground waits for its answer, s, as it states itself; not without limit."""
+    seconds = math.nan if stated is None else _number(stated)
     return min(max(seconds, 0.0), MOST_PATIENCE_S) if math.isfinite(seconds) else ANSWER_TIMEOUT_S
 
 
 def refusal(status: Status, vehicle: str, now: VehicleStatus | None = None) -> Answer:
     """Why there is no set, with the daemon's own state where that states more."""
-    return Answer(_json({"status": status.value, "vehicle": vehicle} | _said(now)), is_error=True)
+    return Answer(_json({"status": status.value, "vehicle": vehicle} | _daemon_state(now)), is_error=True)
 
 
 def _aged(entry: Entry[bytes], clock: SetClock, monotonic_ns: int) -> dict[str, object]:
@@ -142,7 +142,7 @@ def _aged(entry: Entry[bytes], clock: SetClock, monotonic_ns: int) -> dict[str, 
     return {} if age_s is None else {"age_s": round(age_s, 3)}
 
 
-def _said(now: VehicleStatus | None) -> dict[str, object]:
+def _daemon_state(now: VehicleStatus | None) -> dict[str, object]:
     """The daemon's state, if there is anything to report."""
     return {} if now is None or now.state == WELL else {"state": now.state, "reason": now.reason}
 

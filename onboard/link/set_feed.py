@@ -19,8 +19,8 @@ REPEAT_S = 10.0  # a picture that is still the newest
 class SetFeed:
     """Sets are offered as they are made; the newest goes whole before the next is chosen.
 
-    `overhead`: bytes on the wire beside a payload. `bucket` is shared with all that goes this way. `age_s` gives a
-    picture's age by its capture time.
+    `overhead`: bytes on the wire in addition to a payload. `bucket` is shared with all that goes this way. `age_s`
+    gives a picture's age by its capture time.
     """
 
     def __init__(
@@ -46,7 +46,7 @@ class SetFeed:
         with self._lock:
             self._selection.offer(offered)
 
-    def hear(self, ground: Peer, payload: bytes) -> None:
+    def receive(self, ground: Peer, payload: bytes) -> None:
         """A ground's report: it wants sets. Another's is passed over while one listens."""
         report = read_report(payload)
         if report is None:
@@ -57,7 +57,7 @@ class SetFeed:
                 self._ground = ground
                 self._pieces.clear()
             if ground == self._ground:
-                self._follower.heard(report, now_s)
+                self._follower.received(report, now_s)
 
     def due(self) -> list[tuple[Peer, bytes]]:
         """Packets that may go now."""

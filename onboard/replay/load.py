@@ -31,7 +31,7 @@ WARM_UP = 30  # pictures, not counted: caches fill, and the first window begins
 class Load:
     """What was measured. `stage_ms` a picture, processor time; `solve` runs in a thread of its own."""
 
-    flown: int  # pictures
+    replayed: int  # pictures
     solved: int  # of those
     pictures: int  # that were counted: without the first
     seconds: float  # of flight

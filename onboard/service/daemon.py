@@ -25,7 +25,7 @@ from onboard.service.vehicle_state import Overall, VehicleState, is_alive, overa
 TICK_S = 0.25
 LOOK_S = 0.05  # between two looks whether an order has come
 REPORT_NS = 1_000_000_000
-SAY_NS = 3_000_000_000  # the pilot's screen is small: a state must be new for so long since the last one reported
+TEXT_NS = 3_000_000_000  # the pilot's screen is small: a state must be new for so long since the last one reported
 FINISH_S = 5.0
 HUNG_S = 30.0  # without a service manager's watchdog, the daemon ends itself
 
@@ -98,8 +98,8 @@ class Daemon:
         self._session: Session
         self._config: Config
         self._overall: Overall | None = None
-        self._said: VehicleState | None = None
-        self._said_ns = self._reported_ns = 0
+        self._sent: VehicleState | None = None
+        self._sent_ns = self._reported_ns = 0
 
     def run(self) -> int:
         """Fly until asked to stop; the exit code. Raises PointclickError if it cannot begin, and only then.
@@ -128,8 +128,8 @@ class Daemon:
             session.finish(FINISH_S)
             raise
         self._config, self._session = config, session
-        self._overall, self._said = None, None
-        self._reported_ns = self._said_ns = 0
+        self._overall, self._sent = None, None
+        self._reported_ns = self._sent_ns = 0
 
     def _is_well(self) -> bool:
         """False, with the reason logged, if a thread has failed or hangs."""
@@ -155,7 +155,7 @@ class Daemon:
     def _tick(self) -> None:
         session, now_ns = self._session, self._session.clock.now_ns()
         inputs = session.inputs()
-        self._tell(overall(inputs), now_ns)
+        self._report(overall(inputs), now_ns)
         if is_alive(inputs) and session.supervisor.is_alive:
             self._notifier.feed_watchdog()
         if now_ns - self._reported_ns >= REPORT_NS:
@@ -164,15 +164,15 @@ class Daemon:
             for reporter in session.parts.reporters:
                 reporter(report)
 
-    def _tell(self, state: Overall, now_ns: int) -> None:
+    def _report(self, state: Overall, now_ns: int) -> None:
         """The log and the service manager get each change at once, the pilot no more often than can be read."""
         if self._overall is None or state.state is not self._overall.state:
             log.log(_LEVELS[severity(state.state)], "state: %s", state)
         self._overall = state
         self._notifier.status(str(state))
-        if state.state is not self._said and now_ns - self._said_ns >= SAY_NS:
-            self._session.parts.telemetry.say(severity(state.state), f"pointclick: {state}")
-            self._said, self._said_ns = state.state, now_ns
+        if state.state is not self._sent and now_ns - self._sent_ns >= TEXT_NS:
+            self._session.parts.telemetry.send_text(severity(state.state), f"pointclick: {state}")
+            self._sent, self._sent_ns = state.state, now_ns
 
     def _reload(self) -> bool:
         """Whether the flight continues, with the new configuration or with the old."""

@@ -107,7 +107,7 @@ class Report:
     clock: ClockReport = ClockReport()
     unconfirmed: tuple[Estimate, ...] = ()  # found, but too far from the prior to be adopted by itself
     budget: Budget | None = None  # of a click in the middle of the newest picture; None while it is not known
-    thermal_camera: SourceStatus | None = None  # a second camera beside the first; None where there is none
+    thermal_camera: SourceStatus | None = None  # a second camera next to the first; None where there is none
 
     def estimate(self, name: str) -> Estimate | None:
         """One of the estimates; None while there is none of that name."""

@@ -1,4 +1,4 @@
-"""The second camera's thread: its pictures go to whoever looks for hot spots, and to nobody else."""
+"""The second camera's thread: its pictures go to what looks for hot spots, and nowhere else."""
 
 from __future__ import annotations
 

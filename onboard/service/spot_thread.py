@@ -1,4 +1,4 @@
-"""The thread that looks for hot spots, beside the pipeline: what it finds in a picture, twice a second at most.
+"""The thread that looks for hot spots, next to the pipeline: what it finds in a picture, twice a second at most.
 
 The pipeline's thread only hands references over. A picture that this thread has not come to when the next one is due
 is passed over.
@@ -67,7 +67,7 @@ class SpotThread(WokenWork):
             look, self._next = self._next, None
         report = None if look is None else look()
         if report is not None:
-            self._tell(report)
+            self._report(report)
         return time.thread_time() - began_s
 
     def _due(self, looks: list[Look]) -> None:
@@ -75,7 +75,7 @@ class SpotThread(WokenWork):
             self._next = looks[-1]
             self._changed.notify()
 
-    def _tell(self, report: SpotReport) -> None:
+    def _report(self, report: SpotReport) -> None:
         if bool(report.spots) != self._has_spots:
             self._has_spots = bool(report.spots)
             log.info("spots: %s", report.to_text().splitlines()[0])

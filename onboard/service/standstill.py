@@ -12,7 +12,7 @@ from onboard.config.schema import Gps
 from onboard.events.types import Event, FilterStatus, PositionFix
 
 SIGMAS = 3.0
-LASTING_NS = 3_000_000_000
+PERSISTENT_NS = 3_000_000_000
 
 
 class Standstill:
@@ -40,7 +40,7 @@ class Standstill:
     def is_at_rest(self) -> bool:
         """Whether it stands, as far as is known; False where nothing is."""
         since_ns = self._still_since_ns
-        return self._is_held or (since_ns is not None and self._newest_ns - since_ns >= LASTING_NS)
+        return self._is_held or (since_ns is not None and self._newest_ns - since_ns >= PERSISTENT_NS)
 
     def _is_still(self, fix: PositionFix) -> bool:
         height_m, velocity = fix.height_above_home_m, fix.velocity_ned_m_s

@@ -1,4 +1,4 @@
-"""The thread that follows things, beside the pipeline: what is asked of it, and what it reports twice a second.
+"""The thread that follows things, next to the pipeline: what is asked of it, and what it reports twice a second.
 
 The pipeline's thread only hands references over, and a request only joins a short queue: whatever is asked for, and
 however long it takes, the flight's own sets do not wait. What this thread cannot keep up with is passed over.

@@ -149,7 +149,7 @@ AT_REST = "standing still; answers begin in flight"
 
 def judge(inputs: Inputs) -> tuple[Finding, ...]:
     """Everything that is not well, causes before their consequences, what only spoils the answers last."""
-    found = [*_stopped(inputs), *_position(inputs), *_answers(inputs), *_beside(inputs)]
+    found = [*_stopped(inputs), *_position(inputs), *_answers(inputs), *_other_faults(inputs)]
     # Degradations come last: what takes the answers away is named first.
     return tuple(sorted(found, key=lambda finding: finding.state is VehicleState.DEGRADED))
 
@@ -235,7 +235,7 @@ def _answers(inputs: Inputs) -> Iterator[Finding]:
         yield Finding(Subject.ANSWERS, *_REFUSALS.get(outcome, (VehicleState.DEGRADED, outcome.value)))
 
 
-def _beside(inputs: Inputs) -> Iterator[Finding]:
+def _other_faults(inputs: Inputs) -> Iterator[Finding]:
     """What is amiss while answers flow."""
     if inputs.is_shedding:
         yield Finding(Subject.LOAD, VehicleState.OVERLOADED, "pictures are dropped to keep up")

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 LARGEST = 12.0  # radius over the blur
 STEPS, HALVINGS = 240, 50
-LEAST = 0.5  # of a blur's area, below which nothing is said of a thing but that it is small
+LEAST = 0.5  # of a blur's area, below which nothing is reported of a thing but that it is small
 
 
 def unblurred(area: float, blur: float) -> float:

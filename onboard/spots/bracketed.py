@@ -52,7 +52,7 @@ class BracketedPictures:
         self._taken_ns = self._newest_ns = 0
         self._sets: deque[FeatureSet] = deque()
         self._squares: deque[tuple[float, float]] = deque([(USUAL[0] ** 2, USUAL[1] ** 2)], maxlen=LOOKED_BACK)
-        self._said = -1, -1  # session and frame of the last nearest set
+        self._reported = -1, -1  # session and frame of the last nearest set
 
     def picture(self, frame: Frame) -> list[Bracketed]:
         """Keep a picture of the second camera; those that are ready, in order."""
@@ -89,13 +89,13 @@ class BracketedPictures:
             turn, move = (float(np.sqrt(np.mean(column))) for column in zip(*self._squares, strict=True))
             one = Bracketed(frame, before, after, (turn, move))
             identity = one.nearest.session, one.nearest.frame
-            if identity > self._said:
-                self._said = identity
+            if identity > self._reported:
+                self._reported = identity
                 found.append(one)
         return found
 
     def _judge(self) -> None:
-        """How far the last set but one is from what its neighbours say, as an acceleration. (27.3)"""
+        """How far the last set but one is from what its neighbours predict, as an acceleration. (27.3)"""
         newest = list(self._sets)[-3:]
         if len(newest) < 3 or not all(s.is_ok for s in newest):
             return

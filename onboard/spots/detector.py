@@ -21,7 +21,7 @@ ZERO_C_K = 273.15
 OUT_OF_PICTURE = 25.0  # sigmas of the whole picture, above which a spot may have any size (land in a lake: 20)
 TRIED = 4 * LARGEST  # peaks looked at for the tail, of which most are no spots
 PARTS = 24, 32  # rows and columns of the grid on which it is known how much ground a pixel shows
-LEAST_PX = 2.0  # to a side of what can be told from a pixel's fault
+LEAST_PX = 2.0  # to a side of what can be distinguished from a pixel's fault
 REACH_SIDES, LEAST_SIDE = 1.5, 0.5  # a thing is no farther about its peak and no smaller, in sides of its size
 
 

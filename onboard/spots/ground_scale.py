@@ -29,7 +29,7 @@ class GroundScale:
 
     @property
     def is_ground(self) -> NDArray[np.bool_]:
-        """Which places show ground that can be measured, and so do those beside them."""
+        """Which places show ground that can be measured, and so do those next to them."""
         shown = np.pad(np.isfinite(self.pixel_m2), 1, mode="edge")
         height, width = self.pixel_m2.shape
         out: NDArray[np.bool_] = np.all(
@@ -57,7 +57,7 @@ def ground_scale(its_set: FeatureSet, shape: tuple[int, int]) -> GroundScale | N
 
 
 def usual_scale(camera: Camera, shape: tuple[int, int]) -> GroundScale:
-    """Where no set has said anything yet."""
+    """Where no set has come yet."""
     return GroundScale(np.full(shape, USUAL_M**2 / (camera.fx_px * camera.fy_px)))
 
 

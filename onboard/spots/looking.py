@@ -1,4 +1,4 @@
-"""Which pictures are looked at and what is found in them: of the one camera, or of a second one beside it."""
+"""Which pictures are looked at and what is found in them: of the one camera, or of a second one next to it."""
 
 from __future__ import annotations
 

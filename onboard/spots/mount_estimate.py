@@ -73,7 +73,7 @@ class _Thing:
 
 
 class MountEstimate:
-    """Begins as the configuration states the mount. `mount` is what is believed now."""
+    """Begins as the configuration states the mount. `mount` is the estimate now."""
 
     def __init__(self, stated: Mount) -> None:
         self._stated = self.mount = stated
@@ -83,10 +83,10 @@ class MountEstimate:
 
     def add(self, now_s: float, sightings: list[Sighting]) -> None:
         """All of a picture's, placed with `mount`."""
-        told = [replace(s, place_m=s.place_m - s.by_mount @ self._state) for s in sightings]
-        near = [self._near(now_s, one) for one in told]
+        corrected = [replace(s, place_m=s.place_m - s.by_mount @ self._state) for s in sightings]
+        near = [self._near(now_s, one) for one in corrected]
         is_new_view = False
-        for one, things in zip(told, near, strict=True):
+        for one, things in zip(corrected, near, strict=True):
             just = [thing for thing in things if now_s - thing.newest.seen_s <= VIEW_S]
             # Of a thing that was seen earlier only if it is of no other, and no other spot is of that thing.
             if len(just or things) > 1 or sum(things[0] in other for other in near if things and not just) > 1:

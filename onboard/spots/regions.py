@@ -12,7 +12,7 @@ from onboard.spots.contrast import BLUR_PX, Contrast, Image
 
 Array = NDArray[np.float64]
 
-FINER, DRAWN_PX = 4, 256  # an outline is drawn up to so many times finer than pixels, on at most about so many
+FINER, OUTLINE_PX = 4, 256  # an outline is traced up to so many times finer than pixels, on at most about so many
 LEAST_APART_PX = 2
 MOST_REGIONS = 24
 MOST_POINTS, ROUGHEST_PX = 120, 0.25
@@ -123,7 +123,7 @@ def _region(values: Image, ground: Image, part: Part) -> Region | None:
     height, width = values.shape
     level, up, left = part.level, part.up, part.left
     rows, columns = np.nonzero(level > 0.0)
-    outline = _outline(level, int(np.clip(DRAWN_PX // max(level.shape), 1, FINER)))
+    outline = _outline(level, int(np.clip(OUTLINE_PX // max(level.shape), 1, FINER)))
     if outline is None or not len(rows):
         return None
     outline = np.clip(outline + (left, up), -0.5, (width - 0.5, height - 0.5))

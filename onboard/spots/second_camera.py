@@ -1,4 +1,4 @@
-"""What the first camera's sets say of a picture of the second: a set of its own, and how far its pixels may be off.
+"""What the first camera's sets give for a picture of the second: a set of its own, and how far its pixels may be off.
 
 The second camera is one more bundle of rays from a pose that is known with an error. Section 27.
 """
@@ -27,7 +27,7 @@ BEHIND = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """How the second camera sits against the first: R_first_second (3, 3), how much later than its stamps say its
+    """How the second camera sits against the first: R_first_second (3, 3), how much later than its stamps state its
     pictures were taken, s, and the covariance (4, 4) of both: R <- R exp([angles]).
     """
 
@@ -91,7 +91,7 @@ class Pointing:
 def set_of_second(look: Bracketed, camera: Camera, mount: Mount, lost_s: float) -> tuple[FeatureSet, Pointing | None]:
     """The set of a second camera's picture, with the number of the first camera's nearest, and how its pixels err.
 
-    Refused as the sets beside it are, and where these are more than `lost_s` apart.
+    Refused as the sets next to it are, and where these are more than `lost_s` apart.
     """
     near = look.nearest
     stamp_ns = look.frame.stamp_ns + round(1e9 * mount.late_s)

@@ -61,7 +61,7 @@ class RecordedFlight:
     camera: Camera
     state_json: str
     version: str
-    second_camera: Camera | None = None  # beside it
+    second_camera: Camera | None = None  # next to it
     stamps_ns: list[int] = field(default_factory=list)  # of the pictures
     formats: Counter[str] = field(default_factory=Counter)  # in which they were recorded
     counts: Counter[str] = field(default_factory=Counter)  # records by channel, the vehicle's name left out

@@ -4,7 +4,7 @@ themselves.
 Public:
 
 - `arrivals`: `Arrivals`
-- `autopilot_search`: `Heard`, `candidates`, `is_slow`, `listen`
+- `autopilot_search`: `FoundAutopilot`, `candidates`, `is_slow`, `listen`
 - `factory`: `open_telemetry`
 - `log_files`: `read_log`
 - `srt_axis_order`: `Order`

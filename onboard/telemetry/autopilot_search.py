@@ -23,7 +23,7 @@ KINDS = {mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot", mavlink.MAV_AUTOPILOT
 
 
 @dataclass(frozen=True)
-class Heard:
+class FoundAutopilot:
     """An autopilot on a wire."""
 
     url: str
@@ -32,7 +32,7 @@ class Heard:
 
 
 def candidates(dev: Path = Path("/dev")) -> Iterator[str]:
-    """`telemetry.url`s to try. A serial port under its lasting name, if it has one."""
+    """`telemetry.url`s to try. A serial port under its persistent name, if it has one."""
     by_id = sorted((dev / "serial" / "by-id").glob("*")) if (dev / "serial" / "by-id").is_dir() else []
     named = {link.resolve() for link in by_id}
     plain = sorted(port for kind in ("ttyACM*", "ttyUSB*", "ttyAMA*", "ttyTHS*") for port in dev.glob(kind))
@@ -43,7 +43,7 @@ def candidates(dev: Path = Path("/dev")) -> Iterator[str]:
             yield f"serial:{port}:{baud}"
 
 
-def listen(url: str, seconds: float = LISTEN_S, now_s: Callable[[], float] = time.monotonic) -> Heard | None:
+def listen(url: str, seconds: float = LISTEN_S, now_s: Callable[[], float] = time.monotonic) -> FoundAutopilot | None:
     """The autopilot whose heartbeat comes within some seconds; None if none does, or the wire cannot be opened."""
     framer, ends_s = Framer(mavlink.MAVLink(None), SequenceGaps()), now_s() + seconds
     try:
@@ -51,7 +51,9 @@ def listen(url: str, seconds: float = LISTEN_S, now_s: Callable[[], float] = tim
             while (left_s := ends_s - now_s()) > 0.0:
                 for message in framer.feed(wire.read(min(left_s, 0.1))):
                     if _is_autopilot(message):
-                        return Heard(url, KINDS.get(message.autopilot, "autopilot"), int(message.get_srcSystem()))
+                        return FoundAutopilot(
+                            url, KINDS.get(message.autopilot, "autopilot"), int(message.get_srcSystem())
+                        )
     except OSError:
         return None
     return None

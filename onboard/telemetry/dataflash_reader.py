@@ -45,7 +45,7 @@ FIELDS = {
 FORMERLY = {"GMS": ("GPSTimeMS", "TimeMS"), "GWk": ("Week",), "RelHomeAlt": ("RelAlt",)}
 METRES_A_DEGREE = 111_320.0
 FAST, FAST_US = {"IMU", "KF1", "KF4"}, 3000  # may be logged at a loop's rate, of which no more than this is used
-STRAY_US = 5_000_000  # a stamp this far from its neighbours' is damaged
+FAR_US = 5_000_000  # a stamp this far from its neighbours' is damaged
 MAX_GAP_S = 0.3  # over which velocities and rates are interpolated
 MAX_ORIGIN_M = 15.0  # that the receiver's track may lie about the first filter's, where that one stands for POS
 REPORT_US = 200_000  # the filter's flags come at its own rate: passed on when they change, and this often
@@ -208,7 +208,7 @@ def _table(rows: list[tuple[float, ...]], width: int) -> _Table:
     if len(values) >= 5:
         padded = np.pad(values[:, 0], 2, mode="edge")
         around = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
-        values = values[np.abs(values[:, 0] - around) < STRAY_US]
+        values = values[np.abs(values[:, 0] - around) < FAR_US]
     values = values[np.argsort(values[:, 0], kind="stable")]
     return _Table(values[:, 0].astype(np.int64), values[:, 1:])
 
@@ -281,7 +281,7 @@ def _qualities(gps: _Table, gpa: _Table, clock: GpsClock) -> list[NavEvent]:
         fix_type = int(row[0]) if math.isfinite(row[0]) and us - moved_us <= FROZEN_GPS_NS // 1000 else 0
         claim = [math.nan] * 4
         nearest = int(np.searchsorted(gpa.boot_us, us))
-        if nearest < len(gpa) and gpa.boot_us[nearest] - us < STRAY_US // 10:
+        if nearest < len(gpa) and gpa.boot_us[nearest] - us < FAR_US // 10:
             claim = gpa.values[nearest].tolist()
         undulation = claim[3] - row[6]
         known = fix_type >= WITHOUT_FIX and abs(undulation) < 150.0  # unknown is the least integer
@@ -296,8 +296,8 @@ def _filter_statuses(table: _Table, clock: GpsClock) -> list[NavEvent]:
     out: list[NavEvent] = []
     # Older filters have no bit for being initialised.
     has_bit = bool(np.any(table.values[:, 0] >= INITIALISED))
-    said: tuple[bool, bool] | None = None
-    said_us = 0
+    reported: tuple[bool, bool] | None = None
+    reported_us = 0
     for us, value in zip(table.boot_us.tolist(), table.values[:, 0].tolist(), strict=True):
         if not 0 <= value < 2**32:
             continue
@@ -305,8 +305,8 @@ def _filter_statuses(table: _Table, clock: GpsClock) -> list[NavEvent]:
         has_position = bool(flags & POSITION_ABSOLUTE) and not flags & POSITION_HELD
         has_position &= bool(flags & INITIALISED) or not has_bit
         state = has_position, bool(flags & GLITCHING)
-        if state != said or us - said_us >= REPORT_US:
-            said, said_us = state, us
+        if state != reported or us - reported_us >= REPORT_US:
+            reported, reported_us = state, us
             out.append(FilterStatus(clock.to_unix_ns(us * 1000), *state))
     return out
 

@@ -30,7 +30,7 @@ MAX_PENDING = 32
 MESSAGES = tuple(GIMBAL_EVENTS)  # the better first
 
 
-def is_heard(message: Any, wanted: int) -> bool:
+def is_of_payload(message: Any, wanted: int) -> bool:
     """Whether a message is a camera's or a gimbal's own: of its component; gimbals of the `wanted` one if not 0."""
     component = message.get_srcComponent()
     return component in CAMERA_COMPONENTS or (component in GIMBAL_COMPONENTS and wanted in (0, component))
@@ -42,7 +42,7 @@ class GimbalChoice:
 
     wanted: int = 0
     chosen: tuple[bool, int, int] | None = None  # (passed on, kind of message, component): the least is the best
-    heard_ns: int = 0
+    received_ns: int = 0
 
     def takes(self, message: Any, arrival_ns: int) -> bool:
         """Whether this attitude is the camera's."""
@@ -50,11 +50,11 @@ class GimbalChoice:
         if self.wanted not in (0, component):
             return False
         voice = component == AUTOPILOT_COMPONENT, MESSAGES.index(message.get_type()), component
-        if self.chosen is None or voice < self.chosen or arrival_ns - self.heard_ns > SILENT_NS:
+        if self.chosen is None or voice < self.chosen or arrival_ns - self.received_ns > SILENT_NS:
             self.chosen = voice
         if voice != self.chosen:
             return False
-        self.heard_ns = arrival_ns
+        self.received_ns = arrival_ns
         return True
 
     @property
@@ -88,7 +88,7 @@ class Gimbals:
         """A TIMESYNC request has left: everyone on the line may answer it, each from a clock of its own."""
         self._asked.append(sent_ns)
 
-    def hear(self, message: Any, arrival_ns: int) -> list[GimbalAttitude | Zoom]:
+    def receive(self, message: Any, arrival_ns: int) -> list[GimbalAttitude | Zoom]:
         """A message of their own component -> attitude or zoom on our clock, if it holds one that counts."""
         component, name = message.get_srcComponent(), message.get_type()
         gimbal = self._by_component.setdefault(component, _Gimbal(LinkClock(self.mode)))
@@ -135,7 +135,7 @@ class Gimbals:
 
     def complaint(self, now_ns: int, limit_s: float) -> str:
         """A gimbal that has fallen silent; empty where none is, or none has ever spoken."""
-        silent_s = (now_ns - self.choice.heard_ns) / 1e9
+        silent_s = (now_ns - self.choice.received_ns) / 1e9
         if self.choice.chosen is None or silent_s <= limit_s:
             return ""
         return f"the gimbal (component {self.choice.component}) is silent for {silent_s:.0f} s"

@@ -19,7 +19,7 @@ USUAL = 255
 
 
 class GroundStations:
-    """Asks an ArduPilot for its parameters, some times each, and remembers what it said.
+    """Asks an ArduPilot for its parameters, some times each, and keeps what it answered.
 
     PX4 knows its ground stations by the type of their heartbeat, and reports each unknown parameter to the pilot.
     """
@@ -31,11 +31,11 @@ class GroundStations:
 
     @property
     def range(self) -> tuple[int, int]:
-        """The lowest and the highest number; 255 and 255 until the autopilot says otherwise."""
+        """The lowest and the highest number; 255 and 255 until the autopilot reports others."""
         low = self._values.get(LOW, self._values.get(OLD, USUAL))
         return low, max(low, self._values.get(HIGH, 0))
 
-    def hear(self, message: Any) -> bool:
+    def receive(self, message: Any) -> bool:
         """A HEARTBEAT or a PARAM_VALUE of the autopilot; whether `range` may be another now."""
         if message.get_type() == "HEARTBEAT":
             self._is_asked = message.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA

@@ -44,7 +44,7 @@ class SequenceGaps:
         newest = self._newest.get((system, component))
         return newest is not None and (sequence - newest - 1) % 256 < 128
 
-    def is_heard(self, system: int, component: int) -> bool:
+    def has_received(self, system: int, component: int) -> bool:
         """Whether packets of this sender have come."""
         return (system, component) in self._newest
 
@@ -156,5 +156,5 @@ class Framer:
             # Nothing checks its bytes: accepted only of a sender who is known, and where another packet follows.
             system, component, _ = self._sender(at)
             is_followed = end == len(self._buffer) or self._buffer[end] in (V1, V2)
-            return message if is_followed and self._gaps.is_heard(system, component) else None
+            return message if is_followed and self._gaps.has_received(system, component) else None
         return message

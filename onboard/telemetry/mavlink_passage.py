@@ -25,16 +25,16 @@ class Passage:
         self._component, self._tunnel = config.telemetry.component, tunnel
         self._ground_stations = GroundStations()
 
-    def hear(self, message: Any, system: int | None) -> None:
+    def receive(self, message: Any, system: int | None) -> None:
         """One message from the line; `system`: the vehicle's number, as far as it is known."""
         name = message.get_type()
         if name == "TUNNEL" and message.payload_type == TUNNEL_TYPE:
             if (message.target_system, message.target_component) == (system, self._component):
                 ground = Peer(message.get_srcSystem(), message.get_srcComponent())
-                self._tunnel.hear(ground, bytes(message.payload[: message.payload_length]))
+                self._tunnel.receive(ground, bytes(message.payload[: message.payload_length]))
         elif name in ("HEARTBEAT", "PARAM_VALUE"):
             is_autopilot = (message.get_srcSystem(), message.get_srcComponent()) == (system, AUTOPILOT_COMPONENT)
-            if is_autopilot and self._ground_stations.hear(message):
+            if is_autopilot and self._ground_stations.receive(message):
                 self._tunnel.know_ground_stations(*self._ground_stations.range)
 
     def due(self, now_ns: int, system: int) -> list[Any]:

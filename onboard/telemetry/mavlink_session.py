@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from onboard.config.schema import Config
 from onboard.events.source import Severity, SourceStatus, State
 from onboard.events.types import GimbalAttitude, NavEvent, PositionFix
-from onboard.telemetry.gimbal_senders import Gimbals, is_heard
+from onboard.telemetry.gimbal_senders import Gimbals, is_of_payload
 from onboard.telemetry.mavlink_events import AUTOPILOT_COMPONENT, MessageToEvent, Sources, boot_ns_of
 from onboard.telemetry.message_rates import RateRequests
 from onboard.telemetry.timesync import LinkClock
@@ -35,7 +35,7 @@ MAX_CLOCK_SIGMA_MS = 20.0  # as the doctor's: 0.4 m at 20 m/s
 
 
 class Autopilot:
-    """What has been received from the autopilot. `hear` and `due` are called by one thread; `health` by any."""
+    """What has been received from the autopilot. `receive` and `due` are called by one thread; `health` by any."""
 
     def __init__(self, config: Config) -> None:
         self.config = config.telemetry
@@ -48,7 +48,7 @@ class Autopilot:
         self._converter = MessageToEvent(Sources())
         self._seen: Counter[str] = Counter()  # since the autopilot's boot
         self._first_ns: int | None = None
-        self._heard_ns: int | None = None
+        self._received_ns: int | None = None
         self._position_ns: int | None = None
         self._newest_boot_ns = 0
         self._boot_moved_ns = 0
@@ -62,11 +62,11 @@ class Autopilot:
 
     # --- in ---
 
-    def hear(self, message: Any, arrival_ns: int) -> list[NavEvent]:
+    def receive(self, message: Any, arrival_ns: int) -> list[NavEvent]:
         """One message from the line, of any sender -> the events it holds."""
         name, system, component = message.get_type(), message.get_srcSystem(), message.get_srcComponent()
-        if is_heard(message, self.gimbals.wanted):
-            return [*self.gimbals.hear(message, arrival_ns)] if system == self.system else []
+        if is_of_payload(message, self.gimbals.wanted):
+            return [*self.gimbals.receive(message, arrival_ns)] if system == self.system else []
         if component != AUTOPILOT_COMPONENT:
             return []
         if name == "HEARTBEAT" and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID:
@@ -90,9 +90,9 @@ class Autopilot:
 
     def _note(self, message: Any, arrival_ns: int) -> None:
         """Who spoke, and when."""
-        if self._heard_ns is not None and arrival_ns - self._heard_ns > RETURN_NS:
+        if self._received_ns is not None and arrival_ns - self._received_ns > RETURN_NS:
             self.rates.restart()
-        self._heard_ns = arrival_ns
+        self._received_ns = arrival_ns
         self._first_ns = self._first_ns or arrival_ns
         self._seen[message.get_type()] += 1
         self.rates.seen(message.get_type())
@@ -161,7 +161,7 @@ class Autopilot:
         if now_ns >= self._next_beat_ns:
             self._next_beat_ns = now_ns + BEAT_NS
             out.append(self._heartbeat(mavlink.MAV_STATE_ACTIVE))
-        if self.system is None or self._heard_ns is None:
+        if self.system is None or self._received_ns is None:
             return out
         while self._answers:
             out.append(self._answers.popleft())
@@ -190,7 +190,7 @@ class Autopilot:
         """The last message of a session: a HEARTBEAT that reports that we power off."""
         return self._heartbeat(mavlink.MAV_STATE_POWEROFF)
 
-    def say(self, severity: Severity, text: str) -> None:
+    def send_text(self, severity: Severity, text: str) -> None:
         """Have a text shown to the pilot: 100 characters at most. The newest few wait for the link."""
         self._texts.append((severity, text[: MAX_CHUNKS * CHUNK_LENGTH]))
 
@@ -217,12 +217,12 @@ class Autopilot:
             **self.gimbals.figures(),
             "reboots": float(self.reboots),
         }
-        heard_ns, position_ns = self._heard_ns, self._position_ns
+        received_ns, position_ns = self._received_ns, self._position_ns
         limit_ns = self.config.lost_after_s * 1e9
-        if heard_ns is None:
+        if received_ns is None:
             whose = "no autopilot" if self.system is None else f"no autopilot with system number {self.system}"
             return SourceStatus(State.STARTING, f"{whose} found yet", figures)
-        silent_ns = now_ns - heard_ns
+        silent_ns = now_ns - received_ns
         if silent_ns > limit_ns:
             return SourceStatus(State.LOST, f"the autopilot is silent for {silent_ns / 1e9:.0f} s", figures)
         if now_ns - self._boot_moved_ns > limit_ns and self._boot_moved_ns:

@@ -166,20 +166,20 @@ class LiveTelemetry:
 
     def _exchange(self, wire: Wire, end: End, emit: Emit, stop: Stop) -> None:
         autopilot, clock = self._autopilot, self._clock
-        heard_ns = clock.now_ns()
+        received_ns = clock.now_ns()
         while not stop.is_set():
             data = wire.read(READ_S)
             now_ns = clock.now_ns()
             for arrival_ns, message in end.take(data, now_ns):
                 if message.get_srcSystem() == autopilot.system:
                     wire.confirm()
-                    heard_ns = now_ns
+                    received_ns = now_ns
                 if self._log is not None:
                     self._log.write(arrival_ns, bytes(message.get_msgbuf()))
-                for event in autopilot.hear(message, arrival_ns):
+                for event in autopilot.receive(message, arrival_ns):
                     emit(arrival_ns, event)
                 if self._passage is not None:
-                    self._passage.hear(message, autopilot.system)
+                    self._passage.receive(message, autopilot.system)
             end.system = autopilot.system or end.system
             for message in autopilot.due(clock.now_ns(), wire.speaks_first or self._is_signed):
                 end.send(message)
@@ -188,7 +188,7 @@ class LiveTelemetry:
                     end.send(message)
             self._complaint = end.complaint()
             self._lost = end.lost(autopilot.system) if autopilot.system is not None else None
-            if wire.may_die_silently and now_ns - heard_ns > HUNG_NS:
+            if wire.may_die_silently and now_ns - received_ns > HUNG_NS:
                 self._fault = f"{self._address.place}: silent; opening it again"
                 return
 
@@ -213,6 +213,6 @@ class LiveTelemetry:
             return SourceStatus(State.DEGRADED, f"telemetry log: {self._log.fault}", figures)
         return replace(health, figures=figures)
 
-    def say(self, severity: Severity, text: str) -> None:
+    def send_text(self, severity: Severity, text: str) -> None:
         """As STATUSTEXT, which ground stations show and read aloud."""
-        self._autopilot.say(severity, text)
+        self._autopilot.send_text(severity, text)

@@ -230,7 +230,7 @@ class NmeaTelemetry:
         self._address = address
         self._receiver = NmeaReceiver()
         self._fault = ""
-        self._heard_ns: int | None = None
+        self._received_ns: int | None = None
         self._epoch_ns: int | None = None
         self._has_position = False
         self._fix_type = 0
@@ -258,7 +258,7 @@ class NmeaTelemetry:
             data = wire.read(READ_S)
             now_ns = self._clock.now_ns()
             if data:
-                self._heard_ns = now_ns
+                self._received_ns = now_ns
             epochs = self._receiver.epochs
             for event in self._receiver.take(data, now_ns):
                 if isinstance(event, GpsQuality):
@@ -268,7 +268,7 @@ class NmeaTelemetry:
                 emit(now_ns, event)
             if self._receiver.epochs > epochs:
                 self._epoch_ns = now_ns
-            if now_ns - max(self._heard_ns or 0, opened_ns) > HUNG_NS:
+            if now_ns - max(self._received_ns or 0, opened_ns) > HUNG_NS:
                 return
 
     def health(self) -> SourceStatus:
@@ -283,12 +283,12 @@ class NmeaTelemetry:
             return SourceStatus(State.LOST, "stopped", figures)
         if self._fault:
             return SourceStatus(State.LOST, self._fault, figures)
-        heard_ns, epoch_ns = self._heard_ns, self._epoch_ns
-        if heard_ns is None:
+        received_ns, epoch_ns = self._received_ns, self._epoch_ns
+        if received_ns is None:
             return SourceStatus(State.STARTING, "the receiver has sent nothing yet", figures)
-        if now_ns - heard_ns > self._lost_after_ns:
+        if now_ns - received_ns > self._lost_after_ns:
             return SourceStatus(
-                State.LOST, f"the receiver has been silent for {(now_ns - heard_ns) / 1e9:.0f} s", figures
+                State.LOST, f"the receiver has been silent for {(now_ns - received_ns) / 1e9:.0f} s", figures
             )
         if epoch_ns is None:
             why = "another baud rate?" if receiver.errors > 20 else "no time yet"
@@ -301,5 +301,5 @@ class NmeaTelemetry:
             return SourceStatus(State.STARTING, "the receiver has no fix yet", figures)
         return SourceStatus(State.OK, "", figures)
 
-    def say(self, severity: Severity, text: str) -> None:
+    def send_text(self, severity: Severity, text: str) -> None:
         """A receiver takes no messages: nothing happens."""

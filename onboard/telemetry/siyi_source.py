@@ -1,4 +1,4 @@
-"""A SIYI gimbal beside the autopilot: asked for its attitude and zoom over UDP, by `mount.gimbal_url`.
+"""A SIYI gimbal next to the autopilot: asked for its attitude and zoom over UDP, by `mount.gimbal_url`.
 
 Its answers have no stamps, so each counts for the middle between its request and itself: it is off by half the round
 trip at most, but for what the gimbal itself takes.
@@ -52,7 +52,7 @@ class SiyiAnswers:
 
     def __init__(self) -> None:
         self.reader = PacketReader()
-        self.heard_ns: int | None = None  # of the newest attitude
+        self.received_ns: int | None = None  # of the newest attitude
         self.round_trip_ns = 0
         self._asked: dict[int, int] = {}  # command -> when its open request left
         self._due = dict.fromkeys(EVERY_NS, 0)
@@ -80,7 +80,7 @@ class SiyiAnswers:
             stamp_ns = (asked_ns + now_ns) // 2
             angles, times = attitude_deg(packet), zoom_times(packet)
             if angles is not None:
-                self.heard_ns, self.round_trip_ns = now_ns, now_ns - asked_ns
+                self.received_ns, self.round_trip_ns = now_ns, now_ns - asked_ns
                 out.append(GimbalAttitude(stamp_ns, quaternion(angles), "vehicle"))
             elif times is not None:
                 out.append(Zoom(stamp_ns, times, "times", ZOOM_STEP))
@@ -116,17 +116,17 @@ class SiyiGimbal:
         """From any thread."""
         answers, now_ns = self._answers, self._clock.now_ns()
         figures = {"gimbal_damaged": float(answers.reader.damaged), "gimbal_garbage": float(answers.reader.garbage)}
-        if answers.heard_ns is None:
+        if answers.received_ns is None:
             return SourceStatus(State.STARTING, self._fault or "the gimbal has not answered yet", figures)
         figures["gimbal_round_trip_ms"] = answers.round_trip_ns / 1e6
-        silent_s = (now_ns - answers.heard_ns) / 1e9
+        silent_s = (now_ns - answers.received_ns) / 1e9
         if silent_s > self._lost_after_s:
             return SourceStatus(State.LOST, self._fault or f"the gimbal is silent for {silent_s:.0f} s", figures)
         return SourceStatus(State.OK, "", figures)
 
 
 class WithGimbal:
-    """A telemetry source and a gimbal's own beside it, as one. Telemetry that does not come is the worse fault."""
+    """A telemetry source and a gimbal's own with it, as one. Telemetry that does not come is the worse fault."""
 
     def __init__(self, telemetry: TelemetrySource, gimbal: SiyiGimbal) -> None:
         self._telemetry, self._gimbal = telemetry, gimbal
@@ -149,6 +149,6 @@ class WithGimbal:
             return SourceStatus(State.DEGRADED, gimbal.detail, figures)
         return replace(health, figures=figures)
 
-    def say(self, severity: Severity, text: str) -> None:
+    def send_text(self, severity: Severity, text: str) -> None:
         """To the pilot."""
-        self._telemetry.say(severity, text)
+        self._telemetry.send_text(severity, text)

@@ -29,7 +29,7 @@ MAX_SATELLITES = 60  # a larger number in that place is a height
 DISTANCE_M, DISTANCE_SHARE, EXCLUDED = 2.0, 0.02, 3.0
 SPEED_WINDOW_NS, SPEED_SHARE = 20_000_000_000, 0.15
 MIN_SPEED_WINDOWS = 3
-ALIKE = 0.9  # share of places of one format
+SAME_SHARE = 0.9  # share of places of one format
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def _by_range(places: list[UnlabelledPlace]) -> Order | None:
 def _by_format(places: list[UnlabelledPlace]) -> tuple[Order, str] | None:
     """By the third number; nearly all places must have the same format (some may be damaged)."""
     usual, count = Counter(_model(place) for place in places).most_common(1)[0]
-    return usual if count >= ALIKE * len(places) else None
+    return usual if count >= SAME_SHARE * len(places) else None
 
 
 def _model(place: UnlabelledPlace) -> tuple[Order, str] | None:
@@ -140,10 +140,10 @@ def _share_too_fast(places: list[UnlabelledPlace], order: Order) -> float:
     """Of stretches of the track that moved far enough to decide: how many are longer than the stated speeds allow."""
     known = [place for place in places if place.speed_m_s is not None]
     times_ns = [place.at_ns for place in known]
-    flown_m = np.zeros(len(known))
+    travelled_m = np.zeros(len(known))
     for i in range(1, len(known)):
         fastest_m_s = max(known[i].speed_m_s or 0.0, known[i - 1].speed_m_s or 0.0)
-        flown_m[i] = flown_m[i - 1] + fastest_m_s * (times_ns[i] - times_ns[i - 1]) / 1e9
+        travelled_m[i] = travelled_m[i - 1] + fastest_m_s * (times_ns[i] - times_ns[i - 1]) / 1e9
     verdicts: list[bool] = []
     start = 0
     while start < len(known):
@@ -151,7 +151,7 @@ def _share_too_fast(places: list[UnlabelledPlace], order: Order) -> float:
         if end >= len(known):
             break
         a, b = known[start], known[end]
-        allowed_m = (1.0 + SPEED_SHARE) * float(flown_m[end] - flown_m[start])
+        allowed_m = (1.0 + SPEED_SHARE) * float(travelled_m[end] - travelled_m[start])
         moved_m = _metres((a.first, a.second), (b.first, b.second), order)
         if allowed_m > EXCLUDED * _step_m(a):
             verdicts.append(moved_m > allowed_m + _step_m(a))

@@ -40,7 +40,7 @@ class PlayedTelemetry:
             if stop.is_set():
                 break
             # Its own moment and not the one of waking up: how busy this computer is has no part in a log.
-            for event in self._autopilot.hear(message, due_ns):
+            for event in self._autopilot.receive(message, due_ns):
                 emit(due_ns, event)
         self._is_over = True
         while not stop.is_set():
@@ -55,5 +55,5 @@ class PlayedTelemetry:
             return SourceStatus(State.OK, health.detail, health.figures)
         return replace(health)
 
-    def say(self, severity: Severity, text: str) -> None:
+    def send_text(self, severity: Severity, text: str) -> None:
         """A log shows no texts: nothing happens."""

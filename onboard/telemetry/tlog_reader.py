@@ -33,8 +33,8 @@ from onboard.telemetry.mavlink_events import (
 )
 from onboard.telemetry.telemetry_log import TelemetryLog
 
-SPOKEN = {*GIMBAL_EVENTS, *ZOOM_EVENTS}  # by gimbals and cameras for themselves
-STRAY_NS = 5_000_000_000
+REPORTS = {*GIMBAL_EVENTS, *ZOOM_EVENTS}  # by gimbals and cameras for themselves
+FAR_NS = 5_000_000_000
 
 
 def read_tlog(path: Path | str, clock: Mode = "auto", gimbal: int = 0) -> TelemetryLog:
@@ -44,8 +44,8 @@ def read_tlog(path: Path | str, clock: Mode = "auto", gimbal: int = 0) -> Teleme
     cameras; of several gimbals, or where `gimbal` is not 0, one (`gimbal_senders`). Damaged stretches and a cut end are
     passed over. Raises InputError, one line, for a file that is missing, empty, not a log, or without positions.
     """
-    heard, system = log_messages(path)
-    own = [(t, m) for t, m in heard if m.get_srcComponent() == AUTOPILOT_COMPONENT]
+    messages, system = log_messages(path)
+    own = [(t, m) for t, m in messages if m.get_srcComponent() == AUTOPILOT_COMPONENT]
     sources = Sources.by_counts(Counter(message.get_type() for _, message in own))
     found, segments = _events(own, sources, clock)
     of_gimbals = []
@@ -53,9 +53,9 @@ def read_tlog(path: Path | str, clock: Mode = "auto", gimbal: int = 0) -> Teleme
         raise InputError(
             f"telemetry {path}: system {system} sends no position (GLOBAL_POSITION_INT, or GPS_RAW_INT with a 3D fix)"
         )
-    for component in sorted({m.get_srcComponent() for _, m in heard} & PAYLOADS):
-        speaks = [(t, m) for t, m in heard if m.get_srcComponent() == component and m.get_type() in SPOKEN]
-        of_gimbals.append(_events(speaks, sources, clock)[0])
+    for component in sorted({m.get_srcComponent() for _, m in messages} & PAYLOADS):
+        own_messages = [(t, m) for t, m in messages if m.get_srcComponent() == component and m.get_type() in REPORTS]
+        of_gimbals.append(_events(own_messages, sources, clock)[0])
     choice = GimbalChoice(gimbal)
     merged = heapq.merge(found, *of_gimbals, key=lambda each: each[0])
     kept = [(t, e) for t, e, message in merged if message.get_type() not in GIMBAL_EVENTS or choice.takes(message, t)]
@@ -109,7 +109,7 @@ def _without_stray_stamps(messages: list[tuple[int, Any]]) -> list[tuple[int, An
         return messages
     arrival = np.array([min(t, 2**63 - 1) for t, _ in messages])
     around = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(arrival, 2, mode="edge"), 5), axis=1)
-    keep = np.abs(arrival - around) < STRAY_NS
+    keep = np.abs(arrival - around) < FAR_NS
     return [message for message, kept in zip(messages, keep, strict=True) if kept]
 
 

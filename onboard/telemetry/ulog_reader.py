@@ -271,15 +271,15 @@ def _qualities(gps: _Topic, clock: GpsClock) -> list[NavEvent]:
 def _filter_statuses(topic: _Topic, local: _Topic, clock: GpsClock) -> list[NavEvent]:
     claims = local.at(topic.boot_us, local.columns("evh", "evv")).max(axis=1)
     out: list[NavEvent] = []
-    said, said_us = -1, 0
+    reported, reported_us = -1, 0
     flags_of = topic.column("solution_status_flags").tolist()
     for us, value, claim in zip(topic.boot_us.tolist(), flags_of, claims.tolist(), strict=True):
         if not math.isfinite(value):
             continue
         flags = int(value)
-        if flags == said and us - said_us < REPORT_US:
+        if flags == reported and us - reported_us < REPORT_US:
             continue
-        said, said_us = flags, us
+        reported, reported_us = flags, us
         has_position = bool(flags & mavlink.ESTIMATOR_POS_HORIZ_ABS)
         is_held = bool(flags & mavlink.ESTIMATOR_CONST_POS_MODE)
         # PX4 holds the position whenever it stands still, with GNSS fused and position and velocity good.

@@ -26,7 +26,7 @@ MOST_REACH_PX = 40  # that a thing is looked for about where it should be
 FASTEST_M_S = 25.0
 # One sigma of a thing's acceleration: at rest, and for each m/s that it has: who is fast turns as soon as who is slow.
 ACCELERATION_M_S2, TURN_RAD_S = 0.6, 0.15
-USUAL_M_PX = 0.15  # on the ground, where no set says better
+USUAL_M_PX = 0.15  # on the ground, where no set gives a better one
 CLICK_SIGMA_PX, CLICK_REACH_PX = 1.5, 10.0
 SURE_DIFFERENCE, SURE_LIKENESS, LEAST_LIKENESS = 0.35, 0.8, 0.3
 LOST_AFTER_S = 2.0
@@ -42,7 +42,7 @@ UNCHANGED, STILL_LIKENESS, STILL_SIGMA_PX = 0.1, 0.05, 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class Observation:
     """Where a thing is in a picture (2,), px, one sigma of it, its size, and whether it was seen there or why not."""
 
     seen: Seen
@@ -115,7 +115,7 @@ class Follower:
         """Whether it has not been seen for so long that it is given up."""
         return seen.stamp_ns - self._last_seen_ns > LOST_AFTER_S * 1e9
 
-    def follow(self, seen: Seen) -> Sight:
+    def follow(self, seen: Seen) -> Observation:
         """Look for it in the next picture."""
         H = self._pictures.between(self._seen, seen)
         dt = (seen.stamp_ns - self._seen.stamp_ns) * 1e-9
@@ -143,11 +143,11 @@ class Follower:
         self._last_seen_ns = seen.stamp_ns
         if sigma < MERGED_SHARE * self._size:
             self._remember()
-        return Sight(seen, uv, sigma, self._size)
+        return Observation(seen, uv, sigma, self._size)
 
-    def _unseen(self, unseen: Unseen) -> Sight:
+    def _unseen(self, unseen: Unseen) -> Observation:
         sigma = float(np.sqrt(0.5 * np.trace(self._cov[:2, :2])))
-        return Sight(self._seen, self._uv.copy(), sigma, self._size, unseen)
+        return Observation(self._seen, self._uv.copy(), sigma, self._size, unseen)
 
     def _predict(self, H: Array, dt: float) -> None:
         """(24.6): with the ground, and on with its own velocity."""
@@ -208,14 +208,14 @@ class Follower:
             return still, STILL_SIGMA_PX
         if not (like >= SURE_LIKENESS or (differs >= SURE_DIFFERENCE and like >= LEAST_LIKENESS)):
             return None
-        alike, sigma = place[j, i] + _peak(likeness, int(i), int(j)), 0.3 + 2.0 * (1.0 - like)
+        matched, sigma = place[j, i] + _peak(likeness, int(i), int(j)), 0.3 + 2.0 * (1.0 - like)
         if changed is None or differs < SURE_DIFFERENCE:
-            return alike, sigma
+            return matched, sigma
         centre, spread = self._centred(changed, np.array([i, j]) - reach + middle, patch)
         if spread >= MERGED_SHARE * self._size:
-            return alike, spread
+            return matched, spread
         share = sigma**2 / (sigma**2 + spread**2)
-        return alike + share * (centre - alike), sigma * spread / float(np.hypot(sigma, spread))
+        return matched + share * (centre - matched), sigma * spread / float(np.hypot(sigma, spread))
 
     def _still(self, likeness: Image, here: Image, first: Array, best: float) -> Array | None:
         """(24.9): where it stood, if nothing there has changed and it looks no better elsewhere; None if it moves."""
@@ -265,7 +265,7 @@ class Follower:
         return centre + patch.corner, SPREAD * self._size * (1.0 + self._size / LARGE_PX)
 
     def _remember(self) -> None:
-        """What it looks like now, beside what it looked like OLD_S ago."""
+        """What it looks like now, next to what it looked like OLD_S ago."""
         half = self._half()
         patch = cut(self._seen, self._uv, int(1.5 * half) + 2)
         if patch is None:

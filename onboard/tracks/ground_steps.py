@@ -72,7 +72,7 @@ class Pictures:
         return iter(self._seen)
 
     def add(self, seen: Seen) -> None:
-        """The newest; one that is not newer begins anew, as after a restart of the camera."""
+        """The newest; one that is not newer begins again, as after a restart of the camera."""
         if self._seen and seen.frame <= self._seen[-1].frame:
             self.clear()
         self._seen.append(seen)
@@ -113,8 +113,8 @@ class Pictures:
 def step(first: Seen, second: Seen, last_step: Array | None = None) -> Array | None:
     """(24.1): the homography that most features follow, found at half the size and then in the pictures themselves.
 
-    Without enough of them what the poses say, None without either. `last_step`: where the search begins if the poses
-    say nothing.
+    Without enough of them what the poses give, None without either. `last_step`: where the search begins if the poses
+    give nothing.
     """
     predicted = predicted_step(first.its_set, second.its_set)
     (image, at), (image2, _) = first.small(), second.small()

@@ -4,7 +4,7 @@ What is measured in a picture is the way from a piece of ground where the thing 
 same picture's set: the pose's errors are the same at both ends and drop out but for how they stretch and turn the way,
 which `Locator.difference_covariance` states and no number of pictures averages. How much a thing accelerates, and how
 far the pictures' own errors are from what their sharpness suggests, is not assumed: several constants of each run side
-by side and are weighed by how well they foretell.
+by side and are weighed by how well they predict.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ Array = NDArray[np.float64]
 DENSITIES = (0.002, 0.02, 0.2, 2.0, 20.0)
 # Of the variances of a measurement and of the box's drift: a thing that is found exactly, and one hardly found.
 SCALES = (1.0 / 64.0, 1.0 / 16.0, 0.25, 1.0)
-FORGET_S = 5.0  # over which it is forgotten how well each has foretold
+FORGET_S = 5.0  # over which it is forgotten how well each has predicted
 FIRST_SPEED_M_S = 12.0  # one sigma, of either component
 HEIGHT_SIGMA_M = 0.8  # of what is followed of a thing above its ground
-DRIFT_PX = 0.2  # a root of a second: how far the box wanders over the thing, and the ground's motion is misjudged
+DRIFT_PX = 0.2  # a root of a second: how far the box drifts over the thing, and the ground's motion is misjudged
 GATE = 18.4  # of the squared innovation, chi-square with 2 degrees of freedom at 1e-4, above which it is no measurement
-MISSED_IN_A_ROW = 3  # after so many they are believed
+MISSED_IN_A_ROW = 3  # after so many they are accepted
 MOVES = 13.8  # of the squared speed over its covariance, at 1e-3, above which a thing moves
 LEAST_SPEED_M_S = 0.2  # below which a thing stands
 
@@ -76,7 +76,7 @@ class PlaneFilter:
             self._P[:, i + 2, i + 2] += self._q * dt
 
     def update(self, way_m: Array, slant: Array, noise: Array, dt: float) -> bool:
-        """Take a measurement, `dt` after the last. Whether it was believed. (24.11), (24.13), (24.14)"""
+        """Take a measurement, `dt` after the last. Whether it was accepted. (24.11), (24.13), (24.14)"""
         H = np.zeros((2, 5))
         H[0, 0] = H[1, 1] = 1.0
         H[:, 4] = slant
@@ -85,7 +85,7 @@ class PlaneFilter:
         R = self._scale[:, None, None] * noise
         S = HP @ H.T + R
         squared = np.einsum("mi,mi->m", off, np.linalg.solve(S, off[..., None])[..., 0])
-        if squared[-1] > GATE and self._missed < MISSED_IN_A_ROW:  # by the one that foretells the least
+        if squared[-1] > GATE and self._missed < MISSED_IN_A_ROW:  # by the one that predicts the least
             self._missed += 1
             return False
         self._missed = 0

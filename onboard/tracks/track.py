@@ -1,4 +1,4 @@
-"""One track: a thing followed in the pictures, and what that says of it on the ground."""
+"""One track: a thing followed in the pictures, and where that puts it on the ground."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from contract.geodesy import LocalFrame
 from contract.locate import MAX_ELLIPSE_SHARE, Locator
 from contract.track import TrackReport, TrackState, Unseen
 from onboard.geometry.plane_homography import move
-from onboard.tracks.follower import Follower, Sight
+from onboard.tracks.follower import Follower, Observation
 from onboard.tracks.ground_steps import Pictures, Seen
 from onboard.tracks.plane_filter import Motion, PlaneFilter
 
 Array = NDArray[np.float64]
 
-LANDMARK_S = 2.0  # after which the ground that ways count from is chosen anew
-STRETCH_S = 0.5  # age of a landmark from which on the way from it says how poses stretch it
-SCALE_S = 0.4  # after which it is looked up anew how large a pixel is, and how poses stretch a way
-EDGE_SHARE = 0.08  # of the picture's size: a landmark so near to its edge is chosen anew
+LANDMARK_S = 2.0  # after which the ground that ways count from is chosen again
+STRETCH_S = 0.5  # age of a landmark from which on the way from it determines how poses stretch it
+SCALE_S = 0.4  # after which it is looked up again how large a pixel is, and how poses stretch a way
+EDGE_SHARE = 0.08  # of the picture's size: a landmark so near to its edge is chosen again
 GROUND_SIGMA_PX = 0.1  # of where a landmark is in a picture
 FIRST_SPEED_S = 1.0  # that a thing has been measured for, before its speed is stated
 
@@ -43,8 +43,8 @@ class Track:
         self._stretched_ns = 0
         self._status = Status.STARTING
         self.state = TrackState.FOLLOWED
-        self._sight = Sight(clicked, self.follower.uv_px, 1.0, 0.0)
-        self._measure(self._sight, locator)
+        self._observed = Observation(clicked, self.follower.uv_px, 1.0, 0.0)
+        self._measure(self._observed, locator)
 
     def take(self, seen: Seen, locator: Locator | None) -> None:
         """The next picture; `locator` of its set, None if that gives no place."""
@@ -52,10 +52,10 @@ class Track:
         self._seen = seen
         if self._landmark is not None:
             self._landmark = None if H is None else move(H, self._landmark[None])[0]
-        self._sight = self.follower.follow(seen)
-        if self._sight.is_seen:
+        self._observed = self.follower.follow(seen)
+        if self._observed.is_seen:
             self.state = TrackState.FOLLOWED
-            self._measure(self._sight, locator)
+            self._measure(self._observed, locator)
         else:
             self.state = TrackState.LOST if self.follower.is_lost(seen) else TrackState.COASTING
 
@@ -71,43 +71,45 @@ class Track:
 
     def report(self, session: int, vehicle: str) -> TrackReport:
         """As of the newest picture."""
-        seen, sight, motion = self._seen, self._sight, self.motion()
+        seen, observed, motion = self._seen, self._observed, self.motion()
         course = None if motion is None else motion.course(motion.is_moving)
         place = self._place(motion)
         return TrackReport(
-            self.number, self.state, sight.unseen, session, seen.frame, seen.stamp_ns, float(sight.uv_px[0]),
-            float(sight.uv_px[1]), self.follower.size_px, Status.OK if place is not None else self._status, place,
+            self.number, self.state, observed.unseen, session, seen.frame, seen.stamp_ns, float(observed.uv_px[0]),
+            float(observed.uv_px[1]), self.follower.size_px, Status.OK if place is not None else self._status, place,
             course, vehicle,
         )  # fmt: skip
 
     def unheard(self, session: int, vehicle: str) -> TrackReport:
         """As of the newest picture, when none has come for a while."""
         self.state = TrackState.COASTING if self.state is TrackState.FOLLOWED else self.state
-        if self._sight.unseen is Unseen.NONE:
-            self._sight = Sight(self._seen, self._sight.uv_px, self._sight.sigma_px, 0.0, Unseen.NO_PICTURE)
+        if self._observed.unseen is Unseen.NONE:
+            self._observed = Observation(
+                self._seen, self._observed.uv_px, self._observed.sigma_px, 0.0, Unseen.NO_PICTURE
+            )
         return self.report(session, vehicle)
 
-    def _measure(self, sight: Sight, locator: Locator | None) -> None:
+    def _measure(self, observed: Observation, locator: Locator | None) -> None:
         """A picture's place and way, (24.10) and (24.11)."""
         if locator is None:
             return
-        offset = locator.offset(sight.uv_px)
+        offset = locator.offset(observed.uv_px)
         if isinstance(offset, Status):
             self._status = offset
             return
-        if self._by_pixel is None or sight.seen.stamp_ns - self._by_pixel[1] > SCALE_S * 1e9:
-            parts = locator.error_parts(sight.uv_px)
+        if self._by_pixel is None or observed.seen.stamp_ns - self._by_pixel[1] > SCALE_S * 1e9:
+            parts = locator.error_parts(observed.uv_px)
             if parts is None:
                 return
-            self._by_pixel = parts.by_pixel_m[:2], sight.seen.stamp_ns
-        self._placed = locator, sight.uv_px, sight.seen.stamp_ns
+            self._by_pixel = parts.by_pixel_m[:2], observed.seen.stamp_ns
+        self._placed = locator, observed.uv_px, observed.seen.stamp_ns
         slant = offset[:2] / max(abs(float(offset[2])), 1.0)
         by_pixel = self._by_pixel[0]
-        noise = (sight.sigma_px**2 + GROUND_SIGMA_PX**2) * by_pixel @ by_pixel.T + 1e-6 * np.eye(2)
-        now = sight.seen.stamp_ns
+        noise = (observed.sigma_px**2 + GROUND_SIGMA_PX**2) * by_pixel @ by_pixel.T + 1e-6 * np.eye(2)
+        now = observed.seen.stamp_ns
         if self._filter is None:
             self._filter, self._first_ns, self._filtered_ns = PlaneFilter(slant, noise), now, now
-            self._choose_landmark(sight, None)
+            self._choose_landmark(observed, None)
             return
         dt = (now - self._filtered_ns) * 1e-9
         self._filter.predict(dt, float(np.sqrt(abs(np.linalg.det(by_pixel)))))
@@ -115,7 +117,7 @@ class Track:
         ground = Status.OUTSIDE if self._landmark is None else locator.offset(self._landmark)
         if isinstance(ground, Status) or self._landmark is None:
             self._filter.forget_place(slant, noise)
-            self._choose_landmark(sight, None)
+            self._choose_landmark(observed, None)
             return
         way = offset[:2] - ground[:2]
         if not self._filter.update(way, slant, noise, dt):
@@ -123,14 +125,14 @@ class Track:
         since_s = (now - self._landmark_ns) * 1e-9
         if since_s >= STRETCH_S and now - self._stretched_ns > SCALE_S * 1e9:
             self._stretched_ns = now
-            stretch = locator.difference_covariance(sight.uv_px, self._landmark)
+            stretch = locator.difference_covariance(observed.uv_px, self._landmark)
             if stretch is not None:
                 self._filter.stretched(stretch[:2, :2], since_s)
         if since_s >= LANDMARK_S or self._is_near_edge(self._landmark):
-            self._choose_landmark(sight, way)
+            self._choose_landmark(observed, way)
 
-    def _choose_landmark(self, sight: Sight, way_m: Array | None) -> None:
-        self._landmark, self._landmark_ns = sight.uv_px.copy(), sight.seen.stamp_ns
+    def _choose_landmark(self, observed: Observation, way_m: Array | None) -> None:
+        self._landmark, self._landmark_ns = observed.uv_px.copy(), observed.seen.stamp_ns
         if way_m is not None and self._filter is not None:
             self._filter.new_landmark(way_m)
 

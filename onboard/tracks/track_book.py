@@ -11,7 +11,7 @@ from onboard.events.types import Frame
 from onboard.tracks.ground_steps import Pictures, Seen
 from onboard.tracks.track import Track
 
-SAID_LOST_S = 5.0  # that a lost track is still reported
+REPORT_LOST_S = 5.0  # that a lost track is still reported
 SILENT_S = 1.0  # without a picture after which tracks coast
 
 
@@ -82,7 +82,7 @@ class TrackBook:
 
     def _forget(self, now_ns: int) -> None:
         for number, track in list(self._tracks.items()):
-            if track.is_lost and now_ns - self._lost_ns.setdefault(number, now_ns) > SAID_LOST_S * 1e9:
+            if track.is_lost and now_ns - self._lost_ns.setdefault(number, now_ns) > REPORT_LOST_S * 1e9:
                 self.stop(number)
 
 

@@ -97,7 +97,7 @@ class Tracker:
         self._normalise = Normaliser(size_px)
         self._repetition_px: float | None = None  # at which the keyframe repeats itself, if it does
         self._standing = StandingParts(size_px)
-        self._masked: NDArray[np.bool_] | None = None  # (H, W) what is no ground as somebody has said
+        self._masked: NDArray[np.bool_] | None = None  # (H, W) what is no ground, as configured
         self._burned_in: NDArray[np.bool_] | None = None  # the same with what has been found to stand still
         self._usable: NDArray[np.bool_] | None = None  # (H, W) pixels whose whole window is ground
         self.flow_disagreement_px: Array | None = None  # (2,) `coarse_flow` since the keyframe before the present one
@@ -108,7 +108,7 @@ class Tracker:
         self._leave_out_all()
 
     def _leave_out_all(self) -> None:
-        """What somebody has said and what has been found."""
+        """What is configured and what has been found."""
         burned_in = self._standing.mask if self._masked is None else self._standing.mask | self._masked
         self._burned_in = burned_in
         window = np.ones((WINDOW_PX, WINDOW_PX), np.uint8)
@@ -116,7 +116,7 @@ class Tracker:
 
     @property
     def left_out_shares(self) -> tuple[float, float]:
-        """Shares (0 to 1) of the picture: as somebody has said, and found to stand still while the ground moves."""
+        """Shares (0 to 1) of the picture: as configured, and found to stand still while the ground moves."""
         return 0.0 if self._masked is None else float(self._masked.mean()), self._standing.share
 
     @property

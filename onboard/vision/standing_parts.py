@@ -7,7 +7,7 @@ is like c(0). (22.1)
 
 The evidence of independent pairs is added up in such a way that over ground it exceeds `CALLED` in one cell once in
 exp(CALLED) pairs at most, (22.2). Cells without texture have both near zero, by a floor under their variance: sky,
-water and dark ground are never called. Where no motion is told, or what tells it has followed the display itself, the
+water and dark ground are never called. Where no motion is known, or its source has followed the display itself, the
 motion is found from the cells that have changed.
 """
 
@@ -32,7 +32,7 @@ MOVED_PX = 4.0  # of the working picture that the ground must have moved by, whe
 STANDS_PX = 0.5  # of the working picture, below which what is followed stands still
 MIN_PEAK = 0.05  # of phase correlation
 FLOOR = 3.0  # grey levels of one sigma that count as no texture
-TEXTURED = 16.0  # grey levels squared of variance, from which a cell may be said to have changed
+TEXTURED = 16.0  # grey levels squared of variance, from which a cell counts as changed
 MARGIN = 0.1  # of correlation: the sensor's fixed pattern, and what a codec leaves standing
 GAIN = 1.5
 CALLED = float(np.log(1e6))
@@ -84,7 +84,7 @@ class Texture:
 
 @dataclass(frozen=True, eq=False)
 class _Reference:
-    """An earlier picture, and the motions (3, 3) from it back to the keyframe by each who tells one."""
+    """An earlier picture, and the motions (3, 3) from it back to the keyframe by each source that has one."""
 
     texture: Texture
     back: tuple[Array | None, ...]
@@ -124,7 +124,8 @@ class StandingParts:
     def see(self, image: Picture, motions: Sequence[Array | None]) -> bool:
         """Take a picture (H, W); whether `mask` has changed by it.
 
-        `motions`: the ground's (3, 3) since the keyframe by each who may tell it, the best first, always as many.
+        `motions`: the ground's (3, 3) since the keyframe by each source that may know it, the best first, always as
+        many.
         """
         was = self._reference
         if was is None:
@@ -139,8 +140,8 @@ class StandingParts:
         if steps and STANDS_PX < max(moved_px) < MOVED_PX:
             return False
         now = self._reduced(image)
-        told = next((H for H, px in zip(steps, moved_px, strict=True) if px >= MOVED_PX), None)
-        H = self._behind(was.texture, now) if told is None else told
+        moved = next((H for H, px in zip(steps, moved_px, strict=True) if px >= MOVED_PX), None)
+        H = self._behind(was.texture, now) if moved is None else moved
         if H is None:
             return False
         self._reference = _Reference(now, _inverse(motions))
@@ -154,7 +155,7 @@ class StandingParts:
             self._reference = _Reference(was.texture, tuple(None if m is None else motion @ m for m in was.back))
 
     def begin(self, image: Picture) -> None:
-        """Motions count from this picture; how it moved since an earlier one nobody knows."""
+        """Motions count from this picture; how it moved since an earlier one is not known."""
         self._reference = _Reference(self._reduced(image), (np.eye(3), np.eye(3)))
 
     def _reduced(self, image: Picture) -> Texture:
@@ -186,7 +187,7 @@ class StandingParts:
         return bool(changed >= max(CHANGED_SHARE * np.count_nonzero(has_texture), LEAST_CELLS))
 
     def _compare(self, was: Texture, now: Texture, H: Array) -> None:
-        """Add what a pair of pictures tells, (22.2)."""
+        """Add what a pair of pictures shows, (22.2)."""
         self._mean = was.small if self._mean is None else self._mean
         still = Texture(self._mean, self._grid).likeness(now)
         faded: Grid = self._mean + (now.small - self._mean) / np.float32(REMEMBERED)

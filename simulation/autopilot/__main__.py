@@ -98,7 +98,7 @@ def main() -> int:
                 time.sleep(0.05)
         except KeyboardInterrupt:
             pass
-    print(f"sent {autopilot.counts.total()} messages, heard {len(autopilot.heard)}", file=sys.stderr)
+    print(f"sent {autopilot.counts.total()} messages, received {len(autopilot.received)}", file=sys.stderr)
     return 0
 
 

@@ -91,7 +91,7 @@ class FakeAutopilot:
         self.getting_ready_s = getting_ready_s
         self.system = flight.system if system is None else system
         self.sent: deque[tuple[int, Any]] = deque(maxlen=KEEP)  # (index of the boot, message as sent)
-        self.heard: deque[Any] = deque(maxlen=KEEP)  # what the other end has sent
+        self.received: deque[Any] = deque(maxlen=KEEP)  # what the other end has sent
         self.counts: Counter[str] = Counter()
         self._messages = [as_px4(m) for m in flight.messages] if style == "px4" else flight.messages
         self._everything = everything
@@ -156,9 +156,9 @@ class FakeAutopilot:
         """How often it has booted."""
         return len(self._boots)
 
-    def heard_of(self, name: str) -> list[Any]:
+    def received_of(self, name: str) -> list[Any]:
         """Messages of this name that the other end has sent."""
-        return [message for message in list(self.heard) if message.get_type() == name]
+        return [message for message in list(self.received) if message.get_type() == name]
 
     def mute(self, seconds: float) -> None:
         """Send nothing and receive nothing for a while; the flight continues."""
@@ -203,7 +203,7 @@ class FakeAutopilot:
                     with self._lock:
                         heapq.heappush(self._late, (self._arrival_ns(), next(self._order), None, chunk))
                 else:
-                    self._hear(chunk)
+                    self._receive(chunk)
 
     def _wait_s(self) -> float:
         now = self._clock.now_ns()
@@ -299,8 +299,8 @@ class FakeAutopilot:
 
     def _watch_mission_computer(self, now: int) -> None:
         """PX4's warning; it looks at the type of a component's heartbeats, never at the state they claim."""
-        limit_s, heard_ns = self.style.mission_computer_s, self._mission_computer_ns
-        if limit_s is not None and heard_ns is not None and now - heard_ns > limit_s * 1e9:
+        limit_s, received_ns = self.style.mission_computer_s, self._mission_computer_ns
+        if limit_s is not None and received_ns is not None and now - received_ns > limit_s * 1e9:
             self._mission_computer_ns = None
             self._show(mavlink.MAV_SEVERITY_CRITICAL, "Connection to mission computer lost")
 
@@ -355,16 +355,16 @@ class FakeAutopilot:
             if outgoing is not None:
                 self._wire.send(outgoing)
             if incoming is not None:
-                self._hear(incoming)
+                self._receive(incoming)
 
-    def _hear(self, chunk: bytes) -> None:
+    def _receive(self, chunk: bytes) -> None:
         if self.faults.loss and self._random.random() < self.faults.loss:
             return
         for message in self._parser.parse_buffer(chunk) or ():
             name = message.get_type()
             if name == "BAD_DATA" or name.startswith("UNKNOWN"):
                 continue
-            self.heard.append(message)
+            self.received.append(message)
             if name == "TIMESYNC" and message.tc1 == 0 and self.answers_timesync:
                 self._send(mavlink.MAVLink_timesync_message(self._boot_ns(self._clock.now_ns()), message.ts1))
             elif name == "COMMAND_LONG" and message.target_system == self.system:

@@ -12,5 +12,5 @@ collect_ignore_glob = [] if os.environ.get("POINTCLICK_ARM64") == "1" else ["tes
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """What was measured, beside what was held."""
+    """What was measured, next to what was held."""
     show_measured(terminalreporter)

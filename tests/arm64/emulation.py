@@ -23,7 +23,7 @@ WANTED = ("python3.11", "libstdc++6", "libgcc-s1")
 KEYS = Path("/usr/share/keyrings/debian-archive-keyring.gpg")
 CHECKOUT = Path(__file__).resolve().parents[2]
 TESTING = ("hypothesis", "iniconfig", "packaging", "pluggy", "Pygments", "pytest", "sortedcontainers")
-"""What the tests that run under emulation need beside the installation, in the versions of requirements.lock."""
+"""What the tests that run under emulation need next to the installation, in the versions of requirements.lock."""
 
 
 def require() -> None:
@@ -103,7 +103,7 @@ def testing() -> Path:
 
 
 def build_packages(architecture: str) -> None:
-    """Build the Debian packages of this checkout for an architecture, anew; wheels stay in the cache."""
+    """Build the Debian packages of this checkout for an architecture, again; wheels stay in the cache."""
     out = _packages(architecture)
     for old in out.glob("*.deb"):
         old.unlink()

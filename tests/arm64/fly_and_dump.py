@@ -1,4 +1,4 @@
-"""Run by an installation's Python, with nothing of ours beside it: a flight folder -> its feature sets, unrounded.
+"""Run by an installation's Python, with nothing of ours next to it: a flight folder -> its feature sets, unrounded.
 
     python fly_and_dump.py FLIGHT OUT.npz
 

@@ -38,7 +38,7 @@ class Installation:
         return folder
 
     def __call__(self, *arguments: object, timeout_s: float = 600.0) -> subprocess.CompletedProcess[str]:
-        """Its Python with these arguments, without anything of ours beside it."""
+        """Its Python with these arguments, without anything of ours next to it."""
         return self._run(["-I", *map(str, arguments)], {}, timeout_s)
 
     def beside(self, site: Path, *arguments: object, timeout_s: float = 900.0) -> subprocess.CompletedProcess[str]:

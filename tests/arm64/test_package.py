@@ -59,7 +59,7 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def flown(
+def simulated(
     installed: Callable[[str], Installation], flight: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Callable[[str], Path]:
     """The flight replayed by an installation; its recording."""
@@ -251,23 +251,23 @@ def test_both_architectures_give_the_same_answers(
     assert all(value > 0.0 for value in worst.values())  # else the same library was run twice
 
 
-def test_a_recording_is_clicked_alike(
+def test_a_recording_gives_the_same_answers(
     installed: Callable[[str], Installation],
-    flown: Callable[[str], Path],
+    simulated: Callable[[str], Path],
     record_property: Callable[[str, object], None],
 ) -> None:
     """`pc-ground click` of each architecture on its own recording, and both readings of one recording."""
     click = ("-m", "ground", "click", "300", "200", "--frame", "12", "--format", "json", "--from")
-    answers = [json.loads(well(installed(a)(*click, flown(a)))) for a in ARCHITECTURES]
+    answers = [json.loads(well(installed(a)(*click, simulated(a)))) for a in ARCHITECTURES]
     assert [a["status"] for a in answers] == ["ok", "ok"]
     first, second = ([a[key] for key in ("lat_deg", "lon_deg", "height_amsl_m")] for a in answers)
     apart_m = float(np.abs(LocalFrame(*first).to_enu(*second)).max())
     record_property("click through the wire, m", f"{apart_m:.1e}")
     assert apart_m < WIRE_M
-    again = json.loads(well(installed("arm64")(*click, flown("amd64"))))
+    again = json.loads(well(installed("arm64")(*click, simulated("amd64"))))
     there = [again[key] for key in ("lat_deg", "lon_deg", "height_amsl_m")]
     assert np.abs(LocalFrame(*first).to_enu(*there)).max() < 2e-4  # nine decimals of a degree are printed: 0.1 mm
-    truth = Recording(flown("arm64"))
+    truth = Recording(simulated("arm64"))
     fix = locate(truth.by_frame(truth.vehicles[0], 12), (300.0, 200.0))
     assert fix.lat_deg == pytest.approx(second[0], abs=2e-9)
 

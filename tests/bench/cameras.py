@@ -59,7 +59,7 @@ def unplug_vivid(guest: Machine, number: int) -> None:
 
 
 def unload(guest: Machine, module: str) -> None:
-    """Take a driver away with its devices, as soon as nobody holds them open (5 s at most)."""
+    """Take a driver away with its devices, as soon as no one holds them open (5 s at most)."""
     guest.shell(f"for _ in $(seq 100); do rmmod {module} 2>/dev/null && exit 0; sleep 0.05; done; rmmod {module}")
 
 

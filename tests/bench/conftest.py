@@ -33,5 +33,5 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestR
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """What was measured, beside what was held."""
+    """What was measured, next to what was held."""
     show_measured(terminalreporter)

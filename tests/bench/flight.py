@@ -20,7 +20,7 @@ from tests.bench.image.root import CHECKOUT
 from tests.bench.machine import GUEST_CHECKOUT, INSIDE, PYTHON, SHARE, Job, Machine
 
 BEGIN_S = 5.0
-"""Into the recording: the autopilot is heard for a while before the first picture."""
+"""Into the recording: the autopilot is received for a while before the first picture."""
 SECONDS = 30.0
 RATE_HZ = 10
 MOUNT_DEG = (0.0, -90.0, -90.0)

@@ -81,7 +81,7 @@ class Job:
         self._on_text = on_text
         self._ended: queue.Queue[int | None] = queue.Queue()
 
-    def heard(self, answer: Mapping[str, Any]) -> None:
+    def received(self, answer: Mapping[str, Any]) -> None:
         """Take one line of the agent's."""
         if "text" in answer:
             self.text += answer["text"]
@@ -92,7 +92,7 @@ class Job:
 
     @property
     def is_over(self) -> bool:
-        """Whether its end has been heard of."""
+        """Whether its end is known."""
         return not self._ended.empty()
 
     def wait(self, timeout_s: float) -> Done:
@@ -200,7 +200,7 @@ class Machine:
             pending += chunk
             *whole, pending = pending.split(b"\n")
             for raw in whole:
-                self._heard(json.loads(raw))
+                self._take(json.loads(raw))
 
     def _received(self) -> bytes:
         try:
@@ -208,13 +208,13 @@ class Machine:
         except OSError:  # closed: the guest has ended
             return b""
 
-    def _heard(self, answer: Mapping[str, Any]) -> None:
+    def _take(self, answer: Mapping[str, Any]) -> None:
         if "ready" in answer:
             self._ready.set()
         elif "monotonic_ns" in answer:
             self._clock.put(answer["monotonic_ns"])
         else:
-            self._jobs[answer["job"]].heard(answer)
+            self._jobs[answer["job"]].received(answer)
 
 
 @contextlib.contextmanager
@@ -286,7 +286,7 @@ def _roomy_folder() -> str | None:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """Kill the guest: its kernel, and the host processes in which its programs ran (its session, nobody else's)."""
+    """Kill the guest: its kernel, and the host processes in which its programs ran (its session, no one else's)."""
     process.kill()
     process.wait()
     # A busy host takes a moment over it, and a process may have begun another meanwhile.

@@ -31,7 +31,7 @@ class Link:
         return int(Path(f"/sys/class/net/{self.near}/statistics/rx_bytes").read_text())
 
     def up(self, machine: Machine) -> None:
-        """Give the guest its address, and each end the other's hardware address: nobody waits for ARP."""
+        """Give the guest its address, and each end the other's hardware address: no one waits for ARP."""
         machine.shell(
             f"ip addr add {self.guest}/30 dev vec0 && ip link set vec0 up"
             f" && ip neigh replace {self.host} lladdr {HOST_MAC} dev vec0"

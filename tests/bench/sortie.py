@@ -106,7 +106,7 @@ def sortie(
     autopilot = FakeAutopilot(Recorded.read(telemetry), "pty", loop=loop)
     line = Path(autopilot.url.split(":")[1])
     with link() as radio, boot(serial=line, interface=radio.interface) as machine:
-        flown = Sortie(machine, radio, autopilot)
+        simulated = Sortie(machine, radio, autopilot)
         try:
             radio.up(machine)
             cameras.load(machine)
@@ -115,7 +115,7 @@ def sortie(
             config = CONFIG.format(**words, rate_hz=rate_hz, port=PORT)
             aircraft.configure(machine, config, camera_file.read_text())
             machine.run("systemctl", "start", aircraft.UNIT, timeout_s=START_S).ok()
-            yield flown
+            yield simulated
         except BaseException as error:
             error.add_note(f"the guest's journal:\n{machine.journal()}")
             raise

@@ -1,4 +1,4 @@
-"""A flight as it is flown: a camera that is a device, a serial line, a unit under systemd, a bad radio, and clicks."""
+"""A flight: a camera that is a device, a serial line, a unit under systemd, a bad radio, and clicks."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Click:
 
 
 @dataclass(frozen=True)
-class Flown:
+class Simulated:
     """What reached the ground, and what the ground then answered."""
 
     machine: Machine
@@ -92,7 +92,7 @@ def flight() -> Flight:
 
 
 @pytest.fixture(scope="module")
-def flown(flight: Flight) -> Iterator[Flown]:
+def simulated(flight: Flight) -> Iterator[Simulated]:
     with sortie(
         flight.folder / "camera.json",
         device=LOOPBACK,
@@ -114,7 +114,7 @@ def flown(flight: Flight) -> Iterator[Flown]:
             clicks, refusals = _click(cache, flight, sets)
             by_command, failures = _click_by_command(flying, flight, sets, unix_ns)
         unit = flying.unit("ActiveState", "NRestarts", "MainPID")
-        yield Flown(
+        yield Simulated(
             flying.machine,
             flight,
             sets,
@@ -215,46 +215,48 @@ def _share(clicks: list[Click], scale: float) -> float:
     return float(np.mean([click.is_within(scale) for click in clicks]))
 
 
-def test_every_picture_was_played_and_the_service_never_stopped(flown: Flown) -> None:
-    count = len(flown.flight.stamps_unix_ns)
-    assert f"played {count} of {count}" in flown.player
-    assert flown.unit["ActiveState"] == "active"
-    assert flown.unit["NRestarts"] == "0"
+def test_every_picture_was_played_and_the_service_never_stopped(simulated: Simulated) -> None:
+    count = len(simulated.flight.stamps_unix_ns)
+    assert f"played {count} of {count}" in simulated.player
+    assert simulated.unit["ActiveState"] == "active"
+    assert simulated.unit["NRestarts"] == "0"
 
 
-def test_sets_reach_the_ground_over_a_radio_that_loses_a_tenth(flown: Flown, record_property: Record) -> None:
-    answerable = [number for number, one in flown.sets.items() if one.is_ok]
-    record_property("answerable sets", f"{len(answerable)} of {len(flown.flight.stamps_unix_ns)} pictures")
-    record_property("first after", f"{flown.first_answer_s:.1f} s")
-    record_property("sent", f"{flown.sent_bit_s / 1e3:.1f} kbit/s")
-    record_property("delay median, most", f"{np.median(flown.delays_s):.2f}, {max(flown.delays_s):.2f} s")
-    assert answerable, flown.report
-    assert flown.first_answer_s < FIRST_ANSWER_WITHIN_S
+def test_sets_reach_the_ground_over_a_radio_that_loses_a_tenth(simulated: Simulated, record_property: Record) -> None:
+    answerable = [number for number, one in simulated.sets.items() if one.is_ok]
+    record_property("answerable sets", f"{len(answerable)} of {len(simulated.flight.stamps_unix_ns)} pictures")
+    record_property("first after", f"{simulated.first_answer_s:.1f} s")
+    record_property("sent", f"{simulated.sent_bit_s / 1e3:.1f} kbit/s")
+    record_property("delay median, most", f"{np.median(simulated.delays_s):.2f}, {max(simulated.delays_s):.2f} s")
+    assert answerable, simulated.report
+    assert simulated.first_answer_s < FIRST_ANSWER_WITHIN_S
     # Not every picture's set is sent below the link's own bound of 32 kbit/s, but more than one a second.
-    assert 2_000.0 < flown.sent_bit_s < 1.1 * 32_000.0
+    assert 2_000.0 < simulated.sent_bit_s < 1.1 * 32_000.0
     assert len(answerable) > 1.5 * (flights.SECONDS - FIRST_ANSWER_WITHIN_S)
     # 80 ms of radio at least; retransmission, processing and the wait for a window's solve on top.
-    assert 0.08 < float(np.median(flown.delays_s)) < 1.0
-    assert max(flown.delays_s) < 4.0
+    assert 0.08 < float(np.median(simulated.delays_s)) < 1.0
+    assert max(simulated.delays_s) < 4.0
 
 
-def test_clicks_land_where_they_should(flown: Flown, record_property: Record) -> None:
-    asked = len(flown.clicks) + flown.refusals.total()
-    errors_m = [click.error_m for click in flown.clicks]
-    record_property("answered", f"{len(flown.clicks)} of {asked}")
+def test_clicks_land_where_they_should(simulated: Simulated, record_property: Record) -> None:
+    asked = len(simulated.clicks) + simulated.refusals.total()
+    errors_m = [click.error_m for click in simulated.clicks]
+    record_property("answered", f"{len(simulated.clicks)} of {asked}")
     record_property("error median, 95 %", "{:.2f}, {:.2f} m".format(*np.percentile(errors_m, [50, 95])))
-    record_property("90 % ellipse median", f"{np.median([c.ellipse.semi_major_m for c in flown.clicks]):.2f} m")
-    record_property("within 90, 99 %", f"{_share(flown.clicks, 1.0):.3f}, {_share(flown.clicks, NINETY_NINE):.3f}")
-    assert len(flown.clicks) > 0.6 * asked, flown.refusals
+    record_property("90 % ellipse median", f"{np.median([c.ellipse.semi_major_m for c in simulated.clicks]):.2f} m")
+    record_property(
+        "within 90, 99 %", f"{_share(simulated.clicks, 1.0):.3f}, {_share(simulated.clicks, NINETY_NINE):.3f}"
+    )
+    assert len(simulated.clicks) > 0.6 * asked, simulated.refusals
     # Better than a few centimetres would mean that truth leaked into the estimate.
     assert 0.02 < float(np.median(errors_m)) < 3.0
-    assert _share(flown.clicks, NINETY_NINE) > 0.97
+    assert _share(simulated.clicks, NINETY_NINE) > 0.97
 
 
-def test_the_ground_command_answers_over_the_same_radio(flown: Flown, record_property: Record) -> None:
-    record_property("error median", f"{np.median([click.error_m for click in flown.by_command]):.2f} m")
-    record_property("run again", f"{len(flown.failures)} of {CLICKS_BY_COMMAND}")
-    assert len(flown.by_command) >= 0.75 * CLICKS_BY_COMMAND
-    assert len(flown.failures) <= 0.4 * CLICKS_BY_COMMAND, flown.failures
-    assert float(np.median([click.error_m for click in flown.by_command])) < 3.0
-    assert all(click.is_within(1.5 * NINETY_NINE) for click in flown.by_command)
+def test_the_ground_command_answers_over_the_same_radio(simulated: Simulated, record_property: Record) -> None:
+    record_property("error median", f"{np.median([click.error_m for click in simulated.by_command]):.2f} m")
+    record_property("run again", f"{len(simulated.failures)} of {CLICKS_BY_COMMAND}")
+    assert len(simulated.by_command) >= 0.75 * CLICKS_BY_COMMAND
+    assert len(simulated.failures) <= 0.4 * CLICKS_BY_COMMAND, simulated.failures
+    assert float(np.median([click.error_m for click in simulated.by_command])) < 3.0
+    assert all(click.is_within(1.5 * NINETY_NINE) for click in simulated.by_command)

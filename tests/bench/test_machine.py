@@ -71,7 +71,7 @@ def test_a_job_that_hangs_is_killed_for_its_time(guest: Machine) -> None:
     assert 0.9 < time.monotonic() - before < 5.0
 
 
-def test_the_two_clocks_run_alike(guest: Machine) -> None:
+def test_the_two_clocks_run_the_same(guest: Machine) -> None:
     offsets = []
     for _ in range(5):
         offsets.append(guest.clock_offset_ns())
@@ -96,7 +96,7 @@ def test_the_radio_is_as_bad_as_asked(
     assert least_ms <= float(times[1]) and float(times[2]) <= most_ms, said
 
 
-def test_the_autopilot_is_heard_over_the_serial_line_without_loss(guest: Machine, autopilot: FakeAutopilot) -> None:
+def test_the_autopilot_is_received_over_the_serial_line_without_loss(guest: Machine, autopilot: FakeAutopilot) -> None:
     job = guest.start([PYTHON, "-c", LISTEN])
     for _ in range(100):
         if "open" in job.text:
@@ -105,9 +105,9 @@ def test_the_autopilot_is_heard_over_the_serial_line_without_loss(guest: Machine
     with autopilot:
         time.sleep(4.0)
         autopilot.mute(60.0)  # leaving would close the line, which the guest takes for a hangup
-        heard = json.loads(job.wait(30.0).ok().splitlines()[-1])
+        received = json.loads(job.wait(30.0).ok().splitlines()[-1])
     assert autopilot.counts["ATTITUDE"] > 80
-    assert {name: heard.get(name, 0) for name in autopilot.counts} == dict(autopilot.counts)
+    assert {name: received.get(name, 0) for name in autopilot.counts} == dict(autopilot.counts)
 
 
 def test_a_guest_leaves_nothing_behind() -> None:

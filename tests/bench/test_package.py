@@ -18,8 +18,8 @@ INSTALL = "DEBIAN_FRONTEND=noninteractive dpkg -i /tmp/pointclick-onboard_*_amd6
 
 @pytest.fixture(scope="module")
 def debian(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shell]:
-    """A shell in a Debian 12 that nobody has booted, with the package in /tmp."""
-    out = cache.folder() / "deb"  # wheels stay there; the package is made anew
+    """A shell in a Debian 12 that no one has booted, with the package in /tmp."""
+    out = cache.folder() / "deb"  # wheels stay there; the package is made again
     build = [CHECKOUT / "packaging" / "build-deb.sh", out]
     subprocess.run(
         build, check=True, timeout=600, env={"PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "PYTHON": sys.executable}

@@ -111,7 +111,7 @@ def test_a_killed_process_is_back_within_seconds(flying: Sortie, record_property
     record_property("running, seeing after", f"{took_s:.1f}, {took_s + sees_s:.1f} s")
 
 
-def test_a_hung_process_is_ended_by_the_watchdog_and_started_anew(flying: Sortie, record_property: Record) -> None:
+def test_a_hung_process_is_ended_by_the_watchdog_and_started_again(flying: Sortie, record_property: Record) -> None:
     before = flying.unit("MainPID", "NRestarts", "WatchdogUSec")
     watchdog_s = _seconds(before["WatchdogUSec"])
     assert 2.0 <= watchdog_s <= 30.0

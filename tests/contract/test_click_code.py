@@ -190,7 +190,7 @@ def test_a_changed_byte_is_read_or_a_wire_error(at: int, value: int) -> None:
         assert abs(found.answer.lat_deg) <= 90.0 and np.all(np.isfinite(found.answer.covariance_enu_m2))
 
 
-def test_what_is_cut_newer_or_never_was_is_told_apart() -> None:
+def test_what_is_cut_newer_or_never_was_is_distinguished() -> None:
     whole = encode_answer(ClickAnswer(7, FIX))
     with pytest.raises(TruncatedPayload):
         decode(whole[:30])

@@ -42,7 +42,7 @@ def assert_same(a: FeatureSet, b: FeatureSet) -> None:
 
 @pytest.mark.parametrize(("relief", "most"), [(0.0, 520), (0.01, 540), (0.03, 560), (0.06, 575)])
 def test_what_a_hundred_features_take_and_that_two_hundred_fit_a_packet(relief: float, most: int) -> None:
-    """`relief` is white from feature to feature; 0.03 is 7 m from 250 m, rougher than any ground flown over."""
+    """`relief` is white from feature to feature; 0.03 is 7 m from 250 m, rougher than any ground seen."""
     hundred = [len(encode(plain_set(100, seed, relief))) for seed in range(10)]
     two_hundred = [len(encode(plain_set(200, seed, relief))) for seed in range(10)]
     assert min(hundred) > 400 and max(hundred) <= most

@@ -1,4 +1,4 @@
-"""The wire format of versions 2.0, 3.0 and 4.0, frozen: golden bytes beside what they mean."""
+"""The wire format of versions 2.0, 3.0 and 4.0, frozen: golden bytes next to what they mean."""
 
 import json
 import struct

@@ -53,14 +53,14 @@ def test_a_late_packet_of_an_earlier_session_changes_nothing() -> None:
     assert len(history) == 100 and newest is not None and newest.frame == 99 and newest.session == OK.session
 
 
-def test_an_aircraft_whose_clock_was_set_back_is_heard_again() -> None:
-    """Started anew without a clock battery it counts from an earlier second, and its sets keep coming."""
+def test_an_aircraft_whose_clock_was_set_back_is_received_again() -> None:
+    """Started again without a clock battery it counts from an earlier second, and its sets keep coming."""
     history = filled(*(at(i, i) for i in range(100)))
     again = [at(i, i, session=OK.session - 3600) for i in range(IN_A_ROW + 20)]
     for count, s in enumerate(again, 1):
         history.add(s, s)
         assert history.session == (OK.session if count < IN_A_ROW else OK.session - 3600)
-    assert len(history) == len(again)  # those before it was believed too
+    assert len(history) == len(again)  # those before it was accepted too
     history.add(late := at(100, 100.0), late)
     assert history.session == OK.session - 3600
 
@@ -82,8 +82,8 @@ def delivered(draw: st.DrawFn) -> tuple[list[FeatureSet], int]:
 
 @settings(deadline=None, max_examples=300)
 @given(delivered())
-def test_late_packets_of_several_sessions_leave_the_last_whole(flown: tuple[list[FeatureSet], int]) -> None:
-    packets, last = flown
+def test_late_packets_of_several_sessions_leave_the_last_whole(simulated: tuple[list[FeatureSet], int]) -> None:
+    packets, last = simulated
     history = filled(*packets)
     kept = {s.frame: s for s in packets if s.session == last}
     assert history.session == last and len(history) == len(kept)
@@ -97,16 +97,16 @@ def test_in_any_order_what_is_handed_out_is_of_one_session_and_five_in_a_row_dec
     rows: list[tuple[int, int, int]],
 ) -> None:
     history: History[FeatureSet] = History()
-    heard: list[FeatureSet] = []
+    received: list[FeatureSet] = []
     for session, frame, revision in rows:
         before = history.session
-        heard.append(s := at(frame, float(frame), revision, session=session))
+        received.append(s := at(frame, float(frame), revision, session=session))
         history.add(s, s)
         found = [item for frame in range(10) if (item := history.frame(frame)) is not None]
         assert {item.session for item in found} == {history.session}
-        assert all(any(item is h for h in heard) for item in found)
-        row = list(itertools.takewhile(lambda h: h.session == s.session, reversed(heard)))
-        if len(row) >= IN_A_ROW or session > max((h.session for h in heard[:-1]), default=-1):
+        assert all(any(item is h for h in received) for item in found)
+        row = list(itertools.takewhile(lambda h: h.session == s.session, reversed(received)))
+        if len(row) >= IN_A_ROW or session > max((h.session for h in received[:-1]), default=-1):
             assert history.session == session
             best = {h.frame: h for h in sorted(row, key=lambda h: h.revision)}
             held = {frame: history.frame(frame) for frame in best}

@@ -247,7 +247,7 @@ def level_ground_by_attitude(graze_deg: float, tilt_rad: float, height_m: float 
 
 
 def where_tilted_rays_meet_the_ground(answer: Fix, tilt_rad: float, rng: np.random.Generator, n: int) -> np.ndarray:
-    """Horizontal errors (n, 2) of an answer when the camera's tilt errs by drawn angles: exact, by Rodrigues."""
+    """Horizontal errors (n, 2) of an answer when the camera's tilt errs by sampled angles: exact, by Rodrigues."""
     p = answer.offset_enu_m
     turn = np.column_stack([rng.normal(0.0, tilt_rad, (n, 2)), np.zeros(n)])
     angle = np.linalg.norm(turn, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Pictures in pieces: every bit comes back, one lost piece of each group too, and nothing is believed unchecked."""
+"""Pictures in pieces: every bit comes back, one lost piece of each group too, and nothing is accepted unchecked."""
 
 from __future__ import annotations
 

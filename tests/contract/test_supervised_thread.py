@@ -124,7 +124,7 @@ class Steps:
         assert self.reached.acquire(timeout=PATIENCE_S)
 
 
-def test_a_thread_is_late_when_it_was_not_heard_from_and_not_while_it_waits_for_its_end() -> None:
+def test_a_thread_is_late_without_heartbeats_and_not_while_it_waits_for_its_end() -> None:
     clock, steps, stop = Time(), Steps(), threading.Event()
 
     def work(thread: SupervisedThread) -> None:

@@ -60,7 +60,7 @@ def test_what_cannot_be_read_is_one_line(text: str, said: str) -> None:
 
 
 class Link:
-    """Answers as it is told to."""
+    """Answers as it is asked to."""
 
     def __init__(self, answer: Answer) -> None:
         self.answer = answer

@@ -72,7 +72,7 @@ class Aircraft:
         self.end.attach(self.wire)  # type: ignore[arg-type]
         self.autopilot.attach(self.wire)  # type: ignore[arg-type]
         self.passage = Passage(config, self.radio)
-        self.heard: list[str] = []
+        self.received: list[str] = []
         self.stop, self.has_ended = threading.Event(), threading.Event()
 
     @staticmethod
@@ -86,9 +86,9 @@ class Aircraft:
                 beat_s = time.monotonic()
                 self.autopilot.send(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3))
             for _, message in self.end.take(self.wire.read(), 0):
-                self.heard.append(message.get_type())
-                self.passage.hear(message, self.system)
-            self.radio.desk.work()
+                self.received.append(message.get_type())
+                self.passage.receive(message, self.system)
+            self.radio.clicks.work()
             for message in self.passage.due(0, self.system):
                 self.end.send(message)
         self.has_ended.set()
@@ -119,7 +119,7 @@ def test_clicks_are_answered_one_after_the_other_over_one_link() -> None:
         # At the click, as old as when it was looked up less what the question waited before.
         assert first.age_s is not None and 0.244 - took_s <= first.age_s < 0.25 + took_s + 0.5
         assert isinstance(second, Refusal) and second.status is Status.OUTSIDE
-        assert "HEARTBEAT" in aircraft.heard  # by which the autopilot learns where we are
+        assert "HEARTBEAT" in aircraft.received  # by which the autopilot learns where we are
 
 
 def test_with_a_key_both_ends_sign_and_without_it_nothing_is_answered(
@@ -136,14 +136,14 @@ def test_with_a_key_both_ends_sign_and_without_it_nothing_is_answered(
         unsigned = MavlinkEndpoint.parse(f"{radio}?vehicle=3")
         with MavlinkLink(unsigned) as link, pytest.raises(LinkError, match="does not answer clicks"):
             link.ask(320.0, 240.0)
-        assert aircraft.heard == []
+        assert aircraft.received == []
 
 
-def test_several_vehicles_must_be_told_apart() -> None:
+def test_several_vehicles_must_be_distinguished() -> None:
     with flying(None, 3, 4) as (radio, aircraft):
         with MavlinkLink(MavlinkEndpoint.parse(f"{radio}?vehicle=4")) as link:
             assert isinstance(link.ask(320.0, 240.0), Fix)
-        assert "TUNNEL" in aircraft[1].heard
+        assert "TUNNEL" in aircraft[1].received
         with MavlinkLink(MavlinkEndpoint.parse(radio)) as link:
             assert eventually(lambda: link.received() is not None and len(link.vehicles) == 2)
             with pytest.raises(LinkError, match="several vehicles are received: 3, 4"):
@@ -157,7 +157,7 @@ def test_a_ground_that_is_turned_away_says_what_it_would_have_hidden() -> None:
             link.ask(320.0, 240.0)
 
 
-def test_nobody_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_one_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mavlink_link, "FIND_S", 0.2)
     with flying() as (radio, (aircraft,)):
         aircraft.stop.set()

@@ -17,7 +17,7 @@ from tests.waiting import PATIENCE_S, eventually
 
 
 class FakeSession:
-    """A zenoh session with nobody on the other side."""
+    """A zenoh session with no one on the other side."""
 
     def __init__(self, close_error: Exception | None = None, listen_error: Exception | None = None) -> None:
         self.is_closed = False

@@ -99,22 +99,22 @@ def test_the_readouts_sigma_widens_answers_of_outer_rows_by_what_it_moves_them()
 
 def test_the_vector_between_clicks_of_one_set_knows_the_readout_errs_for_both() -> None:
     sure, unsure = Locator(a_set(0.03)), Locator(a_set(0.03, 0.01))
-    top, beside, bottom = np.array([300.0, 5.0]), np.array([340.0, 5.0]), np.array([300.0, 475.0])
+    top, near, bottom = np.array([300.0, 5.0]), np.array([340.0, 5.0]), np.array([300.0, 475.0])
 
     def added(one: Array, two: Array) -> float:
         before, after = sure.difference_covariance(one, two), unsure.difference_covariance(one, two)
         assert before is not None and after is not None
         return float(np.trace(after - before))
 
-    assert added(top, bottom) > 20.0 * added(top, beside) > 0.0
+    assert added(top, bottom) > 20.0 * added(top, near) > 0.0
 
 
-def test_a_place_is_drawn_where_the_row_that_saw_it_has_it() -> None:
+def test_a_place_is_shown_where_the_row_that_saw_it_has_it() -> None:
     """What a page draws of a pin: the pixel that was clicked."""
     feature_set = a_set(0.03)
     for uv in (np.array([320.0, 5.0]), np.array([100.0, 470.0]), np.array([500.0, 239.5])):
         _, answer = located(feature_set, uv)
         assert answer.height_ellipsoid_m is not None
-        drawn = placed_in(feature_set, answer.lat_deg, answer.lon_deg, answer.height_ellipsoid_m)
-        assert drawn is not None
-        np.testing.assert_allclose(drawn, uv, atol=0.2)
+        sampled = placed_in(feature_set, answer.lat_deg, answer.lon_deg, answer.height_ellipsoid_m)
+        assert sampled is not None
+        np.testing.assert_allclose(sampled, uv, atol=0.2)

@@ -36,7 +36,7 @@ from tests.onboard.link.test_publisher import a_set
 from tests.waiting import PATIENCE_S, eventually
 
 ROOT = Path(__file__).resolve().parents[2]
-LIE = 99_999  # a picture that nobody has taken
+LIE = 99_999  # a picture that no one has taken
 ROUTER = (sys.executable, "-m", "ground", "router")
 
 
@@ -94,7 +94,7 @@ def ended(program: subprocess.Popen[bytes]) -> Iterator[None]:
     assert status == 0
 
 
-def is_heard(cache: SetCache, publisher: Publisher, vehicle: str, frame: int) -> bool:
+def is_received(cache: SetCache, publisher: Publisher, vehicle: str, frame: int) -> bool:
     """Whether a set arrives that is published until it does."""
 
     def again() -> bool:
@@ -113,12 +113,12 @@ def test_operators_hear_and_ask_and_viewers_only_hear(station: Station) -> None:
     with station.aircraft("uav-1") as first, station.aircraft("uav-2") as second:
         for who in ("anna", "ben"):
             with station.cache(who) as cache:
-                assert is_heard(cache, first, "uav-1", 3) and is_heard(cache, second, "uav-2", 5)
+                assert is_received(cache, first, "uav-1", 3) and is_received(cache, second, "uav-2", 5)
         assert eventually(lambda: frames(station.endpoint, station.tls("anna")) == {"uav-1": 3, "uav-2": 5})
         assert nobody_answers(station.endpoint, tls=station.tls("ben"))
 
 
-def test_an_aircraft_that_publishes_under_another_s_name_is_not_heard(station: Station) -> None:
+def test_an_aircraft_that_publishes_under_another_s_name_is_not_received(station: Station) -> None:
     status: list[bytes] = []
     with (
         station.aircraft("uav-1") as true,
@@ -129,7 +129,7 @@ def test_an_aircraft_that_publishes_under_another_s_name_is_not_heard(station: S
         listener.declare_subscriber("pc/*/status", lambda sample: status.append(sample.payload.to_bytes()))
         liar.declare_queryable(FEATURES.key("uav-1"), lambda q: q.reply(FEATURES.key("uav-1"), encode(a_set(99))))
         liar.liveliness().declare_token(ALIVE.key("uav-3"))
-        assert is_heard(cache, true, "uav-1", 3)
+        assert is_received(cache, true, "uav-1", 3)
         last = 10
 
         def is_heard_of_itself() -> bool:
@@ -162,28 +162,28 @@ def test_an_aircraft_that_publishes_under_another_s_name_is_not_heard(station: S
 @pytest.mark.parametrize("who", ["anna", "ben", "uav-2"])
 def test_people_and_other_aircraft_publish_nothing_of_an_aircraft_s(station: Station, who: str) -> None:
     with station.aircraft("uav-1") as true, station.session(who) as other, station.cache("anna") as cache:
-        assert is_heard(cache, true, "uav-1", 3)
+        assert is_received(cache, true, "uav-1", 3)
         for _ in range(10):
             other.put(FEATURES.key("uav-1"), encode(a_set(99)))
             other.put(FEATURES.key("uav-9"), encode(a_set(99, vehicle="uav-9")))
             time.sleep(0.03)
-        assert is_heard(cache, true, "uav-1", 4)
+        assert is_received(cache, true, "uav-1", 4)
         assert cache.by_frame("uav-1", 99) is None and cache.vehicles == ["uav-1"]
 
 
 def test_an_aircraft_neither_hears_nor_asks_another(station: Station) -> None:
-    heard: list[str] = []
+    received: list[str] = []
     with station.aircraft("uav-1") as true, station.session("uav-2") as curious, station.cache("anna") as cache:
-        curious.declare_subscriber("pc/**", lambda sample: heard.append(str(sample.key_expr)))
-        assert is_heard(cache, true, "uav-1", 3)
-        assert is_heard(cache, true, "uav-1", 4)
-        assert heard == [] and [r for r in curious.get(FEATURES.key("uav-1"), timeout=1.0) if r.ok] == []
+        curious.declare_subscriber("pc/**", lambda sample: received.append(str(sample.key_expr)))
+        assert is_received(cache, true, "uav-1", 3)
+        assert is_received(cache, true, "uav-1", 4)
+        assert received == [] and [r for r in curious.get(FEATURES.key("uav-1"), timeout=1.0) if r.ok] == []
 
 
 def test_a_name_that_was_taken_from_the_list_hears_nothing(station: Station) -> None:
     """Its certificate is still the authority's: the list is what revokes."""
     with station.aircraft("uav-1") as true, station.cache("former") as cache, station.cache("anna") as friend:
-        assert is_heard(friend, true, "uav-1", 3) and is_heard(friend, true, "uav-1", 4)
+        assert is_received(friend, true, "uav-1", 3) and is_received(friend, true, "uav-1", 4)
         assert cache.vehicles == []
         assert nobody_answers(station.endpoint, tls=station.tls("former"))
 
@@ -193,7 +193,7 @@ def test_a_stranger_cannot_connect(station: Station, tmp_path: Path) -> None:
     own = tmp_path / "anna"
     impostor = Tls(str(station.keys / "anna" / "ca.pem"), str(own / "certificate.pem"), str(own / "key.pem"))
     with station.aircraft("uav-1") as true, station.cache("anna") as friend:
-        assert is_heard(friend, true, "uav-1", 3)
+        assert is_received(friend, true, "uav-1", 3)
         with pytest.raises(LinkError):
             ask(station.endpoint, tls=impostor)
         with pytest.raises(LinkError):
@@ -201,7 +201,7 @@ def test_a_stranger_cannot_connect(station: Station, tmp_path: Path) -> None:
         assert "uav-1" in asked(station.endpoint, tls=station.tls("anna"))
 
 
-def test_pins_are_shared_by_those_who_may_and_by_nobody_else(station: Station, tmp_path: Path) -> None:
+def test_pins_are_shared_by_those_who_may_and_by_no_one_else(station: Station, tmp_path: Path) -> None:
     with contextlib.ExitStack() as opened:
         stores = {name: opened.enter_context(PinStore(tmp_path / f"{name}.sqlite")) for name in ("anna", "cleo", "ben")}
         for name, store in stores.items():
@@ -215,7 +215,7 @@ def test_pins_are_shared_by_those_who_may_and_by_nobody_else(station: Station, t
 
 
 def test_one_more_aircraft_is_added_while_all_others_run_on(keys: Path, tmp_path: Path) -> None:
-    """The command as it runs: the list is written by make-credentials, and nobody but the router does anything."""
+    """The command as it runs: the list is written by make-credentials, and no one but the router does anything."""
     keys = Path(shutil.copytree(keys, tmp_path / "keys"))
     endpoint = free_endpoint().replace("tcp/", "tls/")
     config = keys / FLEET_FILE
@@ -227,14 +227,14 @@ def test_one_more_aircraft_is_added_while_all_others_run_on(keys: Path, tmp_path
         Publisher("uav-1", [], [endpoint], rate=WIDE, tls=tls["uav-1"]) as first,
         SetCache(endpoint, tls=tls["anna"]) as cache,
     ):
-        assert is_heard(cache, first, "uav-1", 3)
+        assert is_received(cache, first, "uav-1", 3)
         assert onboard_main(["make-credentials", str(keys), "--vehicle", "late"]) == 0
         with Publisher("late", [], [endpoint], rate=WIDE, tls=Tls.in_folder(keys / "late")) as late:
-            assert is_heard(cache, late, "late", 5)
-            assert is_heard(cache, first, "uav-1", 6)
+            assert is_received(cache, late, "late", 5)
+            assert is_received(cache, first, "uav-1", 6)
         config.write_text("aircraft = 3\n")
         assert eventually(lambda: "the list from before stays" in said.read_text())
-        assert is_heard(cache, first, "uav-1", 7)
+        assert is_received(cache, first, "uav-1", 7)
 
 
 def test_two_stations_relay_each_other_s_aircraft_and_each_keeps_its_own_rights(keys: Path, station: Station) -> None:
@@ -254,32 +254,32 @@ def test_two_stations_relay_each_other_s_aircraft_and_each_keeps_its_own_rights(
         session(endpoint, station.tls("uav-2")) as liar,
     ):
         for cache in (anna, eva):
-            assert is_heard(cache, west, "uav-1", 3) and is_heard(cache, eastern, "uav-2", 5)
+            assert is_received(cache, west, "uav-1", 3) and is_received(cache, eastern, "uav-2", 5)
         assert eventually(lambda: frames(endpoint, Tls.in_folder(here / "eva")) == {"uav-1": 3, "uav-2": 5})
         assert nobody_answers(endpoint, tls=station.tls("anna"))  # not on the list of the east
         for _ in range(10):
             liar.put(FEATURES.key("uav-1"), encode(a_set(99)))
             time.sleep(0.03)
-        assert is_heard(anna, west, "uav-1", 4) and anna.by_frame("uav-1", 99) is None
+        assert is_received(anna, west, "uav-1", 4) and anna.by_frame("uav-1", 99) is None
 
 
 def test_a_list_that_cannot_be_leaves_the_router_with_the_one_before(station: Station) -> None:
     with station.aircraft("uav-1") as true, station.cache("anna") as cache:
-        assert is_heard(cache, true, "uav-1", 3)
+        assert is_received(cache, true, "uav-1", 3)
         with pytest.raises(LinkError, match=r"no certificate .*/none: pc-onboard make-credentials .* --router none"):
             station.router.replace(replace(station.router.fleet, router="none"))
         with pytest.raises(LinkError, match=r"tcp/127\.0\.0\.1:7447 is not encrypted"):
             station.router.replace(replace(station.router.fleet, listen=("tcp/127.0.0.1:7447",)))
         with pytest.raises(LinkError, match=r"cannot listen at tls/192\.0\.2\.1:7447"):
             station.router.replace(replace(station.router.fleet, listen=("tls/192.0.2.1:7447",)))
-        assert is_heard(cache, true, "uav-1", 4)
+        assert is_received(cache, true, "uav-1", 4)
 
 
 def test_sets_are_thinned_for_each_aircraft_by_itself(station: Station) -> None:
     station.router.replace(replace(station.router.fleet, sets_hz=2.0))
-    heard: list[str] = []
+    received: list[str] = []
     with station.session("uav-1") as one, station.session("uav-2") as two, station.session("anna") as anna:
-        anna.declare_subscriber(FEATURES.key("*"), lambda sample: heard.append(str(sample.key_expr)))
+        anna.declare_subscriber(FEATURES.key("*"), lambda sample: received.append(str(sample.key_expr)))
         began_s, sent = time.monotonic(), 0
 
         def are_sent() -> bool:
@@ -288,11 +288,11 @@ def test_sets_are_thinned_for_each_aircraft_by_itself(station: Station) -> None:
             one.put(FEATURES.key("uav-1"), b"1")
             two.put(FEATURES.key("uav-2"), b"2")
             sent += 1
-            return sent >= 100 and all(heard.count(FEATURES.key(name)) >= 2 for name in ("uav-1", "uav-2"))
+            return sent >= 100 and all(received.count(FEATURES.key(name)) >= 2 for name in ("uav-1", "uav-2"))
 
         assert eventually(are_sent)
         for name in ("uav-1", "uav-2"):
-            assert 2 <= heard.count(FEATURES.key(name)) <= 2.0 * (time.monotonic() - began_s) + 2.0
+            assert 2 <= received.count(FEATURES.key(name)) <= 2.0 * (time.monotonic() - began_s) + 2.0
 
 
 def test_what_is_printed_for_zenohd_is_the_router_s_own_configuration(

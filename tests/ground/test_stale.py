@@ -242,7 +242,7 @@ def test_the_time_that_an_answer_takes_counts_as_age(aircraft: Aircraft, endpoin
 
 
 def test_a_listener_that_comes_later_knows_how_old_the_repeated_picture_is(aircraft: Aircraft, endpoint: str) -> None:
-    """With nothing newer the newest set is sent again: to have heard it just now does not make it young."""
+    """With nothing newer the newest set is sent again: to have received it just now does not make it young."""
     since = Since()
     fly(aircraft, None)
     with SetCache(endpoint) as cache:

@@ -54,7 +54,7 @@ def later(rng: np.random.Generator, draws: Array, gap_s: float) -> Array:
 def test_the_ellipse_of_a_difference_between_two_sets_holds_ninety_percent(
     gap_s: float, least: float, most: float
 ) -> None:
-    """Position, rotation and slope are drawn once and wander on; the rest is drawn for each set.
+    """Position, rotation and slope are sampled once and wander on; the rest is sampled for each set.
 
     `least` and `most`: the stated variance, relative to that of two sets that share nothing.
     """
@@ -82,7 +82,7 @@ def test_the_ellipse_of_a_difference_between_two_sets_holds_ninety_percent(
 
 
 def test_windows_of_the_same_pictures_share_what_is_fresh_too() -> None:
-    """Two pictures of one window half a second apart: the window's own errors are drawn once for both."""
+    """Two pictures of one window half a second apart: the window's own errors are sampled once for both."""
     rng = np.random.default_rng(9)
     errors = Errors(shared=shared(span_s=9.0), feature_relative=1e-3, relief_relative=1e-3, roughness=1e-5)
     inside, apart = [], []

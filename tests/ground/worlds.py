@@ -1,4 +1,4 @@
-"""Synthetic feature sets with truth, drawn from exactly the errors they declare."""
+"""Synthetic feature sets with truth, sampled from exactly the errors they declare."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COMMON_SIGMAS = np.array([1.2, 1.4, 2.0, 0.006, 0.006, 0.012, 0.008, 0.01, 0.01]
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """What a world is drawn from."""
+    """What a world is sampled from."""
 
     feature_relative: float = 0.006
     relief_relative: float = 0.02
@@ -87,7 +87,7 @@ def build(
 ) -> World:
     """One picture over ground around height 0; everything it publishes carries the declared errors.
 
-    `draws` (DRAWS,) and `fresh` (9,) are unit draws of what is shared and what is not; drawn here unless given.
+    `draws` (DRAWS,) and `fresh` (9,) are unit draws of what is shared and what is not; sampled here unless given.
     """
     errors = errors or Errors()
     clicks = rng.uniform([100.0, 80.0], [540.0, 400.0], (2, 2)) if clicks_px is None else clicks_px

@@ -1,6 +1,7 @@
 """A scenario: one small simulated flight through the whole onboard pipeline, every true click asked of the ground.
 
-Pictures are small and few, so that all scenarios together take a minute or two; each flight is flown once a test run.
+Pictures are small and few, so that all scenarios together take a minute or two; each flight is simulated once a test
+run.
 """
 
 from __future__ import annotations
@@ -102,8 +103,8 @@ _SHARED = Path(os.environ.get(FLIGHTS_VARIABLE) or _FOLDER.name)  # by all worke
 
 
 @cache
-def flown(spec: SessionSpec) -> Path:
-    """The session's folder, not to be written to; the same spec is flown once in a run, whichever worker needs it."""
+def simulated(spec: SessionSpec) -> Path:
+    """The session's folder, not to be written to; a spec is simulated once in a run, whichever worker needs it."""
     folder = _SHARED / sha256(repr(spec).encode()).hexdigest()[:16]
     with folder.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)

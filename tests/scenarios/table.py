@@ -12,7 +12,7 @@ from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
 from simulation.texture import TextureSpec
-from tests.scenarios.flights import CHI2_90, CHI2_99, flown, play
+from tests.scenarios.flights import CHI2_90, CHI2_99, play, simulated
 from tests.scenarios.test_degenerate_ground import FAST, LARGE, LOW
 from tests.scenarios.test_degenerate_motion import HOVER, ROTATION, LevelTerrain
 
@@ -61,7 +61,7 @@ def row(name: str, spec: SessionSpec, overrides: Overrides, has_terrain: bool) -
     """One line: pictures by status, and the clicks that were answered."""
     flights = [
         play(
-            flown(replace(spec, seed=seed, texture=replace(spec.texture, seed=seed))),
+            simulated(replace(spec, seed=seed, texture=replace(spec.texture, seed=seed))),
             *overrides,
             terrain=LevelTerrain() if has_terrain else None,
         )

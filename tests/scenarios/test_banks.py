@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.autopilots import SENSORS, Scene, judge
-from benchmarks.drawn_flight import replace_section
+from benchmarks.sampled_flight import replace_section
 from onboard.config.schema import parse_config
 from tests.rest_long import rest_long
 

@@ -1,7 +1,7 @@
 """Camera and GPS alone while a quadplane climbs nearly straight up, banks, and changes to cruise: recorded telemetry.
 
-Before, three of four drawn grounds and GPS errors gave orientations that were turned by up to 170 degrees, and clicks
-10.6 ellipses off.
+Before, three of four rendered grounds and GPS errors gave orientations that were turned by up to 170 degrees, and
+clicks 10.6 ellipses off.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.autopilots import SENSORS, Scene, judge
-from benchmarks.drawn_flight import replace_section
+from benchmarks.sampled_flight import replace_section
 from onboard.config.schema import parse_config
 from tests.rest_long import rest_long
 

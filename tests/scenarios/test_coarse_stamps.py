@@ -23,7 +23,7 @@ from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from tests.rest_long import rest_long
-from tests.scenarios.flights import Outcome, _Sets, click, flown, play
+from tests.scenarios.flights import Outcome, _Sets, click, play, simulated
 
 WIDE = Camera.from_field_of_view(320, 240, 70.0)
 WHOLE_SECONDS = (("camera.latency_s", -0.5), ("camera.sigma_jitter_s", 0.3))
@@ -31,7 +31,7 @@ WHOLE_SECONDS = (("camera.latency_s", -0.5), ("camera.sigma_jitter_s", 0.3))
 
 def survey(seed: int, kind: str = "survey") -> Path:
     path = PathSpec(kind, speed_m_s=14.0, height_m=150.0, wobble_deg=1.0, leg_m=150.0, spacing_m=60.0)
-    return flown(
+    return simulated(
         SessionSpec(
             DescribedSpec(path, seed=seed), seconds=28.0, rate_hz=1 / 1.4, camera=WIDE, clicks_per_frame=8, seed=seed
         )

@@ -1,6 +1,7 @@
 """Errors that all pictures of a window share (velocity, heading, mount) are no smaller for having many pictures.
 
-Drawn flights with truth. The share inside has bounds on both sides, and so has the share of clicks that are answered.
+Simulated flights with truth. The share inside has bounds on both sides, and so has the share of clicks that are
+answered.
 """
 
 from __future__ import annotations
@@ -12,14 +13,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.drawn_flight import EPOCH_NS, DrawnFlight, DrawnSpec, fly
+from benchmarks.sampled_flight import EPOCH_NS, SampledFlight, SampledSpec, fly
 from contract.answer import CHI2_2
 from contract.rotations import R_ENU_NED, exp_so3, matrix_from_euler, matrix_from_quaternion, quaternion_from_matrix
 from onboard.config.schema import parse_config
 from onboard.events.types import Attitude, Event, Frame, GpsQuality, PositionFix
 from simulation.paths import PathSpec
 from simulation.trajectory import Trajectory
-from tests.drawn_clicks import chi2_of, located
+from tests.sampled_clicks import chi2_of, located
 
 Array = NDArray[np.float64]
 AFTER_TURNS = PathSpec("turns", height_m=150.0, leg_m=200.0)
@@ -44,20 +45,20 @@ class Clicks:
         return len(self.ratio) / self.asked
 
 
-class Changed(DrawnFlight):
-    """A drawn flight whose telemetry is changed: `change(event, seconds, draws)`, `draws` the flight's own."""
+class Changed(SampledFlight):
+    """A simulated flight whose telemetry is changed: `change(event, seconds, draws)`, `draws` the flight's own."""
 
-    def __init__(self, spec: DrawnSpec, seed: int, change: Callable[[Event, float, Array], Event]) -> None:
+    def __init__(self, spec: SampledSpec, seed: int, change: Callable[[Event, float, Array], Event]) -> None:
         super().__init__(spec, seed)
         self._change, self._draws = change, np.random.default_rng([seed, 5]).standard_normal((400, 3))
 
     def events(self) -> Iterator[Event]:
-        """As drawn, then changed."""
+        """As sampled, then changed."""
         for event in super().events():
             yield self._change(event, (event.stamp_ns - EPOCH_NS) / 1e9, self._draws)
 
 
-def clicks_of(flights: list[DrawnFlight], after_s: float) -> Clicks:
+def clicks_of(flights: list[SampledFlight], after_s: float) -> Clicks:
     """Every picture of every flight from `after_s` on, three clicks each."""
     chi2: list[float] = []
     asked = 0
@@ -99,8 +100,8 @@ def test_in_a_climb_a_velocity_that_is_off_by_what_the_receiver_claims_is_allowe
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Its direction acts as the tilt. Taken for known to 0.1 m/s, 42 % were inside, the farthest 2.7 ellipses off."""
-    monkeypatch.setattr("benchmarks.drawn_flight.fly_path", climb)
-    spec = DrawnSpec(parse_config("[mount]\npitch_deg = -50.0"), seconds=30.0, rate_hz=2.0)
+    monkeypatch.setattr("benchmarks.sampled_flight.fly_path", climb)
+    spec = SampledSpec(parse_config("[mount]\npitch_deg = -50.0"), seconds=30.0, rate_hz=2.0)
     clicks = clicks_of([Changed(spec, seed, velocity_off) for seed in (0, 2, 4)], 5.0)
     assert clicks.inside >= 0.85, clicks.inside
     # The wide side by the errors themselves: so few flights may all lie inside.
@@ -113,15 +114,15 @@ def test_in_hover_over_terrain_a_mount_that_is_off_is_not_averaged_away() -> Non
     """3.2 degrees off, 3 declared. 27 % of the first flight's clicks were inside: a window with a baseline of half a
     metre, known to as much, placed the mount 4 degrees away from where it was.
     """
-    flights: list[DrawnFlight] = []
+    flights: list[SampledFlight] = []
     for seed, pitch_deg, height_m, boresight_deg in (
         (0, -45.0, 79.0, (-1.6, -2.7, -0.5)),
         (3, -60.0, 89.0, (-3.1, 0.4, -0.5)),
     ):
         config = parse_config(f"[mount]\npitch_deg = {pitch_deg}\nsigma_deg = 3.0")
         path = PathSpec("hover", height_m=height_m, wobble_deg=1.5)
-        spec = DrawnSpec(config, path, seconds=20.0, rate_hz=2.0, has_terrain=True, boresight_deg=boresight_deg)
-        flights.append(DrawnFlight(spec, seed))
+        spec = SampledSpec(config, path, seconds=20.0, rate_hz=2.0, has_terrain=True, boresight_deg=boresight_deg)
+        flights.append(SampledFlight(spec, seed))
     clicks = clicks_of(flights, 0.0)
     assert clicks.inside >= 0.85, clicks.inside
     assert np.quantile(clicks.ratio, 0.9) > 0.4  # nor is it a radius twice too wide
@@ -129,7 +130,7 @@ def test_in_hover_over_terrain_a_mount_that_is_off_is_not_averaged_away() -> Non
 
 
 def heading_moves(event: Event, t: float, draws: Array) -> Event:
-    """By 5 degrees from second 20 to 40, as a compass does whose iron is magnetised anew."""
+    """By 5 degrees from second 20 to 40, as a compass does whose iron is magnetised again."""
     if not isinstance(event, Attitude):
         return event
     off = np.sign(draws[0, 0]) * np.radians(5.0) * float(np.clip((t - 20.0) / 20.0, 0.0, 1.0))
@@ -140,18 +141,18 @@ def heading_moves(event: Event, t: float, draws: Array) -> Event:
 
 @pytest.mark.parametrize("seeds", [(1,), pytest.param((0, 1), marks=pytest.mark.long)])
 def test_a_heading_that_moves_by_five_degrees_within_twenty_seconds_is_allowed_for(seeds: tuple[int, ...]) -> None:
-    spec = DrawnSpec(parse_config(""), PathSpec("straight", height_m=200.0), seconds=46.0, rate_hz=1.5)
+    spec = SampledSpec(parse_config(""), PathSpec("straight", height_m=200.0), seconds=46.0, rate_hz=1.5)
     clicks = clicks_of([Changed(spec, seed, heading_moves) for seed in seeds], 20.0)
     assert clicks.inside >= 0.85, clicks.inside
     assert clicks.ratio.max() < 3.0
     assert clicks.answered > 0.9
 
 
-class LateInTurns(DrawnFlight):
-    """A drawn flight whose pictures' stamps are 150 ms late in turns, which nothing declares."""
+class LateInTurns(SampledFlight):
+    """A simulated flight whose pictures' stamps are 150 ms late in turns, which nothing declares."""
 
     def events(self) -> Iterator[Event]:
-        """As drawn, with later stamps above 8 degrees of bank."""
+        """As sampled, with later stamps above 8 degrees of bank."""
         for event in super().events():
             turns = isinstance(event, Frame) and self.bank_deg[event.index] > 8.0
             yield replace(event, stamp_ns=event.stamp_ns + 150_000_000) if turns else event
@@ -160,7 +161,7 @@ class LateInTurns(DrawnFlight):
 @pytest.mark.long
 def test_level_flight_after_a_turn_in_which_stamps_were_late_is_honest() -> None:
     """Of an earlier version 29 to 73 % were inside for 9 s after such turns."""
-    flight = LateInTurns(DrawnSpec(parse_config(""), AFTER_TURNS, seconds=26.0, rate_hz=2.0, offset_s=0.0), 0)
+    flight = LateInTurns(SampledSpec(parse_config(""), AFTER_TURNS, seconds=26.0, rate_hz=2.0, offset_s=0.0), 0)
     sets, _ = fly(flight)
     banked_s = flight.times_s[flight.bank_deg > 8.0]
     level = [k for k, t in enumerate(flight.times_s) if t > banked_s.min() and not np.any(np.abs(t - banked_s) < 0.4)]

@@ -19,7 +19,7 @@ from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
 from simulation.texture import TextureSpec
 from tests.rest_long import rest_long
-from tests.scenarios.flights import CAMERA, Outcome, flown, play, retouched
+from tests.scenarios.flights import CAMERA, Outcome, play, retouched, simulated
 
 LEG = SessionSpec(DescribedSpec(PathSpec("straight")), seconds=8.0, rate_hz=3.0, camera=CAMERA)
 LARGE = replace(LEG, camera=Camera.from_field_of_view(640, 480, 40.0), rate_hz=5.0, seconds=7.0, clicks_per_frame=6)
@@ -50,23 +50,23 @@ def honest(outcome: Outcome, *reasons: Status) -> None:
 
 def test_a_planar_scene_is_solved() -> None:
     """Straight leg, level ground: every point in one plane. OK."""
-    holds(play(flown(LEG)))
+    holds(play(simulated(LEG)))
 
 
 def test_relief_is_solved() -> None:
     """Hills of 40 m under a leg at 250 m: not a plane. OK."""
-    holds(play(flown(replace(LEG, terrain=TerrainSpec(relief_m=40.0)))))
+    holds(play(simulated(replace(LEG, terrain=TerrainSpec(relief_m=40.0)))))
 
 
 def test_featureless_ground_is_refused() -> None:
     """A plain without texture: featureless."""
-    refuses(play(flown(replace(LEG, texture=TextureSpec("plain")))), Status.FEATURELESS)
+    refuses(play(simulated(replace(LEG, texture=TextureSpec("plain")))), Status.FEATURELESS)
 
 
 def test_water_in_small_pictures_is_refused_or_its_ellipse_holds() -> None:
     """Waves that move: nothing fixed to track. Featureless, poor fit or a wide ellipse."""
     for seed in (0, 7):
-        outcome = play(flown(replace(LEG, texture=TextureSpec("water", seed=seed), seed=seed)))
+        outcome = play(simulated(replace(LEG, texture=TextureSpec("water", seed=seed), seed=seed)))
         honest(outcome, Status.FEATURELESS, Status.POOR_FIT, Status.LOW_PARALLAX)
 
 
@@ -85,7 +85,7 @@ def test_water_that_can_be_tracked_is_a_poor_fit_or_wide(style: str, flight: Des
     Nothing but the disagreement of coarse and fine flow shows it: taken for land, up to four fifths of the clicks are
     outside their 99 % ellipse.
     """
-    outcome = play(flown(replace(LARGE, flight=flight, texture=TextureSpec(style))))
+    outcome = play(simulated(replace(LARGE, flight=flight, texture=TextureSpec(style))))
     honest(outcome, Status.POOR_FIT, Status.FEATURELESS)
     assert outcome.statuses[Status.POOR_FIT] + outcome.statuses[Status.FEATURELESS] > 0, outcome.reported
     assert not len(outcome.semi_m) or np.median(outcome.semi_m) > least_m, outcome.reported
@@ -95,7 +95,7 @@ def test_water_that_can_be_tracked_is_a_poor_fit_or_wide(style: str, flight: Des
 def test_water_under_a_fast_aircraft_is_wide() -> None:
     """At 35 m/s the waves' own motion is a tenth of what is seen: OK, with twice the radius of land."""
     spec = replace(LARGE, flight=FAST, texture=TextureSpec("sea"))
-    wide, land = play(flown(spec)), play(flown(replace(spec, texture=TextureSpec())))
+    wide, land = play(simulated(spec)), play(simulated(replace(spec, texture=TextureSpec())))
     holds(land)
     honest(wide, Status.POOR_FIT, Status.FEATURELESS)
     assert len(wide.errors_m) > 0, wide.reported
@@ -107,27 +107,27 @@ def test_water_under_a_fast_aircraft_is_wide() -> None:
 )
 def test_stripes_are_distinguished_by_telemetry(spec: SessionSpec) -> None:
     """Rows that repeat exactly every 8 m, 4 to 7 m between pictures. OK: telemetry is better than half a row."""
-    holds(play(flown(replace(spec, texture=TextureSpec("stripes")))))
+    holds(play(simulated(replace(spec, texture=TextureSpec("stripes")))))
 
 
 @pytest.mark.parametrize("rate_hz", rest_long([1.0, 3.0]))
 def test_stripes_without_attitude_are_featureless(rate_hz: float) -> None:
     """Nothing says by how many rows the picture moved (answered, it was 140 to 340 m off): featureless."""
     spec = replace(LARGE, rate_hz=rate_hz, texture=TextureSpec("stripes"))
-    refuses(play(flown(spec), ("solve.attitude", "none"), ("solve.level_ground", True)), Status.FEATURELESS)
+    refuses(play(simulated(spec), ("solve.attitude", "none"), ("solve.level_ground", True)), Status.FEATURELESS)
 
 
 def test_stripes_far_apart_in_time_are_featureless() -> None:
     """Two and a half rows between pictures, more than telemetry predicts to half a row: featureless."""
     spec = replace(LARGE, rate_hz=1.0, seconds=12.0, texture=TextureSpec("stripes"))
-    refuses(play(flown(spec)), Status.FEATURELESS)
+    refuses(play(simulated(spec)), Status.FEATURELESS)
 
 
 @pytest.mark.long
 def test_few_vehicles_cost_nothing() -> None:
     """Lorries on three hundredths of the ground: OK, with the radius of an empty road."""
-    empty = play(flown(LARGE))
-    few = play(flown(replace(LARGE, texture=TextureSpec("traffic", vehicle_spacing_m=128))))
+    empty = play(simulated(LARGE))
+    few = play(simulated(replace(LARGE, texture=TextureSpec("traffic", vehicle_spacing_m=128))))
     holds(empty)
     holds(few)
     assert np.median(few.semi_m) < 1.2 * np.median(empty.semi_m), (few.reported, empty.reported)
@@ -137,33 +137,33 @@ def test_few_vehicles_cost_nothing() -> None:
 def test_a_convoy_is_not_taken_for_the_ground(seed: int) -> None:
     """Lorries on a fifth of the ground, with nearly all of the tracks: the scene moves with them. Poor fit."""
     convoy = TextureSpec("traffic", seed=seed, vehicle_spacing_m=16)
-    refuses(play(flown(replace(LARGE, seed=seed, texture=convoy))), Status.POOR_FIT)
+    refuses(play(simulated(replace(LARGE, seed=seed, texture=convoy))), Status.POOR_FIT)
 
 
 def test_vehicles_do_not_pull_the_ground_along() -> None:
     """Lorries at 42 km/h on a twentieth of the ground, and on a quarter of the tracks. OK: they are outliers."""
-    holds(play(flown(replace(LEG, texture=TextureSpec("traffic")))))
+    holds(play(simulated(replace(LEG, texture=TextureSpec("traffic")))))
 
 
 def test_low_contrast_is_solved_or_featureless() -> None:
     """Brightness differences of a tenth under sensor noise: featureless, or an answer that holds."""
-    honest(play(flown(replace(LEG, texture=TextureSpec(contrast=0.1)))), Status.FEATURELESS, Status.POOR_FIT)
+    honest(play(simulated(replace(LEG, texture=TextureSpec(contrast=0.1)))), Status.FEATURELESS, Status.POOR_FIT)
 
 
 def test_half_the_contrast_is_enough() -> None:
     """Brightness differences of a third: OK."""
-    holds(play(flown(replace(LEG, texture=TextureSpec(contrast=0.35)))))
+    holds(play(simulated(replace(LEG, texture=TextureSpec(contrast=0.35)))))
 
 
 def test_an_exposure_that_hunts_is_solved() -> None:
     """Brightness swings by 3.5 between pictures: OK."""
-    holds(play(flown(replace(LEG, sensor=SensorSpec(exposure_swing=3.5)))))
+    holds(play(simulated(replace(LEG, sensor=SensorSpec(exposure_swing=3.5)))))
 
 
 @pytest.mark.parametrize("exposure_s", rest_long([0.08, 0.03]))
 def test_motion_blur_is_solved(exposure_s: float) -> None:
     """Shutter open for 0.6 m and 1.6 m of ground: one and three pixels. OK."""
-    holds(play(flown(replace(LEG, sensor=SensorSpec(exposure_s=exposure_s)))))
+    holds(play(simulated(replace(LEG, sensor=SensorSpec(exposure_s=exposure_s)))))
 
 
 def defocused(image: Picture) -> Picture:
@@ -173,7 +173,7 @@ def defocused(image: Picture) -> Picture:
 
 def test_pictures_out_of_focus_are_refused_or_their_ellipse_holds() -> None:
     """Blurred from the first picture to the last: featureless, or an answer that holds."""
-    outcome = play(retouched(flown(LEG), defocused))
+    outcome = play(retouched(simulated(LEG), defocused))
     honest(outcome, Status.FEATURELESS, Status.POOR_FIT, Status.LOW_PARALLAX)
 
 
@@ -184,7 +184,7 @@ def test_pictures_out_of_focus_are_refused_or_their_ellipse_holds() -> None:
 )
 def test_blind_pictures_are_featureless_and_pass(blinded: Callable[[Picture], Picture]) -> None:
     """Two seconds without a usable picture in the middle: featureless, then OK again."""
-    outcome = play(retouched(flown(LEG), blinded, range(9, 15)))
+    outcome = play(retouched(simulated(LEG), blinded, range(9, 15)))
     assert outcome.inside_99 >= 0.97, outcome.reported
     statuses = [outcome.sets[frame].status for frame in range(24)]
     if blinded is not defocused:

@@ -13,11 +13,11 @@ from contract.feature_set import Status
 from onboard.vision.contrast_normalisation import Picture
 from simulation.session import SessionSpec
 from tests.scenarios import test_degenerate_ground as ground
-from tests.scenarios.flights import Outcome, click, flown, play, retouched
+from tests.scenarios.flights import Outcome, click, play, retouched, simulated
 
 Change = Callable[[Picture], Picture]
 
-# Long enough to begin anew after the spoilt third and be answered again.
+# Long enough to begin again after the spoilt third and be answered again.
 LEG, LARGE = replace(ground.LEG, seconds=10.0), replace(ground.LARGE, seconds=8.0)
 
 
@@ -116,7 +116,7 @@ def holds(outcome: Outcome, spoilt: range, verdict: str, may_miss: int) -> None:
 @pytest.mark.parametrize("name", NAMES_FROM_THE_START)
 def test_spoilt_from_the_start(name: str) -> None:
     case = CASES[name]
-    outcome = play(retouched(flown(case.spec), case.change))
+    outcome = play(retouched(simulated(case.spec), case.change))
     holds(outcome, range(len(outcome.sets)), case.verdict, may_miss=2)
 
 
@@ -124,7 +124,7 @@ def test_spoilt_from_the_start(name: str) -> None:
 def test_spoilt_in_mid_flight(name: str) -> None:
     """A third of the flight. Two pictures are lost where sharp ones are no match for spoilt ones; then again after."""
     case = CASES[name]
-    folder = flown(case.spec)
+    folder = simulated(case.spec)
     count = round(case.spec.seconds * case.spec.rate_hz)
     spoilt = range(count // 3, 2 * count // 3)
     outcome = play(retouched(folder, case.change, spoilt))
@@ -141,14 +141,14 @@ def test_spoilt_in_mid_flight(name: str) -> None:
     "spec", [pytest.param(LEG, id="small"), pytest.param(LARGE, id="large", marks=pytest.mark.long)]
 )
 def test_a_picture_repeated_in_other_bytes_is_bad(spec: SessionSpec) -> None:
-    """A driver that encodes its last picture anew: bad picture, until there are new ones."""
+    """A driver that encodes its last picture again: bad picture, until there are new ones."""
     held: list[Picture] = []
 
     def repeated(image: Picture) -> Picture:
         held.append(held[0] if held else image)
         return jpeg(60 + len(held))(held[0])
 
-    outcome = play(retouched(flown(spec), repeated, range(10, 18)))
+    outcome = play(retouched(simulated(spec), repeated, range(10, 18)))
     statuses = [outcome.sets[frame].status for frame in range(round(spec.seconds * spec.rate_hz))]
     assert outcome.inside_99 >= 0.97, outcome.reported
     assert statuses[11:18] == [Status.BAD_PICTURE] * 7, outcome.reported

@@ -1,7 +1,7 @@
 """Sensors that begin to lie in flight, and stop again: stamps that come late, and a GPS glitch below what is refused.
 
-Flights without pictures, their errors drawn as the configuration declares (`benchmarks.drawn_flight`), with the fault
-on top; and one recorded by the autopilot's own filter.
+Flights without pictures, their errors sampled as the configuration declares (`benchmarks.sampled_flight`), with the
+fault on top; and one recorded by the autopilot's own filter.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.drawn_flight import EPOCH_NS, PLACE, DrawnFlight, DrawnSpec, fly
+from benchmarks.sampled_flight import EPOCH_NS, PLACE, SampledFlight, SampledSpec, fly
 from contract.answer import Fix
 from contract.feature_set import FeatureSet, Status
 from contract.locate import Locator
@@ -23,22 +23,22 @@ from onboard.events.types import Event, Frame, GpsQuality, PositionFix
 from simulation.flight import RecordedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
-from tests.scenarios.flights import CAMERA, CHI2_99, flown, play
+from tests.scenarios.flights import CAMERA, CHI2_99, play, simulated
 
 Array = NDArray[np.float64]
 Spoil = Callable[[Event, float], Event]
 
 # Autopilots whose delays are known: what is tested is what else goes wrong, and by how much the radius says so.
-SPEC = DrawnSpec(
+SPEC = SampledSpec(
     parse_config("[gps]\nsigma_latency_s = 0.01"), PathSpec("turns", leg_m=250.0), seconds=100.0, rate_hz=2.0
 )
 CLICKS = 4
 
 
-class SpoiltFlight(DrawnFlight):
+class SpoiltFlight(SampledFlight):
     """Every event passes `spoil(event, seconds)` on its way; order of arrival stays as it was."""
 
-    def __init__(self, spec: DrawnSpec, seed: int, spoil: Spoil) -> None:
+    def __init__(self, spec: SampledSpec, seed: int, spoil: Spoil) -> None:
         super().__init__(spec, seed)
         self._spoil = spoil
 
@@ -74,7 +74,7 @@ class Asked:
         return float(np.median(self.semi_major_m[chosen]))
 
 
-def ask(flight: DrawnFlight, sets: dict[int, FeatureSet]) -> Asked:
+def ask(flight: SampledFlight, sets: dict[int, FeatureSet]) -> Asked:
     rng = np.random.default_rng(5)
     rows, statuses = [], []
     size = np.array(flight.spec.camera.size_px)
@@ -102,7 +102,7 @@ SHARP = parse_config(
     "[solve]\nattitude_sigma_deg = 0.2\nheading_sigma_deg = 0.5\n[camera]\nsigma_latency_s = 0.01\n"
     "[mount]\nsigma_deg = 0.3"
 )
-FAST = DrawnSpec(SHARP, PathSpec("turns", leg_m=400.0, speed_m_s=30.0), seconds=70.0, rate_hz=2.0, errors=0.7)
+FAST = SampledSpec(SHARP, PathSpec("turns", leg_m=400.0, speed_m_s=30.0), seconds=70.0, rate_hz=2.0, errors=0.7)
 LATE_S, LATE_FROM_S, LATE_TO_S = 0.15, 30.0, 50.0
 
 
@@ -139,7 +139,7 @@ def test_stamps_that_begin_to_be_late_are_carried_by_the_answers_and_are_over_wh
 
 @pytest.mark.long
 def test_without_its_evidence_the_same_flight_is_wrong() -> None:
-    """So the test above can fail: stamps as late, and nobody says so."""
+    """So the test above can fail: stamps as late, and no one says so."""
     flight = SpoiltFlight(replace(FAST, seconds=LATE_TO_S + 2.0), 1, late_stamps(has_evidence=False))
     sets, _ = fly(flight)
     assert ask(flight, sets).inside_99(LATE_FROM_S, LATE_TO_S) < 0.9
@@ -196,7 +196,7 @@ def test_a_recorded_glitch_of_eight_metres_stays_in_the_radius() -> None:
         ("gps.latency_s", 0.15), ("gps.sigma_velocity_m_s", 0.5),
         ("solve.attitude_sigma_deg", 1.5), ("solve.heading_sigma_deg", 5.0),
     )  # fmt: skip
-    outcome = play(flown(spec), *measured)
+    outcome = play(simulated(spec), *measured)
     assert outcome.inside_99 >= 0.97, outcome.reported
     glitching = range(18, 38)
     outside = [s.is_ok for k, s in outcome.sets.items() if k not in glitching]

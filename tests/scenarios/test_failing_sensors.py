@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.drawn_flight import EPOCH_NS, PLACE, DrawnFlight, DrawnSpec, fly, replace_section
+from benchmarks.sampled_flight import EPOCH_NS, PLACE, SampledFlight, SampledSpec, fly, replace_section
 from benchmarks.sensor_faults import ATTITUDE_TIME, HEADING, POSITION, TILT, VELOCITY, Disturbance, disturbed
 from contract.answer import CHI2_2
 from onboard.config.schema import parse_config
 from onboard.events.types import Event
 from onboard.pipeline.estimates import Contradiction
 from simulation.paths import PathSpec
-from tests.drawn_clicks import chi2_of, located
+from tests.sampled_clicks import chi2_of, located
 
 pytestmark = pytest.mark.xdist_group("failing sensors")  # one worker: what they share is made once
 
@@ -35,10 +35,10 @@ FAULTS: dict[str, tuple[Disturbance, ...]] = {
 }
 
 
-class DisturbedFlight(DrawnFlight):
-    """A drawn flight with sensors that fail for a while."""
+class DisturbedFlight(SampledFlight):
+    """A simulated flight with sensors that fail for a while."""
 
-    def __init__(self, spec: DrawnSpec, seed: int, faults: tuple[Disturbance, ...]) -> None:
+    def __init__(self, spec: SampledSpec, seed: int, faults: tuple[Disturbance, ...]) -> None:
         super().__init__(spec, seed)
         self._faults = faults
 
@@ -58,14 +58,14 @@ class Outcome:
     said: tuple[Contradiction, ...]
 
 
-def flown(fault: str, is_full: bool) -> Outcome:
+def simulated(fault: str, is_full: bool) -> Outcome:
     """Camera and GPS alone do not hear what is wrong with the attitude."""
-    return _flown(fault if is_full or fault in (VELOCITY, POSITION) else "none", is_full)
+    return _simulated(fault if is_full or fault in (VELOCITY, POSITION) else "none", is_full)
 
 
 @cache
-def _flown(fault: str, is_full: bool) -> Outcome:
-    spec = DrawnSpec(CONFIG if is_full else CAMERA_AND_GPS, TURNS, 36.0, 2.0, errors=0.7, offset_s=0.0, delay_s=0.0)
+def _simulated(fault: str, is_full: bool) -> Outcome:
+    spec = SampledSpec(CONFIG if is_full else CAMERA_AND_GPS, TURNS, 36.0, 2.0, errors=0.7, offset_s=0.0, delay_s=0.0)
     flight = DisturbedFlight(spec, 3, FAULTS[fault])
     sets, pipeline = fly(flight)
     rng = np.random.default_rng(7)
@@ -89,7 +89,7 @@ OF_EACH = [pytest.param(name, marks=pytest.mark.long) if name in LONG else name 
 
 @pytest.mark.parametrize("fault", OF_EACH)
 def test_answers_go_on_and_are_as_honest_as_claimed(fault: str) -> None:
-    outcome = flown(fault, True)
+    outcome = simulated(fault, True)
     assert outcome.answered > 0.85
     assert np.mean(outcome.chi2 < CHI2_99) >= 0.97
     assert np.mean(outcome.chi2 < CHI2_2) >= 0.85
@@ -106,7 +106,7 @@ def test_answers_go_on_and_are_as_honest_as_claimed(fault: str) -> None:
     ],
 )
 def test_the_sensor_that_contradicts_the_others_is_named(fault: str, names: str) -> None:
-    said = flown(fault, True).said
+    said = simulated(fault, True).said
     assert {c.name for c in said} == ({names} if names else set())
     for c in said:
         assert 5 < c.windows < 60
@@ -118,7 +118,7 @@ def test_the_sensor_that_contradicts_the_others_is_named(fault: str, names: str)
 @pytest.mark.parametrize("fault", OF_EACH)
 def test_the_full_set_is_never_worse_than_camera_and_gps(fault: str) -> None:
     """But for what one draw makes of two medians."""
-    full, gps = flown(fault, True), flown(fault, False)
+    full, gps = simulated(fault, True), simulated(fault, False)
     assert full.answered >= gps.answered - 0.08
     assert full.error_m <= 1.25 * gps.error_m
     assert np.mean(full.chi2 < CHI2_99) >= np.mean(gps.chi2 < CHI2_99) - 0.03
@@ -128,5 +128,5 @@ def test_the_full_set_is_never_worse_than_camera_and_gps(fault: str) -> None:
 @pytest.mark.long
 def test_over_all_faults_the_full_set_is_better_than_camera_and_gps() -> None:
     """Without what one draw makes of two medians."""
-    errors_m = np.array([[flown(fault, is_full).error_m for is_full in (True, False)] for fault in FAULTS])
+    errors_m = np.array([[simulated(fault, is_full).error_m for is_full in (True, False)] for fault in FAULTS])
     assert errors_m[:, 0].mean() < 0.95 * errors_m[:, 1].mean()

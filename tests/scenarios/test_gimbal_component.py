@@ -12,7 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from benchmarks.ablation_scenes import SURVEY, GimbalFlight
-from benchmarks.drawn_flight import EPOCH_NS, DrawnSpec
+from benchmarks.sampled_flight import EPOCH_NS, SampledSpec
 from contract.feature_set import Status
 from contract.rotations import matrix_from_euler, matrix_from_quaternion, quaternion_from_matrix
 from onboard.config.schema import Config, parse_config
@@ -20,7 +20,7 @@ from onboard.events.types import Attitude, Event, Frame, GimbalAttitude, GpsQual
 from onboard.navigation.gimbal import MountHypothesis
 from onboard.telemetry.mavlink_session import Autopilot
 from tests.rest_long import rest_long
-from tests.scenarios.test_moved_optics import Flown, flown
+from tests.scenarios.test_moved_optics import Simulated, simulated
 
 S = 1_000_000_000
 SECONDS = 30.0
@@ -30,7 +30,7 @@ RATE = {1: 1.0 + 20e-6, 154: 1.0 - 150e-6}
 
 
 def survey(config: str = "", seed: int = 3, seconds: float = SECONDS) -> GimbalFlight:
-    spec = DrawnSpec(parse_config(config), replace(SURVEY, kind="turns", leg_m=150.0), seconds, 2.0, offset_s=0.0)
+    spec = SampledSpec(parse_config(config), replace(SURVEY, kind="turns", leg_m=150.0), seconds, 2.0, offset_s=0.0)
     return GimbalFlight(spec, seed)
 
 
@@ -57,7 +57,7 @@ def as_message(event: Event, boot_ms: int) -> Any:
 
 
 def over_the_line(flight: GimbalFlight, config: Config, component: int = 154) -> Iterator[Event]:
-    """Telemetry as it is heard off a line, on our clock again; pictures as they are."""
+    """Telemetry as it is received off a line, on our clock again; pictures as they are."""
     autopilot = Autopilot(config)
     arriving = []
     for event in flight.events():
@@ -67,17 +67,17 @@ def over_the_line(flight: GimbalFlight, config: Config, component: int = 154) ->
         arriving.append((event.stamp_ns + round(late_s * S), sender, round(boot_s * 1000), event))
     heartbeat = mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3)
     heartbeat._header = mavlink.MAVLink_header(heartbeat.id, srcSystem=1, srcComponent=1)
-    autopilot.hear(heartbeat, arriving[0][0])
+    autopilot.receive(heartbeat, arriving[0][0])
     for arrival_ns, sender, boot_ms, event in sorted(arriving, key=lambda each: each[0]):
         if isinstance(event, Frame):
             yield event
             continue
         message = as_message(event, boot_ms)
         message._header = mavlink.MAVLink_header(message.id, srcSystem=1, srcComponent=sender)
-        yield from autopilot.hear(message, arrival_ns)
+        yield from autopilot.receive(message, arrival_ns)
 
 
-def answered(found: Flown) -> tuple[float, list[float]]:
+def answered(found: Simulated) -> tuple[float, list[float]]:
     pictures, errors = found.pictures_in(3.0, SECONDS), found.errors_in(3.0, SECONDS)
     return pictures[Status.OK] / pictures.total(), errors
 
@@ -85,14 +85,14 @@ def answered(found: Flown) -> tuple[float, list[float]]:
 def test_a_gimbal_on_a_clock_of_its_own_serves_like_one_that_the_autopilot_passes_on() -> None:
     """Both clocks begin at other times and drift apart."""
     config = parse_config("[mount]\ngimbal = 'always'")
-    share, errors = answered(flown(survey(), events=over_the_line(survey(), config)))
-    passed_on, theirs = answered(flown(survey(), events=over_the_line(survey(), config, 1)))
+    share, errors = answered(simulated(survey(), events=over_the_line(survey(), config)))
+    passed_on, theirs = answered(simulated(survey(), events=over_the_line(survey(), config, 1)))
     assert share > 0.8 and share > passed_on - 0.1, (share, passed_on)
     assert max(errors) < 2.0 and np.median(errors) < 1.3 * np.median(theirs) + 0.1, (errors, theirs)
 
 
 def test_auto_finds_that_it_carries_the_camera() -> None:
-    found = flown(survey(), events=over_the_line(survey(), parse_config("")))
+    found = simulated(survey(), events=over_the_line(survey(), parse_config("")))
     assert found.pipeline.mount_selection.verdict is MountHypothesis.GIMBAL
     share, errors = answered(found)
     assert share > 0.7 and max(errors) < 2.0, (share, max(errors))
@@ -117,15 +117,15 @@ def test_a_yaw_whose_zero_is_off_and_drifts_is_found_by_each_window(
     zero_deg: float, drift_deg_s: float, sigma_deg: float
 ) -> None:
     declared = survey(f"[mount]\ngimbal = 'always'\ngimbal_yaw_sigma_deg = {sigma_deg}")
-    share, errors = answered(flown(declared, events=with_yaw_zero(declared.events(), zero_deg, drift_deg_s)))
+    share, errors = answered(simulated(declared, events=with_yaw_zero(declared.events(), zero_deg, drift_deg_s)))
     assert share > 0.8, share
     assert max(errors) < 1.5 and np.mean(np.array(errors) <= 1.0) > 0.85, sorted(errors)[-5:]
-    true, exact = answered(flown(declared, events=declared.events()))
+    true, exact = answered(simulated(declared, events=declared.events()))
     assert share >= true - 0.1 and np.median(errors) < 1.5 * np.median(exact) + 0.1, (share, true)
 
 
 @pytest.mark.parametrize("seconds", rest_long([9.0, SECONDS]))
 def test_an_undeclared_yaw_zero_of_45_degrees_is_refused(seconds: float) -> None:
     silent = survey("[mount]\ngimbal = 'always'", seconds=seconds)
-    share, errors = answered(flown(silent, events=with_yaw_zero(silent.events(), 45.0, 0.0)))
+    share, errors = answered(simulated(silent, events=with_yaw_zero(silent.events(), 45.0, 0.0)))
     assert share < 0.1 and not errors, (share, errors)

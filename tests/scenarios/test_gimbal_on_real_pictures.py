@@ -16,7 +16,7 @@ from onboard.replay.runner import Flight, replay
 
 
 class WithGimbal:
-    """The flight with a gimbal's attitudes beside the vehicle's: straight down in the body, as the camera hangs."""
+    """The flight with a gimbal's attitudes next to the vehicle's: straight down in the body, as the camera hangs."""
 
     def __init__(self, flight: Flight) -> None:
         self._flight = flight

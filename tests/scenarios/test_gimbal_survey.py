@@ -27,7 +27,7 @@ from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from tests.rest_long import rest_long
-from tests.scenarios.flights import Outcome, _Sets, click, flown
+from tests.scenarios.flights import Outcome, _Sets, click, simulated
 
 WIDE = Camera.from_field_of_view(320, 240, 70.0)
 APART_S, PICTURES = 1.4, 18
@@ -84,7 +84,7 @@ def only_the_gimbal(event: Attitude, t: float) -> list[NavEvent]:
 
 def survey(speed_m_s: float, height_m: float, wobble_deg: float = 0.3, kind: str = "straight") -> Path:
     path = PathSpec(kind, speed_m_s=speed_m_s, height_m=height_m, wobble_deg=wobble_deg, pitch_deg=0.0)
-    return flown(
+    return simulated(
         SessionSpec(
             DescribedSpec(path), seconds=PICTURES * APART_S, rate_hz=1.0 / APART_S, camera=WIDE, clicks_per_frame=8
         )
@@ -126,7 +126,7 @@ def test_trials_in_a_thread_give_the_same_bytes() -> None:
     ("wobble_deg", "pitch_off"),
     rest_long([(4.0, 4.0), (1.5, 0.0), (1.5, 4.0), (1.5, 8.0), (4.0, 0.0), (4.0, 8.0)]),
 )
-def test_a_gimbal_that_is_not_there_is_never_believed(wobble_deg: float, pitch_off: float) -> None:
+def test_a_gimbal_that_is_not_there_is_never_accepted(wobble_deg: float, pitch_off: float) -> None:
     """A fixed camera, whose mount may be declared some degrees wrong, and a gimbal's messages of always level."""
     folder = survey(14.0, 150.0, wobble_deg)
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from benchmarks.autopilots import ReplayedFlight, ReplayedTracker, Scene
-from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, DrawnTracker
 from benchmarks.platform_faults import FAULTS
+from benchmarks.sampled_flight import PLACE, SampledFlight, SampledSpec, SampledTracker
 from contract.camera import UNKNOWN_SIGMA, Camera
 from contract.feature_set import FeatureSet, Status
 from contract.locate import Fix, Locator
@@ -49,7 +49,7 @@ class Watched(Inline):
 
 
 @dataclass
-class Flown:
+class Simulated:
     """What became of a flight: windows and pictures by when their picture was taken, and how far clicks are off."""
 
     times_s: Any
@@ -72,20 +72,20 @@ class Flown:
         return Counter(status for _, status in self.windows)
 
 
-def flown(
-    flight: ReplayedFlight | DrawnFlight, file: Camera | None = None, events: Iterator[Event] | None = None
-) -> Flown:
+def simulated(
+    flight: ReplayedFlight | SampledFlight, file: Camera | None = None, events: Iterator[Event] | None = None
+) -> Simulated:
     """All of a flight's windows, and three clicks in the last set of every picture."""
     worker, spec = Watched(), flight.spec
     pipeline = Pipeline(spec.config, file or spec.camera_file or spec.camera, worker=worker)
-    pipeline.tracker = ReplayedTracker(flight) if isinstance(flight, ReplayedFlight) else DrawnTracker(flight)
+    pipeline.tracker = ReplayedTracker(flight) if isinstance(flight, ReplayedFlight) else SampledTracker(flight)
     sets: dict[int, FeatureSet] = {}
     for event in flight.events() if events is None else events:
         sets.update({out.frame: out for out in pipeline.handle(event)})
     sets.update({out.frame: out for out in pipeline.finish()})
     place = flight.place if isinstance(flight, ReplayedFlight) else PLACE
     errors = {k: list(_clicks(flight, s, place)) for k, s in sets.items() if s.is_ok}
-    return Flown(flight.times_s, worker.windows, sets, pipeline, errors)
+    return Simulated(flight.times_s, worker.windows, sets, pipeline, errors)
 
 
 def _clicks(flight: Any, out: FeatureSet, place: Any) -> Iterator[float]:
@@ -103,8 +103,8 @@ def recorded(recording: str, start_s: float, seconds: float, config: str = "", *
     return ReplayedFlight(replace(Scene(recording, parse_config(config), start_s, seconds), **fault), 0)
 
 
-def drawn(path: PathSpec, seconds: float, seed: int = 0, **changes: Any) -> DrawnFlight:
-    return DrawnFlight(DrawnSpec(parse_config(""), path, seconds, 2.0, **{"relief_sigma_m": 2.0, **changes}), seed)
+def sampled(path: PathSpec, seconds: float, seed: int = 0, **changes: Any) -> SampledFlight:
+    return SampledFlight(SampledSpec(parse_config(""), path, seconds, 2.0, **{"relief_sigma_m": 2.0, **changes}), seed)
 
 
 @pytest.mark.long
@@ -113,7 +113,7 @@ def test_stabilised_video_is_refused_as_such_while_it_hides_a_turn() -> None:
 
     A window may miss it alone, and then answers nothing. Of one window: tests/onboard/estimation/test_moved_optics.py.
     """
-    found = flown(recorded("plane_turn", 4.0, 36.0, stabilised_s=0.5))
+    found = simulated(recorded("plane_turn", 4.0, 36.0, stabilised_s=0.5))
     before, turning = found.windows_in(5.0, 20.0), found.windows_in(26.0, 35.0)
     assert before[Status.OK] > 0.9 * before.total(), before
     assert turning[Status.STABILISED] > 0.8 * turning.total() and turning[Status.OK] <= 1, turning
@@ -126,7 +126,7 @@ def test_stabilised_video_is_refused_as_such_while_it_hides_a_turn() -> None:
 
 @pytest.mark.parametrize("fault", rest_long(["wrong lens", "tilt-jump", "compass-flip", "none"], 2))
 def test_other_faults_are_not_taken_for_moved_optics(fault: str) -> None:
-    found = flown(recorded("plane_turn", 12.0, 26.0, **FAULTS[fault]))
+    found = simulated(recorded("plane_turn", 12.0, 26.0, **FAULTS[fault]))
     assert not MOVED & set(found.statuses), found.statuses
     assert found.statuses[Status.OK] > 0.5 * found.statuses.total(), found.statuses
 
@@ -134,7 +134,7 @@ def test_other_faults_are_not_taken_for_moved_optics(fault: str) -> None:
 def test_a_camera_mounted_askew_is_not_taken_for_moved_optics_without_attitude() -> None:
     """87 of 300 pictures were called zoomed; nothing but the pictures tells the mount."""
     config = '[solve]\nattitude = "none"\nvelocity = false'
-    found = flown(recorded("plane_turn", 4.0, 36.0, config, mount_error_deg=(3.0, 0.0, 0.0)))
+    found = simulated(recorded("plane_turn", 4.0, 36.0, config, mount_error_deg=(3.0, 0.0, 0.0)))
     assert not MOVED & set(found.statuses), found.statuses
     assert found.statuses[Status.OK] > 0.7 * found.statuses.total(), found.statuses
 
@@ -149,7 +149,7 @@ def test_stamps_that_jump_back_in_flight_are_not_taken_for_moved_optics(jump_s: 
             is_late = isinstance(event, Frame) and flight.times_s[event.index] > jump_s
             yield replace(event, stamp_ns=event.stamp_ns - 150_000_000) if is_late else event
 
-    found = flown(flight, events=events())
+    found = simulated(flight, events=events())
     assert not MOVED & set(found.statuses), found.statuses
     assert found.statuses[Status.OK] > 0.6 * found.statuses.total(), found.statuses
 
@@ -166,8 +166,8 @@ UNSTATED = replace(LENS, stated_sigma=UNKNOWN_SIGMA)
 def test_a_zoom_is_refused_while_it_lasts_and_answered_rightly_afterwards(
     path: PathSpec, zoom: tuple[float, float, float, float], file: Camera
 ) -> None:
-    """A lens that stays where it stopped is a lens like any other: its focal length is found anew."""
-    found = flown(drawn(path, 32.0, zoom=zoom), file)
+    """A lens that stays where it stopped is a lens like any other: its focal length is found again."""
+    found = simulated(sampled(path, 32.0, zoom=zoom), file)
     before, during, after = (
         found.windows_in(a, b) for a, b in ((2.0, 9.0), (zoom[1] + 1.0, zoom[1] + 5.0), (26.0, 32.0))
     )
@@ -194,13 +194,13 @@ def drifting(events: Iterator[Event], metres: float) -> Iterator[Event]:
         )
 
 
-def fixed_lens(path: PathSpec, seed: int, seconds: float = 40.0) -> Flown:
+def fixed_lens(path: PathSpec, seed: int, seconds: float = 40.0) -> Simulated:
     """A file that is up to 5 % off, hills, and a height that drifts by 3 m."""
     rng = np.random.default_rng([seed, 77])
     grown = 1.0 + rng.uniform(-0.05, 0.05)
     file = replace(LENS, fx_px=LENS.fx_px * grown, fy_px=LENS.fy_px * grown, stated_sigma=UNKNOWN_SIGMA)
-    flight = drawn(path, seconds, seed, relief_sigma_m=rng.uniform(2.0, 25.0))
-    return flown(flight, file, drifting(flight.events(), 3.0 * float(rng.choice([-1.0, 1.0]))))
+    flight = sampled(path, seconds, seed, relief_sigma_m=rng.uniform(2.0, 25.0))
+    return simulated(flight, file, drifting(flight.events(), 3.0 * float(rng.choice([-1.0, 1.0]))))
 
 
 @pytest.mark.parametrize("seed", rest_long([4, 1]))
@@ -214,7 +214,7 @@ def test_a_fixed_lens_with_a_wrong_file_over_hills_is_no_zoom(seed: int) -> None
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["turns", "orbit", "straight", "hover"])
-def test_no_drawn_flight_with_a_fixed_lens_is_called_zoomed_or_stabilised(kind: str) -> None:
+def test_no_simulated_flight_with_a_fixed_lens_is_called_zoomed_or_stabilised(kind: str) -> None:
     path = {"turns": TURNS, "straight": STRAIGHT, "hover": PathSpec("hover", height_m=60.0)}.get(
         kind, PathSpec("orbit", speed_m_s=18.0, height_m=120.0, radius_m=150.0)
     )

@@ -14,7 +14,7 @@ from simulation.ordinary import ordinary
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from tests.on_screen_display import display_parts, displayed
-from tests.scenarios.flights import CAMERA, Outcome, flown, play
+from tests.scenarios.flights import CAMERA, Outcome, play, simulated
 
 RATE_HZ, SECONDS = 5.0, 30.0
 SPEC = SessionSpec(
@@ -41,7 +41,7 @@ def standing(outcome: Outcome) -> float:
 
 @pytest.mark.long
 def test_a_display_is_found_in_flight_and_costs_nothing(tmp_path: Path) -> None:
-    session = flown(SPEC)
+    session = simulated(SPEC)
     clean, shown = play(session), play(with_display(session, tmp_path / "shown"))
     assert standing(clean) == 0.0
     assert 0.05 < standing(shown) < 0.25

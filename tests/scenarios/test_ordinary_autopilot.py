@@ -1,4 +1,4 @@
-"""Beside an ordinary autopilot, whose errors are not the declared ones, answers are as honest as claimed."""
+"""Next to an ordinary autopilot, whose errors are not the declared ones, answers are as honest as claimed."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from simulation.ordinary import ordinary
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from tests.rest_long import rest_long
-from tests.scenarios.flights import CAMERA, CHI2_90, flown, play
+from tests.scenarios.flights import CAMERA, CHI2_90, play, simulated
 
-# Drawn with the preset: 1, positions twice a second and 0.06 s ahead; 3, 0.07 s ahead and a compass up to 2.6 degrees
+# Sampled with the preset: 1, positions twice a second and 0.06 s ahead; 3, 0.07 s ahead and a compass up to 2.6 degrees
 # off; 8, a followed glitch of 21 m; 12, positions 0.22 s behind.
 SEEDS = rest_long([1, 3, 8, 12])
 
@@ -29,7 +29,7 @@ def test_an_ordinary_autopilots_errors_are_inside_what_is_claimed(seed: int) -> 
         clicks_per_frame=6,
         seed=seed,
     )
-    outcome = play(flown(spec))
+    outcome = play(simulated(spec))
     asked = len(outcome.errors_m) + outcome.refusals.total()
     assert len(outcome.errors_m) >= 0.6 * asked, outcome.reported
     assert outcome.inside_99 >= 0.93, outcome.reported

@@ -16,7 +16,7 @@ from onboard.replay.runner import Flight
 LAST = 9  # of 18 pictures: windows of five
 
 
-def test_a_real_flight_told_of_its_rows_leaves_less_than_a_pixel(shared_data: Path) -> None:
+def test_a_real_flight_with_its_rows_declared_leaves_less_than_a_pixel(shared_data: Path) -> None:
     """Without waves it leaves 1.25 px, with the log's rates at 3.3 Hz taken for true 2.0, told nothing 1.38."""
     real = shared_data / "cmac_2018"
     # All of the sensor was read, 2464 rows of 18.9 us; the names of the files were given some time after the exposure.

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from benchmarks.autopilots import Scene, judge
-from benchmarks.drawn_flight import DrawnFlight, fly
-from benchmarks.rolling_shutter import GLOBAL, TOLD, WRONG_FILE, Result, flown_of, spec_of
+from benchmarks.rolling_shutter import GLOBAL, STATED, WRONG_FILE, Result, simulated_of, spec_of
 from benchmarks.rolling_shutter import judge as judge_drawn
+from benchmarks.sampled_flight import SampledFlight, fly
 from contract.feature_set import FeatureSet
 from onboard.config.schema import parse_config
 from simulation.flight import DescribedSpec
@@ -16,9 +16,9 @@ from simulation.paths import PathSpec
 from simulation.renderer import SensorSpec
 from simulation.session import SessionSpec
 from simulation.telemetry import TelemetrySpec
-from tests.drawn_clicks import chi2_of, located
+from tests.sampled_clicks import chi2_of, located
 from tests.scenarios.flights import CAMERA, CHI2_90, play
-from tests.scenarios.flights import flown as flown_session
+from tests.scenarios.flights import simulated as simulated_session
 
 AFTER_S = 14.0
 CHI2_99 = -2.0 * np.log(0.01)
@@ -38,9 +38,9 @@ RENDERED = SessionSpec(
 )
 
 
-def flown(told: dict[str, float]) -> tuple[list[float], list[float], tuple[float, float], list[FeatureSet]]:
+def simulated(stated: dict[str, float]) -> tuple[list[float], list[float], tuple[float, float], list[FeatureSet]]:
     """Errors (m) and chi-squares of clicks in the outer rows, what was found of the readout, and the sets."""
-    flight = DrawnFlight(spec_of(told, 26.0, 150.0), 1)
+    flight = SampledFlight(spec_of(stated, 26.0, 150.0), 1)
     sets, pipeline = fly(flight)
     rng = np.random.default_rng(5)
     errors_m, chi2 = [], []
@@ -54,12 +54,12 @@ def flown(told: dict[str, float]) -> tuple[list[float], list[float], tuple[float
     return errors_m, chi2, pipeline.window.readout, list(sets.values())
 
 
-def test_a_readout_that_nobody_declared_is_found_and_clicks_in_outer_rows_are_right() -> None:
-    found, chi2, (readout_s, sigma_s), sets = flown(TOLD["0 to 20 ms"])
+def test_an_undeclared_readout_is_found_and_clicks_in_outer_rows_are_right() -> None:
+    found, chi2, (readout_s, sigma_s), sets = simulated(STATED["0 to 20 ms"])
     assert len(found) > 60
     assert abs(readout_s - 0.03) < 3.0 * sigma_s
     assert sigma_s < 0.003
-    known, *_ = flown(TOLD["right"])
+    known, *_ = simulated(STATED["right"])
     assert np.median(found) < 1.05 * np.median(known) < 8.0
     assert np.mean(np.array(chi2) < CHI2_99) > 0.98  # one flight is one draw of what all its clicks share
     published = [s.shutter for s in sets if s.is_ok]
@@ -72,7 +72,7 @@ def test_short_flights_in_turns_err_as_much_as_they_claim(name: str) -> None:
     """By a draw that the autopilot's own consistency check refused, claims were five times too wide in squares."""
     result = Result()
     for seed in range(21, 24):
-        judge_drawn(flown_of(name, seed, 13.0, 150.0), seed, result, after_s=9.0)
+        judge_drawn(simulated_of(name, seed, 13.0, 150.0), seed, result, after_s=9.0)
     shares, flights = result.inside[0], [np.mean(chi2) / 2.0 for chi2 in result.chi2 if chi2]
     assert len(flights) == 3
     assert 0.35 < np.mean(flights) < 2.0
@@ -80,7 +80,7 @@ def test_short_flights_in_turns_err_as_much_as_they_claim(name: str) -> None:
 
 
 def test_a_global_shutter_publishes_no_rows() -> None:
-    flight = DrawnFlight(spec_of({}, 5.0, 150.0), 1)
+    flight = SampledFlight(spec_of({}, 5.0, 150.0), 1)
     sets, _ = fly(flight)
     assert any(s.is_ok for s in sets.values())
     assert all(s.shutter is None for s in sets.values())
@@ -98,7 +98,7 @@ def test_by_camera_and_gps_alone_banks_are_answered_as_truth_says() -> None:
 
 def test_rendered_rows_are_tracked_and_answered_as_truth_says() -> None:
     """Pictures rendered row by row, twice as slow as is usual, through the real tracker in turns of 20 degrees/s."""
-    session = flown_session(RENDERED)
+    session = simulated_session(RENDERED)
     found = play(session, ("camera.readout_s", 0.045), ("camera.sigma_readout_s", 0.02))
     assert found.solved > 0.8 and len(found.errors_m) > 150, found.reported
     assert np.mean(found.chi2 < CHI2_90) > 0.85, found.reported

@@ -9,14 +9,14 @@ from simulation.flight import DescribedSpec
 from simulation.ordinary import ordinary
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
-from tests.scenarios.flights import CAMERA, flown, play
+from tests.scenarios.flights import CAMERA, play, simulated
 
 
 def test_of_an_ordinary_flight_with_turns_next_to_nothing_is_overstated_and_a_tenth_understated() -> None:
     """The flight that test_ordinary_autopilot flies."""
     flight = DescribedSpec(PathSpec("turns", leg_m=250.0), ordinary(1), seed=1)
     spec = SessionSpec(flight, seconds=45.0, rate_hz=2.0, camera=CAMERA, clicks_per_frame=6, seed=1)
-    folder = flown(spec)
+    folder = simulated(spec)
     found = judge(folder, play(folder).sets.values(), per_cell=1)
     assert found.answered > 0.8 * found.pictures
     assert found.over <= 0.01, found
@@ -29,7 +29,7 @@ def test_kind_by_kind_of_flight_the_seen_area_is_right(name: str) -> None:
     """Three sampled flights together overstate at most 1 % and understate at most 12 %; without attitude, a quarter."""
     total = Judged()
     for seed in range(50, 53):
-        folder = flown(seeded(rows()[name], seed))
+        folder = simulated(seeded(rows()[name], seed))
         total += judge(folder, play(folder).sets.values(), per_cell=1)
     assert total.over <= 0.01, total
     assert 0.02 < total.under <= (0.25 if "without" in name else 0.12), total

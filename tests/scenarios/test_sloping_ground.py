@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.drawn_flight import DrawnFlight, DrawnSpec, fly, replace_section
+from benchmarks.sampled_flight import SampledFlight, SampledSpec, fly, replace_section
 from contract.answer import CHI2_2
 from onboard.config.schema import parse_config
 from onboard.estimation.ground_slope import SlopePrior
@@ -28,10 +28,10 @@ SLOPES = {"level": (0.0, 0.0), "east": (TEN_DEG, 0.0), "north-west": (-0.7 * TEN
 
 
 @cache
-def flown(slope: str) -> tuple[Array, Array, SlopePrior]:
+def simulated(slope: str) -> tuple[Array, Array, SlopePrior]:
     """Chi-square and semi-major axes (m) of clicks of legs joined by turns, and the prior at the end."""
-    spec = DrawnSpec(CAMERA_AND_GPS, PathSpec("turns", leg_m=200.0), 44.0, 2.0, errors=0.5, offset_s=0.0, delay_s=0.0)
-    flight = DrawnFlight(spec, 6)
+    spec = SampledSpec(CAMERA_AND_GPS, PathSpec("turns", leg_m=200.0), 44.0, 2.0, errors=0.5, offset_s=0.0, delay_s=0.0)
+    flight = SampledFlight(spec, 6)
     flight.ground.slope = np.array(SLOPES[slope])
     sets, pipeline = fly(flight)
     chi2, semi_m = clicks(flight, sets, 4.0, 2)
@@ -45,7 +45,7 @@ OF_EACH = rest_long(["east", "level", "north-west"])
 
 @pytest.mark.parametrize("slope", OF_EACH)
 def test_the_ellipse_of_99_percent_holds_a_slope_of_ten_degrees(slope: str) -> None:
-    chi2, semi_m, _ = flown(slope)
+    chi2, semi_m, _ = simulated(slope)
     assert len(chi2) > 40
     assert np.mean(chi2 < CHI2_99) >= 0.97
     assert np.mean(chi2 < CHI2_2) >= 0.8
@@ -55,7 +55,7 @@ def test_the_ellipse_of_99_percent_holds_a_slope_of_ten_degrees(slope: str) -> N
 @pytest.mark.parametrize("slope", OF_EACH)
 def test_turns_find_the_slope(slope: str) -> None:
     """What later windows begin from is nearer to the truth than level ground is, and level where it is level."""
-    _, _, prior = flown(slope)
+    _, _, prior = simulated(slope)
     off = SLOPES[slope] - prior.mean
     assert np.linalg.norm(off) < 0.4 * TEN_DEG
     assert off @ np.linalg.solve(prior.covariance, off) < CHI2_99
@@ -63,12 +63,12 @@ def test_turns_find_the_slope(slope: str) -> None:
 
 @pytest.mark.parametrize("slope", OF_EACH)
 def test_after_turns_the_prior_is_narrower_than_declared(slope: str) -> None:
-    _, _, prior = flown(slope)
+    _, _, prior = simulated(slope)
     widest = np.sqrt(np.linalg.eigvalsh(prior.covariance)[-1])
     assert 0.1 * level_sigma(CAMERA_AND_GPS) < widest < 0.85 * level_sigma(CAMERA_AND_GPS)
 
 
 def test_after_turns_ellipses_are_shorter() -> None:
-    _, semi_m, _ = flown("east")
+    _, semi_m, _ = simulated("east")
     third = len(semi_m) // 3
     assert np.median(semi_m[-third:]) < 0.8 * np.median(semi_m[:third])

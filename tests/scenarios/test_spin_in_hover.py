@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.drawn_flight import DrawnFlight, DrawnSpec, fly
+from benchmarks.sampled_flight import SampledFlight, SampledSpec, fly
 from contract.feature_set import Status
 from contract.rotations import R_ENU_NED, matrix_from_euler
 from onboard.config.schema import parse_config
@@ -26,11 +26,11 @@ def stop_and_spin(spec: PathSpec, seconds: float, seed: int) -> Trajectory:
 
 
 def test_hover_after_a_spin_is_low_parallax(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("benchmarks.drawn_flight.fly_path", stop_and_spin)
-    spec = DrawnSpec(
+    monkeypatch.setattr("benchmarks.sampled_flight.fly_path", stop_and_spin)
+    spec = SampledSpec(
         parse_config("[mount]\npitch_deg = -45.0\n[gps]\nsigma_latency_s = 0.01"), seconds=END_S, rate_hz=3.0
     )
-    sets, _ = fly(DrawnFlight(spec, 4))
+    sets, _ = fly(SampledFlight(spec, 4))
     statuses = {k / spec.rate_hz: sets[k].status for k in sorted(sets)}
     assert np.mean([s is Status.OK for t, s in statuses.items() if 6.0 < t < STOP_S]) > 0.9
     after = [s for t, s in statuses.items() if t > STILL_S + 0.5]

@@ -12,7 +12,7 @@ from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
 from simulation.texture import TextureSpec
 from simulation.thermal import ThermalSpec
-from tests.scenarios.flights import flown, play
+from tests.scenarios.flights import play, simulated
 
 pytestmark = pytest.mark.long
 RATE_HZ, SECONDS, CLOSED_S, FROZEN_S = 8.0, 14.0, 7.0, 0.4
@@ -27,8 +27,8 @@ SPEC = SessionSpec(
 )
 
 
-def test_a_lepton_is_flown_through_its_fixed_pattern_and_a_shutter_event() -> None:
-    outcome = play(flown(SPEC))
+def test_a_lepton_flies_through_its_fixed_pattern_and_a_shutter_event() -> None:
+    outcome = play(simulated(SPEC))
     frozen = {frame for frame, s in outcome.sets.items() if s.status is Status.BAD_PICTURE}
     closed = {k for k in range(round(SECONDS * RATE_HZ)) if CLOSED_S <= k / RATE_HZ < CLOSED_S + FROZEN_S}
     assert frozen == closed, outcome.reported
@@ -39,5 +39,5 @@ def test_a_lepton_is_flown_through_its_fixed_pattern_and_a_shutter_event() -> No
 
 
 def test_without_the_counts_the_same_flight_is_lost_in_the_pattern() -> None:
-    outcome = play(flown(SPEC), ("thermal.enabled", False))
+    outcome = play(simulated(SPEC), ("thermal.enabled", False))
     assert outcome.solved < 0.6, outcome.reported

@@ -1,4 +1,4 @@
-"""Heights that count from nobody knows where, as a barometer's in a camera's subtitles: all too low by 130 m."""
+"""Heights that count from no one knows where, as a barometer's in a camera's subtitles: all too low by 130 m."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, fly
+from benchmarks.sampled_flight import PLACE, SampledFlight, SampledSpec, fly
 from contract.answer import Fix
 from contract.locate import Locator
 from onboard.config.schema import parse_config
@@ -17,14 +17,14 @@ from simulation.paths import PathSpec
 from tests.rest_long import rest_long
 
 DATUM_M, SIGMA_M = -130.0, 100.0
-SPEC = DrawnSpec(parse_config(""), PathSpec("turns", leg_m=250.0), seconds=50.0, rate_hz=2.0)
+SPEC = SampledSpec(parse_config(""), PathSpec("turns", leg_m=250.0), seconds=50.0, rate_hz=2.0)
 CLICKS = np.array([[160.0, 120.0], [320.0, 240.0], [480.0, 360.0]])
 
 
-class LowFlight(DrawnFlight):
+class LowFlight(SampledFlight):
     """Its log states heights `DATUM_M` off, and by how much they may be off as a whole."""
 
-    def __init__(self, spec: DrawnSpec, seed: int, sigma_m: float | None = SIGMA_M) -> None:
+    def __init__(self, spec: SampledSpec, seed: int, sigma_m: float | None = SIGMA_M) -> None:
         super().__init__(spec, seed)
         self._sigma_m = sigma_m
 
@@ -37,7 +37,7 @@ class LowFlight(DrawnFlight):
                 yield event
 
 
-def clicked(flight: DrawnFlight) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+def clicked(flight: SampledFlight) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
     """Share answered; horizontal squared errors in sigmas, height errors (m) and their sigmas."""
     sets, _ = fly(flight)
     rows, asked = [], 0

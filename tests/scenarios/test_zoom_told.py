@@ -1,4 +1,4 @@
-"""A zoom from 1x to 6x, level and in turns of 45 degrees: followed where it is told, refused where nobody tells."""
+"""A zoom from 1x to 6x, level and in turns of 45 degrees: followed where it is reported, refused where no one tells."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from contract.feature_set import Status
 from onboard.estimation.platform_states import STATES
 from simulation.paths import PathSpec
 from tests.rest_long import rest_long
-from tests.scenarios.test_moved_optics import Flown, flown
+from tests.scenarios.test_moved_optics import Simulated, simulated
 from tests.scenarios.zoom_flights import (
     LEVEL,
     TURNS,
@@ -20,7 +20,7 @@ from tests.scenarios.zoom_flights import (
     Telling,
     ZoomFlight,
     magnification_error,
-    told,
+    stated,
     zoom_flight,
 )
 
@@ -34,10 +34,10 @@ UNSEEN = (Status.NO_GPS, Status.TURNING)  # pictures that nothing of the lens ke
 
 @dataclass
 class Followed:
-    """A flight of a told zoom, and what came of it."""
+    """A flight of a reported zoom, and what came of it."""
 
     flight: ZoomFlight
-    found: Flown
+    found: Simulated
 
     @property
     def errors(self) -> np.ndarray:
@@ -65,8 +65,8 @@ class Followed:
 
 def followed(path: PathSpec, profile: Profile, telling: Telling | None, seed: int = 0) -> Followed:
     flight = zoom_flight(path, profile, seed)
-    events = flight.events() if telling is None else told(flight, telling)
-    return Followed(flight, flown(flight, flight.camera_file(), events))
+    events = flight.events() if telling is None else stated(flight, telling)
+    return Followed(flight, simulated(flight, flight.camera_file(), events))
 
 
 def check(result: Followed) -> None:
@@ -79,11 +79,11 @@ def check(result: Followed) -> None:
     assert statuses[Status.OK] > 0.8 * seen > 0, statuses
 
 
-def test_a_step_that_is_told_in_time_is_answered_again_within_two_seconds() -> None:
+def test_a_step_that_is_reported_in_time_is_answered_again_within_two_seconds() -> None:
     check(followed(LEVEL, STEP, Telling()))
 
 
-def test_a_ramp_in_turns_told_late_in_steps_with_gaps_and_nonsense_is_followed() -> None:
+def test_a_ramp_in_turns_reported_late_in_steps_with_gaps_and_nonsense_is_followed() -> None:
     """Pictures are stamped 0.14 s before telemetry: one was answered that the lens had moved in by 11 %."""
     result = followed(TURNS, RAMP, NONSENSE, seed=4)
     assert result.flight.offset_s > 0.1
@@ -91,7 +91,7 @@ def test_a_ramp_in_turns_told_late_in_steps_with_gaps_and_nonsense_is_followed()
 
 
 @pytest.mark.parametrize("seed", rest_long([0, 2]))
-def test_a_fast_zoom_that_nobody_tells_of_is_refused(seed: int) -> None:
+def test_a_fast_zoom_that_is_not_reported_is_refused(seed: int) -> None:
     """Before, 6 to 21 pictures were answered with a sixth of the focal length, up to 3.5 ellipses off."""
     result = followed(LEVEL, STEP, None, seed)
     statuses = result.found.pictures_in(10.3, 28.0)
@@ -101,7 +101,7 @@ def test_a_fast_zoom_that_nobody_tells_of_is_refused(seed: int) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("path", [LEVEL, TURNS], ids=["level", "turns"])
-def test_draws_of_told_zooms_are_answered_soon_and_as_surely_as_they_say(path: PathSpec) -> None:
+def test_draws_of_reported_zooms_are_answered_soon_and_as_surely_as_they_say(path: PathSpec) -> None:
     """Steps and ramps by turns, four flights of each and of each telling, with errors of their own.
 
     Errors of one flight have causes in common, a filter's latency first: of single flights 33 to 100 % are inside, of
@@ -128,7 +128,7 @@ def test_draws_of_told_zooms_are_answered_soon_and_as_surely_as_they_say(path: P
 @pytest.mark.long
 @pytest.mark.parametrize("path", [LEVEL, TURNS], ids=["level", "turns"])
 @pytest.mark.parametrize("profile", [STEP, RAMP], ids=["step", "ramp"])
-def test_no_draw_of_a_zoom_that_nobody_tells_of_is_answered_wrongly(path: PathSpec, profile: Profile) -> None:
+def test_no_draw_of_an_unreported_zoom_is_answered_wrongly(path: PathSpec, profile: Profile) -> None:
     for seed in range(5):  # of each kind: twenty draws
         result = followed(path, profile, None, seed)
         assert max(result.errors) < 3.0, (seed, max(result.errors))

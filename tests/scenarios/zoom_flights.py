@@ -1,4 +1,4 @@
-"""Flights of a lens that zooms, with what is told of it: in time, late, in steps, or not at all."""
+"""Flights of a lens that zooms, with what is reported of it: in time, late, in steps, or not at all."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.drawn_flight import EPOCH_NS, DrawnFlight, DrawnSpec
+from benchmarks.sampled_flight import EPOCH_NS, SampledFlight, SampledSpec
 from contract.camera import Camera
 from contract.zoom_table import ZoomTable
 from onboard.config.schema import parse_config
@@ -22,7 +22,7 @@ WIDE = Camera.from_field_of_view(640, 480, 70.0)
 LEVEL = PathSpec("straight", speed_m_s=10.0, height_m=200.0)
 TURNS = PathSpec("turns", speed_m_s=15.0, height_m=200.0, bank_deg=45.0, leg_m=60.0)
 TABLE_SIGMA = 0.005  # of each row's focal length
-RATE_HZ = 10.0  # of what is told
+RATE_HZ = 10.0  # of what is reported
 
 # (time, magnification): straight in the logarithm between.
 STEPS = ((0.0, 1.0), (14.0, 1.0), (14.3, 2.5), (36.0, 2.5), (36.3, 6.0), (70.0, 6.0))
@@ -31,13 +31,13 @@ Profile = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
-class ZoomSpec(DrawnSpec):
-    """A drawn flight whose lens follows a profile."""
+class ZoomSpec(SampledSpec):
+    """A simulated flight whose lens follows a profile."""
 
     profile: Profile = STEPS
 
 
-class ZoomFlight(DrawnFlight):
+class ZoomFlight(SampledFlight):
     """The lens as it is at each picture, and a table that errs by what it states."""
 
     spec: ZoomSpec
@@ -76,15 +76,15 @@ class ZoomFlight(DrawnFlight):
 
 @dataclass(frozen=True)
 class Telling:
-    """How the zoom is told: `late_s` behind the lens, in steps of the magnification, each with which share lost."""
+    """How the zoom is reported: `late_s` behind the lens, in steps of the magnification, each with which share lost."""
 
     late_s: float = 0.02
     step: float = 0.0
     lost: float = 0.0
-    bad: tuple[float, ...] = field(default=())  # told between the others
+    bad: tuple[float, ...] = field(default=())  # reported between the others
 
 
-def told(flight: ZoomFlight, telling: Telling) -> Iterator[Event]:
+def stated(flight: ZoomFlight, telling: Telling) -> Iterator[Event]:
     """The flight's events with reports of its zoom, stamped when they come."""
     rng = np.random.default_rng([flight.seed, 414])
     moments = np.arange(-3.0, flight.spec.seconds + 3.0, 1.0 / RATE_HZ)

@@ -37,7 +37,7 @@ class Station:
         self.peer: Any = None
         self.parser = mavlink.MAVLink(None, 1, 191)
         self.parser.robust_parsing = True
-        self.heard: list[Any] = []
+        self.came: list[Any] = []
 
     def send(self, message: Any) -> None:
         self.socket.sendto(message.pack(self.parser), self.peer)
@@ -56,11 +56,11 @@ class Station:
         except TimeoutError:
             return []
         new = [m for m in self.parser.parse_buffer(data) or [] if m.get_type() != "BAD_DATA"]
-        self.heard += new
+        self.came += new
         return new
 
     def until(self, is_enough: Callable[[list[Any]], object]) -> list[Any]:
-        """Listen until what was heard meanwhile is enough; this is what was heard."""
+        """Listen until what was received meanwhile is enough; this is what was received."""
         new: list[Any] = []
         end = time.monotonic() + PATIENCE_S
         while not is_enough(new):
@@ -68,7 +68,7 @@ class Station:
             new += self.receive()
         return new
 
-    def hear(self, name: str, count: int) -> list[Any]:
+    def next_of(self, name: str, count: int) -> list[Any]:
         """The next `count` messages of this name, and those that came with the last of them."""
         return named(self.until(lambda new: len(named(new, name)) >= count), name)
 
@@ -86,7 +86,7 @@ class Station:
         """SET_MESSAGE_INTERVAL; returns the result of its acknowledgement."""
         command = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
         self.send(mavlink.MAVLink_command_long_message(1, 1, command, 0, message_id, 1e6 / rate_hz, 0, 0, 0, 0, 0))
-        acks = self.hear("COMMAND_ACK", 1)
+        acks = self.next_of("COMMAND_ACK", 1)
         assert [ack.command for ack in acks] == [command]
         assert (acks[0].target_system, acks[0].target_component) == (1, 191)
         return int(acks[0].result)
@@ -116,35 +116,35 @@ def named(messages: list[Any], name: str) -> list[Any]:
 
 def test_ardupilot_denies_fifty_and_gives_what_it_grants(flight: Flight, station: Station) -> None:
     with FakeAutopilot(flight, station.url):
-        assert 3.0 <= rate_hz(station.hear("ATTITUDE", 5)) <= 5.0  # unasked
+        assert 3.0 <= rate_hz(station.next_of("ATTITUDE", 5)) <= 5.0  # unasked
         assert station.ask(mavlink.MAVLINK_MSG_ID_ATTITUDE, 50.0) == mavlink.MAV_RESULT_DENIED
         assert station.ask(mavlink.MAVLINK_MSG_ID_ATTITUDE, 20.0) == mavlink.MAV_RESULT_ACCEPTED
-        assert 15.0 <= rate_hz(station.hear("ATTITUDE", 20)) <= 23.0
+        assert 15.0 <= rate_hz(station.next_of("ATTITUDE", 20)) <= 23.0
         assert station.ask(mavlink.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS, 5.0) == mavlink.MAV_RESULT_FAILED
 
 
 def test_px4_grants_fifty_and_reports_its_filter_its_own_way(flight: Flight, station: Station) -> None:
     with FakeAutopilot(flight, station.url, style="px4"):
-        station.hear("HEARTBEAT", 1)
+        station.next_of("HEARTBEAT", 1)
         assert station.ask(mavlink.MAVLINK_MSG_ID_ATTITUDE, 50.0) == mavlink.MAV_RESULT_ACCEPTED
-        assert 20.0 <= rate_hz(station.hear("ATTITUDE", 30)) <= 55.0
-        assert not named(station.heard, "EKF_STATUS_REPORT")
-        assert {m.autopilot for m in named(station.heard, "HEARTBEAT")} == {mavlink.MAV_AUTOPILOT_PX4}
+        assert 20.0 <= rate_hz(station.next_of("ATTITUDE", 30)) <= 55.0
+        assert not named(station.came, "EKF_STATUS_REPORT")
+        assert {m.autopilot for m in named(station.came, "HEARTBEAT")} == {mavlink.MAV_AUTOPILOT_PX4}
 
 
 def test_an_old_autopilot_knows_streams_only(flight: Flight, station: Station) -> None:
     with FakeAutopilot(flight, station.url, style="old"):
-        station.hear("HEARTBEAT", 1)
+        station.next_of("HEARTBEAT", 1)
         station.listen(0.5)
-        assert {m.get_type() for m in station.heard} <= {"HEARTBEAT", "TIMESYNC"}
+        assert {m.get_type() for m in station.came} <= {"HEARTBEAT", "TIMESYNC"}
         assert station.ask(mavlink.MAVLINK_MSG_ID_ATTITUDE, 10.0) == mavlink.MAV_RESULT_UNSUPPORTED
         station.send(mavlink.MAVLink_request_data_stream_message(1, 1, mavlink.MAV_DATA_STREAM_EXTRA1, 10, 1))
-        assert 7.0 <= rate_hz(station.hear("ATTITUDE", 10)) <= 13.0
+        assert 7.0 <= rate_hz(station.next_of("ATTITUDE", 10)) <= 13.0
 
 
-def test_its_boot_clock_drifts_as_told_and_answers_timesync(flight: Flight, station: Station) -> None:
+def test_its_boot_clock_drifts_as_specified_and_answers_timesync(flight: Flight, station: Station) -> None:
     with FakeAutopilot(flight, station.url, drift=0.02) as autopilot:
-        station.hear("HEARTBEAT", 1)
+        station.next_of("HEARTBEAT", 1)
         readings = []
         for _ in range(2):
             exchanges = [station.exchange() for _ in range(10)]
@@ -160,31 +160,31 @@ def test_its_boot_clock_drifts_as_told_and_answers_timesync(flight: Flight, stat
 
 def test_a_reboot_starts_the_boot_clock_again_and_forgets_rates(flight: Flight, station: Station) -> None:
     with FakeAutopilot(flight, station.url) as autopilot:
-        station.hear("HEARTBEAT", 1)
+        station.next_of("HEARTBEAT", 1)
         station.ask(mavlink.MAVLINK_MSG_ID_ATTITUDE, 25.0)
-        before = station.hear("ATTITUDE", 9)
+        before = station.next_of("ATTITUDE", 9)
         assert rate_hz(before) > 15.0 and before[0].time_boot_ms > 200_000
         autopilot.reboot(0.5)
 
-        def fresh(heard: list[Any]) -> list[Any]:
-            return [m for m in named(heard, "ATTITUDE") if m.time_boot_ms < 100_000]
+        def fresh(came: list[Any]) -> list[Any]:
+            return [m for m in named(came, "ATTITUDE") if m.time_boot_ms < 100_000]
 
-        after = fresh(station.until(lambda heard: len(fresh(heard)) >= 5))
+        after = fresh(station.until(lambda came: len(fresh(came)) >= 5))
         assert 3.0 <= rate_hz(after) <= 5.0
         assert 1400 <= after[0].time_boot_ms <= 2000
         assert autopilot.boots == 2
 
 
-def test_it_loses_and_corrupts_about_as_told(flight: Flight, station: Station) -> None:
+def test_it_loses_and_corrupts_about_as_specified(flight: Flight, station: Station) -> None:
     with FakeAutopilot(flight, station.url, everything=True, faults=Faults(loss=0.3, corrupt=0.2)) as autopilot:
-        heard = station.listen(2.5)
-    heard += station.listen(0.3)  # what was still on its way
-    assert 0.35 < len(heard) / autopilot.counts.total() < 0.75
+        came = station.listen(2.5)
+    came += station.listen(0.3)  # what was still on its way
+    assert 0.35 < len(came) / autopilot.counts.total() < 0.75
 
 
 def test_delay_is_kept_both_ways(flight: Flight, station: Station) -> None:
     with FakeAutopilot(flight, station.url, faults=Faults(delay_s=0.1)):
-        station.hear("HEARTBEAT", 1)
+        station.next_of("HEARTBEAT", 1)
         took_s: list[float] = []
         while not took_s or (min(took_s) > 0.5 and len(took_s) < 20):  # a busy machine may add to one
             sent_ns, _, back_ns = station.exchange()
@@ -217,7 +217,7 @@ def test_every_wire_carries_packets_both_ways(flight: Flight, url: str) -> None:
         while time.monotonic() < deadline and not {"ATTITUDE", "HEARTBEAT", "GLOBAL_POSITION_INT"} <= names:
             names |= {m.get_type() for m in parser.parse_buffer(read()) or []}
         assert {"ATTITUDE", "HEARTBEAT", "GLOBAL_POSITION_INT"} <= names
-        assert autopilot.heard_of("HEARTBEAT")[0].type == 18
+        assert autopilot.received_of("HEARTBEAT")[0].type == 18
         if scheme == "serial":
             os.close(end)
         else:
@@ -228,36 +228,36 @@ def test_a_recording_in_a_loop_never_turns_its_clock_back(flight: Flight, statio
     short = Flight(flight.due_ns[:40], flight.messages[:40], flight.log_offset_ns, 1, 1)
     with FakeAutopilot(short, station.url, everything=True, loop=True) as autopilot:
         began_s = time.monotonic()
-        heard = station.until(lambda heard: span_ms(named(heard, "ATTITUDE")) > 2000)
+        came = station.until(lambda came: span_ms(named(came, "ATTITUDE")) > 2000)
         took_s = time.monotonic() - began_s
     assert not autopilot.is_over
-    stamps = [m.time_boot_ms for m in named(heard, "ATTITUDE")]
+    stamps = [m.time_boot_ms for m in named(came, "ATTITUDE")]
     assert stamps == sorted(stamps)
-    assert span_ms(named(heard, "ATTITUDE")) < 1e3 * took_s + 500.0
+    assert span_ms(named(came, "ATTITUDE")) < 1e3 * took_s + 500.0
     assert len(stamps) > 2 * len([m for m in short.messages if m.get_type() == "ATTITUDE"])  # more than two rounds
 
 
 def test_rates_hold_from_one_round_of_a_loop_to_the_next(flight: Flight, station: Station) -> None:
     short = Flight(flight.due_ns[:40], flight.messages[:40], flight.log_offset_ns, 1, 1)
     with FakeAutopilot(short, station.url, loop=True) as autopilot:
-        heard = station.hear("ATTITUDE", 12)
-    assert 3.0 <= rate_hz(heard) <= 5.0  # unasked
-    assert autopilot.counts["ATTITUDE"] >= len(heard)
+        came = station.next_of("ATTITUDE", 12)
+    assert 3.0 <= rate_hz(came) <= 5.0  # unasked
+    assert autopilot.counts["ATTITUDE"] >= len(came)
 
 
 def test_silence_over_the_end_of_a_loop_is_not_made_up_for(flight: Flight, station: Station) -> None:
-    """What was due meanwhile came all at once, which fills a serial line that nobody empties as fast."""
+    """What was due meanwhile came all at once, which fills a serial line that no one empties as fast."""
     short = Flight(flight.due_ns[:40], flight.messages[:40], flight.log_offset_ns, 1, 1)
     with FakeAutopilot(short, station.url, everything=True, loop=True) as autopilot:
-        station.hear("ATTITUDE", 5)
+        station.next_of("ATTITUDE", 5)
         autopilot.mute(3.0)  # three rounds and a half
         muted_ns = time.monotonic_ns()
 
         def since_s(message: Any) -> float:
             return (autopilot.monotonic_ns(message.time_boot_ms * 1_000_000) - muted_ns) / 1e9
 
-        heard = station.until(lambda heard: any(since_s(m) > 5.0 for m in named(heard, "ATTITUDE")))
-    after = named(heard, "ATTITUDE")
+        came = station.until(lambda came: any(since_s(m) > 5.0 for m in named(came, "ATTITUDE")))
+    after = named(came, "ATTITUDE")
     assert not [m for m in after if 1.0 < since_s(m) < 2.9]  # the order may have been taken a little late
     assert 10 <= sum(4.0 < since_s(m) < 5.0 for m in after) <= 40  # 25 Hz
     stamps = [m.time_boot_ms for m in after]
@@ -277,10 +277,10 @@ class TenTimes:
 def test_by_another_clock_it_lives_as_fast_as_that(flight: Flight, station: Station) -> None:
     with FakeAutopilot(flight, station.url, everything=True, clock=TenTimes()):
         began_s = time.monotonic()
-        heard = named(station.until(lambda heard: span_ms(named(heard, "ATTITUDE")) > 9000), "ATTITUDE")
+        came = named(station.until(lambda came: span_ms(named(came, "ATTITUDE")) > 9000), "ATTITUDE")
         took_s = time.monotonic() - began_s
     assert 0.85 < took_s < 8.9  # at the host's pace it would be nine seconds
-    stamps = [m.time_boot_ms for m in heard]
+    stamps = [m.time_boot_ms for m in came]
     assert max(b - a for a, b in itertools.pairwise(stamps)) < 400
 
 
@@ -291,7 +291,7 @@ def test_what_is_spoilt_is_sent_as_it_is_left(flight: Flight, station: Station) 
         return None if message.get_type() == "ATTITUDE" else message
 
     with FakeAutopilot(flight, station.url, everything=True, spoil=spoil):
-        heard = station.until(lambda heard: len(named(heard, "GLOBAL_POSITION_INT")) > 3)
-    assert {m.relative_alt for m in named(heard, "GLOBAL_POSITION_INT")} == {7}
-    assert not named(heard, "ATTITUDE")
+        came = station.until(lambda came: len(named(came, "GLOBAL_POSITION_INT")) > 3)
+    assert {m.relative_alt for m in named(came, "GLOBAL_POSITION_INT")} == {7}
+    assert not named(came, "ATTITUDE")
     assert all(m.relative_alt != 7 for m in flight.messages if m.get_type() == "GLOBAL_POSITION_INT")

@@ -1,4 +1,4 @@
-"""Things that are drawn: where their truth says, at the brightness asked, hidden by nothing but the next."""
+"""Things that are rendered: where their truth says, at the brightness asked, hidden by nothing but the next."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def light(*specs: MoverSpec, time_s: float = 0.0) -> np.ndarray:
     return Renderer(CAMERA, terrain, texture, sensor, movers=Movers(specs, 5.0)).radiance(POSE, time_s)
 
 
-def test_a_thing_is_drawn_where_its_truth_says() -> None:
+def test_a_thing_is_rendered_where_its_truth_says() -> None:
     car = MoverSpec.car((1.0, 2.0), 4.0, 90.0)
     off = np.abs(light(car, time_s=6.0) - light(time_s=6.0))
     rows, columns = np.indices(off.shape)
@@ -40,7 +40,7 @@ def test_a_shadow_darkens_the_ground_it_lies_on() -> None:
     assert ratio[119, 159] == pytest.approx(0.45, abs=0.01) and ratio[10, 10] == pytest.approx(1.0)
 
 
-def test_a_thing_goes_turns_and_stops_as_it_is_told() -> None:
+def test_a_thing_goes_turns_and_stops_as_specified() -> None:
     walker = MoverSpec((0.0, 0.0), 2.0, 0.0, turn_deg_s=90.0, from_s=1.0, until_s=3.0)
     assert np.allclose(walker.place_m(0.5), 0.0) and np.allclose(walker.place_m(9.0), walker.place_m(3.0))
     assert np.allclose(walker.place_m(3.0), [2.0 * 2.0 / (np.pi / 2.0), 0.0])  # half a circle to the right

@@ -1,4 +1,4 @@
-"""An ordinary autopilot's errors: each is found again in the telemetry that has it, and drawn as was measured."""
+"""An ordinary autopilot's errors: each is found again in the telemetry that has it, and sampled as was measured."""
 
 from __future__ import annotations
 
@@ -177,21 +177,21 @@ def test_the_filter_follows_a_glitch_and_comes_back(tmp_path: Path) -> None:
     off = np.interp([-0.2, 2.0, 11.0, 14.0, 30.0], said.position_s - began_s, said.position_m[:, 0])
     assert off == pytest.approx(20.0 * np.array([0.0, 1 - np.exp(-1.0), 1 - np.exp(-5.5), np.exp(-1.0), 0.0]), abs=0.3)
     assert np.abs(said.position_m[:, 1]).max() < 0.05
-    told = np.interp(2.0, said.position_s - began_s, said.velocity_m_s[:, 0])
-    assert told == pytest.approx(0.3 * 20.0 / 2.0 * np.exp(-1.0), abs=0.1)
+    stated = np.interp(2.0, said.position_s - began_s, said.velocity_m_s[:, 0])
+    assert stated == pytest.approx(0.3 * 20.0 / 2.0 * np.exp(-1.0), abs=0.1)
 
 
-def test_position_wanders_as_drawn(tmp_path: Path) -> None:
+def test_position_drifts_as_sampled(tmp_path: Path) -> None:
     said = reported(
         tmp_path, AutopilotErrors(), "straight", 900.0, slow_horizontal_m=2.0, slow_time_constant_s=5.0, attitude_hz=1.0
     )
     assert said.position_m[:, :2].std(axis=0) == pytest.approx([2.0, 2.0], rel=3.0 / np.sqrt(900.0 / 5.0))
 
 
-def test_autopilots_are_drawn_as_they_were_measured() -> None:
+def test_autopilots_are_sampled_as_they_were_measured() -> None:
     """Over many seeds every error has its distribution, and both signs; none is the same for all."""
-    drawn = [ordinary(seed) for seed in range(1500)]
-    errors = [spec.errors for spec in drawn]
+    sampled = [ordinary(seed) for seed in range(1500)]
+    errors = [spec.errors for spec in sampled]
     lag = np.array([e.position_lag_s for e in errors])
     assert kstest(lag[np.abs(lag) < 0.25] / 0.1, "truncnorm", (-2.5, 2.5)).pvalue > 1e-3
     assert np.abs(lag).max() <= 0.25 and 0.45 < np.mean(lag > 0) < 0.55
@@ -210,9 +210,9 @@ def test_autopilots_are_drawn_as_they_were_measured() -> None:
     glitches = np.array([np.linalg.norm(e.glitch_m[:2]) for e in errors])
     assert binomtest(int(np.count_nonzero(glitches)), len(errors), 0.3).pvalue > 1e-3
     assert kstest(glitches[glitches > 0.0], "uniform", (5.0, 30.0)).pvalue > 1e-3
-    assert {spec.attitude_hz for spec in drawn} >= {2.0, 3.3, 10.0, 50.0}
-    assert {spec.position_hz for spec in drawn} >= {2.0, 10.0}
-    wander = np.log([spec.slow_horizontal_m / 0.5 for spec in drawn]) / np.log(5.0)
+    assert {spec.attitude_hz for spec in sampled} >= {2.0, 3.3, 10.0, 50.0}
+    assert {spec.position_hz for spec in sampled} >= {2.0, 10.0}
+    wander = np.log([spec.slow_horizontal_m / 0.5 for spec in sampled]) / np.log(5.0)
     assert kstest(wander, "uniform").pvalue > 1e-3
 
 

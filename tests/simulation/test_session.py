@@ -43,7 +43,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def flown(session: Path) -> Truth:
+def simulated(session: Path) -> Truth:
     return fly(SMALL, session)
 
 
@@ -97,11 +97,11 @@ def test_truth_clicks_reproject_to_their_pixels(session: Path) -> None:
         assert np.hypot(uv[0, 0] - float(row["u"]), uv[0, 1] - float(row["v"])) < 0.01
 
 
-def test_loaded_truth_is_the_truth_flown(session: Path, flown: Truth) -> None:
+def test_loaded_truth_is_the_simulated_truth(session: Path, simulated: Truth) -> None:
     loaded = Truth.load(session)
     uv = np.array([[0.0, 0.0], [319.0, 239.0], [100.0, 50.0]])
-    np.testing.assert_allclose(loaded.ground(1, uv).enu_m, flown.ground(1, uv).enu_m, atol=2e-3)
-    np.testing.assert_allclose(loaded.unix_time_s, flown.unix_time_s, atol=1e-6)
+    np.testing.assert_allclose(loaded.ground(1, uv).enu_m, simulated.ground(1, uv).enu_m, atol=2e-3)
+    np.testing.assert_allclose(loaded.unix_time_s, simulated.unix_time_s, atol=1e-6)
 
 
 def test_ground_points_are_in_plain_sight_of_their_own_picture(session: Path) -> None:
@@ -134,7 +134,7 @@ def test_camera_delay_moves_stamps_and_not_truth(tmp_path: Path) -> None:
     assert stamp - truth.unix_time_s[0] == pytest.approx(0.25, abs=1e-5)
 
 
-def test_a_recorded_flight_is_flown_where_its_truth_says(tmp_path: Path) -> None:
+def test_a_recorded_flight_is_simulated_where_its_truth_says(tmp_path: Path) -> None:
     """plane_turn, in its turn: camera straight down in the body, telemetry unchanged."""
     spec = SessionSpec(RecordedSpec("plane_turn", start_s=32.0), seconds=1.0, camera=LENS, seed=1)
     truth = fly(spec, tmp_path / "turn")

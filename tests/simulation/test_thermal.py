@@ -1,4 +1,4 @@
-"""The drawn thermal camera: heat where its truth says, as much as it says, and the sensor's faults as declared."""
+"""The rendered thermal camera: heat where its truth says, as much as it says, and the sensor's faults as declared."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def renderer(spec: ThermalSpec, camera: Camera = BOSON, terrain: TerrainSpec | N
 
 
 def kelvin(spec: ThermalSpec, camera: Camera = BOSON, pose: Pose = ABOVE, time_s: float = 0.0) -> np.ndarray:
-    drawn = renderer(spec, camera)
-    return np.asarray(100.0 * drawn.radiance(pose, time_s).astype(float) ** 0.25)
+    sampled = renderer(spec, camera)
+    return np.asarray(100.0 * sampled.radiance(pose, time_s).astype(float) ** 0.25)
 
 
 def ground_area_m2(camera: Camera, pose: Pose) -> np.ndarray:
@@ -51,8 +51,8 @@ def ground_area_m2(camera: Camera, pose: Pose) -> np.ndarray:
 
 def test_the_ground_varies_by_a_few_kelvin_as_natural_scenes_do() -> None:
     side = np.meshgrid(*2 * [np.arange(512, dtype=np.float32) * np.float32(0.5)])
-    drawn = renderer(IDEAL)
-    ground = drawn.ground_k(np.zeros(2), side[0], side[1], np.full((512, 512), 0.5, np.float32), 1.0).astype(float)
+    sampled = renderer(IDEAL)
+    ground = sampled.ground_k(np.zeros(2), side[0], side[1], np.full((512, 512), 0.5, np.float32), 1.0).astype(float)
     assert 1.0 < ground.std() < 4.0 and 270.0 < ground.min() < ground.max() < 310.0
     window = np.hanning(512)[:, None] * np.hanning(512)[None, :]
     amplitude = np.abs(np.fft.fftshift(np.fft.fft2((ground - ground.mean()) * window)))
@@ -89,7 +89,7 @@ def test_a_person_half_hidden_by_a_coarse_pixel_looks_cooler() -> None:
     assert 0.5 < (warm - bare).max() < 6.0  # 0.5 m in pixels of 0.68 m
 
 
-def test_a_fire_grows_at_its_rate_and_is_drawn_as_large_as_it_is() -> None:
+def test_a_fire_grows_at_its_rate_and_is_shown_as_large_as_it_is() -> None:
     fire = Fire(((-4.0, 0.0), (8.0, 3.0)), rate_m_s=0.2, from_s=10.0, depth_m=50.0)
     assert fire.area_m2(9.9) == 0.0 and not len(fire.outline_m(9.9))
     assert fire.spread_m(40.0) - fire.spread_m(15.0) == pytest.approx(0.2 * 25.0)
@@ -125,20 +125,20 @@ def test_rocks_stay_where_they_are_whoever_looks() -> None:
 
 def test_the_sensors_noise_and_pattern_are_as_declared() -> None:
     spec = replace(IDEAL, netd_k=0.05, pattern_k=0.08, drift_k_min=0.3)
-    drawn, plain = renderer(spec, LEPTON), renderer(IDEAL, LEPTON)
-    shots = [drawn.picture([ABOVE], 1.0, k, 0.0) / 100.0 for k in range(30)]
+    sampled, plain = renderer(spec, LEPTON), renderer(IDEAL, LEPTON)
+    shots = [sampled.picture([ABOVE], 1.0, k, 0.0) / 100.0 for k in range(30)]
     truth = plain.picture([ABOVE], 1.0, 0, 0.0) / 100.0
     assert np.std(shots[1] - shots[0]) / np.sqrt(2.0) == pytest.approx(0.05, rel=0.1)
     assert np.std(np.mean(shots, axis=0) - truth) == pytest.approx(0.08, rel=0.1)
-    late = np.mean([drawn.picture([ABOVE], 1.0, k, 60.0) / 100.0 for k in range(30)], axis=0)
+    late = np.mean([sampled.picture([ABOVE], 1.0, k, 60.0) / 100.0 for k in range(30)], axis=0)
     assert np.std(late - truth) == pytest.approx(np.hypot(0.08, 0.3), rel=0.1)
 
 
 def test_the_shutter_freezes_the_picture_and_leaves_another_pattern() -> None:
     spec = replace(IDEAL, netd_k=0.05, pattern_k=0.08, shutter_s=(2.0,), freeze_s=0.4)
-    drawn = renderer(spec, LEPTON)
+    sampled = renderer(spec, LEPTON)
     times = np.arange(1.5, 3.0, 0.1)
-    shots = [drawn.picture([ABOVE], 1.0, k, float(t)) for k, t in enumerate(times)]
+    shots = [sampled.picture([ABOVE], 1.0, k, float(t)) for k, t in enumerate(times)]
     repeats = [float(t) for t, a, b in zip(times[1:], shots[1:], shots, strict=False) if np.array_equal(a, b)]
     assert repeats == pytest.approx([2.0, 2.1, 2.2, 2.3])
     step = shots[-1].astype(float) - shots[0]
@@ -154,7 +154,7 @@ def test_an_automatic_gain_gives_eight_bits_that_depend_on_what_is_seen() -> Non
     assert np.median(fired.picture([ABOVE], 1.0, 0, 0.0)) < 0.2 * np.median(grey)
 
 
-def test_what_cannot_be_drawn_is_refused() -> None:
+def test_what_cannot_be_rendered_is_refused() -> None:
     for wrong in ({"output": "colour"}, {"netd_k": -1.0}, {"air_m": 0.0}, {"rocks_km2": 401.0}):
         with pytest.raises(InputError):
             ThermalSpec(**wrong)

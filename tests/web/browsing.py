@@ -6,7 +6,7 @@ import re
 from typing import Any
 
 from tests.waiting import PATIENCE_S
-from tests.web.served import Flown, Server
+from tests.web.served import Server, Simulated
 
 LAPTOP = {"width": 1280, "height": 800}
 # A browser without WebGL, as on a machine whose graphics driver is barred. Half of what a page costs here is its map.
@@ -94,9 +94,9 @@ class Operator:
         assert found is not None
         return int(found[1])
 
-    def show(self, frame: int, flown: Flown) -> None:
+    def show(self, frame: int, simulated: Simulated) -> None:
         """Go to a picture by the time bar."""
-        self.page.locator("#time-bar").fill(str(flown.frames.index(frame)))
+        self.page.locator("#time-bar").fill(str(simulated.frames.index(frame)))
         self.wait_for_frame(frame)
 
     def tidy(self) -> None:

@@ -12,23 +12,23 @@ from ground.web.command import STATIC
 from tests.left_out import NO_PROGRAM
 from tests.onboard.link.ports import free_port
 from tests.web.browsing import Operator
-from tests.web.served import ARGUMENTS, CHROMIUM, Flown, Server, record
+from tests.web.served import ARGUMENTS, CHROMIUM, Server, Simulated, record
 
 
 @pytest.fixture(scope="session")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> Flown:
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Simulated:
     """A recorded session with pictures."""
     return record(tmp_path_factory.mktemp("flown"))
 
 
 @pytest.fixture
-def serve(flown: Flown, tmp_path: Path) -> Iterator[Callable[..., Server]]:
+def serve(simulated: Simulated, tmp_path: Path) -> Iterator[Callable[..., Server]]:
     """Starts servers of a test's own on the flight; pins go into the test's folder."""
     page_is_built()
     running: list[Server] = []
 
     def start(*arguments: object, pins: str = "pins.sqlite") -> Server:
-        running.append(Server("--from", flown.path, "--pins", tmp_path / pins, *arguments))
+        running.append(Server("--from", simulated.path, "--pins", tmp_path / pins, *arguments))
         return running[-1]
 
     yield start
@@ -37,12 +37,12 @@ def serve(flown: Flown, tmp_path: Path) -> Iterator[Callable[..., Server]]:
 
 
 @pytest.fixture(scope="session")
-def station(flown: Flown, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+def station(simulated: Simulated, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """One server for all tests that do not need another; what they leave behind is cleared by `anna`."""
     page_is_built()
-    # It is started again at its port, which nobody else may have been given by then.
+    # It is started again at its port, which no one else may have been given by then.
     server = Server(
-        "--from", flown.path, "--pins", tmp_path_factory.mktemp("station") / "pins.sqlite", port=free_port()
+        "--from", simulated.path, "--pins", tmp_path_factory.mktemp("station") / "pins.sqlite", port=free_port()
     )
     yield server
     server.close()
@@ -71,12 +71,12 @@ def first_operator() -> Iterator[list[Operator]]:
 
 
 @pytest.fixture
-def anna(station: Server, chromium: Any, flown: Flown, first_operator: list[Operator]) -> Iterator[Operator]:
+def anna(station: Server, chromium: Any, simulated: Simulated, first_operator: list[Operator]) -> Iterator[Operator]:
     """The station's operator before the newest picture that answers, without pins; one page serves all tests."""
     if not first_operator:
         first_operator.append(Operator(chromium, station))
     (operator,) = first_operator
-    operator.show(flown.newest, flown)
+    operator.show(simulated.newest, simulated)
     yield operator
     try:
         operator.tidy()
@@ -88,13 +88,13 @@ def anna(station: Server, chromium: Any, flown: Flown, first_operator: list[Oper
 
 
 @pytest.fixture
-def operators(station: Server, chromium: Any, flown: Flown) -> Iterator[Callable[..., Operator]]:
+def operators(station: Server, chromium: Any, simulated: Simulated) -> Iterator[Callable[..., Operator]]:
     """More of them, with browsers of their own."""
     made: list[Operator] = []
 
     def another(server: Server = station, **context: Any) -> Operator:
         made.append(Operator(chromium, server, **context))
-        made[-1].show(flown.newest, flown)
+        made[-1].show(simulated.newest, simulated)
         return made[-1]
 
     yield another

@@ -13,11 +13,11 @@ import uvicorn
 from ground.pins.store import PinStore
 from ground.web.app import create_app
 from ground.web.command import STATIC
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 from ground.web.guard import Rules
 from ground.web.tiles import Tiles
 from tests.waiting import PATIENCE_S
-from tests.web.drawn import FlyingSource
+from tests.web.rendered import FlyingSource
 
 
 class Flight:
@@ -30,7 +30,7 @@ class Flight:
         self.port = int(self._listening.getsockname()[1])
         self.url = self.local = f"http://127.0.0.1:{self.port}/"
         rules = Rules(tile_origin="" if tiles is None else tiles.origin)
-        app = create_app(Desk(self.source, self.store, STATIC, tiles), rules)
+        app = create_app(ServerContext(self.source, self.store, STATIC, tiles), rules)
         self._server = uvicorn.Server(
             uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1)
         )

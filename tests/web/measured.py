@@ -13,7 +13,7 @@ from PIL import Image
 from ground.pins.model import PinClick
 from ground.pins.store import PinStore
 from tests.waiting import PATIENCE_S
-from tests.web.drawn import drawn_set
+from tests.web.rendered import rendered_set
 from tests.web.served import Server
 
 # Presses as the browser delivers them; the clock stops when the frame with the answer is done.
@@ -85,8 +85,8 @@ def first_page_s(chromium: Any, server: Server) -> tuple[float, int, Any]:
 
 
 def ten_thousand_pins(path: Path, step_deg: float = 1e-6) -> None:
-    """Entered ones, a hundred by a hundred, about the drawn flight's first picture."""
-    found = drawn_set(0)
+    """Entered ones, a hundred by a hundred, about the simulated flight's first picture."""
+    found = rendered_set(0)
     with PinStore(path) as store:
         one = store.add([PinClick.entered(found.camera_lat_deg, found.camera_lon_deg, sigma_m=3.0)])
         many = []

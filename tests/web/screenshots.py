@@ -13,7 +13,7 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from tests.web.browsing import Operator
-from tests.web.served import ARGUMENTS, CHROMIUM, ROOT, Flown, Server, record
+from tests.web.served import ARGUMENTS, CHROMIUM, ROOT, Server, Simulated, record
 
 IMAGES = ROOT / "docs" / "images"
 QUALITY = 82
@@ -34,23 +34,23 @@ def main() -> int:
         return 2
     with TemporaryDirectory() as name, sync_playwright() as playwright:
         folder = Path(name)
-        flown = record(folder)
-        alone = shutil.copy(flown.path, folder / "flight.mcap")  # without the picture that refuses
+        simulated = record(folder)
+        alone = shutil.copy(simulated.path, folder / "flight.mcap")  # without the picture that refuses
         server = Server("--from", alone, "--pins", folder / "pins.sqlite")
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
         try:
-            on_a_laptop(browser, server, flown)
-            on_a_phone(browser, server, flown)
+            on_a_laptop(browser, server, simulated)
+            on_a_phone(browser, server, simulated)
         finally:
             browser.close()
             server.close()
     return 0
 
 
-def on_a_laptop(browser: Any, server: Server, flown: Flown) -> None:
+def on_a_laptop(browser: Any, server: Server, simulated: Simulated) -> None:
     """Four pins, the first one chosen, and the place under the cursor."""
     anna = Operator(browser, server)
-    anna.show(flown.newest, flown)
+    anna.show(simulated.newest, simulated)
     anna.page.locator("#who").fill("anna")
     for count, (u, v, key, title) in enumerate(THINGS, start=1):
         anna.page.keyboard.press("Escape")
@@ -67,10 +67,10 @@ def on_a_laptop(browser: Any, server: Server, flown: Flown) -> None:
     anna.context.close()
 
 
-def on_a_phone(browser: Any, server: Server, flown: Flown) -> None:
+def on_a_phone(browser: Any, server: Server, simulated: Simulated) -> None:
     """The same pin's card."""
     ben = Operator(browser, server, **PHONE)
-    ben.show(flown.newest, flown)
+    ben.show(simulated.newest, simulated)
     ben.by("pin").filter(has_text="red jacket").click()
     ben.page.wait_for_timeout(2000.0)
     save(ben.page.screenshot(), "web_phone.jpg")

@@ -19,19 +19,19 @@ from simulation.ordinary import ordinary
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
-from tests.scenarios.flights import flown
+from tests.scenarios.flights import simulated
 from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-# Chromium in a machine without a screen or a graphics card, that calls nobody.
+# Chromium in a machine without a screen or a graphics card, that calls no one.
 ARGUMENTS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
 ]  # fmt: skip
 
 
-class Flown:
+class Simulated:
     """A recorded session with pictures, and what a test needs to know of it."""
 
     def __init__(self, path: Path, refused: int) -> None:
@@ -49,7 +49,7 @@ class Flown:
         return found.frame
 
 
-def record(folder: Path) -> Flown:
+def record(folder: Path) -> Simulated:
     """Some seconds over simulated ground, four pictures a second, into a folder; and one more picture that refuses."""
     spec = SessionSpec(
         DescribedSpec(PathSpec("turns", leg_m=150.0), ordinary(3), seed=3),
@@ -59,7 +59,7 @@ def record(folder: Path) -> Flown:
         terrain=TerrainSpec(relief_m=20.0, wavelength_m=250.0),
         level_ground=True,
     )
-    flight = flown(spec)
+    flight = simulated(spec)
     config = folder / "config.toml"
     config.write_text((flight / "config.toml").read_text() + '\n[recording]\npictures = "jpeg"\n')
     first = folder / "parts" / "flight.001.mcap"
@@ -80,7 +80,7 @@ def record(folder: Path) -> Flown:
     )
     with SessionRecorder(folder / "parts" / "flight.002.mcap", vehicle, part=2) as out:
         out.write_set(refused)
-    return Flown(first, refused.frame)
+    return Simulated(first, refused.frame)
 
 
 class PageProgram:

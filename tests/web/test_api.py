@@ -18,11 +18,11 @@ from starlette.testclient import TestClient
 from ground.formats.rounded import decimals
 from ground.pins.store import PinStore
 from ground.web.app import create_app
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 from ground.web.guard import Rules
 from ground.web.recorded import RecordedSource
 from ground.web.tiles import Tiles
-from tests.web.served import ROOT, Flown
+from tests.web.served import ROOT, Simulated
 
 pytestmark = pytest.mark.xdist_group("web")
 
@@ -30,17 +30,20 @@ pytestmark = pytest.mark.xdist_group("web")
 class Api:
     """A client of an application in this process."""
 
-    def __init__(self, flown: Flown, pins: Path, rules: Rules | None = None, tiles: Tiles | None = None) -> None:
-        self.flown = flown
-        self.source = RecordedSource(flown.path)
+    def __init__(
+        self, simulated: Simulated, pins: Path, rules: Rules | None = None, tiles: Tiles | None = None
+    ) -> None:
+        self.simulated = simulated
+        self.source = RecordedSource(simulated.path)
         self.store = PinStore(pins)
-        self.desk = Desk(self.source, self.store, pins.parent, tiles)
-        self.client = TestClient(create_app(self.desk, rules or Rules()), base_url="http://127.0.0.1:8080")
+        self.context = ServerContext(self.source, self.store, pins.parent, tiles)
+        self.client = TestClient(create_app(self.context, rules or Rules()), base_url="http://127.0.0.1:8080")
 
     def click(self, u: float, v: float, frame: int | None = None) -> dict[str, Any]:
         """The body of a click."""
         return {
-            "vehicle": self.flown.vehicle, "frame": self.flown.newest if frame is None else frame, "u": u, "v": v,
+            "vehicle": self.simulated.vehicle, "frame": self.simulated.newest if frame is None else frame,
+            "u": u, "v": v,
         }  # fmt: skip
 
     def pin(self, u: float, v: float, frame: int | None = None, **more: Any) -> dict[str, Any]:
@@ -52,19 +55,23 @@ class Api:
 
 
 @pytest.fixture
-def api(flown: Flown, tmp_path: Path) -> Iterator[Api]:
-    made = Api(flown, tmp_path / "pins.sqlite")
+def api(simulated: Simulated, tmp_path: Path) -> Iterator[Api]:
+    made = Api(simulated, tmp_path / "pins.sqlite")
     with made.client:
         yield made
     made.store.close()
 
 
-def test_a_click_is_answered_as_on_the_command_line(api: Api, flown: Flown) -> None:
-    for u, v, frame in ((320.0, 240.0, flown.newest), (100.25, 400.5, flown.newest - 5), (5.0, 5.0, flown.refused)):
+def test_a_click_is_answered_as_on_the_command_line(api: Api, simulated: Simulated) -> None:
+    for u, v, frame in (
+        (320.0, 240.0, simulated.newest),
+        (100.25, 400.5, simulated.newest - 5),
+        (5.0, 5.0, simulated.refused),
+    ):
         said = api.client.post("/api/click", json=api.click(u, v, frame))
         command = [sys.executable, "-m", "ground", "click", str(u), str(v), "--frame", str(frame)]
         done = subprocess.run(
-            [*command, "--from", flown.path, "--format", "json"],
+            [*command, "--from", simulated.path, "--format", "json"],
             capture_output=True, text=True, check=False, cwd=ROOT, timeout=60,
         )  # fmt: skip
         assert said.status_code == 200
@@ -119,50 +126,50 @@ def test_a_typed_pin_was_seen_when_somebody_says_so_and_not_when_it_was_typed(ap
     assert "Seen at 21 03 U T C" in said["readback"]
 
 
-def test_the_place_under_the_cursor_is_that_of_the_pin_a_click_would_make(api: Api, flown: Flown) -> None:
+def test_the_place_under_the_cursor_is_that_of_the_pin_a_click_would_make(api: Api, simulated: Simulated) -> None:
     said = api.client.post("/api/place", json=api.click(300.5, 200.25)).json()
     place = api.pin(300.5, 200.25)["place"]
     assert {name: said[name] for name in place} == place
     assert said["method"] == "interpolated"
-    refused = api.client.post("/api/place", json=api.click(320, 240, flown.refused)).json()
+    refused = api.client.post("/api/place", json=api.click(320, 240, simulated.refused)).json()
     assert (refused["status"], bool(refused["advice"])) == ("turning", True)
     assert len(api.client.get("/api/pins").json()["pins"]) == 1
 
 
-def test_what_would_make_a_radius_smaller_is_in_a_recordings_state(api: Api, flown: Flown) -> None:
+def test_what_would_make_a_radius_smaller_is_in_a_recordings_state(api: Api, simulated: Simulated) -> None:
     """The recording's last status has it, by the replay that made it."""
     (vehicle,) = api.client.get("/api/vehicles").json()
     assert re.fullmatch(r"(mostly|mainly) [^()]+ \(\d+ %\): .{8,}", vehicle["radius"]), vehicle["radius"]
 
 
-def test_pictures_and_their_features_are_served(api: Api, flown: Flown) -> None:
+def test_pictures_and_their_features_are_served(api: Api, simulated: Simulated) -> None:
     (vehicle,) = api.client.get("/api/vehicles").json()
-    assert vehicle["id"] == flown.vehicle
-    rows = api.client.get(f"/api/vehicles/{flown.vehicle}/frames").json()
-    assert [row["frame"] for row in rows] == [*flown.frames]
-    assert [row["has_picture"] for row in rows] == [frame != flown.refused for frame in flown.frames]
-    frame = f"/api/vehicles/{flown.vehicle}/frames/{flown.newest}"
+    assert vehicle["id"] == simulated.vehicle
+    rows = api.client.get(f"/api/vehicles/{simulated.vehicle}/frames").json()
+    assert [row["frame"] for row in rows] == [*simulated.frames]
+    assert [row["has_picture"] for row in rows] == [frame != simulated.refused for frame in simulated.frames]
+    frame = f"/api/vehicles/{simulated.vehicle}/frames/{simulated.newest}"
     picture = api.client.get(f"{frame}/picture")
     assert picture.headers["content-type"] == "image/jpeg"
     assert picture.content.startswith(b"\xff\xd8\xff")
-    found = flown.recording.by_frame(flown.vehicle, flown.newest)
+    found = simulated.recording.by_frame(simulated.vehicle, simulated.newest)
     assert found is not None
     view = api.client.get(f"{frame}/features").json()
     assert len(view["features"]["uv"]) == len(found)
     tracked = sum(bool(path) for path in view["features"]["paths"])
     assert 0.5 * len(found) < tracked <= len(found)
     assert len(view["corners"]) == 4
-    refused = api.client.get(f"/api/vehicles/{flown.vehicle}/frames/{flown.refused}/features").json()
+    refused = api.client.get(f"/api/vehicles/{simulated.vehicle}/frames/{simulated.refused}/features").json()
     assert (refused["status"], refused["camera"]) == ("turning", None)
     assert refused["advice"]
-    assert api.client.get(f"/api/vehicles/{flown.vehicle}/frames/{flown.refused}/picture").status_code == 404
+    assert api.client.get(f"/api/vehicles/{simulated.vehicle}/frames/{simulated.refused}/picture").status_code == 404
     assert api.client.get("/api/vehicles/nobody/frames").status_code == 404
 
 
-def test_a_feature_is_seen_where_its_ground_place_was(api: Api, flown: Flown) -> None:
+def test_a_feature_is_seen_where_its_ground_place_was(api: Api, simulated: Simulated) -> None:
     """A path's earlier pixel is the same place: what was clicked there then lies where it lies now."""
-    frame = flown.newest
-    view = api.client.get(f"/api/vehicles/{flown.vehicle}/frames/{frame}/features").json()
+    frame = simulated.newest
+    view = api.client.get(f"/api/vehicles/{simulated.vehicle}/frames/{frame}/features").json()
     checked = 0
     for (u, v), path in zip(view["features"]["uv"], view["features"]["paths"], strict=True):
         if len(path) < 4 or not (100 < u < 540 and 100 < v < 380):
@@ -189,8 +196,8 @@ def test_a_pin_is_on_disk_with_its_crop_before_it_is_answered(api: Api, tmp_path
     assert 0.1 < pin["place"]["ce90_m"] < 50.0
 
 
-def test_a_refused_click_makes_no_pin_and_says_what_would_help(api: Api, flown: Flown) -> None:
-    said = api.client.post("/api/pins", json={"click": api.click(320, 240, flown.refused)})
+def test_a_refused_click_makes_no_pin_and_says_what_would_help(api: Api, simulated: Simulated) -> None:
+    said = api.client.post("/api/pins", json={"click": api.click(320, 240, simulated.refused)})
     assert said.status_code == 422
     answer = said.json()["answer"]
     assert (said.json()["pin"], answer["status"]) == (None, "turning")
@@ -224,19 +231,21 @@ def test_pins_are_filtered(api: Api) -> None:
     assert len(found()) == 2
 
 
-def test_a_pin_clicked_again_is_surer_and_one_clicked_elsewhere_contradicts_itself(api: Api, flown: Flown) -> None:
-    pin = api.pin(320, 240, flown.newest - 4)
+def test_a_pin_clicked_again_is_surer_and_one_clicked_elsewhere_contradicts_itself(
+    api: Api, simulated: Simulated
+) -> None:
+    pin = api.pin(320, 240, simulated.newest - 4)
     place = pin["place"]
     seen = {row["frame"]: row for row in api.client.get(f"/api/pins/{pin['id']}/seen").json()}
-    assert seen[flown.newest - 4]["u_px"] == pytest.approx(320.0, abs=0.05)
-    assert flown.newest in seen
-    row = seen[flown.newest]
-    body = {**api.click(row["u_px"], row["v_px"], flown.newest), "who": "anna"}
+    assert seen[simulated.newest - 4]["u_px"] == pytest.approx(320.0, abs=0.05)
+    assert simulated.newest in seen
+    row = seen[simulated.newest]
+    body = {**api.click(row["u_px"], row["v_px"], simulated.newest), "who": "anna"}
     again = api.client.post(f"/api/pins/{pin['id']}/clicks", json=body).json()["pin"]
     assert again["place"]["clicks"] == 2
     assert again["place"]["ce90_m"] < place["ce90_m"]
     assert again["place"]["lat_deg"] == pytest.approx(place["lat_deg"], abs=2e-5)
-    elsewhere = {**api.click(60, 60, flown.newest)}
+    elsewhere = {**api.click(60, 60, simulated.newest)}
     refused = api.client.post(f"/api/pins/{pin['id']}/clicks", json=elsewhere)
     assert refused.status_code == 409
     assert 10.0 < refused.json()["apart_m"] < 200.0
@@ -259,8 +268,8 @@ def test_distance_between_two_pins_is_surer_than_either(api: Api) -> None:
     assert said["sigma_distance_m"] < 0.5 * one["place"]["ce90_m"]
 
 
-def test_a_tie_moves_all_pins_of_its_flight_and_is_taken_back(api: Api, flown: Flown) -> None:
-    pins = [api.pin(200, 150), api.pin(420, 330, flown.newest - 8)]
+def test_a_tie_moves_all_pins_of_its_flight_and_is_taken_back(api: Api, simulated: Simulated) -> None:
+    pins = [api.pin(200, 150), api.pin(420, 330, simulated.newest - 8)]
     said = api.client.post("/api/click", json=api.click(320, 240)).json()
     north_deg = 3.0 / 111_320.0
     tie = {
@@ -323,14 +332,14 @@ def test_browsers_hear_of_each_others_pins(api: Api) -> None:
         assert event["id"] == pin["id"]
 
 
-def test_a_browser_that_does_not_read_is_told_to_begin_anew(api: Api) -> None:
+def test_a_browser_that_does_not_read_is_asked_to_begin_again(api: Api) -> None:
     async def flood() -> list[str]:
-        queue = api.desk.hub.join()
+        queue = api.context.hub.join()
         assert queue is not None
         for k in range(1000):
-            api.desk.hub.tell({"type": "pins", "k": k})
+            api.context.hub.send({"type": "pins", "k": k})
         held = [json.loads(queue.get_nowait())["type"] for _ in range(queue.qsize())]
-        api.desk.hub.leave(queue)
+        api.context.hub.leave(queue)
         return held
 
     with ThreadPoolExecutor(1) as thread:  # a browser that is open has a loop of its own in this one

@@ -17,7 +17,7 @@ from tests.waiting import eventually
 from tests.web.conftest import page_is_built
 from tests.web.flying import Flight
 from tests.web.measured import SMALL, opened, share_of
-from tests.web.tile_files import COLOUR, REGION, drawn_tile, write_mbtiles, write_pmtiles, write_region
+from tests.web.tile_files import COLOUR, REGION, rendered_tile, write_mbtiles, write_pmtiles, write_region
 
 pytestmark = pytest.mark.xdist_group("web")
 
@@ -60,7 +60,7 @@ class Elsewhere(BaseHTTPRequestHandler):
         """A part, a tile, or what there is."""
         content, status = self.archive, 200
         if found := re.fullmatch(r"/(\d+)/\d+/\d+\.png", self.path):
-            content, status = (drawn_tile(), 200) if 10 <= int(found[1]) <= 12 else (b"", 404)
+            content, status = (rendered_tile(), 200) if 10 <= int(found[1]) <= 12 else (b"", 404)
         elif self.path == "/map.json":
             tiles = f"http://127.0.0.1:{self.server.server_address[1]}/{{z}}/{{x}}/{{y}}.png"
             content = json.dumps({"tiles": [tiles], "minzoom": 10, "maxzoom": 12, "bounds": REGION}).encode()

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import pytest
 
-from ground.web.gate import HEADERS_S, Gate, SaidOnce
+from ground.web.gate import HEADERS_S, Gate, LoggedOnce
 from tests.waiting import PATIENCE_S
 from tests.web.conftest import page_is_built
-from tests.web.served import ROOT, Flown
+from tests.web.served import ROOT, Simulated
 
 pytestmark = pytest.mark.xdist_group("web")
 
@@ -47,14 +47,14 @@ class Held:
 
 
 @pytest.mark.wall_clock
-def test_a_thousand_half_open_connections_leave_the_page_answering(flown: Flown, tmp_path: Path) -> None:
+def test_a_thousand_half_open_connections_leave_the_page_answering(simulated: Simulated, tmp_path: Path) -> None:
     page_is_built()
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard < 3000 and hard != resource.RLIM_INFINITY:
         pytest.fail(f"this test opens {HALF_OPEN} connections, and the limit of descriptors is {hard}")
     resource.setrlimit(resource.RLIMIT_NOFILE, (3000, hard))
     log = tmp_path / "log.txt"
-    command = f"ulimit -n 1024; exec {sys.executable} -m ground web --port 0 --token {TOKEN} --from {flown.path}"
+    command = f"ulimit -n 1024; exec {sys.executable} -m ground web --port 0 --token {TOKEN} --from {simulated.path}"
     with log.open("wb") as out, Held() as held:
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
         server = subprocess.Popen(
@@ -127,7 +127,7 @@ def test_one_address_does_not_keep_another_out() -> None:
 
 
 def test_a_line_that_anybody_can_provoke_is_written_once() -> None:
-    once = SaidOnce()
+    once = LoggedOnce()
 
     def record(text: str) -> logging.LogRecord:
         return logging.LogRecord("uvicorn.error", logging.WARNING, "", 0, text, None, None)

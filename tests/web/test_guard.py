@@ -13,7 +13,7 @@ from starlette.websockets import WebSocketDisconnect
 from contract.errors import InputError
 from ground.web.guard import Rules, is_loopback
 from ground.web.tiles import open_tiles
-from tests.web.served import Flown
+from tests.web.served import Simulated
 from tests.web.test_api import Api
 
 pytestmark = pytest.mark.xdist_group("web")
@@ -21,19 +21,19 @@ TOKEN = "a-token-of-some-length"
 
 
 @pytest.fixture
-def guarded(flown: Flown, tmp_path: Path) -> Iterator[TestClient]:
+def guarded(simulated: Simulated, tmp_path: Path) -> Iterator[TestClient]:
     (tmp_path / "index.html").write_text("<p>page</p>")
     (tmp_path.parent / "secret.txt").write_text("secret")
-    api = Api(flown, tmp_path / "pins.sqlite", Rules(TOKEN, frozenset({"ops.example"})))
+    api = Api(simulated, tmp_path / "pins.sqlite", Rules(TOKEN, frozenset({"ops.example"})))
     with api.client as client:
         yield client
     api.store.close()
 
 
 @pytest.fixture
-def open_to_this_machine(flown: Flown, tmp_path: Path) -> Iterator[TestClient]:
+def open_to_this_machine(simulated: Simulated, tmp_path: Path) -> Iterator[TestClient]:
     (tmp_path / "index.html").write_text("<p>page</p>")
-    api = Api(flown, tmp_path / "pins.sqlite")
+    api = Api(simulated, tmp_path / "pins.sqlite")
     with api.client as client:
         yield client
     api.store.close()
@@ -116,7 +116,7 @@ def test_bodies_that_are_too_large_or_endless_are_refused(open_to_this_machine: 
     assert open_to_this_machine.post("/api/pins", content=iter([b"{}"])).status_code == 411
 
 
-def test_loopback_is_told_from_the_rest() -> None:
+def test_loopback_is_distinguished_from_the_rest() -> None:
     assert [is_loopback(a) for a in ("127.0.0.1", "127.8.0.1", "::1", "localhost")] == [True] * 4
     assert [is_loopback(a) for a in ("0.0.0.0", "192.168.0.1", "::", "example.org")] == [False] * 4
 
@@ -134,14 +134,14 @@ def test_only_tiles_are_served_as_tiles(tmp_path: Path) -> None:
     assert "https://tiles.example" in Rules(tile_origin=url.origin).content_security_policy()
 
 
-def test_mbtiles_are_served_from_the_north(flown: Flown, tmp_path: Path) -> None:
+def test_mbtiles_are_served_from_the_north(simulated: Simulated, tmp_path: Path) -> None:
     path = tmp_path / "base.mbtiles"
     with sqlite3.connect(path) as base:
         base.execute("CREATE TABLE metadata (name TEXT, value TEXT)")
         base.execute("CREATE TABLE tiles (zoom_level INT, tile_column INT, tile_row INT, tile_data BLOB)")
         base.execute("INSERT INTO metadata VALUES ('format', 'png')")
         base.execute("INSERT INTO tiles VALUES (3, 2, 7, x'89504e47')")
-    api = Api(flown, tmp_path / "pins.sqlite", tiles=open_tiles(str(path)))
+    api = Api(simulated, tmp_path / "pins.sqlite", tiles=open_tiles(str(path)))
     with api.client as client:
         found = client.get("/tiles/3/2/0")
         assert (found.content, found.headers["content-type"]) == (b"\x89PNG", "image/png")

@@ -23,18 +23,22 @@ from ground.web.recorded import RecordedSource
 from onboard.link.publisher import Publisher, Rate
 from tests.onboard.link.ports import free_endpoint
 from tests.web.browsing import Operator
-from tests.web.served import Flown, Server
+from tests.web.served import Server, Simulated
 from tests.web.test_live import wait_for
 
 pytestmark = pytest.mark.xdist_group("web")
 
 
-def sets_and_picture(flown: Flown) -> tuple[list[FeatureSet], LinkPicture]:
+def sets_and_picture(simulated: Simulated) -> tuple[list[FeatureSet], LinkPicture]:
     """The last sets that answer, and the second of them's picture as it would cross the link."""
-    sets = [s for f in flown.frames[-7:-1] if (s := flown.recording.by_frame(flown.vehicle, f)) is not None and s.is_ok]
+    sets = [
+        s
+        for f in simulated.frames[-7:-1]
+        if (s := simulated.recording.by_frame(simulated.vehicle, f)) is not None and s.is_ok
+    ]
     second = sets[1]
-    held = RecordedSource(flown.path)
-    image = held.picture(flown.vehicle, second.session, second.frame)
+    held = RecordedSource(simulated.path)
+    image = held.picture(simulated.vehicle, second.session, second.frame)
     assert image is not None
     assert image.media_type == "image/jpeg"
     who = second.vehicle, second.session, second.frame, second.capture_unix_ns
@@ -42,12 +46,12 @@ def sets_and_picture(flown: Flown) -> tuple[list[FeatureSet], LinkPicture]:
 
 
 class Aircraft:
-    """Sends its sets until they are heard, and then a picture of one of them."""
+    """Sends its sets until they are received, and then a picture of one of them."""
 
-    def __init__(self, flown: Flown) -> None:
-        self.sets, self.picture = sets_and_picture(flown)
+    def __init__(self, simulated: Simulated) -> None:
+        self.sets, self.picture = sets_and_picture(simulated)
         self.endpoint = free_endpoint()
-        self.publisher = Publisher(flown.vehicle, listen=[self.endpoint], rate=Rate(20e6, 1.0, 30.0))
+        self.publisher = Publisher(simulated.vehicle, listen=[self.endpoint], rate=Rate(20e6, 1.0, 30.0))
 
     def say(self, *sets: FeatureSet) -> None:
         for s in sets or self.sets:
@@ -66,55 +70,57 @@ class Aircraft:
         wait_for(is_there, "the picture")
 
 
-def test_a_picture_of_the_link_is_its_frames_and_says_so_late_as_it_may_come(flown: Flown) -> None:
-    craft = Aircraft(flown)
+def test_a_picture_of_the_link_is_its_frames_and_says_so_late_as_it_may_come(simulated: Simulated) -> None:
+    craft = Aircraft(simulated)
     source = LiveSource([craft.endpoint])
     try:
         wanted = {s.frame for s in craft.sets}
 
-        def heard_all() -> bool:
-            craft.say(*(s for s in craft.sets if s.frame in wanted - {r.frame for r in source.frames(flown.vehicle)}))
-            return {row.frame for row in source.frames(flown.vehicle)} == wanted
+        def received_all() -> bool:
+            craft.say(
+                *(s for s in craft.sets if s.frame in wanted - {r.frame for r in source.frames(simulated.vehicle)})
+            )
+            return {row.frame for row in source.frames(simulated.vehicle)} == wanted
 
-        wait_for(heard_all, "all sets")
-        assert not any(row.has_picture for row in source.frames(flown.vehicle))
-        assert source.picture(flown.vehicle, None, craft.picture.frame) is None
-        version = source.version(flown.vehicle)
+        wait_for(received_all, "all sets")
+        assert not any(row.has_picture for row in source.frames(simulated.vehicle))
+        assert source.picture(simulated.vehicle, None, craft.picture.frame) is None
+        version = source.version(simulated.vehicle)
         craft.send_picture(source)
-        wait_for(lambda: source.version(flown.vehicle) > version, "the news of it")
+        wait_for(lambda: source.version(simulated.vehicle) > version, "the news of it")
         # So many of the newest rows are said to be new that the picture's is among them.
-        news = source.frames(flown.vehicle, source.version(flown.vehicle) - version)
+        news = source.frames(simulated.vehicle, source.version(simulated.vehicle) - version)
         assert [row.frame for row in news if row.has_picture] == [craft.picture.frame]
-        got = source.picture(flown.vehicle, craft.picture.session, craft.picture.frame)
+        got = source.picture(simulated.vehicle, craft.picture.session, craft.picture.frame)
         assert got is not None
         assert (got.content, got.media_type) == (craft.picture.content, "image/jpeg")
-        assert source.picture(flown.vehicle, craft.picture.session + 1, craft.picture.frame) is None
+        assert source.picture(simulated.vehicle, craft.picture.session + 1, craft.picture.frame) is None
         assert source.damage() == []
     finally:
         source.close()
         craft.publisher.close()
 
 
-def test_pictures_that_pc_ground_record_kept_are_in_the_list(flown: Flown, tmp_path: Path) -> None:
-    sets, picture = sets_and_picture(flown)
+def test_pictures_that_pc_ground_record_kept_are_in_the_list(simulated: Simulated, tmp_path: Path) -> None:
+    sets, picture = sets_and_picture(simulated)
     with LinkRecorder(tmp_path) as recorder:
         for s in sets:
             recorder.take(f"pc/{s.vehicle}/features", encode(s))
         for piece in cut(picture, with_parity=True)[1:]:  # the first was lost
             recorder.take(f"pc/{picture.vehicle}/picture", piece)
     source = RecordedSource(tmp_path)
-    with_picture = [row.frame for row in source.frames(flown.vehicle) if row.has_picture]
+    with_picture = [row.frame for row in source.frames(simulated.vehicle) if row.has_picture]
     assert with_picture == [picture.frame]
-    got = source.picture(flown.vehicle, None, picture.frame)
+    got = source.picture(simulated.vehicle, None, picture.frame)
     assert got is not None
     assert got.content == picture.content
-    assert source.picture(flown.vehicle, None, sets[0].frame) is None
+    assert source.picture(simulated.vehicle, None, sets[0].frame) is None
 
 
 def test_the_page_shows_the_newest_picture_that_came_and_clicks_it_as_itself(
-    flown: Flown, chromium: Any, tmp_path: Path
+    simulated: Simulated, chromium: Any, tmp_path: Path
 ) -> None:
-    craft = Aircraft(flown)
+    craft = Aircraft(simulated)
     server = Server("--connect", craft.endpoint, "--pins", tmp_path / "pins.sqlite")
     operator = None
     try:
@@ -123,9 +129,9 @@ def test_the_page_shows_the_newest_picture_that_came_and_clicks_it_as_itself(
         def rows() -> list[dict[str, Any]]:
             """What the server has."""
             try:
-                with urllib.request.urlopen(f"{server.local}api/vehicles/{flown.vehicle}/frames") as said:
+                with urllib.request.urlopen(f"{server.local}api/vehicles/{simulated.vehicle}/frames") as said:
                     return list(json.load(said))
-            except urllib.error.HTTPError:  # it has not heard of the aircraft
+            except urllib.error.HTTPError:  # it does not know of the aircraft
                 return []
 
         def has_sets() -> bool:
@@ -146,7 +152,7 @@ def test_the_page_shows_the_newest_picture_that_came_and_clicks_it_as_itself(
         )
         operator.click(330.0, 220.0)
         assert operator.newest_pin()["clicks"][0]["frame"] == craft.picture.frame
-        # What has no picture can still be looked at, and is drawn of its features.
+        # What has no picture can still be looked at, and is rendered of its features.
         operator.by("step-forward").click()
         operator.wait_for_frame(craft.sets[2].frame)
         operator.check()

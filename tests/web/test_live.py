@@ -14,7 +14,7 @@ from ground.web.live import LiveSource
 from onboard.link.publisher import Publisher, Rate
 from tests.onboard.link.ports import free_endpoint
 from tests.waiting import eventually
-from tests.web.served import Flown
+from tests.web.served import Simulated
 
 pytestmark = pytest.mark.xdist_group("web")
 
@@ -23,49 +23,53 @@ def wait_for(there: Callable[[], object], what: str) -> None:
     assert eventually(there), f"never came: {what}"
 
 
-def test_sets_that_are_published_are_clicked_and_a_silent_aircraft_grows_old(flown: Flown) -> None:
+def test_sets_that_are_published_are_clicked_and_a_silent_aircraft_grows_old(simulated: Simulated) -> None:
     endpoint = free_endpoint()
-    publisher = Publisher(flown.vehicle, listen=[endpoint], rate=Rate(1e6, 1.0, 30.0))
+    publisher = Publisher(simulated.vehicle, listen=[endpoint], rate=Rate(1e6, 1.0, 30.0))
     source = LiveSource([endpoint])
     try:
-        sets = [s for f in flown.frames[-6:-1] if (s := flown.recording.by_frame(flown.vehicle, f)) is not None]
+        sets = [
+            s for f in simulated.frames[-6:-1] if (s := simulated.recording.by_frame(simulated.vehicle, f)) is not None
+        ]
         first, *middle, last = [s for s in sets if s.is_ok]
 
         def heard_of_one() -> bool:
             publisher.publish(last)  # the listener may come a little after the link
-            return source.vehicles() == [flown.vehicle]
+            return source.vehicles() == [simulated.vehicle]
 
         wait_for(heard_of_one, "the first set")
-        version = source.version(flown.vehicle)
+        version = source.version(simulated.vehicle)
         said = encode_status(VehicleStatus(last.capture_unix_ns / 1e9, last.session, "degraded", "clock", tracks=41))
 
         def is_reported() -> bool:
             publisher.publish_status(said, b"")  # once a second in flight: one may be lost
-            return source.report(flown.vehicle).status is not None
+            return source.report(simulated.vehicle).status is not None
 
         wait_for(is_reported, "the status")
-        report = source.report(flown.vehicle)
+        report = source.report(simulated.vehicle)
         assert report.status is not None
         assert (report.status.state, report.status.tracks, report.session) == ("degraded", 41, last.session)
         assert report.newest_frame == last.frame
-        assert source.version(flown.vehicle) >= version
-        (row,) = source.frames(flown.vehicle)
+        assert source.version(simulated.vehicle) >= version
+        (row,) = source.frames(simulated.vehicle)
         assert (row.frame, row.session, row.has_picture) == (last.frame, last.session, False)
-        clicked = Clicker(source).click(flown.vehicle, last.session, last.frame, 320.0, 240.0)
+        clicked = Clicker(source).click(simulated.vehicle, last.session, last.frame, 320.0, 240.0)
         expected = Locator(last).locate((320.0, 240.0))
         assert isinstance(clicked.answer, Fix)
         assert isinstance(expected, Fix)
         assert clicked.answer.lat_deg == pytest.approx(expected.lat_deg, abs=1e-6)
         # One that did not come is asked for; one of another session is refused, not mixed up.
         publisher.publish(first)
-        wait_for(lambda: source.feature_set(flown.vehicle, last.session, first.frame) is not None, "what is asked for")
-        refused = Clicker(source).click(flown.vehicle, last.session - 1, last.frame, 320.0, 240.0)
+        wait_for(
+            lambda: source.feature_set(simulated.vehicle, last.session, first.frame) is not None, "what is asked for"
+        )
+        refused = Clicker(source).click(simulated.vehicle, last.session - 1, last.frame, 320.0, 240.0)
         assert "restarted" in refused.answer.reason  # type: ignore[union-attr]
-        assert source.feature_set(flown.vehicle, None, 1_000_000) is None
-        before_s = source.report(flown.vehicle).picture_age_s
+        assert source.feature_set(simulated.vehicle, None, 1_000_000) is None
+        before_s = source.report(simulated.vehicle).picture_age_s
         publisher.close()
         assert before_s is not None
-        wait_for(lambda: (source.report(flown.vehicle).picture_age_s or 0.0) >= before_s + 0.5, "half a second")
+        wait_for(lambda: (source.report(simulated.vehicle).picture_age_s or 0.0) >= before_s + 0.5, "half a second")
         assert len(middle) >= 1
     finally:
         source.close()

@@ -1,4 +1,4 @@
-"""`pc-ground live`: one command beside a downlink and a telemetry radio, until a click is answered on the page."""
+"""`pc-ground live`: one command next to a downlink and a telemetry radio, until a click is answered on the page."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
 from tests.onboard.link.ports import free_udp_port
-from tests.scenarios.flights import flown
+from tests.scenarios.flights import simulated
 from tests.streamed_flight import StreamedFlight
 from tests.waiting import PATIENCE_S, eventually
 from tests.web.browsing import Operator
@@ -48,7 +48,7 @@ class Live(PageProgram):
 @pytest.fixture(scope="module")
 def session() -> Path:
     """Thirty seconds of turns in real time."""
-    return flown(
+    return simulated(
         SessionSpec(
             DescribedSpec(PathSpec("turns", leg_m=120.0), ordinary(3), seed=3),
             seconds=30.0,

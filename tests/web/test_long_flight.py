@@ -15,9 +15,9 @@ from websockets.asyncio.client import connect
 
 from tests.waiting import PATIENCE_S
 from tests.web.conftest import page_is_built
-from tests.web.drawn import VEHICLE
 from tests.web.flying import Flight
 from tests.web.measured import SMALL, grown, opened
+from tests.web.rendered import VEHICLE
 
 pytestmark = pytest.mark.xdist_group("web")
 
@@ -65,18 +65,18 @@ def test_a_page_that_is_open_for_an_hour_of_flight_does_not_grow(flight: Flight,
 
 def test_fifty_tablets_at_once_each_hear_of_every_pin(flight: Flight) -> None:
     async def tablet(k: int, joined: asyncio.Barrier, client: httpx2.AsyncClient) -> tuple[int, set[int]]:
-        """Its own pin's number, and those that it heard of."""
+        """Its own pin's number, and those that it knows of."""
         async with connect(f"ws://127.0.0.1:{flight.port}/api/events", open_timeout=PATIENCE_S) as socket:
             await joined.wait()
             click = {"vehicle": VEHICLE, "frame": 0, "u": 100.0 + 8.0 * k, "v": 150.0 + 3.0 * k}
             said = await client.post("/api/pins", json={"click": click, "who": f"tablet {k}"})
             assert said.status_code == 201, said.text
-            heard: set[int] = set()
-            while len(heard) < TABLETS:
+            received: set[int] = set()
+            while len(received) < TABLETS:
                 event = json.loads(await socket.recv())
                 if event["type"] == "pin":
-                    heard.add(event["pin"]["number"])
-            return said.json()["pin"]["number"], heard
+                    received.add(event["pin"]["number"])
+            return said.json()["pin"]["number"], received
 
     async def all_of_them() -> list[tuple[int, set[int]]]:
         joined = asyncio.Barrier(TABLETS)
@@ -89,5 +89,5 @@ def test_fifty_tablets_at_once_each_hear_of_every_pin(flight: Flight) -> None:
     with ThreadPoolExecutor(1) as thread:  # a browser that is open has a loop of its own in this one
         found = thread.submit(asyncio.run, all_of_them()).result()
     assert sorted(number for number, _ in found) == list(range(1, TABLETS + 1))
-    assert all(heard == set(range(1, TABLETS + 1)) for _, heard in found)
+    assert all(received == set(range(1, TABLETS + 1)) for _, received in found)
     assert len(flight.store.pins()) == TABLETS

@@ -21,14 +21,14 @@ from ground.formats.mark import Mark
 from ground.pins.model import Category, PinClick
 from ground.pins.store import PinStore
 from ground.web.app import create_app
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 from ground.web.guard import Rules
 from ground.web.ogc_definition import API_TYPE
 from ground.web.ogc_selection import MAX_LIMIT, Selection, WrongParameter
 from ground.web.recorded import RecordedSource
 from tests.ground.pins.test_store import clicked
-from tests.web.drawn import record_drawn
-from tests.web.served import Flown, Server
+from tests.web.rendered import record_rendered
+from tests.web.served import Server, Simulated
 
 pytestmark = pytest.mark.xdist_group("web")
 ITEMS = "/ogc/collections/pins/items"
@@ -112,9 +112,9 @@ def filled(path: Path) -> PinStore:
 @pytest.fixture
 def client(tmp_path: Path) -> Iterator[TestClient]:
     recording = tmp_path / "drawn.mcap"
-    record_drawn(recording, 2)
+    record_rendered(recording, 2)
     with filled(tmp_path / "pins.sqlite") as store:
-        app = create_app(Desk(RecordedSource(recording), store, tmp_path, None), Rules())
+        app = create_app(ServerContext(RecordedSource(recording), store, tmp_path, None), Rules())
         with TestClient(app, base_url="http://127.0.0.1:8080") as made:
             yield made
 
@@ -271,7 +271,7 @@ def test_a_box_holds_what_lies_in_it_also_across_the_antimeridian(
 
 
 def test_gdal_reads_and_selects_from_a_running_server(
-    flown: Flown, serve: Callable[..., Server], tmp_path: Path
+    simulated: Simulated, serve: Callable[..., Server], tmp_path: Path
 ) -> None:
     """GDAL's driver for OGC API - Features, which is not of this project, follows pages of a server over HTTP."""
     server = serve()

@@ -19,13 +19,13 @@ from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
 from tests.own_flights import write_named_photographs, write_video
 from tests.rest_long import rest_long
-from tests.scenarios.flights import flown
+from tests.scenarios.flights import simulated
 from tests.waiting import PATIENCE_S
 from tests.web.browsing import Operator
 from tests.web.conftest import page_is_built
 from tests.web.served import PageProgram
 
-pytestmark = pytest.mark.xdist_group("open")  # one worker: the flight is drawn once
+pytestmark = pytest.mark.xdist_group("open")  # one worker: the flight is sampled once
 LIMIT_S = 60.0  # of processor time, from the command to the page
 
 
@@ -45,7 +45,7 @@ class Opened(PageProgram):
 def session() -> Path:
     """Sixteen seconds of turns, three pictures a second."""
     path = PathSpec("turns", leg_m=120.0)
-    return flown(
+    return simulated(
         SessionSpec(
             DescribedSpec(path, ordinary(3), seed=3),
             seconds=16.0,

@@ -14,10 +14,10 @@ from ground.pins.model import PinClick
 from tests.waiting import eventually
 from tests.web.browsing import Operator
 from tests.web.conftest import page_is_built
-from tests.web.drawn import drawn_set
 from tests.web.flying import Flight
 from tests.web.measured import opened, share_of
-from tests.web.served import ROOT, Flown
+from tests.web.rendered import rendered_set
+from tests.web.served import ROOT, Simulated
 
 pytestmark = pytest.mark.xdist_group("web")
 
@@ -204,7 +204,7 @@ def test_a_stray_second_click_leaves_the_pin_where_it_was(anna: Operator) -> Non
     anna.wait_for_pins(2)
 
 
-def test_three_pins_stay_beside_the_card_and_all_its_buttons_are_in_sight(anna: Operator) -> None:
+def test_three_pins_stay_next_to_the_card_and_all_its_buttons_are_in_view(anna: Operator) -> None:
     for u in (200.0, 300.0, 400.0, 500.0):
         anna.click(u, 200.0)
     anna.by("pin").first.click()
@@ -315,7 +315,9 @@ def test_a_phone_has_picture_map_pins_card_hand_off_and_export(operators: Operat
     assert is_within("#who")
 
 
-def test_what_is_printed_has_the_map_the_author_and_the_moment_of_the_sighting(anna: Operator, flown: Flown) -> None:
+def test_what_is_printed_has_the_map_the_author_and_the_moment_of_the_sighting(
+    anna: Operator, simulated: Simulated
+) -> None:
     anna.page.locator("#who").fill("anna b")
     anna.page.keyboard.press("Tab")
     anna.click(300.0, 200.0)
@@ -364,11 +366,11 @@ def test_a_typed_coordinate_and_a_file_become_pins(anna: Operator, tmp_path: Pat
     assert "1 pins from wegpunkte.csv" in str(anna.by("answer").inner_text())
 
 
-def test_very_many_pins_are_drawn_after_all_of_them_are_fitted(chromium: Any, tmp_path: Path) -> None:
+def test_very_many_pins_are_shown_after_all_of_them_are_fitted(chromium: Any, tmp_path: Path) -> None:
     """Though the pointer moves over them, which marks one after the other."""
     page_is_built()
     with Flight(tmp_path / "pins.sqlite") as flight:
-        at = drawn_set(0)
+        at = rendered_set(0)
         one = flight.store.add([PinClick.entered(at.camera_lat_deg, at.camera_lon_deg, sigma_m=3.0)])
         many = []
         for k in range(3000):

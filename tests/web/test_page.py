@@ -12,7 +12,7 @@ from ground.formats.rounded import decimals
 from ground.recording import Recording
 from tests.waiting import PATIENCE_S
 from tests.web.browsing import Operator
-from tests.web.served import ROOT, Flown, Server
+from tests.web.served import ROOT, Server, Simulated
 
 pytestmark = pytest.mark.xdist_group("web")
 
@@ -21,11 +21,11 @@ Operators = Callable[..., Operator]
 AXE = ROOT / "frontend" / "node_modules" / "axe-core" / "axe.min.js"
 
 
-def test_a_click_becomes_a_pin_that_is_there_after_a_reload(anna: Operator, flown: Flown) -> None:
+def test_a_click_becomes_a_pin_that_is_there_after_a_reload(anna: Operator, simulated: Simulated) -> None:
     said = anna.click(200.0, 150.0)
     pin = anna.newest_pin()
     click = pin["clicks"][0]
-    assert (click["frame"], click["session"]) == (flown.newest, anna.newest_pin()["clicks"][0]["session"])
+    assert (click["frame"], click["session"]) == (simulated.newest, anna.newest_pin()["clicks"][0]["session"])
     assert click["u_px"] == pytest.approx(200.0, abs=0.6)
     assert click["v_px"] == pytest.approx(150.0, abs=0.6)
     place = pin["place"]
@@ -43,35 +43,35 @@ def test_a_click_becomes_a_pin_that_is_there_after_a_reload(anna: Operator, flow
     assert anna.by("pin").count() == 1
     assert anna.by("pin").first.inner_text() == row
     # The same place is marked in another picture, where it is seen from there.
-    anna.show(flown.newest - 3, flown)
+    anna.show(simulated.newest - 3, simulated)
     anna.page.wait_for_selector("[data-testid=picture-pin]")
     seen = anna.ask(f"api/pins/{pin['id']}/seen")
-    row = next(r for r in seen if r["frame"] == flown.newest - 3)
+    row = next(r for r in seen if r["frame"] == simulated.newest - 3)
     marker = anna.by("picture-pin").first.locator(".spot").bounding_box()
     x, y = anna.at(row["u_px"], row["v_px"])
     assert abs(marker["x"] + marker["width"] / 2 - x) < 1.0
     assert abs(marker["y"] + marker["height"] / 2 - y) < 1.0
 
 
-def test_a_frozen_and_a_stepped_picture_is_clicked_as_itself(anna: Operator, flown: Flown) -> None:
+def test_a_frozen_and_a_stepped_picture_is_clicked_as_itself(anna: Operator, simulated: Simulated) -> None:
     if anna.by("freeze").get_attribute("aria-pressed") == "false":
         anna.by("freeze").click()
     assert anna.by("freeze").get_attribute("aria-pressed") == "true"
-    for expected in (flown.newest - 1, flown.newest - 2):
+    for expected in (simulated.newest - 1, simulated.newest - 2):
         anna.by("step-back").click()
         anna.wait_for_frame(expected)
     anna.click(330.0, 220.0)
     pin = anna.newest_pin()
-    assert pin["clicks"][0]["frame"] == flown.newest - 2
-    recording = Recording(flown.path)
-    age_s = recording.age_s(recording.by_frame(flown.vehicle, flown.newest - 2) or pytest.fail("no set"))
+    assert pin["clicks"][0]["frame"] == simulated.newest - 2
+    recording = Recording(simulated.path)
+    age_s = recording.age_s(recording.by_frame(simulated.vehicle, simulated.newest - 2) or pytest.fail("no set"))
     assert f"{age_s:.1f} s old" in anna.by("answer").inner_text()
     anna.page.keyboard.press("ArrowRight")
-    anna.wait_for_frame(flown.newest - 1)
+    anna.wait_for_frame(simulated.newest - 1)
 
 
-def test_a_refused_click_says_why_and_what_helps_at_the_spot(anna: Operator, flown: Flown) -> None:
-    anna.show(flown.refused, flown)
+def test_a_refused_click_says_why_and_what_helps_at_the_spot(anna: Operator, simulated: Simulated) -> None:
+    anna.show(simulated.refused, simulated)
     assert "cannot be clicked" in anna.page.locator("#banner").inner_text()
     said = anna.click(400.0, 100.0)
     assert said.startswith("Refused: the aircraft was turning too fast")
@@ -82,11 +82,13 @@ def test_a_refused_click_says_why_and_what_helps_at_the_spot(anna: Operator, flo
     assert 0 < bubble["y"] - y < 40
     assert anna.by("pin").count() == 0
     # Without a picture, the features of the one before still make one to click.
-    anna.show(flown.newest, flown)
+    anna.show(simulated.newest, simulated)
     anna.page.wait_for_selector(".bubble", state="hidden")
 
 
-def test_what_was_pressed_is_clicked_whatever_happens_before_the_release(operators: Operators, flown: Flown) -> None:
+def test_what_was_pressed_is_clicked_whatever_happens_before_the_release(
+    operators: Operators, simulated: Simulated
+) -> None:
     """Resized, zoomed, and another picture shown between press and release; at twice the pixels of the screen."""
     anna = operators(device_scale_factor=2, has_map=False)
     page = anna.page
@@ -94,20 +96,20 @@ def test_what_was_pressed_is_clicked_whatever_happens_before_the_release(operato
     page.mouse.down()
     width = anna.by("picture").bounding_box()["width"]
     page.set_viewport_size({"width": 1000, "height": 700})
-    with page.expect_response(lambda said: f"/frames/{flown.newest - 1}/features" in said.url):
+    with page.expect_response(lambda said: f"/frames/{simulated.newest - 1}/features" in said.url):
         page.keyboard.press("ArrowLeft")
     page.keyboard.press("+")
     anna.wait_for_zoom(1.4)
     assert anna.by("picture").bounding_box()["width"] < width
-    assert anna.frame() == flown.newest
+    assert anna.frame() == simulated.newest
     page.mouse.up()
     page.wait_for_selector("[data-testid=pin]")
     click = anna.newest_pin()["clicks"][0]
-    assert click["frame"] == flown.newest
+    assert click["frame"] == simulated.newest
     assert (click["u_px"], click["v_px"]) == (pytest.approx(250.0, abs=0.6), pytest.approx(180.0, abs=0.6))
-    # Zoomed in by the wheel about a pixel, that pixel stays where it is; what is clicked beside it is what is seen.
+    # Zoomed in by the wheel about a pixel, that pixel stays where it is; what is clicked next to it is what is seen.
     page.keyboard.press("0")
-    anna.show(flown.newest, flown)
+    anna.show(simulated.newest, simulated)
     x, y = anna.at(400.0, 300.0)
     page.mouse.move(x, y)
     page.mouse.wheel(0, -600)
@@ -149,12 +151,13 @@ def test_two_operators_share_pins_and_a_name_is_only_text(anna: Operator, operat
     bo.page.wait_for_selector("[data-testid=pin]")
 
 
-def test_a_tie_moves_every_pin_of_the_aircraft(anna: Operator, flown: Flown) -> None:
+def test_a_tie_moves_every_pin_of_the_aircraft(anna: Operator, simulated: Simulated) -> None:
     anna.click(200.0, 150.0)
     anna.click(450.0, 330.0)
     before = [row.inner_text() for row in anna.by("pin").all()]
     where = anna.page.request.post(
-        f"{anna.server.local}api/click", data={"vehicle": flown.vehicle, "frame": flown.newest, "u": 320, "v": 240}
+        f"{anna.server.local}api/click",
+        data={"vehicle": simulated.vehicle, "frame": simulated.newest, "u": 320, "v": 240},
     ).json()
     anna.by("tie").click()
     anna.page.mouse.click(*anna.at(320.0, 240.0))
@@ -284,7 +287,7 @@ def test_other_machines_need_the_token_and_the_first_page_is_small_and_its_own(s
         context.close()
 
 
-def test_contrast_and_names_are_accessible(anna: Operator, flown: Flown) -> None:
+def test_contrast_and_names_are_accessible(anna: Operator, simulated: Simulated) -> None:
     """By day and by night: the page with a chosen pin, the hand-off card, and a refusal."""
     if not AXE.is_file():
         pytest.fail(f"{AXE} is not there: make web")
@@ -313,7 +316,7 @@ def test_contrast_and_names_are_accessible(anna: Operator, flown: Flown) -> None
     anna.page.wait_for_selector(".format")
     assert violations() == []  # by night
     anna.page.keyboard.press("Escape")
-    anna.show(flown.refused, flown)
+    anna.show(simulated.refused, simulated)
     anna.click(200.0, 200.0)
     as_by("day")
     assert violations() == []

@@ -14,42 +14,42 @@ from ground.web.live import LiveSource
 from onboard.link.publisher import Publisher, Rate
 from tests.onboard.link.ports import free_endpoint
 from tests.web.conftest import page_is_built
-from tests.web.drawn import VEHICLE, drawn_set
 from tests.web.flying import Flight
 from tests.web.measured import SMALL, opened
-from tests.web.served import Flown
+from tests.web.rendered import VEHICLE, rendered_set
+from tests.web.served import Simulated
 from tests.web.test_link_pictures import Aircraft
 from tests.web.test_live import wait_for
 
 pytestmark = pytest.mark.xdist_group("web")
 
 
-def test_a_server_started_again_has_the_sets_and_pictures_of_before(flown: Flown, tmp_path: Path) -> None:
-    craft = Aircraft(flown)
+def test_a_server_started_again_has_the_sets_and_pictures_of_before(simulated: Simulated, tmp_path: Path) -> None:
+    craft = Aircraft(simulated)
     source = LiveSource([craft.endpoint], journal=tmp_path / "link")
     wanted = {s.frame for s in craft.sets}
 
-    def heard_all() -> bool:
-        craft.say(*(s for s in craft.sets if s.frame in wanted - {r.frame for r in source.frames(flown.vehicle)}))
-        return {row.frame for row in source.frames(flown.vehicle)} == wanted
+    def received_all() -> bool:
+        craft.say(*(s for s in craft.sets if s.frame in wanted - {r.frame for r in source.frames(simulated.vehicle)}))
+        return {row.frame for row in source.frames(simulated.vehicle)} == wanted
 
     try:
-        wait_for(heard_all, "all sets")
+        wait_for(received_all, "all sets")
         craft.send_picture(source)
     finally:
         source.close()
         craft.publisher.close()
-    again = LiveSource([craft.endpoint], journal=tmp_path / "link")  # nobody flies any more
+    again = LiveSource([craft.endpoint], journal=tmp_path / "link")  # no one flies any more
     try:
-        wait_for(lambda: {row.frame for row in again.frames(flown.vehicle)} == wanted, "the sets of before")
-        assert [row.frame for row in again.frames(flown.vehicle) if row.has_picture] == [craft.picture.frame]
-        got = again.picture(flown.vehicle, None, craft.picture.frame)
+        wait_for(lambda: {row.frame for row in again.frames(simulated.vehicle)} == wanted, "the sets of before")
+        assert [row.frame for row in again.frames(simulated.vehicle) if row.has_picture] == [craft.picture.frame]
+        got = again.picture(simulated.vehicle, None, craft.picture.frame)
         assert got is not None
         assert got.content == craft.picture.content
-        newest = again.feature_set(flown.vehicle, None, craft.sets[-1].frame)
+        newest = again.feature_set(simulated.vehicle, None, craft.sets[-1].frame)
         assert newest is not None
-        assert newest.uv_px.tobytes() == source.feature_set(flown.vehicle, None, newest.frame).uv_px.tobytes()  # type: ignore[union-attr]
-        assert again.age_s(newest) is None  # by no clock that runs: nothing has been heard yet
+        assert newest.uv_px.tobytes() == source.feature_set(simulated.vehicle, None, newest.frame).uv_px.tobytes()  # type: ignore[union-attr]
+        assert again.age_s(newest) is None  # by no clock that runs: nothing has been received yet
         assert again.damage() == []
     finally:
         again.close()
@@ -60,14 +60,14 @@ def test_a_server_that_comes_late_asks_the_aircraft_for_the_minutes_before(tmp_p
     publisher = Publisher(VEHICLE, listen=[endpoint], rate=Rate(5e6, 1.0, 30.0))
     source: LiveSource | None = None
     try:
-        flight = [drawn_set(frame) for frame in range(40)]
+        flight = [rendered_set(frame) for frame in range(40)]
         for one in flight:
-            publisher.publish(one)  # to nobody
+            publisher.publish(one)  # to no one
         source = LiveSource([endpoint], journal=tmp_path / "link")
 
-        def is_back(heard: LiveSource = source) -> bool:
+        def is_back(received: LiveSource = source) -> bool:
             publisher.publish(flight[-1])
-            return bool(rows := heard.frames(VEHICLE)) and rows[0].frame <= 2
+            return bool(rows := received.frames(VEHICLE)) and rows[0].frame <= 2
 
         wait_for(is_back, "the sets of before")
         frames = [row.frame for row in source.frames(VEHICLE)]
@@ -87,16 +87,16 @@ def test_sets_of_before_do_not_make_their_session_the_one_that_runs(tmp_path: Pa
     publisher = Publisher(VEHICLE, listen=[endpoint], rate=Rate(5e6, 1.0, 30.0))
     source = LiveSource([endpoint])
     try:
-        now = drawn_set(5)
+        now = rendered_set(5)
 
-        def is_heard() -> bool:
+        def is_received() -> bool:
             publisher.publish(now)
             return source.vehicles() == [VEHICLE]
 
-        wait_for(is_heard, "a set")
+        wait_for(is_received, "a set")
         (cache,) = source._caches.values()
         for frame in range(20):
-            cache.bring_in(replace(drawn_set(frame), session=now.session - 100))
+            cache.bring_in(replace(rendered_set(frame), session=now.session - 100))
         assert {row.session for row in source.frames(VEHICLE)} == {now.session}
     finally:
         source.close()

@@ -18,8 +18,8 @@ from ground.web.seen_tile import ALPHA, COLOURS, SIDE, seen_tile
 from ground.web.source import FrameRow, Picture, VehicleReport
 from tests.ground.seen.levels import HOUR_PICTURES, PLACE, an_hour_over_a_place, level_set
 from tests.web.browsing import Operator
-from tests.web.drawn import FlyingSource
-from tests.web.served import Flown, Server
+from tests.web.rendered import FlyingSource
+from tests.web.served import Server, Simulated
 from tests.web.unfollowed import Unfollowed
 
 pytestmark = pytest.mark.xdist_group("web")
@@ -174,7 +174,7 @@ def test_the_pictures_of_a_place_are_found_within_50_ms_after_an_hour() -> None:
     assert sorted(took_ms)[4] < 3.0 * 50.0
 
 
-def test_a_place_on_the_map_leads_to_the_pictures_that_show_it(anna: Operator, flown: Flown) -> None:
+def test_a_place_on_the_map_leads_to_the_pictures_that_show_it(anna: Operator, simulated: Simulated) -> None:
     page = anna.page
     assert page.locator("#seen-panel").is_hidden()
     page.get_by_test_id("show-seen").click()
@@ -191,7 +191,7 @@ def test_a_place_on_the_map_leads_to_the_pictures_that_show_it(anna: Operator, f
     buttons = anna.by("seen-picture")
     assert anna.by("seen-found").inner_text().startswith("Seen ")
     first = buttons.first.inner_text()
-    assert int(first) in flown.frames
+    assert int(first) in simulated.frames
     buttons.first.click()
     anna.wait_for_frame(int(first))
     page.wait_for_selector("[data-testid=looked-for]")
@@ -202,7 +202,9 @@ def test_a_place_on_the_map_leads_to_the_pictures_that_show_it(anna: Operator, f
     place = anna.newest_pin()["place"]
     found = anna.ask(f"api/seen/at?lat={place['lat_deg']}&lon={place['lon_deg']}")
     assert int(first) in [row["frame"] for row in found["pictures"]]
-    said = anna.ask(f"api/vehicles/{flown.vehicle}/frames/{first}/pixel?lat={place['lat_deg']}&lon={place['lon_deg']}")
+    said = anna.ask(
+        f"api/vehicles/{simulated.vehicle}/frames/{first}/pixel?lat={place['lat_deg']}&lon={place['lon_deg']}"
+    )
     click = anna.newest_pin()["clicks"][0]
     assert said["u_px"] == pytest.approx(click["u_px"], abs=0.5)
     assert said["v_px"] == pytest.approx(click["v_px"], abs=0.5)

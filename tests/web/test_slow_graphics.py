@@ -17,11 +17,11 @@ pytestmark = pytest.mark.xdist_group("web")
 PICTURES, EVERY_MS, DRAWING_MS = 60, 200, 700
 LONGEST_REST_S = 4.0
 
-# Graphics that take so long for what they are given; and the moments at which something was drawn, in `drawnAt`.
+# Graphics that take so long for what they are given; and the moments at which something was rendered, in `shownAt`.
 _SLOW = """tookMs => {
   const kind = WebGL2RenderingContext.prototype, given = new WeakMap();
   const { fenceSync, getSyncParameter, drawElements } = kind;
-  window.drawnAt = [];
+  window.shownAt = [];
   kind.fenceSync = function (...a) {
     const made = fenceSync.apply(this, a);
     given.set(made, performance.now());
@@ -30,11 +30,11 @@ _SLOW = """tookMs => {
   kind.getSyncParameter = function (sync, what) {
     return performance.now() - given.get(sync) < tookMs ? this.UNSIGNALED : getSyncParameter.call(this, sync, what);
   };
-  kind.drawElements = function (...a) { window.drawnAt.push(performance.now()); return drawElements.apply(this, a); };
+  kind.drawElements = function (...a) { window.shownAt.push(performance.now()); return drawElements.apply(this, a); };
 }"""
 
 
-def test_a_map_that_draws_slowly_is_drawn_seldom_and_shows_the_last_picture_at_last(
+def test_a_map_that_renders_slowly_is_rendered_seldom_and_shows_the_last_picture_at_last(
     tmp_path: Path, chromium: Any
 ) -> None:
     page_is_built()
@@ -45,17 +45,17 @@ def test_a_map_that_draws_slowly_is_drawn_seldom_and_shows_the_last_picture_at_l
         page.add_init_script(f"({_SLOW})({DRAWING_MS})")
         flight.source.fly_to(1)
         page.goto(flight.url)
-        page.wait_for_function("() => window.drawnAt.length > 0")
+        page.wait_for_function("() => window.shownAt.length > 0")
         page.wait_for_timeout(5000)  # what the start draws
         began_ms = page.evaluate("performance.now()")
         for count in range(2, PICTURES):
             flight.source.fly_to(count)
             page.wait_for_timeout(EVERY_MS)
-        flown_ms = page.evaluate("performance.now()")
-        page.wait_for_function("t => window.drawnAt.at(-1) > t", arg=flown_ms)
-        drawn_ms = page.evaluate("window.drawnAt")
+        simulated_ms = page.evaluate("performance.now()")
+        page.wait_for_function("t => window.shownAt.at(-1) > t", arg=simulated_ms)
+        drawn_ms = page.evaluate("window.shownAt")
         context.close()
-    times = [t for t in drawn_ms if began_ms < t < flown_ms]
+    times = [t for t in drawn_ms if began_ms < t < simulated_ms]
     drawings = sum(b - a > 1000.0 for a, b in zip([0.0, *times], times, strict=False))
-    assert 1 <= drawings <= (flown_ms - began_ms) / 1000.0 / LONGEST_REST_S + 2.0
+    assert 1 <= drawings <= (simulated_ms - began_ms) / 1000.0 / LONGEST_REST_S + 2.0
     assert len({round(t / 100.0) for t in times}) <= 8 * drawings  # of each a few frames

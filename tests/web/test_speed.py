@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from tests.web.conftest import page_is_built
-from tests.web.drawn import record_drawn
 from tests.web.measured import first_page_s, opened, press_to_answer_ms, ten_thousand_pins
+from tests.web.rendered import record_rendered
 from tests.web.served import Server
 
 pytestmark = [pytest.mark.wall_clock, pytest.mark.xdist_group("web")]
@@ -19,10 +19,10 @@ TRIES = 3  # at most: the machine may have other work in one of them
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """On a drawn flight, with ten thousand pins."""
+    """On a simulated flight, with ten thousand pins."""
     page_is_built()
     folder = tmp_path_factory.mktemp("speed")
-    record_drawn(folder / "drawn.mcap")
+    record_rendered(folder / "drawn.mcap")
     ten_thousand_pins(folder / "pins.sqlite")
     running = Server("--from", folder / "drawn.mcap", "--pins", folder / "pins.sqlite")
     yield running
@@ -32,7 +32,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
 @pytest.fixture
 def bare_server(tmp_path: Path) -> Iterator[Server]:
     """The same without pins."""
-    record_drawn(tmp_path / "drawn.mcap")
+    record_rendered(tmp_path / "drawn.mcap")
     running = Server("--from", tmp_path / "drawn.mcap", "--pins", tmp_path / "pins.sqlite")
     yield running
     running.close()

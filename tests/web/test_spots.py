@@ -17,13 +17,13 @@ from contract.locate import Locator
 from contract.spot import Spot, SpotReport
 from ground.pins.store import PinStore
 from ground.web.app import create_app
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 from ground.web.guard import Rules
 from tests.waiting import eventually
 from tests.web.browsing import Operator
 from tests.web.conftest import page_is_built
-from tests.web.drawn import VEHICLE, FlyingSource, drawn_set
 from tests.web.flying import Flight
+from tests.web.rendered import VEHICLE, FlyingSource, rendered_set
 
 pytestmark = pytest.mark.xdist_group("web")
 
@@ -32,10 +32,10 @@ PLACES = ((400.0, 300.0, 36.5), (200.0, 200.0, 52.0), (300.0, 120.0, 20.0))  # p
 
 def report(frame: int, count: int = 2, vehicle: str = VEHICLE) -> SpotReport:
     """The first of PLACES as a picture shows them: where they are on the ground does not change."""
-    s = drawn_set(frame)
+    s = rendered_set(frame)
     spots = []
     for u, v, temperature_c in PLACES[:count]:
-        found = Locator(drawn_set(0)).locate((u, v))
+        found = Locator(rendered_set(0)).locate((u, v))
         assert isinstance(found, Fix)
         place = Place(
             found.lat_deg, found.lon_deg, found.height_amsl_m, found.height_ellipsoid_m, Ellipse(3.0, 2.0, 30.0), 2.0
@@ -49,7 +49,9 @@ def api(folder: Path) -> Iterator[tuple[TestClient, FlyingSource]]:
     source = FlyingSource()
     with (
         PinStore(folder / "pins.sqlite") as store,
-        TestClient(create_app(Desk(source, store, folder), Rules()), base_url="http://127.0.0.1:8080") as client,
+        TestClient(
+            create_app(ServerContext(source, store, folder), Rules()), base_url="http://127.0.0.1:8080"
+        ) as client,
     ):
         yield client, source
 
@@ -100,11 +102,11 @@ def test_finds_come_as_events(tmp_path: Path) -> None:
     headers = {"host": "127.0.0.1:8080"}
     with api(tmp_path) as (client, source), client.websocket_connect("/api/events", headers=headers) as socket:
         source.spots.add([report(0), report(1)])
-        heard: list[dict[str, Any]] = []
-        while not heard:
+        received: list[dict[str, Any]] = []
+        while not received:
             event = socket.receive_json()
-            heard = event["spots"] if event["type"] == "spots" else []
-    assert heard[-1]["heat"].startswith("52.0 degC, +15.0 K") and heard[-1]["pictures"] <= 2
+            received = event["spots"] if event["type"] == "spots" else []
+    assert received[-1]["heat"].startswith("52.0 degC, +15.0 K") and received[-1]["pictures"] <= 2
 
 
 # Counts the tones that the page plays.

@@ -21,7 +21,7 @@ from contract.wire.track_code import decode_tracks, encode_track
 from ground.pins.store import PinStore
 from ground.track_paths import MOST_NEWS, TrackPaths
 from ground.web.app import create_app
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 from ground.web.guard import Rules
 from ground.web.live import LiveSource
 from ground.web.view import placed_in
@@ -32,8 +32,8 @@ from tests.onboard.link.ports import free_endpoint
 from tests.waiting import eventually
 from tests.web.browsing import Operator
 from tests.web.conftest import page_is_built
-from tests.web.drawn import VEHICLE, FlyingSource, drawn_set, record_drawn
 from tests.web.flying import Flight
+from tests.web.rendered import VEHICLE, FlyingSource, record_rendered, rendered_set
 from tests.web.served import Server
 
 pytestmark = pytest.mark.xdist_group("web")
@@ -44,8 +44,8 @@ OPERATOR_TOKEN, VIEWER_TOKEN = "operators-token-1234", "viewers-token-1234"
 
 
 def report_at(frame: int, u: float, v: float, number: int = 1, **more: Any) -> TrackReport:
-    """Of a thing that a drawn picture shows there: where it then is on the ground."""
-    s = drawn_set(frame)
+    """Of a thing that a rendered picture shows there: where it then is on the ground."""
+    s = rendered_set(frame)
     found = Locator(s).locate((u, v))
     assert isinstance(found, Fix)
     place = Place(
@@ -90,7 +90,9 @@ def api(folder: Path, rules: Rules | None = None) -> Iterator[tuple[TestClient, 
     source = FlyingSource()
     with (
         PinStore(folder / "pins.sqlite") as store,
-        TestClient(create_app(Desk(source, store, folder), rules or Rules()), base_url="http://127.0.0.1:8080") as made,
+        TestClient(
+            create_app(ServerContext(source, store, folder), rules or Rules()), base_url="http://127.0.0.1:8080"
+        ) as made,
     ):
         yield made, source
 
@@ -101,7 +103,7 @@ def body(frame: int, u: float = 320.0, v: float = 200.0, **more: Any) -> dict[st
 
 def test_a_track_is_begun_and_ended_by_a_request_and_refused_with_the_aircrafts_reason(tmp_path: Path) -> None:
     with api(tmp_path) as (client, source):
-        made = client.post("/api/tracks", json=body(0, session=drawn_set(0).session))
+        made = client.post("/api/tracks", json=body(0, session=rendered_set(0).session))
         assert (made.status_code, made.json()) == (201, {"vehicle": VEHICLE, "track": 1, "frame": 0})
         assert client.delete(f"/api/tracks/{VEHICLE}/1").status_code == 200
         assert source.asked == [StartTrack(320.0, 200.0, 0), StopTrack(1)]
@@ -124,13 +126,13 @@ def test_reports_are_there_as_paths_and_come_as_events(tmp_path: Path) -> None:
         assert path[2]["words"] == "1.4 +-0.1 m/s towards 92 +-4 deg" and path[2]["course"]["sigma_speed_m_s"] == 0.1
         with client.websocket_connect("/api/events", headers={"host": "127.0.0.1:8080"}) as socket:
             source.tracks.add([report_at(3, 300.0, 240.0, course=REST), report_at(4, 300.0, 240.0, place=None)])
-            heard: list[dict[str, Any]] = []
-            while len(heard) < 2:
+            received: list[dict[str, Any]] = []
+            while len(received) < 2:
                 event = socket.receive_json()
                 if event["type"] == "tracks":
-                    heard += [report for report in event["reports"] if report["frame"] > 2]
-        assert heard[0]["words"] == "at rest (+-0.05 m/s)" and heard[0]["course"]["course_deg"] is None
-        assert heard[1]["place"] is None
+                    received += [report for report in event["reports"] if report["frame"] > 2]
+        assert received[0]["words"] == "at rest (+-0.05 m/s)" and received[0]["course"]["course_deg"] is None
+        assert received[1]["place"] is None
 
 
 def test_who_has_a_viewers_token_looks_and_changes_nothing(tmp_path: Path) -> None:
@@ -172,12 +174,12 @@ def test_a_live_aircraft_is_asked_and_what_it_reports_is_kept_through_a_restart(
             source.follow("nobody", StopTrack(1))
         report = report_at(0, 320.0, 200.0, 4)
 
-        def is_heard() -> bool:
-            publisher.publish(drawn_set(0))
+        def is_received() -> bool:
+            publisher.publish(rendered_set(0))
             publisher.publish_tracks(encode_track(report) + encode_track(replace(report, number=5)))
             return source.tracks.version >= 2 and source.vehicles() == [VEHICLE]
 
-        assert eventually(is_heard)
+        assert eventually(is_received)
         assert [path[0].number for path in source.tracks.paths()] == [4, 5]
         assert source.follow(VEHICLE, StartTrack(320.0, 200.0, 7)) == {"track": 4, "frame": 7}
         with pytest.raises(LinkError, match="full: eight are followed"):
@@ -237,9 +239,9 @@ def flying(tmp_path: Path, chromium: Any) -> Iterator[Callable[..., tuple[Flight
         operator.check()
 
 
-def test_what_was_clicked_is_followed_drawn_and_ended(flying: Callable[..., tuple[Flight, Operator]]) -> None:
+def test_what_was_clicked_is_followed_shown_and_ended(flying: Callable[..., tuple[Flight, Operator]]) -> None:
     flight, anna = flying()
-    page, key = anna.page, f"{VEHICLE}/{drawn_set(0).session}/1"
+    page, key = anna.page, f"{VEHICLE}/{rendered_set(0).session}/1"
     assert anna.by("track-list").is_hidden()
     assert "90 % within" in anna.click(400.0, 300.0)
     button = anna.by("follow-it")
@@ -256,11 +258,11 @@ def test_what_was_clicked_is_followed_drawn_and_ended(flying: Callable[..., tupl
     page.wait_for_function("() => (document.querySelector('#map').dataset.tracks ?? '').includes('towards 92')")
     # A picture between two reports, or after the last: where its place is seen from it.
     fly(anna, flight, 6)
-    ahead = Locator(drawn_set(5)).locate((370.0, 300.0))
+    ahead = Locator(rendered_set(5)).locate((370.0, 300.0))
     assert isinstance(ahead, Fix) and ahead.height_ellipsoid_m is not None
-    uv = placed_in(drawn_set(6), ahead.lat_deg, ahead.lon_deg, ahead.height_ellipsoid_m)
+    uv = placed_in(rendered_set(6), ahead.lat_deg, ahead.lon_deg, ahead.height_ellipsoid_m)
     assert uv is not None and uv[1] > 305.0  # the aircraft went on to the north: what stands moves down
-    a_metre_px = drawn_set(6).camera.fx_px / -ahead.offset_enu_m[2]
+    a_metre_px = rendered_set(6).camera.fx_px / -ahead.offset_enu_m[2]
     assert is_boxed(anna, key, uv[0] + WALK.speed_m_s * a_metre_px, uv[1])  # and this walks on to the east
     unseen = {"state": TrackState.COASTING, "unseen": Unseen.HIDDEN}
     fly(anna, flight, 7, report_at(7, 360.0, 300.0, **unseen))
@@ -289,7 +291,7 @@ def test_the_ninth_is_refused_and_the_key_asks_too(flying: Callable[..., tuple[F
     assert "eight things are followed" in anna.by("answer").inner_text()
 
 
-def test_tracks_of_several_aircraft_are_told_apart(flying: Callable[..., tuple[Flight, Operator]]) -> None:
+def test_tracks_of_several_aircraft_are_distinguished(flying: Callable[..., tuple[Flight, Operator]]) -> None:
     flight, anna = flying(2)
     other = replace(report_at(1, 330.0, 240.0), vehicle="uav-2")
     fly(anna, flight, 1, report_at(1, 400.0, 300.0), other)
@@ -303,7 +305,7 @@ def test_tracks_of_several_aircraft_are_told_apart(flying: Callable[..., tuple[F
 def test_of_a_recording_what_was_followed_then_is_shown(tmp_path: Path, chromium: Any) -> None:
     page_is_built()
     path = tmp_path / "flight.mcap"
-    record_drawn(path.with_name("one.001.mcap"))
+    record_rendered(path.with_name("one.001.mcap"))
     with SessionRecorder(path.with_name("one.002.mcap"), VEHICLE, part=2) as out:
         for k in range(2, 9):
             state = TrackState.LOST if k == 8 else TrackState.FOLLOWED
@@ -318,11 +320,11 @@ def test_of_a_recording_what_was_followed_then_is_shown(tmp_path: Path, chromium
             anna.wait_for_frame(frame)
             page.wait_for_selector(f"[data-testid=track][data-phase={phase}]")
             assert anna.by("track-box").count() == (phase == "followed")
-        assert is_boxed(anna, f"{VEHICLE}/{drawn_set(0).session}/1", 324.0, 200.0)
+        assert is_boxed(anna, f"{VEHICLE}/{rendered_set(0).session}/1", 324.0, 200.0)
         page.locator("#time-bar").fill("0")
         page.wait_for_selector("[data-testid=track-list]", state="hidden")
         anna.click(320.0, 240.0)
-        assert anna.by("follow-it").count() == 0  # nobody follows in a recording: said where it is asked
+        assert anna.by("follow-it").count() == 0  # no one follows in a recording: said where it is asked
         page.keyboard.press("g")
         page.wait_for_function("() => document.querySelector('#answer').textContent.includes('pc-onboard replay')")
         anna.context.close()
@@ -331,9 +333,9 @@ def test_of_a_recording_what_was_followed_then_is_shown(tmp_path: Path, chromium
         server.close()
 
 
-def test_a_viewer_is_told_places_and_has_nothing_to_press(tmp_path: Path, chromium: Any) -> None:
+def test_a_viewer_is_shown_places_and_has_nothing_to_press(tmp_path: Path, chromium: Any) -> None:
     page_is_built()
-    record_drawn(tmp_path / "flight.mcap", 3)
+    record_rendered(tmp_path / "flight.mcap", 3)
     server = Server(
         "--from", tmp_path / "flight.mcap", "--pins", tmp_path / "pins.sqlite", "--token", OPERATOR_TOKEN,
         "--viewer-token", VIEWER_TOKEN,

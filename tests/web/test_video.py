@@ -14,7 +14,7 @@ from ground.__main__ import main
 from ground.pins.store import PinStore
 from ground.web import command, video_reader
 from ground.web.api_vehicles import vehicles_router
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 from ground.web.recorded import RecordedSource
 from ground.web.video_delay import DelayEstimate, best_time_s, is_seen
 from ground.web.video_file import FileFootage
@@ -22,15 +22,15 @@ from ground.web.video_frames import Ring, VideoFrame, corner_strength, open_vide
 from ground.web.video_live import LiveFootage
 from ground.web.video_reader import FrameClock, VideoReader
 from ground.web.with_video import WithVideo
-from tests.web.drawn import VEHICLE, drawn_set, record_drawn
-from tests.web.served import Flown
+from tests.web.rendered import VEHICLE, record_rendered, rendered_set
+from tests.web.served import Simulated
 from tests.web.test_live import wait_for
-from tests.web.video_flight import SPEED_PX_S, VIDEO_HZ, DrawnFlight, shift_px, time_of, write_video
+from tests.web.video_flight import SPEED_PX_S, VIDEO_HZ, SampledFlight, shift_px, time_of, write_video
 
 pytestmark = pytest.mark.xdist_group("web")
 
 SETS = 32
-SESSION = drawn_set(0).session
+SESSION = rendered_set(0).session
 HALF_INTERVAL_S = 0.5 / VIDEO_HZ
 DELAY_S = 1.31
 # What half an interval and the tolerance of arrivals move the picture by, and half a pixel of measuring it.
@@ -48,8 +48,8 @@ def finished(footage: FileFootage) -> list[str]:
     return footage.notes()
 
 
-def read_through(path: Path, delay_s: float | None = None, flight: DrawnFlight | None = None) -> FileFootage:
-    footage = FileFootage(str(path), flight or DrawnFlight(SETS), VEHICLE, delay_s)
+def read_through(path: Path, delay_s: float | None = None, flight: SampledFlight | None = None) -> FileFootage:
+    footage = FileFootage(str(path), flight or SampledFlight(SETS), VEHICLE, delay_s)
     finished(footage)
     footage.close()
     return footage
@@ -60,15 +60,15 @@ def with_frame(footage: FileFootage | LiveFootage, sets: int = SETS) -> list[int
 
 
 def test_the_delay_of_a_recorded_flight_is_found_and_each_set_gets_its_own_frame(video: Path) -> None:
-    flight = DrawnFlight(SETS)
+    flight = SampledFlight(SETS)
     flight.own_picture, flight.refused = 3, {9}
     footage = FileFootage(str(video), flight, VEHICLE, None)
     source = WithVideo(flight, footage)
     notes = finished(footage)
-    said = re.fullmatch(r"video: delay (\S+) s, measured from (\d+) pictures \(\+- (\S+) s\)", notes[0])
-    assert said is not None, notes
-    assert float(said[1]) == pytest.approx(DELAY_S, abs=HALF_INTERVAL_S)
-    assert int(said[2]) >= 15 and float(said[3]) < HALF_INTERVAL_S
+    stated = re.fullmatch(r"video: delay (\S+) s, measured from (\d+) pictures \(\+- (\S+) s\)", notes[0])
+    assert stated is not None, notes
+    assert float(stated[1]) == pytest.approx(DELAY_S, abs=HALF_INTERVAL_S)
+    assert int(stated[2]) >= 15 and float(stated[3]) < HALF_INTERVAL_S
     # The file ends 6.69 s into the flight; a refused set gets no picture.
     expected = [k for k in range(SETS) if time_of(k) < 8.0 - DELAY_S - 0.05 and k != 9]
     rows = {row.frame: row.has_picture for row in source.frames(VEHICLE)}
@@ -77,9 +77,9 @@ def test_the_delay_of_a_recorded_flight_is_found_and_each_set_gets_its_own_frame
         found = source.picture(VEHICLE, None, k)
         assert found is not None
         if k == flight.own_picture:
-            assert (found.content, found.is_lasting) == (b"own", True)  # what came with the sets goes first
+            assert (found.content, found.is_unchanging) == (b"own", True)  # what came with the sets goes first
         else:
-            assert (found.media_type, found.is_lasting) == ("image/jpeg", False)
+            assert (found.media_type, found.is_unchanging) == ("image/jpeg", False)
             assert shift_px(found.content, k) < MOST_PX
     assert source.picture(VEHICLE, SESSION + 1, 5) is None
     assert source.version(VEHICLE) > flight.version(VEHICLE)
@@ -88,14 +88,14 @@ def test_the_delay_of_a_recorded_flight_is_found_and_each_set_gets_its_own_frame
 
 
 def test_a_browser_keeps_no_frame_of_a_video(video: Path, tmp_path: Path) -> None:
-    """Started anew with another delay, the same address is another frame."""
-    flight = DrawnFlight(SETS)
+    """Started again with another delay, the same address is another frame."""
+    flight = SampledFlight(SETS)
     flight.own_picture = 3
     footage = FileFootage(str(video), flight, VEHICLE, DELAY_S)
     finished(footage)
     source = WithVideo(flight, footage)
     with PinStore(tmp_path / "pins.sqlite") as store:
-        router = vehicles_router(Desk(source, store, tmp_path))
+        router = vehicles_router(ServerContext(source, store, tmp_path))
         (ask,) = (r.endpoint for r in router.routes if getattr(r, "path", "").endswith("/{frame}/picture"))
         assert ask(VEHICLE, 3, None).headers["cache-control"] == "private, max-age=3600"
         assert ask(VEHICLE, 4, None).headers["cache-control"] == "no-store"
@@ -132,7 +132,7 @@ def test_a_video_of_another_shape_is_refused_with_the_reason(tmp_path: Path) -> 
 
 
 def test_a_running_video_is_matched_with_the_sets_that_come(tmp_path: Path) -> None:
-    flight = DrawnFlight(400, is_live=True)
+    flight = SampledFlight(400, is_live=True)
     flight.start_s = np.inf
     path = write_video(tmp_path / "v.avi", 0.0, 30.0)  # a slow machine needs more of it
     footage = LiveFootage(str(path), flight, None, None, (-0.5, 2.0))
@@ -154,10 +154,10 @@ def test_a_running_video_is_matched_with_the_sets_that_come(tmp_path: Path) -> N
             assert found is not None
             assert shift_px(found.content, k) < MOST_PX
         note = next(line for line in source.damage() if "measured" in line)
-        said = re.match(r"video: delay (\S+) s, measured from \d+ pictures", note)
-        assert said is not None
+        stated = re.match(r"video: delay (\S+) s, measured from \d+ pictures", note)
+        assert stated is not None
         # Until twenty frames have come, one that comes late may be left out.
-        assert 0.4 - HALF_INTERVAL_S - 0.1 <= float(said[1]) <= 0.4 + HALF_INTERVAL_S + 0.1
+        assert 0.4 - HALF_INTERVAL_S - 0.1 <= float(stated[1]) <= 0.4 + HALF_INTERVAL_S + 0.1
     finally:
         source.close()
 
@@ -185,7 +185,7 @@ def video_file(tmp_path: Path) -> Path:
 def test_a_fault_while_matching_is_noted_and_does_not_end_the_matching(
     video_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    flight = DrawnFlight(SETS)
+    flight = SampledFlight(SETS)
     looks: list[str] = []
 
     def version(vehicle: str) -> int:
@@ -230,7 +230,7 @@ def test_a_fault_in_the_search_of_a_file_is_noted(video_file: Path, monkeypatch:
         raise RuntimeError("a fault of ours")
 
     monkeypatch.setattr(FileFootage, "_frames", fail)
-    (note,) = finished(FileFootage(str(video_file), DrawnFlight(SETS), VEHICLE, None))
+    (note,) = finished(FileFootage(str(video_file), SampledFlight(SETS), VEHICLE, None))
     assert note == f"video: {video_file}: stopped by RuntimeError: a fault of ours"
 
 
@@ -253,7 +253,7 @@ def test_frames_that_a_network_held_back_keep_their_times() -> None:
     arrivals[60:66] = arrivals[66]  # six at once
     times = np.array([clock.time_s(a, s) for a, s in zip(arrivals, stamps, strict=True)])
     assert np.max(np.abs(times[30:] - (7.0 + stamps[30:]))) < 0.02
-    # Stamps of a rate that is not the video's, as some addresses give them, are not believed.
+    # Stamps of a rate that is not the video's, as some addresses give them, are not accepted.
     other = FrameClock()
     times = np.array([other.time_s(a, s) for a, s in zip(arrivals[:60], 0.4 * stamps[:60], strict=True)])
     assert np.max(np.abs(times[30:] - arrivals[30:60])) < 0.03
@@ -287,13 +287,13 @@ def test_a_best_frame_at_the_end_or_not_alone_is_none() -> None:
     assert best_time_s(times, np.full(60, 9.0)) is None
 
 
-def test_features_that_the_pipeline_tracked_are_seen_in_their_own_picture_and_in_no_other(flown: Flown) -> None:
+def test_features_that_the_pipeline_tracked_are_seen_in_their_own_picture_and_in_no_other(simulated: Simulated) -> None:
     """Also where the downlink is half the size and much compressed."""
-    source = RecordedSource(flown.path)
+    source = RecordedSource(simulated.path)
     sets, full, poor = [], [], []
-    for row in source.frames(flown.vehicle):
-        picture = source.picture(flown.vehicle, None, row.frame)
-        found = source.feature_set(flown.vehicle, None, row.frame)
+    for row in source.frames(simulated.vehicle):
+        picture = source.picture(simulated.vehicle, None, row.frame)
+        found = source.feature_set(simulated.vehicle, None, row.frame)
         if picture is None or found is None or not found.is_ok:
             continue
         image = cv2.imdecode(np.frombuffer(picture.content, np.uint8), cv2.IMREAD_COLOR)
@@ -317,9 +317,9 @@ def test_a_login_is_not_shown() -> None:
 
 def one_line(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     assert main(["web", *arguments]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1, said
-    return said
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1, printed
+    return printed
 
 
 def test_without_opencv_the_extra_is_named(
@@ -343,11 +343,15 @@ def test_without_opencv_the_extra_is_named(
     ],
 )
 def test_a_video_that_cannot_be_used_is_one_line(
-    arguments: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
+    arguments: list[str],
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    tmp_path: Path,
 ) -> None:
     (tmp_path / "index.html").touch()
     monkeypatch.setattr(command, "STATIC", tmp_path)
-    record_drawn(tmp_path / "session.mcap", pictures=2)
+    record_rendered(tmp_path / "session.mcap", pictures=2)
     filled = [argument.format(folder=tmp_path) for argument in arguments]
     assert said in one_line(capfd, "--port", "0", "--from", str(tmp_path / "session.mcap"), *filled)
 

@@ -17,11 +17,11 @@ from contract.errors import InputError
 from ground.pins.model import PinClick
 from ground.pins.store import PinStore
 from ground.web.app import create_app
-from ground.web.desk import Desk
+from ground.web.context import ServerContext
 from ground.web.guard import Rules
 from ground.web.source import FrameRow
 from tests.waiting import PATIENCE_S
-from tests.web.drawn import VEHICLE, FlyingSource
+from tests.web.rendered import VEHICLE, FlyingSource
 
 OTHER = "uav-2"
 
@@ -48,14 +48,14 @@ def source() -> TwoAircraft:
 
 
 @pytest.fixture
-def desk(source: TwoAircraft, tmp_path: Path) -> Iterator[Desk]:
+def context(source: TwoAircraft, tmp_path: Path) -> Iterator[ServerContext]:
     with PinStore(tmp_path / "pins.sqlite") as store:
-        yield Desk(source, store, tmp_path)
+        yield ServerContext(source, store, tmp_path)
 
 
-def browser(desk: Desk) -> Any:
+def browser(context: ServerContext) -> Any:
     """A server with one browser on its events; both are there while it is entered."""
-    client = TestClient(create_app(desk, Rules()), base_url="http://127.0.0.1:8080")
+    client = TestClient(create_app(context, Rules()), base_url="http://127.0.0.1:8080")
 
     class Opened:
         def __enter__(self) -> Any:
@@ -88,9 +88,9 @@ def frames_of(vehicle: str, newest: int) -> Callable[[dict[str, Any]], bool]:
     return lambda e: e["type"] == "frames" and e["vehicle"] == vehicle and e["frames"][-1]["frame"] == newest
 
 
-def test_pictures_and_state_come_though_the_pins_cannot_be_read(desk: Desk, source: TwoAircraft) -> None:
-    desk.store.close()  # as good as a disk that was pulled out
-    with browser(desk) as socket:
+def test_pictures_and_state_come_though_the_pins_cannot_be_read(context: ServerContext, source: TwoAircraft) -> None:
+    context.store.close()  # as good as a disk that was pulled out
+    with browser(context) as socket:
         status = receive(socket, lambda e: e["type"] == "status")
         assert [v["id"] for v in status["vehicles"]] == [VEHICLE, OTHER]
         assert any("pins.sqlite: closed" in line for line in status["damage"])
@@ -100,10 +100,10 @@ def test_pictures_and_state_come_though_the_pins_cannot_be_read(desk: Desk, sour
 
 
 @pytest.mark.parametrize("failure", [InputError("damaged at byte 17"), RuntimeError("a fault of ours")])
-def test_pictures_that_cannot_be_read_stop_nobody_else_s_and_come_once_they_can(
-    desk: Desk, source: TwoAircraft, failure: Exception, caplog: pytest.LogCaptureFixture
+def test_pictures_that_cannot_be_read_stop_no_one_else_s_and_come_once_they_can(
+    context: ServerContext, source: TwoAircraft, failure: Exception, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with browser(desk) as socket:
+    with browser(context) as socket:
         source.failure = failure
         source.fly_to(5)
         receive(socket, frames_of(OTHER, 4))
@@ -117,7 +117,7 @@ def test_pictures_that_cannot_be_read_stop_nobody_else_s_and_come_once_they_can(
 
 
 def test_a_browser_that_cannot_be_sent_to_is_let_go_so_that_it_connects_again(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch
+    context: ServerContext, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def fail(self: WebSocket, data: str) -> None:
         raise ValueError("a fault of ours")
@@ -127,21 +127,23 @@ def test_a_browser_that_cannot_be_sent_to_is_let_go_so_that_it_connects_again(
 
     def stay() -> None:
         try:
-            with browser(desk) as socket:
+            with browser(context) as socket:
                 socket.receive_json()
         except BaseException:
             ended.set()
 
     threading.Thread(target=stay, daemon=True).start()
     assert ended.wait(PATIENCE_S), "the browser waits for events that cannot come"
-    assert len(desk.hub) == 0
+    assert len(context.hub) == 0
 
 
 @pytest.fixture
-def events(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+def events(context: ServerContext, monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     """What browsers are sent, in order."""
     sent: list[dict[str, Any]] = []
-    monkeypatch.setattr(desk.hub, "tell_from_thread", lambda e: sent.append(json.loads(e) if isinstance(e, str) else e))
+    monkeypatch.setattr(
+        context.hub, "send_from_thread", lambda e: sent.append(json.loads(e) if isinstance(e, str) else e)
+    )
     return sent
 
 
@@ -150,29 +152,29 @@ def a_pin(store: PinStore) -> str:
 
 
 def test_the_last_event_of_a_pin_is_the_pin_as_it_is_whoever_reports_last(
-    desk: Desk, events: list[dict[str, Any]]
+    context: ServerContext, events: list[dict[str, Any]]
 ) -> None:
     """Two requests change a pin; the thread of the first reports after that of the second."""
-    pin_id = a_pin(desk.store)
-    desk.store.edit(pin_id, name="earlier")
-    desk.store.edit(pin_id, name="later")
-    desk.changed(pin_id)
-    desk.changed(pin_id)
+    pin_id = a_pin(context.store)
+    context.store.edit(pin_id, name="earlier")
+    context.store.edit(pin_id, name="later")
+    context.changed(pin_id)
+    context.changed(pin_id)
     assert [e["pin"]["name"] for e in events] == ["later", "later"]
-    assert [e["revision"] for e in events] == [desk.store.revision] * 2
-    desk.store.delete(pin_id)
-    desk.changed(pin_id)
-    assert (events[-1]["type"], events[-1]["revision"]) == ("pin_deleted", desk.store.revision)
-    desk.store.undo()
-    desk.changed(pin_id)  # the deletion's own report, late: the pin is there again
+    assert [e["revision"] for e in events] == [context.store.revision] * 2
+    context.store.delete(pin_id)
+    context.changed(pin_id)
+    assert (events[-1]["type"], events[-1]["revision"]) == ("pin_deleted", context.store.revision)
+    context.store.undo()
+    context.changed(pin_id)  # the deletion's own report, late: the pin is there again
     assert events[-1]["type"] == "pin"
 
 
 def test_no_event_is_marked_newer_than_what_it_holds(
-    desk: Desk, events: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
+    context: ServerContext, events: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A change after the reading of the revision is reported again, and the page must take that report too."""
-    pin_id = a_pin(desk.store)
+    pin_id = a_pin(context.store)
     read = PinStore.pin
 
     def changed_just_before(store: PinStore, which: str) -> Any:
@@ -180,19 +182,19 @@ def test_no_event_is_marked_newer_than_what_it_holds(
         store.edit(which, name="in between")
         return read(store, which)
 
-    before = desk.store.revision
+    before = context.store.revision
     monkeypatch.setattr(PinStore, "pin", changed_just_before)
-    desk.changed(pin_id)
+    context.changed(pin_id)
     assert (events[-1]["pin"]["name"], events[-1]["revision"]) == ("in between", before)
 
 
-def test_a_change_elsewhere_is_not_lost_behind_one_s_own(desk: Desk, events: list[dict[str, Any]]) -> None:
-    pin_id = a_pin(desk.store)
-    desk.changed(pin_id)
-    assert not desk.changed_elsewhere()
-    desk.store.edit(pin_id, name="here")
-    with PinStore(desk.store.name) as other:
+def test_a_change_elsewhere_is_not_lost_behind_one_s_own(context: ServerContext, events: list[dict[str, Any]]) -> None:
+    pin_id = a_pin(context.store)
+    context.changed(pin_id)
+    assert not context.changed_elsewhere()
+    context.store.edit(pin_id, name="here")
+    with PinStore(context.store.name) as other:
         a_pin(other)
-    desk.changed(pin_id)
-    assert desk.changed_elsewhere()
-    assert not desk.changed_elsewhere()
+    context.changed(pin_id)
+    assert context.changed_elsewhere()
+    assert not context.changed_elsewhere()

@@ -1,4 +1,4 @@
-"""Base maps as their users make them: small MBTiles and PMTiles files of one drawn tile, over the whole earth."""
+"""Base maps as their users make them: small MBTiles and PMTiles files of one rendered tile, over the whole earth."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ REGION = (148.710938, -43.834527, 149.414062, -43.325178)  # west, south, east, 
 DEEPEST = 4  # the page shows these tiles larger where it is closer
 
 
-def drawn_tile() -> bytes:
+def rendered_tile() -> bytes:
     """PNG, 256 x 256, of one colour with a dark edge."""
     tile = Image.new("RGB", (256, 256), COLOUR)
     ImageDraw.Draw(tile).rectangle((0, 0, 255, 255), outline=(60, 30, 0), width=2)
@@ -47,7 +47,7 @@ def _write_mbtiles(path: Path, more: dict[str, str], tiles: list[tuple[int, int,
         base.execute("CREATE TABLE metadata (name TEXT, value TEXT)")
         base.execute("CREATE TABLE tiles (zoom_level INTEGER, tile_column INTEGER, tile_row INTEGER, tile_data BLOB)")
         base.executemany("INSERT INTO metadata VALUES (?, ?)", {"name": "drawn", "format": "png", **more}.items())
-        tile = drawn_tile()
+        tile = rendered_tile()
         base.executemany("INSERT INTO tiles VALUES (?, ?, ?, ?)", ((*at, tile) for at in tiles))
 
 
@@ -58,7 +58,7 @@ def write_pmtiles(path: Path) -> None:
 
 def _write_pmtiles(path: Path, least: int, most: int, bounds: tuple[float, float, float, float]) -> None:
     """With one entry that runs through all tiles of the zooms; nothing compressed."""
-    tile = drawn_tile()
+    tile = rendered_tile()
     first, count = sum(4**z for z in range(least)), sum(4**z for z in range(least, most + 1))
     # One directory entry: the first tile's id, run length, tile length, offset + 1.
     root = b"".join(_varint(number) for number in (1, first, count, len(tile), 1))

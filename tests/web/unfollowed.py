@@ -1,10 +1,10 @@
-"""What a test's source has of tracks and hot spots where none takes part: none, and nobody follows."""
+"""What a test's source has of tracks and hot spots where none takes part: none, and no one follows."""
 
 from __future__ import annotations
 
 from contract.errors import LinkError
 from contract.track import TrackRequest
-from ground.spots.heard import HeardSpots
+from ground.spots.received import ReceivedSpots
 from ground.track_paths import TrackPaths
 
 
@@ -12,8 +12,8 @@ class Unfollowed:
     """A part of `Source`. Paths and spots are every such source's: nothing is put into them."""
 
     tracks = TrackPaths()
-    spots = HeardSpots()
+    spots = ReceivedSpots()
 
     def follow(self, vehicle: str, request: TrackRequest) -> dict[str, object]:
-        """Nobody does."""
+        """No one does."""
         raise LinkError(f"aircraft {vehicle!r} does not answer")

@@ -1,4 +1,4 @@
-"""A drawn flight over drawn ground: its pictures as a video of the downlink, and its sets with features at corners."""
+"""A simulated flight over rendered ground: its pictures as a video, and its sets with features at corners."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from contract.feature_set import FeatureSet, Status
 from ground.web.source import FrameRow, Picture, VehicleReport
-from tests.web.drawn import VEHICLE, drawn_set
+from tests.web.rendered import VEHICLE, rendered_set
 from tests.web.unfollowed import Unfollowed
 
 VIDEO_HZ = 20.0
@@ -63,7 +63,7 @@ def flight_set(frame: int) -> FeatureSet:
     """The set of one picture: features at its strongest corners, as a tracker finds them."""
     found = cv2.goodFeaturesToTrack(picture_at(time_of(frame)), 120, 0.005, 12.0)
     assert found is not None and len(found) == 120
-    made = drawn_set(0)
+    made = rendered_set(0)
     return replace(
         made,
         frame=frame,
@@ -82,7 +82,7 @@ def shift_px(jpeg: bytes, frame: int) -> float:
     return float(np.hypot(u, v))
 
 
-class DrawnFlight(Unfollowed):
+class SampledFlight(Unfollowed):
     """Serves `Source`. Recorded: all sets are there. Live: they come `late_s` after their pictures, from `start` on."""
 
     name = "a drawn flight"
@@ -107,7 +107,7 @@ class DrawnFlight(Unfollowed):
         return self._count()
 
     def frames(self, vehicle: str, newest: int | None = None) -> list[FrameRow]:
-        count, first = self._count(), drawn_set(0)
+        count, first = self._count(), rendered_set(0)
         return [
             FrameRow(
                 first.session, k, 0, first.capture_unix_ns + round(time_of(k) * 1e9),

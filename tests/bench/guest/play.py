@@ -1,6 +1,6 @@
 """Inside the guest: plays pictures into a loopback camera at the moments they were taken.
 
-`play.py DEVICE PICTURES.json FIRST_NS`: the description names the raw pictures beside it (one after the other), their
+`play.py DEVICE PICTURES.json FIRST_NS`: the description names the raw pictures next to it (one after the other), their
 format, sizes in bytes and times after the first; FIRST_NS is when, on the guest's CLOCK_MONOTONIC, the first is taken.
 Each is handed over `delay_ns` after that moment and carries the moment itself, as an exposure's. Pictures whose time
 has passed are left out, not hurried. The last line is `played N of M`.

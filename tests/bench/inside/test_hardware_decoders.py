@@ -37,7 +37,7 @@ def test_decoders_are_found_and_are_no_cameras(capsys: pytest.CaptureFixture[str
 
 
 def test_a_stream_is_decoded_by_the_hardware_there_is(tmp_path: Path) -> None:
-    """visl decodes to bars with what it was told of each picture: the way through it is real, the picture is not."""
+    """visl decodes to bars with what it received of each picture: the way through it is real, the picture is not."""
     with (
         RtspServer(tmp_path, drifting_ground(300, SIZE_PX), RATE_HZ) as server,
         running(server.url("rtspt"), size_px=SIZE_PX, rate_hz=RATE_HZ) as camera,

@@ -129,7 +129,7 @@ def playing(
 
 
 def numbered(number: int) -> bytes:
-    """A grey 320x240 picture no two of which are alike."""
+    """A grey 320x240 picture no two of which are the same."""
     return np.random.default_rng(number).integers(0, 255, (240, 320), np.uint8).tobytes()
 
 

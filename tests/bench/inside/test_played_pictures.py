@@ -120,7 +120,7 @@ def sh(command: str) -> str:
 
 
 def unload(module: str) -> None:
-    """Take a driver away as soon as nobody holds its device open."""
+    """Take a driver away as soon as no one holds its device open."""
     sh(f"for _ in $(seq 100); do rmmod {module} 2>/dev/null && exit 0; sleep 0.05; done; rmmod {module}")
 
 

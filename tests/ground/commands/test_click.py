@@ -156,7 +156,9 @@ def test_the_wrong_vehicle_is_refused_with_the_right_ones(session: str, capsys: 
     assert "there is uav-1" in capsys.readouterr().err
 
 
-def test_several_vehicles_in_a_recording_must_be_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_several_vehicles_in_a_recording_must_be_distinguished(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     from mcap.writer import Writer  # noqa: PLC0415
 
     path = tmp_path / "two.mcap"

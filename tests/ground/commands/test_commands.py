@@ -1,4 +1,4 @@
-"""The commands beside `click` as their user sees them: arguments in; text, JSON, files and exit status out."""
+"""The commands next to `click` as their user sees them: arguments in; text, JSON, files and exit status out."""
 
 from __future__ import annotations
 
@@ -290,7 +290,7 @@ def test_a_wrong_address_is_said(to: str, pins: str, capsys: pytest.CaptureFixtu
     assert status == 2 and "udp://239.2.3.1:6969" in err and len(err.splitlines()) == 1
 
 
-def test_nobody_at_the_other_end_is_said(pins: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_one_at_the_other_end_is_said(pins: str, capsys: pytest.CaptureFixture[str]) -> None:
     status, _, err = run(capsys, "cot", "--to", "tcp://127.0.0.1:9", "--once", "--only-pins", "--pins", pins)
     assert status == 2 and "does somebody listen there" in err
 
@@ -312,7 +312,7 @@ def marks_file(path: Path, shift_m: float = 0.0) -> Path:
     return path
 
 
-def test_accuracy_on_marks_drawn_from_the_stated_errors(
+def test_accuracy_on_marks_sampled_from_the_stated_errors(
     session: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     marks = marks_file(tmp_path / "marks.csv")

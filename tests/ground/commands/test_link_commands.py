@@ -67,7 +67,7 @@ def test_what_was_recorded_from_the_link_answers_like_the_aircraft(
     folder, said = tmp_path, ""
 
     def is_all_there() -> bool:
-        """In little more than a second; into another folder, where a busy machine heard less by then."""
+        """In little more than a second; into another folder, where a busy machine received less by then."""
         nonlocal folder, said
         folder = tmp_path / f"new {next(tries)}" / "folder"
         assert main(["record", "--to", str(folder), "--seconds", "1.2", "--connect", link]) == 0
@@ -125,7 +125,7 @@ def test_watching_shows_state_age_rate_position_and_accuracy(link: str, capsys: 
     rows: list[dict[str, Any]] = []
 
     def is_shown() -> bool:
-        """In the second of two tables, or once more where a busy machine heard too little by then."""
+        """In the second of two tables, or once more where a busy machine received too little by then."""
         assert main(["watch", "--json", "--count", "2", "--period", "0.6", "--connect", link]) == 0
         rows.extend(json.loads(line) for line in capsys.readouterr().out.splitlines())
         return bool(rows) and rows[-1]["state"] == "ok" and rows[-1]["age_s"] < 2.0 and rows[-1]["rate_hz"] > 2.0
@@ -163,7 +163,7 @@ def test_what_was_seen_is_counted_from_the_link(link: str, tmp_path: Path, capsy
 def test_lines_are_answered_from_the_link(
     link: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nobody answers queries there: one line says so, for each line asked."""
+    """No one answers queries there: one line says so, for each line asked."""
     import io  # noqa: PLC0415
 
     def is_said() -> bool:
@@ -200,7 +200,7 @@ def test_events_reach_a_tak_server_over_tls_and_no_other(tmp_path: Path, capsys:
     main(["pins", "add", "--at", "1.0,2.0", "--ce90", "5", "--name", "p", "--pins", pins])
     capsys.readouterr()
     send = ["cot", "--to", f"tls://127.0.0.1:{port}", "--once", "--only-pins", "--pins", pins]
-    assert main(send) == 2  # an authority that nobody here knows
+    assert main(send) == 2  # an authority that no one here knows
     assert "authority" in capsys.readouterr().err
     assert main([*send, "--to-ca", str(server / "ca.pem")]) == 0
     thread.join(PATIENCE_S)

@@ -27,7 +27,7 @@ from ground.recording import Recording
 from ground.spots.merging import SpotMerger
 from onboard.link.publisher import Publisher, Rate
 from tests.contract.sets import plain_set
-from tests.ground.spots.drawn_spots import START_NS, Flight
+from tests.ground.spots.sampled_spots import START_NS, Flight
 from tests.onboard.link.ports import free_endpoint
 from tests.waiting import eventually
 
@@ -115,15 +115,15 @@ def test_live_a_thing_is_said_when_it_is_sure_and_again_when_it_has_changed(
         thread = threading.Thread(target=publish, daemon=True)
         thread.start()
         try:
-            heard: list[str] = []
+            received: list[str] = []
 
             def is_said() -> bool:
                 main(["spots", "--connect", endpoint, "--seconds", "2", "--json"])
-                heard[:] = capsys.readouterr().out.splitlines()
-                return len({json.loads(line)["spot"] for line in heard}) >= 2
+                received[:] = capsys.readouterr().out.splitlines()
+                return len({json.loads(line)["spot"] for line in received}) >= 2
 
-            assert eventually(is_said), heard
-            rows = [json.loads(line) for line in heard]
+            assert eventually(is_said), received
+            rows = [json.loads(line) for line in received]
             assert all(row["pictures"] > 1 for row in rows)
 
             def is_watched() -> bool:

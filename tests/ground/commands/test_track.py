@@ -15,7 +15,7 @@ from contract.track import Course, TrackReport, TrackState
 from contract.wire.track_code import decode_track, encode_track
 from ground.__main__ import main
 from ground.formats import cot, track_path
-from ground.heard_tracks import SILENT_S, HeardTracks
+from ground.received_tracks import SILENT_S, ReceivedTracks
 from ground.recording import Recording
 from onboard.link.publisher import Publisher, Rate
 from onboard.storage.mcap_writer import SessionRecorder
@@ -158,14 +158,14 @@ def test_cot_has_speed_and_course_and_of_a_thing_at_rest_no_course() -> None:
 
 def test_tracks_that_are_no_longer_reported_are_forgotten() -> None:
     now = [0.0]
-    heard = HeardTracks(lambda: now[0])
-    heard.take("pc/uav-1/tracks", encode_track(REPORT))
-    heard.take("pc/uav-1/tracks", b"\xff\xff")
-    heard.take("no/key", encode_track(REPORT))
-    assert [report.vehicle for report in heard.newest()] == ["uav-1"]
-    assert heard.newest()[0] == decode_track(encode_track(REPORT), "uav-1")
+    received = ReceivedTracks(lambda: now[0])
+    received.take("pc/uav-1/tracks", encode_track(REPORT))
+    received.take("pc/uav-1/tracks", b"\xff\xff")
+    received.take("no/key", encode_track(REPORT))
+    assert [report.vehicle for report in received.newest()] == ["uav-1"]
+    assert received.newest()[0] == decode_track(encode_track(REPORT), "uav-1")
     now[0] = SILENT_S + 0.1
-    assert not heard.newest()
+    assert not received.newest()
 
 
 def test_what_was_followed_is_in_the_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

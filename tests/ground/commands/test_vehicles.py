@@ -1,4 +1,4 @@
-"""Who is there: through a router with dozens of aircraft, and on a link to one; nobody is asked for it."""
+"""Who is there: through a router with dozens of aircraft, and on a link to one; no one is asked for it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MANY = 24
 
 
 class Aircraft:
-    """Of a fleet, as light as can be: a token, a status when it is told to, and a count of what it is asked."""
+    """Of a fleet, as light as can be: a token, a status when it is asked to, and a count of what it is asked."""
 
     def __init__(self, name: str, endpoint: str) -> None:
         self.name, self.asked = name, 0
@@ -100,12 +100,12 @@ def test_state_and_age_come_from_what_is_sent_anyway_and_who_goes_is_gone(router
 
         said_s = time.monotonic()
 
-        def heard(name: str, state: str) -> bool:
+        def received(name: str, state: str) -> bool:
             fleet[3].say(state)
             (one,) = (p for p in presence.now() if p.vehicle == name)
             return one.status is not None and one.status.state == state
 
-        assert eventually(lambda: heard("uav-03", "no_gps"))
+        assert eventually(lambda: received("uav-03", "no_gps"))
         (one,) = (p for p in presence.now() if p.vehicle == "uav-03")
         assert one.is_there and one.status_age_s is not None
         assert 0.0 <= one.status_age_s < time.monotonic() - said_s + 0.1
@@ -115,7 +115,7 @@ def test_state_and_age_come_from_what_is_sent_anyway_and_who_goes_is_gone(router
     assert [a.asked for a in fleet] == [0] * MANY
 
 
-def test_a_click_that_names_no_aircraft_among_many_asks_nobody(
+def test_a_click_that_names_no_aircraft_among_many_asks_no_one(
     router: str, fleet: list[Aircraft], capsys: pytest.CaptureFixture[str]
 ) -> None:
     with open_link("client", router, None) as session:
@@ -140,7 +140,7 @@ def test_a_click_that_names_no_aircraft_among_many_asks_nobody(
 
 def test_a_server_that_shares_pins_through_the_router_relays_no_aircraft(router: str, tmp_path: Path) -> None:
     """Who reaches that server only has the rights of that server: to its pins."""
-    endpoint, heard, near = free_endpoint(), [], []
+    endpoint, received, near = free_endpoint(), [], []
     with (
         Publisher("uav-1", [], [router], rate=WIDE) as publisher,
         PinStore(tmp_path / "pins.sqlite") as store,
@@ -149,7 +149,7 @@ def test_a_server_that_shares_pins_through_the_router_relays_no_aircraft(router:
         open_link("client", endpoint, None) as liar,
         open_link("client", router, None) as friend,
     ):
-        stranger.declare_subscriber("pc/*/features", heard.append)
+        stranger.declare_subscriber("pc/*/features", received.append)
         stranger.declare_subscriber("pc/pins/*/said", near.append)
         with SetCache(router) as cache:
 
@@ -163,7 +163,7 @@ def test_a_server_that_shares_pins_through_the_router_relays_no_aircraft(router:
                 publisher.publish(a_set(4))
                 time.sleep(0.03)
             assert eventually(lambda: cache.by_frame("uav-1", 4) is not None)
-            assert heard == [] and vehicles_there(stranger) == [] and cache.by_frame("uav-1", 99) is None
+            assert received == [] and vehicles_there(stranger) == [] and cache.by_frame("uav-1", 99) is None
 
 
 def test_watch_shows_dozens(router: str, fleet: list[Aircraft], capsys: pytest.CaptureFixture[str]) -> None:
@@ -204,7 +204,7 @@ def test_the_only_aircraft_behind_a_router_needs_no_name(router: str, capsys: py
         assert json.loads(capsys.readouterr().out.splitlines()[-1])["frame"] == 3
 
 
-def test_a_table_is_for_people_and_an_aircraft_of_an_earlier_version_is_there_as_long_as_it_is_heard(
+def test_a_table_is_for_people_and_an_aircraft_of_an_earlier_version_is_there_as_long_as_it_is_received(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     endpoint = free_endpoint()
@@ -217,11 +217,11 @@ def test_a_table_is_for_people_and_an_aircraft_of_an_earlier_version_is_there_as
         with open_link("client", endpoint, None) as session:
             presence = Presence(session)
 
-            def heard() -> bool:
+            def received() -> bool:
                 old.put(STATUS.key("old-1"), state)
                 return [p.is_there for p in presence.now()] == [True]
 
-            assert eventually(heard)
+            assert eventually(received)
     with Publisher("uav-1", [endpoint], rate=WIDE) as publisher:
         publisher.publish_status(state, b"{}")
         with open_link("client", endpoint, None) as session:

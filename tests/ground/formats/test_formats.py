@@ -152,7 +152,7 @@ def test_other_formats_come_back_with_place_name_and_accuracy(tmp_path: Path, na
             assert back.height_amsl_m == pytest.approx(mark.height_amsl_m, abs=2e-3)
         assert (back.time_unix_ns is None) == (mark.time_unix_ns is None)
         if back.time_unix_ns is None or mark.time_unix_ns is None:
-            continue  # one that was typed: nobody said when it was seen
+            continue  # one that was typed: no one said when it was seen
         assert abs(back.time_unix_ns - mark.time_unix_ns) < 1000
 
 

@@ -16,7 +16,7 @@ from ground.pins.file import chosen_store
 from ground.pins.sharing import PinSharing
 from ground.pins.store import PinStore
 from tests import postgres
-from tests.ground.pins.test_sharing import alike
+from tests.ground.pins.test_sharing import same
 from tests.ground.pins.test_store import clicked, typed
 from tests.onboard.link.ports import free_endpoint
 
@@ -111,7 +111,7 @@ def test_a_store_in_a_server_is_shared_with_one_in_a_file(url: str, tmp_path: Pa
     ):
         ann.add([clicked()], name="tent", who="ann")
         bob.add([typed()], name="smoke", who="bob")
-        assert alike(ann, bob)
+        assert same(ann, bob)
         assert sorted(p.name for p in ann.pins()) == ["smoke", "tent"]
 
 

@@ -77,7 +77,7 @@ def content(store: PinStore) -> dict[str, str]:
     return {p.id: json.dumps(dataclasses.replace(p, number=0).to_dict()) for p in store.everything()}
 
 
-def alike(*stores: PinStore) -> bool:
+def same(*stores: PinStore) -> bool:
     return eventually(lambda: all(content(store) == content(stores[0]) for store in stores[1:]))
 
 
@@ -85,18 +85,18 @@ def test_what_one_server_adds_edits_and_deletes_the_other_has_too(ann: PinStore,
     endpoint = free_endpoint()
     with PinSharing(ann, listen=[endpoint]) as first, PinSharing(bob, connect=[endpoint]) as second:
         pin = ann.add([clicked()], name="tent", category=Category.PERSON, who="ann")
-        assert eventually(lambda: len(bob.pins()) == 1) and alike(ann, bob)
-        (heard,) = bob.pins()
-        assert heard.clicks[0].errors is not None  # fused and tied as where it was clicked
-        np.testing.assert_array_equal(heard.clicks[0].errors.common_cov, pin.clicks[0].errors.common_cov)  # type: ignore[union-attr]
+        assert eventually(lambda: len(bob.pins()) == 1) and same(ann, bob)
+        (received,) = bob.pins()
+        assert received.clicks[0].errors is not None  # fused and tied as where it was clicked
+        np.testing.assert_array_equal(received.clicks[0].errors.common_cov, pin.clicks[0].errors.common_cov)  # type: ignore[union-attr]
         bob.edit(pin.id, who="bob", name="red tent")
         bob.add_click(pin.id, clicked(2), who="bob")
         assert eventually(lambda: len(ann.pin(pin.id).clicks) == 2) and ann.pin(pin.id).name == "red tent"
         ann.delete(pin.id, who="ann")
-        assert eventually(lambda: not bob.pins()) and alike(ann, bob)
+        assert eventually(lambda: not bob.pins()) and same(ann, bob)
         with pytest.raises(InputError, match="changed since by ann"):
             bob.undo(who="bob")
-        assert eventually(lambda: first.state.alike == second.state.alike == 1)
+        assert eventually(lambda: first.state.same == second.state.same == 1)
         assert second.state.taken >= 2 and second.state.refused == second.state.unreadable == 0
 
 
@@ -127,20 +127,20 @@ def test_after_a_partition_both_have_the_same_winner_and_deletions_survive(
         ann.edit(pins["deleted first"].id, who="ann", note="still there")
         clock.at(200.0)
         with PinSharing(bob, connect=[endpoint]) as again:
-            assert alike(ann, bob)
+            assert same(ann, bob)
             for store in (ann, bob):
                 notes = {p.name: p.note for p in store.pins()}
                 assert notes == {
                     "later by bob": "by bob",
                     "later by ann": "by ann",
-                    "at once": "by bob",  # by name, where the times are alike
+                    "at once": "by bob",  # by name, where the times are the same
                     "deleted first": "still there",
                     "new by ann": "",
                     "new by bob": "",
                 }
                 assert {p.name for p in store.everything() if p.is_deleted} == {"deleted later", "gone here"}
                 assert len({p.number for p in store.everything()}) == 8  # each number once
-            assert eventually(lambda: again.state.alike == 1)
+            assert eventually(lambda: again.state.same == 1)
 
 
 def test_servers_that_are_not_connected_hear_each_other_through_a_third(
@@ -154,7 +154,7 @@ def test_servers_that_are_not_connected_hear_each_other_through_a_third(
         PinSharing(cyd, listen=[second]),
     ):
         pin = ann.add([typed()], name="from ann", who="ann")
-        assert alike(ann, bob, cyd) and len(cyd.pins()) == 1
+        assert same(ann, bob, cyd) and len(cyd.pins()) == 1
         cyd.delete(pin.id, who="cyd")
         assert eventually(lambda: not ann.pins())
 
@@ -169,7 +169,7 @@ def test_ten_thousand_pins_are_caught_up_and_then_nothing_more_is_asked(ann: Pin
         assert eventually(lambda: len(bob.everything()) == 10_001 == len(ann.everything()), within_s=240.0)
         spent_s = time.process_time() - began_s
         assert spent_s < 60.0  # of a processor; measured 5 s
-        assert eventually(lambda: first.state.alike == second.state.alike == 1)
+        assert eventually(lambda: first.state.same == second.state.same == 1)
         assert second.state.taken == 10_000 and second.state.refused == 0
         revision = ann.revision
         ann.edit(many_first(ann).id, who="ann", note="changed")
@@ -192,7 +192,7 @@ def test_a_change_that_is_lost_on_its_way_is_asked_for(
         assert eventually(lambda: second.state.servers == 1)
         ann.add([typed()], name="one", who="ann")
         bob.add([typed()], name="two", who="bob")
-        assert alike(ann, bob) and len(ann.pins()) == 2
+        assert same(ann, bob) and len(ann.pins()) == 2
 
 
 def hostile_pins() -> list[bytes]:
@@ -240,7 +240,7 @@ def test_whatever_others_send_is_refused_counted_and_does_no_harm(ann: PinStore,
             return eventually(said)
 
         assert is_refused("changed", hostile_pins())
-        beat = json.loads(messages.said_to_bytes(messages.Said(LIAR, 1, 5, NOW_NS)))
+        beat = json.loads(messages.announcement_to_bytes(messages.Announcement(LIAR, 1, 5, NOW_NS)))
         lies = [{**beat, "v": 99}, {**beat, "server": "f" * 16}, {**beat, "digest": 5}, {**beat, "pins": -1}, [], 3]
         assert is_refused("said", [*(json.dumps(lie).encode() for lie in lies), b"\0" * 400, b"x" * 100_000])
         assert [p.name for p in ann.everything()] == ["mine"] and not sharing.state.trouble
@@ -272,11 +272,11 @@ def test_whatever_others_send_is_refused_counted_and_does_no_harm(ann: PinStore,
         # More names than there is room for: invented servers.
         for number in range(300):
             name = f"{number:016x}"
-            liar.put(f"pc/pins/{name}/said", messages.said_to_bytes(messages.Said(name, 1, 5, NOW_NS)))
+            liar.put(f"pc/pins/{name}/said", messages.announcement_to_bytes(messages.Announcement(name, 1, 5, NOW_NS)))
         assert [p.name for p in ann.everything()] == ["mine"] and sharing.state.servers <= 64
         # And all the while it serves who is honest.
         with PinSharing(bob, connect=[endpoint]):
-            assert alike(ann, bob) and len(bob.pins()) == 1
+            assert same(ann, bob) and len(bob.pins()) == 1
             bob.add([typed()], name="bob's", who="bob")
             assert eventually(lambda: len(ann.pins()) == 2)
 
@@ -319,7 +319,7 @@ def test_reading_messages_raises_nothing_but_input_errors(junk: bytes, value: ob
     good = many(1)[0].to_dict()
     spoilt = json.dumps({**good, list(good)[len(junk) % len(good)]: value}).encode()
     for payload in (junk, spoilt, json.dumps(value).encode()):
-        for read in (messages.pin_from_bytes, messages.said_from_bytes, messages.asked_from_bytes):
+        for read in (messages.pin_from_bytes, messages.announcement_from_bytes, messages.asked_from_bytes):
             try:
                 read(payload)
             except InputError:
@@ -335,8 +335,8 @@ def test_reading_messages_raises_nothing_but_input_errors(junk: bytes, value: ob
 def test_messages_come_back_as_they_were() -> None:
     pins = many(5)
     assert [messages.pin_from_bytes(messages.pin_to_bytes(p)).to_dict() for p in pins] == [p.to_dict() for p in pins]
-    said = messages.Said(LIAR, 12, 2**64 - 1, NOW_NS)
-    assert messages.said_from_bytes(messages.said_to_bytes(said)) == said
+    said = messages.Announcement(LIAR, 12, 2**64 - 1, NOW_NS)
+    assert messages.announcement_from_bytes(messages.announcement_to_bytes(said)) == said
     assert messages.server_of(f"pc/pins/{LIAR}/said") == (LIAR, "said")
     versions = {p.id: messages.version_of(p) for p in many(2000)}
     parts = list(messages.summaries(versions))
@@ -373,7 +373,7 @@ def test_with_certificates_only_who_has_one_can_change_pins(ann: PinStore, bob: 
                 PinSharing(eve, connect=[endpoint.replace("tls/", "tcp/")]) as stranger,
                 PinSharing(bob, connect=[endpoint], tls=operator),
             ):
-                assert alike(ann, bob) and len(bob.pins()) == 1
+                assert same(ann, bob) and len(bob.pins()) == 1
                 assert [p.name for p in eve.pins()] == ["eve's"] and stranger.state.servers == 0
                 assert first.state.servers == 1
 

@@ -60,8 +60,8 @@ def test_several_ties_are_adjusted_together_and_beat_one() -> None:
         order = np.argsort(times_s)
         places = [LANDMARK, np.array([50.0, 60.0, -2.0]), np.array([-40.0, -70.0, 1.0]), np.array([10.0, 90.0, 0.0])]
         targets = np.array([*places, TARGET])
-        drawn = sightings(rng, times_s[order], targets[order])
-        clicks = [drawn[int(np.flatnonzero(order == k)[0])] for k in range(5)]
+        sampled = sightings(rng, times_s[order], targets[order])
+        clicks = [sampled[int(np.flatnonzero(order == k)[0])] for k in range(5)]
         ties = [tied(c, p, rng) for c, p in zip(clicks, places, strict=False)]
         assert all(judge(tie, ties[:k]).is_accepted for k, tie in enumerate(ties))
         single, together = fuse([clicks[4]], ties[:1]), fuse([clicks[4]], ties)

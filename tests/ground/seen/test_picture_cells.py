@@ -133,7 +133,7 @@ def test_the_normal_distribution_is_that_of_the_standard_library() -> None:
 
 
 def test_ninety_percent_of_counted_border_cells_are_in_view_where_poses_err_as_they_say() -> None:
-    """Sets drawn with exactly the errors that they declare, the cells at the border of what is
+    """Sets sampled with exactly the errors that they declare, the cells at the border of what is
     counted were truly in view nine times in ten or oftener, and most of what was in view is counted.
     """
     border, kept = [], []

@@ -141,7 +141,7 @@ def test_runs_that_are_dropped_make_room_again(monkeypatch: pytest.MonkeyPatch) 
     )
 
 
-def test_pictures_of_several_aircraft_and_sessions_are_told_apart() -> None:
+def test_pictures_of_several_aircraft_and_sessions_are_distinguished() -> None:
     seen = SeenGround(2.0)
     for vehicle, session in (("a", 1), ("b", 1), ("a", 2)):
         seen.add(level_set(7, vehicle=vehicle, session=session))

@@ -19,9 +19,9 @@ from contract.wire.spot_code import encode_spots
 from ground.__main__ import main
 from ground.formats import fire_area
 from ground.link_recorder import LinkRecorder
-from ground.spots.fire import MOST_DRAWN, Fire, FireGround
+from ground.spots.fire import MOST_PICTURES, Fire, FireGround
 from tests.contract.sets import plain_set
-from tests.ground.spots.drawn_spots import HOME, START_NS, covariance, spot_at
+from tests.ground.spots.sampled_spots import HOME, START_NS, covariance, spot_at
 
 COV = covariance(1.5, 1.0, 30.0)
 Ring = tuple[tuple[float, float], ...]
@@ -126,13 +126,13 @@ def test_only_what_is_hot_enough_large_enough_and_of_the_last_minutes_burns() ->
     assert unknown.fire(5.0) is not None
 
 
-def test_of_very_many_pictures_some_are_drawn_evenly_and_with_the_newest() -> None:
+def test_of_very_many_pictures_some_are_taken_evenly_and_with_the_newest() -> None:
     ground = FireGround()
-    for k in range(3 * MOST_DRAWN):
+    for k in range(3 * MOST_PICTURES):
         ground.add(report(k, float(k), burning(circle(3.0), 0.05 * k)))
     fire = ground.fire(60.0)
-    assert fire is not None and MOST_DRAWN / 2 <= fire.pictures <= MOST_DRAWN
-    assert fire.last_unix_ns == START_NS + (3 * MOST_DRAWN - 1) * 10**9 and fire.first_unix_ns < START_NS + 4 * 10**9
+    assert fire is not None and MOST_PICTURES / 2 <= fire.pictures <= MOST_PICTURES
+    assert fire.last_unix_ns == START_NS + (3 * MOST_PICTURES - 1) * 10**9 and fire.first_unix_ns < START_NS + 4 * 10**9
 
 
 def test_polygons_are_where_it_burns_in_geojson_and_kml() -> None:

@@ -14,7 +14,7 @@ from contract.feature_set import Status
 from contract.spot import Spot, SpotReport
 from ground.spots.found_thing import FoundThing
 from ground.spots.merging import MOST_KEPT_SPOTS, SpotMerger
-from tests.ground.spots.drawn_spots import START_NS, Flight, covariance, is_inside, offset_m, place_at, spot_at
+from tests.ground.spots.sampled_spots import START_NS, Flight, covariance, is_inside, offset_m, place_at, spot_at
 
 Things = Callable[[float], Sequence[Sequence[float]]]
 

@@ -26,7 +26,7 @@ FRONTAL = [Pose((0.0, 0.0, p.turn_rad[2]), p.middle_cam_m) for p in poses_all_ov
 
 
 def seen(poses: list[Pose], noise_px: float = 0.05, camera: Camera = TRUTH, seed: int = 0) -> list[View]:
-    """What a perfect detector would find, with noise; no picture is drawn."""
+    """What a perfect detector would find, with noise; no picture is rendered."""
     rng = np.random.default_rng(seed)
     points_m = CHARUCO.points_m()
     middle_m = np.array([CHARUCO.columns, CHARUCO.rows, 0.0]) * CHARUCO.square_m / 2.0
@@ -85,8 +85,8 @@ def test_a_known_camera_is_recovered_from_pictures(
     assert 0.0 < known["sigma"]["fx"] < 1.5
     text = capsys.readouterr().out
     assert "board found in 18 of 18 pictures" in text and "verdict: good" in text
-    drawn = np.asarray(Image.open(tmp_path / "camera.coverage.png"))
-    assert drawn.shape[1] == 1280 and len(np.unique(drawn.reshape(-1, 3), axis=0)) > 20
+    sampled = np.asarray(Image.open(tmp_path / "camera.coverage.png"))
+    assert sampled.shape[1] == 1280 and len(np.unique(sampled.reshape(-1, 3), axis=0)) > 20
 
 
 def test_sigmas_are_what_the_errors_are() -> None:
@@ -137,7 +137,7 @@ def test_boards_that_all_face_the_camera_leave_the_focal_length_unknown() -> Non
     assert "lean the board 20 to 40 degrees forwards or backwards and to the left or right" in str(verdict)
 
 
-def test_boards_that_lean_one_way_only_are_told_the_other() -> None:
+def test_boards_that_lean_one_way_only_are_advised_the_other() -> None:
     poses = [Pose((0.5 * (-1) ** n, 0.0, 0.0), p.middle_cam_m) for n, p in enumerate(poses_all_over(14, 3))]
     result = calibrate(seen(poses), TRUTH.size_px)
     assert result is not None
@@ -225,11 +225,11 @@ def test_every_model_is_its_parameters() -> None:
         assert free == set(model.name.split()) - {"none"}
 
 
-def test_residual_arrows_and_bare_cells_are_drawn() -> None:
+def test_residual_arrows_and_bare_cells_are_rendered() -> None:
     result = calibrate(seen(poses_all_over(18, 1)[:6]), TRUTH.size_px)
     assert result is not None
-    drawn = coverage_picture(result[0], judge(*result, TRUTH.size_px, 6))
-    assert drawn.shape == (2 * 480 + 52, 1280, 3)
+    sampled = coverage_picture(result[0], judge(*result, TRUTH.size_px, 6))
+    assert sampled.shape == (2 * 480 + 52, 1280, 3)
 
 
 @pytest.mark.parametrize("board", [CHARUCO, CHECKERS], ids=["charuco", "checkerboard"])

@@ -23,7 +23,7 @@ def failing(number: int) -> OSError:
 
 
 def picture(number: int, size_px: tuple[int, int] = SIZE_PX) -> bytearray:
-    """No two alike."""
+    """No two the same."""
     width, height = size_px
     return bytearray(np.random.default_rng(number).integers(0, 255, (height, width), np.uint8).tobytes())
 

@@ -3,7 +3,7 @@
 Each start takes the next list of acts, separated by `then`; the last list serves for all later starts. Acts:
 `frames:N`, `stall:S`, `garbage:N` bytes, `half` a frame and killed, `back:S` stamps that much earlier, `size:WxH`,
 `rate:HZ`, `say:TEXT` on the error stream, `exit:N`, `child` that never ends, `same:N` the same picture, `epoch:S` the
-sender's clock with that origin. `@NAME` in the place of a number: until there is a file of that name beside STARTS.
+sender's clock with that origin. `@NAME` in the place of a number: until there is a file of that name next to STARTS.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ def test_every_gap_in_the_numbers_is_counted_also_where_they_wrap(steps: list[in
     assert pictures.counts.pictures == len(steps) + 1
 
 
-def test_numbers_that_begin_anew_are_no_loss() -> None:
+def test_numbers_that_begin_again_are_no_loss() -> None:
     pictures = judge()
     offer(pictures, 0, sequence=500)
     offer(pictures, 1, sequence=0)
@@ -89,7 +89,7 @@ def test_stamps_in_the_future_are_said() -> None:
 
 
 @pytest.mark.parametrize("flags", [v4l2.BUF_FLAG_TIMESTAMP_UNKNOWN, v4l2.BUF_FLAG_TIMESTAMP_COPY])
-def test_an_unknown_clock_is_believed_only_where_it_agrees_with_ours(flags: int) -> None:
+def test_an_unknown_clock_is_accepted_only_where_it_agrees_with_ours(flags: int) -> None:
     pictures = judge()
     agreeing = offer(pictures, 0, flags=flags, age_ns=20 * MS)
     assert agreeing is not None and agreeing.stamp_ns == CLOCK.from_monotonic_ns(START_NS - 20 * MS)

@@ -145,7 +145,7 @@ def test_behind_lost_packets_no_picture_bears_the_capture_time_of_another(
 def test_repeats_in_a_compressed_stream_have_no_image(
     tmp_path: Path, pictures: list[np.ndarray], bit_rate: int
 ) -> None:
-    """A camera of 15 Hz in a stream of 30: each picture comes twice, the second time compressed anew."""
+    """A camera of 15 Hz in a stream of 30: each picture comes twice, the second time compressed again."""
     twice = [picture for picture in pictures for _ in range(2)]
     serving = partial(RtspServer, tmp_path, twice, RATE_HZ, bit_rate=bit_rate)
     camera, health, _ = one_stream(serving, "rtspt", 60, "320x240", frozen_after_s=30.0)

@@ -162,7 +162,7 @@ def test_pictures_without_any_time_are_refused(tmp_path: Path) -> None:
 def test_a_picture_of_another_size_is_named_with_both_sizes(tmp_path: Path) -> None:
     picture(tmp_path / "1533430852.png")
     picture(tmp_path / "1533430853.png", size=(60, 48))
-    with pytest.raises(InputError, match=r"1533430853\.png is 60 x 48, the camera file says 64 x 48"):
+    with pytest.raises(InputError, match=r"1533430853\.png is 60 x 48, the camera file states 64 x 48"):
         open_frames(tmp_path, CAMERA)
 
 
@@ -256,7 +256,7 @@ def test_a_video_s_wrong_csv_is_refused(tmp_path: Path, rows: str, said: str) ->
 def test_a_video_without_times_of_another_size_or_kind_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no capture times"):
         open_frames(video(tmp_path / "clip.avi"), CAMERA)
-    with pytest.raises(InputError, match="64 x 48, the camera file says 32 x 24"):
+    with pytest.raises(InputError, match="64 x 48, the camera file states 32 x 24"):
         open_frames(video(tmp_path / "clip.avi"), Camera.from_field_of_view(32, 24, 40.0))
     (tmp_path / "no.mp4").write_bytes(b"nothing")
     with pytest.raises(InputError, match="not a video"):

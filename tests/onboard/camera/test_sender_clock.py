@@ -62,7 +62,7 @@ def test_a_clock_that_drifts_is_followed() -> None:
     assert np.ptp(rows[:, 1]) < 20.0  # 12 ms of drift in all
 
 
-def test_a_clock_that_is_set_is_begun_with_anew() -> None:
+def test_a_clock_that_is_set_is_begun_again() -> None:
     rows, _ = late_ms(20.0, 0.2, 0.02, step_at_s=10.0, step_s=-33.0)
     assert np.ptp(rows[:, 1]) < 25.0
 

@@ -258,7 +258,7 @@ def test_a_camera_that_opens_and_sends_nothing_is_lost_once_and_steadily() -> No
     assert at(seen, 35.9).state is State.OK
 
 
-def test_a_camera_that_falls_silent_and_opens_anew_in_vain_stays_lost() -> None:
+def test_a_camera_that_falls_silent_and_opens_again_in_vain_stays_lost() -> None:
     camera = Plugged(OURS)
     world = World(video0=camera)
     world.events.append((2.0, lambda: setattr(camera, "is_silent", True)))

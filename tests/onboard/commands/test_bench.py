@@ -29,7 +29,7 @@ def judged(load: Load, wanted_hz: float) -> dict[str, object]:
 
 
 def test_a_short_flight_is_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Four seconds at 30 Hz, drawn here: nearly every picture is solved, and every stage has taken some time."""
+    """Four seconds at 30 Hz, sampled here: nearly every picture is solved, and every stage has taken some time."""
     config = tmp_path / "config.toml"
     config.write_text("[tracking]\nfeatures = 40\n")
     code = main(["bench", "--config", str(config), "--size", "320x240", "--seconds", "0", "--format", "json"])
@@ -58,7 +58,7 @@ def test_a_camera_that_the_computer_can_follow_is_good() -> None:
     assert "good: 30 Hz take 30 % of a core" in text(found)
 
 
-def test_one_that_it_cannot_follow_is_told_what_would_do() -> None:
+def test_one_that_it_cannot_follow_is_answered_with_what_would_do() -> None:
     found = judged(LOAD, 60.0)
     assert not found["is_good"]
     assert "set camera.rate_hz to 50.0 or less" in text(found)
@@ -72,7 +72,7 @@ def test_a_processor_that_slows_down_is_judged_by_how_it_ends() -> None:
     assert cooling["sustainable_hz"] == pytest.approx(50.0)
 
 
-@pytest.mark.parametrize("load", [replace(LOAD, solved=100), replace(LOAD, flown=45, solved=45, pictures=15)])
+@pytest.mark.parametrize("load", [replace(LOAD, solved=100), replace(LOAD, replayed=45, solved=45, pictures=15)])
 def test_what_is_no_flights_work_is_not_measured(load: Load) -> None:
     found = judged(load, 1.0)
     assert not found["is_good"]

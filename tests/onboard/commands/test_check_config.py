@@ -88,7 +88,7 @@ def test_a_node_that_takes_no_pictures_is_no_camera(
 
 
 @pytest.mark.parametrize("url", ["udpin:127.0.0.1:14550", "udpout:127.0.0.1:14550", "tcp:127.0.0.1:5760"])
-def test_of_the_network_it_says_that_nobody_can_know(
+def test_of_the_network_it_says_that_no_one_can_know(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], url: str
 ) -> None:
     (tmp_path / "frames").mkdir()
@@ -100,7 +100,7 @@ def test_of_the_network_it_says_that_nobody_can_know(
 
 def test_pictures_that_run_would_refuse_are_refused_here(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "frames").mkdir()
-    for size, said in ((None, "no picture in it"), ((64, 48), "the camera file says 640 x 480")):
+    for size, said in ((None, "no picture in it"), ((64, 48), "the camera file states 640 x 480")):
         if size is not None:
             Image.new("L", size).save(tmp_path / "frames" / "20260612T101523.25Z.png")
         file = written(tmp_path, f"replay:{tmp_path / 'frames'}", "udpin:127.0.0.1:14550")

@@ -18,8 +18,8 @@ from tests.onboard.link.ports import free_endpoint
 from tests.waiting import PATIENCE_S, eventually
 
 
-def to_nobody(*arguments: object, buffered: bool = True) -> subprocess.CompletedProcess[str]:
-    """A command whose output goes into a pipe that nobody reads any more."""
+def to_no_one(*arguments: object, buffered: bool = True) -> subprocess.CompletedProcess[str]:
+    """A command whose output goes into a pipe that no one reads any more."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     environment |= {} if buffered else {"PYTHONUNBUFFERED": "1"}
     command = [sys.executable, "-m", "onboard", *map(str, arguments)]
@@ -50,7 +50,7 @@ def test_status_ends_without_a_word(tmp_path: Path, buffered: bool, code: int) -
 
         def is_answered() -> bool:
             """Asked again where a busy machine was too slow to answer."""
-            done = to_nobody("status", "--config", tmp_path / "config.toml", buffered=buffered)
+            done = to_no_one("status", "--config", tmp_path / "config.toml", buffered=buffered)
             said.append((done.stderr, done.returncode))
             return done.returncode != not_running
 
@@ -60,13 +60,13 @@ def test_status_ends_without_a_word(tmp_path: Path, buffered: bool, code: int) -
 
 def test_help_and_other_commands_do_too(tmp_path: Path) -> None:
     (tmp_path / "config.toml").write_text(default_toml())
-    done = to_nobody("check-config", tmp_path / "config.toml")
+    done = to_no_one("check-config", tmp_path / "config.toml")
     assert (done.stderr, done.returncode) == ("", 0)
-    assert to_nobody("--help").stderr == to_nobody("--help", buffered=False).stderr == ""
+    assert to_no_one("--help").stderr == to_no_one("--help", buffered=False).stderr == ""
 
 
 def test_an_error_is_still_said(tmp_path: Path) -> None:
-    done = to_nobody("check-config", tmp_path / "none.toml")
+    done = to_no_one("check-config", tmp_path / "none.toml")
     assert done.returncode == 2
     assert "none.toml" in done.stderr and done.stderr.count("\n") == 1
 
@@ -76,5 +76,5 @@ def test_more_than_a_pipe_holds_ends_in_the_middle_without_a_verdict(tmp_path: P
     (tmp_path / "config.toml").write_text(default_toml())
     for number in range(200):
         (tmp_path / "config.d" / f"{number:03d}.toml").write_text("")
-    done = to_nobody("check-config", tmp_path / "config.toml")
+    done = to_no_one("check-config", tmp_path / "config.toml")
     assert (done.stderr, done.returncode) == ("", READER_GONE)

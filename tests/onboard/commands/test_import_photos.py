@@ -24,7 +24,7 @@ from simulation.session import SessionSpec
 from tests.onboard.photographs import Style, write_photographs
 from tests.own_flights import write_named_photographs
 from tests.rest_long import rest_long
-from tests.scenarios.flights import Outcome, click, flown
+from tests.scenarios.flights import Outcome, click, simulated
 
 pytestmark = pytest.mark.xdist_group("import photos")  # one worker: what they share is made once
 
@@ -36,7 +36,7 @@ SURVEY = PathSpec("survey", speed_m_s=9.0, height_m=120.0, wobble_deg=0.3, pitch
 @pytest.fixture(scope="module")
 def session() -> Path:
     """A survey of two legs, a picture every 2.1 s."""
-    return flown(
+    return simulated(
         SessionSpec(
             DescribedSpec(SURVEY), seconds=PICTURES * APART_S, rate_hz=1 / APART_S, camera=CAMERA, clicks_per_frame=8
         )
@@ -208,7 +208,7 @@ def test_a_folder_that_is_not_there_or_a_place_that_is_taken(
     assert "0 pictures in it; at least 3" in capsys.readouterr().err
 
 
-def test_pictures_named_by_utc_are_a_flight_with_the_log_and_the_camera_file_beside_them(
+def test_pictures_named_by_utc_are_a_flight_with_the_log_and_the_camera_file_next_to_them(
     shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Such a folder was refused for want of EXIF, though `replay` took it."""

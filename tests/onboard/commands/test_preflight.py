@@ -82,7 +82,7 @@ def test_what_decodes_a_stream_is_said_where_the_camera_is_one() -> None:
     assert "decoder" not in verdicts(WELL)
 
 
-def test_a_thermal_cameras_scale_is_said_and_that_nobody_knows_it() -> None:
+def test_a_thermal_cameras_scale_is_said_and_that_no_one_knows_it() -> None:
     assert "thermal" not in verdicts(WELL)
     said = {}
     for scale in (None, 0.01):
@@ -128,7 +128,7 @@ def test_at_rest_with_a_good_fix_all_is_green() -> None:
 @unhurried
 @given(inputs())
 def test_state_and_doctor_never_disagree(said: Inputs) -> None:
-    """Whatever makes the state not well is a red line of the doctor's beside the state's own, and the reverse."""
+    """Whatever makes the state not well is a red line of the doctor's next to the state's own, and the reverse."""
     is_well = overall(said).state.is_well
     lines = verdicts(report_of(said))
     judged = {name: lines[name] for name in (subject.value for subject in Subject) if name in lines}

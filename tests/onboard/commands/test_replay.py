@@ -204,7 +204,7 @@ def spoil_overlap(session: Path) -> dict[str, Path | str]:
         (lambda s: {"record": s / "none" / "out.mcap"}, "no such folder"),
         (lambda s: {"speed": "fast"}, "argument --speed"),
         (spoil_decoding, "3.png cannot be decoded"),
-        (spoil_size, "0.png is 64 x 48, the camera file says 640 x 480"),
+        (spoil_size, "0.png is 64 x 48, the camera file states 640 x 480"),
         (spoil_key, "unknown key 'mount.yaw'; did you mean 'mount.yaw_deg'?"),
         (spoil_camera, "'fx_px' is missing"),
         (spoil_overlap, "do not overlap"),

@@ -20,7 +20,7 @@ from onboard.commands import setup
 from onboard.commands.questions import MOST_TRIES, Terminal
 from onboard.commands.setup import Found, Surroundings
 from onboard.config.files import load_config_files
-from onboard.telemetry.autopilot_search import Heard, candidates, listen
+from onboard.telemetry.autopilot_search import FoundAutopilot, candidates, listen
 from simulation.autopilot.fake import FakeAutopilot
 from tests.onboard.link.ports import free_udp_port
 from tests.onboard.telemetry.listening import FLIGHT
@@ -28,23 +28,23 @@ from tests.onboard.telemetry.listening import FLIGHT
 PI = Found("libcamera:/base/soc/i2c0mux/i2c@1/imx219@10", "/base/soc/i2c0mux/i2c@1/imx219@10")
 WEBCAM = Found("/dev/v4l/by-id/usb-046d-index0", "HD Pro Webcam C920", ((640, 480), (1280, 720), (1920, 1080)))
 BARE = Found("/dev/video2", "USB grabber", ((720, 576),))
-SERIAL = Heard("serial:/dev/ttyAMA0:921600", "ArduPilot", 1)
-SLOW = Heard("serial:/dev/ttyUSB0:57600", "PX4", 3)
+SERIAL = FoundAutopilot("serial:/dev/ttyAMA0:921600", "ArduPilot", 1)
+SLOW = FoundAutopilot("serial:/dev/ttyUSB0:57600", "PX4", 3)
 
 
 class Around:
     """A computer with these cameras and autopilots, and a doctor who finds nothing."""
 
-    def __init__(self, cameras: list[Found], heard: list[Heard]) -> None:
+    def __init__(self, cameras: list[Found], received: list[FoundAutopilot]) -> None:
         self.listened: list[str] = []
         self.checked: list[Path] = []
-        self.heard = {h.url: h for h in heard}
-        urls = ["udpin:0.0.0.0:14550", *(h.url for h in heard), "serial:/dev/ttyAMA0:115200"]
+        self.received = {h.url: h for h in received}
+        urls = ["udpin:0.0.0.0:14550", *(h.url for h in received), "serial:/dev/ttyAMA0:115200"]
         self.around = Surroundings(lambda: cameras, lambda: urls, self.listen, self.check)
 
-    def listen(self, url: str) -> Heard | None:
+    def listen(self, url: str) -> FoundAutopilot | None:
         self.listened.append(url)
-        return self.heard.get(url)
+        return self.received.get(url)
 
     def check(self, arguments: argparse.Namespace) -> int:
         self.checked.append(arguments.config)
@@ -87,7 +87,7 @@ def test_where_everything_is_found_nothing_is_asked(out: Path, capsys: pytest.Ca
     assert camera.size_px == (1280, 720) and camera.sigma[0] == pytest.approx(0.05)
     assert 2.0 * math.degrees(math.atan(640 / camera.fx_px)) == pytest.approx(70.4, abs=0.1)
     assert around.checked == [out]
-    assert "serial:/dev/ttyAMA0:115200" not in around.listened  # that port has been heard at another rate
+    assert "serial:/dev/ttyAMA0:115200" not in around.listened  # that port has been found at another rate
     said = capsys.readouterr().out
     for words in ("calibrate --device", "calibrate --from", "--mount ROLL,PITCH,YAW", f"run --config {out}"):
         assert words in said
@@ -119,9 +119,13 @@ def test_what_is_several_is_asked_and_wrong_answers_are_asked_again(out: Path) -
     assert camera.size_px == (640, 480) and camera.sigma[0] == pytest.approx(0.1)
     assert 2.0 * math.degrees(math.atan(320 / camera.fx_px)) == pytest.approx(80.0)
     assert config.mount.pitch_deg == -90.0
-    told = [line for line in typed.shown if line.startswith("  ") and not line.lstrip()[0].isdigit()]
-    assert len(told) == 6, told
-    assert "  a number from 1 to 3" in told and "  a size as in 1280x720" in told and "  degrees from 5 to 150" in told
+    stated = [line for line in typed.shown if line.startswith("  ") and not line.lstrip()[0].isdigit()]
+    assert len(stated) == 6, stated
+    assert (
+        "  a number from 1 to 3" in stated
+        and "  a size as in 1280x720" in stated
+        and "  degrees from 5 to 150" in stated
+    )
 
 
 def test_empty_lines_take_what_is_shown(out: Path) -> None:
@@ -142,7 +146,7 @@ def test_without_camera_and_autopilot_a_person_may_name_them(out: Path, capsys: 
 
 
 @pytest.mark.parametrize(
-    ("cameras", "heard", "message"),
+    ("cameras", "received", "message"),
     [
         ([], [SERIAL], "no camera found; name one: --camera"),
         ([WEBCAM, BARE], [SERIAL], "several cameras"),
@@ -153,10 +157,10 @@ def test_without_camera_and_autopilot_a_person_may_name_them(out: Path, capsys: 
     ],
 )
 def test_without_anybody_to_ask_what_is_open_is_one_line_and_nothing_is_written(
-    out: Path, cameras: list[Found], heard: list[Heard], message: str
+    out: Path, cameras: list[Found], received: list[FoundAutopilot], message: str
 ) -> None:
     with pytest.raises(ConfigError) as caught:
-        setup.run(arguments(out, "--yes"), None, Around(cameras, heard).around)
+        setup.run(arguments(out, "--yes"), None, Around(cameras, received).around)
     assert message in str(caught.value) and "\n" not in str(caught.value)
     assert not list(out.parent.iterdir())
 
@@ -241,14 +245,14 @@ def test_a_lens_is_named_by_any_words_that_leave_no_doubt() -> None:
             named_lens(nothing)
 
 
-def test_every_lens_states_its_source_and_is_told_by_its_own_name_alone() -> None:
+def test_every_lens_states_its_source_and_is_known_by_its_own_name_alone() -> None:
     for lens in LENSES:
         assert lens.source and named_lens(lens.name) is lens
         assert 10.0 < lens.hfov_deg < 110.0
         assert not lens.part or known_lens(lens.part) is lens
 
 
-def test_serial_ports_are_tried_under_their_lasting_names(tmp_path: Path) -> None:
+def test_serial_ports_are_tried_under_their_persistent_names(tmp_path: Path) -> None:
     (tmp_path / "serial" / "by-id").mkdir(parents=True)
     for name in ("ttyACM0", "ttyAMA0", "null"):
         (tmp_path / name).touch()
@@ -261,9 +265,9 @@ def test_serial_ports_are_tried_under_their_lasting_names(tmp_path: Path) -> Non
 
 @pytest.mark.wall_clock
 @pytest.mark.parametrize(("style", "kind"), [("ardupilot", "ArduPilot"), ("px4", "PX4")])
-def test_an_autopilot_is_heard_on_a_serial_line_by_its_heartbeat(style: str, kind: str) -> None:
+def test_an_autopilot_is_found_on_a_serial_line_by_its_heartbeat(style: str, kind: str) -> None:
     with FakeAutopilot(FLIGHT, "pty", style=style, system=7) as autopilot:
-        assert listen(autopilot.url, 60.0) == Heard(autopilot.url, kind, 7)
+        assert listen(autopilot.url, 60.0) == FoundAutopilot(autopilot.url, kind, 7)
 
 
 def test_silence_others_and_a_wire_that_is_not_there_are_none(tmp_path: Path) -> None:

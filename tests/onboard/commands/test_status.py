@@ -1,4 +1,4 @@
-"""`pc-onboard status` against a publisher on this computer, and against nobody."""
+"""`pc-onboard status` against a publisher on this computer, and against no one."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def config(tmp_path: Path) -> tuple[str, Path]:
     return endpoint, tmp_path / "config.toml"
 
 
-def test_a_running_daemon_is_told_of(config: tuple[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_running_daemon_is_reported(config: tuple[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
     endpoint, file = config
     with Publisher("kiwi", (endpoint,)) as publisher:
         publisher.publish_status(encode_status(STATUS), REPORT.to_json())
@@ -69,7 +69,7 @@ def test_a_running_daemon_is_told_of(config: tuple[str, Path], capsys: pytest.Ca
         assert main(["status", "--config", str(file), "--vehicle", "weka"]) == 3
 
 
-def test_a_long_report_is_given_again_and_again_beside_a_flights_sets(config: tuple[str, Path]) -> None:
+def test_a_long_report_is_given_again_and_again_next_to_a_flights_sets(config: tuple[str, Path]) -> None:
     # A report in flight is 2 to 3 kB, more than the link sends in a burst.
     long = REPORT.to_json() + b" " * (3000 - len(REPORT.to_json()))
     with Publisher("kiwi", (config[0],)) as publisher:
@@ -79,7 +79,7 @@ def test_a_long_report_is_given_again_and_again_beside_a_flights_sets(config: tu
             assert eventually(lambda: main(["status", "--config", str(config[1])]) == 0)
 
 
-def test_nobody_there_is_one_line_and_an_exit_code(
+def test_no_one_there_is_one_line_and_an_exit_code(
     config: tuple[str, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["status", "--config", str(config[1])]) == 3

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.drawn_flight import DrawnFlight, DrawnSpec, DrawnTracker
+from benchmarks.sampled_flight import SampledFlight, SampledSpec, SampledTracker
 from contract.answer import Fix
 from contract.error_sources import ABOUT, Cause
 from contract.locate import Locator
@@ -52,9 +52,9 @@ class Flown:
 @pytest.fixture(scope="module")
 def flown() -> Flown:
     config = parse_config("[gps]\nsigma_latency_s = 0.02")
-    flight = DrawnFlight(DrawnSpec(config, PathSpec("turns", height_m=150.0, leg_m=150.0), seconds=14.0), 5)
+    flight = SampledFlight(SampledSpec(config, PathSpec("turns", height_m=150.0, leg_m=150.0), seconds=14.0), 5)
     pipeline = Pipeline(config, flight.spec.camera)
-    pipeline.tracker = DrawnTracker(flight)
+    pipeline.tracker = SampledTracker(flight)
     problems: dict[int, Problem] = {}
     refine = window_solver.refine
 

@@ -32,7 +32,7 @@ STEP = 1e-6
 K, P = 4, 7
 
 
-def drawn_state(rng: np.random.Generator) -> State:
+def sampled_state(rng: np.random.Generator) -> State:
     """Nothing of it special: every error is a tenth of a radian, metres, tenths of a second."""
     truth = bundle_problem(rng, K, 4 * P).truth
     truth = replace(truth, points_enu_m=truth.points_enu_m[:P])
@@ -119,7 +119,7 @@ PRIORS = {
 @pytest.mark.parametrize("make", PRIORS.values(), ids=PRIORS.keys())
 def test_a_priors_jacobian_is_its_residuals_derivative(make: Callable[[np.random.Generator], Prior], seed: int) -> None:
     rng = np.random.default_rng(seed)
-    prior, state = make(rng), drawn_state(rng)
+    prior, state = make(rng), sampled_state(rng)
     residual, jacobian = prior.evaluate(state)
     assert jacobian.shape == (len(residual), Layout(K).size)
     expected = numeric(lambda s: prior.evaluate(s)[0], state, Layout(K).size)
@@ -149,7 +149,7 @@ def test_a_prior_has_columns_of_the_states_it_depends_on_and_of_no_other(kind: s
         "boresight": BORESIGHT, "offset": [OFFSET], "delay": [DELAY], "velocity_delay": [VELOCITY_DELAY],
         "heading": HEADING,
     }  # fmt: skip
-    _, jacobian = PRIORS[kind](rng).evaluate(drawn_state(rng))
+    _, jacobian = PRIORS[kind](rng).evaluate(sampled_state(rng))
     whole = {
         "rotations": layout.rotations().ravel(),
         "centres": layout.centres().ravel(),
@@ -163,7 +163,7 @@ def test_a_prior_has_columns_of_the_states_it_depends_on_and_of_no_other(kind: s
 def test_the_attitude_jacobian_is_tested_where_its_terms_differ() -> None:
     """A left and a right Jacobian, and either order of boresight and turn, agree at zero error: the test must not."""
     rng = np.random.default_rng(0)
-    prior, state = attitude_prior(rng), drawn_state(rng)
+    prior, state = attitude_prior(rng), sampled_state(rng)
     assert isinstance(prior, AttitudePrior)
     turn = exp_so3(prior.body_rate_cam_rad_s * (state.platform[OFFSET] - prior.offset_s)[:, None])
     error = log_so3(state.R_cam_enu @ prior.R_enu_cam_measured @ turn @ exp_so3(state.platform[BORESIGHT]))
@@ -175,7 +175,7 @@ def test_the_attitude_jacobian_is_tested_where_its_terms_differ() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_reprojection_by_rotation_and_centre_is_its_derivative(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    state = drawn_state(rng)
+    state = sampled_state(rng)
     xy = 0.3 * rng.standard_normal((K, 2, P))
 
     def residual(s: State) -> Array:
@@ -195,7 +195,7 @@ def test_reprojection_by_rotation_and_centre_is_its_derivative(seed: int) -> Non
 @pytest.mark.parametrize("seed", range(3))
 def test_reprojection_by_point_is_its_derivative(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    state = drawn_state(rng)
+    state = sampled_state(rng)
     xy = 0.3 * rng.standard_normal((K, 2, P))
     _, predicted, depth = reprojection(state.R_cam_enu, state.centres_enu_m, state.points_enu_m, xy)
     _, by_point = reprojection_jacobians(state.R_cam_enu, predicted, depth, np.ones_like(depth))
@@ -209,7 +209,7 @@ def test_reprojection_by_point_is_its_derivative(seed: int) -> None:
 
 
 def test_a_point_behind_the_camera_is_finite_and_says_so() -> None:
-    state = drawn_state(np.random.default_rng(0))
+    state = sampled_state(np.random.default_rng(0))
     above = state.centres_enu_m[:1] + [0.0, 0.0, 100.0]
     residual, predicted, depth = reprojection(state.R_cam_enu, state.centres_enu_m, above, np.zeros((K, 2, 1)))
     assert depth[0, 0] < 0.0
@@ -317,7 +317,7 @@ def test_the_attitude_error_is_expressed_about_east_north_up() -> None:
 
 def test_retraction_composes_as_the_error_says() -> None:
     rng = np.random.default_rng(1)
-    state = drawn_state(rng)
+    state = sampled_state(rng)
     step = 0.01 * rng.standard_normal(Layout(K).size)
     moved = state.retract(step, np.ones((P, 3)))
     turn = log_so3(moved.R_cam_enu @ state.R_cam_enu.transpose(0, 2, 1))

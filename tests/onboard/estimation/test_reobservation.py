@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.drawn_flight import PLACE, DrawnFlight, DrawnSpec, fly, replace_section
+from benchmarks.sampled_flight import PLACE, SampledFlight, SampledSpec, fly, replace_section
 from contract.answer import CHI2_2, Fix
 from contract.feature_set import FeatureSet, Status
 from contract.locate import Locator
@@ -74,7 +74,7 @@ def test_where_errors_are_as_declared_nothing_is_widened(
     watched: Watched, sensors: dict[str, object], seed: int
 ) -> None:
     config = replace_section(DECLARED, "solve", **sensors)
-    sets, pipeline = fly(DrawnFlight(DrawnSpec(config, PathSpec(), seconds=40.0), seed))
+    sets, pipeline = fly(SampledFlight(SampledSpec(config, PathSpec(), seconds=40.0), seed))
     assert len(watched.agreements) > 12  # windows are compared at all
     mean = float(np.mean([a.chi2 for a in watched.agreements])) / PARAMETERS
     assert 0.2 < mean < 1.4
@@ -108,8 +108,8 @@ def test_where_sensors_are_bolder_than_true_the_factor_rises_and_relative_errors
 ) -> None:
     """Attitude and velocity six times worse than declared, and nothing else that would notice."""
     monkeypatch.setattr(VarianceFactors, "with_evidence", lambda self, *_, **__: self)
-    spec = DrawnSpec(DECLARED, PathSpec(), seconds=60.0)
-    flight = DrawnFlight(spec, 0)
+    spec = SampledSpec(DECLARED, PathSpec(), seconds=60.0)
+    flight = SampledFlight(spec, 0)
     events = list(flight.events())
     flight.spec = replace(spec, config=boldly(DECLARED, 6.0))
     monkeypatch.setattr(flight, "events", lambda: iter(events))
@@ -127,7 +127,7 @@ def test_where_sensors_are_bolder_than_true_the_factor_rises_and_relative_errors
     assert published > stated + 0.08
 
 
-def relative_chi2(flight: DrawnFlight, sets: dict[int, FeatureSet]) -> NDArray[np.float64]:
+def relative_chi2(flight: SampledFlight, sets: dict[int, FeatureSet]) -> NDArray[np.float64]:
     """Squared errors of vectors between clicks 8 s apart, in units of their stated covariance."""
     uv = np.array([320.0, 240.0])
     fixes = {k: Locator(s).locate(uv) for k, s in sets.items() if k >= 72}
@@ -158,7 +158,7 @@ def flown_pair() -> tuple[Solved, Solved]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Window, "adopt", watch)
-        fly(DrawnFlight(DrawnSpec(DECLARED, PathSpec(), seconds=26.0), 3))
+        fly(SampledFlight(SampledSpec(DECLARED, PathSpec(), seconds=26.0), 3))
     later = solved[-1]
     start_ns = later.keyframes[0].nav.stamp_ns
     return [s for s in solved if s.keyframes[-1].nav.stamp_ns < start_ns][-1], later

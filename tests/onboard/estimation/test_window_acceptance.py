@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.drawn_flight import DrawnFlight, DrawnSpec, fly
+from benchmarks.sampled_flight import SampledFlight, SampledSpec, fly
 from contract.feature_set import Status
 from contract.rotations import exp_so3
 from onboard.config.schema import parse_config
@@ -122,8 +122,8 @@ def test_a_wrong_window_in_mid_flight_is_not_published_and_the_flight_goes_on(mo
 
     monkeypatch.setattr(Memory, "compared", lifted)
     monkeypatch.setattr(Window, "adopt", watch)
-    spec = DrawnSpec(parse_config('[solve]\nattitude = "none"\nvelocity = false'), PathSpec(), seconds=30.0)
-    sets, pipeline = fly(DrawnFlight(spec, 4))
+    spec = SampledSpec(parse_config('[solve]\nattitude = "none"\nvelocity = false'), PathSpec(), seconds=30.0)
+    sets, pipeline = fly(SampledFlight(spec, 4))
     assert made[20].status is Status.POOR_FIT and made[20].reason
     assert made[21].status is Status.OK
     assert sum(pipeline.summary.refused_windows.values()) == 1

@@ -275,15 +275,15 @@ def five_point_is_right(v: Views) -> bool:
 
 def test_five_points_find_large_turns_over_rough_ground_whatever_the_heading() -> None:
     def rate(outliers: float) -> float:
-        drawn = []
+        sampled = []
         for seed in range(40):
             rng = np.random.default_rng(seed)
             turn, crab, roll = rng.uniform([0.0, -180.0, -20.0], [15.0, 180.0, 20.0])
             v = views(rng, turn_deg=turn, crab_deg=crab, roll_deg=roll, relief_m=40.0, outliers=outliers)
             if len(v.rays1) >= 30:
-                drawn.append(five_point_is_right(v))
-        assert len(drawn) >= 35
-        return float(np.mean(drawn))
+                sampled.append(five_point_is_right(v))
+        assert len(sampled) >= 35
+        return float(np.mean(sampled))
 
     assert rate(0.0) >= 0.95
     assert rate(0.2) >= 0.85

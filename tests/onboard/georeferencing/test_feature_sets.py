@@ -155,7 +155,7 @@ def test_with_the_seeds_sensors_the_ellipse_is_wide_and_holds_what_it_says() -> 
 
 
 @pytest.mark.long
-def test_an_ellipse_that_is_believed_too_small_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_ellipse_that_is_taken_too_small_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sensors with errors twice as large as configured: clicks leave their ellipses, or the window is refused.
 
     The configuration is held to be right, whatever residuals say.

@@ -20,7 +20,7 @@ from onboard.georeferencing.revision import (
     RISEN,
     WIDENED,
     Revisions,
-    are_alike,
+    are_same,
     is_all_in_reach,
 )
 from tests.onboard.georeferencing.test_feature_sets import solved as solved_window
@@ -71,35 +71,35 @@ def test_points_that_have_moved_by_more_than_a_tenth_of_the_radius_are_another_a
     placed: Placed, direction: tuple[float, float, float]
 ) -> None:
     step_m = radius_m(placed.solved) * np.array(direction)
-    assert are_alike(placed.solved, shifted(placed.solved, 0.8 * MOVED * step_m))
-    assert not are_alike(placed.solved, shifted(placed.solved, 1.5 * MOVED * step_m))
+    assert are_same(placed.solved, shifted(placed.solved, 0.8 * MOVED * step_m))
+    assert not are_same(placed.solved, shifted(placed.solved, 1.5 * MOVED * step_m))
 
 
 def test_one_point_that_has_moved_is_enough(placed: Placed) -> None:
     first = int(np.flatnonzero(placed.solved.good)[0])
     by_m = np.zeros_like(placed.solved.solution.state.points_enu_m)
     by_m[first, 0] = radius_m(placed.solved)
-    assert not are_alike(placed.solved, shifted(placed.solved, by_m))
+    assert not are_same(placed.solved, shifted(placed.solved, by_m))
 
 
 def test_a_height_that_has_moved_by_more_than_a_fifth_of_its_error_is_another_answer(placed: Placed) -> None:
     least_m = float(reaches_m(placed.solved)[1].min())
     up = np.array([0.0, 0.0, 1.0])
-    assert are_alike(placed.solved, shifted(placed.solved, 0.8 * RISEN * least_m * up))
-    assert not are_alike(placed.solved, shifted(placed.solved, 1.5 * RISEN * least_m * up))
+    assert are_same(placed.solved, shifted(placed.solved, 0.8 * RISEN * least_m * up))
+    assert not are_same(placed.solved, shifted(placed.solved, 1.5 * RISEN * least_m * up))
 
 
 @pytest.mark.parametrize("change", [1.0 + WIDENED, 1.0 / (1.0 + WIDENED)])
 def test_a_radius_that_has_changed_is_another_answer_either_way(placed: Placed, change: float) -> None:
     within = replace(placed.solved, variance_factor=placed.solved.variance_factor * change**1.6)
     beyond = replace(placed.solved, variance_factor=placed.solved.variance_factor * change**2.4)
-    assert are_alike(placed.solved, within)
-    assert not are_alike(placed.solved, beyond)
+    assert are_same(placed.solved, within)
+    assert not are_same(placed.solved, beyond)
 
 
-def test_without_a_point_in_common_nothing_is_known_to_be_alike(placed: Placed) -> None:
+def test_without_a_point_in_common_nothing_is_known_to_be_the_same(placed: Placed) -> None:
     others = replace(placed.solved, point_ids=placed.solved.point_ids + 10_000)
-    assert not are_alike(placed.solved, others)
+    assert not are_same(placed.solved, others)
 
 
 def test_what_was_placed_by_the_same_solution_is_never_placed_again(placed: Placed) -> None:

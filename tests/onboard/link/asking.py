@@ -1,6 +1,6 @@
 """A question over a link of a machine that may be busy: what is lost or comes too late is asked again.
 
-Where it is the claim that nobody answers, ask once, with `ground.client.ask` itself, or `nobody_answers`.
+Where it is the claim that no one answers, ask once, with `ground.client.ask` itself, or `nobody_answers`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """A small MAVLink router on the loopback interface, by the rules that ArduPilot, PX4 and mavlink-router have.
 
-Whoever is heard on a link is reached there; a packet with a target goes to that link alone, one without to all others.
+Whoever is received on a link is reached there; a packet with a target goes to that link alone, one without to all
+others.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ class Udp:
     def read(self) -> bytes:
         try:
             return self.socket.recv(65536)
-        except OSError:  # nobody listens there now
+        except OSError:  # no one listens there now
             return b""
 
     def write(self, packet: bytes) -> None:

@@ -1,4 +1,4 @@
-"""Ports of the loopback interface that nobody has, and that nobody is given before the test takes them.
+"""Ports of the loopback interface that no one has, and that no one is given before the test takes them.
 
 The system gives whoever names no port one of its own range. These lie below it, each is given once, and where the next
 one is looked for differs from process to process.

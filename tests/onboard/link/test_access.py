@@ -87,7 +87,7 @@ def test_a_stranger_without_a_certificate_cannot_connect(place: Place) -> None:
     for name in ("connect_certificate", "connect_private_key", "listen_certificate", "listen_private_key"):
         del tls_without["transport"]["link"]["tls"][name]
     tls_without["transport"]["link"]["tls"]["enable_mtls"] = False
-    assert heard_nothing(place, json.dumps(tls_without))
+    assert received_nothing(place, json.dumps(tls_without))
 
 
 def test_a_certificate_of_another_authority_does_not_connect(place: Place, tmp_path: Path) -> None:
@@ -95,39 +95,39 @@ def test_a_certificate_of_another_authority_does_not_connect(place: Place, tmp_p
     own = tmp_path / "anna"
     # It trusts the aircraft, and is not trusted.
     tls = Tls(str(place.credentials / "anna" / "ca.pem"), str(own / "certificate.pem"), str(own / "key.pem"))
-    assert heard_nothing(place, link_config("client", connect=[place.endpoint], tls=tls))
+    assert received_nothing(place, link_config("client", connect=[place.endpoint], tls=tls))
 
 
 def test_an_expired_certificate_does_not_connect(place: Place, tmp_path: Path) -> None:
     authority = Authority.load(place.credentials / "authority")
     then = datetime.now(UTC) - timedelta(days=10)
     authority.issue("anna", tmp_path / "old", days=9.0, now=then)
-    assert heard_nothing(place, link_config("client", connect=[place.endpoint], tls=Tls.in_folder(tmp_path / "old")))
+    assert received_nothing(place, link_config("client", connect=[place.endpoint], tls=Tls.in_folder(tmp_path / "old")))
 
 
 def test_plain_tcp_does_not_get_through_to_an_encrypted_link(place: Place) -> None:
-    assert heard_nothing(place, link_config("client", connect=[place.endpoint.replace("tls/", "tcp/")]))
+    assert received_nothing(place, link_config("client", connect=[place.endpoint.replace("tls/", "tcp/")]))
 
 
 def hears(cache: SetCache, place: Place) -> bool:
-    """Whether a set published now, or just before, was heard."""
+    """Whether a set published now, or just before, was received."""
     place.publisher.publish(a_set(3))
     return cache.by_frame("uav-1", 3) is not None
 
 
-def heard_nothing(place: Place, config: str) -> bool:
+def received_nothing(place: Place, config: str) -> bool:
     """Whether a session so configured opens not at all, or neither reads nor publishes anything."""
-    heard: list[bytes] = []
+    received: list[bytes] = []
     with SetCache(place.endpoint, tls=place.tls("anna")) as friend:
         assert eventually(lambda: hears(friend, place))
         try:
             stranger = zenoh.open(zenoh.Config.from_json5(config))
         except zenoh.ZError:
             return True
-        # With TLS 1.3 a client may think itself connected until it is told that it is not.
+        # With TLS 1.3 a client may think itself connected until it learns that it is not.
         with stranger:
             try:
-                stranger.declare_subscriber("pc/**", lambda sample: heard.append(sample.payload.to_bytes()))
+                stranger.declare_subscriber("pc/**", lambda sample: received.append(sample.payload.to_bytes()))
                 stranger.put(FEATURES.key("uav-1"), encode(a_set(99)))
                 replies = [r for r in stranger.get(FEATURES.key("uav-1"), timeout=1.0) if r.ok is not None]
             except zenoh.ZError:
@@ -135,11 +135,11 @@ def heard_nothing(place: Place, config: str) -> bool:
             place.publisher.publish(a_set(4))
             assert eventually(lambda: friend.by_frame("uav-1", 4) is not None)
             time.sleep(0.3)
-        return not heard and not replies and friend.by_frame("uav-1", 99) is None
+        return not received and not replies and friend.by_frame("uav-1", 99) is None
 
 
 @pytest.mark.parametrize("who", ["anna", "ben"])
-def test_a_viewer_publishes_neither_sets_nor_status_and_answers_for_nobody(place: Place, who: str) -> None:
+def test_a_viewer_publishes_neither_sets_nor_status_and_answers_for_no_one(place: Place, who: str) -> None:
     status: list[bytes] = []
     with SetCache(place.endpoint, tls=place.tls("anna")) as friend, session(place.endpoint, place.tls(who)) as viewer:
         listener = session(place.endpoint, place.tls("anna"))
@@ -153,12 +153,12 @@ def test_a_viewer_publishes_neither_sets_nor_status_and_answers_for_nobody(place
             viewer.delete(FEATURES.key("uav-1"))
             time.sleep(0.05)
 
-        def is_heard() -> bool:
+        def is_received() -> bool:
             place.publisher.publish(a_set(5))
             place.publisher.publish_status(b"true", b"{}")
             return friend.by_frame("uav-1", 5) is not None and b"true" in status
 
-        assert eventually(is_heard)
+        assert eventually(is_received)
         assert friend.by_frame("uav-1", 99) is None and friend.unreadable == 0
         assert status.count(b"spoofed") == 0
         assert set(asked(place.endpoint, tls=place.tls("anna"))) == {"uav-1"}
@@ -166,7 +166,7 @@ def test_a_viewer_publishes_neither_sets_nor_status_and_answers_for_nobody(place
         listener.close()  # type: ignore[no-untyped-call]
 
 
-def test_without_certificates_too_nobody_publishes_through_the_aircraft() -> None:
+def test_without_certificates_too_no_one_publishes_through_the_aircraft() -> None:
     endpoint = free_endpoint()
     with (
         Publisher("uav-1", [endpoint], rate=WIDE) as publisher,
@@ -195,7 +195,7 @@ def test_only_the_named_may_listen_and_ask_where_some_are_named(credentials: Pat
             assert cache.vehicles == []
 
 
-def test_nobody_on_the_ground_can_pass_for_an_aircraft(credentials: Path) -> None:
+def test_no_one_on_the_ground_can_pass_for_an_aircraft(credentials: Path) -> None:
     """A person's certificate is not for serving: a ground that reaches it instead of the aircraft hangs up."""
     endpoint = free_endpoint().replace("tcp/", "tls/")
     ben = Tls.in_folder(credentials / "ben")
@@ -205,7 +205,7 @@ def test_nobody_on_the_ground_can_pass_for_an_aircraft(credentials: Path) -> Non
             ask(endpoint, tls=Tls.in_folder(credentials / "anna"))
 
 
-def test_an_aircraft_reached_where_its_certificate_does_not_say_is_not_believed(tmp_path: Path) -> None:
+def test_an_aircraft_reached_where_its_certificate_does_not_say_is_not_accepted(tmp_path: Path) -> None:
     make_credentials(tmp_path, ["uav-1"], ["anna"], ["10.1.2.3"], 30.0)
     endpoint = free_endpoint().replace("tcp/127.0.0.1", "tls/127.0.0.2")
     with Publisher("uav-1", [endpoint], rate=WIDE, tls=Tls.in_folder(tmp_path / "uav-1")) as publisher:
@@ -214,7 +214,7 @@ def test_an_aircraft_reached_where_its_certificate_does_not_say_is_not_believed(
             ask(endpoint, tls=Tls.in_folder(tmp_path / "anna"))
 
 
-def test_a_plain_endpoint_beside_certificates_is_refused(credentials: Path) -> None:
+def test_a_plain_endpoint_next_to_certificates_is_refused(credentials: Path) -> None:
     tls = Tls.in_folder(credentials / "uav-1")
     with pytest.raises(LinkError, match=r"tcp/0\.0\.0\.0:7447 is not encrypted"):
         Publisher("uav-1", ["tcp/0.0.0.0:7447"], tls=tls)

@@ -21,7 +21,7 @@ MIXTURES = {
 }
 
 
-def flown(
+def simulated(
     max_bit_rate: float, set_bytes: int, status_bytes: int, replies_hz: float, rate_hz: float, grounds: int, piece: int
 ) -> list[Sent]:
     budget = Budget(max_bit_rate, 0.2, 5.0, 0.0)
@@ -45,7 +45,7 @@ def test_everything_else_goes_out_at_the_same_moments_with_pictures_as_without(
     grounds: int,
 ) -> None:
     mixture = (max_bit_rate, set_bytes, status_bytes, replies_hz, rate_hz, grounds)
-    assert others(flown(*mixture, piece)) == others(flown(*mixture, 0))
+    assert others(simulated(*mixture, piece)) == others(simulated(*mixture, 0))
 
 
 @settings(deadline=None, max_examples=10)
@@ -60,7 +60,7 @@ def test_with_pictures_no_window_of_time_carries_more_than_the_cap_one_burst_and
     rate_hz: float,
     grounds: int,
 ) -> None:
-    sent = flown(max_bit_rate, set_bytes, status_bytes, replies_hz, rate_hz, grounds, piece)
+    sent = simulated(max_bit_rate, set_bytes, status_bytes, replies_hz, rate_hz, grounds, piece)
     largest = max((s.wire_bytes for s in sent), default=0.0)
     burst = max(PACKET_BYTES, BURST_S * max_bit_rate / 8.0, largest) + max(PACKET_BYTES, largest)
     for first in range(len(sent)):
@@ -107,7 +107,7 @@ def test_through_a_radio_no_faster_than_the_cap_the_newest_set_is_no_older_with_
     assert with_pictures[-1] <= without[-1] + 0.04  # two looks of the virtual loop
 
 
-def test_on_a_radio_half_as_fast_as_we_are_told_pictures_give_way() -> None:
+def test_on_a_radio_half_as_fast_as_configured_pictures_give_way() -> None:
     """What is unacknowledged says so: sets are as late as they are without pictures, which is late enough."""
     ages = []
     for piece in (0, 1250):

@@ -31,7 +31,7 @@ SECTION = PictureConfig(enabled=True, rate_hz=5.0, max_px=240)
 
 
 def an_image(number: int, width: int = 320, height: int = 240) -> NDArray[np.uint8]:
-    """Another for each number, smooth enough that a compressed one can be told from its neighbours'."""
+    """Another for each number, smooth enough that a compressed one can be distinguished from its neighbours'."""
     rows, columns = np.mgrid[:height, :width] / width
     wave = np.sin((9.0 + number) * columns + number) + np.cos((7.0 + 0.5 * number) * rows)
     return (127.5 + 60.0 * wave).astype(np.uint8)
@@ -154,8 +154,8 @@ def test_a_ground_that_asks_gets_the_right_picture_for_the_frame_and_one_that_do
         with SetCache(endpoint) as without:
             assert eventually(lambda: _said(flying, without, 1))
             assert flying.picture_room() == 0
-        beside = {PICTURE.key(ANY_VEHICLE): pictures.take}
-        with PictureSender(SECTION, flying) as sender, SetCache(endpoint, beside=beside) as cache:
+        subscriptions = {PICTURE.key(ANY_VEHICLE): pictures.take}
+        with PictureSender(SECTION, flying) as sender, SetCache(endpoint, subscriptions=subscriptions) as cache:
             assert eventually(lambda: flying.picture_room() > 0)
 
             def arrived(number: int) -> bool:
@@ -189,7 +189,7 @@ def test_the_cap_is_held_with_pictures_on_and_they_do_come() -> None:
     with (
         Publisher("uav-1", [target], rate=Rate(bit_rate)) as flying,
         ThinLink(target, bit_rate=1e9) as link,
-        SetCache(link.endpoint, beside={PICTURE.key(ANY_VEHICLE): pictures.take}) as cache,
+        SetCache(link.endpoint, subscriptions={PICTURE.key(ANY_VEHICLE): pictures.take}) as cache,
     ):
         assert eventually(lambda: flying.picture_room() > 0)
         assert eventually(lambda: _said(flying, cache, 1))

@@ -162,11 +162,11 @@ def test_a_subscriber_caches_sets_by_vehicle_frame_and_time(publisher: Publisher
     with SetCache(endpoint) as cache:
         assert cache.newest("uav-1") is None
 
-        def heard() -> bool:  # the first sets are sent before the subscription is known
+        def received() -> bool:  # the first sets are sent before the subscription is known
             publisher.publish(a_set(0))
             return cache.vehicles == ["uav-1"]
 
-        assert eventually(heard)
+        assert eventually(received)
 
         def complete() -> bool:  # a set may be dropped where the machine is busy: the link never holds up the aircraft
             for frame, revision in ((1, 1), (2, 4), (3, 0)):  # older pictures only go out again when revised
@@ -188,7 +188,7 @@ def test_a_subscriber_caches_sets_by_vehicle_frame_and_time(publisher: Publisher
 
 
 def test_garbage_on_the_key_is_counted_and_does_no_harm(endpoint: str) -> None:
-    """From a faulty aircraft: a Publisher lets nobody else publish through it (test_access.py)."""
+    """From a faulty aircraft: a Publisher lets no one else publish through it (test_access.py)."""
     with SetCache(endpoint) as cache, zenoh_peer(endpoint) as session:
 
         def spoilt() -> bool:
@@ -207,11 +207,11 @@ def zenoh_peer(endpoint: str, mode: str = "peer") -> zenoh.Session:
 def test_a_subscriber_may_come_first_and_the_aircraft_later(endpoint: str) -> None:
     with SetCache(endpoint) as cache, Publisher("uav-1", [endpoint]) as publisher:
 
-        def heard() -> bool:
+        def received() -> bool:
             publisher.publish(a_set(0))
             return cache.newest("uav-1") is not None
 
-        assert eventually(heard)
+        assert eventually(received)
 
 
 def test_a_port_in_use_is_named(endpoint: str) -> None:
@@ -257,7 +257,7 @@ def test_a_declaration_that_fails_leaves_no_session_and_is_one_error(
     assert session.is_closed
 
 
-def test_nobody_there_and_nobody_answering_are_told_apart(publisher: Publisher, endpoint: str) -> None:
+def test_no_one_there_and_no_one_answering_are_distinguished(publisher: Publisher, endpoint: str) -> None:
     with pytest.raises(LinkError, match="nothing listens"):
         ask(free_endpoint())
     with pytest.raises(LinkError, match="'uav-9' does not answer"):
@@ -279,7 +279,7 @@ def test_another_vehicles_set_is_not_published(publisher: Publisher) -> None:
         publisher.publish(a_set(0, vehicle="uav-2"))
 
 
-def test_two_vehicles_at_one_endpoint_must_be_told_apart(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_vehicles_at_one_endpoint_must_be_distinguished(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Both connect to a router on the ground."""
     with (
         zenoh_peer(endpoint, "router"),
@@ -311,7 +311,7 @@ def test_the_age_of_the_newest_picture_grows_while_only_old_ones_come(publisher:
         assert cache.age_s("uav-1") is None
         begun_at = time.monotonic()
         publisher.publish(a_set(5))
-        assert eventually(lambda: cache.newest("uav-1") is not None)  # sent again after 2 s if nobody heard it
+        assert eventually(lambda: cache.newest("uav-1") is not None)  # sent again after 2 s if no one received it
         time.sleep(0.5)
         publisher.publish(a_set(4, revision=1))
         assert eventually(lambda: cache.by_frame("uav-1", 4) is not None)
@@ -380,10 +380,10 @@ def test_sets_go_out_where_it_cannot_be_known_what_is_under_way(
     monkeypatch.setattr(Backlog, "unacknowledged", fail)
     with SetCache(endpoint) as cache:
 
-        def heard() -> bool:
+        def received() -> bool:
             publisher.publish(a_set(0))
             return cache.newest("uav-1") is not None
 
-        assert eventually(heard)
+        assert eventually(received)
     assert publisher.thread.report().restarts == 0
     assert caplog.text.count("Too many open files") == 1

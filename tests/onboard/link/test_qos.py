@@ -47,37 +47,37 @@ def test_what_is_published_has_the_quality_of_the_table(
             other,
         )
     endpoint = free_endpoint()
-    heard: list[zenoh.Sample] = []
+    received: list[zenoh.Sample] = []
     config = zenoh.Config.from_json5(link_config("client", connect=[endpoint]))
     with Publisher("uav-1", [endpoint], rate=Rate(max_bit_rate=1e6)) as flying, zenoh.open(config) as ground:
-        ground.declare_subscriber(topic.key("uav-1"), heard.append)
+        ground.declare_subscriber(topic.key("uav-1"), received.append)
 
-        def is_heard() -> bool:
+        def is_received() -> bool:
             flying.publish(plain_set(10))
             flying.publish_status(encode_status(VehicleStatus(1.7e9, 7, "ok")), b"{}")
             flying.publish_tracks(b"tracks")
             flying.publish_spots(b"spots")
             if room := flying.picture_room():
                 flying.send_picture(small_picture(), room)
-            return bool(heard)
+            return bool(received)
 
-        assert eventually(is_heard)
+        assert eventually(is_received)
         declared = {
             FEATURES: flying._publisher, STATUS: flying._status_publisher, PICTURE: flying._picture_publisher,
             TRACKS: flying._report_publishers[Kind.TRACK], SPOTS: flying._report_publishers[Kind.SPOTS],
         }[topic]  # fmt: skip
         qos = OTHER if changed else topic.qos
-        assert of(heard[0]) == expected(qos)
+        assert of(received[0]) == expected(qos)
         assert str(declared.reliability) == str(getattr(zenoh.Reliability, qos.reliability))
 
 
 @pytest.mark.parametrize("qos", [QUERY, Qos("RELIABLE", "DROP", "DATA_LOW", express=False)])
 def test_an_answer_has_the_quality_of_the_query(monkeypatch: pytest.MonkeyPatch, qos: Qos) -> None:
-    heard: list[zenoh.Sample] = []
+    received: list[zenoh.Sample] = []
     read = client._answered
 
     def listen(sample: zenoh.Sample) -> Reply:
-        heard.append(sample)
+        received.append(sample)
         return read(sample)
 
     monkeypatch.setattr(client, "QUERY", qos)
@@ -86,4 +86,4 @@ def test_an_answer_has_the_quality_of_the_query(monkeypatch: pytest.MonkeyPatch,
     with Publisher("uav-1", [endpoint]) as flying:
         flying.publish(plain_set(10))
         assert "uav-1" in answered(lambda: client.inquire(endpoint))
-    assert {of(sample)[:2] for sample in heard} == {expected(qos)[:2]}
+    assert {of(sample)[:2] for sample in received} == {expected(qos)[:2]}

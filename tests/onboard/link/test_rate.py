@@ -338,7 +338,7 @@ def test_without_holding_back_a_cut_would_be_paid_for_long_after(monkeypatch: py
     rest_long(
         [
             (9600.0, 14400.0, 0.0, 1.2, 2.5),
-            (32000.0, 16000.0, 0.0, 3.0, 4.0),  # slower than we are told: what is unacknowledged holds the delay
+            (32000.0, 16000.0, 0.0, 3.0, 4.0),  # slower than configured: what is unacknowledged holds the delay
             (32000.0, 64000.0, 0.0, 0.5, 0.8),
             (32000.0, 64000.0, 1.0, 0.6, 1.0),
         ],

@@ -14,7 +14,7 @@ from onboard.link.autopilot_radio import OVERHEAD, AutopilotRadio
 from onboard.link.rate_follower import LEAST_BIT_RATE, SILENT_S, RateFollower
 from onboard.link.set_selection import Offer
 from tests.onboard.link.pipe import HEARTBEAT_BYTES, Way, own_stream
-from tests.onboard.link.test_click_desk import Clock, look_up
+from tests.onboard.link.test_click_service import Clock, look_up
 
 GROUND = Peer(245, 25)
 REPORT_S = 2.0
@@ -46,7 +46,7 @@ class Ground:
     ages_s: list[float] = field(default_factory=list)  # of the newest, at every step
 
 
-def flown(
+def simulated(
     radio_bit_rate: float,
     our_bit_rate: float,
     loss: float,
@@ -75,7 +75,7 @@ def flown(
             up.put(now_s, HEARTBEAT_BYTES, b"")
             report_s = now_s + REPORT_S
         for payload in up.arrived(now_s):
-            radio.hear(GROUND, payload)
+            radio.receive(GROUND, payload)
         for _, payload in radio.due():
             assert len(payload) + OVERHEAD <= MAX_WIRE_BYTES
             down.put(now_s, len(payload) + OVERHEAD, payload)
@@ -107,7 +107,7 @@ def quantile(values: list[float], share: float) -> float:
 def test_a_set_comes_every_two_seconds_and_the_newest_is_young(
     radio_bit_rate: float, our_bit_rate: float, loss: float, share: float, between_s: float, age_s: float
 ) -> None:
-    ground, down = flown(radio_bit_rate, our_bit_rate, loss, share)
+    ground, down = simulated(radio_bit_rate, our_bit_rate, loss, share)
     settled = [came_s for came_s, _ in ground.came if came_s >= 30.0]
     assert 90.0 / between_s <= len(settled) <= 90.0 * our_bit_rate / 8.0 / SET_BYTES
     assert quantile(ground.ages_s[3000:], 0.95) <= age_s
@@ -118,7 +118,7 @@ def test_a_set_comes_every_two_seconds_and_the_newest_is_young(
 
 def test_the_rate_follows_what_the_radio_carries() -> None:
     """Half of what we may send: the autopilot drops the rest without a word, and reports of the ground show it."""
-    ground, down = flown(4_800.0, 9_600.0, 0.0, 0.2, 180.0)
+    ground, down = simulated(4_800.0, 9_600.0, 0.0, 0.2, 180.0)
     settled = [size for at_s, size in down.carried if at_s >= 60.0]
     assert 0.55 * 600.0 * 0.8 <= sum(settled) / 120.0 <= 600.0
     assert down.dropped <= 0.35 * (len(down.carried) + down.dropped)
@@ -126,7 +126,7 @@ def test_the_rate_follows_what_the_radio_carries() -> None:
 
 
 def test_the_autopilots_own_messages_are_hardly_later_for_the_sets_between_them() -> None:
-    _, busy = flown(57_600.0, 9_600.0, 0.0, 0.65, 60.0)
+    _, busy = simulated(57_600.0, 9_600.0, 0.0, 0.65, 60.0)
     alone: Way[bytes] = Way(57_600.0)
     for at_s, size in own_stream(57_600.0, 0.65, 60.0):
         alone.put_own(round(at_s / STEP_S + 0.4999) * STEP_S, size)  # as the loop looks
@@ -136,7 +136,7 @@ def test_the_autopilots_own_messages_are_hardly_later_for_the_sets_between_them(
 
 
 def test_no_sets_flow_before_a_ground_asks_nor_long_after_it_is_gone() -> None:
-    ground, down = flown(9_600.0, 4_800.0, 0.0, 0.2, 60.0, stops_s=20.0)
+    ground, down = simulated(9_600.0, 4_800.0, 0.0, 0.2, 60.0, stops_s=20.0)
     times = [at_s for at_s, _ in down.carried]
     assert times[0] < 2.0 and 18.0 + SILENT_S - 1.0 < times[-1] <= 20.0 + SILENT_S + 1.0
     assert ground.came
@@ -150,12 +150,12 @@ def test_one_ground_at_a_time_gets_sets() -> None:
     radio, other = a_radio(clock, 1e5), Peer(246, 25)
     radio.feed.offer(an_offer(0, 0.0))
     for ground in (GROUND, other):
-        radio.hear(ground, encode_report(ReceiverReport(0, 0)))
+        radio.receive(ground, encode_report(ReceiverReport(0, 0)))
     clock.now_s = 5.0
     assert {ground for ground, _ in radio.due()} == {GROUND}
     clock.now_s = 5.0 + SILENT_S
     radio.feed.offer(an_offer(9, 9.0))
-    radio.hear(other, encode_report(ReceiverReport(0, 0)))
+    radio.receive(other, encode_report(ReceiverReport(0, 0)))
     clock.now_s += 1.0
     assert {ground for ground, _ in radio.due()} == {other}
 
@@ -164,7 +164,7 @@ def test_signed_packets_are_as_long_on_the_wire_as_unsigned_ones() -> None:
     clock = Clock()
     radio = a_radio(clock, 1e6, is_signed=True)
     radio.feed.offer(an_offer(0, 0.0))
-    radio.hear(GROUND, encode_report(ReceiverReport(0, 0)))
+    radio.receive(GROUND, encode_report(ReceiverReport(0, 0)))
     sizes = []
     for _ in range(100):
         clock.now_s += 0.1
@@ -177,18 +177,20 @@ def test_a_ground_stations_system_number_is_turned_away(system: int, is_turned_a
     radio, ground = a_radio(Clock(), 4_800.0), Peer(system, 25)
     radio.know_ground_stations(250, 255)
     radio.feed.offer(an_offer(0, 0.0))
-    radio.hear(ground, encode_question(ClickQuestion(5, 1.0, 2.0)))
-    radio.hear(ground, encode_report(ReceiverReport(0, 0)))
-    radio.hear(ground, b"")
+    radio.receive(ground, encode_question(ClickQuestion(5, 1.0, 2.0)))
+    radio.receive(ground, encode_report(ReceiverReport(0, 0)))
+    radio.receive(ground, b"")
     said = [decode(payload) for to, payload in radio.due() if to == ground and read_piece(payload) is None]
     assert [isinstance(s, TurnedAway) and (s.low, s.high) == (250, 255) for s in said] == [True] * is_turned_away
 
 
 def reported(follower: RateFollower, share: float, reports: int, begin_s: float = 0.0) -> float:
     """The bit rate after so many reports, 20 packets apart, of which a share has come."""
-    follower.heard(ReceiverReport(0, 0), begin_s)
+    follower.received(ReceiverReport(0, 0), begin_s)
     for number in range(1, reports + 1):
-        follower.heard(ReceiverReport(20 * number % 65536, round(20 * number * share) % 65536), begin_s + 2.0 * number)
+        follower.received(
+            ReceiverReport(20 * number % 65536, round(20 * number * share) % 65536), begin_s + 2.0 * number
+        )
     return follower.bit_rate(begin_s + 2.0 * reports)
 
 
@@ -205,17 +207,17 @@ def test_the_rate_halves_at_loss_and_grows_by_steps_afterwards() -> None:
     follower = RateFollower(9_600.0)
     assert reported(follower, 1.0, 3) == 9_600.0
     for number, came in enumerate((70, 80, 100, 120)):  # of 20 each: half, half, all, all
-        follower.heard(ReceiverReport(80 + 20 * number, came), 8.0 + number)
+        follower.received(ReceiverReport(80 + 20 * number, came), 8.0 + number)
     assert follower.bit_rate(12.0) == pytest.approx(2_400.0 + 2 * 960.0)
     assert reported(RateFollower(9_600.0), 0.1, 100) == LEAST_BIT_RATE
 
 
-def test_a_ground_that_begins_anew_or_is_silent_is_no_loss() -> None:
+def test_a_ground_that_begins_again_or_is_silent_is_no_loss() -> None:
     follower = RateFollower(9_600.0)
     assert reported(follower, 1.0, 5) == 9_600.0
-    follower.heard(ReceiverReport(0, 0), 11.0)
-    follower.heard(ReceiverReport(50_000, 3), 12.0)
+    follower.received(ReceiverReport(0, 0), 11.0)
+    follower.received(ReceiverReport(50_000, 3), 12.0)
     assert follower.bit_rate(12.0) == 9_600.0
     assert follower.bit_rate(12.0 + SILENT_S) == 0.0
-    follower.heard(ReceiverReport(50_000, 4), 30.0)
+    follower.received(ReceiverReport(50_000, 4), 30.0)
     assert follower.bit_rate(30.0) == 2_400.0

@@ -36,14 +36,14 @@ def answer(session: zenoh.Session, selector: str) -> bytes:
     return found[0]
 
 
-def test_a_status_is_heard_and_can_be_asked_for() -> None:
+def test_a_status_is_received_and_can_be_asked_for() -> None:
     endpoint = free_endpoint()
-    heard: list[bytes] = []
+    received: list[bytes] = []
     with Publisher("kiwi", (endpoint,)) as publisher, zenoh_client(endpoint) as ground:
-        ground.declare_subscriber(STATUS.key("kiwi"), lambda sample: heard.append(sample.payload.to_bytes()))
+        ground.declare_subscriber(STATUS.key("kiwi"), lambda sample: received.append(sample.payload.to_bytes()))
         assert json.loads(answer(ground, STATUS.key("kiwi"))) == {"status": "starting", "vehicle": "kiwi"}
-        assert eventually(lambda: publisher.publish_status(encode_status(NOW), b'{"more": 1}') or heard)
-        assert decode_status(heard[0]) == NOW
+        assert eventually(lambda: publisher.publish_status(encode_status(NOW), b'{"more": 1}') or received)
+        assert decode_status(received[0]) == NOW
         assert decode_status(answer(ground, STATUS.key("kiwi"))) == NOW
         assert answer(ground, STATUS.key("kiwi") + "?detail=1") == b'{"more": 1}'
 

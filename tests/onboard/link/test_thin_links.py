@@ -1,4 +1,4 @@
-"""The link as it is flown: cut, lossy, thin. Real zenoh sessions through a link in user space, in real time.
+"""The link as it is in the air: cut, lossy, thin. Real zenoh sessions through a link in user space, in real time.
 
 The rules behind it are held to far tighter bounds in virtual time by test_rate.py; here is what TCP, UDP and zenoh add.
 
@@ -86,7 +86,7 @@ def ages(cache: SetCache, seconds: float) -> list[float]:
 
 
 @contextmanager
-def flown(kind: str, bit_rate: float = 1e9, loss: float = 0.0) -> Iterator[tuple[ThinLink, SetCache]]:
+def simulated(kind: str, bit_rate: float = 1e9, loss: float = 0.0) -> Iterator[tuple[ThinLink, SetCache]]:
     target = free_endpoint().replace("tcp/", f"{kind}/")
     with (
         Flight(target),
@@ -105,7 +105,7 @@ def together(*jobs: Callable[[], None]) -> None:
 
 
 def after_a_cut(kind: str, cut_s: float, bit_rate: float = 64000.0) -> None:
-    with flown(kind, bit_rate) as (link, cache):
+    with simulated(kind, bit_rate) as (link, cache):
         link.cut(cut_s)
         assert picture_age_s(cache) > cut_s - 1.0
         age_s = cache.age_s("uav-1")
@@ -130,7 +130,7 @@ def test_after_a_cut_the_newest_picture_is_there_within_three_seconds(lost_s: fl
 
 
 def with_loss(loss: float) -> None:
-    with flown("udp", loss=loss) as (link, cache):
+    with simulated("udp", loss=loss) as (link, cache):
         found = ages(cache, 8.0)
         assert link.lost > 0
         assert max(found) < 2.5 and sorted(found)[len(found) // 2] < 0.8
@@ -152,7 +152,7 @@ def on_a_slow_link() -> None:
 
 def on_a_link_slower_than_we_are_told() -> None:
     """32 kbit/s offered to 16: what is unacknowledged holds the aircraft back, and the delay with it."""
-    with flown("tcp", bit_rate=16000.0) as (_, cache):
+    with simulated("tcp", bit_rate=16000.0) as (_, cache):
         ages(cache, 6.0)
         assert max(ages(cache, 4.0)) < 6.0
 
@@ -164,7 +164,7 @@ def test_loss_costs_sets_and_no_time_and_a_slow_link_only_gets_fewer() -> None:
 
 @pytest.mark.wall_clock
 def test_the_delay_does_not_grow_on_a_link_of_64_kbit_and_the_cap_is_kept() -> None:
-    with flown("tcp", bit_rate=64000.0) as (link, cache):
+    with simulated("tcp", bit_rate=64000.0) as (link, cache):
         began = time.monotonic()
         asked = threading.Thread(target=_ask_again_and_again, args=(link.endpoint, began + 8.0))
         asked.start()

@@ -1,4 +1,4 @@
-"""Tracks over real zenoh sessions on loopback: asked for, refused, heard; and who may ask, by certificates."""
+"""Tracks over real zenoh sessions on loopback: asked for, refused, received; and who may ask, by certificates."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tests.waiting import eventually
 WIDE = Rate(max_bit_rate=1e6)
 
 
-def test_a_track_is_asked_for_and_its_reports_are_heard() -> None:
+def test_a_track_is_asked_for_and_its_reports_are_received() -> None:
     endpoint, asked = free_endpoint(), list[str]()
 
     def follow(text: str) -> tuple[bytes, bool]:
@@ -40,16 +40,16 @@ def test_a_track_is_asked_for_and_its_reports_are_heard() -> None:
             assert link.vehicle == "uav-1"
             assert answered(lambda: link.ask(StartTrack(10.5, 20.25, 7))) == {"track": 3, "frame": 7}
             assert set(asked) == {"u=10.5;v=20.25;frame=7"}
-            heard: list[str] = []
+            received: list[str] = []
 
             def is_told(payload: bytes) -> bool:
                 flying.publish_tracks(payload)
                 while (report := link.next(0.1)) is not None:
-                    heard.append(report.to_text())
-                return len(heard) >= 2 and len(heard) % 2 == 0
+                    received.append(report.to_text())
+                return len(received) >= 2 and len(received) % 2 == 0
 
             assert eventually(lambda: is_told(encode_track(REPORT) * 2))
-            assert set(heard) == {REPORT.to_text()} and link.unreadable == 0
+            assert set(received) == {REPORT.to_text()} and link.unreadable == 0
             assert eventually(lambda: is_told(b"\xff" * 30) and link.unreadable > 0)
 
 
@@ -74,16 +74,16 @@ def test_only_the_named_may_follow(tmp_path: Path) -> None:
             with pytest.raises(LinkError, match="may this certificate follow"):
                 ben.ask(StopTrack(3))
 
-            def is_heard() -> bool:
+            def is_received() -> bool:
                 flying.publish_tracks(encode_track(REPORT))
                 return ben.next(0.3) is not None
 
-            assert eventually(is_heard)  # to read is another right
+            assert eventually(is_received)  # to read is another right
 
 
 def test_without_trackers_the_rights_are_as_they_were() -> None:
     rules = json.loads(link_config("peer", is_aircraft=True, trackers=["anna"]))["access_control"]
-    assert [rule["key_exprs"] for rule in rules["rules"]] == [["pc/**"]] * 3  # without certificates nobody has a name
+    assert [rule["key_exprs"] for rule in rules["rules"]] == [["pc/**"]] * 3  # without certificates no one has a name
     assert len(rules["subjects"]) == 1
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from benchmarks.drawn_flight import EPOCH_NS, PLACE, DrawnFlight, DrawnSpec
+from benchmarks.sampled_flight import EPOCH_NS, PLACE, SampledFlight, SampledSpec
 from onboard.config.schema import parse_config
 from onboard.events.types import Frame, NavEvent, PositionFix
 from onboard.navigation.navigator import Navigation, NavState
@@ -42,7 +42,7 @@ class Judged:
 
 
 def telemetry(path: PathSpec, filter_late_s: float, seed: int) -> Iterator[NavEvent]:
-    flight = DrawnFlight(DrawnSpec(CONFIG, path, SECONDS, 1.0, filter_late_s=filter_late_s), seed)
+    flight = SampledFlight(SampledSpec(CONFIG, path, SECONDS, 1.0, filter_late_s=filter_late_s), seed)
     yield from (event for event in flight.events() if not isinstance(event, Frame))
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.drawn_flight import DrawnFlight, DrawnSpec, DrawnTracker
+from benchmarks.sampled_flight import SampledFlight, SampledSpec, SampledTracker
 from onboard.config.schema import parse_config
 from onboard.estimation.keyframe import Keyframe
 from onboard.estimation.sensor_groups import Failing
@@ -17,14 +17,14 @@ from onboard.pipeline.keyframes import look_up_again
 from onboard.pipeline.pipeline import Pipeline
 from simulation.paths import PathSpec
 
-SPEC = DrawnSpec(parse_config(""), PathSpec(), 9.0, 2.0, errors=0.2, offset_s=-0.2, delay_s=0.0)
+SPEC = SampledSpec(parse_config(""), PathSpec(), 9.0, 2.0, errors=0.2, offset_s=-0.2, delay_s=0.0)
 
 
 def flown(attitudes: int = 1) -> Pipeline:
     """A pipeline as it is after nine seconds, with every so manieth attitude."""
-    flight = DrawnFlight(SPEC, 1)
+    flight = SampledFlight(SPEC, 1)
     pipeline = Pipeline(SPEC.config, SPEC.camera)
-    pipeline.tracker = DrawnTracker(flight)
+    pipeline.tracker = SampledTracker(flight)
     count = 0
     for event in flight.events():
         if isinstance(event, Attitude):

@@ -19,7 +19,7 @@ from onboard.replay.runner import Flight
 from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
-from tests.scenarios.flights import flown
+from tests.scenarios.flights import simulated
 
 pytestmark = pytest.mark.xdist_group("mount search")  # one worker: what they share is made once
 
@@ -34,7 +34,7 @@ def session(mount: tuple[float, float, float]) -> Path:
         DescribedSpec(TURNS), seconds=12.0, rate_hz=3.0, camera=CAMERA, clicks_per_frame=1,
         mount_deg=mount, boresight_deg=(4.0, -3.0, 5.0),
     )  # fmt: skip
-    return flown(spec)
+    return simulated(spec)
 
 
 def ranked(folder: Path, seconds: float = 99.0, wrong: bool = True) -> Ranking:

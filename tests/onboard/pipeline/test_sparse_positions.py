@@ -13,13 +13,13 @@ import pytest
 
 from benchmarks.autopilots import ReplayedFlight, Scene
 from benchmarks.click_score import Score, clicks, scored
-from benchmarks.drawn_flight import DrawnFlight, DrawnSpec, fly
+from benchmarks.sampled_flight import SampledFlight, SampledSpec, fly
 from contract.feature_set import Status
 from onboard.config.schema import parse_config
 from onboard.events.types import Event, Frame, PositionFix
 from simulation.paths import PathSpec
 from tests.rest_long import rest_long
-from tests.scenarios.test_moved_optics import flown
+from tests.scenarios.test_moved_optics import simulated
 
 PATH = PathSpec("turns", leg_m=250.0)
 SECONDS = 26.0
@@ -43,10 +43,10 @@ def thinned(events: Iterable[Event], every_s: float, without: int = -1) -> Itera
         yield event
 
 
-class SparseFlight(DrawnFlight):
+class SparseFlight(SampledFlight):
     """One position every so often; `gps.latency_s` is by how much its stamp and its arrival are late."""
 
-    def __init__(self, spec: DrawnSpec, seed: int, every_s: float, without: int = -1) -> None:
+    def __init__(self, spec: SampledSpec, seed: int, every_s: float, without: int = -1) -> None:
         super().__init__(spec, seed)
         self._every_s, self._without = every_s, without
 
@@ -65,18 +65,18 @@ class SparseReplay(ReplayedFlight):
         return thinned(super().events(), self._every_s)
 
 
-def score(flight: DrawnFlight | ReplayedFlight, seconds: float) -> tuple[Score, Counter[Status]]:
+def score(flight: SampledFlight | ReplayedFlight, seconds: float) -> tuple[Score, Counter[Status]]:
     """Of clicks from the eighth second to that one, and what became of all pictures."""
-    sets = flown(flight).sets if isinstance(flight, ReplayedFlight) else fly(flight)[0]
+    sets = simulated(flight).sets if isinstance(flight, ReplayedFlight) else fly(flight)[0]
     asked = clicks(flight, sets, flight.spec.camera.size_px, 4, 8.0, 0)
     found = scored(flight, (c for c in asked if flight.times_s[c.frame] < seconds))
     return found, Counter(s.status for s in sets.values())
 
 
-def steep(seed: int, every_s: float) -> DrawnFlight:
+def steep(seed: int, every_s: float) -> SampledFlight:
     """Turns of 45 degrees, the mount nearly known."""
     config = parse_config(RARE + "latency_s = 0.5\n" + KNOWN)
-    return SparseFlight(DrawnSpec(config, STEEP, seconds=24.0, rate_hz=5.0), seed, every_s)
+    return SparseFlight(SampledSpec(config, STEEP, seconds=24.0, rate_hz=5.0), seed, every_s)
 
 
 @pytest.mark.parametrize(("every_s", "late_s"), rest_long([(2.0, 2.5), (2.0, 0.5)]))
@@ -85,7 +85,7 @@ def test_a_picture_waits_for_the_position_that_it_is_joined_by(every_s: float, l
         f"[gps]\nlatency_s = {late_s}\nsigma_latency_s = 0.05\nmax_gap_s = {every_s + 0.5}\nglitch_m = 50.0\n"
         f"quality_timeout_s = {every_s + 1.0}\n"
     )
-    flight = SparseFlight(DrawnSpec(config, PATH, seconds=SECONDS, rate_hz=5.0), 3, every_s)
+    flight = SparseFlight(SampledSpec(config, PATH, seconds=SECONDS, rate_hz=5.0), 3, every_s)
     sets, _ = fly(flight)
     inside = {frame: s for frame, s in sets.items() if frame < 5 * (SECONDS - every_s - late_s) - 5}
     statuses = Counter(s.status for s in inside.values())
@@ -131,7 +131,7 @@ def test_in_a_gap_that_is_not_joined_pictures_are_refused_and_those_before_it_ar
     config = parse_config(
         "[gps]\nlatency_s = 2.5\nsigma_latency_s = 0.05\nmax_gap_s = 2.5\nglitch_m = 50.0\nquality_timeout_s = 6.0\n"
     )
-    flight = SparseFlight(DrawnSpec(config, PATH, seconds=36.0, rate_hz=2.0), 3, 2.0, without=9)
+    flight = SparseFlight(SampledSpec(config, PATH, seconds=36.0, rate_hz=2.0), 3, 2.0, without=9)
     sets, _ = fly(flight)
     # One position is missing: only pictures within those four seconds have none near enough on both sides.
     refused = [frame / 2.0 for frame, s in sets.items() if s.status is Status.UNSYNCHRONISED and frame < 56]
@@ -141,7 +141,7 @@ def test_in_a_gap_that_is_not_joined_pictures_are_refused_and_those_before_it_ar
 def test_where_positions_come_often_a_picture_waits_no_longer_for_those_that_were_lost() -> None:
     """A picture in an outage of a usual autopilot's positions is answered when it was before."""
     config = parse_config("")
-    flight = DrawnFlight(DrawnSpec(config, PATH, seconds=20.0, rate_hz=2.0), 3)
+    flight = SampledFlight(SampledSpec(config, PATH, seconds=20.0, rate_hz=2.0), 3)
     from onboard.pipeline.pipeline import Pipeline  # noqa: PLC0415
 
     pipeline = Pipeline(config, flight.spec.camera)

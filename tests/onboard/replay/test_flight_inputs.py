@@ -1,4 +1,4 @@
-"""What a replay's inputs have to do with each other: a video beside its subtitles, EXIF cut to the second, help."""
+"""What a replay's inputs have to do with each other: a video next to its subtitles, EXIF cut to the second, help."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.onboard.telemetry.log_writers import T0_S, written
 CAMERA = Camera.from_field_of_view(64, 48, 40.0)
 
 
-def test_a_video_beside_its_subtitles_needs_no_stamps_and_no_name(tmp_path: Path) -> None:
+def test_a_video_next_to_its_subtitles_needs_no_stamps_and_no_name(tmp_path: Path) -> None:
     """Their own times are the video's, to the frame, whatever the clock in either says."""
     video = tmp_path / "DJI_0042.MP4"
     writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"mp4v"), 30.0, (64, 48))

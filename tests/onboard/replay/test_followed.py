@@ -12,7 +12,7 @@ from contract.track import TrackReport, TrackState
 from ground.recording import Recording
 from onboard.__main__ import main
 from onboard.replay.followed import Clicked, Followed
-from tests.onboard.service.air import STRAIGHT, flown
+from tests.onboard.service.air import STRAIGHT, simulated
 from tests.onboard.tracks.flat_world import Thing, World, at
 
 CAR = Thing(at(-10.0, 0.0, (4.0, 0.0)), 2.0)
@@ -44,7 +44,7 @@ def test_clicks_at_which_nothing_could_be_followed_are_named() -> None:
 
 
 def test_a_replay_follows_prints_and_records(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = flown(dataclasses.replace(STRAIGHT, seconds=5.0))
+    folder = simulated(dataclasses.replace(STRAIGHT, seconds=5.0))
     given = [f"--{name}={folder / file}" for name, file in (
         ("config", "config.toml"), ("frames", "frames"), ("telemetry", "telemetry.tlog"), ("camera", "camera.json"),
         ("stamps", "stamps.csv"),
@@ -61,7 +61,7 @@ def test_a_replay_follows_prints_and_records(tmp_path: Path, capsys: pytest.Capt
 
 @pytest.mark.parametrize("words", [["--track", "8,150"], ["--track", "8,150,x"], ["--track", "8,150,110"] * 9])
 def test_what_cannot_be_followed_is_refused_in_a_line(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    folder = flown(dataclasses.replace(STRAIGHT, seconds=5.0))
+    folder = simulated(dataclasses.replace(STRAIGHT, seconds=5.0))
     given = [f"--{name}={folder / file}" for name, file in (
         ("frames", "frames"), ("telemetry", "telemetry.tlog"), ("camera", "camera.json"), ("stamps", "stamps.csv"),
     )]  # fmt: skip

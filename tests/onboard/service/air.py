@@ -36,7 +36,7 @@ from onboard.storage.rotating_recorder import Recorded
 from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
-from tests.scenarios.flights import CAMERA, Outcome, click, flown
+from tests.scenarios.flights import CAMERA, Outcome, click, simulated
 
 Spoil = Callable[[Event, float], Event | None]
 """Event and seconds since the first picture -> the event that comes instead, if any does."""
@@ -149,11 +149,11 @@ class PlayedSource:
         silent_s = (self._clock.now_ns() - self._last_ns) / 1e9
         return SourceStatus(State.LOST, "silent") if silent_s > self._lost_after_s else SourceStatus(State.OK)
 
-    def say(self, severity: Severity, text: str) -> None:
+    def send_text(self, severity: Severity, text: str) -> None:
         self.reported.append((severity, text))
 
 
-class Heard:
+class Received:
     """A sink that keeps everything, in order."""
 
     def __init__(self, clock: FastClock) -> None:
@@ -161,7 +161,7 @@ class Heard:
         self.events: list[Event] = []
         self.sets: list[tuple[int, FeatureSet]] = []  # with the moment they were made
 
-    def __enter__(self) -> Heard:
+    def __enter__(self) -> Received:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -186,7 +186,7 @@ class Air:
     reports: list[Report] = field(default_factory=list)
     camera: PlayedSource | None = None
     telemetry: PlayedSource | None = None
-    heard: Heard | None = None
+    received: Received | None = None
     recordings: list[Path] = field(default_factory=list)
 
     def state(self, at_s: float) -> str:
@@ -202,10 +202,10 @@ class Air:
         return next((t for t, status in self.statuses if t >= since_s and status.state == word), float("inf"))
 
     def sets(self, begin_s: float = -1e9, end_s: float = 1e9) -> dict[int, FeatureSet]:
-        """The last set of each picture taken within a stretch, as if taken when it was flown."""
-        assert self.heard is not None
+        """The last set of each picture taken within a stretch, as if taken in flight."""
+        assert self.received is not None
         out = {}
-        for _, output in self.heard.sets:
+        for _, output in self.received.sets:
             if begin_s <= (output.capture_unix_ns - self.first_ns) / 1e9 < end_s:
                 out[output.frame] = replace(output, capture_unix_ns=output.capture_unix_ns - self.shift_ns)
         return out
@@ -230,7 +230,7 @@ def take_off(
     tick_s: float = 0.02,
 ) -> Air:
     """Fly `seconds` of a flight (all without) and return what came of it; `where` holds recordings and state."""
-    folder = flown(spec)
+    folder = simulated(spec)
     # Real seconds are few when time runs fast: nothing but the fault under test is to make the daemon shed.
     settings = Config().model_dump()
     table = (folder / "config.toml").read_text()
@@ -258,9 +258,9 @@ def take_off(
         work = Work()
         work.given()  # putting all this together
         clock = FastClock(speed, work.is_left)
-        flown_first_ns = flight.frames.stamps_ns[0]
-        air.shift_ns = clock.now_ns() + round(LEAD_S * 1e9) - flown_first_ns
-        air.first_ns = flown_first_ns + air.shift_ns
+        simulated_first_ns = flight.frames.stamps_ns[0]
+        air.shift_ns = clock.now_ns() + round(LEAD_S * 1e9) - simulated_first_ns
+        air.first_ns = simulated_first_ns + air.shift_ns
         end_ns = air.first_ns + round((seconds or spec.seconds) * 1e9)
         threading.Thread(target=stop_at, args=(clock, end_ns), daemon=True).start()
 
@@ -276,7 +276,7 @@ def take_off(
 
         air.camera = PlayedSource(clock, due(pictures, camera), work)
         air.telemetry = PlayedSource(clock, due(log, telemetry), work)
-        air.heard = Heard(clock)
+        air.received = Received(clock)
         recording = Recorded(where / "recordings", config, optics, clock, "")
         work.is_recording = lambda: bool(recording._queue._waiting)
         pipeline = Pipeline(config, optics, worker=CountingExecutor(work))
@@ -294,7 +294,7 @@ def take_off(
             air.camera,
             air.telemetry,
             flying,
-            [air.heard, recording, *more],
+            [air.received, recording, *more],
             recording,
             [report],
             StateFile(where / "alignment.json"),

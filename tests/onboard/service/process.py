@@ -23,7 +23,7 @@ from simulation.autopilot.fake import FakeAutopilot
 from simulation.autopilot.flight import Flight
 from simulation.session import SessionSpec
 from tests.onboard.link.ports import free_endpoint
-from tests.scenarios.flights import flown
+from tests.scenarios.flights import simulated
 from tests.waiting import PATIENCE_S, eventually
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -146,7 +146,7 @@ class Aircraft:
 @contextmanager
 def aircraft(where: Path, spec: SessionSpec, config: str = "", style: str = "ardupilot") -> Iterator[Aircraft]:
     """Everything but the daemon itself: `start` it. `config` adds to the configuration."""
-    folder = flown(spec)
+    folder = simulated(spec)
     shutil.copytree(folder / "frames", where / "frames")
     with (folder / "stamps.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))

@@ -53,7 +53,7 @@ def inputs() -> st.SearchStrategy[Inputs]:
 
 
 def report_of(said: Inputs) -> Report:
-    """As a session reports it, with figures that nobody finds fault with."""
+    """As a session reports it, with figures that no one finds fault with."""
     state = overall(said)
     status = VehicleStatus(1.7e9, 7, state.state.value, state.reason, 60.0, 29.8, 29.0, 300, 0.125, 97)
     return Report(

@@ -71,7 +71,7 @@ class Steady:
     def health(self) -> SourceStatus:
         return SourceStatus(self.state, "as told" if self.state is not State.OK else "")
 
-    def say(self, severity: Severity, text: str) -> None:
+    def send_text(self, severity: Severity, text: str) -> None:
         self.reported.append(text)
 
 
@@ -92,7 +92,7 @@ class Held(Pipeline):
 
 
 class Rig:
-    """A daemon in a thread of the test, on the real clock, with sources that do as they are told."""
+    """A daemon in a thread of the test, on the real clock, with sources that do as they are asked."""
 
     def __init__(self) -> None:
         self.orders, self.notes = QueueOrders(), Notes()
@@ -179,7 +179,7 @@ class Rig:
         return self.notes.words.count("WATCHDOG=1")
 
 
-def test_it_says_ready_feeds_the_watchdog_and_stops_when_told() -> None:
+def test_it_says_ready_feeds_the_watchdog_and_stops_when_asked() -> None:
     with Rig() as rig:
         rig.wait_for(lambda: rig.fed > 3 and "no gps" not in rig.states[:1])
         rig.order(Order.STOP)
@@ -189,7 +189,7 @@ def test_it_says_ready_feeds_the_watchdog_and_stops_when_told() -> None:
     assert rig.closed == 1
 
 
-def test_a_configuration_that_cannot_be_flown_is_raised_and_nothing_said_to_be_ready() -> None:
+def test_a_configuration_that_cannot_be_used_is_raised_and_nothing_said_to_be_ready() -> None:
     rig = Rig()
     rig.open_error = InputError("camera file missing")
     rig.thread.start()
@@ -336,7 +336,7 @@ with SignalOrders() as orders:
 """
 
 
-def test_a_process_that_is_stopped_and_goes_on_was_told_nothing() -> None:
+def test_a_process_that_is_stopped_and_goes_on_received_nothing() -> None:
     """As by a suspend: the daemon ended, for the wait that was over by then gave a signal of a number that is none."""
     command = [sys.executable, "-c", WAITS_FOR_ORDERS]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
@@ -365,7 +365,7 @@ def test_a_flight_gives_answers_a_recording_and_what_was_learned(tmp_path: Path)
     outcome = air.clicked()
     assert outcome.solved > 0.95, outcome.reported
     assert outcome.inside_99 > 0.97, outcome.reported
-    assert air.telemetry is not None and air.heard is not None
+    assert air.telemetry is not None and air.received is not None
     (_, first), (_, second) = air.telemetry.reported
     assert first.startswith("pointclick: starting: ")  # and why
     assert second == "pointclick: ok"
@@ -377,9 +377,9 @@ def test_a_flight_gives_answers_a_recording_and_what_was_learned(tmp_path: Path)
     assert 0.0 < status.delay_s < 1.0
     (recording,) = air.recordings
     kept = Recording(recording)
-    frames = [event.index for event in air.heard.events if isinstance(event, Frame)]
+    frames = [event.index for event in air.received.events if isinstance(event, Frame)]
     assert kept.frames("uav") == frames == list(range(len(frames)))
-    last = {output.frame: output for _, output in air.heard.sets}
+    last = {output.frame: output for _, output in air.received.sets}
     for frame, output in last.items():
         found = kept.by_frame("uav", frame)
         assert found is not None
@@ -393,14 +393,14 @@ def test_the_live_session_replays_to_the_same_sets(tmp_path: Path) -> None:
     Byte for byte, by the program: test_replayed.
     """
     air = take_off(tmp_path, seconds=12.0)
-    assert air.heard is not None
+    assert air.received is not None
     table = {"mount": {"roll_deg": 0.0, "pitch_deg": -90.0, "yaw_deg": 0.0}}
     settings = Config().model_dump()
     settings["mount"].update(table["mount"])
     settings["solve"].update({"attitude": "autopilot", "velocity": True, "level_ground": False})
     again = Pipeline(Config.model_validate(settings), replace(CAMERA, stated_sigma=UNKNOWN_SIGMA))  # as filed
-    sets = [output for event in air.heard.events for output in again.handle(event)] + again.finish()
-    live = [output for _, output in air.heard.sets]
+    sets = [output for event in air.received.events for output in again.handle(event)] + again.finish()
+    live = [output for _, output in air.received.sets]
     assert [(s.frame, s.revision, s.status) for s in sets] == [(s.frame, s.revision, s.status) for s in live]
     for a, b in zip(sets, live, strict=True):
         assert (a.camera_lat_deg, a.camera_height_m) == (b.camera_lat_deg, b.camera_height_m)
@@ -429,20 +429,20 @@ def test_pictures_are_shed_oldest_first_when_the_processor_is_starved(tmp_path: 
         return pipeline
 
     air = take_off(tmp_path, seconds=8.0, speed=1.0, wrap=slow, config={"service": {"max_delay_s": 0.8}})
-    assert air.heard is not None
+    assert air.received is not None
     assert air.statuses[-1][1].dropped > 5
-    late = [(made_ns - s.capture_unix_ns) / 1e9 for made_ns, s in air.heard.sets if s.revision == 0]
+    late = [(made_ns - s.capture_unix_ns) / 1e9 for made_ns, s in air.received.sets if s.revision == 0]
     # Waiting, its own handling and telemetry's; the same at the end as at the beginning.
     longest_s = 0.8 + 2 * max(0.4, *took_s) + 0.6
     assert max(late[len(late) // 2 :]) < longest_s
     assert "overloaded" in air.states(2.0, 8.0)
-    events = air.heard.events
+    events = air.received.events
     stamps = [event.stamp_ns for event in events if isinstance(event, Frame)]
     assert stamps == sorted(stamps)
     assert stamps[-1] > air.first_ns + 8e9 - min(longest_s, 7.0) * 1e9
     outcome = air.clicked()
     assert outcome.inside_99 > 0.97, outcome.reported
-    # Shedding comes before recording: what was dropped is in nobody's list.
+    # Shedding comes before recording: what was dropped is in no one's list.
     assert len(Recording(air.recordings[0]).frames("uav")) == len(stamps)
 
 

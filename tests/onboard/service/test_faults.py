@@ -1,4 +1,4 @@
-"""Faults in flight: seen within two seconds, recovered from alone, and no answer beside the truth. docs/faults.md."""
+"""Faults in flight: seen within two seconds, recovered from alone, and no answer off the truth. docs/faults.md."""
 
 from __future__ import annotations
 
@@ -59,10 +59,10 @@ def holds(air: Air, *words: str, begin_s: float = BEGIN_S, end_s: float = END_S,
         outcome = air.clicked(*stretch)
         # Of a flight's clicks most share one error: a stretch is all inside or is not.
         assert outcome.inside_99 > 0.97, outcome.reported
-    assert air.heard is not None
+    assert air.received is not None
     (recording,) = air.recordings
     kept = Recording(recording)
-    assert kept.frames("uav") == [e.index for e in air.heard.events if isinstance(e, Frame)]
+    assert kept.frames("uav") == [e.index for e in air.received.events if isinstance(e, Frame)]
 
 
 def test_a_camera_that_goes_and_comes_back(tmp_path: Path) -> None:
@@ -73,7 +73,7 @@ def test_a_camera_that_goes_and_comes_back(tmp_path: Path) -> None:
     assert any(text.startswith("pointclick: camera lost: ") for _, text in air.telemetry.reported)
 
 
-def test_a_frozen_camera_that_nobody_calls_frozen(tmp_path: Path) -> None:
+def test_a_frozen_camera_that_no_one_calls_frozen(tmp_path: Path) -> None:
     """The driver goes on giving the last picture as new: the estimator must not believe it."""
     held: list[Frame] = []
 

@@ -15,7 +15,7 @@ def a_set(frame: int, revision: int = 0, status: Status = Status.OK) -> FeatureS
 
 
 def test_pictures_whose_set_is_made_late_count_as_answered_and_later_revisions_do_not() -> None:
-    """Every third at once, the others thirty pictures later, and then those at once anew."""
+    """Every third at once, the others thirty pictures later, and then those at once again."""
     rates, begin_ns = LiveRates(), 10**18
     frames = 300
     for k in range(frames):

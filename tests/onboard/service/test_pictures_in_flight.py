@@ -40,7 +40,7 @@ class Passed:
 
 
 @pytest.mark.parametrize("is_on", [False, True])
-def test_the_daemon_sends_pictures_if_it_is_told_to_and_warns_where_there_is_no_room(
+def test_the_daemon_sends_pictures_if_configured_and_warns_where_there_is_no_room(
     tmp_path: Path, is_on: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "camera.json").write_text(plain_set().camera.to_json())
@@ -67,7 +67,7 @@ def test_the_ground_gets_the_right_image_for_the_frame(tmp_path: Path) -> None:
     with (
         Publisher(vehicle, [endpoint], rate=Rate(1e6)) as link,
         PictureSender(section, link) as sender,
-        SetCache(endpoint, beside={PICTURE.key(ANY_VEHICLE): pictures.take}) as cache,
+        SetCache(endpoint, subscriptions={PICTURE.key(ANY_VEHICLE): pictures.take}) as cache,
     ):
         assert eventually(link.picture_room)  # until the ground is there
 
@@ -75,11 +75,11 @@ def test_the_ground_gets_the_right_image_for_the_frame(tmp_path: Path) -> None:
             return [Passed(sender), Passed(link)]
 
         air = take_off(tmp_path, spec=dataclasses.replace(STRAIGHT, seconds=5.0), sinks=sinks)
-        assert air.code == 0 and air.heard is not None
+        assert air.code == 0 and air.received is not None
         assert eventually(lambda: pictures.received)
-        images = {e.index: e.image for e in air.heard.events if isinstance(e, Frame)}
-        (session,) = {s.session for _, s in air.heard.sets}
-        by_frame = {s.frame: s for _, s in air.heard.sets}
+        images = {e.index: e.image for e in air.received.events if isinstance(e, Frame)}
+        (session,) = {s.session for _, s in air.received.sets}
+        by_frame = {s.frame: s for _, s in air.received.sets}
         frames = pictures.frames(vehicle, session)
         assert frames and pictures.unreadable == 0
         for frame in frames:

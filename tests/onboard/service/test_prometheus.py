@@ -125,7 +125,7 @@ def test_the_newest_report_is_served_and_nothing_before_there_is_one() -> None:
         fetch(url)
 
 
-def test_a_client_that_says_nothing_holds_up_nobody() -> None:
+def test_a_client_that_says_nothing_holds_up_no_one() -> None:
     with PrometheusServer("127.0.0.1:0", "kiwi") as server:
         server.show(report_of(WELL))
         with socket.create_connection(("127.0.0.1", server.port)):

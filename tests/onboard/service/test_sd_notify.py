@@ -1,4 +1,4 @@
-"""Words to systemd, heard at a socket of the same kind."""
+"""Words to systemd, found at a socket of the same kind."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[so
         yield hearing, name
 
 
-def heard(manager: socket.socket) -> list[bytes]:
+def received(manager: socket.socket) -> list[bytes]:
     manager.setblocking(False)
     out = []
     while True:
@@ -41,7 +41,7 @@ def test_every_word_arrives_as_systemd_reads_it(manager: tuple[socket.socket, st
     notifier.feed_watchdog()
     notifier.reloading()
     notifier.stopping()
-    ready, status, fed, reloading, stopping = heard(hearing)
+    ready, status, fed, reloading, stopping = received(hearing)
     assert (ready, status, fed, stopping) == (
         b"READY=1", b"STATUS=camera lost: unplugged", b"WATCHDOG=1", b"STOPPING=1",
     )  # fmt: skip
@@ -56,7 +56,7 @@ def test_a_watchdog_that_is_not_ours_is_not_fed(manager: tuple[socket.socket, st
     notifier = Notifier({"NOTIFY_SOCKET": name, **watchdog})
     assert notifier.watchdog_s is None
     notifier.feed_watchdog()
-    assert heard(hearing) == []
+    assert received(hearing) == []
 
 
 @pytest.mark.parametrize("environment", [{}, {"NOTIFY_SOCKET": "/nonexistent/socket", "WATCHDOG_USEC": "1000"}])

@@ -1,4 +1,4 @@
-"""A thermal camera beside the first one in the daemon: its own thread and stamps; when it fails, nothing else does."""
+"""A thermal camera next to the first one in the daemon: its own thread and stamps; when it fails, nothing else does."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ TURN = Turn()
 
 
 class Scripted:
-    """A camera that gives what it is told to, or fails."""
+    """A camera that gives what it is asked to, or fails."""
 
     def __init__(self, frames: list[Frame], fails: int = 0) -> None:
         self._frames, self._fails = frames, fails

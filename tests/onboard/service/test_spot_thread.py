@@ -25,7 +25,7 @@ from onboard.service.spot_thread import SpotThread
 from onboard.storage.mcap_reader import RecordedFlight
 from simulation.heat_sources import HeatSource
 from simulation.thermal import ThermalSpec
-from tests.onboard.service.air import STRAIGHT, flown
+from tests.onboard.service.air import STRAIGHT, simulated
 from tests.onboard.spots.scenes import Scene
 from tests.waiting import eventually
 
@@ -78,7 +78,7 @@ def test_in_a_thread_of_its_own_it_finds_the_same_and_ends(pictures: Pictures) -
     assert len(decode_spots(sent[-1]).spots) == 1
 
 
-def test_it_begins_anew_after_a_failure(pictures: Pictures, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_begins_again_after_a_failure(pictures: Pictures, monkeypatch: pytest.MonkeyPatch) -> None:
     sent: list[bytes] = []
     with SpotThread(CONFIG, [lambda _, payload: sent.append(payload)]) as spots:
         frame, its_set = pictures[0]
@@ -92,7 +92,7 @@ def test_it_begins_anew_after_a_failure(pictures: Pictures, monkeypatch: pytest.
 
 
 def test_a_replay_of_a_camera_that_sees_light_says_that_it_is_none(capsys: pytest.CaptureFixture[str]) -> None:
-    folder = flown(dataclasses.replace(STRAIGHT, seconds=5.0))
+    folder = simulated(dataclasses.replace(STRAIGHT, seconds=5.0))
     assert main(["replay", *_files(folder), "--spots"]) == 2
     assert "--spots: the configuration states no thermal camera" in capsys.readouterr().err
 
@@ -106,7 +106,7 @@ def _files(folder: Path) -> list[str]:
 
 def test_a_replay_prints_and_records_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     warm = ThermalSpec(contrast=0.5, sources=(HeatSource.car((0.0, 60.0), 25.0),))
-    folder = flown(dataclasses.replace(STRAIGHT, seconds=5.0, thermal=warm))
+    folder = simulated(dataclasses.replace(STRAIGHT, seconds=5.0, thermal=warm))
     out = tmp_path / "again.mcap"
     assert main(["replay", *_files(folder), "--record", str(out), "--spots"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line.startswith("{")]
@@ -126,7 +126,7 @@ def test_a_replay_takes_a_second_cameras_pictures_by_their_own_stamps(
 ) -> None:
     warm = ThermalSpec(contrast=0.5, sources=(HeatSource.car((0.0, 60.0), 25.0),))
     visible = dataclasses.replace(STRAIGHT, seconds=5.0)
-    light, heat = flown(visible), flown(dataclasses.replace(visible, thermal=warm))
+    light, heat = simulated(visible), simulated(dataclasses.replace(visible, thermal=warm))
     rows = [row.split(",") for row in (heat / "stamps.csv").read_text().split()[1:]]
     late = ["file,unix_time_s", *(f"{name},{float(stamp) + 0.04:.6f}" for name, stamp in rows)]
     (tmp_path / "late.csv").write_text("\n".join(late) + "\n")
@@ -168,6 +168,6 @@ def test_a_replay_takes_a_second_cameras_pictures_by_their_own_stamps(
 
 
 def test_a_second_cameras_pictures_belong_to_spots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = flown(dataclasses.replace(STRAIGHT, seconds=5.0))
+    folder = simulated(dataclasses.replace(STRAIGHT, seconds=5.0))
     assert main(["replay", *_files(folder), f"--thermal={tmp_path}"]) == 2
     assert "add --spots" in capsys.readouterr().err

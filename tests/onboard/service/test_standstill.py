@@ -18,7 +18,7 @@ from onboard.events.types import Attitude, Event, FilterStatus, Frame, GpsQualit
 from onboard.pipeline.pipeline import Pipeline
 from onboard.service.reports import Report
 from onboard.service.session import Parts, Session
-from onboard.service.standstill import LASTING_NS, Standstill
+from onboard.service.standstill import PERSISTENT_NS, Standstill
 from onboard.service.vehicle_state import AT_REST, Subject
 from tests.onboard.service.air import FastClock
 from tests.scenarios.flights import CAMERA
@@ -54,7 +54,7 @@ def moving(stamp_ns: int) -> PositionFix:
     ("stretches", "at_rest"),
     [
         ([(4.0, fix)], True),
-        ([(0.9 * LASTING_NS / 1e9, fix)], False),
+        ([(0.9 * PERSISTENT_NS / 1e9, fix)], False),
         ([(4.0, moving)], False),
         ([(4.0, moving), (4.0, fix)], True),
         ([(4.0, fix), (0.1, moving)], False),
@@ -96,11 +96,11 @@ class OnTheGround:
     def health(self) -> SourceStatus:
         return SourceStatus(State.OK, "", FIGURES)
 
-    def say(self, severity: Severity, text: str) -> None:
-        """Nobody listens."""
+    def send_text(self, severity: Severity, text: str) -> None:
+        """No one listens."""
 
 
-def told(fix_type: int, is_at_rest: bool) -> Callable[[int, int], list[Event]]:
+def stated(fix_type: int, is_at_rest: bool) -> Callable[[int, int], list[Event]]:
     """What PX4 says where it stands; height above home is not known, so its own word is all there is."""
     return lambda now_ns, _: [
         fix(now_ns, (0.0, 0.0, 0.0), None),
@@ -120,7 +120,7 @@ def seen(now_ns: int, index: int) -> list[Event]:
 
 
 def reports(telemetry: Callable[[int, int], list[Event]]) -> Generator[Report, None, None]:
-    """What a session on the ground reports, until nobody wants more.
+    """What a session on the ground reports, until no one wants more.
 
     On a clock as fast as the host's on which the machine never stands still: nothing is silent for that.
     """
@@ -145,10 +145,10 @@ def judged(report: Report) -> dict[str, bool]:
 
 
 def test_px4_standing_on_the_ground_is_well() -> None:
-    """It was `no gps: the position is not believed` with a doctor that was green, as long as it stood."""
+    """It was `no gps: the position is not accepted` with a doctor that was green, as long as it stood."""
     states: list[str] = []
     lasting: list[Report] = []
-    with closing(reports(told(3, True))) as said:
+    with closing(reports(stated(3, True))) as said:
         while len(lasting) <= 40 or "low_parallax" not in lasting[-1].pictures.refused:
             report = next(said, None)
             assert report is not None, states
@@ -163,7 +163,7 @@ def test_px4_standing_on_the_ground_is_well() -> None:
 
 def test_standing_there_without_a_fix_is_not_well_and_both_say_so() -> None:
     """A refusal of everything would pass the test above the other way about."""
-    with closing(reports(told(1, False))) as said:
+    with closing(reports(stated(1, False))) as said:
         for number, report in enumerate(said):
             assert report.status.state not in ("ok", "at rest")
             assert not judged(report)["state"]

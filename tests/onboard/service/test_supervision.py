@@ -152,7 +152,7 @@ def test_the_solver_hands_back_results_and_errors_in_order_and_hangs_visibly() -
     assert solver.thread.join(PATIENCE_S)
 
 
-# Fault 12: exit 2 keeps systemd from starting the service anew.
+# Fault 12: exit 2 keeps systemd from starting the service again.
 def test_a_reload_while_a_source_hangs_ends_with_1_and_raises_nothing(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -267,7 +267,7 @@ def test_what_was_learned_is_kept_though_a_resource_cannot_be_closed(caplog: pyt
     with Fitted(change) as rig:
         rig.wait_for(lambda: rig.fed > 3)
         rig.order(Order.STOP)
-        assert rig.ended() == 1  # not cleanly, and not by an error that nobody caught
+        assert rig.ended() == 1  # not cleanly, and not by an error that no one caught
     assert rig.error is None
     assert memory.kept != "" and rig.closed == 1
     assert "Input/output error" in caplog.text

@@ -19,7 +19,7 @@ CONFIG = parse_config('[vehicle]\nid = "uav-1"\n')
 CAR = Thing(at(-10.0, 0.0, (4.0, 0.0)), 2.0)
 
 
-class Flown:
+class Simulated:
     """A thread that is never started: its work is done by hand, a clock goes on by a tenth of a second a picture."""
 
     def __init__(self, world: World | None = None) -> None:
@@ -52,28 +52,30 @@ class Flown:
 
 
 def test_a_click_is_answered_at_once_and_reported_twice_a_second() -> None:
-    flown = Flown()
-    flown.fly(0, 16)
-    assert not flown.sent
-    assert flown.ask(flown.click(15)) == ({"track": 1, "frame": 15}, False)
-    flown.fly(16, 46)
-    assert 5 <= len(flown.sent) <= 7  # three seconds
-    (report,) = decode_tracks(flown.sent[-1], "uav-1")
-    assert len(flown.sent[-1]) <= MAX_TRACK_BYTES and report.state is TrackState.FOLLOWED
+    simulated = Simulated()
+    simulated.fly(0, 16)
+    assert not simulated.sent
+    assert simulated.ask(simulated.click(15)) == ({"track": 1, "frame": 15}, False)
+    simulated.fly(16, 46)
+    assert 5 <= len(simulated.sent) <= 7  # three seconds
+    (report,) = decode_tracks(simulated.sent[-1], "uav-1")
+    assert len(simulated.sent[-1]) <= MAX_TRACK_BYTES and report.state is TrackState.FOLLOWED
     assert report.course is not None and abs(report.course.speed_m_s - 4.0) < 0.4
-    assert flown.ask("") == ({"tracks": [1]}, False)
-    assert flown.ask("stop=1") == ({"tracks": []}, False)
-    said = len(flown.sent)
-    flown.fly(46, 60)
-    assert len(flown.sent) == said
+    assert simulated.ask("") == ({"tracks": [1]}, False)
+    assert simulated.ask("stop=1") == ({"tracks": []}, False)
+    said = len(simulated.sent)
+    simulated.fly(46, 60)
+    assert len(simulated.sent) == said
 
 
 def test_the_same_question_again_begins_no_other_track() -> None:
-    flown = Flown()
-    flown.fly(0, 16)
-    assert flown.ask(flown.click(15)) == flown.ask(flown.click(15)) == ({"track": 1, "frame": 15}, False)
-    flown.fly(16, 18)
-    assert flown.ask(flown.click(15))[0]["track"] == 1
+    simulated = Simulated()
+    simulated.fly(0, 16)
+    assert (
+        simulated.ask(simulated.click(15)) == simulated.ask(simulated.click(15)) == ({"track": 1, "frame": 15}, False)
+    )
+    simulated.fly(16, 18)
+    assert simulated.ask(simulated.click(15))[0]["track"] == 1
 
 
 @pytest.mark.parametrize(
@@ -84,93 +86,95 @@ def test_the_same_question_again_begins_no_other_track() -> None:
     ],
 )  # fmt: skip
 def test_what_cannot_be_done_is_refused_with_its_reason(text: str, status: str) -> None:
-    flown = Flown()
-    flown.fly(0, 16)
-    said, is_error = flown.ask(text)
+    simulated = Simulated()
+    simulated.fly(0, 16)
+    said, is_error = simulated.ask(text)
     assert is_error and said["status"] == status and said["reason"]
-    assert flown.ask("") == ({"tracks": []}, False)
+    assert simulated.ask("") == ({"tracks": []}, False)
 
 
-def test_who_begins_and_ends_tracks_without_end_is_told_to_wait() -> None:
-    flown = Flown()
-    flown.fly(0, 16)
-    said = [flown.ask(flown.click(15) if n % 2 == 0 else f"stop={n // 2 % 255 + 1}") for n in range(3 * MAX_ORDERS)]
+def test_who_begins_and_ends_tracks_without_end_is_asked_to_wait() -> None:
+    simulated = Simulated()
+    simulated.fly(0, 16)
+    said = [
+        simulated.ask(simulated.click(15) if n % 2 == 0 else f"stop={n // 2 % 255 + 1}") for n in range(3 * MAX_ORDERS)
+    ]
     assert not said[MAX_ORDERS - 1][1] and said[MAX_ORDERS] == (said[-1][0], True) and said[-1][0]["status"] == "busy"
-    flown.tracks.work()
-    assert not flown.ask(flown.click(15))[1]
+    simulated.tracks.work()
+    assert not simulated.ask(simulated.click(15))[1]
 
 
 def test_before_the_first_picture_nothing_can_be_followed() -> None:
-    assert Flown().ask("u=100;v=100")[0]["status"] == "unknown_frame"
+    assert Simulated().ask("u=100;v=100")[0]["status"] == "unknown_frame"
 
 
 def test_the_ninth_is_refused_until_one_is_stopped() -> None:
-    flown = Flown()
-    flown.fly(0, 16)
+    simulated = Simulated()
+    simulated.fly(0, 16)
     for n in range(MOST_TRACKS):
-        assert not flown.ask(f"u={40 + 25 * n};v=100;frame=15")[1]
-    said, is_error = flown.ask("u=160;v=160;frame=15")
+        assert not simulated.ask(f"u={40 + 25 * n};v=100;frame=15")[1]
+    said, is_error = simulated.ask("u=160;v=160;frame=15")
     assert is_error and said["status"] == "full"
-    flown.fly(16, 18)
-    assert flown.ask("u=160;v=160;frame=15")[0]["status"] == "full"
-    assert not flown.ask("stop=3")[1] and not flown.ask("u=160;v=160;frame=15")[1]
-    flown.fly(18, 30)
-    assert max(len(message) for message in flown.sent) <= MOST_TRACKS * MAX_TRACK_BYTES
-    assert len(decode_tracks(flown.sent[-1])) == MOST_TRACKS
+    simulated.fly(16, 18)
+    assert simulated.ask("u=160;v=160;frame=15")[0]["status"] == "full"
+    assert not simulated.ask("stop=3")[1] and not simulated.ask("u=160;v=160;frame=15")[1]
+    simulated.fly(18, 30)
+    assert max(len(message) for message in simulated.sent) <= MOST_TRACKS * MAX_TRACK_BYTES
+    assert len(decode_tracks(simulated.sent[-1])) == MOST_TRACKS
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=60)
 @given(st.lists(st.text(max_size=40) | st.text(alphabet="uv=;0159.frametop", max_size=30), max_size=40))
 def test_no_requests_bring_it_down_or_fill_it(texts: list[str]) -> None:
-    flown = QUIET
+    simulated = QUIET
     for text in texts:
-        payload, _ = flown.tracks.answer(text)
+        payload, _ = simulated.tracks.answer(text)
         assert len(payload) < 400 and isinstance(json.loads(payload), dict)
-    flown.tracks.work()
-    assert len(json.loads(flown.tracks.answer("")[0])["tracks"]) <= MOST_TRACKS
+    simulated.tracks.work()
+    assert len(json.loads(simulated.tracks.answer("")[0])["tracks"]) <= MOST_TRACKS
 
 
-QUIET = Flown()
+QUIET = Simulated()
 QUIET.fly(0, 8)
 
 
 def test_pictures_that_it_cannot_keep_up_with_are_passed_over() -> None:
-    flown = Flown()
-    flown.fly(0, 16)
-    flown.ask(flown.click(15))
-    flown.tracks.work()
-    frame = flown.world.frame(16)
+    simulated = Simulated()
+    simulated.fly(0, 16)
+    simulated.ask(simulated.click(15))
+    simulated.tracks.work()
+    frame = simulated.world.frame(16)
     for number in range(16, 16 + 3 * MAX_HELD):
-        flown.tracks.event(0, type(frame)(frame.stamp_ns + number, number, frame.image))
-    assert len(flown.tracks._held) <= MAX_HELD
+        simulated.tracks.event(0, type(frame)(frame.stamp_ns + number, number, frame.image))
+    assert len(simulated.tracks._held) <= MAX_HELD
     for number in range(20, 40):  # and of those with a set the newest are looked at
-        flown.hand_over(number)
-    flown.hand_over(25)
-    flown.tracks.work()
-    assert sorted(flown.tracks._frames)[-MAX_BEHIND - 1 :] == [15, *range(40 - MAX_BEHIND, 40)]
-    flown.now_s += 2.0
-    flown.tracks.work()
-    (report,) = decode_tracks(flown.sent[-1])
+        simulated.hand_over(number)
+    simulated.hand_over(25)
+    simulated.tracks.work()
+    assert sorted(simulated.tracks._frames)[-MAX_BEHIND - 1 :] == [15, *range(40 - MAX_BEHIND, 40)]
+    simulated.now_s += 2.0
+    simulated.tracks.work()
+    (report,) = decode_tracks(simulated.sent[-1])
     assert (report.state, report.unseen) == (TrackState.COASTING, Unseen.NO_PICTURE)
 
 
 def test_a_track_that_brings_the_thread_down_is_not_begun_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    flown = Flown()
-    flown.fly(0, 16)
-    flown.ask(flown.click(15))
-    flown.tracks.work()
-    flown.tracks.thread.error = ValueError("as the supervisor has it when it begins the work again")
-    flown.tracks.thread.end()
-    flown.tracks._run(flown.tracks.thread)
-    assert flown.ask("") == ({"tracks": []}, False)
-    flown.fly(16, 30)
-    assert flown.ask(flown.click(29)) == ({"track": 2, "frame": 29}, False)
+    simulated = Simulated()
+    simulated.fly(0, 16)
+    simulated.ask(simulated.click(15))
+    simulated.tracks.work()
+    simulated.tracks.thread.error = ValueError("as the supervisor has it when it begins the work again")
+    simulated.tracks.thread.end()
+    simulated.tracks._run(simulated.tracks.thread)
+    assert simulated.ask("") == ({"tracks": []}, False)
+    simulated.fly(16, 30)
+    assert simulated.ask(simulated.click(29)) == ({"track": 2, "frame": 29}, False)
 
 
 def test_without_tracks_a_picture_costs_no_search(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
     monkeypatch.setattr("onboard.tracks.ground_steps.step", lambda *_: asked.append(1))
-    flown = Flown()
-    flown.fly(0, 20)
-    assert not asked and len(flown.tracks._book.frames) == 20
-    assert isinstance(flown.tracks._book, TrackBook)
+    simulated = Simulated()
+    simulated.fly(0, 20)
+    assert not asked and len(simulated.tracks._book.frames) == 20
+    assert isinstance(simulated.tracks._book, TrackBook)

@@ -28,7 +28,7 @@ CLICKED = 10
 
 
 @pytest.mark.parametrize("is_on", [False, True])
-def test_the_daemon_follows_unless_it_is_told_not_to(tmp_path: Path, is_on: bool) -> None:
+def test_the_daemon_follows_unless_configured_not_to(tmp_path: Path, is_on: bool) -> None:
     (tmp_path / "camera.json").write_text(plain_set().camera.to_json())
     endpoint = free_endpoint()
     config = Config.model_validate(
@@ -63,7 +63,7 @@ class Asking(SetSink):
 
 def test_a_spot_of_ground_is_followed_through_a_flight_at_rest(tmp_path: Path) -> None:
     endpoint = free_endpoint()
-    heard: list[TrackReport] = []
+    received: list[TrackReport] = []
     with (
         Publisher("uav", [endpoint], rate=Rate(1e6)) as link,
         TrackThread(Config(), [lambda _, payload: link.publish_tracks(payload)]) as tracks,
@@ -76,18 +76,18 @@ def test_a_spot_of_ground_is_followed_through_a_flight_at_rest(tmp_path: Path) -
             return [Passed(link), Passed(tracks), asking]
 
         air = take_off(tmp_path, spec=dataclasses.replace(STRAIGHT, seconds=5.0), sinks=sinks)
-        assert air.code == 0 and air.heard is not None and asking.answer == b'{"track":1,"frame":10}'
+        assert air.code == 0 and air.received is not None and asking.answer == b'{"track":1,"frame":10}'
 
         def is_told() -> bool:
             while (report := ground.next(0.05)) is not None:
-                heard.append(report)
-            return bool(heard) and heard[-1].frame > CLICKED + 5
+                received.append(report)
+            return bool(received) and received[-1].frame > CLICKED + 5
 
         assert eventually(is_told)
-        assert ground.ask(StartTrack(150.0, 110.0, CLICKED)).get("track") == 1 or heard[-1].state is TrackState.LOST
-    last = heard[-1]
+        assert ground.ask(StartTrack(150.0, 110.0, CLICKED)).get("track") == 1 or received[-1].state is TrackState.LOST
+    last = received[-1]
     assert last.number == 1 and last.place is not None
-    assert not any(report.course.is_moving for report in heard if report.course is not None)
-    by_frame = {s.frame: s for _, s in air.heard.sets}
+    assert not any(report.course.is_moving for report in received if report.course is not None)
+    by_frame = {s.frame: s for _, s in air.received.sets}
     assert last.session == by_frame[CLICKED].session
     assert abs(last.place.lat_deg - by_frame[CLICKED].camera_lat_deg) < 0.005

@@ -176,7 +176,7 @@ def test_the_watchdog_is_fed_while_pictures_flow_or_the_camera_says_why_not(said
     assert is_alive(said) is alive
 
 
-def test_people_are_told_of_faults_louder_than_of_flying() -> None:
+def test_people_are_warned_of_faults_louder_than_of_flying() -> None:
     assert severity(VehicleState.OK) is severity(VehicleState.STARTING) is Severity.NOTICE
     assert severity(VehicleState.CAMERA_LOST) is severity(VehicleState.NO_GPS) is Severity.WARNING
     assert severity(VehicleState.STUCK) is Severity.ERROR

@@ -1,4 +1,4 @@
-"""Thermal pictures of drawn ground from poses that are known, each with a set that says so."""
+"""Thermal pictures of rendered ground from poses that are known, each with a set that says so."""
 
 from __future__ import annotations
 
@@ -55,11 +55,11 @@ class Scene:
     step_m: float = 5.0
     tilt_deg: float = 0.0  # forward of straight down
     seed: int = 3
-    drawn: ThermalRenderer = field(init=False)
+    sampled: ThermalRenderer = field(init=False)
 
     def __post_init__(self) -> None:
         texture = Texture(TextureSpec(seed=self.seed))
-        self.drawn = ThermalRenderer(self.camera, Terrain(TerrainSpec()), texture, self.spec, self.seed)
+        self.sampled = ThermalRenderer(self.camera, Terrain(TerrainSpec()), texture, self.spec, self.seed)
 
     def pose(self, frame: int) -> Pose:
         """Flying north, as high above the curved earth everywhere: 10 km on it lies 8 m below its tangent."""
@@ -69,12 +69,12 @@ class Scene:
 
     def ground_m(self, frame: int) -> float:
         """Height of the ground below, above the level through the first picture's."""
-        return float(self.drawn.terrain.height_m(0.0, self.step_m * frame))
+        return float(self.sampled.terrain.height_m(0.0, self.step_m * frame))
 
     def picture(self, frame: int, status: Status = Status.OK) -> tuple[Frame, FeatureSet]:
         """A picture and its set."""
         pose = self.pose(frame)
-        counts = self.drawn.picture([pose], 1.0, frame, 0.5 * frame).astype(np.uint16)
+        counts = self.sampled.picture([pose], 1.0, frame, 0.5 * frame).astype(np.uint16)
         grey = np.zeros(counts.shape, np.uint8)
         return Frame(frame * STEP_NS, frame, grey, counts=counts), set_of(
             self.camera, pose, frame, status, ground_m=self.ground_m(frame)

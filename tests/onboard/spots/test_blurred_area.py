@@ -26,8 +26,8 @@ def blurred_disc(diameter_px: float, blur_px: float, middle: tuple[float, float]
 @pytest.mark.parametrize("radius", [0.75, 1.0, 2.0, 4.0, 8.0])
 def test_the_area_at_half_height_of_a_blurred_disc_gives_the_disc_back(radius: float) -> None:
     blur_px = min(12.0, 32.0 / radius)
-    drawn = blurred_disc(2.0 * radius * blur_px, blur_px, (64.0, 48.0))
-    seen = float(np.count_nonzero(drawn > 0.5 * drawn.max()))
+    sampled = blurred_disc(2.0 * radius * blur_px, blur_px, (64.0, 48.0))
+    seen = float(np.count_nonzero(sampled > 0.5 * sampled.max()))
     assert unblurred(seen, blur_px) == pytest.approx(np.pi * (blur_px * radius) ** 2, rel=0.15)
 
 

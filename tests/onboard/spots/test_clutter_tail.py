@@ -13,7 +13,7 @@ AREA_KM2 = 0.01
 DENSITY = 20_000.0  # peaks a km2
 
 
-def flown(tail: ClutterTail, pictures: int, seed: int = 0, targets: int = 0) -> ClutterTail:
+def simulated(tail: ClutterTail, pictures: int, seed: int = 0, targets: int = 0) -> ClutterTail:
     """Pictures of ground whose peaks have an exponential law with the scale 1.5, and things far above it."""
     rng = np.random.default_rng(seed)
     for k in range(pictures):
@@ -26,7 +26,7 @@ def flown(tail: ClutterTail, pictures: int, seed: int = 0, targets: int = 0) -> 
 
 @pytest.mark.parametrize("rate", [1.0, 10.0, 100.0])
 def test_the_ground_is_above_the_threshold_no_more_often_than_asked_for_and_that_costs_little(rate: float) -> None:
-    found = [flown(ClutterTail(rate), 40, seed).threshold for seed in range(20)]
+    found = [simulated(ClutterTail(rate), 40, seed).threshold for seed in range(20)]
     right = 1.5 * math.log(DENSITY / rate)
     rates = [DENSITY * math.exp(-threshold / 1.5) for threshold in found]
     assert right < np.mean(found) < 1.3 * right
@@ -45,13 +45,16 @@ def test_a_heavier_tail_has_a_higher_threshold(shape: float) -> None:
 
 
 def test_one_picture_already_says_something_and_is_not_far_off() -> None:
-    found = [flown(ClutterTail(1.0), 1, seed).threshold for seed in range(20)]
+    found = [simulated(ClutterTail(1.0), 1, seed).threshold for seed in range(20)]
     right = 1.5 * math.log(DENSITY)
     assert right < np.mean(found) < 1.6 * right and 0.7 * right < min(found) < max(found) < 2.5 * right
 
 
 def test_things_that_are_looked_for_do_not_raise_it_out_of_reach() -> None:
-    without, with_things = flown(ClutterTail(1.0), 20).threshold, flown(ClutterTail(1.0), 20, targets=3).threshold
+    without, with_things = (
+        simulated(ClutterTail(1.0), 20).threshold,
+        simulated(ClutterTail(1.0), 20, targets=3).threshold,
+    )
     assert without < with_things < 1.3 * without < 60.0
 
 

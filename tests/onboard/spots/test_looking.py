@@ -1,4 +1,4 @@
-"""Two cameras, end to end: drawn heat seen by the second, poses of the first, and spots where the heat is."""
+"""Two cameras, end to end: rendered heat seen by the second, poses of the first, and spots where the heat is."""
 
 from __future__ import annotations
 
@@ -39,19 +39,19 @@ TURN = Turn()
 def pictures() -> list[Frame]:
     """Two a second, each 40 ms after a picture of the first camera."""
     spec = ThermalSpec(contrast=0.3, sources=(HeatSource.person(PERSON),))
-    drawn = ThermalRenderer(BOSON, Terrain(TerrainSpec()), Texture(TextureSpec(seed=3)), spec, 3)
+    sampled = ThermalRenderer(BOSON, Terrain(TerrainSpec()), Texture(TextureSpec(seed=3)), spec, 3)
     mount = Mount.stated(CONFIG.camera.thermal)
     out = []
     for k in range(4):
         time_s = 1.04 + 0.6 * k
         pose = TURN.pose(time_s)
-        counts = drawn.picture([Pose(pose.centre_m, pose.R_enu_cam @ mount.R_first_second)], 1.0, k, time_s)
+        counts = sampled.picture([Pose(pose.centre_m, pose.R_enu_cam @ mount.R_first_second)], 1.0, k, time_s)
         frame = thermal_frame(time_s, k)
         out.append(replace(frame, image=np.zeros(counts.shape, np.uint8), counts=counts.astype(np.uint16)))
     return out
 
 
-def flown(pictures: list[Frame], stopped_from: int = 99, turning_at: tuple[int, ...] = ()) -> list[SpotReport]:
+def simulated(pictures: list[Frame], stopped_from: int = 99, turning_at: tuple[int, ...] = ()) -> list[SpotReport]:
     """What is said: a picture of the second camera comes when it was taken, a set of the first 0.3 s late."""
     book, found = looking(CONFIG, BOSON, 8), []
     came = [(frame.stamp_ns, frame) for frame in pictures]
@@ -66,7 +66,7 @@ def flown(pictures: list[Frame], stopped_from: int = 99, turning_at: tuple[int, 
 def test_a_person_is_found_where_the_second_camera_saw_it_and_shown_where_the_first_has_it(
     pictures: list[Frame],
 ) -> None:
-    reports = flown(pictures)
+    reports = simulated(pictures)
     assert [(report.frame, len(report.spots)) for report in reports] == [(5, 0), (8, 1), (11, 1), (14, 1)]
     for report, frame in zip(reports, pictures, strict=True):
         assert report.capture_unix_ns == frame.stamp_ns and report.is_calibrated
@@ -80,7 +80,7 @@ def test_a_person_is_found_where_the_second_camera_saw_it_and_shown_where_the_fi
 
 
 def test_while_the_first_camera_turns_too_fast_spots_say_so_and_have_no_place(pictures: list[Frame]) -> None:
-    reports = flown(pictures, turning_at=(11,))
+    reports = simulated(pictures, turning_at=(11,))
     assert len(reports) == 4
     assert [spot.status for spot in reports[2].spots] == [Status.TURNING]
     assert all(spot.place is None for spot in reports[2].spots)
@@ -88,7 +88,7 @@ def test_while_the_first_camera_turns_too_fast_spots_say_so_and_have_no_place(pi
 
 
 def test_when_the_first_camera_has_stopped_spots_say_that_once(pictures: list[Frame]) -> None:
-    reports = flown(pictures, stopped_from=12)
+    reports = simulated(pictures, stopped_from=12)
     statuses = [[spot.status for spot in report.spots] for report in reports]
     assert statuses == [[], [Status.OK], [Status.CAMERA_LOST]]
 
@@ -129,7 +129,7 @@ def test_what_is_seen_from_two_sides_teaches_how_the_second_camera_sits(caplog: 
     config = CONFIG.model_copy(update={"camera": CONFIG.camera.model_copy(update={"thermal": stated})})
     cars = tuple(HeatSource.car(place, 25.0) for place in ((-30.0, 0.0), (32.0, 6.0)))
     spec = ThermalSpec(contrast=0.3, sources=cars)
-    drawn = ThermalRenderer(LEPTON, Terrain(TerrainSpec()), Texture(TextureSpec(seed=3)), spec, 3)
+    sampled = ThermalRenderer(LEPTON, Terrain(TerrainSpec()), Texture(TextureSpec(seed=3)), spec, 3)
     true = Mount.stated(stated).R_first_second @ exp_so3([0.0, np.radians(2.0), 0.0])
     caplog.set_level(logging.INFO, "pointclick")
     legs, book = There(tilt_deg=0.0), TwoCameras(config, LEPTON)
@@ -137,7 +137,7 @@ def test_what_is_seen_from_two_sides_teaches_how_the_second_camera_sits(caplog: 
         for k in range(7):
             time_s = leg_s + 1.04 + 0.6 * k
             pose = legs.pose(time_s)
-            counts = drawn.picture([Pose(pose.centre_m, pose.R_enu_cam @ true)], 1.0, k, time_s).astype(np.uint16)
+            counts = sampled.picture([Pose(pose.centre_m, pose.R_enu_cam @ true)], 1.0, k, time_s).astype(np.uint16)
             book.second_picture(replace(thermal_frame(time_s), image=np.zeros(counts.shape, np.uint8), counts=counts))
             for number in range(round(5.0 * leg_s) + 3 * k + 3, round(5.0 * leg_s) + 3 * k + 7):
                 for look in book.feature_set(legs.first_set(number)):

@@ -99,7 +99,9 @@ class Flight:
         return [d2 < 4.605 for d2 in self.off]
 
 
-def flown(rng: np.random.Generator, state: Array, seconds: float, turn: Turn = LEGS, walk_m_s: float = 0.0) -> Flight:
+def simulated(
+    rng: np.random.Generator, state: Array, seconds: float, turn: Turn = LEGS, walk_m_s: float = 0.0
+) -> Flight:
     """Looks twice a second; the first thing walks."""
     flight, truth, errors = Flight(MountEstimate(STATED)), truly(state), Errors(rng)
     for k in range(round(2.0 * seconds)):
@@ -141,7 +143,7 @@ def misfit(estimate: MountEstimate, state: Array) -> float:
 
 
 def test_eight_legs_recover_what_the_camera_is_turned_by() -> None:
-    estimate = flown(np.random.default_rng(1), TRUTH, 8 * LEG_S).estimate
+    estimate = simulated(np.random.default_rng(1), TRUTH, 8 * LEG_S).estimate
     before, after = spot_errors(TRUTH, STATED.covariance), spot_errors(left(estimate, TRUTH), estimate.mount.covariance)
     assert estimate.things_used >= 3
     assert before[0] > 4.0 and after[0] < 0.4
@@ -151,7 +153,7 @@ def test_eight_legs_recover_what_the_camera_is_turned_by() -> None:
 
 
 def test_on_one_straight_leg_nothing_is_learned_and_nothing_is_claimed() -> None:
-    estimate = flown(np.random.default_rng(2), TRUTH, LEG_S).estimate
+    estimate = simulated(np.random.default_rng(2), TRUTH, LEG_S).estimate
     assert estimate.things_used == 0
     np.testing.assert_array_equal(estimate.mount.covariance, STATED.covariance)
     np.testing.assert_array_equal(estimate.mount.R_first_second, STATED.R_first_second)
@@ -159,7 +161,7 @@ def test_on_one_straight_leg_nothing_is_learned_and_nothing_is_claimed() -> None
 
 @pytest.mark.parametrize("turn", [LEGS, ORBIT])
 def test_one_that_walks_is_left_out(turn: Turn) -> None:
-    estimate = flown(np.random.default_rng(1), TRUTH, 72.0, turn, walk_m_s=1.4).estimate
+    estimate = simulated(np.random.default_rng(1), TRUTH, 72.0, turn, walk_m_s=1.4).estimate
     assert 2 <= estimate.things_used <= 4
     assert misfit(estimate, TRUTH) < 13.3
 
@@ -169,7 +171,7 @@ def test_what_is_left_is_as_large_as_it_says_and_spots_are_inside_their_ellipse(
     rng, off, inside, learned = np.random.default_rng(3), [], [], 0
     for _ in range(24):
         state = np.linalg.cholesky(STATED.covariance) @ rng.standard_normal(STATES)
-        flight = flown(rng, state, 6 * LEG_S)
+        flight = simulated(rng, state, 6 * LEG_S)
         off.append(misfit(flight.estimate, state))
         inside += flight.inside
         learned += flight.estimate.things_used >= 2

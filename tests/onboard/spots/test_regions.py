@@ -28,7 +28,7 @@ def outline_px2(outline: NDArray[np.float64]) -> float:
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 30.0, 60.0])
-def test_a_pixels_ground_is_what_clicks_beside_it_say(tilt_deg: float) -> None:
+def test_a_pixels_ground_is_what_clicks_next_to_it_say(tilt_deg: float) -> None:
     its_set = set_of(BOSON, Scene(ThermalSpec(), tilt_deg=tilt_deg).pose(0), 0)
     scale = ground_scale(its_set, (8, 10))
     assert scale is not None

@@ -1,4 +1,4 @@
-"""A thermal camera beside the first one: its rays, whose pose is known with an error, on the first one's ground."""
+"""A thermal camera next to the first one: its rays, whose pose is known with an error, on the first one's ground."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_the_first_cameras_errors_act_on_a_spot_as_on_its_own_clicks() -> None:
         assert off[6] < (1e-9 if xy == (0.0, 0.0) else 1.0)
 
 
-def drawn(rng: np.random.Generator, stated: Mount) -> tuple[float, float]:
+def sampled(rng: np.random.Generator, stated: Mount) -> tuple[float, float]:
     """One spot of a flight with errors: squared distance from the truth in its covariance, and semi-major axis, m."""
     state = np.linalg.cholesky(stated.covariance) @ rng.standard_normal(STATES)
     truth = turned(stated, state)
@@ -135,7 +135,7 @@ def drawn(rng: np.random.Generator, stated: Mount) -> tuple[float, float]:
 
 def test_spots_are_inside_their_ellipse_and_without_the_mounts_error_they_would_not_be() -> None:
     rng, stated = np.random.default_rng(11), Mount.stated(STATED)
-    found = np.array([drawn(rng, stated) for _ in range(400)])
+    found = np.array([sampled(rng, stated) for _ in range(400)])
     inside = float(np.mean(found[:, 0] < 4.605))
     assert 0.86 < inside < 0.94
     surer = replace(stated, covariance=1e-4 * stated.covariance)
@@ -214,4 +214,4 @@ def test_how_evenly_the_camera_moves_is_judged_by_its_own_poses() -> None:
 
 
 def test_a_configuration_without_a_second_camera_has_none() -> None:
-    assert not Config().camera.thermal.is_flown and not Config().camera.thermal.is_stated
+    assert not Config().camera.thermal.is_live and not Config().camera.thermal.is_stated

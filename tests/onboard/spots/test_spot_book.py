@@ -1,4 +1,4 @@
-"""Spots of a flight over drawn ground: found, placed, seen again, and said why not."""
+"""Spots of a flight over rendered ground: found, placed, seen again, and said why not."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PEOPLE = ((-12.0, 14.0), (9.0, -4.0))
 CALM = ThermalSpec(contrast=0.3, sources=tuple(HeatSource.person(place) for place in PEOPLE))
 
 
-def flown(scene: Scene, frames: Iterable[int], thermal: ThermalConfig = CALIBRATED) -> list[SpotReport]:
+def simulated(scene: Scene, frames: Iterable[int], thermal: ThermalConfig = CALIBRATED) -> list[SpotReport]:
     book = SpotBook("uav-1", SpotsConfig(), thermal)
     found = [book.picture(*scene.picture(k)) for k in frames]
     return [report for report in found if report is not None]
@@ -38,7 +38,7 @@ def off_m(report: SpotReport, place: tuple[float, float]) -> float:
 
 
 def test_people_are_found_where_they_are_and_as_large_as_they_are() -> None:
-    reports = flown(Scene(CALM), range(4))
+    reports = simulated(Scene(CALM), range(4))
     assert [len(report.spots) for report in reports] == [0, 2, 2, 2]  # seen twice before it is said
     last = reports[-1]
     assert last.is_calibrated and (last.session, last.frame, last.vehicle) == (7, 3, "uav-1")
@@ -56,7 +56,7 @@ def test_people_are_found_where_they_are_and_as_large_as_they_are() -> None:
 def test_a_camera_with_its_own_gain_which_cuts_them_off_finds_one_and_states_no_temperature() -> None:
     people = ((-12.0, 124.0), (9.0, 108.0))
     spec = replace(CALM, output="agc", sources=tuple(HeatSource.person(place) for place in people))
-    last = flown(Scene(spec, step_m=20.0), range(7), PLAIN)[-1]
+    last = simulated(Scene(spec, step_m=20.0), range(7), PLAIN)[-1]
     assert not last.is_calibrated and len(last.spots) >= 1
     assert all(spot.temperature_c is None and spot.above_ground_k is None for spot in last.spots)
     assert min(off_m(last, place) for place in people) < 0.3
@@ -66,7 +66,7 @@ def test_a_camera_with_its_own_gain_which_cuts_them_off_finds_one_and_states_no_
 def test_a_fire_wider_than_its_surroundings_is_found_with_its_outline(output: str) -> None:
     fire = Fire(((-8.0, 0.0), (8.0, 6.0)), rate_m_s=0.2, first_m=6.0, ember_k=600.0, cooling_s=600.0)
     thermal = CALIBRATED if output == "radiometric" else PLAIN
-    last = flown(Scene(ThermalSpec(fires=(fire,), output=output)), range(3), thermal)[-1]
+    last = simulated(Scene(ThermalSpec(fires=(fire,), output=output)), range(3), thermal)[-1]
     largest = max(last.spots, key=lambda spot: spot.area_m2)
     assert largest.area_m2 == pytest.approx(fire.area_m2(1.0), rel=0.1)
     kept = max(decode_spots(encode_spots(last)).spots, key=lambda spot: spot.area_m2)
@@ -106,13 +106,13 @@ def test_without_a_place_a_spot_says_why_in_the_words_of_a_click() -> None:
 
 def test_a_small_camera_finds_a_car() -> None:
     car = HeatSource.car((3.0, 8.0))
-    last = flown(Scene(replace(CALM, sources=(car,)), camera=LEPTON), range(4))[-1]
+    last = simulated(Scene(replace(CALM, sources=(car,)), camera=LEPTON), range(4))[-1]
     assert off_m(last, (3.0, 8.0)) < 1.0
     largest = max(last.spots, key=lambda spot: spot.area_m2)
     assert 4.0 < largest.area_m2 < 15.0 and abs(largest.area_m2 - 7.2) < 2.0 * largest.sigma_area_m2
 
 
-def test_another_session_begins_anew_and_pictures_without_counts_are_passed_over() -> None:
+def test_another_session_begins_again_and_pictures_without_counts_are_passed_over() -> None:
     scene, book = Scene(CALM), SpotBook("uav-1", SpotsConfig(), CALIBRATED)
     for k in range(2):
         book.picture(*scene.picture(k))

@@ -1,4 +1,4 @@
-"""A camera that sees light and a thermal one beside it, turning over level ground, with poses that are known."""
+"""A camera that sees light and a thermal one next to it, turning over level ground, with poses that are known."""
 
 from __future__ import annotations
 

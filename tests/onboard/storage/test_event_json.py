@@ -125,7 +125,7 @@ PUBLISHED: dict[str, dict[str, Any]] = {
 
 @pytest.fixture
 def shown(tmp_path: Path) -> dict[str, list[dict[str, Any]]]:
-    """What a viewer finds in a short session, by schema; every message keeps to the schema beside it."""
+    """What a viewer finds in a short session, by schema; every message keeps to the schema next to it."""
     path = tmp_path / "session.mcap"
     base = plain_set(50)
     with SessionRecorder(path, "uav-1", pictures="lossless") as out:

@@ -49,7 +49,7 @@ def test_frames_without_counts_get_none_of_their_neighbours(tmp_path: Path) -> N
     np.testing.assert_array_equal(back[3].counts, frames[3].counts)
 
 
-def test_a_second_cameras_pictures_stand_beside_the_first_ones_and_are_read_by_themselves(tmp_path: Path) -> None:
+def test_a_second_cameras_pictures_stand_next_to_the_first_ones_and_are_read_by_themselves(tmp_path: Path) -> None:
     first, second = [frame(index, False) for index in range(4)], [frame(10 + index, True) for index in range(2)]
     path, optics = tmp_path / "a.mcap", CAMERA.to_json()
     with SessionRecorder(path, "uav-1", camera_json=optics, second_camera_json=optics, pictures="lossless") as file:

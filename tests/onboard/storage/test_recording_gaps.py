@@ -101,7 +101,7 @@ class NoWaiting:
         self._is_on = False
 
 
-def test_a_stalled_disk_holds_up_nobody_and_leaves_a_gap_that_is_recorded(
+def test_a_stalled_disk_holds_up_no_one_and_leaves_a_gap_that_is_recorded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("onboard.storage.rotating_recorder.MAX_WAITING", 10)

@@ -39,7 +39,7 @@ from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from tests.contract.sets import plain_set
-from tests.scenarios.flights import CAMERA, flown
+from tests.scenarios.flights import CAMERA, simulated
 from tests.set_sink import SetSink
 from tests.waiting import eventually
 
@@ -51,14 +51,14 @@ ROOT = Path(__file__).parents[3]
 
 
 def configured(pictures: str = "lossless", **recording: float) -> Config:
-    table = load_config(flown(SPEC) / "config.toml").model_dump()
+    table = load_config(simulated(SPEC) / "config.toml").model_dump()
     table["vehicle"]["id"] = "uav-1"
     table["recording"] |= {"pictures": pictures, "keep_free_mb": 1.0, **recording}
     return Config.model_validate(table)
 
 
 def flight(config: Config) -> Flight:
-    folder = flown(SPEC)
+    folder = simulated(SPEC)
     return Flight.open(config, CAMERA, folder / "frames", folder / "telemetry.tlog", folder / "stamps.csv")
 
 
@@ -223,7 +223,7 @@ def test_usage_that_does_not_go_together_is_one_line(session: Path, capsys: pyte
         assert why in line
 
 
-def test_two_sessions_in_a_folder_are_told_apart(session: Path, tmp_path: Path) -> None:
+def test_two_sessions_in_a_folder_are_distinguished(session: Path, tmp_path: Path) -> None:
     shutil.copytree(session, tmp_path, dirs_exist_ok=True)
     shutil.copy(first(session), tmp_path / "another.mcap")
     with pytest.raises(InputError, match="2 sessions"):
@@ -233,7 +233,7 @@ def test_two_sessions_in_a_folder_are_told_apart(session: Path, tmp_path: Path) 
 
 
 class Disk:
-    """So much room, until told otherwise."""
+    """So much room, until asked otherwise."""
 
     def __init__(self, free: int = GIGABYTE) -> None:
         self.free = free

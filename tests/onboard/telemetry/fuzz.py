@@ -25,7 +25,7 @@ from onboard.telemetry.mavsdk_source import from_json
 from onboard.telemetry.nmea_source import NmeaReceiver
 from tests.onboard.telemetry.sentences import burst, sentence
 
-SPELL = 200  # inputs before everything begins anew
+SPELL = 200  # inputs before everything begins again
 KINDS = [mavlink.mavlink_map[number] for number in (*sorted(WANTED), 22, 77, 111)]
 EDGES = (0, 1, 0x7F, 0x80, 0xFF)
 
@@ -78,7 +78,7 @@ def spell(rng: random.Random, counts: Counter[str]) -> None:
             events, navigation = [], navigations[1]
             for message in framer.feed(packet(rng, packer, (now - 10**18) // 10**6)):
                 counts[message.get_type()] += 1
-                events += autopilot.hear(message, now)
+                events += autopilot.receive(message, now)
         for event in events:
             counts[type(event).__name__] += 1
             judge(event, navigation)

@@ -1,4 +1,4 @@
-"""A telemetry source run in a thread beside a fake autopilot, and what has come out of it."""
+"""A telemetry source run in a thread next to a fake autopilot, and what has come out of it."""
 
 from __future__ import annotations
 
@@ -65,18 +65,18 @@ class Listening:
 
 @contextmanager
 def listening(config: Config) -> Iterator[Listening]:
-    """Runs the source of a configuration; it must end when told to, and without an error."""
+    """Runs the source of a configuration; it must end when asked to, and without an error."""
     clock = SessionClock.start()
-    heard = Listening(open_telemetry(config, clock), clock)
-    thread = threading.Thread(target=heard.run, daemon=True)
+    received = Listening(open_telemetry(config, clock), clock)
+    thread = threading.Thread(target=received.run, daemon=True)
     thread.start()
     try:
-        yield heard
+        yield received
     finally:
-        heard.stop.set()
+        received.stop.set()
         thread.join(PATIENCE_S)
         assert not thread.is_alive()
-        assert not heard.faults
+        assert not received.faults
 
 
 def expected(autopilot: FakeAutopilot, clock: SessionClock) -> list[NavEvent]:

@@ -48,7 +48,7 @@ class Clocks:
 
 
 @dataclass(frozen=True)
-class Flown:
+class Simulated:
     """Of every message: when (s), how far its stamp was off and its stated sigma (ms), and the stamp (ns)."""
 
     at_s: np.ndarray
@@ -66,7 +66,7 @@ class Link:
         self.rng = random.Random(seed)
         self.tick = 0
 
-    def fly(self, seconds: float, sync: bool = True, other_clock_s: float = 0.0) -> Flown:
+    def fly(self, seconds: float, sync: bool = True, other_clock_s: float = 0.0) -> Simulated:
         """`other_clock_s`: exchanges are answered from a clock that much ahead of the one that stamps."""
         rows = []
         for _ in range(round(seconds * 10)):
@@ -86,11 +86,11 @@ class Link:
                 sigma_ms = figures.get("clock_sigma_ms", figures.get("arrival_sigma_ms", 0.0))
                 rows.append((host_s, error_ms, sigma_ms, stamp_ns))
         at_s, error_ms, sigma_ms, stamps = zip(*rows, strict=True)
-        return Flown(np.array(at_s), np.array(error_ms), np.array(sigma_ms), np.array(stamps))
+        return Simulated(np.array(at_s), np.array(error_ms), np.array(sigma_ms), np.array(stamps))
 
 
-def share_within(flown: Flown, sigmas: float) -> float:
-    return float(np.mean(np.abs(flown.error_ms) <= sigmas * flown.sigma_ms))
+def share_within(simulated: Simulated, sigmas: float) -> float:
+    return float(np.mean(np.abs(simulated.error_ms) <= sigmas * simulated.sigma_ms))
 
 
 @pytest.mark.parametrize("delay", [quiet, slow])
@@ -98,18 +98,18 @@ def share_within(flown: Flown, sigmas: float) -> float:
 @pytest.mark.parametrize("rate", rest_long([0.0, 27e-3, 50e-6, 15e-3, 22e-3, -27e-3], 2))
 def test_stamps_keep_to_their_sigma_for_ten_minutes(rate: float, changes: bool, delay: Delay) -> None:
     link = Link(Clocks(rate, changes), delay)
-    flown = link.fly(SECONDS)
-    assert share_within(flown, 4.0) >= 0.99
-    late = flown.sigma_ms[flown.at_s > 10.0]
+    simulated = link.fly(SECONDS)
+    assert share_within(simulated, 4.0) >= 0.99
+    late = simulated.sigma_ms[simulated.at_s > 10.0]
     # The first holds both ways, or a sigma of a second would do; half of 80 ms, evenly: 23 ms.
     assert np.max(late) < (10.0 if delay is quiet else 45.0)
-    assert np.max(np.abs(flown.error_ms[flown.at_s > 10.0])) < (5.0 if delay is quiet else 45.0)
+    assert np.max(np.abs(simulated.error_ms[simulated.at_s > 10.0])) < (5.0 if delay is quiet else 45.0)
     assert not link.clock.disagrees
-    assert is_rising(flown)
+    assert is_rising(simulated)
 
 
-def is_rising(*flights: Flown) -> bool:
-    return all(a < b for a, b in itertools.pairwise(np.concatenate([flown.stamp_ns for flown in flights])))
+def is_rising(*flights: Simulated) -> bool:
+    return all(a < b for a, b in itertools.pairwise(np.concatenate([simulated.stamp_ns for simulated in flights])))
 
 
 def test_the_drift_is_stated_as_it_is() -> None:
@@ -153,22 +153,22 @@ def test_answers_from_another_clock_are_recognised_whatever_the_drift(rate: floa
 @pytest.mark.parametrize("rate", rest_long([20e-3, -20e-3, 50e-6]))
 def test_without_any_answer_arrivals_follow_a_drift(rate: float) -> None:
     link = Link(Clocks(rate, rate != 50e-6), quiet)
-    flown = link.fly(300.0, sync=False)
-    assert share_within(flown, 4.0) >= 0.99
+    simulated = link.fly(300.0, sync=False)
+    assert share_within(simulated, 4.0) >= 0.99
     assert "clock_sigma_ms" not in link.clock.figures()  # the least delay is in no arrival
-    assert np.max(np.abs(flown.error_ms[flown.at_s > 40.0])) < (5.0 if rate == 50e-6 else 60.0)
-    assert is_rising(flown)
+    assert np.max(np.abs(simulated.error_ms[simulated.at_s > 40.0])) < (5.0 if rate == 50e-6 else 60.0)
+    assert is_rising(simulated)
 
 
-def test_a_reboot_amid_drift_begins_anew() -> None:
+def test_a_reboot_amid_drift_begins_again() -> None:
     link = Link(Clocks(20e-3, True), quiet)
     link.fly(100.0)
     second = Link(Clocks(20e-3, True), quiet)
     second.clock, second.clocks = link.clock, _Rebooted(second.clocks, link.tick / 10 + 2.0)
     second.tick = link.tick + 20
-    flown = second.fly(100.0)
-    assert share_within(flown, 4.0) >= 0.99
-    assert np.max(np.abs(flown.error_ms[100:])) < 5.0
+    simulated = second.fly(100.0)
+    assert share_within(simulated, 4.0) >= 0.99
+    assert np.max(np.abs(simulated.error_ms[100:])) < 5.0
 
 
 class _Rebooted:

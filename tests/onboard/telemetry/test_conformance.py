@@ -39,11 +39,11 @@ ALL = pytest.mark.parametrize("name", WIRES)
 
 
 @dataclass
-class Flown:
+class Simulated:
     """What was sent and what came of it."""
 
     autopilot: FakeAutopilot
-    heard: Listening
+    received: Listening
     true: list[NavEvent]
     state: State
     figures: dict[str, float]
@@ -51,7 +51,7 @@ class Flown:
 
     @property
     def events(self) -> list[NavEvent]:
-        return [event for _, event in self.heard.got]  # type: ignore[misc]
+        return [event for _, event in self.received.got]  # type: ignore[misc]
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def flown(folder: Path) -> Iterator[dict[str, Flown]]:
+def simulated(folder: Path) -> Iterator[dict[str, Simulated]]:
     """All of them side by side, a few seconds long."""
     out = {}
     began_s = time.monotonic()
@@ -84,10 +84,10 @@ def flown(folder: Path) -> Iterator[dict[str, Flown]]:
             running[name] = autopilot, stack.enter_context(listening(config))
         time.sleep(SECONDS)  # and longer where a machine takes its time to begin
         assert eventually(lambda: all(len(beats_of(autopilot)) >= 4 for autopilot, _ in running.values()))
-        for name, (autopilot, heard) in running.items():
-            health = heard.source.health()
-            true = expected(autopilot, heard.clock)
-            out[name] = Flown(autopilot, heard, true, health.state, health.figures, 0.0)
+        for name, (autopilot, received) in running.items():
+            health = received.source.health()
+            true = expected(autopilot, received.clock)
+            out[name] = Simulated(autopilot, received, true, health.state, health.figures, 0.0)
     for flight in out.values():
         flight.took_s = time.monotonic() - began_s
     yield out
@@ -95,12 +95,12 @@ def flown(folder: Path) -> Iterator[dict[str, Flown]]:
 
 def beats_of(autopilot: FakeAutopilot) -> list[Any]:
     """The source's own heartbeats."""
-    return [beat for beat in autopilot.heard_of("HEARTBEAT") if beat.get_srcSystem() == autopilot.system]
+    return [beat for beat in autopilot.received_of("HEARTBEAT") if beat.get_srcSystem() == autopilot.system]
 
 
 @ALL
-def test_the_events_are_what_was_sent_at_the_true_moments(flown: dict[str, Flown], name: str) -> None:
-    flight = flown[name]
+def test_the_events_are_what_was_sent_at_the_true_moments(simulated: dict[str, Simulated], name: str) -> None:
+    flight = simulated[name]
     cut = len(flight.events) - 20  # the newest may have been sent after `true` was read
     errors = errors_ms(flight.events[:cut], flight.true)
     assert len(errors) > 40
@@ -112,8 +112,8 @@ def test_the_events_are_what_was_sent_at_the_true_moments(flown: dict[str, Flown
 
 
 @ALL
-def test_nothing_is_missing_between_the_first_and_the_last(flown: dict[str, Flown], name: str) -> None:
-    flight = flown[name]
+def test_nothing_is_missing_between_the_first_and_the_last(simulated: dict[str, Simulated], name: str) -> None:
+    flight = simulated[name]
     for kind in (PositionFix, Attitude):
         got = {content(event) for event in flight.events if isinstance(event, kind)}
         true = [content(event) for event in flight.true if isinstance(event, kind)]
@@ -126,15 +126,15 @@ def test_nothing_is_missing_between_the_first_and_the_last(flown: dict[str, Flow
 
 
 @ALL
-def test_stamps_of_a_kind_never_run_backwards(flown: dict[str, Flown], name: str) -> None:
+def test_stamps_of_a_kind_never_run_backwards(simulated: dict[str, Simulated], name: str) -> None:
     for kind in (PositionFix, Attitude):
-        stamps = [event.stamp_ns for event in flown[name].events if isinstance(event, kind)]
+        stamps = [event.stamp_ns for event in simulated[name].events if isinstance(event, kind)]
         assert all(a < b for a, b in itertools.pairwise(stamps))
 
 
 @ALL
-def test_health_says_so_with_figures(flown: dict[str, Flown], name: str) -> None:
-    flight = flown[name]
+def test_health_says_so_with_figures(simulated: dict[str, Simulated], name: str) -> None:
+    flight = simulated[name]
     assert flight.state is State.OK
     assert 0.0 < flight.figures["round_trip_ms"] < 30.0
     assert 0.0 < flight.figures["clock_sigma_ms"] < 10.0
@@ -145,26 +145,26 @@ def test_health_says_so_with_figures(flown: dict[str, Flown], name: str) -> None
 
 
 @ALL
-def test_it_is_a_good_citizen(flown: dict[str, Flown], name: str) -> None:
-    autopilot = flown[name].autopilot
+def test_it_is_a_good_citizen(simulated: dict[str, Simulated], name: str) -> None:
+    autopilot = simulated[name].autopilot
     beats = beats_of(autopilot)
-    assert 4 <= len(beats) <= 3.0 + flown[name].took_s  # one a second, and one to take leave
+    assert 4 <= len(beats) <= 3.0 + simulated[name].took_s  # one a second, and one to take leave
     # An onboard controller, except to PX4, and before it is known to whom: that would miss us.
     kinds = [beat.type for beat in beats if beat.system_status != mavlink.MAV_STATE_POWEROFF]
     assert {beat.get_srcComponent() for beat in beats} == {191}
     assert kinds[-1] == (0 if WIRES[name][2] == "px4" else 18)
     assert 18 not in kinds or WIRES[name][2] != "px4"
     assert autopilot.shown == []
-    answers = [message for message in autopilot.heard_of("TIMESYNC") if message.tc1]
+    answers = [message for message in autopilot.received_of("TIMESYNC") if message.tc1]
     assert len(answers) >= (3 if WIRES[name][2] == "px4" else 1)
     assert all(answer.tc1 > 0 for answer in answers)
 
 
 @ALL
-def test_a_log_it_wrote_reads_as_the_same_flight(flown: dict[str, Flown], folder: Path, name: str) -> None:
+def test_a_log_it_wrote_reads_as_the_same_flight(simulated: dict[str, Simulated], folder: Path, name: str) -> None:
     (path,) = (folder / name).glob("*.tlog")
     log = read_tlog(path)
-    live = [event for event in flown[name].events if isinstance(event, PositionFix)]
+    live = [event for event in simulated[name].events if isinstance(event, PositionFix)]
     again = [event for event in log.events if isinstance(event, PositionFix)]
     assert {content(event) for event in live} <= {content(event) for event in again}
     errors = errors_ms(live[3:], again)

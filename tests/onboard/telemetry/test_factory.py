@@ -72,18 +72,18 @@ def test_a_log_is_played_as_if_it_came_now_and_ends_as_lost(tmp_path: Path) -> N
     data, short = TLOG.read_bytes(), tmp_path / "short.tlog"
     short.write_bytes(data[: len(data) // 23])  # three seconds
     offline = read_tlog(short)
-    with listening(config_for(f"tlog:{short}")) as heard:
-        heard.wait(State.OK)
-        heard.until(lambda: heard.source.health().detail == "the end of short.tlog")
-        assert heard.source.health().state is State.LOST
-    fixes = heard.of(PositionFix)
+    with listening(config_for(f"tlog:{short}")) as received:
+        received.wait(State.OK)
+        received.until(lambda: received.source.health().detail == "the end of short.tlog")
+        assert received.source.health().state is State.LOST
+    fixes = received.of(PositionFix)
     assert len(fixes) >= 15
     known = {content(event): event.stamp_ns for event in offline.events}
     shifts = np.array([fix.stamp_ns - known[content(fix)] for fix in fixes])
     assert np.ptp(shifts) / 1e6 < 25.0  # a second of arrivals finds the least delay less well than all of them
     spacing = np.diff([fix.stamp_ns for fix in fixes])
     assert np.median(spacing) == pytest.approx(1e8, rel=0.05)
-    assert len(heard.of(Attitude)) > 35
+    assert len(received.of(Attitude)) > 35
 
 
 def test_what_is_no_log_is_refused_by_running_it(tmp_path: Path) -> None:
@@ -120,11 +120,11 @@ def test_the_log_writer_begins_a_new_file_and_gives_up_quietly(tmp_path: Path) -
 def test_a_log_that_cannot_be_written_is_said_and_no_hindrance() -> None:
     with (
         FakeAutopilot(FLIGHT, "udpin:127.0.0.1:0", everything=True) as autopilot,
-        listening(config_for(autopilot.url, log="/proc/nowhere")) as heard,
+        listening(config_for(autopilot.url, log="/proc/nowhere")) as received,
     ):
-        heard.wait(State.DEGRADED)
-        assert heard.source.health().detail == "telemetry log: No such file or directory"
-        heard.until(lambda: heard.of(PositionFix))
+        received.wait(State.DEGRADED)
+        assert received.source.health().detail == "telemetry log: No such file or directory"
+        received.until(lambda: received.of(PositionFix))
 
 
 def test_every_key_has_a_default_that_opens() -> None:

@@ -29,15 +29,15 @@ ORIENTATION_154 = "fd10000000019a09010070110100000000000000b4c2000020428290"
 
 
 class Line:
-    """An autopilot with an ATTITUDE and a position ten times a second, and gimbals beside it, in virtual time."""
+    """An autopilot with an ATTITUDE and a position ten times a second, and gimbals next to it, in virtual time."""
 
     def __init__(self, config: str = "") -> None:
         self.autopilot = Autopilot(parse_config(config))
         self.now_s = 0.0
 
-    def hear(self, message: Any, component: int = 154, late_s: float = 0.004) -> list[Any]:
+    def receive(self, message: Any, component: int = 154, late_s: float = 0.004) -> list[Any]:
         message._header = mavlink.MAVLink_header(message.id, srcSystem=1, srcComponent=component)
-        return self.autopilot.hear(message, EPOCH + round((self.now_s + late_s) * S))
+        return self.autopilot.receive(message, EPOCH + round((self.now_s + late_s) * S))
 
     def run(self, seconds: float, each: Any = None) -> list[GimbalAttitude]:
         """`each` is called every 40 ms, and gives what gimbals send then: (component, message)."""
@@ -45,13 +45,13 @@ class Line:
         for k in range(round(seconds * 25)):
             boot_ms = 60_000 + round(self.now_s * 1000)
             if k % 25 == 0:
-                self.hear(mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3), 1)
+                self.receive(mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3), 1)
             if k % 2 == 0:
-                self.hear(mavlink.MAVLink_attitude_message(boot_ms, 0.1, 0.0, 0.0, 0.0, 0.0, 0.1), 1)
+                self.receive(mavlink.MAVLink_attitude_message(boot_ms, 0.1, 0.0, 0.0, 0.0, 0.0, 0.1), 1)
                 place = mavlink.MAVLink_global_position_int_message(boot_ms, 4 * 10**8, 10**8, 0, 0, 0, 0, 0, 0)
-                self.hear(place, 1)
+                self.receive(place, 1)
             for component, message in each(self.now_s) if each else ():
-                out += self.hear(message, component)
+                out += self.receive(message, component)
             self.now_s += 0.04
         return out
 
@@ -79,7 +79,7 @@ def own(now_s: float, drift: float = 0.0) -> int:
     return 5_000 + round(now_s * 1000 * (1.0 + drift))
 
 
-def test_a_gimbal_s_own_component_is_heard_on_a_clock_of_its_own() -> None:
+def test_a_gimbal_s_own_component_is_received_on_a_clock_of_its_own() -> None:
     line = Line()
     got = line.run(20.0, lambda t: [(154, status(own(t, 2e-4)))])
     assert len(got) > 400
@@ -91,7 +91,7 @@ def test_a_gimbal_s_own_component_is_heard_on_a_clock_of_its_own() -> None:
 
 
 @pytest.mark.parametrize("component", [154, 171, 175])
-def test_every_gimbal_component_is_heard_and_no_other(component: int) -> None:
+def test_every_gimbal_component_is_received_and_no_other(component: int) -> None:
     assert len(Line().run(3.0, lambda t: [(component, status(own(t)))])) > 40
     assert not Line().run(3.0, lambda t: [(component - 1 if component != 175 else 176, status(own(t)))])
 
@@ -147,8 +147,8 @@ def test_bytes_off_the_wire_become_the_attitude_that_they_hold(words: str, yaw: 
     line.run(2.0)
     (message,) = framer.feed(bytes.fromhex(words))
     assert message.time_boot_ms == 70_000
-    assert not line.autopilot.hear(message, EPOCH + 2 * S)  # its clock is not known yet
-    (event,) = line.autopilot.hear(message, EPOCH + 4 * S)
+    assert not line.autopilot.receive(message, EPOCH + 2 * S)  # its clock is not known yet
+    (event,) = line.autopilot.receive(message, EPOCH + 4 * S)
     assert (event.stamp_ns, event.reference) == (EPOCH + 2 * S, "vehicle")  # the least delayed arrival of its stamp
     R = matrix_from_euler(0.0, -math.pi / 2, yaw)
     assert np.allclose(matrix_from_quaternion(event.q_ref_gimbal), R, atol=1e-6)
@@ -170,7 +170,7 @@ def test_mount_orientation_counts_yaw_from_the_nose_or_else_from_north(
     line = Line()
     line.run(3.0, lambda t: [(154, orientation(own(t)))])
     message.time_boot_ms = own(line.now_s)
-    (event,) = line.hear(message)
+    (event,) = line.receive(message)
     assert event.reference == reference
     R = matrix_from_euler(0.0, math.radians(-30.0), math.radians(yaw_deg))
     assert np.allclose(matrix_from_quaternion(event.q_ref_gimbal), R, atol=1e-6)
@@ -253,13 +253,13 @@ def fov(boot_ms: int, hfov_deg: float) -> Any:
 
 
 @pytest.mark.parametrize("component", [1, 100, 105, 154])
-def test_a_camera_s_zoom_is_heard_on_its_own_clock_and_nan_is_none(component: int) -> None:
+def test_a_camera_s_zoom_is_received_on_its_own_clock_and_nan_is_none(component: int) -> None:
     boot = (lambda t: 60_000 + round(t * 1000)) if component == 1 else own
     got = Line().run(
         6.0, lambda t: [(component, settings(boot(t), 40.0 if t < 5.0 else math.nan)), (component, fov(boot(t), 31.5))]
     )
-    told = {(e.value, e.unit) for e in got if isinstance(e, Zoom)}
-    assert told == {(40.0, "percent"), (31.5, "hfov_deg")}
+    stated = {(e.value, e.unit) for e in got if isinstance(e, Zoom)}
+    assert stated == {(40.0, "percent"), (31.5, "hfov_deg")}
     for unit, last_s in (("percent", 4.96), ("hfov_deg", 5.96)):
         newest = max(e.stamp_ns for e in got if isinstance(e, Zoom) and e.unit == unit)
         assert abs(newest - (EPOCH + round(last_s * S))) < 6 * MS

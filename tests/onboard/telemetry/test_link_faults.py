@@ -36,69 +36,69 @@ def both_libraries(**keys: object) -> Iterator[list[tuple[FakeAutopilot, Listeni
 
 
 @pytest.mark.wall_clock
-def test_silence_is_lost_in_time_and_a_reboot_starts_the_stamps_anew() -> None:
+def test_silence_is_lost_in_time_and_a_reboot_starts_the_stamps_again() -> None:
     with both_libraries(lost_after_s=0.8, attitude_rate_hz=25.0) as pairs:
-        for _, heard in pairs:
-            heard.until(lambda heard=heard: len(heard.of(Attitude)) > 20)
-            heard.wait(State.OK)
+        for _, received in pairs:
+            received.until(lambda received=received: len(received.of(Attitude)) > 20)
+            received.wait(State.OK)
         for autopilot, _ in pairs:
             autopilot.mute(60.0)
-        for _, heard in pairs:
-            assert heard.wait(State.LOST) < 5.0
-            heard.until(lambda heard=heard: "silent" in heard.source.health().detail)
+        for _, received in pairs:
+            assert received.wait(State.LOST) < 5.0
+            received.until(lambda received=received: "silent" in received.source.health().detail)
         for autopilot, _ in pairs:
             autopilot.mute(0.0)
-        for _, heard in pairs:
-            heard.wait(State.OK)
-        granted = [len(autopilot.heard_of("COMMAND_LONG")) for autopilot, _ in pairs]
+        for _, received in pairs:
+            received.wait(State.OK)
+        granted = [len(autopilot.received_of("COMMAND_LONG")) for autopilot, _ in pairs]
         for autopilot, _ in pairs:
             autopilot.reboot(0.4)
-        for (autopilot, heard), before in zip(pairs, granted, strict=True):
-            heard.until(lambda heard=heard: heard.source.health().figures["reboots"] == 1.0)
-            begun = len(heard.of(Attitude))
+        for (autopilot, received), before in zip(pairs, granted, strict=True):
+            received.until(lambda received=received: received.source.health().figures["reboots"] == 1.0)
+            begun = len(received.of(Attitude))
             # Rates are lost with the reboot and asked for again: unasked they come at 4 Hz.
-            heard.until(lambda heard=heard, begun=begun: len(heard.of(Attitude)) > begun + 20)
-            heard.wait(State.OK)
-            assert len(autopilot.heard_of("COMMAND_LONG")) > before + 2
-            fixes = heard.of(PositionFix)
+            received.until(lambda received=received, begun=begun: len(received.of(Attitude)) > begun + 20)
+            received.wait(State.OK)
+            assert len(autopilot.received_of("COMMAND_LONG")) > before + 2
+            fixes = received.of(PositionFix)
             assert all(a.stamp_ns < b.stamp_ns for a, b in itertools.pairwise(fixes))
-            true = expected(autopilot, heard.clock)
+            true = expected(autopilot, received.clock)
             assert np.max(np.abs(errors_ms(fixes[:-3], true))) < 25.0
 
 
 def test_a_serial_line_is_unplugged_and_comes_back_under_another_name(tmp_path: Path) -> None:
     with (
         FakeAutopilot(FLIGHT, f"pty:{tmp_path / 'FC'}", everything=True) as autopilot,
-        listening(config_for(autopilot.url)) as heard,
+        listening(config_for(autopilot.url)) as received,
     ):
-        heard.wait(State.OK)
+        received.wait(State.OK)
         autopilot.unplug()
-        heard.wait(State.LOST)
-        heard.until(lambda: str(tmp_path) in heard.source.health().detail)
+        received.wait(State.LOST)
+        received.until(lambda: str(tmp_path) in received.source.health().detail)
         autopilot.plug()
-        heard.wait(State.OK)
-        assert heard.source.health().figures["reopened"] >= 1.0
+        received.wait(State.OK)
+        assert received.source.health().figures["reopened"] >= 1.0
 
 
 def test_a_tcp_server_that_goes_and_comes_is_found_again() -> None:
     with (
         FakeAutopilot(FLIGHT, f"tcpin:127.0.0.1:{free_port()}", everything=True) as autopilot,
-        listening(config_for(autopilot.url)) as heard,
+        listening(config_for(autopilot.url)) as received,
     ):
-        heard.wait(State.OK)
+        received.wait(State.OK)
         autopilot.unplug()
-        heard.wait(State.LOST)
+        received.wait(State.LOST)
         autopilot.plug()
-        heard.wait(State.OK)
+        received.wait(State.OK)
 
 
 def test_a_device_that_is_not_there_yet_is_waited_for(tmp_path: Path) -> None:
     link = tmp_path / "FC"
-    with listening(config_for(f"serial:{link}:115200")) as heard:
-        heard.wait(State.LOST)
-        assert heard.source.health().detail == f"cannot open {link}: No such file or directory"
+    with listening(config_for(f"serial:{link}:115200")) as received:
+        received.wait(State.LOST)
+        assert received.source.health().detail == f"cannot open {link}: No such file or directory"
         with FakeAutopilot(FLIGHT, f"pty:{link}", everything=True):
-            heard.wait(State.OK)
+            received.wait(State.OK)
 
 
 @pytest.mark.wall_clock
@@ -106,16 +106,16 @@ def test_a_bad_link_still_gives_the_right_moments() -> None:
     faults = Faults(loss=0.1, corrupt=0.05, delay_s=0.04, jitter_s=0.03)
     with (
         FakeAutopilot(FLIGHT, "udpin:127.0.0.1:0", faults=faults, drift=-400e-6, chatter=True) as autopilot,
-        listening(config_for(autopilot.url, system=1)) as heard,
+        listening(config_for(autopilot.url, system=1)) as received,
     ):
-        heard.until(lambda: len(heard.of(PositionFix)) > 25)
-        true = expected(autopilot, heard.clock)
-        fixes = heard.of(PositionFix)
+        received.until(lambda: len(received.of(PositionFix)) > 25)
+        true = expected(autopilot, received.clock)
+        fixes = received.of(PositionFix)
         # Nothing tells on which way a delay was spent: half the excess of the best round trips is left over.
         assert np.median(np.abs(errors_ms(fixes[10:], true))) < 15.0
         assert np.max(np.abs(errors_ms(fixes[5:], true))) < 60.0
         assert np.max(np.abs(errors_ms(fixes, true))) < 200.0  # the first exchanges may all have been slow
-        figures = heard.source.health().figures
+        figures = received.source.health().figures
         assert 80.0 <= figures["round_trip_ms"] < 160.0
         assert figures["clock_sigma_ms"] > 20.0
         assert figures["lost_packets"] > 3.0
@@ -125,72 +125,72 @@ def test_a_bad_link_still_gives_the_right_moments() -> None:
 def test_without_timesync_arrivals_serve() -> None:
     with (
         FakeAutopilot(FLIGHT, "udpin:127.0.0.1:0", answers_timesync=False) as autopilot,
-        listening(config_for(autopilot.url)) as heard,
+        listening(config_for(autopilot.url)) as received,
     ):
-        heard.until(lambda: len(heard.of(PositionFix)) > 8)
-        assert np.max(np.abs(errors_ms(heard.of(PositionFix), expected(autopilot, heard.clock)))) < 25.0
-        assert "round_trip_ms" not in heard.source.health().figures
+        received.until(lambda: len(received.of(PositionFix)) > 8)
+        assert np.max(np.abs(errors_ms(received.of(PositionFix), expected(autopilot, received.clock)))) < 25.0
+        assert "round_trip_ms" not in received.source.health().figures
 
 
 def test_garbage_on_the_line_costs_only_itself() -> None:
     rng = random.Random(2)
-    with FakeAutopilot(FLIGHT, "pty", everything=True) as autopilot, listening(config_for(autopilot.url)) as heard:
-        heard.wait(State.OK)
-        before = len(heard.of(Attitude))
+    with FakeAutopilot(FLIGHT, "pty", everything=True) as autopilot, listening(config_for(autopilot.url)) as received:
+        received.wait(State.OK)
+        before = len(received.of(Attitude))
         for _ in range(20):
             autopilot.send_bytes(rng.randbytes(rng.randrange(1, 300)))
             autopilot.send_bytes(b"\xfd\xff\x00\x00\x00\x01\x01\x1e\x00\x00")
             time.sleep(0.05)
-        heard.until(lambda: len(heard.of(Attitude)) > before + 15)
-        heard.wait(State.OK)
-        errors_ms(heard.of(Attitude)[before:-5], expected(autopilot, heard.clock))
+        received.until(lambda: len(received.of(Attitude)) > before + 15)
+        received.wait(State.OK)
+        errors_ms(received.of(Attitude)[before:-5], expected(autopilot, received.clock))
 
 
 def test_nothing_but_garbage_is_said_to_be_that() -> None:
     autopilot = FakeAutopilot(FLIGHT, "pty")
     autopilot.mute(60.0)  # before it begins: a single packet of its own would refute what is to be said
-    with autopilot, listening(config_for(autopilot.url)) as heard:
+    with autopilot, listening(config_for(autopilot.url)) as received:
 
         def is_said() -> bool:
             time.sleep(0.1)
             autopilot.send_bytes(random.Random(1).randbytes(500))
-            return "baud rate" in heard.source.health().detail
+            return "baud rate" in received.source.health().detail
 
-        heard.until(is_said)
-        assert heard.source.health().state is State.STARTING
+        received.until(is_said)
+        assert received.source.health().state is State.STARTING
 
 
 def test_another_vehicle_on_the_line_is_named_and_never_followed() -> None:
     with (
         FakeAutopilot(FLIGHT, "udpin:127.0.0.1:0", everything=True, chatter=True) as autopilot,
-        listening(config_for(autopilot.url)) as heard,
+        listening(config_for(autopilot.url)) as received,
     ):
-        heard.until(lambda: "several vehicles" in heard.source.health().detail)
-        assert heard.source.health().detail == "several vehicles on this line (1, 7): set telemetry.system"
-        assert heard.source.health().state is State.DEGRADED
-        errors_ms(heard.of(PositionFix)[:-2], expected(autopilot, heard.clock))
+        received.until(lambda: "several vehicles" in received.source.health().detail)
+        assert received.source.health().detail == "several vehicles on this line (1, 7): set telemetry.system"
+        assert received.source.health().state is State.DEGRADED
+        errors_ms(received.of(PositionFix)[:-2], expected(autopilot, received.clock))
 
 
 def test_a_vehicle_that_is_not_there_is_waited_for() -> None:
     with (
         FakeAutopilot(FLIGHT, "udpin:127.0.0.1:0", everything=True) as autopilot,
-        listening(config_for(autopilot.url, system=9)) as heard,
+        listening(config_for(autopilot.url, system=9)) as received,
     ):
-        heard.until(lambda: heard.source.health().detail == "no autopilot with system number 9 found yet")
+        received.until(lambda: received.source.health().detail == "no autopilot with system number 9 found yet")
         time.sleep(0.5)
-        assert heard.source.health().state is State.STARTING
-        assert not heard.got
+        assert received.source.health().state is State.STARTING
+        assert not received.got
 
 
 def test_what_is_said_reaches_the_line_in_pieces_that_belong_together() -> None:
     with both_libraries() as pairs:
-        for _, heard in pairs:
-            heard.wait(State.OK)
-            heard.source.say(Severity.WARNING, "Kamera verloren: ä" + "x" * 50)
-            heard.source.say(Severity.INFO, "ok")
-        for autopilot, heard in pairs:
-            heard.until(lambda autopilot=autopilot: len(autopilot.heard_of("STATUSTEXT")) >= 3)
-            first, second, third = autopilot.heard_of("STATUSTEXT")
+        for _, received in pairs:
+            received.wait(State.OK)
+            received.source.send_text(Severity.WARNING, "Kamera verloren: ä" + "x" * 50)
+            received.source.send_text(Severity.INFO, "ok")
+        for autopilot, received in pairs:
+            received.until(lambda autopilot=autopilot: len(autopilot.received_of("STATUSTEXT")) >= 3)
+            first, second, third = autopilot.received_of("STATUSTEXT")
             assert first.text + second.text == "Kamera verloren: ?" + "x" * 50
             assert len(first.text) == 50
             assert (first.severity, first.get_srcSystem(), first.get_srcComponent()) == (4, 1, 191)
@@ -199,19 +199,19 @@ def test_what_is_said_reaches_the_line_in_pieces_that_belong_together() -> None:
             assert (third.text, third.id) == ("ok", 0)
 
 
-def test_signed_both_ways_and_nothing_unsigned_is_believed(tmp_path: Path) -> None:
+def test_signed_both_ways_and_nothing_unsigned_is_accepted(tmp_path: Path) -> None:
     key = tmp_path / "key"
     key.write_text(bytes(range(32)).hex())
     with (
         FakeAutopilot(FLIGHT, "udpin:127.0.0.1:0", key=bytes(range(32)), everything=True) as autopilot,
-        listening(config_for(autopilot.url, signing_key=str(key))) as heard,
+        listening(config_for(autopilot.url, signing_key=str(key))) as received,
     ):
-        heard.wait(State.OK)
-        heard.until(lambda: autopilot.heard_of("TIMESYNC"))
+        received.wait(State.OK)
+        received.until(lambda: autopilot.received_of("TIMESYNC"))
         forged = mavlink.MAVLink_global_position_int_message(1, 10, 20, 30, 40, 0, 0, 0, 0)
         autopilot.send_bytes(forged.pack(mavlink.MAVLink(None, 1, 1)))
         time.sleep(0.3)
-        assert not [fix for fix in heard.of(PositionFix) if abs(fix.lat_deg) < 1.0]
+        assert not [fix for fix in received.of(PositionFix) if abs(fix.lat_deg) < 1.0]
 
 
 def test_a_wrong_key_is_said_to_be_that(tmp_path: Path) -> None:
@@ -219,51 +219,51 @@ def test_a_wrong_key_is_said_to_be_that(tmp_path: Path) -> None:
     key.write_bytes(bytes(32))
     with (
         FakeAutopilot(FLIGHT, "udpin:127.0.0.1:0", key=bytes(range(32)), everything=True) as autopilot,
-        listening(config_for(autopilot.url, signing_key=str(key))) as heard,
+        listening(config_for(autopilot.url, signing_key=str(key))) as received,
     ):
         # It never believes us either, but it has learned where we are.
-        heard.until(lambda: "wrong signature" in heard.source.health().detail)
-        assert not heard.got
-        assert not autopilot.heard_of("TIMESYNC")
+        received.until(lambda: "wrong signature" in received.source.health().detail)
+        assert not received.got
+        assert not autopilot.received_of("TIMESYNC")
 
 
 def test_a_port_in_use_is_said_and_waited_for() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", port := free_udp_port()))
-        with listening(config_for(f"udpin:127.0.0.1:{port}")) as heard:
-            heard.wait(State.LOST)
-            assert "Address already in use" in heard.source.health().detail
+        with listening(config_for(f"udpin:127.0.0.1:{port}")) as received:
+            received.wait(State.LOST)
+            assert "Address already in use" in received.source.health().detail
             other.close()
             with FakeAutopilot(FLIGHT, f"udpout:127.0.0.1:{port}", everything=True):
-                heard.wait(State.OK)
+                received.wait(State.OK)
 
 
 def test_a_clock_that_stands_still_is_frozen() -> None:
     still = mavlink.MAVLink_attitude_message(5000, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     beat = mavlink.MAVLink_heartbeat_message(1, 3, 0, 0, 4, 3)
-    with FakeAutopilot(FLIGHT, "udpin:127.0.0.1:0") as autopilot, listening(config_for(autopilot.url)) as heard:
-        heard.wait(State.OK)
+    with FakeAutopilot(FLIGHT, "udpin:127.0.0.1:0") as autopilot, listening(config_for(autopilot.url)) as received:
+        received.wait(State.OK)
         autopilot.mute(60.0)
         packer = mavlink.MAVLink(None, 1, 1)
 
         def is_frozen() -> bool:
             autopilot.send_bytes(beat.pack(packer) + still.pack(packer))
             time.sleep(0.1)
-            return heard.source.health().state is State.FROZEN
+            return received.source.health().state is State.FROZEN
 
-        heard.until(is_frozen)
+        received.until(is_frozen)
 
 
 def test_px4_does_not_miss_us_when_we_leave_and_no_packet_counts_as_lost() -> None:
     """As an onboard controller we would be missed: PX4 tells the pilot, critical."""
     with FakeAutopilot(FLIGHT, "tcpin:127.0.0.1:0", style="px4", mission_computer_s=0.5) as autopilot:
-        with listening(config_for(autopilot.url)) as heard:
-            heard.wait(State.OK)
-            heard.until(lambda: len(heard.of(PositionFix)) > 20)
-            assert heard.source.health().figures["lost_packets"] == 0.0
+        with listening(config_for(autopilot.url)) as received:
+            received.wait(State.OK)
+            received.until(lambda: len(received.of(PositionFix)) > 20)
+            assert received.source.health().figures["lost_packets"] == 0.0
         time.sleep(1.0)
         assert autopilot.shown == []
-        assert autopilot.heard_of("HEARTBEAT")[-1].system_status == mavlink.MAV_STATE_POWEROFF
+        assert autopilot.received_of("HEARTBEAT")[-1].system_status == mavlink.MAV_STATE_POWEROFF
 
 
 def test_the_fake_px4_misses_an_onboard_controller() -> None:
@@ -279,12 +279,12 @@ def test_the_fake_px4_misses_an_onboard_controller() -> None:
 
 def test_ardupilot_tells_its_pilot_nothing_of_our_requests() -> None:
     with both_libraries(attitude_rate_hz=50.0) as pairs:
-        for autopilot, heard in pairs:
-            heard.wait(State.OK)
-            heard.until(lambda autopilot=autopilot: len(autopilot.heard_of("COMMAND_LONG")) >= 4)
+        for autopilot, received in pairs:
+            received.wait(State.OK)
+            received.until(lambda autopilot=autopilot: len(autopilot.received_of("COMMAND_LONG")) >= 4)
         for autopilot, _ in pairs:
             assert autopilot.shown == []
-            asked = [message for message in autopilot.heard_of("COMMAND_LONG") if message.param1 == 30]
+            asked = [message for message in autopilot.received_of("COMMAND_LONG") if message.param1 == 30]
             assert [message.param2 for message in asked] == [25_000.0]  # 40 Hz: all its 50 Hz loop gives
-            (beat, *_) = reversed(autopilot.heard_of("HEARTBEAT"))
+            (beat, *_) = reversed(autopilot.received_of("HEARTBEAT"))
             assert beat.type == mavlink.MAV_TYPE_ONBOARD_CONTROLLER

@@ -103,7 +103,7 @@ def test_attitudes_come_at_the_log_s_full_rate_with_the_gyros_rates(logs: dict[s
 
 
 @ALL
-def test_the_receiver_and_the_filter_are_heard_before_the_first_position_is_needed(
+def test_the_receiver_and_the_filter_are_received_before_the_first_position_is_needed(
     logs: dict[str, TelemetryLog], kind: str
 ) -> None:
     promise, log = KINDS[kind], logs[kind]

@@ -45,14 +45,14 @@ def test_every_packet_is_found_between_garbage_in_any_pieces_as_soon_as_it_is_co
     garbage: list[bytes], mavlink1: bool, pieces: list[int]
 ) -> None:
     # Of a sender whom garbage does not name by chance: see below.
-    framer, heard = Framer(mavlink.MAVLink(None)), []
+    framer, received = Framer(mavlink.MAVLink(None)), []
     for stray, packet in zip(garbage, packets(5, mavlink1, 77, 33), strict=True):
         line, at = stray + packet, 0
         while at < len(line):
             size = pieces[at % len(pieces)]
-            heard += framer.feed(line[at : at + size])
+            received += framer.feed(line[at : at + size])
             at += size
-    assert stamps(heard) == [1000, 1001, 1002, 1003, 1004]
+    assert stamps(received) == [1000, 1001, 1002, 1003, 1004]
 
 
 @pytest.mark.parametrize("start", [b"\xfe\x60\x00\x09\x09", b"\xfd\xff\x00\x00"])
@@ -74,8 +74,8 @@ def test_a_packet_within_a_packet_is_none_of_the_line() -> None:
     outer = bytes(carried.pack(packer))
     framer = Framer(mavlink.MAVLink(None))
     assert stamps(framer.feed(hello)) == [1000]
-    heard = [message for at in range(0, len(outer), 64) for message in framer.feed(outer[at : at + 64])]
-    assert [message.get_type() for message in heard] == ["FILE_TRANSFER_PROTOCOL"]
+    received = [message for at in range(0, len(outer), 64) for message in framer.feed(outer[at : at + 64])]
+    assert [message.get_type() for message in received] == ["FILE_TRANSFER_PROTOCOL"]
     assert framer.garbage == 0
 
 
@@ -83,8 +83,8 @@ def test_what_a_known_sender_began_and_never_ended_holds_up_no_more_than_it_prom
     first, second, *rest = packets(12)
     line = first + second[:14] + b"".join(rest)
     framer = Framer(mavlink.MAVLink(None))
-    heard = [message for at in range(0, len(line), 7) for message in framer.feed(line[at : at + 7])]
-    assert stamps(heard) == [1000, *range(1002, 1012)]
+    received = [message for at in range(0, len(line), 7) for message in framer.feed(line[at : at + 7])]
+    assert stamps(received) == [1000, *range(1002, 1012)]
 
 
 def test_a_stray_start_byte_does_not_swallow_the_packet_after_it() -> None:
@@ -175,7 +175,7 @@ def test_a_recording_with_any_of_its_bytes_changed_is_survived(seed: int, share:
     sent = 0
     for at in range(0, len(data), 64):
         for message in framer.feed(bytes(data[at : at + 64])):
-            autopilot.hear(message, now)
+            autopilot.receive(message, now)
         sent += len(autopilot.due(now))
         now += SECOND // 50
         autopilot.health(now)
@@ -197,8 +197,8 @@ def test_sound_packets_of_nonsense_are_survived(chosen: list[tuple[Any, bytes]])
     for kind, payload in chosen:
         message = mavlink.MAVLink_message(kind.id, kind.msgname)
         line = message._pack(packer, kind.crc_extra, payload)
-        for heard in framer.feed(bytes(line)):
-            for event in autopilot.hear(heard, now):
+        for received in framer.feed(bytes(line)):
+            for event in autopilot.receive(received, now):
                 assert abs(event.stamp_ns) < 2**63
                 assert not isinstance(event, PositionFix) or (
                     abs(event.lat_deg) <= 90.0 and abs(event.lon_deg) <= 180.0

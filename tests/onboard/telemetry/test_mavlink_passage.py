@@ -22,12 +22,12 @@ SECOND_NS = 1_000_000_000
 
 class Tunnel:
     def __init__(self) -> None:
-        self.heard: list[tuple[Peer, bytes]] = []
+        self.received: list[tuple[Peer, bytes]] = []
         self.ready: list[tuple[Peer, bytes]] = []
         self.ground_stations = (255, 255)
 
-    def hear(self, ground: Peer, payload: bytes) -> None:
-        self.heard.append((ground, payload))
+    def receive(self, ground: Peer, payload: bytes) -> None:
+        self.received.append((ground, payload))
 
     def due(self) -> list[tuple[Peer, bytes]]:
         out, self.ready = self.ready, []
@@ -60,17 +60,17 @@ def parameter(name: str, value: float) -> Any:
 
 @pytest.mark.parametrize("payload", [b"\x11click", b"\x00", bytes(24), b"x" * 128])
 def test_a_packet_for_us_is_passed_on_whole_with_its_sender(passage: Passage, tunnel: Tunnel, payload: bytes) -> None:
-    passage.hear(received(tunnelled(SYSTEM, COMPONENT, payload)), SYSTEM)
-    assert tunnel.heard == [(Peer(245, 25), payload)]
+    passage.receive(received(tunnelled(SYSTEM, COMPONENT, payload)), SYSTEM)
+    assert tunnel.received == [(Peer(245, 25), payload)]
 
 
 def test_what_is_for_others_or_of_another_kind_is_passed_over(passage: Passage, tunnel: Tunnel) -> None:
     other_kind = mavlink.MAVLink_tunnel_message(SYSTEM, COMPONENT, TUNNEL_TYPE + 1, 1, [1] + [0] * 127)
     others = [tunnelled(SYSTEM, 1, b"x"), tunnelled(8, COMPONENT, b"x"), tunnelled(0, 0, b"x"), other_kind]
     for message in others:
-        passage.hear(received(message), SYSTEM)
-    passage.hear(received(tunnelled(SYSTEM, COMPONENT, b"x")), None)
-    assert tunnel.heard == []
+        passage.receive(received(message), SYSTEM)
+    passage.receive(received(tunnelled(SYSTEM, COMPONENT, b"x")), None)
+    assert tunnel.received == []
 
 
 def test_what_is_sent_is_addressed_to_one_ground_and_short_on_the_wire(passage: Passage, tunnel: Tunnel) -> None:
@@ -81,7 +81,7 @@ def test_what_is_sent_is_addressed_to_one_ground_and_short_on_the_wire(passage: 
 
 
 def beat(passage: Passage, autopilot: int = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA) -> None:
-    passage.hear(received(mavlink.MAVLink_heartbeat_message(2, autopilot, 0, 0, 4, 3), SYSTEM, 1), SYSTEM)
+    passage.receive(received(mavlink.MAVLink_heartbeat_message(2, autopilot, 0, 0, 4, 3), SYSTEM, 1), SYSTEM)
 
 
 def asked(passage: Passage, at_s: int) -> list[str]:
@@ -95,10 +95,10 @@ def test_the_ground_stations_numbers_are_asked_of_the_autopilot_until_they_are_k
     beat(passage)
     assert asked(passage, 0) == ["MAV_GCS_SYSID", "MAV_GCS_SYSID_HI"]
     assert asked(passage, 1) == []
-    passage.hear(parameter("MAV_GCS_SYSID", 240.0), SYSTEM)
+    passage.receive(parameter("MAV_GCS_SYSID", 240.0), SYSTEM)
     assert tunnel.ground_stations == (240, 240)
     assert asked(passage, 3) == ["MAV_GCS_SYSID_HI"]
-    passage.hear(parameter("MAV_GCS_SYSID_HI", 250.0), SYSTEM)
+    passage.receive(parameter("MAV_GCS_SYSID_HI", 250.0), SYSTEM)
     assert tunnel.ground_stations == (240, 250)
     assert asked(passage, 60) == []
 
@@ -108,9 +108,9 @@ def test_an_older_autopilot_is_asked_by_the_older_name_and_none_for_ever(passage
     found = [names for at_s in range(100) if (names := asked(passage, at_s))]
     assert len(found) == MAX_TRIES
     assert all("SYSID_MYGCS" not in names for names in found[:2]) and all("SYSID_MYGCS" in names for names in found[2:])
-    passage.hear(parameter("SYSID_MYGCS", 252.0), SYSTEM)
+    passage.receive(parameter("SYSID_MYGCS", 252.0), SYSTEM)
     assert tunnel.ground_stations == (252, 252)
-    passage.hear(parameter("SYSID_MYGCS", 1.0), SYSTEM + 1)  # not our vehicle's
+    passage.receive(parameter("SYSID_MYGCS", 1.0), SYSTEM + 1)  # not our vehicle's
     assert tunnel.ground_stations == (252, 252)
 
 

@@ -17,7 +17,7 @@ STEP_NS = 50 * MS
 PX4, ARDUPILOT = mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
 
 
-class Flown:
+class Simulated:
     """An autopilot on a clock of its own that sends, grants and answers at once, and what is said to it."""
 
     def __init__(self, kind: int = PX4, rate: float = 0.0, changes: bool = False) -> None:
@@ -34,18 +34,18 @@ class Flown:
     def boot_ns(self, late_ns: int = 0) -> int:
         return self.clocks.boot_ns((self.now_ns - late_ns - EPOCH) / 1e9)
 
-    def hear(self, message: Any, late_ns: int = 2 * MS) -> None:
+    def receive(self, message: Any, late_ns: int = 2 * MS) -> None:
         message._header = mavlink.MAVLink_header(message.id, srcSystem=1, srcComponent=1)
-        self.autopilot.hear(message, self.now_ns + late_ns)
+        self.autopilot.receive(message, self.now_ns + late_ns)
 
     def fly(self, seconds: float) -> SourceStatus:
         for _ in range(round(seconds * NS_PER_S / STEP_NS)):
             boot_ms = self.boot_ns() // MS
             if self.tick % 20 == 0:
-                self.hear(mavlink.MAVLink_heartbeat_message(1, self.kind, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
-            self.hear(mavlink.MAVLink_attitude_message(boot_ms, 0.1, 0.0, 0.0, 0.0, 0.0, 0.1))
-            self.hear(mavlink.MAVLink_global_position_int_message(boot_ms, 4 * 10**8, 10**8, 0, 0, 0, 0, 0, 0))
-            self.hear(mavlink.MAVLink_gps_raw_int_message(boot_ms * 1000, 3, 4 * 10**8, 10**8, 0, 100, 100, 0, 0, 9))
+                self.receive(mavlink.MAVLink_heartbeat_message(1, self.kind, 0, 0, mavlink.MAV_STATE_ACTIVE, 3))
+            self.receive(mavlink.MAVLink_attitude_message(boot_ms, 0.1, 0.0, 0.0, 0.0, 0.0, 0.1))
+            self.receive(mavlink.MAVLink_global_position_int_message(boot_ms, 4 * 10**8, 10**8, 0, 0, 0, 0, 0, 0))
+            self.receive(mavlink.MAVLink_gps_raw_int_message(boot_ms * 1000, 3, 4 * 10**8, 10**8, 0, 100, 100, 0, 0, 9))
             for message in self.autopilot.due(self.now_ns):
                 self.sent.append(message)
                 self._answer(message)
@@ -55,9 +55,9 @@ class Flown:
     def _answer(self, message: Any) -> None:
         if message.get_type() == "TIMESYNC" and message.tc1 == 0 and self.other_clock_s is not None:
             answer_ns = self.clocks.boot_ns((self.now_ns + MS - EPOCH) / 1e9) + round(self.other_clock_s * 1e9)
-            self.hear(mavlink.MAVLink_timesync_message(answer_ns, message.ts1))
+            self.receive(mavlink.MAVLink_timesync_message(answer_ns, message.ts1))
         elif message.get_type() == "COMMAND_LONG":
-            self.hear(mavlink.MAVLink_command_ack_message(message.command, mavlink.MAV_RESULT_ACCEPTED))
+            self.receive(mavlink.MAVLink_command_ack_message(message.command, mavlink.MAV_RESULT_ACCEPTED))
 
     def of(self, name: str) -> list[Any]:
         return [message for message in self.sent if message.get_type() == name]
@@ -70,8 +70,8 @@ def lenient(status: SourceStatus) -> str:
 
 @pytest.mark.parametrize("rate", [0.0, 15e-3, 27e-3])
 def test_a_drifting_clock_that_answers_is_well(rate: float) -> None:
-    flown = Flown(rate=rate, changes=True)
-    status = flown.fly(300.0)
+    simulated = Simulated(rate=rate, changes=True)
+    status = simulated.fly(300.0)
     assert lenient(status) == ""
     assert 0.0 < status.figures["clock_sigma_ms"] < 10.0
     assert "round_trip_ms" in status.figures
@@ -82,25 +82,25 @@ def test_a_drifting_clock_that_answers_is_well(rate: float) -> None:
     [(3.0, "TIMESYNC is answered from another clock: "), (None, "TIMESYNC is not answered any more: ")],
 )
 def test_health_says_so_where_the_clock_is_not_known_by_timesync(other_clock_s: float | None, reason: str) -> None:
-    flown = Flown(rate=20e-3, changes=True)
-    flown.fly(60.0)
-    flown.other_clock_s = other_clock_s
-    status = flown.fly(60.0)
+    simulated = Simulated(rate=20e-3, changes=True)
+    simulated.fly(60.0)
+    simulated.other_clock_s = other_clock_s
+    status = simulated.fly(60.0)
     assert status.state is State.DEGRADED
     assert status.detail.startswith(f"{reason}stamps by arrival, +-")
     assert "round_trip_ms" not in status.figures
-    flown.other_clock_s = 0.0
-    assert lenient(flown.fly(20.0)) == ""
+    simulated.other_clock_s = 0.0
+    assert lenient(simulated.fly(20.0)) == ""
 
 
 def test_a_clock_known_badly_is_said_to_be() -> None:
-    flown = Flown()
-    flown.fly(5.0)
+    simulated = Simulated()
+    simulated.fly(5.0)
     for _ in range(100):  # half of 200 ms, evenly: 58 ms
-        flown.autopilot.clock.exchanged(flown.now_ns - 200 * MS, flown.boot_ns(100 * MS), flown.now_ns)
-        flown.other_clock_s = None
-        flown.fly(1.0)
-    status = flown.autopilot.health(flown.now_ns)
+        simulated.autopilot.clock.exchanged(simulated.now_ns - 200 * MS, simulated.boot_ns(100 * MS), simulated.now_ns)
+        simulated.other_clock_s = None
+        simulated.fly(1.0)
+    status = simulated.autopilot.health(simulated.now_ns)
     assert status.state is State.DEGRADED
     assert status.detail.startswith("the autopilot's clock is known to +-5")
 
@@ -112,23 +112,23 @@ def test_px4_is_not_given_an_onboard_controller_to_miss(kind: int, announced: in
     autopilot = Autopilot(parse_config(""))
     (first,) = autopilot.due(EPOCH, speaks_first=True)
     assert first.type == mavlink.MAV_TYPE_GENERIC  # PX4 may be the one that hears it
-    flown = Flown(kind)
-    flown.fly(5.0)
-    beats = flown.of("HEARTBEAT")
+    simulated = Simulated(kind)
+    simulated.fly(5.0)
+    beats = simulated.of("HEARTBEAT")
     assert 4 <= len(beats) <= 6
     assert {(beat.type, beat.autopilot, beat.system_status) for beat in beats} == {(announced, 8, 4)}
-    farewell = flown.autopilot.farewell()
+    farewell = simulated.autopilot.farewell()
     assert (farewell.type, farewell.system_status) == (announced, mavlink.MAV_STATE_POWEROFF)
 
 
 @pytest.mark.parametrize("text", ["ok", "x" * 50, "y" * 51, "word: reason " * 7, "z" * 300])
 def test_a_text_for_the_pilot_is_whole_up_to_two_pieces(text: str) -> None:
-    flown = Flown()
-    flown.fly(2.0)
-    flown.autopilot.say(Severity.WARNING, text)
-    flown.autopilot.say(Severity.INFO, text)
-    flown.fly(2.0)
-    pieces = flown.of("STATUSTEXT")
+    simulated = Simulated()
+    simulated.fly(2.0)
+    simulated.autopilot.send_text(Severity.WARNING, text)
+    simulated.autopilot.send_text(Severity.INFO, text)
+    simulated.fly(2.0)
+    pieces = simulated.of("STATUSTEXT")
     count = 1 if len(text) <= 50 else 2
     assert len(pieces) == 2 * count
     assert b"".join(piece.text.encode() for piece in pieces[:count]).decode() == text[:100]
@@ -139,7 +139,7 @@ def test_a_text_for_the_pilot_is_whole_up_to_two_pieces(text: str) -> None:
 
 
 def test_rates_are_asked_of_px4_before_it_has_a_fix() -> None:
-    flown = Flown()
-    flown.hear(mavlink.MAVLink_heartbeat_message(1, PX4, 0, 0, mavlink.MAV_STATE_UNINIT, 3))
-    out = flown.autopilot.due(flown.now_ns)
+    simulated = Simulated()
+    simulated.receive(mavlink.MAVLink_heartbeat_message(1, PX4, 0, 0, mavlink.MAV_STATE_UNINIT, 3))
+    out = simulated.autopilot.due(simulated.now_ns)
     assert [message.param1 for message in out if message.get_type() == "COMMAND_LONG"] == [30]

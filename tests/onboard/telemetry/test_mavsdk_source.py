@@ -36,7 +36,7 @@ print(len(made))
 """
 
 
-def test_ends_that_come_and_go_beside_each_other_do_not_end_the_process() -> None:
+def test_ends_that_come_and_go_next_to_each_other_do_not_end_the_process() -> None:
     """Two vehicles' links opened at one moment crashed it: one's log callback was freed while the other wrote."""
     command = [sys.executable, "-c", MANY_ENDS]
     ran = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)

@@ -44,10 +44,10 @@ class Played:
                     self._owed[name] -= 1.0
                     self.requests.seen(name)
             for message in self.requests.due(1, self.now_ns):
-                self.hear(message)
+                self.receive(message)
             self.now_ns += STEP_NS
 
-    def hear(self, message: object) -> None:
+    def receive(self, message: object) -> None:
         if isinstance(message, mavlink.MAVLink_request_data_stream_message):
             self.streams.append((message.req_stream_id, message.req_message_rate))
             return
@@ -151,7 +151,7 @@ def test_a_message_that_stops_coming_is_asked_for_again_but_ever_less_often() ->
     del played.sends_hz["GLOBAL_POSITION_INT"]
     played.fly(5.0)
     assert played.asked[before:][0] == ("GLOBAL_POSITION_INT", 10.0)
-    played.hear = lambda message: played.requests.acknowledged(COMMAND, ACCEPTED, played.now_ns)  # type: ignore[method-assign]
+    played.receive = lambda message: played.requests.acknowledged(COMMAND, ACCEPTED, played.now_ns)  # type: ignore[method-assign]
     del played.sends_hz["ATTITUDE"]
     played.fly(10.0)
     assert played.requests.complaint() == "no ATTITUDE"
@@ -166,7 +166,7 @@ def test_how_often_a_grant_that_is_not_kept_is_claimed() -> None:
         asked.append(played.now_ns)
         played.requests.acknowledged(COMMAND, ACCEPTED, played.now_ns)
 
-    played.hear = accept  # type: ignore[method-assign]
+    played.receive = accept  # type: ignore[method-assign]
     played.sends_hz["ATTITUDE"] = 4.0
     played.fly(300.0)
     assert 4 <= len(asked) <= 12
@@ -185,7 +185,7 @@ def test_a_denied_attitude_is_asked_for_as_a_quaternion() -> None:
     assert played.sends_hz["ATTITUDE_QUATERNION"] == 50.0
 
 
-def test_after_a_restart_everything_is_asked_anew() -> None:
+def test_after_a_restart_everything_is_asked_again() -> None:
     played = Played(grants)
     played.fly(5.0)
     before = len(played.asked)

@@ -188,8 +188,8 @@ def line() -> Iterator[tuple[int, str]]:
 @pytest.mark.wall_clock
 def test_on_a_serial_line_it_comes_goes_stands_still_and_returns(line: tuple[int, str]) -> None:
     master, url = line
-    with listening(config_for(url)) as heard:
-        heard.until(lambda: heard.source.health().detail == "the receiver has sent nothing yet")
+    with listening(config_for(url)) as received:
+        received.until(lambda: received.source.health().detail == "the receiver has sent nothing yet")
         t = NOON
 
         def send(state: State) -> None:
@@ -198,8 +198,8 @@ def test_on_a_serial_line_it_comes_goes_stands_still_and_returns(line: tuple[int
             os.write(master, burst(t if state is not State.FROZEN else NOON))
 
         for state in (State.OK, State.FROZEN, State.OK):
-            heard.until(lambda: send(state) or heard.stop.wait(0.05) or heard.source.health().state is state)  # noqa: B023
-        assert 0.3 < heard.wait(State.LOST) < 1.5
-        heard.until(lambda: send(State.OK) or heard.stop.wait(0.05) or heard.source.health().state is State.OK)
-        assert len(heard.of(PositionFix)) > 3
-        assert heard.source.health().figures["bad_sentences"] == 0.0
+            received.until(lambda: send(state) or received.stop.wait(0.05) or received.source.health().state is state)  # noqa: B023
+        assert 0.3 < received.wait(State.LOST) < 1.5
+        received.until(lambda: send(State.OK) or received.stop.wait(0.05) or received.source.health().state is State.OK)
+        assert len(received.of(PositionFix)) > 3
+        assert received.source.health().figures["bad_sentences"] == 0.0

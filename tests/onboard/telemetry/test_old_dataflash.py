@@ -75,7 +75,7 @@ class Log:
         return path
 
 
-def flown(kinds: dict[str, tuple[str, str]], has_filter: bool = True, status: int = 3, week: bool = True) -> Log:
+def simulated(kinds: dict[str, tuple[str, str]], has_filter: bool = True, status: int = 3, week: bool = True) -> Log:
     log = Log(kinds)
     for m in moments(50):
         roll, pitch, yaw = m.euler_deg
@@ -102,7 +102,7 @@ def of(log: TelemetryLog, kind: type[NavEvent]) -> list:
 def test_a_log_of_2014_is_read_with_true_moments_places_and_attitudes(
     tmp_path: Path, kinds: dict[str, tuple[str, str]], has_filter: bool
 ) -> None:
-    log = read_log(flown(kinds, has_filter).write(tmp_path / "17.BIN"))
+    log = read_log(simulated(kinds, has_filter).write(tmp_path / "17.BIN"))
     fixes = of(log, PositionFix)
     assert len(fixes) >= (500 if has_filter else 55)
     for fix in fixes:
@@ -124,7 +124,7 @@ def test_a_log_of_2014_is_read_with_true_moments_places_and_attitudes(
 
 
 def test_a_first_filter_that_leaves_the_receiver_is_not_taken_for_the_position(tmp_path: Path) -> None:
-    log = flown(COPTER_32, has_filter=False)
+    log = simulated(COPTER_32, has_filter=False)
     for m in moments(50):
         log.add("EKF1", m.t, VN=SPEED, PN=-8.0 * SPEED * m.t, PD=-ABOVE_M)
     fixes = of(read_log(log.write(tmp_path / "17.BIN")), PositionFix)
@@ -137,7 +137,7 @@ def test_a_first_filter_that_leaves_the_receiver_is_not_taken_for_the_position(t
 )
 def test_a_log_that_cannot_be_timed_says_why(tmp_path: Path, status: int | None, week: bool, said: str) -> None:
     kinds = COPTER_32
-    log = flown(kinds, status=status or 3, week=week)
+    log = simulated(kinds, status=status or 3, week=week)
     if status is None:
         log = Log(kinds)
         log.add("ATT", 1.0)

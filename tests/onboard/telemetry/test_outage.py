@@ -94,7 +94,7 @@ def position(t: float) -> PositionFix:
 
 
 def moments(report: FilterStatus) -> list[bool]:
-    """Whether a steady flight of ten seconds is believed at each half second, with one report among good ones."""
+    """Whether a steady flight of ten seconds is accepted at each half second, with one report among good ones."""
     navigation = Navigation(Config())
     for i in range(101):
         navigation.add(position(i / 10))
@@ -105,7 +105,7 @@ def moments(report: FilterStatus) -> list[bool]:
 
 
 @pytest.mark.parametrize(("has_position", "is_glitching"), [(False, False), (True, True)])
-def test_a_filter_that_does_not_believe_itself_is_not_believed(has_position: bool, is_glitching: bool) -> None:
+def test_a_filter_that_does_not_believe_itself_is_not_accepted(has_position: bool, is_glitching: bool) -> None:
     usable = moments(FilterStatus(5 * SECOND, has_position, is_glitching))
     refused = [t / 2 for t, good in enumerate(usable, start=1) if not good]
     # From the good report before it, for what it says may have been so since; until it is `recovery_s` past.

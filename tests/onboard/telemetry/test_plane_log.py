@@ -22,7 +22,7 @@ from onboard.telemetry.log_files import read_log
 from onboard.telemetry.telemetry_log import TelemetryLog
 from simulation.flight import RecordedSpec
 from simulation.session import SessionSpec
-from tests.scenarios.flights import Outcome, _Sets, click, flown
+from tests.scenarios.flights import Outcome, _Sets, click, simulated
 
 pytestmark = pytest.mark.xdist_group("plane log")  # one worker: what they share is made once
 
@@ -131,7 +131,7 @@ def answered(folder: Path, log: TelemetryLog) -> Outcome:
 def test_both_logs_give_the_same_answers_within_their_sigmas(logs: Logs) -> None:
     camera = Camera.from_field_of_view(320, 240, 50.0)
     spec = SessionSpec(RecordedSpec("plane_log", start_s=START_S), seconds=SECONDS, rate_hz=4.0, camera=camera)
-    folder = flown(spec)
+    folder = simulated(spec)
     by_tlog, by_bin = answered(folder, logs.tlog), answered(folder, logs.bin)
     for outcome in (by_tlog, by_bin):
         assert outcome.solved > 0.9, outcome.reported

@@ -109,7 +109,7 @@ def test_an_answer_counts_for_the_middle_of_its_round_trip() -> None:
     got = answers.take(encode(Packet(ATTITUDE, angles(0, -45, 0), 0, 2)) + encode(Packet(ZOOM, b"\x02\x05")), 1030 * MS)
     assert [(type(e), e.stamp_ns) for e in got] == [(GimbalAttitude, 1015 * MS), (Zoom, 1015 * MS)]
     assert got[1] == Zoom(1015 * MS, 2.5, "times", 0.1)
-    # One that nobody asked for, and one that comes after it was asked for again, say nothing of when.
+    # One that no one asked for, and one that comes after it was asked for again, say nothing of when.
     assert not answers.take(encode(Packet(ATTITUDE, angles(0, -45, 0))), 1035 * MS)
     assert answers.due(1041 * MS) and not answers.take(encode(Packet(ATTITUDE, angles(0, -45, 0))), 1300 * MS)
     assert answers.due(1301 * MS)
@@ -147,43 +147,43 @@ class FakeGimbal:
 
 
 @contextmanager
-def flown() -> Iterator[tuple[FakeGimbal, Listening]]:
+def simulated() -> Iterator[tuple[FakeGimbal, Listening]]:
     gimbal = FakeGimbal()
     config = parse_config(
         f"[mount]\ngimbal_url = 'siyi:127.0.0.1:{gimbal.port}'\n[telemetry]\nurl = 'udpin:127.0.0.1:0'\n"
         "lost_after_s = 0.4".replace("127.0.0.1:0'", f"127.0.0.1:{free_udp_port()}'")
     )
     clock = SessionClock.start()
-    heard = Listening(open_telemetry(config, clock), clock)
-    threads = [threading.Thread(target=run, daemon=True) for run in (gimbal.run, heard.run)]
+    received = Listening(open_telemetry(config, clock), clock)
+    threads = [threading.Thread(target=run, daemon=True) for run in (gimbal.run, received.run)]
     for thread in threads:
         thread.start()
     try:
-        yield gimbal, heard
+        yield gimbal, received
     finally:
         gimbal.stop.set()
-        heard.stop.set()
+        received.stop.set()
         for thread in threads:
             thread.join(10.0)
         gimbal.socket.close()
-        assert not any(t.is_alive() for t in threads) and not heard.faults
+        assert not any(t.is_alive() for t in threads) and not received.faults
 
 
 @pytest.mark.wall_clock
-def test_a_gimbal_beside_the_autopilot_is_asked_and_its_silence_and_damage_are_survived() -> None:
-    with flown() as (gimbal, heard):
-        heard.until(lambda: len(heard.of(GimbalAttitude)) > 10 and heard.of(Zoom))
-        event = heard.of(GimbalAttitude)[-1]
+def test_a_gimbal_next_to_the_autopilot_is_asked_and_its_silence_and_damage_are_survived() -> None:
+    with simulated() as (gimbal, received):
+        received.until(lambda: len(received.of(GimbalAttitude)) > 10 and received.of(Zoom))
+        event = received.of(GimbalAttitude)[-1]
         R = matrix_from_euler(0.0, math.radians(-60.0), math.radians(30.0))
         assert event.reference == "vehicle" and np.allclose(matrix_from_quaternion(event.q_ref_gimbal), R)
-        assert heard.of(Zoom)[-1].value == 3.2 and heard.of(Zoom)[-1].unit == "times"
-        assert heard.source.health().figures["gimbal_round_trip_ms"] < 100.0
+        assert received.of(Zoom)[-1].value == 3.2 and received.of(Zoom)[-1].unit == "times"
+        assert received.source.health().figures["gimbal_round_trip_ms"] < 100.0
         gimbal.is_damaging = True
-        heard.until(lambda: heard.source.health().figures["gimbal_damaged"] > 2)
+        received.until(lambda: received.source.health().figures["gimbal_damaged"] > 2)
         gimbal.is_damaging, gimbal.is_silent = False, True
-        count = len(heard.of(GimbalAttitude))
+        count = len(received.of(GimbalAttitude))
         gimbal.is_silent = False
-        heard.until(lambda: len(heard.of(GimbalAttitude)) > count + 5)
+        received.until(lambda: len(received.of(GimbalAttitude)) > count + 5)
 
 
 def test_a_silent_gimbal_degrades_telemetry_that_is_well() -> None:

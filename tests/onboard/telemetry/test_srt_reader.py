@@ -135,7 +135,7 @@ def test_one_damaged_number_does_not_turn_the_order_of_the_others(tmp_path: Path
         ("neo2.SRT", (45.6, 13.75), 0.1),
     ],
 )
-def test_real_subtitles_of_several_models_lie_where_they_were_flown(
+def test_real_subtitles_of_several_models_lie_where_they_were_recorded(
     shared_data: Path, name: str, place: tuple[float, float], spread_deg: float
 ) -> None:
     log = read_log(shared_data / "logs" / name, home_amsl_m=10.0 if name == "matrice_300.srt" else None)
@@ -146,7 +146,7 @@ def test_real_subtitles_of_several_models_lie_where_they_were_flown(
 
 @pytest.mark.parametrize("name", ["Mini5PRO.SRT", "Avata360.SRT"])
 def test_the_stated_height_above_the_sea_covers_a_take_off_at_minus_130_m(shared_data: Path, name: str) -> None:
-    """Both were flown from a field in the Netherlands, 1 m above the sea, on a day of high pressure."""
+    """Both were recorded from a field in the Netherlands, 1 m above the sea, on a day of high pressure."""
     log = read_log(shared_data / "logs" / name)
     fix = next(event for event in log.events if isinstance(event, PositionFix))
     assert fix.height_above_home_m is not None

@@ -129,7 +129,7 @@ def test_a_simulator_that_stalls_is_followed() -> None:
     assert is_rising(after)
 
 
-def test_a_reboot_begins_anew() -> None:
+def test_a_reboot_begins_again() -> None:
     world, clock = World(), LinkClock("auto")
     before = world.fly(clock, 10.0)
     world.now_ns += 3 * NS_PER_S
@@ -141,7 +141,7 @@ def test_a_reboot_begins_anew() -> None:
     assert is_rising(before + after)
 
 
-def test_an_answer_from_another_clock_is_not_believed() -> None:
+def test_an_answer_from_another_clock_is_not_accepted() -> None:
     world, clock = World(0.0, 1.0), LinkClock("auto")
     world.fly(clock, 3.0, sync=False)
     clock.exchanged(world.now_ns, world.now_ns, world.now_ns + MS)  # Unix time in place of boot time

@@ -134,7 +134,7 @@ def test_the_height_of_a_thing_is_no_speed_when_the_camera_passes_over_it() -> N
     assert not motion.is_moving and motion.sigma_speed_m_s > 0.05
 
 
-def test_one_measurement_that_cannot_be_is_left_out_and_several_are_believed() -> None:
+def test_one_measurement_that_cannot_be_is_left_out_and_several_are_accepted() -> None:
     found = PlaneFilter(np.zeros(2), 1e-4 * np.eye(2))
     for k in range(1, 60):
         found.predict(DT, 0.1)

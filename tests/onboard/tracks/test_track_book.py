@@ -11,7 +11,7 @@ import pytest
 from contract.answer import CHI2_2
 from contract.feature_set import Status
 from contract.track import MOST_TRACKS, TrackReport, TrackState, Unseen
-from onboard.tracks.track_book import SAID_LOST_S, TrackBook
+from onboard.tracks.track_book import REPORT_LOST_S, TrackBook
 from tests.onboard.tracks.flat_world import PLACE, RATE_HZ, SESSION, Thing, World, at
 from tests.rest_long import rest_long
 
@@ -118,7 +118,7 @@ def test_a_thing_that_hides_is_said_to_coast_within_a_second_and_is_found_again(
 def test_a_thing_that_is_gone_is_lost_and_then_forgotten() -> None:
     walker = Thing(at(-8.0, 0.0, (2.0, 0.0)), 1.0, until_s=3.5)
     world = World((walker,))
-    gone_by = 35 + round((2.5 + 1.0 + SAID_LOST_S) * RATE_HZ)
+    gone_by = 35 + round((2.5 + 1.0 + REPORT_LOST_S) * RATE_HZ)
     book, said = fly(world, range(gone_by + 5), {1: walker}, clicked=12)
     states = [r.state for r in said[1].values()]
     assert TrackState.LOST in states and states[-1] is TrackState.LOST

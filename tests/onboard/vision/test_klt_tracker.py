@@ -209,7 +209,7 @@ def test_a_feature_keeps_its_name_from_keyframe_to_keyframe(world: World) -> Non
     assert len(ground) > FEATURES
 
 
-def test_forgetting_starts_anew_with_new_names(world: World) -> None:
+def test_forgetting_starts_again_with_new_names(world: World) -> None:
     tracker = started(world.picture(START, 0))
     old = set(tracker.keyframe_features[0].tolist())
     tracker.forget()

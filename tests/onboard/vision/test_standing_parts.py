@@ -60,9 +60,9 @@ def motions(
     return out
 
 
-def watched(pictures: Sequence[Picture], told: Sequence[NDArray[np.float64] | None]) -> StandingParts:
+def watched(pictures: Sequence[Picture], stated: Sequence[NDArray[np.float64] | None]) -> StandingParts:
     parts = StandingParts((pictures[0].shape[1], pictures[0].shape[0]))
-    for picture, H in zip(pictures, told, strict=True):
+    for picture, H in zip(pictures, stated, strict=True):
         parts.see(picture, (H, None))
     return parts
 
@@ -82,10 +82,10 @@ def shares(parts: StandingParts, seconds: float) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(("opacity", "count"), [(1.0, 60), (0.5, 120)])
-def test_a_display_is_found_with_its_changing_numbers_and_nothing_beside_it(opacity: float, count: int) -> None:
-    pictures, told = over(cloudy(1, (1600, 1000)), count)
+def test_a_display_is_found_with_its_changing_numbers_and_nothing_next_to_it(opacity: float, count: int) -> None:
+    pictures, stated = over(cloudy(1, (1600, 1000)), count)
     shown = [displayed(picture, k / RATE_HZ, opacity) for k, picture in enumerate(pictures)]
-    parts = watched(shown, told)
+    parts = watched(shown, stated)
     found, false = shares(parts, (count - 1) / RATE_HZ)
     assert found > 0.95 and false < 0.002
     assert 0.05 < parts.share < 0.15
@@ -122,12 +122,12 @@ def test_a_picture_halved_first_is_reduced_to_the_same_one(size_px: tuple[int, i
 
 def test_sky_and_water_have_nothing_to_be_called_and_a_display_before_them_has() -> None:
     ground = cloudy(7, (1600, 1000))
-    pictures, told = over(ground, 60)
+    pictures, stated = over(ground, 60)
     rng, shading = np.random.default_rng(2), np.linspace(200.0, 230.0, SIZE_PX[0])
     for picture in pictures:  # the upper half is sky, brighter towards the sun, with the sensor's own noise
         picture[:240] = np.clip(shading + rng.normal(0.0, 2.0, (240, SIZE_PX[0])), 0, 255).astype(np.uint8)
-    assert watched(pictures, told).mask[:200].mean() == 0.0
-    parts = watched([displayed(picture, k / RATE_HZ) for k, picture in enumerate(pictures)], told)
+    assert watched(pictures, stated).mask[:200].mean() == 0.0
+    parts = watched([displayed(picture, k / RATE_HZ) for k, picture in enumerate(pictures)], stated)
     assert parts.mask[display_parts(SIZE_PX, 59 / RATE_HZ)].mean() > 0.95
 
 
@@ -136,26 +136,26 @@ def test_in_a_hover_at_rest_or_frozen_nothing_is_learned() -> None:
     rng = np.random.default_rng(3)
     hovering = [np.clip(picture + rng.normal(0.0, 2.0, picture.shape), 0, 255).astype(np.uint8) for _ in range(60)]
     assert watched(hovering, [np.eye(3)] * 60).share == 0.0
-    _, told = over(cloudy(8, (1600, 1000)), 60)
-    assert watched(hovering, told).share == 0.0  # telemetry says that it moves, and nothing does
+    _, stated = over(cloudy(8, (1600, 1000)), 60)
+    assert watched(hovering, stated).share == 0.0  # telemetry says that it moves, and nothing does
 
 
 def test_a_display_that_is_switched_off_is_forgotten() -> None:
-    pictures, told = over(cloudy(9, (1600, 1000)), 120)
+    pictures, stated = over(cloudy(9, (1600, 1000)), 120)
     parts = StandingParts(SIZE_PX)
     shares_then = []
-    for k, (picture, H) in enumerate(zip(pictures, told, strict=True)):
+    for k, (picture, H) in enumerate(zip(pictures, stated, strict=True)):
         parts.see(displayed(picture, k / RATE_HZ) if k < 60 else picture, (H, None))
         shares_then.append(parts.share)
     assert shares_then[59] > 0.05 and shares_then[-1] == 0.0
 
 
 def test_what_covers_nearly_all_is_not_what_is_left_out() -> None:
-    pictures, told = over(cloudy(11, (1600, 1000)), 60)
+    pictures, stated = over(cloudy(11, (1600, 1000)), 60)
     cover = cloudy(12, SIZE_PX).astype(np.uint8)
     for picture in pictures:
         picture[: round(480 * (MOST_SHARE + 0.1))] = cover[: round(480 * (MOST_SHARE + 0.1))]
-    assert watched(pictures, told).share == 0.0
+    assert watched(pictures, stated).share == 0.0
 
 
 def followed(pictures: Sequence[Picture]) -> tuple[list[float], list[float]]:
@@ -176,7 +176,7 @@ def followed(pictures: Sequence[Picture]) -> tuple[list[float], list[float]]:
 
 
 def test_a_tracker_that_the_display_has_blinded_finds_the_ground() -> None:
-    """Rows of letters before a ground of little contrast; nobody tells where the aircraft moves."""
+    """Rows of letters before a ground of little contrast; no one tells where the aircraft moves."""
     pictures = list(passing(cloudy(4, (1600, 1000), 9.0), (STEP_PX, 6.0), 70))
     for picture in pictures:
         for row in range(60, SIZE_PX[1], 60):

@@ -35,7 +35,7 @@ def test_hills_are_not_scatter() -> None:
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 0.6, 1.9])
-def test_roofs_beside_streets_are_not_scatter(angle_rad: float) -> None:
+def test_roofs_next_to_streets_are_not_scatter(angle_rad: float) -> None:
     """Neighbours differ by many pixels, all along the travel."""
     at, to = tracks(0.1)
     roofs = np.random.default_rng(1).random(len(at)) < 0.5
@@ -44,7 +44,7 @@ def test_roofs_beside_streets_are_not_scatter(angle_rad: float) -> None:
     assert dispersion_px(MOTION, at, to) < 1.3
 
 
-def test_tracks_that_are_pixels_off_each_other_are_not_believed() -> None:
+def test_tracks_that_are_pixels_off_each_other_are_not_accepted() -> None:
     assert are_inconsistent(MOTION, *tracks(2.0 * MAX_DISPERSION_PX), 1.0, 640)
     assert not are_inconsistent(MOTION, *tracks(2.0 * MAX_DISPERSION_PX), 1.0, 1920)
     assert not are_inconsistent(MOTION, *tracks(0.5 * MAX_DISPERSION_PX), 1.0, 640)

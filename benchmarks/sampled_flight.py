@@ -52,7 +52,7 @@ LEAST_SEEN = 6  # features, below which no motion can be determined
 
 
 @dataclass(frozen=True)
-class DrawnSpec:
+class SampledSpec:
     """One kind of flight. `errors` scales every sensor's error against the configuration; `pixel_sigma_px` is true."""
 
     config: Config
@@ -117,10 +117,10 @@ class Valley(Ground):
         return out
 
 
-class DrawnFlight:
+class SampledFlight:
     """The truth of one flight and the events that report it."""
 
-    def __init__(self, spec: DrawnSpec, seed: int) -> None:
+    def __init__(self, spec: SampledSpec, seed: int) -> None:
         self.spec = spec
         self.seed = seed
         self.rng = rng = np.random.default_rng([seed, 909])
@@ -235,10 +235,10 @@ class DrawnFlight:
         Of position (N, 3), m, and of velocity (N, 3), m/s, beyond a delay of both.
         """
         # One is needed; the others keep all later errors of a seed what they are in the bounds of tests.
-        drawn = float(self.rng.standard_normal((6, len(time)))[0, 0])
+        sampled = float(self.rng.standard_normal((6, len(time)))[0, 0])
         late_s = self.spec.filter_late_s
         if late_s is None:
-            late_s = self.spec.errors * self.spec.config.gps.sigma_latency_s * drawn
+            late_s = self.spec.errors * self.spec.config.gps.sigma_latency_s * sampled
         steps_s = np.arange(time[0], time[-1] + FILTER_STEP_S, FILTER_STEP_S)
         gained = late_s * np.gradient(self.trajectory.velocity_enu_m_s(steps_s), FILTER_STEP_S, axis=0)
         u, w = np.zeros_like(gained), np.zeros_like(gained)
@@ -322,7 +322,7 @@ class FlightInSight(Protocol):
         """Pixels (N, 2) of points (N, 3) in a picture, and whether they are on it."""
 
 
-class DrawnTracker(Tracker):
+class SampledTracker(Tracker):
     """Features that are points of the simulated ground, found again wherever visible, with white pixel noise."""
 
     def __init__(self, flight: FlightInSight) -> None:
@@ -384,7 +384,7 @@ class DrawnTracker(Tracker):
 class _OwnTerrain:
     """The flight's elevation model in the frame that navigation has chosen."""
 
-    def __init__(self, flight: DrawnFlight) -> None:
+    def __init__(self, flight: SampledFlight) -> None:
         self._terrain = flight.terrain()
 
     def around(
@@ -396,11 +396,11 @@ class _OwnTerrain:
         return Terrain(t.west_m + west, t.south_m + south, t.spacing_m, t.heights_m + up)
 
 
-def fly(flight: DrawnFlight) -> tuple[dict[int, FeatureSet], Pipeline]:
+def fly(flight: SampledFlight) -> tuple[dict[int, FeatureSet], Pipeline]:
     """The flight through the pipeline: the last feature set of each picture, and the pipeline as it is then."""
     spec = flight.spec
     pipeline = Pipeline(spec.config, spec.camera_file or spec.camera, _OwnTerrain(flight) if spec.has_terrain else None)
-    pipeline.tracker = DrawnTracker(flight)
+    pipeline.tracker = SampledTracker(flight)
     sets: dict[int, FeatureSet] = {}
     for event in flight.events():
         sets.update({out.frame: out for out in pipeline.handle(event)})

@@ -1,4 +1,4 @@
-"""Clicks on the sets of a drawn flight, beside the truth."""
+"""Clicks on the sets of a simulated flight, next to the truth."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.drawn_flight import PLACE, DrawnFlight
+from benchmarks.sampled_flight import PLACE, SampledFlight
 from contract.answer import Fix
 from contract.feature_set import FeatureSet
 from contract.locate import Locator
@@ -16,7 +16,7 @@ from contract.wire.codec import decode, encode
 Array = NDArray[np.float64]
 
 
-def located(flight: DrawnFlight, found: FeatureSet, uv_px: Array) -> Iterator[tuple[Array, Fix]]:
+def located(flight: SampledFlight, found: FeatureSet, uv_px: Array) -> Iterator[tuple[Array, Fix]]:
     """Horizontal error (2,) in metres and answer of each pixel (N, 2) that gets one; the set goes over the wire."""
     locator = Locator(decode(encode(found)))
     for uv in uv_px:

@@ -1,4 +1,4 @@
-"""The newest report of every track, as they are heard beside the sets. Thread-safe."""
+"""The newest report of every track, as they are received with the sets. Thread-safe."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def reports_in(key: str, payload: bytes) -> list[TrackReport]:
         return []
 
 
-class HeardTracks:
-    """`take` is for a subscription (`SetCache`'s `beside`)."""
+class ReceivedTracks:
+    """`take` is for a subscription (`SetCache`'s `subscriptions`)."""
 
     def __init__(self, monotonic_s: Callable[[], float] = time.monotonic) -> None:
         self._monotonic_s = monotonic_s
-        self._heard: dict[tuple[str, int], tuple[TrackReport, float]] = {}
+        self._received: dict[tuple[str, int], tuple[TrackReport, float]] = {}
         self._lock = threading.Lock()
 
     def take(self, key: str, payload: bytes) -> None:
@@ -36,14 +36,14 @@ class HeardTracks:
         reports = reports_in(key, payload)
         now_s = self._monotonic_s()
         with self._lock:
-            self._heard = {key: held for key, held in self._heard.items() if now_s - held[1] <= SILENT_S}
+            self._received = {key: held for key, held in self._received.items() if now_s - held[1] <= SILENT_S}
             for report in reports:
-                if len(self._heard) < MOST or (report.vehicle, report.number) in self._heard:
-                    self._heard[report.vehicle, report.number] = report, now_s
+                if len(self._received) < MOST or (report.vehicle, report.number) in self._received:
+                    self._received[report.vehicle, report.number] = report, now_s
 
     def newest(self) -> list[TrackReport]:
-        """Of the tracks of which something was heard in the last seconds, by vehicle and number."""
+        """Of the tracks of which a report came in the last seconds, by vehicle and number."""
         now_s = self._monotonic_s()
         with self._lock:
-            held = sorted(self._heard.items(), key=lambda item: item[0])
-            return [report for _, (report, heard_s) in held if now_s - heard_s <= SILENT_S]
+            held = sorted(self._received.items(), key=lambda item: item[0])
+            return [report for _, (report, received_s) in held if now_s - received_s <= SILENT_S]

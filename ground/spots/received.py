@@ -1,4 +1,4 @@
-"""Spots as they are heard beside the sets, merged into things; and which have changed since one asked. Thread-safe."""
+"""Spots as they are received with the sets, merged into things; and which have changed since one asked. Thread-safe."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def reports_in(key: str, payload: bytes) -> list[SpotReport]:
         return []
 
 
-class HeardSpots:
-    """`take` is for a subscription (`SetCache`'s `beside`)."""
+class ReceivedSpots:
+    """`take` is for a subscription (`SetCache`'s `subscriptions`)."""
 
     def __init__(self) -> None:
         self._merger = SpotMerger()
@@ -75,7 +75,7 @@ class HeardSpots:
             return next(iter(self._merger.things({number})), None)
 
     def fire(self, minutes: float) -> Fire | None:
-        """What burned in the last minutes of what was heard; None if nothing did. Takes a second or two."""
+        """What burned in the last minutes of what was received; None if nothing did. Takes a second or two."""
         with self._lock:
             held = self._fire.copy()
         return held.fire(minutes)

@@ -67,18 +67,18 @@ def leg(seconds: float = 14.0, rate_hz: float = 30.0, cache: Path = CACHE) -> Le
     return Leg(config, camera, frames, inside)
 
 
-def out_and_back(flown: Leg, frames: int) -> Iterator[Event]:
+def out_and_back(simulated: Leg, frames: int) -> Iterator[Event]:
     """Events of `frames` pictures in order of arrival: telemetry a little after its stamp, pictures at theirs."""
-    first, last = flown.frames[0].stamp_ns, flown.frames[-1].stamp_ns
-    period_ns = (last - first) // (len(flown.frames) - 1)
+    first, last = simulated.frames[0].stamp_ns, simulated.frames[-1].stamp_ns
+    period_ns = (last - first) // (len(simulated.frames) - 1)
     length_ns = last - first + period_ns
     made, turn = 0, 0
     held: list[NavEvent] = []
     while made < frames:
         is_back = turn % 2 == 1
         start_ns = first + turn * length_ns
-        messages = flown.telemetry[::-1] if is_back else flown.telemetry
-        pictures = flown.frames[::-1] if is_back else flown.frames
+        messages = simulated.telemetry[::-1] if is_back else simulated.telemetry
+        pictures = simulated.frames[::-1] if is_back else simulated.frames
         # Messages of the last pass that have not arrived yet come first.
         held += [
             _at(e, start_ns + ((last - e.stamp_ns) if is_back else (e.stamp_ns - first)), is_back) for e in messages
@@ -108,7 +108,7 @@ def _at(event: NavEvent, stamp_ns: int, is_back: bool) -> NavEvent:
 
 
 def first_sets(folder: Path, config: Config) -> list[tuple[Frame, FeatureSet]]:
-    """Of a drawn flight's folder each picture with its first set, in the order of the sets."""
+    """Of a simulated flight's folder each picture with its first set, in the order of the sets."""
     camera = Camera.from_json(folder / "camera.json")
     recorded = Flight.open(config, camera, folder / "frames", folder / "telemetry.tlog", folder / "stamps.csv")
     return list(with_first_sets((event for _, event in recorded.events()), Pipeline(config, recorded.camera)))
@@ -127,16 +127,16 @@ def with_first_sets(events: Iterable[Event], pipeline: Pipeline) -> Iterator[tup
                 yield frames[made.frame], made
 
 
-def sets_of(flown: Leg, features: int, frames: int | None = None) -> list[FeatureSet]:
+def sets_of(simulated: Leg, features: int, frames: int | None = None) -> list[FeatureSet]:
     """Latest revision of every picture's set, those of exactly `features` features; more are cut off at random.
 
     Raises ValueError if the leg gives none of so many.
     """
     # Every feature of a picture need not be in its set: follow more than are wanted.
-    tracking = flown.config.tracking.model_copy(update={"features": min(round(1.6 * features), 200)})
-    pipeline = Pipeline(flown.config.model_copy(update={"tracking": tracking}), flown.camera)
+    tracking = simulated.config.tracking.model_copy(update={"features": min(round(1.6 * features), 200)})
+    pipeline = Pipeline(simulated.config.model_copy(update={"tracking": tracking}), simulated.camera)
     latest: dict[int, FeatureSet] = {}
-    for event in out_and_back(flown, frames or len(flown.frames)):
+    for event in out_and_back(simulated, frames or len(simulated.frames)):
         latest |= {s.frame: s for s in pipeline.handle(event)}
     latest |= {s.frame: s for s in pipeline.finish()}
     rng = np.random.default_rng(0)

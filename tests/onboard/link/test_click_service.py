@@ -19,7 +19,7 @@ from ground.click_asking import Asking
 from onboard.events.tunnel import Peer
 from onboard.link.autopilot_radio import OVERHEAD
 from onboard.link.byte_budget import Bucket
-from onboard.link.click_desk import MAX_WAITING, ClickDesk
+from onboard.link.click_service import MAX_WAITING, ClickService
 from onboard.link.reply import Answer, Question
 from tests.contract.sets import plain_set
 from tests.onboard.link.pipe import HEARTBEAT_BYTES, Way, own_stream
@@ -49,25 +49,25 @@ def a_bucket(bit_rate: float = 4800.0) -> Bucket:
     return Bucket(bit_rate / 8.0, max(bit_rate / 16.0, 118.0), 0.0)
 
 
-def a_desk(clock: Clock, bit_rate: float = 4800.0, asked: list[Question] | None = None) -> ClickDesk:
+def a_service(clock: Clock, bit_rate: float = 4800.0, asked: list[Question] | None = None) -> ClickService:
     def noted(question: Question) -> Answer | None:
         if asked is not None:
             asked.append(question)
         return look_up(question)
 
-    return ClickDesk("uav-1", noted, OVERHEAD, a_bucket(bit_rate), clock.ns)
+    return ClickService("uav-1", noted, OVERHEAD, a_bucket(bit_rate), clock.ns)
 
 
-def answered(desk: ClickDesk, question: ClickQuestion, ground: Peer = GROUND) -> list[ClickAnswer]:
-    desk.hear(ground, encode_question(question))
-    while desk.work():
+def answered(service: ClickService, question: ClickQuestion, ground: Peer = GROUND) -> list[ClickAnswer]:
+    service.receive(ground, encode_question(question))
+    while service.work():
         pass
-    found = [decode(payload) for to, payload in desk.due() if to == ground]
+    found = [decode(payload) for to, payload in service.due() if to == ground]
     return [f for f in found if isinstance(f, ClickAnswer)]
 
 
 def test_an_answer_is_that_of_the_set_with_the_age_it_had_when_the_question_came() -> None:
-    (found,) = answered(a_desk(Clock()), ClickQuestion(5, *UV))
+    (found,) = answered(a_service(Clock()), ClickQuestion(5, *UV))
     expected = locate(SET, UV)
     assert isinstance(found, ClickAnswer) and isinstance(found.answer, Fix) and isinstance(expected, Fix)
     assert abs(found.answer.lat_deg - expected.lat_deg) <= 1e-9 and abs(found.answer.lon_deg - expected.lon_deg) <= 1e-9
@@ -77,28 +77,28 @@ def test_an_answer_is_that_of_the_set_with_the_age_it_had_when_the_question_came
 
 def test_what_the_aircraft_has_not_is_refused_and_what_is_being_made_is_not_answered_yet() -> None:
     clock = Clock()
-    (unknown,) = answered(a_desk(clock), ClickQuestion(5, *UV, frame=8))
+    (unknown,) = answered(a_service(clock), ClickQuestion(5, *UV, frame=8))
     assert isinstance(unknown, ClickAnswer) and isinstance(unknown.answer, Refusal)
     assert (unknown.answer.status, unknown.answer.frame) == (Status.UNKNOWN_FRAME, 8)
     made: list[Answer] = []
-    desk = ClickDesk("uav-1", lambda _: made[0] if made else None, OVERHEAD, a_bucket(), clock.ns)
-    assert answered(desk, ClickQuestion(6, *UV, frame=7)) == []
+    service = ClickService("uav-1", lambda _: made[0] if made else None, OVERHEAD, a_bucket(), clock.ns)
+    assert answered(service, ClickQuestion(6, *UV, frame=7)) == []
     made.append(Answer(PAYLOAD))
-    (late,) = answered(desk, ClickQuestion(6, *UV, frame=7))
+    (late,) = answered(service, ClickQuestion(6, *UV, frame=7))
     assert isinstance(late, ClickAnswer) and isinstance(late.answer, Fix)
 
 
 def test_a_question_that_is_sent_again_gets_the_same_answer_and_is_computed_once() -> None:
     clock, asked = Clock(), list[Question]()
-    desk = a_desk(clock, asked=asked)
-    first = answered(desk, ClickQuestion(5, *UV))
+    service = a_service(clock, asked=asked)
+    first = answered(service, ClickQuestion(5, *UV))
     clock.now_s = 3.0
-    again = answered(desk, ClickQuestion(5, *UV))
-    assert answered(desk, ClickQuestion(5, *UV)) == []  # that answer is still under way
+    again = answered(service, ClickQuestion(5, *UV))
+    assert answered(service, ClickQuestion(5, *UV)) == []  # that answer is still under way
     assert len(asked) == 1
     assert isinstance(first[0], ClickAnswer) and isinstance(again[0], ClickAnswer)
     assert first[0].answer.age_s == again[0].answer.age_s == 0.25
-    answered(desk, ClickQuestion(5, *UV), Peer(246, 25))  # another ground's question of the same number
+    answered(service, ClickQuestion(5, *UV), Peer(246, 25))  # another ground's question of the same number
     assert len(asked) == 2
 
 
@@ -115,22 +115,22 @@ def test_a_question_that_comes_late_means_the_picture_of_when_it_was_clicked(wai
             found = min(made.values(), key=lambda s: abs(s.capture_unix_ns / 1e9 - (asked.time_s or 0.0)))
         return Answer(encode(found), json.dumps({"age_s": 0.3 + 0.4 * (9 - found.frame)}).encode())
 
-    desk = ClickDesk("uav-1", of_a_flight, OVERHEAD, a_bucket(), Clock().ns)
-    (found,) = answered(desk, ClickQuestion(5, *UV, waited_s=waited_s))
+    service = ClickService("uav-1", of_a_flight, OVERHEAD, a_bucket(), Clock().ns)
+    (found,) = answered(service, ClickQuestion(5, *UV, waited_s=waited_s))
     assert isinstance(found.answer, Fix) and found.answer.frame == frame
     assert found.answer.age_s == pytest.approx(max(0.3 + 0.4 * (9 - frame) - waited_s, 0.0), abs=0.01)
 
 
 def test_a_flood_of_questions_is_bounded_and_never_above_the_bit_rate() -> None:
     clock = Clock()
-    desk = a_desk(clock, 4800.0)
+    service = a_service(clock, 4800.0)
     sent: deque[tuple[float, int]] = deque()
     for number in range(2000):
         clock.now_s += 0.005
-        desk.hear(GROUND, encode_question(ClickQuestion(number, *UV)))
-        desk.hear(GROUND, b"\x11garbage")
-        desk.work()
-        out = desk.due()
+        service.receive(GROUND, encode_question(ClickQuestion(number, *UV)))
+        service.receive(GROUND, b"\x11garbage")
+        service.work()
+        out = service.due()
         assert len(out) <= MAX_WAITING
         sent += [(clock.now_s, len(payload) + OVERHEAD) for _, payload in out]
     for began_s, _ in list(sent):
@@ -144,7 +144,7 @@ def waits_s(
 ) -> tuple[list[float], Way[bytes]]:
     """How long each of so many clicks, a while after one another, waits for its answer; and the way down."""
     clock, chance = Clock(), random.Random(4)
-    desk = a_desk(clock, 0.4 * bit_rate if bit_rate > 1000.0 else bit_rate)
+    service = a_service(clock, 0.4 * bit_rate if bit_rate > 1000.0 else bit_rate)
     up: Way[bytes] = Way(bit_rate, loss, delay_s, 0.05, seed=1)
     down: Way[bytes] = Way(bit_rate, loss, delay_s, 0.05, seed=2)
     stream = deque(own_stream(bit_rate, share, seconds))
@@ -163,10 +163,10 @@ def waits_s(
             up.put(now_s, HEARTBEAT_BYTES, b"")
             beat_s = now_s + 5.0
         for payload in up.arrived(now_s):
-            desk.hear(GROUND, payload)
-        while desk.work():
+            service.receive(GROUND, payload)
+        while service.work():
             pass
-        for _, payload in desk.due():
+        for _, payload in service.due():
             down.put(now_s, len(payload) + OVERHEAD, payload)
         for payload in down.arrived(now_s):
             if asking is not None and asking.take(payload) is not None:
@@ -178,7 +178,7 @@ def waits_s(
 @pytest.mark.parametrize(
     ("bit_rate", "share", "loss", "most_s"),
     [
-        (400.0, 0.42, 0.0, 4.0),  # nothing beside but the autopilot's heartbeat
+        (400.0, 0.42, 0.0, 4.0),  # nothing but the autopilot's heartbeat
         (400.0, 0.42, 0.1, 6.0),
         (4800.0, 0.6, 0.1, 4.0),
         (57_600.0, 0.65, 0.1, 4.0),

@@ -34,7 +34,7 @@ class NotThere(InputError):
 
 
 @dataclass(eq=False)
-class Desk:
+class ServerContext:
     """One server's state. Its methods are called in the threads of requests."""
 
     source: Source
@@ -119,7 +119,7 @@ class Desk:
         with self._lock:
             self._revision += 1
         if pin_id is None:
-            self.hub.tell_from_thread('{"type":"pins"}')
+            self.hub.send_from_thread('{"type":"pins"}')
             return
         revision = self.store.revision
         try:
@@ -127,7 +127,7 @@ class Desk:
         except NotThere:
             self._texts.pop(pin_id, None)
             event = json.dumps({"type": "pin_deleted", "revision": revision, "id": pin_id})
-        self.hub.tell_from_thread(event)
+        self.hub.send_from_thread(event)
 
     def changed_elsewhere(self) -> bool:
         """Whether anything but requests here has changed the pins since this was asked last. Raises InputError."""

@@ -1,4 +1,4 @@
-"""Reports of spots with truth: places with errors that a session, a picture's neighbours and nobody else share."""
+"""Reports of spots with truth: places with errors that a session, a picture's neighbours and no one else share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A long flight for little: sets as a camera makes them that looks down on its way north, and drawn pictures."""
+"""A long flight for little: sets as a camera makes them that looks down on its way north, and rendered pictures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from contract.errors import LinkError
 from contract.feature_set import FeatureSet, Status
 from contract.track import MOST_TRACKS, StartTrack, StopTrack, TrackRequest
 from contract.vehicle_status import VehicleStatus
-from ground.spots.heard import HeardSpots
+from ground.spots.received import ReceivedSpots
 from ground.track_paths import TrackPaths
 from ground.web.source import FrameRow, Picture, VehicleReport
 from onboard.events.types import Frame
@@ -28,7 +28,7 @@ STEP_DEG = 5.0 / 111_320.0  # on its way north, from picture to picture
 DOWN = np.diag([1.0, -1.0, -1.0])
 
 
-def drawn_set(frame: int) -> FeatureSet:
+def rendered_set(frame: int) -> FeatureSet:
     """The set of one picture."""
     first = plain_set(120, seed=frame % 50)
     return replace(
@@ -43,18 +43,18 @@ def drawn_set(frame: int) -> FeatureSet:
 
 
 @lru_cache(maxsize=50)
-def drawn_picture(seed: int) -> NDArray[np.uint8]:
+def rendered_picture(seed: int) -> NDArray[np.uint8]:
     """Something to look at, grey, 640 x 480."""
     coarse = np.random.default_rng(seed).integers(40, 220, (12, 16), dtype=np.uint8)
     return np.asarray(cv2.resize(coarse, (640, 480), interpolation=cv2.INTER_CUBIC), np.uint8)
 
 
-def record_drawn(path: Path, pictures: int = 12) -> None:
+def record_rendered(path: Path, pictures: int = 12) -> None:
     """A recording of the first pictures, with them."""
     with SessionRecorder(path, VEHICLE, pictures="jpeg") as out:
         for frame in range(pictures):
-            made = drawn_set(frame)
-            out.write_event(Frame(made.capture_unix_ns, frame, drawn_picture(frame)))
+            made = rendered_set(frame)
+            out.write_event(Frame(made.capture_unix_ns, frame, rendered_picture(frame)))
             out.write_set(made)
 
 
@@ -71,12 +71,12 @@ class FlyingSource:
         self._names = [f"uav-{k}" for k in range(1, aircraft + 1)]
         self.silent_s = 0.1
         self._count = 1
-        self.tracks, self.spots = TrackPaths(), HeardSpots()
+        self.tracks, self.spots = TrackPaths(), ReceivedSpots()
         self.asked: list[TrackRequest] = []
         self._followed = 0
         self._lock = threading.Lock()
-        self._first = drawn_set(0)
-        self._encoded = [cv2.imencode(".jpg", drawn_picture(seed))[1].tobytes() for seed in range(50)]
+        self._first = rendered_set(0)
+        self._encoded = [cv2.imencode(".jpg", rendered_picture(seed))[1].tobytes() for seed in range(50)]
 
     def fly_to(self, count: int) -> None:
         """So many pictures have come."""
@@ -104,8 +104,8 @@ class FlyingSource:
         """Drawn when asked for."""
         if frame >= self._count:
             return None
-        made, beside = drawn_set(frame), int(vehicle.rpartition("-")[2]) - 1
-        return replace(made, vehicle=vehicle, camera_lon_deg=made.camera_lon_deg + 4e-4 * beside)
+        made, column = rendered_set(frame), int(vehicle.rpartition("-")[2]) - 1
+        return replace(made, vehicle=vehicle, camera_lon_deg=made.camera_lon_deg + 4e-4 * column)
 
     def picture(self, vehicle: str, session: int | None, frame: int) -> Picture | None:
         """One of fifty."""

@@ -32,10 +32,10 @@ UNDER_WAY = 1.5
 IDLE_S = 0.5
 
 
-class ClickDesk:
+class ClickService:
     """Answers clicks. `look_up` finds a picture's set as for a query over the link; None: not yet.
 
-    `overhead`: bytes on the wire beside a payload. `bucket` is shared with all that goes this way; `now_ns` is
+    `overhead`: bytes on the wire in addition to a payload. `bucket` is shared with all that goes this way; `now_ns` is
     CLOCK_MONOTONIC.
     """
 
@@ -65,7 +65,7 @@ class ClickDesk:
             self._changed.notify()
         self.thread.join(5.0)
 
-    def hear(self, ground: Peer, payload: bytes) -> None:
+    def receive(self, ground: Peer, payload: bytes) -> None:
         """A packet from a ground; what is no question is passed over."""
         try:
             question = click_code.decode(payload)
@@ -139,9 +139,9 @@ class ClickDesk:
             return None
         about = json.loads(found.about or b"{}")
         if found.is_error:
-            said = json.loads(found.payload)
-            state = ": ".join(str(said[key]) for key in ("state", "reason") if said.get(key))
-            return Refusal(Status(said["status"]), question.frame, vehicle=self._vehicle, detail=state)
+            content = json.loads(found.payload)
+            state = ": ".join(str(content[key]) for key in ("state", "reason") if content.get(key))
+            return Refusal(Status(content["status"]), question.frame, vehicle=self._vehicle, detail=state)
         if self._locator is None or self._locator[0] != found.payload:
             self._locator = found.payload, Locator(codec.decode(found.payload))
         answer = self._locator[1].locate((question.u_px, question.v_px))
