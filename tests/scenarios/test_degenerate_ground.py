@@ -160,9 +160,10 @@ def test_an_exposure_that_hunts_is_solved() -> None:
     holds(play(flown(replace(LEG, sensor=SensorSpec(exposure_swing=3.5)))))
 
 
-@pytest.mark.parametrize("exposure_s", rest_long([0.08, 0.03]))
+@pytest.mark.long
+@pytest.mark.parametrize("exposure_s", [0.08, 0.03])
 def test_motion_blur_is_solved(exposure_s: float) -> None:
-    """Shutter open for 0.6 m and 1.6 m of ground: one and three pixels. OK."""
+    """Shutter open for 0.6 m and 1.6 m of ground: one and three pixels. OK. By more: test_degraded_pictures."""
     holds(play(flown(replace(LEG, sensor=SensorSpec(exposure_s=exposure_s)))))
 
 
