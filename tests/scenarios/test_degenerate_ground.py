@@ -21,8 +21,8 @@ from simulation.texture import TextureSpec
 from tests.rest_long import rest_long
 from tests.scenarios.flights import CAMERA, Outcome, flown, play, retouched
 
-LEG = SessionSpec(DescribedSpec(PathSpec("straight")), seconds=8.0, rate_hz=3.0, camera=CAMERA)
-LARGE = replace(LEG, camera=Camera.from_field_of_view(640, 480, 40.0), rate_hz=5.0, seconds=7.0, clicks_per_frame=6)
+LEG = SessionSpec(DescribedSpec(PathSpec("straight")), seconds=8.0, rate_hz=3.0, camera=CAMERA, clicks_per_frame=6)
+LARGE = replace(LEG, camera=Camera.from_field_of_view(640, 480, 40.0), rate_hz=5.0, seconds=7.0)
 LOW = DescribedSpec(PathSpec("straight", height_m=100.0, speed_m_s=12.0))
 FAST = DescribedSpec(PathSpec("straight", speed_m_s=35.0))
 
