@@ -167,11 +167,12 @@ gstreamer:
 # what is drawn in real time fell behind; what fails among the others, and not a second time, was a matter of processes on a
 # busy machine, and the summary lists it. Those that measure real time run after the others, alone; a bound that the host
 # broke by standing still is tried twice more, and the summary lists it. The flights that one of the two has drawn are the
-# other's too. $(2) is what the exit codes of the two may be; 5 is a run without any test.
+# other's too. The order is ours (tests/costly_first.py), and not that of the most tests first. $(2) is what the exit codes
+# of the two may be; 5 is a run without any test.
 define run_tests
 	@POINTCLICK_TEST_FLIGHTS=$$(mktemp -d) || exit 1; export POINTCLICK_TEST_FLIGHTS; \
 	trap 'rm -rf "$$POINTCLICK_TEST_FLIGHTS"' EXIT; trap 'exit 130' INT TERM; \
-	$(BIN)/python -m pytest -m "$(1) and not wall_clock" -n 3 --dist loadgroup --reruns 1 -rR --durations=30 $(PYTEST_ARGS); parallel=$$?; \
+	$(BIN)/python -m pytest -m "$(1) and not wall_clock" -n 3 --dist loadgroup --no-loadscope-reorder --reruns 1 -rR --durations=30 $(PYTEST_ARGS); parallel=$$?; \
 	$(BIN)/python -m pytest -m "$(1) and wall_clock" -n 0 --reruns 2 -rR --durations=30 $(PYTEST_ARGS); serial=$$?; \
 	case "$$parallel $$serial" in \
 		$(2)) ;; \

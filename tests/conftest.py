@@ -17,6 +17,7 @@ from _pytest.mark.expression import Expression
 from hypothesis import settings
 
 from tests import postgres
+from tests.costly_first import COSTLY_FIRST
 from tests.flights_folder import FLIGHTS_VARIABLE
 from tests.left_out import LEFT_OUT, NO_PROGRAM
 
@@ -101,13 +102,23 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Those next to this file come first, for the longest are among them: one that began last would end alone.
 
     Without the long tests a file is one worker's: what its tests share is made once, and workers that wait, as all of
-    a file on the link do, are next to others that calculate. Long tests are few to a file and take minutes each.
+    a file on the link do, are next to others that calculate; the costliest groups come first. Long tests are few to a
+    file and take minutes each. (pytest-xdist keeps this order with --no-loadscope-reorder only.)
     """
     items.sort(key=lambda item: item.path.parent != Path(__file__).parent)
     if "not long" in config.option.markexpr:
+        rank = {group: number for number, group in enumerate(COSTLY_FIRST)}
         for item in items:
             if item.get_closest_marker("xdist_group") is None:
                 item.add_marker(pytest.mark.xdist_group(item.path.stem))
+        items.sort(key=lambda item: rank.get(group_of(item), len(rank)))
+
+
+def group_of(item: pytest.Item) -> str:
+    """The name of the tests that one worker runs together."""
+    marker = item.get_closest_marker("xdist_group")
+    assert marker is not None
+    return str(marker.args[0])
 
 
 MARKERS = ("long", "wall_clock")

@@ -39,6 +39,7 @@ from onboard.config.schema import parse_config
 from onboard.events.types import Frame, PositionFix
 from simulation.session import fly
 from tests.contract.sets import plain_set
+from tests.rest_long import rest_long
 from tests.rtsp import drifting_ground, number_of
 
 pytestmark = pytest.mark.xdist_group("benchmarks")  # one worker: what they share is made once
@@ -378,7 +379,7 @@ def test_recorded_positions_have_the_error_that_was_asked_for(asked: list[str], 
 
 
 @pytest.mark.usefixtures("gstreamer")
-@pytest.mark.parametrize("codec", ["H264", "H265"])
+@pytest.mark.parametrize("codec", rest_long(["H264", "H265"]))
 def test_what_a_codec_hands_back_is_the_picture_of_its_number(tmp_path: Path, codec: str) -> None:
     pictures = drifting_ground(60, (320, 240))
     raw = tmp_path / "frames.raw"

@@ -12,8 +12,10 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import may_be_chosen
+from tests.costly_first import COSTLY_FIRST
 
 ROOT = Path(__file__).resolve().parents[1]
+PARALLEL = "-n 3 --dist loadgroup --no-loadscope-reorder --reruns 1 -rR --durations=30"
 
 
 def make_pytest(
@@ -50,7 +52,7 @@ def test_real_time_is_measured_alone(tmp_path: Path) -> None:
     code, calls, _ = make_pytest(tmp_path, 0, 0)
     assert code == 0
     assert calls == [
-        "-m pytest -m not long and not wall_clock -n 3 --dist loadgroup --reruns 1 -rR --durations=30",
+        f"-m pytest -m not long and not wall_clock {PARALLEL}",
         "-m pytest -m not long and wall_clock -n 0 --reruns 2 -rR --durations=30",
     ]
 
@@ -59,7 +61,7 @@ def test_the_long_tests_have_a_run_of_their_own_that_needs_none_of_real_time(tmp
     code, calls, _ = make_pytest(tmp_path, 0, 5, target="test-long")
     assert code == 0
     assert calls == [
-        "-m pytest -m long and not wall_clock -n 3 --dist loadgroup --reruns 1 -rR --durations=30",
+        f"-m pytest -m long and not wall_clock {PARALLEL}",
         "-m pytest -m long and wall_clock -n 0 --reruns 2 -rR --durations=30",
     ]
 
@@ -137,6 +139,24 @@ def test_without_the_long_tests_a_file_is_one_workers() -> None:
     workers = {file: set(re.findall(rf"\[(gw\d)\] .*PASSED {file}::", done.stdout)) for file in files}
     assert [len(of_file) for of_file in workers.values()] == [1, 1]
     assert len(set.union(*workers.values())) == 2
+
+
+def test_each_group_that_begins_early_is_there() -> None:
+    files = list((ROOT / "tests").rglob("test_*.py"))
+    named = {name for file in files for name in re.findall(r'xdist_group\("([^"]+)"\)', file.read_text())}
+    assert len(set(COSTLY_FIRST)) == len(COSTLY_FIRST)
+    assert set(COSTLY_FIRST) <= named | {file.stem for file in files}
+
+
+def test_the_costliest_groups_begin_first() -> None:
+    """By the order in which one worker runs them: pytest-xdist hands groups out in that of its first worker."""
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "--collect-only", "-m", "not long and not wall_clock",
+         "tests/test_equations.py", "tests/onboard/spots/test_spot_book.py", "tests/onboard/tracks/test_track_book.py"],
+        cwd=ROOT, capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    files = list(dict.fromkeys(re.findall(r"(test_\w+)\.py::", done.stdout)))
+    assert files == ["test_track_book", "test_spot_book", "test_equations"]
 
 
 @pytest.mark.parametrize(

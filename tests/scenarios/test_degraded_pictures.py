@@ -94,7 +94,9 @@ CASES = {
 CLEAR = {"blur of 2", "blur of 20", "blur of 2, large", "blur of 20, large", "10 px of motion", "20 px of motion"}
 # May be answered or refused, as another that is shown.
 OPEN = {"blur of 12, large", "JPEG of quality 5"}
-NAMES = [pytest.param(name, marks=pytest.mark.long) if name in CLEAR | OPEN else name for name in CASES]
+# As half of it in pictures half as large.
+SCALED = {"blur of 8, large"}
+NAMES = [pytest.param(name, marks=pytest.mark.long) if name in CLEAR | OPEN | SCALED else name for name in CASES]
 # One of each verdict: the kinds differ in what they do to a picture, which the flights spoilt for a third show too.
 FROM_THE_START = ("blur of 8", "blur of 12", "40 px of motion")
 NAMES_FROM_THE_START = [n if n in FROM_THE_START else pytest.param(n, marks=pytest.mark.long) for n in CASES]

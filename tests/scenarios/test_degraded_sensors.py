@@ -166,14 +166,12 @@ def glitch(shift_m: float, until_s: float = GLITCH_TO_S, pull_s: float = 2.0) ->
     return spoil
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
-    ("until_s", "seconds", "seed"),
-    [
-        pytest.param(GLITCH_TO_S, 100.0, 1, id="back"),
-        pytest.param(1e9, 75.0, 1, id="stays", marks=pytest.mark.long),
-    ],
+    ("until_s", "seconds", "seed"), [(GLITCH_TO_S, 100.0, 1), (1e9, 75.0, 1)], ids=["back", "stays"]
 )
 def test_a_glitch_too_small_to_be_refused_stays_in_the_radius(until_s: float, seconds: float, seed: int) -> None:
+    """Short: the recorded one, below."""
     flight = SpoiltFlight(replace(SPEC, seconds=seconds), seed, glitch(GLITCH_M, until_s))
     sets, _ = fly(flight)
     asked = ask(flight, sets)

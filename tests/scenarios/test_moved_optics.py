@@ -124,7 +124,7 @@ def test_stabilised_video_is_refused_as_such_while_it_hides_a_turn() -> None:
     assert encode(refused)[2] == 0x21 and decode(encode(refused)).status is Status.STABILISED
 
 
-@pytest.mark.parametrize("fault", rest_long(["wrong lens", "tilt-jump", "compass-flip", "none"], 2))
+@pytest.mark.parametrize("fault", rest_long(["wrong lens", "tilt-jump", "compass-flip", "none"]))
 def test_other_faults_are_not_taken_for_moved_optics(fault: str) -> None:
     found = simulated(recorded("plane_turn", 12.0, 26.0, **FAULTS[fault]))
     assert not MOVED & set(found.statuses), found.statuses
@@ -139,7 +139,8 @@ def test_a_camera_mounted_askew_is_not_taken_for_moved_optics_without_attitude()
     assert found.statuses[Status.OK] > 0.7 * found.statuses.total(), found.statuses
 
 
-@pytest.mark.parametrize(("jump_s", "seconds"), rest_long([(8.0, 20.0), (14.0, 40.0)]))
+@pytest.mark.long
+@pytest.mark.parametrize(("jump_s", "seconds"), [(8.0, 20.0), (14.0, 40.0)])
 def test_stamps_that_jump_back_in_flight_are_not_taken_for_moved_optics(jump_s: float, seconds: float) -> None:
     """By 150 ms: attitudes and positions are then those of another moment."""
     flight = recorded("plane_wind_noise", 60.0, seconds)
@@ -203,8 +204,10 @@ def fixed_lens(path: PathSpec, seed: int, seconds: float = 40.0) -> Simulated:
     return simulated(flight, file, drifting(flight.events(), 3.0 * float(rng.choice([-1.0, 1.0]))))
 
 
-@pytest.mark.parametrize("seed", rest_long([4, 1]))
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [4, 1])
 def test_a_fixed_lens_with_a_wrong_file_over_hills_is_no_zoom(seed: int) -> None:
+    """Short, of a recorded flight: "wrong lens" above."""
     found = fixed_lens(TURNS, seed, 25.0)
     assert not MOVED & set(found.statuses), found.statuses
     # A turn may begin the window again, which then has too few pictures at first.

@@ -17,7 +17,7 @@ from simulation.paths import PathSpec
 from tests.rest_long import rest_long
 
 DATUM_M, SIGMA_M = -130.0, 100.0
-SPEC = SampledSpec(parse_config(""), PathSpec("turns", leg_m=250.0), seconds=50.0, rate_hz=2.0)
+SPEC = SampledSpec(parse_config(""), PathSpec("turns", leg_m=250.0), seconds=30.0, rate_hz=2.0)
 CLICKS = np.array([[160.0, 120.0], [320.0, 240.0], [480.0, 360.0]])
 
 

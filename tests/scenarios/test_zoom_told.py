@@ -79,7 +79,9 @@ def check(result: Followed) -> None:
     assert statuses[Status.OK] > 0.8 * seen > 0, statuses
 
 
+@pytest.mark.long
 def test_a_step_that_is_reported_in_time_is_answered_again_within_two_seconds() -> None:
+    """Short, and harder: the ramp below."""
     check(followed(LEVEL, STEP, Telling()))
 
 

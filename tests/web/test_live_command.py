@@ -47,11 +47,11 @@ class Live(PageProgram):
 
 @pytest.fixture(scope="module")
 def session() -> Path:
-    """Thirty seconds of turns in real time."""
+    """Turns in real time, for as long as the first click may take."""
     return simulated(
         SessionSpec(
             DescribedSpec(PathSpec("turns", leg_m=120.0), ordinary(3), seed=3),
-            seconds=30.0,
+            seconds=TO_CLICK_S + 3.0,
             rate_hz=RATE_HZ,
             terrain=TerrainSpec(relief_m=20.0, wavelength_m=250.0),
         )

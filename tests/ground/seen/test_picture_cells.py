@@ -18,6 +18,7 @@ from ground.seen.picture_cells import PictureCells, TooManyCells, picture_cells,
 from tests.contract.sets import DISTORTION
 from tests.ground import worlds
 from tests.ground.seen.levels import CAMERA, HEIGHT_M, PLACE, level_set
+from tests.rest_long import rest_long
 
 CELLS = Cells.about(PLACE.lat_deg, PLACE.lon_deg, 1.0)
 WIDE_M = HEIGHT_M * 640 / CAMERA.fx_px
@@ -132,14 +133,15 @@ def test_the_normal_distribution_is_that_of_the_standard_library() -> None:
     assert module._normal(x) == pytest.approx([NormalDist().cdf(v) for v in x], abs=1e-7)
 
 
-def test_ninety_percent_of_counted_border_cells_are_in_view_where_poses_err_as_they_say() -> None:
+@pytest.mark.parametrize("sets", rest_long([20, 60]))
+def test_ninety_percent_of_counted_border_cells_are_in_view_where_poses_err_as_they_say(sets: int) -> None:
     """Sets sampled with exactly the errors that they declare, the cells at the border of what is
     counted were truly in view nine times in ten or oftener, and most of what was in view is counted.
     """
     border, kept = [], []
     errors = worlds.Errors(relief_relative=0.0, roughness=0.0)
     cells = Cells.about(worlds.ORIGIN.lat_deg, worlds.ORIGIN.lon_deg, 0.5)
-    for seed in range(60):
+    for seed in range(sets):
         rng = np.random.default_rng([seed, 31])
         made = worlds.build(rng, errors, clicks_px=edge_pixels(), yaw_rad=0.3 * seed, pitch_deg=-75.0)
         found = picture_cells(made.feature_set, cells)

@@ -20,6 +20,7 @@ from onboard.estimation.sliding_window import Window
 from onboard.geometry.plane_homography import Pose
 from onboard.georeferencing.feature_sets import Origin, Picture, Placed, place
 from tests.onboard.scenes import FRAME, FULL, SEED_SENSORS, T0_NS, Scene, SceneSpec, draw
+from tests.rest_long import rest_long
 
 Array = NDArray[np.float64]
 
@@ -118,12 +119,13 @@ def _click(out: Study, scene: Scene, window: Window, frame: int, uv: Array) -> N
 WORLDS = 100
 
 
-def test_nine_of_ten_clicks_lie_inside_the_ellipse_with_the_full_sensor_set() -> None:
+@pytest.mark.parametrize("worlds", rest_long([40, WORLDS]))
+def test_nine_of_ten_clicks_lie_inside_the_ellipse_with_the_full_sensor_set(worlds: int) -> None:
     """Flat ground of unknown slope, every sensor erring as configured, boresight and clock unknown.
 
     Means of chi-square over 100 worlds have a sigma of 0.1 (two degrees of freedom), 0.14, 0.06 and 0.08.
     """
-    for s in study(FULL, SceneSpec(), WORLDS):
+    for s in study(FULL, SceneSpec(), worlds):
         assert s.refused == 0
         assert 0.85 < np.mean(np.array(s.horizontal) < CHI2_2) < 0.965
         assert 0.75 < np.mean(s.horizontal) / 2 < 1.25

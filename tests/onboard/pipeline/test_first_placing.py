@@ -16,7 +16,7 @@ from contract.wire.codec import encode
 from onboard.config.schema import parse_config
 from onboard.events.types import Frame
 from onboard.pipeline.record_book import PLACED_A_SET, FirstPlacing
-from tests.onboard.pipeline.test_pipeline import SPEC, Session, flown
+from tests.onboard.pipeline.test_pipeline import BRISK, Session, flown, solved_at_once
 
 pytestmark = pytest.mark.xdist_group("pipeline")
 
@@ -26,8 +26,8 @@ CLICKS = ((240.0, 180.0), (120.0, 90.0), (360.0, 270.0))
 
 
 @pytest.fixture(scope="module")
-def brisk(tmp_path_factory: pytest.TempPathFactory) -> Session:
-    return flown(replace(SPEC, seconds=6.0, rate_hz=12.0), tmp_path_factory.mktemp("flight") / "faster")
+def brisk() -> Session:
+    return flown(BRISK)
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def slow_sets(slow_link: Session) -> list[FeatureSet]:
 @pytest.fixture(scope="module")
 def fast(brisk: Session) -> dict[int, list[FeatureSet]]:
     """The sets of each picture, the link being fast enough for all of them."""
-    return by_frame(brisk.run())
+    return by_frame(solved_at_once(brisk))
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from pathlib import Path
+from functools import cache
 
 import cv2
 import numpy as np
@@ -28,9 +28,10 @@ from onboard.pipeline.placing import Placing
 from onboard.telemetry.tlog_reader import read_tlog
 from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
-from simulation.session import SessionSpec, fly
+from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
 from simulation.truth import Truth
+from tests.scenarios.flights import flown as session_of
 
 pytestmark = pytest.mark.xdist_group("pipeline")  # one worker: what they share is made once
 
@@ -89,19 +90,24 @@ def outputs(pipeline: Pipeline, events: list[Event]) -> Iterator[FeatureSet]:
     yield from pipeline.finish()
 
 
-@pytest.fixture(scope="module")
-def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
-    return flown(SPEC, tmp_path_factory.mktemp("flight") / "session")
+BRISK = replace(SPEC, seconds=6.0, rate_hz=12.0)  # several pictures between two keyframes
 
 
 @pytest.fixture(scope="module")
-def brisk(tmp_path_factory: pytest.TempPathFactory) -> Session:
-    """Several pictures between two keyframes."""
-    return flown(replace(SPEC, seconds=5.0, rate_hz=12.0), tmp_path_factory.mktemp("flight") / "brisk")
+def session() -> Session:
+    return flown(SPEC)
 
 
-def flown(spec: SessionSpec, folder: Path) -> Session:
-    truth = fly(spec, folder)
+@pytest.fixture(scope="module")
+def brisk() -> Session:
+    return flown(BRISK)
+
+
+@cache
+def flown(spec: SessionSpec) -> Session:
+    """The same for all files that need it."""
+    folder = session_of(spec)
+    truth = Truth.load(folder)
     config = (folder / "config.toml").read_text()
     frames: list[Event] = [
         Frame(
@@ -181,7 +187,13 @@ def test_two_runs_give_the_same_bytes(session: Session, sets: list[FeatureSet]) 
 @pytest.fixture(scope="module")
 def at_once(brisk: Session) -> list[FeatureSet]:
     """The sets of the brisk flight, its windows solved at once."""
-    return brisk.run()
+    return solved_at_once(brisk)
+
+
+@cache
+def solved_at_once(session: Session) -> list[FeatureSet]:
+    """The same for all files that need it."""
+    return session.run()
 
 
 def test_a_thread_beside_gives_the_same_bytes_as_solving_at_once(brisk: Session, at_once: list[FeatureSet]) -> None:
@@ -215,7 +227,7 @@ def test_a_picture_that_is_not_placed_again_has_the_answers_that_it_would_have(
     assert answers >= 3 * len(spared)
 
 
-def test_tracking_goes_on_while_a_window_is_solved(brisk: Session) -> None:
+def test_tracking_goes_on_while_a_window_is_solved(brisk: Session, at_once: list[FeatureSet]) -> None:
     """What is not done is not waited for until a quarter of a second of data has passed, or the next keyframe."""
     held = Held()
     pipeline = brisk.pipeline(held)
@@ -235,7 +247,7 @@ def test_tracking_goes_on_while_a_window_is_solved(brisk: Session) -> None:
     out.extend(pipeline.finish())
     assert held.submitted == held.waited == pipeline.summary.keyframes
     assert answered_meanwhile >= 5
-    assert [encode(s) for s in out] == [encode(s) for s in brisk.run()]
+    assert [encode(s) for s in out] == [encode(s) for s in at_once]
 
 
 def test_a_keyframe_is_answered_at_once_and_again_by_the_solve_it_belongs_to(session: Session) -> None:

@@ -102,9 +102,13 @@ def test_black_and_white_pictures(tmp_path: Path, level: int) -> None:
     assert not len(air.clicked(BEGIN_S, END_S).errors_m)
 
 
-@pytest.mark.parametrize("noise", rest_long([0.0, 2.0]))
+@pytest.mark.long
+@pytest.mark.parametrize("noise", [0.0, 2.0])
 def test_defocused_pictures_are_refused_or_held(tmp_path: Path, noise: float) -> None:
-    """Optics blur the ground and not the sensor's noise, but an image processor may smooth that too."""
+    """Optics blur the ground and not the sensor's noise, but an image processor may smooth that too.
+
+    Short, without a daemon: "defocused" of tests/scenarios/test_degenerate_ground.py.
+    """
     rng = np.random.default_rng(6)
 
     def defocused(image: np.ndarray) -> np.ndarray:
@@ -191,8 +195,9 @@ def test_a_jammed_gps_that_drifts_against_its_velocity(tmp_path: Path) -> None:
     holds(air, "no gps", back_s=9.0)
 
 
+@pytest.mark.long
 def test_featureless_ground_is_called_that(tmp_path: Path) -> None:
-    """Water: nothing but the sensor's noise."""
+    """Water: nothing but the sensor's noise. Short: black pictures, above."""
     rng = np.random.default_rng(5)
 
     def water(image: np.ndarray) -> np.ndarray:
@@ -239,7 +244,7 @@ def test_a_full_disk_stops_the_recording_and_nothing_else(tmp_path: Path, monkey
         def feature_set(self, output: object) -> None:
             return None
 
-    air = take_off(tmp_path, sinks=lambda: [Filler()])
+    air = take_off(tmp_path, seconds=END_S + 9.0, sinks=lambda: [Filler()])
     assert air.code == 0
     assert air.first("not recording", BEGIN_S - 0.5) < BEGIN_S + SEEN_S
     assert air.first("ok", END_S) < END_S + 5.0 + 2.0  # Recorded looks again after five seconds

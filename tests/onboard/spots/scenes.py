@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,11 +56,15 @@ class Scene:
     step_m: float = 5.0
     tilt_deg: float = 0.0  # forward of straight down
     seed: int = 3
-    sampled: ThermalRenderer = field(init=False)
 
-    def __post_init__(self) -> None:
-        texture = Texture(TextureSpec(seed=self.seed))
-        self.sampled = ThermalRenderer(self.camera, Terrain(TerrainSpec()), texture, self.spec, self.seed)
+    @cached_property
+    def terrain(self) -> Terrain:
+        return Terrain(TerrainSpec())
+
+    @cached_property
+    def sampled(self) -> ThermalRenderer:
+        """Land takes seconds to render: when it is first seen, and not where a test's file is only read."""
+        return ThermalRenderer(self.camera, self.terrain, Texture(TextureSpec(seed=self.seed)), self.spec, self.seed)
 
     def pose(self, frame: int) -> Pose:
         """Flying north, as high above the curved earth everywhere: 10 km on it lies 8 m below its tangent."""
@@ -69,7 +74,7 @@ class Scene:
 
     def ground_m(self, frame: int) -> float:
         """Height of the ground below, above the level through the first picture's."""
-        return float(self.sampled.terrain.height_m(0.0, self.step_m * frame))
+        return float(self.terrain.height_m(0.0, self.step_m * frame))
 
     def picture(self, frame: int, status: Status = Status.OK) -> tuple[Frame, FeatureSet]:
         """A picture and its set."""

@@ -81,12 +81,12 @@ def test_more_pixels_of_the_same_ground_lose_no_features() -> None:
     """At 4000 px of a sensor whose pixels are noisy and blurred, as many are found as of the same picture at 1600."""
     rng = np.random.default_rng(5)
     shares = []
+    first, second, H = pair(4000, 0.25, seed=7)
+    noisy = [np.clip(p + 15.0 * rng.standard_normal(p.shape), 0, 255).astype(np.uint8) for p in (first, second)]
     for width in (1600, 4000):
-        first, second, H = pair(4000, 0.25, seed=7)
-        pictures = [np.clip(p + 15.0 * rng.standard_normal(p.shape), 0, 255).astype(np.uint8) for p in (first, second)]
         scale = width / 4000
         size = width, 3 * width // 4
-        pictures = [np.asarray(cv2.resize(p, size, interpolation=cv2.INTER_AREA), np.uint8) for p in pictures]
+        pictures = [np.asarray(cv2.resize(p, size, interpolation=cv2.INTER_AREA), np.uint8) for p in noisy]
         shrink = np.array([[scale, 0.0, 0.5 * scale - 0.5], [0.0, scale, 0.5 * scale - 0.5], [0.0, 0.0, 1.0]])
         share = followed(tracker_for(size, FEATURES), *pictures, shrink @ H @ np.linalg.inv(shrink))
         shares.append(share)
