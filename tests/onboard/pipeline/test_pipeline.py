@@ -31,7 +31,7 @@ from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from simulation.terrain import TerrainSpec
 from simulation.truth import Truth
-from tests.scenarios.flights import flown as session_of
+from tests.scenarios.flights import simulated as session_of
 
 pytestmark = pytest.mark.xdist_group("pipeline")  # one worker: what they share is made once
 
