@@ -118,7 +118,7 @@ class PositionJumps:
         velocities = [finite(v) for v in (before.velocity_enu_m_s, now.velocity_enu_m_s) if v is not None]
         moved, seconds = now.enu_m - before.enu_m, (end_ns - start_ns) / 1e9
         if len(velocities) == 2:
-            self._follow(positions, moved - 0.5 * seconds * (velocities[0] + velocities[1]), sigma_m[0])
+            self._follow(positions, moved, 0.5 * seconds * (velocities[0] + velocities[1]), sigma_m[0])
         else:
             self._lose_link(end_ns)
         if velocities:
@@ -141,14 +141,12 @@ class PositionJumps:
         self._strayed = deque([(stamp_ns, np.zeros(3))])
         self._episode = None
 
-    def _follow(self, positions: Series[Position], miss_m: Array, sigma_m: float) -> None:
-        """Take how far the newest position strayed from the last one's velocity (3,)."""
+    def _follow(self, positions: Series[Position], moved_m: Array, flown_m: Array, sigma_m: float) -> None:
+        """Take how far the newest position is from the last one, and how far the velocities have flown, both (3,)."""
         stamp_ns = positions.stamps_ns[-1]
-        if any(
-            not np.isfinite(p.velocity_enu_m_s).all() for p in positions.values[-2:] if p.velocity_enu_m_s is not None
-        ):
-            miss_m = miss_m * [1.0, 1.0, 0.0]  # no climb rate: nothing is known of a jump in height
-        self._strayed.append((stamp_ns, self._strayed[-1][1] + miss_m))
+        if any(p.velocity_enu_m_s is not None and np.isnan(p.velocity_enu_m_s[2]) for p in positions.values[-2:]):
+            flown_m[2] = moved_m[2]  # no climb rate: nothing is known of a jump in height
+        self._strayed.append((stamp_ns, self._strayed[-1][1] + moved_m - flown_m))
         # Slip is known of a moment once half its window has passed.
         middle_ns = stamp_ns - RECENT_NS // 2
         self._judge(middle_ns, self._slip.at(positions, middle_ns), sigma_m)
