@@ -43,7 +43,7 @@ BENCHMARKS = (
     Benchmark("coverage", "Honesty of the stated radius"),
     Benchmark(
         "autopilots",
-        "Beside recorded autopilots",
+        "With recorded autopilots",
         ("--recordings", ",".join(STARTS), "--seconds", "150", "--seed", "3"),
         ("--recordings", "plane_clean", "--seconds", "40"),
     ),

@@ -84,7 +84,8 @@ def _simulated(fault: str, is_full: bool) -> Outcome:
 
 # Flights in which windows are refused and tried again take four times as long as the others.
 LONG = {"tilt", "time"}
-# Beside these, faults that are heard as the velocity's is: by their flight of all sensors, and that of camera and GPS.
+# Apart from these, faults that are received as the velocity's is: by their flight of all sensors, and that of camera
+# and GPS.
 OF_EACH = [pytest.param(name, marks=pytest.mark.long) if name in {*LONG, "position"} else name for name in FAULTS]
 AGAINST_GPS = [
     name if name in {"heading", "velocity"} else pytest.param(name, marks=pytest.mark.long) for name in FAULTS

@@ -41,7 +41,7 @@ from tests.scenarios.flights import CAMERA, Outcome, click, simulated
 Spoil = Callable[[Event, float], Event | None]
 """Event and seconds since the first picture -> the event that comes instead, if any does."""
 
-# Of a flight's clicks most share one error: more of them on a picture say little, and cost as much as its set.
+# Of a flight's clicks most share one error: more of them on a picture add little, and cost as much as its set.
 STRAIGHT = SessionSpec(
     DescribedSpec(PathSpec("straight")), seconds=26.0, rate_hz=4.0, camera=CAMERA, clicks_per_frame=6
 )

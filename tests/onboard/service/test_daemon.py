@@ -1,4 +1,4 @@
-"""The daemon's life: it begins, flies, is told things and ends, and does none of it halfway."""
+"""The daemon's life: it begins, flies, is asked things and ends, and does none of it halfway."""
 
 from __future__ import annotations
 
