@@ -142,7 +142,7 @@ def test_a_camera_mounted_askew_is_not_taken_for_moved_optics_without_attitude()
 @pytest.mark.long
 @pytest.mark.parametrize(("jump_s", "seconds"), [(8.0, 20.0), (14.0, 40.0)])
 def test_stamps_that_jump_back_in_flight_are_not_taken_for_moved_optics(jump_s: float, seconds: float) -> None:
-    """By 150 ms: attitudes and positions are then those of another moment."""
+    """By 150 ms: attitudes and positions are then those of another moment. Short: "wrong lens" above."""
     flight = recorded("plane_wind_noise", 60.0, seconds)
 
     def events() -> Iterator[Event]:
