@@ -233,7 +233,7 @@ def judge(scene: Scene, seed: int, warm_s: float = 30.0) -> Score:
             score.beyond_m.append(float(np.hypot(*(error - off))))
             score.flat_beyond_m.append(float(np.hypot(*(by_ray - off))))
     alignment = pipeline.window.alignment
-    mean, sigma = alignment.belief.mean, pipeline.window.belief.sigma
+    mean, sigma = alignment.platform.mean, pipeline.window.platform.sigma
     score.learned_values = (mean, sigma)
     score.learned = " ".join(
         f"{m * 180 / np.pi:+.2f}±{s * 180 / np.pi:.2f}" for m, s in zip(mean[:3], sigma[:3], strict=True)

@@ -146,8 +146,8 @@ def fly(received: Received, session: Path, config: Config, camera: Camera) -> St
             numbers[event.index] = number
             late_ns.append(event.stamp_ns - received.captured_ns[number])
             if event.stamp_ns - first_ns <= LEARNED_S * 1e9:
-                belief = pipeline.window.alignment.belief
-                offset_s, sigma_s = float(belief.mean[OFFSET]), float(belief.sigma[OFFSET])
+                platform = pipeline.window.alignment.platform
+                offset_s, sigma_s = float(platform.mean[OFFSET]), float(platform.sigma[OFFSET])
         for output in pipeline.handle(event):
             sets[numbers.get(output.frame, -1)] = output
     for output in pipeline.finish():

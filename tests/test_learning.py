@@ -26,12 +26,12 @@ def test_three_degrees_of_mount_and_a_third_of_a_second_are_recovered(
     spec = SampledSpec(parse_config(""), TURNS, 180.0, 2.0, errors=0.4, boresight_deg=boresight_deg, offset_s=offset_s)
     flight = SampledFlight(spec, 5)
     sets, pipeline = fly(flight)
-    belief = pipeline.window.alignment.belief
-    errors_deg = np.degrees(belief.mean[:3] - flight.boresight_rad)
+    platform = pipeline.window.alignment.platform
+    errors_deg = np.degrees(platform.mean[:3] - flight.boresight_rad)
     assert np.abs(errors_deg).max() < 0.3
-    assert abs(belief.mean[3] - offset_s) < 0.03
+    assert abs(platform.mean[3] - offset_s) < 0.03
     # As sure as it may be and no more: the errors are 0.4 of those that the sigmas stand for.
-    assert np.all(np.degrees(belief.sigma[:3]) < 0.3)
-    assert np.all(np.abs(errors_deg) < 2.0 * np.degrees(belief.sigma[:3]))
-    assert belief.sigma[3] < 0.01
+    assert np.all(np.degrees(platform.sigma[:3]) < 0.3)
+    assert np.all(np.abs(errors_deg) < 2.0 * np.degrees(platform.sigma[:3]))
+    assert platform.sigma[3] < 0.01
     assert np.mean([s.is_ok for s in sets.values()]) > 0.9

@@ -13,7 +13,7 @@ from contract.answer import CHI2_2
 from contract.camera import UNKNOWN_SIGMA, Camera
 from contract.feature_set import FeatureSet
 from onboard.config.schema import Config, parse_config
-from onboard.estimation.boresight import Belief
+from onboard.estimation.boresight import PlatformEstimate
 from onboard.estimation.platform_states import HEADING, OFFSET, STATES
 from simulation.paths import PathSpec
 from tests.rest_long import rest_long
@@ -127,8 +127,8 @@ def test_a_compass_that_errs_by_its_heading_is_recovered_after_turns(seconds: fl
     spec = SampledSpec(CONFIG, SURVEY, seconds, 2.0, errors=0.4, heading_error_deg=heading_error_deg, offset_s=0.0)
     flight = SampledFlight(spec, 4)
     sets, pipeline = fly(flight)
-    belief = pipeline.window.alignment.belief
-    found_deg, sigma_deg = np.degrees(belief.mean[HEADING]), np.degrees(belief.sigma[HEADING])
+    platform = pipeline.window.alignment.platform
+    found_deg, sigma_deg = np.degrees(platform.mean[HEADING]), np.degrees(platform.sigma[HEADING])
     assert np.all(np.abs(found_deg - heading_error_deg) < 3.0 * sigma_deg)
     assert sigma_deg.max() < 0.75 * CONFIG.solve.heading_sigma_deg
     assert np.abs(found_deg - heading_error_deg).max() < 2.0, "nothing was learned"
@@ -140,9 +140,9 @@ def test_a_compass_that_errs_by_its_heading_is_recovered_after_turns(seconds: fl
 def test_without_such_an_error_none_is_found() -> None:
     flight = SampledFlight(SampledSpec(CONFIG, SURVEY, 75.0, 2.0, errors=0.4, offset_s=0.0), 4)
     _, pipeline = fly(flight)
-    belief = pipeline.window.alignment.belief
-    assert np.all(np.abs(belief.mean[HEADING]) < 3.0 * belief.sigma[HEADING])
-    assert np.abs(np.degrees(belief.mean[HEADING])).max() < 1.5
+    platform = pipeline.window.alignment.platform
+    assert np.all(np.abs(platform.mean[HEADING]) < 3.0 * platform.sigma[HEADING])
+    assert np.abs(np.degrees(platform.mean[HEADING])).max() < 1.5
 
 
 def test_late_stamps_are_known_after_a_few_turns_from_beyond_their_prior() -> None:
@@ -152,26 +152,28 @@ def test_late_stamps_are_known_after_a_few_turns_from_beyond_their_prior() -> No
     spec = SampledSpec(config, TURNS, 42.0, 2.0, errors=0.5, boresight_deg=(2.0, 1.5, 0.0), offset_s=offset_s)
     flight = SampledFlight(spec, 1)
     sets, pipeline = fly(flight)
-    belief = pipeline.window.alignment.belief
-    assert abs(belief.mean[OFFSET] - offset_s) < 0.03
-    assert belief.sigma[OFFSET] < 0.045
-    assert abs(belief.mean[OFFSET] - offset_s) < 3.0 * belief.sigma[OFFSET]
-    assert np.all(np.abs(np.degrees(belief.mean[:3]) - truth_deg) < 3.0 * np.degrees(belief.sigma[:3]))
-    assert np.all(np.degrees(belief.sigma[:3]) < 0.8)
+    platform = pipeline.window.alignment.platform
+    assert abs(platform.mean[OFFSET] - offset_s) < 0.03
+    assert platform.sigma[OFFSET] < 0.045
+    assert abs(platform.mean[OFFSET] - offset_s) < 3.0 * platform.sigma[OFFSET]
+    assert np.all(np.abs(np.degrees(platform.mean[:3]) - truth_deg) < 3.0 * np.degrees(platform.sigma[:3]))
+    assert np.all(np.degrees(platform.sigma[:3]) < 0.8)
     chi2, semi_m = clicks(flight, sets, 25.0, every=2)
     assert np.mean(chi2 < CHI2_2) > 0.85
     assert np.median(semi_m) < 12.0
     assert np.mean([s.is_ok for s in sets.values()]) > 0.85
 
 
-def with_camera_file(filed: Camera | None, seconds: float, after_s: float) -> tuple[list[float], Array, Belief]:
+def with_camera_file(
+    filed: Camera | None, seconds: float, after_s: float
+) -> tuple[list[float], Array, PlatformEstimate]:
     """Errors (m) and squared errors in units of the stated covariance after some time of turns, and what was found."""
     spec = SampledSpec(CONFIG, TURNS, seconds, rate_hz=2.0, offset_s=0.0, camera_file=filed)
     flight = SampledFlight(spec, 0)
     sets, pipeline = fly(flight)
     chi2, _ = clicks(flight, sets, after_s)
     assert len(chi2) > 20
-    return errors_of(flight, sets, after_s), chi2, pipeline.window.alignment.belief
+    return errors_of(flight, sets, after_s), chi2, pipeline.window.alignment.platform
 
 
 LENS = SampledSpec(CONFIG).camera
@@ -188,8 +190,8 @@ WRONG = replace(
 @pytest.mark.parametrize(("seconds", "after_s"), rest_long([(54.0, 30.0), (80.0, 40.0)]))
 def test_a_wrong_camera_file_is_found_out(seconds: float, after_s: float) -> None:
     """After a minute with turns, and the ellipses hold."""
-    errors_m, chi2, belief = with_camera_file(WRONG, seconds, after_s)
-    found, sigma = belief.mean[STATES:], belief.sigma[STATES:]
+    errors_m, chi2, platform = with_camera_file(WRONG, seconds, after_s)
+    found, sigma = platform.mean[STATES:], platform.sigma[STATES:]
     assert np.abs(found[0] + np.log(1.03)) < 3.0 * sigma[0] and sigma[0] < 0.5 * UNKNOWN_SIGMA[0]
     assert np.abs(found[3] + 0.1) < 3.0 * sigma[3] and sigma[3] < 0.5 * UNKNOWN_SIGMA[3]
     assert np.mean(chi2 < CHI2_2) > 0.85

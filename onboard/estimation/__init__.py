@@ -3,7 +3,7 @@ published.
 
 Public:
 
-- `boresight`: `Alignment`, `Belief`, `Unconfirmed`
+- `boresight`: `Alignment`, `PlatformEstimate`, `Unconfirmed`
 - `error_budget`: the sources' names, `sources`
 - `ground_roughness`: `distances`, `plane_and_roughness`
 - `keyframe`: `Ids`, `Keyframe`, `Observation`, `observation`, `seen_with`

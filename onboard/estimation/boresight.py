@@ -35,7 +35,7 @@ MIN_GAIN = 0.02  # of a variance: a window that says less of a state is no evide
 
 
 @dataclass(frozen=True, eq=False)
-class Belief:
+class PlatformEstimate:
     """Mean (B,) and covariance (B, B) in the order of `platform_states`, from data up to `end_ns`.
 
     `end_ns` 0 is the belief before take-off.
@@ -51,19 +51,19 @@ class Belief:
         """One sigma of each state."""
         return np.sqrt(np.diag(self.covariance))
 
-    def widened(self, stamp_sigma_s: float) -> Belief:
+    def widened(self, stamp_sigma_s: float) -> PlatformEstimate:
         """The same belief about pictures whose stamps err by one more sigma, all alike."""
         if stamp_sigma_s == 0.0:
             return self
         wider = self.covariance.copy()
         wider[OFFSET, OFFSET] += stamp_sigma_s**2
-        return Belief(self.end_ns, self.mean, wider, self.given)
+        return PlatformEstimate(self.end_ns, self.mean, wider, self.given)
 
-    def aged(self, stamp_ns: int) -> Belief:
+    def aged(self, stamp_ns: int) -> PlatformEstimate:
         """The same belief some time later. Equation (10.1)."""
         minutes = max(stamp_ns - self.end_ns, 0) / 60e9 if self.end_ns else 0.0
         walk = WALK[: len(self.mean)]
-        return Belief(self.end_ns, self.mean, self.covariance + np.diag(walk**2 * minutes), self.given)
+        return PlatformEstimate(self.end_ns, self.mean, self.covariance + np.diag(walk**2 * minutes), self.given)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +105,7 @@ class Alignment:
         sigmas = [mount_sigma_rad] * 3 + [offset_sigma_s, delay_sigma_s, delay_sigma_s] + [heading_sigma_rad] * 2
         sigmas += list(of_camera)
         first = np.diag(np.square(sigmas) + tiny)
-        self._estimates = [Belief(0, np.zeros(len(first)), first)]
+        self._estimates = [PlatformEstimate(0, np.zeros(len(first)), first)]
         self._spacing_ns = round(spacing_s * 1e9)
         self._squares, self._counts = np.zeros(len(first)), np.zeros(len(first))
         self._window_end_ns = 0  # of the newest window that updated
@@ -113,7 +113,7 @@ class Alignment:
         self.unconfirmed: Unconfirmed | None = None
 
     @property
-    def belief(self) -> Belief:
+    def platform(self) -> PlatformEstimate:
         """The newest posterior."""
         return self._estimates[-1]
 
@@ -122,7 +122,7 @@ class Alignment:
         """How many windows have updated the estimate."""
         return len(self._estimates) - 1
 
-    def prior_for(self, start_ns: int) -> Belief:
+    def prior_for(self, start_ns: int) -> PlatformEstimate:
         """The prior of a window whose first keyframe is at `start_ns`."""
         for estimate in reversed(self._estimates):
             if estimate.end_ns <= start_ns:
@@ -141,7 +141,7 @@ class Alignment:
         self.unconfirmed = None
         mean, covariance = self._agreed(before, mean, covariance)
         rests_on = before.given
-        estimate = Belief(
+        estimate = PlatformEstimate(
             end_ns, mean.copy(), covariance.copy(), np.diag(first.covariance) if rests_on is None else rests_on
         )
         self._estimates.append(_with_prior_reweighed(estimate, first))
@@ -171,7 +171,7 @@ class Alignment:
             self._estimates = [_with_certain_camera(e, count) for e in self._estimates]
             self._squares, self._counts = np.pad(self._squares, (0, count)), np.pad(self._counts, (0, count))
             self.unconfirmed = None
-        wider = np.zeros(len(self.belief.mean))
+        wider = np.zeros(len(self.platform.mean))
         wider[STATES + camera_states.FOCAL_LENGTH] = sigma**2
         self._estimates = [replace(e, covariance=e.covariance + np.diag(wider)) for e in self._estimates]
 
@@ -186,7 +186,7 @@ class Alignment:
             self.lens_moved(0.0)
         apart = abs(float(np.log(camera.focal_px / before.focal_px)))
         kept, wider = float(np.exp(-apart / ZOOM_REACH)), before.focal_px / camera.focal_px
-        scale = np.ones(len(self.belief.mean))
+        scale = np.ones(len(self.platform.mean))
         scale[STATES : STATES + camera_states.COUNT] = kept * np.array([1.0, wider, wider, 1.0, 1.0])
         own = np.zeros(len(scale))
         own[STATES : STATES + camera_states.COUNT] = np.square(camera.sigma)
@@ -200,9 +200,9 @@ class Alignment:
             most = np.where(own > 0.0, (own + told) / np.diag(covariance), 1.0)
             least = np.sqrt(np.minimum(most, 1.0))  # steps to and fro add no error of their own
             given = None if e.given is None else np.where(own > 0.0, own + told, e.given)
-            new.append(Belief(e.end_ns, scale * e.mean, least[:, None] * covariance * least, given))
+            new.append(PlatformEstimate(e.end_ns, scale * e.mean, least[:, None] * covariance * least, given))
         begin = self._estimates[0]
-        self._estimates = [Belief(begin.end_ns, scale * begin.mean, first, begin.given), *new]
+        self._estimates = [PlatformEstimate(begin.end_ns, scale * begin.mean, first, begin.given), *new]
         self._camera_file, self.unconfirmed = camera, None
 
     def hear(self, end_ns: int, offset_s: float, sigma_s: float) -> bool:
@@ -210,34 +210,34 @@ class Alignment:
 
         True if it has had its say, so that what it rests on must not be offered again; False if it says nothing new.
         """
-        belief, sigma_s = self.belief.aged(end_ns), float(np.sqrt(2.0) * sigma_s)
-        own_s = float(belief.sigma[OFFSET])
-        if abs(offset_s - belief.mean[OFFSET]) > OUTSIDE * np.hypot(own_s, sigma_s):
+        platform, sigma_s = self.platform.aged(end_ns), float(np.sqrt(2.0) * sigma_s)
+        own_s = float(platform.sigma[OFFSET])
+        if abs(offset_s - platform.mean[OFFSET]) > OUTSIDE * np.hypot(own_s, sigma_s):
             held, self._heard = self._heard, (offset_s, sigma_s)
             if held is not None and abs(offset_s - held[0]) <= AGREE * np.hypot(sigma_s, held[1]):
                 self._begin_from(offset_s, sigma_s)
             else:
-                alone = np.arange(len(belief.mean)) == OFFSET
+                alone = np.arange(len(platform.mean)) == OFFSET
                 self.unconfirmed = Unconfirmed(
-                    end_ns, alone, np.where(alone, offset_s, belief.mean), np.where(alone, sigma_s, belief.sigma)
+                    end_ns, alone, np.where(alone, offset_s, platform.mean), np.where(alone, sigma_s, platform.sigma)
                 )
             return True
         self._heard = None
         if sigma_s > MIN_SHARPER * own_s:
             return False
         if not self.updates:
-            self._begin_from(offset_s, sigma_s, belief)
+            self._begin_from(offset_s, sigma_s, platform)
             return True
-        self._estimates.append(replace(_with_offset(belief, offset_s, sigma_s), end_ns=end_ns))
+        self._estimates.append(replace(_with_offset(platform, offset_s, sigma_s), end_ns=end_ns))
         del self._estimates[1:-MEMORY_ESTIMATES]
         return True
 
-    def _begin_from(self, offset_s: float, sigma_s: float, known: Belief | None = None) -> None:
+    def _begin_from(self, offset_s: float, sigma_s: float, known: PlatformEstimate | None = None) -> None:
         """Forget windows' posteriors: they rest on another offset. What rotations say is what windows begin with."""
         first = self._estimates[0] if known is None else known
         mean, covariance = first.mean.copy(), with_own_variance(first.covariance, OFFSET, sigma_s**2)
         mean[OFFSET] = offset_s
-        self._estimates = [Belief(0, mean, covariance)] * 2  # a first prior, and one update
+        self._estimates = [PlatformEstimate(0, mean, covariance)] * 2  # a first prior, and one update
         self._squares, self._counts = np.zeros(len(mean)), np.zeros(len(mean))
         self._window_end_ns, self._heard, self.unconfirmed = 0, None, None
 
@@ -247,7 +247,7 @@ class Alignment:
         mean_square = (AGREEMENT_PRIOR + self._squares) / (AGREEMENT_PRIOR + self._counts)
         return np.sqrt(np.maximum(mean_square, 1.0))
 
-    def _agreed(self, before: Belief, mean: Array, covariance: Array) -> tuple[Array, Array]:
+    def _agreed(self, before: PlatformEstimate, mean: Array, covariance: Array) -> tuple[Array, Array]:
         """The posterior with the window's own information weakened by how far windows disagree. Equation (6.13)."""
         gained = np.diag(before.covariance - covariance)
         tells = gained > MIN_GAIN * np.diag(before.covariance)
@@ -264,8 +264,8 @@ class Alignment:
         return own.weakened(apart).upon(before.mean, before.covariance)
 
     def to_json(self) -> str:
-        """The newest belief, for the state directory."""
-        newest = self.belief
+        """The newest estimate, for the state directory."""
+        newest = self.platform
         camera: dict[str, Any] = {}
         if self._camera is not None:
             camera["camera"] = camera_states.as_numbers(self._camera, newest.mean[STATES:], self._readout_s)
@@ -313,32 +313,36 @@ class Alignment:
             raise InputError("alignment state: not finite")
         if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance)[0] <= 0.0:
             raise InputError("alignment state: covariance is not positive definite")
-        self._estimates = [Belief(0, mean, covariance + 0.25 * first)]
+        self._estimates = [PlatformEstimate(0, mean, covariance + 0.25 * first)]
 
 
-def _outside(believed: Belief, mean: Array, factor: Array | float = 1.0) -> NDArray[np.bool_]:
+def _outside(believed: PlatformEstimate, mean: Array, factor: Array | float = 1.0) -> NDArray[np.bool_]:
     """(8,) which states are farther from what was believed than its sigma, times a factor, allows for. (10.7)"""
     out: NDArray[np.bool_] = np.abs(mean - believed.mean) > OUTSIDE * factor * believed.sigma
     return out
 
 
-def _with_certain_camera(belief: Belief, count: int) -> Belief:
+def _with_certain_camera(platform: PlatformEstimate, count: int) -> PlatformEstimate:
     """The belief with so many states of the camera, which are known to be 0."""
-    covariance = np.pad(belief.covariance, (0, count))
+    covariance = np.pad(platform.covariance, (0, count))
     covariance[STATES:, STATES:] = camera_states.CERTAIN**2 * np.eye(count)
-    given = None if belief.given is None else np.pad(belief.given, (0, count), constant_values=camera_states.CERTAIN**2)
-    return Belief(belief.end_ns, np.pad(belief.mean, (0, count)), covariance, given)
+    given = (
+        None if platform.given is None else np.pad(platform.given, (0, count), constant_values=camera_states.CERTAIN**2)
+    )
+    return PlatformEstimate(platform.end_ns, np.pad(platform.mean, (0, count)), covariance, given)
 
 
-def _with_offset(belief: Belief, offset_s: float, sigma_s: float) -> Belief:
+def _with_offset(platform: PlatformEstimate, offset_s: float, sigma_s: float) -> PlatformEstimate:
     """A belief and one measurement of its time offset. (10.7)"""
-    gain = belief.covariance[:, OFFSET] / (belief.covariance[OFFSET, OFFSET] + sigma_s**2)
-    covariance = belief.covariance - np.outer(gain, belief.covariance[OFFSET])
-    mean = belief.mean + gain * (offset_s - belief.mean[OFFSET])
-    return replace(belief, mean=mean, covariance=0.5 * (covariance + covariance.T))
+    gain = platform.covariance[:, OFFSET] / (platform.covariance[OFFSET, OFFSET] + sigma_s**2)
+    covariance = platform.covariance - np.outer(gain, platform.covariance[OFFSET])
+    mean = platform.mean + gain * (offset_s - platform.mean[OFFSET])
+    return replace(platform, mean=mean, covariance=0.5 * (covariance + covariance.T))
 
 
-def under_another_prior(mean: Array, covariance: Array, given: Belief, prior: Belief) -> tuple[Array, Array]:
+def under_another_prior(
+    mean: Array, covariance: Array, given: PlatformEstimate, prior: PlatformEstimate
+) -> tuple[Array, Array]:
     """The posterior that follows from `prior` where the window was solved under `given`.
 
     What the window itself says, the precision C^-1 - given^-1 about its own mean, is put upon the other prior, which
@@ -348,7 +352,7 @@ def under_another_prior(mean: Array, covariance: Array, given: Belief, prior: Be
     return gained.upon(prior.mean, prior.covariance)
 
 
-def _with_prior_reweighed(estimate: Belief, first: Belief) -> Belief:
+def _with_prior_reweighed(estimate: PlatformEstimate, first: PlatformEstimate) -> PlatformEstimate:
     """The same posterior with the first prior's variance re-estimated from the data. Equation (6.12).
 
     A mount that is three sigma from where it was declared biases every posterior towards the declaration. Where the
@@ -368,4 +372,4 @@ def _with_prior_reweighed(estimate: Belief, first: Belief) -> Belief:
     declared = np.diag(first.covariance)
     given = np.clip(by_data**2 - own, declared, TOO_SURE**2 * declared)
     covariance = np.linalg.inv(alone + np.diag(1.0 / given))
-    return Belief(estimate.end_ns, first.mean + covariance @ pull, covariance, given)
+    return PlatformEstimate(estimate.end_ns, first.mean + covariance @ pull, covariance, given)

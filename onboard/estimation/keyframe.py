@@ -12,7 +12,7 @@ from contract.camera import Camera
 from contract.rolling_shutter import row_share
 from onboard.estimation.rolling_shutter import Moving
 from onboard.navigation.navigator import NavState
-from onboard.navigation.position_interpolation import Flown
+from onboard.navigation.position_interpolation import Displacement
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -47,7 +47,7 @@ class Keyframe:
     body_rate_rad_s: Array
     nav_offset_s: float  # camera-to-autopilot offset at which `nav` was taken
     nav_delay_s: float  # and the position's delay
-    flown: Flown | None  # since the keyframe before
+    displacement: Displacement | None  # since the keyframe before
     R_cam_enu: Array
     centre_enu_m: Array
     flow_disagreement_xy: Array | None = None  # (2,) normalised; `coarse_flow`, since the keyframe before

@@ -196,7 +196,7 @@ class Hypotheses:
     def _hiding(self, turned: State, state: State) -> State:
         """A start for shifts: the frames hide by how much the pictures' rotations part from the attitudes'. (19.5)"""
         request = self._window.request
-        attitudes = [by_attitude(k.nav, request.belief, request.R_body_cam) for k in self._window.keyframes]
+        attitudes = [by_attitude(k.nav, request.platform, request.R_body_cam) for k in self._window.keyframes]
         R = np.stack([a for a in attitudes if a is not None])
         hidden = log_so3(turned.R_cam_enu @ R.transpose(0, 2, 1))
         own = state.own.copy()
@@ -235,15 +235,15 @@ def with_open_rows(window: WindowProblem, noise: Noise, solution: Solution) -> t
 
 def with_open_lens(request: Request) -> Request:
     """The request with focal length and k1 open, whatever the camera file claims."""
-    belief, taken = request.belief, request.camera_taken
-    mean, covariance = belief.mean, belief.covariance
+    platform, taken = request.platform, request.camera_taken
+    mean, covariance = platform.mean, platform.covariance
     if len(mean) == STATES:
         mean, taken = np.concatenate([mean, np.zeros(COUNT)]), np.zeros(COUNT)
         covariance = np.diag(np.full(len(mean), CERTAIN**2))
-        covariance[:STATES, :STATES] = belief.covariance
+        covariance[:STATES, :STATES] = platform.covariance
     for state, sigma in OPEN_LENS.items():
         covariance = with_own_variance(covariance, STATES + state, sigma**2)
-    return replace(request, belief=replace(belief, mean=mean, covariance=covariance), camera_taken=taken)
+    return replace(request, platform=replace(platform, mean=mean, covariance=covariance), camera_taken=taken)
 
 
 def pixel_variance(solution: Solution) -> float:

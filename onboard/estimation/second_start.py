@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from contract.feature_set import Status
 from contract.rotations import exp_so3
-from onboard.estimation.boresight import Belief
+from onboard.estimation.boresight import PlatformEstimate
 from onboard.estimation.bundle_adjustment import Problem, Solution
 from onboard.estimation.factors import State
 from onboard.estimation.keyframe import Keyframe, have_attitude, turned
@@ -39,13 +39,13 @@ CLEAR_SIGMAS = 3.1  # of that difference's own spread, one-sided the same odds
 SAME_SIGMAS = 1.0  # of the points' own places, within which two solutions are the same
 
 
-def by_attitude(nav: NavState, belief: Belief, R_body_cam: Array) -> Array | None:
+def by_attitude(nav: NavState, platform: PlatformEstimate, R_body_cam: Array) -> Array | None:
     """R_cam_enu from the autopilot through mount and boresight, or None without attitude."""
     if nav.R_enu_body is None:
         return None
-    yaw = float(cosine_sine_of_heading(nav.R_enu_body) @ belief.mean[HEADING])
+    yaw = float(cosine_sine_of_heading(nav.R_enu_body) @ platform.mean[HEADING])
     R_enu_body = exp_so3(np.array([0.0, 0.0, -yaw])) @ nav.R_enu_body
-    out: Array = (R_enu_body @ R_body_cam @ exp_so3(belief.mean[BORESIGHT])).T
+    out: Array = (R_enu_body @ R_body_cam @ exp_so3(platform.mean[BORESIGHT])).T
     return out
 
 
@@ -62,9 +62,11 @@ def is_steep(keyframes: tuple[Keyframe, ...], R_body_cam: Array) -> bool:
     return bool(np.min(-down) < STEEP_COSINE)
 
 
-def by_sensors(keyframes: tuple[Keyframe, ...], belief: Belief, R_body_cam: Array) -> tuple[Keyframe, ...] | None:
+def by_sensors(
+    keyframes: tuple[Keyframe, ...], platform: PlatformEstimate, R_body_cam: Array
+) -> tuple[Keyframe, ...] | None:
     """Keyframes oriented by the autopilot, or where it gives no attitude by a coordinated turn along the path."""
-    attitudes = [by_attitude(k.nav, belief, R_body_cam) for k in keyframes]
+    attitudes = [by_attitude(k.nav, platform, R_body_cam) for k in keyframes]
     known = [R for R in attitudes if R is not None]
     if len(known) == len(keyframes):
         return turned(keyframes, np.stack(known))
@@ -93,7 +95,7 @@ def other_starts(request: Request, found: Outcome) -> Iterator[tuple[Keyframe, .
         return
     if has_attitude and request.previous is None:
         return  # the sensors' start was the first one
-    start = by_sensors(keyframes, request.belief, request.R_body_cam)
+    start = by_sensors(keyframes, request.platform, request.R_body_cam)
     if start is not None:
         yield start
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.config.schema import Config
-from onboard.estimation.boresight import Belief
+from onboard.estimation.boresight import PlatformEstimate
 from onboard.estimation.factors import (
     AttitudePrior,
     HeightModel,
@@ -31,7 +31,7 @@ from onboard.estimation.keyframe import Keyframe, have_attitude
 from onboard.estimation.platform_states import DELAY, PLANE, VELOCITY_DELAY
 from onboard.estimation.sensor_table import BY_NAME, HEADING, POSITION, TILT, VELOCITY, Sensor, declared
 from onboard.estimation.variance_components import VarianceFactors
-from onboard.navigation.position_interpolation import Flown
+from onboard.navigation.position_interpolation import Displacement
 from onboard.navigation.position_slip import DYNAMIC_TIME_S
 
 Array = NDArray[np.float64]
@@ -50,7 +50,7 @@ def sensor_priors(
     R_body_cam: Array,
     keyframes: list[Keyframe],
     layout: Layout,
-    belief: Belief,
+    platform: PlatformEstimate,
     has_terrain: bool,
     jitter_s: float,
     factors: VarianceFactors,
@@ -66,7 +66,7 @@ def sensor_priors(
         _position(config, R_body_cam, keyframes, layout, factors, jitter_s),
         *_velocity(config, R_body_cam, keyframes, layout, factors, jitter_s),
         *_attitude(config, R_body_cam, keyframes, layout, factors, jitter_s),
-        shared_prior(config, layout, belief, has_terrain, slope),
+        shared_prior(config, layout, platform, has_terrain, slope),
     ]
 
 
@@ -203,10 +203,10 @@ def _velocity(
     jitter_s: float,
 ) -> list[Prior]:
     """Displacements by integrated velocity, whose error is white from interval to interval and Gauss-Markov. (5.6)"""
-    known = np.array([k.flown is not None for k in keyframes[1:]], bool)
+    known = np.array([k.displacement is not None for k in keyframes[1:]], bool)
     if not config.solve.velocity or not known.any():
         return []
-    flown = [np.zeros(3) if k.flown is None else k.flown.enu_m for k in keyframes[1:]]
+    displacement = [np.zeros(3) if k.displacement is None else k.displacement.enu_m for k in keyframes[1:]]
     stamps, velocities = _stamps_s(keyframes), _velocities(keyframes)
     speed = np.linalg.norm(velocities, axis=1)
     dt = np.maximum(np.diff(stamps), 0.05)
@@ -224,12 +224,12 @@ def _velocity(
         sensor.white: np.diag(white_m**2),
     }
     fixed = np.diag(unknown) + np.outer(erring, erring) * gauss_markov_covariance(middle, 1.0, DYNAMIC_TIME_S)
-    between = between_covariance([k.flown for k in keyframes[1:]])
+    between = between_covariance([k.displacement for k in keyframes[1:]])
     whitener, parts = _both([_errors(factors, sensor, declared_parts, fixed + own) for own in between])
     return [
         VelocityPrior(
             layout,
-            np.array(flown),
+            np.array(displacement),
             np.diff(velocities, axis=0),
             whitener,
             np.array([k.nav_offset_s for k in keyframes])[1:],
@@ -248,11 +248,11 @@ def shared_fixes(weights: Sequence[Mapping[int, float]]) -> Array:
     return out
 
 
-def between_covariance(flown: Sequence[Flown | None]) -> Array:
+def between_covariance(displacement: Sequence[Displacement | None]) -> Array:
     """Covariance (3, n, n) of distances flown by what velocity did between positions: gap by gap. (5.20)"""
-    gaps = sorted({stamp_ns for f in flown if f is not None for stamp_ns in f.between_m})
-    by_gap = np.zeros((len(flown), len(gaps), 3))
-    for row, f in zip(by_gap, flown, strict=True):
+    gaps = sorted({stamp_ns for f in displacement if f is not None for stamp_ns in f.between_m})
+    by_gap = np.zeros((len(displacement), len(gaps), 3))
+    for row, f in zip(by_gap, displacement, strict=True):
         for stamp_ns, sigma_m in ({} if f is None else f.between_m).items():
             row[gaps.index(stamp_ns)] = sigma_m
     out: Array = np.einsum("iga,jga->aij", by_gap, by_gap)
@@ -368,15 +368,15 @@ def _coordinated(R_body_cam: Array, stamps_s: Array, velocities: Array) -> Array
     return out
 
 
-def with_delays_held_open(config: Config, belief: Belief) -> Belief:
+def with_delays_held_open(config: Config, platform: PlatformEstimate) -> PlatformEstimate:
     """The same belief with both delays at least as uncertain as declared.
 
     What turns show of a filter's delays is not all of them: inertial sensors keep turns in time. (5.15)
     """
-    covariance = belief.covariance.copy()
+    covariance = platform.covariance.copy()
     for delay in (DELAY, VELOCITY_DELAY):
         covariance[delay, delay] += max(config.gps.sigma_latency_s**2 - covariance[delay, delay], 0.0)
-    return replace(belief, covariance=covariance)
+    return replace(platform, covariance=covariance)
 
 
 def level_sigma(config: Config) -> float:
@@ -386,10 +386,10 @@ def level_sigma(config: Config) -> float:
 
 
 def shared_prior(
-    config: Config, layout: Layout, belief: Belief, has_terrain: bool, slope: SlopePrior | None = None
+    config: Config, layout: Layout, platform: PlatformEstimate, has_terrain: bool, slope: SlopePrior | None = None
 ) -> SharedPrior:
     """Boresight and time offset as estimated so far, and the ground plane's slope and height."""
-    covariance = with_delays_held_open(config, belief).covariance
+    covariance = with_delays_held_open(config, platform).covariance
     shared = len(covariance)
     if slope is None:
         slope = SlopePrior(covariance=level_sigma(config) ** 2 * np.eye(2))
@@ -400,4 +400,4 @@ def shared_prior(
     whitener[:shared, :shared] = np.linalg.inv(np.linalg.cholesky(covariance))
     whitener[shared, shared] = 1.0 / height_m
     whitener[shared + 1 :, shared + 1 :] = slope.whitener
-    return SharedPrior(layout, np.concatenate([belief.mean, [0.0], slope.mean]), whitener)
+    return SharedPrior(layout, np.concatenate([platform.mean, [0.0], slope.mean]), whitener)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from contract.feature_set import ALIGNMENT, ATTITUDE, GROUND, NUISANCES, POSITION, SharedErrors
 from onboard.config.schema import Config
 from onboard.estimation import sensor_table
-from onboard.estimation.boresight import Belief
+from onboard.estimation.boresight import PlatformEstimate
 from onboard.estimation.factors import AttitudePrior, PositionPrior, Prior, SharedPrior, State
 from onboard.estimation.platform_states import BORESIGHT, DELAY, HEADING, OFFSET, PLANE, VELOCITY_DELAY
 from onboard.estimation.sensor_factors import attitude_sigma, cosine_sine_of_heading
@@ -72,7 +72,7 @@ def _one_of(errors: Array, moved: Array) -> Array:
 def make_sensor_pose(
     config: Config,
     nav: NavState,
-    belief: Belief,
+    platform: PlatformEstimate,
     R_cam_enu: Array,
     factors: VarianceFactors,
     lever_cam_m: Array,
@@ -85,7 +85,7 @@ def make_sensor_pose(
     solve, gps = config.solve, config.gps
     speed = np.zeros(3) if nav.velocity_enu_m_s is None else nav.velocity_enu_m_s
     tilt, heading = (attitude_sigma(config, factors, name) for name in (TILT, sensor_table.HEADING))
-    factor = np.linalg.cholesky(belief.covariance)
+    factor = np.linalg.cholesky(platform.covariance)
     if nav.R_enu_body is not None:
         by_heading = float(np.linalg.norm(cosine_sine_of_heading(nav.R_enu_body) @ factor[HEADING]))
         heading = float(np.hypot(np.hypot(heading, by_heading), nav.yaw_sigma_rad))

@@ -16,7 +16,7 @@ from contract.camera import Camera, Sigma
 from contract.feature_set import Status
 from contract.rotations import mount_rotation
 from onboard.config.schema import Config
-from onboard.estimation.boresight import Alignment, Belief, under_another_prior
+from onboard.estimation.boresight import Alignment, PlatformEstimate, under_another_prior
 from onboard.estimation.camera_states import corrected, readout_s, taken, without_readout
 from onboard.estimation.factors import RATES
 from onboard.estimation.ground_slope import GroundSlope, SlopePrior, SlopeSeen, seen_alone
@@ -41,7 +41,7 @@ from onboard.estimation.window_start import start_tolerance_rad
 from onboard.geometry.relative_orientation import rotation_only
 from onboard.geometry.terrain_grid import Terrain
 from onboard.navigation.navigator import NavState
-from onboard.navigation.position_interpolation import Flown
+from onboard.navigation.position_interpolation import Displacement
 
 Array = NDArray[np.float64]
 
@@ -74,16 +74,16 @@ class Window:
             camera,
             (config.camera.readout_s, config.camera.sigma_readout_s),
         )
-        self.camera_taken = np.zeros_like(self.alignment.belief.mean[STATES:])  # what parts `camera` from its file
+        self.camera_taken = np.zeros_like(self.alignment.platform.mean[STATES:])  # what parts `camera` from its file
         self.lever_body_m = np.array(mount.lever_arm_m)
         self.ground_slope = GroundSlope(level_sigma(config))
         self._request: Request | None = None  # the newest
-        self._solved_under: Belief | None = None  # the belief that `solved` began with
+        self._solved_under: PlatformEstimate | None = None  # the belief that `solved` began with
 
     @property
-    def belief(self) -> Belief:
+    def platform(self) -> PlatformEstimate:
         """What is estimated of the platform by now, no delay surer than declared, (5.15)."""
-        return with_delays_held_open(self.config, self.alignment.belief)
+        return with_delays_held_open(self.config, self.alignment.platform)
 
     def reset(self) -> None:
         """Forget keyframes and structure: nothing links what comes to what was."""
@@ -96,7 +96,7 @@ class Window:
         self.reset()
         self.alignment.lens_changed(camera, sigma)
         self.camera_file = camera
-        states = self.alignment.belief.mean[STATES:]
+        states = self.alignment.platform.mean[STATES:]
         self.camera_taken, self.camera = states.copy(), corrected(camera, states)
 
     def forget_solutions(self) -> None:
@@ -112,7 +112,7 @@ class Window:
 
     def attitude_guess(self, nav: NavState) -> Array | None:
         """R_cam_enu from the autopilot through mount and boresight, or None without attitude."""
-        return by_attitude(nav, self.alignment.belief, self.R_body_cam)
+        return by_attitude(nav, self.alignment.platform, self.R_body_cam)
 
     def sensor_pose(self, nav: NavState) -> SensorPose | None:
         """The camera's pose by sensors alone with its covariance; None without attitude."""
@@ -123,7 +123,7 @@ class Window:
         return make_sensor_pose(
             self.config,
             nav,
-            self.alignment.belief.widened(nav.stamp_sigma_s),
+            self.alignment.platform.widened(nav.stamp_sigma_s),
             R_cam_enu,
             self.noise.factors_at(nav.stamp_ns),
             self.R_body_cam.T @ self.lever_body_m,
@@ -175,7 +175,7 @@ class Window:
         nav: NavState,
         times_s: tuple[float, float],
         body_rate_rad_s: Array | None,
-        flown: Flown | None,
+        displacement: Displacement | None,
         flow_disagreement_px: Array | None = None,
     ) -> None:
         """Take a keyframe; the oldest leaves a full window. `flow_disagreement_px`: since the one before."""
@@ -184,13 +184,15 @@ class Window:
         R, centre = guess if guess is not None else (self.R_body_cam.T, nav.position_enu_m)
         rate = np.zeros(3) if body_rate_rad_s is None else body_rate_rad_s
         flow_disagreement_xy = None if flow_disagreement_px is None else flow_disagreement_px / self.camera.focal_px
-        made = Keyframe(frame, seen, nav, rate, *times_s, flown, R, centre, flow_disagreement_xy, guess is not None)
+        made = Keyframe(
+            frame, seen, nav, rate, *times_s, displacement, R, centre, flow_disagreement_xy, guess is not None
+        )
         self.keyframes.append(made)
         del self.keyframes[: -self.config.solve.keyframes]
 
-    def prepare(self, *, is_carrier_open: bool = False) -> Request:
+    def prepare(self, *, is_mount_open: bool = False) -> Request:
         """The window as it stands, for `window_solver.adjust`; nothing done to the window later changes it."""
-        self._see_with_belief()  # which may have been restored from the state directory
+        self._see_with_estimate()  # which may have been restored from the state directory
         start_ns = self.keyframes[0].nav.stamp_ns if self.keyframes else 0
         self._request = Request(
             self.config,
@@ -205,7 +207,7 @@ class Window:
             self.noise,
             self._slope_prior(start_ns),
             self.memory,
-            is_carrier_open,
+            is_mount_open,
         )
         return self._request
 
@@ -235,13 +237,13 @@ class Window:
         if found is not None:
             self.memory = self.memory.after(found, outcome.agreed, outcome.solved is not None)
         if outcome.solved is not None:
-            self._solved_under = None if self._request is None else self._request.belief
+            self._solved_under = None if self._request is None else self._request.platform
             self.solved = self.memory.windows[-1]
             if len(self.keyframes) == self.config.solve.keyframes:
                 self._see_slope(outcome.solved)
                 if not outcome.noise.failing.fails_at(self.keyframes[-1].nav.stamp_ns):
                     self.learn(outcome.solved)  # a sensor that is wrong teaches nothing about mount and clock
-        self._see_with_belief()
+        self._see_with_estimate()
         return outcome.status
 
     def solve(self) -> Status:
@@ -254,7 +256,7 @@ class Window:
         if request is None or request.slope is None or request.terrain is not None:
             return  # over a terrain model the plane is what that is off by
         start_ns, end_ns = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
-        prior = shared_prior(self.config, layout, request.belief, False, request.slope)
+        prior = shared_prior(self.config, layout, request.platform, False, request.slope)
         state, covariance = solved.solution.state, solved.covariance_at((start_ns + end_ns) // 2)
         shared = np.concatenate([state.platform, state.plane])
         slope, sigma2 = seen_alone(prior, shared, covariance[layout.shared, layout.shared])
@@ -283,8 +285,8 @@ class Window:
 
     def camera_found(self) -> tuple[Camera, Sigma]:
         """The camera as the flight found it, and one sigma of each of its states; the file's own if it has none."""
-        belief = self.alignment.belief
-        states, sigma = belief.mean[STATES:], belief.sigma[STATES:]
+        platform = self.alignment.platform
+        states, sigma = platform.mean[STATES:], platform.sigma[STATES:]
         if not len(states):
             return self.camera_file, self.camera_file.sigma
         f, x, y, k1, k2 = (float(s) for s in sigma[:5])
@@ -293,13 +295,13 @@ class Window:
     @property
     def readout(self) -> tuple[float, float]:
         """How long the rows take, as believed now, and one sigma (s); 0 and 0 of a global shutter."""
-        camera, belief = self.config.camera, self.alignment.belief
-        states, sigma = belief.mean[STATES:], belief.sigma[STATES:]
+        camera, platform = self.config.camera, self.alignment.platform
+        states, sigma = platform.mean[STATES:], platform.sigma[STATES:]
         return camera.readout_s + readout_s(states), readout_s(sigma)
 
-    def _see_with_belief(self) -> None:
+    def _see_with_estimate(self) -> None:
         """Where the belief of the camera has moved, make the keyframes' observations anew. Equation (15.2)."""
-        states = self.alignment.belief.mean[STATES:]
+        states = self.alignment.platform.mean[STATES:]
         if np.array_equal(states, self.camera_taken):
             return
         self.camera_taken, self.camera = states.copy(), corrected(self.camera_file, states)

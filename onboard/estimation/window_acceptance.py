@@ -142,17 +142,17 @@ def _by_terrain(config: Config, terrain: Terrain | None, s: Solution, good: Mask
 
 def _by_distance(config: Config, keyframes: Sequence[Keyframe], s: Solution, layout: Layout) -> Refusal | None:
     """The distance between the window's ends against the velocity's integral: the scene's scale. Equation (16.7)."""
-    flown = [k.flown for k in keyframes[1:]]
-    if any(f is None for f in flown):
+    displacement = [k.displacement for k in keyframes[1:]]
+    if any(f is None for f in displacement):
         return None
-    by_velocity = np.sum([f.enu_m for f in flown if f is not None], axis=0)
+    by_velocity = np.sum([f.enu_m for f in displacement if f is not None], axis=0)
     by_pictures = s.state.centres_enu_m[-1] - s.state.centres_enu_m[0]
     seconds = (keyframes[-1].nav.stamp_ns - keyframes[0].nav.stamp_ns) / 1e9
     ends = np.zeros((3, layout.size))
     ends[:, layout.centre(layout.keyframes - 1)] = np.eye(3)
     ends[:, layout.centre(0)] -= np.eye(3)
     lasting_m = max(LASTING_VELOCITY_M_S, velocity_sigma_m_s(config, keyframes)) * seconds
-    between_m2 = between_covariance(flown).sum(axis=(1, 2))
+    between_m2 = between_covariance(displacement).sum(axis=(1, 2))
     covariance = ends @ s.covariance @ ends.T + np.eye(3) * lasting_m**2 + np.diag(between_m2)
     miss = by_pictures - by_velocity
     chi2 = float(miss @ np.linalg.solve(covariance, miss))

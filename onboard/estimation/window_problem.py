@@ -63,7 +63,7 @@ class WindowProblem:
             request.R_body_cam,
             list(self.keyframes),
             self.layout,
-            request.belief,
+            request.platform,
             has_terrain,
             noise.jitter_s,
             noise.factors,
@@ -155,7 +155,7 @@ def from_request(request: Request) -> WindowProblem | Outcome:
     C = np.stack([k.centre_enu_m for k in keyframes])
     points, reference, plane = window_start.starting_points(request, ids, R, C, xy, weight > 0)
     off = np.zeros(layout.by_picture.shape)
-    state = State(R, C, points, request.belief.mean, plane, off)
+    state = State(R, C, points, request.platform.mean, plane, off)
     hold, terrain = ground_weight.weight_and_terrain(request, points)
     if terrain is not None:
         reference[2] = 0.0

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.feature_set import Status
 from onboard.config.schema import Config
-from onboard.estimation.boresight import Belief
+from onboard.estimation.boresight import PlatformEstimate
 from onboard.estimation.bundle_adjustment import Problem, Solution
 from onboard.estimation.factors import Prior
 from onboard.estimation.ground_slope import SlopePrior
@@ -52,11 +52,11 @@ class Request:
     keyframes: tuple[Keyframe, ...]
     previous: Solved | None
     terrain: Terrain | None
-    belief: Belief  # of boresight and time offset, for a window that begins where this one does
+    platform: PlatformEstimate  # of boresight and time offset, for a window that begins where this one does
     noise: Noise
     slope: SlopePrior | None = None  # of the ground where the window is; None: as configured
     memory: Memory = field(default_factory=Memory)
-    is_carrier_open: bool = False  # it is not known yet whether mount or gimbal carries the camera
+    is_mount_open: bool = False  # it is not known yet whether mount or gimbal carries the camera
     is_oriented: bool = False  # the keyframes' orientations are a start, whatever they came from
 
 

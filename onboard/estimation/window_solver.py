@@ -102,7 +102,7 @@ def _adjusted(request: Request) -> Outcome:
         return window
     noise = replace(request.noise, factors=request.noise.factors_at(window.start_ns))
     first = window.weighed(noise, window.state)
-    changed = None if request.is_carrier_open else moved_optics.found(window, first)
+    changed = None if request.is_mount_open else moved_optics.found(window, first)
     if changed is not None:
         reason, moved = changed.reason, changed.lens_moved
         return Outcome(changed.status, window.keyframes, request.noise, reason=reason, lens_moved=moved, weighed=first)

@@ -68,7 +68,7 @@ def sweep(request: Request, keyframes: tuple[Keyframe, ...], share: Array) -> Sw
     if len(moving) < len(keyframes):
         return None
     if have_attitude(keyframes):
-        R_body_cam = request.R_body_cam @ exp_so3(request.belief.mean[BORESIGHT])
+        R_body_cam = request.R_body_cam @ exp_so3(request.platform.mean[BORESIGHT])
         rate = np.stack([k.body_rate_rad_s for k in keyframes]) @ R_body_cam
     else:
         stamps_s = np.array([(k.nav.stamp_ns - keyframes[0].nav.stamp_ns) / 1e9 for k in keyframes])

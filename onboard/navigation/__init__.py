@@ -6,6 +6,6 @@ Public:
 - `gimbal`: `MountHypothesis`
 - `limits`: `MEMORY_NS`, `LATE_NS`, `RECENT_NS`, `PATIENCE_NS`, `LONG_NS`, `LIKELY_SIGMAS`, `MOST_OF`
 - `navigator`: `NavState`, `Motion`, `Navigation`
-- `position_interpolation`: `Flown`
+- `position_interpolation`: `Displacement`
 - `position_slip`: `DYNAMIC_TIME_S`
 """

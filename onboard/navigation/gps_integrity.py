@@ -62,7 +62,7 @@ class GpsIntegrity:
 
     # ------------------------------------------------------------------ before there is a frame
 
-    def first_belief(self, first_ns: int, now_ns: int) -> tuple[int | None, str]:
+    def first_estimate(self, first_ns: int, now_ns: int) -> tuple[int | None, str]:
         """Since when positions may be accepted with data up to `now_ns`, or None and why they may not.
 
         `first_ns`: stamp of the first position. Receiver and filter are waited for: a filter without a fix reports a

@@ -33,7 +33,7 @@ from onboard.navigation.attitude_interpolation import Attitudes
 from onboard.navigation.gimbal import Gimbal, MountHypothesis
 from onboard.navigation.gps_integrity import GpsIntegrity, Refusal
 from onboard.navigation.limits import LATE_NS, PATIENCE_NS, RECENT_NS
-from onboard.navigation.position_interpolation import Flown, Joined, Path, Position, finite
+from onboard.navigation.position_interpolation import Displacement, Joined, Path, Position, finite
 from onboard.navigation.time_series import Series
 
 Array = NDArray[np.float64]
@@ -181,7 +181,7 @@ class Navigation:
         """Put the frame where the first accepted position is, once there is one."""
         if not self._fixes.stamps_ns:
             return
-        since_ns, self.reason = self._integrity.first_belief(self._fixes.stamps_ns[0], now_ns)
+        since_ns, self.reason = self._integrity.first_estimate(self._fixes.stamps_ns[0], now_ns)
         if since_ns is None:
             return
         believed = [fix for fix in self._fixes.values if fix.stamp_ns > since_ns]
@@ -389,9 +389,9 @@ class Navigation:
             return np.zeros(3) if known is None else known
         return self._path.velocity(bracket[0], RECENT_NS // 2)
 
-    def displacement(self, start_ns: int, end_ns: int) -> Flown | None:
+    def displacement(self, start_ns: int, end_ns: int) -> Displacement | None:
         """Distance flown from the velocities alone (trapezium rule); None where any is missing."""
-        return self._path.flown(start_ns, end_ns)
+        return self._path.displacement(start_ns, end_ns)
 
     @property
     def _path(self) -> Path:

@@ -32,7 +32,7 @@ class Position:
 
 
 @dataclass(frozen=True, eq=False)
-class Flown:
+class Displacement:
     """The distance flown (3,), ENU m, by integrated velocity.
 
     `between_m`: for each gap between two positions that it runs over, by the stamp that begins it, one sigma (3,) of
@@ -92,7 +92,7 @@ class Path:
         weights = {before: (1 + 2 * s) * (1 - s) ** 2, after: s * s * (3 - 2 * s)}
         return Joined(weights, (4.0 * s * (1.0 - s)) ** 2 * self._missed(*bracket, CUBIC))
 
-    def flown(self, start_ns: int, end_ns: int) -> Flown | None:
+    def displacement(self, start_ns: int, end_ns: int) -> Displacement | None:
         """The distance between two moments from the velocities alone (trapezium rule); None where any is missing."""
         series = self.series
         ends = [self._velocity_at(start_ns), self._velocity_at(end_ns)]
@@ -111,7 +111,7 @@ class Path:
             gap_s = (series.stamps_ns[left + 1] - series.stamps_ns[left]) / 1e9
             share = _bump(end) - _bump(begin)
             missed[series.stamps_ns[left]] = share * gap_s * self._missed(left, left + 1, LINE)
-        return Flown(0.5 * (v[1:] + v[:-1]).T @ seconds, missed)
+        return Displacement(0.5 * (v[1:] + v[:-1]).T @ seconds, missed)
 
     def velocity(self, index: int, reach_ns: int = 0) -> Array:
         """A position's velocity (3,); the components it lacks from its neighbours' positions."""

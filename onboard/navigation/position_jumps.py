@@ -122,13 +122,13 @@ class PositionJumps:
         else:
             self._lose_link(end_ns)
         if velocities:
-            flown = np.mean(velocities, axis=0) * seconds
+            displacement = np.mean(velocities, axis=0) * seconds
         elif len(positions.stamps_ns) > 2:
             earlier_s = (start_ns - positions.stamps_ns[-3]) / 1e9
-            flown = (before.enu_m - positions.values[-3].enu_m) * (seconds / earlier_s)
+            displacement = (before.enu_m - positions.values[-3].enu_m) * (seconds / earlier_s)
         else:
             return
-        miss = moved - flown
+        miss = moved - displacement
         most_m = np.maximum(self._gps.glitch_m, GLITCH_SIGMAS * np.array(sigma_m))
         horizontal = np.hypot(miss[0], miss[1]) > most_m[0]
         if not horizontal and abs(miss[2]) <= most_m[1]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from onboard.config.schema import Config
-from onboard.estimation.boresight import Belief, Unconfirmed
+from onboard.estimation.boresight import PlatformEstimate, Unconfirmed
 from onboard.estimation.platform_states import QUANTITIES, present
 from onboard.estimation.reobservation import RelativeVariance
 from onboard.estimation.sensor_groups import FORGOTTEN, Failing
@@ -82,15 +82,15 @@ def said_of(contradictions: Iterable[Contradiction]) -> str:
     return "; ".join(str(c) for c in contradictions if c.is_now)
 
 
-def estimates_of(belief: Belief | None) -> tuple[Estimate, ...]:
+def estimates_of(platform: PlatformEstimate | None) -> tuple[Estimate, ...]:
     """What is estimated of mount, clock, delays, compass and camera; empty before the first estimate.
 
     Delays are what positions and velocities are older than their stamps beyond `gps.latency_s`; the heading read
     is too small by the first component times the cosine of the heading plus the second times its sine.
     """
-    if belief is None:
+    if platform is None:
         return ()
-    mean, sigma = belief.mean, belief.sigma
+    mean, sigma = platform.mean, platform.sigma
     return tuple(
         Estimate(q.name, q.unit, tuple(mean[at].tolist()), tuple(sigma[at].tolist())) for q, at in present(len(mean))
     )
@@ -100,7 +100,7 @@ def unconfirmed_of(found: Unconfirmed | None) -> tuple[Estimate, ...]:
     """What was found too far from the prior to be adopted before anything confirms it; empty if nothing was."""
     if found is None:
         return ()
-    every = estimates_of(Belief(found.end_ns, found.mean, np.diag(np.square(found.sigma))))
+    every = estimates_of(PlatformEstimate(found.end_ns, found.mean, np.diag(np.square(found.sigma))))
     outside = [bool(np.any(found.outside[at])) for _, at in present(len(found.mean))]
     return tuple(e for e, is_outside in zip(every, outside, strict=True) if is_outside)
 
@@ -138,9 +138,9 @@ def found_in_flight(
     config: Config, window: Window, now_ns: int
 ) -> tuple[tuple[Estimate, ...], tuple[SensorError, ...], tuple[Estimate, ...], tuple[Contradiction, ...]]:
     """Estimates, sensor errors, what is not confirmed, and contradictions, as of now."""
-    belief = window.belief if window.alignment.updates else None
+    platform = window.platform if window.alignment.updates else None
     return (
-        estimates_of(belief) + relative_variance_of(window.memory.relative),
+        estimates_of(platform) + relative_variance_of(window.memory.relative),
         sensor_errors(config, window.noise.factors),
         unconfirmed_of(window.alignment.unconfirmed),
         contradictions_of(window.noise.failing, now_ns),

@@ -36,7 +36,7 @@ def wants_keyframe(tracks: Tracks, width_px: int) -> bool:
 
 def look_up_again(window: Window, navigation: Navigation) -> None:
     """Replace the navigation of the window's keyframes, all of them or, where one has none any more, none."""
-    mean = window.alignment.belief.mean
+    mean = window.alignment.platform.mean
     offset_s, delay_s = float(mean[OFFSET]), float(mean[DELAY])
     if all(
         abs(k.nav_offset_s - offset_s) <= LEAST_OFFSET_S and abs(k.nav_delay_s - delay_s) <= LEAST_DELAY_S
@@ -51,10 +51,12 @@ def look_up_again(window: Window, navigation: Navigation) -> None:
         rate = navigation.body_rate_at(k.nav.stamp_ns + offset_ns)
         if isinstance(nav, Status) or nav.stretch != k.nav.stretch or rate is None:
             return
-        flown = None
-        if found and k.flown is not None:
-            flown = navigation.displacement(found[-1].nav.stamp_ns + offset_ns, k.nav.stamp_ns + offset_ns)
-        now = replace(k, nav=nav, nav_offset_s=offset_s, nav_delay_s=delay_s, body_rate_rad_s=rate, flown=flown)
+        displacement = None
+        if found and k.displacement is not None:
+            displacement = navigation.displacement(found[-1].nav.stamp_ns + offset_ns, k.nav.stamp_ns + offset_ns)
+        now = replace(
+            k, nav=nav, nav_offset_s=offset_s, nav_delay_s=delay_s, body_rate_rad_s=rate, displacement=displacement
+        )
         R_cam_enu = window.attitude_guess(nav)
         if k.frame not in solved and R_cam_enu is not None:  # its start was by the navigation that is replaced
             now = replace(now, R_cam_enu=R_cam_enu, centre_enu_m=window.position_guess(nav))

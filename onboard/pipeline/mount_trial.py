@@ -87,7 +87,7 @@ def _request(window: Window, reading: MountHypothesis, noise: Noise | None = Non
             return None
         keyframes.append(replace(keyframe, nav=nav, R_cam_enu=R, centre_enu_m=nav.position_enu_m))
     noise = noise or Noise(window.config.solve.pixel_sigma_px, window.config.camera.sigma_jitter_s)
-    return replace(window.prepare(is_carrier_open=True), keyframes=tuple(keyframes), previous=None, noise=noise)
+    return replace(window.prepare(is_mount_open=True), keyframes=tuple(keyframes), previous=None, noise=noise)
 
 
 def carry_over(window: Window, records: list[Record], navigation: Navigation, reading: MountHypothesis) -> bool:

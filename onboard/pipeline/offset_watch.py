@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from onboard.config.schema import Config
-from onboard.estimation.boresight import Belief
+from onboard.estimation.boresight import PlatformEstimate
 from onboard.estimation.keyframe import Ids
 from onboard.estimation.platform_states import BORESIGHT, OFFSET
 from onboard.estimation.rotation_timing import COARSE_S, FEATURES, REACH_S, Course, Pair, Timing, timing
@@ -68,11 +68,11 @@ class OffsetWatch:
             chosen = np.linspace(0, len(common) - 1, min(FEATURES, len(common))).astype(np.intp)
             self._waiting.append(self._pair(last[0], stamp_ns, last[2][one[chosen]], uv_px[other[chosen]]))
 
-    def estimate(self, navigation: Navigation, belief: Belief, now_ns: int) -> Timing | None:
+    def estimate(self, navigation: Navigation, platform: PlatformEstimate, now_ns: int) -> Timing | None:
         """The offset by the turns so far; None while there is no news, or where they do not determine one."""
-        if self._centre_s is None or abs(belief.mean[OFFSET] - self._centre_s) > 0.5 * REACH_S:
+        if self._centre_s is None or abs(platform.mean[OFFSET] - self._centre_s) > 0.5 * REACH_S:
             self.forget()
-            self._centre_s = float(belief.mean[OFFSET])
+            self._centre_s = float(platform.mean[OFFSET])
         while self._waiting and self._take(self._waiting[0], navigation, now_ns):
             self._waiting.popleft()
         while self._pairs and self._pairs[0].start_ns < now_ns - MEMORY_NS // 2:
@@ -80,13 +80,13 @@ class OffsetWatch:
         if len(self._motions) > MEMORY_NS // STEP_NS:
             oldest = (now_ns - MEMORY_NS // 2) // STEP_NS - REACH_STEPS + round(self._centre_s * 1e9) // STEP_NS
             self._motions = {k: motion for k, motion in self._motions.items() if k >= oldest}
-        news, after_ns = (RELAXED, RELAXED_NS) if belief.sigma[OFFSET] < TELLING_S else (NEWS, NEWS_NS)
+        news, after_ns = (RELAXED, RELAXED_NS) if platform.sigma[OFFSET] < TELLING_S else (NEWS, NEWS_NS)
         if self._news < news or now_ns - self._asked_ns < after_ns:
             return None
         self._news, self._asked_ns = 0, now_ns
         if not self._pairs:
             return None
-        return timing(list(self._pairs), self._course(), self._centre_s, belief.mean[BORESIGHT], self._sigma_rad)
+        return timing(list(self._pairs), self._course(), self._centre_s, platform.mean[BORESIGHT], self._sigma_rad)
 
     def _pair(self, start_ns: int, end_ns: int, uv1: Array, uv2: Array) -> Pair:
         (one, valid1), (other, valid2) = self._camera.unproject(uv1), self._camera.unproject(uv2)

@@ -79,14 +79,14 @@ def moving_at(window: Window, navigation: Navigation, nav: NavState) -> Moving |
     """
     if not window.config.camera.is_rolling:
         return None
-    belief = window.alignment.belief
-    at_ns = nav.stamp_ns + round(float(belief.mean[OFFSET]) * 1e9)
+    platform = window.alignment.platform
+    at_ns = nav.stamp_ns + round(float(platform.mean[OFFSET]) * 1e9)
     R_cam_enu = window.attitude_guess(nav)
     rate_cam = np.zeros(3)
     if R_cam_enu is not None:
         rate = navigation.body_rate_at(at_ns)
         if rate is not None:
-            rate_cam = (window.R_body_cam @ exp_so3(belief.mean[BORESIGHT])).T @ rate
+            rate_cam = (window.R_body_cam @ exp_so3(platform.mean[BORESIGHT])).T @ rate
     elif window.keyframes:
         last = window.keyframes[-2:]
         R_cam_enu = last[-1].R_cam_enu

@@ -109,7 +109,7 @@ class Pipeline:
         if isinstance(event, Frame):
             self._waiting.append(event)
         elif isinstance(event, Zoom):
-            self.zoom.note(event, self._offset_s, float(self.window.alignment.belief.sigma[OFFSET]))
+            self.zoom.note(event, self._offset_s, float(self.window.alignment.platform.sigma[OFFSET]))
         else:
             with self._statistics.timed("navigation"):
                 self.navigation.add(event)
@@ -268,7 +268,7 @@ class Pipeline:
     @property
     def _offset_s(self) -> float:
         """Camera-to-autopilot time offset as it is known now."""
-        return float(self.window.alignment.belief.mean[OFFSET])
+        return float(self.window.alignment.platform.mean[OFFSET])
 
     def _moment_ns(self, stamp_ns: int) -> int:
         """A picture's moment on the autopilot's clock."""
@@ -277,7 +277,7 @@ class Pipeline:
     @property
     def _delay_s(self) -> float:
         """How much older than its stamp the position is, beyond `gps.latency_s`, as it is known now."""
-        return float(self.window.alignment.belief.mean[DELAY])
+        return float(self.window.alignment.platform.mean[DELAY])
 
     def _state_at(self, stamp_ns: int, stamp_sigma_s: float = 0.0) -> NavState | Status:
         return self.navigation.state_at(stamp_ns, self._offset_s, stamp_sigma_s, self._delay_s)
@@ -310,7 +310,7 @@ class Pipeline:
             return  # what stamps are off by for a while is no property of the platform
         watch, alignment = self._offset_watch, self.window.alignment
         watch.note(nav.stamp_ns, tracks.ids, tracks.uv_px)
-        found = watch.estimate(self.navigation, alignment.belief, self._now_ns)
+        found = watch.estimate(self.navigation, alignment.platform, self._now_ns)
         if found is not None and alignment.hear(found.end_ns, found.offset_s, found.sigma_s):
             watch.forget()
 
@@ -335,19 +335,25 @@ class Pipeline:
         self._stillness.begin(ids, uv, frame.stamp_ns)
         look_up_again(self.window, self.navigation)
         seen = seen_at(self.window, self.window.camera, self.navigation, nav, replace(tracks, ids=ids, uv_px=uv))
-        moment_ns, flown = self._moment_ns(frame.stamp_ns), None
+        moment_ns, displacement = self._moment_ns(frame.stamp_ns), None
         if self.window.keyframes:
-            flown = self.navigation.displacement(self._moment_ns(self.window.keyframes[-1].nav.stamp_ns), moment_ns)
+            displacement = self.navigation.displacement(
+                self._moment_ns(self.window.keyframes[-1].nav.stamp_ns), moment_ns
+            )
         rate = self.navigation.body_rate_at(moment_ns)
         self.window.add(
-            frame.index, seen, nav, (self._offset_s, self._delay_s), rate, flown, self.tracker.flow_disagreement_px
+            frame.index,
+            seen,
+            nav,
+            (self._offset_s, self._delay_s),
+            rate,
+            displacement,
+            self.tracker.flow_disagreement_px,
         )
         self._statistics.keyframes += 1
         record = Record(frame, seen, nav, True)
         self._book.add(record)
-        promise = self.worker.submit(
-            timed_adjust, self.window.prepare(is_carrier_open=self.mount_selection.is_open(nav))
-        )
+        promise = self.worker.submit(timed_adjust, self.window.prepare(is_mount_open=self.mount_selection.is_open(nav)))
         self._trials.begin(self.window, self.worker, self.navigation)
         self._pending = Pending(promise, record, reason, self._now_ns + ADOPTION_NS)
         if reason is None:

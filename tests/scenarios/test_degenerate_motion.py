@@ -170,9 +170,9 @@ def test_boresight_and_time_offset_are_learned_in_turns() -> None:
     )  # fmt: skip
     outcome = play(simulated(spec), ("mount.sigma_deg", 3.0), ("camera.sigma_latency_s", 0.3))
     assert outcome.pipeline is not None
-    belief = outcome.pipeline.window.alignment.belief
-    boresight = np.degrees(belief.mean[:3]) - [3.0, -1.0, 1.5]
-    assert np.abs(boresight).max() < 0.3 + 3.0 * np.degrees(belief.sigma[2]), (boresight, np.degrees(belief.sigma))
+    platform = outcome.pipeline.window.alignment.platform
+    boresight = np.degrees(platform.mean[:3]) - [3.0, -1.0, 1.5]
+    assert np.abs(boresight).max() < 0.3 + 3.0 * np.degrees(platform.sigma[2]), (boresight, np.degrees(platform.sigma))
     assert np.abs(boresight[:2]).max() < 0.3, boresight
-    assert abs(belief.mean[3] + 0.3) < 0.03, belief.mean[3]
+    assert abs(platform.mean[3] + 0.3) < 0.03, platform.mean[3]
     assert outcome.inside_99 >= 0.95, outcome.reported

@@ -134,7 +134,7 @@ def test_stamps_that_begin_to_be_late_are_carried_by_the_answers_and_are_over_wh
     assert asked.radius_m(LATE_FROM_S + 1.0, LATE_FROM_S + 10.0) > 1.02 * asked.radius_m(15.0, LATE_FROM_S)
     assert asked.radius_m(LATE_TO_S + 10.0, 70.0) < 1.2 * asked.radius_m(15.0, LATE_FROM_S)
     # What was off for a while is no property of camera and clock.
-    assert abs(pipeline.window.alignment.belief.mean[3] - flight.offset_s) < 0.03
+    assert abs(pipeline.window.alignment.platform.mean[3] - flight.offset_s) < 0.03
 
 
 @pytest.mark.long

@@ -246,9 +246,9 @@ def test_photographs_of_a_fixed_lens_are_solved_and_none_is_called_zoomed(shared
     statuses = Counter(s.status for s in sets.values())
     assert statuses.total() == 50 and statuses[Status.OK] >= 46, statuses
     assert not MOVED & {*statuses, *(status for _, status in worker.windows)}
-    belief = pipeline.window.belief
-    focal = len(belief.mean) - len(pipeline.window.camera_taken)
-    assert abs(belief.mean[focal] + np.log1p(off)) < 2.0 * belief.sigma[focal]
+    platform = pipeline.window.platform
+    focal = len(platform.mean) - len(pipeline.window.camera_taken)
+    assert abs(platform.mean[focal] + np.log1p(off)) < 2.0 * platform.sigma[focal]
 
 
 @pytest.mark.parametrize("readout_s", rest_long([0.0, 0.0466]))

@@ -116,7 +116,7 @@ def test_draws_of_reported_zooms_are_answered_soon_and_as_surely_as_they_say(pat
         inside.append(float(np.mean(np.array(after) <= 1.0)))
         worst.append(max(after))
         focal.append(result.focal_error())
-        sigmas.append(float(result.found.pipeline.window.belief.sigma[STATES]))
+        sigmas.append(float(result.found.pipeline.window.platform.sigma[STATES]))
         waited += result.waited_s()
         assert not result.answered_while_moving()
     assert 0.85 <= np.mean(inside) <= 0.97, inside

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from contract.errors import InputError
-from onboard.estimation.boresight import MEMORY_ESTIMATES, Alignment, Belief, under_another_prior
+from onboard.estimation.boresight import MEMORY_ESTIMATES, Alignment, PlatformEstimate, under_another_prior
 from onboard.estimation.platform_states import DELAY, OFFSET, STATES, VELOCITY_DELAY, WALK
 
 T0_NS = 1_795_217_000_000_000_000
@@ -40,7 +40,7 @@ def test_a_posterior_serves_windows_that_begin_after_it_and_no_other() -> None:
     assert a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)
     assert np.all(a.prior_for(at(9.9)).mean == 0.0)
     assert a.prior_for(at(10.0)).mean == pytest.approx(MEAN, rel=1e-12)
-    assert a.belief.mean == pytest.approx(MEAN, rel=1e-12)
+    assert a.platform.mean == pytest.approx(MEAN, rel=1e-12)
     assert a.updates == 1
 
 
@@ -91,8 +91,8 @@ def test_a_belief_survives_the_state_directory_wider_than_before() -> None:
     b.restore(a.to_json())
     prior = b.prior_for(at(-1e5))
     assert np.allclose(prior.mean, MEAN)
-    assert np.all(prior.sigma > a.belief.sigma)
-    assert np.all(prior.sigma < alignment().belief.sigma)
+    assert np.all(prior.sigma > a.platform.sigma)
+    assert np.all(prior.sigma < alignment().platform.sigma)
     assert b.updates == 0
     assert b.offer(at(0.0), at(5.0), MEAN, COVARIANCE)
 
@@ -128,7 +128,7 @@ def test_what_is_no_belief_is_refused_by_name_and_changes_nothing(text: str) -> 
     a = alignment()
     with pytest.raises(InputError, match="alignment state"):
         a.restore(text)
-    assert np.all(a.belief.mean == 0.0)
+    assert np.all(a.platform.mean == 0.0)
 
 
 def test_a_prior_that_was_too_narrow_is_widened_by_data() -> None:
@@ -139,11 +139,11 @@ def test_a_prior_that_was_too_narrow_is_widened_by_data() -> None:
     precision = np.diag([own**-2] * 3 + [0.02**-2] * 3 + [own**-2] * 2)
     covariance = np.linalg.inv(precision + np.diag([sigma**-2] * 3 + [0.1**-2] * 3 + [sigma**-2] * 2))
     a.offer(at(0.0), at(10.0), covariance @ precision @ truth, covariance)
-    mean_deg = np.degrees(a.belief.mean[:3])
+    mean_deg = np.degrees(a.platform.mean[:3])
     assert mean_deg[0] == pytest.approx(2.82, abs=0.01)  # 4 square degrees of prior instead of 1: 2.4
     assert mean_deg[2] == pytest.approx(0.4, abs=0.001)  # within what was declared: as it was
-    assert np.degrees(a.belief.sigma[0]) == pytest.approx(0.485, abs=0.002)
-    assert np.degrees(a.belief.sigma[2]) == pytest.approx(np.degrees(np.sqrt(covariance[2, 2])), abs=1e-6)
+    assert np.degrees(a.platform.sigma[0]) == pytest.approx(0.485, abs=0.002)
+    assert np.degrees(a.platform.sigma[2]) == pytest.approx(np.degrees(np.sqrt(covariance[2, 2])), abs=1e-6)
 
 
 def test_the_prior_is_widened_once_and_not_update_after_update() -> None:
@@ -157,8 +157,8 @@ def test_the_prior_is_widened_once_and_not_update_after_update() -> None:
         held = np.linalg.inv(prior.covariance)
         covariance = np.linalg.inv(held + data)
         a.offer(at(100.0 * k), at(100.0 * k + 10.0), covariance @ (held @ prior.mean + data @ truth), covariance)
-        assert np.degrees(a.belief.sigma[0]) == pytest.approx(0.5 / np.sqrt(k + 1.0), rel=0.04)
-        assert abs(np.degrees(a.belief.mean[0]) - 3.0) < 0.2 / (k + 1)
+        assert np.degrees(a.platform.sigma[0]) == pytest.approx(0.5 / np.sqrt(k + 1.0), rel=0.04)
+        assert abs(np.degrees(a.platform.mean[0]) - 3.0) < 0.2 / (k + 1)
 
 
 def windows_of(a: Alignment, scatter: float, seed: int, windows: int = 20) -> tuple[np.ndarray, np.ndarray]:
@@ -179,7 +179,7 @@ def windows_of(a: Alignment, scatter: float, seed: int, windows: int = 20) -> tu
         mean = covariance @ (held @ prior.mean + data @ seen)
         taken += a.offer(at(30.0 * k), at(30.0 * k + 10.0), mean, covariance)
     assert taken >= 0.85 * windows
-    return a.belief.mean - truth, a.belief.sigma
+    return a.platform.mean - truth, a.platform.sigma
 
 
 def sigma_of_all(scatter: float = 1.0, windows: int = 20) -> np.ndarray:
@@ -243,10 +243,10 @@ def test_a_state_file_from_before_delays_were_estimated_is_read_with_their_first
     }  # fmt: skip
     a = alignment()
     a.restore(json.dumps(old))
-    assert a.belief.mean == pytest.approx([0.01, -0.02, 0.005, 0.05, 0.0, 0.0, 0.0, 0.0])
-    assert np.all(a.belief.sigma[DELAY:] >= FIRST[DELAY:] - 1e-9)
-    assert np.all(a.belief.sigma[DELAY:] < 1.2 * FIRST[DELAY:])
-    assert np.all(a.belief.sigma[:3] < 0.6 * FIRST[:3])
+    assert a.platform.mean == pytest.approx([0.01, -0.02, 0.005, 0.05, 0.0, 0.0, 0.0, 0.0])
+    assert np.all(a.platform.sigma[DELAY:] >= FIRST[DELAY:] - 1e-9)
+    assert np.all(a.platform.sigma[DELAY:] < 1.2 * FIRST[DELAY:])
+    assert np.all(a.platform.sigma[:3] < 0.6 * FIRST[:3])
 
 
 def told(a: Alignment, start_s: float, offset_s: float, sigma_s: float = 0.01) -> bool:
@@ -265,9 +265,9 @@ def test_a_value_outside_its_prior_waits_for_a_second_window_that_shares_nothing
     assert list(np.flatnonzero(a.unconfirmed.outside)) == [OFFSET]
     assert not told(a, 5.0, 0.45), "shares pictures with the first"
     assert not told(a, 15.0, 0.45), "shares the attitude's error with the first"
-    assert a.belief.mean[OFFSET] == 0.0
+    assert a.platform.mean[OFFSET] == 0.0
     assert told(a, 25.0, 0.44)
-    assert a.belief.mean[OFFSET] == pytest.approx(0.44, abs=0.01)
+    assert a.platform.mean[OFFSET] == pytest.approx(0.44, abs=0.01)
     assert a.unconfirmed is None
     assert told(a, 60.0, 0.445), "what was confirmed must not wait again"
 
@@ -279,14 +279,14 @@ def test_windows_that_are_outside_without_agreeing_confirm_nothing() -> None:
     assert a.updates == 0
     assert told(a, 200.0, 0.05)
     assert a.unconfirmed is None
-    assert a.belief.mean[OFFSET] == pytest.approx(0.05, abs=0.001)
+    assert a.platform.mean[OFFSET] == pytest.approx(0.05, abs=0.001)
 
 
 def test_what_was_learned_is_not_overthrown_by_one_window() -> None:
     a = alignment()
     told(a, 0.0, 0.05)
     assert not told(a, 40.0, 0.15)  # ten sigmas
-    assert a.belief.mean[OFFSET] == pytest.approx(0.05, abs=0.001)
+    assert a.platform.mean[OFFSET] == pytest.approx(0.05, abs=0.001)
     assert told(a, 80.0, 0.15)
 
 
@@ -304,12 +304,12 @@ def test_an_unconfirmed_value_is_never_written() -> None:
 def test_rotations_move_the_offset_and_nothing_that_is_independent_of_it() -> None:
     a = alignment()
     assert a.hear(at(10.0), -0.2, 0.006)
-    belief = a.prior_for(at(0.0))  # of the windows that hold the same pictures, too
-    assert belief.mean[OFFSET] == pytest.approx(-0.2)
-    assert belief.sigma[OFFSET] == pytest.approx(np.sqrt(2.0) * 0.006)
+    platform = a.prior_for(at(0.0))  # of the windows that hold the same pictures, too
+    assert platform.mean[OFFSET] == pytest.approx(-0.2)
+    assert platform.sigma[OFFSET] == pytest.approx(np.sqrt(2.0) * 0.006)
     others = np.arange(STATES) != OFFSET
-    assert np.all(belief.mean[others] == 0.0)
-    assert belief.sigma[others] == pytest.approx(FIRST[others], rel=1e-4)
+    assert np.all(platform.mean[others] == 0.0)
+    assert platform.sigma[others] == pytest.approx(FIRST[others], rel=1e-4)
     assert a.updates == 1
     assert not a.hear(at(40.0), -0.195, 0.006), "as sure as what is known: nothing to be gained"
 
@@ -318,10 +318,10 @@ def test_rotations_refine_an_offset_that_windows_know_less_well() -> None:
     a = alignment()
     assert a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)  # -0.08 +- 0.01
     assert a.hear(at(30.0), -0.07, 0.002)
-    assert a.belief.mean[OFFSET] == pytest.approx(-0.0708, abs=0.0005)
-    assert a.belief.sigma[OFFSET] < 0.003
+    assert a.platform.mean[OFFSET] == pytest.approx(-0.0708, abs=0.0005)
+    assert a.platform.sigma[OFFSET] < 0.003
     assert a.prior_for(at(29.0)).mean[OFFSET] == pytest.approx(-0.08)
-    assert a.belief.mean[:3] == pytest.approx(MEAN[:3])
+    assert a.platform.mean[:3] == pytest.approx(MEAN[:3])
 
 
 @pytest.mark.parametrize("agree", [True, False])
@@ -330,15 +330,15 @@ def test_rotations_that_contradict_windows_need_each_other(agree: bool) -> None:
     a = alignment()
     a.offer(at(0.0), at(10.0), MEAN, COVARIANCE)
     assert a.hear(at(30.0), -0.2, 0.005)
-    assert a.belief.mean[OFFSET] == pytest.approx(-0.08)
+    assert a.platform.mean[OFFSET] == pytest.approx(-0.08)
     assert a.hear(at(60.0), -0.203 if agree else 0.1, 0.005)
     if agree:
-        assert a.belief.mean[OFFSET] == pytest.approx(-0.203)
-        assert np.all(a.belief.mean[:3] == 0.0), "the mount was learned at another offset"
+        assert a.platform.mean[OFFSET] == pytest.approx(-0.203)
+        assert np.all(a.platform.mean[:3] == 0.0), "the mount was learned at another offset"
         assert a.unconfirmed is None
         assert json.loads(a.to_json())["offset_s"] == pytest.approx(-0.203)
     else:
-        assert a.belief.mean[OFFSET] == pytest.approx(-0.08)
+        assert a.platform.mean[OFFSET] == pytest.approx(-0.08)
         assert a.unconfirmed is not None
 
 
@@ -348,17 +348,17 @@ def test_a_window_solved_under_a_looser_prior_says_no_more_than_it_saw() -> None
     A = rng.standard_normal((STATES, STATES)) / FIRST
     tells = A.T @ A
     seen = rng.standard_normal(STATES) * FIRST
-    prior = Belief(1, 0.3 * seen, np.diag(0.25 * FIRST**2))
+    prior = PlatformEstimate(1, 0.3 * seen, np.diag(0.25 * FIRST**2))
     given = prior.covariance + np.diag(np.where(np.arange(STATES) == DELAY, FIRST**2, 0.0))
 
     def posterior(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         out = np.linalg.inv(np.linalg.inv(covariance) + tells)
         return prior.mean + out @ tells @ (seen - prior.mean), out
 
-    for other in (prior, Belief(2, -0.2 * seen, np.diag(0.1 * FIRST**2))):
+    for other in (prior, PlatformEstimate(2, -0.2 * seen, np.diag(0.1 * FIRST**2))):
         information = np.linalg.inv(other.covariance)
         expected = np.linalg.inv(information + tells)
-        mean, covariance = under_another_prior(*posterior(given), Belief(1, prior.mean, given), other)
+        mean, covariance = under_another_prior(*posterior(given), PlatformEstimate(1, prior.mean, given), other)
         assert mean / FIRST == pytest.approx(expected @ (information @ other.mean + tells @ seen) / FIRST, abs=1e-6)
         assert covariance / np.outer(FIRST, FIRST) == pytest.approx(expected / np.outer(FIRST, FIRST), abs=1e-6)
 
@@ -366,17 +366,19 @@ def test_a_window_solved_under_a_looser_prior_says_no_more_than_it_saw() -> None
 def test_windows_that_see_nothing_of_a_delay_leave_it_where_it_was() -> None:
     """A loosened prior is not a reason to follow the noise: 100 windows that say little move the mean by as little."""
     rng = np.random.default_rng(6)
-    belief = Belief(1, np.zeros(STATES), np.diag(FIRST**2))
+    platform = PlatformEstimate(1, np.zeros(STATES), np.diag(FIRST**2))
     little = 0.01 / FIRST[DELAY] ** 2
     for _ in range(100):
-        given = belief.covariance.copy()
+        given = platform.covariance.copy()
         given[DELAY, DELAY] = FIRST[DELAY] ** 2
         tells = np.zeros((STATES, STATES))
         tells[DELAY, DELAY] = little
         covariance = np.linalg.inv(np.linalg.inv(given) + tells)
         seen = np.where(np.arange(STATES) == DELAY, rng.standard_normal() / np.sqrt(little), 0.0)
-        mean = belief.mean + covariance @ tells @ (seen - belief.mean)
-        belief = Belief(1, *under_another_prior(mean, covariance, Belief(1, belief.mean, given), belief))
+        mean = platform.mean + covariance @ tells @ (seen - platform.mean)
+        platform = PlatformEstimate(
+            1, *under_another_prior(mean, covariance, PlatformEstimate(1, platform.mean, given), platform)
+        )
     # 100 times a hundredth of the first prior's information: as much again as it had.
-    assert belief.sigma[DELAY] == pytest.approx(FIRST[DELAY] / np.sqrt(2.0), rel=1e-6)
-    assert abs(belief.mean[DELAY]) < 2.5 * belief.sigma[DELAY]
+    assert platform.sigma[DELAY] == pytest.approx(FIRST[DELAY] / np.sqrt(2.0), rel=1e-6)
+    assert abs(platform.mean[DELAY]) < 2.5 * platform.sigma[DELAY]

@@ -36,9 +36,9 @@ def test_rays_of_a_pixel_move_with_the_states_as_derived(camera: Camera) -> None
 
 def test_a_camera_whose_sigmas_are_nothing_has_no_states() -> None:
     assert corrected(PLAIN, np.zeros(0)) is PLAIN
-    assert len(Alignment(0.02, 0.1, 20.0, camera=PLAIN).belief.mean) == STATES
+    assert len(Alignment(0.02, 0.1, 20.0, camera=PLAIN).platform.mean) == STATES
     unsure = replace(PLAIN, stated_sigma=UNKNOWN_SIGMA)
-    assert Alignment(0.02, 0.1, 20.0, camera=unsure).belief.sigma[STATES:] == pytest.approx(UNKNOWN_SIGMA, rel=1e-3)
+    assert Alignment(0.02, 0.1, 20.0, camera=unsure).platform.sigma[STATES:] == pytest.approx(UNKNOWN_SIGMA, rel=1e-3)
 
 
 def test_errors_of_the_camera_are_found_without_bias_and_as_well_as_stated() -> None:
@@ -70,21 +70,21 @@ def test_what_was_found_of_a_camera_is_kept_as_what_it_is() -> None:
     assert from_numbers(better, as_numbers(filed, states)) == pytest.approx(np.zeros(COUNT), abs=1e-12)
 
     first = Alignment(0.02, 0.1, 20.0, camera=filed)
-    covariance = 0.01 * np.diag(first.belief.sigma**2)
+    covariance = 0.01 * np.diag(first.platform.sigma**2)
     assert first.offer(10**18, 10**18 + 10**10, np.concatenate([np.zeros(STATES), states]), covariance)
     text = first.to_json()
     for camera, expected in ((filed, states), (better, np.zeros(COUNT))):
         again = Alignment(0.02, 0.1, 20.0, camera=camera)
         again.restore(text)
-        assert again.belief.mean[STATES:] == pytest.approx(expected, abs=0.02 * np.abs(states).max())
-        assert np.all(again.belief.sigma[STATES:] < 0.6 * np.array(UNKNOWN_SIGMA))
+        assert again.platform.mean[STATES:] == pytest.approx(expected, abs=0.02 * np.abs(states).max())
+        assert np.all(again.platform.sigma[STATES:] < 0.6 * np.array(UNKNOWN_SIGMA))
     sure = Alignment(0.02, 0.1, 20.0, camera=BENT)
     sure.restore(text)
-    assert len(sure.belief.mean) == STATES
+    assert len(sure.platform.mean) == STATES
     older = json.loads(sure.to_json())
     again = Alignment(0.02, 0.1, 20.0, camera=filed)
     again.restore(json.dumps(older))
-    assert again.belief.sigma[STATES:] == pytest.approx(np.sqrt(1.25) * np.array(UNKNOWN_SIGMA), rel=0.02)
+    assert again.platform.sigma[STATES:] == pytest.approx(np.sqrt(1.25) * np.array(UNKNOWN_SIGMA), rel=0.02)
 
 
 def test_a_camera_file_states_its_sigmas_or_is_taken_for_a_lens_known_by_its_type(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from onboard.estimation.keyframe import Keyframe
 from onboard.estimation.sensor_factors import sensor_priors
 from onboard.estimation.window_request import Request
 from onboard.estimation.window_solver import adjust
-from onboard.navigation.position_interpolation import Flown
+from onboard.navigation.position_interpolation import Displacement
 from onboard.vision.coarse_flow import flow_disagreement
 from onboard.vision.contrast_normalisation import Picture, prepare
 from onboard.vision.klt_tracker import Tracker
@@ -95,8 +95,10 @@ def strayed(keyframe: Keyframe, newest_ns: int, speed_m_s: np.ndarray, seconds: 
     """Position and displacement as they would be measured from ground that moves by `speed_m_s`."""
     age_s = (keyframe.nav.stamp_ns - newest_ns) / 1e9
     nav = replace(keyframe.nav, position_enu_m=keyframe.nav.position_enu_m + speed_m_s * age_s)
-    flown = None if keyframe.flown is None else Flown(keyframe.flown.enu_m + speed_m_s * seconds)
-    return replace(keyframe, nav=nav, flown=flown)
+    displacement = (
+        None if keyframe.displacement is None else Displacement(keyframe.displacement.enu_m + speed_m_s * seconds)
+    )
+    return replace(keyframe, nav=nav, displacement=displacement)
 
 
 @pytest.mark.parametrize("speed_m_s", [(0.4, 0.0, 0.0), (0.0, -0.4, 0.0)])
@@ -116,7 +118,7 @@ def test_the_answer_to_moving_ground_is_the_solutions_own(speed_m_s: tuple[float
         request.R_body_cam,
         list(before.keyframes),
         layout,
-        request.belief,
+        request.platform,
         False,
         before.noise.jitter_s,
         before.noise.factors,

@@ -174,13 +174,15 @@ def test_after_a_zoom_the_focal_length_is_open_again() -> None:
     request = window_of(2)
     for file in (CAMERA, replace(CAMERA, stated_sigma=UNKNOWN_SIGMA)):
         alignment = Alignment(0.02, 0.1, 20.0, camera=file)
-        before = alignment.belief.sigma
+        before = alignment.platform.sigma
         alignment.lens_moved(0.05)
-        sigma = alignment.belief.sigma
+        sigma = alignment.platform.sigma
         assert sigma[STATES] == pytest.approx(np.hypot(file.sigma[0], 0.05), rel=1e-3)
         np.testing.assert_allclose(sigma[:STATES], before[:STATES])
-        belief = alignment.prior_for(0)
-        longer = zoomed(replace(request, belief=belief, camera_taken=np.zeros(len(belief.mean) - STATES)), 0.05, 0)
+        platform = alignment.prior_for(0)
+        longer = zoomed(
+            replace(request, platform=platform, camera_taken=np.zeros(len(platform.mean) - STATES)), 0.05, 0
+        )
         outcome = adjust(longer)
         assert outcome.status is Status.OK and outcome.solved is not None, outcome.reason
         assert abs(outcome.solved.solution.state.camera[0] - 0.05) < 0.03
@@ -191,4 +193,4 @@ def test_the_state_file_of_a_lens_that_zoomed_serves_a_file_without_sigmas() -> 
     zoomed_lens.lens_moved(0.05)
     fresh = Alignment(0.02, 0.1, 20.0, camera=Camera.from_field_of_view(640, 480, 40.0))
     fresh.restore(zoomed_lens.to_json())
-    assert len(fresh.belief.mean) == STATES
+    assert len(fresh.platform.mean) == STATES

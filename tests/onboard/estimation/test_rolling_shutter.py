@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from contract.camera import UNKNOWN_SIGMA, Camera
 from contract.rotations import exp_so3
-from onboard.estimation.boresight import Alignment, Belief
+from onboard.estimation.boresight import Alignment, PlatformEstimate
 from onboard.estimation.bundle_adjustment import solve
 from onboard.estimation.camera_states import READOUT, as_numbers, from_numbers
 from onboard.estimation.factors import RATES
@@ -167,35 +167,35 @@ def test_what_was_found_of_the_readout_is_kept_as_what_it_is() -> None:
     """A configuration that was set right meanwhile leaves nothing to correct; one without sigma drops the state."""
     first = Alignment(0.02, 0.1, 20.0, camera=CAMERA, readout=(0.0, 0.02))
     mean = np.concatenate([np.zeros(STATES + 5), [0.028]])
-    assert first.offer(10**18, 10**18 + 10**10, mean, 0.01 * np.diag(first.belief.sigma**2))
+    assert first.offer(10**18, 10**18 + 10**10, mean, 0.01 * np.diag(first.platform.sigma**2))
     text = first.to_json()
     for configured, expected in ((0.0, 0.028), (0.028, 0.0)):
         again = Alignment(0.02, 0.1, 20.0, camera=CAMERA, readout=(configured, 0.02))
         again.restore(text)
-        assert again.belief.mean[STATES + READOUT] == pytest.approx(expected, abs=0.0005)
-        assert again.belief.sigma[STATES + READOUT] < 0.6 * 0.02
+        assert again.platform.mean[STATES + READOUT] == pytest.approx(expected, abs=0.0005)
+        assert again.platform.sigma[STATES + READOUT] < 0.6 * 0.02
     sure = Alignment(0.02, 0.1, 20.0, camera=CAMERA, readout=(0.028, 0.0))
     sure.restore(text)
-    assert len(sure.belief.mean) == STATES
+    assert len(sure.platform.mean) == STATES
     lens = Alignment(0.02, 0.1, 20.0, camera=replace(CAMERA, stated_sigma=UNKNOWN_SIGMA))
     lens.restore(text)
-    assert len(lens.belief.mean) == STATES + 5
+    assert len(lens.platform.mean) == STATES + 5
     both = Alignment(0.02, 0.1, 20.0, camera=replace(CAMERA, stated_sigma=UNKNOWN_SIGMA), readout=(0.01, 0.02))
     both.restore(lens.to_json())
-    assert both.belief.mean[STATES + READOUT] == 0.0
-    assert both.belief.sigma[STATES + READOUT] == pytest.approx(np.sqrt(1.25) * 0.02, rel=0.01)
+    assert both.platform.mean[STATES + READOUT] == 0.0
+    assert both.platform.sigma[STATES + READOUT] == pytest.approx(np.sqrt(1.25) * 0.02, rel=0.01)
     assert "readout_s" not in json.loads(lens.to_json())["camera"]
     states = np.array([0.01, 0.0, 0.0, 0.05, 0.0, 0.004])
     assert from_numbers(CAMERA, as_numbers(CAMERA, states, 0.02), 0.02) == pytest.approx(states, abs=1e-12)
 
 
 def test_the_readout_is_reported_beside_the_camera_where_it_is_estimated() -> None:
-    sure = Alignment(0.02, 0.1, 20.0, camera=CAMERA, readout=(0.03, 0.0)).belief
+    sure = Alignment(0.02, 0.1, 20.0, camera=CAMERA, readout=(0.03, 0.0)).platform
     assert "readout_error" not in [e.name for e in estimates_of(sure)]
-    unsure = Alignment(0.02, 0.1, 20.0, camera=CAMERA, readout=(0.03, 0.02)).belief
+    unsure = Alignment(0.02, 0.1, 20.0, camera=CAMERA, readout=(0.03, 0.02)).platform
     mean = unsure.mean.copy()
     mean[-1] = -0.0042
-    found = estimates_of(Belief(1, mean, unsure.covariance))
+    found = estimates_of(PlatformEstimate(1, mean, unsure.covariance))
     assert [(e.name, e.unit) for e in found][-1] == ("readout_error", "seconds")
     assert ("readout", "-4.2 +-20.0 ms off camera.readout_s") in as_rows(found, ())
 
@@ -205,5 +205,5 @@ def test_what_is_not_confirmed_of_an_unsure_camera_is_said_too() -> None:
     alignment = Alignment(0.02, 0.1, 20.0, camera=replace(CAMERA, stated_sigma=UNKNOWN_SIGMA), readout=(0.0, 0.001))
     mean = np.zeros(STATES + 6)
     mean[-1] = 0.02
-    assert not alignment.offer(10**18, 10**18 + 10**10, mean, 0.01 * np.diag(alignment.belief.sigma**2))
+    assert not alignment.offer(10**18, 10**18 + 10**10, mean, 0.01 * np.diag(alignment.platform.sigma**2))
     assert [e.name for e in unconfirmed_of(alignment.unconfirmed)] == ["readout_error"]

@@ -9,7 +9,7 @@ import pytest
 
 from contract.rotations import exp_so3, log_so3, mount_rotation
 from onboard.config.schema import Config, parse_config
-from onboard.estimation.boresight import Belief
+from onboard.estimation.boresight import PlatformEstimate
 from onboard.estimation.factors import AttitudePrior, Layout, PositionPrior, Prior, SharedPrior, State, VelocityPrior
 from onboard.estimation.keyframe import Keyframe
 from onboard.estimation.platform_states import DELAY, STATES, VELOCITY_DELAY
@@ -17,7 +17,7 @@ from onboard.estimation.sensor_factors import sensor_priors
 from onboard.estimation.variance_components import VarianceFactors
 from tests.onboard.scenes import FULL, Scene, SceneSpec, draw
 
-BELIEF = Belief(
+PLATFORM = PlatformEstimate(
     0,
     np.array([0.01, -0.02, 0.005, 0.03, 0.06, -0.04, 0.02, -0.01]),
     np.diag([1e-4, 1e-4, 4e-4, 1e-2, 4e-4, 4e-2, 1e-4, 4e-4]),
@@ -42,7 +42,7 @@ def priors_of(
     R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg)
     layout = Layout(len(keyframes))
     believed = VarianceFactors() if factors is None else factors
-    priors = sensor_priors(config, R_body_cam, keyframes, layout, BELIEF, has_terrain, JITTER_S, believed)
+    priors = sensor_priors(config, R_body_cam, keyframes, layout, PLATFORM, has_terrain, JITTER_S, believed)
     return {type(p): p for p in priors}
 
 
@@ -69,9 +69,9 @@ def test_at_the_truth_of_a_flight_without_errors_every_sensor_agrees(scene: Scen
 def test_velocity_takes_part_only_where_asked_for_and_known(scene: Scene) -> None:
     keyframes = keyframes_of(scene)
     assert VelocityPrior not in priors_of(parse_config("[solve]\nvelocity = false"), keyframes)
-    unknown = [replace(k, flown=None) for k in keyframes]
+    unknown = [replace(k, displacement=None) for k in keyframes]
     assert VelocityPrior not in priors_of(FULL, unknown)
-    broken = [*keyframes[:3], replace(keyframes[3], flown=None), *keyframes[4:]]
+    broken = [*keyframes[:3], replace(keyframes[3], displacement=None), *keyframes[4:]]
     whole, gap = (priors_of(FULL, k)[VelocityPrior] for k in (keyframes, broken))
     assert isinstance(whole, VelocityPrior) and isinstance(gap, VelocityPrior)
     # What displacements say of the views' centres: nothing over the gap, all of it over the other intervals.
@@ -82,7 +82,7 @@ def test_velocity_takes_part_only_where_asked_for_and_known(scene: Scene) -> Non
     elsewhere = np.zeros(said[0].shape[1])
     elsewhere[whole.layout.centre(5).start] = 1.0
     assert np.linalg.norm(said[1] @ elsewhere) > 0.8 * np.linalg.norm(said[0] @ elsewhere)
-    first = [replace(keyframes[0], flown=None), *keyframes[1:]]
+    first = [replace(keyframes[0], displacement=None), *keyframes[1:]]
     assert VelocityPrior in priors_of(FULL, first)
 
 
@@ -155,23 +155,23 @@ def shared_sigmas(prior: Prior) -> np.ndarray:
 def test_what_is_shared_is_believed_as_learned_and_configured(scene: Scene) -> None:
     prior = priors_of(FULL, keyframes_of(scene))[SharedPrior]
     assert isinstance(prior, SharedPrior)
-    assert np.all(prior.mean[:STATES] == BELIEF.mean)
+    assert np.all(prior.mean[:STATES] == PLATFORM.mean)
     sigmas = shared_sigmas(prior)
     delays = [DELAY, VELOCITY_DELAY]
     others = np.delete(np.arange(STATES), delays)
-    assert sigmas[others] == pytest.approx(BELIEF.sigma[others])
+    assert sigmas[others] == pytest.approx(PLATFORM.sigma[others])
     assert sigmas[STATES] > 1e3
     assert sigmas[STATES + 1 :] == pytest.approx(np.tan(np.radians(FULL.solve.level_ground_sigma_deg)))
 
 
 def test_no_delay_is_surer_than_declared_however_sure_turns_make_it(scene: Scene) -> None:
     """(5.15): what turns show is kept as the mean; the sigma is the declared one, or the belief's if that is more."""
-    assert BELIEF.sigma[DELAY] < FULL.gps.sigma_latency_s < BELIEF.sigma[VELOCITY_DELAY]
+    assert PLATFORM.sigma[DELAY] < FULL.gps.sigma_latency_s < PLATFORM.sigma[VELOCITY_DELAY]
     sigmas = shared_sigmas(priors_of(FULL, keyframes_of(scene))[SharedPrior])
     assert sigmas[DELAY] == pytest.approx(FULL.gps.sigma_latency_s)
-    assert sigmas[VELOCITY_DELAY] == pytest.approx(BELIEF.sigma[VELOCITY_DELAY])
+    assert sigmas[VELOCITY_DELAY] == pytest.approx(PLATFORM.sigma[VELOCITY_DELAY])
     sure = shared_sigmas(priors_of(parse_config("[gps]\nsigma_latency_s = 0.0"), keyframes_of(scene))[SharedPrior])
-    assert sure[[DELAY, VELOCITY_DELAY]] == pytest.approx(BELIEF.sigma[[DELAY, VELOCITY_DELAY]])
+    assert sure[[DELAY, VELOCITY_DELAY]] == pytest.approx(PLATFORM.sigma[[DELAY, VELOCITY_DELAY]])
 
 
 def test_ground_not_said_to_be_level_may_slope_and_terrain_may_not(scene: Scene) -> None:

@@ -19,7 +19,7 @@ from onboard.estimation.window_acceptance import Memory, Refusal, by_itself, by_
 from onboard.estimation.window_request import Outcome, Request
 from onboard.estimation.window_solver import adjust
 from onboard.geometry.terrain_grid import Terrain
-from onboard.navigation.position_interpolation import Flown
+from onboard.navigation.position_interpolation import Displacement
 from simulation.paths import PathSpec
 from tests.onboard.scenes import CAMERA, FULL, SceneSpec, draw
 
@@ -57,10 +57,11 @@ def test_points_off_the_terrain_model_are_refused() -> None:
 def test_a_scale_that_velocity_contradicts_is_refused() -> None:
     request, solved = solved_scene()
     for factor, is_refused in ((1.0, False), (1.15, False), (1.8, True), (0.4, True)):
-        flown = tuple(
-            replace(k, flown=None if k.flown is None else Flown(factor * k.flown.enu_m)) for k in solved.keyframes
+        displacement = tuple(
+            replace(k, displacement=None if k.displacement is None else Displacement(factor * k.displacement.enu_m))
+            for k in solved.keyframes
         )
-        against = judged(request, replace(solved, keyframes=flown))
+        against = judged(request, replace(solved, keyframes=displacement))
         assert (against is not None) is is_refused, factor
         assert against is None or "velocity" in against.reason
 

@@ -1,4 +1,4 @@
-"""Between positions: how far place and distance flown may be off, by the positions themselves."""
+"""Between positions: how far place and distance displacement may be off, by the positions themselves."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def flight(spec: PathSpec, every_s: float, is_online: bool = False) -> tuple[Tra
 
 
 def off_and_stated(path: Trajectory, known: Path, moments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Horizontal errors of places and of distances flown (N, 2), m, and one sigma stated for each."""
+    """Horizontal errors of places and of distances displacement (N, 2), m, and one sigma stated for each."""
     off, stated = [], []
     for t in moments:
-        place, flown = known.at(ns(t)), known.flown(ns(t - STEP_S), ns(t))
-        assert isinstance(place, Position) and flown is not None
+        place, displacement = known.at(ns(t)), known.displacement(ns(t - STEP_S), ns(t))
+        assert isinstance(place, Position) and displacement is not None
         true = [path.position_enu_m(t), path.position_enu_m(t) - path.position_enu_m(t - STEP_S)]
-        off.append([np.linalg.norm((a - b)[:2]) for a, b in zip((place.enu_m, flown.enu_m), true, strict=True)])
-        by_gap = np.array(list(flown.between_m.values()))
+        off.append([np.linalg.norm((a - b)[:2]) for a, b in zip((place.enu_m, displacement.enu_m), true, strict=True)])
+        by_gap = np.array(list(displacement.between_m.values()))
         stated.append([known.joined_at(ns(t)).between_m[0], np.sqrt(np.sum(by_gap**2, axis=0))[0]])
     return np.array(off), np.array(stated)
 
@@ -70,8 +70,8 @@ def test_at_a_position_itself_nothing_is_added() -> None:
 
 def test_distances_over_one_gap_share_what_was_missed_in_it() -> None:
     _, known = flight(TURNS[1], 2.0)
-    parts = [known.flown(ns(8.0 + 0.5 * k), ns(8.5 + 0.5 * k)) for k in range(8)]
-    whole = known.flown(ns(8.0), ns(12.0))
+    parts = [known.displacement(ns(8.0 + 0.5 * k), ns(8.5 + 0.5 * k)) for k in range(8)]
+    whole = known.displacement(ns(8.0), ns(12.0))
     assert whole is not None and len(whole.between_m) == 2
     covariance = between_covariance(parts)[0]
     assert np.sqrt(np.linalg.norm(whole.between_m[ns(8.0)][0])) > 0.5

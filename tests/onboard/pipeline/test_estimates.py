@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from onboard.config.schema import parse_config
-from onboard.estimation.boresight import Belief, Unconfirmed
+from onboard.estimation.boresight import PlatformEstimate, Unconfirmed
 from onboard.estimation.platform_states import OFFSET, STATES
 from onboard.estimation.reobservation import RelativeVariance
 from onboard.estimation.sensor_groups import Failing
@@ -26,7 +26,7 @@ from onboard.pipeline.estimates import (
 )
 
 CONFIG = parse_config("")
-BELIEF = Belief(
+PLATFORM = PlatformEstimate(
     1,
     np.array([*np.radians([0.5, -1.0, 2.0]), 0.12, -0.03, 0.04, *np.radians([4.0, -1.0])]),
     np.diag(np.square([*np.radians([0.1, 0.2, 0.3]), 0.01, 0.02, 0.05, *np.radians([0.5, 0.6])])),
@@ -35,13 +35,13 @@ FOUND = VarianceFactors().with_evidence(Evidence({"heading": 4000.0, "tilt": 5.0
 
 
 def test_every_state_is_reported_once_with_its_unit_and_sigma() -> None:
-    found = {e.name: e for e in estimates_of(BELIEF)}
+    found = {e.name: e for e in estimates_of(PLATFORM)}
     assert {name: e.unit for name, e in found.items()} == {
         "boresight": "radians", "camera_time_offset": "seconds", "position_delay": "seconds",
         "velocity_delay": "seconds", "heading_error_by_heading": "radians",
     }  # fmt: skip
-    assert [v for e in found.values() for v in e.values] == pytest.approx(BELIEF.mean)
-    assert [s for e in found.values() for s in e.sigmas] == pytest.approx(BELIEF.sigma)
+    assert [v for e in found.values() for v in e.values] == pytest.approx(PLATFORM.mean)
+    assert [s for e in found.values() for s in e.sigmas] == pytest.approx(PLATFORM.sigma)
     assert sum(len(e.values) for e in found.values()) == STATES
     assert estimates_of(None) == ()
 
@@ -60,7 +60,7 @@ def test_sensor_errors_are_the_configured_ones_times_what_was_found() -> None:
 
 
 def test_the_summary_has_a_row_for_each_and_names_a_sensor_only_where_it_is_worse() -> None:
-    rows = dict(as_rows(estimates_of(BELIEF), sensor_errors(CONFIG, FOUND)))
+    rows = dict(as_rows(estimates_of(PLATFORM), sensor_errors(CONFIG, FOUND)))
     assert rows == {
         "boresight": "x +0.50 +-0.10, y -1.00 +-0.20, z +2.00 +-0.30 deg, camera axes",
         "time offset": "+0.120 +-0.010 s, camera to autopilot",

@@ -46,7 +46,7 @@ def test_attitude_rate_position_and_distance_are_those_of_the_new_offset() -> No
     assert len(before) >= 4
     assert window.alignment.hear(before[-1].nav.stamp_ns, -0.2, 0.004)
     look_up_again(window, navigation)
-    delay_s = float(window.alignment.belief.mean[4])
+    delay_s = float(window.alignment.platform.mean[4])
     for k, (old, new) in enumerate(zip(before, window.keyframes, strict=True)):
         nav = navigation.state_at(old.nav.stamp_ns, -0.2, 0.0, delay_s)
         assert isinstance(nav, NavState)

@@ -475,18 +475,18 @@ def test_nothing_the_host_does_to_its_clock_is_noticed(tmp_path: Path, monkeypat
 
 
 def test_a_state_file_is_begun_from(tmp_path: Path) -> None:
-    belief = {
+    platform = {
         "boresight_rad": [0.01, 0.0, 0.0], "offset_s": 0.05, "end_unix_ns": 1,
         "covariance": [[1e-6 if i == j else 0.0 for j in range(4)] for i in range(4)],
     }  # fmt: skip
-    (tmp_path / "alignment.json").write_text(json.dumps(belief))
+    (tmp_path / "alignment.json").write_text(json.dumps(platform))
     from onboard.service.session import restore  # noqa: PLC0415
     from onboard.storage.alignment_file import StateFile  # noqa: PLC0415
 
     pipeline = Pipeline(Config(), CAMERA)
     assert restore(StateFile(tmp_path / "alignment.json"), pipeline) == ""
-    assert pipeline.window.alignment.belief.mean[3] == 0.05
+    assert pipeline.window.alignment.platform.mean[3] == 0.05
     (tmp_path / "alignment.json").write_text("{half")
     again = Pipeline(Config(), CAMERA)
     assert "alignment.json" in restore(StateFile(tmp_path / "alignment.json"), again)
-    assert again.window.alignment.belief.mean[3] == 0.0
+    assert again.window.alignment.platform.mean[3] == 0.0

@@ -29,10 +29,10 @@ def test_a_lesson_is_kept_and_widened_at_the_next_start(tmp_path: Path) -> None:
     state.keep(taught())
     again = fresh()
     state.restore(again)
-    assert again.belief.mean == pytest.approx(taught().belief.mean, rel=1e-12)
-    assert again.belief.mean[:4] == pytest.approx(MEAN[:4], rel=1e-3)
-    assert np.all(again.belief.sigma > taught().belief.sigma)
-    assert np.all(again.belief.sigma < fresh().belief.sigma)
+    assert again.platform.mean == pytest.approx(taught().platform.mean, rel=1e-12)
+    assert again.platform.mean[:4] == pytest.approx(MEAN[:4], rel=1e-3)
+    assert np.all(again.platform.sigma > taught().platform.sigma)
+    assert np.all(again.platform.sigma < fresh().platform.sigma)
     assert [p.name for p in tmp_path.iterdir()] == ["alignment.json"]
 
 
