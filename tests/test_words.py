@@ -37,11 +37,11 @@ MOST = {
         "strayed": 0, "strays": 0, "foretold": 0, "foretell": 0, "wander": 4, "wanders": 0, "lately": 0,
     },
     "solver": {
-        "say": 16, "says": 26, "said": 30, "tell": 8, "tells": 14, "told": 42, "belief": 9, "believe": 0,
-        "believes": 0, "believed": 30, "desk": 0, "beside": 10, "heard": 7, "hear": 2, "hears": 0, "flown": 13,
-        "drawn": 0, "sight": 1, "alike": 31, "anew": 3, "nobody": 4, "reading": 29, "lasting": 23, "carrier": 11,
-        "errs": 4, "strayed": 18, "strays": 5, "foretold": 2, "foretell": 0, "wander": 0, "wanders": 0,
-        "lately": 2,
+        "say": 14, "says": 26, "said": 30, "tell": 8, "tells": 14, "told": 0, "belief": 0, "believe": 0,
+        "believes": 0, "believed": 7, "desk": 0, "beside": 0, "heard": 5, "hear": 2, "hears": 0, "flown": 6,
+        "drawn": 0, "sight": 1, "alike": 4, "anew": 0, "nobody": 0, "reading": 29, "lasting": 9, "carrier": 8,
+        "errs": 0, "strayed": 0, "strays": 5, "foretold": 0, "foretell": 0, "wander": 0, "wanders": 0,
+        "lately": 0,
     },
     "tests": {
         "say": 95, "says": 196, "said": 781, "tell": 26, "tells": 34, "told": 54, "belief": 7, "believe": 2,

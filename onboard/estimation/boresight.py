@@ -27,10 +27,10 @@ Array = NDArray[np.float64]
 MEMORY_ESTIMATES = 8
 TOO_SURE = 2.0  # times the declared sigma that data may claim
 AGREEMENT_PRIOR = 2.0  # windows that agree with their covariances, assumed before any has been seen
-OUTSIDE = 4.0  # sigmas from what was believed, beyond which a value is adopted only once something confirms it
+OUTSIDE = 4.0  # sigmas from the prior, beyond which a value is adopted only once something confirms it
 AGREE = 3.0  # sigmas of their difference, within which two values confirm each other
-MIN_SHARPER = 0.5  # of the sigma believed: rotations less sure say nothing that windows of the same pictures did not
-ZOOM_REACH = 0.3  # of the focal length's logarithm, over which a zoom table's errors are alike
+MIN_SHARPER = 0.5  # of the prior's sigma: rotations less sure add nothing to windows of the same pictures
+ZOOM_REACH = 0.3  # of the focal length's logarithm, over which a zoom table's errors are correlated
 MIN_GAIN = 0.02  # of a variance: a window that says less of a state is no evidence on it
 
 
@@ -38,7 +38,7 @@ MIN_GAIN = 0.02  # of a variance: a window that says less of a state is no evide
 class PlatformEstimate:
     """Mean (B,) and covariance (B, B) in the order of `platform_states`, from data up to `end_ns`.
 
-    `end_ns` 0 is the belief before take-off.
+    `end_ns` 0 is the prior before take-off.
     """
 
     end_ns: int
@@ -52,7 +52,7 @@ class PlatformEstimate:
         return np.sqrt(np.diag(self.covariance))
 
     def widened(self, stamp_sigma_s: float) -> PlatformEstimate:
-        """The same belief about pictures whose stamps err by one more sigma, all alike."""
+        """The same for pictures whose stamps are off by one more sigma, all by the same."""
         if stamp_sigma_s == 0.0:
             return self
         wider = self.covariance.copy()
@@ -60,7 +60,7 @@ class PlatformEstimate:
         return PlatformEstimate(self.end_ns, self.mean, wider, self.given)
 
     def aged(self, stamp_ns: int) -> PlatformEstimate:
-        """The same belief some time later. Equation (10.1)."""
+        """The same some time later. Equation (10.1)."""
         minutes = max(stamp_ns - self.end_ns, 0) / 60e9 if self.end_ns else 0.0
         walk = WALK[: len(self.mean)]
         return PlatformEstimate(self.end_ns, self.mean, self.covariance + np.diag(walk**2 * minutes), self.given)
@@ -79,7 +79,7 @@ class Unconfirmed:
 class Alignment:
     """Keeps the posteriors of past windows; hands out the prior a window may use.
 
-    `unconfirmed`: the newest value that was too far from what was believed to be adopted; None once it was confirmed,
+    `unconfirmed`: the newest value that was too far from the prior to be adopted; None once it was confirmed,
     or once another was adopted instead.
     """
 
@@ -176,7 +176,7 @@ class Alignment:
         self._estimates = [replace(e, covariance=e.covariance + np.diag(wider)) for e in self._estimates]
 
     def lens_changed(self, camera: Camera, sigma: float) -> None:
-        """The lens has been zoomed to this camera from the one that counted so far; `sigma` is how well that is told.
+        """The lens has been zoomed to this camera from the one that counted so far; `sigma` is how well that is known.
 
         What was found of the file's errors holds the less the farther the lens has gone. (21.2)
         """
@@ -190,16 +190,16 @@ class Alignment:
         scale[STATES : STATES + camera_states.COUNT] = kept * np.array([1.0, wider, wider, 1.0, 1.0])
         own = np.zeros(len(scale))
         own[STATES : STATES + camera_states.COUNT] = np.square(camera.sigma)
-        told = np.where(np.arange(len(scale)) == STATES + camera_states.FOCAL_LENGTH, sigma**2, 0.0)
+        reported = np.where(np.arange(len(scale)) == STATES + camera_states.FOCAL_LENGTH, sigma**2, 0.0)
         first = self._estimates[0].covariance.copy()
         lens = slice(STATES, STATES + camera_states.COUNT)
-        first[lens, lens] = np.diag((own + told + camera_states.CERTAIN**2)[lens])
+        first[lens, lens] = np.diag((own + reported + camera_states.CERTAIN**2)[lens])
         new = []
         for e in self._estimates[1:]:
-            covariance = scale[:, None] * e.covariance * scale + np.diag((1.0 - kept**2) * own + told)
-            most = np.where(own > 0.0, (own + told) / np.diag(covariance), 1.0)
+            covariance = scale[:, None] * e.covariance * scale + np.diag((1.0 - kept**2) * own + reported)
+            most = np.where(own > 0.0, (own + reported) / np.diag(covariance), 1.0)
             least = np.sqrt(np.minimum(most, 1.0))  # steps to and fro add no error of their own
-            given = None if e.given is None else np.where(own > 0.0, own + told, e.given)
+            given = None if e.given is None else np.where(own > 0.0, own + reported, e.given)
             new.append(PlatformEstimate(e.end_ns, scale * e.mean, least[:, None] * covariance * least, given))
         begin = self._estimates[0]
         self._estimates = [PlatformEstimate(begin.end_ns, scale * begin.mean, first, begin.given), *new]
@@ -284,7 +284,7 @@ class Alignment:
         )
 
     def restore(self, text: str) -> None:
-        """Begin from a belief of an earlier session; raises InputError if the text is not one.
+        """Begin from the estimate of an earlier session; raises InputError if the text is not one.
 
         Its sigma is widened to what may have happened on the ground: half of the first prior.
         """
@@ -316,14 +316,14 @@ class Alignment:
         self._estimates = [PlatformEstimate(0, mean, covariance + 0.25 * first)]
 
 
-def _outside(believed: PlatformEstimate, mean: Array, factor: Array | float = 1.0) -> NDArray[np.bool_]:
-    """(8,) which states are farther from what was believed than its sigma, times a factor, allows for. (10.7)"""
-    out: NDArray[np.bool_] = np.abs(mean - believed.mean) > OUTSIDE * factor * believed.sigma
+def _outside(prior: PlatformEstimate, mean: Array, factor: Array | float = 1.0) -> NDArray[np.bool_]:
+    """(8,) which states are farther from the prior than its sigma, times a factor, allows for. (10.7)"""
+    out: NDArray[np.bool_] = np.abs(mean - prior.mean) > OUTSIDE * factor * prior.sigma
     return out
 
 
 def _with_certain_camera(platform: PlatformEstimate, count: int) -> PlatformEstimate:
-    """The belief with so many states of the camera, which are known to be 0."""
+    """The estimate with so many states of the camera, which are known to be 0."""
     covariance = np.pad(platform.covariance, (0, count))
     covariance[STATES:, STATES:] = camera_states.CERTAIN**2 * np.eye(count)
     given = (
@@ -333,7 +333,7 @@ def _with_certain_camera(platform: PlatformEstimate, count: int) -> PlatformEsti
 
 
 def _with_offset(platform: PlatformEstimate, offset_s: float, sigma_s: float) -> PlatformEstimate:
-    """A belief and one measurement of its time offset. (10.7)"""
+    """An estimate and one measurement of its time offset. (10.7)"""
     gain = platform.covariance[:, OFFSET] / (platform.covariance[OFFSET, OFFSET] + sigma_s**2)
     covariance = platform.covariance - np.outer(gain, platform.covariance[OFFSET])
     mean = platform.mean + gain * (offset_s - platform.mean[OFFSET])
@@ -346,7 +346,7 @@ def under_another_prior(
     """The posterior that follows from `prior` where the window was solved under `given`.
 
     What the window itself says, the precision C^-1 - given^-1 about its own mean, is put upon the other prior, which
-    may be tighter (no delay held open) or newer (rotations have told the offset meanwhile).
+    may be tighter (no delay held open) or newer (rotations have determined the offset meanwhile).
     """
     gained = Information.gained(mean, covariance, given.mean, given.covariance)
     return gained.upon(prior.mean, prior.covariance)

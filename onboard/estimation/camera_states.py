@@ -42,7 +42,7 @@ def corrected(camera: Camera, states: Array) -> Camera:
 
 
 def readout_s(states: Array) -> float:
-    """What the states (0,), (5,) or (6,) say of the readout, s beside what is configured."""
+    """What the states (0,), (5,) or (6,) give for the readout, s beyond what is configured."""
     return float(states[READOUT]) if len(states) > READOUT else 0.0
 
 

@@ -2,7 +2,7 @@
 
 The optimum of least squares moves linearly with every measurement's error, so its covariance is a sum of one term a
 source, (20.1): exact, and for any linear function of the window's camera side. Errors that one prior holds together
-(mount, clock, compass) are told apart by the square root that is nearest to the states themselves, (20.3).
+(mount, clock, compass) are distinguished by the square root that is nearest to the states themselves, (20.3).
 """
 
 from __future__ import annotations

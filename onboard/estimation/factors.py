@@ -204,7 +204,7 @@ def whitener_of(covariance: Array) -> Array:
     return inverse
 
 
-def lasting_sigma(stamps_s: Array, sigma_gauss_markov: float, time_constant_s: float) -> float:
+def persistent_sigma(stamps_s: Array, sigma_gauss_markov: float, time_constant_s: float) -> float:
     """One sigma of the largest constant that a Gauss-Markov error at `stamps_s` (K,), in order, contains, (9.11)."""
     parts = np.tanh(np.diff(stamps_s) / (2.0 * time_constant_s))
     return float(sigma_gauss_markov / np.sqrt(1.0 + parts.sum()))
@@ -222,7 +222,7 @@ class PathPrior(ABC):
     moved_m_s: Array  # (n, 3)
     whitener: Array  # (3, n, n): east, north, up
     offset_s: Array  # (n,) time offset plus delay at which each was taken
-    lasting: Array = field(default_factory=lambda: np.zeros(3))  # one sigma (m) of what all share, (9.11)
+    persistent: Array = field(default_factory=lambda: np.zeros(3))  # one sigma (m) of what all share, (9.11)
     lever_cam_m: Array = field(default_factory=lambda: np.zeros(3))  # from the autopilot's reference point
     parts: Parts | None = None  # of the covariance that `whitener` whitens
     delay: ClassVar[int]  # which of the platform's states it is late by
@@ -276,7 +276,7 @@ class PositionPrior(PathPrior):
 class VelocityPrior(PathPrior):
     """Displacements between consecutive keyframes from integrated velocity. Equation (5.6).
 
-    Its error is a white part, a Gauss-Markov part and a delay of the velocity's own: a navigation filter that is told
+    Its error is a white part, a Gauss-Markov part and a delay of the velocity's own: a navigation filter that is given
     a wrong GPS delay has its position behind by all of it and its velocity by a part. In a turn the displacement
     changes when the interval moves by time offset and delay: by the velocity that it gains.
     """
@@ -298,7 +298,7 @@ class AttitudePrior:
     body_rate_cam_rad_s: Array  # (K, 3) vehicle rate in camera axes, for the time offset
     whitener: Array  # (3, K, K): about east, north, up
     offset_s: Array  # (K,) time offset at which each was taken
-    lasting: Array = field(default_factory=lambda: np.zeros(3))  # one sigma (rad) of what all K share, (9.11)
+    persistent: Array = field(default_factory=lambda: np.zeros(3))  # one sigma (rad) of what all K share, (9.11)
     by_heading: Array | None = None  # (K, 2) cosine and sine of each heading; None: no error depends on it
     parts: Parts | None = None  # of the covariance that `whitener` whitens
 

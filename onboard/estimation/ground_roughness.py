@@ -26,7 +26,7 @@ def plane_and_roughness(
     """The ground plane (3,) in inverse depth, the relative spread about it, and the variogram's slope.
 
     `ground_range`: slope over squared spread where it is known of the same ground. It is then not estimated again: how
-    far the ground is alike does not change between pictures that show it.
+    far the ground is correlated does not change between pictures that show it.
     """
     plane, relative = _plane(H, w, variance)
     spread = _spread(relative, variance)
@@ -128,8 +128,8 @@ def effective_sigma_m(offset_m: Array, height_m: Array, variance_m2: Array, clea
     spread = _spread(relative, noise)
     slope = _roughness(H, relative, noise, spread)
     across, _ = np.linalg.qr(H)
-    alike = np.exp(distances(H[:, 1:]) * (-slope / spread**2))
+    correlation = np.exp(distances(H[:, 1:]) * (-slope / spread**2))
     # Of two slopes: the variance with correlated deviations over that with independent ones.
-    effect = float((across[:, 1:] * (alike @ across[:, 1:])).sum()) / 2.0
+    effect = float((across[:, 1:] * (correlation @ across[:, 1:])).sum()) / 2.0
     effect = 1.0 + max(effect - 1.0, 0.0) * len(height_m) / len(some)
     return spread * clearance_m * float(np.sqrt(effect))

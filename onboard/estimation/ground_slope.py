@@ -20,7 +20,7 @@ from onboard.estimation.platform_states import BORESIGHT
 
 Array = NDArray[np.float64]
 
-LENGTHS_M = (300.0, 1000.0, 3000.0, 10000.0)  # over which slopes may be alike, all equally likely beforehand
+LENGTHS_M = (300.0, 1000.0, 3000.0, 10000.0)  # over which slopes may be correlated, all equally likely beforehand
 PRIOR_COUNT = 2.0  # slopes of the declared size, assumed before any has been seen
 MEMORY = 24  # windows
 NO_SLOPE_PRIOR = 3.0  # one sigma of a slope of which nothing is assumed (72 deg)
@@ -29,7 +29,7 @@ NO_MOUNT_PRIOR_RAD = 0.5
 
 @dataclass(frozen=True, eq=False)
 class SlopePrior:
-    """What is believed of the slope (east, north) where a window is: mean (2,), covariance (2, 2)."""
+    """The prior of the slope (east, north) where a window is: mean (2,), covariance (2, 2)."""
 
     mean: Array = field(default_factory=lambda: np.zeros(2))
     covariance: Array = field(default_factory=lambda: NO_SLOPE_PRIOR**2 * np.eye(2))
@@ -86,9 +86,9 @@ class GroundSlope:
         away_m = np.linalg.norm(places - place_enu_m, axis=1)
         logs, means, covariances = [], [], []
         for length_m in LENGTHS_M:
-            alike = self.sigma**2 * np.kron(np.exp(-apart_m / length_m), np.eye(2))
-            scale = _scale(alike, noise, slopes)
-            total = scale * alike + noise
+            correlation = self.sigma**2 * np.kron(np.exp(-apart_m / length_m), np.eye(2))
+            scale = _scale(correlation, noise, slopes)
+            total = scale * correlation + noise
             factor = np.linalg.cholesky(total)
             to_here = scale * self.sigma**2 * np.kron(np.exp(-away_m / length_m)[:, None], np.eye(2))
             half = np.linalg.solve(factor, np.column_stack([slopes, to_here]))
@@ -103,14 +103,14 @@ class GroundSlope:
         return SlopePrior(mean, within + np.einsum("l,li,lj->ij", weight, off, off))
 
 
-def _scale(alike: Array, noise: Array, slopes: Array) -> float:
+def _scale(correlation: Array, noise: Array, slopes: Array) -> float:
     """The factor on the variance of slopes that the slopes seen ask for, at least 1. Equation (14.3), as (13.2)."""
     scale = 1.0
     for _ in range(3):
-        inverse = np.linalg.inv(scale * alike + noise)
+        inverse = np.linalg.inv(scale * correlation + noise)
         weighted = inverse @ slopes
-        found = scale**2 * float(weighted @ alike @ weighted)
-        expected = scale * float(np.sum(alike * inverse))
+        found = scale**2 * float(weighted @ correlation @ weighted)
+        expected = scale * float(np.sum(correlation * inverse))
         scale = max((PRIOR_COUNT + found) / (PRIOR_COUNT + expected), 1.0)
     return scale
 

@@ -31,7 +31,7 @@ def as_declared(config: Config) -> float:
     return 1.0 / max(config.solve.ground_roughness_sigma_m, 1e-3)
 
 
-def alike(problem: Problem, first: Solution, ground_weight: Array) -> Array:
+def correlated(problem: Problem, first: Solution, ground_weight: Array) -> Array:
     """1 / sigma (P,) of the ground under each point, for correlated deviations: no more than `ground_weight`. (5.13)"""
     s = first.state
     height, _, _ = ground_plane(s.points_enu_m, problem.reference_enu_m, s.plane, problem.terrain)

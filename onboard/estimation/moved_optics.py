@@ -2,7 +2,7 @@
 
 Each is a hypothesis: the window's first adjustment again with one more image block. Twice the fall of the cost is held
 against what chance makes of as many states. The same fall is found for the sensors, each set aside in turn, because one
-of them that errs may be explained by optics as well; the explanation with the largest excess is the cause. What all
+of them that is off may be explained by optics as well; the explanation with the largest excess is the cause. What all
 pictures of a window share (focal length, k1) is open under every hypothesis: a camera file that is wrong is no zoom. So
 are rates and vibration of rows read one after the other, declared or not: they scale and shear each picture by itself.
 """
@@ -60,7 +60,7 @@ class Excess:
         """What is left of the gain after what chance is expected to make of it."""
         return self.gain - self.freedom
 
-    def beside(self, evidence: float) -> Excess:
+    def over(self, evidence: float) -> Excess:
         """What is left of it where something else explains as much as this."""
         return replace(self, gain=self.gain - max(evidence, 0.0))
 
@@ -93,7 +93,7 @@ def found(window: WindowProblem, weighed: Weighed) -> Change | None:
         excess[ATTITUDE] = max(excess[ATTITUDE], hypotheses.turned_instead(), key=lambda e: e.gain)
         cause = max(excess, key=lambda name: excess[name].evidence)
     next_best = max((e.evidence for name, e in excess.items() if name != cause), default=0.0)
-    is_sure = excess[cause].beside(next_best).is_beyond_chance and excess[cause].variance < MAX_VARIANCE
+    is_sure = excess[cause].over(next_best).is_beyond_chance and excess[cause].variance < MAX_VARIANCE
     if cause == ZOOM and is_sure:
         moved = hypotheses.zoomed_by
         reason = f"the lens zoomed or refocused: by {np.expm1(moved):.1%} within the window"
@@ -147,7 +147,7 @@ class Hypotheses:
         # A sensor that was found to fail may have been innocent.
         noise = replace(weighed.noise, factors=replace(weighed.noise.factors, groups={}))
         # Nor do hills contradict the pictures, whose points all lie above or below a plane together.
-        hold = ground_weight.alike(weighed.problem, weighed.solution, stated.hold)
+        hold = ground_weight.correlated(weighed.problem, weighed.solution, stated.hold)
         stated = replace(stated, hold=hold)
         self._closed, self._first = replace(window, hold=hold), weighed.solution
         self._noise, self._lens = noise, settled(stated, noise, stated.state)
@@ -163,7 +163,7 @@ class Hypotheses:
 
     @property
     def rows(self) -> Excess:
-        """What the rows' own states explain beside the lens."""
+        """What the rows' own states explain next to the lens."""
         layout = self._window.layout
         return excess_of(2.0 * (self._lens.cost - self._none.cost), self._none, layout.own * layout.keyframes)
 
@@ -221,7 +221,7 @@ def settled(window: WindowProblem, noise: Noise, state: State) -> Solution:
 def with_open_rows(window: WindowProblem, noise: Noise, solution: Solution) -> tuple[WindowProblem, Solution]:
     """The window with its rows read one after the other, by rates and waves that nothing measures, and its solution.
 
-    `solution` is the window's own. Rows that nobody declared, or that vibrate, scale and shear each picture by itself.
+    `solution` is the window's own. Rows that are not declared, or that vibrate, scale and shear each picture by itself.
     """
     rates = window.with_rows_in_turn()
     state = solution.state if rates.layout == window.layout else solution.state.with_block(rates.layout, RATES)

@@ -25,7 +25,7 @@ class Quantity:
     label: str
     components: int
     walk: float  # what it may do by itself: one sigma of each component after a minute, (10.1)
-    source: Cause  # what its error is called where errors are told apart by source
+    source: Cause  # what its error is called where errors are listed by source
 
 
 QUANTITIES = (

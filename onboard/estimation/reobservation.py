@@ -2,7 +2,7 @@
 
 A point is followed over more pictures than the newest window's end and the next one's beginning have, so that two
 windows of which one ended before the other began still hold many of the same points. Their places must agree within the
-covariance of their difference. What a window errs by as a whole is a shift, a turn and a scale of its patch of ground;
+covariance of their difference. What a window is off by as a whole is a shift, turn and scale of its patch of ground;
 these seven are compared, (16.1) to (16.3). Over a flight their normalised squares say by how much the published
 variances are too small: `RelativeVariance`, (16.4). Section 16 of docs/mathematics.md.
 """
@@ -95,8 +95,8 @@ def agreement(earlier: Solved, later: Solved) -> Agreement | None:
     cov1 = by_state1 @ earlier.covariance_at(earlier.keyframes[-1].nav.stamp_ns) @ by_state1.T
     cov2 = by_state2 @ later.covariance_at(later.keyframes[-1].nav.stamp_ns) @ by_state2.T
     F1, F2 = by_state1 @ earlier.shared.by_nuisance, by_state2 @ later.shared.by_nuisance
-    alike = slow_error_correlations(earlier.shared, earlier.span_s, later.shared, later.span_s)
-    cross = (F1 * alike) @ F2.T
+    correlation = slow_error_correlations(earlier.shared, earlier.span_s, later.shared, later.span_s)
+    cross = (F1 * correlation) @ F2.T
     total = spread + cov1 + cov2 - cross - cross.T
     values, vectors = np.linalg.eigh(0.5 * (total + total.T))
     values = np.maximum(values, np.linalg.eigvalsh(spread)[0])  # never surer than the points' own noise allows

@@ -30,7 +30,7 @@ class Moving:
     `plane_per_m` (3,): inverse depth a + b x + c y of the ground, as it is taken for before the window is solved.
     """
 
-    readout_s: float  # as believed when the picture was taken up
+    readout_s: float  # as estimated when the picture was taken up
     rate_cam_rad_s: Array
     velocity_enu_m_s: Array
     velocity_cam_m_s: Array

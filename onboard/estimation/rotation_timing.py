@@ -19,7 +19,7 @@ from contract.rotations import exp_so3
 Array = NDArray[np.float64]
 
 FEATURES = 32  # of a pair: a rotation needs no more
-REACH_S = 0.5  # about the offset believed, within which one is looked for
+REACH_S = 0.5  # about the estimated offset, within which one is looked for
 COARSE_S, FINE_S = 0.05, 0.01  # the first is also the step of a `Course`
 FINE_STEPS = 3
 MIN_PAIRS = 6
@@ -27,14 +27,14 @@ FREEDOMS = 5  # of a pair: rotation and direction of travel
 MEDIAN_CHI2 = 4.351  # of five degrees of freedom
 TAIL = 12.0  # chi-square of a pair, in units of the usual one, from which it counts for less
 DIRECTION_SIGMA_RAD = 0.06  # of the travel's direction against the attitude: what heading, wind and delays leave
-NUISANCE_SIGMA_RAD = 0.06  # of mount and heading together, which turn all pairs alike
+NUISANCE_SIGMA_RAD = 0.06  # of mount and heading together, which turn all pairs by the same
 FARTHEST_RAD = 0.5  # a rotation or direction may deviate so far: what no ray shows of a pair stays a number
 MIN_SPEED_M_S, SPEED_SIGMA_M_S = 0.5, 0.5
 ASIDE = 2  # coarse steps from the minimum: far enough that errors of single attitudes are others
 RIVAL = 9.0  # of chi-square by which any other offset must be worse
 MIN_BLOCKS = 3.0  # seconds that tell of the offset, in effect: what one second says has nothing to be held against
 BLOCK_NS = 1_000_000_000  # errors of attitudes between their messages last shorter
-LEAST_SIGMA_S = 0.005  # of attitudes' stamps, all alike: a share of a turn of an autopilot's loop (2.5 to 20 ms)
+LEAST_SIGMA_S = 0.005  # of attitudes' stamps, the same for all: a share of a turn of an autopilot's loop (2.5 to 20 ms)
 ROUNDS = 3
 
 
@@ -104,15 +104,15 @@ def timing(pairs: list[Pair], course: Course, centre_s: float, boresight_rad: Ar
     offset_s, sigma_s = _minimum(fine[here], each[here], np.array([p.start_ns for p in pairs]))
     if not np.isfinite(sigma_s) or not fine[0] < offset_s < fine[-1]:
         return None
-    # Every offset meets other errors of the attitudes, and chi-squares scatter by that however alike the rotations are.
-    # Whole steps away interpolation is the same: between two attitudes their mean errs less than either does.
+    # Every offset meets other errors of the attitudes, and chi-squares scatter by that however equal the rotations are.
+    # Whole steps away interpolation is the same: between two attitudes their mean is off by less than either.
     chance = np.sqrt(2.0 * FREEDOMS * len(pairs))
     steps = np.arange(-round(REACH_S / COARSE_S), round(REACH_S / COARSE_S) + 1)
     around_s: Array = np.asarray(offset_s + COARSE_S * steps, np.float64)
-    beside = _cost(problem.chi2(around_s), scale2).sum(axis=1)
-    beside -= beside[steps == 0]
-    rise = float(beside[np.abs(steps) == ASIDE].min() - chance)
-    if beside[np.abs(steps) >= ASIDE].min() < RIVAL + chance or rise <= 0.0:
+    around = _cost(problem.chi2(around_s), scale2).sum(axis=1)
+    around -= around[steps == 0]
+    rise = float(around[np.abs(steps) == ASIDE].min() - chance)
+    if around[np.abs(steps) >= ASIDE].min() < RIVAL + chance or rise <= 0.0:
         return None
     sigma_s = float(np.hypot(max(sigma_s, ASIDE * COARSE_S / np.sqrt(rise)), LEAST_SIGMA_S))
     return Timing(offset_s, sigma_s, pairs[0].start_ns, max(p.end_ns for p in pairs), len(pairs))

@@ -1,7 +1,7 @@
 """Vibration in pictures that are read row by row: what propeller or engine swing the camera by while it is read.
 
-All features of a row are moved alike, those of the next rows differently: residuals that are a wave of the row, each
-picture with its own phase. No pose and no steady rate can follow it, so it looks like noise of the tracks. (18.6)
+All features of a row are moved by the same, those of the next rows differently: residuals that are a wave of the row,
+each picture with its own phase. No pose and no steady rate can follow it, so it looks like noise of the tracks. (18.6)
 """
 
 from __future__ import annotations

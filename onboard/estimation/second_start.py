@@ -171,7 +171,7 @@ def _precision(problem: Problem) -> float:
 
 
 def _preferred(one: Solution, two: Solution, common: Weighed) -> int:
-    """Which of two minima of the same cost is clearly the likelier: 1, 2, or 0 where they fit alike. (16.8), (16.9)
+    """Which of two minima of the same cost is clearly the likelier: 1, 2, or 0 where both fit. (16.8), (16.9)
 
     In units of the noise that the better one's residuals show, where they show more than was assumed.
     """

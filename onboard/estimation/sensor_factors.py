@@ -23,7 +23,7 @@ from onboard.estimation.factors import (
     gauss_markov_covariance,
     gauss_markov_sqrt_information,
     ground_plane,
-    lasting_sigma,
+    persistent_sigma,
     whitener_of,
 )
 from onboard.estimation.ground_slope import NO_SLOPE_PRIOR, SlopePrior
@@ -42,7 +42,7 @@ PATH_WHITE_SIGMA_RAD = 0.15
 GRAVITY_M_S2 = 9.81
 ECHO_SIGMAS = 4.0
 UNKNOWN_M = 1e5  # one sigma of a displacement of which nothing is known
-TERRAIN_SLOPE_SIGMA = 0.005  # of an elevation model over a window's few hundred metres: neighbours err alike
+TERRAIN_SLOPE_SIGMA = 0.005  # of an elevation model over a window's few hundred metres: neighbours are off together
 
 
 def sensor_priors(
@@ -60,7 +60,7 @@ def sensor_priors(
 
     `has_terrain`: the plane among the shared states is then the terrain model's own error, not the ground itself.
     `jitter_s`: one sigma of each picture's own stamp: white error wherever the vehicle moves or turns. (5.11)
-    `slope`: what is believed of the ground's; None: level as configured.
+    `slope`: the prior of the ground's; None: level as configured.
     """
     return [
         _position(config, R_body_cam, keyframes, layout, factors, jitter_s),
@@ -183,7 +183,7 @@ def _position(
         velocities,
         whitener,
         _taken_s(keyframes),
-        np.hypot([lasting_sigma(stamps, s, sensor.time_s(config)) for s in grown_m], datum_m),
+        np.hypot([persistent_sigma(stamps, s, sensor.time_s(config)) for s in grown_m], datum_m),
         lever_cam_m(config, R_body_cam),
         parts,
     )
@@ -249,7 +249,7 @@ def shared_fixes(weights: Sequence[Mapping[int, float]]) -> Array:
 
 
 def between_covariance(displacement: Sequence[Displacement | None]) -> Array:
-    """Covariance (3, n, n) of distances flown by what velocity did between positions: gap by gap. (5.20)"""
+    """Covariance (3, n, n) of distances travelled by what velocity did between positions: gap by gap. (5.20)"""
     gaps = sorted({stamp_ns for f in displacement if f is not None for stamp_ns in f.between_m})
     by_gap = np.zeros((len(displacement), len(gaps), 3))
     for row, f in zip(by_gap, displacement, strict=True):
@@ -288,7 +288,7 @@ def _attitude(
             }
             own_zero = zero if name == HEADING else np.zeros_like(zero)
             errors.append(_errors(factors, sensor, declared_parts, fixed + np.outer(own_zero, own_zero)))
-            slow = lasting_sigma(stamps, attitude_sigma(config, factors, name), sensor.time_s(config))
+            slow = persistent_sigma(stamps, attitude_sigma(config, factors, name), sensor.time_s(config))
             shared.append(float(np.hypot(slow, own_zero.mean())))
         whitener, parts = _both(errors)
         bodies = np.stack([k.nav.R_enu_body for k in keyframes if k.nav.R_enu_body is not None])
@@ -301,8 +301,8 @@ def _attitude(
     loose = gauss_markov_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, PATH_SIGMA_RAD, time_s)
     heading_of_path = gauss_markov_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, 2 * PATH_SIGMA_RAD, time_s)
     still = np.zeros((layout.keyframes, 3))
-    lasting = np.array([lasting_sigma(stamps, s, time_s) for s in PATH_SIGMA_RAD * np.array([1.0, 1.0, 2.0])])
-    return [AttitudePrior(layout, coordinated, still, np.stack([loose, loose, heading_of_path]), offsets, lasting)]
+    persistent = np.array([persistent_sigma(stamps, s, time_s) for s in PATH_SIGMA_RAD * np.array([1.0, 1.0, 2.0])])
+    return [AttitudePrior(layout, coordinated, still, np.stack([loose, loose, heading_of_path]), offsets, persistent)]
 
 
 def cosine_sine_of_heading(R_enu_body: Array) -> Array:
@@ -369,7 +369,7 @@ def _coordinated(R_body_cam: Array, stamps_s: Array, velocities: Array) -> Array
 
 
 def with_delays_held_open(config: Config, platform: PlatformEstimate) -> PlatformEstimate:
-    """The same belief with both delays at least as uncertain as declared.
+    """The same estimate with both delays at least as uncertain as declared.
 
     What turns show of a filter's delays is not all of them: inertial sensors keep turns in time. (5.15)
     """

@@ -60,7 +60,7 @@ class Failing:
         return any(f.last_ns == end_ns for f in self.failures.values())
 
     def explained(self) -> Failing:
-        """After something else has been found to be what contradicted: nobody fails, what was counted stays."""
+        """After something else has been found to be what contradicted: no sensor fails, what was counted stays."""
         return Failing({}, self.windows)
 
     def after(self, start_ns: int, end_ns: int, failed: Mapping[str, float]) -> Failing:
@@ -148,9 +148,9 @@ def innovations(
             for k, W in enumerate(prior.whitener[axes]):
                 constant[k * n : (k + 1) * n, k] = W.sum(axis=1)
             values, vectors = np.linalg.eigh(np.eye(len(r)) - J @ covariance @ J.T)
-            told = values > LEAST_REDUNDANCY
+            known = values > LEAST_REDUNDANCY
             values = np.clip(values, LEAST_REDUNDANCY, 1.0)
-            without = (vectors * (told / values)) @ vectors.T
+            without = (vectors * (known / values)) @ vectors.T
             predicted = (vectors * (1.0 / values - 1.0)) @ vectors.T
             out.append(
                 Innovation(

@@ -34,7 +34,7 @@ class SensorPose:
         return replace(self, shared=replace(self.shared, by_nuisance=by_nuisance))
 
     def over_ranged_ground(self, sigma_m: float) -> SensorPose:
-        """The same over a ground measured from the camera, to one sigma: where the camera's height errs, so does it."""
+        """The same over a ground measured from the camera, to one sigma: where the camera's height is off, so is it."""
         white, by_nuisance = self.white.copy(), self.shared.by_nuisance.copy()
         white[6], white[:, 6] = white[2], white[:, 2]
         white[6, 6] = white[2, 2] + sigma_m**2

@@ -38,7 +38,7 @@ def shared_errors(config: Config, priors: list[Prior], state: State, covariance:
             where, sign = (POSITION, 1.0) if isinstance(prior, PositionPrior) else (ATTITUDE, -1.0)
             _, J = prior.evaluate(state)
             per_axis = J.reshape(3, -1, J.shape[1])
-            error = prior.whitener.sum(axis=2) * (sign * prior.lasting[:, None])  # (3, K) one sigma on every picture
+            error = prior.whitener.sum(axis=2) * (sign * prior.persistent[:, None])  # (3, K) one sigma on every picture
             gains[:, where] = covariance @ np.einsum("akd,ak->da", per_axis, error)
         elif isinstance(prior, SharedPrior):
             _, J = prior.evaluate(state)
@@ -58,7 +58,7 @@ def shared_errors(config: Config, priors: list[Prior], state: State, covariance:
 
 
 def _one_of(errors: Array, moved: Array) -> Array:
-    """Of several independent errors (D, n) that act alike, the one that sets share, as the wire's single column (D,).
+    """Of several independent errors (D, n) with the same effect, that which sets share: the wire's single column (D,).
 
     Errors of time all move positions along the track, errors of heading all turn the views about the vertical. The
     combination that does so most, by `moved` (m, n), is what sets share; the others stay in each set's own covariance.

@@ -56,7 +56,7 @@ class Window:
     def __init__(self, config: Config, camera: Camera) -> None:
         self.config = config
         self.camera_file = camera
-        self.camera = camera  # as it is believed now: new observations are made with it
+        self.camera = camera  # as it is estimated now: new observations are made with it
         mount = config.mount
         self.R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg)
         self.keyframes: list[Keyframe] = []
@@ -78,7 +78,7 @@ class Window:
         self.lever_body_m = np.array(mount.lever_arm_m)
         self.ground_slope = GroundSlope(level_sigma(config))
         self._request: Request | None = None  # the newest
-        self._solved_under: PlatformEstimate | None = None  # the belief that `solved` began with
+        self._solved_under: PlatformEstimate | None = None  # the prior that `solved` began with
 
     @property
     def platform(self) -> PlatformEstimate:
@@ -92,7 +92,7 @@ class Window:
         self.memory = self.memory.without_windows()
 
     def change_lens(self, camera: Camera, sigma: float) -> None:
-        """Begin again behind a lens that has been zoomed to `camera`, told to one `sigma` of its focal length."""
+        """Begin again behind a lens that has been zoomed to `camera`, known to one `sigma` of its focal length."""
         self.reset()
         self.alignment.lens_changed(camera, sigma)
         self.camera_file = camera
@@ -294,13 +294,13 @@ class Window:
 
     @property
     def readout(self) -> tuple[float, float]:
-        """How long the rows take, as believed now, and one sigma (s); 0 and 0 of a global shutter."""
+        """How long the rows take, as estimated now, and one sigma (s); 0 and 0 of a global shutter."""
         camera, platform = self.config.camera, self.alignment.platform
         states, sigma = platform.mean[STATES:], platform.sigma[STATES:]
         return camera.readout_s + readout_s(states), readout_s(sigma)
 
     def _see_with_estimate(self) -> None:
-        """Where the belief of the camera has moved, make the keyframes' observations anew. Equation (15.2)."""
+        """Where the estimate of the camera has moved, make the keyframes' observations again. Equation (15.2)."""
         states = self.alignment.platform.mean[STATES:]
         if np.array_equal(states, self.camera_taken):
             return

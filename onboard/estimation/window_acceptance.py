@@ -1,4 +1,4 @@
-"""Whether an adjusted window may be believed: each test by itself, in sigmas, with its reason in words.
+"""Whether an adjusted window may be accepted: each test by itself, in sigmas, with its reason in words.
 
 `by_itself` looks at one window: its depths, sensors, the known ground. `by_memory` holds it against what earlier
 windows of the flight found of the same points, (16.3). A window that fails is refused, and the reason goes to the
@@ -38,7 +38,7 @@ MIN_AHEAD = 0.9  # of the measurements: of points below the camera and in front 
 MIN_DEPTH_SHARE = 0.05  # of the median depth: a point nearer than this is as good as behind the camera
 TERRAIN_SIGMAS = 5.0
 SCALE_SIGMAS = 5.0
-# Of a velocity that no residual of the window uses, lasting: recorded autopilots in turns (docs/telemetry.md).
+# Of a velocity that no residual of the window uses, slowly changing: recorded autopilots in turns (docs/telemetry.md).
 LASTING_VELOCITY_M_S = 1.5
 # Of chi-square with 7 degrees of freedom: exceeded once in 1e5 comparisons.
 MAX_AGREEMENT = 35.0
@@ -47,7 +47,7 @@ REMEMBERED = 14  # windows: a few more than the keyframes of one, so that one wi
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a window is not believed."""
+    """Why a window is not accepted."""
 
     status: Status
     reason: str
@@ -71,11 +71,11 @@ class Memory:
         earlier = next(apart, None)
         return None if earlier is None else agreement(earlier, solved)
 
-    def after(self, solved: Solved, agreed: Agreement | None, is_believed: bool) -> Memory:
+    def after(self, solved: Solved, agreed: Agreement | None, is_accepted: bool) -> Memory:
         """With one more window; of one that is not accepted only the disagreement is kept."""
         stamp_ns, share = solved.keyframes[-1].nav.stamp_ns, 1.0 / len(solved.keyframes)
         relative = self.relative if agreed is None else self.relative.with_agreement(agreed, stamp_ns, share)
-        if not is_believed:
+        if not is_accepted:
             return Memory(self.windows, relative)
         solved = replace(solved, variance_factor=solved.variance_factor * relative.factor)
         return Memory((*self.windows, solved)[-REMEMBERED:], relative)

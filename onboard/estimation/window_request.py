@@ -72,7 +72,7 @@ class Weighed:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """The result of a request: OK and `solved`, or the reason why there is none; and the noise as estimated anew."""
+    """The result of a request: OK and `solved`, or the reason why there is none; and the noise as estimated again."""
 
     status: Status
     keyframes: tuple[Keyframe, ...]

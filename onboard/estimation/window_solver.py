@@ -50,7 +50,7 @@ TOLERATED_RMS = 1.3  # of velocity's and attitude's whitened residuals
 MAX_JITTER_S = 0.02
 MAX_NOISE_INFLATION = 2.0
 WAVE_ROUNDS = 2
-MIN_CHANGE = 0.3  # of a variance's logarithm, by which it must change to weigh a window anew
+MIN_CHANGE = 0.3  # of a variance's logarithm, by which it must change to weigh a window again
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,7 @@ def _adjusted(request: Request) -> Outcome:
         return Outcome(Status.LOW_PARALLAX, window.keyframes, noise, reason=reason)
     window, weighed = _with_waves(window, weighed)
     problem = replace(
-        weighed.problem, ground_weight=ground_weight.alike(weighed.problem, weighed.solution, window.hold)
+        weighed.problem, ground_weight=ground_weight.correlated(weighed.problem, weighed.solution, window.hold)
     )
     least_own = MIN_PIXEL_SIGMA_PX / (weighed.noise.pixel_sigma_px * weighed.noise.noise_inflation)
     adjusted = refine(problem, weighed.solution, least_own, request.camera_file)
@@ -304,7 +304,7 @@ def _judged(
     camera = camera_states.corrected(request.camera_file, s.state.camera)
     readout_s = window_start.readout_of(request, layout, s.state)
     sigma_p = sigma_px * 1.177
-    # A picture between keyframes vibrates too, and nobody knows how: to it that is noise.
+    # A picture between keyframes vibrates too, as nothing measures: for it that is noise.
     unknown_px = float(np.hypot(sigma_px, camera.focal_px * row_waves.swing_rad(s.state.own[:, layout.part(WAVES)])))
     found = frames, layout, s, ids, good, plane, unknown_px, sigma_p, keyframes, shared, moving, camera, readout_s
     solved = Solved(*found, priors=tuple(priors))

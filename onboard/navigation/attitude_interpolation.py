@@ -173,5 +173,5 @@ def _missed(stamps_s: Array, rates: Array, gap: int) -> float:
     """Root of the mean square by which rates (N, 3) at times (N,) miss the line from `gap` before to `gap` after."""
     before, own, after = slice(None, -2 * gap), slice(gap, -gap), slice(2 * gap, None)
     share = (stamps_s[own] - stamps_s[before]) / (stamps_s[after] - stamps_s[before])
-    foretold = rates[before] + share[:, None] * (rates[after] - rates[before])
-    return float(np.sqrt(np.mean((rates[own] - foretold) ** 2)))
+    predicted = rates[before] + share[:, None] * (rates[after] - rates[before])
+    return float(np.sqrt(np.mean((rates[own] - predicted) ** 2)))

@@ -177,7 +177,7 @@ class GpsIntegrity:
         return self._receiver_fault(start_ns) != ""
 
     def _receiver_fault(self, moment_ns: int) -> str:
-        """The receiver, if it ever spoke, has a fix, spoke lately, and has had both since `recovery_s`."""
+        """The receiver, if it ever reported, has a fix, reported recently, and has had both since `recovery_s`."""
         gps, last = self._gps, self.quality.latest(moment_ns)
         if last and moment_ns - last[-1].stamp_ns > gps.quality_timeout_s * 1e9:
             return f"the receiver has been silent for more than {gps.quality_timeout_s:g} s"

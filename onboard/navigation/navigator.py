@@ -184,14 +184,14 @@ class Navigation:
         since_ns, self.reason = self._integrity.first_estimate(self._fixes.stamps_ns[0], now_ns)
         if since_ns is None:
             return
-        believed = [fix for fix in self._fixes.values if fix.stamp_ns > since_ns]
-        if not believed:
+        accepted = [fix for fix in self._fixes.values if fix.stamp_ns > since_ns]
+        if not accepted:
             self.reason = Refusal.RECOVERING
             return
-        newest = believed[-1]
+        newest = accepted[-1]
         self.frame = LocalFrame(newest.lat_deg, newest.lon_deg, newest.height_amsl_m)
-        near = [fix for fix in believed if np.linalg.norm(self._enu(fix)) <= FRAME_REACH_M]
-        # What came before may be compared with the newest only as far as the aircraft can have flown since.
+        near = [fix for fix in accepted if np.linalg.norm(self._enu(fix)) <= FRAME_REACH_M]
+        # What came before may be compared with the newest only as far as the aircraft can have travelled since.
         first = near[0]
         self.frame = LocalFrame(first.lat_deg, first.lon_deg, first.height_amsl_m)
         self._hold(near)
@@ -243,7 +243,7 @@ class Navigation:
         return max(positions_ns, self._attitudes.spacing_ns)
 
     @property
-    def heard(self) -> tuple[bool, bool]:
+    def received(self) -> tuple[bool, bool]:
         """Whether there are attitudes of the vehicle, and of a gimbal, that may be used."""
         if self.config.solve.attitude == "none":
             return False, False
@@ -262,11 +262,11 @@ class Navigation:
     def _uses_gimbal(self) -> bool:
         return self._carrier is not MountHypothesis.MOUNT
 
-    def _attitude_at(self, moment_ns: int, carrier: MountHypothesis) -> Array | Status:
+    def _attitude_at(self, moment_ns: int, hypothesis: MountHypothesis) -> Array | Status:
         """R_ned_body as the mount sees it: with a gimbal, of the body that would carry a fixed camera the same way."""
-        if carrier is MountHypothesis.MOUNT:
+        if hypothesis is MountHypothesis.MOUNT:
             return self._attitudes.at(moment_ns)
-        return self.gimbal.at(moment_ns, self._attitudes, carrier)
+        return self.gimbal.at(moment_ns, self._attitudes, hypothesis)
 
     def _mount_hypotheses_at(self, moment_ns: int, R_frame_ned: Array) -> dict[MountHypothesis, Array]:
         """R_enu_body by every hypothesis, where more than one is possible; the mount first, for where others agree."""
@@ -390,7 +390,7 @@ class Navigation:
         return self._path.velocity(bracket[0], RECENT_NS // 2)
 
     def displacement(self, start_ns: int, end_ns: int) -> Displacement | None:
-        """Distance flown from the velocities alone (trapezium rule); None where any is missing."""
+        """Distance travelled by the velocities alone (trapezium rule); None where any is missing."""
         return self._path.displacement(start_ns, end_ns)
 
     @property

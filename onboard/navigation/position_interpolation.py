@@ -1,4 +1,4 @@
-"""Positions by time -> position, velocity and distance flown at any moment, and what joining them may be off by.
+"""Positions by time -> position, velocity and distance travelled at any moment, and what joining them may be off by.
 
 They are joined by cubic Hermite pieces whose slopes are the filter's own velocities, velocities by straight lines.
 """
@@ -33,7 +33,7 @@ class Position:
 
 @dataclass(frozen=True, eq=False)
 class Displacement:
-    """The distance flown (3,), ENU m, by integrated velocity.
+    """The distance travelled (3,), ENU m, by integrated velocity.
 
     `between_m`: for each gap between two positions that it runs over, by the stamp that begins it, one sigma (3,) of
     what the velocity did in the gap. Distances over one gap share its error.

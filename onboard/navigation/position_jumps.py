@@ -80,7 +80,7 @@ class PositionJumps:
 
         `jumped_ns`: when those before were found to be elsewhere, if so.
         """
-        self._strayed: deque[tuple[int, Array]] = deque()  # (3,) position less integrated velocity, lately
+        self._deviations: deque[tuple[int, Array]] = deque()  # (3,) position less integrated velocity, recently
         self._episode: _Episode | None = None
         self._largest_m = float(np.linalg.norm((self._suspected or self._entries[-1]).unexplained_m))
         if jumped_ns is not None:
@@ -138,7 +138,7 @@ class PositionJumps:
             self._add(start_ns, end_ns, miss, sigma_m[0], True)
 
     def _lose_link(self, stamp_ns: int) -> None:
-        self._strayed = deque([(stamp_ns, np.zeros(3))])
+        self._deviations = deque([(stamp_ns, np.zeros(3))])
         self._episode = None
 
     def _follow(self, positions: Series[Position], moved_m: Array, flown_m: Array, sigma_m: float) -> None:
@@ -146,12 +146,12 @@ class PositionJumps:
         stamp_ns = positions.stamps_ns[-1]
         if any(p.velocity_enu_m_s is not None and np.isnan(p.velocity_enu_m_s[2]) for p in positions.values[-2:]):
             flown_m[2] = moved_m[2]  # no climb rate: nothing is known of a jump in height
-        self._strayed.append((stamp_ns, self._strayed[-1][1] + moved_m - flown_m))
+        self._deviations.append((stamp_ns, self._deviations[-1][1] + moved_m - flown_m))
         # Slip is known of a moment once half its window has passed.
         middle_ns = stamp_ns - RECENT_NS // 2
         self._judge(middle_ns, self._slip.at(positions, middle_ns), sigma_m)
-        while self._episode is None and self._strayed[0][0] < stamp_ns - 2 * RECENT_NS:
-            self._strayed.popleft()
+        while self._episode is None and self._deviations[0][0] < stamp_ns - 2 * RECENT_NS:
+            self._deviations.popleft()
 
     def _judge(self, moment_ns: int, slip: Slip, sigma_m: float) -> None:
         slipping, episode = slip.exceeds(EPISODE_SHARE * self._gps.max_slip_m_s), self._episode
@@ -159,9 +159,9 @@ class PositionJumps:
             if not slipping:
                 return
             start_ns = max(moment_ns - RECENT_NS // 2, (self._suspected or self._entries[-1]).stamp_ns)
-            self._episode = episode = _Episode(start_ns, self._strayed_at(start_ns))
-        newest_ns, strayed = self._strayed[-1]
-        moved = strayed - episode.before_m
+            self._episode = episode = _Episode(start_ns, self._deviations_at(start_ns))
+        newest_ns, deviation = self._deviations[-1]
+        moved = deviation - episode.before_m
         episode.most_m = max(episode.most_m, float(np.hypot(moved[0], moved[1])))
         episode.sigma_m = max(episode.sigma_m, sigma_m)
         episode.is_sure |= slip.exceeds(self._gps.max_slip_m_s)
@@ -171,15 +171,15 @@ class PositionJumps:
         elif episode.is_sure:
             self._suspect(episode)
 
-    def _strayed_at(self, stamp_ns: int) -> Array:
-        return next((s for t, s in reversed(self._strayed) if t <= stamp_ns), self._strayed[0][1])
+    def _deviations_at(self, stamp_ns: int) -> Array:
+        return next((s for t, s in reversed(self._deviations) if t <= stamp_ns), self._deviations[0][1])
 
     def _suspect(self, episode: _Episode) -> None:
         """While it lasts, all that it has moved by so far is in doubt."""
         last, self._suspected = self._entries[-1], None
         if episode.most_m > LIKELY_SIGMAS * episode.sigma_m:
-            lasting = last.at(episode.start_ns, self._gps.correlation_time_s)
-            doubt = np.array([lasting[0] / SHARED_WITH_VELOCITY + episode.most_m, 0.0, lasting[1]])
+            slow = last.at(episode.start_ns, self._gps.correlation_time_s)
+            doubt = np.array([slow[0] / SHARED_WITH_VELOCITY + episode.most_m, 0.0, slow[1]])
             self._suspected = _Entry(episode.start_ns, doubt, np.zeros(2), last.stretch)
 
     def _add(self, start_ns: int, end_ns: int, moved_m: Array, sigma_m: float, is_sure: bool) -> None:

@@ -61,12 +61,12 @@ class SlipTest:
         seconds = (stamps_ns - stamps_ns[0]) / 1e9
         if len(velocities) < len(held) or np.diff(seconds).max() > self.gps.max_gap_s:
             return Slip()
-        strayed = np.array([p.enu_m[:2] for p in held]) - integrated(velocities, seconds)
-        strayed -= strayed.mean(axis=0)
+        deviation = np.array([p.enu_m[:2] for p in held]) - integrated(velocities, seconds)
+        deviation -= deviation.mean(axis=0)
         t = seconds - seconds.mean()
         span = float(t @ t)
-        slope = t @ strayed / span
-        miss = strayed - t[:, None] * slope
+        slope = t @ deviation / span
+        miss = deviation - t[:, None] * slope
         freedom = len(t) - 2
         dispersion_m = self.gps.sigma_white_m  # of too few to estimate it from
         if freedom >= MIN_DISPERSION_FREEDOM:
@@ -81,7 +81,7 @@ class SlipTest:
 def _slip_by_latency(positions: Series[Position], moments_ns: Times) -> Array:
     """How a filter slips (n, 2), m/s, at some moments (n,) by a latency that is off by 1 s. Equation (5.21).
 
-    Taken from the velocities' own steps: those of a filter that corrects itself are as nothing beside a turn's.
+    Taken from the velocities' own steps: those of a filter that corrects itself are nothing next to a turn's.
     """
     stamps = positions.stamps_ns
     first = bisect.bisect_left(stamps, int(moments_ns[0]) - LONG_NS)

@@ -59,7 +59,7 @@ class MountSelection:
 
     def carrier(self, navigation: Navigation) -> str:
         """What the camera is assumed to be mounted on, and why, in words."""
-        has_vehicle, has_gimbal = navigation.heard
+        has_vehicle, has_gimbal = navigation.received
         if not has_gimbal:
             return "fixed mount" if has_vehicle else "unknown: no attitude is used"
         if not has_vehicle:

@@ -37,9 +37,9 @@ class MountTrials:
         self._running = {}
         if window.solved is not None or not self._selection.is_open(window.keyframes[-1].nav):
             return
-        believed = navigation.mount_hypothesis
+        assumed = navigation.mount_hypothesis
         for reading, R in window.keyframes[-1].nav.mount_hypotheses.items():
-            own = window.keyframes[-1].nav.mount_hypotheses.get(believed)
+            own = window.keyframes[-1].nav.mount_hypotheses.get(assumed)
             request = None if own is None or not unlike(R, own) else _request(window, reading, self._noise.get(reading))
             if request is not None:
                 self._running[reading] = worker.submit(timed_adjust, request)

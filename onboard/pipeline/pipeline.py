@@ -474,10 +474,10 @@ class Pipeline:
         """FEATURELESS only where the picture is: else its features are too new to have depth, as after a spin."""
         if len(record.seen.ids) < MIN_TRACKS:
             return Status.FEATURELESS
-        alike = (
+        same = (
             k for k in self.window.keyframes if len(np.intersect1d(k.observation.ids, record.seen.ids)) >= MIN_TRACKS
         )
-        return self._why_unsolved(record.nav, next((k.nav for k in alike), None))
+        return self._why_unsolved(record.nav, next((k.nav for k in same), None))
 
     def _why_unsolved(self, nav: NavState, first: NavState | None = None) -> Status:
         """Starting, or standing still since `first`, the window's first by default: no parallax will come of that."""

@@ -113,7 +113,7 @@ class Evidence:
         if worst in (Status.STABILISED, Status.ZOOMED, Status.POOR_FIT):
             return self._said_of(worst, statuses[worst])
         return Shortfall(
-            f"too short: {keyframes} keyframes within {self.span_m:.0f} m flown",
+            f"too short: {keyframes} keyframes within {self.span_m:.0f} m travelled",
             f"at least {MIN_KEYFRAMES} keyframes are needed, each a tenth of a picture farther on: fly on",
         )
 
@@ -139,7 +139,7 @@ class Evidence:
                 f"turning too fast to follow the ground on {count} pictures", "take pictures more often, or turn slower"
             ),
             Status.LOW_PARALLAX: Shortfall(
-                f"no parallax: {self.span_m:.0f} m flown at {self.height_m:.0f} m above home",
+                f"no parallax: {self.span_m:.0f} m travelled at {self.height_m:.0f} m above home",
                 "fly on, or state where the ground is: terrain.path, solve.home_level or a range finder",
             ),
             Status.STABILISED: Shortfall(

@@ -91,7 +91,7 @@ class LensDoubt:
         self._ground_m = None
 
     def settle(self) -> None:
-        """A window has shown the lens to be what it was, or somebody has told what it is."""
+        """A window has shown the lens to be what it was, or it has been reported."""
         self.is_open, self.reason = False, ""
 
     def judged(self, outcome: Outcome) -> Outcome:

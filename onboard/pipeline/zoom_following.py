@@ -1,9 +1,9 @@
-"""A zoom lens followed by what is told of it: whether it moves, and which camera it is where it stands. (21.3)
+"""A zoom lens followed by what is reported of it: whether it moves, and which camera it is where it stands. (21.3)
 
 Reports may be late by some tenths of a second, quantised, seldom, or not be numbers, and their clock may not be the
 pictures'. So each holds for an interval of picture stamps. The lens may have moved from the interval of the last report
-that told the old value, until the one after that of the last change, for as long again as a report may be late or the
-last change took; its pictures count as zoomed. A lens of which nothing is told stays where it was told last.
+that reported the old value, until the one after that of the last change, for as long again as a report may be late or
+the last change took; its pictures count as zoomed. Without a report a lens stays where it was reported last.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from contract.camera import Camera
 from onboard.events.types import Zoom, ZoomUnit
 from onboard.navigation.limits import LATE_NS, LIKELY_SIGMAS, RECENT_NS
 
-SAME = 0.002  # of the focal length's logarithm: a lens that stands still is told so to this
+SAME = 0.002  # of the focal length's logarithm: a lens that stands still is reported with this error
 
 
 @dataclass(frozen=True)
-class _Told:
+class _Report:
     stamp_ns: int
     log_focal: float
     sigma: float
@@ -35,10 +35,10 @@ class ZoomFollowing:
 
     def __init__(self, camera: Camera, sigma: float) -> None:
         self._file, self._sigma = camera, sigma
-        self._told: _Told | None = None  # the newest
+        self._newest: _Report | None = None  # the newest
         self._is_standing = True
         self._since_ns = self._until_ns = 0  # picture stamps between which it may have moved, the last time
-        self._changed: _Told | None = None  # the newest report of a change
+        self._changed: _Report | None = None  # the newest report of a change
         self._lasted_ns = 0  # how long that change may have taken
         self._stood = math.log(camera.focal_px)  # where it stands, or stood last
         self._rank = len(get_args(ZoomUnit))  # of the newest report's unit
@@ -51,7 +51,7 @@ class ZoomFollowing:
         log_focal = self._log_focal(event.value, event.unit)
         if log_focal is None:
             return
-        before = self._told
+        before = self._newest
         if before is not None and event.stamp_ns <= before.stamp_ns:
             return
         rank = get_args(ZoomUnit).index(event.unit)
@@ -62,23 +62,24 @@ class ZoomFollowing:
         is_change = abs(log_focal - last) > SAME
         apart_ns = (0, 0) if event.is_of_picture else _apart_ns(offset_s, offset_sigma_s)
         first_ns, last_ns = event.stamp_ns - LATE_NS - apart_ns[1], event.stamp_ns - apart_ns[0]
-        self._told = _Told(event.stamp_ns, log_focal if is_change else last, self._sigma_of(event), first_ns, last_ns)
+        value = log_focal if is_change else last
+        self._newest = _Report(event.stamp_ns, value, self._sigma_of(event), first_ns, last_ns)
         if is_change:
-            self._change(before, self._told)
+            self._change(before, self._newest)
         elif self._changed is not None:
             after_ns = min(max(self._lasted_ns, LATE_NS), RECENT_NS)
             self._until_ns = min(self._until_ns, self._changed.last_ns + after_ns)
 
-    def _change(self, before: _Told | None, told: _Told) -> None:
+    def _change(self, before: _Report | None, report: _Report) -> None:
         """A report tells of another lens than the one before it."""
         if self._is_standing:
             self._is_standing = False
-            self._since_ns = told.first_ns if before is None else max(before.first_ns, told.first_ns - RECENT_NS)
+            self._since_ns = report.first_ns if before is None else max(before.first_ns, report.first_ns - RECENT_NS)
         # Steps may tell of one that moves slowly less often than reports come.
         ends = [t.stamp_ns for t in (self._changed, before) if t is not None]
-        recent = [told.stamp_ns - ns for ns in ends if told.stamp_ns - ns <= RECENT_NS]
+        recent = [report.stamp_ns - ns for ns in ends if report.stamp_ns - ns <= RECENT_NS]
         self._lasted_ns = max(recent, default=0)
-        self._changed, self._until_ns = told, told.last_ns + RECENT_NS
+        self._changed, self._until_ns = report, report.last_ns + RECENT_NS
 
     def _sigma_of(self, event: Zoom) -> float:
         """One sigma of what a report says: as configured, and anywhere within its step."""
@@ -106,22 +107,22 @@ class ZoomFollowing:
 
     @property
     def suspect_since_ns(self) -> int:
-        """From when on pictures may have been taken by a lens that moved, though nobody had told of it yet."""
+        """From when on pictures may have been taken by a lens that moved, though it had not been reported yet."""
         return self._since_ns
 
     def is_moving(self, stamp_ns: int) -> bool:
-        """Whether the lens may be moving in a picture with this stamp, by what has been told so far."""
+        """Whether the lens may be moving in a picture with this stamp, by what has been reported so far."""
         return not self._is_standing and self._since_ns <= stamp_ns <= self._until_ns
 
     def stands(self, stamp_ns: int) -> tuple[Camera, float] | None:
-        """The camera that the lens has become, and one sigma of its focal length's logarithm as it is told.
+        """The camera that the lens has become, and one sigma of its focal length's logarithm as it is reported.
 
         None where it has not moved since the last time, or may still do so in a picture with this stamp.
         """
-        if self._is_standing or self._told is None or stamp_ns <= self._until_ns:
+        if self._is_standing or self._newest is None or stamp_ns <= self._until_ns:
             return None
-        self._is_standing, self._stood = True, self._told.log_focal
-        return self._file.zoomed(self._stood), self._told.sigma
+        self._is_standing, self._stood = True, self._newest.log_focal
+        return self._file.zoomed(self._stood), self._newest.sigma
 
 
 def _apart_ns(offset_s: float, sigma_s: float) -> tuple[int, int]:

@@ -33,7 +33,7 @@ from onboard.estimation.sensor_factors import cosine_sine_of_heading
 from onboard.estimation.sliding_window import Window
 from onboard.geometry.triangulation import triangulate
 from onboard.navigation.navigator import NavState
-from onboard.navigation.position_interpolation import Flown
+from onboard.navigation.position_interpolation import Displacement
 
 Array = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -147,7 +147,7 @@ class Scene:
     observations: list[Observation]
     navs: list[NavState]
     rates: list[Array]
-    flown: list[Flown | None]  # since the keyframe before, of keyframes
+    flown: list[Displacement | None]  # since the keyframe before, of keyframes
 
     @property
     def keys(self) -> NDArray[np.intp]:
@@ -260,7 +260,7 @@ def draw(
                 sigma = e * gps.sigma_velocity_m_s * (late - before)
                 moved = path.position_enu_m(late) - path.position_enu_m(before) + sigma * rng.standard_normal(3)
             before = stamp - velocity_delay
-        flown.append(None if moved is None else Flown(moved))
+        flown.append(None if moved is None else Displacement(moved))
     return Scene(
         config, camera, ground, times, is_key, R_cam_enu, centres, points, boresight, offset,
         delay, velocity_delay, heading, observations, navs, rates, flown,

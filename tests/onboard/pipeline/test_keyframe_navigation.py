@@ -59,9 +59,9 @@ def test_attitude_rate_position_and_distance_are_those_of_the_new_offset() -> No
         assert rate is not None
         assert np.allclose(new.body_rate_rad_s, rate)
         assert new.observation is old.observation
-        if k and old.flown is not None:
-            assert new.flown is not None
-            assert 0.0 < np.linalg.norm(new.flown.enu_m - old.flown.enu_m) < 5.0
+        if k and old.displacement is not None:
+            assert new.displacement is not None
+            assert 0.0 < np.linalg.norm(new.displacement.enu_m - old.displacement.enu_m) < 5.0
     moved = [
         np.linalg.norm(a.nav.position_enu_m - b.nav.position_enu_m)
         for a, b in zip(before, window.keyframes, strict=True)
