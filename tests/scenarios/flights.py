@@ -109,6 +109,7 @@ def simulated(spec: SessionSpec) -> Path:
     with folder.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not (folder / "world.json").is_file():  # written last
+            shutil.rmtree(folder, ignore_errors=True)  # a worker may have died over it
             fly(spec, folder)
     return folder
 
