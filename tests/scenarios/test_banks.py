@@ -31,13 +31,18 @@ def test_banks_are_as_honest_as_level_flight(shared_data: Path, name: str, seed:
 
 
 @pytest.mark.long  # the short one is in tests/onboard/estimation/test_sensor_factors.py
-@pytest.mark.parametrize("seed", [3, 4])
-def test_a_heading_that_turns_late_is_allowed_for(shared_data: Path, seed: int) -> None:
-    """With all sensors: this autopilot's heading is 2 degrees behind in steep turns; 50 to 65 % were inside before."""
-    score = judge(Scene(str(shared_data / "sitl" / "plane_breeze"), parse_config(""), 45.0, 240.0), seed)
-    inside, bank, error = np.array(score.ratio) < 1.0, np.array(score.bank_deg), np.array(score.error_m)
-    assert np.count_nonzero(bank > 30.0) > 100
-    assert np.mean(inside[bank > 30.0]) > 0.85
-    assert np.quantile(np.array(score.ratio)[bank > 30.0], 0.9) > 0.6  # nor by ellipses that hold anything
+def test_a_heading_that_turns_late_is_allowed_for(shared_data: Path) -> None:
+    """With all sensors: this autopilot's heading is 2 degrees behind in steep turns; before, 57 % were inside there.
+
+    Two samples of the GPS's slow error, for one may be large or small.
+    """
+    scene = Scene(str(shared_data / "sitl" / "plane_breeze"), parse_config(""), 45.0, 240.0)
+    scores = [judge(scene, seed) for seed in (3, 4)]
+    ratio, bank, error = (
+        np.concatenate([getattr(s, name) for s in scores]) for name in ("ratio", "bank_deg", "error_m")
+    )
+    assert np.count_nonzero(bank > 30.0) > 200
+    assert np.mean(ratio[bank > 30.0] < 1.0) > 0.85
+    assert np.quantile(ratio[bank > 30.0], 0.9) > 0.6  # nor by ellipses that hold anything
     assert np.quantile(error, 0.9) < 9.0
-    assert score.answered["bank"] > 0.75 * score.asked["bank"]
+    assert sum(s.answered["bank"] for s in scores) > 0.75 * sum(s.asked["bank"] for s in scores)
