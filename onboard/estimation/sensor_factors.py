@@ -90,17 +90,27 @@ def _dynamic_m_s(config: Config, keyframes: list[Keyframe]) -> Array:
 
     It lasts for as long as the filter takes to forget it, so what counts is the largest of the last seconds.
     """
-    stamps, velocities = _stamps_s(keyframes), _velocities(keyframes)
-    if len(stamps) < 2:
-        return np.zeros(len(stamps))
-    rates = np.linalg.norm(np.diff(velocities, axis=0), axis=1) / np.maximum(np.diff(stamps), 0.05)
-    return config.gps.sigma_latency_s * _largest_about(stamps[1:], rates, stamps)
+    return _by_latency(config, keyframes, _accelerations(keyframes))
 
 
-def _largest_about(ending_s: Array, rates: Array, stamps_s: Array) -> Array:
-    """The largest of `rates` (N,), each of an interval that ended then, in the seconds about each stamp (K,)."""
-    recent = np.abs(ending_s[None, :] - stamps_s[:, None]) <= DYNAMIC_TIME_S
-    out: Array = np.where(recent, rates, 0.0).max(axis=1)
+def _accelerations(keyframes: list[Keyframe]) -> Array:
+    """How fast the velocity changes between keyframes (K - 1,), m/s2."""
+    changes = np.linalg.norm(np.diff(_velocities(keyframes), axis=0), axis=1)
+    out: Array = changes / np.maximum(np.diff(_stamps_s(keyframes)), 0.05)
+    return out
+
+
+def _by_latency(config: Config, keyframes: list[Keyframe], rates: Array) -> Array:
+    """One sigma (K,) of what a filter's delays make of these rates (K - 1,) of the intervals between keyframes."""
+    stamps = _stamps_s(keyframes)
+    recent = np.abs(stamps[None, 1:] - stamps[:, None]) <= DYNAMIC_TIME_S
+    out: Array = config.gps.sigma_latency_s * np.where(recent, rates, 0.0).max(axis=1, initial=0.0)
+    return out
+
+
+def _fading(stamps_s: Array, sigma: Array) -> Array:
+    """Covariance (N, N) of errors of one sigma each (N,), which a filter forgets. (5.16), (5.23)"""
+    out: Array = np.outer(sigma, sigma) * gauss_markov_covariance(stamps_s, 1.0, DYNAMIC_TIME_S)
     return out
 
 
@@ -109,13 +119,9 @@ def _turning_rad(config: Config, keyframes: list[Keyframe], yaw_rates_rad_s: Arr
 
     A filter that takes its heading from a late velocity's direction turns late; one that stands has none. (5.23)
     """
-    stamps, velocities = _stamps_s(keyframes), _velocities(keyframes)
-    if len(stamps) < 2:
-        return np.zeros(len(stamps))
-    change = np.linalg.norm(np.diff(velocities, axis=0), axis=1) / np.maximum(np.diff(stamps), 0.05)
-    speed = np.linalg.norm(velocities[1:], axis=1) + 1e-9
-    rates = np.minimum(change / speed, np.maximum(np.abs(yaw_rates_rad_s[1:]), np.abs(yaw_rates_rad_s[:-1])))
-    return config.gps.sigma_latency_s * _largest_about(stamps[1:], rates, stamps)
+    of_course = _accelerations(keyframes) / (np.linalg.norm(_velocities(keyframes)[1:], axis=1) + 1e-9)
+    yaw = np.abs(yaw_rates_rad_s)
+    return _by_latency(config, keyframes, np.minimum(of_course, np.maximum(yaw[1:], yaw[:-1])))
 
 
 def lever_cam_m(config: Config, R_body_cam: Array) -> Array:
@@ -166,7 +172,7 @@ def _position(
     shared = shared_fixes([k.nav.joined.weights for k in keyframes])
     datum_m = np.array([0.0, 0.0, max(k.nav.sigma_datum_m for k in keyframes)])
     moved_m = 0.5 * DYNAMIC_TIME_S * _dynamic_m_s(config, keyframes)
-    in_turns = np.outer(moved_m, moved_m) * gauss_markov_covariance(stamps, 1.0, DYNAMIC_TIME_S)
+    in_turns = _fading(stamps, moved_m)
     errors = []
     for axis, share in enumerate((1.0, 1.0, 1.5)):
         declared_parts = {
@@ -223,7 +229,7 @@ def _velocity(
         sensor.name: np.outer(slow_m, slow_m) * gauss_markov_covariance(middle, 1.0, sensor.time_s(config)),
         sensor.white: np.diag(white_m**2),
     }
-    fixed = np.diag(unknown) + np.outer(erring, erring) * gauss_markov_covariance(middle, 1.0, DYNAMIC_TIME_S)
+    fixed = np.diag(unknown) + _fading(middle, erring)
     between = between_covariance([k.displacement for k in keyframes[1:]])
     whitener, parts = _both([_errors(factors, sensor, declared_parts, fixed + own) for own in between])
     return [
@@ -276,8 +282,7 @@ def _attitude(
         between = np.array([k.nav.attitude_sigma_rad for k in keyframes])
         # A gimbal's yaw that counts from nowhere is off by one angle, a state of each window. (5.18)
         zero = np.array([k.nav.yaw_sigma_rad for k in keyframes])
-        late = _turning_rad(config, keyframes, turning[:, 2])
-        late = np.outer(late, late) * gauss_markov_covariance(stamps, 1.0, DYNAMIC_TIME_S)
+        late = _fading(stamps, _turning_rad(config, keyframes, turning[:, 2]))
         errors, shared = [], []
         for axis, name in enumerate((TILT, TILT, HEADING)):
             sensor, fixed = BY_NAME[name], np.diag(between**2 + (jitter_s * turning[:, axis]) ** 2)

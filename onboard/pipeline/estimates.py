@@ -167,20 +167,23 @@ def _label(estimate: Estimate) -> str:
     return next((q.label for q in QUANTITIES if q.name == estimate.name), "relative errors")
 
 
+# How each is written: a factor, decimals, and the words about its components.
+_TEXTS: dict[str, tuple[float, int, str]] = {
+    BORESIGHT: (math.degrees(1.0), 2, "x {}, y {}, z {} deg, camera axes"),
+    "camera_time_offset": (1.0, 3, "{} s, camera to autopilot"),
+    "position_delay": (1.0, 3, "{} s off gps.latency_s"),
+    "velocity_delay": (1.0, 3, "{} s off gps.latency_s"),
+    "heading_error_by_heading": (math.degrees(1.0), 2, "{} deg times cos heading, {} deg times sin heading"),
+    "focal_length_error": (100.0, 2, "{} % off the camera file"),
+    "principal_point_error": (100.0, 2, "x {}, y {} % of the focal length off the camera file"),
+    "radial_distortion_error": (1.0, 3, "k1 {}, k2 {} off the camera file"),
+    "readout_error": (1e3, 1, "{} ms off camera.readout_s"),
+}
+
+
 def _text(estimate: Estimate) -> str:
     pairs = list(zip(estimate.values, estimate.sigmas, strict=True))
     if estimate.name == RELATIVE_VARIANCE:
         return f"variance {pairs[0][0]:.2f} +-{pairs[0][1]:.2f} of what was stated, by points seen again"
-    written = {  # a factor, decimals, and the words about its components
-        BORESIGHT: (math.degrees(1.0), 2, "x {}, y {}, z {} deg, camera axes"),
-        "camera_time_offset": (1.0, 3, "{} s, camera to autopilot"),
-        "position_delay": (1.0, 3, "{} s off gps.latency_s"),
-        "velocity_delay": (1.0, 3, "{} s off gps.latency_s"),
-        "heading_error_by_heading": (math.degrees(1.0), 2, "{} deg times cos heading, {} deg times sin heading"),
-        "focal_length_error": (100.0, 2, "{} % off the camera file"),
-        "principal_point_error": (100.0, 2, "x {}, y {} % of the focal length off the camera file"),
-        "radial_distortion_error": (1.0, 3, "k1 {}, k2 {} off the camera file"),
-        "readout_error": (1e3, 1, "{} ms off camera.readout_s"),
-    }
-    factor, decimals, words = written[estimate.name]
+    factor, decimals, words = _TEXTS[estimate.name]
     return words.format(*(f"{factor * m:+.{decimals}f} +-{factor * s:.{decimals}f}" for m, s in pairs))

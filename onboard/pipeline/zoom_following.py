@@ -35,7 +35,7 @@ class ZoomFollowing:
 
     def __init__(self, camera: Camera, sigma: float) -> None:
         self._file, self._sigma = camera, sigma
-        self._newest: _Report | None = None  # the newest
+        self._newest: _Report | None = None
         self._is_standing = True
         self._since_ns = self._until_ns = 0  # picture stamps between which it may have moved, the last time
         self._changed: _Report | None = None  # the newest report of a change
@@ -44,7 +44,7 @@ class ZoomFollowing:
         self._rank = len(get_args(ZoomUnit))  # of the newest report's unit
 
     def note(self, event: Zoom, offset_s: float = 0.0, offset_sigma_s: float = 0.0) -> None:
-        """Take one report; what is no number, or nothing that this lens can be, tells nothing.
+        """Take one report; what is no number, or nothing that this lens can be, changes nothing.
 
         `offset_s`: the moment of a picture by telemetry's clock, less its stamp, and one sigma of it.
         """
@@ -56,7 +56,7 @@ class ZoomFollowing:
             return
         rank = get_args(ZoomUnit).index(event.unit)
         if rank > self._rank and before is not None and event.stamp_ns - before.stamp_ns < RECENT_NS:
-            return  # somebody who knows better speaks
+            return  # a report in a better unit came not long ago
         self._rank = rank
         last = self._stood if before is None else before.log_focal
         is_change = abs(log_focal - last) > SAME
