@@ -121,7 +121,9 @@ MECHANISMS = (
         "correlated over one focal length of the picture, always",
         ((ground_roughness, "_roughness", _one_range),),
     ),
-    Mechanism("ground weight", "points are held to the ground as configured", ((ground_weight, "alike", _declared),)),
+    Mechanism(
+        "ground weight", "points are held to the ground as configured", ((ground_weight, "correlated", _declared),)
+    ),
     Mechanism("second start", "every window is solved from one start", ((window_solver, "other_starts", gives(())),)),
     Mechanism(
         "reobservation",
