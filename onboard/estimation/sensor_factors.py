@@ -90,21 +90,15 @@ def _dynamic_m_s(config: Config, keyframes: list[Keyframe]) -> Array:
 
     It lasts for as long as the filter takes to forget it, so what counts is the largest of the last seconds.
     """
-    return _by_latency(config, keyframes, _accelerations(keyframes))
-
-
-def _accelerations(keyframes: list[Keyframe]) -> Array:
-    """How fast the velocity changes between keyframes (K - 1,), m/s2."""
-    changes = np.linalg.norm(np.diff(_velocities(keyframes), axis=0), axis=1)
-    out: Array = changes / np.maximum(np.diff(_stamps_s(keyframes)), 0.05)
+    stamps, velocities = _stamps_s(keyframes), _velocities(keyframes)
+    rates = np.linalg.norm(np.diff(velocities, axis=0), axis=1) / np.maximum(np.diff(stamps), 0.05)
+    out: Array = config.gps.sigma_latency_s * np.where(_are_about(stamps), rates, 0.0).max(axis=1, initial=0.0)
     return out
 
 
-def _by_latency(config: Config, keyframes: list[Keyframe], rates: Array) -> Array:
-    """One sigma (K,) of what a filter's delays make of these rates (K - 1,) of the intervals between keyframes."""
-    stamps = _stamps_s(keyframes)
-    recent = np.abs(stamps[None, 1:] - stamps[:, None]) <= DYNAMIC_TIME_S
-    out: Array = config.gps.sigma_latency_s * np.where(recent, rates, 0.0).max(axis=1, initial=0.0)
+def _are_about(stamps_s: Array) -> NDArray[np.bool_]:
+    """Which intervals between keyframes a filter has not forgotten at a keyframe's time, or soon begins: (K, K - 1)."""
+    out: NDArray[np.bool_] = np.abs(stamps_s[1:] - stamps_s[:, None]) <= DYNAMIC_TIME_S
     return out
 
 
@@ -119,9 +113,14 @@ def _turning_rad(config: Config, keyframes: list[Keyframe], yaw_rates_rad_s: Arr
 
     A filter that takes its heading from a late velocity's direction turns late; one that stands has none. (5.23)
     """
-    of_course = _accelerations(keyframes) / (np.linalg.norm(_velocities(keyframes)[1:], axis=1) + 1e-9)
-    yaw = np.abs(yaw_rates_rad_s)
-    return _by_latency(config, keyframes, np.minimum(of_course, np.maximum(yaw[1:], yaw[:-1])))
+    stamps, (east, north, _) = _stamps_s(keyframes), _velocities(keyframes).T
+    seconds, are_about = np.diff(stamps), _are_about(stamps)
+    across = east[:-1] * north[1:] - north[:-1] * east[1:]
+    course_rad = np.arctan2(across, east[:-1] * east[1:] + north[:-1] * north[1:])
+    yaw_rad = 0.5 * (yaw_rates_rad_s[1:] + yaw_rates_rad_s[:-1]) * seconds
+    turned_rad = np.minimum(*(np.abs(are_about @ angle_rad) for angle_rad in (course_rad, yaw_rad)))
+    out: Array = config.gps.sigma_latency_s * turned_rad / np.maximum(are_about @ seconds, 0.05)
+    return out
 
 
 def lever_cam_m(config: Config, R_body_cam: Array) -> Array:

@@ -214,3 +214,16 @@ def test_heading_is_less_sure_in_turns_by_what_a_late_filter_turns_late(scene: S
     assert heading_sigma_deg(in_a_turn(keyframes, 0.2, 0.0)) == pytest.approx(level, rel=1e-3)
     in_time = parse_config("[gps]\nsigma_latency_s = 0.0")
     assert heading_sigma_deg(in_a_turn(keyframes, 0.2, 0.2), in_time) == pytest.approx(level, rel=1e-3)
+
+
+def test_a_course_that_shakes_to_and_fro_is_no_turn(scene: Scene) -> None:
+    """Noise of velocities and of angular rates on a straight leg: what it turns one way it turns back."""
+    keyframes = keyframes_of(scene)
+    level, out = heading_sigma_deg(in_a_turn(keyframes, 0.0, 0.0)), []
+    for number, k in enumerate(keyframes):
+        assert k.nav.R_enu_body is not None
+        angle = 0.05 * (-1.0) ** number
+        nav = replace(k.nav, velocity_enu_m_s=20.0 * np.array([np.cos(angle), np.sin(angle), 0.0]))
+        rate = k.nav.R_enu_body.T @ np.array([0.0, 0.0, 4.0 * angle])
+        out.append(replace(k, nav=nav, body_rate_rad_s=rate))
+    assert heading_sigma_deg(out) < 1.02 * level
