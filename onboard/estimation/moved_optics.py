@@ -27,7 +27,7 @@ from onboard.estimation.platform_states import STATES
 from onboard.estimation.second_start import by_attitude
 from onboard.estimation.sensor_groups import contradictions, innovations
 from onboard.estimation.sensor_table import HEADING, TILT
-from onboard.estimation.window_problem import WindowProblem
+from onboard.estimation.window_problem import WindowProblem, approximate
 from onboard.estimation.window_request import Noise, Request, Weighed
 
 Array = NDArray[np.float64]
@@ -115,7 +115,8 @@ def zoom_scores(window: WindowProblem, weighed: Weighed) -> tuple[Excess, Excess
     """What focal lengths that part pictures, and one that all share, promise to explain: by the first step. (19.4)"""
     tried = window.with_block(ZOOM)
     state = weighed.solution.state.with_block(tried.layout, ZOOM)
-    step = solve(tried.problem(weighed.noise), state, max_iterations=0)
+    priors = [replace(p, layout=tried.layout) for p in weighed.priors]
+    step = solve(replace(weighed.problem, layout=tried.layout, priors=priors), state, max_iterations=0)
     columns = tried.layout.by_picture[:, -1]
     moved = step.covariance[columns] @ step.reduced.right
     information = np.linalg.pinv(step.covariance[np.ix_(columns, columns)], hermitian=True)
@@ -209,9 +210,10 @@ class Hypotheses:
 
 def settled(window: WindowProblem, noise: Noise, state: State) -> Solution:
     """Adjusted until it stays where it is: attitudes may be wrong by more than one adjustment goes."""
-    solution = window.weighed(noise, state).solution
+    problem = window.problem(noise)
+    solution = approximate(problem, state)
     for _ in range(MOST_STARTS):
-        again = window.weighed(noise, solution.state).solution
+        again = approximate(problem, solution.state)
         if again.cost > solution.cost - 1.0:
             break
         solution = again

@@ -126,7 +126,9 @@ def _adjusted(request: Request) -> Outcome:
         request, window.keyframes, window.layout, window.rows, adjusted.solution.state
     )
     # Whether sensors contradict the pictures is judged by what earlier windows found, not by this one's own excuse.
-    before = window.sensors(replace(weighed.noise, factors=request.noise.factors))
+    earlier = request.noise.factors
+    is_own = weighed.noise.factors is not earlier
+    before = window.sensors(replace(weighed.noise, factors=earlier)) if is_own else weighed.priors
     asked = replace(request, keyframes=keyframes, noise=weighed.noise)
     judged = _judged(asked, window.ids, window.layout, weighed.priors, before, problem.weight, adjusted)
     return replace(judged, weighed=weighed, noise=_learned(request, noise, weighed, adjusted, judged, failed))
