@@ -29,7 +29,7 @@ FIRST_SCALE = 3.0  # of the loss (6.5) in sigmas, in the first of the two solves
 
 def approximate(problem: Problem, state: State) -> Solution:
     """The first of the two solves: robust, only as exact as finding outliers needs."""
-    return solve(problem, state, scale=FIRST_SCALE, tolerance=1e-4)
+    return solve(problem, state, scale=FIRST_SCALE, tolerance=3e-4)
 
 
 @dataclass(frozen=True, eq=False)

@@ -79,7 +79,7 @@ def refine(problem: Problem, first: Solution, least_own: float, camera_file: Cam
     if problem.camera is not None:
         camera, taken, xy = camera_states.seen_through(camera_file, problem.camera, first.state.camera, problem.xy)
         problem = replace(problem, camera=camera, camera_taken=taken, xy=xy)
-    return Adjusted(solve(replace(problem, weight=kept / own), first.state, scale=6.0, tolerance=1e-6), kept, own)
+    return Adjusted(solve(replace(problem, weight=kept / own), first.state, scale=6.0, tolerance=1e-5), kept, own)
 
 
 def adjust(request: Request) -> Outcome:

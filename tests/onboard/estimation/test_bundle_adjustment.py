@@ -77,7 +77,7 @@ def test_fifteen_degrees_of_wrong_orientation_are_removed_without_an_attitude_se
 def test_with_the_robust_loss_a_window_as_the_daemon_solves_it_also_gets_there() -> None:
     drawn = bundle_problem(np.random.default_rng(6), 8, 70, noise=0.0, attitude=False)
     start = turned_start(drawn, np.radians([6.0, -6.0, 8.0]))
-    first = solve(drawn.problem, start, scale=3.0, tolerance=1e-4)
+    first = solve(drawn.problem, start, scale=3.0, tolerance=3e-4)
     second = solve(drawn.problem, first.state, scale=6.0, max_iterations=40, tolerance=1e-12)
     assert np.abs(second.state.centres_enu_m - drawn.truth.centres_enu_m).max() < 0.01
 
@@ -89,8 +89,8 @@ def test_a_window_that_is_nearly_solved_needs_four_steps_also_where_something_is
     for seed in range(300, 312):
         drawn = bundle_problem(np.random.default_rng(seed), 8, 70, attitude=attitude)
         start = first_guess(drawn, drawn.truth.R_cam_enu, drawn.truth.centres_enu_m)
-        first = solve(drawn.problem, start, scale=3.0, tolerance=1e-4)
-        second = solve(drawn.problem, first.state, scale=6.0, tolerance=1e-6)
+        first = solve(drawn.problem, start, scale=3.0, tolerance=3e-4)
+        second = solve(drawn.problem, first.state, scale=6.0, tolerance=1e-5)
         ended = solve(drawn.problem, first.state, scale=6.0, max_iterations=200, tolerance=1e-13)
         assert second.converged and ended.converged
         assert 2 <= second.iterations <= 5
