@@ -21,13 +21,13 @@ from contract.errors import InputError
 from onboard.estimation import camera_states
 from onboard.estimation.information import Information, with_own_variance
 from onboard.estimation.platform_states import BORESIGHT, DELAY, HEADING, OFFSET, STATES, VELOCITY_DELAY, WALK
+from onboard.geometry.robust import OUTLIER_SIGMAS
 
 Array = NDArray[np.float64]
 
 MEMORY_ESTIMATES = 8
 TOO_SURE = 2.0  # times the declared sigma that data may claim
 AGREEMENT_PRIOR = 2.0  # windows that agree with their covariances, assumed before any has been seen
-OUTSIDE = 4.0  # sigmas from the prior, beyond which a value is adopted only once something confirms it
 AGREE = 3.0  # sigmas of their difference, within which two values confirm each other
 MIN_SHARPER = 0.5  # of the prior's sigma: rotations less sure add nothing to windows of the same pictures
 ZOOM_REACH = 0.3  # of the focal length's logarithm, over which a zoom table's errors are correlated
@@ -212,7 +212,7 @@ class Alignment:
         """
         platform, sigma_s = self.platform.aged(end_ns), float(np.sqrt(2.0) * sigma_s)
         own_s = float(platform.sigma[OFFSET])
-        if abs(offset_s - platform.mean[OFFSET]) > OUTSIDE * np.hypot(own_s, sigma_s):
+        if abs(offset_s - platform.mean[OFFSET]) > OUTLIER_SIGMAS * np.hypot(own_s, sigma_s):
             held, self._heard = self._heard, (offset_s, sigma_s)
             if held is not None and abs(offset_s - held[0]) <= AGREE * np.hypot(sigma_s, held[1]):
                 self._begin_from(offset_s, sigma_s)
@@ -318,7 +318,7 @@ class Alignment:
 
 def _outside(prior: PlatformEstimate, mean: Array, factor: Array | float = 1.0) -> NDArray[np.bool_]:
     """(8,) which states are farther from the prior than its sigma, times a factor, allows for. (10.7)"""
-    out: NDArray[np.bool_] = np.abs(mean - prior.mean) > OUTSIDE * factor * prior.sigma
+    out: NDArray[np.bool_] = np.abs(mean - prior.mean) > OUTLIER_SIGMAS * factor * prior.sigma
     return out
 
 

@@ -27,8 +27,9 @@ from onboard.estimation.platform_states import STATES
 from onboard.estimation.second_start import by_attitude
 from onboard.estimation.sensor_groups import contradictions, innovations
 from onboard.estimation.sensor_table import HEADING, TILT
-from onboard.estimation.window_problem import WindowProblem, approximate
+from onboard.estimation.window_problem import FIRST_SCALE, WindowProblem, approximate
 from onboard.estimation.window_request import Noise, Request, Weighed
+from onboard.geometry.robust import robust_cost
 
 Array = NDArray[np.float64]
 
@@ -36,7 +37,6 @@ MOVED = (Status.STABILISED, Status.ZOOMED)
 FALSE_ALARM = 1e-9  # that chance makes as much of a hypothesis
 SET_ASIDE = 1e6  # on the variance of a sensor that is supposed to say nothing
 OPEN_LENS = {FOCAL_LENGTH: 0.3, K1: 0.1}  # one sigma of what all pictures share, under every hypothesis
-LOSS_SIGMAS = 3.0
 MOST_STARTS = 4
 MAX_VARIANCE = 3.0  # of pixels, above which a hypothesis leaves too much to explain anything
 ATTITUDE = "attitude"
@@ -252,7 +252,7 @@ def pixel_variance(solution: Solution) -> float:
     """Of pixels, relative to what they were weighted by, at least 1: robust cost per measurement that is left over."""
     sigmas = solution.residual_sigmas
     seen = np.isfinite(sigmas)
-    cost = LOSS_SIGMAS**2 * np.log1p(np.square(sigmas[seen]) / LOSS_SIGMAS**2)
+    cost = robust_cost(np.square(sigmas[seen]), FIRST_SCALE)[0]
     # Of two coordinates each, less a point's three and a pose's six.
     left = 2 * int(np.count_nonzero(seen)) - 3 * seen.shape[1] - 6 * len(seen)
     variance: float = max(float(cost.sum()) / max(left, 1), 1.0)

@@ -17,16 +17,15 @@ from numpy.typing import NDArray
 from contract.error_correlation import slow_error_correlations
 from contract.rotations import skew
 from onboard.estimation.solved_window import Solved
+from onboard.estimation.variance_components import MEMORY_S
+from onboard.geometry.robust import OUTLIER_SIGMAS, median_chi2
 
 Array = NDArray[np.float64]
 
 PARAMETERS = 7  # shift (3), turn (3) and scale of a patch of ground
 MIN_COMMON = 12
-STRAY_SIGMAS = 4.0  # of one point against the others, beyond which it is no longer the same place
-MEDIAN_SQUARE = 2.366  # of chi-square with three degrees of freedom
 # Effective degrees of freedom that "as stated" counts for: three windows' worth.
 PRIOR_COUNT = 21.0
-MEMORY_S = 240.0  # over which agreement is forgotten, as sensors' errors are (13.2)
 MAX_RATIO = 30.0  # of one comparison's mean square, so that a single wrong window does not speak for the flight
 
 
@@ -84,7 +83,7 @@ def agreement(earlier: Solved, later: Solved) -> Agreement | None:
         q = np.einsum("pij,pj->i", fit, difference)
         left = difference - basis @ q
         square = np.einsum("pi,pij,pj->p", left, weight, left)
-        keep = square < STRAY_SIGMAS**2 * max(float(np.median(square)) / MEDIAN_SQUARE, 1.0)
+        keep = square < OUTLIER_SIGMAS**2 * max(float(np.median(square)) / median_chi2(3), 1.0)
         if np.all(keep):
             break
         if np.count_nonzero(keep) < MIN_COMMON:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.rotations import exp_so3
+from onboard.geometry.robust import median_chi2
 
 Array = NDArray[np.float64]
 
@@ -24,7 +25,6 @@ COARSE_S, FINE_S = 0.05, 0.01  # the first is also the step of a `Course`
 FINE_STEPS = 3
 MIN_PAIRS = 6
 FREEDOMS = 5  # of a pair: rotation and direction of travel
-MEDIAN_CHI2 = 4.351  # of five degrees of freedom
 TAIL = 12.0  # chi-square of a pair, in units of the usual one, from which it counts for less
 DIRECTION_SIGMA_RAD = 0.06  # of the travel's direction against the attitude: what heading, wind and delays leave
 NUISANCE_SIGMA_RAD = 0.06  # of mount and heading together, which turn all pairs by the same
@@ -140,7 +140,7 @@ def _minimum(taus: Array, cost: Array, starts_ns: NDArray[np.int64]) -> tuple[fl
 
 def _scale2(chi2: Array) -> float:
     """By how much pairs' chi-squares (P,) exceed what they should be; at least 1."""
-    return max(float(np.median(chi2)) / MEDIAN_CHI2, 1.0)
+    return max(float(np.median(chi2)) / median_chi2(FREEDOMS), 1.0)
 
 
 def _cost(chi2: Array, scale2: float = 1.0) -> Array:

@@ -31,6 +31,7 @@ from onboard.estimation.keyframe import Keyframe, have_attitude
 from onboard.estimation.platform_states import DELAY, PLANE, VELOCITY_DELAY
 from onboard.estimation.sensor_table import BY_NAME, HEADING, POSITION, TILT, VELOCITY, Sensor, declared
 from onboard.estimation.variance_components import VarianceFactors
+from onboard.geometry.robust import OUTLIER_SIGMAS
 from onboard.navigation.position_interpolation import Displacement
 from onboard.navigation.position_slip import DYNAMIC_TIME_S
 
@@ -40,7 +41,6 @@ Array = NDArray[np.float64]
 PATH_SIGMA_RAD = 0.25
 PATH_WHITE_SIGMA_RAD = 0.15
 GRAVITY_M_S2 = 9.81
-ECHO_SIGMAS = 4.0
 UNKNOWN_M = 1e5  # one sigma of a displacement of which nothing is known
 TERRAIN_SLOPE_SIGMA = 0.005  # of an elevation model over a window's few hundred metres: neighbours are off together
 
@@ -345,7 +345,7 @@ def range_prior(
     above, _, _ = ground_plane(ends, reference_enu_m, plane, terrain)
     if not np.all(np.isfinite(above)):  # beyond the terrain's edge
         return None
-    keep = np.abs(above - np.median(above)) < ECHO_SIGMAS * sigma_m
+    keep = np.abs(above - np.median(above)) < OUTLIER_SIGMAS * sigma_m
     return RangePrior(layout, index[keep], vectors[keep], sigma_m[keep], reference_enu_m, terrain)
 
 

@@ -22,6 +22,7 @@ from onboard.estimation.keyframe import Keyframe, have_attitude
 from onboard.estimation.reobservation import Agreement, RelativeVariance, agreement
 from onboard.estimation.sensor_factors import between_covariance, velocity_sigma_m_s
 from onboard.estimation.solved_window import Solved
+from onboard.geometry.robust import IMPOSSIBLE_SIGMAS
 from onboard.geometry.terrain_grid import Terrain
 
 Array = NDArray[np.float64]
@@ -32,12 +33,9 @@ MIN_INLIERS = 0.5
 MAX_FIT_SIGMAS = 4.0  # median residual, in configured pixel sigmas, above which the fit is refused
 MAX_DEPTH_SIGMA = 0.15  # relative; above it the scene has too little parallax
 MAX_PRIOR_SIGMAS = 3.5  # root mean square of a sensor's whitened residuals that a true solution may show
-SHARED_SIGMAS = 5.0  # as far as one shared state may be from its prior
 MAX_GROUND_SLOPE = 1.0
 MIN_AHEAD = 0.9  # of the measurements: of points below the camera and in front of it
 MIN_DEPTH_SHARE = 0.05  # of the median depth: a point nearer than this is as good as behind the camera
-TERRAIN_SIGMAS = 5.0
-SCALE_SIGMAS = 5.0
 # Of a velocity that no residual of the window uses, slowly changing: recorded autopilots in turns (docs/telemetry.md).
 LASTING_VELOCITY_M_S = 1.5
 # Of chi-square with 7 degrees of freedom: exceeded once in 1e5 comparisons.
@@ -111,7 +109,7 @@ def by_itself(
         r = prior.evaluate(s.state)[0]
         name = type(prior).__name__.removesuffix("Prior").lower()
         # No shared state (mount, delay) may be far from its prior: a moving scene is often explained that way.
-        if isinstance(prior, SharedPrior) and float(np.abs(r).max()) > SHARED_SIGMAS:
+        if isinstance(prior, SharedPrior) and float(np.abs(r).max()) > IMPOSSIBLE_SIGMAS:
             return Refusal(
                 Status.POOR_FIT, f"mount, clock or ground far from what was known: {np.abs(r).max():.1f} sigmas"
             )
@@ -135,7 +133,7 @@ def _by_terrain(config: Config, terrain: Terrain | None, s: Solution, good: Mask
     above_m = float(np.median((points[:, 2] - known)[seen]))
     mean = -s.point_gain[good][seen][:, 2].mean(axis=0)
     sigma_m = float(np.sqrt(mean @ s.covariance @ mean + config.terrain.sigma_datum_m**2 + config.terrain.sigma_m**2))
-    if abs(above_m) > TERRAIN_SIGMAS * sigma_m:
+    if abs(above_m) > IMPOSSIBLE_SIGMAS * sigma_m:
         return Refusal(Status.POOR_FIT, f"ground off the terrain model: {above_m:+.0f} m, sigma {sigma_m:.0f}")
     return None
 
@@ -156,7 +154,7 @@ def _by_distance(config: Config, keyframes: Sequence[Keyframe], s: Solution, lay
     covariance = ends @ s.covariance @ ends.T + np.eye(3) * lasting_m**2 + np.diag(between_m2)
     miss = by_pictures - by_velocity
     chi2 = float(miss @ np.linalg.solve(covariance, miss))
-    if chi2 > SCALE_SIGMAS**2:
+    if chi2 > IMPOSSIBLE_SIGMAS**2:
         return Refusal(
             Status.POOR_FIT,
             f"scale contradicts velocity: {np.linalg.norm(by_pictures):.0f} m from the first picture to the last, "

@@ -37,13 +37,13 @@ from onboard.estimation.window_acceptance import (
 from onboard.estimation.window_problem import WindowProblem
 from onboard.estimation.window_request import Noise, Outcome, Request, Weighed
 from onboard.geometry.plane_fit import fit_plane
+from onboard.geometry.robust import OUTLIER_SIGMAS
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 GROUND_MOVES = "the ground moves"
 MIN_VIEW_INLIERS = 0.3  # of one picture's measurements; below it nothing ties that picture to the others
-OUTLIER_SIGMAS = 4.0
 MIN_PIXEL_SIGMA_PX = 0.08  # tracks have common errors, larger than their residuals show
 WEIGHING_ROUNDS = 5
 TOLERATED_RMS = 1.3  # of velocity's and attitude's whitened residuals

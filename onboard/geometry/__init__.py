@@ -8,7 +8,7 @@ Public:
 - `relative_orientation`: `relative_ransac`, `rotation_only`, `start_pair`
 - `plane_homography`: `HomographyFit`, `Pose`, `fit_homography`, `move`, `pixel_grid`, `predict_homography`,
   `predict_pixels`
-- `robust`: `middle`, `robust_cost`, `cauchy_weight`, `irls`
+- `robust`: `middle`, `robust_cost`, `cauchy_weight`, `irls`, `median_chi2`, `OUTLIER_SIGMAS`, `IMPOSSIBLE_SIGMAS`
 - `terrain_grid`: `Terrain`
 - `triangulation`: `on_plane`, `triangulate`
 """

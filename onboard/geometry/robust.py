@@ -1,4 +1,4 @@
-"""Robust statistics: a fast median, and the losses that reweight least squares."""
+"""Robust statistics: a fast median, the losses that reweight least squares, and when an error is an outlier."""
 
 from __future__ import annotations
 
@@ -7,15 +7,24 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 Array = NDArray[np.float64]
 Model = TypeVar("Model")
+
+OUTLIER_SIGMAS = 4.0  # beyond which an error is of another kind than the others
+IMPOSSIBLE_SIGMAS = 5.0  # beyond which what was stated of an error cannot be true
 
 
 def middle(values: Array) -> float:
     """The median (the upper of two middle values) in a sixth of `np.median`'s time on arrays as short as these."""
     half = len(values) // 2
     return float(np.partition(values, half)[half])
+
+
+def median_chi2(freedoms: int) -> float:
+    """The median of chi-square with so many degrees of freedom."""
+    return float(chdtri(freedoms, 0.5))
 
 
 def robust_cost(squared: Array, scale: float | None) -> tuple[Array, Array]:
