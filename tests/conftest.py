@@ -103,9 +103,15 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
     Without the long tests a file is one worker's: what its tests share is made once, and workers that wait, as all of
     a file on the link do, are next to others that calculate; the costliest groups come first. Long tests are few to a
-    file and take minutes each. (pytest-xdist keeps this order with --no-loadscope-reorder only.)
+    file and take minutes each. (pytest-xdist keeps this order with --no-loadscope-reorder only.) Of those that measure
+    real time, the ones that mostly wait are one worker's, next to another's that do not.
     """
     items.sort(key=lambda item: item.path.parent != Path(__file__).parent)
+    for item in items:
+        measured = item.get_closest_marker("wall_clock")
+        if measured is not None:
+            group = "waits" if measured.kwargs.get("waits") else "measures"
+            item.add_marker(pytest.mark.xdist_group(group), append=False)
     if "not long" in config.option.markexpr:
         rank = {group: number for number, group in enumerate(COSTLY_FIRST)}
         for item in items:

@@ -16,6 +16,7 @@ from tests.costly_first import COSTLY_FIRST
 
 ROOT = Path(__file__).resolve().parents[1]
 PARALLEL = "-n 3 --dist loadgroup --no-loadscope-reorder --reruns 1 -rR --durations=30"
+REAL_TIME = "-n 2 --dist loadgroup --reruns 2 -rR --durations=30"
 
 
 def make_pytest(
@@ -48,12 +49,12 @@ def make_pytest(
     return done.returncode, calls.read_text().splitlines(), done.stdout + done.stderr
 
 
-def test_real_time_is_measured_alone(tmp_path: Path) -> None:
+def test_real_time_is_measured_after_the_others(tmp_path: Path) -> None:
     code, calls, _ = make_pytest(tmp_path, 0, 0)
     assert code == 0
     assert calls == [
         f"-m pytest -m not long and not wall_clock {PARALLEL}",
-        "-m pytest -m not long and wall_clock -n 0 --reruns 2 -rR --durations=30",
+        f"-m pytest -m not long and wall_clock {REAL_TIME}",
     ]
 
 
@@ -62,7 +63,7 @@ def test_the_long_tests_have_a_run_of_their_own_that_needs_none_of_real_time(tmp
     assert code == 0
     assert calls == [
         f"-m pytest -m long and not wall_clock {PARALLEL}",
-        "-m pytest -m long and wall_clock -n 0 --reruns 2 -rR --durations=30",
+        f"-m pytest -m long and wall_clock {REAL_TIME}",
     ]
 
 

@@ -135,7 +135,7 @@ def test_images_are_made_smaller_never_larger(
     assert cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE).shape == expected[::-1]
 
 
-@pytest.mark.wall_clock
+@pytest.mark.wall_clock(waits=True)
 def test_the_pipelines_thread_pays_next_to_nothing() -> None:
     sender = PictureSender(SECTION, Taken())
     frames, sets = [a_frame(n) for n in range(20)], [a_set(n) for n in range(20)]

@@ -115,7 +115,7 @@ def after_a_cut(kind: str, cut_s: float, bit_rate: float = 64000.0) -> None:
         assert wait_s < 3.0, f"{kind}, {cut_s} s: the newest picture took {wait_s:.1f} s"
 
 
-@pytest.mark.wall_clock
+@pytest.mark.wall_clock(waits=True)
 @pytest.mark.parametrize("lost_s", rest_long([14.0, 20.0]))
 def test_after_a_cut_the_newest_picture_is_there_within_three_seconds(lost_s: float) -> None:
     """Cuts that a session outlives (its lease is 10 s) and that it does not, by more than the wait between tries."""
@@ -157,12 +157,12 @@ def on_a_link_slower_than_we_are_told() -> None:
         assert max(ages(cache, 4.0)) < 6.0
 
 
-@pytest.mark.wall_clock
+@pytest.mark.wall_clock(waits=True)
 def test_loss_costs_sets_and_no_time_and_a_slow_link_only_gets_fewer() -> None:
     together(lambda: with_loss(0.1), lambda: with_loss(0.2), on_a_slow_link, on_a_link_slower_than_we_are_told)
 
 
-@pytest.mark.wall_clock
+@pytest.mark.wall_clock(waits=True)
 def test_the_delay_does_not_grow_on_a_link_of_64_kbit_and_the_cap_is_kept() -> None:
     with simulated("tcp", bit_rate=64000.0) as (link, cache):
         began = time.monotonic()

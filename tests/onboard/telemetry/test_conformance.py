@@ -22,7 +22,7 @@ from tests.onboard.link.ports import free_udp_port
 from tests.onboard.telemetry.listening import FLIGHT, Listening, config_for, content, errors_ms, expected, listening
 from tests.waiting import eventually
 
-pytestmark = pytest.mark.wall_clock
+pytestmark = pytest.mark.wall_clock(waits=True)
 
 SECONDS = 5.5
 DRIFT = 300e-6

@@ -67,7 +67,7 @@ def test_a_source_can_be_asked_before_it_runs() -> None:
         assert source.health().state is State.STARTING
 
 
-@pytest.mark.wall_clock
+@pytest.mark.wall_clock(waits=True)
 def test_a_log_is_played_as_if_it_came_now_and_ends_as_lost(tmp_path: Path) -> None:
     data, short = TLOG.read_bytes(), tmp_path / "short.tlog"
     short.write_bytes(data[: len(data) // 23])  # three seconds

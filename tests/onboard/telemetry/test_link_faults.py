@@ -35,7 +35,7 @@ def both_libraries(**keys: object) -> Iterator[list[tuple[FakeAutopilot, Listeni
         yield pairs
 
 
-@pytest.mark.wall_clock
+@pytest.mark.wall_clock(waits=True)
 def test_silence_is_lost_in_time_and_a_reboot_starts_the_stamps_again() -> None:
     with both_libraries(lost_after_s=0.8, attitude_rate_hz=25.0) as pairs:
         for _, received in pairs:
@@ -101,7 +101,7 @@ def test_a_device_that_is_not_there_yet_is_waited_for(tmp_path: Path) -> None:
             received.wait(State.OK)
 
 
-@pytest.mark.wall_clock
+@pytest.mark.wall_clock(waits=True)
 def test_a_bad_link_still_gives_the_right_moments() -> None:
     faults = Faults(loss=0.1, corrupt=0.05, delay_s=0.04, jitter_s=0.03)
     with (
@@ -121,7 +121,7 @@ def test_a_bad_link_still_gives_the_right_moments() -> None:
         assert figures["lost_packets"] > 3.0
 
 
-@pytest.mark.wall_clock
+@pytest.mark.wall_clock(waits=True)
 def test_without_timesync_arrivals_serve() -> None:
     with (
         FakeAutopilot(FLIGHT, "udpin:127.0.0.1:0", answers_timesync=False) as autopilot,

@@ -185,7 +185,7 @@ def line() -> Iterator[tuple[int, str]]:
     os.close(slave)
 
 
-@pytest.mark.wall_clock
+@pytest.mark.wall_clock(waits=True)
 def test_on_a_serial_line_it_comes_goes_stands_still_and_returns(line: tuple[int, str]) -> None:
     master, url = line
     with listening(config_for(url)) as received:

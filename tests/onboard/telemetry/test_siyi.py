@@ -169,7 +169,7 @@ def simulated() -> Iterator[tuple[FakeGimbal, Listening]]:
         assert not any(t.is_alive() for t in threads) and not received.faults
 
 
-@pytest.mark.wall_clock
+@pytest.mark.wall_clock(waits=True)
 def test_a_gimbal_next_to_the_autopilot_is_asked_and_its_silence_and_damage_are_survived() -> None:
     with simulated() as (gimbal, received):
         received.until(lambda: len(received.of(GimbalAttitude)) > 10 and received.of(Zoom))
