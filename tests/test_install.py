@@ -34,6 +34,7 @@ from tests import postgres
 from tests.installed import ROOT, built, laid_over
 from tests.left_out import NO_PROGRAM
 from tests.onboard.link.ports import free_udp_port
+from tests.rest_long import rest_long
 
 pytestmark = pytest.mark.xdist_group("install")  # one worker: each environment is built once
 SHIPPED = ("contract", "ground", "onboard")
@@ -431,7 +432,8 @@ def test_every_extra_for_users_is_tried() -> None:
     assert set(USES) == set(extras) - {"dev"}
 
 
-@pytest.mark.parametrize("extra", sorted(USES))
+# What an aircraft and what an operator installs; the others are small, and of `make test-long`.
+@pytest.mark.parametrize("extra", rest_long(["onboard", "open", *sorted(set(USES) - {"onboard", "open"})], 2))
 def test_an_extra_installed_alone_does_its_work(extra: str, environment: Path, tmp_path: Path) -> None:
     USES[extra](laid_over(environment, extra, tmp_path / "venv"), tmp_path)
 

@@ -120,7 +120,8 @@ def test_who_takes_the_delay_for_certain_is_wrong_by_it() -> None:
     assert np.mean(inside) < 0.8
 
 
-@pytest.mark.parametrize("seconds", rest_long([80.0, 120.0]))
+@pytest.mark.long  # the short one: posteriors of heading errors, tests/onboard/estimation/test_boresight.py
+@pytest.mark.parametrize("seconds", [80.0, 120.0])
 def test_a_compass_that_errs_by_its_heading_is_recovered_after_turns(seconds: float) -> None:
     """Over opposite legs and turns: found within three of its sigmas, which have become smaller."""
     heading_error_deg = (4.0, -4.0)  # by cosine and sine of the heading: from 5.7 to -5.7 within a circle
@@ -145,6 +146,7 @@ def test_without_such_an_error_none_is_found() -> None:
     assert np.abs(np.degrees(platform.mean[HEADING])).max() < 1.5
 
 
+@pytest.mark.long  # the short ones are in tests/onboard/estimation/test_rotation_timing.py
 def test_late_stamps_are_known_after_a_few_turns_from_beyond_their_prior() -> None:
     """0.45 s where 0.1 is declared, a mount 2 and 1.5 degrees off: rotations say so twice before it is accepted."""
     truth_deg, offset_s = np.array([2.0, 1.5, 0.0]), -0.45

@@ -14,12 +14,12 @@ import pytest
 from benchmarks.autopilots import SENSORS, Scene, judge
 from benchmarks.sampled_flight import replace_section
 from onboard.config.schema import parse_config
-from tests.rest_long import rest_long
 
 GPS_ALONE = replace_section(parse_config(""), "solve", **SENSORS["gps"])
 
 
-@pytest.mark.parametrize(("name", "seed"), rest_long([("plane_gps_outage", 10), ("plane_wind_noise", 11)]))
+@pytest.mark.long  # the short one, with all sensors, is in tests/test_benchmarks.py
+@pytest.mark.parametrize(("name", "seed"), [("plane_gps_outage", 10), ("plane_wind_noise", 11)])
 def test_banks_are_as_honest_as_level_flight(shared_data: Path, name: str, seed: int) -> None:
     score = judge(Scene(str(shared_data / "sitl" / name), GPS_ALONE, 0.0, 240.0), seed)
     inside, bank, error = np.array(score.ratio) < 1.0, np.array(score.bank_deg), np.array(score.error_m)

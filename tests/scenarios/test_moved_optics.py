@@ -160,9 +160,10 @@ STAYS, COMES_BACK = (TURNS, (1.05, 11.5, 99.0, 0.3)), (STRAIGHT, (1.1, 9.0, 18.0
 UNSTATED = replace(LENS, stated_sigma=UNKNOWN_SIGMA)
 
 
+@pytest.mark.long  # short: a fast zoom, test_zoom_told.py; windows, tests/onboard/estimation/test_moved_optics.py
 @pytest.mark.parametrize(
     ("path", "zoom", "file"),
-    rest_long([(*STAYS, LENS), (*STAYS, UNSTATED), (*COMES_BACK, LENS), (*COMES_BACK, UNSTATED)]),
+    [(*STAYS, LENS), (*STAYS, UNSTATED), (*COMES_BACK, LENS), (*COMES_BACK, UNSTATED)],
 )
 def test_a_zoom_is_refused_while_it_lasts_and_answered_rightly_afterwards(
     path: PathSpec, zoom: tuple[float, float, float, float], file: Camera

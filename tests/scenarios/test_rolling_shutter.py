@@ -54,6 +54,7 @@ def simulated(stated: dict[str, float]) -> tuple[list[float], list[float], tuple
     return errors_m, chi2, pipeline.window.readout, list(sets.values())
 
 
+@pytest.mark.long  # the short one is of rendered rows
 def test_an_undeclared_readout_is_found_and_clicks_in_outer_rows_are_right() -> None:
     found, chi2, (readout_s, sigma_s), sets = simulated(STATED["0 to 20 ms"])
     assert len(found) > 60

@@ -12,6 +12,7 @@ from simulation.session import SessionSpec
 from tests.scenarios.flights import CAMERA, play, simulated
 
 
+@pytest.mark.long  # short: tests/ground/seen
 def test_of_an_ordinary_flight_with_turns_next_to_nothing_is_overstated_and_a_tenth_understated() -> None:
     """The flight that test_ordinary_autopilot flies."""
     flight = DescribedSpec(PathSpec("turns", leg_m=250.0), ordinary(1), seed=1)

@@ -85,6 +85,7 @@ def test_a_step_that_is_reported_in_time_is_answered_again_within_two_seconds() 
     check(followed(LEVEL, STEP, Telling()))
 
 
+@pytest.mark.long  # the short ones are in tests/onboard/pipeline/test_zoom_following.py
 def test_a_ramp_in_turns_reported_late_in_steps_with_gaps_and_nonsense_is_followed() -> None:
     """Pictures are stamped 0.14 s before telemetry: one was answered that the lens had moved in by 11 %."""
     result = followed(TURNS, RAMP, NONSENSE, seed=4)

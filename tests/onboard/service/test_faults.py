@@ -18,7 +18,6 @@ from simulation.flight import DescribedSpec
 from simulation.paths import PathSpec
 from simulation.session import SessionSpec
 from tests.onboard.service.air import Air, Spoil, take_off
-from tests.rest_long import rest_long
 from tests.scenarios.flights import CAMERA
 
 BEGIN_S, END_S = 9.0, 14.0  # of most faults
@@ -95,7 +94,8 @@ def test_a_frozen_camera_that_no_one_calls_frozen(tmp_path: Path) -> None:
     assert after.inside_99 > 0.97, after.reported
 
 
-@pytest.mark.parametrize("level", rest_long([0, 255]))
+@pytest.mark.long  # short, without a daemon: "blind" of tests/scenarios/test_degenerate_ground.py
+@pytest.mark.parametrize("level", [0, 255])
 def test_black_and_white_pictures(tmp_path: Path, level: int) -> None:
     air = take_off(tmp_path, seconds=SECONDS, camera=on_pictures(lambda image: np.full_like(image, level)))
     holds(air, "featureless", "bad picture")  # the latter where even the noise is gone
@@ -136,6 +136,7 @@ def test_telemetry_gone_for_a_second_costs_nothing_but_that_second(tmp_path: Pat
     assert {s.status for s in air.sets(11.0, 20.0).values()} == {Status.OK}
 
 
+@pytest.mark.long  # the short one is of a second
 def test_telemetry_gone_for_ten_seconds(tmp_path: Path) -> None:
     def cut(event: Event, t_s: float) -> Event | None:
         return None if 7.0 <= t_s < 17.0 else event
@@ -167,6 +168,7 @@ def test_gps_off(tmp_path: Path) -> None:
     assert not len(air.clicked(BEGIN_S + 0.5, END_S).errors_m)
 
 
+@pytest.mark.long  # short, without a daemon: tests/onboard/navigation, tests/scenarios/test_degraded_sensors.py
 def test_gps_glitch(tmp_path: Path) -> None:
     """Forty metres aside at once, for a second, and back."""
 
@@ -183,6 +185,7 @@ def test_gps_glitch(tmp_path: Path) -> None:
     assert not len(air.clicked(10.0, 15.0).errors_m)
 
 
+@pytest.mark.long  # short, without a daemon: tests/onboard/navigation/test_navigator.py
 def test_a_jammed_gps_that_drifts_against_its_velocity(tmp_path: Path) -> None:
     """The position runs away at 4 m/s while velocity says otherwise; then it is back at once."""
 
