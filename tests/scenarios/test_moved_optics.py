@@ -160,7 +160,7 @@ STAYS, COMES_BACK = (TURNS, (1.05, 11.5, 99.0, 0.3)), (STRAIGHT, (1.1, 9.0, 18.0
 UNSTATED = replace(LENS, stated_sigma=UNKNOWN_SIGMA)
 
 
-@pytest.mark.long  # short: one that nothing reports (test_a_fast_zoom...), windows (onboard/estimation/test_moved_optics.py)
+@pytest.mark.long  # short: test_a_fast_zoom..., and windows: onboard/estimation/test_moved_optics.py
 @pytest.mark.parametrize(
     ("path", "zoom", "file"),
     [(*STAYS, LENS), (*STAYS, UNSTATED), (*COMES_BACK, LENS), (*COMES_BACK, UNSTATED)],
