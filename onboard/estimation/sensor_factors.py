@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,87 +46,102 @@ UNKNOWN_M = 1e5  # one sigma of a displacement of which nothing is known
 TERRAIN_SLOPE_SIGMA = 0.005  # of an elevation model over a window's few hundred metres: neighbours are off together
 
 
-def sensor_priors(
-    config: Config,
-    R_body_cam: Array,
-    keyframes: list[Keyframe],
-    layout: Layout,
-    platform: PlatformEstimate,
-    has_terrain: bool,
-    jitter_s: float,
-    factors: VarianceFactors,
-    slope: SlopePrior | None = None,
-) -> list[Prior]:
-    """Every residual over the camera side that the configuration asks for and the keyframes have data for.
+@dataclass(frozen=True, eq=False)
+class Sensors:
+    """What a window's sensors measured at its K keyframes, and by what their residuals are weighted.
 
-    `has_terrain`: the plane among the shared states is then the terrain model's own error, not the ground itself.
     `jitter_s`: one sigma of each picture's own stamp: white error wherever the vehicle moves or turns. (5.11)
-    `slope`: the prior of the ground's; None: level as configured.
     """
-    return [
-        _position(config, R_body_cam, keyframes, layout, factors, jitter_s),
-        *_velocity(config, R_body_cam, keyframes, layout, factors, jitter_s),
-        *_attitude(config, R_body_cam, keyframes, layout, factors, jitter_s),
-        shared_prior(config, layout, platform, has_terrain, slope),
-    ]
+
+    config: Config
+    R_body_cam: Array
+    keyframes: Sequence[Keyframe]
+    layout: Layout
+    factors: VarianceFactors
+    jitter_s: float
+
+    def priors(self, platform: PlatformEstimate, has_terrain: bool, slope: SlopePrior | None = None) -> list[Prior]:
+        """Every residual over the camera side that the configuration asks for and the keyframes have data for.
+
+        `has_terrain`: the plane among the shared states is then the terrain model's own error, not the ground itself.
+        `slope`: the prior of the ground's; None: level as configured.
+        """
+        shared = shared_prior(self.config, self.layout, platform, has_terrain, slope)
+        return [_position(self), *_velocity(self), *_attitude(self), shared]
+
+    @cached_property
+    def stamps_s(self) -> Array:
+        """(K,) from the first on."""
+        return _stamps_s(self.keyframes)
+
+    @cached_property
+    def velocities_enu_m_s(self) -> Array:
+        """(K, 3); zero where none is known."""
+        return _velocities(self.keyframes)
+
+    @cached_property
+    def lever_cam_m(self) -> Array:
+        """From the autopilot's reference point to the camera, camera axes (3,)."""
+        out: Array = self.R_body_cam.T @ np.array(self.config.mount.lever_arm_m)
+        return out
+
+    @cached_property
+    def dynamic_m_s(self) -> Array:
+        """One sigma (K,) of the velocity's error that comes of acceleration: a filter's delays, times it. (5.16)
+
+        It lasts for as long as the filter takes to forget it, so what counts is the largest of the last seconds.
+        """
+        rates = np.linalg.norm(np.diff(self.velocities_enu_m_s, axis=0), axis=1) / np.maximum(
+            np.diff(self.stamps_s), 0.05
+        )
+        about = np.where(self._are_about, rates, 0.0)
+        out: Array = self.config.gps.sigma_latency_s * about.max(axis=1, initial=0.0)
+        return out
+
+    def turning_rad(self, yaw_rates_rad_s: Array) -> Array:
+        """One sigma (K,) of the heading's error that comes of turns: a filter's delays, times the rate of its course.
+
+        A filter that takes its heading from a late velocity's direction turns late; one that stands has none. (5.23)
+        """
+        (east, north, _), seconds = self.velocities_enu_m_s.T, np.diff(self.stamps_s)
+        across = east[:-1] * north[1:] - north[:-1] * east[1:]
+        course_rad = np.arctan2(across, east[:-1] * east[1:] + north[:-1] * north[1:])
+        yaw_rad = 0.5 * (yaw_rates_rad_s[1:] + yaw_rates_rad_s[:-1]) * seconds
+        turned_rad = np.minimum(*(np.abs(self._are_about @ angle_rad) for angle_rad in (course_rad, yaw_rad)))
+        out: Array = self.config.gps.sigma_latency_s * turned_rad / np.maximum(self._are_about @ seconds, 0.05)
+        return out
+
+    @cached_property
+    def _are_about(self) -> NDArray[np.bool_]:
+        """Which intervals between keyframes a filter has not forgotten at one's time, or soon begins: (K, K - 1)."""
+        out: NDArray[np.bool_] = np.abs(self.stamps_s[1:] - self.stamps_s[:, None]) <= DYNAMIC_TIME_S
+        return out
+
+    def errors(self, sensor: Sensor, parts: Mapping[str, Array], fixed: Array) -> _Errors:
+        """One axis of a sensor, (5.5): its parts (n, n) by name, as declared, and what is `fixed` (n, n).
+
+        Each part counts by its estimated variance; all of it by the sensor's group, which says nothing of its parts
+        while it fails.
+        """
+        estimated = {name: self.factors.of(name) * Q for name, Q in parts.items()}
+        failing = self.factors.group_sigma(sensor.name)
+        whole = sum(estimated.values(), fixed)
+        return _Errors(whitener_of(failing**2 * whole), estimated if failing == 1.0 else {})
 
 
-def _stamps_s(keyframes: list[Keyframe]) -> Array:
+def _stamps_s(keyframes: Sequence[Keyframe]) -> Array:
     stamps_ns = np.array([k.nav.stamp_ns for k in keyframes], np.int64)
     out: Array = (stamps_ns - stamps_ns[0]) / 1e9
     return out
 
 
-def _taken_s(keyframes: list[Keyframe]) -> Array:
-    """Time offset plus delay at which positions and velocities were taken."""
-    return np.array([k.nav_offset_s + k.nav_delay_s for k in keyframes])
-
-
-def _velocities(keyframes: list[Keyframe]) -> Array:
+def _velocities(keyframes: Sequence[Keyframe]) -> Array:
     return np.stack([np.zeros(3) if k.nav.velocity_enu_m_s is None else k.nav.velocity_enu_m_s for k in keyframes])
-
-
-def _dynamic_m_s(config: Config, keyframes: list[Keyframe]) -> Array:
-    """One sigma (K,) of the velocity's error that comes of acceleration: a filter's delays, times it. Equation (5.16).
-
-    It lasts for as long as the filter takes to forget it, so what counts is the largest of the last seconds.
-    """
-    stamps, velocities = _stamps_s(keyframes), _velocities(keyframes)
-    rates = np.linalg.norm(np.diff(velocities, axis=0), axis=1) / np.maximum(np.diff(stamps), 0.05)
-    out: Array = config.gps.sigma_latency_s * np.where(_are_about(stamps), rates, 0.0).max(axis=1, initial=0.0)
-    return out
-
-
-def _are_about(stamps_s: Array) -> NDArray[np.bool_]:
-    """Which intervals between keyframes a filter has not forgotten at a keyframe's time, or soon begins: (K, K - 1)."""
-    out: NDArray[np.bool_] = np.abs(stamps_s[1:] - stamps_s[:, None]) <= DYNAMIC_TIME_S
-    return out
 
 
 def _fading(stamps_s: Array, sigma: Array) -> Array:
     """Covariance (N, N) of errors of one sigma each (N,), which a filter forgets. (5.16), (5.23)"""
     out: Array = np.outer(sigma, sigma) * gauss_markov_covariance(stamps_s, 1.0, DYNAMIC_TIME_S)
-    return out
-
-
-def _turning_rad(config: Config, keyframes: list[Keyframe], yaw_rates_rad_s: Array) -> Array:
-    """One sigma (K,) of the heading's error that comes of turns: a filter's delays, times the rate of its course.
-
-    A filter that takes its heading from a late velocity's direction turns late; one that stands has none. (5.23)
-    """
-    stamps, (east, north, _) = _stamps_s(keyframes), _velocities(keyframes).T
-    seconds, are_about = np.diff(stamps), _are_about(stamps)
-    across = east[:-1] * north[1:] - north[:-1] * east[1:]
-    course_rad = np.arctan2(across, east[:-1] * east[1:] + north[:-1] * north[1:])
-    yaw_rad = 0.5 * (yaw_rates_rad_s[1:] + yaw_rates_rad_s[:-1]) * seconds
-    turned_rad = np.minimum(*(np.abs(are_about @ angle_rad) for angle_rad in (course_rad, yaw_rad)))
-    out: Array = config.gps.sigma_latency_s * turned_rad / np.maximum(are_about @ seconds, 0.05)
-    return out
-
-
-def lever_cam_m(config: Config, R_body_cam: Array) -> Array:
-    """From the autopilot's reference point to the camera, camera axes (3,)."""
-    out: Array = R_body_cam.T @ np.array(config.mount.lever_arm_m)
     return out
 
 
@@ -137,59 +153,40 @@ class _Errors:
     parts: dict[str, Array]
 
 
-def _errors(factors: VarianceFactors, sensor: Sensor, parts: Mapping[str, Array], fixed: Array) -> _Errors:
-    """Of (5.5): the parts (n, n) by name, as declared, and what is `fixed` (n, n).
-
-    Each part counts by its estimated variance; all of it by the sensor's group, which says nothing of its parts while
-    it fails.
-    """
-    estimated = {name: factors.of(name) * Q for name, Q in parts.items()}
-    failing = factors.group_sigma(sensor.name)
-    whole = sum(estimated.values(), fixed)
-    return _Errors(whitener_of(failing**2 * whole), estimated if failing == 1.0 else {})
-
-
 def _both(errors: list[_Errors]) -> tuple[Array, Parts]:
     """Whiteners (3, n, n) and parts of three axes."""
     one, two, three = (e.parts for e in errors)
     return np.stack([e.whitener for e in errors]), (one, two, three)
 
 
-def _position(
-    config: Config,
-    R_body_cam: Array,
-    keyframes: list[Keyframe],
-    layout: Layout,
-    factors: VarianceFactors,
-    jitter_s: float,
-) -> PositionPrior:
-    sensor, stamps, velocities = BY_NAME[POSITION], _stamps_s(keyframes), _velocities(keyframes)
+def _position(m: Sensors) -> PositionPrior:
+    config, keyframes, sensor, stamps = m.config, m.keyframes, BY_NAME[POSITION], m.stamps_s
     horizontal = max(k.nav.sigma_horizontal_m for k in keyframes)
     slow_m = np.array([horizontal, horizontal, max(k.nav.sigma_vertical_m for k in keyframes)])
     white_m = np.array([k.nav.sigma_white_m for k in keyframes])
     between_m = np.stack([k.nav.joined.between_m for k in keyframes])
     shared = shared_fixes([k.nav.joined.weights for k in keyframes])
     datum_m = np.array([0.0, 0.0, max(k.nav.sigma_datum_m for k in keyframes)])
-    moved_m = 0.5 * DYNAMIC_TIME_S * _dynamic_m_s(config, keyframes)
-    in_turns = _fading(stamps, moved_m)
+    in_turns = _fading(stamps, 0.5 * DYNAMIC_TIME_S * m.dynamic_m_s)
     errors = []
     for axis, share in enumerate((1.0, 1.0, 1.5)):
         declared_parts = {
             sensor.name: gauss_markov_covariance(stamps, slow_m[axis], sensor.time_s(config)),
             sensor.white: shared * np.outer(share * white_m, share * white_m),
         }
-        fixed = in_turns + np.diag((jitter_s * velocities[:, axis]) ** 2 + between_m[:, axis] ** 2) + datum_m[axis] ** 2
-        errors.append(_errors(factors, sensor, declared_parts, fixed))
+        own = (m.jitter_s * m.velocities_enu_m_s[:, axis]) ** 2 + between_m[:, axis] ** 2
+        errors.append(m.errors(sensor, declared_parts, in_turns + np.diag(own) + datum_m[axis] ** 2))
     whitener, parts = _both(errors)
-    grown_m = slow_m * factors.sigma(POSITION) * factors.group_sigma(POSITION)
+    grown_m = slow_m * m.factors.sigma(POSITION) * m.factors.group_sigma(POSITION)
+    taken_s = np.array([k.nav_offset_s + k.nav_delay_s for k in keyframes])
     return PositionPrior(
-        layout,
+        m.layout,
         np.stack([k.nav.position_enu_m for k in keyframes]),
-        velocities,
+        m.velocities_enu_m_s,
         whitener,
-        _taken_s(keyframes),
+        taken_s,
         np.hypot([persistent_sigma(stamps, s, sensor.time_s(config)) for s in grown_m], datum_m),
-        lever_cam_m(config, R_body_cam),
+        m.lever_cam_m,
         parts,
     )
 
@@ -199,29 +196,22 @@ def velocity_sigma_m_s(config: Config, keyframes: Sequence[Keyframe]) -> float:
     return max(config.gps.sigma_velocity_correlated_m_s, *(k.nav.sigma_velocity_m_s for k in keyframes))
 
 
-def _velocity(
-    config: Config,
-    R_body_cam: Array,
-    keyframes: list[Keyframe],
-    layout: Layout,
-    factors: VarianceFactors,
-    jitter_s: float,
-) -> list[Prior]:
+def _velocity(m: Sensors) -> list[Prior]:
     """Displacements by integrated velocity, whose error is white from interval to interval and Gauss-Markov. (5.6)"""
+    config, keyframes = m.config, m.keyframes
     known = np.array([k.displacement is not None for k in keyframes[1:]], bool)
     if not config.solve.velocity or not known.any():
         return []
     displacement = [np.zeros(3) if k.displacement is None else k.displacement.enu_m for k in keyframes[1:]]
-    stamps, velocities = _stamps_s(keyframes), _velocities(keyframes)
+    stamps, velocities = m.stamps_s, m.velocities_enu_m_s
     speed = np.linalg.norm(velocities, axis=1)
     dt = np.maximum(np.diff(stamps), 0.05)
     # The white error lasts about a second: over longer intervals it averages.
     white_m = config.gps.sigma_velocity_m_s * np.sqrt(dt * np.minimum(dt, 1.0))
     middle = 0.5 * (stamps[1:] + stamps[:-1])
-    erring = _dynamic_m_s(config, keyframes)
-    erring = dt * np.maximum(erring[1:], erring[:-1])
+    erring = dt * np.maximum(m.dynamic_m_s[1:], m.dynamic_m_s[:-1])
     # An interval over a gap of the telemetry says nothing; those about it do.
-    unknown = np.where(known, (jitter_s * np.hypot(speed[1:], speed[:-1])) ** 2, UNKNOWN_M**2)
+    unknown = np.where(known, (m.jitter_s * np.hypot(speed[1:], speed[:-1])) ** 2, UNKNOWN_M**2)
     slow_m = dt * velocity_sigma_m_s(config, keyframes)
     sensor = BY_NAME[VELOCITY]
     declared_parts = {
@@ -230,15 +220,15 @@ def _velocity(
     }
     fixed = np.diag(unknown) + _fading(middle, erring)
     between = between_covariance([k.displacement for k in keyframes[1:]])
-    whitener, parts = _both([_errors(factors, sensor, declared_parts, fixed + own) for own in between])
+    whitener, parts = _both([m.errors(sensor, declared_parts, fixed + own) for own in between])
     return [
         VelocityPrior(
-            layout,
+            m.layout,
             np.array(displacement),
             np.diff(velocities, axis=0),
             whitener,
             np.array([k.nav_offset_s for k in keyframes])[1:],
-            lever_cam_m=lever_cam_m(config, R_body_cam),
+            lever_cam_m=m.lever_cam_m,
             parts=parts,
         )
     ]
@@ -264,49 +254,42 @@ def between_covariance(displacement: Sequence[Displacement | None]) -> Array:
     return out
 
 
-def _attitude(
-    config: Config,
-    R_body_cam: Array,
-    keyframes: list[Keyframe],
-    layout: Layout,
-    factors: VarianceFactors,
-    jitter_s: float,
-) -> list[Prior]:
-    stamps, velocities = _stamps_s(keyframes), _velocities(keyframes)
+def _attitude(m: Sensors) -> list[Prior]:
+    config, keyframes, stamps = m.config, m.keyframes, m.stamps_s
     offsets = np.array([k.nav_offset_s for k in keyframes])
     if have_attitude(keyframes):
-        R_enu_cam = np.stack([k.nav.R_enu_body @ R_body_cam for k in keyframes if k.nav.R_enu_body is not None])
-        rates = np.stack([k.body_rate_rad_s for k in keyframes]) @ R_body_cam
+        R_enu_cam = np.stack([k.nav.R_enu_body @ m.R_body_cam for k in keyframes if k.nav.R_enu_body is not None])
+        rates = np.stack([k.body_rate_rad_s for k in keyframes]) @ m.R_body_cam
         turning = np.einsum("kij,kj->ki", R_enu_cam, rates)
         between = np.array([k.nav.attitude_sigma_rad for k in keyframes])
         # A gimbal's yaw that counts from nowhere is off by one angle, a state of each window. (5.18)
         zero = np.array([k.nav.yaw_sigma_rad for k in keyframes])
-        late = _fading(stamps, _turning_rad(config, keyframes, turning[:, 2]))
+        late = _fading(stamps, m.turning_rad(turning[:, 2]))
         errors, shared = [], []
         for axis, name in enumerate((TILT, TILT, HEADING)):
-            sensor, fixed = BY_NAME[name], np.diag(between**2 + (jitter_s * turning[:, axis]) ** 2)
+            sensor, fixed = BY_NAME[name], np.diag(between**2 + (m.jitter_s * turning[:, axis]) ** 2)
             fixed = fixed + late * (name == HEADING)
             declared_parts = {
                 sensor.name: gauss_markov_covariance(stamps, declared(config, sensor.name), sensor.time_s(config)),
                 sensor.white: declared(config, sensor.white) ** 2 * np.eye(len(stamps)),
             }
             own_zero = zero if name == HEADING else np.zeros_like(zero)
-            errors.append(_errors(factors, sensor, declared_parts, fixed + np.outer(own_zero, own_zero)))
-            slow = persistent_sigma(stamps, attitude_sigma(config, factors, name), sensor.time_s(config))
+            errors.append(m.errors(sensor, declared_parts, fixed + np.outer(own_zero, own_zero)))
+            slow = persistent_sigma(stamps, attitude_sigma(config, m.factors, name), sensor.time_s(config))
             shared.append(float(np.hypot(slow, own_zero.mean())))
         whitener, parts = _both(errors)
         bodies = np.stack([k.nav.R_enu_body for k in keyframes if k.nav.R_enu_body is not None])
         by_heading = cosine_sine_of_heading(bodies)
-        return [AttitudePrior(layout, R_enu_cam, rates, whitener, offsets, np.array(shared), by_heading, parts)]
-    coordinated = _coordinated(R_body_cam, stamps, velocities)
+        return [AttitudePrior(m.layout, R_enu_cam, rates, whitener, offsets, np.array(shared), by_heading, parts)]
+    coordinated = _coordinated(m.R_body_cam, stamps, m.velocities_enu_m_s)
     if coordinated is None:
         return []
     time_s = config.gps.correlation_time_s
     loose = gauss_markov_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, PATH_SIGMA_RAD, time_s)
     heading_of_path = gauss_markov_sqrt_information(stamps, PATH_WHITE_SIGMA_RAD, 2 * PATH_SIGMA_RAD, time_s)
-    still = np.zeros((layout.keyframes, 3))
+    still = np.zeros((m.layout.keyframes, 3))
     persistent = np.array([persistent_sigma(stamps, s, time_s) for s in PATH_SIGMA_RAD * np.array([1.0, 1.0, 2.0])])
-    return [AttitudePrior(layout, coordinated, still, np.stack([loose, loose, heading_of_path]), offsets, persistent)]
+    return [AttitudePrior(m.layout, coordinated, still, np.stack([loose, loose, heading_of_path]), offsets, persistent)]
 
 
 def cosine_sine_of_heading(R_enu_body: Array) -> Array:

@@ -15,7 +15,7 @@ from onboard.estimation.image_blocks import OPEN
 from onboard.estimation.keyframe import Ids, Keyframe
 from onboard.estimation.rolling_shutter import Sweep
 from onboard.estimation.row_waves import Waves
-from onboard.estimation.sensor_factors import range_prior, sensor_priors
+from onboard.estimation.sensor_factors import Sensors, range_prior
 from onboard.estimation.window_acceptance import MIN_POINTS
 from onboard.estimation.window_request import Noise, Outcome, Request, Weighed
 from onboard.geometry.plane_fit import fit_plane
@@ -57,18 +57,9 @@ class WindowProblem:
 
     def sensors(self, noise: Noise) -> list[Prior]:
         """The sensors' residuals, weighted by this noise."""
-        request, has_terrain = self.request, self.terrain is not None
-        found = sensor_priors(
-            request.config,
-            request.R_body_cam,
-            list(self.keyframes),
-            self.layout,
-            request.platform,
-            has_terrain,
-            noise.jitter_s,
-            noise.factors,
-            request.slope,
-        )
+        request = self.request
+        measured = (request.config, request.R_body_cam, self.keyframes, self.layout, noise.factors, noise.jitter_s)
+        found = Sensors(*measured).priors(request.platform, self.terrain is not None, request.slope)
         return found if self.ranged is None else [*found, self.ranged]
 
     def problem(self, noise: Noise) -> Problem:

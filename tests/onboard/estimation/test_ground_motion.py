@@ -10,7 +10,7 @@ import pytest
 
 from onboard.estimation.ground_motion import MOTION_PER_SLIP, ground_motion, ground_sigma_m_s
 from onboard.estimation.keyframe import Keyframe
-from onboard.estimation.sensor_factors import sensor_priors
+from onboard.estimation.sensor_factors import Sensors
 from onboard.estimation.window_request import Request
 from onboard.estimation.window_solver import adjust
 from onboard.navigation.position_interpolation import Displacement
@@ -113,16 +113,9 @@ def test_the_answer_to_moving_ground_is_the_solutions_own(speed_m_s: tuple[float
     assert before.solved is not None and after.solved is not None
     a, b = before.solved.solution, after.solved.solution
     layout = before.solved.layout
-    priors = sensor_priors(
-        request.config,
-        request.R_body_cam,
-        list(before.keyframes),
-        layout,
-        request.platform,
-        False,
-        before.noise.jitter_s,
-        before.noise.factors,
-    )
+    noise = before.noise
+    sensors = Sensors(request.config, request.R_body_cam, before.keyframes, layout, noise.factors, noise.jitter_s)
+    priors = sensors.priors(request.platform, False)
     answer = ground_motion(before.keyframes, priors, a.state, a.covariance, 1.0)
     axis = int(np.argmax(np.abs(speed)))
     expected = answer.at_epoch[:, axis] * speed[axis]

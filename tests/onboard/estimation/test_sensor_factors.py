@@ -13,7 +13,7 @@ from onboard.estimation.boresight import PlatformEstimate
 from onboard.estimation.factors import AttitudePrior, Layout, PositionPrior, Prior, SharedPrior, State, VelocityPrior
 from onboard.estimation.keyframe import Keyframe
 from onboard.estimation.platform_states import DELAY, STATES, VELOCITY_DELAY
-from onboard.estimation.sensor_factors import sensor_priors
+from onboard.estimation.sensor_factors import Sensors
 from onboard.estimation.variance_components import VarianceFactors
 from tests.onboard.scenes import FULL, Scene, SceneSpec, draw
 
@@ -41,9 +41,9 @@ def priors_of(
     mount = config.mount
     R_body_cam = mount_rotation(mount.roll_deg, mount.pitch_deg, mount.yaw_deg)
     layout = Layout(len(keyframes))
-    believed = VarianceFactors() if factors is None else factors
-    priors = sensor_priors(config, R_body_cam, keyframes, layout, PLATFORM, has_terrain, JITTER_S, believed)
-    return {type(p): p for p in priors}
+    found = VarianceFactors() if factors is None else factors
+    sensors = Sensors(config, R_body_cam, keyframes, layout, found, JITTER_S)
+    return {type(p): p for p in sensors.priors(PLATFORM, has_terrain)}
 
 
 def truth_of(scene: Scene) -> State:
