@@ -138,7 +138,7 @@ def section(benchmark: Benchmark, ran: str, said: str) -> str:
 
 
 def merge(old: str, new: dict[str, str]) -> str:
-    """The file: sections by title in the order of BENCHMARKS, the new ones in place of the old."""
+    """The file: sections by title, new ones in place of old, in the order of BENCHMARKS; those of none follow."""
     held = {part.split("\n", 1)[0]: f"## {part}" for part in re.split(r"(?m)^## ", old)[1:]}
     sections = {**held, **new}
     head = (
@@ -148,8 +148,9 @@ def merge(old: str, new: dict[str, str]) -> str:
         "than `make bench` gives: `python -m benchmarks.soak --minutes 60`, `benchmarks.accuracy --flights 1000`,\n"
         "`benchmarks.autopilots --faults ... --mounts ...`, `benchmarks.picture_size FOLDER`.\n"
     )
-    known = [sections[b.title].rstrip() + "\n" for b in BENCHMARKS if b.title in sections]
-    return "\n".join([head, *known])
+    titles = [b.title for b in BENCHMARKS]
+    ordered = [*(t for t in titles if t in sections), *(t for t in sections if t not in titles)]
+    return "\n".join([head, *(sections[t].rstrip() + "\n" for t in ordered)])
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -233,6 +233,10 @@ def test_results_keep_what_was_not_measured_again() -> None:
     assert "old" not in again
     assert "two" in again
     assert merge(again, {}) == again
+    by_hand = again + "\n## Figures of none\n\nWritten by hand.\n"
+    assert merge(by_hand, {one.title: section(one, "ran", "newer")}).endswith(
+        "## Figures of none\n\nWritten by hand.\n"
+    )
 
 
 @pytest.mark.parametrize("name", [b.module for b in BENCHMARKS])
