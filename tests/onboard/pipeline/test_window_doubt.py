@@ -1,4 +1,8 @@
-"""A lens that nobody has seen zoom: doubted after a sudden loss, until the ground is as deep as it was."""
+"""Windows that are doubted although they fit.
+
+A lens that nobody has seen zoom, after a sudden loss, until the ground is as deep as it was; a window that fits alone
+among those of stabilised video, until two in a row do.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from contract.feature_set import Status
 from onboard.navigation.limits import LONG_NS
-from onboard.pipeline.window_doubt import LensDoubt
+from onboard.pipeline.window_doubt import FrameDoubt, LensDoubt
 
 S = 1_000_000_000
 
@@ -59,3 +64,38 @@ def test_a_window_long_after_has_other_ground_and_being_told_ends_it() -> None:
     told = flown()
     told.settle()
     assert not told.denies(window(12.0, 33.0))
+
+
+def denied(*statuses: Status) -> list[bool]:
+    doubt = FrameDoubt()
+    return [doubt.denies(status) for status in statuses]
+
+
+def test_windows_that_fit_are_never_denied_before_any_was_stabilised() -> None:
+    assert not any(denied(Status.OK, Status.POOR_FIT, Status.OK, Status.ZOOMED, Status.OK, Status.STARTING, Status.OK))
+
+
+def test_one_that_fits_among_stabilised_ones_is_denied_and_the_second_in_a_row_ends_the_doubt() -> None:
+    assert denied(
+        Status.STABILISED, Status.OK, Status.STABILISED, Status.OK, Status.OK, Status.POOR_FIT, Status.OK
+    ) == [
+        False,
+        True,
+        False,
+        True,
+        False,
+        False,
+        False,
+    ]
+
+
+def test_what_says_nothing_does_not_count_as_agreement() -> None:
+    """A restart in the turn, as on a recording: a young window then fitted, and its clicks were off by 3.7 radii."""
+    assert denied(Status.STABILISED, Status.STARTING, Status.OK, Status.POOR_FIT, Status.OK, Status.OK) == [
+        False,
+        False,
+        True,
+        False,
+        True,
+        False,
+    ]
