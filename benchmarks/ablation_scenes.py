@@ -197,11 +197,11 @@ def own() -> dict[str, tuple[Trial, ...]]:
         "re-estimated prior": (recorded("plane_breeze", note="mount claimed to 0.3 deg", mount={"sigma_deg": 0.3}),),
         "disagreeing windows": (rotations[-1], recorded("plane_wind_noise", fault="1hz", seconds=ORDINARY_SECONDS)),
         "sensor groups": (recorded("plane_clean", fault="tilt-jump"),),
-        "ground slope": (recorded("plane_clean", fault="slope"),),
+        "ground slope": tuple(recorded("plane_clean", sensors, fault="slope") for sensors in ("full", "gps")),
         "ground roughness": (sampled("hills of 12 m", path=TURNS, relief_sigma_m=12.0, relief_wavelength_m=80.0),),
         "ground weight": (
             sampled("hills of 8 m, long", path=PathSpec(), relief_sigma_m=8.0, relief_wavelength_m=400.0),
-            sampled("hills of 8 m, long, camera + GPS", config=GPS_ONLY, relief_sigma_m=8.0, relief_wavelength_m=400.0),
+            sampled("hills of 20 m, camera + GPS", config=GPS_ONLY, relief_sigma_m=20.0, relief_wavelength_m=400.0),
         ),
         "second start": (
             recorded("plane_log", "gps"),
