@@ -25,7 +25,7 @@ from benchmarks.machine import describe
 
 HERE = Path(__file__).resolve().parent
 RESULTS = HERE / "results.md"
-TIMEOUT_S = 3600.0
+TIMEOUT_S = 7200.0
 
 
 @dataclass(frozen=True)
