@@ -91,10 +91,8 @@ class Sensors:
 
         It lasts for as long as the filter takes to forget it, so what counts is the largest of the last seconds.
         """
-        rates = np.linalg.norm(np.diff(self.velocities_enu_m_s, axis=0), axis=1) / np.maximum(
-            np.diff(self.stamps_s), 0.05
-        )
-        about = np.where(self._are_about, rates, 0.0)
+        changes = np.linalg.norm(np.diff(self.velocities_enu_m_s, axis=0), axis=1)
+        about = np.where(self._are_about, changes / np.maximum(np.diff(self.stamps_s), 0.05), 0.0)
         out: Array = self.config.gps.sigma_latency_s * about.max(axis=1, initial=0.0)
         return out
 

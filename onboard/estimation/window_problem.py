@@ -58,8 +58,10 @@ class WindowProblem:
     def sensors(self, noise: Noise) -> list[Prior]:
         """The sensors' residuals, weighted by this noise."""
         request = self.request
-        measured = (request.config, request.R_body_cam, self.keyframes, self.layout, noise.factors, noise.jitter_s)
-        found = Sensors(*measured).priors(request.platform, self.terrain is not None, request.slope)
+        sensors = Sensors(
+            request.config, request.R_body_cam, self.keyframes, self.layout, noise.factors, noise.jitter_s
+        )
+        found = sensors.priors(request.platform, self.terrain is not None, request.slope)
         return found if self.ranged is None else [*found, self.ranged]
 
     def problem(self, noise: Noise) -> Problem:

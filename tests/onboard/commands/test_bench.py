@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-import resource
+import subprocess
+import sys
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -20,6 +21,7 @@ from onboard.replay.load import SHARE, Load
 from onboard.replay.made_flight import SPEED_M_S, MadeFlight
 from onboard.service import host
 
+ROOT = Path(__file__).resolve().parents[3]
 SMALL = Camera.from_field_of_view(320, 240, 60.0)
 STAGES = {"navigation": 1.0, "tracking": 4.0, "georeference": 3.0, "solve": 1.0, "encode": 0.5, "other": 0.5}
 LOAD = Load(300, 298, 270, 9.0, STAGES, (20.0, 40.0), 8.0, 8.0)  # 10 ms a picture
@@ -29,13 +31,19 @@ def judged(load: Load, wanted_hz: float) -> dict[str, object]:
     return report(load, Config(), SMALL, wanted_hz, Watch())
 
 
-def test_a_short_flight_is_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Four seconds at 30 Hz, sampled here: nearly every picture is solved, and every stage has taken some time."""
+def test_a_short_flight_is_measured(tmp_path: Path) -> None:
+    """Four seconds at 30 Hz, sampled here: nearly every picture is solved, and every stage has taken some time.
+
+    In a process of its own: the memory that it states is its process's, and other tests leave some behind.
+    """
     config = tmp_path / "config.toml"
     config.write_text("[tracking]\nfeatures = 40\n")
-    code = main(["bench", "--config", str(config), "--size", "320x240", "--seconds", "0", "--format", "json"])
-    found = json.loads(capsys.readouterr().out)
-    assert code == (0 if found["is_good"] else 1)
+    words = ["bench", "--config", str(config), "--size", "320x240", "--seconds", "0", "--format", "json"]
+    done = subprocess.run(
+        [sys.executable, "-m", "onboard", *words], cwd=ROOT, capture_output=True, text=True, check=False, timeout=120
+    )
+    found = json.loads(done.stdout)
+    assert done.returncode == (0 if found["is_good"] else 1)
     assert found["size_px"] == [320, 240]
     assert found["features"] == 40
     assert found["pictures"] >= 120
@@ -47,8 +55,7 @@ def test_a_short_flight_is_measured(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert found["picture_ms"] == pytest.approx(sum(found["stage_ms"].values()))
     assert 0.5 < found["picture_ms"] < 1000.0
     assert found["lag_p50_ms"] <= found["lag_p95_ms"]
-    # Of this whole process, in which other tests have run before.
-    assert 50.0 < found["resident_mb"] <= resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 900.0
+    assert 50.0 < found["resident_mb"] < 1500.0
     assert found["is_good"] == (found["configured_hz"] <= found["sustainable_hz"])
 
 
