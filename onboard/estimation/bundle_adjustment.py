@@ -209,7 +209,7 @@ def _residuals(problem: Problem, xy: Array, state: State, scale: float | None) -
 
 
 def _clearance(centres_enu_m: Array, reference_enu_m: Array, plane: Array) -> float:
-    """Mean height (m) of views (K, 3) over the plane, each over where it is: tilting all about them changes nothing."""
+    """Mean height (m) of views (K, 3) over the plane, each over the place below it."""
     east, north, up = centres_enu_m.mean(axis=0) - reference_enu_m
     return max(float(up - plane[0] - plane[1] * east - plane[2] * north), 1.0)
 
@@ -217,7 +217,9 @@ def _clearance(centres_enu_m: Array, reference_enu_m: Array, plane: Array) -> fl
 def parallax_of(centres_enu_m: Array, reference_enu_m: Array, plane: Array) -> float:
     """How much (rad/m, about) a metre of height over a plane moves in pictures from views (K, 3). (5.9)"""
     span = centres_enu_m - centres_enu_m.mean(axis=0)
-    return float(np.sqrt(np.mean(np.sum(span**2, axis=1)))) / _clearance(centres_enu_m, reference_enu_m, plane) ** 2
+    spread_m = float(np.sqrt(np.mean(np.sum(span**2, axis=1))))
+    steepness = float(np.hypot(1.0, np.hypot(*plane[1:])))
+    return steepness * spread_m / _clearance(centres_enu_m, reference_enu_m, plane) ** 2
 
 
 def _seen_larger(problem: Problem, state: State) -> float:
@@ -237,6 +239,7 @@ def _by_seen_larger(problem: Problem, state: State) -> tuple[NDArray[np.intp], A
     by_centre = (centres - mean) / max(float(np.sum((centres - mean) ** 2)), 1e-12)
     by_centre += by_clearance / len(centres) * np.array([-plane[1], -plane[2], 1.0])
     by_plane = -by_clearance * np.array([1.0, east, north])
+    by_plane[1:] += plane[1:] / (1.0 + float(plane[1:] @ plane[1:]))
     columns = [np.arange(layout.size)[layout.plane], layout.centres().ravel()]
     by = [by_plane, by_centre.ravel()]
     if layout.camera_states:

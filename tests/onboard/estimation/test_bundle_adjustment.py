@@ -184,14 +184,15 @@ def test_nothing_is_gained_by_tilting_views_and_ground_together() -> None:
     """Seen from the side, as in a bank: the pictures stay the same, and the ground's weight must, too.
 
     Counted over the plane's reference point instead of below the views, the clearance grows with the tilt: 5 degrees
-    then took a third off the ground's cost, and in turns the ground came out tilted.
+    then took a third off the ground's cost, and in turns the ground came out tilted. Counted vertically, the cost falls
+    with the tilt's square, and over hills windows in a row tilted by 40 degrees.
     """
     rng = np.random.default_rng(8)
     beside = np.array([300.0, 40.0, 0.0])
     points = beside + rng.normal(0.0, [80.0, 80.0, 5.0], (60, 3))
     centres = np.array([0.0, 0.0, 250.0]) + np.linspace(-80.0, 80.0, 6)[:, None] * [0.0, 1.0, 0.0]
     flat = 1.0 / parallax_of(centres, beside, np.zeros(3))
-    for degrees in (-5.0, 5.0):
+    for degrees in (-40.0, -5.0, 5.0, 60.0):
         angle = np.radians(degrees)
         R = exp_so3(angle * np.array([0.0, 1.0, 0.0]))
         about = centres.mean(axis=0)
@@ -202,7 +203,7 @@ def test_nothing_is_gained_by_tilting_views_and_ground_together() -> None:
         plane = np.array([foot[2] + slope @ (beside - foot)[:2], *slope])
         relief = ground_plane(ground, beside, plane)[0]
         turned = relief * parallax_of(about + (centres - about) @ R.T, beside, plane) * flat
-        assert turned == pytest.approx(points[:, 2], rel=0.02)
+        assert turned == pytest.approx(points[:, 2], rel=1e-9)
 
 
 def test_the_solution_is_a_minimum_of_the_cost_it_reports() -> None:
