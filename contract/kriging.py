@@ -21,6 +21,10 @@ MIN_TREND_FEATURES = 6
 TREND_SIGMA = 1.0
 LEAST_HALF = 32  # rows; below, one call of NumPy is faster
 SURFACE_NUGGET = 1e-8  # of a feature that is on a surface known before
+OUTERMOST, MIN_OUTERMOST = 0.2, 2  # share and least number of features that stand for what is beyond all of them
+AS_STATED = 2.0  # directions in which they are as far off as stated, assumed before any is looked at
+_ANGLES = 0.25 * np.pi * np.arange(8)
+EIGHT = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 
 
 class Kriging:
@@ -32,6 +36,9 @@ class Kriging:
     `is_surface`: the features are not measured but are on a surface known before. They give exactly where that is;
     the ground differs from it by at least `nugget`, at a click as at the feature next to it, and no average makes that
     less.
+
+    Beyond the features' `hull` the ground is extrapolated, and hills leave their plane by more than the dispersion
+    within it: what the outermost features show of that, predicted by all others, counts there. (9.19)
     """
 
     def __init__(
@@ -59,6 +66,8 @@ class Kriging:
             self._trend_cov = inverse.T @ inverse
         self._beta = self._trend_cov @ (self._trend.T @ white)
         self._residual = white - self._trend @ self._beta  # (N,)
+        self.hull = convex_hull(xy)
+        self._beyond = 1.0 if is_surface else self._shown_beyond()
 
     def predict(self, xy: Array) -> tuple[Array, Array]:
         """r (M,) at points (M, 2) and the covariance (M, M) of its errors."""
@@ -73,6 +82,9 @@ class Kriging:
             sigma = np.sqrt(np.maximum(astray - np.diag(covariance), 0.0))
             correlation = np.exp(-_distances(xy, xy) / max(self._spacing, 1e-9))
             covariance = covariance + np.outer(sigma, sigma) * correlation
+        if self._beyond > 1.0:
+            grown = np.sqrt(self._grown(xy))
+            covariance = covariance * np.outer(grown, grown)
         return f @ self._beta + known @ self._residual, covariance
 
     def predict_each(self, xy: Array) -> tuple[Array, Array]:
@@ -84,6 +96,8 @@ class Kriging:
         variance = self._sill - (known**2).sum(axis=1) + ((left @ self._trend_cov) * left).sum(axis=1)
         if self._astray is not None:
             variance = np.maximum(variance, self._astray[np.argmin(apart, axis=1)])
+        if self._beyond > 1.0:
+            variance = variance * self._grown(xy)
         return f @ self._beta + known @ self._residual, variance
 
     def measured_variance(self, xy: Array) -> Array:
@@ -95,6 +109,27 @@ class Kriging:
         left = _trend(xy) - known @ self._trend
         weights = (known + left @ self._trend_cov @ self._trend.T) @ self._whiten  # (M, N) of the features
         return np.asarray((weights**2) @ self._nugget, np.float64)
+
+    def _shown_beyond(self) -> float:
+        """The factor on variances beyond the hull: how far off all others predict the outermost features. (9.19)
+
+        Of each of eight directions the outermost fifth, mean squares over their variances.
+        """
+        if len(self._xy) < MIN_OUTERMOST / OUTERMOST:
+            return 1.0
+        by_trend = self._whiten.T @ self._trend
+        inverse = self._whiten.T @ self._whiten - by_trend @ self._trend_cov @ by_trend.T
+        missed = self._whiten.T @ self._residual
+        squares = []
+        for direction in EIGHT:
+            along = self._xy @ direction
+            rows = np.nonzero(along >= np.quantile(along, 1.0 - OUTERMOST))[0]
+            covariance = np.linalg.inv(inverse[np.ix_(rows, rows)])
+            squares.append(float(np.mean((covariance @ missed[rows]) ** 2 / np.diag(covariance))))
+        return max(1.0, (AS_STATED + sum(squares)) / (AS_STATED + len(squares)))
+
+    def _grown(self, xy: Array) -> Array:
+        return np.where(distances_outside(self.hull, xy) > 0.0, self._beyond, 1.0)
 
     def _covariance(self, distance: Array) -> Array:
         if self._sill == 0.0 or self._slope == 0.0:

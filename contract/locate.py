@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from contract.answer import CHI2_2, Answer, Ellipse, Fix, Refusal
 from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, HeightDatum, Status
 from contract.geodesy import LocalFrame
-from contract.kriging import Kriging, convex_hull, distance_outside, distances_outside, hull_area
+from contract.kriging import Kriging, distance_outside, distances_outside, hull_area
 from contract.rolling_shutter import row_share
 from contract.rotations import skew
 
@@ -104,7 +104,7 @@ class Locator:
             s.plane_sigma_relative,
             is_surface=s.depth_source is not DepthSource.PARALLAX,
         )
-        self._hull = convex_hull(xy)
+        self._hull = self._kriging.hull
         self._max_outside = MAX_OUTSIDE * math.sqrt(hull_area(self._hull))
         known = not math.isnan(s.undulation_m)
         self._is_ellipsoidal = s.height_datum is HeightDatum.ELLIPSOID

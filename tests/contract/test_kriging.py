@@ -64,13 +64,8 @@ def test_without_relief_it_is_the_weighted_fit_of_a_plane() -> None:
     np.testing.assert_allclose(covariance, F[:5] @ np.linalg.inv(normal) @ F[:5].T, rtol=1e-3, atol=1e-10)
 
 
-@pytest.mark.parametrize("features", [3, 31, 33, 100, 255])
-def test_it_is_what_the_inverse_of_the_covariance_says(features: int) -> None:
-    """To 1e-9: universal kriging as it is written down, (9.8)."""
-    rng = np.random.default_rng(features)
-    xy, at = rng.uniform(-0.4, 0.4, (features, 2)), rng.uniform(-0.4, 0.4, (7, 2))
-    r, nugget = rng.normal(0.0, 0.02, features), rng.uniform(1e-5, 1e-4, features)
-    slope, sill = 0.004, 0.02**2
+def as_written(xy: Array, r: Array, nugget: Array, slope: float, sill: float, at: Array) -> tuple[Array, Array]:
+    """Universal kriging as it is written down, (9.8), by the inverse of the covariance; the trend from six on."""
 
     def covariance(a: Array, b: Array) -> Array:
         out: Array = sill * np.exp(-slope / sill * np.linalg.norm(a[:, None] - b[None], axis=-1))
@@ -79,13 +74,71 @@ def test_it_is_what_the_inverse_of_the_covariance_says(features: int) -> None:
     inverse = np.linalg.inv(covariance(xy, xy) + np.diag(nugget + 1e-16))
     F, f = (np.concatenate([np.ones((len(p), 1)), p], axis=1) for p in (xy, at))
     k = covariance(at, xy)
-    trend = np.linalg.inv(F.T @ inverse @ F + np.eye(3)) if features >= 6 else np.zeros((3, 3))
+    trend = np.linalg.inv(F.T @ inverse @ F + np.eye(3)) if len(xy) >= 6 else np.zeros((3, 3))
     beta = trend @ F.T @ inverse @ r
     left = f - k @ inverse @ F
-    predicted, stated = Kriging(xy, r, nugget, slope, np.sqrt(sill)).predict(at)
-    np.testing.assert_allclose(predicted, f @ beta + k @ inverse @ (r - F @ beta), rtol=1e-9, atol=1e-13)
-    expected = covariance(at, at) - k @ inverse @ k.T + left @ trend @ left.T
-    np.testing.assert_allclose(stated, expected, rtol=1e-9, atol=1e-9 * np.max(expected))
+    predicted: Array = f @ beta + k @ inverse @ (r - F @ beta)
+    return predicted, covariance(at, at) - k @ inverse @ k.T + left @ trend @ left.T
+
+
+@pytest.mark.parametrize("features", [3, 31, 33, 100, 255])
+def test_it_is_what_the_inverse_of_the_covariance_says(features: int) -> None:
+    """To 1e-9, between the features, and beyond them times what the outermost show. (9.8), (9.19)"""
+    rng = np.random.default_rng(features)
+    xy, at = rng.uniform(-0.4, 0.4, (features, 2)), rng.uniform(-0.5, 0.5, (9, 2))
+    r, nugget = rng.normal(0.0, 0.04, features), rng.uniform(1e-5, 1e-4, features)
+    slope, sill = 0.004, 0.02**2
+    kriging = Kriging(xy, r, nugget, slope, np.sqrt(sill))
+    predicted, stated = kriging.predict(at)
+    value, expected = as_written(xy, r, nugget, slope, sill, at)
+    squares = []
+    for angle in 0.25 * np.pi * np.arange(8):
+        along = xy @ [np.cos(angle), np.sin(angle)]
+        out = along >= np.quantile(along, 0.8)
+        there, variance = as_written(xy[~out], r[~out], nugget[~out], slope, sill, xy[out])
+        squares.append(np.mean((r[out] - there) ** 2 / (np.diag(variance) + nugget[out])))
+    grown = max(1.0, (2.0 + sum(squares)) / 10.0) if features >= 10 else 1.0
+    assert grown > 1.1 or features == 3
+    root = np.where(ConvexHull(xy).equations @ np.append(at, np.ones((9, 1)), axis=1).T > 0.0, np.sqrt(grown), 1.0).max(
+        0
+    )
+    np.testing.assert_allclose(predicted, value, rtol=1e-9, atol=1e-13)
+    np.testing.assert_allclose(stated, expected * np.outer(root, root), rtol=1e-9, atol=1e-9 * np.max(expected))
+    np.testing.assert_allclose(kriging.predict_each(at)[1], np.diag(stated), rtol=1e-9)
+
+
+def test_beyond_features_that_agree_with_their_variances_nothing_is_added() -> None:
+    """Of the model itself: 40 fields, where the factor's excess over 1 is by chance."""
+    rng = np.random.default_rng(11)
+    slope, sill, excess = 0.004, 0.02**2, []
+    for _ in range(40):
+        xy = rng.uniform(-0.4, 0.4, (80, 2))
+        apart = np.linalg.norm(xy[:, None] - xy, axis=-1)
+        root = np.linalg.cholesky(sill * np.exp(-slope / sill * apart) + 1e-4 * np.eye(80))
+        r = root @ rng.normal(size=80)
+        plain = as_written(xy, r, np.full(80, 1e-4), slope, sill, np.array([[0.55, 0.0]]))[1][0, 0]
+        beyond = Kriging(xy, r, np.full(80, 1e-4), slope, np.sqrt(sill)).predict_each(np.array([[0.55, 0.0]]))[1][0]
+        excess.append(beyond / plain - 1.0)
+    assert 0.0 <= np.median(excess) < 0.15
+    assert np.max(excess) < 2.0
+
+
+def test_beyond_the_features_hills_are_extrapolated_as_badly_as_stated() -> None:
+    """Long smooth hills, which features within a quarter of one hardly show to leave their plane."""
+    rng = np.random.default_rng(12)
+    z: list[Array] = []
+    for _ in range(80):
+        xy = rng.uniform(-0.3, 0.3, (80, 2))
+        phase, sigma = rng.uniform(0.0, 6.28), 0.002
+        truth = [0.1 * np.sin(5.0 * p[:, 0] + phase) * np.cos(4.0 * p[:, 1] - 2.0 * phase) for p in (xy, 1.35 * xy)]
+        r = truth[0] + sigma * rng.normal(size=80)
+        flat = np.concatenate([np.ones((80, 1)), xy], axis=1)
+        spread = float(np.std(r - flat @ np.linalg.lstsq(flat, r, rcond=None)[0]))
+        kriging = Kriging(xy, r, np.full(80, sigma**2), spread**2 / 0.3, spread)
+        predicted, variance = kriging.predict_each(1.35 * xy)
+        beyond = np.array([distance_outside(kriging.hull, p) > 0.0 for p in 1.35 * xy])
+        z.append(((predicted - truth[1]) / np.sqrt(variance))[beyond])
+    assert 0.8 < np.mean(np.abs(np.concatenate(z)) < 1.645) < 0.99
 
 
 @pytest.mark.parametrize("nugget", [0.0, 1e-18, 1e-12])
