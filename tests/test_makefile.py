@@ -7,12 +7,14 @@ import re
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 from tests.conftest import may_be_chosen
 from tests.costly_first import COSTLY_FIRST
+from tests.rest_long import rest_long
 
 ROOT = Path(__file__).resolve().parents[1]
 PARALLEL = "-n 3 --dist loadgroup --no-loadscope-reorder --reruns 1 -rR --durations=30"
@@ -76,19 +78,29 @@ def test_make_test_reports_the_long_tests_that_it_leaves_out(tmp_path: Path) -> 
     assert "LEFT OUT: the tests marked long" in make_pytest(tmp_path, 0, 0, target="test")[2]
 
 
-@pytest.mark.parametrize("workers", ["0", "2"])
-def test_a_run_names_the_files_whose_long_tests_it_leaves_out(workers: str) -> None:
+FILES = ["tests/contract/test_bits.py", "tests/ground/pins/test_fusion.py"]
+
+
+@cache
+def without_long_tests(workers: int) -> str:
+    """What a run of these files prints."""
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-n", workers, "-m", "not long", "tests/test_coverage.py"],
+        [sys.executable, "-m", "pytest", "-n", str(workers), "--dist", "loadgroup", "-m", "not long", "-vv", *FILES],
         cwd=ROOT,
         env={k: v for k, v in os.environ.items() if not k.startswith("PYTEST")},
         capture_output=True,
         text=True,
         check=False,
         timeout=120,
-    )
-    assert "LONG TESTS LEFT OUT" in done.stdout
-    assert "test_coverage.py: 4" in done.stdout
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("workers", rest_long([2, 0]))
+def test_a_run_names_the_files_whose_long_tests_it_leaves_out(workers: int) -> None:
+    assert "LONG TESTS LEFT OUT" in without_long_tests(workers)
+    assert "test_fusion.py: 6" in without_long_tests(workers)
 
 
 def test_what_runs_on_a_submission_includes_the_long_tests() -> None:
@@ -126,18 +138,7 @@ def test_the_markers_are_registered() -> None:
 
 
 def test_without_the_long_tests_a_file_is_one_workers() -> None:
-    files = ["tests/contract/test_camera.py", "tests/contract/test_kriging.py"]
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-n", "2", "--dist", "loadgroup", "-m", "not long", "-vv", *files],
-        cwd=ROOT,
-        env={k: v for k, v in os.environ.items() if not k.startswith("PYTEST")},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    workers = {file: set(re.findall(rf"\[(gw\d)\] .*PASSED {file}::", done.stdout)) for file in files}
+    workers = {file: set(re.findall(rf"\[(gw\d)\] .*PASSED {file}::", without_long_tests(2))) for file in FILES}
     assert [len(of_file) for of_file in workers.values()] == [1, 1]
     assert len(set.union(*workers.values())) == 2
 

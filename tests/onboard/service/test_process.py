@@ -17,6 +17,7 @@ import pytest
 
 from contract.feature_set import FeatureSet
 from ground.recording import Recording
+from onboard.__main__ import main
 from tests.onboard.service.air import STRAIGHT
 from tests.onboard.service.process import ROOT, Aircraft, aircraft
 from tests.scenarios.flights import Outcome, click
@@ -155,7 +156,7 @@ def test_a_configuration_that_cannot_fly_is_one_line_and_exit_2(tmp_path: Path, 
     assert done.returncode == 2
     (line,) = done.stdout.splitlines()
     assert said in line
-    assert pc_onboard("check-config", "--fly", tmp_path / "config.toml").returncode == 2
+    assert main(["check-config", "--fly", str(tmp_path / "config.toml")]) == 2
 
 
 def test_the_doctor_looks_for_itself_and_calls_what_is_missing_bad(tmp_path: Path) -> None:
