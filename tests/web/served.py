@@ -31,6 +31,15 @@ ARGUMENTS = [
 ]  # fmt: skip
 
 
+# Turns of a pilot's own flight: sampled once for `pc-ground open` and `pc-ground live`.
+TURNS = SessionSpec(
+    DescribedSpec(PathSpec("turns", leg_m=120.0), ordinary(3), seed=3),
+    seconds=18.0,
+    rate_hz=3.0,
+    terrain=TerrainSpec(relief_m=20.0, wavelength_m=250.0),
+)
+
+
 class Simulated:
     """A recorded session with pictures, and what a test needs to know of it."""
 

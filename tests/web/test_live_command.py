@@ -13,20 +13,15 @@ from typing import Any
 
 import pytest
 
-from simulation.flight import DescribedSpec
-from simulation.ordinary import ordinary
-from simulation.paths import PathSpec
-from simulation.session import SessionSpec
-from simulation.terrain import TerrainSpec
 from tests.onboard.link.ports import free_udp_port
 from tests.scenarios.flights import simulated
 from tests.streamed_flight import StreamedFlight
 from tests.waiting import PATIENCE_S, eventually
 from tests.web.browsing import Operator
 from tests.web.conftest import page_is_built
-from tests.web.served import PageProgram
+from tests.web.served import TURNS, PageProgram
 
-RATE_HZ = 6.0
+RATE_HZ = TURNS.rate_hz
 START_S = PATIENCE_S  # two programs, GStreamer and a browser on a loaded machine
 TO_CLICK_S = 15.0  # of flight
 
@@ -48,14 +43,8 @@ class Live(PageProgram):
 @pytest.fixture(scope="module")
 def session() -> Path:
     """Turns in real time, for as long as the first click may take."""
-    return simulated(
-        SessionSpec(
-            DescribedSpec(PathSpec("turns", leg_m=120.0), ordinary(3), seed=3),
-            seconds=TO_CLICK_S + 3.0,
-            rate_hz=RATE_HZ,
-            terrain=TerrainSpec(relief_m=20.0, wavelength_m=250.0),
-        )
-    )
+    assert TURNS.seconds >= TO_CLICK_S + 3.0
+    return simulated(TURNS)
 
 
 @pytest.fixture

@@ -12,18 +12,13 @@ from typing import Any
 
 import pytest
 
-from simulation.flight import DescribedSpec
-from simulation.ordinary import ordinary
-from simulation.paths import PathSpec
-from simulation.session import SessionSpec
-from simulation.terrain import TerrainSpec
 from tests.own_flights import write_named_photographs, write_video
 from tests.rest_long import rest_long
 from tests.scenarios.flights import simulated
 from tests.waiting import PATIENCE_S
 from tests.web.browsing import Operator
 from tests.web.conftest import page_is_built
-from tests.web.served import PageProgram
+from tests.web.served import TURNS, PageProgram
 
 pytestmark = pytest.mark.xdist_group("open")  # one worker: the flight is sampled once
 LIMIT_S = 60.0  # of processor time, from the command to the page
@@ -43,16 +38,7 @@ class Opened(PageProgram):
 
 @pytest.fixture(scope="module")
 def session() -> Path:
-    """Sixteen seconds of turns, three pictures a second."""
-    path = PathSpec("turns", leg_m=120.0)
-    return simulated(
-        SessionSpec(
-            DescribedSpec(path, ordinary(3), seed=3),
-            seconds=16.0,
-            rate_hz=3.0,
-            terrain=TerrainSpec(relief_m=20.0, wavelength_m=250.0),
-        )
-    )
+    return simulated(TURNS)
 
 
 @pytest.fixture
