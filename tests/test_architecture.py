@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -99,7 +100,8 @@ def package_of(module: str) -> str:
     return module if (ROOT / Path(*module.split("."))).is_dir() else module.rpartition(".")[0]
 
 
-def imports(module: str) -> Iterator[Import]:
+@cache
+def imports(module: str) -> tuple[Import, ...]:
     """Everything a module imports, type-checking blocks included: an arrow is an arrow."""
 
     def visit(node: ast.AST, is_lazy: bool) -> Iterator[Import]:
@@ -118,7 +120,7 @@ def imports(module: str) -> Iterator[Import]:
                 lazy = is_lazy or isinstance(child, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda))
                 yield from visit(child, lazy)
 
-    return visit(ast.parse(path_of(module).read_text(encoding="utf-8")), False)
+    return tuple(visit(ast.parse(path_of(module).read_text(encoding="utf-8")), False))
 
 
 def is_allowed(importer: str, imported: str) -> bool:

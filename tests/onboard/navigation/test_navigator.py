@@ -17,8 +17,7 @@ from onboard.config.schema import Config, parse_config
 from onboard.events.types import Attitude, FilterStatus, GpsQuality, PositionFix, RangeFinder
 from onboard.navigation.limits import MEMORY_NS
 from onboard.navigation.navigator import Navigation, NavState
-from onboard.telemetry.telemetry_log import TelemetryLog
-from onboard.telemetry.tlog_reader import read_tlog
+from tests.recorded_logs import recorded
 from tests.rest_long import rest_long
 
 Array = NDArray[np.float64]
@@ -316,25 +315,24 @@ def test_a_clock_set_back_starts_afresh() -> None:
     assert isinstance(navigation.state_at(ns(-3595.0)), NavState)
 
 
-together = pytest.mark.xdist_group("recorded navigation")  # one worker: the logs are read once
-
-
-@cache
-def recorded(path: Path) -> TelemetryLog:
-    return read_tlog(path)
+together = pytest.mark.xdist_group("recorded logs")  # one worker: they are read once
 
 
 @cache
 def replayed(
-    shared_data: Path, name: str, settings: str, every: int
+    shared_data: Path, name: str, settings: str, every: int, seconds: tuple[float, float] = (-np.inf, np.inf)
 ) -> tuple[list[tuple[float, NavState | Status]], Array]:
-    """State at every n-th row of the truth, asked as the data come in, and the truth's rows."""
+    """State at every n-th row of the truth between two moments of the flight, asked as the data come in, and these."""
     config = parse_config(settings)
     log = recorded(shared_data / "sitl" / f"{name}.tlog")
     truth = np.genfromtxt(shared_data / "sitl" / f"{name}.truth.csv", delimiter=",", skip_header=1)
-    truth = truth[truth[:, 3] > 180.0][::every]
+    truth = truth[truth[:, 3] > 180.0]
+    since_s = truth[:, 0] - truth[0, 0]
+    truth = truth[(since_s >= seconds[0]) & (since_s <= seconds[1])][::every]
     navigation, answers, row = Navigation(config), [], 0
     for event in log.events:
+        if row == len(truth):
+            break
         navigation.add(event)
         while row < len(truth) and navigation.covers(round((truth[row, 0] + 1.0) * 1e9)):
             answers.append((truth[row, 0], navigation.state_at(round(truth[row, 0] * 1e9))))
@@ -344,15 +342,19 @@ def replayed(
     return answers, np.column_stack([truth[:row], enu])
 
 
-PROMPT = "[gps]\nlatency_s = 0.0\n[mount]\ngimbal = 'never'"
+PROMPT, AGED = "[gps]\nlatency_s = 0.0\n[mount]\ngimbal = 'never'", "[gps]\nlatency_s = 0.04"
+FIRST, WHOLE = (0.0, 120.0), (-np.inf, np.inf)  # seconds of the flight
 
 
 @together
 @pytest.mark.parametrize(
-    ("settings", "low_m", "high_m"), rest_long([("[gps]\nlatency_s = 0.04", 0.01, 0.1), (PROMPT, 0.5, 1.0)])
+    ("settings", "low_m", "high_m", "seconds"),
+    rest_long([(AGED, 0.01, 0.1, FIRST), (AGED, 0.01, 0.1, WHOLE), (PROMPT, 0.5, 1.0, WHOLE)]),
 )
-def test_recorded_positions_follow_the_truth(shared_data: Path, settings: str, low_m: float, high_m: float) -> None:
-    answers, truth = replayed(shared_data, "plane_clean", settings, every=10)
+def test_recorded_positions_follow_the_truth(
+    shared_data: Path, settings: str, low_m: float, high_m: float, seconds: tuple[float, float]
+) -> None:
+    answers, truth = replayed(shared_data, "plane_clean", settings, 10, seconds)
     states = [got for _, got in answers if isinstance(got, NavState)]
     assert len(states) == len(answers)
     errors = np.linalg.norm(np.array([s.position_enu_m for s in states])[:, :2] - truth[:, 7:9], axis=1)
@@ -360,8 +362,9 @@ def test_recorded_positions_follow_the_truth(shared_data: Path, settings: str, l
 
 
 @together
-def test_recorded_attitudes_follow_the_truth(shared_data: Path) -> None:
-    answers, truth = replayed(shared_data, "plane_clean", PROMPT, every=10)
+@pytest.mark.parametrize("seconds", rest_long([(FIRST,), (WHOLE,)]))
+def test_recorded_attitudes_follow_the_truth(shared_data: Path, seconds: tuple[float, float]) -> None:
+    answers, truth = replayed(shared_data, "plane_clean", PROMPT, 10, seconds)
     errors = []
     for (_, got), row in zip(answers, truth, strict=True):
         assert isinstance(got, NavState)
@@ -373,8 +376,9 @@ def test_recorded_attitudes_follow_the_truth(shared_data: Path) -> None:
     assert 0.1 < yaw < 1.5
 
 
+@together
 def test_lost_and_jammed_gps_is_refused_and_nothing_far_off_is_answered(shared_data: Path) -> None:
-    answers, truth = replayed(shared_data, "plane_gps_outage", "", every=5)
+    answers, truth = replayed(shared_data, "plane_gps_outage", "", 5, (0.0, 270.0))  # a minute longer than it is jammed
     off, on, jammed, free = 1795217179.211, 1795217199.217, 1795217269.226, 1795217289.208
     worst = 0.0
     for (t, got), row in zip(answers, truth, strict=True):

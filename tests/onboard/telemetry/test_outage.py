@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -16,21 +15,17 @@ from onboard.config.schema import Config
 from onboard.events.types import FilterStatus, Frame, GpsQuality, NavEvent, PositionFix
 from onboard.navigation.navigator import Navigation, NavState
 from onboard.pipeline.pipeline import Pipeline
-from onboard.telemetry.telemetry_log import TelemetryLog
-from onboard.telemetry.tlog_reader import read_tlog
+from tests.recorded_logs import recorded
+
+pytestmark = pytest.mark.xdist_group("recorded logs")  # one worker: they are read once
 
 SECOND = 1_000_000_000
 PERIOD = SECOND // 2
 
 
-@functools.cache
-def recorded(folder: Path) -> TelemetryLog:
-    return read_tlog(folder / "sitl" / "plane_gps_outage.tlog")
-
-
 def statuses(folder: Path, keep: Callable[[NavEvent], bool]) -> list[tuple[float, Status]]:
     """Seconds since the GPS was switched off, and what became of an empty picture then: FEATURELESS if all was well."""
-    log = recorded(folder)
+    log = recorded(folder / "sitl" / "plane_gps_outage.tlog")
     off_ns = events_ns(folder)[0]
     pipeline = Pipeline(Config(), Camera.from_field_of_view(64, 48, 40.0))
     blank = np.full((48, 64), 128, np.uint8)

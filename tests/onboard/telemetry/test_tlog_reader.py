@@ -17,6 +17,7 @@ from contract.errors import InputError
 from onboard.events.types import Attitude, GpsQuality, NavEvent, PositionFix
 from onboard.telemetry.telemetry_log import TelemetryLog
 from onboard.telemetry.tlog_reader import read_tlog
+from tests.recorded_logs import recorded
 
 T0_US = 1_795_217_000_000_000
 BOOT_MS = 60_000
@@ -239,6 +240,7 @@ def test_a_log_without_positions_is_refused(tmp_path: Path) -> None:
         read_tlog(log.save(tmp_path))
 
 
+@pytest.mark.xdist_group("recorded logs")
 @pytest.mark.parametrize(
     ("name", "positions", "attitudes"),
     [
@@ -249,7 +251,7 @@ def test_a_log_without_positions_is_refused(tmp_path: Path) -> None:
 def test_recorded_logs_are_read_whole(
     shared_data: Path, name: str, positions: tuple[int, int], attitudes: tuple[int, int]
 ) -> None:
-    log = read_tlog(shared_data / name)
+    log = recorded(shared_data / name)
     assert positions[0] <= len(of(log, PositionFix)) <= positions[1]
     assert attitudes[0] <= len(of(log, Attitude)) <= attitudes[1]
     assert log.boot_segments == 1
