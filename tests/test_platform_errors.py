@@ -16,7 +16,6 @@ from onboard.config.schema import Config, parse_config
 from onboard.estimation.boresight import PlatformEstimate
 from onboard.estimation.platform_states import HEADING, OFFSET, STATES
 from simulation.paths import PathSpec
-from tests.rest_long import rest_long
 from tests.sampled_clicks import chi2_of, located
 
 Array = NDArray[np.float64]
@@ -189,7 +188,8 @@ WRONG = replace(
 )
 
 
-@pytest.mark.parametrize(("seconds", "after_s"), rest_long([(54.0, 30.0), (80.0, 40.0)]))
+@pytest.mark.long  # short: tests/onboard/commands/test_calibrate_in_flight.py
+@pytest.mark.parametrize(("seconds", "after_s"), [(54.0, 30.0), (80.0, 40.0)])
 def test_a_wrong_camera_file_is_found_out(seconds: float, after_s: float) -> None:
     """After a minute with turns, and the ellipses hold."""
     errors_m, chi2, platform = with_camera_file(WRONG, seconds, after_s)

@@ -53,6 +53,7 @@ def test_a_planar_scene_is_solved() -> None:
     holds(play(simulated(LEG)))
 
 
+@pytest.mark.long  # short, hills of 20 m and of 10: tests/test_end_to_end.py
 def test_relief_is_solved() -> None:
     """Hills of 40 m under a leg at 250 m: not a plane. OK."""
     holds(play(simulated(replace(LEG, terrain=TerrainSpec(relief_m=40.0)))))
@@ -63,11 +64,11 @@ def test_featureless_ground_is_refused() -> None:
     refuses(play(simulated(replace(LEG, texture=TextureSpec("plain")))), Status.FEATURELESS)
 
 
-def test_water_in_small_pictures_is_refused_or_its_ellipse_holds() -> None:
+@pytest.mark.parametrize("seed", rest_long([0, 7]))
+def test_water_in_small_pictures_is_refused_or_its_ellipse_holds(seed: int) -> None:
     """Waves that move: nothing fixed to track. Featureless, poor fit or a wide ellipse."""
-    for seed in (0, 7):
-        outcome = play(simulated(replace(LEG, texture=TextureSpec("water", seed=seed), seed=seed)))
-        honest(outcome, Status.FEATURELESS, Status.POOR_FIT, Status.LOW_PARALLAX)
+    outcome = play(simulated(replace(LEG, texture=TextureSpec("water", seed=seed), seed=seed)))
+    honest(outcome, Status.FEATURELESS, Status.POOR_FIT, Status.LOW_PARALLAX)
 
 
 @pytest.mark.parametrize(
@@ -172,6 +173,7 @@ def defocused(image: Picture) -> Picture:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), 8.0), np.uint8)
 
 
+@pytest.mark.long  # short: "defocused" below, and a blur of 12 from the start in test_degraded_pictures.py
 def test_pictures_out_of_focus_are_refused_or_their_ellipse_holds() -> None:
     """Blurred from the first picture to the last: featureless, or an answer that holds."""
     outcome = play(retouched(simulated(LEG), defocused))

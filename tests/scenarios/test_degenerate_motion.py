@@ -65,7 +65,8 @@ def test_pictures_after_a_window_without_parallax_have_its_reason(monkeypatch: p
     assert statuses.count(Status.LOW_PARALLAX) > 0.7 * len(statuses), statuses
 
 
-@pytest.mark.parametrize("style", rest_long(["water", "sea"]))
+@pytest.mark.long  # short: HOVER above, and water that can be tracked of tests/scenarios/test_degenerate_ground.py
+@pytest.mark.parametrize("style", ["water", "sea"])
 def test_waves_under_a_hover_are_no_parallax(style: str) -> None:
     """What moves in the pictures is the ground, not the aircraft: never a depth.
 
@@ -79,7 +80,9 @@ def test_waves_under_a_hover_are_no_parallax(style: str) -> None:
     assert outcome.statuses[Status.STARTING] < 0.6 * len(outcome.sets), outcome.reported
 
 
-@pytest.mark.parametrize("spec", [HOVER, ROTATION], ids=["hover", "rotation"])
+@pytest.mark.parametrize(
+    "spec", [pytest.param(HOVER, id="hover"), pytest.param(ROTATION, id="rotation", marks=pytest.mark.long)]
+)
 def test_standing_still_over_known_terrain_is_answered(spec: SessionSpec) -> None:
     """The same with an elevation model: OK by method terrain, but for the picture's rim outside the outermost rays.
 
@@ -99,6 +102,7 @@ def test_standing_still_over_level_ground_is_answered_where_allowed() -> None:
     assert np.median(outcome.semi_m) > np.median(terrain.semi_m)
 
 
+@pytest.mark.long  # short, with a little shake: a planar scene of tests/scenarios/test_degenerate_ground.py
 def test_an_exactly_straight_path_is_solved() -> None:
     """Collinear centres, no shake: rotation about the path is seen by attitude and level ground alone. OK."""
     calm = PathSpec("straight", wobble_deg=0.0)
@@ -108,7 +112,7 @@ def test_an_exactly_straight_path_is_solved() -> None:
 MOUNTS_DEG = ((0.0, -45.0, 0.0), (0.0, -60.0, 90.0), (0.0, -60.0, 0.0), (0.0, -90.0, 90.0), (0.0, -90.0, 180.0))
 
 
-@pytest.mark.parametrize("mount_deg", rest_long([(mount,) for mount in MOUNTS_DEG], 2))
+@pytest.mark.parametrize("mount_deg", rest_long([(mount,) for mount in MOUNTS_DEG]))
 def test_a_mount_may_point_any_way(mount_deg: tuple[float, float, float]) -> None:
     """Oblique and turned mounts: OK."""
     holds(play(simulated(replace(LEG, mount_deg=mount_deg, clicks_per_frame=8))), max_median_m=12.0)

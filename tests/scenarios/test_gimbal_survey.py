@@ -114,7 +114,7 @@ def test_auto_solves_no_fewer_pictures_than_always_where_the_gimbal_tells_the_tr
 
 
 def test_trials_in_a_thread_give_the_same_bytes() -> None:
-    speed, height, leaning = LEANS["leaning far"]
+    speed, height, leaning = LEANS["gusts"]
     folder = survey(speed, height)
     inline = played(folder, "auto", held_level(leaning))
     with ThreadPoolExecutor(1) as worker:

@@ -252,7 +252,8 @@ def test_photographs_of_a_fixed_lens_are_solved_and_none_is_called_zoomed(shared
     assert abs(platform.mean[focal] + np.log1p(off)) < 2.0 * platform.sigma[focal]
 
 
-@pytest.mark.parametrize("readout_s", rest_long([0.0, 0.0466]))
+@pytest.mark.long  # short, by pictures: test_gimbal_on_real_pictures.py, and with the rows declared test_real_flight.py
+@pytest.mark.parametrize("readout_s", [0.0, 0.0466])
 def test_rows_read_in_turn_on_a_vibrating_aircraft_are_no_zoom(shared_data: Path, readout_s: float) -> None:
     """A fixed lens, read in 46.6 ms: two windows were called zoomed where that is not declared."""
     data = shared_data / "cmac_2018"

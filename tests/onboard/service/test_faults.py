@@ -72,6 +72,7 @@ def test_a_camera_that_goes_and_comes_back(tmp_path: Path) -> None:
     assert any(text.startswith("pointclick: camera lost: ") for _, text in air.telemetry.reported)
 
 
+@pytest.mark.long  # short, without a daemon: a picture repeated of tests/scenarios/test_degraded_pictures.py
 def test_a_frozen_camera_that_no_one_calls_frozen(tmp_path: Path) -> None:
     """The driver goes on giving the last picture as new: the estimator must not believe it."""
     held: list[Frame] = []
@@ -157,6 +158,7 @@ def test_telemetry_gone_for_a_minute(tmp_path: Path) -> None:
     assert Status.OK not in {s.status for s in air.sets(11.0, 69.5).values()}
 
 
+@pytest.mark.long  # short, without a daemon: an outage of GPS of tests/scenarios/test_degenerate_motion.py
 def test_gps_off(tmp_path: Path) -> None:
     """As ArduPilot tells of it: only fix type and satellites change, the filter goes on."""
 
