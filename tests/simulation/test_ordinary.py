@@ -116,7 +116,8 @@ def test_no_errors_are_none(tmp_path: Path) -> None:
 def test_position_lags_along_the_track_and_velocity_by_less(
     position_s: float, velocity_s: float, tmp_path: Path
 ) -> None:
-    said = reported(tmp_path, AutopilotErrors(position_lag_s=position_s, velocity_lag_s=velocity_s))
+    errors = AutopilotErrors(position_lag_s=position_s, velocity_lag_s=velocity_s)
+    said = reported(tmp_path, errors, attitude_hz=1.0)
     v, a = said.truth.velocity_enu_m_s(said.position_s), said.acceleration_m_s2(said.position_s)
     assert slope(v, said.position_m) == pytest.approx(-position_s, abs=0.001)
     assert np.abs(said.position_m + position_s * v).max() < 0.04, "a lag, and in a turn no older place"
@@ -134,7 +135,7 @@ def test_level_is_trimmed_wrong_and_tilts_with_acceleration(tmp_path: Path) -> N
     assert np.polyfit(aside, said.attitude_deg[:, 0], 1)[0] == pytest.approx(0.05, abs=0.01)
     # There is hardly any acceleration ahead at constant speed: pitch must not follow that to the side by itself.
     assert np.abs(np.sum(acceleration * ahead, axis=1)).max() < 1.0
-    slowly = reported(tmp_path, AutopilotErrors(tilt_deg=0.8, tilt_time_s=3.0), "straight", 600.0)
+    slowly = reported(tmp_path, AutopilotErrors(tilt_deg=0.8, tilt_time_s=3.0), "straight", 600.0, attitude_hz=5.0)
     sampling = 1.0 / np.sqrt(2.0 * 600.0 / (2.0 * 3.0))  # of a sigma, relative
     assert said.attitude_deg.shape[1] == 3
     assert slowly.attitude_deg[:, :2].std(axis=0) == pytest.approx([0.8, 0.8], rel=3.0 * sampling)
@@ -149,17 +150,19 @@ def test_heading_is_wrong_by_heading_and_drifts(tmp_path: Path) -> None:
         np.stack([np.ones(len(h)), np.cos(h), np.sin(h)], axis=1), said.attitude_deg[:, 2], rcond=None
     )
     assert found == pytest.approx([0.7, 3.0, -1.5], abs=0.03)
-    drifts = reported(tmp_path, AutopilotErrors(heading_drift_deg=1.5, heading_time_s=3.0), "straight", 600.0)
+    drift = AutopilotErrors(heading_drift_deg=1.5, heading_time_s=3.0)
+    drifts = reported(tmp_path, drift, "straight", 600.0, attitude_hz=5.0)
     heading = drifts.attitude_deg[:, 2]
     assert heading.std() == pytest.approx(1.5, rel=3.0 / np.sqrt(600.0 / 3.0))
-    lag = 3 * 25
+    lag = 3 * 5
     later = float(np.mean(heading[lag:] * heading[:-lag]) / heading.var())
     assert later == pytest.approx(np.exp(-1.0), abs=0.25), "one time constant on"
     assert np.abs(drifts.attitude_deg[:, :2]).max() < 0.1
 
 
 def test_velocity_errs_with_acceleration(tmp_path: Path) -> None:
-    said = reported(tmp_path, AutopilotErrors(velocity_m_s=0.1, velocity_per_m_s2=0.12, velocity_time_s=1.0))
+    errors = AutopilotErrors(velocity_m_s=0.1, velocity_per_m_s2=0.12, velocity_time_s=1.0)
+    said = reported(tmp_path, errors, attitude_hz=1.0)
     size = np.linalg.norm(said.acceleration_m_s2(said.position_s), axis=1)
     level, turning = size < 0.3, size > 3.5
     assert said.velocity_m_s[level].std() == pytest.approx(0.105, rel=0.25)

@@ -16,7 +16,7 @@ from tests.scenarios.flights import simulated
 
 pytestmark = pytest.mark.xdist_group("calibrate in flight")  # one worker: what they share is made once
 
-CAMERA = Camera.from_field_of_view(480, 360, 50.0)
+CAMERA = Camera.from_field_of_view(320, 240, 50.0)
 TURNS = PathSpec("turns", leg_m=120.0, speed_m_s=20.0)
 
 

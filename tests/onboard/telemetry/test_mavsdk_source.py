@@ -21,7 +21,7 @@ config, clock, made = parse_config(""), SessionClock.start(), []
 
 def come_and_go():
     begun = time.monotonic()
-    while time.monotonic() < begun + 4.0 or (len(made) <= 20 and time.monotonic() < begun + 60.0):
+    while time.monotonic() < begun + 2.0 or (len(made) <= 20 and time.monotonic() < begun + 60.0):
         one = MavsdkEnd(config, clock)
         one.take(BEAT, 0)
         one.close()
