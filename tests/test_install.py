@@ -221,7 +221,7 @@ def fly_and_click(environment: Path, folder: Path) -> None:
     # The same level ground and mount as elsewhere in the tests, for three seconds.
     spec = SessionSpec(
         RecordedSpec("plane_turn", 3.0, whole_log=False), seconds=3.0, rate_hz=5.0, mount_deg=(0.0, -90.0, -90.0),
-        terrain=TerrainSpec(relief_m=10.0),
+        terrain=TerrainSpec(relief_m=10.0), camera=Camera.from_field_of_view(320, 240, 40.0),
     )  # fmt: skip
     flight, recording = folder / "flight", folder / "session.mcap"
     fly(spec, flight)
@@ -232,7 +232,7 @@ def fly_and_click(environment: Path, folder: Path) -> None:
     )
     assert re.search(r"^solved +15$", summary, re.MULTILINE)
     click = run_well(
-        environment, "pc-ground", "click", 320, 240, "--frame", 12, "--from", recording, "--format", "json"
+        environment, "pc-ground", "click", 160, 120, "--frame", 12, "--from", recording, "--format", "json"
     )
     assert json.loads(click)["status"] == "ok"
 

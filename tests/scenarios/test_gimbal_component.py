@@ -82,6 +82,7 @@ def answered(found: Simulated) -> tuple[float, list[float]]:
     return pictures[Status.OK] / pictures.total(), errors
 
 
+@pytest.mark.long  # short: that "auto" answers by it, below
 def test_a_gimbal_on_a_clock_of_its_own_serves_like_one_that_the_autopilot_passes_on() -> None:
     """Both clocks begin at other times and drift apart."""
     config = parse_config("[mount]\ngimbal = 'always'")

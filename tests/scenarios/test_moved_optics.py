@@ -131,6 +131,7 @@ def test_other_faults_are_not_taken_for_moved_optics(fault: str) -> None:
     assert found.statuses[Status.OK] > 0.5 * found.statuses.total(), found.statuses
 
 
+@pytest.mark.long  # short, with attitude: "wrong lens" above
 def test_a_camera_mounted_askew_is_not_taken_for_moved_optics_without_attitude() -> None:
     """87 of 300 pictures were called zoomed; nothing but the pictures tells the mount."""
     config = '[solve]\nattitude = "none"\nvelocity = false'

@@ -11,6 +11,7 @@ import sys
 import threading
 from pathlib import Path
 
+from contract.camera import Camera
 from contract.feature_set import FeatureSet, Status
 from ground.recording import Recording
 from onboard.storage.mcap_writer import SessionRecorder
@@ -36,6 +37,7 @@ TURNS = SessionSpec(
     DescribedSpec(PathSpec("turns", leg_m=120.0), ordinary(3), seed=3),
     seconds=18.0,
     rate_hz=3.0,
+    camera=Camera.from_field_of_view(480, 360, 40.0),
     terrain=TerrainSpec(relief_m=20.0, wavelength_m=250.0),
 )
 

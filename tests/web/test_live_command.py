@@ -97,7 +97,7 @@ def _answered(operator: Operator) -> bool:
     good = [row for row in rows if row["status"] == "ok" and row["has_picture"]]
     if not good:
         return False
-    operator.click(320, 240)
+    operator.click(240, 180)
     place = operator.newest_pin()["place"]
     return bool(place["status"] == "ok" and place["ce90_m"] < 60.0)
 

@@ -93,7 +93,7 @@ def _answers(chromium: Any, server: Opened) -> None:
     try:
         rows = operator.ask(f"api/vehicles/{operator.ask('api/status')['vehicles'][0]['id']}/frames")
         assert all(row["has_picture"] for row in rows)
-        operator.click(320, 240)
+        operator.click(240, 180)
         place = operator.newest_pin()["place"]
         assert place["status"] == "ok" and place["ce90_m"] < 60.0
         operator.clear()

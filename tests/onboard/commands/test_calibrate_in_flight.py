@@ -24,7 +24,7 @@ TURNS = PathSpec("turns", leg_m=120.0, speed_m_s=20.0)
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A flight with turns, recorded with pictures and a camera file whose focal length is 3 % too long."""
     folder = tmp_path_factory.mktemp("lens")
-    session = simulated(SessionSpec(DescribedSpec(TURNS), seconds=30.0, rate_hz=2.5, camera=CAMERA, clicks_per_frame=1))
+    session = simulated(SessionSpec(DescribedSpec(TURNS), seconds=24.0, rate_hz=2.5, camera=CAMERA, clicks_per_frame=1))
     filed = json.loads((session / "camera.json").read_text())
     filed["fx_px"] *= 1.03
     filed["fy_px"] *= 1.03

@@ -129,12 +129,12 @@ def test_telemetry_gone_for_a_second_costs_nothing_but_that_second(tmp_path: Pat
     def cut(event: Event, t_s: float) -> Event | None:
         return None if 9.0 <= t_s < 10.0 else event
 
-    air = take_off(tmp_path, seconds=20.0, telemetry=cut)
+    air = take_off(tmp_path, seconds=15.0, telemetry=cut)
     assert air.code == 0
-    assert "telemetry lost" not in air.states(4.0, 20.0)
+    assert "telemetry lost" not in air.states(4.0, 15.0)
     outcome = air.clicked()
     assert outcome.inside_99 > 0.97, outcome.reported
-    assert {s.status for s in air.sets(11.0, 20.0).values()} == {Status.OK}
+    assert {s.status for s in air.sets(11.0, 15.0).values()} == {Status.OK}
 
 
 @pytest.mark.long  # the short one is of a second
@@ -228,7 +228,7 @@ class FullDisk:
 
 
 def test_a_full_disk_stops_the_recording_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    disk = FullDisk(monkeypatch)
+    disk, begin_s, end_s = FullDisk(monkeypatch), 6.0, 10.0
 
     class Filler:
         """Fills the disk when its time has come, seen from the pipeline's thread."""
@@ -244,15 +244,15 @@ def test_a_full_disk_stops_the_recording_and_nothing_else(tmp_path: Path, monkey
 
         def event(self, arrival_ns: int, event: Event) -> None:
             self.pictures += isinstance(event, Frame)
-            disk.is_full = BEGIN_S * 4 <= self.pictures < END_S * 4
+            disk.is_full = begin_s * 4 <= self.pictures < end_s * 4
 
         def feature_set(self, output: object) -> None:
             return None
 
-    air = take_off(tmp_path, seconds=END_S + 9.0, sinks=lambda: [Filler()])
+    air = take_off(tmp_path, seconds=end_s + 8.0, sinks=lambda: [Filler()])
     assert air.code == 0
-    assert air.first("not recording", BEGIN_S - 0.5) < BEGIN_S + SEEN_S
-    assert air.first("ok", END_S) < END_S + 5.0 + 2.0  # Recorded looks again after five seconds
+    assert air.first("not recording", begin_s - 0.5) < begin_s + SEEN_S
+    assert air.first("ok", end_s) < end_s + 5.0 + 2.0  # Recorded looks again after five seconds
     outcome = air.clicked()
     assert outcome.solved > 0.95, outcome.reported
     assert outcome.inside_99 > 0.97, outcome.reported

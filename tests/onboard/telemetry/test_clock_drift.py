@@ -95,7 +95,7 @@ def share_within(simulated: Simulated, sigmas: float) -> float:
 
 @pytest.mark.parametrize("delay", [quiet, slow])
 @pytest.mark.parametrize("changes", [False, True], ids=["steady", "changing"])
-@pytest.mark.parametrize("rate", rest_long([0.0, 27e-3, 50e-6, 15e-3, 22e-3, -27e-3], 2))
+@pytest.mark.parametrize("rate", rest_long([27e-3, 0.0, 50e-6, 15e-3, 22e-3, -27e-3]))
 def test_stamps_keep_to_their_sigma_for_ten_minutes(rate: float, changes: bool, delay: Delay) -> None:
     link = Link(Clocks(rate, changes), delay)
     simulated = link.fly(SECONDS)
