@@ -97,20 +97,18 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ[FOLDER_VARIABLE] = str(Path(os.environ[FLIGHTS_VARIABLE]) / "drawings")
 
 
-@pytest.hookimpl(tryfirst=True)  # before pytest-xdist looks at the groups
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+@pytest.hookimpl(wrapper=True)  # around pytest-xdist, which looks at the groups
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> Iterator[None]:
     """Those next to this file come first, for the longest are among them: one that began last would end alone.
 
     Without the long tests a file is one worker's: what its tests share is made once, and workers that wait, as all of
     a file on the link do, are next to others that calculate; the costliest groups come first. Long tests are few to a
     file and take minutes each. (pytest-xdist keeps this order with --no-loadscope-reorder only.) Of those that measure
-    real time, the ones that mostly wait are one worker's, next to another's that do not.
+    real time, the ones that mostly wait are one worker's by folder, next to another's that do not.
     """
     items.sort(key=lambda item: item.path.parent != Path(__file__).parent)
     for item in items:
-        measured = item.get_closest_marker("wall_clock")
-        if measured is not None:
-            group = "waits" if measured.kwargs.get("waits") else "measures"
+        if (group := real_time_group(item)) is not None:
             item.add_marker(pytest.mark.xdist_group(group), append=False)
     if "not long" in config.option.markexpr:
         rank = {group: number for number, group in enumerate(COSTLY_FIRST)}
@@ -118,6 +116,19 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             if item.get_closest_marker("xdist_group") is None:
                 item.add_marker(pytest.mark.xdist_group(item.path.stem))
         items.sort(key=lambda item: rank.get(group_of(item), len(rank)))
+    yield
+    # Of several groups pytest-xdist makes another one, and two that measure would be next to each other.
+    for item in items if config.getoption("loadgroup", False) else ():
+        if (group := real_time_group(item)) is not None:
+            item._nodeid = f"{item.nodeid.rpartition('@')[0]}@{group}"
+
+
+def real_time_group(item: pytest.Item) -> str | None:
+    """Of one that measures real time, whatever other group it is of."""
+    measured = item.get_closest_marker("wall_clock")
+    if measured is None:
+        return None
+    return f"waits {item.path.parent.name}" if measured.kwargs.get("waits") else "measures"
 
 
 def group_of(item: pytest.Item) -> str:

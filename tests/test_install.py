@@ -132,13 +132,19 @@ def test_a_recording_can_be_clicked(environment: Path, session: Path) -> None:
     assert answer["height_amsl_m"] == pytest.approx(0.0, abs=0.01)
 
 
-@pytest.mark.parametrize("form", ["text", "geojson", "kml", "gpx", "csv", "cot", "dms", "dm"])
-def test_the_base_writes_every_format_but_projections(environment: Path, session: Path, form: str) -> None:
-    done = run(
-        environment, "pc-ground", "click", 319.5, 239.5, "--frame", 0, "--from", session, "--format", form,
-        "--local", "-43.4,172.4",
-    )  # fmt: skip
-    assert (done.returncode, done.stderr) == (0, "") and done.stdout
+CLICK_IN_EACH = """
+import sys
+from ground.__main__ import main
+for form in ("text", "geojson", "kml", "gpx", "csv", "cot", "dms", "dm"):
+    print(f"as {form}:")
+    assert main([*sys.argv[1:], "--format", form]) == 0, form
+"""
+
+
+def test_the_base_writes_every_format_but_projections(environment: Path, session: Path) -> None:
+    words = ["click", 319.5, 239.5, "--frame", 0, "--from", session, "--local=-43.4,172.4"]
+    written = re.split(r"^as \w+:\n", run_well(environment, "python", "-c", CLICK_IN_EACH, *words), flags=re.MULTILINE)
+    assert len(written) == 9 and all(written[1:]) and len(set(written)) == 9
 
 
 @pytest.mark.parametrize(
@@ -467,6 +473,7 @@ def test_the_wheel_holds_what_ships_and_nothing_else(source: Path, wheel: Path) 
     assert sorted(scripts) == ["pc-ground", "pc-onboard"]
 
 
+@pytest.mark.long  # short: what the wheel holds, above
 def test_the_source_archive_makes_the_same_wheel(source: Path, wheel: Path) -> None:
     out = source.parent / "sdist"
     out.mkdir()

@@ -18,7 +18,7 @@ from tests.rest_long import rest_long
 
 ROOT = Path(__file__).resolve().parents[1]
 PARALLEL = "-n 3 --dist loadgroup --no-loadscope-reorder --reruns 1 -rR --durations=30"
-REAL_TIME = "-n 2 --dist loadgroup --reruns 2 -rR --durations=30"
+REAL_TIME = "-n 3 --dist loadgroup --reruns 2 -rR --durations=30"
 
 
 def make_pytest(
@@ -174,6 +174,12 @@ def test_files_that_can_hold_none_of_the_chosen_tests_are_not_imported(
     expression: str, text: str, is_chosen: bool
 ) -> None:
     assert may_be_chosen(expression, text) is is_chosen
+
+
+@pytest.mark.wall_clock
+@pytest.mark.xdist_group("another")
+def test_those_that_measure_are_one_workers_whatever_group_they_are_of(request: pytest.FixtureRequest) -> None:
+    assert "@" not in request.node.nodeid or request.node.nodeid.endswith("@measures")
 
 
 def test_what_a_group_shares_is_made_by_one_worker(tmp_path: Path) -> None:

@@ -118,6 +118,7 @@ def test_stripes_without_attitude_are_featureless(rate_hz: float) -> None:
     refuses(play(simulated(spec), ("solve.attitude", "none"), ("solve.level_ground", True)), Status.FEATURELESS)
 
 
+@pytest.mark.long  # short: a picture a second without attitude, above
 def test_stripes_far_apart_in_time_are_featureless() -> None:
     """Two and a half rows between pictures, more than telemetry predicts to half a row: featureless."""
     spec = replace(LARGE, rate_hz=1.0, seconds=12.0, texture=TextureSpec("stripes"))
@@ -146,6 +147,7 @@ def test_vehicles_do_not_pull_the_ground_along() -> None:
     holds(play(simulated(replace(LEG, texture=TextureSpec("traffic")))))
 
 
+@pytest.mark.long  # short: none is refused, above, and a third is answered, below
 def test_low_contrast_is_solved_or_featureless() -> None:
     """Brightness differences of a tenth under sensor noise: featureless, or an answer that holds."""
     honest(play(simulated(replace(LEG, texture=TextureSpec(contrast=0.1)))), Status.FEATURELESS, Status.POOR_FIT)

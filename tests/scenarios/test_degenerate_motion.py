@@ -142,6 +142,7 @@ def test_a_log_without_attitude_over_ground_of_unknown_slope_is_solved_and_too_w
     assert outcome.refusals[Status.UNCERTAIN] > 0.9 * (len(outcome.chi2) + outcome.refusals.total()), outcome.reported
 
 
+@pytest.mark.long  # short: a delay is covered by the ellipse, tests/test_platform_errors.py
 def test_late_stamps_widen_but_hold() -> None:
     """Stamps 0.3 s late on a straight leg, where a delay is a shift along the path. OK inside three of its sigmas."""
     late = replace(LEG, camera_delay_s=0.3)

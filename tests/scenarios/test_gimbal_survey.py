@@ -113,7 +113,7 @@ def test_auto_solves_no_fewer_pictures_than_always_where_the_gimbal_tells_the_tr
     assert auto.pipeline.summary.carrier == "gimbal, as the pictures show"
 
 
-@pytest.mark.long  # short, of windows: a thread beside in tests/onboard/pipeline/test_pipeline.py
+@pytest.mark.long  # short, of windows: a thread of their own in tests/onboard/pipeline/test_pipeline.py
 def test_trials_in_a_thread_give_the_same_bytes() -> None:
     speed, height, leaning = LEANS["gusts"]
     folder = survey(speed, height)

@@ -64,6 +64,7 @@ def test_clicks_are_as_good_on_the_map_and_their_heights_say_how_far_off_they_ma
     assert np.all(np.abs(heights_m) < 2.0 * sigmas_m) and np.median(sigmas_m) < 1.2 * SIGMA_M
 
 
+@pytest.mark.long  # short, without a model: above
 def test_an_elevation_model_finds_the_height() -> None:
     share, chi2s, heights_m, sigmas_m = clicked(LowFlight(replace(SPEC, has_terrain=True), 2))
     assert share > 0.7

@@ -22,6 +22,7 @@ from simulation.terrain import Terrain, TerrainSpec
 from simulation.texture import Texture, TextureSpec
 from simulation.trajectory import Pose, RecordedTruth
 from simulation.truth import Truth
+from tests.rest_long import rest_long
 
 pytestmark = pytest.mark.xdist_group("session")  # one worker: what they share is made once
 
@@ -238,7 +239,7 @@ def test_world_file_is_plain_json(session: Path) -> None:
     assert json.loads((session / "world.json").read_text())["terrain"]["relief_m"] == 20.0
 
 
-@pytest.mark.parametrize("readout_s", [0.06, -0.06])
+@pytest.mark.parametrize("readout_s", rest_long([0.06, -0.06]))
 def test_rows_are_exposed_one_after_the_other(tmp_path: Path, readout_s: float) -> None:
     """Flow between pictures is that of truth by rows, and pixels off that of the middle rows' poses alone."""
     turns = DescribedSpec(PathSpec("turns", speed_m_s=20.0, height_m=120.0, bank_deg=35.0, leg_m=10.0), seed=2)

@@ -87,7 +87,7 @@ def one_stream(
     raise AssertionError(f"{len(clients)} connections in the time of one, {health.figures['damaged']} pictures damaged")
 
 
-@pytest.mark.wall_clock
+@pytest.mark.wall_clock(waits=True)
 @pytest.mark.usefixtures("gstreamer")
 @pytest.mark.parametrize(
     ("scheme", "keys", "origin"),
@@ -116,7 +116,7 @@ def test_stamps_of_a_stream_lack_its_jitter_and_keep_its_least_delay(
     assert 1e3 * (DELAY_S - JITTER_S) - 5.0 < late_ms[-1] < max(1e3 * DELAY_S + 40.0, min(late_ms + waited_ms) + 10.0)
 
 
-@pytest.mark.wall_clock
+@pytest.mark.wall_clock(waits=True)
 @pytest.mark.usefixtures("gstreamer")
 @pytest.mark.parametrize("codec", rest_long(["H264", "H265"]))
 def test_behind_lost_packets_no_picture_bears_the_capture_time_of_another(
@@ -139,7 +139,7 @@ def test_behind_lost_packets_no_picture_bears_the_capture_time_of_another(
     assert health.figures["damaged"] > 20
 
 
-@pytest.mark.wall_clock
+@pytest.mark.wall_clock(waits=True)
 @pytest.mark.usefixtures("gstreamer")
 @pytest.mark.parametrize("bit_rate", rest_long([300_000, 2_000_000]))
 def test_repeats_in_a_compressed_stream_have_no_image(
@@ -156,7 +156,7 @@ def test_repeats_in_a_compressed_stream_have_no_image(
     assert len(handed_out) < 1.25 * len(seen) and figures["repeated"] > 0.35 * figures["pictures"]
 
 
-@pytest.mark.wall_clock
+@pytest.mark.wall_clock(waits=True)
 @pytest.mark.usefixtures("gstreamer")
 def test_a_server_that_goes_and_comes_back(tmp_path: Path, pictures: list[np.ndarray]) -> None:
     port = free_port()
@@ -172,7 +172,7 @@ def test_a_server_that_goes_and_comes_back(tmp_path: Path, pictures: list[np.nda
             camera.wait_for(State.OK, "", START_S)
 
 
-@pytest.mark.wall_clock
+@pytest.mark.wall_clock(waits=True)
 @pytest.mark.usefixtures("gstreamer")
 def test_a_decoder_that_is_killed_takes_nothing_with_it(tmp_path: Path, pictures: list[np.ndarray]) -> None:
     with RtspServer(tmp_path, pictures, RATE_HZ) as server, running(server.url(), size_px=SIZE_PX) as camera:
@@ -280,7 +280,7 @@ def frames_of(pipeline: str) -> list[tuple[Header, bytes]]:
     return [(header, bytes(luma)) for header, luma in FrameReader().feed(done.stdout)]
 
 
-@pytest.mark.wall_clock  # played in its own time: the sink drops what a busy computer does not take
+@pytest.mark.wall_clock(waits=True)  # played in its own time: the sink drops what a busy computer does not take
 @pytest.mark.usefixtures("gstreamer")
 @pytest.mark.parametrize(
     ("encoder", "codec"),

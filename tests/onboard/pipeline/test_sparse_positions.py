@@ -93,6 +93,7 @@ def test_a_picture_waits_for_the_position_that_it_is_joined_by(every_s: float, l
     assert statuses[Status.OK] > 0.8 * len(inside), statuses
 
 
+@pytest.mark.long  # short, in turns of 25 degrees: above
 def test_in_steep_turns_every_picture_between_rare_positions_is_answered() -> None:
     """Before, 16 % of clicks had no answer: ten pictures at once left the window before they were placed for good.
 

@@ -459,19 +459,19 @@ def test_nothing_the_host_does_to_its_clock_is_noticed(tmp_path: Path, monkeypat
             nonlocal pictures
             pictures += isinstance(event, Frame)
 
-    def stepped() -> int:  # after eight and after fourteen seconds of four pictures each
-        return true_ns() + (0 if pictures < 32 else hour_ns if pictures < 56 else -hour_ns)
+    def stepped() -> int:  # after six and after ten seconds of four pictures each
+        return true_ns() + (0 if pictures < 24 else hour_ns if pictures < 40 else -hour_ns)
 
     monkeypatch.setattr(time, "time_ns", stepped)
-    air = take_off(tmp_path, seconds=20.0, sinks=lambda: [Counting()])
-    assert pictures == 80
+    air = take_off(tmp_path, seconds=14.0, sinks=lambda: [Counting()])
+    assert pictures == 56
     assert air.code == 0
-    assert air.states(4.0, 19.0) == ["ok"]
+    assert air.states(4.0, 13.0) == ["ok"]
     outcome = air.clicked()
     assert outcome.solved > 0.95, outcome.reported
     assert outcome.inside_99 > 0.97, outcome.reported
     stamps = [s.capture_unix_ns for s in air.sets().values()]
-    assert max(stamps) - min(stamps) < 21e9
+    assert max(stamps) - min(stamps) < 15e9
 
 
 def test_a_state_file_is_begun_from(tmp_path: Path) -> None:

@@ -178,6 +178,7 @@ def test_the_doctor_looks_for_itself_and_calls_what_is_missing_bad(tmp_path: Pat
     assert "\x1b" not in "".join(plain)
 
 
+@pytest.mark.long  # short: with a daemon, and without an aircraft, above; tests/onboard/commands/test_preflight.py
 def test_the_doctor_looks_for_itself_at_a_good_aircraft(tmp_path: Path) -> None:
     with aircraft(tmp_path, SPEC) as plane:
         doctor = pc_onboard("doctor", "--config", plane.config, "--json", "--seconds", 8)

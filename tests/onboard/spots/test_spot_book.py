@@ -17,6 +17,7 @@ from onboard.spots.spot_book import SpotBook
 from simulation.heat_sources import Fire, HeatSource
 from simulation.thermal import ThermalSpec
 from tests.onboard.spots.scenes import LEPTON, ORIGIN, Scene, place_of
+from tests.rest_long import rest_long
 
 CALIBRATED, PLAIN = ThermalConfig(enabled=True, scale=0.01), ThermalConfig(enabled=True)
 PEOPLE = ((-12.0, 14.0), (9.0, -4.0))
@@ -62,7 +63,7 @@ def test_a_camera_with_its_own_gain_which_cuts_them_off_finds_one_and_states_no_
     assert min(off_m(last, place) for place in people) < 0.3
 
 
-@pytest.mark.parametrize("output", ["radiometric", "agc"])
+@pytest.mark.parametrize("output", rest_long(["radiometric", "agc"]))
 def test_a_fire_wider_than_its_surroundings_is_found_with_its_outline(output: str) -> None:
     fire = Fire(((-8.0, 0.0), (8.0, 6.0)), rate_m_s=0.2, first_m=6.0, ember_k=600.0, cooling_s=600.0)
     thermal = CALIBRATED if output == "radiometric" else PLAIN
