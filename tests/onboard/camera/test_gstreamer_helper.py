@@ -280,7 +280,7 @@ def frames_of(pipeline: str) -> list[tuple[Header, bytes]]:
     return [(header, bytes(luma)) for header, luma in FrameReader().feed(done.stdout)]
 
 
-@pytest.mark.wall_clock(waits=True)  # played in its own time: the sink drops what a busy computer does not take
+@pytest.mark.wall_clock  # played in its own time: the sink drops what a busy computer does not take
 @pytest.mark.usefixtures("gstreamer")
 @pytest.mark.parametrize(
     ("encoder", "codec"),
