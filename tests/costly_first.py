@@ -1,15 +1,16 @@
 """The groups of `make test` that take longest, the longest first: one that began last would end alone.
 
-A group is what `xdist_group` names, or else a file. By processor time, but for the page's tests, which wait in between.
+A group is what `xdist_group` names, or else a file. By processor time, or by half of the time that it takes next to two
+others where it mostly waits.
 """
 
 COSTLY_FIRST = (
-    "web", "end to end", "test_faults", "install", "open", "test_moved_optics", "test_platform_errors", "pipeline",
-    "test_spin_in_hover", "failing sensors", "test_degenerate_ground", "test_live_command", "test_degenerate_motion",
-    "test_makefile", "benchmarks", "processes in real time", "test_correlated_sensor_errors", "test_gimbal_component",
-    "test_degraded_sensors", "test_slow_pictures", "test_degraded_pictures", "test_gimbal_survey",
-    "test_rolling_shutter", "calibrate in flight", "test_intrinsics", "rotating recorder",
-    "test_daemon", "test_unknown_datum", "range finder", "ordinary", "test_mcap_records", "test_sparse_positions",
-    "test_standing_parts", "test_reduced_tracker", "test_ordinary_autopilot", "test_track_book",
-    "test_spot_book",
+    "web", "end to end", "pipeline", "install", "open", "test_daemon", "processes in real time", "test_autopilot",
+    "test_faults", "test_link_faults", "test_degenerate_ground", "test_helper_camera", "test_slow_pictures",
+    "failing sensors", "test_router", "recorded logs", "test_sharing", "test_intrinsics", "test_live_command",
+    "rotating recorder", "test_makefile", "benchmarks", "test_gimbal_component", "test_degenerate_motion",
+    "test_gimbal_survey", "test_degraded_pictures", "ordinary", "test_standing_parts", "test_supervision",
+    "test_moved_optics", "range finder", "calibrate in flight", "test_track_book", "test_spot_book",
+    "test_mcap_records", "test_correlated_sensor_errors", "test_sliding_window", "test_rolling_shutter",
+    "test_platform_errors",
 )  # fmt: skip
