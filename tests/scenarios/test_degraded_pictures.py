@@ -95,11 +95,11 @@ CLEAR = {"blur of 2", "blur of 20", "blur of 2, large", "blur of 20, large", "10
 # May be answered or refused, as another that is shown.
 OPEN = {"blur of 12, large", "JPEG of quality 5"}
 # As others that a filter or a lens softens: the bilateral one, 40 px of motion, and a blur of 12 without JPEG.
-ALIKE = {"median filter", "blur of 4", "blurred, then JPEG"}
+SOFTENED = {"median filter", "blur of 4", "blurred, then JPEG"}
 # As half of it in pictures half as large.
 SCALED = {"blur of 8, large"}
 NAMES = [
-    pytest.param(name, marks=pytest.mark.long) if name in CLEAR | OPEN | ALIKE | SCALED else name for name in CASES
+    pytest.param(name, marks=pytest.mark.long) if name in CLEAR | OPEN | SOFTENED | SCALED else name for name in CASES
 ]
 # One that is answered and one that is refused: the kinds differ in what they do to a picture, which the flights spoilt
 # for a third show too.
