@@ -187,6 +187,7 @@ def test_a_glitch_too_small_to_be_refused_stays_in_the_radius(until_s: float, se
         assert asked.radius_m(90.0, 100.0) < 0.8 * asked.radius_m(GLITCH_FROM_S + 8.0, GLITCH_TO_S)
 
 
+@pytest.mark.long  # short: that it is found, tests/onboard/navigation/test_position_slip.py
 def test_a_recorded_glitch_of_eight_metres_stays_in_the_radius() -> None:
     """ArduPilot led 8 m aside for 20 s while its receiver claims 1.2 m, in wind, with noisy sensors and late GPS."""
     spec = SessionSpec(RecordedSpec("plane_glitch", 2.0), seconds=60.0, rate_hz=1.0, camera=CAMERA, clicks_per_frame=4)

@@ -103,6 +103,7 @@ def test_pictures_too_far_apart_for_any_overlap_are_refused() -> None:
     assert "pictures 13.0 s apart, at most 12.0; take" in why(play(simulated(survey(13.0, speed_m_s=6.0))))
 
 
+@pytest.mark.long  # short, where pictures overlap more: blind ones of test_degenerate_ground.py
 def test_one_missed_picture_costs_no_more_than_itself() -> None:
     """20 m/s, ten seconds apart: a picture that shows nothing leaves the next without overlap; it begins again."""
 
