@@ -22,7 +22,7 @@ import functools
 import itertools
 import multiprocessing
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -305,7 +305,7 @@ def jobs_of(args: argparse.Namespace) -> list[Job]:
     base = parse_config(args.set.replace(";", "\n"))
     asked = (args.recordings, args.mounts, args.sensors, args.faults)
     jobs = []
-    for name, mount, sensors, fault in itertools.product(*(names.split(",") for names in asked)):
+    for name, mount, sensors, fault in itertools.product(*asked):
         config = replace_section(replace_section(base, "mount", **MOUNTS[mount]), "solve", **SENSORS[sensors])
         config = replace_section(config, "camera", **BELIEVED.get(fault, {}))
         start_s = STARTS[name] if args.start is None else args.start
@@ -334,13 +334,27 @@ def report(results: Iterable[tuple[str, Score, float]]) -> None:
             print(sharpness_row(name, scores, goal))
 
 
+def some_of(known: Collection[str]) -> Callable[[str], list[str]]:
+    """Reads names joined by commas, each of them known."""
+
+    def names(text: str) -> list[str]:
+        out = text.split(",")
+        if unknown := [name for name in out if name not in known]:
+            raise argparse.ArgumentTypeError(f"{', '.join(unknown)} not among {', '.join(known)}")
+        return out
+
+    return names
+
+
 def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     """What was asked for on the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--recordings", default="plane_clean,plane_wind_noise,plane_breeze,plane_log")
-    parser.add_argument("--mounts", default="nadir")
-    parser.add_argument("--sensors", default="full,gps")
-    parser.add_argument("--faults", default="none")
+    parser.add_argument(
+        "--recordings", type=some_of(STARTS), default="plane_clean,plane_wind_noise,plane_breeze,plane_log"
+    )
+    parser.add_argument("--mounts", type=some_of(MOUNTS), default="nadir")
+    parser.add_argument("--sensors", type=some_of(SENSORS), default="full,gps")
+    parser.add_argument("--faults", type=some_of(FAULTS), default="none")
     parser.add_argument("--seconds", type=float, default=200.0)
     parser.add_argument("--start", type=float, default=None)
     parser.add_argument("--draws", type=int, default=1)
