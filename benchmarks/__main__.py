@@ -41,6 +41,7 @@ class Benchmark:
 BENCHMARKS = (
     Benchmark("accuracy", "Errors over the Cramer-Rao bound", (), ("--flights", "10")),
     Benchmark("coverage", "Honesty of the stated radius"),
+    Benchmark("beyond", "Clicks beyond the features", (), ("--flights", "1")),
     Benchmark(
         "autopilots",
         "With recorded autopilots",

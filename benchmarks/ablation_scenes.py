@@ -202,6 +202,7 @@ def own() -> dict[str, tuple[Trial, ...]]:
         "ground weight": (
             sampled("hills of 8 m, long", path=PathSpec(), relief_sigma_m=8.0, relief_wavelength_m=400.0),
             sampled("hills of 20 m, camera + GPS", config=GPS_ONLY, relief_sigma_m=20.0, relief_wavelength_m=400.0),
+            sampled("steep hills, camera + GPS", config=GPS_ONLY, relief_sigma_m=20.0, relief_wavelength_m=150.0),
         ),
         "second start": (
             recorded("plane_log", "gps"),
