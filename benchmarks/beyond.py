@@ -101,12 +101,12 @@ def switched(is_on: bool) -> AbstractContextManager[object]:
 
 def row(name: str, count: int) -> Iterator[str]:
     """Lines of one kind of flight: within the hull, and beyond it without and with (9.19)."""
-    flown = [
+    simulated = [
         (flight, fly(flight)[0], seed) for seed in range(count) for flight in [SampledFlight(flights()[name], seed)]
     ]
     for where, is_on in (("within", True), ("beyond, without", False), ("beyond", True)):
         with switched(is_on):
-            found = np.array([c for flight, sets, seed in flown for c in clicked(flight, sets, seed)])
+            found = np.array([c for flight, sets, seed in simulated for c in clicked(flight, sets, seed)])
         asked = found[found[:, 1] == (where != "within")]
         q, _, error_m, semi_m = asked[np.isfinite(asked[:, 0])].T
         far = " ".join(f"{100 * np.mean(q > limit):5.2f}" for limit in (1.5, 2.0, 3.0))
