@@ -26,7 +26,7 @@ def test_banks_are_as_honest_as_level_flight(shared_data: Path, name: str, seed:
     assert np.count_nonzero(bank > 30.0) > 40
     assert np.mean(inside[bank > 30.0]) > 0.85
     assert np.mean(inside[bank <= 30.0]) > 0.85
-    # Nor by ellipses that hold anything. Of six draws 13 to 18 m, and the last digits are the processor's; before, 36 m.
+    # Nor by ellipses that hold anything. Of six draws 13 to 18 m, the last digits the processor's; before, 36 m.
     assert np.quantile(error, 0.9) < 18.0 and np.median(score.semi_m) < 25.0
     assert score.answered["all"] > 0.65 * score.asked["all"]  # a minute of it is without positions
 
