@@ -12,9 +12,6 @@ outermost fifth in each of six directions is left out and predicted by the other
 from __future__ import annotations
 
 import argparse
-import os
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
@@ -25,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.machine import describe
+from benchmarks.real_flight import run
 from benchmarks.sampled_flight import PLACE, SampledFlight, SampledSpec, fly, replace_section
 from contract.answer import CHI2_2, Fix
 from contract.camera import Camera
@@ -41,9 +39,9 @@ Array = NDArray[np.float64]
 CLICKS, WARM_S = 12, 10.0  # a picture; clicks from then on
 SIGMA_90 = 1.645
 OUTERMOST, DIRECTIONS = 0.2, 6
-REAL = {
-    "caliterra": ("--config", "config.toml", "--stamps", "stamps.csv"),
-    "cmac_2018": (),
+REAL: dict[str, dict[str, str]] = {
+    "caliterra": {"--config": "config.toml", "--stamps": "stamps.csv"},
+    "cmac_2018": {},
 }
 
 
@@ -116,14 +114,13 @@ def row(name: str, count: int) -> Iterator[str]:
         )
 
 
-def real_sets(folder: Path, more: tuple[str, ...]) -> list[FeatureSet]:
+def real_sets(folder: Path, more: dict[str, str]) -> list[FeatureSet]:
     """The sets of a real flight, as `pc-onboard replay` records them."""
+    given = {"--frames": "frames", "--telemetry": "telemetry.tlog", "--camera": "camera.json", **more}
     with tempfile.TemporaryDirectory() as out:
         recording = Path(out) / "session.mcap"
-        command = [sys.executable, "-m", "onboard", "replay", "--frames", "frames", "--telemetry", "telemetry.tlog"]
-        command += ["--camera", "camera.json", "--record", str(recording), *more]
-        environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[1])}
-        subprocess.run(command, cwd=folder, env=environment, check=True, capture_output=True)
+        files = [word for option, name in given.items() for word in (option, str(folder / name))]
+        run("onboard", "replay", "--record", str(recording), *files)
         session = Recording(recording)
         [vehicle] = session.vehicles
         found = [session.by_frame(vehicle, frame) for frame in session.frames(vehicle)]
@@ -159,7 +156,7 @@ def main() -> None:
         if not (args.shared / name).is_dir():
             print(f"{name}: NOT measured, no {args.shared / name}")
             continue
-        sets = real_sets((args.shared / name).resolve(), more)
+        sets = real_sets(args.shared / name, more)
         for is_on in (False, True):
             with switched(is_on):
                 z = np.abs([error for found in sets for error in left_out(found)])

@@ -9,6 +9,8 @@ and the ground's roughness. Delaunay interpolation was the first design: tests/c
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,7 +69,7 @@ class Kriging:
         self._beta = self._trend_cov @ (self._trend.T @ white)
         self._residual = white - self._trend @ self._beta  # (N,)
         self.hull = convex_hull(xy)
-        self._beyond = 1.0 if is_surface else self._shown_beyond()
+        self._is_surface = is_surface
 
     def predict(self, xy: Array) -> tuple[Array, Array]:
         """r (M,) at points (M, 2) and the covariance (M, M) of its errors."""
@@ -82,10 +84,8 @@ class Kriging:
             sigma = np.sqrt(np.maximum(astray - np.diag(covariance), 0.0))
             correlation = np.exp(-_distances(xy, xy) / max(self._spacing, 1e-9))
             covariance = covariance + np.outer(sigma, sigma) * correlation
-        if self._beyond > 1.0:
-            grown = np.sqrt(self._grown(xy))
-            covariance = covariance * np.outer(grown, grown)
-        return f @ self._beta + known @ self._residual, covariance
+        grown = np.sqrt(self._grown(xy))
+        return f @ self._beta + known @ self._residual, covariance * np.outer(grown, grown)
 
     def predict_each(self, xy: Array) -> tuple[Array, Array]:
         """r (M,) at points (M, 2) and the variances (M,) of its errors: `predict` without what they have in common."""
@@ -96,9 +96,7 @@ class Kriging:
         variance = self._sill - (known**2).sum(axis=1) + ((left @ self._trend_cov) * left).sum(axis=1)
         if self._astray is not None:
             variance = np.maximum(variance, self._astray[np.argmin(apart, axis=1)])
-        if self._beyond > 1.0:
-            variance = variance * self._grown(xy)
-        return f @ self._beta + known @ self._residual, variance
+        return f @ self._beta + known @ self._residual, variance * self._grown(xy)
 
     def measured_variance(self, xy: Array) -> Array:
         """The part (M,) of the variances at points (M, 2) that comes from the features' own noise.
@@ -128,8 +126,15 @@ class Kriging:
             squares.append(float(np.mean((covariance @ missed[rows]) ** 2 / np.diag(covariance))))
         return max(1.0, (AS_STATED + sum(squares)) / (AS_STATED + len(squares)))
 
+    @cached_property
+    def _beyond(self) -> float:
+        """That factor, found when the first click beyond the hull asks for it: most sets are asked for none."""
+        return 1.0 if self._is_surface else self._shown_beyond()
+
     def _grown(self, xy: Array) -> Array:
-        return np.where(distances_outside(self.hull, xy) > 0.0, self._beyond, 1.0)
+        """The factor (M,) on the variances at points (M, 2)."""
+        outside = distances_outside(self.hull, xy) > 0.0
+        return np.where(outside, self._beyond, 1.0) if np.any(outside) else np.ones(len(xy))
 
     def _covariance(self, distance: Array) -> Array:
         if self._sill == 0.0 or self._slope == 0.0:
