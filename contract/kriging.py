@@ -1,10 +1,12 @@
 """Inverse depth between the features: universal kriging of its ratio to the ground plane.
 
-What is interpolated is r = w / w_plane - 1 over unit-depth coordinates (x, y): zero on flat ground but for a linear
-trend, which is what noise left in the plane's fit (docs/mathematics.md section 9; Cressie 1993, section 3.4). Each
-feature's own variance is its nugget, so neighbours average their noise away instead of passing it on, as the three
-corners of a Delaunay triangle do; and kriging gives the variance of its prediction, from the distance to the features
-and the ground's roughness. Delaunay interpolation was the first design: tests/contract/test_kriging.py compares both.
+What is interpolated is r = w / w_plane - 1, the ground's height over the plane in units of the camera's: zero on flat
+ground but for a linear trend, which is what noise left in the plane's fit (docs/mathematics.md section 9; Cressie 1993,
+section 3.4). It is a field on the ground, so places and distances are those where rays meet the plane: turning the
+camera changes no answer. Each feature's own variance is its nugget, so neighbours average their noise away instead of
+passing it on, as the three corners of a Delaunay triangle do; and kriging gives the variance of its prediction, from
+the distance to the features and the ground's roughness. Delaunay interpolation was the first design:
+tests/contract/test_kriging.py compares both.
 """
 
 from __future__ import annotations
@@ -25,6 +27,8 @@ LEAST_HALF = 32  # rows; below, one call of NumPy is faster
 SURFACE_NUGGET = 1e-8  # of a feature that is on a surface known before
 OUTERMOST, MIN_OUTERMOST = 0.2, 2  # share and least number of features that stand for what is beyond all of them
 AS_STATED = 2.0  # directions in which they are as far off as stated, assumed before any is looked at
+# A plane's inverse depth below this share of its largest over the features is too near the horizon to be divided by.
+MIN_PLANE_SHARE = 0.02
 _ANGLES = 0.25 * np.pi * np.arange(8)
 EIGHT = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 
@@ -32,8 +36,10 @@ EIGHT = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 class Kriging:
     """Prediction of r at any (x, y) from features at `xy` (N, 2) with values `r` (N,) and variances `nugget` (N,).
 
-    `roughness` is the slope of the ground's variogram at distance zero, `sill_sigma` the one sigma it levels off at:
-    gamma(d) = s^2 (1 - exp(-roughness d / s^2)). Everything that does not depend on the click is solved here, once.
+    `plane` (3,): the ground's, w = a + b x + c y. `roughness` is the slope of the ground's variogram at distance zero,
+    per unit of (x, y) amid the features; `sill_sigma` the one sigma it levels off at. With k the slope per camera
+    height, (9.20), gamma(d) = s^2 (1 - exp(-k d / s^2)). Everything that does not depend on the click is solved here,
+    once.
 
     `is_surface`: the features are not measured but are on a surface known before. They give exactly where that is;
     the ground differs from it by at least `nugget`, at a click as at the feature next to it, and no average makes that
@@ -44,23 +50,31 @@ class Kriging:
     """
 
     def __init__(
-        self, xy: Array, r: Array, nugget: Array, roughness: float, sill_sigma: float, *, is_surface: bool = False
+        self,
+        xy: Array,
+        r: Array,
+        nugget: Array,
+        plane: Array,
+        roughness: float,
+        sill_sigma: float,
+        *,
+        is_surface: bool = False,
     ) -> None:
-        self._xy = xy
+        self._xy, self._plane = xy, plane
+        self._places = on_plane(xy, plane)
         self._sill = sill_sigma**2
-        self._slope = roughness
+        self._slope = roughness / stretch(xy, plane)
         n = len(r)
-        F = _trend(xy)
         prior = TREND_SIGMA**2 if n >= MIN_TREND_FEATURES else 0.0
         # Rounding of the wire and of this solve: 1e-8 of relative depth, 3 micrometres at 300 m.
-        apart = _distances(xy, xy)
+        apart = distances(self._places, self._places)
         measured = np.full(n, SURFACE_NUGGET) if is_surface else nugget
         self._nugget = measured
         self._astray = nugget if is_surface and n > 1 else None
         self._spacing = float(np.median(np.sort(apart, axis=1)[:, 1])) if n > 1 else 1.0
         K = self._covariance(apart) + np.diag(measured + 1e-16)
         self._whiten = _whitening(K)
-        self._trend = self._whiten @ F  # (N, 3)
+        self._trend = self._whiten @ self._places  # (N, 3)
         white = self._whiten @ r
         self._trend_cov = np.zeros((3, 3))
         if prior:
@@ -73,38 +87,40 @@ class Kriging:
 
     def predict(self, xy: Array) -> tuple[Array, Array]:
         """r (M,) at points (M, 2) and the covariance (M, M) of its errors."""
-        k = self._covariance(_distances(xy, self._xy))  # (M, N)
-        f = _trend(xy)
+        places = on_plane(xy, self._plane)
+        away, apart = distances(places, self._places), distances(places, places)
+        k = self._covariance(away)  # (M, N)
         known = k @ self._whiten.T  # (M, N)
-        left = f - known @ self._trend
-        covariance = self._covariance(_distances(xy, xy)) - known @ known.T + left @ self._trend_cov @ left.T
+        left = places - known @ self._trend
+        covariance = self._covariance(apart) - known @ known.T + left @ self._trend_cov @ left.T
         if self._astray is not None:
             # A rough surface is rough by its own errors too: what interpolation allows for already is not added again.
-            astray = self._astray[np.argmin(_distances(xy, self._xy), axis=1)]
+            astray = self._astray[np.argmin(away, axis=1)]
             sigma = np.sqrt(np.maximum(astray - np.diag(covariance), 0.0))
-            correlation = np.exp(-_distances(xy, xy) / max(self._spacing, 1e-9))
+            correlation = np.exp(-apart / max(self._spacing, 1e-9))
             covariance = covariance + np.outer(sigma, sigma) * correlation
         grown = np.sqrt(self._grown(xy))
-        return f @ self._beta + known @ self._residual, covariance * np.outer(grown, grown)
+        return places @ self._beta + known @ self._residual, covariance * np.outer(grown, grown)
 
     def predict_each(self, xy: Array) -> tuple[Array, Array]:
         """r (M,) at points (M, 2) and the variances (M,) of its errors: `predict` without what they have in common."""
-        apart = _distances(xy, self._xy)
-        f = _trend(xy)
-        known = self._covariance(apart) @ self._whiten.T
-        left = f - known @ self._trend
+        places = on_plane(xy, self._plane)
+        away = distances(places, self._places)
+        known = self._covariance(away) @ self._whiten.T
+        left = places - known @ self._trend
         variance = self._sill - (known**2).sum(axis=1) + ((left @ self._trend_cov) * left).sum(axis=1)
         if self._astray is not None:
-            variance = np.maximum(variance, self._astray[np.argmin(apart, axis=1)])
-        return f @ self._beta + known @ self._residual, variance * self._grown(xy)
+            variance = np.maximum(variance, self._astray[np.argmin(away, axis=1)])
+        return places @ self._beta + known @ self._residual, variance * self._grown(xy)
 
     def measured_variance(self, xy: Array) -> Array:
         """The part (M,) of the variances at points (M, 2) that comes from the features' own noise.
 
         The rest is the ground's between the features. (17.1)
         """
-        known = self._covariance(_distances(xy, self._xy)) @ self._whiten.T
-        left = _trend(xy) - known @ self._trend
+        places = on_plane(xy, self._plane)
+        known = self._covariance(distances(places, self._places)) @ self._whiten.T
+        left = places - known @ self._trend
         weights = (known + left @ self._trend_cov @ self._trend.T) @ self._whiten  # (M, N) of the features
         return np.asarray((weights**2) @ self._nugget, np.float64)
 
@@ -171,13 +187,34 @@ def _inverse_of_lower(factor: Array) -> Array:
     return out
 
 
-def _trend(xy: Array) -> Array:
-    return np.concatenate([np.ones((len(xy), 1)), xy], axis=1)
-
-
-def _distances(a: Array, b: Array) -> Array:
-    out: Array = np.sqrt(((a[:, None, :] - b[None, :, :]) ** 2).sum(axis=-1))
+def on_plane(xy: Array, plane: Array) -> Array:
+    """Where rays (N, 2) meet the plane w = a + b x + c y, in units of the camera's height above it: (N, 3). (9.20)"""
+    H = np.concatenate([np.ones((len(xy), 1)), xy], axis=1)
+    out: Array = H / _below_horizon(xy, plane)[:, None]
     return out
+
+
+def stretch(xy: Array, plane: Array) -> float:
+    """How long a unit of (x, y) amid rays (N, 2) is on that plane, in the same units: the root of an area's. (9.20)"""
+    return float(_below_horizon(np.mean(xy, axis=0)[None], plane)[0]) ** -1.5 if len(xy) else 1.0
+
+
+def _below_horizon(xy: Array, plane: Array) -> Array:
+    """Inverse depths (N,) of the plane in units of the camera's height above it, towards the horizon no less than
+    `MIN_PLANE_SHARE`.
+    """
+    w = (plane[0] + xy @ plane[1:]) / max(float(np.linalg.norm(plane)), 1e-12)
+    return np.maximum(w, MIN_PLANE_SHARE)
+
+
+def distances(a: Array, b: Array) -> Array:
+    """Between every two places (M, D) and (N, D): (M, N)."""
+    out: Array = np.zeros((len(a), len(b)))
+    for mine, other in zip(a.T, b.T, strict=True):
+        along = mine[:, None] - other
+        along *= along
+        out += along
+    return np.asarray(np.sqrt(out), np.float64)
 
 
 def convex_hull(points: Array) -> Array:

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from contract.answer import CHI2_2, Answer, Ellipse, Fix, Refusal
 from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, HeightDatum, Status
 from contract.geodesy import LocalFrame
-from contract.kriging import Kriging, distance_outside, distances_outside, hull_area
+from contract.kriging import MIN_PLANE_SHARE, Kriging, distance_outside, distances_outside, hull_area
 from contract.rolling_shutter import row_share
 from contract.rotations import skew
 
@@ -30,8 +30,6 @@ Array = NDArray[np.float64]
 
 # How far beyond the features' hull the plane is followed, as a share of the hull's size (the root of its area).
 MAX_OUTSIDE = 0.35
-# A plane's inverse depth below this share of its largest over the features is too near the horizon to be divided by.
-MIN_PLANE_SHARE = 0.02
 MIN_FEATURES = 3
 # A click whose inverse depth is less than this many sigmas from zero may as well be infinitely far.
 MIN_INVERSE_DEPTH_SIGMAS = 3.0
@@ -100,6 +98,7 @@ class Locator:
             xy,
             s.inverse_depth_per_m[usable] / plane - 1.0,
             (s.sigma_inverse_depth_per_m[usable] / plane) ** 2,
+            s.plane_per_m,
             s.roughness,
             s.plane_sigma_relative,
             is_surface=s.depth_source is not DepthSource.PARALLAX,
@@ -173,10 +172,17 @@ class Locator:
         located = self._located(uv)
         if isinstance(located, Status):
             return None
-        own = float(self._kriging.predict(located.xy[None])[1][0, 0])
-        noise = min(float(self._kriging.measured_variance(located.xy[None])[0]), own)
+        ground, noise = self.own_variances(located.xy)
         by_pixel = self._by_pixel(uv[None], np.array([1.0 / located.relative]))[0]
-        return ErrorParts(located.relative * math.sqrt(own - noise), located.relative * math.sqrt(noise), by_pixel)
+        return ErrorParts(located.relative * math.sqrt(ground), located.relative * math.sqrt(noise), by_pixel)
+
+    def own_variances(self, xy: Array) -> tuple[float, float]:
+        """Of a click's own inverse depth over the plane's, at unit-depth coordinates (2,): by the ground between the
+        features, by their noise.
+        """
+        own = float(self._kriging.predict_each(xy[None])[1][0])
+        noise = min(float(self._kriging.measured_variance(xy[None])[0]), own)
+        return own - noise, noise
 
     def answers(self, uv_px: ArrayLike) -> Answers:
         """Many pixels (M, 2) at once, each by itself."""

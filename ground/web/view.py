@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from contract.answer import EXPLANATIONS, Fix, time_utc
 from contract.feature_set import FeatureSet, HeightDatum
 from contract.geodesy import LocalFrame
-from contract.locate import MIN_PLANE_SHARE, Locator, pixels_of
+from contract.kriging import MIN_PLANE_SHARE
+from contract.locate import Locator, pixels_of
 from ground.circular_error import ce90_m
 from ground.web.advice import ADVICE
 

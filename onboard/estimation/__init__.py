@@ -5,7 +5,7 @@ Public:
 
 - `boresight`: `Alignment`, `PlatformEstimate`, `Unconfirmed`
 - `error_budget`: the sources' names, `sources`
-- `ground_roughness`: `distances`, `plane_and_roughness`
+- `ground_roughness`: `plane_and_roughness`
 - `keyframe`: `Ids`, `Keyframe`, `Observation`, `observation`, `seen_with`
 - `moved_optics`: `MOVED`
 - `platform_states`: `QUANTITIES`, `present`, `BORESIGHT`, `OFFSET`, `DELAY`, the sources' names

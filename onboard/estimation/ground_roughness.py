@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from contract.kriging import distances, on_plane
 from onboard.geometry.linalg import solve_small
 from onboard.geometry.robust import irls, middle
 
@@ -16,23 +17,24 @@ Array = NDArray[np.float64]
 
 MIN_PLANE_SIGMA = 2e-4
 MIN_ROUGHNESS = 1e-8
-ROUGHNESS_RANGES = 3.0 ** np.arange(-3.0, 5.0)  # 1 / correlation length, in 1 / normalised image coordinates
+ROUGHNESS_RANGES = 3.0 ** np.arange(-3.0, 5.0)  # 1 / correlation length, in 1 / camera heights
 MOST_POINTS = 100  # that a window's variogram is estimated from: its cost grows with their cube
 
 
 def plane_and_roughness(
     H: Array, w: Array, variance: Array, ground_range: float | None = None
 ) -> tuple[Array, float, float]:
-    """The ground plane (3,) in inverse depth, the relative spread about it, and the variogram's slope.
+    """The ground plane (3,) in inverse depth, the relative spread about it, its variogram's slope per camera height.
 
-    `ground_range`: slope over squared spread where it is known of the same ground. It is then not estimated again: how
-    far the ground is correlated does not change between pictures that show it.
+    `ground_range` (1/m): one over the ground's correlation length where that is known of the same ground. It is then
+    not estimated again: how far the ground is correlated does not change between pictures that show it.
     """
     plane, relative = _plane(H, w, variance)
     spread = _spread(relative, variance)
     if ground_range is not None:
-        return plane, spread, max(ground_range * spread * spread, MIN_ROUGHNESS)
-    return plane, spread, _roughness(H, relative, variance, spread)
+        height_m = 1.0 / float(np.linalg.norm(plane))
+        return plane, spread, max(ground_range * height_m * spread * spread, MIN_ROUGHNESS)
+    return plane, spread, _roughness(on_plane(H[:, 1:], plane), relative, variance, spread)
 
 
 def _spread(relative: Array, variance: Array) -> float:
@@ -64,15 +66,16 @@ def _plane(H: Array, w: Array, variance: Array) -> tuple[Array, Array]:
     return plane, relative
 
 
-def _roughness(H: Array, relative: Array, variance: Array, spread: float) -> float:
+def _roughness(places: Array, relative: Array, variance: Array, spread: float) -> float:
     """Slope of the variogram of relative inverse depth at distance zero: the likeliest for these features. (9.6)
 
+    `places` (N, 3) of features on the ground's plane, in camera heights; linear in them is the trend.
     The field is the one that kriging interpolates, (9.8), with its trend and nuggets; a likelihood is a product of
     predictions from what is already known, so what fits it best also predicts as well as it says.
     """
     s2 = spread * spread
-    distance = distances(H[:, 1:])
-    known = H @ H.T + np.diag(variance + 1e-12)
+    distance = distances(places, places)
+    known = places @ places.T + np.diag(variance + 1e-12)
     value = np.clip(relative, -5.0 * np.sqrt(s2 + variance), 5.0 * np.sqrt(s2 + variance))
 
     def unlikely(log_slope: float) -> float:
@@ -87,7 +90,7 @@ def _roughness(H: Array, relative: Array, variance: Array, spread: float) -> flo
         whitened, _ = lapack.dtrtrs(factor, value, lower=1)
         return float(np.log(np.diag(factor)).sum() + 0.5 * (whitened @ whitened))
 
-    # Correlation lengths from twenty times the picture's width down to its smallest part.
+    # Correlation lengths from 27 camera heights down to an eightieth of one.
     ladder = np.log(s2) + np.log(ROUGHNESS_RANGES)
     costs = [unlikely(float(step)) for step in ladder]
     k = int(np.argmin(costs))
@@ -98,17 +101,6 @@ def _roughness(H: Array, relative: Array, variance: Array, spread: float) -> flo
         if bend > 0.0:
             best += 0.5 * (left - right) / bend * float(ladder[1] - ladder[0])
     return max(float(np.exp(best)), MIN_ROUGHNESS)
-
-
-def distances(xy: Array) -> Array:
-    """Between every two of (N, 2): (N, N)."""
-    x, y = np.ascontiguousarray(xy.T)
-    out: Array = x[:, None] - x
-    out *= out
-    across = y[:, None] - y
-    across *= across
-    out += across
-    return np.sqrt(out, out=out)
 
 
 def effective_sigma_m(offset_m: Array, height_m: Array, variance_m2: Array, clearance_m: float) -> float:
@@ -128,7 +120,7 @@ def effective_sigma_m(offset_m: Array, height_m: Array, variance_m2: Array, clea
     spread = _spread(relative, noise)
     slope = _roughness(H, relative, noise, spread)
     across, _ = np.linalg.qr(H)
-    correlation = np.exp(distances(H[:, 1:]) * (-slope / spread**2))
+    correlation = np.exp(distances(H, H) * (-slope / spread**2))
     # Of two slopes: the variance with correlated deviations over that with independent ones.
     effect = float((across[:, 1:] * (correlation @ across[:, 1:])).sum()) / 2.0
     effect = 1.0 + max(effect - 1.0, 0.0) * len(height_m) / len(some)

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from contract.error_sources import ABOUT, LEAST_SHARE, Cause
-from contract.feature_set import FeatureSet
+from contract.locate import Locator
 from contract.rotations import skew
 from contract.vehicle_status import MAX_SHARES
 from onboard.estimation.error_budget import sources
-from onboard.estimation.ground_roughness import distances
 from onboard.georeferencing.feature_sets import Placed
 
 Array = NDArray[np.float64]
@@ -80,20 +79,5 @@ def click_terms(placed: Placed, xy: tuple[float, float]) -> dict[str, Array]:
     terms[Cause.WATER] = by_motion
     terms[Cause.WINDOWS] = (1.0 - 1.0 / factor) * common
     along = np.outer(offset, offset)
-    noise, ground = _own_variances(s, ray)
+    ground, noise = Locator(s).own_variances(ray[:2])
     return {**terms, Cause.FEATURES: noise * along, Cause.BETWEEN: ground * along}
-
-
-def _own_variances(s: FeatureSet, h: Array) -> tuple[float, float]:
-    """A click's own relative depth variance, by the features' noise and by the ground between them, as (9.8)."""
-    rays, _ = s.camera.unproject(s.uv_px)
-    H = np.concatenate([np.ones((len(rays), 1)), rays[:, :2]], axis=1)
-    nugget = (s.sigma_inverse_depth_per_m / (H @ s.plane_per_m)) ** 2
-    sill, f = s.plane_sigma_relative**2, np.array([1.0, h[0], h[1]])
-    K = sill * np.exp(-s.roughness / sill * distances(H[:, 1:])) + H @ H.T + np.diag(nugget + 1e-16)
-    away = np.linalg.norm(H[:, 1:] - h[:2], axis=1)
-    k = sill * np.exp(-s.roughness / sill * away) + H @ f
-    weights = np.linalg.solve(K, k)
-    total = sill + float(f @ f) - float(k @ weights)
-    noise = min(float(weights**2 @ nugget), total)
-    return noise, total - noise

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from contract.camera import Camera
 from contract.feature_set import DepthSource, FeatureSet, SharedErrors, Status
 from contract.geodesy import LocalFrame, rotation_enu_ecef
+from contract.kriging import stretch
 from contract.rotations import skew
 from onboard.estimation.ground_roughness import plane_and_roughness
 from onboard.estimation.keyframe import Observation
@@ -75,8 +76,11 @@ class Placed:
 
     @property
     def ground_range(self) -> float:
-        """The variogram's slope over the squared spread: one over the correlation length of the ground, normalised."""
-        return self.feature_set.roughness / self.feature_set.plane_sigma_relative**2
+        """One over the correlation length of the ground, 1/m: its variogram's slope over the squared spread. (9.20)"""
+        s = self.feature_set
+        rays, _ = s.camera.unproject(s.uv_px)
+        slope = s.roughness / stretch(rays[:, :2], s.plane_per_m) * float(np.linalg.norm(s.plane_per_m))
+        return slope / s.plane_sigma_relative**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +255,7 @@ def assemble(
     `common` (9, 9) and `shared` in session axes; `ground_range` as `plane_and_roughness` takes it.
     """
     origin, published, w = picture.origin, features.published, features.inverse_depth_per_m
-    plane, spread, roughness = plane_and_roughness(features.H, w, features.noise, ground_range)
+    plane, spread, slope = plane_and_roughness(features.H, w, features.noise, ground_range)
     lat, lon, height = (float(c) for c in picture.frame.to_geodetic(pose.centre_enu_m))
     R_local_session = rotation_enu_ecef(lat, lon) @ picture.frame.R_enu_ecef.T
     lift = np.eye(9)
@@ -275,7 +279,7 @@ def assemble(
         depth_source=source,
         plane_per_m=plane,
         plane_sigma_relative=spread,
-        roughness=roughness,
+        roughness=slope * stretch(features.H[published, 1:], plane),
         uv_px=features.uv_px[published],
         inverse_depth_per_m=w[published],
         sigma_inverse_depth_per_m=(np.sqrt(features.variance) * w)[published],

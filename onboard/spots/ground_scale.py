@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
-from contract.locate import MIN_PLANE_SHARE
+from contract.kriging import MIN_PLANE_SHARE
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import ConvexHull
 
-from contract.kriging import Kriging, convex_hull, distance_outside, hull_area
+from contract.kriging import Kriging, convex_hull, distance_outside, hull_area, on_plane, stretch
+from contract.rotations import exp_so3
 
 Array = NDArray[np.float64]
+
+BELOW = np.array([1.0, 0.0, 0.0])  # a plane straight below, whose inverse depths are counted in its own
+ASLANT = np.array([0.5, 0.3, 0.7])
 
 
 def rolling_ground(xy: Array, phase: float) -> Array:
@@ -26,7 +30,7 @@ def trial(rng: np.random.Generator, noise: float) -> tuple[Array, Array, Array, 
     sigma = noise * np.exp(rng.normal(0.0, 0.3, 100))
     r = rolling_ground(xy, phase) + sigma * rng.normal(size=100)
     at = rng.uniform(-0.28, 0.28, (40, 2)) * [1.0, 0.75]
-    kriging = Kriging(xy, r, sigma**2, roughness=0.0014, sill_sigma=0.011)
+    kriging = Kriging(xy, r, sigma**2, BELOW, roughness=0.0014, sill_sigma=0.011)
     predicted, covariance = kriging.predict(at)
     return rolling_ground(at, phase), LinearNDInterpolator(xy, r)(at), predicted, np.sqrt(np.diag(covariance))
 
@@ -59,26 +63,31 @@ def test_without_relief_it_is_the_weighted_fit_of_a_plane() -> None:
     r = F @ [0.01, -0.02, 0.03] + sigma * rng.normal(size=50)
     normal = F.T @ (F / sigma[:, None] ** 2)
     beta = np.linalg.solve(normal, F.T @ (r / sigma**2))
-    predicted, covariance = Kriging(xy, r, sigma**2, 0.0, 0.0).predict(xy[:5])
+    predicted, covariance = Kriging(xy, r, sigma**2, BELOW, 0.0, 0.0).predict(xy[:5])
     np.testing.assert_allclose(predicted, F[:5] @ beta, rtol=1e-4, atol=1e-7)
     np.testing.assert_allclose(covariance, F[:5] @ np.linalg.inv(normal) @ F[:5].T, rtol=1e-3, atol=1e-10)
 
 
 def as_written(xy: Array, r: Array, nugget: Array, slope: float, sill: float, at: Array) -> tuple[Array, Array]:
-    """Universal kriging as it is written down, (9.8), by the inverse of the covariance; the trend from six on."""
+    """Universal kriging as it is written down, (9.8), by the inverse of the covariance; the trend from six on.
+
+    Over the plane `ASLANT`, `slope` per camera height.
+    """
 
     def covariance(a: Array, b: Array) -> Array:
         out: Array = sill * np.exp(-slope / sill * np.linalg.norm(a[:, None] - b[None], axis=-1))
         return out
 
-    inverse = np.linalg.inv(covariance(xy, xy) + np.diag(nugget + 1e-16))
-    F, f = (np.concatenate([np.ones((len(p), 1)), p], axis=1) for p in (xy, at))
-    k = covariance(at, xy)
+    height = 1.0 / np.linalg.norm(ASLANT)
+    H, h = (np.concatenate([np.ones((len(p), 1)), p], axis=1) for p in (xy, at))
+    F, f = H / (H @ ASLANT * height)[:, None], h / (h @ ASLANT * height)[:, None]
+    inverse = np.linalg.inv(covariance(F, F) + np.diag(nugget + 1e-16))
+    k = covariance(f, F)
     trend = np.linalg.inv(F.T @ inverse @ F + np.eye(3)) if len(xy) >= 6 else np.zeros((3, 3))
     beta = trend @ F.T @ inverse @ r
     left = f - k @ inverse @ F
     predicted: Array = f @ beta + k @ inverse @ (r - F @ beta)
-    return predicted, covariance(at, at) - k @ inverse @ k.T + left @ trend @ left.T
+    return predicted, covariance(f, f) - k @ inverse @ k.T + left @ trend @ left.T
 
 
 @pytest.mark.parametrize("features", [3, 31, 33, 100, 255])
@@ -88,7 +97,7 @@ def test_it_is_what_the_inverse_of_the_covariance_says(features: int) -> None:
     xy, at = rng.uniform(-0.4, 0.4, (features, 2)), rng.uniform(-0.5, 0.5, (9, 2))
     r, nugget = rng.normal(0.0, 0.04, features), rng.uniform(1e-5, 1e-4, features)
     slope, sill = 0.004, 0.02**2
-    kriging = Kriging(xy, r, nugget, slope, np.sqrt(sill))
+    kriging = Kriging(xy, r, nugget, ASLANT, slope * stretch(xy, ASLANT), np.sqrt(sill))
     predicted, stated = kriging.predict(at)
     value, expected = as_written(xy, r, nugget, slope, sill, at)
     squares = []
@@ -107,17 +116,45 @@ def test_it_is_what_the_inverse_of_the_covariance_says(features: int) -> None:
     np.testing.assert_allclose(kriging.predict_each(at)[1], np.diag(stated), rtol=1e-9)
 
 
+def test_the_answer_is_the_ground_s_whichever_way_the_camera_is_turned() -> None:
+    """Straight down and 50 degrees aside: the same features, the same prediction, the same variance. (9.20)"""
+    rng = np.random.default_rng(8)
+    xy, at = rng.uniform(-0.3, 0.3, (60, 2)), rng.uniform(-0.25, 0.25, (7, 2))
+    r, nugget, slope = rng.normal(0.0, 0.03, 60), rng.uniform(1e-6, 1e-4, 60), 0.004
+
+    def seen(turn_rad: Array) -> tuple[Array, Array]:
+        R = exp_so3(turn_rad)
+        features, clicks = (np.append(p, np.ones((len(p), 1)), axis=1) @ R.T for p in (xy, at))
+        features, clicks = features[:, :2] / features[:, 2:], clicks[:, :2] / clicks[:, 2:]
+        plane = R[:, 2][[2, 0, 1]]
+        kriging = Kriging(features, r, nugget, plane, slope * stretch(features, plane), 0.02)
+        return kriging.predict_each(clicks)
+
+    for straight, aside in zip(seen(np.zeros(3)), seen(np.radians([40.0, -30.0, 100.0])), strict=True):
+        np.testing.assert_allclose(aside, straight, rtol=1e-9, atol=1e-13)
+
+
+def test_a_small_square_of_rays_is_as_large_on_the_plane_as_the_stretch_says() -> None:
+    """(9.20) by finite differences."""
+    step = 1e-4
+    corner, right, up = on_plane(np.array([[0.1, -0.2], [0.1 + step, -0.2], [0.1, -0.2 + step]]), ASLANT)
+    area = np.linalg.norm(np.cross(right - corner, up - corner))
+    assert np.sqrt(area) / step == pytest.approx(stretch(np.array([[0.1, -0.2]]), ASLANT), rel=1e-3)
+
+
 def test_beyond_features_that_agree_with_their_variances_nothing_is_added() -> None:
     """Of the model itself: 40 fields, where the factor's excess over 1 is by chance."""
     rng = np.random.default_rng(11)
     slope, sill, excess = 0.004, 0.02**2, []
     for _ in range(40):
         xy = rng.uniform(-0.4, 0.4, (80, 2))
-        apart = np.linalg.norm(xy[:, None] - xy, axis=-1)
+        places = on_plane(xy, ASLANT)
+        apart = np.linalg.norm(places[:, None] - places, axis=-1)
         root = np.linalg.cholesky(sill * np.exp(-slope / sill * apart) + 1e-4 * np.eye(80))
         r = root @ rng.normal(size=80)
         plain = as_written(xy, r, np.full(80, 1e-4), slope, sill, np.array([[0.55, 0.0]]))[1][0, 0]
-        beyond = Kriging(xy, r, np.full(80, 1e-4), slope, np.sqrt(sill)).predict_each(np.array([[0.55, 0.0]]))[1][0]
+        kriging = Kriging(xy, r, np.full(80, 1e-4), ASLANT, slope * stretch(xy, ASLANT), np.sqrt(sill))
+        beyond = kriging.predict_each(np.array([[0.55, 0.0]]))[1][0]
         excess.append(beyond / plain - 1.0)
     assert 0.0 <= np.median(excess) < 0.15
     assert np.max(excess) < 2.0
@@ -134,7 +171,7 @@ def test_beyond_the_features_hills_are_extrapolated_as_badly_as_stated() -> None
         r = truth[0] + sigma * rng.normal(size=80)
         flat = np.concatenate([np.ones((80, 1)), xy], axis=1)
         spread = float(np.std(r - flat @ np.linalg.lstsq(flat, r, rcond=None)[0]))
-        kriging = Kriging(xy, r, np.full(80, sigma**2), spread**2 / 0.3, spread)
+        kriging = Kriging(xy, r, np.full(80, sigma**2), BELOW, spread**2 / 0.3, spread)
         predicted, variance = kriging.predict_each(1.35 * xy)
         beyond = np.array([distance_outside(kriging.hull, p) > 0.0 for p in 1.35 * xy])
         z.append(((predicted - truth[1]) / np.sqrt(variance))[beyond])
@@ -144,7 +181,7 @@ def test_beyond_the_features_hills_are_extrapolated_as_badly_as_stated() -> None
 @pytest.mark.parametrize("nugget", [0.0, 1e-18, 1e-12])
 def test_features_in_one_place_with_next_to_no_noise_are_survived(nugget: float) -> None:
     xy = np.repeat([[0.1, 0.0], [0.0, 0.1], [0.2, 0.2]], 40, axis=0)
-    predicted, covariance = Kriging(xy, np.full(120, 0.01), np.full(120, nugget), 0.5, 30.0).predict(xy[::40])
+    predicted, covariance = Kriging(xy, np.full(120, 0.01), np.full(120, nugget), BELOW, 0.5, 30.0).predict(xy[::40])
     np.testing.assert_allclose(predicted, 0.01, rtol=1e-3)
     assert np.all(np.isfinite(covariance)) and np.all(np.diag(covariance) > -1e-9)
 
@@ -153,7 +190,7 @@ def test_a_feature_without_noise_is_met_exactly_and_known() -> None:
     rng = np.random.default_rng(4)
     xy = rng.uniform(-0.4, 0.4, (30, 2))
     r = rng.normal(0.0, 0.02, 30)
-    predicted, covariance = Kriging(xy, r, np.zeros(30), 0.004, 0.02).predict(xy)
+    predicted, covariance = Kriging(xy, r, np.zeros(30), ASLANT, 0.004, 0.02).predict(xy)
     np.testing.assert_allclose(predicted, r, atol=1e-9)
     assert np.abs(covariance).max() < 1e-9
 
@@ -161,7 +198,7 @@ def test_a_feature_without_noise_is_met_exactly_and_known() -> None:
 def test_variance_grows_with_the_distance_to_the_features() -> None:
     rng = np.random.default_rng(5)
     xy = rng.uniform(-0.2, 0.2, (40, 2))
-    kriging = Kriging(xy, np.zeros(40), np.full(40, 1e-5), 0.004, 0.02)
+    kriging = Kriging(xy, np.zeros(40), np.full(40, 1e-5), BELOW, 0.004, 0.02)
     _, covariance = kriging.predict(np.array([[0.0, 0.0], [0.25, 0.0], [0.4, 0.0], [0.8, 0.0]]))
     variances = np.diag(covariance)
     assert np.all(np.diff(variances) > 0.0)
@@ -169,7 +206,9 @@ def test_variance_grows_with_the_distance_to_the_features() -> None:
 
 def test_features_on_a_line_leave_the_other_direction_to_the_prior() -> None:
     xy = np.stack([np.linspace(-0.3, 0.3, 20), np.zeros(20)], axis=1)
-    _, covariance = Kriging(xy, np.zeros(20), np.full(20, 1e-5), 0.0, 0.0).predict(np.array([[0.0, 0.0], [0.0, 0.3]]))
+    _, covariance = Kriging(xy, np.zeros(20), np.full(20, 1e-5), BELOW, 0.0, 0.0).predict(
+        np.array([[0.0, 0.0], [0.0, 0.3]])
+    )
     assert covariance[0, 0] < 1e-5
     assert covariance[1, 1] == pytest.approx(0.3**2, rel=0.01)
 

@@ -12,6 +12,7 @@ from contract.answer import Fix
 from contract.camera import Camera
 from contract.feature_set import NUISANCES, FeatureSet, HeightDatum, SharedErrors, Status
 from contract.geodesy import LocalFrame
+from contract.kriging import on_plane, stretch
 from contract.rotations import R_ENU_NED, exp_so3, matrix_from_euler, mount_rotation
 
 Array = NDArray[np.float64]
@@ -60,13 +61,15 @@ def root(covariance: Array) -> Array:
     return out
 
 
-def relief_at(rng: np.random.Generator, xy: Array, errors: Errors) -> Array:
-    """A sample (N,) of the relative inverse depth's deviation: Gaussian, with the variogram the set declares."""
+def relief_at(rng: np.random.Generator, xy: Array, plane: Array, errors: Errors) -> Array:
+    """A sample (N,) of the relative inverse depth's deviation: Gaussian, with the variogram the set declares. (9.20)"""
     s2 = errors.relief_relative**2
     if s2 == 0.0:
         return np.zeros(len(xy))
-    d = np.linalg.norm(xy[:, None] - xy[None], axis=-1)
-    root = np.linalg.cholesky(s2 * np.exp(-errors.roughness / s2 * d) + 1e-12 * np.eye(len(xy)))
+    places = on_plane(xy, plane)
+    d = np.linalg.norm(places[:, None] - places[None], axis=-1)
+    slope = errors.roughness / stretch(xy, plane)
+    root = np.linalg.cholesky(s2 * np.exp(-slope / s2 * d) + 1e-12 * np.eye(len(xy)))
     sample: Array = root @ rng.normal(size=len(xy))
     return sample
 
@@ -99,7 +102,8 @@ def build(
         @ mount_rotation(0.0, pitch_deg, 0.0)
     )
     flat = -(rays @ R_true.T)[:, 2] / position_enu_m[2]  # 1 / depth of the plane at height 0
-    true_w = flat * (1.0 + relief_at(rng, rays[:, :2], errors))
+    level = -R_true[2, [2, 0, 1]] / position_enu_m[2]
+    true_w = flat * (1.0 + relief_at(rng, rays[:, :2], level, errors))
     position = np.array(position_enu_m)
     truth = position + (rays @ R_true.T) / true_w[:, None]
 
