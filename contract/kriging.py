@@ -204,7 +204,8 @@ def _below_horizon(xy: Array, plane: Array) -> Array:
     `MIN_PLANE_SHARE`.
     """
     w = (plane[0] + xy @ plane[1:]) / max(float(np.linalg.norm(plane)), 1e-12)
-    return np.maximum(w, MIN_PLANE_SHARE)
+    out: Array = np.maximum(w, MIN_PLANE_SHARE)
+    return out
 
 
 def distances(a: Array, b: Array) -> Array:
