@@ -176,6 +176,7 @@ GPS_ONLY = replace_section(TIMED, "solve", **SENSORS["gps"])
 ROLLING = replace_section(TIMED, "camera", readout_s=0.03, sigma_readout_s=0.005)
 FIELD = Camera.from_field_of_view(640, 480, 40.0)
 LONGER = replace(FIELD, fx_px=(1.0 + FLAWED_LENS) * FIELD.fx_px, fy_px=(1.0 + FLAWED_LENS) * FIELD.fy_px)
+CLIMB = PathSpec(speed_m_s=2.0, height_m=30.0, climb_m_s=2.5, wobble_deg=5.0, pitch_deg=0.0)
 SURVEY = PathSpec(speed_m_s=10.0, height_m=100.0, wobble_deg=0.3, pitch_deg=0.0)
 
 
@@ -195,7 +196,12 @@ def own() -> dict[str, tuple[Trial, ...]]:
             recorded("plane_wind_noise", note="attitude claimed to 0.2 and 0.7 deg", solve=TOO_SURE),
         ),
         "re-estimated prior": (recorded("plane_breeze", note="mount claimed to 0.3 deg", mount={"sigma_deg": 0.3}),),
-        "disagreeing windows": (rotations[-1], recorded("plane_wind_noise", fault="1hz", seconds=ORDINARY_SECONDS)),
+        "disagreeing windows": (
+            rotations[-1],
+            recorded("plane_breeze", note="attitude claimed to 0.2 and 0.7 deg", solve=TOO_SURE),
+            sampled("filter 0.3 s late, claimed 0.02", path=TURNS, filter_late_s=0.3),
+            sampled("pixels claimed to 0.1", path=TURNS, config=replace_section(TIMED, "solve", pixel_sigma_px=0.1)),
+        ),
         "sensor groups": (recorded("plane_clean", fault="tilt-jump"),),
         "ground slope": tuple(recorded("plane_clean", sensors, fault="slope") for sensors in ("full", "gps")),
         "ground roughness": (sampled("hills of 12 m", path=TURNS, relief_sigma_m=12.0, relief_wavelength_m=80.0),),
@@ -208,7 +214,8 @@ def own() -> dict[str, tuple[Trial, ...]]:
             recorded("plane_log", "gps"),
             recorded("qp_transition", "gps"),
             recorded("plane_wind_noise", "gps", seconds=ORDINARY_SECONDS),
-            sampled("hills of 8 m, turns, camera + GPS", config=GPS_ONLY, path=TURNS, relief_sigma_m=8.0),
+            sampled("climb, camera + GPS", config=GPS_ONLY, path=CLIMB),
+            sampled("climb straight up, camera + GPS", config=GPS_ONLY, path=replace(CLIMB, speed_m_s=0.7)),
         ),
         "reobservation": (
             sampled(
@@ -221,7 +228,7 @@ def own() -> dict[str, tuple[Trial, ...]]:
             recorded("plane_clean", fault="rolling ignored", seconds=ORDINARY_SECONDS),
         ),
         "ground motion": (sampled("water", WaterFlight),),
-        "zoom": (recorded("plane_clean", fault="zoom"),),
+        "zoom": tuple(recorded("plane_clean", sensors, fault=f"zoom{by}") for sensors in ("full", "gps") for by in ("", " 5 %")),
         "moved optics": (recorded("plane_clean", fault="stabilised"),),
         "mount trial": gimbal,
         "position doubt": (recorded("plane_clean", fault="position-jump"),),

@@ -117,7 +117,7 @@ class FeatureSet:
     depth_source: DepthSource = DepthSource.PARALLAX
     plane_per_m: Array = field(default_factory=lambda: np.zeros(3))  # ground plane: w = a + b x + c y, 1/m
     plane_sigma_relative: float = 0.0  # one sigma of w / w_plane - 1 of the ground about that plane
-    # Linear variogram slope of r = w / w_plane - 1: E[(r1 - r2)^2] / 2 per unit of (x, y) distance.
+    # Linear variogram slope of r = w / w_plane - 1: E[(r1 - r2)^2] / 2 per unit of (x, y) at the features' mean. (9.20)
     roughness: float = 0.0
     uv_px: Array = field(default_factory=lambda: np.zeros((0, 2)))
     inverse_depth_per_m: Array = field(default_factory=lambda: np.zeros(0))

@@ -34,7 +34,8 @@ class PathSpec:
 
     kind: str = "straight"
     speed_m_s: float = 20.0
-    height_m: float = 250.0
+    height_m: float = 250.0  # at time 0
+    climb_m_s: float = 0.0
     heading_deg: float = 30.0
     crab_deg: float = 0.0
     pitch_deg: float = 2.0
@@ -77,7 +78,7 @@ def fly_path(spec: PathSpec, seconds: float, seed: int) -> Trajectory:
         else:
             east_north += spec.waypoints_m[0]
         bank = np.arctan(spec.speed_m_s * rate / GRAVITY_M_S2)
-    up = spec.height_m + 0.5 * _disturbance(rng, time, 8.0, 30.0)
+    up = spec.height_m + spec.climb_m_s * time + 0.5 * _disturbance(rng, time, 8.0, 30.0)
     sigma = np.radians(spec.wobble_deg)
     roll = bank + sigma * _disturbance(rng, time, 1.5, 9.0)
     pitch = np.radians(spec.pitch_deg) + sigma * _disturbance(rng, time, 1.5, 9.0)

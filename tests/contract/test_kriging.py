@@ -134,7 +134,7 @@ def test_the_answer_is_the_ground_s_whichever_way_the_camera_is_turned() -> None
         np.testing.assert_allclose(aside, straight, rtol=1e-9, atol=1e-13)
 
 
-def test_a_small_square_of_rays_is_as_large_on_the_plane_as_the_stretch_says() -> None:
+def test_a_small_square_of_rays_is_as_large_on_the_plane_as_the_stretch_states() -> None:
     """(9.20) by finite differences."""
     step = 1e-4
     corner, right, up = on_plane(np.array([[0.1, -0.2], [0.1 + step, -0.2], [0.1, -0.2 + step]]), ASLANT)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from onboard.estimation.ground_roughness import effective_sigma_m
+from onboard.estimation.ground_roughness import effective_sigma_m, plane_and_roughness
 
 Array = NDArray[np.float64]
 
@@ -68,6 +68,31 @@ def test_noise_of_the_points_is_no_relief() -> None:
     xy = rng.uniform(-1.0, 1.0, (POINTS, 2)) * HALF_M
     quiet = effective_sigma_m(xy, 2.0 * rng.standard_normal(POINTS), np.full(POINTS, 4.0), CLEARANCE_M)
     assert 0.0 < quiet < 1.5
+
+
+def range_per_m(points: Array, centre: Array, down: float) -> float:
+    """One over the correlation length of the ground as a camera at `centre` (3,), pitched `down` (rad), finds it."""
+    forward, side = np.array([0.0, np.cos(down), -np.sin(down)]), np.array([1.0, 0.0, 0.0])
+    p = (points - centre) @ np.stack([side, np.cross(forward, side), forward]).T
+    H, w = np.column_stack([np.ones(len(p)), p[:, :2] / p[:, 2:]]), 1.0 / p[:, 2]
+    plane, spread, slope = plane_and_roughness(H, w, np.full(len(p), 1e-8))
+    return slope / spread**2 * float(np.linalg.norm(plane))
+
+
+def test_the_same_ground_is_correlated_as_far_whether_seen_straight_down_from_aside_or_from_twice_as_high() -> None:
+    """Distances in the picture, which counted before, are others on the ground from row to row. (9.20)"""
+    found = []
+    for seed in range(20):
+        rng = np.random.default_rng([seed, 47])
+        xy = rng.uniform(-60.0, 60.0, (90, 2))
+        apart = np.linalg.norm(xy[:, None] - xy, axis=2)
+        points = np.column_stack([xy, np.linalg.cholesky(4.0 * np.exp(-apart / 15.0)) @ rng.standard_normal(90)])
+        centres = np.array([[0.0, 0.0, 120.0], [0.0, -120.0, 120.0], [0.0, 0.0, 240.0]])
+        found.append([range_per_m(points, c, np.arctan2(c[2], -c[1])) for c in centres])
+    straight, aside, higher = np.median(found, axis=0)
+    assert 0.7 / 15.0 < straight < 1.8 / 15.0
+    assert aside == pytest.approx(straight, rel=0.15)
+    assert higher == pytest.approx(straight, rel=0.15)
 
 
 def test_too_few_points_claim_nothing() -> None:
