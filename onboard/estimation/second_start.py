@@ -138,7 +138,7 @@ def likelier(request: Request, one: Outcome, two: Outcome) -> Outcome:
     if len(at1) and float(np.median(miss_m / sigma_m)) < SAME_SIGMAS:
         return one
     apart_m = float(np.median(miss_m)) if len(at1) else np.inf
-    reason = f"the pictures fit two orientations, {apart_m:.0f} m apart on the ground: fly on level"
+    reason = f"the pictures fit two orientations: {apart_m:.0f} m apart on the ground, fly on level"
     return replace(one, status=Status.LOW_PARALLAX, keyframes=request.keyframes, solved=None, reason=reason)
 
 

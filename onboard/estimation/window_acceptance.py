@@ -17,7 +17,7 @@ from contract.camera import Camera
 from contract.feature_set import Status
 from onboard.config.schema import Config
 from onboard.estimation.bundle_adjustment import Solution
-from onboard.estimation.factors import AttitudePrior, Layout, Prior, SharedPrior
+from onboard.estimation.factors import AttitudePrior, Layout, Prior, SharedPrior, State
 from onboard.estimation.keyframe import Keyframe, have_attitude
 from onboard.estimation.reobservation import Agreement, RelativeVariance, agreement
 from onboard.estimation.sensor_factors import between_covariance, velocity_sigma_m_s
@@ -79,6 +79,12 @@ class Memory:
         return Memory((*self.windows, solved)[-REMEMBERED:], relative)
 
 
+def share_below(state: State, seen: Mask) -> float:
+    """The share of measurements, `seen` (K, P), whose point is below its view."""
+    below = state.points_enu_m[:, 2] < state.centres_enu_m[:, None, 2]
+    return float(np.count_nonzero(below & seen)) / max(float(np.count_nonzero(seen)), 1.0)
+
+
 def by_itself(
     config: Config,
     camera: Camera,
@@ -97,7 +103,7 @@ def by_itself(
     depth = np.einsum("kj,kpj->kp", s.state.R_cam_enu[:, 2], offset)
     used = kept > 0
     least_m = MIN_DEPTH_SHARE * float(np.median(np.abs(depth[used])))
-    if np.count_nonzero((offset[..., 2] < 0.0) & used) < MIN_AHEAD * np.count_nonzero(used):
+    if share_below(s.state, used) < MIN_AHEAD:
         return Refusal(Status.POOR_FIT, "the ground lies above the aircraft")
     if np.count_nonzero((depth > least_m) & used) < MIN_AHEAD * np.count_nonzero(used):
         return Refusal(Status.POOR_FIT, "points lie behind the camera or at it")

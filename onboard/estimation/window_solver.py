@@ -92,7 +92,11 @@ def adjust(request: Request) -> Outcome:
         other = replace(request, keyframes=start, previous=None, is_oriented=True)
         if not is_far_worse(best, other):
             best = likelier(request, best, _adjusted(other))
-    return by_profile(request, best)
+    judged, lower = by_profile(request, best)
+    if lower is None:
+        return judged
+    other = replace(request, keyframes=lower, previous=None, is_oriented=True)
+    return by_profile(request, likelier(request, best, _adjusted(other)))[0]
 
 
 def _adjusted(request: Request) -> Outcome:

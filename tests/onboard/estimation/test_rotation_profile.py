@@ -9,7 +9,8 @@ import pytest
 
 from contract.feature_set import Status
 from contract.rotations import exp_so3
-from onboard.estimation.rotation_profile import TurnPrior, by_profile, weakest_turn
+from onboard.estimation.bundle_adjustment import image_residuals
+from onboard.estimation.rotation_profile import TurnPrior, by_profile, turned_as_one, weakest_turn
 from onboard.estimation.window_request import Outcome, Request
 from onboard.estimation.window_solver import _adjusted, adjust
 from tests.onboard.scenes import FULL, SEED_SENSORS, SceneSpec, bundle_problem, draw
@@ -41,11 +42,11 @@ def test_the_held_turns_derivative_is_that_of_its_residual() -> None:
 def test_level_flight_and_flight_with_attitude_are_left_as_they_are() -> None:
     request, outcome = first_solve(SceneSpec())
     assert outcome.status is Status.OK
-    assert by_profile(request, outcome) is outcome
+    assert by_profile(request, outcome) == (outcome, None)
     with_attitude = draw(np.random.default_rng(0), FULL, CLIMB).window().prepare()
     outcome = _adjusted(with_attitude)
     assert outcome.status is Status.OK
-    assert by_profile(with_attitude, outcome) is outcome
+    assert by_profile(with_attitude, outcome) == (outcome, None)
 
 
 def test_in_a_climb_the_heading_about_the_path_is_what_is_known_least() -> None:
@@ -61,10 +62,10 @@ def test_variances_that_are_too_small_are_given_back_what_they_lack(seed: int) -
     request, outcome = first_solve(replace(CLIMB, speed_m_s=0.7), seed)
     assert outcome.solved is not None
     assert 13.4 < np.degrees(weakest_turn(outcome.solved)[1]) < 20.0
-    true = by_profile(request, outcome).solved
+    true = by_profile(request, outcome)[0].solved
     narrowed = replace(outcome.solved.solution)
     narrowed.__dict__["covariance"] = 0.25 * outcome.solved.solution.covariance
-    again = by_profile(request, replace(outcome, solved=replace(outcome.solved, solution=narrowed))).solved
+    again = by_profile(request, replace(outcome, solved=replace(outcome.solved, solution=narrowed)))[0].solved
     assert true is not None and again is not None
     assert 1.0 <= true.variance_factor < 1.7
     assert 0.75 < again.variance_factor / (4.0 * true.variance_factor) < 1.33
@@ -73,8 +74,17 @@ def test_variances_that_are_too_small_are_given_back_what_they_lack(seed: int) -
 def test_a_valley_with_another_bottom_is_refused_however_narrow_this_one_is() -> None:
     request, outcome = first_solve(replace(CLIMB, speed_m_s=1.0), seed=0)
     assert outcome.solved is not None and np.degrees(weakest_turn(outcome.solved)[1]) < 17.0
-    refused = by_profile(request, outcome)
+    refused, _ = by_profile(request, outcome)
     assert refused.status is Status.LOW_PARALLAX and refused.solved is None and "heading" in refused.reason
+
+
+def test_views_points_and_plane_turned_as_one_leave_the_pictures_as_they_are() -> None:
+    drawn = bundle_problem(np.random.default_rng(6))
+    turned = turned_as_one(drawn.truth, np.array([0.1, -0.2, 2.0]), drawn.problem)
+    before, after = (image_residuals(drawn.problem, state) for state in (drawn.truth, turned))
+    seen = drawn.problem.weight > 0
+    np.testing.assert_allclose(after.transpose(0, 2, 1)[seen], before.transpose(0, 2, 1)[seen], atol=1e-9)
+    np.testing.assert_allclose(turned.R_cam_enu, drawn.truth.R_cam_enu @ exp_so3(np.array([0.1, -0.2, 2.0])))
 
 
 @pytest.mark.parametrize("seed", range(3))
