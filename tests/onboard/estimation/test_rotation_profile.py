@@ -79,12 +79,12 @@ def test_a_valley_with_another_bottom_is_refused_however_narrow_this_one_is() ->
 
 
 def test_views_points_and_plane_turned_as_one_leave_the_pictures_as_they_are() -> None:
-    drawn = bundle_problem(np.random.default_rng(6))
-    turned = turned_as_one(drawn.truth, np.array([0.1, -0.2, 2.0]), drawn.problem)
-    before, after = (image_residuals(drawn.problem, state) for state in (drawn.truth, turned))
-    seen = drawn.problem.weight > 0
+    sample = bundle_problem(np.random.default_rng(6))
+    turned = turned_as_one(sample.truth, np.array([0.1, -0.2, 2.0]), sample.problem)
+    before, after = (image_residuals(sample.problem, state) for state in (sample.truth, turned))
+    seen = sample.problem.weight > 0
     np.testing.assert_allclose(after.transpose(0, 2, 1)[seen], before.transpose(0, 2, 1)[seen], atol=1e-9)
-    np.testing.assert_allclose(turned.R_cam_enu, drawn.truth.R_cam_enu @ exp_so3(np.array([0.1, -0.2, 2.0])))
+    np.testing.assert_allclose(turned.R_cam_enu, sample.truth.R_cam_enu @ exp_so3(np.array([0.1, -0.2, 2.0])))
 
 
 @pytest.mark.parametrize("seed", range(3))
