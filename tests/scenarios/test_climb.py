@@ -34,7 +34,7 @@ def test_a_climb_on_camera_and_gps_is_answered_and_its_ellipses_hold(seed: int) 
     assert np.median(score.error_m) < 12.0 and np.median(score.semi_m) < 25.0  # nor by ellipses that hold anything
 
 
-def lasting(speed_m_s: float, seed: int, seconds: float) -> tuple[float, np.ndarray]:
+def long_climb(speed_m_s: float, seed: int, seconds: float) -> tuple[float, np.ndarray]:
     """A climb of 2.5 m/s from 30 m: the share of pictures answered, and clicks' errors over their 90 % ellipses."""
     path = PathSpec(speed_m_s=speed_m_s, height_m=30.0, climb_m_s=2.5, wobble_deg=4.0, pitch_deg=0.0)
     flight = SampledFlight(SampledSpec(TIMED, path, seconds, RATE_HZ), seed)
@@ -46,13 +46,13 @@ def lasting(speed_m_s: float, seed: int, seconds: float) -> tuple[float, np.ndar
 @pytest.mark.parametrize("seed", rest_long([10, 2]))
 def test_a_climb_that_lasts_with_next_to_no_travel_is_not_answered_from_another_heading(seed: int) -> None:
     """Before, 149 and 65 of 150 pictures were, up to 6 ellipses off. (16.10)"""
-    _, ratio = lasting(0.7, seed, 60.0)
+    _, ratio = long_climb(0.7, seed, 60.0)
     assert np.max(ratio, initial=0.0) < 2.0
 
 
 @pytest.mark.parametrize("seed", rest_long([13, 10, 11, 12]))
 def test_one_that_travels_at_a_third_of_its_climb_is_answered_and_its_ellipses_hold(seed: int) -> None:
-    answered, ratio = lasting(1.5, seed, 30.0)
+    answered, ratio = long_climb(1.5, seed, 30.0)
     assert answered > 0.7
     assert np.mean(ratio < 1.0) > 0.75 and np.quantile(ratio, 0.9) > 0.4 and np.max(ratio) < 2.0
 
@@ -61,6 +61,6 @@ def test_one_that_travels_at_a_third_of_its_climb_is_answered_and_its_ellipses_h
 @pytest.mark.parametrize("speed_m_s", [0.7, 1.0])
 def test_no_draw_of_a_climb_that_lasts_is_beyond_two_ellipses(speed_m_s: float) -> None:
     """Ten draws each. Before, up to 8.6. Some of those with a metre a second are answered, and well."""
-    ratios = np.concatenate([lasting(speed_m_s, seed, 75.0)[1] for seed in range(8, 18)])
+    ratios = np.concatenate([long_climb(speed_m_s, seed, 75.0)[1] for seed in range(8, 18)])
     assert np.max(ratios, initial=0.0) < 2.0
     assert speed_m_s < 1.0 or (len(ratios) > 60 and np.mean(ratios < 1.0) > 0.85)
