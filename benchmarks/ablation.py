@@ -33,7 +33,7 @@ from onboard.pipeline.pipeline import Pipeline
 
 Array = NDArray[np.float64]
 
-CLICKS, WARM_S = 4, 20.0
+CLICKS = 4
 FIGURES = ("answered", "median", "90 %", "inside", "sharpness", "worst")
 COLUMNS = ("answered", "median m", "90 % m", "inside", "sharpness", "worst")
 UNITS = (" points", " %", " %", " points", "", "")
@@ -49,7 +49,7 @@ def fly(trial: Trial, seed: int) -> Score:
     for event in flight.events():
         sets.update({out.frame: out for out in pipeline.handle(event)})
     sets.update({out.frame: out for out in pipeline.finish()})
-    score = scored(flight, clicks(flight, sets, spec.camera.size_px, CLICKS, WARM_S, seed))
+    score = scored(flight, clicks(flight, sets, spec.camera.size_px, CLICKS, trial.warm_s, seed))
     spent = pipeline.summary.stage_seconds
     score.processor_s = sum(seconds for stage, seconds in spent.items() if stage != "tracking")
     return score

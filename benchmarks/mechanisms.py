@@ -74,7 +74,7 @@ def _level(self: Any, start_ns: int, place_enu_m: Any) -> ground_slope.SlopePrio
     return ground_slope.SlopePrior(np.zeros(2), self.sigma**2 * np.eye(2))
 
 
-def _one_range(H: Any, relative: Any, variance: Any, spread: float) -> float:
+def _one_range(places: Any, relative: Any, variance: Any, spread: float) -> float:
     return max(spread * spread, ground_roughness.MIN_ROUGHNESS)
 
 
@@ -118,7 +118,7 @@ MECHANISMS = (
     ),
     Mechanism(
         "ground roughness",
-        "correlated over one focal length of the picture, always",
+        "correlated over one camera height, always",
         ((ground_roughness, "_roughness", _one_range),),
     ),
     Mechanism(
