@@ -258,6 +258,7 @@ class Window:
         start_ns, end_ns = self.keyframes[0].nav.stamp_ns, self.keyframes[-1].nav.stamp_ns
         prior = shared_prior(self.config, layout, request.platform, False, request.slope)
         state, covariance = solved.solution.state, solved.covariance_at((start_ns + end_ns) // 2)
+        covariance = solved.variance_factor * covariance  # of (16.10): where a turn is known less, so is the slope
         shared = np.concatenate([state.platform, state.plane])
         slope, sigma2 = seen_alone(prior, shared, covariance[layout.shared, layout.shared])
         self.ground_slope.offer(start_ns, SlopeSeen(end_ns, self._place_enu_m(), slope, sigma2))
