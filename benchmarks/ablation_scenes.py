@@ -103,19 +103,28 @@ class VibratingRows(RowsOf):
         return R_enu_cam @ exp_so3(swing[:, None] * np.array([1.0, 0.6, 0.0])), centres
 
 
-class FlexingFlight(SampledFlight):
-    """A mount that flexes slowly, and so far that windows disagree about where it is."""
+class OtherAttitudes(SampledFlight):
+    """Sends something else for each attitude."""
 
     def events(self) -> Iterator[Event]:
-        """Attitudes that part from the camera's as it does."""
+        """All others as they are."""
         for event in super().events():
-            if not isinstance(event, Attitude):
-                yield event
-                continue
-            phase = 2.0 * np.pi * (event.stamp_ns / 1e9 % 1e4) / FLEX_S
-            off = FLEX_RAD * np.array([np.sin(phase), 0.7 * np.sin(0.83 * phase + 1.0), 0.0])
-            R = matrix_from_quaternion(event.q_ned_body) @ exp_so3(off)
-            yield replace(event, q_ned_body=_quaternion(R))
+            yield from self.sent(event, event.stamp_ns / 1e9 % 1e4) if isinstance(event, Attitude) else (event,)
+
+    def sent(self, attitude: Attitude, time_s: float) -> tuple[Event, ...]:
+        """What is sent for an attitude."""
+        return (attitude,)
+
+
+class FlexingFlight(OtherAttitudes):
+    """A mount that flexes slowly, and so far that windows disagree about where it is."""
+
+    def sent(self, attitude: Attitude, time_s: float) -> tuple[Event, ...]:
+        """An attitude that parts from the camera's as the mount does."""
+        phase = 2.0 * np.pi * time_s / FLEX_S
+        off = FLEX_RAD * np.array([np.sin(phase), 0.7 * np.sin(0.83 * phase + 1.0), 0.0])
+        R = matrix_from_quaternion(attitude.q_ned_body) @ exp_so3(off)
+        return (replace(attitude, q_ned_body=_quaternion(R)),)
 
 
 class WaterFlight(SampledFlight):
@@ -158,22 +167,17 @@ class WaterTracker(SampledTracker):
         return out
 
 
-class GimbalFlight(SampledFlight):
+class GimbalFlight(OtherAttitudes):
     """Photographs of a camera that a gimbal holds level under a vehicle that leans forward and rolls slowly."""
 
-    def events(self) -> Iterator[Event]:
-        """Each attitude as that of the gimbal, and a vehicle's that leans."""
-        for event in super().events():
-            if not isinstance(event, Attitude):
-                yield event
-                continue
-            t = event.stamp_ns / 1e9 % 1e4
-            R_ned_level = matrix_from_quaternion(event.q_ned_body)
-            body = R_ned_level @ matrix_from_euler(0.05 * np.sin(0.9 * t), -0.26, 0.0)
-            heading = float(np.arctan2(body[1, 0], body[0, 0]))
-            gimbal = matrix_from_euler(0.0, 0.0, heading).T @ R_ned_level @ LEVEL
-            yield Attitude(event.stamp_ns, _quaternion(body))
-            yield GimbalAttitude(event.stamp_ns, _quaternion(gimbal), "vehicle")
+    def sent(self, attitude: Attitude, time_s: float) -> tuple[Event, ...]:
+        """It as that of the gimbal, and a vehicle's that leans."""
+        R_ned_level = matrix_from_quaternion(attitude.q_ned_body)
+        body = R_ned_level @ matrix_from_euler(0.05 * np.sin(0.9 * time_s), -0.26, 0.0)
+        heading = float(np.arctan2(body[1, 0], body[0, 0]))
+        gimbal = matrix_from_euler(0.0, 0.0, heading).T @ R_ned_level @ LEVEL
+        vehicle = Attitude(attitude.stamp_ns, _quaternion(body))
+        return vehicle, GimbalAttitude(attitude.stamp_ns, _quaternion(gimbal), "vehicle")
 
 
 def _quaternion(R: Array) -> tuple[float, float, float, float]:

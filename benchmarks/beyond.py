@@ -27,7 +27,7 @@ from benchmarks.sampled_flight import PLACE, SampledFlight, SampledSpec, fly, re
 from contract.answer import CHI2_2, Fix
 from contract.camera import Camera
 from contract.feature_set import FeatureSet
-from contract.kriging import Kriging, convex_hull, distances_outside, stretch
+from contract.kriging import Kriging, convex_hull, distances_outside
 from contract.locate import Locator
 from ground.recording import Recording
 from onboard.config.schema import parse_config
@@ -137,9 +137,7 @@ def left_out(found: FeatureSet) -> Iterator[float]:
         out = along > np.quantile(along, 1.0 - OUTERMOST)
         plane, spread, slope = plane_and_roughness(H[~out], w[~out], relative[~out])
         r, nugget = w / (H @ plane) - 1.0, relative * (w / (H @ plane)) ** 2
-        roughness = slope * stretch(xy[~out], plane)
-        kriging = Kriging(xy[~out], r[~out], nugget[~out], plane, roughness, spread)
-        predicted, variance = kriging.predict_each(xy[out])
+        predicted, variance = Kriging(xy[~out], r[~out], nugget[~out], plane, slope, spread).predict_each(xy[out])
         yield from ((r[out] - predicted) / np.sqrt(variance + nugget[out])).tolist()
 
 

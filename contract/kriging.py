@@ -36,10 +36,9 @@ EIGHT = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 class Kriging:
     """Prediction of r at any (x, y) from features at `xy` (N, 2) with values `r` (N,) and variances `nugget` (N,).
 
-    `plane` (3,): the ground's, w = a + b x + c y. `roughness` is the slope of the ground's variogram at distance zero,
-    per unit of (x, y) amid the features; `sill_sigma` the one sigma it levels off at. With k the slope per camera
-    height, (9.20), gamma(d) = s^2 (1 - exp(-k d / s^2)). Everything that does not depend on the click is solved here,
-    once.
+    `plane` (3,): the ground's, w = a + b x + c y. `slope` is that of the ground's variogram at distance zero, per
+    camera height, `sill_sigma` the one sigma it levels off at: gamma(d) = s^2 (1 - exp(-slope d / s^2)). Everything
+    that does not depend on the click is solved here, once.
 
     `is_surface`: the features are not measured but are on a surface known before. They give exactly where that is;
     the ground differs from it by at least `nugget`, at a click as at the feature next to it, and no average makes that
@@ -55,7 +54,7 @@ class Kriging:
         r: Array,
         nugget: Array,
         plane: Array,
-        roughness: float,
+        slope: float,
         sill_sigma: float,
         *,
         is_surface: bool = False,
@@ -63,7 +62,7 @@ class Kriging:
         self._xy, self._plane = xy, plane
         self._places = on_plane(xy, plane)
         self._sill = sill_sigma**2
-        self._slope = roughness / stretch(xy, plane)
+        self._slope = slope
         n = len(r)
         prior = TREND_SIGMA**2 if n >= MIN_TREND_FEATURES else 0.0
         # Rounding of the wire and of this solve: 1e-8 of relative depth, 3 micrometres at 300 m.
@@ -87,11 +86,8 @@ class Kriging:
 
     def predict(self, xy: Array) -> tuple[Array, Array]:
         """r (M,) at points (M, 2) and the covariance (M, M) of its errors."""
-        places = on_plane(xy, self._plane)
-        away, apart = distances(places, self._places), distances(places, places)
-        k = self._covariance(away)  # (M, N)
-        known = k @ self._whiten.T  # (M, N)
-        left = places - known @ self._trend
+        places, away, known, left = self._from_features(xy)
+        apart = distances(places, places)
         covariance = self._covariance(apart) - known @ known.T + left @ self._trend_cov @ left.T
         if self._astray is not None:
             # A rough surface is rough by its own errors too: what interpolation allows for already is not added again.
@@ -104,10 +100,7 @@ class Kriging:
 
     def predict_each(self, xy: Array) -> tuple[Array, Array]:
         """r (M,) at points (M, 2) and the variances (M,) of its errors: `predict` without what they have in common."""
-        places = on_plane(xy, self._plane)
-        away = distances(places, self._places)
-        known = self._covariance(away) @ self._whiten.T
-        left = places - known @ self._trend
+        places, away, known, left = self._from_features(xy)
         variance = self._sill - (known**2).sum(axis=1) + ((left @ self._trend_cov) * left).sum(axis=1)
         if self._astray is not None:
             variance = np.maximum(variance, self._astray[np.argmin(away, axis=1)])
@@ -118,11 +111,18 @@ class Kriging:
 
         The rest is the ground's between the features. (17.1)
         """
-        places = on_plane(xy, self._plane)
-        known = self._covariance(distances(places, self._places)) @ self._whiten.T
-        left = places - known @ self._trend
+        _, _, known, left = self._from_features(xy)
         weights = (known + left @ self._trend_cov @ self._trend.T) @ self._whiten  # (M, N) of the features
         return np.asarray((weights**2) @ self._nugget, np.float64)
+
+    def _from_features(self, xy: Array) -> tuple[Array, Array, Array, Array]:
+        """Of points (M, 2): places (M, 3), distances to the features (M, N), their whitened covariance with them (M, N)
+        and what that leaves of the trend (M, 3).
+        """
+        places = on_plane(xy, self._plane)
+        away = distances(places, self._places)
+        known = self._covariance(away) @ self._whiten.T
+        return places, away, known, places - known @ self._trend
 
     def _shown_beyond(self) -> float:
         """The factor on variances beyond the hull: how far off all others predict the outermost features. (9.19)

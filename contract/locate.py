@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from contract.answer import CHI2_2, Answer, Ellipse, Fix, Refusal
 from contract.feature_set import COMMON_STATES, DepthSource, FeatureSet, HeightDatum, Status
 from contract.geodesy import LocalFrame
-from contract.kriging import MIN_PLANE_SHARE, Kriging, distance_outside, distances_outside, hull_area
+from contract.kriging import MIN_PLANE_SHARE, Kriging, distance_outside, distances_outside, hull_area, stretch
 from contract.rolling_shutter import row_share
 from contract.rotations import skew
 
@@ -99,7 +99,7 @@ class Locator:
             s.inverse_depth_per_m[usable] / plane - 1.0,
             (s.sigma_inverse_depth_per_m[usable] / plane) ** 2,
             s.plane_per_m,
-            s.roughness,
+            s.roughness / stretch(xy, s.plane_per_m),
             s.plane_sigma_relative,
             is_surface=s.depth_source is not DepthSource.PARALLAX,
         )

@@ -96,7 +96,8 @@ def adjust(request: Request) -> Outcome:
     if lower is None:
         return judged
     other = replace(request, keyframes=lower, previous=None, is_oriented=True)
-    return by_profile(request, likelier(request, best, _adjusted(other)))[0]
+    preferred = likelier(request, best, _adjusted(other))
+    return judged if preferred is best else by_profile(request, preferred)[0]
 
 
 def _adjusted(request: Request) -> Outcome:

@@ -73,14 +73,7 @@ class Placed:
     pose: Pose
     solved: Solved
     by_state: Array
-
-    @property
-    def ground_range(self) -> float:
-        """One over the correlation length of the ground, 1/m: its variogram's slope over the squared spread. (9.20)"""
-        s = self.feature_set
-        rays, _ = s.camera.unproject(s.uv_px)
-        slope = s.roughness / stretch(rays[:, :2], s.plane_per_m) * float(np.linalg.norm(s.plane_per_m))
-        return slope / s.plane_sigma_relative**2
+    ground_range: float  # one over the correlation length of the ground, 1/m: its variogram's slope over s^2, (9.20)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,8 +143,7 @@ def place(
         moving = replace(picture.moving, rate_cam_rad_s=view.rate_cam_rad_s)
         # The readout is one of the window's states, if it is unsure.
         picture = replace(picture, moving=moving, readout_s=(solved.readout_s, 0.0))
-    made = _by_view(solved, view, picture, window.config.tracking.features, ground_range)
-    return made if isinstance(made, Status) else Placed(made[0], view.pose, solved, made[1])
+    return _by_view(solved, view, picture, window.config.tracking.features, ground_range)
 
 
 def _keyframe_view(solved: Solved, frame: int, rows: NDArray[np.intp]) -> _View | None:
@@ -198,10 +190,8 @@ def _resected_view(
     return _View(Pose(pose.R_cam_enu, pose.centre_enu_m), gain, noise, used, turning)
 
 
-def _by_view(
-    solved: Solved, view: _View, picture: Picture, most: int, ground_range: float | None
-) -> tuple[FeatureSet, Array] | Status:
-    """The set of a picture whose pose is known, with the `most` features that are known best, and T of (9.3)."""
+def _by_view(solved: Solved, view: _View, picture: Picture, most: int, ground_range: float | None) -> Placed | Status:
+    """A picture whose pose is known, its set with the `most` features that are known best."""
     s = solved.solution
     R = view.pose.R_cam_enu
     p = (s.state.points_enu_m[view.rows] - view.pose.centre_enu_m) @ R.T
@@ -238,7 +228,10 @@ def _by_view(
     )
     best = np.sort(np.argsort(variance, kind="stable")[:most])
     features = Features(H, uv, 1.0 / z, variance, variance, best)
-    return assemble(picture, view.pose, features, common, shared, DepthSource.PARALLAX, ground_range), T
+    made = assemble(picture, view.pose, features, common, shared, DepthSource.PARALLAX, ground_range)
+    plane = made.plane_per_m
+    slope = made.roughness / stretch(H[best, 1:], plane) * float(np.linalg.norm(plane))
+    return Placed(made, view.pose, solved, T, slope / made.plane_sigma_relative**2)
 
 
 def assemble(

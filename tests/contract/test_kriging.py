@@ -30,7 +30,7 @@ def trial(rng: np.random.Generator, noise: float) -> tuple[Array, Array, Array, 
     sigma = noise * np.exp(rng.normal(0.0, 0.3, 100))
     r = rolling_ground(xy, phase) + sigma * rng.normal(size=100)
     at = rng.uniform(-0.28, 0.28, (40, 2)) * [1.0, 0.75]
-    kriging = Kriging(xy, r, sigma**2, BELOW, roughness=0.0014, sill_sigma=0.011)
+    kriging = Kriging(xy, r, sigma**2, BELOW, slope=0.0014, sill_sigma=0.011)
     predicted, covariance = kriging.predict(at)
     return rolling_ground(at, phase), LinearNDInterpolator(xy, r)(at), predicted, np.sqrt(np.diag(covariance))
 
@@ -97,7 +97,7 @@ def test_it_is_what_the_inverse_of_the_covariance_says(features: int) -> None:
     xy, at = rng.uniform(-0.4, 0.4, (features, 2)), rng.uniform(-0.5, 0.5, (9, 2))
     r, nugget = rng.normal(0.0, 0.04, features), rng.uniform(1e-5, 1e-4, features)
     slope, sill = 0.004, 0.02**2
-    kriging = Kriging(xy, r, nugget, ASLANT, slope * stretch(xy, ASLANT), np.sqrt(sill))
+    kriging = Kriging(xy, r, nugget, ASLANT, slope, np.sqrt(sill))
     predicted, stated = kriging.predict(at)
     value, expected = as_written(xy, r, nugget, slope, sill, at)
     squares = []
@@ -127,7 +127,7 @@ def test_the_answer_is_the_ground_s_whichever_way_the_camera_is_turned() -> None
         features, clicks = (np.append(p, np.ones((len(p), 1)), axis=1) @ R.T for p in (xy, at))
         features, clicks = features[:, :2] / features[:, 2:], clicks[:, :2] / clicks[:, 2:]
         plane = R[:, 2][[2, 0, 1]]
-        kriging = Kriging(features, r, nugget, plane, slope * stretch(features, plane), 0.02)
+        kriging = Kriging(features, r, nugget, plane, slope, 0.02)
         return kriging.predict_each(clicks)
 
     for straight, aside in zip(seen(np.zeros(3)), seen(np.radians([40.0, -30.0, 100.0])), strict=True):
@@ -153,7 +153,7 @@ def test_beyond_features_that_agree_with_their_variances_nothing_is_added() -> N
         root = np.linalg.cholesky(sill * np.exp(-slope / sill * apart) + 1e-4 * np.eye(80))
         r = root @ rng.normal(size=80)
         plain = as_written(xy, r, np.full(80, 1e-4), slope, sill, np.array([[0.55, 0.0]]))[1][0, 0]
-        kriging = Kriging(xy, r, np.full(80, 1e-4), ASLANT, slope * stretch(xy, ASLANT), np.sqrt(sill))
+        kriging = Kriging(xy, r, np.full(80, 1e-4), ASLANT, slope, np.sqrt(sill))
         beyond = kriging.predict_each(np.array([[0.55, 0.0]]))[1][0]
         excess.append(beyond / plain - 1.0)
     assert 0.0 <= np.median(excess) < 0.15

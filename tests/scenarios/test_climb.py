@@ -7,19 +7,20 @@ that last: windows inherit a heading which next to nothing contradicts.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from benchmarks.ablation_scenes import CLIMB, GPS_ONLY
 from benchmarks.autopilots import SENSORS, Scene, judge
 from benchmarks.sampled_flight import SampledFlight, SampledSpec, fly, replace_section
 from contract.answer import CHI2_2
 from onboard.config.schema import parse_config
-from simulation.paths import PathSpec
 from tests.rest_long import rest_long
 from tests.test_platform_errors import clicks
 
 GPS_ALONE = replace_section(parse_config(""), "solve", **SENSORS["gps"])
-TIMED = replace_section(GPS_ALONE, "gps", sigma_latency_s=0.02)
 RATE_HZ = 2.0
 
 
@@ -36,8 +37,8 @@ def test_a_climb_on_camera_and_gps_is_answered_and_its_ellipses_hold(seed: int) 
 
 def long_climb(speed_m_s: float, seed: int, seconds: float) -> tuple[float, np.ndarray]:
     """A climb of 2.5 m/s from 30 m: the share of pictures answered, and clicks' errors over their 90 % ellipses."""
-    path = PathSpec(speed_m_s=speed_m_s, height_m=30.0, climb_m_s=2.5, wobble_deg=4.0, pitch_deg=0.0)
-    flight = SampledFlight(SampledSpec(TIMED, path, seconds, RATE_HZ), seed)
+    path = replace(CLIMB, speed_m_s=speed_m_s, wobble_deg=4.0)
+    flight = SampledFlight(SampledSpec(GPS_ONLY, path, seconds, RATE_HZ), seed)
     sets, _ = fly(flight)
     answered = sum(s.is_ok for s in sets.values()) / len(sets)
     return answered, np.sqrt(clicks(flight, sets, 4.0, 2)[0] / CHI2_2) if answered else np.zeros(0)
