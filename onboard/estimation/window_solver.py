@@ -43,6 +43,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 GROUND_MOVES = "the ground moves"
+MIN_TRACK_INLIERS = 2.0 / 3.0  # of one track's measurements, (6.15)
 MIN_VIEW_INLIERS = 0.3  # of one picture's measurements; below it nothing ties that picture to the others
 MIN_PIXEL_SIGMA_PX = 0.08  # tracks have common errors, larger than their residuals show
 WEIGHING_ROUNDS = 5
@@ -65,12 +66,15 @@ class Adjusted:
 def refine(problem: Problem, first: Solution, least_own: float, camera_file: Camera) -> Adjusted | None:
     """The second: without what lay beyond 4 sigma, weighted by the noise found, at least `least_own` of the stated.
 
+    Of a track of which more than a third lay there, nothing: what agrees does so by chance, (6.15).
+
     Through the camera that the first found, which counts its states from `camera_file`. None where too little is left
     to estimate the noise from.
     """
     sigmas, states = first.residual_sigmas, view_states(problem.layout)
     kept = np.where(sigmas > OUTLIER_SIGMAS * max(fit_of(sigmas, states), 1.0), 0.0, problem.weight)
-    kept[:, np.count_nonzero(kept > 0, axis=0) < 2] = 0.0
+    left, seen = np.count_nonzero(kept > 0, axis=0), np.count_nonzero(problem.weight > 0, axis=0)
+    kept[:, left < np.maximum(2, MIN_TRACK_INLIERS * seen)] = 0.0
     # The window's own noise, not the flight's so far, is what its covariances must be built on.
     own = fit_of(np.where(kept > 0, sigmas, np.nan), states)
     if not np.isfinite(own):
