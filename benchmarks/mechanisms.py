@@ -112,6 +112,9 @@ MECHANISMS = (
     ),
     Mechanism("sensor groups", "no sensor is found to fail", ((window_solver, "failing_groups", _held),)),
     Mechanism(
+        "wrong tracks", "of a track with many outliers the rest is kept", ((window_solver, "MIN_TRACK_INLIERS", 0.0),)
+    ),
+    Mechanism(
         "ground slope",
         "level ground of the configured sigma everywhere",
         ((ground_slope.GroundSlope, "prior_for", _level),),

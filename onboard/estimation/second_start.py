@@ -33,7 +33,6 @@ from onboard.navigation.navigator import NavState
 
 Array = NDArray[np.float64]
 
-STEEP_COSINE = float(np.cos(np.radians(30.0)))  # of the bank, above which a solution is checked from a second start
 CLEAR_COST = float(np.log(1000.0))  # by which one of two solutions is the likelier, a thousand to one
 CLEAR_SIGMAS = 3.1  # of that difference's own spread, one-sided the same odds
 SAME_SIGMAS = 1.0  # of the points' own places, within which two solutions are the same
@@ -49,40 +48,16 @@ def by_attitude(nav: NavState, platform: PlatformEstimate, R_body_cam: Array) ->
     return out
 
 
-def is_steep(keyframes: tuple[Keyframe, ...], R_body_cam: Array) -> bool:
-    """Whether the aircraft banks by more than 30 degrees: by attitude, else as its path says. True if unknown."""
-    attitudes = [k.nav.R_enu_body for k in keyframes if k.nav.R_enu_body is not None]
-    if len(attitudes) == len(keyframes):
-        down = np.stack(attitudes)[:, 2, 2]
-    else:
-        path = coordinated_turn(R_body_cam, list(keyframes))
-        if path is None:
-            return True
-        down = (path @ R_body_cam.T)[:, 2, 2]
-    return bool(np.min(-down) < STEEP_COSINE)
-
-
-def by_sensors(
-    keyframes: tuple[Keyframe, ...], platform: PlatformEstimate, R_body_cam: Array
-) -> tuple[Keyframe, ...] | None:
-    """Keyframes oriented by the autopilot, or where it gives no attitude by a coordinated turn along the path."""
-    attitudes = [by_attitude(k.nav, platform, R_body_cam) for k in keyframes]
-    known = [R for R in attitudes if R is not None]
-    if len(known) == len(keyframes):
-        return turned(keyframes, np.stack(known))
-    path = coordinated_turn(R_body_cam, list(keyframes))
-    return None if path is None else turned(keyframes, path.transpose(0, 2, 1))
-
-
 def other_starts(request: Request, found: Outcome) -> Iterator[tuple[Keyframe, ...]]:
     """Keyframes turned as other explanations of the pictures have them, which `found` is to be compared with.
 
-    Without attitude the mirrored motion of the plane, if one is possible; and the sensors' own orientations where the
-    window was refused, or nothing confirms it yet.
+    Without attitude the mirrored motion of the plane, if one is possible; and a coordinated turn along the path where
+    the window was refused, or nothing confirms it yet. With attitude none: the sensors' own start leads nowhere else.
     """
     keyframes = request.keyframes
-    has_attitude = have_attitude(keyframes)
-    if found.weighed is not None and not has_attitude and found.status is not Status.LOW_PARALLAX:
+    if have_attitude(keyframes):
+        return
+    if found.weighed is not None and found.status is not Status.LOW_PARALLAX:
         state, problem = found.weighed.solution.state, found.weighed.problem
         seen = problem.weight > 0
         several = np.count_nonzero(seen, axis=0) > 1
@@ -91,13 +66,10 @@ def other_starts(request: Request, found: Outcome) -> Iterator[tuple[Keyframe, .
         if R is not None:
             yield turned(keyframes, R)
     is_confirmed = found.agreed is not None or bool(request.memory.windows)
-    if not is_worth_another(found.status, found.keyframes, request.R_body_cam, is_confirmed):
-        return
-    if has_attitude and request.previous is None:
-        return  # the sensors' start was the first one
-    start = by_sensors(keyframes, request.platform, request.R_body_cam)
-    if start is not None:
-        yield start
+    if found.status is Status.POOR_FIT or (found.status is Status.OK and not is_confirmed):
+        path = coordinated_turn(request.R_body_cam, list(keyframes))
+        if path is not None:
+            yield turned(keyframes, path.transpose(0, 2, 1))
 
 
 def is_far_worse(found: Outcome, other: Request) -> bool:
@@ -121,7 +93,7 @@ def likelier(request: Request, one: Outcome, two: Outcome) -> Outcome:
     if two.solved is None or two.weighed is None:
         return one
     if one.weighed is None:
-        return two if two.agreed is not None or have_attitude(request.keyframes) else one
+        return two if two.agreed is not None else one
     # Under the noise of the one that needed less: what a wrong solution needs would excuse it.
     common = max((one.weighed, two.weighed), key=lambda w: _precision(w.problem))
     first, second = (_under(common, w) for w in (one.weighed, two.weighed))
@@ -190,12 +162,3 @@ def _by_point(solution: Solution) -> Array:
     squared = np.nan_to_num(np.square(solution.residual_sigmas))
     out: Array = 0.5 * robust_cost(squared, FIRST_SCALE)[0].sum(axis=0)
     return out
-
-
-def is_worth_another(status: Status, keyframes: tuple[Keyframe, ...], R_body_cam: Array, is_confirmed: bool) -> bool:
-    """Whether a window with this result is solved again from a second start."""
-    if status is Status.POOR_FIT:
-        return True
-    if status is not Status.OK or is_confirmed:
-        return False
-    return not have_attitude(keyframes) or is_steep(keyframes, R_body_cam)

@@ -9,7 +9,7 @@ import pytest
 
 from contract.feature_set import Status
 from contract.rotations import log_so3
-from onboard.estimation import initialisation, second_start
+from onboard.estimation import initialisation
 from onboard.estimation.keyframe import turned
 from onboard.estimation.second_start import likelier, other_starts
 from onboard.estimation.window_acceptance import by_itself
@@ -109,7 +109,8 @@ def test_without_attitude_a_solution_from_the_path_alone_needs_confirmation(monk
 
 def test_a_refusal_without_attitude_does_not_speak_of_attitude() -> None:
     scene = draw(np.random.default_rng(0), SEED_SENSORS, SceneSpec())
-    outcome = _adjusted(scene.window().prepare())
+    request = scene.window().prepare()
+    outcome = _adjusted(request)
     assert outcome.solved is not None and outcome.weighed is not None
     solved, priors = outcome.solved, outcome.weighed.priors
     kept = np.isfinite(solved.solution.residual_sigmas).astype(float)
@@ -118,4 +119,4 @@ def test_a_refusal_without_attitude_does_not_speak_of_attitude() -> None:
         SEED_SENSORS, CAMERA, solved.keyframes, None, solved.solution, solved.layout, kept, solved.good, tight
     )
     assert against is not None and "path" in against.reason and "attitude" not in against.reason
-    assert second_start.is_worth_another(against.status, solved.keyframes, np.eye(3), True)
+    assert list(other_starts(request, replace(outcome, status=against.status)))  # and another start is tried
