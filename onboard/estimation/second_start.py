@@ -48,16 +48,27 @@ def by_attitude(nav: NavState, platform: PlatformEstimate, R_body_cam: Array) ->
     return out
 
 
+def by_sensors(
+    keyframes: tuple[Keyframe, ...], platform: PlatformEstimate, R_body_cam: Array
+) -> tuple[Keyframe, ...] | None:
+    """Keyframes oriented by the autopilot, or where it gives no attitude by a coordinated turn along the path."""
+    attitudes = [by_attitude(k.nav, platform, R_body_cam) for k in keyframes]
+    known = [R for R in attitudes if R is not None]
+    if len(known) == len(keyframes):
+        return turned(keyframes, np.stack(known))
+    path = coordinated_turn(R_body_cam, list(keyframes))
+    return None if path is None else turned(keyframes, path.transpose(0, 2, 1))
+
+
 def other_starts(request: Request, found: Outcome) -> Iterator[tuple[Keyframe, ...]]:
     """Keyframes turned as other explanations of the pictures have them, which `found` is to be compared with.
 
-    Without attitude the mirrored motion of the plane, if one is possible; and a coordinated turn along the path where
-    the window was refused, or nothing confirms it yet. With attitude none: the sensors' own start leads nowhere else.
+    Without attitude the mirrored motion of the plane, if one is possible; and the sensors' own orientations where the
+    window was refused, or, without attitude, nothing confirms it yet.
     """
     keyframes = request.keyframes
-    if have_attitude(keyframes):
-        return
-    if found.weighed is not None and found.status is not Status.LOW_PARALLAX:
+    has_attitude = have_attitude(keyframes)
+    if found.weighed is not None and not has_attitude and found.status is not Status.LOW_PARALLAX:
         state, problem = found.weighed.solution.state, found.weighed.problem
         seen = problem.weight > 0
         several = np.count_nonzero(seen, axis=0) > 1
@@ -65,11 +76,15 @@ def other_starts(request: Request, found: Outcome) -> Iterator[tuple[Keyframe, .
         R = mirrored(state.R_cam_enu, state.centres_enu_m, plane, problem.xy, seen, MIN_AHEAD)
         if R is not None:
             yield turned(keyframes, R)
-    is_confirmed = found.agreed is not None or bool(request.memory.windows)
-    if found.status is Status.POOR_FIT or (found.status is Status.OK and not is_confirmed):
-        path = coordinated_turn(request.R_body_cam, list(keyframes))
-        if path is not None:
-            yield turned(keyframes, path.transpose(0, 2, 1))
+    if has_attitude:
+        # The sensors' start was the first one, but where the window before gave it.
+        is_open = found.status is Status.POOR_FIT and request.previous is not None
+    else:
+        is_confirmed = found.agreed is not None or bool(request.memory.windows)
+        is_open = found.status is Status.POOR_FIT or (found.status is Status.OK and not is_confirmed)
+    start = by_sensors(keyframes, request.platform, request.R_body_cam) if is_open else None
+    if start is not None:
+        yield start
 
 
 def is_far_worse(found: Outcome, other: Request) -> bool:
@@ -93,7 +108,7 @@ def likelier(request: Request, one: Outcome, two: Outcome) -> Outcome:
     if two.solved is None or two.weighed is None:
         return one
     if one.weighed is None:
-        return two if two.agreed is not None else one
+        return two if two.agreed is not None or have_attitude(request.keyframes) else one
     # Under the noise of the one that needed less: what a wrong solution needs would excuse it.
     common = max((one.weighed, two.weighed), key=lambda w: _precision(w.problem))
     first, second = (_under(common, w) for w in (one.weighed, two.weighed))
