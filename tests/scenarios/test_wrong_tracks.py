@@ -53,7 +53,7 @@ def test_a_hover_with_wrong_tracks_is_answered_and_its_ellipses_hold(seeds: Sequ
     assert 0.6 < np.quantile(ratio, 0.9) < 1.3  # nor by ellipses that hold anything
 
 
-def test_of_a_track_that_jumps_about_nothing_is_kept_and_of_the_others_everything() -> None:
+def test_of_tracks_that_jump_about_hardly_anything_is_kept_and_of_the_others_nearly_everything() -> None:
     for seed in range(3):
         rng = np.random.default_rng([seed, 615])
         flight = draw(Setting(pixel_sigma_px=0.15), rng)
