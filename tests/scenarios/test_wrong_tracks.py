@@ -13,33 +13,23 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.ablation_scenes import TIMED
+from benchmarks.ablation_scenes import TIMED, WRONG_TRACKS
 from benchmarks.sampled_flight import SampledFlight, SampledSpec, fly
 from contract.answer import CHI2_2
-from simulation.paths import PathSpec
 from simulation.study_window import CAMERA, Setting, begin, draw, estimate
 from tests.rest_long import rest_long
 from tests.test_platform_errors import clicks
 
 Array = NDArray[np.float64]
 
-HOVER = SampledSpec(
-    TIMED,
-    PathSpec("hover", height_m=80.0, wobble_deg=4.0, pitch_deg=2.0),
-    seconds=70.0,
-    rate_hz=2.0,
-    relief_sigma_m=1.6,
-    relief_wavelength_m=80.0,
-    pixel_sigma_px=0.15,
-    outlier_share=0.1,
-)
+HOVER = SampledSpec(TIMED, seconds=70.0, rate_hz=2.0, **WRONG_TRACKS)
 
 
-def ratios(share: float, seeds: Sequence[int]) -> Array:
+def ratios(seeds: Sequence[int]) -> Array:
     """Clicks' errors over their 90 % ellipses of some flights."""
     out = []
     for seed in seeds:
-        flight = SampledFlight(replace(HOVER, outlier_share=share), 12380 + seed)
+        flight = SampledFlight(HOVER, 12380 + seed)
         sets, _ = fly(flight)
         assert sum(s.is_ok for s in sets.values()) > 0.9 * len(sets)
         out.append(np.sqrt(clicks(flight, sets, 10.0, 2)[0] / CHI2_2))
@@ -48,7 +38,7 @@ def ratios(share: float, seeds: Sequence[int]) -> Array:
 
 @pytest.mark.parametrize("seeds", rest_long([[0, 5], range(6)]))
 def test_a_hover_with_wrong_tracks_is_answered_and_its_ellipses_hold(seeds: Sequence[int]) -> None:
-    ratio = ratios(0.1, seeds)
+    ratio = ratios(seeds)
     assert 0.78 < np.mean(ratio < 1.0) < 0.97
     assert 0.6 < np.quantile(ratio, 0.9) < 1.3  # nor by ellipses that hold anything
 
